@@ -12,7 +12,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from lockstep import SCENES, least, repeated, written_down
+from lockstep import SCENES, repeated, shortest, written_down
 from stack import RATES, Stack
 
 from handctl.campaign.stage import hand_in
@@ -49,8 +49,8 @@ def measure(hand: str, protocol: str, scene: str, seconds: float) -> dict:
             return Stack(str(path), RATES[hand], SCENES[scene])
 
         rollout = written_down(stack(), seconds)
-        bare = least(repeated(stack(), rollout) for _ in range(PASSES))
-        peer = least(stack().behind_the_wire(seconds) for _ in range(PASSES))
+        bare = shortest(repeated(stack(), rollout) for _ in range(PASSES))
+        peer = shortest(stack().behind_the_wire(seconds) for _ in range(PASSES))
     ticks, steps = round(seconds * RATES[hand]), len(rollout.torque)
     bare_us = (bare - steps * clock_s()) / ticks * 1e6
     exchange_us = (peer - ticks * clock_s()) / ticks * 1e6

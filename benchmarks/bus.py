@@ -86,13 +86,13 @@ def in_guest(floor: str, ticks: int) -> dict:
     sys.path.insert(0, str(HERE.parent))
     from tests.vcan import uml
 
-    kind, why_not = uml.means()
+    kind, reason = uml.means()
     if not kind:
-        return {"skipped": why_not}
-    said: list[str] = []
+        return {"skipped": reason}
+    output: list[str] = []
     command = [sys.executable, __file__, "--one", "vcan", floor, str(ticks // 5)]
-    status = uml.run(command, timeout_s=240.0, say=said.append)
-    return json.loads(said[-1]) if status == 0 else {"skipped": f"status {status}: {said[-1:]}"}
+    status = uml.run(command, timeout_s=240.0, say=output.append)
+    return json.loads(output[-1]) if status == 0 else {"skipped": f"status {status}: {output[-1:]}"}
 
 
 def measure(medium: str, floor: str, ticks: int) -> dict:
@@ -132,10 +132,10 @@ def a_round(medium: str, floor: str, motors: int, ticks: int):
         yield FLOOR, in_c(floor, medium, MEDIA[medium][2], motors, ticks)
         if medium == "local":
             yield PACKETS, in_c(floor, "packets", "-", motors, ticks)
-    for name, way in {**WAYS, **CLIENTS}.items():
+    for name, make in {**WAYS, **CLIENTS}.items():
         with motors_on(medium) as (peer, interface, channel):
             try:
-                made = way(interface, channel, motors)
+                made = make(interface, channel, motors)
             except (ImportError, ValueError) as error:
                 yield name, {"skipped": str(error)}
                 continue
@@ -158,7 +158,7 @@ def timed(way, peer, motors: int, ticks: int) -> dict:
 
         In user-mode Linux a reading takes as long as a frame.
         """
-        found = []
+        times = []
         looking = statistics.median(-clock() + clock() for _ in range(100))
         for _ in range(count):
             a = clock()
@@ -167,9 +167,9 @@ def timed(way, peer, motors: int, ticks: int) -> dict:
             peer.answer(motors, way.answer)
             c = clock()
             got = way.receive()
-            found.append(b - a + clock() - c - 2 * looking)
+            times.append(b - a + clock() - c - 2 * looking)
             assert len(got) == motors
-        return found
+        return times
 
     spans(time.perf_counter_ns, max(20, ticks // 10))
     gc.collect()

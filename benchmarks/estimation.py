@@ -17,10 +17,10 @@ from functools import cache
 import numpy as np
 from trials import estimation_page, page
 from trials.filters import RATES, WEIGHTS, averaged, cell_alone
-from trials.hands import CLEAR, known
+from trials.hands import CLEAR, hand_by_name
 from trials.jobs import Plan, add_options, collect, plan_of
 from trials.limits import DRIFT_N2_PER_S, limit
-from trials.lockstep import RATES_HZ, Course, Trial, run
+from trials.lockstep import RATES_HZ, Trial, TrialRecord, run
 from trials.plants import FURTHER_OFF, PLANTS, TO_CONTACT
 from trials.script import Script, Step
 from trials.windows import REGIMES, windows
@@ -93,13 +93,13 @@ def judge(job: tuple[str, str, int]) -> dict[str, dict[str, list[float]]]:
     """Sum one seed: for each regime, samples and squared errors of each estimator, and the reference."""
     sums: dict[str, dict[str, list[float]]] = {}
     for trial in trials(*job):
-        course = run(trial)
-        if course.failure:
-            sums.setdefault("ended", {}).setdefault(course.failure, []).extend((1.0, 1.0))
-        for regime, mask in windows(course).items():
+        record = run(trial)
+        if record.failure:
+            sums.setdefault("ended", {}).setdefault(record.failure, []).extend((1.0, 1.0))
+        for regime, mask in windows(record).items():
             if mask.any():
                 row = sums.setdefault(regime, {})
-                for name, values in _squares(course, regime).items():
+                for name, values in _squares(record, regime).items():
                     row.setdefault(name, []).extend(_summed(values, mask))
     return sums
 
@@ -111,19 +111,19 @@ def _summed(values: np.ndarray, mask: np.ndarray) -> list[float]:
     return [float(kept.sum()), float(len(kept))]
 
 
-def _squares(course: Course, regime: str) -> dict[str, np.ndarray]:
+def _squares(record: TrialRecord, regime: str) -> dict[str, np.ndarray]:
     """Return squared errors of each estimator and variance of the reference (ticks, N) [N^2], NIS, innovations."""
-    numbers, period_ns = course.numbers, int(course.t_ns[1] - course.t_ns[0])
-    real, before, raw = course.tension(), course.tension(period_ns), numbers["tension_raw"]
-    period, model = period_ns * 1e-9, course.controller.model
-    found = {"filtered": course.filtered - before, "raw": raw - before}
-    found |= {"estimate": numbers["tension"] - real, "raw now": raw - real}
-    found |= {f"average {w:g}": averaged(raw, float(w)) - real for w in WEIGHTS}
+    numbers, period_ns = record.numbers, int(record.t_ns[1] - record.t_ns[0])
+    real, before, raw = record.tension(), record.tension(period_ns), numbers["tension_raw"]
+    period, model = period_ns * 1e-9, record.controller.model
+    result = {"filtered": record.filtered - before, "raw": raw - before}
+    result |= {"estimate": numbers["tension"] - real, "raw now": raw - real}
+    result |= {f"average {w:g}": averaged(raw, float(w)) - real for w in WEIGHTS}
     noise = float(model.space.tension_noise[0])
-    found |= {f"cell alone {r:g}": cell_alone(raw, period, noise, float(r)) - real for r in RATES}
-    squares = {name: error**2 for name, error in found.items()}
-    drift = DRIFT_N2_PER_S * course.times[:, None]
-    then, now = _limits(course.hand.name, regime in ("hold", "beyond 200 N")).T
+    result |= {f"cell alone {r:g}": cell_alone(raw, period, noise, float(r)) - real for r in RATES}
+    squares = {name: error**2 for name, error in result.items()}
+    drift = DRIFT_N2_PER_S * record.times[:, None]
+    then, now = _limits(record.hand.name, regime in ("hold", "beyond 200 N")).T
     squares |= {"limit": drift + np.square(then), "limit now": drift + np.square(now)}
     squares["sigma"] = numbers["tension_sigma"] ** 2
     squares["nis"] = numbers["nis"] / 2.0
@@ -137,7 +137,7 @@ def _squares(course: Course, regime: str) -> dict[str, np.ndarray]:
 def _limits(hand: str, held: bool) -> np.ndarray:
     """Return the standard deviation of the reference (N, 2), at the last sample and at present [N]."""
     name = hand.removesuffix(CLEAR)
-    model = HandModel.of(known(name), Gains(), RATES_HZ[name])
+    model = HandModel.of(hand_by_name(name), Gains(), RATES_HZ[name])
     return np.array([limit(model, i, held) for i in range(model.tendon_count)])
 
 
@@ -177,10 +177,10 @@ def measure(seeds: int, wrong_seeds: int, plants: list[str], plan: Plan) -> dict
     counts = [seeds if case[1] == "as known" else wrong_seeds for case in cases]
     # seed by seed, so that a run that is stopped has as many of each case
     jobs = [(*case, k) for k in range(max(counts)) for case, n in zip(cases, counts, strict=True) if k < n]
-    found = collect(judge, jobs, plan)
+    results = collect(judge, jobs, plan)
     tables: dict = {"seeds": {}, "hands": {}, "ended": []}
     for case in cases:
-        of_case = {job: sums for job, sums in found.items() if job[:2] == case}
+        of_case = {job: sums for job, sums in results.items() if job[:2] == case}
         tables["ended"] += [f"{job}: {why}" for job, sums in of_case.items() for why in sums.pop("ended", {})]
         if of_case:
             tables["hands"].setdefault(case[0], {})[case[1]] = tabulate(list(of_case.values()))
@@ -190,7 +190,14 @@ def measure(seeds: int, wrong_seeds: int, plants: list[str], plan: Plan) -> dict
 
 def show(result: dict) -> None:
     """Print the result as text."""
-    columns = (*WAYS, "limit", "limit now", *(f"{way} / {other}" for way, other in RATIOS), "nis", "whiteness")
+    columns = (
+        *WAYS,
+        "limit",
+        "limit now",
+        *(f"{estimator} / {other}" for estimator, other in RATIOS),
+        "nis",
+        "whiteness",
+    )
     print(f"RMSE of tension [N], {result['seeds']} seeds; ended early: {result['ended'] or 'none'}")
     for hand, plants in result["hands"].items():
         for plant, table in plants.items():
@@ -213,11 +220,11 @@ def main() -> None:
     parser.add_argument("--stiffness", action="store_true", help="of the wrong plants only those of stiffness")
     parser.add_argument("--page", action="store_true", help="write the section of docs/control.md and its pictures")
     args = parser.parse_args()
-    begin = time.monotonic()
+    start = time.monotonic()
     plants = list(TRIED)[:3] if args.quick or args.stiffness else list(TRIED)
     counts = (1, 1, plants) if args.quick else (args.seeds, args.wrong_seeds, plants)
     result = measure(*counts, plan_of(args))
-    result["wall_s"] = time.monotonic() - begin
+    result["wall_s"] = time.monotonic() - start
     print(json.dumps(result, indent=2)) if args.json else show(result)
     if args.page:
         page.write("estimation", estimation_page.section(result))

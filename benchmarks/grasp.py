@@ -71,12 +71,12 @@ def measure(args: argparse.Namespace, plan: Plan) -> dict[str, Any]:
 
 def _contacts(hands: tuple[str, ...], walls: int, minutes: float, plan: Plan) -> list[dict[str, Any]]:
     """Measure contacts with walls and false contacts in free motion, by hand. The runs in free motion also rest."""
-    found = collect(contact.find_contacts, [(hand, seed) for seed in range(walls) for hand in hands], plan)
+    results = collect(contact.find_contacts, [(hand, seed) for seed in range(walls) for hand in hands], plan)
     stretch = min(STRETCH_S, 60.0 * minutes)
-    count = max(1, round(60.0 * minutes / stretch / contact.MOVING_SHARE))
+    count = max(1, round(60.0 * minutes / stretch / contact.MOVING_FRACTION))
     free = collect(contact.free_motion, [(hand, stretch, seed) for seed in range(count) for hand in hands], plan)
     return [
-        _contact(hand, [v for j, v in found.items() if j[0] == hand], [v for j, v in free.items() if j[0] == hand])
+        _contact(hand, [v for j, v in results.items() if j[0] == hand], [v for j, v in free.items() if j[0] == hand])
         for hand in hands
     ]
 

@@ -28,20 +28,20 @@ def work(job: tuple) -> dict[str, dict[str, float]]:
     hand, law, seed = job
     gains = GRAVITY_LAWS[law].gains(*tracking.tuned(hand, WEIGHTS_OF[law], careful=True), RATES_HZ[hand])
     trial = Trial(hand + SIDE, tracking.moves(SPEEDS), seed, None, None, gains, change=GRAVITY_LAWS[law].change)
-    course = run(trial)
-    if course.failure:
+    record = run(trial)
+    if record.failure:
         return {speed: dict.fromkeys(FIGURES, float("nan")) for speed in SPEEDS}
-    return tracking.judge(course, SPEEDS)
+    return tracking.judge(record, SPEEDS)
 
 
 def measure(seeds: int, plan: Plan) -> dict:
     """Measure mean and spread over the seeds, by hand, law, speed and figure."""
     jobs = [(hand, law, k) for hand in tracking.HANDS for law in GRAVITY_LAWS for k in range(seeds)]
-    found = collect(work, jobs, plan)
+    results = collect(work, jobs, plan)
     result: dict = {}
     for hand in tracking.HANDS:
         for law in GRAVITY_LAWS:
-            rows = [found[hand, law, k] for k in range(seeds) if (hand, law, k) in found]
+            rows = [results[hand, law, k] for k in range(seeds) if (hand, law, k) in results]
             result.setdefault(hand, {})[law] = {
                 speed: {name: _over_seeds([row[speed][name] for row in rows]) for name in FIGURES} for speed in SPEEDS
             }
@@ -61,9 +61,9 @@ def section(result: dict) -> str:
     for hand, laws in result.items():
         for law, speeds in laws.items():
             cells = [speeds[speed][name] for speed in SPEEDS for name in FIGURES]
-            told = [f"{one['mean']:.3f} ± {one['spread']:.3f}" for one in cells]
+            texts = [f"{one['mean']:.3f} ± {one['spread']:.3f}" for one in cells]
             ended = cells[0]["ended"]
-            rows.append([f"{hand}, {law}", *told, f"{cells[0]['seeds']}" + (f" ({ended} ended)" if ended else "")])
+            rows.append([f"{hand}, {law}", *texts, f"{cells[0]['seeds']}" + (f" ({ended} ended)" if ended else "")])
     seeds = max(speeds[SPEEDS[0]]["rmse_deg"]["seeds"] for laws in result.values() for speeds in laws.values())
     return f"""## Gravity: a hand that lies on its side
 
@@ -78,18 +78,18 @@ column, mean and spread over the seeds.
 
 {page.table(head, rows)}
 
-{_said(result)}
+{_description(result)}
 """
 
 
-def _said(result: dict) -> str:
+def _description(result: dict) -> str:
     """Describe the benefit of gravity compensation by hand, pair of laws and speed."""
     parts = []
     for hand, laws in result.items():
         names = list(laws)
         for without, known in zip(names[::2], names[1::2], strict=True):
-            told = [f"{speed} {_gain(laws[without][speed], laws[known][speed])}" for speed in SPEEDS]
-            parts.append(f"{hand}, {known}: {', '.join(told)}")
+            texts = [f"{speed} {_gain(laws[without][speed], laws[known][speed])}" for speed in SPEEDS]
+            parts.append(f"{hand}, {known}: {', '.join(texts)}")
     return (
         "Gain of gravity compensation in RMSE: "
         + "; ".join(parts)

@@ -72,25 +72,25 @@ def reached(stage: str, out: Any, first: int) -> bool:
     return bool(out.phase == "rise" and tension > (40.0 if stage == RISING else 0.95 * HOLD_N))
 
 
-def strike(course: Simulation, text: str) -> dict[str, Any]:
+def strike(simulation: Simulation, text: str) -> dict[str, Any]:
     """Inject a fault and run to the end. Return the detected rows, the delay [ms] and the largest true tension [N]."""
-    course.peer.inject(text)
-    begun, found, reacted, tension, stopped = course.k, [], -1.0, 0.0, 0.0
-    watched, end = (round(s * 1e9 / course.period_ns) for s in (WATCHED_S, WATCHED_S + STOPPED_S))
+    simulation.peer.inject(text)
+    start, detected, reacted, tension, stopped = simulation.k, [], -1.0, 0.0, 0.0
+    watched, end = (round(s * 1e9 / simulation.period_ns) for s in (WATCHED_S, WATCHED_S + STOPPED_S))
     for i in range(end):
         stops = i == watched and reacted < 0
-        out = course.tick(requests=(STOP,) if stops else ())
-        told = course.peer.told()[-1]
-        felt_ns = told["first_ns"] if told["first_ns"] >= 0 else begun * course.period_ns
-        found += [e.text.split()[0] for e in out.events if e.name == "fault" and e.level != "info"]
+        out = simulation.tick(requests=(STOP,) if stops else ())
+        effect = simulation.peer.told()[-1]
+        effect_ns = effect["first_ns"] if effect["first_ns"] >= 0 else start * simulation.period_ns
+        detected += [e.text.split()[0] for e in out.events if e.name == "fault" and e.level != "info"]
         if reacted < 0 and i < watched and (out.action >= Action.RELAX or out.mode in (Mode.RELAX, Mode.CUT)):
-            reacted = (course.k * course.period_ns - felt_ns) * 1e-6
-        largest = max(course.peer.truth()["tension"])
+            reacted = (simulation.k * simulation.period_ns - effect_ns) * 1e-6
+        largest = max(simulation.peer.truth()["tension"])
         tension, stopped = max(tension, largest), max(stopped, largest) if i >= watched else stopped
         if out.mode == Mode.DONE:
             break
-    return {"found": list(dict.fromkeys(found)), "ms": reacted, "tension": tension, "stopped": stopped,
-            "felt": bool(course.peer.told()[-1]["felt"])}  # fmt: skip
+    return {"found": list(dict.fromkeys(detected)), "ms": reacted, "tension": tension, "stopped": stopped,
+            "felt": bool(simulation.peer.told()[-1]["felt"])}  # fmt: skip
 
 
 def rows(hand_name: str, protocol: str, seed: int, only: str) -> Iterator[dict[str, Any]]:
@@ -99,21 +99,21 @@ def rows(hand_name: str, protocol: str, seed: int, only: str) -> Iterator[dict[s
     rate = fastest(bus_loads(hand))
     motor, tendon = hand.motor[0], hand.tendon[0]
     words = {"motor": motor.name, "tendon": tendon.name, "peak": f"{motor.torque_peak_N_m / motor.torque_max_N_m:.6g}"}
-    with started(hand, rate, seed, task=task()) as course:
+    with started(hand, rate, seed, task=task()) as simulation:
         for stage in STAGES:
             first = 0
             for _ in range(round(15.0 * rate)):
-                out = course.tick()
+                out = simulation.tick()
                 first += out.phase == "free"
                 if reached(stage, out, first):
                     break
             else:
-                raise SystemExit(f"seed {seed}: no {stage}: {course.state.failure or out.phase}")
+                raise SystemExit(f"seed {seed}: no {stage}: {simulation.state.failure or out.phase}")
             for name, text, stages in FAULTS:
                 if stage in stages and only in name:
                     reading, writing = os.pipe()
                     if os.fork() == 0:
-                        os.write(writing, json.dumps(strike(course, text.format(**words))).encode())
+                        os.write(writing, json.dumps(strike(simulation, text.format(**words))).encode())
                         os._exit(0)
                     os.close(writing)
                     with os.fdopen(reading) as pipe:
@@ -126,14 +126,14 @@ def table(found: list[dict[str, Any]]) -> str:
     lines = ["| fault | stage | relaxed or cut | by (runs) | at the latest, ms | true tension, N | after a stop, N |",
              "|---|---|---|---|---|---|---|"]  # fmt: skip
     for name, stage in dict.fromkeys((one["fault"], one["stage"]) for one in found):
-        own = [one for one in found if (one["fault"], one["stage"]) == (name, stage)]
-        by = Counter(id_ for one in own for id_ in one["found"])
-        rel = [one["ms"] for one in own if one["ms"] >= 0]
-        told = ", ".join(f"{id_} ({n})" for id_, n in by.most_common(5)) or "-"
-        silent = [one["stopped"] for one in own if one["ms"] < 0]
-        lines.append(f"| {name} | {stage} | {len(rel)} of {len(own)} | {told} | {max(rel, default=-1):.0f} | "
-                     f"{max(one['tension'] for one in own):.0f} | {max(silent, default=0.0):.0f} |")  # fmt: skip
-        if not all(one["felt"] for one in own):
+        selected = [one for one in found if (one["fault"], one["stage"]) == (name, stage)]
+        by = Counter(id_ for one in selected for id_ in one["found"])
+        rel = [one["ms"] for one in selected if one["ms"] >= 0]
+        detected = ", ".join(f"{id_} ({n})" for id_, n in by.most_common(5)) or "-"
+        silent = [one["stopped"] for one in selected if one["ms"] < 0]
+        lines.append(f"| {name} | {stage} | {len(rel)} of {len(selected)} | {detected} | {max(rel, default=-1):.0f} | "
+                     f"{max(one['tension'] for one in selected):.0f} | {max(silent, default=0.0):.0f} |")  # fmt: skip
+        if not all(one["felt"] for one in selected):
             lines[-1] += " not felt"
     return "\n".join(lines)
 
@@ -147,8 +147,8 @@ def main() -> None:
     parser.add_argument("--only", default="", help="faults whose name has this")
     parser.add_argument("--json", action="store_true", help="numbers for programs")
     args = parser.parse_args()
-    found = [row for seed in range(args.seeds) for row in rows(args.hand, args.protocol, seed, args.only)]
-    print(json.dumps(found, indent=1) if args.json else table(found))
+    results = [row for seed in range(args.seeds) for row in rows(args.hand, args.protocol, seed, args.only)]
+    print(json.dumps(results, indent=1) if args.json else table(results))
 
 
 if __name__ == "__main__":

@@ -62,15 +62,15 @@ def detuned(seed: int) -> Gains:
 
 def truth(hand: Hand, tendon: str, factors: dict[str, float]) -> dict[str, float]:
     """Return the true values of the identified parameters."""
-    rope = hand.tendon[hand.tendon_names.index(tendon)]
+    stiffness = hand.tendon[hand.tendon_names.index(tendon)]
     motor = hand.motor_of(tendon)
     return {
-        "rope_stiffness": rope.stiffness_N_per_m * factors["stiffness"],
+        "rope_stiffness": stiffness.stiffness_N_per_m * factors["stiffness"],
         "spring_stiffness": factors["spring"],
         "motor_inertia": motor.inertia_kg_m2 * factors["motor_inertia"],
         "motor_coulomb": motor.coulomb_N_m * factors["friction"],
         "motor_viscous": motor.viscous_N_m_s_per_rad * factors["damping"],
-        "capstan": rope.friction_coefficient * factors["friction"],
+        "capstan": stiffness.friction_coefficient * factors["friction"],
         "torque_gain": factors["torque_constant"],
     }
 
@@ -100,23 +100,23 @@ def excited(
     if outcome.state.failure:
         return {}, row | {"failure": outcome.state.failure}
     with RunLog(log) as record:
-        found = identify(record, hand)
+        result = identify(record, hand)
     log.unlink()
     row["fit_cpu_s"] = time.process_time() - began - row["excite_cpu_s"]
-    return found, row
+    return result, row
 
 
 def one(seed: int, digit: str, folder: Path, hand_name: str = "jamia") -> Row:
     """Excite and fit one digit of one hand. Return error and coverage of every parameter, or why it failed."""
     hand, factors = load_hand(hand_name), plant(seed)
-    found, row = excited(hand_name, digit, seed, factors, detuned(seed), folder)
-    if not found:
+    result, row = excited(hand_name, digit, seed, factors, detuned(seed), folder)
+    if not result:
         return row
-    row["refused"] = sorted({reason for one in found.values() for reason in (one.met, one.blocked) if reason})
-    shared = {name: one for tendon, one in found.items() for name in one.judged.names if name in DIGIT_KEYS}
+    row["refused"] = sorted({reason for one in result.values() for reason in (one.met, one.blocked) if reason})
+    shared = {name: one for tendon, one in result.items() for name in one.judged.names if name in DIGIT_KEYS}
     row["parameters"] = [
         judged(name, tendon, real, shared.get(name, one))
-        for tendon, one in found.items()
+        for tendon, one in result.items()
         for name, real in truth(hand, tendon, factors).items()
         if name not in DIGIT_KEYS or one is shared.get(name, one)
     ]
@@ -143,24 +143,26 @@ def judged(name: str, tendon: str, real: float, found: TendonResult) -> Row:
 def summary(rows: list[Row]) -> Row:
     """Summarise every parameter: runs within its limit, covered runs, errors, and runs with all covered at once."""
     good = [row["parameters"] for row in rows if "failure" not in row]
-    told: Row = {"seeds": len(rows), "failed": [row for row in rows if "failure" in row], "parameters": {}}
-    told["refused"] = [row["seed"] for row in rows if row.get("refused")]
+    result: Row = {"seeds": len(rows), "failed": [row for row in rows if "failure" in row], "parameters": {}}
+    result["refused"] = [row["seed"] for row in rows if row.get("refused")]
     for name, limit in WITHIN.items():
-        own = [one for row in good for one in row if one["name"] == name]
-        errors = sorted(abs(one["error"]) for one in own)
-        told["parameters"][name] = {
+        selected = [one for row in good for one in row if one["name"] == name]
+        errors = sorted(abs(one["error"]) for one in selected)
+        result["parameters"][name] = {
             "limit": limit,
-            "of": len(own),
-            "within": sum(one["within"] for one in own),
-            "covered": sum(one["covered"] for one in own),
+            "of": len(selected),
+            "within": sum(one["within"] for one in selected),
+            "covered": sum(one["covered"] for one in selected),
             "median_error": errors[len(errors) // 2] if errors else math.nan,
             "worst_error": errors[-1] if errors else math.nan,
-            "mean_error": sum(one["error"] for one in own) / max(len(own), 1),
-            "median_half_width": sorted(one["half_width"] for one in own)[len(own) // 2] if own else math.nan,
+            "mean_error": sum(one["error"] for one in selected) / max(len(selected), 1),
+            "median_half_width": sorted(one["half_width"] for one in selected)[len(selected) // 2]
+            if selected
+            else math.nan,
         }
     for key in ("within", "covered", "covered_all_at_once"):
-        told[f"all_{key}"] = sum(all(one[key] for one in row) for row in good)
-    return told
+        result[f"all_{key}"] = sum(all(one[key] for one in row) for row in good)
+    return result
 
 
 def gathered(args: argparse.Namespace) -> list[Row]:
@@ -193,20 +195,23 @@ def main() -> int:
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
     rows = gathered(args)
-    told = summary(rows)
+    result = summary(rows)
     if args.json:
-        json.dump(told | {"rows": rows}, sys.stdout, indent=2)
+        json.dump(result | {"rows": rows}, sys.stdout, indent=2)
         return 0
-    print(f"{told['seeds']} seeds, {len(told['failed'])} failed, {len(told['refused'])} refused without a contact")
-    for name, t in told["parameters"].items():
+    print(
+        f"{result['seeds']} seeds, {len(result['failed'])} failed, {len(result['refused'])} refused without a contact"
+    )
+    for name, t in result["parameters"].items():
         print(
             f"{name:<17} within {100 * t['limit']:.0f} %: {t['within']} of {t['of']}, covered by the 95 % interval: "
             f"{t['covered']}; error median {100 * t['median_error']:.1f} %, worst {100 * t['worst_error']:.1f} %, "
             f"mean {100 * t['mean_error']:+.1f} %; interval +- {100 * t['median_half_width']:.1f} %"
         )
     print(
-        f"seeds with all within: {told['all_within']}, all covered by intervals of their own: {told['all_covered']}, "
-        f"by intervals for all at once: {told['all_covered_all_at_once']}"
+        f"seeds with all within: {result['all_within']}, "
+        f"all covered by intervals of their own: {result['all_covered']}, "
+        f"by intervals for all at once: {result['all_covered_all_at_once']}"
     )
     return 0
 

@@ -55,9 +55,9 @@ def measure(hand: str, rate_hz: float, scene: str, seconds: float) -> dict:
     """Measure one hand in one scene."""
     made = SCENES[scene]
     rollout = written_down(Stack(hand, rate_hz, made), seconds)
-    bare = least(repeated(Stack(hand, rate_hz, made), rollout) for _ in range(PASSES))
-    whole = least(Stack(hand, rate_hz, made).run(seconds) for _ in range(PASSES))
-    peer = least(Stack(hand, rate_hz, made).behind_the_wire(seconds) for _ in range(PASSES // 2))
+    bare = shortest(repeated(Stack(hand, rate_hz, made), rollout) for _ in range(PASSES))
+    whole = shortest(Stack(hand, rate_hz, made).run(seconds) for _ in range(PASSES))
+    peer = shortest(Stack(hand, rate_hz, made).behind_the_wire(seconds) for _ in range(PASSES // 2))
     ticks = round(seconds * rate_hz)
     return {
         "rate_hz": rate_hz,
@@ -73,7 +73,7 @@ def measure(hand: str, rate_hz: float, scene: str, seconds: float) -> dict:
     }
 
 
-def least(runs: Iterable[list[float]]) -> float:
+def shortest(runs: Iterable[list[float]]) -> float:
     """Return the sum over all pieces of the shortest time among the runs [s]."""
     return sum(map(min, zip(*runs, strict=True)))
 
@@ -130,9 +130,9 @@ def show(result: dict) -> None:
                 f"  mj_step {found['bare_us_a_tick']:.0f} us a tick, the rest {found['rest_us_a_tick']:.0f} us, of it "
                 f"{found['simulator_us_a_tick']:.0f} us behind the wire:"
             )
-            rest = {who: share for who, share in found["spent"].items() if who != "mj_step"}
-            for who, share in sorted(rest.items(), key=lambda row: -row[1]):
-                print(f"    {100 * share / sum(rest.values()):5.1f} %  {who}")
+            rest = {who: fraction for who, fraction in found["spent"].items() if who != "mj_step"}
+            for who, fraction in sorted(rest.items(), key=lambda row: -row[1]):
+                print(f"    {100 * fraction / sum(rest.values()):5.1f} %  {who}")
 
 
 if __name__ == "__main__":

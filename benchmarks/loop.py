@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 LATENESS_HZ = 500.0
-MOST_MISSED = 0.01
+MAX_MISSED = 0.01
 STEP = 0.85
 """From one rate that is not held to the next."""
 
@@ -56,17 +56,17 @@ def measure(seconds: float, quick: bool) -> dict:
                         which: child(which, hand, bus, 2 * seconds, LATENESS_HZ)["late_us"]
                         for which in ("ours", "bare_spin")
                     }
-            rates = {which: free_and_held(which, hand, bus, seconds, quick) for which in ("ours", "usual")}
+            rates = {which: free_and_highest_rate(which, hand, bus, seconds, quick) for which in ("ours", "usual")}
         result["motors"][motors] = rates | {f"{name}_ratio": ratio(rates, name) for name in ("free_hz", "held_hz")}
     return result
 
 
-def free_and_held(which: str, hand: str, bus: str, seconds: float, quick: bool) -> dict:
+def free_and_highest_rate(which: str, hand: str, bus: str, seconds: float, quick: bool) -> dict:
     """Measure ticks per second without deadlines, and the highest rate with less than 1 % of the deadlines missed."""
     free = child(which, hand, bus, seconds, 0.0)["hz"]
     rate = (0.6 if quick else 0.9) * free
     for _ in range(1 if quick else 12):
-        if child(which, hand, bus, seconds, rate)["missed"] < MOST_MISSED:
+        if child(which, hand, bus, seconds, rate)["missed"] < MAX_MISSED:
             return {"free_hz": free, "held_hz": rate}
         rate *= STEP
     return {"free_hz": free, "held_hz": None}
@@ -146,9 +146,9 @@ def bare_sleep(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]
     from handctl.runtime.clock import take_priority
 
     take_priority()
-    begin, late = time.monotonic_ns(), []
+    start, late = time.monotonic_ns(), []
     for k in range(1, int(seconds * rate_hz)):
-        deadline = begin + int(k * 1e9 / rate_hz)
+        deadline = start + int(k * 1e9 / rate_hz)
         time.sleep(max(0, deadline - time.monotonic_ns()) / 1e9)
         late.append(time.monotonic_ns() - deadline)
     return rate_hz, 0.0, late
@@ -187,8 +187,8 @@ def show(result: dict) -> None:
     print("rate [Hz]                 handctl   usual   ratio")
     for motors, rates in result["motors"].items():
         for kind in ("free_hz", "held_hz"):
-            ours, usual, by = rates["ours"][kind], rates["usual"][kind], ratio(rates, kind)
-            print(f"  {motors:>2} motors, {kind[:4]:<12}{ours or 0:10.0f}{usual or 0:8.0f}{by or 0:8.2f}")
+            ours, other, by = rates["ours"][kind], rates["usual"][kind], ratio(rates, kind)
+            print(f"  {motors:>2} motors, {kind[:4]:<12}{ours or 0:10.0f}{other or 0:8.0f}{by or 0:8.2f}")
 
 
 if __name__ == "__main__":

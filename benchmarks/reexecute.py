@@ -37,16 +37,16 @@ def measure(path: Path, passes: int) -> dict:
     with RunLog(path) as log:
         controller = rebuild(log)
         gc.disable()  # as while a log is executed, and in the loop
-        found = [once(log, controller) for _ in range(passes)]
+        runs = [once(log, controller) for _ in range(passes)]
         gc.enable()
         ticks, period_us = len(log), log.header.period_ns / 1e3
-        tick = sum(map(min, zip(*(one["tick"] for one in found), strict=True)))
-        least = {name: min(one[name] for one in found) for name in ("read", "compare")} | {"tick": tick}
+        tick = sum(map(min, zip(*(one["tick"] for one in runs), strict=True)))
+        shortest = {name: min(one[name] for one in runs) for name in ("read", "compare")} | {"tick": tick}
         return {
             "ticks": ticks,
-            "equal": found[0]["equal"],
-            "us_a_tick": {name: took / ticks * 1e6 for name, took in least.items()},
-            "times_real_time": period_us * ticks / (sum(least.values()) * 1e6),
+            "equal": runs[0]["equal"],
+            "us_a_tick": {name: took / ticks * 1e6 for name, took in shortest.items()},
+            "times_real_time": period_us * ticks / (sum(shortest.values()) * 1e6),
             "spent": spent(lambda: once(log, controller)),
         }
 
@@ -78,8 +78,8 @@ def show(result: dict) -> None:
             f"{name}: {found['times_real_time']:.1f} times real time, {found['equal']} of {found['ticks']} ticks equal"
         )
         print(f"  us a tick: {parts}")
-        for who, share in sorted(found["spent"].items(), key=lambda row: -row[1]):
-            print(f"    {100 * share:5.1f} %  {who}")
+        for who, fraction in sorted(found["spent"].items(), key=lambda row: -row[1]):
+            print(f"    {100 * fraction:5.1f} %  {who}")
 
 
 if __name__ == "__main__":

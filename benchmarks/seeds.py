@@ -34,16 +34,16 @@ def demo(hand: str, protocol: str, seed: int) -> dict[str, Any]:
     text = out.getvalue()
     if not text:
         return figures | {"why": err.getvalue().strip().rpartition("\n")[2]}
-    told = json.loads(text)
+    result = json.loads(text)
     figures |= {
-        "tracking_deg": max(told["tracking_rmse_deg"].values()),
-        "tension_error_N": told["tension_hold_error_n"],
-        "object_motion_mm": told["object_motion_mm"],
+        "tracking_deg": max(result["tracking_rmse_deg"].values()),
+        "tension_error_N": result["tension_hold_error_n"],
+        "object_motion_mm": result["object_motion_mm"],
     }
-    return figures | {"why": why_not(figures, told)}
+    return figures | {"why": failure_reason(figures, result)}
 
 
-def why_not(figures: dict[str, Any], told: dict[str, Any]) -> str:
+def failure_reason(figures: dict[str, Any], told: dict[str, Any]) -> str:
     """Describe why a run has not passed. Empty if it has passed."""
     if told["failure"] or told["missed"] or told["frames_lost"]:
         return told["failure"] or f"{told['missed']} ticks missed, {told['frames_lost']} frames lost"
@@ -59,9 +59,9 @@ def table(results: list[dict[str, Any]]) -> str:
         "|---|---|---|---|---|---|",
     ]
     for hand, protocol in dict.fromkeys((one["hand"], one["protocol"]) for one in results):
-        own = [one for one in results if (one["hand"], one["protocol"]) == (hand, protocol)]
-        worst = [max((one[name] for one in own if name in one), default=float("nan")) for name in LIMITS]
-        passed = f"{sum(not one['why'] for one in own)} of {len(own)}"
+        selected = [one for one in results if (one["hand"], one["protocol"]) == (hand, protocol)]
+        worst = [max((one[name] for one in selected if name in one), default=float("nan")) for name in LIMITS]
+        passed = f"{sum(not one['why'] for one in selected)} of {len(selected)}"
         rows.append(f"| {hand} | {protocol} | {passed} | {worst[0]:.2f} | {worst[1]:.2f} | {worst[2]:.3f} |")
     for one in results:
         if one["why"]:

@@ -71,8 +71,8 @@ def main() -> int:
 
 def detuned_gains() -> Gains:
     """Return the initial gains."""
-    own = flat(Gains())
-    return with_values(Gains(), {key: factor * own[key] for key, factor in DETUNED.items()}, "benchmark")
+    packaged = flat(Gains())
+    return with_values(Gains(), {key: factor * packaged[key] for key, factor in DETUNED.items()}, "benchmark")
 
 
 def compare(
@@ -89,11 +89,13 @@ def compare(
             folder.mkdir(parents=True, exist_ok=True)
             blind = SearchPlan(hand.to_toml(), rate, detuned, ensemble(plants, 0), 1, trials, (packaged,))
             knowing = SearchPlan(blind.hand, rate, detuned, (PLANT,), 1, trials, (packaged,))
-            found, spent = _searched(blind, folder / "blind", crew)
+            searches, spent = _searched(blind, folder / "blind", crew)
             known, _ = _searched(knowing, folder / "knowing", crew)
             around = SearchPlan(twin.to_toml(), rate, detuned, ensemble(plants, 0, spread), 1, trials, (packaged,))
             fitted = _searched(around, folder / "identified", crew)[0] if fit else None
-        jobs = [_judged(knowing, gains) for gains in (detuned, packaged, _best(detuned, found), _best(detuned, known))]
+        jobs = [
+            _judged(knowing, gains) for gains in (detuned, packaged, _best(detuned, searches), _best(detuned, known))
+        ]
         scores = [Score(**score) for _, score in sorted(crew.scores(jobs), key=lambda pair: pair[0])]
     finally:
         crew.close()

@@ -36,9 +36,9 @@ def spent(work: Callable[[], None]) -> dict[str, float]:
     profile.runcall(work)
     stats = pstats.Stats(profile).stats
     total: dict[str, float] = defaultdict(float)
-    for function, (_, _, own, _, _) in stats.items():
-        for part, share in _owners(stats, function, 6):
-            total[part] += own * share
+    for function, (_, _, own_s, _, _) in stats.items():
+        for part, fraction in _owners(stats, function, 6):
+            total[part] += own_s * fraction
     whole = sum(total.values())
     return {part: value / whole for part, value in sorted(total.items(), key=lambda row: -row[1])}
 
@@ -53,5 +53,5 @@ def _owners(stats: dict, function: Function, depth: int) -> Iterator[tuple[str, 
         return
     whole = sum(times[3] for times in callers.values()) or 1.0
     for caller, times in callers.items():
-        for owner, share in _owners(stats, caller, depth - 1):
-            yield owner, share * times[3] / whole
+        for owner, fraction in _owners(stats, caller, depth - 1):
+            yield owner, fraction * times[3] / whole

@@ -34,20 +34,20 @@ def arguments() -> argparse.Namespace:
 
 def fuzzed(name: str, seconds: int, runs: int, blind: bool = False) -> tuple[str, bool]:
     """Fuzz a target. Return a line about it, and False if it failed."""
-    corpus, found = PLACE / "corpus" / name, PLACE / "found" / name
+    corpus, crashes = PLACE / "corpus" / name, PLACE / "found" / name
     corpus.mkdir(parents=True, exist_ok=True)
-    found.mkdir(parents=True, exist_ok=True)
+    crashes.mkdir(parents=True, exist_ok=True)
     limits = [f"-max_total_time={seconds}", f"-runs={runs}", f"-max_len={LONGEST[name]}"]
-    limits += ["-rss_limit_mb=4096", "-timeout=20", f"-artifact_prefix={found}/"]
+    limits += ["-rss_limit_mb=4096", "-timeout=20", f"-artifact_prefix={crashes}/"]
     command = [sys.executable, "-m", "fuzz.one", name, str(corpus), *limits]
     if blind:
-        command = [sys.executable, "-m", "fuzz.blind", name, str(corpus), str(found), str(seconds), str(runs)]
+        command = [sys.executable, "-m", "fuzz.blind", name, str(corpus), str(crashes), str(seconds), str(runs)]
         command.append(str(LONGEST[name]))
     done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
     (PLACE / f"{name}.txt").write_text(done.stdout + done.stderr)
     count, covered = DONE.search(done.stderr), COVERED.findall(done.stderr)
     if done.returncode or not count:
-        return f"{name:13} FAILED  see {PLACE / name}.txt and {found}/", False
+        return f"{name:13} FAILED  see {PLACE / name}.txt and {crashes}/", False
     number, took = int(count[1]), max(1, int(count[2]))
     if blind and not int(count[3]):
         return f"{name:13} FAILED  of {number:,} inputs none was taken: nothing was tried but the first refusal", False
@@ -59,12 +59,12 @@ def fuzzed(name: str, seconds: int, runs: int, blind: bool = False) -> tuple[str
 def main() -> int:
     """Fuzz all selected targets."""
     args = arguments()
-    held = True
+    passed = True
     for name in args.targets or NAMES:
         line, good = fuzzed(name, args.seconds, args.runs, args.blind)
         print(line, flush=True)
-        held = held and good
-    return 0 if held else 1
+        passed = passed and good
+    return 0 if passed else 1
 
 
 if __name__ == "__main__":

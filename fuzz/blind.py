@@ -17,7 +17,7 @@ AT_ONCE = 256
 """Inputs between two readings of the clock."""
 
 
-def changed(chance: random.Random, kept: list[bytes], longest: int) -> Iterator[bytes]:
+def changed(chance: random.Random, corpus: list[bytes], longest: int) -> Iterator[bytes]:
     """Yield inputs: one of the corpus with bytes changed, removed, inserted, or with the end of another one."""
     pick, bits = chance.choice, chance.getrandbits
     while True:
@@ -25,32 +25,32 @@ def changed(chance: random.Random, kept: list[bytes], longest: int) -> Iterator[
         if kind == 0:
             yield chance.randbytes(bits(16) % longest)
             continue
-        data = bytearray(pick(kept))
+        data = bytearray(pick(corpus))
         for _ in range(1 + (kind & 3)):
             at = bits(16) % (len(data) + 1)
-            way = bits(3)
-            if way < 4 and at < len(data):
+            operation = bits(3)
+            if operation < 4 and at < len(data):
                 data[at] = bits(8)
-            elif way == 4 and at < len(data):
+            elif operation == 4 and at < len(data):
                 data[at] ^= 1 << bits(3)
-            elif way == 5:
+            elif operation == 5:
                 del data[at : at + 1 + bits(2)]
-            elif way == 6:
+            elif operation == 6:
                 data[at:at] = chance.randbytes(1 + bits(3))
             else:
-                data[at:] = pick(kept)[at:]
+                data[at:] = pick(corpus)[at:]
         yield bytes(data[:longest])
 
 
 def fuzz(
-    target: Callable[[bytes], bool], inputs: Iterator[bytes], found: Path, seconds: float, runs: int
+    target: Callable[[bytes], bool], inputs: Iterator[bytes], crashes: Path, seconds: float, runs: int
 ) -> tuple[int, int]:
     """Feed a target. An exception ends this process after its input was saved.
 
     Returns:
         the number of inputs, and the number of accepted inputs.
     """
-    begin = told = time.monotonic()
+    start = reported = time.monotonic()
     number, taken, data = 0, 0, b""
     try:
         while runs < 0 or number < runs:
@@ -58,29 +58,29 @@ def fuzz(
                 taken += target(data)
             number += AT_ONCE
             now = time.monotonic()
-            if 0 < seconds <= now - begin:
+            if 0 < seconds <= now - start:
                 break
-            if now - told > NEWS_S:
-                told = now
-                print(f"{number} runs, {number / (now - begin):.0f}/s", file=sys.stderr, flush=True)
+            if now - reported > NEWS_S:
+                reported = now
+                print(f"{number} runs, {number / (now - start):.0f}/s", file=sys.stderr, flush=True)
     except BaseException:
-        (found / "blind").write_bytes(data)
+        (crashes / "blind").write_bytes(data)
         raise
     return number, taken
 
 
 def main() -> None:
     """Fuzz for the requested time or number of runs."""
-    name, corpus, found, seconds, runs, longest = sys.argv[1:]
+    name, corpus, crashes, seconds, runs, longest = sys.argv[1:]
     shared = Path("/dev/shm")
     folder = Path(tempfile.mkdtemp(prefix="fuzz-", dir=shared if shared.is_dir() else None))
-    kept = [path.read_bytes()[: int(longest)] for path in sorted(Path(corpus).iterdir())]
-    kept += [seed[: int(longest)] for seed in seeds(name, folder)] or [bytes(8)]
-    begin = time.monotonic()
-    inputs = changed(random.Random(time.time_ns()), kept, int(longest))
-    number, taken = fuzz(TARGETS[name](folder), inputs, Path(found), float(seconds), int(runs))
-    took = round(time.monotonic() - begin)
-    print(f"Done {number} runs in {took} second(s), {taken} taken, from {len(kept)} kept", file=sys.stderr)
+    corpus_inputs = [path.read_bytes()[: int(longest)] for path in sorted(Path(corpus).iterdir())]
+    corpus_inputs += [seed[: int(longest)] for seed in seeds(name, folder)] or [bytes(8)]
+    start = time.monotonic()
+    inputs = changed(random.Random(time.time_ns()), corpus_inputs, int(longest))
+    number, taken = fuzz(TARGETS[name](folder), inputs, Path(crashes), float(seconds), int(runs))
+    took = round(time.monotonic() - start)
+    print(f"Done {number} runs in {took} second(s), {taken} taken, from {len(corpus_inputs)} kept", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -38,12 +38,12 @@ def used(hand: Hand) -> None:
 def hand(folder: Path) -> Target:
     """Return the target for a hand with up to four changes."""
     contents = [tomllib.loads((HANDS / f"{name}.toml").read_text()) for name in packaged_hands()]
-    known = [list(places(content)) for content in contents]
+    paths = [list(places(content)) for content in contents]
 
     def target(data: bytes) -> bool:
         source = Source(data)
         i = source.number(len(contents))
-        content = mutated(contents[i], known[i], source)
+        content = mutated(contents[i], paths[i], source)
         return _taken(lambda: used(hand_from(content, "fuzzed")))
 
     return target
@@ -84,17 +84,17 @@ AS_TEXT = 32
 
 def _document(path: Path, contents: list[Content], use: Callable[[Content], object]) -> Target:
     """Return the target for a document: any bytes, or a valid one with up to four changes, in memory or as text."""
-    known = [list(places(content)) for content in contents]
+    paths = [list(places(content)) for content in contents]
     noise = _text(path, lambda file: use(read_toml(file)))
 
     def target(data: bytes) -> bool:
         source = Source(data)
-        way = source.number(AS_TEXT)
-        if way == 1:
+        kind = source.number(AS_TEXT)
+        if kind == 1:
             return noise(data[source.at :])
         i = source.number(len(contents))
-        content = mutated(contents[i], known[i], source)
-        if way == 2:
+        content = mutated(contents[i], paths[i], source)
+        if kind == 2:
             return noise(toml_text(content).encode("utf-8", "surrogatepass"))
         return _taken(lambda: use(content))
 
@@ -136,14 +136,14 @@ def calibration(folder: Path) -> Target:
     """Return the target for a calibration with identified values, and the hand that results from it."""
     jamia = load_hand("jamia")
     tendon = {"tare_N": 0.1, "zero_rad": 1.0, "answer_N": 3.0, "crosstalk_N": 0.1}
-    found = {"names": ["motor_coulomb"], "values": [0.01], "half_widths": [1e-3], "covariance": [[1e-6]]}
+    identified = {"names": ["motor_coulomb"], "values": [0.01], "half_widths": [1e-3], "covariance": [[1e-6]]}
     content = {
         "schema": 1,
         "hand": jamia.name,
         "identity": jamia.identity,
         "made": "2026-01-01T00:00:00+00:00",
         "tendon": {name: dict(tendon) for name in jamia.tendon_names},
-        "identified": {jamia.tendon_names[0]: found},
+        "identified": {jamia.tendon_names[0]: identified},
     }
 
     def use(content: Content) -> None:

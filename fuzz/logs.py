@@ -79,15 +79,15 @@ def log(folder: Path) -> Target:
 
 def _parts(path: Path) -> list[list[bytes]]:
     """Split a complete log into its records without checksums: before the chunks, in each chunk, and behind them."""
-    file, found = LogFile(path), Scan()
-    scan(file, found)
-    raw, contents = path.read_bytes(), [bytes(file.content(place)) for place in found.chunks]
+    file, result = LogFile(path), Scan()
+    scan(file, result)
+    raw, contents = path.read_bytes(), [bytes(file.content(place)) for place in result.chunks]
     file.close()
-    kept = {number: schema for number, schema, topic, _, _ in definitions(contents[0]).channels if topic in TOPICS}
-    chunks = [[record for record in _records(content) if _matters(record, kept)] for content in contents]
-    head = list(_records(raw[8 : found.chunks[0].offset]))
-    tail = list(_records(raw[found.chunks[-1].end : -8]))
-    named = [record for record in tail if record[0] not in NAMED or _matters(record, kept)]
+    schemas = {number: schema for number, schema, topic, _, _ in definitions(contents[0]).channels if topic in TOPICS}
+    chunks = [[record for record in _records(content) if _matters(record, schemas)] for content in contents]
+    head = list(_records(raw[8 : result.chunks[0].offset]))
+    tail = list(_records(raw[result.chunks[-1].end : -8]))
+    named = [record for record in tail if record[0] not in NAMED or _matters(record, schemas)]
     return [[_unchecked(record) for record in head], *chunks, [_unchecked(record) for record in named]]
 
 

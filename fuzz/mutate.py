@@ -57,27 +57,27 @@ def value(source: Source, old: Any) -> Any:
     return ODD[source.number(len(ODD))]
 
 
-def mutated(content: Mapping[str, Any], known: list[Path], source: Source, most: int = 4) -> dict[str, Any]:
+def mutated(content: Mapping[str, Any], paths: list[Path], source: Source, max_changes: int = 4) -> dict[str, Any]:
     """Return a copy with some values changed, removed, renamed or repeated.
 
     Args:
         content: as parsed from TOML. It stays unchanged.
-        known: ``places`` of the content.
+        paths: ``places`` of the content.
         source: bytes that select the changes.
-        most: largest number of changes.
+        max_changes: largest number of changes.
     """
     made: dict[str, Any] = dict(content)
-    for _ in range(most):
+    for _ in range(max_changes):
         if source.empty:
             break
-        path = known[source.number(len(known))]
-        parent = _own(made, path[:-1])
+        path = paths[source.number(len(paths))]
+        parent = _copied_node(made, path[:-1])
         if parent is not None:
             _change(parent, path[-1], source)
     return made
 
 
-def _own(root: dict[str, Any], path: Path) -> Any:
+def _copied_node(root: dict[str, Any], path: Path) -> Any:
     """Return the node of a path after copying all nodes above it. None if it no longer exists."""
     node: Any = root
     for key in path:

@@ -12,8 +12,8 @@ ROOT = Path(__file__).parents[1]
 
 def laws() -> list[str]:
     """List the modules that numba compiles. It cannot compile instrumented code."""
-    found = [path for path in (ROOT / "firmware_sim").rglob("*.py") if "\n@compiled(" in path.read_text()]
-    return [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in found]
+    paths = [path for path in (ROOT / "firmware_sim").rglob("*.py") if "\n@compiled(" in path.read_text()]
+    return [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in paths]
 
 
 def main() -> None:

@@ -155,8 +155,10 @@ class Soak:
         """Inject a random fault and return its text."""
         hand = load_simulated("jamia")
         kind = self.chance.choice([one for one in KINDS if any(instances(c, hand, one) for c in KINDS[one].components)])
-        found = [(component, name) for component in KINDS[kind].components for name in instances(component, hand, kind)]
-        component, name = self.chance.choice(found)
+        places = [
+            (component, name) for component in KINDS[kind].components for name in instances(component, hand, kind)
+        ]
+        component, name = self.chance.choice(places)
         text = f"{kind} {component}={name} for={self.chance.choice((1, 20, 200, 2000))}ms"
         if handctl("fault", "inject", text, "--bus", BUS).returncode:
             self.wrong.append(f"refused: {text}")
@@ -172,8 +174,8 @@ class Soak:
     def judged(self) -> dict[str, object]:
         """Return the result: counts, memory, descriptors, and everything that was wrong."""
         slopes = {name: [slope(one) for one in lives if one] for name, lives in self.lives.items()}
-        told = {name: [one for one in found if one is not None] for name, found in slopes.items()}
-        for name, found in told.items():
+        known_slopes = {name: [one for one in found if one is not None] for name, found in slopes.items()}
+        for name, found in known_slopes.items():
             self.wrong += [f"{name} grows by {one:.2f} MiB/h" for one in found if one > SIZE_MIB_PER_H]
         rose = {name: max((one[-1].rss - one[0].rss for one in lives if one), default=0) for name, lives in
                 self.lives.items()}  # fmt: skip
@@ -185,7 +187,7 @@ class Soak:
         return {
             "counts": dict(self.counts),
             "rss_rise_mib": rose,
-            "rss_slope_mib_per_h": told,
+            "rss_slope_mib_per_h": known_slopes,
             "descriptors": descriptors,
             "wrong": self.wrong,
         }
@@ -204,10 +206,10 @@ def main() -> int:
         os.environ["HANDCTL_RUN_DIR"] = folder
         os.chdir(folder)
         Path("long.toml").write_text(TASK)
-        soak, begin = Soak(args.seed, args.time_scale), time.monotonic()
+        soak, start = Soak(args.seed, args.time_scale), time.monotonic()
         try:
             soak.start_simulator()
-            while (passed := time.monotonic() - begin) < args.hours * 3600:
+            while (passed := time.monotonic() - start) < args.hours * 3600:
                 soak.ready()
                 soak.look(passed)
                 text = "no fault" if args.calm else soak.fault()

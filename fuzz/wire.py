@@ -23,7 +23,7 @@ STEP_NS, LONG_NS = 2_000_000, 1_000_000_000
 SILENCE = 240
 """Third byte from which a silence precedes the frame."""
 MARKS = (0, 0, 0, 0, 0, EXTENDED, REMOTE, ERROR)
-MOST_FRAMES = 5
+MAX_FRAMES = 5
 WANTS = tuple(Want)
 CLEAR = 0x40
 """Bit of the third byte that clears an error."""
@@ -33,7 +33,7 @@ LONGEST = 64
 def frames(data: bytes, ours: Sequence[int], t_ns: int) -> Iterator[tuple[Frame, int]]:
     """Yield frames, mostly on an identifier of the node, each with its third byte."""
     at, end = 1, len(data)
-    for _ in range(MOST_FRAMES):
+    for _ in range(MAX_FRAMES):
         if at + 3 > end:
             return
         pick, shape, more = data[at : at + 3]
@@ -50,10 +50,10 @@ class Seen(NamedTuple):
 
     state: DriveState
     t_ns: int
-    heard: tuple[Frame, ...]
+    received: tuple[Frame, ...]
 
 
-def way(name: str, folder: Path) -> tuple[Drive, list[Seen]]:
+def path_to_torque(name: str, folder: Path) -> tuple[Drive, list[Seen]]:
     """Return a drive of ``DRIVES``, and its states from silence to torque."""
     fuzzed = DRIVES[name]
     path = hand_file(folder, [fuzzed.protocol], fuzzed.options)
@@ -62,9 +62,9 @@ def way(name: str, folder: Path) -> tuple[Drive, list[Seen]]:
     bench = Bench(path)
     motor, seen = bench.drives[0], list[Seen]()
     while bench.states[0].phase != Phase.ENABLED:
-        heard = tuple(frame for frame in bench.incoming if frame.can_id in motor.node_ids)
-        if heard or not seen:
-            seen.append(Seen(bench.states[0], bench.k * bench.period_ns, heard))
+        received = tuple(frame for frame in bench.incoming if frame.can_id in motor.node_ids)
+        if received or not seen:
+            seen.append(Seen(bench.states[0], bench.k * bench.period_ns, received))
         ready = all(state.phase >= Phase.READY for state in bench.states)
         bench.tick(Want.ENABLE if ready else Want.POLL)
     seen.append(Seen(bench.states[0], bench.k * bench.period_ns, ()))
@@ -74,12 +74,12 @@ def way(name: str, folder: Path) -> tuple[Drive, list[Seen]]:
 
 def answers(name: str, folder: Path) -> list[bytes]:
     """Return the frames that a drive really received on its way to torque, as inputs."""
-    motor, seen = way(name, folder)
-    ours, found = sorted(motor.node_ids), []
-    for i, (_, _, heard) in enumerate(seen):
-        parts = [bytes((ours.index(one.can_id), *_shape(one.data))) + one.data for one in heard[:MOST_FRAMES]]
-        found.append(bytes((i,)) + b"".join(parts))
-    return [data for data in found if len(data) > 1]
+    motor, seen = path_to_torque(name, folder)
+    ours, inputs = sorted(motor.node_ids), []
+    for i, (_, _, received) in enumerate(seen):
+        parts = [bytes((ours.index(one.can_id), *_shape(one.data))) + one.data for one in received[:MAX_FRAMES]]
+        inputs.append(bytes((i,)) + b"".join(parts))
+    return [data for data in inputs if len(data) > 1]
 
 
 def _shape(payload: bytes) -> tuple[int, int]:
@@ -91,7 +91,7 @@ def drive(name: str) -> Callable[[Path], Target]:
     """Return the maker of the target for a drive of ``DRIVES``."""
 
     def make(folder: Path) -> Target:
-        motor, seen = way(name, folder)
+        motor, seen = path_to_torque(name, folder)
         ours = sorted(motor.node_ids)
         return lambda data: _walked(motor, seen[data[0] % len(seen)] if data else seen[0], ours, data)
 
@@ -104,14 +104,14 @@ def _walked(motor: Drive, begin: Seen, ours: Sequence[int], data: bytes) -> bool
     for frame, more in frames(data, ours, begin.t_ns):
         after = motor.receive(state, frame)
         taken = taken or after is not state
-        state, sent = _asked(motor, after, frame.t_ns + STEP_NS, more)
+        state, sent = _advance(motor, after, frame.t_ns + STEP_NS, more)
         assert max((len(one.data) for one in sent), default=0) <= LONGEST
         assert state.phase in Phase
     motor.clear(state)
     return taken
 
 
-def _asked(motor: Drive, state: DriveState, t_ns: int, more: int) -> tuple[DriveState, tuple[Frame, ...]]:
+def _advance(motor: Drive, state: DriveState, t_ns: int, more: int) -> tuple[DriveState, tuple[Frame, ...]]:
     if state.phase == Phase.FAULT:
         motor.cause(state.error)
         if more & CLEAR:

@@ -150,9 +150,9 @@ class Moteus:
     def send(self, torques):
         self.sent = 0
         self.task = self.loop.create_task(self._cycle(torques))
-        self.loop.run_until_complete(self._gone())
+        self.loop.run_until_complete(self._close_transport())
 
-    async def _gone(self):
+    async def _close_transport(self):
         """Until its task has sent everything and waits."""
         for _ in range(4):
             await asyncio.sleep(0)

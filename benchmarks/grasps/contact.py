@@ -14,7 +14,7 @@ CONTACT_N, WITHIN_S = 1.0, 0.020
 SPEED_DEG_S = (20.0, 100.0)
 """Of closing; that of the packaged tasks is 40 to 50."""
 TOUCHED_N = 0.01
-MOVING_SHARE = 0.85
+MOVING_FRACTION = 0.85
 """Of a run of free motion in which the digits are moving."""
 WALL = """name = "wall"
 [object]

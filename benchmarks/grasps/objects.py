@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 TURN_S, LAST_S = 0.5, 5.0
 PUSH_N, PUSH_AT_S, PUSH_S = 1.0, 2.0, 1.0
-MOST_M = 2e-3
+MAX_MOTION_M = 2e-3
 """An object that has moved further within a stage is lost."""
 DOWN = {
     "power": ((0, 0, -1), (1, 0, 0), (0, -1, 0)),

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from grasps import payload, slip
-from grasps.objects import MOST_M
+from grasps.objects import MAX_MOTION_M
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE, PICTURE = DOCS / "control-grasps.md", DOCS / "figures" / "grasps.png"
@@ -24,10 +24,10 @@ def _table(head: list[str], rows: list[list[str]]) -> str:
 
 
 def _groups(rows: list[dict[str, Any]], *keys: str) -> dict[tuple[str, ...], list[dict[str, Any]]]:
-    found: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+    groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for row in rows:
-        found.setdefault(tuple(row[key] for key in keys), []).append(row)
-    return found
+        groups.setdefault(tuple(row[key] for key in keys), []).append(row)
+    return groups
 
 
 def _success(rows: list[dict[str, Any]]) -> str:
@@ -58,13 +58,13 @@ def _success(rows: list[dict[str, Any]]) -> str:
 
 def _payload(rows: list[dict[str, Any]]) -> str:
     table = []
-    for (hand, direction), own in _groups(rows, "hand", "direction").items():
-        masses = [row["mass_kg"] for row in own]
-        normal = np.mean([row["normal_N"] for row in own], axis=0)
-        over = "" if all(row["slid"] for row in own) else "over "
+    for (hand, direction), selected in _groups(rows, "hand", "direction").items():
+        masses = [row["mass_kg"] for row in selected]
+        normal = np.mean([row["normal_N"] for row in selected], axis=0)
+        over = "" if all(row["slid"] for row in selected) else "over "
         table.append([
-            hand, direction, f"{over}{min(masses):.2f}", f"{np.mean(masses):.2f}", str(len(own)),
-            " / ".join(f"{value:.1f}" for value in normal), f"{np.mean([row['coulomb_kg'] for row in own]):.2f}",
+            hand, direction, f"{over}{min(masses):.2f}", f"{np.mean(masses):.2f}", str(len(selected)),
+            " / ".join(f"{value:.1f}" for value in normal), f"{np.mean([row['coulomb_kg'] for row in selected]):.2f}",
         ])  # fmt: skip
     head = ["hand", "load", "smallest payload, kg", "mean, kg", "seeds", "normal forces before the load, N",
             "friction x their sum, kg"]  # fmt: skip
@@ -144,10 +144,10 @@ def write(result: dict[str, Any]) -> None:
     page = PAGE.read_text("utf-8")
     for key, table in PARTS.items():
         if result.get(key):
-            begin, end = MARKS[0].format(key), MARKS[1].format(key)
-            before, _, rest = page.partition(begin)
+            start, end = MARKS[0].format(key), MARKS[1].format(key)
+            before, _, rest = page.partition(start)
             _, _, after = rest.partition(end)
-            page = f"{before}{begin}\n{table(result[key])}\n{end}{after}"
+            page = f"{before}{start}\n{table(result[key])}\n{end}{after}"
     PAGE.write_text(page, "utf-8")
     if result.get("success"):
         draw(result)
@@ -169,7 +169,7 @@ def draw(result: dict[str, Any]) -> None:
         left.scatter(x, y, marker=marker, s=22, label=hand, alpha=0.8)
         bad = [i for i, row in enumerate(rows) if not row["ok"]]
         left.scatter([x[i] for i in bad], [y[i] for i in bad], marker="x", color="black", s=40, zorder=3)
-    left.axvline(1e3 * MOST_M, color="grey", ls="--")
+    left.axvline(1e3 * MAX_MOTION_M, color="grey", ls="--")
     left.set(xscale="log", xlabel="largest motion in 5 s, of three orientations with a push of 1 N [mm]")
     left.set_yticks(range(len(names)), names, fontsize=8)
     left.invert_yaxis()

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from grasps.objects import CASES, DOWN, MOST_M, Case
+from grasps.objects import CASES, DOWN, MAX_MOTION_M, Case
 from grasps.trial import Run, simulate, stage_motion, task_program
 
 TASKS = {
@@ -28,10 +28,10 @@ def try_case(job: tuple[str, int, int]) -> dict[str, Any]:
     program = task_program(TASKS[hand, case.grasp], hand, hold_s=60.0)
     run = simulate(hand, program, case.scene(seed), seed=seed, until="release", give_up=GIVE_UP_S)
     motion = [round(1e3 * value, 2) for value in stage_motion(run)]
-    why = failure(run, case, motion)
+    reason = failure(run, case, motion)
     return {
         "hand": hand, "grasp": case.grasp, "object": case.name, "seed": seed, "motion_mm": motion,
-        "ok": not why, "why": why, "force_N": np.round(run.force[-1], 1).tolist(),
+        "ok": not reason, "why": reason, "force_N": np.round(run.force[-1], 1).tolist(),
     }  # fmt: skip
 
 
@@ -41,8 +41,8 @@ def failure(run: Run, case: Case, motion: list[float]) -> str:
         return run.failure
     if run.dropped_at is None:
         return "not grasped: too few digits press"
-    if max(motion) >= 1e3 * MOST_M:
-        stage = int(np.argmax([value >= 1e3 * MOST_M for value in motion]))
+    if max(motion) >= 1e3 * MAX_MOTION_M:
+        stage = int(np.argmax([value >= 1e3 * MAX_MOTION_M for value in motion]))
         return f"moves {motion[stage]:.1f} mm when down is {DOWN[case.grasp][stage]}"
     if len(motion) < len(DOWN[case.grasp]):
         return "ended early"

@@ -13,7 +13,7 @@ import numpy as np
 from grasps.contact import WALL, task_of
 from grasps.trial import hand_model, simulate
 
-ASKED_N = (2.0, 4.0, 6.0)
+COMMANDS_N = (2.0, 4.0, 6.0)
 HOLD_S, JUDGED_S = 0.8, 0.4
 
 
@@ -26,17 +26,24 @@ def press(job: tuple[str, int]) -> list[dict[str, Any]]:
         {"kind": "move", "angle_deg": {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0}, "duration_s": 0.6},
         {"kind": "close", "angle_deg": 60.0, "speed_deg_s": 50.0},
     ]
-    phases += [{"kind": "hold", "name": f"{f:g}", "tip_force_N": f, "duration_s": HOLD_S} for f in ASKED_N]
+    phases += [{"kind": "hold", "name": f"{f:g}", "tip_force_N": f, "duration_s": HOLD_S} for f in COMMANDS_N]
     run = simulate(hand, task_of(phases), wall, seed=seed, until="end", timeout=12.0)
     rows = []
-    for asked in ASKED_N:
+    for asked in COMMANDS_N:
         mask = np.array(run.phase) == f"{asked:g}"
         mask &= run.t > run.t[mask].max(initial=0.0) - JUDGED_S
         for d, name in enumerate(hand_model(hand)[0].hand.digit_names):
             if mask.any() and run.contact[mask, d].all():
-                told, felt = run.tip_force[mask, d], run.force[mask, d]
+                estimated, true = run.tip_force[mask, d], run.force[mask, d]
                 rows.append(
-                    {"hand": hand, "seed": seed, "digit": name, "asked": asked, "told": round(float(told.mean()), 3),
-                     "felt": round(float(felt.mean()), 3), "noise": round(float((told - felt).std()), 3)}
-                )  # fmt: skip
+                    {
+                        "hand": hand,
+                        "seed": seed,
+                        "digit": name,
+                        "asked": asked,
+                        "told": round(float(estimated.mean()), 3),
+                        "felt": round(float(true.mean()), 3),
+                        "noise": round(float((estimated - true).std()), 3),
+                    }
+                )
     return rows

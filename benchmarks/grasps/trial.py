@@ -22,7 +22,7 @@ from handctl.session.simulate import Simulator, homed_controller
 from handctl.session.tasks import find_task
 
 TIMEOUT_S = 120.0
-GONE_M = 0.3
+LOST_M = 0.3
 DEFAULT = Gains()
 
 
@@ -127,7 +127,11 @@ def simulate(
             events += [(k, event) for event in out.events]
             if state.mode == Mode.RELAX or (until and out.phase == until):
                 break
-            if _over(plant) or _gone(plant) or (k / rate > give_up and plant.table and plant.table.dropped_at is None):
+            if (
+                _over(plant)
+                or _is_lost(plant)
+                or (k / rate > give_up and plant.table and plant.table.dropped_at is None)
+            ):
                 break
     columns = [np.array(column) for column in zip(*rows, strict=True)]
     return Run(
@@ -142,9 +146,9 @@ def _over(plant: Plant) -> bool:
     return bool(plant.stages) and dropped is not None and plant.steps * STEP_S - dropped > plant.stages.duration
 
 
-def _gone(plant: Plant) -> bool:
+def _is_lost(plant: Plant) -> bool:
     """Return True if the object has left the hand."""
-    return plant.scene.thing is not None and np.linalg.norm(plant.engine.object_pose()[:3]) > GONE_M
+    return plant.scene.thing is not None and np.linalg.norm(plant.engine.object_pose()[:3]) > LOST_M
 
 
 def stage_motion(run: Run) -> list[float]:

@@ -31,7 +31,7 @@ def command(torque: float) -> bytes:
     return bytes((0x80, 0x00, 0x80, 0x00, 0x00, 0x00, raw >> 8, raw & 0xFF))
 
 
-class UsualLoop:
+class BaselineLoop:
     """A loop on a python-can bus, tick by tick."""
 
     def __init__(self, hand_name: str, bus_name: str, log: Path) -> None:
@@ -96,12 +96,12 @@ class UsualLoop:
 
 def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, log: Path):
     """Run for a time, with the results of ``ours.run``."""
-    loop = UsualLoop(hand_name, bus_name, log)
+    loop = BaselineLoop(hand_name, bus_name, log)
     take_priority()
     loop.send_all(ENABLE)
-    begin, ticks, missed, late = time.monotonic(), 0, 0, []
-    deadline = begin
-    while time.monotonic() - begin < seconds:
+    start, ticks, missed, late = time.monotonic(), 0, 0, []
+    deadline = start
+    while time.monotonic() - start < seconds:
         if rate_hz:
             deadline += 1.0 / rate_hz
             time.sleep(max(0.0, deadline - time.monotonic()))
@@ -111,6 +111,6 @@ def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, lo
             missed, deadline = missed + skipped, deadline + skipped / rate_hz
         loop.tick()
         ticks += 1
-    span = time.monotonic() - begin
+    span = time.monotonic() - start
     loop.close()
     return ticks / span, missed / ticks, late

@@ -22,7 +22,7 @@ COLUMNS = {
 }
 """Heads of the columns, and what stands in them."""
 WRONG = ("filtered / raw", "estimate / raw now")
-ASKED_LIMIT, ASKED_NIS = 1.3, (0.8, 1.3)
+MAX_RATIO, NIS_RANGE = 1.3, (0.8, 1.3)
 
 
 def section(result: dict) -> str:
@@ -72,10 +72,10 @@ def _conclusion(result: dict) -> str:
         for regime in [regime for regime in ("free", "hold") if regime in plants["as known"]]:
             row = plants["as known"][regime]
             ratio, nis = row["filtered / limit"], row["nis"]
-            good = ratio <= ASKED_LIMIT and ASKED_NIS[0] <= nis <= ASKED_NIS[1]
+            good = ratio <= MAX_RATIO and NIS_RANGE[0] <= nis <= NIS_RANGE[1]
             (met if good else missed).append(f"{hand} {regime} {ratio:.2f} times the reference, NIS {nis:.2f}")
             strict.append(f"{hand} {regime} {row['estimate / limit']:.2f}")
-    text = f"Required: within {ASKED_LIMIT} times the reference, and NIS between {ASKED_NIS[0]} and {ASKED_NIS[1]}. "
+    text = f"Required: within {MAX_RATIO} times the reference, and NIS between {NIS_RANGE[0]} and {NIS_RANGE[1]}. "
     text += f"Met: {'; '.join(met) or 'nowhere'}. " + (f"Not met: {'; '.join(missed)}. " if missed else "")
     text += (
         "Relative to the reference without its delay, which is of another instant, the estimate for the present is "
@@ -109,9 +109,9 @@ def _against_raw(result: dict, ratio: str) -> str:
     rows = [
         (row[ratio], f"{hand} {regime}, {plant}")
         for hand, plants in result["hands"].items()
-        for plant, found in plants.items()
+        for plant, worse in plants.items()
         if plant == "as known" or plant.startswith("stiffness")
-        for regime, row in found.items()
+        for regime, row in worse.items()
     ]
     above = [f"{name} ({value:.2f})" for value, name in rows if value > 1.0]
     worst, name = max(rows)
@@ -128,9 +128,9 @@ def _otherwise_wrong(result: dict) -> str:
     rows = [
         (row["estimate / raw now"], row["nis"], f"{hand} {regime}, {plant}")
         for hand, plants in result["hands"].items()
-        for plant, found in plants.items()
+        for plant, worse in plants.items()
         if plant != "as known" and not plant.startswith("stiffness")
-        for regime, row in found.items()
+        for regime, row in worse.items()
     ]
     if not rows:
         return ""
@@ -165,9 +165,9 @@ def picture(result: dict) -> None:
     for axis, (hand, plants) in zip(axes[0], hands.items(), strict=True):
         found = plants["as known"]
         places = np.arange(len(found))
-        for i, (way, colour) in enumerate(ways.items()):
-            values = [row[way] for row in found.values()]
-            axis.bar(places + 0.14 * (i - 2.5), values, 0.14, color=colour, label=way)
+        for i, (estimator, colour) in enumerate(ways.items()):
+            values = [row[estimator] for row in found.values()]
+            axis.bar(places + 0.14 * (i - 2.5), values, 0.14, color=colour, label=estimator)
         for key, style, where in (("limit", "-", -0.28), ("limit now", ":", 0.14)):
             limits = [row[key] for row in found.values()]
             name = key.replace("limit", "reference")

@@ -16,7 +16,7 @@ from handctl.programs.task import Task
 from trials import plants
 from trials.jobs import Plan, collect
 from trials.laws import force_scale, on_raw_tension
-from trials.lockstep import RATES_HZ, Course, Trial, run, unchanged
+from trials.lockstep import RATES_HZ, Trial, TrialRecord, run, unchanged
 from trials.plants import TO_CONTACT
 
 LOW_N, HIGH_N, RATE_N_PER_S, HOLD_S = 15.0, 40.0, 5000.0, 0.6
@@ -73,29 +73,29 @@ def trial(hand: str, law: str, seed: int, plant: str) -> Trial:
     )
 
 
-def judge(course: Course) -> dict[str, float]:
+def judge(record: TrialRecord) -> dict[str, float]:
     """Judge both steps: overshoot [N], settling time [s], steady error [N], ripple [N] and RMSE [N], worst or mean."""
-    tension, held = course.tension(), course.of_tendons(course.numbers["contact"] > 0)
+    tension, in_contact = record.tension(), record.of_tendons(record.numbers["contact"] > 0)
     rows: dict[str, list[float]] = {name: [] for name in ("overshoot_N", "settling_s", "steady_N", "ripple_N", "mse")}
-    for phase, goal, way in (("up", HIGH_N, 1.0), ("down", LOW_N, -1.0)):
-        mask = course.phase == phase
-        t = course.times[mask] - course.times[mask].min(initial=np.inf)
-        for i in np.flatnonzero(held[mask].all(axis=0)) if mask.any() else ():
+    for phase, goal, change in (("up", HIGH_N, 1.0), ("down", LOW_N, -1.0)):
+        mask = record.phase == phase
+        t = record.times[mask] - record.times[mask].min(initial=np.inf)
+        for i in np.flatnonzero(in_contact[mask].all(axis=0)) if mask.any() else ():
             error = tension[mask, i] - goal
             last = error[t > HOLD_S - STEADY_S]
-            rows["overshoot_N"].append(float((way * error).max()))
+            rows["overshoot_N"].append(float((change * error).max()))
             rows["settling_s"].append(float(t[np.abs(error) > BAND_N].max(initial=0.0)))
             rows["steady_N"].append(float(abs(last.mean())))
             rows["ripple_N"].append(float(last.std()))
             rows["mse"].append(float((error**2).mean()))
-    found = {name: float(np.mean(values)) if values else float("nan") for name, values in rows.items()}
-    return found | {"rmse_N": float(np.sqrt(found.pop("mse"))), "tendons": float(len(rows["mse"]))}
+    result = {name: float(np.mean(values)) if values else float("nan") for name, values in rows.items()}
+    return result | {"rmse_N": float(np.sqrt(result.pop("mse"))), "tendons": float(len(rows["mse"]))}
 
 
 def work(job: tuple) -> dict[str, Any]:
     """Run one trial and return its figures, with the reason if it ended early."""
-    course = run(trial(*job))
-    return judge(course) | {"why": course.failure}
+    record = run(trial(*job))
+    return judge(record) | {"why": record.failure}
 
 
 def measure(hands: tuple[str, ...], seeds: int, wrong_seeds: int, plan: Plan) -> dict[str, Any]:
@@ -108,10 +108,10 @@ def measure(hands: tuple[str, ...], seeds: int, wrong_seeds: int, plan: Plan) ->
         for (hand, law, plant), n in zip(cases, counts, strict=True)
         if k < n
     ]
-    found = collect(work, jobs, plan)
+    results = collect(work, jobs, plan)
     result: dict[str, Any] = {"hands": {}}
     for hand, law, plant in cases:
-        rows = [row for job, row in found.items() if (job[0], job[1], job[3]) == (hand, law, plant)]
+        rows = [row for job, row in results.items() if (job[0], job[1], job[3]) == (hand, law, plant)]
         if rows:
             result["hands"].setdefault(hand, {}).setdefault(plant, {})[law] = _over_seeds(rows)
     return result

@@ -46,15 +46,15 @@ def _cell(row: dict[str, Any] | None) -> str:
 
 def _conclusion(result: dict[str, Any]) -> str:
     """Write the conclusion from the numbers."""
-    told = []
+    texts = []
     for hand, plants in result["hands"].items():
-        nothing, raw, estimate = plants["as known"].values()
+        none, raw, estimate = plants["as known"].values()
         margin = raw["rmse_N"] - estimate["rmse_N"]
         spread = max(raw["rmse_spread_N"], estimate["rmse_spread_N"])
         word = "better than" if margin > 2 * spread else "worse than" if margin < -2 * spread else "no better than"
-        told.append(
+        texts.append(
             f"{hand}: the loop on the estimate is {word} that on the raw sensor ({estimate['rmse_N']:.2f} and "
-            f"{raw['rmse_N']:.2f} N, spread {spread:.2f} N) and {nothing['rmse_N'] / estimate['rmse_N']:.1f} times "
+            f"{raw['rmse_N']:.2f} N, spread {spread:.2f} N) and {none['rmse_N'] / estimate['rmse_N']:.1f} times "
             f"better than no loop. It overshoots by {estimate['overshoot_N']:.1f} N of 25 N and ends "
             f"{estimate['steady_N']:.2f} N off, "
             f"with {estimate['ripple_N']:.2f} N of ripple ({raw['ripple_N']:.2f} N on the raw sensor)."
@@ -62,6 +62,6 @@ def _conclusion(result: dict[str, Any]) -> str:
     whys = sorted(
         {w for plants in result["hands"].values() for laws in plants.values() for r in laws.values() for w in r["why"]}
     )
-    told += [f"Ended early: {'; '.join(whys)}."] if whys else []
-    told.append("A bias of the load cell is in the force as it is in the sensor, and no loop can remove it.")
-    return "\n\n".join(told)
+    texts += [f"Ended early: {'; '.join(whys)}."] if whys else []
+    texts.append("A bias of the load cell is in the force as it is in the sensor, and no loop can remove it.")
+    return "\n\n".join(texts)

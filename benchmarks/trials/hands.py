@@ -24,7 +24,7 @@ FORWARD_M, APART_M = 0.04, 0.1
 
 
 @cache
-def known(name: str) -> Hand:
+def hand_by_name(name: str) -> Hand:
     """Return a hand by its name in the benchmarks."""
     if not name.endswith((CLEAR, SIDE)):
         return load_hand(name)
@@ -50,5 +50,5 @@ def file_of(name: str, folder: Path) -> Path:
     if not name.endswith((CLEAR, SIDE)):
         return hand_path(name)
     path = folder / f"{name}.toml"
-    path.write_text(known(name).to_toml())
+    path.write_text(hand_by_name(name).to_toml())
     return path

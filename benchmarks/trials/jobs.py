@@ -36,11 +36,11 @@ def collect(work: Work, jobs: list[Any], plan: Plan) -> dict[Any, Any]:
         work: top-level function of one job. jobs: tuples. plan: see there.
     """
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
-    done = {job: kept for job in jobs if (kept := _kept(work, job, plan)) is not None}
+    done = {job: stored for job in jobs if (stored := _kept(work, job, plan)) is not None}
     missing = [job for job in jobs if job not in done]
     until = time.monotonic() + 60.0 * plan.minutes
-    for job, found in _run(work, missing, plan.workers or os.cpu_count() or 1, until):
-        done[job] = _through_json(found)
+    for job, results in _run(work, missing, plan.workers or os.cpu_count() or 1, until):
+        done[job] = _through_json(results)
         _keep(work, job, done[job], plan)
         print(f"{len(done)}/{len(jobs)} {work.__name__} {job}", file=sys.stderr, flush=True)
     if len(done) < len(jobs):

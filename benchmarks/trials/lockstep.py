@@ -20,7 +20,7 @@ from handctl.hand.description import Hand
 from handctl.programs.program import Program
 from handctl.report.truth import Truth, read_truth
 from handctl.session.simulate import Simulator
-from trials.hands import file_of, known, packaged
+from trials.hands import file_of, hand_by_name, packaged
 
 RATES_HZ = {"jamia": 500.0, "jamia_bench": 500.0, "jamia11": 200.0}
 """Default control rates: what one classical CAN bus carries."""
@@ -64,7 +64,7 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Course:
+class TrialRecord:
     """Record of a trial, one row per tick with an active hand.
 
     Attributes:
@@ -120,9 +120,9 @@ class Course:
         return per_digit[:, index]
 
 
-def run(trial: Trial) -> Course:
+def run(trial: Trial) -> TrialRecord:
     """Run a trial. The same trial gives the same record, bit for bit."""
-    hand, rate = known(trial.hand), trial.rate_hz or RATES_HZ[packaged(trial.hand)]
+    hand, rate = hand_by_name(trial.hand), trial.rate_hz or RATES_HZ[packaged(trial.hand)]
     controller = trial.change(make_controller(hand, trial.gains, rate, trial.program, None, arm_at_once=True))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "truth"
@@ -134,7 +134,7 @@ def run(trial: Trial) -> Course:
             for entry, out in run.ticks(trial.limit_s):
                 rows.append((entry, out, inputs, run.state))
                 inputs = run.state.tendon[[s.FORCE, s.RATE]].T
-        return _course(hand, controller, rows, read_truth(path), run.state)
+        return _record(hand, controller, rows, read_truth(path), run.state)
 
 
 def _filtered(design: FilterDesign, inputs: Array, after: State) -> list[float]:
@@ -143,20 +143,20 @@ def _filtered(design: FilterDesign, inputs: Array, after: State) -> list[float]:
     Args:
         design: of the filter. inputs: (N, 2) of the tick. after: the state after it.
     """
-    found = []
+    result = []
     states = after.tendon[s.TRAVEL : s.STRETCH_OFFSET + 1].T
     for i, (kind, x) in enumerate(zip(after.tendon_int[s.KIND], states, strict=True)):
         block = design.blocks[i][kind]
-        found.append(max(float(block.tension_row @ np.linalg.solve(block.F, x - block.B @ inputs[i])), 0.0))
-    return found
+        result.append(max(float(block.tension_row @ np.linalg.solve(block.F, x - block.B @ inputs[i])), 0.0))
+    return result
 
 
-def _course(hand: Hand, controller: Controller, rows: list[Row], real: Truth, state: State) -> Course:
+def _record(hand: Hand, controller: Controller, rows: list[Row], real: Truth, state: State) -> TrialRecord:
     active = [row for row in rows if row[1].mode == Mode.ACTIVE]
     fields = TELEMETRY_FIELDS
     events = [(entry.t_ns / 1e9, *event[1:]) for entry, out, *_ in rows for event in out.events]
     design = controller.model.filter
-    return Course(
+    return TrialRecord(
         hand,
         controller,
         np.array([entry.t_ns for entry, *_ in active]),

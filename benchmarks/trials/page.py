@@ -24,11 +24,11 @@ def write(part: str, text: str) -> None:
 
 def _parts(text: str) -> dict[str, str]:
     """Split a page into its parts by name."""
-    found = {}
+    parts = {}
     for block in text.split("<!-- end of ")[:-1]:
         name, _, body = block.rpartition("<!-- ")[2].partition(" -->")
-        found[name] = body.strip()
-    return found
+        parts[name] = body.strip()
+    return parts
 
 
 def table(head: list[str], rows: list[list[str]]) -> str:

@@ -23,10 +23,10 @@ from handctl.tune.loops.design import keeps, linear_factors
 from handctl.tune.loops.linear import LoopKind
 from handctl.tune.search.ensemble import ensemble
 from trials import force, force_page, page, tracking_page
-from trials.hands import CLEAR, known
+from trials.hands import CLEAR, hand_by_name
 from trials.jobs import Plan, add_options, collect, plan_of
 from trials.laws import LAWS
-from trials.lockstep import RATES_HZ, Course, Trial, run
+from trials.lockstep import RATES_HZ, Trial, TrialRecord, run
 from trials.plants import PLANTS
 from trials.script import Script, Step
 
@@ -68,58 +68,58 @@ def moves(speeds: tuple[str, ...]) -> Script:
 
 def trial(hand: str, law: str, weights: tuple[float, float], seed: int, plant: str, speeds: tuple[str, ...]) -> Trial:
     """Return the trial of a law."""
-    chosen = LAWS[law]
+    config = LAWS[law]
     return Trial(
         hand + CLEAR,
         moves(speeds),
         seed,
         None,
         PLANTS[plant],
-        chosen.gains(*weights, RATES_HZ[hand]),
-        change=chosen.change,
+        config.gains(*weights, RATES_HZ[hand]),
+        change=config.change,
     )
 
 
-def judge(course: Course, speeds: tuple[str, ...]) -> dict[str, dict[str, float]]:
+def judge(record: TrialRecord, speeds: tuple[str, ...]) -> dict[str, dict[str, float]]:
     """Judge each speed: RMSE, peak and steady tracking error [deg], settling time [s], for the worst digit."""
-    goal = mean_angles(course.hand, course.numbers["q_goal"])
-    error = np.degrees(goal - mean_angles(course.hand, course.q()))
-    found = {}
+    goal = mean_angles(record.hand, record.numbers["q_goal"])
+    error = np.degrees(goal - mean_angles(record.hand, record.q()))
+    result = {}
     for speed in speeds:
-        mask = course.phase == speed
-        mask &= course.times <= course.times[mask].min(initial=np.inf) + SPEEDS[speed] + SETTLE_S
+        mask = record.phase == speed
+        mask &= record.times <= record.times[mask].min(initial=np.inf) + SPEEDS[speed] + SETTLE_S
         if not mask.any():
-            found[speed] = dict.fromkeys(("rmse_deg", "peak_deg", "steady_deg", "settling_s"), float("nan"))
+            result[speed] = dict.fromkeys(("rmse_deg", "peak_deg", "steady_deg", "settling_s"), float("nan"))
             continue
-        t, e = course.times[mask] - course.times[mask][0], error[mask]
+        t, e = record.times[mask] - record.times[mask][0], error[mask]
         moving, after = t <= SPEEDS[speed] + AFTER_S, t - SPEEDS[speed]
         late = np.where(np.abs(e) > BAND_DEG, np.maximum(after, 0.0)[:, None], 0.0)
-        found[speed] = {
+        result[speed] = {
             "rmse_deg": float(np.sqrt((e[moving] ** 2).mean())),
             "peak_deg": float(np.abs(e[moving]).max()),
             "steady_deg": float(np.abs(e[after > SETTLE_S - 0.15].mean(axis=0)).max()),
             "settling_s": float(late.max()),
         }
-    return found
+    return result
 
 
 def work(job: tuple) -> dict[str, dict[str, float | str]]:
     """Run one trial and return its figures. A motion that did not end has infinite error and a reason."""
-    course = run(trial(*job))
-    found: dict = judge(course, job[-1])
-    for speed in job[-1] if course.failure else ():
-        lasted = (course.phase == speed).sum() * course.controller.model.period
+    record = run(trial(*job))
+    result: dict = judge(record, job[-1])
+    for speed in job[-1] if record.failure else ():
+        lasted = (record.phase == speed).sum() * record.controller.model.period
         if lasted < SPEEDS[speed] + SETTLE_S - 0.01:
-            found[speed] = dict.fromkeys(found[speed], float("inf")) | {"why": course.failure}
-    return found
+            result[speed] = dict.fromkeys(result[speed], float("inf")) | {"why": record.failure}
+    return result
 
 
 def tune(plan: Plan) -> None:
     """Try all weights for each law on each hand. Return the errors of the fast motion, and the weights with margins."""
     jobs = [(h, law, w, TUNING_SEED, "as known", tuple(SPEEDS)) for h in HANDS for law in LAWS for w in WEIGHTS]
-    found = collect(work, jobs, plan)
+    results = collect(work, jobs, plan)
     table: dict = {"rmse_deg": {}, "keeps_margins": {}}
-    for (hand, law, weights, *_), rows in found.items():
+    for (hand, law, weights, *_), rows in results.items():
         error, keeps = rows["fast"]["rmse_deg"], keeps_margins(hand, law, weights)
         why = rows["fast"].get("why", "")
         print(f"{hand:<8} {law:<32} {weights!s:<18} {error:8.3f} deg  {'keeps margins' if keeps else ''} {why}")
@@ -127,13 +127,13 @@ def tune(plan: Plan) -> None:
             round(error, 4) if np.isfinite(error) else None
         )
         table["keeps_margins"].setdefault(hand, {}).setdefault(law, []).append(keeps)
-    if len(found) == len(jobs):
+    if len(results) == len(jobs):
         TUNED.write_text(json.dumps(table, indent=1) + "\n", "utf-8")
 
 
 def keeps_margins(hand: str, law: str, weights: tuple[float, float]) -> bool:
     """Return True if the motion loop of every tendon has 6 dB and 45 degrees on plants around the hand file."""
-    model = HandModel.of(known(hand), LAWS[law].gains(*weights, RATES_HZ[hand]), RATES_HZ[hand])
+    model = HandModel.of(hand_by_name(hand), LAWS[law].gains(*weights, RATES_HZ[hand]), RATES_HZ[hand])
     plants = tuple(linear_factors(one) for one in ensemble(PLANTS_DRAWN, 0))
     return keeps(model, plants, (LoopKind.MOTION,))
 
@@ -141,8 +141,8 @@ def keeps_margins(hand: str, law: str, weights: tuple[float, float]) -> bool:
 def tuned(hand: str, law: str, careful: bool = False) -> tuple[float, float]:
     """Return the best weights of a law. ``careful``: of those with margins (the softest if none has both)."""
     table = json.loads(TUNED.read_text("utf-8"))
-    errors, kept = table["rmse_deg"][hand][law], table["keeps_margins"][hand][law]
-    usable = [i for i, error in enumerate(errors) if error is not None and (kept[i] or not careful)]
+    errors, selected = table["rmse_deg"][hand][law], table["keeps_margins"][hand][law]
+    usable = [i for i, error in enumerate(errors) if error is not None and (selected[i] or not careful)]
     return WEIGHTS[min(usable, key=errors.__getitem__, default=len(WEIGHTS) - 1 if careful else 0)]
 
 
@@ -159,7 +159,7 @@ def measure(seeds: int, wrong_seeds: int, speeds: tuple[str, ...], plan: Plan, h
         return hand, law, tuned(hand, law, careful), seed, plant, speeds
 
     jobs = [job(case, k) for k in range(max(counts)) for case, n in zip(cases, counts, strict=True) if k < n]
-    found = collect(work, list(dict.fromkeys(jobs)), plan)
+    results = collect(work, list(dict.fromkeys(jobs)), plan)
     result: dict = {
         "weights": {hand: {law: tuned(hand, law) for law in LAWS} for hand in hands},
         "careful weights": {hand: {law: tuned(hand, law, True) for law in CAREFUL} for hand in hands},
@@ -168,7 +168,7 @@ def measure(seeds: int, wrong_seeds: int, speeds: tuple[str, ...], plan: Plan, h
     }
     for case, n in zip(cases, counts, strict=True):
         hand, law, plant, careful = case
-        rows = [found[job(case, k)] for k in range(n) if job(case, k) in found]
+        rows = [results[job(case, k)] for k in range(n) if job(case, k) in results]
         if rows:
             of_hand = result["careful" if careful else "hands"].setdefault(hand, {}).setdefault(plant, {})
             of_hand[law] = {speed: _over_seeds([row[speed] for row in rows]) for speed in rows[0]}
@@ -198,13 +198,13 @@ def show(result: dict) -> None:
         for hand, plant, laws in rows:
             print(f"\n{hand}, plant {plant}, {weights}")
             for law, speeds in laws.items():
-                told = [
+                texts = [
                     f"{speed} {r['rmse_deg']:.3f} +- {r['rmse_spread_deg']:.3f} / {r['peak_deg']:.2f} / "
                     f"{r['steady_deg']:.2f}, {r['settling_s']:.2f}"
                     for speed, r in speeds.items()
                 ]
-                whys = sorted({why for r in speeds.values() for why in r["why"]})
-                print(f"  {law:<32}" + "   ".join(told + whys))
+                whys = sorted({reason for r in speeds.values() for reason in r["why"]})
+                print(f"  {law:<32}" + "   ".join(texts + whys))
 
 
 def main() -> None:
@@ -219,7 +219,7 @@ def main() -> None:
     add_options(parser)
     parser.add_argument("--page", action="store_true", help="write the sections of docs/control.md and their picture")
     args = parser.parse_args()
-    begin, plan, result = time.monotonic(), plan_of(args), {}
+    start, plan, result = time.monotonic(), plan_of(args), {}
     if args.tune:
         tune(plan)
         return
@@ -228,7 +228,7 @@ def main() -> None:
         result["tracking"] = measure(*counts, plan, HANDS[:1] if args.quick else HANDS)
     if "force" in args.parts and not args.quick:
         result["force"] = force.measure(HANDS, args.seeds, args.wrong_seeds, plan)
-    result["wall_s"] = time.monotonic() - begin
+    result["wall_s"] = time.monotonic() - start
     print(json.dumps(result, indent=2)) if args.json else show(result)
     if args.page and "tracking" in result:
         page.write("tracking", tracking_page.section(result["tracking"], (PLAIN, SPRINGS_LAW, BEST, MISPRINTED)))

@@ -5,7 +5,7 @@ import numpy as np
 from trials.page import FIGURES, table
 
 ENDED = "ended"
-SAID = {
+FAULT_TEXTS = {
     "N04": "with such soft weights a motor may rest in its own friction while its goal moves, which looks like a "
     "stuck encoder",
     "T02b": "a tendon stayed slack",
@@ -13,7 +13,7 @@ SAID = {
 }
 """What faults mean that ended runs."""
 """For a law with which safety ends all of the runs."""
-LEAST_DEG = 0.03
+MIN_DEG = 0.03
 """Left end of the picture."""
 
 
@@ -117,19 +117,19 @@ def _times(gain: float, spread: float, seeds: int) -> str:
 
 def _steps(laws: dict) -> str:
     """Describe the gain of each law over the one before [deg], and whether it exceeds twice the spread."""
-    told, old = [], laws[next(iter(laws))]["fast"]
+    texts, old = [], laws[next(iter(laws))]["fast"]
     for law in list(laws)[1:-1]:
         new = laws[law]["fast"]
         if not np.isfinite(new["rmse_deg"]):
-            told.append(f"'{law}' ends {new['ended']} of {new['seeds']} runs ({'; '.join(new['why'])})")
+            texts.append(f"'{law}' ends {new['ended']} of {new['seeds']} runs ({'; '.join(new['why'])})")
             continue
         gain = old["rmse_deg"] - new["rmse_deg"]
         spread = float(np.hypot(old["rmse_spread_deg"], new["rmse_spread_deg"]))
         some = f", {new['ended']} of {new['seeds']} runs ended ({'; '.join(new['why'])})" if new["ended"] else ""
         weak = "" if gain > 2 * spread else " (worse)" if gain < -2 * spread else " (within the spread)"
-        told.append(f"'{law}' {gain:+.3f} ± {spread:.3f} deg{weak}{some}")
+        texts.append(f"'{law}' {gain:+.3f} ± {spread:.3f} deg{weak}{some}")
         old = new
-    return "\n".join(f"- {line}" for line in told)
+    return "\n".join(f"- {line}" for line in texts)
 
 
 def _printed(printed: dict, best: dict) -> str:
@@ -138,8 +138,8 @@ def _printed(printed: dict, best: dict) -> str:
         return (
             f"Eq. 10-12 as printed: {printed['rmse_deg'] / best['rmse_deg']:.1f} times the error of the correct ones."
         )
-    why = "; ".join(printed["why"])
-    return f"With Eq. 10-12 as printed {printed['ended']} of {printed['seeds']} runs end early: {why}."
+    reason = "; ".join(printed["why"])
+    return f"With Eq. 10-12 as printed {printed['ended']} of {printed['seeds']} runs end early: {reason}."
 
 
 def _wrong(hand: str, plants: dict, named: tuple[str, str, str, str]) -> str:
@@ -155,7 +155,7 @@ def _wrong(hand: str, plants: dict, named: tuple[str, str, str, str]) -> str:
         whole = [_cell(laws[named[2]][speed]) for speed in speeds]
         ratio = _number(plain["rmse_deg"] / best["rmse_deg"])
         rows.append([plant, _cell(plain), _cell(springs), *whole, ratio, str(best["seeds"])])
-    return "\n".join((table(head, rows), "", _costs(plants, named[2]), _why_ended(plants)))
+    return "\n".join((table(head, rows), "", _costs(plants, named[2]), _end_reasons(plants)))
 
 
 def _costs(plants: dict, law: str) -> str:
@@ -167,15 +167,23 @@ def _costs(plants: dict, law: str) -> str:
     return f"Additional error of the whole control law at the fast motion: {costs}."
 
 
-def _why_ended(plants: dict) -> str:
+def _end_reasons(plants: dict) -> str:
     """List the reasons of ended runs by law."""
-    told: dict[str, set[str]] = {}
+    texts: dict[str, set[str]] = {}
     for laws in plants.values():
         for law, speeds in laws.items():
-            faults = {word for row in speeds.values() for why in row["why"] for word in why.split() if word in SAID}
-            told.setdefault(law, set()).update(faults)
+            faults = {
+                word
+                for row in speeds.values()
+                for reason in row["why"]
+                for word in reason.split()
+                if word in FAULT_TEXTS
+            }
+            texts.setdefault(law, set()).update(faults)
     return " ".join(
-        f"Runs of '{law}' ended by {fault}: {SAID[fault]}." for law, faults in told.items() for fault in sorted(faults)
+        f"Runs of '{law}' ended by {fault}: {FAULT_TEXTS[fault]}."
+        for law, faults in texts.items()
+        for fault in sorted(faults)
     )
 
 
@@ -196,19 +204,19 @@ def picture(result: dict) -> None:
             (laws, -0.2, "#4477aa", "best weights"),
             (careful, 0.2, "#cc6677", "best weights that keep margins"),
         ):
-            found = [(list(laws).index(law) + shift, row["fast"]) for law, row in rows.items()]
-            good = [(place, row) for place, row in found if np.isfinite(row["rmse_deg"])]
+            values = [(list(laws).index(law) + shift, row["fast"]) for law, row in rows.items()]
+            good = [(place, row) for place, row in values if np.isfinite(row["rmse_deg"])]
             mean, spread = ([row[key] for _, row in good] for key in ("rmse_deg", "rmse_spread_deg"))
             axis.barh([p for p, _ in good], mean, 0.38, xerr=spread, color=colour, label=label, capsize=2)
-            for place, row in found:
+            for place, row in values:
                 value = row["rmse_deg"]
                 text = f"{value:.2f}" if np.isfinite(value) else ENDED
-                end = value + row["rmse_spread_deg"] if np.isfinite(value) else LEAST_DEG
+                end = value + row["rmse_spread_deg"] if np.isfinite(value) else MIN_DEG
                 axis.annotate(text, (end, place), (4, -3),
                               textcoords="offset points", fontsize=8)  # fmt: skip
         axis.set_yticks(places, list(laws))
         axis.set_xscale("log")
-        axis.set_xlim(LEAST_DEG, 30.0)
+        axis.set_xlim(MIN_DEG, 30.0)
         axis.set_xlabel("RMSE, 0 to 60 deg in 0.15 s [deg]")
         axis.set_title(hand)
     axes[0][0].invert_yaxis()

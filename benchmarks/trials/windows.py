@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from trials.lockstep import Array, Course
+from trials.lockstep import Array, TrialRecord
 
 REVERSAL_S = 0.05
 """Half width of the window around a change of the direction of winding."""
@@ -18,14 +18,14 @@ REGIMES = ("free", "reversal", "impact", "hold", "beyond 200 N", "slack")
 Mask = NDArray[np.bool_]
 
 
-def windows(course: Course) -> dict[str, Mask]:
+def windows(record: TrialRecord) -> dict[str, Mask]:
     """Return a mask (ticks, N) for each regime. A tick belongs to one regime at most."""
-    tension, t = course.tension(), course.times
-    touched = course.of_tendons(course.contact_force() > TOUCH_N)
-    ready = ~np.isin(course.phase, ("start", "tighten", "live"))[:, None]
+    tension, t = record.tension(), record.times
+    touched = record.of_tendons(record.contact_force() > TOUCH_N)
+    ready = ~np.isin(record.phase, ("start", "tighten", "live"))[:, None]
     taut = tension > TAUT_N
     since = _since_rise(touched, t)
-    turning = _near(_reversals(course), t, REVERSAL_S) & ~touched
+    turning = _near(_reversals(record), t, REVERSAL_S) & ~touched
     hold = ready & taut & touched & (since > SETTLED_S)
     return {
         "free": ready & taut & ~touched & ~turning,
@@ -51,10 +51,10 @@ def _since_rise(on: Mask, t: Array) -> Array:
     return since
 
 
-def _reversals(course: Course) -> Mask:
+def _reversals(record: TrialRecord) -> Mask:
     """Return a mask (ticks, N) of the ticks in which the spool reverses."""
-    period = course.t_ns[1] - course.t_ns[0]
-    angle = [course.truth((f"motor/{tendon.motor}" for tendon in course.hand.tendon), delay) for delay in (0, period)]
+    period = record.t_ns[1] - record.t_ns[0]
+    angle = [record.truth((f"motor/{tendon.motor}" for tendon in record.hand.tendon), delay) for delay in (0, period)]
     speed = (angle[0] - angle[1]) / (period * 1e-9)
     direction = np.where(np.abs(speed) > TURNING_RAD_S, np.sign(speed), 0.0)
     turned = np.zeros(direction.shape, dtype=bool)

@@ -57,9 +57,9 @@ def measure(folder: Path, seconds: float, sustained_s: float) -> dict[str, Any]:
 
 def _spent(work: Callable[[], object]) -> float:
     """Return the processor time [s]."""
-    begin = time.process_time()
+    start = time.process_time()
     work()
-    return time.process_time() - begin
+    return time.process_time() - start
 
 
 def ours(path: Path, run: Any, ticks: list[Any]) -> dict[str, float]:
@@ -117,14 +117,14 @@ def _row(loop: float, total: float, size: int, reading: float, ticks: int) -> di
 
 def decoded(path: Path) -> list[Message]:
     """Return every message of a log as plain values."""
-    found = []
+    messages = []
     factory = DecoderFactory()
     with path.open("rb") as file:
         for schema, channel, one in make_reader(file).iter_messages(log_time_order=False):
             decode = factory.decoder_for(channel.message_encoding, schema)
             content = _plain(decode(one.data))
-            found.append(Message(channel.topic, schema.name, schema.data.decode(), one.log_time, content))
-    return found
+            messages.append(Message(channel.topic, schema.name, schema.data.decode(), one.log_time, content))
+    return messages
 
 
 def _plain(value: Any) -> Any:

@@ -45,17 +45,17 @@ def sustained(path: Path, seconds: float) -> dict[str, Any]:
     recorder = Recorder.start(path, synthetic.header(HAND, RATE_HZ, deterministic=False))
     with _apart(recorder._child.pid) as granted:
         before = _loop(seconds / 2, granted, ticks, lambda entry, out: None, list)
-        spent, begin = _processor_s(recorder._child.pid), time.perf_counter()
+        spent, start = _processor_s(recorder._child.pid), time.perf_counter()
         logged = _loop(seconds, granted, ticks, _into(recorder), lambda: list(recorder.events()))
-        share = (_processor_s(recorder._child.pid) - spent) / (time.perf_counter() - begin)
+        fraction = (_processor_s(recorder._child.pid) - spent) / (time.perf_counter() - start)
         after = _loop(seconds / 2, granted, ticks, lambda entry, out: None, list)
     summary = recorder.close("finished")
     with RunLog(path) as log:
         frames = sum(len(tick.tick_in.frames) + len(tick.frames) for tick in log.ticks())
-        found = {"ticks": logged.ticks, "ticks_in_log": len(log), "frames_in_log": frames}
+        result = {"ticks": logged.ticks, "ticks_in_log": len(log), "frames_in_log": frames}
     numbers = {name: int(str(summary[name])) for name in ("dropped", "lost", "bytes")}
     late = {"without_us": _marks(before, after), "with_us": _marks(logged)}
-    return {"seconds": seconds, "real_time": granted, **found, **numbers, "recorder_core_share": share, **late}
+    return {"seconds": seconds, "real_time": granted, **result, **numbers, "recorder_core_share": fraction, **late}
 
 
 def as_in_the_loop(tick_in: TickIn, out: TickOut) -> Tick:

@@ -33,7 +33,7 @@ def test_what_a_corpus_begins_with_is_taken(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", DRIVES)
 def test_what_a_drive_s_corpus_begins_with_goes_all_the_way_to_torque(name: str, tmp_path: Path) -> None:
-    motor, seen = wire.way(name, tmp_path)
+    motor, seen = wire.path_to_torque(name, tmp_path)
     assert {one.state.phase for one in seen} >= {Phase.SILENT, Phase.READY, Phase.ENABLED}
     ours = sorted(motor.node_ids)
     for data in seeds(name, tmp_path):

@@ -99,10 +99,10 @@ def test_every_node_receives_all_frames_but_its_own(medium: Medium) -> None:
 
 def test_reading_an_empty_bus_does_not_wait(medium: Medium) -> None:
     bus = medium.open()
-    begin = time.monotonic()
+    start = time.monotonic()
     for _ in range(100):
         assert bus.drain() == []
-    assert time.monotonic() - begin < 5.0
+    assert time.monotonic() - start < 5.0
     assert bus.send([]) == 0
     assert bus.take_events() == []
 
@@ -110,14 +110,14 @@ def test_reading_an_empty_bus_does_not_wait(medium: Medium) -> None:
 def test_stamps_are_the_runs_time_of_reception(medium: Medium) -> None:
     offset = 10**15
     sender, receiver = medium.open(), medium.open(stamp=lambda t_ns: t_ns + offset)
-    begin = time.monotonic_ns()
+    start = time.monotonic_ns()
     for number in range(20):
         sender.send([Frame(number, b"")])
     stamps = [frame.t_ns - offset for frame in drained(receiver, 20)]
     slack = 20_000_000  # wall clock against monotonic clock
     assert len(stamps) == 20
     assert stamps == sorted(stamps)
-    assert begin - slack <= stamps[0]
+    assert start - slack <= stamps[0]
     assert stamps[-1] <= time.monotonic_ns()
 
 

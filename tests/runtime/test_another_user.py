@@ -150,12 +150,12 @@ def test_a_new_or_readable_folder_is_made_private(shared, make):
 @pytest.mark.parametrize("deep", [False, True])
 def test_a_link_is_refused(shared, deep):
     """The target and the owner of the link do not matter."""
-    own = shared / "elsewhere"
-    own.mkdir(mode=0o700)
+    target = shared / "elsewhere"
+    target.mkdir(mode=0o700)
     if deep:
         theirs(shared).mkdir(mode=0o700)
     link = theirs(shared) / "handctl" if deep else theirs(shared)
-    link.symlink_to(own)
+    link.symlink_to(target)
     refuses("is a link")
 
 
@@ -171,16 +171,16 @@ def test_a_link_of_another_user_above_is_refused(shared, monkeypatch):
 def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(shared, impatient):
     """Attack: rename the mailbox, bind another socket there, receive the requests for the hand."""
     box, folder = Mailbox("local:x"), run_dir()
-    aside, mailbox, heard = folder / "aside", Path(box.path), []
+    aside, mailbox, received = folder / "aside", Path(box.path), []
 
     def take():
         mailbox.rename(aside)
-        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as own:
-            own.bind(str(mailbox))
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
+            link.bind(str(mailbox))
             os.chmod(mailbox, 0o777)
             os.write(ready, b"x")
             select.select([over], [], [], 6.0)
-            return own.recv(4096, socket.MSG_DONTWAIT).decode()
+            return link.recv(4096, socket.MSG_DONTWAIT).decode()
 
     assert as_nobody(lambda: mailbox.rename(aside)) == "PermissionError"
     assert as_nobody(lambda: socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM).connect(str(mailbox))) == (
@@ -188,18 +188,18 @@ def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(sha
     )
     for path in (folder, folder.parent):  # somebody opens it while the controller runs
         path.chmod(0o777)
-    begun, ready = os.pipe()
+    started, ready = os.pipe()
     over, finish = os.pipe()
-    attack = threading.Thread(target=lambda: heard.append(as_nobody(take)))
+    attack = threading.Thread(target=lambda: received.append(as_nobody(take)))
     attack.start()
-    os.read(begun, 1)
+    os.read(started, 1)
     assert mailbox.stat().st_uid == NOBODY, "the other one's, in the mailbox's place"
     with pytest.raises(UnconfirmedError, match=UNCONFIRMED):
         request_action("local:x", "stop")
     os.write(finish, b"x")
     attack.join()
-    assert heard == ["BlockingIOError"], "nothing was sent there"
-    for end_of_pipe in (begun, ready, over, finish):
+    assert received == ["BlockingIOError"], "nothing was sent there"
+    for end_of_pipe in (started, ready, over, finish):
         os.close(end_of_pipe)
     box.close()
 
@@ -383,9 +383,9 @@ def test_a_paused_controller_confirms_no_stop_and_a_flooded_one_stops(place, han
         watcher.close()
         process.send_signal(signal.SIGSTOP)
         for word in (("clear",), ("stop",)):
-            asked = handctl(*word, "--bus", BUS)
-            assert (asked.returncode, asked.stdout) == (71, "")
-            assert UNCONFIRMED in asked.stderr
+            done = handctl(*word, "--bus", BUS)
+            assert (done.returncode, done.stdout) == (71, "")
+            assert UNCONFIRMED in done.stderr
         filled(mailbox_path(BUS))
         assert handctl("stop", "--cut", "--bus", BUS).returncode == 71
         process.send_signal(signal.SIGCONT)
@@ -414,8 +414,8 @@ def test_a_flooded_mailbox_still_takes_a_stop(place, hand, calibrated, scale):
         wait_for("stay", watcher, process)
         watcher.close()
         flooding.start()
-        asked = handctl("stop", "--bus", BUS)
-        assert asked.returncode == 0, asked.stderr
+        done = handctl("stop", "--bus", BUS)
+        assert done.returncode == 0, done.stderr
         assert result_of(process)[0] == 0
     finally:
         ended.set()

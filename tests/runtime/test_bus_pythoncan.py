@@ -116,16 +116,16 @@ def test_filters_are_applied(ours: Bus) -> None:
     filters: list[can.typechecking.CanFilter] = [{"can_id": 0x10, "can_mask": 0x7F0, "extended": False}]
     with can.Bus("tools", interface="local", can_filters=filters, ignore_config=True) as theirs:
         ours.send([Frame(number, b"") for number in range(0x40)])
-        found = [message.arbitration_id for message in iter(lambda: theirs.recv(0.2), None)]
-    assert found == list(range(0x10, 0x20))
+        received = [message.arbitration_id for message in iter(lambda: theirs.recv(0.2), None)]
+    assert received == list(range(0x10, 0x20))
 
 
 def test_a_receive_timeout_is_respected(ours: Bus) -> None:
     with can.Bus("tools", interface="local", ignore_config=True) as theirs:
-        begin = time.monotonic()
+        start = time.monotonic()
         assert theirs.recv(0) is None
         assert theirs.recv(0.1) is None
-        assert 0.1 <= time.monotonic() - begin < 5.0
+        assert 0.1 <= time.monotonic() - start < 5.0
 
 
 def test_own_messages_are_received_on_request(ours: Bus) -> None:
@@ -163,27 +163,27 @@ def test_a_notifier_receives_messages(ours: Bus) -> None:
     with can.Bus("tools", interface="local", ignore_config=True) as theirs:
         notifier = can.Notifier(theirs, [reader], timeout=0.05)
         ours.send([Frame(number, b"") for number in range(20)])
-        heard = [reader.get_message(5.0) for _ in range(20)]
+        received = [reader.get_message(5.0) for _ in range(20)]
         notifier.stop()
-    assert [message.arbitration_id for message in heard if message] == list(range(20))
+    assert [message.arbitration_id for message in received if message] == list(range(20))
 
 
 def test_a_notifier_in_an_event_loop_receives_a_complete_batch(ours: Bus) -> None:
     """The notifier reads one message per event. The descriptor must stay readable while messages wait."""
-    heard: list[int] = []
+    received: list[int] = []
 
     async def listen(theirs: can.BusABC) -> None:
-        notifier = can.Notifier(theirs, [lambda message: heard.append(message.arbitration_id)],
+        notifier = can.Notifier(theirs, [lambda message: received.append(message.arbitration_id)],
                                 loop=asyncio.get_running_loop())  # fmt: skip
         ours.send([Frame(number, b"") for number in range(20)])
         end = time.monotonic() + 20.0
-        while len(heard) < 20 and time.monotonic() < end:
+        while len(received) < 20 and time.monotonic() < end:
             await asyncio.sleep(0.005)
         notifier.stop()
 
     with can.Bus("tools", interface="local", ignore_config=True) as theirs:
         asyncio.run(listen(theirs))
-    assert heard == list(range(20))
+    assert received == list(range(20))
 
 
 def test_python_cans_logger_writes_what_was_sent(ours: Bus, folder: Path, tmp_path: Path) -> None:
@@ -233,10 +233,10 @@ def test_sending_waits_for_room_until_the_timeout(scripted: tuple[can.BusABC, so
     message = can.Message(arbitration_id=1, data=bytes(8), is_extended_id=False)
     with pytest.raises(can.CanOperationError, match="no more frames"):
         fill(theirs, message)
-    begin = time.monotonic()
+    start = time.monotonic()
     with pytest.raises(can.CanOperationError, match="no more frames"):
         theirs.send(message, timeout=0.1)
-    assert 0.1 <= time.monotonic() - begin < 5.0
+    assert 0.1 <= time.monotonic() - start < 5.0
     link.recv(1 << 20)
     theirs.send(message, timeout=5.0)
 

@@ -81,14 +81,14 @@ KERNEL_STAMPS_S = 0.3
 def test_stamps_are_times_of_arrival_not_of_reading(udp: tuple[SocketCanBus, socket.socket]) -> None:
     bus, far = udp
     time.sleep(KERNEL_STAMPS_S)
-    begin = time.monotonic_ns()
+    start = time.monotonic_ns()
     far.send(CLASSICAL.pack(1, 0, b""))
     sent = time.monotonic_ns()
     time.sleep(0.1)
     far.send(CLASSICAL.pack(2, 0, b""))
     first, second = waited(bus, 2)
     slack = 20_000_000
-    assert begin - slack <= first.t_ns <= sent + slack
+    assert start - slack <= first.t_ns <= sent + slack
     assert second.t_ns - first.t_ns >= 80_000_000
 
 

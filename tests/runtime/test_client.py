@@ -35,12 +35,12 @@ def alone(place):
 
 @pytest.mark.parametrize("number", [3, np.float32(3), np.float64(3), np.int64(3), Fraction(3)])
 def test_every_numeric_type_is_accepted(alone, number, monkeypatch):
-    asked = []
-    monkeypatch.setattr(alone, "_set_goal", asked.append)
+    requests = []
+    monkeypatch.setattr(alone, "_set_goal", requests.append)
     alone.move(index=number, duration_s=number, wait=False)
     alone.hold(index=number, rate_N_per_s=number)
-    assert asked[0] == {"do": "move", "angle_deg": {"index": 3.0}, "duration_s": 3.0}
-    assert asked[1] == {"do": "hold", "tension_N": {"index": 3.0}, "rate_N_per_s": 3.0}
+    assert requests[0] == {"do": "move", "angle_deg": {"index": 3.0}, "duration_s": 3.0}
+    assert requests[1] == {"do": "hold", "tension_N": {"index": 3.0}, "rate_N_per_s": 3.0}
 
 
 @pytest.mark.parametrize("number", [float("nan"), 10**400, "3", True, np.True_, None, np.array([3.0, 4.0]), 1e9])
@@ -63,12 +63,12 @@ def test_replies_to_other_programs_are_ignored(alone, monkeypatch, theirs):
 
     def heard(timeout):
         yield said("asked: move by somebody", theirs)
-        yield said(theirs, f"asked: move by {sent[-1]['by']}", own, "asked: move by somebody", theirs)
+        yield said(theirs, f"asked: move by {sent[-1]['by']}", reply, "asked: move by somebody", theirs)
 
     monkeypatch.setattr(alone._watcher, "lines", heard)
-    own = "move index 3"
+    reply = "move index 3"
     alone.move(index=3, wait=False)
-    own = "refused: the hand is not ready yet"
+    reply = "refused: the hand is not ready yet"
     with pytest.raises(ConfigError, match="the hand is not ready yet"):
         alone.move(index=3, wait=False)
     assert len({one["by"] for one in sent}) == 2
@@ -84,11 +84,11 @@ def test_a_goal_without_a_digit_is_refused(alone):
 
 def test_digits_may_come_as_a_mapping(alone, monkeypatch):
     """Regression: the first argument was taken as the duration, and the error was "no digit"."""
-    asked = []
-    monkeypatch.setattr(alone, "_set_goal", asked.append)
+    requests = []
+    monkeypatch.setattr(alone, "_set_goal", requests.append)
     alone.move({"index": 10}, thumb=5, wait=False)
     alone.hold({"index": 10})
-    goals = [one.get("angle_deg", one.get("tension_N")) for one in asked]
+    goals = [one.get("angle_deg", one.get("tension_N")) for one in requests]
     assert goals == [{"index": 10.0, "thumb": 5.0}, {"index": 10.0}]
     for do in (alone.move, alone.hold):
         with pytest.raises(ConfigError, match=r"(move|hold): 2.0; expected digits by name, as in index=30"):

@@ -27,8 +27,8 @@ def failed(found):
 
 
 def test_a_good_drive_keeps_every_promise(protocol):
-    found, place, rig = judged(protocol)
-    assert [check for check in found.values() if check.verdict is not Verdict.PASSED] == []
+    failures, place, rig = judged(protocol)
+    assert [check for check in failures.values() if check.verdict is not Verdict.PASSED] == []
     assert 0.0 < place.top <= LIMIT * 1.001
     assert rig.confirm_off(0.05)
     assert place.bench.motors[0].servo.torque == 0.0
@@ -37,8 +37,8 @@ def test_a_good_drive_keeps_every_promise(protocol):
 @pytest.mark.parametrize("inertia", [2e-5, 1e-4, 2e-3])
 @pytest.mark.parametrize("delay", [1, 3])
 def test_a_light_shaft_and_a_slow_wire_make_no_failure(protocol, inertia, delay):
-    found, place, _ = judged(protocol, inertia=inertia, delay=delay)
-    assert failed(found) == []
+    failures, place, _ = judged(protocol, inertia=inertia, delay=delay)
+    assert failed(failures) == []
     assert abs(place.bench.motors[0].omega) < 20.0
 
 
@@ -53,8 +53,8 @@ BROKEN_PROMISE = {
 
 @pytest.mark.parametrize("fault", sorted(FAULTS))
 def test_a_broken_drive_fails_its_check(protocol, fault):
-    found, place, _ = judged(protocol, fault)
-    assert BROKEN_PROMISE[fault] in failed(found)
+    failures, place, _ = judged(protocol, fault)
+    assert BROKEN_PROMISE[fault] in failed(failures)
     assert place.top <= LIMIT * 1.001
 
 
@@ -65,13 +65,13 @@ def test_a_drive_that_does_not_obey_is_left_to_its_watchdog(protocol):
 
 
 def test_a_blocked_shaft_is_no_failure(protocol):
-    found, _, _ = judged(protocol, inertia=100.0)
-    check = found["turns the positive way by positive torque"]
+    failures, _, _ = judged(protocol, inertia=100.0)
+    check = failures["turns the positive way by positive torque"]
     assert check.verdict is Verdict.NOT_APPLICABLE
     assert "did not turn at +0.100 N m" in check.why
 
 
 def test_an_odrive_without_watchdog_fails_that_check_only():
-    found, _, _ = judged("odrive", options={"torque_feedback": True})
-    assert failed(found) == [BROKEN_PROMISE["watchdog"]]
-    assert "CANSimple cannot read it" in found[BROKEN_PROMISE["watchdog"]].why
+    failures, _, _ = judged("odrive", options={"torque_feedback": True})
+    assert failed(failures) == [BROKEN_PROMISE["watchdog"]]
+    assert "CANSimple cannot read it" in failures[BROKEN_PROMISE["watchdog"]].why

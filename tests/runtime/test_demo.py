@@ -25,7 +25,7 @@ def test_the_demo_slows_time_until_this_machine_keeps_up(place, processes):
     tries = re.findall(r"once more at ([\d.]+) of real time", err)
     assert tries
     assert f"{result['time_scale']:g}" == tries[-1]
-    kept = list(place.glob("run-at-16*.mcap"))
-    assert kept
-    with RunLog(kept[0]) as log:
+    logs = list(place.glob("run-at-16*.mcap"))
+    assert logs
+    with RunLog(logs[0]) as log:
         assert log.header.metadata["time_scale"] == "16"

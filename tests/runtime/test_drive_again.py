@@ -43,12 +43,12 @@ def test_a_golden_grasp_repeats_on_the_local_bus(place, scale):
     finally:
         end(simulated)
     assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
+    result = json.loads(done.stdout)
     # At first touch one joint of a digit gives way before the other, by 2.7 deg here and by more where a tick was late.
     # The rms of each joint and the mean angle of each digit hold regardless.
     single = 6.0
-    assert {name for name, row in found["joint_deg"].items() if row["peak"] > single} == set()
-    assert max(row["rms"] for row in found["joint_deg"].values()) < 1.0, "as in lockstep, tests/replay/test_drive.py"
+    assert {name for name, row in result["joint_deg"].items() if row["peak"] > single} == set()
+    assert max(row["rms"] for row in result["joint_deg"].values()) < 1.0, "as in lockstep, tests/replay/test_drive.py"
     with RunLog(GOLDEN) as before, RunLog(place / "again.mcap") as after:
         apart = mean_angles_apart(before, after)
         assert np.percentile(apart, 99, axis=0).max() < 1.0
@@ -65,13 +65,13 @@ def test_an_interrupted_replay_reports_its_progress(place, scale):
         wait_for("playback", watcher, driving)
         time.sleep(0.6)
         driving.send_signal(signal.SIGINT)
-        code, found, err = result_of(driving)
+        code, result, err = result_of(driving)
         watcher.close()
     finally:
         end(simulated)
     assert code == 1
-    assert f"stopped: {found['driven_s']:.2f} of {found['seconds']:.2f} s were driven" in err
-    assert found["complete"] is False
-    assert 0 < found["driven_s"] < 0.8 * found["seconds"]
-    assert found["log"] == "half.mcap"
-    assert max(row["rms"] for row in found["tendon_N"].values()) < 2.0
+    assert f"stopped: {result['driven_s']:.2f} of {result['seconds']:.2f} s were driven" in err
+    assert result["complete"] is False
+    assert 0 < result["driven_s"] < 0.8 * result["seconds"]
+    assert result["log"] == "half.mcap"
+    assert max(row["rms"] for row in result["tendon_N"].values()) < 2.0

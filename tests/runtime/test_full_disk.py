@@ -50,13 +50,13 @@ def fill(path):
 
 def seconds_until(process, word, timeout_s=20.0):
     """Measure the time until a run prints a word to standard error [s]."""
-    begin, heard = time.monotonic(), b""
-    while time.monotonic() - begin < timeout_s:
+    start, output = time.monotonic(), b""
+    while time.monotonic() - start < timeout_s:
         if select.select([process.stderr], [], [], 0.1)[0]:
-            heard += os.read(process.stderr.fileno(), 1 << 16)
-            if word in heard:
-                return time.monotonic() - begin
-    raise AssertionError(heard.decode())
+            output += os.read(process.stderr.fileno(), 1 << 16)
+            if word in output:
+                return time.monotonic() - start
+    raise AssertionError(output.decode())
 
 
 def test_a_full_disk_is_announced_and_the_hand_holds_on(place, disk, scale):

@@ -59,9 +59,9 @@ def test_each_finding_comes_with_the_command_that_mends_it(changes, what, fix):
 
 
 def test_missing_fd_is_found_where_the_hand_needs_it():
-    found = bad(told(), 5 * MEGABIT)
-    assert ["does not carry CAN FD" in finding.what for finding in found] == [True, False]
-    assert "dbitrate 5000000 fd on" in found[0].fix
+    texts = bad(told(), 5 * MEGABIT)
+    assert ["does not carry CAN FD" in finding.what for finding in texts] == [True, False]
+    assert "dbitrate 5000000 fd on" in texts[0].fix
 
 
 def test_lost_arbitration_alone_is_no_fault():

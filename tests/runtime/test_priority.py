@@ -30,11 +30,11 @@ def test_the_doctor_tries_and_gives_back() -> None:
 
 def test_memory_is_locked_while_others_may_still_run(monkeypatch: pytest.MonkeyPatch) -> None:
     """Regression: locking hundreds of MB under SCHED_FIFO blocked all else on the core for a tenth of a second."""
-    asked: list[str] = []
-    monkeypatch.setattr(clock, "_lock_memory", lambda: asked.append("memory") is None)
-    monkeypatch.setattr(clock, "_enter_fifo", lambda level: asked.append("priority") is None)
+    calls: list[str] = []
+    monkeypatch.setattr(clock, "_lock_memory", lambda: calls.append("memory") is None)
+    monkeypatch.setattr(clock, "_enter_fifo", lambda level: calls.append("priority") is None)
     assert take_priority() == clock.Priority(realtime=True, locked=True)
-    assert asked == ["memory", "priority"]
+    assert calls == ["memory", "priority"]
 
 
 def test_only_ticks_have_realtime_priority() -> None:

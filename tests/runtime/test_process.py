@@ -37,9 +37,9 @@ def run_short(place, processes, scale):
     processes.append(start_hand(truth, "--hand", "jamia", *scale))
     words = ("--task", "short.toml", "--json", "--log", str(log), *scale, "--truth", str(truth))
     processes.append(start_handctl("run", "--hand", "jamia", "--bus", BUS, *words))
-    told = result_of(processes.pop())
+    result = result_of(processes.pop())
     end(processes.pop())
-    return told, log
+    return result, log
 
 
 def test_run_commissions_moves_and_judges_itself(place, processes, scale):
@@ -76,8 +76,8 @@ def test_stop_from_another_process(place, hand, calibrated, processes, scale):
     assert second.returncode == 1
     assert second.stderr.startswith(f"handctl: bus {BUS}: another controller runs here")
     assert second.stderr.count("\n") == 1
-    asked = handctl("stop", "--bus", BUS)
-    assert asked.returncode == 0
+    stop = handctl("stop", "--bus", BUS)
+    assert stop.returncode == 0
     code, _, err = result_of(process)
     assert code == 0, err
     assert modes_of_complete(place / "run.mcap")[-3:] == ["ACTIVE -> RELAX", "RELAX -> DISARM", "DISARM -> DONE"]

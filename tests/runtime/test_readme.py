@@ -17,8 +17,8 @@ LOAD = "import os\nparent = os.getppid()\nwhile os.getppid() == parent: pass"
 
 def blocks(language: str, *containing: str) -> list[str]:
     """Return the code blocks of the README in a language that contain some texts."""
-    found = re.findall(rf"^```{language}\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
-    return [block for block in found if all(text in block for text in containing)]
+    texts = re.findall(rf"^```{language}\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
+    return [block for block in texts if all(text in block for text in containing)]
 
 
 @pytest.mark.realtime

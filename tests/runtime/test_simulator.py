@@ -24,8 +24,10 @@ def simulator(tmp_path, monkeypatch):
 
 def test_inject_and_list(simulator, capsys):
     assert main(["fault", "inject", "hot node=1 size=95", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)["faults"]
-    assert [(fault["fault"], fault["state"], fault["felt"]) for fault in told] == [("hot node=1 size=95", "acting", 1)]
+    listed = json.loads(capsys.readouterr().out)["faults"]
+    assert [(fault["fault"], fault["state"], fault["felt"]) for fault in listed] == [
+        ("hot node=1 size=95", "acting", 1)
+    ]
     assert main(["fault", "inject", "snap tendon=thumb_tendon at=100s", "--bus", "local:lab"]) == 0
     assert main(["fault", "list"]) == 0
     shown = capsys.readouterr().out.splitlines()

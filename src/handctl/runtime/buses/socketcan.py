@@ -115,9 +115,9 @@ class SocketCanBus:
         if not earliest <= first <= last <= earliest + AHEAD_NS:
             return None
         stamp = self._stamp
-        begin = stamp(first)
-        if stamp(last) - begin == last - first:  # the run's time is not slowed
-            times += begin - first
+        start = stamp(first)
+        if stamp(last) - start == last - first:  # the run's time is not slowed
+            times += start - first
         else:
             times = np.array([stamp(t_ns) for t_ns in each])
         self._latest = each[-1]

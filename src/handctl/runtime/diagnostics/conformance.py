@@ -132,19 +132,19 @@ def _waits(device: DeviceUnderTest) -> str:
 
 def _enables(device: DeviceUnderTest) -> str:
     """Check that the drive enables, and measure the time."""
-    begin = device.rig.t_ns
+    start = device.rig.t_ns
     _enabled(device.rig)
-    return f"after {(device.rig.t_ns - begin) / 1e6:.0f} ms"
+    return f"after {(device.rig.t_ns - start) / 1e6:.0f} ms"
 
 
 def _feedback(device: DeviceUnderTest) -> str:
     """Check that fresh feedback is there in nearly every tick."""
     rig = device.rig
     _enabled(rig)
-    begin = rig.state.feedback_count
+    start = rig.state.feedback_count
     ticks = 100
     ages = sorted(rig.t_ns - rig.tick(Want.ENABLE).feedback_t_ns for _ in range(ticks))
-    count = rig.state.feedback_count - begin
+    count = rig.state.feedback_count - start
     late = ages[-LATE_OF_100]
     seen = f"{count} times in {ticks} ticks, at most {max(ages[-1], 0) / 1e6:.0f} ms old"
     if count < 0.8 * ticks or late > FRESH_NS:
@@ -198,12 +198,12 @@ def _disables(device: DeviceUnderTest) -> str:
     """Check that the drive disables within a second and reports it."""
     rig = device.rig
     _enabled(rig)
-    begin = rig.t_ns
+    start = rig.t_ns
     if not rig.until(Want.DISABLE, lambda state: state.phase != Phase.ENABLED, 1.0):
         raise Failed("is told to disable, and does not say within 1 s that it is")
     if rig.state.phase == Phase.FAULT:
         raise Failed(f"is told to disable, and instead: {rig.state.error_text}")
-    return f"after {(rig.t_ns - begin) / 1e6:.0f} ms"
+    return f"after {(rig.t_ns - start) / 1e6:.0f} ms"
 
 
 def _watchdog_disables(device: DeviceUnderTest) -> str:

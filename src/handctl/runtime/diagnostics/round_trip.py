@@ -43,10 +43,10 @@ def _once(bus: Bus, node: Found) -> float | None:
     """Return the time to the answer [s]. None if no answer arrives."""
     discovery = DISCOVERIES[node.protocol]
     bus.drain()
-    begin = time.perf_counter()
+    start = time.perf_counter()
     bus.send((discovery.ping(node),))
-    while (passed := time.perf_counter() - begin) < ANSWER_S:
+    while (passed := time.perf_counter() - start) < ANSWER_S:
         if any(discovery.pong(node, frame) for frame in bus.drain()):
-            return time.perf_counter() - begin
+            return time.perf_counter() - start
         time.sleep(0.0001 if passed < 0.01 else 0.002)  # fine at first, then sparing of the processor
     return None

@@ -77,8 +77,8 @@ def scan(
         listen(bus, LISTEN_S if turn == 0 else ANSWER_S, seen)
         if turn == 0 and not force and (foreign := _foreign(seen)):
             break
-    found = tuple(node for discovery in DISCOVERIES.values() for node in discovery.found(seen))
-    return Scan(found, foreign, tuple(omitted), tuple(bus.take_events()), len(seen))
+    drives = tuple(node for discovery in DISCOVERIES.values() for node in discovery.found(seen))
+    return Scan(drives, foreign, tuple(omitted), tuple(bus.take_events()), len(seen))
 
 
 def all_questions() -> tuple[Frame, ...]:
