@@ -40,8 +40,8 @@ PER = {
 """Divisor and factor of each ratio. A count without a divisor is absolute."""
 LONG = 100
 """Characters above which a line counts as long."""
-ROUNDING = 10
-"""Limits are multiples of one tenth."""
+ROUNDING = 2
+"""Limits are multiples of one half, so that a sentence more does not fail."""
 
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+")
 _PROSE = {name: re.compile(pattern, re.IGNORECASE) for name, pattern in TERMS["prose"].items()}
@@ -181,7 +181,7 @@ def count_all(root: Path) -> dict[str, Tally]:
 
 
 def ratios(tally: Tally) -> dict[str, float]:
-    """Return every ratio that a tally has a quantity for, rounded up to a multiple of one tenth."""
+    """Return every ratio that a tally has a quantity for, rounded up to a multiple of one half."""
     measured = [count for count, (quantity, _) in PER.items() if not quantity or tally.totals[quantity]]
     return {count: -(-round(tally.ratio(count) * ROUNDING, 6) // 1) / ROUNDING for count in measured}
 
