@@ -31,7 +31,7 @@ def test_it_keeps_every_promise_if_its_watchdog_was_set_over_usb():
 def test_without_its_watchdog_it_fails_by_that():
     rig = rig_on(VirtualBench("odrive", **OLD), "odrive", 0.1, OLD)
     failed = [check.name for check in checks(DeviceUnderTest(rig, 0.1, 0.05)) if check.verdict is Verdict.FAILED]
-    assert failed == ["lets go of a dead host, and stays off"]
+    assert failed == ["disables itself when the host falls silent, and stays off"]
 
 
 @pytest.mark.parametrize(("error", "words"), [(1 << 25, "emergency stop"), (1 << 13, "motor failed")])

@@ -135,9 +135,9 @@ def wait_until(true, timeout_s=60.0):
 
 @REALTIME
 def test_connect_reports_why_the_controller_ends(place, capfd):
-    with pytest.raises(DriveError, match="the controller ended: local:nobody: nobody serves this bus"):
+    with pytest.raises(DriveError, match="the controller ended: local:nobody: no simulator serves this bus"):
         library.connect("jamia", "local:nobody").__enter__()
-    assert "nobody serves this bus" in capfd.readouterr().err
+    assert "no simulator serves this bus" in capfd.readouterr().err
 
 
 @REALTIME

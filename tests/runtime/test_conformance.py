@@ -43,11 +43,11 @@ def test_a_light_shaft_and_a_slow_wire_make_no_failure(protocol, inertia, delay)
 
 
 BROKEN_PROMISE = {
-    "deaf": "disables when told, and says so",
-    "mute": "tells what it is, takes its settings and reads them back",
-    "readback": "tells what it is, takes its settings and reads them back",
+    "deaf": "disables on command, and reports it",
+    "mute": "identifies itself, takes its settings and reads them back",
+    "readback": "identifies itself, takes its settings and reads them back",
     "sign": "turns the positive way by positive torque",
-    "watchdog": "lets go of a dead host, and stays off",
+    "watchdog": "disables itself when the host falls silent, and stays off",
 }
 
 

@@ -42,7 +42,7 @@ def test_a_good_interface_has_only_good_findings():
     ("changes", "what", "fix"),
     [
         ({"link": {"flags": ["NOARP"]}}, "is down", "sudo ip link set can0 up"),
-        ({"data": {"bittiming": {"bitrate": 500_000}}}, "500000, the hand wants 1000000", "bitrate 1000000"),
+        ({"data": {"bittiming": {"bitrate": 500_000}}}, "500000, the hand needs 1000000", "bitrate 1000000"),
         ({"data": {"bittiming": {}}}, "not set", "bitrate 1000000"),
         ({"link": {"txqlen": 10}}, "queue of 10", 'ATTR{tx_queue_len}="128"'),
         ({"data": {"state": "BUS-OFF"}}, "BUS-OFF", "sudo ip link set can0 type can restart"),

@@ -105,7 +105,7 @@ def test_a_hand_whose_second_bus_has_a_controller_is_refused(
     assert "bus local:y: another controller runs here" in capsys.readouterr().err
     box.close()
     assert main(["commission", *words, "--json"]) == 1
-    assert "local:x: nobody serves this bus" in capsys.readouterr().err
+    assert "local:x: no simulator serves this bus" in capsys.readouterr().err
 
 
 def test_a_killed_controller_leaves_no_lock(folder: Path) -> None:

@@ -58,7 +58,7 @@ def connect(name: str) -> socket.socket:
     except OSError as error:
         link.close()
         right = f"a simulator there; type: python -m firmware_sim --hand jamia --bus local:{name}"
-        raise BusError(f"nobody serves this bus: {error.strerror or error}", f"local:{name}", right) from None
+        raise BusError(f"no simulator serves this bus: {error.strerror or error}", f"local:{name}", right) from None
     if not served_by_us(link):
         link.close()
         raise BusError("another user serves this bus", f"local:{name}", "a simulator of your own")

@@ -28,9 +28,10 @@ def check_spec(spec: str) -> None:
     """
     kind, _, channel = spec.partition(":")
     if not kind or not channel or "=" in kind:
-        raise ConfigError("is no bus", repr(spec), "local:NAME, socketcan:can0 or another python-can INTERFACE:CHANNEL")
+        right = "local:NAME, socketcan:can0 or another python-can INTERFACE:CHANNEL"
+        raise ConfigError("is not a bus", repr(spec), right)
     if kind == "local" and ("/" in channel or channel.startswith(".")):
-        raise ConfigError("is no name of a bus", repr(spec), "a plain name, as in local:demo")
+        raise ConfigError("is not a bus name", repr(spec), "a plain name, as in local:demo")
 
 
 def open_bus(spec: str, index: int, bitrate: int, data_bitrate: int | None = None, stamp: Stamp = _monotonic) -> Bus:

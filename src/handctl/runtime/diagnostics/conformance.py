@@ -90,7 +90,7 @@ def checks(device: DeviceUnderTest) -> Iterator[Check]:
 def _not_run(device: DeviceUnderTest, name: str, promise: Promise) -> Check:
     """Report a check that cannot be run. A drive that stayed enabled between checks has failed to disable."""
     if promise is _disables and device.rig.state.phase == Phase.ENABLED:
-        return Check(name, Verdict.FAILED, "was told to disable after another check, and does not say that it is")
+        return Check(name, Verdict.FAILED, "stays enabled after the disable command of another check")
     return Check(name, Verdict.NOT_APPLICABLE, "not run, because of what failed before")
 
 
@@ -108,14 +108,14 @@ def _configured(device: DeviceUnderTest) -> str:
     """Check that the drive takes its settings and becomes ready."""
     rig = device.rig
     if not rig.until(Want.POLL, lambda state: state.phase == Phase.READY, 5.0):
-        raise Failed(rig.state.error_text or f"nothing that leads on from {rig.state.phase.name}")
+        raise Failed(rig.state.error_text or f"stays in {rig.state.phase.name}")
     return "; ".join(rig.drive.caveats or ("settings read back",))
 
 
 def _enabled(rig: DriveRig) -> None:
     """Enable the drive. Raises Failed if the drive does not report that it is enabled."""
     if not rig.until(Want.ENABLE, lambda state: state.phase == Phase.ENABLED, 2.0):
-        raise Failed(rig.state.error_text or "is told to enable, and does not say that it is")
+        raise Failed(rig.state.error_text or "does not report that it is enabled within 2 s of the command")
 
 
 def _waits(device: DeviceUnderTest) -> str:
@@ -127,7 +127,7 @@ def _waits(device: DeviceUnderTest) -> str:
         raise Failed(rig.state.error_text or f"went to {rig.state.phase.name}")
     if math.isfinite(rig.velocity) and abs(rig.velocity) > STILL_RAD_S:
         raise NotApplicable(f"the shaft turns by itself, {rig.velocity:.2g} rad/s")
-    return f"{rig.state.feedback_count - before} times feedback meanwhile"
+    return f"{rig.state.feedback_count - before} feedback frames meanwhile"
 
 
 def _enables(device: DeviceUnderTest) -> str:
@@ -146,7 +146,7 @@ def _feedback(device: DeviceUnderTest) -> str:
     ages = sorted(rig.t_ns - rig.tick(Want.ENABLE).feedback_t_ns for _ in range(ticks))
     count = rig.state.feedback_count - start
     late = ages[-LATE_OF_100]
-    seen = f"{count} times in {ticks} ticks, at most {max(ages[-1], 0) / 1e6:.0f} ms old"
+    seen = f"{count} feedback frames in {ticks} ticks, at most {max(ages[-1], 0) / 1e6:.0f} ms old"
     if count < 0.8 * ticks or late > FRESH_NS:
         raise Failed(seen)
     return seen
@@ -167,7 +167,7 @@ def _turns(sign: int) -> Promise:
             raise Failed(f"{step.torque:+.3f} N m turned it by {sign * step.moved:+.3f} rad, the wrong way")
         if step.moved > MOVED_RAD:
             brake(rig, device.limit)
-            return f"at {step.torque:+.3f} N m; the drive tells {step.reported:+.3f} N m"
+            return f"at {step.torque:+.3f} N m; the drive reports {step.reported:+.3f} N m"
         raise _unmoved(device, sign, step.reported)
 
     return turns
@@ -176,9 +176,10 @@ def _turns(sign: int) -> Promise:
 def _unmoved(device: DeviceUnderTest, sign: int, torque: float) -> Exception:
     """Judge a shaft that did not turn at the torque limit, by the torque that the drive reported [N m]."""
     reported = sign * torque
+    limit = f"{sign * device.limit:+.3f} N m"
     if math.isfinite(reported) and reported < 0.3 * device.limit:
-        return Failed(f"{sign * device.limit:+.3f} N m did not turn it, and the drive tells {sign * reported:+.3f} N m")
-    return NotApplicable(f"did not turn at {sign * device.limit:+.3f} N m: held, or friction is larger")
+        return Failed(f"{limit} did not turn it, and the drive reports {sign * reported:+.3f} N m")
+    return NotApplicable(f"did not turn at {limit}: held, or friction is larger")
 
 
 def _holds_limit(device: DeviceUnderTest) -> str:
@@ -200,9 +201,9 @@ def _disables(device: DeviceUnderTest) -> str:
     _enabled(rig)
     start = rig.t_ns
     if not rig.until(Want.DISABLE, lambda state: state.phase != Phase.ENABLED, 1.0):
-        raise Failed("is told to disable, and does not say within 1 s that it is")
+        raise Failed("does not report within 1 s of the command that it is disabled")
     if rig.state.phase == Phase.FAULT:
-        raise Failed(f"is told to disable, and instead: {rig.state.error_text}")
+        raise Failed(f"reports a fault after the disable command: {rig.state.error_text}")
     return f"after {(rig.t_ns - start) / 1e6:.0f} ms"
 
 
@@ -229,11 +230,11 @@ def _clears(device: DeviceUnderTest) -> str:
     rig.cut()
     rig.keep(Want.LISTEN, 0.3)
     if not rig.until(Want.ENABLE, lambda state: state.phase != Phase.ENABLED, 0.5):
-        raise Failed("still enabled after the frames that take the torque away")
+        raise Failed("still enabled after the cut")
     text = rig.state.error_text
     rig.clear()
     if not rig.until(Want.POLL, lambda state: state.phase == Phase.READY, 3.0):
-        raise Failed(rig.state.error_text or "does not come back after it was cleared")
+        raise Failed(rig.state.error_text or "does not become ready after the clear")
     return f"{text or 'off'}, and ready again after a clear"
 
 
@@ -241,21 +242,21 @@ def _readable(device: DeviceUnderTest) -> str:
     """Check that every frame of the drive could be decoded."""
     state = device.rig.state
     if state.misread:
-        raise Failed(f"{state.misread} frames on its identifiers could not be read")
-    return f"{state.feedback_count} times feedback, every frame on its identifiers could be read"
+        raise Failed(f"{state.misread} frames on its identifiers could not be decoded")
+    return f"{state.feedback_count} feedback frames, every frame on its identifiers could be decoded"
 
 
 PROMISES: tuple[tuple[str, Promise, bool], ...] = (
-    ("tells what it is, takes its settings and reads them back", _configured, False),
+    ("identifies itself, takes its settings and reads them back", _configured, False),
     ("makes no torque until it is enabled", _waits, False),
-    ("enables when told, and says so", _enables, False),
+    ("enables on command, and reports it", _enables, False),
     ("gives feedback in every tick", _feedback, False),
     ("turns the positive way by positive torque", _turns(1), True),
     ("turns the negative way by negative torque", _turns(-1), True),
-    ("cannot be told more than its limit", _holds_limit, False),
-    ("disables when told, and says so", _disables, False),
-    ("lets go of a dead host, and stays off", _watchdog_disables, False),
-    ("is cut at once, and cleared by order only", _clears, False),
-    ("says nothing that cannot be read", _readable, False),
+    ("refuses commands above its limit", _holds_limit, False),
+    ("disables on command, and reports it", _disables, False),
+    ("disables itself when the host falls silent, and stays off", _watchdog_disables, False),
+    ("is cut at once, and cleared on command only", _clears, False),
+    ("sends only frames that can be decoded", _readable, False),
 )
 """Promise of the drive, its check, and True if the check turns the shaft."""

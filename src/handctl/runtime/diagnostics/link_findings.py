@@ -68,7 +68,7 @@ def findings(name: str, link: Link, bitrate: int, data_bitrate: int | None) -> l
 
 def _rate(what: str, has: int | None, required: int, fix: str) -> Finding:
     """Judge a bit rate [bit/s]."""
-    return Finding(f"{what} {has or 'not set'}, the hand wants {required}", has == required, fix)
+    return Finding(f"{what} {has or 'not set'}, the hand needs {required}", has == required, fix)
 
 
 def _controller(name: str, link: Link) -> list[Finding]:
