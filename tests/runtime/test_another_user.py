@@ -280,7 +280,7 @@ class Answering:
             ]
             self.taken += [event["text"].split()[1] for event in events]
             line = {"k": k, "t_s": k * 0.002, "mode": mode, "phase": "", "events": events}
-            if mode == "RELAX":
+            if mode == "RELAX" and (self.box.watchers or self._deaf):  # relaxing takes until a watcher has subscribed
                 mode = "" if self._deaf == "RELAX" else "DONE"
                 line |= {"mode": mode, "events": [{"name": "mode", "where": "", "text": self._end}]}
             if mode == "ACTIVE" and "stop" in self.taken:
