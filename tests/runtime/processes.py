@@ -21,7 +21,7 @@ READY_S = 60.0
 END_S = 200.0
 """Longest run of a verb [s]."""
 BUS = "local:t"
-SCALE = 0.25
+SCALE = 0.4
 """Time scale of simulator and controller: a stall of the machine is shorter in slowed time."""
 SERIAL = 0x4000
 """First serial number of the simulated drives. Each drive adds its number on the bus."""

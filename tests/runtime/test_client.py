@@ -179,7 +179,7 @@ def test_a_fault_is_reported_by_name(place, hand, calibrated, scale):
     with client:
         assert handctl("fault", "inject", "--bus", BUS, "snap tendon=index_tendon").returncode == 0
         with pytest.raises(DriveError, match="the controller ended: fault "):
-            client.move(index=60.0, duration_s=30.0)
+            client.move(index=60.0, duration_s=5.0)
         with pytest.raises(DriveError, match="the controller ended: fault "):
             client.state()
     assert client.result["failure"].startswith("fault ")
