@@ -333,7 +333,7 @@ def test_garbage_collection_is_restored_when_the_clock_does_not_begin(monkeypatc
 
 def test_a_long_run_has_the_lateness_of_its_last_ticks(monkeypatch: pytest.MonkeyPatch) -> None:
     """The lateness of a day at 500 Hz would take 330 MiB of locked memory."""
-    monkeypatch.setattr(loop, "KEPT", 16)
+    monkeypatch.setattr(loop, "LATENESS_RING", 16)
     run = Run(200, clock=ScriptedClock(list(range(200))))
     run.go()
     assert sorted(run.loop.stats.late_ns) == list(range(184, 200))

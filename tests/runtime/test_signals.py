@@ -5,7 +5,7 @@ import signal
 
 import pytest
 
-from handctl.runtime.loop import Signals
+from handctl.runtime.loop import StopSignals
 
 
 class TroubleError(Exception):
@@ -13,7 +13,7 @@ class TroubleError(Exception):
 
 
 def test_the_first_signal_stops_and_every_further_one_cuts() -> None:
-    signals = Signals()
+    signals = StopSignals()
     with signals.installed():
         assert signals.take() == ()
         os.kill(os.getpid(), signal.SIGINT)
@@ -27,7 +27,7 @@ def test_the_first_signal_stops_and_every_further_one_cuts() -> None:
 
 
 def test_two_signals_within_a_tick_both_count() -> None:
-    signals = Signals()
+    signals = StopSignals()
     with signals.installed():
         os.kill(os.getpid(), signal.SIGINT)
         os.kill(os.getpid(), signal.SIGINT)
@@ -36,7 +36,7 @@ def test_two_signals_within_a_tick_both_count() -> None:
 
 
 def test_a_closed_terminal_stops_the_hand_unless_under_nohup() -> None:
-    signals, before = Signals(), signal.getsignal(signal.SIGHUP)
+    signals, before = StopSignals(), signal.getsignal(signal.SIGHUP)
     with signals.installed():
         os.kill(os.getpid(), signal.SIGHUP)
         assert signals.take() == ('{"do": "stop"}',)
@@ -52,7 +52,7 @@ def test_a_closed_terminal_stops_the_hand_unless_under_nohup() -> None:
 
 def test_signal_handlers_are_restored() -> None:
     before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
-    signals = Signals()
+    signals = StopSignals()
 
     def interrupted() -> None:
         with signals.installed():

@@ -1,0 +1,1 @@
+"""Runtime: clocks, buses, the fixed-rate loop, and requests of other processes."""

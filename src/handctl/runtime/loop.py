@@ -1,8 +1,8 @@
-"""The fixed-rate loop: wait, drain, tick, send, record. The same loop in real time and in lockstep.
+"""The fixed-rate loop: wait, drain, tick, send, record. The same loop runs in real time and in lockstep.
 
-No catching up: a deadline that was missed is skipped, the tick number jumps, and the tick itself judges that. This
-module holds the only broad ``except`` of the project: whatever goes wrong inside a tick, the drives are told to let go,
-and asked whether they did, before the error travels on.
+The loop never catches up. It skips a missed deadline, the tick number jumps, and the tick itself judges the
+gap. This module has the only broad ``except`` of the project: after any error inside a tick the loop
+disables the drives and polls whether they are off, before it raises the error again.
 """
 
 import gc
@@ -29,35 +29,46 @@ Tick = Callable[[S, TickIn], tuple[S, TickOut]]
 """The pure function of one tick."""
 
 
-CUT_TRIES, CUT_PAUSE_S = 20, 1e-3
-"""How often the last cut is sent to an interface that refuses it, and the pause between: a frame takes 0.1 ms."""
+CUT_TRIES = 20
+"""Tries of the last cut on an interface that refuses it."""
+CUT_PAUSE_S = 1e-3
+"""Pause between these tries [s]. A frame takes 0.1 ms on the wire."""
 
 CONFIRM_NS = 500_000_000
-"""How long drives are asked after an error whether they are off; a heartbeat may come every 100 ms."""
+"""Time in which the drives are polled after an error [ns]. A heartbeat may come every 100 ms."""
 
-KEPT = 1 << 18
-"""Ticks whose lateness is kept in memory: 2 MiB, however long a run is; its memory may be locked."""
+LATENESS_RING = 1 << 18
+"""Ticks whose lateness is in memory: 2 MiB for a run of any length. The memory may be locked."""
 
 
 class LoopBus(Protocol):
-    """What the loop asks of a bus; see ``runtime.buses.contract``."""
+    """The part of a bus that the loop needs, see ``runtime.buses.contract``."""
 
-    def drain(self) -> Frames: ...
-    def send(self, frames: Sequence[Frame]) -> int: ...
-    def take_events(self) -> list[tuple[str, str, int]]: ...
+    def drain(self) -> Frames:
+        """Return the received frames."""
+        ...
+
+    def send(self, frames: Sequence[Frame]) -> int:
+        """Send frames and return the number of accepted ones."""
+        ...
+
+    def take_events(self) -> list[tuple[str, str, int]]:
+        """Return the events since the last call."""
+        ...
 
 
 @dataclass
 class LoopStats:
-    """What the loop did.
+    """Statistics of a run of the loop.
 
     Attributes:
-        ticks: ticks run.
-        missed: deadlines skipped.
-        late_ns: lateness of the last ``KEPT`` ticks, in no order once there were more [ns]; the log has it of all.
-        frames_tx, frames_rx: frames sent and received.
-        refused: frames that the bus did not take.
-        cpu_s: that this process computed while the loop ran [s].
+        ticks: number of ticks.
+        missed: number of skipped deadlines.
+        late_ns: lateness of the last ``LATENESS_RING`` ticks [ns]. Unordered after more ticks. The log has all.
+        frames_tx: sent frames.
+        frames_rx: received frames.
+        refused: frames that the bus refused.
+        cpu_s: CPU time of this process during the loop [s].
     """
 
     ticks: int = 0
@@ -69,21 +80,28 @@ class LoopStats:
     cpu_s: float = 0.0
 
 
-class Signals:
-    """Signals that end a program, as requests: the first relaxes and stops, the second cuts.
+class StopSignals:
+    """Signals that end a program, as requests. The first signal relaxes and stops the hand, the second cuts.
 
-    SIGHUP is one of them, or a hand would be left armed when a terminal goes; with ``nohup`` it stays ignored.
+    SIGHUP is one of them, because a closed terminal would otherwise leave the hand armed. Under ``nohup`` it
+    stays ignored.
+
+    Attributes:
+        count: number of received signals.
+        seen: number of signals that ``take`` has turned into requests.
     """
 
     def __init__(self) -> None:
+        """Start without a signal."""
         self.count = 0
         self.seen = 0
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
+        """Count a signal. This is the signal handler."""
         self.count += 1
 
     def take(self) -> tuple[str, ...]:
-        """Requests for the signals since the last call."""
+        """Return the request for the next signal, one signal per tick."""
         if self.seen == self.count:
             return ()
         self.seen += 1
@@ -91,14 +109,14 @@ class Signals:
 
     @contextmanager
     def installed(self) -> Iterator[None]:
-        """Receive the signals while the loop runs."""
-        hangs_up = signal.getsignal(signal.SIGHUP) != signal.SIG_IGN
-        with handling(self, signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hangs_up else [])):
+        """Receive the signals in a block."""
+        under_nohup = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+        with handling(self, signal.SIGINT, signal.SIGTERM, *([] if under_nohup else [signal.SIGHUP])):
             yield
 
 
-def _keep_nothing(entry: TickIn, state: object) -> None:
-    """Keep no state."""
+def _no_snapshot(entry: TickIn, state: object) -> None:
+    """Record no snapshot of the state."""
 
 
 @dataclass
@@ -107,18 +125,19 @@ class Loop(Generic[S]):
 
     Attributes:
         clock: real time or lockstep.
-        period_ns: control period.
-        buses: in the order of the hand's buses (one object may stand for all of them).
+        period_ns: control period [ns].
+        buses: in the order of the hand's buses. One object may serve all of them.
         tick: the pure function.
         cut: frames that take the torque away, built before the run.
-        requests: what people and programs asked since the last call.
-        host_events: what recorder and host reported since the last call.
+        requests: returns the requests of operators and programs since the last call.
+        host_events: returns the events of recorder and host since the last call.
         record: hands one tick to the recorder.
-        keep: hands the state after a tick to the recorder now and then.
-        show: called after each tick; draws now and then.
-        let_go: tells the drives once more to disable, from the last state, the time [ns] and the frames since; what it
-            returns: the state after that, frames to send, and the drives that have not said yet that they are off.
-        urgent: what the ticks run in, and nothing before or after them.
+        keep: hands the state after a tick to the recorder at intervals.
+        show: draws the state of a tick at intervals.
+        let_go: disables the drives again, given the last state, the time [ns] and the frames since. It returns the
+            state after that, frames to send, and the drives that have not reported yet that they are off.
+        urgent: context of the ticks, such as real-time priority. Nothing before or after them runs in it.
+        stats: of this run.
     """
 
     clock: Clock
@@ -130,23 +149,23 @@ class Loop(Generic[S]):
     host_events: Callable[[], list[IoEvent]]
     record: Callable[[TickIn, TickOut], None]
     show: Callable[[TickIn, TickOut], None]
-    keep: Callable[[TickIn, S], None] = _keep_nothing
+    keep: Callable[[TickIn, S], None] = _no_snapshot
     let_go: Callable[[S, int, list[Frame]], tuple[S, tuple[Frame, ...], tuple[str, ...]]] | None = None
     urgent: Callable[[], AbstractContextManager[object]] = nullcontext
     stats: LoopStats = field(default_factory=LoopStats)
     _k: int = 0
 
     def run(self, state: S) -> S:
-        """Run ticks until the hand is disarmed and done; the final state."""
+        """Run ticks until the hand is disarmed and done. Returns the final state."""
         self._warm_up(state)
-        gc.collect()
+        gc.collect()  # a collection inside a tick would make it late
         gc.freeze()
         gc.disable()
         cpu_s = time.process_time()
         try:
             with self.urgent():
                 self.clock.begin()
-                for bus in self.buses:
+                for bus in self.buses:  # frames from before the run belong to no tick
                     bus.drain()
                 return self._guarded(state)
         finally:
@@ -155,10 +174,10 @@ class Loop(Generic[S]):
             self.stats.cpu_s = time.process_time() - cpu_s
 
     def _guarded(self, state: S) -> S:
-        """Run; on any error tell the drives to let go before it travels on.
+        """Run. After any error disable the drives before raising it again.
 
         Raises:
-            PowerError: from that error, if a drive did not say that it is off.
+            PowerError: from that error, if a drive did not report that it is off.
         """
         last = [state]
         try:
@@ -174,21 +193,21 @@ class Loop(Generic[S]):
             raise
 
     def _still_on(self, state: S) -> tuple[str, ...]:
-        """Drives that may be on and do not say that they are off, however often they are asked."""
+        """Disable and poll the drives after an error. Returns the drives that do not report that they are off."""
         if self.let_go is None:
             return ()
         left: tuple[str, ...] = ()
         for k in range(self._k + 1, self._k + 2 + CONFIRM_NS // self.period_ns):
             self.clock.wait(k)
-            heard = [frame for bus in self.buses for frame in bus.drain()]
-            state, frames, left = self.let_go(state, k * self.period_ns, heard)
+            received = [frame for bus in self.buses for frame in bus.drain()]
+            state, frames, left = self.let_go(state, k * self.period_ns, received)
             if not left:
                 break
             self._send(frames)
         return left
 
     def _send_cut(self) -> None:
-        """Cut on every bus; what finds a queue full of the last tick's commands goes out as soon as there is room."""
+        """Cut on every bus. Repeat frames that found the queue full of the last tick's commands."""
         alone = len(self.buses) == 1
         left = [(bus, [f for f in self.cut if f.bus == index or alone]) for index, bus in enumerate(self.buses)]
         for _ in range(CUT_TRIES):
@@ -198,27 +217,28 @@ class Loop(Generic[S]):
             time.sleep(CUT_PAUSE_S)
 
     def _cut(self, left: list[tuple[LoopBus, list[Frame]]]) -> None:
-        """Send on every bus, also behind one that fails, and keep what was not taken."""
+        """Send on every bus and remove the accepted frames. A bus that raises does not stop the cut on the others."""
         if not left:
             return
         (bus, frames), *others = left
-        try:
+        try:  # the recursion in ``finally`` reaches the other buses before the error goes on
             if frames:
                 del frames[: bus.send(frames)]
         finally:
             self._cut(others)
 
     def _warm_up(self, state: S) -> None:
-        """Run a tick for nothing, so that what is built or imported at first use does not make the first one late."""
+        """Run a tick without effect. Objects and imports of the first use would make the first real tick late."""
         self.tick(state, TickIn(0, 0))
 
     def _run(self, last: list[S]) -> S:
-        """Run from the last state to the end; what is in ``last`` is always of a tick that was whole."""
-        k, mode = 0, Mode.SILENT
+        """Run from the last state to the end. ``last`` always has the state after a complete tick."""
+        k = 0
+        mode = Mode.SILENT
         while mode != Mode.DONE:
             self._k = k
             late = self.clock.wait(k)
-            skipped = late // self.period_ns
+            skipped = late // self.period_ns  # a missed deadline is skipped, never caught up
             k += skipped
             entry = self._collect(k, late - skipped * self.period_ns)
             last[0], out = self.tick(last[0], entry)
@@ -232,6 +252,7 @@ class Loop(Generic[S]):
         return last[0]
 
     def _collect(self, k: int, late_ns: int) -> TickIn:
+        """Collect frames, events and requests for a tick."""
         parts: list[Frames] = []
         events = self.host_events()
         for bus in self.buses:
@@ -241,22 +262,24 @@ class Loop(Generic[S]):
         return TickIn(k, k * self.period_ns, late_ns, frames, tuple(events), self.requests())
 
     def _send(self, frames: Sequence[Frame]) -> None:
+        """Send each frame on its bus and count accepted and refused frames."""
         if len(self.buses) == 1:
             accepted = self.buses[0].send(frames)
         else:
             records = frames_of(frames).records
             wires = records["bus"]
-            shares = [Frames(records[wires == index]) for index in range(len(self.buses))]
-            accepted = sum(bus.send(share) for bus, share in zip(self.buses, shares, strict=True))
+            parts = [Frames(records[wires == index]) for index in range(len(self.buses))]
+            accepted = sum(bus.send(part) for bus, part in zip(self.buses, parts, strict=True))
         self.stats.frames_tx += accepted
         self.stats.refused += len(frames) - accepted
 
     def _count(self, entry: TickIn, skipped: int, late: int) -> None:
+        """Count a tick and record its lateness."""
         stats = self.stats
-        if stats.ticks < KEPT:
+        if stats.ticks < LATENESS_RING:
             stats.late_ns.append(late)
         else:
-            stats.late_ns[stats.ticks % KEPT] = late
+            stats.late_ns[stats.ticks % LATENESS_RING] = late
         stats.ticks += 1
         stats.missed += skipped
         stats.frames_rx += len(entry.frames)

@@ -25,7 +25,7 @@ from handctl.programs.program import Program
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.clock import Clock, Priority, RealClock, give_back_priority, prepare_priority, realtime_priority
 from handctl.runtime.lockstep import LockstepBus, LockstepClock
-from handctl.runtime.loop import Loop, LoopBus, LoopStats, Signals
+from handctl.runtime.loop import Loop, LoopBus, LoopStats, StopSignals
 from handctl.runtime.mailbox import CLEAR, Mailbox, bus_lock
 from handctl.runtime.status import status
 from handctl.runtime.suspend import SuspendWatch
@@ -143,7 +143,7 @@ def run_live(
         display = plan.display(plan) if plan.display else None
         if live_view:
             stack.callback(_start_view(log))
-        signals = Signals()
+        signals = StopSignals()
         stack.enter_context(signals.installed())
         show = _attended(attendant, _shows(display, mailbox, plan.rate_hz))
         asks = _asking(attendant, _requests(plan, signals, mailbox))
@@ -227,7 +227,7 @@ def _loop(
     )
 
 
-def _requests(plan: Plan, signals: Signals, mailbox: Mailbox) -> Callable[[], tuple[str, ...]]:
+def _requests(plan: Plan, signals: StopSignals, mailbox: Mailbox) -> Callable[[], tuple[str, ...]]:
     """What people and programs ask, tick after tick; an order from the command line is the first."""
     orders = [CLEAR] if plan.clear else []
 

@@ -1,7 +1,7 @@
 """How a verb ends that does not end by itself: by a signal, or by a bug.
 
 Where no hand runs a signal unwinds the verb, so that files, children and sockets are put away; while a hand runs the
-loop has the signals: see ``runtime.loop.Signals``.
+loop has the signals: see ``runtime.loop.StopSignals``.
 """
 
 import atexit
