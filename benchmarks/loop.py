@@ -121,7 +121,7 @@ def bare_spin(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]:
 
     clock = RealClock(round(1e9 / rate_hz))
     clock.spin = take_priority().realtime
-    clock.begin()
+    clock.start()
     late, k = [], 1
     while k < seconds * rate_hz:
         late.append(clock.wait(k))

@@ -42,7 +42,7 @@ class FreeClock:
 
     fd: int
 
-    def begin(self):
+    def start(self):
         return
 
     def wait(self, k):

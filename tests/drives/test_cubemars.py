@@ -137,9 +137,9 @@ def test_of_the_contract_only_what_needs_a_state_in_the_feedback_cannot_be_kept(
     failed = [check for check in found if check.verdict is not Verdict.PASSED]
     dead_host, cut = failed
     assert dead_host.name == "disables itself when the host falls silent, and stays off"
-    assert "has none" in dead_host.why
+    assert "has none" in dead_host.reason
     assert cut.name == "is cut at once, and cleared on command only"
-    assert "still enabled" in cut.why, "it is not, and does not tell"
+    assert "still enabled" in cut.reason, "it is not, and does not tell"
     assert rig.confirm_off(0.05)
     assert place.bench.motors[0].servo.torque == 0.0
 

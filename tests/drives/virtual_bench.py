@@ -31,7 +31,7 @@ class VirtualBench:
         self.waiting, self.top = [], 0.0
         self.late = [[] for _ in range(delay)]  # what the wire still holds, tick by tick
 
-    def begin(self):
+    def start(self):
         pass
 
     def wait(self, k):

@@ -36,7 +36,7 @@ class Wall:
 def test_deadlines_are_absolute_and_scaled(monkeypatch: pytest.MonkeyPatch, scale: float, spin: bool) -> None:
     wall = Wall(monkeypatch, overshoot=20_000)
     clock = RealClock(PERIOD, scale, spin)
-    clock.begin()
+    clock.start()
     start = clock.start_ns
     for k in range(50):
         late = clock.wait(k)
@@ -49,7 +49,7 @@ def test_deadlines_are_absolute_and_scaled(monkeypatch: pytest.MonkeyPatch, scal
 def test_lateness_is_in_the_runs_time_and_shifts_no_later_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
     wall = Wall(monkeypatch)
     clock = RealClock(PERIOD, 0.1)
-    clock.begin()
+    clock.start()
     clock.wait(0)
     wall.now = clock.start_ns + 25 * PERIOD  # tick 1 was due after ten periods of wall time, tick 2 after twenty
     assert clock.wait(1) == pytest.approx(1.5 * PERIOD, abs=1000)
@@ -61,7 +61,7 @@ def test_it_spins_only_before_the_deadline(monkeypatch: pytest.MonkeyPatch) -> N
     for spin, left in ((True, 60_000), (False, 0)):
         wall = Wall(monkeypatch)
         clock = RealClock(PERIOD, 1.0, spin)
-        clock.begin()
+        clock.start()
         clock.wait(0)
         wall.slept.clear()
         clock.wait(1)
@@ -72,7 +72,7 @@ def test_it_spins_only_before_the_deadline(monkeypatch: pytest.MonkeyPatch) -> N
 def test_stamps_before_the_beginning_are_negative(monkeypatch: pytest.MonkeyPatch) -> None:
     wall = Wall(monkeypatch)
     clock = RealClock(PERIOD, 0.5)
-    clock.begin()
+    clock.start()
     assert clock.of(clock.start_ns) == 0
     assert clock.of(clock.start_ns + 4_000_000) == 2_000_000
     assert clock.of(wall.now) < 0
@@ -82,7 +82,7 @@ def test_stamps_before_the_beginning_are_negative(monkeypatch: pytest.MonkeyPatc
 @pytest.mark.alone
 def test_the_real_clock_keeps_time() -> None:
     clock = RealClock(PERIOD)
-    clock.begin()
+    clock.start()
     late = [clock.wait(k) for k in range(200)]
     assert min(late) >= 0
     assert statistics.median(late) < PERIOD / 2

@@ -68,10 +68,10 @@ def test_a_blocked_shaft_is_no_failure(protocol):
     failures, _, _ = judged(protocol, inertia=100.0)
     check = failures["turns the positive way by positive torque"]
     assert check.verdict is Verdict.NOT_APPLICABLE
-    assert "did not turn at +0.100 N m" in check.why
+    assert "did not turn at +0.100 N m" in check.reason
 
 
 def test_an_odrive_without_watchdog_fails_that_check_only():
     failures, _, _ = judged("odrive", options={"torque_feedback": True})
     assert failed(failures) == [BROKEN_PROMISE["watchdog"]]
-    assert "CANSimple cannot read it" in failures[BROKEN_PROMISE["watchdog"]].why
+    assert "CANSimple cannot read it" in failures[BROKEN_PROMISE["watchdog"]].reason

@@ -12,10 +12,10 @@ def test_everything_is_compiled_before_the_clock_begins(monkeypatch: pytest.Monk
     order = []
 
     class Clock:
-        def begin(self) -> None:
-            order.append("begin")
+        def start(self) -> None:
+            order.append("start")
 
     monkeypatch.setattr(drive_rig, "prepare", lambda: order.append("prepare"))
     drive = MitDrive("m", 0, 1, 0x101, Ranges(12.5, 50.0, 0.8), 1, 0.0, 1000)
     drive_rig.DriveRig(drive, None, Clock())  # type: ignore[arg-type]
-    assert order == ["prepare", "begin"]
+    assert order == ["prepare", "start"]

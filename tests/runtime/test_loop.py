@@ -30,7 +30,7 @@ class ScriptedClock:
     asked: list[int] = field(default_factory=list)
     began: int = 0
 
-    def begin(self) -> None:
+    def start(self) -> None:
         self.began += 1
 
     def wait(self, k: int) -> int:
@@ -324,7 +324,7 @@ def test_garbage_collection_is_off_in_the_loop_only(failing: bool) -> None:
 
 def test_garbage_collection_is_restored_when_the_clock_does_not_begin(monkeypatch: pytest.MonkeyPatch) -> None:
     run = Run(3)
-    monkeypatch.setattr(run.clock, "begin", raising)
+    monkeypatch.setattr(run.clock, "start", raising)
     with pytest.raises(TroubleError):
         run.go()
     assert gc.isenabled()

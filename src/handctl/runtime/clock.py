@@ -20,7 +20,7 @@ SPIN_NS = 60_000
 class Clock(Protocol):
     """The clock that the control loop needs. All times are in the run's time unless wall time is named."""
 
-    def begin(self) -> None:
+    def start(self) -> None:
         """Start the run's time. Tick 0 is next."""
         ...
 
@@ -49,7 +49,7 @@ class RealClock:
     spin: bool = False
     start_ns: int = 0
 
-    def begin(self) -> None:
+    def start(self) -> None:
         """Start the run's time. The deadline of tick 0 is one period from now."""
         self.start_ns = time.monotonic_ns() + int(self.period_ns / self.scale)
 

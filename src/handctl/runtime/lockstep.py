@@ -96,7 +96,7 @@ class LockstepClock:
         self.k = 0
         self.incoming = []
 
-    def begin(self) -> None:
+    def start(self) -> None:
         """Do nothing. The peer's time stands still until the first step."""
 
     def wait(self, k: int) -> int:

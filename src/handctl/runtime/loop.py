@@ -164,7 +164,7 @@ class Loop(Generic[S]):
         cpu_s = time.process_time()
         try:
             with self.urgent():
-                self.clock.begin()
+                self.clock.start()
                 for bus in self.buses:  # frames from before the run belong to no tick
                     bus.drain()
                 return self._guarded(state)

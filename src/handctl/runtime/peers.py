@@ -25,20 +25,20 @@ def name_senders(link: socket.socket) -> None:
         link.setsockopt(socket.SOL_SOCKET, SO_PASSCRED, 1)
 
 
-def receive(link: socket.socket, most: int) -> tuple[bytes, str, bool]:
+def receive(link: socket.socket, max_bytes: int) -> tuple[bytes, str, bool]:
     """Receive one datagram from a socket that ``name_senders`` has set up.
 
     Args:
         link: socket to read from.
-        most: size of the buffer [bytes]. A longer datagram is truncated.
+        max_bytes: size of the buffer [bytes]. A longer datagram is truncated.
 
     Returns:
         the data, the path of the sender's socket (empty if it is unbound), and whether the sender is trusted.
     """
     if not LINUX:
-        data, sender = link.recvfrom(most)
+        data, sender = link.recvfrom(max_bytes)
         return data, sender if isinstance(sender, str) else "", True
-    data, ancillary, _, sender = link.recvmsg(most, SPACE)
+    data, ancillary, _, sender = link.recvmsg(max_bytes, SPACE)
     users = [CREDENTIALS.unpack(raw)[1] for level, kind, raw in ancillary
              if (level, kind) == (socket.SOL_SOCKET, SCM_CREDENTIALS) and len(raw) == CREDENTIALS.size]  # fmt: skip
     return data, sender if isinstance(sender, str) else "", bool(users) and all(map(trusted, users))

@@ -85,7 +85,7 @@ class Hand:
         self.states = [drive.initial() for drive in self.drives]
         self.k = 0
         prepare()  # as a controller does: else the first command compiles, and watchdogs do not wait
-        self.clock.begin()
+        self.clock.start()
 
     def tick(self, want: Want, torque: float = 0.0) -> None:
         self.clock.wait(self.k)

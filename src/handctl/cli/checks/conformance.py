@@ -174,7 +174,7 @@ def _checked(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tuple[
             for check in checks(DeviceUnderTest(rig, args.limit, WATCHDOG_MS / 1e3)):
                 results.append(check)
                 if not args.json:
-                    print(f"{MARKS[check.verdict]}  {check.name}: {check.why}", flush=True)
+                    print(f"{MARKS[check.verdict]}  {check.name}: {check.reason}", flush=True)
         finally:
             bus.send(drive.cut())
             off = rig.confirm_off(WATCHDOG_MS / 1e3)
@@ -198,7 +198,7 @@ def _plain(args: argparse.Namespace, found: Found, results: list[Check], off: bo
         "firmware": found.firmware,
         "serial": found.serial,
         "confirmed_off": off,
-        "checks": [{"name": check.name, "verdict": check.verdict.value, "why": check.why} for check in results],
+        "checks": [{"name": check.name, "verdict": check.verdict.value, "why": check.reason} for check in results],
     }
 
 

@@ -101,7 +101,7 @@ class LocalBus:
         self._dropped = 0
         self.early = EMPTY
         self._sent = self._left_queue = self._depth = 0
-        self._gone = False
+        self._closed = False
 
     def _allocate(self, count: int) -> None:
         """Allocate a send buffer for ``count`` records."""
@@ -124,7 +124,7 @@ class LocalBus:
 
     def _read(self, buffer: memoryview) -> int:
         """Read into a buffer and return the number of bytes. 0 if nothing has arrived."""
-        if self._gone:
+        if self._closed:
             return 0
         try:
             size = self._socket.recv_into(buffer)
@@ -138,7 +138,7 @@ class LocalBus:
 
     def _lose(self) -> None:
         """Report from now on that the hub is gone."""
-        self._gone = True
+        self._closed = True
         self._events.lasting("enodev", True)
 
     def _take(self, filled: int) -> Frames:
@@ -207,7 +207,7 @@ class LocalBus:
             frames = self._fitting(frames)
         records = self._packed(frames)
         waiting = self._rest + records if self._rest else records
-        if self._gone or not waiting:
+        if self._closed or not waiting:
             return 0
         try:
             sent = self._socket.send(waiting)
@@ -263,5 +263,5 @@ class LocalBus:
 
     def close(self) -> None:
         """Close the socket."""
-        self._gone = True
+        self._closed = True
         self._socket.close()

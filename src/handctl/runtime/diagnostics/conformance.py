@@ -35,12 +35,12 @@ class Check(NamedTuple):
     Attributes:
         name: what the drive promises.
         verdict: result of the check.
-        why: reason in one line.
+        reason: in one line.
     """
 
     name: str
     verdict: Verdict
-    why: str
+    reason: str
 
 
 class Failed(Exception):  # noqa: N818 - a verdict, not an error; never leaves this module
@@ -76,14 +76,14 @@ def checks(device: DeviceUnderTest) -> Iterator[Check]:
     check that turns the shaft is not run after the first has failed.
     """
     usable = True
-    wrong_way = False
+    reversed_turn = False
     for name, promise, turns in PROMISES:
-        if not usable or (turns and wrong_way):
+        if not usable or (turns and reversed_turn):
             yield _not_run(device, name, promise)
             continue
         check = _run_check(device, name, promise)
         yield check
-        wrong_way |= turns and check.verdict is Verdict.FAILED
+        reversed_turn |= turns and check.verdict is Verdict.FAILED
         usable = device.rig.rest()
 
 

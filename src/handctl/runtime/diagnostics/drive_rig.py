@@ -45,7 +45,7 @@ class DriveRig:
         self.inertia = math.nan
         self.events: list[tuple[str, str, int]] = []
         self._positions = [math.nan] * (SPAN + 1)
-        clock.begin()
+        clock.start()
 
     def take(self, drive: Drive) -> None:
         """Continue with another description of the same drive, from its initial state."""
