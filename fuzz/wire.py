@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from fuzz.drives import DRIVES
 from handctl.core.schema import Block
-from handctl.drives.contract import Drive, DriveState, Phase, Want
+from handctl.drives.contract import Drive, DriveState, DriveTarget, Phase
 from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
 from tests.drives.protocol_bench import Bench, hand_file
 from tests.drives.wired import Wired
@@ -24,7 +24,7 @@ SILENCE = 240
 """Third byte from which a silence precedes the frame."""
 MARKS = (0, 0, 0, 0, 0, EXTENDED, REMOTE, ERROR)
 MAX_FRAMES = 5
-WANTS = tuple(Want)
+WANTS = tuple(DriveTarget)
 CLEAR = 0x40
 """Bit of the third byte that clears an error."""
 LONGEST = 64
@@ -66,7 +66,7 @@ def path_to_torque(name: str, folder: Path) -> tuple[Drive, list[Seen]]:
         if received or not seen:
             seen.append(Seen(bench.states[0], bench.k * bench.period_ns, received))
         ready = all(state.phase >= Phase.READY for state in bench.states)
-        bench.tick(Want.ENABLE if ready else Want.POLL)
+        bench.tick(DriveTarget.ENABLE if ready else DriveTarget.POLL)
     seen.append(Seen(bench.states[0], bench.k * bench.period_ns, ()))
     bench.rig.close()
     return motor, seen
@@ -84,7 +84,7 @@ def answers(name: str, folder: Path) -> list[bytes]:
 
 def _shape(payload: bytes) -> tuple[int, int]:
     """Return the second and third byte before a payload."""
-    return (1, int(Want.POLL)) if len(payload) == 8 else (0, len(payload))
+    return (1, int(DriveTarget.POLL)) if len(payload) == 8 else (0, len(payload))
 
 
 def drive(name: str) -> Callable[[Path], Target]:
@@ -116,8 +116,8 @@ def _advance(motor: Drive, state: DriveState, t_ns: int, more: int) -> tuple[Dri
         motor.cause(state.error)
         if more & CLEAR:
             return motor.clear(state)
-    want = WANTS[more % len(WANTS)]
-    return motor.advance(state, t_ns, want, 0.1 if want == Want.ENABLE else 0.0)
+    target = WANTS[more % len(WANTS)]
+    return motor.advance(state, t_ns, target, 0.1 if target == DriveTarget.ENABLE else 0.0)
 
 
 def sensors(folder: Path) -> Target:

@@ -66,12 +66,12 @@ class Ours:
         import numpy as np
 
         from handctl.core import wire
-        from handctl.drives.contract import Want
+        from handctl.drives.contract import DriveTarget
         from handctl.drives.records import WORDS
         from handctl.runtime.buses.open import open_bus
 
         self.controller, state = enabled(motors)
-        self.state, self.want, self.begin, self.np = state.copy(), Want.ENABLE, wire.begin, np
+        self.state, self.want, self.begin, self.np = state.copy(), DriveTarget.ENABLE, wire.begin, np
         self.shape = 1 + motors, WORDS
         self.bus = open_bus(f"{interface}:{channel}", 0, 1_000_000)
         self.t_ns = self.state.k * round(1e9 / RATE_HZ)

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from handctl.errors import ConfigError
-from handctl.hand.file.messages import key_path, shown
+from handctl.hand.file.error_text import key_path, shown
 from handctl.hand.load import read_toml
 
 

@@ -9,7 +9,7 @@ from handctl.cli.checks.bus_plan import plan
 from handctl.cli.main import main
 from handctl.controller.bus_load import bus_loads, split
 from handctl.controller.setup import make_drives
-from handctl.drives.load import MOST, bus_time_s
+from handctl.drives.frame_time import MAX_BUS_LOAD, bus_time_s
 from handctl.hand.load import hand_path, load_hand
 
 
@@ -36,7 +36,7 @@ def test_every_bus_of_a_split_fits(rate: float) -> None:
     assert sorted(name for names in buses for name in names) == sorted(drives)
     for names in buses:
         frames = [(size, fd, 1.0) for name in names for size, fd in drives[name].exchange]
-        assert rate * bus_time_s(frames, 1e6) <= MOST
+        assert rate * bus_time_s(frames, 1e6) <= MAX_BUS_LOAD
 
 
 def test_a_rate_that_no_split_reaches_is_said() -> None:
@@ -84,7 +84,9 @@ def test_the_table_of_bare_protocols(
     rows = json.loads(capsys.readouterr().out)["rows"]
     (row,) = [row for row in rows if (row["protocol"], row["fd"], row["motors"]) == (protocol, fd, motors)]
     assert row["tick_us"] == pytest.approx(tick_us, rel=0.02)
-    assert row["max_hz"] == pytest.approx(most * MOST / 0.80, rel=0.02), "the rate at the limit of every other plan"
+    assert row["max_hz"] == pytest.approx(most * MAX_BUS_LOAD / 0.80, rel=0.02), (
+        "the rate at the limit of every other plan"
+    )
     assert [100 * row["load"][rate] for rate in ("250", "500", "1000")] == pytest.approx(loads, rel=0.02)
 
 

@@ -6,7 +6,7 @@ from handctl.cli.checks import conformance
 from handctl.cli.main import main
 from handctl.cli.runs import commission
 from handctl.cli.tuning import identify
-from handctl.drives.discovery import Found
+from handctl.drives.discovery import DiscoveredNode
 from handctl.errors import PowerError
 from handctl.runtime.diagnostics.drive_rig import DriveRig
 from handctl.runtime.loop import LoopStats
@@ -58,7 +58,7 @@ def test_a_check_that_is_interrupted_says_whether_the_drive_is_off(monkeypatch, 
 
     monkeypatch.setattr(conformance, "checks", interrupted)
     monkeypatch.setattr(conformance, "open_bus", lambda *what: Bus())
-    monkeypatch.setattr(conformance, "_found", lambda args: Found("mit", 1))
+    monkeypatch.setattr(conformance, "_found", lambda args: DiscoveredNode("mit", 1))
     monkeypatch.setattr(DriveRig, "confirm_off", lambda rig, watchdog_s: off)
     words = ("--drive", "mit", "--node", "1", "--bus", "local:nobody", "--torque-limit-Nm", "0.1", "--yes")
     assert main(["conformance", *words]) == code

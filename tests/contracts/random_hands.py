@@ -205,12 +205,12 @@ def _enabled(drive: Any, protocol: str) -> DriveState:
     known: DriveState = drive.initial()
     private: Any = known.private
     if protocol != "odrive":
-        private = private._replace(asked=True, check=readback.begin_recheck(drive.node_id, 0))
+        private = private._replace(enable_sent=True, check=readback.first_recheck(drive.node_id, 0))
     if protocol == "mit":
         private = private._replace(configured=True)
     if protocol == "cia402":
-        walk = private.walk._replace(step=len(drive.steps))
-        private = private._replace(walk=walk, power=cia402.OPERATION_ENABLED, heard_ns=0)
+        cursor = private.cursor._replace(step=len(drive.steps))
+        private = private._replace(cursor=cursor, power=cia402.OPERATION_ENABLED, life_sign_ns=0)
     return known._replace(phase=Phase.ENABLED, private=private)
 
 

@@ -1,4 +1,4 @@
-"""A drive beside a motor, walked tick by tick as the controller does it."""
+"""A drive with a scripted motor, run tick by tick as in the controller."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from handctl.drives.contract import DriveState, Phase, Want
+from handctl.drives.contract import DriveState, DriveTarget, Phase
 from handctl.drives.frame import Frame
 from handctl.drives.mit.drive import MitDrive
 from tests.drives.motor import ScriptedMotor
@@ -31,7 +31,7 @@ class Section:
 
 
 @dataclass
-class Walk:
+class MotorRig:
     """The drive, what it knows, and the motor; time goes on by one period a tick."""
 
     drive: MitDrive
@@ -41,28 +41,28 @@ class Walk:
     sent: list[Frame] = field(default_factory=list)
     pending: list[Frame] = field(default_factory=list)
 
-    def tick(self, want: Want, torque: float = 0.0) -> DriveState:
+    def tick(self, target: DriveTarget, torque: float = 0.0) -> DriveState:
         """Receive what was answered, advance, let the motor answer for the next tick."""
         for frame in self.pending:
             self.state = self.drive.receive(self.state, frame)
-        self.state, frames = self.drive.advance(self.state, self.t_ns, want, torque)
+        self.state, frames = self.drive.advance(self.state, self.t_ns, target, torque)
         self.sent += frames
         self.pending = [reply for frame in frames for reply in self.motor.answer(frame, self.t_ns + 300_000)]
         self.t_ns += PERIOD_NS
         return self.state
 
-    def until(self, want: Want, *phases: Phase, ticks: int = 300) -> DriveState:
+    def until(self, target: DriveTarget, *phases: Phase, ticks: int = 300) -> DriveState:
         """Go on until the drive is in one of the phases."""
         for _ in range(ticks):
-            if self.tick(want).phase in phases:
+            if self.tick(target).phase in phases:
                 return self.state
         pytest.fail(f"{self.state.phase.name} after {ticks} ticks, expected {[phase.name for phase in phases]}")
 
 
 @pytest.fixture
-def walk() -> Walk:
+def rig() -> MotorRig:
     drive = MitDrive.of(Section(), 0)
-    return Walk(drive, ScriptedMotor(), drive.initial())
+    return MotorRig(drive, ScriptedMotor(), drive.initial())
 
 
 def drive_of(**changes: object) -> MitDrive:

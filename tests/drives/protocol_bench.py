@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from firmware_sim.rig import Rig
-from handctl.drives.contract import Drive, DriveState, Phase, Want
+from handctl.drives.contract import Drive, DriveState, DriveTarget, Phase
 from handctl.drives.frame import Frame
 from handctl.drives.registry import PROTOCOLS, make_drive
 from handctl.drives.sensors.node import SensorNode
@@ -77,20 +77,20 @@ class Bench:
         self.sent: list[Frame] = []
         self.k = 0
 
-    def tick(self, want: Want, torque: float = 0.0, extra: Sequence[Frame] = ()) -> None:
+    def tick(self, target: DriveTarget, torque: float = 0.0, extra: Sequence[Frame] = ()) -> None:
         for frame in self.incoming:
             self.states = [d.receive(s, frame) for d, s in zip(self.drives, self.states, strict=True)]
         outgoing = [self.node.sync(self.k), *extra]
         for i, drive in enumerate(self.drives):
-            self.states[i], frames = drive.advance(self.states[i], self.k * self.period_ns, want, torque)
+            self.states[i], frames = drive.advance(self.states[i], self.k * self.period_ns, target, torque)
             outgoing += frames
         self.sent = outgoing
         self.incoming = [Frame(*reply) for reply in self.rig.step(self.k * self.period_ns, list(outgoing))]
         self.k += 1
 
-    def until(self, want: Want, phase: Phase, ticks: int = 400) -> None:
+    def until(self, target: DriveTarget, phase: Phase, ticks: int = 400) -> None:
         for _ in range(ticks):
-            self.tick(want)
+            self.tick(target)
             if all(state.phase == phase for state in self.states):
                 return
         pytest.fail(f"{[(state.phase.name, state.error_text) for state in self.states]}, expected {phase.name}")
@@ -101,7 +101,7 @@ class Bench:
         for i, drive in enumerate(self.drives):
             self.states[i], more = drive.clear(self.states[i])
             frames += more
-        self.tick(Want.POLL, extra=frames)
+        self.tick(DriveTarget.POLL, extra=frames)
 
 
 def described(protocol: str, node: int, torque: float, options: dict[str, object]) -> Motor:

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import pytest
 
 from firmware_sim.rig import Rig
-from handctl.drives.contract import Drive, DriveState, Phase, Want
+from handctl.drives.contract import Drive, DriveState, DriveTarget, Phase
 from handctl.drives.frame import Frame
 from handctl.drives.registry import make_drive
 from handctl.drives.sensors.node import SensorNode
@@ -29,21 +29,21 @@ class Bench:
         self.incoming: list[Frame] = []
         self.k = 0
 
-    def tick(self, want: Want, torque: float = 0.0) -> None:
+    def tick(self, target: DriveTarget, torque: float = 0.0) -> None:
         self.sensors.receive(frame for frame in self.incoming if frame.can_id in self.node.node_ids)
         self.tensions = self.sensors.tensions
         for frame in self.incoming:
             self.states = [d.receive(s, frame) for d, s in zip(self.drives, self.states, strict=True)]
         outgoing = [self.sensors.sync(self.k)]
         for i, drive in enumerate(self.drives):
-            self.states[i], frames = drive.advance(self.states[i], self.k * PERIOD_NS, want, torque)
+            self.states[i], frames = drive.advance(self.states[i], self.k * PERIOD_NS, target, torque)
             outgoing += frames
         self.incoming = [Frame(*reply) for reply in self.rig.step(self.k * PERIOD_NS, list(outgoing))]
         self.k += 1
 
-    def until(self, want: Want, phase: Phase, ticks: int = 200) -> None:
+    def until(self, target: DriveTarget, phase: Phase, ticks: int = 200) -> None:
         for _ in range(ticks):
-            self.tick(want)
+            self.tick(target)
             if all(state.phase == phase for state in self.states):
                 return
         pytest.fail(f"{[(state.phase.name, state.error_text) for state in self.states]}, expected {phase.name}")
@@ -57,30 +57,30 @@ def bench() -> Iterator[Bench]:
 
 
 def test_from_silence_to_torque_and_back(bench: Bench) -> None:
-    bench.until(Want.POLL, Phase.READY)
-    bench.until(Want.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.POLL, Phase.READY)
+    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
     for _ in range(200):
-        bench.tick(Want.ENABLE, 0.05)
+        bench.tick(DriveTarget.ENABLE, 0.05)
     assert sorted(bench.tensions) == [0, 1, 2, 3]
     for i, state in enumerate(bench.states):
         assert state.torque == pytest.approx(0.05, abs=0.002)
         assert state.feedback_t_ns >= (bench.k - 2) * PERIOD_NS
         assert 5.0 < bench.tensions[i] < 15.0, "0.05 N m on a spool of 5 mm is 10 N, friction aside"
-    bench.tick(Want.DISABLE)
-    bench.tick(Want.DISABLE)
+    bench.tick(DriveTarget.DISABLE)
+    bench.tick(DriveTarget.DISABLE)
     assert [state.phase for state in bench.states] == [Phase.READY] * 4
     assert (bench.sensors.number("stale"), bench.sensors.misread) == (0, False)
     assert [state.misread for state in bench.states] == [0] * 4
 
 
 def test_silence_lets_the_watchdog_fire_and_clearing_leads_back_to_ready(bench: Bench) -> None:
-    bench.until(Want.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
     for _ in range(40):  # 80 ms, and the watchdog is set to 50 ms
-        bench.tick(Want.LISTEN)
-    bench.until(Want.ENABLE, Phase.FAULT, ticks=3)
+        bench.tick(DriveTarget.LISTEN)
+    bench.until(DriveTarget.ENABLE, Phase.FAULT, ticks=3)
     assert {state.error_text for state in bench.states} == {"communication lost: the drive's watchdog fired"}
     for i, drive in enumerate(bench.drives):
         bench.states[i], frames = drive.clear(bench.states[i])
         assert len(frames) == 1
-    bench.until(Want.POLL, Phase.READY)
+    bench.until(DriveTarget.POLL, Phase.READY)
     assert [state.error for state in bench.states] == [0] * 4

@@ -12,7 +12,7 @@ import pytest
 
 from fuzz.drives import DRIVES, Fuzzed
 from handctl.drives.cia402.drive import Cia402Drive
-from handctl.drives.contract import UNSTEADY, Drive, DriveState, Phase, Want
+from handctl.drives.contract import UNSTEADY, Drive, DriveState, DriveTarget, Phase
 from handctl.drives.frame import BRS, ERROR, FDF, REMOTE, Frame
 from handctl.drives.odrive.drive import OdriveDrive
 from handctl.drives.registry import PROTOCOLS
@@ -37,12 +37,12 @@ def enabled(name: str) -> tuple[Drive, DriveState, int, tuple[Frame, ...]]:
         lines = path.read_text().splitlines(keepends=True)
         path.write_text("".join(line for line in lines if not line.startswith(variant.without)))
         bench = Bench(path)
-        bench.until(Want.POLL, Phase.READY)
-        bench.until(Want.ENABLE, Phase.ENABLED)
+        bench.until(DriveTarget.POLL, Phase.READY)
+        bench.until(DriveTarget.ENABLE, Phase.ENABLED)
         drive, state, t_ns = bench.drives[0], bench.states[0], bench.k * PERIOD_NS
         heard: list[Frame] = []
         for _ in range(60):
-            bench.tick(Want.ENABLE, 0.05)
+            bench.tick(DriveTarget.ENABLE, 0.05)
             heard += [frame for frame in bench.incoming if frame.can_id in drive.node_ids]
         bench.rig.close()
     return drive, state, t_ns, tuple(heard)
@@ -77,7 +77,9 @@ def same(one: DriveState, other: DriveState, drive: Drive) -> bool:
     """Whether two states are the same; a CiA 402 drive's sign of life may be in the time of its feedback."""
     if isinstance(drive, Cia402Drive):
         one, other = (
-            state._replace(private=state.private._replace(heard_ns=max(state.private.heard_ns, state.feedback_t_ns)))
+            state._replace(
+                private=state.private._replace(life_sign_ns=max(state.private.life_sign_ns, state.feedback_t_ns))
+            )
             for state in (one, other)
         )
     numbers = [(one[i], other[i]) for i in range(1, 5)]
@@ -85,9 +87,9 @@ def same(one: DriveState, other: DriveState, drive: Drive) -> bool:
     return equal and one[0] == other[0] and one[5:] == other[5:]
 
 
-def wants(chance: random.Random) -> Iterator[Want]:
+def wants(chance: random.Random) -> Iterator[DriveTarget]:
     while True:
-        yield Want.ENABLE if chance.random() < 0.97 else chance.choice(list(Want))
+        yield DriveTarget.ENABLE if chance.random() < 0.97 else chance.choice(list(DriveTarget))
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -97,7 +99,7 @@ def test_compiled_code_and_the_state_machine_are_one(name: str, seed: int) -> No
     chance = random.Random(f"{name} {seed}")
     state, wired, steady = begin, Wired([drive], NO_SENSORS), 0
     wired.keep(0, begin)
-    for _, want in zip(range(TICKS), wants(chance), strict=False):
+    for _, target in zip(range(TICKS), wants(chance), strict=False):
         wired.begin()
         for _ in range(chance.randrange(4)):
             good = chance.random() < 0.7
@@ -107,8 +109,8 @@ def test_compiled_code_and_the_state_machine_are_one(name: str, seed: int) -> No
             steady += not wired.seen
             assert same(wired.drive(0), state, drive), frame
         torque = chance.uniform(-drive.torque_limit, drive.torque_limit)
-        state, frames = drive.advance(state, t_ns, want, torque)
-        assert wired.send(want, [torque], t_ns) == list(frames)
+        state, frames = drive.advance(state, t_ns, target, torque)
+        assert wired.send(target, [torque], t_ns) == list(frames)
         assert same(wired.drive(0), state, drive)
         if drive.steady_status(state) == UNSTEADY and chance.random() < 0.3:
             state = revived(begin, t_ns)
@@ -120,7 +122,8 @@ def test_compiled_code_and_the_state_machine_are_one(name: str, seed: int) -> No
 def revived(state: DriveState, t_ns: int) -> DriveState:
     """The state of an enabled drive as if it had come to torque now."""
     private = state.private
-    times = {name: t_ns for name in ("heard_ns", "beat_ns", "warmed_ns") if name in private._fields}
+    clocks = ("heartbeat_ns", "life_sign_ns", "heartbeat_sent_ns", "temperature_asked_ns")
+    times = {name: t_ns for name in clocks if name in private._fields}
     if "check" in private._fields:
         times["check"] = private.check._replace(due_ns=t_ns + 50_000_000)
     return state._replace(feedback_t_ns=t_ns, private=private._replace(**times))
@@ -134,11 +137,13 @@ def test_what_is_no_torque_is_never_sent(name: str) -> None:
         wired = Wired([drive], NO_SENSORS)
         wired.keep(0, state)
         with pytest.raises(ValueError, match="expected at most"):
-            wired.send(Want.ENABLE, [torque], t_ns)
+            wired.send(DriveTarget.ENABLE, [torque], t_ns)
     for torque in (drive.torque_limit, -drive.torque_limit, 5e-324, -0.0):
         wired = Wired([drive], NO_SENSORS)
         wired.keep(0, state)
-        assert wired.send(Want.ENABLE, [torque], t_ns) == list(drive.advance(state, t_ns, Want.ENABLE, torque)[1])
+        assert wired.send(DriveTarget.ENABLE, [torque], t_ns) == list(
+            drive.advance(state, t_ns, DriveTarget.ENABLE, torque)[1]
+        )
 
 
 @pytest.mark.parametrize("name", VARIANTS)

@@ -10,7 +10,7 @@ from firmware_sim.nodes.cubemars import FULL_SCALE, CubemarsNode, Error
 from firmware_sim.programs.drive import Bench as DriveBench
 from firmware_sim.programs.drive_types import drive_spec
 from handctl.drives.causes import Cause
-from handctl.drives.contract import Phase, Want
+from handctl.drives.contract import DriveTarget, Phase
 from handctl.drives.frame import Frame
 from handctl.drives.mit.cubemars import MODELS, CubemarsDrive
 from handctl.drives.registry import make_drive
@@ -36,11 +36,11 @@ def first(bench: Bench) -> CubemarsNode:
 
 
 def test_from_silence_to_torque_and_a_confirmed_standstill(bench: Bench) -> None:
-    bench.until(Want.POLL, Phase.READY)
+    bench.until(DriveTarget.POLL, Phase.READY)
     assert servo_torques(bench) == [0.0] * 4
-    bench.until(Want.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
     for _ in range(200):
-        bench.tick(Want.ENABLE, 0.05)
+        bench.tick(DriveTarget.ENABLE, 0.05)
     world = bench.rig.world
     for drive, state in zip(bench.drives, bench.states, strict=True):
         truth = world.plant.motors[drive.name].theta + world.encoder_offset[drive.name]
@@ -48,23 +48,23 @@ def test_from_silence_to_torque_and_a_confirmed_standstill(bench: Bench) -> None
         assert state.torque == pytest.approx(0.05, abs=2 * STEP_N_M)
         assert state.temperature == 25.0
     assert servo_torques(bench) == pytest.approx([0.05] * 4, abs=STEP_N_M)
-    bench.until(Want.DISABLE, Phase.READY, ticks=100)
+    bench.until(DriveTarget.DISABLE, Phase.READY, ticks=100)
     assert servo_torques(bench) == [0.0] * 4
     assert [state.misread for state in bench.states] == [0] * 4
     assert world.malformed == 0
 
 
 def test_neither_silence_nor_an_answer_with_torque_in_it_confirms_that_it_is_off(bench: Bench) -> None:
-    bench.until(Want.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
     for _ in range(100):
         bench.incoming = []
-        bench.tick(Want.DISABLE)
+        bench.tick(DriveTarget.DISABLE)
     assert {state.phase for state in bench.states} == {Phase.ENABLED}
     drive, state = bench.drives[0], bench.states[0]
     pulling = bytes((0x10, 0x80, 0, 0x7F, 0xF9, 0, 30, 0))
     for tick in range(20):
         state = drive.receive(state, Frame(0x10, pulling, 0, 0, bench.k * 2_000_000 + tick))
-        state, frames = drive.advance(state, bench.k * 2_000_000 + tick, Want.DISABLE, 0.0)
+        state, frames = drive.advance(state, bench.k * 2_000_000 + tick, DriveTarget.DISABLE, 0.0)
         assert state.phase == Phase.ENABLED
         assert frames == drive.cut()
 
@@ -75,27 +75,27 @@ def test_neither_silence_nor_an_answer_with_torque_in_it_confirms_that_it_is_off
      (Error.ENCODER, "encoder error", Cause.OTHER)],
 )  # fmt: skip
 def test_an_error_is_told_in_words_and_goes_by_order_only(bench: Bench, error: Error, words: str, cause: Cause) -> None:
-    bench.until(Want.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
     first(bench).trip(error)
     for _ in range(5):
-        bench.tick(Want.ENABLE, 0.05)
+        bench.tick(DriveTarget.ENABLE, 0.05)
     state = bench.states[0]
     assert (state.phase, state.error_text, bench.drives[0].cause(state.error)) == (Phase.FAULT, words, cause)
     bench.clear()
     for _ in range(20):
-        bench.tick(Want.POLL)
+        bench.tick(DriveTarget.POLL)
     assert bench.states[0].phase == Phase.FAULT, "it still has it"
     first(bench).trip(Error.NONE)
     for _ in range(20):
-        bench.tick(Want.ENABLE)
+        bench.tick(DriveTarget.ENABLE)
     assert bench.states[0].phase == Phase.FAULT
     bench.clear()
-    bench.until(Want.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
 
 
 def test_what_it_does_not_guard_is_said(tmp_path: Path) -> None:
     """An AK80-9 follows 18 N m: nothing but this host keeps it to what the hand bears."""
-    told = " ".join(Bench(hand_file(tmp_path, ["cubemars"])).drives[0].caveats)
+    told = " ".join(Bench(hand_file(tmp_path, ["cubemars"])).drives[0].unverified_guards)
     for guard in ("watchdog", "no torque limit", "2% of full-scale torque", "ranges cannot be read back"):
         assert guard in told
 
@@ -118,16 +118,16 @@ def test_another_offset_of_temperature_is_refused(offset: object) -> None:
 def test_older_firmware_answers_with_six_bytes(bench: Bench) -> None:
     for node in bench.rig.world.nodes[0][:4]:
         node.short = True  # type: ignore[attr-defined]
-    bench.until(Want.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
     assert math.isnan(bench.states[0].temperature)
-    bench.until(Want.DISABLE, Phase.READY)
+    bench.until(DriveTarget.DISABLE, Phase.READY)
 
 
 @pytest.mark.parametrize("torque", [math.nan, math.inf, -math.inf, 0.801, -18.0])
 def test_what_is_no_torque_cannot_be_encoded(bench: Bench, torque: float) -> None:
-    bench.until(Want.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
     with pytest.raises(ValueError, match="index_motor"):
-        bench.drives[0].advance(bench.states[0], bench.k * 2_000_000, Want.ENABLE, torque)
+        bench.drives[0].advance(bench.states[0], bench.k * 2_000_000, DriveTarget.ENABLE, torque)
 
 
 def test_of_the_contract_only_what_needs_a_state_in_the_feedback_cannot_be_kept() -> None:
@@ -147,10 +147,10 @@ def test_of_the_contract_only_what_needs_a_state_in_the_feedback_cannot_be_kept(
 def test_a_motor_that_does_not_disable_is_found_out() -> None:
     place = VirtualBench("cubemars", "deaf")
     rig = rig_on(place, "cubemars", 0.5)
-    assert rig.until(Want.ENABLE, lambda state: state.phase == Phase.ENABLED, 1.0)
+    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.ENABLED, 1.0)
     place.bench.motors[0].servo.kd = 1.0
     place.bench.motors[0].omega = 8.0
-    rig.until(Want.DISABLE, lambda state: False, 0.02)
+    rig.until(DriveTarget.DISABLE, lambda state: False, 0.02)
     assert rig.state.phase == Phase.ENABLED
 
 

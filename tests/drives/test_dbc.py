@@ -11,7 +11,7 @@ from cantools.database import Database
 
 from fuzz.drives import DRIVES, Fuzzed
 from handctl.controller.setup import make_drives, make_sensors
-from handctl.drives.contract import Phase, Want
+from handctl.drives.contract import DriveTarget, Phase
 from handctl.drives.dbc import HOST, SENSORS, of_bus
 from handctl.drives.frame import Frame
 from handctl.drives.signals import Message, Quantity
@@ -52,8 +52,8 @@ def read(wired: Wired, message: Message, i: int) -> dict[str, float]:
 def test_cantools_reads_what_the_controller_reads(bench: Bench) -> None:
     """In lockstep against the simulated firmware: feedback, commands, load cells and joint encoders."""
     dbc, hand = database(bench.hand), bench.hand
-    bench.until(Want.POLL, Phase.READY)
-    bench.until(Want.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.POLL, Phase.READY)
+    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
     wired, seen = Wired(bench.drives, bench.node), Counter[str]()
     for i, state in enumerate(bench.states):
         wired.keep(i, state)
@@ -61,7 +61,7 @@ def test_cantools_reads_what_the_controller_reads(bench: Bench) -> None:
     for k in range(TICKS):
         torque = 0.04 * math.sin(0.3 * k)
         wired.sync(bench.k)
-        bench.tick(Want.ENABLE, torque)
+        bench.tick(DriveTarget.ENABLE, torque)
         for frame in bench.incoming:
             wired.receive([frame])
             if frame.can_id in owners:

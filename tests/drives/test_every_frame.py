@@ -10,7 +10,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from handctl.drives.contract import DriveState, Phase, Want
+from handctl.drives.contract import DriveState, DriveTarget, Phase
 from handctl.drives.frame import BRS, FDF, Frame
 from handctl.drives.registry import PROTOCOLS
 from handctl.runtime.diagnostics.drive_rig import DriveRig
@@ -26,7 +26,7 @@ IDENTIFIERS, LENGTHS = range(0x800), range(65)
 def bench(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
     folder: Path = tmp_path_factory.mktemp("hand")
     made = Bench(hand_file(folder, [request.param]))
-    made.until(Want.ENABLE, Phase.ENABLED)
+    made.until(DriveTarget.ENABLE, Phase.ENABLED)
     yield made
     made.rig.close()
 
@@ -55,7 +55,7 @@ def test_a_frame_of_somebody_else_changes_nothing_and_no_frame_raises(bench: Ben
         if frame.can_id not in ours:
             assert after is before, frame
         elif after is not before:
-            drive.advance(after, t_ns, Want.DISABLE, 0.0)
+            drive.advance(after, t_ns, DriveTarget.DISABLE, 0.0)
 
 
 @pytest.mark.parametrize("bench", ["mit"], indirect=True)
@@ -80,7 +80,7 @@ def test_simulated_drives_survive_every_frame(bench: Bench) -> None:
 def enabled(protocol: str) -> tuple[VirtualBench, DriveRig]:
     place = VirtualBench(protocol)
     rig = rig_on(place, protocol, LIMIT)
-    assert rig.until(Want.ENABLE, lambda state: state.phase == Phase.ENABLED, 10.0)
+    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.ENABLED, 10.0)
     return place, rig
 
 
@@ -95,10 +95,10 @@ def enabled(protocol: str) -> tuple[VirtualBench, DriveRig]:
 def test_a_number_is_refused_or_arrives_as_it_is(protocol: str, torque: float) -> None:
     place, rig = enabled(protocol)
     if abs(torque) <= LIMIT:
-        _, frames = rig.drive.advance(rig.state, rig.t_ns, Want.ENABLE, torque)
+        _, frames = rig.drive.advance(rig.state, rig.t_ns, DriveTarget.ENABLE, torque)
         place.send(frames)
         step = 36.0 / 4095 if protocol == "cubemars" else LIMIT / 1000  # its scale is the model's, not the limit
         assert place.bench.motors[0].servo.torque == pytest.approx(torque, abs=step)
     else:
         with pytest.raises(ValueError, match="expected at most"):
-            rig.drive.advance(rig.state, rig.t_ns, Want.ENABLE, torque)
+            rig.drive.advance(rig.state, rig.t_ns, DriveTarget.ENABLE, torque)

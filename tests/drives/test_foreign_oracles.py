@@ -104,4 +104,4 @@ def test_canopen_reads_the_shipped_eds_as_the_drive_does() -> None:
         variable = entry if isinstance(entry, canopen.objectdictionary.ODVariable) else entry[step.sub]
         assert len(variable) == 8 * step.size == 8 * ours.size((step.number, step.sub))
         assert variable.default == ours[step.number, step.sub] or step.number == 0x6076
-        assert variable.writable == (step.check in (setup.Check.WRITE, setup.Check.WRITE_IF_THERE))
+        assert variable.writable == (step.check in (setup.Check.WRITE, setup.Check.WRITE_IF_PRESENT))

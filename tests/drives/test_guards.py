@@ -6,7 +6,7 @@ from firmware_sim.nodes.cia402.node import Cia402Node
 from firmware_sim.nodes.mit.node import MitNode
 from firmware_sim.nodes.odrive.node import OdriveNode
 from handctl.cli.main import main
-from handctl.drives.contract import Phase, Want
+from handctl.drives.contract import DriveTarget, Phase
 from tests.drives.protocol_bench import OPTIONS, hand_file
 from tests.drives.virtual_bench import VirtualBench, rig_on
 
@@ -57,7 +57,7 @@ def test_a_guard_that_does_not_read_back_keeps_the_drive_off(protocol, guard, na
         seen.add(state.phase)
         return False
 
-    rig.until(Want.ENABLE, note, 3.0)
+    rig.until(DriveTarget.ENABLE, note, 3.0)
     assert Phase.FAULT in seen
     assert Phase.ENABLED not in seen
     assert name in rig.state.error_text
@@ -67,7 +67,7 @@ def test_a_guard_that_does_not_read_back_keeps_the_drive_off(protocol, guard, na
 @pytest.mark.parametrize("protocol", sorted(GUARDS))
 def test_the_same_drive_is_armed_when_all_read_back(protocol):
     rig = rig_on(VirtualBench(protocol), protocol, 0.5)
-    assert rig.until(Want.ENABLE, lambda state: state.phase == Phase.ENABLED, 3.0)
+    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.ENABLED, 3.0)
 
 
 def test_a_guard_that_nobody_can_verify_is_shown(tmp_path, capsys):

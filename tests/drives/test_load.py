@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handctl.drives.load import bus_time_s, frame_time_s, highest_rate
+from handctl.drives.frame_time import bus_time_s, frame_time_s, highest_rate
 
 NOMINAL, DATA = 1_000_000, 5_000_000
 

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handctl.drives.contract import DriveState, Phase, Want
+from handctl.drives.contract import DriveState, DriveTarget, Phase
 from handctl.drives.frame import FDF, Frame
 from handctl.drives.mit import codec
 from handctl.drives.mit.drive import MitDrive
-from handctl.drives.mit.progress import Progress
-from handctl.drives.readback import Walk
+from handctl.drives.mit.progress import MitProgress
+from handctl.drives.readback import Cursor
 from handctl.drives.registry import make_drive
 from handctl.drives.signals import Table
 from handctl.errors import ConfigError
@@ -22,7 +22,7 @@ TMAX = 0.8
 RANGES = codec.Ranges(12.5, 50.0, TMAX)
 TORQUES = st.floats(-TMAX, TMAX)
 COMMAND, FEEDBACK = Table(codec.command_message(1, RANGES)), Table(codec.feedback_message(0x11, RANGES))
-ENABLED = DriveState(phase=Phase.ENABLED, private=Progress(configured=True, asked=True))
+ENABLED = DriveState(phase=Phase.ENABLED, private=MitProgress(configured=True, enable_sent=True))
 
 
 @pytest.mark.parametrize(
@@ -60,9 +60,9 @@ def test_golden_feedback(payload: str, values: tuple[float, ...]) -> None:
         (codec.register_request(2, codec.WRITE, 9, 1000), "02005509e8030000"),
         (codec.register_request(2, codec.WRITE, 9, 1000.0), "02005509e8030000"),
         (codec.register_request(0x123, codec.WRITE, 23, 0.5), "230155170000003f"),
-        (codec.special(codec.ENABLE), "fffffffffffffffc"),
-        (codec.special(codec.DISABLE), "fffffffffffffffd"),
-        (codec.special(codec.CLEAR), "fffffffffffffffb"),
+        (codec.special_command(codec.ENABLE), "fffffffffffffffc"),
+        (codec.special_command(codec.DISABLE), "fffffffffffffffd"),
+        (codec.special_command(codec.CLEAR), "fffffffffffffffb"),
     ],
 )
 def test_golden_requests(request_: bytes, payload: str) -> None:
@@ -103,20 +103,20 @@ def test_more_torque_is_never_a_smaller_code(one: float, other: float) -> None:
 @given(st.one_of(st.floats(max_value=-TMAX, exclude_max=True), st.floats(min_value=TMAX, exclude_min=True)))
 def test_what_is_out_of_range_cannot_be_encoded(torque: float) -> None:
     with pytest.raises(ValueError, match="index_motor: torque"):
-        drive_of().advance(ENABLED, 1, Want.ENABLE, torque)
+        drive_of().advance(ENABLED, 1, DriveTarget.ENABLE, torque)
 
 
 @pytest.mark.parametrize("torque", [math.nan, math.inf, -math.inf])
 def test_what_is_no_number_cannot_be_encoded(torque: float) -> None:
     with pytest.raises(ValueError, match=r"expected at most 0\.8$"):
-        drive_of().advance(ENABLED, 1, Want.ENABLE, torque)
+        drive_of().advance(ENABLED, 1, DriveTarget.ENABLE, torque)
 
 
 @given(TORQUES, st.sampled_from([-1, 1]))
 def test_direction_turns_every_sign(torque: float, direction: int) -> None:
     drive = drive_of(direction=direction, zero_rad=0.25)
     assert drive.command.pack(torque) == COMMAND.pack(direction * torque)
-    state = DriveState(phase=Phase.READY, private=Progress(configured=True))
+    state = DriveState(phase=Phase.READY, private=MitProgress(configured=True))
     seen = drive.receive(state, Frame(0x11, bytes.fromhex("01c000c00c002020")))
     assert seen.position == pytest.approx(direction * (12.5 * (2 * 0xC000 / 65535 - 1) - 0.25))
     assert seen.velocity == pytest.approx(direction * 50 * (2 * 0xC00 / 4095 - 1))
@@ -155,11 +155,13 @@ STATES = st.builds(
     phase=st.sampled_from(Phase),
     error=st.sampled_from([0, 0xA, 0x102]),
     private=st.builds(
-        Progress,
-        walk=st.builds(Walk, st.integers(0, 4), st.booleans(), st.booleans(), st.integers(-1, 9), st.integers(0, 10)),
+        MitProgress,
+        cursor=st.builds(
+            Cursor, st.integers(0, 4), st.booleans(), st.booleans(), st.integers(-1, 9), st.integers(0, 10)
+        ),
         configured=st.booleans(),
-        found_enabled=st.booleans(),
-        asked=st.booleans(),
+        enabled_by_other=st.booleans(),
+        enable_sent=st.booleans(),
         disabling=st.booleans(),
         disabling_ns=st.integers(0, 10),
         clearing=st.integers(0, 3),
@@ -172,15 +174,17 @@ DATA = st.one_of(
 )
 
 
-@given(STATES, IDENTIFIERS, DATA, st.sampled_from(Want), st.integers(0, 2))
-def test_any_frame_may_come_in_any_state(state: DriveState, can_id: int, data: bytes, want: Want, bus: int) -> None:
+@given(STATES, IDENTIFIERS, DATA, st.sampled_from(DriveTarget), st.integers(0, 2))
+def test_any_frame_may_come_in_any_state(
+    state: DriveState, can_id: int, data: bytes, target: DriveTarget, bus: int
+) -> None:
     drive = drive_of()
     after = drive.receive(state, Frame(can_id, data, FDF, bus, 5))
     if can_id != 0x11 or bus != 0:
         assert after is state
-    _, frames = drive.advance(after, 10, want, 0.0)
+    _, frames = drive.advance(after, 10, target, 0.0)
     acting = [frame for frame in frames if frame.can_id == 1 and frame.data[:7] != b"\xff" * 7]
-    assert not acting or (want == Want.ENABLE and after.phase == Phase.ENABLED)
+    assert not acting or (target == DriveTarget.ENABLE and after.phase == Phase.ENABLED)
 
 
 def test_every_identifier_and_length() -> None:
@@ -223,6 +227,6 @@ def test_the_registry_knows_mit_and_says_what_it_knows() -> None:
 
 
 def test_watchdog_and_torque_limit_become_registers() -> None:
-    wanted = dict(drive_of(watchdog_ms=50, torque_max_N_m=1.5).wanted)
+    wanted = dict(drive_of(watchdog_ms=50, torque_max_N_m=1.5).required)
     assert wanted == {10: 1, 21: 12.5, 22: 50.0, 23: 1.5, 9: 1000}
     assert codec.register_bytes(23, 1.5) == struct.pack("<f", 1.5)

@@ -7,9 +7,9 @@ import pytest
 
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.setup import make_sensors
-from handctl.drives.contract import Phase, Want
+from handctl.drives.contract import DriveTarget, Phase
+from handctl.drives.frame_time import bus_time_s
 from handctl.drives.identifiers import check_identifiers
-from handctl.drives.load import bus_time_s
 from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
 from handctl.hand.load import load_hand
@@ -28,14 +28,14 @@ def mixed(folder: Path) -> Path:
 def test_two_buses_and_three_protocols_work_as_one_hand(tmp_path: Path) -> None:
     bench = Bench(mixed(tmp_path))
     assert [drive.bus for drive in bench.drives] == [0, 0, 1, 1]
-    bench.until(Want.POLL, Phase.READY)
-    bench.until(Want.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.POLL, Phase.READY)
+    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
     for _ in range(100):
-        bench.tick(Want.ENABLE, 0.05)
+        bench.tick(DriveTarget.ENABLE, 0.05)
     motors = bench.rig.world.plant.motors.values()
     assert [motor.servo.torque for motor in motors] == pytest.approx([0.05] * 4, abs=0.001)
     assert min(state.feedback_t_ns for state in bench.states) >= (bench.k - 2) * 2_000_000
-    bench.until(Want.DISABLE, Phase.READY, ticks=100)
+    bench.until(DriveTarget.DISABLE, Phase.READY, ticks=100)
     bench.rig.close()
 
 
@@ -44,10 +44,10 @@ def test_a_mirrored_geared_motor_winds_too(tmp_path: Path) -> None:
         path = hand_file(tmp_path, [protocol], "gear_ratio = 4.0\n")
         path.write_text(re.sub(r"\ndirection = 1", "\ndirection = -1", path.read_text()))
         bench = Bench(path)
-        bench.until(Want.ENABLE, Phase.ENABLED)
+        bench.until(DriveTarget.ENABLE, Phase.ENABLED)
         before = [state.position for state in bench.states]
         for _ in range(100):
-            bench.tick(Want.ENABLE, 0.05)
+            bench.tick(DriveTarget.ENABLE, 0.05)
         motors = bench.rig.world.plant.motors
         for drive, state, start in zip(bench.drives, bench.states, before, strict=True):
             assert motors[drive.name].servo.torque == pytest.approx(0.05, abs=0.002), "in the hand's sign, at the spool"
@@ -63,9 +63,9 @@ def test_a_zero_of_a_motor_is_an_angle_at_its_shaft(protocol: str, tmp_path: Pat
     assert "zero_rad" in text
     path.write_text(re.sub(r"\nzero_rad = [^ \n#]+", "\nzero_rad = 0.7", text))
     bench = Bench(path)
-    bench.until(Want.POLL, Phase.READY)
+    bench.until(DriveTarget.POLL, Phase.READY)
     for _ in range(20):
-        bench.tick(Want.POLL)
+        bench.tick(DriveTarget.POLL)
     world = bench.rig.world
     for drive, state in zip(bench.drives, bench.states, strict=True):
         truth = world.plant.motors[drive.name].theta + (world.encoder_offset[drive.name] - 0.7) / gear

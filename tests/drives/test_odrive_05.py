@@ -7,7 +7,7 @@ import cantools.database
 import odrive_can
 import pytest
 
-from handctl.drives.contract import Phase, Want
+from handctl.drives.contract import DriveTarget, Phase
 from handctl.drives.frame import REMOTE, Frame
 from handctl.drives.odrive import firmware_05 as odrive_05
 from handctl.drives.registry import make_drive
@@ -24,7 +24,7 @@ def test_it_keeps_every_promise_if_its_watchdog_was_set_over_usb():
     place = VirtualBench("odrive", usb_watchdog_s=0.05, **OLD)
     rig = rig_on(place, "odrive", 0.1, OLD)
     assert [check for check in checks(DeviceUnderTest(rig, 0.1, 0.05)) if check.verdict is not Verdict.PASSED] == []
-    assert len(rig.drive.caveats) == 2
+    assert len(rig.drive.unverified_guards) == 2
     assert 0.0 < place.top <= 0.1001
 
 
@@ -38,9 +38,9 @@ def test_without_its_watchdog_it_fails_by_that():
 def test_its_errors_are_told_in_words(error, words):
     place = VirtualBench("odrive", **OLD)
     rig = rig_on(place, "odrive", 0.1, OLD)
-    assert rig.until(Want.ENABLE, lambda state: state.phase == Phase.ENABLED, 3.0)
+    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.ENABLED, 3.0)
     place.bench.nodes[0].disarm(error)
-    assert rig.until(Want.ENABLE, lambda state: state.phase == Phase.FAULT, 1.0)
+    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.FAULT, 1.0)
     assert words in rig.state.error_text
 
 
@@ -50,7 +50,7 @@ def test_it_is_not_asked_for_what_it_does_not_have():
     sent = []
     send = place.send
     place.send = lambda frames: (sent.extend(frames), send(frames))[1]
-    rig.until(Want.ENABLE, lambda state: False, 1.0)
+    rig.until(DriveTarget.ENABLE, lambda state: False, 1.0)
     asked = {frame.can_id & 0x1F for frame in sent if frame.can_id & REMOTE}
     assert asked == {0x09}
     assert rig.state.phase == Phase.ENABLED

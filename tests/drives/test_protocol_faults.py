@@ -10,7 +10,7 @@ from firmware_sim.bus.frame import Frame as WireFrame
 from firmware_sim.nodes.cia402.node import Cia402Node
 from firmware_sim.nodes.odrive.node import OdriveNode
 from handctl.drives.cia402.drive import Cia402Drive
-from handctl.drives.contract import Phase, Want
+from handctl.drives.contract import DriveTarget, Phase
 from handctl.drives.frame import Frame
 from handctl.drives.odrive import codec
 from handctl.drives.odrive.drive import OdriveDrive
@@ -44,10 +44,10 @@ def first_cia402(bench: Bench) -> Cia402Node:
     return node
 
 
-def first_in(bench: Bench, phase: Phase, want: Want, ticks: int) -> str:
+def first_in(bench: Bench, phase: Phase, target: DriveTarget, ticks: int) -> str:
     """Go on until the first drive is in a phase; its error in words."""
     for _ in range(ticks):
-        bench.tick(want)
+        bench.tick(target)
         if bench.states[0].phase == phase:
             return bench.states[0].error_text
     raise AssertionError(bench.states[0])
@@ -72,17 +72,17 @@ def losing(node: OdriveNode, command: int, start: bytes = b"", times: int = 1) -
 def test_an_odrive_that_restarts_while_it_is_armed_is_set_up_anew(odrive: Bench, moment: str) -> None:
     """It comes back in position control and without its watchdog, and nothing but being idle tells of it."""
     node = first_odrive(odrive)
-    odrive.until(Want.POLL, Phase.READY)
+    odrive.until(DriveTarget.POLL, Phase.READY)
     if moment != "ready":
-        while progress_of(odrive.states[0]).asked_ns < 0:
-            odrive.tick(Want.ENABLE)
+        while progress_of(odrive.states[0]).enable_sent_ns < 0:
+            odrive.tick(DriveTarget.ENABLE)
     settings = dict(node.endpoints)
     for _ in range(10 * (moment == "ready")):
-        odrive.tick(Want.POLL)
+        odrive.tick(DriveTarget.POLL)
     node.receive(Frame(0x10 << 5 | 0x16, b"\0"), odrive.rig.world.t_ns)  # type: ignore[arg-type]
     assert node.endpoints != settings
     for _ in range(400):
-        odrive.tick(Want.ENABLE)
+        odrive.tick(DriveTarget.ENABLE)
         assert node.state == 1 or (node.mode == (1, 1) and node.endpoints == settings)
         if odrive.states[0].phase == Phase.ENABLED:
             return
@@ -95,7 +95,7 @@ def test_a_mode_or_limit_that_is_lost_on_the_wire_is_not_lost_for_good(odrive: B
     node = first_odrive(odrive)
     lost = losing(node, command)
     before = node.velocity_limit
-    odrive.until(Want.ENABLE, Phase.ENABLED)
+    odrive.until(DriveTarget.ENABLE, Phase.ENABLED)
     assert lost
     assert node.mode == (1, 1)
     assert node.velocity_limit != before
@@ -107,49 +107,51 @@ def test_a_setting_that_is_lost_on_the_wire_is_written_again(odrive: Bench, loss
     node = first_odrive(odrive)
     lost = losing(node, codec.RX_SDO, bytes((codec.SDO_WRITE,)), losses)
     if losses < 3:
-        odrive.until(Want.POLL, Phase.READY)
+        odrive.until(DriveTarget.POLL, Phase.READY)
         assert node.endpoints[201] == b"\1"
     else:
-        assert "enable_watchdog reads 0 after writing, expected 1" in first_in(odrive, Phase.FAULT, Want.POLL, 200)
+        assert "enable_watchdog reads 0 after writing, expected 1" in first_in(
+            odrive, Phase.FAULT, DriveTarget.POLL, 200
+        )
     assert len(lost) == losses
 
 
 def test_an_odrive_that_takes_no_orders_is_a_fault(odrive: Bench) -> None:
-    odrive.until(Want.POLL, Phase.READY)
+    odrive.until(DriveTarget.POLL, Phase.READY)
     first_odrive(odrive)._set_state = lambda state, t_ns: None  # type: ignore[method-assign]
-    assert "5 times" in first_in(odrive, Phase.FAULT, Want.ENABLE, 600)
+    assert "5 times" in first_in(odrive, Phase.FAULT, DriveTarget.ENABLE, 600)
 
 
 @pytest.mark.parametrize(
     ("bit", "words"), [(25, "emergency stop"), (13, "motor over-temperature"), (6, "missing input")]
 )
 def test_an_odrive_says_what_disarmed_it(odrive: Bench, bit: int, words: str) -> None:
-    odrive.until(Want.ENABLE, Phase.ENABLED)
+    odrive.until(DriveTarget.ENABLE, Phase.ENABLED)
     first_odrive(odrive).disarm(1 << bit)
-    assert words in first_in(odrive, Phase.FAULT, Want.ENABLE, 60)
+    assert words in first_in(odrive, Phase.FAULT, DriveTarget.ENABLE, 60)
 
 
 def test_an_odrive_that_is_left_enabled_is_made_idle_first(odrive: Bench) -> None:
     first_odrive(odrive).state = 8
-    odrive.until(Want.POLL, Phase.READY)
+    odrive.until(DriveTarget.POLL, Phase.READY)
     assert first_odrive(odrive).state == 1
 
 
-@pytest.mark.parametrize("want", [Want.ENABLE, Want.POLL])
-def test_an_odrive_that_does_something_else_is_a_fault_and_is_stopped(odrive: Bench, want: Want) -> None:
+@pytest.mark.parametrize("target", [DriveTarget.ENABLE, DriveTarget.POLL])
+def test_an_odrive_that_does_something_else_is_a_fault_and_is_stopped(odrive: Bench, target: DriveTarget) -> None:
     """Somebody lets it calibrate over USB: no error, no idle, and torque that nobody here has asked for."""
-    odrive.until(want, Phase.ENABLED if want == Want.ENABLE else Phase.READY)
+    odrive.until(target, Phase.ENABLED if target == DriveTarget.ENABLE else Phase.READY)
     first_odrive(odrive).state = 3
-    assert "in axis state 3" in first_in(odrive, Phase.FAULT, want, 60).replace("went to", "in")
-    odrive.tick(want)
+    assert "in axis state 3" in first_in(odrive, Phase.FAULT, target, 60).replace("went to", "in")
+    odrive.tick(target)
     assert first_odrive(odrive).state == 1
 
 
 def test_an_odrive_without_a_heartbeat_is_lost(odrive: Bench) -> None:
-    odrive.until(Want.ENABLE, Phase.ENABLED)
+    odrive.until(DriveTarget.ENABLE, Phase.ENABLED)
     for _ in range(200):
         odrive.incoming = [frame for frame in odrive.incoming if frame.can_id & 0x1F != 1]
-        odrive.tick(Want.ENABLE)
+        odrive.tick(DriveTarget.ENABLE)
     assert odrive.states[0].error_text == "no heartbeat"
     assert first_odrive(odrive).state == 1, "and what may be enabled is told to stop"
 
@@ -157,7 +159,7 @@ def test_an_odrive_without_a_heartbeat_is_lost(odrive: Bench) -> None:
 def test_endpoints_hold_what_the_hand_file_says(odrive: Bench) -> None:
     node = first_odrive(odrive)
     assert node.endpoints[201] == b"\0"
-    odrive.until(Want.POLL, Phase.READY)
+    odrive.until(DriveTarget.POLL, Phase.READY)
     assert node.endpoints[201] == b"\1"
     assert struct.unpack("<f", node.endpoints[202])[0] == pytest.approx(0.05)
     assert struct.unpack("<f", node.endpoints[203])[0] == pytest.approx(0.8)
@@ -167,11 +169,11 @@ def test_a_watchdog_that_cannot_be_verified_is_said(tmp_path: Path) -> None:
     path = hand_file(tmp_path, ["odrive"])
     bench = Bench(path)
     assert isinstance(bench.drives[0], OdriveDrive)
-    assert bench.drives[0].caveats == ()
+    assert bench.drives[0].unverified_guards == ()
     path.write_text(path.read_text().replace(OPTIONS["odrive"], ""))
     bare = Bench(path).drives[0]
     assert isinstance(bare, OdriveDrive)
-    assert "watchdog not verified" in bare.caveats[0]
+    assert "watchdog not verified" in bare.unverified_guards[0]
 
 
 def test_another_protocol_version_is_refused(odrive: Bench) -> None:
@@ -185,21 +187,21 @@ def test_another_protocol_version_is_refused(odrive: Bench) -> None:
     ("code", "words"), [(0x8130, "watchdog"), (0x4310, "motor over-temperature"), (0xFF01, "0xff01")]
 )
 def test_a_cia402_drive_says_what_its_fault_is(cia402: Bench, code: int, words: str) -> None:
-    cia402.until(Want.ENABLE, Phase.ENABLED)
+    cia402.until(DriveTarget.ENABLE, Phase.ENABLED)
     first_cia402(cia402).trip(code)
     cia402.incoming += first_cia402(cia402).wake(cia402.rig.world.t_ns)  # type: ignore[arg-type]
-    assert words in first_in(cia402, Phase.FAULT, Want.ENABLE, 10)
+    assert words in first_in(cia402, Phase.FAULT, DriveTarget.ENABLE, 10)
 
 
 def test_another_rated_torque_is_refused(cia402: Bench) -> None:
     first_cia402(cia402).objects[0x6076, 0] = 300
-    assert first_in(cia402, Phase.FAULT, Want.POLL, 100) == "object 0x6076:0 reads 0x12c, expected 0x190"
+    assert first_in(cia402, Phase.FAULT, DriveTarget.POLL, 100) == "object 0x6076:0 reads 0x12c, expected 0x190"
 
 
 def test_a_drive_that_restarts_in_motion_is_a_fault(cia402: Bench) -> None:
-    cia402.until(Want.ENABLE, Phase.ENABLED)
-    cia402.tick(Want.ENABLE, extra=[Frame(0x000, bytes((0x81, 0x10)))])
-    assert first_in(cia402, Phase.FAULT, Want.ENABLE, 30) == "restarted"
+    cia402.until(DriveTarget.ENABLE, Phase.ENABLED)
+    cia402.tick(DriveTarget.ENABLE, extra=[Frame(0x000, bytes((0x81, 0x10)))])
+    assert first_in(cia402, Phase.FAULT, DriveTarget.ENABLE, 30) == "restarted"
     assert cia402.rig.world.plant.motors["index_motor"].servo.torque == 0.0
 
 
@@ -207,7 +209,7 @@ def test_a_bus_without_sync_is_said(cia402: Bench) -> None:
     drive = cia402.drives[0]
     assert isinstance(drive, Cia402Drive)
     for _ in range(200):
-        cia402.tick(Want.POLL)
+        cia402.tick(DriveTarget.POLL)
         cia402.incoming = [frame for frame in cia402.incoming if frame.can_id & ~0x7F != 0x180]
     assert "SYNC" in cia402.states[0].error_text
 
@@ -227,13 +229,13 @@ def test_drives_that_take_no_sync_with_a_counter_are_said_and_have_an_empty_one(
     path = hand_file(tmp_path, ["cia402"])
     bench = strict(Bench(path))
     for _ in range(200):
-        bench.tick(Want.POLL)
+        bench.tick(DriveTarget.POLL)
     assert "does it take one with a counter" in bench.states[0].error_text
     text = path.read_text().replace("sync_id = 0x080", "sync_id = 0x0FF")
     path.write_text(text.replace("counts_per_turn = 65536", "counts_per_turn = 65536\nsync = true", 1))
     bench = strict(Bench(path))
-    bench.until(Want.ENABLE, Phase.ENABLED)
-    bench.tick(Want.ENABLE)
+    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
+    bench.tick(DriveTarget.ENABLE)
     assert {frame.can_id for frame in bench.incoming} == {0x1A0, 0x190, 0x191, 0x192, 0x193}
 
 

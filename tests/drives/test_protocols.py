@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from handctl.drives.contract import Phase, Want
+from handctl.drives.contract import DriveTarget, Phase
 from handctl.drives.frame import EXTENDED, FDF, REMOTE, Frame
 from tests.drives.protocol_bench import GUARDED, Bench, hand_file, servo_torques
 
@@ -25,18 +25,18 @@ def bench(protocol: str, tmp_path: Path) -> Iterator[Bench]:
 
 
 def test_from_silence_to_torque_and_a_confirmed_standstill(bench: Bench) -> None:
-    bench.until(Want.POLL, Phase.READY)
+    bench.until(DriveTarget.POLL, Phase.READY)
     assert servo_torques(bench) == [0.0] * 4
-    bench.until(Want.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
     for _ in range(200):
-        bench.tick(Want.ENABLE, 0.05)
+        bench.tick(DriveTarget.ENABLE, 0.05)
     world = bench.rig.world
     for drive, state in zip(bench.drives, bench.states, strict=True):
         truth = world.plant.motors[drive.name].theta + world.encoder_offset[drive.name]
         assert state.position == pytest.approx(truth, abs=0.01)
         assert state.feedback_t_ns >= (bench.k - 2) * 2_000_000
     assert servo_torques(bench) == pytest.approx([0.05] * 4, abs=0.001)
-    bench.until(Want.DISABLE, Phase.READY, ticks=100)
+    bench.until(DriveTarget.DISABLE, Phase.READY, ticks=100)
     assert servo_torques(bench) == [0.0] * 4
     assert [state.misread for state in bench.states] == [0] * 4
     assert bench.rig.world.malformed == 0
@@ -48,40 +48,40 @@ def test_any_control_rate_that_the_watchdogs_allow_comes_to_torque(
 ) -> None:
     """What was verified in the last tick is as good as it can be, however long a tick is."""
     slow = Bench(hand_file(tmp_path, [protocol]), period_ns=period_ms * 1_000_000)
-    slow.until(Want.POLL, Phase.READY)
+    slow.until(DriveTarget.POLL, Phase.READY)
     for _ in range(5):
-        slow.tick(Want.POLL)
-    slow.until(Want.ENABLE, Phase.ENABLED, ticks=200)
+        slow.tick(DriveTarget.POLL)
+    slow.until(DriveTarget.ENABLE, Phase.ENABLED, ticks=200)
     slow.rig.close()
 
 
 def test_a_dead_host_loses_its_torque_and_only_a_person_gets_it_back(bench: Bench) -> None:
-    bench.until(Want.ENABLE, Phase.ENABLED)
-    bench.tick(Want.ENABLE, 0.05)
+    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
+    bench.tick(DriveTarget.ENABLE, 0.05)
     for _ in range(15):
-        bench.tick(Want.LISTEN)
+        bench.tick(DriveTarget.LISTEN)
     assert servo_torques(bench) == pytest.approx([0.05] * 4, abs=0.001), "30 ms: not yet"
     for _ in range(35):
-        bench.tick(Want.LISTEN)
+        bench.tick(DriveTarget.LISTEN)
     assert servo_torques(bench) == [0.0] * 4, "100 ms, and the watchdogs are set to 50 ms"
-    bench.until(Want.ENABLE, Phase.FAULT, ticks=100)
+    bench.until(DriveTarget.ENABLE, Phase.FAULT, ticks=100)
     for state in bench.states:
         assert "watchdog" in state.error_text
-    bench.until(Want.DISABLE, Phase.FAULT, ticks=100)
+    bench.until(DriveTarget.DISABLE, Phase.FAULT, ticks=100)
     bench.clear()
-    bench.until(Want.POLL, Phase.READY)
+    bench.until(DriveTarget.POLL, Phase.READY)
     assert [state.error for state in bench.states] == [0] * 4
-    bench.until(Want.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
 
 
 def test_a_cut_takes_the_torque_away_in_the_same_tick_and_disarms(bench: Bench) -> None:
-    bench.until(Want.ENABLE, Phase.ENABLED)
-    bench.tick(Want.ENABLE, 0.05)
+    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
+    bench.tick(DriveTarget.ENABLE, 0.05)
     assert 0.0 not in servo_torques(bench)
-    bench.tick(Want.LISTEN, extra=[frame for drive in bench.drives for frame in drive.cut()])
+    bench.tick(DriveTarget.LISTEN, extra=[frame for drive in bench.drives for frame in drive.cut()])
     assert servo_torques(bench) == [0.0] * 4
     for _ in range(200):
-        bench.tick(Want.DISABLE)
+        bench.tick(DriveTarget.DISABLE)
     assert {state.phase for state in bench.states} <= {Phase.READY, Phase.FAULT}
 
 
@@ -93,26 +93,26 @@ def test_a_node_is_told_to_lose_its_torque_before_it_reads_no_more(bench: Bench)
 
 
 def test_disabling_is_not_confirmed_by_silence(bench: Bench) -> None:
-    bench.until(Want.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
     for _ in range(400):
         bench.incoming = []
-        bench.tick(Want.DISABLE)
+        bench.tick(DriveTarget.DISABLE)
     bench.incoming = []
     assert [state.phase for state in bench.states] == [Phase.ENABLED] * 4
 
 
 @pytest.mark.parametrize("torque", [math.nan, math.inf, -math.inf, 0.801, -1e9])
 def test_what_is_no_torque_cannot_be_encoded(bench: Bench, torque: float) -> None:
-    bench.until(Want.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
     for drive, state in zip(bench.drives, bench.states, strict=True):
         with pytest.raises(ValueError, match=drive.name):
-            drive.advance(state, bench.k * 2_000_000, Want.ENABLE, torque)
+            drive.advance(state, bench.k * 2_000_000, DriveTarget.ENABLE, torque)
 
 
 @pytest.mark.parametrize("phase", [Phase.SILENT, Phase.ENABLED])
 def test_any_bytes_on_any_identifier_are_survived(bench: Bench, phase: Phase) -> None:
     if phase == Phase.ENABLED:
-        bench.until(Want.ENABLE, phase)
+        bench.until(DriveTarget.ENABLE, phase)
     chance, drive, known = random.Random(7), bench.drives[0], bench.states[0]
     for can_id in range(0x800):
         for length in range(65) if can_id in drive.node_ids else (0, 8, 64):
@@ -120,7 +120,7 @@ def test_any_bytes_on_any_identifier_are_survived(bench: Bench, phase: Phase) ->
             after = drive.receive(known, frame)
             if can_id not in drive.node_ids:
                 assert after is known
-            drive.advance(after, bench.k * 2_000_000, Want.POLL, 0.0)
+            drive.advance(after, bench.k * 2_000_000, DriveTarget.POLL, 0.0)
             for other in (frame._replace(bus=1), frame._replace(can_id=can_id | EXTENDED)):
                 assert drive.receive(known, other) is known
             assert drive.receive(known, frame._replace(can_id=can_id | REMOTE)) is known
@@ -139,6 +139,6 @@ def test_simulated_nodes_survive_any_bytes(bench: Bench) -> None:
 def test_what_the_host_sends_and_what_the_node_sends_are_told_apart(bench: Bench) -> None:
     drive = bench.drives[0]
     assert not drive.host_ids & drive.node_ids
-    bench.until(Want.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
     ours = {can_id for drive in bench.drives for can_id in drive.host_ids} | bench.node.host_ids
     assert {frame.can_id for frame in bench.sent} <= ours

@@ -3,13 +3,13 @@
 import pytest
 
 from handctl.drives import readback
-from handctl.drives.readback import REQUEST_TIMEOUT_NS, REQUEST_TRIES, Walk
+from handctl.drives.readback import REQUEST_TIMEOUT_NS, REQUEST_TRIES, Cursor
 
 
 def test_a_request_is_repeated_when_its_answer_is_overdue_and_not_for_ever() -> None:
-    walk, sent_ns = Walk(), list[int]()
+    cursor, sent_ns = Cursor(), list[int]()
     for t_ns in range(0, 2 * REQUEST_TRIES * REQUEST_TIMEOUT_NS, REQUEST_TIMEOUT_NS // 4):
-        walk, send, problem = readback.ask(walk, "setting 1", t_ns)
+        cursor, send, problem = readback.next_request(cursor, "setting 1", t_ns)
         sent_ns += [t_ns] * send
         if problem:
             break
@@ -19,35 +19,35 @@ def test_a_request_is_repeated_when_its_answer_is_overdue_and_not_for_ever() -> 
 
 
 def test_each_setting_has_its_own_tries() -> None:
-    walk, send, _ = readback.ask(Walk(), "first", 0)
+    cursor, send, _ = readback.next_request(Cursor(), "first", 0)
     assert send
-    assert walk.right() == Walk(1)
-    assert readback.ask(walk.right(), "second", 1)[1], "at once"
+    assert cursor.next_setting() == Cursor(1)
+    assert readback.next_request(cursor.next_setting(), "second", 1)[1], "at once"
 
 
 @pytest.mark.parametrize("writes", [0, 1, 3])
 def test_what_differs_is_written_and_read_again(writes: int) -> None:
-    walk = Walk(2, sent_ns=5, tries=1)
+    cursor = Cursor(2, sent_ns=5, tries=1)
     for number in range(writes):
-        walk, problem = readback.differs(walk, "limit", "3", "4", writes)
-        assert (walk, problem) == (Walk(2, writing=True, written=number), "")
-        walk = walk.wrote()
-        assert walk == Walk(2, written=number + 1)
-        walk, send, _ = readback.ask(walk, "limit", 7)
+        cursor, problem = readback.on_wrong_value(cursor, "limit", "3", "4", writes)
+        assert (cursor, problem) == (Cursor(2, writing=True, written=number), "")
+        cursor = cursor.after_write()
+        assert cursor == Cursor(2, written=number + 1)
+        cursor, send, _ = readback.next_request(cursor, "limit", 7)
         assert send
-    after, problem = readback.differs(walk, "limit", "3", "4", writes)
-    assert after == walk
+    after, problem = readback.on_wrong_value(cursor, "limit", "3", "4", writes)
+    assert after == cursor
     assert problem == f"limit reads 3{' after writing' if writes else ''}, expected 4"
 
 
 def test_a_setting_that_is_read_again_while_enabled() -> None:
-    check, problem = readback.ask_again(readback.begin_recheck(1, 0), "limit", 1, readback.RECHECK_NS)
+    check, problem = readback.next_recheck(readback.first_recheck(1, 0), "limit", 1, readback.RECHECK_NS)
     assert (check.waiting, check.tries, problem) == (True, 1, "")
-    good, problem = readback.take_again(check, 2, True, "limit", "reads 4", "4")
+    good, problem = readback.on_recheck_reply(check, 2, True, "limit", "reads 4", "4")
     assert (good.step, good.waiting, good.tries, problem) == (1, False, 0, "")
-    lost, problem = readback.take_again(check, 2, False, "limit", "reads 3", "4")
+    lost, problem = readback.on_recheck_reply(check, 2, False, "limit", "reads 3", "4")
     assert lost == readback.Recheck()
     assert problem == "limit reads 3 while enabled, expected 4: settings are lost"
     for _ in range(readback.RECHECK_TRIES - 1):
-        check, problem = readback.ask_again(check, "limit", 1, readback.RECHECK_NS)
+        check, problem = readback.next_recheck(check, "limit", 1, readback.RECHECK_NS)
     assert problem == "limit is not answered while enabled"

@@ -11,11 +11,11 @@ from handctl.controller.bus_load import bus_loads
 from handctl.core.types import Mode
 from handctl.drives import readback
 from handctl.drives.causes import Cause
-from handctl.drives.contract import Phase, Want
+from handctl.drives.contract import DriveTarget, Phase
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
 from handctl.drives.mit.drive import MitDrive
-from handctl.drives.mit.progress import Progress
+from handctl.drives.mit.progress import MitProgress
 from handctl.session.plan import fastest
 
 TICK_NS = 2_000_000
@@ -25,8 +25,10 @@ SEEDS = range(20) if os.environ.get("HANDCTL_NIGHTLY") == "1" else (1,)
 def enabled(node_id: int) -> tuple[MitDrive, object]:
     """Return an enabled MIT drive and its state."""
     drive = MitDrive("m", 0, node_id, node_id + 0x100, codec.Ranges(12.5, 50.0, 0.8), 1, 0.0, 1000)
-    check = readback.begin_recheck(node_id, 0)
-    state = drive.initial()._replace(phase=Phase.ENABLED, private=Progress(configured=True, asked=True, check=check))
+    check = readback.first_recheck(node_id, 0)
+    state = drive.initial()._replace(
+        phase=Phase.ENABLED, private=MitProgress(configured=True, enable_sent=True, check=check)
+    )
     return drive, state
 
 
@@ -35,7 +37,7 @@ def run(drive: MitDrive, state, ticks: int, registers: dict[int, float], heard: 
     asked = []
     feedback = bytes((codec.ENABLED << 4 | drive.node_id & 0xF, 0x80, 0, 0x7F, 0xF7, 0xFF, 25, 25))
     for k in range(ticks):
-        state, frames = drive.advance(state, k * TICK_NS, Want.ENABLE, 0.1)
+        state, frames = drive.advance(state, k * TICK_NS, DriveTarget.ENABLE, 0.1)
         if state.phase != Phase.ENABLED:
             break
         for frame in frames:

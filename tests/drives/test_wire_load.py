@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from handctl.controller.bus_load import bus_loads
-from handctl.drives.contract import Phase, Want
+from handctl.drives.contract import DriveTarget, Phase
 from handctl.drives.frame import ERROR
 from handctl.hand.load import hand_path, load_hand
 from handctl.runtime.lockstep import LockstepBus, LockstepClock
@@ -24,14 +24,14 @@ def planned_s(path: Path, period_ns: int = PERIOD_NS) -> list[float]:
 def busy_s(path: Path, wire: Sequence[str], period_ns: int = PERIOD_NS) -> list[float]:
     """Time of an enabled hand's tick on each bus, averaged over many."""
     bench = Bench(path, wire, period_ns)
-    bench.until(Want.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
     assert bench.rig.wired
     wires = bench.rig.wired.wires
     for _ in range(20):
-        bench.tick(Want.ENABLE, 0.05)
+        bench.tick(DriveTarget.ENABLE, 0.05)
     before = [one.busy_ns for one in wires]
     for _ in range(TICKS):
-        bench.tick(Want.ENABLE, 0.05)
+        bench.tick(DriveTarget.ENABLE, 0.05)
     assert [state.phase for state in bench.states] == [Phase.ENABLED] * len(bench.states)
     bench.rig.close()
     return [(one.busy_ns - start) * 1e-9 / TICKS for one, start in zip(wires, before, strict=True)]
@@ -67,7 +67,7 @@ def test_eleven_motors_fit_where_the_plan_says() -> None:
 def test_a_wire_that_is_asked_for_too_much_is_full_and_answers_come_late(tmp_path: Path) -> None:
     bench = Bench(hand_file(tmp_path, ["mit"]), ["queue=16"], period_ns=1_000_000)
     for _ in range(400):
-        bench.tick(Want.POLL)
+        bench.tick(DriveTarget.POLL)
     assert bench.rig.wired
     assert bench.rig.wired.wires[0].load(0, 400 * 1_000_000) > 0.9
     assert bench.rig.wired.wires[0].next_ns() < bench.k * 1_000_000 + 200_000, "frames wait"
@@ -94,7 +94,7 @@ def test_the_same_wire_gives_the_same_answers(tmp_path: Path) -> None:
         bench = Bench(path, ["error_rate=0.02", "stuffing=actual", "seed=5"])
         frames = []
         for _ in range(200):
-            bench.tick(Want.ENABLE, 0.02)
+            bench.tick(DriveTarget.ENABLE, 0.02)
             frames += bench.incoming
         heard.append(frames)
         bench.rig.close()

@@ -12,7 +12,7 @@ from handctl.core import constants as h
 from handctl.core import stages, wire
 from handctl.core.block import STATE
 from handctl.core.constants import ELEMENTS, HAND, KINDS
-from handctl.drives.contract import Drive, DriveState, Want
+from handctl.drives.contract import Drive, DriveState, DriveTarget
 from handctl.drives.frame import ERROR, Frame
 from handctl.drives.records import WORDS, Frames, frames_of
 from handctl.drives.sensors.node import SensorNode
@@ -81,12 +81,12 @@ class Wired:
                 self.keep(i, self.drives[i].receive(self.drive(i), frame))
             at += 1
 
-    def send(self, want: Want, torque: Sequence[float], t_ns: int) -> list[Frame]:
+    def send(self, target: DriveTarget, torque: Sequence[float], t_ns: int) -> list[Frame]:
         """Commands of a tick."""
         self.view("t_ns")[...] = t_ns
         tables, sent, first = self.tables, list[Frame](), 0
         while True:
-            if want == Want.ENABLE:
+            if target == DriveTarget.ENABLE:
                 out = np.zeros((len(tables.templates), WORDS), np.uint64)
                 first, count = wire.send(
                     self.block, self.layout.places, out, tables.commands, tables.sent_wholes, tables.sent_reals,
@@ -95,7 +95,7 @@ class Wired:
                 sent += Frames.of_rows(out[:count])
             if first >= len(self.drives):
                 return sent
-            state, frames = self.drives[first].advance(self.drive(first), t_ns, want, torque[first])
+            state, frames = self.drives[first].advance(self.drive(first), t_ns, target, torque[first])
             self.keep(first, state)
             sent += frames
             first += 1

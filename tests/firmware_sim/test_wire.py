@@ -10,7 +10,7 @@ from firmware_sim.bus.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
 from firmware_sim.wire.bits import FD_LENGTHS, Rate, priority
 from firmware_sim.wire.controller import Controller, State
 from firmware_sim.wire.medium import NEVER, Options, Wire
-from handctl.drives.load import frame_time_s
+from handctl.drives.frame_time import frame_time_s
 
 NOMINAL, DATA = 1_000_000, 5_000_000
 WORST, ACTUAL = Rate(NOMINAL, DATA), Rate(NOMINAL, DATA, actual=True)

@@ -13,7 +13,7 @@ from firmware_sim.scene.scene import load_scene
 from firmware_sim.server import Server
 from firmware_sim.world import World
 from handctl.drives.frame import Frame
-from handctl.drives.load import frame_time_s
+from handctl.drives.frame_time import frame_time_s
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import open_bus
 

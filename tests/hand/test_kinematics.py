@@ -9,7 +9,6 @@ import pytest
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel, rotation_rpy
 from handctl.hand.formats.urdf import urdf
-from handctl.hand.frames import link_transforms, quaternion
 from handctl.hand.inverse_kinematics import coordinate_limits, inverse, inverse_coupled
 from handctl.hand.kinematics import (
     forward,
@@ -20,6 +19,7 @@ from handctl.hand.kinematics import (
     tip_jacobian,
     to_palm,
 )
+from handctl.hand.link_frames import link_transforms, quaternion
 from handctl.hand.load import load_hand
 
 

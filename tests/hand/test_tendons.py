@@ -9,7 +9,7 @@ from scipy.integrate import quad
 from handctl.hand.digit import DigitModel
 from handctl.hand.load import load_hand
 from handctl.hand.tendons import (
-    TendonLaw,
+    TendonElasticity,
     effective_moment_arms,
     excursion,
     pulley_factors,
@@ -17,9 +17,9 @@ from handctl.hand.tendons import (
 )
 
 LAWS = [
-    TendonLaw.of(load_hand("jamia").tendon[0]),
-    TendonLaw(stiffness=1e5, stiffness_beyond=3e5, knee=200.0, knee_width=3e-4, damping=30.0),
-    TendonLaw(stiffness=7e4, stiffness_beyond=7e2, knee=50.0, knee_width=1e-5, damping=0.0),
+    TendonElasticity.of(load_hand("jamia").tendon[0]),
+    TendonElasticity(stiffness=1e5, stiffness_beyond=3e5, knee=200.0, knee_width=3e-4, damping=30.0),
+    TendonElasticity(stiffness=7e4, stiffness_beyond=7e2, knee=50.0, knee_width=1e-5, damping=0.0),
 ]
 law_of_each_kind = pytest.mark.parametrize("law", LAWS, ids=["softening", "hardening", "nearly plastic"])
 

@@ -16,7 +16,7 @@ from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
 from handctl.hand.digit import DigitModel
-from handctl.hand.frames import link_transforms
+from handctl.hand.link_frames import link_transforms
 from handctl.hand.load import load_hand
 from handctl.log.header import RunHeader
 from handctl.log.record import FRAMING, pack

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.hand.tendons import TendonLaw
+from handctl.hand.tendons import TendonElasticity
 from handctl.paper import sources as src
 from handctl.paper.bench import payload
 from handctl.paper.figures.gallery import draw_all
@@ -18,7 +18,7 @@ def measured() -> dict[str, Any]:
     chance = np.random.default_rng(11)
     ropes = []
     for knee in map(float, src.KNEES_N):
-        law = TendonLaw(1e5, 0.4e5, knee, 0.3e-3, 30.0)
+        law = TendonElasticity(1e5, 0.4e5, knee, 0.3e-3, 30.0)
         travel = np.linspace(1e-4, law.stretch(242.0), 1500)
         force = np.array([law.elastic(x) for x in travel.tolist()]) + chance.normal(scale=0.5, size=len(travel))
         ropes.append({"knee_N": knee, "travel_m": (travel + 4e-4).tolist(), "force_N": force.tolist()})

@@ -10,10 +10,10 @@ from rerun.chunk import RrdReader
 from rrd_entities import Entity, entities, of_file, subject_of
 
 from handctl.core.types import TELEMETRY_FIELDS
-from handctl.drives.load import frame_time_s
+from handctl.drives.frame_time import frame_time_s
 from handctl.errors import ConfigError, LogError
 from handctl.hand.digit import DigitModel
-from handctl.hand.frames import link_transforms
+from handctl.hand.link_frames import link_transforms
 from handctl.log.read.logfile import LogFile
 from handctl.log.read.reader import RunLog
 from handctl.log.read.scan import Scan, scan

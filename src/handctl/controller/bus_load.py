@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from handctl.controller.setup import make_drives, make_sensors
 from handctl.drives.contract import Drive
-from handctl.drives.load import MOST, frame_time_s
+from handctl.drives.frame_time import MAX_BUS_LOAD, frame_time_s
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.file.sections import Bus
@@ -118,13 +118,13 @@ def split(hand: Hand, rate_hz: float) -> list[list[str]]:
     """
     first = hand.bus[0]
     # The first bus also carries SYNC and load cells, so it has less room for motors.
-    left, buses = MOST - BusLoad("", 0, sensor_rows(hand, first)).at(rate_hz), list[list[str]]([[]])
+    left, buses = MAX_BUS_LOAD - BusLoad("", 0, sensor_rows(hand, first)).at(rate_hz), list[list[str]]([[]])
     for drive in make_drives(hand):
         share = BusLoad("", 1, drive_rows(drive, first)).at(rate_hz)
-        if share > MOST:
+        if share > MAX_BUS_LOAD:
             return []
         if share > left:
-            left = MOST
+            left = MAX_BUS_LOAD
             buses.append([])
         buses[-1].append(drive.name)
         left -= share

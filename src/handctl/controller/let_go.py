@@ -6,7 +6,7 @@ from typing import NamedTuple
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
 from handctl.core import block as s
-from handctl.drives.contract import Phase, Want
+from handctl.drives.contract import DriveTarget, Phase
 from handctl.drives.frame import Frame
 
 
@@ -46,7 +46,7 @@ def let_go(controller: Controller, state: State, t_ns: int, heard: Sequence[Fram
         for frame in heard:
             known = drive.receive(known, frame)
         # Repeated in every step until confirmed: a disable frame may be lost.
-        known, told = drive.advance(known, t_ns, Want.DISABLE, 0.0)
+        known, told = drive.advance(known, t_ns, DriveTarget.DISABLE, 0.0)
         controller.keep(after, n, known)
         frames += told
         if known.phase == Phase.ENABLED:

@@ -14,7 +14,7 @@ from handctl.controller.relaxing import begin_relaxing, hurry, let_go, settled
 from handctl.controller.state import State
 from handctl.core.model import HandModel
 from handctl.core.types import ACTING, BEFORE_ARMING, Event, Mode
-from handctl.drives.contract import Drive, DriveState, Phase, Want
+from handctl.drives.contract import Drive, DriveState, DriveTarget, Phase
 from handctl.drives.frame import Frame
 from handctl.errors import REMOVE_POWER
 from handctl.safety.action import Action
@@ -81,21 +81,21 @@ Next = tuple[Mode, str]
 """The next mode, and the reason if the run has failed."""
 
 
-def wanted_of_drives(mode: Mode) -> Want:
+def wanted_of_drives(mode: Mode) -> DriveTarget:
     """Return the target state of every drive in a mode."""
     return _WANTED[mode]
 
 
 _WANTED = {
-    Mode.SILENT: Want.LISTEN,
-    Mode.INVENTORY: Want.POLL,
-    Mode.READY: Want.POLL,
-    Mode.ARMING: Want.ENABLE,
-    Mode.ACTIVE: Want.ENABLE,
-    Mode.RELAX: Want.ENABLE,
-    Mode.DISARM: Want.DISABLE,
-    Mode.CUT: Want.DISABLE,
-    Mode.DONE: Want.LISTEN,
+    Mode.SILENT: DriveTarget.LISTEN,
+    Mode.INVENTORY: DriveTarget.POLL,
+    Mode.READY: DriveTarget.POLL,
+    Mode.ARMING: DriveTarget.ENABLE,
+    Mode.ACTIVE: DriveTarget.ENABLE,
+    Mode.RELAX: DriveTarget.ENABLE,
+    Mode.DISARM: DriveTarget.DISABLE,
+    Mode.CUT: DriveTarget.DISABLE,
+    Mode.DONE: DriveTarget.LISTEN,
 }
 
 
@@ -106,7 +106,9 @@ def farewell(drives: tuple[Drive, ...], state: State) -> tuple[Frame, ...]:
     """
     if state.mode != Mode.DONE or state.failure:
         return ()
-    return tuple(frame for drive, known in zip(drives, state.drives, strict=True) for frame in drive.leave(known))
+    return tuple(
+        frame for drive, known in zip(drives, state.drives, strict=True) for frame in drive.release_frames(known)
+    )
 
 
 def next_mode(

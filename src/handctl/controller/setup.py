@@ -131,7 +131,7 @@ class Setup(Document):
 
 def caveats(drives: Iterable[Drive]) -> tuple[str, ...]:
     """Return the drives' guards without read-back, a line each, for the operator to read before arming."""
-    return tuple(f"{drive.name}: {text}" for drive in drives for text in drive.caveats)
+    return tuple(f"{drive.name}: {text}" for drive in drives for text in drive.unverified_guards)
 
 
 def make_drives(hand: Hand) -> tuple[Drive, ...]:

@@ -15,20 +15,19 @@ from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.law.trajectory import Chirp, Curve, MinimumJerk, Sample
 from handctl.core.plain import BYTES, plain, register, restored
 from handctl.core.schema import Layout
-from handctl.drives.cia402 import progress as cia402
-from handctl.drives.contract import DriveState, Phase, Want
-from handctl.drives.mit import cubemars
-from handctl.drives.mit import progress as mit
-from handctl.drives.odrive import progress as odrive
-from handctl.drives.readback import Recheck, Walk
+from handctl.drives.cia402.progress import Cia402Progress
+from handctl.drives.contract import DriveState, DriveTarget, Phase
+from handctl.drives.mit.cubemars import CubemarsProgress
+from handctl.drives.mit.progress import MitProgress
+from handctl.drives.odrive.progress import OdriveProgress
+from handctl.drives.readback import Cursor, Recheck
 from handctl.programs.grip import Grip
 from handctl.programs.program import Progress
 from handctl.safety.judge import Counting, Latched
 
 register(
-    Decisions, DriveState, Phase, Want, Progress, Grip, DigitGoal, Kind, MinimumJerk, Curve, Sample, Chirp, Latched,
-    Counting, Gains, Coming, Recheck, mit.Progress, cubemars.Progress, odrive.Progress, cia402.Progress,
-    Walk,
+    Decisions, DriveState, Phase, DriveTarget, Progress, Grip, DigitGoal, Kind, MinimumJerk, Curve, Sample, Chirp,
+    Latched, Counting, Gains, Coming, Recheck, Cursor, MitProgress, CubemarsProgress, OdriveProgress, Cia402Progress,
 )  # fmt: skip
 
 HEAD = 8

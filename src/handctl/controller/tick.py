@@ -34,7 +34,7 @@ from handctl.core.model import HandModel
 from handctl.core.schema import Layout, Places
 from handctl.core.types import Event, Mode, TickIn, TickOut, Vector
 from handctl.core.wire import Wire
-from handctl.drives.contract import Drive, DriveState, Phase, Want
+from handctl.drives.contract import Drive, DriveState, DriveTarget, Phase
 from handctl.drives.frame import ERROR, Frame
 from handctl.drives.records import PAYLOAD, WORDS, Frames, Rows, frames_of, joined
 from handctl.drives.sensors.node import SensorNode
@@ -330,17 +330,17 @@ class Controller:
         torque = state.tendon[s.TORQUE]
         if self.model.torque_gain is not None:
             torque = torque / self.model.torque_gain
-        want = modes.wanted_of_drives(mode)
-        sent = self._send(state, out, want, torque, t_ns)
+        target = modes.wanted_of_drives(mode)
+        sent = self._send(state, out, target, torque, t_ns)
         return joined([frames_of(self.cut_frames()), Frames.of_rows(out[:1])]) if mode == CUT else sent
 
-    def _send(self, state: State, out: Rows, want: Want, torque: Vector, t_ns: int) -> Frames:
+    def _send(self, state: State, out: Rows, target: DriveTarget, torque: Vector, t_ns: int) -> Frames:
         """Write commands behind the SYNC in ``out``. Drives in transition go through their state machines."""
         tables, parts, first, begun_at, count = self.wire, list[Frames](), 0, 0, 1
         clearing = state.clearing and state.mode == Mode.INVENTORY
         n = len(self.drives)
         while True:
-            if want == Want.ENABLE:
+            if target == DriveTarget.ENABLE:
                 first, count = wire.send(
                     state.block, self.layout.places, out, tables.commands, tables.sent_wholes, tables.sent_reals,
                     tables.templates, torque, first, count,
@@ -351,7 +351,7 @@ class Controller:
             if clearing and known.phase == Phase.FAULT:
                 known, frames = drive.clear(known)
             else:
-                known, frames = drive.advance(known, t_ns, want, float(torque[first]))
+                known, frames = drive.advance(known, t_ns, target, float(torque[first]))
             self.keep(state, first, known)
             if frames:
                 parts += [Frames.of_rows(out[begun_at:count]), frames_of(frames)]

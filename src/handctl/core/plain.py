@@ -18,14 +18,24 @@ FORMAT = 2
 """Version of ``marshal``: the last version without references between shared values."""
 ARRAY, MODEL, BYTES = ":array", ":model", ":bytes"
 """Type marks of values other than named tuples and dataclasses."""
+NAMES_IN_LOGS = {
+    "drives.contract.DriveTarget": "drives.contract.Want",
+    "drives.readback.Cursor": "drives.readback.Walk",
+    "drives.mit.progress.MitProgress": "drives.mit.progress.Progress",
+    "drives.mit.cubemars.CubemarsProgress": "drives.mit.cubemars.Progress",
+    "drives.odrive.progress.OdriveProgress": "drives.odrive.progress.Progress",
+    "drives.cia402.progress.Cia402Progress": "drives.cia402.progress.Progress",
+}
+"""Renamed types and their first names. Hashes and snapshots in logs keep the first name."""
 _TYPES: dict[str, type] = {}
 _PLAIN = frozenset((type(None), bool, int, float, str, bytes))
 
 
 @functools.cache
 def name_of(type_: type) -> str:
-    """Return the name of a type in plain form: module and class."""
-    return f":{type_.__module__.removeprefix('handctl.')}.{type_.__qualname__}"
+    """Return the name of a type in plain form: module and class, before any renaming."""
+    name = f"{type_.__module__.removeprefix('handctl.')}.{type_.__qualname__}"
+    return ":" + NAMES_IN_LOGS.get(name, name)
 
 
 def register(*types: type) -> None:

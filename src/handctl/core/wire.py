@@ -279,8 +279,8 @@ def send(
         if n < first:
             continue
         steady = x.tendon_int[s.PHASE, n] == ENABLED and x.tendon_int[s.STATUS_EXPECTED, n] >= 0
-        heard_ns, patience_ns = x.tendon_int[s.FEEDBACK_NS, n], commands[i, 2]
-        overdue = patience_ns > 0 and heard_ns < now_ns - patience_ns
+        heard_ns, timeout_ns = x.tendon_int[s.FEEDBACK_NS, n], commands[i, 2]
+        overdue = timeout_ns > 0 and heard_ns < now_ns - timeout_ns
         if not steady or now_ns >= x.tendon_int[s.DUE_NS, n] or overdue:
             return n, count
         signal = commands[i, 1]
@@ -353,7 +353,7 @@ class Wire:
                     signal = len(wholes)
                     wholes.append(table.wholes[0])
                     reals.append([*table.reals[0], message.limit])
-                rows.append([n, signal, drive.cyclic.patience_ns])
+                rows.append([n, signal, drive.cyclic.feedback_timeout_ns])
                 templates.append(_template(message, drive.bus))
         self.commands: Whole = np.array(rows, dtype=np.int64).reshape(-1, 3)
         self.sent_wholes: Whole = np.array(wholes, dtype=np.int64).reshape(-1, 6)

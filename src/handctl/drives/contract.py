@@ -21,7 +21,7 @@ NEVER_NS = (1 << 63) - 1
 """Latest time [ns], for events without a date."""
 
 
-class Want(enum.IntEnum):
+class DriveTarget(enum.IntEnum):
     """Drive state requested by the controller. The drive approaches it one step per tick."""
 
     LISTEN = 0
@@ -110,8 +110,8 @@ class Drive(Protocol):
         background: frames with a rate of their own, as (payload bytes, CAN FD?, frames per second).
         host_ids: identifiers sent by the host alone. From another node they mean a second controller.
         node_ids: identifiers of the drive's answers.
-        caveats: guards without verification in this configuration, for the operator before arming.
-        answers_once: True if every command has exactly one feedback. An extra feedback is then a
+        unverified_guards: guards without verification in this configuration, for the operator before arming.
+        one_reply_per_command: True if every command has exactly one feedback. An extra feedback is then a
             duplicate, or a second node.
         position_step: resolution of the position [rad at the spool], 0 if unknown.
         cyclic: frames of a tick while the drive is enabled.
@@ -154,12 +154,12 @@ class Drive(Protocol):
         ...
 
     @property
-    def caveats(self) -> tuple[str, ...]:
+    def unverified_guards(self) -> tuple[str, ...]:
         """Return the guards without verification in this configuration, one line each."""
         ...
 
     @property
-    def answers_once(self) -> bool:
+    def one_reply_per_command(self) -> bool:
         """Return True if every command has exactly one feedback."""
         ...
 
@@ -200,13 +200,15 @@ class Drive(Protocol):
         """
         ...
 
-    def advance(self, state: DriveState, t_ns: int, want: Want, torque: float) -> tuple[DriveState, tuple[Frame, ...]]:
+    def advance(
+        self, state: DriveState, t_ns: int, target: DriveTarget, torque: float
+    ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state and the frames to send at time t_ns [ns].
 
         Args:
             state: state of the drive.
             t_ns: time of the tick [ns].
-            want: requested drive state.
+            target: requested drive state.
             torque: command [N m at the spool], used for ENABLE alone.
 
         Raises:
@@ -225,7 +227,7 @@ class Drive(Protocol):
         """Clear the drive's latched error on the operator's request. The drive stays disabled."""
         ...
 
-    def leave(self, state: DriveState) -> tuple[Frame, ...]:
+    def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
         """Return the frames at the regular end of a run. Afterwards the drive may miss this host.
 
         Empty if the drive may still make torque.

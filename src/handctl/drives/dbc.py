@@ -55,14 +55,14 @@ def of_bus(
 
 def dbc(sent: Iterable[Sent]) -> str:
     """Write a DBC. Of messages with equal identifiers the first is used."""
-    kept: dict[int, Sent] = {}
-    for one in sent:
-        if one.message.signals and not one.message.can_id & REMOTE:
-            kept.setdefault(one.message.can_id, one)
-    nodes = dict.fromkeys(node for one in kept.values() for node in (one.sender, one.receiver))
+    by_identifier: dict[int, Sent] = {}
+    for item in sent:
+        if item.message.signals and not item.message.can_id & REMOTE:
+            by_identifier.setdefault(item.message.can_id, item)
+    nodes = dict.fromkeys(node for item in by_identifier.values() for node in (item.sender, item.receiver))
     lines = ['VERSION ""', "", "NS_ :", "", "BS_:", "", " ".join(["BU_:", *nodes]), ""]
     floats, kinds = list[str](), list[str]()
-    for message, sender, receiver in kept.values():
+    for message, sender, receiver in by_identifier.values():
         frame_id = message.can_id & ~EXTENDED | (EXTENDED_BIT if message.can_id & EXTENDED else 0)
         lines.append(f"BO_ {frame_id} {message.name}: {message.length} {sender}")
         lines += [*(_signal(signal, receiver) for signal in message.signals), ""]
@@ -92,8 +92,8 @@ def _signal(signal: Signal, receiver: str) -> str:
     """Return the DBC line of a signal."""
     # In a DBC, @0 is big-endian and @1 little-endian. + is unsigned, - is signed or float.
     order, sign = 0 if signal.big_endian else 1, "+" if signal.coding == Coding.UNSIGNED else "-"
-    place = f"{signal.start}|{signal.length}@{order}{sign}"
-    return f' SG_ {signal.name} : {place} ({signal.scale!r},{signal.offset!r}) [0|0] "{signal.unit}" {receiver}'
+    layout = f"{signal.start}|{signal.length}@{order}{sign}"
+    return f' SG_ {signal.name} : {layout} ({signal.scale!r},{signal.offset!r}) [0|0] "{signal.unit}" {receiver}'
 
 
 def _named(message: Message, drive: str) -> Message:

@@ -2,7 +2,7 @@
 
 A protocol offers one ``Discovery``. Requests come in rounds: listen (0), ask all nodes at once (1),
 ask every node number (2), ask discovered nodes for details (3). Each round computes the nodes from
-all received frames, and no function here keeps a state. ``allowed`` leaves out requests that are a
+all received frames, and no function here keeps a state. ``split_probes`` leaves out requests that are a
 command to a drive of another protocol.
 """
 
@@ -18,7 +18,7 @@ LISTEN_S, ANSWER_S = 0.7, 0.25
 
 
 @dataclass(frozen=True)
-class Found:
+class DiscoveredNode:
     """Node on a bus, with its own data.
 
     Attributes:
@@ -44,7 +44,7 @@ class Found:
     notes: tuple[str, ...] = ()
 
 
-Seen = Sequence[Frame]
+ReceivedFrames = Sequence[Frame]
 """All frames received on one bus, oldest first."""
 
 
@@ -52,32 +52,32 @@ class Discovery(NamedTuple):
     """Discovery functions of one protocol.
 
     Attributes:
-        questions: request frames of a round, from the frames received before, for bus 0.
-        found: nodes in the received frames.
-        orders: identifiers that a node obeys as commands, from any sender.
-        foreign: frames that only another host can have sent.
+        probe_frames: request frames of a round, from the frames received before, for bus 0.
+        nodes: nodes in the received frames.
+        command_ids: identifiers that a node obeys as commands, from any sender.
+        other_host_frames: frames that only another host can have sent.
         ping: request to one node, without motion.
-        pong: True for a frame that answers ``ping``.
+        is_pong: True for a frame that answers ``ping``.
     """
 
-    questions: Callable[[int, Seen], tuple[Frame, ...]]
-    found: Callable[[Seen], tuple[Found, ...]]
-    orders: Callable[[Found], frozenset[int]]
-    foreign: Callable[[Seen], tuple[Frame, ...]]
-    ping: Callable[[Found], Frame]
-    pong: Callable[[Found, Frame], bool]
+    probe_frames: Callable[[int, ReceivedFrames], tuple[Frame, ...]]
+    nodes: Callable[[ReceivedFrames], tuple[DiscoveredNode, ...]]
+    command_ids: Callable[[DiscoveredNode], frozenset[int]]
+    other_host_frames: Callable[[ReceivedFrames], tuple[Frame, ...]]
+    ping: Callable[[DiscoveredNode], Frame]
+    is_pong: Callable[[DiscoveredNode, Frame], bool]
 
 
-def allowed(
-    questions: Iterable[Frame], orders: Iterable[frozenset[int]]
+def split_probes(
+    probe_frames: Iterable[Frame], command_ids: Iterable[frozenset[int]]
 ) -> tuple[tuple[Frame, ...], tuple[Frame, ...]]:
     """Split requests into safe ones and ones that a drive of another protocol would obey.
 
     Args:
-        questions: data and remote frames. A remote frame has no payload, and no drive obeys it.
-        orders: command identifiers of every discovered node of another protocol.
+        probe_frames: data and remote frames. A remote frame has no payload, and no drive obeys it.
+        command_ids: command identifiers of every discovered node of another protocol.
     """
-    taken = frozenset().union(*orders)
-    asked = tuple(questions)
-    kept = tuple(frame for frame in asked if frame.can_id & REMOTE or frame.can_id not in taken)
-    return kept, tuple(frame for frame in asked if frame not in kept)
+    obeyed = frozenset().union(*command_ids)
+    probes = tuple(probe_frames)
+    safe = tuple(frame for frame in probes if frame.can_id & REMOTE or frame.can_id not in obeyed)
+    return safe, tuple(frame for frame in probes if frame not in safe)

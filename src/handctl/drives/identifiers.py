@@ -37,13 +37,13 @@ def check_identifiers(owners: Iterable[tuple[str, Owner]]) -> None:
     Raises:
         ConfigError: two nodes share an identifier.
     """
-    known: list[tuple[str, Owner]] = []
+    checked: list[tuple[str, Owner]] = []
     for where, owner in owners:
-        for other_where, other in known:
+        for other_where, other in checked:
             if owner.bus == other.bus:
                 # Two nodes may listen to one host identifier (NMT, SYNC). An answer identifier must be unique.
                 both = owner.node_ids & (other.node_ids | other.host_ids) | owner.host_ids & other.node_ids
                 if both:
-                    right = f"another number; {other_where} uses it"
-                    raise ConfigError(f"identifier {min(both):#x} has two meanings", where, right)
-        known.append((where, owner))
+                    hint = f"another number; {other_where} uses it"
+                    raise ConfigError(f"identifier {min(both):#x} has two meanings", where, hint)
+        checked.append((where, owner))

@@ -6,7 +6,7 @@ frame), and SYNC where a protocol needs SYNC. ``controller.bus_load`` has the lo
 
 from typing import Any, NamedTuple
 
-from handctl.drives.load import MOST, bus_time_s
+from handctl.drives.frame_time import MAX_BUS_LOAD, bus_time_s
 
 NOMINAL, DATA = 1_000_000, 5_000_000
 """Bit rates of the table: nominal, and data phase of CAN FD [bit/s]."""
@@ -40,7 +40,7 @@ class TableRow(NamedTuple):
     def numbers(self) -> dict[str, Any]:
         """Return the line as a mapping, for programs."""
         loads = {f"{rate:g}": rate * self.tick_s for rate in TABLE_RATES_HZ}
-        return self._asdict() | {"tick_us": self.tick_s * 1e6, "load": loads, "max_hz": MOST / self.tick_s}
+        return self._asdict() | {"tick_us": self.tick_s * 1e6, "load": loads, "max_hz": MAX_BUS_LOAD / self.tick_s}
 
 
 TABLE = (

@@ -36,7 +36,7 @@ periods.
 """
 
 
-class Walk(NamedTuple):
+class Cursor(NamedTuple):
     """Cursor of the read-back of a drive's settings.
 
     Attributes:
@@ -58,30 +58,30 @@ class Walk(NamedTuple):
         """Return True if a request is open."""
         return self.sent_ns >= 0
 
-    def right(self) -> "Walk":
+    def next_setting(self) -> "Cursor":
         """Return the cursor at the next setting, after a correct value."""
-        return Walk(self.step + 1)
+        return Cursor(self.step + 1)
 
-    def wrote(self) -> "Walk":
+    def after_write(self) -> "Cursor":
         """Return the cursor after a write. The next request reads the setting."""
-        return Walk(self.step, written=self.written + 1)
+        return Cursor(self.step, written=self.written + 1)
 
 
-def due(walk: Walk, t_ns: int) -> bool:
+def due(cursor: Cursor, t_ns: int) -> bool:
     """Return True if no request is open, or the open request timed out."""
-    return not walk.waiting or t_ns - walk.sent_ns >= REQUEST_TIMEOUT_NS
+    return not cursor.waiting or t_ns - cursor.sent_ns >= REQUEST_TIMEOUT_NS
 
 
-def sent(walk: Walk, t_ns: int) -> Walk:
+def sent(cursor: Cursor, t_ns: int) -> Cursor:
     """Return the cursor after a request at ``t_ns`` [ns]."""
-    return walk._replace(sent_ns=t_ns, tries=walk.tries + 1)
+    return cursor._replace(sent_ns=t_ns, tries=cursor.tries + 1)
 
 
-def ask(walk: Walk, name: str, t_ns: int, tries: int = REQUEST_TRIES) -> tuple[Walk, bool, str]:
+def next_request(cursor: Cursor, name: str, t_ns: int, tries: int = REQUEST_TRIES) -> tuple[Cursor, bool, str]:
     """Decide whether to send a request for the setting, read or write.
 
     Args:
-        walk: cursor, not beyond the last setting.
+        cursor: cursor, not beyond the last setting.
         name: name of the setting.
         t_ns: time of the tick [ns].
         tries: requests before the setting counts as not answered.
@@ -89,18 +89,18 @@ def ask(walk: Walk, name: str, t_ns: int, tries: int = REQUEST_TRIES) -> tuple[W
     Returns:
         the new cursor, True to send the request, and the problem in words, empty without a problem.
     """
-    if not due(walk, t_ns):
-        return walk, False, ""
-    if walk.tries >= tries:
-        return walk, False, f"{name} is not answered"
-    return sent(walk, t_ns), True, ""
+    if not due(cursor, t_ns):
+        return cursor, False, ""
+    if cursor.tries >= tries:
+        return cursor, False, f"{name} is not answered"
+    return sent(cursor, t_ns), True, ""
 
 
-def differs(walk: Walk, name: str, read: str, expected: str, writes: int) -> tuple[Walk, str]:
+def on_wrong_value(cursor: Cursor, name: str, read: str, expected: str, writes: int) -> tuple[Cursor, str]:
     """Request a write of a setting with a wrong value, at most ``writes`` times.
 
     Args:
-        walk: cursor.
+        cursor: cursor.
         name: name of the setting.
         read: value read, as text.
         expected: required value, as text.
@@ -109,10 +109,10 @@ def differs(walk: Walk, name: str, read: str, expected: str, writes: int) -> tup
     Returns:
         the new cursor, and the problem in words, empty without a problem.
     """
-    if walk.written < writes:
-        return Walk(walk.step, writing=True, written=walk.written), ""
-    after = " after writing" if walk.written else ""
-    return walk, f"{name} reads {read}{after}, expected {expected}"
+    if cursor.written < writes:
+        return Cursor(cursor.step, writing=True, written=cursor.written), ""
+    after = " after writing" if cursor.written else ""
+    return cursor, f"{name} reads {read}{after}, expected {expected}"
 
 
 class Recheck(NamedTuple):
@@ -131,12 +131,12 @@ class Recheck(NamedTuple):
     tries: int = 0
 
 
-def begin_recheck(node_id: int, t_ns: int) -> Recheck:
+def first_recheck(node_id: int, t_ns: int) -> Recheck:
     """Return the cursor of a drive shortly before it is enabled at ``t_ns`` [ns]."""
-    return Recheck(due_ns=_next(node_id, t_ns))
+    return Recheck(due_ns=_next_slot_ns(node_id, t_ns))
 
 
-def ask_again(check: Recheck, name: str, node_id: int, t_ns: int) -> tuple[Recheck, str]:
+def next_recheck(check: Recheck, name: str, node_id: int, t_ns: int) -> tuple[Recheck, str]:
     """Return the cursor after a request to the enabled drive, and the problem in words.
 
     Args:
@@ -145,11 +145,13 @@ def ask_again(check: Recheck, name: str, node_id: int, t_ns: int) -> tuple[Reche
         node_id: node number of the drive.
         t_ns: time of the tick [ns].
     """
-    check = check._replace(due_ns=_next(node_id, t_ns), waiting=True, tries=check.tries + 1)
+    check = check._replace(due_ns=_next_slot_ns(node_id, t_ns), waiting=True, tries=check.tries + 1)
     return check, f"{name} is not answered while enabled" if check.tries >= RECHECK_TRIES else ""
 
 
-def take_again(check: Recheck, count: int, same: bool, name: str, says: str, expected: str) -> tuple[Recheck, str]:
+def on_recheck_reply(
+    check: Recheck, count: int, same: bool, name: str, answer: str, expected: str
+) -> tuple[Recheck, str]:
     """Compare a setting read again while enabled. A wrong value means that all settings may be lost.
 
     Args:
@@ -157,7 +159,7 @@ def take_again(check: Recheck, count: int, same: bool, name: str, says: str, exp
         count: number of settings in the repeated read-back.
         same: True if the value is the required one.
         name: name of the setting.
-        says: answer of the drive in words, such as ``reads 3``.
+        answer: answer of the drive in words, such as ``reads 3``.
         expected: required value, as text.
 
     Returns:
@@ -165,10 +167,10 @@ def take_again(check: Recheck, count: int, same: bool, name: str, says: str, exp
     """
     if same:
         return Recheck((check.step + 1) % count, check.due_ns), ""
-    return Recheck(), f"{name} {says} while enabled, expected {expected}: settings are lost"
+    return Recheck(), f"{name} {answer} while enabled, expected {expected}: settings are lost"
 
 
-def _next(node_id: int, t_ns: int) -> int:
+def _next_slot_ns(node_id: int, t_ns: int) -> int:
     """Return the next time in the drive's own time slot [ns]."""
     offset = node_id * STAGGER_NS % RECHECK_NS
     return ((t_ns - offset) // RECHECK_NS + 1) * RECHECK_NS + offset

@@ -6,18 +6,18 @@ from typing import NamedTuple
 from handctl.drives.cia402 import discovery as cia402_discovery
 from handctl.drives.cia402.drive import Cia402Drive
 from handctl.drives.contract import Drive
-from handctl.drives.description import MotorDescription
 from handctl.drives.discovery import Discovery
 from handctl.drives.mit import discovery as mit_discovery
 from handctl.drives.mit.cubemars import CubemarsDrive
 from handctl.drives.mit.drive import MitDrive
+from handctl.drives.motor_description import MotorDescription
 from handctl.drives.odrive import discovery as odrive_discovery
 from handctl.drives.odrive.drive import OdriveDrive
 from handctl.drives.sensors import discovery as sensor_discovery
 from handctl.errors import ConfigError
 
 
-class Spoken(NamedTuple):
+class ProtocolEntry(NamedTuple):
     """Entry of a protocol.
 
     Attributes:
@@ -29,15 +29,15 @@ class Spoken(NamedTuple):
     discovery: Discovery | None
 
 
-PROTOCOLS: dict[str, Spoken] = {
-    "odrive": Spoken(OdriveDrive.of, odrive_discovery.DISCOVERY),
-    "mit": Spoken(MitDrive.of, mit_discovery.DISCOVERY),
-    "cia402": Spoken(Cia402Drive.of, cia402_discovery.DISCOVERY),
-    "cubemars": Spoken(CubemarsDrive.of, None),
+PROTOCOLS: dict[str, ProtocolEntry] = {
+    "odrive": ProtocolEntry(OdriveDrive.of, odrive_discovery.DISCOVERY),
+    "mit": ProtocolEntry(MitDrive.of, mit_discovery.DISCOVERY),
+    "cia402": ProtocolEntry(Cia402Drive.of, cia402_discovery.DISCOVERY),
+    "cubemars": ProtocolEntry(CubemarsDrive.of, None),
 }
 """Protocols by their name in the hand file."""
 DISCOVERIES: dict[str, Discovery] = {
-    **{name: spoken.discovery for name, spoken in PROTOCOLS.items() if spoken.discovery},
+    **{name: entry.discovery for name, entry in PROTOCOLS.items() if entry.discovery},
     "sensor": sensor_discovery.DISCOVERY,
 }
 """Discovery of each protocol and of the sensor node."""

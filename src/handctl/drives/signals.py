@@ -106,13 +106,13 @@ class Cyclic(NamedTuple):
     Attributes:
         feedback: frames from the drive.
         commands: frames to the drive, in this order. One of them carries the torque.
-        patience_ns: longest time without feedback before the state machine must act [ns], 0 for no
+        feedback_timeout_ns: longest time without feedback before the state machine must act [ns], 0 for no
             limit.
     """
 
     feedback: tuple[Message, ...]
     commands: tuple[Message, ...]
-    patience_ns: int = 0
+    feedback_timeout_ns: int = 0
 
 
 START, LENGTH, ORDER, CODING, QUANTITY, CHANNEL = range(6)

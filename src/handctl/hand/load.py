@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.file.checks import check_hand
-from handctl.hand.file.messages import config_error, shown
+from handctl.hand.file.error_text import config_error, shown
 
 SCHEMA = 1
 """Supported version of the hand file's format."""

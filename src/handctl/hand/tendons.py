@@ -8,12 +8,12 @@ import numpy as np
 from handctl.hand.digit import Array, DigitModel, Values
 from handctl.hand.file.sections import Tendon
 
-ROPE_FRICTION_SPEED = 1e-3
+CAPSTAN_FRICTION_SPEED = 1e-3
 """Winding speed of nearly full capstan friction, v0 of tanh(v / v0) [m/s]. A regularisation."""
 
 
 @dataclass(frozen=True, slots=True)
-class TendonLaw:
+class TendonElasticity:
     """Tension by stretch: linear up to a knee, then a smooth transition to another stiffness.
 
     phi = k dl up to f_k. Beyond, with x = dl - f_k / k: phi = f_k + k2 x + (k - k2) w (1 - exp(-x / w)).
@@ -34,9 +34,9 @@ class TendonLaw:
     damping: float
 
     @staticmethod
-    def of(tendon: Tendon) -> "TendonLaw":
+    def of(tendon: Tendon) -> "TendonElasticity":
         """Return the law of a tendon of a hand file."""
-        return TendonLaw(
+        return TendonElasticity(
             stiffness=tendon.stiffness_N_per_m,
             stiffness_beyond=tendon.stiffness_beyond_ratio * tendon.stiffness_N_per_m,
             knee=tendon.knee_N,
@@ -123,7 +123,7 @@ def pulley_factors(digit: DigitModel, q: Values, speed: Values) -> Array:
     """
     # Only joints with a moment arm add to the wrap of a tendon.
     passed = np.cumsum((digit.moment_arms != 0.0) * np.asarray(q), axis=1)
-    exponent = digit.friction * np.tanh(np.divide(speed, ROPE_FRICTION_SPEED))
+    exponent = digit.friction * np.tanh(np.divide(speed, CAPSTAN_FRICTION_SPEED))
     return np.asarray(np.exp(-exponent[:, None] * (digit.wrap[:, None] + passed)))
 
 

@@ -11,7 +11,7 @@ from pydantic import Field, field_validator
 from handctl.core.identified import Identified, check_identified
 from handctl.core.types import Vector
 from handctl.document import Document, validated
-from handctl.drives.sensors.node import TARE_LEAST_N, TARE_MOST_N
+from handctl.drives.sensors.node import TARE_MAX_N, TARE_MIN_N
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import read_toml
@@ -32,8 +32,8 @@ class TendonCalibration(Document):
     @field_validator("tare_N")
     @classmethod
     def _readable(cls, tare: float) -> float:
-        if not TARE_LEAST_N <= tare <= TARE_MOST_N:
-            raise ValueError(f"{TARE_LEAST_N:g} to {TARE_MOST_N:g} N: adjust the load cell, then commission again")
+        if not TARE_MIN_N <= tare <= TARE_MAX_N:
+            raise ValueError(f"{TARE_MIN_N:g} to {TARE_MAX_N:g} N: adjust the load cell, then commission again")
         return tare
 
 

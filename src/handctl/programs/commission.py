@@ -17,7 +17,7 @@ from handctl.core.estimate import Estimate, Measured
 from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.model import HandModel
 from handctl.core.types import Event, Vector
-from handctl.drives.sensors.node import TARE_LEAST_N, TARE_MOST_N
+from handctl.drives.sensors.node import TARE_MAX_N, TARE_MIN_N
 from handctl.programs.calibration import Calibration, TendonCalibration
 from handctl.programs.program import TARE_PHASE, Progress, ProgressAndEvents
 
@@ -93,11 +93,11 @@ class CommissionProgram:
     def _check_tare(self, model: HandModel, progress: Progress) -> ProgressAndEvents | None:
         """Refuse a tare near an end of the load cell's range, and return None if all tares are usable."""
         tare = _tare(_table(progress))
-        worst = int(np.maximum(tare - TARE_MOST_N, TARE_LEAST_N - tare).argmax())
-        if TARE_LEAST_N <= tare[worst] <= TARE_MOST_N:
+        worst = int(np.maximum(tare - TARE_MAX_N, TARE_MIN_N - tare).argmax())
+        if TARE_MIN_N <= tare[worst] <= TARE_MAX_N:
             return None
         reading = f"{tare[worst]:.1f} N without tension"
-        bounds = f"from {TARE_LEAST_N:g} to {TARE_MOST_N:g} N"
+        bounds = f"from {TARE_MIN_N:g} to {TARE_MAX_N:g} N"
         return self._refuse(model, progress, worst, f"load cell reads {reading}, which can be tared {bounds}")
 
     def _rest(self, model: HandModel, progress: Progress, measured: Measured, t: float) -> ProgressAndEvents:

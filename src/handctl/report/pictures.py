@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from handctl.core.types import Mode
 from handctl.drives.frame import FDF
-from handctl.drives.load import frame_time_s
+from handctl.drives.frame_time import frame_time_s
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.kinematics import points, to_palm

@@ -11,7 +11,7 @@ from typing import Protocol
 from handctl.controller.bus_load import BusLoad, bus_loads
 from handctl.core.gains.gains import Gains
 from handctl.core.types import TickIn, TickOut
-from handctl.drives.load import MOST, highest_rate
+from handctl.drives.frame_time import MAX_BUS_LOAD, highest_rate
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
@@ -175,7 +175,7 @@ def control_rate(asked: float | None, hand: Hand, loads: Sequence[BusLoad]) -> f
         what = f"{rate:g}" if asked is not None else f"the buses carry {rate:g}"
         raise ConfigError(what, "--rate", f"at least {lowest:g}, for the drives' watchdogs")
     for name, load in zip(hand.bus_names, loads, strict=True):
-        if load.at(rate) > MOST:
+        if load.at(rate) > MAX_BUS_LOAD:
             what = f"bus {name} would be {100 * load.at(rate):.0f} % full at {rate:g} Hz"
             raise ConfigError(what, "--rate", f"at most {best:g}")
     return rate

@@ -22,7 +22,7 @@ from handctl.compiled import prepare
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.setup import make_drives, make_sensors
 from handctl.core.gains.gains import Gains
-from handctl.drives.contract import Phase, Want
+from handctl.drives.contract import DriveTarget, Phase
 from handctl.drives.registry import PROTOCOLS
 from handctl.hand.load import load_hand
 from handctl.programs.live import JogProgram
@@ -87,19 +87,19 @@ class Hand:
         prepare()  # as a controller does: else the first command compiles, and watchdogs do not wait
         self.clock.start()
 
-    def tick(self, want: Want, torque: float = 0.0) -> None:
+    def tick(self, target: DriveTarget, torque: float = 0.0) -> None:
         self.clock.wait(self.k)
         for frame in [frame for bus in self.buses for frame in bus.drain()]:
             self.states = [d.receive(s, frame) for d, s in zip(self.drives, self.states, strict=True)]
         self.buses[self.sensors.bus].send([self.sensors.sync(self.k)])
         for i, drive in enumerate(self.drives):
-            self.states[i], frames = drive.advance(self.states[i], self.k * PERIOD_NS, want, torque)
+            self.states[i], frames = drive.advance(self.states[i], self.k * PERIOD_NS, target, torque)
             assert self.buses[drive.bus].send(frames) == len(frames)
         self.k += 1
 
-    def until(self, want: Want, phase: Phase, ticks: int = 600) -> None:
+    def until(self, target: DriveTarget, phase: Phase, ticks: int = 600) -> None:
         for _ in range(ticks):
-            self.tick(want)
+            self.tick(target)
             if all(state.phase == phase for state in self.states):
                 return
         pytest.fail(f"{[(state.phase.name, state.error_text) for state in self.states]}, expected {phase.name}")
@@ -116,14 +116,14 @@ def test_a_hand_is_armed_pulls_and_is_disarmed(protocol: str, tmp_path: Path) ->
     path.write_text(path.read_text().replace("watchdog_ms = 50", "watchdog_ms = 500"))
     with simulated(path, ["socketcan:vcan0"], time_scale, truth_path):
         hand = Hand(path, ["socketcan:vcan0"], time_scale)
-        hand.until(Want.POLL, Phase.READY)
-        hand.until(Want.ENABLE, Phase.ENABLED)
+        hand.until(DriveTarget.POLL, Phase.READY)
+        hand.until(DriveTarget.ENABLE, Phase.ENABLED)
         for _ in range(int(TORQUE_S * RATE_HZ)):
-            hand.tick(Want.ENABLE, SPOOL_TORQUE_N_M)
+            hand.tick(DriveTarget.ENABLE, SPOOL_TORQUE_N_M)
         assert [state.phase for state in hand.states] == [Phase.ENABLED] * len(DIGITS)
-        hand.until(Want.DISABLE, Phase.READY)
+        hand.until(DriveTarget.DISABLE, Phase.READY)
         for _ in range(int(TORQUE_S * RATE_HZ)):
-            hand.tick(Want.POLL)
+            hand.tick(DriveTarget.POLL)
         hand.close()
     truth = read_truth(truth_path)
     assert truth.header["lost_frames"] == 0

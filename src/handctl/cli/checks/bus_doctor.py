@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from handctl.cli.console.options import print_json
-from handctl.drives.discovery import Found
+from handctl.drives.discovery import DiscoveredNode
 from handctl.drives.registry import DISCOVERIES
 from handctl.errors import BusError, ConfigError
 from handctl.hand.description import Hand
@@ -59,7 +59,7 @@ def _examined(spec: str, wanted: BusSection, hand: Hand | None) -> dict[str, Any
     print(f"{spec}: looking", file=sys.stderr, flush=True)
     kind, _, channel = spec.partition(":")
     found = _interface(channel, wanted) if kind == "socketcan" else []
-    trips: list[tuple[Found, RoundTrip]] = []
+    trips: list[tuple[DiscoveredNode, RoundTrip]] = []
     if not any(finding.fatal for finding in found):
         more, trips = _nodes(spec, wanted, hand)
         found += more
@@ -81,7 +81,9 @@ def _interface(channel: str, wanted: BusSection) -> list[Finding]:
     return findings(channel, link, wanted.bitrate, wanted.data_bitrate)
 
 
-def _nodes(spec: str, wanted: BusSection, hand: Hand | None) -> tuple[list[Finding], list[tuple[Found, RoundTrip]]]:
+def _nodes(
+    spec: str, wanted: BusSection, hand: Hand | None
+) -> tuple[list[Finding], list[tuple[DiscoveredNode, RoundTrip]]]:
     """Open the bus, look for drives, and time their answers."""
     try:
         bus = open_bus(spec, 0, wanted.bitrate, wanted.data_bitrate)
@@ -102,7 +104,7 @@ def _nodes(spec: str, wanted: BusSection, hand: Hand | None) -> tuple[list[Findi
     return found, trips
 
 
-def _timed(bus: Bus, result: Scan) -> list[tuple[Found, RoundTrip]]:
+def _timed(bus: Bus, result: Scan) -> list[tuple[DiscoveredNode, RoundTrip]]:
     return [(node, round_trip(bus, node)) for node in result.found if node.protocol in DISCOVERIES]
 
 
@@ -111,7 +113,7 @@ def _events(result: Scan) -> list[Finding]:
     return [Finding(f"while asking: {kind}, {number} times", False, WIRING) for kind, _, number in result.events]
 
 
-def _answers(timed: tuple[Found, RoundTrip]) -> Finding:
+def _answers(timed: tuple[DiscoveredNode, RoundTrip]) -> Finding:
     node, trip = timed
     name = f"{node.protocol} {node.node_id}"
     if not trip.answers:

@@ -6,7 +6,7 @@ from typing import Any
 
 from handctl.cli.console.options import print_json
 from handctl.controller.bus_load import BusLoad, Row, bus_loads, split
-from handctl.drives.load import MOST
+from handctl.drives.frame_time import MAX_BUS_LOAD
 from handctl.drives.load_table import TABLE, TABLE_RATES_HZ
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
@@ -42,9 +42,9 @@ def plan(hand: Hand, loads: tuple[BusLoad, ...], rate: float) -> dict[str, Any]:
         loads: of each bus.
         rate: control rate [Hz].
     """
-    fits = all(load.at(rate) <= MOST for load in loads)
+    fits = all(load.at(rate) <= MAX_BUS_LOAD for load in loads)
     buses = [_bus(load, rate) for load in loads]
-    return {"hand": hand.name, "rate_hz": rate, "most": MOST, "fits": fits, "buses": buses,
+    return {"hand": hand.name, "rate_hz": rate, "most": MAX_BUS_LOAD, "fits": fits, "buses": buses,
             "split": [] if fits else split(hand, rate)}  # fmt: skip
 
 
@@ -61,7 +61,7 @@ def wrong_rates(hand: Hand, specs: tuple[str, ...]) -> list[str]:
 
 
 def _bus(load: BusLoad, rate: float) -> dict[str, Any]:
-    most = load.highest(MOST)
+    most = load.highest(MAX_BUS_LOAD)
     return {
         "name": load.name,
         "motors": load.motors,
@@ -106,9 +106,9 @@ def _print_split(buses: list[list[str]]) -> None:
 def _print_table() -> None:
     rates = " / ".join(f"{rate:g}" for rate in TABLE_RATES_HZ)
     print("worst case with stuff bits, frames of the tensions included, SYNC only where the protocol needs it")
-    print(f"{'protocol':<34}{'bus':<11}motors  us a tick   % at {rates} Hz   Hz at {MOST:.0%}")
+    print(f"{'protocol':<34}{'bus':<11}motors  us a tick   % at {rates} Hz   Hz at {MAX_BUS_LOAD:.0%}")
     for row in TABLE:
         loads = " / ".join(f"{100 * rate * row.tick_s:.0f}" for rate in TABLE_RATES_HZ)
         kind = "FD 1/5" if row.fd else "classical"
         print(f"{row.protocol:<34}{kind:<11}{row.motors:>6}{row.tick_s * 1e6:>11.0f}   {loads:<22}"
-              f"{MOST / row.tick_s:>6.0f}")  # fmt: skip
+              f"{MAX_BUS_LOAD / row.tick_s:>6.0f}")  # fmt: skip

@@ -11,13 +11,13 @@ from pydantic import ValidationError
 from handctl.cli.checks.scan import identified
 from handctl.cli.console.begin import ask
 from handctl.cli.console.options import print_json
-from handctl.drives.contract import Drive, Phase, Want
-from handctl.drives.discovery import LISTEN_S, Found
+from handctl.drives.contract import Drive, DriveTarget, Phase
+from handctl.drives.discovery import LISTEN_S, DiscoveredNode
 from handctl.drives.frame import Frame
 from handctl.drives.mit.drive import MitDrive
 from handctl.drives.registry import PROTOCOLS, make_drive
 from handctl.errors import BusError, ConfigError, DriveError, PowerError
-from handctl.hand.file.messages import shown
+from handctl.hand.file.error_text import shown
 from handctl.hand.file.sections import Motor
 from handctl.hand.load import parse_toml
 from handctl.runtime.buses.contract import Bus
@@ -82,7 +82,7 @@ def _options(words: list[str]) -> dict[str, Any]:
         raise ConfigError(f"{' '.join(words)}: {error.what}", "--option", "KEY=VALUE, as in gear_ratio=6.0") from None
 
 
-def _drive(args: argparse.Namespace, options: dict[str, Any], found: Found | None) -> Drive:
+def _drive(args: argparse.Namespace, options: dict[str, Any], found: DiscoveredNode | None) -> Drive:
     """The drive, of what it told of itself and of the command line, which wins.
 
     Raises:
@@ -120,7 +120,7 @@ def _dry_run(args: argparse.Namespace) -> int:
     return Exit.DONE
 
 
-def _found(args: argparse.Namespace) -> Found:
+def _found(args: argparse.Namespace) -> DiscoveredNode:
     """The drive as a scan finds it.
 
     Raises:
@@ -151,10 +151,10 @@ def _listened(args: argparse.Namespace, bus: Bus) -> Scan:
     seen: list[Frame] = []
     listen(bus, LISTEN_S, seen)
     foreign = tuple(frame for frame in seen if frame.can_id == args.node)
-    return Scan((Found(args.drive, args.node),), foreign, (), (), len(seen))
+    return Scan((DiscoveredNode(args.drive, args.node),), foreign, (), (), len(seen))
 
 
-def _restoring(drive: Drive, found: Found) -> Drive:
+def _restoring(drive: Drive, found: DiscoveredNode) -> Drive:
     """The drive with the torque range that it had: to an MIT motor the limit is the scale of every torque."""
     if isinstance(drive, MitDrive) and "torque_max_N_m" in found.settings:
         ranges = drive.ranges._replace(torque=found.settings["torque_max_N_m"])
@@ -180,7 +180,7 @@ def _checked(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tuple[
             off = rig.confirm_off(WATCHDOG_MS / 1e3)
             if off and restoring is not drive:
                 rig.take(restoring)
-                rig.until(Want.POLL, lambda state: state.phase == Phase.READY, 3.0)
+                rig.until(DriveTarget.POLL, lambda state: state.phase == Phase.READY, 3.0)
             if not off and len(results) < len(PROMISES):  # a person or a bug has ended it, and nobody else will tell
                 raise PowerError(LEFT_ON)
     finally:
@@ -189,7 +189,7 @@ def _checked(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tuple[
     return results, off
 
 
-def _plain(args: argparse.Namespace, found: Found, results: list[Check], off: bool) -> dict[str, Any]:
+def _plain(args: argparse.Namespace, found: DiscoveredNode, results: list[Check], off: bool) -> dict[str, Any]:
     return {
         "drive": args.drive,
         "node": args.node,

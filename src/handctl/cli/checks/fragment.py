@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from handctl.drives.discovery import Found
+from handctl.drives.discovery import DiscoveredNode
 from handctl.drives.registry import PROTOCOLS
 
 Entry = tuple[str, object, str]
@@ -13,7 +13,7 @@ TORQUE_TOP = 50.0
 RATED_N_M, COUNTS = 0.1, 65536
 
 
-def fragment(buses: Mapping[str, Sequence[Found]], bitrate: int, data_bitrate: int | None) -> str:
+def fragment(buses: Mapping[str, Sequence[DiscoveredNode]], bitrate: int, data_bitrate: int | None) -> str:
     """``[[bus]]`` and ``[[motor]]`` sections of what was found.
 
     Args:
@@ -33,7 +33,7 @@ def fragment(buses: Mapping[str, Sequence[Found]], bitrate: int, data_bitrate: i
     return "\n".join(lines) + "\n"
 
 
-def _motor(bus: str, drive: Found) -> list[str]:
+def _motor(bus: str, drive: DiscoveredNode) -> list[str]:
     told, settings = "told by the drive", drive.settings
     torque = min(settings.get("torque_max_N_m", 0.1), TORQUE_TOP)
     entries: list[Entry] = [
@@ -64,7 +64,7 @@ def _source(key: str, settings: Mapping[str, float], hint: str) -> str:
     return "told by the drive" if key in settings else ASKED + hint if hint else ""
 
 
-def _options(drive: Found) -> list[Entry]:
+def _options(drive: DiscoveredNode) -> list[Entry]:
     entries: list[Entry] = [(key, value, "told by the drive") for key, value in drive.options.items()]
     if drive.protocol == "cia402":
         for key, value, where in (("rated_torque_N_m", RATED_N_M, "0x6076"), ("counts_per_turn", COUNTS, "0x608F")):

@@ -8,7 +8,7 @@ from typing import Any
 from handctl.cli.checks.fragment import fragment
 from handctl.cli.console.options import print_json
 from handctl.drives.cia402 import codec as cia402_codec
-from handctl.drives.discovery import Found
+from handctl.drives.discovery import DiscoveredNode
 from handctl.drives.frame import REMOTE, Frame
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.diagnostics.scan import Scan, all_questions, scan
@@ -45,7 +45,7 @@ def _tell(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
-def identified(found: tuple[Found, ...], spec: str, bitrate: int) -> tuple[Found, ...]:
+def identified(found: tuple[DiscoveredNode, ...], spec: str, bitrate: int) -> tuple[DiscoveredNode, ...]:
     """The same, with what CANopen nodes tell over SDO."""
     nodes = [drive.node_id for drive in found if drive.protocol == "cia402"]
     if not nodes:
@@ -61,7 +61,7 @@ def identified(found: tuple[Found, ...], spec: str, bitrate: int) -> tuple[Found
     )  # fmt: skip
 
 
-def _with_identity(drive: Found, numbers: dict[str, int], texts: dict[str, str]) -> Found:
+def _with_identity(drive: DiscoveredNode, numbers: dict[str, int], texts: dict[str, str]) -> DiscoveredNode:
     power = cia402_codec.state_of(numbers["status"]) if "status" in numbers else ""
     notes = list(drive.notes)
     if not numbers.get("modes", 0) >> 9 & 1:
@@ -117,7 +117,7 @@ def _print(buses: dict[str, str], scans: dict[str, Scan], piece: str) -> None:
         print(f"\n{piece}", end="")
 
 
-def _print_drive(drive: Found) -> None:
+def _print_drive(drive: DiscoveredNode) -> None:
     known = (("firmware", drive.firmware), ("serial", drive.serial), ("", drive.state), ("ERROR", drive.error))
     words = "  ".join(f"{key} {text}".strip() for key, text in known if text)
     number = f"{drive.node_id:#x}" if drive.protocol == "sensor" else str(drive.node_id)

@@ -83,7 +83,7 @@ def constants_of(
         "tension_rail": limits.tension_rail,
         "tension_low": limits.tension_low,
         "cyclic_ns": [round(drive.feedback_period_s * 1e9) for drive in drives],
-        "answers_once": [drive.answers_once for drive in drives],
+        "answers_once": [drive.one_reply_per_command for drive in drives],
         "cell_group": [sensors.group_of_tendon(n) for n in range(model.tendon_count)],
         "joint_group": [sensors.group_of_joint(j) for j in range(len(hand.joints))],
         "mute_ns": round(mute * 1e9),

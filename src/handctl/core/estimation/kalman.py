@@ -20,7 +20,7 @@ from handctl.core.constants import ConstantTables
 from handctl.core.estimation import covariance as carried
 from handctl.core.estimation.statics import pull, static_torque, torque_to_tension
 from handctl.core.estimation.take_up import has_turned, near_taut, take_up, turning
-from handctl.hand.tendons import ROPE_FRICTION_SPEED
+from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -285,7 +285,7 @@ def _load_forces(x: Tables, c: ConstantTables) -> Matrix:
     better = False
     for n in range(count):
         tension[n] = tension_of(x, c, n)
-        quick[n] = math.tanh(x.tendon[s.SPEED, n] / ROPE_FRICTION_SPEED)
+        quick[n] = math.tanh(x.tendon[s.SPEED, n] / CAPSTAN_FRICTION_SPEED)
         known = x.tendon[s.FRICTION_STATE, n]
         developed[n] = quick[n] if math.isnan(known) else known
         better |= developed[n] != quick[n]

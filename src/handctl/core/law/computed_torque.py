@@ -28,7 +28,7 @@ from handctl.core.estimation.statics import winding_efficiency
 from handctl.core.estimation.touch import PRESS_N
 from handctl.core.law.friction_band import look_ahead
 from handctl.core.law.reference import LIMP, MOTION, NO_WAY, TENSION
-from handctl.hand.tendons import ROPE_FRICTION_SPEED
+from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -212,7 +212,7 @@ def _move(
     feedback += c.tendon[h.SPEED_GAIN, n] * (rate - speed)
     counted = c.run[h.FRICTION_FRACTION]
     # Fraction of the tension that passes the pulleys: efficiency winding, about 1 / efficiency paying out.
-    passed = (1.0 - counted) + counted * math.pow(efficiency, math.tanh(rate / ROPE_FRICTION_SPEED))
+    passed = (1.0 - counted) + counted * math.pow(efficiency, math.tanh(rate / CAPSTAN_FRICTION_SPEED))
     ceiling = min(c.tendon[h.CEILING, n], limit)
     tension = min(max(x.tendon[s.LOAD, n] / passed, c.tendon[h.FLOOR, n]), ceiling)
     x.tendon[s.TENSION_GOAL, n] = tension

@@ -5,7 +5,7 @@ while the tendon winds, the lower while paying out. At a reversal the digit stic
 alone, and the tension runs from an edge to the other with the tendon's stiffness. This takes some
 ten milliseconds, and begins at the tendon's reversal, not the plan's. At rest the digit creeps
 until friction carries no load.
-Source: Prandtl's elastic-plastic element, with a viscous slider below ``ROPE_FRICTION_SPEED``.
+Source: Prandtl's elastic-plastic element, with a viscous slider below ``CAPSTAN_FRICTION_SPEED``.
 """
 
 import math
@@ -15,9 +15,9 @@ from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
-from handctl.hand.tendons import ROPE_FRICTION_SPEED
+from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 
-CREEP_SPEED = 1.3 * ROPE_FRICTION_SPEED
+CREEP_SPEED = 1.3 * CAPSTAN_FRICTION_SPEED
 """Speed at which the slider's straight line meets the band's edge, close to the tanh [m/s]."""
 FRICTION_LEAST_N = 1e-3
 """Smallest assumed friction [N], for a band of positive width."""

@@ -6,7 +6,7 @@ drive, outside any tick (``runtime.diagnostics.canopen_identity``). Source: CiA 
 
 from handctl.drives.cia402 import codec
 from handctl.drives.cia402.settings import MASTER
-from handctl.drives.discovery import Discovery, Found, Seen
+from handctl.drives.discovery import DiscoveredNode, Discovery, ReceivedFrames
 from handctl.drives.frame import REMOTE, Frame
 
 NUMBERS = range(1, MASTER)
@@ -19,18 +19,18 @@ _RPDOS = (0x200, 0x300, 0x400, 0x500)
 """Bases of the four RPDO identifiers."""
 
 
-def questions(turn: int, seen: Seen) -> tuple[Frame, ...]:
+def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the request frames of a round: the device type of every number in round 2."""
     if turn != 2:
         return ()
     return tuple(Frame(codec.SDO_REQUEST + number, codec.upload(DEVICE_TYPE, 0)) for number in NUMBERS)
 
 
-def found(seen: Seen) -> tuple[Found, ...]:
+def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the nodes with a device type, and nodes with heartbeats but without a device type."""
     types: dict[int, int] = {}
     states: dict[int, int] = {}
-    for frame in seen:
+    for frame in received:
         if frame.can_id - codec.SDO_REPLY in NUMBERS and len(frame.data) == 8:
             reply = codec.sdo_reply(frame.data)
             if reply and reply[:2] == (DEVICE_TYPE, 0) and len(reply.raw) == 4:
@@ -40,36 +40,36 @@ def found(seen: Seen) -> tuple[Found, ...]:
     return tuple(_node(number, types.get(number), states.get(number)) for number in sorted(types | states))
 
 
-def _node(number: int, device_type: int | None, nmt: int | None) -> Found:
+def _node(number: int, device_type: int | None, nmt: int | None) -> DiscoveredNode:
     """Return the data of a node."""
     state = NMT_STATES.get(nmt, f"NMT state {nmt:#x}") if nmt is not None else ""
     if device_type is None:
-        return Found("canopen", number, state=state, notes=("beats, but does not answer an SDO",))
+        return DiscoveredNode("canopen", number, state=state, notes=("beats, but does not answer an SDO",))
     profile = device_type & 0xFFFF
     notes = () if profile == PROFILE else (f"a CANopen device of profile {profile}, not a drive of CiA 402",)
-    return Found("cia402" if profile == PROFILE else "canopen", number, state=state, notes=notes)
+    return DiscoveredNode("cia402" if profile == PROFILE else "canopen", number, state=state, notes=notes)
 
 
-def orders(node: Found) -> frozenset[int]:
+def command_ids(node: DiscoveredNode) -> frozenset[int]:
     """Return NMT, SYNC, and the node's RPDOs and SDO requests."""
-    own = {base + node.node_id for base in (codec.SDO_REQUEST, *_RPDOS)}
-    return frozenset(own | {codec.NMT, codec.SYNC})
+    own_ids = {base + node.node_id for base in (codec.SDO_REQUEST, *_RPDOS)}
+    return frozenset(own_ids | {codec.NMT, codec.SYNC})
 
 
-def foreign(seen: Seen) -> tuple[Frame, ...]:
+def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
     """Return SYNC, NMT, and heartbeats of another handctl."""
-    known = (codec.NMT, codec.SYNC, codec.HEARTBEAT + MASTER)
-    return tuple(frame for frame in seen if frame.can_id & ~REMOTE in known)
+    identifiers = (codec.NMT, codec.SYNC, codec.HEARTBEAT + MASTER)
+    return tuple(frame for frame in received if frame.can_id & ~REMOTE in identifiers)
 
 
-def ping(node: Found) -> Frame:
+def ping(node: DiscoveredNode) -> Frame:
     """Return the request for the device type."""
     return Frame(codec.SDO_REQUEST + node.node_id, codec.upload(DEVICE_TYPE, 0))
 
 
-def pong(node: Found, frame: Frame) -> bool:
+def is_pong(node: DiscoveredNode, frame: Frame) -> bool:
     """Return True for an SDO reply of the node."""
     return frame.can_id == codec.SDO_REPLY + node.node_id and len(frame.data) == 8
 
 
-DISCOVERY = Discovery(questions, found, orders, foreign, ping, pong)
+DISCOVERY = Discovery(probe_frames, nodes, command_ids, other_host_frames, ping, is_pong)

@@ -19,21 +19,21 @@ from handctl.drives.cia402.progress import (
     CLEAR_TRIES,
     MISMATCH,
     REPEAT_NS,
-    Progress,
-    fault,
-    judge,
-    lose,
+    Cia402Progress,
+    apply_power_state,
+    on_heartbeat,
+    on_timeout,
     progress_of,
-    take_heartbeat,
+    to_fault,
 )
-from handctl.drives.contract import UNSTEADY, DriveState, Phase, Want
-from handctl.drives.description import MotorDescription
+from handctl.drives.contract import UNSTEADY, DriveState, DriveTarget, Phase
 from handctl.drives.frame import Frame
-from handctl.drives.options import positive, switch, whole
+from handctl.drives.motor_description import MotorDescription
+from handctl.drives.option_checks import boolean, positive_number, whole_number
 from handctl.drives.signals import Cyclic, Message, Table
 from handctl.errors import ConfigError
 
-LISTEN, POLL, ENABLE, DISABLE = Want
+LISTEN, POLL, ENABLE, DISABLE = DriveTarget
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 
 HEARTBEATS_MISSED = 3.5
@@ -58,8 +58,8 @@ class Cia402Drive:
         counts: position counts per turn of the shaft.
         steps: required objects.
         sync: True if SYNC follows the command.
-        beat_every_ns: period of this host's heartbeat [ns].
-        patience_ns: longest time without a sign of life [ns].
+        heartbeat_period_ns: period of this host's heartbeat [ns].
+        life_sign_timeout_ns: longest time without a sign of life [ns].
         command: signal table of the command, from the fields above.
         feedback: signal table of the feedback, from the fields above.
     """
@@ -74,17 +74,17 @@ class Cia402Drive:
     counts: int
     steps: tuple[setup.Step, ...]
     sync: bool
-    beat_every_ns: int
-    patience_ns: int
+    heartbeat_period_ns: int
+    life_sign_timeout_ns: int
     command: Table = field(init=False, repr=False, compare=False)
     feedback: Table = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         """Build the signal tables of the cyclic frames."""
         sent = codec.command_message(self.node_id, self.ratio, self.rated, self.torque_limit)
-        heard = codec.feedback_message(self.node_id, self.counts, self.ratio, self.rated, self.zero)
+        feedback = codec.feedback_message(self.node_id, self.counts, self.ratio, self.rated, self.zero)
         object.__setattr__(self, "command", Table(sent))
-        object.__setattr__(self, "feedback", Table(heard))
+        object.__setattr__(self, "feedback", Table(feedback))
 
     @staticmethod
     def of(motor: MotorDescription, bus: int) -> "Cia402Drive":
@@ -96,18 +96,18 @@ class Cia402Drive:
         options, where = dict(motor.options), f"motor[{motor.name}].options"
         if not 0 < motor.node_id < setup.MASTER:
             raise ConfigError(str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {setup.MASTER - 1}")
-        ratio = positive(options.pop("gear_ratio", 1.0), f"{where}.gear_ratio", 1000)
-        rated = positive(options.pop("rated_torque_N_m", None), f"{where}.rated_torque_N_m", 1000)
-        counts = whole(options.pop("counts_per_turn", None), f"{where}.counts_per_turn", 1 << 24)
-        heartbeat = whole(options.pop("heartbeat_ms", 50), f"{where}.heartbeat_ms", 1000)
-        unit, sync = options.pop("rated_torque_unit", "mN_m"), switch(options.pop("sync", False), f"{where}.sync")
+        ratio = positive_number(options.pop("gear_ratio", 1.0), f"{where}.gear_ratio", 1000)
+        rated = positive_number(options.pop("rated_torque_N_m", None), f"{where}.rated_torque_N_m", 1000)
+        counts = whole_number(options.pop("counts_per_turn", None), f"{where}.counts_per_turn", 1 << 24)
+        heartbeat = whole_number(options.pop("heartbeat_ms", 50), f"{where}.heartbeat_ms", 1000)
+        unit, sync = options.pop("rated_torque_unit", "mN_m"), boolean(options.pop("sync", False), f"{where}.sync")
         if unit not in UNITS:
             raise ConfigError(repr(unit), f"{where}.rated_torque_unit", " or ".join(UNITS))
         if options:
-            known = "rated_torque_N_m, rated_torque_unit, counts_per_turn, gear_ratio, heartbeat_ms or sync"
-            raise ConfigError("unknown key", f"{where}.{next(iter(options))}", known)
-        most = math.ceil(motor.torque_max_N_m / ratio / rated * 1000)
-        if most > codec.TORQUE_TOP:
+            updated = "rated_torque_N_m, rated_torque_unit, counts_per_turn, gear_ratio, heartbeat_ms or sync"
+            raise ConfigError("unknown key", f"{where}.{next(iter(options))}", updated)
+        max_torque = math.ceil(motor.torque_max_N_m / ratio / rated * 1000)
+        if max_torque > codec.TORQUE_TOP:
             raise ConfigError(f"{motor.torque_max_N_m:g}", f"motor[{motor.name}].torque_max_N_m", "32 x rated at most")
         if round(rated * UNITS[unit]) < 1:
             raise ConfigError(f"{rated:g}", f"{where}.rated_torque_N_m", f"at least one {unit}")
@@ -121,11 +121,11 @@ class Cia402Drive:
             zero=motor.zero_rad,
             rated=rated,
             counts=counts,
-            steps=setup.steps(motor.node_id, round(rated * UNITS[unit]), most, watchdog, heartbeat),
+            steps=setup.steps(motor.node_id, round(rated * UNITS[unit]), max_torque, watchdog, heartbeat),
             sync=sync,
             # Three heartbeats per watchdog time: two may be lost.
-            beat_every_ns=watchdog * 1_000_000 // 3,
-            patience_ns=round(heartbeat * HEARTBEATS_MISSED * 1e6),
+            heartbeat_period_ns=watchdog * 1_000_000 // 3,
+            life_sign_timeout_ns=round(heartbeat * HEARTBEATS_MISSED * 1e6),
         )
 
     @property
@@ -136,7 +136,10 @@ class Cia402Drive:
     @property
     def background(self) -> tuple[tuple[int, bool, float], ...]:
         """Return both heartbeats, and the objects read again."""
-        beats = (1, False, HEARTBEATS_MISSED * 1e9 / self.patience_ns), (1, False, 1e9 / self.beat_every_ns)
+        beats = (
+            (1, False, HEARTBEATS_MISSED * 1e9 / self.life_sign_timeout_ns),
+            (1, False, 1e9 / self.heartbeat_period_ns),
+        )
         return (*beats, *((8, False, readback.RECHECKS_PER_SECOND),) * 2)
 
     @property
@@ -151,12 +154,12 @@ class Cia402Drive:
         return frozenset(base + self.node_id for base in bases)
 
     @property
-    def caveats(self) -> tuple[str, ...]:
+    def unverified_guards(self) -> tuple[str, ...]:
         """Return no entry: every setting is read back."""
         return ()
 
     @property
-    def answers_once(self) -> bool:
+    def one_reply_per_command(self) -> bool:
         """Return True: one TPDO per SYNC."""
         return True
 
@@ -174,18 +177,18 @@ class Cia402Drive:
     def cyclic(self) -> Cyclic:
         """Return RPDO, TPDO, and SYNC if sent here."""
         sync = (Message("sync", codec.SYNC, 0, answers=False),) if self.sync else ()
-        return Cyclic((self.feedback.message,), (self.command.message, *sync), self.patience_ns)
+        return Cyclic((self.feedback.message,), (self.command.message, *sync), self.life_sign_timeout_ns)
 
     def steady_status(self, state: DriveState) -> int:
         """Return the status of a drive enabled by this host."""
         progress = progress_of(state)
-        steady = state.phase == ENABLED and progress.asked and progress.disabling_ns < 0
+        steady = state.phase == ENABLED and progress.enable_sent and progress.disabling_ns < 0
         return codec.ENABLED_STATUS if steady else UNSTEADY
 
     def due_ns(self, state: DriveState) -> int:
         """Return the time of this host's next heartbeat or read-back [ns]."""
         progress = progress_of(state)
-        return min(progress.check.due_ns, progress.beat_ns + self.beat_every_ns)
+        return min(progress.check.due_ns, progress.heartbeat_sent_ns + self.heartbeat_period_ns)
 
     @property
     def guards(self) -> tuple[setup.Step, ...]:
@@ -194,7 +197,7 @@ class Cia402Drive:
 
     def initial(self) -> DriveState:
         """Return the silent state."""
-        return DriveState(private=Progress())
+        return DriveState(private=Cia402Progress())
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
         """Apply one received frame, see ``contract.Drive``."""
@@ -204,102 +207,110 @@ class Cia402Drive:
         if len(frame.data) != (1 if service == codec.HEARTBEAT else 8):
             return state._replace(misread=state.misread + 1)
         if service == codec.TPDO:
-            return self._take_feedback(state, frame)
+            return self._on_feedback(state, frame)
         if service == codec.HEARTBEAT:
-            return take_heartbeat(state, frame)
+            return on_heartbeat(state, frame)
         if service == codec.SDO_REPLY:
-            return self._take_object(state, frame.data)
+            return self._on_object(state, frame.data)
         # The remaining service is the emergency. Code 0 reports the end of all errors.
         code = int.from_bytes(frame.data[:2], "little")
         return state._replace(private=progress_of(state)._replace(code=code)) if code else state
 
-    def _take_object(self, state: DriveState, data: bytes) -> DriveState:
+    def _on_object(self, state: DriveState, data: bytes) -> DriveState:
         """Apply an SDO reply."""
         progress, reply = progress_of(state), codec.sdo_reply(data)
         if reply is not None and state.phase == ENABLED and progress.check.waiting:
-            return self._take_again(state, progress, reply)
-        if reply is None or progress.walk.step >= len(self.steps) or state.phase not in (SILENT, CONFIGURING):
+            return self._on_recheck_reply(state, progress, reply)
+        if reply is None or progress.cursor.step >= len(self.steps) or state.phase not in (SILENT, CONFIGURING):
             return state
-        walk, serial, problem = setup.take(progress.walk, self.steps, reply)
-        progress = progress._replace(walk=walk, serial=serial or progress.serial)
-        known = state._replace(phase=CONFIGURING, private=progress)
-        return fault(known, MISMATCH, problem) if problem else known
+        cursor, serial, problem = setup.on_reply(progress.cursor, self.steps, reply)
+        progress = progress._replace(cursor=cursor, serial=serial or progress.serial)
+        updated = state._replace(phase=CONFIGURING, private=progress)
+        return to_fault(updated, MISMATCH, problem) if problem else updated
 
-    def _take_again(self, state: DriveState, progress: Progress, reply: codec.SdoReply) -> DriveState:
+    def _on_recheck_reply(self, state: DriveState, progress: Cia402Progress, reply: codec.SdoReply) -> DriveState:
         """Compare an object read again while enabled."""
         step = self.guards[progress.check.step]
         if reply[:2] != (step.number, step.sub) or not (reply.raw or reply.abort):
             return state
         value, same = int.from_bytes(reply.raw, "little"), reply.raw == step.raw
-        says = f"answers {codec.abort_text(reply.abort)!r}" if reply.abort else f"reads {value:#x}"
-        check, problem = readback.take_again(
-            progress.check, len(self.guards), same, step.name, says, f"{step.value:#x}"
+        answer = f"answers {codec.abort_text(reply.abort)!r}" if reply.abort else f"reads {value:#x}"
+        check, problem = readback.on_recheck_reply(
+            progress.check, len(self.guards), same, step.name, answer, f"{step.value:#x}"
         )
-        known = state._replace(private=progress._replace(check=check))
-        return fault(known, MISMATCH, problem) if problem else known
+        updated = state._replace(private=progress._replace(check=check))
+        return to_fault(updated, MISMATCH, problem) if problem else updated
 
-    def _take_feedback(self, state: DriveState, frame: Frame) -> DriveState:
+    def _on_feedback(self, state: DriveState, frame: Frame) -> DriveState:
         """Apply values and power state. Before the read-back is complete, a TPDO may hold anything."""
         progress = progress_of(state)
-        if progress.walk.step < len(self.steps):
+        if progress.cursor.step < len(self.steps):
             return state
         _, _, position, torque = self.feedback.unpack(frame.data)
-        known = state._replace(
+        updated = state._replace(
             position=position,
             torque=torque,
             feedback_t_ns=frame.t_ns,
             feedback_count=state.feedback_count + 1,
         )
         power = codec.state_of(int.from_bytes(frame.data[:2], "little"))
-        return judge(known, progress._replace(power=power or "unknown", heard_ns=frame.t_ns))
+        return apply_power_state(updated, progress._replace(power=power or "unknown", life_sign_ns=frame.t_ns))
 
-    def advance(self, state: DriveState, t_ns: int, want: Want, torque: float) -> tuple[DriveState, tuple[Frame, ...]]:
+    def advance(
+        self, state: DriveState, t_ns: int, target: DriveTarget, torque: float
+    ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state and the frames to send, see ``contract.Drive``."""
-        if want == LISTEN:
+        if target == LISTEN:
             return state, ()
         # A status word is a sign of life as well; compiled code may have read the last ones.
-        if 0 <= max(progress_of(state).heard_ns, state.feedback_t_ns) < t_ns - self.patience_ns:
-            state = lose(state)
-        state, frames = self._command(state, t_ns, want, torque)
+        if 0 <= max(progress_of(state).life_sign_ns, state.feedback_t_ns) < t_ns - self.life_sign_timeout_ns:
+            state = on_timeout(state)
+        state, frames = self._command(state, t_ns, target, torque)
         progress = progress_of(state)
-        if t_ns - progress.beat_ns >= self.beat_every_ns:
+        if t_ns - progress.heartbeat_sent_ns >= self.heartbeat_period_ns:
             frames = (*frames, Frame(_MASTER_BEAT, bytes((codec.OPERATIONAL,)), 0, self.bus))
-            state = state._replace(private=progress._replace(beat_ns=t_ns))
+            state = state._replace(private=progress._replace(heartbeat_sent_ns=t_ns))
         return state, (*frames, Frame(codec.SYNC, b"", 0, self.bus)) if self.sync else frames
 
-    def _command(self, state: DriveState, t_ns: int, want: Want, torque: float) -> tuple[DriveState, tuple[Frame, ...]]:
+    def _command(
+        self, state: DriveState, t_ns: int, target: DriveTarget, torque: float
+    ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state and the frames of the requested drive state, without heartbeat and SYNC."""
         progress = progress_of(state)
-        if want == DISABLE or (state.phase == ENABLED and (want != ENABLE or progress.disabling_ns >= 0)):
+        if target == DISABLE or (state.phase == ENABLED and (target != ENABLE or progress.disabling_ns >= 0)):
             return self._disable(state, progress, t_ns)
         if state.phase == ENABLED:
-            state, again = self._ask_again(state, progress, t_ns)
-            return state, (self._rpdo(codec.ENABLE_OPERATION, torque), *again)
+            state, recheck = self._next_recheck(state, progress, t_ns)
+            return state, (self._rpdo(codec.ENABLE_OPERATION, torque), *recheck)
         if state.phase == FAULT:
             return state, self.cut() if progress.may_be_enabled else ()
         progress = progress._replace(disabling_ns=-1)
-        if progress.walk.step < len(self.steps):
+        if progress.cursor.step < len(self.steps):
             return self._configure(state, progress, t_ns)
         if state.phase != READY:
             return self._start(state, progress, t_ns)
-        if want == ENABLE:
-            word = codec.NEXT.get(progress.power, codec.DISABLE_VOLTAGE)
-            check = progress.check if progress.asked else readback.begin_recheck(self.node_id, t_ns)
-            return state._replace(private=progress._replace(asked=True, check=check)), (self._rpdo(word, 0.0),)
+        if target == ENABLE:
+            control_word = codec.NEXT.get(progress.power, codec.DISABLE_VOLTAGE)
+            check = progress.check if progress.enable_sent else readback.first_recheck(self.node_id, t_ns)
+            return state._replace(private=progress._replace(enable_sent=True, check=check)), (
+                self._rpdo(control_word, 0.0),
+            )
         return state._replace(private=progress), ()
 
-    def _ask_again(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
+    def _next_recheck(
+        self, state: DriveState, progress: Cia402Progress, t_ns: int
+    ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Request an object of the enabled drive, if due."""
         if t_ns < progress.check.due_ns:
             return state, ()
         step = self.guards[progress.check.step]
-        check, problem = readback.ask_again(progress.check, step.name, self.node_id, t_ns)
+        check, problem = readback.next_recheck(progress.check, step.name, self.node_id, t_ns)
         state = state._replace(private=progress._replace(check=check))
         if problem:
-            state = fault(state, MISMATCH, problem)
+            state = to_fault(state, MISMATCH, problem)
         return state, (Frame(codec.SDO_REQUEST + self.node_id, codec.upload(step.number, step.sub), 0, self.bus),)
 
-    def _disable(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
+    def _disable(self, state: DriveState, progress: Cia402Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
         """Disable the drive. A possibly enabled drive counts as enabled until a status word reports disabled.
 
         Status words need the NMT state operational: NMT start is repeated without feedback.
@@ -312,30 +323,32 @@ class Cia402Drive:
             progress, start = progress._replace(started_ns=t_ns), (self._nmt(codec.START),)
         return state._replace(phase=phase, private=progress), (*start, self._rpdo(codec.DISABLE_VOLTAGE, 0.0))
 
-    def _configure(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
+    def _configure(
+        self, state: DriveState, progress: Cia402Progress, t_ns: int
+    ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next SDO request. Before the first one the node becomes pre-operational."""
-        walk, data, problem = setup.ask(progress.walk, self.steps, t_ns)
-        known = state._replace(private=progress._replace(walk=walk))
+        cursor, data, problem = setup.next_request(progress.cursor, self.steps, t_ns)
+        updated = state._replace(private=progress._replace(cursor=cursor))
         if problem:
-            return fault(known, MISMATCH, problem), ()
+            return to_fault(updated, MISMATCH, problem), ()
         frames = (Frame(codec.SDO_REQUEST + self.node_id, data, 0, self.bus),) if data else ()
-        return known, (self._nmt(codec.PRE_OPERATIONAL), *frames) if walk.step == 0 and data else frames
+        return updated, (self._nmt(codec.PRE_OPERATIONAL), *frames) if cursor.step == 0 and data else frames
 
-    def _start(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
+    def _start(self, state: DriveState, progress: Cia402Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
         """Make the node operational, and wait for a status word.
 
         A fault cleared by the operator is reset by the rising edge of a control bit.
         """
         if progress.clearing and progress.power == codec.FAULT:
             # Alternate words, since only the edge of bit 7 resets.
-            word = codec.FAULT_RESET if progress.clearing % 2 else codec.DISABLE_VOLTAGE
-            return state._replace(private=progress), (self._rpdo(word, 0.0),)
+            control_word = codec.FAULT_RESET if progress.clearing % 2 else codec.DISABLE_VOLTAGE
+            return state._replace(private=progress), (self._rpdo(control_word, 0.0),)
         if t_ns - progress.started_ns < REPEAT_NS:
             return state._replace(private=progress), ()
-        asked = "is somebody sending SYNC (0x080) on its bus, and does it take one with a counter?"
-        text = f"no TPDO yet: {asked}" if progress.started_ns >= 0 else ""
-        told = progress._replace(started_ns=t_ns)
-        return state._replace(error_text=text, private=told), (self._nmt(codec.START),)
+        enable_sent = "is somebody sending SYNC (0x080) on its bus, and does it take one with a counter?"
+        text = f"no TPDO yet: {enable_sent}" if progress.started_ns >= 0 else ""
+        updated = progress._replace(started_ns=t_ns)
+        return state._replace(error_text=text, private=updated), (self._nmt(codec.START),)
 
     def _rpdo(self, control: int, torque: float) -> Frame:
         """Return RPDO1 with a control word and a torque [N m at the spool]."""
@@ -365,7 +378,7 @@ class Cia402Drive:
         """
         return (self._rpdo(codec.DISABLE_VOLTAGE, 0.0), self._nmt(codec.PRE_OPERATIONAL))
 
-    def leave(self, state: DriveState) -> tuple[Frame, ...]:
+    def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
         """Return the end of heartbeat supervision. Silence after a run would otherwise latch a fault."""
         if state.phase != READY:
             return ()
@@ -375,9 +388,9 @@ class Cia402Drive:
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
         """Start again with the object read-back, and reset the fault at its end."""
         power = progress_of(state).power
-        fresh = Progress(power="" if power == codec.FAULT else power, clearing=CLEAR_TRIES)
-        known = state._replace(phase=SILENT, error=0, error_text="", private=fresh)
-        return known, (self._rpdo(codec.DISABLE_VOLTAGE, 0.0), self._rpdo(codec.FAULT_RESET, 0.0))
+        fresh = Cia402Progress(power="" if power == codec.FAULT else power, clearing=CLEAR_TRIES)
+        updated = state._replace(phase=SILENT, error=0, error_text="", private=fresh)
+        return updated, (self._rpdo(codec.DISABLE_VOLTAGE, 0.0), self._rpdo(codec.FAULT_RESET, 0.0))
 
 
 _MASTER_BEAT = codec.HEARTBEAT + setup.MASTER

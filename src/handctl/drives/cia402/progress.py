@@ -6,7 +6,7 @@ from handctl.drives.causes import Cause
 from handctl.drives.cia402 import codec
 from handctl.drives.contract import DriveState, Phase
 from handctl.drives.frame import Frame
-from handctl.drives.readback import Recheck, Walk
+from handctl.drives.readback import Cursor, Recheck
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 
@@ -24,30 +24,30 @@ REPEAT_NS = 20_000_000
 """Time between repeated NMT commands [ns]."""
 
 
-class Progress(NamedTuple):
+class Cia402Progress(NamedTuple):
     """Progress of CiA 402, the content of ``DriveState.private``.
 
     Attributes:
-        walk: cursor of the object read-back.
+        cursor: cursor of the object read-back.
         power: latest power state, empty before the first.
         code: error code of the latest emergency.
-        heard_ns: time of the latest heartbeat or status word [ns], -1 before the first.
+        life_sign_ns: time of the latest heartbeat or status word [ns], -1 before the first.
         started_ns: time of the latest NMT start [ns].
-        beat_ns: time of this host's latest heartbeat [ns].
-        asked: True from the enable command to the next report of disabled.
+        heartbeat_sent_ns: time of this host's latest heartbeat [ns].
+        enable_sent: True from the enable command to the next report of disabled.
         disabling_ns: time of the first disable command [ns], -1 without one.
         clearing: status words that may still show the fault being cleared.
         check: cursor of the read-back while enabled.
         serial: serial number, 0 if unknown.
     """
 
-    walk: Walk = Walk()
+    cursor: Cursor = Cursor()
     power: str = ""
     code: int = 0
-    heard_ns: int = -1
+    life_sign_ns: int = -1
     started_ns: int = -REPEAT_NS
-    beat_ns: int = -REPEAT_NS
-    asked: bool = False
+    heartbeat_sent_ns: int = -REPEAT_NS
+    enable_sent: bool = False
     disabling_ns: int = -1
     clearing: int = 0
     check: Recheck = Recheck()
@@ -56,70 +56,72 @@ class Progress(NamedTuple):
     @property
     def may_be_enabled(self) -> bool:
         """Return True after an enable command, or in a state with the power stage on."""
-        return self.asked or (self.power != "" and self.power not in codec.WITHOUT_TORQUE)
+        return self.enable_sent or (self.power != "" and self.power not in codec.WITHOUT_TORQUE)
 
 
-def progress_of(state: DriveState) -> Progress:
+def progress_of(state: DriveState) -> Cia402Progress:
     """Return the private part of a state."""
-    return cast(Progress, state.private)
+    return cast(Cia402Progress, state.private)
 
 
-def fault(state: DriveState, error: int, text: str) -> DriveState:
+def to_fault(state: DriveState, error: int, text: str) -> DriveState:
     """Return the state with an error."""
     return state._replace(phase=FAULT, error=error, error_text=text)
 
 
-def judge(state: DriveState, progress: Progress) -> DriveState:
+def apply_power_state(state: DriveState, progress: Cia402Progress) -> DriveState:
     """Apply a power state."""
-    power, known = progress.power, state._replace(private=progress)
+    power, updated = progress.power, state._replace(private=progress)
     if power == codec.FAULT:
-        return _has_fault(known, progress)
+        return _has_fault(updated, progress)
     if progress.disabling_ns >= 0:
         off = power in codec.WITHOUT_TORQUE and state.feedback_t_ns >= progress.disabling_ns
         if not off:
-            return known._replace(phase=ENABLED)
-        quiet = known._replace(private=progress._replace(asked=False, disabling_ns=-1))
+            return updated._replace(phase=ENABLED)
+        quiet = updated._replace(private=progress._replace(enable_sent=False, disabling_ns=-1))
         return quiet._replace(phase=FAULT if state.error else READY)
     if state.phase == ENABLED and power != codec.OPERATION_ENABLED:
-        return fault(
-            known._replace(private=progress._replace(asked=False)), DROPPED_OUT, f"fell to {power!r} by itself"
+        return to_fault(
+            updated._replace(private=progress._replace(enable_sent=False)), DROPPED_OUT, f"fell to {power!r} by itself"
         )
     if power == codec.OPERATION_ENABLED:
-        if progress.asked:
-            return known._replace(phase=ENABLED) if state.phase == READY else known
-        return fault(known, ENABLED_BY_OTHERS, "enabled, but not by this host") if state.phase != FAULT else known
+        if progress.enable_sent:
+            return updated._replace(phase=ENABLED) if state.phase == READY else updated
+        return (
+            to_fault(updated, ENABLED_BY_OTHERS, "enabled, but not by this host") if state.phase != FAULT else updated
+        )
     if state.phase == CONFIGURING and power in codec.WITHOUT_TORQUE:
-        return known._replace(phase=READY, error_text="", private=progress._replace(clearing=0))
-    return known
+        return updated._replace(phase=READY, error_text="", private=progress._replace(clearing=0))
+    return updated
 
 
-def _has_fault(state: DriveState, progress: Progress) -> DriveState:
+def _has_fault(state: DriveState, progress: Cia402Progress) -> DriveState:
     """Apply a drive fault: no torque, and the error code of the emergency if one was received."""
     if progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
-    off = state._replace(private=progress._replace(asked=False, disabling_ns=-1))
+    off = state._replace(private=progress._replace(enable_sent=False, disabling_ns=-1))
     text = codec.error_text(progress.code) if progress.code else "fault, and its emergency message was not heard"
-    return fault(off, progress.code or DROPPED_OUT, text)
+    return to_fault(off, progress.code or DROPPED_OUT, text)
 
 
-def take_heartbeat(state: DriveState, frame: Frame) -> DriveState:
+def on_heartbeat(state: DriveState, frame: Frame) -> DriveState:
     """Apply a heartbeat. A drive no longer operational lost its objects, or was stopped."""
-    progress = progress_of(state)._replace(heard_ns=frame.t_ns)
+    progress = progress_of(state)._replace(life_sign_ns=frame.t_ns)
     if frame.data[0] == codec.OPERATIONAL or state.phase not in (READY, ENABLED) or progress.disabling_ns >= 0:
         return state._replace(private=progress)
-    if state.phase == ENABLED or progress.asked:
-        what = "restarted" if frame.data[0] == codec.BOOT_UP else "left the state operational"
-        return fault(state._replace(private=progress), DROPPED_OUT, what)
-    return state._replace(phase=SILENT, private=Progress())
+    if state.phase == ENABLED or progress.enable_sent:
+        problem = "restarted" if frame.data[0] == codec.BOOT_UP else "left the state operational"
+        return to_fault(state._replace(private=progress), DROPPED_OUT, problem)
+    return state._replace(phase=SILENT, private=Cia402Progress())
 
 
-def lose(state: DriveState) -> DriveState:
+def on_timeout(state: DriveState) -> DriveState:
     """Apply missing signs of life. An enabled drive is in fault, another one may have lost its objects."""
     progress = progress_of(state)
     if state.phase == FAULT or progress.disabling_ns >= 0:
         return state
-    if state.phase == ENABLED or progress.asked:
-        return fault(state, LOST, "no heartbeat")
+    if state.phase == ENABLED or progress.enable_sent:
+        return to_fault(state, LOST, "no heartbeat")
     if state.phase == READY:
-        return state._replace(phase=SILENT, private=Progress(clearing=progress.clearing))
+        return state._replace(phase=SILENT, private=Cia402Progress(clearing=progress.clearing))
     return state

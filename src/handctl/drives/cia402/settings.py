@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 from handctl.drives import readback
 from handctl.drives.cia402 import codec
-from handctl.drives.readback import Walk
+from handctl.drives.readback import Cursor
 
-FOREVER = 1 << 62
+UNLIMITED = 1 << 62
 """Number of requests without an end."""
 TORQUE_MODE = 10
 """Mode of operation: cyclic synchronous torque."""
@@ -37,9 +37,9 @@ class Check(enum.IntEnum):
     """Read. The bits must be set."""
     WRITE = 2
     """Write, then read. The value must be equal."""
-    WRITE_IF_THERE = 3
+    WRITE_IF_PRESENT = 3
     """As WRITE. The drive need not have the object."""
-    TELL_IF_THERE = 4
+    READ_IF_PRESENT = 4
     """Read any value. The drive need not have the object."""
 
 
@@ -60,7 +60,7 @@ class Step(NamedTuple):
     @property
     def writes(self) -> bool:
         """Return True if the object is written before the read."""
-        return self.check in (Check.WRITE, Check.WRITE_IF_THERE)
+        return self.check in (Check.WRITE, Check.WRITE_IF_PRESENT)
 
     @property
     def name(self) -> str:
@@ -72,28 +72,33 @@ GUARDS = ((0x1016, 1), (0x6072, 0))
 """Objects of the drive's own guards: supervision of the master's heartbeat, and maximum torque."""
 
 
-def steps(node_id: int, rated: int, most: int, watchdog_ms: int, heartbeat_ms: int) -> tuple[Step, ...]:
+def steps(node_id: int, rated: int, max_torque: int, watchdog_ms: int, heartbeat_ms: int) -> tuple[Step, ...]:
     """Return all objects in order.
 
     Args:
         node_id: node number of the drive.
         rated: rated torque in the unit of object 0x6076.
-        most: maximum torque [1/1000 of rated].
+        max_torque: maximum torque [1/1000 of rated].
         watchdog_ms: longest time without this host's heartbeat [ms].
         heartbeat_ms: period of the drive's heartbeat [ms].
     """
-    same, bits, write, maybe, tell = Check
-    others = [Step(maybe, base + i, 1, PDO_OFF | cob + 0x100 * i + node_id, 4) for base, cob in ((0x1400, codec.RPDO),
-              (0x1800, codec.TPDO)) for i in (1, 2, 3)]  # fmt: skip
+    same, bits, write, write_optional, read = Check
+    bases = ((0x1400, codec.RPDO), (0x1800, codec.TPDO))
+    # PDO 2 to 4 are switched off: records follow each other, and their default COB-IDs are 0x100 apart.
+    others = [
+        Step(write_optional, base + i, 1, PDO_OFF | cob + 0x100 * i + node_id, 4)
+        for base, cob in bases
+        for i in (1, 2, 3)
+    ]
     return (
         # 0x0192 = 402: the profile number in the low word of the device type.
         Step(bits, 0x1000, 0, 0x0192, 4),
-        Step(tell, *SERIAL, 0, 4),
+        Step(read, *SERIAL, 0, 4),
         Step(write, 0x6040, 0, codec.DISABLE_VOLTAGE, 2),
         # Supported modes: bit 9 is mode 10, cyclic synchronous torque.
         Step(bits, 0x6502, 0, 1 << TORQUE_MODE - 1, 4),
         Step(same, 0x6076, 0, rated, 4),
-        Step(write, 0x6072, 0, most, 2),
+        Step(write, 0x6072, 0, max_torque, 2),
         Step(write, 0x6071, 0, 0, 2),
         # Abort connection option 1: fault on loss of the master.
         Step(write, 0x6007, 0, 1, 2),
@@ -107,7 +112,7 @@ def steps(node_id: int, rated: int, most: int, watchdog_ms: int, heartbeat_ms: i
     )
 
 
-def _pdo(communication: int, mapping: int, cob: int, kind: int, objects: tuple[int, ...]) -> tuple[Step, ...]:
+def _pdo(communication: int, mapping: int, cob: int, transmission: int, objects: tuple[int, ...]) -> tuple[Step, ...]:
     """Return the steps of one PDO: disable, map, enable."""
     write = Check.WRITE
     return (
@@ -116,52 +121,54 @@ def _pdo(communication: int, mapping: int, cob: int, kind: int, objects: tuple[i
         Step(write, mapping, 0, 0, 1),
         *(Step(write, mapping, i + 1, entry, 4) for i, entry in enumerate(objects)),
         Step(write, mapping, 0, len(objects), 1),
-        Step(write, communication, 2, kind, 1),
+        Step(write, communication, 2, transmission, 1),
         Step(write, communication, 1, cob, 4),
     )
 
 
-def writes(walk: Walk, step: Step) -> bool:
+def writes(cursor: Cursor, step: Step) -> bool:
     """Return True if the next request writes. An object is written before the read."""
-    return step.writes and not walk.written
+    return step.writes and not cursor.written
 
 
-def take(walk: Walk, wanted: tuple[Step, ...], reply: codec.SdoReply) -> tuple[Walk, int, str]:
+def on_reply(cursor: Cursor, required: tuple[Step, ...], reply: codec.SdoReply) -> tuple[Cursor, int, str]:
     """Apply an SDO reply. Replies to any but the open request have no effect.
 
     Returns:
         the new cursor, the value of a TELL_IF_THERE object (else 0), and the problem in words, empty
         without a problem.
     """
-    step = wanted[walk.step]
-    if not walk.waiting or reply[:2] != (step.number, step.sub):
-        return walk, 0, ""
+    step = required[cursor.step]
+    if not cursor.waiting or reply[:2] != (step.number, step.sub):
+        return cursor, 0, ""
     if reply.abort:
-        if reply.abort in (codec.ABSENT, 0x06090011) and step.check >= Check.WRITE_IF_THERE:
-            return walk.right(), 0, ""
-        return walk, 0, f"{step.name}: {codec.abort_text(reply.abort)}"
-    if writes(walk, step):
-        return walk if reply.raw else walk.wrote(), 0, ""
+        if reply.abort in (codec.ABSENT, 0x06090011) and step.check >= Check.WRITE_IF_PRESENT:
+            return cursor.next_setting(), 0, ""
+        return cursor, 0, f"{step.name}: {codec.abort_text(reply.abort)}"
+    if writes(cursor, step):
+        return cursor if reply.raw else cursor.after_write(), 0, ""
     if not reply.raw:
-        return walk, 0, ""
+        return cursor, 0, ""
     value = int.from_bytes(reply.raw, "little")
-    if step.check == Check.TELL_IF_THERE:
-        return walk.right(), value, ""
+    if step.check == Check.READ_IF_PRESENT:
+        return cursor.next_setting(), value, ""
     if (value & step.value == step.value) if step.check == Check.HAS_BITS else value == step.value:
-        return walk.right(), 0, ""
-    walk, problem = readback.differs(walk, step.name, f"{value:#x}", f"{step.value:#x}", 0)
-    return walk, 0, problem
+        return cursor.next_setting(), 0, ""
+    cursor, problem = readback.on_wrong_value(cursor, step.name, f"{value:#x}", f"{step.value:#x}", 0)
+    return cursor, 0, problem
 
 
-def ask(walk: Walk, wanted: tuple[Step, ...], t_ns: int) -> tuple[Walk, bytes, str]:
+def next_request(cursor: Cursor, required: tuple[Step, ...], t_ns: int) -> tuple[Cursor, bytes, str]:
     """Return the next request: cursor, payload, and problem in words.
 
     The payload is empty while an answer is awaited, the problem is empty without a problem. The first
     object is requested until the drive answers.
     """
-    step = wanted[walk.step]
-    walk, send, problem = readback.ask(walk, step.name, t_ns, readback.REQUEST_TRIES if walk.step else FOREVER)
+    step = required[cursor.step]
+    cursor, send, problem = readback.next_request(
+        cursor, step.name, t_ns, readback.REQUEST_TRIES if cursor.step else UNLIMITED
+    )
     if not send:
-        return walk, b"", problem
+        return cursor, b"", problem
     download = codec.download(step.number, step.sub, step.raw)
-    return walk, download if writes(walk, step) else codec.upload(step.number, step.sub), ""
+    return cursor, download if writes(cursor, step) else codec.upload(step.number, step.sub), ""

@@ -157,7 +157,7 @@ def decode_feedback(data: bytes, table: Table) -> Feedback:
     return int(state) >> 4, position, velocity, torque, max(mosfet, winding)
 
 
-def special(code: int) -> bytes:
+def special_command(code: int) -> bytes:
     """Return the payload of ENABLE, DISABLE or CLEAR."""
     return b"\xff" * 7 + bytes((code,))
 

@@ -10,7 +10,7 @@ the command, 8 bytes (6 on older firmware, without bytes 6 and 7), big-endian:
 The motor has no registers and no watchdog, and its feedback does not report enabled or disabled. A
 motor counts as enabled after several answers to the enable command. A motor counts as disabled
 after several answers to the disable command without torque. The disable command also polls the
-motor, as the only request whose answer is free of torque. ``caveats`` lists the guards without
+motor, as the only request whose answer is free of torque. ``unverified_guards`` lists the guards without
 verification. Source: CubeMars AK Series Actuator Driver Manual V1.0.8, section 5.3.
 """
 
@@ -19,14 +19,14 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from handctl.drives.causes import Cause
-from handctl.drives.contract import NEVER_NS, UNSTEADY, DriveState, Phase, Want
-from handctl.drives.description import MotorDescription
+from handctl.drives.contract import NEVER_NS, UNSTEADY, DriveState, DriveTarget, Phase
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
+from handctl.drives.motor_description import MotorDescription
 from handctl.drives.signals import Cyclic, Quantity, Signal, Table
 from handctl.errors import ConfigError
 
-LISTEN, POLL, ENABLE, DISABLE = Want
+LISTEN, POLL, ENABLE, DISABLE = DriveTarget
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 MODELS = {
     "ak60-6": codec.Ranges(12.5, 50.0, 15.0),
@@ -65,9 +65,9 @@ count as degC (TMotorCANControl) read 40 degC too much.
 """
 QUIET = 0.02
 """Torque that counts as zero, as a fraction of full scale: noise of the current sensor at rest."""
-GONE_NS = 250_000_000
+SILENCE_NS = 250_000_000
 """Silence after which a motor counts as silent [ns]."""
-CAVEATS = (
+UNVERIFIED_GUARDS = (
     "watchdog: CubeMars' MIT mode has none; a dead host leaves torque on",
     "has no torque limit below its model's full scale; torque_max_N_m is this host's alone",
     "does not tell whether it is enabled; "
@@ -78,25 +78,25 @@ CAVEATS = (
 """Guards without verification."""
 
 
-class Progress(NamedTuple):
+class CubemarsProgress(NamedTuple):
     """Progress of a CubeMars motor, the content of ``DriveState.private``.
 
     Attributes:
-        order: latest command, ENABLE or DISABLE.
+        command_sent: latest command, ENABLE or DISABLE.
         since_ns: time of the first such command [ns].
         answers: expected answers to the command in a row.
-        asked: True from the enable command until the motor is disabled without torque.
+        enable_sent: True from the enable command until the motor is disabled without torque.
     """
 
-    order: Want = DISABLE
+    command_sent: DriveTarget = DISABLE
     since_ns: int = -1
     answers: int = 0
-    asked: bool = False
+    enable_sent: bool = False
 
 
-def progress_of(state: DriveState) -> Progress:
+def progress_of(state: DriveState) -> CubemarsProgress:
     """Return the private part of a state."""
-    progress: Progress = state.private
+    progress: CubemarsProgress = state.private
     return progress
 
 
@@ -112,9 +112,9 @@ class CubemarsDrive:
         torque_limit: largest torque command [N m].
         direction: 1 if positive torque of the motor winds, else -1.
         zero: motor angle of the spool's zero [rad].
-        coldest: temperature of count 0 in byte 6 of the feedback [degC].
-        sent: signal table of the command, from the fields above.
-        heard: signal table of the feedback, from the fields above.
+        temperature_offset: temperature of count 0 in byte 6 of the feedback [degC].
+        command: signal table of the command, from the fields above.
+        feedback: signal table of the feedback, from the fields above.
     """
 
     name: str
@@ -124,26 +124,26 @@ class CubemarsDrive:
     torque_limit: float
     direction: int
     zero: float
-    coldest: float
-    sent: Table = field(init=False, repr=False, compare=False)
-    heard: Table = field(init=False, repr=False, compare=False)
+    temperature_offset: float
+    command: Table = field(init=False, repr=False, compare=False)
+    feedback: Table = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         """Build the signal tables of the cyclic frames."""
-        sent = codec.command_message(self.node_id, self.ranges, self.direction)
-        heard = codec.feedback_message(self.node_id, self.ranges, self.direction, self.zero)
-        state, position, velocity, torque, _, _ = heard.signals
-        own = (
+        command = codec.command_message(self.node_id, self.ranges, self.direction)
+        feedback = codec.feedback_message(self.node_id, self.ranges, self.direction, self.zero)
+        state, position, velocity, torque, _, _ = feedback.signals
+        signals = (
             # Byte 0 is the whole node number here, not state and node nibbles.
             state._replace(name="node"),
             position,
             velocity,
             torque,
-            Signal("temperature", Quantity.TEMPERATURE, 55, 8, True, offset=self.coldest, unit="degC"),
+            Signal("temperature", Quantity.TEMPERATURE, 55, 8, True, offset=self.temperature_offset, unit="degC"),
             Signal("error", Quantity.STATUS, 63, 8, True),
         )
-        object.__setattr__(self, "sent", Table(sent._replace(limit=self.torque_limit)))
-        object.__setattr__(self, "heard", Table(heard._replace(signals=own)))
+        object.__setattr__(self, "command", Table(command._replace(limit=self.torque_limit)))
+        object.__setattr__(self, "feedback", Table(feedback._replace(signals=signals)))
 
     @staticmethod
     def of(motor: MotorDescription, bus: int) -> "CubemarsDrive":
@@ -157,19 +157,21 @@ class CubemarsDrive:
         options, where = dict(motor.options), f"motor[{motor.name}]"
         model: Any = options.pop("motor_type", None)
         if model not in MODELS:
-            what = "missing" if model is None else repr(model)
-            raise ConfigError(what, f"{where}.options.motor_type", "one of " + ", ".join(MODELS))
-        coldest = options.pop("temperature_offset_C", COLDEST_C)
-        if isinstance(coldest, bool) or coldest not in (COLDEST_C, 0.0):
-            raise ConfigError(repr(coldest), f"{where}.options.temperature_offset_C", f"{COLDEST_C:g} or 0")
+            problem = "missing" if model is None else repr(model)
+            raise ConfigError(problem, f"{where}.options.motor_type", "one of " + ", ".join(MODELS))
+        temperature_offset = options.pop("temperature_offset_C", COLDEST_C)
+        if isinstance(temperature_offset, bool) or temperature_offset not in (COLDEST_C, 0.0):
+            raise ConfigError(repr(temperature_offset), f"{where}.options.temperature_offset_C", f"{COLDEST_C:g} or 0")
         if options:
-            known = "motor_type or temperature_offset_C"
-            raise ConfigError("unknown key", f"{where}.options.{next(iter(options))}", known)
+            updated = "motor_type or temperature_offset_C"
+            raise ConfigError("unknown key", f"{where}.options.{next(iter(options))}", updated)
         ranges = MODELS[model]
         if motor.torque_max_N_m > ranges.torque:
             raise ConfigError(f"{motor.torque_max_N_m:g}", f"{where}.torque_max_N_m", f"at most {ranges.torque:g}")
-        most, zero = motor.torque_max_N_m, motor.zero_rad
-        return CubemarsDrive(motor.name, bus, motor.node_id, ranges, most, motor.direction, zero, float(coldest))
+        torque_limit, zero = motor.torque_max_N_m, motor.zero_rad
+        return CubemarsDrive(
+            motor.name, bus, motor.node_id, ranges, torque_limit, motor.direction, zero, float(temperature_offset)
+        )
 
     @property
     def exchange(self) -> tuple[tuple[int, bool], ...]:
@@ -195,12 +197,12 @@ class CubemarsDrive:
         return frozenset((self.node_id,))
 
     @property
-    def caveats(self) -> tuple[str, ...]:
+    def unverified_guards(self) -> tuple[str, ...]:
         """Return the guards without verification."""
-        return CAVEATS
+        return UNVERIFIED_GUARDS
 
     @property
-    def answers_once(self) -> bool:
+    def one_reply_per_command(self) -> bool:
         """Return True: the motor sends one answer per request."""
         return True
 
@@ -217,12 +219,12 @@ class CubemarsDrive:
     @property
     def cyclic(self) -> Cyclic:
         """Return command and answer."""
-        return Cyclic((self.heard.message,), (self.sent.message,))
+        return Cyclic((self.feedback.message,), (self.command.message,))
 
     def steady_status(self, state: DriveState) -> int:
         """Return the node number with error 0, as ``signals`` joins the two status bytes."""
-        progress: Progress = state.private
-        enabled = state.phase == ENABLED and progress.order == ENABLE and progress.answers >= ANSWERS
+        progress: CubemarsProgress = state.private
+        enabled = state.phase == ENABLED and progress.command_sent == ENABLE and progress.answers >= ANSWERS
         return (self.node_id & 0xFF) << 8 if enabled else UNSTEADY
 
     def due_ns(self, state: DriveState) -> int:
@@ -231,7 +233,7 @@ class CubemarsDrive:
 
     def initial(self) -> DriveState:
         """Return the silent state."""
-        return DriveState(private=Progress())
+        return DriveState(private=CubemarsProgress())
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
         """Apply one received frame, see ``contract.Drive``."""
@@ -240,11 +242,11 @@ class CubemarsDrive:
             return state
         if len(data) not in SIZES or data[0] != self.node_id & 0xFF:
             return state._replace(misread=state.misread + 1)
-        _, position, velocity, torque, temperature, byte = self.heard.unpack(data)
+        _, position, velocity, torque, temperature, byte = self.feedback.unpack(data)
         if len(data) < 8:
             temperature, byte = math.nan, 0.0
         error = int(byte)
-        heard = state._replace(
+        feedback = state._replace(
             position=position,
             velocity=velocity,
             torque=torque,
@@ -252,19 +254,19 @@ class CubemarsDrive:
             feedback_t_ns=t_ns,
             feedback_count=state.feedback_count + 1,
         )
-        known = self._answered(heard, state.private)
+        updated = self._on_answer(feedback, state.private)
         if not error:
-            return known
-        disabling = known.phase == ENABLED and progress_of(known).order == DISABLE
-        told = known._replace(error=error, error_text=ERRORS.get(error, f"unknown error {error}"))
-        return told if disabling else told._replace(phase=FAULT)
+            return updated
+        disabling = updated.phase == ENABLED and progress_of(updated).command_sent == DISABLE
+        updated = updated._replace(error=error, error_text=ERRORS.get(error, f"unknown error {error}"))
+        return updated if disabling else updated._replace(phase=FAULT)
 
-    def _answered(self, state: DriveState, progress: Progress) -> DriveState:
+    def _on_answer(self, state: DriveState, progress: CubemarsProgress) -> DriveState:
         """Count an answer to the present command."""
         # An answer from before the command proves nothing.
         if state.feedback_t_ns < progress.since_ns:
             return state
-        if progress.order == ENABLE:
+        if progress.command_sent == ENABLE:
             if progress.answers >= ANSWERS:
                 return state  # as before: more answers say nothing new
             done = state.phase != FAULT and progress.answers + 1 >= ANSWERS
@@ -274,32 +276,34 @@ class CubemarsDrive:
         quiet = abs(state.torque) <= QUIET * self.ranges.torque
         progress = progress._replace(answers=progress.answers + 1 if quiet else 0)
         if progress.answers < ANSWERS:
-            heard = CONFIGURING if state.phase == SILENT else state.phase
-            return state._replace(phase=heard, private=progress)
+            feedback = CONFIGURING if state.phase == SILENT else state.phase
+            return state._replace(phase=feedback, private=progress)
         phase = FAULT if state.error else READY
-        return state._replace(phase=phase, private=progress._replace(asked=False))
+        return state._replace(phase=phase, private=progress._replace(enable_sent=False))
 
-    def advance(self, state: DriveState, t_ns: int, want: Want, torque: float) -> tuple[DriveState, tuple[Frame, ...]]:
+    def advance(
+        self, state: DriveState, t_ns: int, target: DriveTarget, torque: float
+    ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state and the frames to send, see ``contract.Drive``."""
-        progress: Progress = state.private
-        if state.phase == ENABLED and want == ENABLE and progress.order == ENABLE:
+        progress: CubemarsProgress = state.private
+        if state.phase == ENABLED and target == ENABLE and progress.command_sent == ENABLE:
             return state, (self._frame(self._torque(torque)),)
-        if want == LISTEN:
+        if target == LISTEN:
             return state, ()
-        if state.phase == READY and t_ns - state.feedback_t_ns > GONE_NS and not progress.asked:
+        if state.phase == READY and t_ns - state.feedback_t_ns > SILENCE_NS and not progress.enable_sent:
             state = state._replace(phase=SILENT)
-        if want == ENABLE and state.phase == READY:
-            return self._order(state, ENABLE, t_ns), (self._frame(codec.special(codec.ENABLE)),)
-        phase = ENABLED if progress.asked and (want == DISABLE or state.phase != FAULT) else state.phase
+        if target == ENABLE and state.phase == READY:
+            return self._order(state, ENABLE, t_ns), (self._frame(codec.special_command(codec.ENABLE)),)
+        phase = ENABLED if progress.enable_sent and (target == DISABLE or state.phase != FAULT) else state.phase
         return self._order(state._replace(phase=phase), DISABLE, t_ns), self.cut()
 
-    def _order(self, state: DriveState, order: Want, t_ns: int) -> DriveState:
+    def _order(self, state: DriveState, command_sent: DriveTarget, t_ns: int) -> DriveState:
         """Return the state after a command. A new command has no answers yet."""
-        progress: Progress = state.private
-        if progress.order == order and progress.since_ns >= 0:
+        progress: CubemarsProgress = state.private
+        if progress.command_sent == command_sent and progress.since_ns >= 0:
             return state
-        asked = progress.asked or order == ENABLE
-        return state._replace(private=Progress(order, t_ns, 0, asked))
+        enable_sent = progress.enable_sent or command_sent == ENABLE
+        return state._replace(private=CubemarsProgress(command_sent, t_ns, 0, enable_sent))
 
     def _torque(self, torque: float) -> bytes:
         """Return the payload of a pure torque command.
@@ -311,21 +315,23 @@ class CubemarsDrive:
             ValueError: torque is not finite, or beyond the limit.
         """
         try:
-            return self.sent.pack(torque)
+            return self.command.pack(torque)
         except ValueError as error:
             raise ValueError(f"{self.name}: {error}") from None
 
     def cut(self) -> tuple[Frame, ...]:
         """Return the disable command."""
-        return (self._frame(codec.special(codec.DISABLE)),)
+        return (self._frame(codec.special_command(codec.DISABLE)),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
         """Forget the error. No frame clears it, and a motor with a lasting error reports it again."""
-        progress: Progress = state.private
-        fresh = state._replace(phase=SILENT, error=0, error_text="", private=Progress(asked=progress.asked))
+        progress: CubemarsProgress = state.private
+        fresh = state._replace(
+            phase=SILENT, error=0, error_text="", private=CubemarsProgress(enable_sent=progress.enable_sent)
+        )
         return fresh, self.cut()
 
-    def leave(self, state: DriveState) -> tuple[Frame, ...]:
+    def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
         """Return no frame: the motor has no watchdog."""
         return ()
 

@@ -1,13 +1,13 @@
 """Discovery of Damiao motors: a read of register MST_ID from each node number, then of other registers.
 
 Register traffic makes no torque. Replies use the identifiers of the feedback, hence no request is
-sent while another host drives motors (``foreign``). CubeMars motors have no registers, and cannot
+sent while another host drives motors (``other_host_frames``). CubeMars motors have no registers, and cannot
 be discovered without a command. Source: Damiao DM-J4310-2EC manual, register table.
 """
 
 import struct
 
-from handctl.drives.discovery import Discovery, Found, Seen
+from handctl.drives.discovery import DiscoveredNode, Discovery, ReceivedFrames
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
 
@@ -16,7 +16,7 @@ NUMBERS = range(1, 0x80)
 MST_ID, HARDWARE, SOFTWARE, SERIAL, CAN_BR = 7, 13, 14, 15, 35
 """Registers: identifier of the replies, hardware and software version, serial number, bit rate."""
 _INTEGERS = {MST_ID, codec.TIMEOUT, codec.CTRL_MODE, HARDWARE, SOFTWARE, SERIAL, CAN_BR}
-_ASKED = (SOFTWARE, SERIAL, CAN_BR, codec.CTRL_MODE, codec.TIMEOUT, codec.PMAX, codec.VMAX, codec.TMAX)
+_DETAILS = (SOFTWARE, SERIAL, CAN_BR, codec.CTRL_MODE, codec.TIMEOUT, codec.PMAX, codec.VMAX, codec.TMAX)
 FD_FROM = 5
 """Smallest code of register CAN_BR that means CAN FD."""
 _RANGES = (("position_range_rad", codec.PMAX), ("velocity_range_rad_s", codec.VMAX), ("torque_max_N_m", codec.TMAX))
@@ -24,7 +24,7 @@ _RANGES = (("position_range_rad", codec.PMAX), ("velocity_range_rad_s", codec.VM
 _STATES = {codec.DISABLED: "disabled", codec.ENABLED: "enabled"}
 
 
-def questions(turn: int, seen: Seen) -> tuple[Frame, ...]:
+def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the request frames of a round.
 
     Round 2 reads MST_ID of every number. Round 3 reads registers and state of discovered motors.
@@ -34,65 +34,65 @@ def questions(turn: int, seen: Seen) -> tuple[Frame, ...]:
     if turn != 3:
         return ()
     frames = []
-    for motor in found(seen):
-        frames += [_read(motor.node_id, register) for register in _ASKED]
+    for motor in nodes(received):
+        frames += [_read(motor.node_id, register) for register in _DETAILS]
         frames.append(Frame(codec.BROADCAST_ID, codec.register_request(motor.node_id, codec.REFRESH)))
     return tuple(frames)
 
 
-def found(seen: Seen) -> tuple[Found, ...]:
+def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the motors that answered with their MST_ID on that identifier."""
     replies: dict[int, dict[int, bytes]] = {}
-    for frame in seen:
+    for frame in received:
         if len(frame.data) == 8 and frame.data[2] == codec.READ and int.from_bytes(frame.data[:2], "little") in NUMBERS:
             replies.setdefault(int.from_bytes(frame.data[:2], "little"), {})[frame.data[3]] = frame.data[4:]
-    homes = {number: _integer(raw[MST_ID]) for number, raw in replies.items() if MST_ID in raw}
-    heard = {frame.can_id for frame in seen}
-    there = sorted(number for number, home in homes.items() if home in heard)
-    return tuple(_motor(number, homes[number], replies[number], seen) for number in there)
+    reply_ids = {number: _integer(raw[MST_ID]) for number, raw in replies.items() if MST_ID in raw}
+    identifiers = {frame.can_id for frame in received}
+    present = sorted(number for number, reply_id in reply_ids.items() if reply_id in identifiers)
+    return tuple(_motor(number, reply_ids[number], replies[number], received) for number in present)
 
 
-def _motor(number: int, home: int, raw: dict[int, bytes], seen: Seen) -> Found:
+def _motor(number: int, reply_id: int, raw: dict[int, bytes], received: ReceivedFrames) -> DiscoveredNode:
     """Return the data of one motor from its register values."""
-    known = {register: _integer(data) for register, data in raw.items() if register in _INTEGERS}
+    values = {register: _integer(data) for register, data in raw.items() if register in _INTEGERS}
     settings = {key: struct.unpack("<f", raw[register])[0] for key, register in _RANGES if register in raw}
     # Without reply_id the hand file assumes MST_ID = ESC_ID + 0x10.
-    options: dict[str, bool | int | float | str] = {} if home == number + 0x10 else {"reply_id": home}
-    if known.get(CAN_BR, 0) >= FD_FROM:
+    options: dict[str, bool | int | float | str] = {} if reply_id == number + 0x10 else {"reply_id": reply_id}
+    if values.get(CAN_BR, 0) >= FD_FROM:
         options["fd"] = True
     notes = []
-    if known.get(codec.TIMEOUT) == 0:
+    if values.get(codec.TIMEOUT) == 0:
         notes.append("its watchdog is off; handctl sets it before arming")
-    if known.get(codec.CTRL_MODE, codec.MIT_MODE) != codec.MIT_MODE:
+    if values.get(codec.CTRL_MODE, codec.MIT_MODE) != codec.MIT_MODE:
         notes.append("not in MIT mode; handctl sets it before arming")
-    state, error = _state(number, home, seen)
-    firmware = f"{known[SOFTWARE]:#x}" if SOFTWARE in known else ""
-    serial = f"{known[SERIAL]:#x}" if SERIAL in known else ""
-    return Found("mit", number, firmware, serial, state, error, settings, options, tuple(notes))
+    state, error = _state(number, reply_id, received)
+    firmware = f"{values[SOFTWARE]:#x}" if SOFTWARE in values else ""
+    serial = f"{values[SERIAL]:#x}" if SERIAL in values else ""
+    return DiscoveredNode("mit", number, firmware, serial, state, error, settings, options, tuple(notes))
 
 
-def _state(number: int, home: int, seen: Seen) -> tuple[str, str]:
+def _state(number: int, reply_id: int, received: ReceivedFrames) -> tuple[str, str]:
     """Return state and error from the latest feedback, both empty without feedback."""
-    for frame in reversed(seen):
-        own = frame.can_id == home and len(frame.data) == 8 and frame.data[0] & 0xF == number & 0xF
-        if own and codec.register_reply(frame.data, number) is None:
+    for frame in reversed(received):
+        is_own = frame.can_id == reply_id and len(frame.data) == 8 and frame.data[0] & 0xF == number & 0xF
+        if is_own and codec.register_reply(frame.data, number) is None:
             nibble = frame.data[0] >> 4
-            known = _STATES.get(nibble)
-            return (known, "") if known else ("in error", codec.ERRORS.get(nibble, f"unknown state {nibble:#x}"))
+            values = _STATES.get(nibble)
+            return (values, "") if values else ("in error", codec.ERRORS.get(nibble, f"unknown state {nibble:#x}"))
     return "", ""
 
 
-def orders(motor: Found) -> frozenset[int]:
+def command_ids(motor: DiscoveredNode) -> frozenset[int]:
     """Return the command identifiers of all modes."""
     # MIT, position-velocity, velocity, and force-position mode.
     return frozenset(mode + motor.node_id for mode in (0x000, 0x100, 0x200, 0x300))
 
 
-def foreign(seen: Seen) -> tuple[Frame, ...]:
+def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the frames of another host: register requests, MIT commands, and special commands."""
     return tuple(
         frame
-        for frame in seen
+        for frame in received
         if frame.can_id == codec.BROADCAST_ID
         or (0 < frame.can_id < 0x20 and len(frame.data) == 8)
         or (len(frame.data) == 8 and frame.data[:7] == b"\xff" * 7)
@@ -109,15 +109,15 @@ def _integer(raw: bytes) -> int:
     return int.from_bytes(raw, "little")
 
 
-def ping(motor: Found) -> Frame:
+def ping(motor: DiscoveredNode) -> Frame:
     """Return the request for MST_ID."""
     return _read(motor.node_id, MST_ID)
 
 
-def pong(motor: Found, frame: Frame) -> bool:
+def is_pong(motor: DiscoveredNode, frame: Frame) -> bool:
     """Return True for a reply with MST_ID."""
     answer = frame.can_id != codec.BROADCAST_ID and len(frame.data) == 8
     return answer and frame.data[:4] == codec.register_request(motor.node_id, codec.READ, MST_ID)[:4]
 
 
-DISCOVERY = Discovery(questions, found, orders, foreign, ping, pong)
+DISCOVERY = Discovery(probe_frames, nodes, command_ids, other_host_frames, ping, is_pong)

@@ -11,18 +11,27 @@ from dataclasses import dataclass, field
 
 from handctl.drives import readback
 from handctl.drives.causes import Cause
-from handctl.drives.contract import UNSTEADY, DriveState, Phase, Want
-from handctl.drives.description import MotorDescription
+from handctl.drives.contract import UNSTEADY, DriveState, DriveTarget, Phase
 from handctl.drives.frame import BRS, FDF, Frame
 from handctl.drives.mit import codec
 from handctl.drives.mit import settings as registers
-from handctl.drives.mit.progress import CAUSES, CLEAR_TRIES, GONE_NS, MISMATCH, Progress, fault, judge, progress_of
-from handctl.drives.options import switch
-from handctl.drives.readback import Walk
+from handctl.drives.mit.progress import (
+    CAUSES,
+    CLEAR_TRIES,
+    MISMATCH,
+    SILENCE_NS,
+    MitProgress,
+    apply_status,
+    progress_of,
+    to_fault,
+)
+from handctl.drives.motor_description import MotorDescription
+from handctl.drives.option_checks import boolean
+from handctl.drives.readback import Cursor
 from handctl.drives.signals import Cyclic, Table
 from handctl.errors import ConfigError
 
-LISTEN, POLL, ENABLE, DISABLE = Want
+LISTEN, POLL, ENABLE, DISABLE = DriveTarget
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 """Phases as module-level names. An attribute look-up in the enumeration costs more than a comparison."""
 
@@ -59,10 +68,10 @@ class MitDrive:
 
     def __post_init__(self) -> None:
         """Build the signal tables of the cyclic frames."""
-        sent = codec.command_message(self.node_id, self.ranges, self.direction, self.flags)
-        heard = codec.feedback_message(self.reply_id, self.ranges, self.direction, self.zero)
-        object.__setattr__(self, "command", Table(sent))
-        object.__setattr__(self, "feedback", Table(heard))
+        command = codec.command_message(self.node_id, self.ranges, self.direction, self.flags)
+        feedback = codec.feedback_message(self.reply_id, self.ranges, self.direction, self.zero)
+        object.__setattr__(self, "command", Table(command))
+        object.__setattr__(self, "feedback", Table(feedback))
 
     @staticmethod
     def of(motor: MotorDescription, bus: int) -> "MitDrive":
@@ -72,7 +81,7 @@ class MitDrive:
             ConfigError: an option unknown to MIT mode.
         """
         options, where = dict(motor.options), f"motor[{motor.name}].options"
-        reply, fd = options.pop("reply_id", motor.node_id + 0x10), switch(options.pop("fd", False), f"{where}.fd")
+        reply, fd = options.pop("reply_id", motor.node_id + 0x10), boolean(options.pop("fd", False), f"{where}.fd")
         if options:
             raise ConfigError("unknown key", f"{where}.{next(iter(options))}", "reply_id or fd")
         if type(reply) is not int or not 0 < reply < codec.BROADCAST_ID:
@@ -115,12 +124,12 @@ class MitDrive:
         return frozenset((self.reply_id,))
 
     @property
-    def caveats(self) -> tuple[str, ...]:
+    def unverified_guards(self) -> tuple[str, ...]:
         """Return no entry: every setting is read back."""
         return ()
 
     @property
-    def answers_once(self) -> bool:
+    def one_reply_per_command(self) -> bool:
         """Return True: a motor sends one answer per request."""
         return True
 
@@ -135,7 +144,7 @@ class MitDrive:
         return 0.0
 
     @property
-    def wanted(self) -> tuple[tuple[int, float], ...]:
+    def required(self) -> tuple[tuple[int, float], ...]:
         """Return (register, value) pairs required before arming."""
         ranges = zip((codec.PMAX, codec.VMAX, codec.TMAX), self.ranges, strict=True)
         return ((codec.CTRL_MODE, codec.MIT_MODE), *ranges, (codec.TIMEOUT, self.timeout))
@@ -153,7 +162,7 @@ class MitDrive:
     def steady_status(self, state: DriveState) -> int:
         """Return the first byte of steady feedback: state enabled, and the node number."""
         progress = progress_of(state)
-        if state.phase != ENABLED or not progress.asked or progress.disabling or progress.check.waiting:
+        if state.phase != ENABLED or not progress.enable_sent or progress.disabling or progress.check.waiting:
             return UNSTEADY
         return codec.ENABLED << 4 | self.node_id & 0xF
 
@@ -163,7 +172,7 @@ class MitDrive:
 
     def initial(self) -> DriveState:
         """Return the silent state."""
-        return DriveState(private=Progress())
+        return DriveState(private=MitProgress())
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
         """Apply one received frame, see ``contract.Drive``."""
@@ -176,47 +185,47 @@ class MitDrive:
         if state.phase == ENABLED and progress.check.waiting:
             reply = codec.register_reply(data, self.node_id)
             if reply is not None and reply[:2] == (codec.READ, self.guards[progress.check.step][0]):
-                return self._take_guard(state, progress, reply)
+                return self._on_guard(state, progress, reply)
         # While enabled, byte 0 of feedback is 0x10 | node nibble. A node number from 0x10 to 0x1f
         # makes byte 0 of a register reply look alike: the frame then counts as feedback.
         if state.phase != ENABLED or self.node_id >> 4 != codec.ENABLED:
             reply = codec.register_reply(data, self.node_id)
             if reply is not None:
-                return self._take_register(state, reply, t_ns)
+                return self._on_register(state, reply, t_ns)
         # The low nibble of byte 0 is the node number: another value is a frame of another motor.
         if (data[0] ^ self.node_id) & 0xF:
             return state._replace(misread=state.misread + 1)
-        return self._take_feedback(state, data, t_ns)
+        return self._on_feedback(state, data, t_ns)
 
-    def _take_register(self, state: DriveState, reply: codec.RegisterReply, t_ns: int) -> DriveState:
+    def _on_register(self, state: DriveState, reply: codec.RegisterReply, t_ns: int) -> DriveState:
         """Apply a register reply during configuration."""
         if state.phase != CONFIGURING:
             return state
         progress = progress_of(state)
-        if progress.walk.step >= len(self.wanted):
-            told = reply[:2] == (codec.READ, codec.SERIAL)
-            return _ready(state, progress, t_ns, int.from_bytes(reply.raw, "little")) if told else state
-        walk, problem = registers.take(progress.walk, self.wanted, reply)
+        if progress.cursor.step >= len(self.required):
+            updated = reply[:2] == (codec.READ, codec.SERIAL)
+            return _ready(state, progress, t_ns, int.from_bytes(reply.raw, "little")) if updated else state
+        cursor, problem = registers.on_reply(progress.cursor, self.required, reply)
         if problem:
-            return fault(state, MISMATCH, problem)
-        return state._replace(private=progress._replace(walk=walk))
+            return to_fault(state, MISMATCH, problem)
+        return state._replace(private=progress._replace(cursor=cursor))
 
-    def _take_guard(self, state: DriveState, progress: Progress, reply: codec.RegisterReply) -> DriveState:
+    def _on_guard(self, state: DriveState, progress: MitProgress, reply: codec.RegisterReply) -> DriveState:
         """Compare a register read again while enabled."""
         register, value = self.guards[progress.check.step]
-        same, says = reply.raw == codec.register_bytes(register, value), f"reads {reply.value:g}"
-        check, problem = readback.take_again(
-            progress.check, len(self.guards), same, registers.name(register), says, f"{value:g}"
+        same, answer = reply.raw == codec.register_bytes(register, value), f"reads {reply.value:g}"
+        check, problem = readback.on_recheck_reply(
+            progress.check, len(self.guards), same, registers.name(register), answer, f"{value:g}"
         )
-        known = state._replace(private=progress._replace(check=check))
-        return fault(known, MISMATCH, problem) if problem else known
+        updated = state._replace(private=progress._replace(check=check))
+        return to_fault(updated, MISMATCH, problem) if problem else updated
 
-    def _take_feedback(self, state: DriveState, data: bytes, t_ns: int) -> DriveState:
+    def _on_feedback(self, state: DriveState, data: bytes, t_ns: int) -> DriveState:
         """Apply the values and the state nibble of a feedback frame."""
         nibble, position, velocity, torque, hot = codec.decode_feedback(data, self.feedback)
         if not progress_of(state).configured:
             position = velocity = torque = math.nan
-        known = state._replace(
+        updated = state._replace(
             position=position,
             velocity=velocity,
             torque=torque,
@@ -224,65 +233,73 @@ class MitDrive:
             feedback_t_ns=t_ns,
             feedback_count=state.feedback_count + 1,
         )
-        return judge(known, nibble)
+        return apply_status(updated, nibble)
 
-    def advance(self, state: DriveState, t_ns: int, want: Want, torque: float) -> tuple[DriveState, tuple[Frame, ...]]:
+    def advance(
+        self, state: DriveState, t_ns: int, target: DriveTarget, torque: float
+    ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state and the frames to send, see ``contract.Drive``."""
-        progress: Progress = state.private
-        if want == ENABLE and state.phase == ENABLED and not progress.disabling:
+        progress: MitProgress = state.private
+        if target == ENABLE and state.phase == ENABLED and not progress.disabling:
             command = self._frame(self._torque(torque))
             # The usual path of a running hand: one command, no other state change.
             if t_ns < progress.check.due_ns:
                 return state, (command,)
             state, question = self._ask_guard(state, progress, t_ns)
             return state, (command, question)
-        if want == LISTEN:
+        if target == LISTEN:
             return state, ()
-        if want == DISABLE or state.phase == ENABLED:
+        if target == DISABLE or state.phase == ENABLED:
             return self._disable(state, progress, t_ns), self.cut()
-        if state.phase == FAULT and progress.found_enabled:
+        if state.phase == FAULT and progress.enabled_by_other:
             return state, self.cut()
         progress = progress._replace(disabling=False)
-        if state.phase == READY and not progress.asked and t_ns - max(state.feedback_t_ns, progress.ready_ns) > GONE_NS:
-            return state._replace(phase=SILENT, private=Progress()), (self._refresh(),)
+        if (
+            state.phase == READY
+            and not progress.enable_sent
+            and t_ns - max(state.feedback_t_ns, progress.ready_ns) > SILENCE_NS
+        ):
+            return state._replace(phase=SILENT, private=MitProgress()), (self._refresh(),)
         if state.phase == CONFIGURING or (state.phase == READY and not progress.configured):
             return self._configure(state._replace(phase=CONFIGURING), progress, t_ns)
-        if state.phase == READY and want == ENABLE:
-            check = progress.check if progress.asked else readback.begin_recheck(self.node_id, t_ns)
-            asked = state._replace(private=progress._replace(asked=True, check=check))
-            return asked, (self._frame(codec.special(codec.ENABLE)),)
-        question = self._frame(codec.special(codec.CLEAR)) if progress.clearing else self._refresh()
+        if state.phase == READY and target == ENABLE:
+            check = progress.check if progress.enable_sent else readback.first_recheck(self.node_id, t_ns)
+            enable_sent = state._replace(private=progress._replace(enable_sent=True, check=check))
+            return enable_sent, (self._frame(codec.special_command(codec.ENABLE)),)
+        question = self._frame(codec.special_command(codec.CLEAR)) if progress.clearing else self._refresh()
         return state._replace(private=progress), (question,)
 
-    def _disable(self, state: DriveState, progress: Progress, t_ns: int) -> DriveState:
+    def _disable(self, state: DriveState, progress: MitProgress, t_ns: int) -> DriveState:
         """Return the state while disabling. A possibly enabled motor counts as enabled until state 0."""
-        phase = ENABLED if progress.asked or progress.found_enabled else state.phase
+        phase = ENABLED if progress.enable_sent or progress.enabled_by_other else state.phase
         since = progress.disabling_ns if progress.disabling else t_ns
         return state._replace(phase=phase, private=progress._replace(disabling=True, disabling_ns=since))
 
-    def _ask_guard(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, Frame]:
+    def _ask_guard(self, state: DriveState, progress: MitProgress, t_ns: int) -> tuple[DriveState, Frame]:
         """Return the request for a guard register of the enabled drive."""
         register, _ = self.guards[progress.check.step]
-        check, problem = readback.ask_again(progress.check, registers.name(register), self.node_id, t_ns)
+        check, problem = readback.next_recheck(progress.check, registers.name(register), self.node_id, t_ns)
         state = state._replace(private=progress._replace(check=check))
         if problem:
-            state = fault(state, MISMATCH, problem)
+            state = to_fault(state, MISMATCH, problem)
         return state, self._broadcast(codec.register_request(self.node_id, codec.READ, register))
 
-    def _configure(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
+    def _configure(self, state: DriveState, progress: MitProgress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next register request. An enabled motor is disabled first."""
-        if progress.found_enabled:
-            told = state._replace(error_text="enabled, and does not disable", private=progress)
-            return told, self.cut()
-        if progress.walk.step >= len(self.wanted):
-            walk, data, untold = registers.ask_serial(progress.walk, self.node_id, t_ns)
-            known = state._replace(private=progress._replace(walk=walk))
-            return _ready(known, progress, t_ns, 0) if untold else known, (self._broadcast(data),) if data else ()
-        walk, data, problem = registers.ask(progress.walk, self.wanted, self.node_id, t_ns)
+        if progress.enabled_by_other:
+            updated = state._replace(error_text="enabled, and does not disable", private=progress)
+            return updated, self.cut()
+        if progress.cursor.step >= len(self.required):
+            cursor, data, unanswered = registers.next_serial_request(progress.cursor, self.node_id, t_ns)
+            updated = state._replace(private=progress._replace(cursor=cursor))
+            return _ready(updated, progress, t_ns, 0) if unanswered else updated, (
+                self._broadcast(data),
+            ) if data else ()
+        cursor, data, problem = registers.next_request(progress.cursor, self.required, self.node_id, t_ns)
         if problem:
-            return fault(state._replace(private=progress), MISMATCH, problem), ()
-        known = state._replace(error_text="", private=progress._replace(walk=walk))
-        return known, (self._broadcast(data),) if data else ()
+            return to_fault(state._replace(private=progress), MISMATCH, problem), ()
+        updated = state._replace(error_text="", private=progress._replace(cursor=cursor))
+        return updated, (self._broadcast(data),) if data else ()
 
     def _torque(self, torque: float) -> bytes:
         """Return the payload of a pure torque command.
@@ -300,14 +317,14 @@ class MitDrive:
 
     def cut(self) -> tuple[Frame, ...]:
         """Return the disable command."""
-        return (self._frame(codec.special(codec.DISABLE)),)
+        return (self._frame(codec.special_command(codec.DISABLE)),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
         """Clear the latched error, and start again with the register read-back."""
-        fresh = state._replace(phase=SILENT, error=0, error_text="", private=Progress(clearing=CLEAR_TRIES))
-        return fresh, (self._frame(codec.special(codec.CLEAR)),)
+        fresh = state._replace(phase=SILENT, error=0, error_text="", private=MitProgress(clearing=CLEAR_TRIES))
+        return fresh, (self._frame(codec.special_command(codec.CLEAR)),)
 
-    def leave(self, state: DriveState) -> tuple[Frame, ...]:
+    def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
         """Return no frame: the watchdog of a disabled motor is inactive."""
         return ()
 
@@ -332,7 +349,7 @@ class MitDrive:
         return self._broadcast(codec.register_request(self.node_id, codec.REFRESH))
 
 
-def _ready(state: DriveState, progress: Progress, t_ns: int, serial: int) -> DriveState:
+def _ready(state: DriveState, progress: MitProgress, t_ns: int, serial: int) -> DriveState:
     """Return the ready state with all registers right. Serial number 0 is unknown."""
-    ready = progress._replace(walk=Walk(), configured=True, ready_ns=t_ns, serial=serial)
+    ready = progress._replace(cursor=Cursor(), configured=True, ready_ns=t_ns, serial=serial)
     return state._replace(phase=READY, private=ready)

@@ -2,44 +2,44 @@
 
 from handctl.drives import readback
 from handctl.drives.mit import codec
-from handctl.drives.readback import Walk
+from handctl.drives.readback import Cursor
 
 SERIAL_TRIES = 3
 """Requests for the serial number, an optional register."""
 WRITES = 1
 """Writes per register. A register that differs after one write refuses the value."""
 
-Wanted = tuple[tuple[int, float], ...]
+RequiredRegisters = tuple[tuple[int, float], ...]
 """(register, value) in the order of the requests."""
 
 
-def take(walk: Walk, wanted: Wanted, reply: codec.RegisterReply) -> tuple[Walk, str]:
+def on_reply(cursor: Cursor, required: RequiredRegisters, reply: codec.RegisterReply) -> tuple[Cursor, str]:
     """Apply a register reply. Replies to any but the open request, such as late ones, have no effect.
 
     Args:
-        walk: cursor, not beyond the last register.
-        wanted: registers with their required values.
+        cursor: cursor, not beyond the last register.
+        required: registers with their required values.
         reply: reply of this motor.
 
     Returns:
         the new cursor, and the problem in words, empty without a problem.
     """
-    register, value = wanted[walk.step]
-    if not walk.waiting or reply[:2] != (codec.WRITE if walk.writing else codec.READ, register):
-        return walk, ""
-    if walk.writing:
-        return walk.wrote(), ""
+    register, value = required[cursor.step]
+    if not cursor.waiting or reply[:2] != (codec.WRITE if cursor.writing else codec.READ, register):
+        return cursor, ""
+    if cursor.writing:
+        return cursor.after_write(), ""
     if reply.raw == codec.register_bytes(register, value):
-        return walk.right(), ""
-    return readback.differs(walk, name(register), f"{reply.value:g}", f"{value:g}", WRITES)
+        return cursor.next_setting(), ""
+    return readback.on_wrong_value(cursor, name(register), f"{reply.value:g}", f"{value:g}", WRITES)
 
 
-def ask(walk: Walk, wanted: Wanted, node_id: int, t_ns: int) -> tuple[Walk, bytes, str]:
+def next_request(cursor: Cursor, required: RequiredRegisters, node_id: int, t_ns: int) -> tuple[Cursor, bytes, str]:
     """Return the next register request, if one is due.
 
     Args:
-        walk: cursor, not beyond the last register.
-        wanted: registers with their required values.
+        cursor: cursor, not beyond the last register.
+        required: registers with their required values.
         node_id: ESC_ID.
         t_ns: time of the tick [ns].
 
@@ -47,21 +47,21 @@ def ask(walk: Walk, wanted: Wanted, node_id: int, t_ns: int) -> tuple[Walk, byte
         the new cursor, the payload on BROADCAST_ID, and the problem in words. The payload is empty
         while an answer is awaited, the problem is empty without a problem.
     """
-    register, value = wanted[walk.step]
-    walk, send, problem = readback.ask(walk, name(register), t_ns)
-    operation = codec.WRITE if walk.writing else codec.READ
-    return walk, codec.register_request(node_id, operation, register, value) if send else b"", problem
+    register, value = required[cursor.step]
+    cursor, send, problem = readback.next_request(cursor, name(register), t_ns)
+    operation = codec.WRITE if cursor.writing else codec.READ
+    return cursor, codec.register_request(node_id, operation, register, value) if send else b"", problem
 
 
-def ask_serial(walk: Walk, node_id: int, t_ns: int) -> tuple[Walk, bytes, bool]:
+def next_serial_request(cursor: Cursor, node_id: int, t_ns: int) -> tuple[Cursor, bytes, bool]:
     """Return the request for the serial number, after all registers are right.
 
     Returns:
         the new cursor, the payload on BROADCAST_ID (empty while an answer is awaited), and True if the
         motor does not answer.
     """
-    walk, send, untold = readback.ask(walk, "serial number", t_ns, SERIAL_TRIES)
-    return walk, codec.register_request(node_id, codec.READ, codec.SERIAL) if send else b"", bool(untold)
+    cursor, send, unanswered = readback.next_request(cursor, "serial number", t_ns, SERIAL_TRIES)
+    return cursor, codec.register_request(node_id, codec.READ, codec.SERIAL) if send else b"", bool(unanswered)
 
 
 def name(register: int) -> str:

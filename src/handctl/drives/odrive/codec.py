@@ -36,9 +36,9 @@ ADDRESS, SET_AXIS_STATE, ENCODER, SET_MODE, SET_TORQUE, SET_LIMITS = 0x06, 0x07,
 TEMPERATURE, CLEAR_ERRORS, TORQUES = 0x15, 0x18, 0x1C
 COMMANDS = frozenset((ESTOP, RX_SDO, SET_AXIS_STATE, SET_MODE, 0x0C, 0x0D, SET_TORQUE, SET_LIMITS, 0x16, CLEAR_ERRORS))
 """Commands that only a host sends. 0x0C and 0x0D set position and velocity, 0x16 reboots."""
-ASKED = frozenset((GET_VERSION, ADDRESS, ENCODER, TEMPERATURE, TORQUES))
+REQUESTABLE = frozenset((GET_VERSION, ADDRESS, ENCODER, TEMPERATURE, TORQUES))
 """Messages requested by a remote frame."""
-ANSWERS = ASKED | {HEARTBEAT, TX_SDO}
+ANSWERS = REQUESTABLE | {HEARTBEAT, TX_SDO}
 """Messages of the drive."""
 LAST_NODE = 0x3E
 """Largest node number. 0x3F is the broadcast."""
@@ -145,7 +145,7 @@ def torque_message(node_id: int, ratio: float, limit: float) -> Message:
     return Message("input_torque", can_id(node_id, SET_TORQUE), 4, (signal,), limit=limit)
 
 
-def question(node_id: int, command: int) -> Message:
+def request_message(node_id: int, command: int) -> Message:
     """Return the remote frame that requests a message."""
     return Message(f"ask_{command:#04x}", can_id(node_id, command) | REMOTE, 0, answers=False)
 

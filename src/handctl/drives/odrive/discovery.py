@@ -7,7 +7,7 @@ Protocol", and the vendor's DBC 0.5.6 and 0.6.10.
 
 import struct
 
-from handctl.drives.discovery import Discovery, Found, Seen
+from handctl.drives.discovery import DiscoveredNode, Discovery, ReceivedFrames
 from handctl.drives.frame import ERROR, EXTENDED, FDF, REMOTE, Frame
 from handctl.drives.odrive import codec
 from handctl.drives.odrive import firmware_05 as odrive_05
@@ -22,29 +22,33 @@ _CYCLIC = {0x00, 0x01, 0x03, 0x09, 0x14, 0x15, 0x17, 0x1C, 0x1D}
 """Commands that a drive sends on its own."""
 
 
-def questions(turn: int, seen: Seen) -> tuple[Frame, ...]:
+def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the request frames of a round: Address of all nodes (1), version of discovered nodes (3)."""
     if turn == 1:
         return (Frame(codec.can_id(BROADCAST, ADDRESS) | REMOTE, b""),)
     if turn == 3:
-        return tuple(Frame(codec.can_id(drive.node_id, codec.GET_VERSION) | REMOTE, b"") for drive in found(seen))
+        return tuple(Frame(codec.can_id(drive.node_id, codec.GET_VERSION) | REMOTE, b"") for drive in nodes(received))
     return ()
 
 
-def found(seen: Seen) -> tuple[Found, ...]:
+def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the nodes with ODrive heartbeats, or with an answer to Address."""
-    beats, serials, versions = _sorted(seen, codec.HEARTBEAT), _sorted(seen, ADDRESS), _sorted(seen, codec.GET_VERSION)
-    there = {node for node, data in beats.items() if len(data) >= BEATS and all(map(_beat, data))}
-    there |= {node for node, data in serials.items() if data[-1][0] == node}
+    beats, serials, versions = (
+        _sorted(received, codec.HEARTBEAT),
+        _sorted(received, ADDRESS),
+        _sorted(received, codec.GET_VERSION),
+    )
+    present = {node for node, data in beats.items() if len(data) >= BEATS and all(map(_beat, data))}
+    present |= {node for node, data in serials.items() if data[-1][0] == node}
     nodes = []
-    for node in sorted(there):
+    for node in sorted(present):
         beat = codec.heartbeat(beats[node][-1]) if node in beats else None
         serial = f"{int.from_bytes(serials[node][-1][1:7], 'little'):012X}" if node in serials else ""
         nodes.append(_drive(node, beat, serial, versions[node][-1] if node in versions else b""))
     return tuple(nodes)
 
 
-def _drive(node: int, beat: codec.Heartbeat | None, serial: str, version: bytes) -> Found:
+def _drive(node: int, beat: codec.Heartbeat | None, serial: str, version: bytes) -> DiscoveredNode:
     """Return the data of one drive."""
     notes = ["watchdog and torque limit: give endpoint_... keys in the hand file, or set them over USB and trust that"]
     options: dict[str, bool | int | float | str] = {}
@@ -62,15 +66,19 @@ def _drive(node: int, beat: codec.Heartbeat | None, serial: str, version: bytes)
     firmware = ".".join(map(str, version[4:7])) if version else ""
     state = _STATES.get(beat.state, f"axis state {beat.state}") if beat else "no heartbeat"
     error = (codec.error_text if version else odrive_05.error_text)(beat.errors) if beat else ""
-    return Found("odrive", node, firmware, serial, state, error, {}, options, tuple(notes))
+    return DiscoveredNode("odrive", node, firmware, serial, state, error, {}, options, tuple(notes))
 
 
-def _sorted(seen: Seen, command: int) -> dict[int, list[bytes]]:
+def _sorted(received: ReceivedFrames, command: int) -> dict[int, list[bytes]]:
     """Return the payloads of a message by node. Address of older firmware has 7 bytes."""
     by_node: dict[int, list[bytes]] = {}
-    for frame in seen:
-        plain = not frame.can_id & (EXTENDED | REMOTE | ERROR) and not frame.flags & FDF
-        if plain and frame.can_id & 0x1F == command and len(frame.data) in ((7, 8) if command == ADDRESS else (8,)):
+    for frame in received:
+        is_standard = not frame.can_id & (EXTENDED | REMOTE | ERROR) and not frame.flags & FDF
+        if (
+            is_standard
+            and frame.can_id & 0x1F == command
+            and len(frame.data) in ((7, 8) if command == ADDRESS else (8,))
+        ):
             by_node.setdefault(frame.can_id >> 5, []).append(frame.data)
     return by_node
 
@@ -84,30 +92,30 @@ def _beat(data: bytes) -> bool:
     return 1 <= state <= 14 and result <= 15 and not data[7] & 0x7E
 
 
-def orders(drive: Found) -> frozenset[int]:
+def command_ids(drive: DiscoveredNode) -> frozenset[int]:
     """Return every identifier of the node and of the broadcast. 0x7ff is Enter_DFU_Mode."""
     return frozenset(codec.can_id(node, command) for node in (drive.node_id, BROADCAST) for command in range(32))
 
 
-def foreign(seen: Seen) -> tuple[Frame, ...]:
+def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the commands to discovered nodes."""
-    nodes = {drive.node_id for drive in found(seen)}
+    numbers = {drive.node_id for drive in nodes(received)}
     return tuple(
         frame
-        for frame in seen
-        if (frame.can_id & ~REMOTE) >> 5 in nodes
+        for frame in received
+        if (frame.can_id & ~REMOTE) >> 5 in numbers
         and (frame.can_id & REMOTE or frame.can_id & 0x1F not in _CYCLIC | {codec.TX_SDO, ADDRESS})
     )
 
 
-def ping(drive: Found) -> Frame:
+def ping(drive: DiscoveredNode) -> Frame:
     """Return the request for the version. A drive sends its version rarely on its own."""
     return Frame(codec.can_id(drive.node_id, codec.GET_VERSION) | REMOTE, b"")
 
 
-def pong(drive: Found, frame: Frame) -> bool:
+def is_pong(drive: DiscoveredNode, frame: Frame) -> bool:
     """Return True for a version message."""
     return frame.can_id == codec.can_id(drive.node_id, codec.GET_VERSION) and len(frame.data) == 8
 
 
-DISCOVERY = Discovery(questions, found, orders, foreign, ping, pong)
+DISCOVERY = Discovery(probe_frames, nodes, command_ids, other_host_frames, ping, is_pong)

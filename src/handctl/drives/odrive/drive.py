@@ -11,12 +11,12 @@ from dataclasses import dataclass, field
 
 from handctl.drives import readback
 from handctl.drives.causes import Cause
-from handctl.drives.contract import NEVER_NS, UNSTEADY, DriveState, Phase, Want
-from handctl.drives.description import MotorDescription
+from handctl.drives.contract import NEVER_NS, UNSTEADY, DriveState, DriveTarget, Phase
 from handctl.drives.frame import REMOTE, Frame
+from handctl.drives.motor_description import MotorDescription
 from handctl.drives.odrive import codec
 from handctl.drives.odrive import settings as endpoints
-from handctl.drives.odrive.options import KNOWN, take_options
+from handctl.drives.odrive.options import OPTION_NAMES, pop_options
 from handctl.drives.odrive.progress import (
     CLEAR_TRIES,
     HEARTBEATS_MISSED,
@@ -25,19 +25,19 @@ from handctl.drives.odrive.progress import (
     SERIAL_TRIES,
     TEMPERATURE_NS,
     VERSION_TRIES,
-    Progress,
-    begin_disabling,
+    OdriveProgress,
     cause_of,
-    fault,
-    lose,
+    on_heartbeat,
+    on_timeout,
     progress_of,
-    take_heartbeat,
+    start_disabling,
+    to_fault,
 )
-from handctl.drives.readback import Walk
+from handctl.drives.readback import Cursor
 from handctl.drives.signals import Cyclic, Table
 from handctl.errors import ConfigError
 
-LISTEN, POLL, ENABLE, DISABLE = Want
+LISTEN, POLL, ENABLE, DISABLE = DriveTarget
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 
 
@@ -57,8 +57,8 @@ class OdriveDrive:
         settings: settings to verify by SDO.
         cyclic_s: period of the drive's own messages [s], 0 to request position in every tick.
         torque_feedback: True to request torque in every tick.
-        patience_ns: longest time without a heartbeat [ns].
-        old: True for firmware 0.5, see ``firmware_05``.
+        heartbeat_timeout_ns: longest time without a heartbeat [ns].
+        firmware_05: True for firmware 0.5, see ``firmware_05``.
         command: signal table of the command, from the fields above.
         encoder: signal table of the position, from the fields above.
         torques: signal table of the torque, from the fields above.
@@ -74,8 +74,8 @@ class OdriveDrive:
     settings: tuple[endpoints.Setting, ...]
     cyclic_s: float
     torque_feedback: bool
-    patience_ns: int
-    old: bool = False
+    heartbeat_timeout_ns: int
+    firmware_05: bool = False
     command: Table = field(init=False, repr=False, compare=False)
     encoder: Table = field(init=False, repr=False, compare=False)
     torques: Table = field(init=False, repr=False, compare=False)
@@ -96,23 +96,23 @@ class OdriveDrive:
         options, where = dict(motor.options), f"motor[{motor.name}].options"
         if not 0 < motor.node_id <= codec.LAST_NODE:
             raise ConfigError(str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {codec.LAST_NODE}")
-        told = take_options(options, where)
-        settings = endpoints.take_settings(options, where, motor.watchdog_ms / 1e3, motor.torque_max_N_m / told.ratio)
+        parsed = pop_options(options, where)
+        settings = endpoints.pop_settings(options, where, motor.watchdog_ms / 1e3, motor.torque_max_N_m / parsed.ratio)
         if options:
-            raise ConfigError("unknown key", f"{where}.{next(iter(options))}", KNOWN)
+            raise ConfigError("unknown key", f"{where}.{next(iter(options))}", OPTION_NAMES)
         return OdriveDrive(
             name=motor.name,
             bus=bus,
             node_id=motor.node_id,
             torque_limit=motor.torque_max_N_m,
-            ratio=motor.direction * told.ratio,
+            ratio=motor.direction * parsed.ratio,
             zero=motor.zero_rad,
-            limits=codec.floats(motor.velocity_range_rad_s * told.ratio / math.tau, told.current),
+            limits=codec.floats(motor.velocity_range_rad_s * parsed.ratio / math.tau, parsed.current),
             settings=settings,
-            cyclic_s=told.cyclic_s,
-            torque_feedback=told.torque_feedback,
-            patience_ns=round(told.heartbeat * HEARTBEATS_MISSED * 1e6),
-            old=told.old,
+            cyclic_s=parsed.cyclic_s,
+            torque_feedback=parsed.torque_feedback,
+            heartbeat_timeout_ns=round(parsed.heartbeat * HEARTBEATS_MISSED * 1e6),
+            firmware_05=parsed.firmware_05,
         )
 
     @property
@@ -126,17 +126,23 @@ class OdriveDrive:
 
         The cyclic position is on by default, used or not.
         """
-        warm = 0.0 if self.old else 1e9 / TEMPERATURE_NS
-        told = 1.0 / (self.cyclic_s or codec.ENCODER_MS * 1e-3)
-        again = readback.RECHECKS_PER_SECOND if self.settings else 0.0
-        beats = HEARTBEATS_MISSED * 1e9 / self.patience_ns + told
-        return ((8, False, beats), (0, False, warm), (8, False, warm), (4, False, again), (8, False, again))
+        temperature_rate = 0.0 if self.firmware_05 else 1e9 / TEMPERATURE_NS
+        parsed = 1.0 / (self.cyclic_s or codec.ENCODER_MS * 1e-3)
+        recheck = readback.RECHECKS_PER_SECOND if self.settings else 0.0
+        beats = HEARTBEATS_MISSED * 1e9 / self.heartbeat_timeout_ns + parsed
+        return (
+            (8, False, beats),
+            (0, False, temperature_rate),
+            (8, False, temperature_rate),
+            (4, False, recheck),
+            (8, False, recheck),
+        )
 
     @property
     def host_ids(self) -> frozenset[int]:
         """Return the commands and remote requests of any host."""
         commands = frozenset(codec.can_id(self.node_id, command) for command in codec.COMMANDS)
-        return commands | {codec.can_id(self.node_id, command) | REMOTE for command in codec.ASKED}
+        return commands | {codec.can_id(self.node_id, command) | REMOTE for command in codec.REQUESTABLE}
 
     @property
     def node_ids(self) -> frozenset[int]:
@@ -144,12 +150,12 @@ class OdriveDrive:
         return frozenset(codec.can_id(self.node_id, command) for command in codec.ANSWERS)
 
     @property
-    def caveats(self) -> tuple[str, ...]:
+    def unverified_guards(self) -> tuple[str, ...]:
         """Return the guards without verification, for the operator before arming."""
-        return endpoints.unverified(self.settings)
+        return endpoints.unverified_guards(self.settings)
 
     @property
-    def answers_once(self) -> bool:
+    def one_reply_per_command(self) -> bool:
         """Return False: cyclic messages come beside the answers."""
         return False
 
@@ -166,8 +172,8 @@ class OdriveDrive:
     @property
     def cyclic(self) -> Cyclic:
         """Return position and torque messages, the torque command, and the remote requests."""
-        asked = [codec.ENCODER] * (not self.cyclic_s) + [codec.TORQUES] * self.torque_feedback
-        questions = [codec.question(self.node_id, command) for command in asked]
+        requests = [codec.ENCODER] * (not self.cyclic_s) + [codec.TORQUES] * self.torque_feedback
+        questions = [codec.request_message(self.node_id, command) for command in requests]
         return Cyclic((self.encoder.message, self.torques.message), (self.command.message, *questions))
 
     def steady_status(self, state: DriveState) -> int:
@@ -177,13 +183,17 @@ class OdriveDrive:
     def due_ns(self, state: DriveState) -> int:
         """Return the time of the heartbeat timeout, temperature request, or read-back [ns]."""
         progress = progress_of(state)
-        warm = NEVER_NS if self.old else progress.warmed_ns + TEMPERATURE_NS
-        again = progress.check.due_ns if self.settings else NEVER_NS
-        return min(warm, again, progress.heard_ns + self.patience_ns + 1 if progress.heard_ns >= 0 else NEVER_NS)
+        temperature_rate = NEVER_NS if self.firmware_05 else progress.temperature_asked_ns + TEMPERATURE_NS
+        recheck = progress.check.due_ns if self.settings else NEVER_NS
+        return min(
+            temperature_rate,
+            recheck,
+            progress.heartbeat_ns + self.heartbeat_timeout_ns + 1 if progress.heartbeat_ns >= 0 else NEVER_NS,
+        )
 
     def initial(self) -> DriveState:
         """Return the silent state."""
-        return DriveState(private=Progress(version=self.old))
+        return DriveState(private=OdriveProgress(version=self.firmware_05))
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
         """Apply one received frame, see ``contract.Drive``."""
@@ -195,16 +205,16 @@ class OdriveDrive:
         if not shortest <= len(frame.data) <= 8:
             return state._replace(misread=state.misread + 1)
         if command == codec.HEARTBEAT:
-            return take_heartbeat(state, frame, self.old)
+            return on_heartbeat(state, frame, self.firmware_05)
         if command == codec.GET_VERSION:
-            return self._take_version(state, frame.data)
+            return self._on_version(state, frame.data)
         if command == codec.TX_SDO:
-            return self._take_setting(state, frame.data)
+            return self._on_setting(state, frame.data)
         if command == codec.ADDRESS:
-            return self._take_serial(state, frame.data)
-        return self._take_values(state, command, frame)
+            return self._on_serial(state, frame.data)
+        return self._on_values(state, command, frame)
 
-    def _take_values(self, state: DriveState, command: int, frame: Frame) -> DriveState:
+    def _on_values(self, state: DriveState, command: int, frame: Frame) -> DriveState:
         """Apply position and velocity, torque, or temperatures."""
         if command == codec.TEMPERATURE and (hottest := codec.hottest(frame.data)) is not None:
             return state._replace(temperature=hottest)
@@ -221,84 +231,94 @@ class OdriveDrive:
             feedback_count=state.feedback_count + 1,
         )
 
-    def _take_version(self, state: DriveState, data: bytes) -> DriveState:
+    def _on_version(self, state: DriveState, data: bytes) -> DriveState:
         """Apply the protocol version."""
         if state.phase not in (SILENT, CONFIGURING):
             return state
         if data[0] != codec.PROTOCOL:
-            return fault(state, MISMATCH, f"speaks CANSimple version {data[0]}, expected {codec.PROTOCOL}")
+            return to_fault(state, MISMATCH, f"speaks CANSimple version {data[0]}, expected {codec.PROTOCOL}")
         return state._replace(
             phase=CONFIGURING, private=progress_of(state)._replace(version=True, tries=0, sent_ns=-REPEAT_NS)
         )
 
-    def _take_serial(self, state: DriveState, data: bytes) -> DriveState:
+    def _on_serial(self, state: DriveState, data: bytes) -> DriveState:
         """Apply an Address message: node number, then 48 bits of serial number."""
         if state.phase != CONFIGURING or data[0] != self.node_id:
             return state
         serial = int.from_bytes(data[1:7], "little")
-        return state._replace(private=progress_of(state)._replace(serial=serial, asked_serial=SERIAL_TRIES))
+        return state._replace(private=progress_of(state)._replace(serial=serial, serial_requests=SERIAL_TRIES))
 
-    def _take_setting(self, state: DriveState, data: bytes) -> DriveState:
+    def _on_setting(self, state: DriveState, data: bytes) -> DriveState:
         """Apply a TxSdo."""
         progress = progress_of(state)
         if state.phase == ENABLED and progress.check.waiting:
-            return self._take_again(state, progress, data)
-        if state.phase != CONFIGURING or progress.walk.step >= len(self.settings):
+            return self._on_recheck_reply(state, progress, data)
+        if state.phase != CONFIGURING or progress.cursor.step >= len(self.settings):
             return state
-        walk, problem = endpoints.take(progress.walk, self.settings, data)
-        known = state._replace(private=progress._replace(walk=walk))
-        return fault(known, MISMATCH, problem) if problem else known
+        cursor, problem = endpoints.on_reply(progress.cursor, self.settings, data)
+        updated = state._replace(private=progress._replace(cursor=cursor))
+        return to_fault(updated, MISMATCH, problem) if problem else updated
 
-    def _take_again(self, state: DriveState, progress: Progress, data: bytes) -> DriveState:
+    def _on_recheck_reply(self, state: DriveState, progress: OdriveProgress, data: bytes) -> DriveState:
         """Compare a setting read again while enabled."""
         setting = self.settings[progress.check.step]
         endpoint, raw = codec.sdo_reply(data)
         if endpoint != setting.endpoint or len(raw) < len(setting.raw):
             return state
-        same, says = raw[: len(setting.raw)] == setting.raw, f"reads {endpoints.shown(raw, setting)}"
+        same, answer = raw[: len(setting.raw)] == setting.raw, f"reads {endpoints.shown(raw, setting)}"
         expected = endpoints.shown(setting.raw, setting)
-        check, problem = readback.take_again(progress.check, len(self.settings), same, setting.name, says, expected)
-        known = state._replace(private=progress._replace(check=check))
-        return fault(known, MISMATCH, problem) if problem else known
+        check, problem = readback.on_recheck_reply(
+            progress.check, len(self.settings), same, setting.name, answer, expected
+        )
+        updated = state._replace(private=progress._replace(check=check))
+        return to_fault(updated, MISMATCH, problem) if problem else updated
 
-    def advance(self, state: DriveState, t_ns: int, want: Want, torque: float) -> tuple[DriveState, tuple[Frame, ...]]:
+    def advance(
+        self, state: DriveState, t_ns: int, target: DriveTarget, torque: float
+    ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state and the frames to send, see ``contract.Drive``."""
         progress = progress_of(state)
-        if want == LISTEN:
+        if target == LISTEN:
             return state, ()
-        if 0 <= progress.heard_ns < t_ns - self.patience_ns and state.phase != FAULT and progress.disabling_ns < 0:
-            state = lose(state, self.old)
+        if (
+            0 <= progress.heartbeat_ns < t_ns - self.heartbeat_timeout_ns
+            and state.phase != FAULT
+            and progress.disabling_ns < 0
+        ):
+            state = on_timeout(state, self.firmware_05)
             progress = progress_of(state)
-        if want == DISABLE or (state.phase == ENABLED and (want != ENABLE or progress.disabling_ns >= 0)):
-            return begin_disabling(state, progress, t_ns), (self._state(codec.IDLE),)
+        if target == DISABLE or (state.phase == ENABLED and (target != ENABLE or progress.disabling_ns >= 0)):
+            return start_disabling(state, progress, t_ns), (self._state(codec.IDLE),)
         if state.phase == ENABLED:
-            state, asked = self._questions(state, t_ns)
-            state, again = self._ask_again(state, t_ns)
-            return state, (self._torque(torque), *asked, *again)
+            state, requests = self._questions(state, t_ns)
+            state, recheck = self._next_recheck(state, t_ns)
+            return state, (self._torque(torque), *requests, *recheck)
         if state.phase == FAULT:
             return state, self.cut() if progress.may_be_enabled else ()
         state = state._replace(private=progress._replace(disabling_ns=-1))
         if state.phase == READY and progress.configured:
-            return self._ready(state, t_ns, want)
-        return self._configure(state._replace(phase=SILENT if progress.heard_ns < 0 else CONFIGURING), t_ns)
+            return self._ready(state, t_ns, target)
+        return self._configure(state._replace(phase=SILENT if progress.heartbeat_ns < 0 else CONFIGURING), t_ns)
 
-    def _ready(self, state: DriveState, t_ns: int, want: Want) -> tuple[DriveState, tuple[Frame, ...]]:
+    def _ready(self, state: DriveState, t_ns: int, target: DriveTarget) -> tuple[DriveState, tuple[Frame, ...]]:
         """Poll a ready drive, and enable it on request.
 
         One enable command is sent, then 0 N m. A second command would enable a restarted drive.
         """
-        state, asked = self._questions(state, t_ns)
+        state, requests = self._questions(state, t_ns)
         progress = progress_of(state)
-        if want != ENABLE:
-            return state._replace(private=progress._replace(fresh=False)), asked
-        if progress.asked_ns >= 0:
-            return state, (self._torque(0.0), *asked)
-        if not progress.fresh:
-            again = progress._replace(walk=Walk(), configured=False)
-            return state._replace(phase=CONFIGURING, private=again), asked
-        check = readback.begin_recheck(self.node_id, t_ns)
-        told = state._replace(private=progress._replace(asked_ns=t_ns, orders=progress.orders + 1, check=check))
-        return told, (*self._setup(), self._torque(0.0), self._state(codec.CLOSED_LOOP), *asked)
+        if target != ENABLE:
+            return state._replace(private=progress._replace(just_verified=False)), requests
+        if progress.enable_sent_ns >= 0:
+            return state, (self._torque(0.0), *requests)
+        if not progress.just_verified:
+            recheck = progress._replace(cursor=Cursor(), configured=False)
+            return state._replace(phase=CONFIGURING, private=recheck), requests
+        check = readback.first_recheck(self.node_id, t_ns)
+        parsed = state._replace(
+            private=progress._replace(enable_sent_ns=t_ns, enable_commands=progress.enable_commands + 1, check=check)
+        )
+        return parsed, (*self._setup(), self._torque(0.0), self._state(codec.CLOSED_LOOP), *requests)
 
     def _configure(self, state: DriveState, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
         """Do one step of the configuration: idle, version, serial number, endpoints, mode and limits."""
@@ -308,16 +328,16 @@ class OdriveDrive:
             return state._replace(error_text=text), (self._state(codec.IDLE),)
         if not progress.version:
             return self._ask_version(state, progress, t_ns)
-        if progress.asked_serial < SERIAL_TRIES and not self.old:
+        if progress.serial_requests < SERIAL_TRIES and not self.firmware_05:
             return self._ask_serial(state, progress, t_ns)
-        if progress.walk.step < len(self.settings):
-            walk, data, problem = endpoints.ask(progress.walk, self.settings, t_ns)
-            known = state._replace(private=progress._replace(walk=walk))
+        if progress.cursor.step < len(self.settings):
+            cursor, data, problem = endpoints.next_request(progress.cursor, self.settings, t_ns)
+            updated = state._replace(private=progress._replace(cursor=cursor))
             frames = (self._frame(codec.RX_SDO, data),) if data else ()
-            return (fault(known, MISMATCH, problem), ()) if problem else (known, frames)
-        if progress.heard_ns < 0:
+            return (to_fault(updated, MISMATCH, problem), ()) if problem else (updated, frames)
+        if progress.heartbeat_ns < 0:
             return state, ()
-        done = progress._replace(configured=True, fresh=True)
+        done = progress._replace(configured=True, just_verified=True)
         return state._replace(phase=READY, error_text="", private=done), self._setup()
 
     def _setup(self) -> tuple[Frame, ...]:
@@ -325,42 +345,46 @@ class OdriveDrive:
         mode = self._frame(codec.SET_MODE, codec.integers(codec.TORQUE_MODE, codec.PASSTHROUGH))
         return mode, self._frame(codec.SET_LIMITS, self.limits)
 
-    def _ask_version(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
+    def _ask_version(
+        self, state: DriveState, progress: OdriveProgress, t_ns: int
+    ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Request the version, or clear errors, at most once per ``REPEAT_NS``."""
         if t_ns - progress.sent_ns < REPEAT_NS:
             return state, ()
-        if progress.heard_ns >= 0 and progress.tries >= VERSION_TRIES:
-            return fault(state, MISMATCH, "beats, but does not tell its version"), ()
-        asked = progress._replace(sent_ns=t_ns, tries=progress.tries + 1 if progress.heard_ns >= 0 else 0)
+        if progress.heartbeat_ns >= 0 and progress.tries >= VERSION_TRIES:
+            return to_fault(state, MISMATCH, "beats, but does not tell its version"), ()
+        requests = progress._replace(sent_ns=t_ns, tries=progress.tries + 1 if progress.heartbeat_ns >= 0 else 0)
         frame = self._frame(codec.CLEAR_ERRORS, b"") if progress.clearing else self._ask(codec.GET_VERSION)
-        return state._replace(private=asked), (frame,)
+        return state._replace(private=requests), (frame,)
 
-    def _ask_serial(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
+    def _ask_serial(
+        self, state: DriveState, progress: OdriveProgress, t_ns: int
+    ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Request the serial number a few times. Older firmware 0.6 does not answer."""
         if t_ns - progress.sent_ns < REPEAT_NS:
             return state, ()
-        asked = progress._replace(sent_ns=t_ns, asked_serial=progress.asked_serial + 1)
-        return state._replace(private=asked), (self._ask(codec.ADDRESS),)
+        requests = progress._replace(sent_ns=t_ns, serial_requests=progress.serial_requests + 1)
+        return state._replace(private=requests), (self._ask(codec.ADDRESS),)
 
     def _questions(self, state: DriveState, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the requests of a tick."""
         frames = [self._ask(codec.ENCODER)] * (not self.cyclic_s) + [self._ask(codec.TORQUES)] * self.torque_feedback
         progress = progress_of(state)
-        if t_ns - progress.warmed_ns >= TEMPERATURE_NS and not self.old:
+        if t_ns - progress.temperature_asked_ns >= TEMPERATURE_NS and not self.firmware_05:
             frames.append(self._ask(codec.TEMPERATURE))
-            state = state._replace(private=progress._replace(warmed_ns=t_ns))
+            state = state._replace(private=progress._replace(temperature_asked_ns=t_ns))
         return state, tuple(frames)
 
-    def _ask_again(self, state: DriveState, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
+    def _next_recheck(self, state: DriveState, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
         """Request a setting of the enabled drive, if due."""
         progress = progress_of(state)
         if not self.settings or t_ns < progress.check.due_ns:
             return state, ()
         setting = self.settings[progress.check.step]
-        check, problem = readback.ask_again(progress.check, setting.name, self.node_id, t_ns)
+        check, problem = readback.next_recheck(progress.check, setting.name, self.node_id, t_ns)
         state = state._replace(private=progress._replace(check=check))
         if problem:
-            state = fault(state, MISMATCH, problem)
+            state = to_fault(state, MISMATCH, problem)
         return state, (self._frame(codec.RX_SDO, codec.sdo_request(codec.SDO_READ, setting.endpoint)),)
 
     def _torque(self, torque: float) -> Frame:
@@ -370,7 +394,7 @@ class OdriveDrive:
         except ValueError as error:
             raise ValueError(f"{self.name}: {error}") from None
 
-    def leave(self, state: DriveState) -> tuple[Frame, ...]:
+    def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
         """Return no frame: the watchdog of a disabled drive is inactive."""
         return ()
 
@@ -388,8 +412,8 @@ class OdriveDrive:
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
         """Clear the latched error, and start again with the version request."""
-        fresh = Progress(version=self.old, axis=progress_of(state).axis, clearing=CLEAR_TRIES)
-        cleared = state._replace(phase=SILENT, error=0, error_text="", private=fresh)
+        just_verified = OdriveProgress(version=self.firmware_05, axis=progress_of(state).axis, clearing=CLEAR_TRIES)
+        cleared = state._replace(phase=SILENT, error=0, error_text="", private=just_verified)
         return cleared, (self._frame(codec.CLEAR_ERRORS, b""),)
 
     def _state(self, state: int) -> Frame:

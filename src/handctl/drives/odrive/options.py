@@ -5,12 +5,12 @@ from typing import Any, NamedTuple
 
 from handctl.drives.odrive import settings as endpoints
 from handctl.drives.odrive.firmware_05 import FIRMWARE
-from handctl.drives.options import positive, whole
+from handctl.drives.option_checks import positive_number, whole_number
 from handctl.errors import ConfigError
 
-MOST = 1000
+LARGEST = 1000
 """Largest plausible ratio, current [A], and period [ms]."""
-KNOWN = "gear_ratio, current_limit_A, heartbeat_ms, encoder_period_ms, firmware, torque_feedback or endpoint_..."
+OPTION_NAMES = "gear_ratio, current_limit_A, heartbeat_ms, encoder_period_ms, firmware, torque_feedback or endpoint_..."
 """Option names, for messages."""
 
 
@@ -23,7 +23,7 @@ class Options(NamedTuple):
         heartbeat: period of the heartbeat [ms].
         torque_feedback: True to request torque in every tick.
         cyclic_s: period of the drive's own messages [s], 0 to request position in every tick.
-        old: True for firmware 0.5.
+        firmware_05: True for firmware 0.5.
     """
 
     ratio: float
@@ -31,10 +31,10 @@ class Options(NamedTuple):
     heartbeat: int
     torque_feedback: bool
     cyclic_s: float
-    old: bool
+    firmware_05: bool
 
 
-def take_options(options: MutableMapping[str, Any], where: str) -> Options:
+def pop_options(options: MutableMapping[str, Any], where: str) -> Options:
     """Read the options and remove their keys. Keys of endpoints remain.
 
     Args:
@@ -47,20 +47,20 @@ def take_options(options: MutableMapping[str, Any], where: str) -> Options:
     firmware, feedback = options.pop("firmware", FIRMWARE[0]), options.pop("torque_feedback", False)
     if firmware not in FIRMWARE:
         raise ConfigError(repr(firmware), f"{where}.firmware", " or ".join(map(repr, FIRMWARE)))
-    old = firmware == "0.5"
-    if type(feedback) is not bool or (feedback and old):
-        right = "false: firmware 0.5 tells no torque" if feedback is True else "true or false"
-        raise ConfigError(repr(feedback), f"{where}.torque_feedback", right)
-    if old and (keys := [key for key in options if key in endpoints.KEYS]):
+    firmware_05 = firmware == "0.5"
+    if type(feedback) is not bool or (feedback and firmware_05):
+        hint = "false: firmware 0.5 tells no torque" if feedback is True else "true or false"
+        raise ConfigError(repr(feedback), f"{where}.torque_feedback", hint)
+    if firmware_05 and (keys := [key for key in options if key in endpoints.KEYS]):
         raise ConfigError("firmware 0.5 has no SDO", f"{where}.{keys[0]}", "no such key")
     cyclic = options.pop("encoder_period_ms", None)
     if cyclic is not None:
-        cyclic = whole(cyclic, f"{where}.encoder_period_ms", MOST)
+        cyclic = whole_number(cyclic, f"{where}.encoder_period_ms", LARGEST)
     return Options(
-        ratio=positive(options.pop("gear_ratio", 1.0), f"{where}.gear_ratio", MOST),
-        current=positive(options.pop("current_limit_A", 10.0), f"{where}.current_limit_A", MOST),
-        heartbeat=whole(options.pop("heartbeat_ms", 100), f"{where}.heartbeat_ms", MOST),
+        ratio=positive_number(options.pop("gear_ratio", 1.0), f"{where}.gear_ratio", LARGEST),
+        current=positive_number(options.pop("current_limit_A", 10.0), f"{where}.current_limit_A", LARGEST),
+        heartbeat=whole_number(options.pop("heartbeat_ms", 100), f"{where}.heartbeat_ms", LARGEST),
         torque_feedback=feedback,
         cyclic_s=(cyclic or 0) / 1e3,
-        old=old,
+        firmware_05=firmware_05,
     )

@@ -7,7 +7,7 @@ from handctl.drives.contract import DriveState, Phase
 from handctl.drives.frame import Frame
 from handctl.drives.odrive import codec
 from handctl.drives.odrive import firmware_05 as odrive_05
-from handctl.drives.readback import Recheck, Walk
+from handctl.drives.readback import Cursor, Recheck
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 DROPPED_OUT, MISMATCH, REFUSED, ENABLED_BY_OTHERS, LOST = (1 << 32 | number for number in range(5))
@@ -25,7 +25,7 @@ REPEAT_NS, TEMPERATURE_NS = 20_000_000, 200_000_000
 """Time between repeated requests, and between temperature requests [ns]."""
 VERSION_TRIES, CLEAR_TRIES, SERIAL_TRIES = 10, 3, 3
 """Requests for the version, heartbeats that may still carry a cleared error, requests for the serial."""
-ORDERS = 5
+ENABLE_COMMANDS = 5
 """Enable commands that may be lost before the drive is in fault."""
 HEARTBEATS_MISSED = 3.5
 """Periods without a heartbeat before the drive counts as lost."""
@@ -33,149 +33,157 @@ SETTLE_NS = 5_000_000
 """Time after a command in which a heartbeat may still be older than the command [ns]."""
 
 
-class Progress(NamedTuple):
+class OdriveProgress(NamedTuple):
     """Progress of CANSimple, the content of ``DriveState.private``.
 
     Attributes:
         version: True if the protocol version is the supported one.
         serial: serial number, 0 if unknown.
-        asked_serial: requests for the serial number. The drive answered, or no more requests are sent,
+        serial_requests: requests for the serial number. The drive answered, or no more requests are sent,
             at ``SERIAL_TRIES``.
-        walk: cursor of the endpoint read-back.
+        cursor: cursor of the endpoint read-back.
         configured: True if mode and limits were sent.
         axis: latest axis state.
-        heard_ns: time of the latest heartbeat [ns], -1 before the first.
-        asked_ns: time of the enable command [ns], -1 without one.
+        heartbeat_ns: time of the latest heartbeat [ns], -1 before the first.
+        enable_sent_ns: time of the enable command [ns], -1 without one.
         disabling_ns: time of the first disable command [ns], -1 without one.
         sent_ns: time of the latest repeated request [ns].
         tries: number of such requests.
-        warmed_ns: time of the latest temperature request [ns].
+        temperature_asked_ns: time of the latest temperature request [ns].
         clearing: heartbeats that may still carry the error being cleared.
-        fresh: True if all settings were verified in the last tick, too recently for a restart.
-        orders: enable commands without success.
+        just_verified: True if all settings were verified in the last tick, too recently for a restart.
+        enable_commands: enable commands without success.
         check: cursor of the read-back while enabled.
     """
 
     version: bool = False
     serial: int = 0
-    asked_serial: int = 0
-    walk: Walk = Walk()
+    serial_requests: int = 0
+    cursor: Cursor = Cursor()
     configured: bool = False
     axis: int = 0
-    heard_ns: int = -1
-    asked_ns: int = -1
+    heartbeat_ns: int = -1
+    enable_sent_ns: int = -1
     disabling_ns: int = -1
     sent_ns: int = -REPEAT_NS
     tries: int = 0
-    warmed_ns: int = -TEMPERATURE_NS
+    temperature_asked_ns: int = -TEMPERATURE_NS
     clearing: int = 0
-    fresh: bool = False
-    orders: int = 0
+    just_verified: bool = False
+    enable_commands: int = 0
     check: Recheck = Recheck()
 
     @property
     def may_be_enabled(self) -> bool:
         """Return True after an enable command, or in an axis state above idle."""
-        return self.asked_ns >= 0 or self.axis > codec.IDLE
+        return self.enable_sent_ns >= 0 or self.axis > codec.IDLE
 
 
-def progress_of(state: DriveState) -> Progress:
+def progress_of(state: DriveState) -> OdriveProgress:
     """Return the private part of a state."""
-    return cast(Progress, state.private)
+    return cast(OdriveProgress, state.private)
 
 
-def fault(state: DriveState, error: int, text: str) -> DriveState:
+def to_fault(state: DriveState, error: int, text: str) -> DriveState:
     """Return the state with an error."""
     return state._replace(phase=FAULT, error=error, error_text=text)
 
 
-def take_heartbeat(state: DriveState, frame: Frame, old: bool) -> DriveState:
+def on_heartbeat(state: DriveState, frame: Frame, firmware_05: bool) -> DriveState:
     """Apply a heartbeat of 8 bytes.
 
     Args:
         state: state of the drive.
         frame: the heartbeat.
-        old: True for firmware 0.5.
+        firmware_05: True for firmware 0.5.
     """
-    beat = odrive_05.heartbeat(frame.data) if old else codec.heartbeat(frame.data)
-    progress = progress_of(state)._replace(axis=beat.state, heard_ns=frame.t_ns)
+    beat = odrive_05.heartbeat(frame.data) if firmware_05 else codec.heartbeat(frame.data)
+    progress = progress_of(state)._replace(axis=beat.state, heartbeat_ns=frame.t_ns)
     if beat.errors and progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
-    known = state._replace(private=progress._replace(clearing=0))
+    updated = state._replace(private=progress._replace(clearing=0))
     if beat.errors:
-        return _is_wrong(known, progress, beat, old)
+        return _is_in_error(updated, progress, beat, firmware_05)
     if beat.state == codec.CLOSED_LOOP:
-        return _is_enabled(known, progress)
-    return _is_disabled(known, progress, beat) if beat.state == codec.IDLE else _is_elsewhere(known, progress)
+        return _is_enabled(updated, progress)
+    return _is_disabled(updated, progress, beat) if beat.state == codec.IDLE else _is_in_other_state(updated, progress)
 
 
-def _is_wrong(state: DriveState, progress: Progress, beat: codec.Heartbeat, old: bool) -> DriveState:
+def _is_in_error(state: DriveState, progress: OdriveProgress, beat: codec.Heartbeat, firmware_05: bool) -> DriveState:
     """Apply an error. An error disarms, but a drive outside idle may still make torque."""
-    words = odrive_05.error_text if old else codec.error_text
-    wrong = fault(state, beat.errors, words(beat.errors))
+    error_text = odrive_05.error_text if firmware_05 else codec.error_text
+    in_error = to_fault(state, beat.errors, error_text(beat.errors))
     if beat.state == codec.IDLE:
-        return wrong._replace(private=progress._replace(asked_ns=-1, disabling_ns=-1, clearing=0))
-    return wrong._replace(phase=ENABLED) if progress.disabling_ns >= 0 else wrong
+        return in_error._replace(private=progress._replace(enable_sent_ns=-1, disabling_ns=-1, clearing=0))
+    return in_error._replace(phase=ENABLED) if progress.disabling_ns >= 0 else in_error
 
 
-def _is_enabled(state: DriveState, progress: Progress) -> DriveState:
+def _is_enabled(state: DriveState, progress: OdriveProgress) -> DriveState:
     """Apply a report of closed loop control."""
-    if progress.disabling_ns >= 0 or (progress.asked_ns >= 0 and state.phase != FAULT):
-        return state._replace(phase=ENABLED, private=progress._replace(orders=0, clearing=0))
+    if progress.disabling_ns >= 0 or (progress.enable_sent_ns >= 0 and state.phase != FAULT):
+        return state._replace(phase=ENABLED, private=progress._replace(enable_commands=0, clearing=0))
     if state.phase == READY:
-        return fault(state, ENABLED_BY_OTHERS, "in closed loop, but not by this host")
+        return to_fault(state, ENABLED_BY_OTHERS, "in closed loop, but not by this host")
     return state
 
 
-def _is_elsewhere(state: DriveState, progress: Progress) -> DriveState:
+def _is_in_other_state(state: DriveState, progress: OdriveProgress) -> DriveState:
     """Apply a report of another axis state, such as a calibration, with torque beyond the host's control."""
     if state.phase == ENABLED and progress.disabling_ns < 0:
-        return fault(state, DROPPED_OUT, f"went to axis state {progress.axis} by itself")
-    if state.phase == READY and progress.asked_ns < 0 and progress.axis > codec.IDLE:
-        return fault(state, ENABLED_BY_OTHERS, f"in axis state {progress.axis}, but not by this host")
+        return to_fault(state, DROPPED_OUT, f"went to axis state {progress.axis} by itself")
+    if state.phase == READY and progress.enable_sent_ns < 0 and progress.axis > codec.IDLE:
+        return to_fault(state, ENABLED_BY_OTHERS, f"in axis state {progress.axis}, but not by this host")
     return state
 
 
-def _is_disabled(state: DriveState, progress: Progress, beat: codec.Heartbeat) -> DriveState:
+def _is_disabled(state: DriveState, progress: OdriveProgress, beat: codec.Heartbeat) -> DriveState:
     """Apply a report of idle. Shortly after a command the report proves nothing."""
-    off = state._replace(private=progress._replace(asked_ns=-1, disabling_ns=-1))
+    off = state._replace(private=progress._replace(enable_sent_ns=-1, disabling_ns=-1))
     if progress.disabling_ns >= 0:
-        if progress.heard_ns < progress.disabling_ns + SETTLE_NS:
+        if progress.heartbeat_ns < progress.disabling_ns + SETTLE_NS:
             return state
         return off._replace(phase=FAULT if state.error else READY)
     if state.phase == ENABLED:
-        why = f": {codec.result_text(beat.result)}" if beat.result else ""
-        return fault(off, DROPPED_OUT, f"disabled by itself{why}")
-    if 0 <= progress.asked_ns < progress.heard_ns - SETTLE_NS and beat.result != codec.BUSY:
+        reason = f": {codec.result_text(beat.result)}" if beat.result else ""
+        return to_fault(off, DROPPED_OUT, f"disabled by itself{reason}")
+    if 0 <= progress.enable_sent_ns < progress.heartbeat_ns - SETTLE_NS and beat.result != codec.BUSY:
         return _did_not_enable(state, progress, beat)
     return state._replace(phase=CONFIGURING) if state.phase == SILENT else state
 
 
-def _did_not_enable(state: DriveState, progress: Progress, beat: codec.Heartbeat) -> DriveState:
+def _did_not_enable(state: DriveState, progress: OdriveProgress, beat: codec.Heartbeat) -> DriveState:
     """Apply a report of idle after an enable command: refused, command lost, or drive restarted.
 
     A restart has no other sign. All settings are written and verified again before the next command.
     """
     if beat.result != codec.SUCCESS:
-        off = state._replace(private=progress._replace(asked_ns=-1))
-        return fault(off, REFUSED, f"refuses to enable: {codec.result_text(beat.result)}")
-    if progress.orders >= ORDERS:
-        off = state._replace(private=progress._replace(asked_ns=-1, orders=0))
-        return fault(off, REFUSED, f"told to enable {ORDERS} times, and stays idle: it restarts, or takes no orders")
-    fresh = Progress(version=progress.version, serial=progress.serial, asked_serial=progress.asked_serial,
-                     axis=progress.axis, heard_ns=progress.heard_ns, orders=progress.orders)  # fmt: skip
-    return state._replace(phase=CONFIGURING, private=fresh)
+        off = state._replace(private=progress._replace(enable_sent_ns=-1))
+        return to_fault(off, REFUSED, f"refuses to enable: {codec.result_text(beat.result)}")
+    if progress.enable_commands >= ENABLE_COMMANDS:
+        off = state._replace(private=progress._replace(enable_sent_ns=-1, enable_commands=0))
+        return to_fault(
+            off, REFUSED, f"told to enable {ENABLE_COMMANDS} times, and stays idle: it restarts, or takes no orders"
+        )
+    restarted = OdriveProgress(
+        version=progress.version,
+        serial=progress.serial,
+        serial_requests=progress.serial_requests,
+        axis=progress.axis,
+        heartbeat_ns=progress.heartbeat_ns,
+        enable_commands=progress.enable_commands,
+    )
+    return state._replace(phase=CONFIGURING, private=restarted)
 
 
-def lose(state: DriveState, old: bool) -> DriveState:
+def on_timeout(state: DriveState, firmware_05: bool) -> DriveState:
     """Apply missing heartbeats. An enabled drive is in fault, another one may have lost power and mode."""
     progress = progress_of(state)
-    if state.phase == ENABLED or progress.asked_ns >= 0:
-        return fault(state, LOST, "no heartbeat")
-    return state._replace(phase=SILENT, private=Progress(version=old, clearing=progress.clearing))
+    if state.phase == ENABLED or progress.enable_sent_ns >= 0:
+        return to_fault(state, LOST, "no heartbeat")
+    return state._replace(phase=SILENT, private=OdriveProgress(version=firmware_05, clearing=progress.clearing))
 
 
-def begin_disabling(state: DriveState, progress: Progress, t_ns: int) -> DriveState:
+def start_disabling(state: DriveState, progress: OdriveProgress, t_ns: int) -> DriveState:
     """Return the state while disabling. A possibly enabled drive counts as enabled until idle."""
     phase = ENABLED if progress.may_be_enabled else state.phase
     since = progress.disabling_ns if progress.disabling_ns >= 0 else t_ns

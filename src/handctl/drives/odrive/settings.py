@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from handctl.drives import readback
 from handctl.drives.odrive import codec
-from handctl.drives.readback import Walk
+from handctl.drives.readback import Cursor
 from handctl.errors import ConfigError
 
 WRITES = 3
@@ -27,7 +27,7 @@ class Setting(NamedTuple):
     name: str
 
 
-def take_settings(
+def pop_settings(
     options: MutableMapping[str, Any], where: str, watchdog_s: float, torque: float
 ) -> tuple[Setting, ...]:
     """Return the settings whose endpoints the options name, and remove their keys.
@@ -42,56 +42,56 @@ def take_settings(
         ConfigError: an endpoint without a valid number, or one of the two watchdog endpoints missing.
     """
     values = (b"\1", codec.floats(watchdog_s), codec.floats(torque), codec.floats(-torque))
-    found = []
+    settings = []
     for key, raw in zip(KEYS, values, strict=True):
         endpoint = options.pop(key, None)
         if endpoint is None:
             continue
         if type(endpoint) is not int or not 0 < endpoint <= 0xFFFF:
             raise ConfigError(repr(endpoint), f"{where}.{key}", "a number from flat_endpoints.json, 1 to 65535")
-        found.append(Setting(endpoint, raw, key.removeprefix("endpoint_")))
-    names = {setting.name for setting in found}
+        settings.append(Setting(endpoint, raw, key.removeprefix("endpoint_")))
+    names = {setting.name for setting in settings}
     if len(names & {"enable_watchdog", "watchdog_timeout"}) == 1:
         raise ConfigError("half a watchdog", f"{where}.{KEYS[0]}", f"both {KEYS[0]} and {KEYS[1]}, or neither")
-    return tuple(found)
+    return tuple(settings)
 
 
-def unverified(settings: tuple[Setting, ...]) -> tuple[str, ...]:
+def unverified_guards(settings: tuple[Setting, ...]) -> tuple[str, ...]:
     """Return the guards without verification, for the operator before arming."""
     names = {setting.name for setting in settings}
-    told = []
+    guards = []
     if "watchdog_timeout" not in names:
-        told.append("watchdog not verified: CANSimple cannot read it; a dead host may leave torque on")
+        guards.append("watchdog not verified: CANSimple cannot read it; a dead host may leave torque on")
     if not {"torque_max", "torque_min"} <= names:
-        told.append("the drive's own torque limit is not verified: CANSimple cannot read it")
-    return tuple(told)
+        guards.append("the drive's own torque limit is not verified: CANSimple cannot read it")
+    return tuple(guards)
 
 
-def take(walk: Walk, settings: tuple[Setting, ...], data: bytes) -> tuple[Walk, str]:
+def on_reply(cursor: Cursor, settings: tuple[Setting, ...], data: bytes) -> tuple[Cursor, str]:
     """Apply a TxSdo. Replies to any but the open request have no effect.
 
     Returns:
         the new cursor, and the problem in words, empty without a problem.
     """
-    setting = settings[walk.step]
+    setting = settings[cursor.step]
     endpoint, raw = codec.sdo_reply(data)
-    if not walk.waiting or endpoint != setting.endpoint or len(raw) < len(setting.raw):
-        return walk, ""
+    if not cursor.waiting or endpoint != setting.endpoint or len(raw) < len(setting.raw):
+        return cursor, ""
     if raw[: len(setting.raw)] == setting.raw:
-        return walk.right(), ""
-    return readback.differs(walk, setting.name, shown(raw, setting), shown(setting.raw, setting), WRITES)
+        return cursor.next_setting(), ""
+    return readback.on_wrong_value(cursor, setting.name, shown(raw, setting), shown(setting.raw, setting), WRITES)
 
 
-def ask(walk: Walk, settings: tuple[Setting, ...], t_ns: int) -> tuple[Walk, bytes, str]:
+def next_request(cursor: Cursor, settings: tuple[Setting, ...], t_ns: int) -> tuple[Cursor, bytes, str]:
     """Return the next request: cursor, payload, and problem in words.
 
     The payload is empty while an answer is awaited, the problem is empty without a problem.
     """
-    setting = settings[walk.step]
-    if walk.writing:  # has no answer
-        return walk.wrote(), codec.sdo_request(codec.SDO_WRITE, setting.endpoint, setting.raw), ""
-    walk, send, problem = readback.ask(walk, f"endpoint {setting.endpoint} ({setting.name})", t_ns)
-    return walk, codec.sdo_request(codec.SDO_READ, setting.endpoint) if send else b"", problem
+    setting = settings[cursor.step]
+    if cursor.writing:  # has no answer
+        return cursor.after_write(), codec.sdo_request(codec.SDO_WRITE, setting.endpoint, setting.raw), ""
+    cursor, send, problem = readback.next_request(cursor, f"endpoint {setting.endpoint} ({setting.name})", t_ns)
+    return cursor, codec.sdo_request(codec.SDO_READ, setting.endpoint) if send else b"", problem
 
 
 def shown(raw: bytes, setting: Setting) -> str:

@@ -1,11 +1,11 @@
 """Discovery of the sensor node: its answers carry the low four bits of the SYNC counter.
 
 No motor of handctl obeys SYNC, but CANopen drives apply pending PDOs at SYNC. SYNC is not sent
-where a CANopen drive is found, nor beside an ODrive with node number 4 (their ``orders`` include
+where a CANopen drive is found, nor beside an ODrive with node number 4 (their ``command_ids`` include
 its identifier). Source: ``node``.
 """
 
-from handctl.drives.discovery import Discovery, Found, Seen
+from handctl.drives.discovery import DiscoveredNode, Discovery, ReceivedFrames
 from handctl.drives.frame import Frame
 
 SYNC = 0x080
@@ -18,38 +18,38 @@ LONGEST = 8
 """Largest payload of an answer [bytes]."""
 
 
-def questions(turn: int, seen: Seen) -> tuple[Frame, ...]:
+def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the request frames of a round: two SYNCs in round 3."""
     return tuple(ping_with(counter) for counter in COUNTERS) if turn == 3 else ()
 
 
-def found(seen: Seen) -> tuple[Found, ...]:
+def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the nodes: identifiers that answered both SYNCs, the first of a consecutive run as one node."""
-    ids = sorted({frame.can_id for frame in seen if _answered(seen, frame.can_id)})
+    ids = sorted({frame.can_id for frame in received if _answered(received, frame.can_id)})
     first = [can_id for can_id in ids if can_id - 1 not in ids]
-    return tuple(_node(can_id, seen) for can_id in first)
+    return tuple(_node(can_id, received) for can_id in first)
 
 
-def _answered(seen: Seen, can_id: int) -> bool:
+def _answered(received: ReceivedFrames, can_id: int) -> bool:
     """Return True if an identifier carries the counters in their order, and no other frame."""
-    told = [frame.data[0] & 0xF for frame in seen if frame.can_id == can_id and 2 <= len(frame.data) <= LONGEST]
-    return can_id < SYNC << 3 and told == [counter & 0xF for counter in COUNTERS]
+    counters = [frame.data[0] & 0xF for frame in received if frame.can_id == can_id and 2 <= len(frame.data) <= LONGEST]
+    return can_id < SYNC << 3 and counters == [counter & 0xF for counter in COUNTERS]
 
 
-def _node(can_id: int, seen: Seen) -> Found:
+def _node(can_id: int, received: ReceivedFrames) -> DiscoveredNode:
     """Return the data of a node."""
-    size = next(len(frame.data) for frame in seen if frame.can_id == can_id)
+    size = next(len(frame.data) for frame in received if frame.can_id == can_id)
     channels = (8 * size - BITS_HEAD) // BITS_CHANNEL
     note = f"answers SYNC 0x{SYNC:03x}: a sensor node with base_id = 0x{can_id:x} and {channels} channels in a frame?"
-    return Found("sensor", can_id, state="answers SYNC", notes=(note,))
+    return DiscoveredNode("sensor", can_id, state="answers SYNC", notes=(note,))
 
 
-def orders(node: Found) -> frozenset[int]:
+def command_ids(node: DiscoveredNode) -> frozenset[int]:
     """Return no identifier: a SYNC makes the node sample, without effect on a motor."""
     return frozenset()
 
 
-def foreign(seen: Seen) -> tuple[Frame, ...]:
+def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
     """Return no frame: CANopen's discovery reports a SYNC of another host."""
     return ()
 
@@ -59,14 +59,14 @@ def ping_with(counter: int) -> Frame:
     return Frame(SYNC, bytes((counter,)))
 
 
-def ping(node: Found) -> Frame:
+def ping(node: DiscoveredNode) -> Frame:
     """Return a SYNC."""
     return ping_with(COUNTERS[0])
 
 
-def pong(node: Found, frame: Frame) -> bool:
+def is_pong(node: DiscoveredNode, frame: Frame) -> bool:
     """Return True for an answer with the counter of ``ping``."""
     return frame.can_id == node.node_id and len(frame.data) >= 2 and frame.data[0] & 0xF == COUNTERS[0] & 0xF
 
 
-DISCOVERY = Discovery(questions, found, orders, foreign, ping, pong)
+DISCOVERY = Discovery(probe_frames, nodes, command_ids, other_host_frames, ping, is_pong)

@@ -42,13 +42,13 @@ TENSION_TOP_N = TENSION_ZERO_N + FULL * TENSION_STEP_N
 """Reading of a full channel [N]. At count 0 and at the full count the cell is saturated."""
 LOW_MARGIN_N = 2.0
 """Distance of the broken-cell threshold from the lower end of the range [N]."""
-TARE_LEAST_N, TARE_MOST_N = TENSION_ZERO_N + LOW_MARGIN_N, 6.0
+TARE_MIN_N, TARE_MAX_N = TENSION_ZERO_N + LOW_MARGIN_N, 6.0
 """Valid readings of a load cell without tension [N].
 
 Below, noise reaches the end of the range, and a broken wire looks like a slack tendon. Above, the
 range ends below ``tension_rail``.
 """
-TENSION_RAIL_N = TENSION_TOP_N - TARE_MOST_N
+TENSION_RAIL_N = TENSION_TOP_N - TARE_MAX_N
 """Tension after any tare above which a load cell may be saturated [N]."""
 COUNTER_PERIOD, DISTINCT = 4096, 8
 """Ticks after which the SYNC counters repeat, and ticks in a row with distinct answers."""
@@ -183,14 +183,14 @@ class SensorNode:
 
         The channel of a signal is the index of its tendon or joint.
         """
-        found = []
+        messages = []
         for g, (can_id, channels, length) in enumerate(zip(self.ids, self.channels, self.lengths, strict=True)):
             tensions = g < self.tension_frames
             signals = [Signal("counter", Quantity.COUNTER, 0, COUNTER_BITS)]
-            signals += [_channel(place, index, tensions) for place, index in enumerate(channels)]
+            signals += [_channel(slot, index, tensions) for slot, index in enumerate(channels)]
             name = f"tensions_{g}" if tensions else f"joints_{g - self.tension_frames}"
-            found.append(Message(name, can_id, length, tuple(signals)))
-        return tuple(found)
+            messages.append(Message(name, can_id, length, tuple(signals)))
+        return tuple(messages)
 
     def counter(self, k: int) -> int:
         """Return the counter byte of the SYNC of tick k. Answers carry its low four bits."""
@@ -200,17 +200,17 @@ class SensorNode:
         """Return the SYNC of tick k."""
         return Frame(self.sync_id, bytes((self.counter(k),)), bus=self.bus)
 
-    def lost(self, syncs: int, came: int, stale: int) -> int:
+    def lost(self, syncs: int, accepted: int, stale: int) -> int:
         """Return the number of lost tension frames.
 
         Frames of the last SYNC are excluded, since they may still arrive.
 
         Args:
             syncs: number of SYNCs sent.
-            came: number of accepted tension frames.
+            accepted: number of accepted tension frames.
             stale: number of frames that answered an older SYNC.
         """
-        return max(0, (syncs - 1) * self.tension_frames - came - stale)
+        return max(0, (syncs - 1) * self.tension_frames - accepted - stale)
 
     def group_of_tendon(self, index: int) -> int:
         """Return the frame of a tendon's load cell, -1 without one."""
@@ -222,12 +222,12 @@ class SensorNode:
         return next((g for g in groups if index in self.channels[g]), -1)
 
 
-def _channel(place: int, index: int, tension: bool) -> Signal:
+def _channel(slot: int, index: int, tension: bool) -> Signal:
     """Return one channel of a frame, at its position after the counter."""
     if tension:
-        return Signal(f"tension_{place}", Quantity.TENSION, SHIFTS[place], CHANNEL_BITS, scale=TENSION_STEP_N,
+        return Signal(f"tension_{slot}", Quantity.TENSION, SHIFTS[slot], CHANNEL_BITS, scale=TENSION_STEP_N,
                       offset=TENSION_ZERO_N, unit="N", channel=index)  # fmt: skip
-    return Signal(f"angle_{place}", Quantity.ANGLE, SHIFTS[place], CHANNEL_BITS, scale=JOINT_STEP_RAD,
+    return Signal(f"angle_{slot}", Quantity.ANGLE, SHIFTS[slot], CHANNEL_BITS, scale=JOINT_STEP_RAD,
                   offset=-JOINT_ZERO * JOINT_STEP_RAD, unit="rad", channel=index)  # fmt: skip
 
 
@@ -243,7 +243,7 @@ def counters(decimation: int) -> bytes:
     """
     rows = [range(remainder, 256, decimation) for remainder in range(decimation)]
     by_nibble = [{byte & 0xF: byte for byte in row} for row in rows]
-    chance, recent, made = 1, list[int](), bytearray()
+    chance, recent, result = 1, list[int](), bytearray()
     for k in range(COUNTER_PERIOD - COUNTER_PERIOD % decimation):
         chance = chance * 6364136223846793005 + 1442695040888963407 & 0xFFFF_FFFF_FFFF_FFFF  # Knuth's MMIX
         fit = sorted(by_nibble[k % decimation])
@@ -252,9 +252,9 @@ def counters(decimation: int) -> bytes:
                 fit.remove(old)
         # The high bits of a linear congruential generator are the random ones.
         nibble = fit[(chance >> 33) % len(fit)]
-        made.append(by_nibble[k % decimation][nibble])
+        result.append(by_nibble[k % decimation][nibble])
         recent = [*recent[2 - DISTINCT :], nibble]
-    return bytes(made)
+    return bytes(result)
 
 
 def _groups(channels: list[int]) -> list[tuple[int, ...]]:

@@ -15,7 +15,7 @@ NAME_PATTERN = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
 def wrong(right: str) -> PydanticCustomError:
-    """Return an error with the valid value, which ``messages`` prints after the invalid one."""
+    """Return an error with the valid value, which ``error_text`` prints after the invalid one."""
     return PydanticCustomError("hand", "expected {right}", {"right": right})
 
 
@@ -113,8 +113,8 @@ Gravity = Annotated[float, band(-20.0, 20.0, "m/s2")]
 Coupling = Annotated[float, band(-10.0, 10.0)]
 Force = Annotated[float, band(0.0, 5000.0, "N", "in newtons?")]
 PositiveForce = Annotated[float, band(0.1, 5000.0, "N", "in newtons?")]
-RopeStiffness = Annotated[float, band(1e3, 1e7, "N/m", "in N/m?")]
-RopeDamping = Annotated[float, band(0.0, 1e4, "N s/m")]
+TendonStiffness = Annotated[float, band(1e3, 1e7, "N/m", "in N/m?")]
+TendonDamping = Annotated[float, band(0.0, 1e4, "N s/m")]
 StiffnessRatio = Annotated[float, band(0.01, 10.0)]
 KneeWidth = Annotated[float, band(1e-6, 0.01, "m", "in metres?")]
 FrictionCoefficient = Annotated[float, band(0.0, 1.0)]

@@ -108,8 +108,8 @@ class Tendon(Section):
     motor: qty.Name
     moment_arm_m: dict[str, qty.MomentArm]
     """Row of R, by joint. The tendon does not cross absent joints. Positive arms flex."""
-    stiffness_N_per_m: qty.RopeStiffness
-    damping_N_s_per_m: qty.RopeDamping
+    stiffness_N_per_m: qty.TendonStiffness
+    damping_N_s_per_m: qty.TendonDamping
     knee_N: qty.PositiveForce
     stiffness_beyond_ratio: qty.StiffnessRatio
     knee_width_m: qty.KneeWidth

@@ -12,7 +12,7 @@ from scipy.optimize import curve_fit
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array
 from handctl.hand.load import hand_from, load_hand
-from handctl.hand.tendons import TendonLaw
+from handctl.hand.tendons import TendonElasticity
 from handctl.paper import sources as src
 from handctl.paper.bench.bench_run import run
 from handctl.paper.item import Item
@@ -139,7 +139,7 @@ def _knee(displacement: Array, force: Array, slope: float) -> tuple[float, float
     """Return the knee by least squares, and its standard deviation [N]."""
 
     def law(x: Array, knee: float, ratio: float, width: float) -> Array:
-        tendon = TendonLaw(slope, ratio * slope, knee, width, 0.0)
+        tendon = TendonElasticity(slope, ratio * slope, knee, width, 0.0)
         return np.array([tendon.elastic(value) for value in x.tolist()])
 
     bounds = ([100.0, 0.05, 1e-5], [300.0, 0.95, 2e-3])

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from enum import Enum
 from typing import NamedTuple
 
-from handctl.drives.contract import Phase, Want
+from handctl.drives.contract import DriveTarget, Phase
 from handctl.runtime.diagnostics.drive_rig import DriveRig
 from handctl.runtime.diagnostics.torque_step import MOVED_RAD, STILL_RAD_S, brake, torque_step
 
@@ -107,14 +107,14 @@ def _run_check(device: DeviceUnderTest, name: str, promise: Promise) -> Check:
 def _configured(device: DeviceUnderTest) -> str:
     """Check that the drive takes its settings and becomes ready."""
     rig = device.rig
-    if not rig.until(Want.POLL, lambda state: state.phase == Phase.READY, 5.0):
+    if not rig.until(DriveTarget.POLL, lambda state: state.phase == Phase.READY, 5.0):
         raise Failed(rig.state.error_text or f"stays in {rig.state.phase.name}")
-    return "; ".join(rig.drive.caveats or ("settings read back",))
+    return "; ".join(rig.drive.unverified_guards or ("settings read back",))
 
 
 def _enabled(rig: DriveRig) -> None:
     """Enable the drive. Raises Failed if the drive does not report that it is enabled."""
-    if not rig.until(Want.ENABLE, lambda state: state.phase == Phase.ENABLED, 2.0):
+    if not rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.ENABLED, 2.0):
         raise Failed(rig.state.error_text or "does not report that it is enabled within 2 s of the command")
 
 
@@ -122,7 +122,7 @@ def _waits(device: DeviceUnderTest) -> str:
     """Check that a ready drive makes no torque."""
     rig = device.rig
     before = rig.state.feedback_count
-    rig.keep(Want.POLL, 0.3)
+    rig.keep(DriveTarget.POLL, 0.3)
     if rig.state.phase != Phase.READY:
         raise Failed(rig.state.error_text or f"went to {rig.state.phase.name}")
     if math.isfinite(rig.velocity) and abs(rig.velocity) > STILL_RAD_S:
@@ -143,7 +143,7 @@ def _feedback(device: DeviceUnderTest) -> str:
     _enabled(rig)
     start = rig.state.feedback_count
     ticks = 100
-    ages = sorted(rig.t_ns - rig.tick(Want.ENABLE).feedback_t_ns for _ in range(ticks))
+    ages = sorted(rig.t_ns - rig.tick(DriveTarget.ENABLE).feedback_t_ns for _ in range(ticks))
     count = rig.state.feedback_count - start
     late = ages[-LATE_OF_100]
     seen = f"{count} feedback frames in {ticks} ticks, at most {max(ages[-1], 0) / 1e6:.0f} ms old"
@@ -188,7 +188,7 @@ def _holds_limit(device: DeviceUnderTest) -> str:
     _enabled(rig)
     for torque in (1.01 * device.limit, -1.01 * device.limit, math.nan, math.inf):
         try:
-            rig.drive.advance(rig.state, rig.t_ns, Want.ENABLE, torque)
+            rig.drive.advance(rig.state, rig.t_ns, DriveTarget.ENABLE, torque)
         except ValueError:
             continue
         raise Failed(f"{torque:g} N m would have been sent")
@@ -200,7 +200,7 @@ def _disables(device: DeviceUnderTest) -> str:
     rig = device.rig
     _enabled(rig)
     start = rig.t_ns
-    if not rig.until(Want.DISABLE, lambda state: state.phase != Phase.ENABLED, 1.0):
+    if not rig.until(DriveTarget.DISABLE, lambda state: state.phase != Phase.ENABLED, 1.0):
         raise Failed("does not report within 1 s of the command that it is disabled")
     if rig.state.phase == Phase.FAULT:
         raise Failed(f"reports a fault after the disable command: {rig.state.error_text}")
@@ -212,12 +212,12 @@ def _watchdog_disables(device: DeviceUnderTest) -> str:
     rig = device.rig
     _enabled(rig)
     silence = max(SILENCE_S, 3.0 * device.watchdog_s)
-    rig.keep(Want.LISTEN, silence)
-    if not rig.until(Want.ENABLE, lambda state: state.phase != Phase.ENABLED, 0.5):
-        hint = f" ({rig.drive.caveats[0]})" if rig.drive.caveats else ""
+    rig.keep(DriveTarget.LISTEN, silence)
+    if not rig.until(DriveTarget.ENABLE, lambda state: state.phase != Phase.ENABLED, 0.5):
+        hint = f" ({rig.drive.unverified_guards[0]})" if rig.drive.unverified_guards else ""
         raise Failed(f"still enabled after {silence * 1e3:.0f} ms without a command{hint}")
     text = rig.state.error_text
-    rig.keep(Want.ENABLE, 0.3)
+    rig.keep(DriveTarget.ENABLE, 0.3)
     if rig.state.phase != Phase.FAULT:
         raise Failed(f"{text}, and then enabled again without being cleared")
     return text
@@ -228,12 +228,12 @@ def _clears(device: DeviceUnderTest) -> str:
     rig = device.rig
     _enabled(rig)
     rig.cut()
-    rig.keep(Want.LISTEN, 0.3)
-    if not rig.until(Want.ENABLE, lambda state: state.phase != Phase.ENABLED, 0.5):
+    rig.keep(DriveTarget.LISTEN, 0.3)
+    if not rig.until(DriveTarget.ENABLE, lambda state: state.phase != Phase.ENABLED, 0.5):
         raise Failed("still enabled after the cut")
     text = rig.state.error_text
     rig.clear()
-    if not rig.until(Want.POLL, lambda state: state.phase == Phase.READY, 3.0):
+    if not rig.until(DriveTarget.POLL, lambda state: state.phase == Phase.READY, 3.0):
         raise Failed(rig.state.error_text or "does not become ready after the clear")
     return f"{text or 'off'}, and ready again after a clear"
 

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 
 from handctl.compiled import prepare
-from handctl.drives.contract import Drive, DriveState, Phase, Want
+from handctl.drives.contract import Drive, DriveState, DriveTarget, Phase
 from handctl.drives.frame import Frame
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.clock import Clock
@@ -62,18 +62,18 @@ class DriveRig:
         """Return the velocity from the last positions [rad/s]. NaN before there are enough."""
         return (self._positions[-1] - self._positions[0]) / (SPAN * PERIOD_NS * 1e-9)
 
-    def tick(self, want: Want, torque: float = 0.0, extra: Sequence[Frame] = ()) -> DriveState:
+    def tick(self, target: DriveTarget, torque: float = 0.0, extra: Sequence[Frame] = ()) -> DriveState:
         """Run one tick and return the state after it.
 
         Args:
-            want: requested phase of the drive.
+            target: requested phase of the drive.
             torque: command, used while the drive is enabled [N m].
             extra: frames to be sent in addition.
         """
         self._clock.wait(self.k)
         for frame in self._bus.drain():
             self.state = self.drive.receive(self.state, frame)
-        self.state, frames = self.drive.advance(self.state, self.t_ns, want, torque)
+        self.state, frames = self.drive.advance(self.state, self.t_ns, target, torque)
         self.torque = torque
         self._bus.send((*frames, *extra))
         self.events += self._bus.take_events()
@@ -81,29 +81,29 @@ class DriveRig:
         self.k += 1
         return self.state
 
-    def until(self, want: Want, reached: Callable[[DriveState], bool], for_s: float) -> bool:
+    def until(self, target: DriveTarget, reached: Callable[[DriveState], bool], for_s: float) -> bool:
         """Tick without torque until a condition holds. Returns False after the time limit [s]."""
-        return any(reached(self.tick(want)) for _ in range(math.ceil(for_s * 1e9 / PERIOD_NS)))
+        return any(reached(self.tick(target)) for _ in range(math.ceil(for_s * 1e9 / PERIOD_NS)))
 
-    def keep(self, want: Want, for_s: float) -> None:
+    def keep(self, target: DriveTarget, for_s: float) -> None:
         """Tick without torque for a time [s]."""
-        self.until(want, lambda state: False, for_s)
+        self.until(target, lambda state: False, for_s)
 
     def clear(self) -> None:
         """Clear the latched faults of the drive."""
         self.state, frames = self.drive.clear(self.state)
-        self.tick(Want.POLL, extra=frames)
+        self.tick(DriveTarget.POLL, extra=frames)
 
     def cut(self) -> None:
         """Send only the frames that take the torque away."""
-        self.tick(Want.LISTEN, extra=self.drive.cut())
+        self.tick(DriveTarget.LISTEN, extra=self.drive.cut())
 
     def rest(self) -> bool:
         """Bring the drive to READY from any phase. Returns True if it arrived there."""
-        self.until(Want.DISABLE, lambda state: state.phase != Phase.ENABLED, 1.0)
+        self.until(DriveTarget.DISABLE, lambda state: state.phase != Phase.ENABLED, 1.0)
         if self.state.phase == Phase.FAULT:
             self.clear()
-        return self.until(Want.POLL, lambda state: state.phase == Phase.READY, 3.0)
+        return self.until(DriveTarget.POLL, lambda state: state.phase == Phase.READY, 3.0)
 
     def confirm_off(self, watchdog_s: float) -> bool:
         """Disable the drive and return True if it reports that it is off.
@@ -111,7 +111,7 @@ class DriveRig:
         A drive that does not obey gets a second chance after a silence in which its watchdog expires.
         """
         for silence in (0.0, 3.0 * watchdog_s + 0.2):
-            self.keep(Want.LISTEN, silence)
-            if self.until(Want.DISABLE, lambda state: state.phase != Phase.ENABLED, 1.0):
+            self.keep(DriveTarget.LISTEN, silence)
+            if self.until(DriveTarget.DISABLE, lambda state: state.phase != Phase.ENABLED, 1.0):
                 return True
         return False

@@ -3,7 +3,7 @@
 import time
 from typing import NamedTuple
 
-from handctl.drives.discovery import Found
+from handctl.drives.discovery import DiscoveredNode
 from handctl.drives.registry import DISCOVERIES
 from handctl.runtime.buses.contract import Bus
 
@@ -31,7 +31,7 @@ class RoundTrip(NamedTuple):
     longest: float
 
 
-def round_trip(bus: Bus, node: Found, times: int = TIMES) -> RoundTrip:
+def round_trip(bus: Bus, node: DiscoveredNode, times: int = TIMES) -> RoundTrip:
     """Measure the round-trip time of a node with one request at a time."""
     took = sorted(filter(None, (_once(bus, node) for _ in range(times))))
     if not took:
@@ -39,14 +39,14 @@ def round_trip(bus: Bus, node: Found, times: int = TIMES) -> RoundTrip:
     return RoundTrip(len(took), times, took[0], took[len(took) // 2], took[-1])
 
 
-def _once(bus: Bus, node: Found) -> float | None:
+def _once(bus: Bus, node: DiscoveredNode) -> float | None:
     """Return the time to the answer [s]. None if no answer arrives."""
     discovery = DISCOVERIES[node.protocol]
     bus.drain()
     start = time.perf_counter()
     bus.send((discovery.ping(node),))
     while (passed := time.perf_counter() - start) < ANSWER_S:
-        if any(discovery.pong(node, frame) for frame in bus.drain()):
+        if any(discovery.is_pong(node, frame) for frame in bus.drain()):
             return time.perf_counter() - start
         time.sleep(0.0001 if passed < 0.01 else 0.002)  # fine at first, then sparing of the processor
     return None

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import NamedTuple
 
-from handctl.drives.discovery import ANSWER_S, LISTEN_S, ROUNDS, Found, allowed
+from handctl.drives.discovery import ANSWER_S, LISTEN_S, ROUNDS, DiscoveredNode, split_probes
 from handctl.drives.frame import Frame
 from handctl.drives.registry import DISCOVERIES
 from handctl.runtime.buses.contract import Bus
@@ -37,7 +37,7 @@ class Scan(NamedTuple):
         frames: number of received frames.
     """
 
-    found: tuple[Found, ...]
+    found: tuple[DiscoveredNode, ...]
     foreign: tuple[Frame, ...]
     omitted: tuple[Frame, ...]
     events: tuple[tuple[str, str, int], ...]
@@ -77,7 +77,7 @@ def scan(
         listen(bus, LISTEN_S if turn == 0 else ANSWER_S, seen)
         if turn == 0 and not force and (foreign := _foreign(seen)):
             break
-    drives = tuple(node for discovery in DISCOVERIES.values() for node in discovery.found(seen))
+    drives = tuple(node for discovery in DISCOVERIES.values() for node in discovery.nodes(seen))
     return Scan(drives, foreign, tuple(omitted), tuple(bus.take_events()), len(seen))
 
 
@@ -94,7 +94,7 @@ def _requests(turn: int, seen: list[Frame], omitted: list[Frame]) -> list[Frame]
     """
     requests: list[Frame] = []
     for name, discovery in DISCOVERIES.items():
-        allowed_frames, dropped = allowed(discovery.questions(turn, seen), _commands_of_others(name, seen))
+        allowed_frames, dropped = split_probes(discovery.probe_frames(turn, seen), _commands_of_others(name, seen))
         requests += allowed_frames
         omitted += dropped
     return requests
@@ -103,7 +103,7 @@ def _requests(turn: int, seen: list[Frame], omitted: list[Frame]) -> list[Frame]
 def _commands_of_others(name: str, seen: list[Frame]) -> list[frozenset[int]]:
     """Return the command identifiers of each present drive that has another protocol than ``name``."""
     others = (discovery for other, discovery in DISCOVERIES.items() if other != name)
-    return [discovery.orders(node) for discovery in others for node in discovery.found(seen)]
+    return [discovery.command_ids(node) for discovery in others for node in discovery.nodes(seen)]
 
 
 def _foreign(seen: list[Frame]) -> tuple[Frame, ...]:
@@ -114,7 +114,7 @@ def _foreign(seen: list[Frame]) -> tuple[Frame, ...]:
     foreign: list[Frame] = []
     for name, discovery in DISCOVERIES.items():
         explained = frozenset().union(*_commands_of_others(name, seen))
-        foreign += [frame for frame in discovery.foreign(seen) if frame.can_id not in explained]
+        foreign += [frame for frame in discovery.other_host_frames(seen) if frame.can_id not in explained]
     return tuple(dict.fromkeys(foreign)) if len(foreign) > STRAY else ()
 
 

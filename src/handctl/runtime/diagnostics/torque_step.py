@@ -7,7 +7,7 @@ that ignores the inertia would make it oscillate, because the measured velocity 
 import math
 from typing import NamedTuple
 
-from handctl.drives.contract import Phase, Want
+from handctl.drives.contract import DriveTarget, Phase
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 
 PERIOD_S = PERIOD_NS * 1e-9
@@ -57,7 +57,7 @@ def torque_step(rig: DriveRig, sign: int, limit: float) -> TorqueStep:
     moved = torque = 0.0
     for i in range(ticks):
         torque = sign * limit * (i + 1) / ticks
-        rig.tick(Want.ENABLE, torque)
+        rig.tick(DriveTarget.ENABLE, torque)
         impulse += torque * PERIOD_S
         if rig.state.phase != Phase.ENABLED:
             return TorqueStep(moved, torque, rig.state.torque, False)
@@ -67,7 +67,7 @@ def torque_step(rig: DriveRig, sign: int, limit: float) -> TorqueStep:
         if abs(moved) > MOVED_RAD:
             break
     reported = rig.state.torque
-    rig.keep(Want.ENABLE, COAST_TICKS * PERIOD_S)
+    rig.keep(DriveTarget.ENABLE, COAST_TICKS * PERIOD_S)
     gained = rig.velocity - (coasting if math.isfinite(coasting) else 0.0)
     if impulse * gained > 0.0:  # angular impulse [N m s] over the change of velocity
         rig.inertia = impulse / gained
@@ -90,5 +90,5 @@ def brake(rig: DriveRig, limit: float) -> bool:
         still = still + 1 if abs(speed) < STILL_RAD_S else 0
         if still > COAST_TICKS:
             return True
-        rig.tick(Want.ENABLE, max(-limit, min(limit, -gain * speed)) if math.isfinite(speed) else 0.0)
+        rig.tick(DriveTarget.ENABLE, max(-limit, min(limit, -gain * speed)) if math.isfinite(speed) else 0.0)
     return not abs(rig.velocity) > STILL_RAD_S

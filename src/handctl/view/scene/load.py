@@ -5,7 +5,7 @@ import pyarrow as pa  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
 from handctl.drives.frame import FDF
-from handctl.drives.load import frame_time_s
+from handctl.drives.frame_time import frame_time_s
 from handctl.view.scene.arrow import Floats
 from handctl.view.scene.subject import Subject
 

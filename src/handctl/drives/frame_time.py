@@ -12,7 +12,7 @@ from collections.abc import Iterable
 
 NICE_RATES_HZ = (1000.0, 500.0, 400.0, 250.0, 200.0, 100.0, 50.0, 20.0, 10.0)
 """Usual control rates, highest first [Hz]."""
-MOST = 0.70
+MAX_BUS_LOAD = 0.70
 """Fraction of a bus that a hand may use. The rest is reserved for bursts."""
 
 
@@ -71,14 +71,18 @@ def bus_time_s(frames: Iterable[tuple[int, bool, float]], bitrate: float, data_b
     return sum(number * frame_time_s(size, fd, bitrate, data_bitrate) for size, fd, number in frames)
 
 
-def highest_rate(tick_times_s: Iterable[float], shares: Iterable[float] | None = None) -> float:
-    """Return the highest usual control rate that loads no bus beyond ``MOST`` [Hz].
+def highest_rate(tick_times_s: Iterable[float], periodic_loads: Iterable[float] | None = None) -> float:
+    """Return the highest usual control rate that loads no bus beyond ``MAX_BUS_LOAD`` [Hz].
 
     Args:
         tick_times_s: time of one tick's frames on each bus [s].
-        shares: fraction of each bus used by periodic frames, 0 by default.
+        periodic_loads: fraction of each bus used by periodic frames, 0 by default.
     """
     times = tuple(tick_times_s)
-    pairs = tuple(zip(times, (0.0,) * len(times) if shares is None else shares, strict=True))
-    fits = (rate for rate in NICE_RATES_HZ if all(rate * busy + share <= MOST for busy, share in pairs))
+    pairs = tuple(zip(times, (0.0,) * len(times) if periodic_loads is None else periodic_loads, strict=True))
+    fits = (
+        rate
+        for rate in NICE_RATES_HZ
+        if all(rate * busy + periodic_load <= MAX_BUS_LOAD for busy, periodic_load in pairs)
+    )
     return next(fits, NICE_RATES_HZ[-1])
