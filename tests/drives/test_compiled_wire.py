@@ -122,7 +122,7 @@ def test_compiled_code_and_the_state_machine_are_one(name: str, seed: int) -> No
 def revived(state: DriveState, t_ns: int) -> DriveState:
     """The state of an enabled drive as if it had come to torque now."""
     private = state.private
-    clocks = ("heartbeat_ns", "life_sign_ns", "heartbeat_sent_ns", "temperature_asked_ns")
+    clocks = ("heartbeat_ns", "life_sign_ns", "heartbeat_sent_ns", "temperature_request_ns")
     times = {name: t_ns for name in clocks if name in private._fields}
     if "check" in private._fields:
         times["check"] = private.check._replace(due_ns=t_ns + 50_000_000)

@@ -46,7 +46,7 @@ def pinocchio_by_hand(digit: DigitModel, gravity) -> pinocchio.Model:
 @pytest.mark.parametrize("gravity", GRAVITIES)
 def test_agrees_with_pinocchio_built_by_hand(digits, rng, gravity):
     for digit in digits:
-        digit = digit.under(gravity)
+        digit = digit.with_gravity(gravity)
         model = pinocchio_by_hand(digit, gravity)
         data = model.createData()
         for q, dq, ddq in states(rng, digit.joint_count):
@@ -68,7 +68,7 @@ def test_agrees_with_pinocchio_reading_our_urdf(hand, digits, rng, gravity):
     armature[order] = np.concatenate([digit.armature for digit in digits])
     model.armature = armature
     data = model.createData()
-    digits = [digit.under(gravity) for digit in digits]
+    digits = [digit.with_gravity(gravity) for digit in digits]
     for q, dq, ddq in states(rng, len(hand.joints)):
         theirs = [np.zeros(model.nv) for _ in range(3)]
         for vector, mine in zip(theirs, (q, dq, ddq), strict=True):
@@ -85,7 +85,7 @@ def test_agrees_with_mujoco_reading_our_urdf(hand, digits, rng, gravity):
     model.dof_damping[:] = 0.0
     model.dof_armature[:] = np.concatenate([digit.armature for digit in digits])
     data = mujoco.MjData(model)
-    digits = [digit.under(gravity) for digit in digits]
+    digits = [digit.with_gravity(gravity) for digit in digits]
     full = np.zeros((model.nv, model.nv))
     for q, dq, ddq in states(rng, model.nv):
         data.qpos[:], data.qvel[:], data.qacc[:] = q, dq, ddq
@@ -109,9 +109,9 @@ def test_a_wrong_link_constant_would_be_noticed(digits, rng):
         assert len(used) >= 6
         for i in used:
             links = digit.links._replace(**{digit.links._fields[i]: digit.links[i] * 1.001})
-            changed = replace(digit, links=links).under((1.0, -9.0, 2.0))
+            changed = replace(digit, links=links).with_gravity((1.0, -9.0, 2.0))
             q, dq, ddq = next(iter(states(rng, digit.joint_count, 1)))
-            right = np.array(dynamics.inverse_dynamics(digit.under((1.0, -9.0, 2.0)), q, dq, ddq))
+            right = np.array(dynamics.inverse_dynamics(digit.with_gravity((1.0, -9.0, 2.0)), q, dq, ddq))
             assert not agree(dynamics.inverse_dynamics(changed, q, dq, ddq), right)
 
 
@@ -125,7 +125,7 @@ def test_one_joint_is_a_pendulum(rng):
     tendon = {**content["tendon"][3], "moment_arm_m": {"thumb_j1": 0.003}}
     node = {**content["sensor_node"], "tendons": ["thumb_tendon"], "joints": []}
     alone = {**content, "digit": [thumb], "tendon": [tendon], "motor": [content["motor"][3]], "sensor_node": node}
-    digit = DigitModel.of(Hand.model_validate(alone), "thumb").under((0.0, -9.81, 0.0))
+    digit = DigitModel.of(Hand.model_validate(alone), "thumb").with_gravity((0.0, -9.81, 0.0))
     inertia = digit.inertias[0] + digit.masses[0] * digit.coms[0] ** 2 + digit.armature[0]
     for q, dq, ddq in states(rng, 1, 50):
         weight = digit.masses[0] * digit.coms[0] * 9.81 * np.cos(q)
@@ -154,7 +154,7 @@ def test_coriolis_forces_do_no_work_of_their_own(digits, rng):
 
 def test_gravity_and_springs_are_gradients_of_their_energies(digits, rng):
     for digit in digits:
-        digit = digit.under(rng.normal(size=3) * 6)
+        digit = digit.with_gravity(rng.normal(size=3) * 6)
         for q, _, _ in states(rng, digit.joint_count, 100):
             for energy, torque in (
                 (dynamics.potential_energy, dynamics.gravity_torque),
@@ -168,7 +168,7 @@ def test_gravity_and_springs_are_gradients_of_their_energies(digits, rng):
 def test_energy_is_conserved(digits):
     """Swing with springs and weight, undamped, by Runge-Kutta of fourth order."""
     for digit in digits[::3]:
-        digit = digit.under((4.0, -8.0, 3.0))
+        digit = digit.with_gravity((4.0, -8.0, 3.0))
         n, dt = digit.joint_count, 2e-5
 
         def rate(state, digit=digit, n=n):
@@ -225,7 +225,7 @@ def test_lists_tuples_and_arrays_give_the_same(digits, rng):
 
 def test_known_numbers_of_the_paper_s_finger():
     """Weight of the straight finger at joint 1 and its reduced inertia, worked out by hand from lengths and masses."""
-    digit = DigitModel.of(load_hand("jamia"), "index").under((0.0, 9.81, 0.0))  # down is the digit's -y
+    digit = DigitModel.of(load_hand("jamia"), "index").with_gravity((0.0, 9.81, 0.0))  # down is the digit's -y
     m1, m2, m3 = digit.masses
     weight = 9.81 * (m1 * 0.015 + m2 * 0.0375 + m3 * 0.050)
     assert np.isclose(dynamics.gravity_torque(digit, (0.0, 0.0, 0.0))[0], weight, rtol=1e-12)

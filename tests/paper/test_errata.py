@@ -69,7 +69,7 @@ def test_corrected_torques_are_lagrange_s(i: int) -> None:
 
 def test_the_thumb_s_are_the_same_without_a_third_link() -> None:
     """With m3 = I3 = 0 two links remain, those of this project's thumb."""
-    thumb = DigitModel.of(src.hand(), "thumb").under((0.0, -9.81, 0.0))
+    thumb = DigitModel.of(src.hand(), "thumb").with_gravity((0.0, -9.81, 0.0))
     chance = np.random.default_rng(3)
     states = {"g": 9.81, "I3": 0.0, "m3": 0.0, "L3": 1.0, "d3": 1.0, "th3": 0.3, "dth3": 5.0, "ddth3": 7.0}
     for i in (0, 1):

@@ -14,8 +14,9 @@ from handctl.drives.frame import EXTENDED, REMOTE
 from handctl.drives.sensors.node import SensorNode
 from handctl.drives.signals import Coding, Message, Quantity, Signal
 
-HOST, SENSORS = "host", "sensor_node"
-"""Names of this host and of the sensor node in a DBC."""
+# Names of this host and of the sensor node in a DBC.
+HOST = "host"
+SENSORS = "sensor_node"
 EXTENDED_BIT = 1 << 31
 """Mark of a 29-bit identifier in a DBC, as in SocketCAN."""
 
@@ -61,7 +62,8 @@ def dbc(sent: Iterable[Sent]) -> str:
             by_identifier.setdefault(item.message.can_id, item)
     nodes = dict.fromkeys(node for item in by_identifier.values() for node in (item.sender, item.receiver))
     lines = ['VERSION ""', "", "NS_ :", "", "BS_:", "", " ".join(["BU_:", *nodes]), ""]
-    floats, kinds = list[str](), list[str]()
+    floats = list[str]()
+    kinds = list[str]()
     for message, sender, receiver in by_identifier.values():
         frame_id = message.can_id & ~EXTENDED | (EXTENDED_BIT if message.can_id & EXTENDED else 0)
         lines.append(f"BO_ {frame_id} {message.name}: {message.length} {sender}")
@@ -74,8 +76,9 @@ def dbc(sent: Iterable[Sent]) -> str:
     return "\n".join([*lines, *(_FORMATS if kinds else ()), *kinds, *floats, ""])
 
 
-FD, FD_EXTENDED = 14, 15
-"""Values of the attribute VFrameFormat for CAN FD frames, with 11-bit and 29-bit identifiers."""
+# Values of the attribute VFrameFormat for CAN FD frames, with 11-bit and 29-bit identifiers.
+FD = 14
+FD_EXTENDED = 15
 _FORMATS = (
     'BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN",'
     + ",".join(f'"reserved{i}"' for i in range(2, 14))
@@ -91,7 +94,8 @@ Source: the attribute as Vector's tools write it and cantools reads it.
 def _signal(signal: Signal, receiver: str) -> str:
     """Return the DBC line of a signal."""
     # In a DBC, @0 is big-endian and @1 little-endian. + is unsigned, - is signed or float.
-    order, sign = 0 if signal.big_endian else 1, "+" if signal.coding == Coding.UNSIGNED else "-"
+    order = 0 if signal.big_endian else 1
+    sign = "+" if signal.coding == Coding.UNSIGNED else "-"
     layout = f"{signal.start}|{signal.length}@{order}{sign}"
     return f' SG_ {signal.name} : {layout} ({signal.scale!r},{signal.offset!r}) [0|0] "{signal.unit}" {receiver}'
 

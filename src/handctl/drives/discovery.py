@@ -13,8 +13,9 @@ from typing import NamedTuple
 from handctl.drives.frame import REMOTE, Frame
 
 ROUNDS = range(4)
-LISTEN_S, ANSWER_S = 0.7, 0.25
-"""Time of listening, several heartbeats long, and time to wait for the answers of a round [s]."""
+# Time of listening, several heartbeats long, and time to wait for the answers of a round [s].
+LISTEN_S = 0.7
+ANSWER_S = 0.25
 
 
 @dataclass(frozen=True)

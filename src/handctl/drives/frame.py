@@ -9,8 +9,10 @@ REMOTE = 1 << 30
 ERROR = 1 << 29
 """Error message frame. Source: Linux ``can.h``, CAN_ERR_FLAG."""
 
-BRS, ESI, FDF = 1, 2, 4
-"""CAN FD flags: bit rate switch, error state indicator, FD format. Source: Linux ``can.h``, CANFD_*."""
+# CAN FD flags: bit rate switch, error state indicator, FD format. Source: Linux ``can.h``, CANFD_*.
+BRS = 1
+ESI = 2
+FDF = 4
 
 make = tuple.__new__
 """Fast constructor: ``make(Frame, (...))`` with all values takes a third of the time of ``Frame(...)``."""

@@ -35,8 +35,9 @@ FD_SIZES = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 """Payload lengths of CAN FD [bytes]. Source: ISO 11898-1, table of DLC."""
 
 
-HEADER_BITS, HEADER_STUFF_BITS = 17, 4
-"""Bits of CAN FD from start of frame to BRS, and their stuff bits, at the nominal rate."""
+# Bits of CAN FD from start of frame to BRS, and their stuff bits, at the nominal rate.
+HEADER_BITS = 17
+HEADER_STUFF_BITS = 4
 END_BITS = 13
 """CRC delimiter, acknowledge, end of frame, interframe space, at the nominal rate.
 

@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 
 from handctl.drives.frame_time import MAX_BUS_LOAD, bus_time_s
 
-NOMINAL, DATA = 1_000_000, 5_000_000
-"""Bit rates of the table: nominal, and data phase of CAN FD [bit/s]."""
+# Bit rates of the table: nominal, and data phase of CAN FD [bit/s].
+NOMINAL = 1_000_000
+DATA = 5_000_000
 TABLE_RATES_HZ = (250.0, 500.0, 1000.0)
 """Control rates of the table [Hz]."""
 

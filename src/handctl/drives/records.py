@@ -29,10 +29,14 @@ Records = NDArray[np.void]
 Rows = NDArray[np.uint64]
 WORDS = SIZE // 8
 """Size of a record in words of eight bytes."""
-T_NS, HEAD, PAYLOAD = 0, 1, 2
-"""Words of a record: time, then identifier, flags, bus and length from the lowest bit on, then payload."""
-FLAGS_BIT, BUS_BIT, LENGTH_BIT = 32, 48, 56
-"""Lowest bit of flags, bus, and length in word 1."""
+# Words of a record: time, then identifier, flags, bus and length from the lowest bit on, then payload.
+T_NS = 0
+HEAD = 1
+PAYLOAD = 2
+# Lowest bit of flags, bus, and length in word 1.
+FLAGS_BIT = 32
+BUS_BIT = 48
+LENGTH_BIT = 56
 
 
 class Frames(Sequence[Frame]):

@@ -135,11 +135,11 @@ def whole_columns(signal: Signal) -> tuple[int, ...]:
 @inner
 def swapped(value: Any) -> Any:
     """Return a word of eight bytes (uint64) with the bytes in opposite order."""
-    found = np.uint64(0)
+    result = np.uint64(0)
     for _ in range(8):
-        found = found << np.uint64(8) | value & np.uint64(0xFF)
+        result = result << np.uint64(8) | value & np.uint64(0xFF)
         value = value >> np.uint64(8)
-    return found
+    return result
 
 
 @inner
@@ -156,8 +156,8 @@ def unpacked(value: Any, wholes: Whole, reals: Real, i: int) -> float:
     # The top bit is the sign: extend it.
     if coding == SIGNED and count >> (length - 1):
         count -= np.int64(1) << length
-    found: float = count * reals[i, SCALE] + reals[i, OFFSET]
-    return found
+    result: float = count * reals[i, SCALE] + reals[i, OFFSET]
+    return result
 
 
 @inner
@@ -179,10 +179,10 @@ def packed(value: float, wholes: Whole, reals: Real, i: int) -> Any:
 @kernel("words", "matrix_int", "matrix")
 def unpack_rows(data: Words, rows: Whole, reals: Real) -> Real:
     """Return the values (signals,) of a payload (1, 1). The arrays have one row per signal."""
-    found = np.empty(len(rows))
+    result = np.empty(len(rows))
     for i in range(len(rows)):
-        found[i] = unpacked(swapped(data[0, 0]) if rows[i, ORDER] else data[0, 0], rows, reals, i)
-    return found
+        result[i] = unpacked(swapped(data[0, 0]) if rows[i, ORDER] else data[0, 0], rows, reals, i)
+    return result
 
 
 @kernel("words", "matrix_int", "matrix", "vector")

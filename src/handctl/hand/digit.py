@@ -120,13 +120,16 @@ class DigitModel:
     def reach(self) -> tuple[Array, Array]:
         """Return the smallest and the largest coordinates (n_c,) within the joint limits [rad]."""
         # A negative entry of B^+ swaps the limits: take the smaller and the larger product per entry.
-        low, high = self.joints_to_coordinates * self.joint_min, self.joints_to_coordinates * self.joint_max
+        low = self.joints_to_coordinates * self.joint_min
+        high = self.joints_to_coordinates * self.joint_max
         return np.minimum(low, high).sum(axis=1), np.maximum(low, high).sum(axis=1)
 
     @staticmethod
     def of(hand: Hand, name: str) -> "DigitModel":
         """Build the model of one digit of a hand, by the digit's name."""
-        digit, joints, tendons = hand.digit_named(name), hand.digit_joints[name], hand.digit_tendons[name]
+        digit = hand.digit_named(name)
+        joints = hand.digit_joints[name]
+        tendons = hand.digit_tendons[name]
         motors = [hand.motor_of(tendon.name) for tendon in hand.tendon[tendons]]
         rotation = rotation_rpy(*np.radians(digit.mount_rpy_deg))
         arms = hand.moment_arms[:, joints][tendons]
@@ -171,7 +174,7 @@ class DigitModel:
         """Return n, the number of joints."""
         return len(self.lengths)
 
-    def under(self, gravity: Values) -> "DigitModel":
+    def with_gravity(self, gravity: Values) -> "DigitModel":
         """Return the digit under another gravity, (3,) in the palm frame [m/s2]."""
         return replace(self, gravity=_in_plane(self.mount_rotation, gravity))
 
@@ -209,9 +212,12 @@ def rotation_rpy(roll: float, pitch: float, yaw: float) -> Array:
 
     Rz(yaw) Ry(pitch) Rx(roll), as in URDF.
     """
-    cr, sr = math.cos(roll), math.sin(roll)
-    cp, sp = math.cos(pitch), math.sin(pitch)
-    cy, sy = math.cos(yaw), math.sin(yaw)
+    cr = math.cos(roll)
+    sr = math.sin(roll)
+    cp = math.cos(pitch)
+    sp = math.sin(pitch)
+    cy = math.cos(yaw)
+    sy = math.sin(yaw)
     return np.array(
         [
             [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],

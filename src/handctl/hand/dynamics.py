@@ -60,7 +60,8 @@ def inverse_dynamics(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> T
 
 def required_torque(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> Torque:
     """Return the joint torque of tendons for a motion: inverse dynamics, springs, damping, (n,) [N m]."""
-    angles, rates = _three(digit, q), _three(digit, dq)
+    angles = _three(digit, q)
+    rates = _three(digit, dq)
     rigid = _newton(digit, digit.gravity, angles, rates, _three(digit, ddq))
     passive = zip(digit.spring_stiffness, digit.spring_preload, digit.joint_damping, strict=True)
     return tuple(
@@ -86,20 +87,20 @@ def gravity_torque(digit: DigitModel, q: Values) -> Torque:
     g3 = w3 * (gx * sin(t3) - gy * cos(t3))
     g2 = w2 * (gx * sin(t2) - gy * cos(t2)) + g3
     g1 = w1 * (gx * sin(q1) - gy * cos(q1)) + g2
-    return _own(digit, (g1, g2, g3))
+    return _existing(digit, (g1, g2, g3))
 
 
 def spring_torque(digit: DigitModel, q: Values) -> Torque:
     """Return the joint torque that balances the return springs, k (q + preload), (n,) [N m]."""
     return tuple(
         stiffness * (angle + preload)
-        for stiffness, angle, preload in zip(digit.spring_stiffness, _plain(q), digit.spring_preload, strict=True)
+        for stiffness, angle, preload in zip(digit.spring_stiffness, _floats(q), digit.spring_preload, strict=True)
     )
 
 
 def damping_torque(digit: DigitModel, dq: Values) -> Torque:
     """Return the joint torque that balances viscous damping, (n,) [N m]."""
-    return tuple(damping * rate for damping, rate in zip(digit.joint_damping, _plain(dq), strict=True))
+    return tuple(damping * rate for damping, rate in zip(digit.joint_damping, _floats(dq), strict=True))
 
 
 def passive_torque(digit: DigitModel, q: Values, dq: Values) -> Torque:
@@ -158,7 +159,8 @@ def reduced_dynamics(digit: DigitModel, theta: Values, dtheta: Values) -> tuple[
         M_r (n_c, n_c) [kg m2] and h_r (n_c,) [N m].
     """
     coupling = digit.coupling
-    q, dq = (coupling @ theta).tolist(), (coupling @ dtheta).tolist()
+    q = (coupling @ theta).tolist()
+    dq = (coupling @ dtheta).tolist()
     standing = required_torque(digit, q, dq, (0.0,) * len(q))
     return coupling.T @ mass_matrix(digit, q) @ coupling, np.array(standing) @ coupling
 
@@ -191,7 +193,7 @@ Three = tuple[float, float, float]
 
 def _newton(digit: DigitModel, gravity: tuple[float, float], q: Three, dq: Three, ddq: Three) -> Torque:
     """Evaluate the module's equations for a digit. Absent links have zero constants."""
-    return _own(digit, newton(*digit.links, *gravity, *q, *dq, *ddq))
+    return _existing(digit, newton(*digit.links, *gravity, *q, *dq, *ddq))
 
 
 @kernel(*["real"] * 23)
@@ -248,15 +250,22 @@ def newton(  # noqa: PLR0913 - flat numbers, so that kernels of the tick call it
         ddq3: acceleration of joint 3 [rad/s2].
     """
     # Absolute angles t, absolute rates v, absolute accelerations a: sums over the joints.
-    t2, q23 = q1 + q2, q2 + q3
+    t2 = q1 + q2
+    q23 = q2 + q3
     t3 = t2 + q3
     v2 = dq2 + dq1
     v3 = dq3 + v2
     a2 = ddq1 + ddq2
     a3 = a2 + ddq3
-    a_c, b_c, e_c = a * cos(q2), b * cos(q23), e * cos(q3)
-    a_s, b_s, e_s = a * sin(q2), b * sin(q23), e * sin(q3)
-    s1, s2, s3 = dq1 * dq1, v2 * v2, v3 * v3
+    a_c = a * cos(q2)
+    b_c = b * cos(q23)
+    e_c = e * cos(q3)
+    a_s = a * sin(q2)
+    b_s = b * sin(q23)
+    e_s = e * sin(q3)
+    s1 = dq1 * dq1
+    s2 = v2 * v2
+    s3 = v3 * v3
     g1 = w1 * (gx * sin(q1) - gy * cos(q1))
     g2 = w2 * (gx * sin(t2) - gy * cos(t2))
     g3 = w3 * (gx * sin(t3) - gy * cos(t3))
@@ -275,11 +284,11 @@ def _three(digit: DigitModel, values: Values) -> Three:
     return x, y, z
 
 
-def _own(digit: DigitModel, values: Three) -> Torque:
+def _existing(digit: DigitModel, values: Three) -> Torque:
     """Return the values that belong to joints of the digit."""
     return values[: len(digit.lengths)] if digit.padding else values
 
 
-def _plain(values: Values) -> Sequence[float]:
+def _floats(values: Values) -> Sequence[float]:
     """Return plain floats, several times faster than numpy's scalars."""
     return values.tolist() if isinstance(values, np.ndarray) else values

@@ -61,7 +61,8 @@ def inverse_coupled(digit: DigitModel, x: float, y: float) -> tuple[float, float
         raise ValueError(f"{digit.name} has {digit.coupling.shape[1]} coordinates; needed: one")
     from scipy.optimize import brentq
 
-    ratio, target = digit.coupling[:, 0], np.array([x, y])
+    ratio = digit.coupling[:, 0]
+    target = np.array([x, y])
 
     def distance(theta: float) -> float:
         return float(np.linalg.norm(points(digit, ratio * theta)[-1] - target))
@@ -72,23 +73,25 @@ def inverse_coupled(digit: DigitModel, x: float, y: float) -> tuple[float, float
 
     grid = np.linspace(*coordinate_limits(digit), SCAN + 1).tolist()
     slopes = [slope(theta) for theta in grid]
-    found = [grid[0], grid[-1]]
+    candidates = [grid[0], grid[-1]]
     for low, high, before, after in zip(grid, grid[1:], slopes, slopes[1:], strict=False):
         # A rising zero of the slope of the distance is a minimum.
         if before <= 0.0 <= after:
-            found.append(brentq(slope, low, high, xtol=1e-14))
-    best = min(found, key=distance)
+            candidates.append(brentq(slope, low, high, xtol=1e-14))
+    best = min(candidates, key=distance)
     return best, distance(best)
 
 
 def coordinate_limits(digit: DigitModel) -> tuple[float, float]:
     """Return the range of a coupled digit's single coordinate within all joint limits [rad]."""
-    low, high = -math.inf, math.inf
-    for ratio, least, most in zip(digit.coupling[:, 0], digit.joint_min, digit.joint_max, strict=True):
+    low = -math.inf
+    high = math.inf
+    for ratio, lower, upper in zip(digit.coupling[:, 0], digit.joint_min, digit.joint_max, strict=True):
         # A joint with ratio 0 does not move, and sets no limit.
         if ratio != 0.0:
-            first, last = sorted((least / ratio, most / ratio))
-            low, high = max(low, first), min(high, last)
+            first, last = sorted((lower / ratio, upper / ratio))
+            low = max(low, first)
+            high = min(high, last)
     return low, high
 
 
@@ -99,7 +102,8 @@ def _two_links(l1: float, l2: float, x: float, y: float) -> tuple[tuple[float, f
     The products keep their accuracy near the straight arm, where acos loses half the digits.
     """
     r = math.hypot(x, y)
-    inner, outer = (r - abs(l1 - l2)) * (r + abs(l1 - l2)), (l1 + l2 - r) * (l1 + l2 + r)
+    inner = (r - abs(l1 - l2)) * (r + abs(l1 - l2))
+    outer = (l1 + l2 - r) * (l1 + l2 + r)
     slack = REACH_TOLERANCE * (l1 + l2) ** 2
     if inner < -slack or outer < -slack or r == 0.0:
         return ()

@@ -41,7 +41,8 @@ def point_jacobian(digit: DigitModel, q: Values, link: int, along: float) -> Arr
         link: index of the link, from 0.
         along: distance of the point from the link's own joint, along the link [m].
     """
-    joints, angle = points(digit, q), float(np.sum(np.asarray(q)[: link + 1]))
+    joints = points(digit, q)
+    angle = float(np.sum(np.asarray(q)[: link + 1]))
     arm = joints[link] + along * np.array([math.cos(angle), math.sin(angle)]) - joints[: link + 1]
     jacobian = np.zeros((2, digit.joint_count))
     # Planar rotation about each joint: z cross arm.

@@ -27,8 +27,8 @@ def link_transforms(digit: DigitModel, q: Values) -> tuple[Transform, ...]:
     names = [*(f"{digit.name}_link{i + 1}" for i in range(digit.joint_count)), f"{digit.name}_tip"]
     mount = quaternion(digit.mount_rotation)
     return tuple(
-        Transform(name, (place[0], place[1], place[2]), _turned(mount, angle))
-        for name, place, angle in zip(
+        Transform(name, (position[0], position[1], position[2]), _turned(mount, angle))
+        for name, position, angle in zip(
             names, to_palm(digit, points(digit, q)).tolist(), [*angles, angles[-1]], strict=True
         )
     )
@@ -58,5 +58,6 @@ def quaternion(rotation: Array) -> tuple[float, float, float, float]:
 def _turned(mount: tuple[float, float, float, float], angle: float) -> tuple[float, float, float, float]:
     """Return the product of the mount's quaternion and a rotation about z [rad]."""
     x, y, z, w = mount
-    s, c = math.sin(angle / 2), math.cos(angle / 2)
+    s = math.sin(angle / 2)
+    c = math.cos(angle / 2)
     return x * c + y * s, y * c - x * s, z * c + w * s, w * c - z * s

@@ -31,7 +31,8 @@ def strength_warnings(hand: Hand) -> tuple[str, ...]:
     """Return one line per insufficient margin, with tendons of equal figures in one line."""
     rows: dict[str, list[str]] = {}
     for tendon in hand.tendon:
-        motor, strength = hand.motor_of(tendon.name), tendon.rated_breaking_force_N
+        motor = hand.motor_of(tendon.name)
+        strength = tendon.rated_breaking_force_N
         peak = motor.torque_peak_N_m / motor.spool_radius_m
         for key, force in (("drive_limit_N", tendon.drive_limit_N), ("torque_peak_N_m", peak)):
             if strength < MARGIN * runaway_tension(force):
@@ -50,7 +51,8 @@ def strength_warnings(hand: Hand) -> tuple[str, ...]:
 
 def _too_strong(key: str, force: float, strength: float, spool: float) -> str:
     """Describe a runaway with a force, and the right torque limit of the drive."""
-    peak, right = runaway_tension(force), largest_force(strength)
+    peak = runaway_tension(force)
+    right = largest_force(strength)
     factor = strength / peak
     return (
         f"{key} ({force:g} N at the tendon) makes {peak:g} N in a runaway, a factor of {factor:.2f} to the "
@@ -63,7 +65,8 @@ def _joint_loads(hand: Hand, digit: str) -> Iterable[tuple[str, float, float]]:
     described = hand.digit_named(digit)
     if described.joint_rated_torque_N_m is None:
         return
-    tendons, joints = hand.digit_tendons[digit], hand.digit_joints[digit]
+    tendons = hand.digit_tendons[digit]
+    joints = hand.digit_joints[digit]
     motors = [hand.motor_of(tendon.name) for tendon in hand.tendon[tendons]]
     peaks = np.array([runaway_tension(motor.torque_peak_N_m / motor.spool_radius_m) for motor in motors])
     torques = np.abs(hand.moment_arms[tendons, joints]).T @ peaks

@@ -46,10 +46,10 @@ class TendonElasticity:
 
     def elastic(self, stretch: float) -> float:
         """Return the tension of a constant stretch [m] [N]."""
-        beyond = stretch - self.knee / self.stiffness
-        if beyond <= 0.0:
+        excess = stretch - self.knee / self.stiffness
+        if excess <= 0.0:
             return self.stiffness * max(stretch, 0.0)
-        return self.knee + self._beyond(beyond)
+        return self.knee + self._above_knee(excess)
 
     def tension(self, stretch: float, stretch_rate: float) -> float:
         """Return the tension with damping [N], 0 when slack and never below 0.
@@ -64,10 +64,10 @@ class TendonElasticity:
 
     def tangent_stiffness(self, stretch: float) -> float:
         """Return the slope of the elastic tension [N/m], 0 when slack."""
-        beyond = stretch - self.knee / self.stiffness
+        excess = stretch - self.knee / self.stiffness
         if stretch <= 0.0:
             return 0.0
-        return self.stiffness if beyond <= 0.0 else self._slope(beyond)
+        return self.stiffness if excess <= 0.0 else self._slope(excess)
 
     def stretch(self, tension: float) -> float:
         """Return the stretch of a constant tension [m], the inverse of ``elastic``.
@@ -82,16 +82,16 @@ class TendonElasticity:
             raise ValueError(f"no stretch holds a tension of {tension} N")
         if tension <= self.knee:
             return tension / self.stiffness
-        beyond = (tension - self.knee) / self.stiffness
+        excess = (tension - self.knee) / self.stiffness
         for _ in range(NEWTON_STEPS):
-            step = (tension - self.knee - self._beyond(beyond)) / self._slope(beyond)
-            beyond += step
+            step = (tension - self.knee - self._above_knee(excess)) / self._slope(excess)
+            excess += step
             # Below the resolution of float64.
-            if abs(step) <= 1e-15 * beyond:
+            if abs(step) <= 1e-15 * excess:
                 break
-        return self.knee / self.stiffness + beyond
+        return self.knee / self.stiffness + excess
 
-    def _beyond(self, x: float) -> float:
+    def _above_knee(self, x: float) -> float:
         """Return the tension above the knee at x beyond the knee's stretch."""
         # expm1 keeps its accuracy for x near 0.
         softer = self.stiffness - self.stiffness_beyond

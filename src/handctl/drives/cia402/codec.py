@@ -23,31 +23,42 @@ from typing import NamedTuple
 
 from handctl.drives.signals import Coding, Message, Quantity, Signal
 
-NMT, SYNC, EMERGENCY, TPDO, RPDO, SDO_REPLY, SDO_REQUEST, HEARTBEAT = (
-    0x000,
-    0x080,
-    0x080,
-    0x180,
-    0x200,
-    0x580,
-    0x600,
-    0x700,
-)
-"""Identifiers: NMT and SYNC as such, all others plus the node number."""
-START, PRE_OPERATIONAL = 0x01, 0x80
-"""NMT commands."""
-BOOT_UP, STOPPED, OPERATIONAL = 0x00, 0x04, 0x05
-"""NMT states in a heartbeat."""
-SHUTDOWN, SWITCH_ON, ENABLE_OPERATION, DISABLE_VOLTAGE, FAULT_RESET = 0x06, 0x07, 0x0F, 0x00, 0x80
-"""Control words."""
+# Identifiers: NMT and SYNC as such, all others plus the node number.
+NMT = 0x000
+SYNC = 0x080
+EMERGENCY = 0x080
+TPDO = 0x180
+RPDO = 0x200
+SDO_REPLY = 0x580
+SDO_REQUEST = 0x600
+HEARTBEAT = 0x700
+# NMT commands.
+START = 0x01
+PRE_OPERATIONAL = 0x80
+# NMT states in a heartbeat.
+BOOT_UP = 0x00
+STOPPED = 0x04
+OPERATIONAL = 0x05
+# Control words.
+SHUTDOWN = 0x06
+SWITCH_ON = 0x07
+ENABLE_OPERATION = 0x0F
+DISABLE_VOLTAGE = 0x00
+FAULT_RESET = 0x80
 TORQUE_TOP = 0x7FFF
 """Largest target torque [1/1000 of rated]."""
 ABSENT = 0x06020000
 """SDO abort code of a missing object."""
 
-OFF, READY_TO_SWITCH_ON, SWITCHED_ON, OPERATION_ENABLED = "switch on disabled", "ready", "switched on", "enabled"
-"""Power states in words."""
-NOT_READY, QUICK_STOP, FAULT_REACTION, FAULT = "not ready", "quick stop active", "fault reaction", "fault"
+# Power states in words.
+OFF = "switch on disabled"
+READY_TO_SWITCH_ON = "ready"
+SWITCHED_ON = "switched on"
+OPERATION_ENABLED = "enabled"
+NOT_READY = "not ready"
+QUICK_STOP = "quick stop active"
+FAULT_REACTION = "fault reaction"
+FAULT = "fault"
 _STATES = (
     (0x4F, 0x00, NOT_READY), (0x4F, 0x40, OFF), (0x6F, 0x21, READY_TO_SWITCH_ON), (0x6F, 0x23, SWITCHED_ON),
     (0x6F, 0x27, OPERATION_ENABLED), (0x6F, 0x07, QUICK_STOP), (0x4F, 0x0F, FAULT_REACTION), (0x4F, 0x08, FAULT),

@@ -11,8 +11,9 @@ from handctl.drives.frame import REMOTE, Frame
 
 NUMBERS = range(1, MASTER)
 """Node numbers to try."""
-DEVICE_TYPE, PROFILE = 0x1000, 402
-"""Object with the device type, and the profile number in its low word."""
+# Object with the device type, and the profile number in its low word.
+DEVICE_TYPE = 0x1000
+PROFILE = 402
 NMT_STATES = {0x00: "boot-up", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
 """NMT states in words."""
 _RPDOS = (0x200, 0x300, 0x400, 0x500)
@@ -52,8 +53,8 @@ def _node(number: int, device_type: int | None, nmt: int | None) -> DiscoveredNo
 
 def command_ids(node: DiscoveredNode) -> frozenset[int]:
     """Return NMT, SYNC, and the node's RPDOs and SDO requests."""
-    own_ids = {base + node.node_id for base in (codec.SDO_REQUEST, *_RPDOS)}
-    return frozenset(own_ids | {codec.NMT, codec.SYNC})
+    node_ids = {base + node.node_id for base in (codec.SDO_REQUEST, *_RPDOS)}
+    return frozenset(node_ids | {codec.NMT, codec.SYNC})
 
 
 def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:

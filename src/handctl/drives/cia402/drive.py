@@ -93,14 +93,16 @@ class Cia402Drive:
         Raises:
             ConfigError: an option unknown to CiA 402, the node number of this host, or too large a torque.
         """
-        options, where = dict(motor.options), f"motor[{motor.name}].options"
+        options = dict(motor.options)
+        where = f"motor[{motor.name}].options"
         if not 0 < motor.node_id < setup.MASTER:
             raise ConfigError(str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {setup.MASTER - 1}")
         ratio = positive_number(options.pop("gear_ratio", 1.0), f"{where}.gear_ratio", 1000)
         rated = positive_number(options.pop("rated_torque_N_m", None), f"{where}.rated_torque_N_m", 1000)
         counts = whole_number(options.pop("counts_per_turn", None), f"{where}.counts_per_turn", 1 << 24)
         heartbeat = whole_number(options.pop("heartbeat_ms", 50), f"{where}.heartbeat_ms", 1000)
-        unit, sync = options.pop("rated_torque_unit", "mN_m"), boolean(options.pop("sync", False), f"{where}.sync")
+        unit = options.pop("rated_torque_unit", "mN_m")
+        sync = boolean(options.pop("sync", False), f"{where}.sync")
         if unit not in UNITS:
             raise ConfigError(repr(unit), f"{where}.rated_torque_unit", " or ".join(UNITS))
         if options:
@@ -218,7 +220,8 @@ class Cia402Drive:
 
     def _on_object(self, state: DriveState, data: bytes) -> DriveState:
         """Apply an SDO reply."""
-        progress, reply = progress_of(state), codec.sdo_reply(data)
+        progress = progress_of(state)
+        reply = codec.sdo_reply(data)
         if reply is not None and state.phase == ENABLED and progress.check.waiting:
             return self._on_recheck_reply(state, progress, reply)
         if reply is None or progress.cursor.step >= len(self.steps) or state.phase not in (SILENT, CONFIGURING):
@@ -233,7 +236,8 @@ class Cia402Drive:
         step = self.guards[progress.check.step]
         if reply[:2] != (step.number, step.sub) or not (reply.raw or reply.abort):
             return state
-        value, same = int.from_bytes(reply.raw, "little"), reply.raw == step.raw
+        value = int.from_bytes(reply.raw, "little")
+        same = reply.raw == step.raw
         answer = f"answers {codec.abort_text(reply.abort)!r}" if reply.abort else f"reads {value:#x}"
         check, problem = readback.on_recheck_reply(
             progress.check, len(self.guards), same, step.name, answer, f"{step.value:#x}"
@@ -320,7 +324,8 @@ class Cia402Drive:
         progress = progress._replace(disabling_ns=since)
         start: tuple[Frame, ...] = ()
         if t_ns - max(state.feedback_t_ns, progress.started_ns) > REPEAT_NS:
-            progress, start = progress._replace(started_ns=t_ns), (self._nmt(codec.START),)
+            progress = progress._replace(started_ns=t_ns)
+            start = (self._nmt(codec.START),)
         return state._replace(phase=phase, private=progress), (*start, self._rpdo(codec.DISABLE_VOLTAGE, 0.0))
 
     def _configure(

@@ -10,8 +10,11 @@ from handctl.drives.readback import Cursor, Recheck
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 
-DROPPED_OUT, MISMATCH, LOST, ENABLED_BY_OTHERS = 0x1_0000, 0x1_0001, 0x1_0002, 0x1_0003
-"""Error codes of the host, above the 16 bits of an emergency."""
+# Error codes of the host, above the 16 bits of an emergency.
+DROPPED_OUT = 0x1_0000
+MISMATCH = 0x1_0001
+LOST = 0x1_0002
+ENABLED_BY_OTHERS = 0x1_0003
 CAUSES = {
     0x3210: Cause.VOLTAGE, 0x3220: Cause.VOLTAGE, 0x4210: Cause.HOT, 0x4310: Cause.HOT, 0x8130: Cause.WATCHDOG,
     0x8250: Cause.WATCHDOG, 0x8100: Cause.DROPPED_OUT, DROPPED_OUT: Cause.DROPPED_OUT, LOST: Cause.LOST,
@@ -71,7 +74,8 @@ def to_fault(state: DriveState, error: int, text: str) -> DriveState:
 
 def apply_power_state(state: DriveState, progress: Cia402Progress) -> DriveState:
     """Apply a power state."""
-    power, updated = progress.power, state._replace(private=progress)
+    power = progress.power
+    updated = state._replace(private=progress)
     if power == codec.FAULT:
         return _has_fault(updated, progress)
     if progress.disabling_ns >= 0:

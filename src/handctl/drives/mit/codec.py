@@ -35,12 +35,22 @@ from handctl.drives.signals import Coding, Message, Quantity, Signal, Table
 
 BROADCAST_ID = 0x7FF
 """Identifier of register frames. The node number of the motor is in the payload."""
-ENABLE, DISABLE, CLEAR = 0xFC, 0xFD, 0xFB
-"""Last byte of the special commands."""
-READ, WRITE, SAVE, REFRESH = 0x33, 0x55, 0xAA, 0xCC
-"""Operations on registers. REFRESH requests a feedback frame."""
-TIMEOUT, CTRL_MODE, SERIAL, PMAX, VMAX, TMAX = 9, 10, 15, 21, 22, 23
-"""Register numbers: watchdog, mode, serial number, and full scale of position, velocity, torque."""
+# Last byte of the special commands.
+ENABLE = 0xFC
+DISABLE = 0xFD
+CLEAR = 0xFB
+# Operations on registers. REFRESH requests a feedback frame.
+READ = 0x33
+WRITE = 0x55
+SAVE = 0xAA
+REFRESH = 0xCC
+# Register numbers: watchdog, mode, serial number, and full scale of position, velocity, torque.
+TIMEOUT = 9
+CTRL_MODE = 10
+SERIAL = 15
+PMAX = 21
+VMAX = 22
+TMAX = 23
 REGISTER_NAMES = {TIMEOUT: "TIMEOUT", CTRL_MODE: "CTRL_MODE", PMAX: "PMAX", VMAX: "VMAX", TMAX: "TMAX"}
 """Register names in messages."""
 _INTEGER = struct.Struct("<I")
@@ -52,8 +62,9 @@ MIT_MODE = 1
 TIMEOUT_UNITS_PER_MS = 20
 """Watchdog counts per millisecond: one count is 50 us."""
 
-DISABLED, ENABLED = 0, 1
-"""State nibbles of a motor without an error."""
+# State nibbles of a motor without an error.
+DISABLED = 0
+ENABLED = 1
 ERRORS = {
     0x5: "sensor error",
     0x6: "parameter error",
@@ -69,8 +80,9 @@ ERRORS = {
 
 _REPLY = struct.Struct("<HBB")
 """Head of a register reply: node number, operation, register."""
-POSITION_TOP, TOP = 2**16 - 1, 2**12 - 1
-"""Largest codes of the 16 bit and the 12 bit fields."""
+# Largest codes of the 16 bit and the 12 bit fields.
+POSITION_TOP = 2**16 - 1
+TOP = 2**12 - 1
 _NO_MOTION = POSITION_TOP // 2 << 48 | TOP // 2 << 36
 """Command with position and velocity 0 and gains 0. Both fields act only through the gains."""
 

@@ -154,7 +154,8 @@ class CubemarsDrive:
         Raises:
             ConfigError: an unknown model, or more torque than the model's full scale.
         """
-        options, where = dict(motor.options), f"motor[{motor.name}]"
+        options = dict(motor.options)
+        where = f"motor[{motor.name}]"
         model: Any = options.pop("motor_type", None)
         if model not in MODELS:
             problem = "missing" if model is None else repr(model)
@@ -168,7 +169,8 @@ class CubemarsDrive:
         ranges = MODELS[model]
         if motor.torque_max_N_m > ranges.torque:
             raise ConfigError(f"{motor.torque_max_N_m:g}", f"{where}.torque_max_N_m", f"at most {ranges.torque:g}")
-        torque_limit, zero = motor.torque_max_N_m, motor.zero_rad
+        torque_limit = motor.torque_max_N_m
+        zero = motor.zero_rad
         return CubemarsDrive(
             motor.name, bus, motor.node_id, ranges, torque_limit, motor.direction, zero, float(temperature_offset)
         )
@@ -244,7 +246,8 @@ class CubemarsDrive:
             return state._replace(misread=state.misread + 1)
         _, position, velocity, torque, temperature, byte = self.feedback.unpack(data)
         if len(data) < 8:
-            temperature, byte = math.nan, 0.0
+            temperature = math.nan
+            byte = 0.0
         error = int(byte)
         feedback = state._replace(
             position=position,

@@ -13,8 +13,12 @@ from handctl.drives.mit import codec
 
 NUMBERS = range(1, 0x80)
 """Node numbers to try."""
-MST_ID, HARDWARE, SOFTWARE, SERIAL, CAN_BR = 7, 13, 14, 15, 35
-"""Registers: identifier of the replies, hardware and software version, serial number, bit rate."""
+# Registers: identifier of the replies, hardware and software version, serial number, bit rate.
+MST_ID = 7
+HARDWARE = 13
+SOFTWARE = 14
+SERIAL = 15
+CAN_BR = 35
 _INTEGERS = {MST_ID, codec.TIMEOUT, codec.CTRL_MODE, HARDWARE, SOFTWARE, SERIAL, CAN_BR}
 _DETAILS = (SOFTWARE, SERIAL, CAN_BR, codec.CTRL_MODE, codec.TIMEOUT, codec.PMAX, codec.VMAX, codec.TMAX)
 FD_FROM = 5
@@ -74,8 +78,8 @@ def _motor(number: int, reply_id: int, raw: dict[int, bytes], received: Received
 def _state(number: int, reply_id: int, received: ReceivedFrames) -> tuple[str, str]:
     """Return state and error from the latest feedback, both empty without feedback."""
     for frame in reversed(received):
-        is_own = frame.can_id == reply_id and len(frame.data) == 8 and frame.data[0] & 0xF == number & 0xF
-        if is_own and codec.register_reply(frame.data, number) is None:
+        matches = frame.can_id == reply_id and len(frame.data) == 8 and frame.data[0] & 0xF == number & 0xF
+        if matches and codec.register_reply(frame.data, number) is None:
             nibble = frame.data[0] >> 4
             values = _STATES.get(nibble)
             return (values, "") if values else ("in error", codec.ERRORS.get(nibble, f"unknown state {nibble:#x}"))

@@ -80,8 +80,10 @@ class MitDrive:
         Raises:
             ConfigError: an option unknown to MIT mode.
         """
-        options, where = dict(motor.options), f"motor[{motor.name}].options"
-        reply, fd = options.pop("reply_id", motor.node_id + 0x10), boolean(options.pop("fd", False), f"{where}.fd")
+        options = dict(motor.options)
+        where = f"motor[{motor.name}].options"
+        reply = options.pop("reply_id", motor.node_id + 0x10)
+        fd = boolean(options.pop("fd", False), f"{where}.fd")
         if options:
             raise ConfigError("unknown key", f"{where}.{next(iter(options))}", "reply_id or fd")
         if type(reply) is not int or not 0 < reply < codec.BROADCAST_ID:
@@ -213,7 +215,8 @@ class MitDrive:
     def _on_guard(self, state: DriveState, progress: MitProgress, reply: codec.RegisterReply) -> DriveState:
         """Compare a register read again while enabled."""
         register, value = self.guards[progress.check.step]
-        same, answer = reply.raw == codec.register_bytes(register, value), f"reads {reply.value:g}"
+        same = reply.raw == codec.register_bytes(register, value)
+        answer = f"reads {reply.value:g}"
         check, problem = readback.on_recheck_reply(
             progress.check, len(self.guards), same, registers.name(register), answer, f"{value:g}"
         )

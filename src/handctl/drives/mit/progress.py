@@ -9,12 +9,14 @@ from handctl.drives.readback import Cursor, Recheck
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 
-DROPPED_OUT, MISMATCH, UNKNOWN, ENABLED_BY_OTHERS = 0x100, 0x101, 0x102, 0x103
-"""Error codes of the host, above the nibbles of the drive.
-
-In order: disabled without a command, a wrong register value, an unknown state, enabled by another
-host.
-"""
+# Error codes of the host, above the nibbles of the drive.
+#
+# In order: disabled without a command, a wrong register value, an unknown state, enabled by another
+# host.
+DROPPED_OUT = 0x100
+MISMATCH = 0x101
+UNKNOWN = 0x102
+ENABLED_BY_OTHERS = 0x103
 CAUSES = {
     0x8: Cause.VOLTAGE, 0x9: Cause.VOLTAGE, 0xB: Cause.HOT, 0xC: Cause.HOT, 0xD: Cause.WATCHDOG,
     DROPPED_OUT: Cause.DROPPED_OUT, MISMATCH: Cause.MISMATCH, ENABLED_BY_OTHERS: Cause.MISMATCH,

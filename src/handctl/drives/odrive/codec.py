@@ -30,10 +30,21 @@ from typing import NamedTuple
 from handctl.drives.frame import REMOTE
 from handctl.drives.signals import Coding, Message, Quantity, Signal
 
-GET_VERSION, HEARTBEAT, ESTOP, RX_SDO, TX_SDO = 0x00, 0x01, 0x02, 0x04, 0x05
-"""Commands, the low five bits of an identifier."""
-ADDRESS, SET_AXIS_STATE, ENCODER, SET_MODE, SET_TORQUE, SET_LIMITS = 0x06, 0x07, 0x09, 0x0B, 0x0E, 0x0F
-TEMPERATURE, CLEAR_ERRORS, TORQUES = 0x15, 0x18, 0x1C
+# Commands, the low five bits of an identifier.
+GET_VERSION = 0x00
+HEARTBEAT = 0x01
+ESTOP = 0x02
+RX_SDO = 0x04
+TX_SDO = 0x05
+ADDRESS = 0x06
+SET_AXIS_STATE = 0x07
+ENCODER = 0x09
+SET_MODE = 0x0B
+SET_TORQUE = 0x0E
+SET_LIMITS = 0x0F
+TEMPERATURE = 0x15
+CLEAR_ERRORS = 0x18
+TORQUES = 0x1C
 COMMANDS = frozenset((ESTOP, RX_SDO, SET_AXIS_STATE, SET_MODE, 0x0C, 0x0D, SET_TORQUE, SET_LIMITS, 0x16, CLEAR_ERRORS))
 """Commands that only a host sends. 0x0C and 0x0D set position and velocity, 0x16 reboots."""
 REQUESTABLE = frozenset((GET_VERSION, ADDRESS, ENCODER, TEMPERATURE, TORQUES))
@@ -46,14 +57,18 @@ ENCODER_MS = 10
 """Factory setting of the period of the cyclic position [ms]."""
 PROTOCOL = 2
 """Supported version of CANSimple."""
-IDLE, CLOSED_LOOP = 1, 8
-"""Axis states."""
-TORQUE_MODE, PASSTHROUGH = 1, 1
-"""Control mode and input mode of Set_Controller_Mode."""
-SUCCESS, BUSY = 0, 1
-"""Results of the last procedure."""
-SDO_READ, SDO_WRITE = 0, 1
-"""Opcodes of RxSdo."""
+# Axis states.
+IDLE = 1
+CLOSED_LOOP = 8
+# Control mode and input mode of Set_Controller_Mode.
+TORQUE_MODE = 1
+PASSTHROUGH = 1
+# Results of the last procedure.
+SUCCESS = 0
+BUSY = 1
+# Opcodes of RxSdo.
+SDO_READ = 0
+SDO_WRITE = 1
 FLOAT_TOP = 3.4028234663852886e38
 """Largest float32."""
 

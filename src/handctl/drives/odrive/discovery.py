@@ -12,8 +12,9 @@ from handctl.drives.frame import ERROR, EXTENDED, FDF, REMOTE, Frame
 from handctl.drives.odrive import codec
 from handctl.drives.odrive import firmware_05 as odrive_05
 
-ADDRESS, BROADCAST = 0x06, 0x3F
-"""Command and node number of the broadcast request."""
+# Command and node number of the broadcast request.
+ADDRESS = 0x06
+BROADCAST = 0x3F
 BEATS = 3
 """Frames with the layout of a heartbeat before a node counts. A single frame may be anything."""
 _STATES = {codec.IDLE: "idle", codec.CLOSED_LOOP: "closed loop control"}
@@ -33,11 +34,9 @@ def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
 
 def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the nodes with ODrive heartbeats, or with an answer to Address."""
-    beats, serials, versions = (
-        _sorted(received, codec.HEARTBEAT),
-        _sorted(received, ADDRESS),
-        _sorted(received, codec.GET_VERSION),
-    )
+    beats = _sorted(received, codec.HEARTBEAT)
+    serials = _sorted(received, ADDRESS)
+    versions = _sorted(received, codec.GET_VERSION)
     present = {node for node, data in beats.items() if len(data) >= BEATS and all(map(_beat, data))}
     present |= {node for node, data in serials.items() if data[-1][0] == node}
     nodes = []

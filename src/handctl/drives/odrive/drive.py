@@ -93,7 +93,8 @@ class OdriveDrive:
         Raises:
             ConfigError: an option unknown to CANSimple, or a node number beyond 0x3e.
         """
-        options, where = dict(motor.options), f"motor[{motor.name}].options"
+        options = dict(motor.options)
+        where = f"motor[{motor.name}].options"
         if not 0 < motor.node_id <= codec.LAST_NODE:
             raise ConfigError(str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {codec.LAST_NODE}")
         parsed = pop_options(options, where)
@@ -183,7 +184,7 @@ class OdriveDrive:
     def due_ns(self, state: DriveState) -> int:
         """Return the time of the heartbeat timeout, temperature request, or read-back [ns]."""
         progress = progress_of(state)
-        temperature_rate = NEVER_NS if self.firmware_05 else progress.temperature_asked_ns + TEMPERATURE_NS
+        temperature_rate = NEVER_NS if self.firmware_05 else progress.temperature_request_ns + TEMPERATURE_NS
         recheck = progress.check.due_ns if self.settings else NEVER_NS
         return min(
             temperature_rate,
@@ -265,7 +266,8 @@ class OdriveDrive:
         endpoint, raw = codec.sdo_reply(data)
         if endpoint != setting.endpoint or len(raw) < len(setting.raw):
             return state
-        same, answer = raw[: len(setting.raw)] == setting.raw, f"reads {endpoints.shown(raw, setting)}"
+        same = raw[: len(setting.raw)] == setting.raw
+        answer = f"reads {endpoints.shown(raw, setting)}"
         expected = endpoints.shown(setting.raw, setting)
         check, problem = readback.on_recheck_reply(
             progress.check, len(self.settings), same, setting.name, answer, expected
@@ -370,9 +372,9 @@ class OdriveDrive:
         """Return the requests of a tick."""
         frames = [self._ask(codec.ENCODER)] * (not self.cyclic_s) + [self._ask(codec.TORQUES)] * self.torque_feedback
         progress = progress_of(state)
-        if t_ns - progress.temperature_asked_ns >= TEMPERATURE_NS and not self.firmware_05:
+        if t_ns - progress.temperature_request_ns >= TEMPERATURE_NS and not self.firmware_05:
             frames.append(self._ask(codec.TEMPERATURE))
-            state = state._replace(private=progress._replace(temperature_asked_ns=t_ns))
+            state = state._replace(private=progress._replace(temperature_request_ns=t_ns))
         return state, tuple(frames)
 
     def _next_recheck(self, state: DriveState, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:

@@ -14,8 +14,10 @@ from handctl.drives.odrive.codec import SUCCESS, Heartbeat
 
 FIRMWARE = ("0.6", "0.5")
 """Values of the option ``firmware``, the default first."""
-MOTOR, ENCODER, CONTROLLER = 1 << 6, 1 << 8, 1 << 9
-"""Axis errors that the flags of bytes 5 to 7 stand for."""
+# Axis errors that the flags of bytes 5 to 7 stand for.
+MOTOR = 1 << 6
+ENCODER = 1 << 8
+CONTROLLER = 1 << 9
 ERRORS = {
     0: "invalid state", 6: "motor failed", 7: "sensorless estimator failed", 8: "encoder failed",
     9: "controller failed", 11: "watchdog expired", 12: "lower end stop pressed", 13: "upper end stop pressed",

@@ -44,7 +44,8 @@ def pop_options(options: MutableMapping[str, Any], where: str) -> Options:
     Raises:
         ConfigError: an invalid value, or an option unknown to the firmware.
     """
-    firmware, feedback = options.pop("firmware", FIRMWARE[0]), options.pop("torque_feedback", False)
+    firmware = options.pop("firmware", FIRMWARE[0])
+    feedback = options.pop("torque_feedback", False)
     if firmware not in FIRMWARE:
         raise ConfigError(repr(firmware), f"{where}.firmware", " or ".join(map(repr, FIRMWARE)))
     firmware_05 = firmware == "0.5"

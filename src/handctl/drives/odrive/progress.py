@@ -21,10 +21,13 @@ CAUSES_OF_BITS = {
     8: Cause.VOLTAGE, 9: Cause.VOLTAGE, 11: Cause.VOLTAGE, 13: Cause.HOT, 14: Cause.HOT, 24: Cause.WATCHDOG,
 }  # fmt: skip
 """Causes by the bit of the heartbeat's error."""
-REPEAT_NS, TEMPERATURE_NS = 20_000_000, 200_000_000
-"""Time between repeated requests, and between temperature requests [ns]."""
-VERSION_TRIES, CLEAR_TRIES, SERIAL_TRIES = 10, 3, 3
-"""Requests for the version, heartbeats that may still carry a cleared error, requests for the serial."""
+# Time between repeated requests, and between temperature requests [ns].
+REPEAT_NS = 20_000_000
+TEMPERATURE_NS = 200_000_000
+# Requests for the version, heartbeats that may still carry a cleared error, requests for the serial.
+VERSION_TRIES = 10
+CLEAR_TRIES = 3
+SERIAL_TRIES = 3
 ENABLE_COMMANDS = 5
 """Enable commands that may be lost before the drive is in fault."""
 HEARTBEATS_MISSED = 3.5
@@ -49,7 +52,7 @@ class OdriveProgress(NamedTuple):
         disabling_ns: time of the first disable command [ns], -1 without one.
         sent_ns: time of the latest repeated request [ns].
         tries: number of such requests.
-        temperature_asked_ns: time of the latest temperature request [ns].
+        temperature_request_ns: time of the latest temperature request [ns].
         clearing: heartbeats that may still carry the error being cleared.
         just_verified: True if all settings were verified in the last tick, too recently for a restart.
         enable_commands: enable commands without success.
@@ -67,7 +70,7 @@ class OdriveProgress(NamedTuple):
     disabling_ns: int = -1
     sent_ns: int = -REPEAT_NS
     tries: int = 0
-    temperature_asked_ns: int = -TEMPERATURE_NS
+    temperature_request_ns: int = -TEMPERATURE_NS
     clearing: int = 0
     just_verified: bool = False
     enable_commands: int = 0

@@ -12,8 +12,9 @@ SYNC = 0x080
 """Identifier of SYNC, as in CANopen."""
 COUNTERS = (0x35, 0x3A)
 """Counters of the two SYNCs, so that four bits cannot agree by chance."""
-BITS_HEAD, BITS_CHANNEL = 4, 12
-"""Bits of the counter and of a channel."""
+# Bits of the counter and of a channel.
+BITS_HEAD = 4
+BITS_CHANNEL = 12
 LONGEST = 8
 """Largest payload of an answer [bytes]."""
 

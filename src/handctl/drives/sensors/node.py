@@ -42,16 +42,17 @@ TENSION_TOP_N = TENSION_ZERO_N + FULL * TENSION_STEP_N
 """Reading of a full channel [N]. At count 0 and at the full count the cell is saturated."""
 LOW_MARGIN_N = 2.0
 """Distance of the broken-cell threshold from the lower end of the range [N]."""
-TARE_MIN_N, TARE_MAX_N = TENSION_ZERO_N + LOW_MARGIN_N, 6.0
-"""Valid readings of a load cell without tension [N].
-
-Below, noise reaches the end of the range, and a broken wire looks like a slack tendon. Above, the
-range ends below ``tension_rail``.
-"""
+# Valid readings of a load cell without tension [N].
+#
+# Below, noise reaches the end of the range, and a broken wire looks like a slack tendon. Above, the
+# range ends below ``tension_rail``.
+TARE_MIN_N = TENSION_ZERO_N + LOW_MARGIN_N
+TARE_MAX_N = 6.0
 TENSION_RAIL_N = TENSION_TOP_N - TARE_MAX_N
 """Tension after any tare above which a load cell may be saturated [N]."""
-COUNTER_PERIOD, DISTINCT = 4096, 8
-"""Ticks after which the SYNC counters repeat, and ticks in a row with distinct answers."""
+# Ticks after which the SYNC counters repeat, and ticks in a row with distinct answers.
+COUNTER_PERIOD = 4096
+DISTINCT = 8
 JOINT_STEP_RAD = 2 * math.pi / 4096
 """Angle of one count [rad]."""
 JOINT_ZERO = 2048
@@ -243,7 +244,9 @@ def counters(decimation: int) -> bytes:
     """
     rows = [range(remainder, 256, decimation) for remainder in range(decimation)]
     by_nibble = [{byte & 0xF: byte for byte in row} for row in rows]
-    chance, recent, result = 1, list[int](), bytearray()
+    chance = 1
+    recent = list[int]()
+    result = bytearray()
     for k in range(COUNTER_PERIOD - COUNTER_PERIOD % decimation):
         chance = chance * 6364136223846793005 + 1442695040888963407 & 0xFFFF_FFFF_FFFF_FFFF  # Knuth's MMIX
         fit = sorted(by_nibble[k % decimation])

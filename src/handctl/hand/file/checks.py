@@ -89,7 +89,8 @@ def _unique(names: Iterable[str], where: str) -> None:
 
 def _check_digit(digit: Digit) -> None:
     """Check lengths of lists, order of joint limits, and mass distribution of a digit."""
-    where, links = f"digit[{digit.name}]", len(digit.link_length_m)
+    where = f"digit[{digit.name}]"
+    links = len(digit.link_length_m)
     for key in PER_LINK:
         if len(getattr(digit, key)) != links:
             raise Refused(f"{len(getattr(digit, key))} values", f"{where}.{key}", f"{links}, one per link_length_m")
@@ -97,9 +98,9 @@ def _check_digit(digit: Digit) -> None:
         if com > length:
             raise Refused(f"{com:g}", f"{where}.link_com_m[{i}]", f"at most the link's length, {length:g} m")
         # No mass lies farther from the centre of mass than the link's length.
-        most = digit.link_mass_kg[i] * length**2
-        if digit.link_inertia_kg_m2[i] > most:
-            right = f"at most mass x length^2 = {most:.3g} kg m2"
+        largest = digit.link_mass_kg[i] * length**2
+        if digit.link_inertia_kg_m2[i] > largest:
+            right = f"at most mass x length^2 = {largest:.3g} kg m2"
             raise Refused(f"{digit.link_inertia_kg_m2[i]:g}", f"{where}.link_inertia_kg_m2[{i}]", right)
         if digit.joint_min_deg[i] >= digit.joint_max_deg[i]:
             right = f"more than joint_min_deg[{i}] = {digit.joint_min_deg[i]:g}"
@@ -124,31 +125,31 @@ def _check_coupling(coupling: tuple[tuple[float, ...], ...], where: str, links: 
 def _check_references(hand: Hand) -> None:
     """Check that every referenced name exists, and that each motor drives one tendon."""
     node = hand.sensor_node
-    _known("sensor_node.bus", node.bus, hand.bus_names)
-    for key, names, known in (("tendons", node.tendons, hand.tendon_names), ("joints", node.joints, hand.joints)):
+    _check_name("sensor_node.bus", node.bus, hand.bus_names)
+    for key, names, valid in (("tendons", node.tendons, hand.tendon_names), ("joints", node.joints, hand.joints)):
         _unique(names, f"sensor_node.{key}")
         for i, name in enumerate(names):
-            _known(f"sensor_node.{key}[{i}]", name, known)
+            _check_name(f"sensor_node.{key}[{i}]", name, valid)
     for motor in hand.motor:
-        _known(f"motor[{motor.name}].bus", motor.bus, hand.bus_names)
+        _check_name(f"motor[{motor.name}].bus", motor.bus, hand.bus_names)
     driven: dict[str, str] = {}
     for tendon in hand.tendon:
         where = f"tendon[{tendon.name}].motor"
-        _known(where, tendon.motor, hand.motor_names)
+        _check_name(where, tendon.motor, hand.motor_names)
         if tendon.motor in driven:
             raise Refused(f'"{tendon.motor}" drives {driven[tendon.motor]} already', where, "a motor of its own")
         driven[tendon.motor] = tendon.name
         for joint in tendon.moment_arm_m:
-            _known(f"tendon[{tendon.name}].moment_arm_m.{joint}", joint, hand.joints)
+            _check_name(f"tendon[{tendon.name}].moment_arm_m.{joint}", joint, hand.joints)
     for motor in hand.motor:
         if motor.name not in driven:
             raise Refused("drives no tendon", f"motor[{motor.name}].name", "to be the motor of one tendon")
 
 
-def _known(where: str, name: str, known: tuple[str, ...]) -> None:
+def _check_name(where: str, name: str, valid: tuple[str, ...]) -> None:
     """Refuse a name that is not in the file."""
-    if name not in known:
-        raise Refused(f'"{name}" is not in this file', where, "one of " + ", ".join(known))
+    if name not in valid:
+        raise Refused(f'"{name}" is not in this file', where, "one of " + ", ".join(valid))
 
 
 def _check_order(hand: Hand) -> None:
@@ -190,7 +191,8 @@ def _check_limits(tendon: Tendon) -> None:
     values = {key: getattr(tendon, key) for key in LIMITS}
     strength = tendon.rated_breaking_force_N
     for below, key, above in zip((None, *LIMITS), LIMITS[:-1], LIMITS[1:], strict=False):
-        value, next_value = values[key], values[above]
+        value = values[key]
+        next_value = values[above]
         bounds = [] if below is None else [f"more than {below} = {values[below]:g} N"]
         if above == STRENGTH or strength < next_value:
             bounds.append(f"at most {STRENGTH} = {strength:g} N")
@@ -205,7 +207,8 @@ def _check_limits(tendon: Tendon) -> None:
 
 def _check_drive(tendon: Tendon, motor: Motor) -> None:
     """Check that the drive's torque limit equals its tension limit, and that the motor can reach it."""
-    where, limit = f"motor[{motor.name}].torque_max_N_m", tendon.drive_limit_N * motor.spool_radius_m
+    where = f"motor[{motor.name}].torque_max_N_m"
+    limit = tendon.drive_limit_N * motor.spool_radius_m
     if abs(motor.torque_max_N_m - limit) > 0.01 * limit:
         right = f"drive_limit_N x spool_radius_m = {limit:.4g} N m, within 1 %"
         raise Refused(f"{motor.torque_max_N_m:g}", where, right)

@@ -122,8 +122,9 @@ Torque = Annotated[float, band(0.0, 50.0, "N m", "in N m?")]
 PositiveTorque = Annotated[float, band(1e-3, 50.0, "N m", "in N m?")]
 TorqueConstant = Annotated[float, band(1e-4, 50.0, "N m/A", "at the spool?")]
 JointNoise = Annotated[float, band(1e-7, 0.5, "rad", "in radians?")]
-SLOWEST_BUS, FASTEST_BUS = 10_000, 8_000_000
-"""Limits of the bit rate of CAN, and of the data phase of CAN FD [bit/s]."""
+# Limits of the bit rate of CAN, and of the data phase of CAN FD [bit/s].
+SLOWEST_BUS = 10_000
+FASTEST_BUS = 8_000_000
 Bitrate = Annotated[int, whole(SLOWEST_BUS, FASTEST_BUS)]
 NodeId = Annotated[int, whole(1, 0x7F)]
 CanId = Annotated[int, whole(1, 0x7FF)]

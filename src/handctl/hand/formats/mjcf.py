@@ -43,9 +43,11 @@ def mjcf(hand: Hand) -> str:
 def _palm(palm: ET.Element, hand: Hand) -> None:
     """Add a box behind all digits. Digits mounted on the box do not collide with it."""
     mounts = np.array([digit.mount_position_m for digit in hand.digit])
-    low, high = mounts.min(axis=0) - PALM_MARGIN, mounts.max(axis=0) + PALM_MARGIN
+    low = mounts.min(axis=0) - PALM_MARGIN
+    high = mounts.max(axis=0) + PALM_MARGIN
     low[0], high[0] = -PALM_THICKNESS, 0.0
-    size, centre = (high - low) / 2, (high + low) / 2
+    size = (high - low) / 2
+    centre = (high + low) / 2
     ET.SubElement(palm, "geom", name="palm", type="box", size=_numbers(size), pos=_numbers(centre))
 
 
@@ -53,8 +55,8 @@ def _digit(palm: ET.Element, digit: Digit) -> None:
     """Add nested bodies: each link along its x axis, its hinge at its origin."""
     parent = palm
     for i, joint in enumerate(digit.joints):
-        place = digit.mount_position_m if i == 0 else (digit.link_length_m[i - 1], 0.0, 0.0)
-        link = ET.SubElement(parent, "body", name=f"{digit.name}_link{i + 1}", pos=_numbers(place))
+        position = digit.mount_position_m if i == 0 else (digit.link_length_m[i - 1], 0.0, 0.0)
+        link = ET.SubElement(parent, "body", name=f"{digit.name}_link{i + 1}", pos=_numbers(position))
         if i == 0:
             # MuJoCo's quaternions begin with w.
             x, y, z, w = quaternion(rotation_rpy(*np.radians(digit.mount_rpy_deg)))
@@ -89,7 +91,9 @@ def _bar(link: ET.Element, digit: Digit, i: int) -> None:
     Inertia about the hinge is that of the description, about the bar's own axis that of a round bar.
     The shape is a capsule.
     """
-    length, radius, mass = digit.link_length_m[i], digit.link_radius_m, digit.link_mass_kg[i]
+    length = digit.link_length_m[i]
+    radius = digit.link_radius_m
+    mass = digit.link_mass_kg[i]
     about_hinge = digit.link_inertia_kg_m2[i]
     # A round bar about its axis. A real body's inertias satisfy the triangle inequality: at most 2 I.
     along = min(mass * radius**2 / 2, 2 * about_hinge)
@@ -105,7 +109,8 @@ def _bar(link: ET.Element, digit: Digit, i: int) -> None:
 
 def _tendons(root: ET.Element, hand: Hand) -> None:
     """Add fixed tendons by their moment arms, each with a motor that pulls only."""
-    tendons, actuators = ET.SubElement(root, "tendon"), ET.SubElement(root, "actuator")
+    tendons = ET.SubElement(root, "tendon")
+    actuators = ET.SubElement(root, "actuator")
     for tendon in hand.tendon:
         fixed = ET.SubElement(tendons, "fixed", name=tendon.name)
         for joint, arm in tendon.moment_arm_m.items():

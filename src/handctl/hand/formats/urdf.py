@@ -37,11 +37,12 @@ def urdf(hand: Hand) -> str:
 def _palm(robot: ET.Element, hand: Hand) -> None:
     """Add the root link: a box behind all digits, without mass since it is fixed."""
     mounts = np.array([digit.mount_position_m for digit in hand.digit])
-    low, high = mounts.min(axis=0) - PALM_MARGIN, mounts.max(axis=0) + PALM_MARGIN
+    low = mounts.min(axis=0) - PALM_MARGIN
+    high = mounts.max(axis=0) + PALM_MARGIN
     low[0], high[0] = -PALM_THICKNESS, 0.0
     link = ET.SubElement(robot, "link", name="palm")
-    for kind in ("visual", "collision"):
-        part = ET.SubElement(link, kind)
+    for element in ("visual", "collision"):
+        part = ET.SubElement(link, element)
         ET.SubElement(part, "origin", xyz=_numbers((low + high) / 2), rpy="0 0 0")
         ET.SubElement(ET.SubElement(part, "geometry"), "box", size=_numbers(high - low))
 
@@ -77,7 +78,9 @@ def _joint(robot: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
 
 def _link(robot: ET.Element, digit: Digit, i: int) -> None:
     """Add link i: inertia, and a cylinder with a ball at the far end."""
-    length, radius, mass = digit.link_length_m[i], digit.link_radius_m, digit.link_mass_kg[i]
+    length = digit.link_length_m[i]
+    radius = digit.link_radius_m
+    mass = digit.link_mass_kg[i]
     about_hinge = digit.link_inertia_kg_m2[i]
     along = min(mass * radius**2 / 2, 2 * about_hinge)
     link = ET.SubElement(robot, "link", name=f"{digit.name}_link{i + 1}")
@@ -94,11 +97,11 @@ def _link(robot: ET.Element, digit: Digit, i: int) -> None:
         ixz="0",
         iyz="0",
     )
-    for kind in ("visual", "collision"):
-        bar = ET.SubElement(link, kind)
+    for element in ("visual", "collision"):
+        bar = ET.SubElement(link, element)
         ET.SubElement(bar, "origin", xyz=_numbers((length / 2, 0.0, 0.0)), rpy=f"0 {_number(np.pi / 2)} 0")
         ET.SubElement(ET.SubElement(bar, "geometry"), "cylinder", radius=_number(radius), length=_number(length))
-        ball = ET.SubElement(link, kind)
+        ball = ET.SubElement(link, element)
         ET.SubElement(ball, "origin", xyz=_numbers((length, 0.0, 0.0)), rpy="0 0 0")
         ET.SubElement(ET.SubElement(ball, "geometry"), "sphere", radius=_number(radius))
 

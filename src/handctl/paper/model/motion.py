@@ -50,7 +50,7 @@ class Closing:
 def upright(name: str) -> DigitModel:
     """Return a digit whose plane is vertical and whose weight opens it, as in Eq. 6."""
     model = DigitModel.of(src.hand(), name)
-    return model.under(model.mount_rotation @ np.array([0.0, -float(src.GRAVITY), 0.0]))
+    return model.with_gravity(model.mount_rotation @ np.array([0.0, -float(src.GRAVITY), 0.0]))
 
 
 def closing(name: str, duration: float) -> Closing:
