@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.controller.coming import Coming
 from handctl.controller.monitor import thresholds
+from handctl.controller.pending_gains import PendingGains
 from handctl.controller.setup import make_drives, make_sensors
 from handctl.controller.state import Decisions, State, layout_of
 from handctl.core import block as state_block
@@ -289,7 +289,7 @@ def progresses(before: Progress) -> Iterator[tuple[str, Progress]]:
 
 def decisions(before: Decisions) -> Iterator[tuple[str, Decisions]]:
     """Decisions with one part changed, for every part."""
-    coming = Coming(with_values(Gains(), {"motion.force_N": 21.0}, "test"))
+    pending = PendingGains(with_values(Gains(), {"motion.force_N": 21.0}, "test"))
     values: dict[str, list[Any]] = {
         "drives": [before.drives[::-1]],
         "progress": [progress for _, progress in progresses(before.progress)],
@@ -298,8 +298,8 @@ def decisions(before: Decisions) -> Iterator[tuple[str, Decisions]]:
         "refusals": [(1,), (2,), (1, 2)],
         "failure": ["x"],
         "unconfirmed": [("x",)],
-        "gains": [coming.gains],
-        "coming": [coming, replace(coming, step=1), replace(coming, gains=Gains())],
+        "gains": [pending.gains],
+        "pending": [pending, replace(pending, step=1), replace(pending, gains=Gains())],
     }
     assert values.keys() == set(Decisions._fields), "a new decision needs a line here"
     for name, others in values.items():

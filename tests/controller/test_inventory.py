@@ -5,7 +5,7 @@ import tomllib
 
 import pytest
 
-from handctl.controller.modes import INVENTORY_TIMEOUT_S, Wishes, next_mode
+from handctl.controller.modes import INVENTORY_TIMEOUT_S, OperatorRequests, next_mode
 from handctl.controller.state import State
 from handctl.core import block as s
 from handctl.core.gains.gains import Gains
@@ -64,7 +64,7 @@ def in_inventory_for(hand: Bench, seconds: float) -> State:
 
 def decided(hand: Bench, state: State) -> tuple[Mode, str]:
     after = state.copy()
-    next_mode(hand.controller.model, hand.controller.drives, after, Action.PASS, Wishes(), (), 0.0)
+    next_mode(hand.controller.model, hand.controller.drives, after, Action.PASS, OperatorRequests(), (), 0.0)
     return after.mode, after.failure
 
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from handctl.controller.coming import Coming
-from handctl.controller.retune import KEPT, Designs
+from handctl.controller.pending_gains import PendingGains
+from handctl.controller.retune import CACHE_SIZE, Designs
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
 from handctl.core import block as s
@@ -58,12 +58,12 @@ def test_designs_that_nobody_uses_are_forgotten_and_those_of_the_run_are_not(jam
     run, designs = controller(jamia, LiveProgram()), Designs()
     used = Gains().model_copy(update={"tension": TensionGains(force_N=11.0)})
     whole = designs.controller(run, used)
-    for force in range(20, 20 + 3 * KEPT):
-        designs.advance(jamia, Coming(Gains().model_copy(update={"tension": TensionGains(force_N=float(force))})))
+    for force in range(20, 20 + 3 * CACHE_SIZE):
+        designs.advance(jamia, PendingGains(Gains().model_copy(update={"tension": TensionGains(force_N=float(force))})))
         assert designs.controller(run, used) is whole
-    assert len(designs.found) == KEPT
-    assert used in designs.found
-    assert set(designs.controllers) <= set(designs.found)
+    assert len(designs.designed_pieces) == CACHE_SIZE
+    assert used in designs.designed_pieces
+    assert set(designs.controllers) <= set(designs.designed_pieces)
 
 
 @pytest.mark.parametrize("odd", [("motion.force_N", 1e-9), ("tension.tension_error_N", 1e-150)])
@@ -77,7 +77,7 @@ def test_weights_from_which_no_gains_follow_are_refused_and_the_run_goes_on(
     assert said.text.startswith("refused: gains: ")
     assert "no controller follows" in said.text
     decisions = holding.state.decisions
-    assert (decisions.gains, decisions.coming, holding.state.mode) == (before, None, Mode.ACTIVE)
+    assert (decisions.gains, decisions.pending, holding.state.mode) == (before, None, Mode.ACTIVE)
     holding.tick(change({"tension.force_N": 6.0}))
     holding.run(0.1)
     assert holding.state.decisions.gains is not None
@@ -92,7 +92,7 @@ def test_a_hand_that_is_commissioned_keeps_its_gains(jamia: HandModel) -> None:
     desk.until(Mode.ACTIVE)
     out = desk.tick(change({"motion.force_N": 20.0}))
     assert "refused: the hand is being commissioned" in [event.text for event in out.events]
-    assert desk.state.decisions.coming is None
+    assert desk.state.decisions.pending is None
 
 
 def test_a_change_is_taken_over_when_every_piece_is_designed(holding: Bench, jamia: HandModel) -> None:
@@ -142,7 +142,7 @@ def test_a_change_makes_no_step_in_torque(
     desk.tick(request_)
     desk.run(0.1)
     for _ in range(pieces(jamia.space) - 1):
-        desk.tick(change(values)) if desk.state.decisions.coming is None else desk.tick()
+        desk.tick(change(values)) if desk.state.decisions.pending is None else desk.tick()
     calls = recorded(monkeypatch)
     out = desk.tick()
     assert any(event.name == "gain" for event in out.events)
@@ -167,7 +167,7 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
     monkeypatch.setattr(Controller, "_judge", lambda self, *words: (Action.HOLD, judge(self, *words)[1]))
     calls = recorded(monkeypatch)
     desk.tick(change({"motion.force_N": 60.0}))
-    while desk.state.decisions.coming is not None:
+    while desk.state.decisions.pending is not None:
         calls.clear()
         desk.tick()
     (own, _, old, *_), (other, _, new, *_) = calls

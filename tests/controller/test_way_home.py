@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from handctl.controller.relaxing import (
-    AHEAD_N,
     OVER_TENSION_RATE_N_PER_S,
     RELAX_FLOOR_N,
     RELAX_RATE_N_PER_S,
+    SETPOINT_MARGIN_N,
 )
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
@@ -66,7 +66,7 @@ def test_a_tension_that_is_still_growing_is_not_waited_for(quick: HandModel) -> 
     known = run.tick().telemetry.tension
     assert run.state.view("setpoint")[0] > known[0] + 30.0, "the set-point is far ahead"
     out = run.tick(STOP)
-    present = np.maximum(out.telemetry.tension, RELAX_FLOOR_N) + AHEAD_N
+    present = np.maximum(out.telemetry.tension, RELAX_FLOOR_N) + SETPOINT_MARGIN_N
     assert (run.state.view("setpoint") <= present).all()
     while run.tick().mode == Mode.RELAX:
         assert run.state.view("setpoint").max() <= present.max()

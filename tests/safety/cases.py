@@ -12,7 +12,7 @@ from handctl.core.types import Mode
 from handctl.drives.causes import Cause
 from handctl.drives.contract import Phase
 from handctl.safety.action import Action
-from handctl.safety.judge import Report, alone, foreign
+from handctl.safety.judge import Report, filter_error_frames, second_controller_reports
 from tests.safety.monitor import NOW_NS, PERIOD_NS, Monitor, Rows, T, made_up
 
 COUNT = 8
@@ -149,7 +149,7 @@ def replayed(tendon: int, run: int) -> Shown:
 
 
 def alone_on_the_bus(heard: bool) -> Shown:
-    reports = alone([("error_frame", "can0 no acknowledge", 3.0)], heard)
+    reports = filter_error_frames([("error_frame", "can0 no acknowledge", 3.0)], heard)
     return Shown({"mode": {...: int(Mode.INVENTORY)}}, tuple(reports))
 
 
@@ -242,7 +242,7 @@ CASES = {
     "H08": Case(io("recorder", "disk_full"), io("recorder", "misshapen"), "disk_full", 1, WARN, False),
     "H09": Case(io("recorder", "dropped"), io("dropped", "dropped"), "dropped", 1, WARN, False),
     "H10": Case(io("recorder", "gone"), io("recorder", "misshapen"), "gone", 1, WARN, False),
-    "H13": Case(Shown(reports=tuple(foreign(["0x001"]))), REST, "0x001", 1, RELAX, True),
+    "H13": Case(Shown(reports=tuple(second_controller_reports(["0x001"]))), REST, "0x001", 1, RELAX, True),
     "I07a": Case(rows(refused_now=1, refused=1), rows(refused=1), "goal", 1, WARN, False, True),
     "I07b": Case(rows(refused_now=1, refused=3), rows(refused_now=1, refused=2), "goal", 1, RELAX, True, True),
 }  # fmt: skip

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from handctl.compiled import prepare
-from handctl.controller.answers import clear
+from handctl.controller.apply_requests import clear
 from handctl.controller.state import Decisions, State
 from handctl.core import block as s
 from handctl.core import stages
@@ -18,7 +18,7 @@ from handctl.core.hand_constants import low_pass_fractions
 from handctl.core.types import Mode
 from handctl.safety.faults.fault import JOINT, MOTOR, NODE, TENDON
 from handctl.safety.faults.table import DETECTOR_ROWS
-from handctl.safety.judge import Counting, Latched, Report, Verdict, begun, judge
+from handctl.safety.judge import Counting, Latched, Report, Verdict, judge, newly_counting
 from handctl.safety.limits import LOAD_CELLS, Limits
 
 T, N = 0.002, np.nan
@@ -159,7 +159,7 @@ class Monitor:
 
     def conclude(self, demanded: int, reports: Iterable[Report]) -> Verdict:
         """Latch what is found, take in reports, and choose the reaction."""
-        fresh = begun(self.limits, self.found, self.view("fault_ticks"))
+        fresh = newly_counting(self.limits, self.found, self.view("fault_ticks"))
         verdict = judge(self.latched, self.counting, fresh, demanded, reports)
         self.latched, self.counting = verdict.latched, verdict.counting
         return verdict

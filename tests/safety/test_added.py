@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "faults.md").read_text(encoding="utf-8")
 TRIED = """
 import json
-from handctl.controller.tick import _told
+from handctl.controller.tick import _fault_event
 from handctl.safety.faults.markdown import catalogue, fault_table
 from handctl.safety.judge import judge
 from tests.safety.monitor import Monitor, made_up
@@ -25,7 +25,7 @@ print(json.dumps({
     "table": [line for line in fault_table().splitlines() if line.startswith("| T10 ")],
     "page": [line for line in catalogue().splitlines() if line.startswith("| T10 ")],
     "actions": [int(verdict.action) for verdict in verdicts],
-    "told": [[list(_told(one)) for one in verdict.findings if one.fault.id == "T10"] for verdict in verdicts],
+    "events": [[list(_fault_event(one)) for one in verdict.findings if one.fault.id == "T10"] for verdict in verdicts],
 }))
 """
 
@@ -66,4 +66,4 @@ def test_a_fault_is_declared_once_and_found_by_one_detector(tmp_path: Path, inte
     ]
     assert told["actions"] == [0, 1, 1]
     text = "T10 a heavy load: t1 (100.5): WARN"
-    assert told["told"] == [[], [["warn", "fault", "t1", text]], []]
+    assert told["events"] == [[], [["warn", "fault", "t1", text]], []]

@@ -1,6 +1,6 @@
 """Reports of buses, host and recorder, and the faults that they mean."""
 
-from handctl.safety.judge import Report, alone, reported
+from handctl.safety.judge import Report, filter_error_frames, reported
 
 
 def found(*reports: Report) -> list[tuple[str, str, float]]:
@@ -25,11 +25,11 @@ def test_what_the_recorder_reports() -> None:
 
 def test_alone_on_the_bus_is_one_reading_of_error_frames_that_mean_it() -> None:
     unheard, other = ("error_frame", "can0 no acknowledge", 3.0), ("error_frame", "can0 overload", 2.0)
-    found = reported(alone([other, unheard, unheard], heard=False))
+    found = reported(filter_error_frames([other, unheard, unheard], heard=False))
     assert [(fault.id, name, value) for fault, name, value in found] == [("B18", "can0 no acknowledge", 3.0)]
-    other_kind = alone([other, ("enobufs", "protocol", 1.0)], heard=False)
+    other_kind = filter_error_frames([other, ("enobufs", "protocol", 1.0)], heard=False)
     assert [fault.id for fault, _, _ in reported(other_kind)] == ["B15"]
-    assert reported(alone([unheard], heard=True)) == []
+    assert reported(filter_error_frames([unheard], heard=True)) == []
 
 
 def test_nobody_hears_this_host_until_a_node_has_answered() -> None:
@@ -37,6 +37,6 @@ def test_nobody_hears_this_host_until_a_node_has_answered() -> None:
     unheard = ("error_frame", "can0 no acknowledge", 3.0)
     for word in ("no acknowledge", "bus error", "protocol"):
         one = ("error_frame", f"can0 {word}", 1.0)
-        assert alone([one, ("enobufs", "can0", 1.0), one], heard=False) == [("enobufs", "can0", 1.0), one]
-    assert alone([unheard, ("enobufs", "can0", 1.0)], heard=True) == [("enobufs", "can0", 1.0)]
-    assert alone([("error_frame", "can0 overload", 2.0)], heard=False) == []
+        assert filter_error_frames([one, ("enobufs", "can0", 1.0), one], heard=False) == [("enobufs", "can0", 1.0), one]
+    assert filter_error_frames([unheard, ("enobufs", "can0", 1.0)], heard=True) == [("enobufs", "can0", 1.0)]
+    assert filter_error_frames([("error_frame", "can0 overload", 2.0)], heard=False) == []

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from handctl.safety.action import Action
-from handctl.safety.judge import Latched, foreign, reported
+from handctl.safety.judge import Latched, reported, second_controller_reports
 from tests.safety.cases import LIMITS, RELAXED, REST, Shown, io, lost, merged, motors, rested, rows, show, tensions
 from tests.safety.test_table import course
 
@@ -32,7 +32,8 @@ def test_a_finding_says_how_large_it_was() -> None:
     _, verdicts = course(io("bus_off", number=7))
     assert [finding.value for verdict in verdicts for finding in verdict.findings] == [7.0]
     assert readings("N15", Shown({"lost": {(0, 0): 0b1010101010101}})) == [("m0", 0.5)], "half of its answers"
-    assert [(f.id, name, value) for f, name, value in reported(foreign(["0x123"]))] == [("H13", "0x123", 1.0)]
+    reports = second_controller_reports(["0x123"])
+    assert [(f.id, name, value) for f, name, value in reported(reports)] == [("H13", "0x123", 1.0)]
 
 
 def test_nobody_answers_in_ticks_that_the_host_missed() -> None:

@@ -51,17 +51,17 @@ class BusLoad:
         return sum(row.per_tick * row.frame_s for row in self.rows)
 
     @property
-    def share(self) -> float:
+    def timed_fraction(self) -> float:
         """Return the fraction of bus time for frames without relation to the tick."""
         return sum(row.per_second * row.frame_s for row in self.rows)
 
     def at(self, rate_hz: float) -> float:
         """Return the bus load at a control rate [Hz], as a fraction."""
-        return rate_hz * self.tick_s + self.share
+        return rate_hz * self.tick_s + self.timed_fraction
 
-    def highest(self, most: float) -> float:
-        """Return the control rate at which the load is ``most`` [Hz]. Infinity without frames per tick."""
-        return max(0.0, most - self.share) / self.tick_s if self.tick_s else float("inf")
+    def highest(self, limit: float) -> float:
+        """Return the control rate at which the load is ``limit`` [Hz]. Infinity without frames per tick."""
+        return max(0.0, limit - self.timed_fraction) / self.tick_s if self.tick_s else float("inf")
 
 
 def bus_loads(hand: Hand) -> tuple[BusLoad, ...]:
@@ -101,11 +101,11 @@ def sensor_rows(hand: Hand, bus: Bus) -> tuple[Row, ...]:
 
 
 def _load(hand: Hand, index: int, bus: Bus, drives: tuple[Drive, ...]) -> BusLoad:
-    mine = [drive for drive in drives if drive.bus == index]
-    rows = [row for drive in mine for row in drive_rows(drive, bus)]
+    bus_drives = [drive for drive in drives if drive.bus == index]
+    rows = [row for drive in bus_drives for row in drive_rows(drive, bus)]
     if hand.sensor_node.bus == bus.name:
         rows += sensor_rows(hand, bus)
-    return BusLoad(bus.name, len(mine), tuple(rows))
+    return BusLoad(bus.name, len(bus_drives), tuple(rows))
 
 
 def split(hand: Hand, rate_hz: float) -> list[list[str]]:
@@ -118,14 +118,14 @@ def split(hand: Hand, rate_hz: float) -> list[list[str]]:
     """
     first = hand.bus[0]
     # The first bus also carries SYNC and load cells, so it has less room for motors.
-    left, buses = MAX_BUS_LOAD - BusLoad("", 0, sensor_rows(hand, first)).at(rate_hz), list[list[str]]([[]])
+    capacity, buses = MAX_BUS_LOAD - BusLoad("", 0, sensor_rows(hand, first)).at(rate_hz), list[list[str]]([[]])
     for drive in make_drives(hand):
-        share = BusLoad("", 1, drive_rows(drive, first)).at(rate_hz)
-        if share > MAX_BUS_LOAD:
+        load = BusLoad("", 1, drive_rows(drive, first)).at(rate_hz)
+        if load > MAX_BUS_LOAD:
             return []
-        if share > left:
-            left = MAX_BUS_LOAD
+        if load > capacity:
+            capacity = MAX_BUS_LOAD
             buses.append([])
         buses[-1].append(drive.name)
-        left -= share
+        capacity -= load
     return buses

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from handctl.controller.relaxing import begin_relaxing, hurry, let_go, settled
+from handctl.controller.relaxing import begin_relaxing, commands_relaxed, tensions_relaxed, update_relax_rate
 from handctl.controller.state import State
 from handctl.core.model import HandModel
 from handctl.core.types import ACTING, BEFORE_ARMING, Event, Mode
@@ -22,9 +22,9 @@ from handctl.safety.action import Action
 LISTEN_S = 0.5
 """Silence before the first frame, to notice a second controller [s]."""
 INVENTORY_TIMEOUT_S = 3.0
-LOOK_FIRST = " (when you have looked why: --clear)"
+CLEAR_ADVICE = " (when you have looked why: --clear)"
 """Advice for a drive with a latched error."""
-STILL_LATCHED = " (or an error that does not clear)"
+MAYBE_LATCHED = " (or an error that does not clear)"
 READY_S = 0.1
 """Time for a few measurements of the filter before arming [s]."""
 ARMING_TIMEOUT_S = 1.0
@@ -35,14 +35,14 @@ CUT_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Wishes:
+class OperatorRequests:
     """Stop and cut requests of the operator in the tick."""
 
     stop: bool = False
     cut: bool = False
 
 
-class Circumstances(NamedTuple):
+class ModeInputs(NamedTuple):
     """Inputs of the mode machine besides the state.
 
     Attributes:
@@ -50,7 +50,7 @@ class Circumstances(NamedTuple):
         drives: of the motors.
         elapsed: time in the present mode [s].
         action: reaction demanded by safety.
-        wishes: requests of the operator.
+        operator: requests of the operator.
         foreign: signs of a second controller: identifiers only sent by a host, and replies of
             motors without a request of this host.
         identities: of the drives at calibration, as ``Drive.identity``. Empty
@@ -61,7 +61,7 @@ class Circumstances(NamedTuple):
     drives: tuple[Drive, ...]
     elapsed: float
     action: Action
-    wishes: Wishes
+    operator: OperatorRequests
     foreign: tuple[str, ...]
     identities: tuple[str, ...] = ()
 
@@ -71,9 +71,9 @@ class Circumstances(NamedTuple):
         return tuple(drive.name for drive in self.drives)
 
     @property
-    def nothing_special(self) -> bool:
+    def no_override(self) -> bool:
         """Return True if neither safety nor the operator overrides the mode."""
-        return self.action < RELAX and not (self.foreign or self.wishes.stop or self.wishes.cut)
+        return self.action < RELAX and not (self.foreign or self.operator.stop or self.operator.cut)
 
 
 RELAX = Action.RELAX
@@ -81,12 +81,12 @@ Next = tuple[Mode, str]
 """The next mode, and the reason if the run has failed."""
 
 
-def wanted_of_drives(mode: Mode) -> DriveTarget:
+def drive_target(mode: Mode) -> DriveTarget:
     """Return the target state of every drive in a mode."""
-    return _WANTED[mode]
+    return _DRIVE_TARGETS[mode]
 
 
-_WANTED = {
+_DRIVE_TARGETS = {
     Mode.SILENT: DriveTarget.LISTEN,
     Mode.INVENTORY: DriveTarget.POLL,
     Mode.READY: DriveTarget.POLL,
@@ -99,7 +99,7 @@ _WANTED = {
 }
 
 
-def farewell(drives: tuple[Drive, ...], state: State) -> tuple[Frame, ...]:
+def shutdown_frames(drives: tuple[Drive, ...], state: State) -> tuple[Frame, ...]:
     """Return the frames for the release of the drives at the end of a run.
 
     No frames follow a failure: the drives stay as they are.
@@ -107,7 +107,7 @@ def farewell(drives: tuple[Drive, ...], state: State) -> tuple[Frame, ...]:
     if state.mode != Mode.DONE or state.failure:
         return ()
     return tuple(
-        frame for drive, known in zip(drives, state.drives, strict=True) for frame in drive.release_frames(known)
+        frame for drive, own in zip(drives, state.drives, strict=True) for frame in drive.release_frames(own)
     )
 
 
@@ -116,7 +116,7 @@ def next_mode(
     drives: tuple[Drive, ...],
     state: State,
     action: Action,
-    wishes: Wishes,
+    operator: OperatorRequests,
     foreign: tuple[str, ...],
     t: float,
     identities: tuple[str, ...] = (),
@@ -128,7 +128,7 @@ def next_mode(
         drives: of the motors.
         state: with the tick's drive and filter states, modified in place.
         action: reaction demanded by safety.
-        wishes: requests of the operator.
+        operator: requests of the operator.
         foreign: signs of a second controller, as text.
         t: time of the tick [s].
         identities: of the drives in the calibration. May be empty.
@@ -136,152 +136,154 @@ def next_mode(
     Returns:
         The event of a change of mode. Empty without a change.
     """
-    seen = Circumstances(model, drives, t - state.mode_since, action, wishes, foreign, identities)
+    inputs = ModeInputs(model, drives, t - state.mode_since, action, operator, foreign, identities)
     before = state.mode
-    demanded = None if seen.nothing_special else _demanded(state, seen)
-    mode, failure = demanded or _MODES[before](state, seen)
+    demanded = None if inputs.no_override else _overriding_mode(state, inputs)
+    mode, failure = demanded or _MODES[before](state, inputs)
     if mode == before:
         if mode == Mode.RELAX:
-            hurry(state)
+            update_relax_rate(state)
         return ()
-    failure = failure or ("" if state.failure else _latched(state))  # of a fault on the way home, too
-    names = seen.names
+    failure = failure or ("" if state.failure else _latched_faults(state))  # of a fault on the way home, too
+    names = inputs.names
     level = "error" if failure else "info"
-    unconfirmed = _may_pull(model, state, names) if mode == Mode.DONE else ()
+    unconfirmed = _possibly_energized(model, state, names) if mode == Mode.DONE else ()
     text = f"{before.name} -> {mode.name}" + (f": {failure}" if failure else "")
     if unconfirmed and REMOVE_POWER not in text:  # whoever has ordered the stop reads nothing but this line
         text += f"; {REMOVE_POWER}: not confirmed disabled: {', '.join(unconfirmed)}"
-    told = f"{state.failure}; {failure}" if state.failure and unconfirmed else state.failure or failure
-    state.decide(failure=told, unconfirmed=unconfirmed)
+    reason = f"{state.failure}; {failure}" if state.failure and unconfirmed else state.failure or failure
+    state.decide(failure=reason, unconfirmed=unconfirmed)
     state.mode, state.mode_since = mode, t
     if mode == Mode.RELAX:
         begin_relaxing(model, state)
     return (Event(level, "mode", "", text),)
 
 
-def _demanded(state: State, seen: Circumstances) -> Next | None:
+def _overriding_mode(state: State, inputs: ModeInputs) -> Next | None:
     """Return the mode demanded by safety or the operator, else None."""
     acting = state.mode in ACTING
-    if acting and (seen.wishes.cut or seen.action == Action.CUT):
-        return Mode.CUT, _latched(state)
-    if state.mode in _AWAY and seen.action == Action.RELAX:
-        return _AWAY[state.mode], _latched(state)
-    if state.mode in _AWAY and seen.wishes.stop:
-        return _AWAY[state.mode], ""
-    return _before_arming(state, seen) if state.mode in BEFORE_ARMING else None
+    if acting and (inputs.operator.cut or inputs.action == Action.CUT):
+        return Mode.CUT, _latched_faults(state)
+    if state.mode in _MODE_AFTER_STOP and inputs.action == Action.RELAX:
+        return _MODE_AFTER_STOP[state.mode], _latched_faults(state)
+    if state.mode in _MODE_AFTER_STOP and inputs.operator.stop:
+        return _MODE_AFTER_STOP[state.mode], ""
+    return _before_arming(state, inputs) if state.mode in BEFORE_ARMING else None
 
 
-def _before_arming(state: State, seen: Circumstances) -> Next | None:
+def _before_arming(state: State, inputs: ModeInputs) -> Next | None:
     """Return the end of a run before any torque, None if the run continues."""
-    if seen.wishes.stop or seen.wishes.cut:
+    if inputs.operator.stop or inputs.operator.cut:
         return Mode.DONE, ""
-    if seen.foreign:
-        return Mode.DONE, f"another controller is on the bus (heard: {', '.join(seen.foreign)})"
-    return (Mode.DONE, _latched(state)) if seen.action >= Action.RELAX else None
+    if inputs.foreign:
+        return Mode.DONE, f"another controller is on the bus (heard: {', '.join(inputs.foreign)})"
+    return (Mode.DONE, _latched_faults(state)) if inputs.action >= Action.RELAX else None
 
 
-_AWAY = {Mode.ARMING: Mode.DISARM, Mode.ACTIVE: Mode.RELAX}
+_MODE_AFTER_STOP = {Mode.ARMING: Mode.DISARM, Mode.ACTIVE: Mode.RELAX}
 """Mode after a fault or a stop.
 
 ARMING leads to DISARM: no tension was commanded yet, and no further drive may be enabled.
 """
 
 
-def _latched(state: State) -> str:
+def _latched_faults(state: State) -> str:
     """Return the latched faults as the reason of a failure. May be empty."""
     if not state.latched:
         return ""
     return "fault " + ", ".join(f"{mark.id} {mark.instance}" for mark in state.latched)
 
 
-def _silent(state: State, seen: Circumstances) -> Next:
-    return (Mode.INVENTORY if seen.elapsed >= LISTEN_S else Mode.SILENT), ""
+def _silent(state: State, inputs: ModeInputs) -> Next:
+    return (Mode.INVENTORY if inputs.elapsed >= LISTEN_S else Mode.SILENT), ""
 
 
-def _inventory(state: State, seen: Circumstances) -> Next:
-    wrong = [f"{name}: {drive.error_text}" for name, drive in _named(state, seen) if drive.phase == Phase.FAULT]
-    if wrong and not (state.clearing and seen.elapsed < INVENTORY_TIMEOUT_S):
-        return Mode.DONE, "; ".join(wrong) + LOOK_FIRST
-    unheard = not state.view("group_frames").all()
-    if all(drive.phase == Phase.READY for drive in state.drives) and state.started and not unheard:
+def _inventory(state: State, inputs: ModeInputs) -> Next:
+    named = tuple(_named_drives(state, inputs))
+    wrong = [f"{name}: {drive.error_text}" for name, drive in named if drive.phase == Phase.FAULT]
+    if wrong and not (state.clearing and inputs.elapsed < INVENTORY_TIMEOUT_S):
+        return Mode.DONE, "; ".join(wrong) + CLEAR_ADVICE
+    groups_missing = not state.view("group_frames").all()
+    if all(drive.phase == Phase.READY for drive in state.drives) and state.started and not groups_missing:
         return Mode.READY, ""
-    if seen.elapsed < INVENTORY_TIMEOUT_S:
+    if inputs.elapsed < INVENTORY_TIMEOUT_S:
         return Mode.INVENTORY, ""
-    behind = [(name, drive) for name, drive in _named(state, seen) if drive.phase != Phase.READY]
+    behind = [(name, drive) for name, drive in named if drive.phase != Phase.READY]
     silent = [name for name, drive in behind if drive.phase == Phase.SILENT and not drive.error_text]
-    silent += ["the sensor node"] if unheard else []
+    silent += ["the sensor node"] if groups_missing else []
     stuck = [f"{name}: {drive.error_text or 'not configured in time'}" for name, drive in behind if name not in silent]
-    unheard_of = [f"no answer from {', '.join(silent)}{STILL_LATCHED if state.clearing else ''}"] if silent else []
-    return Mode.DONE, "; ".join([*stuck, *unheard_of, *_unread(state, seen)])
+    silence = [f"no answer from {', '.join(silent)}{MAYBE_LATCHED if state.clearing else ''}"] if silent else []
+    return Mode.DONE, "; ".join([*stuck, *silence, *_missing_inputs(state, inputs)])
 
 
-def _unread(state: State, seen: Circumstances) -> list[str]:
+def _missing_inputs(state: State, inputs: ModeInputs) -> list[str]:
     """Return the missing inputs of the filter, where all drives are ready and all sensor frames were received."""
-    blind = [name for name, drive in _named(state, seen) if drive.phase == Phase.READY and math.isnan(drive.position)]
-    sensed = seen.model.hand.sensor_node.tendons
-    bare = [name for name in seen.model.hand.tendon_names if name not in sensed]
-    told = [f"no position from {', '.join(blind)}"] if blind else []
-    return [*told, f"no load cell of {', '.join(bare)} in sensor_node.tendons"] if bare else told
+    drives = _named_drives(state, inputs)
+    blind = [name for name, drive in drives if drive.phase == Phase.READY and math.isnan(drive.position)]
+    sensed = inputs.model.hand.sensor_node.tendons
+    bare = [name for name in inputs.model.hand.tendon_names if name not in sensed]
+    reason = [f"no position from {', '.join(blind)}"] if blind else []
+    return [*reason, f"no load cell of {', '.join(bare)} in sensor_node.tendons"] if bare else reason
 
 
-def _ready(state: State, seen: Circumstances) -> Next:
-    if strange := _strange(state, seen):
+def _ready(state: State, inputs: ModeInputs) -> Next:
+    if strange := _other_drives(state, inputs):
         return Mode.DONE, f"{strange}: the calibration is another hand's, name this one's or commission it"
-    return (Mode.ARMING if state.armed and seen.elapsed >= READY_S else Mode.READY), ""
+    return (Mode.ARMING if state.armed and inputs.elapsed >= READY_S else Mode.READY), ""
 
 
-def _strange(state: State, seen: Circumstances) -> str:
+def _other_drives(state: State, inputs: ModeInputs) -> str:
     """Return the drives other than at calibration.
 
     Returns:
         A phrase per drive. Empty if all are equal, or the calibration names no drives.
     """
-    there = [drive.identity(known) for drive, known in zip(seen.drives, state.drives, strict=True)]
-    pairs = zip(seen.names, there, seen.identities, strict=False)
+    there = [drive.identity(drive_state) for drive, drive_state in zip(inputs.drives, state.drives, strict=True)]
+    pairs = zip(inputs.names, there, inputs.identities, strict=False)
     others = [(name, now, then) for name, now, then in pairs if then not in ("", now)]
     return ", ".join(f"{name} is drive {now}, calibrated was {then}" for name, now, then in others)
 
 
-def _arming(state: State, seen: Circumstances) -> Next:
+def _arming(state: State, inputs: ModeInputs) -> Next:
     if all(phase == Phase.ENABLED for phase in state.phases):
         return Mode.ACTIVE, ""
-    if seen.elapsed < ARMING_TIMEOUT_S:
+    if inputs.elapsed < ARMING_TIMEOUT_S:
         return Mode.ARMING, ""
-    late = [name for name, drive in _named(state, seen) if drive.phase != Phase.ENABLED]
+    late = [name for name, drive in _named_drives(state, inputs) if drive.phase != Phase.ENABLED]
     return Mode.DISARM, f"not enabled: {', '.join(late)}"
 
 
-def _active(state: State, seen: Circumstances) -> Next:
+def _active(state: State, inputs: ModeInputs) -> Next:
     return (Mode.RELAX if state.progress.finished else Mode.ACTIVE), state.progress.failure
 
 
-def _relax(state: State, seen: Circumstances) -> Next:
+def _relax(state: State, inputs: ModeInputs) -> Next:
     # A load cell that reads too little must not cut a taut tendon: the command has to have fallen, too.
-    relaxed = settled(state) and let_go(state)
-    return (Mode.DISARM if relaxed or seen.elapsed >= RELAX_TIMEOUT_S else Mode.RELAX), ""
+    relaxed = tensions_relaxed(state) and commands_relaxed(state)
+    return (Mode.DISARM if relaxed or inputs.elapsed >= RELAX_TIMEOUT_S else Mode.RELAX), ""
 
 
-def _disarm(state: State, seen: Circumstances) -> Next:
-    pulling = _pulling(seen.model, state, seen.names)
+def _disarm(state: State, inputs: ModeInputs) -> Next:
+    pulling = _pulling(inputs.model, state, inputs.names)
     if pulling:
         return Mode.DONE, f"{REMOVE_POWER}: still pulling after the cut: {', '.join(pulling)}"
-    enabled = _enabled(state, seen.names)
+    enabled = _enabled(state, inputs.names)
     if not enabled:
         return Mode.DONE, ""
-    if seen.elapsed < DISARM_TIMEOUT_S:
+    if inputs.elapsed < DISARM_TIMEOUT_S:
         return Mode.DISARM, ""
     return Mode.DONE, f"{REMOVE_POWER}: not confirmed disabled: {', '.join(enabled)}"
 
 
-def _cut(state: State, seen: Circumstances) -> Next:
-    return (Mode.DISARM if seen.elapsed >= CUT_S else Mode.CUT), ""
+def _cut(state: State, inputs: ModeInputs) -> Next:
+    return (Mode.DISARM if inputs.elapsed >= CUT_S else Mode.CUT), ""
 
 
-def _done(state: State, seen: Circumstances) -> Next:
+def _done(state: State, inputs: ModeInputs) -> Next:
     return Mode.DONE, ""
 
 
-_MODES: dict[Mode, Callable[[State, Circumstances], Next]] = {
+_MODES: dict[Mode, Callable[[State, ModeInputs], Next]] = {
     Mode.SILENT: _silent,
     Mode.INVENTORY: _inventory,
     Mode.READY: _ready,
@@ -294,8 +296,8 @@ _MODES: dict[Mode, Callable[[State, Circumstances], Next]] = {
 }
 
 
-def _named(state: State, seen: Circumstances) -> Iterator[tuple[str, DriveState]]:
-    return zip(seen.names, state.drives, strict=True)
+def _named_drives(state: State, inputs: ModeInputs) -> Iterator[tuple[str, DriveState]]:
+    return zip(inputs.names, state.drives, strict=True)
 
 
 def _enabled(state: State, names: tuple[str, ...]) -> tuple[str, ...]:
@@ -310,7 +312,7 @@ def _pulling(model: HandModel, state: State, names: tuple[str, ...]) -> tuple[st
     return tuple(name for name, tendon in zip(names, model.hand.tendon_names, strict=True) if tendon in tendons)
 
 
-def _may_pull(model: HandModel, state: State, names: tuple[str, ...]) -> tuple[str, ...]:
+def _possibly_energized(model: HandModel, state: State, names: tuple[str, ...]) -> tuple[str, ...]:
     """Return the motors with possible torque at the end of a run.
 
     A run ending before arming has enabled no motor. Only a motor reporting to be enabled

@@ -26,14 +26,14 @@ from handctl.safety.action import Release
 from handctl.safety.faults.table import BY_ID
 
 RELAX_RATE_N_PER_S, OVER_TENSION_RATE_N_PER_S = 500.0, 2000.0
-RELAX_FROM_MORE_N = 15.0
+START_MARGIN_N = 15.0
 """Largest start of the setpoint above the last command [N], for friction and the load of motion."""
 
-OF_LOAD_CELLS = ("T04b", "T05", "T05b", "T06")
+LOAD_CELL_FAULTS = ("T04b", "T05", "T05b", "T06")
 """Faults with an unreliable measured tension."""
 RELAXED_WITHIN_N = 3.0
 """Largest distance of a relaxed tendon from the floor [N]."""
-AHEAD_N = 3.0
+SETPOINT_MARGIN_N = 3.0
 """Margin of a setpoint above the tension [N]. In a settled hold the margin is at most 2 N."""
 
 
@@ -45,23 +45,23 @@ def begin_relaxing(model: HandModel, state: State) -> None:
     a load cell may be wrong.
     """
     table, whole = state.tendon, state.tendon_int
-    held = np.array([state.progress.goals[d].kind == Kind.TENSION for d in model.digit_of])
-    present = np.maximum(table[s.TENSION], RELAX_FLOOR_N) + AHEAD_N
+    in_tension_loop = np.array([state.progress.goals[d].kind == Kind.TENSION for d in model.digit_of])
+    present = np.maximum(table[s.TENSION], RELAX_FLOOR_N) + SETPOINT_MARGIN_N
     # A tendon whose digit follows a position goal has no setpoint that leads its tension.
-    setpoint = np.where(held, np.minimum(table[s.SETPOINT], present), table[s.SETPOINT])
-    begin = np.minimum(setpoint, np.maximum(table[s.FORCE], 0.0) + RELAX_FROM_MORE_N)
+    setpoint = np.where(in_tension_loop, np.minimum(table[s.SETPOINT], present), table[s.SETPOINT])
+    start = np.minimum(setpoint, np.maximum(table[s.FORCE], 0.0) + START_MARGIN_N)
     goals = tuple(
-        DigitGoal(Kind.TENSION, tension=np.minimum(begin[tendons], RELAX_FLOOR_N), rate=relax_rate(state))
+        DigitGoal(Kind.TENSION, tension=np.minimum(start[tendons], RELAX_FLOOR_N), rate=relax_rate(state))
         for tendons in model.digit_tendons
     )
     state.decide(progress=replace(state.progress, goals=goals))
-    table[s.SETPOINT] = begin
+    table[s.SETPOINT] = start
     # ASKED is the commanded motor force, which the envelope starts from in the next tick.
-    table[s.ASKED] = _begin(model, state, present)
+    table[s.ASKED] = _envelope_start(model, state, present)
     whole[s.GOAL_KIND] = int(Kind.TENSION)
 
 
-def _begin(model: HandModel, state: State, present: Vector) -> Vector:
+def _envelope_start(model: HandModel, state: State, present: Vector) -> Vector:
     """Return (N,) motor force at the start of the envelope [N]: the last command, or less.
 
     A loop made unstable by a fault may have commanded 100 N for a tendon bearing 10 N.
@@ -73,23 +73,23 @@ def _begin(model: HandModel, state: State, present: Vector) -> Vector:
         state: at the start of relaxing.
         present: (N,) tension with a margin [N].
     """
-    asked = np.nan_to_num(state.tendon[s.ASKED], nan=0.0)
-    if any(mark.id in OF_LOAD_CELLS for mark in state.latched):
-        return np.asarray(asked)
-    return np.minimum(asked, present + model.space.coulomb)
+    commanded = np.nan_to_num(state.tendon[s.ASKED], nan=0.0)
+    if any(mark.id in LOAD_CELL_FAULTS for mark in state.latched):
+        return np.asarray(commanded)
+    return np.minimum(commanded, present + model.space.coulomb)
 
 
-def let_go(state: State) -> bool:
+def commands_relaxed(state: State) -> bool:
     """Return True if no motor is commanded more than the tension of a relaxed tendon."""
     return not np.any(state.tendon[s.ASKED] > RELAX_FLOOR_N + RELAXED_WITHIN_N)
 
 
-def settled(state: State) -> bool:
+def tensions_relaxed(state: State) -> bool:
     """Return True if every tendon is relaxed."""
     return bool(np.max(state.tendon[s.TENSION]) < RELAX_FLOOR_N + RELAXED_WITHIN_N)
 
 
-def hurry(state: State) -> None:
+def update_relax_rate(state: State) -> None:
     """Relax at the faster rate as soon as a tendon is overloaded."""
     rate = relax_rate(state)
     if state.progress.goals[0].rate != rate:
@@ -99,14 +99,14 @@ def hurry(state: State) -> None:
 
 def relax_rate(state: State) -> float:
     """Return the rate of falling tensions [N/s]."""
-    return OVER_TENSION_RATE_N_PER_S if Release.FAST in _releases(state) else RELAX_RATE_N_PER_S
+    return OVER_TENSION_RATE_N_PER_S if Release.FAST in _release_methods(state) else RELAX_RATE_N_PER_S
 
 
 def open_loop(state: State) -> bool:
     """Return True if the envelope itself is commanded, without measurements."""
-    return Release.OPEN in _releases(state)
+    return Release.OPEN in _release_methods(state)
 
 
-def _releases(state: State) -> set[Release]:
+def _release_methods(state: State) -> set[Release]:
     """Return the methods of relaxing demanded by the latched faults."""
     return {BY_ID[mark.id].release for mark in state.latched}

@@ -9,7 +9,7 @@ Integrals are in newtons, not integrals of the error, and need no rescaling.
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TypeVar
 
-from handctl.controller.coming import Coming
+from handctl.controller.pending_gains import PendingGains
 from handctl.core.gains.bounds import flat, with_values
 from handctl.core.gains.gains import Gains
 from handctl.core.gains.motion_design import assembled, design_piece, pieces
@@ -21,20 +21,20 @@ from handctl.programs.requests import REFUSED
 Controller = TypeVar("Controller")
 """``controller.tick.Controller``, or another dataclass with a ``model``."""
 
-KEPT = 8
+CACHE_SIZE = 8
 """Size of the design cache: the gains of a run, the pending gains, and some earlier gains to return to."""
 
 
-class Unfinished(NamedTuple):
+class DesignProgress(NamedTuple):
     """An incomplete design.
 
     Attributes:
-        coming: progress of the design. None if these weights lead to no gains.
-        told: events of the failure.
+        pending: progress of the design. None if these weights lead to no gains.
+        events: of the failure.
     """
 
-    coming: Coming | None
-    told: tuple[Event, ...] = ()
+    pending: PendingGains | None
+    events: tuple[Event, ...] = ()
 
 
 @dataclass(slots=True)
@@ -42,22 +42,22 @@ class Designs:
     """Cache of designs by gains. A missing design is computed again.
 
     Attributes:
-        found: pieces designed so far, for the last ``KEPT`` requests.
+        designed_pieces: pieces designed so far, for the last ``CACHE_SIZE`` requests.
         controllers: with complete designs.
         used: gains of the last requested controller.
     """
 
-    found: dict[Gains, list[Vector]] = field(default_factory=dict)
+    designed_pieces: dict[Gains, list[Vector]] = field(default_factory=dict)
     controllers: dict[Gains, Any] = field(default_factory=dict)
     used: Gains | None = None
 
-    def advance(self, model: HandModel, coming: Coming) -> Unfinished | None:
+    def advance(self, model: HandModel, pending: PendingGains) -> DesignProgress | None:
         """Design a further piece. Return None when the design is complete."""
         try:
-            done = self._up_to(model, coming.gains, coming.step + 1)
+            done = self._up_to(model, pending.gains, pending.step + 1)
         except ConfigError as error:
-            return Unfinished(None, (Event("warn", "gains", "", f"{REFUSED}{error}"),))
-        return None if len(done) >= pieces(model.space) else Unfinished(replace(coming, step=coming.step + 1))
+            return DesignProgress(None, (Event("warn", "gains", "", f"{REFUSED}{error}"),))
+        return None if len(done) >= pieces(model.space) else DesignProgress(replace(pending, step=pending.step + 1))
 
     def controller(self, controller: Controller, gains: Gains) -> Controller:
         """Return the controller with other gains, and keep these gains in the cache."""
@@ -65,26 +65,26 @@ class Designs:
         if gains not in self.controllers:
             old: Any = controller
             model = old.model
-            found = self._up_to(model, gains, pieces(model.space))
-            designed = replace(model, gains=gains, motion=assembled(model.space, found))
+            designed_pieces = self._up_to(model, gains, pieces(model.space))
+            designed = replace(model, gains=gains, motion=assembled(model.space, designed_pieces))
             self.controllers[gains] = replace(old, model=designed)
         made: Controller = self.controllers[gains]
         return made
 
     def _up_to(self, model: HandModel, gains: Gains, count: int) -> list[Vector]:
         """Return the first ``count`` pieces or more, with missing pieces designed."""
-        found = self.found.setdefault(gains, [])
-        if len(self.found) > KEPT:
+        designed_pieces = self.designed_pieces.setdefault(gains, [])
+        if len(self.designed_pieces) > CACHE_SIZE:
             # Dictionaries keep insertion order, so the first entry is the oldest. The gains in use stay.
-            oldest = next(one for one in self.found if one != self.used)
+            oldest = next(one for one in self.designed_pieces if one != self.used)
             self.controllers.pop(oldest, None)
-            del self.found[oldest]
-        while len(found) < count:
-            found.append(design_piece(model.space, gains, model.period, len(found)))
-        return found
+            del self.designed_pieces[oldest]
+        while len(designed_pieces) < count:
+            designed_pieces.append(design_piece(model.space, gains, model.period, len(designed_pieces)))
+        return designed_pieces
 
 
-def asked(present: Gains, values: dict[str, float]) -> tuple[Coming | None, tuple[Event, ...]]:
+def begin_design(present: Gains, values: dict[str, float]) -> tuple[PendingGains | None, tuple[Event, ...]]:
     """Begin the design of requested gains.
 
     Args:
@@ -95,7 +95,7 @@ def asked(present: Gains, values: dict[str, float]) -> tuple[Coming | None, tupl
         The pending gains, or None with an event stating the reason.
     """
     try:
-        return Coming(with_values(present, values, "gains", live=True)), ()
+        return PendingGains(with_values(present, values, "gains", live=True)), ()
     except ConfigError as error:
         return None, (Event("warn", "request", "", f"{REFUSED}{error}"),)
 

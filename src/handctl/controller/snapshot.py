@@ -8,7 +8,7 @@ import json
 
 import numpy as np
 
-from handctl.controller.coming import Coming
+from handctl.controller.pending_gains import PendingGains
 from handctl.controller.state import Decisions, State
 from handctl.core.gains.gains import Gains
 from handctl.core.law.goal import DigitGoal, Kind
@@ -27,7 +27,8 @@ from handctl.safety.judge import Counting, Latched
 
 register(
     Decisions, DriveState, Phase, DriveTarget, Progress, Grip, DigitGoal, Kind, MinimumJerk, Curve, Sample, Chirp,
-    Latched, Counting, Gains, Coming, Recheck, Cursor, MitProgress, CubemarsProgress, OdriveProgress, Cia402Progress,
+    Latched, Counting, Gains, PendingGains, Recheck, Cursor, MitProgress, CubemarsProgress, OdriveProgress,
+    Cia402Progress,
 )  # fmt: skip
 
 HEAD = 8

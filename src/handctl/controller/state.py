@@ -6,7 +6,7 @@ import numpy as np
 import xxhash
 from numpy.typing import NDArray
 
-from handctl.controller.coming import Coming
+from handctl.controller.pending_gains import PendingGains
 from handctl.core import block as s
 from handctl.core.block import STATE
 from handctl.core.estimate import Estimate, Measured
@@ -33,7 +33,7 @@ class Decisions(NamedTuple):
         failure: reason of an early end of the run, a line. Empty without failure.
         unconfirmed: motors without a confirmed disable.
         gains: replacement of the gains at the start. None before a change.
-        coming: requested gains in design.
+        pending: requested gains in design.
     """
 
     drives: tuple[DriveState, ...]
@@ -44,7 +44,7 @@ class Decisions(NamedTuple):
     failure: str = ""
     unconfirmed: tuple[str, ...] = ()
     gains: Gains | None = None
-    coming: Coming | None = None
+    pending: PendingGains | None = None
 
 
 # Serialized parts by identity: most decisions are the same objects from tick to tick.

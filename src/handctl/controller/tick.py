@@ -17,8 +17,8 @@ import numpy as np
 
 from handctl.compiled import prepare
 from handctl.controller import modes, retune
-from handctl.controller.answers import answer
-from handctl.controller.monitor.surplus import unsolicited
+from handctl.controller.apply_requests import apply_requests
+from handctl.controller.monitor.replies import unsolicited
 from handctl.controller.monitor.thresholds import constants_of, limits_of
 from handctl.controller.relaxing import open_loop, relax_rate
 from handctl.controller.state import Decisions, State, layout_of
@@ -40,10 +40,10 @@ from handctl.drives.records import PAYLOAD, WORDS, Frames, Rows, frames_of, join
 from handctl.drives.sensors.node import SensorNode
 from handctl.programs.program import TARE_PHASE, Program
 from handctl.safety.action import Action
-from handctl.safety.judge import Finding, alone, begun, foreign, judge
+from handctl.safety.judge import Finding, filter_error_frames, judge, newly_counting, second_controller_reports
 from handctl.safety.limits import Limits
 
-NO_REQUESTS: tuple[modes.Wishes, tuple[Event, ...]] = modes.Wishes(), ()
+NO_REQUESTS: tuple[modes.OperatorRequests, tuple[Event, ...]] = modes.OperatorRequests(), ()
 ACTIVE, CUT, DONE, RELAX, SILENT = Mode.ACTIVE, Mode.CUT, Mode.DONE, Mode.RELAX, Mode.SILENT
 
 
@@ -113,12 +113,12 @@ class Controller:
     def initial(self) -> State:
         """Return the state before the first tick, as determined by the configuration."""
         drives = tuple(drive.initial() for drive in self.drives)
-        decisions = Decisions(tuple(known.with_values() for known in drives), self.program.initial(self.model))
+        decisions = Decisions(tuple(drive.with_values() for drive in drives), self.program.initial(self.model))
         state = State(self.layout, self.layout.initial.copy(), decisions)
         state.armed = self.arm_at_once
         state.view("turn_sigma")[...] = self.constants.layout.view(self.constants.block, "range_sigma")
-        for n, known in enumerate(drives):
-            self.keep(state, n, known)
+        for n, drive_state in enumerate(drives):
+            self.keep(state, n, drive_state)
         self._write_progress(state, None)
         return state
 
@@ -148,22 +148,24 @@ class Controller:
         state = before.copy()
         frames = frames_of(entry.frames)
         signs = self._take_in(before, state, entry, frames)
-        wishes, asked = NO_REQUESTS
+        operator, request_events = NO_REQUESTS
         if entry.requests:
-            wishes, asked = answer(self.model, self.program, state, entry.requests)
-        events = notes(self.model, before, state) + asked if state.whole(s.CHANGED) else asked
-        self._count_refusals(state, asked)
+            operator, request_events = apply_requests(self.model, self.program, state, entry.requests)
+        events = notes(self.model, before, state) + request_events if state.whole(s.CHANGED) else request_events
+        self._count_refusals(state, request_events)
         action, findings = self._judge(before, state, entry, signs)
-        identities = self.identities
-        moved = modes.next_mode(self.model, self.drives, state, action, wishes, signs, entry.t_ns / 1e9, identities)
-        stepped = self._program(state, action)
+        t = entry.t_ns / 1e9
+        mode_events = modes.next_mode(
+            self.model, self.drives, state, action, operator, signs, t, self.identities
+        )
+        program_events = self._program(state, action)
         self._write_progress(state, before)
-        unchanged = state.copy() if state.decisions.coming else None
+        unchanged = state.copy() if state.decisions.pending else None
         self._command(state, action, entry.k - before.k)
         sent = self._encode(state, entry.t_ns)
         retuned = self._retune(unchanged, state, action, entry.k - before.k) if unchanged else ()
         stages.remember(state.block, self.layout.places, *self._constants)
-        events += tuple(map(_told, findings)) + moved + stepped + retuned
+        events += tuple(map(_fault_event, findings)) + mode_events + program_events + retuned
         mode = state.mode
         phase = state.progress.phase if mode == ACTIVE else mode.name.lower()
         return state, TickOut(sent, mode, phase, action, self.gather(state.block), events, state.digest())
@@ -200,36 +202,36 @@ class Controller:
                 self.keep(state, owner, self.drives[owner].receive(state.drive(owner), frame))
             at += 1
 
-    def keep(self, state: State, n: int, known: DriveState) -> None:
+    def keep(self, state: State, n: int, drive_state: DriveState) -> None:
         """Write the state of a drive into the block and the decisions after the state machine has acted."""
         table, whole = state.tendon, state.tendon_int
-        table[s.POSITION : s.POSITION + 4, n] = known[1:5]
-        came = known.feedback_count - whole[s.FEEDBACKS, n]
-        whole[s.ANSWERED, n] += came
-        whole[s.FEEDBACKS, n], whole[s.FEEDBACK_NS, n] = known.feedback_count, known.feedback_t_ns
+        table[s.POSITION : s.POSITION + 4, n] = drive_state[1:5]
+        received = drive_state.feedback_count - whole[s.FEEDBACKS, n]
+        whole[s.ANSWERED, n] += received
+        whole[s.FEEDBACKS, n], whole[s.FEEDBACK_NS, n] = drive_state.feedback_count, drive_state.feedback_t_ns
         before = state.decisions.drives[n]
-        if known.misread != before.misread:
+        if drive_state.misread != before.misread:
             state.view("misread_now")[n] = 1
         drive = self.drives[n]
-        whole[s.PHASE, n], whole[s.FAULT_CODE, n] = known.phase, known.error
-        whole[s.FAULT_CAUSE, n] = drive.cause(known.error) if known.phase == Phase.FAULT else -1
-        whole[s.STATUS_EXPECTED, n], whole[s.DUE_NS, n] = drive.steady_status(known), drive.due_ns(known)
-        stripped = known.with_values()  # they are in the block
+        whole[s.PHASE, n], whole[s.FAULT_CODE, n] = drive_state.phase, drive_state.error
+        whole[s.FAULT_CAUSE, n] = drive.cause(drive_state.error) if drive_state.phase == Phase.FAULT else -1
+        whole[s.STATUS_EXPECTED, n], whole[s.DUE_NS, n] = drive.steady_status(drive_state), drive.due_ns(drive_state)
+        stripped = drive_state.with_values()  # they are in the block
         if stripped != before:
             drives = state.decisions.drives
             state.decide(drives=(*drives[:n], stripped, *drives[n + 1 :]))
 
     # judge, decide
 
-    def _count_refusals(self, state: State, asked: tuple[Event, ...]) -> None:
+    def _count_refusals(self, state: State, request_events: tuple[Event, ...]) -> None:
         """Count the live goals refused within the last second."""
-        lately = state.decisions.refusals
-        if asked or lately:
-            refused = sum(event.level == "warn" for event in asked)
+        recent = state.decisions.refusals
+        if request_events or recent:
+            refused = sum(event.level == "warn" for event in request_events)
             k, rate = state.k, 1.0 / self.model.period
-            lately = tuple(then for then in (*lately, *(k,) * refused) if k - then < rate)
-            state.decide(refusals=lately)
-            state.set_whole(s.REFUSED, len(lately))
+            recent = tuple(then for then in (*recent, *(k,) * refused) if k - then < rate)
+            state.decide(refusals=recent)
+            state.set_whole(s.REFUSED, len(recent))
             state.set_whole(s.REFUSED_NOW, refused)
 
     def _judge(
@@ -238,18 +240,18 @@ class Controller:
         """Find faults, latch them, and choose the reaction."""
         state.set_whole(s.TARED, state.progress.phase != TARE_PHASE)  # until then a load cell may read anything
         demanded, found = stages.judged(state.block, self.layout.places, *self._constants, self.layout.initial)
-        fresh = begun(self.limits, found, state.view("fault_ticks")) if state.whole(s.FOUND_NOW) else []
+        new_findings = newly_counting(self.limits, found, state.view("fault_ticks")) if state.whole(s.FOUND_NOW) else []
         decisions = state.decisions
-        if not (fresh or entry.io_events or signs or decisions.latched or decisions.counting):
+        if not (new_findings or entry.io_events or signs or decisions.latched or decisions.counting):
             return _ACTIONS[demanded], ()
         reports = [(event.kind, event.where, float(event.number)) for event in entry.io_events]
-        reports = alone(reports, self._heard(state)) + foreign(signs)
-        verdict = judge(decisions.latched, decisions.counting, fresh, demanded, reports)
+        reports = filter_error_frames(reports, self._any_node_seen(state)) + second_controller_reports(signs)
+        verdict = judge(decisions.latched, decisions.counting, new_findings, demanded, reports)
         if verdict.latched != decisions.latched or verdict.counting != decisions.counting:
             state.decide(latched=verdict.latched, counting=verdict.counting)
         return verdict.action, verdict.findings
 
-    def _heard(self, state: State) -> bool:
+    def _any_node_seen(self, state: State) -> bool:
         """Return True if any node has ever answered, or torque may act."""
         heard = any(phase != Phase.SILENT for phase in state.phases) or bool(state.view("group_frames").any())
         return heard or Mode.ARMING <= state.mode <= RELAX
@@ -300,19 +302,19 @@ class Controller:
             action: reaction demanded by safety.
             ticks: periods since the last tick.
         """
-        coming = state.decisions.coming
-        assert coming is not None
-        if (unfinished := self.designs.advance(self.model, coming)) is not None:
-            state.decide(coming=unfinished.coming)
-            return unfinished.told
+        pending = state.decisions.pending
+        assert pending is not None
+        if (unfinished := self.designs.advance(self.model, pending)) is not None:
+            state.decide(pending=unfinished.pending)
+            return unfinished.events
         if state.mode in (ACTIVE, RELAX):
-            other = self.designs.controller(self, coming.gains)
+            other = self.designs.controller(self, pending.gains)
             other._command(unchanged, action, ticks)
             step = (state.tendon[s.TORQUE] - unchanged.tendon[s.TORQUE]) / self.model.space.spool
             state.tendon[s.TRIM] += step
             state.set_whole(s.TRIMMED, 1)
-        state.decide(gains=coming.gains, coming=None)
-        return retune.changes(self.model.gains, coming.gains)
+        state.decide(gains=pending.gains, pending=None)
+        return retune.changes(self.model.gains, pending.gains)
 
     # encode
 
@@ -320,7 +322,7 @@ class Controller:
         """Return the SYNC for the sensors, then the command of each drive. The frames of a cut go first."""
         mode = state.mode
         if mode in (SILENT, DONE):
-            return frames_of(modes.farewell(self.drives, state))
+            return frames_of(modes.shutdown_frames(self.drives, state))
         out = np.empty((1 + len(self.wire.templates), WORDS), dtype=np.uint64)
         counter = self.sensors.counter(state.k)
         out[0] = self.sync_row
@@ -330,13 +332,13 @@ class Controller:
         torque = state.tendon[s.TORQUE]
         if self.model.torque_gain is not None:
             torque = torque / self.model.torque_gain
-        target = modes.wanted_of_drives(mode)
+        target = modes.drive_target(mode)
         sent = self._send(state, out, target, torque, t_ns)
         return joined([frames_of(self.cut_frames()), Frames.of_rows(out[:1])]) if mode == CUT else sent
 
     def _send(self, state: State, out: Rows, target: DriveTarget, torque: Vector, t_ns: int) -> Frames:
         """Write commands behind the SYNC in ``out``. Drives in transition go through their state machines."""
-        tables, parts, first, begun_at, count = self.wire, list[Frames](), 0, 0, 1
+        tables, parts, first, pending_row, count = self.wire, list[Frames](), 0, 0, 1
         clearing = state.clearing and state.mode == Mode.INVENTORY
         n = len(self.drives)
         while True:
@@ -347,24 +349,24 @@ class Controller:
                 )  # fmt: skip
             if first >= n:
                 break
-            known, drive = state.drive(first), self.drives[first]
-            if clearing and known.phase == Phase.FAULT:
-                known, frames = drive.clear(known)
+            drive_state, drive = state.drive(first), self.drives[first]
+            if clearing and drive_state.phase == Phase.FAULT:
+                drive_state, frames = drive.clear(drive_state)
             else:
-                known, frames = drive.advance(known, t_ns, target, float(torque[first]))
-            self.keep(state, first, known)
+                drive_state, frames = drive.advance(drive_state, t_ns, target, float(torque[first]))
+            self.keep(state, first, drive_state)
             if frames:
-                parts += [Frames.of_rows(out[begun_at:count]), frames_of(frames)]
-                begun_at = count
+                parts += [Frames.of_rows(out[pending_row:count]), frames_of(frames)]
+                pending_row = count
             first += 1
-        rest = Frames.of_rows(out[begun_at:count])
+        rest = Frames.of_rows(out[pending_row:count])
         return joined([*parts, rest]) if parts else rest
 
 
 _ACTIONS = {int(action): action for action in Action}
 
 
-def _told(finding: Finding) -> Event:
+def _fault_event(finding: Finding) -> Event:
     """Return the event of a finding."""
     fault = finding.fault
     level = "error" if fault.action >= Action.RELAX else "warn"

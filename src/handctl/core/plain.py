@@ -19,6 +19,7 @@ FORMAT = 2
 ARRAY, MODEL, BYTES = ":array", ":model", ":bytes"
 """Type marks of values other than named tuples and dataclasses."""
 NAMES_IN_LOGS = {
+    "controller.pending_gains.PendingGains": "controller.coming.Coming",
     "drives.contract.DriveTarget": "drives.contract.Want",
     "drives.readback.Cursor": "drives.readback.Walk",
     "drives.mit.progress.MitProgress": "drives.mit.progress.Progress",

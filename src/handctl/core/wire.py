@@ -66,11 +66,16 @@ def find(keys: Whole, key: Any) -> int:
 
 @kernel("block", "layout", "count", "count", "count", "count", "count")
 def begin(block: Block, at: Places, k: int, t_ns: int, late_ns: int, missed: int, frames: int) -> None:
-    """Reset the flags of received data, and note number and time of this tick.
+    """Reset the flags of received data, and store number and time of the tick.
 
     Args:
-        block, at: the state. k: number of the tick. t_ns: its time [ns]. late_ns: how late it began [ns].
-        missed: ticks that were skipped before it. frames: received.
+        block: the state.
+        at: ``Layout.places``.
+        k: number of the tick.
+        t_ns: time of the tick [ns].
+        late_ns: delay of the tick's start [ns].
+        missed: ticks missed before the present tick.
+        frames: number of received frames.
     """
     x = tables(block, at)
     x.run_int[s.K] = k

@@ -75,7 +75,7 @@ def judge(
     Args:
         latched: latched faults of the last tick.
         counting: reported faults of the last tick.
-        detected: newly counting faults of the detectors, from ``begun``.
+        detected: newly counting faults of the detectors, from ``newly_counting``.
         demanded: largest action of all counting detected faults.
         reports: of buses, host and recorder in the tick, for ``reported``.
     """
@@ -104,7 +104,7 @@ def _mark(finding: Finding) -> Latched:
     return Latched(finding.fault.id, finding.instance)
 
 
-def begun(limits: Limits, evidence: NDArray[np.float64], ticks: NDArray[np.int64]) -> list[Finding]:
+def newly_counting(limits: Limits, evidence: NDArray[np.float64], ticks: NDArray[np.int64]) -> list[Finding]:
     """Return the newly counting faults, in the order of the fault table.
 
     Args:
@@ -143,7 +143,7 @@ def reported(reports: Iterable[Report]) -> list[tuple[Fault, str, float]]:
 _ORDER = {id_: position for position, id_ in enumerate(BY_ID)}
 
 
-def alone(reports: Iterable[Report], heard: bool) -> list[Report]:
+def filter_error_frames(reports: Iterable[Report], heard: bool) -> list[Report]:
     """Drop error frames from the reports, except the first unacknowledged frame (B18).
 
     Args:
@@ -159,6 +159,6 @@ def alone(reports: Iterable[Report], heard: bool) -> list[Report]:
     return [*kept, error] if error else kept
 
 
-def foreign(signs: Iterable[str]) -> list[Report]:
+def second_controller_reports(signs: Iterable[str]) -> list[Report]:
     """Return a report of a second controller (H13) for each sign."""
     return [(FOREIGN, sign, 1.0) for sign in signs]

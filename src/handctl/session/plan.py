@@ -189,7 +189,7 @@ def _check_log(log: Path | None) -> None:
 
 def fastest(loads: Sequence[BusLoad]) -> float:
     """The highest usual control rate that all buses can carry [Hz]."""
-    return highest_rate((load.tick_s for load in loads), (load.share for load in loads))
+    return highest_rate((load.tick_s for load in loads), (load.timed_fraction for load in loads))
 
 
 def check_design(hand: Hand, gains: Gains, rate_hz: float | None = None) -> None:

@@ -10,7 +10,7 @@ from typing import Protocol
 
 from handctl.compiled import prepare
 from handctl.controller import setup
-from handctl.controller.let_go import let_go
+from handctl.controller.shutdown import shutdown_step
 from handctl.controller.snapshot import snapshot
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
@@ -222,7 +222,7 @@ def _loop(
         record=record,
         show=show,
         keep=keeper(recorder),
-        let_go=partial(let_go, controller),
+        let_go=partial(shutdown_step, controller),
         urgent=realtime_priority if isinstance(clock, RealClock) else nullcontext,
     )
 

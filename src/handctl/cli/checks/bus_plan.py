@@ -66,7 +66,7 @@ def _bus(load: BusLoad, rate: float) -> dict[str, Any]:
         "name": load.name,
         "motors": load.motors,
         "tick_us": load.tick_s * 1e6,
-        "by_time": load.share,
+        "by_time": load.timed_fraction,
         "load": load.at(rate),
         "max_hz": most if math.isfinite(most) else None,
         "frames": [_row(row) for row in load.rows],

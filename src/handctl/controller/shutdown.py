@@ -10,7 +10,7 @@ from handctl.drives.contract import DriveTarget, Phase
 from handctl.drives.frame import Frame
 
 
-class LettingGo(NamedTuple):
+class ShutdownStep(NamedTuple):
     """Result of a shutdown step.
 
     Attributes:
@@ -24,7 +24,7 @@ class LettingGo(NamedTuple):
     enabled: tuple[str, ...]
 
 
-def let_go(controller: Controller, state: State, t_ns: int, heard: Sequence[Frame]) -> LettingGo:
+def shutdown_step(controller: Controller, state: State, t_ns: int, received: Sequence[Frame]) -> ShutdownStep:
     """Take in received frames and command every drive to disable.
 
     SYNC continues, because some drives reply to SYNC.
@@ -33,7 +33,7 @@ def let_go(controller: Controller, state: State, t_ns: int, heard: Sequence[Fram
         controller: with the drives.
         state: from the last complete tick, or from the step before.
         t_ns: time of the step [ns].
-        heard: frames received since the step before.
+        received: frames since the step before.
 
     Returns:
         The next state, the frames to send, and the unconfirmed motors.
@@ -42,13 +42,13 @@ def let_go(controller: Controller, state: State, t_ns: int, heard: Sequence[Fram
     after.set_whole(s.K, state.k + 1)
     frames = [controller.sensors.sync(after.k)]
     for n, drive in enumerate(controller.drives):
-        known = after.drive(n)
-        for frame in heard:
-            known = drive.receive(known, frame)
+        drive_state = after.drive(n)
+        for frame in received:
+            drive_state = drive.receive(drive_state, frame)
         # Repeated in every step until confirmed: a disable frame may be lost.
-        known, told = drive.advance(known, t_ns, DriveTarget.DISABLE, 0.0)
-        controller.keep(after, n, known)
-        frames += told
-        if known.phase == Phase.ENABLED:
+        drive_state, new_frames = drive.advance(drive_state, t_ns, DriveTarget.DISABLE, 0.0)
+        controller.keep(after, n, drive_state)
+        frames += new_frames
+        if drive_state.phase == Phase.ENABLED:
             enabled.append(drive.name)
-    return LettingGo(after, tuple(frames), tuple(enabled))
+    return ShutdownStep(after, tuple(frames), tuple(enabled))

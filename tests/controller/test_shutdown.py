@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from handctl.campaign.stage import started
-from handctl.controller.let_go import let_go
+from handctl.controller.shutdown import shutdown_step
 from handctl.core.types import Mode
 from handctl.drives.frame import Frame
 from handctl.hand.load import load_hand
@@ -21,13 +21,13 @@ def test_a_motor_is_off_when_it_says_so(protocol: str, broken: bool, tmp_path: P
     with started(hand, 500.0, 1) as course:
         assert course.until(lambda out: out.mode == Mode.ACTIVE, 3.0), course.state.failure
         course.peer.step(course.k * PERIOD_NS, list(course.controller.cut_frames()))
-        state, frames, enabled = let_go(course.controller, course.state, course.k * PERIOD_NS, [])
+        state, frames, enabled = shutdown_step(course.controller, course.state, course.k * PERIOD_NS, [])
         assert enabled == tuple(motor.name for motor in hand.motor), "nothing was heard yet"
         if broken:
             course.peer.inject("off node=index_motor")
         for k in range(course.k + 1, course.k + 251):
             heard = [Frame(*answer) for answer in course.peer.step(k * PERIOD_NS, list(frames))]
-            state, frames, enabled = let_go(course.controller, state, (k + 1) * PERIOD_NS, heard)
+            state, frames, enabled = shutdown_step(course.controller, state, (k + 1) * PERIOD_NS, heard)
             if not enabled:
                 break
         assert enabled == (("index_motor",) if broken else ())

@@ -31,24 +31,24 @@ def unsolicited(
     Returns:
         A phrase for each motor replying without a request.
     """
-    twice, surplus = state.view("twice"), state.view("surplus").tolist()
+    duplicates, surplus = state.view("twice"), state.view("surplus").tolist()
     signs = []
     for n, count in enumerate(surplus):
         # 1: replied without a request. More: number of replies to one request.
         if count == 1:
             signs.append(f"{drives[n].name} answering it")
         elif count:
-            twice[n] = _differ(_answers(drives[n], before, n, frames), count - 1)
+            duplicates[n] = _differ(_answers(drives[n], before, n, frames), count - 1)
     for group, count in enumerate(state.view("group_answered").tolist()):
         if count > 1:
-            asked, can_id = before.whole(s.SYNC_ASKED), sensors.ids[group]
+            counter, can_id = before.whole(s.SYNC_ASKED), sensors.ids[group]
             # The low four bits of the first payload byte echo the counter of the SYNC.
             fresh = [
                 frame.data
                 for frame in frames
-                if (frame.bus, frame.can_id) == (sensors.bus, can_id) and frame.data and frame.data[0] & 0xF == asked
+                if (frame.bus, frame.can_id) == (sensors.bus, can_id) and frame.data and frame.data[0] & 0xF == counter
             ]
-            twice[-1] = max(twice[-1], _differ(fresh, 1))
+            duplicates[-1] = max(duplicates[-1], _differ(fresh, 1))
     return tuple(signs)
 
 
@@ -59,9 +59,9 @@ def _differ(payloads: list[bytes], due: int) -> int:
 
 def _answers(drive: Drive, before: State, n: int, frames: Sequence[Frame]) -> list[bytes]:
     """Return the payloads counted as replies by a drive's state machine, in order."""
-    known, taken = before.drive(n), []
+    drive_state, payloads = before.drive(n), []
     for frame in frames:
-        after = drive.receive(known, frame)
-        taken += [frame.data] if after.feedback_count > known.feedback_count else []
-        known = after
-    return taken
+        after = drive.receive(drive_state, frame)
+        payloads += [frame.data] if after.feedback_count > drive_state.feedback_count else []
+        drive_state = after
+    return payloads

@@ -6,7 +6,7 @@ from handctl.core.gains.gains import Gains
 
 
 @dataclass(frozen=True, slots=True)
-class Coming:
+class PendingGains:
     """Requested gains.
 
     Attributes:

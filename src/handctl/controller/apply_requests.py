@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from handctl.controller import retune
-from handctl.controller.modes import Wishes
+from handctl.controller.modes import OperatorRequests
 from handctl.controller.state import State
 from handctl.core.model import HandModel
 from handctl.core.types import LETTING_GO, Event, Mode
@@ -28,9 +28,9 @@ from handctl.safety.faults.table import BY_ID, DEBOUNCE
 BEFORE_READY = (Mode.SILENT, Mode.INVENTORY)
 """Modes in which a request to clear also clears the drives."""
 
-def answer(
+def apply_requests(
     model: HandModel, program: Program, state: State, requests: tuple[str, ...]
-) -> tuple[Wishes, tuple[Event, ...]]:
+) -> tuple[OperatorRequests, tuple[Event, ...]]:
     """Apply the requests of one tick, in order. Other text becomes a warning event.
 
     Args:
@@ -42,7 +42,7 @@ def answer(
     Returns:
         Stop and cut requests, and events for each request.
     """
-    wishes, events = Wishes(), list[Event]()
+    operator, events = OperatorRequests(), list[Event]()
     for text in requests:
         request = parse_request(text)
         if isinstance(request, str):
@@ -50,9 +50,9 @@ def answer(
             continue
         events.append(Event("info", "request", "", describe_request(request)))
         if isinstance(request, Stop):
-            wishes = replace(wishes, stop=True)
+            operator = replace(operator, stop=True)
         elif isinstance(request, Cut):
-            wishes = replace(wishes, cut=True)
+            operator = replace(operator, cut=True)
         elif isinstance(request, Arm):
             state.armed = True
         elif isinstance(request, Clear):
@@ -61,13 +61,13 @@ def answer(
         elif isinstance(request, SetGains) and isinstance(program, CommissionProgram):
             events.append(Event("warn", "request", "", "refused: the hand is being commissioned"))
         elif isinstance(request, SetGains):
-            coming = state.decisions.coming
-            designed, refused = retune.asked(coming.gains if coming else model.gains, request.set)
-            state.decide(coming=designed or coming)
+            pending = state.decisions.pending
+            designed, refused = retune.begin_design(pending.gains if pending else model.gains, request.set)
+            state.decide(pending=designed or pending)
             events += refused
         elif isinstance(request, MoveDigits | HoldTension):
             events += _set_goal(model, program, state, request)
-    return wishes, tuple(events)
+    return operator, tuple(events)
 
 
 def _set_goal(model: HandModel, program: Program, state: State, request: MoveDigits | HoldTension) -> tuple[Event, ...]:
@@ -78,9 +78,9 @@ def _set_goal(model: HandModel, program: Program, state: State, request: MoveDig
         return (Event("warn", "request", "", "refused: this run has goals of its own"),)
     if state.mode != Mode.ACTIVE:
         return (Event("warn", "request", "", "refused: the hand is not ready yet"),)
-    progress, told = apply_goal(model, state.progress, request, state.estimate, state.goal_time)
+    progress, events = apply_goal(model, state.progress, request, state.estimate, state.goal_time)
     state.decide(progress=progress)
-    return told
+    return events
 
 
 def clear(state: State) -> None:
