@@ -18,7 +18,9 @@ from stack import RATES, Stack
 from handctl.campaign.stage import hand_in
 
 PROTOCOLS = ("mit", "odrive", "cia402")
-SECONDS, QUICK_SECONDS, PASSES = 3.0, 1.2, 4
+SECONDS = 3.0
+QUICK_SECONDS = 1.2
+PASSES = 4
 CLOCK_READS = 10_000
 
 
@@ -28,7 +30,8 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="shorter runs")
     parser.add_argument("--json", action="store_true", help="numbers for programs")
     args = parser.parse_args()
-    seconds, rows = QUICK_SECONDS if args.quick else SECONDS, []
+    seconds = QUICK_SECONDS if args.quick else SECONDS
+    rows = []
     for hand in RATES:
         for protocol in PROTOCOLS:
             for scene in SCENES:
@@ -51,7 +54,8 @@ def measure(hand: str, protocol: str, scene: str, seconds: float) -> dict:
         rollout = written_down(stack(), seconds)
         bare = shortest(repeated(stack(), rollout) for _ in range(PASSES))
         peer = shortest(stack().behind_the_wire(seconds) for _ in range(PASSES))
-    ticks, steps = round(seconds * RATES[hand]), len(rollout.torque)
+    ticks = round(seconds * RATES[hand])
+    steps = len(rollout.torque)
     bare_us = (bare - steps * clock_s()) / ticks * 1e6
     exchange_us = (peer - ticks * clock_s()) / ticks * 1e6
     return {

@@ -174,7 +174,8 @@ def timed(way, peer, motors: int, ticks: int) -> dict:
     spans(time.perf_counter_ns, max(20, ticks // 10))
     gc.collect()
     gc.disable()
-    wall, used = spans(time.perf_counter_ns, ticks), spans(time.thread_time_ns, ticks)
+    wall = spans(time.perf_counter_ns, ticks)
+    used = spans(time.thread_time_ns, ticks)
     gc.enable()
     way.close()
     return {"wall_us": statistics.median(wall) / 1e3, "cpu_us": statistics.fmean(used) / 1e3}

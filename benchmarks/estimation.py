@@ -113,9 +113,13 @@ def _summed(values: np.ndarray, mask: np.ndarray) -> list[float]:
 
 def _squares(record: TrialRecord, regime: str) -> dict[str, np.ndarray]:
     """Return squared errors of each estimator and variance of the reference (ticks, N) [N^2], NIS, innovations."""
-    numbers, period_ns = record.numbers, int(record.t_ns[1] - record.t_ns[0])
-    real, before, raw = record.tension(), record.tension(period_ns), numbers["tension_raw"]
-    period, model = period_ns * 1e-9, record.controller.model
+    numbers = record.numbers
+    period_ns = int(record.t_ns[1] - record.t_ns[0])
+    real = record.tension()
+    before = record.tension(period_ns)
+    raw = numbers["tension_raw"]
+    period = period_ns * 1e-9
+    model = record.controller.model
     result = {"filtered": record.filtered - before, "raw": raw - before}
     result |= {"estimate": numbers["tension"] - real, "raw now": raw - real}
     result |= {f"average {w:g}": averaged(raw, float(w)) - real for w in WEIGHTS}

@@ -46,7 +46,8 @@ def main() -> None:
 
 def measure(args: argparse.Namespace, plan: Plan) -> dict[str, Any]:
     """Measure all requested parts."""
-    parts, seeds = args.parts.split(","), range(args.seeds)
+    parts = args.parts.split(",")
+    seeds = range(args.seeds)
     hands = HANDS[:1] if args.quick else HANDS
     which = QUICK if args.quick else range(len(CASES)) if args.full else USUAL
     which = [i for i in which if CASES[i].grasp in args.grasps.split(",")]

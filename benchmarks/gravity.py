@@ -100,8 +100,10 @@ def _description(result: dict) -> str:
 
 
 def _gain(without: dict, known: dict) -> str:
-    before, after = without["rmse_deg"], known["rmse_deg"]
-    change, spread = before["mean"] - after["mean"], math.hypot(before["spread"], after["spread"])
+    before = without["rmse_deg"]
+    after = known["rmse_deg"]
+    change = before["mean"] - after["mean"]
+    spread = math.hypot(before["spread"], after["spread"])
     return f"{change:+.3f} ± {spread:.3f} deg" + ("" if abs(change) > spread else " (nothing beyond the spread)")
 
 

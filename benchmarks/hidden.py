@@ -25,8 +25,12 @@ from handctl.session.simulate import Simulation
 WATCHED_S, STOPPED_S = 2.0, 1.5
 """Time from the fault until the operator stops the run, and from there to the end [s]."""
 STOP = '{"do": "stop"}'
-HOLD_N, FAST_N_S = 90.0, 60.0
-FREE, LOW, RISING, HIGH = "free", "hold 24", "rising", "hold 90"
+HOLD_N = 90.0
+FAST_N_S = 60.0
+FREE = "free"
+LOW = "hold 24"
+RISING = "rising"
+HIGH = "hold 90"
 STAGES = (FREE, LOW, RISING, HIGH)
 GRASPED = (LOW, HIGH)
 FAULTS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
@@ -75,7 +79,11 @@ def reached(stage: str, out: Any, first: int) -> bool:
 def strike(simulation: Simulation, text: str) -> dict[str, Any]:
     """Inject a fault and run to the end. Return the detected rows, the delay [ms] and the largest true tension [N]."""
     simulation.peer.inject(text)
-    start, detected, reacted, tension, stopped = simulation.k, [], -1.0, 0.0, 0.0
+    start = simulation.k
+    detected = []
+    reacted = -1.0
+    tension = 0.0
+    stopped = 0.0
     watched, end = (round(s * 1e9 / simulation.period_ns) for s in (WATCHED_S, WATCHED_S + STOPPED_S))
     for i in range(end):
         stops = i == watched and reacted < 0
@@ -86,7 +94,8 @@ def strike(simulation: Simulation, text: str) -> dict[str, Any]:
         if reacted < 0 and i < watched and (out.action >= Action.RELAX or out.mode in (Mode.RELAX, Mode.CUT)):
             reacted = (simulation.k * simulation.period_ns - effect_ns) * 1e-6
         largest = max(simulation.peer.truth()["tension"])
-        tension, stopped = max(tension, largest), max(stopped, largest) if i >= watched else stopped
+        tension = max(tension, largest)
+        stopped = max(stopped, largest) if i >= watched else stopped
         if out.mode == Mode.DONE:
             break
     return {"found": list(dict.fromkeys(detected)), "ms": reacted, "tension": tension, "stopped": stopped,
@@ -97,7 +106,8 @@ def rows(hand_name: str, protocol: str, seed: int, only: str) -> Iterator[dict[s
     """Yield a row for every fault in every stage of one run, each in a copy of this process."""
     hand = hand_in(hand_name, protocol)
     rate = fastest(bus_loads(hand))
-    motor, tendon = hand.motor[0], hand.tendon[0]
+    motor = hand.motor[0]
+    tendon = hand.tendon[0]
     words = {"motor": motor.name, "tendon": tendon.name, "peak": f"{motor.torque_peak_N_m / motor.torque_max_N_m:.6g}"}
     with started(hand, rate, seed, task=task()) as simulation:
         for stage in STAGES:

@@ -33,7 +33,8 @@ from handctl.tune.identify.identify import TendonResult, identify
 
 Row = dict[str, Any]
 
-OFF, DETUNED = 0.3, 3.0
+OFF = 0.3
+DETUNED = 3.0
 DRAWN = ("stiffness", "damping", "friction", "mass", "spring", "motor_inertia", "torque_constant")
 WITHIN = {
     "rope_stiffness": 0.05, "spring_stiffness": 0.05, "motor_inertia": 0.05,
@@ -52,7 +53,8 @@ def plant(seed: int) -> dict[str, float]:
 
 def detuned(seed: int) -> Gains:
     """Draw gains that are wrong by up to a factor of 3."""
-    chance, packaged = random.Random(f"gains {seed}"), Gains()
+    chance = random.Random(f"gains {seed}")
+    packaged = Gains()
     values = {}
     for key in DETUNABLE:
         section, _, name = key.partition(".")
@@ -108,7 +110,8 @@ def excited(
 
 def one(seed: int, digit: str, folder: Path, hand_name: str = "jamia") -> Row:
     """Excite and fit one digit of one hand. Return error and coverage of every parameter, or why it failed."""
-    hand, factors = load_hand(hand_name), plant(seed)
+    hand = load_hand(hand_name)
+    factors = plant(seed)
     result, row = excited(hand_name, digit, seed, factors, detuned(seed), folder)
     if not result:
         return row
@@ -125,7 +128,8 @@ def one(seed: int, digit: str, folder: Path, hand_name: str = "jamia") -> Row:
 
 def judged(name: str, tendon: str, real: float, found: TendonResult) -> Row:
     """Compare one parameter with the truth. Widths and error are fractions of the true value."""
-    known, error = name in found.judged.names, found.fit.values[name] / real - 1.0
+    known = name in found.judged.names
+    error = found.fit.values[name] / real - 1.0
     width = found.fit.half_widths[name] / real
     together = found.fit.half_widths_of(max(1, len(found.judged.names)))[name] / real
     return {
@@ -168,7 +172,8 @@ def summary(rows: list[Row]) -> Row:
 def gathered(args: argparse.Namespace) -> list[Row]:
     """Return the rows of all requested seeds. Rows in the file are not computed again."""
     rows = [json.loads(line) for line in args.into.read_text().splitlines()] if args.into and args.into.exists() else []
-    done, digits = {row["seed"] for row in rows}, load_hand(args.hand).digit_names
+    done = {row["seed"] for row in rows}
+    digits = load_hand(args.hand).digit_names
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(args.first, args.first + (1 if args.quick else args.seeds)):
             if seed in done:

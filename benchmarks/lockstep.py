@@ -16,7 +16,9 @@ import numpy as np
 from stack import RATES, Free, Grasp, Stack
 from who import spent
 
-SECONDS, QUICK_SECONDS, PASSES = 4.0, 1.2, 4
+SECONDS = 4.0
+QUICK_SECONDS = 1.2
+PASSES = 4
 
 
 class Rollout(NamedTuple):
@@ -80,8 +82,11 @@ def shortest(runs: Iterable[list[float]]) -> float:
 
 def written_down(stack: Stack, seconds: float) -> Rollout:
     """Run the stack and record the forces on the bodies."""
-    engine, plant = stack.engine, stack.peer.world.plant
-    advance, rows, contacts = plant.advance, [], []
+    engine = stack.engine
+    plant = stack.peer.world.plant
+    advance = plant.advance
+    rows = []
+    contacts = []
 
     def step_by_step(count: int) -> None:
         for _ in range(count):
@@ -103,8 +108,12 @@ def repeated(stack: Stack, rollout: Rollout) -> list[float]:
         RuntimeError: it is not the same motion.
     """
     engine = stack.engine
-    step, applied, damping, table = engine.step, engine.applied, engine.rope_damping, engine._data.mocap_pos
-    took, now = [], time.process_time
+    step = engine.step
+    applied = engine.applied
+    damping = engine.rope_damping
+    table = engine._data.mocap_pos
+    took = []
+    now = time.process_time
     for torque, slope, place in zip(rollout.torque, rollout.damping, rollout.table, strict=True):
         before = now()
         applied[:] = torque

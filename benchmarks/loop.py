@@ -74,7 +74,8 @@ def free_and_highest_rate(which: str, hand: str, bus: str, seconds: float, quick
 
 def ratio(rates: dict, name: str) -> float | None:
     """Return the ratio of handctl to the usual loop. None if a loop held none of the rates."""
-    ours, usual = rates["ours"][name], rates["usual"][name]
+    ours = rates["ours"][name]
+    usual = rates["usual"][name]
     return ours / usual if ours and usual else None
 
 
@@ -122,7 +123,8 @@ def bare_spin(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]:
     clock = RealClock(round(1e9 / rate_hz))
     clock.spin = take_priority().realtime
     clock.start()
-    late, k = [], 1
+    late = []
+    k = 1
     while k < seconds * rate_hz:
         late.append(clock.wait(k))
         k += 1 + late[-1] // round(1e9 / rate_hz)
@@ -146,7 +148,8 @@ def bare_sleep(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]
     from handctl.runtime.clock import take_priority
 
     take_priority()
-    start, late = time.monotonic_ns(), []
+    start = time.monotonic_ns()
+    late = []
     for k in range(1, int(seconds * rate_hz)):
         deadline = start + int(k * 1e9 / rate_hz)
         time.sleep(max(0, deadline - time.monotonic_ns()) / 1e9)
@@ -187,7 +190,9 @@ def show(result: dict) -> None:
     print("rate [Hz]                 handctl   usual   ratio")
     for motors, rates in result["motors"].items():
         for kind in ("free_hz", "held_hz"):
-            ours, other, by = rates["ours"][kind], rates["usual"][kind], ratio(rates, kind)
+            ours = rates["ours"][kind]
+            other = rates["usual"][kind]
+            by = ratio(rates, kind)
             print(f"  {motors:>2} motors, {kind[:4]:<12}{ours or 0:10.0f}{other or 0:8.0f}{by or 0:8.2f}")
 
 

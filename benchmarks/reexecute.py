@@ -39,7 +39,8 @@ def measure(path: Path, passes: int) -> dict:
         gc.disable()  # as while a log is executed, and in the loop
         runs = [once(log, controller) for _ in range(passes)]
         gc.enable()
-        ticks, period_us = len(log), log.header.period_ns / 1e3
+        ticks = len(log)
+        period_us = log.header.period_ns / 1e3
         tick = sum(map(min, zip(*(one["tick"] for one in runs), strict=True)))
         shortest = {name: min(one[name] for one in runs) for name in ("read", "compare")} | {"tick": tick}
         return {
@@ -59,7 +60,9 @@ def once(log: RunLog, controller: Controller) -> dict:
         pass  # as in re-execution, nothing is kept
     read = cpu() - began
     logged = list(zip(log.ticks(), log.packed(), strict=True))
-    state, outs, took = controller.initial(), [], []
+    state = controller.initial()
+    outs = []
+    took = []
     for one, _ in logged:
         before = cpu()
         state, out = controller.tick(state, one.tick_in)

@@ -25,7 +25,8 @@ Case = tuple[str, str, int]
 
 def demo(hand: str, protocol: str, seed: int) -> dict[str, Any]:
     """Run one demo and return its figures, with the reason if it has not passed."""
-    out, err = io.StringIO(), io.StringIO()
+    out = io.StringIO()
+    err = io.StringIO()
     with tempfile.TemporaryDirectory(prefix="handctl-seeds-") as folder:
         words = ["--hand", hand, "--protocol", protocol, "--seed", str(seed), "--log", f"{folder}/run.mcap", "--json"]
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):

@@ -64,12 +64,15 @@ class Stack:
         controller = make_controller(load_hand(hand), Gains(), rate_hz, program, None, arm_at_once=True)
         self._open = ExitStack()
         self.simulation = self._open.enter_context(Simulator(hand, scene.scene, homed=True).against(controller))
-        self.simulation.keep, self.peer = False, self.simulation.peer
+        self.simulation.keep = False
+        self.peer = self.simulation.peer
         self.engine = self.peer.world.plant.engine
 
     def run(self, seconds: float) -> list[float]:
         """Run for a simulated time [s]. Return the CPU time of each tick [s]."""
-        tick, took, now = self.simulation.tick, [], time.process_time
+        tick = self.simulation.tick
+        took = []
+        now = time.process_time
         for _ in range(round(seconds * 1e9) // self.simulation.period_ns):
             before = now()
             tick()
@@ -78,7 +81,9 @@ class Stack:
 
     def behind_the_wire(self, seconds: float) -> list[float]:
         """Run for a simulated time [s]. Return the CPU time of the simulator in each tick, including the plant [s]."""
-        clock, took, now = self.simulation._clock, [], time.process_time
+        clock = self.simulation._clock
+        took = []
+        now = time.process_time
         exchange = clock._exchange
 
         def timed(t_ns: int, records: np.ndarray) -> np.ndarray:

@@ -80,7 +80,8 @@ def compare(
 ) -> dict[str, Any]:
     """Run the searches and judge their gains on the real plant. Studies are stored in a folder if one is given."""
     hand, twin, spread = subject(hand_name, fit)
-    packaged, detuned = Gains(), detuned_gains()
+    packaged = Gains()
+    detuned = detuned_gains()
     rate = fastest(bus_loads(hand))
     crew = workers(count, None)
     try:

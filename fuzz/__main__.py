@@ -34,7 +34,8 @@ def arguments() -> argparse.Namespace:
 
 def fuzzed(name: str, seconds: int, runs: int, blind: bool = False) -> tuple[str, bool]:
     """Fuzz a target. Return a line about it, and False if it failed."""
-    corpus, crashes = PLACE / "corpus" / name, PLACE / "found" / name
+    corpus = PLACE / "corpus" / name
+    crashes = PLACE / "found" / name
     corpus.mkdir(parents=True, exist_ok=True)
     crashes.mkdir(parents=True, exist_ok=True)
     limits = [f"-max_total_time={seconds}", f"-runs={runs}", f"-max_len={LONGEST[name]}"]
@@ -45,10 +46,12 @@ def fuzzed(name: str, seconds: int, runs: int, blind: bool = False) -> tuple[str
         command.append(str(LONGEST[name]))
     done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
     (PLACE / f"{name}.txt").write_text(done.stdout + done.stderr)
-    count, covered = DONE.search(done.stderr), COVERED.findall(done.stderr)
+    count = DONE.search(done.stderr)
+    covered = COVERED.findall(done.stderr)
     if done.returncode or not count:
         return f"{name:13} FAILED  see {PLACE / name}.txt and {crashes}/", False
-    number, took = int(count[1]), max(1, int(count[2]))
+    number = int(count[1])
+    took = max(1, int(count[2]))
     if blind and not int(count[3]):
         return f"{name:13} FAILED  of {number:,} inputs none was taken: nothing was tried but the first refusal", False
     edges = f"edges {covered[-1][0]:>6}" if covered else "no edges"

@@ -19,7 +19,8 @@ AT_ONCE = 256
 
 def changed(chance: random.Random, corpus: list[bytes], longest: int) -> Iterator[bytes]:
     """Yield inputs: one of the corpus with bytes changed, removed, inserted, or with the end of another one."""
-    pick, bits = chance.choice, chance.getrandbits
+    pick = chance.choice
+    bits = chance.getrandbits
     while True:
         kind = bits(4)
         if kind == 0:
@@ -51,7 +52,9 @@ def fuzz(
         the number of inputs, and the number of accepted inputs.
     """
     start = reported = time.monotonic()
-    number, taken, data = 0, 0, b""
+    number = 0
+    taken = 0
+    data = b""
     try:
         while runs < 0 or number < runs:
             for data, _ in zip(inputs, range(AT_ONCE), strict=False):

@@ -103,7 +103,8 @@ def _document(path: Path, contents: list[Content], use: Callable[[Content], obje
 
 def task(folder: Path) -> Target:
     """Return the target for a task, checked against a hand."""
-    jamia, contents = load_hand("jamia"), [tomllib.loads(path.read_text()) for path in sorted(TASKS.glob("*.toml"))]
+    jamia = load_hand("jamia")
+    contents = [tomllib.loads(path.read_text()) for path in sorted(TASKS.glob("*.toml"))]
     return _document(
         folder / "task.toml",
         list(contents),

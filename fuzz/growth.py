@@ -59,7 +59,8 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder, simulator.clock(plan.period_ns) as clock:
         task = Path(folder) / "long.toml"
         task.write_text(TASK)
-        program, looks = TaskProgram(load_task(task)), Looks(args.hours * 3600)
+        program = TaskProgram(load_task(task))
+        looks = Looks(args.hours * 3600)
         controller = make_controller(hand, plan.gains, 500.0, program, None, arm_at_once=True)
         outcome = run_lockstep(plan, controller, Path(folder) / "long.mcap", clock, looks)
     grows = slope(looks.samples, WARM_S)

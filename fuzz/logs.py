@@ -60,10 +60,12 @@ def _read(path: Path) -> bool:
 def log(folder: Path) -> Target:
     """Return the target for records of a log: mostly valid length, changed content, inside and outside of chunks."""
     parts = _parts(small(folder))
-    joined, path = [_joined(i, part) for i, part in enumerate(parts)], folder / "log.mcap"
+    joined = [_joined(i, part) for i, part in enumerate(parts)]
+    path = folder / "log.mcap"
 
     def target(data: bytes) -> bool:
-        source, changed = Source(data), dict[int, list[bytes]]()
+        source = Source(data)
+        changed = dict[int, list[bytes]]()
         for _ in range(EDITS):
             if source.empty:
                 break
@@ -79,9 +81,11 @@ def log(folder: Path) -> Target:
 
 def _parts(path: Path) -> list[list[bytes]]:
     """Split a complete log into its records without checksums: before the chunks, in each chunk, and behind them."""
-    file, result = LogFile(path), Scan()
+    file = LogFile(path)
+    result = Scan()
     scan(file, result)
-    raw, contents = path.read_bytes(), [bytes(file.content(place)) for place in result.chunks]
+    raw = path.read_bytes()
+    contents = [bytes(file.content(place)) for place in result.chunks]
     file.close()
     schemas = {number: schema for number, schema, topic, _, _ in definitions(contents[0]).channels if topic in TOPICS}
     chunks = [[record for record in _records(content) if _matters(record, schemas)] for content in contents]
@@ -123,7 +127,8 @@ def _joined(i: int, records: list[bytes]) -> bytes:
 
 def _edited(record: bytes, source: Source) -> bytes:
     """Return a record with changed content. One in eight has a wrong length."""
-    body, kind = bytearray(record[9:]), source.number(8)
+    body = bytearray(record[9:])
+    kind = source.number(8)
     if kind == 0:
         body = bytearray(record)
     at = source.number(1 << 16) % max(1, len(body) if source.number(2) else min(len(body), NEAR))
@@ -140,7 +145,8 @@ def _chunk(content: bytes) -> bytes:
 
 def log_bytes(folder: Path) -> Target:
     """Return the target for any bytes as a log, given to reader and recovery."""
-    path, out = folder / "bytes.mcap", folder / "out.mcap"
+    path = folder / "bytes.mcap"
+    out = folder / "out.mcap"
 
     def target(data: bytes) -> bool:
         path.write_bytes(data)

@@ -25,7 +25,8 @@ def main() -> None:
     folder = Path(tempfile.mkdtemp(prefix="fuzz-", dir=shared if shared.is_dir() else None))
     for i, seed in enumerate(seeds(name, folder)):
         (Path(corpus) / f"seed-{i}").write_bytes(seed)
-    target, verdicts = TARGETS[name](folder), Counter[bool]()
+    target = TARGETS[name](folder)
+    verdicts = Counter[bool]()
 
     def counted(data: bytes) -> None:
         verdicts[target(data)] += 1

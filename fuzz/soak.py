@@ -109,7 +109,8 @@ class Soak:
         self.controller = start_handctl("run", *words, *log)
         self.lives["controller"].append([])
         self.counts["controllers"] += 1
-        watcher, until = Watcher(BUS), time.monotonic() + 60.0
+        watcher = Watcher(BUS)
+        until = time.monotonic() + 60.0
         while time.monotonic() < until and self.controller.poll() is None:
             line = watcher.fresh_line(0.2)
             if line is not None and line["phase"] == "stay":
@@ -125,7 +126,8 @@ class Soak:
         if self.controller.poll() is None:
             self.controller.send_signal(signal.SIGTERM)
         out, err = self.controller.communicate(timeout=600.0)  # it judges its whole log
-        code, path = self.controller.returncode, Path(f"{self.number}.mcap")
+        code = self.controller.returncode
+        path = Path(f"{self.number}.mcap")
         self.controller = None
         self.counts[f"exit {code}"] += 1
         if code not in ENDS or "Traceback" in err:
@@ -206,7 +208,8 @@ def main() -> int:
         os.environ["HANDCTL_RUN_DIR"] = folder
         os.chdir(folder)
         Path("long.toml").write_text(TASK)
-        soak, start = Soak(args.seed, args.time_scale), time.monotonic()
+        soak = Soak(args.seed, args.time_scale)
+        start = time.monotonic()
         try:
             soak.start_simulator()
             while (passed := time.monotonic() - start) < args.hours * 3600:

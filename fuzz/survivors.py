@@ -13,7 +13,8 @@ SURVIVED, UNTESTED, NOT_RUN = (0,), (5, 33), (None, 2, 34)
 def main() -> int:
     """Print the table. Returns 1 if a survivor has no reason, or if no mutant was judged."""
     reasons = REASONS.read_text() if REASONS.exists() else ""
-    open_ones, all_judged = list[str](), 0
+    open_ones = list[str]()
+    all_judged = 0
     for path in sorted(Path("mutants/src").rglob("*.meta")):
         codes: dict[str, int | None] = json.loads(path.read_text())["exit_code_by_key"]
         count = Counter(codes.values())

@@ -32,7 +32,8 @@ LONGEST = 64
 
 def frames(data: bytes, ours: Sequence[int], t_ns: int) -> Iterator[tuple[Frame, int]]:
     """Yield frames, mostly on an identifier of the node, each with its third byte."""
-    at, end = 1, len(data)
+    at = 1
+    end = len(data)
     for _ in range(MAX_FRAMES):
         if at + 3 > end:
             return
@@ -60,7 +61,8 @@ def path_to_torque(name: str, folder: Path) -> tuple[Drive, list[Seen]]:
     lines = path.read_text().splitlines(keepends=True)
     path.write_text("".join(line for line in lines if not line.startswith(fuzzed.without)))
     bench = Bench(path)
-    motor, seen = bench.drives[0], list[Seen]()
+    motor = bench.drives[0]
+    seen = list[Seen]()
     while bench.states[0].phase != Phase.ENABLED:
         received = tuple(frame for frame in bench.incoming if frame.can_id in motor.node_ids)
         if received or not seen:
@@ -75,7 +77,8 @@ def path_to_torque(name: str, folder: Path) -> tuple[Drive, list[Seen]]:
 def answers(name: str, folder: Path) -> list[bytes]:
     """Return the frames that a drive really received on its way to torque, as inputs."""
     motor, seen = path_to_torque(name, folder)
-    ours, inputs = sorted(motor.node_ids), []
+    ours = sorted(motor.node_ids)
+    inputs = []
     for i, (_, _, received) in enumerate(seen):
         parts = [bytes((ours.index(one.can_id), *_shape(one.data))) + one.data for one in received[:MAX_FRAMES]]
         inputs.append(bytes((i,)) + b"".join(parts))
@@ -100,7 +103,8 @@ def drive(name: str) -> Callable[[Path], Target]:
 
 def _walked(motor: Drive, begin: Seen, ours: Sequence[int], data: bytes) -> bool:
     """Feed frames to a drive and request a phase after each. Returns True if a frame changed the state."""
-    state, taken = begin.state, False
+    state = begin.state
+    taken = False
     for frame, more in frames(data, ours, begin.t_ns):
         after = motor.receive(state, frame)
         taken = taken or after is not state
@@ -124,7 +128,8 @@ def sensors(folder: Path) -> Target:
     """Return the target for the sensor node, with increasing tick numbers."""
     bench = Bench(hand_file(folder, ["mit"]))
     bench.rig.close()
-    wired, ours = Wired((), bench.node), sorted(bench.node.node_ids)
+    wired = Wired((), bench.node)
+    ours = sorted(bench.node.node_ids)
     return lambda data: _sensed(wired, wired.block.copy(), ours, data)
 
 

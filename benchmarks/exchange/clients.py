@@ -51,7 +51,8 @@ class Odrive:
 
         if motors > self.AXES:
             raise ValueError(f"its DBC knows {self.AXES} axes")
-        self.bus, self.read = can.Bus(channel, interface=interface, ignore_config=True), odrive.CanMsg
+        self.bus = can.Bus(channel, interface=interface, ignore_config=True)
+        self.read = odrive.CanMsg
         self.drives = [odrive.ODriveCAN(axis_id=i, can_bus=self.bus) for i in range(motors)]
 
     @staticmethod
@@ -89,9 +90,11 @@ class TMotor:
         with contextlib.redirect_stdout(io.StringIO()):
             make = mit_can.TMotorManager_mit_can
             self.motors = [make(motor_type="AK80-9", motor_ID=i) for i in range(1, motors + 1)]
-        self.bus, self.heard = manager.bus, heard
+        self.bus = manager.bus
+        self.heard = heard
         for motor in self.motors:
-            motor._entered, motor._last_command_time = True, 0.0
+            motor._entered = True
+            motor._last_command_time = 0.0
             motor.set_current_gains()
 
     @staticmethod

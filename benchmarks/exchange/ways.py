@@ -6,7 +6,9 @@ Clients from the package index are in ``clients``.
 from functools import cache
 from pathlib import Path
 
-LIMIT, POSITION, VELOCITY = 0.8, 12.5, 50.0
+LIMIT = 0.8
+POSITION = 12.5
+VELOCITY = 50.0
 REPLY = bytes((0x80, 0x10, 0x7F, 0xF8, 0x20, 30, 31))
 DBC = """VERSION ""
 NS_ :
@@ -71,19 +73,24 @@ class Ours:
         from handctl.runtime.buses.open import open_bus
 
         self.controller, state = enabled(motors)
-        self.state, self.want, self.begin, self.np = state.copy(), DriveTarget.ENABLE, wire.begin, np
+        self.state = state.copy()
+        self.want = DriveTarget.ENABLE
+        self.begin = wire.begin
+        self.np = np
         self.shape = 1 + motors, WORDS
         self.bus = open_bus(f"{interface}:{channel}", 0, 1_000_000)
         self.t_ns = self.state.k * round(1e9 / RATE_HZ)
 
     def send(self, torques):
-        np, state = self.np, self.state
+        np = self.np
+        state = self.state
         out = np.zeros(self.shape, dtype=np.uint64)
         frames = self.controller._send(state, out, self.want, np.array(torques), self.t_ns)
         self.bus.send(frames[1:])  # without SYNC
 
     def receive(self):
-        frames, state = self.bus.drain(), self.state
+        frames = self.bus.drain()
+        state = self.state
         self.begin(state.block, self.controller.layout.places, state.k, self.t_ns, 0, 0, len(frames))
         self.controller._receive(state, frames)
         return frames
@@ -100,7 +107,8 @@ class Scalar:
     def __init__(self, interface, channel, motors):
         import can
 
-        self.can, self.ids = can, range(1, motors + 1)
+        self.can = can
+        self.ids = range(1, motors + 1)
         self.bus = can.Bus(channel, interface=interface, ignore_config=True)
 
     def encode(self, torque):

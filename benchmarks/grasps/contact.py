@@ -10,7 +10,8 @@ from grasps.trial import Run, hand_model, simulate
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
 
-CONTACT_N, WITHIN_S = 1.0, 0.020
+CONTACT_N = 1.0
+WITHIN_S = 0.020
 SPEED_DEG_S = (20.0, 100.0)
 """Of closing; that of the packaged tasks is 40 to 50."""
 TOUCHED_N = 0.01

@@ -7,8 +7,11 @@ Sizes follow from the hand: 42 mm fit between straight fingers and thumb, and a 
 import random
 from dataclasses import dataclass
 
-TURN_S, LAST_S = 0.5, 5.0
-PUSH_N, PUSH_AT_S, PUSH_S = 1.0, 2.0, 1.0
+TURN_S = 0.5
+LAST_S = 5.0
+PUSH_N = 1.0
+PUSH_AT_S = 2.0
+PUSH_S = 1.0
 MAX_MOTION_M = 2e-3
 """An object that has moved further within a stage is lost."""
 DOWN = {

@@ -9,7 +9,8 @@ from grasps import payload, slip
 from grasps.objects import MAX_MOTION_M
 
 DOCS = Path(__file__).parents[2] / "docs"
-PAGE, PICTURE = DOCS / "control-grasps.md", DOCS / "figures" / "grasps.png"
+PAGE = DOCS / "control-grasps.md"
+PICTURE = DOCS / "figures" / "grasps.png"
 MARKS = "<!-- {}: written by benchmarks/grasp.py -->", "<!-- end of {} -->"
 
 
@@ -144,7 +145,8 @@ def write(result: dict[str, Any]) -> None:
     page = PAGE.read_text("utf-8")
     for key, table in PARTS.items():
         if result.get(key):
-            start, end = MARKS[0].format(key), MARKS[1].format(key)
+            start = MARKS[0].format(key)
+            end = MARKS[1].format(key)
             before, _, rest = page.partition(start)
             _, _, after = rest.partition(end)
             page = f"{before}{start}\n{table(result[key])}\n{end}{after}"

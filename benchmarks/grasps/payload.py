@@ -18,7 +18,9 @@ ALONG = {
     "out of the palm": (1.0, 0.0, 0.0),
     "towards the thumb": (0.0, -1.0, 0.0),
 }
-START_S, RATE_N_PER_S, SLIDES_M_S = 6.0, 2.0, 1e-3
+START_S = 6.0
+RATE_N_PER_S = 2.0
+SLIDES_M_S = 1e-3
 LAST_S = 20.0
 
 

@@ -9,10 +9,13 @@ from grasps.trial import simulate, task_program
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Hold
 
-START_S, RATE_N_PER_S, LAST_S = 6.0, 2.0, 14.0
+START_S = 6.0
+RATE_N_PER_S = 2.0
+LAST_S = 14.0
 SLIPPERY = {"jamia": 0.3, "jamia11": 0.2}
 """Friction at which a grasp of 20 N a tendon loses the cylinder within the load's range."""
-TENSION_N, LIMIT_N = 20.0, 60.0
+TENSION_N = 20.0
+LIMIT_N = 60.0
 LOST_M = 10e-3
 
 

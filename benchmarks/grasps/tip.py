@@ -14,7 +14,8 @@ from grasps.contact import WALL, task_of
 from grasps.trial import hand_model, simulate
 
 COMMANDS_N = (2.0, 4.0, 6.0)
-HOLD_S, JUDGED_S = 0.8, 0.4
+HOLD_S = 0.8
+JUDGED_S = 0.4
 
 
 def press(job: tuple[str, int]) -> list[dict[str, Any]]:
@@ -34,7 +35,8 @@ def press(job: tuple[str, int]) -> list[dict[str, Any]]:
         mask &= run.t > run.t[mask].max(initial=0.0) - JUDGED_S
         for d, name in enumerate(hand_model(hand)[0].hand.digit_names):
             if mask.any() and run.contact[mask, d].all():
-                estimated, true = run.tip_force[mask, d], run.force[mask, d]
+                estimated = run.tip_force[mask, d]
+                true = run.force[mask, d]
                 rows.append(
                     {
                         "hand": hand,

@@ -110,14 +110,20 @@ def simulate(
     """
     model, rate = hand_model(hand, gains)
     controller = homed_controller(model, program)
-    rows, phases, events, stages = [], [], [], []
+    rows = []
+    phases = []
+    events = []
+    stages = []
     with Simulator(hand, scene, seed, perturb, homed=True).against(controller) as simulation:
-        plant, simulation.keep = simulation.peer.world.plant, False
+        plant = simulation.peer.world.plant
+        simulation.keep = False
         for entry, out in simulation.ticks(timeout):
-            k, state = entry.k, simulation.state
+            k = entry.k
+            state = simulation.state
             states = state.tendon[s.TRAVEL : s.STRETCH_OFFSET + 1].T.ravel()
             force = np.linalg.norm(np.reshape(plant.contact_forces(), (-1, 3)), axis=1)
-            pose, numbers = plant.engine.object_pose(), out.telemetry
+            pose = plant.engine.object_pose()
+            numbers = out.telemetry
             rows.append(
                 (k / rate, pose, force, numbers.contact, numbers.tension, numbers.external_tension, numbers.excursion,
                  states, numbers.tip_force, plant.engine.q.copy(), plant.normal_forces())

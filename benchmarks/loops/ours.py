@@ -111,7 +111,9 @@ class Counter:
     """Attendant that counts the ticks with an active hand and ends the run."""
 
     def __init__(self, seconds: float) -> None:
-        self.seconds, self.ticks, self.late = seconds, 0, []
+        self.seconds = seconds
+        self.ticks = 0
+        self.late = []
         self.first_ns = self.last_ns = self.first_k = self.last_k = 0
         self.cpu_s = self.first_cpu_s = 0.0
         self.stopped = False
@@ -119,11 +121,13 @@ class Counter:
     def __call__(self, entry, out) -> None:
         if out.mode != Mode.ACTIVE or self.stopped:
             return
-        self.last_ns, self.last_k = _now(), entry.k
+        self.last_ns = _now()
+        self.last_k = entry.k
         self.cpu_s = time.process_time() - self.first_cpu_s
         if not self.first_ns:
             self.first_cpu_s = time.process_time()
-            self.first_ns, self.first_k = self.last_ns, self.last_k
+            self.first_ns = self.last_ns
+            self.first_k = self.last_k
             return
         self.ticks += 1
         self.late.append(entry.late_ns)

@@ -40,7 +40,8 @@ class Echo:
 
 def main(hand: str, name: str) -> None:
     """Serve until killed."""
-    echo, port = Echo(hand), HubPort(name, 0)
+    echo = Echo(hand)
+    port = HubPort(name, 0)
     take_priority()
     print("ready", flush=True)
     while True:

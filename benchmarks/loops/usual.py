@@ -14,14 +14,17 @@ from handctl.hand.formats.urdf import urdf
 from handctl.hand.load import load_hand
 from handctl.runtime.clock import take_priority
 
-ENABLE, DISABLE = b"\xff" * 7 + b"\xfc", b"\xff" * 7 + b"\xfd"
+ENABLE = b"\xff" * 7 + b"\xfc"
+DISABLE = b"\xff" * 7 + b"\xfd"
 
 
 def tendon_filter(dt: float) -> KalmanFilter:
     """Return a Kalman filter of tension and its rate."""
     one = KalmanFilter(dim_x=2, dim_z=1)
-    one.F, one.H = np.array([[1.0, dt], [0.0, 1.0]]), np.array([[1.0, 0.0]])
-    one.Q, one.R = np.diag([1e-3, 1e-1]), np.array([[0.25]])
+    one.F = np.array([[1.0, dt], [0.0, 1.0]])
+    one.H = np.array([[1.0, 0.0]])
+    one.Q = np.diag([1e-3, 1e-1])
+    one.R = np.array([[0.25]])
     return one
 
 
@@ -42,9 +45,12 @@ class BaselineLoop:
         self.nodes = [motor.node_id for motor in self.hand.motor]
         self.filters = [tendon_filter(1e-3) for _ in self.nodes]
         node = self.hand.sensor_node
-        self.sync, self.base = node.sync_id, node.base_id
+        self.sync = node.sync_id
+        self.base = node.base_id
         self.answers = len(self.nodes) + -(-len(self.nodes) // 5)
-        self.k, self.file, self.path = 0, log.open("w"), log
+        self.k = 0
+        self.file = log.open("w")
+        self.path = log
 
     def send_all(self, data: bytes) -> None:
         """Send the same data to every motor and discard the replies."""
@@ -77,7 +83,8 @@ class BaselineLoop:
     def take(self, message: can.Message, row: dict) -> None:
         """Decode one reply."""
         if self.base <= message.arbitration_id < self.base + 0x10:
-            bits, first = int.from_bytes(message.data, "little"), 5 * (message.arbitration_id - self.base)
+            bits = int.from_bytes(message.data, "little")
+            first = 5 * (message.arbitration_id - self.base)
             for i in range(first, min(first + 5, len(self.filters))):
                 tension = (bits >> (4 + 12 * (i - first)) & 0xFFF) * 0.0625 - 6.0
                 self.filters[i].predict()
@@ -99,7 +106,10 @@ def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, lo
     loop = BaselineLoop(hand_name, bus_name, log)
     take_priority()
     loop.send_all(ENABLE)
-    start, ticks, missed, late = time.monotonic(), 0, 0, []
+    start = time.monotonic()
+    ticks = 0
+    missed = 0
+    late = []
     deadline = start
     while time.monotonic() - start < seconds:
         if rate_hz:
@@ -108,7 +118,8 @@ def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, lo
             behind = time.monotonic() - deadline
             late.append(int(behind * 1e9))
             skipped = int(behind * rate_hz)
-            missed, deadline = missed + skipped, deadline + skipped / rate_hz
+            missed += skipped
+            deadline += skipped / rate_hz
         loop.tick()
         ticks += 1
     span = time.monotonic() - start

@@ -22,13 +22,15 @@ COLUMNS = {
 }
 """Heads of the columns, and what stands in them."""
 WRONG = ("filtered / raw", "estimate / raw now")
-MAX_RATIO, NIS_RANGE = 1.3, (0.8, 1.3)
+MAX_RATIO = 1.3
+NIS_RANGE = (0.8, 1.3)
 
 
 def section(result: dict) -> str:
     """Return the Markdown section of a result of ``estimation.measure``."""
     parts = ["## The tension estimate", ""]
-    few, many = min(result["seeds"].values()), max(result["seeds"].values())
+    few = min(result["seeds"].values())
+    many = max(result["seeds"].values())
     parts += [
         "`python benchmarks/estimation.py --page`. RMSE of the tension at the load cell [N], all tendons, against the "
         f"plant. Seeds: {many if few == many else f'{few} to {many}'}. A sample is one control period old when the "
@@ -67,11 +69,14 @@ def _wrong(plant: str, found: dict, regimes: list[str]) -> list[str]:
 
 def _conclusion(result: dict) -> str:
     """Write the conclusion from the numbers."""
-    met, missed, strict = [], [], []
+    met = []
+    missed = []
+    strict = []
     for hand, plants in result["hands"].items():
         for regime in [regime for regime in ("free", "hold") if regime in plants["as known"]]:
             row = plants["as known"][regime]
-            ratio, nis = row["filtered / limit"], row["nis"]
+            ratio = row["filtered / limit"]
+            nis = row["nis"]
             good = ratio <= MAX_RATIO and NIS_RANGE[0] <= nis <= NIS_RANGE[1]
             (met if good else missed).append(f"{hand} {regime} {ratio:.2f} times the reference, NIS {nis:.2f}")
             strict.append(f"{hand} {regime} {row['estimate / limit']:.2f}")

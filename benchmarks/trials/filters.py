@@ -13,7 +13,8 @@ RATES = np.array([30.0, 100.0, 300.0, 1000.0, 3000.0])
 
 def averaged(raw: Array, weight: float) -> Array:
     """Return the exponential average (ticks, N). A missing sample is skipped."""
-    smooth, last = np.empty_like(raw), np.nan_to_num(raw[0])
+    smooth = np.empty_like(raw)
+    last = np.nan_to_num(raw[0])
     for k, sample in enumerate(raw):
         last = last + weight * np.where(np.isnan(sample), 0.0, sample - last)
         smooth[k] = last
@@ -33,10 +34,13 @@ def cell_alone(raw: Array, period: float, noise: float, rate: float) -> Array:
     Q = rate**2 * np.array([[period**3 / 3, period**2 / 2], [period**2 / 2, period]])
     P = solve_discrete_are(F.T, np.array([[1.0], [0.0]]), Q, np.array([[noise**2]]))
     gain = P[:, 0] / (P[0, 0] + noise**2)
-    f, df, out = np.nan_to_num(raw[0]), np.zeros(raw.shape[1]), np.empty_like(raw)
+    f = np.nan_to_num(raw[0])
+    df = np.zeros(raw.shape[1])
+    out = np.empty_like(raw)
     for k, sample in enumerate(raw):
         innovation = np.where(np.isnan(sample), 0.0, sample - f)
-        f, df = f + gain[0] * innovation, df + gain[1] * innovation
+        f = f + gain[0] * innovation
+        df = df + gain[1] * innovation
         f = f + period * df
         out[k] = f
     return out

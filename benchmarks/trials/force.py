@@ -19,7 +19,10 @@ from trials.laws import force_scale, on_raw_tension
 from trials.lockstep import RATES_HZ, Trial, TrialRecord, run, unchanged
 from trials.plants import TO_CONTACT
 
-LOW_N, HIGH_N, RATE_N_PER_S, HOLD_S = 15.0, 40.0, 5000.0, 0.6
+LOW_N = 15.0
+HIGH_N = 40.0
+RATE_N_PER_S = 5000.0
+HOLD_S = 0.6
 STEADY_S, BAND_N = 0.2, 2.0
 """At the end of a hold, over which the steady error is averaged; within which the force counts as settled."""
 TASK = {
@@ -75,7 +78,8 @@ def trial(hand: str, law: str, seed: int, plant: str) -> Trial:
 
 def judge(record: TrialRecord) -> dict[str, float]:
     """Judge both steps: overshoot [N], settling time [s], steady error [N], ripple [N] and RMSE [N], worst or mean."""
-    tension, in_contact = record.tension(), record.of_tendons(record.numbers["contact"] > 0)
+    tension = record.tension()
+    in_contact = record.of_tendons(record.numbers["contact"] > 0)
     rows: dict[str, list[float]] = {name: [] for name in ("overshoot_N", "settling_s", "steady_N", "ripple_N", "mse")}
     for phase, goal, change in (("up", HIGH_N, 1.0), ("down", LOW_N, -1.0)):
         mask = record.phase == phase

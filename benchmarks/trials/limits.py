@@ -12,9 +12,12 @@ from scipy.linalg import expm, solve_discrete_are
 
 from handctl.core.model import HandModel
 
-MOTOR_N_M, MOTOR_S = 10e-3, 0.05
-JOINT_N_M, JOINT_S = 5e-3, 0.02
-OFFSET_M, OFFSET_S = 0.2e-3, 60.0
+MOTOR_N_M = 10e-3
+MOTOR_S = 0.05
+JOINT_N_M = 5e-3
+JOINT_S = 0.02
+OFFSET_M = 0.2e-3
+OFFSET_S = 60.0
 CONTACT_N_M_PER_RAD = 40.0
 """Stiffness of what is held, all of a digit's joints together. Source of all: MODEL, section 5."""
 DRIFT_N2_PER_S = 1.0 / 100.0
@@ -33,9 +36,13 @@ def limit(model: HandModel, i: int, held: bool, encoder: bool = True) -> tuple[f
         held: whether the digit presses on an object.
         encoder: whether the motor's encoder is used beside the load cell.
     """
-    space, arm = model.space, float(np.abs(model.hand.moment_arms[i]).sum())
+    space = model.space
+    arm = float(np.abs(model.hand.moment_arms[i]).sum())
     spring = CONTACT_N_M_PER_RAD / arm**2 if held else space.load_stiffness[i]
-    k, c, m, load = space.stiffness[i], space.damping[i], space.motor_mass[i], space.load_mass[i]
+    k = space.stiffness[i]
+    c = space.damping[i]
+    m = space.motor_mass[i]
+    load = space.load_mass[i]
     tension = np.array([k, c, -k, -c, 0.0, 0.0, -k])
     A = np.zeros((7, 7))
     A[0, 1] = A[2, 3] = 1.0
@@ -46,10 +53,13 @@ def limit(model: HandModel, i: int, held: bool, encoder: bool = True) -> tuple[f
     A[3, 2] -= spring / load
     A[3, 3] -= space.load_damping[i] / load
     A[3, 5] = 1.0 / load
-    A[4, 4], A[5, 5], A[6, 6] = -1.0 / MOTOR_S, -1.0 / JOINT_S, -1.0 / OFFSET_S
+    A[4, 4] = -1.0 / MOTOR_S
+    A[5, 5] = -1.0 / JOINT_S
+    A[6, 6] = -1.0 / OFFSET_S
     sigma = (MOTOR_N_M / space.spool[i], JOINT_N_M / arm, OFFSET_M)
     noise = [0.0] * 4 + [2.0 * s**2 / t for s, t in zip(sigma, (MOTOR_S, JOINT_S, OFFSET_S), strict=True)]
-    A, Q = A * SCALE / SCALE[:, None], np.diag(noise) / np.outer(SCALE, SCALE)
+    A = A * SCALE / SCALE[:, None]
+    Q = np.diag(noise) / np.outer(SCALE, SCALE)
     loan = expm(np.block([[-A, Q], [np.zeros((7, 7)), A.T]]) * model.period)
     F = loan[7:, 7:].T
     H = np.vstack((np.eye(7)[0], tension)) * SCALE
@@ -57,6 +67,7 @@ def limit(model: HandModel, i: int, held: bool, encoder: bool = True) -> tuple[f
     rows = [0, 1] if encoder else [1]
     spread = np.sqrt(np.diag(R)[rows])
     P = solve_discrete_are(F.T, (H[rows] / spread[:, None]).T, F @ loan[:7, 7:], np.eye(len(rows)))
-    seen, row = H[rows] / spread[:, None], tension * SCALE
+    seen = H[rows] / spread[:, None]
+    row = tension * SCALE
     gain = P @ seen.T @ np.linalg.inv(seen @ P @ seen.T + np.eye(len(rows)))
     return float(np.sqrt(row @ (P - gain @ seen @ P) @ row)), float(np.sqrt(row @ P @ row))

@@ -122,7 +122,8 @@ class TrialRecord:
 
 def run(trial: Trial) -> TrialRecord:
     """Run a trial. The same trial gives the same record, bit for bit."""
-    hand, rate = hand_by_name(trial.hand), trial.rate_hz or RATES_HZ[packaged(trial.hand)]
+    hand = hand_by_name(trial.hand)
+    rate = trial.rate_hz or RATES_HZ[packaged(trial.hand)]
     controller = trial.change(make_controller(hand, trial.gains, rate, trial.program, None, arm_at_once=True))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "truth"

@@ -3,7 +3,8 @@
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE, FIGURES = ROOT / "docs" / "control.md", ROOT / "docs" / "figures"
+PAGE = ROOT / "docs" / "control.md"
+FIGURES = ROOT / "docs" / "figures"
 HEAD = """# What the controller is worth, measured
 
 Each section is written by the benchmark named in it, from runs of the real controller over the simulated bus, in

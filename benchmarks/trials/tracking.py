@@ -91,8 +91,10 @@ def judge(record: TrialRecord, speeds: tuple[str, ...]) -> dict[str, dict[str, f
         if not mask.any():
             result[speed] = dict.fromkeys(("rmse_deg", "peak_deg", "steady_deg", "settling_s"), float("nan"))
             continue
-        t, e = record.times[mask] - record.times[mask][0], error[mask]
-        moving, after = t <= SPEEDS[speed] + AFTER_S, t - SPEEDS[speed]
+        t = record.times[mask] - record.times[mask][0]
+        e = error[mask]
+        moving = t <= SPEEDS[speed] + AFTER_S
+        after = t - SPEEDS[speed]
         late = np.where(np.abs(e) > BAND_DEG, np.maximum(after, 0.0)[:, None], 0.0)
         result[speed] = {
             "rmse_deg": float(np.sqrt((e[moving] ** 2).mean())),
@@ -120,7 +122,8 @@ def tune(plan: Plan) -> None:
     results = collect(work, jobs, plan)
     table: dict = {"rmse_deg": {}, "keeps_margins": {}}
     for (hand, law, weights, *_), rows in results.items():
-        error, keeps = rows["fast"]["rmse_deg"], keeps_margins(hand, law, weights)
+        error = rows["fast"]["rmse_deg"]
+        keeps = keeps_margins(hand, law, weights)
         why = rows["fast"].get("why", "")
         print(f"{hand:<8} {law:<32} {weights!s:<18} {error:8.3f} deg  {'keeps margins' if keeps else ''} {why}")
         table["rmse_deg"].setdefault(hand, {}).setdefault(law, []).append(
@@ -141,7 +144,8 @@ def keeps_margins(hand: str, law: str, weights: tuple[float, float]) -> bool:
 def tuned(hand: str, law: str, careful: bool = False) -> tuple[float, float]:
     """Return the best weights of a law. ``careful``: of those with margins (the softest if none has both)."""
     table = json.loads(TUNED.read_text("utf-8"))
-    errors, selected = table["rmse_deg"][hand][law], table["keeps_margins"][hand][law]
+    errors = table["rmse_deg"][hand][law]
+    selected = table["keeps_margins"][hand][law]
     usable = [i for i, error in enumerate(errors) if error is not None and (selected[i] or not careful)]
     return WEIGHTS[min(usable, key=errors.__getitem__, default=len(WEIGHTS) - 1 if careful else 0)]
 
@@ -219,7 +223,9 @@ def main() -> None:
     add_options(parser)
     parser.add_argument("--page", action="store_true", help="write the sections of docs/control.md and their picture")
     args = parser.parse_args()
-    start, plan, result = time.monotonic(), plan_of(args), {}
+    start = time.monotonic()
+    plan = plan_of(args)
+    result = {}
     if args.tune:
         tune(plan)
         return

@@ -93,7 +93,8 @@ def _conclusion(laws: dict, named: tuple[str, str, str, str]) -> str:
 def _compared(laws: dict, named: tuple[str, str, str, str]) -> str:
     """Compare the whole law with PD, and with springs and gravity alone."""
     plain, springs, best = (laws[name]["fast"] for name in named[:3])
-    ratio, gain = plain["rmse_deg"] / best["rmse_deg"], springs["rmse_deg"] - best["rmse_deg"]
+    ratio = plain["rmse_deg"] / best["rmse_deg"]
+    gain = springs["rmse_deg"] - best["rmse_deg"]
     spread = max(best["rmse_spread_deg"], springs["rmse_spread_deg"])
     gained = f"The whole control law's error is {gain:.3f} deg smaller than with springs and gravity alone" + _times(
         gain, spread, best["seeds"]
@@ -117,7 +118,8 @@ def _times(gain: float, spread: float, seeds: int) -> str:
 
 def _steps(laws: dict) -> str:
     """Describe the gain of each law over the one before [deg], and whether it exceeds twice the spread."""
-    texts, old = [], laws[next(iter(laws))]["fast"]
+    texts = []
+    old = laws[next(iter(laws))]["fast"]
     for law in list(laws)[1:-1]:
         new = laws[law]["fast"]
         if not np.isfinite(new["rmse_deg"]):

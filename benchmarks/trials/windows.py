@@ -10,7 +10,9 @@ REVERSAL_S = 0.05
 IMPACT_S = 0.1
 SETTLED_S = 0.3
 """After the first touch."""
-TAUT_N, TOUCH_N, SLACK_S = 0.5, 0.05, 0.05
+TAUT_N = 0.5
+TOUCH_N = 0.05
+SLACK_S = 0.05
 TURNING_RAD_S = 0.2
 """Spool speed below which there is no direction to change."""
 KNEE_N = 200.0
@@ -20,7 +22,8 @@ Mask = NDArray[np.bool_]
 
 def windows(record: TrialRecord) -> dict[str, Mask]:
     """Return a mask (ticks, N) for each regime. A tick belongs to one regime at most."""
-    tension, t = record.tension(), record.times
+    tension = record.tension()
+    t = record.times
     touched = record.of_tendons(record.contact_force() > TOUCH_N)
     ready = ~np.isin(record.phase, ("start", "tighten", "live"))[:, None]
     taut = tension > TAUT_N
@@ -41,7 +44,8 @@ def _since_rise(on: Mask, t: Array) -> Array:
     """Return the time since each signal has last become true after a while of being false (ticks, N) [s]."""
     since = np.full(on.shape, np.inf)
     for i in range(on.shape[1]):
-        rise, fall = -np.inf, -np.inf
+        rise = -np.inf
+        fall = -np.inf
         for k, value in enumerate(on[:, i]):
             if value and not (k and on[k - 1, i]) and t[k] - fall > SETTLED_S:
                 rise = t[k]

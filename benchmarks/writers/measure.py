@@ -94,7 +94,8 @@ def other(path: Path, make: Any, messages: list[Message], ticks: int) -> dict[st
             writer.write(one)
         writer.close()
 
-    spent, count = _spent(write), 0
+    spent = _spent(write)
+    count = 0
 
     def read() -> None:
         nonlocal count

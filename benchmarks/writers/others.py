@@ -30,7 +30,8 @@ def mcap_ros2(path: Path) -> Writer:
     from mcap_ros2.writer import Writer as Ros2Writer
 
     file = path.open("wb")
-    writer, schemas = Ros2Writer(file), {}
+    writer = Ros2Writer(file)
+    schemas = {}
 
     def write(one: Message) -> None:
         if one.kind not in schemas:
@@ -51,7 +52,8 @@ def rosbags(path: Path) -> Writer:
     from rosbags.rosbag2 import Writer as BagWriter
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    store, connections = get_typestore(Stores.EMPTY), {}
+    store = get_typestore(Stores.EMPTY)
+    connections = {}
     bag = BagWriter(path, version=9, storage_plugin=StoragePlugin.MCAP)
     bag.open()
 
@@ -96,7 +98,8 @@ def json_mcap(path: Path) -> Writer:
     from mcap.writer import Writer as McapWriter
 
     file = path.open("wb")
-    writer, channels = McapWriter(file), {}
+    writer = McapWriter(file)
+    channels = {}
     writer.start("", "benchmark")
 
     def write(one: Message) -> None:
@@ -122,7 +125,8 @@ def foxglove(path: Path) -> Writer:
     import foxglove as sdk
     from mcap.reader import make_reader
 
-    context, channels = sdk.Context(), {}
+    context = sdk.Context()
+    channels = {}
     file = sdk.open_mcap(path, context=context)
 
     def write(one: Message) -> None:

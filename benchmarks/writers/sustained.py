@@ -24,7 +24,9 @@ from handctl.log.write.recorder import Recorder
 from handctl.runtime.clock import RealClock, give_back_priority, take_priority
 from handctl.runtime.loop import Loop, LoopStats
 
-HAND, RATE_HZ, CYCLE_S = "jamia11", 1000, 0.5
+HAND = "jamia11"
+RATE_HZ = 1000
+CYCLE_S = 0.5
 PERIOD_NS = 10**9 // RATE_HZ
 MARKS = {"p50": 50.0, "p99": 99.0, "p99_9": 99.9, "max": 100.0}
 
@@ -45,7 +47,8 @@ def sustained(path: Path, seconds: float) -> dict[str, Any]:
     recorder = Recorder.start(path, synthetic.header(HAND, RATE_HZ, deterministic=False))
     with _apart(recorder._child.pid) as granted:
         before = _loop(seconds / 2, granted, ticks, lambda entry, out: None, list)
-        spent, start = _processor_s(recorder._child.pid), time.perf_counter()
+        spent = _processor_s(recorder._child.pid)
+        start = time.perf_counter()
         logged = _loop(seconds, granted, ticks, _into(recorder), lambda: list(recorder.events()))
         fraction = (_processor_s(recorder._child.pid) - spent) / (time.perf_counter() - start)
         after = _loop(seconds / 2, granted, ticks, lambda entry, out: None, list)
@@ -60,9 +63,11 @@ def sustained(path: Path, seconds: float) -> dict[str, Any]:
 
 def as_in_the_loop(tick_in: TickIn, out: TickOut) -> Tick:
     """Convert frames to records and telemetry to one array, as in the loop."""
-    places, at = {}, 0
+    places = {}
+    at = 0
     for name, values in zip(TELEMETRY_FIELDS, out.telemetry, strict=True):
-        places[name], at = slice(at, at + len(values)), at + len(values)
+        places[name] = slice(at, at + len(values))
+        at += len(values)
     telemetry = PackedTelemetry(np.concatenate(tuple(out.telemetry)), places)
     return tick_in._replace(frames=frames_of(tick_in.frames)), out._replace(
         frames=frames_of(out.frames), telemetry=telemetry
@@ -88,7 +93,8 @@ class _Ready:
     """A bus that delivers the frames of a synthetic run."""
 
     def __init__(self, ticks: list[Tick]) -> None:
-        self._ticks, self._at = ticks, 0
+        self._ticks = ticks
+        self._at = 0
 
     def drain(self) -> Frames:
         """Return the frames of the next tick."""

@@ -73,7 +73,8 @@ def undisturbed(phase, *texts):
         simulation = Simulation(None, SimpleNamespace(inject=lambda text: None), 10**9, SimpleNamespace(failure=""))
 
         def tick():
-            simulation.k, simulation.out = simulation.k + 1, out
+            simulation.k += 1
+            simulation.out = out
             return out
 
         simulation.tick = tick
@@ -103,7 +104,8 @@ def test_a_missing_reaction_counts_as_late(tmp_path):
     hand = hand_in("jamia", "mit")
     never = MatrixRow("B01", "drop node=index_motor p=0", Action.WARN, 3, rows=("B01",))
     slow = MatrixRow("T04", "drift cell=index_tendon size=1", Action.RELAX, 3, rows=("T04",))
-    found, kept = [], tmp_path / "kept"
+    results = []
+    stored_log = tmp_path / "kept"
     with started(hand, RATE_HZ, 0) as simulation:
         simulation.tick()
         todo = [Scenario(row, row.fault, GRASP) for row in (never, slow)]
@@ -112,14 +114,14 @@ def test_a_missing_reaction_counts_as_late(tmp_path):
             todo,
             2,
             lambda simulation, one: run_scenario(simulation, one, "mit"),
-            found.append,
-            lambda simulation, result: kept.touch(),
+            results.append,
+            lambda simulation, result: stored_log.touch(),
         )
-    assert sorted(result.problem for result in found) == [
+    assert sorted(result.problem for result in results) == [
         "no reaction; torque remains",
         "the disturbance had no effect",
     ]
-    assert kept.exists(), "a failure leaves its log"
+    assert stored_log.exists(), "a failure leaves its log"
 
 
 def test_a_reaction_to_another_fault_does_not_count():
@@ -189,12 +191,15 @@ def test_true_tension_stays_within_what_drive_and_momentum_explain():
     hand = hand_in("jamia", "mit")
     with started(hand, RATE_HZ, 0) as simulation:
         advance_to(simulation, GRASP)
-        space, at = simulation.controller.model.space, simulation.peer.truth()["tension"][0]
+        space = simulation.controller.model.space
+        at = simulation.peer.truth()["tension"][0]
         v = abs(float(simulation.out.telemetry.motor_velocity[0]) * float(space.spool[0])) + 0.01
         row = next(row for row in MATRIX if row.fault == "runaway node={node} size=1 seed=1")
         scenario = Scenario(row, row.fault.replace("{node}", hand.motor[0].name), GRASP)
         result = run_scenario(simulation, scenario, "mit")
-    limit, k, m = hand.tendon[0].drive_limit_N, float(space.stiffness[0]), float(space.motor_mass[0])
+    limit = hand.tendon[0].drive_limit_N
+    k = float(space.stiffness[0])
+    m = float(space.motor_mass[0])
     bound = limit + math.sqrt((limit - at) ** 2 + k * m * v**2)
     assert result.ok, result.problem
     assert at < result.tension <= bound, f"{result.tension:.0f} N, bound {bound:.0f} N"

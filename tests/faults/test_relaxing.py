@@ -41,22 +41,22 @@ class Instant(NamedTuple):
     speed: np.ndarray
 
 
-def look(course: Simulation) -> Instant:
-    peer: Any = course.peer
-    spool = course.controller.model.space.spool
-    motors = [peer.world.plant.motors[motor.name] for motor in course.controller.model.hand.motor]
+def look(simulation: Simulation) -> Instant:
+    peer: Any = simulation.peer
+    spool = simulation.controller.model.space.spool
+    motors = [peer.world.plant.motors[motor.name] for motor in simulation.controller.model.hand.motor]
     torque = np.array([motor.command for motor in motors])
     return Instant(torque / spool, np.array(peer.truth()["tension"]), np.array([m.omega for m in motors]) * spool)
 
 
-def tension_bound(course: Simulation, decided: Instant, force: np.ndarray) -> np.ndarray:
+def tension_bound(simulation: Simulation, decided: Instant, force: np.ndarray) -> np.ndarray:
     """Return (N,) largest tension that rotor and stretch explain [N].
 
     A rotor of mass m at the tendon, of speed v, under a force that is never above F, overshoots against the tendon's
-    stiffness k from the tension T to at most F + sqrt((F - T)^2 + k m v^2). A free finger lets the rotor gain speed
+    stiffness k from the tension T to at bound F + sqrt((F - T)^2 + k m v^2). A free finger lets the rotor gain speed
     until the force has gone.
     """
-    space = course.controller.model.space
+    space = simulation.controller.model.space
     largest = np.maximum(force, 0.0)
     gained = np.abs(decided.speed) + largest / space.motor_mass * WINDOW_S * (decided.tension < 10.0)
     stretch = (largest - decided.tension) ** 2 + space.stiffness * space.motor_mass * gained**2
@@ -66,45 +66,51 @@ def tension_bound(course: Simulation, decided: Instant, force: np.ndarray) -> np
 @pytest.mark.parametrize(("hand_name", "protocol", "seed"), SAMPLED)
 def test_relaxing_raises_no_command_and_no_tension(hand_name: str, protocol: str, seed: int) -> None:
     chance = random.Random(f"{hand_name} {protocol} {seed}")
-    hand, rate = hand_in(hand_name, protocol), RATE_HZ[hand_name]
+    hand = hand_in(hand_name, protocol)
+    rate = RATE_HZ[hand_name]
     perturb = {key: chance.uniform(0.7, 1.4) for key in ("stiffness", "friction", "motor_inertia")}
     task = {**TASK, "phase": [*TASK["phase"][:-1], {**TASK["phase"][-1], "tension_N": chance.uniform(20.0, 90.0)}]}
     a, b = chance.sample([motor.name for motor in hand.motor], 2)
     fault = chance.choice(FAULTS).format(a=a, b=b, t=chance.choice(hand.tendon_names))
-    with started(hand, rate, seed, perturb, task) as course:
-        advance_to(course, chance.choice((FREE, GRASP)))
+    with started(hand, rate, seed, perturb, task) as simulation:
+        advance_to(simulation, chance.choice((FREE, GRASP)))
         for _ in range(int(chance.uniform(0.0, 3.0) * rate)):
-            course.tick()
+            simulation.tick()
         if fault:
-            course.peer.inject(fault)
-        stop_at = course.k + int(chance.uniform(0.02, 0.8) * rate)
-        judge(course, stop_at, round(WINDOW_S * rate), fault)
+            simulation.peer.inject(fault)
+        stop_at = simulation.k + int(chance.uniform(0.02, 0.8) * rate)
+        judge(simulation, stop_at, round(WINDOW_S * rate), fault)
 
 
-def judge(course: Simulation, stop_at: int, window: int, fault: str) -> None:
-    recent: list[Instant] = [look(course)]
-    commanded = [course.state.view("asked").copy()]  # what is on its way to a motor that obeys late is not relaxing's
-    while course.state.mode == Mode.ACTIVE:
-        course.tick(requests=(STOP,) if course.k == stop_at else ())
-        recent.append(look(course))
-        commanded.append(course.state.view("asked").copy())
+def judge(simulation: Simulation, stop_at: int, window: int, fault: str) -> None:
+    recent: list[Instant] = [look(simulation)]
+    # Commands before the decision count: one may still be on its way to a motor with delay.
+    commanded = [simulation.state.view("asked").copy()]
+    while simulation.state.mode == Mode.ACTIVE:
+        simulation.tick(requests=(STOP,) if simulation.k == stop_at else ())
+        recent.append(look(simulation))
+        commanded.append(simulation.state.view("asked").copy())
     decided = recent[-2]
     before = np.nanmax([*(one.force for one in recent[-window:]), *commanded[-window - 1 : -1]], axis=0)
-    last, peak, force = course.state.view("asked").copy(), decided.tension, before
+    last = simulation.state.view("asked").copy()
+    peak = decided.tension
+    force = before
     for _ in range(2000):
-        mode = course.state.mode
+        mode = simulation.state.mode
         if mode == Mode.DONE:
             break
-        course.tick()
-        asked = course.state.view("asked").copy()
-        if course.state.mode == mode == Mode.RELAX:
-            rises = asked > np.maximum(last, 0.0)
-            assert not rises.any(), f"{fault}: {asked} after {last}"
-        last, now = asked, look(course)
-        peak, force = np.maximum(peak, now.tension), np.maximum(force, now.force)
-    # A drive that is told its share makes no more than before; one that exaggerates, no more than it did before.
+        simulation.tick()
+        command = simulation.state.view("asked").copy()
+        if simulation.state.mode == mode == Mode.RELAX:
+            rises = command > np.maximum(last, 0.0)
+            assert not rises.any(), f"{fault}: {command} after {last}"
+        last = command
+        now = look(simulation)
+        peak = np.maximum(peak, now.tension)
+        force = np.maximum(force, now.force)
+    # No drive makes more force than before the decision, also one that makes more than its command.
     assert (force <= np.maximum(before, 0.0) + ROUNDED_N).all(), f"{fault}: {force} after {before}"
-    most = tension_bound(course, decided, before)
-    assert (peak <= most).all(), f"{fault}: {peak} N, at most {most} N are explained, from {decided}"
-    assert course.state.mode == Mode.DONE
+    bound = tension_bound(simulation, decided, before)
+    assert (peak <= bound).all(), f"{fault}: {peak} N, at most {bound} N are explained, from {decided}"
+    assert simulation.state.mode == Mode.DONE
     assert not math.isnan(float(peak.max()))

@@ -59,20 +59,21 @@ def test_a_seed_is_a_sequence_that_the_simulator_understands(protocol, tmp_path)
 
 
 def test_no_rule_is_broken():
-    found = run(hand_in("jamia", "mit"), "mit", 200.0, range(9), jobs=2, **NOBODY)
-    assert [(one.scenario, one.problem) for one in found if not one.ok] == []
-    assert sum(one.effects for one in found) >= 5
+    results = run(hand_in("jamia", "mit"), "mit", 200.0, range(9), jobs=2, **NOBODY)
+    assert [(one.scenario, one.problem) for one in results if not one.ok] == []
+    assert sum(one.effects for one in results) >= 5
 
 
 def test_a_sequence_that_breaks_a_rule_names_it(arming, monkeypatch):
     """Only a drive that runs away explains such a tension."""
-    found, sequence = [], Sequence(0, ARMING, (FaultStep(20, "runaway node=index_motor"),))
+    results = []
+    sequence = Sequence(0, ARMING, (FaultStep(20, "runaway node=index_motor"),))
     for explains in (sequences.RUNAWAY, "nobody"):
         monkeypatch.setattr(sequences, "RUNAWAY", explains)
-        branch(arming, [sequence], 1, run_sequence, found.append, lambda simulation, result: None)
-    assert (found[0].ok, found[1].ok) == (True, False)
-    assert found[1].problem.endswith("N in a tendon, at most 140 N are explained")
-    assert found[0].tension == found[1].tension
+        branch(arming, [sequence], 1, run_sequence, results.append, lambda simulation, result: None)
+    assert (results[0].ok, results[1].ok) == (True, False)
+    assert results[1].problem.endswith("N in a tendon, at most 140 N are explained")
+    assert results[0].tension == results[1].tension
 
 
 def test_steps_that_break_a_rule(arming):
@@ -102,11 +103,12 @@ def test_ends_that_break_a_rule(arming):
 
 
 def test_a_tick_with_another_result_is_found(arming):
-    begin, first = arming.state, len(arming.kept)
+    start = arming.state
+    first = len(arming.kept)
     for _ in range(5):
         arming.tick()
-    assert violations_on_replay(arming, begin, first) == []
-    other = begin.copy()
+    assert violations_on_replay(arming, start, first) == []
+    other = start.copy()
     other.goal_time += 1e-9
     assert violations_on_replay(arming, other, first) == [
         f"tick {arming.kept[first][0].k} does not repeat with the same inputs"
@@ -121,5 +123,5 @@ def test_a_tick_with_another_result_is_found(arming):
 def test_two_thousand(hand, protocol):
     """Run a third of a thousand of each kind."""
     described = hand_in(hand, protocol)
-    found = run(described, protocol, rate_of(described), range(334), jobs=2, **NOBODY)
-    assert [(one.scenario, one.problem) for one in found if not one.ok] == []
+    results = run(described, protocol, rate_of(described), range(334), jobs=2, **NOBODY)
+    assert [(one.scenario, one.problem) for one in results if not one.ok] == []

@@ -50,7 +50,8 @@ class Medium:
 
 def drained(bus: Bus, count: int) -> list[Frame]:
     """Read at least this many frames, or all that arrive in time."""
-    frames, end = list(bus.drain()), time.monotonic() + WAIT_S
+    frames = list(bus.drain())
+    end = time.monotonic() + WAIT_S
     while len(frames) < count and time.monotonic() < end:
         time.sleep(0.002)
         frames += bus.drain()
@@ -78,7 +79,8 @@ def some_frames(count: int, seed: int) -> list[Frame]:
 
 
 def test_frames_of_all_kinds_arrive_complete_and_in_order(medium: Medium) -> None:
-    sender, receiver = medium.open(), medium.open(index=3)
+    sender = medium.open()
+    receiver = medium.open(index=3)
     batch = some_frames(500, seed=1)
     assert sender.send(batch[:300]) + sender.send(batch[300:]) == len(batch)
     received = drained(receiver, len(batch))
@@ -109,7 +111,8 @@ def test_reading_an_empty_bus_does_not_wait(medium: Medium) -> None:
 
 def test_stamps_are_the_runs_time_of_reception(medium: Medium) -> None:
     offset = 10**15
-    sender, receiver = medium.open(), medium.open(stamp=lambda t_ns: t_ns + offset)
+    sender = medium.open()
+    receiver = medium.open(stamp=lambda t_ns: t_ns + offset)
     start = time.monotonic_ns()
     for number in range(20):
         sender.send([Frame(number, b"")])
@@ -123,7 +126,8 @@ def test_stamps_are_the_runs_time_of_reception(medium: Medium) -> None:
 
 @pytest.mark.parametrize(("size", "flags"), [(9, 0), (64, 0), (65, FDF)])
 def test_a_payload_that_does_not_fit_is_refused_and_nothing_is_sent(medium: Medium, size: int, flags: int) -> None:
-    sender, receiver = medium.open(), medium.open()
+    sender = medium.open()
+    receiver = medium.open()
     with pytest.raises(ValueError, match=f"payload of {size} bytes"):
         sender.send([Frame(1, bytes(size), flags)])
     sender.send([Frame(2, b"last")])
@@ -131,7 +135,8 @@ def test_a_payload_that_does_not_fit_is_refused_and_nothing_is_sent(medium: Medi
 
 
 def test_the_file_descriptor_becomes_readable_with_a_frame(medium: Medium) -> None:
-    sender, receiver = medium.open(), medium.open()
+    sender = medium.open()
+    receiver = medium.open()
     descriptor = receiver.fileno()
     if descriptor < 0:
         assert medium.spec.startswith("virtual:")
@@ -142,7 +147,8 @@ def test_the_file_descriptor_becomes_readable_with_a_frame(medium: Medium) -> No
 
 
 def test_python_can_understands_every_frame(medium: Medium) -> None:
-    ours, theirs = medium.open(), medium.python_can()
+    ours = medium.open()
+    theirs = medium.python_can()
     for frame in some_frames(50, seed=2):
         assert ours.send([frame]) == 1
         message = theirs.recv(WAIT_S)
@@ -155,7 +161,8 @@ def test_python_can_understands_every_frame(medium: Medium) -> None:
 
 
 def test_every_message_of_python_can_is_understood(medium: Medium) -> None:
-    ours, theirs = medium.open(), medium.python_can()
+    ours = medium.open()
+    theirs = medium.python_can()
     sent = [
         can.Message(arbitration_id=0x7FF, is_extended_id=False, data=b"\x00\xff"),
         can.Message(arbitration_id=0x1FFFFFFF, is_extended_id=True, data=bytes(range(8))),

@@ -170,8 +170,11 @@ def test_a_link_of_another_user_above_is_refused(shared, monkeypatch):
 @SECOND_USER
 def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(shared, impatient):
     """Attack: rename the mailbox, bind another socket there, receive the requests for the hand."""
-    box, folder = Mailbox("local:x"), run_dir()
-    aside, mailbox, received = folder / "aside", Path(box.path), []
+    box = Mailbox("local:x")
+    folder = run_dir()
+    aside = folder / "aside"
+    mailbox = Path(box.path)
+    received = []
 
     def take():
         mailbox.rename(aside)
@@ -207,7 +210,8 @@ def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(sha
 @SECOND_USER
 def test_requests_and_status_lines_of_another_user_are_ignored(shared):
     """Also in an open folder: the kernel names the user of each sender."""
-    box, watcher = Mailbox("local:x"), Watcher("local:x")
+    box = Mailbox("local:x")
+    watcher = Watcher("local:x")
     for path in (watcher.path, Path(box.path)):
         path.chmod(0o777)
     for path in (run_dir(), run_dir().parent):
@@ -257,8 +261,11 @@ class Answering:
     """A thread that serves the mailbox like a controller, with the event texts of a tick."""
 
     def __init__(self, end_with: str = "DISARM -> DONE", deaf_after: str = "") -> None:
-        self.box, self.taken, self._on = Mailbox(BUS), [], True
-        self._end, self._deaf = end_with, deaf_after
+        self.box = Mailbox(BUS)
+        self.taken = []
+        self._on = True
+        self._end = end_with
+        self._deaf = deaf_after
         self.thread = threading.Thread(target=self._run)
 
     def __enter__(self):
@@ -271,7 +278,8 @@ class Answering:
         self.box.close()
 
     def _run(self):
-        mode, k = "ACTIVE", 0
+        mode = "ACTIVE"
+        k = 0
         while self._on:
             k += 1
             events = [

@@ -81,7 +81,8 @@ def udp() -> Iterator[tuple[SocketCanBus, socket.socket]]:
 
 
 def drained(bus: Bus, count: int) -> Frames:
-    parts, end = [bus.drain()], time.monotonic() + 20.0
+    parts = [bus.drain()]
+    end = time.monotonic() + 20.0
     while sum(map(len, parts)) < count and time.monotonic() < end:
         time.sleep(0.001)
         parts.append(bus.drain())
@@ -198,7 +199,8 @@ def test_a_record_split_within_an_odd_batch_is_reassembled(local: tuple[Bus, soc
     bus, link = local
     batch = mixed(30, 4)
     whole = b"".join(record(frame.can_id, frame.data, frame.flags) for frame in batch)
-    parts, at = [], 0
+    parts = []
+    at = 0
     for cut in (1, 71, 72, 73, 100, 500, 700, len(whole)):
         link.sendall(whole[at : at + cut])
         parts.append(bus.drain())

@@ -32,7 +32,7 @@ def medium(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> I
 
 
 @pytest.mark.parametrize(
-    ("spec", "told"),
+    ("spec", "message"),
     [
         ("nonsense", "local:NAME"),
         ("local:", "local:NAME"),
@@ -43,10 +43,10 @@ def medium(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> I
     ],
 )
 def test_a_bus_that_cannot_be_opened_is_one_line_with_the_command_to_type(
-    spec: str, told: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    spec: str, message: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv(RUN_DIR, str(tmp_path))
-    with pytest.raises((BusError, ConfigError), match=told) as caught:
+    with pytest.raises((BusError, ConfigError), match=message) as caught:
         open_bus(spec, 0, 1_000_000)
     assert "\n" not in str(caught.value)
     assert spec in str(caught.value)

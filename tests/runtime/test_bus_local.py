@@ -70,7 +70,9 @@ def test_records_split_anywhere_are_reassembled(torn: tuple[Bus, socket.socket],
 
 def test_a_slow_hub_costs_frames_but_no_time_and_no_alignment(scripted: tuple[Bus, socket.socket]) -> None:
     bus, link = scripted
-    start, accepted, sent = time.monotonic(), [], 0
+    start = time.monotonic()
+    accepted = []
+    sent = 0
     while sum(number for _, _, number in bus.take_events()) == 0:
         batch = [Frame((sent + i) & 0x7FF, (sent + i).to_bytes(4, "little")) for i in range(97)]
         taken = bus.send(batch)
@@ -92,10 +94,10 @@ def test_a_slow_hub_costs_frames_but_no_time_and_no_alignment(scripted: tuple[Bu
 
 
 @pytest.mark.parametrize(
-    ("counters", "told"), [([0, 0, 0], 0), ([0, 3, 3], 3), ([65_530, 4], 65_540), ([7, 7, 65_535, 1], 65_537)]
+    ("counters", "expected"), [([0, 0, 0], 0), ([0, 3, 3], 3), ([65_530, 4], 65_540), ([7, 7, 65_535, 1], 65_537)]
 )
 def test_frames_dropped_by_the_hub_are_reported_once(
-    scripted: tuple[Bus, socket.socket], counters: list[int], told: int
+    scripted: tuple[Bus, socket.socket], counters: list[int], expected: int
 ) -> None:
     bus, link = scripted
     numbers = []
@@ -104,7 +106,7 @@ def test_frames_dropped_by_the_hub_are_reported_once(
         assert len(bus.drain()) == 1
         numbers += bus.take_events()
     assert all(event[:2] == ("dropped", "local:x") for event in numbers)
-    assert sum(event[2] for event in numbers) == told
+    assert sum(event[2] for event in numbers) == expected
 
 
 def test_a_lost_hub_is_reported_at_every_call(scripted: tuple[Bus, socket.socket]) -> None:

@@ -25,7 +25,8 @@ class Broken(can.BusABC):
 
     def __init__(self, error: Exception, times: int = 1_000_000) -> None:
         super().__init__("broken")
-        self.error, self.times = error, times
+        self.error = error
+        self.times = times
 
     def _fail(self) -> None:
         if self.times > 0:

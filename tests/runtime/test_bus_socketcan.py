@@ -24,7 +24,8 @@ def udp() -> Iterator[tuple[SocketCanBus, socket.socket]]:
 
 
 def waited(bus: SocketCanBus, count: int) -> list[Frame]:
-    frames, end = list(bus.drain()), time.monotonic() + 20.0
+    frames = list(bus.drain())
+    end = time.monotonic() + 20.0
     while len(frames) < count and time.monotonic() < end:
         time.sleep(0.001)
         frames += bus.drain()
@@ -97,7 +98,8 @@ def test_stamps_never_run_backwards_or_ahead(
 ) -> None:
     """The wall clock may be set while frames wait."""
     bus, far = udp
-    real, stamps = time.time_ns, []
+    real = time.time_ns
+    stamps = []
     for step in (0, 5 * 10**9, -5 * 10**9, 3600 * 10**9, 0):
         monkeypatch.setattr(time, "time_ns", lambda step=step: real() + step)
         bus._offset.renew()
@@ -131,7 +133,9 @@ def test_frames_that_overflow_the_socket_are_counted(udp: tuple[SocketCanBus, so
     with socket.socket(fileno=bus.fileno()) as link:
         link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         link.detach()
-    sent, received, dropped = 0, 0, []
+    sent = 0
+    received = 0
+    dropped = []
     for _ in range(3):
         for number in range(2000):
             far.send(CLASSICAL.pack(number & 0x7FF, 0, b""))

@@ -18,7 +18,9 @@ class Wall:
     """A simulated CLOCK_MONOTONIC. Sleeping advances it, with an overshoot."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, overshoot: int = 0) -> None:
-        self.now, self.overshoot, self.slept = 5_000_000_000, overshoot, list[float]()
+        self.now = 5_000_000_000
+        self.overshoot = overshoot
+        self.slept = list[float]()
         monkeypatch.setattr(time, "monotonic_ns", self.read)
         monkeypatch.setattr(time, "sleep", self.sleep)
 
@@ -112,7 +114,8 @@ class Peer:
 def test_lockstep_steps_the_peer_once_a_tick_with_the_frames_of_that_tick() -> None:
     peer = Peer()
     clock = LockstepClock(peer, PERIOD)
-    bus, seen = LockstepBus(clock), []
+    bus = LockstepBus(clock)
+    seen = []
     for k in range(4):
         assert clock.wait(k) == 0
         assert clock.now_ns() == k * PERIOD
@@ -165,7 +168,8 @@ def test_a_peer_with_exchange_and_one_with_step_get_the_same_frames() -> None:
     runs = []
     for peer in (Peer(), RecordPeer()):
         clock = LockstepClock(peer, PERIOD)
-        bus, seen = LockstepBus(clock), []
+        bus = LockstepBus(clock)
+        seen = []
         for _ in range(2):
             for k in range(4):
                 clock.wait(k)

@@ -61,7 +61,8 @@ def test_an_interrupted_replay_reports_its_progress(place, scale):
     simulated = start_hand(place / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *scale)
     words = ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml", *scale, "--log", "half.mcap", "--json")
     try:
-        driving, watcher = start_handctl("replay", "drive", str(GOLDEN), *words), Watcher(BUS)
+        driving = start_handctl("replay", "drive", str(GOLDEN), *words)
+        watcher = Watcher(BUS)
         wait_for("playback", watcher, driving)
         time.sleep(0.6)
         driving.send_signal(signal.SIGINT)

@@ -1,4 +1,4 @@
-"""Messages about an interface that runs at other bit rates than the hand file says."""
+"""Messages about an interface that runs at other bit rates than the hand file text."""
 
 import json
 
@@ -16,7 +16,7 @@ def shown(nominal: int | None, data: int | None) -> str:
 
 
 @pytest.mark.parametrize(
-    ("nominal", "data", "wanted", "says"),
+    ("nominal", "data", "required", "text"),
     [
         (None, None, None, ""),
         (1_000_000, None, None, ""),
@@ -28,13 +28,13 @@ def shown(nominal: int | None, data: int | None) -> str:
     ],
 )
 def test_a_bit_rate_other_than_the_hand_files_is_reported(
-    nominal: int | None, data: int | None, wanted: int | None, says: str
+    nominal: int | None, data: int | None, required: int | None, text: str
 ) -> None:
     link = parse_link(shown(nominal, data))
     assert link
-    line = rate_difference("can0", link, 1_000_000, wanted)
-    assert says in line
-    assert bool(line) == bool(says)
+    line = rate_difference("can0", link, 1_000_000, required)
+    assert text in line
+    assert bool(line) == bool(text)
 
 
 def test_a_missing_interface_has_no_wrong_rate() -> None:

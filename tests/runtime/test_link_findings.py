@@ -10,7 +10,7 @@ from handctl.runtime.diagnostics.link_findings import absent, findings
 MEGABIT = 1_000_000
 
 
-def told(**changes) -> str:
+def link_json(**changes) -> str:
     """Return the output of ``ip -details -statistics -json`` for a good real interface, with changes in its parts."""
     data = {
         "state": "ERROR-ACTIVE",
@@ -33,9 +33,9 @@ def bad(text, data_bitrate=None):
 
 
 def test_a_good_interface_has_only_good_findings():
-    assert bad(told()) == []
+    assert bad(link_json()) == []
     fast = {"link": {"mtu": 72}, "data": {"data_bittiming": {"bitrate": 5 * MEGABIT}}}
-    assert bad(told(**fast), 5 * MEGABIT) == []
+    assert bad(link_json(**fast), 5 * MEGABIT) == []
 
 
 @pytest.mark.parametrize(
@@ -53,19 +53,19 @@ def test_a_good_interface_has_only_good_findings():
     ],
 )
 def test_each_finding_comes_with_the_command_that_mends_it(changes, what, fix):
-    (finding,) = bad(told(**changes))
+    (finding,) = bad(link_json(**changes))
     assert what in finding.what
     assert fix in finding.fix
 
 
 def test_missing_fd_is_found_where_the_hand_needs_it():
-    texts = bad(told(), 5 * MEGABIT)
+    texts = bad(link_json(), 5 * MEGABIT)
     assert ["does not carry CAN FD" in finding.what for finding in texts] == [True, False]
     assert "dbitrate 5000000 fd on" in texts[0].fix
 
 
 def test_lost_arbitration_alone_is_no_fault():
-    assert bad(told(xstats={"arbitration_lost": 7})) == []
+    assert bad(link_json(xstats={"arbitration_lost": 7})) == []
 
 
 def test_a_missing_interface_comes_with_the_command():

@@ -30,7 +30,8 @@ CASES = [
 def test_a_run_after_another_one_finds_drives_that_were_disarmed(
     protocol: str, wire: list[str] | None, tmp_path: Path
 ) -> None:
-    path, task = hand_file(tmp_path, [protocol]), tmp_path / "short.toml"
+    path = hand_file(tmp_path, [protocol])
+    task = tmp_path / "short.toml"
     task.write_text(GO + MOVE.format(name="bend", angle=10.0, duration=0.1))
     hand = load_hand(path)
     rate = fastest(bus_loads(hand))

@@ -24,17 +24,17 @@ CUT = (Frame(1, b"\xfd"), Frame(2, b"\xfd", bus=1))
 
 @dataclass
 class ScriptedClock:
-    """A clock with a given lateness for each wait [ns], then zero. It records the ticks it was asked for."""
+    """A clock with a given lateness for each wait [ns], then zero. It records the ticks it waited for."""
 
     late: list[int] = field(default_factory=list)
-    asked: list[int] = field(default_factory=list)
+    waits: list[int] = field(default_factory=list)
     began: int = 0
 
     def start(self) -> None:
         self.began += 1
 
     def wait(self, k: int) -> int:
-        self.asked.append(k)
+        self.waits.append(k)
         return self.late.pop(0) if self.late else 0
 
     def now_ns(self) -> int:
@@ -46,7 +46,7 @@ class FakeBus:
     """A bus that delivers one frame per tick and accepts a limited number."""
 
     index: int = 0
-    room: int = 1000
+    capacity: int = 1000
     waiting: list[list[Frame]] = field(default_factory=list)
     sent: list[tuple[Frame, ...]] = field(default_factory=list)
     happened: list[tuple[str, str, int]] = field(default_factory=list)
@@ -57,11 +57,12 @@ class FakeBus:
         return frames_of(self.waiting.pop(0) if self.waiting else ())
 
     def send(self, frames: Sequence[Frame]) -> int:
-        self.sent.append(tuple(frames[: self.room]))
-        return min(len(frames), self.room)
+        self.sent.append(tuple(frames[: self.capacity]))
+        return min(len(frames), self.capacity)
 
     def take_events(self) -> list[tuple[str, str, int]]:
-        events, self.happened = self.happened, []
+        events = self.happened
+        self.happened = []
         return events
 
 
@@ -105,7 +106,7 @@ def test_ticks_follow_one_another_at_their_times() -> None:
     assert run.go() == 5
     assert [entry.k for entry, _ in run.recorded] == [0, 1, 2, 3, 4]
     assert [entry.t_ns for entry, _ in run.recorded] == [k * PERIOD for k in range(5)]
-    assert run.clock.asked == [0, 1, 2, 3, 4]
+    assert run.clock.waits == [0, 1, 2, 3, 4]
     assert run.clock.began == 1
     assert run.shown == run.recorded
     assert (run.loop.stats.ticks, run.loop.stats.missed) == (5, 0)
@@ -122,7 +123,8 @@ def test_the_warm_up_tick_has_no_effect() -> None:
 
 
 def test_only_ticks_run_with_realtime_priority() -> None:
-    run, urgent = Run(), [False]
+    run = Run()
+    urgent = [False]
 
     @contextmanager
     def urgency() -> Iterator[None]:
@@ -158,12 +160,14 @@ def test_missed_deadlines_are_skipped_and_counted_never_caught_up(
     assert run.loop.stats.missed == missed
     assert run.loop.stats.ticks == 4
     assert list(run.loop.stats.late_ns) == (late + [0] * 4)[:4], "how late it really was"
-    asked = run.clock.asked
-    assert all(b > a for a, b in pairwise(asked)), "each deadline is waited for at most once"
+    waits = run.clock.waits
+    assert all(b > a for a, b in pairwise(waits)), "each deadline is waited for at most once"
 
 
 def test_received_frames_enter_one_tick_in_order() -> None:
-    old, first, second = Frame(1, b"old"), Frame(1, b"1"), Frame(2, b"2", bus=1)
+    old = Frame(1, b"old")
+    first = Frame(1, b"1")
+    second = Frame(2, b"2", bus=1)
     left = FakeBus(waiting=[[old], [first], []], happened=[("dropped", "a", 3)])
     right = FakeBus(1, waiting=[[], [second]])
     run = Run(3, buses=[left, right], requests=[("x", "y"), (), ("z",)], host=[[IoEvent("recorder", "gone")]])
@@ -178,7 +182,8 @@ def test_received_frames_enter_one_tick_in_order() -> None:
 
 
 def test_each_bus_gets_its_own_frames() -> None:
-    left, right = FakeBus(), FakeBus(1)
+    left = FakeBus()
+    right = FakeBus(1)
     frames = (Frame(1, b"a"), Frame(2, b"b", bus=1), Frame(3, b"c"))
     Run(1, buses=[left, right], frames=frames).go()
     assert left.sent == [(frames[0], frames[2])]
@@ -193,7 +198,7 @@ def test_one_bus_object_may_serve_all_buses() -> None:
 
 def test_frames_that_a_bus_refuses_are_counted_as_refused_not_as_sent() -> None:
     frames = tuple(Frame(i, b"") for i in range(5))
-    run = Run(3, buses=[FakeBus(room=2)], frames=frames)
+    run = Run(3, buses=[FakeBus(capacity=2)], frames=frames)
     run.go()
     assert run.loop.stats.refused == 9
     assert run.loop.stats.frames_tx == 6
@@ -209,7 +214,8 @@ def raising(*_: object) -> None:
 
 @pytest.mark.parametrize("stage", ["tick", "record", "show", "requests", "host_events", "send", "drain", "take_events"])
 def test_whatever_fails_the_drives_are_cut_and_the_error_travels_on(stage: str) -> None:
-    left, right = FakeBus(), FakeBus(1)
+    left = FakeBus()
+    right = FakeBus(1)
     run = Run(5, buses=[left, right], frames=(Frame(9, b"torque"),))
     stages = {"record", "show", "requests", "host_events"}
     if stage == "tick":
@@ -227,7 +233,7 @@ def test_whatever_fails_the_drives_are_cut_and_the_error_travels_on(stage: str) 
     assert gc.isenabled()
 
 
-def asked(run: Run, answers: list[tuple[str, ...]]) -> list[int]:
+def poll_times(run: Run, answers: list[tuple[str, ...]]) -> list[int]:
     """Let a run fail at its third tick with given answers of the drives. Return the times of the polls [ns]."""
     times: list[int] = []
 
@@ -242,19 +248,20 @@ def asked(run: Run, answers: list[tuple[str, ...]]) -> list[int]:
 
 
 def test_after_an_error_drives_are_polled_until_each_reports_off() -> None:
-    bus, answers = FakeBus(), [("index", "thumb"), ("thumb",), ()]
+    bus = FakeBus()
+    answers = [("index", "thumb"), ("thumb",), ()]
     with pytest.raises(TroubleError):
-        asked(Run(5, buses=[bus]), answers)
+        poll_times(Run(5, buses=[bus]), answers)
     assert answers == []
     assert [sent for sent in bus.sent if sent] == [CUT, (Frame(3, b"off"),), (Frame(3, b"off"),)]
 
 
 def test_a_drive_that_does_not_report_off_is_named_with_the_error() -> None:
     run = Run(5)
-    with pytest.raises(PowerError, match="REMOVE POWER: not confirmed disabled: index, thumb") as told:
-        asked(run, [])
-    assert isinstance(told.value.__cause__, TroubleError)
-    assert len(run.clock.asked) == 3 + 501, "half a second of it"
+    with pytest.raises(PowerError, match="REMOVE POWER: not confirmed disabled: index, thumb") as message:
+        poll_times(run, [])
+    assert isinstance(message.value.__cause__, TroubleError)
+    assert len(run.clock.waits) == 3 + 501, "half a second of it"
 
 
 def test_drives_that_cannot_be_polled_do_not_count_as_disabled() -> None:
@@ -267,26 +274,27 @@ def test_drives_that_cannot_be_polled_do_not_count_as_disabled() -> None:
 
 def test_a_cut_that_finds_a_full_queue_is_sent_until_there_is_room() -> None:
     """No later tick repeats the cut, and a drive without a watchdog would go on."""
-    left, right = FakeBus(), FakeBus(1)
+    left = FakeBus()
+    right = FakeBus(1)
     run = Run(5, buses=[left, right])
     run.fail = lambda entry: raising() if entry.k == 2 else None
-    rooms = [0, 0, 1]
+    capacities = [0, 0, 1]
     whole = left.send
 
     def send(frames: Sequence[Frame]) -> int:
-        left.room = rooms.pop(0) if frames else 1000
+        left.capacity = capacities.pop(0) if frames else 1000
         return whole(frames)
 
     left.send = send  # type: ignore[method-assign]
     with pytest.raises(TroubleError):
         run.go()
     assert [sent for sent in left.sent if sent] == [(CUT[0],)]
-    assert rooms == []
+    assert capacities == []
     assert right.sent.count((CUT[1],)) == 1
 
 
 def test_a_bus_that_refuses_every_cut_delays_no_other() -> None:
-    run = Run(5, buses=[FakeBus(room=0)])
+    run = Run(5, buses=[FakeBus(capacity=0)])
     run.fail = lambda entry: raising() if entry.k == 2 else None
     began = time.monotonic()
     with pytest.raises(TroubleError):

@@ -41,7 +41,8 @@ def test_requests_come_in_order_and_once() -> None:
 
 
 def test_a_flood_is_taken_in_pieces() -> None:
-    box, sent = Mailbox("local:x"), 0
+    box = Mailbox("local:x")
+    sent = 0
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
         out.setblocking(False)
         try:
@@ -99,7 +100,8 @@ def test_a_hand_whose_second_bus_has_a_controller_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    hand, box = on_two_buses(hand_file(tmp_path, ["mit"])), Mailbox("local:y")
+    hand = on_two_buses(hand_file(tmp_path, ["mit"]))
+    box = Mailbox("local:y")
     words = ["--hand", str(hand), "--bus", "main=local:x", "--bus", "second=local:y"]
     assert main(["commission", *words, "--json"]) == 1
     assert "bus local:y: another controller runs here" in capsys.readouterr().err

@@ -33,7 +33,8 @@ pytestmark = pytest.mark.realtime
 
 def run_short(place, processes, scale):
     """Commission a new hand and run a short task. Return the result of ``handctl run`` and its log."""
-    truth, log = place / "hand.truth", place / "run.mcap"
+    truth = place / "hand.truth"
+    log = place / "run.mcap"
     processes.append(start_hand(truth, "--hand", "jamia", *scale))
     words = ("--task", "short.toml", "--json", "--log", str(log), *scale, "--truth", str(truth))
     processes.append(start_handctl("run", "--hand", "jamia", "--bus", BUS, *words))
@@ -90,7 +91,8 @@ def test_the_first_ctrl_c_relaxes_disables_and_confirms(place, hand, calibrated,
     assert (code, result["failure"]) == (0, ""), err
     assert modes_of_complete(place / "run.mcap")[-3:] == ["ACTIVE -> RELAX", "RELAX -> DISARM", "DISARM -> DONE"]
     with RunLog(place / "run.mcap") as run:
-        before, phases = run.field("tension")[-400:].max(), run.field("drive_phase")[-1]
+        before = run.field("tension")[-400:].max()
+        phases = run.field("drive_phase")[-1]
         assert before > 8.0
         assert run.field("tension")[-1].max() < 8.5
         assert len(set(phases)) == 1, "every drive says the same: disabled"

@@ -36,7 +36,8 @@ def test_two_signals_within_a_tick_both_count() -> None:
 
 
 def test_a_closed_terminal_stops_the_hand_unless_under_nohup() -> None:
-    signals, before = StopSignals(), signal.getsignal(signal.SIGHUP)
+    signals = StopSignals()
+    before = signal.getsignal(signal.SIGHUP)
     with signals.installed():
         os.kill(os.getpid(), signal.SIGHUP)
         assert signals.take() == ('{"do": "stop"}',)

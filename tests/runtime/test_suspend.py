@@ -24,9 +24,11 @@ def test_a_pause_between_the_readings_is_no_suspend_and_hides_none():
     pause = {"before": 0, "after": 0}
 
     def boot():
-        now["boot"], now["monotonic"] = now["boot"] + pause["before"], now["monotonic"] + pause["before"]
+        now["boot"] = now["boot"] + pause["before"]
+        now["monotonic"] = now["monotonic"] + pause["before"]
         told = now["boot"]
-        now["boot"], now["monotonic"] = now["boot"] + pause["after"], now["monotonic"] + pause["after"]
+        now["boot"] = now["boot"] + pause["after"]
+        now["monotonic"] = now["monotonic"] + pause["after"]
         return told
 
     watch = SuspendWatch(boot, lambda: now["monotonic"])
@@ -35,7 +37,8 @@ def test_a_pause_between_the_readings_is_no_suspend_and_hides_none():
         assert watch.events() == []
         pause[where] = 0
         assert watch.events() == []
-    pause["before"], now["boot"] = 100_000_000, now["boot"] + 10**9
+    pause["before"] = 100_000_000
+    now["boot"] = now["boot"] + 10**9
     assert watch.events() == [], "nobody knows yet"
     pause["before"] = 0
     assert [event.number for event in watch.events()] == [1000]

@@ -45,7 +45,7 @@ class LocalCanBus(can.BusABC):
         Raises:
             can.CanInitializationError: no hub of this name is running.
         """
-        offset = time.time_ns() - time.monotonic_ns()
+        offset = time.time_ns() - time.monotonic_ns()  # python-can stamps messages with wall-clock time
         try:
             # One record per read: a program that waits on ``fileno`` takes one message and waits again.
             self._link = LocalBus(channel, 0, lambda t_ns: t_ns + offset, max_records=1)

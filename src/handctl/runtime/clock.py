@@ -62,7 +62,7 @@ class RealClock:
         while (now := time.monotonic_ns()) < deadline:  # sleep may return early, and the spin is here
             if not self.spin:
                 time.sleep((deadline - now) / 1e9)
-        return int((now - deadline) * self.scale)
+        return int((now - deadline) * self.scale)  # from wall time to the run's time
 
     def now_ns(self) -> int:
         """Return the time since the start of the run [ns]."""

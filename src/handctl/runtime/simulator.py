@@ -42,7 +42,7 @@ def ask_simulator(path: Path, question: dict[str, Any]) -> dict[str, Any]:
     """
     reply_path = run_dir() / f"asking-{os.getpid()}"
     reply_path.unlink(missing_ok=True)
-    where = f"bus {path.stem.replace('_', ':', 1)}"
+    where = f"bus {path.stem.replace('_', ':', 1)}"  # local_demo.faults belongs to local:demo
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asking:
         try:
             asking.bind(str(reply_path))

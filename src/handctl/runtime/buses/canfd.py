@@ -92,7 +92,7 @@ def _received(raw: bytes, bus: int, flag_mask: int, added_flags: int) -> Receive
     heads[6::8] = bytes((bus,)) * count
     heads[7::8] = lengths
     words = max(1, -(-max(lengths, default=0) // 8))  # rounded up
-    masks = None
+    masks = None  # usual case: all payloads are full, and no byte has to be cleared
     if lengths.count(8 * words) < count:
         masks = MASKS[:, 0] if words == 1 else MASKS[:, :words]
         masks = masks.take(np.frombuffer(lengths, np.uint8), axis=0)

@@ -199,7 +199,8 @@ class LocalBus:
 
     def _free(self) -> int:
         """Return the number of frames that fit in the queue of the simulated wire."""
-        return max(0, self._depth - (self._sent - self._left_queue & 0xFFFFFFFF))
+        waiting = self._sent - self._left_queue & 0xFFFFFFFF  # the hub counts modulo 2**32
+        return max(0, self._depth - waiting)
 
     def send(self, frames: Sequence[Frame]) -> int:
         """Send a batch and return the number of accepted frames, see ``contract.Bus``."""

@@ -133,7 +133,7 @@ class SocketCanBus:
         frames = Frames(self._structs.read(count, self._structs.converted_heads(count, self._index), 0))
         is_data = np.ones(count, bool)
         for i, ((size, realtime, dropped), frame) in enumerate(zip(datagrams, frames, strict=True)):
-            if dropped != self._dropped and dropped:
+            if dropped != self._dropped and dropped:  # 0 means not reported
                 self._events.add("dropped", (dropped - self._dropped) & 0xFFFFFFFF)
                 self._dropped = dropped
             if frame.can_id & ERROR:

@@ -42,7 +42,7 @@ def round_trip(bus: Bus, node: DiscoveredNode, times: int = TIMES) -> RoundTrip:
 def _once(bus: Bus, node: DiscoveredNode) -> float | None:
     """Return the time to the answer [s]. None if no answer arrives."""
     discovery = DISCOVERIES[node.protocol]
-    bus.drain()
+    bus.drain()  # a late reply to the request before must not count
     start = time.perf_counter()
     bus.send((discovery.ping(node),))
     while (passed := time.perf_counter() - start) < ANSWER_S:
