@@ -73,7 +73,7 @@ def test_a_scan_names_it():
     [
         ({"firmware": "0.4"}, "'0.6' or '0.5'"),
         ({"firmware": 0.5}, "'0.6' or '0.5'"),
-        ({"torque_feedback": True, **OLD}, "tells no torque"),
+        ({"torque_feedback": True, **OLD}, "does not report torque"),
         ({"endpoint_torque_max": 3, **OLD}, "no SDO"),
     ],
 )

@@ -119,7 +119,7 @@ def test_a_setting_that_is_lost_on_the_wire_is_written_again(odrive: Bench, loss
 def test_an_odrive_that_takes_no_orders_is_a_fault(odrive: Bench) -> None:
     odrive.until(DriveTarget.POLL, Phase.READY)
     first_odrive(odrive)._set_state = lambda state, t_ns: None  # type: ignore[method-assign]
-    assert "5 times" in first_in(odrive, Phase.FAULT, DriveTarget.ENABLE, 600)
+    assert "after 5 enable commands" in first_in(odrive, Phase.FAULT, DriveTarget.ENABLE, 600)
 
 
 @pytest.mark.parametrize(
@@ -180,7 +180,7 @@ def test_another_protocol_version_is_refused(odrive: Bench) -> None:
     drive, state = odrive.drives[0], odrive.states[0]
     assert isinstance(drive, OdriveDrive)
     state = drive.receive(state, Frame(drive.node_id << 5, bytes((1, 0, 0, 0, 0, 5, 6, 0))))
-    assert (state.phase, state.error_text) == (Phase.FAULT, "speaks CANSimple version 1, expected 2")
+    assert (state.phase, state.error_text) == (Phase.FAULT, "has CANSimple version 1, expected 2")
 
 
 @pytest.mark.parametrize(
@@ -230,7 +230,7 @@ def test_drives_that_take_no_sync_with_a_counter_are_said_and_have_an_empty_one(
     bench = strict(Bench(path))
     for _ in range(200):
         bench.tick(DriveTarget.POLL)
-    assert "does it take one with a counter" in bench.states[0].error_text
+    assert "accept SYNC with a counter" in bench.states[0].error_text
     text = path.read_text().replace("sync_id = 0x080", "sync_id = 0x0FF")
     path.write_text(text.replace("counts_per_turn = 65536", "counts_per_turn = 65536\nsync = true", 1))
     bench = strict(Bench(path))

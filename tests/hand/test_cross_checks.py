@@ -61,17 +61,17 @@ def tension(**values):
 CASES = {
     "tension limit above the wire's strength": (
         tension(tension_max_N=700.0, tension_trip_N=800.0),
-        "tendon[index_tendon].tension_max_N: 700, and the rope breaks at 620 N; expected "
+        "tendon[index_tendon].tension_max_N: 700, and the tendon breaks at 620 N; expected "
         "more than tension_floor_N = 3 N and at most rated_breaking_force_N = 620 N",
     ),
     "tension limit above the wire's strength and the trip": (
         tension(tension_max_N=700.0),
-        "tendon[index_tendon].tension_max_N: 700, and the rope breaks at 620 N; expected "
+        "tendon[index_tendon].tension_max_N: 700, and the tendon breaks at 620 N; expected "
         "more than tension_floor_N = 3 N and less than tension_trip_N = 140 N",
     ),
     "drive limit above the wire's strength": (
         tension(drive_limit_N=650.0),
-        "tendon[index_tendon].drive_limit_N: 650, and the rope breaks at 620 N; expected "
+        "tendon[index_tendon].drive_limit_N: 650, and the tendon breaks at 620 N; expected "
         "more than tension_trip_N = 140 N and at most rated_breaking_force_N = 620 N",
     ),
     "trip above drive limit": (

@@ -58,7 +58,7 @@ def test_a_drive_limit_too_high_is_told_with_the_right_one():
 
 def test_joints_without_rating_are_told_and_weak_ones_by_name():
     hand = load_hand("jamia")
-    assert any("joint_rated_torque_N_m is not given" in line for line in strength_warnings(hand))
+    assert any("joint_rated_torque_N_m is missing" in line for line in strength_warnings(hand))
     strong, weak = changed(hand, rated=2.26), changed(hand, rated=2.24)  # 500 N at 3 mm, times 1.5, make 2.25 N m
     assert not any("joint_rated" in line or "its rating" in line for line in strength_warnings(strong))
     (line,) = [line for line in strength_warnings(weak) if "its rating" in line]

@@ -40,7 +40,7 @@ def strength_warnings(hand: Hand) -> tuple[str, ...]:
     unrated = [digit.name for digit in hand.digit if digit.joint_rated_torque_N_m is None]
     if unrated:
         key = "joint_rated_torque_N_m"
-        rows[f"{key} is not given: nothing is known of what the joints bear in a runaway"] = unrated
+        rows[f"{key} is missing: the strength of the joints in a runaway is unknown"] = unrated
     for digit in hand.digit:
         for joint, torque, rated in _joint_loads(hand, digit.name):
             if rated < MARGIN * torque:

@@ -45,7 +45,7 @@ def _node(number: int, device_type: int | None, nmt: int | None) -> DiscoveredNo
     """Return the data of a node."""
     state = NMT_STATES.get(nmt, f"NMT state {nmt:#x}") if nmt is not None else ""
     if device_type is None:
-        return DiscoveredNode("canopen", number, state=state, notes=("beats, but does not answer an SDO",))
+        return DiscoveredNode("canopen", number, state=state, notes=("sends heartbeats, but does not answer an SDO",))
     profile = device_type & 0xFFFF
     notes = () if profile == PROFILE else (f"a CANopen device of profile {profile}, not a drive of CiA 402",)
     return DiscoveredNode("cia402" if profile == PROFILE else "canopen", number, state=state, notes=notes)

@@ -350,8 +350,8 @@ class Cia402Drive:
             return state._replace(private=progress), (self._rpdo(control_word, 0.0),)
         if t_ns - progress.started_ns < REPEAT_NS:
             return state._replace(private=progress), ()
-        enable_sent = "is somebody sending SYNC (0x080) on its bus, and does it take one with a counter?"
-        text = f"no TPDO yet: {enable_sent}" if progress.started_ns >= 0 else ""
+        question = "does a node send SYNC (0x080) on its bus, and does the drive accept SYNC with a counter?"
+        text = f"no TPDO yet: {question}" if progress.started_ns >= 0 else ""
         updated = progress._replace(started_ns=t_ns)
         return state._replace(error_text=text, private=updated), (self._nmt(codec.START),)
 

@@ -70,7 +70,7 @@ SILENCE_NS = 250_000_000
 UNVERIFIED_GUARDS = (
     "watchdog: CubeMars' MIT mode has none; a dead host leaves torque on",
     "has no torque limit below its model's full scale; torque_max_N_m is this host's alone",
-    "does not tell whether it is enabled; "
+    "does not report whether it is enabled; "
     f"an answer to disable with at most {QUIET:.0%} of full-scale torque counts as disabled",
     "ranges cannot be read back; motor_type must be right",
     "temperature counts from -40 degC by the manual; a cold motor that reads below zero needs temperature_offset_C = 0",

@@ -267,8 +267,8 @@ class MitDrive:
             return self._configure(state._replace(phase=CONFIGURING), progress, t_ns)
         if state.phase == READY and target == ENABLE:
             check = progress.check if progress.enable_sent else readback.first_recheck(self.node_id, t_ns)
-            enable_sent = state._replace(private=progress._replace(enable_sent=True, check=check))
-            return enable_sent, (self._frame(codec.special_command(codec.ENABLE)),)
+            enabling = state._replace(private=progress._replace(enable_sent=True, check=check))
+            return enabling, (self._frame(codec.special_command(codec.ENABLE)),)
         question = self._frame(codec.special_command(codec.CLEAR)) if progress.clearing else self._refresh()
         return state._replace(private=progress), (question,)
 

@@ -52,12 +52,12 @@ def _drive(node: int, beat: codec.Heartbeat | None, serial: str, version: bytes)
     notes = ["watchdog and torque limit: give endpoint_... keys in the hand file, or set them over USB and trust that"]
     options: dict[str, bool | int | float | str] = {}
     if version and version[0] != codec.PROTOCOL:
-        notes.append(f"speaks CANSimple version {version[0]}, and handctl {codec.PROTOCOL}")
+        notes.append(f"has CANSimple version {version[0]}, handctl supports {codec.PROTOCOL}")
     if not version:
         options["firmware"] = "0.5"
-        notes = ["does not tell its version: taken for firmware 0.5.x, whose watchdog and limits only USB can set"]
+        notes = ["does not report its version: treated as firmware 0.5.x, whose watchdog and limits are set over USB"]
     if not serial and version:
-        notes.append("does not tell its serial number")
+        notes.append("does not report its serial number")
     if node == BROADCAST:
         notes.append("has no node number yet: give it one")
     elif node == 0:

@@ -237,7 +237,7 @@ class OdriveDrive:
         if state.phase not in (SILENT, CONFIGURING):
             return state
         if data[0] != codec.PROTOCOL:
-            return to_fault(state, MISMATCH, f"speaks CANSimple version {data[0]}, expected {codec.PROTOCOL}")
+            return to_fault(state, MISMATCH, f"has CANSimple version {data[0]}, expected {codec.PROTOCOL}")
         return state._replace(
             phase=CONFIGURING, private=progress_of(state)._replace(version=True, tries=0, sent_ns=-REPEAT_NS)
         )
@@ -326,7 +326,7 @@ class OdriveDrive:
         """Do one step of the configuration: idle, version, serial number, endpoints, mode and limits."""
         progress = progress_of(state)
         if progress.axis > codec.IDLE:
-            text = f"in axis state {progress.axis} although nobody asked, and does not go idle"
+            text = f"in axis state {progress.axis} without a command, and does not go idle"
             return state._replace(error_text=text), (self._state(codec.IDLE),)
         if not progress.version:
             return self._ask_version(state, progress, t_ns)
@@ -354,7 +354,7 @@ class OdriveDrive:
         if t_ns - progress.sent_ns < REPEAT_NS:
             return state, ()
         if progress.heartbeat_ns >= 0 and progress.tries >= VERSION_TRIES:
-            return to_fault(state, MISMATCH, "beats, but does not tell its version"), ()
+            return to_fault(state, MISMATCH, "sends heartbeats, but does not report its version"), ()
         requests = progress._replace(sent_ns=t_ns, tries=progress.tries + 1 if progress.heartbeat_ns >= 0 else 0)
         frame = self._frame(codec.CLEAR_ERRORS, b"") if progress.clearing else self._ask(codec.GET_VERSION)
         return state._replace(private=requests), (frame,)

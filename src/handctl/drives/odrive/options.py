@@ -50,7 +50,7 @@ def pop_options(options: MutableMapping[str, Any], where: str) -> Options:
         raise ConfigError(repr(firmware), f"{where}.firmware", " or ".join(map(repr, FIRMWARE)))
     firmware_05 = firmware == "0.5"
     if type(feedback) is not bool or (feedback and firmware_05):
-        hint = "false: firmware 0.5 tells no torque" if feedback is True else "true or false"
+        hint = "false: firmware 0.5 does not report torque" if feedback is True else "true or false"
         raise ConfigError(repr(feedback), f"{where}.torque_feedback", hint)
     if firmware_05 and (keys := [key for key in options if key in endpoints.KEYS]):
         raise ConfigError("firmware 0.5 has no SDO", f"{where}.{keys[0]}", "no such key")

@@ -165,7 +165,7 @@ def _did_not_enable(state: DriveState, progress: OdriveProgress, beat: codec.Hea
     if progress.enable_commands >= ENABLE_COMMANDS:
         off = state._replace(private=progress._replace(enable_sent_ns=-1, enable_commands=0))
         return to_fault(
-            off, REFUSED, f"told to enable {ENABLE_COMMANDS} times, and stays idle: it restarts, or takes no orders"
+            off, REFUSED, f"stays idle after {ENABLE_COMMANDS} enable commands: it restarts, or ignores commands"
         )
     restarted = OdriveProgress(
         version=progress.version,

@@ -52,7 +52,9 @@ def pop_settings(
         settings.append(Setting(endpoint, raw, key.removeprefix("endpoint_")))
     names = {setting.name for setting in settings}
     if len(names & {"enable_watchdog", "watchdog_timeout"}) == 1:
-        raise ConfigError("half a watchdog", f"{where}.{KEYS[0]}", f"both {KEYS[0]} and {KEYS[1]}, or neither")
+        raise ConfigError(
+            "one of two watchdog endpoints", f"{where}.{KEYS[0]}", f"both {KEYS[0]} and {KEYS[1]}, or neither"
+        )
     return tuple(settings)
 
 

@@ -201,7 +201,7 @@ def _check_limits(tendon: Tendon) -> None:
             bounds.append(f"less than {above} = {next_value:g} N")
             too_high = value >= next_value
         if too_high or (below is not None and value <= values[below]):
-            breaks = f", and the rope breaks at {strength:g} N" if value > strength else ""
+            breaks = f", and the tendon breaks at {strength:g} N" if value > strength else ""
             raise Refused(f"{value:g}{breaks}", f"tendon[{tendon.name}].{key}", " and ".join(bounds))
 
 
