@@ -121,7 +121,7 @@ def _network(interface: str, channel: str) -> Iterator[canopen.Network]:
 
 
 def use_canopen(interface: str, channel: str, node_id: int = 33) -> None:
-    """canopen's BaseNode402 with the shipped EDS: operation enabled, CST by PDO at SYNC, and off again."""
+    """Enable a drive with canopen's BaseNode402 and the shipped EDS, run CST by PDO at SYNC, and disable."""
     with _network(interface, channel) as network:
         node = BaseNode402(node_id, str(EDS))
         network.add_node(node)

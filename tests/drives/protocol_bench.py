@@ -1,4 +1,4 @@
-"""A hand file in any protocol, and its drives walked tick by tick against the simulated firmware."""
+"""Hand file in any protocol, and its drives run tick by tick against the simulated firmware."""
 
 import re
 from collections.abc import Sequence
@@ -64,6 +64,7 @@ class Bench:
     """All drives and the sensor node of a hand, ticked together against the simulator."""
 
     def __init__(self, path: Path, wire: Sequence[str] | None = None, period_ns: int = PERIOD_NS) -> None:
+        """Start the simulator and the drives of a hand file."""
         self.hand = load_hand(str(path))
         self.period_ns = period_ns
         self.rig = Rig(str(path), seed=3, period_ns=period_ns, wire=wire)
@@ -78,6 +79,7 @@ class Bench:
         self.k = 0
 
     def tick(self, target: DriveTarget, torque: float = 0.0, extra: Sequence[Frame] = ()) -> None:
+        """Receive the frames of the last tick, advance all drives, and let the simulator answer."""
         for frame in self.incoming:
             self.states = [d.receive(s, frame) for d, s in zip(self.drives, self.states, strict=True)]
         outgoing = [self.node.sync(self.k), *extra]
@@ -89,6 +91,7 @@ class Bench:
         self.k += 1
 
     def until(self, target: DriveTarget, phase: Phase, ticks: int = 400) -> None:
+        """Tick until all drives are in a phase, or fail."""
         for _ in range(ticks):
             self.tick(target)
             if all(state.phase == phase for state in self.states):
@@ -96,7 +99,7 @@ class Bench:
         pytest.fail(f"{[(state.phase.name, state.error_text) for state in self.states]}, expected {phase.name}")
 
     def clear(self) -> None:
-        """As a person's order does it."""
+        """Clear the errors of all drives, as an operator's request does."""
         frames: list[Frame] = []
         for i, drive in enumerate(self.drives):
             self.states[i], more = drive.clear(self.states[i])

@@ -20,6 +20,7 @@ class Bench:
     """All drives and the sensor node of a hand, ticked together against the simulator."""
 
     def __init__(self) -> None:
+        """Start the simulator and the drives of the packaged hand."""
         self.rig = Rig("jamia", seed=3, period_ns=PERIOD_NS)
         self.drives: list[Drive] = [make_drive(HAND.motor_of(name), 0) for name in HAND.tendon_names]
         self.states: list[DriveState] = [drive.initial() for drive in self.drives]
@@ -30,6 +31,7 @@ class Bench:
         self.k = 0
 
     def tick(self, target: DriveTarget, torque: float = 0.0) -> None:
+        """Receive the frames of the last tick, advance all drives, and let the simulator answer."""
         self.sensors.receive(frame for frame in self.incoming if frame.can_id in self.node.node_ids)
         self.tensions = self.sensors.tensions
         for frame in self.incoming:
@@ -42,6 +44,7 @@ class Bench:
         self.k += 1
 
     def until(self, target: DriveTarget, phase: Phase, ticks: int = 200) -> None:
+        """Tick until all drives are in a phase, or fail."""
         for _ in range(ticks):
             self.tick(target)
             if all(state.phase == phase for state in self.states):

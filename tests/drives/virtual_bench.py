@@ -21,38 +21,44 @@ OPTIONS = {
 
 
 class VirtualBench:
-    """A bench as bus and clock at once: waiting for a tick lets the drives' time pass."""
+    """Bench that is bus and clock at once: waiting for a tick advances the drives' time."""
 
     name = "bench"
 
     def __init__(self, protocol, fault="", inertia=None, delay=0, **options):
+        """Put one simulated drive on the bench, with a fault and a delay in ticks."""
         spec = drive_spec(protocol, NODE, inertia=inertia)
         self.bench = Bench([replace(spec, options=options or spec.options)], fault=fault)
         self.waiting, self.top = [], 0.0
         self.late = [[] for _ in range(delay)]  # what the wire still holds, tick by tick
 
     def start(self):
-        pass
+        """Start no clock: time is virtual."""
 
     def wait(self, k):
+        """Advance time to tick k, and return 0 missed ticks."""
         self.bench.advance(k * PERIOD_NS)
         self.top = max(self.top, abs(self.bench.motors[0].servo.torque))
         return 0
 
     def now_ns(self):
+        """Return the virtual time [ns]."""
         return self.bench.t_ns
 
     def send(self, frames):
+        """Deliver frames to the drive at once."""
         for frame in frames:
             self.waiting += self.bench.receive(SimFrame(*frame))
         return len(frames)
 
     def drain(self):
+        """Return the drive's frames, late by the delay."""
         self.late.append(self.waiting + self.bench.take_spoken())
         self.waiting = []
         return [Frame(*frame) for frame in self.late.pop(0)]
 
     def take_events(self):
+        """Return no bus events."""
         return []
 
 

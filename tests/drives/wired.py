@@ -28,6 +28,7 @@ class Wired:
     """
 
     def __init__(self, drives: Sequence[Drive], sensors: SensorNode) -> None:
+        """Build block and compiled wire of drives and sensor node."""
         self.drives, self.sensors = drives, sensors
         n = len(sensors.frame_of)
         joints = 1 + max((j for group in sensors.channels[sensors.tension_frames :] for j in group), default=0)

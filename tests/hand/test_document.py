@@ -11,22 +11,30 @@ from handctl.errors import ConfigError
 
 
 class Move(Document):
+    """Step of a plan with a speed."""
+
     kind: Literal["move"]
     speed_deg_s: float = Field(gt=0)
 
 
 class Hold(Document):
+    """Step of a plan with a tension and an optional step."""
+
     kind: Literal["hold"]
     tension_N: float
     spare: Move | None = None
 
 
 class Part(Document):
+    """Part of a plan."""
+
     name: str
     size_m: float = 1.0
 
 
 class Plan(Document):
+    """Document with a field of each kind."""
+
     name: str
     part: tuple[Part, ...] = ()
     made: str = ""

@@ -82,7 +82,7 @@ def test_known_numbers_of_the_packaged_rope():
 
 
 def test_work_of_tendons_is_work_of_joints(digits, rng):
-    """f . ds = tau . dq with ds by differences of the excursion."""
+    """Compare f . ds with tau . dq, ds by differences of the excursion."""
     for digit in digits:
         for _ in range(50):
             q, move = rng.normal(size=(2, digit.joint_count))
