@@ -18,7 +18,7 @@ N = np.nan
 LIMITS = replace(
     made_up(2), tendons=("a", "b"), motors=("ma", "mb"), joints=("ja", "jb"), tension_rail=240.0, drive_limit=(1e9, 1e9)
 )  # fmt: skip
-Found = dict[str, dict[str, float]]
+Evidence = dict[str, dict[str, float]]
 
 
 def made(stiffness: float = 1e5, motor_period: Any = T, joint_period: float = T) -> Monitor:
@@ -51,7 +51,7 @@ def wanting(monitor: Monitor | None = None, **given: Any) -> Monitor:
     return monitor
 
 
-def ticks(number: int, monitor: Monitor | None = None, **given: Any) -> tuple[Monitor, Found]:
+def ticks(number: int, monitor: Monitor | None = None, **given: Any) -> tuple[Monitor, Evidence]:
     """The same tick several times; values that are functions get its number."""
     monitor, found = monitor or wanting(), {}
     for k in range(number):
@@ -193,7 +193,7 @@ EVERY = 4
 """Joints are read in every fourth tick, where a bus has no room for more."""
 
 
-def sparse(number: int, monitor: Monitor, **given: Any) -> list[Found]:
+def sparse(number: int, monitor: Monitor, **given: Any) -> list[Evidence]:
     """Ticks of a hand whose joints are read in every fourth, and all that they told."""
     told = []
     for k in range(number):
@@ -287,7 +287,7 @@ def test_a_spool_that_turns_while_its_tendon_is_slack_says_nothing_of_a_joint():
     """Slack is wound up; from where the tendon bears on, joint and spool move together."""
     turn, joints = np.radians(10.1) / 50.0, {"joints": 0.3, "excursion": 0.0, "read": True}
 
-    def stuck(found: Found) -> list[str]:
+    def stuck(found: Evidence) -> list[str]:
         return [name for name in found.get("N04", {}) if name[0] == "j"]
 
     monitor, told = ticks(200, None, tension=0.5, force=0.5, travel=lambda k: [3.0 * turn * (k > 20), 0.0], **joints)

@@ -217,13 +217,13 @@ def _every_place(digits: tuple[DigitModel, ...]) -> list[tuple[Vector, Vector, V
 
     The last place has no lever: all joints turn alike.
     """
-    most = max(digit.joint_count for digit in digits)
-    found = []
-    for place in range(most + 2):
-        parts = [_place(digit, place, place == most + 1) for digit in digits]
+    largest = max(digit.joint_count for digit in digits)
+    result = []
+    for place in range(largest + 2):
+        parts = [_place(digit, place, place == largest + 1) for digit in digits]
         ahead, reach = (block_diag(*(part[i] for part in parts)) for i in (0, 1))
-        found.append((ahead, reach, np.concatenate([part[2] for part in parts])))
-    return found
+        result.append((ahead, reach, np.concatenate([part[2] for part in parts])))
+    return result
 
 
 def _place(digit: DigitModel, place: int, alike: bool) -> tuple[Vector, Vector, Vector]:

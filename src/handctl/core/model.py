@@ -125,8 +125,8 @@ def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:
     rounding in the division by spool and gain and the later product: drives refuse commands above
     the limit, even by the last bit.
     """
-    most = np.array([hand.motor_of(tendon.name).torque_max_N_m for tendon in hand.tendon]) * (1.0 - 1e-12)
-    return most if gain is None else most * np.minimum(gain, 1.0)
+    largest = np.array([hand.motor_of(tendon.name).torque_max_N_m for tendon in hand.tendon]) * (1.0 - 1e-12)
+    return largest if gain is None else largest * np.minimum(gain, 1.0)
 
 
 def _joint_period(hand: Hand, period: float) -> Vector:

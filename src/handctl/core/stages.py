@@ -23,7 +23,7 @@ from handctl.core import constants as h
 from handctl.core.block import tables
 from handctl.core.constants import constant_tables
 from handctl.core.detectors import answers, judge, stuck
-from handctl.core.detectors.bus import Found
+from handctl.core.detectors.bus import Evidence
 from handctl.core.estimation import contact, kalman, measure, posture, touch
 from handctl.core.law import computed_torque, reference
 from handctl.core.schema import Block, Places
@@ -77,7 +77,7 @@ def conclude(block: Block, at: Places, constants: Block, constants_at: Places) -
 
 
 @kernel("block", "layout", "constants", "layout", "constants")
-def judged(block: Block, at: Places, constants: Block, constants_at: Places, initial: Block) -> tuple[int, Found]:
+def judged(block: Block, at: Places, constants: Block, constants_at: Places, initial: Block) -> tuple[int, Evidence]:
     """Find and debounce faults, see ``detectors.judge``."""
     x, c = tables(block, at), constant_tables(constants, constants_at)
     return judge.judge(x, c, tables(initial, at))

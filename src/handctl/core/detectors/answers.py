@@ -27,17 +27,17 @@ def answered(x: Tables, c: ConstantTables) -> bool:
         True if a node sent more replies than requests. ``SURPLUS`` is then the number of
             outstanding requests plus 1, and 0 for other motors.
     """
-    found = False
+    any_excess = False
     for n in range(x.tendon.shape[1]):
-        came, asked = x.tendon_int[s.ANSWERED, n], x.tendon_int[s.OPEN_QUESTIONS, n]
+        replies, outstanding = x.tendon_int[s.ANSWERED, n], x.tendon_int[s.OPEN_QUESTIONS, n]
         x.tendon_int[s.SURPLUS, n] = 0
-        if came > asked and c.tendon_int[h.ANSWERS_ONCE, n]:
-            x.tendon_int[s.SURPLUS, n] = 1 + asked
-            found = True
-        x.tendon_int[s.OPEN_QUESTIONS, n] = max(asked - came, 0)
+        if replies > outstanding and c.tendon_int[h.ANSWERS_ONCE, n]:
+            x.tendon_int[s.SURPLUS, n] = 1 + outstanding
+            any_excess = True
+        x.tendon_int[s.OPEN_QUESTIONS, n] = max(outstanding - replies, 0)
     for g in range(x.group_int.shape[1]):
-        found |= x.group_int[s.GROUP_ANSWERED, g] > 1
-    return found
+        any_excess |= x.group_int[s.GROUP_ANSWERED, g] > 1
+    return any_excess
 
 
 @inner
@@ -51,12 +51,12 @@ def ask(x: Tables, k: int) -> None:
         count = x.tendon_int[s.OPEN_QUESTIONS, n]
         if x.tendon_int[s.PHASE_BEFORE, n] < READY:
             count = 0
-        kept = 0
+        remaining = 0
         # Keep at most QUESTIONS - 1 old requests, to leave a place for the new one.
         for i in range(max(count - QUESTIONS + 1, 0), count):
-            asked = x.tendon_int[s.QUESTION + i, n]
-            if i == count - 1 or k - asked < WINDOW:
-                x.tendon_int[s.QUESTION + kept, n] = asked
-                kept += 1
-        x.tendon_int[s.QUESTION + kept, n] = k
-        x.tendon_int[s.OPEN_QUESTIONS, n] = kept + 1
+            outstanding = x.tendon_int[s.QUESTION + i, n]
+            if i == count - 1 or k - outstanding < WINDOW:
+                x.tendon_int[s.QUESTION + remaining, n] = outstanding
+                remaining += 1
+        x.tendon_int[s.QUESTION + remaining, n] = k
+        x.tendon_int[s.OPEN_QUESTIONS, n] = remaining + 1

@@ -30,12 +30,12 @@ from handctl.safety.faults.bus import (
     UNKNOWN_LIMIT,
 )
 
-Found = NDArray[np.float64]
+Evidence = NDArray[np.float64]
 """Result table (faults, instances): evidence of each fault, NaN where the fault is absent."""
 
 
 @inner
-def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Found) -> None:
+def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
     """Write the findings of the module's rows."""
     if x.run[s.UNKNOWN] > UNKNOWN_LIMIT:
         evidence[B10, 0] = x.run[s.UNKNOWN]
@@ -54,7 +54,7 @@ def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Found) -> None:
 
 
 @inner
-def _answers(x: Tables, c: ConstantTables, evidence: Found) -> None:
+def _answers(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
     """Find overdue feedback. Ticks missed by this host had no request."""
     youngest = motor_age(x, c, 0, x.run_int[s.T_NS])
     for n in range(x.tendon.shape[1]):
@@ -70,7 +70,7 @@ def _answers(x: Tables, c: ConstantTables, evidence: Found) -> None:
 
 
 @inner
-def _losses(x: Tables, evidence: Found) -> None:
+def _losses(x: Tables, evidence: Evidence) -> None:
     """Find lost and halved replies."""
     for node in range(x.node_int.shape[1]):
         number = lost(x, node)
@@ -81,7 +81,7 @@ def _losses(x: Tables, evidence: Found) -> None:
 
 
 @inner
-def _shapes(x: Tables, evidence: Found) -> None:
+def _shapes(x: Tables, evidence: Evidence) -> None:
     """Find malformed frames, duplicate and stale replies."""
     for node in range(x.node_int.shape[1]):
         if x.node_int[s.MISSHAPEN, node] & 1:

@@ -5,12 +5,12 @@ from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
-from handctl.core.detectors.bus import Found
+from handctl.core.detectors.bus import Evidence
 from handctl.safety.faults.host import H01, H02, H03, I07A, I07B, LATE_FRACTION, REFUSED_LIMIT
 
 
 @inner
-def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Found) -> None:
+def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
     """Write the findings of the module's rows."""
     # Lateness as a fraction of the period.
     late, missed = x.run_int[s.LATE_NS] / c.run_int[h.PERIOD_NS], x.run_int[s.MISSED]

@@ -25,7 +25,7 @@ from handctl.core.detectors import (
     swings,
     tendon,
 )
-from handctl.core.detectors.bus import Found
+from handctl.core.detectors.bus import Evidence
 from handctl.safety.faults.table import ACTIONS, DEBOUNCE
 
 ROWS = len(ACTIONS)
@@ -34,7 +34,7 @@ ARMING, RELAX, DISARM, CUT = 3, 5, 6, 7
 
 
 @inner
-def judge(x: Tables, c: ConstantTables, initial: Tables) -> tuple[int, Found]:
+def judge(x: Tables, c: ConstantTables, initial: Tables) -> tuple[int, Evidence]:
     """Judge a tick.
 
     Args:
@@ -80,7 +80,7 @@ def remember(x: Tables, c: ConstantTables) -> None:
 
 
 @inner
-def debounce(x: Tables, evidence: Found) -> int:
+def debounce(x: Tables, evidence: Evidence) -> int:
     """Count consecutive ticks of each fault. Return the largest action of all counting faults."""
     action, fresh = 0, 0
     for row in range(evidence.shape[0]):

@@ -50,14 +50,14 @@ def cell_age(x: Tables, c: ConstantTables, n: int, now_ns: int) -> int:
 
 
 @inner
-def count(x: Tables, c: ConstantTables, now_ns: int, strange: int, judged: bool) -> None:
+def count(x: Tables, c: ConstantTables, now_ns: int, unknown: int, judged: bool) -> None:
     """Update the counts.
 
     Args:
         x: state tables.
         c: constants of the hand.
         now_ns: time of the tick [ns].
-        strange: frames with unknown identifiers in the tick.
+        unknown: frames with unknown identifiers in the tick.
         judged: True if missing replies count: torque may act, and no tick was missed.
     """
     tendons = x.tendon.shape[1]
@@ -75,7 +75,7 @@ def count(x: Tables, c: ConstantTables, now_ns: int, strange: int, judged: bool)
         misread = x.node_int[s.MISREAD_NOW, node] != 0
         x.node_int[s.MISSHAPEN, node] = (x.node_int[s.MISSHAPEN, node] << 1 | misread) & SHORT_MASK
     # Leaky counter with a time constant of 1 s. A small rest becomes 0, so that the counter comes to an end.
-    leaked = x.run[s.UNKNOWN] * (1.0 - c.run[h.PERIOD]) + strange
+    leaked = x.run[s.UNKNOWN] * (1.0 - c.run[h.PERIOD]) + unknown
     x.run[s.UNKNOWN] = leaked if leaked > 1e-3 else 0.0
 
 

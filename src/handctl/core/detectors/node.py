@@ -8,7 +8,7 @@ from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.detectors import correlation, residuals, stuck
-from handctl.core.detectors.bus import Found
+from handctl.core.detectors.bus import Evidence
 from handctl.core.detectors.losses import cell_age, halved
 from handctl.core.detectors.slip import DEG
 from handctl.safety.faults.node import (
@@ -54,7 +54,7 @@ FAULT = 4
 
 
 @inner
-def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Found) -> None:
+def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
     """Write the findings of the module's rows, with or without torque."""
     for n in range(x.tendon.shape[1]):
         if x.tendon[s.TEMPERATURE, n] > c.run[h.TEMPERATURE_SOFT]:
@@ -74,7 +74,7 @@ def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Found) -> None:
 
 
 @inner
-def _errors(x: Tables, evidence: Found) -> None:
+def _errors(x: Tables, evidence: Evidence) -> None:
     """Find errors reported by drives, by cause."""
     for n in range(x.tendon.shape[1]):
         if x.tendon_int[s.PHASE, n] == FAULT:
@@ -82,7 +82,7 @@ def _errors(x: Tables, evidence: Found) -> None:
 
 
 @inner
-def _silence(x: Tables, c: ConstantTables, evidence: Found) -> None:
+def _silence(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
     """Find silent load cells and joint encoders."""
     now_ns = x.run_int[s.T_NS]
     for n in range(x.tendon.shape[1]):
@@ -100,7 +100,7 @@ def _silence(x: Tables, c: ConstantTables, evidence: Found) -> None:
 
 
 @inner
-def _jumps(x: Tables, evidence: Found) -> None:
+def _jumps(x: Tables, evidence: Evidence) -> None:
     """Find rejected positions: of motors in a row, of joints in the next."""
     for n in range(x.tendon.shape[1]):
         if x.tendon[s.JUMP, n] > 0.0:
@@ -116,7 +116,7 @@ def _jumps(x: Tables, evidence: Found) -> None:
 
 
 @inner
-def detect_under_torque(x: Tables, c: ConstantTables, evidence: Found) -> None:
+def detect_under_torque(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
     """Write the findings of rows for a hand under torque."""
     for n in range(x.tendon.shape[1]):
         slip = abs(x.tendon[s.RESIDUAL + residuals.SLIP, n])
@@ -138,7 +138,7 @@ def detect_under_torque(x: Tables, c: ConstantTables, evidence: Found) -> None:
 
 
 @inner
-def _stuck(x: Tables, c: ConstantTables, evidence: Found) -> None:
+def _stuck(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
     """Find encoders with constant readings despite motion: motors in a row, joints in the next."""
     for n in range(x.tendon.shape[1]):
         if x.tendon_int[s.MOTOR_STUCK, n] * c.tendon[h.MOTOR_PERIOD, n] > STUCK_S:
@@ -154,7 +154,7 @@ def _stuck(x: Tables, c: ConstantTables, evidence: Found) -> None:
 
 
 @inner
-def detect_after_cut(x: Tables, c: ConstantTables, evidence: Found) -> None:
+def detect_after_cut(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
     """Find tendons still pulled after the torque was cut."""
     if x.run_int[s.CUT_TICKS] * c.run[h.PERIOD] < PULLED_AFTER_S:
         return

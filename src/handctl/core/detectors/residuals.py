@@ -36,15 +36,15 @@ def update(x: Tables, c: ConstantTables, missed: int, tared: bool) -> None:
         tared: True if the load cells' zero is known.
     """
     now = np.empty(8)
-    begun = x.run_int[s.FILTERED] == 1
+    initialized = x.run_int[s.FILTERED] == 1
     x.run_int[s.FILTERED] = 1
     for n in range(x.tendon.shape[1]):
         position = x.tendon[s.MEASURED_POSITION, n] if missed == 0 else math.nan
         speed = x.tendon[s.SPEED, n] if missed == 0 else math.nan
         tension = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
-        force, asked = x.tendon[s.MEASURED_FORCE, n], x.tendon[s.ASKED, n]
-        made = asked if math.isnan(force) else force
-        if not begun:
+        force, commanded = x.tendon[s.MEASURED_FORCE, n], x.tendon[s.ASKED, n]
+        made = commanded if math.isnan(force) else force
+        if not initialized:
             # What is filtered quickly begins at what is there.
             x.tendon[s.RESIDUAL + TENSION, n] = 0.0 if math.isnan(tension) else tension
             x.tendon[s.RESIDUAL + QUICK_FORCE, n] = 0.0 if math.isnan(made) else made
@@ -53,7 +53,7 @@ def update(x: Tables, c: ConstantTables, missed: int, tared: bool) -> None:
         drag = c.tendon[h.MOTOR_DAMPING, n] * speed + c.tendon[h.COULOMB, n] * math.tanh(speed * 1e3)
         inertia = c.tendon[h.MOTOR_MASS, n] / c.run[h.PERIOD]
         balance = made - tension - inertia * (speed - x.tendon[s.LAST_SPEED, n]) - drag
-        now[BALANCE], now[MADE], now[ASKED] = balance, made, asked - force
+        now[BALANCE], now[MADE], now[ASKED] = balance, made, commanded - force
         now[TENSION], now[QUICK_FORCE], now[SLIP] = tension, made, x.tendon[s.SLIP, n]
         now[JERK] = square(turned - x.tendon[s.LAST_TURNED, n])
         # Against the motion: what rubs has the sign of the speed.
@@ -68,8 +68,8 @@ def update(x: Tables, c: ConstantTables, missed: int, tared: bool) -> None:
 @inner
 def unexplained(x: Tables, c: ConstantTables, n: int) -> float:
     """Return the tension beyond friction and the tolerance of the torque constant [N], 0 or more."""
-    known = c.tendon[h.COULOMB, n] + GAIN_FRACTION * abs(x.tendon[s.RESIDUAL + MADE, n])
-    return max(abs(x.tendon[s.RESIDUAL + BALANCE, n]) - known, 0.0)
+    explained = c.tendon[h.COULOMB, n] + GAIN_FRACTION * abs(x.tendon[s.RESIDUAL + MADE, n])
+    return max(abs(x.tendon[s.RESIDUAL + BALANCE, n]) - explained, 0.0)
 
 
 @inner

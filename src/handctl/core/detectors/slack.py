@@ -19,18 +19,18 @@ def update(x: Tables) -> None:
     """Update the history under torque."""
     x.run_int[s.CUT_TICKS] = -1
     for n in range(x.tendon.shape[1]):
-        tension, wanted = x.tendon[s.RESIDUAL + TENSION, n], x.tendon[s.WANTED, n]
+        tension, commanded = x.tendon[s.RESIDUAL + TENSION, n], x.tendon[s.WANTED, n]
         # No tension is commanded: forget the history, no tendon may be called snapped.
-        if math.isnan(wanted):
+        if math.isnan(commanded):
             x.tendon_int[s.TAUT_AGO, n], x.tendon_int[s.SLACK_TICKS, n] = -1, 0
         elif tension > TAUT_N:
             x.tendon_int[s.TAUT_AGO, n], x.tendon_int[s.SLACK_TICKS, n] = 0, 0
         elif x.tendon_int[s.TAUT_AGO, n] >= 0:
             x.tendon_int[s.TAUT_AGO, n] += 1
-            loose = tension < SLACK_N and wanted > TAUT_N
+            loose = tension < SLACK_N and commanded > TAUT_N
             x.tendon_int[s.SLACK_TICKS, n] = x.tendon_int[s.SLACK_TICKS, n] + 1 if loose else 0
-        bears = tension > TAUT_N or (x.tendon_int[s.BEARS, n] == 1 and tension > SLACK_N)
-        x.tendon_int[s.BEARS, n] = bears
+        is_taut = tension > TAUT_N or (x.tendon_int[s.BEARS, n] == 1 and tension > SLACK_N)
+        x.tendon_int[s.BEARS, n] = is_taut
 
 
 @inner

@@ -54,11 +54,11 @@ def update(x: Tables, c: ConstantTables, tared: bool) -> None:
     for j in range(x.joint.shape[1]):
         value, last = x.joint[s.MEASURED_JOINT, j], x.joint[s.JOINT_VALUE, j]
         moved = not math.isnan(value) and value != last
-        witness = turned(x, c, j)
+        reference = turned(x, c, j)
         if not bears(x, c, j):
             x.joint[s.JOINT_ANCHOR, j] = math.nan
         if moved or math.isnan(x.joint[s.JOINT_ANCHOR, j]):
-            x.joint[s.JOINT_ANCHOR, j] = witness
+            x.joint[s.JOINT_ANCHOR, j] = reference
         if not math.isnan(value):
             x.joint_int[s.JOINT_STUCK, j] = 0 if moved else x.joint_int[s.JOINT_STUCK, j] + 1
             x.joint[s.JOINT_VALUE, j] = value
@@ -87,9 +87,9 @@ def turned(x: Tables, c: ConstantTables, j: int) -> float:
 
 
 @inner
-def away(witness: float, anchor: float) -> float:
+def away(reference: float, anchor: float) -> float:
     """Return the motion of a reference since the reading became constant, 0 if unknown."""
-    apart = abs(witness - anchor)
+    apart = abs(reference - anchor)
     return 0.0 if math.isnan(apart) else apart
 
 
@@ -102,7 +102,7 @@ def follow(x: Tables, c: ConstantTables) -> None:
     at the goal is not stuck while the filtered goal still approaches. From this tick on the
     filtered goal is the digit's position.
     """
-    fraction, least = 1.0 - math.exp(-c.run[h.PERIOD] / FOLLOW_S), SLOW_M_S * c.run[h.PERIOD]
+    fraction, min_step = 1.0 - math.exp(-c.run[h.PERIOD] / FOLLOW_S), SLOW_M_S * c.run[h.PERIOD]
     for n in range(x.tendon.shape[1]):
         goal, d = 0.0, c.tendon_int[h.DIGIT, n]
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
@@ -112,9 +112,9 @@ def follow(x: Tables, c: ConstantTables) -> None:
         x.tendon[s.FOLLOWED, n] = goal
         if math.isnan(before):
             continue
-        way = goal - before
-        if abs(way) > least and x.tendon_int[s.MOTOR_STUCK, n] != 0:
-            x.tendon[s.FOLLOWED, n] = before + math.copysign(max(fraction * abs(way), least), way)
+        change = goal - before
+        if abs(change) > min_step and x.tendon_int[s.MOTOR_STUCK, n] != 0:
+            x.tendon[s.FOLLOWED, n] = before + math.copysign(max(fraction * abs(change), min_step), change)
         if abs(goal - present) < ARRIVED_M:
             x.tendon[s.FOLLOWED, n] = present
             if abs(present - before) > LEAP_M:

@@ -8,7 +8,7 @@ from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.detectors import residuals, stuck
-from handctl.core.detectors.bus import Found
+from handctl.core.detectors.bus import Evidence
 from handctl.core.detectors.replays import replayed
 from handctl.safety.faults.tendon import (
     CELL_FORCE_N,
@@ -46,7 +46,7 @@ RELAX = 5
 
 
 @inner
-def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Found) -> None:
+def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
     """Write the findings of the module's rows, with or without torque."""
     rail, low = c.run[h.TENSION_RAIL], c.run[h.TENSION_LOW]
     relaxing_s = x.run_int[s.T_NS] * 1e-9 - x.run[s.MODE_SINCE]
@@ -65,7 +65,7 @@ def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Found) -> None:
 
 
 @inner
-def detect_under_torque(x: Tables, c: ConstantTables, evidence: Found) -> None:
+def detect_under_torque(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
     """Write the findings of rows for a hand under torque."""
     for n in range(x.tendon.shape[1]):
         _slack(x, c, n, evidence)
@@ -89,9 +89,9 @@ def detect_under_torque(x: Tables, c: ConstantTables, evidence: Found) -> None:
 
 
 @inner
-def _slack(x: Tables, c: ConstantTables, n: int, evidence: Found) -> None:
+def _slack(x: Tables, c: ConstantTables, n: int, evidence: Evidence) -> None:
     """Find a tendon without tension: snapped if the spool runs, slack if tension is commanded."""
-    period, wanted, speed = c.run[h.PERIOD], x.tendon[s.WANTED, n], x.tendon[s.SPEED, n]
+    period, commanded, speed = c.run[h.PERIOD], x.tendon[s.WANTED, n], x.tendon[s.SPEED, n]
     since = x.tendon_int[s.SLACK_TICKS, n] * period
     if since > SLACK_WARN_S:
         evidence[T02A, n] = since
@@ -99,5 +99,5 @@ def _slack(x: Tables, c: ConstantTables, n: int, evidence: Found) -> None:
         evidence[T02B, n] = since
     tension = x.tendon[s.MEASURED_TENSION, n] if x.run_int[s.TARED] else math.nan
     was_taut = 0.0 <= x.tendon_int[s.TAUT_AGO, n] * period < SNAP_MEMORY_S
-    if speed > SNAP_SPEED and wanted > SNAP_N and tension < SNAP_FRACTION * wanted and was_taut:
+    if speed > SNAP_SPEED and commanded > SNAP_N and tension < SNAP_FRACTION * commanded and was_taut:
         evidence[T01, n] = speed

@@ -51,15 +51,15 @@ def feel(x: Tables, c: ConstantTables) -> None:
     for d in range(x.digit.shape[1]):
         if not x.digit_int[s.CLOSING, d]:
             continue
-        felt = x.digit[s.FELT, d]
-        felt += c.run[h.FELT_FRACTION] * (_force(x, c, d, lever) - felt)
-        usual = felt if math.isnan(x.digit[s.USUAL, d]) else x.digit[s.USUAL, d]
+        force = x.digit[s.FELT, d]
+        force += c.run[h.FELT_FRACTION] * (_force(x, c, d, lever) - force)
+        mean = force if math.isnan(x.digit[s.USUAL, d]) else x.digit[s.USUAL, d]
         drift = 0.0 if math.isnan(x.digit[s.DRIFT, d]) else x.digit[s.DRIFT, d]
-        x.digit[s.FELT, d] = felt
+        x.digit[s.FELT, d] = force
         # The mean counts only if negative (too much expected tension), the drift only if positive (load cell).
-        x.digit[s.GROWN, d] = felt - min(usual, 0.0) - max(drift, 0.0)
-        x.digit[s.USUAL, d] = usual + c.run[h.USUAL_FRACTION] * (felt - usual)
-        x.digit[s.DRIFT, d] = drift + c.run[h.DRIFT_FRACTION] * (felt - drift)
+        x.digit[s.GROWN, d] = force - min(mean, 0.0) - max(drift, 0.0)
+        x.digit[s.USUAL, d] = mean + c.run[h.USUAL_FRACTION] * (force - mean)
+        x.digit[s.DRIFT, d] = drift + c.run[h.DRIFT_FRACTION] * (force - drift)
 
 
 @inner

@@ -53,8 +53,8 @@ def update(x: Tables, c: ConstantTables, n: int, z: Vector, gain: Matrix, after:
     for m in range(2):
         for i in range(STATES):
             H[m, i] = c.design[n, kind, h.H_AT + STATES * m + i]
-    known = c.design[n, kind, h.KNOWN_AT]
-    H[1, ERROR] = known
+    observable = c.design[n, kind, h.KNOWN_AT]
+    H[1, ERROR] = observable
     P = _present(x, c, n, kind)
     crossed = _times_transposed(P, H)
     size = _times(H, crossed)
@@ -67,9 +67,9 @@ def update(x: Tables, c: ConstantTables, n: int, z: Vector, gain: Matrix, after:
     information[0], information[1], information[2] = d / determinant, -2.0 * b / determinant, a / determinant
     for i in range(STATES):
         # What cannot be told from tension is not corrected, and its growth counts in the variance.
-        told = known if i == ERROR else 1.0
-        gain[i, 0] = told * (crossed[i, 0] * d - crossed[i, 1] * b) / determinant
-        gain[i, 1] = told * (crossed[i, 1] * a - crossed[i, 0] * b) / determinant
+        observed = observable if i == ERROR else 1.0
+        gain[i, 0] = observed * (crossed[i, 0] * d - crossed[i, 1] * b) / determinant
+        gain[i, 1] = observed * (crossed[i, 1] * a - crossed[i, 0] * b) / determinant
     rest = np.zeros((STATES, STATES))
     for i in range(STATES):
         for j in range(STATES):
@@ -142,8 +142,8 @@ def _present(x: Tables, c: ConstantTables, n: int, kind: int) -> Matrix:
 def _is_steady(c: ConstantTables, n: int, kind: int, P: Matrix) -> bool:
     steady = _square(c, n, kind, h.P_AT)
     for i in range(STATES):
-        told = c.design[n, kind, h.KNOWN_AT] if i == ERROR else 1.0
-        if abs(P[i, i] - steady[i, i]) * told > STEADY_FRACTION * steady[i, i] * told:
+        observed = c.design[n, kind, h.KNOWN_AT] if i == ERROR else 1.0
+        if abs(P[i, i] - steady[i, i]) * observed > STEADY_FRACTION * steady[i, i] * observed:
             return False
     variance = _tension_variance(c, n, kind, steady)
     return abs(_tension_variance(c, n, kind, P) - variance) <= STEADY_FRACTION * variance
@@ -161,30 +161,30 @@ def _tension_variance(c: ConstantTables, n: int, kind: int, P: Matrix) -> float:
 @inner
 def _square(c: ConstantTables, n: int, kind: int, at: int) -> Matrix:
     """Return a copy of a (7, 7) matrix of the design."""
-    found = np.empty((STATES, STATES))
+    matrix = np.empty((STATES, STATES))
     for i in range(STATES):
         for j in range(STATES):
-            found[i, j] = c.design[n, kind, at + STATES * i + j]
-    return found
+            matrix[i, j] = c.design[n, kind, at + STATES * i + j]
+    return matrix
 
 
 @inner
 def _times(left: Matrix, right: Matrix) -> Matrix:
     """Return the product of two matrices, with sums in a fixed order."""
-    found = np.zeros((left.shape[0], right.shape[1]))
+    matrix = np.zeros((left.shape[0], right.shape[1]))
     for i in range(left.shape[0]):
         for j in range(right.shape[1]):
             for k in range(left.shape[1]):
-                found[i, j] += left[i, k] * right[k, j]
-    return found
+                matrix[i, j] += left[i, k] * right[k, j]
+    return matrix
 
 
 @inner
 def _times_transposed(left: Matrix, right: Matrix) -> Matrix:
     """Return the product of a matrix and a transposed matrix."""
-    found = np.zeros((left.shape[0], right.shape[0]))
+    matrix = np.zeros((left.shape[0], right.shape[0]))
     for i in range(left.shape[0]):
         for j in range(right.shape[0]):
             for k in range(left.shape[1]):
-                found[i, j] += left[i, k] * right[j, k]
-    return found
+                matrix[i, j] += left[i, k] * right[j, k]
+    return matrix

@@ -77,9 +77,9 @@ def design_filter(space: TendonSpace, gains: FilterGains, period: float, joint_p
         kind = (joints, *(float(getattr(space, each.name)[i]) for each in fields(space)))
         if kind not in made:
             with solvable("filter"):
-                usual = tuple(_block(space, i, (regime, False), gains, period, joints) for regime in Regime)
+                certain = tuple(_block(space, i, (regime, False), gains, period, joints) for regime in Regime)
                 doubted = (_block(space, i, (regime, True), gains, period, joints) for regime in TAUT)
-                made[kind] = (*usual, *doubted, usual[Regime.SLACK])  # nothing is in doubt without tension
+                made[kind] = (*certain, *doubted, certain[Regime.SLACK])  # nothing is in doubt without tension
         found.append(made[kind])
     return FilterDesign(tuple(found))
 

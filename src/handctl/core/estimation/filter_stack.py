@@ -99,14 +99,14 @@ class FilterDesign:
         object.__setattr__(self, "transition", functools.lru_cache(KEPT)(self._transition))
 
     def _transition(self, kinds: bytes) -> Transition:
-        chosen = [tendon[kind] for tendon, kind in zip(self.blocks, np.frombuffer(kinds, np.int64), strict=True)]
-        return Transition(_stacked([block.F for block in chosen]), _stacked([block.B for block in chosen]))
+        in_use = [tendon[kind] for tendon, kind in zip(self.blocks, np.frombuffer(kinds, np.int64), strict=True)]
+        return Transition(_stacked([block.F for block in in_use]), _stacked([block.B for block in in_use]))
 
 
 def _stacked(blocks: list[Matrix]) -> Matrix:
     """Return blocks (rows, columns) of N tendons as a matrix. The tendons are the inner index of both dimensions."""
     n, (rows, columns), each = len(blocks), blocks[0].shape, np.arange(len(blocks))
     # Index (row, tendon, column, tendon): only equal tendons are coupled.
-    found = np.zeros((rows, n, columns, n))
-    found[:, each, :, each] = blocks
-    return found.reshape(rows * n, columns * n)
+    matrix = np.zeros((rows, n, columns, n))
+    matrix[:, each, :, each] = blocks
+    return matrix.reshape(rows * n, columns * n)

@@ -206,15 +206,15 @@ def _judge_innovation(x: Tables, c: ConstantTables, innovation: Matrix, informat
     There are two averages. The slow average informs the operator. The fast average adapts the
     filter's noise. It assumes the model without doubt, so added noise does not hide the cause.
     """
-    usual = np.empty(3)
+    nominal = np.empty(3)
     for n in range(len(innovation)):
         nis = _nis(innovation[n], information[n])
         x.tendon[s.NIS, n], x.tendon[s.INNOVATION, n] = nis, innovation[n, 1]
         kind = x.tendon_int[s.KIND, n]
         if kind >= 3 and not full:
             for i in range(3):
-                usual[i] = c.design[n, kind - 3, h.INFORMATION_AT + i]
-            nis = _nis(innovation[n], usual)
+                nominal[i] = c.design[n, kind - 3, h.INFORMATION_AT + i]
+            nis = _nis(innovation[n], nominal)
         if math.isnan(nis):
             continue
         nis, period = min(nis, NIS_LIMIT), c.run[h.PERIOD]
@@ -259,12 +259,12 @@ def tension_of(x: Tables, c: ConstantTables, n: int) -> float:
 
 
 @inner
-def free_angles(x: Tables, c: ConstantTables, row: int, found: Vector) -> None:
+def free_angles(x: Tables, c: ConstantTables, row: int, result: Vector) -> None:
     """Write the joint angles (or rates) (J,) of excursions (or their rates) in a row, q = B R_r^+ s."""
-    for j in range(len(found)):
-        found[j] = 0.0
+    for j in range(len(result)):
+        result[j] = 0.0
         for n in range(x.tendon.shape[1]):
-            found[j] += c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n] * x.tendon[row, n]
+            result[j] += c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n] * x.tendon[row, n]
 
 
 @inner
@@ -286,8 +286,8 @@ def _load_forces(x: Tables, c: ConstantTables) -> Matrix:
     for n in range(count):
         tension[n] = tension_of(x, c, n)
         quick[n] = math.tanh(x.tendon[s.SPEED, n] / CAPSTAN_FRICTION_SPEED)
-        known = x.tendon[s.FRICTION_STATE, n]
-        developed[n] = quick[n] if math.isnan(known) else known
+        friction_state = x.tendon[s.FRICTION_STATE, n]
+        developed[n] = quick[n] if math.isnan(friction_state) else friction_state
         better |= developed[n] != quick[n]
     pull(c, q, tension, quick, force[1])
     pull(c, q, tension, developed if better else quick, force[2])

@@ -110,8 +110,8 @@ def convert(x: Tables, c: ConstantTables) -> None:
     for n in range(x.tendon.shape[1]):
         spool = c.tendon[h.SPOOL, n]
         x.tendon[s.MEASURED_TRAVEL, n] = x.tendon[s.MEASURED_POSITION, n] * spool
-        known = not math.isnan(x.tendon[s.MEASURED_TRAVEL, n])
-        x.tendon[s.MEASURED_FORCE, n] = x.tendon[s.REPORTED, n] / spool if known else math.nan
+        valid = not math.isnan(x.tendon[s.MEASURED_TRAVEL, n])
+        x.tendon[s.MEASURED_FORCE, n] = x.tendon[s.REPORTED, n] / spool if valid else math.nan
         d, excursion = c.tendon_int[h.DIGIT, n], 0.0
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
             if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:

@@ -121,9 +121,9 @@ def _columns(x: Tables, c: ConstantTables) -> Matrix:
             columns[places + place, j] = root * doubt[place, j]
     for row in range(places, 2 * places + 2):
         for d in range(x.digit.shape[1]):
-            room = max(_room(x, c, d, columns[row], 1.0), _room(x, c, d, columns[row], -1.0))
+            fraction = max(_range_fraction(x, c, d, columns[row], 1.0), _range_fraction(x, c, d, columns[row], -1.0))
             for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
-                columns[row, j] *= room
+                columns[row, j] *= fraction
     for j in range(joints):
         variance = 0.0
         for row in range(len(columns)):
@@ -200,26 +200,26 @@ def _turn_of_digit(
             size += lever[j] * c.joint_joint[h.SPREAD, j, other] * lever[other]
     size = max(size, LEVER_LEAST_M2)
     for j in range(first, end):
-        given_way = 0.0
+        compliance = 0.0
         for other in range(first, end):
-            given_way += lever[other] * c.joint_joint[h.COMPLIANCE, other, j]
+            compliance += lever[other] * c.joint_joint[h.COMPLIANCE, other, j]
         # Unexplained tension is positive where the object pushes the digit open.
-        turns[j] = -work / size * given_way
-        doubt[j] = work_error / size * given_way
-    room = _room(x, c, d, turns, 1.0)
+        turns[j] = -work / size * compliance
+        doubt[j] = work_error / size * compliance
+    fraction = _range_fraction(x, c, d, turns, 1.0)
     for j in range(first, end):
-        turns[j] *= room  # as a whole, so that its excursion stays
+        turns[j] *= fraction  # as a whole, so that its excursion stays
 
 
 @inner
-def _room(x: Tables, c: ConstantTables, d: int, turn: Vector, sign: float) -> float:
+def _range_fraction(x: Tables, c: ConstantTables, d: int, turn: Vector, sign: float) -> float:
     """Return the fraction, 0 to 1, of a digit's turn (J,) [rad] within the joints' ranges at the free angles."""
-    least = 1.0
+    fraction = 1.0
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
         way, q = sign * turn[j], x.joint[s.Q, j]
-        room = max(c.joint[h.HIGH, j] - q if way > 0.0 else q - c.joint[h.LOW, j], 0.0)
-        least = min(least, room / max(abs(way), TURN_LEAST_RAD))
-    return least
+        margin = max(c.joint[h.HIGH, j] - q if way > 0.0 else q - c.joint[h.LOW, j], 0.0)
+        fraction = min(fraction, margin / max(abs(way), TURN_LEAST_RAD))
+    return fraction
 
 
 @inner

@@ -42,7 +42,7 @@ def torque_to_tension(c: ConstantTables, torque: Vector, tension: Vector) -> Non
 
 
 @inner
-def pull(c: ConstantTables, q: Vector, tension: Vector, developed: Vector, found: Vector) -> None:
+def pull(c: ConstantTables, q: Vector, tension: Vector, developed: Vector, result: Vector) -> None:
     """Write the tensions at the joints, friction subtracted, with the torques of tensions at the load cells.
 
     Args:
@@ -50,7 +50,7 @@ def pull(c: ConstantTables, q: Vector, tension: Vector, developed: Vector, found
         q: (J,) joint angles [rad].
         tension: (N,) at the load cells [N].
         developed: (N,) development of friction, 1 winding, -1 paying out.
-        found: (N,) result [N].
+        result: (N,) tensions at the joints [N].
 
     Source: capstan equation.
     """
@@ -62,7 +62,7 @@ def pull(c: ConstantTables, q: Vector, tension: Vector, developed: Vector, found
             if arm != 0.0:
                 wrapped += q[j]
                 torque[j] += arm * tension[n] * math.exp(-c.tendon[h.CAPSTAN, n] * developed[n] * wrapped)
-    torque_to_tension(c, torque, found)
+    torque_to_tension(c, torque, result)
 
 
 @inner

@@ -47,16 +47,16 @@ def turning(regime: int, points: int, tension: float, cell: float, error: float,
         return points + 1 if tension < SLACK_BELOW_N and cell < SLACK_BELOW_N else 0
     if math.isnan(cell):
         return points
-    worth = -AGAINST
+    evidence = -AGAINST
     if cell - error > TAUT_ABOVE_N:
-        worth = TAUT_AT_ONCE
+        evidence = TAUT_AT_ONCE
     elif cell - error > LIKELY_ABOVE_N:
-        worth = LIKELY
+        evidence = LIKELY
     elif cell - error > POSSIBLE_ABOVE_N:
-        worth = POSSIBLE
-    if worth > 0 and near:
-        worth *= NEAR_FACTOR
-    return max(points + worth, 0)
+        evidence = POSSIBLE
+    if evidence > 0 and near:
+        evidence *= NEAR_FACTOR
+    return max(points + evidence, 0)
 
 
 @inner

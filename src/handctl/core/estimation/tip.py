@@ -19,11 +19,11 @@ def joint_lever(digit: DigitModel, q: Vector) -> Vector:
         digit: the digit.
         q: (n,) joint angles [rad].
     """
-    beyond, reach, lever = 0.0, 0.0, []
+    angle_sum, reach, lever = 0.0, 0.0, []
     # From the tip inwards, with the angle to the last link.
     for length, angle in zip(reversed(digit.lengths), reversed(q.tolist()), strict=True):
-        reach += length * math.cos(beyond)
-        beyond += angle
+        reach += length * math.cos(angle_sum)
+        angle_sum += angle
         lever.append(reach)
     return np.array(lever[::-1])
 

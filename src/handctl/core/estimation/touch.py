@@ -34,8 +34,8 @@ def feel(x: Tables, c: ConstantTables) -> None:
         mean = 0.0
         for n in range(first, end):
             mean += x.tendon[s.EXTERNAL, n] / (end - first)
-        kept = c.run[h.TOUCH_KEPT]
-        x.digit[s.TOUCH, d] = kept * x.digit[s.TOUCH, d] + (1.0 - kept) * mean
+        retained = c.run[h.TOUCH_KEPT]
+        x.digit[s.TOUCH, d] = retained * x.digit[s.TOUCH, d] + (1.0 - retained) * mean
         limit = FREED_N if x.digit_int[s.BLOCKED, d] else BLOCKED_N
         blocked = x.digit[s.TOUCH, d] > limit
         if blocked != x.digit_int[s.BLOCKED, d]:

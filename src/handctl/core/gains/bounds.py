@@ -43,22 +43,22 @@ class Bound:
 
     def __str__(self) -> str:
         """Return the bounds in words."""
-        least = f"more than {self.low:g}" if self.open_low else f"at least {self.low:g}"
-        return f"{'a whole number, ' if self.whole else ''}{least}, at most {self.high:g}"
+        lower = f"more than {self.low:g}" if self.open_low else f"at least {self.low:g}"
+        return f"{'a whole number, ' if self.whole else ''}{lower}, at most {self.high:g}"
 
 
 @cache
 def bounds() -> Mapping[str, Bound]:
     """Return the bounds of all keys, in the order of the gains model, from which the numbers come."""
-    found = {}
+    result = {}
     for section in SECTIONS:
         model = cast(type[Document], Gains.model_fields[section].annotation)
         for name, field in model.model_fields.items():
             low, high, open_low = _limits(field.metadata)
             key, whole = f"{section}.{name}", field.annotation is int
             why = field.description or ""
-            found[key] = Bound(key, low, high, open_low, field.default, whole, section in LIVE, why)
-    return found
+            result[key] = Bound(key, low, high, open_low, field.default, whole, section in LIVE, why)
+    return result
 
 
 def _limits(metadata: list[Any]) -> tuple[float, float, bool]:

@@ -177,6 +177,7 @@ def load_gains_file(path: Path) -> GainsFile:
 
 def gains_text(gains: Gains, provenance: Provenance) -> str:
     """Return the text of a gains file with every value, defaults included."""
-    told = {key: value for key, value in provenance.model_dump().items() if value or (key == "restores" and value == 0)}
+    every = provenance.model_dump()
+    given = {key: value for key, value in every.items() if value or (key == "restores" and value == 0)}
     content = gains.model_dump(by_alias=True, include=set(Gains.model_fields))
-    return toml_text(content | ({"provenance": told} if told else {}))
+    return toml_text(content | ({"provenance": given} if given else {}))

@@ -82,10 +82,10 @@ def design_piece(space: TendonSpace, gains: Gains, period: float, piece: int) ->
         return _tension(space, piece - n, gains, period)
 
 
-def assembled(space: TendonSpace, found: list[Vector]) -> MotionDesign:
+def assembled(space: TendonSpace, designed: list[Vector]) -> MotionDesign:
     """Return the design from all pieces."""
     n, mass = len(space.spool), space.motor_mass + space.load_mass
-    motion, tension = found[:n], found[n:]
+    motion, tension = designed[:n], designed[n:]
     return MotionDesign(
         stiffness=np.array([K[0] for K in motion]) / mass,
         damping=np.array([K[1] for K in motion]) / mass,

@@ -30,11 +30,11 @@ def solvable(section: str) -> Iterator[None]:
         raise ConfigError("no controller follows from these values", f"gains: {section}", right) from error
 
 
-def check_finite(*found: NDArray[np.float64]) -> None:
+def check_finite(*solutions: NDArray[np.float64]) -> None:
     """Refuse a solution with infinite or undefined numbers.
 
     Raises:
         ValueError: if a number is not finite.
     """
-    if not all(np.isfinite(one).all() for one in found):
+    if not all(np.isfinite(one).all() for one in solutions):
         raise ValueError("not finite")

@@ -58,9 +58,9 @@ MOST = 64
 
 def _problem(moment_arms: Vector) -> _Problem:
     """Return the program of moment arms, cached by identity, because moment arms are constant."""
-    found = _problems.get(id(moment_arms))
-    if found is not None and found[0] is moment_arms:
-        return found[1]
+    result = _problems.get(id(moment_arms))
+    if result is not None and result[0] is moment_arms:
+        return result[1]
     if len(_problems) >= MOST:
         _problems.clear()
     n, mean = len(moment_arms), float(np.abs(moment_arms).mean())
@@ -89,5 +89,5 @@ def bounded(moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector,
     linear = -(arms.dot(torque / mean) + REGULARISATION * floor)
     start = np.minimum(np.maximum(near, floor), ceiling)
     # Copies, because daqp may write into its arguments.
-    found = solve(weight.copy(), linear, unconstrained, ceiling.copy(), floor.copy(), primal_start=start)
-    return np.minimum(np.maximum(np.asarray(found[0], dtype=np.float64), floor), ceiling)
+    result = solve(weight.copy(), linear, unconstrained, ceiling.copy(), floor.copy(), primal_start=start)
+    return np.minimum(np.maximum(np.asarray(result[0], dtype=np.float64), floor), ceiling)

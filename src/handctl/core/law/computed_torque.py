@@ -145,14 +145,14 @@ def command(x: Tables, c: ConstantTables, way: Matrix, relax_rate: float, open_l
             load[n] = x.tendon[s.TENSION_GOAL, n] = setpoint
         if kind != LIMP:
             force += x.tendon[s.TRIM, n]
-        asked = min(max(force, c.tendon[h.UNWIND, n]), c.tendon[h.LIMIT, n])
+        command_force = min(max(force, c.tendon[h.UNWIND, n]), c.tendon[h.LIMIT, n])
         # A tension limit bounds the motor force, plus the friction that the motor has to overcome.
-        asked = min(asked, limit[n] + c.tendon[h.COULOMB, n])
+        command_force = min(command_force, limit[n] + c.tendon[h.COULOMB, n])
         if relax_rate > 0.0:
             ceiling = _envelope(x, c, n, relax_rate, ticks)
-            asked = ceiling if open_loop else min(max(asked, 0.0), ceiling)
-        x.tendon[s.FORCE, n] = asked - _motor_friction(x, c, n, asked)
-        x.tendon[s.TORQUE, n] = asked * c.tendon[h.SPOOL, n]
+            command_force = ceiling if open_loop else min(max(command_force, 0.0), ceiling)
+        x.tendon[s.FORCE, n] = command_force - _motor_friction(x, c, n, command_force)
+        x.tendon[s.TORQUE, n] = command_force * c.tendon[h.SPOOL, n]
         x.tendon[s.SETPOINT, n], x.tendon[s.INTEGRAL, n] = setpoint, integral
         if kind == MOTION:
             look_ahead(x, c, n, rate, efficiency)
@@ -258,8 +258,8 @@ def _hold(x: Tables, c: ConstantTables, n: int, limit: float) -> tuple[float, fl
         force += c.tendon[h.COULOMB, n]
     if x.digit_int[s.WAY_KIND, c.tendon_int[h.DIGIT, n]] != NO_WAY:
         force += _expected(x, c, n)
-    most = x.tendon[s.FORCE_LIMIT, n]
-    return min(max(force, -most), most), setpoint, integral
+    max_force = x.tendon[s.FORCE_LIMIT, n]
+    return min(max(force, -max_force), max_force), setpoint, integral
 
 
 @inner
@@ -269,8 +269,9 @@ def _expected(x: Tables, c: ConstantTables, n: int) -> float:
     for k in range(x.coordinate.shape[1]):
         speed += c.tendon_coordinate[h.REDUCED_ARMS, n, k] * x.coordinate[s.WAY + 1, k]
         acceleration += c.tendon_coordinate[h.REDUCED_ARMS, n, k] * x.coordinate[s.WAY + 2, k]
-    own = c.tendon[h.COULOMB, n] * math.tanh(speed / MOTOR_FRICTION_SPEED) + c.tendon[h.MOTOR_MASS, n] * acceleration
-    return own + (c.tendon[h.TENSION_SPEED_GAIN, n] + c.tendon[h.MOTOR_DAMPING, n]) * speed
+    friction = c.tendon[h.COULOMB, n] * math.tanh(speed / MOTOR_FRICTION_SPEED)
+    feedforward = friction + c.tendon[h.MOTOR_MASS, n] * acceleration
+    return feedforward + (c.tendon[h.TENSION_SPEED_GAIN, n] + c.tendon[h.MOTOR_DAMPING, n]) * speed
 
 
 @inner
@@ -283,12 +284,12 @@ def _envelope(x: Tables, c: ConstantTables, n: int, rate: float, ticks: int) -> 
 
 
 @inner
-def _motor_friction(x: Tables, c: ConstantTables, n: int, asked: float) -> float:
+def _motor_friction(x: Tables, c: ConstantTables, n: int, command_force: float) -> float:
     """Return the average Coulomb friction of the motor in the coming period [N].
 
     By the implicit midpoint rule: friction can stop a rotor within a period, but not reverse it.
     """
-    coasting = x.tendon[s.SPEED, n] + c.tendon[h.HALF, n] * (asked - x.tendon[s.TENSION, n])
+    coasting = x.tendon[s.SPEED, n] + c.tendon[h.HALF, n] * (command_force - x.tendon[s.TENSION, n])
     return c.tendon[h.COULOMB, n] * math.tanh(coasting / c.tendon[h.STOPPING, n])
 
 

@@ -47,8 +47,8 @@ def look_ahead(x: Tables, c: ConstantTables, n: int, rate: float, efficiency: fl
     x.tendon[s.RATE, n], x.tendon[s.FRICTION_STATE, n] = 0.0, math.nan
     if before > 0.0:
         x.tendon[s.RATE, n] = (planned - before) / period
-        beyond = math.log(max(before, FRICTION_LEAST_N) / max(load, FRICTION_LEAST_N))
-        developed = -beyond / math.log(min(efficiency, EFFICIENCY_MOST))
+        ratio_log = math.log(max(before, FRICTION_LEAST_N) / max(load, FRICTION_LEAST_N))
+        developed = -ratio_log / math.log(min(efficiency, EFFICIENCY_MOST))
         x.tendon[s.FRICTION_STATE, n] = min(max(developed, -1.0), 1.0)
 
 

@@ -18,14 +18,14 @@ def write_loads(model: HandModel, layout: Layout, constants: HandConstants, bloc
         block: the state, modified in place.
         action: demanded by safety, ``safety.action.Action``.
     """
-    known = constants.block, constants.layout.places
-    undecided = stages.refer(block, layout.places, *known, action)
+    constants_in = constants.block, constants.layout.places
+    undecided = stages.refer(block, layout.places, *constants_in, action)
     required = layout.view(block, "joint_required")
     if model.inverse is not required_torque:  # another law of the digits, for experiments
-        way = stages.on_joints(block, layout.places, *known)
+        way = stages.on_joints(block, layout.places, *constants_in)
         for digit in model.digits:
             required[digit.joints] = model.inverse(digit, *(row[digit.joints].tolist() for row in way))
-        undecided = stages.load(block, layout.places, *known)
+        undecided = stages.load(block, layout.places, *constants_in)
     allocate(model, layout, block, undecided)
 
 
@@ -42,6 +42,6 @@ def allocate(model: HandModel, layout: Layout, block: Block, undecided: int) -> 
     for d, digit in enumerate(model.digits):
         if undecided >> d & 1:
             tendons = digit.tendons
-            wanted = required[digit.joints] @ digit.coupling
+            required_torque = required[digit.joints] @ digit.coupling
             low, high = model.floor[tendons], model.ceiling[tendons]
-            load[tendons] = bounded(digit.reduced_moment_arms, wanted, low, high, load[tendons])
+            load[tendons] = bounded(digit.reduced_moment_arms, required_torque, low, high, load[tendons])
