@@ -149,7 +149,7 @@ class Made:
             }  # fmt: skip
             found += [(one, drive.bus, given) for one in drive.cyclic.feedback]
         sensors = self.controller.sensors
-        counter = self.state.whole(s.SYNC_ASKED) & 0xF
+        counter = self.state.whole(s.SYNC_COUNTER) & 0xF
         for message in sensors.messages:
             late = random.random() < BROKEN
             given = {Quantity.COUNTER: counter ^ late, Quantity.TENSION: self.tension, Quantity.ANGLE: self.angle}

@@ -92,7 +92,7 @@ def feel(model: HandModel, force: float, ticks: int = 1, closing: int = 1, **rem
     state, unit = blank(model), known(model, at_rest(model, 0.3))._replace(external=np.ones(model.tendon_count))
     state.view("closing")[...] = 1
     concluded(model, state, unit)
-    each = force / (state.view("felt") / constant_tables_of(model).run[h.FELT_FRACTION])
+    each = force / (state.view("felt") / constant_tables_of(model).run[h.TIP_FORCE_FRACTION])
     for name, value in remembered.items():
         state.view(name)[...] = value
     state.view("closing")[closing:] = 0

@@ -183,7 +183,7 @@ def felt(model: HandModel, estimate: Estimate) -> np.ndarray:
     state = blank(model)
     state.view("closing")[...] = 1
     concluded(model, state, estimate)
-    return state.view("felt") / constant_tables_of(model).run[h.FELT_FRACTION]
+    return state.view("felt") / constant_tables_of(model).run[h.TIP_FORCE_FRACTION]
 
 
 def strong(model: HandModel, newtons: float) -> float:

@@ -56,8 +56,8 @@ def begin_relaxing(model: HandModel, state: State) -> None:
     )
     state.decide(progress=replace(state.progress, goals=goals))
     table[s.SETPOINT] = start
-    # ASKED is the commanded motor force, which the envelope starts from in the next tick.
-    table[s.ASKED] = _envelope_start(model, state, present)
+    # COMMANDED_FORCE is the commanded motor force, which the envelope starts from in the next tick.
+    table[s.COMMANDED_FORCE] = _envelope_start(model, state, present)
     whole[s.GOAL_KIND] = int(Kind.TENSION)
 
 
@@ -73,7 +73,7 @@ def _envelope_start(model: HandModel, state: State, present: Vector) -> Vector:
         state: at the start of relaxing.
         present: (N,) tension with a margin [N].
     """
-    commanded = np.nan_to_num(state.tendon[s.ASKED], nan=0.0)
+    commanded = np.nan_to_num(state.tendon[s.COMMANDED_FORCE], nan=0.0)
     if any(mark.id in LOAD_CELL_FAULTS for mark in state.latched):
         return np.asarray(commanded)
     return np.minimum(commanded, present + model.space.coulomb)
@@ -81,7 +81,7 @@ def _envelope_start(model: HandModel, state: State, present: Vector) -> Vector:
 
 def commands_relaxed(state: State) -> bool:
     """Return True if no motor is commanded more than the tension of a relaxed tendon."""
-    return not np.any(state.tendon[s.ASKED] > RELAX_FLOOR_N + RELAXED_WITHIN_N)
+    return not np.any(state.tendon[s.COMMANDED_FORCE] > RELAX_FLOOR_N + RELAXED_WITHIN_N)
 
 
 def tensions_relaxed(state: State) -> bool:

@@ -327,7 +327,7 @@ class Controller:
         counter = self.sensors.counter(state.k)
         out[0] = self.sync_row
         out[0, PAYLOAD] = counter
-        state.set_whole(s.SYNC_ASKED, counter & 0xF)
+        state.set_whole(s.SYNC_COUNTER, counter & 0xF)
         state.set_whole(s.SYNCS, state.whole(s.SYNCS) + 1)
         torque = state.tendon[s.TORQUE]
         if self.model.torque_gain is not None:

@@ -56,7 +56,7 @@ FRICTION_FRACTION = _real("friction_fraction", "run", "", "fraction of pulley fr
 TENSION_FEEDBACK = _real("tension_feedback", "run", "", "inner tension loop of a moving digit")
 INTEGRAL_GAIN = _real("integral_gain", "run", "", "tension loop: integral gain times the period")
 PERIOD = _real("period", "run", "s", "control period")
-TRIM_KEPT = _real("trim_kept", "run", "", "fraction of a trim that is left after a tick")
+TRIM_DECAY = _real("trim_kept", "run", "", "fraction of a trim that is left after a tick")
 
 # Joints and links.
 SPRING = _real("spring", "joint", "N m/rad", "return spring")
@@ -100,7 +100,7 @@ PLACE_REACH = _real("place_reach", "place*joint*joint", "m", "distance along eac
 PLACE_WEIGHT = _real("place_weight", "place*joint", "", "probability of each place")
 EXCURSION_VARIANCE = _real("excursion_variance", "tendon", "m2", "of an excursion, that of the stretch aside")
 TURN_FRACTION = _real("turn_fraction", "run", "", "fraction of a new turn in the smoothed one")
-PRESSED_KEPT = _real("pressed_kept", "run", "", "fraction of a contact that is left after a tick")
+PRESSED_DECAY = _real("pressed_kept", "run", "", "fraction of a contact that is left after a tick")
 NULL_SPACE = _whole("null_space", "run", "", "a digit has a null space")
 JOINTS_FUSED = _whole("joints_fused", "run", "", "a joint of such a digit has an encoder")
 POSTURE_TICKS = _whole("posture_ticks", "run", "", "ticks from one estimate in the null space to the next")
@@ -119,14 +119,14 @@ numbers.
 KINDS = 6
 
 # Contact and grip: fractions of what is new that averages take in a tick.
-FELT_FRACTION = _real("felt_fraction", "run", "", "of the force felt")
-USUAL_FRACTION = _real("usual_fraction", "run", "", "of its mean")
+TIP_FORCE_FRACTION = _real("felt_fraction", "run", "", "of the force felt")
+TIP_FORCE_MEAN_FRACTION = _real("usual_fraction", "run", "", "of its mean")
 DRIFT_FRACTION = _real("drift_fraction", "run", "", "of its long mean")
 FAST_FRACTION = _real("fast_fraction", "run", "", "of a grip's quick average")
 SLOW_FRACTION = _real("slow_fraction", "run", "", "of its slow average")
 
 # Touch and monitor.
-TOUCH_KEPT = _real("touch_kept", "run", "", "fraction of the smoothed unexplained tension that is kept in a tick")
+TOUCH_DECAY = _real("touch_kept", "run", "", "fraction of the smoothed unexplained tension that is kept in a tick")
 STEP_LIMIT = _real("step_limit", "tendon", "rad", "largest step of a motor position in a period")
 JOINT_STEP_LIMIT = _real("joint_step_limit", "joint", "rad", "largest step of a joint angle in a period")
 RESIDUAL_FRACTION = _real("residual_fraction", "tendon", "", "fraction of what is new in each low-passed residual",

@@ -110,7 +110,7 @@ class Estimate:
     @property
     def grown(self) -> Vector:
         """Return (D,) contact force at the tips of closing digits, without the mean before contact [N]."""
-        return self.digit[s.GROWN]
+        return self.digit[s.CONTACT_FORCE]
 
     @property
     def opening(self) -> Vector:

@@ -129,11 +129,11 @@ def remember(block: Block, at: Places, constants: Block, constants_at: Places) -
     x, c = tables(block, at), constant_tables(constants, constants_at)
     mode = x.run_int[s.MODE]
     for n in range(x.tendon.shape[1]):
-        x.tendon[s.ASKED, n] = x.tendon[s.WANTED, n] = math.nan
+        x.tendon[s.COMMANDED_FORCE, n] = x.tendon[s.COMMANDED_TENSION, n] = math.nan
         if mode == ACTIVE or mode == RELAX:
-            x.tendon[s.ASKED, n] = x.tendon[s.TORQUE, n] / c.tendon[h.SPOOL, n]
+            x.tendon[s.COMMANDED_FORCE, n] = x.tendon[s.TORQUE, n] / c.tendon[h.SPOOL, n]
         if mode == ACTIVE:
-            x.tendon[s.WANTED, n] = x.tendon[s.TENSION_GOAL, n]
+            x.tendon[s.COMMANDED_TENSION, n] = x.tendon[s.TENSION_GOAL, n]
     if mode == ACTIVE:
         stuck.follow(x, c)
     else:

@@ -91,8 +91,8 @@ def begin(block: Block, at: Places, k: int, t_ns: int, late_ns: int, missed: int
     for g in range(x.group_int.shape[1]):
         x.group_int[s.GROUP_ANSWERED, g] = 0
     for node in range(x.node_int.shape[1]):
-        x.node_int[s.MISREAD_NOW, node] = x.node_int[s.TWICE, node] = 0
-    x.run_int[s.STALE_NOW] = x.run_int[s.STRANGE] = x.run_int[s.REFUSED_NOW] = x.run_int[s.CHANGED] = 0
+        x.node_int[s.MISREAD_NOW, node] = x.node_int[s.DUPLICATES, node] = 0
+    x.run_int[s.STALE_NOW] = x.run_int[s.UNKNOWN_FRAMES] = x.run_int[s.REFUSED_NOW] = x.run_int[s.CHANGED] = 0
 
 
 @kernel("block", "layout", "words", "counts", "matrix_int", "matrix_int", "matrix", "count")
@@ -141,7 +141,7 @@ def receive(
 @inner
 def _strange(x: Tables, keys: Whole, entries: Whole, bus: Any, can_id: Any) -> None:
     """Count a frame with an unknown identifier. A remote or 29-bit frame with a node's number is malformed."""
-    x.run_int[s.STRANGE] += 1
+    x.run_int[s.UNKNOWN_FRAMES] += 1
     if can_id & (EXTENDED | REMOTE):
         # The lower 11 bits are the identifier of a standard frame with the same number.
         entry = find(keys, bus << 32 | can_id & 0x7FF)
@@ -172,7 +172,7 @@ def _sensors(
     group, tensions = entries[entry, GROUP], 0
     for i in range(entries[entry, FIRST], entries[entry, END]):
         value, quantity, channel = unpacked(payload, wholes, reals, i), wholes[i, QUANTITY], wholes[i, CHANNEL]
-        if quantity == COUNTER and value != x.run_int[s.SYNC_ASKED]:
+        if quantity == COUNTER and value != x.run_int[s.SYNC_COUNTER]:
             x.run_int[s.STALE] += 1
             x.run_int[s.STALE_NOW] = max(x.run_int[s.STALE_NOW], 2 if x.group_int[s.GROUP_ANSWERED, group] else 1)
             return

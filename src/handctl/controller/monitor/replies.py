@@ -19,7 +19,7 @@ from handctl.drives.sensors.node import SensorNode
 def unsolicited(
     drives: tuple[Drive, ...], sensors: SensorNode, before: State, state: State, frames: Sequence[Frame]
 ) -> tuple[str, ...]:
-    """Judge the excess replies of a tick, and write duplicates into ``TWICE``.
+    """Judge the excess replies of a tick, and write duplicates into ``DUPLICATES``.
 
     Args:
         drives: of the hand.
@@ -41,7 +41,7 @@ def unsolicited(
             duplicates[n] = _differ(_answers(drives[n], before, n, frames), count - 1)
     for group, count in enumerate(state.view("group_answered").tolist()):
         if count > 1:
-            counter, can_id = before.whole(s.SYNC_ASKED), sensors.ids[group]
+            counter, can_id = before.whole(s.SYNC_COUNTER), sensors.ids[group]
             # The low four bits of the first payload byte echo the counter of the SYNC.
             fresh = [
                 frame.data

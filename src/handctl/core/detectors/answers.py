@@ -24,17 +24,17 @@ def answered(x: Tables, c: ConstantTables) -> bool:
     """Close the newest outstanding request for each reply of the tick, so a lost request grows old.
 
     Returns:
-        True if a node sent more replies than requests. ``SURPLUS`` is then the number of
+        True if a node sent more replies than requests. ``EXCESS_REPLIES`` is then the number of
             outstanding requests plus 1, and 0 for other motors.
     """
     any_excess = False
     for n in range(x.tendon.shape[1]):
-        replies, outstanding = x.tendon_int[s.ANSWERED, n], x.tendon_int[s.OPEN_QUESTIONS, n]
-        x.tendon_int[s.SURPLUS, n] = 0
+        replies, outstanding = x.tendon_int[s.ANSWERED, n], x.tendon_int[s.OUTSTANDING, n]
+        x.tendon_int[s.EXCESS_REPLIES, n] = 0
         if replies > outstanding and c.tendon_int[h.ANSWERS_ONCE, n]:
-            x.tendon_int[s.SURPLUS, n] = 1 + outstanding
+            x.tendon_int[s.EXCESS_REPLIES, n] = 1 + outstanding
             any_excess = True
-        x.tendon_int[s.OPEN_QUESTIONS, n] = max(outstanding - replies, 0)
+        x.tendon_int[s.OUTSTANDING, n] = max(outstanding - replies, 0)
     for g in range(x.group_int.shape[1]):
         any_excess |= x.group_int[s.GROUP_ANSWERED, g] > 1
     return any_excess
@@ -48,15 +48,15 @@ def ask(x: Tables, k: int) -> None:
     outstanding then.
     """
     for n in range(x.tendon.shape[1]):
-        count = x.tendon_int[s.OPEN_QUESTIONS, n]
+        count = x.tendon_int[s.OUTSTANDING, n]
         if x.tendon_int[s.PHASE_BEFORE, n] < READY:
             count = 0
         remaining = 0
         # Keep at most QUESTIONS - 1 old requests, to leave a place for the new one.
         for i in range(max(count - QUESTIONS + 1, 0), count):
-            outstanding = x.tendon_int[s.QUESTION + i, n]
+            outstanding = x.tendon_int[s.REQUEST_TICKS + i, n]
             if i == count - 1 or k - outstanding < WINDOW:
-                x.tendon_int[s.QUESTION + remaining, n] = outstanding
+                x.tendon_int[s.REQUEST_TICKS + remaining, n] = outstanding
                 remaining += 1
-        x.tendon_int[s.QUESTION + remaining, n] = k
-        x.tendon_int[s.OPEN_QUESTIONS, n] = remaining + 1
+        x.tendon_int[s.REQUEST_TICKS + remaining, n] = k
+        x.tendon_int[s.OUTSTANDING, n] = remaining + 1

@@ -84,12 +84,12 @@ def _losses(x: Tables, evidence: Evidence) -> None:
 def _shapes(x: Tables, evidence: Evidence) -> None:
     """Find malformed frames, duplicate and stale replies."""
     for node in range(x.node_int.shape[1]):
-        if x.node_int[s.MISSHAPEN, node] & 1:
-            number = ones(x.node_int[s.MISSHAPEN, node])
+        if x.node_int[s.MALFORMED, node] & 1:
+            number = ones(x.node_int[s.MALFORMED, node])
             evidence[B09, node] = number
             if number >= MALFORMED_LIMIT:
                 evidence[B08, node] = number
-        if x.node_int[s.TWICE, node] == 1:
+        if x.node_int[s.DUPLICATES, node] == 1:
             evidence[B05, node] = 0.0
-        if x.node_int[s.TWICE, node] == 2:
+        if x.node_int[s.DUPLICATES, node] == 2:
             evidence[B06, node] = 1.0

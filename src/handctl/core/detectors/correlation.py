@@ -55,7 +55,7 @@ def update(x: Tables, c: ConstantTables, missed: int) -> None:
     for n in range(x.tendon.shape[1]):
         # Commands of this tick and of the three ticks before, newest first.
         command, first, second, last = (
-            x.tendon[s.ASKED, n],
+            x.tendon[s.COMMANDED_FORCE, n],
             x.tendon[s.REPORT_FORCES, n],
             x.tendon[s.REPORT_FORCES + 1, n],
             x.tendon[s.REPORT_FORCES + 2, n],

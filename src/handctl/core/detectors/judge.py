@@ -49,7 +49,7 @@ def judge(x: Tables, c: ConstantTables, initial: Tables) -> tuple[int, Evidence]
     mode = x.run_int[s.MODE]
     armed, cut = ARMING <= mode <= RELAX, mode == CUT or mode == DISARM
     evidence = np.full((ROWS, x.instance_int.shape[1]), math.nan)
-    losses.count(x, c, x.run_int[s.T_NS], x.run_int[s.STRANGE], armed and x.run_int[s.MISSED] == 0)
+    losses.count(x, c, x.run_int[s.T_NS], x.run_int[s.UNKNOWN_FRAMES], armed and x.run_int[s.MISSED] == 0)
     bus.detect(x, c, armed, evidence)
     node.detect(x, c, armed, evidence)
     tendon.detect(x, c, armed, evidence)

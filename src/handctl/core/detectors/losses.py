@@ -73,7 +73,7 @@ def count(x: Tables, c: ConstantTables, now_ns: int, unknown: int, judged: bool)
         x.node_int[s.LOST + 1, node] = (earlier << 1 | recent >> (HALF - 1)) & HALF_MASK
         x.node_int[s.LOST, node] = (recent << 1 | (late and judged)) & HALF_MASK
         misread = x.node_int[s.MISREAD_NOW, node] != 0
-        x.node_int[s.MISSHAPEN, node] = (x.node_int[s.MISSHAPEN, node] << 1 | misread) & SHORT_MASK
+        x.node_int[s.MALFORMED, node] = (x.node_int[s.MALFORMED, node] << 1 | misread) & SHORT_MASK
     # Leaky counter with a time constant of 1 s. A small rest becomes 0, so that the counter comes to an end.
     leaked = x.run[s.UNKNOWN] * (1.0 - c.run[h.PERIOD]) + unknown
     x.run[s.UNKNOWN] = leaked if leaked > 1e-3 else 0.0

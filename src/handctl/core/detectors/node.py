@@ -69,8 +69,8 @@ def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> Non
     for node in range(x.node_int.shape[1]):
         if halved(x, node):
             evidence[N15, node] = 0.5
-        if x.node_int[s.TWICE, node]:
-            evidence[N13, node] = x.node_int[s.TWICE, node] - 1.0
+        if x.node_int[s.DUPLICATES, node]:
+            evidence[N13, node] = x.node_int[s.DUPLICATES, node] - 1.0
 
 
 @inner
@@ -159,6 +159,6 @@ def detect_after_cut(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
     if x.run_int[s.CUT_TICKS] * c.run[h.PERIOD] < PULLED_AFTER_S:
         return
     for n in range(x.tendon.shape[1]):
-        tension = x.tendon[s.CUT_BEARS, n]
-        if tension > PULLED_N and tension > PULLED_FRACTION * x.tendon[s.CUT_FROM, n]:
+        tension = x.tendon[s.TENSION_AFTER_CUT, n]
+        if tension > PULLED_N and tension > PULLED_FRACTION * x.tendon[s.TENSION_AT_CUT, n]:
             evidence[N16, n] = tension

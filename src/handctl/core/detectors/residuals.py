@@ -42,7 +42,7 @@ def update(x: Tables, c: ConstantTables, missed: int, tared: bool) -> None:
         position = x.tendon[s.MEASURED_POSITION, n] if missed == 0 else math.nan
         speed = x.tendon[s.SPEED, n] if missed == 0 else math.nan
         tension = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
-        force, commanded = x.tendon[s.MEASURED_FORCE, n], x.tendon[s.ASKED, n]
+        force, commanded = x.tendon[s.MEASURED_FORCE, n], x.tendon[s.COMMANDED_FORCE, n]
         made = commanded if math.isnan(force) else force
         if not initialized:
             # What is filtered quickly begins at what is there.

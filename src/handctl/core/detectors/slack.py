@@ -19,7 +19,7 @@ def update(x: Tables) -> None:
     """Update the history under torque."""
     x.run_int[s.CUT_TICKS] = -1
     for n in range(x.tendon.shape[1]):
-        tension, commanded = x.tendon[s.RESIDUAL + TENSION, n], x.tendon[s.WANTED, n]
+        tension, commanded = x.tendon[s.RESIDUAL + TENSION, n], x.tendon[s.COMMANDED_TENSION, n]
         # No tension is commanded: forget the history, no tendon may be called snapped.
         if math.isnan(commanded):
             x.tendon_int[s.TAUT_AGO, n], x.tendon_int[s.SLACK_TICKS, n] = -1, 0
@@ -29,8 +29,8 @@ def update(x: Tables) -> None:
             x.tendon_int[s.TAUT_AGO, n] += 1
             loose = tension < SLACK_N and commanded > TAUT_N
             x.tendon_int[s.SLACK_TICKS, n] = x.tendon_int[s.SLACK_TICKS, n] + 1 if loose else 0
-        is_taut = tension > TAUT_N or (x.tendon_int[s.BEARS, n] == 1 and tension > SLACK_N)
-        x.tendon_int[s.BEARS, n] = is_taut
+        is_taut = tension > TAUT_N or (x.tendon_int[s.IS_TAUT, n] == 1 and tension > SLACK_N)
+        x.tendon_int[s.IS_TAUT, n] = is_taut
 
 
 @inner
@@ -49,11 +49,11 @@ def after_cut(x: Tables, c: ConstantTables, tared: bool) -> None:
     for n in range(x.tendon.shape[1]):
         tension = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
         if ticks == 0:
-            x.tendon[s.CUT_FROM, n] = x.tendon[s.CELL_VALUE, n] if math.isnan(tension) else tension
-        elif math.isnan(x.tendon[s.CUT_FROM, n]):
-            x.tendon[s.CUT_FROM, n] = tension
+            x.tendon[s.TENSION_AT_CUT, n] = x.tendon[s.CELL_VALUE, n] if math.isnan(tension) else tension
+        elif math.isnan(x.tendon[s.TENSION_AT_CUT, n]):
+            x.tendon[s.TENSION_AT_CUT, n] = tension
         if ticks * c.run[h.PERIOD] < LATE_READING_S:
-            x.tendon[s.CUT_BEARS, n] = math.nan
+            x.tendon[s.TENSION_AFTER_CUT, n] = math.nan
         elif not math.isnan(tension):
-            x.tendon[s.CUT_BEARS, n] = tension
+            x.tendon[s.TENSION_AFTER_CUT, n] = tension
     x.run_int[s.CUT_TICKS] = ticks

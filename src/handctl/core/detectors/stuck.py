@@ -68,7 +68,7 @@ def update(x: Tables, c: ConstantTables, tared: bool) -> None:
 def bears(x: Tables, c: ConstantTables, j: int) -> bool:
     """Return True if all tendons of a joint are taut. The spool of a slack tendon turns without the joint."""
     for n in range(x.tendon.shape[1]):
-        if c.joint_tendon[h.MOVES, j, n] != 0.0 and not x.tendon_int[s.BEARS, n]:
+        if c.joint_tendon[h.MOVES, j, n] != 0.0 and not x.tendon_int[s.IS_TAUT, n]:
             return False
     return True
 

@@ -25,7 +25,7 @@ def update(x: Tables, c: ConstantTables, tared: bool) -> None:
     slow, mean = 1.0 - math.exp(-period / SLOW_S), 1.0 - math.exp(-period / MEAN_S)
     for n in range(x.tendon.shape[1]):
         quick = 0.0
-        deviation = x.tendon[s.MEASURED_TENSION, n] - x.tendon[s.WANTED, n]
+        deviation = x.tendon[s.MEASURED_TENSION, n] - x.tendon[s.COMMANDED_TENSION, n]
         if tared and not math.isnan(deviation):
             x.tendon[s.SWING_SLOW, n] += slow * (deviation - x.tendon[s.SWING_SLOW, n])
             quick = deviation - x.tendon[s.SWING_SLOW, n]

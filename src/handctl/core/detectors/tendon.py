@@ -91,7 +91,7 @@ def detect_under_torque(x: Tables, c: ConstantTables, evidence: Evidence) -> Non
 @inner
 def _slack(x: Tables, c: ConstantTables, n: int, evidence: Evidence) -> None:
     """Find a tendon without tension: snapped if the spool runs, slack if tension is commanded."""
-    period, commanded, speed = c.run[h.PERIOD], x.tendon[s.WANTED, n], x.tendon[s.SPEED, n]
+    period, commanded, speed = c.run[h.PERIOD], x.tendon[s.COMMANDED_TENSION, n], x.tendon[s.SPEED, n]
     since = x.tendon_int[s.SLACK_TICKS, n] * period
     if since > SLACK_WARN_S:
         evidence[T02A, n] = since

@@ -42,8 +42,8 @@ def feel(x: Tables, c: ConstantTables) -> None:
         if x.digit_int[s.CLOSING, d]:
             closing = True
         else:
-            x.digit[s.FELT, d] = x.digit[s.GROWN, d] = 0.0
-            x.digit[s.USUAL, d] = math.nan
+            x.digit[s.SMOOTHED_TIP_FORCE, d] = x.digit[s.CONTACT_FORCE, d] = 0.0
+            x.digit[s.TIP_FORCE_MEAN, d] = math.nan
     if not closing:
         return
     lever = np.zeros(x.joint.shape[1])
@@ -51,14 +51,14 @@ def feel(x: Tables, c: ConstantTables) -> None:
     for d in range(x.digit.shape[1]):
         if not x.digit_int[s.CLOSING, d]:
             continue
-        force = x.digit[s.FELT, d]
-        force += c.run[h.FELT_FRACTION] * (_force(x, c, d, lever) - force)
-        mean = force if math.isnan(x.digit[s.USUAL, d]) else x.digit[s.USUAL, d]
+        force = x.digit[s.SMOOTHED_TIP_FORCE, d]
+        force += c.run[h.TIP_FORCE_FRACTION] * (_force(x, c, d, lever) - force)
+        mean = force if math.isnan(x.digit[s.TIP_FORCE_MEAN, d]) else x.digit[s.TIP_FORCE_MEAN, d]
         drift = 0.0 if math.isnan(x.digit[s.DRIFT, d]) else x.digit[s.DRIFT, d]
-        x.digit[s.FELT, d] = force
+        x.digit[s.SMOOTHED_TIP_FORCE, d] = force
         # The mean counts only if negative (too much expected tension), the drift only if positive (load cell).
-        x.digit[s.GROWN, d] = force - min(mean, 0.0) - max(drift, 0.0)
-        x.digit[s.USUAL, d] = mean + c.run[h.USUAL_FRACTION] * (force - mean)
+        x.digit[s.CONTACT_FORCE, d] = force - min(mean, 0.0) - max(drift, 0.0)
+        x.digit[s.TIP_FORCE_MEAN, d] = mean + c.run[h.TIP_FORCE_MEAN_FRACTION] * (force - mean)
         x.digit[s.DRIFT, d] = drift + c.run[h.DRIFT_FRACTION] * (force - drift)
 
 

@@ -221,7 +221,7 @@ def _judge_innovation(x: Tables, c: ConstantTables, innovation: Matrix, informat
         # First-order low-pass. The period is short against the averaging time.
         x.tendon[s.NIS_MEAN, n] += period / DOUBT_S * (nis - x.tendon[s.NIS_MEAN, n])
         if period <= WARY_PERIOD_S:
-            x.tendon[s.NIS_LATELY, n] += period / WARY_S * (nis - x.tendon[s.NIS_LATELY, n])
+            x.tendon[s.NIS_FAST, n] += period / WARY_S * (nis - x.tendon[s.NIS_FAST, n])
     for n in range(len(innovation)):
         limit = DOUBT_BELOW if x.tendon_int[s.DOUBTFUL, n] else DOUBT_ABOVE
         doubtful = x.tendon[s.NIS_MEAN, n] > limit
@@ -242,11 +242,11 @@ def _judge_noise(x: Tables, c: ConstantTables) -> None:
         return
     total, count = 0.0, x.tendon.shape[1]
     for n in range(count):
-        total += x.tendon[s.NIS_LATELY, n]
+        total += x.tendon[s.NIS_FAST, n]
     limit = WARY_ABOVE if total < WARY_HAND * count else 0.0
     for n in range(count):
         left = max(x.tendon[s.WARY, n] - c.run[h.PERIOD], 0.0)
-        x.tendon[s.WARY, n] = WARY_FOR_S if x.tendon[s.NIS_LATELY, n] > limit else left
+        x.tendon[s.WARY, n] = WARY_FOR_S if x.tendon[s.NIS_FAST, n] > limit else left
 
 
 @inner

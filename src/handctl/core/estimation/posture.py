@@ -70,7 +70,7 @@ def joint_angles(x: Tables, c: ConstantTables, k: int, t_ns: int) -> None:
         return
     for d in range(x.digit.shape[1]):
         # Rises at once with the touch, and decays with RELEASE_S.
-        x.digit[s.PRESSED, d] = max(x.digit[s.TOUCH, d], x.digit[s.PRESSED, d] * c.run[h.PRESSED_KEPT])
+        x.digit[s.PRESSED, d] = max(x.digit[s.TOUCH, d], x.digit[s.PRESSED, d] * c.run[h.PRESSED_DECAY])
     update = k % c.run_int[h.POSTURE_TICKS] == 0
     columns = np.zeros((0, 0))
     if update:

@@ -34,7 +34,7 @@ def feel(x: Tables, c: ConstantTables) -> None:
         mean = 0.0
         for n in range(first, end):
             mean += x.tendon[s.EXTERNAL, n] / (end - first)
-        retained = c.run[h.TOUCH_KEPT]
+        retained = c.run[h.TOUCH_DECAY]
         x.digit[s.TOUCH, d] = retained * x.digit[s.TOUCH, d] + (1.0 - retained) * mean
         limit = FREED_N if x.digit_int[s.BLOCKED, d] else BLOCKED_N
         blocked = x.digit[s.TOUCH, d] > limit

@@ -76,7 +76,7 @@ def restrain(x: Tables, c: ConstantTables, hold: bool) -> None:
     """
     if hold and not x.run_int[s.HOLDING]:
         for n in range(x.tendon.shape[1]):
-            x.tendon[s.LIMIT_HELD, n] = max(x.tendon[s.TENSION, n], c.tendon[h.FLOOR, n]) + HELD_MARGIN_N
+            x.tendon[s.HOLD_LIMIT, n] = max(x.tendon[s.TENSION, n], c.tendon[h.FLOOR, n]) + HELD_MARGIN_N
     x.run_int[s.HOLDING] = hold
 
 
@@ -99,7 +99,7 @@ def tension_limit(x: Tables, c: ConstantTables) -> Vector:
         if x.digit_int[s.BLOCKED, c.tendon_int[h.DIGIT, n]] and planned > 0.0:
             limit[n] = min(limit[n], planned + PRESS_N)
         if x.run_int[s.HOLDING]:
-            limit[n] = min(limit[n], x.tendon[s.LIMIT_HELD, n])
+            limit[n] = min(limit[n], x.tendon[s.HOLD_LIMIT, n])
     return limit
 
 
@@ -256,7 +256,7 @@ def _hold(x: Tables, c: ConstantTables, n: int, limit: float) -> tuple[float, fl
     if slack and setpoint > 0.0:
         # No tension feeds back yet, and a small one does not turn a rotor at rest.
         force += c.tendon[h.COULOMB, n]
-    if x.digit_int[s.WAY_KIND, c.tendon_int[h.DIGIT, n]] != NO_WAY:
+    if x.digit_int[s.TRAJECTORY_KIND, c.tendon_int[h.DIGIT, n]] != NO_WAY:
         force += _expected(x, c, n)
     max_force = x.tendon[s.FORCE_LIMIT, n]
     return min(max(force, -max_force), max_force), setpoint, integral
@@ -267,8 +267,8 @@ def _expected(x: Tables, c: ConstantTables, n: int) -> float:
     """Return the feedforward motor force of a tension-controlled tendon on an expected trajectory [N]."""
     speed, acceleration = 0.0, 0.0
     for k in range(x.coordinate.shape[1]):
-        speed += c.tendon_coordinate[h.REDUCED_ARMS, n, k] * x.coordinate[s.WAY + 1, k]
-        acceleration += c.tendon_coordinate[h.REDUCED_ARMS, n, k] * x.coordinate[s.WAY + 2, k]
+        speed += c.tendon_coordinate[h.REDUCED_ARMS, n, k] * x.coordinate[s.TRAJECTORY + 1, k]
+        acceleration += c.tendon_coordinate[h.REDUCED_ARMS, n, k] * x.coordinate[s.TRAJECTORY + 2, k]
     friction = c.tendon[h.COULOMB, n] * math.tanh(speed / MOTOR_FRICTION_SPEED)
     feedforward = friction + c.tendon[h.MOTOR_MASS, n] * acceleration
     return feedforward + (c.tendon[h.TENSION_SPEED_GAIN, n] + c.tendon[h.MOTOR_DAMPING, n]) * speed
@@ -277,7 +277,7 @@ def _expected(x: Tables, c: ConstantTables, n: int) -> float:
 @inner
 def _envelope(x: Tables, c: ConstantTables, n: int, rate: float, ticks: int) -> float:
     """Return the largest motor force of a relaxing hand [N], see ``controller.relaxing``."""
-    last = x.tendon[s.ASKED, n]
+    last = x.tendon[s.COMMANDED_FORCE, n]
     last = 0.0 if math.isnan(last) else max(last, 0.0)
     falling = max(last - rate * c.run[h.PERIOD] * ticks, 0.0)
     return max(min(last, RELAX_FLOOR_N), falling) * ROUNDING
@@ -300,7 +300,7 @@ def _fade(x: Tables, c: ConstantTables) -> None:
         return
     largest = 0.0
     for n in range(x.tendon.shape[1]):
-        x.tendon[s.TRIM, n] *= c.run[h.TRIM_KEPT]
+        x.tendon[s.TRIM, n] *= c.run[h.TRIM_DECAY]
         largest = max(largest, abs(x.tendon[s.TRIM, n]))
     if largest <= TRIM_LEAST_N:
         x.run_int[s.TRIMMED] = 0

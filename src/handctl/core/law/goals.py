@@ -23,7 +23,7 @@ def write_goals(model: HandModel, layout: Layout, block: Block, goals: tuple[Dig
     """
     tendon, digit = layout.table(block, "tendon"), layout.table(block, "digit")
     kinds = layout.table(block, "tendon_int")[s.GOAL_KIND]
-    ways = layout.table(block, "digit_int")[s.WAY_KIND]
+    ways = layout.table(block, "digit_int")[s.TRAJECTORY_KIND]
     way = layout.table(block, "coordinate")
     for d, (goal, tendons, places) in enumerate(zip(goals, model.digit_tendons, _coordinates(model), strict=True)):
         kinds[tendons] = int(_kind(goal))
@@ -34,8 +34,8 @@ def write_goals(model: HandModel, layout: Layout, block: Block, goals: tuple[Dig
         ways[d] = NO_WAY if goal.trajectory is None else SAMPLED
         if isinstance(goal.trajectory, MinimumJerk):
             ways[d] = MINIMUM_JERK
-            way[s.WAY_START, places], way[s.WAY_END, places] = goal.trajectory.start, goal.trajectory.end
-            digit[s.WAY_SINCE, d], digit[s.WAY_DURATION, d] = goal.since, goal.trajectory.duration
+            way[s.TRAJECTORY_START, places], way[s.TRAJECTORY_END, places] = goal.trajectory.start, goal.trajectory.end
+            digit[s.TRAJECTORY_SINCE, d], digit[s.TRAJECTORY_DURATION, d] = goal.since, goal.trajectory.duration
 
 
 def _kind(goal: DigitGoal) -> Kind:
@@ -48,7 +48,7 @@ def _kind(goal: DigitGoal) -> Kind:
 def sample(model: HandModel, layout: Layout, block: Block, goals: tuple[DigitGoal, ...], t: float) -> None:
     """Write position, rate and acceleration of trajectories without compiled code, at time t [s]."""
     for trajectory, since, places in sampled(model, goals):
-        layout.table(block, "coordinate")[s.WAY : s.WAY + 3, places] = trajectory.at(t - since)
+        layout.table(block, "coordinate")[s.TRAJECTORY : s.TRAJECTORY + 3, places] = trajectory.at(t - since)
 
 
 @functools.lru_cache(maxsize=16)

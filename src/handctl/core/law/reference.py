@@ -15,7 +15,7 @@ Matrix = NDArray[np.float64]
 LIMP, MOTION, TENSION = 0, 1, 2
 """Numbers of ``goal.Kind`` and of ``block.GOAL_KIND``."""
 NO_WAY, MINIMUM_JERK, SAMPLED = 0, 1, 2
-"""Numbers of ``block.WAY_KIND``."""
+"""Numbers of ``block.TRAJECTORY_KIND``."""
 
 
 @inner
@@ -32,23 +32,24 @@ def follow(x: Tables, c: ConstantTables, frozen: bool) -> None:
     t = x.run[s.GOAL_TIME]
     for d in range(x.digit.shape[1]):
         first, end = c.digit_int[h.COORDINATES_FIRST, d], c.digit_int[h.COORDINATES_END, d]
-        if x.digit_int[s.WAY_KIND, d] == NO_WAY:
+        if x.digit_int[s.TRAJECTORY_KIND, d] == NO_WAY:
             for k in range(first, end):
-                x.coordinate[s.WAY, k] = x.coordinate[s.WAY + 1, k] = x.coordinate[s.WAY + 2, k] = 0.0
-        if x.digit_int[s.WAY_KIND, d] == MINIMUM_JERK:
-            duration = x.digit[s.WAY_DURATION, d]
-            u = min(max((t - x.digit[s.WAY_SINCE, d]) / duration, 0.0), 1.0)
+                for order in range(3):
+                    x.coordinate[s.TRAJECTORY + order, k] = 0.0
+        if x.digit_int[s.TRAJECTORY_KIND, d] == MINIMUM_JERK:
+            duration = x.digit[s.TRAJECTORY_DURATION, d]
+            u = min(max((t - x.digit[s.TRAJECTORY_SINCE, d]) / duration, 0.0), 1.0)
             position = u * u * u * (10.0 - 15.0 * u + 6.0 * u * u)
             rate = 30.0 * u * u * (1.0 - u) * (1.0 - u) / duration
             acceleration = 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) / (duration * duration)
             for k in range(first, end):
-                length = x.coordinate[s.WAY_END, k] - x.coordinate[s.WAY_START, k]
-                x.coordinate[s.WAY, k] = x.coordinate[s.WAY_START, k] + position * length
-                x.coordinate[s.WAY + 1, k] = rate * length
-                x.coordinate[s.WAY + 2, k] = acceleration * length
+                length = x.coordinate[s.TRAJECTORY_END, k] - x.coordinate[s.TRAJECTORY_START, k]
+                x.coordinate[s.TRAJECTORY, k] = x.coordinate[s.TRAJECTORY_START, k] + position * length
+                x.coordinate[s.TRAJECTORY + 1, k] = rate * length
+                x.coordinate[s.TRAJECTORY + 2, k] = acceleration * length
         if frozen and moves(x, c, d):
             for k in range(first, end):
-                x.coordinate[s.WAY + 1, k] = x.coordinate[s.WAY + 2, k] = 0.0
+                x.coordinate[s.TRAJECTORY + 1, k] = x.coordinate[s.TRAJECTORY + 2, k] = 0.0
 
 
 @inner
@@ -61,7 +62,7 @@ def on_joints(x: Tables, c: ConstantTables) -> Matrix:
             coupled = c.joint_coordinate[h.COUPLING, j, k]
             if coupled != 0.0:
                 for order in range(3):
-                    way[order, j] += coupled * x.coordinate[s.WAY + order, k]
+                    way[order, j] += coupled * x.coordinate[s.TRAJECTORY + order, k]
     return way
 
 
