@@ -159,7 +159,7 @@ def test_text_of_a_log_cannot_become_markup() -> None:
 
 
 def test_a_report_tells_its_faults_and_contacts_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("handctl.report.page.MOST_EVENTS", 3)
+    monkeypatch.setattr("handctl.report.page.MAX_EVENTS", 3)
     out = tmp_path / "page.html"
     assert main(["report", str(GOLDEN / "jamia-fault.mcap"), "--output", str(out)]) == 0
     text = out.read_text()

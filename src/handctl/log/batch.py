@@ -93,7 +93,8 @@ def columns(header: RunHeader, fields: tuple[str, ...] = TELEMETRY_FIELDS) -> di
         header: header of the run.
         fields: fields of the row, in order.
     """
-    places, at = {}, 0
+    places = {}
+    at = 0
     for name in fields:
         size = len(header.axis(TELEMETRY_AXES[name]))
         places[name] = slice(at, at + size)
@@ -146,7 +147,8 @@ class Batcher:
         self._numbers: list[bytes] = []
         self._phases: list[str] = []
         self._notable: dict[int, TickRecord] = {}
-        self._received, self._sent = _Direction(), _Direction()
+        self._received = _Direction()
+        self._sent = _Direction()
         self.size = 0
 
     def __len__(self) -> int:
@@ -162,7 +164,8 @@ class Batcher:
             body: body of a tick record, see `handctl.log.record`.
         """
         size, *sizes = SIZES.unpack_from(body)
-        message, numbers = body[SIZES.size : SIZES.size + size], body[SIZES.size + size :]
+        message = body[SIZES.size : SIZES.size + size]
+        numbers = body[SIZES.size + size :]
         if tuple(sizes) != self._sizes or len(numbers) != 8 * self._width:
             self.misshapen += 1
             numbers = np.full(self._width, np.nan).tobytes()

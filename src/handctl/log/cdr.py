@@ -14,7 +14,8 @@ from dataclasses import dataclass
 ENCAPSULATION = b"\x00\x01\x00\x00"
 """Encapsulation header of little-endian plain CDR."""
 
-_U32, _I64 = struct.Struct("<I"), struct.Struct("<q")
+_U32 = struct.Struct("<I")
+_I64 = struct.Struct("<q")
 
 
 class CdrWriter:
@@ -80,14 +81,16 @@ class CdrReader:
         """
         if message[:4] != ENCAPSULATION:
             raise ValueError("not little-endian CDR")
-        self._data, self._at = message, 4
+        self._data = message
+        self._at = 4
 
     def take(self, size: int) -> bytes:
         """Return the next `size` bytes, without alignment."""
         end = self._at + size
         if end > len(self._data):
             raise ValueError(f"message ends {end - len(self._data)} bytes early")
-        part, self._at = self._data[self._at : end], end
+        part = self._data[self._at : end]
+        self._at = end
         return part
 
     def align(self, size: int) -> None:

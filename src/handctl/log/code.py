@@ -13,7 +13,8 @@ UNKNOWN = "?"
 @functools.cache
 def code_identity() -> str:
     """Return twelve hexadecimal digits of a hash over the sources of the control packages."""
-    package, digest = Path(__file__).parents[1], hashlib.sha256()
+    package = Path(__file__).parents[1]
+    digest = hashlib.sha256()
     # Sorted paths and NUL separators: the hash depends on names and contents only, not on the file system.
     for path in sorted(path for room in DECIDING for path in (package / room).rglob("*.py")):
         digest.update(path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")

@@ -106,7 +106,10 @@ class Container:
         Args:
             descriptor: file descriptor open for writing, at its start.
         """
-        self._fd, self._crc, self._at, self.good = descriptor, 0, 0, 0
+        self._fd = descriptor
+        self._crc = 0
+        self._at = 0
+        self.good = 0
         self._summary = _Summary()
         self._put(MAGIC + serialised([Header("ros2", "handctl")]))
 
@@ -117,11 +120,13 @@ class Container:
 
     def _put(self, data: bytes) -> int:
         """Write all bytes and return their offset in the file."""
-        start, view = self._at, memoryview(data)
+        start = self._at
+        view = memoryview(data)
         while view:
             # A write may be short, for example on a nearly full disk.
             written = os.write(self._fd, view)
-            self._at, view = self._at + written, view[written:]
+            self._at += written
+            view = view[written:]
         self._crc = zlib.crc32(data, self._crc)
         # Set only after the last byte: `cut_back` returns to here.
         self.good = self._at
@@ -171,7 +176,8 @@ class Container:
         self._summary.channels += channels
         for run in runs:
             self._summary.counts[run.channel] += len(run.log_times)
-        self._summary.first, self._summary.last = min(first, self._summary.first), max(last, self._summary.last)
+        self._summary.first = min(first, self._summary.first)
+        self._summary.last = max(last, self._summary.last)
 
     def finish(self) -> None:
         """Write the summary and the footer."""
@@ -203,7 +209,8 @@ class Container:
         Args:
             start: offset of the section in the file [bytes].
         """
-        one, body = self._summary, b""
+        one = self._summary
+        body = b""
         offsets: list[McapRecord] = []
         groups: list[tuple[Opcode, Iterable[McapRecord]]] = [
             (Opcode.SCHEMA, one.schemas),
@@ -231,10 +238,13 @@ def _indexes(runs: Sequence[Run], base: int) -> tuple[bytes, dict[int, int]]:
     entries: dict[int, list[NDArray[np.void]]] = {}
     for run in runs:
         part = np.empty(len(run.offsets), _INDEX_ENTRY)
-        part["log_time"], part["offset"] = run.log_times, run.offsets + np.uint64(base)
+        part["log_time"] = run.log_times
+        part["offset"] = run.offsets + np.uint64(base)
         entries.setdefault(run.channel, []).append(part)
         base += len(run.data)
-    out, places, at = [], {}, 0
+    out = []
+    places = {}
+    at = 0
     for channel, parts in entries.items():
         raw = b"".join(part.tobytes() for part in parts)
         places[channel] = at

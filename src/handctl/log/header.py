@@ -136,9 +136,11 @@ class RunHeader:
         """Decode a header, the inverse of `dump`."""
         line, _, rest = data.partition(b"\n")
         plain = json.loads(line)
-        attachments, at = {}, 0
+        attachments = {}
+        at = 0
         for name, size in plain["attachments"].items():
-            attachments[name], at = rest[at : at + size], at + size
+            attachments[name] = rest[at : at + size]
+            at += size
         names = {part: tuple(plain[part]) for part in NAMES}
         return cls(**(plain | names | {"attachments": attachments}))
 

@@ -43,8 +43,14 @@ from handctl.log.cdr import ENCAPSULATION, CdrReader, CdrWriter
 from handctl.safety.action import Action
 
 FRAMING = struct.Struct("<II")
-HEADER, TICK, END, SNAPSHOT = 1, 2, 3, 4
-"""Kinds of records."""
+HEADER = 1
+"""Kind of a record: the header of a run, `RunHeader.dump`."""
+TICK = 2
+"""Kind of a record: one tick."""
+END = 3
+"""Kind of a record: the reason of the end, as JSON."""
+SNAPSHOT = 4
+"""Kind of a record: the state after a tick."""
 SNAPSHOT_HEAD = struct.Struct("<qq")
 """Number and time [ns] of the tick after which the state was taken."""
 
@@ -54,10 +60,18 @@ FIXED = struct.Struct("<qqq8sBB2xI")
 """Constant part of the Tick message: k, t_ns, late_ns, state hash, mode, action, number of received frames."""
 FRAME_SIZE = SHORT
 """Size of a frame in a Tick message: the beginning of its record, up to eight data bytes."""
-_BEGINNING, _LENGTH_AT, _WORD = np.dtype(f"V{SHORT}"), 15, np.dtype("<u8")
-"""A frame as opaque bytes, offset of its length byte, its data as one word."""
-_DATA_AT, _SHORT_DATA, _LONGEST = 16, 8, 64
-"""Offset of the data in a frame, data bytes in a frame, data bytes of the longest CAN FD frame."""
+_BEGINNING = np.dtype(f"V{SHORT}")
+"""A frame as opaque bytes."""
+_LENGTH_AT = 15
+"""Offset of the length byte in a frame."""
+_DATA_AT = 16
+"""Offset of the data in a frame."""
+_DATA_WORD = np.dtype("<u8")
+"""The eight data bytes of a frame as one word."""
+_SHORT_DATA = 8
+"""Data bytes in a frame."""
+_LONGEST = 64
+"""Data bytes of the longest CAN FD frame."""
 _MASKS = np.array([(1 << 8 * length) - 1 for length in range(_SHORT_DATA + 1)], np.uint64)
 """Bits of the data word within a payload of each length, 0 to 8 bytes."""
 _BEYOND = np.arange(_SHORT_DATA, _LONGEST)
@@ -66,7 +80,8 @@ _FRAMES_AT = FIXED.size + 4
 """Offset of the received frames in a message [bytes]."""
 _Fixed = tuple[int, int, int, bytes, int, int, int]
 """The constant part, unpacked."""
-_MODES, _ACTIONS = {mode.value: mode for mode in Mode}, {action.value: action for action in Action}
+_MODES = {mode.value: mode for mode in Mode}
+_ACTIONS = {action.value: action for action in Action}
 """Enumeration members by value. A dictionary is four times as fast as a call of the enumeration."""
 make = tuple.__new__
 """Creates a named tuple without its constructor, for speed."""
@@ -153,7 +168,8 @@ def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
         ValueError: state_hash is not 8 bytes long.
         struct.error: a number does not fit its field.
     """
-    received, sent = frames_of(tick_in.frames).records, frames_of(out.frames).records
+    received = frames_of(tick_in.frames).records
+    sent = frames_of(out.frames).records
     if len(out.state_hash) != 8:
         raise ValueError(f"state hash of {len(out.state_hash)} bytes; expected 8")
     fixed = FIXED.pack(tick_in.k, tick_in.t_ns, tick_in.late_ns, out.state_hash, out.mode, out.action, len(received))
@@ -175,7 +191,8 @@ def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
 
 def pack(tick_in: TickIn, out: TickOut) -> bytes:
     """Encode a tick as a record for the pipe. Raises as `pack_tick`."""
-    message, values = pack_tick(tick_in, out), out.telemetry.packed()
+    message = pack_tick(tick_in, out)
+    values = out.telemetry.packed()
     sizes = SIZES.pack(len(message), *_axes(out.telemetry))
     return b"".join((FRAMING.pack(12 + len(message) + len(values), TICK), sizes, message, values))
 
@@ -214,7 +231,8 @@ def layout(message: bytes) -> Layout:
         struct.error: the message ends early.
     """
     (received,) = _COUNT.unpack_from(message, FIXED.size)
-    start, end = FIXED.size + 4, FIXED.size + 4 + FRAME_SIZE * received
+    start = FIXED.size + 4
+    end = FIXED.size + 4 + FRAME_SIZE * received
     (sent,) = _COUNT.unpack_from(message, end)
     # Padding to 8 bytes precedes the frames but not an empty sequence.
     sent_start = end + 8 if sent else end + 4
@@ -235,7 +253,8 @@ def _whole_frames(beginnings: bytes, long_data: bytes) -> tuple[Frames, bytes]:
     Raises:
         ValueError: a payload is too long, or its bytes are missing.
     """
-    lengths, count = beginnings[_LENGTH_AT::FRAME_SIZE], len(beginnings) // FRAME_SIZE
+    lengths = beginnings[_LENGTH_AT::FRAME_SIZE]
+    count = len(beginnings) // FRAME_SIZE
     if not count:
         return EMPTY, long_data
     records = np.zeros(count, RECORD)
@@ -257,7 +276,7 @@ def _whole_frames(beginnings: bytes, long_data: bytes) -> tuple[Frames, bytes]:
 
 def _cut_payloads(records: Records) -> None:
     """Set the unused bytes of short payloads to zero, because a bad file may hold any bytes there."""
-    words = records.getfield(_WORD, _DATA_AT)
+    words = records.getfield(_DATA_WORD, _DATA_AT)
     words &= _MASKS[np.minimum(records["length"], _SHORT_DATA)]
 
 
@@ -315,7 +334,8 @@ def _quiet_tick(fixed: _Fixed, received: Frames, sent: Frames, phase: str) -> Ti
     """Create a tick without io events, requests and events."""
     k, t_ns, late_ns, state_hash, mode, action, _ = fixed
     tick_in = make(TickIn, (k, t_ns, late_ns, received, (), ()))
-    known_mode, known_action = _MODES.get(mode) or Mode(mode), _ACTIONS.get(action) or Action(action)
+    known_mode = _MODES.get(mode) or Mode(mode)
+    known_action = _ACTIONS.get(action) or Action(action)
     return make(TickRecord, (tick_in, sent, known_mode, phase, known_action, (), state_hash))
 
 
@@ -335,7 +355,11 @@ def _unpack_short(messages: list[bytes]) -> list[TickRecord] | None:
     Returns:
         None if a message has a long payload or ends early. `unpack_tick` then decodes each message.
     """
-    parts, ends, fixed, tails, end = list[bytes](), [0], list[_Fixed](), list[int](), 0
+    parts = list[bytes]()
+    ends = [0]
+    fixed = list[_Fixed]()
+    tails = list[int]()
+    end = 0
     for message in messages:
         if message[:4] != ENCAPSULATION:
             return None

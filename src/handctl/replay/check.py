@@ -54,7 +54,8 @@ def _clock(log: RunLog) -> Iterator[str]:
 
 def _frames(log: RunLog) -> Iterator[str]:
     """Check for frames stamped after the tick that read them: their clock is not the controller's."""
-    future, last = 0, -1
+    future = 0
+    last = -1
     for tick in log.ticks():
         now = tick.tick_in.t_ns + tick.tick_in.late_ns + log.header.period_ns
         early = sum(frame.t_ns > now for frame in tick.tick_in.frames)
@@ -67,7 +68,8 @@ def _frames(log: RunLog) -> Iterator[str]:
 
 def _hashes(log: RunLog) -> Iterator[str]:
     """Check the identity of the hand, and that no state hash occurs twice."""
-    told, found = log.header.metadata.get("identity", ""), logged_hand(log).identity
+    told = log.header.metadata.get("identity", "")
+    found = logged_hand(log).identity
     if told != found:
         yield f"hand.toml has identity {found[:12]}, the log says {told[:12]}"
     hashes = {tick.state_hash for tick in log.ticks()}
@@ -77,7 +79,8 @@ def _hashes(log: RunLog) -> Iterator[str]:
 
 def _chain(log: RunLog) -> Iterator[str]:
     """Check the hash chain. The first tick with a wrong hash is named."""
-    before, broken = seed_of(log.header), list[int]()
+    before = seed_of(log.header)
+    broken = list[int]()
     ticks = zip(log.k.tolist(), log.messages(), log.packed(), log.digests(), strict=False)
     for k, message, numbers, digest in ticks:
         if link(before, message, numbers) != digest:

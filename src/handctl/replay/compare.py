@@ -37,7 +37,8 @@ def check_same_hand(a: RunLog, name: str, identity: str, where: str) -> None:
     Raises:
         IncomparableError: the identities differ.
     """
-    ours, theirs = a.header.metadata.get("identity", "?"), a.header.metadata.get("hand", "?")
+    ours = a.header.metadata.get("identity", "?")
+    theirs = a.header.metadata.get("hand", "?")
     if ours != identity:
         raise IncomparableError(
             f"the log is of hand {theirs} {ours[:12]}, not of {name} {identity[:12]}", where, "the same hand"

@@ -14,8 +14,10 @@ from handctl.output import save_figure
 from handctl.replay.compare import size
 
 Array = NDArray[np.float64]
-LOGGED, OTHER = "#3b6fb6", "#d9822b"
-"""Line colours: the log, the other gains."""
+LOGGED = "#3b6fb6"
+"""Line colour of the log."""
+OTHER = "#d9822b"
+"""Line colour of the other gains."""
 
 
 class Commands:

@@ -31,7 +31,8 @@ def distance(difference: Difference) -> float:
     Returns:
         0 for texts, infinity if one of the numbers is NaN.
     """
-    was, now = difference.logged, difference.computed
+    was = difference.logged
+    now = difference.computed
     if isinstance(was, str) or isinstance(now, str):
         return 0.0
     apart = abs(was - now)
@@ -121,7 +122,8 @@ class Course:
         Raises:
             LogError: the log is damaged, or the controller refuses an input.
         """
-        tally, tick = Tally(), self.controller.tick
+        tally = Tally()
+        tick = self.controller.tick
         for logged, numbers in self._logged(start, stop):
             try:
                 state, out = tick(state, logged.tick_in)

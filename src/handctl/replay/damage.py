@@ -36,7 +36,8 @@ def first_damage(path: Path) -> str:
     Raises:
         LogError: the file is not a log.
     """
-    file, found = LogFile(path), Scan()
+    file = LogFile(path)
+    found = Scan()
     try:
         scan_all(file, found)
         channels: tuple[int, ...] = ()

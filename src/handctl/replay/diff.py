@@ -27,7 +27,9 @@ class Part(NamedTuple):
 
 def parts(log: RunLog) -> list[Part]:
     """Return all phases in order. Repeated phases are numbered: `hold`, `hold (2)`."""
-    changes, found, seen = log.phases, [], dict[str, int]()
+    changes = log.phases
+    found = []
+    seen = dict[str, int]()
     ends = [change.t_ns * 1e-9 for change in changes[1:]] + log.times[-1:].tolist()
     for change, end in zip(changes, ends, strict=True):
         seen[change.name] = number = seen.get(change.name, 0) + 1

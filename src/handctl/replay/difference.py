@@ -71,7 +71,8 @@ def differences(columns: Columns, logged: TickRecord, numbers: bytes, computed: 
         numbers: packed telemetry of the recorded tick.
         computed: the recomputed tick.
     """
-    k, t_s = logged.tick_in.k, logged.tick_in.t_ns / 1e9
+    k = logged.tick_in.k
+    t_s = logged.tick_in.t_ns / 1e9
 
     def text(field: str, was: object, now: object) -> Iterator[Difference]:
         if was != now:
@@ -100,7 +101,9 @@ def of_states(header: RunHeader, logged: TickRecord, was: State, now: State) -> 
         was: the state in the log.
         now: the computed state.
     """
-    k, t_s, found = logged.tick_in.k, logged.tick_in.t_ns / 1e9, was.layout.difference(was.block, now.block)
+    k = logged.tick_in.k
+    t_s = logged.tick_in.t_ns / 1e9
+    found = was.layout.difference(was.block, now.block)
     if found:
         field, element, old, new = found
         axis = was.layout.axis_of(field)

@@ -47,7 +47,8 @@ def bridged(log: RunLog) -> int:
     Raises:
         LogError: too many ticks are missing in a row, or the run has no active interval.
     """
-    (begin, end), times = stretch(log), log.times
+    begin, end = stretch(log)
+    times = log.times
     at = np.flatnonzero((times >= begin) & (times < end))
     for i in at[times[at + 1] - times[at] > HOLE_S]:
         hole = f"no ticks between {times[i]:.3f} and {times[i + 1]:.3f} s"
@@ -115,7 +116,8 @@ def difference(before: RunLog, after: RunLog) -> dict[str, Any]:
 
 def driven(before: RunLog, after: RunLog) -> float:
     """Return the driven part of a recording [s]."""
-    (begin, end), again = stretch(before), _began(after)
+    begin, end = stretch(before)
+    again = _began(after)
     if again is None:
         return 0.0
     active = after.times[after.mode == int(Mode.ACTIVE)]

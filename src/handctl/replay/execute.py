@@ -81,7 +81,9 @@ def execute(
         LogError: the controller cannot be rebuilt, or the log is damaged.
     """
     course = Course.of(log, gains)
-    began, cpu_began, done = time.perf_counter(), _cpu_seconds(), 0
+    began = time.perf_counter()
+    cpu_began = _cpu_seconds()
+    done = 0
 
     def more(ticks: int) -> None:
         nonlocal done
@@ -94,7 +96,8 @@ def execute(
             tally = run_parallel(course, workers, told or _untold)
         else:
             _, tally = course.run(0, len(log), course.controller.initial(), watch, more)
-    wall, cpu = time.perf_counter() - began, _cpu_seconds() - cpu_began
+    wall = time.perf_counter() - began
+    cpu = _cpu_seconds() - cpu_began
     length = float(log.times[-1]) if len(log) else 0.0
     parts = (tally.ticks, tally.differing, tally.undecided, tally.first, tally.state, tally.largest)
     return Execution(*parts, wall, cpu, length)

@@ -82,7 +82,9 @@ def load_limits(path: Path, controller: Controller) -> Limits:
     Raises:
         ConfigError: the file cannot be read, or names a tendon that the hand lacks.
     """
-    new, old, period = load_document(path, NewLimits), controller.limits, controller.model.period
+    new = load_document(path, NewLimits)
+    old = controller.limits
+    period = controller.model.period
     trips = new.tension_trip_N if isinstance(new.tension_trip_N, dict) else {}
     for name in trips.keys() - set(old.tendons):
         raise ConfigError(repr(name), f"{path}: tension_trip_N", "one of " + ", ".join(old.tendons))
@@ -90,8 +92,10 @@ def load_limits(path: Path, controller: Controller) -> Limits:
     trip = tuple(trips.get(name, was) for name, was in rows)
     if isinstance(new.tension_trip_N, float):
         trip = (new.tension_trip_N,) * len(trip)
-    silent, stalled = new.silent_ms, new.stalled_ms
-    soft, hard = new.temperature_soft_degC, new.temperature_hard_degC
+    silent = new.silent_ms
+    stalled = new.stalled_ms
+    soft = new.temperature_soft_degC
+    hard = new.temperature_hard_degC
     return replace(
         old,
         tension_trip=trip,
@@ -124,7 +128,8 @@ def judge_again(log: RunLog, path: Path, told: Callable[[int], None] | None = No
 def _judge(log: RunLog, controller: Controller, limits: Limits, told: Callable[[int], None] | None) -> Judgement:
     """Judge each tick from the run's own state, with debounce and latches of the other limits."""
     other = replace(controller, other_limits=limits)
-    state, shadow = controller.initial(), other.initial()
+    state = controller.initial()
+    shadow = other.initial()
     stops: list[Stop] = []
     ticks = stopped = stopped_logged = 0
     for logged in log.ticks():
@@ -147,7 +152,8 @@ def _judge(log: RunLog, controller: Controller, limits: Limits, told: Callable[[
         stopped_logged += out.action >= Action.HOLD
         for event in verdict.events:
             if event.name == "fault" and BY_ID[_fault(event)].action >= Action.HOLD:
-                fault, t_s = BY_ID[_fault(event)], entry.t_ns / 1e9
+                fault = BY_ID[_fault(event)]
+                t_s = entry.t_ns / 1e9
                 # A fault event ends with its reading in brackets.
                 value = float(event.text.rpartition("(")[2].partition(")")[0])
                 seen = fault.id + event.where in own

@@ -108,7 +108,8 @@ def run_parallel(course: Course, workers: int, told: Callable[[int], None]) -> T
 
 def split(course: Course, workers: int) -> list[Part]:
     """Return consecutive parts of about equal length. Each starts at the start of the log or after a snapshot."""
-    ticks, k = len(course.log), course.log.k
+    ticks = len(course.log)
+    k = course.log.k
     known = np.array(sorted(course.snapshots), np.int64)
     at = np.searchsorted(k, known)
     usable = [int(index) + 1 for index, one in zip(at, known, strict=True) if index < ticks and k[index] == one]

@@ -17,7 +17,10 @@ from handctl.report.truth import Truth
 
 COLOURS = ("#3b6fb6", "#d9822b", "#3c9d5d", "#b8436f", "#7a5fb5", "#8a8a2a")
 """Colours of the digits."""
-COMMAND, PLANT, GRID, FAULT = "#444444", "#000000", "#999999", "#d01c1c"
+COMMAND = "#444444"
+PLANT = "#000000"
+GRID = "#999999"
+FAULT = "#d01c1c"
 """Colours of commands, of the plant, of phase marks and of fault marks."""
 SHADES = (1.0, 0.65, 0.4)
 """Opacity of the first, second and third tendon of a digit."""
@@ -76,19 +79,21 @@ def _dress(grid: Any, late: list[Any], log: RunLog, hand: Hand) -> None:
         axes.tick_params(labelsize=8)
     acting = np.flatnonzero(np.isin(log.mode, (int(Mode.ACTIVE), int(Mode.RELAX))))
     if len(acting):
-        begin, end = max(0.0, log.times[acting[0]] - 0.2), log.times[acting[-1]] + 0.1
+        start = max(0.0, log.times[acting[0]] - 0.2)
+        end = log.times[acting[-1]] + 0.1
         for axes in (grid[0, 0], *late):
-            axes.set_xlim(begin, end)
+            axes.set_xlim(start, end)
         for row in (grid[0], grid[2]):
-            _fit(row, begin, end)
+            _fit(row, start, end)
     _phases(grid, log)
 
 
-def _fit(row: Sequence[Any], begin: float, end: float) -> None:
+def _fit(row: Sequence[Any], start: float, end: float) -> None:
     """Limit the height of a row to the visible values. A released hand falls far, later."""
     lines = [line.get_data() for axes in row for line in axes.lines]
-    seen = np.concatenate([y[(x >= begin) & (x <= end)] for x, y in lines])
-    low, high = np.fmin.reduce(seen, initial=np.inf), np.fmax.reduce(seen, initial=-np.inf)
+    visible = np.concatenate([y[(x >= start) & (x <= end)] for x, y in lines])
+    low = np.fmin.reduce(visible, initial=np.inf)
+    high = np.fmax.reduce(visible, initial=-np.inf)
     if low < high:
         row[0].set_ylim(low - 0.05 * (high - low), high + 0.05 * (high - low))
 
@@ -128,13 +133,17 @@ def _beside(axes: Any, log: RunLog, goal: Array | None, real: Array | None) -> N
 
 def _tensions(row: Sequence[Any], log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> None:
     """Draw the tensions of each digit."""
-    estimate, sigma, goal = log.field("tension"), log.field("tension_sigma"), log.field("tension_goal")
+    estimate = log.field("tension")
+    sigma = log.field("tension_sigma")
+    goal = log.field("tension_goal")
     for d, (axes, tendons) in enumerate(zip(row, hand.digit_tendons.values(), strict=True)):
-        colour, names = COLOURS[d % len(COLOURS)], hand.tendon_names[tendons]
+        colour = COLOURS[d % len(COLOURS)]
+        names = hand.tendon_names[tendons]
         # `SHADES * n` repeats the opacities for digits with more than three tendons.
         for shade, i, name in zip(SHADES * len(names), range(tendons.start, tendons.stop), names, strict=False):
             axes.plot(log.times, estimate[:, i], color=colour, alpha=shade, linewidth=1.2, label=name)
-            low, high = estimate[:, i] - sigma[:, i], estimate[:, i] + sigma[:, i]
+            low = estimate[:, i] - sigma[:, i]
+            high = estimate[:, i] + sigma[:, i]
             axes.fill_between(log.times, low, high, color=colour, alpha=0.25, linewidth=0)
             real = None if truth is None else truth.at(f"tension/{name}", log.t_ns + offset_ns)
             _beside(axes, log, goal[:, i], real)
@@ -145,11 +154,13 @@ def _tensions(row: Sequence[Any], log: RunLog, hand: Hand, truth: Truth | None, 
 
 def _forces(row: Sequence[Any], log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> None:
     """Draw the contact force of each digit."""
-    estimate, sigma = log.field("tip_force"), log.field("tip_force_sigma")
+    estimate = log.field("tip_force")
+    sigma = log.field("tip_force_sigma")
     for d, (axes, name) in enumerate(zip(row, hand.digit_names, strict=True)):
         colour = COLOURS[d % len(COLOURS)]
         axes.plot(log.times, estimate[:, d], color=colour, linewidth=1.0)
-        low, high = estimate[:, d] - sigma[:, d], estimate[:, d] + sigma[:, d]
+        low = estimate[:, d] - sigma[:, d]
+        high = estimate[:, d] + sigma[:, d]
         axes.fill_between(log.times, low, high, color=colour, alpha=0.25, linewidth=0)
         if truth is not None:
             parts = [truth.at(f"contact_force/{name}/{axis}", log.t_ns + offset_ns) for axis in "xyz"]
@@ -171,6 +182,6 @@ def _mark(grid: Any, t_s: float, name: str, colour: str) -> None:
     for axes in grid.flat:
         axes.axvline(t_s, color=colour, linewidth=0.6)
     for axes in grid[0]:
-        look = {"fontsize": 7, "color": FAULT if colour == FAULT else COMMAND, "rotation": 90, "va": "top"}
-        place = axes.get_xaxis_transform()
-        axes.text(t_s, 0.99, f" {printable(name, 40)}", transform=place, clip_on=True, **look)
+        style = {"fontsize": 7, "color": FAULT if colour == FAULT else COMMAND, "rotation": 90, "va": "top"}
+        transform = axes.get_xaxis_transform()
+        axes.text(t_s, 0.99, f" {printable(name, 40)}", transform=transform, clip_on=True, **style)

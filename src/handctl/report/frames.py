@@ -22,7 +22,11 @@ class FrameCounts(NamedTuple):
 def frame_counts(log: RunLog, hand: Hand) -> FrameCounts:
     """Count late and lost frames. Each frame of the load cells is compared with the SYNC before it."""
     node = make_sensors(hand)
-    asked, syncs, came, late, refused = -1, 0, 0, 0, 0
+    sync_counter = -1
+    sync_frames = 0
+    fresh_frames = 0
+    late = 0
+    refused = 0
     for tick in log.ticks():
         for frame in tick.tick_in.frames:
             if frame.bus != node.bus or frame.can_id not in node.ids:
@@ -30,11 +34,12 @@ def frame_counts(log: RunLog, hand: Hand) -> FrameCounts:
             group = node.ids.index(frame.can_id)
             if len(frame.data) == node.lengths[group]:
                 # The low four bits of the first byte repeat the counter of the SYNC.
-                fresh = frame.data[0] & 0xF == asked
+                fresh = frame.data[0] & 0xF == sync_counter
                 late += not fresh
-                came += fresh and group < node.tension_frames
+                fresh_frames += fresh and group < node.tension_frames
         for frame in tick.frames:
             if frame.bus == node.bus and frame.can_id == node.sync_id and frame.data:
-                asked, syncs = frame.data[0] & 0xF, syncs + 1
+                sync_counter = frame.data[0] & 0xF
+                sync_frames = sync_frames + 1
         refused += sum(event.number for event in tick.tick_in.io_events if event.kind == "enobufs")
-    return FrameCounts(late, refused + node.lost(syncs, came, late))
+    return FrameCounts(late, refused + node.lost(sync_frames, fresh_frames, late))

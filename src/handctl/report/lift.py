@@ -28,18 +28,18 @@ def judge_lift(log: RunLog, truth: Truth | None, offset_ns: int, holds: Collecti
             without a
         sinking table, or before the first hold.
     """
-    nothing = dict.fromkeys(("table_sunk_mm", "object_slid_mm"), float("nan"))
-    t_ns = _held(log, holds) + offset_ns
+    unknown = dict.fromkeys(("table_sunk_mm", "object_slid_mm"), float("nan"))
+    t_ns = _hold_times(log, holds) + offset_ns
     if truth is None or not truth.has(SUPPORT) or not len(t_ns) or not truth.covers(t_ns):
-        return nothing
+        return unknown
     inside = (truth.t_ns >= t_ns[0]) & (truth.t_ns <= t_ns[-1])
     sunk = truth.values[inside, truth.columns.index(SUPPORT)]
-    places = truth.table(["object/x", "object/y", "object/z"], truth.t_ns[inside])[sunk > 0.0]
-    slid = float(np.linalg.norm(places - places[0], axis=1).max() * 1e3) if len(places) else float("nan")
+    positions = truth.table(["object/x", "object/y", "object/z"], truth.t_ns[inside])[sunk > 0.0]
+    slid = float(np.linalg.norm(positions - positions[0], axis=1).max() * 1e3) if len(positions) else float("nan")
     return {"table_sunk_mm": float(sunk[-1] * 1e3), "object_slid_mm": slid}
 
 
-def _held(log: RunLog, holds: Collection[str]) -> Any:
+def _hold_times(log: RunLog, holds: Collection[str]) -> Any:
     """Return the times of the ticks from the first hold to the last [ns]."""
     changes = log.phases
     ends = [*[change.k for change in changes[1:]], int(log.k[-1]) + 1] if changes else []
@@ -49,13 +49,14 @@ def _held(log: RunLog, holds: Collection[str]) -> Any:
     return log.t_ns[(log.k >= spans[0][0]) & (log.k < spans[-1][1])]
 
 
-def lift_failure(found: dict[str, Any]) -> str:
+def lift_failure(lift: dict[str, Any]) -> str:
     """Return the reason why the grasp failed, or an empty text if it carried its object or had no object to carry.
 
     Args:
-        found: result of `judge_lift`.
+        lift: result of `judge_lift`.
     """
-    sunk, slid = found["table_sunk_mm"], found["object_slid_mm"]
+    sunk = lift["table_sunk_mm"]
+    slid = lift["object_slid_mm"]
     if sunk == 0.0:
         return "the object was never lifted: too few digits pressed on it for the table to sink"
     if slid > SLID_MM:

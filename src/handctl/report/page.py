@@ -22,8 +22,10 @@ from handctl.report.pictures import lateness, loads, poses
 from handctl.report.summary import angle_rows, summarise
 from handctl.report.truth import Truth
 
-MOST_EVENTS, MOST_CONTACTS = 500, 20
-"""Maximum number of events and of contacts on the page. The first ones are shown."""
+MAX_EVENTS = 500
+"""Maximum number of events on the page. The first are shown."""
+MAX_CONTACTS = 20
+"""Maximum number of contacts on the page. The first are shown."""
 
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; color: #222; background: #fff; max-width: 1100px; margin: 2em auto;
@@ -85,7 +87,7 @@ def _section(title: str, body: str) -> str:
 
 def _table(rows: Iterable[tuple[str, str]]) -> str:
     """Return a table with two columns."""
-    return "<table>" + "".join(f"<tr><th>{one}</th><td>{two}</td></tr>" for one, two in rows) + "</table>"
+    return "<table>" + "".join(f"<tr><th>{title}</th><td>{content}</td></tr>" for title, content in rows) + "</table>"
 
 
 def _pairs(values: Mapping[str, object]) -> str:
@@ -97,10 +99,11 @@ def _numbers(
     log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int, load: "np.ndarray[tuple[int], np.dtype[np.float64]]"
 ) -> str:
     """Return the table of numbers."""
-    found = summarise(log, hand, truth, offset_ns)
-    late, frames = found["late_us"], frame_counts(log, hand)
+    summary = summarise(log, hand, truth, offset_ns)
+    late = summary["late_us"]
+    frames = frame_counts(log, hand)
     rows = [
-        ("ticks", f"{found['ticks']} at {found['rate_hz']:g} Hz, {found['missed']} missed"),
+        ("ticks", f"{summary['ticks']} at {summary['rate_hz']:g} Hz, {summary['missed']} missed"),
         ("lateness p50 / p99.9 / max", " / ".join(f"{us:.0f}" for us in late.values()) + " us" if len(log) else ""),
         ("frames late", f"{frames.late}"),
         ("frames lost", f"{frames.lost}"),
@@ -112,12 +115,12 @@ def _numbers(
             "largest bus load, by frames",
             ", ".join(f"{n} {100 * x:.0f} %" for n, x in zip(hand.bus_names, load, strict=True)),
         ),
-        ("tracking error in free motion, against the plant", _unit(np.degrees(found["tracking_rmse_rad"]), "deg rms")),
-        ("tension estimate, against the plant", _unit(found["tension_rmse_n"], "N rms")),
-        ("object moved while held", _unit(found["object_motion_mm"], "mm")),
+        ("tracking error in free motion, against the plant", _unit(np.degrees(summary["tracking_rmse_rad"]), "deg rms")),
+        ("tension estimate, against the plant", _unit(summary["tension_rmse_n"], "N rms")),
+        ("object moved while held", _unit(summary["object_motion_mm"], "mm")),
     ]
-    rows += [(_text(name), text) for name, text in angle_rows(found["joint_angles"])]
-    rows += [(f"{n}: tip-equivalent force", _unit(f, "N")) for n, f in found["tip_equivalent_force_n"].items()]
+    rows += [(_text(name), text) for name, text in angle_rows(summary["joint_angles"])]
+    rows += [(f"{n}: tip-equivalent force", _unit(f, "N")) for n, f in summary["tip_equivalent_force_n"].items()]
     return _table((name, text) for name, text in rows if text)
 
 
@@ -134,8 +137,8 @@ def _legend(hand: Hand) -> str:
         f'<span style="color:{COLOURS[d % len(COLOURS)]}">&#9679;</span> {_text(n)}'
         for d, n in enumerate(hand.digit_names)
     )
-    what = "by the estimated joint angles; arrows are the estimated force of the object on a fingertip"
-    return "<p>" + " &nbsp; ".join(marks) + f"; {what}</p>"
+    note = "by the estimated joint angles; arrows are the estimated force of the object on a fingertip"
+    return "<p>" + " &nbsp; ".join(marks) + f"; {note}</p>"
 
 
 def _run(log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> str:
@@ -152,16 +155,16 @@ def _faults(log: RunLog) -> str:
     first: dict[str, float] = {}
     counts: Counter[str] = Counter()
     for event in _named(log, "fault"):
-        kind = event.event.text.partition(":")[0]
-        first.setdefault(kind, event.t_ns / 1e9)
-        counts[kind] += 1
-    return "<br>".join(f"{_text(kind)}: {counts[kind]}, first at {t:.3f} s" for kind, t in first.items()) or "none"
+        fault = event.event.text.partition(":")[0]
+        first.setdefault(fault, event.t_ns / 1e9)
+        counts[fault] += 1
+    return "<br>".join(f"{_text(fault)}: {counts[fault]}, first at {t:.3f} s" for fault, t in first.items()) or "none"
 
 
 def _contacts(log: RunLog) -> str:
     """Return the contacts and their times."""
-    found = (f"{_text(event.event.text)} at {event.t_ns / 1e9:.3f} s" for event in _named(log, "contact"))
-    return "<br>".join(islice(found, MOST_CONTACTS))
+    lines = (f"{_text(event.event.text)} at {event.t_ns / 1e9:.3f} s" for event in _named(log, "contact"))
+    return "<br>".join(islice(lines, MAX_CONTACTS))
 
 
 def _named(log: RunLog, name: str) -> Iterator[LoggedEvent]:
@@ -171,11 +174,11 @@ def _named(log: RunLog, name: str) -> Iterator[LoggedEvent]:
 
 def _events(log: RunLog) -> str:
     """Return the table of events."""
-    left = len(log.events) - MOST_EVENTS
-    more = f"<p>and {left} more: handctl log info</p>" if left > 0 else ""
+    hidden = len(log.events) - MAX_EVENTS
+    more = f"<p>and {hidden} more: handctl log info</p>" if hidden > 0 else ""
     rows = (
         f'<tr class="{_text(event.level)}"><td class=n>{t_ns / 1e9:.3f} s</td><td>{_text(event.level)}</td>'
         f"<td>{_text(event.name)}</td><td>{_text(event.text)}</td></tr>"
-        for _, t_ns, event in log.events[:MOST_EVENTS]
+        for _, t_ns, event in log.events[:MAX_EVENTS]
     )
     return "<table>" + "".join(rows) + "</table>" + more

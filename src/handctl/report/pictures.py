@@ -27,8 +27,10 @@ SLANT = (0.55, 0.3)
 It separates digits on one hinge
 line.
 """
-LEAST_FORCE_N, ARROW_M_PER_N = 0.2, 0.004
-"""Smallest force with an arrow [N], and length of an arrow [m/N]."""
+MIN_ARROW_N = 0.2
+"""Smallest force with an arrow [N]."""
+ARROW_M_PER_N = 0.004
+"""Length of an arrow [m/N]."""
 
 
 def poses(log: RunLog, hand: Hand) -> str:
@@ -38,7 +40,8 @@ def poses(log: RunLog, hand: Hand) -> str:
         return "<p>The hand acts in no phase of this run.</p>"
     figure, grid = _figure(min(len(moments), PER_ROW), 2.6, 2.9, -(-len(moments) // PER_ROW))
     digits = [DigitModel.of(hand, name) for name in hand.digit_names]
-    q, force = log.field("q"), log.field("tip_force")
+    q = log.field("q")
+    force = log.field("tip_force")
     limits = _limits(digits)
     for axes in grid:
         axes.set_axis_off()
@@ -55,7 +58,7 @@ def poses(log: RunLog, hand: Hand) -> str:
     return _svg(figure)
 
 
-def _seen(points_m: Array) -> Array:
+def _projected(points_m: Array) -> Array:
     """Project points (.., 3) of the palm frame [m] to the picture (.., 2) [mm], along the hinges and slanted."""
     return np.asarray(1e3 * (points_m[..., :2] + points_m[..., 2:] * np.array(SLANT)), np.float64)
 
@@ -63,46 +66,49 @@ def _seen(points_m: Array) -> Array:
 def _limits(digits: list[DigitModel]) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the limits of the picture, which contains the palm and every digit straight."""
     ends = [to_palm(digit, np.array([[0.0, 0.0], [sum(digit.lengths), 0.0]])) for digit in digits]
-    corners = _seen(np.concatenate(ends))
-    low, high = corners.min(axis=0) - 20.0, corners.max(axis=0) + 10.0
+    corners = _projected(np.concatenate(ends))
+    low = corners.min(axis=0) - 20.0
+    high = corners.max(axis=0) + 10.0
     return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
 
 
 def _palm(axes: Any, digits: list[DigitModel]) -> None:
     """Draw the plate that carries the digits."""
     mounts = np.array([digit.mount_position for digit in digits])
-    (y0, z0), (y1, z1) = mounts[:, 1:].min(axis=0) - 0.009, mounts[:, 1:].max(axis=0) + 0.009
+    (y0, z0) = mounts[:, 1:].min(axis=0) - 0.009
+    (y1, z1) = mounts[:, 1:].max(axis=0) + 0.009
     corners = np.array([[0.0, y, z] for y, z in ((y0, z0), (y1, z0), (y1, z1), (y0, z1))])
-    axes.fill(*_seen(corners).T, color="#e3e6ea", zorder=0)
+    axes.fill(*_projected(corners).T, color="#e3e6ea", zorder=0)
 
 
 def _digit(axes: Any, digit: DigitModel, q: Array, force: float, colour: str) -> None:
     """Draw the links from the palm to the tip, and the estimated force of the object on the tip as an arrow."""
     joints = points(digit, q)
-    path = _seen(to_palm(digit, joints))
+    path = _projected(to_palm(digit, joints))
     axes.plot(*path.T, color=colour, linewidth=7, alpha=0.9, solid_capstyle="round", solid_joinstyle="round")
     axes.plot(*path[:-1].T, "o", color="white", markersize=3)
     angle = float(np.sum(q))
-    if force < LEAST_FORCE_N or np.isnan(angle):
+    if force < MIN_ARROW_N or np.isnan(angle):
         return
     # The object pushes against the closing direction of the fingertip.
     push = ARROW_M_PER_N * force * np.array([np.sin(angle), -np.cos(angle)])
-    start, end = _seen(to_palm(digit, np.array([joints[-1], joints[-1] + push])))
-    look = {"arrowstyle": "-|>", "color": "#222222", "linewidth": 1.2, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", xy=end, xytext=start, arrowprops=look, zorder=10)
+    start, end = _projected(to_palm(digit, np.array([joints[-1], joints[-1] + push])))
+    style = {"arrowstyle": "-|>", "color": "#222222", "linewidth": 1.2, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", xy=end, xytext=start, arrowprops=style, zorder=10)
 
 
 def _forces(axes: Any, force: Array) -> None:
     """Write the forces [N] in the corner. At the tips of the arrows the texts would overlap."""
     for d, value in enumerate(force.tolist()):
-        if value >= LEAST_FORCE_N:
-            look = {"fontsize": 9, "color": COLOURS[d % len(COLOURS)], "transform": axes.transAxes, "va": "bottom"}
-            axes.text(0.98, 0.3 - 0.09 * d, f"{value:.1f} N", ha="right", **look)
+        if value >= MIN_ARROW_N:
+            style = {"fontsize": 9, "color": COLOURS[d % len(COLOURS)], "transform": axes.transAxes, "va": "bottom"}
+            axes.text(0.98, 0.3 - 0.09 * d, f"{value:.1f} N", ha="right", **style)
 
 
 def _bar(axes: Any, limits: tuple[tuple[float, float], tuple[float, float]]) -> None:
     """Draw a scale bar of 20 mm."""
-    x, y = limits[0][1] - 22.0, limits[1][0] + 3.0
+    x = limits[0][1] - 22.0
+    y = limits[1][0] + 3.0
     axes.plot([x, x + 20.0], [y, y], color="#222222", linewidth=1.5)
     axes.text(x + 10.0, y + 1.5, "20 mm", ha="center", fontsize=8, color="#222222")
 
@@ -149,13 +155,13 @@ def loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
                 busy[i, frame.bus] += frame_time_s(len(frame.data), fd, bus.bitrate, bus.data_bitrate)
     window = max(1, min(round(LOAD_WINDOW_S * 1e9 / log.header.period_ns), len(log)))
     kernel = np.ones(window) / (window * log.header.period_ns * 1e-9)
-    share = np.column_stack([np.convolve(column, kernel, "same") for column in busy.T]) if len(log) else busy
+    load = np.column_stack([np.convolve(column, kernel, "same") for column in busy.T]) if len(log) else busy
     figure, (axes,) = _figure(1, 6.0, 2.2)
     for index, name in enumerate(hand.bus_names):
-        axes.plot(log.times, 100 * share[:, index], color=COLOURS[index % len(COLOURS)], linewidth=0.9, label=name)
+        axes.plot(log.times, 100 * load[:, index], color=COLOURS[index % len(COLOURS)], linewidth=0.9, label=name)
     axes.set(xlabel="time [s]", ylabel="bus load [%]", ylim=(0, None))
     axes.legend(fontsize=7, loc="lower right")
-    return _svg(figure), share.max(axis=0, initial=0.0)
+    return _svg(figure), load.max(axis=0, initial=0.0)
 
 
 def _figure(columns: int, width: float, height: float, rows: int = 1) -> tuple[Any, list[Any]]:

@@ -64,25 +64,26 @@ def _percentile(values: NDArray[Any], percent: float) -> float:
 
 def rms(values: Array) -> float:
     """Compute the root mean square without NaN. Without any number the result is NaN."""
-    kept = values[~np.isnan(values)]
-    return float(np.sqrt(np.mean(kept**2))) if kept.size else float("nan")
+    finite = values[~np.isnan(values)]
+    return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
 
 
 def hold_windows(log: RunLog) -> list[NDArray[np.bool_]]:
     """Return for each hold where it is settled (ticks,): a digit is in contact, and the targets are constant."""
     goal = np.nan_to_num(log.field("tension_goal"))
-    held = log.field("contact").any(axis=1)
+    in_contact = log.field("contact").any(axis=1)
     moving = np.abs(np.diff(goal, axis=0, prepend=goal[:1])).max(axis=1) >= 1e-9
-    windows, changes = [], log.phases
+    windows = []
+    changes = log.phases
     for i, change in enumerate(changes):
         if not change.name.startswith("hold"):
             continue
         end = changes[i + 1].k if i + 1 < len(changes) else log.k[-1] + 1
         inside = (log.k >= change.k) & (log.k < end)
-        window = inside & held & _after(inside & moving, inside, log)
+        window = inside & in_contact & _after(inside & moving, inside, log)
         if not window.any() and inside.any():
             far = np.abs(goal - goal[inside][-1]).max(axis=1) > STEADY_N
-            window = inside & held & _after(inside & far, inside, log)
+            window = inside & in_contact & _after(inside & far, inside, log)
         windows.append(window)
     return windows
 
@@ -118,9 +119,9 @@ def judge_tracking(
     """
     goal = mean_angles(hand, log.field("q_goal"))
     free = active[:, None] & ~np.isnan(goal) & (log.field("contact") == 0.0)
-    nothing = {"tracking_rmse_rad": float("nan"), "tracking_rmse_deg": {}}
+    unknown = {"tracking_rmse_rad": float("nan"), "tracking_rmse_deg": {}}
     if truth is None:
-        return nothing
+        return unknown
     real = mean_angles(hand, truth.table([f"q/{joint}" for joint in hand.joints], log.t_ns + offset_ns))
     touched = _touched(truth, hand, log, offset_ns)
     error = np.where(free & ~touched, goal - real, np.nan)
@@ -163,7 +164,7 @@ def judge_tension(
     before = truth.table(names, log.t_ns - log.header.period_ns + offset_ns)
     taut = active[:, None] & (real > 0.5)
     error = np.where(_holding(log, hand), log.field("tension_goal") - real, np.nan)
-    columns = [column[~np.isnan(column)] for held in holds for column in error[held].T]
+    columns = [column[~np.isnan(column)] for hold in holds for column in error[hold].T]
     columns = [column for column in columns if len(column)]
     return {
         "tension_rmse_n": rms(np.where(taut, log.field("tension") - real, np.nan)),
@@ -194,21 +195,21 @@ def judge_grasp(
         offset_ns: t = 0 of the run on the simulator's clock [ns].
         holds: (ticks,) of each hold, True where it is settled.
     """
-    held = np.any(holds, axis=0) if holds else np.zeros(len(log), dtype=bool)
-    estimated = log.field("tip_force")[held]
+    settled = np.any(holds, axis=0) if holds else np.zeros(len(log), dtype=bool)
+    estimated = log.field("tip_force")[settled]
     means = estimated.mean(axis=0) if len(estimated) else np.full(len(hand.digit), np.nan)
     result: dict[str, Any] = {"tip_equivalent_force_n": dict(zip(hand.digit_names, means.tolist(), strict=True))}
-    if truth is None or not held.any():
+    if truth is None or not settled.any():
         return result | {"object_motion_mm": float("nan"), "contact_force_n": {}}
     t_ns = log.t_ns + offset_ns
     force = {
-        name: float(np.mean(np.sqrt(sum(truth.at(f"contact_force/{name}/{axis}", t_ns[held]) ** 2 for axis in "xyz"))))
+        name: float(np.mean(np.sqrt(sum(truth.at(f"contact_force/{name}/{axis}", t_ns[settled]) ** 2 for axis in "xyz"))))
         for name in hand.digit_names
     }
     motion = float("nan")
-    stood = truth.has(SUPPORT) and not truth.at(SUPPORT, t_ns[held]).any()  # on its table all the time
-    if truth.has("object/x") and not stood:
-        paths = [truth.table(["object/x", "object/y", "object/z"], t_ns[one]) for one in holds if one.any()]
+    on_table = truth.has(SUPPORT) and not truth.at(SUPPORT, t_ns[settled]).any()
+    if truth.has("object/x") and not on_table:
+        paths = [truth.table(["object/x", "object/y", "object/z"], t_ns[hold]) for hold in holds if hold.any()]
         motion = max(float(np.linalg.norm(path - path[0], axis=1).max() * 1e3) for path in paths)
     return result | {"object_motion_mm": motion, "contact_force_n": force}
 
@@ -238,21 +239,22 @@ def judge_angles(
         NaN without a truth.
     """
     inside = np.any(holds, axis=0) if holds and np.any(holds) else active
-    q, sigma = log.field("q")[inside], log.field("q_sigma")[inside]
+    q = log.field("q")[inside]
+    sigma = log.field("q_sigma")[inside]
     error = np.full_like(q, np.nan)
     if truth is not None:
         error = q - truth.table([f"q/{joint}" for joint in hand.joints], log.t_ns[inside] + offset_ns)
-    found = {}
+    angles = {}
     for name, joints in hand.digit_joints.items():
-        known = ~np.isnan(error[:, joints]) & ~np.isnan(sigma[:, joints])
+        finite = ~np.isnan(error[:, joints]) & ~np.isnan(sigma[:, joints])
         within = np.abs(error[:, joints]) <= 2.0 * sigma[:, joints]
-        found[name] = {
+        angles[name] = {
             "source": angle_source(hand, name),
             "sigma_deg": float(np.degrees(rms(sigma[:, joints]))),
             "error_deg": float(np.degrees(rms(error[:, joints]))),
-            "inside": float(within[known].mean()) if known.any() else float("nan"),
+            "inside": float(within[finite].mean()) if finite.any() else float("nan"),
         }
-    return found
+    return angles
 
 
 def angle_source(hand: Hand, name: str) -> str:
@@ -275,11 +277,11 @@ SOURCES = {
 def angle_rows(angles: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
     """Return a title and a text for the joint angles of each digit that has a standard deviation."""
     rows = []
-    for name, found in angles.items():
-        if found["sigma_deg"] != found["sigma_deg"]:
+    for name, angle in angles.items():
+        if angle["sigma_deg"] != angle["sigma_deg"]:
             continue
-        error = "" if found["error_deg"] != found["error_deg"] else f", {found['error_deg']:.1f} deg rms off"
-        text = f"{SOURCES[found['source']]}: sigma {found['sigma_deg']:.1f} deg{error}"
+        error = "" if angle["error_deg"] != angle["error_deg"] else f", {angle['error_deg']:.1f} deg rms off"
+        text = f"{SOURCES[angle['source']]}: sigma {angle['sigma_deg']:.1f} deg{error}"
         rows.append((f"{name} joint angles", text))
     return rows
 

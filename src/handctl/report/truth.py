@@ -67,7 +67,7 @@ def read_truth(path: Path) -> Truth:
             header = json.loads(file.readline())
             columns = tuple(str(name) for name in header["columns"])
             rows = np.frombuffer(
-                _whole_rows(file.read(), len(columns)), [("t_ns", "<i8"), ("v", "<f8", (len(columns),))]
+                _complete_rows(file.read(), len(columns)), [("t_ns", "<i8"), ("v", "<f8", (len(columns),))]
             )
     except OSError as error:
         raise LogError(f"cannot be read: {error.strerror}", str(path), "the simulator's truth file") from None
@@ -78,7 +78,7 @@ def read_truth(path: Path) -> Truth:
     return Truth(header, rows["t_ns"].copy(), rows["v"].copy(), columns)
 
 
-def _whole_rows(data: bytes, columns: int) -> bytes:
+def _complete_rows(data: bytes, columns: int) -> bytes:
     """Cut off an incomplete last row, which a killed simulator may leave."""
     size = 8 * (columns + 1)
     return data[: len(data) // size * size]

@@ -58,7 +58,8 @@ def run_parts(
     """
     yield list(styles(subject))
     with tempfile.TemporaryDirectory(prefix="handctl-view-") as folder:
-        lenses, (sound, places) = Lenses(subject), whole(path, Path(folder), found or scanned(path))
+        lenses = Lenses(subject)
+        (sound, places) = whole(path, Path(folder), found or scanned(path))
         for part, since_ns in windows(sound, places, Path(folder), first_ns):
             yield list(log_chunks(part, lenses, subject.name, since_ns))
 

@@ -19,8 +19,10 @@ from handctl.view.scene.subject import Subject
 from handctl.view.tail import Tail
 from handctl.view.viewer import Viewer, check_screen, software_vulkan, start_viewer
 
-PERIOD_S, FLUSH_S = 0.2, 5.0
-"""Interval between looks at the log, and maximum wait for the viewer [s]."""
+PERIOD_S = 0.2
+"""Interval between looks at the log [s]."""
+FLUSH_S = 5.0
+"""Maximum wait for the viewer [s]."""
 APPEAR_S = 30.0
 """Maximum wait for the log to appear [s]."""
 QUIET_S = 15.0
@@ -38,7 +40,9 @@ class Follower:
             subject: run and hand of the log.
             url: address of the viewer.
         """
-        self._subject, self._lenses, self._tail = subject, Lenses(subject), Tail(log)
+        self._subject = subject
+        self._lenses = Lenses(subject)
+        self._tail = Tail(log)
         self._folder = tempfile.TemporaryDirectory(prefix="handctl-follow-")
         self._stream = recording(subject)
         self._stream.connect_grpc(url, default_blueprint=dashboard(subject, live=True))

@@ -43,7 +43,8 @@ def main() -> int:
     signal.signal(signal.SIGTERM, stop)
     with suppress(OSError):
         os.nice(NICE)
-    log, arguments = Path(sys.argv[1]), sys.argv[2:]
+    log = Path(sys.argv[1])
+    arguments = sys.argv[2:]
     try:
         from handctl.view.viewer import check_screen
 

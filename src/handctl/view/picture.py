@@ -14,8 +14,10 @@ if TYPE_CHECKING:
 
 SIZE = "1600x900"
 """Width and height of the picture [pixels]."""
-LOAD_S, SETTLE_S = 60.0, 1.0
-"""Maximum wait for the viewer, and pause between two pictures [s]."""
+LOAD_S = 60.0
+"""Maximum wait for the viewer [s]."""
+SETTLE_S = 1.0
+"""Pause between two pictures [s]."""
 TOAST_S = 5.0
 """Time after the start during which the viewer shows notices over the picture [s]."""
 STILL_S = 10.0

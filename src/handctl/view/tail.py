@@ -19,7 +19,8 @@ class Tail:
         Args:
             path: the log.
         """
-        self._path, self._taken = path, 0
+        self._path = path
+        self._taken = 0
         self.ended = False
 
     def take(self, part: Path) -> int | None:
@@ -34,7 +35,8 @@ class Tail:
         Raises:
             LogError: the log is damaged.
         """
-        file, found = LogFile(self._path), Scan()
+        file = LogFile(self._path)
+        found = Scan()
         try:
             scan(file, found)
             self.ended = found.complete

@@ -22,8 +22,10 @@ ICD_FOLDERS = ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/share
 SOFTWARE_ICD = "lvp_icd*.json"
 """Mesa's lavapipe: Vulkan on the processor. Pictures then do not depend on a graphics card."""
 PACKAGES = "libvulkan1 mesa-vulkan-drivers"
-START_S, END_S = 30.0, 5.0
-"""Maximum wait for the start and for the end of a viewer [s]."""
+START_S = 30.0
+"""Maximum wait for the start of a viewer [s]."""
+END_S = 5.0
+"""Maximum wait for the end of a viewer [s]."""
 _LISTENS = re.compile(rb"rerun\+http://[0-9.]+:\d+/proxy")
 """Line in the viewer's output with its address."""
 
@@ -146,7 +148,8 @@ def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Laun
         arguments: further arguments of the viewer.
         environment: environment variables in addition to those of this process.
     """
-    exe, settings = str(binary()), run_dir() / "viewer"
+    exe = str(binary())
+    settings = run_dir() / "viewer"
     settings.mkdir(mode=0o700, parents=True, exist_ok=True)
     # The viewer knows no switch for its analytics other than a file in its configuration.
     environ = os.environ | {"XDG_CONFIG_HOME": str(settings), "NO_COLOR": "1", "RUST_LOG": "info"} | environment

@@ -29,7 +29,8 @@ def windows(path: Path, found: Scan, folder: Path, first_ns: int) -> Iterator[tu
     """
     file = LogFile(path)
     try:
-        head, rest = found.chunks[0], found.chunks[1:]
+        head = found.chunks[0]
+        rest = found.chunks[1:]
         begins = [place.offset for place in rest] + [found.end]
         part = folder / "part.mcap"
         for group in _groups(head.first, rest, first_ns) or [[]]:

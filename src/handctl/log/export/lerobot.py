@@ -76,7 +76,8 @@ def _rows(log: RunLog, fps: int) -> NDArray[np.intp]:
     if len(active) < 2:
         raise LogError("the hand was never active in it", "the log", "a run that moved")
     check_order(log.t_ns, log.header.period_ns)
-    begin, end = int(log.t_ns[active[0]]), int(log.t_ns[active[-1]])
+    begin = int(log.t_ns[active[0]])
+    end = int(log.t_ns[active[-1]])
     frames = (end - begin) * fps // 10**9 + 1
     # Integer arithmetic with rounding to the nearest nanosecond keeps the grid exact over hours.
     grid = begin + (np.arange(frames) * 10**9 + fps // 2) // fps
@@ -86,7 +87,8 @@ def _rows(log: RunLog, fps: int) -> NDArray[np.intp]:
 def _vectors(log: RunLog, rows: NDArray[np.intp]) -> dict[str, tuple[list[str], Array]]:
     """Return names and values (frames, n) of each vector feature."""
     header = log.header
-    q, tension = _known(log, "q", rows), _known(log, "tension", rows)
+    q = _known(log, "q", rows)
+    tension = _known(log, "tension", rows)
     goals = log.field("q_goal")[rows]
     pulls = log.field("tension_goal")[rows]
     names = [f"{joint}.pos_rad" for joint in header.joints]

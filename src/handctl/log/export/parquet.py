@@ -18,7 +18,8 @@ def export_parquet(log: RunLog, path: Path) -> int:
     Raises:
         OSError: the file exists already or cannot be written.
     """
-    count, names = 0, columns(log)
+    count = 0
+    names = columns(log)
     text = pa.dictionary(pa.int32(), pa.string())
     fields = [pa.field(name, pa.int64(), metadata={"unit": unit(name)}) for name in HEADS]
     fields += [pa.field(name, text) for name in WORDS]

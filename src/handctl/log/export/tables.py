@@ -115,7 +115,9 @@ def export_candump(log: RunLog, path: Path) -> int:
     Raises:
         OSError: the file exists already or cannot be written.
     """
-    count, buses, offset = 0, log.header.buses, log.header.offset_ns
+    count = 0
+    buses = log.header.buses
+    offset = log.header.offset_ns
     with path.open("x", encoding="ascii") as file:
         for tick in log.ticks():
             began = tick.tick_in.t_ns + tick.tick_in.late_ns

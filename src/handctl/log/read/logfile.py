@@ -131,7 +131,8 @@ class LogFile:
         """
         while start < end:
             data = self.read(start, min(1 << 20, end - start))
-            value, start = zlib.crc32(data, value), start + len(data)
+            value = zlib.crc32(data, value)
+            start += len(data)
         return value
 
     def content(self, place: ChunkPlace, checked: bool = True) -> bytes:

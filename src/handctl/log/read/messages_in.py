@@ -13,11 +13,15 @@ from numpy.typing import NDArray
 
 MAX_CHANNELS = 1000
 """Maximum number of schemas, and of channels, in a chunk."""
-MIN_RUNS, BYTES_PER_RUN = 128, 16
-"""Minimum limit of blocks per chunk, and compressed bytes per further block."""
+MIN_BLOCKS = 128
+"""Blocks that every chunk may have."""
+BYTES_PER_BLOCK = 16
+"""Compressed bytes of a chunk per further block."""
 FEW = 4
 """Equal records that are counted one by one. For longer blocks numpy finds the end."""
-_RECORD, _CHANNEL = struct.Struct("<BQ"), struct.Struct("<H")
+_RECORD = struct.Struct("<BQ")
+"""Start of every record: opcode, length."""
+_CHANNEL = struct.Struct("<H")
 MESSAGE = int(Opcode.MESSAGE)
 _HEADER = 11
 """Bytes that the messages of a block have in common: opcode, length and channel."""
@@ -41,7 +45,8 @@ class Rows(NamedTuple):
 
     def messages(self) -> list[bytes]:
         """Return the messages in order."""
-        size, whole = self.records.shape[1], self.records.tobytes()
+        size = self.records.shape[1]
+        whole = self.records.tobytes()
         return [whole[at + _BODY : at + size] for at in range(0, len(whole), size)]
 
     def data(self) -> NDArray[np.uint8]:
@@ -81,11 +86,13 @@ def rows(content: bytes, packed: int, wanted: frozenset[int] | None = None) -> I
         ValueError: the chunk is damaged.
         struct.error: the chunk ends within a record.
     """
-    raw, at, defined = np.frombuffer(content, np.uint8), 0, 0
-    left = MIN_RUNS + packed // BYTES_PER_RUN
+    raw = np.frombuffer(content, np.uint8)
+    at = 0
+    defined = 0
+    remaining = MIN_BLOCKS + packed // BYTES_PER_BLOCK
     while at < len(content):
-        left -= 1
-        if left < 0:
+        remaining -= 1
+        if remaining < 0:
             raise ValueError("more messages than the size of the chunk explains")
         code, length = _RECORD.unpack_from(content, at)
         size = _RECORD.size + length
@@ -116,18 +123,23 @@ def _run(content: bytes, at: int, size: int) -> int:
         at: start of the first record in the chunk.
         size: size of a record.
     """
-    most, count, step = (len(content) - at) // size, 1, 16
-    head, after = content[at : at + _HEADER], at + size
+    most = (len(content) - at) // size
+    count = 1
+    step = 16
+    head = content[at : at + _HEADER]
+    after = at + size
     while count < min(FEW, most):
         if content[after : after + _HEADER] != head:
             return count
-        count, after = count + 1, after + size
+        count += 1
+        after += size
     # Steps grow by four, so that a long block takes few comparisons. `ndarray` with a stride reads only the headers.
     while count < most:
         number = min(step, most - count)
         heads = np.ndarray(number, _HEADS, content, at + count * size, (size,)).tobytes()
         equal = number if heads == head * number else _equal(heads, head, number)
-        count, step = count + equal, 4 * step
+        count += equal
+        step *= 4
         if equal < number:
             return count
     return count
@@ -147,7 +159,8 @@ def _equal(heads: bytes, head: bytes, number: int) -> int:
 
 def definitions(content: bytes) -> Definitions:
     """Return the schemas and channels at the start of a chunk. Raises as `rows`."""
-    found, at = Definitions([], []), 0
+    found = Definitions([], [])
+    at = 0
     while at < len(content):
         code, length = _RECORD.unpack_from(content, at)
         body = content[at + _RECORD.size : at + _RECORD.size + length]
@@ -191,7 +204,8 @@ def _channel(body: bytes) -> tuple[int, int, str, str, dict[str, str]]:
     topic, at = _text(body, 4)
     encoding, at = _text(body, at)
     raw, _ = _bytes(body, at)
-    metadata, at = {}, 0
+    metadata = {}
+    at = 0
     while at < len(raw):
         key, at = _text(raw, at)
         metadata[key], at = _text(raw, at)

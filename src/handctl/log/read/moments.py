@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 from handctl.core.types import Event
 from handctl.errors import LogError
 
-MOST_PERIODS, MOST_MISSING = 1_000_000, 10
-"""Periods that every run may last, and further periods per tick in the log."""
+MAX_PERIODS = 1_000_000
+"""Periods that every run may last."""
+MAX_PERIODS_PER_TICK = 10
+"""Further periods that a run may last per tick in its log."""
 
 
 class LoggedEvent(NamedTuple):
@@ -43,7 +45,8 @@ def phase_of_each(changes: Sequence[PhaseChange], k: NDArray[np.int64]) -> NDArr
         changes: phase changes, from the first tick on.
         k: (ticks,) tick numbers, rising.
     """
-    starts, names = np.array([change.k for change in changes]), np.array([change.name for change in changes])
+    starts = np.array([change.k for change in changes])
+    names = np.array([change.name for change in changes])
     return np.asarray(names[np.searchsorted(starts, k, side="right") - 1])
 
 
@@ -64,5 +67,5 @@ def check_order(t_ns: NDArray[np.int64], period_ns: int) -> None:
         at = early[0]
         raise LogError(f"{t_ns[at + 1] / 1e9:.3f} s follows {t_ns[at] / 1e9:.3f} s", "the log", "ticks in order")
     periods = (int(t_ns[-1]) - int(t_ns[0])) // period_ns if len(t_ns) else 0
-    if periods > MOST_PERIODS + MOST_MISSING * len(t_ns):
+    if periods > MAX_PERIODS + MAX_PERIODS_PER_TICK * len(t_ns):
         raise LogError(f"{len(t_ns)} ticks in {periods} periods", "the log", "a run of which less is missing")

@@ -73,7 +73,8 @@ class _Snapshots(Mapping[int, bytes]):
 
     def __init__(self, chunks: dict[int, int], read: Callable[[int, int], bytes]) -> None:
         """Set the chunk of each snapshot and the function that reads a snapshot."""
-        self._chunks, self._read = chunks, read
+        self._chunks = chunks
+        self._read = read
 
     def __getitem__(self, k: int) -> bytes:
         """Read the snapshot after tick k."""
@@ -117,7 +118,9 @@ class RunLog:
             found = Scan()
             scan(self._file, found, checked)
             self.found = found
-            self._chunks, self.metadata, self.warning = found.chunks, found.metadata, found.problem
+            self._chunks = found.chunks
+            self.metadata = found.metadata
+            self.warning = found.problem
             if "handctl.run" not in found.metadata or not found.chunks:
                 raise LogError("no run of handctl in it", self._file.name, "a log that handctl wrote")
             with Reading(self._file.name):
@@ -171,7 +174,9 @@ class RunLog:
     @functools.cached_property
     def _index(self) -> _Index:
         """Return the index of all chunks, made in one pass over the file."""
-        parts, counts, snapshots = [np.empty(0, FIXED_DTYPE)], [0], dict[int, int]()
+        parts = [np.empty(0, FIXED_DTYPE)]
+        counts = [0]
+        snapshots = dict[int, int]()
         for i, place in enumerate(self._chunks):
             before = len(parts)
             for one in self._rows_of(place, self._tick):

@@ -57,7 +57,8 @@ def recover(path: Path, out: Path) -> Recovery:
         ConfigError: out cannot be created.
         OSError: out cannot be written.
     """
-    file, found = LogFile(path), Scan()
+    file = LogFile(path)
+    found = Scan()
     try:
         problem = scan_all(file, found)
         if not found.chunks:
@@ -97,7 +98,8 @@ def _copy(file: LogFile, found: Scan, problem: str, new: Container) -> Recovery:
         # The end record is written last, as in a log that was closed.
         if name != "handctl.end":
             new.metadata(name, values)
-    lost, kept = found.skipped.copy(), 0
+    lost = found.skipped.copy()
+    kept = 0
     for place in found.chunks:
         try:
             _copy_chunk(file, place, new)

@@ -20,10 +20,14 @@ from handctl.errors import LogError
 from handctl.log.container import MAGIC
 from handctl.log.read.logfile import MAX_CHUNK, ChunkPlace, LogFile, Reading
 
-MAX_ATTACHMENT, MAX_ATTACHMENTS = 16 << 20, 64 << 20
-"""Maximum size of one attachment and of all attachments [bytes]."""
-MAX_METADATA, MAX_RECORDS = 1 << 20, 1000
-"""Maximum size of a metadata record [bytes]. Maximum number of attachments, metadata records, and unknown records."""
+MAX_ATTACHMENT = 16 << 20
+"""Maximum size of one attachment [bytes]."""
+MAX_ATTACHMENTS = 64 << 20
+"""Maximum size of all attachments [bytes]."""
+MAX_METADATA = 1 << 20
+"""Maximum size of a metadata record [bytes]."""
+MAX_RECORDS = 1000
+"""Maximum number of attachments, of metadata records, of unknown records, and of damaged records."""
 MAX_RATIO = 64
 """Maximum ratio of the size of all uncompressed chunks to the file. A hand at rest compresses to a fifteenth."""
 
@@ -64,7 +68,8 @@ class _Fields:
     """Reads the fields of one record in order."""
 
     def __init__(self, data: bytes) -> None:
-        self._data, self._at = data, 0
+        self._data = data
+        self._at = 0
 
     def number(self, code: str) -> int:
         """Read a number."""
@@ -106,7 +111,9 @@ def scan(file: LogFile, found: Scan, checked: bool = True, skip: bool = False) -
     if file.size < len(MAGIC) or file.read(0, len(MAGIC)) != MAGIC:
         raise LogError("not an MCAP file", file.at(0), "a log that handctl wrote")
     finished = file.size >= 2 * len(MAGIC) and file.read(file.size - len(MAGIC), len(MAGIC)) == MAGIC
-    found.end, unpacked, unknown = len(MAGIC), 0, 0
+    found.end = len(MAGIC)
+    unpacked = 0
+    unknown = 0
     while found.end + _RECORD.size <= file.size:
         at = found.end
         code, length = _RECORD.unpack(file.read(at, _RECORD.size))
@@ -139,7 +146,8 @@ def scan(file: LogFile, found: Scan, checked: bool = True, skip: bool = False) -
 
 def scanned(path: Path) -> Scan:
     """Return the outer records of a file without the checksum of the data section. Raises as `scan`."""
-    file, found = LogFile(path), Scan()
+    file = LogFile(path)
+    found = Scan()
     try:
         scan(file, found, checked=False)
     finally:
@@ -159,7 +167,8 @@ def _check_limits(found: Scan, unpacked: int, unknown: int) -> None:
 
 def _take(file: LogFile, found: Scan, code: int, at: int, end: int) -> int:
     """Add one record to a scan. Return its uncompressed size if it is a chunk, else 0."""
-    start, length = at + _RECORD.size, end - at - _RECORD.size
+    start = at + _RECORD.size
+    length = end - at - _RECORD.size
     if length < _LENGTHS.get(code, 0):
         raise ValueError("a record that is too short")
     if code == Opcode.CHUNK:
@@ -203,7 +212,10 @@ def _chunk(file: LogFile, at: int, end: int) -> ChunkPlace:
 def _attachment(found: Scan, data: bytes) -> None:
     """Decode an attachment and compare its checksum."""
     fields = _Fields(data)
-    time_ns, _, name, media = fields.number("Q"), fields.number("Q"), fields.text(), fields.text()
+    time_ns = fields.number("Q")
+    fields.number("Q")  # creation time
+    name = fields.text()
+    media = fields.text()
     content = fields.take(fields.number("Q"))
     crc = fields.number("I")
     # The checksum covers all fields before it. Its own four bytes are the last.

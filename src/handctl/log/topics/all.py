@@ -17,8 +17,9 @@ from handctl.log.topics.state import StateTopics, names_message
 from handctl.log.topics.streams import Registry, Stamps, loose, stamps_at
 from handctl.log.topics.transforms import TfTopics
 
-TICK_TOPIC, VALUES_TOPIC = "/tick", "/controller/values"
-"""Topics for the reader. All other topics are derived from these two and from the header."""
+TICK_TOPIC = "/tick"
+VALUES_TOPIC = "/controller/values"
+"""Topics for the reader: ticks and telemetry. All other topics are derived from these two and from the header."""
 
 
 class Topics:
@@ -26,16 +27,19 @@ class Topics:
 
     def __init__(self, header: RunHeader) -> None:
         """Register all topics of a run."""
-        self._header, self._registry = header, Registry()
+        self._header = header
+        self._registry = Registry()
         self._description = self._registry.add("/robot_description", "std_msgs/String", latched=True)
         self._names = self._registry.add("/controller/names", "pal_statistics_msgs/StatisticsNames", latched=True)
         self._tick = self._registry.add(TICK_TOPIC, "handctl_msgs/Tick")
-        self._tf, self._events = TfTopics(header, self._registry), EventTopics(header, self._registry)
+        self._tf = TfTopics(header, self._registry)
+        self._events = EventTopics(header, self._registry)
         self._parts = (
             StateTopics(header, self._registry), CanTopics(header, self._registry), self._tf, self._events,
             HealthTopics(header, self._registry),
         )  # fmt: skip
-        self._chain, self._clocks = ChainTopic(header, self._registry), ClockTopic(self._registry)
+        self._chain = ChainTopic(header, self._registry)
+        self._clocks = ClockTopic(self._registry)
         self._snapshots = SnapshotTopic(self._registry)
 
     @property

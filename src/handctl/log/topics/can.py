@@ -86,17 +86,22 @@ class _Direction:
         self, frames: Frames, bus: NDArray[np.intp], fd: NDArray[np.bool_], stamps: Stamps, measured: Times
     ) -> Run:
         """Return the messages of CAN FD frames."""
-        records, rest = [], memoryview(frames.long_data)
+        records = []
+        rest = memoryview(frames.long_data)
         columns = [frames.frames[name].tolist() for name in ("can_id", "length")]
         data = frames.frames["data"].tobytes()
-        sequence, log, times = stamps.sequence.tolist(), stamps.log.tolist(), measured.tolist()
+        sequence = stamps.sequence.tolist()
+        log = stamps.log.tolist()
+        times = measured.tolist()
         # `rest` moves over the long bytes of all frames, classical frames have none.
         for index, (can_id, length) in enumerate(zip(*columns, strict=True)):
             more = max(length - 8, 0)
-            payload, rest = data[8 * index : 8 * index + min(length, 8)] + bytes(rest[:more]), rest[more:]
+            payload = data[8 * index : 8 * index + min(length, 8)] + bytes(rest[:more])
+            rest = rest[more:]
             if fd[index]:
                 message = fd_frame(self._buses[bus[index]], times[index], can_id, payload)
-                size, channel = 22 + len(message), self._fd_channel
+                size = 22 + len(message)
+                channel = self._fd_channel
                 records.append(MESSAGE.pack(5, size, channel, sequence[index], log[index], times[index]) + message)
         return _joined(self._fd_channel, stamps.log[fd], records)
 

@@ -18,7 +18,8 @@ from handctl.safety.action import Action
 
 LEVELS = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
 """Numbers of the levels in rcl_interfaces/Log."""
-_DOUBLE, _STRING = 3, 4
+_DOUBLE = 3
+_STRING = 4
 """Values of rcl_interfaces/ParameterType."""
 
 
@@ -126,7 +127,8 @@ class EventTopics:
         """Return the log lines and the changes of gains."""
         at: list[int] = []
         lines: list[bytes] = []
-        gains_at, gains = [], []
+        gains_at = []
+        gains = []
         for index, tick in batch.notable.items():
             t_ns = int(stamps.log[index])
             for level, name, text in _texts(tick):

@@ -19,7 +19,9 @@ TEMPERATURE_PERIOD_NS = 200_000_000
 """Interval between temperatures [ns]."""
 DIAGNOSTICS_PERIOD_NS = 1_000_000_000
 """Interval between diagnostics [ns]."""
-OK, WARN, ERROR = 0, 1, 2
+OK = 0
+WARN = 1
+ERROR = 2
 """Levels of diagnostic_msgs/DiagnosticStatus."""
 
 _DRIVE_LEVEL = {Phase.READY: OK, Phase.ENABLED: OK, Phase.FAULT: ERROR}
@@ -74,13 +76,15 @@ class HealthTopics:
 
     def __init__(self, header: RunHeader, registry: Registry) -> None:
         """Register the topics."""
-        self._header, self._columns = header, columns(header)
+        self._header = header
+        self._columns = columns(header)
         self._diagnostics = registry.add("/diagnostics", "diagnostic_msgs/DiagnosticArray")
         self._temperatures = [
             Stream(registry.add(f"/actuator/{motor}/temperature", "sensor_msgs/Temperature"), temperature())
             for motor in header.motors
         ]
-        self._last_temperature, self._last = -1, (np.full(0, -1.0), -1)
+        self._last_temperature = -1
+        self._last = (np.full(0, -1.0), -1)
         self._frames = np.zeros((len(header.buses), 2), np.int64)
         self._io_events: dict[str, int] = {}
 

@@ -118,7 +118,9 @@ class StateTopics:
 
     def __init__(self, header: RunHeader, registry: Registry) -> None:
         """Register the topics."""
-        self._header, self._columns, self._arms = header, columns(header), moment_arms(header)
+        self._header = header
+        self._columns = columns(header)
+        self._arms = moment_arms(header)
         self._last: tuple[int, int] | None = None
         self._joint_states = {}
         for topic, (axis, *parts) in JOINT_STATES.items():

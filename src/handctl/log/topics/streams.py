@@ -86,7 +86,8 @@ class Stream:
 
     def __init__(self, channel: int, template: Template) -> None:
         """Create the layout of a Message record, 31 bytes of header and the template."""
-        self._channel, self._stamps = channel, len(template.stamps)
+        self._channel = channel
+        self._stamps = len(template.stamps)
         # Opcode 5 is Message. Its length excludes opcode and length field: 22 bytes of header and the
         # data.
         self._record = MESSAGE.pack(5, 22 + len(template.data), channel, 0, 0, 0) + template.data
@@ -111,7 +112,9 @@ class Stream:
         # one assignment.
         rows = np.frombuffer(bytearray(self._record * number), self._dtype)
         measured = stamps.log if measured is None else measured
-        rows["sequence"], rows["log"], rows["publish"] = stamps.sequence, stamps.log, measured
+        rows["sequence"] = stamps.sequence
+        rows["log"] = stamps.log
+        rows["publish"] = measured
         times = ros_time(measured)
         for index in range(self._stamps):
             rows[f"stamp{index}"] = times

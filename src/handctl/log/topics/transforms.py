@@ -49,15 +49,21 @@ def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, ...]:
 
 def links(hand_toml: str) -> list[Link]:
     """Return the frames of a hand: palm, `<digit>_link<i>`, `<digit>_tip`."""
-    found, joint = [], 0
+    found = []
+    joint = 0
     for digit in tomllib.loads(hand_toml)["digit"]:
-        name, lengths = digit["name"], digit["link_length_m"]
-        parent, position = ROOT, tuple(map(float, digit["mount_position_m"]))
+        name = digit["name"]
+        lengths = digit["link_length_m"]
+        parent = ROOT
+        position = tuple(map(float, digit["mount_position_m"]))
         rotation = quaternion(*map(math.radians, digit["mount_rpy_deg"]))
         for index, length in enumerate(lengths):
             child = f"{name}_link{index + 1}"
             found.append(Link(parent, child, position, rotation, joint))
-            parent, position, rotation, joint = child, (float(length), 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), joint + 1
+            parent = child
+            position = (float(length), 0.0, 0.0)
+            rotation = (0.0, 0.0, 0.0, 1.0)
+            joint += 1
         found.append(Link(parent, f"{name}_tip", position, rotation, -1))
     return found
 
@@ -65,7 +71,8 @@ def links(hand_toml: str) -> list[Link]:
 def turned(link: Link, q: NDArray[np.float64]) -> NDArray[np.float64]:
     """Compute the rotations x, y, z, w (n, 4) of a link at joint angles (n,) [rad]."""
     x, y, z, w = link.rotation
-    sine, cosine = np.sin(q / 2), np.cos(q / 2)
+    sine = np.sin(q / 2)
+    cosine = np.cos(q / 2)
     # Quaternion product of the link's rotation and a rotation about z by q: (0, 0, sine, cosine).
     return np.stack(
         [x * cosine + y * sine, y * cosine - x * sine, z * cosine + w * sine, w * cosine - z * sine], axis=1
@@ -93,16 +100,15 @@ class TfTopics:
         self._moving, self._fixed = ([one for one in tree if (one.joint >= 0) == moves] for moves in (True, False))
         self._static = _stream(registry.add("/tf_static", "tf2_msgs/TFMessage", latched=True), self._fixed)
         self._stream = _stream(registry.add("/tf", "tf2_msgs/TFMessage"), self._moving)
-        self._q, self._last = columns(header)["q"], -1
+        self._q = columns(header)["q"]
+        self._last = -1
 
     def latched(self, stamps: Stamps) -> Run:
         """Return the message of /tf_static."""
         values: dict[str, NDArray[np.generic]] = {}
         for index, link in enumerate(self._fixed):
-            values[f"position{index}"], values[f"rotation{index}"] = (
-                np.array([link.position]),
-                np.array([link.rotation]),
-            )
+            values[f"position{index}"] = np.array([link.position])
+            values[f"rotation{index}"] = np.array([link.rotation])
         return self._static.run(stamps, values)
 
     def runs(self, batch: Batch, stamps: Stamps) -> list[Run]:

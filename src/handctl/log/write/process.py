@@ -58,7 +58,8 @@ class Splitter:
 
     def split(self, data: bytes) -> Iterator[tuple[int, bytes]]:
         """Yield (kind, body) of each complete record."""
-        data, at = self._rest + data, 0
+        data = self._rest + data
+        at = 0
         while at + FRAMING.size <= len(data):
             length, kind = FRAMING.unpack_from(data, at)
             end = at + FRAMING.size + length
@@ -74,11 +75,13 @@ class Session:
 
     def __init__(self, path: Path, floor_bytes: int) -> None:
         """Set the file and the free space at which the log is finished early [bytes]."""
-        self._path, self._floor = path, floor_bytes
+        self._path = path
+        self._floor = floor_bytes
         self._splitter = Splitter()
         self._writer: LogWriter | None = None
         self._wall_flush = True
-        self._reason, self._dropped = "controller died", 0
+        self._reason = "controller died"
+        self._dropped = 0
 
     def run(self) -> None:
         """Read until the input ends, then close the file."""
@@ -118,7 +121,8 @@ class Session:
             tell({"ready": True})
         elif kind == END:
             end = json.loads(body)
-            self._reason, self._dropped = str(end["reason"]), int(end["dropped"])
+            self._reason = str(end["reason"])
+            self._dropped = int(end["dropped"])
 
 
 def main() -> int:

@@ -25,8 +25,10 @@ The second size is permitted without privileges on Linux. It holds more than 250
 """
 FLOOR_BYTES = 64 << 20
 """Free space at which a log is finished early [bytes]. Four times this value gives a warning."""
-START_S, CLOSE_S = 20.0, 20.0
-"""Maximum wait for the recorder at the start and at the end of a run [s]."""
+START_S = 20.0
+"""Maximum wait for the recorder at the start of a run [s]."""
+CLOSE_S = 20.0
+"""Maximum wait for the recorder at the end of a run [s]."""
 LOCKSTEP_WAIT_S = 60.0
 """Maximum wait for the recorder per record in a lockstep run [s]."""
 
@@ -56,9 +58,14 @@ class Recorder:
             lossless: wait for the recorder instead of dropping records.
         """
         assert child.stdout is not None
-        self._path, self._child, self._pipe, self._notes = path, child, pipe, child.stdout.fileno()
-        self._lossless, self._size = lossless, _grow(pipe)
-        self._rest, self._line = b"", b""
+        self._path = path
+        self._child = child
+        self._pipe = pipe
+        self._notes = child.stdout.fileno()
+        self._lossless = lossless
+        self._size = _grow(pipe)
+        self._rest = b""
+        self._line = b""
         self._gone = self._told_gone = self._filling = False
         self._announced = self.dropped = 0
         self._messages: list[dict[str, object]] = []
@@ -122,7 +129,8 @@ class Recorder:
         Returns:
             False after a failure. Further records must not be sent then, because the record is incomplete.
         """
-        end, view = time.monotonic() + timeout_s, memoryview(data)
+        end = time.monotonic() + timeout_s
+        view = memoryview(data)
         while view:
             try:
                 view = view[os.write(self._pipe, view) :]
@@ -199,7 +207,8 @@ class Recorder:
         """Return an event each time the pipe becomes more than half full."""
         # FIONREAD: bytes in the pipe that the recorder has not read.
         waiting = struct.unpack("i", fcntl.ioctl(self._pipe, termios.FIONREAD, b"\0\0\0\0"))[0]
-        was, self._filling = self._filling, waiting > self._size // 2
+        was = self._filling
+        self._filling = waiting > self._size // 2
         return [IoEvent("recorder", "filling", waiting)] if self._filling and not was else []
 
     def _read_notes(self, timeout_s: float) -> None:

@@ -99,13 +99,21 @@ class LogWriter:
         Raises:
             OSError: the file cannot be created. Later failures are reported.
         """
-        self._clocks, self._next_pair_ns, self._to_disk = clocks, 0, to_disk
-        self._path, self._header, self._report, self._floor = path, header, report, floor_bytes
-        self._topics, self._batcher = Topics(header), Batcher(header)
+        self._clocks = clocks
+        self._next_pair_ns = 0
+        self._to_disk = to_disk
+        self._path = path
+        self._header = header
+        self._report = report
+        self._floor = floor_bytes
+        self._topics = Topics(header)
+        self._batcher = Batcher(header)
         self._fd = _create(path)
         self._ballast = _Ballast(path.parent)
         self._warned = self.dead = False
-        self._mark, self._first_k, self._last_k = -1, 0, -1
+        self._mark = -1
+        self._first_k = 0
+        self._last_k = -1
         self._snapshots: list[Run] = []
         self.ticks = self.lost = self._missed = 0
         self._container = Container(self._fd)
@@ -113,7 +121,8 @@ class LogWriter:
 
     def _write_head(self) -> None:
         """Write attachments, metadata, schemas and channels."""
-        header, one = self._header, self._container
+        header = self._header
+        one = self._container
         for name, data in ({"hand.toml": header.hand_toml.encode()} | header.attachments).items():
             one.attach(name, _MEDIA.get(Path(name).suffix, "application/octet-stream"), data, header.offset_ns)
         one.metadata("handctl", header.metadata)
@@ -136,7 +145,8 @@ class LogWriter:
         if self.dead:
             self.lost += 1
             return
-        misshapen, begins = self._batcher.misshapen, not self.pending
+        misshapen = self._batcher.misshapen
+        begins = not self.pending
         t_ns = self._batcher.add(body)
         self.ticks += 1
         if self._batcher.misshapen > misshapen == 0:
@@ -156,7 +166,8 @@ class LogWriter:
         In a deterministic run chunks end on a fixed time grid, otherwise after CHUNK_SPAN_NS.
         """
         if self._header.deterministic:
-            before, self._mark = self._mark, t_ns // CHUNK_SPAN_NS
+            before = self._mark
+            self._mark = t_ns // CHUNK_SPAN_NS
             return before != self._mark
         if begins:
             self._mark = t_ns
@@ -171,7 +182,8 @@ class LogWriter:
         first = self._last_k + 1 if self._last_k >= 0 else int(batch.k[0])
         self._missed += max(int(batch.k[-1]) - first + 1 - len(batch.k), 0)
         self._last_k = int(batch.k[-1])
-        snapshots, self._snapshots = self._snapshots, []
+        snapshots = self._snapshots
+        self._snapshots = []
         try:
             self._container.chunk(self._topics.runs(batch) + snapshots + self._clock_pair(int(batch.t_ns[-1])))
         except OSError as error:

@@ -44,7 +44,8 @@ def retimed(chunk: Chunk, offset_ns: int) -> Chunk:
     if LOG_TIME not in chunk.timeline_names:
         return chunk
     batch = chunk.to_record_batch()
-    fields, columns = [], []
+    fields = []
+    columns = []
     for field, column in zip(batch.schema, batch.columns, strict=True):
         if field.name == LOG_TIME:
             column = pa.array(run_times(chunk, offset_ns)).cast(pa.duration("ns"))

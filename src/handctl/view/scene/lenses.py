@@ -40,7 +40,8 @@ class Lenses:
         Args:
             subject: run and hand.
         """
-        self._subject, self._offset = subject, subject.header.offset_ns
+        self._subject = subject
+        self._offset = subject.header.offset_ns
         self._load = BusLoad(subject)
         self._lenses: dict[str, Lens] = {
             "/controller/values": self._values,

@@ -47,7 +47,8 @@ class BusLoad:
         # Differences of the running total give the sums over the window.
         first = np.searchsorted(t, now - SPAN_NS, side="right")
         span = np.clip(now + self._period_ns, self._period_ns, SPAN_NS)
-        self._t, self._spent = t[first[-1] :], spent[first[-1] :]
+        self._t = t[first[-1] :]
+        self._spent = spent[first[-1] :]
         return np.asarray((total[len(t) - len(now) + 1 :] - total[first]) / span[:, None], np.float64)
 
     def _spent_on(self, frames: pa.ListArray) -> NDArray[np.int64]:
@@ -57,7 +58,10 @@ class BusLoad:
         flat = frames.flatten()
         bus, flags, size = (np.asarray(flat.field(name)).astype(np.intp) for name in ("bus", "flags", "length"))
         known = (bus < len(self._times)) & (size <= LONGEST)
-        tick, bus, flags, size = tick[known], bus[known], flags[known], size[known]
+        tick = tick[known]
+        bus = bus[known]
+        flags = flags[known]
+        size = size[known]
         spent = np.zeros((len(frames), len(self._times)), np.int64)
         np.add.at(spent, (tick, bus), self._times[bus, (flags & FDF) // FDF, size])
         return spent

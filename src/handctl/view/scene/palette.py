@@ -15,7 +15,8 @@ class Colour(NamedTuple):
         return Colour(*(round(a + share * (b - a)) for a, b in zip(self, other, strict=True)))
 
 
-WHITE, BLACK = Colour(255, 255, 255), Colour(13, 16, 17)
+WHITE = Colour(255, 255, 255)
+BLACK = Colour(13, 16, 17)
 PALM = Colour(96, 104, 116)
 LIMIT = Colour(255, 72, 66)
 PLAIN = Colour(168, 180, 196)

@@ -11,7 +11,9 @@ from handctl.view.scene.arrow import static
 from handctl.view.scene.palette import Colour
 from handctl.view.scene.subject import Subject
 
-ESTIMATE_WIDTH, COMMAND_WIDTH, LIMIT_WIDTH = 1.8, 1.0, 2.2
+ESTIMATE_WIDTH = 1.8
+COMMAND_WIDTH = 1.0
+LIMIT_WIDTH = 2.2
 """Line widths [points]."""
 
 
