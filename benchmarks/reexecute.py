@@ -14,8 +14,8 @@ from who import spent
 
 from handctl.controller.tick import Controller
 from handctl.log.read.reader import RunLog
-from handctl.replay.difference import same
 from handctl.replay.rebuild import rebuild
+from handctl.replay.tick_difference import equal_outputs
 
 GOLDEN = Path(__file__).resolve().parent.parent / "logs" / "golden"
 
@@ -69,7 +69,7 @@ def once(log: RunLog, controller: Controller) -> dict:
         took.append(cpu() - before)
         outs.append(out)
     began = cpu()
-    equal = sum(same(one, numbers, out) for (one, numbers), out in zip(logged, outs, strict=True))
+    equal = sum(equal_outputs(one, numbers, out) for (one, numbers), out in zip(logged, outs, strict=True))
     return {"read": read, "tick": took, "compare": cpu() - began, "equal": equal}
 
 

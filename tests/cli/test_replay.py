@@ -9,7 +9,7 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.hand.load import load_hand
-from handctl.replay.difference import Difference
+from handctl.replay.tick_difference import TickDifference
 
 GOLDEN = Path(__file__).parents[2] / "logs" / "golden"
 GRASP, OTHER = str(GOLDEN / "jamia-grasp.mcap"), str(GOLDEN / "jamia11-grasp.mcap")
@@ -26,9 +26,9 @@ def test_execute_tells_programs_what_it_found(capsys: pytest.CaptureFixture[str]
 def test_numbers_of_another_machine_are_told_apart(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("handctl.replay.course.same", lambda logged, numbers, out: logged.tick_in.k != 100)
-    found = Difference(100, 0.5, "nis", "index_tendon", 0.5, 0.5 + 1e-15, 9)
-    monkeypatch.setattr("handctl.replay.course.differences", lambda *what: iter([found]))
+    monkeypatch.setattr("handctl.replay.log_runner.same", lambda logged, numbers, out: logged.tick_in.k != 100)
+    found = TickDifference(100, 0.5, "nis", "index_tendon", 0.5, 0.5 + 1e-15, 9)
+    monkeypatch.setattr("handctl.replay.log_runner.differences", lambda *what: iter([found]))
     assert main(["replay", "execute", GRASP]) == 1
     assert "--within 1e-9" in capsys.readouterr().out
     assert main(["replay", "execute", GRASP, "--within", "1e-9"]) == 0
@@ -153,13 +153,13 @@ def test_the_report_is_one_page_that_loads_nothing(tmp_path: Path) -> None:
 
 
 def test_text_of_a_log_cannot_become_markup() -> None:
-    from handctl.report.page import _text
+    from handctl.report.run_page import _text
 
     assert _text("<script>\x1b[31m&") == "&lt;script&gt;\\x1b[31m&amp;"
 
 
 def test_a_report_tells_its_faults_and_contacts_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("handctl.report.page.MAX_EVENTS", 3)
+    monkeypatch.setattr("handctl.report.run_page.MAX_EVENTS", 3)
     out = tmp_path / "page.html"
     assert main(["report", str(GOLDEN / "jamia-fault.mcap"), "--output", str(out)]) == 0
     text = out.read_text()

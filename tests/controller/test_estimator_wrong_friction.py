@@ -86,9 +86,7 @@ def _judge(block: Block, at: Places, of: Block, of_at: Places, innovation: np.nd
     kalman._judge_innovation(tables(block, at), constant_tables(of, of_at), innovation, information, True)
 
 
-def caution(
-    model: HandModel, lately: np.ndarray, wary: np.ndarray, nis: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def caution(model: HandModel, lately: np.ndarray, wary: np.ndarray, nis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Averages of the normalised innovation squared, and doubts [s], after a tick in which it is this, (N,) each."""
     state, n = blank(model), model.tendon_count
     state.view("nis_lately")[...], state.view("wary")[...] = lately, wary

@@ -21,7 +21,7 @@ from pathlib import Path
 from handctl.cli.main import main
 import handctl.log.read.reader, handctl.log.read.recover
 import handctl.replay.check, handctl.replay.damage, handctl.replay.execute
-import handctl.report.page, handctl.replay.diff, handctl.replay.limits
+import handctl.report.run_page, handctl.replay.diff, handctl.replay.other_limits
 import handctl.view.feed
 folder, found = Path(sys.argv[1]), []
 (folder / "limits.toml").write_text("tension_trip_N = 20")

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.replay.compare import resampled
-from handctl.replay.drive import stretch
+from handctl.replay.drive_again import active_interval
 from handctl.report.summary import mean_angles
 
 SETTLED_S = 0.4
@@ -15,7 +15,7 @@ SETTLED_S = 0.4
 
 def mean_angles_apart(before: RunLog, after: RunLog) -> NDArray[np.float64]:
     """(times, digits) difference of the mean joint angle of each digit [deg]."""
-    begin, end = stretch(before)
+    begin, end = active_interval(before)
     times = np.arange(0.0, end - begin, 0.005)
     hand = load_hand(before.header.metadata["hand"])
     old, new = (
@@ -27,7 +27,7 @@ def mean_angles_apart(before: RunLog, after: RunLog) -> NDArray[np.float64]:
 def tensions_held(before: RunLog, after: RunLog) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Both means (tendons,) while the grasp is at rest [N]."""
     starts = {change.name: change.t_ns * 1e-9 for change in before.phases}
-    begin, _ = stretch(before)
+    begin, _ = active_interval(before)
     held = starts["hold"] + SETTLED_S - begin, starts["release"] - begin
     return _mean(before, begin, *held), _mean(after, again(after), *held)
 

@@ -13,7 +13,7 @@ from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.playback import Recording
 from handctl.replay.compare import check_same_hand, compare, delay, resampled
-from handctl.replay.drive import difference, playback, recording, stretch
+from handctl.replay.drive_again import active_interval, compare_replay, playback, recording
 from handctl.replay.execute import execute
 
 
@@ -29,8 +29,8 @@ def again(golden: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_grasp_repeats_within_a_degree_and_five_percent_of_force(golden: Path, again: Path) -> None:
     with RunLog(golden / "jamia-grasp.mcap") as before, RunLog(again) as after:
-        found = difference(before, after)
-        begin, _ = stretch(before)
+        found = compare_replay(before, after)
+        begin, _ = active_interval(before)
         held = [change.t_ns * 1e-9 for change in before.phases if change.name in ("hold", "release")]
         times = np.arange(held[0] + 0.4, held[1], 0.005) - begin
         start = next(change.t_ns * 1e-9 for change in after.phases if change.name == "playback")
@@ -60,7 +60,7 @@ def test_it_moves_slowly_to_the_first_pose(again: Path) -> None:
 def test_a_digit_that_held_follows_tension_and_not_angles(golden: Path) -> None:
     with RunLog(golden / "jamia-grasp.mcap") as log:
         found = recording(log, log.header.period_ns * 1e-9)
-        begin, end = stretch(log)
+        begin, end = active_interval(log)
         inside = (log.times >= begin) & (log.times <= end)
         np.testing.assert_allclose(found.q, log.field("q_goal")[inside], rtol=0, atol=1e-12)
         np.testing.assert_allclose(found.tension, log.field("tension_goal")[inside], rtol=0, atol=1e-9)

@@ -12,7 +12,7 @@ import runs
 from numpy.typing import NDArray
 
 from handctl.log.read.reader import RunLog
-from handctl.replay.drive import difference, playback, stretch
+from handctl.replay.drive_again import active_interval, compare_replay, playback
 from handctl.report.truth import read_truth
 
 Array = NDArray[np.float64]
@@ -27,9 +27,9 @@ class Pair:
     folder: Path
     raw: bool
 
-    def difference(self) -> dict[str, dict[str, dict[str, float]]]:
+    def compare_replay(self) -> dict[str, dict[str, dict[str, float]]]:
         with RunLog(self.folder / "first.mcap") as before, RunLog(self.again) as after:
-            return difference(before, after)
+            return compare_replay(before, after)
 
     @property
     def again(self) -> Path:
@@ -38,7 +38,7 @@ class Pair:
     def truths(self, *names: str) -> tuple[Array, Array, Array]:
         """Times since the beginning of the stretch [s], and both (times, names)."""
         with RunLog(self.folder / "first.mcap") as before, RunLog(self.again) as after:
-            begin, end = stretch(before)
+            begin, end = active_interval(before)
             start = next(change.t_ns for change in after.phases if change.name == "playback")
         t_ns = np.arange(0, int((end - begin) * 1e9), 2_000_000)
         first, second = (read_truth(path) for path in (self.folder / "first.truth", self.again.with_suffix(".truth")))
@@ -48,7 +48,7 @@ class Pair:
         """When the grasp is at rest, since the beginning of the stretch [s]."""
         with RunLog(self.folder / "first.mcap") as before:
             starts = {change.name: change.t_ns * 1e-9 for change in before.phases}
-            begin, _ = stretch(before)
+            begin, _ = active_interval(before)
         return starts["hold"] + SETTLED_S - begin, starts["release"] - begin
 
     def while_held(self, *names: str) -> tuple[Array, Array]:

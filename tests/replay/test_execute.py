@@ -26,9 +26,9 @@ from handctl.programs.program import Program
 from handctl.programs.requests import HoldTension, MoveDigits
 from handctl.replay import rebuild as rebuilding
 from handctl.replay.counterfactual import Commands, draw, summary
-from handctl.replay.difference import Columns, differences, same, ulps
-from handctl.replay.execute import acceptable, distance, execute
+from handctl.replay.execute import distance, execute, within_tolerance
 from handctl.replay.rebuild import logged_gains, rebuild
+from handctl.replay.tick_difference import Columns, differences, equal_outputs, ulps
 
 GOLDEN = ("jamia-grasp", "jamia-lost", "jamia-fault", "jamia11-grasp")
 
@@ -41,7 +41,7 @@ def test_a_fresh_run_with_faults_and_requests_repeats_to_the_last_bit(fresh: Pat
         found = execute(log)
         assert found.ticks == len(log) > 300
     assert (found.differing, found.undecided, found.first, found.largest) == (0, 0, None, None)
-    assert acceptable(found, 0.0)
+    assert within_tolerance(found, 0.0)
     assert found.times_real_time > 0
 
 
@@ -53,7 +53,7 @@ def test_golden_logs_decide_the_same_within_1e_9(golden: Path, name: str) -> Non
         found = execute(log)
         assert found.ticks == len(log) > 300
     assert found.undecided == 0, found.first
-    assert acceptable(found, 1e-9), found.largest
+    assert within_tolerance(found, 1e-9), found.largest
 
 
 def test_one_bit_of_a_gain_is_found_at_the_first_tick_it_matters(fresh: Path) -> None:
@@ -75,7 +75,7 @@ def test_a_changed_byte_of_the_log_is_named(fresh: Path) -> None:
         controller, columns = rebuild(log), Columns.of(log.header)
         logged, numbers = next(zip(log.ticks(), log.packed(), strict=True))
         _, out = controller.tick(controller.initial(), logged.tick_in)
-        assert same(logged, numbers, out)
+        assert equal_outputs(logged, numbers, out)
         assert list(differences(columns, logged, numbers, out)) == []
         bent = np.frombuffer(numbers, "<f8").copy()
         place = columns.field.index("tension")
@@ -189,7 +189,7 @@ def test_the_watcher_sees_every_tick(fresh: Path) -> None:
         seen.append((entry.k, out.state_hash))
 
     with RunLog(fresh) as log:
-        execute(log, watch=watch)
+        execute(log, observer=watch)
         assert seen == [(tick.tick_in.k, tick.state_hash) for tick in log.ticks()]
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from handctl.errors import ConfigError
 from handctl.log.read.reader import RunLog
-from handctl.replay.limits import judge_again
+from handctl.replay.other_limits import judge_by_limits
 
 
 def limits(folder: Path, text: str) -> Path:
@@ -17,7 +17,7 @@ def limits(folder: Path, text: str) -> Path:
 
 def test_the_run_s_own_limits_find_what_the_run_found(golden: Path, tmp_path: Path) -> None:
     with RunLog(golden / "jamia-fault.mcap") as log:
-        found = judge_again(log, limits(tmp_path, ""))
+        found = judge_by_limits(log, limits(tmp_path, ""))
         assert found.ticks == len(log)
     assert found.stopped == found.stopped_logged > 0
     assert [(stop.fault, stop.instance) for stop in found.stops][:2] == [("B17", "index_motor"), ("B02", "index_motor")]
@@ -26,7 +26,7 @@ def test_the_run_s_own_limits_find_what_the_run_found(golden: Path, tmp_path: Pa
 
 def test_a_lower_trip_stops_at_the_first_sample_above_it(golden: Path, tmp_path: Path) -> None:
     with RunLog(golden / "jamia-grasp.mcap") as log:
-        found = judge_again(log, limits(tmp_path, "tension_trip_N = { thumb_tendon = 20 }"))
+        found = judge_by_limits(log, limits(tmp_path, "tension_trip_N = { thumb_tendon = 20 }"))
         raw = log.field("tension_raw")[:, log.header.tendons.index("thumb_tendon")]
         first = int(log.k[raw > 20.0][0])
         after = int((log.k >= first).sum())
@@ -38,11 +38,11 @@ def test_a_lower_trip_stops_at_the_first_sample_above_it(golden: Path, tmp_path:
 
 def test_wider_limits_would_not_have_stopped(golden: Path, tmp_path: Path) -> None:
     with RunLog(golden / "jamia-fault.mcap") as log:
-        found = judge_again(log, limits(tmp_path, "silent_ms = 10000"))
+        found = judge_by_limits(log, limits(tmp_path, "silent_ms = 10000"))
     assert {stop.fault for stop in found.stops} <= {"B03a", "B03b"}, "so many losses stop it though, but later"
     assert found.stopped < found.stopped_logged
 
 
 def test_an_unknown_tendon_is_refused(golden: Path, tmp_path: Path) -> None:
     with RunLog(golden / "jamia-fault.mcap") as log, pytest.raises(ConfigError, match="pinky"):
-        judge_again(log, limits(tmp_path, "tension_trip_N = { pinky = 20 }"))
+        judge_by_limits(log, limits(tmp_path, "tension_trip_N = { pinky = 20 }"))

@@ -19,10 +19,17 @@ from handctl.log.header import RunHeader
 from handctl.log.read.reader import RunLog
 from handctl.log.record import FRAMING, pack
 from handctl.log.write.writer import LogWriter
-from handctl.replay.difference import Columns, differences, same
-from handctl.replay.drive import bridged, difference, driven, playback, recording, stretch
+from handctl.replay.drive_again import (
+    active_interval,
+    compare_replay,
+    count_missing_ticks,
+    driven_time,
+    playback,
+    recording,
+)
 from handctl.replay.execute import execute
-from handctl.replay.limits import judge_again
+from handctl.replay.other_limits import judge_by_limits
+from handctl.replay.tick_difference import Columns, differences, equal_outputs
 
 Ticks = list[tuple[TickIn, TickOut]]
 STOP = '{"do": "stop"}'
@@ -33,7 +40,7 @@ def grasp(golden: Path) -> tuple[RunHeader, Ticks]:
     """The golden grasp, tick by tick."""
     ticks: Ticks = []
     with RunLog(golden / "jamia-grasp.mcap") as log:
-        execute(log, watch=lambda entry, out: ticks.append((entry, out)))
+        execute(log, observer=lambda entry, out: ticks.append((entry, out)))
         return log.header, ticks
 
 
@@ -54,7 +61,7 @@ def test_a_short_hole_is_bridged_without_a_leap(grasp: tuple[RunHeader, Ticks], 
     holey = written(tmp_path / "holey.mcap", header, without(ticks, 260, 268))
     with RunLog(golden / "jamia-grasp.mcap") as log, RunLog(holey) as other:
         whole, found = recording(log, 0.005), recording(other, 0.005)
-        assert (bridged(log), bridged(other)) == (0, 9)
+        assert (count_missing_ticks(log), count_missing_ticks(other)) == (0, 9)
     assert found.q.shape == whole.q.shape
     known = ~np.isnan(whole.q)
     assert np.abs(found.ddq - whole.ddq)[known].max() < np.abs(whole.ddq[known]).max()
@@ -88,17 +95,17 @@ def test_a_cut_log_that_repeats_is_lossy(golden: Path, tmp_path: Path, capsys: p
 def test_a_replay_that_was_stopped_is_compared_as_far_as_it_came(golden: Path, tmp_path: Path) -> None:
     rate = 250.0
     with RunLog(golden / "jamia-grasp.mcap") as before:
-        program, (begin, end) = playback(before, 1 / rate, raw=False), stretch(before)
+        program, (begin, end) = playback(before, 1 / rate, raw=False), active_interval(before)
         runs.run(tmp_path / "late.mcap", program, rate_hz=rate, asked={1000: (STOP,)})
         runs.run(tmp_path / "early.mcap", program, rate_hz=rate, asked={400: (STOP,)})
         with RunLog(tmp_path / "late.mcap") as after:
             started = next(change.t_ns * 1e-9 for change in after.phases if change.name == "playback")
-            assert driven(before, after) == pytest.approx(1000 / rate - started, abs=2 / rate)
-            assert 0.2 < driven(before, after) < end - begin - 0.5
-            found = difference(before, after)
+            assert driven_time(before, after) == pytest.approx(1000 / rate - started, abs=2 / rate)
+            assert 0.2 < driven_time(before, after) < end - begin - 0.5
+            found = compare_replay(before, after)
         assert max(row["rms"] for row in found["tendon_N"].values()) < 1.0
         with RunLog(tmp_path / "early.mcap") as after:
-            assert (driven(before, after), difference(before, after)) == (0.0, {})
+            assert (driven_time(before, after), compare_replay(before, after)) == (0.0, {})
 
 
 def told(event: Event) -> Callable[[TickOut], TickOut]:
@@ -129,8 +136,8 @@ def test_whatever_differs_is_named(
     with RunLog(written(tmp_path / "one.mcap", header, [(entry, base)])) as log:
         logged, numbers = next(log.ticks()), next(log.packed())
     now = changed(base)
-    assert same(logged, numbers, base)
-    assert not same(logged, numbers, now)
+    assert equal_outputs(logged, numbers, base)
+    assert not equal_outputs(logged, numbers, now)
     (found,) = differences(Columns.of(header), logged, numbers, now)
     assert found.logged != found.computed
 
@@ -146,6 +153,6 @@ def test_values_that_no_controller_takes_are_refused_by_every_replay(
     (tmp_path / "limits.toml").write_text("schema = 1\n")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        for replay in (execute, lambda log: judge_again(log, tmp_path / "limits.toml")):
+        for replay in (execute, lambda log: judge_by_limits(log, tmp_path / "limits.toml")):
             with RunLog(path) as log, pytest.raises(LogError, match=r"the controller refuses|zero_rad 0"):
                 replay(log)

@@ -16,11 +16,11 @@ from handctl.core.plain import plain_bytes
 from handctl.core.types import Mode, TickIn, TickOut
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
-from handctl.replay import course as courses
+from handctl.replay import log_runner as courses
 from handctl.replay import parallel
-from handctl.replay.difference import of_states
 from handctl.replay.execute import Execution, execute
 from handctl.replay.rebuild import rebuild
+from handctl.replay.tick_difference import state_difference
 
 Change = Callable[[State, TickIn], None]
 Both = Callable[..., tuple[Execution, Execution]]
@@ -39,7 +39,7 @@ def both(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> Both:
             return right(controller, before, entry)
 
         monkeypatch.setattr(Controller, "tick", tick)
-        monkeypatch.setattr(parallel, "LEAST", 50)
+        monkeypatch.setattr(parallel, "MIN_TICKS", 50)
         with RunLog(fresh) as log:
             return execute(log), execute(log, workers=3)
 
@@ -124,8 +124,8 @@ def test_a_decision_that_differs_is_named(fresh: Path) -> None:
         state, logged = rebuild(log).initial(), next(log.ticks())
         other = state.copy()
         other.decide(unconfirmed=("index_motor",))
-        assert of_states(log.header, logged, state, state) is None
-        found = of_states(log.header, logged, state, other)
+        assert state_difference(log.header, logged, state, state) is None
+        found = state_difference(log.header, logged, state, other)
     assert found is not None
     assert (found.field, found.logged, found.computed) == ("state unconfirmed", "()", "('index_motor',)")
 
@@ -142,9 +142,9 @@ def test_what_the_controller_refuses_is_told_by_all(both: Both) -> None:
 def test_a_snapshot_that_is_not_the_logs_state_is_not_started_from(
     fresh: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(parallel, "LEAST", 50)
+    monkeypatch.setattr(parallel, "MIN_TICKS", 50)
     with RunLog(fresh) as log:
-        course = courses.Course.of(log)
+        course = courses.LogRunner.of(log)
         assert len(parallel.split(course, 3)) == 3
         bent = {k: data[:100] + bytes([data[100] ^ 1]) + data[101:] for k, data in course.snapshots.items()}
         assert len(parallel.split(replace(course, snapshots=bent), 3)) == 1

@@ -10,7 +10,7 @@ from handctl.core.types import TELEMETRY_AXES, Mode
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
 from handctl.log.read.moments import PhaseChange
-from handctl.report.truth import Truth
+from handctl.report.truth import TruthRecord
 
 PERIOD_NS = 10_000_000
 
@@ -49,24 +49,24 @@ class MadeUpLog:
         return self.fields[name]
 
 
-def truth_of(hand: Hand, ticks: int, offset_ns: int = 0) -> Truth:
+def truth_of(hand: Hand, ticks: int, offset_ns: int = 0) -> TruthRecord:
     """A truth of nothing but zeros, a row a tick, a little longer than the run on both sides."""
     columns = [f"tension/{name}" for name in hand.tendon_names]
     columns += [f"q/{name}" for name in hand.joints]
     columns += [f"contact_force/{name}/{axis}" for name in hand.digit_names for axis in "xyz"]
     columns += ["object/x", "object/y", "object/z"]
     t_ns = offset_ns + np.arange(-2, ticks + 2) * PERIOD_NS
-    return Truth({}, t_ns, np.zeros((len(t_ns), len(columns))), tuple(columns))
+    return TruthRecord({}, t_ns, np.zeros((len(t_ns), len(columns))), tuple(columns))
 
 
-def set_column(truth: Truth, name: str, values: np.ndarray | float) -> None:
+def set_column(truth: TruthRecord, name: str, values: np.ndarray | float) -> None:
     """Set a column over the ticks of the run; its ends go on as they are."""
     column = truth.values[:, truth.columns.index(name)]
     column[2:-2] = values
     column[:2], column[-2:] = column[2], column[-3]
 
 
-def write_truth(path: Path, truth: Truth) -> None:
+def write_truth(path: Path, truth: TruthRecord) -> None:
     """Write a truth file as a simulator does."""
     rows = np.zeros(len(truth.t_ns), [("t_ns", "<i8"), ("v", "<f8", (len(truth.columns),))])
     rows["t_ns"], rows["v"] = truth.t_ns, truth.values

@@ -7,8 +7,8 @@ import pytest
 
 from handctl.core.types import Mode
 from handctl.hand.load import load_hand
-from handctl.report.figure import draw_run
-from handctl.report.truth import Truth
+from handctl.report.run_figure import draw_run
+from handctl.report.truth import TruthRecord
 from tests.report.made_up import MadeUpLog, truth_of
 
 
@@ -28,7 +28,7 @@ def run_of(name: str, lively: bool) -> MadeUpLog:
 @pytest.mark.parametrize("with_truth", [True, False])
 @pytest.mark.parametrize("lively", [True, False])
 def test_a_png_is_written(name: str, with_truth: bool, lively: bool, tmp_path: Path) -> None:
-    truth: Truth | None = truth_of(load_hand(name), 120) if with_truth else None
+    truth: TruthRecord | None = truth_of(load_hand(name), 120) if with_truth else None
     path = tmp_path / "run.png"
     draw_run(path, run_of(name, lively), load_hand(name), truth, 0, "a title")  # type: ignore[arg-type]
     content = path.read_bytes()
@@ -52,7 +52,7 @@ def test_what_is_not_seen_takes_no_height(tmp_path: Path, monkeypatch: pytest.Mo
     log.fields["q"][:60] = np.linspace(0.0, 0.5, 60)[:, None]
     log.fields["q"][90:] = -9.0
     drawn = []
-    monkeypatch.setattr("handctl.report.figure.save_figure", lambda figure, path: drawn.append(figure))
+    monkeypatch.setattr("handctl.report.run_figure.save_figure", lambda figure, path: drawn.append(figure))
     draw_run(tmp_path / "x.png", log, load_hand("jamia"), None, 0, "t")  # type: ignore[arg-type]
     low, high = drawn[0].axes[0].get_ylim()
     assert -5.0 < low < 0.0

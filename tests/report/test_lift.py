@@ -8,7 +8,7 @@ import pytest
 
 from handctl.report.lift import SLID_MM, judge_lift, lift_failure
 from handctl.report.summary import summarise
-from handctl.report.truth import Truth
+from handctl.report.truth import TruthRecord
 from tests.report.made_up import JAMIA, MadeUpLog, set_column, truth_of
 
 TICKS = 400
@@ -16,7 +16,7 @@ SINKS, ENDS = 200, 350
 """Ticks at which the table begins to sink and at which the hold ends."""
 
 
-def told(sunk_m: float, fallen_m: float) -> tuple[MadeUpLog, Truth]:
+def told(sunk_m: float, fallen_m: float) -> tuple[MadeUpLog, TruthRecord]:
     """A grasp whose table sinks and whose object falls, linearly, from SINKS to the end of the hold."""
     log = MadeUpLog(JAMIA, TICKS, {0: "close", 100: "carry", ENDS: "release"})
     truth = truth_of(JAMIA, TICKS)
@@ -30,7 +30,7 @@ def told(sunk_m: float, fallen_m: float) -> tuple[MadeUpLog, Truth]:
     return log, truth
 
 
-def judged(log: MadeUpLog, truth: Truth | None, *holds: str) -> dict[str, Any]:
+def judged(log: MadeUpLog, truth: TruthRecord | None, *holds: str) -> dict[str, Any]:
     return judge_lift(log, truth, 0, holds)  # type: ignore[arg-type]
 
 

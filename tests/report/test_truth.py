@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 
 from handctl.errors import LogError
-from handctl.report.truth import Truth, read_truth
+from handctl.report.truth import TruthRecord, read_truth
 from tests.report.made_up import JAMIA, set_column, truth_of, write_truth
 
 
 @pytest.fixture
-def small() -> Truth:
+def small() -> TruthRecord:
     rng = np.random.default_rng(1)
-    return Truth({}, np.arange(6) * 1_000_000 + 2**60, rng.normal(size=(6, 3)), ("a", "b/c", "d"))
+    return TruthRecord({}, np.arange(6) * 1_000_000 + 2**60, rng.normal(size=(6, 3)), ("a", "b/c", "d"))
 
 
-def test_what_is_written_is_read(small: Truth, tmp_path: Path) -> None:
+def test_what_is_written_is_read(small: TruthRecord, tmp_path: Path) -> None:
     path = tmp_path / "t.truth"
     write_truth(path, small)
     again = read_truth(path)
@@ -43,7 +43,7 @@ def test_the_simulators_own_file_is_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.diff(truth.t_ns), 1_000_000)
 
 
-def test_cut_at_any_byte_it_is_a_prefix_or_one_line(small: Truth, tmp_path: Path) -> None:
+def test_cut_at_any_byte_it_is_a_prefix_or_one_line(small: TruthRecord, tmp_path: Path) -> None:
     path = tmp_path / "t.truth"
     write_truth(path, small)
     whole = path.read_bytes()

@@ -15,10 +15,10 @@ def check(log: RunLog) -> list[str]:
     Raises:
         LogError: a chunk is damaged.
     """
-    return [*_whole(log), *_counters(log), *_clock(log), *_frames(log), *_hashes(log), *_chain(log)]
+    return [*_end_of_log(log), *_counters(log), *_clock(log), *_frames(log), *_hashes(log), *_chain(log)]
 
 
-def _whole(log: RunLog) -> Iterator[str]:
+def _end_of_log(log: RunLog) -> Iterator[str]:
     """Check the end of the log and the number of ticks."""
     if log.warning:
         yield f"not whole: {log.warning}"
@@ -68,10 +68,10 @@ def _frames(log: RunLog) -> Iterator[str]:
 
 def _hashes(log: RunLog) -> Iterator[str]:
     """Check the identity of the hand, and that no state hash occurs twice."""
-    told = log.header.metadata.get("identity", "")
-    found = logged_hand(log).identity
-    if told != found:
-        yield f"hand.toml has identity {found[:12]}, the log says {told[:12]}"
+    logged = log.header.metadata.get("identity", "")
+    computed = logged_hand(log).identity
+    if logged != computed:
+        yield f"hand.toml has identity {computed[:12]}, the log says {logged[:12]}"
     hashes = {tick.state_hash for tick in log.ticks()}
     if len(hashes) != len(log):
         yield f"{len(log) - len(hashes)} state hashes occur twice"
@@ -90,6 +90,6 @@ def _chain(log: RunLog) -> Iterator[str]:
     if broken:
         others = f", and {len(broken) - 1} more" if len(broken) > 1 else ""
         yield f"the hash chain breaks at tick {broken[0]}{others}: it, or what came right before it, was changed"
-    told = log.end.get("chain", "") if not log.warning and "recovered" not in log.end else ""
-    if told and told != before.hex():
-        yield f"the hash chain ends with {before.hex()}, the end record says {told}"
+    final = log.end.get("chain", "") if not log.warning and "recovered" not in log.end else ""
+    if final and final != before.hex():
+        yield f"the hash chain ends with {before.hex()}, the end record says {final}"

@@ -12,11 +12,11 @@ from handctl.log.read.reader import RunLog
 
 Array = NDArray[np.float64]
 
-LONGEST_DELAY_S = 0.2
+MAX_DELAY_S = 0.2
 """Maximum delay that is considered [s]."""
-LEAST_MOTION = 0.05
+MIN_MOTION = 0.05
 """Minimum motion for a delay, as a fraction of the signal's largest value."""
-UNEXPLAINED = 0.1
+MAX_UNEXPLAINED = 0.1
 """Maximum unexplained fraction of a signal's variance. A delay that leaves more is chance or noise."""
 IN_TIME_MS = 0.05
 """Smaller delays are printed as "in time" [ms]."""
@@ -37,11 +37,13 @@ def check_same_hand(a: RunLog, name: str, identity: str, where: str) -> None:
     Raises:
         IncomparableError: the identities differ.
     """
-    ours = a.header.metadata.get("identity", "?")
-    theirs = a.header.metadata.get("hand", "?")
-    if ours != identity:
+    logged_identity = a.header.metadata.get("identity", "?")
+    logged_name = a.header.metadata.get("hand", "?")
+    if logged_identity != identity:
         raise IncomparableError(
-            f"the log is of hand {theirs} {ours[:12]}, not of {name} {identity[:12]}", where, "the same hand"
+            f"the log is of hand {logged_name} {logged_identity[:12]}, not of {name} {identity[:12]}",
+            where,
+            "the same hand",
         )
 
 
@@ -62,17 +64,17 @@ def compare(names: tuple[str, ...], before: Array, after: Array, period: float) 
     rows = min(len(before), len(after))
     change = after[:rows] - before[:rows]
     return {
-        name: size(change[:, i]) | {"delay_s": delay(before[:rows, i], after[:rows, i], period)}
+        name: rms_and_peak(change[:, i]) | {"delay_s": delay(before[:rows, i], after[:rows, i], period)}
         for i, name in enumerate(names)
     }
 
 
-def size(change: Array) -> dict[str, float]:
+def rms_and_peak(change: Array) -> dict[str, float]:
     """Compute RMS and peak of a difference without its NaN. Without any number both are NaN."""
-    known = change[~np.isnan(change)]
-    if not known.size:
+    finite = change[~np.isnan(change)]
+    if not finite.size:
         return {"rms": float("nan"), "peak": float("nan")}
-    return {"rms": float(np.sqrt(np.mean(known**2))), "peak": float(np.abs(known).max())}
+    return {"rms": float(np.sqrt(np.mean(finite**2))), "peak": float(np.abs(finite).max())}
 
 
 def delay(before: Array, after: Array, period: float) -> float:
@@ -81,23 +83,23 @@ def delay(before: Array, after: Array, period: float) -> float:
     The delay is the shift with the least remaining variance, refined by a parabola through three shifts.
 
     Returns:
-        NaN if the signal moves no more than noise, if no delay within `LONGEST_DELAY_S` fits best, or if a signal has
+        NaN if the signal moves no more than noise, if no delay within `MAX_DELAY_S` fits best, or if a signal has
             NaN.
     """
     if np.isnan(before).any() or np.isnan(after).any():
         return float("nan")
-    reach = min(round(LONGEST_DELAY_S / period), len(before) // 4)
-    if reach < 1 or not np.ptp(before) > LEAST_MOTION * np.abs(before).max():
+    reach = min(round(MAX_DELAY_S / period), len(before) // 4)
+    if reach < 1 or not np.ptp(before) > MIN_MOTION * np.abs(before).max():
         return float("nan")
-    kept = slice(reach, len(before) - reach)
-    # `roll` wraps around. `kept` excludes the wrapped rows.
-    left = np.array([np.var(np.roll(after, -shift)[kept] - before[kept]) for shift in range(-reach, reach + 1)])
-    best = int(np.argmin(left))
-    if not 0 < best < 2 * reach or not left[best] < UNEXPLAINED * np.var(before[kept]):
+    inner = slice(reach, len(before) - reach)
+    # `roll` wraps around. `inner` excludes the wrapped rows.
+    residual = np.array([np.var(np.roll(after, -shift)[inner] - before[inner]) for shift in range(-reach, reach + 1)])
+    best = int(np.argmin(residual))
+    if not 0 < best < 2 * reach or not residual[best] < MAX_UNEXPLAINED * np.var(before[inner]):
         return float("nan")
-    earlier, least, later = left[best - 1 : best + 2]
+    earlier, lowest, later = residual[best - 1 : best + 2]
     # Second difference of the variance. A minimum has a positive one, a flat one is not refined.
-    bend = earlier - 2.0 * least + later
+    bend = earlier - 2.0 * lowest + later
     return float((best - reach + (0.5 * (earlier - later) / bend if bend > 0 else 0.0)) * period)
 
 
@@ -114,7 +116,7 @@ def resampled(log: RunLog, field: str, start: float, times: Array) -> Array:
     return np.column_stack([np.interp(times + start, log.times, column) for column in values.T])
 
 
-def both(a: RunLog, start_a: float, b: RunLog, start_b: float, duration: float) -> dict[str, Any]:
+def compare_runs(a: RunLog, start_a: float, b: RunLog, start_b: float, duration: float) -> dict[str, Any]:
     """Compare all joints [deg] and tendons [N] of two runs over an interval.
 
     Args:
@@ -137,7 +139,7 @@ def difference_lines(compared: dict[str, Any]) -> Iterator[str]:
     """Yield a printed line for each joint and tendon known in both runs.
 
     Args:
-        compared: result of `both`.
+        compared: result of `compare_runs`.
     """
     for signal, rows in compared.items():
         unit = signal.partition("_")[2]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from handctl.core.types import TickIn, TickOut
 from handctl.log.read.reader import RunLog
 from handctl.output import save_figure
-from handctl.replay.compare import size
+from handctl.replay.compare import rms_and_peak
 
 Array = NDArray[np.float64]
 LOGGED = "#3b6fb6"
@@ -49,8 +49,8 @@ def summary(log: RunLog, commands: Commands) -> dict[str, dict[str, dict[str, fl
     torque = commands.torque - log.field("motor_torque_goal")
     tension = commands.tension - log.field("tension_goal")
     return {
-        "motor_torque_N_m": {name: size(torque[:, i]) for i, name in enumerate(log.header.motors)},
-        "tension_N": {name: size(tension[:, i]) for i, name in enumerate(log.header.tendons)},
+        "motor_torque_N_m": {name: rms_and_peak(torque[:, i]) for i, name in enumerate(log.header.motors)},
+        "tension_N": {name: rms_and_peak(tension[:, i]) for i, name in enumerate(log.header.tendons)},
     }
 
 

@@ -13,7 +13,7 @@ from handctl.log.read.scan import Scan
 from handctl.log.topics.all import TICK_TOPIC, VALUES_TOPIC
 from handctl.log.topics.chain import SIZE, TOPIC, link
 
-ABSENT = -1
+NO_CHANNEL = -1
 """Channel of a topic missing from the log, for example in a version without the hash chain."""
 
 
@@ -37,13 +37,13 @@ def first_damage(path: Path) -> str:
         LogError: the file is not a log.
     """
     file = LogFile(path)
-    found = Scan()
+    scan = Scan()
     try:
-        scan_all(file, found)
+        scan_all(file, scan)
         channels: tuple[int, ...] = ()
         before = b""
-        for place in found.chunks:
-            content, told = _content(file, place)
+        for place in scan.chunks:
+            content, defect = _content(file, place)
             try:
                 with Reading(file.at(place.offset)):
                     channels = channels or _channels(content)
@@ -52,10 +52,10 @@ def first_damage(path: Path) -> str:
                 return f"{error}; its chunk begins {_after(before)}"
             for tick in ticks:
                 if before and tick.digest and link(before[-SIZE:], tick.message, tick.numbers) != tick.digest:
-                    return f"tick {tick.k} is not what was written" + (f": {told}" if told else "")
+                    return f"tick {tick.k} is not what was written" + (f": {defect}" if defect else "")
                 before = tick.k.to_bytes(8, "little") + tick.digest
-            if told:
-                return f"{told}; its ticks are intact, what was made from them is not: {_span(ticks)}"
+            if defect:
+                return f"{defect}; its ticks are intact, what was made from them is not: {_span(ticks)}"
         return ""
     finally:
         file.close()
@@ -66,17 +66,17 @@ def _content(file: LogFile, place: ChunkPlace) -> tuple[bytes, str]:
     try:
         return file.content(place), ""
     except LogError as error:
-        told = str(error)
+        defect = str(error)
     try:
-        return file.content(place, checked=False), told
+        return file.content(place, checked=False), defect
     except LogError:
-        return b"", told
+        return b"", defect
 
 
 def _channels(content: bytes) -> tuple[int, ...]:
     """Return the channels of ticks, telemetry and hashes."""
-    known = {topic: number for number, _, topic, _, _ in definitions(content).channels}
-    return tuple(known.get(topic, ABSENT) for topic in (TICK_TOPIC, VALUES_TOPIC, TOPIC))
+    channels = {topic: number for number, _, topic, _, _ in definitions(content).channels}
+    return tuple(channels.get(topic, NO_CHANNEL) for topic in (TICK_TOPIC, VALUES_TOPIC, TOPIC))
 
 
 def _ticks(content: bytes, place: ChunkPlace, channels: tuple[int, ...]) -> Iterator[_Tick]:
@@ -88,10 +88,10 @@ def _ticks(content: bytes, place: ChunkPlace, channels: tuple[int, ...]) -> Iter
     if not content:
         raise ValueError("a chunk that cannot be unpacked")
     parts: dict[int, list[bytes]] = {channel: [] for channel in channels}
-    for one in rows(content, place.end - place.data, frozenset(channels)):
-        parts[one.channel] += [row.tobytes() for row in one.data()]
+    for rows_of_channel in rows(content, place.end - place.data, frozenset(channels)):
+        parts[rows_of_channel.channel] += [row.tobytes() for row in rows_of_channel.data()]
     messages, values_of, digests = (parts[channel] for channel in channels)
-    if channels[2] == ABSENT:
+    if channels[2] == NO_CHANNEL:
         digests = [b""] * len(messages)
     for message, values, digest in zip(messages, values_of, digests, strict=True):
         # The tick number follows the four bytes of CDR encapsulation.

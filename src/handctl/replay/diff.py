@@ -6,35 +6,35 @@ from handctl.core.types import Mode
 from handctl.errors import IncomparableError
 from handctl.log.read.moments import check_order
 from handctl.log.read.reader import RunLog
-from handctl.replay.compare import both, check_same_hand
+from handctl.replay.compare import check_same_hand, compare_runs
 
-QUIET = frozenset(mode.name.lower() for mode in Mode if mode != Mode.RELAX)
+PASSIVE_PHASES = frozenset(mode.name.lower() for mode in Mode if mode != Mode.RELAX)
 """Phases without tension in the hand. Only their durations are compared."""
 
 
-class Part(NamedTuple):
+class PhaseSpan(NamedTuple):
     """One phase of a run.
 
     Attributes:
         name: name of the phase.
-        begin, end: times [s].
+        start, end: times [s].
     """
 
     name: str
-    begin: float
+    start: float
     end: float
 
 
-def parts(log: RunLog) -> list[Part]:
+def phase_spans(log: RunLog) -> list[PhaseSpan]:
     """Return all phases in order. Repeated phases are numbered: `hold`, `hold (2)`."""
     changes = log.phases
-    found = []
-    seen = dict[str, int]()
+    spans = []
+    counts = dict[str, int]()
     ends = [change.t_ns * 1e-9 for change in changes[1:]] + log.times[-1:].tolist()
     for change, end in zip(changes, ends, strict=True):
-        seen[change.name] = number = seen.get(change.name, 0) + 1
-        found.append(Part(change.name if number == 1 else f"{change.name} ({number})", change.t_ns * 1e-9, end))
-    return found
+        counts[change.name] = number = counts.get(change.name, 0) + 1
+        spans.append(PhaseSpan(change.name if number == 1 else f"{change.name} ({number})", change.t_ns * 1e-9, end))
+    return spans
 
 
 def diff(a: RunLog, b: RunLog, where: str) -> dict[str, Any]:
@@ -61,15 +61,15 @@ def diff(a: RunLog, b: RunLog, where: str) -> dict[str, Any]:
             raise IncomparableError(f"other {names} than in the other log", where, "a log of the same hand")
     for log in (a, b):
         check_order(log.t_ns, log.header.period_ns)
-    first, second = ({part.name: part for part in parts(log)} for log in (a, b))
+    first, second = ({part.name: part for part in phase_spans(log)} for log in (a, b))
     phases = {}
     for name, part in first.items():
         if name not in second:
             continue
         other = second[name]
-        lasted = (part.end - part.begin, other.end - other.begin)
-        moves = part.name not in QUIET and min(lasted) > 0
-        shared = both(a, part.begin, b, other.begin, min(lasted)) if moves else {}
+        lasted = (part.end - part.start, other.end - other.start)
+        moves = part.name not in PASSIVE_PHASES and min(lasted) > 0
+        shared = compare_runs(a, part.start, b, other.start, min(lasted)) if moves else {}
         phases[name] = {"duration_s": list(lasted), **shared}
     gains = a.header.gains.keys() | b.header.gains.keys()
     return {

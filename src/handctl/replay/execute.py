@@ -15,9 +15,9 @@ import numpy as np
 
 from handctl.core.gains.gains import Gains
 from handctl.log.read.reader import RunLog
-from handctl.replay.course import Course, Told, Watch, distance
-from handctl.replay.difference import Difference
+from handctl.replay.log_runner import LogRunner, ProgressCallback, TickObserver, relative_error
 from handctl.replay.parallel import run_parallel
+from handctl.replay.tick_difference import TickDifference
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +30,7 @@ class Execution:
         undecided: ticks with a different decision: mode, phase, action or events.
         first: the first difference, or None.
         state: the first field that differs at the first snapshot with a difference, or None.
-        largest: the largest numeric difference by `distance`, or None.
+        largest: the largest numeric difference by `relative_error`, or None.
         wall_s: elapsed time without the design of the gains [s].
         cpu_s: processor time of all processes [s], the time on one idle core.
         logged_s: duration of the run [s].
@@ -39,9 +39,9 @@ class Execution:
     ticks: int
     differing: int
     undecided: int
-    first: Difference | None
-    state: Difference | None
-    largest: Difference | None
+    first: TickDifference | None
+    state: TickDifference | None
+    largest: TickDifference | None
     wall_s: float
     cpu_s: float
     logged_s: float
@@ -52,20 +52,20 @@ class Execution:
         return self.logged_s / self.wall_s if self.wall_s else math.inf
 
 
-def acceptable(execution: Execution, within: float) -> bool:
+def within_tolerance(execution: Execution, within: float) -> bool:
     """Return True if all decisions are equal and no number differs by more than `within`.
 
     Other machines may round differently.
     """
-    largest = distance(execution.largest) if execution.largest else 0.0
+    largest = relative_error(execution.largest) if execution.largest else 0.0
     return not execution.undecided and largest <= within
 
 
 def execute(
     log: RunLog,
     gains: Gains | None = None,
-    watch: Watch | None = None,
-    told: Told | None = None,
+    observer: TickObserver | None = None,
+    progress: ProgressCallback | None = None,
     workers: int = 1,
 ) -> Execution:
     """Run the controller of a log on the log's inputs.
@@ -73,37 +73,37 @@ def execute(
     Args:
         log: a run.
         gains: other gains than in the run.
-        watch: called with every tick.
-        told: called now and then with the number of ticks so far.
-        workers: processes. Several are used only without other gains and without `watch`. The result is equal.
+        observer: called with every tick.
+        progress: called now and then with the number of ticks so far.
+        workers: processes. Several are used only without other gains and without `observer`. The result is equal.
 
     Raises:
         LogError: the controller cannot be rebuilt, or the log is damaged.
     """
-    course = Course.of(log, gains)
-    began = time.perf_counter()
-    cpu_began = _cpu_seconds()
+    runner = LogRunner.of(log, gains)
+    start = time.perf_counter()
+    cpu_start = _cpu_seconds()
     done = 0
 
     def more(ticks: int) -> None:
         nonlocal done
         done += ticks
-        if told:
-            told(done)
+        if progress:
+            progress(done)
 
-    with undisturbed():
-        if workers > 1 and not gains and not watch:
-            tally = run_parallel(course, workers, told or _untold)
+    with gc_disabled():
+        if workers > 1 and not gains and not observer:
+            tally = run_parallel(runner, workers, progress or _ignore_progress)
         else:
-            _, tally = course.run(0, len(log), course.controller.initial(), watch, more)
-    wall = time.perf_counter() - began
-    cpu = _cpu_seconds() - cpu_began
+            _, tally = runner.run(0, len(log), runner.controller.initial(), observer, more)
+    wall = time.perf_counter() - start
+    cpu = _cpu_seconds() - cpu_start
     length = float(log.times[-1]) if len(log) else 0.0
     parts = (tally.ticks, tally.differing, tally.undecided, tally.first, tally.state, tally.largest)
     return Execution(*parts, wall, cpu, length)
 
 
-def _untold(ticks: int) -> None:
+def _ignore_progress(ticks: int) -> None:
     """Ignore a report of progress."""
 
 
@@ -113,7 +113,7 @@ def _cpu_seconds() -> float:
 
 
 @contextmanager
-def undisturbed() -> Iterator[None]:
+def gc_disabled() -> Iterator[None]:
     """Disable garbage collection, as in the loop, and overflow warnings from the numbers of a bad log.
 
     A tick creates no reference cycles.

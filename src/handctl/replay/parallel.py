@@ -22,16 +22,16 @@ from handctl.controller.snapshot import restore, snapshot
 from handctl.controller.state import State
 from handctl.errors import LogError
 from handctl.processes import in_copy
-from handctl.replay.course import Course, Tally
-from handctl.replay.difference import Difference
+from handctl.replay.log_runner import LogRunner, Tally
+from handctl.replay.tick_difference import TickDifference
 
-LEAST = 200
+MIN_TICKS = 200
 """Minimum number of ticks per process."""
-LOOK_S = 0.2
+PROGRESS_S = 0.2
 """Interval between reports of progress while waiting [s]."""
 
 
-class Part(NamedTuple):
+class LogPart(NamedTuple):
     """Ticks `start` to `stop`, and the state before the first of them."""
 
     start: int
@@ -39,27 +39,27 @@ class Part(NamedTuple):
     state: State
 
 
-class Running(NamedTuple):
+class WorkerProcess(NamedTuple):
     """A process, the read end of its pipe, and its part."""
 
     process: int
     pipe: int
-    part: Part
+    part: LogPart
 
 
-class Counts:
+class ProgressCounts:
     """Executed ticks of each process, in shared memory."""
 
-    def __init__(self, processes: int, told: Callable[[int], None]) -> None:
+    def __init__(self, processes: int, progress: Callable[[int], None]) -> None:
         """Allocate the shared memory.
 
         Args:
             processes: number of processes.
-            told: called with the number of executed ticks.
+            progress: called with the number of executed ticks.
         """
         # An anonymous mapping is shared with forked processes.
         self._done: NDArray[np.int64] = np.frombuffer(mmap.mmap(-1, 8 * processes), np.int64)
-        self._told = told
+        self._progress = progress
 
     def of(self, process: int) -> Callable[[int], None]:
         """Return a function that counts further ticks of a process.
@@ -70,91 +70,93 @@ class Counts:
         def count(ticks: int) -> None:
             self._done[process] += ticks
             if process == 0:
-                self.tell()
+                self.report()
 
         return count
 
-    def tell(self) -> None:
+    def report(self) -> None:
         """Report the number of executed ticks."""
-        self._told(int(self._done.sum()))
+        self._progress(int(self._done.sum()))
 
 
-def run_parallel(course: Course, workers: int, told: Callable[[int], None]) -> Tally:
-    """Execute a whole log in several processes. Raises as `Course.run`.
+def run_parallel(runner: LogRunner, workers: int, progress: Callable[[int], None]) -> Tally:
+    """Execute a whole log in several processes. Raises as `LogRunner.run`.
 
     Args:
-        course: the log and its controller.
+        runner: the log and its controller.
         workers: maximum number of processes.
-        told: called now and then with the number of ticks so far.
+        progress: called now and then with the number of ticks so far.
     """
-    parts = split(course, workers)
-    counts = Counts(len(parts), told)
-    running = [_start(course, part, counts.of(i)) for i, part in enumerate(parts) if i]
+    parts = split(runner, workers)
+    counts = ProgressCounts(len(parts), progress)
+    running = [_start(runner, part, counts.of(i)) for i, part in enumerate(parts) if i]
     try:
-        state, total = course.run(parts[0].start, parts[0].stop, parts[0].state, None, counts.of(0))
-        for one in running:
+        state, total = runner.run(parts[0].start, parts[0].stop, parts[0].state, None, counts.of(0))
+        for worker in running:
             # Equal hashes: the part started from the state that a serial run has here.
-            found = _result(course, one, counts) if state.digest() == one.part.state.digest() else None
-            if found is None:
-                _, rest = course.run(one.part.start, len(course.log), state, None, counts.of(0))
-                return total.with_later(rest)
-            state, tally = found
-            total = total.with_later(tally)
+            result = _wait_for_result(runner, worker, counts) if state.digest() == worker.part.state.digest() else None
+            if result is None:
+                _, remainder = runner.run(worker.part.start, len(runner.log), state, None, counts.of(0))
+                return total.merged_with(remainder)
+            state, tally = result
+            total = total.merged_with(tally)
         return total
     finally:
-        for one in running:
-            _end(one)
+        for worker in running:
+            _kill(worker)
 
 
-def split(course: Course, workers: int) -> list[Part]:
+def split(runner: LogRunner, workers: int) -> list[LogPart]:
     """Return consecutive parts of about equal length. Each starts at the start of the log or after a snapshot."""
-    ticks = len(course.log)
-    k = course.log.k
-    known = np.array(sorted(course.snapshots), np.int64)
-    at = np.searchsorted(k, known)
-    usable = [int(index) + 1 for index, one in zip(at, known, strict=True) if index < ticks and k[index] == one]
-    count = min(workers, max(ticks // LEAST, 1), len(usable) + 1)
-    wanted = [min(usable, key=lambda start: abs(start - ticks * i / count)) for i in range(1, count)]
-    starts = {0: course.controller.initial()}
-    for start in wanted:
-        state = _state_behind(course, start - 1)
+    ticks = len(runner.log)
+    k = runner.log.k
+    snapshot_ticks = np.array(sorted(runner.snapshots), np.int64)
+    at = np.searchsorted(k, snapshot_ticks)
+    usable = [
+        int(index) + 1 for index, tick in zip(at, snapshot_ticks, strict=True) if index < ticks and k[index] == tick
+    ]
+    count = min(workers, max(ticks // MIN_TICKS, 1), len(usable) + 1)
+    nearest = [min(usable, key=lambda start: abs(start - ticks * i / count)) for i in range(1, count)]
+    starts = {0: runner.controller.initial()}
+    for start in nearest:
+        state = _state_after(runner, start - 1)
         if state is not None:
             starts[start] = state
     ends = [*sorted(starts), ticks]
-    return [Part(start, stop, starts[start]) for start, stop in pairwise(ends)]
+    return [LogPart(start, stop, starts[start]) for start, stop in pairwise(ends)]
 
 
-def _state_behind(course: Course, index: int) -> State | None:
+def _state_after(runner: LogRunner, index: int) -> State | None:
     """Return the state in the log after a tick.
 
     Returns:
         None if this version cannot read the state, or its hash differs from the logged hash.
     """
     try:
-        state = restore(course.controller.layout, course.snapshots[int(course.log.k[index])])
+        state = restore(runner.controller.layout, runner.snapshots[int(runner.log.k[index])])
     except ValueError:
         return None
-    return state if state.digest() == course.log.state_hash[index].tobytes() else None
+    return state if state.digest() == runner.log.state_hash[index].tobytes() else None
 
 
-def _start(course: Course, part: Part, count: Callable[[int], None]) -> Running:
+def _start(runner: LogRunner, part: LogPart, count: Callable[[int], None]) -> WorkerProcess:
     """Execute a part in a copy of this process."""
-    return Running(*in_copy(lambda: _found(course, part, count)), part)
+    return WorkerProcess(*in_copy(lambda: _result_json(runner, part, count)), part)
 
 
-def _found(course: Course, part: Part, count: Callable[[int], None]) -> str:
+def _result_json(runner: LogRunner, part: LogPart, count: Callable[[int], None]) -> str:
     """Execute a part and return the result as JSON. A damaged log gives an empty text.
 
     The calling process then reaches the damage too, and reports the error.
     """
     try:
-        state, tally = course.run(*part, None, count)
+        state, tally = runner.run(*part, None, count)
     except LogError:
         return ""
     return json.dumps({"state": snapshot(state).hex(), "tally": astuple(tally)})
 
 
-def _result(course: Course, one: Running, counts: Counts) -> tuple[State, Tally] | None:
+def _wait_for_result(runner: LogRunner, worker: WorkerProcess, counts: ProgressCounts) -> tuple[State, Tally] | None:
     """Wait for a process and return the state after its part and its tally.
 
     Returns:
@@ -162,22 +164,22 @@ def _result(course: Course, one: Running, counts: Counts) -> tuple[State, Tally]
     """
     data = b""
     while True:
-        if select.select([one.pipe], [], [], LOOK_S)[0]:
-            more = os.read(one.pipe, 1 << 20)
+        if select.select([worker.pipe], [], [], PROGRESS_S)[0]:
+            more = os.read(worker.pipe, 1 << 20)
             if not more:
                 break
             data += more
-        counts.tell()
+        counts.report()
     if not data:
         return None
-    found: dict[str, Any] = json.loads(data)
-    *numbers, first, state, largest = found["tally"]
-    tally = Tally(*numbers, *(Difference(*one) if one else None for one in (first, state, largest)))
-    return restore(course.controller.layout, bytes.fromhex(found["state"])), tally
+    result: dict[str, Any] = json.loads(data)
+    *numbers, first, state, largest = result["tally"]
+    tally = Tally(*numbers, *(TickDifference(*worker) if worker else None for worker in (first, state, largest)))
+    return restore(runner.controller.layout, bytes.fromhex(result["state"])), tally
 
 
-def _end(one: Running) -> None:
+def _kill(worker: WorkerProcess) -> None:
     """Kill a process and wait for its end."""
-    os.close(one.pipe)
-    os.kill(one.process, signal.SIGKILL)
-    os.waitpid(one.process, 0)
+    os.close(worker.pipe)
+    os.kill(worker.process, signal.SIGKILL)
+    os.waitpid(worker.process, 0)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from handctl.log.read.reader import RunLog
-from handctl.report.truth import Truth
+from handctl.report.truth import TruthRecord
 
 SUPPORT = "support"
 """Column of the truth: how far the table has sunk [m]. Only scenes with a sinking table have it."""
@@ -14,7 +14,7 @@ SLID_MM = 10.0
 """Maximum motion of a held object in the hand [mm]. In the demo, held objects move by 3 mm at most."""
 
 
-def judge_lift(log: RunLog, truth: Truth | None, offset_ns: int, holds: Collection[str]) -> dict[str, Any]:
+def judge_lift(log: RunLog, truth: TruthRecord | None, offset_ns: int, holds: Collection[str]) -> dict[str, Any]:
     """Measure how far the table sank during a hold, and how far the object then moved in the hand.
 
     Args:

@@ -13,7 +13,7 @@ from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.kinematics import points, to_palm
 from handctl.log.read.reader import RunLog
-from handctl.report.figure import COLOURS, QUIET
+from handctl.report.run_figure import COLOURS, PASSIVE_PHASES
 
 Array = NDArray[np.float64]
 
@@ -118,7 +118,9 @@ def _moments(log: RunLog) -> list[tuple[str, int]]:
     changes = log.phases
     ends = [change.k for change in changes[1:]] + log.k[-1:].tolist()
     middles = [(c.name, int(np.searchsorted(log.k, (c.k + end) // 2))) for c, end in zip(changes, ends, strict=True)]
-    inside = [(name, i) for name, i in middles if name not in QUIET and i < len(log)]  # of ticks in no order, too
+    inside = [
+        (name, i) for name, i in middles if name not in PASSIVE_PHASES and i < len(log)
+    ]  # of ticks in no order, too
     return [(name, i) for name, i in inside if log.mode[i] == int(Mode.ACTIVE)][: 2 * PER_ROW]
 
 

@@ -12,7 +12,7 @@ from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.log.read.reader import RunLog
 from handctl.report.lift import SUPPORT
-from handctl.report.truth import Truth
+from handctl.report.truth import TruthRecord
 
 Array = NDArray[np.float64]
 
@@ -22,7 +22,7 @@ STEADY_N = 1.0
 """Tolerance of constant tension targets [N]. In a hold with stiffness the targets follow the noise of the encoders."""
 
 
-def summarise(log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> dict[str, Any]:
+def summarise(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> dict[str, Any]:
     """Compute all numbers of a run.
 
     Args:
@@ -106,7 +106,7 @@ def mean_angles(hand: Hand, q: Array) -> Array:
 
 
 def judge_tracking(
-    log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int, active: NDArray[np.bool_]
+    log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int, active: NDArray[np.bool_]
 ) -> dict[str, Any]:
     """Compute the tracking error in free motion: target against truth, as the mean joint angle of each digit.
 
@@ -129,7 +129,7 @@ def judge_tracking(
     return {"tracking_rmse_rad": rms(error), "tracking_rmse_deg": per_digit}
 
 
-def _touched(truth: Truth, hand: Hand, log: RunLog, offset_ns: int) -> NDArray[np.bool_]:
+def _touched(truth: TruthRecord, hand: Hand, log: RunLog, offset_ns: int) -> NDArray[np.bool_]:
     """Return whether the plant has a contact on each digit (ticks, D)."""
     t_ns = log.t_ns + offset_ns
     force = [
@@ -141,7 +141,7 @@ def _touched(truth: Truth, hand: Hand, log: RunLog, offset_ns: int) -> NDArray[n
 def judge_tension(
     log: RunLog,
     hand: Hand,
-    truth: Truth | None,
+    truth: TruthRecord | None,
     offset_ns: int,
     active: NDArray[np.bool_],
     holds: list[NDArray[np.bool_]],
@@ -182,7 +182,7 @@ def _holding(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
 
 
 def judge_grasp(
-    log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int, holds: list[NDArray[np.bool_]]
+    log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int, holds: list[NDArray[np.bool_]]
 ) -> dict[str, Any]:
     """Measure the motion of the object in a hold, and the estimated fingertip force beside the plant's.
 
@@ -203,7 +203,9 @@ def judge_grasp(
         return result | {"object_motion_mm": float("nan"), "contact_force_n": {}}
     t_ns = log.t_ns + offset_ns
     force = {
-        name: float(np.mean(np.sqrt(sum(truth.at(f"contact_force/{name}/{axis}", t_ns[settled]) ** 2 for axis in "xyz"))))
+        name: float(
+            np.mean(np.sqrt(sum(truth.at(f"contact_force/{name}/{axis}", t_ns[settled]) ** 2 for axis in "xyz")))
+        )
         for name in hand.digit_names
     }
     motion = float("nan")
@@ -217,7 +219,7 @@ def judge_grasp(
 def judge_angles(
     log: RunLog,
     hand: Hand,
-    truth: Truth | None,
+    truth: TruthRecord | None,
     offset_ns: int,
     active: NDArray[np.bool_],
     holds: list[NDArray[np.bool_]],

@@ -11,7 +11,7 @@ from handctl.errors import LogError
 
 
 @dataclass(frozen=True, slots=True)
-class Truth:
+class TruthRecord:
     """True values of the plant.
 
     Attributes:
@@ -54,7 +54,7 @@ class Truth:
         return np.column_stack([self.at(name, t_ns) for name in names])
 
 
-def read_truth(path: Path) -> Truth:
+def read_truth(path: Path) -> TruthRecord:
     """Read a truth file: one line of JSON, then rows of int64 time [ns] and float64 columns.
 
     Raises:
@@ -75,7 +75,7 @@ def read_truth(path: Path) -> Truth:
         raise LogError(f"is not a truth file: {error}", str(path), "a JSON line and float64 rows") from None
     if not len(rows):
         raise LogError("is empty", str(path), "at least one row of truth")
-    return Truth(header, rows["t_ns"].copy(), rows["v"].copy(), columns)
+    return TruthRecord(header, rows["t_ns"].copy(), rows["v"].copy(), columns)
 
 
 def _complete_rows(data: bytes, columns: int) -> bytes:

@@ -9,10 +9,10 @@ from handctl.controller.setup import make_sensors
 from handctl.core.block import STALE
 from handctl.log.read.reader import RunLog
 from handctl.programs.task import Hold, Task
-from handctl.report.figure import draw_run
 from handctl.report.lift import judge_lift, lift_failure
+from handctl.report.run_figure import draw_run
 from handctl.report.summary import summarise
-from handctl.report.truth import Truth, read_truth
+from handctl.report.truth import TruthRecord, read_truth
 from handctl.session.notices import Tell
 from handctl.session.plan import Plan
 from handctl.session.run import Outcome
@@ -82,7 +82,7 @@ def _beside(log: Path, truth: Path, tell: Tell) -> Path:
     return beside
 
 
-def _picture(plan: Plan, outcome: Outcome, record: RunLog, truth: Truth | None, log: Path) -> Path | None:
+def _picture(plan: Plan, outcome: Outcome, record: RunLog, truth: TruthRecord | None, log: Path) -> Path | None:
     """The picture of the run; None if there is no room."""
     path = log.with_suffix(".png")
     try:

@@ -9,7 +9,7 @@ from handctl.cli.console.options import print_json, say, tell_lossy
 from handctl.cli.console.plan import find_calibration, make_plan
 from handctl.log.read.reader import RunLog
 from handctl.replay.compare import check_same_hand, difference_lines
-from handctl.replay.drive import bridged, difference, driven, playback, stretch
+from handctl.replay.drive_again import active_interval, compare_replay, count_missing_ticks, driven_time, playback
 from handctl.replay.rebuild import logged_hand
 from handctl.session.calibration import ensure_calibration
 from handctl.session.exit_codes import Exit
@@ -25,9 +25,9 @@ def run(args: argparse.Namespace) -> int:
         logged_hand(before)  # its names are those of the columns
         program = playback(before, plan.period_ns * 1e-9, args.raw)
         path, calibration, why = find_calibration(args, plan.hand)
-        begin, end = stretch(before)
+        begin, end = active_interval(before)
         lossy = tell_lossy(args.recorded, before.warning)
-        if missing := bridged(before):
+        if missing := count_missing_ticks(before):
             say(f"handctl: caution: {args.recorded}: {missing} ticks are missing; goals are joined there", error=True)
         if args.dry_run:
             line = f"{plan.hand.name}: would drive {end - begin:.2f} s of {args.recorded} at {plan.rate_hz:g} Hz"
@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
         plan = replace(plan, attachments=plan.attachments | {"calibration.toml": path.read_bytes()})
         outcome = run_live(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
         with RunLog(log) as after:
-            result, seconds = difference(before, after), driven(before, after)
+            result, seconds = compare_replay(before, after), driven_time(before, after)
     complete = outcome.state.progress.finished
     what = {"seconds": end - begin, "driven_s": seconds, "complete": complete, "failure": outcome.state.failure}
     if args.json:

@@ -36,12 +36,12 @@ def _same(args: argparse.Namespace, log: Any) -> bool:
     from importlib.metadata import version
 
     from handctl.log.code import code_identity
-    from handctl.replay.execute import acceptable, execute
+    from handctl.replay.execute import execute, within_tolerance
 
     workers = cores() if args.workers is None else checked_count(args.workers, "--workers", 64)
     with progress("executing", len(log), args.json) as told:
-        found = execute(log, told=told, workers=workers)
-    good = not found.differing if args.within is None else acceptable(found, args.within)
+        found = execute(log, progress=told, workers=workers)
+    good = not found.differing if args.within is None else within_tolerance(found, args.within)
     here, logged_by = (version("handctl"), code_identity()), _writer(log)
     result = {
         "log": str(args.recorded),

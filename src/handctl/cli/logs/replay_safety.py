@@ -5,14 +5,14 @@ import argparse
 from handctl.cli.console.options import print_json, say, tell_lossy
 from handctl.cli.console.progress import progress
 from handctl.log.read.reader import RunLog
-from handctl.replay.limits import judge_again
+from handctl.replay.other_limits import judge_by_limits
 
 
 def run(args: argparse.Namespace) -> int:
     """Judge again."""
     with RunLog(args.recorded) as log:
         with progress("judging", len(log), args.json) as told:
-            found = judge_again(log, args.limits, told)
+            found = judge_by_limits(log, args.limits, told)
         code = tell_lossy(args.recorded, log.warning)
     if args.json:
         stops = [stop._asdict() for stop in found.stops]

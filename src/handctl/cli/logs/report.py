@@ -12,7 +12,7 @@ def run(args: argparse.Namespace) -> int:
     """Write the page."""
     from handctl.log.read.reader import RunLog
     from handctl.replay.rebuild import logged_hand
-    from handctl.report.page import write_page
+    from handctl.report.run_page import write_page
     from handctl.report.truth import read_truth
 
     out = args.output or named_after(args.log, ".html")

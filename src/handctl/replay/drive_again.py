@@ -10,17 +10,17 @@ from handctl.errors import LogError
 from handctl.log.read.moments import check_order
 from handctl.log.read.reader import RunLog
 from handctl.programs.playback import PlaybackProgram, Recording
-from handctl.replay.compare import both
+from handctl.replay.compare import compare_runs
 
 Array = NDArray[np.float64]
 
-BEFORE = ("start", "tighten", "approach")
+PREPARATION = ("start", "tighten", "approach")
 """Phases before the run proper."""
-HOLE_S = 0.05
+MAX_GAP_S = 0.05
 """Longest gap in a recording that is bridged [s]. The targets within a longer gap are unknown."""
 
 
-def stretch(log: RunLog) -> tuple[float, float]:
+def active_interval(log: RunLog) -> tuple[float, float]:
     """Return start and end of the active interval of a run, without the tightening of the tendons [s].
 
     Raises:
@@ -31,28 +31,28 @@ def stretch(log: RunLog) -> tuple[float, float]:
     changes = log.phases
     for i, change in enumerate(changes):
         end = changes[i + 1].k if i + 1 < len(changes) else int(log.k[-1]) + 1
-        if change.name in BEFORE:
+        if change.name in PREPARATION:
             preparing |= (log.k >= change.k) & (log.k < end)
     active = (log.mode == int(Mode.ACTIVE)) & ~preparing
     at = np.flatnonzero(active & ~np.isnan(log.field("tension_goal")).any(axis=1))
     if len(at) < 2:
-        why = "not all tendons had goals at once" if active.any() else "the hand was never active"
-        raise LogError(f"{why} in it", "the log", "a run in which the whole hand moved")
+        reason = "not all tendons had goals at once" if active.any() else "the hand was never active"
+        raise LogError(f"{reason} in it", "the log", "a run in which the whole hand moved")
     return float(log.times[at[0]]), float(log.times[at[-1]])
 
 
-def bridged(log: RunLog) -> int:
+def count_missing_ticks(log: RunLog) -> int:
     """Count the missing ticks in the active interval. Targets on both sides of a gap are joined by a line.
 
     Raises:
         LogError: too many ticks are missing in a row, or the run has no active interval.
     """
-    begin, end = stretch(log)
+    start, end = active_interval(log)
     times = log.times
-    at = np.flatnonzero((times >= begin) & (times < end))
-    for i in at[times[at + 1] - times[at] > HOLE_S]:
+    at = np.flatnonzero((times >= start) & (times < end))
+    for i in at[times[at + 1] - times[at] > MAX_GAP_S]:
         hole = f"no ticks between {times[i]:.3f} and {times[i + 1]:.3f} s"
-        raise LogError(hole, "the log", f"holes of at most {HOLE_S:g} s in what is driven")
+        raise LogError(hole, "the log", f"holes of at most {MAX_GAP_S:g} s in what is driven")
     return int((log.k[at + 1] - log.k[at] - 1).sum())
 
 
@@ -66,14 +66,14 @@ def recording(log: RunLog, period: float) -> Recording:
         period: the control period [s].
 
     Raises:
-        LogError: see `bridged`.
+        LogError: see `count_missing_ticks`.
     """
-    bridged(log)
-    begin, end = stretch(log)
-    steps = np.rint(np.arange(round((end - begin) / period) + 1) * (period * 1e9))
+    count_missing_ticks(log)
+    start, end = active_interval(log)
+    steps = np.rint(np.arange(round((end - start) / period) + 1) * (period * 1e9))
     # The times are computed as in `log.times`, to the bit, so that equal periods need no
     # interpolation.
-    times = np.asarray((round(begin * 1e9) + steps.astype(np.int64)) * 1e-9, np.float64)
+    times = np.asarray((round(start * 1e9) + steps.astype(np.int64)) * 1e-9, np.float64)
     q, dq, tension = (_sampled(log, name, times) for name in ("q_goal", "dq_goal", "tension_goal"))
     ddq = np.gradient(log.field("dq_goal"), log.times, axis=0)
     rate = _at(log, ddq, times)
@@ -104,26 +104,30 @@ def playback(log: RunLog, period: float, raw: bool) -> PlaybackProgram:
     return PlaybackProgram(recording(log, period), raw)
 
 
-def difference(before: RunLog, after: RunLog) -> dict[str, Any]:
+def compare_replay(before: RunLog, after: RunLog) -> dict[str, Any]:
     """Compare a replay with its recording per joint [deg] and tendon [N], as far as it was driven.
 
     Returns:
         Empty if the replay never reached the recording.
     """
-    again = _began(after)
-    return {} if again is None else both(before, stretch(before)[0], after, again, driven(before, after))
+    replay_start = _playback_start(after)
+    return (
+        {}
+        if replay_start is None
+        else compare_runs(before, active_interval(before)[0], after, replay_start, driven_time(before, after))
+    )
 
 
-def driven(before: RunLog, after: RunLog) -> float:
+def driven_time(before: RunLog, after: RunLog) -> float:
     """Return the driven part of a recording [s]."""
-    begin, end = stretch(before)
-    again = _began(after)
-    if again is None:
+    start, end = active_interval(before)
+    replay_start = _playback_start(after)
+    if replay_start is None:
         return 0.0
     active = after.times[after.mode == int(Mode.ACTIVE)]
-    return min(end - begin, max(0.0, float(active[-1]) - again)) if len(active) else 0.0
+    return min(end - start, max(0.0, float(active[-1]) - replay_start)) if len(active) else 0.0
 
 
-def _began(after: RunLog) -> float | None:
+def _playback_start(after: RunLog) -> float | None:
     """Return the time at which a replay reached the recording [s]."""
     return next((change.t_ns * 1e-9 for change in after.phases if change.name == "playback"), None)

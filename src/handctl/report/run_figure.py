@@ -13,7 +13,7 @@ from handctl.log.read.reader import RunLog
 from handctl.output import save_figure
 from handctl.printing import printable
 from handctl.report.summary import mean_angles
-from handctl.report.truth import Truth
+from handctl.report.truth import TruthRecord
 
 COLOURS = ("#3b6fb6", "#d9822b", "#3c9d5d", "#b8436f", "#7a5fb5", "#8a8a2a")
 """Colours of the digits."""
@@ -24,7 +24,7 @@ FAULT = "#d01c1c"
 """Colours of commands, of the plant, of phase marks and of fault marks."""
 SHADES = (1.0, 0.65, 0.4)
 """Opacity of the first, second and third tendon of a digit."""
-QUIET = frozenset(mode.name.lower() for mode in Mode)
+PASSIVE_PHASES = frozenset(mode.name.lower() for mode in Mode)
 """Names of phases before and after the hand acts."""
 ROWS = ("mean joint angle [deg]", "tendon tension [N]", "contact force [N]")
 """Labels of the rows."""
@@ -32,7 +32,7 @@ ROWS = ("mean joint angle [deg]", "tendon tension [N]", "contact force [N]")
 Array = NDArray[np.float64]
 
 
-def draw_run(path: Path, log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int, title: str) -> None:
+def draw_run(path: Path, log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int, title: str) -> None:
     """Draw the figure as PNG.
 
     Args:
@@ -111,7 +111,7 @@ def _key(truth: bool) -> tuple[list[Any], list[str]]:
     return [mark for mark, _ in marks], [text for _, text in marks]
 
 
-def _angles(row: Sequence[Any], log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> None:
+def _angles(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> None:
     """Draw the mean joint angle of each digit."""
     goal, estimate = (np.degrees(mean_angles(hand, log.field(name))) for name in ("q_goal", "q"))
     real = None
@@ -131,7 +131,7 @@ def _beside(axes: Any, log: RunLog, goal: Array | None, real: Array | None) -> N
         axes.plot(log.times, goal, color=COMMAND, linewidth=1.0, linestyle="--")
 
 
-def _tensions(row: Sequence[Any], log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> None:
+def _tensions(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> None:
     """Draw the tensions of each digit."""
     estimate = log.field("tension")
     sigma = log.field("tension_sigma")
@@ -152,7 +152,7 @@ def _tensions(row: Sequence[Any], log: RunLog, hand: Hand, truth: Truth | None, 
     row[0].set_ylim(-2, float(np.fmax.reduce(estimate, axis=None, initial=9.0)) * 1.15)
 
 
-def _forces(row: Sequence[Any], log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> None:
+def _forces(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> None:
     """Draw the contact force of each digit."""
     estimate = log.field("tip_force")
     sigma = log.field("tip_force_sigma")
@@ -170,7 +170,7 @@ def _forces(row: Sequence[Any], log: RunLog, hand: Hand, truth: Truth | None, of
 def _phases(grid: Any, log: RunLog) -> None:
     """Mark the start of each phase, and the first fault. Their names are in the first row."""
     for change in log.phases:
-        if change.name not in QUIET:
+        if change.name not in PASSIVE_PHASES:
             _mark(grid, change.t_ns / 1e9, change.name, GRID)
     ended = [event for event in log.events if (event.event.level, event.event.name) == ("error", "fault")]
     for event in ended[:1]:

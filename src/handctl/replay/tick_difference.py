@@ -15,7 +15,7 @@ from handctl.log.header import RunHeader
 from handctl.log.record import TickRecord
 
 
-class Difference(NamedTuple):
+class TickDifference(NamedTuple):
     """One field of one tick that differs.
 
     Attributes:
@@ -62,7 +62,7 @@ def _ordinal(value: float) -> int:
     return bits if bits >= 0 else -(bits & 0x7FFF_FFFF_FFFF_FFFF)
 
 
-def differences(columns: Columns, logged: TickRecord, numbers: bytes, computed: TickOut) -> Iterator[Difference]:
+def differences(columns: Columns, logged: TickRecord, numbers: bytes, computed: TickOut) -> Iterator[TickDifference]:
     """Yield every field that differs, decisions first, the state hash last.
 
     Args:
@@ -74,25 +74,25 @@ def differences(columns: Columns, logged: TickRecord, numbers: bytes, computed: 
     k = logged.tick_in.k
     t_s = logged.tick_in.t_ns / 1e9
 
-    def text(field: str, was: object, now: object) -> Iterator[Difference]:
+    def text(field: str, was: object, now: object) -> Iterator[TickDifference]:
         if was != now:
-            yield Difference(k, t_s, field, "", str(was), str(now))
+            yield TickDifference(k, t_s, field, "", str(was), str(now))
 
     yield from text("mode", logged.mode.name, computed.mode.name)
     yield from text("action", logged.action.name, computed.action.name)
     yield from text("phase", logged.phase, computed.phase)
-    yield from text("events", _told(logged.events), _told(computed.events))
+    yield from text("events", _events_text(logged.events), _events_text(computed.events))
     packed = computed.telemetry.packed()[: len(numbers)]  # an earlier version lacks the last fields
     if packed != numbers:
         for column, was, now in _changed(numbers, packed):
-            yield Difference(k, t_s, columns.field[column], columns.name[column], was, now, ulps(was, now))
+            yield TickDifference(k, t_s, columns.field[column], columns.name[column], was, now, ulps(was, now))
     yield from text("number of frames", len(logged.frames), len(computed.frames))
     for i, (old, new) in enumerate(zip(logged.frames, computed.frames, strict=False)):
-        yield from text(f"frames[{i}]", _shown(old), _shown(new))
+        yield from text(f"frames[{i}]", _frame_text(old), _frame_text(new))
     yield from text("state_hash", logged.state_hash.hex(), computed.state_hash.hex())
 
 
-def of_states(header: RunHeader, logged: TickRecord, was: State, now: State) -> Difference | None:
+def state_difference(header: RunHeader, logged: TickRecord, was: State, now: State) -> TickDifference | None:
     """Return the first field that differs between two states, in the order of the schema.
 
     Args:
@@ -103,20 +103,20 @@ def of_states(header: RunHeader, logged: TickRecord, was: State, now: State) -> 
     """
     k = logged.tick_in.k
     t_s = logged.tick_in.t_ns / 1e9
-    found = was.layout.difference(was.block, now.block)
-    if found:
-        field, element, old, new = found
+    first = was.layout.difference(was.block, now.block)
+    if first:
+        field, element, old, new = first
         axis = was.layout.axis_of(field)
         names = header.axis(axis) if axis in ("joint", "tendon", "digit") else ()
         name = names[element % len(names)] if names else f"[{element}]"
-        return Difference(k, t_s, f"state {field}", name, old, new, ulps(old, new))
+        return TickDifference(k, t_s, f"state {field}", name, old, new, ulps(old, new))
     for field, old_part, new_part in zip(Decisions._fields, was.decisions, now.decisions, strict=True):
         if plain_bytes(old_part) != plain_bytes(new_part):
-            return Difference(k, t_s, f"state {field}", "", str(old_part), str(new_part))
+            return TickDifference(k, t_s, f"state {field}", "", str(old_part), str(new_part))
     return None
 
 
-def same(logged: TickRecord, numbers: bytes, computed: TickOut) -> bool:
+def equal_outputs(logged: TickRecord, numbers: bytes, computed: TickOut) -> bool:
     """Return True if every output byte of a tick is equal."""
     return (
         logged.state_hash == computed.state_hash
@@ -127,18 +127,18 @@ def same(logged: TickRecord, numbers: bytes, computed: TickOut) -> bool:
     )
 
 
-def same_decisions(logged: TickRecord, computed: TickOut) -> bool:
+def equal_decisions(logged: TickRecord, computed: TickOut) -> bool:
     """Return True if a tick decides equally: mode, action, phase, and the events without the numbers in their texts."""
     was, now = ([event[:3] for event in events] for events in (logged.events, computed.events))
     return (logged.mode, logged.action, logged.phase, was) == (computed.mode, computed.action, computed.phase, now)
 
 
-def _told(events: tuple[Event, ...]) -> str:
+def _events_text(events: tuple[Event, ...]) -> str:
     """Format events for a comparison."""
     return "; ".join(" ".join(filter(None, event)) for event in events)
 
 
-def _shown(frame: Frame) -> str:
+def _frame_text(frame: Frame) -> str:
     """Format a frame as candump does, with the flag bits of the identifier, and with the time if the frame has one."""
     flags = f"#{frame.flags:X}" if frame.flags else ""
     at = f" at {frame.t_ns} ns" if frame.t_ns else ""

@@ -13,8 +13,8 @@ from handctl.core.types import Event
 from handctl.document import Document, load_document
 from handctl.errors import ConfigError
 from handctl.log.read.reader import RunLog
-from handctl.replay.course import TOLD, refusal
-from handctl.replay.execute import undisturbed
+from handctl.replay.execute import gc_disabled
+from handctl.replay.log_runner import PROGRESS_TICKS, refusal_error
 from handctl.replay.rebuild import rebuild
 from handctl.safety.action import Action
 from handctl.safety.faults.table import BY_ID
@@ -35,7 +35,7 @@ class NewLimits(Document):
     temperature_hard_degC: float | None = Field(None, gt=0, le=200)
 
 
-class Stop(NamedTuple):
+class LimitStop(NamedTuple):
     """A fault under the new limits with an action that stops the hand.
 
     Attributes:
@@ -72,7 +72,7 @@ class Judgement:
     ticks: int
     stopped: int
     stopped_logged: int
-    stops: tuple[Stop, ...]
+    stops: tuple[LimitStop, ...]
     by_fault: dict[str, int]
 
 
@@ -107,13 +107,13 @@ def load_limits(path: Path, controller: Controller) -> Limits:
     )
 
 
-def judge_again(log: RunLog, path: Path, told: Callable[[int], None] | None = None) -> Judgement:
+def judge_by_limits(log: RunLog, path: Path, progress: Callable[[int], None] | None = None) -> Judgement:
     """Judge every tick of a run by other limits. The run itself remains as logged.
 
     Args:
         log: a run.
         path: limits file.
-        told: called now and then with the number of ticks so far.
+        progress: called now and then with the number of ticks so far.
 
     Raises:
         ConfigError: the limits file is wrong.
@@ -121,16 +121,16 @@ def judge_again(log: RunLog, path: Path, told: Callable[[int], None] | None = No
     """
     controller = rebuild(log)
     limits = load_limits(path, controller)
-    with undisturbed():
-        return _judge(log, controller, limits, told)
+    with gc_disabled():
+        return _judge(log, controller, limits, progress)
 
 
-def _judge(log: RunLog, controller: Controller, limits: Limits, told: Callable[[int], None] | None) -> Judgement:
+def _judge(log: RunLog, controller: Controller, limits: Limits, progress: Callable[[int], None] | None) -> Judgement:
     """Judge each tick from the run's own state, with debounce and latches of the other limits."""
     other = replace(controller, other_limits=limits)
     state = controller.initial()
     shadow = other.initial()
-    stops: list[Stop] = []
+    stops: list[LimitStop] = []
     ticks = stopped = stopped_logged = 0
     for logged in log.ticks():
         entry = logged.tick_in
@@ -143,11 +143,11 @@ def _judge(log: RunLog, controller: Controller, limits: Limits, told: Callable[[
             shadow, verdict = other.tick(judged, entry)
             state, out = controller.tick(state, entry)
         except ValueError as error:
-            raise refusal(error, entry.k) from None
-        own = {_fault(event) + event.where for event in out.events if event.name == "fault"}
+            raise refusal_error(error, entry.k) from None
+        own_faults = {_fault(event) + event.where for event in out.events if event.name == "fault"}
         ticks += 1
-        if told and ticks % TOLD == 0:
-            told(ticks)
+        if progress and ticks % PROGRESS_TICKS == 0:
+            progress(ticks)
         stopped += verdict.action >= Action.HOLD
         stopped_logged += out.action >= Action.HOLD
         for event in verdict.events:
@@ -156,8 +156,10 @@ def _judge(log: RunLog, controller: Controller, limits: Limits, told: Callable[[
                 t_s = entry.t_ns / 1e9
                 # A fault event ends with its reading in brackets.
                 value = float(event.text.rpartition("(")[2].partition(")")[0])
-                seen = fault.id + event.where in own
-                stops.append(Stop(entry.k, t_s, fault.id, fault.title, event.where, value, fault.action.name, seen))
+                in_log = fault.id + event.where in own_faults
+                stops.append(
+                    LimitStop(entry.k, t_s, fault.id, fault.title, event.where, value, fault.action.name, in_log)
+                )
     counts = Counter(stop.fault for stop in stops)
     return Judgement(ticks, stopped, stopped_logged, tuple(stops), dict(counts))
 

@@ -16,11 +16,11 @@ from handctl.log.read.reader import RunLog
 from handctl.log.topics.clock_pairs import steps
 from handctl.output import whole
 from handctl.printing import printable
-from handctl.report.figure import draw_run
-from handctl.report.frames import frame_counts
+from handctl.report.frame_counts import frame_counts
 from handctl.report.pictures import lateness, loads, poses
+from handctl.report.run_figure import draw_run
 from handctl.report.summary import angle_rows, summarise
-from handctl.report.truth import Truth
+from handctl.report.truth import TruthRecord
 
 MAX_EVENTS = 500
 """Maximum number of events on the page. The first are shown."""
@@ -40,7 +40,7 @@ code { font-size: .85em; word-break: break-all; }
 """Style sheet of the page."""
 
 
-def write_page(path: Path, log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int, name: str) -> int:
+def write_page(path: Path, log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int, name: str) -> int:
     """Write the page.
 
     Args:
@@ -96,7 +96,11 @@ def _pairs(values: Mapping[str, object]) -> str:
 
 
 def _numbers(
-    log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int, load: "np.ndarray[tuple[int], np.dtype[np.float64]]"
+    log: RunLog,
+    hand: Hand,
+    truth: TruthRecord | None,
+    offset_ns: int,
+    load: "np.ndarray[tuple[int], np.dtype[np.float64]]",
 ) -> str:
     """Return the table of numbers."""
     summary = summarise(log, hand, truth, offset_ns)
@@ -115,7 +119,10 @@ def _numbers(
             "largest bus load, by frames",
             ", ".join(f"{n} {100 * x:.0f} %" for n, x in zip(hand.bus_names, load, strict=True)),
         ),
-        ("tracking error in free motion, against the plant", _unit(np.degrees(summary["tracking_rmse_rad"]), "deg rms")),
+        (
+            "tracking error in free motion, against the plant",
+            _unit(np.degrees(summary["tracking_rmse_rad"]), "deg rms"),
+        ),
         ("tension estimate, against the plant", _unit(summary["tension_rmse_n"], "N rms")),
         ("object moved while held", _unit(summary["object_motion_mm"], "mm")),
     ]
@@ -131,7 +138,7 @@ def _unit(value: float, unit: str) -> str:
 
 def _legend(hand: Hand) -> str:
     """Return the legend of the hand pictures."""
-    from handctl.report.figure import COLOURS
+    from handctl.report.run_figure import COLOURS
 
     marks = (
         f'<span style="color:{COLOURS[d % len(COLOURS)]}">&#9679;</span> {_text(n)}'
@@ -141,7 +148,7 @@ def _legend(hand: Hand) -> str:
     return "<p>" + " &nbsp; ".join(marks) + f"; {note}</p>"
 
 
-def _run(log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> str:
+def _run(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> str:
     """Return the figure of the run as an embedded image."""
     with tempfile.TemporaryDirectory() as folder:
         picture = Path(folder) / "run.png"

@@ -15,28 +15,35 @@ from handctl.core.types import TickIn, TickOut
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
 from handctl.log.record import TickRecord
-from handctl.replay.difference import Columns, Difference, differences, of_states, same, same_decisions
 from handctl.replay.rebuild import rebuild
+from handctl.replay.tick_difference import (
+    Columns,
+    TickDifference,
+    differences,
+    equal_decisions,
+    equal_outputs,
+    state_difference,
+)
 
-TOLD = 200
+PROGRESS_TICKS = 200
 """Ticks between two reports of progress."""
 
-Watch = Callable[[TickIn, TickOut], None]
-Told = Callable[[int], None]
+TickObserver = Callable[[TickIn, TickOut], None]
+ProgressCallback = Callable[[int], None]
 
 
-def distance(difference: Difference) -> float:
+def relative_error(difference: TickDifference) -> float:
     """Compute the size of a numeric difference: absolute below 1, relative above.
 
     Returns:
         0 for texts, infinity if one of the numbers is NaN.
     """
-    was = difference.logged
-    now = difference.computed
-    if isinstance(was, str) or isinstance(now, str):
+    logged = difference.logged
+    computed = difference.computed
+    if isinstance(logged, str) or isinstance(computed, str):
         return 0.0
-    apart = abs(was - now)
-    return math.inf if math.isnan(apart) else apart / max(1.0, abs(was))
+    apart = abs(logged - computed)
+    return math.inf if math.isnan(apart) else apart / max(1.0, abs(logged))
 
 
 @dataclass(slots=True)
@@ -46,11 +53,11 @@ class Tally:
     ticks: int = 0
     differing: int = 0
     undecided: int = 0
-    first: Difference | None = None
-    state: Difference | None = None
-    largest: Difference | None = None
+    first: TickDifference | None = None
+    state: TickDifference | None = None
+    largest: TickDifference | None = None
 
-    def with_later(self, later: "Tally") -> "Tally":
+    def merged_with(self, later: "Tally") -> "Tally":
         """Return the sum of this tally and the tally of a later part of the log."""
         both = Tally(
             self.ticks + later.ticks,
@@ -60,31 +67,31 @@ class Tally:
             self.state or later.state,
             self.largest,
         )
-        both._larger(later.largest)
+        both._keep_larger(later.largest)
         return both
 
-    def see(self, found: list[Difference], decided: bool) -> None:
+    def add(self, tick_differences: list[TickDifference], same_decisions: bool) -> None:
         """Add the differences of one tick.
 
         Args:
-            found: the differences.
-            decided: True if the decisions are equal.
+            tick_differences: the differences.
+            same_decisions: True if the decisions are equal.
         """
         self.differing += 1
-        self.undecided += not decided
-        self.first = self.first or found[0]
-        for one in found:
-            if one.ulps is not None:
-                self._larger(one)
+        self.undecided += not same_decisions
+        self.first = self.first or tick_differences[0]
+        for difference in tick_differences:
+            if difference.ulps is not None:
+                self._keep_larger(difference)
 
-    def _larger(self, other: Difference | None) -> None:
+    def _keep_larger(self, other: TickDifference | None) -> None:
         """Keep the larger of two numeric differences."""
-        if other and (self.largest is None or distance(other) > distance(self.largest)):
+        if other and (self.largest is None or relative_error(other) > relative_error(self.largest)):
             self.largest = other
 
 
 @dataclass(frozen=True, slots=True)
-class Course:
+class LogRunner:
     """A log and its controller.
 
     Attributes:
@@ -100,21 +107,23 @@ class Course:
     snapshots: Mapping[int, bytes]
 
     @staticmethod
-    def of(log: RunLog, gains: Gains | None = None) -> "Course":
+    def of(log: RunLog, gains: Gains | None = None) -> "LogRunner":
         """Create the controller of a log, with its own or other gains. Raises as `rebuild`."""
         # With other gains the states differ from those of the log.
         snapshots: Mapping[int, bytes] = {} if gains else log.snapshots
-        return Course(log, rebuild(log, gains), Columns.of(log.header), snapshots)
+        return LogRunner(log, rebuild(log, gains), Columns.of(log.header), snapshots)
 
-    def run(self, start: int, stop: int, state: State, watch: Watch | None, told: Told | None) -> tuple[State, Tally]:
+    def run(
+        self, start: int, stop: int, state: State, observer: TickObserver | None, progress: ProgressCallback | None
+    ) -> tuple[State, Tally]:
         """Execute a part of the log.
 
         Args:
             start: index of the first tick.
             stop: index behind the last tick.
             state: state before the first tick.
-            watch: called with every tick.
-            told: called now and then with the number of further ticks.
+            observer: called with every tick.
+            progress: called now and then with the number of further ticks.
 
         Returns:
             State after the last tick, and the differences.
@@ -128,16 +137,16 @@ class Course:
             try:
                 state, out = tick(state, logged.tick_in)
             except ValueError as error:
-                raise refusal(error, logged.tick_in.k) from None
+                raise refusal_error(error, logged.tick_in.k) from None
             tally.ticks += 1
-            if told and tally.ticks % TOLD == 0:
-                told(TOLD)
-            if watch:
-                watch(logged.tick_in, out)
-            if not same(logged, numbers, out):
-                tally.see(list(differences(self.columns, logged, numbers, out)), same_decisions(logged, out))
+            if progress and tally.ticks % PROGRESS_TICKS == 0:
+                progress(PROGRESS_TICKS)
+            if observer:
+                observer(logged.tick_in, out)
+            if not equal_outputs(logged, numbers, out):
+                tally.add(list(differences(self.columns, logged, numbers, out)), equal_decisions(logged, out))
                 if tally.state is None and logged.tick_in.k in self.snapshots:
-                    tally.state = self._of_state(logged, state)
+                    tally.state = self._state_difference(logged, state)
         return state, tally
 
     def _logged(self, start: int, stop: int) -> Iterator[tuple[TickRecord, bytes]]:
@@ -149,15 +158,15 @@ class Course:
         both = zip(self.log.ticks(chunks), self.log.packed(chunks), strict=True)
         return islice(both, start - int(firsts[chunk]), stop - int(firsts[chunk]))
 
-    def _of_state(self, logged: TickRecord, state: State) -> Difference | None:
+    def _state_difference(self, logged: TickRecord, state: State) -> TickDifference | None:
         """Compare the state after a tick with the snapshot in the log."""
         try:
             was = restore(self.controller.layout, self.snapshots[logged.tick_in.k])
         except ValueError:
             return None  # of a version whose states have other fields
-        return of_states(self.log.header, logged, was, state)
+        return state_difference(self.log.header, logged, was, state)
 
 
-def refusal(error: ValueError, k: int) -> LogError:
+def refusal_error(error: ValueError, k: int) -> LogError:
     """Return the error of a controller that refuses a tick."""
     return LogError(f"the controller refuses: {error}", f"tick {k}", "a value that fits")
