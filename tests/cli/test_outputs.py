@@ -167,7 +167,7 @@ def test_a_picture_is_named_as_it_was_asked_for(place):
 
 
 def test_a_recording_is_not_begun_without_room_for_it(monkeypatch, capsys):
-    monkeypatch.setattr("handctl.view.feed.ROOM", 10**12)
+    monkeypatch.setattr("handctl.view.feed.DISK_SPACE_FACTOR", 10**12)
     for words in (("log", "export", "--rrd", LOG, "--output", "new.rrd", "--json"), ("view", LOG, "--save", "new.rrd")):
         assert main(words) == 1
         assert capsys.readouterr() == ("", "handctl: new.rrd: No space left on device\n")

@@ -104,7 +104,7 @@ def test_a_commissioning_log_that_is_there_is_no_obstacle(place):
 
 def test_an_excited_digit_that_met_something_is_spoilt():
     from handctl.core.types import Event
-    from handctl.log.read.moments import LoggedEvent, PhaseChange
+    from handctl.log.read.timeline import LoggedEvent, PhaseChange
     from handctl.tune.identify.identify import blocked
 
     event = LoggedEvent(50, 10**9, Event("info", "blocked", "middle", "middle is blocked: 7.0 N"))

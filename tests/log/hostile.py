@@ -9,7 +9,7 @@ import zstandard
 
 from handctl.log.container import MAGIC
 from handctl.log.read.logfile import MAX_CHUNK, LogFile
-from handctl.log.read.scan import Scan, scan
+from handctl.log.read.record_scan import RecordScan, scan_records
 
 
 def _chunk(compression: str, packed: bytes, size: int, crc: int = 0) -> bytes:
@@ -20,8 +20,8 @@ def _chunk(compression: str, packed: bytes, size: int, crc: int = 0) -> bytes:
 
 def _with_chunks(small: Path, chunks: bytes) -> bytes:
     """The start of a real log, then other chunks."""
-    file, found = LogFile(small), Scan()
-    scan(file, found)
+    file, found = LogFile(small), RecordScan()
+    scan_records(file, found)
     file.close()
     return small.read_bytes()[: found.chunks[1].end] + chunks
 

@@ -19,7 +19,7 @@ from handctl.hand.formats.urdf import urdf
 from handctl.hand.load import load_hand
 from handctl.log.header import RunHeader
 from handctl.log.record import pack
-from handctl.log.topics.state import moment_arms
+from handctl.log.topics.state_topics import moment_arms
 from handctl.log.write.recorder import Recorder
 from handctl.safety.action import Action
 

@@ -7,7 +7,7 @@ import synthetic
 
 from handctl.log.read.reader import RunLog
 from handctl.log.record import FRAMING, pack
-from handctl.log.topics.chain import link, seed_of
+from handctl.log.topics.chain import seed_of, tick_hash
 from handctl.log.topics.clock_pairs import ClockPair, ClockStep, steps
 from handctl.log.write.writer import LogWriter
 
@@ -27,7 +27,7 @@ def test_each_digest_is_that_of_the_tick_s_bytes_and_the_digest_before(small_log
         before, found = seed_of(log.header), list(log.digests())
         assert len(found) == len(log) == len(set(found))
         for message, numbers, digest in zip(log.messages(), log.packed(), found, strict=True):
-            assert digest == link(before, message, numbers)
+            assert digest == tick_hash(before, message, numbers)
             before = digest
         assert log.end["chain"] == before.hex()
 

@@ -4,7 +4,7 @@ import struct
 
 import pytest
 
-from handctl.log.read.messages_in import BYTES_PER_RUN, MAX_CHANNELS, MIN_RUNS, rows
+from handctl.log.read.chunk_reader import BYTES_PER_BLOCK, MAX_CHANNELS, MIN_BLOCKS, iter_messages
 
 
 def channel(number: int) -> bytes:
@@ -19,15 +19,15 @@ def test_a_chunk_may_define_so_many_channels_however_large_it_is() -> None:
     """A million of them in thirty megabytes kept `log check` for more than a second."""
     plenty = 1 << 30
     allowed = channel(7) * 2 * MAX_CHANNELS + message(7)
-    assert [one.channel for one in rows(allowed, plenty)] == [7]
+    assert [one.channel for one in iter_messages(allowed, plenty)] == [7]
     with pytest.raises(ValueError, match=f"more than {MAX_CHANNELS} channels"):
-        list(rows(channel(7) + allowed, plenty))
+        list(iter_messages(channel(7) + allowed, plenty))
 
 
-@pytest.mark.parametrize("packed", [0, 10 * BYTES_PER_RUN])
+@pytest.mark.parametrize("packed", [0, 10 * BYTES_PER_BLOCK])
 def test_a_chunk_may_have_runs_in_proportion_to_its_size_in_the_file(packed: int) -> None:
-    most = MIN_RUNS + packed // BYTES_PER_RUN
+    most = MIN_BLOCKS + packed // BYTES_PER_BLOCK
     alternating = b"".join(message(number % 2) for number in range(most))
-    assert len(list(rows(alternating, packed))) == most
+    assert len(list(iter_messages(alternating, packed))) == most
     with pytest.raises(ValueError, match="more messages than"):
-        list(rows(alternating + message(most % 2), packed))
+        list(iter_messages(alternating + message(most % 2), packed))

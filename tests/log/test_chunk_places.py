@@ -5,15 +5,15 @@ import tracemalloc
 
 import pytest
 
-from handctl.log.chunk_places import BLOCK, ChunkAt, ChunkPlaces
+from handctl.log.chunk_table import BLOCK, ChunkEntry, ChunkTable
 
 
-def at(k: int) -> ChunkAt:
-    return ChunkAt(1000 * k, 700, 650, 2000, 250 * k, 250 * k + 249, 100)
+def at(k: int) -> ChunkEntry:
+    return ChunkEntry(1000 * k, 700, 650, 2000, 250 * k, 250 * k + 249, 100)
 
 
 def test_each_chunk_is_told_with_its_channels_where_they_are_in_the_file() -> None:
-    places = ChunkPlaces()
+    places = ChunkTable()
     for k, behind in enumerate(({1: 0, 2: 40}, {}, {1: 0, 2: 40}, {2: 0})):
         places.add(at(k), behind)
     found = list(places.indexes())
@@ -27,7 +27,7 @@ def test_each_chunk_is_told_with_its_channels_where_they_are_in_the_file() -> No
 
 @pytest.mark.parametrize("chunks", [0, BLOCK - 1, BLOCK, 2 * BLOCK + 1])
 def test_packing_changes_neither_their_order_nor_a_number(chunks: int) -> None:
-    places = ChunkPlaces()
+    places = ChunkTable()
     for k in range(chunks):
         places.add(at(k), {1: k % 3})
     found = list(places.indexes())
@@ -46,11 +46,11 @@ def test_an_hour_of_chunks_is_less_than_half_a_megabyte() -> None:
     chunks_an_hour, channels, chance = 4 * 3600, range(34), random.Random(1)
     start = 0
     tracemalloc.start()
-    places = ChunkPlaces()
+    places = ChunkTable()
     for k in range(chunks_an_hour):
         size = chance.randrange(60_000, 90_000)
         times = (250_000_000 * k, 250_000_000 * k + 248_000_000)
-        place = ChunkAt(start, size, size - 40, 3 * size, *times, 4000)
+        place = ChunkEntry(start, size, size - 40, 3 * size, *times, 4000)
         places.add(place, {channel: 50 * channel + k % 7 for channel in channels})
         start += size + 4000
     held, _ = tracemalloc.get_traced_memory()

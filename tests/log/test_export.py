@@ -15,7 +15,16 @@ from handctl.core import types
 from handctl.core.types import TELEMETRY_FIELDS
 from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
 from handctl.log.export.parquet import export_parquet
-from handctl.log.export.tables import HEADS, WORDS, _candump, columns, export_candump, export_csv, titled, unit
+from handctl.log.export.tables import (
+    INTEGER_COLUMNS,
+    TEXT_COLUMNS,
+    _candump,
+    column_title,
+    columns,
+    export_candump,
+    export_csv,
+    unit,
+)
 from handctl.log.read.reader import RunLog
 from handctl.safety.action import Action
 
@@ -48,7 +57,7 @@ def test_csv_reads_back_bit_for_bit(log: RunLog, tmp_path: Path) -> None:
     assert export_csv(log, tmp_path / "x.csv") == len(log)
     with (tmp_path / "x.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    numbers = np.array([[float(row[titled(name)] or "nan") for name in columns(log)] for row in rows])
+    numbers = np.array([[float(row[column_title(name)] or "nan") for name in columns(log)] for row in rows])
     np.testing.assert_array_equal(numbers, table_of(log))
     assert [int(row["k"]) for row in rows] == log.k.tolist()
     assert rows[-1]["mode"] == "DONE"
@@ -69,11 +78,11 @@ def test_units_are_those_that_the_telemetry_declares() -> None:
 def test_every_column_says_its_unit(log: RunLog, tmp_path: Path) -> None:
     export_parquet(log, tmp_path / "x.parquet")
     for field in pq.read_schema(tmp_path / "x.parquet"):
-        assert field.name in WORDS or field.metadata == {b"unit": unit(field.name).encode()}, field.name
+        assert field.name in TEXT_COLUMNS or field.metadata == {b"unit": unit(field.name).encode()}, field.name
     export_csv(log, tmp_path / "x.csv")
     with (tmp_path / "x.csv").open(newline="") as file:
         titles = next(csv.reader(file))
-    assert titles == [*HEADS, *WORDS, *map(titled, columns(log))]
+    assert titles == [*INTEGER_COLUMNS, *TEXT_COLUMNS, *map(column_title, columns(log))]
     assert {"q/index_j1 [rad]", "tension_raw/thumb_tendon [N]", "motor_temperature/index_motor [degC]"} <= {*titles}
 
 
@@ -85,8 +94,8 @@ def test_the_page_has_the_units() -> None:
         for row in re.findall(r"^\| (`[^|]*) \| ([^|]+) \| ([^|]+) \|", page, re.MULTILINE)
         for name in re.findall(r"`(\w+)`", row[0])
     }
-    for name in (*HEADS, *TELEMETRY_FIELDS):
-        assert listed[name] == (unit(name) if name in HEADS else unit(f"{name}/x")), name
+    for name in (*INTEGER_COLUMNS, *TELEMETRY_FIELDS):
+        assert listed[name] == (unit(name) if name in INTEGER_COLUMNS else unit(f"{name}/x")), name
 
 
 def test_python_can_reads_the_candump(log: RunLog, tmp_path: Path) -> None:

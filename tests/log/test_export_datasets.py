@@ -13,10 +13,10 @@ from rerun.experimental import LeRobotReader
 from handctl.core.types import TELEMETRY_FIELDS, Mode
 from handctl.log.export.lerobot import export_lerobot
 from handctl.log.export.parquet import export_parquet
-from handctl.log.export.tables import columns, export_csv, titled
+from handctl.log.export.tables import column_title, columns, export_csv
 from handctl.log.read.reader import RunLog
 from handctl.view.feed import write_rrd
-from handctl.view.scene.subject import Subject
+from handctl.view.scene.run_info import RunInfo
 
 GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-fault.mcap"
 
@@ -50,7 +50,7 @@ def test_polars_reads_the_text(log: RunLog, tmp_path: Path) -> None:
     export_csv(log, tmp_path / "x.csv")
     table = polars.read_csv(tmp_path / "x.csv", infer_schema_length=None)
     assert table["t_ns"].to_list() == log.t_ns.tolist()
-    numbers = table.select([polars.col(titled(name)).cast(polars.Float64) for name in columns(log)]).to_numpy()
+    numbers = table.select([polars.col(column_title(name)).cast(polars.Float64) for name in columns(log)]).to_numpy()
     np.testing.assert_array_equal(numbers, table_of(log))
 
 
@@ -131,7 +131,7 @@ def test_rerun_reads_the_dataset(log: RunLog, dataset: Path) -> None:
 
 
 def test_rerun_reads_the_recording(log: RunLog, tmp_path: Path) -> None:
-    write_rrd(GOLDEN, Subject.of(log.header, "x"), tmp_path / "x.rrd")
+    write_rrd(GOLDEN, RunInfo.of(log.header, "x"), tmp_path / "x.rrd")
     lines: dict[str, list[tuple[int, list[float]]]] = {}
     for chunk in RrdReader(tmp_path / "x.rrd").stream().to_chunks():
         field = str(chunk.entity_path).removeprefix("/controller/")

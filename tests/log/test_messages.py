@@ -9,12 +9,12 @@ import pytest
 from oracle import Ros2Support, Rosbags, by_topic, oracles
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from handctl.log.messages import DEFINITIONS, schema_name, schema_text
+from handctl.log.message_types import DEFINITIONS, schema_name, schema_text
 from handctl.log.read.reader import RunLog
 from handctl.log.record import pack, pack_snapshot
 from handctl.log.topics.can import fd_frame
-from handctl.log.topics.events import labelled, parameter_event, rosout
-from handctl.log.topics.health import Status, diagnostic_array
+from handctl.log.topics.event_topics import labelled, parameter_event, rosout
+from handctl.log.topics.health import DiagnosticStatus, diagnostic_array
 from handctl.log.write.recorder import Recorder
 
 STANDARD = ("builtin_interfaces", "std_msgs", "geometry_msgs", "tf2_msgs", "sensor_msgs", "diagnostic_msgs")
@@ -104,7 +104,7 @@ LABEL = {"header": {"stamp": STAMP, "frame_id": ""}, "name": "hold"}
         ),
         (
             "diagnostic_msgs/DiagnosticArray",
-            diagnostic_array(T_NS, [Status(2, "a", "b", "c", {"k": "v"}), Status(0, "", "", "")]),
+            diagnostic_array(T_NS, [DiagnosticStatus(2, "a", "b", "c", {"k": "v"}), DiagnosticStatus(0, "", "", "")]),
             {
                 "header": {"stamp": STAMP},
                 "status": [

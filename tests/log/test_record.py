@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from handctl.core.types import TELEMETRY_AXES, Event, IoEvent, Mode, PackedTelemetry, Telemetry, TickIn, TickOut
 from handctl.drives.frame import FDF, Frame
 from handctl.drives.records import frames_of
-from handctl.log.record import FRAMING, layout, pack, pack_tick, unpack, unpack_tick, unpack_ticks
+from handctl.log.record import FRAMING, message_layout, pack, pack_tick, unpack, unpack_tick, unpack_ticks
 from handctl.safety.action import Action
 
 I64 = st.integers(-(2**63), 2**63 - 1)
@@ -72,7 +72,7 @@ def test_a_lone_surrogate_is_escaped_since_no_other_reader_could_decode_it(tick_
 @given(TICK_IN, TICK_OUT)
 def test_the_layout_agrees_with_the_decoder(tick_in: TickIn, out: TickOut) -> None:
     message = pack_tick(tick_in, out)
-    places = layout(message)
+    places = message_layout(message)
     assert (places.received.stop - places.received.start) == 24 * len(tick_in.frames)
     assert (places.sent.stop - places.sent.start) == 24 * len(out.frames)
     long_data = b"".join(frame.data[8:] for frame in tick_in.frames + out.frames)
@@ -109,7 +109,7 @@ def test_what_a_file_has_behind_a_payload_is_not_of_the_frame() -> None:
     message = bytearray(
         pack_tick(TickIn(1, 2, 0, (frame,)), TickOut((), Mode.READY, "", Action.PASS, telemetry, (), bytes(8)))
     )
-    at = layout(bytes(message)).received.start
+    at = message_layout(bytes(message)).received.start
     message[at + 16 + 3 : at + 24] = b"\xff" * 5
     for tick in (unpack_tick(bytes(message)), *unpack_ticks([bytes(message)])):
         assert tick.tick_in.frames.records.tobytes() == frames_of([frame]).records.tobytes()
@@ -119,7 +119,7 @@ def test_a_payload_longer_than_any_frames_is_refused() -> None:
     telemetry = Telemetry(**{name: np.zeros(1) for name in TELEMETRY_AXES})
     quiet = TickOut((), Mode.READY, "", Action.PASS, telemetry, (), bytes(8))
     message = bytearray(pack_tick(TickIn(1, 2, 0, (Frame(5, bytes(64), FDF),)), quiet))
-    message[layout(bytes(message)).received.start + 15] = 65
+    message[message_layout(bytes(message)).received.start + 15] = 65
     for decode in (unpack_tick, lambda one: unpack_ticks([one])):
         with pytest.raises(ValueError, match="payload of 65 bytes"):
             decode(bytes(message))

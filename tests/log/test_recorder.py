@@ -294,10 +294,10 @@ def test_the_process_that_syncs_does_not_keep_the_ballast(tiny_disk: Path) -> No
     with (tiny_disk / "other").open("wb", buffering=0) as other, suppress(OSError):
         while True:
             other.write(bytes(4096))
-    writer._ballast.drop()
+    writer._reserved.release()
     assert _until(lambda: shutil.disk_usage(tiny_disk).free > 256 << 10, 5.0)
     writer.finish("finished", 0)
-    os.close(syncer._ask)  # ends its process
+    os.close(syncer._request_pipe)  # ends its process
 
 
 def test_handing_over_a_tick_is_quick(start: Callable[..., Recorder]) -> None:

@@ -11,8 +11,8 @@ from oracle import messages
 from handctl.errors import ConfigError, LogError
 from handctl.log.read.logfile import LogFile
 from handctl.log.read.reader import RunLog
-from handctl.log.read.recover import Recovery, Status, recover
-from handctl.log.read.scan import Scan, scan
+from handctl.log.read.record_scan import RecordScan, scan_records
+from handctl.log.read.recover import Recovery, RecoveryStatus, recover
 
 SAMPLE = 500
 
@@ -27,9 +27,9 @@ def least_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def _scan(path: Path) -> Scan:
-    file, found = LogFile(path), Scan()
-    scan(file, found)
+def _scan(path: Path) -> RecordScan:
+    file, found = LogFile(path), RecordScan()
+    scan_records(file, found)
     file.close()
     return found
 
@@ -69,7 +69,7 @@ def test_a_cut_gives_the_exact_prefix(least_log: Path, tmp_path: Path, every: bo
         complete = sum(chunk.end <= cut for chunk in found.chunks)
         recovery, out = _recovered(raw[:cut], tmp_path)
         if not complete:
-            assert recovery.status == Status.NOTHING
+            assert recovery.status == RecoveryStatus.NOTHING
             assert not out.exists()
             continue
         assert recovery.chunks == complete
@@ -84,7 +84,7 @@ def test_a_cut_gives_the_exact_prefix(least_log: Path, tmp_path: Path, every: bo
 def test_a_recovered_file_is_open_to_others_and_says_what_it_is(small_log: Path, tmp_path: Path) -> None:
     raw, found = small_log.read_bytes(), _scan(small_log)
     recovery, out = _recovered(raw[: found.chunks[6].end + 5], tmp_path)
-    assert recovery.status == Status.LOSSY
+    assert recovery.status == RecoveryStatus.LOSSY
     assert recovery.lost[-1][1] == found.chunks[6].end + 5
     kept = messages(out)
     assert len(kept) == recovery.messages
@@ -99,7 +99,7 @@ def test_a_recovered_file_is_open_to_others_and_says_what_it_is(small_log: Path,
 
 def test_a_whole_file_stays_what_it_is(small_log: Path, tmp_path: Path) -> None:
     recovery, out = _recovered(small_log.read_bytes(), tmp_path)
-    assert (recovery.status, recovery.lost, recovery.problem) == (Status.WHOLE, (), "")
+    assert (recovery.status, recovery.lost, recovery.problem) == (RecoveryStatus.WHOLE, (), "")
     assert messages(out) == messages(small_log)
     with RunLog(out) as log, RunLog(small_log) as old:
         assert log.end == old.end
@@ -111,7 +111,7 @@ def test_one_damaged_chunk_is_left_out_and_the_rest_kept(small_log: Path, tmp_pa
     hit = found.chunks[4]
     raw[hit.data + 50] ^= 0xFF
     recovery, out = _recovered(bytes(raw), tmp_path)
-    assert recovery.status == Status.LOSSY
+    assert recovery.status == RecoveryStatus.LOSSY
     assert recovery.chunks == len(found.chunks) - 1
     assert recovery.lost[0] == (hit.offset, hit.end)
     with RunLog(out) as log:
@@ -132,7 +132,7 @@ def test_a_damaged_record_costs_no_other(small_log: Path, tmp_path: Path, what: 
     }[what]
     raw[at] ^= 0x80
     recovery, out = _recovered(bytes(raw), tmp_path)
-    assert recovery.status == Status.LOSSY
+    assert recovery.status == RecoveryStatus.LOSSY
     assert recovery.chunks == len(found.chunks) - (what == "chunk's header")
     start, end = recovery.lost[0]
     assert start < at < end
@@ -145,7 +145,7 @@ def test_a_damaged_summary_costs_nothing(small_log: Path, tmp_path: Path) -> Non
     raw = bytearray(small_log.read_bytes())
     raw[-60] ^= 1
     recovery, out = _recovered(bytes(raw), tmp_path)
-    assert recovery.status == Status.WHOLE
+    assert recovery.status == RecoveryStatus.WHOLE
     assert "summary" in recovery.problem
     assert messages(out) == messages(small_log)
 
@@ -170,7 +170,7 @@ def test_a_log_with_only_its_header_gives_nothing_but_the_names(tmp_path: Path) 
     synthetic.write(path, synthetic.header(rate_hz=50), 0.5)
     first = _scan(path).chunks[0]
     recovery, out = _recovered(path.read_bytes()[: first.end], tmp_path)
-    assert (recovery.status, recovery.chunks) == (Status.LOSSY, 1)
+    assert (recovery.status, recovery.chunks) == (RecoveryStatus.LOSSY, 1)
     with RunLog(out) as log:
         assert len(log) == 0
         assert log.field("tension").shape == (0, 4)

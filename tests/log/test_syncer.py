@@ -19,7 +19,7 @@ def test_a_process_of_its_own_syncs_and_ends_with_its_parent(tmp_path: Path) -> 
     (child,) = set(psutil.Process().children()) - before
     assert descriptor in {one.fd for one in child.open_files()}
     assert not {0, 1, 2} & {one.fd for one in child.open_files()}
-    os.close(syncer._ask)
+    os.close(syncer._request_pipe)
     assert child.wait(10.0) is not None or not child.is_running()
     os.close(descriptor)
 
@@ -28,7 +28,7 @@ def test_an_error_comes_with_a_later_call() -> None:
     reading, writing = os.pipe()
     syncer = Syncer()
     syncer(writing)
-    assert select.select([syncer._told], [], [], 10.0)[0]
+    assert select.select([syncer._error_pipe], [], [], 10.0)[0]
     with pytest.raises(OSError, match="Invalid argument"):
         syncer(writing)
     os.close(reading)

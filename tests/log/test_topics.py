@@ -20,7 +20,7 @@ from handctl.hand.link_frames import link_transforms
 from handctl.hand.load import load_hand
 from handctl.log.header import RunHeader
 from handctl.log.record import FRAMING, pack
-from handctl.log.topics.transforms import links
+from handctl.log.topics.transforms import link_frames
 from handctl.log.write.writer import LogWriter
 
 
@@ -159,11 +159,11 @@ def test_frames_hang_on_each_other_as_in_the_urdf(hand: str) -> None:
     expected = {
         (one.find("parent").get("link"), one.find("child").get("link"), one.get("type") == "revolute") for one in joints
     }
-    assert {(link.parent, link.child, link.joint >= 0) for link in links(run.hand_toml)} == expected
+    assert {(link.parent, link.child, link.joint >= 0) for link in link_frames(run.hand_toml)} == expected
 
 
 def test_frames_hang_together() -> None:
-    tree = links(synthetic.header().hand_toml)
+    tree = link_frames(synthetic.header().hand_toml)
     known = {"palm"}
     for link in tree:
         assert link.parent in known

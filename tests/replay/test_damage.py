@@ -8,11 +8,11 @@ import lz4.frame
 import pytest
 
 from handctl.cli.main import main
-from handctl.log.read.logfile import ChunkPlace, LogFile
-from handctl.log.read.messages_in import definitions, rows
+from handctl.log.read.chunk_reader import definitions, iter_messages
+from handctl.log.read.logfile import ChunkLocation, LogFile
 from handctl.log.read.reader import RunLog
+from handctl.log.read.record_scan import RecordScan, scan_records
 from handctl.log.read.recover import recover
-from handctl.log.read.scan import Scan, scan
 from handctl.replay.check import check
 from handctl.replay.damage import first_damage
 
@@ -24,9 +24,9 @@ def log(golden: Path, tmp_path: Path) -> Path:
     return path
 
 
-def _chunks(path: Path) -> tuple[LogFile, Scan]:
-    file, found = LogFile(path), Scan()
-    scan(file, found)
+def _chunks(path: Path) -> tuple[LogFile, RecordScan]:
+    file, found = LogFile(path), RecordScan()
+    scan_records(file, found)
     return file, found
 
 
@@ -36,7 +36,7 @@ def _changed(path: Path, topic: str, k: int, at: int, fitting: bool) -> None:
     names = {name: number for number, _, name, _, _ in definitions(file.content(found.chunks[0])).channels}
     for place in found.chunks:
         content = file.content(place)
-        for one in rows(content, place.end - place.data, frozenset([names[topic]])):
+        for one in iter_messages(content, place.end - place.data, frozenset([names[topic]])):
             hit = [i for i, sequence in enumerate(one.sequence().tolist()) if sequence == k]
             if hit:
                 bent = bytearray(content)
@@ -46,7 +46,7 @@ def _changed(path: Path, topic: str, k: int, at: int, fitting: bool) -> None:
     raise AssertionError("no such message")
 
 
-def _put(path: Path, found: Scan, place: ChunkPlace, bent: bytes, fitting: bool) -> None:
+def _put(path: Path, found: RecordScan, place: ChunkLocation, bent: bytes, fitting: bool) -> None:
     """The same chunk with other bytes, in a file that ends without its last checksum."""
     raw = path.read_bytes()
     packed = lz4.frame.compress(bent)

@@ -17,7 +17,7 @@ from handctl.core.gains.gains import Gains
 from handctl.core.types import TickIn, TickOut
 from handctl.errors import LogError
 from handctl.hand.load import load_hand
-from handctl.log.code import code_identity
+from handctl.log.code_identity import code_identity
 from handctl.log.read.reader import RunLog
 from handctl.programs.calibration import Calibration, TendonCalibration
 from handctl.programs.commission import CommissionProgram
@@ -26,7 +26,7 @@ from handctl.programs.program import Program
 from handctl.programs.requests import HoldTension, MoveDigits
 from handctl.replay import rebuild as rebuilding
 from handctl.replay.counterfactual import Commands, draw, summary
-from handctl.replay.execute import distance, execute, within_tolerance
+from handctl.replay.execute import execute, relative_error, within_tolerance
 from handctl.replay.rebuild import logged_gains, rebuild
 from handctl.replay.tick_difference import Columns, differences, equal_outputs, ulps
 
@@ -67,7 +67,7 @@ def test_one_bit_of_a_gain_is_found_at_the_first_tick_it_matters(fresh: Path) ->
     assert found.first is not None
     assert starts["tighten"] <= found.first.k < starts["preshape"]
     assert found.largest is not None
-    assert 0 < distance(found.largest) < 1e-9
+    assert 0 < relative_error(found.largest) < 1e-9
 
 
 def test_a_changed_byte_of_the_log_is_named(fresh: Path) -> None:

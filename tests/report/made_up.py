@@ -9,7 +9,7 @@ import numpy as np
 from handctl.core.types import TELEMETRY_AXES, Mode
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
-from handctl.log.read.moments import PhaseChange
+from handctl.log.read.timeline import PhaseChange
 from handctl.report.truth import TruthRecord
 
 PERIOD_NS = 10_000_000

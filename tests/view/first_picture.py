@@ -23,12 +23,12 @@ def main() -> None:
     from handctl.cli.logs import view  # noqa: F401 (what the verb imports counts)
     from handctl.log.read.reader import RunLog
     from handctl.view.browse import browse
-    from handctl.view.scene.subject import Subject
+    from handctl.view.scene.run_info import RunInfo
     from handctl.view.viewer import software_vulkan
 
     path, seen = Path(sys.argv[1]), threading.Event()
     with RunLog(path, checked=False) as log:
-        subject, found = Subject.of(log.header, path.stem), log.found
+        subject, found = RunInfo.of(log.header, path.stem), log.scan
     threading.Thread(target=_look, args=(seen,), daemon=True).start()
     with browse(path, subject, ["--headless", "--window-size", SIZE], software_vulkan(), found):
         seen.wait()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rerun.chunk import Chunk, RrdReader
 
 from handctl.log.read.reader import RunLog
-from handctl.view.scene.subject import Subject
+from handctl.view.scene.run_info import RunInfo
 
 
 class Entity(NamedTuple):
@@ -63,7 +63,7 @@ def of_file(path: Path) -> dict[str, Entity]:
     return entities(RrdReader(path).stream())
 
 
-def subject_of(path: Path) -> Subject:
+def subject_of(path: Path) -> RunInfo:
     """What a log shows."""
     with RunLog(path) as log:
-        return Subject.of(log.header, path.stem)
+        return RunInfo.of(log.header, path.stem)

@@ -12,16 +12,16 @@ import pytest
 
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
-from handctl.log.read.scan import scanned
+from handctl.log.read.record_scan import scan_path
 from handctl.log.record import FRAMING, pack
 from handctl.log.write.writer import LogWriter
 from handctl.view.browse import browse
 from handctl.view.feed import run_chunks
-from handctl.view.picture import connected, wait_loaded
+from handctl.view.picture import connect_client, wait_loaded
 from handctl.view.scene.arrow import TIMELINE
-from handctl.view.scene.subject import Subject
+from handctl.view.scene.run_info import RunInfo
+from handctl.view.time_slices import time_slices
 from handctl.view.viewer import viewer
-from handctl.view.windows import windows
 
 GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 pytestmark = pytest.mark.timeout(120)
@@ -29,9 +29,9 @@ pytestmark = pytest.mark.timeout(120)
 
 def test_the_parts_of_a_log_are_all_of_it(tmp_path: Path) -> None:
     with RunLog(GOLDEN) as log:
-        ticks, subject = len(log), Subject.of(log.header, "x")
+        ticks, subject = len(log), RunInfo.of(log.header, "x")
     sizes, since = [], []
-    for part, since_ns in windows(GOLDEN, scanned(GOLDEN), tmp_path, 1_000_000_000):
+    for part, since_ns in time_slices(GOLDEN, scan_path(GOLDEN), tmp_path, 1_000_000_000):
         with RunLog(part) as log:
             sizes.append(len(log))
             since.append(since_ns)
@@ -51,9 +51,9 @@ def test_a_viewer_gets_all_of_a_log(vulkan: dict[str, str], monkeypatch: pytest.
     for name, value in vulkan.items():
         monkeypatch.setenv(name, value)
     with RunLog(GOLDEN) as log:
-        subject, end_ns = Subject.of(log.header, "x"), int(log.t_ns[-1])
+        subject, end_ns = RunInfo.of(log.header, "x"), int(log.t_ns[-1])
     with browse(GOLDEN, subject, ["--headless", "--window-size", "800x600"], vulkan) as running:
-        client = connected(running)
+        client = connect_client(running)
         wait_loaded(client, TIMELINE, end_ns)
         state = client.get_state()
         (shown,) = state.recordings
@@ -88,12 +88,12 @@ def test_ten_minutes_have_a_picture_after_five_seconds_of_one_core(tmp_path: Pat
 
 
 def test_a_log_that_is_damaged_at_once_leaves_no_viewer_behind(tmp_path: Path, vulkan: dict[str, str]) -> None:
-    data, place = bytearray(GOLDEN.read_bytes()), scanned(GOLDEN).chunks[2]
+    data, place = bytearray(GOLDEN.read_bytes()), scan_path(GOLDEN).chunks[2]
     data[place.data + 40] ^= 0xFF
     broken = tmp_path / "broken.mcap"
     broken.write_bytes(data)
     with RunLog(broken, checked=False) as log:
-        subject, found = Subject.of(log.header, "x"), log.found
+        subject, found = RunInfo.of(log.header, "x"), log.scan
     with pytest.raises(LogError, match="damaged"), browse(broken, subject, ["--headless"], vulkan, found):
         raise AssertionError("it was shown")
     assert not any("--headless" in command(child) for child in psutil.Process().children())

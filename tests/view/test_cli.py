@@ -8,7 +8,7 @@ import pytest
 from handctl.cli.main import main
 from handctl.log.read.reader import RunLog
 from handctl.view import viewer
-from handctl.view.moment import moment
+from handctl.view.picture_time import picture_time
 
 
 def line(capsys: pytest.CaptureFixture[str]) -> str:
@@ -95,4 +95,4 @@ def test_without_a_screen_no_window_is_tried(
 
 def test_the_picture_is_taken_in_the_middle_of_the_hold_phase(jamia_path: Path) -> None:
     with RunLog(jamia_path) as log:
-        assert moment(log) == pytest.approx((0.40 + 0.75) / 2 * 3.0, abs=0.02)
+        assert picture_time(log) == pytest.approx((0.40 + 0.75) / 2 * 3.0, abs=0.02)

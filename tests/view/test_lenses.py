@@ -16,12 +16,12 @@ from handctl.hand.digit import DigitModel
 from handctl.hand.link_frames import link_transforms
 from handctl.log.read.logfile import LogFile
 from handctl.log.read.reader import RunLog
-from handctl.log.read.scan import Scan, scan
+from handctl.log.read.record_scan import RecordScan, scan_records
 from handctl.view import feed
 from handctl.view.scene import palette
-from handctl.view.scene.lenses import FORCE_SCALE
-from handctl.view.scene.load import SPAN_NS
-from handctl.view.scene.subject import Subject
+from handctl.view.scene.frame_load import SPAN_NS
+from handctl.view.scene.run_info import RunInfo
+from handctl.view.scene.topic_converters import FORCE_SCALE
 
 
 @pytest.fixture(scope="module")
@@ -148,7 +148,7 @@ def test_the_layout_is_saved_with_the_recording(rrd: Path, log_path: Path) -> No
 
 
 def test_windows_do_not_show(found: dict[str, Entity], log_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("handctl.view.windows.SPAN_NS", 333_000_000)
+    monkeypatch.setattr("handctl.view.time_slices.SPAN_NS", 333_000_000)
     again = entities(feed.run_chunks(log_path, subject_of(log_path), 333_000_000))
     assert again.keys() == found.keys() - {"/__properties"}
     for path in again.keys() - {"/tension/limit"}:
@@ -168,8 +168,8 @@ def test_a_log_that_ends_early_is_shown_up_to_there(share: float, jamia_path: Pa
 
 
 def test_a_cut_within_the_index_of_a_chunk_loses_nothing(jamia_path: Path, tmp_path: Path) -> None:
-    file, found = LogFile(jamia_path), Scan()
-    scan(file, found)
+    file, found = LogFile(jamia_path), RecordScan()
+    scan_records(file, found)
     file.close()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(jamia_path.read_bytes()[: found.chunks[5].end + 40])
@@ -184,6 +184,6 @@ def test_a_log_whose_hand_is_no_hand_or_another_is_refused(jamia_path: Path) -> 
     header = subject_of(jamia_path).header
     for text in ("[[", "schema = 1\n"):
         with pytest.raises(ConfigError, match=r"hand\.toml"):
-            Subject.of(replace(header, hand_toml=text), "run")
+            RunInfo.of(replace(header, hand_toml=text), "run")
     with pytest.raises(LogError, match="other names"):
-        Subject.of(replace(header, digits=("a", "b", "c", "d")), "run")
+        RunInfo.of(replace(header, digits=("a", "b", "c", "d")), "run")

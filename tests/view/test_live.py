@@ -12,8 +12,8 @@ import pytest
 
 from handctl.log.record import pack
 from handctl.log.write.recorder import Recorder
-from handctl.view.live import start_live
-from handctl.view.picture import reached
+from handctl.view.live_view import start_live
+from handctl.view.picture import timeline_end
 from handctl.view.scene.arrow import TIMELINE
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def url_of(follower: "subprocess.Popen[bytes]") -> str:
 
 def shown_until(client: "ViewerClient") -> int:
     """Last run time that has arrived [ns]."""
-    return reached(client.get_state(), TIMELINE)
+    return timeline_end(client.get_state(), TIMELINE)
 
 
 def wait_for(client: "ViewerClient", t_ns: int) -> int:
@@ -111,6 +111,6 @@ def test_sigterm_ends_the_wait_for_a_log(tmp_path: Path) -> None:
 
 
 def test_the_controllers_process_imports_nothing_of_the_viewer() -> None:
-    code = "import sys, handctl.view.live; print(sorted({'rerun', 'pyarrow', 'numpy'} & set(sys.modules)))"
+    code = "import sys, handctl.view.live_view; print(sorted({'rerun', 'pyarrow', 'numpy'} & set(sys.modules)))"
     ran = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert ran.stdout.strip() == "[]"

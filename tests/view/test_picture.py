@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from handctl.cli.main import main
-from handctl.view.picture import connected, view_reports, wait_loaded
+from handctl.view.picture import connect_client, view_reports, wait_loaded
 from handctl.view.scene import palette
 from handctl.view.viewer import Viewer, viewer
 
@@ -58,7 +58,7 @@ def test_the_dashboard_shows_the_hand_its_forces_and_its_lines(
 def bare(jamia_path: Path, vulkan: dict[str, str]) -> Iterator["tuple[Viewer, ViewerClient]"]:
     """A viewer that was given the log itself, as in ``rerun LOG``, without any layout of ours."""
     with viewer(["--headless", "--window-size", "1200x800", str(jamia_path)], vulkan) as running:
-        client = connected(running)
+        client = connect_client(running)
         wait_loaded(client, "message_log_time")
         yield running, client
 

@@ -10,7 +10,7 @@ from rrd_entities import entities, subject_of
 
 from handctl.errors import LogError
 from handctl.view.feed import log_chunks
-from handctl.view.scene.lenses import Lenses
+from handctl.view.scene.topic_converters import TopicConverters
 from handctl.view.tail import Tail
 
 
@@ -25,18 +25,18 @@ def grown(whole: bytes, seed: int) -> list[int]:
 def test_the_parts_together_are_the_whole(seed: int, jamia_path: Path, tmp_path: Path) -> None:
     whole, path, part = jamia_path.read_bytes(), tmp_path / "run.mcap", tmp_path / "part.mcap"
     subject = subject_of(jamia_path)
-    lenses, tail, chunks, times = Lenses(subject), Tail(path), list[Chunk](), 0
+    lenses, tail, chunks, times = TopicConverters(subject), Tail(path), list[Chunk](), 0
     for size in grown(whole, seed):
         path.write_bytes(whole[:size])
         assert not (tail.ended and size < 0.9 * len(whole))
-        since = tail.take(part)
+        since = tail.write_new(part)
         if since is not None:
             chunks += log_chunks(part, lenses, "part", since)
             times += 1
     assert tail.ended
-    assert tail.take(part) is None
+    assert tail.write_new(part) is None
     assert times > 4
-    shown, expected = entities(chunks), entities(log_chunks(jamia_path, Lenses(subject), "whole"))
+    shown, expected = entities(chunks), entities(log_chunks(jamia_path, TopicConverters(subject), "whole"))
     assert shown.keys() == expected.keys()
     for name in shown.keys() - {"/tension/limit"}:
         if name == "/tf_static":  # said once, and again in a part that begins at the same instant
@@ -52,7 +52,7 @@ def test_every_byte_of_growth_within_a_chunk_is_safe(jamia_path: Path, tmp_path:
     begin = len(whole) // 2
     for size in range(begin, begin + 60_000, 997):
         path.write_bytes(whole[:size])
-        taken += tail.take(part) is not None
+        taken += tail.write_new(part) is not None
     assert taken > 1
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS, TELEMETRY_FIRST
 from handctl.log.header import RunHeader
-from handctl.log.record import FIXED, FRAME_SIZE, SIZES, TickRecord, layout, unpack_tick
+from handctl.log.record import FIXED, FRAME_SIZE, SIZES, TickRecord, message_layout, unpack_tick
 
 FRAME_DTYPE = np.dtype(
     [("t_ns", "<i8"), ("can_id", "<u4"), ("flags", "<u2"), ("bus", "u1"), ("length", "u1"), ("data", "u1", (8,))]
@@ -23,11 +23,11 @@ FIXED_DTYPE = np.dtype(
     }
 )
 """Layout of the constant part of a Tick message. The hash is opaque bytes (V8)."""
-_QUIET_LIMIT = 256
+_MAX_CACHED_TAILS = 256
 """Maximum number of cached message tails. A log without events has one tail per phase."""
 
 
-class Frames(NamedTuple):
+class FrameBatch(NamedTuple):
     """Frames of many ticks, in order.
 
     Attributes:
@@ -52,7 +52,7 @@ class Batch(NamedTuple):
         phases: grasp phase of each tick.
         numbers: (n, columns) telemetry in the order of Telemetry.packed.
         received, sent: the frames.
-        notable: index -> decoded record of each tick with events, requests or io events.
+        ticks_with_events: index -> decoded record of each tick with events, requests or io events.
     """
 
     messages: list[bytes]
@@ -63,12 +63,12 @@ class Batch(NamedTuple):
     action: NDArray[np.uint8]
     phases: list[str]
     numbers: NDArray[np.float64]
-    received: Frames
-    sent: Frames
-    notable: dict[int, TickRecord]
+    received: FrameBatch
+    sent: FrameBatch
+    ticks_with_events: dict[int, TickRecord]
 
 
-def layout_of(header: RunHeader, width: int) -> tuple[str, ...]:
+def row_fields(header: RunHeader, width: int) -> tuple[str, ...]:
     """Return the fields of a telemetry row with `width` columns.
 
     Logs of earlier versions lack the last fields.
@@ -78,10 +78,10 @@ def layout_of(header: RunHeader, width: int) -> tuple[str, ...]:
         width: columns of a row.
     """
     earlier = TELEMETRY_FIELDS[:TELEMETRY_FIRST]
-    return earlier if width == columns_of(header, earlier) else TELEMETRY_FIELDS
+    return earlier if width == column_count(header, earlier) else TELEMETRY_FIELDS
 
 
-def columns_of(header: RunHeader, fields: tuple[str, ...]) -> int:
+def column_count(header: RunHeader, fields: tuple[str, ...]) -> int:
     """Return the number of columns of the given fields."""
     return sum(len(header.axis(TELEMETRY_AXES[name])) for name in fields)
 
@@ -93,17 +93,17 @@ def columns(header: RunHeader, fields: tuple[str, ...] = TELEMETRY_FIELDS) -> di
         header: header of the run.
         fields: fields of the row, in order.
     """
-    places = {}
-    at = 0
+    slices = {}
+    start = 0
     for name in fields:
         size = len(header.axis(TELEMETRY_AXES[name]))
-        places[name] = slice(at, at + size)
-        at += size
-    return places
+        slices[name] = slice(start, start + size)
+        start += size
+    return slices
 
 
 @dataclass(slots=True)
-class _Direction:
+class _FrameCollector:
     """Frames of one direction, collected tick by tick.
 
     Attributes:
@@ -116,10 +116,10 @@ class _Direction:
     counts: list[int] = field(default_factory=list)
     long_parts: list[bytes] = field(default_factory=list)
 
-    def frames(self) -> Frames:
+    def frames(self) -> FrameBatch:
         """Return the collected frames."""
         tick = np.repeat(np.arange(len(self.counts)), self.counts)
-        return Frames(np.frombuffer(b"".join(self.parts), FRAME_DTYPE), tick, b"".join(self.long_parts))
+        return FrameBatch(np.frombuffer(b"".join(self.parts), FRAME_DTYPE), tick, b"".join(self.long_parts))
 
 
 class Batcher:
@@ -138,7 +138,7 @@ class Batcher:
         """
         self._sizes = tuple(len(header.axis(name)) for name in ("joint", "tendon", "motor", "digit"))
         self._width = sum(len(header.axis(axis)) for axis in TELEMETRY_AXES.values())
-        self._quiet: dict[bytes, str] = {}
+        self._phase_of_tail: dict[bytes, str] = {}
         self.misshapen = 0
         self._clear()
 
@@ -146,9 +146,9 @@ class Batcher:
         self._messages: list[bytes] = []
         self._numbers: list[bytes] = []
         self._phases: list[str] = []
-        self._notable: dict[int, TickRecord] = {}
-        self._received = _Direction()
-        self._sent = _Direction()
+        self._ticks_with_events: dict[int, TickRecord] = {}
+        self._received = _FrameCollector()
+        self._sent = _FrameCollector()
         self.size = 0
 
     def __len__(self) -> int:
@@ -177,13 +177,13 @@ class Batcher:
 
     def _add_frames(self, message: bytes) -> None:
         """Append the frames of a Tick message to both directions, then its events."""
-        places = layout(message)
-        for direction, place in ((self._received, places.received), (self._sent, places.sent)):
-            direction.parts.append(message[place])
-            direction.counts.append((place.stop - place.start) // FRAME_SIZE)
-        if places.long_data.stop > places.long_data.start:
-            self._add_long(message[places.long_data])
-        self._add_tail(message, places.tail)
+        parts = message_layout(message)
+        for direction, part in ((self._received, parts.received), (self._sent, parts.sent)):
+            direction.parts.append(message[part])
+            direction.counts.append((part.stop - part.start) // FRAME_SIZE)
+        if parts.long_data.stop > parts.long_data.start:
+            self._add_long(message[parts.long_data])
+        self._add_tail(message, parts.tail)
 
     def _add_long(self, data: bytes) -> None:
         """Split the bytes beyond the eighth into those of received and of sent frames."""
@@ -203,14 +203,14 @@ class Batcher:
         # Nearly all ticks have no event, and their tails (phase, empty lists) are equal. The cache avoids
         # decoding CDR text for each of them.
         tail = message[at:]
-        phase = self._quiet.get(tail)
+        phase = self._phase_of_tail.get(tail)
         if phase is None:
             tick = unpack_tick(message)
             phase = tick.phase
             if tick.events or tick.tick_in.requests or tick.tick_in.io_events:
-                self._notable[len(self._messages)] = tick
-            elif len(self._quiet) < _QUIET_LIMIT:
-                self._quiet[tail] = phase
+                self._ticks_with_events[len(self._messages)] = tick
+            elif len(self._phase_of_tail) < _MAX_CACHED_TAILS:
+                self._phase_of_tail[tail] = phase
         self._phases.append(phase)
 
     def take(self) -> Batch:
@@ -220,7 +220,7 @@ class Batcher:
         numbers = np.frombuffer(b"".join(self._numbers), "<f8").reshape(len(fixed), self._width)
         batch = Batch(
             self._messages, fixed["k"], fixed["t_ns"], fixed["late_ns"], fixed["mode"], fixed["action"], self._phases,
-            numbers, self._received.frames(), self._sent.frames(), self._notable,
+            numbers, self._received.frames(), self._sent.frames(), self._ticks_with_events,
         )  # fmt: skip
         self._clear()
         return batch

@@ -38,7 +38,7 @@ from mcap.records import (
 )
 from numpy.typing import NDArray
 
-from handctl.log.chunk_places import ChunkAt, ChunkPlaces
+from handctl.log.chunk_table import ChunkEntry, ChunkTable
 
 MAGIC = b"\x89MCAP0\r\n"
 MESSAGE = struct.Struct("<BQHIQQ")
@@ -52,7 +52,7 @@ _INDEX = struct.Struct("<BQHI")
 _INDEX_ENTRY = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
 
 
-class Run(NamedTuple):
+class MessageBlock(NamedTuple):
     """Consecutive Message records of one channel.
 
     Attributes:
@@ -82,7 +82,7 @@ class _Summary:
 
     schemas: list[McapRecord] = field(default_factory=list)
     channels: list[McapRecord] = field(default_factory=list)
-    chunks: ChunkPlaces = field(default_factory=ChunkPlaces)
+    chunks: ChunkTable = field(default_factory=ChunkTable)
     attachments: list[McapRecord] = field(default_factory=list)
     metadata: list[McapRecord] = field(default_factory=list)
     counts: Counter[int] = field(default_factory=Counter)
@@ -159,23 +159,25 @@ class Container:
         raw = serialised([Metadata(name=name, metadata=values)])
         self._summary.metadata.append(MetadataIndex(offset=self._put(raw), length=len(raw), name=name))
 
-    def chunk(self, runs: Sequence[Run], schemas: Sequence[Schema] = (), channels: Sequence[Channel] = ()) -> None:
+    def chunk(
+        self, blocks: Sequence[MessageBlock], schemas: Sequence[Schema] = (), channels: Sequence[Channel] = ()
+    ) -> None:
         """Write one compressed chunk with its message indexes. New schemas and channels come first in the chunk."""
         head = serialised([*schemas, *channels])
-        content = b"".join([head, *(run.data for run in runs)])
+        content = b"".join([head, *(block.data for block in blocks)])
         packed = lz4.frame.compress(content)
-        first = min((int(run.log_times.min()) for run in runs), default=0)
-        last = max((int(run.log_times.max()) for run in runs), default=0)
+        first = min((int(block.log_times.min()) for block in blocks), default=0)
+        last = max((int(block.log_times.max()) for block in blocks), default=0)
         fields = _CHUNK.pack(first, last, len(content), zlib.crc32(content), 3, b"lz4", len(packed))
         chunk = _RECORD.pack(Opcode.CHUNK, len(fields) + len(packed)) + fields + packed
-        indexes, places = _indexes(runs, len(head))
+        indexes, index_offsets = _indexes(blocks, len(head))
         start = self._put(chunk + indexes)
-        at = ChunkAt(start, len(chunk), len(packed), len(content), first, last, len(indexes))
-        self._summary.chunks.add(at, places)
+        at = ChunkEntry(start, len(chunk), len(packed), len(content), first, last, len(indexes))
+        self._summary.chunks.add(at, index_offsets)
         self._summary.schemas += schemas
         self._summary.channels += channels
-        for run in runs:
-            self._summary.counts[run.channel] += len(run.log_times)
+        for block in blocks:
+            self._summary.counts[block.channel] += len(block.log_times)
         self._summary.first = min(first, self._summary.first)
         self._summary.last = max(last, self._summary.last)
 
@@ -190,17 +192,17 @@ class Container:
 
     def _statistics(self) -> Statistics:
         """Return the Statistics record."""
-        one = self._summary
+        summary = self._summary
         return Statistics(
-            attachment_count=len(one.attachments),
-            channel_count=len(one.channels),
-            channel_message_counts=dict(sorted(one.counts.items())),
-            chunk_count=len(one.chunks),
+            attachment_count=len(summary.attachments),
+            channel_count=len(summary.channels),
+            channel_message_counts=dict(sorted(summary.counts.items())),
+            chunk_count=len(summary.chunks),
             message_count=self.messages,
-            message_end_time=one.last,
-            message_start_time=one.first if one.counts else 0,
-            metadata_count=len(one.metadata),
-            schema_count=len(one.schemas),
+            message_end_time=summary.last,
+            message_start_time=summary.first if summary.counts else 0,
+            metadata_count=len(summary.metadata),
+            schema_count=len(summary.schemas),
         )
 
     def _summary_section(self, start: int) -> tuple[bytes, int]:
@@ -209,16 +211,16 @@ class Container:
         Args:
             start: offset of the section in the file [bytes].
         """
-        one = self._summary
+        summary = self._summary
         body = b""
         offsets: list[McapRecord] = []
         groups: list[tuple[Opcode, Iterable[McapRecord]]] = [
-            (Opcode.SCHEMA, one.schemas),
-            (Opcode.CHANNEL, one.channels),
+            (Opcode.SCHEMA, summary.schemas),
+            (Opcode.CHANNEL, summary.channels),
             (Opcode.STATISTICS, [self._statistics()]),
-            (Opcode.CHUNK_INDEX, one.chunks.indexes()),
-            (Opcode.ATTACHMENT_INDEX, one.attachments),
-            (Opcode.METADATA_INDEX, one.metadata),
+            (Opcode.CHUNK_INDEX, summary.chunks.indexes()),
+            (Opcode.ATTACHMENT_INDEX, summary.attachments),
+            (Opcode.METADATA_INDEX, summary.metadata),
         ]
         for code, group in groups:
             raw = serialised(group)
@@ -228,26 +230,26 @@ class Container:
         return body + serialised(offsets), start + len(body)
 
 
-def _indexes(runs: Sequence[Run], base: int) -> tuple[bytes, dict[int, int]]:
+def _indexes(blocks: Sequence[MessageBlock], base: int) -> tuple[bytes, dict[int, int]]:
     """Return the message indexes behind a chunk, and the offset of each channel's index within them.
 
     Args:
-        runs: the messages of the chunk.
+        blocks: the messages of the chunk.
         base: start of the first message in the uncompressed chunk [bytes].
     """
     entries: dict[int, list[NDArray[np.void]]] = {}
-    for run in runs:
-        part = np.empty(len(run.offsets), _INDEX_ENTRY)
-        part["log_time"] = run.log_times
-        part["offset"] = run.offsets + np.uint64(base)
-        entries.setdefault(run.channel, []).append(part)
-        base += len(run.data)
+    for block in blocks:
+        part = np.empty(len(block.offsets), _INDEX_ENTRY)
+        part["log_time"] = block.log_times
+        part["offset"] = block.offsets + np.uint64(base)
+        entries.setdefault(block.channel, []).append(part)
+        base += len(block.data)
     out = []
-    places = {}
+    offsets = {}
     at = 0
     for channel, parts in entries.items():
         raw = b"".join(part.tobytes() for part in parts)
-        places[channel] = at
+        offsets[channel] = at
         out.append(_INDEX.pack(Opcode.MESSAGE_INDEX, 6 + len(raw), channel, len(raw)) + raw)
         at += len(out[-1])
-    return b"".join(out), places
+    return b"".join(out), offsets

@@ -63,7 +63,7 @@ class RunHeader:
         """
         hand = tomllib.loads(hand_toml)
         joints = tuple(f"{d['name']}_j{i + 1}" for d in hand["digit"] for i in range(len(d["link_length_m"])))
-        names = {part: tuple(one["name"] for one in hand[part]) for part in ("tendon", "motor", "digit", "bus")}
+        names = {part: tuple(item["name"] for item in hand[part]) for part in ("tendon", "motor", "digit", "bus")}
         return cls(
             hand_toml,
             joints,
@@ -94,12 +94,12 @@ class RunHeader:
             KeyError: a value is missing.
         """
         run = {name: json.loads(text) for name, text in record.items()}
-        names = {part: _names(part, run[part]) for part in NAMES}
+        names = {part: _checked_names(part, run[part]) for part in NAMES}
         return cls(
             attachments.get("hand.toml", b"").decode(),
             **names,
-            period_ns=_whole("period_ns", run["period_ns"], *PERIODS_NS),
-            offset_ns=_whole("offset_ns", run["offset_ns"], 0, LATEST_NS),
+            period_ns=_checked_integer("period_ns", run["period_ns"], *PERIODS_NS),
+            offset_ns=_checked_integer("offset_ns", run["offset_ns"], 0, LATEST_NS),
             metadata=metadata.get("handctl", {}),
             gains=metadata.get("handctl.gains", {}),
             attachments=attachments,
@@ -126,26 +126,26 @@ class RunHeader:
     def dump(self) -> bytes:
         """Encode the header for the pipe: one line of JSON, then the attachments in order."""
         sizes = {name: len(data) for name, data in self.attachments.items()}
-        plain = asdict(self) | {"attachments": sizes}
+        fields = asdict(self) | {"attachments": sizes}
         for table in ("metadata", "gains", "wall"):
-            plain[table] = {encodable(name): encodable(text) for name, text in plain[table].items()}
-        return json.dumps(plain).encode() + b"\n" + b"".join(self.attachments.values())
+            fields[table] = {encodable(name): encodable(text) for name, text in fields[table].items()}
+        return json.dumps(fields).encode() + b"\n" + b"".join(self.attachments.values())
 
     @classmethod
     def load(cls, data: bytes) -> Self:
         """Decode a header, the inverse of `dump`."""
         line, _, rest = data.partition(b"\n")
-        plain = json.loads(line)
+        fields = json.loads(line)
         attachments = {}
         at = 0
-        for name, size in plain["attachments"].items():
+        for name, size in fields["attachments"].items():
             attachments[name] = rest[at : at + size]
             at += size
-        names = {part: tuple(plain[part]) for part in NAMES}
-        return cls(**(plain | names | {"attachments": attachments}))
+        names = {part: tuple(fields[part]) for part in NAMES}
+        return cls(**(fields | names | {"attachments": attachments}))
 
 
-def _whole(key: str, value: Any, low: int, high: int) -> int:
+def _checked_integer(key: str, value: Any, low: int, high: int) -> int:
     """Return a whole number of a log's header after a check.
 
     Raises:
@@ -153,27 +153,27 @@ def _whole(key: str, value: Any, low: int, high: int) -> int:
     """
     # `isinstance` would accept True, which JSON distinguishes from 1.
     if type(value) is not int or not low <= value <= high:
-        raise ValueError(f"{key} is {_brief(value)}, not a whole number from {low} to {high}")
+        raise ValueError(f"{key} is {_brief_text(value)}, not a whole number from {low} to {high}")
     return value
 
 
-def _names(key: str, value: Any) -> tuple[str, ...]:
+def _checked_names(key: str, value: Any) -> tuple[str, ...]:
     """Return a list of names of a log's header after a check: valid in a hand file, and distinct.
 
     Raises:
         ValueError: the value is not such a list.
     """
     if not isinstance(value, list) or len(value) > MAX_NAMES:
-        raise ValueError(f"{key} is {_brief(value)}, not a list of at most {MAX_NAMES} names")
+        raise ValueError(f"{key} is {_brief_text(value)}, not a list of at most {MAX_NAMES} names")
     for name in value:
         if not isinstance(name, str) or not NAME_PATTERN.fullmatch(name):
-            raise ValueError(f"{key} contains {_brief(name)}, not a name of letters, digits and _")
+            raise ValueError(f"{key} contains {_brief_text(name)}, not a name of letters, digits and _")
     if len(set(value)) < len(value):
         raise ValueError(f"{key} contains a name twice")
     return tuple(value)
 
 
-def _brief(value: Any) -> str:
+def _brief_text(value: Any) -> str:
     """Format a header value for a message, at most 40 characters."""
     text = json.dumps(value)
     return text if len(text) <= 40 else text[:37] + "..."

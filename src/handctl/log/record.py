@@ -74,7 +74,7 @@ _LONGEST = 64
 """Data bytes of the longest CAN FD frame."""
 _MASKS = np.array([(1 << 8 * length) - 1 for length in range(_SHORT_DATA + 1)], np.uint64)
 """Bits of the data word within a payload of each length, 0 to 8 bytes."""
-_BEYOND = np.arange(_SHORT_DATA, _LONGEST)
+_LONG_INDEX = np.arange(_SHORT_DATA, _LONGEST)
 """Indexes of the data bytes beyond the eighth."""
 _FRAMES_AT = FIXED.size + 4
 """Offset of the received frames in a message [bytes]."""
@@ -83,11 +83,11 @@ _Fixed = tuple[int, int, int, bytes, int, int, int]
 _MODES = {mode.value: mode for mode in Mode}
 _ACTIONS = {action.value: action for action in Action}
 """Enumeration members by value. A dictionary is four times as fast as a call of the enumeration."""
-make = tuple.__new__
+new_tuple = tuple.__new__
 """Creates a named tuple without its constructor, for speed."""
 _COUNT = struct.Struct("<I")
 _NO_LONG_DATA = _COUNT.pack(0)
-_OF_EACH_AXIS = "q", "tension", "motor_torque", "contact"
+_FIELD_OF_EACH_AXIS = "q", "tension", "motor_torque", "contact"
 """One telemetry field of each axis: joint, tendon, motor, digit."""
 
 
@@ -109,23 +109,23 @@ class TickRecord(NamedTuple):
     state_hash: bytes
 
 
-def framed(kind: int, body: bytes) -> bytes:
+def record_bytes(kind: int, body: bytes) -> bytes:
     """Return a record of the given kind."""
     return FRAMING.pack(len(body), kind) + body
 
 
-def _beyond(records: Records) -> NDArray[np.bool_]:
+def _long_mask(records: Records) -> NDArray[np.bool_]:
     """Return (n, 56) whether each byte beyond the eighth belongs to the payload."""
-    return np.asarray(records["length"][:, np.newaxis] > _BEYOND)
+    return np.asarray(records["length"][:, np.newaxis] > _LONG_INDEX)
 
 
 def _long_data(records: Records) -> bytes:
     """Return the bytes beyond the eighth of all payloads."""
-    return bytes(records["data"][:, _SHORT_DATA:][_beyond(records)].tobytes())
+    return bytes(records["data"][:, _SHORT_DATA:][_long_mask(records)].tobytes())
 
 
 @functools.lru_cache(maxsize=64)
-def _quiet_tail(phase: str) -> bytes:
+def _tail_without_events(phase: str) -> bytes:
     """Return the end of a message without events: the phase and three empty sequences.
 
     These bytes are equal at every offset divisible by four, therefore they are cached.
@@ -185,7 +185,7 @@ def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
     if tick_in.io_events or tick_in.requests or out.events:
         parts.append(_tail(sum(map(len, parts)) - 4, out.phase, tick_in, out.events))
     else:
-        parts.append(_quiet_tail(out.phase))
+        parts.append(_tail_without_events(out.phase))
     return b"".join(parts)
 
 
@@ -199,17 +199,17 @@ def pack(tick_in: TickIn, out: TickOut) -> bytes:
 
 def pack_snapshot(tick_in: TickIn, data: bytes) -> bytes:
     """Encode the state after a tick as a record for the pipe."""
-    return framed(SNAPSHOT, SNAPSHOT_HEAD.pack(tick_in.k, tick_in.t_ns) + data)
+    return record_bytes(SNAPSHOT, SNAPSHOT_HEAD.pack(tick_in.k, tick_in.t_ns) + data)
 
 
 def _axes(numbers: Telemetry | PackedTelemetry) -> list[int]:
     """Return the numbers of joints, tendons, motors and digits."""
     if isinstance(numbers, PackedTelemetry):
-        return [place.stop - place.start for place in map(numbers.places.__getitem__, _OF_EACH_AXIS)]
-    return [len(getattr(numbers, name)) for name in _OF_EACH_AXIS]
+        return [columns.stop - columns.start for columns in map(numbers.places.__getitem__, _FIELD_OF_EACH_AXIS)]
+    return [len(getattr(numbers, name)) for name in _FIELD_OF_EACH_AXIS]
 
 
-class Layout(NamedTuple):
+class MessageLayout(NamedTuple):
     """Positions of the parts of a Tick message.
 
     Attributes:
@@ -224,7 +224,7 @@ class Layout(NamedTuple):
     tail: int
 
 
-def layout(message: bytes) -> Layout:
+def message_layout(message: bytes) -> MessageLayout:
     """Find the parts of a Tick message without decoding them.
 
     Raises:
@@ -240,10 +240,10 @@ def layout(message: bytes) -> Layout:
     (size,) = _COUNT.unpack_from(message, sent_end)
     long_data = slice(sent_end + 4, sent_end + 4 + size)
     # The long bytes end anywhere. The text behind them is aligned to 4.
-    return Layout(slice(start, end), slice(sent_start, sent_end), long_data, long_data.stop + -size % 4)
+    return MessageLayout(slice(start, end), slice(sent_start, sent_end), long_data, long_data.stop + -size % 4)
 
 
-def _whole_frames(beginnings: bytes, long_data: bytes) -> tuple[Frames, bytes]:
+def _decode_frames(beginnings: bytes, long_data: bytes) -> tuple[Frames, bytes]:
     """Return the decoded frames and the rest of the bytes beyond the eighth.
 
     Args:
@@ -263,28 +263,28 @@ def _whole_frames(beginnings: bytes, long_data: bytes) -> tuple[Frames, bytes]:
     if longest > _LONGEST:
         raise ValueError(f"payload of {longest} bytes, expected at most {_LONGEST}")
     if lengths.count(_SHORT_DATA) < count:
-        _cut_payloads(records)
+        _zero_unused_bytes(records)
     if longest > _SHORT_DATA:
-        beyond = _beyond(records)
-        size = int(beyond.sum())
+        long_mask = _long_mask(records)
+        size = int(long_mask.sum())
         if size > len(long_data):
             raise ValueError("less data than frames")
-        records["data"][:, _SHORT_DATA:][beyond] = np.frombuffer(long_data[:size], np.uint8)
+        records["data"][:, _SHORT_DATA:][long_mask] = np.frombuffer(long_data[:size], np.uint8)
         long_data = long_data[size:]
     return Frames(records), long_data
 
 
-def _cut_payloads(records: Records) -> None:
+def _zero_unused_bytes(records: Records) -> None:
     """Set the unused bytes of short payloads to zero, because a bad file may hold any bytes there."""
     words = records.getfield(_DATA_WORD, _DATA_AT)
     words &= _MASKS[np.minimum(records["length"], _SHORT_DATA)]
 
 
 @functools.lru_cache(maxsize=256)
-def _quiet_phase(tail: bytes) -> str | None:
+def _phase_without_events(tail: bytes) -> str | None:
     """Return the phase if the end of a message has no events, else None."""
     phase = CdrReader(ENCAPSULATION + tail).text()
-    return phase if _quiet_tail(phase) == tail else None
+    return phase if _tail_without_events(phase) == tail else None
 
 
 def unpack_tick(message: bytes) -> TickRecord:
@@ -296,12 +296,12 @@ def unpack_tick(message: bytes) -> TickRecord:
     if message[:4] != ENCAPSULATION:
         raise ValueError("not little-endian CDR")
     try:
-        places = layout(message)
-        frames_in, rest = _whole_frames(message[places.received], message[places.long_data])
-        frames_out, rest = _whole_frames(message[places.sent], rest)
+        parts = message_layout(message)
+        frames_in, rest = _decode_frames(message[parts.received], message[parts.long_data])
+        frames_out, rest = _decode_frames(message[parts.sent], rest)
         if rest:
             raise ValueError("more data than frames")
-        return _tick(FIXED.unpack_from(message, 4), frames_in, frames_out, message, places.tail)
+        return _tick(FIXED.unpack_from(message, 4), frames_in, frames_out, message, parts.tail)
     except struct.error as error:
         raise ValueError(f"the message ends early: {error}") from None
 
@@ -316,9 +316,9 @@ def _tick(fixed: _Fixed, received: Frames, sent: Frames, message: bytes, tail: i
         message: the whole message.
         tail: start of the phase.
     """
-    phase = _quiet_phase(message[tail:])
+    phase = _phase_without_events(message[tail:])
     if phase is not None:
-        return _quiet_tick(fixed, received, sent, phase)
+        return _tick_without_events(fixed, received, sent, phase)
     k, t_ns, late_ns, state_hash, mode, action, _ = fixed
     reader = CdrReader(message)
     reader.take(tail - 4)
@@ -330,13 +330,13 @@ def _tick(fixed: _Fixed, received: Frames, sent: Frames, message: bytes, tail: i
     return TickRecord(tick_in, sent, Mode(mode), phase, Action(action), events, state_hash)
 
 
-def _quiet_tick(fixed: _Fixed, received: Frames, sent: Frames, phase: str) -> TickRecord:
+def _tick_without_events(fixed: _Fixed, received: Frames, sent: Frames, phase: str) -> TickRecord:
     """Create a tick without io events, requests and events."""
     k, t_ns, late_ns, state_hash, mode, action, _ = fixed
-    tick_in = make(TickIn, (k, t_ns, late_ns, received, (), ()))
-    known_mode = _MODES.get(mode) or Mode(mode)
-    known_action = _ACTIONS.get(action) or Action(action)
-    return make(TickRecord, (tick_in, sent, known_mode, phase, known_action, (), state_hash))
+    tick_in = new_tuple(TickIn, (k, t_ns, late_ns, received, (), ()))
+    mode_member = _MODES.get(mode) or Mode(mode)
+    action_member = _ACTIONS.get(action) or Action(action)
+    return new_tuple(TickRecord, (tick_in, sent, mode_member, phase, action_member, (), state_hash))
 
 
 def unpack_ticks(messages: list[bytes]) -> list[TickRecord]:
@@ -364,8 +364,8 @@ def _unpack_short(messages: list[bytes]) -> list[TickRecord] | None:
         if message[:4] != ENCAPSULATION:
             return None
         try:
-            one = FIXED.unpack_from(message, 4)
-            sent_count = _FRAMES_AT + FRAME_SIZE * one[6]
+            constant_part = FIXED.unpack_from(message, 4)
+            sent_count = _FRAMES_AT + FRAME_SIZE * constant_part[6]
             (sent,) = _COUNT.unpack_from(message, sent_count)
         except struct.error:
             return None
@@ -375,14 +375,14 @@ def _unpack_short(messages: list[bytes]) -> list[TickRecord] | None:
             return None
         # The frames of all messages are joined and decoded in one call, then divided again at `ends`.
         parts += message[_FRAMES_AT:sent_count], message[start:long_count]
-        ends += end + one[6], end + one[6] + sent
+        ends += end + constant_part[6], end + constant_part[6] + sent
         end = ends[-1]
-        fixed.append(one)
+        fixed.append(constant_part)
         tails.append(long_count + 4)
     beginnings = b"".join(parts)
     if max(beginnings[_LENGTH_AT::FRAME_SIZE], default=0) > _SHORT_DATA:
         return None
-    records = _whole_frames(beginnings, b"")[0].records
+    records = _decode_frames(beginnings, b"")[0].records
     frames = [Frames(records[first:last]) for first, last in pairwise(ends)]
     return list(map(_tick, fixed, frames[::2], frames[1::2], messages, tails))
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from handctl.log.read.reader import RunLog
-from handctl.log.topics.chain import link, seed_of
+from handctl.log.topics.chain import seed_of, tick_hash
 from handctl.replay.rebuild import logged_hand
 
 
@@ -83,7 +83,7 @@ def _chain(log: RunLog) -> Iterator[str]:
     broken = list[int]()
     ticks = zip(log.k.tolist(), log.messages(), log.packed(), log.digests(), strict=False)
     for k, message, numbers, digest in ticks:
-        if link(before, message, numbers) != digest:
+        if tick_hash(before, message, numbers) != digest:
             broken.append(k)
         # The logged hash continues the chain, so that one changed tick is reported once.
         before = digest

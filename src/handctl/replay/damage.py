@@ -5,13 +5,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 from handctl.errors import LogError
-from handctl.log.read.logfile import ChunkPlace, LogFile, Reading
-from handctl.log.read.messages_in import definitions, rows
+from handctl.log.read.chunk_reader import definitions, iter_messages
+from handctl.log.read.logfile import ChunkLocation, LogFile, Reading
 from handctl.log.read.reader import VALUES_END, VALUES_START
-from handctl.log.read.recover import scan_all
-from handctl.log.read.scan import Scan
-from handctl.log.topics.all import TICK_TOPIC, VALUES_TOPIC
-from handctl.log.topics.chain import SIZE, TOPIC, link
+from handctl.log.read.record_scan import RecordScan
+from handctl.log.read.recover import scan_damaged
+from handctl.log.topics.chain import SIZE, TOPIC, tick_hash
+from handctl.log.topics.topic_set import TICK_TOPIC, VALUES_TOPIC
 
 NO_CHANNEL = -1
 """Channel of a topic missing from the log, for example in a version without the hash chain."""
@@ -37,21 +37,21 @@ def first_damage(path: Path) -> str:
         LogError: the file is not a log.
     """
     file = LogFile(path)
-    scan = Scan()
+    scan = RecordScan()
     try:
-        scan_all(file, scan)
+        scan_damaged(file, scan)
         channels: tuple[int, ...] = ()
         before = b""
-        for place in scan.chunks:
-            content, defect = _content(file, place)
+        for chunk in scan.chunks:
+            content, defect = _content(file, chunk)
             try:
-                with Reading(file.at(place.offset)):
+                with Reading(file.at(chunk.offset)):
                     channels = channels or _channels(content)
-                    ticks = list(_ticks(content, place, channels))
+                    ticks = list(_ticks(content, chunk, channels))
             except LogError as error:
                 return f"{error}; its chunk begins {_after(before)}"
             for tick in ticks:
-                if before and tick.digest and link(before[-SIZE:], tick.message, tick.numbers) != tick.digest:
+                if before and tick.digest and tick_hash(before[-SIZE:], tick.message, tick.numbers) != tick.digest:
                     return f"tick {tick.k} is not what was written" + (f": {defect}" if defect else "")
                 before = tick.k.to_bytes(8, "little") + tick.digest
             if defect:
@@ -61,14 +61,14 @@ def first_damage(path: Path) -> str:
         file.close()
 
 
-def _content(file: LogFile, place: ChunkPlace) -> tuple[bytes, str]:
+def _content(file: LogFile, chunk: ChunkLocation) -> tuple[bytes, str]:
     """Return a chunk as far as it can be decompressed, and its defect."""
     try:
-        return file.content(place), ""
+        return file.content(chunk), ""
     except LogError as error:
         defect = str(error)
     try:
-        return file.content(place, checked=False), defect
+        return file.content(chunk, checked=False), defect
     except LogError:
         return b"", defect
 
@@ -79,7 +79,7 @@ def _channels(content: bytes) -> tuple[int, ...]:
     return tuple(channels.get(topic, NO_CHANNEL) for topic in (TICK_TOPIC, VALUES_TOPIC, TOPIC))
 
 
-def _ticks(content: bytes, place: ChunkPlace, channels: tuple[int, ...]) -> Iterator[_Tick]:
+def _ticks(content: bytes, chunk: ChunkLocation, channels: tuple[int, ...]) -> Iterator[_Tick]:
     """Yield the ticks of a chunk.
 
     Raises:
@@ -88,7 +88,7 @@ def _ticks(content: bytes, place: ChunkPlace, channels: tuple[int, ...]) -> Iter
     if not content:
         raise ValueError("a chunk that cannot be unpacked")
     parts: dict[int, list[bytes]] = {channel: [] for channel in channels}
-    for rows_of_channel in rows(content, place.end - place.data, frozenset(channels)):
+    for rows_of_channel in iter_messages(content, chunk.end - chunk.data, frozenset(channels)):
         parts[rows_of_channel.channel] += [row.tobytes() for row in rows_of_channel.data()]
     messages, values_of, digests = (parts[channel] for channel in channels)
     if channels[2] == NO_CHANNEL:

@@ -4,8 +4,8 @@ from typing import Any, NamedTuple
 
 from handctl.core.types import Mode
 from handctl.errors import IncomparableError
-from handctl.log.read.moments import check_order
 from handctl.log.read.reader import RunLog
+from handctl.log.read.timeline import check_order
 from handctl.replay.compare import check_same_hand, compare_runs
 
 PASSIVE_PHASES = frozenset(mode.name.lower() for mode in Mode if mode != Mode.RELAX)

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from handctl.core.types import Mode
 from handctl.errors import LogError
-from handctl.log.read.moments import check_order
 from handctl.log.read.reader import RunLog
+from handctl.log.read.timeline import check_order
 from handctl.programs.playback import PlaybackProgram, Recording
 from handctl.replay.compare import compare_runs
 

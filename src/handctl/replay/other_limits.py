@@ -144,7 +144,7 @@ def _judge(log: RunLog, controller: Controller, limits: Limits, progress: Callab
             state, out = controller.tick(state, entry)
         except ValueError as error:
             raise refusal_error(error, entry.k) from None
-        own_faults = {_fault(event) + event.where for event in out.events if event.name == "fault"}
+        logged_faults = {_fault(event) + event.where for event in out.events if event.name == "fault"}
         ticks += 1
         if progress and ticks % PROGRESS_TICKS == 0:
             progress(ticks)
@@ -156,7 +156,7 @@ def _judge(log: RunLog, controller: Controller, limits: Limits, progress: Callab
                 t_s = entry.t_ns / 1e9
                 # A fault event ends with its reading in brackets.
                 value = float(event.text.rpartition("(")[2].partition(")")[0])
-                in_log = fault.id + event.where in own_faults
+                in_log = fault.id + event.where in logged_faults
                 stops.append(
                     LimitStop(entry.k, t_s, fault.id, fault.title, event.where, value, fault.action.name, in_log)
                 )

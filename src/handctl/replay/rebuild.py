@@ -10,8 +10,8 @@ from handctl.controller.tick import Controller
 from handctl.core.gains.gains import Gains
 from handctl.errors import ConfigError, LogError
 from handctl.hand.description import Hand
-from handctl.log.code import UNKNOWN, code_identity
-from handctl.log.read.hand import described_hand
+from handctl.log.code_identity import UNKNOWN, code_identity
+from handctl.log.read.log_hand import described_hand
 from handctl.log.read.reader import RunLog
 from handctl.printing import printable
 

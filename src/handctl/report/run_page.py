@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from handctl.hand.description import Hand
-from handctl.log.read.moments import LoggedEvent
 from handctl.log.read.reader import RunLog
+from handctl.log.read.timeline import LoggedEvent
 from handctl.log.topics.clock_pairs import steps
 from handctl.output import whole
 from handctl.printing import printable

@@ -8,7 +8,7 @@ from importlib.metadata import distributions, version
 from handctl.controller import setup
 from handctl.controller.tick import Controller
 from handctl.hand.formats.urdf import urdf
-from handctl.log.code import code_identity
+from handctl.log.code_identity import code_identity
 from handctl.log.header import RunHeader
 from handctl.runtime.clock import Priority
 from handctl.session.plan import Plan

@@ -179,7 +179,7 @@ def refuse_blind_view(wanted: bool) -> None:
 
 def _start_view(log: Path) -> Callable[[], None]:
     """Start the live view; what ends its feeding (the viewer itself stays open)."""
-    from handctl.view.live import start_live
+    from handctl.view.live_view import start_live
 
     child: subprocess.Popen[bytes] = start_live(log)
     return child.terminate

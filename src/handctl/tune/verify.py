@@ -15,8 +15,8 @@ from handctl.core.gains.bounds import LIVE, flat
 from handctl.core.gains.gains import Gains
 from handctl.core.types import Mode, TickIn, TickOut
 from handctl.hand.description import Hand
-from handctl.log.read.moments import phase_of_each
 from handctl.log.read.reader import RunLog
+from handctl.log.read.timeline import phase_of_each
 from handctl.report.summary import mean_angles
 from handctl.report.truth import Truth
 from handctl.safety.action import Action

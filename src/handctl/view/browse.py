@@ -6,8 +6,8 @@ from itertools import chain, islice, takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from handctl.log.read.scan import Scan
-from handctl.view.scene.subject import Subject
+from handctl.log.read.record_scan import RecordScan
+from handctl.view.scene.run_info import RunInfo
 from handctl.view.viewer import Viewer, launched
 
 if TYPE_CHECKING:
@@ -21,16 +21,16 @@ FLUSH_S = 5.0
 
 @contextmanager
 def browse(
-    path: Path, subject: Subject, arguments: Sequence[str], environment: dict[str, str], found: Scan | None = None
+    path: Path, run: RunInfo, arguments: Sequence[str], environment: dict[str, str], scan: RecordScan | None = None
 ) -> Iterator[Viewer]:
     """Open a viewer and send a whole log. The viewer closes with the context.
 
     Args:
         path: a log.
-        subject: run and hand of the log.
+        run: run and hand of the log.
         arguments: further arguments of the viewer.
         environment: environment variables for the viewer.
-        found: outer records of the log if already scanned.
+        scan: outer records of the log if already scanned.
 
     Yields:
         The viewer, after the whole log was sent.
@@ -43,22 +43,22 @@ def browse(
     with launched(["--expect-data-soon", *arguments], environment) as launch:
         from handctl.view.feed import run_parts  # it imports Rerun, while the viewer starts on another core
 
-        parts = run_parts(path, subject, FIRST_NS, found)
+        parts = run_parts(path, run, FIRST_NS, scan)
         first = list(islice(parts, 2))
         running = launch.ready()
-        _send(running, subject, chain.from_iterable(chain(first, parts)))
+        _send(running, run, chain.from_iterable(chain(first, parts)))
         yield running
 
 
-def _send(running: Viewer, subject: Subject, chunks: "Iterator[Chunk]") -> None:
+def _send(running: Viewer, run: RunInfo, chunks: "Iterator[Chunk]") -> None:
     """Send all chunks until the end or until the viewer is closed."""
     import rerun as rr
 
     from handctl.view.feed import recording
     from handctl.view.scene.blueprint import dashboard
 
-    stream = recording(subject)
-    stream.connect_grpc(running.url, default_blueprint=dashboard(subject))
+    stream = recording(run)
+    stream.connect_grpc(running.url, default_blueprint=dashboard(run))
     try:
         rr.send_chunks(takewhile(lambda _: running.process.poll() is None, chunks), recording=stream)
     finally:

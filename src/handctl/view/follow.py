@@ -13,9 +13,9 @@ from handctl.handlers import Stop
 from handctl.log.read.reader import RunLog
 from handctl.view.feed import log_chunks, recording
 from handctl.view.scene.blueprint import dashboard
-from handctl.view.scene.lenses import Lenses
+from handctl.view.scene.run_info import RunInfo
 from handctl.view.scene.styles import styles
-from handctl.view.scene.subject import Subject
+from handctl.view.scene.topic_converters import TopicConverters
 from handctl.view.tail import Tail
 from handctl.view.viewer import Viewer, check_screen, software_vulkan, start_viewer
 
@@ -32,21 +32,21 @@ QUIET_S = 15.0
 class Follower:
     """Sends a growing log to a viewer, step by step."""
 
-    def __init__(self, log: Path, subject: Subject, url: str) -> None:
+    def __init__(self, log: Path, run: RunInfo, url: str) -> None:
         """Connect to a viewer and send the static chunks.
 
         Args:
             log: the log with its header.
-            subject: run and hand of the log.
+            run: run and hand of the log.
             url: address of the viewer.
         """
-        self._subject = subject
-        self._lenses = Lenses(subject)
+        self._run = run
+        self._converters = TopicConverters(run)
         self._tail = Tail(log)
         self._folder = tempfile.TemporaryDirectory(prefix="handctl-follow-")
-        self._stream = recording(subject)
-        self._stream.connect_grpc(url, default_blueprint=dashboard(subject, live=True))
-        rr.send_chunks(styles(subject), recording=self._stream)
+        self._stream = recording(run)
+        self._stream.connect_grpc(url, default_blueprint=dashboard(run, live=True))
+        rr.send_chunks(styles(run), recording=self._stream)
 
     def step(self) -> bool:
         """Send new chunks. Return False if the log has not grown.
@@ -55,10 +55,10 @@ class Follower:
             LogError: the log is damaged.
         """
         part = Path(self._folder.name) / "part.mcap"
-        since = self._tail.take(part)
+        since = self._tail.write_new(part)
         if since is None:
             return False
-        chunks = log_chunks(part, self._lenses, self._subject.name, since)
+        chunks = log_chunks(part, self._converters, self._run.name, since)
         rr.send_chunks(chunks, recording=self._stream)
         self._flush()
         return True
@@ -97,11 +97,11 @@ def follow(log: Path, arguments: Sequence[str] = (), stop: Stop | None = None) -
     if not headless:
         check_screen()
     stop = stop or Stop()
-    subject = _appeared(log, stop)
-    if subject is None:
+    run = _appeared(log, stop)
+    if run is None:
         return
     running = start_viewer(["--expect-data-soon", *arguments], software_vulkan() if headless else {})
-    follower = Follower(log, subject, running.url)
+    follower = Follower(log, run, running.url)
     try:
         _until_end(follower, running, stop)
         follower.step()
@@ -115,22 +115,22 @@ def _until_end(follower: Follower, running: Viewer, stop: Stop) -> None:
     """Send new chunks until the log ends, the viewer is closed, a stop is requested, or the log stops growing."""
     news = time.monotonic()
     while not (follower.ended or stop.asked) and running.process.poll() is None:
-        begin = time.monotonic()
+        start = time.monotonic()
         if follower.step():
-            news = begin
-        elif begin - news > QUIET_S:
+            news = start
+        elif start - news > QUIET_S:
             return
         # A slow step shortens the pause. The minimum leaves the processor to other programs.
-        time.sleep(max(PERIOD_S - (time.monotonic() - begin), PERIOD_S / 4))
+        time.sleep(max(PERIOD_S - (time.monotonic() - start), PERIOD_S / 4))
 
 
-def _appeared(log: Path, stop: Stop) -> Subject | None:
+def _appeared(log: Path, stop: Stop) -> RunInfo | None:
     """Wait for the header of a log. Return None after a stop request."""
     end = time.monotonic() + APPEAR_S
     while not stop.asked:
         try:
-            with RunLog(log) as found:
-                return Subject.of(found.header, log.stem)
+            with RunLog(log) as opened:
+                return RunInfo.of(opened.header, log.stem)
         except LogError:
             if time.monotonic() > end:
                 raise

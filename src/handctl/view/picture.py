@@ -42,18 +42,18 @@ def draw(rrd: Path, at_s: float, out: Path) -> list[str]:
     """
     with viewer(["--headless", "--window-size", SIZE, str(rrd)], software_vulkan()) as running:
         clear = time.monotonic() + TOAST_S
-        client = connected(running)
+        client = connect_client(running)
         wait_loaded(client, TIMELINE, int(at_s * 1e9))
         client.set_time(TIMELINE, duration=at_s, play_state="paused")
         time.sleep(max(SETTLE_S, clear - time.monotonic()))
-        png = still(client)
+        png = settled_screenshot(client)
         reports = view_reports(client)
     with whole(out) as part:
         part.write_bytes(png)
     return reports
 
 
-def still(client: "ViewerClient") -> bytes:
+def settled_screenshot(client: "ViewerClient") -> bytes:
     """Return the picture after it stopped changing. On a busy machine the views are drawn one after the other."""
     end = time.monotonic() + STILL_S
     before = client.take_screenshot()
@@ -65,7 +65,7 @@ def still(client: "ViewerClient") -> bytes:
         before = now
 
 
-def connected(running: Viewer) -> "ViewerClient":
+def connect_client(running: Viewer) -> "ViewerClient":
     """Return a client of a viewer that is starting."""
     from rerun.experimental import ViewerClient
 
@@ -82,9 +82,9 @@ def connected(running: Viewer) -> "ViewerClient":
             return client
 
 
-def reached(state: "ViewerState", timeline: str) -> int:
+def timeline_end(state: "ViewerState", timeline: str) -> int:
     """Return the end of a timeline over all recordings of a viewer, in its unit, or -1 without data."""
-    lines = [line for one in state.recordings for line in one.timelines if line.name == timeline]
+    lines = [line for recording in state.recordings for line in recording.timelines if line.name == timeline]
     return max((line.end for line in lines if line.end is not None), default=-1)
 
 
@@ -105,7 +105,7 @@ def wait_loaded(client: "ViewerClient", timeline: str, until: int = 0) -> None:
     end = time.monotonic() + LOAD_S
     while time.monotonic() < end:
         state = client.get_state()
-        if reached(state, timeline) >= until and state.views and not state.loading:
+        if timeline_end(state, timeline) >= until and state.views and not state.loading:
             return
         time.sleep(0.1)
     raise HandctlError(f"the viewer has not loaded the recording after {LOAD_S:g} s", "rerun", "")

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from handctl.log.read.logfile import LogFile
-from handctl.log.read.scan import Scan, scan
+from handctl.log.read.record_scan import RecordScan, scan_records
 
 
 class Tail:
@@ -20,10 +20,10 @@ class Tail:
             path: the log.
         """
         self._path = path
-        self._taken = 0
+        self._sent_chunks = 0
         self.ended = False
 
-    def take(self, part: Path) -> int | None:
+    def write_new(self, part: Path) -> int | None:
         """Write the chunks since the last call into a log without an end.
 
         Args:
@@ -36,22 +36,22 @@ class Tail:
             LogError: the log is damaged.
         """
         file = LogFile(self._path)
-        found = Scan()
+        scan = RecordScan()
         try:
-            scan(file, found)
-            self.ended = found.complete
+            scan_records(file, scan)
+            self.ended = scan.complete
             # Rerun loses messages of a chunk whose index is not complete, so a chunk waits for what follows it.
-            ends = [*(place.offset for place in found.chunks[1:]), *([found.end] if found.complete else [])]
-            new = found.chunks[self._taken : len(ends)]
+            ends = [*(chunk.offset for chunk in scan.chunks[1:]), *([scan.end] if scan.complete else [])]
+            new = scan.chunks[self._sent_chunks : len(ends)]
             if not new:
                 return None
             with part.open("wb") as out:
                 # The first chunk has the definitions of all topics. Every part begins with it.
-                if self._taken:
+                if self._sent_chunks:
                     out.write(file.read(0, ends[0]))
-                start = new[0].offset if self._taken else 0
+                start = new[0].offset if self._sent_chunks else 0
                 out.write(file.read(start, ends[-1] - start))
         finally:
             file.close()
-        self._taken = len(ends)
-        return min(place.first for place in new)
+        self._sent_chunks = len(ends)
+        return min(chunk.first for chunk in new)

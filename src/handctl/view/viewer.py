@@ -56,11 +56,11 @@ def software_vulkan() -> dict[str, str]:
     """
     if not sys.platform.startswith("linux"):
         return {}
-    found = _drivers(SOFTWARE_ICD) or _drivers("*.json")
-    given = any(os.environ.get(name) for name in ("VK_ICD_FILENAMES", "VK_DRIVER_FILES"))
-    if not _loader() or not (found or given):
+    drivers = _drivers(SOFTWARE_ICD) or _drivers("*.json")
+    configured = any(os.environ.get(name) for name in ("VK_ICD_FILENAMES", "VK_DRIVER_FILES"))
+    if not _loader() or not (drivers or configured):
         raise ConfigError("no Vulkan driver to draw with", "", f"the Debian packages {PACKAGES}")
-    return {} if given else {"VK_ICD_FILENAMES": str(found[0])}
+    return {} if configured else {"VK_ICD_FILENAMES": str(drivers[0])}
 
 
 def _drivers(pattern: str) -> list[Path]:
@@ -196,13 +196,13 @@ def _url(process: "subprocess.Popen[bytes]", notes: IO[bytes]) -> str:
     Raises:
         HandctlError: the viewer ended, or does not listen after `START_S`.
     """
-    left = START_S
-    while left > 0:
+    remaining = START_S
+    while remaining > 0:
         try:
             # The wait for an early end is also the pause between two looks at the output.
             process.wait(0.05)
         except subprocess.TimeoutExpired:
-            left -= 0.05
+            remaining -= 0.05
         notes.seek(0)
         text = notes.read()
         listens = _LISTENS.search(text)

@@ -140,9 +140,9 @@ def _write(args: argparse.Namespace, log: RunLog, out: Path) -> int:
     form = args.format
     if form == "rrd":
         from handctl.view.feed import write_rrd
-        from handctl.view.scene.subject import Subject
+        from handctl.view.scene.run_info import RunInfo
 
-        return write_rrd(args.log, Subject.of(log.header, args.log.stem), out)
+        return write_rrd(args.log, RunInfo.of(log.header, args.log.stem), out)
     if form == "parquet":
         from handctl.log.export.parquet import export_parquet
 

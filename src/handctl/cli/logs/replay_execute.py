@@ -35,7 +35,7 @@ def _same(args: argparse.Namespace, log: Any) -> bool:
     """Execute it with its own gains; whether all is equal."""
     from importlib.metadata import version
 
-    from handctl.log.code import code_identity
+    from handctl.log.code_identity import code_identity
     from handctl.replay.execute import execute, within_tolerance
 
     workers = cores() if args.workers is None else checked_count(args.workers, "--workers", 64)
@@ -82,7 +82,7 @@ def _same(args: argparse.Namespace, log: Any) -> bool:
 
 def _writer(log: Any) -> tuple[str, str]:
     """Version and code that wrote a log."""
-    from handctl.log.code import UNKNOWN
+    from handctl.log.code_identity import UNKNOWN
 
     return log.header.metadata.get("version", UNKNOWN), log.header.metadata.get("code", UNKNOWN)
 

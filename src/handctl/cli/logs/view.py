@@ -23,12 +23,12 @@ def run(args: argparse.Namespace) -> int:
         follow(args.log)
         return Exit.DONE
     from handctl.log.read.reader import RunLog
-    from handctl.view.scene.subject import Subject
+    from handctl.view.scene.run_info import RunInfo
 
     with RunLog(args.log, checked=False) as log:
-        subject = Subject.of(log.header, args.log.stem)
+        subject = RunInfo.of(log.header, args.log.stem)
         at_s = _moment(args, log) if args.png else 0.0
-        warning, found = log.warning, log.found
+        warning, found = log.warning, log.scan
     code = tell_lossy(args.log, warning)
     if args.save or args.png:
         with progress("drawing" if args.png else "writing", quiet=args.json):
@@ -43,11 +43,11 @@ def run(args: argparse.Namespace) -> int:
 
 def _moment(args: argparse.Namespace, log: Any) -> float:
     """Moment of the picture [s]."""
-    from handctl.view.moment import moment
+    from handctl.view.picture_time import picture_time
 
     end_s = float(log.times[-1]) if len(log) else 0.0
     if args.at is None:
-        return moment(log)
+        return picture_time(log)
     if not 0 <= args.at <= end_s:
         raise ConfigError(f"{args.at:g}", "--at", f"seconds of this run, 0 to {end_s:.3f}")
     return float(args.at)

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from handctl.core.types import Mode
 from handctl.errors import ConfigError, LogError
 from handctl.hand.load import parse_toml
-from handctl.log.read.moments import check_order
 from handctl.log.read.reader import RunLog
+from handctl.log.read.timeline import check_order
 from handctl.printing import printable
 
 DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
@@ -76,33 +76,41 @@ def _rows(log: RunLog, fps: int) -> NDArray[np.intp]:
     if len(active) < 2:
         raise LogError("the hand was never active in it", "the log", "a run that moved")
     check_order(log.t_ns, log.header.period_ns)
-    begin = int(log.t_ns[active[0]])
+    start = int(log.t_ns[active[0]])
     end = int(log.t_ns[active[-1]])
-    frames = (end - begin) * fps // 10**9 + 1
+    frames = (end - start) * fps // 10**9 + 1
     # Integer arithmetic with rounding to the nearest nanosecond keeps the grid exact over hours.
-    grid = begin + (np.arange(frames) * 10**9 + fps // 2) // fps
+    grid = start + (np.arange(frames) * 10**9 + fps // 2) // fps
     return np.asarray(np.searchsorted(log.t_ns, grid, "right") - 1, np.intp)
 
 
 def _vectors(log: RunLog, rows: NDArray[np.intp]) -> dict[str, tuple[list[str], Array]]:
     """Return names and values (frames, n) of each vector feature."""
     header = log.header
-    q = _known(log, "q", rows)
-    tension = _known(log, "tension", rows)
-    goals = log.field("q_goal")[rows]
-    pulls = log.field("tension_goal")[rows]
+    q = _without_nan(log, "q", rows)
+    tension = _without_nan(log, "tension", rows)
+    angle_commands = log.field("q_goal")[rows]
+    tension_commands = log.field("tension_goal")[rows]
     names = [f"{joint}.pos_rad" for joint in header.joints]
     names += [f"{tendon}.tension_N" for tendon in header.tendons]
-    asked = np.hstack([np.where(np.isnan(goals), q, goals), np.where(np.isnan(pulls), tension, pulls)])
-    found = {
+    commands = np.hstack(
+        [
+            np.where(np.isnan(angle_commands), q, angle_commands),
+            np.where(np.isnan(tension_commands), tension, tension_commands),
+        ]
+    )
+    vectors = {
         "observation.state": (names, np.hstack([q, tension])),
-        "observation.tip_force": ([f"{digit}.force_N" for digit in header.digits], _known(log, "tip_force", rows)),
-        "action": (names, asked),
+        "observation.tip_force": (
+            [f"{digit}.force_N" for digit in header.digits],
+            _without_nan(log, "tip_force", rows),
+        ),
+        "action": (names, commands),
     }
     if SIGMA[0] in log.fields:
-        sigma = np.hstack([_known(log, name, rows) for name in SIGMA])
-        found["observation.sigma"] = ([_sigma_name(name) for name in names], sigma)
-    return found
+        sigma = np.hstack([_without_nan(log, name, rows) for name in SIGMA])
+        vectors["observation.sigma"] = ([_sigma_name(name) for name in names], sigma)
+    return vectors
 
 
 def _sigma_name(name: str) -> str:
@@ -111,16 +119,16 @@ def _sigma_name(name: str) -> str:
     return f"{quantity}_sigma_{unit}"
 
 
-def _known(log: RunLog, name: str, rows: NDArray[np.intp]) -> Array:
+def _without_nan(log: RunLog, name: str, rows: NDArray[np.intp]) -> Array:
     """Return a field (frames, n) without NaN.
 
     A NaN becomes the value before, or the first known value. A column without known values becomes zero.
     """
     values = log.field(name)[rows]
     for column in values.T:
-        known = np.flatnonzero(~np.isnan(column))
-        if len(known):
-            column[:] = column[known[np.maximum(np.searchsorted(known, np.arange(len(column)), "right") - 1, 0)]]
+        finite = np.flatnonzero(~np.isnan(column))
+        if len(finite):
+            column[:] = column[finite[np.maximum(np.searchsorted(finite, np.arange(len(column)), "right") - 1, 0)]]
     return np.nan_to_num(values)
 
 
@@ -141,11 +149,11 @@ def _scalars(frames: int, fps: int) -> dict[str, NDArray[Any]]:
 def _task(log: RunLog) -> str:
     """Return a description of the task."""
     try:
-        told = parse_toml(log.header.attachments.get("task.toml", b"").decode(), "task.toml in the log")
+        task = parse_toml(log.header.attachments.get("task.toml", b"").decode(), "task.toml in the log")
     except (ConfigError, UnicodeDecodeError):
-        told = {}
+        task = {}
     otherwise = f"run of hand {log.header.metadata.get('hand', '?')}"
-    return printable(str(told.get("description") or told.get("name") or otherwise))
+    return printable(str(task.get("description") or task.get("name") or otherwise))
 
 
 def _frames(vectors: dict[str, tuple[list[str], Array]], scalars: dict[str, NDArray[Any]]) -> pa.Table:
@@ -159,23 +167,27 @@ def _frames(vectors: dict[str, tuple[list[str], Array]], scalars: dict[str, NDAr
 
 def _episodes(frames: int, task: str, statistics: Statistics) -> pa.Table:
     """Build the table of the episode: position of its frames, and a column `stats/FEATURE/NAME` per statistic."""
-    places = {f"{kind}/{number}": [0] for kind in ("data", "meta/episodes") for number in ("chunk_index", "file_index")}
+    positions = {
+        f"{table}/{number}": [0] for table in ("data", "meta/episodes") for number in ("chunk_index", "file_index")
+    }
     fields = {"episode_index": [0], "tasks": [[task]], "length": [frames]}
     columns = {
-        f"stats/{feature}/{name}": [values] for feature, found in statistics.items() for name, values in found.items()
+        f"stats/{feature}/{name}": [values]
+        for feature, values_of in statistics.items()
+        for name, values in values_of.items()
     }
-    return pa.table(fields | {"dataset_from_index": [0], "dataset_to_index": [frames]} | columns | places)
+    return pa.table(fields | {"dataset_from_index": [0], "dataset_to_index": [frames]} | columns | positions)
 
 
 def _tasks(task: str) -> pa.Table:
     """Build the table of the tasks. The text is the index, which pandas reads from the schema's metadata."""
     table = pa.table({"task_index": pa.array([0], pa.int64()), "task": [task]})
     columns = [
-        {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy, "metadata": None}
-        for name, kind, numpy in (("task_index", "int64", "int64"), ("task", "unicode", "object"))
+        {"name": name, "field_name": name, "pandas_type": pandas_type, "numpy_type": numpy, "metadata": None}
+        for name, pandas_type, numpy in (("task_index", "int64", "int64"), ("task", "unicode", "object"))
     ]
-    told = {"index_columns": ["task"], "column_indexes": [], "columns": columns, "pandas_version": "2.0.0"}
-    return table.replace_schema_metadata({b"pandas": json.dumps(told).encode()})
+    metadata = {"index_columns": ["task"], "column_indexes": [], "columns": columns, "pandas_version": "2.0.0"}
+    return table.replace_schema_metadata({b"pandas": json.dumps(metadata).encode()})
 
 
 def _info(
@@ -185,7 +197,7 @@ def _info(
     features: dict[str, Any] = {
         name: {"dtype": "float32", "shape": [len(inner)], "names": inner} for name, inner in names.items()
     }
-    features |= {name: {"dtype": str(one.dtype), "shape": [1], "names": None} for name, one in scalars.items()}
+    features |= {name: {"dtype": str(values.dtype), "shape": [1], "names": None} for name, values in scalars.items()}
     return {
         "codebase_version": "v3.0",
         "robot_type": log.header.metadata.get("hand"),
@@ -206,9 +218,14 @@ def _info(
 def _statistics(values: NDArray[Any]) -> dict[str, list[float]]:
     """Compute the statistics of a feature over all frames, for normalisation."""
     table = np.asarray(values, np.float64).reshape(len(values), -1)
-    found = {"min": table.min(axis=0), "max": table.max(axis=0), "mean": table.mean(axis=0), "std": table.std(axis=0)}
-    found |= {f"q{share:02d}": np.percentile(table, share, axis=0) for share in QUANTILES}
-    return {name: one.tolist() for name, one in found.items()} | {"count": [len(table)]}
+    statistics = {
+        "min": table.min(axis=0),
+        "max": table.max(axis=0),
+        "mean": table.mean(axis=0),
+        "std": table.std(axis=0),
+    }
+    statistics |= {f"q{percent:02d}": np.percentile(table, percent, axis=0) for percent in QUANTILES}
+    return {name: array.tolist() for name, array in statistics.items()} | {"count": [len(table)]}
 
 
 def _write(path: Path, table: pa.Table) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pyarrow as pa  # type: ignore[import-untyped]
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
 
-from handctl.log.export.tables import HEADS, WORDS, blocks, columns, unit
+from handctl.log.export.tables import INTEGER_COLUMNS, TEXT_COLUMNS, columns, table_blocks, unit
 from handctl.log.read.reader import RunLog
 
 
@@ -21,12 +21,12 @@ def export_parquet(log: RunLog, path: Path) -> int:
     count = 0
     names = columns(log)
     text = pa.dictionary(pa.int32(), pa.string())
-    fields = [pa.field(name, pa.int64(), metadata={"unit": unit(name)}) for name in HEADS]
-    fields += [pa.field(name, text) for name in WORDS]
+    fields = [pa.field(name, pa.int64(), metadata={"unit": unit(name)}) for name in INTEGER_COLUMNS]
+    fields += [pa.field(name, text) for name in TEXT_COLUMNS]
     fields += [pa.field(name, pa.float64(), metadata={"unit": unit(name)}) for name in names]
     schema = pa.schema(fields, metadata={f"handctl.{key}": value for key, value in log.header.metadata.items()})
     with path.open("xb") as file, pq.ParquetWriter(file, schema, compression="zstd") as writer:
-        for block in blocks(log):
+        for block in table_blocks(log):
             arrays = [pa.array(part) for part in block[:3]]
             arrays += [pa.array(part, pa.string()).dictionary_encode() for part in block[3:6]]
             arrays += [pa.array(column) for column in block.numbers.T]

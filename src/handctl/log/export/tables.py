@@ -17,10 +17,10 @@ from handctl.safety.action import Action
 BLOCK = 4096
 """Ticks in memory at a time."""
 
-WORDS = ("mode", "phase", "action")
+TEXT_COLUMNS = ("mode", "phase", "action")
 """Text columns."""
 
-HEADS = {"k": "1", "t_ns": "ns", "late_ns": "ns"}
+INTEGER_COLUMNS = {"k": "1", "t_ns": "ns", "late_ns": "ns"}
 """Integer columns and their units."""
 
 UNITS = {
@@ -37,7 +37,7 @@ VARIANT = re.compile("_(goal|raw|sigma)$")
 """Suffixes of field names that do not change the unit."""
 
 
-class Block(NamedTuple):
+class TableBlock(NamedTuple):
     """Some ticks of a log.
 
     Attributes:
@@ -62,28 +62,28 @@ def columns(log: RunLog) -> tuple[str, ...]:
 
 def unit(column: str) -> str:
     """Return the unit of a numeric column: `rad` for `q/index_j1`, `ns` for `t_ns`, 1 for a plain number."""
-    return HEADS.get(column) or UNITS[VARIANT.sub("", column.partition("/")[0])]
+    return INTEGER_COLUMNS.get(column) or UNITS[VARIANT.sub("", column.partition("/")[0])]
 
 
-def titled(column: str) -> str:
+def column_title(column: str) -> str:
     """Return the title of a column in a text table: `tension/index_tendon [N]`, or the name if it contains the unit."""
-    return column if column in HEADS else f"{column} [{unit(column)}]"
+    return column if column in INTEGER_COLUMNS else f"{column} [{unit(column)}]"
 
 
-def blocks(log: RunLog) -> Iterator[Block]:
+def table_blocks(log: RunLog) -> Iterator[TableBlock]:
     """Yield all ticks of a log as tables of at most `BLOCK` rows."""
     changes = log.phases
     starts = np.array([change.k for change in changes], np.int64)
     names = [change.name for change in changes]
     rows = log.packed()
-    for begin in range(0, len(log), BLOCK):
-        part = slice(begin, min(begin + BLOCK, len(log)))
+    for start in range(0, len(log), BLOCK):
+        part = slice(start, min(start + BLOCK, len(log)))
         data = b"".join(next(rows) for _ in range(part.start, part.stop))
         numbers = np.frombuffer(data, "<f8").reshape(part.stop - part.start, -1)
         phase = [names[i] for i in np.searchsorted(starts, log.k[part], "right") - 1]
         mode = [Mode(value).name for value in log.mode[part].tolist()]
         action = [Action(value).name for value in log.action[part].tolist()]
-        yield Block(log.k[part], log.t_ns[part], log.late_ns[part], mode, phase, action, numbers)
+        yield TableBlock(log.k[part], log.t_ns[part], log.late_ns[part], mode, phase, action, numbers)
 
 
 def export_csv(log: RunLog, path: Path) -> int:
@@ -98,8 +98,8 @@ def export_csv(log: RunLog, path: Path) -> int:
     count = 0
     with path.open("x", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow((*HEADS, *WORDS, *map(titled, columns(log))))
-        for block in blocks(log):
+        writer.writerow((*INTEGER_COLUMNS, *TEXT_COLUMNS, *map(column_title, columns(log))))
+        for block in table_blocks(log):
             fixed = zip(*(part.tolist() for part in block[:3]), *block[3:6], strict=True)
             for head, row in zip(fixed, block.numbers.tolist(), strict=True):
                 writer.writerow((*head, *("" if value != value else repr(value) for value in row)))
@@ -120,11 +120,11 @@ def export_candump(log: RunLog, path: Path) -> int:
     offset = log.header.offset_ns
     with path.open("x", encoding="ascii") as file:
         for tick in log.ticks():
-            began = tick.tick_in.t_ns + tick.tick_in.late_ns
+            start_ns = tick.tick_in.t_ns + tick.tick_in.late_ns
             for frame in tick.tick_in.frames:
                 file.write(_candump(frame, offset + frame.t_ns, buses, "R"))
             for frame in tick.frames:
-                file.write(_candump(frame, offset + began, buses, "T"))
+                file.write(_candump(frame, offset + start_ns, buses, "T"))
             count += len(tick.tick_in.frames) + len(tick.frames)
     return count
 

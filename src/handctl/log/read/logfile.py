@@ -43,17 +43,17 @@ class Reading:
         """Begin the piece. No value is given."""
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self, error_type: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Raise a LogError in place of an error from a bad file."""
         if error is None or isinstance(error, LogError) or not isinstance(error, DAMAGE):
             return
         missing = isinstance(error, KeyError)
-        what = f"{printable(repr(error.args[0]))} is missing" if missing else printable(str(error))
-        raise LogError(f"damaged log: {what}", self.where, "an intact file") from error
+        problem = f"{printable(repr(error.args[0]))} is missing" if missing else printable(str(error))
+        raise LogError(f"damaged log: {problem}", self.where, "an intact file") from error
 
 
-class ChunkPlace(NamedTuple):
+class ChunkLocation(NamedTuple):
     """A chunk in the file.
 
     Attributes:
@@ -90,7 +90,7 @@ class LogFile:
             LogError: the path is not a regular file, or cannot be opened.
         """
         self.name = printable(str(path))
-        self._latest: tuple[ChunkPlace, bytes] | None = None
+        self._latest: tuple[ChunkLocation, bytes] | None = None
         try:
             # O_NONBLOCK: opening a named pipe without a writer would wait without end.
             self._fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK | getattr(os, "O_CLOEXEC", 0))
@@ -135,36 +135,36 @@ class LogFile:
             start += len(data)
         return value
 
-    def content(self, place: ChunkPlace, checked: bool = True) -> bytes:
+    def content(self, chunk: ChunkLocation, checked: bool = True) -> bytes:
         """Return the uncompressed bytes of a chunk, never more than its declared size.
 
         Args:
-            place: the chunk.
+            chunk: the chunk.
             checked: compare the checksum.
 
         Raises:
             LogError: size or checksum differs from the declared value.
         """
-        if self._latest and self._latest[0] == place:
+        if self._latest and self._latest[0] == chunk:
             return self._latest[1]
-        with Reading(self.at(place.offset)):
-            packed = self.read(place.data, place.end - place.data)
-            content = _unpacked(packed, place)
-            if len(content) != place.size:
-                raise ValueError(f"chunk of {len(content)} bytes or more; declared are {place.size}")
-            if checked and place.crc and zlib.crc32(content) != place.crc:
+        with Reading(self.at(chunk.offset)):
+            packed = self.read(chunk.data, chunk.end - chunk.data)
+            content = _decompressed(packed, chunk)
+            if len(content) != chunk.size:
+                raise ValueError(f"chunk of {len(content)} bytes or more; declared are {chunk.size}")
+            if checked and chunk.crc and zlib.crc32(content) != chunk.crc:
                 raise ValueError("checksum of a chunk does not match")
         if checked:
-            self._latest = (place, content)
+            self._latest = (chunk, content)
         return content
 
 
-def _unpacked(packed: bytes, place: ChunkPlace) -> bytes:
+def _decompressed(packed: bytes, chunk: ChunkLocation) -> bytes:
     """Return a decompressed chunk, at most one byte longer than its declared size."""
     # The extra byte shows a chunk that is longer than declared, without decompressing all of it.
-    if place.compression == "lz4":
-        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=place.size + 1))
-    if place.compression == "zstd":
+    if chunk.compression == "lz4":
+        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=chunk.size + 1))
+    if chunk.compression == "zstd":
         reader = zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK).stream_reader(packed)
-        return reader.read(place.size + 1)
+        return reader.read(chunk.size + 1)
     return packed

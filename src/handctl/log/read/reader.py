@@ -12,20 +12,20 @@ from numpy.typing import NDArray
 
 from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.errors import LogError
-from handctl.log.batch import FIXED_DTYPE, columns, columns_of, layout_of
+from handctl.log.batch import FIXED_DTYPE, column_count, columns, row_fields
 from handctl.log.header import RunHeader
-from handctl.log.read.logfile import ChunkPlace, LogFile, Reading
-from handctl.log.read.messages_in import Definitions, Rows, definitions, rows
-from handctl.log.read.moments import Gap, LoggedEvent, PhaseChange
-from handctl.log.read.scan import Scan, scan
-from handctl.log.record import TickRecord, layout, unpack_tick, unpack_ticks
-from handctl.log.topics.all import TICK_TOPIC, VALUES_TOPIC
+from handctl.log.read.chunk_reader import Definitions, MessageRows, definitions, iter_messages
+from handctl.log.read.logfile import ChunkLocation, LogFile, Reading
+from handctl.log.read.record_scan import RecordScan, scan_records
+from handctl.log.read.timeline import Gap, LoggedEvent, PhaseChange
+from handctl.log.record import TickRecord, message_layout, unpack_tick, unpack_ticks
 from handctl.log.topics.chain import SIZE
 from handctl.log.topics.chain import TOPIC as CHAIN_TOPIC
 from handctl.log.topics.clock_pairs import TOPIC as CLOCK_TOPIC
 from handctl.log.topics.clock_pairs import ClockPair, pair_of
 from handctl.log.topics.snapshots import TOPIC as SNAPSHOT_TOPIC
 from handctl.log.topics.snapshots import snapshot_of
+from handctl.log.topics.topic_set import TICK_TOPIC, VALUES_TOPIC
 from handctl.log.write.writer import SCHEMA
 from handctl.printing import printable
 
@@ -41,13 +41,13 @@ _CACHE_BYTES = 64 << 20
 """Maximum size of the telemetry that is held in memory [bytes]."""
 
 
-def _header(found: Scan) -> RunHeader:
+def _header(scan: RecordScan) -> RunHeader:
     """Read the header of a run."""
-    record = found.metadata["handctl.run"]
+    record = scan.metadata["handctl.run"]
     if (schema := json.loads(record["schema"])) != SCHEMA:
         raise ValueError(f"log of version {schema}; this reader knows {SCHEMA}")
-    attachments = {name: data for name, (_, _, data) in found.attachments.items()}
-    return RunHeader.of_record(record, found.metadata, attachments)
+    attachments = {name: data for name, (_, _, data) in scan.attachments.items()}
+    return RunHeader.of_record(record, scan.metadata, attachments)
 
 
 _SEQUENCE = 0xFFFF_FFFF
@@ -97,7 +97,7 @@ class RunLog:
         metadata: all metadata records.
         end: reason, ticks, messages, missed, dropped of a closed run, else empty.
         warning: defect of the file, else empty. The data before the defect is complete.
-        found: positions of all records in the file.
+        scan: positions of all records in the file.
     """
 
     def __init__(self, path: Path, checked: bool = True) -> None:
@@ -113,19 +113,19 @@ class RunLog:
             LogError: the file is not a log of handctl, is damaged, or exceeds a limit. An early end is no error.
         """
         self._file = LogFile(path)
-        self._latest: tuple[ChunkPlace, dict[int, list[Rows]]] | None = None
+        self._latest: tuple[ChunkLocation, dict[int, list[MessageRows]]] | None = None
         try:
-            found = Scan()
-            scan(self._file, found, checked)
-            self.found = found
-            self._chunks = found.chunks
-            self.metadata = found.metadata
-            self.warning = found.problem
-            if "handctl.run" not in found.metadata or not found.chunks:
+            scan = RecordScan()
+            scan_records(self._file, scan, checked)
+            self.scan = scan
+            self._chunks = scan.chunks
+            self.metadata = scan.metadata
+            self.warning = scan.problem
+            if "handctl.run" not in scan.metadata or not scan.chunks:
                 raise LogError("no run of handctl in it", self._file.name, "a log that handctl wrote")
             with Reading(self._file.name):
-                self.header = _header(found)
-            self.end = found.metadata.get("handctl.end", {})
+                self.header = _header(scan)
+            self.end = scan.metadata.get("handctl.end", {})
             self._tick, self._values, self._others = self._channels()
         except LogError:
             self._file.close()
@@ -136,7 +136,7 @@ class RunLog:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self, error_type: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Close the file."""
         self.close()
@@ -148,27 +148,27 @@ class RunLog:
     def _channels(self) -> tuple[int, int, dict[str, int]]:
         """Return the channel of the ticks, the channel of the telemetry, and the channels of all topics."""
         with Reading(self._file.at(self._chunks[0].offset)):
-            found: Definitions = definitions(self._file.content(self._chunks[0]))
-            topics = {topic: number for number, _, topic, _, _ in found.channels}
+            definitions_of_log: Definitions = definitions(self._file.content(self._chunks[0]))
+            topics = {topic: number for number, _, topic, _, _ in definitions_of_log.channels}
             return topics[TICK_TOPIC], topics[VALUES_TOPIC], topics
 
-    def _rows(self, channel: int, chunks: slice = slice(None)) -> Iterator[tuple[ChunkPlace, Rows]]:
+    def _rows(self, channel: int, chunks: slice = slice(None)) -> Iterator[tuple[ChunkLocation, MessageRows]]:
         """Yield the messages of a channel with their chunk."""
-        for place in self._chunks[chunks]:
-            yield from ((place, one) for one in self._rows_of(place, channel))
+        for chunk in self._chunks[chunks]:
+            yield from ((chunk, rows) for rows in self._rows_of(chunk, channel))
 
-    def _rows_of(self, place: ChunkPlace, channel: int) -> list[Rows]:
+    def _rows_of(self, chunk: ChunkLocation, channel: int) -> list[MessageRows]:
         """Return the messages of a channel in a chunk.
 
         The latest chunk is cached for callers that read several channels side by side.
         """
-        if self._latest is None or self._latest[0] is not place:
-            content = self._file.content(place)
-            found: dict[int, list[Rows]] = {}
-            with Reading(self._file.at(place.offset)):
-                for one in rows(content, place.end - place.data):
-                    found.setdefault(one.channel, []).append(one)
-            self._latest = place, found
+        if self._latest is None or self._latest[0] is not chunk:
+            content = self._file.content(chunk)
+            rows_by_channel: dict[int, list[MessageRows]] = {}
+            with Reading(self._file.at(chunk.offset)):
+                for rows in iter_messages(content, chunk.end - chunk.data):
+                    rows_by_channel.setdefault(rows.channel, []).append(rows)
+            self._latest = chunk, rows_by_channel
         return self._latest[1].get(channel, [])
 
     @functools.cached_property
@@ -177,18 +177,18 @@ class RunLog:
         parts = [np.empty(0, FIXED_DTYPE)]
         counts = [0]
         snapshots = dict[int, int]()
-        for i, place in enumerate(self._chunks):
+        for i, chunk in enumerate(self._chunks):
             before = len(parts)
-            for one in self._rows_of(place, self._tick):
-                data = one.data()
-                with Reading(self._file.at(place.offset)):
+            for rows in self._rows_of(chunk, self._tick):
+                data = rows.data()
+                with Reading(self._file.at(chunk.offset)):
                     if data.shape[1] < 4 + FIXED_DTYPE.itemsize:
                         raise ValueError("a tick that is too short")
                     # Four bytes of CDR encapsulation precede the constant part.
                     parts.append(np.ascontiguousarray(data[:, 4 : 4 + FIXED_DTYPE.itemsize]).view(FIXED_DTYPE)[:, 0])
             counts.append(sum(map(len, parts[before:])))
-            for one in self._rows_of(place, self._others.get(SNAPSHOT_TOPIC, -1)):
-                snapshots |= dict.fromkeys(one.sequence().tolist(), i)
+            for rows in self._rows_of(chunk, self._others.get(SNAPSHOT_TOPIC, -1)):
+                snapshots |= dict.fromkeys(rows.sequence().tolist(), i)
         return _Index(np.concatenate(parts), np.cumsum(counts), snapshots)
 
     @property
@@ -252,57 +252,57 @@ class RunLog:
         """
         if name not in TELEMETRY_FIELDS:
             raise LogError(f"no field {printable(name)!r}", self._file.name, "one of " + ", ".join(TELEMETRY_FIELDS))
-        places = columns(self.header, self.fields)
-        if name not in places:  # a log of an earlier version
+        slices = columns(self.header, self.fields)
+        if name not in slices:  # a log of an earlier version
             return np.full((len(self), len(self.names(name))), np.nan)
         if 8 * self._width * len(self) <= _CACHE_BYTES:
-            return self._numbers[:, places[name]]
-        return self._columns(places[name])
+            return self._numbers[:, slices[name]]
+        return self._columns(slices[name])
 
     @functools.cached_property
     def fields(self) -> tuple[str, ...]:
         """Return the telemetry fields in the file. Logs of earlier versions lack the last of TELEMETRY_FIELDS."""
-        for place, one in self._rows(self._values):
-            with Reading(self._file.at(place.offset)):
-                return layout_of(self.header, (one.data().shape[1] - VALUES_START + VALUES_END) // 8)
+        for chunk, rows in self._rows(self._values):
+            with Reading(self._file.at(chunk.offset)):
+                return row_fields(self.header, (rows.data().shape[1] - VALUES_START + VALUES_END) // 8)
         return TELEMETRY_FIELDS
 
     @property
     def _width(self) -> int:
         """Return the number of telemetry columns."""
-        return columns_of(self.header, self.fields)
+        return column_count(self.header, self.fields)
 
     @functools.cached_property
     def _numbers(self) -> Array:
         """Return the whole telemetry (ticks, columns)."""
         return self._columns(slice(0, self._width))
 
-    def _columns(self, place: slice) -> Array:
+    def _columns(self, columns: slice) -> Array:
         """Read columns of the telemetry (ticks, columns).
 
         Raises:
             LogError: the sequence numbers differ from those of the ticks.
         """
-        parts = [np.empty((0, place.stop - place.start))]
+        parts = [np.empty((0, columns.stop - columns.start))]
         sequence = [np.empty(0, np.uint32)]
         for data, numbers in self._values_parts():
-            part = np.ascontiguousarray(data[:, 8 * place.start : 8 * place.stop])
+            part = np.ascontiguousarray(data[:, 8 * columns.start : 8 * columns.stop])
             parts.append(part.view("<f8"))
             sequence.append(numbers)
-        found = np.concatenate(sequence)
-        if len(found) != len(self) or (found != (self.k & 0xFFFF_FFFF)).any():
+        numbers_in_file = np.concatenate(sequence)
+        if len(numbers_in_file) != len(self) or (numbers_in_file != (self.k & 0xFFFF_FFFF)).any():
             raise LogError("telemetry and ticks do not belong together", self._file.name, "an intact file")
         return np.concatenate(parts)
 
     def _values_parts(self, chunks: slice = slice(None)) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint32]]]:
         """Yield the telemetry as (rows, bytes) with the sequence numbers of the rows, in parts."""
         size = VALUES_START + 8 * self._width + 4
-        for chunk, one in self._rows(self._values, chunks):
-            data = one.data()
+        for chunk, rows in self._rows(self._values, chunks):
+            data = rows.data()
             with Reading(self._file.at(chunk.offset)):
                 if data.shape[1] != size:
                     raise ValueError("telemetry of another shape than the header says")
-            yield data[:, VALUES_START:VALUES_END], one.sequence()
+            yield data[:, VALUES_START:VALUES_END], rows.sequence()
 
     def packed(self, chunks: slice = slice(None)) -> Iterator[bytes]:
         """Yield the telemetry of each tick in the form of `Telemetry.packed`. Only a part of the file is in memory.
@@ -320,18 +320,18 @@ class RunLog:
     def digests(self) -> Iterator[bytes]:
         """Yield the chain hash of each tick. Logs of earlier versions have none."""
         if CHAIN_TOPIC in self._others:
-            for _, one in self._rows(self._others[CHAIN_TOPIC]):
-                yield from (row[-SIZE:].tobytes() for row in one.data())
+            for _, rows in self._rows(self._others[CHAIN_TOPIC]):
+                yield from (row[-SIZE:].tobytes() for row in rows.data())
 
     @functools.cached_property
     def clock_pairs(self) -> list[ClockPair]:
         """Return the pairs of wall and monotonic clock, ten seconds apart. A lockstep run has none."""
-        found = []
+        pairs = []
         if CLOCK_TOPIC in self._others:
-            for place, one in self._rows(self._others[CLOCK_TOPIC]):
-                with Reading(self._file.at(place.offset)):
-                    found += [pair_of(row.tobytes(), self.header.offset_ns) for row in one.data()]
-        return found
+            for chunk, rows in self._rows(self._others[CLOCK_TOPIC]):
+                with Reading(self._file.at(chunk.offset)):
+                    pairs += [pair_of(row.tobytes(), self.header.offset_ns) for row in rows.data()]
+        return pairs
 
     @functools.cached_property
     def snapshots(self) -> Mapping[int, bytes]:
@@ -340,8 +340,8 @@ class RunLog:
         Logs of earlier versions have no snapshots.
         """
         chunks = self._index.snapshots
-        kept = self.k[np.isin(self.k & _SEQUENCE, list(chunks))].tolist()
-        return _Snapshots({k: chunks[k & _SEQUENCE] for k in kept}, self._snapshot)
+        ticks = self.k[np.isin(self.k & _SEQUENCE, list(chunks))].tolist()
+        return _Snapshots({k: chunks[k & _SEQUENCE] for k in ticks}, self._snapshot)
 
     def _snapshot(self, k: int, chunk: int) -> bytes:
         """Read the snapshot after a tick from its chunk.
@@ -349,20 +349,20 @@ class RunLog:
         Raises:
             LogError: the snapshot is damaged.
         """
-        place = self._chunks[chunk]
-        with Reading(self._file.at(place.offset)):
-            rows_of_it = self._rows_of(place, self._others[SNAPSHOT_TOPIC])
-            found = dict(snapshot_of(row.tobytes()) for one in rows_of_it for row in one.data())
-            return found[k]
+        location = self._chunks[chunk]
+        with Reading(self._file.at(location.offset)):
+            rows_of_chunk = self._rows_of(location, self._others[SNAPSHOT_TOPIC])
+            snapshots = dict(snapshot_of(row.tobytes()) for rows in rows_of_chunk for row in rows.data())
+            return snapshots[k]
 
     def names(self, field: str) -> tuple[str, ...]:
         """Return the names of a field's columns."""
         return self.header.axis(TELEMETRY_AXES[field])
 
-    def _messages(self) -> Iterator[tuple[ChunkPlace, bytes]]:
+    def _messages(self) -> Iterator[tuple[ChunkLocation, bytes]]:
         """Yield each Tick message with its chunk."""
-        for place, one in self._rows(self._tick):
-            yield from ((place, message) for message in one.messages())
+        for chunk, rows in self._rows(self._tick):
+            yield from ((chunk, message) for message in rows.messages())
 
     @property
     def first_of_chunk(self) -> NDArray[np.intp]:
@@ -371,30 +371,30 @@ class RunLog:
 
     def ticks(self, chunks: slice = slice(None)) -> Iterator[TickRecord]:
         """Yield the ticks in order, of all chunks or of some."""
-        for place in self._chunks[chunks]:
-            with Reading(self._file.at(place.offset)):
-                messages = [message for one in self._rows_of(place, self._tick) for message in one.messages()]
+        for chunk in self._chunks[chunks]:
+            with Reading(self._file.at(chunk.offset)):
+                messages = [message for rows in self._rows_of(chunk, self._tick) for message in rows.messages()]
                 ticks = unpack_ticks(messages)
             yield from ticks
 
     @functools.cached_property
-    def _told(self) -> tuple[list[LoggedEvent], list[PhaseChange]]:
+    def _events_and_phases(self) -> tuple[list[LoggedEvent], list[PhaseChange]]:
         """Return events and phases. A message end seen before is not decoded again."""
         events: list[LoggedEvent] = []
         phases: list[PhaseChange] = []
-        quiet: dict[bytes, str] = {}
-        for index, (place, message) in enumerate(self._messages()):
-            with Reading(self._file.at(place.offset)):
+        phase_of_tail: dict[bytes, str] = {}
+        for index, (chunk, message) in enumerate(self._messages()):
+            with Reading(self._file.at(chunk.offset)):
                 # Ticks without events have equal message ends (phase and empty lists). The cache
                 # avoids decoding them again.
-                tail = message[layout(message).tail :]
-                phase = quiet.get(tail)
+                tail = message[message_layout(message).tail :]
+                phase = phase_of_tail.get(tail)
                 if phase is None:
                     tick = unpack_tick(message)
                     phase = tick.phase
                     events += [LoggedEvent(tick.tick_in.k, tick.tick_in.t_ns, event) for event in tick.events]
-                    if not tick.events and len(quiet) < _MAX_PHASES:
-                        quiet[tail] = phase
+                    if not tick.events and len(phase_of_tail) < _MAX_PHASES:
+                        phase_of_tail[tail] = phase
             if not phases or phases[-1].name != phase:
                 phases.append(PhaseChange(int(self.k[index]), int(self.t_ns[index]), phase))
         return events, phases
@@ -402,9 +402,9 @@ class RunLog:
     @property
     def events(self) -> list[LoggedEvent]:
         """Return the events of the controller in order."""
-        return self._told[0]
+        return self._events_and_phases[0]
 
     @property
     def phases(self) -> list[PhaseChange]:
         """Return the starts of the grasp phases."""
-        return self._told[1]
+        return self._events_and_phases[1]

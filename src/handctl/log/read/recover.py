@@ -9,14 +9,14 @@ import numpy as np
 from mcap.records import Channel, Schema
 
 from handctl.errors import LogError
-from handctl.log.container import Container, Run
-from handctl.log.read.logfile import ChunkPlace, LogFile, Reading
-from handctl.log.read.messages_in import definitions, rows
-from handctl.log.read.scan import Scan, scan
+from handctl.log.container import Container, MessageBlock
+from handctl.log.read.chunk_reader import definitions, iter_messages
+from handctl.log.read.logfile import ChunkLocation, LogFile, Reading
+from handctl.log.read.record_scan import RecordScan, scan_records
 from handctl.output import whole
 
 
-class Status(enum.IntEnum):
+class RecoveryStatus(enum.IntEnum):
     """Result of a recovery. The numbers are exit codes."""
 
     WHOLE = 0
@@ -38,7 +38,7 @@ class Recovery:
         problem: defect of the old file, else empty.
     """
 
-    status: Status
+    status: RecoveryStatus
     chunks: int = 0
     messages: int = 0
     lost: tuple[tuple[int, int], ...] = ()
@@ -58,88 +58,94 @@ def recover(path: Path, out: Path) -> Recovery:
         OSError: out cannot be written.
     """
     file = LogFile(path)
-    found = Scan()
+    scan = RecordScan()
     try:
-        problem = scan_all(file, found)
-        if not found.chunks:
-            return Recovery(Status.NOTHING, lost=((0, file.size),), problem=problem)
+        problem = scan_damaged(file, scan)
+        if not scan.chunks:
+            return Recovery(RecoveryStatus.NOTHING, lost=((0, file.size),), problem=problem)
         with whole(out, new=True) as part:
             descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
             try:
-                recovery = _copy(file, found, problem, Container(descriptor))
+                recovery = _copy(file, scan, problem, Container(descriptor))
             finally:
                 os.close(descriptor)
-            if recovery.status == Status.NOTHING:
+            if recovery.status == RecoveryStatus.NOTHING:
                 part.unlink()
         return recovery
     finally:
         file.close()
 
 
-def scan_all(file: LogFile, found: Scan) -> str:
-    """Scan a file as `scan` does, and return its defect instead of raising.
+def scan_damaged(file: LogFile, scan: RecordScan) -> str:
+    """Scan a file as `scan_records` does, and return its defect instead of raising.
 
-    The intact records before and behind a damaged one are in `found`.
+    The intact records before and behind a damaged one are in `scan`.
     """
     try:
-        scan(file, found, skip=True)
+        scan_records(file, scan, skip=True)
     except LogError as error:
-        if found.end == 0:
+        if scan.end == 0:
             raise
-        return found.problem or str(error)
-    return found.problem
+        return scan.problem or str(error)
+    return scan.problem
 
 
-def _copy(file: LogFile, found: Scan, problem: str, new: Container) -> Recovery:
+def _copy(file: LogFile, scan: RecordScan, problem: str, new: Container) -> Recovery:
     """Copy the intact parts of a file and write the end of the new file."""
-    for name, (media, time_ns, data) in found.attachments.items():
+    for name, (media, time_ns, data) in scan.attachments.items():
         new.attach(name, media, data, time_ns)
-    for name, values in found.metadata.items():
+    for name, values in scan.metadata.items():
         # The end record is written last, as in a log that was closed.
         if name != "handctl.end":
             new.metadata(name, values)
-    lost = found.skipped.copy()
-    kept = 0
-    for place in found.chunks:
+    lost = scan.skipped.copy()
+    copied = 0
+    for chunk in scan.chunks:
         try:
-            _copy_chunk(file, place, new)
-            kept += 1
+            _copy_chunk(file, chunk, new)
+            copied += 1
         except LogError as error:
             problem = problem or str(error)
-            lost.append((place.offset, place.end))
-    if not found.complete and found.end < file.size:
-        lost.append((found.end, file.size))
-    new.metadata("handctl.end", _end(found, problem))
+            lost.append((chunk.offset, chunk.end))
+    if not scan.complete and scan.end < file.size:
+        lost.append((scan.end, file.size))
+    new.metadata("handctl.end", _end(scan, problem))
     new.finish()
-    status = Status.NOTHING if not kept else Status.LOSSY if lost or not found.complete else Status.WHOLE
-    return Recovery(status, kept, new.messages, tuple(sorted(lost)), problem)
+    status = (
+        RecoveryStatus.NOTHING
+        if not copied
+        else RecoveryStatus.LOSSY
+        if lost or not scan.complete
+        else RecoveryStatus.WHOLE
+    )
+    return Recovery(status, copied, new.messages, tuple(sorted(lost)), problem)
 
 
-def _end(found: Scan, problem: str) -> dict[str, str]:
+def _end(scan: RecordScan, problem: str) -> dict[str, str]:
     """Return the end record of the new file, with the defect of the old file."""
-    end = found.metadata.get("handctl.end", {"reason": "not closed"})
+    end = scan.metadata.get("handctl.end", {"reason": "not closed"})
     return end | {"recovered": problem} if problem else end
 
 
-def _copy_chunk(file: LogFile, place: ChunkPlace, new: Container) -> None:
+def _copy_chunk(file: LogFile, chunk: ChunkLocation, new: Container) -> None:
     """Copy one chunk. Its messages are written unchanged.
 
     Raises:
         LogError: the chunk is damaged.
     """
-    content = file.content(place)
-    with Reading(file.at(place.offset)):
-        known = definitions(content)
-        schemas = [Schema(number, data, encoding, name) for number, name, encoding, data in known.schemas]
+    content = file.content(chunk)
+    with Reading(file.at(chunk.offset)):
+        chunk_definitions = definitions(content)
+        schemas = [Schema(number, data, encoding, name) for number, name, encoding, data in chunk_definitions.schemas]
         channels = [
             Channel(number, topic, encoding, metadata, schema)
-            for number, schema, topic, encoding, metadata in known.channels
+            for number, schema, topic, encoding, metadata in chunk_definitions.channels
         ]
-        runs = [
-            Run(one.channel, one.records.tobytes(), one.log_times(), _offsets(one.records.shape))
-            for one in rows(content, place.end - place.data)
+        blocks = [
+            MessageBlock(rows.channel, rows.records.tobytes(), rows.log_times(), _offsets(rows.records.shape))
+            for rows in iter_messages(content, chunk.end - chunk.data)
         ]
-    new.chunk(runs, schemas, channels)
+    new.chunk(blocks, schemas, channels)
 
 
 def _offsets(shape: tuple[int, ...]) -> "np.ndarray[tuple[int], np.dtype[np.uint64]]":

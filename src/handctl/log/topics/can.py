@@ -4,11 +4,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.drives.frame import ERROR, EXTENDED, FDF, REMOTE
-from handctl.log.batch import Batch, Frames
+from handctl.log.batch import Batch, FrameBatch
 from handctl.log.cdr import CdrWriter, Template, TemplateWriter
-from handctl.log.container import MESSAGE, Run
+from handctl.log.container import MESSAGE, MessageBlock
 from handctl.log.header import RunHeader
-from handctl.log.topics.streams import Registry, Stamps, Stream, Times
+from handctl.log.topics.message_streams import Registry, Stamps, Stream, Times
 
 _ID_MASK = 0x1FFF_FFFF
 """The 29 identifier bits of can_id. The three bits above are flags, as in SocketCAN."""
@@ -38,7 +38,7 @@ def fd_frame(bus: str, t_ns: int, can_id: int, data: bytes) -> bytes:
     return out.message()
 
 
-class _Direction:
+class _DirectionTopics:
     """Channels of one direction, rx or tx."""
 
     def __init__(self, buses: tuple[str, ...], registry: Registry, direction: str) -> None:
@@ -47,7 +47,7 @@ class _Direction:
         self._fd_channel = registry.add(f"/can/{direction}_fd", "ros2_socketcan_msgs/FdFrame")
         self._streams = [Stream(self._channel, can_frame(bus)) for bus in self._buses]
 
-    def runs(self, frames: Frames, stamps: Stamps, measured: Times) -> list[Run]:
+    def blocks(self, frames: FrameBatch, stamps: Stamps, measured: Times) -> list[MessageBlock]:
         """Return the messages of frames.
 
         Args:
@@ -59,32 +59,34 @@ class _Direction:
             return []
         fd = (frames.frames["flags"] & FDF) != 0
         bus = np.minimum(frames.frames["bus"], len(self._buses) - 1).astype(np.intp)
-        runs = []
+        blocks = []
         if not fd.all():
-            runs.append(self._classical(frames.frames[~fd], bus[~fd], stamps.at(~fd), measured[~fd]))
+            blocks.append(self._classical(frames.frames[~fd], bus[~fd], stamps.at(~fd), measured[~fd]))
         if fd.any():
-            runs.append(self._long(frames, bus, fd, stamps, measured))
-        return runs
+            blocks.append(self._long(frames, bus, fd, stamps, measured))
+        return blocks
 
-    def _classical(self, frames: NDArray[np.void], bus: NDArray[np.intp], stamps: Stamps, measured: Times) -> Run:
+    def _classical(
+        self, frames: NDArray[np.void], bus: NDArray[np.intp], stamps: Stamps, measured: Times
+    ) -> MessageBlock:
         """Return the messages of classical frames, in the order of the frames."""
         used = np.unique(bus)
         if len(used) == 1:
-            return self._streams[int(used[0])].run(stamps, _values(frames), measured)
+            return self._streams[int(used[0])].block(stamps, _values(frames), measured)
         records: list[bytes] = [b""] * len(frames)
         # The bus name is part of the template. Frames of several buses are made bus by bus and put
         # back in order.
-        for one in used.tolist():
-            where = np.flatnonzero(bus == one)
-            run = self._streams[one].run(stamps.at(where), _values(frames[where]), measured[where])
-            size = len(run.data) // len(where)
-            for index, start in zip(where.tolist(), range(0, len(run.data), size), strict=True):
-                records[index] = run.data[start : start + size]
+        for bus_index in used.tolist():
+            indexes = np.flatnonzero(bus == bus_index)
+            block = self._streams[bus_index].block(stamps.at(indexes), _values(frames[indexes]), measured[indexes])
+            size = len(block.data) // len(indexes)
+            for index, start in zip(indexes.tolist(), range(0, len(block.data), size), strict=True):
+                records[index] = block.data[start : start + size]
         return _joined(self._channel, stamps.log, records)
 
     def _long(
-        self, frames: Frames, bus: NDArray[np.intp], fd: NDArray[np.bool_], stamps: Stamps, measured: Times
-    ) -> Run:
+        self, frames: FrameBatch, bus: NDArray[np.intp], fd: NDArray[np.bool_], stamps: Stamps, measured: Times
+    ) -> MessageBlock:
         """Return the messages of CAN FD frames."""
         records = []
         rest = memoryview(frames.long_data)
@@ -106,10 +108,10 @@ class _Direction:
         return _joined(self._fd_channel, stamps.log[fd], records)
 
 
-def _joined(channel: int, log_times: Times, records: list[bytes]) -> Run:
+def _joined(channel: int, log_times: Times, records: list[bytes]) -> MessageBlock:
     """Return Message records joined into one block."""
     ends = np.cumsum([0, *map(len, records)], dtype=np.uint64)
-    return Run(channel, b"".join(records), log_times, ends[:-1])
+    return MessageBlock(channel, b"".join(records), log_times, ends[:-1])
 
 
 def _values(frames: NDArray[np.void]) -> dict[str, NDArray[np.generic]]:
@@ -130,17 +132,17 @@ class CanTopics:
 
     def __init__(self, header: RunHeader, registry: Registry) -> None:
         """Register the topics."""
-        self._rx, self._tx = (_Direction(header.buses, registry, direction) for direction in ("rx", "tx"))
+        self._rx, self._tx = (_DirectionTopics(header.buses, registry, direction) for direction in ("rx", "tx"))
         self._offset = header.offset_ns
 
-    def runs(self, batch: Batch, stamps: Stamps) -> list[Run]:
+    def blocks(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
         """Return the messages of all frames of a batch. A sent frame has the time at which its tick began."""
         sent_at = (batch.t_ns + batch.late_ns)[batch.sent.tick]
-        runs = []
+        blocks = []
         for direction, frames, t_ns in (
             (self._rx, batch.received, batch.received.frames["t_ns"]),
             (self._tx, batch.sent, sent_at),
         ):
             measured = np.maximum(t_ns + self._offset, 0).astype(np.uint64)
-            runs += direction.runs(frames, stamps.at(frames.tick), measured)
-        return runs
+            blocks += direction.blocks(frames, stamps.at(frames.tick), measured)
+        return blocks

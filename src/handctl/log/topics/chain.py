@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from handctl.log.batch import Batch
 from handctl.log.cdr import Template, TemplateWriter
-from handctl.log.container import Run
+from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
-from handctl.log.topics.streams import Registry, Stamps, Stream
+from handctl.log.topics.message_streams import Registry, Stamps, Stream
 
 TOPIC = "/tick/chain"
 SIZE = 8
@@ -23,7 +23,7 @@ SIZE = 8
 
 def seed(metadata: Mapping[str, str], gains: Mapping[str, str], attachments: Mapping[str, bytes]) -> bytes:
     """Compute the hash before the first tick, over all facts of a run except those of the machine and the day."""
-    whole = hashlib.blake2b(digest_size=SIZE)
+    digest = hashlib.blake2b(digest_size=SIZE)
     texts = {
         f"{group}.{name}": text.encode("utf-8", "backslashreplace")
         for group, table in (("m", metadata), ("g", gains))
@@ -31,9 +31,9 @@ def seed(metadata: Mapping[str, str], gains: Mapping[str, str], attachments: Map
     }
     # Name and length precede each text, so that no two sets of texts give the same bytes.
     for name, data in sorted((texts | {f"a.{name}": data for name, data in attachments.items()}).items()):
-        whole.update(f"{name}:{len(data)}:".encode("utf-8", "backslashreplace"))
-        whole.update(data)
-    return whole.digest()
+        digest.update(f"{name}:{len(data)}:".encode("utf-8", "backslashreplace"))
+        digest.update(data)
+    return digest.digest()
 
 
 def seed_of(header: RunHeader) -> bytes:
@@ -41,7 +41,7 @@ def seed_of(header: RunHeader) -> bytes:
     return seed(header.metadata, header.gains, {**header.attachments, "hand.toml": header.hand_toml.encode()})
 
 
-def link(before: bytes, message: bytes, numbers: bytes) -> bytes:
+def tick_hash(before: bytes, message: bytes, numbers: bytes) -> bytes:
     """Compute the hash of a tick.
 
     Args:
@@ -52,7 +52,7 @@ def link(before: bytes, message: bytes, numbers: bytes) -> bytes:
     return hashlib.blake2b(before + message + numbers, digest_size=SIZE).digest()
 
 
-def links(before: bytes, ticks: Iterable[tuple[bytes, bytes]]) -> Iterator[bytes]:
+def tick_hashes(before: bytes, ticks: Iterable[tuple[bytes, bytes]]) -> Iterator[bytes]:
     """Yield the hashes of consecutive ticks.
 
     Args:
@@ -60,7 +60,7 @@ def links(before: bytes, ticks: Iterable[tuple[bytes, bytes]]) -> Iterator[bytes
         ticks: message and packed telemetry of each tick.
     """
     for message, numbers in ticks:
-        before = link(before, message, numbers)
+        before = tick_hash(before, message, numbers)
         yield before
 
 
@@ -84,10 +84,10 @@ class ChainTopic:
         self._stream = Stream(registry.add(TOPIC, "handctl_msgs/Chain"), chain_message())
         self.last = seed_of(header)
 
-    def runs(self, batch: Batch, stamps: Stamps) -> list[Run]:
+    def blocks(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
         """Return the messages of all ticks of a batch."""
         numbers = (row.tobytes() for row in batch.numbers)
-        found = list(links(self.last, zip(batch.messages, numbers, strict=True)))
-        self.last = found[-1]
-        digests: NDArray[np.uint8] = np.frombuffer(b"".join(found), np.uint8).reshape(-1, SIZE)
-        return [self._stream.run(stamps, {"digest": digests})]
+        hashes = list(tick_hashes(self.last, zip(batch.messages, numbers, strict=True)))
+        self.last = hashes[-1]
+        digests: NDArray[np.uint8] = np.frombuffer(b"".join(hashes), np.uint8).reshape(-1, SIZE)
+        return [self._stream.block(stamps, {"digest": digests})]

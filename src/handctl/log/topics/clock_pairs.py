@@ -8,8 +8,8 @@ from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 from handctl.log.cdr import CdrWriter
-from handctl.log.container import Run
-from handctl.log.topics.streams import Registry, Stamps, loose
+from handctl.log.container import MessageBlock
+from handctl.log.topics.message_streams import Registry, Stamps, variable_length_block
 
 TOPIC = "/clock_pairs"
 PERIOD_NS = 10_000_000_000
@@ -53,7 +53,7 @@ class ClockTopic:
         """Register the topic."""
         self._channel = registry.add(TOPIC, "handctl_msgs/ClockPair")
 
-    def run(self, stamps: Stamps, wall_ns: int, monotonic_ns: int) -> Run:
+    def block(self, stamps: Stamps, wall_ns: int, monotonic_ns: int) -> MessageBlock:
         """Return the message of one pair."""
         out = CdrWriter()
         t_ns = int(stamps.log[0])
@@ -62,7 +62,7 @@ class ClockTopic:
         out.text("")
         out.put("q", wall_ns)
         out.put("q", monotonic_ns)
-        return loose(self._channel, stamps, [out.message()])
+        return variable_length_block(self._channel, stamps, [out.message()])
 
 
 def pair_of(message: bytes, offset_ns: int) -> ClockPair:

@@ -9,9 +9,9 @@ from handctl.core.types import Mode
 from handctl.drives.contract import Phase
 from handctl.log.batch import Batch, columns
 from handctl.log.cdr import CdrWriter, Template, TemplateWriter
-from handctl.log.container import Run
+from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
-from handctl.log.topics.streams import Registry, Stamps, Stream, loose
+from handctl.log.topics.message_streams import Registry, Stamps, Stream, variable_length_block
 from handctl.log.topics.transforms import ROOT
 from handctl.safety.action import Action
 
@@ -28,7 +28,7 @@ _DRIVE_LEVEL = {Phase.READY: OK, Phase.ENABLED: OK, Phase.FAULT: ERROR}
 
 
 @dataclass(frozen=True, slots=True)
-class Status:
+class DiagnosticStatus:
     """One diagnostic_msgs/DiagnosticStatus."""
 
     level: int
@@ -38,7 +38,7 @@ class Status:
     values: dict[str, str] = field(default_factory=dict)
 
 
-def diagnostic_array(t_ns: int, statuses: list[Status]) -> bytes:
+def diagnostic_array(t_ns: int, statuses: list[DiagnosticStatus]) -> bytes:
     """Encode a diagnostic_msgs/DiagnosticArray."""
     out = CdrWriter()
     out.put("I", t_ns // 10**9)
@@ -88,33 +88,35 @@ class HealthTopics:
         self._frames = np.zeros((len(header.buses), 2), np.int64)
         self._io_events: dict[str, int] = {}
 
-    def runs(self, batch: Batch, stamps: Stamps) -> list[Run]:
+    def blocks(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
         """Return the messages of a batch."""
-        runs = self._temperature_runs(batch, stamps)
-        chosen = self._chosen(batch)
+        blocks = self._temperature_runs(batch, stamps)
+        selected = self._selected(batch)
         messages: list[bytes] = []
         start = 0
-        for index in [*chosen.tolist(), len(batch.k) - 1]:
+        for index in [*selected.tolist(), len(batch.k) - 1]:
             self._count(batch, start, index + 1)
-            if len(messages) < len(chosen):
+            if len(messages) < len(selected):
                 messages.append(diagnostic_array(int(stamps.log[index]), self._statuses(batch, index)))
             start = index + 1
         if messages:
-            runs.append(loose(self._diagnostics, stamps.at(chosen), messages))
-        return runs
+            blocks.append(variable_length_block(self._diagnostics, stamps.at(selected), messages))
+        return blocks
 
-    def _temperature_runs(self, batch: Batch, stamps: Stamps) -> list[Run]:
+    def _temperature_runs(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
         """Return the temperatures of the first tick in each period."""
         periods = batch.t_ns // TEMPERATURE_PERIOD_NS
-        chosen = np.flatnonzero(np.diff(periods, prepend=self._last_temperature))
+        selected = np.flatnonzero(np.diff(periods, prepend=self._last_temperature))
         self._last_temperature = int(periods[-1])
-        if not len(chosen):
+        if not len(selected):
             return []
-        values = batch.numbers[chosen, self._columns["motor_temperature"]]
-        at = stamps.at(chosen)
-        return [stream.run(at, {"temperature": values[:, [index]]}) for index, stream in enumerate(self._temperatures)]
+        values = batch.numbers[selected, self._columns["motor_temperature"]]
+        at = stamps.at(selected)
+        return [
+            stream.block(at, {"temperature": values[:, [index]]}) for index, stream in enumerate(self._temperatures)
+        ]
 
-    def _chosen(self, batch: Batch) -> NDArray[np.intp]:
+    def _selected(self, batch: Batch) -> NDArray[np.intp]:
         """Return the indexes of the ticks with a status message."""
         # NaN differs from itself and would count as a change in every tick.
         phases = np.nan_to_num(batch.numbers[:, self._columns["drive_phase"]], nan=-1.0)
@@ -133,41 +135,41 @@ class HealthTopics:
             bus = np.bincount(frames.frames["bus"][first:last], minlength=len(self._frames))
             self._frames[:, direction] += bus[: len(self._frames)]
         for index in range(start, end):
-            tick = batch.notable.get(index)
+            tick = batch.ticks_with_events.get(index)
             for event in tick.tick_in.io_events if tick else ():
                 key = " ".join(filter(None, (event.kind, event.where)))
                 self._io_events[key] = self._io_events.get(key, 0) + event.number
 
-    def _statuses(self, batch: Batch, index: int) -> list[Status]:
+    def _statuses(self, batch: Batch, index: int) -> list[DiagnosticStatus]:
         """Return the statuses at a tick."""
         action = Action(int(batch.action[index]))
         level = OK if action == Action.PASS else WARN if action < Action.RELAX else ERROR
         mode = Mode(int(batch.mode[index])).name.lower()
         values = {"action": action.name.lower(), "phase": batch.phases[index], "cycle": str(int(batch.k[index]))}
-        controller = Status(level, "handctl: controller", mode, "handctl", values | self._counted())
+        controller = DiagnosticStatus(level, "handctl: controller", mode, "handctl", values | self._counted())
         return [controller, *self._buses(), *self._motors(batch.numbers[index])]
 
     def _counted(self) -> dict[str, str]:
         """Return the counts of io events as texts."""
         return {f"io {name}": str(number) for name, number in self._io_events.items()}
 
-    def _buses(self) -> list[Status]:
+    def _buses(self) -> list[DiagnosticStatus]:
         """Return the status of each bus."""
         return [
-            Status(OK, f"handctl: bus {bus}", "frames", bus, {"received": str(received), "sent": str(sent)})
+            DiagnosticStatus(OK, f"handctl: bus {bus}", "frames", bus, {"received": str(received), "sent": str(sent)})
             for bus, (received, sent) in zip(self._header.buses, self._frames.tolist(), strict=True)
         ]
 
-    def _motors(self, numbers: NDArray[np.float64]) -> list[Status]:
+    def _motors(self, numbers: NDArray[np.float64]) -> list[DiagnosticStatus]:
         """Return the status of each motor."""
-        found = []
-        shown = ("motor_position", "motor_velocity", "motor_torque", "motor_temperature", "motor_age")
-        part = {name: numbers[self._columns[name]] for name in (*shown, "drive_phase")}
+        statuses = []
+        fields = ("motor_position", "motor_velocity", "motor_torque", "motor_temperature", "motor_age")
+        part = {name: numbers[self._columns[name]] for name in (*fields, "drive_phase")}
         for index, motor in enumerate(self._header.motors):
             number = part["drive_phase"][index]
-            known = number in set(Phase)
-            phase = Phase(int(number)) if known else Phase.SILENT
-            values = {name.removeprefix("motor_"): f"{part[name][index]:.6g}" for name in shown}
+            is_valid = number in set(Phase)
+            phase = Phase(int(number)) if is_valid else Phase.SILENT
+            values = {name.removeprefix("motor_"): f"{part[name][index]:.6g}" for name in fields}
             level = _DRIVE_LEVEL.get(phase, WARN)
-            found.append(Status(level, f"handctl: motor {motor}", phase.name.lower(), motor, values))
-        return found
+            statuses.append(DiagnosticStatus(level, f"handctl: motor {motor}", phase.name.lower(), motor, values))
+        return statuses

@@ -4,8 +4,8 @@ import struct
 from typing import NamedTuple
 
 from handctl.log.cdr import CdrWriter
-from handctl.log.container import Run
-from handctl.log.topics.streams import Registry, loose, stamps_at
+from handctl.log.container import MessageBlock
+from handctl.log.topics.message_streams import Registry, stamps_at, variable_length_block
 
 TOPIC = "/controller/snapshot"
 PERIOD_NS = 1_000_000_000
@@ -33,7 +33,7 @@ class SnapshotTopic:
         """Register the topic."""
         self._channel = registry.add(TOPIC, "handctl_msgs/Snapshot")
 
-    def run(self, t_ns: int, snapshot: Snapshot) -> Run:
+    def block(self, t_ns: int, snapshot: Snapshot) -> MessageBlock:
         """Return the message of one snapshot.
 
         Args:
@@ -46,7 +46,7 @@ class SnapshotTopic:
         out.text("")
         out.put("q", snapshot.k)
         out.count(len(snapshot.data))
-        return loose(self._channel, stamps_at(t_ns, snapshot.k), [out.message() + snapshot.data])
+        return variable_length_block(self._channel, stamps_at(t_ns, snapshot.k), [out.message() + snapshot.data])
 
 
 def snapshot_of(message: bytes) -> Snapshot:

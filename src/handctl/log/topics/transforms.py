@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from handctl.log.batch import Batch, columns
 from handctl.log.cdr import TemplateWriter
-from handctl.log.container import Run
+from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
-from handctl.log.topics.streams import Registry, Stamps, Stream
+from handctl.log.topics.message_streams import Registry, Stamps, Stream
 
 PERIOD_NS = 20_000_000
 """Interval between transforms [ns]. 50 Hz is enough for a viewer."""
@@ -19,7 +19,7 @@ ROOT = "palm"
 """Root frame."""
 
 
-class Link(NamedTuple):
+class LinkFrame(NamedTuple):
     """A frame with its parent.
 
     Attributes:
@@ -47,9 +47,9 @@ def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, ...]:
     )
 
 
-def links(hand_toml: str) -> list[Link]:
+def link_frames(hand_toml: str) -> list[LinkFrame]:
     """Return the frames of a hand: palm, `<digit>_link<i>`, `<digit>_tip`."""
-    found = []
+    frames = []
     joint = 0
     for digit in tomllib.loads(hand_toml)["digit"]:
         name = digit["name"]
@@ -59,16 +59,16 @@ def links(hand_toml: str) -> list[Link]:
         rotation = quaternion(*map(math.radians, digit["mount_rpy_deg"]))
         for index, length in enumerate(lengths):
             child = f"{name}_link{index + 1}"
-            found.append(Link(parent, child, position, rotation, joint))
+            frames.append(LinkFrame(parent, child, position, rotation, joint))
             parent = child
             position = (float(length), 0.0, 0.0)
             rotation = (0.0, 0.0, 0.0, 1.0)
             joint += 1
-        found.append(Link(parent, f"{name}_tip", position, rotation, -1))
-    return found
+        frames.append(LinkFrame(parent, f"{name}_tip", position, rotation, -1))
+    return frames
 
 
-def turned(link: Link, q: NDArray[np.float64]) -> NDArray[np.float64]:
+def rotated(link: LinkFrame, q: NDArray[np.float64]) -> NDArray[np.float64]:
     """Compute the rotations x, y, z, w (n, 4) of a link at joint angles (n,) [rad]."""
     x, y, z, w = link.rotation
     sine = np.sin(q / 2)
@@ -79,7 +79,7 @@ def turned(link: Link, q: NDArray[np.float64]) -> NDArray[np.float64]:
     )
 
 
-def _stream(channel: int, some: list[Link]) -> Stream:
+def _stream(channel: int, some: list[LinkFrame]) -> Stream:
     """Create the stream of a tf2_msgs/TFMessage."""
     out = TemplateWriter()
     out.count(len(some))
@@ -96,31 +96,31 @@ class TfTopics:
 
     def __init__(self, header: RunHeader, registry: Registry) -> None:
         """Register the topics."""
-        tree = links(header.hand_toml)
-        self._moving, self._fixed = ([one for one in tree if (one.joint >= 0) == moves] for moves in (True, False))
+        tree = link_frames(header.hand_toml)
+        self._moving, self._fixed = ([link for link in tree if (link.joint >= 0) == moves] for moves in (True, False))
         self._static = _stream(registry.add("/tf_static", "tf2_msgs/TFMessage", latched=True), self._fixed)
         self._stream = _stream(registry.add("/tf", "tf2_msgs/TFMessage"), self._moving)
         self._q = columns(header)["q"]
         self._last = -1
 
-    def latched(self, stamps: Stamps) -> Run:
+    def latched(self, stamps: Stamps) -> MessageBlock:
         """Return the message of /tf_static."""
         values: dict[str, NDArray[np.generic]] = {}
         for index, link in enumerate(self._fixed):
             values[f"position{index}"] = np.array([link.position])
             values[f"rotation{index}"] = np.array([link.rotation])
-        return self._static.run(stamps, values)
+        return self._static.block(stamps, values)
 
-    def runs(self, batch: Batch, stamps: Stamps) -> list[Run]:
+    def blocks(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
         """Return /tf of the first tick in each 50 Hz period."""
         periods = batch.t_ns // PERIOD_NS
-        chosen = np.flatnonzero(np.diff(periods, prepend=self._last))
+        selected = np.flatnonzero(np.diff(periods, prepend=self._last))
         self._last = int(periods[-1])
-        if not len(chosen):
+        if not len(selected):
             return []
-        q = batch.numbers[chosen, self._q]
+        q = batch.numbers[selected, self._q]
         values: dict[str, NDArray[np.generic]] = {}
         for index, link in enumerate(self._moving):
             values[f"position{index}"] = np.array([link.position])
-            values[f"rotation{index}"] = turned(link, q[:, link.joint])
-        return [self._stream.run(stamps.at(chosen), values)]
+            values[f"rotation{index}"] = rotated(link, q[:, link.joint])
+        return [self._stream.block(stamps.at(selected), values)]

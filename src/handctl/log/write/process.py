@@ -38,15 +38,15 @@ NICE = -10
 """Scheduling priority, above other programs where permitted. The loop has real-time priority, which is higher."""
 
 
-def tell(note: dict[str, object]) -> None:
+def send_note(note: dict[str, object]) -> None:
     """Send a note to the controller. A full pipe loses the note, and the recorder never waits."""
     with suppress(BlockingIOError, BrokenPipeError):
         os.write(1, json.dumps(note).encode() + b"\n")
 
 
-def report(event: str, number: int) -> None:
+def report_event(event: str, number: int) -> None:
     """Send an event of the writer as a note."""
-    tell({"event": event, "number": number})
+    send_note({"event": event, "number": number})
 
 
 class Splitter:
@@ -70,7 +70,7 @@ class Splitter:
         self._rest = data[at:]
 
 
-class Session:
+class RecorderSession:
     """One run, from the first record to the end of the input."""
 
     def __init__(self, path: Path, floor_bytes: int) -> None:
@@ -106,7 +106,7 @@ class Session:
                 next_sync = now + SYNC_S
                 self._writer.sync()
         if self._writer:
-            tell({"summary": self._writer.finish(self._reason, self._dropped)})
+            send_note({"summary": self._writer.finish(self._reason, self._dropped)})
 
     def _take(self, kind: int, body: bytes) -> None:
         """Process one record."""
@@ -117,8 +117,8 @@ class Session:
         elif kind == HEADER:
             header = RunHeader.load(body)
             self._wall_flush = not header.deterministic
-            self._writer = LogWriter(self._path, header, report, self._floor, to_disk=Syncer())
-            tell({"ready": True})
+            self._writer = LogWriter(self._path, header, report_event, self._floor, to_disk=Syncer())
+            send_note({"ready": True})
         elif kind == END:
             end = json.loads(body)
             self._reason = str(end["reason"])
@@ -133,11 +133,11 @@ def main() -> int:
     os.set_blocking(1, False)
     with suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, 0, NICE)
-    session = Session(Path(sys.argv[1]), int(sys.argv[2]))
+    session = RecorderSession(Path(sys.argv[1]), int(sys.argv[2]))
     try:
         session.run()
     except OSError as error:
-        tell({"error": f"{error.strerror}: {error.filename or sys.argv[1]}"})
+        send_note({"error": f"{error.strerror}: {error.filename or sys.argv[1]}"})
         return 1
     return 0
 

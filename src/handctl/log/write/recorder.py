@@ -16,7 +16,7 @@ from typing import Self
 from handctl.core.types import IoEvent
 from handctl.errors import LogError
 from handctl.log.header import RunHeader
-from handctl.log.record import END, HEADER, framed
+from handctl.log.record import END, HEADER, record_bytes
 
 PIPE_BYTES = (8 << 20, 1 << 20)
 """Requested sizes of the pipe, in order of preference [bytes].
@@ -66,7 +66,7 @@ class Recorder:
         self._size = _grow(pipe)
         self._rest = b""
         self._line = b""
-        self._gone = self._told_gone = self._filling = False
+        self._ended = self._end_reported = self._filling = False
         self._announced = self.dropped = 0
         self._messages: list[dict[str, object]] = []
         os.set_blocking(self._notes, False)
@@ -93,7 +93,7 @@ class Recorder:
         finally:
             os.close(reading)
         recorder = cls(path, child, writing, header.deterministic)
-        recorder._open(framed(HEADER, header.dump()))
+        recorder._open(record_bytes(HEADER, header.dump()))
         return recorder
 
     def _open(self, header: bytes) -> None:
@@ -112,7 +112,7 @@ class Recorder:
 
     def _abandon(self) -> None:
         """End a recorder that did not start."""
-        self._gone = True
+        self._ended = True
         os.close(self._pipe)
         self._child.kill()
         self._child.wait()
@@ -135,11 +135,11 @@ class Recorder:
             try:
                 view = view[os.write(self._pipe, view) :]
             except BlockingIOError:
-                left = end - time.monotonic()
-                if left <= 0 or not select.select([], [self._pipe], [], left)[1]:
+                remaining = end - time.monotonic()
+                if remaining <= 0 or not select.select([], [self._pipe], [], remaining)[1]:
                     return False
             except BrokenPipeError:
-                self._gone = True
+                self._ended = True
                 return False
         return True
 
@@ -152,13 +152,13 @@ class Recorder:
         Returns:
             False if the record was dropped.
         """
-        if self._gone:
+        if self._ended:
             self.dropped += 1
             return False
         if self._lossless:
-            self._gone = not self._send(data, LOCKSTEP_WAIT_S)
-            self.dropped += self._gone
-            return not self._gone
+            self._ended = not self._send(data, LOCKSTEP_WAIT_S)
+            self.dropped += self._ended
+            return not self._ended
         try:
             # A record that was written in part must be completed first, or the stream loses its
             # boundaries.
@@ -170,7 +170,7 @@ class Recorder:
         except BlockingIOError:
             pass
         except BrokenPipeError:
-            self._gone = True
+            self._ended = True
         self.dropped += 1
         return False
 
@@ -186,22 +186,22 @@ class Recorder:
             error: errno.
             misshapen: telemetry with another shape than in the header.
         """
-        found = []
-        if not self._gone:
+        events = []
+        if not self._ended:
             if self._poll.poll(0):
                 self._read_notes(0.0)
-            found += self._filling_event()
-        if not self._messages and self.dropped == self._announced and not self._gone:
-            return tuple(found)
-        found += [IoEvent("recorder", str(n["event"]), int(str(n["number"]))) for n in self._messages if "event" in n]
+            events += self._filling_event()
+        if not self._messages and self.dropped == self._announced and not self._ended:
+            return tuple(events)
+        events += [IoEvent("recorder", str(n["event"]), int(str(n["number"]))) for n in self._messages if "event" in n]
         self._messages = [note for note in self._messages if "event" not in note]
         if self.dropped > self._announced:
-            found.append(IoEvent("recorder", "dropped", self.dropped - self._announced))
+            events.append(IoEvent("recorder", "dropped", self.dropped - self._announced))
             self._announced = self.dropped
-        if self._gone and not self._told_gone:
-            self._told_gone = True
-            found.append(IoEvent("recorder", "gone"))
-        return tuple(found)
+        if self._ended and not self._end_reported:
+            self._end_reported = True
+            events.append(IoEvent("recorder", "gone"))
+        return tuple(events)
 
     def _filling_event(self) -> list[IoEvent]:
         """Return an event each time the pipe becomes more than half full."""
@@ -225,7 +225,7 @@ class Recorder:
             except BlockingIOError:
                 return
             if not data:
-                self._gone = True
+                self._ended = True
                 return
             *lines, self._line = (self._line + data).split(b"\n")
             self._messages += [json.loads(line) for line in lines]
@@ -240,8 +240,8 @@ class Recorder:
             path, bytes, complete, dropped. If the recorder finished, also ticks, messages, lost, reason.
         """
         body = json.dumps({"reason": reason, "dropped": self.dropped}).encode()
-        if not self._gone and self._send(self._rest, CLOSE_S):
-            self._send(framed(END, body), CLOSE_S)
+        if not self._ended and self._send(self._rest, CLOSE_S):
+            self._send(record_bytes(END, body), CLOSE_S)
         os.close(self._pipe)
         try:
             self._child.wait(CLOSE_S)

@@ -10,19 +10,19 @@ from contextlib import suppress
 from pathlib import Path
 
 from handctl.log.batch import Batcher
-from handctl.log.container import Container, Run
+from handctl.log.container import Container, MessageBlock
 from handctl.log.header import RunHeader
 from handctl.log.record import SNAPSHOT_HEAD
-from handctl.log.topics.all import Topics
 from handctl.log.topics.clock_pairs import PERIOD_NS
 from handctl.log.topics.snapshots import Snapshot
+from handctl.log.topics.topic_set import Topics
 from handctl.log.write.syncer import sync_now
 
 CHUNK_SPAN_NS = 250_000_000
 """Maximum time span of a chunk [ns]: the maximum loss if the recorder is killed."""
 CHUNK_BYTES = 1 << 20
 """Size of the collected records at which a chunk ends [bytes]."""
-BALLAST_BYTES = 512 << 10
+RESERVED_BYTES = 512 << 10
 """Disk space reserved for the summary and footer of a file on a full disk [bytes]."""
 SCHEMA = 1
 """Version of topics and records. A reader refuses other versions."""
@@ -44,7 +44,7 @@ def _create(path: Path) -> int:
     return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_CLOEXEC", 0), 0o644)
 
 
-class _Ballast:
+class _ReservedSpace:
     """Reserved space on the disk of a log, in a file without a name. A kill leaves no file behind."""
 
     def __init__(self, folder: Path) -> None:
@@ -55,11 +55,11 @@ class _Ballast:
             # The space stays reserved as long as the descriptor is open.
             os.unlink(name)
             if hasattr(os, "posix_fallocate"):
-                os.posix_fallocate(self._fd, 0, BALLAST_BYTES)
+                os.posix_fallocate(self._fd, 0, RESERVED_BYTES)
             else:
-                os.write(self._fd, bytes(BALLAST_BYTES))
+                os.write(self._fd, bytes(RESERVED_BYTES))
 
-    def drop(self) -> None:
+    def release(self) -> None:
         """Release the space."""
         if self._fd >= 0:
             os.close(self._fd)
@@ -109,12 +109,12 @@ class LogWriter:
         self._topics = Topics(header)
         self._batcher = Batcher(header)
         self._fd = _create(path)
-        self._ballast = _Ballast(path.parent)
+        self._reserved = _ReservedSpace(path.parent)
         self._warned = self.dead = False
         self._mark = -1
         self._first_k = 0
         self._last_k = -1
-        self._snapshots: list[Run] = []
+        self._snapshots: list[MessageBlock] = []
         self.ticks = self.lost = self._missed = 0
         self._container = Container(self._fd)
         self._write_head()
@@ -122,18 +122,18 @@ class LogWriter:
     def _write_head(self) -> None:
         """Write attachments, metadata, schemas and channels."""
         header = self._header
-        one = self._container
+        container = self._container
         for name, data in ({"hand.toml": header.hand_toml.encode()} | header.attachments).items():
-            one.attach(name, _MEDIA.get(Path(name).suffix, "application/octet-stream"), data, header.offset_ns)
-        one.metadata("handctl", header.metadata)
+            container.attach(name, _MEDIA.get(Path(name).suffix, "application/octet-stream"), data, header.offset_ns)
+        container.metadata("handctl", header.metadata)
         lists = {name: list(getattr(header, name)) for name in ("joints", "tendons", "motors", "digits", "buses")}
         numbers = {"schema": SCHEMA, "period_ns": header.period_ns, "offset_ns": header.offset_ns}
-        plain = lists | numbers | {"deterministic": header.deterministic}
-        one.metadata("handctl.run", {name: json.dumps(value) for name, value in plain.items()})
-        one.metadata("handctl.gains", header.gains)
+        fields = lists | numbers | {"deterministic": header.deterministic}
+        container.metadata("handctl.run", {name: json.dumps(value) for name, value in fields.items()})
+        container.metadata("handctl.gains", header.gains)
         if header.wall:
-            one.metadata("handctl.wall", header.wall)
-        one.chunk(self._topics.latched(), self._topics.schemas, self._topics.channels)
+            container.metadata("handctl.wall", header.wall)
+        container.chunk(self._topics.latched(), self._topics.schemas, self._topics.channels)
 
     @property
     def pending(self) -> bool:
@@ -185,13 +185,13 @@ class LogWriter:
         snapshots = self._snapshots
         self._snapshots = []
         try:
-            self._container.chunk(self._topics.runs(batch) + snapshots + self._clock_pair(int(batch.t_ns[-1])))
+            self._container.chunk(self._topics.blocks(batch) + snapshots + self._clock_pair(int(batch.t_ns[-1])))
         except OSError as error:
             self.lost += len(batch.k)
             self.ticks -= len(batch.k)
             self._fail(error)
 
-    def _clock_pair(self, t_ns: int) -> list[Run]:
+    def _clock_pair(self, t_ns: int) -> list[MessageBlock]:
         """Return a message with both clocks, at most every PERIOD_NS."""
         if self._header.deterministic or t_ns < self._next_pair_ns:
             return []
@@ -207,8 +207,8 @@ class LogWriter:
         except OSError as error:
             self._fail(error)
             return
-        room = os.statvfs(self._path)
-        free = room.f_bavail * room.f_frsize
+        disk = os.statvfs(self._path)
+        free = disk.f_bavail * disk.f_frsize
         if free < self._floor:
             self._stop_early(free)
         elif free < 4 * self._floor and not self._warned:
@@ -234,7 +234,7 @@ class LogWriter:
     def _end(self, reason: str, dropped: int) -> None:
         """Write the end of the file. If this fails, cut the file back to its last complete record."""
         self.dead = True
-        self._ballast.drop()
+        self._reserved.release()
         numbers = {
             "ticks": self.ticks,
             "missed": self._missed,

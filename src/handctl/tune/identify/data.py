@@ -10,8 +10,8 @@ from handctl.controller.setup import ATTACHMENT
 from handctl.core.types import Mode
 from handctl.hand.description import Hand
 from handctl.log.read.logfile import Reading
-from handctl.log.read.moments import phase_of_each
 from handctl.log.read.reader import RunLog
+from handctl.log.read.timeline import phase_of_each
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -5,7 +5,7 @@ import rerun.blueprint as rrb
 from rerun.blueprint.components import BackgroundKind, Corner2D, LinkAxis, PanelState
 
 from handctl.view.scene.arrow import TIMELINE
-from handctl.view.scene.subject import Subject
+from handctl.view.scene.run_info import RunInfo
 
 LINKED = rrb.TimeAxis(link=LinkAxis.LinkToGlobal)
 NO_LEGEND = rrb.PlotLegend(visible=False)
@@ -26,16 +26,16 @@ EYE = (1.5, -0.75, 1.0)
 """Position of the eye in hand lengths: in front of the palm, on the side of the thumb and above."""
 
 
-def dashboard(subject: Subject, live: bool = False) -> rrb.Blueprint:
+def dashboard(run: RunInfo, live: bool = False) -> rrb.Blueprint:
     """Build the layout: hand, timing and log left, tensions, angles and states right, all plots on one time axis.
 
     Args:
-        subject: run and hand.
+        run: run and hand.
         live: show the last seconds and follow the run.
     """
     window = [LAST_SECONDS] if live else None
-    left = rrb.Vertical(_hand(subject), _timing(window), _log(), row_shares=[0.56, 0.18, 0.26])
-    right = rrb.Vertical(_forces(subject, window), _angles(subject, window), _states(window), row_shares=ROWS)
+    left = rrb.Vertical(_hand(run), _timing(window), _log(), row_shares=[0.56, 0.18, 0.26])
+    right = rrb.Vertical(_forces(run, window), _angles(run, window), _states(window), row_shares=ROWS)
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[0.40, 0.60]),
         rrb.TopPanel(state=PanelState.Hidden),
@@ -47,30 +47,30 @@ def dashboard(subject: Subject, live: bool = False) -> rrb.Blueprint:
     )
 
 
-def _hand(subject: Subject) -> rrb.Spatial3DView:
+def _hand(run: RunInfo) -> rrb.Spatial3DView:
     """Build the view of the hand."""
-    mounts = np.array([digit.mount_position_m for digit in subject.hand.digit])
-    middle = mounts.mean(axis=0) * (1, 0, 1) + subject.reach * np.array([0.4, -0.05, -0.06])
+    mounts = np.array([digit.mount_position_m for digit in run.hand.digit])
+    middle = mounts.mean(axis=0) * (1, 0, 1) + run.reach * np.array([0.4, -0.05, -0.06])
     return rrb.Spatial3DView(
-        name=f"{subject.hand.name}, {subject.name}: arrows are forces of the object on the fingertips",
+        name=f"{run.hand.name}, {run.name}: arrows are forces of the object on the fingertips",
         contents=["+ /hand/**", "+ /force/**", "+ /tf/**", "+ /tf_static/**"],
         spatial_information=rrb.SpatialInformation(target_frame="palm"),
         background=rrb.Background(kind=BackgroundKind.SolidColor, color=BACKGROUND),
         line_grid=False,
         eye_controls=rrb.EyeControls3D(
-            position=middle + subject.reach * np.array(EYE), look_target=middle, eye_up=(0, 0, 1)
+            position=middle + run.reach * np.array(EYE), look_target=middle, eye_up=(0, 0, 1)
         ),
     )
 
 
-def _forces(subject: Subject, window: Window) -> rrb.Horizontal:
+def _forces(run: RunInfo, window: Window) -> rrb.Horizontal:
     """Build the plots of tensions and fingertip forces."""
     tensions = rrb.TimeSeriesView(
         name="Tendon tension [N], 1-sigma band",
         contents="/tension/**",
         axis_x=LINKED,
         time_ranges=window,
-        axis_y=rrb.ScalarAxis(range=(0.0, HEADROOM * subject.limits[-1])),
+        axis_y=rrb.ScalarAxis(range=(0.0, HEADROOM * run.limits[-1])),
         plot_legend=rrb.PlotLegend(Corner2D.LeftTop),
     )
     tips = rrb.TimeSeriesView(
@@ -83,7 +83,7 @@ def _forces(subject: Subject, window: Window) -> rrb.Horizontal:
     return rrb.Horizontal(tensions, tips, column_shares=[0.6, 0.4])
 
 
-def _angles(subject: Subject, window: Window) -> rrb.Grid:
+def _angles(run: RunInfo, window: Window) -> rrb.Grid:
     """Build one plot per digit."""
     views = [
         rrb.TimeSeriesView(
@@ -93,7 +93,7 @@ def _angles(subject: Subject, window: Window) -> rrb.Grid:
             time_ranges=window,
             plot_legend=NO_LEGEND,
         )
-        for digit in subject.hand.digit
+        for digit in run.hand.digit
     ]
     return rrb.Grid(*views, grid_columns=2)
 

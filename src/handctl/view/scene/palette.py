@@ -10,16 +10,16 @@ class Colour(NamedTuple):
     green: int
     blue: int
 
-    def mixed(self, other: "Colour", share: float) -> "Colour":
+    def mixed(self, other: "Colour", fraction: float) -> "Colour":
         """Return the colour at a fraction, 0 to 1, of the way to another colour."""
-        return Colour(*(round(a + share * (b - a)) for a, b in zip(self, other, strict=True)))
+        return Colour(*(round(a + fraction * (b - a)) for a, b in zip(self, other, strict=True)))
 
 
 WHITE = Colour(255, 255, 255)
 BLACK = Colour(13, 16, 17)
 PALM = Colour(96, 104, 116)
 LIMIT = Colour(255, 72, 66)
-PLAIN = Colour(168, 180, 196)
+NEUTRAL = Colour(168, 180, 196)
 DIGITS = (
     Colour(84, 160, 255),
     Colour(255, 166, 64),
@@ -74,6 +74,6 @@ def shades(index: int, number: int) -> list[Colour]:
     return [digit(index).mixed(WHITE, 0.4 * i / max(number - 1, 1)) for i in range(number)]
 
 
-def faint(colour: Colour) -> Colour:
+def dimmed(colour: Colour) -> Colour:
     """Return the dimmed colour for a command beside its measured value."""
     return colour.mixed(BLACK, 0.45)

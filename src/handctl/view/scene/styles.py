@@ -9,7 +9,7 @@ from handctl.core.types import TELEMETRY_AXES
 from handctl.view.scene import palette
 from handctl.view.scene.arrow import static
 from handctl.view.scene.palette import Colour
-from handctl.view.scene.subject import Subject
+from handctl.view.scene.run_info import RunInfo
 
 ESTIMATE_WIDTH = 1.8
 COMMAND_WIDTH = 1.0
@@ -17,64 +17,66 @@ LIMIT_WIDTH = 2.2
 """Line widths [points]."""
 
 
-def styles(subject: Subject) -> Iterator[Chunk]:
+def styles(run: RunInfo) -> Iterator[Chunk]:
     """Yield all static chunks of a run."""
-    yield from _tensions(subject)
-    yield from _angles(subject)
-    yield from _forces(subject)
+    yield from _tensions(run)
+    yield from _angles(run)
+    yield from _forces(run)
     yield from _states()
-    yield _lines("/loop/late", ["late"], [palette.PLAIN], 1.2)
-    buses = subject.hand.bus_names
-    yield _lines("/bus/load", buses, [palette.digit(i).mixed(palette.PLAIN, 0.4) for i in range(len(buses))], 1.4)
+    yield _lines("/loop/late", ["late"], [palette.NEUTRAL], 1.2)
+    buses = run.hand.bus_names
+    yield _lines("/bus/load", buses, [palette.digit(i).mixed(palette.NEUTRAL, 0.4) for i in range(len(buses))], 1.4)
     for name, axis in TELEMETRY_AXES.items():
-        names = subject.header.axis(axis)
+        names = run.header.axis(axis)
         yield _lines(f"/controller/{name}", names, [palette.digit(i) for i in range(len(names))], 1.2)
 
 
 def _lines(entity: str, names: Sequence[str], colours: Sequence[Colour], width: float) -> Chunk:
     """Return the style of plot lines."""
-    look = rr.SeriesLines.columns(names=list(names), colors=list(colours), widths=[width] * len(names))
-    return static(entity, look.partition([len(names)]))
+    style = rr.SeriesLines.columns(names=list(names), colors=list(colours), widths=[width] * len(names))
+    return static(entity, style.partition([len(names)]))
 
 
 def _measured(entity: str, names: Sequence[str], colours: Sequence[Colour], unit: str) -> Chunk:
     """Return the style of plot lines with a band."""
-    look = rr.Measurements.columns(
+    style = rr.Measurements.columns(
         names=list(names),
         colors=list(colours),
         widths=[ESTIMATE_WIDTH] * len(names),
         units=[unit] * len(names),
     )
-    return static(entity, look.partition([len(names)]))
+    return static(entity, style.partition([len(names)]))
 
 
-def _tensions(subject: Subject) -> Iterator[Chunk]:
+def _tensions(run: RunInfo) -> Iterator[Chunk]:
     """Yield styles of the tensions: estimates in the colours of the digits, commands dimmed, limits red."""
-    names = subject.hand.tendon_names
+    names = run.hand.tendon_names
     # One slice of tendons per digit. Each digit has its own colour, and each of its tendons a shade.
-    places = subject.hand.digit_tendons.values()
-    colours = [shade for i, place in enumerate(places) for shade in palette.shades(i, place.stop - place.start)]
+    tendon_slices = run.hand.digit_tendons.values()
+    colours = [
+        shade for i, tendons in enumerate(tendon_slices) for shade in palette.shades(i, tendons.stop - tendons.start)
+    ]
     yield _measured("/tension/estimate", names, colours, "N")
     yield _lines(
-        "/tension/command", ["command"] * len(names), [palette.faint(colour) for colour in colours], COMMAND_WIDTH
+        "/tension/command", ["command"] * len(names), [palette.dimmed(colour) for colour in colours], COMMAND_WIDTH
     )
-    limits = [f"limit {limit:g} N" for limit in subject.limits]
+    limits = [f"limit {limit:g} N" for limit in run.limits]
     yield _lines("/tension/limit", limits, [palette.LIMIT] * len(limits), LIMIT_WIDTH)
 
 
-def _angles(subject: Subject) -> Iterator[Chunk]:
+def _angles(run: RunInfo) -> Iterator[Chunk]:
     """Yield styles of the joint angles."""
-    for index, digit in enumerate(subject.hand.digit):
+    for index, digit in enumerate(run.hand.digit):
         names = [name.removeprefix(f"{digit.name}_") for name in digit.joints]
         colours = palette.shades(index, len(names))
         yield _measured(f"/angle/{digit.name}/estimate", names, colours, "deg")
-        wanted = [f"{name} command" for name in names]
-        yield _lines(f"/angle/{digit.name}/command", wanted, [palette.PLAIN] * len(names), COMMAND_WIDTH)
+        command_names = [f"{name} command" for name in names]
+        yield _lines(f"/angle/{digit.name}/command", command_names, [palette.NEUTRAL] * len(names), COMMAND_WIDTH)
 
 
-def _forces(subject: Subject) -> Iterator[Chunk]:
+def _forces(run: RunInfo) -> Iterator[Chunk]:
     """Yield frames and colours of the force arrows. Each arrow starts at its fingertip."""
-    for index, digit in enumerate(subject.hand.digit_names):
+    for index, digit in enumerate(run.hand.digit_names):
         colour = palette.digit(index).mixed(palette.WHITE, 0.3)
         yield static(f"/force/{digit}", rr.CoordinateFrame.columns(frame=[f"{digit}_tip"]))
         yield static(f"/force/{digit}", rr.Arrows3D.columns(colors=[colour]))
@@ -84,5 +86,5 @@ def _states() -> Iterator[Chunk]:
     """Yield names and colours of the states."""
     for lane, colours in (("phase", palette.STATES), ("mode", palette.STATES), ("safety", palette.ACTIONS)):
         names = list(colours)
-        look = rr.StateConfiguration.columns(values=names, labels=names, colors=list(colours.values()))
-        yield static(f"/state/{lane}", look.partition([len(names)]))
+        style = rr.StateConfiguration.columns(values=names, labels=names, colors=list(colours.values()))
+        yield static(f"/state/{lane}", style.partition([len(names)]))

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from handctl.core.types import GAIN_EVENT, Mode
 from handctl.log.batch import Batch
 from handctl.log.cdr import CdrWriter
-from handctl.log.container import Run
+from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
-from handctl.log.messages import OTHER_PHASE, PHASES
+from handctl.log.message_types import OTHER_PHASE, PHASES
 from handctl.log.record import TickRecord
-from handctl.log.topics.streams import Registry, Stamps, loose
+from handctl.log.topics.message_streams import Registry, Stamps, variable_length_block
 from handctl.safety.action import Action
 
 LEVELS = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
@@ -101,12 +101,12 @@ class EventTopics:
         self._action = registry.add("/safety/action", "handctl_msgs/Action")
         self._last: dict[int, tuple[int, str]] = {}
 
-    def latched(self, stamps: Stamps) -> list[Run]:
+    def latched(self, stamps: Stamps) -> list[MessageBlock]:
         """Return the gains at the start."""
         message = parameter_event(int(stamps.log[0]), self._gains, {})
-        return [loose(self._parameters, stamps, [message])] if self._gains else []
+        return [variable_length_block(self._parameters, stamps, [message])] if self._gains else []
 
-    def runs(self, batch: Batch, stamps: Stamps) -> list[Run]:
+    def blocks(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
         """Return the messages of a batch."""
         modes = [Mode(number) for number in batch.mode.tolist()]
         actions = [Action(number) for number in batch.action.tolist()]
@@ -115,21 +115,21 @@ class EventTopics:
             (self._mode, [(mode.value, mode.name.lower()) for mode in modes]),
             (self._action, [(action.value, action.name.lower()) for action in actions]),
         ]
-        runs = []
+        blocks = []
         for channel, states in lanes:
-            where = _changes(states, self._last.get(channel))
-            messages = [labelled(int(stamps.log[index]), *states[index]) for index in where]
-            runs.append(loose(channel, stamps.at(_index(where)), messages))
+            indexes = _changes(states, self._last.get(channel))
+            messages = [labelled(int(stamps.log[index]), *states[index]) for index in indexes]
+            blocks.append(variable_length_block(channel, stamps.at(_index(indexes)), messages))
             self._last[channel] = states[-1]
-        return [run for run in [*runs, *self._lines(batch, stamps)] if run.data]
+        return [block for block in [*blocks, *self._lines(batch, stamps)] if block.data]
 
-    def _lines(self, batch: Batch, stamps: Stamps) -> list[Run]:
+    def _lines(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
         """Return the log lines and the changes of gains."""
         at: list[int] = []
         lines: list[bytes] = []
         gains_at = []
         gains = []
-        for index, tick in batch.notable.items():
+        for index, tick in batch.ticks_with_events.items():
             t_ns = int(stamps.log[index])
             for level, name, text in _texts(tick):
                 at.append(index)
@@ -139,8 +139,8 @@ class EventTopics:
                 gains_at.append(index)
                 gains.append(parameter_event(t_ns, {}, changed))
         return [
-            loose(self._rosout, stamps.at(_index(at)), lines),
-            loose(self._parameters, stamps.at(_index(gains_at)), gains),
+            variable_length_block(self._rosout, stamps.at(_index(at)), lines),
+            variable_length_block(self._parameters, stamps.at(_index(gains_at)), gains),
         ]
 
 

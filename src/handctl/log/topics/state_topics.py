@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.log.batch import Batch, columns
 from handctl.log.cdr import CdrWriter, Template, TemplateWriter
-from handctl.log.container import Run
+from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
-from handctl.log.topics.streams import Registry, Stamps, Stream
+from handctl.log.topics.message_streams import Registry, Stamps, Stream
 
 Numbers = NDArray[np.float64]
 
@@ -108,7 +108,7 @@ def names_message(header: RunHeader, seconds: int, nanoseconds: int) -> bytes:
     out.put("I", seconds)
     out.put("I", nanoseconds)
     out.text("")
-    out.texts(tuple(f"{name}/{one}" for name in TELEMETRY_FIELDS for one in header.axis(TELEMETRY_AXES[name])))
+    out.texts(tuple(f"{name}/{element}" for name in TELEMETRY_FIELDS for element in header.axis(TELEMETRY_AXES[name])))
     out.count(1)
     return out.message()
 
@@ -143,25 +143,25 @@ class StateTopics:
         channel = registry.add(f"/fingertip/{digit}/wrench", "geometry_msgs/WrenchStamped", note=note)
         return Stream(channel, wrench(f"{digit}_tip"))
 
-    def runs(self, batch: Batch, stamps: Stamps) -> list[Run]:
+    def blocks(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
         """Return the messages of all ticks of a batch."""
-        part = {name: batch.numbers[:, place] for name, place in self._columns.items()}
+        part = {name: batch.numbers[:, columns_of_field] for name, columns_of_field in self._columns.items()}
         part["tendon_torque"] = self._tendon_torque(part["tension"])
-        runs = [
-            stream.run(stamps, self._joint_state_values(topic, part)) for topic, stream in self._joint_states.items()
+        blocks = [
+            stream.block(stamps, self._joint_state_values(topic, part)) for topic, stream in self._joint_states.items()
         ]
         for index, stream in enumerate(self._wrenches):
             force = np.zeros((len(batch.k), 3))
             # The object pushes against the closing direction +y. `0.0 -` gives 0.0 where a minus sign
             # gives -0.0.
             force[:, 1] = 0.0 - part["tip_force"][:, index]
-            runs.append(stream.run(stamps, {"force": force}))
-        runs.append(self._values.run(stamps, {"values": batch.numbers}))
-        runs.append(self._cycle.run(stamps, self._cycle_values(batch) | {"stale": part["motor_age"]}))
+            blocks.append(stream.block(stamps, {"force": force}))
+        blocks.append(self._values.block(stamps, {"values": batch.numbers}))
+        blocks.append(self._cycle.block(stamps, self._cycle_values(batch) | {"stale": part["motor_age"]}))
         for field, stream in self._estimates.items():
             variance = part[f"{field}_sigma"] ** 2
-            runs.append(stream.run(stamps, {"value": part[field], "variance": variance}))
-        return runs
+            blocks.append(stream.block(stamps, {"value": part[field], "variance": variance}))
+        return blocks
 
     def _tendon_torque(self, tension: Numbers) -> Numbers:
         """Return the joint torque of the tendons R^T f (n, J) [N m].
@@ -177,7 +177,9 @@ class StateTopics:
         """Return position, velocity and effort of a topic."""
         _, *fields = JOINT_STATES[topic]
         return {
-            place: part[name] for place, name in zip(("position", "velocity", "effort"), fields, strict=True) if name
+            part_name: part[name]
+            for part_name, name in zip(("position", "velocity", "effort"), fields, strict=True)
+            if name
         }
 
     def _cycle_values(self, batch: Batch) -> dict[str, NDArray[np.generic]]:
@@ -190,8 +192,8 @@ class StateTopics:
         # The smallest int64 marks a tick without a reply. The time is then NaN.
         latest = np.full(len(start), np.iinfo(np.int64).min)
         np.maximum.at(latest, batch.received.tick, batch.received.frames["t_ns"])
-        heard = (latest > np.iinfo(np.int64).min) & (before >= 0)
-        last_reply = np.where(heard, (np.where(heard, latest, 0) - before) * 1e-9, np.nan)
+        received = (latest > np.iinfo(np.int64).min) & (before >= 0)
+        last_reply = np.where(received, (np.where(received, latest, 0) - before) * 1e-9, np.nan)
         self._last = int(batch.k[-1]), int(start[-1])
         numbers = np.stack([period, batch.late_ns * 1e-9, last_reply], axis=1)
         small = {"missed": missed, "mode": batch.mode, "action": batch.action}

@@ -7,8 +7,8 @@ from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from handctl.log.cdr import Template
-from handctl.log.container import MESSAGE, Run
-from handctl.log.messages import schema_name, schema_text
+from handctl.log.container import MESSAGE, MessageBlock
+from handctl.log.message_types import schema_name, schema_text
 
 Times = NDArray[np.uint64]
 
@@ -28,24 +28,26 @@ class Registry:
     schemas: dict[str, Schema] = field(default_factory=dict)
     channels: dict[str, Channel] = field(default_factory=dict)
 
-    def add(self, topic: str, kind: str, latched: bool = False, note: str = "") -> int:
+    def add(self, topic: str, message_type: str, latched: bool = False, note: str = "") -> int:
         """Register a topic and return its channel id.
 
         Args:
             topic: name of the topic.
-            kind: message type, for example "sensor_msgs/JointState".
+            message_type: message type, for example "sensor_msgs/JointState".
             latched: True for a topic with one message at the start.
             note: note in the channel's metadata.
         """
-        if kind not in self.schemas:
+        if message_type not in self.schemas:
             number = len(self.schemas) + 1
-            data = schema_text(kind).encode()
-            self.schemas[kind] = Schema(id=number, data=data, encoding="ros2msg", name=schema_name(kind))
+            data = schema_text(message_type).encode()
+            self.schemas[message_type] = Schema(
+                id=number, data=data, encoding="ros2msg", name=schema_name(message_type)
+            )
         metadata = {"offered_qos_profiles": _QOS.format(durability=1 if latched else 2)}
         if note:
             metadata["note"] = note
         channel = len(self.channels) + 1
-        self.channels[topic] = Channel(channel, topic, "cdr", metadata, self.schemas[kind].id)
+        self.channels[topic] = Channel(channel, topic, "cdr", metadata, self.schemas[message_type].id)
         return channel
 
 
@@ -99,7 +101,9 @@ class Stream:
         names, formats, offsets = zip(*fields, strict=True)
         self._dtype = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": len(self._record)})
 
-    def run(self, stamps: Stamps, values: dict[str, NDArray[np.generic]], measured: Times | None = None) -> Run:
+    def block(
+        self, stamps: Stamps, values: dict[str, NDArray[np.generic]], measured: Times | None = None
+    ) -> MessageBlock:
         """Encode messages.
 
         Args:
@@ -121,13 +125,13 @@ class Stream:
         for name, array in values.items():
             rows[name] = array
         offsets = np.arange(number, dtype=np.uint64) * np.uint64(len(self._record))
-        return Run(self._channel, rows.tobytes(), stamps.log, offsets)
+        return MessageBlock(self._channel, rows.tobytes(), stamps.log, offsets)
 
 
-def loose(channel: int, stamps: Stamps, messages: list[bytes]) -> Run:
+def variable_length_block(channel: int, stamps: Stamps, messages: list[bytes]) -> MessageBlock:
     """Encode messages of variable length."""
     parts = []
     for sequence, t_ns, message in zip(stamps.sequence.tolist(), stamps.log.tolist(), messages, strict=True):
         parts.append(MESSAGE.pack(5, 22 + len(message), channel, sequence, t_ns, t_ns) + message)
     ends = np.cumsum([0, *map(len, parts)], dtype=np.uint64)
-    return Run(channel, b"".join(parts), stamps.log, ends[:-1])
+    return MessageBlock(channel, b"".join(parts), stamps.log, ends[:-1])

@@ -5,16 +5,16 @@ from mcap.records import Channel, Schema
 
 from handctl.log.batch import Batch
 from handctl.log.cdr import CdrWriter
-from handctl.log.container import Run
+from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
 from handctl.log.topics.can import CanTopics
 from handctl.log.topics.chain import ChainTopic
 from handctl.log.topics.clock_pairs import ClockTopic
-from handctl.log.topics.events import EventTopics
+from handctl.log.topics.event_topics import EventTopics
 from handctl.log.topics.health import HealthTopics
+from handctl.log.topics.message_streams import Registry, Stamps, stamps_at, variable_length_block
 from handctl.log.topics.snapshots import Snapshot, SnapshotTopic
-from handctl.log.topics.state import StateTopics, names_message
-from handctl.log.topics.streams import Registry, Stamps, loose, stamps_at
+from handctl.log.topics.state_topics import StateTopics, names_message
 from handctl.log.topics.transforms import TfTopics
 
 TICK_TOPIC = "/tick"
@@ -52,24 +52,28 @@ class Topics:
         """Return all channels."""
         return list(self._registry.channels.values())
 
-    def latched(self) -> list[Run]:
+    def latched(self) -> list[MessageBlock]:
         """Return the messages that are written once, at t = 0."""
         stamps = Stamps(np.array([self._header.offset_ns], np.uint64), np.zeros(1, np.uint32))
         names = names_message(self._header, *divmod(self._header.offset_ns, 10**9))
-        runs = [loose(self._names, stamps, [names]), self._tf.latched(stamps), *self._events.latched(stamps)]
+        blocks = [
+            variable_length_block(self._names, stamps, [names]),
+            self._tf.latched(stamps),
+            *self._events.latched(stamps),
+        ]
         urdf = self._header.attachments.get("hand.urdf")
         if urdf is not None:
             text = CdrWriter()
             text.text(urdf.decode())
-            runs.append(loose(self._description, stamps, [text.message()]))
-        return runs
+            blocks.append(variable_length_block(self._description, stamps, [text.message()]))
+        return blocks
 
     @property
     def last_digest(self) -> bytes:
         """Return the chain hash of the latest tick."""
         return self._chain.last
 
-    def clock_pair(self, t_ns: int, k: int, wall_ns: int, monotonic_ns: int) -> Run:
+    def clock_pair(self, t_ns: int, k: int, wall_ns: int, monotonic_ns: int) -> MessageBlock:
         """Return a message with both clocks.
 
         Args:
@@ -78,23 +82,23 @@ class Topics:
             wall_ns: wall clock [ns].
             monotonic_ns: monotonic clock [ns].
         """
-        return self._clocks.run(stamps_at(self._log_ns(t_ns), k), wall_ns, monotonic_ns)
+        return self._clocks.block(stamps_at(self._log_ns(t_ns), k), wall_ns, monotonic_ns)
 
-    def snapshot(self, t_ns: int, snapshot: Snapshot) -> Run:
+    def snapshot(self, t_ns: int, snapshot: Snapshot) -> MessageBlock:
         """Return a message with the state after a tick at `t_ns`."""
-        return self._snapshots.run(self._log_ns(t_ns), snapshot)
+        return self._snapshots.block(self._log_ns(t_ns), snapshot)
 
     def _log_ns(self, t_ns: int) -> int:
         """Convert a time since the start of the run to a log time [ns]."""
         return max(t_ns + self._header.offset_ns, 0)
 
-    def runs(self, batch: Batch) -> list[Run]:
+    def blocks(self, batch: Batch) -> list[MessageBlock]:
         """Return the messages of a batch."""
         log = np.maximum(batch.t_ns + self._header.offset_ns, 0).astype(np.uint64)
         stamps = Stamps(log, (batch.k & 0xFFFF_FFFF).astype(np.uint32))
-        runs = [loose(self._tick, stamps, batch.messages), *self._chain.runs(batch, stamps)]
+        blocks = [variable_length_block(self._tick, stamps, batch.messages), *self._chain.blocks(batch, stamps)]
         # Numbers of a failing controller may overflow. The log keeps them as they are.
         with np.errstate(all="ignore"):
             for part in self._parts:
-                runs += part.runs(batch, stamps)
-        return runs
+                blocks += part.blocks(batch, stamps)
+        return blocks

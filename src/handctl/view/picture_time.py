@@ -2,11 +2,11 @@
 
 from handctl.log.read.reader import RunLog
 
-BEST = "hold"
+PICTURED_PHASE = "hold"
 """Name of the phase that a picture shows."""
 
 
-def moment(log: RunLog) -> float:
+def picture_time(log: RunLog) -> float:
     """Return the middle of the longest hold phase [s], or of the whole run without a hold."""
     if not len(log):
         return 0.0
@@ -14,7 +14,7 @@ def moment(log: RunLog) -> float:
     holds = [
         (end - change.t_ns, change.t_ns)
         for change, end in zip(log.phases, ends, strict=True)
-        if change.name == BEST and end > change.t_ns
+        if change.name == PICTURED_PHASE and end > change.t_ns
     ]
-    length, begin = max(holds, default=(int(log.t_ns[-1] - log.t_ns[0]), int(log.t_ns[0])))
-    return (begin + length / 2) * 1e-9
+    length, start = max(holds, default=(int(log.t_ns[-1] - log.t_ns[0]), int(log.t_ns[0])))
+    return (start + length / 2) * 1e-9

@@ -20,7 +20,7 @@ BLOCK = 512
 """Chunks per compressed block."""
 
 
-class ChunkAt(NamedTuple):
+class ChunkEntry(NamedTuple):
     """One chunk.
 
     Attributes:
@@ -39,7 +39,7 @@ class ChunkAt(NamedTuple):
     indexes: int
 
 
-class ChunkPlaces:
+class ChunkTable:
     """All chunks written so far, in the order of the file."""
 
     def __init__(self) -> None:
@@ -52,14 +52,14 @@ class ChunkPlaces:
         """Return the number of chunks."""
         return BLOCK * len(self._packed) + len(self._latest) // _CHUNK.size
 
-    def add(self, chunk: ChunkAt, behind: dict[int, int]) -> None:
+    def add(self, chunk: ChunkEntry, index_offsets: dict[int, int]) -> None:
         """Append a chunk.
 
         Args:
             chunk: the chunk.
-            behind: channel -> distance from the chunk's end to the message index of the channel [bytes].
+            index_offsets: channel -> distance from the chunk's end to the message index of the channel [bytes].
         """
-        layout = b"".join([_CHANNEL.pack(*one) for one in behind.items()])
+        layout = b"".join([_CHANNEL.pack(*item) for item in index_offsets.items()])
         # `setdefault` numbers the arrangements in the order of their first use.
         self._latest += _CHUNK.pack(*chunk, self._layouts.setdefault(layout, len(self._layouts)))
         if len(self._latest) == BLOCK * _CHUNK.size:
@@ -70,7 +70,7 @@ class ChunkPlaces:
         """Yield the ChunkIndex record of each chunk."""
         layouts = [tuple(_CHANNEL.iter_unpack(layout)) for layout in self._layouts]
         for *fields, layout in self._rows():
-            chunk = ChunkAt(*fields)
+            chunk = ChunkEntry(*fields)
             end = chunk.start + chunk.length
             yield ChunkIndex(
                 chunk_length=chunk.length,

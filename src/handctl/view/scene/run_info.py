@@ -7,16 +7,16 @@ from numpy.typing import NDArray
 
 from handctl.core.types import TELEMETRY_AXES
 from handctl.hand.description import Hand
-from handctl.log.batch import columns, layout_of
+from handctl.log.batch import columns, row_fields
 from handctl.log.header import RunHeader
-from handctl.log.read.hand import described_hand
+from handctl.log.read.log_hand import described_hand
 from handctl.printing import printable
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Subject:
+class RunInfo:
     """One run of one hand.
 
     Attributes:
@@ -30,7 +30,7 @@ class Subject:
     name: str
 
     @classmethod
-    def of(cls, header: RunHeader, name: str) -> "Subject":
+    def of(cls, header: RunHeader, name: str) -> "RunInfo":
         """Create the subject of a log.
 
         Raises:
@@ -54,9 +54,11 @@ class Subject:
         Returns:
             (n, names) of each field, NaN for fields that an earlier version did not log.
         """
-        places = columns(self.header, layout_of(self.header, table.shape[1]))
-        missing = {name: np.full((len(table), len(self.header.axis(axis))), np.nan) for name, axis in _later(places)}
-        return {name: table[:, place] for name, place in places.items()} | missing
+        slices = columns(self.header, row_fields(self.header, table.shape[1]))
+        missing = {
+            name: np.full((len(table), len(self.header.axis(axis))), np.nan) for name, axis in _missing_fields(slices)
+        }
+        return {name: table[:, columns_of_field] for name, columns_of_field in slices.items()} | missing
 
     @property
     def limits(self) -> list[float]:
@@ -69,6 +71,6 @@ class Subject:
         return max(sum(digit.link_length_m) for digit in self.hand.digit)
 
 
-def _later(places: dict[str, slice]) -> list[tuple[str, str]]:
+def _missing_fields(slices: dict[str, slice]) -> list[tuple[str, str]]:
     """Return name and axis of the fields missing from a log."""
-    return [(name, axis) for name, axis in TELEMETRY_AXES.items() if name not in places]
+    return [(name, axis) for name, axis in TELEMETRY_AXES.items() if name not in slices]

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from handctl.drives.frame import FDF
 from handctl.drives.frame_time import frame_time_s
 from handctl.view.scene.arrow import Floats
-from handctl.view.scene.subject import Subject
+from handctl.view.scene.run_info import RunInfo
 
 LONGEST = 64
 """Maximum payload of a frame [bytes]."""
@@ -15,22 +15,22 @@ SPAN_NS = 100_000_000
 """Window of the load [ns]. The reply to a tick may be read in the next tick, so that a single tick says little."""
 
 
-class BusLoad:
+class FrameLoad:
     """Worst-case time of the frames on each bus as a fraction of the last `SPAN_NS`. Ticks must come in order."""
 
-    def __init__(self, subject: Subject) -> None:
+    def __init__(self, run: RunInfo) -> None:
         """Tabulate the time of each frame length on each bus.
 
         Args:
-            subject: run and hand, with buses and period.
+            run: run and hand, with buses and period.
         """
-        self._period_ns = subject.header.period_ns
+        self._period_ns = run.header.period_ns
         seconds = [
             [
                 [frame_time_s(size, fd, bus.bitrate, bus.data_bitrate) for size in range(LONGEST + 1)]
                 for fd in (False, True)
             ]
-            for bus in subject.hand.bus
+            for bus in run.hand.bus
         ]
         self._times = np.rint(1e9 * np.array(seconds)).astype(np.int64)
         self._t = np.empty(0, np.int64)
@@ -57,11 +57,11 @@ class BusLoad:
         tick = np.repeat(np.arange(len(frames)), counts)
         flat = frames.flatten()
         bus, flags, size = (np.asarray(flat.field(name)).astype(np.intp) for name in ("bus", "flags", "length"))
-        known = (bus < len(self._times)) & (size <= LONGEST)
-        tick = tick[known]
-        bus = bus[known]
-        flags = flags[known]
-        size = size[known]
+        valid = (bus < len(self._times)) & (size <= LONGEST)
+        tick = tick[valid]
+        bus = bus[valid]
+        flags = flags[valid]
+        size = size[valid]
         spent = np.zeros((len(frames), len(self._times)), np.int64)
         np.add.at(spent, (tick, bus), self._times[bus, (flags & FDF) // FDF, size])
         return spent

@@ -4,7 +4,7 @@ import functools
 import hashlib
 from pathlib import Path
 
-DECIDING = ("hand", "drives", "safety", "core", "programs", "controller")
+CONTROL_PACKAGES = ("hand", "drives", "safety", "core", "programs", "controller")
 """Packages that re-execution runs again."""
 UNKNOWN = "?"
 """Code identity in a log that states none."""
@@ -16,6 +16,6 @@ def code_identity() -> str:
     package = Path(__file__).parents[1]
     digest = hashlib.sha256()
     # Sorted paths and NUL separators: the hash depends on names and contents only, not on the file system.
-    for path in sorted(path for room in DECIDING for path in (package / room).rglob("*.py")):
+    for path in sorted(path for name in CONTROL_PACKAGES for path in (package / name).rglob("*.py")):
         digest.update(path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()[:12]

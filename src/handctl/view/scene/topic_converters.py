@@ -13,37 +13,37 @@ from rerun.chunk import Chunk
 
 from handctl.core.types import TELEMETRY_AXES
 from handctl.view.scene.arrow import Floats, message, numbers, retimed, run_times, timed
+from handctl.view.scene.frame_load import FrameLoad
 from handctl.view.scene.geometry import solid
-from handctl.view.scene.load import BusLoad
-from handctl.view.scene.subject import Subject
+from handctl.view.scene.run_info import RunInfo
 
 FORCE_SCALE = 0.008
 """Length of a force arrow [m/N]."""
 ARROW_RADIUS = 0.0013
 """Radius of a force arrow [m]."""
-LEAST_FORCE = 0.05
+MIN_FORCE = 0.05
 """Smallest force with an arrow [N]."""
 
-Lens = Callable[[Chunk], Iterator[Chunk]]
+Converter = Callable[[Chunk], Iterator[Chunk]]
 """Converts a chunk of one topic to new chunks."""
 
 STATE_TOPICS = {"/grasp/phase": "/state/phase", "/controller/mode": "/state/mode", "/safety/action": "/state/safety"}
 """Topic of a named state -> entity."""
 
 
-class Lenses:
+class TopicConverters:
     """Converts each chunk according to its topic."""
 
-    def __init__(self, subject: Subject) -> None:
+    def __init__(self, run: RunInfo) -> None:
         """Set the converter of each topic.
 
         Args:
-            subject: run and hand.
+            run: run and hand.
         """
-        self._subject = subject
-        self._offset = subject.header.offset_ns
-        self._load = BusLoad(subject)
-        self._lenses: dict[str, Lens] = {
+        self._run = run
+        self._offset = run.header.offset_ns
+        self._load = FrameLoad(run)
+        self._converters: dict[str, Converter] = {
             "/controller/values": self._values,
             "/cycle": self._cycle,
             "/tick": self._tick,
@@ -54,18 +54,18 @@ class Lenses:
     @property
     def topics(self) -> list[str]:
         """Return regular expressions of the topics that are converted."""
-        exact = [*self._lenses, "/tf", "/tf_static", "/rosout", "/robot_description"]
+        exact = [*self._converters, "/tf", "/tf_static", "/rosout", "/robot_description"]
         return [f"^{topic}$" for topic in exact] + ["^/actuator/.*/temperature$"]
 
     def __call__(self, chunk: Chunk) -> Iterator[Chunk]:
         """Yield the new chunks for a chunk of a log."""
         entity = chunk.entity_path
         if "/visual_geometries/" in entity:
-            yield from solid(chunk, self._subject)
+            yield from solid(chunk, self._run)
         elif not chunk.timeline_names:
             return
-        elif entity in self._lenses:
-            yield from self._lenses[entity](chunk)
+        elif entity in self._converters:
+            yield from self._converters[entity](chunk)
         elif entity.startswith(self._native):
             yield retimed(chunk, self._offset)
 
@@ -76,16 +76,16 @@ class Lenses:
             return
         table = numbers(messages.field("values"))
         times = run_times(chunk, self._offset)
-        part = self._subject.fields(table)
+        part = self._run.fields(table)
         yield timed("/tension/estimate", times, band(part["tension"], part["tension_sigma"]))
         yield timed("/tension/command", times, scalars(part["tension_goal"]))
-        limits = np.tile(self._subject.limits, (2, 1))
+        limits = np.tile(self._run.limits, (2, 1))
         yield timed("/tension/limit", times[[0, -1]], scalars(limits))
-        for digit, joints in self._subject.hand.digit_joints.items():
+        for digit, joints in self._run.hand.digit_joints.items():
             angle = np.degrees(part["q"][:, joints])
             yield timed(f"/angle/{digit}/estimate", times, band(angle, np.degrees(part["q_sigma"][:, joints])))
             yield timed(f"/angle/{digit}/command", times, scalars(np.degrees(part["q_goal"][:, joints])))
-        for index, digit in enumerate(self._subject.hand.digit_names):
+        for index, digit in enumerate(self._run.hand.digit_names):
             yield timed(f"/force/{digit}", times, arrows(part["tip_force"][:, index]))
         for name in TELEMETRY_AXES:
             yield timed(f"/controller/{name}", times, scalars(part[name]))
@@ -126,7 +126,7 @@ def scalars(values: Floats) -> rr.ComponentColumnList:
 
 def arrows(force: Floats) -> rr.ComponentColumnList:
     """Return the force of the object on a fingertip (n,) [N] as arrows in the tip's frame."""
-    shown = np.where(force >= LEAST_FORCE, force, 0.0)
+    shown = np.where(force >= MIN_FORCE, force, 0.0)
     vectors = np.zeros((len(force), 3))
     # The tip closes towards +y of its frame, and the object pushes back.
     vectors[:, 1] = -FORCE_SCALE * shown

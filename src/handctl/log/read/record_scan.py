@@ -18,7 +18,7 @@ from mcap.opcode import Opcode
 
 from handctl.errors import LogError
 from handctl.log.container import MAGIC
-from handctl.log.read.logfile import MAX_CHUNK, ChunkPlace, LogFile, Reading
+from handctl.log.read.logfile import MAX_CHUNK, ChunkLocation, LogFile, Reading
 
 MAX_ATTACHMENT = 16 << 20
 """Maximum size of one attachment [bytes]."""
@@ -40,7 +40,7 @@ _LENGTHS: dict[int, int] = {Opcode.HEADER: 8, Opcode.MESSAGE_INDEX: 6, Opcode.SC
 
 
 @dataclass(slots=True)
-class Scan:
+class RecordScan:
     """Contents of a file.
 
     Attributes:
@@ -54,7 +54,7 @@ class Scan:
         skipped: (start, end) of every damaged record that was left out.
     """
 
-    chunks: list[ChunkPlace] = field(default_factory=list)
+    chunks: list[ChunkLocation] = field(default_factory=list)
     attachments: dict[str, tuple[str, int, bytes]] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     end: int = 0
@@ -93,29 +93,29 @@ class _Fields:
         return len(self._data) - self._at
 
 
-def scan(file: LogFile, found: Scan, checked: bool = True, skip: bool = False) -> None:
+def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bool = False) -> None:
     """Read the outer records.
 
-    An early end of the file is no error. `problem` then describes the end, and all complete records are in `found`.
+    An early end of the file is no error. `problem` then describes the end, and all complete records are in `scan`.
 
     Args:
         file: the file.
-        found: an empty scan. After an error it has the records before the damage.
+        scan: an empty scan. After an error it has the records before the damage.
         checked: compare the checksum of the whole data section, which reads the whole file.
         skip: leave out a damaged record with a known end instead of raising.
 
     Raises:
         LogError: the file is not an MCAP file, is damaged inside, or exceeds a limit.
     """
-    found.size = file.size
+    scan.size = file.size
     if file.size < len(MAGIC) or file.read(0, len(MAGIC)) != MAGIC:
         raise LogError("not an MCAP file", file.at(0), "a log that handctl wrote")
     finished = file.size >= 2 * len(MAGIC) and file.read(file.size - len(MAGIC), len(MAGIC)) == MAGIC
-    found.end = len(MAGIC)
+    scan.end = len(MAGIC)
     unpacked = 0
     unknown = 0
-    while found.end + _RECORD.size <= file.size:
-        at = found.end
+    while scan.end + _RECORD.size <= file.size:
+        at = scan.end
         code, length = _RECORD.unpack(file.read(at, _RECORD.size))
         end = at + _RECORD.size + length
         # Opcode 0 is invalid. After a power failure a file may end in zeros.
@@ -124,75 +124,75 @@ def scan(file: LogFile, found: Scan, checked: bool = True, skip: bool = False) -
                 raise LogError("damaged log: no record here", file.at(at), "an intact file")
             break
         if code == _INDEX and length >= _LENGTHS[_INDEX]:
-            found.end = end  # nearly all records are these, and nothing is taken from them
+            scan.end = end  # nearly all records are these, and nothing is taken from them
             continue
         if code == Opcode.DATA_END:
-            _check_end(file, found, at, end, checked)
+            _check_end(file, scan, at, end, checked)
             return
         try:
             with Reading(file.at(at)):
-                unpacked += _take(file, found, code, at, end)
+                unpacked += _add_record(file, scan, code, at, end)
         except LogError as error:
             if not skip:
                 raise
-            found.problem = found.problem or str(error)
-            found.skipped.append((at, end))
+            scan.problem = scan.problem or str(error)
+            scan.skipped.append((at, end))
         unknown += code not in Opcode.__members__.values()
         with Reading(file.at(at)):
-            _check_limits(found, unpacked, unknown)
-        found.end = end
-    found.problem = found.problem or f"ends at byte {file.size} without an end mark; complete up to byte {found.end}"
+            _check_limits(scan, unpacked, unknown)
+        scan.end = end
+    scan.problem = scan.problem or f"ends at byte {file.size} without an end mark; complete up to byte {scan.end}"
 
 
-def scanned(path: Path) -> Scan:
-    """Return the outer records of a file without the checksum of the data section. Raises as `scan`."""
+def scan_path(path: Path) -> RecordScan:
+    """Return the outer records of a file without the checksum of the data section. Raises as `scan_records`."""
     file = LogFile(path)
-    found = Scan()
+    scan = RecordScan()
     try:
-        scan(file, found, checked=False)
+        scan_records(file, scan, checked=False)
     finally:
         file.close()
-    return found
+    return scan
 
 
-def _check_limits(found: Scan, unpacked: int, unknown: int) -> None:
+def _check_limits(scan: RecordScan, unpacked: int, unknown: int) -> None:
     """Refuse a file with too many records or too much uncompressed data."""
-    if unpacked > MAX_RATIO * found.size + MAX_CHUNK:
+    if unpacked > MAX_RATIO * scan.size + MAX_CHUNK:
         raise ValueError(f"chunks of more than {unpacked} bytes")
-    if max(unknown, len(found.attachments), len(found.metadata), len(found.skipped)) > MAX_RECORDS:
+    if max(unknown, len(scan.attachments), len(scan.metadata), len(scan.skipped)) > MAX_RECORDS:
         raise ValueError(f"more than {MAX_RECORDS} records of a kind")
-    if sum(len(data) for _, _, data in found.attachments.values()) > MAX_ATTACHMENTS:
+    if sum(len(data) for _, _, data in scan.attachments.values()) > MAX_ATTACHMENTS:
         raise ValueError(f"more than {MAX_ATTACHMENTS} bytes of attachments")
 
 
-def _take(file: LogFile, found: Scan, code: int, at: int, end: int) -> int:
+def _add_record(file: LogFile, scan: RecordScan, code: int, at: int, end: int) -> int:
     """Add one record to a scan. Return its uncompressed size if it is a chunk, else 0."""
     start = at + _RECORD.size
     length = end - at - _RECORD.size
     if length < _LENGTHS.get(code, 0):
         raise ValueError("a record that is too short")
     if code == Opcode.CHUNK:
-        found.chunks.append(_chunk(file, at, end))
-        return found.chunks[-1].size
+        scan.chunks.append(_chunk(file, at, end))
+        return scan.chunks[-1].size
     if code == Opcode.ATTACHMENT:
-        _attachment(found, file.read(start, _bounded(length, MAX_ATTACHMENT)))
+        _attachment(scan, file.read(start, _bounded(length, MAX_ATTACHMENT)))
     elif code == Opcode.METADATA:
         fields = _Fields(file.read(start, _bounded(length, MAX_METADATA)))
         name = fields.text()
-        found.metadata[name] = _text_map(fields)
+        scan.metadata[name] = _text_map(fields)
     elif code == Opcode.MESSAGE:
         raise ValueError("a message outside a chunk")
     return 0
 
 
-def _bounded(size: int, most: int) -> int:
+def _bounded(size: int, limit: int) -> int:
     """Return a size after a check against its limit."""
-    if size > most:
-        raise ValueError(f"a record of {size} bytes; at most {most} are allowed")
+    if size > limit:
+        raise ValueError(f"a record of {size} bytes; at most {limit} are allowed")
     return size
 
 
-def _chunk(file: LogFile, at: int, end: int) -> ChunkPlace:
+def _chunk(file: LogFile, at: int, end: int) -> ChunkLocation:
     """Decode the head of a Chunk record, without its data."""
     # 80 bytes hold the fixed fields (41 bytes), the compression's name (at most 8) and the size of the records (8).
     head = file.read(at, min(end - at, 80))
@@ -206,10 +206,10 @@ def _chunk(file: LogFile, at: int, end: int) -> ChunkPlace:
     data = at + start + name + 8
     if data + _bounded(packed, MAX_CHUNK) != end:
         raise ValueError("the length of a chunk contradicts itself")
-    return ChunkPlace(at, end, data, first, last, size, crc, compression)
+    return ChunkLocation(at, end, data, first, last, size, crc, compression)
 
 
-def _attachment(found: Scan, data: bytes) -> None:
+def _attachment(scan: RecordScan, data: bytes) -> None:
     """Decode an attachment and compare its checksum."""
     fields = _Fields(data)
     time_ns = fields.number("Q")
@@ -221,7 +221,7 @@ def _attachment(found: Scan, data: bytes) -> None:
     # The checksum covers all fields before it. Its own four bytes are the last.
     if crc and crc != zlib.crc32(data[: -4 - fields.rest()]):
         raise ValueError("checksum of an attachment does not match")
-    found.attachments[name] = (media, time_ns, content)
+    scan.attachments[name] = (media, time_ns, content)
 
 
 def _text_map(fields: _Fields) -> dict[str, str]:
@@ -234,17 +234,17 @@ def _text_map(fields: _Fields) -> dict[str, str]:
     return values
 
 
-def _check_end(file: LogFile, found: Scan, at: int, end: int, checked: bool) -> None:
+def _check_end(file: LogFile, scan: RecordScan, at: int, end: int, checked: bool) -> None:
     """Compare the checksums of the data section and of the summary."""
     (crc,) = struct.unpack("<I", file.read(at + _RECORD.size, 4))
     if end != at + _RECORD.size + 4 or (checked and crc and crc != file.crc(0, at)):
         raise LogError("damaged log: checksum of the data does not match", file.at(at), "an intact file")
-    found.complete = True
+    scan.complete = True
     footer = file.size - len(MAGIC) - 29
     if footer < end or file.read(file.size - len(MAGIC), len(MAGIC)) != MAGIC:
-        found.problem = found.problem or "ends within its summary"
+        scan.problem = scan.problem or "ends within its summary"
         return
     raw = file.read(footer, 29)
     (expected,) = struct.unpack_from("<I", raw, 25)
     if raw[0] != Opcode.FOOTER or (expected and expected != zlib.crc32(raw[:25], file.crc(end, footer))):
-        found.problem = found.problem or "the summary is damaged; the data is intact"
+        scan.problem = scan.problem or "the summary is damaged; the data is intact"

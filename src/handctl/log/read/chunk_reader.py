@@ -17,7 +17,7 @@ MIN_BLOCKS = 128
 """Blocks that every chunk may have."""
 BYTES_PER_BLOCK = 16
 """Compressed bytes of a chunk per further block."""
-FEW = 4
+LINEAR_SEARCH_LIMIT = 4
 """Equal records that are counted one by one. For longer blocks numpy finds the end."""
 _RECORD = struct.Struct("<BQ")
 """Start of every record: opcode, length."""
@@ -30,7 +30,7 @@ _BODY = 31
 """Start of the data in a Message record."""
 
 
-class Rows(NamedTuple):
+class MessageRows(NamedTuple):
     """Consecutive messages with equal channel and length.
 
     Attributes:
@@ -46,8 +46,8 @@ class Rows(NamedTuple):
     def messages(self) -> list[bytes]:
         """Return the messages in order."""
         size = self.records.shape[1]
-        whole = self.records.tobytes()
-        return [whole[at + _BODY : at + size] for at in range(0, len(whole), size)]
+        content = self.records.tobytes()
+        return [content[at + _BODY : at + size] for at in range(0, len(content), size)]
 
     def data(self) -> NDArray[np.uint8]:
         """Return the messages (n, size of a message)."""
@@ -74,13 +74,13 @@ class Definitions(NamedTuple):
     channels: list[tuple[int, int, str, str, dict[str, str]]]
 
 
-def rows(content: bytes, packed: int, wanted: frozenset[int] | None = None) -> Iterator[Rows]:
+def iter_messages(content: bytes, packed: int, channels: frozenset[int] | None = None) -> Iterator[MessageRows]:
     """Yield the messages of a chunk, of all channels or of some.
 
     Args:
         content: the uncompressed chunk.
         packed: size of the chunk in the file. It limits the work that a small file can cause.
-        wanted: ids of channels.
+        channels: ids of channels.
 
     Raises:
         ValueError: the chunk is damaged.
@@ -102,10 +102,10 @@ def rows(content: bytes, packed: int, wanted: frozenset[int] | None = None) -> I
         if code == MESSAGE:
             if size < _BODY:
                 raise ValueError("a message that is too short")
-            count = _run(content, at, size)
+            count = _count_equal(content, at, size)
             (channel,) = _CHANNEL.unpack_from(content, at + 9)
-            if wanted is None or channel in wanted:
-                yield Rows(channel, at, raw[at : at + count * size].reshape(count, size))
+            if channels is None or channel in channels:
+                yield MessageRows(channel, at, raw[at : at + count * size].reshape(count, size))
         elif code in (Opcode.SCHEMA, Opcode.CHANNEL):
             defined += 1
             if defined > 2 * MAX_CHANNELS:
@@ -115,7 +115,7 @@ def rows(content: bytes, packed: int, wanted: frozenset[int] | None = None) -> I
         at += count * size
 
 
-def _run(content: bytes, at: int, size: int) -> int:
+def _count_equal(content: bytes, at: int, size: int) -> int:
     """Count the records in a row that have the size and channel of the first record.
 
     Args:
@@ -123,21 +123,21 @@ def _run(content: bytes, at: int, size: int) -> int:
         at: start of the first record in the chunk.
         size: size of a record.
     """
-    most = (len(content) - at) // size
+    max_count = (len(content) - at) // size
     count = 1
     step = 16
     head = content[at : at + _HEADER]
     after = at + size
-    while count < min(FEW, most):
+    while count < min(LINEAR_SEARCH_LIMIT, max_count):
         if content[after : after + _HEADER] != head:
             return count
         count += 1
         after += size
     # Steps grow by four, so that a long block takes few comparisons. `ndarray` with a stride reads only the headers.
-    while count < most:
-        number = min(step, most - count)
+    while count < max_count:
+        number = min(step, max_count - count)
         heads = np.ndarray(number, _HEADS, content, at + count * size, (size,)).tobytes()
-        equal = number if heads == head * number else _equal(heads, head, number)
+        equal = number if heads == head * number else _count_equal_heads(heads, head, number)
         count += equal
         step *= 4
         if equal < number:
@@ -145,7 +145,7 @@ def _run(content: bytes, at: int, size: int) -> int:
     return count
 
 
-def _equal(heads: bytes, head: bytes, number: int) -> int:
+def _count_equal_heads(heads: bytes, head: bytes, number: int) -> int:
     """Return the number of leading `heads` equal to `head`. At least one of them differs."""
     low = 0
     while number - low > 1:
@@ -158,22 +158,22 @@ def _equal(heads: bytes, head: bytes, number: int) -> int:
 
 
 def definitions(content: bytes) -> Definitions:
-    """Return the schemas and channels at the start of a chunk. Raises as `rows`."""
-    found = Definitions([], [])
+    """Return the schemas and channels at the start of a chunk. Raises as `iter_messages`."""
+    result = Definitions([], [])
     at = 0
     while at < len(content):
         code, length = _RECORD.unpack_from(content, at)
         body = content[at + _RECORD.size : at + _RECORD.size + length]
         if code == Opcode.SCHEMA:
-            found.schemas.append(_schema(body))
+            result.schemas.append(_schema(body))
         elif code == Opcode.CHANNEL:
-            found.channels.append(_channel(body))
+            result.channels.append(_channel(body))
         else:
             break
-        if max(len(found.schemas), len(found.channels)) > MAX_CHANNELS:
+        if max(len(result.schemas), len(result.channels)) > MAX_CHANNELS:
             raise ValueError(f"more than {MAX_CHANNELS} channels")
         at += _RECORD.size + length
-    return found
+    return result
 
 
 def _text(body: bytes, at: int) -> tuple[str, int]:

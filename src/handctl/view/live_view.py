@@ -1,6 +1,6 @@
 """Process of the live view: its start by a controller, and its main program.
 
-Command: `python -m handctl.view.live LOG [ARGUMENT OF THE VIEWER ...]`.
+Command: `python -m handctl.view.live_view LOG [ARGUMENT OF THE VIEWER ...]`.
 
 The process only reads the log and is independent of the controller. It ends with the log, when its viewer is closed,
 or on SIGTERM. The viewer remains open.
@@ -30,7 +30,7 @@ def start_live(log_path: Path, *arguments: str) -> "subprocess.Popen[bytes]":
         log_path: the log, which may appear later.
         arguments: further arguments of the viewer, such as --headless.
     """
-    command = [sys.executable, "-m", "handctl.view.live", str(log_path), *arguments]
+    command = [sys.executable, "-m", "handctl.view.live_view", str(log_path), *arguments]
     quiet = os.environ | {"RUST_LOG": "off"}
     return subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, env=quiet, start_new_session=True

@@ -94,19 +94,19 @@ DEFINITIONS = {
 _SEPARATOR = "=" * 80 + "\n"
 
 
-def _dependencies(name: str, found: dict[str, None]) -> None:
+def _dependencies(name: str, types: dict[str, None]) -> None:
     """Collect the types used in a definition, depth first, each once.
 
     Args:
         name: message type.
-        found: the types so far, in order. Extended in place.
+        types: the types so far, in order. Extended in place.
     """
     for line in DEFINITIONS[name].splitlines():
         # "uint8[<=64] data": type before the bracket, then the field name.
         field_type = line.split(" ")[0].split("[")[0]
-        if field_type in DEFINITIONS and field_type not in found:
-            found[field_type] = None
-            _dependencies(field_type, found)
+        if field_type in DEFINITIONS and field_type not in types:
+            types[field_type] = None
+            _dependencies(field_type, types)
 
 
 def schema_text(name: str) -> str:
@@ -115,12 +115,12 @@ def schema_text(name: str) -> str:
     Args:
         name: message type, for example "sensor_msgs/JointState".
     """
-    found: dict[str, None] = {}
-    _dependencies(name, found)
-    return DEFINITIONS[name] + "".join(f"{_SEPARATOR}MSG: {other}\n{DEFINITIONS[other]}" for other in found)
+    types: dict[str, None] = {}
+    _dependencies(name, types)
+    return DEFINITIONS[name] + "".join(f"{_SEPARATOR}MSG: {other}\n{DEFINITIONS[other]}" for other in types)
 
 
 def schema_name(name: str) -> str:
     """Return the name in ROS 2 notation: "sensor_msgs/msg/JointState"."""
-    package, kind = name.split("/")
-    return f"{package}/msg/{kind}"
+    package, type_name = name.split("/")
+    return f"{package}/msg/{type_name}"
