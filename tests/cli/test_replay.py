@@ -99,7 +99,7 @@ def test_check_and_a_cut_log(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     whole = Path(GRASP).read_bytes()
     cut.write_bytes(whole[: len(whole) // 2])
     assert main(["log", "check", str(cut)]) == 3
-    assert "not whole" in capsys.readouterr().out
+    assert "incomplete" in capsys.readouterr().out
     assert main(["replay", "execute", str(cut), "--within", "1e-9"]) == 3, "the prefix is executed"
 
 

@@ -1,4 +1,4 @@
-"""Lets the tests import the generator of synthetic runs next to them."""
+"""Short logs for the tests of the log."""
 
 import sys
 from pathlib import Path
@@ -10,7 +10,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 @pytest.fixture(scope="session")
 def small_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A whole log with a dozen chunks."""
+    """Write a complete log with a dozen chunks."""
     import synthetic
 
     path = tmp_path_factory.mktemp("log") / "small.mcap"
@@ -20,7 +20,7 @@ def small_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def run_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two seconds of a lively run at 500 Hz."""
+    """Write two seconds of a lively run at 500 Hz."""
     import synthetic
 
     path = tmp_path_factory.mktemp("log") / "run.mcap"

@@ -1,4 +1,4 @@
-"""Feeds a recorder until it is killed: ``python feeder.py PATH``; prints each tick that the pipe has taken."""
+"""Feeder of a recorder until it is killed: `python feeder.py PATH`. Prints each tick accepted by the pipe."""
 
 import itertools
 import os
@@ -13,7 +13,7 @@ from handctl.log.write.recorder import Recorder
 
 
 def main() -> None:
-    """Record ticks for ever, with about a millisecond between them."""
+    """Record ticks without end, with about a millisecond between them."""
     run = synthetic.header(rate_hz=1000, deterministic=False)
     ticks = list(synthetic.Synthetic(run, 0.2))
     recorder = Recorder.start(Path(sys.argv[1]), run)

@@ -1,4 +1,4 @@
-"""A log whose header says something else: its metadata records are replaced, everything else stays."""
+"""Logs with a changed header: metadata records are replaced, the rest is unchanged."""
 
 import struct
 from collections.abc import Callable, Iterator
@@ -16,8 +16,8 @@ def with_metadata(raw: bytes, change: Callable[[str, Record], Record]) -> bytes:
     """Return a log with changed metadata and without the checksums of the whole file.
 
     Args:
-        raw: a whole log.
-        change: takes the name and the entries of a metadata record, returns the new entries.
+        raw: a complete log.
+        change: takes name and entries of a metadata record, returns the new entries.
     """
     parts = [MAGIC]
     for code, body in _records(raw):
@@ -31,7 +31,7 @@ def with_metadata(raw: bytes, change: Callable[[str, Record], Record]) -> bytes:
 
 
 def with_run(path: Path, out: Path, **values: str) -> Path:
-    """Write a log to ``out`` whose record ``handctl.run`` has other JSON texts."""
+    """Write a log to `out` with other JSON texts in its record `handctl.run`."""
     out.write_bytes(with_metadata(path.read_bytes(), lambda name, old: old | values if name == "handctl.run" else old))
     return out
 

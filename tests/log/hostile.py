@@ -1,4 +1,4 @@
-"""Files made to harm: bombs, lying lengths, a million of something."""
+"""Hostile files: decompression bombs, wrong lengths, a million records of a kind."""
 
 import struct
 import zlib
@@ -19,11 +19,11 @@ def _chunk(compression: str, packed: bytes, size: int, crc: int = 0) -> bytes:
 
 
 def _with_chunks(small: Path, chunks: bytes) -> bytes:
-    """The start of a real log, then other chunks."""
-    file, found = LogFile(small), RecordScan()
-    scan_records(file, found)
+    """Return the start of a real log, then other chunks."""
+    file, scan = LogFile(small), RecordScan()
+    scan_records(file, scan)
     file.close()
-    return small.read_bytes()[: found.chunks[1].end] + chunks
+    return small.read_bytes()[: scan.chunks[1].end] + chunks
 
 
 def _zeros_zstd(size: int) -> bytes:
@@ -33,7 +33,7 @@ def _zeros_zstd(size: int) -> bytes:
 
 
 def hostile(small: Path) -> dict[str, bytes]:
-    """Name and bytes of each; they begin as a real log does."""
+    """Return name and bytes of each file. Each begins as a real log."""
     message = struct.pack("<BQHIQQ", 5, 22, 3, 0, 0, 0)
     other = struct.pack("<BQHIQQ", 5, 22, 4, 0, 0, 0)
     many = (message + other) * (MAX_CHUNK // 62)

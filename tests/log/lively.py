@@ -1,4 +1,4 @@
-"""A short run with everything in it that a log may have to hold."""
+"""Short run with every kind of content of a log."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -16,12 +16,12 @@ BUSES = ("main", "a_second_bus")
 
 
 def header(**more: object) -> RunHeader:
-    """Two buses whose names differ in length."""
+    """Create a header with two buses whose names differ in length."""
     return replace(synthetic.header(rate_hz=100), buses=BUSES, **more)
 
 
 def ticks(run: RunHeader, number: int = 120) -> Iterator[tuple[TickIn, TickOut]]:
-    """Missed ticks, frames of all kinds on all buses, NaN, infinities, odd texts, every mode and action."""
+    """Yield missed ticks, frames of all kinds on all buses, NaN, infinities, odd texts, every mode and action."""
     random, k = np.random.default_rng(1), 0
     for index in range(number):
         k += 1 + (index % 17 == 16) * 3
@@ -29,15 +29,15 @@ def ticks(run: RunHeader, number: int = 120) -> Iterator[tuple[TickIn, TickOut]]
 
 
 def _frames(index: int, t_ns: int, random: np.random.Generator) -> tuple[Frame, ...]:
-    found = []
+    frames = []
     for n in range(index % 7):
         flag = (0, EXTENDED, REMOTE, ERROR, EXTENDED | REMOTE)[(index + n) % 5]
         can_id = (0x12345678 if flag & EXTENDED else 0x123 + n) | flag
         long = (index + n) % 4 == 0
         data = random.bytes((12, 64, 3, 8)[n % 4]) if long else random.bytes((index + n) % 9)
         flags = FDF | (BRS, ESI, 0)[n % 3] if long else 0
-        found.append(Frame(can_id, data, flags, (0, 1, 1, 0, 9)[n % 5], t_ns and t_ns - 1000 * n))
-    return tuple(found)
+        frames.append(Frame(can_id, data, flags, (0, 1, 1, 0, 9)[n % 5], t_ns and t_ns - 1000 * n))
+    return tuple(frames)
 
 
 def _tick_in(run: RunHeader, k: int, index: int, random: np.random.Generator) -> TickIn:

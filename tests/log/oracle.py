@@ -1,4 +1,4 @@
-"""What other people's readers make of a log."""
+"""Logs as other readers see them."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,7 +11,7 @@ from rosbags.typesys.store import Typestore
 
 
 class Logged(NamedTuple):
-    """One message of a log as the mcap package sees it."""
+    """One message of a log in the mcap package."""
 
     topic: str
     kind: str
@@ -23,28 +23,34 @@ class Logged(NamedTuple):
 
 
 def messages(path: Path) -> list[Logged]:
-    """All messages in the order of their log times; checksums are compared."""
+    """Return all messages in the order of their log times. Checksums are compared."""
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         return [
             Logged(
-                channel.topic, schema.name, schema.data.decode(), one.sequence, one.log_time, one.publish_time, one.data
+                channel.topic,
+                schema.name,
+                schema.data.decode(),
+                message.sequence,
+                message.log_time,
+                message.publish_time,
+                message.data,
             )
-            for schema, channel, one in reader.iter_messages()
+            for schema, channel, message in reader.iter_messages()
             if schema is not None
         ]
 
 
 def by_topic(path: Path) -> dict[str, list[Logged]]:
-    """Messages of each topic in the order of the file's index."""
-    found: dict[str, list[Logged]] = {}
-    for one in messages(path):
-        found.setdefault(one.topic, []).append(one)
-    return found
+    """Return the messages of each topic in the order of the file's index."""
+    topics: dict[str, list[Logged]] = {}
+    for message in messages(path):
+        topics.setdefault(message.topic, []).append(message)
+    return topics
 
 
 class Ros2Support:
-    """mcap-ros2-support for one type."""
+    """Serialiser of mcap-ros2-support for one type."""
 
     def __init__(self, kind: str, schema: str) -> None:
         self.decode = generate_dynamic(kind, schema)[kind]
@@ -52,7 +58,7 @@ class Ros2Support:
 
 
 class Rosbags:
-    """rosbags for one type, from the definition in the log alone."""
+    """Serialiser of rosbags for one type, from the definition in the log alone."""
 
     def __init__(self, kind: str, schema: str) -> None:
         self.store: Typestore = get_typestore(Stores.EMPTY)
@@ -67,6 +73,6 @@ class Rosbags:
 
 
 def oracles(kind: str, schema: str) -> Iterator[Ros2Support | Rosbags]:
-    """Both."""
+    """Return both serialisers."""
     yield Ros2Support(kind, schema)
     yield Rosbags(kind, schema)

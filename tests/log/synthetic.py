@@ -1,8 +1,9 @@
-"""A run that nobody ran: plausible motion of a hand, for tests of the log and for trying the viewer.
+"""Synthetic run: plausible motion of a hand, for tests of the log and trials of the viewer.
 
-``python tests/log/synthetic.py OUT.mcap [--hand jamia|jamia11] [--seconds 10] [--rate 500]``: three fingers and the
-thumb tighten, close, touch an object one after the other, hold it at a rising tension, release and open; one drive
-warms up, one bus error happens, one gain changes, one frame is late.
+Command: `python tests/log/synthetic.py OUT.mcap [--hand jamia|jamia11] [--seconds 10] [--rate 500]`.
+
+Three fingers and the thumb tighten, close, touch an object one after the other, hold it at a rising tension, release
+and open. One drive warms up, one bus error happens, one gain changes, one frame is late.
 """
 
 import argparse
@@ -28,7 +29,7 @@ SCHEDULE = (("start", 0.02), ("tighten", 0.08), ("close", 0.40), ("hold", 0.75),
 
 
 def header(hand: str = "jamia", rate_hz: int = 500, **more: object) -> RunHeader:
-    """Header of a deterministic run of a packaged hand."""
+    """Create the header of a deterministic run of a packaged hand."""
     described = load_hand(hand)
     attachments = {
         "gains.toml": b"[motion]\nposition_error_m = 6e-4\n",
@@ -44,12 +45,12 @@ def header(hand: str = "jamia", rate_hz: int = 500, **more: object) -> RunHeader
     return RunHeader.of_hand(described.to_toml(), 10**9 // rate_hz, **(given | more))
 
 
-def _phase(share: float) -> str:
-    return next((name for name, end in SCHEDULE if share < end), "end")
+def _phase(fraction: float) -> str:
+    return next((name for name, end in SCHEDULE if fraction < end), "end")
 
 
 class Synthetic:
-    """Ticks of a synthetic run; the same seed gives the same run."""
+    """Ticks of a synthetic run. Equal seeds give equal runs."""
 
     def __init__(self, run: RunHeader, seconds: float, seed: int = 0) -> None:
         self.run, self.ticks = run, round(seconds * 1e9 / run.period_ns)
@@ -62,9 +63,9 @@ class Synthetic:
     def __iter__(self) -> Iterator[tuple[TickIn, TickOut]]:
         previous = ""
         for k in range(self.ticks):
-            share = k / max(self.ticks, 1)
-            telemetry = self._telemetry(k, share)
-            phase = _phase(share)
+            fraction = k / max(self.ticks, 1)
+            telemetry = self._telemetry(k, fraction)
+            phase = _phase(fraction)
             tick_in = self._tick_in(k, telemetry)
             events = (Event("info", "phase", "", phase),) if phase != previous else ()
             if k == self.ticks // 3:
@@ -72,39 +73,41 @@ class Synthetic:
             if k == self.ticks // 2:
                 events += (Event("warn", "contact", self.run.digits[0], "touched earlier than planned"),)
             previous = phase
-            mode = Mode.READY if share < 0.02 else Mode.ACTIVE if share < 0.98 else Mode.DISARM
-            action = Action.WARN if 0.5 <= share < 0.51 else Action.PASS
+            mode = Mode.READY if fraction < 0.02 else Mode.ACTIVE if fraction < 0.98 else Mode.DISARM
+            action = Action.WARN if 0.5 <= fraction < 0.51 else Action.PASS
             self._hash.update(telemetry.packed())
             frames = self._sent(k, telemetry)
             yield tick_in, TickOut(frames, mode, phase, action, telemetry, events, self._hash.digest())
 
-    def _closing(self, share: float) -> float:
-        """How far the hand is closed, 0 to 1."""
-        up = float(np.clip((share - 0.08) / 0.32, 0, 1))
-        down = float(np.clip((share - 0.85) / 0.13, 0, 1))
+    def _closing(self, fraction: float) -> float:
+        """Return how far the hand is closed, 0 to 1."""
+        up = float(np.clip((fraction - 0.08) / 0.32, 0, 1))
+        down = float(np.clip((fraction - 0.85) / 0.13, 0, 1))
         return (up * up * (3 - 2 * up)) * (1 - down * down * (3 - 2 * down))
 
-    def _telemetry(self, k: int, share: float) -> Telemetry:
+    def _telemetry(self, k: int, fraction: float) -> Telemetry:
         run, period = self.run, self.run.period_ns * 1e-9
-        goal = np.full(len(run.joints), 1.2 * self._closing(share))
+        goal = np.full(len(run.joints), 1.2 * self._closing(fraction))
         stop = 0.75 + 0.1 * np.array(self._digit_of)
         q = np.minimum(goal, stop) + 2e-4 * self._random.standard_normal(len(goal))
-        before = np.minimum(1.2 * self._closing(share - 1 / self.ticks), stop)
+        before = np.minimum(1.2 * self._closing(fraction - 1 / self.ticks), stop)
         dq = (np.minimum(goal, stop) - before) / period
-        pressing = np.array([max(0.0, 1.2 * self._closing(share) - (0.75 + 0.1 * d)) for d in range(len(run.digits))])
-        tension = 6.0 + 3.0 * np.sin(2 * np.pi * 2 * share) + 60.0 * pressing[self._tendon_digit]
+        pressing = np.array(
+            [max(0.0, 1.2 * self._closing(fraction) - (0.75 + 0.1 * d)) for d in range(len(run.digits))]
+        )
+        tension = 6.0 + 3.0 * np.sin(2 * np.pi * 2 * fraction) + 60.0 * pressing[self._tendon_digit]
         noise = self._random.standard_normal(len(tension))
         raw = np.round((tension + 0.3 * noise + 6) / 0.0625) * 0.0625 - 6
         excursion = self._arms @ q
         motor = excursion[: len(run.motors)] / 0.005 + tension / 1e5 / 0.005
-        phase = Phase.READY if share < 0.02 else Phase.ENABLED
-        warm = 30 + 15 * share * (np.arange(len(run.motors)) == 0)
+        phase = Phase.READY if fraction < 0.02 else Phase.ENABLED
+        warm = 30 + 15 * fraction * (np.arange(len(run.motors)) == 0)
         values: dict[str, np.ndarray] = {
             "q": q, "dq": dq, "q_goal": goal, "dq_goal": dq, "joint_torque": self._arms.T @ tension,
             "joint_encoder": q.round(3) if k % 4 == 0 else np.full(len(q), np.nan),
             "excursion": excursion, "excursion_rate": self._arms @ dq, "tension": tension,
             "tension_sigma": np.full(len(tension), 0.25) + 0.1 * (k < 20), "tension_raw": raw,
-            "tension_goal": tension + 0.5, "stretch_offset": 1e-5 * np.sin(share) * np.ones(len(tension)),
+            "tension_goal": tension + 0.5, "stretch_offset": 1e-5 * np.sin(fraction) * np.ones(len(tension)),
             "innovation": raw - tension, "nis": ((raw - tension) / 0.3) ** 2,
             "external_tension": 60.0 * pressing[self._tendon_digit], "motor_position": motor,
             "motor_velocity": np.gradient(motor), "motor_torque": 0.005 * tension,

@@ -1,4 +1,4 @@
-"""The hash chain over the ticks, and the pairs of clocks."""
+"""Hash chain over the ticks, and pairs of clocks."""
 
 import itertools
 from pathlib import Path
@@ -24,16 +24,16 @@ def _written(path: Path, clocks: list[tuple[int, int]], seconds: float, determin
 
 def test_each_digest_is_that_of_the_tick_s_bytes_and_the_digest_before(small_log: Path) -> None:
     with RunLog(small_log) as log:
-        before, found = seed_of(log.header), list(log.digests())
-        assert len(found) == len(log) == len(set(found))
-        for message, numbers, digest in zip(log.messages(), log.packed(), found, strict=True):
+        before, digests = seed_of(log.header), list(log.digests())
+        assert len(digests) == len(log) == len(set(digests))
+        for message, numbers, digest in zip(log.messages(), log.packed(), digests, strict=True):
             assert digest == tick_hash(before, message, numbers)
             before = digest
         assert log.end["chain"] == before.hex()
 
 
 def test_a_step_of_the_wall_clock_shows_in_the_pairs(tmp_path: Path) -> None:
-    """Half a minute; an hour is added to the wall after the second pair."""
+    """In half a minute of pairs, an hour is added to the wall clock after the second pair."""
     start, hour = 1_800_000_000_000_000_000, 3_600_000_000_000
     clocks = [(start + n * 10**10 + (hour if n > 1 else 0), 5 + n * 10**10) for n in range(4)]
     with RunLog(_written(tmp_path / "a.mcap", clocks, 35.0, deterministic=False)) as log:

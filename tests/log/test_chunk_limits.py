@@ -1,4 +1,4 @@
-"""How much work a chunk can ask for: no more than one that we wrote would."""
+"""Limits of the work that one chunk can cause."""
 
 import struct
 
@@ -16,7 +16,7 @@ def message(number: int) -> bytes:
 
 
 def test_a_chunk_may_define_so_many_channels_however_large_it_is() -> None:
-    """A million of them in thirty megabytes kept `log check` for more than a second."""
+    """A million channels in thirty megabytes once kept `log check` busy for more than a second."""
     plenty = 1 << 30
     allowed = channel(7) * 2 * MAX_CHANNELS + message(7)
     assert [one.channel for one in iter_messages(allowed, plenty)] == [7]
@@ -26,8 +26,8 @@ def test_a_chunk_may_define_so_many_channels_however_large_it_is() -> None:
 
 @pytest.mark.parametrize("packed", [0, 10 * BYTES_PER_BLOCK])
 def test_a_chunk_may_have_runs_in_proportion_to_its_size_in_the_file(packed: int) -> None:
-    most = MIN_BLOCKS + packed // BYTES_PER_BLOCK
-    alternating = b"".join(message(number % 2) for number in range(most))
-    assert len(list(iter_messages(alternating, packed))) == most
+    limit = MIN_BLOCKS + packed // BYTES_PER_BLOCK
+    alternating = b"".join(message(number % 2) for number in range(limit))
+    assert len(list(iter_messages(alternating, packed))) == limit
     with pytest.raises(ValueError, match="more messages than"):
-        list(iter_messages(alternating + message(most % 2), packed))
+        list(iter_messages(alternating + message(limit % 2), packed))

@@ -1,4 +1,4 @@
-"""What is exported is read back with foreign readers: equal values."""
+"""Exports read back by foreign readers: equal values."""
 
 import ast
 import csv
@@ -64,7 +64,7 @@ def test_csv_reads_back_bit_for_bit(log: RunLog, tmp_path: Path) -> None:
 
 
 def test_units_are_those_that_the_telemetry_declares() -> None:
-    """The docstring of each field of ``Telemetry`` ends in its unit in brackets, or describes a plain number."""
+    """The docstring of each field of `Telemetry` ends in its unit in brackets, or describes a plain number."""
     source = ast.parse(inspect.getsource(types))
     (telemetry,) = (node for node in source.body if isinstance(node, ast.ClassDef) and node.name == "Telemetry")
     names = [node.target.id for node in telemetry.body if isinstance(node, ast.AnnAssign)]
@@ -87,7 +87,7 @@ def test_every_column_says_its_unit(log: RunLog, tmp_path: Path) -> None:
 
 
 def test_the_page_has_the_units() -> None:
-    """The table in docs/logs.md names the unit of every quantity."""
+    """The table in docs/logs.md has the unit of every quantity."""
     page = (GOLDEN.parents[1] / "docs" / "logs.md").read_text(encoding="utf-8")
     listed = {
         name: row[2]
@@ -103,9 +103,9 @@ def test_python_can_reads_the_candump(log: RunLog, tmp_path: Path) -> None:
     assert export_candump(log, path) == sum(len(t.frames) + len(t.tick_in.frames) for t in log.ticks())
     messages = list(can.CanutilsLogReader(path))
     expected = [
-        (frame, tick.tick_in.t_ns if way == "T" else frame.t_ns, way == "R")
+        (frame, tick.tick_in.t_ns if direction == "T" else frame.t_ns, direction == "R")
         for tick in log.ticks()
-        for way, frames in (("R", tick.tick_in.frames), ("T", tick.frames))
+        for direction, frames in (("R", tick.tick_in.frames), ("T", tick.frames))
         for frame in frames
     ]
     assert len(messages) == len(expected) > 5000

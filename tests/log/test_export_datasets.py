@@ -1,4 +1,4 @@
-"""The exports for data people, read back by polars, by Rerun, and by Rerun's reader of LeRobot datasets."""
+"""Exports of tables and datasets, read back by polars, by Rerun, and by Rerun's reader of LeRobot datasets."""
 
 import json
 from collections.abc import Iterator
@@ -62,8 +62,8 @@ def test_the_dataset_has_the_values_of_the_log(log: RunLog, dataset: Path) -> No
     state = np.hstack([log.field("q")[active], log.field("tension")[active]]).astype(np.float32)
     np.testing.assert_array_equal(table["observation.state"].to_numpy(), state)
     goal, q = log.field("q_goal")[active], log.field("q")[active]
-    asked = np.hstack([np.where(np.isnan(goal), q, goal), log.field("tension_goal")[active]]).astype(np.float32)
-    np.testing.assert_array_equal(table["action"].to_numpy(), asked)
+    commands = np.hstack([np.where(np.isnan(goal), q, goal), log.field("tension_goal")[active]]).astype(np.float32)
+    np.testing.assert_array_equal(table["action"].to_numpy(), commands)
     times = (log.t_ns[active] - log.t_ns[active][0]) * 1e-9
     np.testing.assert_allclose(table["timestamp"].to_numpy(), times, atol=1e-6)
     assert table["frame_index"].to_list() == table["index"].to_list() == list(range(len(table)))
@@ -91,7 +91,7 @@ def test_every_feature_is_declared_as_it_is(dataset: Path) -> None:
 
 
 def test_the_episode_has_its_statistics(dataset: Path) -> None:
-    """LeRobot makes the statistics of a part, after a split, from those of the part's episodes."""
+    """After a split LeRobot computes the statistics of a part from those of the part's episodes."""
     whole = json.loads((dataset / "meta" / "stats.json").read_text())
     table = polars.read_parquet(dataset / "meta/episodes/chunk-000/file-000.parquet")
     names = {"min", "max", "mean", "std", "count", "q01", "q10", "q50", "q90", "q99"}
@@ -122,8 +122,8 @@ def test_names_of_elements_have_their_unit(dataset: Path) -> None:
 def test_rerun_reads_the_dataset(log: RunLog, dataset: Path) -> None:
     reader = LeRobotReader(dataset)
     assert reader.episodes() == [0]
-    found = {str(chunk.entity_path): chunk for chunk in reader.stream(0).to_chunks()}
-    batch = found["/observation.state"].to_record_batch()
+    chunks = {str(chunk.entity_path): chunk for chunk in reader.stream(0).to_chunks()}
+    batch = chunks["/observation.state"].to_record_batch()
     values = np.array(batch.column("Scalars:scalars").to_pylist())
     active = log.mode == int(Mode.ACTIVE)
     np.testing.assert_array_equal(values[:, : len(log.header.joints)], log.field("q")[active].astype(np.float32))

@@ -1,4 +1,4 @@
-"""The header of a log from elsewhere: every value that others count with has its type and range, in every verb."""
+"""Header of a foreign log: every value used in arithmetic is checked for type and range, in every verb."""
 
 import json
 from pathlib import Path
@@ -45,17 +45,17 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def _refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
-    """The one line in which a verb refuses; ``log check`` tells what it finds on standard output, with exit code 1."""
+    """Return the line in which a verb refuses. `log check` prints its finding on standard output, with exit code 1."""
     checks = words[:2] == ("log", "check")
     assert main(words) == (1 if checks else 2), words
     out, err = capsys.readouterr()
-    said, silent = (out, err) if checks else (err, out)
-    said = said.removeprefix("reading odd.mcap\n")
+    message, silent = (out, err) if checks else (err, out)
+    message = message.removeprefix("reading odd.mcap\n")
     assert silent == ""
-    assert said.count("\n") == 1, said
-    assert said[:-1].isprintable()
-    assert len(said) < 600
-    return said
+    assert message.count("\n") == 1, message
+    assert message[:-1].isprintable()
+    assert len(message) < 600
+    return message
 
 
 @pytest.mark.parametrize("verb", VERBS)

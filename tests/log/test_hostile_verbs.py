@@ -1,4 +1,4 @@
-"""Files made to harm: every verb that reads a log ends with one clear line, within a second and 256 MiB."""
+"""Hostile files: every verb that reads a log ends with one clear line, within a second and 256 MiB."""
 
 import json
 import subprocess
@@ -51,15 +51,15 @@ def test_every_verb_refuses_it_in_one_line(small_log: Path, tmp_path: Path) -> N
         (folder / f"{name}\x1b[2J.mcap").write_bytes(data)
     done = subprocess.run([sys.executable, "-c", PROBE, str(folder)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    found, little_memory = json.loads(done.stdout)
+    outcomes, little_memory = json.loads(done.stdout)
     assert little_memory
-    assert len(found) == 10 * len(list(folder.glob("*.mcap")))
-    for name, words, code, said, seconds in found:
-        what = f"{words} on {name}: {said}"
+    assert len(outcomes) == 10 * len(list(folder.glob("*.mcap")))
+    for name, words, code, output, seconds in outcomes:
+        what = f"{words} on {name}: {output}"
         assert code in CODES.get(" ".join(words[:2]), (2,)), what
-        assert len(said) <= 2, what
-        assert "\x1b" not in "".join(said), what
-        assert "Traceback" not in "".join(said), what
+        assert len(output) <= 2, what
+        assert "\x1b" not in "".join(output), what
+        assert "Traceback" not in "".join(output), what
         assert seconds < 1.0, what
 
 

@@ -1,4 +1,4 @@
-"""Every message is, byte for byte, what mcap-ros2-support and rosbags would have written."""
+"""Every message equals the bytes of mcap-ros2-support and rosbags."""
 
 import struct
 from pathlib import Path
@@ -40,17 +40,17 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("name", DEFINITIONS)
 def test_a_standard_type_has_the_fields_and_constants_of_ros(name: str) -> None:
     package = name.split("/")[0]
-    found = get_types_from_msg(schema_text(name), schema_name(name))
+    types = get_types_from_msg(schema_text(name), schema_name(name))
     if package in STANDARD or name in ("rcl_interfaces/Log", "rcl_interfaces/ParameterEvent"):
         humble = get_typestore(Stores.ROS2_HUMBLE).fielddefs
-        for kind, fields in found.items():
+        for kind, fields in types.items():
             assert fields == humble[kind], kind
-    assert schema_name(name) in found
+    assert schema_name(name) in types
 
 
-def test_every_topic_is_alive_in_the_lively_run(log: Path) -> None:
-    found = by_topic(log)
-    used = {message.kind for messages in found.values() for message in messages}
+def test_every_topic_has_messages_in_the_lively_run(log: Path) -> None:
+    topics = by_topic(log)
+    used = {message.kind for messages in topics.values() for message in messages}
     parts = {"Time", "Header", "Vector3", "Quaternion", "Transform", "TransformStamped", "Wrench", "KeyValue"}
     parts |= {"DiagnosticStatus", "ParameterValue", "Parameter", "CanFrame", "IoEvent", "Event"}
     assert used == {schema_name(name) for name in DEFINITIONS if name.split("/")[1] not in parts}
@@ -139,9 +139,9 @@ def test_a_message_from_its_values(kind: str, ours: bytes, values: dict[str, obj
 
 
 def test_joint_states_carry_the_telemetry_by_name(log: Path) -> None:
-    run, found = lively.header(), by_topic(log)["/joint_states"]
-    oracle = Rosbags(found[0].kind, found[0].schema)
-    for (tick_in, out), message in zip(lively.ticks(run), found, strict=True):
+    run, logged = lively.header(), by_topic(log)["/joint_states"]
+    oracle = Rosbags(logged[0].kind, logged[0].schema)
+    for (tick_in, out), message in zip(lively.ticks(run), logged, strict=True):
         state = oracle.decode(message.data)
         assert state.name == list(run.joints)
         np.testing.assert_array_equal(state.position, out.telemetry.q)
@@ -151,10 +151,10 @@ def test_joint_states_carry_the_telemetry_by_name(log: Path) -> None:
 
 
 def test_frames_of_all_buses_stay_in_order(log: Path) -> None:
-    found = by_topic(log)
+    topics = by_topic(log)
     for topic, choose in (("rx", lambda i, o: i.frames), ("tx", lambda i, o: o.frames)):
         for suffix, long in (("", False), ("_fd", True)):
-            messages = found[f"/can/{topic}{suffix}"]
+            messages = topics[f"/can/{topic}{suffix}"]
             oracle = Rosbags(messages[0].kind, messages[0].schema)
             ours = [oracle.decode(message.data) for message in messages]
             sent = [
@@ -174,13 +174,13 @@ def test_frames_of_all_buses_stay_in_order(log: Path) -> None:
                 assert long or message.is_rtr == bool(frame.can_id >> 30 & 1)
 
 
-def test_a_received_frame_bears_its_own_time_and_a_sent_one_that_of_its_tick(log: Path) -> None:
-    found = by_topic(log)
+def test_received_frames_have_their_time_and_sent_frames_that_of_their_tick(log: Path) -> None:
+    topics = by_topic(log)
     times = [frame.t_ns for tick_in, _ in lively.ticks(lively.header()) for frame in tick_in.frames if not frame.flags]
-    assert [message.publish_time for message in found["/can/rx"]] == times
-    oracle = Rosbags(found["/can/tx"][0].kind, found["/can/tx"][0].schema)
+    assert [message.publish_time for message in topics["/can/rx"]] == times
+    oracle = Rosbags(topics["/can/tx"][0].kind, topics["/can/tx"][0].schema)
     starts = {tick_in.k: tick_in.t_ns + tick_in.late_ns for tick_in, _ in lively.ticks(lively.header())}
-    for message in found["/can/tx"]:
+    for message in topics["/can/tx"]:
         stamp = oracle.decode(message.data).header.stamp
         assert stamp.sec * 10**9 + stamp.nanosec == starts[message.sequence] == message.publish_time
 

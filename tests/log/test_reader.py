@@ -1,4 +1,4 @@
-"""A log gives back exactly what was recorded; a bad one gives one LogError, soon and cheaply."""
+"""A log reads back exactly as recorded. A bad log gives one LogError, in short time and little memory."""
 
 import contextlib
 import itertools
@@ -40,8 +40,8 @@ def lively_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_ticks_come_back_exactly(lively_log: Path) -> None:
     with RunLog(lively_log) as log:
-        found = list(log.ticks())
-    for (tick_in, out), one in zip(lively.ticks(lively.header()), found, strict=True):
+        ticks = list(log.ticks())
+    for (tick_in, out), one in zip(lively.ticks(lively.header()), ticks, strict=True):
         expected = TickRecord(tick_in, out.frames, out.mode, out.phase, out.action, out.events, out.state_hash)
         assert one == expected
 
@@ -59,7 +59,7 @@ def test_every_field_comes_back_bit_for_bit(lively_log: Path, cached: bool, monk
 
 
 def test_a_log_without_the_latest_fields_is_read(lively_log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As if a coming version had one field more: today's log lacks it, as logs of version 0.1 lack q_sigma."""
+    """Simulate a version with a further field, which this log lacks, as logs of version 0.1 lack q_sigma."""
     recorded = [out.telemetry for _, out in lively.ticks(lively.header())]
     monkeypatch.setitem(TELEMETRY_AXES, "coming", "joint")
     for module in ("batch", "read.reader"):
@@ -81,8 +81,8 @@ def test_times_gaps_events_and_phases(lively_log: Path) -> None:
         np.testing.assert_allclose(log.times, [tick_in.t_ns / 1e9 for tick_in, _ in ticks])
         assert log.mode.tolist() == [out.mode for _, out in ticks]
         assert log.action.tolist() == [out.action for _, out in ticks]
-        told = [(tick_in.k, event) for tick_in, out in ticks for event in out.events]
-        assert [(one.k, one.event) for one in log.events] == told
+        expected = [(tick_in.k, event) for tick_in, out in ticks for event in out.events]
+        assert [(one.k, one.event) for one in log.events] == expected
         assert [one.name for one in log.phases] == ["idle", "close", "h\u00e4lt", ""]
         before = [a.k for (a, _), (b, _) in itertools.pairwise(ticks) if b.k - a.k > 1]
         assert [gap.before for gap in log.gaps] == before
@@ -100,7 +100,7 @@ def test_the_header_comes_back(lively_log: Path) -> None:
         assert not log.warning
 
 
-def test_an_unknown_field_names_the_known_ones(small_log: Path) -> None:
+def test_the_error_of_an_unknown_field_lists_all_fields(small_log: Path) -> None:
     with RunLog(small_log) as log, pytest.raises(LogError, match="tension_sigma"):
         log.field("tenshun\x1b[2J")
 
@@ -112,23 +112,23 @@ def _everything(path: Path) -> tuple[bytes, bytes]:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_changed_bit_is_found_or_harmless(small_log: Path, tmp_path: Path, seed: int) -> None:
-    raw, expected = small_log.read_bytes(), _everything(small_log)
+def test_a_changed_bit_is_detected_or_harmless(small_log: Path, tmp_path: Path, seed: int) -> None:
+    raw, errors = small_log.read_bytes(), _everything(small_log)
     random = np.random.default_rng(seed)
-    told: list[str] = []
+    errors: list[str] = []
     bad = tmp_path / "bad.mcap"
     for _ in range(60):
         data = bytearray(raw)
         data[random.integers(len(data))] ^= 1 << random.integers(8)
         bad.write_bytes(data)
-        begin = time.process_time()
+        start = time.process_time()
         try:
-            assert _everything(bad) == expected
+            assert _everything(bad) == errors
         except LogError as error:
-            told.append(str(error))
-        assert time.process_time() - begin < 1.0
-    assert len(told) > 40
-    assert all("bad.mcap, byte " in one for one in told)
+            errors.append(str(error))
+        assert time.process_time() - start < 1.0
+    assert len(errors) > 40
+    assert all("bad.mcap, byte " in one for one in errors)
 
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -1,4 +1,4 @@
-"""A tick survives the pipe exactly, and bytes that are no tick are refused."""
+"""A tick passes the pipe exactly, and other bytes are refused."""
 
 import contextlib
 import math

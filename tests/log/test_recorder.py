@@ -1,4 +1,4 @@
-"""The recorder outlives the controller, never holds it up, and says so when it cannot write."""
+"""The recorder survives the controller, never delays it, and reports failed writes."""
 
 import os
 import random
@@ -32,7 +32,7 @@ FEEDER = Path(__file__).with_name("feeder.py")
 
 @pytest.fixture
 def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Recorder]]:
-    """Starts recorders, with the pipe that anybody may have, and leaves none behind."""
+    """Start recorders with an unprivileged pipe, and end all of them after the test."""
     started: list[Recorder] = []
     monkeypatch.setattr("handctl.log.write.recorder.PIPE_BYTES", PIPE_BYTES[-1:])
 
@@ -95,10 +95,10 @@ def test_a_kill_of_the_recorder_costs_a_quarter_of_a_second(
 ) -> None:
     number = random.Random(kill).randrange(300, 900)
     recorder, records = start(), _records(number)
-    begin = time.monotonic()
+    started = time.monotonic()
     for k, record in enumerate(records):
         assert recorder.record(record)
-        time.sleep(max(0.0, begin + (k + 1) * 0.001 - time.monotonic()))
+        time.sleep(max(0.0, started + (k + 1) * 0.001 - time.monotonic()))
     os.kill(recorder._child.pid, signal.SIGKILL)
     killed = time.monotonic()
     recorder._child.wait()
@@ -107,7 +107,7 @@ def test_a_kill_of_the_recorder_costs_a_quarter_of_a_second(
         assert log.gaps == []
         lost = len(records) - len(log)
         assert len(list(log.ticks())) == len(log)
-    assert lost * 0.001 <= 0.25 + (killed - begin - number * 0.001)
+    assert lost * 0.001 <= 0.25 + (killed - started - number * 0.001)
     assert not recorder.record(records[0])
     assert IoEvent("recorder", "gone") in recorder.events()
     assert recorder.events() == ()
@@ -120,18 +120,18 @@ def test_a_stalled_recorder_never_holds_up_the_controller(start: Callable[..., R
     recorder, records = start(), _records(3000)
     recorder.record(records[0])
     os.kill(recorder._child.pid, signal.SIGSTOP)
-    taken, longest, told = [], 0.0, []
+    taken, longest, events = [], 0.0, []
     for k, record in enumerate(records[1:], 1):
-        begin = time.perf_counter()
+        started = time.perf_counter()
         if recorder.record(record):
             taken.append(k)
-        longest = max(longest, time.perf_counter() - begin)
-        told += recorder.events()
+        longest = max(longest, time.perf_counter() - started)
+        events += recorder.events()
     os.kill(recorder._child.pid, signal.SIGCONT)
     assert longest < 0.05
     assert 100 < len(taken) < len(records) - 100
-    assert [event.where for event in told][:2] == ["filling", "dropped"]
-    assert sum(event.number for event in told if event.where == "dropped") == recorder.dropped
+    assert [event.where for event in events][:2] == ["filling", "dropped"]
+    assert sum(event.number for event in events if event.where == "dropped") == recorder.dropped
     assert _until(lambda: recorder.record(records[-1]))
     summary = recorder.close("finished")
     with RunLog(tmp_path / "run.mcap") as log:
@@ -163,9 +163,9 @@ def test_telemetry_of_another_shape_is_announced(start: Callable[..., Recorder])
     other = synthetic.header("jamia11", rate_hz=1000)
     for tick in synthetic.Synthetic(other, 0.01):
         recorder.record(pack(*tick))
-    told: list[IoEvent] = []
-    assert _until(lambda: bool(told.extend(recorder.events())) or bool(told))
-    assert told == [IoEvent("recorder", "misshapen", 1)]
+    events: list[IoEvent] = []
+    assert _until(lambda: bool(events.extend(recorder.events())) or bool(events))
+    assert events == [IoEvent("recorder", "misshapen", 1)]
 
 
 def test_a_lockstep_run_waits_and_loses_nothing(start: Callable[..., Recorder], tmp_path: Path) -> None:
@@ -187,14 +187,12 @@ def test_interrupts_do_not_reach_the_recorder(start: Callable[..., Recorder], tm
         assert log.end["reason"] == "stopped by hand"
 
 
-def test_the_recorder_comes_before_what_else_the_machine_does(start: Callable[..., Recorder]) -> None:
-    own, child = (os.getpriority(os.PRIO_PROCESS, pid) for pid in (0, start()._child.pid))
-    assert child == (NICE if os.geteuid() == 0 else own)
+def test_the_recorder_has_priority_over_other_programs(start: Callable[..., Recorder]) -> None:
+    priority, child = (os.getpriority(os.PRIO_PROCESS, pid) for pid in (0, start()._child.pid))
+    assert child == (NICE if os.geteuid() == 0 else priority)
 
 
-def test_what_was_known_before_the_first_tick_is_in_the_file_at_once(
-    start: Callable[..., Recorder], tmp_path: Path
-) -> None:
+def test_the_header_is_in_the_file_before_the_first_tick(start: Callable[..., Recorder], tmp_path: Path) -> None:
     notes = {"big.bin": random.Random(1).randbytes(3 << 20)}
     recorder = start(attachments=notes, metadata={"note": "a \u00e4"}, wall={"host": "x"})
     with RunLog(tmp_path / "run.mcap") as log:
@@ -228,22 +226,22 @@ def _readable_prefix(path: Path, fed: int) -> None:
 def test_a_failed_write_is_announced_and_ends_the_file(start: Callable[..., Recorder], tmp_path: Path) -> None:
     recorder, records = start(), _records(2000)
     resource.prlimit(recorder._child.pid, resource.RLIMIT_FSIZE, (LIMIT_BYTES, LIMIT_BYTES))
-    told: list[IoEvent] = []
+    events: list[IoEvent] = []
     for record in records:
         recorder.record(record)
         time.sleep(0.0002)
-        told += recorder.events()
-    assert _until(lambda: bool(told.extend(recorder.events())) or any(one.where == "disk_full" for one in told))
+        events += recorder.events()
+    assert _until(lambda: bool(events.extend(recorder.events())) or any(one.where == "disk_full" for one in events))
     summary = recorder.close("finished")
     assert summary["lost"] + summary["ticks"] == len(records) - recorder.dropped
     assert (tmp_path / "run.mcap").stat().st_size <= LIMIT_BYTES
-    assert [one.where for one in told].count("disk_full") == 1
+    assert [one.where for one in events].count("disk_full") == 1
     _readable_prefix(tmp_path / "run.mcap", len(records))
 
 
 @pytest.fixture
 def tiny_disk(tmp_path: Path) -> Iterator[Path]:
-    """Two megabytes."""
+    """Mount a disk of two megabytes."""
     disk = tmp_path / "disk"
     disk.mkdir()
     mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(disk)], capture_output=True)
@@ -268,9 +266,9 @@ def test_a_full_disk_leaves_a_whole_file(tiny_disk: Path, start: Callable[..., R
     assert [one.name for one in tiny_disk.iterdir()] == ["run.mcap"]
 
 
-def test_a_disk_without_a_free_page_has_room_for_the_end(tiny_disk: Path) -> None:
-    told: list[tuple[str, int]] = []
-    writer = LogWriter(tiny_disk / "run.mcap", synthetic.header(), lambda *what: told.append(what), 700_000)
+def test_a_full_disk_has_reserved_space_for_the_end(tiny_disk: Path) -> None:
+    events: list[tuple[str, int]] = []
+    writer = LogWriter(tiny_disk / "run.mcap", synthetic.header(), lambda *what: events.append(what), 700_000)
     for record in _records(200):
         writer.add(record[FRAMING.size :])
     writer.flush()
@@ -279,12 +277,12 @@ def test_a_disk_without_a_free_page_has_room_for_the_end(tiny_disk: Path) -> Non
             other.write(bytes(4096))
     writer.sync()
     writer.finish("finished", 0)
-    assert [what for what, _ in told] == ["disk_full"]
+    assert [what for what, _ in events] == ["disk_full"]
     with RunLog(tiny_disk / "run.mcap") as log:
         assert (len(log), log.warning, log.end["reason"]) == (200, "", "disk full")
 
 
-def test_the_process_that_syncs_does_not_keep_the_ballast(tiny_disk: Path) -> None:
+def test_the_syncing_process_does_not_hold_the_reserved_space(tiny_disk: Path) -> None:
     syncer = Syncer()
     writer = LogWriter(tiny_disk / "run.mcap", synthetic.header(), lambda *what: None, 1, to_disk=syncer)
     for record in _records(100):
@@ -300,14 +298,14 @@ def test_the_process_that_syncs_does_not_keep_the_ballast(tiny_disk: Path) -> No
     os.close(syncer._request_pipe)  # ends its process
 
 
-def test_handing_over_a_tick_is_quick(start: Callable[..., Recorder]) -> None:
+def test_recording_a_tick_is_fast(start: Callable[..., Recorder]) -> None:
     recorder = start()
     tick_in, out = next(iter(synthetic.Synthetic(synthetic.header(rate_hz=1000), 0.01)))
     spent = []
     for k in range(300):
-        begin = time.perf_counter()
+        started = time.perf_counter()
         recorder.record(pack(TickIn(k, k * 1_000_000, 0, tick_in.frames), out))
         recorder.events()
-        spent.append(time.perf_counter() - begin)
+        spent.append(time.perf_counter() - started)
         time.sleep(0.0005)
     assert sorted(spent)[len(spent) // 2] < 200e-6

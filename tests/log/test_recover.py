@@ -1,4 +1,4 @@
-"""Whatever a file was cut down to, exactly the complete chunks before the cut come back."""
+"""From a log cut at any byte, exactly the complete chunks before the cut are recovered."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -18,8 +18,8 @@ SAMPLE = 500
 
 
 @pytest.fixture(scope="module")
-def least_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A whole log of 68 KiB at most, so that it can be cut at every byte. Eight chunks fit without its URDF."""
+def smallest_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Write a complete log of at most 68 KiB, to be cut at every byte. Without its URDF it has eight chunks."""
     path = tmp_path_factory.mktemp("log") / "least.mcap"
     attachments = {"gains.toml": b"[motion]\nposition_error_m = 6e-4\n", "initial_state": bytes(range(64))}
     synthetic.write(path, synthetic.header(rate_hz=4, attachments=attachments), 1.75)
@@ -28,10 +28,10 @@ def least_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _scan(path: Path) -> RecordScan:
-    file, found = LogFile(path), RecordScan()
-    scan_records(file, found)
+    file, scan = LogFile(path), RecordScan()
+    scan_records(file, scan)
     file.close()
-    return found
+    return scan
 
 
 def _recovered(data: bytes, folder: Path) -> tuple[Recovery, Path]:
@@ -42,11 +42,11 @@ def _recovered(data: bytes, folder: Path) -> tuple[Recovery, Path]:
 
 
 def _chunk_starts(path: Path) -> dict[int, int]:
-    """Number of messages of the topic /tick in the first n chunks."""
-    found, ticks = _scan(path), {0: 0}
+    """Return the number of /tick messages in the first n chunks."""
+    scan, ticks = _scan(path), {0: 0}
     with RunLog(path) as log:
-        for n in range(1, len(found.chunks) + 1):
-            log._chunks = found.chunks[:n]
+        for n in range(1, len(scan.chunks) + 1):
+            log._chunks = scan.chunks[:n]
             log.__dict__.pop("_index", None)
             ticks[n] = len(log)
     return ticks
@@ -55,18 +55,18 @@ def _chunk_starts(path: Path) -> dict[int, int]:
 @pytest.mark.parametrize(
     "every", [False, pytest.param(True, marks=[pytest.mark.nightly, pytest.mark.timeout(3600)])], ids=["some", "every"]
 )
-def test_a_cut_gives_the_exact_prefix(least_log: Path, tmp_path: Path, every: bool) -> None:
-    raw, found, ticks = least_log.read_bytes(), _scan(least_log), _chunk_starts(least_log)
-    assert len(found.chunks) == 8
-    with RunLog(least_log) as log:
+def test_a_cut_gives_the_exact_prefix(smallest_log: Path, tmp_path: Path, every: bool) -> None:
+    raw, scan, ticks = smallest_log.read_bytes(), _scan(smallest_log), _chunk_starts(smallest_log)
+    assert len(scan.chunks) == 8
+    with RunLog(smallest_log) as log:
         tension, k = log.field("tension"), log.k
     cuts: Iterable[int] = range(8, len(raw) + 1)
     if not every:
-        borders = {chunk.end + step for chunk in found.chunks for step in (-1, 0, 1)}
-        chosen = np.random.default_rng(0).choice(len(raw) - 8, SAMPLE - len(borders), replace=False) + 8
-        cuts = sorted({*chosen.tolist(), *borders})
+        borders = {chunk.end + step for chunk in scan.chunks for step in (-1, 0, 1)}
+        cuts = np.random.default_rng(0).choice(len(raw) - 8, SAMPLE - len(borders), replace=False) + 8
+        cuts = sorted({*cuts.tolist(), *borders})
     for cut in cuts:
-        complete = sum(chunk.end <= cut for chunk in found.chunks)
+        complete = sum(chunk.end <= cut for chunk in scan.chunks)
         recovery, out = _recovered(raw[:cut], tmp_path)
         if not complete:
             assert recovery.status == RecoveryStatus.NOTHING
@@ -81,23 +81,23 @@ def test_a_cut_gives_the_exact_prefix(least_log: Path, tmp_path: Path, every: bo
                 assert one.field("tension").tobytes() == tension[: ticks[complete]].tobytes()
 
 
-def test_a_recovered_file_is_open_to_others_and_says_what_it_is(small_log: Path, tmp_path: Path) -> None:
-    raw, found = small_log.read_bytes(), _scan(small_log)
-    recovery, out = _recovered(raw[: found.chunks[6].end + 5], tmp_path)
+def test_a_recovered_file_is_readable_by_others_and_marked_as_recovered(small_log: Path, tmp_path: Path) -> None:
+    raw, scan = small_log.read_bytes(), _scan(small_log)
+    recovery, out = _recovered(raw[: scan.chunks[6].end + 5], tmp_path)
     assert recovery.status == RecoveryStatus.LOSSY
-    assert recovery.lost[-1][1] == found.chunks[6].end + 5
-    kept = messages(out)
-    assert len(kept) == recovery.messages
-    last = max(one.log_time for one in kept if one.topic == "/tick")
+    assert recovery.lost[-1][1] == scan.chunks[6].end + 5
+    recovered = messages(out)
+    assert len(recovered) == recovery.messages
+    last = max(one.log_time for one in recovered if one.topic == "/tick")
     whole = [one for one in messages(small_log) if one.log_time <= last]
-    assert sorted(kept) == sorted(whole)
+    assert sorted(recovered) == sorted(whole)
     with RunLog(out) as log, RunLog(small_log) as old:
         assert "without an end mark" in log.end["recovered"]
         assert log.header == old.header
         assert len(list(log.ticks())) == len(log)
 
 
-def test_a_whole_file_stays_what_it_is(small_log: Path, tmp_path: Path) -> None:
+def test_a_complete_file_is_copied_unchanged(small_log: Path, tmp_path: Path) -> None:
     recovery, out = _recovered(small_log.read_bytes(), tmp_path)
     assert (recovery.status, recovery.lost, recovery.problem) == (RecoveryStatus.WHOLE, (), "")
     assert messages(out) == messages(small_log)
@@ -106,13 +106,13 @@ def test_a_whole_file_stays_what_it_is(small_log: Path, tmp_path: Path) -> None:
         assert log.header == old.header
 
 
-def test_one_damaged_chunk_is_left_out_and_the_rest_kept(small_log: Path, tmp_path: Path) -> None:
-    raw, found = bytearray(small_log.read_bytes()), _scan(small_log)
-    hit = found.chunks[4]
+def test_one_damaged_chunk_is_left_out_and_the_rest_copied(small_log: Path, tmp_path: Path) -> None:
+    raw, scan = bytearray(small_log.read_bytes()), _scan(small_log)
+    hit = scan.chunks[4]
     raw[hit.data + 50] ^= 0xFF
     recovery, out = _recovered(bytes(raw), tmp_path)
     assert recovery.status == RecoveryStatus.LOSSY
-    assert recovery.chunks == len(found.chunks) - 1
+    assert recovery.chunks == len(scan.chunks) - 1
     assert recovery.lost[0] == (hit.offset, hit.end)
     with RunLog(out) as log:
         assert len(log.gaps) == 1
@@ -122,26 +122,26 @@ def test_one_damaged_chunk_is_left_out_and_the_rest_kept(small_log: Path, tmp_pa
 
 
 @pytest.mark.parametrize("what", ["attachment", "metadata", "chunk's header"])
-def test_a_damaged_record_costs_no_other(small_log: Path, tmp_path: Path, what: str) -> None:
-    raw, found = bytearray(small_log.read_bytes()), _scan(small_log)
-    (_, _, content), values = found.attachments["hand.urdf"], found.metadata["handctl.run"]
+def test_a_damaged_record_affects_no_other(small_log: Path, tmp_path: Path, what: str) -> None:
+    raw, scan = bytearray(small_log.read_bytes()), _scan(small_log)
+    (_, _, content), values = scan.attachments["hand.urdf"], scan.metadata["handctl.run"]
     at = {
         "attachment": raw.index(content) + 100,
         "metadata": raw.index(min(values).encode()) - 1,
-        "chunk's header": found.chunks[3].offset + 9 + 23,
+        "chunk's header": scan.chunks[3].offset + 9 + 23,
     }[what]
     raw[at] ^= 0x80
     recovery, out = _recovered(bytes(raw), tmp_path)
     assert recovery.status == RecoveryStatus.LOSSY
-    assert recovery.chunks == len(found.chunks) - (what == "chunk's header")
+    assert recovery.chunks == len(scan.chunks) - (what == "chunk's header")
     start, end = recovery.lost[0]
     assert start < at < end
-    kept = _scan(out)
-    assert not kept.problem
-    assert found.attachments.keys() - kept.attachments.keys() == ({"hand.urdf"} if what == "attachment" else set())
+    recovered = _scan(out)
+    assert not recovered.problem
+    assert scan.attachments.keys() - recovered.attachments.keys() == ({"hand.urdf"} if what == "attachment" else set())
 
 
-def test_a_damaged_summary_costs_nothing(small_log: Path, tmp_path: Path) -> None:
+def test_a_damaged_summary_loses_no_message(small_log: Path, tmp_path: Path) -> None:
     raw = bytearray(small_log.read_bytes())
     raw[-60] ^= 1
     recovery, out = _recovered(bytes(raw), tmp_path)
@@ -158,7 +158,7 @@ def test_an_existing_file_is_not_overwritten(small_log: Path, tmp_path: Path) ->
     assert precious.read_text() == "precious"
 
 
-def test_what_is_no_log_is_an_error(tmp_path: Path) -> None:
+def test_another_file_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "x").write_bytes(b"no log at all")
     with pytest.raises(LogError, match="not an MCAP file"):
         recover(tmp_path / "x", tmp_path / "out")

@@ -1,4 +1,4 @@
-"""Bringing a file to the disk without waiting for it."""
+"""Transfer of a file to the disk without waiting."""
 
 import os
 import select
@@ -10,7 +10,7 @@ import pytest
 from handctl.log.write.syncer import Syncer
 
 
-def test_a_process_of_its_own_syncs_and_ends_with_its_parent(tmp_path: Path) -> None:
+def test_a_separate_process_syncs_and_ends_with_its_parent(tmp_path: Path) -> None:
     before = set(psutil.Process().children())
     descriptor = os.open(tmp_path / "x", os.O_WRONLY | os.O_CREAT)
     syncer = Syncer()

@@ -1,4 +1,4 @@
-"""Topics: complete, joined by sequence, the same however the run was cut into chunks, open to other tools."""
+"""Topics are complete, joined by sequence, independent of the chunks, and readable by other tools."""
 
 import os
 from collections import Counter
@@ -25,9 +25,13 @@ from handctl.log.write.writer import LogWriter
 
 
 def _write(
-    path: Path, run: RunHeader, bodies: list[bytes], flush_at: frozenset[int] = frozenset(), told: tuple[str, ...] = ()
+    path: Path,
+    run: RunHeader,
+    bodies: list[bytes],
+    flush_at: frozenset[int] = frozenset(),
+    events: tuple[str, ...] = (),
 ) -> Path:
-    """Write a log without a process, with extra chunk borders, and compare what it has to tell."""
+    """Write a log without a process and with further chunk borders, and compare the reports of the writer."""
     path.unlink(missing_ok=True)
     problems: list[str] = []
     writer = LogWriter(path, run, lambda event, number: problems.append(event), 1)
@@ -36,7 +40,7 @@ def _write(
         if index in flush_at:
             writer.flush()
     writer.finish("finished", 0)
-    assert tuple(problems) == told
+    assert tuple(problems) == events
     return path
 
 
@@ -46,21 +50,21 @@ def _bodies(run: RunHeader) -> list[bytes]:
 
 def test_rosbags_reads_every_message(run_log: Path) -> None:
     with AnyReader([run_log]) as reader:
-        found = Counter()
+        topics = Counter()
         for connection, _, raw in reader.messages():
             reader.deserialize(raw, connection.msgtype)
-            found[connection.topic] += 1
-        assert sum(found.values()) == reader.message_count
+            topics[connection.topic] += 1
+        assert sum(topics.values()) == reader.message_count
         durable = {
             one.topic
             for one in reader.connections
             if one.ext.offered_qos_profiles[0].durability.name == "TRANSIENT_LOCAL"
         }
     assert durable == {"/robot_description", "/tf_static", "/controller/names"}
-    every_tick = [topic for topic, number in found.items() if number == 1000]
+    every_tick = [topic for topic, number in topics.items() if number == 1000]
     assert len(every_tick) == 17
-    assert found["/tf"] == 100
-    assert found["/actuator/index_motor/temperature"] == 10
+    assert topics["/tf"] == 100
+    assert topics["/actuator/index_motor/temperature"] == 10
 
 
 def test_rerun_reads_it_and_moves_the_hand(run_log: Path) -> None:
@@ -81,10 +85,10 @@ def test_rerun_reads_it_and_moves_the_hand(run_log: Path) -> None:
 
 
 def test_ticks_and_rows_join_by_sequence(run_log: Path) -> None:
-    found = by_topic(run_log)
+    topics = by_topic(run_log)
     for topic in ("/tick", "/joint_states", "/controller/values", "/cycle", "/fingertip/thumb/wrench"):
-        assert [one.sequence for one in found[topic]] == list(range(1000)), topic
-        assert [one.log_time for one in found[topic]] == [2_000_000 * k for k in range(1000)], topic
+        assert [one.sequence for one in topics[topic]] == list(range(1000)), topic
+        assert [one.log_time for one in topics[topic]] == [2_000_000 * k for k in range(1000)], topic
 
 
 @settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -129,12 +133,12 @@ def test_the_wall_offset_shifts_all_times_alike(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
-def test_transforms_are_those_of_the_hands_own_kinematics(tmp_path: Path, hand: str) -> None:
+def test_transforms_equal_the_kinematics_of_the_hand(tmp_path: Path, hand: str) -> None:
     run, described = synthetic.header(hand, rate_hz=50), load_hand(hand)
     digits = [DigitModel.of(described, name) for name in run.digits]
     ticks = list(synthetic.Synthetic(run, 1.0))
-    found = by_topic(_write(tmp_path / "a", run, [pack(*tick)[FRAMING.size :] for tick in ticks]))
-    tf, fixed = found["/tf"], found["/tf_static"][0]
+    topics = by_topic(_write(tmp_path / "a", run, [pack(*tick)[FRAMING.size :] for tick in ticks]))
+    tf, fixed = topics["/tf"], topics["/tf_static"][0]
     oracle = Rosbags(fixed.kind, fixed.schema)
     tips = oracle.decode(fixed.data).transforms
     assert len(tf) == 50
@@ -153,7 +157,7 @@ def test_transforms_are_those_of_the_hands_own_kinematics(tmp_path: Path, hand: 
 
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
-def test_frames_hang_on_each_other_as_in_the_urdf(hand: str) -> None:
+def test_frames_have_the_parents_of_the_urdf(hand: str) -> None:
     run = synthetic.header(hand)
     joints = ElementTree.fromstring(run.attachments["hand.urdf"]).findall("joint")
     expected = {
@@ -162,24 +166,24 @@ def test_frames_hang_on_each_other_as_in_the_urdf(hand: str) -> None:
     assert {(link.parent, link.child, link.joint >= 0) for link in link_frames(run.hand_toml)} == expected
 
 
-def test_frames_hang_together() -> None:
+def test_frames_form_one_tree() -> None:
     tree = link_frames(synthetic.header().hand_toml)
-    known = {"palm"}
+    frame_names = {"palm"}
     for link in tree:
-        assert link.parent in known
-        assert link.child not in known
-        known.add(link.child)
+        assert link.parent in frame_names
+        assert link.child not in frame_names
+        frame_names.add(link.child)
     assert [link.joint for link in tree if link.joint >= 0] == list(range(11))
-    assert {f"{digit}_tip" for digit in synthetic.header().digits} <= known
+    assert {f"{digit}_tip" for digit in synthetic.header().digits} <= frame_names
 
 
-def test_cycle_tells_missed_ticks_and_lateness(tmp_path: Path) -> None:
+def test_cycle_has_missed_ticks_and_lateness(tmp_path: Path) -> None:
     run = lively.header()
     ticks = list(lively.ticks(run))
-    found = by_topic(_write(tmp_path / "a", run, _bodies(run)))["/cycle"]
-    oracle = Rosbags(found[0].kind, found[0].schema)
+    topics = by_topic(_write(tmp_path / "a", run, _bodies(run)))["/cycle"]
+    oracle = Rosbags(topics[0].kind, topics[0].schema)
     last = None
-    for (tick_in, out), message in zip(ticks, found, strict=True):
+    for (tick_in, out), message in zip(ticks, topics, strict=True):
         one, start = oracle.decode(message.data), (tick_in.t_ns + tick_in.late_ns) * 1e-9
         assert one.missed == (tick_in.k - last[0] - 1 if last else 0)
         assert one.late == tick_in.late_ns * 1e-9
@@ -188,15 +192,15 @@ def test_cycle_tells_missed_ticks_and_lateness(tmp_path: Path) -> None:
             assert np.isnan(one.period)
         else:
             assert one.period == pytest.approx(start - last[1])
-            heard = [frame.t_ns * 1e-9 - last[1] for frame in tick_in.frames]
-            assert one.last_reply == pytest.approx(max(heard), abs=1e-12) if heard else np.isnan(one.last_reply)
+            received = [frame.t_ns * 1e-9 - last[1] for frame in tick_in.frames]
+            assert one.last_reply == pytest.approx(max(received), abs=1e-12) if received else np.isnan(one.last_reply)
         last = tick_in.k, start
 
 
 def test_the_wrench_points_against_closing(run_log: Path) -> None:
-    found = by_topic(run_log)["/fingertip/index/wrench"]
-    oracle = Rosbags(found[0].kind, found[0].schema)
-    forces = np.array([[(w := oracle.decode(one.data).wrench.force).x, w.y, w.z] for one in found])
+    topics = by_topic(run_log)["/fingertip/index/wrench"]
+    oracle = Rosbags(topics[0].kind, topics[0].schema)
+    forces = np.array([[(w := oracle.decode(one.data).wrench.force).x, w.y, w.z] for one in topics])
     assert forces[:, 1].min() < -0.5
     assert (forces[:, 1] <= 0).all()
     assert not forces[:, [0, 2]].any()
@@ -205,7 +209,7 @@ def test_the_wrench_points_against_closing(run_log: Path) -> None:
 def test_telemetry_of_another_shape_becomes_nan_and_is_counted(tmp_path: Path) -> None:
     run, other = synthetic.header("jamia", 100), synthetic.header("jamia11", 100)
     bodies = [pack(*tick)[FRAMING.size :] for tick in synthetic.Synthetic(other, 0.1)]
-    log = _write(tmp_path / "a", run, bodies, told=("misshapen",))
-    found = by_topic(log)["/tendon_states"]
-    oracle = Rosbags(found[0].kind, found[0].schema)
-    assert all(np.isnan(oracle.decode(one.data).effort).all() for one in found)
+    log = _write(tmp_path / "a", run, bodies, events=("misshapen",))
+    topics = by_topic(log)["/tendon_states"]
+    oracle = Rosbags(topics[0].kind, topics[0].schema)
+    assert all(np.isnan(oracle.decode(one.data).effort).all() for one in topics)

@@ -1,4 +1,4 @@
-"""What the log costs: ``python tests/log/timing.py``. Prints microseconds per tick on this machine; asserts nothing."""
+"""Cost of the log: `python tests/log/timing.py` prints microseconds per tick on this machine, and asserts no limit."""
 
 import tempfile
 import time
@@ -14,12 +14,12 @@ from handctl.log.write.writer import LogWriter
 
 
 def _per_item(number: int, work: Callable[[], object]) -> float:
-    """Best of three runs [us per item], in processor time."""
+    """Return the best of three runs [us per item], in processor time."""
     spent = []
     for _ in range(3):
-        begin = time.process_time()
+        start = time.process_time()
         work()
-        spent.append(time.process_time() - begin)
+        spent.append(time.process_time() - start)
     return min(spent) / number * 1e6
 
 
@@ -55,23 +55,23 @@ def _frames(tick: tuple[synthetic.TickIn, synthetic.TickOut]) -> int:
 
 def _lockstep(path: Path, run: synthetic.RunHeader, records: list[bytes]) -> float:
     recorder = Recorder.start(path, run)
-    begin = time.perf_counter()
+    start = time.perf_counter()
     for record in records:
         recorder.record(record)
         recorder.events()
     recorder.close("finished")
-    return (time.perf_counter() - begin) / len(records) * 1e6
+    return (time.perf_counter() - start) / len(records) * 1e6
 
 
 def _read(path: Path, number: int) -> None:
-    begin = time.perf_counter()
+    start = time.perf_counter()
     with RunLog(path) as log:
         log.field("tension")
-        print(f"  open, one field {(time.perf_counter() - begin) * 1e3:7.1f} ms for all {number} ticks")
-        begin = time.perf_counter()
+        print(f"  open, one field {(time.perf_counter() - start) * 1e3:7.1f} ms for all {number} ticks")
+        start = time.perf_counter()
         for _ in log.ticks():
             pass
-    print(f"  read ticks      {(time.perf_counter() - begin) / number * 1e6:7.1f} us")
+    print(f"  read ticks      {(time.perf_counter() - start) / number * 1e6:7.1f} us")
 
 
 if __name__ == "__main__":

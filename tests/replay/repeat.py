@@ -1,4 +1,4 @@
-"""How well a grasp that was driven again repeats, by the two logs."""
+"""Repeatability of a grasp that is driven again, from both logs."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,29 +14,29 @@ SETTLED_S = 0.4
 
 
 def mean_angles_apart(before: RunLog, after: RunLog) -> NDArray[np.float64]:
-    """(times, digits) difference of the mean joint angle of each digit [deg]."""
-    begin, end = active_interval(before)
-    times = np.arange(0.0, end - begin, 0.005)
+    """Return the difference of the mean joint angle of each digit (times, digits) [deg]."""
+    start, end = active_interval(before)
+    times = np.arange(0.0, end - start, 0.005)
     hand = load_hand(before.header.metadata["hand"])
     old, new = (
-        mean_angles(hand, resampled(log, "q", start, times)) for log, start in ((before, begin), (after, again(after)))
+        mean_angles(hand, resampled(log, "q", start, times)) for log, start in ((before, start), (after, again(after)))
     )
     return np.degrees(np.abs(new - old))
 
 
 def tensions_held(before: RunLog, after: RunLog) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Both means (tendons,) while the grasp is at rest [N]."""
+    """Return the mean tensions (tendons,) of both runs while the grasp is at rest [N]."""
     starts = {change.name: change.t_ns * 1e-9 for change in before.phases}
-    begin, _ = active_interval(before)
-    held = starts["hold"] + SETTLED_S - begin, starts["release"] - begin
-    return _mean(before, begin, *held), _mean(after, again(after), *held)
+    start, _ = active_interval(before)
+    at_rest = starts["hold"] + SETTLED_S - start, starts["release"] - start
+    return _mean(before, start, *at_rest), _mean(after, again(after), *at_rest)
 
 
 def again(log: RunLog) -> float:
-    """When the repetition begins [s]."""
+    """Return the start of the repetition [s]."""
     return next(change.t_ns * 1e-9 for change in log.phases if change.name == "playback")
 
 
-def _mean(log: RunLog, start_s: float, begin_s: float, end_s: float) -> NDArray[np.float64]:
-    at = (log.times >= start_s + begin_s) & (log.times <= start_s + end_s)
+def _mean(log: RunLog, start_s: float, from_s: float, end_s: float) -> NDArray[np.float64]:
+    at = (log.times >= start_s + from_s) & (log.times <= start_s + end_s)
     return np.asarray(log.field("tension")[at].mean(axis=0), np.float64)

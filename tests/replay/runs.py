@@ -1,4 +1,4 @@
-"""Short runs in lockstep, and the golden logs: ``python tests/replay/runs.py logs/golden`` writes them anew."""
+"""Short runs in lockstep, and the golden logs: `python tests/replay/runs.py logs/golden` writes new ones."""
 
 import sys
 import tempfile
@@ -65,12 +65,12 @@ sink_speed_m_s = 0.2
 
 @dataclass
 class DeafTo:
-    """A peer whose answers with one identifier are lost from some time on.
+    """A peer whose replies with one identifier are lost from some time on.
 
     Attributes:
-        peer: the whole one.
-        can_id: that is lost.
-        since_ns: from when on.
+        peer: the intact peer.
+        can_id: identifier of the lost replies.
+        since_ns: start of the loss [ns].
     """
 
     peer: Peer
@@ -78,7 +78,7 @@ class DeafTo:
     since_ns: int
 
     def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
-        """As the peer, but for what is lost."""
+        """Step the peer, and drop the lost replies."""
         replies = self.peer.step(t_ns, frames)
         return [reply for reply in replies if t_ns < self.since_ns or Frame(*reply).can_id != self.can_id]
 
@@ -88,7 +88,7 @@ class DeafTo:
 
 
 def short_task(folder: Path) -> TaskProgram:
-    """The grasp of these runs."""
+    """Write the grasp of these runs."""
     path = folder / "task.toml"
     path.write_text(TASK)
     return TaskProgram(load_task(path))
@@ -103,23 +103,23 @@ def run(
     friction: float = 0.5,
     seed: int = 0,
     spoil: Callable[[Peer], Peer] = lambda peer: peer,
-    told: dict[int, tuple[IoEvent, ...]] | None = None,
-    asked: dict[int, tuple[str, ...]] | None = None,
+    io_events: dict[int, tuple[IoEvent, ...]] | None = None,
+    requests: dict[int, tuple[str, ...]] | None = None,
     truth: Path | None = None,
 ) -> State:
     """Run a program on a homed hand that meets a cylinder.
 
     Args:
-        log: file to write; it names no machine and no date.
-        program: what to do.
-        hand, rate_hz, seed: of the run.
-        friction: of the cylinder.
-        spoil: puts something between controller and simulator.
-        told, asked: io events and requests by tick.
-        truth: file for what really happened.
+        log: file to write. It contains no machine and no date.
+        program: the program.
+        hand, rate_hz, seed: parameters of the run.
+        friction: friction of the cylinder.
+        spoil: wraps the simulator in a faulty peer.
+        io_events, requests: io events and requests by tick.
+        truth: file for the truth.
     """
-    known = load_hand(hand)
-    plan = Plan(known, Gains(), rate_hz, ())
+    described = load_hand(hand)
+    plan = Plan(described, Gains(), rate_hz, ())
     with tempfile.TemporaryDirectory() as folder:
         scene = Path(folder) / "scene.toml"
         scene.write_text(SCENE.format(friction=friction))
@@ -132,10 +132,10 @@ def run(
         options["truth_path"] = str(truth) if truth else None
         peer = load_peer("firmware_sim.rig:Rig", **options, period_ns=plan.period_ns)
     clock = LockstepClock(spoil(peer), plan.period_ns)
-    controller = make_controller(known, plan.gains, rate_hz, program, None, arm_at_once=True)
+    controller = make_controller(described, plan.gains, rate_hz, program, None, arm_at_once=True)
     header = run_header(plan, controller, None, lockstep=True)
-    kept = {name: data for name, data in header.attachments.items() if name != "pip-freeze.txt"}
-    recorder = Recorder.start(log, replace(header, wall={}, attachments=kept))
+    attachments = {name: data for name, data in header.attachments.items() if name != "pip-freeze.txt"}
+    recorder = Recorder.start(log, replace(header, wall={}, attachments=attachments))
 
     def record(entry: TickIn, out: TickOut) -> None:
         recorder.record(pack(entry, out))
@@ -146,8 +146,8 @@ def run(
         [LockstepBus(clock)],
         controller.tick,
         controller.cut_frames(),
-        lambda: (asked or {}).get(clock.k, ()),
-        lambda: [*recorder.events(), *(told or {}).get(clock.k, ())],
+        lambda: (requests or {}).get(clock.k, ()),
+        lambda: [*recorder.events(), *(io_events or {}).get(clock.k, ())],
         record,
         lambda entry, out: None,
         keeper(recorder),
@@ -160,12 +160,12 @@ def run(
 
 
 def deaf_index(peer: Peer) -> Peer:
-    """The index motor falls silent after 2.2 s, while it holds."""
+    """Return a peer whose index motor is silent from 2.2 s on, during the hold."""
     return DeafTo(peer, 0x11, 2_200_000_000)
 
 
 def golden(folder: Path) -> None:
-    """Write the golden logs anew."""
+    """Write new golden logs."""
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as scratch:
         task = short_task(Path(scratch))
@@ -174,7 +174,7 @@ def golden(folder: Path) -> None:
     run(folder / "jamia-grasp.mcap", task, rate_hz=200.0)
     run(folder / "jamia-lost.mcap", task, rate_hz=200.0, friction=0.02)
     events = {400: (IoEvent("dropped", "main", 3),)}
-    run(folder / "jamia-fault.mcap", task, rate_hz=200.0, spoil=deaf_index, told=events)
+    run(folder / "jamia-fault.mcap", task, rate_hz=200.0, spoil=deaf_index, io_events=events)
     run(folder / "jamia11-grasp.mcap", task, hand="jamia11", rate_hz=200.0)
 
 

@@ -1,4 +1,4 @@
-"""A changed byte is named by its first tick, even where every checksum was made to fit."""
+"""A changed byte is named by its first tick, even if every checksum was adjusted."""
 
 import json
 import zlib
@@ -25,37 +25,37 @@ def log(golden: Path, tmp_path: Path) -> Path:
 
 
 def _chunks(path: Path) -> tuple[LogFile, RecordScan]:
-    file, found = LogFile(path), RecordScan()
-    scan_records(file, found)
-    return file, found
+    file, scan = LogFile(path), RecordScan()
+    scan_records(file, scan)
+    return file, scan
 
 
 def _changed(path: Path, topic: str, k: int, at: int, fitting: bool) -> None:
-    """Change a byte of a message; with ``fitting`` all checksums are made to fit it, as somebody would who forges."""
-    file, found = _chunks(path)
-    names = {name: number for number, _, name, _, _ in definitions(file.content(found.chunks[0])).channels}
-    for place in found.chunks:
-        content = file.content(place)
-        for one in iter_messages(content, place.end - place.data, frozenset([names[topic]])):
+    """Change a byte of a message. With `fitting`, all checksums are adjusted, as a forger would do."""
+    file, scan = _chunks(path)
+    names = {name: number for number, _, name, _, _ in definitions(file.content(scan.chunks[0])).channels}
+    for chunk in scan.chunks:
+        content = file.content(chunk)
+        for one in iter_messages(content, chunk.end - chunk.data, frozenset([names[topic]])):
             hit = [i for i, sequence in enumerate(one.sequence().tolist()) if sequence == k]
             if hit:
                 bent = bytearray(content)
                 bent[one.start + hit[0] * one.records.shape[1] + 31 + at] ^= 0x10
-                _put(path, found, place, bytes(bent), fitting)
+                _put(path, scan, chunk, bytes(bent), fitting)
                 return
     raise AssertionError("no such message")
 
 
-def _put(path: Path, found: RecordScan, place: ChunkLocation, bent: bytes, fitting: bool) -> None:
-    """The same chunk with other bytes, in a file that ends without its last checksum."""
+def _put(path: Path, scan: RecordScan, chunk: ChunkLocation, bent: bytes, fitting: bool) -> None:
+    """Write the chunk with other bytes into a file that ends without its last checksum."""
     raw = path.read_bytes()
     packed = lz4.frame.compress(bent)
-    head = bytearray(raw[place.offset : place.data])
+    head = bytearray(raw[chunk.offset : chunk.data])
     head[1:9] = (len(head) - 9 + len(packed)).to_bytes(8, "little")
     if fitting:
         head[33:37] = zlib.crc32(bent).to_bytes(4, "little")
     head[-8:] = len(packed).to_bytes(8, "little")
-    path.write_bytes(raw[: place.offset] + bytes(head) + packed + raw[place.end : found.end])
+    path.write_bytes(raw[: chunk.offset] + bytes(head) + packed + raw[chunk.end : scan.end])
 
 
 @pytest.mark.parametrize("fitting", [False, True], ids=["by chance", "forged"])
@@ -63,26 +63,26 @@ def _put(path: Path, found: RecordScan, place: ChunkLocation, bent: bytes, fitti
 def test_a_changed_byte_is_named_by_its_tick(log: Path, topic: str, at: int, fitting: bool) -> None:
     assert first_damage(log) == ""
     _changed(log, topic, 321, at, fitting)
-    assert first_damage(log).startswith("tick 321 is not what was written")
+    assert first_damage(log).startswith("tick 321 was changed after it was written")
     if fitting:
         with RunLog(log) as opened:
             (line,) = [line for line in check(opened) if "chain" in line]
         assert "breaks at tick 321" in line
 
 
-def test_a_changed_byte_of_what_is_made_from_the_ticks_is_named_by_its_chunk(log: Path) -> None:
+def test_a_changed_byte_of_a_derived_topic_is_named_by_its_chunk(log: Path) -> None:
     _changed(log, "/joint_states", 321, 300, False)
-    told = first_damage(log)
-    assert "its ticks are intact" in told
-    first, last = (int(word) for word in told.rpartition("ticks ")[2].split(" to "))
+    message = first_damage(log)
+    assert "its ticks are intact" in message
+    first, last = (int(word) for word in message.rpartition("ticks ")[2].split(" to "))
     assert first <= 321 <= last
 
 
-def test_any_changed_byte_of_a_chunk_is_told_by_the_verb(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    _, found = _chunks(log)
-    place = found.chunks[5]
+def test_log_check_reports_any_changed_byte_of_a_chunk(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _, scan = _chunks(log)
+    chunk = scan.chunks[5]
     raw = bytearray(log.read_bytes())
-    raw[(place.data + place.end) // 2] ^= 1
+    raw[(chunk.data + chunk.end) // 2] ^= 1
     log.write_bytes(raw)
     assert main(["log", "check", str(log), "--json"]) == 1
     findings = json.loads(capsys.readouterr().out)["findings"]

@@ -1,4 +1,4 @@
-"""Two runs side by side, and whether a log is sound."""
+"""Comparison of two runs, and integrity of a log."""
 
 from pathlib import Path
 from unittest.mock import PropertyMock, patch
@@ -15,26 +15,26 @@ from handctl.replay.diff import diff
 
 def test_a_run_does_not_differ_from_itself(golden: Path) -> None:
     with RunLog(golden / "jamia-grasp.mcap") as a, RunLog(golden / "jamia-grasp.mcap") as b:
-        found = diff(a, b, "b")
-    assert (found["gains"], found["only_in_first"], found["only_in_second"]) == ({}, [], [])
-    for phase in found["phases"].values():
+        compared = diff(a, b, "b")
+    assert (compared["gains"], compared["only_in_first"], compared["only_in_second"]) == ({}, [], [])
+    for phase in compared["phases"].values():
         rows = [row for signal in ("joint_deg", "tendon_N") for row in phase.get(signal, {}).values()]
         assert all(row["rms"] == row["peak"] == 0.0 for row in rows)
-    assert "joint_deg" in found["phases"]["hold"]
+    assert "joint_deg" in compared["phases"]["hold"]
 
 
 def test_a_lost_object_shows_in_the_hold(golden: Path) -> None:
     with RunLog(golden / "jamia-grasp.mcap") as a, RunLog(golden / "jamia-lost.mcap") as b:
-        found = diff(a, b, "b")
+        compared = diff(a, b, "b")
     # Where a digit touches, its angles follow from its tension: a newton is worth some degrees.
-    assert found["phases"]["preshape"]["joint_deg"]["index_j1"]["peak"] < 5.0
-    assert found["phases"]["hold"]["joint_deg"]["index_j1"]["peak"] > 20.0
+    assert compared["phases"]["preshape"]["joint_deg"]["index_j1"]["peak"] < 5.0
+    assert compared["phases"]["hold"]["joint_deg"]["index_j1"]["peak"] > 20.0
 
 
-def test_phases_of_one_run_only_are_named(golden: Path) -> None:
+def test_phases_of_only_one_run_are_named(golden: Path) -> None:
     with RunLog(golden / "jamia-grasp.mcap") as a, RunLog(golden / "jamia-fault.mcap") as b:
-        found = diff(a, b, "b")
-    assert found["only_in_first"] == ["release", "end"]
+        compared = diff(a, b, "b")
+    assert compared["only_in_first"] == ["release", "end"]
 
 
 def test_another_hand_s_log_is_refused(golden: Path) -> None:
@@ -47,12 +47,12 @@ def test_another_hand_s_log_is_refused(golden: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["jamia-grasp", "jamia-fault", "jamia11-grasp"])
-def test_golden_logs_are_sound(golden: Path, name: str) -> None:
+def test_golden_logs_pass_the_check(golden: Path, name: str) -> None:
     with RunLog(golden / f"{name}.mcap") as log:
         assert check(log) == []
 
 
-def test_a_wrong_clock_and_a_gap_are_found(golden: Path) -> None:
+def test_a_wrong_clock_and_a_gap_are_reported(golden: Path) -> None:
     with RunLog(golden / "jamia-grasp.mcap") as log:
         bent = log.t_ns.copy()
         bent[10] += 1
@@ -63,44 +63,44 @@ def test_a_wrong_clock_and_a_gap_are_found(golden: Path) -> None:
             assert "gap: 3 ticks are missing between 19 and 23" in check(log)
 
 
-def test_a_wrong_identity_is_found(golden: Path) -> None:
+def test_a_wrong_identity_is_reported(golden: Path) -> None:
     with RunLog(golden / "jamia-grasp.mcap") as log:
         log.header.metadata["identity"] = "0" * 64
-        told = check(log)
-    assert told[0].startswith("hand.toml has identity")
-    assert told[1].startswith("the hash chain breaks at tick 0:")
+        findings = check(log)
+    assert findings[0].startswith("hand.toml has identity")
+    assert findings[1].startswith("the hash chain breaks at tick 0:")
 
 
 @pytest.mark.filterwarnings("error")
-def test_what_is_not_known_has_no_difference_and_no_delay() -> None:
+def test_unknown_values_have_no_difference_and_no_delay() -> None:
     before = np.sin(np.linspace(0.0, 9.0, 400))[:, None] * np.ones(3)
     after = np.roll(before, 10, axis=0)
     after[:, 1], after[7, 2] = np.nan, np.nan
-    found = compare(("known", "unknown", "nearly"), before, after, 0.01)
-    assert found["known"]["delay_s"] == pytest.approx(0.1, abs=0.02)
-    assert np.isnan(list(found["unknown"].values())).all()
-    assert np.isfinite(found["nearly"]["rms"])
+    compared = compare(("known", "unknown", "nearly"), before, after, 0.01)
+    assert compared["known"]["delay_s"] == pytest.approx(0.1, abs=0.02)
+    assert np.isnan(list(compared["unknown"].values())).all()
+    assert np.isfinite(compared["nearly"]["rms"])
 
 
-def test_a_delay_is_told_of_what_moves_and_not_of_noise() -> None:
-    """Two runs of a joint that stands have noise in common, of which some shift always fits best."""
+def test_moving_signals_have_a_delay_and_noise_has_none() -> None:
+    """Two runs of a joint at rest share noise, and some shift always fits best."""
     noise = np.random.default_rng(3).normal(scale=0.02, size=(2, 400))
     wave = np.sin(np.linspace(0.0, 9.0, 420))
     before = np.column_stack([noise[0], 0.1 + noise[0], wave[20:] + noise[0]])
     after = np.column_stack([noise[1], 0.1 + noise[1], 0.5 + 0.9 * wave[10:-10] + noise[1]])
-    found = compare(("stands", "stands elsewhere", "moves, weaker and beside"), before, after, 0.01)
-    delays = [row["delay_s"] for row in found.values()]
+    compared = compare(("stands", "stands elsewhere", "moves, weaker and beside"), before, after, 0.01)
+    delays = [row["delay_s"] for row in compared.values()]
     assert np.isnan(delays[:2]).all()
     assert delays[2] == pytest.approx(0.1, abs=0.01)
 
 
-def test_a_person_is_told_nothing_of_what_is_not_known() -> None:
-    """Phases that are over after a tick or two have no difference; a run that is ahead is not "-10 ms behind"."""
-    nothing = {"rms": float("nan"), "peak": float("nan"), "delay_s": float("nan")}
+def test_unknown_differences_are_not_printed() -> None:
+    """Phases of one or two ticks have no difference. A run that is ahead is not "-10 ms behind"."""
+    unknown = {"rms": float("nan"), "peak": float("nan"), "delay_s": float("nan")}
     ahead = {"rms": 0.5, "peak": 1.0, "delay_s": -0.01}
     with_it = ahead | {"delay_s": -1e-6}
-    found = {"joint_deg": {"j1": nothing, "j2": ahead}, "tendon_N": {"slack": nothing, "rope": with_it}}
-    assert list(difference_lines(found)) == [
+    compared = {"joint_deg": {"j1": unknown, "j2": ahead}, "tendon_N": {"slack": unknown, "rope": with_it}}
+    assert list(difference_lines(compared)) == [
         "j2               rms 0.500 deg, peak 1.000 deg, 10.0 ms ahead",
         "rope             rms 0.500 N, peak 1.000 N, in time",
     ]

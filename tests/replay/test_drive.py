@@ -1,4 +1,4 @@
-"""A recorded grasp on the (simulated) hand again."""
+"""A recorded grasp driven again on the simulated hand."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from handctl.replay.execute import execute
 
 @pytest.fixture(scope="module")
 def again(golden: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The golden grasp, driven again at another rate and with other noise."""
+    """Drive the golden grasp again at another rate and with other noise."""
     path = tmp_path_factory.mktemp("drive") / "again.mcap"
     with RunLog(golden / "jamia-grasp.mcap") as before:
         state = runs.run(path, playback(before, 1 / 250, raw=False), rate_hz=250.0, seed=5)
@@ -29,16 +29,17 @@ def again(golden: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_grasp_repeats_within_a_degree_and_five_percent_of_force(golden: Path, again: Path) -> None:
     with RunLog(golden / "jamia-grasp.mcap") as before, RunLog(again) as after:
-        found = compare_replay(before, after)
-        begin, _ = active_interval(before)
-        held = [change.t_ns * 1e-9 for change in before.phases if change.name in ("hold", "release")]
-        times = np.arange(held[0] + 0.4, held[1], 0.005) - begin
+        compared = compare_replay(before, after)
+        recorded_start, _ = active_interval(before)
+        at_rest = [change.t_ns * 1e-9 for change in before.phases if change.name in ("hold", "release")]
+        times = np.arange(at_rest[0] + 0.4, at_rest[1], 0.005) - recorded_start
         start = next(change.t_ns * 1e-9 for change in after.phases if change.name == "playback")
         old, new = (
-            resampled(*run, times).mean(axis=0) for run in ((before, "tension", begin), (after, "tension", start))
+            resampled(*run, times).mean(axis=0)
+            for run in ((before, "tension", recorded_start), (after, "tension", start))
         )
-    assert all(row["rms"] < 1.0 for row in found["joint_deg"].values())
-    assert all(abs(row["delay_s"]) < 0.02 for row in found["joint_deg"].values())
+    assert all(row["rms"] < 1.0 for row in compared["joint_deg"].values())
+    assert all(abs(row["delay_s"]) < 0.02 for row in compared["joint_deg"].values())
     np.testing.assert_allclose(new, old, rtol=0.05)
 
 
@@ -52,25 +53,25 @@ def test_the_driven_run_can_be_executed_again(again: Path) -> None:
 def test_it_moves_slowly_to_the_first_pose(again: Path) -> None:
     with RunLog(again) as log:
         starts = {change.name: change.k for change in log.phases}
-        way = (log.k >= starts["approach"]) & (log.k < starts["playback"])
-        assert np.nanmax(np.abs(log.field("dq_goal")[way])) < np.radians(30.0)
-        assert way.sum() == 500
+        path = (log.k >= starts["approach"]) & (log.k < starts["playback"])
+        assert np.nanmax(np.abs(log.field("dq_goal")[path])) < np.radians(30.0)
+        assert path.sum() == 500
 
 
-def test_a_digit_that_held_follows_tension_and_not_angles(golden: Path) -> None:
+def test_a_digit_under_tension_control_follows_tension_and_not_angles(golden: Path) -> None:
     with RunLog(golden / "jamia-grasp.mcap") as log:
-        found = recording(log, log.header.period_ns * 1e-9)
-        begin, end = active_interval(log)
-        inside = (log.times >= begin) & (log.times <= end)
-        np.testing.assert_allclose(found.q, log.field("q_goal")[inside], rtol=0, atol=1e-12)
-        np.testing.assert_allclose(found.tension, log.field("tension_goal")[inside], rtol=0, atol=1e-9)
-    assert np.isnan(found.q).any()
-    assert not np.isnan(found.tension).any()
-    assert (np.isnan(found.q) == np.isnan(found.ddq)).all()
-    again = Recording.read(found.text(), 11, 4)
+        played = recording(log, log.header.period_ns * 1e-9)
+        start, end = active_interval(log)
+        inside = (log.times >= start) & (log.times <= end)
+        np.testing.assert_allclose(played.q, log.field("q_goal")[inside], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(played.tension, log.field("tension_goal")[inside], rtol=0, atol=1e-9)
+    assert np.isnan(played.q).any()
+    assert not np.isnan(played.tension).any()
+    assert (np.isnan(played.q) == np.isnan(played.ddq)).all()
+    again = Recording.read(played.text(), 11, 4)
     assert all(
         one.tobytes() == two.tobytes()
-        for one, two in zip((found.q, found.ddq, found.tension), (again.q, again.ddq, again.tension), strict=True)
+        for one, two in zip((played.q, played.ddq, played.tension), (again.q, again.ddq, again.tension), strict=True)
     )
 
 
@@ -83,13 +84,13 @@ def test_another_hand_is_refused_with_both_identities(golden: Path) -> None:
 
 
 @given(st.integers(-15, 15), st.floats(0.5, 3.0))
-def test_a_delay_is_found(ticks: int, hertz: float) -> None:
+def test_a_delay_is_measured(ticks: int, hertz: float) -> None:
     t = np.arange(400) * 0.005
     before, after = (np.sin(2 * np.pi * hertz * (t - late)) for late in (0.0, ticks * 0.005))
     assert delay(before, after, 0.005) == pytest.approx(ticks * 0.005, abs=2e-4)
 
 
-def test_what_stands_still_has_no_delay() -> None:
+def test_a_constant_signal_has_no_delay() -> None:
     still = np.full(400, 30.0) + 0.01 * np.sin(np.arange(400))
     row = compare(("a",), still[:, None], still[:, None] + 2.0, 0.005)["a"]
     assert (row["rms"], row["peak"]) == pytest.approx((2.0, 2.0))

@@ -1,6 +1,6 @@
-"""A recorded grasp on the simulated hand again, by what the simulator knows: the plant's angles, tensions and forces.
+"""A recorded grasp driven again, judged by the simulator's truth: angles, tensions and forces of the plant.
 
-Both runs are in lockstep, so the figures are the same every time; the second has another rate and other noise.
+Both runs are in lockstep, therefore the figures are constant. The second has another rate and other noise.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ DIGITS = ("index", "middle", "ring", "thumb")
 
 @dataclass(frozen=True)
 class Pair:
-    """A run and its replay: their logs, and their truths over the same stretch."""
+    """A run and its replay: logs, and truths over the same interval."""
 
     folder: Path
     raw: bool
@@ -36,32 +36,36 @@ class Pair:
         return self.folder / f"again-{self.raw}.mcap"
 
     def truths(self, *names: str) -> tuple[Array, Array, Array]:
-        """Times since the beginning of the stretch [s], and both (times, names)."""
+        """Return times since the start of the interval [s], and both truths (times, names)."""
         with RunLog(self.folder / "first.mcap") as before, RunLog(self.again) as after:
-            begin, end = active_interval(before)
+            recorded_start, end = active_interval(before)
             start = next(change.t_ns for change in after.phases if change.name == "playback")
-        t_ns = np.arange(0, int((end - begin) * 1e9), 2_000_000)
+        t_ns = np.arange(0, int((end - recorded_start) * 1e9), 2_000_000)
         first, second = (read_truth(path) for path in (self.folder / "first.truth", self.again.with_suffix(".truth")))
-        return t_ns / 1e9, first.table(list(names), t_ns + int(begin * 1e9)), second.table(list(names), t_ns + start)
+        return (
+            t_ns / 1e9,
+            first.table(list(names), t_ns + int(recorded_start * 1e9)),
+            second.table(list(names), t_ns + start),
+        )
 
-    def held(self) -> tuple[float, float]:
-        """When the grasp is at rest, since the beginning of the stretch [s]."""
+    def at_rest(self) -> tuple[float, float]:
+        """Return the rest of the grasp, since the start of the interval [s]."""
         with RunLog(self.folder / "first.mcap") as before:
             starts = {change.name: change.t_ns * 1e-9 for change in before.phases}
-            begin, _ = active_interval(before)
-        return starts["hold"] + SETTLED_S - begin, starts["release"] - begin
+            start, _ = active_interval(before)
+        return starts["hold"] + SETTLED_S - start, starts["release"] - start
 
-    def while_held(self, *names: str) -> tuple[Array, Array]:
-        """Both means (names,) while the grasp is at rest."""
+    def mean_at_rest(self, *names: str) -> tuple[Array, Array]:
+        """Return both means (names,) while the grasp is at rest."""
         times, before, after = self.truths(*names)
-        begin, end = self.held()
-        inside = (times >= begin) & (times <= end)
+        start, end = self.at_rest()
+        inside = (times >= start) & (times <= end)
         return before[inside].mean(axis=0), after[inside].mean(axis=0)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The first run."""
+    """Record the first run."""
     made = tmp_path_factory.mktemp("pair")
     runs.run(made / "first.mcap", runs.short_task(made), rate_hz=200.0, truth=made / "first.truth")
     return made
@@ -69,7 +73,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module", params=[False, True], ids=["trajectories", "tensions"])
 def pair(folder: Path, request: pytest.FixtureRequest) -> Pair:
-    """It, and the run that repeats it."""
+    """Return the first run and its repetition."""
     made = Pair(folder, request.param)
     with RunLog(folder / "first.mcap") as before:
         program = playback(before, 1 / RATE_HZ, made.raw)
@@ -81,19 +85,19 @@ def pair(folder: Path, request: pytest.FixtureRequest) -> Pair:
 def test_the_log_repeats(pair: Pair) -> None:
     """Tensions alone leave a digit free on its way: half a newton is six degrees of its springs.
 
-    Where a digit touches, a newton moves the estimated angles of its joints by two degrees more.
+    At first touch, one newton moves the estimated angles of a digit's joints by two degrees more.
     """
-    found = pair.difference()
+    compared = pair.compare_replay()
     worst = {"joint_deg": 12.0, "tendon_N": 13.0} if pair.raw else {"joint_deg": 3.0, "tendon_N": 13.0}
-    usual = {"joint_deg": 3.0, "tendon_N": 2.2} if pair.raw else {"joint_deg": 1.5, "tendon_N": 2.2}
+    usual_rms = {"joint_deg": 3.0, "tendon_N": 2.2} if pair.raw else {"joint_deg": 1.5, "tendon_N": 2.2}
     for signal in worst:
-        assert max(row["peak"] for row in found[signal].values()) < worst[signal]
-        assert max(row["rms"] for row in found[signal].values()) < usual[signal]
+        assert max(row["peak"] for row in compared[signal].values()) < worst[signal]
+        assert max(row["rms"] for row in compared[signal].values()) < usual_rms[signal]
 
 
 @pytest.mark.parametrize("digit", DIGITS)
 def test_the_plant_repeats(pair: Pair, digit: str) -> None:
-    """The mean angle of a digit: how one tendon's motion is shared among its joints is up to contact and friction."""
+    """Compare the mean angle of a digit. Contact and friction decide how a tendon's motion divides among its joints."""
     joints = [f"q/{digit}_j{n}" for n in range(1, 3 if digit == "thumb" else 4)]
     _, before, after = pair.truths(*joints)
     apart = np.degrees(np.abs(after.mean(axis=1) - before.mean(axis=1)))
@@ -104,8 +108,8 @@ def test_the_plant_repeats(pair: Pair, digit: str) -> None:
 def test_the_grasp_is_as_strong(pair: Pair) -> None:
     tensions = [f"tension/{digit}_tendon" for digit in DIGITS]
     forces = [f"contact_force/{digit}/{axis}" for digit in DIGITS for axis in "xyz"]
-    before, after = pair.while_held(*tensions)
+    before, after = pair.mean_at_rest(*tensions)
     np.testing.assert_allclose(after, before, rtol=0.08 if pair.raw else 0.05)
-    old, new = (np.linalg.norm(one.reshape(-1, 3), axis=1) for one in pair.while_held(*forces))
+    old, new = (np.linalg.norm(one.reshape(-1, 3), axis=1) for one in pair.mean_at_rest(*forces))
     assert old.min() > 1.0, "every digit presses"
     np.testing.assert_allclose(new, old, rtol=0.2 if pair.raw else 0.05)

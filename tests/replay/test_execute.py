@@ -1,4 +1,4 @@
-"""Re-execution: equal to the last bit where nothing changed, and the first tick that matters where something did."""
+"""Re-execution: equal to the last bit without a change, and the first relevant tick after a change."""
 
 import math
 import subprocess
@@ -38,36 +38,36 @@ def test_a_fresh_run_with_faults_and_requests_repeats_to_the_last_bit(fresh: Pat
         texts = " ".join(event.event.text for event in log.events)
         assert "asked: stop" in texts
         assert "B17 some nodes do not hear" in texts
-        found = execute(log)
-        assert found.ticks == len(log) > 300
-    assert (found.differing, found.undecided, found.first, found.largest) == (0, 0, None, None)
-    assert within_tolerance(found, 0.0)
-    assert found.times_real_time > 0
+        result = execute(log)
+        assert result.ticks == len(log) > 300
+    assert (result.differing, result.undecided, result.first, result.largest) == (0, 0, None, None)
+    assert within_tolerance(result, 0.0)
+    assert result.times_real_time > 0
 
 
 @pytest.mark.parametrize("name", GOLDEN)
 def test_golden_logs_decide_the_same_within_1e_9(golden: Path, name: str) -> None:
-    """They were made elsewhere: another processor may round the last bits otherwise."""
+    """Golden logs come from another machine, whose processor may round the last bits differently."""
     with RunLog(golden / f"{name}.mcap") as log:
         assert not log.warning
-        found = execute(log)
-        assert found.ticks == len(log) > 300
-    assert found.undecided == 0, found.first
-    assert within_tolerance(found, 1e-9), found.largest
+        result = execute(log)
+        assert result.ticks == len(log) > 300
+    assert result.undecided == 0, result.first
+    assert within_tolerance(result, 1e-9), result.largest
 
 
-def test_one_bit_of_a_gain_is_found_at_the_first_tick_it_matters(fresh: Path) -> None:
-    """The integral of the tension loop matters from the first tick of the take-up on, not before."""
+def test_one_bit_of_a_gain_is_found_at_the_first_tick_with_an_effect(fresh: Path) -> None:
+    """The integral of the tension loop acts from the first tick of the tightening on, not before."""
     with RunLog(fresh) as log:
         gains = logged_gains(log)
         one_bit = math.nextafter(gains.tension.integral_per_s, math.inf)
         other = gains.model_copy(update={"tension": gains.tension.model_copy(update={"integral_per_s": one_bit})})
-        found = execute(log, other)
+        result = execute(log, other)
         starts = {change.name: change.k for change in log.phases}
-    assert found.first is not None
-    assert starts["tighten"] <= found.first.k < starts["preshape"]
-    assert found.largest is not None
-    assert 0 < relative_error(found.largest) < 1e-9
+    assert result.first is not None
+    assert starts["tighten"] <= result.first.k < starts["preshape"]
+    assert result.largest is not None
+    assert 0 < relative_error(result.largest) < 1e-9
 
 
 def test_a_changed_byte_of_the_log_is_named(fresh: Path) -> None:
@@ -135,11 +135,11 @@ def test_every_program_comes_back_from_its_setup(program: Program) -> None:
 
 def test_a_log_without_a_setup_is_refused_in_one_line(fresh: Path) -> None:
     with RunLog(fresh) as log:
-        kept = {name: data for name, data in log.header.attachments.items() if name != "setup.json"}
-        log.header = replace(log.header, attachments=kept)
+        attachments = {name: data for name, data in log.header.attachments.items() if name != "setup.json"}
+        log.header = replace(log.header, attachments=attachments)
         with pytest.raises(LogError, match=r"no setup\.json"):
             execute(log)
-        log.header = replace(log.header, attachments=kept | {"setup.json": b'{"rate_hz": "\x1b[31m"}'})
+        log.header = replace(log.header, attachments=attachments | {"setup.json": b'{"rate_hz": "\x1b[31m"}'})
         with pytest.raises(LogError, match=r"setup\.json cannot be read") as caught:
             rebuilding.rebuild(log)
     assert "\x1b" not in str(caught.value)
@@ -153,16 +153,16 @@ def test_a_log_without_a_setup_is_refused_in_one_line(fresh: Path) -> None:
     ],
     ids=["a gain that is gone", "a later schema"],
 )
-def test_gains_of_another_version_are_refused_in_one_line_with_both(fresh: Path, gains: str, said: str) -> None:
+def test_gains_of_another_version_are_refused_in_one_line_with_both(fresh: Path, gains: str, message: str) -> None:
     with RunLog(fresh) as log:
-        found = log.header.metadata
-        assert found["code"] == code_identity()
+        metadata = log.header.metadata
+        assert metadata["code"] == code_identity()
         log.header = replace(
             log.header,
             attachments=log.header.attachments | {"gains.json": gains.encode()},
-            metadata=found | {"version": "0.0.9", "code": "0123456789ab"},
+            metadata=metadata | {"version": "0.0.9", "code": "0123456789ab"},
         )
-        with pytest.raises(LogError, match=said) as caught:
+        with pytest.raises(LogError, match=message) as caught:
             execute(log)
     assert "written by handctl 0.0.9, code 0123456789ab" in str(caught.value)
     assert f"handctl {version('handctl')}, code {code_identity()}" in str(caught.value)
@@ -182,15 +182,15 @@ def test_other_gains_command_something_else_and_draw_it(fresh: Path, tmp_path: P
     assert (tmp_path / "change.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_watcher_sees_every_tick(fresh: Path) -> None:
-    seen: list[tuple[int, bytes]] = []
+def test_the_observer_gets_every_tick(fresh: Path) -> None:
+    ticks: list[tuple[int, bytes]] = []
 
-    def watch(entry: TickIn, out: TickOut) -> None:
-        seen.append((entry.k, out.state_hash))
+    def observer(entry: TickIn, out: TickOut) -> None:
+        ticks.append((entry.k, out.state_hash))
 
     with RunLog(fresh) as log:
-        execute(log, observer=watch)
-        assert seen == [(tick.tick_in.k, tick.state_hash) for tick in log.ticks()]
+        execute(log, observer=observer)
+        assert ticks == [(tick.tick_in.k, tick.state_hash) for tick in log.ticks()]
 
 
 def test_no_bus_exists_in_the_process(fresh: Path) -> None:

@@ -1,4 +1,4 @@
-"""Gains that were set in a run, and what was identified before it, are in its log: the run repeats to the last bit."""
+"""Gains set during a run, and identified parameters, are in the log: the run repeats to the last bit."""
 
 from pathlib import Path
 
@@ -22,29 +22,29 @@ REQUEST = '{"do": "gains", "set": {"motion.force_N": 40.0, "tension.integral_per
 
 def test_a_run_whose_gains_were_set_repeats(tmp_path: Path) -> None:
     log = tmp_path / "set.mcap"
-    asked = {300: (REQUEST, '{"do": "gains", "set": {"motion.force": 1}}'), 600: ('{"do": "stop"}',)}
-    runs.run(log, runs.short_task(tmp_path), rate_hz=200.0, asked=asked)
+    requests = {300: (REQUEST, '{"do": "gains", "set": {"motion.force": 1}}'), 600: ('{"do": "stop"}',)}
+    runs.run(log, runs.short_task(tmp_path), rate_hz=200.0, requests=requests)
     with RunLog(log) as record:
-        told = {event.event.where: event.event.text for event in record.events if event.event.name == "gain"}
-        assert told == {"motion.force_N": "40.0", "tension.integral_per_s": "6.0"}
+        messages = {event.event.where: event.event.text for event in record.events if event.event.name == "gain"}
+        assert messages == {"motion.force_N": "40.0", "tension.integral_per_s": "6.0"}
         refused = [event.event.text for event in record.events if event.event.text.startswith("refused")]
         assert refused == ["refused: gains: motion.force: no such gain; expected motion.force_N?"]
-        found = execute(record)
-    assert (found.differing, found.first) == (0, None)
+        result = execute(record)
+    assert (result.differing, result.first) == (0, None)
 
 
-def test_a_run_with_an_identified_hand_repeats_and_its_drives_are_told_what_they_need(tmp_path: Path) -> None:
-    """Drives make 0.8 of what they are told: the controller, which knows, asks for a quarter more."""
+def test_a_run_with_an_identified_hand_repeats_and_its_commands_are_corrected(tmp_path: Path) -> None:
+    """Drives produce 0.8 of the command. The controller knows the factor and commands a quarter more."""
     hand, log = load_hand("jamia"), tmp_path / "identified.mcap"
-    nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
-    known = Identified(names=("torque_gain",), values=(0.8,), half_widths=(0.01,), covariance=((1e-4,),))
-    tendons = dict.fromkeys(hand.tendon_names, nothing)
+    calibration = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
+    identified = Identified(names=("torque_gain",), values=(0.8,), half_widths=(0.01,), covariance=((1e-4,),))
+    tendons = dict.fromkeys(hand.tendon_names, calibration)
     calibration = Calibration(
         hand=hand.name,
         identity=hand.identity,
         made="2026-01-01T00:00:00+00:00",
         tendon=tendons,
-        identified=dict.fromkeys(hand.tendon_names, known),
+        identified=dict.fromkeys(hand.tendon_names, identified),
     )
     plan = Plan(hand, Gains(), 500.0, ())
     simulator = Simulator("jamia", perturb={"torque_constant": 0.8}, homed=True)
@@ -52,8 +52,8 @@ def test_a_run_with_an_identified_hand_repeats_and_its_drives_are_told_what_they
     with simulator.clock(plan.period_ns) as clock:
         run_lockstep(plan, make_controller(plan, program, calibration, True), log, clock)
     with RunLog(log) as record:
-        goal, told = record.field("motor_torque_goal")[:-1, 0], record.field("motor_torque")[1:, 0]
+        goal, torque = record.field("motor_torque_goal")[:-1, 0], record.field("motor_torque")[1:, 0]
         strong = goal > 0.03
-        np.testing.assert_allclose(np.nanmedian(told[strong] / goal[strong]), 1.25, rtol=0.03)
-        found = execute(record)
-    assert (found.differing, found.first) == (0, None)
+        np.testing.assert_allclose(np.nanmedian(torque[strong] / goal[strong]), 1.25, rtol=0.03)
+        result = execute(record)
+    assert (result.differing, result.first) == (0, None)

@@ -1,4 +1,4 @@
-"""Ten minutes with faults, executed again: nightly; ``python tests/replay/test_long.py OUT.mcap`` keeps the log."""
+"""Ten minutes with faults, executed again, nightly. `python tests/replay/test_long.py OUT.mcap` keeps the log."""
 
 import random
 import sys
@@ -23,14 +23,14 @@ MOVE = '[[phase]]\nkind = "move"\nname = "move {n}"\nangle_deg = {angle:.3f}\ndu
 
 @dataclass
 class Lossy:
-    """A peer of whose answers one in two hundred is lost, and now and then two ticks of them: less than ends a run."""
+    """A peer that loses one reply in two hundred, and sometimes the replies of two ticks: less than ends a run."""
 
     peer: Peer
     chance: random.Random = field(default_factory=lambda: random.Random(6))
     silent: int = 0
 
     def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
-        """As the peer, but for what is lost."""
+        """Step the peer, and drop the lost replies."""
         replies = self.peer.step(t_ns, frames)
         if self.chance.random() < 0.002:
             self.silent = 2
@@ -43,19 +43,19 @@ class Lossy:
 
 
 def write(log: Path) -> None:
-    """Ten minutes: a grasp, then moves; frames are lost all the time, and in the end a motor falls silent for good."""
+    """Record ten minutes: a grasp, then moves. Frames are lost throughout, and a motor falls silent at the end."""
     chance = random.Random(7)
     moves = [MOVE.format(n=n, angle=chance.uniform(2.0, 60.0)) for n in range(int((SECONDS - 4) / 2))]
     task = log.with_suffix(".task.toml")
     task.write_text(runs.TASK + "".join(moves))
     ticks = range(400, int(SECONDS * RATE_HZ), 1999)
-    told = {k: (IoEvent("recorder", "dropped", 1),) for k in ticks}
-    asked = {k + 7: ("no request",) for k in ticks}
+    io_events = {k: (IoEvent("recorder", "dropped", 1),) for k in ticks}
+    requests = {k + 7: ("no request",) for k in ticks}
 
     def spoil(peer: Peer) -> Peer:
         return runs.DeafTo(Lossy(peer), 0x12, int(DEAF_S * 1e9))
 
-    runs.run(log, TaskProgram(load_task(task)), rate_hz=RATE_HZ, spoil=spoil, told=told, asked=asked)
+    runs.run(log, TaskProgram(load_task(task)), rate_hz=RATE_HZ, spoil=spoil, io_events=io_events, requests=requests)
 
 
 @pytest.mark.nightly
@@ -65,9 +65,9 @@ def test_ten_minutes_with_faults_repeat_to_the_last_bit(tmp_path: Path) -> None:
     with RunLog(tmp_path / "ten.mcap") as log:
         faults = {event.event.text[:3] for event in log.events if event.event.name == "fault"}
         assert {"B01", "B17", "H09", "I07"} <= faults
-        found = execute(log)
-        assert found.ticks == len(log) > 0.99 * SECONDS * RATE_HZ
-    assert (found.differing, found.first) == (0, None)
+        result = execute(log)
+        assert result.ticks == len(log) > 0.99 * SECONDS * RATE_HZ
+    assert (result.differing, result.first) == (0, None)
 
 
 if __name__ == "__main__":

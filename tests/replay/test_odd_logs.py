@@ -1,4 +1,4 @@
-"""Logs with holes, with values that no controller takes, and of runs that were ended early."""
+"""Logs with gaps, with values that the controller refuses, and of runs that ended early."""
 
 import json
 import math
@@ -37,7 +37,7 @@ STOP = '{"do": "stop"}'
 
 @pytest.fixture(scope="module")
 def grasp(golden: Path) -> tuple[RunHeader, Ticks]:
-    """The golden grasp, tick by tick."""
+    """Return the golden grasp, tick by tick."""
     ticks: Ticks = []
     with RunLog(golden / "jamia-grasp.mcap") as log:
         execute(log, observer=lambda entry, out: ticks.append((entry, out)))
@@ -56,19 +56,19 @@ def without(ticks: Ticks, first: int, last: int) -> Ticks:
     return [tick for tick in ticks if not first <= tick[0].k <= last]
 
 
-def test_a_short_hole_is_bridged_without_a_leap(grasp: tuple[RunHeader, Ticks], tmp_path: Path, golden: Path) -> None:
+def test_a_short_gap_is_bridged_without_a_jump(grasp: tuple[RunHeader, Ticks], tmp_path: Path, golden: Path) -> None:
     header, ticks = grasp
     holey = written(tmp_path / "holey.mcap", header, without(ticks, 260, 268))
     with RunLog(golden / "jamia-grasp.mcap") as log, RunLog(holey) as other:
-        whole, found = recording(log, 0.005), recording(other, 0.005)
+        whole, result = recording(log, 0.005), recording(other, 0.005)
         assert (count_missing_ticks(log), count_missing_ticks(other)) == (0, 9)
-    assert found.q.shape == whole.q.shape
-    known = ~np.isnan(whole.q)
-    assert np.abs(found.ddq - whole.ddq)[known].max() < np.abs(whole.ddq[known]).max()
-    assert np.abs(found.q - whole.q)[known].max() < math.radians(0.5)
+    assert result.q.shape == whole.q.shape
+    expected = ~np.isnan(whole.q)
+    assert np.abs(result.ddq - whole.ddq)[expected].max() < np.abs(whole.ddq[expected]).max()
+    assert np.abs(result.q - whole.q)[expected].max() < math.radians(0.5)
 
 
-def test_a_long_hole_is_refused_with_its_times(
+def test_a_long_gap_is_refused_with_its_times(
     grasp: tuple[RunHeader, Ticks], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     header, ticks = grasp
@@ -92,42 +92,42 @@ def test_a_cut_log_that_repeats_is_lossy(golden: Path, tmp_path: Path, capsys: p
     assert err.count("\n") == 1
 
 
-def test_a_replay_that_was_stopped_is_compared_as_far_as_it_came(golden: Path, tmp_path: Path) -> None:
+def test_a_stopped_replay_is_compared_as_far_as_it_was_driven(golden: Path, tmp_path: Path) -> None:
     rate = 250.0
     with RunLog(golden / "jamia-grasp.mcap") as before:
-        program, (begin, end) = playback(before, 1 / rate, raw=False), active_interval(before)
-        runs.run(tmp_path / "late.mcap", program, rate_hz=rate, asked={1000: (STOP,)})
-        runs.run(tmp_path / "early.mcap", program, rate_hz=rate, asked={400: (STOP,)})
+        program, (start, end) = playback(before, 1 / rate, raw=False), active_interval(before)
+        runs.run(tmp_path / "late.mcap", program, rate_hz=rate, requests={1000: (STOP,)})
+        runs.run(tmp_path / "early.mcap", program, rate_hz=rate, requests={400: (STOP,)})
         with RunLog(tmp_path / "late.mcap") as after:
             started = next(change.t_ns * 1e-9 for change in after.phases if change.name == "playback")
             assert driven_time(before, after) == pytest.approx(1000 / rate - started, abs=2 / rate)
-            assert 0.2 < driven_time(before, after) < end - begin - 0.5
-            found = compare_replay(before, after)
-        assert max(row["rms"] for row in found["tendon_N"].values()) < 1.0
+            assert 0.2 < driven_time(before, after) < end - start - 0.5
+            result = compare_replay(before, after)
+        assert max(row["rms"] for row in result["tendon_N"].values()) < 1.0
         with RunLog(tmp_path / "early.mcap") as after:
             assert (driven_time(before, after), compare_replay(before, after)) == (0.0, {})
 
 
-def told(event: Event) -> Callable[[TickOut], TickOut]:
+def with_event(event: Event) -> Callable[[TickOut], TickOut]:
     return lambda out: out._replace(events=(event,))
 
 
-def sent(**changes: int) -> Callable[[TickOut], TickOut]:
+def with_frame(**changes: int) -> Callable[[TickOut], TickOut]:
     return lambda out: out._replace(frames=(out.frames[0]._replace(**changes), *out.frames[1:]))
 
 
 @pytest.mark.parametrize(
     "changed",
     [
-        told(Event("warn", "phase", "", "hold")),
-        told(Event("info", "mode", "", "hold")),
-        told(Event("info", "phase", "thumb", "hold")),
-        sent(flags=4),
-        sent(can_id=EXTENDED | 1),
-        sent(t_ns=5),
+        with_event(Event("warn", "phase", "", "hold")),
+        with_event(Event("info", "mode", "", "hold")),
+        with_event(Event("info", "phase", "thumb", "hold")),
+        with_frame(flags=4),
+        with_frame(can_id=EXTENDED | 1),
+        with_frame(t_ns=5),
     ],
 )
-def test_whatever_differs_is_named(
+def test_every_difference_is_named(
     grasp: tuple[RunHeader, Ticks], tmp_path: Path, changed: Callable[[TickOut], TickOut]
 ) -> None:
     header, ticks = grasp
@@ -138,11 +138,11 @@ def test_whatever_differs_is_named(
     now = changed(base)
     assert equal_outputs(logged, numbers, base)
     assert not equal_outputs(logged, numbers, now)
-    (found,) = differences(Columns.of(header), logged, numbers, now)
-    assert found.logged != found.computed
+    (result,) = differences(Columns.of(header), logged, numbers, now)
+    assert result.logged != result.computed
 
 
-def test_values_that_no_controller_takes_are_refused_by_every_replay(
+def test_values_that_the_controller_refuses_are_refused_by_every_replay(
     grasp: tuple[RunHeader, Ticks], tmp_path: Path
 ) -> None:
     header, ticks = grasp

@@ -1,4 +1,4 @@
-"""Snapshots of the state in a log, and re-execution that starts at them: what it finds is what a serial run finds."""
+"""Snapshots of the state in a log, and parallel re-execution from them with the result of a serial run."""
 
 from collections.abc import Callable
 from dataclasses import asdict, replace
@@ -28,15 +28,15 @@ Both = Callable[..., tuple[Execution, Execution]]
 
 @pytest.fixture
 def both(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> Both:
-    """Execute the log with one process and with three, while something is wrong with the controller."""
+    """Execute the log with one process and with three, with a faulty controller."""
 
     def run(change: Change | None = None) -> tuple[Execution, Execution]:
-        right = Controller.tick
+        original_tick = Controller.tick
 
         def tick(controller: Controller, before: State, entry: TickIn) -> tuple[State, TickOut]:
             if change:
                 change(before, entry)
-            return right(controller, before, entry)
+            return original_tick(controller, before, entry)
 
         monkeypatch.setattr(Controller, "tick", tick)
         monkeypatch.setattr(parallel, "MIN_TICKS", 50)
@@ -47,7 +47,7 @@ def both(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> Both:
 
 
 def findings(execution: Execution) -> dict[str, Any]:
-    """Everything but what it took."""
+    """Return all results except the times."""
     return {name: value for name, value in asdict(execution).items() if name not in ("wall_s", "cpu_s")}
 
 
@@ -62,7 +62,7 @@ def spoil(field: str, at: int) -> Change:
 
 
 def test_a_state_comes_out_of_its_snapshot_as_it_went_in(fresh: Path) -> None:
-    """In every tick of a run with faults and requests: the bytes, the hash, and the next tick."""
+    """Compare the bytes, the hash, and the next tick, in every tick of a run with faults and requests."""
     with RunLog(fresh) as log:
         controller = rebuild(log)
         state = controller.initial()
@@ -76,26 +76,26 @@ def test_a_state_comes_out_of_its_snapshot_as_it_went_in(fresh: Path) -> None:
 
 @pytest.mark.parametrize("protocol", ["mit", "odrive", "cia402"])
 def test_a_state_of_every_protocol_comes_out_of_its_snapshot(protocol: str) -> None:
-    with started(hand_in("jamia", protocol), 250.0, 0) as course:
+    with started(hand_in("jamia", protocol), 250.0, 0) as simulation:
         seen = set()
-        for _ in course.ticks(limit_s=10.0):
-            if course.state.mode == Mode.ACTIVE:
+        for _ in simulation.ticks(limit_s=10.0):
+            if simulation.state.mode == Mode.ACTIVE:
                 break
-            seen.add(course.state.mode)
-            again = restore(course.controller.layout, snapshot(course.state))
-            assert plain_bytes(again.decisions) == plain_bytes(course.state.decisions)
-            assert again.digest() == course.state.digest()
+            seen.add(simulation.state.mode)
+            again = restore(simulation.controller.layout, snapshot(simulation.state))
+            assert plain_bytes(again.decisions) == plain_bytes(simulation.state.decisions)
+            assert again.digest() == simulation.state.digest()
     assert {Mode.SILENT, Mode.INVENTORY, Mode.ARMING} <= seen
 
 
 def test_a_log_has_a_snapshot_every_second(fresh: Path) -> None:
     with RunLog(fresh) as log:
         times = dict(zip(log.k.tolist(), log.times.tolist(), strict=True))
-        found = [times[k] for k in log.snapshots]
-        assert found == pytest.approx(np.arange(1, int(log.times[-1]) + 1))
+        snapshot_times = [times[k] for k in log.snapshots]
+        assert snapshot_times == pytest.approx(np.arange(1, int(log.times[-1]) + 1))
 
 
-def test_three_processes_find_nothing_where_one_finds_nothing(both: Both) -> None:
+def test_three_processes_find_no_difference_where_one_finds_none(both: Both) -> None:
     one, three = both()
     assert findings(three) == findings(one)
     assert (one.differing, three.differing) == (0, 0)
@@ -103,7 +103,7 @@ def test_three_processes_find_nothing_where_one_finds_nothing(both: Both) -> Non
 
 @pytest.mark.parametrize("at", [150, 199, 200, 201, 330])
 def test_three_processes_find_the_first_difference_wherever_it_is(both: Both, at: int) -> None:
-    """A change in the part of any of the processes, and at the edge between two of them."""
+    """Change a field in the part of each process, and at the border between two parts."""
     one, three = both(spoil("travel", at))
     assert one.first is not None
     assert findings(three) == findings(one)
@@ -125,12 +125,16 @@ def test_a_decision_that_differs_is_named(fresh: Path) -> None:
         other = state.copy()
         other.decide(unconfirmed=("index_motor",))
         assert state_difference(log.header, logged, state, state) is None
-        found = state_difference(log.header, logged, state, other)
-    assert found is not None
-    assert (found.field, found.logged, found.computed) == ("state unconfirmed", "()", "('index_motor',)")
+        difference = state_difference(log.header, logged, state, other)
+    assert difference is not None
+    assert (difference.field, difference.logged, difference.computed) == (
+        "state unconfirmed",
+        "()",
+        "('index_motor',)",
+    )
 
 
-def test_what_the_controller_refuses_is_told_by_all(both: Both) -> None:
+def test_a_refusal_of_the_controller_is_reported_with_any_number_of_processes(both: Both) -> None:
     def change(before: State, entry: TickIn) -> None:
         if entry.k == 330:
             raise ValueError("no such angle")
@@ -139,17 +143,15 @@ def test_what_the_controller_refuses_is_told_by_all(both: Both) -> None:
         both(change)
 
 
-def test_a_snapshot_that_is_not_the_logs_state_is_not_started_from(
-    fresh: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_wrong_snapshot_is_not_used_as_a_start(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(parallel, "MIN_TICKS", 50)
     with RunLog(fresh) as log:
-        course = courses.LogRunner.of(log)
-        assert len(parallel.split(course, 3)) == 3
-        bent = {k: data[:100] + bytes([data[100] ^ 1]) + data[101:] for k, data in course.snapshots.items()}
-        assert len(parallel.split(replace(course, snapshots=bent), 3)) == 1
-        strange = dict.fromkeys(course.snapshots, b"x" * 40)
-        assert len(parallel.split(replace(course, snapshots=strange), 3)) == 1
+        runner = courses.LogRunner.of(log)
+        assert len(parallel.split(runner, 3)) == 3
+        bent = {k: data[:100] + bytes([data[100] ^ 1]) + data[101:] for k, data in runner.snapshots.items()}
+        assert len(parallel.split(replace(runner, snapshots=bent), 3)) == 1
+        other = dict.fromkeys(runner.snapshots, b"x" * 40)
+        assert len(parallel.split(replace(runner, snapshots=other), 3)) == 1
         monkeypatch.setattr(RunLog, "snapshots", bent)
         assert execute(log, workers=3).differing == 0
 

@@ -1,4 +1,4 @@
-"""Runs and truths made up for the report: numbers that can be checked by hand."""
+"""Made-up runs and truths for the report, with numbers that can be checked by hand."""
 
 import json
 from pathlib import Path
@@ -16,7 +16,7 @@ PERIOD_NS = 10_000_000
 
 
 class MadeUpLog:
-    """What the report asks of a ``RunLog``, with all telemetry NaN until the test says otherwise."""
+    """The parts of a `RunLog` that the report uses. All telemetry is NaN until a test sets it."""
 
     def __init__(self, hand: Hand, ticks: int, phases: dict[int, str]) -> None:
         sizes = {
@@ -50,7 +50,7 @@ class MadeUpLog:
 
 
 def truth_of(hand: Hand, ticks: int, offset_ns: int = 0) -> TruthRecord:
-    """A truth of nothing but zeros, a row a tick, a little longer than the run on both sides."""
+    """Create a truth of zeros, one row per tick, a little longer than the run at both ends."""
     columns = [f"tension/{name}" for name in hand.tendon_names]
     columns += [f"q/{name}" for name in hand.joints]
     columns += [f"contact_force/{name}/{axis}" for name in hand.digit_names for axis in "xyz"]
@@ -60,7 +60,7 @@ def truth_of(hand: Hand, ticks: int, offset_ns: int = 0) -> TruthRecord:
 
 
 def set_column(truth: TruthRecord, name: str, values: np.ndarray | float) -> None:
-    """Set a column over the ticks of the run; its ends go on as they are."""
+    """Set a column over the ticks of the run. The rows beyond both ends are unchanged."""
     column = truth.values[:, truth.columns.index(name)]
     column[2:-2] = values
     column[:2], column[-2:] = column[2], column[-3]

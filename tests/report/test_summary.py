@@ -1,4 +1,4 @@
-"""The numbers of a run against numbers worked out by hand."""
+"""Numbers of a run against numbers computed by hand."""
 
 import math
 
@@ -11,7 +11,7 @@ from tests.report.made_up import JAMIA, PERIOD_NS, MadeUpLog, set_column, truth_
 
 
 def quiet() -> MadeUpLog:
-    """Two seconds in which nothing happens."""
+    """Create a run of two seconds without events."""
     log = MadeUpLog(JAMIA, 200, {0: "home"})
     for name in ("tension", "tension_raw", "tip_force"):
         log.fields[name][:] = 0.0
@@ -19,7 +19,7 @@ def quiet() -> MadeUpLog:
 
 
 def holding(ramp: int = 20) -> MadeUpLog:
-    """Four seconds: home, then a hold whose goal rises for some ticks, index and thumb in contact."""
+    """Create a run of four seconds: home, then a hold with a rising target, index and thumb in contact."""
     log = MadeUpLog(JAMIA, 400, {0: "home", 100: "hold", 300: "release"})
     for name in ("tension", "tension_raw", "tip_force"):
         log.fields[name][:] = 0.0
@@ -54,7 +54,7 @@ def test_without_truth_what_needs_it_is_nan() -> None:
 
 
 def test_a_truth_of_another_time_is_no_truth() -> None:
-    """A file that an earlier simulator left behind on the same bus."""
+    """An earlier simulator left its file behind on the same bus."""
     log = holding()
     result = summarise(log, JAMIA, truth_of(JAMIA, 400, offset_ns=10**15), 0)
     assert math.isnan(result["tracking_rmse_rad"])
@@ -75,11 +75,11 @@ def test_tracking_is_goal_against_plant_in_free_motion_only() -> None:
     joints = slice(0, 3)  # the index
     log.fields["q_goal"][:, joints] = 0.5
     for joint in JAMIA.joints[joints]:
-        course = np.full(200, 0.49)
-        course[100:120] = 0.2  # while it touches, as the controller knows
-        course[120:140] = 0.1  # while it touches, as only the plant knows
-        course[140:160] = 0.0  # not active
-        set_column(truth, f"q/{joint}", course)
+        motion = np.full(200, 0.49)
+        motion[100:120] = 0.2  # while it touches, as the controller knows
+        motion[120:140] = 0.1  # while it touches, as only the plant knows
+        motion[140:160] = 0.0  # not active
+        set_column(truth, f"q/{joint}", motion)
     log.fields["contact"][100:120, 0] = 1.0
     force = np.zeros(200)
     force[120:140] = 0.2
@@ -92,7 +92,7 @@ def test_tracking_is_goal_against_plant_in_free_motion_only() -> None:
 
 
 def test_tension_errors_of_estimate_and_of_the_raw_load_cell() -> None:
-    """The estimate is of the tick's own time, the sample was taken one period before."""
+    """The estimate belongs to the tick itself, the sample was taken one period before."""
     log, truth = quiet(), truth_of(JAMIA, 200)
     real = 20.0 + np.arange(200) * 0.1
     for name in JAMIA.tendon_names:
@@ -106,7 +106,7 @@ def test_tension_errors_of_estimate_and_of_the_raw_load_cell() -> None:
     assert result["tension_raw_rmse_n"] == pytest.approx(0.5)
 
 
-def test_slack_ropes_do_not_count() -> None:
+def test_slack_tendons_do_not_count() -> None:
     log, truth = quiet(), truth_of(JAMIA, 200)
     log.fields["tension"][:] = 7.0
     assert math.isnan(summarise(log, JAMIA, truth, 0)["tension_rmse_n"])
@@ -121,8 +121,8 @@ def test_a_hold_is_judged_from_half_a_second_after_its_ramp_to_its_end() -> None
     two = MadeUpLog(JAMIA, 400, {0: "hold", 150: "move", 200: "hold firmly"})
     two.fields["contact"][:, 0] = 1.0
     two.fields["tension_goal"][:] = 9.0
-    found = [np.flatnonzero(window).tolist() for window in hold_windows(two)]
-    assert found == [list(range(50, 150)), list(range(250, 400))]
+    windows = [np.flatnonzero(window).tolist() for window in hold_windows(two)]
+    assert windows == [list(range(50, 150)), list(range(250, 400))]
 
 
 def test_a_hold_with_a_stiffness_is_judged_although_its_goals_follow_every_angle() -> None:
@@ -156,7 +156,7 @@ def test_contact_forces_and_tip_forces_are_means_over_the_hold() -> None:
     assert result["contact_force_n"]["thumb"] == 0.0
 
 
-def test_object_motion_is_the_farthest_from_where_each_hold_found_it() -> None:
+def test_object_motion_is_the_largest_distance_from_the_start_of_a_hold() -> None:
     log, truth = holding(), truth_of(JAMIA, 400)
     x = np.zeros(400)
     x[:169] = 0.050  # before it is held
@@ -181,7 +181,7 @@ def test_rms() -> None:
 
 
 def test_measured_load_of_frames_by_hand() -> None:
-    """A classical frame of 8 bytes: 34 + 64 bits are stuffed at most once in four, 13 are not."""
+    """In a classical frame of 8 bytes, 34 + 64 bits are stuffed at most once in four, 13 bits are not."""
     log = quiet()
     one = (98 + 97 // 4 + 13) / 1e6
     assert measured_load(log, 1_000_000, None, [(8, False)] * 10) == pytest.approx(10 * one / 1.99)

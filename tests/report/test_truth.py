@@ -1,4 +1,4 @@
-"""The truth reader: what a simulator wrote, whole, cut at every byte, or not at all."""
+"""Reader of truth files: complete, cut at every byte, or missing."""
 
 import json
 from pathlib import Path
@@ -37,19 +37,19 @@ def test_the_simulators_own_file_is_read(tmp_path: Path) -> None:
         rig.step(k * 2_000_000, [])
     rig.close()
     truth = read_truth(path)
-    wanted = {f"tension/{name}" for name in JAMIA.tendon_names} | {f"q/{name}" for name in JAMIA.joints}
-    wanted |= {f"contact_force/{name}/{axis}" for name in JAMIA.digit_names for axis in "xyz"} | {"object/x"}
-    assert wanted <= set(truth.columns)
+    names = {f"tension/{name}" for name in JAMIA.tendon_names} | {f"q/{name}" for name in JAMIA.joints}
+    names |= {f"contact_force/{name}/{axis}" for name in JAMIA.digit_names for axis in "xyz"} | {"object/x"}
+    assert names <= set(truth.columns)
     np.testing.assert_array_equal(np.diff(truth.t_ns), 1_000_000)
 
 
-def test_cut_at_any_byte_it_is_a_prefix_or_one_line(small: TruthRecord, tmp_path: Path) -> None:
+def test_a_file_cut_at_any_byte_gives_a_prefix_or_a_one_line_error(small: TruthRecord, tmp_path: Path) -> None:
     path = tmp_path / "t.truth"
     write_truth(path, small)
-    whole = path.read_bytes()
-    head = whole.index(b"\n") + 1
-    for cut in range(len(whole)):
-        path.write_bytes(whole[:cut])
+    complete = path.read_bytes()
+    head = complete.index(b"\n") + 1
+    for cut in range(len(complete)):
+        path.write_bytes(complete[:cut])
         rows = max(0, cut - head) // 32
         if rows:
             truth = read_truth(path)
@@ -68,20 +68,20 @@ def test_cut_at_any_byte_it_is_a_prefix_or_one_line(small: TruthRecord, tmp_path
         b"\xff\xfe\n" + bytes(100), b"{" * 100_000 + b"\n", b"x" * 1000, bytes(1000),
     ],
 )  # fmt: skip
-def test_what_is_no_truth_is_one_line(tmp_path: Path, content: bytes) -> None:
+def test_another_file_gives_a_one_line_error(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "t.truth"
     path.write_bytes(content)
     with pytest.raises(LogError, match="truth"):
         read_truth(path)
 
 
-def test_no_file_and_a_folder_are_one_line(tmp_path: Path) -> None:
+def test_a_missing_file_and_a_folder_give_a_one_line_error(tmp_path: Path) -> None:
     for path in (tmp_path / "none", tmp_path):
         with pytest.raises(LogError, match="cannot be read"):
             read_truth(path)
 
 
-def test_between_rows_it_interpolates_and_outside_it_knows_nothing() -> None:
+def test_values_are_interpolated_between_rows_and_nan_outside() -> None:
     truth = truth_of(JAMIA, 10, offset_ns=2**61)
     set_column(truth, "object/x", np.arange(10.0))
     t_ns = 2**61 + np.array([-(10**9), 0, 5_000_000, 25_000_000, 10**12])

@@ -1,4 +1,4 @@
-"""Runs to look at, and the question whether this machine can draw."""
+"""Runs for the viewer, and a check for drawing on this machine."""
 
 import os
 import sys
@@ -19,7 +19,7 @@ SECONDS = 3.0
 
 @pytest.fixture(scope="session", params=["jamia", "jamia11"])
 def log_path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of each packaged hand that began at some date."""
+    """Write a run of each packaged hand with a start date."""
     import synthetic
 
     path = tmp_path_factory.mktemp("view") / f"{request.param}.mcap"
@@ -29,7 +29,7 @@ def log_path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 
 @pytest.fixture(scope="session")
 def jamia_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of the hand as built."""
+    """Write a run of the hand as built."""
     import synthetic
 
     path = tmp_path_factory.mktemp("view") / "run.mcap"
@@ -39,17 +39,17 @@ def jamia_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def rrd(log_path: Path) -> Path:
-    """The recording of ``log_path``."""
-    from rrd_entities import subject_of
+    """Return the recording of `log_path`."""
+    from rrd_entities import run_info_of
 
     out = log_path.with_suffix(".rrd")
-    write_rrd(log_path, subject_of(log_path), out)
+    write_rrd(log_path, run_info_of(log_path), out)
     return out
 
 
 @pytest.fixture(scope="session")
 def vulkan() -> dict[str, str]:
-    """Environment to draw in; a skip without a driver, a failure where one is required."""
+    """Return the environment for drawing. Without a driver skip, or fail where a driver is required."""
     try:
         return software_vulkan()
     except ConfigError as error:

@@ -1,7 +1,7 @@
-"""How long ``handctl view LOG`` takes to its first picture: ``python tests/view/first_picture.py LOG``.
+"""Time of `handctl view LOG` to its first picture: `python tests/view/first_picture.py LOG`.
 
-What a person waits for, from the start of the process to a drawn picture with data in it, on a viewer without a
-screen. Prints JSON: seconds, and the processor time that handctl and the viewer spent until then.
+The time runs from the start of the process to a drawn picture with data, on a viewer without a screen. Prints JSON:
+seconds, and the processor time of handctl and viewer until then.
 """
 
 import json
@@ -28,14 +28,14 @@ def main() -> None:
 
     path, seen = Path(sys.argv[1]), threading.Event()
     with RunLog(path, checked=False) as log:
-        subject, found = RunInfo.of(log.header, path.stem), log.scan
+        run, scan = RunInfo.of(log.header, path.stem), log.scan
     threading.Thread(target=_look, args=(seen,), daemon=True).start()
-    with browse(path, subject, ["--headless", "--window-size", SIZE], software_vulkan(), found):
+    with browse(path, run, ["--headless", "--window-size", SIZE], software_vulkan(), scan):
         seen.wait()
 
 
 def _look(seen: threading.Event) -> None:
-    """Wait for this process's viewer, and for data in it; take the picture, tell, and close the viewer."""
+    """Wait for this process's viewer and its data, take the picture, report, and close the viewer."""
     viewer = _viewer()
     client = _client(viewer)
     while not _has_data(client):

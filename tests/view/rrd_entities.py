@@ -1,4 +1,4 @@
-"""Reads a Rerun recording back into arrays."""
+"""Reader of Rerun recordings into arrays."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -17,9 +17,9 @@ class Entity(NamedTuple):
     """Rows of one entity.
 
     Attributes:
-        times: run time of each row [ns]; empty if it is static.
+        times: run time of each row [ns], empty for a static entity.
         rows: component -> value of each row.
-        static: component -> the value that holds at all times.
+        static: component -> value for all times.
     """
 
     times: NDArray[np.int64]
@@ -27,43 +27,43 @@ class Entity(NamedTuple):
     static: dict[str, Any]
 
     def table(self, component: str) -> NDArray[np.float64]:
-        """(rows, instances) of a component."""
+        """Return a component (rows, instances)."""
         return np.array(self.rows[component], float)
 
 
 def entities(chunks: Iterable[Chunk]) -> dict[str, Entity]:
-    """All that is in these chunks, rows in the order of time."""
-    found: dict[str, Entity] = {}
+    """Return all entities of the chunks, with rows in the order of time."""
+    entities_by_path: dict[str, Entity] = {}
     for chunk in chunks:
-        one = found.setdefault(chunk.entity_path, Entity(np.empty(0, np.int64), {}, {}))
+        entity = entities_by_path.setdefault(chunk.entity_path, Entity(np.empty(0, np.int64), {}, {}))
         batch = chunk.to_record_batch()
         kinds = {field.name: (field.metadata or {}).get(b"rerun:kind") for field in batch.schema}
         data = {name: batch.column(name).to_pylist() for name, kind in kinds.items() if kind == b"data"}
         if not chunk.timeline_names:
-            one.static.update({name: values[-1] for name, values in data.items()})
+            entity.static.update({name: values[-1] for name, values in data.items()})
             continue
         assert chunk.timeline_names == ["run_time"]
         times = np.asarray(batch.column("run_time").cast(pa.int64()))
-        for name in one.rows.keys() | data.keys():
+        for name in entity.rows.keys() | data.keys():
             missing = [None] * (len(times) if name not in data else 0)
-            before = one.rows.setdefault(name, [None] * len(one.times))
+            before = entity.rows.setdefault(name, [None] * len(entity.times))
             before += data.get(name, missing)
-        found[chunk.entity_path] = one._replace(times=np.concatenate([one.times, times]))
-    return {path: _sorted(one) for path, one in found.items()}
+        entities_by_path[chunk.entity_path] = entity._replace(times=np.concatenate([entity.times, times]))
+    return {path: _sorted(entity) for path, entity in entities_by_path.items()}
 
 
-def _sorted(one: Entity) -> Entity:
-    order = np.argsort(one.times, kind="stable")
-    rows = {name: [values[i] for i in order] for name, values in one.rows.items()}
-    return Entity(one.times[order], rows, one.static)
+def _sorted(entity: Entity) -> Entity:
+    order = np.argsort(entity.times, kind="stable")
+    rows = {name: [values[i] for i in order] for name, values in entity.rows.items()}
+    return Entity(entity.times[order], rows, entity.static)
 
 
 def of_file(path: Path) -> dict[str, Entity]:
-    """All that is in a recording."""
+    """Return all entities of a recording."""
     return entities(RrdReader(path).stream())
 
 
-def subject_of(path: Path) -> RunInfo:
-    """What a log shows."""
+def run_info_of(path: Path) -> RunInfo:
+    """Return run and hand of a log."""
     with RunLog(path) as log:
         return RunInfo.of(log.header, path.stem)

@@ -1,4 +1,4 @@
-"""A log in a viewer of its own: the first of it comes first, and all of it comes."""
+"""A log in its own viewer: the first part arrives first, and the whole log arrives."""
 
 import itertools
 import json
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.timeout(120)
 
 def test_the_parts_of_a_log_are_all_of_it(tmp_path: Path) -> None:
     with RunLog(GOLDEN) as log:
-        ticks, subject = len(log), RunInfo.of(log.header, "x")
+        ticks, run = len(log), RunInfo.of(log.header, "x")
     sizes, since = [], []
     for part, since_ns in time_slices(GOLDEN, scan_path(GOLDEN), tmp_path, 1_000_000_000):
         with RunLog(part) as log:
@@ -40,7 +40,7 @@ def test_the_parts_of_a_log_are_all_of_it(tmp_path: Path) -> None:
     assert since[0] == 0
     assert 1_000_000_000 <= since[1] < 1_250_000_000
     late: list[int] = []
-    for chunk in run_chunks(GOLDEN, subject, 1_000_000_000):
+    for chunk in run_chunks(GOLDEN, run, 1_000_000_000):
         if chunk.entity_path == "/loop/late" and TIMELINE in chunk.timeline_names:
             late.append(chunk.num_rows)
     assert late[0] == sizes[0]
@@ -51,8 +51,8 @@ def test_a_viewer_gets_all_of_a_log(vulkan: dict[str, str], monkeypatch: pytest.
     for name, value in vulkan.items():
         monkeypatch.setenv(name, value)
     with RunLog(GOLDEN) as log:
-        subject, end_ns = RunInfo.of(log.header, "x"), int(log.t_ns[-1])
-    with browse(GOLDEN, subject, ["--headless", "--window-size", "800x600"], vulkan) as running:
+        run, end_ns = RunInfo.of(log.header, "x"), int(log.t_ns[-1])
+    with browse(GOLDEN, run, ["--headless", "--window-size", "800x600"], vulkan) as running:
         client = connect_client(running)
         wait_loaded(client, TIMELINE, end_ns)
         state = client.get_state()
@@ -62,7 +62,7 @@ def test_a_viewer_gets_all_of_a_log(vulkan: dict[str, str], monkeypatch: pytest.
 
 
 def ten_minutes(path: Path) -> None:
-    """A log of ten minutes at 500 Hz, in which the same five seconds come again and again."""
+    """Write a log of ten minutes at 500 Hz that repeats five seconds."""
     import synthetic
 
     run = synthetic.header(rate_hz=500)
@@ -93,8 +93,8 @@ def test_a_log_that_is_damaged_at_once_leaves_no_viewer_behind(tmp_path: Path, v
     broken = tmp_path / "broken.mcap"
     broken.write_bytes(data)
     with RunLog(broken, checked=False) as log:
-        subject, found = RunInfo.of(log.header, "x"), log.scan
-    with pytest.raises(LogError, match="damaged"), browse(broken, subject, ["--headless"], vulkan, found):
+        run, scan = RunInfo.of(log.header, "x"), log.scan
+    with pytest.raises(LogError, match="damaged"), browse(broken, run, ["--headless"], vulkan, scan):
         raise AssertionError("it was shown")
     assert not any("--headless" in command(child) for child in psutil.Process().children())
 
@@ -110,7 +110,7 @@ def test_a_viewer_that_is_closed_leaves_no_files_behind(
 
 
 def command(child: psutil.Process) -> list[str]:
-    """Of a child that runs: other tests may have left one that has ended and was not waited for."""
+    """Return the command of a running child. Other tests may leave children that have ended."""
     try:
         return child.cmdline()
     except (psutil.NoSuchProcess, psutil.ZombieProcess):

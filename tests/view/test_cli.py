@@ -1,4 +1,4 @@
-"""``handctl view`` as a person calls it: what it writes, and what it says when it cannot."""
+"""`handctl view` as a user calls it: files, and messages about refusals."""
 
 import json
 from pathlib import Path
@@ -12,20 +12,20 @@ from handctl.view.picture_time import picture_time
 
 
 def line(capsys: pytest.CaptureFixture[str]) -> str:
-    """The one line of an error."""
-    told = capsys.readouterr()
-    assert told.out == ""
-    (only,) = told.err.splitlines()
-    return only
+    """Return the only line of an error."""
+    output = capsys.readouterr()
+    assert output.out == ""
+    (line_of_error,) = output.err.splitlines()
+    return line_of_error
 
 
-def test_save_writes_a_recording_and_says_so(
+def test_save_writes_a_recording_and_reports_it(
     jamia_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "run.rrd"
     assert main(["view", str(jamia_path), "--save", str(out), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert (told["rrd"], told["bytes"]) == (str(out), out.stat().st_size)
+    output = json.loads(capsys.readouterr().out)
+    assert (output["rrd"], output["bytes"]) == (str(out), out.stat().st_size)
     assert out.read_bytes()[:4] == b"RRF2"
 
 
@@ -35,9 +35,9 @@ def test_a_cut_log_is_shown_with_a_warning(
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(jamia_path.read_bytes()[:300_000])
     assert main(["view", str(cut), "--save", str(tmp_path / "cut.rrd"), "--json"]) == 3
-    told = capsys.readouterr()
-    assert "without an end mark" in json.loads(told.out)["warning"]
-    assert len(told.err.splitlines()) == 1
+    output = capsys.readouterr()
+    assert "without an end mark" in json.loads(output.out)["warning"]
+    assert len(output.err.splitlines()) == 1
 
 
 @pytest.mark.parametrize(
@@ -49,23 +49,23 @@ def test_a_cut_log_is_shown_with_a_warning(
         (["--save", "x.rrd", "--follow"], "one of them"),
     ],
 )
-def test_what_cannot_be_is_refused_before_anything_is_read(
-    words: list[str], said: str, jamia_path: Path, capsys: pytest.CaptureFixture[str]
+def test_impossible_requests_are_refused_before_the_log_is_read(
+    words: list[str], message: str, jamia_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = jamia_path.read_bytes()
     assert main(["view", str(jamia_path), *words]) == 2
-    assert said in line(capsys)
+    assert message in line(capsys)
     assert jamia_path.read_bytes() == before
 
 
-def test_a_moment_outside_of_the_run_is_refused(
+def test_a_time_outside_of_the_run_is_refused(
     jamia_path: Path, tmp_path: Path, vulkan: dict[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["view", str(jamia_path), "--png", str(tmp_path / "x.png"), "--at", "99"]) == 2
     assert "0 to 2.990" in line(capsys)
 
 
-def test_what_is_no_log_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_another_file_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     other = tmp_path / "x.mcap"
     other.write_bytes(b"no log at all")
     for path in (other, tmp_path / "missing.mcap", tmp_path):

@@ -1,4 +1,4 @@
-"""The live view: a process beside the controller that shows the log as it grows."""
+"""Live view: a process beside the controller that shows the growing log."""
 
 import subprocess
 import sys
@@ -24,7 +24,7 @@ WAIT_S = 40.0
 
 
 def url_of(follower: "subprocess.Popen[bytes]") -> str:
-    """Where the viewer that a follower opened listens."""
+    """Return the address of a follower's viewer."""
     end = time.monotonic() + WAIT_S
     while time.monotonic() < end:
         assert follower.poll() is None, f"the follower ended with {follower.returncode}"
@@ -38,7 +38,7 @@ def url_of(follower: "subprocess.Popen[bytes]") -> str:
 
 
 def shown_until(client: "ViewerClient") -> int:
-    """Last run time that has arrived [ns]."""
+    """Return the last run time that has arrived [ns]."""
     return timeline_end(client.get_state(), TIMELINE)
 
 

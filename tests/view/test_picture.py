@@ -1,4 +1,4 @@
-"""Pictures, drawn by the real viewer without a screen."""
+"""Pictures drawn by the real viewer without a screen."""
 
 import io
 import json
@@ -25,12 +25,12 @@ pytestmark = pytest.mark.timeout(120)
 
 
 def pixels(png: bytes) -> NDArray[np.int16]:
-    """(height, width, 3)."""
+    """Return the pixels of a picture (height, width, 3)."""
     return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"), np.int16)
 
 
-def share_near(image: NDArray[np.int16], colour: palette.Colour) -> float:
-    """Share of the pixels that have about this hue, however bright."""
+def fraction_near(image: NDArray[np.int16], colour: palette.Colour) -> float:
+    """Return the fraction of the pixels with about this hue, at any brightness."""
     light = np.linalg.norm(image, axis=2)
     cosine = image @ np.array(colour) / np.maximum(light * np.linalg.norm(colour), 1e-9)
     return float(((cosine > 0.995) & (light > 80)).mean())
@@ -41,22 +41,22 @@ def test_the_dashboard_shows_the_hand_its_forces_and_its_lines(
 ) -> None:
     out = tmp_path / "run.png"
     assert main(["view", str(jamia_path), "--png", str(out), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["reports"] == []
-    assert told["at_s"] == pytest.approx(0.575 * 3.0, abs=0.02)
+    output = json.loads(capsys.readouterr().out)
+    assert output["reports"] == []
+    assert output["at_s"] == pytest.approx(0.575 * 3.0, abs=0.02)
     image = pixels(out.read_bytes())
     assert image.shape == (900, 1600, 3)
     assert len(np.unique(image.reshape(-1, 3), axis=0)) > 2000
     hand, plots = image[70:500, :640], image[60:680, 650:]
     for index in range(4):
-        assert share_near(hand, palette.digit(index)) > 0.003, f"digit {index} is not in the picture"
-    assert share_near(plots, palette.LIMIT) > 0.0005
-    assert share_near(image[680:860, 650:], palette.STATES["hold"]) > 0.02
+        assert fraction_near(hand, palette.digit(index)) > 0.003, f"digit {index} is not in the picture"
+    assert fraction_near(plots, palette.LIMIT) > 0.0005
+    assert fraction_near(image[680:860, 650:], palette.STATES["hold"]) > 0.02
 
 
 @pytest.fixture(scope="module")
 def bare(jamia_path: Path, vulkan: dict[str, str]) -> Iterator["tuple[Viewer, ViewerClient]"]:
-    """A viewer that was given the log itself, as in ``rerun LOG``, without any layout of ours."""
+    """Open a viewer on the log itself, as `rerun LOG` does, without our layout."""
     with viewer(["--headless", "--window-size", "1200x800", str(jamia_path)], vulkan) as running:
         client = connect_client(running)
         wait_loaded(client, "message_log_time")
@@ -87,7 +87,7 @@ def test_the_viewer_listens_on_this_machine_only(bare: "tuple[Viewer, ViewerClie
 
 
 def test_what_others_stream_to_rerun_does_not_land_in_the_viewer(bare: "tuple[Viewer, ViewerClient]") -> None:
-    """Once a follower whose viewer had been closed found this one at the same port, and took its views away."""
+    """A follower of a closed viewer once found this viewer at the same port, and took its views away."""
     running, client = bare
     assert not running.url.endswith(":9876/proxy"), "Rerun's default port"
     (shown,) = client.get_state().recordings
@@ -95,7 +95,7 @@ def test_what_others_stream_to_rerun_does_not_land_in_the_viewer(bare: "tuple[Vi
 
 
 def test_a_recording_without_its_times_is_not_loaded_yet(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A viewer on a busy machine names a recording and its views before any of its data."""
+    """A viewer on a busy machine names a recording and its views before any data."""
     from rerun.experimental import Recording, StoreId, Timeline, View, ViewerState
 
     def state(*timelines: Timeline) -> ViewerState:

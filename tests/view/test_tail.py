@@ -1,4 +1,4 @@
-"""A growing log is read to its end without a message lost or told twice, however it grows."""
+"""A growing log is read to its end without lost or duplicate messages, however it grows."""
 
 import random
 from pathlib import Path
@@ -15,7 +15,7 @@ from handctl.view.tail import Tail
 
 
 def grown(whole: bytes, seed: int) -> list[int]:
-    """Sizes at which the log is looked at: its header first, then at random."""
+    """Return the sizes at which the log is read: first its header, then random sizes."""
     source = random.Random(seed)
     first = 64 << 10
     return [first, *sorted(source.randrange(first, len(whole)) for _ in range(12)), len(whole)]
@@ -24,19 +24,19 @@ def grown(whole: bytes, seed: int) -> list[int]:
 @pytest.mark.parametrize("seed", range(3))
 def test_the_parts_together_are_the_whole(seed: int, jamia_path: Path, tmp_path: Path) -> None:
     whole, path, part = jamia_path.read_bytes(), tmp_path / "run.mcap", tmp_path / "part.mcap"
-    subject = subject_of(jamia_path)
-    lenses, tail, chunks, times = TopicConverters(subject), Tail(path), list[Chunk](), 0
+    run = subject_of(jamia_path)
+    converters, tail, chunks, times = TopicConverters(run), Tail(path), list[Chunk](), 0
     for size in grown(whole, seed):
         path.write_bytes(whole[:size])
         assert not (tail.ended and size < 0.9 * len(whole))
         since = tail.write_new(part)
         if since is not None:
-            chunks += log_chunks(part, lenses, "part", since)
+            chunks += log_chunks(part, converters, "part", since)
             times += 1
     assert tail.ended
     assert tail.write_new(part) is None
     assert times > 4
-    shown, expected = entities(chunks), entities(log_chunks(jamia_path, TopicConverters(subject), "whole"))
+    shown, expected = entities(chunks), entities(log_chunks(jamia_path, TopicConverters(run), "whole"))
     assert shown.keys() == expected.keys()
     for name in shown.keys() - {"/tension/limit"}:
         if name == "/tf_static":  # said once, and again in a part that begins at the same instant
@@ -48,15 +48,15 @@ def test_the_parts_together_are_the_whole(seed: int, jamia_path: Path, tmp_path:
 
 def test_every_byte_of_growth_within_a_chunk_is_safe(jamia_path: Path, tmp_path: Path) -> None:
     whole, path, part = jamia_path.read_bytes(), tmp_path / "run.mcap", tmp_path / "part.mcap"
-    tail, taken = Tail(path), 0
-    begin = len(whole) // 2
-    for size in range(begin, begin + 60_000, 997):
+    tail, parts = Tail(path), 0
+    start = len(whole) // 2
+    for size in range(start, start + 60_000, 997):
         path.write_bytes(whole[:size])
-        taken += tail.write_new(part) is not None
-    assert taken > 1
+        parts += tail.write_new(part) is not None
+    assert parts > 1
 
 
-def test_what_is_no_log_is_an_error(jamia_path: Path, tmp_path: Path) -> None:
+def test_another_file_is_an_error(jamia_path: Path, tmp_path: Path) -> None:
     data, path = bytearray(jamia_path.read_bytes()), tmp_path / "run.mcap"
     data[0] = 0
     path.write_bytes(data)

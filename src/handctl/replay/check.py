@@ -21,21 +21,21 @@ def check(log: RunLog) -> list[str]:
 def _end_of_log(log: RunLog) -> Iterator[str]:
     """Check the end of the log and the number of ticks."""
     if log.warning:
-        yield f"not whole: {log.warning}"
+        yield f"incomplete: {log.warning}"
     if log.end and int(log.end.get("ticks", len(log))) != len(log):
-        yield f"{len(log)} ticks are there, {log.end['ticks']} were written"
+        yield f"{len(log)} ticks, but the end record states {log.end['ticks']}"
     if int(log.end.get("dropped", 0)):
         yield f"the recorder dropped {log.end['dropped']} ticks"
     rows = sum(1 for _ in log.packed())
     if rows != len(log):
-        yield f"{len(log)} ticks, but telemetry of {rows}"
+        yield f"{len(log)} ticks, but telemetry of {rows} ticks"
 
 
 def _counters(log: RunLog) -> Iterator[str]:
     """Check the tick numbers."""
     steps = np.diff(log.k)
     if (steps < 1).any():
-        yield f"tick {int(log.k[1:][steps < 1][0])} follows a later one"
+        yield f"tick {int(log.k[1:][steps < 1][0])} follows a later tick"
     for gap in log.gaps:
         if gap.after <= gap.before:
             continue
@@ -49,7 +49,8 @@ def _clock(log: RunLog) -> Iterator[str]:
         yield f"the time of tick {int(log.k[off][0])} is not its number times the period"
     late = (log.late_ns < 0) | (log.late_ns >= log.header.period_ns)
     if late.any():
-        yield f"tick {int(log.k[late][0])} is late by {int(log.late_ns[late][0])} ns: more than a period, or early"
+        lateness = f"the lateness of tick {int(log.k[late][0])} is {int(log.late_ns[late][0])} ns"
+        yield f"{lateness}; expected 0 to less than a period, {log.header.period_ns} ns"
 
 
 def _frames(log: RunLog) -> Iterator[str]:
@@ -71,10 +72,10 @@ def _hashes(log: RunLog) -> Iterator[str]:
     logged = log.header.metadata.get("identity", "")
     computed = logged_hand(log).identity
     if logged != computed:
-        yield f"hand.toml has identity {computed[:12]}, the log says {logged[:12]}"
+        yield f"hand.toml has identity {computed[:12]}, the header states {logged[:12]}"
     hashes = {tick.state_hash for tick in log.ticks()}
     if len(hashes) != len(log):
-        yield f"{len(log) - len(hashes)} state hashes occur twice"
+        yield f"{len(log) - len(hashes)} state hashes are duplicates"
 
 
 def _chain(log: RunLog) -> Iterator[str]:
@@ -89,7 +90,7 @@ def _chain(log: RunLog) -> Iterator[str]:
         before = digest
     if broken:
         others = f", and {len(broken) - 1} more" if len(broken) > 1 else ""
-        yield f"the hash chain breaks at tick {broken[0]}{others}: it, or what came right before it, was changed"
+        yield f"the hash chain breaks at tick {broken[0]}{others}: this tick, or the hash before it, was changed"
     final = log.end.get("chain", "") if not log.warning and "recovered" not in log.end else ""
     if final and final != before.hex():
-        yield f"the hash chain ends with {before.hex()}, the end record says {final}"
+        yield f"the hash chain ends with {before.hex()}, the end record states {final}"

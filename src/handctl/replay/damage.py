@@ -52,10 +52,10 @@ def first_damage(path: Path) -> str:
                 return f"{error}; its chunk begins {_after(before)}"
             for tick in ticks:
                 if before and tick.digest and tick_hash(before[-SIZE:], tick.message, tick.numbers) != tick.digest:
-                    return f"tick {tick.k} is not what was written" + (f": {defect}" if defect else "")
+                    return f"tick {tick.k} was changed after it was written" + (f": {defect}" if defect else "")
                 before = tick.k.to_bytes(8, "little") + tick.digest
             if defect:
-                return f"{defect}; its ticks are intact, what was made from them is not: {_span(ticks)}"
+                return f"{defect}; its ticks are intact, the topics derived from them are damaged: {_span(ticks)}"
         return ""
     finally:
         file.close()

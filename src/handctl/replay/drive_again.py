@@ -36,7 +36,7 @@ def active_interval(log: RunLog) -> tuple[float, float]:
     active = (log.mode == int(Mode.ACTIVE)) & ~preparing
     at = np.flatnonzero(active & ~np.isnan(log.field("tension_goal")).any(axis=1))
     if len(at) < 2:
-        reason = "not all tendons had goals at once" if active.any() else "the hand was never active"
+        reason = "not all tendons had targets at the same time" if active.any() else "the hand was never active"
         raise LogError(f"{reason} in it", "the log", "a run in which the whole hand moved")
     return float(log.times[at[0]]), float(log.times[at[-1]])
 
@@ -51,8 +51,8 @@ def count_missing_ticks(log: RunLog) -> int:
     times = log.times
     at = np.flatnonzero((times >= start) & (times < end))
     for i in at[times[at + 1] - times[at] > MAX_GAP_S]:
-        hole = f"no ticks between {times[i]:.3f} and {times[i + 1]:.3f} s"
-        raise LogError(hole, "the log", f"holes of at most {MAX_GAP_S:g} s in what is driven")
+        gap = f"no ticks between {times[i]:.3f} and {times[i + 1]:.3f} s"
+        raise LogError(gap, "the log", f"gaps of at most {MAX_GAP_S:g} s in the driven part")
     return int((log.k[at + 1] - log.k[at] - 1).sum())
 
 

@@ -103,11 +103,11 @@ def _key(truth: bool) -> tuple[list[Any], list[str]]:
     from matplotlib.lines import Line2D
 
     marks = [
-        (Line2D([], [], color=COLOURS[0], linewidth=1.8), "estimate; of tensions and forces with its 1-sigma band"),
+        (Line2D([], [], color=COLOURS[0], linewidth=1.8), "estimate; tensions and forces: with its 1-sigma band"),
         (Line2D([], [], color=COMMAND, linewidth=1.0, linestyle="--"), "command"),
     ]
     if truth:
-        marks.append((Line2D([], [], color=PLANT, linewidth=0.8), "plant, of forces the sum of its contacts"))
+        marks.append((Line2D([], [], color=PLANT, linewidth=0.8), "plant; forces: sum of its contacts"))
     return [mark for mark, _ in marks], [text for _, text in marks]
 
 

@@ -65,7 +65,7 @@ def write_page(path: Path, log: RunLog, hand: Hand, truth: TruthRecord | None, o
         _section("Angles, tensions with their 1-sigma band, contact forces", _run(log, hand, truth, offset_ns)),
         _section("Events and faults", _events(log)),
         _section("Loop and bus", f'<div class="two">{lateness(log)}{load_picture}</div>'),
-        _section("What made this run", _pairs({**metadata, **log.header.wall, **log.end})),
+        _section("Origin of this run", _pairs({**metadata, **log.header.wall, **log.end})),
         _section("Gains", _pairs(log.header.gains)),
     ]
     page = f"<!doctype html><html lang=en><meta charset=utf-8><title>{title}</title><style>{STYLE}</style>"

@@ -133,7 +133,7 @@ def write_rrd(path: Path, run: RunInfo, out: Path) -> int:
     try:
         stream.save(out, default_blueprint=dashboard(run))
     except (RuntimeError, OSError) as error:
-        raise LogError(f"cannot write: {error}", str(out), "a place for the recording") from error
+        raise LogError(f"cannot write: {error}", str(out), "a file in a writable folder") from error
     rr.send_chunks(run_chunks(path, run), recording=stream)
     stream.flush()
     stream.disconnect()

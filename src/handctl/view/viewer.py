@@ -209,6 +209,6 @@ def _url(process: "subprocess.Popen[bytes]", notes: IO[bytes]) -> str:
         if listens:
             return listens.group().decode()
         if process.returncode is not None:
-            last = text.decode(errors="replace").strip().splitlines()[-1:] or ["it said nothing"]
+            last = text.decode(errors="replace").strip().splitlines()[-1:] or ["no output"]
             raise HandctlError(f"the viewer ended with code {process.returncode}: {last[0]}", "rerun", "")
     raise HandctlError(f"the viewer does not listen after {START_S:g} s", "rerun", "")

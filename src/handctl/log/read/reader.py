@@ -45,7 +45,7 @@ def _header(scan: RecordScan) -> RunHeader:
     """Read the header of a run."""
     record = scan.metadata["handctl.run"]
     if (schema := json.loads(record["schema"])) != SCHEMA:
-        raise ValueError(f"log of version {schema}; this reader knows {SCHEMA}")
+        raise ValueError(f"log of version {schema}; this reader reads version {SCHEMA}")
     attachments = {name: data for name, (_, _, data) in scan.attachments.items()}
     return RunHeader.of_record(record, scan.metadata, attachments)
 
@@ -122,7 +122,7 @@ class RunLog:
             self.metadata = scan.metadata
             self.warning = scan.problem
             if "handctl.run" not in scan.metadata or not scan.chunks:
-                raise LogError("no run of handctl in it", self._file.name, "a log that handctl wrote")
+                raise LogError("no run of handctl in the file", self._file.name, "a log that handctl wrote")
             with Reading(self._file.name):
                 self.header = _header(scan)
             self.end = scan.metadata.get("handctl.end", {})
@@ -301,7 +301,7 @@ class RunLog:
             data = rows.data()
             with Reading(self._file.at(chunk.offset)):
                 if data.shape[1] != size:
-                    raise ValueError("telemetry of another shape than the header says")
+                    raise ValueError("telemetry of another shape than in the header")
             yield data[:, VALUES_START:VALUES_END], rows.sequence()
 
     def packed(self, chunks: slice = slice(None)) -> Iterator[bytes]:

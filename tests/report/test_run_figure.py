@@ -1,4 +1,4 @@
-"""The picture of a run is drawn from whatever a run has left."""
+"""The figure of a run is drawn from incomplete runs too."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What the recording holds is what the log holds."""
+"""The recording has the content of the log."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,7 +25,7 @@ from handctl.view.scene.topic_converters import FORCE_SCALE
 
 
 @pytest.fixture(scope="module")
-def found(rrd: Path) -> dict[str, Entity]:
+def recorded(rrd: Path) -> dict[str, Entity]:
     return of_file(rrd)
 
 
@@ -35,62 +35,62 @@ def log(log_path: Path) -> Iterator[RunLog]:
         yield log
 
 
-def test_every_number_of_the_controller_is_there_under_its_name(found: dict[str, Entity], log: RunLog) -> None:
+def test_every_number_of_the_controller_is_there_under_its_name(recorded: dict[str, Entity], log: RunLog) -> None:
     for name in TELEMETRY_FIELDS:
-        one = found[f"/controller/{name}"]
+        one = recorded[f"/controller/{name}"]
         np.testing.assert_array_equal(one.times, log.t_ns)
         np.testing.assert_array_equal(one.table("Scalars:scalars"), log.field(name))
         assert tuple(one.static["SeriesLines:names"]) == log.names(name)
 
 
-def test_tension_has_its_band_command_and_limit(found: dict[str, Entity], log: RunLog) -> None:
-    one = found["/tension/estimate"]
+def test_tension_has_its_band_command_and_limit(recorded: dict[str, Entity], log: RunLog) -> None:
+    one = recorded["/tension/estimate"]
     np.testing.assert_array_equal(one.times, log.t_ns)
     np.testing.assert_array_equal(one.table("Measurements:values"), log.field("tension"))
     np.testing.assert_allclose(one.table("Measurements:variances") ** 0.5, log.field("tension_sigma"), rtol=1e-12)
-    np.testing.assert_array_equal(found["/tension/command"].table("Scalars:scalars"), log.field("tension_goal"))
+    np.testing.assert_array_equal(recorded["/tension/command"].table("Scalars:scalars"), log.field("tension_goal"))
     assert one.static["Measurements:names"] == list(log.header.tendons)
-    limit = found["/tension/limit"]
+    limit = recorded["/tension/limit"]
     assert (limit.table("Scalars:scalars") == 110.0).all()
     assert (limit.times[0], limit.times[-1]) == (log.t_ns[0], log.t_ns[-1])
 
 
-def test_angles_are_in_degrees_digit_by_digit(found: dict[str, Entity], log: RunLog) -> None:
+def test_angles_are_in_degrees_digit_by_digit(recorded: dict[str, Entity], log: RunLog) -> None:
     shown = {"estimate": "Measurements:values", "command": "Scalars:scalars"}
     for (kind, component), name in zip(shown.items(), ("q", "q_goal"), strict=True):
-        parts = [found[f"/angle/{digit}/{kind}"].table(component) for digit in log.header.digits]
+        parts = [recorded[f"/angle/{digit}/{kind}"].table(component) for digit in log.header.digits]
         np.testing.assert_allclose(np.hstack(parts), np.degrees(log.field(name)), atol=1e-12)
-    bands = [found[f"/angle/{digit}/estimate"].table("Measurements:variances") for digit in log.header.digits]
+    bands = [recorded[f"/angle/{digit}/estimate"].table("Measurements:variances") for digit in log.header.digits]
     np.testing.assert_allclose(np.hstack(bands) ** 0.5, np.degrees(log.field("q_sigma")), rtol=1e-9)
 
 
-def test_arrows_are_the_forces_of_the_object_on_the_tips(found: dict[str, Entity], log: RunLog) -> None:
+def test_arrows_are_the_forces_of_the_object_on_the_tips(recorded: dict[str, Entity], log: RunLog) -> None:
     forces = log.field("tip_force")
     assert forces.max() > 1
     for index, digit in enumerate(log.header.digits):
-        one = found[f"/force/{digit}"]
+        one = recorded[f"/force/{digit}"]
         vectors = one.table("Arrows3D:vectors")[:, 0]
-        felt = np.where(forces[:, index] >= 0.05, forces[:, index], 0.0)
-        np.testing.assert_allclose(vectors, felt[:, None] * (0, -FORCE_SCALE, 0), atol=1e-7)
-        at = int(felt.argmax())
-        assert one.rows["Arrows3D:labels"][at] == [f"{felt[at]:.1f} N"]
+        force = np.where(forces[:, index] >= 0.05, forces[:, index], 0.0)
+        np.testing.assert_allclose(vectors, force[:, None] * (0, -FORCE_SCALE, 0), atol=1e-7)
+        at = int(force.argmax())
+        assert one.rows["Arrows3D:labels"][at] == [f"{force[at]:.1f} N"]
         assert one.static["CoordinateFrame:frame"] == [f"{digit}_tip"]
 
 
-def test_states_change_when_the_log_says(found: dict[str, Entity], log: RunLog) -> None:
-    phase = found["/state/phase"]
-    told = [(int(t), names[0]) for t, names in zip(phase.times, phase.rows["StateChange:state"], strict=True)]
-    assert told == [(change.t_ns, change.name) for change in log.phases]
-    assert len(told) == 7
+def test_states_change_as_in_the_log(recorded: dict[str, Entity], log: RunLog) -> None:
+    phase = recorded["/state/phase"]
+    expected = [(int(t), names[0]) for t, names in zip(phase.times, phase.rows["StateChange:state"], strict=True)]
+    assert expected == [(change.t_ns, change.name) for change in log.phases]
+    assert len(expected) == 7
     for lane, numbers in (("mode", log.mode), ("safety", log.action)):
         changes = 1 + np.flatnonzero(np.diff(numbers.astype(int)))
-        np.testing.assert_array_equal(found[f"/state/{lane}"].times, log.t_ns[[0, *changes]])
-        shown = {names[0] for names in found[f"/state/{lane}"].rows["StateChange:state"]}
-        assert shown <= set(found[f"/state/{lane}"].static["StateConfiguration:values"])
+        np.testing.assert_array_equal(recorded[f"/state/{lane}"].times, log.t_ns[[0, *changes]])
+        shown = {names[0] for names in recorded[f"/state/{lane}"].rows["StateChange:state"]}
+        assert shown <= set(recorded[f"/state/{lane}"].static["StateConfiguration:values"])
 
 
-def test_lateness_and_bus_load_add_up(found: dict[str, Entity], log: RunLog) -> None:
-    np.testing.assert_allclose(found["/loop/late"].table("Scalars:scalars")[:, 0], log.late_ns / 1e3, atol=1e-9)
+def test_lateness_and_bus_load_add_up(recorded: dict[str, Entity], log: RunLog) -> None:
+    np.testing.assert_allclose(recorded["/loop/late"].table("Scalars:scalars")[:, 0], log.late_ns / 1e3, atol=1e-9)
     period = log.header.period_ns * 1e-9
     spent, expected = [], []
     for tick in log.ticks():
@@ -99,19 +99,21 @@ def test_lateness_and_bus_load_add_up(found: dict[str, Entity], log: RunLog) -> 
         now = tick.tick_in.t_ns
         last = [time for t, time in spent if now - SPAN_NS < t <= now]
         expected.append(100 * sum(last) / min(SPAN_NS * 1e-9, now * 1e-9 + period))
-    np.testing.assert_allclose(found["/bus/load"].table("Scalars:scalars")[:, 0], expected, rtol=1e-9)
+    np.testing.assert_allclose(recorded["/bus/load"].table("Scalars:scalars")[:, 0], expected, rtol=1e-9)
     assert 3 < expected[-1] < 100
 
 
-def test_frames_put_the_fingertips_where_kinematics_does(found: dict[str, Entity], log: RunLog, log_path: Path) -> None:
+def test_frames_put_the_fingertips_where_kinematics_does(
+    recorded: dict[str, Entity], log: RunLog, log_path: Path
+) -> None:
     edges: dict[str, tuple[str, np.ndarray, np.ndarray]] = {}
     now = int(log.t_ns[-1] * 0.5)
-    for one in (found["/tf_static"], found["/tf"]):
+    for one in (recorded["/tf_static"], recorded["/tf"]):
         rows = {name.split(":")[1]: values for name, values in one.rows.items()}
         for i in np.flatnonzero(one.times <= now):
             child, parent = rows["child_frame"][i][0], rows["parent_frame"][i][0]
             edges[child] = (parent, np.array(rows["translation"][i][0]), np.array(rows["quaternion"][i][0]))
-    at = int(np.searchsorted(log.t_ns, found["/tf"].times[found["/tf"].times <= now].max()))
+    at = int(np.searchsorted(log.t_ns, recorded["/tf"].times[recorded["/tf"].times <= now].max()))
     hand = subject_of(log_path).hand
     for digit, joints in zip(hand.digit, hand.digit_joints.values(), strict=True):
         tip = link_transforms(DigitModel.of(hand, digit.name), log.field("q")[at, joints])[-1]
@@ -119,7 +121,7 @@ def test_frames_put_the_fingertips_where_kinematics_does(found: dict[str, Entity
 
 
 def _place(edges: dict[str, tuple[str, np.ndarray, np.ndarray]], frame: str) -> np.ndarray:
-    """Origin of a frame in the palm's."""
+    """Return the origin of a frame in the palm's frame."""
     point = np.zeros(3)
     while frame != "palm":
         frame, translation, (x, y, z, w) = edges[frame]
@@ -128,16 +130,16 @@ def _place(edges: dict[str, tuple[str, np.ndarray, np.ndarray]], frame: str) -> 
     return point
 
 
-def test_every_visual_shape_is_solid_and_in_its_digits_colour(found: dict[str, Entity], log: RunLog) -> None:
+def test_every_visual_shape_is_solid_and_in_its_digits_colour(recorded: dict[str, Entity], log: RunLog) -> None:
     robot = ET.fromstring(log.header.attachments["hand.urdf"])
     visuals = {f"/hand/{link.get('name')}/visual_{i}" for link in robot for i, _ in enumerate(link.iter("visual"))}
-    assert visuals == {path for path in found if path.startswith("/hand/")}
+    assert visuals == {path for path in recorded if path.startswith("/hand/")}
     for path in visuals:
-        static = found[path].static
+        static = recorded[path].static
         (kind,) = {name.split(":")[0] for name in static} & {"Boxes3D", "Cylinders3D", "Ellipsoids3D"}
         assert static[f"{kind}:fill_mode"] == [3]
     red, green, blue = palette.digit(0)
-    first = found["/hand/index_link1/visual_0"].static["Cylinders3D:colors"]
+    first = recorded["/hand/index_link1/visual_0"].static["Cylinders3D:colors"]
     assert first == [red << 24 | green << 16 | blue << 8 | 255]
 
 
@@ -147,32 +149,34 @@ def test_the_layout_is_saved_with_the_recording(rrd: Path, log_path: Path) -> No
     assert recording.application_id == layout.application_id == f"handctl_{log_path.stem}"
 
 
-def test_windows_do_not_show(found: dict[str, Entity], log_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_time_slices_do_not_change_the_recording(
+    recorded: dict[str, Entity], log_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("handctl.view.time_slices.SPAN_NS", 333_000_000)
     again = entities(feed.run_chunks(log_path, subject_of(log_path), 333_000_000))
-    assert again.keys() == found.keys() - {"/__properties"}
+    assert again.keys() == recorded.keys() - {"/__properties"}
     for path in again.keys() - {"/tension/limit"}:
         one = again[path]
-        np.testing.assert_array_equal(one.times, found[path].times)
-        assert repr(one.rows) == repr(found[path].rows)
+        np.testing.assert_array_equal(one.times, recorded[path].times)
+        assert repr(one.rows) == repr(recorded[path].rows)
 
 
 @pytest.mark.parametrize("share", [0.3, 0.5, 0.73, 0.9])
-def test_a_log_that_ends_early_is_shown_up_to_there(share: float, jamia_path: Path, tmp_path: Path) -> None:
+def test_a_log_that_ends_early_is_shown_up_to_there(fraction: float, jamia_path: Path, tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap"
-    cut.write_bytes(jamia_path.read_bytes()[: int(share * jamia_path.stat().st_size)])
+    cut.write_bytes(jamia_path.read_bytes()[: int(fraction * jamia_path.stat().st_size)])
     with RunLog(cut) as half:
         shown = entities(feed.run_chunks(cut, subject_of(cut)))
         np.testing.assert_array_equal(shown["/controller/q"].table("Scalars:scalars"), half.field("q"))
         assert len(shown["/loop/late"].times) == len(shown["/bus/load"].times) == len(half) > 20
 
 
-def test_a_cut_within_the_index_of_a_chunk_loses_nothing(jamia_path: Path, tmp_path: Path) -> None:
-    file, found = LogFile(jamia_path), RecordScan()
-    scan_records(file, found)
+def test_a_cut_within_the_index_of_a_chunk_loses_no_message(jamia_path: Path, tmp_path: Path) -> None:
+    file, scan = LogFile(jamia_path), RecordScan()
+    scan_records(file, scan)
     file.close()
     cut = tmp_path / "cut.mcap"
-    cut.write_bytes(jamia_path.read_bytes()[: found.chunks[5].end + 40])
+    cut.write_bytes(jamia_path.read_bytes()[: scan.chunks[5].end + 40])
     with RunLog(cut) as half:
         shown = entities(feed.run_chunks(cut, subject_of(cut)))
         assert half.t_ns[-1] == shown["/loop/late"].times[-1] == shown["/bus/load"].times[-1]

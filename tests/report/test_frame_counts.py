@@ -1,4 +1,4 @@
-"""Late and lost frames counted from a log: a golden run whose frames are held back or taken away."""
+"""Late and lost frames counted from a log: a golden run with delayed or removed frames."""
 
 from collections.abc import Iterator
 from itertools import islice
@@ -34,16 +34,16 @@ def counted(ticks: list[TickRecord]) -> tuple[int, int]:
 
 
 def without(ticks: list[TickRecord], at: int) -> tuple[list[TickRecord], object]:
-    """The ticks without the first tension frame of one of them, and that frame."""
-    wanted = make_sensors(HAND).ids[0]
+    """Return the ticks without the first tension frame of one of them, and this frame."""
+    first_tension_frame = make_sensors(HAND).ids[0]
     entry = ticks[at].tick_in
-    [frame] = [one for one in entry.frames if one.can_id == wanted][:1]
-    rest = tuple(one for one in entry.frames if one != frame)
+    [lost] = [frame for frame in entry.frames if frame.can_id == first_tension_frame][:1]
+    rest = tuple(frame for frame in entry.frames if frame != lost)
     changed = ticks[at]._replace(tick_in=entry._replace(frames=rest))
-    return [*ticks[:at], changed, *ticks[at + 1 :]], frame
+    return [*ticks[:at], changed, *ticks[at + 1 :]], lost
 
 
-def test_a_sound_run_has_neither(ticks: list[TickRecord]) -> None:
+def test_a_run_without_faults_has_neither(ticks: list[TickRecord]) -> None:
     assert counted(ticks) == (0, 0)
 
 

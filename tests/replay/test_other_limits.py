@@ -1,0 +1,51 @@
+"""Other limits on a recorded run."""
+
+from pathlib import Path
+
+import pytest
+
+from handctl.errors import ConfigError
+from handctl.log.read.reader import RunLog
+from handctl.replay.other_limits import judge_by_limits
+
+
+def limits(folder: Path, text: str) -> Path:
+    path = folder / "limits.toml"
+    path.write_text("schema = 1\n" + text)
+    return path
+
+
+def test_the_limits_of_the_run_find_its_own_faults(golden: Path, tmp_path: Path) -> None:
+    with RunLog(golden / "jamia-fault.mcap") as log:
+        judgement = judge_by_limits(log, limits(tmp_path, ""))
+        assert judgement.ticks == len(log)
+    assert judgement.stopped == judgement.stopped_logged > 0
+    assert [(stop.fault, stop.instance) for stop in judgement.stops][:2] == [
+        ("B17", "index_motor"),
+        ("B02", "index_motor"),
+    ]
+    assert all(stop.logged for stop in judgement.stops)
+
+
+def test_a_lower_trip_stops_at_the_first_sample_above_it(golden: Path, tmp_path: Path) -> None:
+    with RunLog(golden / "jamia-grasp.mcap") as log:
+        judgement = judge_by_limits(log, limits(tmp_path, "tension_trip_N = { thumb_tendon = 20 }"))
+        raw = log.field("tension_raw")[:, log.header.tendons.index("thumb_tendon")]
+        first = int(log.k[raw > 20.0][0])
+        after = int((log.k >= first).sum())
+    assert judgement.stops[0][:1] == (first,)
+    assert {(stop.fault, stop.instance, stop.logged) for stop in judgement.stops} == {("T03", "thumb_tendon", False)}
+    assert judgement.stops[0].value > 20.0
+    assert (judgement.stopped, judgement.stopped_logged) == (after, 0), "it is latched until a person clears it"
+
+
+def test_wider_limits_would_not_have_stopped(golden: Path, tmp_path: Path) -> None:
+    with RunLog(golden / "jamia-fault.mcap") as log:
+        judgement = judge_by_limits(log, limits(tmp_path, "silent_ms = 10000"))
+    assert {stop.fault for stop in judgement.stops} <= {"B03a", "B03b"}, "so many losses stop it though, but later"
+    assert judgement.stopped < judgement.stopped_logged
+
+
+def test_an_unknown_tendon_is_refused(golden: Path, tmp_path: Path) -> None:
+    with RunLog(golden / "jamia-fault.mcap") as log, pytest.raises(ConfigError, match="pinky"):
+        judge_by_limits(log, limits(tmp_path, "tension_trip_N = { pinky = 20 }"))
