@@ -25,7 +25,7 @@ from handctl.log.write.recorder import Recorder
 from handctl.safety.action import Action
 
 SCHEDULE = (("start", 0.02), ("tighten", 0.08), ("close", 0.40), ("hold", 0.75), ("release", 0.85), ("open", 0.98))
-"""Phase and the share of the run at which it ends; then "end"."""
+"""Phase, and the fraction of the run at which the phase ends. The last phase is "end"."""
 
 
 def header(hand: str = "jamia", rate_hz: int = 500, **more: object) -> RunHeader:

@@ -14,7 +14,7 @@ from handctl.log.record import FRAMING, pack
 from handctl.log.write.writer import LogWriter
 
 CODES = {"log recover": (1, 2, 3), "log check": (1, 2, 3), "replay drive": (2, 4), "view --save": (2, 3)}
-"""Of verbs that may say something else than that the input is bad; the logs name no hand, which drive sees first."""
+"""Exit codes of verbs with another finding than a bad input. The logs name no hand, which `drive` checks first."""
 PROBE = """
 import contextlib, io, json, resource, sys, time
 from pathlib import Path
