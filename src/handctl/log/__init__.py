@@ -1,1 +1,4 @@
-"""Recorder, topics, reader and recovery of MCAP logs. Common robotics tools open the logs as they are."""
+"""Recorder, topics, reader and recovery of MCAP logs.
+
+Common robotics tools open the logs as they are.
+"""

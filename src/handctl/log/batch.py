@@ -11,7 +11,14 @@ from handctl.log.header import RunHeader
 from handctl.log.record import FIXED, FRAME_SIZE, SIZES, TickRecord, message_layout, unpack_tick
 
 FRAME_DTYPE = np.dtype(
-    [("t_ns", "<i8"), ("can_id", "<u4"), ("flags", "<u2"), ("bus", "u1"), ("length", "u1"), ("data", "u1", (8,))]
+    [
+        ("t_ns", "<i8"),
+        ("can_id", "<u4"),
+        ("flags", "<u2"),
+        ("bus", "u1"),
+        ("length", "u1"),
+        ("data", "u1", (8,)),
+    ]
 )
 """Layout of a CAN frame in a Tick message, 24 bytes little-endian."""
 FIXED_DTYPE = np.dtype(
@@ -194,13 +201,16 @@ class Batcher:
         self._sent.long_parts.append(data[split:])
 
     def _add_tail(self, message: bytes, at: int) -> None:
-        """Append the phase of a Tick message. Keep the decoded tick if it has events, requests or io events.
+        """Append the phase of a Tick message.
+
+        Keep the decoded tick if it has events, requests or io events.
 
         Args:
             message: the Tick message.
             at: start of the phase in the message [bytes].
         """
-        # Nearly all ticks have no event, and their tails (phase, empty lists) are equal. The cache avoids
+        # Nearly all ticks have no event, and their tails (phase, empty lists) are equal. The cache
+        # avoids
         # decoding CDR text for each of them.
         tail = message[at:]
         phase = self._phase_of_tail.get(tail)

@@ -1,9 +1,9 @@
 """CDR, the encoding of ROS 2 messages: a writer, a reader, and templates of constant layout.
 
-Encapsulation (4 bytes: 0x00, 0x01 for little-endian plain CDR, two option bytes), then the fields in order. A number of
-n bytes is aligned to a multiple of n, counted from the byte after the encapsulation. A string is its length as uint32
-with the closing NUL counted, the bytes, and the NUL. A sequence is its length as uint32 and the elements. An empty
-sequence is only its length.
+Encapsulation (4 bytes: 0x00, 0x01 for little-endian plain CDR, two option bytes), then the fields
+in order. A number of n bytes is aligned to a multiple of n, counted from the byte after the
+encapsulation. A string is its length as uint32 with the closing NUL counted, the bytes, and the
+NUL. A sequence is its length as uint32 and the elements. An empty sequence is only its length.
 
 Source: OMG CORBA 3.0, section 15.3, as rosbags and mcap-ros2-support implement it.
 """
@@ -25,7 +25,8 @@ class CdrWriter:
         """Start an empty message, or a part of one.
 
         Args:
-            start: offset of the first byte within the message body, for a part that is appended to other parts.
+            start: offset of the first byte within the message body, for a part that is appended to
+                other parts.
         """
         self.data = bytearray()
         self._start = start

@@ -1,8 +1,11 @@
-"""Compact table of the chunks of a log that is being written. A log of one day has about 350,000 chunks.
+"""Compact table of the chunks of a log that is being written.
 
-MCAP requires an index of all chunks behind the last chunk. As records of the mcap package the index takes 2 KB per
-chunk, which is 30 MB per hour. Here a chunk takes 64 bytes, because few arrangements of message indexes occur and each
-is stored once. Full blocks are compressed to a third, because successive chunks have similar numbers.
+A log of one day has about 350,000 chunks.
+
+MCAP requires an index of all chunks behind the last chunk. As records of the mcap package the index
+takes 2 KB per chunk, which is 30 MB per hour. Here a chunk takes 64 bytes, because few arrangements
+of message indexes occur and each is stored once. Full blocks are compressed to a third, because
+successive chunks have similar numbers.
 """
 
 import struct
@@ -57,7 +60,8 @@ class ChunkTable:
 
         Args:
             chunk: the chunk.
-            index_offsets: channel -> distance from the chunk's end to the message index of the channel [bytes].
+            index_offsets: channel -> distance from the chunk's end to the message index of the
+                channel [bytes].
         """
         layout = b"".join([_CHANNEL.pack(*item) for item in index_offsets.items()])
         # `setdefault` numbers the arrangements in the order of their first use.

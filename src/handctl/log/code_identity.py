@@ -1,4 +1,7 @@
-"""Identity of the control code. A version number names a release, the hash also a state between two releases."""
+"""Identity of the control code.
+
+A version number names a release, the hash also a state between two releases.
+"""
 
 import functools
 import hashlib
@@ -15,7 +18,8 @@ def code_identity() -> str:
     """Return twelve hexadecimal digits of a hash over the sources of the control packages."""
     package = Path(__file__).parents[1]
     digest = hashlib.sha256()
-    # Sorted paths and NUL separators: the hash depends on names and contents only, not on the file system.
+    # Sorted paths and NUL separators: the hash depends on names and contents only, not on the file
+    # system.
     for path in sorted(path for name in CONTROL_PACKAGES for path in (package / name).rglob("*.py")):
         digest.update(path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()[:12]

@@ -1,11 +1,14 @@
-"""The MCAP container. Messages are written in blocks, because one call per message is expensive in Python.
+"""The MCAP container.
 
-The mcap package writes the rare records. Chunks and message indexes dominate the time and are written here:
+Messages are written in blocks, because one call per message is expensive in Python.
 
-Chunk: opcode u8, length u64, first time u64 [ns], last time u64 [ns], uncompressed size u64, CRC-32 u32, compression
-as a text (u32 length), compressed size u64, compressed records.
-MessageIndex: opcode u8, length u64, channel u16, size of the entries u32, entries (log time u64 [ns], offset in the
-uncompressed chunk u64).
+The mcap package writes the rare records. Chunks and message indexes dominate the time and are
+written here:
+
+Chunk: opcode u8, length u64, first time u64 [ns], last time u64 [ns], uncompressed size u64, CRC-32
+u32, compression as a text (u32 length), compressed size u64, compressed records. MessageIndex:
+opcode u8, length u64, channel u16, size of the entries u32, entries (log time u64 [ns], offset in
+the uncompressed chunk u64).
 
 Source: MCAP specification, sections Records and Chunk.
 """
@@ -160,9 +163,15 @@ class Container:
         self._summary.metadata.append(MetadataIndex(offset=self._put(raw), length=len(raw), name=name))
 
     def chunk(
-        self, blocks: Sequence[MessageBlock], schemas: Sequence[Schema] = (), channels: Sequence[Channel] = ()
+        self,
+        blocks: Sequence[MessageBlock],
+        schemas: Sequence[Schema] = (),
+        channels: Sequence[Channel] = (),
     ) -> None:
-        """Write one compressed chunk with its message indexes. New schemas and channels come first in the chunk."""
+        """Write one compressed chunk with its message indexes.
+
+        New schemas and channels come first in the chunk.
+        """
         head = serialised([*schemas, *channels])
         content = b"".join([head, *(block.data for block in blocks)])
         packed = lz4.frame.compress(content)
@@ -185,7 +194,8 @@ class Container:
         """Write the summary and the footer."""
         self._put(serialised([DataEnd(self._crc)]))
         body, offset_start = self._summary_section(self._at)
-        # The CRC of the summary covers the footer up to its own field: opcode, length 20, and both offsets.
+        # The CRC of the summary covers the footer up to its own field: opcode, length 20, and both
+        # offsets.
         fields = struct.pack("<BQQQ", Opcode.FOOTER, 20, self._at, offset_start)
         footer = serialised([Footer(self._at, offset_start, zlib.crc32(fields, zlib.crc32(body)))])
         self._put(body + footer + MAGIC)

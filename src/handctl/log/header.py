@@ -11,11 +11,17 @@ from handctl.hand.file.quantities import NAME_PATTERN
 from handctl.printing import encodable
 
 TRUTH_OFFSET = "truth_offset_ns"
-"""Metadata key of a lockstep run: t = 0 of the run on the simulator's clock [ns]. Commissioning advances this clock."""
+"""Metadata key of a lockstep run: t = 0 of the run on the simulator's clock [ns].
+
+Commissioning advances this clock.
+"""
 PERIODS_NS = (10_000, 10_000_000_000)
 """Shortest and longest period of a tick in a log [ns]."""
 LATEST_NS = 1 << 62
-"""Latest time in a log [ns]. The sum of two such times, and UNIX time until 2116, fits into 64 bits."""
+"""Latest time in a log [ns].
+
+The sum of two such times, and UNIX time until 2116, fits into 64 bits.
+"""
 NAMES = ("joints", "tendons", "motors", "digits", "buses")
 """Lists of names in a header."""
 MAX_NAMES = 1000
@@ -32,10 +38,13 @@ class RunHeader:
         period_ns: period of the tick [ns].
         offset_ns: UNIX time at t = 0 [ns], one per run. 0 in a deterministic run.
         metadata: version, bus, seed, operator's note ...: the metadata record `handctl`.
-        gains: name -> value at the start: the metadata record `handctl.gains` and the first parameter event.
-        attachments: file name -> bytes, e.g. hand.urdf, gains.toml, calibration.toml, task.toml, initial_state.
+        gains: name -> value at the start: the metadata record `handctl.gains` and the first
+            parameter event.
+        attachments: file name -> bytes, e.g. hand.urdf, gains.toml, calibration.toml, task.toml,
+            initial_state.
         wall: facts of the machine and the wall clock: the metadata record `handctl.wall`.
-        deterministic: a lockstep run. No tick is dropped, no clock is read, equal runs give equal streams.
+        deterministic: a lockstep run. No tick is dropped, no clock is read, equal runs give equal
+            streams.
     """
 
     hand_toml: str
@@ -121,7 +130,12 @@ class RunHeader:
 
     def axis(self, name: str) -> tuple[str, ...]:
         """Return the names along a telemetry axis: joint, tendon, motor or digit."""
-        return {"joint": self.joints, "tendon": self.tendons, "motor": self.motors, "digit": self.digits}[name]
+        return {
+            "joint": self.joints,
+            "tendon": self.tendons,
+            "motor": self.motors,
+            "digit": self.digits,
+        }[name]
 
     def dump(self) -> bytes:
         """Encode the header for the pipe: one line of JSON, then the attachments in order."""

@@ -2,8 +2,8 @@
 
 The names and fields are part of the log format and must not change.
 
-Source: the fields are those of the ROS 2 interface packages common_interfaces, rcl_interfaces, geometry2, can_msgs,
-ros2_socketcan_msgs and pal_statistics_msgs. `handctl_msgs` belongs to handctl.
+Source: the fields are those of the ROS 2 interface packages common_interfaces, rcl_interfaces,
+geometry2, can_msgs, ros2_socketcan_msgs and pal_statistics_msgs. `handctl_msgs` belongs to handctl.
 """
 
 from handctl.core.types import Mode

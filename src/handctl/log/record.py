@@ -1,11 +1,13 @@
-"""Records of the pipe to the recorder. A tick is a `handctl_msgs/Tick` ready for the log, then the telemetry.
+"""Records of the pipe to the recorder.
+
+A tick is a `handctl_msgs/Tick` ready for the log, then the telemetry.
 
 All numbers are little-endian.
 
 Record: length u32 (without these 8 bytes), kind u32, body.
 
-Body of a tick: size of the Tick message u32, lengths of the telemetry axes joint, tendon, motor, digit u16 each, the
-Tick message, the telemetry float64 in order.
+Body of a tick: size of the Tick message u32, lengths of the telemetry axes joint, tendon, motor,
+digit u16 each, the Tick message, the telemetry float64 in order.
 
 Tick message:
     CDR encapsulation, 4 bytes.
@@ -15,8 +17,8 @@ Tick message:
     Number of long bytes u32, long bytes, padding to 4 bytes.
     Phase, io events, requests, events.
 
-Frame, 24 bytes: t_ns i64, can_id u32, flags u16, bus u8, length u8, data 8 bytes. The long bytes are the bytes beyond
-the eighth of all frames, in order.
+Frame, 24 bytes: t_ns i64, can_id u32, flags u16, bus u8, length u8, data 8 bytes. The long bytes
+are the bytes beyond the eighth of all frames, in order.
 """
 
 import functools
@@ -172,16 +174,33 @@ def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
     sent = frames_of(out.frames).records
     if len(out.state_hash) != 8:
         raise ValueError(f"state hash of {len(out.state_hash)} bytes; expected 8")
-    fixed = FIXED.pack(tick_in.k, tick_in.t_ns, tick_in.late_ns, out.state_hash, out.mode, out.action, len(received))
+    fixed = FIXED.pack(
+        tick_in.k,
+        tick_in.t_ns,
+        tick_in.late_ns,
+        out.state_hash,
+        out.mode,
+        out.action,
+        len(received),
+    )
     beginnings = [records.getfield(_BEGINNING).tobytes() for records in (received, sent)]
     long_part = _NO_LONG_DATA
     # A slice with a stride reads the length bytes of all frames without decoding the frames.
     if max(b"".join([part[_LENGTH_AT::FRAME_SIZE] for part in beginnings]), default=0) > _SHORT_DATA:
         long_data = _long_data(received) + _long_data(sent)
         long_part = _COUNT.pack(len(long_data)) + long_data + bytes(-len(long_data) % 4)
-    # The first member of a frame is an int64, therefore CDR aligns the frames to 8. An empty sequence has no padding.
+    # The first member of a frame is an int64, therefore CDR aligns the frames to 8. An empty
+    # sequence has no padding.
     padding = b"\0\0\0\0" if len(sent) else b""
-    parts = [ENCAPSULATION, fixed, beginnings[0], _COUNT.pack(len(sent)), padding, beginnings[1], long_part]
+    parts = [
+        ENCAPSULATION,
+        fixed,
+        beginnings[0],
+        _COUNT.pack(len(sent)),
+        padding,
+        beginnings[1],
+        long_part,
+    ]
     if tick_in.io_events or tick_in.requests or out.events:
         parts.append(_tail(sum(map(len, parts)) - 4, out.phase, tick_in, out.events))
     else:
@@ -373,7 +392,8 @@ def _unpack_short(messages: list[bytes]) -> list[TickRecord] | None:
         long_count = start + FRAME_SIZE * sent
         if message[long_count : long_count + 4] != _NO_LONG_DATA:
             return None
-        # The frames of all messages are joined and decoded in one call, then divided again at `ends`.
+        # The frames of all messages are joined and decoded in one call, then divided again at
+        # `ends`.
         parts += message[_FRAMES_AT:sent_count], message[start:long_count]
         ends += end + constant_part[6], end + constant_part[6] + sent
         end = ends[-1]

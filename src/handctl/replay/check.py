@@ -15,7 +15,14 @@ def check(log: RunLog) -> list[str]:
     Raises:
         LogError: a chunk is damaged.
     """
-    return [*_end_of_log(log), *_counters(log), *_clock(log), *_frames(log), *_hashes(log), *_chain(log)]
+    return [
+        *_end_of_log(log),
+        *_counters(log),
+        *_clock(log),
+        *_frames(log),
+        *_hashes(log),
+        *_chain(log),
+    ]
 
 
 def _end_of_log(log: RunLog) -> Iterator[str]:

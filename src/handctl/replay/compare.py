@@ -17,7 +17,10 @@ MAX_DELAY_S = 0.2
 MIN_MOTION = 0.05
 """Minimum motion for a delay, as a fraction of the signal's largest value."""
 MAX_UNEXPLAINED = 0.1
-"""Maximum unexplained fraction of a signal's variance. A delay that leaves more is chance or noise."""
+"""Maximum unexplained fraction of a signal's variance.
+
+A delay that leaves more is chance or noise.
+"""
 IN_TIME_MS = 0.05
 """Smaller delays are printed as "in time" [ms]."""
 
@@ -57,8 +60,8 @@ def compare(names: tuple[str, ...], before: Array, after: Array, period: float) 
         period: period of the rows [s].
 
     Returns:
-        By name: rms and peak in the signals' unit, and delay_s, the delay of `after` behind `before` [s]. The delay
-            of a
+        By name: rms and peak in the signals' unit, and delay_s, the delay of `after` behind
+            `before` [s]. The delay of a
         constant signal is NaN.
     """
     rows = min(len(before), len(after))
@@ -80,10 +83,12 @@ def rms_and_peak(change: Array) -> dict[str, float]:
 def delay(before: Array, after: Array, period: float) -> float:
     """Compute the delay of `after` behind `before` [s].
 
-    The delay is the shift with the least remaining variance, refined by a parabola through three shifts.
+    The delay is the shift with the least remaining variance, refined by a parabola through three
+    shifts.
 
     Returns:
-        NaN if the signal moves no more than noise, if no delay within `MAX_DELAY_S` fits best, or if a signal has
+        NaN if the signal moves no more than noise, if no delay within `MAX_DELAY_S` fits best, or
+        if a signal has
             NaN.
     """
     if np.isnan(before).any() or np.isnan(after).any():

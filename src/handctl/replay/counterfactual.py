@@ -1,6 +1,7 @@
 """Commands of other gains on the inputs of a recorded run, as numbers and as a figure.
 
-The measurements remain those of the log. The figure shows the command of each tick, not the further motion of the hand.
+The measurements remain those of the log. The figure shows the command of each tick, not the further
+motion of the hand.
 """
 
 from pathlib import Path

@@ -29,9 +29,8 @@ class _Tick(NamedTuple):
 def first_damage(path: Path) -> str:
     """Describe the first damage of a log with its first wrong tick, or return an empty text.
 
-    The hash chain names the tick, even if the checksums were adjusted. If the chain is intact, the damage is in the
-    derived
-    topics, and the chunk is named by its ticks.
+    The hash chain names the tick, even if the checksums were adjusted. If the chain is intact, the
+    damage is in the derived topics, and the chunk is named by its ticks.
 
     Raises:
         LogError: the file is not a log.

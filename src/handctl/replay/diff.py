@@ -46,7 +46,8 @@ def diff(a: RunLog, b: RunLog, where: str) -> dict[str, Any]:
         where: name of the second file, for the error.
 
     Returns:
-        Gains that differ, phases in only one of the runs, and for each common phase both durations [s] and the
+        Gains that differ, phases in only one of the runs, and for each common phase both durations
+        [s] and the
             differences
         from `compare.both` over the shorter duration, aligned at the start of the phase.
 

@@ -42,7 +42,9 @@ def active_interval(log: RunLog) -> tuple[float, float]:
 
 
 def count_missing_ticks(log: RunLog) -> int:
-    """Count the missing ticks in the active interval. Targets on both sides of a gap are joined by a line.
+    """Count the missing ticks in the active interval.
+
+    Targets on both sides of a gap are joined by a line.
 
     Raises:
         LogError: too many ticks are missing in a row, or the run has no active interval.
@@ -59,7 +61,8 @@ def count_missing_ticks(log: RunLog) -> int:
 def recording(log: RunLog, period: float) -> Recording:
     """Return the targets of a run at another control period.
 
-    A digit without joint targets in a neighbouring tick held its tension. Its joint targets are NaN.
+    A digit without joint targets in a neighbouring tick held its tension. Its joint targets are
+    NaN.
 
     Args:
         log: the run.

@@ -75,7 +75,8 @@ def execute(
         gains: other gains than in the run.
         observer: called with every tick.
         progress: called now and then with the number of ticks so far.
-        workers: processes. Several are used only without other gains and without `observer`. The result is equal.
+        workers: processes. Several are used only without other gains and without `observer`. The
+            result is equal.
 
     Raises:
         LogError: the controller cannot be rebuilt, or the log is damaged.

@@ -114,7 +114,12 @@ class LogRunner:
         return LogRunner(log, rebuild(log, gains), Columns.of(log.header), snapshots)
 
     def run(
-        self, start: int, stop: int, state: State, observer: TickObserver | None, progress: ProgressCallback | None
+        self,
+        start: int,
+        stop: int,
+        state: State,
+        observer: TickObserver | None,
+        progress: ProgressCallback | None,
     ) -> tuple[State, Tally]:
         """Execute a part of the log.
 
@@ -144,7 +149,10 @@ class LogRunner:
             if observer:
                 observer(logged.tick_in, out)
             if not equal_outputs(logged, numbers, out):
-                tally.add(list(differences(self.columns, logged, numbers, out)), equal_decisions(logged, out))
+                tally.add(
+                    list(differences(self.columns, logged, numbers, out)),
+                    equal_decisions(logged, out),
+                )
                 if tally.state is None and logged.tick_in.k in self.snapshots:
                     tally.state = self._state_difference(logged, state)
         return state, tally

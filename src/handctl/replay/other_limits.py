@@ -158,7 +158,16 @@ def _judge(log: RunLog, controller: Controller, limits: Limits, progress: Callab
                 value = float(event.text.rpartition("(")[2].partition(")")[0])
                 in_log = fault.id + event.where in logged_faults
                 stops.append(
-                    LimitStop(entry.k, t_s, fault.id, fault.title, event.where, value, fault.action.name, in_log)
+                    LimitStop(
+                        entry.k,
+                        t_s,
+                        fault.id,
+                        fault.title,
+                        event.where,
+                        value,
+                        fault.action.name,
+                        in_log,
+                    )
                 )
     counts = Counter(stop.fault for stop in stops)
     return Judgement(ticks, stopped, stopped_logged, tuple(stops), dict(counts))

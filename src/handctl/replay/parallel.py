@@ -1,8 +1,9 @@
 """Re-execution in several processes, each of which starts after a snapshot of the log.
 
-A part starts with a state whose hash is in the log. If the part before ends with an equal hash, then a serial run
-reaches this state too, and its result is the sum of the parts. If the hashes differ, the rest of the log is executed
-again in order. The result is therefore always that of a serial run.
+A part starts with a state whose hash is in the log. If the part before ends with an equal hash,
+then a serial run reaches this state too, and its result is the sum of the parts. If the hashes
+differ, the rest of the log is executed again in order. The result is therefore always that of a
+serial run.
 """
 
 import json
@@ -107,7 +108,10 @@ def run_parallel(runner: LogRunner, workers: int, progress: Callable[[int], None
 
 
 def split(runner: LogRunner, workers: int) -> list[LogPart]:
-    """Return consecutive parts of about equal length. Each starts at the start of the log or after a snapshot."""
+    """Return consecutive parts of about equal length.
+
+    Each starts at the start of the log or after a snapshot.
+    """
     ticks = len(runner.log)
     k = runner.log.k
     snapshot_ticks = np.array(sorted(runner.snapshots), np.int64)
@@ -174,7 +178,10 @@ def _wait_for_result(runner: LogRunner, worker: WorkerProcess, counts: ProgressC
         return None
     result: dict[str, Any] = json.loads(data)
     *numbers, first, state, largest = result["tally"]
-    tally = Tally(*numbers, *(TickDifference(*worker) if worker else None for worker in (first, state, largest)))
+    tally = Tally(
+        *numbers,
+        *(TickDifference(*worker) if worker else None for worker in (first, state, largest)),
+    )
     return restore(runner.controller.layout, bytes.fromhex(result["state"])), tally
 
 

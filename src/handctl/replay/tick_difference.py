@@ -50,7 +50,10 @@ class Columns(NamedTuple):
 
 
 def ulps(a: float, b: float) -> int:
-    """Compute the distance of two numbers in units in the last place. Neighbouring float64 have distance 1."""
+    """Compute the distance of two numbers in units in the last place.
+
+    Neighbouring float64 have distance 1.
+    """
     return abs(_ordinal(a) - _ordinal(b))
 
 
@@ -130,7 +133,12 @@ def equal_outputs(logged: TickRecord, numbers: bytes, computed: TickOut) -> bool
 def equal_decisions(logged: TickRecord, computed: TickOut) -> bool:
     """Return True if a tick decides equally: mode, action, phase, and the events without the numbers in their texts."""
     was, now = ([event[:3] for event in events] for events in (logged.events, computed.events))
-    return (logged.mode, logged.action, logged.phase, was) == (computed.mode, computed.action, computed.phase, now)
+    return (logged.mode, logged.action, logged.phase, was) == (
+        computed.mode,
+        computed.action,
+        computed.phase,
+        now,
+    )
 
 
 def _events_text(events: tuple[Event, ...]) -> str:
@@ -146,7 +154,10 @@ def _frame_text(frame: Frame) -> str:
 
 
 def _changed(was: bytes, now: bytes) -> list[tuple[int, float, float]]:
-    """Return (column, old, new) of every float64 with other bits. A number that became NaN counts."""
+    """Return (column, old, new) of every float64 with other bits.
+
+    A number that became NaN counts.
+    """
     old: NDArray[np.float64] = np.frombuffer(was, "<f8")
     new: NDArray[np.float64] = np.frombuffer(now, "<f8")
     at = np.flatnonzero(old.view(np.uint64) != new.view(np.uint64))

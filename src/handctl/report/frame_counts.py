@@ -20,7 +20,10 @@ class FrameCounts(NamedTuple):
 
 
 def frame_counts(log: RunLog, hand: Hand) -> FrameCounts:
-    """Count late and lost frames. Each frame of the load cells is compared with the SYNC before it."""
+    """Count late and lost frames.
+
+    Each frame of the load cells is compared with the SYNC before it.
+    """
     node = make_sensors(hand)
     sync_counter = -1
     sync_frames = 0

@@ -11,7 +11,10 @@ from handctl.report.truth import TruthRecord
 SUPPORT = "support"
 """Column of the truth: how far the table has sunk [m]. Only scenes with a sinking table have it."""
 SLID_MM = 10.0
-"""Maximum motion of a held object in the hand [mm]. In the demo, held objects move by 3 mm at most."""
+"""Maximum motion of a held object in the hand [mm].
+
+In the demo, held objects move by 3 mm at most.
+"""
 
 
 def judge_lift(log: RunLog, truth: TruthRecord | None, offset_ns: int, holds: Collection[str]) -> dict[str, Any]:
@@ -24,7 +27,8 @@ def judge_lift(log: RunLog, truth: TruthRecord | None, offset_ns: int, holds: Co
         holds: names of the task's hold phases.
 
     Returns:
-        `table_sunk_mm` at the end of the last hold, and `object_slid_mm` from the first sinking to this time. NaN
+        `table_sunk_mm` at the end of the last hold, and `object_slid_mm` from the first sinking to
+        this time. NaN
             without a
         sinking table, or before the first hold.
     """
@@ -35,7 +39,9 @@ def judge_lift(log: RunLog, truth: TruthRecord | None, offset_ns: int, holds: Co
     inside = (truth.t_ns >= t_ns[0]) & (truth.t_ns <= t_ns[-1])
     sunk = truth.values[inside, truth.columns.index(SUPPORT)]
     positions = truth.table(["object/x", "object/y", "object/z"], truth.t_ns[inside])[sunk > 0.0]
-    slid = float(np.linalg.norm(positions - positions[0], axis=1).max() * 1e3) if len(positions) else float("nan")
+    slid = float("nan")
+    if len(positions):
+        slid = float(np.linalg.norm(positions - positions[0], axis=1).max() * 1e3)
     return {"table_sunk_mm": float(sunk[-1] * 1e3), "object_slid_mm": slid}
 
 
@@ -43,14 +49,17 @@ def _hold_times(log: RunLog, holds: Collection[str]) -> Any:
     """Return the times of the ticks from the first hold to the last [ns]."""
     changes = log.phases
     ends = [*[change.k for change in changes[1:]], int(log.k[-1]) + 1] if changes else []
-    spans = [(change.k, end) for change, end in zip(changes, ends, strict=True) if change.name in holds]
+    both = zip(changes, ends, strict=True)
+    spans = [(change.k, end) for change, end in both if change.name in holds]
     if not spans:
         return log.t_ns[:0]
     return log.t_ns[(log.k >= spans[0][0]) & (log.k < spans[-1][1])]
 
 
 def lift_failure(lift: dict[str, Any]) -> str:
-    """Return the reason why the grasp failed, or an empty text if it carried its object or had no object to carry.
+    """Return the reason of a failed grasp, or an empty text.
+
+    The text is empty if the grasp carried its object or had no object to carry.
 
     Args:
         lift: result of `judge_lift`.

@@ -1,4 +1,4 @@
-"""Small pictures of a run as SVG texts: pose in each phase, lateness of the ticks, load of the buses."""
+"""Small pictures of a run as SVG texts: poses, lateness of the ticks, load of the buses."""
 
 import io
 from typing import Any
@@ -24,8 +24,7 @@ PER_ROW = 4
 SLANT = (0.55, 0.3)
 """Oblique projection: drawn distance to the right and up per distance along the hinges.
 
-It separates digits on one hinge
-line.
+The projection separates digits on one hinge line.
 """
 MIN_ARROW_N = 0.2
 """Smallest force with an arrow [N]."""
@@ -34,7 +33,10 @@ ARROW_M_PER_N = 0.004
 
 
 def poses(log: RunLog, hand: Hand) -> str:
-    """Draw the hand in the middle of each phase in which it acts, with the forces of the object on its fingertips."""
+    """Draw the hand in the middle of each phase in which it acts.
+
+    Arrows are the forces of the object on the fingertips.
+    """
     moments = _moments(log)
     if not moments:
         return "<p>The hand acts in no phase of this run.</p>"
@@ -49,7 +51,13 @@ def poses(log: RunLog, hand: Hand) -> str:
         _palm(axes, digits)
         # Digits with a large z lie behind the others in this projection and are drawn first.
         for d in sorted(range(len(digits)), key=lambda d: -float(digits[d].mount_position[2])):
-            _digit(axes, digits[d], q[index, digits[d].joints], float(force[index, d]), COLOURS[d % len(COLOURS)])
+            _digit(
+                axes,
+                digits[d],
+                q[index, digits[d].joints],
+                float(force[index, d]),
+                COLOURS[d % len(COLOURS)],
+            )
         _forces(axes, force[index])
         axes.set_title(f"{name}, {log.times[index]:.2f} s", fontsize=11)
         axes.set_aspect("equal")
@@ -59,7 +67,10 @@ def poses(log: RunLog, hand: Hand) -> str:
 
 
 def _projected(points_m: Array) -> Array:
-    """Project points (.., 3) of the palm frame [m] to the picture (.., 2) [mm], along the hinges and slanted."""
+    """Project points (.., 3) of the palm frame [m] to the picture (.., 2) [mm].
+
+    The view is along the hinges and slanted.
+    """
     return np.asarray(1e3 * (points_m[..., :2] + points_m[..., 2:] * np.array(SLANT)), np.float64)
 
 
@@ -82,10 +93,17 @@ def _palm(axes: Any, digits: list[DigitModel]) -> None:
 
 
 def _digit(axes: Any, digit: DigitModel, q: Array, force: float, colour: str) -> None:
-    """Draw the links from the palm to the tip, and the estimated force of the object on the tip as an arrow."""
+    """Draw the links from the palm to the tip, and the estimated force on the tip as an arrow."""
     joints = points(digit, q)
     path = _projected(to_palm(digit, joints))
-    axes.plot(*path.T, color=colour, linewidth=7, alpha=0.9, solid_capstyle="round", solid_joinstyle="round")
+    axes.plot(
+        *path.T,
+        color=colour,
+        linewidth=7,
+        alpha=0.9,
+        solid_capstyle="round",
+        solid_joinstyle="round",
+    )
     axes.plot(*path[:-1].T, "o", color="white", markersize=3)
     angle = float(np.sum(q))
     if force < MIN_ARROW_N or np.isnan(angle):
@@ -101,7 +119,12 @@ def _forces(axes: Any, force: Array) -> None:
     """Write the forces [N] in the corner. At the tips of the arrows the texts would overlap."""
     for d, value in enumerate(force.tolist()):
         if value >= MIN_ARROW_N:
-            style = {"fontsize": 9, "color": COLOURS[d % len(COLOURS)], "transform": axes.transAxes, "va": "bottom"}
+            style = {
+                "fontsize": 9,
+                "color": COLOURS[d % len(COLOURS)],
+                "transform": axes.transAxes,
+                "va": "bottom",
+            }
             axes.text(0.98, 0.3 - 0.09 * d, f"{value:.1f} N", ha="right", **style)
 
 
@@ -134,9 +157,20 @@ def lateness(log: RunLog) -> str:
         return "<p>No tick began late: this run was in virtual time.</p>"
     figure, (axes,) = _figure(1, 6.0, 2.2)
     quarter = log.header.period_ns / 4e3
-    axes.hist(late, bins=np.linspace(0.0, max(quarter, float(late.max(initial=0.0))), 80), color=COLOURS[0])
+    axes.hist(
+        late,
+        bins=np.linspace(0.0, max(quarter, float(late.max(initial=0.0))), 80),
+        color=COLOURS[0],
+    )
     axes.axvline(quarter, color=COLOURS[3], linewidth=0.8)
-    axes.text(quarter, 0.9, " quarter period ", ha="right", fontsize=7, transform=axes.get_xaxis_transform())
+    axes.text(
+        quarter,
+        0.9,
+        " quarter period ",
+        ha="right",
+        fontsize=7,
+        transform=axes.get_xaxis_transform(),
+    )
     axes.set_yscale("symlog", linthresh=1)
     axes.set(xlabel="lateness [us]", ylabel="ticks")
     return _svg(figure)
@@ -146,7 +180,8 @@ def loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
     """Draw the load of each bus over time, from the worst-case times of the frames.
 
     Returns:
-        Picture, and (buses,) largest load in a window of `LOAD_WINDOW_S`, or of the run if the run is shorter.
+        Picture, and (buses,) largest load in a window of `LOAD_WINDOW_S`, or of the run if the run
+        is shorter.
     """
     busy = np.zeros((len(log), len(hand.bus)))
     for i, tick in enumerate(log.ticks()):
@@ -154,13 +189,22 @@ def loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
             if frame.bus < len(hand.bus):
                 bus = hand.bus[frame.bus]
                 fd = bool(frame.flags & FDF)
-                busy[i, frame.bus] += frame_time_s(len(frame.data), fd, bus.bitrate, bus.data_bitrate)
+                size = len(frame.data)
+                busy[i, frame.bus] += frame_time_s(size, fd, bus.bitrate, bus.data_bitrate)
     window = max(1, min(round(LOAD_WINDOW_S * 1e9 / log.header.period_ns), len(log)))
     kernel = np.ones(window) / (window * log.header.period_ns * 1e-9)
-    load = np.column_stack([np.convolve(column, kernel, "same") for column in busy.T]) if len(log) else busy
+    load = busy
+    if len(log):
+        load = np.column_stack([np.convolve(column, kernel, "same") for column in busy.T])
     figure, (axes,) = _figure(1, 6.0, 2.2)
     for index, name in enumerate(hand.bus_names):
-        axes.plot(log.times, 100 * load[:, index], color=COLOURS[index % len(COLOURS)], linewidth=0.9, label=name)
+        axes.plot(
+            log.times,
+            100 * load[:, index],
+            color=COLOURS[index % len(COLOURS)],
+            linewidth=0.9,
+            label=name,
+        )
     axes.set(xlabel="time [s]", ylabel="bus load [%]", ylim=(0, None))
     axes.legend(fontsize=7, loc="lower right")
     return _svg(figure), load.max(axis=0, initial=0.0)

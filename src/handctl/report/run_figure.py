@@ -1,4 +1,4 @@
-"""Figure of a run: angle, tensions and contact force of each digit over time, and the lateness of the loop."""
+"""Figure of a run: angle, tensions and contact force of each digit, and lateness of the loop."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -103,7 +103,10 @@ def _key(truth: bool) -> tuple[list[Any], list[str]]:
     from matplotlib.lines import Line2D
 
     marks = [
-        (Line2D([], [], color=COLOURS[0], linewidth=1.8), "estimate; tensions and forces: with its 1-sigma band"),
+        (
+            Line2D([], [], color=COLOURS[0], linewidth=1.8),
+            "estimate; tensions and forces: with its 1-sigma band",
+        ),
         (Line2D([], [], color=COMMAND, linewidth=1.0, linestyle="--"), "command"),
     ]
     if truth:
@@ -163,6 +166,7 @@ def _forces(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | No
         high = estimate[:, d] + sigma[:, d]
         axes.fill_between(log.times, low, high, color=colour, alpha=0.25, linewidth=0)
         if truth is not None:
+            # The truth has the components of the force, the estimate its size.
             parts = [truth.at(f"contact_force/{name}/{axis}", log.t_ns + offset_ns) for axis in "xyz"]
             _beside(axes, log, None, np.asarray(np.sqrt(sum(part**2 for part in parts)), np.float64))
 
@@ -172,8 +176,9 @@ def _phases(grid: Any, log: RunLog) -> None:
     for change in log.phases:
         if change.name not in PASSIVE_PHASES:
             _mark(grid, change.t_ns / 1e9, change.name, GRID)
-    ended = [event for event in log.events if (event.event.level, event.event.name) == ("error", "fault")]
-    for event in ended[:1]:
+    error = ("error", "fault")
+    faults = [event for event in log.events if (event.event.level, event.event.name) == error]
+    for event in faults[:1]:
         _mark(grid, event.t_ns / 1e9, event.event.text.partition(" ")[0], FAULT)
 
 
@@ -182,6 +187,11 @@ def _mark(grid: Any, t_s: float, name: str, colour: str) -> None:
     for axes in grid.flat:
         axes.axvline(t_s, color=colour, linewidth=0.6)
     for axes in grid[0]:
-        style = {"fontsize": 7, "color": FAULT if colour == FAULT else COMMAND, "rotation": 90, "va": "top"}
+        style = {
+            "fontsize": 7,
+            "color": FAULT if colour == FAULT else COMMAND,
+            "rotation": 90,
+            "va": "top",
+        }
         transform = axes.get_xaxis_transform()
         axes.text(t_s, 0.99, f" {printable(name, 40)}", transform=transform, clip_on=True, **style)

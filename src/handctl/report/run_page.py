@@ -62,7 +62,10 @@ def write_page(path: Path, log: RunLog, hand: Hand, truth: TruthRecord | None, o
         f"<p class=error>{_text(log.warning)}</p>" if log.warning else "",
         _section("In numbers", _numbers(log, hand, truth, offset_ns, load)),
         _section("The hand in each phase", poses(log, hand) + _legend(hand)),
-        _section("Angles, tensions with their 1-sigma band, contact forces", _run(log, hand, truth, offset_ns)),
+        _section(
+            "Angles, tensions with their 1-sigma band, contact forces",
+            _run(log, hand, truth, offset_ns),
+        ),
         _section("Events and faults", _events(log)),
         _section("Loop and bus", f'<div class="two">{lateness(log)}{load_picture}</div>'),
         _section("Origin of this run", _pairs({**metadata, **log.header.wall, **log.end})),
@@ -87,7 +90,8 @@ def _section(title: str, body: str) -> str:
 
 def _table(rows: Iterable[tuple[str, str]]) -> str:
     """Return a table with two columns."""
-    return "<table>" + "".join(f"<tr><th>{title}</th><td>{content}</td></tr>" for title, content in rows) + "</table>"
+    lines = (f"<tr><th>{title}</th><td>{content}</td></tr>" for title, content in rows)
+    return "<table>" + "".join(lines) + "</table>"
 
 
 def _pairs(values: Mapping[str, object]) -> str:
@@ -108,13 +112,19 @@ def _numbers(
     frames = frame_counts(log, hand)
     rows = [
         ("ticks", f"{summary['ticks']} at {summary['rate_hz']:g} Hz, {summary['missed']} missed"),
-        ("lateness p50 / p99.9 / max", " / ".join(f"{us:.0f}" for us in late.values()) + " us" if len(log) else ""),
+        (
+            "lateness p50 / p99.9 / max",
+            " / ".join(f"{us:.0f}" for us in late.values()) + " us" if len(log) else "",
+        ),
         ("frames late", f"{frames.late}"),
         ("frames lost", f"{frames.lost}"),
         ("gaps in the log", f"{len(log.gaps)}"),
         ("faults", _faults(log)),
         ("contacts", _contacts(log)),
-        ("steps of the wall clock", ", ".join(f"{s.step_s:+.1f} s at {s.t_s:.0f} s" for s in steps(log.clock_pairs))),
+        (
+            "steps of the wall clock",
+            ", ".join(f"{s.step_s:+.1f} s at {s.t_s:.0f} s" for s in steps(log.clock_pairs)),
+        ),
         (
             "largest bus load, by frames",
             ", ".join(f"{n} {100 * x:.0f} %" for n, x in zip(hand.bus_names, load, strict=True)),
@@ -127,7 +137,8 @@ def _numbers(
         ("object moved while held", _unit(summary["object_motion_mm"], "mm")),
     ]
     rows += [(_text(name), text) for name, text in angle_rows(summary["joint_angles"])]
-    rows += [(f"{n}: tip-equivalent force", _unit(f, "N")) for n, f in summary["tip_equivalent_force_n"].items()]
+    forces = summary["tip_equivalent_force_n"]
+    rows += [(f"{name}: tip-equivalent force", _unit(force, "N")) for name, force in forces.items()]
     return _table((name, text) for name, text in rows if text)
 
 
@@ -154,7 +165,8 @@ def _run(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> 
         picture = Path(folder) / "run.png"
         draw_run(picture, log, hand, truth, offset_ns, "")
         data = base64.b64encode(picture.read_bytes()).decode()
-    return f'<img alt="angles, tensions, contact forces and lateness over time" src="data:image/png;base64,{data}">'
+    alt = "angles, tensions, contact forces and lateness over time"
+    return f'<img alt="{alt}" src="data:image/png;base64,{data}">'
 
 
 def _faults(log: RunLog) -> str:
@@ -165,7 +177,8 @@ def _faults(log: RunLog) -> str:
         fault = event.event.text.partition(":")[0]
         first.setdefault(fault, event.t_ns / 1e9)
         counts[fault] += 1
-    return "<br>".join(f"{_text(fault)}: {counts[fault]}, first at {t:.3f} s" for fault, t in first.items()) or "none"
+    lines = (f"{_text(fault)}: {counts[fault]}, first at {t:.3f} s" for fault, t in first.items())
+    return "<br>".join(lines) or "none"
 
 
 def _contacts(log: RunLog) -> str:

@@ -19,7 +19,10 @@ Array = NDArray[np.float64]
 SETTLED_S = 0.5
 """Time from the last motion of the targets in a hold to its judgement [s]."""
 STEADY_N = 1.0
-"""Tolerance of constant tension targets [N]. In a hold with stiffness the targets follow the noise of the encoders."""
+"""Tolerance of constant tension targets [N].
+
+In a hold with stiffness the targets follow the noise of the encoders.
+"""
 
 
 def summarise(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> dict[str, Any]:
@@ -28,9 +31,8 @@ def summarise(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int
     Args:
         log: log of the run.
         hand: hand of the run.
-        truth: truth of the simulator. On hardware it is None, and the numbers that need a truth are NaN. A truth of
-            another
-            time, from an earlier simulator, counts as None.
+        truth: truth of the simulator. On hardware it is None, and the numbers that need a truth are
+            NaN. A truth of another time, from an earlier simulator, counts as None.
         offset_ns: t = 0 of the run on the simulator's clock [ns].
 
     Returns:
@@ -69,7 +71,10 @@ def rms(values: Array) -> float:
 
 
 def hold_windows(log: RunLog) -> list[NDArray[np.bool_]]:
-    """Return for each hold where it is settled (ticks,): a digit is in contact, and the targets are constant."""
+    """Return for each hold where it is settled (ticks,).
+
+    A hold is settled while a digit is in contact and the targets are constant.
+    """
     goal = np.nan_to_num(log.field("tension_goal"))
     in_contact = log.field("contact").any(axis=1)
     moving = np.abs(np.diff(goal, axis=0, prepend=goal[:1])).max(axis=1) >= 1e-9
@@ -96,7 +101,10 @@ def _after(moving: NDArray[np.bool_], inside: NDArray[np.bool_], log: RunLog) ->
 
 
 def mean_angles(hand: Hand, q: Array) -> Array:
-    """Compute the mean joint angle of each digit (ticks, D), weighted with the moment arms: sum(r q) / sum(r) [rad]."""
+    """Compute the mean joint angle of each digit (ticks, D) [rad].
+
+    The weights are the moment arms: sum(r q) / sum(r).
+    """
     columns = []
     for name in hand.digit_names:
         digit = DigitModel.of(hand, name)
@@ -108,7 +116,9 @@ def mean_angles(hand: Hand, q: Array) -> Array:
 def judge_tracking(
     log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int, active: NDArray[np.bool_]
 ) -> dict[str, Any]:
-    """Compute the tracking error in free motion: target against truth, as the mean joint angle of each digit.
+    """Compute the tracking error in free motion from target and truth.
+
+    The error is that of the mean joint angle of each digit.
 
     Args:
         log: log of the run.
@@ -146,7 +156,7 @@ def judge_tension(
     active: NDArray[np.bool_],
     holds: list[NDArray[np.bool_]],
 ) -> dict[str, Any]:
-    """Compare estimate and raw load cell with the true tension, and the true tension with the command during a hold.
+    """Compare estimate and load cells with the true tension, and the truth with the command in holds.
 
     Args:
         log: log of the run.
@@ -182,11 +192,16 @@ def _holding(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
 
 
 def judge_grasp(
-    log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int, holds: list[NDArray[np.bool_]]
+    log: RunLog,
+    hand: Hand,
+    truth: TruthRecord | None,
+    offset_ns: int,
+    holds: list[NDArray[np.bool_]],
 ) -> dict[str, Any]:
-    """Measure the motion of the object in a hold, and the estimated fingertip force beside the plant's.
+    """Measure the motion of the object in a hold, and the fingertip forces, estimated and true.
 
-    The motion is NaN if the table under the object never sank, because the object then rests on the table.
+    The motion is NaN if the table under the object never sank, because the object then rests on the
+    table.
 
     Args:
         log: log of the run.
@@ -224,7 +239,9 @@ def judge_angles(
     active: NDArray[np.bool_],
     holds: list[NDArray[np.bool_]],
 ) -> dict[str, dict[str, Any]]:
-    """Judge the estimated joint angles of each digit during holds, or while active in a run without holds.
+    """Judge the estimated joint angles of each digit during holds.
+
+    In a run without holds, the ticks with an active hand are judged.
 
     Args:
         log: log of the run.
@@ -235,10 +252,9 @@ def judge_angles(
         holds: (ticks,) of each hold, True where it is settled.
 
     Returns:
-        For each digit `source` (see `angle_source`), `sigma_deg` (root mean square over joints and ticks), `error_deg`
-        (root mean square of the error) and `inside` (fraction of errors within two standard deviations). The last two
-            are
-        NaN without a truth.
+        For each digit `source` (see `angle_source`), `sigma_deg` (root mean square over joints and
+        ticks), `error_deg` (root mean square of the error) and `inside` (fraction of errors within
+        two standard deviations). The last two are NaN without a truth.
     """
     inside = np.any(holds, axis=0) if holds and np.any(holds) else active
     q = log.field("q")[inside]
@@ -277,12 +293,14 @@ SOURCES = {
 
 
 def angle_rows(angles: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
-    """Return a title and a text for the joint angles of each digit that has a standard deviation."""
+    """Return a title and a text for the joint angles of each digit with a known deviation."""
     rows = []
     for name, angle in angles.items():
         if angle["sigma_deg"] != angle["sigma_deg"]:
             continue
-        error = "" if angle["error_deg"] != angle["error_deg"] else f", {angle['error_deg']:.1f} deg rms off"
+        error = ""
+        if angle["error_deg"] == angle["error_deg"]:  # not NaN
+            error = f", {angle['error_deg']:.1f} deg rms error"
         text = f"{SOURCES[angle['source']]}: sigma {angle['sigma_deg']:.1f} deg{error}"
         rows.append((f"{name} joint angles", text))
     return rows

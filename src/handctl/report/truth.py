@@ -1,4 +1,7 @@
-"""Truth of the simulator, for the judgement of a finished run. The running controller never opens it."""
+"""Truth of the simulator, for the judgement of a finished run.
+
+The running controller never opens it.
+"""
 
 import json
 from dataclasses import dataclass
@@ -35,7 +38,9 @@ class TruthRecord:
         return bool(((t_ns >= self.t_ns[0]) & (t_ns <= self.t_ns[-1])).any())
 
     def at(self, name: str, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Interpolate a column at times on the simulator's clock [ns]. Outside of the record the result is NaN.
+        """Interpolate a column at times on the simulator's clock [ns].
+
+        Outside of the record the result is NaN.
 
         Raises:
             LogError: the column is missing because the truth is of another hand.
@@ -46,7 +51,11 @@ class TruthRecord:
         # Differences of int64 times are exact in float64. The times themselves are not.
         base = int(self.t_ns[0])
         return np.interp(
-            (t_ns - base).astype(np.float64), (self.t_ns - base).astype(np.float64), values, left=np.nan, right=np.nan
+            (t_ns - base).astype(np.float64),
+            (self.t_ns - base).astype(np.float64),
+            values,
+            left=np.nan,
+            right=np.nan,
         )
 
     def table(self, names: list[str], t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -67,7 +76,8 @@ def read_truth(path: Path) -> TruthRecord:
             header = json.loads(file.readline())
             columns = tuple(str(name) for name in header["columns"])
             rows = np.frombuffer(
-                _complete_rows(file.read(), len(columns)), [("t_ns", "<i8"), ("v", "<f8", (len(columns),))]
+                _complete_rows(file.read(), len(columns)),
+                [("t_ns", "<i8"), ("v", "<f8", (len(columns),))],
             )
     except OSError as error:
         raise LogError(f"cannot be read: {error.strerror}", str(path), "the simulator's truth file") from None

@@ -21,7 +21,11 @@ FLUSH_S = 5.0
 
 @contextmanager
 def browse(
-    path: Path, run: RunInfo, arguments: Sequence[str], environment: dict[str, str], scan: RecordScan | None = None
+    path: Path,
+    run: RunInfo,
+    arguments: Sequence[str],
+    environment: dict[str, str],
+    scan: RecordScan | None = None,
 ) -> Iterator[Viewer]:
     """Open a viewer and send a whole log. The viewer closes with the context.
 
@@ -39,9 +43,12 @@ def browse(
         LogError: the log is damaged. The part before the damage is visible.
         HandctlError: the viewer does not start.
     """
-    # The viewer starts on another core while this process imports Rerun and converts the first part.
+    # The viewer starts on another core while this process imports Rerun and converts the first
+    # part.
     with launched(["--expect-data-soon", *arguments], environment) as launch:
-        from handctl.view.feed import run_parts  # it imports Rerun, while the viewer starts on another core
+        from handctl.view.feed import (
+            run_parts,
+        )  # it imports Rerun, while the viewer starts on another core
 
         parts = run_parts(path, run, FIRST_NS, scan)
         first = list(islice(parts, 2))

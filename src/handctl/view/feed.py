@@ -23,7 +23,10 @@ from handctl.view.scene.topic_converters import TopicConverters
 from handctl.view.time_slices import SPAN_NS, time_slices
 
 DISK_SPACE_FACTOR = 2
-"""Required free space for a recording, as a multiple of the log's size. On a full disk Rerun's writer never returns."""
+"""Required free space for a recording, as a multiple of the log's size.
+
+On a full disk Rerun's writer never returns.
+"""
 DECODERS = ("ros2msg", "ros2_reflection", "urdf")
 """Rerun's decoders for the messages of a log."""
 
@@ -65,7 +68,9 @@ def run_parts(
 
 
 def complete_log(path: Path, folder: Path, scan: RecordScan) -> tuple[Path, RecordScan]:
-    """Return the log, or a repaired copy of a log that ends early. Rerun would leave out parts of the last chunk.
+    """Return the log, or a repaired copy of a log that ends early.
+
+    Rerun would leave out parts of the last chunk.
 
     Raises:
         LogError: the log has no complete chunk.

@@ -2,8 +2,8 @@
 
 Command: `python -m handctl.view.live_view LOG [ARGUMENT OF THE VIEWER ...]`.
 
-The process only reads the log and is independent of the controller. It ends with the log, when its viewer is closed,
-or on SIGTERM. The viewer remains open.
+The process only reads the log and is independent of the controller. It ends with the log, when its
+viewer is closed, or on SIGTERM. The viewer remains open.
 """
 
 import os
@@ -23,8 +23,8 @@ NICE = 10
 def start_live(log_path: Path, *arguments: str) -> "subprocess.Popen[bytes]":
     """Start a process that shows a log in a viewer while the log is being written.
 
-    A failure of the process or of the viewer has no effect on the controller. This module imports only light packages,
-    because the controller's process imports it.
+    A failure of the process or of the viewer has no effect on the controller. This module imports
+    only light packages, because the controller's process imports it.
 
     Args:
         log_path: the log, which may appear later.
@@ -33,7 +33,11 @@ def start_live(log_path: Path, *arguments: str) -> "subprocess.Popen[bytes]":
     command = [sys.executable, "-m", "handctl.view.live_view", str(log_path), *arguments]
     quiet = os.environ | {"RUST_LOG": "off"}
     return subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, env=quiet, start_new_session=True
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        env=quiet,
+        start_new_session=True,
     )
 
 

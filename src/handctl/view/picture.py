@@ -54,7 +54,10 @@ def draw(rrd: Path, at_s: float, out: Path) -> list[str]:
 
 
 def settled_screenshot(client: "ViewerClient") -> bytes:
-    """Return the picture after it stopped changing. On a busy machine the views are drawn one after the other."""
+    """Return the picture after it stopped changing.
+
+    On a busy machine the views are drawn one after the other.
+    """
     end = time.monotonic() + STILL_S
     before = client.take_screenshot()
     while True:
@@ -91,8 +94,8 @@ def timeline_end(state: "ViewerState", timeline: str) -> int:
 def wait_loaded(client: "ViewerClient", timeline: str, until: int = 0) -> None:
     """Wait until the views exist and a recording is loaded up to some time.
 
-    A viewer knows a recording and its layout before the first data arrives. It reports already then that loading is
-    done.
+    A viewer knows a recording and its layout before the first data arrives. It reports already then
+    that loading is done.
 
     Args:
         client: client of the viewer.

@@ -30,7 +30,8 @@ class Tail:
             part: file to write, with all definitions of topics.
 
         Returns:
-            The first new log time [ns], or None if no new chunk is complete. The file is then not written.
+            The first new log time [ns], or None if no new chunk is complete. The file is then not
+            written.
 
         Raises:
             LogError: the log is damaged.
@@ -40,8 +41,12 @@ class Tail:
         try:
             scan_records(file, scan)
             self.ended = scan.complete
-            # Rerun loses messages of a chunk whose index is not complete, so a chunk waits for what follows it.
-            ends = [*(chunk.offset for chunk in scan.chunks[1:]), *([scan.end] if scan.complete else [])]
+            # Rerun loses messages of a chunk whose index is not complete, so a chunk waits for what
+            # follows it.
+            ends = [
+                *(chunk.offset for chunk in scan.chunks[1:]),
+                *([scan.end] if scan.complete else []),
+            ]
             new = scan.chunks[self._sent_chunks : len(ends)]
             if not new:
                 return None

@@ -7,7 +7,10 @@ from handctl.log.read.logfile import ChunkLocation, LogFile
 from handctl.log.read.record_scan import RecordScan
 
 SPAN_NS = 20_000_000_000
-"""Length of the run per part [ns]. Parts of this length have few chunks, and memory stays bounded."""
+"""Length of the run per part [ns].
+
+Parts of this length have few chunks, and memory stays bounded.
+"""
 
 
 def time_slices(path: Path, scan: RecordScan, folder: Path, first_ns: int) -> Iterator[tuple[Path, int]]:
@@ -22,7 +25,8 @@ def time_slices(path: Path, scan: RecordScan, folder: Path, first_ns: int) -> It
         first_ns: length of the run in the first part [ns].
 
     Yields:
-        The part, and its first new log time [ns]. The definitions of topics at the start of every part are older.
+        The part, and its first new log time [ns]. The definitions of topics at the start of every
+        part are older.
 
     Raises:
         LogError: the log is damaged.
@@ -37,13 +41,17 @@ def time_slices(path: Path, scan: RecordScan, folder: Path, first_ns: int) -> It
             first = rest.index(group[0]) if group else 0
             for chunk in group:
                 file.content(chunk)  # its checksum: Rerun would show what is damaged
-            # Every part begins with the head of the file and the first chunk: the definitions of all
+            # Every part begins with the head of the file and the first chunk: the definitions of
+            # all
             # topics.
             with part.open("wb") as out:
                 out.write(file.read(0, starts[0]))
                 if group:
                     out.write(file.read(starts[first], starts[first + len(group)] - starts[first]))
-            yield part, min((chunk.first for chunk in group), default=head.first) if first else head.first
+            yield (
+                part,
+                min((chunk.first for chunk in group), default=head.first) if first else head.first,
+            )
     finally:
         file.close()
 

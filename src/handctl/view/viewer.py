@@ -141,8 +141,8 @@ class Launch:
 def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Launch:
     """Start a viewer on a free port of this machine, with its telemetry disabled. Return at once.
 
-    The system chooses the port. Rerun's default port is 9876. A viewer on this port would also receive streams of other
-    programs, and data meant for a viewer that was closed before.
+    The system chooses the port. Rerun's default port is 9876. A viewer on this port would also
+    receive streams of other programs, and data meant for a viewer that was closed before.
 
     Args:
         arguments: further arguments of the viewer.
@@ -158,7 +158,12 @@ def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Laun
     command = [exe, "--bind", LOOPBACK, "--port", "0", *arguments]
     # In a session of its own the viewer is not interrupted by Ctrl-C in the terminal.
     process = subprocess.Popen(
-        command, env=environ, stdin=subprocess.DEVNULL, stdout=notes, stderr=notes, start_new_session=True
+        command,
+        env=environ,
+        stdin=subprocess.DEVNULL,
+        stdout=notes,
+        stderr=notes,
+        start_new_session=True,
     )
     return Launch(process, notes)
 
@@ -174,7 +179,10 @@ def start_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Viewe
 
 @contextmanager
 def launched(arguments: Sequence[str], environment: dict[str, str]) -> Iterator[Launch]:
-    """Start a viewer as `launch_viewer` does. The viewer and its temporary files end with the context."""
+    """Start a viewer as `launch_viewer` does.
+
+    The viewer and its temporary files end with the context.
+    """
     with tempfile.TemporaryDirectory(prefix="handctl-viewer-", ignore_cleanup_errors=True) as scratch:
         launch = launch_viewer(arguments, {"TMPDIR": scratch} | environment)
         try:

@@ -1,12 +1,14 @@
 """Export of a log as a LeRobot dataset of one episode: the active part of the run, on an exact time grid.
 
-Layout: codebase version 3.0, without video. `observation.state` holds joint angles [rad] and estimated tensions [N].
-`action` holds the commands of both. For a digit under tension control the commanded angle is the estimated angle.
+Layout: codebase version 3.0, without video. `observation.state` holds joint angles [rad] and
+estimated tensions [N]. `action` holds the commands of both. For a digit under tension control the
+commanded angle is the estimated angle.
 
 Names of vector elements end in their unit: `index_j1.pos_rad`, `index_tendon.tension_N`.
 
-Statistics of the whole dataset are in `meta/stats.json`, those of each episode in columns of `meta/episodes`. LeRobot
-computes the statistics of a part from the latter when it splits a dataset or deletes episodes.
+Statistics of the whole dataset are in `meta/stats.json`, those of each episode in columns of
+`meta/episodes`. LeRobot computes the statistics of a part from the latter when it splits a dataset
+or deletes episodes.
 
 Source: LeRobot 0.4 and 0.6, `datasets/utils.py` and `dataset_metadata.py`: paths and fields.
 """
@@ -122,7 +124,8 @@ def _sigma_name(name: str) -> str:
 def _without_nan(log: RunLog, name: str, rows: NDArray[np.intp]) -> Array:
     """Return a field (frames, n) without NaN.
 
-    A NaN becomes the value before, or the first known value. A column without known values becomes zero.
+    A NaN becomes the value before, or the first known value. A column without known values becomes
+    zero.
     """
     values = log.field(name)[rows]
     for column in values.T:
@@ -180,18 +183,39 @@ def _episodes(frames: int, task: str, statistics: Statistics) -> pa.Table:
 
 
 def _tasks(task: str) -> pa.Table:
-    """Build the table of the tasks. The text is the index, which pandas reads from the schema's metadata."""
+    """Build the table of the tasks.
+
+    The text is the index, which pandas reads from the schema's metadata.
+    """
     table = pa.table({"task_index": pa.array([0], pa.int64()), "task": [task]})
     columns = [
-        {"name": name, "field_name": name, "pandas_type": pandas_type, "numpy_type": numpy, "metadata": None}
-        for name, pandas_type, numpy in (("task_index", "int64", "int64"), ("task", "unicode", "object"))
+        {
+            "name": name,
+            "field_name": name,
+            "pandas_type": pandas_type,
+            "numpy_type": numpy,
+            "metadata": None,
+        }
+        for name, pandas_type, numpy in (
+            ("task_index", "int64", "int64"),
+            ("task", "unicode", "object"),
+        )
     ]
-    metadata = {"index_columns": ["task"], "column_indexes": [], "columns": columns, "pandas_version": "2.0.0"}
+    metadata = {
+        "index_columns": ["task"],
+        "column_indexes": [],
+        "columns": columns,
+        "pandas_version": "2.0.0",
+    }
     return table.replace_schema_metadata({b"pandas": json.dumps(metadata).encode()})
 
 
 def _info(
-    log: RunLog, fps: int, frames: int, names: dict[str, list[str]], scalars: dict[str, NDArray[Any]]
+    log: RunLog,
+    fps: int,
+    frames: int,
+    names: dict[str, list[str]],
+    scalars: dict[str, NDArray[Any]],
 ) -> dict[str, Any]:
     """Return the content of `meta/info.json`."""
     features: dict[str, Any] = {

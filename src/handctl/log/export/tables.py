@@ -56,7 +56,10 @@ class TableBlock(NamedTuple):
 
 
 def columns(log: RunLog) -> tuple[str, ...]:
-    """Return the names of the telemetry columns: `q/index_j1`, `tension/index_tendon`. For units see `unit`."""
+    """Return the names of the telemetry columns: `q/index_j1`, `tension/index_tendon`.
+
+    For units see `unit`.
+    """
     return tuple(f"{field}/{name}" for field in log.fields for name in log.header.axis(TELEMETRY_AXES[field]))
 
 
@@ -110,7 +113,8 @@ def export_csv(log: RunLog, path: Path) -> int:
 def export_candump(log: RunLog, path: Path) -> int:
     """Write all frames in the log format of can-utils and return the number of frames.
 
-    A received frame has its time of arrival, a sent frame the time of its tick. R and T mark the direction.
+    A received frame has its time of arrival, a sent frame the time of its tick. R and T mark the
+    direction.
 
     Raises:
         OSError: the file exists already or cannot be written.
@@ -134,7 +138,8 @@ def _candump(frame: Frame, t_ns: int, buses: tuple[str, ...], direction: str) ->
 
     Source: can-utils `lib.c`, `snprintf_canframe`.
     """
-    # Eight hexadecimal digits mark an extended identifier or an error frame, three digits a standard
+    # Eight hexadecimal digits mark an extended identifier or an error frame, three digits a
+    # standard
     # identifier.
     long_id = frame.can_id & (EXTENDED | ERROR)
     can_id = f"{frame.can_id & 0x3FFF_FFFF:08X}" if long_id else f"{frame.can_id & 0x7FF:03X}"

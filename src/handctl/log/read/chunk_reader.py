@@ -1,6 +1,7 @@
 """Messages of an uncompressed chunk, read in blocks of equal length.
 
-Message record: opcode u8 = 5, length u64, channel u16, sequence u32, log time u64 [ns], publish time u64 [ns], data.
+Message record: opcode u8 = 5, length u64, channel u16, sequence u32, log time u64 [ns], publish
+time u64 [ns], data.
 """
 
 import struct
@@ -133,7 +134,8 @@ def _count_equal(content: bytes, at: int, size: int) -> int:
             return count
         count += 1
         after += size
-    # Steps grow by four, so that a long block takes few comparisons. `ndarray` with a stride reads only the headers.
+    # Steps grow by four, so that a long block takes few comparisons. `ndarray` with a stride reads
+    # only the headers.
     while count < max_count:
         number = min(step, max_count - count)
         heads = np.ndarray(number, _HEADS, content, at + count * size, (size,)).tobytes()

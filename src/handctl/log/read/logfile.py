@@ -1,4 +1,6 @@
-"""Access to a file that may be cut, damaged or hostile. Every size is checked before memory is allocated.
+"""Access to a file that may be cut, damaged or hostile.
+
+Every size is checked before memory is allocated.
 
 Source: faults I08 and I09.
 """
@@ -43,7 +45,10 @@ class Reading:
         """Begin the piece. No value is given."""
 
     def __exit__(
-        self, error_type: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        error_type: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         """Raise a LogError in place of an error from a bad file."""
         if error is None or isinstance(error, LogError) or not isinstance(error, DAMAGE):

@@ -59,7 +59,8 @@ class _Index(NamedTuple):
 
     Attributes:
         fixed: (ticks,) constant parts of all ticks.
-        first_of_chunk: (chunks + 1,) index of the first tick of each chunk, then the number of ticks.
+        first_of_chunk: (chunks + 1,) index of the first tick of each chunk, then the number of
+            ticks.
         snapshots: sequence number of a snapshot -> chunk.
     """
 
@@ -105,12 +106,12 @@ class RunLog:
 
         Args:
             path: path of the file.
-            checked: read the whole file for its checksum. Otherwise only the checksum of each chunk is compared, when
-                the chunk
-                is read.
+            checked: read the whole file for its checksum. Otherwise only the checksum of each chunk
+                is compared, when the chunk is read.
 
         Raises:
-            LogError: the file is not a log of handctl, is damaged, or exceeds a limit. An early end is no error.
+            LogError: the file is not a log of handctl, is damaged, or exceeds a limit. An early end
+                is no error.
         """
         self._file = LogFile(path)
         self._latest: tuple[ChunkLocation, dict[int, list[MessageRows]]] | None = None
@@ -136,7 +137,10 @@ class RunLog:
         return self
 
     def __exit__(
-        self, error_type: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        error_type: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         """Close the file."""
         self.close()
@@ -242,7 +246,9 @@ class RunLog:
         return [Gap(int(self.k[i]), int(self.k[i + 1])) for i in at]
 
     def field(self, name: str) -> Array:
-        """Return a field of the telemetry (ticks, n). NaN marks unknown values and a field missing from the log.
+        """Return a field of the telemetry (ticks, n).
+
+        NaN marks unknown values and a field missing from the log.
 
         Args:
             name: one of `core.types.TELEMETRY_FIELDS`.
@@ -251,7 +257,11 @@ class RunLog:
             LogError: the field does not exist, or the log is damaged.
         """
         if name not in TELEMETRY_FIELDS:
-            raise LogError(f"no field {printable(name)!r}", self._file.name, "one of " + ", ".join(TELEMETRY_FIELDS))
+            raise LogError(
+                f"no field {printable(name)!r}",
+                self._file.name,
+                "one of " + ", ".join(TELEMETRY_FIELDS),
+            )
         slices = columns(self.header, self.fields)
         if name not in slices:  # a log of an earlier version
             return np.full((len(self), len(self.names(name))), np.nan)
@@ -261,7 +271,10 @@ class RunLog:
 
     @functools.cached_property
     def fields(self) -> tuple[str, ...]:
-        """Return the telemetry fields in the file. Logs of earlier versions lack the last of TELEMETRY_FIELDS."""
+        """Return the telemetry fields in the file.
+
+        Logs of earlier versions lack the last of TELEMETRY_FIELDS.
+        """
         for chunk, rows in self._rows(self._values):
             with Reading(self._file.at(chunk.offset)):
                 return row_fields(self.header, (rows.data().shape[1] - VALUES_START + VALUES_END) // 8)
@@ -305,7 +318,9 @@ class RunLog:
             yield data[:, VALUES_START:VALUES_END], rows.sequence()
 
     def packed(self, chunks: slice = slice(None)) -> Iterator[bytes]:
-        """Yield the telemetry of each tick in the form of `Telemetry.packed`. Only a part of the file is in memory.
+        """Yield the telemetry of each tick in the form of `Telemetry.packed`.
+
+        Only a part of the file is in memory.
 
         Args:
             chunks: chunks of the file, all by default.
@@ -325,7 +340,10 @@ class RunLog:
 
     @functools.cached_property
     def clock_pairs(self) -> list[ClockPair]:
-        """Return the pairs of wall and monotonic clock, ten seconds apart. A lockstep run has none."""
+        """Return the pairs of wall and monotonic clock, ten seconds apart.
+
+        A lockstep run has none.
+        """
         pairs = []
         if CLOCK_TOPIC in self._others:
             for chunk, rows in self._rows(self._others[CLOCK_TOPIC]):
@@ -366,7 +384,10 @@ class RunLog:
 
     @property
     def first_of_chunk(self) -> NDArray[np.intp]:
-        """Return the index of the first tick of each chunk (chunks + 1,). The last is the number of ticks."""
+        """Return the index of the first tick of each chunk (chunks + 1,).
+
+        The last is the number of ticks.
+        """
         return self._index.first_of_chunk
 
     def ticks(self, chunks: slice = slice(None)) -> Iterator[TickRecord]:

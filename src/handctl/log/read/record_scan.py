@@ -2,9 +2,9 @@
 
 The index of the file is not trusted, and every checksum is compared.
 
-Record: opcode u8, length u64, content. The data section ends with DataEnd (CRC-32 of all bytes before). The summary and
-the footer follow. Footer, 29 bytes: opcode u8, length u64, two offsets u64, CRC-32 u32. The file begins and ends with
-MAGIC.
+Record: opcode u8, length u64, content. The data section ends with DataEnd (CRC-32 of all bytes
+before). The summary and the footer follow. Footer, 29 bytes: opcode u8, length u64, two offsets
+u64, CRC-32 u32. The file begins and ends with MAGIC.
 
 Source: MCAP specification.
 """
@@ -29,13 +29,21 @@ MAX_METADATA = 1 << 20
 MAX_RECORDS = 1000
 """Maximum number of attachments, of metadata records, of unknown records, and of damaged records."""
 MAX_RATIO = 64
-"""Maximum ratio of the size of all uncompressed chunks to the file. A hand at rest compresses to a fifteenth."""
+"""Maximum ratio of the size of all uncompressed chunks to the file.
+
+A hand at rest compresses to a fifteenth.
+"""
 
 _RECORD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQII")
 """Start of a Chunk: first and last time [ns], uncompressed size, CRC-32, length of the compression's name."""
 _INDEX = int(Opcode.MESSAGE_INDEX)
-_LENGTHS: dict[int, int] = {Opcode.HEADER: 8, Opcode.MESSAGE_INDEX: 6, Opcode.SCHEMA: 14, Opcode.CHANNEL: 16}
+_LENGTHS: dict[int, int] = {
+    Opcode.HEADER: 8,
+    Opcode.MESSAGE_INDEX: 6,
+    Opcode.SCHEMA: 14,
+    Opcode.CHANNEL: 16,
+}
 """Minimum length of a record by opcode."""
 
 
@@ -96,7 +104,8 @@ class _Fields:
 def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bool = False) -> None:
     """Read the outer records.
 
-    An early end of the file is no error. `problem` then describes the end, and all complete records are in `scan`.
+    An early end of the file is no error. `problem` then describes the end, and all complete records
+    are in `scan`.
 
     Args:
         file: the file.
@@ -145,7 +154,10 @@ def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bo
 
 
 def scan_path(path: Path) -> RecordScan:
-    """Return the outer records of a file without the checksum of the data section. Raises as `scan_records`."""
+    """Return the outer records of a file without the checksum of the data section.
+
+    Raises as `scan_records`.
+    """
     file = LogFile(path)
     scan = RecordScan()
     try:
@@ -194,7 +206,8 @@ def _bounded(size: int, limit: int) -> int:
 
 def _chunk(file: LogFile, at: int, end: int) -> ChunkLocation:
     """Decode the head of a Chunk record, without its data."""
-    # 80 bytes hold the fixed fields (41 bytes), the compression's name (at most 8) and the size of the records (8).
+    # 80 bytes hold the fixed fields (41 bytes), the compression's name (at most 8) and the size of
+    # the records (8).
     head = file.read(at, min(end - at, 80))
     first, last, size, crc, name = _CHUNK.unpack_from(head, _RECORD.size)
     _bounded(size, MAX_CHUNK)

@@ -65,7 +65,11 @@ def check_order(t_ns: NDArray[np.int64], period_ns: int) -> None:
     early = np.flatnonzero(t_ns[1:] <= t_ns[:-1])
     if len(early):
         at = early[0]
-        raise LogError(f"{t_ns[at + 1] / 1e9:.3f} s follows {t_ns[at] / 1e9:.3f} s", "the log", "ticks in order")
+        raise LogError(
+            f"{t_ns[at + 1] / 1e9:.3f} s follows {t_ns[at] / 1e9:.3f} s",
+            "the log",
+            "ticks in order",
+        )
     periods = (int(t_ns[-1]) - int(t_ns[0])) // period_ns if len(t_ns) else 0
     if periods > MAX_PERIODS + MAX_PERIODS_PER_TICK * len(t_ns):
         raise LogError(f"{len(t_ns)} ticks in {periods} periods", "the log", "a run with fewer missing ticks")

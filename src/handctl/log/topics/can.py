@@ -85,7 +85,12 @@ class _DirectionTopics:
         return _joined(self._channel, stamps.log, records)
 
     def _long(
-        self, frames: FrameBatch, bus: NDArray[np.intp], fd: NDArray[np.bool_], stamps: Stamps, measured: Times
+        self,
+        frames: FrameBatch,
+        bus: NDArray[np.intp],
+        fd: NDArray[np.bool_],
+        stamps: Stamps,
+        measured: Times,
     ) -> MessageBlock:
         """Return the messages of CAN FD frames."""
         records = []
@@ -128,7 +133,10 @@ def _values(frames: NDArray[np.void]) -> dict[str, NDArray[np.generic]]:
 
 
 class CanTopics:
-    """/can/rx and /can/tx. Log time is the time of the tick, header stamp and publish time are those of the frame."""
+    """/can/rx and /can/tx.
+
+    Log time is the time of the tick, header stamp and publish time are those of the frame.
+    """
 
     def __init__(self, header: RunHeader, registry: Registry) -> None:
         """Register the topics."""
@@ -136,7 +144,10 @@ class CanTopics:
         self._offset = header.offset_ns
 
     def blocks(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
-        """Return the messages of all frames of a batch. A sent frame has the time at which its tick began."""
+        """Return the messages of all frames of a batch.
+
+        A sent frame has the time at which its tick began.
+        """
         sent_at = (batch.t_ns + batch.late_ns)[batch.sent.tick]
         blocks = []
         for direction, frames, t_ns in (

@@ -1,7 +1,8 @@
 """Hash chain over the ticks. One changed byte breaks the chain at its tick.
 
-The chain shows damage and mixed-up files. It is no signature, because an attacker can compute all later hashes again.
-The last hash is in the end record of the log. A copy of this hash in another place protects the whole log.
+The chain shows damage and mixed-up files. It is no signature, because an attacker can compute all
+later hashes again. The last hash is in the end record of the log. A copy of this hash in another
+place protects the whole log.
 """
 
 import hashlib
@@ -38,7 +39,11 @@ def seed(metadata: Mapping[str, str], gains: Mapping[str, str], attachments: Map
 
 def seed_of(header: RunHeader) -> bytes:
     """Return the seed of a run."""
-    return seed(header.metadata, header.gains, {**header.attachments, "hand.toml": header.hand_toml.encode()})
+    return seed(
+        header.metadata,
+        header.gains,
+        {**header.attachments, "hand.toml": header.hand_toml.encode()},
+    )
 
 
 def tick_hash(before: bytes, message: bytes, numbers: bytes) -> bytes:

@@ -1,6 +1,9 @@
-"""Pairs of wall and monotonic clock, every ten seconds. They show steps of the wall clock afterwards.
+"""Pairs of wall and monotonic clock, every ten seconds.
 
-Only the recorder reads these clocks. A lockstep run has no pairs, because its messages depend only on the ticks.
+They show steps of the wall clock afterwards.
+
+Only the recorder reads these clocks. A lockstep run has no pairs, because its messages depend only
+on the ticks.
 """
 
 import struct
@@ -15,7 +18,10 @@ TOPIC = "/clock_pairs"
 PERIOD_NS = 10_000_000_000
 """Interval between pairs [ns]."""
 STEP_NS = 50_000_000
-"""Minimum step of the wall clock [ns]. Slewing gains at most 5 ms in ten seconds (adjtimex: 500 ppm)."""
+"""Minimum step of the wall clock [ns].
+
+Slewing gains at most 5 ms in ten seconds (adjtimex: 500 ppm).
+"""
 _BODY = struct.Struct("<4xII8xqq")
 """Encapsulation, stamp, empty frame_id with padding, both clocks."""
 

@@ -60,9 +60,8 @@ def diagnostic_array(t_ns: int, statuses: list[DiagnosticStatus]) -> bytes:
 def temperature() -> Template:
     """Create the template of a sensor_msgs/Temperature of unknown variance.
 
-    The frame is the palm, behind which the motors are mounted. With a frame outside /tf, Rerun finds more than one
-    root and
-    shows no hand.
+    The frame is the palm, behind which the motors are mounted. With a frame outside /tf, Rerun
+    finds more than one root and shows no hand.
     """
     out = TemplateWriter()
     out.header(ROOT)
@@ -80,7 +79,10 @@ class HealthTopics:
         self._columns = columns(header)
         self._diagnostics = registry.add("/diagnostics", "diagnostic_msgs/DiagnosticArray")
         self._temperatures = [
-            Stream(registry.add(f"/actuator/{motor}/temperature", "sensor_msgs/Temperature"), temperature())
+            Stream(
+                registry.add(f"/actuator/{motor}/temperature", "sensor_msgs/Temperature"),
+                temperature(),
+            )
             for motor in header.motors
         ]
         self._last_temperature = -1
@@ -145,7 +147,11 @@ class HealthTopics:
         action = Action(int(batch.action[index]))
         level = OK if action == Action.PASS else WARN if action < Action.RELAX else ERROR
         mode = Mode(int(batch.mode[index])).name.lower()
-        values = {"action": action.name.lower(), "phase": batch.phases[index], "cycle": str(int(batch.k[index]))}
+        values = {
+            "action": action.name.lower(),
+            "phase": batch.phases[index],
+            "cycle": str(int(batch.k[index])),
+        }
         controller = DiagnosticStatus(level, "handctl: controller", mode, "handctl", values | self._counted())
         return [controller, *self._buses(), *self._motors(batch.numbers[index])]
 
@@ -156,14 +162,26 @@ class HealthTopics:
     def _buses(self) -> list[DiagnosticStatus]:
         """Return the status of each bus."""
         return [
-            DiagnosticStatus(OK, f"handctl: bus {bus}", "frames", bus, {"received": str(received), "sent": str(sent)})
+            DiagnosticStatus(
+                OK,
+                f"handctl: bus {bus}",
+                "frames",
+                bus,
+                {"received": str(received), "sent": str(sent)},
+            )
             for bus, (received, sent) in zip(self._header.buses, self._frames.tolist(), strict=True)
         ]
 
     def _motors(self, numbers: NDArray[np.float64]) -> list[DiagnosticStatus]:
         """Return the status of each motor."""
         statuses = []
-        fields = ("motor_position", "motor_velocity", "motor_torque", "motor_temperature", "motor_age")
+        fields = (
+            "motor_position",
+            "motor_velocity",
+            "motor_torque",
+            "motor_temperature",
+            "motor_age",
+        )
         part = {name: numbers[self._columns[name]] for name in (*fields, "drive_phase")}
         for index, motor in enumerate(self._header.motors):
             number = part["drive_phase"][index]

@@ -152,7 +152,8 @@ class StateTopics:
         ]
         for index, stream in enumerate(self._wrenches):
             force = np.zeros((len(batch.k), 3))
-            # The object pushes against the closing direction +y. `0.0 -` gives 0.0 where a minus sign
+            # The object pushes against the closing direction +y. `0.0 -` gives 0.0 where a minus
+            # sign
             # gives -0.0.
             force[:, 1] = 0.0 - part["tip_force"][:, index]
             blocks.append(stream.block(stamps, {"force": force}))

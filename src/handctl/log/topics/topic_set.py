@@ -19,11 +19,17 @@ from handctl.log.topics.transforms import TfTopics
 
 TICK_TOPIC = "/tick"
 VALUES_TOPIC = "/controller/values"
-"""Topics for the reader: ticks and telemetry. All other topics are derived from these two and from the header."""
+"""Topics for the reader: ticks and telemetry.
+
+All other topics are derived from these two and from the header.
+"""
 
 
 class Topics:
-    """Turns ticks into messages. The messages do not depend on the division of the ticks into batches."""
+    """Turns ticks into messages.
+
+    The messages do not depend on the division of the ticks into batches.
+    """
 
     def __init__(self, header: RunHeader) -> None:
         """Register all topics of a run."""
@@ -96,7 +102,10 @@ class Topics:
         """Return the messages of a batch."""
         log = np.maximum(batch.t_ns + self._header.offset_ns, 0).astype(np.uint64)
         stamps = Stamps(log, (batch.k & 0xFFFF_FFFF).astype(np.uint32))
-        blocks = [variable_length_block(self._tick, stamps, batch.messages), *self._chain.blocks(batch, stamps)]
+        blocks = [
+            variable_length_block(self._tick, stamps, batch.messages),
+            *self._chain.blocks(batch, stamps),
+        ]
         # Numbers of a failing controller may overflow. The log keeps them as they are.
         with np.errstate(all="ignore"):
             for part in self._parts:

@@ -75,7 +75,13 @@ def rotated(link: LinkFrame, q: NDArray[np.float64]) -> NDArray[np.float64]:
     cosine = np.cos(q / 2)
     # Quaternion product of the link's rotation and a rotation about z by q: (0, 0, sine, cosine).
     return np.stack(
-        [x * cosine + y * sine, y * cosine - x * sine, z * cosine + w * sine, w * cosine - z * sine], axis=1
+        [
+            x * cosine + y * sine,
+            y * cosine - x * sine,
+            z * cosine + w * sine,
+            w * cosine - z * sine,
+        ],
+        axis=1,
     )
 
 

@@ -1,9 +1,11 @@
-"""Recorder process: records on stdin, notes as JSON lines on stdout. The process ends at the end of its input.
+"""Recorder process: records on stdin, notes as JSON lines on stdout.
+
+The process ends at the end of its input.
 
 Command: `python -m handctl.log.write.process PATH FLOOR_BYTES`.
 
-The recorder ignores SIGINT and SIGTERM because the controller decides the end of a run. If the controller dies, the
-pipe ends.
+The recorder ignores SIGINT and SIGTERM because the controller decides the end of a run. If the
+controller dies, the pipe ends.
 """
 
 import json
@@ -24,7 +26,10 @@ from handctl.log.write.writer import LogWriter
 READ_BYTES = 1 << 20
 """Maximum size of one read [bytes]."""
 NAP_S = 0.01
-"""Pause between reads of few bytes [s]. One wake-up serves several ticks, and the pipe stays far from full."""
+"""Pause between reads of few bytes [s].
+
+One wake-up serves several ticks, and the pipe stays far from full.
+"""
 NAP_BELOW_BYTES = 64 << 10
 """Reads below this size are followed by a pause [bytes]."""
 FLUSH_S = 0.15
@@ -35,7 +40,10 @@ With the pause, the write and a busy machine, a killed recorder loses less than 
 SYNC_S = 1.0
 """Interval between transfers to the disk [s]."""
 NICE = -10
-"""Scheduling priority, above other programs where permitted. The loop has real-time priority, which is higher."""
+"""Scheduling priority, above other programs where permitted.
+
+The loop has real-time priority, which is higher.
+"""
 
 
 def send_note(note: dict[str, object]) -> None:
@@ -98,7 +106,8 @@ class RecorderSession:
             now = time.monotonic()
             if self._writer and self._wall_flush and now >= clean + FLUSH_S:
                 self._writer.flush()
-            # `clean` is the last time at which no tick waited, so that FLUSH_S counts from the oldest
+            # `clean` is the last time at which no tick waited, so that FLUSH_S counts from the
+            # oldest
             # waiting tick.
             if not (self._writer and self._writer.pending):
                 clean = now

@@ -21,7 +21,8 @@ from handctl.log.record import END, HEADER, record_bytes
 PIPE_BYTES = (8 << 20, 1 << 20)
 """Requested sizes of the pipe, in order of preference [bytes].
 
-The second size is permitted without privileges on Linux. It holds more than 250 ticks of the largest hand.
+The second size is permitted without privileges on Linux. It holds more than 250 ticks of the
+largest hand.
 """
 FLOOR_BYTES = 64 << 20
 """Free space at which a log is finished early [bytes]. Four times this value gives a warning."""
@@ -45,7 +46,8 @@ class Recorder:
     """A running recorder, see `start`.
 
     Attributes:
-        dropped: number of records that were lost because the pipe was full or the recorder had ended.
+        dropped: number of records that were lost because the pipe was full or the recorder had
+            ended.
     """
 
     def __init__(self, path: Path, child: subprocess.Popen[bytes], pipe: int, lossless: bool) -> None:
@@ -87,7 +89,14 @@ class Recorder:
         """
         reading, writing = os.pipe()
         # `-P` keeps the working directory out of the import path.
-        command = [sys.executable, "-P", "-m", "handctl.log.write.process", str(path), str(floor_bytes)]
+        command = [
+            sys.executable,
+            "-P",
+            "-m",
+            "handctl.log.write.process",
+            str(path),
+            str(floor_bytes),
+        ]
         try:
             child = subprocess.Popen(command, stdin=reading, stdout=subprocess.PIPE, start_new_session=True)
         finally:
@@ -105,7 +114,11 @@ class Recorder:
             self._read_notes(START_S)
             if not any("ready" in note for note in self._messages):
                 reason = next((str(note["error"]) for note in self._messages if "error" in note), "no answer")
-                raise LogError(f"cannot record: {reason}", str(self._path), "a new file in a writable directory")
+                raise LogError(
+                    f"cannot record: {reason}",
+                    str(self._path),
+                    "a new file in a writable directory",
+                )
         except LogError:
             self._abandon()
             raise
@@ -127,7 +140,8 @@ class Recorder:
         """Write all of data, and wait for at most `timeout_s` [s].
 
         Returns:
-            False after a failure. Further records must not be sent then, because the record is incomplete.
+            False after a failure. Further records must not be sent then, because the record is
+            incomplete.
         """
         end = time.monotonic() + timeout_s
         view = memoryview(data)
@@ -237,7 +251,8 @@ class Recorder:
             reason: reason of the end, for the log.
 
         Returns:
-            path, bytes, complete, dropped. If the recorder finished, also ticks, messages, lost, reason.
+            path, bytes, complete, dropped. If the recorder finished, also ticks, messages, lost,
+            reason.
         """
         body = json.dumps({"reason": reason, "dropped": self.dropped}).encode()
         if not self._ended and self._send(self._rest, CLOSE_S):
@@ -253,4 +268,9 @@ class Recorder:
         summary = next((note["summary"] for note in self._messages if "summary" in note), {})
         assert isinstance(summary, dict)
         size = self._path.stat().st_size if self._path.exists() else 0
-        return {"path": str(self._path), "bytes": size, "complete": bool(summary), "dropped": self.dropped} | summary
+        return {
+            "path": str(self._path),
+            "bytes": size,
+            "complete": bool(summary),
+            "dropped": self.dropped,
+        } | summary

@@ -1,6 +1,9 @@
-"""Transfer of a file to the disk without waiting. Under load the disk needs longer than the pipe can buffer.
+"""Transfer of a file to the disk without waiting.
 
-A process forked from the recorder calls fdatasync. It holds only the file, and ends with the recorder.
+Under load the disk needs longer than the pipe can buffer.
+
+A process forked from the recorder calls fdatasync. It holds only the file, and ends with the
+recorder.
 """
 
 import itertools
@@ -30,7 +33,9 @@ class Syncer:
         self._request_pipe = self._error_pipe = -1
 
     def __call__(self, descriptor: int) -> None:
-        """Request a transfer of the file. Requests during a transfer are served by one further transfer.
+        """Request a transfer of the file.
+
+        Requests during a transfer are served by one further transfer.
 
         Raises:
             OSError: an earlier transfer failed.
@@ -63,7 +68,8 @@ class Syncer:
 def _close_all_but(*descriptors: int) -> None:
     """Close all other descriptors in the forked process.
 
-    Otherwise the controller would not notice the death of the recorder, and a full disk would not get its reserve back.
+    Otherwise the controller would not notice the death of the recorder, and a full disk would not
+    get its reserve back.
     """
     edges = [-1, *sorted(descriptors), _MAX_DESCRIPTORS]
     for low, high in itertools.pairwise(edges):
@@ -71,7 +77,10 @@ def _close_all_but(*descriptors: int) -> None:
 
 
 def _serve(descriptor: int, requests: int, errors: int) -> None:
-    """Wait for requests until the other end is closed. Several waiting requests need one transfer."""
+    """Wait for requests until the other end is closed.
+
+    Several waiting requests need one transfer.
+    """
     while os.read(requests, _READ_BYTES):
         try:
             sync_now(descriptor)

@@ -27,7 +27,12 @@ RESERVED_BYTES = 512 << 10
 SCHEMA = 1
 """Version of topics and records. A reader refuses other versions."""
 
-_MEDIA = {".toml": "application/toml", ".urdf": "application/xml", ".txt": "text/plain", ".json": "application/json"}
+_MEDIA = {
+    ".toml": "application/toml",
+    ".urdf": "application/xml",
+    ".txt": "text/plain",
+    ".json": "application/json",
+}
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 Report = Callable[[str, int], None]
@@ -45,7 +50,10 @@ def _create(path: Path) -> int:
 
 
 class _ReservedSpace:
-    """Reserved space on the disk of a log, in a file without a name. A kill leaves no file behind."""
+    """Reserved space on the disk of a log, in a file without a name.
+
+    A kill leaves no file behind.
+    """
 
     def __init__(self, folder: Path) -> None:
         """Reserve the space. A failure is ignored."""
@@ -91,7 +99,8 @@ class LogWriter:
         Args:
             path: a new file.
             header: header of the run.
-            report: called with disk_low, disk_full, error or misshapen and a number (free bytes, errno, 1).
+            report: called with disk_low, disk_full, error or misshapen and a number (free bytes,
+                errno, 1).
             floor_bytes: free space at which the file is finished early [bytes].
             clocks: reads the wall and the monotonic clock [ns]. Not used in a deterministic run.
             to_disk: transfers the file of a descriptor to the disk.
@@ -124,7 +133,12 @@ class LogWriter:
         header = self._header
         container = self._container
         for name, data in ({"hand.toml": header.hand_toml.encode()} | header.attachments).items():
-            container.attach(name, _MEDIA.get(Path(name).suffix, "application/octet-stream"), data, header.offset_ns)
+            container.attach(
+                name,
+                _MEDIA.get(Path(name).suffix, "application/octet-stream"),
+                data,
+                header.offset_ns,
+            )
         container.metadata("handctl", header.metadata)
         lists = {name: list(getattr(header, name)) for name in ("joints", "tendons", "motors", "digits", "buses")}
         numbers = {"schema": SCHEMA, "period_ns": header.period_ns, "offset_ns": header.offset_ns}
@@ -232,7 +246,10 @@ class LogWriter:
             self._end(f"write failed: {error.strerror}", 0)
 
     def _end(self, reason: str, dropped: int) -> None:
-        """Write the end of the file. If this fails, cut the file back to its last complete record."""
+        """Write the end of the file.
+
+        If this fails, cut the file back to its last complete record.
+        """
         self.dead = True
         self._reserved.release()
         numbers = {
@@ -241,7 +258,11 @@ class LogWriter:
             "dropped": dropped,
             "misshapen": self._batcher.misshapen,
         }
-        values = {"reason": reason, "messages": str(self._container.messages), "chain": self._topics.last_digest.hex()}
+        values = {
+            "reason": reason,
+            "messages": str(self._container.messages),
+            "chain": self._topics.last_digest.hex(),
+        }
         try:
             self._container.metadata("handctl.end", values | {name: str(value) for name, value in numbers.items()})
             self._container.finish()

@@ -49,7 +49,11 @@ def retimed(chunk: Chunk, offset_ns: int) -> Chunk:
     for field, column in zip(batch.schema, batch.columns, strict=True):
         if field.name == LOG_TIME:
             column = pa.array(run_times(chunk, offset_ns)).cast(pa.duration("ns"))
-            field = pa.field(TIMELINE, column.type, metadata=field.metadata | {b"rerun:index_name": TIMELINE.encode()})
+            field = pa.field(
+                TIMELINE,
+                column.type,
+                metadata=field.metadata | {b"rerun:index_name": TIMELINE.encode()},
+            )
         # Rerun marks each timeline as an index. Only the timeline of the run remains.
         elif (field.metadata or {}).get(b"rerun:kind") == _INDEX:
             continue

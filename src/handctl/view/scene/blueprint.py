@@ -101,7 +101,10 @@ def _angles(run: RunInfo, window: Window) -> rrb.Grid:
 def _states(window: Window) -> rrb.StateTimelineView:
     """Build the lanes of phase, mode and action."""
     return rrb.StateTimelineView(
-        name="Grasp phase, mode of the hand, safety", contents="/state/**", time_view=LINKED, time_ranges=window
+        name="Grasp phase, mode of the hand, safety",
+        contents="/state/**",
+        time_view=LINKED,
+        time_ranges=window,
     )
 
 
@@ -109,7 +112,11 @@ def _timing(window: Window) -> rrb.Horizontal:
     """Build the plots of lateness and bus load."""
     return rrb.Horizontal(
         rrb.TimeSeriesView(
-            name="Tick late [us]", contents="/loop/**", axis_x=LINKED, time_ranges=window, plot_legend=NO_LEGEND
+            name="Tick late [us]",
+            contents="/loop/**",
+            axis_x=LINKED,
+            time_ranges=window,
+            plot_legend=NO_LEGEND,
         ),
         rrb.TimeSeriesView(
             name="Bus load, 0.1 s [%]",

@@ -12,11 +12,17 @@ from handctl.view.scene.run_info import RunInfo
 LONGEST = 64
 """Maximum payload of a frame [bytes]."""
 SPAN_NS = 100_000_000
-"""Window of the load [ns]. The reply to a tick may be read in the next tick, so that a single tick says little."""
+"""Window of the load [ns].
+
+The reply to a tick may be read in the next tick, so that a single tick says little.
+"""
 
 
 class FrameLoad:
-    """Worst-case time of the frames on each bus as a fraction of the last `SPAN_NS`. Ticks must come in order."""
+    """Worst-case time of the frames on each bus as a fraction of the last `SPAN_NS`.
+
+    Ticks must come in order.
+    """
 
     def __init__(self, run: RunInfo) -> None:
         """Tabulate the time of each frame length on each bus.
@@ -41,7 +47,10 @@ class FrameLoad:
         now = np.asarray(ticks.field("t_ns"))
         t = np.concatenate([self._t, now])
         spent = np.concatenate(
-            [self._spent, self._spent_on(ticks.field("received")) + self._spent_on(ticks.field("sent"))]
+            [
+                self._spent,
+                self._spent_on(ticks.field("received")) + self._spent_on(ticks.field("sent")),
+            ]
         )
         total = np.concatenate([np.zeros((1, spent.shape[1]), np.int64), np.cumsum(spent, axis=0)])
         # Differences of the running total give the sums over the window.
@@ -52,7 +61,10 @@ class FrameLoad:
         return np.asarray((total[len(t) - len(now) + 1 :] - total[first]) / span[:, None], np.float64)
 
     def _spent_on(self, frames: pa.ListArray) -> NDArray[np.int64]:
-        """Return the time of the frames of each tick (n, buses) [ns]. Whole numbers have equal sums in any grouping."""
+        """Return the time of the frames of each tick (n, buses) [ns].
+
+        Whole numbers have equal sums in any grouping.
+        """
         counts: NDArray[np.int64] = np.diff(np.asarray(frames.offsets))
         tick = np.repeat(np.arange(len(frames)), counts)
         flat = frames.flatten()

@@ -23,7 +23,10 @@ def entity(path: str) -> str:
 
 
 def solid(chunk: Chunk, run: RunInfo) -> Iterator[Chunk]:
-    """Yield a part of the hand from the log's URDF, as a solid. Rerun draws wire frames by default."""
+    """Yield a part of the hand from the log's URDF, as a solid.
+
+    Rerun draws wire frames by default.
+    """
     path = entity(chunk.entity_path)
     yield chunk.with_entity_path(path)
     link = path.split("/")[2]

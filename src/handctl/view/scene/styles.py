@@ -25,7 +25,12 @@ def styles(run: RunInfo) -> Iterator[Chunk]:
     yield from _states()
     yield _lines("/loop/late", ["late"], [palette.NEUTRAL], 1.2)
     buses = run.hand.bus_names
-    yield _lines("/bus/load", buses, [palette.digit(i).mixed(palette.NEUTRAL, 0.4) for i in range(len(buses))], 1.4)
+    yield _lines(
+        "/bus/load",
+        buses,
+        [palette.digit(i).mixed(palette.NEUTRAL, 0.4) for i in range(len(buses))],
+        1.4,
+    )
     for name, axis in TELEMETRY_AXES.items():
         names = run.header.axis(axis)
         yield _lines(f"/controller/{name}", names, [palette.digit(i) for i in range(len(names))], 1.2)
@@ -51,14 +56,18 @@ def _measured(entity: str, names: Sequence[str], colours: Sequence[Colour], unit
 def _tensions(run: RunInfo) -> Iterator[Chunk]:
     """Yield styles of the tensions: estimates in the colours of the digits, commands dimmed, limits red."""
     names = run.hand.tendon_names
-    # One slice of tendons per digit. Each digit has its own colour, and each of its tendons a shade.
+    # One slice of tendons per digit. Each digit has its own colour, and each of its tendons a
+    # shade.
     tendon_slices = run.hand.digit_tendons.values()
     colours = [
         shade for i, tendons in enumerate(tendon_slices) for shade in palette.shades(i, tendons.stop - tendons.start)
     ]
     yield _measured("/tension/estimate", names, colours, "N")
     yield _lines(
-        "/tension/command", ["command"] * len(names), [palette.dimmed(colour) for colour in colours], COMMAND_WIDTH
+        "/tension/command",
+        ["command"] * len(names),
+        [palette.dimmed(colour) for colour in colours],
+        COMMAND_WIDTH,
     )
     limits = [f"limit {limit:g} N" for limit in run.limits]
     yield _lines("/tension/limit", limits, [palette.LIMIT] * len(limits), LIMIT_WIDTH)
@@ -71,7 +80,12 @@ def _angles(run: RunInfo) -> Iterator[Chunk]:
         colours = palette.shades(index, len(names))
         yield _measured(f"/angle/{digit.name}/estimate", names, colours, "deg")
         command_names = [f"{name} command" for name in names]
-        yield _lines(f"/angle/{digit.name}/command", command_names, [palette.NEUTRAL] * len(names), COMMAND_WIDTH)
+        yield _lines(
+            f"/angle/{digit.name}/command",
+            command_names,
+            [palette.NEUTRAL] * len(names),
+            COMMAND_WIDTH,
+        )
 
 
 def _forces(run: RunInfo) -> Iterator[Chunk]:
@@ -84,7 +98,11 @@ def _forces(run: RunInfo) -> Iterator[Chunk]:
 
 def _states() -> Iterator[Chunk]:
     """Yield names and colours of the states."""
-    for lane, colours in (("phase", palette.STATES), ("mode", palette.STATES), ("safety", palette.ACTIONS)):
+    for lane, colours in (
+        ("phase", palette.STATES),
+        ("mode", palette.STATES),
+        ("safety", palette.ACTIONS),
+    ):
         names = list(colours)
         style = rr.StateConfiguration.columns(values=names, labels=names, colors=list(colours.values()))
         yield static(f"/state/{lane}", style.partition([len(names)]))

@@ -1,8 +1,8 @@
 """Conversion of the topics of a log to the entities of the dashboard.
 
-Entities: /hand/<link>/<part>, /force/<digit>, /tension/{estimate,command,limit}, /angle/<digit>/{estimate,command},
-/state/{phase,mode,safety}, /loop/late, /bus/load, /controller/<field>. Rerun itself converts /tf, /tf_static, /rosout
-and the temperatures.
+Entities: /hand/<link>/<part>, /force/<digit>, /tension/{estimate,command,limit},
+/angle/<digit>/{estimate,command}, /state/{phase,mode,safety}, /loop/late, /bus/load,
+/controller/<field>. Rerun itself converts /tf, /tf_static, /rosout and the temperatures.
 """
 
 from collections.abc import Callable, Iterator
@@ -27,7 +27,11 @@ MIN_FORCE = 0.05
 Converter = Callable[[Chunk], Iterator[Chunk]]
 """Converts a chunk of one topic to new chunks."""
 
-STATE_TOPICS = {"/grasp/phase": "/state/phase", "/controller/mode": "/state/mode", "/safety/action": "/state/safety"}
+STATE_TOPICS = {
+    "/grasp/phase": "/state/phase",
+    "/controller/mode": "/state/mode",
+    "/safety/action": "/state/safety",
+}
 """Topic of a named state -> entity."""
 
 
@@ -83,7 +87,11 @@ class TopicConverters:
         yield timed("/tension/limit", times[[0, -1]], scalars(limits))
         for digit, joints in self._run.hand.digit_joints.items():
             angle = np.degrees(part["q"][:, joints])
-            yield timed(f"/angle/{digit}/estimate", times, band(angle, np.degrees(part["q_sigma"][:, joints])))
+            yield timed(
+                f"/angle/{digit}/estimate",
+                times,
+                band(angle, np.degrees(part["q_sigma"][:, joints])),
+            )
             yield timed(f"/angle/{digit}/command", times, scalars(np.degrees(part["q_goal"][:, joints])))
         for index, digit in enumerate(self._run.hand.digit_names):
             yield timed(f"/force/{digit}", times, arrows(part["tip_force"][:, index]))
@@ -114,7 +122,10 @@ class TopicConverters:
 
 
 def band(values: Floats, sigma: Floats) -> rr.ComponentColumnList:
-    """Return plot lines (n, lines) with a band of one standard deviation. An unknown deviation gives no band."""
+    """Return plot lines (n, lines) with a band of one standard deviation.
+
+    An unknown deviation gives no band.
+    """
     measured = rr.Measurements.columns(values=values.ravel(), variances=np.nan_to_num(sigma**2).ravel())
     return measured.partition([values.shape[1]] * len(values))
 
