@@ -61,4 +61,4 @@ def test_another_file_is_an_error(jamia_path: Path, tmp_path: Path) -> None:
     data[0] = 0
     path.write_bytes(data)
     with pytest.raises(LogError, match="not an MCAP file"):
-        Tail(path).take(tmp_path / "part.mcap")
+        Tail(path).write_new(tmp_path / "part.mcap")
