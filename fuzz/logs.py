@@ -11,14 +11,14 @@ from fuzz import files
 from fuzz.mutate import Source
 from handctl.core.types import TELEMETRY_FIELDS
 from handctl.errors import LogError
+from handctl.log.read.chunk_reader import definitions
 from handctl.log.read.logfile import LogFile
-from handctl.log.read.messages_in import definitions
 from handctl.log.read.reader import RunLog
+from handctl.log.read.record_scan import Scan, scan
 from handctl.log.read.recover import recover
-from handctl.log.read.scan import Scan, scan
-from handctl.log.topics.all import TICK_TOPIC, VALUES_TOPIC
 from handctl.log.topics.chain import TOPIC as CHAIN_TOPIC
 from handctl.log.topics.clock_pairs import TOPIC as CLOCK_TOPIC
+from handctl.log.topics.topic_set import TICK_TOPIC, VALUES_TOPIC
 from tests.log import synthetic
 
 Target = Callable[[bytes], bool]
@@ -82,8 +82,8 @@ def log(folder: Path) -> Target:
 def _parts(path: Path) -> list[list[bytes]]:
     """Split a complete log into its records without checksums: before the chunks, in each chunk, and behind them."""
     file = LogFile(path)
-    result = Scan()
-    scan(file, result)
+    result = RecordScan()
+    scan_records(file, result)
     raw = path.read_bytes()
     contents = [bytes(file.content(place)) for place in result.chunks]
     file.close()

@@ -18,7 +18,7 @@ from handctl.core.gains.gains import Gains
 from handctl.core.types import TELEMETRY_FIELDS, Mode, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.programs.program import Program
-from handctl.report.truth import Truth, read_truth
+from handctl.report.truth import TruthRecord, read_truth
 from handctl.session.simulate import Simulator
 from trials.hands import file_of, hand_by_name, packaged
 
@@ -87,7 +87,7 @@ class TrialRecord:
     numbers: dict[str, Array]
     force: Array
     filtered: Array
-    real: Truth
+    real: TruthRecord
     failure: str
     events: tuple[tuple[float, str, str, str], ...]
 
@@ -152,7 +152,7 @@ def _filtered(design: FilterDesign, inputs: Array, after: State) -> list[float]:
     return result
 
 
-def _record(hand: Hand, controller: Controller, rows: list[Row], real: Truth, state: State) -> TrialRecord:
+def _record(hand: Hand, controller: Controller, rows: list[Row], real: TruthRecord, state: State) -> TrialRecord:
     active = [row for row in rows if row[1].mode == Mode.ACTIVE]
     fields = TELEMETRY_FIELDS
     events = [(entry.t_ns / 1e9, *event[1:]) for entry, out, *_ in rows for event in out.events]

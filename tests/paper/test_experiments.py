@@ -16,7 +16,7 @@ from handctl.errors import HandctlError
 from handctl.hand.load import load_hand
 from handctl.paper import sections
 from handctl.paper.bench import experiments, force_displacement, payload, pool
-from handctl.report.truth import Truth
+from handctl.report.truth import TruthRecord
 
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "docs" / "evidence" / "paper-results.json"
@@ -44,11 +44,11 @@ def test_a_blocked_finger_shows_the_knee_of_its_rope(tmp_path: Path) -> None:
     assert np.median(bent.force[end] / bent.displacement[end]) < 0.95e-3 * bent.stiffness
 
 
-def fall(speed: float, after: float) -> Truth:
+def fall(speed: float, after: float) -> TruthRecord:
     """Return the ground truth of an object that rests, then moves with a speed [m/s], in rows of a millisecond."""
     t = np.arange(4000)
     z = -speed * np.maximum(0.0, t / 1000.0 - after)
-    return Truth({}, t * 1_000_000, np.column_stack([0 * z, 0 * z, z]), ("object/x", "object/y", "object/z"))
+    return TruthRecord({}, t * 1_000_000, np.column_stack([0 * z, 0 * z, z]), ("object/x", "object/y", "object/z"))
 
 
 @pytest.mark.parametrize(

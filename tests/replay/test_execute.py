@@ -146,7 +146,7 @@ def test_a_log_without_a_setup_is_refused_in_one_line(fresh: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("gains", "said"),
+    ("gains", "message"),
     [
         ('{"motion": {"softness_m": 1.0}}', r"gains\.json cannot be read: motion softness_m: Extra inputs"),
         ('{"schema": 2}', r"gains\.json cannot be read: schema: Input should be less than or equal to 1"),

@@ -25,7 +25,7 @@ from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.calibration import load_calibration
 from handctl.programs.grasp import TaskProgram
-from handctl.report.truth import Truth, read_truth
+from handctl.report.truth import TruthRecord, read_truth
 from handctl.runtime.paths import faults_path, local_bus_path, run_dir
 from handctl.session.plan import Plan, bus_specs
 from handctl.session.run import make_controller, run_live
@@ -257,7 +257,7 @@ def read_syncs(path: Path) -> tuple[str, bytes]:
         time.sleep(0.05)
 
 
-def judge(truth: Truth, run: Killed) -> Judged:
+def judge(truth: TruthRecord, run: Killed) -> Judged:
     """Judge the reaction of the drives in one run."""
     torque = truth.values[:, [i for i, name in enumerate(truth.columns) if name.startswith("torque/")]]
     tension = truth.values[:, [i for i, name in enumerate(truth.columns) if name.startswith("tension/")]]

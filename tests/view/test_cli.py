@@ -41,7 +41,7 @@ def test_a_cut_log_is_shown_with_a_warning(
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["--save", "run.mcap"], "ending in .rrd"),
         (["--png", "no/such/folder/x.png"], "in a folder that exists"),

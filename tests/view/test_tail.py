@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rerun.chunk import Chunk
-from rrd_entities import entities, subject_of
+from rrd_entities import entities, run_info_of
 
 from handctl.errors import LogError
 from handctl.view.feed import log_chunks
@@ -24,7 +24,7 @@ def grown(whole: bytes, seed: int) -> list[int]:
 @pytest.mark.parametrize("seed", range(3))
 def test_the_parts_together_are_the_whole(seed: int, jamia_path: Path, tmp_path: Path) -> None:
     whole, path, part = jamia_path.read_bytes(), tmp_path / "run.mcap", tmp_path / "part.mcap"
-    run = subject_of(jamia_path)
+    run = run_info_of(jamia_path)
     converters, tail, chunks, times = TopicConverters(run), Tail(path), list[Chunk](), 0
     for size in grown(whole, seed):
         path.write_bytes(whole[:size])

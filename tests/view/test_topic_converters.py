@@ -7,7 +7,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader
-from rrd_entities import Entity, entities, of_file, subject_of
+from rrd_entities import Entity, entities, of_file, run_info_of
 
 from handctl.core.types import TELEMETRY_FIELDS
 from handctl.drives.frame_time import frame_time_s
@@ -114,7 +114,7 @@ def test_frames_put_the_fingertips_where_kinematics_does(
             child, parent = rows["child_frame"][i][0], rows["parent_frame"][i][0]
             edges[child] = (parent, np.array(rows["translation"][i][0]), np.array(rows["quaternion"][i][0]))
     at = int(np.searchsorted(log.t_ns, recorded["/tf"].times[recorded["/tf"].times <= now].max()))
-    hand = subject_of(log_path).hand
+    hand = run_info_of(log_path).hand
     for digit, joints in zip(hand.digit, hand.digit_joints.values(), strict=True):
         tip = link_transforms(DigitModel.of(hand, digit.name), log.field("q")[at, joints])[-1]
         np.testing.assert_allclose(_place(edges, tip.frame), tip.position, atol=1e-7)
@@ -153,7 +153,7 @@ def test_time_slices_do_not_change_the_recording(
     recorded: dict[str, Entity], log_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("handctl.view.time_slices.SPAN_NS", 333_000_000)
-    again = entities(feed.run_chunks(log_path, subject_of(log_path), 333_000_000))
+    again = entities(feed.run_chunks(log_path, run_info_of(log_path), 333_000_000))
     assert again.keys() == recorded.keys() - {"/__properties"}
     for path in again.keys() - {"/tension/limit"}:
         one = again[path]
@@ -166,7 +166,7 @@ def test_a_log_that_ends_early_is_shown_up_to_there(fraction: float, jamia_path:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(jamia_path.read_bytes()[: int(fraction * jamia_path.stat().st_size)])
     with RunLog(cut) as half:
-        shown = entities(feed.run_chunks(cut, subject_of(cut)))
+        shown = entities(feed.run_chunks(cut, run_info_of(cut)))
         np.testing.assert_array_equal(shown["/controller/q"].table("Scalars:scalars"), half.field("q"))
         assert len(shown["/loop/late"].times) == len(shown["/bus/load"].times) == len(half) > 20
 
@@ -178,14 +178,14 @@ def test_a_cut_within_the_index_of_a_chunk_loses_no_message(jamia_path: Path, tm
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(jamia_path.read_bytes()[: scan.chunks[5].end + 40])
     with RunLog(cut) as half:
-        shown = entities(feed.run_chunks(cut, subject_of(cut)))
+        shown = entities(feed.run_chunks(cut, run_info_of(cut)))
         assert half.t_ns[-1] == shown["/loop/late"].times[-1] == shown["/bus/load"].times[-1]
 
 
 def test_a_log_whose_hand_is_no_hand_or_another_is_refused(jamia_path: Path) -> None:
     from dataclasses import replace
 
-    header = subject_of(jamia_path).header
+    header = run_info_of(jamia_path).header
     for text in ("[[", "schema = 1\n"):
         with pytest.raises(ConfigError, match=r"hand\.toml"):
             RunInfo.of(replace(header, hand_toml=text), "run")

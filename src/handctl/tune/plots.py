@@ -10,7 +10,7 @@ from handctl.hand.description import Hand
 from handctl.log.read.reader import RunLog
 from handctl.output import save_figure
 from handctl.report.summary import mean_angles
-from handctl.report.truth import Truth
+from handctl.report.truth import TruthRecord
 from handctl.tune.loops.linear import LoopKind, loop
 from handctl.tune.loops.margins import GAIN_MARGIN_DB, PHASE_MARGIN_DEG, grid, step_response
 from handctl.tune.search.search import SearchResult
@@ -156,7 +156,7 @@ def draw_verify(
     path: Path,
     log: RunLog,
     hand: Hand,
-    truth: Truth | None,
+    truth: TruthRecord | None,
     offset_ns: int,
     rollback: Rollback | None,
 ) -> None:

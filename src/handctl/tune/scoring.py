@@ -18,7 +18,7 @@ from handctl.hand.load import hand_from
 from handctl.programs.exercise import Exercise
 from handctl.programs.program import Program
 from handctl.report.summary import mean_angles, rms
-from handctl.report.truth import Truth, read_truth
+from handctl.report.truth import TruthRecord, read_truth
 from handctl.session.simulate import Simulator, homed_controller, simulate
 from handctl.tune.loops.design import linear_factors, worst_of
 
@@ -117,7 +117,7 @@ Ticks = list[tuple[TickIn, TickOut]]
 
 def simulated(
     hand: Hand, model: HandModel, program: Program, factors: Mapping[str, float], seed: int
-) -> tuple[Ticks, Truth, str]:
+) -> tuple[Ticks, TruthRecord, str]:
     """Run a program on a simulated plant in lockstep.
 
     Args:
@@ -142,7 +142,7 @@ def simulated(
         return ticks, read_truth(file), state.failure
 
 
-def judge(hand: Hand, ticks: Sequence[tuple[TickIn, TickOut]], truth: Truth, failure: str) -> Score:
+def judge(hand: Hand, ticks: Sequence[tuple[TickIn, TickOut]], truth: TruthRecord, failure: str) -> Score:
     """Score a run by the simulator's ground truth.
 
     Args:
@@ -178,7 +178,7 @@ class GroundTruth(NamedTuple):
     tension: Array
 
     @staticmethod
-    def of(truth: Truth, hand: Hand, t_ns: NDArray[np.int64]) -> "GroundTruth":
+    def of(truth: TruthRecord, hand: Hand, t_ns: NDArray[np.int64]) -> "GroundTruth":
         """Return the ground truth at times on the simulator's clock [ns]."""
         return GroundTruth(
             mean_angles(hand, truth.table([f"q/{joint}" for joint in hand.joints], t_ns)),

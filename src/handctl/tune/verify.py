@@ -18,7 +18,7 @@ from handctl.hand.description import Hand
 from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import phase_of_each
 from handctl.report.summary import mean_angles
-from handctl.report.truth import Truth
+from handctl.report.truth import TruthRecord
 from handctl.safety.action import Action
 from handctl.tune.scoring import GroundTruth, Score, score
 
@@ -213,7 +213,7 @@ def compare(runs: list[list[Score]]) -> list[Column]:
     return columns
 
 
-def scores(log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> list[Score]:
+def scores(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> list[Score]:
     """Score each round of the exercise, the old gains' rounds first.
 
     Args:

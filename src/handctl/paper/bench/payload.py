@@ -12,7 +12,7 @@ from handctl.paper.bench.bench_run import BenchRecording, run
 from handctl.paper.item import Item
 from handctl.paper.verdicts import of_lower_bound
 from handctl.programs.task import Task
-from handctl.report.truth import Truth, read_truth
+from handctl.report.truth import TruthRecord, read_truth
 
 HAND = "jamia"
 """Packaged hand that grips."""
@@ -128,7 +128,7 @@ def _hold(name: str, tension: Mapping[str, float], duration: float) -> dict[str,
 
 def _grip(
     folder: Path, diameter_mm: float, axis: str, start: float, holds: Sequence[Mapping[str, Any]]
-) -> tuple[BenchRecording, Truth]:
+) -> tuple[BenchRecording, TruthRecord]:
     """Close on a cylinder and hold it."""
     scene = folder / "payload.toml"
     truth = folder / "payload.truth"
@@ -158,19 +158,19 @@ def _end(recording: BenchRecording, phase: str) -> int:
     return recording.t_ns[int(np.flatnonzero(recording.in_phase(phase))[-1])]
 
 
-def _normals(truth: Truth, until_ns: int) -> list[float]:
+def _normals(truth: TruthRecord, until_ns: int) -> list[float]:
     """Return the sum of normal forces of each digit before a time, averaged [N]."""
     end = int(np.searchsorted(truth.t_ns, until_ns))
     times = truth.t_ns[end - AVERAGE_ROWS : end]
     return [float(truth.at(f"normal/{name}", times).mean()) for name in src.hand().digit_names]
 
 
-def _positions(truth: Truth, times: Any) -> Array:
+def _positions(truth: TruthRecord, times: Any) -> Array:
     """Return the positions of the object (times, 3) [m]."""
     return truth.table([f"object/{axis}" for axis in "xyz"], times)
 
 
-def _slip(truth: Truth, first: int, end: int) -> tuple[int, str]:
+def _slip(truth: TruthRecord, first: int, end: int) -> tuple[int, str]:
     """Return the row at which the object slips, and the criterion."""
     positions = _positions(truth, truth.t_ns[first:end])
     window = round(WINDOW_S * 1000)

@@ -12,8 +12,8 @@ from handctl.core.identified import DIGIT_KEYS, UNITS, Identified
 from handctl.errors import LogError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
-from handctl.log.read.moments import phase_of_each
 from handctl.log.read.reader import RunLog
+from handctl.log.read.timeline import phase_of_each
 from handctl.tune.identify.contact_detection import joints_moving
 from handctl.tune.identify.data import Array, TendonData, tendon_data
 from handctl.tune.identify.fit import NAMES, Fit, Problem, fit_tendon

@@ -15,7 +15,7 @@ from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.hand.description import Hand
 from handctl.programs.exercise import HOME_RAD, Exercise, ExerciseStage
-from handctl.report.truth import Truth
+from handctl.report.truth import TruthRecord
 from handctl.tune.loops.design import linear_factors, unlike_tendons, weakest
 from handctl.tune.loops.linear import LoopKind, Matrix, PlantFactors, loop
 from handctl.tune.scoring import GroundTruth, simulated
@@ -126,7 +126,7 @@ def swing(hand: Hand, model: HandModel, factors: Mapping[str, float], seed: int)
     return Swing(float(angle.max()), float(free.max()), tuple(hold.tolist()))
 
 
-def _swing(hand: Hand, truth: Truth, model: HandModel, end_ns: int) -> tuple[Matrix, Matrix]:
+def _swing(hand: Hand, truth: TruthRecord, model: HandModel, end_ns: int) -> tuple[Matrix, Matrix]:
     """Return the swings of angles and tensions in the evaluated time before `end_ns`."""
     times = np.arange(end_ns - round(EVALUATED_S * 1e9), end_ns, round(model.period * 1e9), dtype=np.int64)
     real = GroundTruth.of(truth, hand, times)
