@@ -14,7 +14,7 @@ from handctl.errors import LogError
 from handctl.log.read.chunk_reader import definitions
 from handctl.log.read.logfile import LogFile
 from handctl.log.read.reader import RunLog
-from handctl.log.read.record_scan import Scan, scan
+from handctl.log.read.record_scan import RecordScan, scan_records
 from handctl.log.read.recover import recover
 from handctl.log.topics.chain import TOPIC as CHAIN_TOPIC
 from handctl.log.topics.clock_pairs import TOPIC as CLOCK_TOPIC

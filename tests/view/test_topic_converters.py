@@ -161,7 +161,7 @@ def test_time_slices_do_not_change_the_recording(
         assert repr(one.rows) == repr(recorded[path].rows)
 
 
-@pytest.mark.parametrize("share", [0.3, 0.5, 0.73, 0.9])
+@pytest.mark.parametrize("fraction", [0.3, 0.5, 0.73, 0.9])
 def test_a_log_that_ends_early_is_shown_up_to_there(fraction: float, jamia_path: Path, tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(jamia_path.read_bytes()[: int(fraction * jamia_path.stat().st_size)])
