@@ -189,5 +189,5 @@ def test_a_log_whose_hand_is_no_hand_or_another_is_refused(jamia_path: Path) -> 
     for text in ("[[", "schema = 1\n"):
         with pytest.raises(ConfigError, match=r"hand\.toml"):
             RunInfo.of(replace(header, hand_toml=text), "run")
-    with pytest.raises(LogError, match="other names"):
+    with pytest.raises(LogError, match="names differ"):
         RunInfo.of(replace(header, digits=("a", "b", "c", "d")), "run")
