@@ -88,7 +88,7 @@ def strike(simulation: Simulation, text: str) -> dict[str, Any]:
     for i in range(end):
         stops = i == watched and reacted < 0
         out = simulation.tick(requests=(STOP,) if stops else ())
-        effect = simulation.peer.told()[-1]
+        effect = simulation.peer.fault_states()[-1]
         effect_ns = effect["first_ns"] if effect["first_ns"] >= 0 else start * simulation.period_ns
         detected += [e.text.split()[0] for e in out.events if e.name == "fault" and e.level != "info"]
         if reacted < 0 and i < watched and (out.action >= Action.RELAX or out.mode in (Mode.RELAX, Mode.CUT)):
@@ -99,7 +99,7 @@ def strike(simulation: Simulation, text: str) -> dict[str, Any]:
         if out.mode == Mode.DONE:
             break
     return {"found": list(dict.fromkeys(detected)), "ms": reacted, "tension": tension, "stopped": stopped,
-            "felt": bool(simulation.peer.told()[-1]["felt"])}  # fmt: skip
+            "felt": bool(simulation.peer.fault_states()[-1]["felt"])}  # fmt: skip
 
 
 def rows(hand_name: str, protocol: str, seed: int, only: str) -> Iterator[dict[str, Any]]:

@@ -92,7 +92,7 @@ def written_down(stack: Stack, seconds: float) -> Rollout:
         for _ in range(count):
             table = engine._data.mocap_pos.copy()
             advance(1)
-            rows.append((engine.applied.copy(), engine.rope_damping.copy(), table))
+            rows.append((engine.applied.copy(), engine.tendon_damping.copy(), table))
             contacts.append(engine._data.ncon)
 
     plant.advance = step_by_step
@@ -110,7 +110,7 @@ def repeated(stack: Stack, rollout: Rollout) -> list[float]:
     engine = stack.engine
     step = engine.step
     applied = engine.applied
-    damping = engine.rope_damping
+    damping = engine.tendon_damping
     table = engine._data.mocap_pos
     took = []
     now = time.process_time

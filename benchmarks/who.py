@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 PARTS = {
     "mj_step": ("mj_step", "firmware_sim/plant/drivetrain.py/steps"),
     "plant around its steps": ("firmware_sim/plant/plant", "firmware_sim/plant/tendon", "firmware_sim/plant/motor",
-        "firmware_sim/plant/engine", "firmware_sim/scene/table", "firmware_sim/plant/drivetrain"),
+        "firmware_sim/plant/engine", "firmware_sim/scene/support", "firmware_sim/plant/drivetrain"),
     "simulated drives and sensors, their codec": ("firmware_sim/",),
     "host's codec and drive states": ("handctl/drives/", "tick.py/_receive", "tick.py/_send", "tick.py/keep"),
     "estimation": ("core/estimation/", "core/estimate", "filterpy/", "tick.py/_take_in"),

@@ -1,4 +1,4 @@
-"""``python -m firmware_sim``: a simulated hand on a bus, in real time; ``drive``: drives alone; ``bus``: a hub."""
+"""Entry point of ``python -m firmware_sim``: a simulated hand, ``drive`` for drives alone, ``bus`` for a hub."""
 
 import sys
 
@@ -11,8 +11,15 @@ OPTIONAL = ("mujoco",)
 
 
 def main(words: list[str]) -> int:
-    """Run; return the exit code: 0 after SIGTERM or SIGINT, 2 for arguments that cannot be served."""
-    try:  # each imports what it needs: a bus needs neither MuJoCo nor a compiler
+    """Run one of the three programs.
+
+    Args:
+        words: command-line arguments without the program's name.
+
+    Returns:
+        Exit code: 0 after SIGTERM or SIGINT, 2 for arguments that cannot be served.
+    """
+    try:  # imports inside: a bus needs neither MuJoCo nor a compiler
         check_words(words)
         if words[:1] == ["bus"]:
             from firmware_sim.programs import bus as alone

@@ -1,4 +1,4 @@
-"""What the commands of the simulator have in common: errors of one line, and an orderly end."""
+"""Common parts of the command-line programs: errors of one line, and an orderly end."""
 
 import argparse
 import re
@@ -11,14 +11,15 @@ from firmware_sim.description import SimulatorError
 
 
 class Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line."""
+    """A parser that reports errors in one line."""
 
     def error(self, message: str) -> NoReturn:
+        """Raise the error for the caller."""
         raise SimulatorError(f"{message}; --help shows how")
 
 
 def check_words(words: list[str]) -> None:
-    """Refuse words that no command can use: NUL, and the end of the options as an option's value."""
+    """Check for arguments that no program can use: NUL, line ends, and the end of the options as an option's value."""
     for word in words:
         if "\0" in word:
             raise SimulatorError("a word with a NUL in it; expected names as files can have them")
@@ -29,13 +30,13 @@ def check_words(words: list[str]) -> None:
 
 
 def check_time_scale(value: float) -> None:
-    """Refuse a pace at which a run would never tick, or no machine keeps up."""
+    """Check that a pace is neither too slow to tick nor too fast for any machine."""
     if not 0.001 <= value <= 100.0:
         raise SimulatorError(f"--time-scale {value:g}: expected 0.001 to 100")
 
 
 def until_signal(stop: Callable[[], None]) -> None:
-    """Have SIGTERM and SIGINT call ``stop``."""
+    """Install ``stop`` as handler of SIGTERM and SIGINT."""
 
     def handle(number: int, frame: FrameType | None) -> None:
         stop()

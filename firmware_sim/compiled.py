@@ -1,10 +1,13 @@
-"""Laws of the simulator as machine code, for those who step a plant without waiting for a clock.
+"""Kernels: plain functions that numba can compile, for programs that advance a plant without waiting for a clock.
 
-A law is a plain function; ``compiled`` notes the types of its arguments. ``machine_code`` makes the compiled twins of a
-module's laws, and only then is numba imported: that takes the better part of a second, too long for a simulator that
-starts as a process of its own. Operations keep their order and their rounding (no fast math): both do the same to the
-bit. The code is kept in numba's cache; since the cache of a file does not notice changes in others, laws that call one
-another belong into one file.
+``compiled`` registers the argument types of a kernel. ``machine_code`` compiles the kernels of a
+module, and only then imports numba. The import takes almost a second, too long for a simulator that
+starts as a process.
+
+Compiled and Python forms are equal to the bit: operations keep their order and their rounding (no
+fast math). The code is stored in numba's cache. The cache of a file does not notice changes in
+other files. Kernels that call one another therefore belong in one file, or carry a digest of the
+other files in their name.
 """
 
 import ctypes
@@ -21,127 +24,148 @@ import numpy as np
 F = TypeVar("F", bound=Callable[..., Any])
 
 Argument: TypeAlias = "str | type[ctypes.Structure] | np.dtype[Any]"
+"""Type of a kernel argument."""
 
-_LAWS: dict[str, dict[str, tuple[Argument, ...] | None]] = {}
-"""Module to its laws and the types of their arguments; None for those that only other laws call."""
+_KERNELS: dict[str, dict[str, tuple[Argument, ...] | None]] = {}
+"""Argument types of each kernel, by module and kernel name. None for kernels that only other kernels call."""
 
 
 def compiled(*arguments: Argument) -> Callable[[F], F]:
-    """Let a function be a law.
+    """Register a function as a kernel.
 
     Args:
-        arguments: the type of each: real, count, flag, address, vector (of reals), counts; or a ``ctypes.Structure``
-            or a structured dtype for an array of such rows.
+        arguments: type of each argument: real, count, flag, address, vector (of reals), counts, a
+            ``ctypes.Structure`` or a structured dtype for an array of such rows.
     """
 
     def note(function: F) -> F:
-        _LAWS.setdefault(function.__module__, {})[function.__name__] = arguments
+        _KERNELS.setdefault(function.__module__, {})[function.__name__] = arguments
         return function
 
     return note
 
 
 def inner(function: F) -> F:
-    """Let a function be a law for other laws only."""
-    _LAWS.setdefault(function.__module__, {})[function.__name__] = None
+    """Register a function as a kernel that only other kernels call."""
+    _KERNELS.setdefault(function.__module__, {})[function.__name__] = None
     return function
 
 
 def call(function: int, first: int, second: int) -> None:
-    """Call a C function ``void f(void *, void *)``, all three by their addresses.
+    """Call a C function ``void f(void *, void *)``, all three given by address.
 
     Raises:
-        NotImplementedError: always, in plain laws: in compiled ones ``_intrinsic`` stands for it.
+        NotImplementedError: always in Python. ``_intrinsic`` replaces it in compiled kernels.
     """
     raise NotImplementedError("an address can be called in compiled laws only")
 
 
 def rows_at(address: int, count: int, kind: Any) -> Any:
-    """Return the array of so many numbers or rows, of a dtype, at an address; it costs nothing, an argument 0.2 us.
+    """Return the array of ``count`` numbers or rows at an address.
+
+    An array made inside is free, an array argument costs 0.2 us.
+
+    Args:
+        address: address of the first row.
+        count: number of rows.
+        kind: dtype of a row.
 
     Raises:
-        NotImplementedError: always, in plain laws: in compiled ones ``_rows_at`` stands for it.
+        NotImplementedError: always in Python. ``_rows_at`` replaces it in compiled kernels.
     """
     raise NotImplementedError("rows at an address can be had in compiled laws only")
 
 
 @cache
 def machine_code(module: ModuleType) -> Any:
-    """Return the compiled laws of a module by their names; division by zero gives inf or NaN, as in numpy."""
+    """Compile the kernels of a module.
+
+    Division by zero gives inf or NaN, as in numpy.
+
+    Returns:
+        Namespace of the compiled kernels by name.
+    """
     from numba import njit
 
     names = dict(vars(module), call=_intrinsic(), rows_at=_rows_at())
-    foreign = _foreign(module)
-    for name, home in foreign.items():
-        names[name] = getattr(machine_code(home), vars(module)[name].__name__)
-    digest = _digest(set(foreign.values()))
-    for name, arguments in _LAWS[module.__name__].items():
-        law = FunctionType(vars(module)[name].__code__, names, name)  # calls the twins, not the plain laws
-        law.__qualname__ = f"{name}{digest}"
+    imported = _imported_kernels(module)
+    for name, owner in imported.items():
+        names[name] = getattr(machine_code(owner), vars(module)[name].__name__)
+    digest = _digest(set(imported.values()))
+    for name, arguments in _KERNELS[module.__name__].items():
+        kernel = FunctionType(vars(module)[name].__code__, names, name)  # calls compiled kernels, not Python ones
+        # The name is a part of numba's cache key: a change in an imported kernel gives another
+        # name.
+        kernel.__qualname__ = f"{name}{digest}"
         if arguments is None:
-            names[name] = njit(error_model="numpy")(law)
+            names[name] = njit(error_model="numpy")(kernel)
         else:
-            names[name] = _kept(tuple(map(_type, arguments)), law)
-    return SimpleNamespace(**{name: names[name] for name in _LAWS[module.__name__]})
+            names[name] = _compile(tuple(map(_numba_type, arguments)), kernel)
+    return SimpleNamespace(**{name: names[name] for name in _KERNELS[module.__name__]})
 
 
-def _foreign(module: ModuleType) -> dict[str, ModuleType]:
-    """Return the laws of other modules that a module has imported, each with its module."""
-    found = {}
+def _imported_kernels(module: ModuleType) -> dict[str, ModuleType]:
+    """Return the kernels of other modules that a module has imported, each with its module."""
+    imported = {}
     for name, value in vars(module).items():
-        home = value.__module__ if isinstance(value, FunctionType) else module.__name__
-        if home != module.__name__ and value.__name__ in _LAWS.get(home, {}):
-            found[name] = sys.modules[home]
-    return found
+        owner = value.__module__ if isinstance(value, FunctionType) else module.__name__
+        if owner != module.__name__ and value.__name__ in _KERNELS.get(owner, {}):
+            imported[name] = sys.modules[owner]
+    return imported
 
 
 def _digest(modules: set[ModuleType]) -> str:
-    """Return a digest of the sources of modules, and of those whose laws they import; empty for none."""
-    every, new = set(modules), set(modules)
+    """Return a digest of the sources of modules and of those whose kernels they import, empty for none."""
+    reached = set(modules)
+    new = set(modules)
     while new:
-        new = {home for module in new for home in _foreign(module).values()} - every
-        every |= new
-    sources = [Path(str(module.__file__)).read_bytes() for module in sorted(every, key=lambda one: one.__name__)]
+        new = {owner for module in new for owner in _imported_kernels(module).values()} - reached
+        reached |= new
+    sources = [
+        Path(str(module.__file__)).read_bytes() for module in sorted(reached, key=lambda module: module.__name__)
+    ]
     return "_" + hashlib.sha256(b"".join(sources)).hexdigest()[:12] if sources else ""
 
 
-def _kept(arguments: tuple[Any, ...], law: FunctionType) -> Any:
-    """Compile a law, and keep its code for the next process where there is a folder that can be written."""
+def _compile(arguments: tuple[Any, ...], kernel: FunctionType) -> Any:
+    """Compile a kernel and store its code for the next process, if a cache folder can be written."""
     from numba import njit
 
     try:
-        return njit(arguments, cache=True, error_model="numpy")(law)
-    except RuntimeError:  # numba finds no such folder, neither beside the source nor the user's own
-        return njit(arguments, error_model="numpy")(law)
+        return njit(arguments, cache=True, error_model="numpy")(kernel)
+    except RuntimeError:  # no writable cache folder, beside the source or in the user's home
+        return njit(arguments, error_model="numpy")(kernel)
 
 
 def use(module: ModuleType) -> None:
-    """Have the compiled laws of a module used by everybody in this process who calls them through the module.
+    """Replace the kernels of a module by their compiled forms for all callers through the module in this process.
 
-    Laws for other laws only stay plain: they take objects as well as rows.
+    Kernels for other kernels stay in Python, because they take objects as well as rows.
     """
-    twins = machine_code(module)
-    for name, arguments in _LAWS[module.__name__].items():
+    compiled_kernels = machine_code(module)
+    for name, arguments in _KERNELS[module.__name__].items():
         if arguments is not None:
-            setattr(module, name, getattr(twins, name))
+            setattr(module, name, getattr(compiled_kernels, name))
 
 
-def _type(name: Argument) -> Any:
-    """Numba's type of an argument."""
+def _numba_type(name: Argument) -> Any:
+    """Return numba's type of an argument."""
     from numba import from_dtype, types
 
     if not isinstance(name, str):
         return types.Array(from_dtype(np.dtype(name)), 1, "C")
-    real, count = types.float64, types.int64
+    real = types.float64
+    count = types.int64
     if name in ("vector", "counts"):
         return types.Array(real if name == "vector" else count, 1, "C")
     return {"real": real, "count": count, "flag": types.boolean, "address": types.intp}[name]
 
 
 def _intrinsic() -> Any:
-    """What stands for ``call`` in compiled laws.
+    """Build the compiled form of ``call``.
 
-    An address is an argument, not a constant: code with a constant address could not be kept for the next process.
+    The address is an argument and not a constant, because code with a constant address cannot be
+    stored for the next process.
     """
     from llvmlite import ir  # type: ignore[import-untyped, unused-ignore]  # some releases come without types
     from numba import types
@@ -161,7 +185,7 @@ def _intrinsic() -> Any:
 
 
 def _rows_at() -> Any:
-    """What stands for ``rows_at`` in compiled laws."""
+    """Build the compiled form of ``rows_at``."""
     from numba import carray, njit, types  # type: ignore[attr-defined, unused-ignore]
     from numba.extending import intrinsic
 
@@ -178,10 +202,10 @@ def _rows_at() -> Any:
 
 
 def addresses(arrays: Iterable[Any]) -> list[int]:
-    """Return address and length of each array, for ``rows_at``; the arrays must live as long as these are used."""
+    """Return address and length of each array, for ``rows_at``. The arrays must outlive the use of the addresses."""
     return [number for array in arrays for number in (array.ctypes.data, len(array))]
 
 
 def array_of(memory: Any, structure: type[ctypes.Structure]) -> Any:
-    """Return the memory of many structures as an array of rows."""
+    """Return the memory of structures as an array of rows."""
     return np.frombuffer(memory, np.dtype(structure)) if ctypes.sizeof(memory) else np.empty(0, np.dtype(structure))

@@ -1,4 +1,4 @@
-"""What the simulator needs of a hand, read from its TOML file with the standard library only."""
+"""The description of a hand as the simulator needs it, read from its TOML file with the standard library only."""
 
 import importlib.util
 import tomllib
@@ -8,52 +8,75 @@ from typing import Any
 
 
 class SimulatorError(ValueError):
-    """Something the person who started the simulator can put right; its text is one line."""
+    """An error that the user of the simulator can correct. Its text is one line."""
 
 
 @dataclass(frozen=True, slots=True)
 class Digit:
-    """One finger or thumb; tuples have one entry per joint."""
+    """One finger or thumb. Tuples have one entry for each joint.
+
+    Attributes:
+        name: name.
+        position: position of the first hinge in the palm frame [m].
+        rpy_deg: extrinsic roll, pitch, yaw [deg].
+        length: length of each link [m].
+        com: centre of mass of each link along the link [m].
+        mass: mass of each link [kg].
+        inertia: inertia about the link's centre of mass, along the hinge [kg m2].
+        radius: radius of the links [m].
+        joint_min_deg: lower stop of each joint [deg].
+        joint_max_deg: upper stop of each joint [deg].
+        damping: damping of each joint [N m s/rad].
+        armature: additional inertia of each joint [kg m2].
+        spring: stiffness of each return spring [N m/rad].
+        preload: preload angle of each return spring [rad].
+    """
 
     name: str
     position: tuple[float, float, float]
-    """Of the first hinge in the palm frame [m]."""
     rpy_deg: tuple[float, float, float]
-    """Extrinsic x, y, z [deg]."""
     length: tuple[float, ...]
     com: tuple[float, ...]
     mass: tuple[float, ...]
     inertia: tuple[float, ...]
-    """About the link's centre of mass, along the hinge [kg m2]."""
     radius: float
     joint_min_deg: tuple[float, ...]
     joint_max_deg: tuple[float, ...]
     damping: tuple[float, ...]
     armature: tuple[float, ...]
     spring: tuple[float, ...]
-    """[N m/rad]."""
     preload: tuple[float, ...]
-    """[rad]."""
 
     @property
     def joints(self) -> list[str]:
-        """The joints' names, from the palm outwards."""
+        """Return the names of the joints, from the palm outwards."""
         return [f"{self.name}_j{i + 1}" for i in range(len(self.length))]
 
 
 @dataclass(frozen=True, slots=True)
 class TendonSpec:
-    """One tendon: its routing, its rope and its friction."""
+    """One tendon: routing, elasticity and friction.
+
+    Attributes:
+        name: name.
+        motor: name of its motor.
+        arms: moment arm by joint name [m].
+        stiffness: stiffness up to the knee [N/m].
+        damping: damping [N s/m].
+        knee: maximum tension of the linear range [N].
+        after_knee_ratio: stiffness far beyond the knee, divided by ``stiffness``.
+        knee_width: width of the transition [m].
+        friction: capstan friction coefficient.
+        wrap: wrap angle before the first joint [rad].
+    """
 
     name: str
     motor: str
     arms: dict[str, float]
-    """Joint name to moment arm [m]."""
     stiffness: float
     damping: float
     knee: float
-    """Tension up to which the rope is linear [N]."""
-    beyond_ratio: float
+    after_knee_ratio: float
     knee_width: float
     friction: float
     wrap: float
@@ -61,7 +84,28 @@ class TendonSpec:
 
 @dataclass(frozen=True, slots=True)
 class MotorSpec:
-    """One motor; quantities at the spool."""
+    """One motor. All quantities are at the spool.
+
+    Attributes:
+        name: name.
+        protocol: protocol of the drive.
+        bus: name of its bus.
+        node_id: node number.
+        spool_radius: radius of the spool [m].
+        inertia: inertia of the rotor [kg m2].
+        viscous: viscous friction [N m s/rad].
+        coulomb: Coulomb friction [N m].
+        torque_constant: torque constant [N m/A].
+        torque_max: continuous torque limit [N m].
+        torque_peak: peak torque [N m].
+        position_range: position range [rad].
+        velocity_range: velocity range [rad/s].
+        direction: +1 or -1, sign between motor angle and spool angle.
+        zero: encoder angle at theta = 0 of a homed hand [rad].
+        options: options of the protocol.
+        serial: serial number of the drive, None for the default of the protocol.
+        torque_gain: true torque divided by the torque that the drive believes, 1 unless perturbed.
+    """
 
     name: str
     protocol: str
@@ -80,14 +124,25 @@ class MotorSpec:
     zero: float
     options: dict[str, Any]
     serial: int | None = None
-    """Serial number of the drive; None: as its protocol's simulated drives have it."""
     torque_gain: float = 1.0
-    """Torque that really appears over the torque that the drive believes; 1 unless perturbed."""
 
 
 @dataclass(frozen=True, slots=True)
 class SensorSpec:
-    """The sensor node."""
+    """The sensor node.
+
+    Attributes:
+        bus: name of its bus.
+        sync_id: identifier of SYNC.
+        base_id: identifier of the first tension frame.
+        tendons: tendon of each load cell.
+        joints: joint of each encoder.
+        joint_decimation: SYNCs for each joint frame.
+        tension_noise: standard deviation of a tension [N].
+        bias_drift: standard deviation of a load cell's random walk after 100 s [N].
+        joint_noise: standard deviation of a joint angle [rad].
+        tension_bias: constant error of every load cell [N], 0 unless perturbed.
+    """
 
     bus: str
     sync_id: int
@@ -97,21 +152,30 @@ class SensorSpec:
     joint_decimation: int
     tension_noise: float
     bias_drift: float
-    """Random walk: its standard deviation after 100 s [N]."""
     joint_noise: float
     tension_bias: float = 0.0
-    """Constant error of every load cell [N]; 0 unless perturbed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Hand:
-    """A whole hand."""
+    """A whole hand.
+
+    Attributes:
+        name: name.
+        gravity: gravity in the palm frame [m/s2].
+        buses: names of the buses.
+        bitrates: nominal bit rate and bit rate of the data phase of each bus [bit/s], 0 without CAN
+            FD.
+        digits: digits.
+        tendons: tendons.
+        motors: motors.
+        sensors: sensor node, None without.
+    """
 
     name: str
     gravity: tuple[float, float, float]
     buses: list[str]
     bitrates: list[tuple[int, int]]
-    """Of each bus: nominal and, for CAN FD or else 0, of the data phase [bit/s]."""
     digits: list[Digit]
     tendons: list[TendonSpec]
     motors: list[MotorSpec]
@@ -119,15 +183,18 @@ class Hand:
 
     @property
     def joints(self) -> list[str]:
-        """All joints' names in the order of the digits."""
+        """Return the names of all joints in the order of the digits."""
         return [joint for digit in self.digits for joint in digit.joints]
 
 
 def find_hand(name_or_path: str) -> Path:
-    """Return the file of a packaged hand (a bare name) or of a path.
+    """Find the file of a hand.
+
+    Args:
+        name_or_path: packaged name or path of a .toml file.
 
     Raises:
-        SimulatorError: there is no such file.
+        SimulatorError: the file does not exist.
     """
     path = Path(name_or_path)
     if path.suffix != ".toml":
@@ -141,7 +208,7 @@ def find_hand(name_or_path: str) -> Path:
 
 
 def load_hand(name_or_path: str) -> Hand:
-    """Read a hand file.
+    """Load a hand file.
 
     Raises:
         SimulatorError: the file is missing, is not TOML, or lacks a key.
@@ -151,7 +218,7 @@ def load_hand(name_or_path: str) -> Hand:
         return _hand(tomllib.loads(path.read_text("utf-8")))
     except OSError as error:
         raise SimulatorError(f"{path}: cannot be read: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:  # also of a number without end, and of text that is not UTF-8
+    except (ValueError, RecursionError) as error:  # also an endless number, or text that is not UTF-8
         raise SimulatorError(f"{path}: not TOML: {error}") from error
     except (KeyError, TypeError, AttributeError) as error:
         raise SimulatorError(f"{path}: not a complete hand: missing or wrong key {error}") from error
@@ -198,7 +265,7 @@ def _tendon(raw: dict[str, Any]) -> TendonSpec:
         stiffness=raw["stiffness_N_per_m"],
         damping=raw["damping_N_s_per_m"],
         knee=raw["knee_N"],
-        beyond_ratio=raw["stiffness_beyond_ratio"],
+        after_knee_ratio=raw["stiffness_beyond_ratio"],
         knee_width=raw["knee_width_m"],
         friction=raw["friction_coefficient"],
         wrap=raw["wrap_angle_rad"],

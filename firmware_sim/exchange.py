@@ -1,4 +1,4 @@
-"""A tick's frames as records: the cyclic ones are answered by a compiled law, the others by the nodes one by one."""
+"""The exchange of one tick as records. A compiled kernel answers cyclic frames, nodes answer all others one by one."""
 
 from operator import is_not
 from typing import Any
@@ -9,170 +9,213 @@ from firmware_sim.bus.frame import Frame
 from firmware_sim.bus.records import RECORD, to_frames, to_records
 from firmware_sim.compiled import addresses, machine_code
 from firmware_sim.nodes import cyclic
-from firmware_sim.nodes.cia402.laws import Cia402Row
-from firmware_sim.nodes.cyclic import ANSWERS, IN_ORDER, NEXT_FRAME, SAID, WAKE_NS, Taker
-from firmware_sim.nodes.kind import SENSORS
-from firmware_sim.nodes.mit.codec import MitRow
-from firmware_sim.nodes.odrive.laws import OdriveRow
-from firmware_sim.nodes.sensors import CHANNELS, SensorRow
+from firmware_sim.nodes.cia402.kernels import Cia402Struct
+from firmware_sim.nodes.cyclic import ANSWERS, IN_ORDER, NEXT_FRAME, SENT, WAKE_NS, Receiver
+from firmware_sim.nodes.mit.codec import MitStruct
+from firmware_sim.nodes.odrive.kernels import OdriveStruct
+from firmware_sim.nodes.protocol_spec import SENSORS
+from firmware_sim.nodes.sensors import CHANNELS, SensorStruct
 
-ROOM = 64
-"""Answers that there is room for in a tick at first."""
+INITIAL_CAPACITY = 64
+"""Initial capacity for the answers of a tick."""
 
 
 class Exchange:
-    """What answers the frames of a tick; the nodes of its world have rows.
+    """The answers to the frames of a tick, for a world whose nodes have rows.
 
     Attributes:
-        speaks: whether it sends what drives send of their own accord; otherwise the world does.
+        sends_unsolicited: True if the kernel sends unsolicited frames of drives, False if the world
+            sends them.
     """
 
     def __init__(self, world: Any, rows: dict[type, Any]) -> None:
-        """Args: the world; the rows of its nodes by their type, an array for each."""
-        self._world, self._laws = world, machine_code(cyclic)
-        self._room = ROOM
-        self._progress = np.zeros(5, np.int64)
-        sensor = world.sensor_node if SensorRow in rows else None
-        self._noise, self._most = sensor.noise if sensor else None, 1
-        orders, bias = (np.empty(0, np.int64),) * 2, np.empty(0)
-        if sensor:
-            orders, bias = world.sensor_orders, sensor.bias
-            self._most += sum(-(-len(order) // CHANNELS) for order in orders)
-        self._most += len(world.row_of)
-        self._draws = 2 * len(orders[0]) + len(orders[1])
-        self._drives = tuple(rows.get(layout, np.empty(0, layout)) for layout in (MitRow, OdriveRow, Cia402Row))
-        self._sensing = rows.get(SensorRow, np.empty(0, SensorRow)), *orders, bias
-        self.speaks = True
-        self._said = np.empty(ROOM, RECORD)
-        noise = (sensor.noise.left, sensor.noise.places) if sensor else (np.empty(0), np.zeros(2, np.int64))
-        self._sampling = *noise, *world.plant.sampled
-        self._table: Any = None
-        self._takers: Any = None
+        """Collect the arrays for the kernel.
 
-    def look_again(self) -> None:
-        """Ask the nodes again who they are before the next frame."""
+        Args:
+            world: world of the nodes.
+            rows: array of the nodes' rows, by row type.
+        """
+        self._world, self._kernels = world, machine_code(cyclic)
+        self._capacity = INITIAL_CAPACITY
+        self._progress = np.zeros(5, np.int64)
+        sensor = world.sensor_node if SensorStruct in rows else None
+        self._noise = sensor.noise if sensor else None
+        self._max_answers = 1
+        orders = (np.empty(0, np.int64),) * 2
+        bias = np.empty(0)
+        if sensor:
+            orders = world.sensor_orders
+            bias = sensor.bias
+            self._max_answers += sum(-(-len(order) // CHANNELS) for order in orders)
+        self._max_answers += len(world.row_of)
+        self._draws = 2 * len(orders[0]) + len(orders[1])
+        self._drive_structs = tuple(
+            rows.get(layout, np.empty(0, layout)) for layout in (MitStruct, OdriveStruct, Cia402Struct)
+        )
+        self._sensor_arrays = rows.get(SensorStruct, np.empty(0, SensorStruct)), *orders, bias
+        self.sends_unsolicited = True
+        self._sent = np.empty(INITIAL_CAPACITY, RECORD)
+        noise = (sensor.noise.numbers, sensor.noise.bounds) if sensor else (np.empty(0), np.zeros(2, np.int64))
+        self._sample_arrays = *noise, *world.plant.sampled
+        self._table: Any = None
+        self._receivers: Any = None
+
+    def refresh_identifiers(self) -> None:
+        """Build the table of identifiers again before the next frame."""
         self._table = None
 
     def answer(self, frames: Any, t_ns: int, last_ns: int) -> tuple[Any, bool]:
-        """Return the answers to frames, stamped as if they followed one another, and whether their times rise.
+        """Answer frames.
 
         Args:
             frames: array of ``RECORD``.
-            t_ns: beginning of the tick [ns].
-            last_ns: the latest that an answer comes after it [ns].
+            t_ns: start of the tick [ns].
+            last_ns: maximum delay of an answer [ns].
+
+        Returns:
+            The answers, stamped as if they followed one another, and True if their times rise.
         """
-        world, progress, answers = self._world, self._progress, np.empty(self._room, RECORD)
+        world = self._world
+        progress = self._progress
+        answers = np.empty(self._capacity, RECORD)
         if not frames.flags.writeable:
             frames = frames.copy()
-        progress[:SAID] = 0
+        progress[:SENT] = 0
         one_by_one = world.faults.in_frames
         while True:
             if one_by_one:
                 for frame in to_frames(frames):
-                    answers = self._add(answers, world.receive(frame))
+                    answers = self._appended(answers, world.receive(frame))
                 progress[NEXT_FRAME] = len(frames)
-                self._check()
+                self._drop_stale_table()
             self._run(frames, answers, t_ns, last_ns)
             at = int(progress[NEXT_FRAME])
             if at == len(frames):
                 return answers[: progress[ANSWERS]], bool(progress[IN_ORDER])
-            if progress[ANSWERS] + self._most > len(answers):
-                answers = self._more(answers)
+            if progress[ANSWERS] + self._max_answers > len(answers):
+                answers = self._grown(answers)
                 continue
             (frame,) = to_frames(frames[at : at + 1])
-            answers = self._add(answers, world.receive(frame))
+            answers = self._appended(answers, world.receive(frame))
             progress[NEXT_FRAME] = at + 1
-            self._check()
+            self._drop_stale_table()
 
     def _run(self, frames: Any, answers: Any, t_ns: int, last_ns: int) -> None:
+        """Run the kernel until a frame needs Python."""
         if self._table is None:
-            self._look()
+            self._build_table()
         if self._noise:
             self._noise.draw(self._draws)
-        self._laws.answer(frames, answers, self._addresses, t_ns, last_ns, self._most)
+        self._kernels.answer(frames, answers, self._addresses, t_ns, last_ns, self._max_answers)
 
-    def _more(self, answers: Any) -> Any:
-        """Return the answers in twice as much room."""
-        self._room = 2 * len(answers)
+    def _grown(self, answers: Any) -> Any:
+        """Return the answers in an array of twice the capacity."""
+        self._capacity = 2 * len(answers)
         return np.concatenate((answers, np.empty(len(answers), RECORD)))
 
-    def _add(self, answers: Any, frames: list[Frame]) -> Any:
-        """Return the answers with more of them."""
-        count, new = int(self._progress[ANSWERS]), len(frames)
+    def _appended(self, answers: Any, frames: list[Frame]) -> Any:
+        """Return the answers with more frames."""
+        count = int(self._progress[ANSWERS])
+        new = len(frames)
         while count + new > len(answers):
-            answers = self._more(answers)
+            answers = self._grown(answers)
         answers[count : count + new] = to_records(frames)
         self._progress[ANSWERS] = count + new
         return answers
 
-    def _look(self) -> None:
-        """Note who takes which identifier; what a node without a row may answer is left to Python."""
-        world, takers = self._world, list[tuple[int, int, int]]()
+    def _build_table(self) -> None:
+        """Build the table of receivers. Identifiers that a node without a row may answer are left to Python."""
+        world = self._world
+        receivers = list[tuple[int, int, int]]()
         table = cyclic.empty_table(len(world.nodes))
         for bus, nodes in enumerate(world.nodes):
-            # whoever puts another ``receive`` into a node, as tests do, wants to see every frame
-            lawful = [id(node) in world.row_of and "receive" not in vars(node) for node in nodes]
-            cycles = {id(node): node.cyclic if law else () for node, law in zip(nodes, lawful, strict=True)}
-            for can_id in {can_id for ids in cycles.values() for can_id in ids}:
-                heard = [node for node in nodes if _takes(node, can_id)]
-                if not all(can_id in cycles[id(node)] for node in heard):
+            # A test that replaces ``receive`` of a node must see every frame.
+            by_kernel = [id(node) in world.row_of and "receive" not in vars(node) for node in nodes]
+            cyclic_ids = {
+                id(node): node.cyclic_ids if compiled else () for node, compiled in zip(nodes, by_kernel, strict=True)
+            }
+            for can_id in {can_id for ids in cyclic_ids.values() for can_id in ids}:
+                accepting = [node for node in nodes if _accepts(node, can_id)]
+                # A node without a row shares the identifier. Python must see these frames.
+                if not all(can_id in cyclic_ids[id(node)] for node in accepting):
                     continue
-                following = -1
-                for node in reversed(heard):
-                    takers.append((*world.row_of[id(node)], following))
-                    following = len(takers) - 1
-                table[cyclic.place(bus, can_id)] = following
-        self._known = self._taken()
-        self._table, self._takers = table, np.array(takers, Taker)
+                next_receiver = -1
+                # Each entry links to the next, so the list is built from its end.
+                for node in reversed(accepting):
+                    receivers.append((*world.row_of[id(node)], next_receiver))
+                    next_receiver = len(receivers) - 1
+                table[cyclic.table_index(bus, can_id)] = next_receiver
+        self._identifiers_seen = self._identifiers()
+        self._table = table
+        self._receivers = np.array(receivers, Receiver)
         rows = [world.row_of.get(id(node), (SENSORS, 0)) for nodes in world.nodes for node in nodes]
-        self._speakers = np.array([(*row, -1) for row in rows if row[0] != SENSORS], Taker)
-        every = self._progress, table, self._takers, *self._drives, self._speakers, *self._sensing, *self._sampling
-        self._addresses = np.array(addresses(every), np.int64)
+        self._drive_rows = np.array([(*row, -1) for row in rows if row[0] != SENSORS], Receiver)
+        arrays = (
+            self._progress,
+            table,
+            self._receivers,
+            *self._drive_structs,
+            self._drive_rows,
+            *self._sensor_arrays,
+            *self._sample_arrays,
+        )
+        self._addresses = np.array(addresses(arrays), np.int64)
 
-    def _taken(self) -> list[Any]:
-        """Return the identifiers that each node takes, objects that are others whenever they change."""
-        return [getattr(node, "takes", node.ids) for nodes in self._world.nodes for node in nodes]
+    def _identifiers(self) -> list[Any]:
+        """Return the identifiers of each node, new objects after each change."""
+        return [getattr(node, "accepted_ids", node.ids) for nodes in self._world.nodes for node in nodes]
 
-    def _check(self) -> None:
-        """Look again if a node takes other identifiers than before."""
-        if self._table is not None and any(map(is_not, self._known, self._taken())):
+    def _drop_stale_table(self) -> None:
+        """Remove the table if a node's identifiers have changed."""
+        if self._table is not None and any(map(is_not, self._identifiers_seen, self._identifiers())):
             self._table = None
 
     @property
     def wake_ns(self) -> int:
-        """When time must pass for a drive with a row next [ns], as of the end of ``answer`` or ``speak``."""
+        """Return the earliest wake time of drives with rows [ns], as of the end of ``answer`` or ``send_due``."""
         return int(self._progress[WAKE_NS])
 
     def next_wake(self) -> int:
-        """Return when time must pass for a drive with a row next [ns], now."""
+        """Return the earliest wake time of drives with rows [ns]."""
         if self._table is None:
-            self._look()
-        return int(self._laws.next_wake(self._speakers, *self._drives))
+            self._build_table()
+        return int(self._kernels.next_wake(self._drive_rows, *self._drive_structs))
 
-    def speak(self, now_ns: int) -> bool:
-        """Let drives send what is due; return False, with nothing done, if a node has to decide something."""
-        if not self.speaks or self._world.faults.in_frames:
+    def send_due(self, now_ns: int) -> bool:
+        """Send the unsolicited frames that are due.
+
+        Args:
+            now_ns: present time [ns].
+
+        Returns:
+            False, with no change, if a node must be woken in Python.
+        """
+        if not self.sends_unsolicited or self._world.faults.in_frames:
             return False
         if self._table is None:
-            self._look()
-        while self._progress[SAID] + 2 * len(self._speakers) > len(self._said):
-            self._said = np.concatenate((self._said, np.empty(len(self._said), RECORD)))
+            self._build_table()
+        # A drive sends at most two frames at a time: heartbeat and encoder estimates.
+        while self._progress[SENT] + 2 * len(self._drive_rows) > len(self._sent):
+            self._sent = np.concatenate((self._sent, np.empty(len(self._sent), RECORD)))
         rotors = self._world.plant.sampled[3]
-        return bool(self._laws.speak(self._speakers, *self._drives, rotors, now_ns, self._said, self._progress))
+        return bool(
+            self._kernels.send_due(self._drive_rows, *self._drive_structs, rotors, now_ns, self._sent, self._progress)
+        )
 
-    def take_said(self) -> Any:
-        """Return what drives have sent of their own accord since the last call; valid until they send more."""
-        count, self._progress[SAID] = int(self._progress[SAID]), 0
-        return self._said[:count]
+    def take_sent(self) -> Any:
+        """Return the unsolicited frames since the last call, valid until the next frame is sent."""
+        count = int(self._progress[SENT])
+        self._progress[SENT] = 0
+        return self._sent[:count]
 
     def merged(self, first: Any, second: Any) -> Any:
-        """Return frames of two arrays, sorted by their times."""
+        """Return the frames of two arrays, sorted by time."""
         out = np.empty(len(first) + len(second), RECORD)
-        self._laws.merge(first, second, out)
+        self._kernels.merge(first, second, out)
         return out
 
 
-def _takes(node: Any, can_id: int) -> bool:
-    """Return whether a node may answer an identifier."""
-    takes = getattr(node, "takes", node.ids)
-    return takes is None or can_id in takes
+def _accepts(node: Any, can_id: int) -> bool:
+    """Check whether a node may answer an identifier."""
+    accepted_ids = getattr(node, "accepted_ids", node.ids)
+    return accepted_ids is None or can_id in accepted_ids

@@ -1,4 +1,4 @@
-"""How fast the plant follows its clock: what to say when it does not, and which pace this machine would keep."""
+"""The pace of the plant: reports of a plant behind its clock, and the pace that this machine can keep."""
 
 import math
 import os
@@ -7,22 +7,24 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-SAY_S = 1.0
-"""At most one line in this time [s]."""
+REPORT_PERIOD_S = 1.0
+"""Minimum time between two reports [s]."""
 SEVERAL = 3
-"""So many slips in that time are a machine that is too slow; fewer are a moment in which it stood still."""
+"""Slips in one report period that mean a slow machine. Fewer slips are a short stop."""
 CORE_FRACTION = 0.5
-"""Fraction of a core that the simulator may take: the controller, the recorder and the system need the rest."""
+"""Fraction of a core for the simulator. Controller, recorder and system need the rest."""
 MARGIN = 0.8
-"""Advised pace as a fraction of the one that was kept."""
+"""Advised pace as a fraction of the measured pace."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """A moment.
+    """Clock readings at one time.
 
     Attributes:
-        wall_s: of the wall clock [s]. cpu_s: that this process has computed [s]. plant_s: of the plant [s].
+        wall_s: wall clock [s].
+        cpu_s: computing time of this process [s].
+        plant_s: time of the plant [s].
     """
 
     wall_s: float
@@ -31,10 +33,11 @@ class Mark:
 
 
 class Pace:
-    """Counts slips, tells them, and measures the pace.
+    """Counter of slips that measures and reports the pace.
 
     Attributes:
-        advice: plant time per wall time that this machine keeps; None until it is known to be too slow.
+        advice: plant time per wall time that this machine can keep, None until the machine proves
+            too slow.
     """
 
     def __init__(
@@ -42,73 +45,90 @@ class Pace:
         plant_ns: int,
         wall_s: Callable[[], float] = time.monotonic,
         cpu_s: Callable[[], float] = time.process_time,
-        say: Callable[[str], None] = lambda line: print(line, file=sys.stderr, flush=True),
+        report_line: Callable[[str], None] = lambda line: print(line, file=sys.stderr, flush=True),
     ) -> None:
-        """Args: time of the plant [ns]; the wall clock [s], computing time [s], and where lines go."""
-        self._wall_s, self._cpu_s, self._say = wall_s, cpu_s, say
+        """Start to measure.
+
+        Args:
+            plant_ns: time of the plant [ns].
+            wall_s: wall clock [s].
+            cpu_s: computing time of this process [s].
+            report_line: prints a line.
+        """
+        self._wall_s = wall_s
+        self._cpu_s = cpu_s
+        self._report_line = report_line
         self._mark = self._at(plant_ns)
         self._start = self._mark
-        self._told_s = -math.inf
+        self._reported_s = -math.inf
         self._slips = self._lost_ns = 0
         self.advice: float | None = None
 
-    def begin(self, plant_ns: int) -> None:
-        """Measure from now on, at a time of the plant [ns]: a host is there."""
+    def restart(self, plant_ns: int) -> None:
+        """Restart the measurement when a host appears.
+
+        Args:
+            plant_ns: time of the plant [ns].
+        """
         self._mark = self._start = self._at(plant_ns)
 
     def slipped(self, behind_ns: int, plant_ns: int) -> None:
-        """Note that the plant has given up time, and say so if nothing was said in the last second.
+        """Count a slip, and report it unless a report was made within the last second.
 
         Args:
-            behind_ns: time that was given up [ns of plant time].
+            behind_ns: time given up [ns of plant time].
             plant_ns: time of the plant [ns].
         """
         self._slips += 1
         self._lost_ns += behind_ns
         now = self._at(plant_ns)
-        if now.wall_s - self._told_s < SAY_S:
+        if now.wall_s - self._reported_s < REPORT_PERIOD_S:
             return
         if self._slips >= SEVERAL:
             self._advise(now)
-            self._say(self._too_slow(now.wall_s - self._mark.wall_s))
+            self._report_line(self._too_slow(now.wall_s - self._mark.wall_s))
         else:
             times = "" if self._slips == 1 else f" {self._slips} times"
-            self._say(f"firmware_sim: {self._lost_ns / 1e6:.0f} ms behind, clock slipped{times}")
-        self._told_s, self._mark = now.wall_s, now
+            self._report_line(f"firmware_sim: {self._lost_ns / 1e6:.0f} ms behind, clock slipped{times}")
+        self._reported_s = now.wall_s
+        self._mark = now
         self._slips = self._lost_ns = 0
 
-    def told(self, plant_ns: int) -> dict[str, float | None]:
-        """Return the advised pace, and plant time per computing time of this process since its start."""
+    def report(self, plant_ns: int) -> dict[str, float | None]:
+        """Return the advised pace, and the plant time per computing time since the start."""
         capacity = _ratio(self._start, self._at(plant_ns))
         return {"advice": self.advice, "plant_s_per_cpu_s": capacity if math.isfinite(capacity) else None}
 
     def _too_slow(self, seconds: float) -> str:
+        """Return the line for a machine that is too slow."""
         lost = f"clock slipped {self._slips} times in {seconds:.1f} s, {self._lost_ns / 1e6:.0f} ms given up"
         return f"firmware_sim: {lost}: this machine keeps --time-scale {self.advice:g}, on both sides of the bus"
 
     def _advise(self, now: Mark) -> None:
-        """Measure what was kept since the last line, and what the share of a core would keep."""
-        kept = (now.plant_s - self._mark.plant_s) / (now.wall_s - self._mark.wall_s)
-        found = MARGIN * min(kept, CORE_FRACTION * _ratio(self._mark, now) * (1 if len(_cores()) == 1 else 2))
-        self.advice = rounded_down(found) if self.advice is None else min(self.advice, rounded_down(found))
+        """Update the advice from the pace since the last report."""
+        measured = (now.plant_s - self._mark.plant_s) / (now.wall_s - self._mark.wall_s)
+        advice = MARGIN * min(measured, CORE_FRACTION * _ratio(self._mark, now) * (1 if len(_cores()) == 1 else 2))
+        self.advice = rounded_down(advice) if self.advice is None else min(self.advice, rounded_down(advice))
 
     def _at(self, plant_ns: int) -> Mark:
         return Mark(self._wall_s(), self._cpu_s(), plant_ns * 1e-9)
 
 
 def rounded_down(pace: float) -> float:
-    """Return a pace with one significant digit, not above it, and not below what ``--time-scale`` takes."""
+    """Round a pace down to one significant digit, and up to the minimum of ``--time-scale``."""
     if pace <= 0.001:
         return 0.001
+    # The tolerance of 1e-9 keeps 0.3 from becoming 0.2 by rounding of the quotient.
     step = 10.0 ** math.floor(math.log10(pace))
     return float(f"{math.floor(pace / step + 1e-9) * step:.6g}")
 
 
 def _ratio(first: Mark, last: Mark) -> float:
-    """Return plant time per computing time; infinite if nothing was computed."""
+    """Return the plant time per computing time, infinite without computing time."""
     cpu_s = last.cpu_s - first.cpu_s
     return (last.plant_s - first.plant_s) / cpu_s if cpu_s > 0.0 else math.inf
 
 
 def _cores() -> set[int]:
+    """Return the cores that this process may use."""
     return os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else {0, 1}

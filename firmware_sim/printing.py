@@ -1,20 +1,23 @@
-"""Text for people: one line, printable and of bounded length, whatever it quotes of files and arguments."""
+"""Text for users: one line, printable and of bounded length, independent of quoted files and arguments."""
 
 LONGEST = 500
-"""Characters of one message."""
+"""Maximum length of a message [characters]."""
 LEFT_OUT = " [...] "
-"""Stands for the middle of a message that is longer."""
+"""Replacement for the middle of a longer message."""
 
 
 def printable(text: str) -> str:
-    """Escape what is not printable: terminal escapes, line ends, lone surrogates."""
+    """Replace characters that are not printable by escapes: terminal escapes, line ends, lone surrogates."""
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else c.encode("unicode_escape", "replace").decode() for c in text)
 
 
 def one_line(text: str) -> str:
-    """Make a message of a text: its first words say what is wrong, its last what would be right."""
+    """Convert a text to a message of one line.
+
+    The start names the problem and the end the remedy, so only the middle of a long text is cut.
+    """
     if len(text) > 4 * LONGEST:  # escaping makes a text longer, never shorter
         text = text[: 2 * LONGEST] + text[-2 * LONGEST :]
     line = printable(text)

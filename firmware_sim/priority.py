@@ -1,4 +1,4 @@
-"""Firmware does not wait for a desktop: real-time priority for a simulator that keeps up, where it is granted."""
+"""Real-time priority for a simulator that keeps up with its clock, as real firmware does."""
 
 import math
 import os
@@ -8,15 +8,21 @@ from collections import deque
 from collections.abc import Callable
 
 LEVEL = 50
-"""Below a controller's 60, so that the simulated side never keeps the host from its deadline."""
+"""Priority below a controller's 60, so that the simulator never delays the host past its deadline."""
 ORDINARY_S = 5.0
-"""Time without real-time priority after the plant could not follow its clock [s]."""
-SEVERAL, WITHIN_S = 3, 1.0
-"""It could not if it gave up time so often within so long [s]."""
+"""Time without real-time priority after the plant fell behind its clock [s]."""
+SEVERAL = 3
+"""Slips within ``WITHIN_S`` that end the priority."""
+WITHIN_S = 1.0
+"""Time span of these slips [s]."""
 
 
 def take_priority() -> bool:
-    """Ask for SCHED_FIFO; return whether it was granted."""
+    """Request SCHED_FIFO.
+
+    Returns:
+        True if the priority was granted.
+    """
     if not sys.platform.startswith("linux"):
         return False
     try:
@@ -27,21 +33,21 @@ def take_priority() -> bool:
 
 
 def give_back_priority() -> None:
-    """Be an ordinary process again."""
+    """Return to the ordinary scheduler."""
     if sys.platform.startswith("linux"):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
-class Urgency:
-    """Real-time priority while it serves a controller, and never while it would starve one.
+class RealTimePriority:
+    """Real-time priority while the simulator serves a controller, without starving the controller.
 
-    A simulator that is behind is busy all the time. With real-time priority it would leave next to nothing to a
-    controller on the same core that is still importing, and has no such priority yet. So it takes the priority with the
-    first frame of a host, and gives it back for ``ORDINARY_S`` where even so the plant falls behind again and again. A
-    machine that stood still for a moment is no reason.
+    A simulator that is behind is always busy. With real-time priority it would leave almost no time
+    to a controller on the same core that still imports and has no such priority yet. The priority
+    is therefore taken with the first frame of a host. It is given back for ``ORDINARY_S`` if the
+    plant falls behind repeatedly. A single stop of the machine does not count.
 
     Attributes:
-        taken: whether it has the priority.
+        active: True while the process has the priority.
     """
 
     def __init__(
@@ -50,26 +56,34 @@ class Urgency:
         give_back: Callable[[], None] = give_back_priority,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Args: what takes the priority, what gives it back, and the clock [s]."""
-        self._take, self._give_back, self._now_s = take, give_back, now_s
-        self.taken = False
+        """Start without priority.
+
+        Args:
+            take: takes the priority, returns True if granted.
+            give_back: gives the priority back.
+            now_s: clock [s].
+        """
+        self._take = take
+        self._give_back = give_back
+        self._now_s = now_s
+        self.active = False
         self._not_before_s = -math.inf
         self._slips_s: deque[float] = deque(maxlen=SEVERAL)
 
-    def heard(self) -> None:
-        """Note frames of a host."""
-        if not self.taken and self._now_s() >= self._not_before_s:
-            self.taken = self._take()
-            self._not_before_s = self._now_s() + ORDINARY_S  # where it is refused it is not asked for in every turn
+    def note_host_frames(self) -> None:
+        """Take the priority because frames of a host arrived."""
+        if not self.active and self._now_s() >= self._not_before_s:
+            self.active = self._take()
+            self._not_before_s = self._now_s() + ORDINARY_S  # after a refusal, do not retry in every turn
 
-    def behind(self) -> None:
-        """Note that the plant has given up time."""
-        if not self.taken:
+    def note_slip(self) -> None:
+        """Count a slip of the plant, and give the priority back after several."""
+        if not self.active:
             return
         now_s = self._now_s()
         self._slips_s.append(now_s)
         if len(self._slips_s) == SEVERAL and now_s - self._slips_s[0] <= WITHIN_S:
             self._give_back()
-            self.taken = False
+            self.active = False
             self._not_before_s = now_s + ORDINARY_S
             self._slips_s.clear()

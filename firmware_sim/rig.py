@@ -1,4 +1,4 @@
-"""The simulator in lockstep: the caller's ticks are its clock, and nobody sleeps."""
+"""The simulator in lockstep. The ticks of the caller are its clock."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -6,22 +6,24 @@ from typing import Any
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.bus.records import to_frames, to_records
-from firmware_sim.bus.wired_tick import WiredTick
+from firmware_sim.bus.timed_lockstep import TimedLockstep
 from firmware_sim.description import load_hand
 from firmware_sim.plant.perturb import perturbed
 from firmware_sim.scene.scene import load_scene
-from firmware_sim.serials import numbered
+from firmware_sim.serials import with_serials
 from firmware_sim.truth import TruthWriter
 from firmware_sim.wire.options import parse
 from firmware_sim.world import make_world
 
 
 class Rig:
-    """One simulated hand; the same seed and the same frames give the same answers and the same truth, byte for byte.
+    """One simulated hand in lockstep.
+
+    Equal seeds and equal frames give equal answers and an equal truth file, byte for byte.
 
     Attributes:
-        world: plant and nodes, for tests that look behind the wire.
-        wired: the wires; None without.
+        world: plant and nodes, for tests that need the true state.
+        wired: simulated wires, None without.
     """
 
     def __init__(  # noqa: PLR0913 - a keyword for each thing that a test varies
@@ -40,27 +42,27 @@ class Rig:
         """Build the hand.
 
         Args:
-            hand_path: file or packaged name.
-            scene: packaged name, file or shorthand such as ``cylinder:35``; None for a free hand.
-            seed: of noise, initial slack and encoder offsets.
-            truth_path: file to record the truth in; None for none.
+            hand_path: file or packaged name of the hand.
+            scene: packaged name, file or shorthand such as ``cylinder:35``, None for a free hand.
+            seed: seed of noise, initial slack and encoder offsets.
+            truth_path: path of the truth file, None for no file.
             perturb: factors on plant parameters, see ``perturb.KEYS``.
             period_ns: length of a tick [ns].
-            homed: start with taut ropes and encoders at zero.
-            wire: KEY=VALUE words of a simulated wire, see ``wire.options``; None for answers that are never late.
-
-            serials: serial numbers of the drives, see ``serials.numbered``.
+            homed: True to start with taut tendons and encoders at zero.
+            wire: KEY=VALUE words of a simulated wire, see ``wire.options``. None for answers that
+                are never late.
+            serials: serial numbers of the drives, see ``serials.with_serials``.
 
         Raises:
             SimulatorError: hand, scene, factors or wire are wrong.
         """
-        hand = numbered(perturbed(load_hand(hand_path), perturb or {}), serials)
+        hand = with_serials(perturbed(load_hand(hand_path), perturb or {}), serials)
         self.world = make_world(hand, load_scene(scene), seed, homed)
         assert self.world.exchange
         self._exchange = self.world.exchange
         self._period_ns = period_ns
-        self.wired = None if wire is None else WiredTick(self.world, parse(wire))
-        self._exchange.speaks = self.wired is None
+        self.wired = None if wire is None else TimedLockstep(self.world, parse(wire))
+        self._exchange.sends_unsolicited = self.wired is None
         self._truth: TruthWriter | None = None
         if truth_path is not None:
             header = {**self.world.header("virtual"), "perturb": perturb or {}}
@@ -68,16 +70,17 @@ class Rig:
             self.world.record(self._truth)
 
     def exchange(self, t_ns: int, frames: Any) -> Any:
-        """Answer the host's frames of the tick that begins at t_ns, then advance to the next tick.
+        """Answer the host's frames of one tick, then advance to the next tick.
 
         Args:
-            t_ns: beginning of the tick [ns]; must not run backwards.
-            frames: contiguous array of ``records.RECORD``; their times count for nothing.
+            t_ns: start of the tick [ns], not before the previous tick.
+            frames: contiguous array of ``records.RECORD``. Their times are ignored.
 
         Returns:
-            The answers as an array of ``records.RECORD``, stamped as if they followed one another on each bus, all
-            within the tick; with a wire those that have arrived by the end of the tick, and the error frames of the
-            host's controllers.
+            The answers as an array of ``records.RECORD``. Their times follow one another on each
+            bus, within the tick. With
+            simulated wires: the frames that arrived by the end of the tick, and the error frames of
+                the host's controllers.
         """
         end_ns = t_ns + self._period_ns
         if self.wired:
@@ -86,32 +89,35 @@ class Rig:
         world.reach(t_ns)
         answers, in_order = self._exchange.answer(frames, t_ns, self._period_ns - 1)
         world.advance(end_ns, self._exchange.wake_ns)
-        spoken = world.take_spoken_records()
-        return answers if in_order and not len(spoken) else self._exchange.merged(answers, spoken)
+        unsolicited = world.take_unsolicited_records()
+        return answers if in_order and not len(unsolicited) else self._exchange.merged(answers, unsolicited)
 
     def step(self, t_ns: int, frames: Iterable[tuple[Any, ...]]) -> list[Frame]:
-        """Do the same with objects; see ``exchange``.
+        """Answer the host's frames of one tick as objects. See ``exchange``.
 
         Args:
-            t_ns: beginning of the tick [ns]; must not run backwards.
+            t_ns: start of the tick [ns], not before the previous tick.
             frames: can_id, data, flags, bus, t_ns of each frame.
         """
         return to_frames(self.exchange(t_ns, to_records(frames)))
 
     def inject(self, text: str) -> None:
-        """Let a fault begin now, or ``at`` a time from now; see ``fault_text``.
+        """Start a fault, now or at a later time.
+
+        Args:
+            text: fault as text, see ``faults.text``.
 
         Raises:
-            SimulatorError: there is no such fault in this hand.
+            SimulatorError: this hand cannot have the fault.
         """
         self.world.faults.inject(text)
 
-    def told(self) -> list[dict[str, object]]:
-        """Every fault so far, and what was felt of it."""
-        return self.world.faults.told()
+    def fault_states(self) -> list[dict[str, object]]:
+        """List each fault so far with its state and the number of its effects."""
+        return self.world.faults.states()
 
     def truth(self) -> dict[str, list[float]]:
-        """What a judge behind the wire may know: tensions [N], and the torque that each motor is asked for [N m]."""
+        """Return the present true state for tests: tensions [N] and commanded motor torques [N m]."""
         motors = self.world.plant.motors.values()
         return {"tension": self.world.plant.tensions(), "torque": [motor.servo.torque for motor in motors]}
 
@@ -123,6 +129,6 @@ class Rig:
             self._truth = None
 
     def _loads(self) -> list[float]:
-        """Share of the time that each wire was occupied."""
+        """Return the fraction of time in which each wire was occupied."""
         assert self.wired
         return [round(wire.load(0, max(1, self.world.t_ns)), 4) for wire in self.wired.wires]

@@ -1,4 +1,4 @@
-"""Serial numbers of simulated drives: two hands of one design differ in nothing else that a drive tells."""
+"""Serial numbers of simulated drives. Only the serial numbers distinguish two hands of one design."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -6,19 +6,21 @@ from dataclasses import replace
 from firmware_sim.description import Hand, SimulatorError
 
 BITS = {"mit": 32, "cia402": 32, "odrive": 48}
-"""Of a protocol's serial number; a protocol that is not here has none."""
-RIGHT = "expected a number, or MOTOR=NUMBER, as in --serial 0x4000 or --serial index_motor=0x4001"
+"""Size of the serial number of each protocol [bit]. Other protocols have none."""
+EXPECTED = "expected a number, or MOTOR=NUMBER, as in --serial 0x4000 or --serial index_motor=0x4001"
+"""Help text of an error."""
 
 
-def numbered(hand: Hand, words: Iterable[str]) -> Hand:
+def with_serials(hand: Hand, words: Iterable[str]) -> Hand:
     """Return the hand with serial numbers.
 
     Args:
-        hand: as described.
-        words: NUMBER, to which each drive adds its number on the bus, or MOTOR=NUMBER; the later word wins.
+        hand: description of the hand.
+        words: NUMBER, to which each drive adds its node number, or MOTOR=NUMBER. A later word
+            overrides an earlier one.
 
     Raises:
-        SimulatorError: no such motor, no number, or one that a drive of that protocol cannot have.
+        SimulatorError: the motor does not exist, or the number is not valid for its protocol.
     """
     serials: dict[str, int | None] = {motor.name: motor.serial for motor in hand.motors}
     for word in words:
@@ -28,12 +30,12 @@ def numbered(hand: Hand, words: Iterable[str]) -> Hand:
         try:
             number = int(text, 0)
         except ValueError:
-            raise SimulatorError(f"--serial {word}: {RIGHT}") from None
+            raise SimulatorError(f"--serial {word}: {EXPECTED}") from None
         named = [motor for motor in hand.motors if not equals or motor.name == name]
         serials |= {motor.name: number if equals else number + motor.node_id for motor in named}
     for motor in hand.motors:
         given = serials[motor.name]
         if given is not None and not 0 <= given < 1 << BITS.get(motor.protocol, 64):
-            most = (1 << BITS[motor.protocol]) - 1
-            raise SimulatorError(f"--serial: {motor.name} would have {given}; expected 0 to {most:#x}")
+            highest = (1 << BITS[motor.protocol]) - 1
+            raise SimulatorError(f"--serial: {motor.name} would have {given}; expected 0 to {highest:#x}")
     return replace(hand, motors=[replace(motor, serial=serials[motor.name]) for motor in hand.motors])

@@ -1,4 +1,4 @@
-"""The simulator in real time: one thread that reads frames, lets the plant follow the clock, and answers at once."""
+"""The simulator in real time: one thread reads frames, advances the plant to the clock, and answers at once."""
 
 import select
 import socket
@@ -9,42 +9,44 @@ from typing import Protocol
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.bus.ports import Port
-from firmware_sim.bus.wired import WiredPort
+from firmware_sim.bus.timed_port import TimedPort
 from firmware_sim.faults.socket import FaultSocket
 from firmware_sim.pace import Pace
-from firmware_sim.priority import Urgency
+from firmware_sim.priority import RealTimePriority
 
 TURN_NS = 1_000_000
-"""The plant follows the clock at least this often [ns of plant time]."""
+"""Maximum time between two advances of the plant [ns of plant time]."""
 LATE_NS = 5 * TURN_NS
-"""A turn that finds the plant this far behind counts as an overrun [ns of plant time]."""
+"""Delay of the plant that counts as an overrun [ns of plant time]."""
 SLIP_NS = 50_000_000
-"""Further behind than this the plant's clock gives up the time that is lost [ns of plant time]."""
-ROUNDS = 64
-"""Ports are asked at most this often in one turn: a full wire cannot keep the plant from moving."""
-REST_S = 0.005
-"""Pause after time was given up [s]: whoever waits for this core gets it."""
+"""Delay at which the plant's clock gives up the lost time [ns of plant time]."""
+MAX_ROUNDS = 64
+"""Maximum reads of the ports in one turn. The limit keeps a full wire from stopping the plant."""
+PAUSE_S = 0.005
+"""Pause after a slip [s], which leaves the core to other processes."""
 STRIDE_NS = 4_000_000
-"""At most this much plant time is caught up before frames are answered and looked at again [ns]: half a millisecond of
-computing, since an answer that comes after the next SYNC is late."""
+"""Maximum plant time that one turn catches up [ns].
+
+It is half a millisecond of computing. An answer after the next SYNC would be late.
+"""
 
 
 class Clock(Protocol):
-    """What the server asks of time."""
+    """Clock of the server."""
 
     @property
     def scale(self) -> float:
-        """Plant time per wall time."""
+        """Return the plant time per wall time."""
         ...
 
     def now_ns(self) -> int:
-        """Return the present plant time, were the plant never late [ns]."""
+        """Return the target time of the plant [ns]."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class ScaledClock:
-    """CLOCK_MONOTONIC times a factor; both sides of the wire compute it alike.
+    """CLOCK_MONOTONIC times a factor. Both sides of the wire compute the same time.
 
     Attributes:
         scale: plant time per wall time.
@@ -58,47 +60,52 @@ class ScaledClock:
 
 
 class Served(Protocol):
-    """What hangs on the buses: a hand, or drives on a bench.
+    """Nodes on the buses: those of a hand, or drives on a bench.
 
     Attributes:
-        t_ns: its clock [ns]. slip_ns: time that it has been told to give up [ns].
-        foreign: frames that no node knew.
+        t_ns: clock of the nodes [ns].
+        slip_ns: time given up [ns].
+        foreign: frames that no node handled.
     """
 
     slip_ns: int
     foreign: int
 
     @property
-    def t_ns(self) -> int: ...
+    def t_ns(self) -> int:
+        """Return the clock of the nodes [ns]."""
+        ...
+
     @property
     def malformed(self) -> int:
-        """Frames that a node could not read."""
+        """Return the number of frames that a node could not decode."""
         ...
 
     def receive(self, frame: Frame) -> list[Frame]:
-        """Hand a frame to the nodes of its bus; their answers."""
+        """Pass a frame to the nodes of its bus and return the answers."""
         ...
 
     def advance(self, t_ns: int) -> None:
-        """Let time pass until t_ns, in whole steps."""
+        """Advance to t_ns in whole steps."""
         ...
 
     def reach(self, t_ns: int) -> None:
-        """Let time pass until exactly t_ns."""
+        """Advance to exactly t_ns."""
         ...
 
-    def take_spoken(self) -> list[Frame]:
-        """Return what nodes have sent of their own accord since the last call."""
+    def take_unsolicited(self) -> list[Frame]:
+        """Return the unsolicited frames since the last call."""
         ...
 
 
 class Server:
-    """Drives a world by a clock and the ports of its buses.
+    """The loop that drives a world by a clock and by the ports of its buses.
 
     Attributes:
-        pace: how well the world keeps up.
-        overruns: turns that found the plant late. slips: how often it gave up lost time.
-        running: set to False, from a signal handler too, and ``run`` returns.
+        pace: pace of the world.
+        overruns: turns in which the plant was late.
+        slips: slips of the plant's clock.
+        running: False ends ``run``. A signal handler may set it.
     """
 
     def __init__(
@@ -107,20 +114,23 @@ class Server:
         ports: list[Port],
         clock: Clock,
         faults: FaultSocket | None = None,
-        urgency: Urgency | None = None,
+        priority: RealTimePriority | None = None,
     ) -> None:
-        """Set the server up.
+        """Set up the server.
 
         Args:
-            world: what is served, its clock at the present time.
-            ports: in the order of the hand's buses.
-            clock: that the world follows.
-            faults: socket that takes faults and questions.
-            urgency: real-time priority; None for a process that stays an ordinary one.
+            world: nodes to serve, at the present time.
+            ports: ports in the order of the hand's buses.
+            clock: clock that the world follows.
+            faults: socket of faults and requests, None without.
+            priority: real-time priority, None for an ordinary process.
         """
-        self._faults, self._urgency = faults, urgency
+        self._faults = faults
+        self._priority = priority
         self.pace = Pace(world.t_ns)
-        self._world, self._ports, self._clock = world, ports, clock
+        self._world = world
+        self._ports = ports
+        self._clock = clock
         self.overruns = self.slips = 0
         self.running = True
         self._served = False
@@ -131,33 +141,39 @@ class Server:
             self.turn()
 
     def turn(self) -> None:
-        """Wait for frames or for the next millisecond, let the plant catch up, answer."""
+        """Wait for frames or for the next millisecond, advance the plant, and answer."""
         ready = self._wait()
         frames = self._receive(ready)
         if frames:
-            self._heard()
+            self._note_host()
         self._catch_up(sampled=bool(frames))
         self._answer(frames)
         if self._faults and self._faults.readers()[0] in ready:
             self._faults.serve(self.pace)
-        for _ in range(ROUNDS):
+        for _ in range(MAX_ROUNDS):
             if not (frames := self._receive(())):
                 break
             self._answer(frames)
 
-    def _heard(self) -> None:
-        """Be quick, and judge the pace, once a host is there: before, nobody waits for the plant."""
+    def _note_host(self) -> None:
+        """Take the real-time priority, and measure the pace from the first frame of a host."""
         if not self._served:
             self._served = True
-            self.pace.begin(self._world.t_ns)
-        if self._urgency:
-            self._urgency.heard()
+            self.pace.restart(self._world.t_ns)
+        if self._priority:
+            self._priority.note_host_frames()
 
     def _receive(self, ready: Collection[socket.socket]) -> list[Frame]:
+        """Receive the frames of all ports."""
         return [frame for port in self._ports for frame in port.receive(ready)]
 
     def _wait(self) -> list[socket.socket]:
-        """Return the sockets that are ready by the time the plant is due."""
+        """Wait until a socket is ready or the plant is due.
+
+        Returns:
+            The sockets that are ready for reading.
+        """
+        # The world's clock is behind the wall clock by the time given up.
         due_ns = self._world.t_ns + self._world.slip_ns + TURN_NS
         due_ns = min(due_ns, *(port.due_ns for port in self._ports))
         timeout = max(0.0, (due_ns - self._clock.now_ns()) / self._clock.scale * 1e-9)
@@ -168,39 +184,44 @@ class Server:
         return readable
 
     def _catch_up(self, sampled: bool) -> None:
-        """Let the plant follow the clock: to this very instant if there are frames, which sample it."""
+        """Advance the plant to the clock.
+
+        Args:
+            sampled: True to reach the exact time, because frames sample the plant.
+        """
         world = self._world
-        goal_ns = self._clock.now_ns() - world.slip_ns
-        behind_ns = goal_ns - world.t_ns
+        target_ns = self._clock.now_ns() - world.slip_ns
+        behind_ns = target_ns - world.t_ns
         if behind_ns > SLIP_NS:
             self._slip(behind_ns)
             return
         self.overruns += behind_ns > LATE_NS
         follow = world.reach if sampled else world.advance
-        follow(min(goal_ns, world.t_ns + STRIDE_NS))
+        follow(min(target_ns, world.t_ns + STRIDE_NS))
 
     def _slip(self, behind_ns: int) -> None:
-        """Give up lost time: plant and watchdogs stood still while this process did not run."""
+        """Give up lost time. Plant and watchdogs stood still while this process did not run."""
         self._world.slip_ns += behind_ns
         self.slips += 1
-        if self._urgency:
-            self._urgency.behind()
+        if self._priority:
+            self._priority.note_slip()
         if self._served:
             self.pace.slipped(behind_ns, self._world.t_ns)
-        time.sleep(REST_S)
+        time.sleep(PAUSE_S)
 
     def _answer(self, frames: list[Frame]) -> None:
+        """Answer frames and send unsolicited frames."""
         answers: list[list[Frame]] = [[] for _ in self._ports]
         for frame in frames:
             answers[frame.bus] += self._world.receive(frame)
-        for frame in self._world.take_spoken():
+        for frame in self._world.take_unsolicited():
             answers[frame.bus].append(frame)
-        for port, share in zip(self._ports, answers, strict=True):
-            if share:
-                port.send(share)
+        for port, batch in zip(self._ports, answers, strict=True):
+            if batch:
+                port.send(batch)
 
     def summary(self) -> dict[str, object]:
-        """Return what the run came to, for the truth file and for a person."""
+        """Return the counts of the run, for the truth file and the last line."""
         return {
             "overruns": self.overruns,
             "slips": self.slips,
@@ -208,5 +229,5 @@ class Server:
             "foreign_frames": self._world.foreign,
             "malformed_frames": self._world.malformed,
             "lost_frames": sum(port.lost for port in self._ports),
-            "wire_load": [round(port.load, 4) for port in self._ports if isinstance(port, WiredPort)],
+            "wire_load": [round(port.load, 4) for port in self._ports if isinstance(port, TimedPort)],
         }

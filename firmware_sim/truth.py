@@ -1,6 +1,7 @@
-"""The truth file: what really happened in the plant, every millisecond, for those who judge a controller.
+"""The truth file: the true state of the plant in every millisecond, to judge a controller.
 
-One line of JSON (padded with spaces, completed when the file is closed), then rows: int64 t_ns and a float64 a column.
+Format: one line of JSON, padded with spaces and completed when the file is closed. Then rows of an
+int64 t_ns and a float64 for each column, little-endian.
 """
 
 import json
@@ -14,18 +15,20 @@ import numpy.typing as npt
 from firmware_sim.plant.plant import Plant
 
 PERIOD_NS = 1_000_000
+"""Time between two rows [ns]."""
 _HEAD_SIZE = 8192
-_ROWS_HELD = 256
-"""Rows kept in memory before they are written."""
+"""Size of the header line [bytes]."""
+_ROWS_BUFFERED = 256
+"""Rows in memory before they are written."""
 
 
 class Truth(NamedTuple):
     """A truth file in memory.
 
     Attributes:
-        header: the first line.
-        t_ns: shape (rows,) [ns].
-        values: shape (rows, columns); units in ``header["units"]``.
+        header: content of the header.
+        t_ns: times, shape (rows,) [ns].
+        values: values, shape (rows, columns), units in ``header["units"]``.
     """
 
     header: dict[str, Any]
@@ -38,7 +41,7 @@ class Truth(NamedTuple):
 
 
 def columns(plant: Plant) -> list[tuple[str, str]]:
-    """Return name and unit of every column."""
+    """List name and unit of every column."""
     hand = plant.hand
     named = [(f"tension/{tendon.name}", "N") for tendon in hand.tendons]
     named += [(f"q/{joint}", "rad") for joint in hand.joints]
@@ -57,16 +60,23 @@ def columns(plant: Plant) -> list[tuple[str, str]]:
 
 
 class TruthWriter:
-    """Writes rows in blocks.
+    """Writer of a truth file.
 
-    Values of a row are those of its time, except contact forces, which belong to the step before (0.5 ms).
+    The values of a row belong to its time. Only the contact forces belong to the step before (0.5
+    ms).
 
     Attributes:
         due_ns: plant time of the next row [ns].
     """
 
     def __init__(self, path: Path, plant: Plant, header: dict[str, object]) -> None:
-        """Args: file to create; plant; what the header says besides the columns."""
+        """Create the file.
+
+        Args:
+            path: path of the file.
+            plant: plant to record.
+            header: additional content of the header.
+        """
         named = columns(plant)
         self._header = {
             "columns": [name for name, _ in named],
@@ -75,20 +85,21 @@ class TruthWriter:
             **header,
         }
         self._row = struct.Struct(f"<q{len(named)}d")
-        self._held: list[bytes] = []
+        self._buffered: list[bytes] = []
         self._motors = list(plant.motors.values())
         self._file = path.open("wb")
         self.due_ns = 0
         self._file.write(self._head(_HEAD_SIZE))
 
     def _head(self, size: int) -> bytes:
+        """Return the header line."""
         return json.dumps(self._header).encode().ljust(size - 1) + b"\n"
 
     def write(self, t_ns: int, plant: Plant) -> None:
-        """Take down the present state."""
+        """Record the present state."""
         self.due_ns += PERIOD_NS
         engine = plant.engine
-        self._held.append(
+        self._buffered.append(
             self._row.pack(
                 t_ns,
                 *plant.tensions(),
@@ -103,17 +114,17 @@ class TruthWriter:
                 *plant.measured_grip(),
             )
         )
-        if len(self._held) >= _ROWS_HELD:
+        if len(self._buffered) >= _ROWS_BUFFERED:
             self.flush()
 
     def flush(self) -> None:
-        """Write what is held in memory."""
-        self._file.write(b"".join(self._held))
+        """Write the buffered rows to the file."""
+        self._file.write(b"".join(self._buffered))
         self._file.flush()
-        self._held.clear()
+        self._buffered.clear()
 
     def close(self, summary: dict[str, object]) -> None:
-        """Write the rest, complete the header with a summary of the run, and close the file."""
+        """Write the buffered rows, complete the header with a summary of the run, and close the file."""
         self.flush()
         self._header.update(summary)
         head = self._head(_HEAD_SIZE)
@@ -124,7 +135,7 @@ class TruthWriter:
 
 
 def read_truth(path: str | Path) -> Truth:
-    """Read a truth file; a last row that was cut off is left out.
+    """Read a truth file. An incomplete last row is ignored.
 
     Raises:
         ValueError: the file does not begin with a header.

@@ -1,6 +1,6 @@
-"""Plant and nodes together, driven by time and frames; knows neither sockets nor clocks.
+"""Plant and nodes together, driven by time and frames. The world knows neither sockets nor clocks.
 
-What is injected stands between the nodes and the wire, in a node, a sensor or the plant: see ``faults``.
+Injected faults act between nodes and wire, in a node, in a sensor or in the plant. See ``faults``.
 """
 
 import random
@@ -17,33 +17,38 @@ from firmware_sim.exchange import Exchange
 from firmware_sim.faults.active import Faults
 from firmware_sim.nodes import PROTOCOLS, noise, sensors
 from firmware_sim.nodes.cyclic import NEVER_NS
-from firmware_sim.nodes.kind import SENSORS, DriveNode, Node
 from firmware_sim.nodes.mit import codec as mit_codec
-from firmware_sim.nodes.sensors import SensorNode, SensorNodeRow, SensorRow
+from firmware_sim.nodes.protocol_spec import SENSORS, DriveNode, Node
+from firmware_sim.nodes.sensors import SensorNode, SensorNodeRow, SensorStruct
 from firmware_sim.plant.plant import STEP_NS, Plant
 from firmware_sim.scene.scene import Scene
 from firmware_sim.truth import TruthWriter
 
 _ARRIVAL_NS = itemgetter(4)
 MAX_ENCODER_OFFSET_RAD = 0.5
-"""Angle that an encoder may show at theta = 0 when not homed; small against PMAX and the 3 rad of a grasp."""
+"""Maximum encoder angle at theta = 0 when not homed [rad], small against PMAX and the 3 rad of a grasp."""
 
 
 class World:
-    """The other side of the wire.
+    """The far side of the wire: plant and nodes of one hand.
 
-    Power-up, unless homed: each rope hangs slack by 1 to 3 mm (the motors were limp) and each encoder shows an angle
-    within 0.5 rad of its ``zero_rad`` at the point where the rope is just taut at q = 0 (a spool clamped by hand). Both
-    are seeded. A homed world starts with taut ropes and the encoders at ``zero_rad``.
+    Power-up, unless homed: each tendon is slack by 1 to 3 mm, because the motors were off. Each
+    encoder reads an angle within 0.5 rad of its ``zero_rad`` at the point where the tendon is just
+    taut at q = 0, as after a spool was clamped by hand. Both are random with a seed. A homed world
+    starts with taut tendons and the encoders at ``zero_rad``.
 
     Attributes:
+        hand: description of the hand.
         plant: the mechanics.
-        nodes: for each bus of the hand, what sits on it.
-        t_ns: the clock of plant and nodes [ns].
-        foreign: frames that no node knew.
-        sensor_node: the load cells and joint encoders.
-        faults: what is injected.
-        encoder_offset: angle each encoder shows at theta = 0, by motor [rad].
+        nodes: nodes of each bus of the hand.
+        t_ns: clock of plant and nodes [ns].
+        slip_ns: time given up because this process did not run [ns].
+        foreign: frames that no node handled.
+        sensor_node: node of load cells and joint encoders.
+        faults: injected faults.
+        encoder_offset: encoder angle at theta = 0, by motor name [rad].
+        row_of: kind and row of each node that compiled kernels handle, by the node's ``id()``.
+        exchange: kernel that answers cyclic frames, None without compiled kernels.
     """
 
     def __init__(
@@ -58,80 +63,98 @@ class World:
         """Build plant and nodes.
 
         Args:
-            hand: the hand. scene: object and support. seed: of everything random. homed: whether it starts homed.
-            origin_ns: the clock at the start [ns]. compiled: whether laws are, see ``Plant``.
+            hand: description of the hand.
+            scene: object and support.
+            seed: seed of all random numbers.
+            homed: True to start homed.
+            origin_ns: clock at the start [ns].
+            compiled: True to use compiled kernels, see ``Plant``.
         """
-        self.hand, self.seed, self.homed = hand, seed, homed
+        self.hand = hand
+        self.seed = seed
+        self.homed = homed
         self.plant = Plant(hand, scene, seed, homed, compiled)
         if compiled:
             for module in (mit_codec, sensors, noise):
                 use(module)
         self.t_ns = self._origin_ns = origin_ns
         self.foreign = 0
-        chance = random.Random(f"encoders {seed}")
+        rng = random.Random(f"encoders {seed}")
         spread = 0.0 if homed else MAX_ENCODER_OFFSET_RAD
-        self.encoder_offset = {motor.name: motor.zero + chance.uniform(-spread, spread) for motor in hand.motors}
+        self.encoder_offset = {motor.name: motor.zero + rng.uniform(-spread, spread) for motor in hand.motors}
         self.nodes: list[list[Node]] = [[] for _ in hand.buses]
         self.row_of: dict[int, tuple[int, int]] = {}
         rows: dict[type, Any] = {}
-        self._motor_nodes = self._drives(compiled, rows)
+        self._motor_nodes = self._build_drives(compiled, rows)
         for motor in hand.motors:
-            self.nodes[self._bus(motor.bus)].append(self._motor_nodes[motor.name])
+            self.nodes[self._bus_index(motor.bus)].append(self._motor_nodes[motor.name])
         if hand.sensors:
-            self.sensor_node = self._sensor_node(hand.sensors, compiled, rows)
-            self.nodes[self._bus(hand.sensors.bus)].append(self.sensor_node)
-        self._all = [(index, node) for index, bus in enumerate(self.nodes) for node in bus]
-        self._without_row = [node for _, node in self._all if id(node) not in self.row_of]
+            self.sensor_node = self._build_sensor_node(hand.sensors, compiled, rows)
+            self.nodes[self._bus_index(hand.sensors.bus)].append(self.sensor_node)
+        self._nodes_by_bus = [(index, node) for index, bus in enumerate(self.nodes) for node in bus]
+        self._without_row = [node for _, node in self._nodes_by_bus if id(node) not in self.row_of]
         self._by_id: list[dict[int, list[tuple[Node, frozenset[int] | None]]]]
         self.exchange = Exchange(self, rows) if compiled else None
-        self.look_again()
-        self._spoken: list[Frame] = []
+        self.refresh_identifiers()
+        self._unsolicited: list[Frame] = []
         self.faults = Faults(self)
         self._truth: TruthWriter | None = None
         self.slip_ns = 0
 
-    def _bus(self, name: str) -> int:
+    def _bus_index(self, name: str) -> int:
+        """Return the index of a bus, given its name."""
         if name not in self.hand.buses:
             raise SimulatorError(f"{self.hand.name}: no bus {name}; expected one of {', '.join(self.hand.buses)}")
         return self.hand.buses.index(name)
 
-    def _drives(self, compiled: bool, rows: dict[type, Any]) -> dict[str, DriveNode]:
-        """Return the node of each motor by its name; those with rows are noted in ``rows`` and ``row_of``."""
+    def _build_drives(self, compiled: bool, rows: dict[type, Any]) -> dict[str, DriveNode]:
+        """Build the drive nodes.
+
+        Args:
+            compiled: True to use rows for compiled kernels.
+            rows: array of the rows by their type, extended.
+
+        Returns:
+            Node of each motor by the motor's name.
+        """
         nodes: dict[str, DriveNode] = {}
         for motor in self.hand.motors:
             if motor.protocol not in PROTOCOLS:
-                known = ", ".join(PROTOCOLS)
+                names = ", ".join(PROTOCOLS)
                 raise SimulatorError(
-                    f"{motor.name}: protocol {motor.protocol} is not simulated; expected one of {known}"
+                    f"{motor.name}: protocol {motor.protocol} is not simulated; expected one of {names}"
                 )
         for protocol, kind in PROTOCOLS.items():
             motors = [motor for motor in self.hand.motors if motor.protocol == protocol]
             memory: Any = (kind.row * len(motors))() if compiled and kind.row else [None] * len(motors)
             for number, (motor, row) in enumerate(zip(motors, memory, strict=True)):
-                about = motor, self.plant.motors[motor.name], self.encoder_offset[motor.name]
+                arguments = motor, self.plant.motors[motor.name], self.encoder_offset[motor.name]
                 if row is None:
-                    nodes[motor.name] = kind.node(*about)
+                    nodes[motor.name] = kind.node(*arguments)
                     continue
-                row.prepare(*about)
-                row.bus = self._bus(motor.bus)
-                nodes[motor.name], self.row_of[id(row)] = row, (kind.taker, number)
+                row.prepare(*arguments)
+                row.bus = self._bus_index(motor.bus)
+                nodes[motor.name] = row
+                self.row_of[id(row)] = (kind.node_kind, number)
             if compiled and kind.row:
                 rows[kind.row.layout] = array_of(memory, kind.row.layout)
         return nodes
 
-    def _sensor_node(self, spec: SensorSpec, compiled: bool, rows: dict[type, Any]) -> SensorNode:
-        plant, joints = self.plant, self.hand.joints
+    def _build_sensor_node(self, spec: SensorSpec, compiled: bool, rows: dict[type, Any]) -> SensorNode:
+        """Build the sensor node, with a row for compiled kernels."""
+        plant = self.plant
+        joints = self.hand.joints
         names = [tendon.name for tendon in self.hand.tendons]
         tendon_order = np.array([names.index(name) for name in spec.tendons], np.int64)
         joint_order = np.array([joints.index(name) for name in spec.joints], np.int64)
         self.sensor_orders = tendon_order, joint_order
-        about = spec, lambda: plant.cells()[tendon_order], lambda: plant.engine.q[joint_order], self.seed
+        arguments = spec, lambda: plant.cells()[tendon_order], lambda: plant.engine.q[joint_order], self.seed
         if not compiled:
-            return SensorNode(*about)
+            return SensorNode(*arguments)
         memory = (SensorNodeRow * 1)()
         node: SensorNodeRow = memory[0]
-        node.prepare(*about)
-        rows[SensorRow] = array_of(memory, SensorRow)
+        node.prepare(*arguments)
+        rows[SensorStruct] = array_of(memory, SensorStruct)
         self.row_of[id(node)] = SENSORS, 0
         return node
 
@@ -144,141 +167,172 @@ class World:
         return self._motor_nodes[name]
 
     def host_frame(self, name: str) -> Frame:
-        """Return a frame that only the host of a motor may send, and that does nothing to it."""
+        """Build a frame that only the host of a motor sends and that has no effect."""
         spec = self.motor_spec(name)
         can_id, data = PROTOCOLS[spec.protocol].host_frame(spec.node_id)
-        return Frame(can_id, data, 0, self._bus(spec.bus), self.t_ns)
+        return Frame(can_id, data, 0, self._bus_index(spec.bus), self.t_ns)
 
     def record(self, truth: TruthWriter) -> None:
-        """Have every millisecond of plant time written down."""
+        """Record every millisecond of plant time in a truth file."""
         self._truth = truth
 
     def receive(self, frame: Frame) -> list[Frame]:
-        """Hand a frame to the nodes of its bus and return their answers, stamped with the present time."""
+        """Pass a frame to the nodes of its bus.
+
+        Args:
+            frame: frame of the host.
+
+        Returns:
+            The answers, stamped with the present time.
+        """
         answers: list[Frame] = []
-        known, t_ns, bus, faults = False, self.t_ns, frame[3], self.faults
-        struck = faults.struck  # by a fault that may have something to do with frames for others
-        takers = self._all_of[bus] if struck else self._by_id[bus].get(frame[0]) or self._takers(bus, frame[0])
-        for node, ids in takers:
-            replies = faults.exchange(node, frame, t_ns) if struck else node.receive(frame, t_ns)
+        handled = False
+        t_ns = self.t_ns
+        bus = frame[3]
+        faults = self.faults
+        wire_faulty = faults.wire_faults_of  # a fault may react to frames for other nodes
+        receivers = (
+            self._nodes_of_bus[bus] if wire_faulty else self._by_id[bus].get(frame[0]) or self._receivers(bus, frame[0])
+        )
+        for node, ids in receivers:
+            replies = faults.exchange(node, frame, t_ns) if wire_faulty else node.receive(frame, t_ns)
             if node.ids is not ids:
-                self.look_again()
+                self.refresh_identifiers()
             if replies is not None:
-                known = True
+                handled = True
                 answers += replies
-        if not known:
+        if not handled:
             self.foreign += 1
         for i, (can_id, data, flags, at_bus, at_ns) in enumerate(answers):
             if at_bus != bus or at_ns != t_ns:
                 answers[i] = Frame(can_id, data, flags, bus, t_ns)
         return answers
 
-    def heeds(self, frame: Frame) -> bool:
-        """Return whether any node may answer a frame, which would sample the plant."""
-        return bool(self._by_id[frame[3]].get(frame[0]) or self._takers(frame[3], frame[0]))
+    def has_receiver(self, frame: Frame) -> bool:
+        """Return True if a node may answer the frame. An answer samples the plant."""
+        return bool(self._by_id[frame[3]].get(frame[0]) or self._receivers(frame[3], frame[0]))
 
-    def _takers(self, bus: int, can_id: int) -> list[tuple[Node, frozenset[int] | None]]:
-        """Return the nodes that may answer an identifier, each with all of its own as they were when it was asked."""
-        takers = [(node, ids) for node, ids in self._all_of[bus] if ids is None or can_id in ids]
-        self._by_id[bus][can_id] = takers
-        return takers
+    def _receivers(self, bus: int, can_id: int) -> list[tuple[Node, frozenset[int] | None]]:
+        """Return the nodes that may answer an identifier, each with its identifiers at this time."""
+        receivers = [(node, ids) for node, ids in self._nodes_of_bus[bus] if ids is None or can_id in ids]
+        self._by_id[bus][can_id] = receivers
+        return receivers
 
-    def look_again(self) -> None:
-        """Ask the nodes again who they are."""
-        self._all_of = [[(node, node.ids) for node in bus] for bus in self.nodes]
+    def refresh_identifiers(self) -> None:
+        """Read the identifiers of all nodes again."""
+        self._nodes_of_bus = [[(node, node.ids) for node in bus] for bus in self.nodes]
         self._by_id = [{} for _ in self.nodes]
         if self.exchange:
-            self.exchange.look_again()
+            self.exchange.refresh_identifiers()
 
-    def advance(self, t_ns: int, known_wake_ns: int | None = None) -> None:
-        """Let time pass until t_ns, in whole steps; what is left over waits for the next call.
+    def advance(self, t_ns: int, row_wake_ns: int | None = None) -> None:
+        """Advance to t_ns in whole steps. A remainder waits for the next call.
 
-        Args: t_ns: end [ns]. known_wake_ns: when time must pass for a drive with a row next [ns], if that is known.
+        Args:
+            t_ns: end [ns].
+            row_wake_ns: earliest wake time of the drives with rows [ns], None if not known.
         """
-        plant, truth, faults = self.plant, self._truth, self.faults
+        plant = self.plant
+        truth = self._truth
+        faults = self.faults
         now_ns = self.t_ns - plant.part_ns
         if now_ns + STEP_NS > t_ns:
             return
-        wake_ns = self._next_wake(known_wake_ns)
+        wake_ns = self._next_wake(row_wake_ns)
         while now_ns + STEP_NS <= t_ns:
             until_ns = t_ns
             if truth is not None:
-                self._take_down(now_ns)
+                self._write_truth(now_ns)
                 until_ns = min(until_ns, now_ns + truth.due_ns - plant.t_ns)
             if faults.on:
-                until_ns = min(until_ns, now_ns if plant.struck else faults.due_ns())
-            count = _steps(now_ns, min(until_ns, wake_ns), t_ns)
+                until_ns = min(until_ns, now_ns if plant.faulty_motors else faults.due_ns())
+            count = _steps_until(now_ns, min(until_ns, wake_ns), t_ns)
             plant.advance(count)
             now_ns += count * STEP_NS
             if now_ns >= wake_ns:
                 wake_ns = self._next_wake(self._wake(now_ns))
             if faults.on:
                 self.t_ns = now_ns
-                self._spoken += faults.advance(now_ns)
+                self._unsolicited += faults.advance(now_ns)
                 wake_ns = self._next_wake()
         self.t_ns = now_ns
 
     def reach(self, t_ns: int) -> None:
-        """Let time pass until exactly t_ns: what is sampled now is sampled at its instant, not up to a step before.
+        """Advance to exactly t_ns, so that samples belong to their exact time.
 
-        Steps keep their places in time; the one around t_ns is divided, and the next call completes it.
+        Steps keep their positions in time. The step around t_ns is divided, and the next call
+        completes it.
         """
         self.advance(t_ns)
         rest_ns = t_ns - self.t_ns
         if rest_ns > 0:
             if not self.plant.part_ns:
-                self._take_down(self.t_ns)
+                self._write_truth(self.t_ns)
             self.plant.advance_part(rest_ns)
             self.t_ns = t_ns
 
-    def _take_down(self, now_ns: int) -> None:
-        """Write a row of the truth if one is due."""
-        truth, plant = self._truth, self.plant
+    def _write_truth(self, now_ns: int) -> None:
+        """Write a row of the truth file if it is due."""
+        truth = self._truth
+        plant = self.plant
         if truth is not None and plant.t_ns >= truth.due_ns:
             truth.write(now_ns + self.slip_ns, plant)
 
-    def _next_wake(self, known_ns: int | None = None) -> int:
-        """Return when time must pass for a node next [ns]; ``known_ns``: for those with rows, if that is known."""
+    def _next_wake(self, row_wake_ns: int | None = None) -> int:
+        """Return the earliest wake time of all nodes [ns].
+
+        Args:
+            row_wake_ns: earliest wake time of the drives with rows [ns], None if not known.
+        """
         if not self.exchange:
-            return min([node.wake_ns for _, node in self._all], default=NEVER_NS)
-        wake_ns = self.exchange.next_wake() if known_ns is None else known_ns
+            return min([node.wake_ns for _, node in self._nodes_by_bus], default=NEVER_NS)
+        wake_ns = self.exchange.next_wake() if row_wake_ns is None else row_wake_ns
         return min(wake_ns, *[node.wake_ns for node in self._without_row]) if self._without_row else wake_ns
 
     def _wake(self, now_ns: int) -> int | None:
-        """Wake the nodes whose time has come, and keep what they say; return when rows are due next [ns] if known."""
-        if self.exchange and not self._without_row and self.exchange.speak(now_ns):
+        """Wake the nodes that are due and store their frames.
+
+        Returns:
+            Earliest wake time of the drives with rows [ns], None if not known.
+        """
+        if self.exchange and not self._without_row and self.exchange.send_due(now_ns):
             return self.exchange.wake_ns
-        for bus, node in self._all:
+        for bus, node in self._nodes_by_bus:
             if now_ns >= node.wake_ns:
-                spoken = node.wake(now_ns)
-                if spoken:
-                    told = [frame._replace(bus=bus, t_ns=now_ns) for frame in spoken]
-                    self._spoken += self.faults.spoken(node, told, now_ns) if self.faults.on else told
+                unsolicited = node.wake(now_ns)
+                if unsolicited:
+                    stamped = [frame._replace(bus=bus, t_ns=now_ns) for frame in unsolicited]
+                    self._unsolicited += self.faults.unsolicited(node, stamped, now_ns) if self.faults.on else stamped
         return None
 
-    def hear(self, frames: list[Frame]) -> None:
-        """Have frames on the bus that no node of this hand sends."""
-        self._spoken += frames
+    def queue_frames(self, frames: list[Frame]) -> None:
+        """Queue frames of foreign senders on the bus."""
+        self._unsolicited += frames
 
-    def take_spoken(self) -> list[Frame]:
-        """Return what nodes have sent of their own accord since the last call."""
-        spoken, self._spoken = self._spoken, []
-        if self.exchange and len(said := self.exchange.take_said()):
-            return sorted(to_frames(said) + spoken, key=_ARRIVAL_NS)
-        return spoken
+    def take_unsolicited(self) -> list[Frame]:
+        """Return the unsolicited frames since the last call, in the order of time."""
+        unsolicited = self._unsolicited
+        self._unsolicited = []
+        if self.exchange and len(from_drives := self.exchange.take_sent()):
+            return sorted(to_frames(from_drives) + unsolicited, key=_ARRIVAL_NS)
+        return unsolicited
 
-    def take_spoken_records(self) -> Any:
-        """Return the same as an array of ``records.RECORD``, valid until more is sent."""
+    def take_unsolicited_records(self) -> Any:
+        """Return the unsolicited frames as an array of ``records.RECORD``, valid until the next frame is sent."""
         assert self.exchange
-        return to_records(self.take_spoken()) if self._spoken else self.exchange.take_said()
+        return to_records(self.take_unsolicited()) if self._unsolicited else self.exchange.take_sent()
 
     @property
     def malformed(self) -> int:
-        """Frames that a node could not read."""
-        return sum(node.malformed for _, node in self._all)
+        """Return the number of frames that nodes could not decode."""
+        return sum(node.malformed for _, node in self._nodes_by_bus)
 
     def header(self, clock: str) -> dict[str, object]:
-        """Return what the head of a truth file says about this world."""
+        """Return the header of a truth file of this world.
+
+        Args:
+            clock: name of the clock.
+        """
         return {
             "clock": clock,
             "seed": self.seed,
@@ -289,8 +343,14 @@ class World:
         }
 
 
-def _steps(now_ns: int, due_ns: int, end_ns: int) -> int:
-    """Return how many steps, at least one, it takes until something is due, without going beyond the end."""
+def _steps_until(now_ns: int, due_ns: int, end_ns: int) -> int:
+    """Count the steps, at least one, until an event is due, without passing the end.
+
+    Args:
+        now_ns: present time [ns].
+        due_ns: time of the event [ns].
+        end_ns: end [ns].
+    """
     return max(1, min(-((now_ns - due_ns) // STEP_NS), (end_ns - now_ns) // STEP_NS))
 
 
@@ -302,10 +362,18 @@ def make_world(
     origin_ns: int = 0,
     compiled: bool = True,
 ) -> World:
-    """Build the world of a hand from a file; arguments as those of ``World``.
+    """Build the world of a hand from a file.
+
+    Args:
+        hand: description of the hand.
+        scene: object and support.
+        seed: seed of all random numbers.
+        homed: True to start homed.
+        origin_ns: clock at the start [ns].
+        compiled: True to use compiled kernels, see ``Plant``.
 
     Raises:
-        SimulatorError: the numbers or names of the hand are not those of a plant.
+        SimulatorError: numbers or names of the hand do not make a plant.
     """
     try:
         return World(hand, scene, seed, homed, origin_ns, compiled)

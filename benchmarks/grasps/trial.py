@@ -154,7 +154,7 @@ def _over(plant: Plant) -> bool:
 
 def _is_lost(plant: Plant) -> bool:
     """Return True if the object has left the hand."""
-    return plant.scene.thing is not None and np.linalg.norm(plant.engine.object_pose()[:3]) > LOST_M
+    return plant.scene.grasp_object is not None and np.linalg.norm(plant.engine.object_pose()[:3]) > LOST_M
 
 
 def stage_motion(run: Run) -> list[float]:

@@ -1,1 +1,1 @@
-"""Buses of the simulator: local hubs, Linux CAN interfaces, and wires whose frames take their time."""
+"""Buses of the simulator: local hubs, Linux CAN interfaces, and local buses whose frames take time on the wire."""

@@ -1,16 +1,33 @@
-"""The CAN frame as the simulated nodes see it, and its record of 72 bytes."""
+"""The CAN frame of the simulated nodes, and its record of 72 bytes on a local bus.
+
+Record (``struct canfd_frame``, little-endian):
+
+    byte  0..3   identifier with flag bits: 31 extended, 30 remote, 29 error
+    byte  4      payload length
+    byte  5      flags: 0x01 BRS, 0x02 ESI, 0x04 FDF
+    byte  6..7   drop count modulo 65536, written by the hub
+    byte  8..71  payload, padded with zeros
+"""
 
 import struct
 from typing import NamedTuple
 
-EXTENDED, REMOTE, ERROR = 1 << 31, 1 << 30, 1 << 29
-"""Flag bits in the identifier. Source: Linux ``can.h``, CAN_EFF_FLAG, CAN_RTR_FLAG, CAN_ERR_FLAG."""
+EXTENDED = 1 << 31
+"""Flag bit of a 29-bit identifier. Source: Linux ``can.h``, CAN_EFF_FLAG."""
+REMOTE = 1 << 30
+"""Flag bit of a remote frame. Source: Linux ``can.h``, CAN_RTR_FLAG."""
+ERROR = 1 << 29
+"""Flag bit of an error frame. Source: Linux ``can.h``, CAN_ERR_FLAG."""
 
-BRS, ESI, FDF = 1, 2, 4
-"""CAN FD flags. Source: Linux ``can.h``, CANFD_BRS, CANFD_ESI, CANFD_FDF."""
+BRS = 1
+"""CAN FD flag: bit-rate switch. Source: Linux ``can.h``, CANFD_BRS."""
+ESI = 2
+"""CAN FD flag: the sender is error-passive. Source: Linux ``can.h``, CANFD_ESI."""
+FDF = 4
+"""CAN FD flag: the frame has the FD format. Source: Linux ``can.h``, CANFD_FDF."""
 
 RECORD_SIZE = 72
-"""``struct canfd_frame``, one record of the local bus. Source: Linux ``can.h``, CANFD_MTU."""
+"""Size of ``struct canfd_frame``, the record of the local bus [bytes]. Source: Linux ``can.h``, CANFD_MTU."""
 
 _RECORD = struct.Struct("<IBBBB64s")
 
@@ -20,8 +37,8 @@ class Frame(NamedTuple):
 
     Attributes:
         can_id: 11- or 29-bit identifier with the flag bits of SocketCAN.
-        data: payload, at most 8 bytes (classical) or 64 (FD).
-        flags: BRS | ESI | FDF; 0 for a classical frame.
+        data: payload, at most 8 bytes (classical) or 64 bytes (FD).
+        flags: BRS | ESI | FDF, 0 for a classical frame.
         bus: index into the hand's list of buses.
         t_ns: time of reception [ns].
     """
@@ -34,12 +51,21 @@ class Frame(NamedTuple):
 
 
 def pack_record(frame: Frame) -> bytes:
-    """Return a frame as a record of 72 bytes, with a drop count of zero."""
+    """Pack a frame into a record of 72 bytes, with a drop count of zero."""
     return _RECORD.pack(frame.can_id, len(frame.data), frame.flags, 0, 0, frame.data)
 
 
 def unpack_record(record: bytes, bus: int = 0, t_ns: int = 0) -> Frame | None:
-    """Return the frame in a record of 72 bytes; None if its length does not fit its format."""
+    """Unpack the frame of a record of 72 bytes.
+
+    Args:
+        record: 72 bytes.
+        bus: index of the bus for the frame.
+        t_ns: time of reception for the frame [ns].
+
+    Returns:
+        The frame, or None if the length does not fit the frame format.
+    """
     can_id, length, flags, _, _, data = _RECORD.unpack(record)
     if length > (64 if flags & FDF else 8):
         return None

@@ -1,7 +1,8 @@
-"""The hub of a local bus: every client gets every record of the others; nobody can make it wait.
+"""The hub of a local bus: every client receives the records of all other clients, and no client can block the hub.
 
-A record has 72 bytes (``frame.RECORD_SIZE``); several may come in one piece, and a piece may end inside a record.
-Towards a client, bytes 6 and 7 of a record count, modulo 65536, what was dropped for it because it did not read.
+A record has 72 bytes (``frame.RECORD_SIZE``). One read may return several records, and may end
+inside a record. In records sent to a client, bytes 6 and 7 hold the number of records dropped for
+this client, modulo 65536. Records are dropped if the client does not read them.
 """
 
 import contextlib
@@ -16,65 +17,77 @@ from pathlib import Path
 
 from firmware_sim.bus.frame import RECORD_SIZE
 from firmware_sim.description import SimulatorError
-from firmware_sim.places import bus_path
+from firmware_sim.paths import bus_path
 
 BUFFER = 1 << 20
-"""Asked of the kernel for each direction [bytes]; Linux grants 416 KiB unless told otherwise."""
+"""Buffer requested from the kernel for each direction [bytes]. Linux grants 416 KiB by default."""
 _PEER = struct.Struct("3i")
 """Linux's ``struct ucred``: process, user, group."""
 _PIECE = 1 << 16
-"""Bytes read from a client at a time: a flood cannot keep the hub from the others."""
+"""Maximum bytes of one read from a client. The limit keeps a flooding client from blocking the others."""
 
 
 class Link:
-    """One connection, of whole records in both directions; never blocks.
+    """One connection that carries whole records in both directions and never blocks.
 
     Attributes:
-        socket: non-blocking. dropped: records that did not fit. gone: whether the other side has left.
-        unsent: rest of a record that was begun.
+        socket: non-blocking stream socket.
+        dropped: records that did not fit into the kernel's buffer.
+        closed: True once the other end has closed the connection.
+        unsent: remaining bytes of a record that was sent in part.
     """
 
     def __init__(self, link: socket.socket) -> None:
-        """Args: a connected stream socket."""
+        """Make the socket non-blocking and enlarge its buffers.
+
+        Args:
+            link: connected stream socket.
+        """
         self.socket = link
         self.dropped = 0
-        self.gone = False
+        self.closed = False
         self.unsent = b""
-        self._rest = b""
+        self._partial = b""
         link.setblocking(False)
         for option in (socket.SO_SNDBUF, socket.SO_RCVBUF):
             link.setsockopt(socket.SOL_SOCKET, option, BUFFER)
 
     def receive(self) -> bytes:
-        """Return whole records that have arrived; the beginning of another waits for its rest."""
+        """Receive whole records. The first bytes of an incomplete record wait for the rest."""
         try:
             piece = self.socket.recv(_PIECE)
         except BlockingIOError:
             return b""
         except OSError:
             piece = b""
-        self.gone = self.gone or not piece
-        data = self._rest + piece if self._rest else piece
+        self.closed = self.closed or not piece
+        data = self._partial + piece if self._partial else piece
         end = len(data) - len(data) % RECORD_SIZE
-        self._rest = data[end:]
+        self._partial = data[end:]
         return data[:end]
 
     def deliver(self, records: bytes) -> None:
-        """Send whole records; those that the kernel does not take are dropped and counted."""
+        """Send whole records. Records that the kernel does not accept are dropped and counted."""
         count = len(records) // RECORD_SIZE
         if not self.flush():
             self.dropped += count
             return
         stamped = bytearray(records)
+        # Bytes 6 and 7 of every record at once: the slice step is the record size.
         stamped[6::RECORD_SIZE] = bytes((self.dropped & 0xFF,)) * count
         stamped[7::RECORD_SIZE] = bytes((self.dropped >> 8 & 0xFF,)) * count
         sent = self._send(stamped)
-        begun = -(-sent // RECORD_SIZE)
-        self.unsent = bytes(stamped[sent : begun * RECORD_SIZE])
-        self.dropped += count - begun
+        # Round up: a record of which only some bytes were sent must be completed later.
+        started = -(-sent // RECORD_SIZE)
+        self.unsent = bytes(stamped[sent : started * RECORD_SIZE])
+        self.dropped += count - started
 
     def flush(self) -> bool:
-        """Complete a record that was begun; whether another may follow."""
+        """Send the rest of a record that was sent in part.
+
+        Returns:
+            True if the next record may follow.
+        """
         if self.unsent:
             self.unsent = self.unsent[self._send(self.unsent) :]
         return not self.unsent
@@ -85,19 +98,22 @@ class Link:
         except BlockingIOError:
             return 0
         except OSError:
-            self.gone = True
+            self.closed = True
             return 0
 
 
 class Hub:
-    """Owns the socket of a local bus.
+    """The server of a local bus.
 
     Attributes:
-        name: of the bus. dropped: records dropped for clients that have left by now.
+        name: name of the bus.
     """
 
     def __init__(self, name: str) -> None:
-        """Begin to serve.
+        """Open the listening socket of the bus.
+
+        Args:
+            name: name of the bus.
 
         Raises:
             SimulatorError: another hub serves this name, or the socket cannot be made.
@@ -107,53 +123,67 @@ class Hub:
         self._listener = _listen(self._path, name)
         self._inode = self._path.stat().st_ino
         self._links: list[Link] = []
-        self._gone_dropped = 0
+        self._closed_dropped = 0
 
     @property
     def dropped(self) -> int:
-        """Records dropped for all clients so far."""
-        return self._gone_dropped + sum(link.dropped for link in self._links)
+        """Return the number of records dropped for all clients, including disconnected clients."""
+        return self._closed_dropped + sum(link.dropped for link in self._links)
 
     @property
     def clients(self) -> int:
-        """How many are connected."""
+        """Return the number of connected clients."""
         return len(self._links)
 
     @property
     def links(self) -> Sequence[Link]:
-        """Connections of the clients."""
+        """Return the connections of the clients."""
         return self._links
 
     def readers(self) -> list[socket.socket]:
-        """Return the sockets to wait on for reading."""
+        """Return the sockets to poll for reading."""
         return [self._listener, *(link.socket for link in self._links)]
 
     def writers(self) -> list[socket.socket]:
-        """Return the sockets to wait on for writing: of clients that have half a record."""
+        """Return the sockets to poll for writing: those of clients with an unsent rest of a record."""
         return [link.socket for link in self._links if link.unsent]
 
     def serve(self, ready: Collection[socket.socket]) -> bytes:
-        """Accept, read and forward; return the records for whoever owns the hub."""
-        heard = self.hear(ready)
-        for link, records in heard:
-            self._forward(records, link)
-        self.part()
-        return b"".join(records for _, records in heard)
+        """Accept clients, read their records, and forward them to the other clients.
 
-    def hear(self, ready: Collection[socket.socket]) -> list[tuple[Link, bytes]]:
-        """Accept and read, but forward nothing; return the records of each client that sent some."""
+        Args:
+            ready: sockets that are ready for reading.
+
+        Returns:
+            The records of all clients, for the owner of the hub.
+        """
+        received = self.poll(ready)
+        for link, records in received:
+            self._forward(records, link)
+        self.drop_closed()
+        return b"".join(records for _, records in received)
+
+    def poll(self, ready: Collection[socket.socket]) -> list[tuple[Link, bytes]]:
+        """Accept clients and read their records without forwarding.
+
+        Args:
+            ready: sockets that are ready for reading.
+
+        Returns:
+            Pairs of connection and records, one for each client that sent records.
+        """
         if self._listener in ready:
             self._accept()
-        heard = []
+        received = []
         for link in self._links:
             if link.unsent:
                 link.flush()
             if link.socket in ready and (records := link.receive()):
-                heard.append((link, records))
-        return heard
+                received.append((link, records))
+        return received
 
     def send(self, records: bytes) -> None:
-        """Send the owner's records to every client."""
+        """Send records of the hub's owner to every client."""
         self._forward(records, None)
 
     def _accept(self) -> None:
@@ -167,42 +197,46 @@ class Hub:
 
     def _forward(self, records: bytes, sender: Link | None) -> None:
         for link in self._links:
-            if link is not sender and not link.gone:
+            if link is not sender and not link.closed:
                 link.deliver(records)
 
-    def part(self) -> None:
-        """Forget the clients that have left."""
-        if not any(link.gone for link in self._links):
+    def drop_closed(self) -> None:
+        """Remove the clients that have disconnected."""
+        if not any(link.closed for link in self._links):
             return
         for link in self._links:
-            if link.gone:
-                self._gone_dropped += link.dropped
+            if link.closed:
+                self._closed_dropped += link.dropped
                 link.socket.close()
-        self._links = [link for link in self._links if not link.gone]
+        self._links = [link for link in self._links if not link.closed]
 
     def close(self) -> None:
-        """Leave; the socket's file goes too, unless somebody has put another in its place."""
+        """Close all connections and remove the socket's file, unless another process has replaced the file."""
         for link in self._links:
             link.socket.close()
         self._links.clear()
         self._listener.close()
         with contextlib.suppress(FileNotFoundError):
+            # A different inode means that another hub has taken over the name.
             if self._path.stat().st_ino == self._inode:
                 self._path.unlink()
 
 
 def _is_foreign(link: socket.socket) -> bool:
-    """Whether another user than this one or root is at the other end; only Linux tells."""
+    """Check whether the peer runs as a user other than this one or root. Only Linux reports the user."""
     if not sys.platform.startswith("linux"):
         return False
     raw = link.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size)
+    # Field 1 is the user. Root may join for diagnosis.
     return _PEER.unpack(raw)[1] not in (0, os.geteuid())
 
 
 def _listen(path: Path, name: str) -> socket.socket:
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
-        with _alone_in(path.parent):
+        # Check, unlink and bind must not interleave with another hub's, hence the lock on the
+        # directory.
+        with _locked(path.parent):
             if _is_served(path):
                 raise SimulatorError(
                     f"local:{name} is served already; end the other hub, or join it: --bus join:{name}"
@@ -221,8 +255,8 @@ def _listen(path: Path, name: str) -> socket.socket:
 
 
 @contextlib.contextmanager
-def _alone_in(folder: Path) -> Iterator[None]:
-    """Lock a directory, so that two hubs do not both find the same socket stale."""
+def _locked(folder: Path) -> Iterator[None]:
+    """Lock a directory, so that two hubs do not both treat the same socket as stale."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX)
@@ -232,6 +266,7 @@ def _alone_in(folder: Path) -> Iterator[None]:
 
 
 def _is_served(path: Path) -> bool:
+    """Check whether a hub accepts connections at this path."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.setblocking(False)
         return probe.connect_ex(str(path)) not in (errno.ECONNREFUSED, errno.ENOENT, errno.ENOTSOCK)

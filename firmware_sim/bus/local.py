@@ -1,4 +1,4 @@
-"""Ports on a local bus: as the owner of its hub, or as a client of a hub that runs elsewhere."""
+"""Ports on a local bus: the owner of a hub, or a client of a hub in another process."""
 
 import socket
 from collections.abc import Collection
@@ -6,24 +6,32 @@ from collections.abc import Collection
 from firmware_sim.bus.frame import RECORD_SIZE, Frame, pack_record, unpack_record
 from firmware_sim.bus.hub import Hub, Link
 from firmware_sim.description import SimulatorError
-from firmware_sim.places import bus_path
-from firmware_sim.wire.medium import NEVER
+from firmware_sim.paths import bus_path
+from firmware_sim.wire.medium import NEVER_NS
 
 
 class HubPort:
-    """Serves the bus and hangs on it; see ``ports.Port``."""
+    """A port that owns the hub of its bus. See ``ports.Port``."""
 
-    due_ns = NEVER
+    due_ns = NEVER_NS
 
     def __init__(self, name: str, bus: int) -> None:
-        """Args: name of the bus; its index in the hand. Raises SimulatorError if it is served already."""
+        """Open the hub.
+
+        Args:
+            name: name of the bus.
+            bus: index of the bus in the hand.
+
+        Raises:
+            SimulatorError: the bus is already served.
+        """
         self._hub = Hub(name)
         self._bus = bus
         self._unreadable = 0
 
     @property
     def lost(self) -> int:
-        """Frames dropped for slow clients, and records that were no frames."""
+        """Return the number of frames dropped for slow clients plus records that held no valid frame."""
         return self._hub.dropped + self._unreadable
 
     def readers(self) -> list[socket.socket]:
@@ -50,25 +58,34 @@ class HubPort:
 
 
 class JoinedPort:
-    """A client of a hub; see ``ports.Port``."""
+    """A port that is a client of a hub. See ``ports.Port``."""
 
-    due_ns = NEVER
+    due_ns = NEVER_NS
 
     def __init__(self, name: str, bus: int) -> None:
-        """Args: name of the bus; its index in the hand. Raises SimulatorError if nobody serves it."""
+        """Connect to the hub.
+
+        Args:
+            name: name of the bus.
+            bus: index of the bus in the hand.
+
+        Raises:
+            SimulatorError: no hub serves the bus.
+        """
         self._link = Link(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
-        self._name, self._bus = name, bus
+        self._name = name
+        self._bus = bus
         self._unreadable = 0
         try:
             self._link.socket.connect(str(bus_path(name)))
         except OSError as error:
             self._link.socket.close()
-            wanted = f"expected a hub: python -m firmware_sim bus {name}"
-            raise SimulatorError(f"join:{name}: {error.strerror}; {wanted}") from error
+            expected = f"expected a hub: python -m firmware_sim bus {name}"
+            raise SimulatorError(f"join:{name}: {error.strerror}; {expected}") from error
 
     @property
     def lost(self) -> int:
-        """Frames that the hub did not take, and records that were no frames."""
+        """Return the number of frames that the hub did not accept plus records that held no valid frame."""
         return self._link.dropped + self._unreadable
 
     def readers(self) -> list[socket.socket]:
@@ -80,10 +97,14 @@ class JoinedPort:
         return [self._link.socket] if self._link.unsent else []
 
     def receive(self, ready: Collection[socket.socket]) -> list[Frame]:
-        """See ``ports.Port``; raises SimulatorError when the hub has gone."""
+        """See ``ports.Port``.
+
+        Raises:
+            SimulatorError: the hub has closed the connection.
+        """
         self._link.flush()
         records = self._link.receive() if self._link.socket in ready else b""
-        if self._link.gone:
+        if self._link.closed:
             raise SimulatorError(f"join:{self._name}: the hub has gone")
         frames, unreadable = split(records, self._bus)
         self._unreadable += unreadable
@@ -99,7 +120,15 @@ class JoinedPort:
 
 
 def split(records: bytes, bus: int) -> tuple[list[Frame], int]:
-    """Return the frames in whole records, and how many records were none."""
+    """Split whole records into frames.
+
+    Args:
+        records: whole records, one after the other.
+        bus: index of the bus for the frames.
+
+    Returns:
+        The frames, and the number of records that held no valid frame.
+    """
     starts = range(0, len(records), RECORD_SIZE)
     read = [unpack_record(records[start : start + RECORD_SIZE], bus) for start in starts]
     frames = [frame for frame in read if frame is not None]

@@ -1,4 +1,4 @@
-"""How the simulator hangs on a bus: one port a bus, whatever the bus is made of."""
+"""Ports: the connections of the simulator to its buses, one for each bus, independent of the bus type."""
 
 import socket
 from collections.abc import Callable, Collection
@@ -11,32 +11,38 @@ from firmware_sim.description import SimulatorError
 
 
 class Port(Protocol):
-    """One bus of the hand; nothing here blocks.
+    """A connection to one bus of the hand. No method blocks.
 
     Attributes:
         lost: frames that could not be sent or read.
-        due_ns: when it has to be looked at even if no socket is ready [ns]; ``medium.NEVER`` if only sockets count.
+        due_ns: time at which the port must be served even if no socket is ready [ns].
+            ``medium.NEVER_NS`` if only sockets matter.
     """
 
     @property
-    def lost(self) -> int: ...
+    def lost(self) -> int:
+        """Return the number of frames that could not be sent or read."""
+        ...
+
     @property
-    def due_ns(self) -> int: ...
+    def due_ns(self) -> int:
+        """Return the time at which the port must be served even if no socket is ready [ns]."""
+        ...
 
     def readers(self) -> list[socket.socket]:
-        """Return the sockets to wait on for reading."""
+        """Return the sockets to poll for reading."""
         ...
 
     def writers(self) -> list[socket.socket]:
-        """Return the sockets to wait on for writing."""
+        """Return the sockets to poll for writing."""
         ...
 
     def receive(self, ready: Collection[socket.socket]) -> list[Frame]:
-        """Return what has arrived on sockets that are ready; to be called until nothing comes."""
+        """Receive frames from the sockets that are ready. The caller repeats the call until no frame comes."""
         ...
 
     def send(self, frames: list[Frame]) -> None:
-        """Send in this order; what does not fit is lost and counted."""
+        """Send frames in the given order. Frames that do not fit are lost and counted."""
         ...
 
     def close(self) -> None:
@@ -44,22 +50,24 @@ class Port(Protocol):
         ...
 
 
-def open_port(spec: str, bus: int, wired: Callable[[str, int], Port] | None = None) -> Port:
-    """Open a bus.
+def open_port(spec: str, bus: int, timed_port: Callable[[str, int], Port] | None = None) -> Port:
+    """Open the port of one bus.
 
     Args:
-        spec: ``local:NAME`` (serve the bus), ``join:NAME`` (another process serves it), ``socketcan:INTERFACE``.
-        bus: index in the hand's list.
-        wired: makes the port of a local bus whose frames take their time.
+        spec: ``local:NAME`` (serve the bus), ``join:NAME`` (another process serves the bus),
+            ``socketcan:INTERFACE``.
+        bus: index of the bus in the hand's list.
+        timed_port: factory for the port of a local bus whose frames take time on the wire, None for
+            instant frames.
 
     Raises:
-        SimulatorError: an unknown kind of bus, or it cannot be opened.
+        SimulatorError: the kind of bus is unknown, or the bus cannot be opened.
     """
     kind, _, name = spec.partition(":")
-    if wired and kind != "local":
+    if timed_port and kind != "local":
         raise SimulatorError(f"bus {spec!r}: only a bus that is served here, local:NAME, can have a simulated wire")
     if kind == "local":
-        return wired(name, bus) if wired else HubPort(name, bus)
+        return timed_port(name, bus) if timed_port else HubPort(name, bus)
     if kind == "join":
         return JoinedPort(name, bus)
     if kind == "socketcan" and name:
@@ -68,26 +76,30 @@ def open_port(spec: str, bus: int, wired: Callable[[str, int], Port] | None = No
 
 
 def assign(specs: list[str], buses: list[str]) -> list[str]:
-    """Return the spec of each bus of a hand.
+    """Assign a bus specification to each bus of a hand.
 
     Args:
-        specs: ``BUS=SPEC``, or just ``SPEC`` for a hand with one bus.
-        buses: the hand's buses.
+        specs: ``BUS=SPEC``, or ``SPEC`` for a hand with one bus.
+        buses: names of the hand's buses.
+
+    Returns:
+        The specifications in the order of the hand's buses.
 
     Raises:
         SimulatorError: a bus is missing, unknown or given twice.
     """
-    chosen: dict[str, str] = {}
+    specs_by_bus: dict[str, str] = {}
     for text in specs:
         name, equals, spec = text.partition("=")
         if not equals:
             if len(buses) > 1:
                 raise SimulatorError(f"bus {text}: this hand has {len(buses)}; expected {buses[0]}={text}")
-            name, spec = buses[0], text
-        if name not in buses or name in chosen:
-            problem = "given twice" if name in chosen else "unknown"
+            name = buses[0]
+            spec = text
+        if name not in buses or name in specs_by_bus:
+            problem = "given twice" if name in specs_by_bus else "unknown"
             raise SimulatorError(f"bus {name}: {problem}; this hand has {', '.join(buses)}")
-        chosen[name] = spec
-    if missing := [name for name in buses if name not in chosen]:
+        specs_by_bus[name] = spec
+    if missing := [name for name in buses if name not in specs_by_bus]:
         raise SimulatorError(f"no --bus for {', '.join(missing)}")
-    return [chosen[name] for name in buses]
+    return [specs_by_bus[name] for name in buses]

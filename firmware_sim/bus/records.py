@@ -1,4 +1,14 @@
-"""Frames as bytes: records of 80 bytes in a numpy array, which compiled code reads and writes without objects."""
+"""Frames as records of 80 bytes in a numpy array, which compiled code reads and writes without Python objects.
+
+Record (little-endian):
+
+    byte  0..7   t_ns
+    byte  8..11  can_id with flag bits
+    byte 12..13  flags: BRS, ESI, FDF
+    byte 14      index of the bus
+    byte 15      payload length
+    byte 16..79  payload, padded with zeros
+"""
 
 import struct
 from collections.abc import Iterable
@@ -11,22 +21,26 @@ from firmware_sim.bus.frame import Frame
 RECORD = np.dtype(
     [("t_ns", "<i8"), ("can_id", "<u4"), ("flags", "<u2"), ("bus", "u1"), ("length", "u1"), ("data", "u1", (64,))]
 )
-"""Fields of ``Frame``, the payload padded with zeros to 64 bytes; ``length`` counts the bytes without the padding."""
+"""Fields of ``Frame``. The payload is padded with zeros to 64 bytes, ``length`` excludes the padding."""
 _STRUCT = struct.Struct("<qIHBB64s")
 
 
 def to_records(frames: Iterable[tuple[Any, ...]]) -> Any:
-    """Return frames as an array of ``RECORD``, shape (frames,).
+    """Convert frames to an array of ``RECORD``.
 
     Args:
-        frames: can_id, data, flags, bus, t_ns of each.
+        frames: tuples of can_id, data, flags, bus, t_ns.
+
+    Returns:
+        Array of shape (frames,).
     """
     pack = _STRUCT.pack
     packed = [pack(t_ns, can_id, flags, bus, len(data), data) for can_id, data, flags, bus, t_ns in frames]
+    # A bytearray, because an array over bytes would be read-only and kernels write into it.
     return np.frombuffer(bytearray(b"".join(packed)), RECORD)
 
 
 def to_frames(records: Any) -> list[Frame]:
-    """Return the frames of an array of ``RECORD``."""
+    """Convert an array of ``RECORD`` to frames."""
     unpacked = _STRUCT.iter_unpack(records.tobytes())
     return [Frame(can_id, data[:length], flags, bus, t_ns) for t_ns, can_id, flags, bus, length, data in unpacked]

@@ -1,4 +1,4 @@
-"""A port on a Linux CAN interface, real or virtual, classical and FD."""
+"""A port on a Linux CAN interface, real or virtual, classical or FD."""
 
 import errno
 import socket
@@ -7,31 +7,33 @@ from collections.abc import Collection
 
 from firmware_sim.bus.frame import FDF, Frame
 from firmware_sim.description import SimulatorError
-from firmware_sim.wire.medium import NEVER
+from firmware_sim.wire.medium import NEVER_NS
 
 _CLASSICAL = struct.Struct("=IB3x8s")
+"""``struct can_frame``: identifier, length, 3 bytes of padding, 8 bytes of payload. Source: Linux ``can.h``."""
 _FD = struct.Struct("=IBB2x64s")
-"""``struct can_frame`` and ``struct canfd_frame``. Source: Linux ``can.h``."""
-_AT_ONCE = 256
-"""Frames read at a time: a flood cannot keep the plant from moving."""
+"""``struct canfd_frame``: identifier, length, flags, 2 reserved bytes, 64 bytes of payload. Source: Linux ``can.h``."""
+_MAX_READ = 256
+"""Maximum frames of one read. The limit keeps a flooded bus from stopping the plant."""
 
 
 class SocketCanPort:
-    """See ``ports.Port``."""
+    """A port on a SocketCAN interface. See ``ports.Port``."""
 
-    due_ns = NEVER
+    due_ns = NEVER_NS
 
     def __init__(self, interface: str, bus: int) -> None:
         """Open the interface.
 
         Args:
-            interface: such as vcan0.
-            bus: index in the hand's list.
+            interface: name of the interface, such as vcan0.
+            bus: index of the bus in the hand's list.
 
         Raises:
-            SimulatorError: this system or this kernel has no SocketCAN, or there is no such interface.
+            SimulatorError: the system or kernel has no SocketCAN, or the interface does not exist.
         """
-        self._bus, self.lost = bus, 0
+        self._bus = bus
+        self.lost = 0
         if not hasattr(socket, "CAN_RAW_FD_FRAMES"):
             raise SimulatorError(f"socketcan:{interface}: this system has no SocketCAN; use local:NAME")
         try:
@@ -61,17 +63,18 @@ class SocketCanPort:
         if self._socket not in ready:
             return frames
         try:
-            while len(frames) < _AT_ONCE:
+            while len(frames) < _MAX_READ:
                 frames.append(self._frame(self._socket.recv(_FD.size)))
         except BlockingIOError:
             pass
         except OSError as error:
             if error.errno != errno.ENETDOWN:
                 raise
-            self.lost += 1  # the interface was taken down: the next read works again once it is up
+            self.lost += 1  # interface down: reads work again once it is up
         return frames
 
     def _frame(self, raw: bytes) -> Frame:
+        # The kernel tells the formats apart by the read size: 16 bytes classical, 72 bytes FD.
         if len(raw) == _CLASSICAL.size:
             can_id, length, data = _CLASSICAL.unpack(raw)
             return Frame(can_id, data[: min(length, 8)], 0, self._bus)
@@ -89,7 +92,7 @@ class SocketCanPort:
             )
             try:
                 self._socket.send(raw)
-            except OSError:  # queue full (ENOBUFS), interface down or without FD: on a wire the frame is lost too
+            except OSError:  # queue full (ENOBUFS), interface down or without FD: the frame is lost
                 self.lost += 1
 
     def close(self) -> None:

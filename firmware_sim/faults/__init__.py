@@ -1,1 +1,1 @@
-"""Faults of a simulated hand: as text, in the plant, on the wire."""
+"""Faults of a simulated hand: their text form, faults of the plant, and faults of the wire."""

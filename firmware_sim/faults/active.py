@@ -1,68 +1,83 @@
-"""The faults of one simulated hand: what waits, what acts, and what was felt of it."""
+"""The faults of one simulated hand: waiting, acting and past, with the counted effects of each."""
 
 import random
 from typing import Any
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.faults import of_plant as fault_plant
-from firmware_sim.faults import of_wire as fault_wire
-from firmware_sim.faults.of_wire import Active
+from firmware_sim.faults import plant_faults, wire_faults
 from firmware_sim.faults.text import BUS, DIGIT, FOREVER_NS, KINDS, NODE, SENSORS, TENDON, Fault, instances, parse_fault
+from firmware_sim.faults.wire_faults import ActiveFault
 
 TURN_NS = 1_000_000
+"""Period of generated frames [ns]."""
 FOREIGN_NS = 10_000_000
-FLOOD_ID, UNKNOWN_ID = 0x000, 0x7E5
-INVENTED = ("flood", "unknown", "foreign")
-"""Kinds of fault in which nobody speaks, every so often."""
+"""Period of the commands of a second host [ns]."""
+FLOOD_ID = 0x000
+"""Identifier of a flood: the highest priority."""
+UNKNOWN_ID = 0x7E5
+"""Identifier that belongs to no node."""
+GENERATED = ("flood", "unknown", "foreign")
+"""Kinds of fault that generate frames periodically."""
 
 
 class Faults:
-    """Faults of a world, by its clock: deterministic, in lockstep and in real time.
+    """Faults of a world, on the clock of the world. The effects are deterministic in lockstep and in real time.
 
     Attributes:
-        on: whether any fault waits or acts.
-        struck: what acts on the wire of a node, by its identity.
-        everything: every fault so far, in the order of injection.
-        in_frames: whether a fault acts on the wire, in a node or in a sensor, so that frames may differ by it.
+        on: True if a fault waits or acts.
+        wire_faults_of: acting faults on the wire of a node, by the node's ``id()``.
+        injected: all faults so far, in the order of injection.
+        in_frames: True if a fault acts on the wire, in a node or in a sensor, and frames may differ
+            because of the fault.
     """
 
     def __init__(self, world: Any) -> None:
-        """Args: the world that they strike."""
+        """Set up without any fault.
+
+        Args:
+            world: world in which the faults act.
+        """
         self._world = world
         self.on = self.in_frames = False
-        self._waiting: list[Active] = []
-        self._acting: list[tuple[Active, fault_plant.Undo]] = []
-        self.struck: dict[int, list[Active]] = {}
-        self._all_wire: list[tuple[int, Active]] = []
+        self._waiting: list[ActiveFault] = []
+        self._acting: list[tuple[ActiveFault, plant_faults.Undo]] = []
+        self.wire_faults_of: dict[int, list[ActiveFault]] = {}
+        self._all_wire: list[tuple[int, ActiveFault]] = []
         self._turn_ns = self._foreign_ns = 0
-        self.everything: list[Active] = []
+        self.injected: list[ActiveFault] = []
 
     @property
     def t_ns(self) -> int:
-        """The time that the truth file is in [ns]: the world's, and what it has given up."""
+        """Return the time of the truth file [ns]: the world's time plus the time given up."""
         return int(self._world.t_ns + self._world.slip_ns)
 
     @property
     def slip_ns(self) -> int:
-        """Time in which nothing happened here, since this process did not run [ns]."""
+        """Return the time given up because this process did not run [ns]."""
         return int(self._world.slip_ns)
 
     def inject(self, text: str) -> Fault:
-        """Let a fault begin, at once or later.
+        """Start a fault, now or later.
+
+        Args:
+            text: fault as text, see ``parse_fault``.
+
+        Returns:
+            The fault.
 
         Raises:
-            SimulatorError: there is no such fault in this hand.
+            SimulatorError: this hand cannot have the fault.
         """
         fault = parse_fault(text, self._world.hand, self._world.t_ns)
-        one = Active(fault, random.Random(f"fault {fault.seed} {fault.text}"))
-        self.everything.append(one)
-        self._waiting.append(one)
+        active = ActiveFault(fault, random.Random(f"fault {fault.seed} {fault.text}"))
+        self.injected.append(active)
+        self._waiting.append(active)
         self.on = True
-        self._world.hear(self.advance(self._world.t_ns))
+        self._world.queue_frames(self.advance(self._world.t_ns))
         return fault
 
     def kinds(self) -> list[dict[str, object]]:
-        """Every kind of fault, what this hand has to put it on, and what it does."""
+        """List each kind of fault with its possible instances in this hand, its default size and its effect."""
         hand = self._world.hand
         return [
             {
@@ -74,59 +89,69 @@ class Faults:
             for name, kind in KINDS.items()
         ]
 
-    def told(self) -> list[dict[str, object]]:
-        """Every fault so far, and what was felt of it."""
-        acting = [one for one, _ in self._acting]
+    def states(self) -> list[dict[str, object]]:
+        """List each fault so far with its state and the number of its effects."""
+        acting = [active for active, _ in self._acting]
         return [
             {
-                "fault": one.fault.text,
-                "state": "waiting" if one in self._waiting else "acting" if one in acting else "over",
-                "start_ns": one.fault.start_ns,
-                "felt": one.felt,
-                "first_ns": one.first_ns,
+                "fault": active.fault.text,
+                "state": "waiting" if active in self._waiting else "acting" if active in acting else "over",
+                "start_ns": active.fault.start_ns,
+                "felt": active.effects,
+                "first_ns": active.first_ns,
             }
-            for one in self.everything
+            for active in self.injected
         ]
 
     def advance(self, t_ns: int) -> list[Frame]:
-        """Begin and end what is due; frames that come of it."""
-        for one in [one for one in self._waiting if one.fault.start_ns <= t_ns]:
-            self._waiting.remove(one)
-            self._acting.append((one, fault_plant.begin(self._world, one)))
+        """Start and end the faults that are due.
+
+        Args:
+            t_ns: present time [ns].
+
+        Returns:
+            Frames that the faults send.
+        """
+        for active in [active for active in self._waiting if active.fault.start_ns <= t_ns]:
+            self._waiting.remove(active)
+            self._acting.append((active, plant_faults.start(self._world, active)))
             self._index()
-        for one, undo in [(a, u) for a, u in self._acting if a.fault.start_ns + a.fault.duration_ns <= t_ns]:
+        for active, undo in [(a, u) for a, u in self._acting if a.fault.start_ns + a.fault.duration_ns <= t_ns]:
             undo()
-            self._acting.remove((one, undo))
+            self._acting.remove((active, undo))
             self._index()
-        frames = [frame for bus, one in self._all_wire for frame in fault_wire.due([one], t_ns)]
+        frames = [frame for bus, active in self._all_wire for frame in wire_faults.due([active], t_ns)]
         if not self._turn_ns or (t_ns >= self._turn_ns and (t_ns - self._turn_ns) % TURN_NS == 0):
-            # turns are at ends of whole steps, also if the first fault comes within one
+            # Generated frames come at the ends of whole steps. A fault can start within a step, so
+            # the completed part of the step is subtracted.
             self._turn_ns = t_ns - self._world.plant.part_ns + TURN_NS
-            frames += self._invented(t_ns)
+            frames += self._generated(t_ns)
         return frames
 
     def due_ns(self) -> int:
-        """Return when something begins, ends, is let go or is said by nobody next [ns]."""
-        due = [one.fault.start_ns for one in self._waiting]
-        for one, _ in self._acting:
-            due += [one.fault.start_ns + one.fault.duration_ns, *(at_ns for at_ns, _ in one.held)]
-            if one.fault.kind in INVENTED:
+        """Return the time of the next event [ns]: start or end of a fault, a delayed frame, or a generated frame."""
+        due = [active.fault.start_ns for active in self._waiting]
+        for active, _ in self._acting:
+            due += [active.fault.start_ns + active.fault.duration_ns, *(at_ns for at_ns, _ in active.delayed)]
+            if active.fault.kind in GENERATED:
                 due.append(self._turn_ns)
         return min(due, default=FOREVER_NS)
 
     def _index(self) -> None:
-        """Who is struck on the wire; a node that was reset may have another number."""
-        self._world.look_again()
-        self.struck, self._all_wire = {}, []
-        self.in_frames = any(one.fault.component not in (TENDON, DIGIT) for one, _ in self._acting)
-        for one, _ in self._acting:
-            if one.fault.component not in (NODE, BUS):
+        """Update the index of faults by node. A node that was reset may have another identifier."""
+        self._world.refresh_identifiers()
+        self.wire_faults_of = {}
+        self._all_wire = []
+        self.in_frames = any(active.fault.component not in (TENDON, DIGIT) for active, _ in self._acting)
+        for active, _ in self._acting:
+            if active.fault.component not in (NODE, BUS):
                 continue
-            for node, bus in self._struck(one.fault):
-                self.struck.setdefault(id(node), []).append(one)
-                self._all_wire.append((bus, one))
+            for node, bus in self._nodes_of(active.fault):
+                self.wire_faults_of.setdefault(id(node), []).append(active)
+                self._all_wire.append((bus, active))
 
-    def _struck(self, fault: Fault) -> list[tuple[Any, int]]:
+    def _nodes_of(self, fault: Fault) -> list[tuple[Any, int]]:
+        """List the nodes on which a fault acts, each with the index of its bus."""
         world = self._world
         if fault.component == BUS:
             bus = world.hand.buses.index(fault.instance)
@@ -135,36 +160,45 @@ class Faults:
         return [(node, next(bus for bus, nodes in enumerate(world.nodes) if node in nodes))]
 
     def exchange(self, node: Any, frame: Frame, t_ns: int) -> list[Frame] | None:
-        """What a node answers to a frame, if it gets it and the answer arrives."""
-        active = self.struck.get(id(node))
-        if not active:
+        """Return the answers of a node to a frame, with the faults of request and answer.
+
+        Args:
+            node: the node.
+            frame: request.
+            t_ns: present time [ns].
+
+        Returns:
+            The answers that arrive, None if the node does not handle or does not receive the frame.
+        """
+        actives = self.wire_faults_of.get(id(node))
+        if not actives:
             answers: list[Frame] | None = node.receive(frame, t_ns)
             return answers
-        if fault_wire.deaf(active, t_ns):
+        if wire_faults.loses_request(actives, t_ns):
             return None
         answers = node.receive(frame, t_ns)
         if not answers:
             return answers
         stamped = [answer._replace(bus=frame.bus, t_ns=t_ns) for answer in answers]
-        return fault_wire.transmit(active, stamped, t_ns)
+        return wire_faults.transmit(actives, stamped, t_ns)
 
-    def spoken(self, node: Any, frames: list[Frame], t_ns: int) -> list[Frame]:
-        """What becomes of frames that a node sends of its own accord."""
-        active = self.struck.get(id(node))
-        return fault_wire.transmit(active, frames, t_ns) if active else frames
+    def unsolicited(self, node: Any, frames: list[Frame], t_ns: int) -> list[Frame]:
+        """Apply wire faults to unsolicited frames of a node."""
+        actives = self.wire_faults_of.get(id(node))
+        return wire_faults.transmit(actives, frames, t_ns) if actives else frames
 
-    def _invented(self, t_ns: int) -> list[Frame]:
-        """Frames of nobody."""
+    def _generated(self, t_ns: int) -> list[Frame]:
+        """Generate the frames of floods, unknown identifiers and second hosts."""
         frames = []
-        for one, _ in self._acting:
-            fault = one.fault
+        for active, _ in self._acting:
+            fault = active.fault
             if fault.kind in ("flood", "unknown"):
                 bus = self._world.hand.buses.index(fault.instance)
                 can_id = FLOOD_ID if fault.kind == "flood" else UNKNOWN_ID
                 frames += [Frame(can_id, bytes(8), 0, bus, t_ns)] * int(fault.size)
-                one.feel(t_ns)
+                active.note_effect(t_ns)
             elif fault.kind == "foreign" and t_ns >= self._foreign_ns:
                 self._foreign_ns = t_ns + FOREIGN_NS
                 frames.append(self._world.host_frame(fault.instance)._replace(t_ns=t_ns))
-                one.feel(t_ns)
+                active.note_effect(t_ns)
         return frames

@@ -1,4 +1,4 @@
-"""Where a running simulator takes faults: one datagram a question, answered to whoever asked."""
+"""The fault socket of a running simulator: one datagram for each request, answered to the sender."""
 
 import json
 import socket
@@ -7,27 +7,33 @@ from typing import TYPE_CHECKING
 
 from firmware_sim.description import SimulatorError
 
-if TYPE_CHECKING:  # a bus alone has a server, too, but neither faults nor a plant
+if TYPE_CHECKING:  # program ``bus`` has a server without faults and plant
     from firmware_sim.faults.active import Faults
     from firmware_sim.pace import Pace
 
 LONGEST = 4096
-"""Bytes of a question."""
+"""Maximum length of a request [bytes]."""
 
 
 class FaultSocket:
-    """A Unix datagram socket: a question in, a JSON object out.
+    """A Unix datagram socket that takes JSON requests and answers with a JSON object.
 
-    Questions are ``{"inject": TEXT}``, ``{"list": true}``, ``{"kinds": true}`` and ``{"pace": true}``.
+    Requests are ``{"inject": TEXT}``, ``{"list": true}``, ``{"kinds": true}`` and ``{"pace":
+    true}``.
     """
 
     def __init__(self, path: Path, faults: "Faults") -> None:
-        """Args: where it lies; whose faults it takes.
+        """Open the socket.
+
+        Args:
+            path: path of the socket.
+            faults: faults of the simulated hand.
 
         Raises:
-            SimulatorError: it cannot be made.
+            SimulatorError: the socket cannot be made.
         """
-        self._path, self._faults = path, faults
+        self._path = path
+        self._faults = faults
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         path.unlink(missing_ok=True)
@@ -38,42 +44,47 @@ class FaultSocket:
             raise SimulatorError(f"fault socket {path}: {error.strerror}") from error
 
     def readers(self) -> list[socket.socket]:
-        """Return what to wait on."""
+        """Return the sockets to poll for reading."""
         return [self._socket]
 
     def serve(self, pace: "Pace | None" = None) -> None:
-        """Answer what has been asked, also for the pace."""
+        """Answer all waiting requests.
+
+        Args:
+            pace: pace of the simulator, None if the program does not measure it.
+        """
         while True:
             try:
-                question, asker = self._socket.recvfrom(LONGEST)
+                request_bytes, client = self._socket.recvfrom(LONGEST)
             except (BlockingIOError, ConnectionError):
                 return
-            answer = json.dumps(self._answer(question, pace)).encode()
-            if asker:
+            answer = json.dumps(self._answer(request_bytes, pace)).encode()
+            if client:
                 try:
-                    self._socket.sendto(answer, asker)
+                    self._socket.sendto(answer, client)
                 except OSError:
-                    continue  # whoever asked has gone, or its queue is full
+                    continue  # the client has gone, or its queue is full
 
-    def _answer(self, question: bytes, pace: "Pace | None") -> dict[str, object]:
+    def _answer(self, request_bytes: bytes, pace: "Pace | None") -> dict[str, object]:
+        """Return the answer to one request."""
         try:
-            asked = json.loads(question)
+            request = json.loads(request_bytes)
         except ValueError:
-            asked = None
-        if isinstance(asked, dict) and isinstance(asked.get("inject"), str):
+            request = None
+        if isinstance(request, dict) and isinstance(request.get("inject"), str):
             try:
-                self._faults.inject(asked["inject"])
+                self._faults.inject(request["inject"])
             except SimulatorError as error:
                 return {"error": str(error)}
-        elif isinstance(asked, dict) and asked.get("kinds"):
+        elif isinstance(request, dict) and request.get("kinds"):
             return {"kinds": self._faults.kinds()}
-        elif isinstance(asked, dict) and asked.get("pace") and pace:
-            return {"pace": pace.told(self._faults.t_ns - self._faults.slip_ns)}
-        elif not isinstance(asked, dict) or not asked.get("list"):
+        elif isinstance(request, dict) and request.get("pace") and pace:
+            return {"pace": pace.report(self._faults.t_ns - self._faults.slip_ns)}
+        elif not isinstance(request, dict) or not request.get("list"):
             return {"error": 'expected {"inject": TEXT}, {"list": true} or {"kinds": true}'}
-        return {"faults": self._faults.told()[-20:], "t_ns": self._faults.t_ns, "slip_ns": self._faults.slip_ns}
+        return {"faults": self._faults.states()[-20:], "t_ns": self._faults.t_ns, "slip_ns": self._faults.slip_ns}
 
     def close(self) -> None:
-        """Take it away."""
+        """Close the socket and remove its file."""
         self._socket.close()
         self._path.unlink(missing_ok=True)

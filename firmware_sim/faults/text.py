@@ -1,4 +1,4 @@
-"""Faults as data, and as a line of text: ``drop node=3 p=0.05 at=3s for=2s``."""
+"""Faults as data and as a line of text: ``drop node=3 p=0.05 at=3s for=2s``."""
 
 import math
 from dataclasses import dataclass
@@ -6,15 +6,35 @@ from typing import NamedTuple
 
 from firmware_sim.description import Hand, SimulatorError
 
-NODE, BUS, ENCODER, JOINT, CELL, TENDON, DIGIT = "node", "bus", "encoder", "joint", "cell", "tendon", "digit"
+NODE = "node"
+"""Component: a drive or the sensor node."""
+BUS = "bus"
+"""Component: all nodes of a bus."""
+ENCODER = "encoder"
+"""Component: the encoder of a motor."""
+JOINT = "joint"
+"""Component: a joint encoder."""
+CELL = "cell"
+"""Component: a load cell."""
+TENDON = "tendon"
+"""Component: a tendon."""
+DIGIT = "digit"
+"""Component: a digit."""
 SENSORS = "sensors"
 """Name of the sensor node among the nodes."""
 FOREVER_NS = 1 << 62
+"""Duration of a fault without end [ns]."""
 _TIMES = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
 
 
-class Kind(NamedTuple):
-    """What a kind of fault may be put on, its size unless told otherwise, and what it does."""
+class FaultKind(NamedTuple):
+    """A kind of fault.
+
+    Attributes:
+        components: components on which it can act.
+        size: default size.
+        text: effect.
+    """
 
     components: tuple[str, ...]
     size: float
@@ -22,48 +42,48 @@ class Kind(NamedTuple):
 
 
 KINDS = {
-    "drop": Kind((NODE, BUS), 0, "what a node sends is lost"),
-    "deaf": Kind((NODE, BUS), 0, "what a node is sent is lost"),
-    "delay": Kind((NODE, BUS), 4, "what a node sends comes later by size [ms]"),
-    "duplicate": Kind((NODE, BUS), 0, "what a node sends comes twice"),
-    "twin": Kind((NODE,), 0, "a second node with its identifier answers, too, with other values"),
-    "reorder": Kind((NODE, BUS), 0, "what a node sends comes after its next frame"),
-    "corrupt": Kind((NODE, BUS), 1, "size bits of the payload are flipped"),
-    "shorten": Kind((NODE, BUS), 1, "the payload lacks size bytes"),
-    "extend": Kind((NODE, BUS), 0, "the identifier is marked as one of 29 bits"),
-    "slow": Kind((NODE,), 2, "a node answers every size-th time only"),
-    "off": Kind((NODE,), 0, "a node has no power: no torque, no answer"),
-    "reset": Kind((NODE,), 0, "a node restarts, once"),
-    "error": Kind((NODE,), 0, "a node enters fault with code size, once (0: over-temperature)"),
-    "watchdog": Kind((NODE,), 0, "a node's watchdog fires, once"),
-    "voltage": Kind((NODE,), 0, "a node reports under-voltage, once"),
-    "hot": Kind((NODE,), 90, "a node's winding is at size [degC]"),
-    "disobey": Kind((NODE,), 0, "a node makes size times the torque that it is asked for"),
-    "runaway": Kind((NODE,), 1, "a node makes size times its largest torque, whatever it is asked for"),
-    "hold_on": Kind((NODE,), 0, "a node says that it is disabled, and keeps its torque"),
-    "forget": Kind((NODE,), 0, "a node loses its registers, once, and stays enabled (size > 0: TMAX is size [N m])"),
-    "ripple": Kind((NODE,), 0.1, "a motor's torque has a ripple of amplitude size [N m] at hz"),
-    "late": Kind((NODE,), 50, "a node obeys each command size [ms] later"),
-    "swap": Kind((NODE,), 0, "two drives report each other's encoder and current"),
-    "cross": Kind((NODE,), 0, "two drives make each other's torque, and report what they were told"),
-    "flood": Kind((BUS,), 100, "size frames of identifier 0x000 every millisecond"),
-    "unknown": Kind((BUS,), 1, "size frames of an unknown identifier every millisecond"),
-    "foreign": Kind((NODE,), 0, "somebody else sends a node commands, every 10 ms"),
-    "mute": Kind((JOINT, CELL), 0, "the frame that carries a reading is not sent"),
-    "stuck": Kind((ENCODER, JOINT, CELL), 0, "a reading stays where it is"),
-    "offset": Kind((ENCODER, JOINT, CELL), 1, "a reading jumps by size [rad, N]"),
-    "drift": Kind((ENCODER, JOINT, CELL), 1, "a reading drifts by size a second [rad/s, N/s]"),
-    "scale": Kind((ENCODER,), 1.5, "a reading moves size times as far as what it measures"),
-    "old": Kind((CELL,), 16, "a reading is as it was size samples ago, under a fresh counter"),
-    "replay": Kind((NODE,), 16, "a node sends the frames of size answers ago"),
-    "noise": Kind((ENCODER, JOINT, CELL), 1, "a reading has noise of standard deviation size [rad, N]"),
-    "saturate": Kind((CELL,), 1, "a load cell is at its upper rail (size > 0) or its lower one"),
-    "snap": Kind((TENDON,), 0, "a rope tears"),
-    "slack": Kind((TENDON,), 2, "a rope is longer by size [mm]"),
-    "friction": Kind((TENDON,), 3, "a motor has size newtons more Coulomb friction at its rope"),
-    "block": Kind((DIGIT,), 0, "a digit cannot move"),
+    "drop": FaultKind((NODE, BUS), 0, "what a node sends is lost"),
+    "deaf": FaultKind((NODE, BUS), 0, "what a node is sent is lost"),
+    "delay": FaultKind((NODE, BUS), 4, "what a node sends comes later by size [ms]"),
+    "duplicate": FaultKind((NODE, BUS), 0, "what a node sends comes twice"),
+    "twin": FaultKind((NODE,), 0, "a second node with its identifier answers, too, with other values"),
+    "reorder": FaultKind((NODE, BUS), 0, "what a node sends comes after its next frame"),
+    "corrupt": FaultKind((NODE, BUS), 1, "size bits of the payload are flipped"),
+    "shorten": FaultKind((NODE, BUS), 1, "the payload lacks size bytes"),
+    "extend": FaultKind((NODE, BUS), 0, "the identifier is marked as one of 29 bits"),
+    "slow": FaultKind((NODE,), 2, "a node answers every size-th time only"),
+    "off": FaultKind((NODE,), 0, "a node has no power: no torque, no answer"),
+    "reset": FaultKind((NODE,), 0, "a node restarts, once"),
+    "error": FaultKind((NODE,), 0, "a node enters fault with code size, once (0: over-temperature)"),
+    "watchdog": FaultKind((NODE,), 0, "a node's watchdog fires, once"),
+    "voltage": FaultKind((NODE,), 0, "a node reports under-voltage, once"),
+    "hot": FaultKind((NODE,), 90, "a node's winding is at size [degC]"),
+    "disobey": FaultKind((NODE,), 0, "a node makes size times the torque that it is asked for"),
+    "runaway": FaultKind((NODE,), 1, "a node makes size times its largest torque, whatever it is asked for"),
+    "hold_on": FaultKind((NODE,), 0, "a node says that it is disabled, and keeps its torque"),
+    "forget": FaultKind((NODE,), 0, "a node loses its registers once and stays enabled (size > 0: TMAX is size [N m])"),
+    "ripple": FaultKind((NODE,), 0.1, "a motor's torque has a ripple of amplitude size [N m] at hz"),
+    "late": FaultKind((NODE,), 50, "a node obeys each command size [ms] later"),
+    "swap": FaultKind((NODE,), 0, "two drives report each other's encoder and current"),
+    "cross": FaultKind((NODE,), 0, "two drives make each other's torque, and report what they were told"),
+    "flood": FaultKind((BUS,), 100, "size frames of identifier 0x000 every millisecond"),
+    "unknown": FaultKind((BUS,), 1, "size frames of an unknown identifier every millisecond"),
+    "foreign": FaultKind((NODE,), 0, "somebody else sends a node commands, every 10 ms"),
+    "mute": FaultKind((JOINT, CELL), 0, "the frame that carries a reading is not sent"),
+    "stuck": FaultKind((ENCODER, JOINT, CELL), 0, "a reading stays where it is"),
+    "offset": FaultKind((ENCODER, JOINT, CELL), 1, "a reading jumps by size [rad, N]"),
+    "drift": FaultKind((ENCODER, JOINT, CELL), 1, "a reading drifts by size a second [rad/s, N/s]"),
+    "scale": FaultKind((ENCODER,), 1.5, "a reading moves size times as far as what it measures"),
+    "old": FaultKind((CELL,), 16, "a reading is as it was size samples ago, under a fresh counter"),
+    "replay": FaultKind((NODE,), 16, "a node sends the frames of size answers ago"),
+    "noise": FaultKind((ENCODER, JOINT, CELL), 1, "a reading has noise of standard deviation size [rad, N]"),
+    "saturate": FaultKind((CELL,), 1, "a load cell is at its upper rail (size > 0) or its lower one"),
+    "snap": FaultKind((TENDON,), 0, "a rope tears"),
+    "slack": FaultKind((TENDON,), 2, "a rope is longer by size [mm]"),
+    "friction": FaultKind((TENDON,), 3, "a motor has size newtons more Coulomb friction at its rope"),
+    "block": FaultKind((DIGIT,), 0, "a digit cannot move"),
 }  # fmt: skip
-"""Everything that can be injected."""
+"""All kinds of fault."""
 SIZES = {
     "delay": (0.0, 1e5), "corrupt": (1.0, 512.0), "shorten": (1.0, 64.0), "slow": (2.0, 1e6),
     "error": (0.0, 2.0**32 - 1), "hot": (-40.0, 1000.0), "disobey": (-10.0, 10.0), "runaway": (-4.0, 4.0),
@@ -72,13 +92,14 @@ SIZES = {
     "flood": (1.0, 1000.0), "unknown": (1.0, 1000.0), "noise": (0.0, 1e6), "slack": (0.0, 1000.0),
     "friction": (0.0, 1e4),
 }  # fmt: skip
-"""Sizes that mean something; of the others a million either way."""
+"""Range of the size of each kind. Kinds without entry have ``ANY_SIZE``."""
 OF_TWO = ("swap", "cross")
-"""Kinds that take a second motor, ``with=NAME``."""
+"""Kinds that need a second motor, ``with=NAME``."""
 ANY_SIZE = (-1e6, 1e6)
+"""Default range of a size."""
 OF_DRIVES = ("reset", "error", "watchdog", "voltage", "hot", "disobey", "runaway", "hold_on", "foreign", "forget",
              "ripple", "late", "swap", "cross")  # fmt: skip
-"""Kinds that the sensor node cannot have: it has no power stage, and the host sends it nothing but SYNC."""
+"""Kinds for drives only. The sensor node has no power stage, and the host sends it only SYNC."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,11 +107,17 @@ class Fault:
     """One fault.
 
     Attributes:
-        kind: of ``KINDS``. component: what it is put on. instance: its name.
-        start_ns, duration_ns: when it begins and how long it lasts [ns].
-        size: see its kind. p: probability for each frame. seed: of its chance. hz: frequency of a ripple [Hz].
-        text: as it was written.
-        other: the second motor, of a kind that takes one.
+        kind: key of ``KINDS``.
+        component: component on which it acts.
+        instance: name of the component.
+        start_ns: start [ns].
+        duration_ns: duration [ns].
+        size: size, see the kind.
+        p: probability for each frame.
+        seed: seed of its random numbers.
+        hz: frequency of a ripple [Hz].
+        text: text from which the fault was parsed.
+        other: second motor of a kind that needs two, otherwise empty.
     """
 
     kind: str
@@ -107,15 +134,16 @@ class Fault:
 
 
 def parse_fault(text: str, hand: Hand, now_ns: int = 0) -> Fault:
-    """Read a fault.
+    """Parse a fault.
 
     Args:
-        text: ``KIND COMPONENT=INSTANCE [with=NAME] [size=X] [p=X] [hz=X] [at=TIME] [for=TIME] [seed=N]``.
-        hand: whose it is.
-        now_ns: what ``at`` counts from [ns].
+        text: ``KIND COMPONENT=INSTANCE [with=NAME] [size=X] [p=X] [hz=X] [at=TIME] [for=TIME]
+            [seed=N]``.
+        hand: hand that has the fault.
+        now_ns: time from which ``at`` counts [ns].
 
     Raises:
-        SimulatorError: it cannot be read, or there is no such fault in this hand.
+        SimulatorError: the text cannot be parsed, or this hand cannot have the fault.
     """
     kind, *pairs = text.split() or [""]
     if kind not in KINDS:
@@ -147,15 +175,16 @@ def parse_fault(text: str, hand: Hand, now_ns: int = 0) -> Fault:
 
 
 def _component(text: str, kind: str, given: dict[str, str]) -> str:
-    found = [key for key in given if key in (NODE, BUS, ENCODER, JOINT, CELL, TENDON, DIGIT)]
+    """Return the component that the text names."""
+    components = [key for key in given if key in (NODE, BUS, ENCODER, JOINT, CELL, TENDON, DIGIT)]
     allowed = KINDS[kind].components
-    if len(found) != 1 or found[0] not in allowed:
+    if len(components) != 1 or components[0] not in allowed:
         raise SimulatorError(f"fault {text!r}: {kind} needs {' or '.join(f'{name}=NAME' for name in allowed)}")
-    return found[0]
+    return components[0]
 
 
 def _other(text: str, kind: str, first: str, given: dict[str, str], hand: Hand) -> str:
-    """Return the second motor of a kind that takes two; empty for the others."""
+    """Return the second motor of a kind that needs two, otherwise an empty string."""
     if kind not in OF_TWO:
         return ""
     if "with" not in given:
@@ -167,7 +196,13 @@ def _other(text: str, kind: str, first: str, given: dict[str, str], hand: Hand) 
 
 
 def instances(component: str, hand: Hand, kind: str = "") -> list[str]:
-    """Names that a component may have in a hand, for a kind of fault or for any."""
+    """List the names of a component in a hand.
+
+    Args:
+        component: NODE, BUS, ENCODER, JOINT, CELL, TENDON or DIGIT.
+        hand: the hand.
+        kind: kind of fault, empty for any.
+    """
     motors = [motor.name for motor in hand.motors]
     return {
         NODE: [*motors, SENSORS] if hand.sensors and kind not in OF_DRIVES else motors,
@@ -180,17 +215,18 @@ def instances(component: str, hand: Hand, kind: str = "") -> list[str]:
     }[component]
 
 
-def _instance(text: str, known: list[str], component: str, name: str, hand: Hand) -> str:
-    """A name, or the node number of a motor."""
+def _instance(text: str, names: list[str], component: str, name: str, hand: Hand) -> str:
+    """Return a name, given the name or the node number of a motor."""
     if component in (NODE, ENCODER):
         numbers = {str(motor.node_id): motor.name for motor in hand.motors}
         name = numbers.get(name, name)
-    if name not in known:
-        raise SimulatorError(f"fault {text!r}: no {component} {name!r}; expected one of {', '.join(known) or 'none'}")
+    if name not in names:
+        raise SimulatorError(f"fault {text!r}: no {component} {name!r}; expected one of {', '.join(names) or 'none'}")
     return name
 
 
 def _number(text: str, key: str, word: str, low: float, high: float) -> float:
+    """Parse a number in a range."""
     try:
         value = float(int(word, 0)) if word.startswith("0x") else float(word)
     except ValueError:
@@ -201,7 +237,7 @@ def _number(text: str, key: str, word: str, low: float, high: float) -> float:
 
 
 def _time(text: str, key: str, word: str) -> int:
-    """A time with its unit [ns]."""
+    """Parse a time with its unit [ns]."""
     unit = next((unit for unit in _TIMES if word.endswith(unit)), "")
     if not unit:
         raise SimulatorError(f"fault {text!r}: {key}={word}: expected a time with its unit, as in 3s or 200ms")

@@ -1,15 +1,15 @@
-"""What sits on the bus: one module per drive protocol, and the sensor node."""
+"""Nodes on the bus: one package for each drive protocol, and the sensor node."""
 
 from firmware_sim.nodes import cubemars
 from firmware_sim.nodes.cia402 import bench as cia402_bench
-from firmware_sim.nodes.kind import Kind
 from firmware_sim.nodes.mit import bench as mit_bench
 from firmware_sim.nodes.odrive import bench as odrive_bench
+from firmware_sim.nodes.protocol_spec import ProtocolSpec
 
-PROTOCOLS: dict[str, Kind] = {
-    "cia402": cia402_bench.KIND,
-    "cubemars": cubemars.KIND,
-    "mit": mit_bench.KIND,
-    "odrive": odrive_bench.KIND,
+PROTOCOLS: dict[str, ProtocolSpec] = {
+    "cia402": cia402_bench.SPEC,
+    "cubemars": cubemars.SPEC,
+    "mit": mit_bench.SPEC,
+    "odrive": odrive_bench.SPEC,
 }
-"""Name in the hand file, and what speaks it."""
+"""Protocol specifications by the name in the hand file."""

@@ -1,15 +1,25 @@
 """A motor with the firmware of a CubeMars AK drive in MIT mode: no registers, no watchdog, no state in its feedback.
 
-Source: facts, mit_damiao (variants). Choices where they say nothing: a motor that is not enabled answers commands, too;
-an error takes the torque away and goes when its cause does; unknown codes behind seven bytes of FF are not answered.
+Commands have the layout of ``mit.codec``. Feedback (8 bytes, highest byte and bit first):
+
+    byte 0     identifier
+    byte 1..2  position   16 bit, -range..range [rad]
+    byte 3..5  velocity   12 bit, torque 12 bit
+    byte 6     temperature + 40 [degC]
+    byte 7     error
+
+Older firmware sends the first six bytes only. Source: facts, mit_damiao (variants).
+
+Choices where the fact sheet is silent: a disabled motor answers commands. An error removes the
+torque and ends when its cause ends. Unknown codes behind seven bytes of FF are not answered.
 """
 
 import enum
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.description import MotorSpec
-from firmware_sim.nodes.kind import Kind, Shaft
 from firmware_sim.nodes.mit.codec import Ranges, decode_command, to_code
+from firmware_sim.nodes.protocol_spec import ProtocolSpec, Shaft
 from firmware_sim.nodes.thermal import Thermal
 from firmware_sim.plant.motor import Motor
 
@@ -20,20 +30,28 @@ FULL_SCALE = {
     "ak80-9": (12.5, 50.0, 18.0),
     "ak10-9": (12.5, 50.0, 65.0),
 }
-"""Position [rad], velocity [rad/s], torque [N m] of a model."""
-USUAL = "ak80-9"
-WARM_PERIOD_NS = 100_000_000
-HOT_C, COOL_C = 100.0, 90.0
+"""Position [rad], velocity [rad/s] and torque [N m] range of each model."""
+DEFAULT_TYPE = "ak80-9"
+"""Default model."""
+THERMAL_PERIOD_NS = 100_000_000
+"""Period of the thermal update [ns]."""
+HOT_C = 100.0
+"""Winding temperature of the error [degC]."""
+COOL_C = 90.0
+"""Winding temperature at which the error ends [degC]."""
 ZEROING_NS = 1_000_000_000
-"""Silence while it takes a new zero."""
+"""Time without answers while the drive stores a new zero [ns]."""
 _SPECIAL = b"\xff" * 7
+"""First seven bytes of a special command."""
 COLDEST_C = -40
-"""What the byte of the temperature counts from; the manual's example of a reply takes 40 away."""
-_ENABLE, _DISABLE, _ZERO = 0xFC, 0xFD, 0xFE
+"""Temperature of byte value 0 [degC]. The manual's example of a reply subtracts 40."""
+_ENABLE = 0xFC
+_DISABLE = 0xFD
+_ZERO = 0xFE
 
 
 class Error(enum.IntEnum):
-    """Byte 7 of the feedback."""
+    """Error in byte 7 of the feedback."""
 
     NONE = 0
     HOT = 1
@@ -48,29 +66,48 @@ class CubemarsNode:
     """One motor node.
 
     Attributes:
-        enabled: whether it follows commands. error: what is wrong.
-        offset: wire angle at theta = 0 [rad]. thermal: temperatures.
-        short: whether it answers with six bytes, as older firmware does.
-        ids: its own. malformed: frames on its identifier that it could not read.
-        wake_ns: when time must pass for it next [ns]. fed_ns: below 0: it has no watchdog.
+        enabled: True if it follows commands.
+        error: present error.
+        offset: angle on the wire at theta = 0 [rad].
+        thermal: temperatures.
+        short: True if feedback has six bytes, as in older firmware.
+        ids: identifiers that it may answer.
+        malformed: frames on its identifier that it could not decode.
+        wake_ns: time of the next wake [ns].
+        watchdog_fed_ns: negative, because the drive has no watchdog.
     """
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
-        """Args: the motor's description; its rotor; wire angle at theta = 0 [rad]."""
-        self.motor, self.offset = motor, offset
+        """Set up the node after power-up.
+
+        Args:
+            spec: description of the motor.
+            motor: rotor of the motor.
+            offset: angle on the wire at theta = 0 [rad].
+        """
+        self.motor = motor
+        self.offset = offset
         self.thermal = Thermal(spec.torque_constant)
-        self.enabled, self.error = False, Error.NONE
+        self.enabled = False
+        self.error = Error.NONE
         self.short = bool(spec.options.get("short", False))
-        self.malformed, self.wake_ns, self.fed_ns = 0, 0, -1
-        self._id, self._direction = spec.node_id, spec.direction
+        self.malformed = 0
+        self.wake_ns = 0
+        self.watchdog_fed_ns = -1
+        self._id = spec.node_id
+        self._direction = spec.direction
         self.ids = frozenset((spec.node_id,))
-        self._ranges = Ranges(*FULL_SCALE[str(spec.options.get("motor_type", USUAL))])
+        self._ranges = Ranges(*FULL_SCALE[str(spec.options.get("motor_type", DEFAULT_TYPE))])
         motor.servo.limit = min(spec.torque_peak, self._ranges.torque)
-        self._warmed_ns = -1
+        self._thermal_ns = -1
         self._silent_until_ns = 0
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
-        """Return the answer to a frame, on the same identifier; None if it is not for this motor."""
+        """Answer a frame on the same identifier.
+
+        Returns:
+            The answers, None if the frame is not for this motor.
+        """
         if frame.can_id != self._id:
             return None
         data = frame.data
@@ -79,12 +116,14 @@ class CubemarsNode:
             return []
         if t_ns < self._silent_until_ns:
             return []
+        # Eight bytes of FF are a valid command: all fields at their maximum.
         if data[:7] == _SPECIAL and data[7] != 0xFF:
             return self._special(data[7], frame, t_ns)
-        self._follow(data)
+        self._apply_command(data)
         return [self._answer(frame, t_ns)]
 
     def _special(self, code: int, frame: Frame, t_ns: int) -> list[Frame]:
+        """Execute a special command."""
         if code == _ENABLE:
             self._switch(on=self.error == Error.NONE)
         elif code == _DISABLE:
@@ -99,20 +138,29 @@ class CubemarsNode:
         return [self._answer(frame, t_ns)]
 
     def _switch(self, on: bool) -> None:
+        """Switch the torque on or off. The servo is released unless it was enabled before."""
         if not (on and self.enabled):
             self.motor.servo.release()
         self.enabled = on
 
-    def _follow(self, data: bytes) -> None:
+    def _apply_command(self, data: bytes) -> None:
+        """Apply a command if enabled."""
         if not self.enabled:
             return
-        command, servo, sign = decode_command(data, self._ranges), self.motor.servo, self._direction
-        servo.kp, servo.kd = command.kp, command.kd
-        servo.position, servo.velocity = sign * (command.position - self.offset), sign * command.velocity
+        command = decode_command(data, self._ranges)
+        servo = self.motor.servo
+        sign = self._direction
+        servo.kp = command.kp
+        servo.kd = command.kd
+        servo.position = sign * (command.position - self.offset)
+        servo.velocity = sign * command.velocity
         servo.torque = sign * command.torque
 
     def _answer(self, frame: Frame, t_ns: int) -> Frame:
-        motor, sign, ranges = self.motor, self._direction, self._ranges
+        """Return the present feedback."""
+        motor = self.motor
+        sign = self._direction
+        ranges = self._ranges
         position = to_code(sign * motor.encoder() + self.offset, ranges.position, 16)
         velocity = to_code(sign * motor.velocity, ranges.velocity, 12)
         torque = to_code(sign * motor.torque, ranges.torque, 12)
@@ -125,31 +173,32 @@ class CubemarsNode:
         return Frame(self._id, data, frame.flags, frame.bus, t_ns)
 
     def trip(self, error: Error) -> None:
-        """Lose the torque because of an error, which stays until it is taken away."""
+        """Enter an error state, or leave it with Error.NONE. An error removes the torque."""
         self.error = error
         if error != Error.NONE:
             self._switch(on=False)
 
     def power_cycle(self) -> None:
-        """Start disabled."""
+        """Restart disabled and without error."""
         self.error = Error.NONE
         self._switch(on=False)
 
     def wake(self, t_ns: int) -> None:
-        """Judge the temperatures."""
-        if self._warmed_ns < 0 or t_ns - self._warmed_ns >= WARM_PERIOD_NS:
-            if self._warmed_ns >= 0:
-                self.thermal.advance((t_ns - self._warmed_ns) * 1e-9, self.motor.heat)
-            self.motor.heat, self._warmed_ns = 0.0, t_ns
+        """Update the temperatures and their error."""
+        if self._thermal_ns < 0 or t_ns - self._thermal_ns >= THERMAL_PERIOD_NS:
+            if self._thermal_ns >= 0:
+                self.thermal.advance((t_ns - self._thermal_ns) * 1e-9, self.motor.heat)
+            self.motor.heat = 0.0
+            self._thermal_ns = t_ns
             if self.thermal.winding > HOT_C:
                 self.trip(Error.HOT)
             elif self.error == Error.HOT and self.thermal.winding < COOL_C:
                 self.trip(Error.NONE)
-        self.wake_ns = self._warmed_ns + WARM_PERIOD_NS
+        self.wake_ns = self._thermal_ns + THERMAL_PERIOD_NS
 
 
 def shaft(motor_type: str) -> Shaft:
-    """Return the shaft of a model; its inertia is an assumption."""
+    """Build the shaft of a model. Its inertia is an assumption."""
     position, velocity, peak = FULL_SCALE[motor_type]
     return Shaft(peak, 2e-4 * peak, 1.0, position, velocity, {"motor_type": motor_type})
 
@@ -158,9 +207,10 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
     return node_id, bytes(8)
 
 
-def _mishear(frame: Frame) -> Frame:
-    """A command without torque in place of disable."""
+def _corrupt_command(frame: Frame) -> Frame:
+    """Replace disable by a command without torque."""
     return frame._replace(data=b"\x7f\xff\x7f\xf0\0\0\x07\xff") if frame.data == _SPECIAL + b"\xfd" else frame
 
 
-KIND = Kind(CubemarsNode, range(1, 0x100), shaft(USUAL), _host_frame, _mishear)
+SPEC = ProtocolSpec(CubemarsNode, range(1, 0x100), shaft(DEFAULT_TYPE), _host_frame, _corrupt_command)
+"""The MIT protocol with CubeMars motors."""

@@ -1,8 +1,10 @@
-"""The frames that come in every tick, answered by one compiled law that reads and writes records.
+"""Compiled kernel for the frames of every tick, from records to records.
 
-A table leads from an identifier to the node that takes it, and from that one to the next that takes it, too. A frame
-that asks for a decision (a special command, a register, a wrong length, a watchdog that is due) stops the law. The node
-itself then answers it in Python, and the law goes on with the next frame.
+A table leads from an identifier to the first node that receives it. Each entry leads to the next
+node that receives the same identifier. A frame that needs a decision stops the kernel: a special
+command, a register request, a wrong length, or a watchdog that is due. The node then answers the
+frame in Python, and the kernel continues with the next frame. The bit layouts are in ``mit.codec``,
+``odrive.node``, ``cia402.kernels`` and ``sensors``.
 """
 
 import ctypes
@@ -15,30 +17,38 @@ from firmware_sim.bus.frame import FDF, REMOTE
 from firmware_sim.bus.records import RECORD
 from firmware_sim.compiled import compiled, inner, rows_at
 from firmware_sim.nodes import sensors
-from firmware_sim.nodes.cia402.laws import (
+from firmware_sim.nodes.cia402.kernels import (
     CONTROL_WORD,
     OPERATIONAL,
     POSITION,
     STATUS_WORD,
     TARGET_TORQUE,
     TORQUE,
-    WARM_NS,
-    Cia402Row,
-    beats,
-    follow,
-    follows,
+    Cia402Struct,
+    apply_torque,
+    follows_torque,
+    heartbeat_due,
     measure,
 )
-from firmware_sim.nodes.cia402.laws import schedule as schedule_cia402
-from firmware_sim.nodes.cia402.laws import starves as starves_cia402
-from firmware_sim.nodes.kind import MIT, ODRIVE, SENSORS
-from firmware_sim.nodes.mit.codec import ENABLED, MitRow, feedback_word, obey, schedule
-from firmware_sim.nodes.odrive.laws import WARM_PERIOD_NS, OdriveRow, make_torque, next_due, starves, turns, turns_per_s
-from firmware_sim.nodes.odrive.laws import schedule as schedule_odrive
+from firmware_sim.nodes.cia402.kernels import THERMAL_PERIOD_NS as CIA402_THERMAL_PERIOD_NS
+from firmware_sim.nodes.cia402.kernels import schedule as schedule_cia402
+from firmware_sim.nodes.cia402.kernels import watchdog_expired as cia402_watchdog_expired
+from firmware_sim.nodes.mit.codec import ENABLED, MitStruct, apply_command, feedback_word, schedule
+from firmware_sim.nodes.odrive.kernels import (
+    THERMAL_PERIOD_NS,
+    OdriveStruct,
+    next_due,
+    set_torque,
+    turns,
+    turns_per_s,
+    watchdog_expired,
+)
+from firmware_sim.nodes.odrive.kernels import schedule as schedule_odrive
+from firmware_sim.nodes.protocol_spec import MIT, ODRIVE, SENSORS
 from firmware_sim.nodes.sensors import (
     CHANNELS,
     JOINT_OFFSET,
-    SensorRow,
+    SensorStruct,
     drift_since,
     encode,
     has_joints,
@@ -46,47 +56,57 @@ from firmware_sim.nodes.sensors import (
     read_cells,
 )
 from firmware_sim.plant.drivetrain import encoded, tensions
-from firmware_sim.plant.rows import RopeRow, RotorRow
+from firmware_sim.plant.structs import RotorStruct, TendonStruct
 
 FRAME_NS = 135_000
-"""Worst case of a classical frame of 8 bytes at 1 Mbit/s [ns], by which answers follow one another. Source: VCAN."""
+"""Maximum duration of a classical frame of 8 bytes at 1 Mbit/s [ns], the spacing of answers. Source: VCAN."""
 FD_FRAME_NS = 57_000
-"""Worst case of an FD frame of 8 bytes at 1/5 Mbit/s [ns]. Source: VCAN."""
-NEXT_FRAME, ANSWERS, IN_ORDER, SAID, WAKE_NS = range(5)
-"""Places in ``progress``: number of the frame that comes next; how many answers there are; whether their times rise;
-how many frames nodes have sent of their own accord; when time must pass for a drive next [ns]."""
+"""Maximum duration of an FD frame of 8 bytes at 1/5 Mbit/s [ns]. Source: VCAN."""
+NEXT_FRAME, ANSWERS, IN_ORDER, SENT, WAKE_NS = range(5)
+"""Indices into ``progress``.
+
+Number of the next frame, number of answers, 1 if the times of the answers rise, number of unsolicited
+frames, earliest wake time of all drives [ns].
+"""
 NEVER_NS = 1 << 62
-"""When time must pass for no drive at all [ns]."""
+"""Wake time if no drive needs to be woken [ns]."""
 _IDS = 0x800
-"""Standard identifiers, in the table once for data frames and once for remote frames, for each bus."""
+"""Number of standard identifiers.
+
+The table has two blocks of this size for each bus: data frames, remote frames.
+"""
 _TENSION_LOW, _TENSION_STEP, _TENSION_OFFSET = sensors.TENSION
 _JOINT_LOW, _JOINT_STEP, _JOINT_OFFSET = sensors.JOINT
 _SPECIAL = 0xFFFFFFFFFFFFFF
-"""Seven bytes of FF, by which a special command of an MIT motor begins."""
+"""Seven bytes of FF, the start of an MIT motor's special command."""
 
 
-class Taker(ctypes.Structure):
-    """Who takes an identifier: kind, number among the rows of its kind, and the number of the next taker or -1."""
+class Receiver(ctypes.Structure):
+    """A receiver of an identifier.
+
+    Fields: kind of node, row among the nodes of its kind, and index of the next receiver or -1.
+    """
 
     _fields_ = [(name, ctypes.c_int64) for name in ("kind", "number", "next")]
 
 
 def empty_table(buses: int) -> Any:
-    """Return a table in which nobody takes anything, shape (identifiers of all buses,)."""
+    """Make a table without receivers, shape (identifiers of all buses,)."""
     return np.full(buses * 2 * _IDS, -1, np.int64)
 
 
 @inner
-def place(bus: int, can_id: int) -> int:
-    """Return the place of an identifier in the table; -1 if it has none."""
+def table_index(bus: int, can_id: int) -> int:
+    """Return the index of an identifier in the table, -1 for an identifier that is not standard."""
     if can_id & ~REMOTE >= _IDS:
         return -1
+    # Block of the bus, then block of data or remote frames.
     return (2 * bus + (1 if can_id & REMOTE else 0)) * _IDS + (can_id & (_IDS - 1))
 
 
 @inner
 def _word(data: Any) -> int:
-    """Return eight bytes as a number, the first highest; its sign means nothing."""
+    """Return eight bytes as an integer, the first byte highest. Its sign has no meaning."""
     word = 0
     for i in range(8):
         word = word << 8 | int(data[i])
@@ -94,389 +114,525 @@ def _word(data: Any) -> int:
 
 
 @inner
-def _fill(answer: Any, can_id: int, length: int, flags: int, bus: int) -> None:
-    """Fill in a frame but for its payload, which is all zeros."""
-    answer.can_id, answer.length, answer.flags, answer.bus = can_id, length, flags, bus
+def _fill_header(answer: Any, can_id: int, length: int, flags: int, bus: int) -> None:
+    """Fill all fields of a frame. The payload is set to zero."""
+    answer.can_id = can_id
+    answer.length = length
+    answer.flags = flags
+    answer.bus = bus
     data = answer.data
     for i in range(64):
         data[i] = 0
 
 
 @inner
-def _put(data: Any, at: int, size: int, value: int) -> None:
-    """Write a number into bytes, the lowest first."""
+def _put_int(data: Any, at: int, size: int, value: int) -> None:
+    """Write an integer into bytes, low byte first."""
     for i in range(size):
         data[at + i] = value >> 8 * i & 0xFF
 
 
 @inner
 def _put_float(data: Any, at: int, value: float) -> None:
-    """Write a number as a float of four bytes."""
-    _put(data, at, 4, int(np.float32(value).view(np.uint32)))
+    """Write a float of four bytes, low byte first."""
+    _put_int(data, at, 4, int(np.float32(value).view(np.uint32)))
 
 
 @inner
-def _mit_decides(node: Any, rotor: Any, frame: Any, t_ns: int) -> bool:
-    """Return whether the node of an MIT drive has to look at a frame itself."""
+def _mit_needs_python(node: Any, rotor: Any, frame: Any, t_ns: int) -> bool:
+    """Return True if an MIT drive must process a frame in Python."""
     if frame.length != 8 or t_ns >= node.wake_ns or rotor.faulty != 0:
         return True
+    # The seven first bytes, without the code of the special command.
     return _word(frame.data) >> 8 & _SPECIAL == _SPECIAL
 
 
 @inner
-def _mit(node: Any, rotor: Any, frame: Any, t_ns: int, answer: Any) -> None:
-    """Let an MIT drive follow a command, and answer it."""
-    node.fed_ns = t_ns
+def _answer_mit(node: Any, rotor: Any, frame: Any, t_ns: int, answer: Any) -> None:
+    """Apply a command to an MIT drive and write its feedback."""
+    node.watchdog_fed_ns = t_ns
     if node.state == ENABLED:
-        obey(node, rotor.law, _word(frame.data))
+        apply_command(node, rotor.servo_row, _word(frame.data))
     temperatures = node.temperatures
     word = feedback_word(node, rotor, encoded(rotor.theta), temperatures.mosfet, temperatures.winding)
     schedule(node)
-    _fill(answer, node.reply_id, 8, frame.flags, frame.bus)
+    _fill_header(answer, node.reply_id, 8, frame.flags, frame.bus)
     data = answer.data
     for i in range(8):
+        # Highest byte first.
         data[i] = word >> (56 - 8 * i) & 0xFF
 
 
 @inner
-def _float(data: Any) -> float:
+def _get_float(data: Any) -> float:
     """Return the float in the first four bytes."""
     return float(np.uint32(data[0] | data[1] << 8 | data[2] << 16 | data[3] << 24).view(np.float32))
 
 
 @inner
-def _odrive_decides(rotor: Any, frame: Any) -> bool:
-    """Return whether an ODrive has to look at a setpoint of torque, or at a question for its encoder, itself."""
+def _odrive_needs_python(rotor: Any, frame: Any) -> bool:
+    """Return True if an ODrive must process a torque setpoint or an encoder request in Python."""
     if frame.flags & FDF or rotor.faulty != 0:
         return True
-    return bool(frame.can_id & REMOTE == 0 and (frame.length < 4 or not math.isfinite(_float(frame.data))))
+    return bool(frame.can_id & REMOTE == 0 and (frame.length < 4 or not math.isfinite(_get_float(frame.data))))
 
 
 @inner
-def _tell_encoder(node: Any, rotor: Any, bus: int, answer: Any) -> None:
-    """Let an ODrive tell its position and velocity."""
-    _fill(answer, node.node_id << 5 | 0x09, 8, 0, bus)
+def _write_encoder_frame(node: Any, rotor: Any, bus: int, answer: Any) -> None:
+    """Write the encoder estimates of an ODrive."""
+    _fill_header(answer, node.node_id << 5 | 0x09, 8, 0, bus)
     _put_float(answer.data, 0, turns(node, encoded(rotor.theta)))
     _put_float(answer.data, 4, turns_per_s(node, rotor.velocity))
 
 
 @inner
-def _odrive(node: Any, rotor: Any, frame: Any, t_ns: int, answers: Any, count: int) -> int:
-    """Let an ODrive take a setpoint, or answer a question for its encoder; return how many answers there are."""
+def _answer_odrive(node: Any, rotor: Any, frame: Any, t_ns: int, answers: Any, count: int) -> int:
+    """Apply a torque setpoint of an ODrive, or answer an encoder request.
+
+    Returns:
+        Number of answers.
+    """
     if frame.can_id & REMOTE:
-        _tell_encoder(node, rotor, frame.bus, answers[count])
+        _write_encoder_frame(node, rotor, frame.bus, answers[count])
         return count + 1
-    make_torque(node, rotor.law, _float(frame.data), t_ns)
+    set_torque(node, rotor.servo_row, _get_float(frame.data), t_ns)
     schedule_odrive(node)
     return count
 
 
 @inner
-def _cia402_decides(node: Any, rotor: Any, frame: Any) -> bool:
-    """Return whether a CiA 402 drive has to look at SYNC, an RPDO or its master's heartbeat itself."""
-    if frame.flags & FDF or rotor.faulty != 0 or node.warmed_ns < 0:
+def _cia402_needs_python(node: Any, rotor: Any, frame: Any) -> bool:
+    """Return True if a CiA 402 drive must process SYNC, an RPDO or its master's heartbeat in Python."""
+    if frame.flags & FDF or rotor.faulty != 0 or node.thermal_ns < 0:
         return True
     if frame.can_id == node.sync_id:
         return bool(node.nmt != OPERATIONAL)
     if frame.can_id == node.master_id:
         return False
-    goes_on = frame.data[0] & 0x8F == 0x0F and node.power_stage.reset_bit == 0
-    return node.nmt != OPERATIONAL or frame.length < 4 or not goes_on or not follows(node, node.power_stage)
+    # Bits 0 to 3 set and fault reset clear: the control word of enabled operation.
+    stays_enabled = frame.data[0] & 0x8F == 0x0F and node.power_stage.reset_bit == 0
+    return (
+        node.nmt != OPERATIONAL or frame.length < 4 or not stays_enabled or not follows_torque(node, node.power_stage)
+    )
 
 
 @inner
-def _cia402(node: Any, rotor: Any, frame: Any, t_ns: int, answers: Any, count: int) -> int:
-    """Let a CiA 402 drive take SYNC, an RPDO or its master's heartbeat; return how many answers there are."""
-    data, values = frame.data, node.values
+def _answer_cia402(node: Any, rotor: Any, frame: Any, t_ns: int, answers: Any, count: int) -> int:
+    """Process SYNC, an RPDO or the master's heartbeat in a CiA 402 drive.
+
+    Returns:
+        Number of answers.
+    """
+    data = frame.data
+    values = node.values
     if frame.can_id == node.sync_id:
         measure(node, node.power_stage, encoded(rotor.theta), rotor.velocity, rotor.torque)
         node.syncs += 1
         if node.syncs % node.tpdo_kind == 0:
-            _fill(answers[count], node.tpdo_id, 8, 0, frame.bus)
-            _put(answers[count].data, 0, 2, values[STATUS_WORD])
-            _put(answers[count].data, 2, 4, values[POSITION])
-            _put(answers[count].data, 6, 2, values[TORQUE])
+            _fill_header(answers[count], node.tpdo_id, 8, 0, frame.bus)
+            _put_int(answers[count].data, 0, 2, values[STATUS_WORD])
+            _put_int(answers[count].data, 2, 4, values[POSITION])
+            _put_int(answers[count].data, 6, 2, values[TORQUE])
             count += 1
     elif frame.can_id == node.master_id:
-        node.fed_ns = t_ns
+        node.watchdog_fed_ns = t_ns
     else:
         values[CONTROL_WORD] = data[0] | data[1] << 8
         torque = int(data[2] | data[3] << 8)
+        # Two's complement of 16 bits.
         values[TARGET_TORQUE] = torque - (1 << 16) if torque >= 1 << 15 else torque
-        follow(node, rotor.law)
+        apply_torque(node, rotor.servo_row)
     schedule_cia402(node, t_ns, False)
     return count
 
 
 @inner
-def _tell(words: Any, channels: int, can_id: int, frame: Any, answers: Any, count: int) -> int:
-    """Answer SYNC with payloads, of which each is a word, its lowest byte first; return how many answers there are."""
+def _write_sensor_frames(words: Any, channels: int, can_id: int, frame: Any, answers: Any, count: int) -> int:
+    """Write the payloads of the sensor node as answers to SYNC.
+
+    Args:
+        words: payloads as integers, low byte first.
+        channels: number of channels in all payloads.
+        can_id: identifier of the first frame.
+        frame: SYNC.
+        answers: memory for answers.
+        count: number of answers so far.
+
+    Returns:
+        Number of answers.
+    """
     for g in range(len(words)):
         length = payload_size(channels - g * CHANNELS)
-        _fill(answers[count], can_id + g, length, frame.flags, frame.bus)
-        _put(answers[count].data, 0, length, words[g])
+        _fill_header(answers[count], can_id + g, length, frame.flags, frame.bus)
+        _put_int(answers[count].data, 0, length, words[g])
         count += 1
     return count
 
 
 @inner
-def _sense(  # noqa: PLR0913 - compiled functions take flat arrays
+def _answer_sync(  # noqa: PLR0913 - compiled functions take flat arrays
     node: Any, frame: Any, t_ns: int, cells: Any, q: Any, cell_order: Any, joint_order: Any, bias: Any,
-    noise: Any, places: Any, answers: Any, count: int,
+    noise: Any, noise_bounds: Any, answers: Any, count: int,
 ) -> int:  # fmt: skip
-    """Sample load cells and joint encoders and answer SYNC; return how many answers there are.
+    """Sample load cells and joint encoders, and write the answers to SYNC.
 
     Args:
-        node: the sensor node. frame: SYNC. cells: tensions [N]. q: joint angles [rad]. cell_order, joint_order: tendon
-            and joint of each channel. bias: of each load cell [N]. noise, places: see ``Noise``.
-        answers, count: room for answers, and how many are there.
+        node: sensor node.
+        frame: SYNC.
+        t_ns: present time [ns].
+        cells: tension of each tendon [N].
+        q: joint angles [rad].
+        cell_order: tendon of each load cell channel.
+        joint_order: joint of each encoder channel.
+        bias: bias of each load cell [N].
+        noise: normal numbers, see ``Noise``.
+        noise_bounds: indices into ``noise``, see ``Noise``.
+        answers: memory for answers.
+        count: number of answers so far.
+
+    Returns:
+        Number of answers.
     """
-    channels, joints, counter = len(cell_order), len(joint_order), int(frame.data[0])
-    read, codes, words = np.empty(channels), np.empty(channels, np.int64), np.empty(-(-channels // CHANNELS), np.int64)
+    channels = len(cell_order)
+    joints = len(joint_order)
+    counter = int(frame.data[0])
+    read = np.empty(channels)
+    codes = np.empty(channels, np.int64)
+    words = np.empty(-(-channels // CHANNELS), np.int64)
     true = np.empty(channels)
     for i in range(channels):
         true[i] = cells[cell_order[i]]
-    at, drift = places[0], drift_since(node, t_ns)
+    at = noise_bounds[0]
+    drift = drift_since(node, t_ns)
     read_cells(true, bias, noise[at : at + 2 * channels], drift, node.tension_noise, read)
     at += 2 * channels
     encode(read, _TENSION_LOW, _TENSION_STEP, _TENSION_OFFSET, counter, codes, words)
-    count = _tell(words, channels, node.base_id, frame, answers, count)
+    count = _write_sensor_frames(words, channels, node.base_id, frame, answers, count)
     if has_joints(node, joints, counter):
         angles = np.empty(joints)
         for i in range(joints):
             angles[i] = q[joint_order[i]] + noise[at + i] * node.joint_noise
         at += joints
-        codes, words = np.empty(joints, np.int64), np.empty(-(-joints // CHANNELS), np.int64)
+        codes = np.empty(joints, np.int64)
+        words = np.empty(-(-joints // CHANNELS), np.int64)
         encode(angles, _JOINT_LOW, _JOINT_STEP, _JOINT_OFFSET, counter, codes, words)
-        count = _tell(words, joints, node.base_id + JOINT_OFFSET, frame, answers, count)
-    places[0] = at
+        count = _write_sensor_frames(words, joints, node.base_id + JOINT_OFFSET, frame, answers, count)
+    noise_bounds[0] = at
     return count
 
 
 @inner
-def _follow_one_another(frames: Any, answers: Any, count: int, t_ns: int, last_ns: int, buses: int) -> bool:
-    """Stamp answers as if they followed the frames and one another on each bus; return whether their times rise."""
+def _stamp_in_sequence(frames: Any, answers: Any, count: int, t_ns: int, last_ns: int, buses: int) -> bool:
+    """Stamp answers as if they followed the frames and one another on each bus.
+
+    Args:
+        frames: frames of the host.
+        answers: answers, whose times are set.
+        count: number of answers.
+        t_ns: start of the tick [ns].
+        last_ns: maximum delay of an answer [ns].
+        buses: number of buses.
+
+    Returns:
+        True if the times of the answers rise.
+    """
     busy_ns = np.zeros(buses, np.int64)
     for i in range(len(frames)):
         busy_ns[frames[i].bus] += FD_FRAME_NS if frames[i].flags & FDF else FRAME_NS
-    rise, before_ns = True, t_ns
+    in_order = True
+    before_ns = t_ns
     for i in range(count):
         answer = answers[i]
         busy_ns[answer.bus] += FD_FRAME_NS if answer.flags & FDF else FRAME_NS
         at_ns = t_ns + min(busy_ns[answer.bus], last_ns)
-        rise = rise and at_ns >= before_ns
+        in_order = in_order and at_ns >= before_ns
         answer.t_ns = before_ns = at_ns
-    return rise
+    return in_order
 
 
-NODES = (Taker, MitRow, OdriveRow, Cia402Row)
-"""Takers, and the rows of drives."""
-
-
-@inner
-def _drive_decides(who: Any, mit: Any, odrive: Any, cia402: Any, rotors: Any, frame: Any, t_ns: int) -> bool:
-    """Return whether a drive has to look at a frame itself."""
-    if who.kind == MIT:
-        return _mit_decides(mit[who.number], rotors[mit[who.number].motor_number], frame, t_ns)
-    if who.kind == ODRIVE:
-        return _odrive_decides(rotors[odrive[who.number].motor_number], frame)
-    return _cia402_decides(cia402[who.number], rotors[cia402[who.number].motor_number], frame)
+DRIVE_ARGUMENTS = (Receiver, MitStruct, OdriveStruct, Cia402Struct)
+"""Argument types: receivers, and the rows of the drives."""
 
 
 @inner
-def _drive(  # noqa: PLR0913 - compiled functions take flat arrays
-    who: Any, mit: Any, odrive: Any, cia402: Any, rotors: Any, frame: Any, t_ns: int, answers: Any, count: int
+def _drive_needs_python(
+    receiver_row: Any, mit: Any, odrive: Any, cia402: Any, rotors: Any, frame: Any, t_ns: int
+) -> bool:
+    """Return True if a drive must process a frame in Python."""
+    if receiver_row.kind == MIT:
+        return _mit_needs_python(mit[receiver_row.number], rotors[mit[receiver_row.number].motor_number], frame, t_ns)
+    if receiver_row.kind == ODRIVE:
+        return _odrive_needs_python(rotors[odrive[receiver_row.number].motor_number], frame)
+    return _cia402_needs_python(cia402[receiver_row.number], rotors[cia402[receiver_row.number].motor_number], frame)
+
+
+@inner
+def _answer_drive(  # noqa: PLR0913 - compiled functions take flat arrays
+    receiver_row: Any, mit: Any, odrive: Any, cia402: Any, rotors: Any, frame: Any, t_ns: int, answers: Any, count: int
 ) -> int:  # fmt: skip
-    """Let a drive take a frame; return how many answers there are."""
-    if who.kind == MIT:
-        _mit(mit[who.number], rotors[mit[who.number].motor_number], frame, t_ns, answers[count])
+    """Process a frame in a drive.
+
+    Returns:
+        Number of answers.
+    """
+    if receiver_row.kind == MIT:
+        _answer_mit(
+            mit[receiver_row.number], rotors[mit[receiver_row.number].motor_number], frame, t_ns, answers[count]
+        )
         return count + 1
-    if who.kind == ODRIVE:
-        return _odrive(odrive[who.number], rotors[odrive[who.number].motor_number], frame, t_ns, answers, count)
-    return _cia402(cia402[who.number], rotors[cia402[who.number].motor_number], frame, t_ns, answers, count)
+    if receiver_row.kind == ODRIVE:
+        return _answer_odrive(
+            odrive[receiver_row.number], rotors[odrive[receiver_row.number].motor_number], frame, t_ns, answers, count
+        )
+    return _answer_cia402(
+        cia402[receiver_row.number], rotors[cia402[receiver_row.number].motor_number], frame, t_ns, answers, count
+    )
 
 
 @inner
-def _wake_ns(who: Any, mit: Any, odrive: Any, cia402: Any) -> int:
-    """Return when time must pass for a drive next [ns]."""
-    if who.kind == MIT:
-        return int(mit[who.number].wake_ns)
-    return int(odrive[who.number].wake_ns if who.kind == ODRIVE else cia402[who.number].wake_ns)
+def _wake_ns(receiver_row: Any, mit: Any, odrive: Any, cia402: Any) -> int:
+    """Return the wake time of a drive [ns]."""
+    if receiver_row.kind == MIT:
+        return int(mit[receiver_row.number].wake_ns)
+    return int(
+        odrive[receiver_row.number].wake_ns if receiver_row.kind == ODRIVE else cia402[receiver_row.number].wake_ns
+    )
 
 
 @inner
 def _next_wake(drives: Any, mit: Any, odrive: Any, cia402: Any) -> int:
-    """Return when time must pass for any drive next [ns]."""
+    """Return the earliest wake time of all drives [ns]."""
     wake_ns = NEVER_NS
     for i in range(len(drives)):
         wake_ns = min(wake_ns, _wake_ns(drives[i], mit, odrive, cia402))
     return wake_ns
 
 
-@compiled(*NODES)
+@compiled(*DRIVE_ARGUMENTS)
 def next_wake(drives: Any, mit: Any, odrive: Any, cia402: Any) -> int:
-    """Return when time must pass for any drive next [ns]."""
+    """Return the earliest wake time of all drives [ns]."""
     return _next_wake(drives, mit, odrive, cia402)
 
 
 @inner
 def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
-    frames: Any, answers: Any, progress: Any, t_ns: int, last_ns: int, table: Any, most: int,
-    takers: Any, mit: Any, odrive: Any, cia402: Any, drives: Any, sensor: Any, cell_order: Any, joint_order: Any,
-    bias: Any, noise: Any, places: Any, ropes: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, cells: Any,
+    frames: Any, answers: Any, progress: Any, t_ns: int, last_ns: int, table: Any, max_answers: int,
+    receivers: Any, mit: Any, odrive: Any, cia402: Any, drives: Any, sensor: Any, cell_order: Any, joint_order: Any,
+    bias: Any, noise: Any, noise_bounds: Any, tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any,
+    dq: Any, cells: Any,
 ) -> None:  # fmt: skip
-    """Answer frames until one asks for a decision; after the last one, stamp all answers.
+    """Answer frames until a frame needs Python. After the last frame, stamp all answers.
 
     Args:
-        frames: of the host. answers: room for answers; ``most`` of them can come of one frame.
-        progress: how far it is; see ``NEXT_FRAME``. t_ns: the present [ns]. last_ns: stamps go so far beyond it [ns].
-        table, takers: who takes an identifier. mit, odrive, cia402: rows of drives. drives: all of them.
-        sensor: the sensor node, if there is one.
-        cell_order, joint_order, bias, noise, places: see ``_sense``.
-        ropes, joints, arms, rotors, q, dq: see ``drivetrain.steps``. cells: room for a tension of each tendon [N].
+        frames: frames of the host.
+        answers: memory for answers.
+        progress: state of the work, see ``NEXT_FRAME``.
+        t_ns: present time [ns].
+        last_ns: maximum delay of an answer [ns].
+        table: index of the first receiver of each identifier, or -1.
+        max_answers: maximum number of answers to one frame.
+        receivers: receivers.
+        mit: rows of MIT drives.
+        odrive: rows of ODrives.
+        cia402: rows of CiA 402 drives.
+        drives: all drives.
+        sensor: sensor node, shape (1,), or (0,) without one.
+        cell_order: see ``_answer_sync``.
+        joint_order: see ``_answer_sync``.
+        bias: see ``_answer_sync``.
+        noise: see ``_answer_sync``.
+        noise_bounds: see ``_answer_sync``.
+        tendons: see ``drivetrain.tensions``.
+        joints: see ``drivetrain.tensions``.
+        arms: see ``drivetrain.tensions``.
+        rotors: see ``drivetrain.tensions``.
+        q: joint angles [rad].
+        dq: joint velocities [rad/s].
+        cells: memory for the tension of each tendon [N].
     """
-    count, buses = progress[ANSWERS], len(table) // (2 * _IDS)
+    count = progress[ANSWERS]
+    buses = len(table) // (2 * _IDS)
     for i in range(progress[NEXT_FRAME], len(frames)):
-        frame, taker = frames[i], -1
-        at = place(int(frame.bus), int(frame.can_id))
+        frame = frames[i]
+        receiver = -1
+        at = table_index(int(frame.bus), int(frame.can_id))
         if frame.bus < buses and at >= 0:
-            taker = table[at]
-        if taker < 0 or count + most > len(answers):
+            receiver = table[at]
+        if receiver < 0 or count + max_answers > len(answers):
             break
-        decides, one = False, taker
-        while one >= 0:
-            who = takers[one]
-            if who.kind == SENSORS:
-                enough = places[1] >= places[0] + 2 * len(cell_order) + len(joint_order)
-                decides = decides or frame.length != 1 or not enough
+        needs_python = False
+        index = receiver
+        while index >= 0:
+            receiver_row = receivers[index]
+            if receiver_row.kind == SENSORS:
+                # The kernel cannot draw random numbers, so all numbers of one SYNC must be there
+                # before.
+                drawn = noise_bounds[1] >= noise_bounds[0] + 2 * len(cell_order) + len(joint_order)
+                needs_python = needs_python or frame.length != 1 or not drawn
             else:
-                decides = decides or _drive_decides(who, mit, odrive, cia402, rotors, frame, t_ns)
-            one = who.next
-        if decides:
+                needs_python = needs_python or _drive_needs_python(
+                    receiver_row, mit, odrive, cia402, rotors, frame, t_ns
+                )
+            index = receiver_row.next
+        if needs_python:
             break
-        while taker >= 0:
-            who = takers[taker]
-            if who.kind == SENSORS:
-                tensions(ropes, joints, arms, rotors, q, dq, cells)
-                count = _sense(
-                    sensor[0], frame, t_ns, cells, q, cell_order, joint_order, bias, noise, places, answers, count
+        while receiver >= 0:
+            receiver_row = receivers[receiver]
+            if receiver_row.kind == SENSORS:
+                tensions(tendons, joints, arms, rotors, q, dq, cells)
+                count = _answer_sync(
+                    sensor[0], frame, t_ns, cells, q, cell_order, joint_order, bias, noise, noise_bounds, answers, count
                 )
             else:
-                count = _drive(who, mit, odrive, cia402, rotors, frame, t_ns, answers, count)
-            taker = who.next
+                count = _answer_drive(receiver_row, mit, odrive, cia402, rotors, frame, t_ns, answers, count)
+            receiver = receiver_row.next
         progress[NEXT_FRAME] = i + 1
     progress[ANSWERS] = count
     if progress[NEXT_FRAME] == len(frames):
-        progress[IN_ORDER] = _follow_one_another(frames, answers, count, t_ns, last_ns, buses)
+        progress[IN_ORDER] = _stamp_in_sequence(frames, answers, count, t_ns, last_ns, buses)
         progress[WAKE_NS] = _next_wake(drives, mit, odrive, cia402)
 
 
-REAL, COUNT = np.dtype(np.float64), np.dtype(np.int64)
-TAKERS, MITS, ODRIVES, CIA402S = np.dtype(Taker), np.dtype(MitRow), np.dtype(OdriveRow), np.dtype(Cia402Row)
-SENSOR, ROPES, ROTORS = np.dtype(SensorRow), np.dtype(RopeRow), np.dtype(RotorRow)
+REAL = np.dtype(np.float64)
+COUNT = np.dtype(np.int64)
+RECEIVERS = np.dtype(Receiver)
+MITS = np.dtype(MitStruct)
+ODRIVES = np.dtype(OdriveStruct)
+CIA402S = np.dtype(Cia402Struct)
+SENSOR = np.dtype(SensorStruct)
+TENDONS = np.dtype(TendonStruct)
+ROTORS = np.dtype(RotorStruct)
 
 
 @compiled(RECORD, RECORD, "counts", "count", "count", "count")
-def answer(frames: Any, answers: Any, at: Any, t_ns: int, last_ns: int, most: int) -> None:
-    """Answer frames; see ``_answer``.
+def answer(frames: Any, answers: Any, at: Any, t_ns: int, last_ns: int, max_answers: int) -> None:
+    """Answer frames. See ``_answer``.
 
-    Args: at: address and length of each of its other arrays in their order, see ``Exchange``.
+    Args:
+        frames: frames of the host.
+        answers: memory for answers.
+        at: address and length of each other array of ``_answer``, in the order of ``Exchange``.
+        t_ns: present time [ns].
+        last_ns: maximum delay of an answer [ns].
+        max_answers: maximum number of answers to one frame.
     """
     _answer(
-        frames, answers, rows_at(at[0], at[1], COUNT), t_ns, last_ns, rows_at(at[2], at[3], COUNT), most,
-        rows_at(at[4], at[5], TAKERS), rows_at(at[6], at[7], MITS), rows_at(at[8], at[9], ODRIVES),
-        rows_at(at[10], at[11], CIA402S), rows_at(at[12], at[13], TAKERS), rows_at(at[14], at[15], SENSOR),
+        frames, answers, rows_at(at[0], at[1], COUNT), t_ns, last_ns, rows_at(at[2], at[3], COUNT), max_answers,
+        rows_at(at[4], at[5], RECEIVERS), rows_at(at[6], at[7], MITS), rows_at(at[8], at[9], ODRIVES),
+        rows_at(at[10], at[11], CIA402S), rows_at(at[12], at[13], RECEIVERS), rows_at(at[14], at[15], SENSOR),
         rows_at(at[16], at[17], COUNT), rows_at(at[18], at[19], COUNT), rows_at(at[20], at[21], REAL),
-        rows_at(at[22], at[23], REAL), rows_at(at[24], at[25], COUNT), rows_at(at[26], at[27], ROPES),
+        rows_at(at[22], at[23], REAL), rows_at(at[24], at[25], COUNT), rows_at(at[26], at[27], TENDONS),
         rows_at(at[28], at[29], COUNT), rows_at(at[30], at[31], REAL), rows_at(at[32], at[33], ROTORS),
         rows_at(at[34], at[35], REAL), rows_at(at[36], at[37], REAL), rows_at(at[38], at[39], REAL),
     )  # fmt: skip
 
 
 @inner
-def _odrive_wakes(node: Any, rotor: Any, now_ns: int) -> bool:
-    """Return whether an ODrive has more to do than to send messages: temperature, watchdog, old firmware."""
-    warms = node.warmed_ns < 0 or now_ns - node.warmed_ns >= WARM_PERIOD_NS
-    return warms or node.old != 0 or starves(node, now_ns) or rotor.faulty != 0
+def _odrive_needs_wake(node: Any, rotor: Any, now_ns: int) -> bool:
+    """Return True if an ODrive has more to do than to send messages: thermal update, watchdog, firmware 0.5."""
+    thermal_due = node.thermal_ns < 0 or now_ns - node.thermal_ns >= THERMAL_PERIOD_NS
+    return thermal_due or node.legacy != 0 or watchdog_expired(node, now_ns) or rotor.faulty != 0
 
 
 @inner
-def _cia402_wakes(node: Any, now_ns: int) -> bool:
-    """Return whether a CiA 402 drive has more to do than to send its heartbeat."""
-    warms = node.warmed_ns < 0 or now_ns - node.warmed_ns >= WARM_NS
-    return warms or starves_cia402(node, now_ns) or node.at_once != 0
+def _cia402_needs_wake(node: Any, now_ns: int) -> bool:
+    """Return True if a CiA 402 drive has more to do than to send its heartbeat."""
+    thermal_due = node.thermal_ns < 0 or now_ns - node.thermal_ns >= CIA402_THERMAL_PERIOD_NS
+    return thermal_due or cia402_watchdog_expired(node, now_ns) or node.frame_pending != 0
 
 
 @inner
-def _cia402_speaks(node: Any, now_ns: int, said: Any, count: int) -> int:
-    """Send the heartbeat of a CiA 402 drive if it is due; return how many frames there are."""
-    if beats(node, now_ns):
-        _fill(said[count], 0x700 + node.node_id, 1, 0, node.bus)
-        _put(said[count].data, 0, 1, node.nmt)
-        said[count].t_ns = now_ns
-        node.beat_ns = now_ns
+def _send_cia402(node: Any, now_ns: int, sent: Any, count: int) -> int:
+    """Write the heartbeat of a CiA 402 drive if it is due.
+
+    Returns:
+        Number of unsolicited frames.
+    """
+    if heartbeat_due(node, now_ns):
+        _fill_header(sent[count], 0x700 + node.node_id, 1, 0, node.bus)
+        _put_int(sent[count].data, 0, 1, node.nmt)
+        sent[count].t_ns = now_ns
+        node.heartbeat_ns = now_ns
         count += 1
     schedule_cia402(node, now_ns, False)
     return count
 
 
 @inner
-def _odrive_speaks(node: Any, rotor: Any, now_ns: int, said: Any, count: int) -> int:
-    """Send the messages of an ODrive that are due; return how many frames there are."""
+def _send_odrive(node: Any, rotor: Any, now_ns: int, sent: Any, count: int) -> int:
+    """Write the messages of an ODrive that are due.
+
+    Returns:
+        Number of unsolicited frames.
+    """
     if now_ns >= node.heartbeat_due_ns:
-        _fill(said[count], node.node_id << 5 | 0x01, 8, 0, node.bus)
-        _put(said[count].data, 0, 4, node.active | node.reason)
-        _put(said[count].data, 4, 1, node.state)
-        _put(said[count].data, 5, 1, node.result)
-        said[count].t_ns = now_ns
+        _fill_header(sent[count], node.node_id << 5 | 0x01, 8, 0, node.bus)
+        _put_int(sent[count].data, 0, 4, node.active_errors | node.disarm_reason)
+        _put_int(sent[count].data, 4, 1, node.state)
+        _put_int(sent[count].data, 5, 1, node.result)
+        sent[count].t_ns = now_ns
         node.heartbeat_due_ns = next_due(node.heartbeat_due_ns, now_ns, node.heartbeat_period_ns)
         count += 1
     if now_ns >= node.encoder_due_ns:
-        _tell_encoder(node, rotor, node.bus, said[count])
-        said[count].t_ns = now_ns
+        _write_encoder_frame(node, rotor, node.bus, sent[count])
+        sent[count].t_ns = now_ns
         node.encoder_due_ns = next_due(node.encoder_due_ns, now_ns, node.encoder_period_ns)
         count += 1
     schedule_odrive(node)
     return count
 
 
-@compiled(*NODES, RotorRow, "count", RECORD, "counts")
-def speak(drives: Any, mit: Any, odrive: Any, cia402: Any, rotors: Any, now_ns: int, said: Any, progress: Any) -> bool:
-    """Let drives send what is due; return False, with nothing done, if one of them has to decide something.
+@compiled(*DRIVE_ARGUMENTS, RotorStruct, "count", RECORD, "counts")
+def send_due(
+    drives: Any, mit: Any, odrive: Any, cia402: Any, rotors: Any, now_ns: int, sent: Any, progress: Any
+) -> bool:
+    """Write the unsolicited frames of all drives that are due.
 
     Args:
-        drives: in the order in which they speak. mit, odrive, cia402, rotors: rows.
-        now_ns: the present [ns]. said, progress: room for two frames of each drive, and how many are there.
+        drives: drives in the order of sending.
+        mit: rows of MIT drives.
+        odrive: rows of ODrives.
+        cia402: rows of CiA 402 drives.
+        rotors: rotors.
+        now_ns: present time [ns].
+        sent: memory for two frames of each drive.
+        progress: number of frames so far, see ``SENT``.
+
+    Returns:
+        False, with no change, if a drive must be woken in Python.
     """
     for i in range(len(drives)):
-        who = drives[i]
-        if now_ns < _wake_ns(who, mit, odrive, cia402):
+        receiver_row = drives[i]
+        if now_ns < _wake_ns(receiver_row, mit, odrive, cia402):
             continue
-        if who.kind == ODRIVE:
-            decides = _odrive_wakes(odrive[who.number], rotors[odrive[who.number].motor_number], now_ns)
+        if receiver_row.kind == ODRIVE:
+            needs_python = _odrive_needs_wake(
+                odrive[receiver_row.number], rotors[odrive[receiver_row.number].motor_number], now_ns
+            )
         else:
-            decides = who.kind == MIT or _cia402_wakes(cia402[who.number], now_ns)
-        if decides:
+            needs_python = receiver_row.kind == MIT or _cia402_needs_wake(cia402[receiver_row.number], now_ns)
+        if needs_python:
             return False
     for i in range(len(drives)):
-        who = drives[i]
-        if now_ns < _wake_ns(who, mit, odrive, cia402):
+        receiver_row = drives[i]
+        if now_ns < _wake_ns(receiver_row, mit, odrive, cia402):
             continue
-        if who.kind == ODRIVE:
-            rotor = rotors[odrive[who.number].motor_number]
-            progress[SAID] = _odrive_speaks(odrive[who.number], rotor, now_ns, said, progress[SAID])
+        if receiver_row.kind == ODRIVE:
+            rotor = rotors[odrive[receiver_row.number].motor_number]
+            progress[SENT] = _send_odrive(odrive[receiver_row.number], rotor, now_ns, sent, progress[SENT])
         else:
-            progress[SAID] = _cia402_speaks(cia402[who.number], now_ns, said, progress[SAID])
+            progress[SENT] = _send_cia402(cia402[receiver_row.number], now_ns, sent, progress[SENT])
     progress[WAKE_NS] = _next_wake(drives, mit, odrive, cia402)
     return True
 
 
 @compiled(RECORD, RECORD, RECORD)
 def merge(first: Any, second: Any, out: Any) -> None:
-    """Sort two arrays of frames by their times into ``out``; frames of one time keep their order."""
+    """Sort two arrays of frames by time into ``out``. Frames with equal times keep their order."""
     count = len(first)
     for i in range(len(out)):
         frame = first[i] if i < count else second[i - count]
+        # Insertion sort: both arrays are almost sorted, and equal times must keep their order.
         place = i
         while place > 0 and out[place - 1].t_ns > frame.t_ns:
             out[place] = out[place - 1]

@@ -1,6 +1,16 @@
-"""The sensor node: load cells and joint encoders, sampled and sent when it sees SYNC.
+"""The sensor node: load cells and joint encoders, sampled and sent on SYNC.
 
-Frame layout: DBC of the hand, sensor_node; Intel packing, counter in bits 0..3, channel i in bits 4+12i..15+12i.
+Frame (up to 8 bytes, bits numbered from the lowest bit of byte 0, Intel order):
+
+    bit  0..3        counter of the SYNC
+    bit  4..15       code of channel 0
+    bit  4+12i..15+12i   code of channel i, i up to 4
+
+    tension code     (tension + 6 N) / 0.0625 N, 0 and 4095 mean saturated
+    joint code       2048 + angle / (2 pi rad / 4096)
+
+Tension frames have identifiers from the base, joint frames from the base + 0x10. A frame with fewer
+channels is cut to as many bytes as its channels need. Source: DBC of the hand, sensor_node.
 """
 
 import ctypes
@@ -16,20 +26,29 @@ from firmware_sim.description import SensorSpec
 from firmware_sim.nodes.noise import Noise
 
 CHANNELS = 5
-"""12-bit channels in a frame of 8 bytes, beside the counter."""
-TENSION_STEP_N, TENSION_MIN_N = 0.0625, -6.0
-JOINT_STEP_RAD, JOINT_ZERO = 2.0 * math.pi / 4096, 2048
+"""12-bit channels beside the counter in a frame of 8 bytes."""
+TENSION_STEP_N = 0.0625
+"""Resolution of a tension code [N]."""
+TENSION_MIN_N = -6.0
+"""Tension of code 0 [N]."""
+JOINT_STEP_RAD = 2.0 * math.pi / 4096
+"""Resolution of a joint code [rad]."""
+JOINT_ZERO = 2048
+"""Code of a joint angle of zero."""
 JOINT_OFFSET = 0x10
-"""Identifier of the first joint frame, from the base."""
-_TOP = 4095
+"""Offset of the first joint frame's identifier from the base."""
+_MAX_CODE = 4095
+"""Maximum of a 12-bit code."""
 _NEVER_NS = 1 << 62
+"""Time of an event that will not happen [ns]."""
 TENSION = (TENSION_MIN_N, TENSION_STEP_N, 0)
+"""Value of code 0, resolution and offset of a tension code."""
 JOINT = (0.0, JOINT_STEP_RAD, JOINT_ZERO)
-"""Value of the lowest code but for an offset, size of a code, offset of the code."""
+"""Value of code 0 before the offset, resolution and offset of a joint code."""
 
 
-class SensorRow(ctypes.Structure):
-    """What compiled laws know of ``SensorNode``."""
+class SensorStruct(ctypes.Structure):
+    """Memory of a ``SensorNode`` for compiled kernels."""
 
     _fields_ = [
         *((name, ctypes.c_double) for name in ("tension_noise", "bias_drift", "joint_noise")),
@@ -39,19 +58,26 @@ class SensorRow(ctypes.Structure):
 
 @compiled("real", "real", "real", "count")
 def _code(value: float, low: float, step: float, offset: int) -> int:
-    """Return the 12-bit code of a value; 0 and 4095 mean saturated."""
-    return min(_TOP, max(0, round((value - low) / step) + offset))
+    """Return the 12-bit code of a value. 0 and 4095 mean saturated."""
+    # round() ties to even, in Python as in compiled code.
+    return min(_MAX_CODE, max(0, round((value - low) / step) + offset))
 
 
 @inner
 def payload_size(channels: int) -> int:
-    """Return the bytes of a payload, given how many channels are left for it and those after it."""
+    """Return the size of a payload [bytes], given the channels of this and all following payloads."""
     return (4 + 12 * min(CHANNELS, channels) + 7) // 8
 
 
 @compiled("count", "counts", "counts")
 def _pack(counter: int, codes: Any, words: Any) -> None:
-    """Fill words, of which each is a payload, with the counter (low four bits) and up to five codes."""
+    """Pack a counter (low four bits) and up to five codes into each word.
+
+    Args:
+        counter: counter of the SYNC.
+        codes: code of each channel, shape (channels,).
+        words: payloads as integers, output.
+    """
     for g in range(len(words)):
         word = counter & 0xF
         for i in range(min(CHANNELS, len(codes) - g * CHANNELS)):
@@ -61,27 +87,46 @@ def _pack(counter: int, codes: Any, words: Any) -> None:
 
 @compiled("vector", "real", "real", "count", "count", "counts", "counts")
 def encode(values: Any, low: float, step: float, offset: int, counter: int, codes: Any, words: Any) -> None:
-    """Pack values by their codes; see ``_code`` and ``_pack``."""
+    """Encode values and pack their codes. See ``_code`` and ``_pack``.
+
+    Args:
+        values: values of the channels, shape (channels,).
+        low: value of code 0 before the offset.
+        step: resolution of a code.
+        offset: offset of the code.
+        counter: counter of the SYNC.
+        codes: memory for the codes, shape (channels,).
+        words: payloads as integers, output.
+    """
     for i in range(len(values)):
         codes[i] = _code(values[i], low, step, offset)
     _pack(counter, codes, words)
 
 
 @compiled("vector", "vector", "vector", "real", "real", "vector")
-def read_cells(true: Any, bias: Any, chance: Any, drift: float, noise: float, read: Any) -> None:
-    """Let each bias walk, and add it and noise to what is true; ``chance``: of each walk, then of the noise."""
+def read_cells(true: Any, bias: Any, normal: Any, drift: float, noise: float, readings: Any) -> None:
+    """Compute the readings of the load cells: true tension, random walk of the bias, and noise.
+
+    Args:
+        true: true tension of each cell [N].
+        bias: bias of each cell [N], updated.
+        normal: normal numbers, first for the walk of each cell, then for the noise of each cell.
+        drift: standard deviation of the walk since the last sample [N].
+        noise: standard deviation of the noise [N].
+        readings: reading of each cell [N], output.
+    """
     channels = len(true)
     for i in range(channels):
-        bias[i] += chance[i] * drift
+        bias[i] += normal[i] * drift
     for i in range(channels):
-        read[i] = true[i] + bias[i] + chance[channels + i] * noise
+        readings[i] = true[i] + bias[i] + normal[channels + i] * noise
 
 
 @inner
 def drift_since(node: Any, t_ns: int) -> float:
-    """Return the standard deviation of what each bias walks [N] since the last sample; its time is now t_ns.
+    """Return the standard deviation of the bias walk since the last sample [N], and store the time of this sample.
 
-    After 100 s it is ``bias_drift``.
+    The standard deviation is ``bias_drift`` after 100 s.
     """
     elapsed_s = (t_ns - node.sampled_ns) * 1e-9 if node.sampled_ns >= 0 else 0.0
     node.sampled_ns = t_ns
@@ -90,12 +135,12 @@ def drift_since(node: Any, t_ns: int) -> float:
 
 @inner
 def has_joints(node: Any, joints: int, counter: int) -> bool:
-    """Return whether the joint encoders are sent after a SYNC with this counter."""
+    """Return True if the joint encoders are sent after a SYNC with this counter."""
     return joints > 0 and counter % node.joint_decimation == 0
 
 
 def tension_code(tension: float) -> int:
-    """Return the 12-bit code of a tension [N]; 0 and 4095 mean saturated."""
+    """Return the 12-bit code of a tension [N]. 0 and 4095 mean saturated."""
     return _code(tension, *TENSION)
 
 
@@ -105,69 +150,95 @@ def joint_code(angle: float) -> int:
 
 
 class Payloads:
-    """The payloads of so many channels."""
+    """Encoder for the payloads of a number of channels."""
 
     def __init__(self, channels: int) -> None:
-        """Args: how many channels."""
+        """Allocate memory.
+
+        Args:
+            channels: number of channels.
+        """
         starts = range(0, channels, CHANNELS)
-        self._codes, self._words = np.zeros(channels, np.int64), np.zeros(len(starts), np.int64)
+        self._codes = np.zeros(channels, np.int64)
+        self._words = np.zeros(len(starts), np.int64)
         self._sizes = [payload_size(channels - start) for start in starts]
 
     def of_codes(self, counter: int, codes: Sequence[int]) -> list[bytes]:
-        """Return counter (low four bits) and codes, five to a payload, in as few bytes as they need."""
+        """Pack a counter (low four bits) and codes, five to a payload, into the smallest payloads."""
         self._codes[:] = codes
         _pack(counter, self._codes, self._words)
         return self._cut()
 
     def of_values(self, counter: int, values: Any, low: float, step: float, offset: int) -> list[bytes]:
-        """Return the same of the codes of values, shape (channels,)."""
+        """Encode and pack values. See ``encode``."""
         encode(values, low, step, offset, counter, self._codes, self._words)
         return self._cut()
 
     def _cut(self) -> list[bytes]:
+        """Convert the words to bytes and cut unused bytes."""
         raw = self._words.astype("<i8", copy=False).tobytes()
         return [raw[8 * g : 8 * g + size] for g, size in enumerate(self._sizes)]
 
 
 def pack(counter: int, codes: Sequence[int]) -> bytes:
-    """Return counter (low four bits) and up to five codes in as few bytes as they need."""
+    """Pack a counter (low four bits) and up to five codes into the smallest payload."""
     (payload,) = Payloads(len(codes)).of_codes(counter, codes)
     return payload
 
 
 class SensorNode:
-    """The node.
+    """The sensor node.
 
     Attributes:
-        bias: slow error of each load cell [N]. misread, misread_joints: faults by channel.
-        mute: what is called in place of sending a frame, by its identifier.
-        ids: of SYNC. malformed: SYNC frames of a wrong length. wake_ns: never.
+        bias: bias of each load cell [N].
+        cell_faults: change of the reading of load cells, by channel.
+        joint_faults: change of the reading of joint encoders, by channel.
+        suppressed: function that is called in place of sending a frame, by the frame's identifier.
+        ids: identifier of SYNC.
+        malformed: SYNC frames of a wrong length.
+        wake_ns: never.
     """
 
     def __init__(self, spec: SensorSpec, tensions: Callable[[], Any], angles: Callable[[], Any], seed: int) -> None:
-        """Args: description; true tensions [N] and joint angles [rad], arrays in the node's own order; noise's seed."""
-        self._spec, self._tensions, self._angles = spec, tensions, angles
-        self.tension_noise, self.bias_drift, self.joint_noise = spec.tension_noise, spec.bias_drift, spec.joint_noise
-        self.base_id, self.joint_decimation = spec.base_id, spec.joint_decimation
+        """Set up the node.
+
+        Args:
+            spec: description of the node.
+            tensions: returns the true tensions [N] in the order of the channels.
+            angles: returns the true joint angles [rad] in the order of the channels.
+            seed: seed of the noise.
+        """
+        self._spec = spec
+        self._tensions = tensions
+        self._angles = angles
+        self.tension_noise = spec.tension_noise
+        self.bias_drift = spec.bias_drift
+        self.joint_noise = spec.joint_noise
+        self.base_id = spec.base_id
+        self.joint_decimation = spec.joint_decimation
         self.noise = Noise(f"sensors {seed}")
         self.bias: Any = np.full(len(spec.tendons), spec.tension_bias)
         self._values: Any = np.zeros(len(spec.tendons))
         self._payloads = Payloads(len(spec.tendons)), Payloads(len(spec.joints))
-        self.misread: dict[int, Callable[[float], float]] = {}
-        self.misread_joints: dict[int, Callable[[float], float]] = {}
-        self.mute: dict[int, Callable[[], None]] = {}
+        self.cell_faults: dict[int, Callable[[float], float]] = {}
+        self.joint_faults: dict[int, Callable[[float], float]] = {}
+        self.suppressed: dict[int, Callable[[], None]] = {}
         self.sampled_ns = -1
         self.ids = frozenset((spec.sync_id,))
         self.malformed = 0
         self.wake_ns = _NEVER_NS
 
     @property
-    def cyclic(self) -> tuple[int, ...]:
-        """Identifiers of the frames that come in every tick."""
+    def cyclic_ids(self) -> tuple[int, ...]:
+        """Return the identifiers of the frames that come in every tick."""
         return (self._spec.sync_id,)
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
-        """Return tension frames, and joint frames when it is their turn; None if the frame is not SYNC."""
+        """Answer SYNC with tension frames, and with joint frames if they are due.
+
+        Returns:
+            The answers, None if the frame is not SYNC.
+        """
         if frame.can_id != self._spec.sync_id:
             return None
         if len(frame.data) != 1:
@@ -176,38 +247,41 @@ class SensorNode:
         spec, counter, (cells, encoders) = self._spec, frame.data[0], self._payloads
         payloads = [*enumerate(cells.of_values(counter, self._sample(t_ns), *TENSION), spec.base_id)]
         if has_joints(self, len(spec.joints), counter):
-            read = _wrong(self._angles() + self.noise.take(len(spec.joints)) * spec.joint_noise, self.misread_joints)
-            payloads += enumerate(encoders.of_values(counter, read, *JOINT), spec.base_id + JOINT_OFFSET)
+            readings = _with_faults(
+                self._angles() + self.noise.take(len(spec.joints)) * spec.joint_noise, self.joint_faults
+            )
+            payloads += enumerate(encoders.of_values(counter, readings, *JOINT), spec.base_id + JOINT_OFFSET)
         sent = [Frame(can_id, data, frame.flags, frame.bus, t_ns) for can_id, data in payloads]
-        return self._spoken(sent) if self.mute else sent
+        return self._audible(sent) if self.suppressed else sent
 
-    def _spoken(self, frames: list[Frame]) -> list[Frame]:
-        """Return frames that are not mute."""
+    def _audible(self, frames: list[Frame]) -> list[Frame]:
+        """Return the frames that are not suppressed by a fault."""
         for frame in frames:
-            if frame.can_id in self.mute:
-                self.mute[frame.can_id]()
-        return [frame for frame in frames if frame.can_id not in self.mute]
+            if frame.can_id in self.suppressed:
+                self.suppressed[frame.can_id]()
+        return [frame for frame in frames if frame.can_id not in self.suppressed]
 
     def _sample(self, t_ns: int) -> Any:
-        """Return what the load cells read [N]."""
-        drift, chance = drift_since(self, t_ns), self.noise.take(2 * len(self.bias))
-        read_cells(self._tensions(), self.bias, chance, drift, self.tension_noise, self._values)
-        return _wrong(self._values, self.misread)
+        """Sample the load cells [N]."""
+        drift = drift_since(self, t_ns)
+        normal = self.noise.take(2 * len(self.bias))
+        read_cells(self._tensions(), self.bias, normal, drift, self.tension_noise, self._values)
+        return _with_faults(self._values, self.cell_faults)
 
     def wake(self, t_ns: int) -> None:
-        """Do nothing: this node acts on SYNC only."""
+        """Do nothing, because this node acts on SYNC only."""
 
 
-class SensorNodeRow(SensorRow, SensorNode):
-    """A node of which compiled laws know."""
+class SensorNodeRow(SensorStruct, SensorNode):
+    """A sensor node whose numbers are in memory for compiled kernels."""
 
     def prepare(self, spec: SensorSpec, tensions: Callable[[], Any], angles: Callable[[], Any], seed: int) -> None:
-        """Fill the row; see ``SensorNode``."""
+        """Initialize the node. See ``SensorNode``."""
         SensorNode.__init__(self, spec, tensions, angles, seed)
 
 
-def _wrong(read: Any, faults: dict[int, Callable[[float], float]]) -> Any:
-    """Readings with the faults of some channels."""
+def _with_faults(readings: Any, faults: dict[int, Callable[[float], float]]) -> Any:
+    """Apply the faults of channels to readings."""
     for i, fault in sorted(faults.items()):
-        read[i] = fault(float(read[i]))
-    return read
+        readings[i] = fault(float(readings[i]))
+    return readings

@@ -1,1 +1,1 @@
-"""The mechanics: links and contacts by MuJoCo, tendons and rotors of our own."""
+"""The mechanics: links and contacts by MuJoCo, tendons and rotors by this package."""

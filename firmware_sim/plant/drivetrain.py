@@ -1,9 +1,11 @@
-"""What ropes, rotors and servos do in a step: the laws of tendons and motors, all in scalars.
+"""Kernels of tendons, rotors and servos for one step, in scalar arithmetic.
 
-Ropes and rotors are rows of an array in compiled laws, objects in a list in plain ones; both have their values by name.
+Tendons and rotors are rows of an array in compiled kernels, and objects of a list in Python. Both
+forms have the same attributes.
 
-Rope damping and Coulomb-like capstan friction are far too steep for an explicit step of the light links: the engine
-takes their slope as a damping of the tendon, implicitly, and what that damping takes now is given back.
+Tendon damping and Coulomb-like capstan friction are too steep for an explicit step of the light
+links. The engine integrates their slope implicitly as damping of the tendon. The torque of this
+damping is added back, so that only the exact friction remains.
 """
 
 import math
@@ -12,194 +14,259 @@ from typing import Any
 import numpy as np
 
 from firmware_sim.compiled import call, compiled, inner, rows_at
-from firmware_sim.plant.rows import RopeRow, RotorRow
+from firmware_sim.plant.structs import RotorStruct, TendonStruct
 
 CAPSTAN_SPEED = 1e-3
-"""Rope speed at which friction is 76 % developed [m/s]. Source: MODEL, section 3, v0."""
+"""Tendon speed at which friction is 76 % developed [m/s]. Source: MODEL, section 3, v0."""
 COULOMB_SPEED = 0.05
-"""Spool speed at which Coulomb friction is 76 % developed [rad/s]; 0.25 mm/s of rope."""
+"""Spool speed at which Coulomb friction is 76 % developed [rad/s], 0.25 mm/s of tendon."""
 ENCODER_STEP = 2.0 * math.pi / (1 << 14)
-"""14 bit at the spool [rad]. Source: MODEL, section 4."""
+"""Encoder resolution: 14 bit for one turn of the spool [rad]. Source: MODEL, section 4."""
 DIVERGED_RAD_S = 1e5
-"""Sum of joint speeds that no hand has [rad/s]."""
+"""Sum of joint speeds above which the plant counts as diverged [rad/s]."""
 
-DRIVETRAIN = (RopeRow, "counts", "vector", RotorRow)
-"""Ropes; joint and moment arm [m] of each pulley, rope by rope; rotors."""
+DRIVETRAIN = (TendonStruct, "counts", "vector", RotorStruct)
+"""Argument types: tendons, joint index and moment arm [m] of each pulley in the order of the tendons, rotors."""
 
 
 @inner
-def _elastic(rope: Any, stretch: float) -> float:
-    """Tension of a rope at rest [N] stretched by so much [m]: linear, then softer beyond the knee.
+def _elastic(tendon: Any, stretch: float) -> float:
+    """Compute the elastic tension [N] at a stretch [m]: linear, then softer beyond the knee.
 
-    Source: MODEL, section 3, ``phi``; the softening is a parameter, the paper prints no curve.
+    Source: MODEL, section 3, ``phi``. The softening is a parameter, because the paper prints no
+    curve.
     """
     if stretch <= 0.0:
         return 0.0
-    x = stretch - rope.knee_stretch
+    x = stretch - tendon.knee_stretch
     if x <= 0.0:
-        return float(rope.stiffness * stretch)
-    width = rope.knee_width
-    soft = (rope.stiffness - rope.beyond) * width * (1.0 - math.exp(-x / width))
-    return float(rope.knee + rope.beyond * x + soft)
+        return float(tendon.stiffness * stretch)
+    width = tendon.knee_width
+    soft = (tendon.stiffness - tendon.after_knee) * width * (1.0 - math.exp(-x / width))
+    return float(tendon.knee + tendon.after_knee * x + soft)
 
 
 @inner
-def _secant(rope: Any, loss: float, tension_angle: float) -> float:
-    """Friction over speed [N s/m]; the secant, because the tangent lets friction reverse a light link.
+def _secant(tendon: Any, loss: float, tension_angle: float) -> float:
+    """Compute friction divided by speed [N s/m].
 
-    Args: the rope; loss of tension by friction [N]; tension times angle of wrap [N rad].
+    The secant replaces the tangent, because the tangent lets friction reverse a light link.
+
+    Args:
+        tendon: the tendon.
+        loss: loss of tension by friction [N].
+        tension_angle: tension times wrap angle [N rad].
     """
-    speed = abs(rope.speed)
+    speed = abs(tendon.speed)
+    # Limit of the secant at rest, where the quotient would be 0/0.
     if speed < 1e-3 * CAPSTAN_SPEED:
-        return float(tension_angle * rope.friction / CAPSTAN_SPEED)
+        return float(tension_angle * tendon.friction / CAPSTAN_SPEED)
     return float(loss / speed)
 
 
 @inner
-def _at_cell(rope: Any, joints: Any, arms: Any, rotor: Any, q: Any, dq: Any) -> float:
-    """Tension at the load cell [N]."""
-    stretch, rate = rope.radius * rotor.theta - rope.longer, rope.radius * rotor.omega
-    for i in range(rope.first, rope.end):
+def _cell_tension(tendon: Any, joints: Any, arms: Any, rotor: Any, q: Any, dq: Any) -> float:
+    """Compute the tension at the load cell [N]."""
+    stretch = tendon.radius * rotor.theta - tendon.extra_length
+    rate = tendon.radius * rotor.omega
+    for i in range(tendon.first, tendon.end):
         stretch -= arms[i] * q[joints[i]]
         rate -= arms[i] * dq[joints[i]]
     if stretch <= 0.0:
         return 0.0
-    return max(0.0, float(_elastic(rope, stretch) + rope.damping * rate))
+    return max(0.0, float(_elastic(tendon, stretch) + tendon.damping * rate))
 
 
 @inner
-def _rub(rope: Any, joints: Any, arms: Any, q: Any, torque: Any) -> None:
-    """Add the joint torques of a rope under tension to ``torque`` [N m], and note its slope.
+def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> None:
+    """Add the joint torques of a taut tendon to ``torque`` [N m] and set the tendon's slope.
 
-    The tension at a pulley is that behind it, its own joint angle's wrap included. Source: MODEL, section 3.
+    The tension at a pulley is reduced by the wrap up to and including this pulley. Source: MODEL,
+    section 3.
     """
-    tension, angle = rope.tension, rope.wrap
-    rub, least, most = rope.friction * math.tanh(rope.speed / CAPSTAN_SPEED), tension, tension
-    for i in range(rope.first, rope.end):
+    tension = tendon.tension
+    angle = tendon.wrap
+    rate = tendon.friction * math.tanh(tendon.speed / CAPSTAN_SPEED)
+    lowest = tension
+    highest = tension
+    for i in range(tendon.first, tendon.end):
         angle += q[joints[i]]
-        local = tension * math.exp(-rub * angle)
+        # Capstan equation. A positive speed means motion towards the spool: friction lowers the
+        # tension behind a pulley.
+        local = tension * math.exp(-rate * angle)
         torque[joints[i]] += arms[i] * local
-        if local < least:
-            least = local
-        elif local > most:
-            most = local
-    loss = tension - least if tension - least > most - tension else most - tension
-    rope.slope = rope.damping + _secant(rope, loss, tension * angle)
+        if local < lowest:
+            lowest = local
+        elif local > highest:
+            highest = local
+    loss = tension - lowest if tension - lowest > highest - tension else highest - tension
+    tendon.slope = tendon.damping + _secant(tendon, loss, tension * angle)
 
 
 @inner
-def _pull(rope: Any, joints: Any, arms: Any, rotor: Any, q: Any, dq: Any, torque: Any) -> None:
-    """Add the rope's joint torques to ``torque`` [N m]; tension, speed and slope of the rope, load of its rotor."""
-    stretch, speed = rope.radius * rotor.theta - rope.longer, 0.0
-    for i in range(rope.first, rope.end):
+def _apply_tendon(tendon: Any, joints: Any, arms: Any, rotor: Any, q: Any, dq: Any, torque: Any) -> None:
+    """Add the joint torques of a tendon to ``torque`` [N m].
+
+    Sets tension, speed and slope of the tendon, and the load of its rotor.
+    """
+    stretch = tendon.radius * rotor.theta - tendon.extra_length
+    speed = 0.0
+    for i in range(tendon.first, tendon.end):
         stretch -= arms[i] * q[joints[i]]
+        # Stretch is the excursion of the spool minus those of the joints. A positive spool angle
+        # winds the tendon, a positive joint angle closes the digit.
         speed += arms[i] * dq[joints[i]]
     tension = 0.0
     if stretch > 0.0:
-        tension = _elastic(rope, stretch) + rope.damping * (rope.radius * rotor.omega - speed)
-    rope.speed, rope.slope, rope.tension = speed, 0.0, 0.0
+        tension = _elastic(tendon, stretch) + tendon.damping * (tendon.radius * rotor.omega - speed)
+    tendon.speed = speed
+    tendon.slope = 0.0
+    tendon.tension = 0.0
     if tension > 0.0:
-        rope.tension = tension
-        _rub(rope, joints, arms, q, torque)
-    rotor.load = rope.radius * rope.tension
+        tendon.tension = tension
+        _add_friction(tendon, joints, arms, q, torque)
+    rotor.load = tendon.radius * tendon.tension
 
 
 @inner
-def _give_back(rope: Any, joints: Any, arms: Any, torque: Any) -> None:
-    """Add what the engine's damping of the tendon takes now to ``torque`` [N m]."""
-    push = rope.slope * rope.speed
-    for i in range(rope.first, rope.end):
+def _compensate_damping(tendon: Any, joints: Any, arms: Any, torque: Any) -> None:
+    """Add the torque of the engine's tendon damping back to ``torque`` [N m]."""
+    push = tendon.slope * tendon.speed
+    for i in range(tendon.first, tendon.end):
         torque[joints[i]] += arms[i] * push
 
 
 @inner
 def encoded(theta: float) -> float:
-    """Return the angle of a spool as its encoder shows it [rad]."""
+    """Return a spool angle rounded down to the encoder resolution [rad]."""
     return math.floor(theta / ENCODER_STEP) * ENCODER_STEP
 
 
 @inner
-def see(rotor: Any) -> None:
-    """Measure the angle of the spool."""
+def measure_angle(rotor: Any) -> None:
+    """Measure the spool angle with the encoder."""
     rotor.angle = encoded(rotor.theta)
 
 
 @inner
-def decide(rotor: Any) -> None:
-    """The servo's torque [N m] at the velocity that the rotor will have at the end of the step, within its limit."""
-    servo, lag, gain = rotor.law, rotor.lag, rotor.gain
+def compute_command(rotor: Any) -> None:
+    """Compute the servo's torque command [N m] for the velocity at the end of the step, within the limit.
+
+    The drive's loop runs at 10 to 20 kHz. The implicit form keeps gains stable that are stable in
+    the drive.
+    """
+    servo = rotor.servo_row
+    lag = rotor.lag
+    gain = rotor.gain
     bend = math.tanh(rotor.omega / COULOMB_SPEED)
+    # Derivative of the smoothed Coulomb friction, taken into the implicit part.
     slope = rotor.coulomb * (1.0 - bend * bend) / COULOMB_SPEED
-    inertia, drag = rotor.inertia / rotor.step + slope, rotor.load + rotor.coulomb * bend
-    command, limit = servo.torque, servo.limit
+    inertia = rotor.inertia / rotor.step + slope
+    drag = rotor.load + rotor.coulomb * bend
+    command = servo.torque
+    limit = servo.limit
     if servo.kp != 0.0 or servo.kd != 0.0:
+        # Split the command at the end of the step into a part that does not depend on the new
+        # velocity, and a part that does.
         fixed = command + servo.kp * (servo.position - rotor.angle) + servo.kd * servo.velocity
-        stiff = servo.kd + rotor.step * servo.kp
+        impedance = servo.kd + rotor.step * servo.kp
         push = inertia * rotor.omega + gain * ((1.0 - lag) * rotor.torque + lag * fixed) - drag
-        command = fixed - stiff * push / (inertia + rotor.viscous + gain * lag * stiff)
+        command = fixed - impedance * push / (inertia + rotor.viscous + gain * lag * impedance)
     if command > limit:
         command = limit
     elif command < -limit:
         command = -limit
-    rotor.command, rotor.drag, rotor.stiff = command, drag, inertia
+    rotor.command = command
+    rotor.drag = drag
+    rotor.impedance = inertia
 
 
 @inner
-def turn(rotor: Any) -> None:
-    """Let current, rotor and the drive's estimate follow, semi-implicitly."""
+def integrate(rotor: Any) -> None:
+    """Integrate current, rotor and velocity estimate over one step, semi-implicitly."""
     torque = rotor.torque + rotor.lag * (rotor.command - rotor.torque)
-    push = rotor.stiff * rotor.omega + rotor.gain * torque - rotor.drag
-    omega = push / (rotor.stiff + rotor.viscous)
-    rotor.torque, rotor.omega = torque, omega
+    push = rotor.impedance * rotor.omega + rotor.gain * torque - rotor.drag
+    omega = push / (rotor.impedance + rotor.viscous)
+    # Rotor angle last: it uses the new velocity (semi-implicit Euler).
+    rotor.torque = torque
+    rotor.omega = omega
     rotor.theta += rotor.step * omega
     rotor.velocity += rotor.velocity_lag * (omega - rotor.velocity)
     rotor.heat += rotor.step * torque * torque
 
 
 @compiled(*DRIVETRAIN, "vector", "vector", "vector")
-def tensions(ropes: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, out: Any) -> None:
-    """The tension of each rope at its load cell, now, into ``out`` [N]."""
-    for i in range(len(ropes)):
-        out[i] = _at_cell(ropes[i], joints, arms, rotors[ropes[i].motor], q, dq)
+def tensions(tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, out: Any) -> None:
+    """Compute the present tension of each tendon at its load cell into ``out`` [N].
+
+    Args:
+        tendons: tendons.
+        joints: joint index of each pulley.
+        arms: moment arm of each pulley [m].
+        rotors: rotors.
+        q: joint angles [rad].
+        dq: joint velocities [rad/s].
+        out: shape (tendons,) [N].
+    """
+    for i in range(len(tendons)):
+        out[i] = _cell_tension(tendons[i], joints, arms, rotors[tendons[i].motor], q, dq)
 
 
 @compiled(*DRIVETRAIN, "vector", "vector", "vector", "vector", "flag")
-def drive(
-    ropes: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, torque: Any, damping: Any, everyone: bool
+def step_drivetrain(
+    tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, torque: Any, damping: Any, all_rotors: bool
 ) -> None:
-    """One step without the engine; see ``steps``.
+    """Compute one step without the engine. See ``_steps``.
 
-    Args: everyone: whether rotors turn that want to wait, too.
+    Args:
+        tendons: tendons.
+        joints: joint index of each pulley.
+        arms: moment arm of each pulley [m].
+        rotors: rotors.
+        q: joint angles [rad].
+        dq: joint velocities [rad/s].
+        torque: joint torques, output [N m].
+        damping: damping of each tendon, output [N s/m].
+        all_rotors: True to step the rotors with ``steps_alone`` as well.
     """
     for i in range(len(torque)):
         torque[i] = 0.0
-    for i in range(len(ropes)):
-        rope = ropes[i]
-        rotor = rotors[rope.motor]
-        _pull(rope, joints, arms, rotor, q, dq, torque)
-        if everyone or rotor.waits == 0:
-            see(rotor)
-            decide(rotor)
-            turn(rotor)
-        _give_back(rope, joints, arms, torque)
-        damping[i] = rope.slope
+    for i in range(len(tendons)):
+        tendon = tendons[i]
+        rotor = rotors[tendon.motor]
+        _apply_tendon(tendon, joints, arms, rotor, q, dq, torque)
+        if all_rotors or rotor.steps_alone == 0:
+            measure_angle(rotor)
+            compute_command(rotor)
+            integrate(rotor)
+        _compensate_damping(tendon, joints, arms, torque)
+        damping[i] = tendon.slope
 
 
 @inner
 def _steps(
-    count: int, ropes: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, torque: Any, damping: Any,
+    count: int, tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, torque: Any, damping: Any,
     step: int, model: int, data: int,
 ) -> int:  # fmt: skip
-    """Let ropes pull, rotors turn and links move, so many times.
+    """Integrate tendons, rotors and links over a number of steps.
 
     Args:
-        count: of steps. ropes, joints, arms, rotors: the drivetrain.
-        q, dq, torque, damping: the engine's own: joint angles and velocities; torques that act on the joints [N m];
-            damping of the tendons [N s/m].
-        step, model, data: addresses of the engine's step and of its arguments.
+        count: number of steps.
+        tendons: tendons.
+        joints: joint index of each pulley.
+        arms: moment arm of each pulley [m].
+        rotors: rotors.
+        q: joint angles, memory of the engine [rad].
+        dq: joint velocities, memory of the engine [rad/s].
+        torque: torques on the joints, memory of the engine [N m].
+        damping: damping of the tendons, memory of the engine [N s/m].
+        step: address of the engine's step function.
+        model: address of its first argument.
+        data: address of its second argument.
 
     Returns:
-        How many steps were made; fewer than asked for if the plant diverged, none if there is a fault in a motor.
+        Number of completed steps: fewer than ``count`` if the plant diverged, 0 if a motor has a
+            fault.
     """
     for i in range(len(rotors)):
         if rotors[i].faulty:
@@ -208,24 +275,34 @@ def _steps(
         speeds = 0.0
         for speed in dq:
             speeds += speed
-        if not abs(speeds) < DIVERGED_RAD_S:  # not a number is diverged, too
+        if not abs(speeds) < DIVERGED_RAD_S:  # also true for NaN
             return done
-        drive(ropes, joints, arms, rotors, q, dq, torque, damping, True)
+        step_drivetrain(tendons, joints, arms, rotors, q, dq, torque, damping, True)
+        # mj_step of the engine reads and writes q, dq, torque and damping in place.
         call(step, model, data)
     return count
 
 
-REAL, COUNT, ROPES, ROTORS = np.dtype(np.float64), np.dtype(np.int64), np.dtype(RopeRow), np.dtype(RotorRow)
+REAL = np.dtype(np.float64)
+COUNT = np.dtype(np.int64)
+TENDONS = np.dtype(TendonStruct)
+ROTORS = np.dtype(RotorStruct)
+"""Types of the arrays that ``steps`` makes from addresses."""
 
 
 @compiled("count", "counts")
 def steps(count: int, at: Any) -> int:
-    """Let ropes pull, rotors turn and links move, so many times; return how many steps were made, see ``_steps``.
+    """Integrate tendons, rotors and links over a number of steps. See ``_steps``.
 
-    Args: count: of steps. at: address and length of each array of ``_steps``, then its last three arguments.
+    Args:
+        count: number of steps.
+        at: address and length of each array of ``_steps`` in order, then its last three arguments.
+
+    Returns:
+        Number of completed steps.
     """
     return _steps(
-        count, rows_at(at[0], at[1], ROPES), rows_at(at[2], at[3], COUNT), rows_at(at[4], at[5], REAL),
+        count, rows_at(at[0], at[1], TENDONS), rows_at(at[2], at[3], COUNT), rows_at(at[4], at[5], REAL),
         rows_at(at[6], at[7], ROTORS), rows_at(at[8], at[9], REAL), rows_at(at[10], at[11], REAL),
         rows_at(at[12], at[13], REAL), rows_at(at[14], at[15], REAL), at[16], at[17], at[18],
     )  # fmt: skip

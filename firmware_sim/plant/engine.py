@@ -1,4 +1,4 @@
-"""MuJoCo, met in this module only; the rest of the simulator sees lists of floats."""
+"""The rigid-body engine: the only module that uses MuJoCo. The rest of the simulator uses lists of floats."""
 
 import ctypes
 from collections.abc import Callable
@@ -12,28 +12,42 @@ from firmware_sim.plant.mjcf import CONTACTS
 
 
 class Engine:
-    """Rigid bodies, joints, springs, stops and contact.
+    """Rigid bodies, joints, springs, stops and contacts.
+
+    All arrays are views into MuJoCo's memory.
 
     Attributes:
-        step: advance by one step.
-        native: addresses of MuJoCo's step and of its two arguments, for compiled code; None if there are none.
-        q, dq: angles [rad] and velocities [rad/s] of the joints. applied: torques on them [N m].
-        rope_damping: of each tendon [N s/m]. sensed: values of all sensors. All five are MuJoCo's own memory.
+        step: function that advances the engine by one step.
+        native: addresses of MuJoCo's step function and of its two arguments for compiled code, None
+            if not available.
+        q: joint angles [rad].
+        dq: joint velocities [rad/s].
+        applied: torques on the joints [N m].
+        tendon_damping: damping of each tendon [N s/m].
+        sensed: values of all sensors.
     """
 
     def __init__(self, xml: str, joint_count: int) -> None:
-        """Args: the model; how many of its first degrees of freedom are the hand's."""
+        """Build the engine from a model.
+
+        Args:
+            xml: model as MJCF text.
+            joint_count: number of the hand's joints, which are the model's first degrees of
+                freedom.
+        """
         self._model: Any = mujoco.MjModel.from_xml_string(xml)
         self._data: Any = mujoco.MjData(self._model)
         mujoco.mj_forward(self._model, self._data)
-        model, data, n = self._model, self._data, joint_count
+        model = self._model
+        data = self._data
+        n = joint_count
         self.step: Callable[[], None] = lambda: mujoco.mj_step(model, data)
         self.native = _native(model, data)
-        # views into MuJoCo's own memory: they stay valid for the life of the data
+        # Views into MuJoCo's memory. They stay valid for the life of the data.
         self.q: Any = data.qpos[:n]
         self.dq: Any = data.qvel[:n]
         self.applied: Any = data.qfrc_applied[:n]
-        self.rope_damping: Any = model.tendon_damping
+        self.tendon_damping: Any = model.tendon_damping
         self.sensed: Any = data.sensordata
         self._object: Any = data.qpos[n : n + 7]
         self._object_velocity: Any = data.qvel[n : n + 6]
@@ -41,64 +55,79 @@ class Engine:
 
     @property
     def has_object(self) -> bool:
-        """Whether the scene has an object."""
+        """Return True if the scene has an object."""
         return len(self._object) == 7
 
     def object_pose(self) -> list[float]:
-        """Return x, y, z [m] and qw, qx, qy, qz of the object; of the origin if there is none."""
+        """Return x, y, z [m] and qw, qx, qy, qz of the object. Without an object the pose is the origin."""
         return self._object.tolist() if self.has_object else [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
 
     def object_speed(self) -> float:
-        """Return the speed of the object's centre [m/s]; 0 if there is none."""
+        """Return the speed of the object's centre [m/s], 0 without an object."""
         return float(np.linalg.norm(self._object_velocity[:3])) if self.has_object else 0.0
 
     def forces_on(self, kind: str, digits: list[str]) -> Callable[[], list[float]]:
-        """Return a function that gives x, y, z of the contact force on each digit in the palm frame [N], as one list.
+        """Build a function that returns the contact forces on the digits [N].
 
         Args:
-            kind: ``grip`` (of the object) or ``contact`` (of anything).
-            digits: names.
+            kind: ``grip`` (forces of the object) or ``contact`` (forces of any body).
+            digits: names of the digits.
+
+        Returns:
+            Function without arguments. Its result lists x, y, z in the palm frame for each digit,
+            one after the other.
         """
-        index = np.array([address + axis for address in self.force_places(kind, digits) for axis in range(3)])
+        index = np.array([address + axis for address in self.force_indices(kind, digits) for axis in range(3)])
         data = self._data.sensordata
-        # the sensor gives the force of the first body on the second
+        # The sensor gives the force of the first body (the digit) on the second, hence the minus.
         return lambda: (-data[index]).tolist()  # type: ignore[no-any-return,unused-ignore]
 
-    def force_places(self, kind: str, digits: list[str]) -> list[int]:
-        """Return where in ``sensed`` the force of each digit begins, with the opposite sign; see ``forces_on``."""
+    def force_indices(self, kind: str, digits: list[str]) -> list[int]:
+        """Return the index in ``sensed`` of each digit's force, which has the opposite sign. See ``forces_on``."""
         return [self._sensor(f"{kind}/{digit}") for digit in digits]
 
     def normal_forces(self, digits: list[str]) -> Callable[[], list[float]]:
-        """Return a function that gives the sum of the normal forces between each digit and the object [N]."""
+        """Build a function that returns the sum of the normal forces between each digit and the object [N]."""
         first = [self._sensor(f"normal/{digit}") for digit in digits]
         index = np.array([[address + 3 * contact for contact in range(CONTACTS)] for address in first])
         data = self._data.sensordata
         return lambda: np.abs(data[index]).sum(axis=1).tolist()  # type: ignore[no-any-return,unused-ignore]
 
     def _sensor(self, name: str) -> int:
+        """Return the index of a sensor's first value."""
         return int(self._model.sensor_adr[self._model.sensor(name).id])
 
     def set_timestep(self, step_s: float) -> None:
-        """Change the length of the next steps [s]."""
+        """Set the length of the next steps [s]."""
         self._model.opt.timestep = step_s
 
     def brake(self, joints: list[int], damping: float) -> Callable[[], None]:
-        """Damp joints so much [N m s/rad] that they stand; returns what lets them go."""
+        """Stop joints by a high damping [N m s/rad].
+
+        Returns:
+            Function that restores the damping.
+        """
         before = self._model.dof_damping[joints].copy()
         self._model.dof_damping[joints] = damping
 
-        def let_go() -> None:
+        def release() -> None:
             self._model.dof_damping[joints] = before
 
-        return let_go
+        return release
 
     def lower_table(self, distance: float) -> None:
-        """Move the table down [m]."""
+        """Move the table down by a distance [m]."""
         self._table[0, 2] -= distance
 
     def set_joints(self, q: list[float], dq: list[float]) -> None:
-        """Put the hand into a state: shapes (joints,) [rad] and [rad/s]."""
-        self.q[:], self.dq[:] = q, dq
+        """Set the state of the hand.
+
+        Args:
+            q: joint angles, shape (joints,) [rad].
+            dq: joint velocities, shape (joints,) [rad/s].
+        """
+        self.q[:] = q
+        self.dq[:] = dq
         mujoco.mj_forward(self._model, self._data)
 
     def push_object(self, force: list[float]) -> None:
@@ -106,24 +135,25 @@ class Engine:
         self._data.xfrc_applied[self._model.body("object").id, :3] = force
 
     def set_friction(self, coefficient: float) -> None:
-        """Change the sliding coefficient of everything."""
+        """Set the sliding friction coefficient of all geoms."""
         self._model.geom_friction[:, 0] = coefficient
 
     def energy(self) -> float:
-        """Return kinetic and potential energy of links, springs and object [J]."""
+        """Return the kinetic and potential energy of links, springs and object [J]."""
         mujoco.mj_energyPos(self._model, self._data)
         mujoco.mj_energyVel(self._model, self._data)
         return float(self._data.energy.sum())
 
     def set_gravity(self, gravity: tuple[float, float, float]) -> None:
-        """Change gravity in the palm frame [m/s2]."""
+        """Set the gravity in the palm frame [m/s2]."""
         self._model.opt.gravity[:] = gravity
 
 
 def _native(model: Any, data: Any) -> tuple[int, int, int] | None:
-    """Return the addresses of ``mj_step`` in the library that the bindings use, and of the model and the data.
+    """Return the addresses of ``mj_step`` in the library of the bindings, of the model and of the data.
 
-    An error of MuJoCo's own (it reports few, and none of a plant that diverges) ends the process when it is called so.
+    An error inside MuJoCo ends the process when the function is called by its address. MuJoCo
+    reports few errors, and none for a diverging plant.
     """
     library = next(Path(mujoco.__file__).parent.glob("libmujoco*"), None)
     if library is None:

@@ -1,7 +1,8 @@
-"""One motor: the rotor at the spool and the servo law inside its drive, integrated with the plant's step.
+"""One motor: the rotor at the spool and the servo inside its drive, integrated with the plant's step.
 
-The drive's own loop (10 to 20 kHz in reality) is faster than the plant's step. It is therefore integrated implicitly:
-gains that are stable in the drive are stable here, without sub-steps.
+The drive's control loop (10 to 20 kHz in reality) is faster than the plant's step. The loop is
+integrated implicitly:
+gains that are stable in the drive are stable in the simulation, without sub-steps.
 """
 
 import math
@@ -10,113 +11,146 @@ from typing import Any
 
 from firmware_sim.compiled import array_of
 from firmware_sim.description import MotorSpec
-from firmware_sim.plant.drivetrain import decide, encoded, see, turn
-from firmware_sim.plant.rows import RotorRow, Servo
+from firmware_sim.plant.drivetrain import compute_command, encoded, integrate, measure_angle
+from firmware_sim.plant.structs import RotorStruct, Servo
 
 CURRENT_LAG_S = 0.3e-3
-"""Time constant of the current loop, of the order of a 500 Hz bandwidth."""
+"""Time constant of the current loop [s], for a bandwidth of about 500 Hz."""
 VELOCITY_LAG_S = 1e-3
-"""Time constant of the drive's velocity estimate."""
+"""Time constant of the drive's velocity estimate [s]."""
 
 
-def paced(step_s: float) -> tuple[float, float, float]:
-    """Return step, lag and velocity lag of a motor for steps of a length [s]."""
+def step_factors(step_s: float) -> tuple[float, float, float]:
+    """Compute step [s], current lag and velocity lag of a motor for a step length [s].
+
+    A lag is the fraction by which a first-order filter approaches its input in one step.
+    """
     return step_s, 1.0 - math.exp(-step_s / CURRENT_LAG_S), 1.0 - math.exp(-step_s / VELOCITY_LAG_S)
 
 
 class Motor:
-    """The rotor; its laws are in ``drivetrain``.
+    """The rotor of one motor. Its kernels are in ``drivetrain``.
 
     Attributes:
-        theta: spool angle, positive winds [rad]. omega: [rad/s].
-        torque: what the drive believes to make, from its current [N m].
-        velocity: the drive's estimate [rad/s].
-        heat: integral of torque squared since the node last asked [N2 m2 s].
-        servo, law: what the drive regulates.
-        inertia: [kg m2]. viscous: [N m s/rad]. coulomb: friction [N m]. gain: torque that appears over that believed.
-        step: of the plant [s]. lag, velocity_lag: shares by which current and estimate follow in a step.
-        load: torque of the rope [N m]. angle: of the spool as the servo sees it [rad]. command: to the current [N m].
-        drag: load and Coulomb friction [N m]. stiff: inertia over step, and the slope of the friction [N m s/rad].
-        waits: whether it turns by itself, not with the others.
-        number: of its row among the rotors of a hand.
-        misread, disobeys: faults of its encoder, and of its power stage, on an angle [rad] and a torque [N m].
-        faulty: whether it has either fault.
+        theta: spool angle, positive winds [rad].
+        omega: spool velocity [rad/s].
+        torque: torque that the drive derives from its current [N m].
+        velocity: velocity estimate of the drive [rad/s].
+        heat: integral of the squared torque since the node's last thermal update [N2 m2 s].
+        servo: setpoints and gains that the drive regulates. A fault can replace it by another
+            motor's.
+        servo_row: the same values in the memory of the rotor, for kernels.
+        inertia: inertia of the rotor [kg m2].
+        viscous: viscous friction [N m s/rad].
+        coulomb: Coulomb friction [N m].
+        gain: true torque divided by the torque that the drive believes.
+        step: step of the plant [s].
+        lag: fraction by which the current approaches its command in one step.
+        velocity_lag: fraction by which the estimate approaches the velocity in one step.
+        load: torque of the tendon [N m].
+        angle: spool angle as measured by the servo [rad].
+        command: torque command of the current loop [N m].
+        drag: load plus Coulomb friction [N m].
+        impedance: inertia divided by step, plus the slope of the friction [N m s/rad].
+        steps_alone: True if the rotor is stepped by Python and not by ``step_drivetrain``.
+        number: row among the rotors of a hand.
+        encoder_fault: change of the measured angle [rad], None without fault.
+        power_stage_fault: change of the torque command [N m], None without fault.
+        faulty: True with a fault of encoder or power stage.
     """
 
-    law: Servo
+    servo_row: Servo
     number = 0
-    _misread: Callable[[float], float] | None
-    _disobeys: Callable[[float], float] | None
+    _encoder_fault: Callable[[float], float] | None
+    _power_stage_fault: Callable[[float], float] | None
 
     def __init__(self, spec: MotorSpec, step_s: float) -> None:
-        """Args: the motor; the plant's step [s]."""
-        self.law = Servo()
+        """Set up the rotor at rest.
+
+        Args:
+            spec: the motor.
+            step_s: step of the plant [s].
+        """
+        self.servo_row = Servo()
         self._describe(spec, step_s)
 
     def _describe(self, spec: MotorSpec, step_s: float) -> None:
+        """Set the parameters and the state at rest."""
         self.theta = self.omega = self.torque = self.velocity = self.heat = 0.0
-        self.inertia, self.viscous, self.coulomb = spec.inertia, spec.viscous, spec.coulomb
+        self.inertia = spec.inertia
+        self.viscous = spec.viscous
+        self.coulomb = spec.coulomb
         self.gain = spec.torque_gain
-        self.pace(step_s)
-        self.load = self.angle = self.command = self.drag = self.stiff = 0.0
-        self.waits, self.servo = False, self.law
-        self._misread = self._disobeys = None
+        self.set_step(step_s)
+        self.load = self.angle = self.command = self.drag = self.impedance = 0.0
+        self.steps_alone = False
+        self.servo = self.servo_row
+        self._encoder_fault = self._power_stage_fault = None
         self.faulty = False
 
     @property
-    def misread(self) -> Callable[[float], float] | None:
-        """The fault of its encoder."""
-        return self._misread
+    def encoder_fault(self) -> Callable[[float], float] | None:
+        """Return the fault of the encoder."""
+        return self._encoder_fault
 
-    @misread.setter
-    def misread(self, fault: Callable[[float], float] | None) -> None:
-        self._misread = fault
-        self.faulty = fault is not None or self._disobeys is not None
+    @encoder_fault.setter
+    def encoder_fault(self, fault: Callable[[float], float] | None) -> None:
+        self._encoder_fault = fault
+        self.faulty = fault is not None or self._power_stage_fault is not None
 
     @property
-    def disobeys(self) -> Callable[[float], float] | None:
-        """The fault of its power stage."""
-        return self._disobeys
+    def power_stage_fault(self) -> Callable[[float], float] | None:
+        """Return the fault of the power stage."""
+        return self._power_stage_fault
 
-    @disobeys.setter
-    def disobeys(self, fault: Callable[[float], float] | None) -> None:
-        self._disobeys = fault
-        self.faulty = fault is not None or self._misread is not None
+    @power_stage_fault.setter
+    def power_stage_fault(self, fault: Callable[[float], float] | None) -> None:
+        self._power_stage_fault = fault
+        self.faulty = fault is not None or self._encoder_fault is not None
 
-    def pace(self, step_s: float) -> None:
-        """Change the length of the next steps [s]."""
-        self.step, self.lag, self.velocity_lag = paced(step_s)
+    def set_step(self, step_s: float) -> None:
+        """Set the length of the next steps [s]."""
+        self.step, self.lag, self.velocity_lag = step_factors(step_s)
 
     def encoder(self) -> float:
-        """Return the spool angle as the drive measures it [rad]."""
-        angle, misread = encoded(self.theta), self._misread
-        return misread(angle) if misread else angle
+        """Return the spool angle as measured by the drive [rad]."""
+        angle = encoded(self.theta)
+        encoder_fault = self._encoder_fault
+        return encoder_fault(angle) if encoder_fault else angle
 
     def advance(self, load: float) -> None:
-        """Integrate one step, semi-implicitly, against the rope's torque [N m]."""
+        """Integrate one step against a tendon torque [N m], semi-implicitly."""
         self.load = load
-        self.follow()
+        self.step_alone()
 
-    def follow(self) -> None:
-        """Integrate one step against the load that is there, with the faults of encoder and power stage."""
-        see(self)
-        if self._misread and (self.servo.kp or self.servo.kd):
-            self.angle = self._misread(self.angle)
-        decide(self)
-        if self._disobeys:
-            self.command = self._disobeys(self.command)
-        turn(self)
+    def step_alone(self) -> None:
+        """Integrate one step against the present load, with the faults of encoder and power stage."""
+        measure_angle(self)
+        if self._encoder_fault and (self.servo.kp or self.servo.kd):
+            self.angle = self._encoder_fault(self.angle)
+        compute_command(self)
+        if self._power_stage_fault:
+            self.command = self._power_stage_fault(self.command)
+        integrate(self)
 
 
-class MotorRow(RotorRow, Motor):
+class MotorRow(RotorStruct, Motor):
     """A motor whose numbers are a row of an array."""
 
 
-def row_by_row(specs: Sequence[MotorSpec], step_s: float) -> tuple[list[Motor], Any]:
-    """Return motors that lie one behind the other, and the array of them; the step is the plant's [s]."""
+def motor_rows(specs: Sequence[MotorSpec], step_s: float) -> tuple[list[Motor], Any]:
+    """Make motors whose numbers are the rows of one array.
+
+    Args:
+        specs: the motors.
+        step_s: step of the plant [s].
+
+    Returns:
+        The motors, and the array.
+    """
     memory = (MotorRow * len(specs))()
     motors: list[Motor] = list(memory)
     for number, (motor, spec) in enumerate(zip(motors, specs, strict=True)):
         motor._describe(spec, step_s)
         motor.number = number
-    return motors, array_of(memory, RotorRow)
+    return motors, array_of(memory, RotorStruct)

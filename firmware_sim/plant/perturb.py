@@ -1,4 +1,4 @@
-"""A plant that differs from its hand file: factors on its parameters."""
+"""Perturbation of a plant: factors on the parameters of its hand file."""
 
 import math
 from dataclasses import replace
@@ -16,17 +16,22 @@ KEYS = {
     "bias": "newtons added to every load cell (not a factor)",
     "noise": "noise of load cells and joint encoders",
 }
+"""Parameter of each key."""
 
 
 def perturbed(hand: Hand, factors: dict[str, float]) -> Hand:
-    """Return the hand with its plant parameters multiplied by the factors.
+    """Multiply the plant parameters of a hand by factors.
 
     Args:
-        hand: as described by its file.
-        factors: key of ``KEYS`` to factor (``bias``: to newtons).
+        hand: hand as described by its file.
+        factors: factor of each key of ``KEYS``. The key ``bias`` is an offset [N].
+
+    Returns:
+        The perturbed hand.
 
     Raises:
-        SimulatorError: an unknown key, a factor that is not finite or is negative, or a hand with text for a number.
+        SimulatorError: a key is unknown, a factor is negative or not finite, or the hand has text
+            in place of a number.
     """
     for key, value in factors.items():
         if key not in KEYS:

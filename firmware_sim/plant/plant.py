@@ -1,6 +1,7 @@
-"""The plant: links, object and contacts by the engine, ropes and rotors of our own, in steps of 0.5 ms.
+"""The plant: links, object and contacts by the engine, tendons and rotors by ``drivetrain``, in steps of 0.5 ms.
 
-A step is divided where something is sampled within it, so that a sample is of its own instant.
+A step is divided if a quantity is sampled within the step, so that a sample belongs to its exact
+time.
 """
 
 import random
@@ -13,70 +14,81 @@ from firmware_sim.description import Hand, SimulatorError
 from firmware_sim.plant import drivetrain
 from firmware_sim.plant.engine import Engine
 from firmware_sim.plant.mjcf import STEP_S, model_text, opposed_digits
-from firmware_sim.plant.motor import Motor, paced, row_by_row
+from firmware_sim.plant.motor import Motor, motor_rows, step_factors
 from firmware_sim.plant.tendon import Routing
-from firmware_sim.scene import table as tables
+from firmware_sim.scene import support as support_kernels
 from firmware_sim.scene.scene import Scene, Support
 from firmware_sim.scene.stages import Stages
-from firmware_sim.scene.table import Table
+from firmware_sim.scene.support import SupportTable
 
 STEP_NS = round(STEP_S * 1e9)
+"""Step of the plant [ns]."""
 SLACK_M = (1e-3, 3e-3)
-"""Slack of the ropes at power-up [m], drawn between these; the motors were limp."""
+"""Range of the tendons' slack at power-up [m]. The motors were off before."""
 TABLE_STEPS = 4
-"""The table is looked after at every so many steps."""
+"""Number of steps between two updates of the table."""
 
 
 class Plant:
     """A hand with its object.
 
     Attributes:
-        hand: its description.
+        hand: description of the hand.
         scene: object and support.
         engine: rigid bodies and contact.
-        motors: the rotors by name.
-        ropes: each with the rotor that winds it.
-        table: what the object stands on; None without support.
-        load: what pulls at the object; None in most scenes.
-        stages: what is done to the object once it is held; None in most scenes.
-        stage: which stage of the scene it is; -1 before the first.
-        sampled: for laws that sample: drivetrain, joint angles [rad] and velocities [rad/s], room for tensions [N].
-        steps: how many whole steps were made.
-        part_ns: time since the last of them, less than a step [ns].
+        motors: rotors by motor name.
+        tendons: pairs of tendon and its rotor.
+        table: table under the object, None without support.
+        load: growing force on the object, None in most scenes.
+        stages: events after the grasp, None in most scenes.
+        stage: index of the present stage, -1 before the first.
+        sampled: arguments for kernels that sample: drivetrain, joint angles [rad], joint velocities
+            [rad/s], and memory for tensions [N].
+        steps: number of completed steps.
+        part_ns: completed part of the step in progress [ns].
     """
 
     def __init__(self, hand: Hand, scene: Scene, seed: int = 0, homed: bool = False, compiled: bool = True) -> None:
-        """Build the model.
+        """Build the plant at power-up.
 
         Args:
-            hand: the hand. scene: object and support. seed: of the ropes' slack. homed: whether the ropes start taut.
-            compiled: whether its laws are; no to start in a second less, and to take longer for each step.
+            hand: description of the hand.
+            scene: object and support.
+            seed: seed of the tendons' slack.
+            homed: True if the tendons start taut.
+            compiled: True to use compiled kernels. False starts one second faster and makes each
+                step slower.
 
         Raises:
-            SimulatorError: the engine does not accept the hand, or a tendon names no motor or joint.
+            SimulatorError: the engine does not accept the hand, or a tendon names an unknown motor
+                or joint.
         """
-        self.hand, self.scene, self.steps = hand, scene, 0
+        self.hand = hand
+        self.scene = scene
+        self.steps = 0
         self.part_ns = 0
         try:
             self.engine = Engine(model_text(hand, scene), len(hand.joints))
         except ValueError as error:
             raise SimulatorError(f"hand {hand.name}: {str(error).splitlines()[0]}") from error
-        self._laws: Any = machine_code(drivetrain) if compiled else drivetrain
+        self._kernels: Any = machine_code(drivetrain) if compiled else drivetrain
         rotors: Any
         if compiled:
-            self._rotors, rotors = row_by_row(hand.motors, STEP_S)
+            self._rotors, rotors = motor_rows(hand.motors, STEP_S)
         else:
             self._rotors = rotors = [Motor(motor, STEP_S) for motor in hand.motors]
         self.motors = {spec.name: motor for spec, motor in zip(hand.motors, self._rotors, strict=True)}
         routing = self._routing(compiled)
-        self.ropes = [(rope, self._rotors[rope.motor]) for rope in routing.tendons]
+        self.tendons = [(tendon, self._rotors[tendon.motor]) for tendon in routing.tendons]
         self._drivetrain = routing.rows, routing.joints, routing.arms, rotors
         engine = self.engine
-        self._bodies = (engine.q, engine.dq, engine.applied, engine.rope_damping) if compiled else None
+        self._bodies = (engine.q, engine.dq, engine.applied, engine.tendon_damping) if compiled else None
         native = engine.native
-        every = (*self._drivetrain, *self._bodies) if self._bodies else ()
-        self._addresses = np.array([*addresses(every), *native], np.int64) if every and native else None
-        self._tensions = np.zeros(len(self.ropes))
+        arrays = (*self._drivetrain, *self._bodies) if self._bodies else ()
+        # One array of addresses: a kernel argument costs 0.2 us, and this call is made in every
+        # tick.
+        self._addresses = np.array([*addresses(arrays), *native], np.int64) if arrays and native else None
+        self._tensions = np.zeros(len(self.tendons))
         self.sampled = (*self._drivetrain, engine.q, engine.dq, self._tensions)
         self.table = self._table(scene.support, compiled) if scene.support else None
         self.contact_forces = self.engine.forces_on("contact", [digit.name for digit in hand.digits])
@@ -88,7 +100,7 @@ class Plant:
             self._slacken(seed)
 
     def _routing(self, compiled: bool) -> Routing:
-        """Return the ropes."""
+        """Build the tendons."""
         hand = self.hand
         motors = [motor.name for motor in hand.motors]
         for spec in hand.tendons:
@@ -98,58 +110,61 @@ class Plant:
                 raise SimulatorError(f"hand {hand.name}: {spec.name}: no such motor or joint: {wrong}")
         return Routing(hand.tendons, hand.joints, motors, [motor.spool_radius for motor in hand.motors], compiled)
 
-    def _table(self, support: Support, compiled: bool) -> Table:
-        """Return the table, which looks at the contact forces where the engine has them if laws are compiled."""
+    def _table(self, support: Support, compiled: bool) -> SupportTable:
+        """Build the table. With compiled kernels it reads the contact forces in the engine's memory."""
         opposed = opposed_digits(self.hand)
         if not compiled:
-            return Table(support, opposed)
-        places = self.engine.force_places("contact", [digit.name for digit in self.hand.digits])
-        return Table(support, opposed, places, machine_code(tables))
+            return SupportTable(support, opposed)
+        indices = self.engine.force_indices("contact", [digit.name for digit in self.hand.digits])
+        return SupportTable(support, opposed, indices, machine_code(support_kernels))
 
     def _slacken(self, seed: int) -> None:
-        chance = random.Random(f"slack {seed}")
-        for rope, motor in self.ropes:
-            motor.theta = -chance.uniform(*SLACK_M) / rope.radius
+        """Unwind each spool by a random slack."""
+        rng = random.Random(f"slack {seed}")
+        for tendon, motor in self.tendons:
+            # A negative angle is unwound.
+            motor.theta = -rng.uniform(*SLACK_M) / tendon.radius
 
     @property
     def can_sink(self) -> bool:
-        """Whether there is a table that sinks once the object is held."""
+        """Return True if the scene has a table that sinks once the object is held."""
         support = self.scene.support
         return support is not None and support.drop_when == "grasped"
 
     @property
     def t_ns(self) -> int:
-        """Time since power-up [ns]."""
+        """Return the time since power-up [ns]."""
         return self.steps * STEP_NS + self.part_ns
 
     def step(self) -> None:
-        """Let ropes pull, rotors turn and links move, once; see ``advance``."""
+        """Advance by one step. See ``advance``."""
         self.advance(1)
 
     def advance(self, count: int) -> None:
-        """Let ropes pull, rotors turn and links move; a step that was divided is completed first, and counts.
+        """Run a number of steps. A divided step is completed first and counts as one.
 
         Args:
-            count: how many steps.
+            count: number of steps.
 
         Raises:
             SimulatorError: the plant's parameters are too extreme for the step.
         """
         while count > 0:
-            block = 1 if self.part_ns else min(count, self._undisturbed())
+            block = 1 if self.part_ns else min(count, self._free_steps())
             self._move(block)
             count -= block
-            if self.table and self.steps % TABLE_STEPS == 0 and self._watches(self.table):
-                self._look_after(self.table)
+            # Table and load act between two steps, never within one.
+            if self.table and self.steps % TABLE_STEPS == 0 and self._table_can_act(self.table):
+                self._update_table(self.table)
             if self.load:
-                pull = self.load.at(self.steps * STEP_S)
-                self.engine.push_object([pull * share for share in self.load.direction])
+                force = self.load.at(self.steps * STEP_S)
+                self.engine.push_object([force * component for component in self.load.direction])
 
     def advance_part(self, duration_ns: int) -> None:
-        """Divide the step that comes next: make a part of it.
+        """Run a part of the next step.
 
         Args:
-            duration_ns: of the part [ns]; with the parts before it less than a step.
+            duration_ns: length of the part [ns]. The sum of all parts is less than a step.
 
         Raises:
             SimulatorError: the plant's parameters are too extreme for the step.
@@ -158,86 +173,90 @@ class Plant:
         self.part_ns += duration_ns
 
     def _move_for(self, duration_ns: int) -> None:
-        """Make one step of another length [ns]."""
-        self._pace(duration_ns * 1e-9)
+        """Run one step of another length [ns]."""
+        self._set_step(duration_ns * 1e-9)
         try:
-            self._move_once(self.struck)
+            self._move_once(self.faulty_motors)
         finally:
-            self._pace(STEP_S)
+            self._set_step(STEP_S)
 
-    def _pace(self, step_s: float) -> None:
-        """Change the length of the next steps [s]."""
+    def _set_step(self, step_s: float) -> None:
+        """Set the length of the next steps [s]."""
         self.engine.set_timestep(step_s)
         rotors = self._drivetrain[-1]
         if self._bodies is None:
             for motor in rotors:
-                motor.pace(step_s)
+                motor.set_step(step_s)
             return
-        for name, value in zip(("step", "lag", "velocity_lag"), paced(step_s), strict=True):
+        for name, value in zip(("step", "lag", "velocity_lag"), step_factors(step_s), strict=True):
             rotors[name] = value
 
-    def _undisturbed(self) -> int:
-        """Return how many steps there are until something other than the drivetrain acts."""
+    def _free_steps(self) -> int:
+        """Count the steps until table, load or stages can act."""
         if self.load:
             return 1
-        watched = self.table and self._watches(self.table)
-        return TABLE_STEPS - self.steps % TABLE_STEPS if watched else 1 << 30
+        table_active = self.table and self._table_can_act(self.table)
+        return TABLE_STEPS - self.steps % TABLE_STEPS if table_active else 1 << 30
 
-    def _watches(self, table: Table) -> bool:
-        """Whether the table, or what happens after it, can still change anything."""
+    def _table_can_act(self, table: SupportTable) -> bool:
+        """Check whether the table, or a stage after the table has sunk, can still change the plant."""
         return bool(self.stages) or not table.settled
 
     def _move(self, count: int) -> None:
-        """Make steps, in one go unless a fault in a motor wants to be asked in each."""
+        """Run steps, in one call of the kernel unless a motor has a fault that must act in each step."""
         if self.part_ns:
+            # Complete the divided step first, so that steps stay at multiples of STEP_NS.
             self._move_for(STEP_NS - self.part_ns)
             self.part_ns = 0
             self.steps += 1
             return
         if self._addresses is not None:
-            done = self._laws.steps(count, self._addresses)
+            done = self._kernels.steps(count, self._addresses)
             self.steps += done
             if done == count:
                 return
-            if not self.struck:
+            if not self.faulty_motors:
                 raise self._diverged()
-        struck = self.struck
+        faulty_motors = self.faulty_motors
         for _ in range(count):
-            self._move_once(struck)
+            self._move_once(faulty_motors)
             self.steps += 1
 
     @property
-    def struck(self) -> list[Motor]:
-        """The motors in which there is a fault."""
+    def faulty_motors(self) -> list[Motor]:
+        """List the motors with a fault."""
         return [motor for motor in self._rotors if motor.faulty]
 
-    def _move_once(self, struck: list[Motor]) -> None:
-        """Make a step in which some motors turn by themselves."""
+    def _move_once(self, faulty_motors: list[Motor]) -> None:
+        """Run one step in which the given motors are stepped by Python."""
         engine = self.engine
-        q, dq, torque, damping = self._bodies or self._lists()
-        if not abs(sum(engine.dq.tolist())) < drivetrain.DIVERGED_RAD_S:  # not a number is diverged, too
+        q, dq, torque, damping = self._bodies or self._joint_lists()
+        if not abs(sum(engine.dq.tolist())) < drivetrain.DIVERGED_RAD_S:  # also true for NaN
             raise self._diverged()
-        if struck:
+        if faulty_motors:
             for motor in self._rotors:
-                motor.waits = motor in struck
-        self._laws.drive(*self._drivetrain, q, dq, torque, damping, not struck)
-        for motor in struck:
-            motor.follow()
+                motor.steps_alone = motor in faulty_motors
+        self._kernels.step_drivetrain(*self._drivetrain, q, dq, torque, damping, not faulty_motors)
+        for motor in faulty_motors:
+            motor.step_alone()
         if not self._bodies:
-            engine.applied[:], engine.rope_damping[:] = torque, damping
+            engine.applied[:] = torque
+            engine.tendon_damping[:] = damping
         engine.step()
 
-    def _lists(self) -> tuple[list[float], list[float], list[float], list[float]]:
-        """For plain laws: angles and velocities of the joints, room for torques on them and damping of the ropes."""
-        q, dq = self.engine.q.tolist(), self.engine.dq.tolist()
-        return q, dq, [0.0] * len(q), [0.0] * len(self.ropes)
+    def _joint_lists(self) -> tuple[list[float], list[float], list[float], list[float]]:
+        """List joint angles, joint velocities, and memory for torques and tendon damping, for kernels in Python."""
+        q = self.engine.q.tolist()
+        dq = self.engine.dq.tolist()
+        return q, dq, [0.0] * len(q), [0.0] * len(self.tendons)
 
     def _diverged(self) -> SimulatorError:
+        """Build the error for a diverged plant."""
         when = self.steps * STEP_S
         return SimulatorError(f"the plant diverged at {when:.4f} s; expected less extreme parameters")
 
-    def _look_after(self, table: Table) -> None:
-        """Sink the table when the object is held, and do with it then what the scene says."""
+    def _update_table(self, table: SupportTable) -> None:
+        """Sink the table once the object is held, and apply the stages after that."""
         before = table.depth
         forces = self.engine.sensed if self._bodies else [] if table.dropped_at is not None else self.contact_forces()
         depth = table.update(self.steps * STEP_S, forces)
@@ -252,15 +271,19 @@ class Plant:
                 self.engine.set_friction(now.friction)
 
     def measured_grip(self) -> list[float]:
-        """Return the load and the sum of normal forces of each digit [N]; nothing in a scene without load."""
+        """Return the load and the sum of the normal forces of each digit [N], empty in a scene without load."""
         return [self.load.at(self.steps * STEP_S), *self.normal_forces()] if self.load else []
 
     def cells(self) -> Any:
-        """Return the tension of each tendon at its load cell, now [N], shape (tendons,); memory of the plant's own."""
-        q, dq, *_ = self._bodies or self._lists()
-        self._laws.tensions(*self._drivetrain, q, dq, self._tensions)
+        """Compute the present tension of each tendon at its load cell.
+
+        Returns:
+            Shape (tendons,) [N], memory of the plant.
+        """
+        q, dq, *_ = self._bodies or self._joint_lists()
+        self._kernels.tensions(*self._drivetrain, q, dq, self._tensions)
         return self._tensions
 
     def tensions(self) -> list[float]:
-        """Return the tension of each tendon at its load cell, now [N]."""
+        """Return the present tension of each tendon at its load cell [N]."""
         return [float(tension) for tension in self.cells().tolist()]

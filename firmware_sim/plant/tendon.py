@@ -1,4 +1,4 @@
-"""One tendon: an elastic rope that pulls and never pushes, and rubs on the pulleys it passes."""
+"""One tendon: elastic, pulls but never pushes, with friction on the pulleys it passes."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -8,39 +8,64 @@ import numpy as np
 
 from firmware_sim.compiled import array_of
 from firmware_sim.description import TendonSpec
-from firmware_sim.plant.rows import RopeRow
+from firmware_sim.plant.structs import TendonStruct
 
 
 class Tendon:
-    """The rope; its laws are in ``drivetrain``.
+    """The tendon. Its kernels are in ``drivetrain``.
 
     Attributes:
-        tension: at the load cell, between spool and first pulley, as of the last pull [N].
-        speed: of the rope towards the spool, positive when the digit closes, as of the last pull [m/s].
-        slope: rope damping plus friction over speed, for an implicit integrator [N s/m].
-        longer: by how much it is longer than described [m].
-        radius: of the spool [m].
-        stiffness, beyond: up to the knee and far beyond it [N/m]. knee: [N]. knee_stretch, knee_width: [m].
-        damping: [N s/m]. friction: coefficient. wrap: angle on the way to the first joint [rad].
-        motor: number of its rotor. first, end: numbers of its pulleys, ``first`` to before ``end``.
+        tension: tension at the load cell, between spool and first pulley, in the last step [N].
+        speed: speed towards the spool in the last step, positive when the digit closes [m/s].
+        slope: damping plus friction divided by speed, for the implicit integrator [N s/m].
+        extra_length: length beyond the described length [m].
+        radius: radius of the spool [m].
+        stiffness: stiffness up to the knee [N/m].
+        after_knee: stiffness far beyond the knee [N/m].
+        knee: tension of the knee [N].
+        knee_stretch: stretch of the knee [m].
+        knee_width: width of the transition [m].
+        damping: damping [N s/m].
+        friction: capstan friction coefficient.
+        wrap: wrap angle before the first joint [rad].
+        motor: row of its rotor.
+        first: index of its first pulley.
+        end: index after its last pulley.
     """
 
     first: int
     end: int
 
     def describe(self, spec: TendonSpec, motor: int, spool_radius: float) -> None:
-        """Take over the parameters: of the tendon, the number of its motor, the spool's radius [m]."""
-        self.tension = self.speed = self.slope = self.longer = 0.0
-        self.motor, self.radius = motor, spool_radius
-        self.stiffness, self.damping = spec.stiffness, spec.damping
-        self.beyond, self.knee_width, self.knee = spec.stiffness * spec.beyond_ratio, spec.knee_width, spec.knee
-        self.knee_stretch = spec.knee / spec.stiffness if spec.stiffness else math.inf
-        self.friction, self.wrap = spec.friction, spec.wrap
+        """Set the parameters.
 
-    def tear(self) -> Callable[[], None]:
-        """Bear nothing any more; returns what mends the rope."""
+        Args:
+            spec: the tendon.
+            motor: row of its rotor.
+            spool_radius: radius of the spool [m].
+        """
+        self.tension = self.speed = self.slope = self.extra_length = 0.0
+        self.motor = motor
+        self.radius = spool_radius
+        self.stiffness = spec.stiffness
+        self.damping = spec.damping
+        self.after_knee = spec.stiffness * spec.after_knee_ratio
+        self.knee_width = spec.knee_width
+        self.knee = spec.knee
+        self.knee_stretch = spec.knee / spec.stiffness if spec.stiffness else math.inf
+        self.friction = spec.friction
+        self.wrap = spec.wrap
+
+    def snap(self) -> Callable[[], None]:
+        """Break the tendon, so that it carries no tension.
+
+        Returns:
+            Function that mends the tendon.
+        """
         before = self.stiffness, self.damping, self.knee_stretch
-        self.stiffness, self.damping, self.knee_stretch = 0.0, 0.0, math.inf
+        self.stiffness = 0.0
+        self.damping = 0.0
+        self.knee_stretch = math.inf
 
         def mend() -> None:
             self.stiffness, self.damping, self.knee_stretch = before
@@ -48,33 +73,45 @@ class Tendon:
         return mend
 
 
-class TendonRow(RopeRow, Tendon):
+class TendonRow(TendonStruct, Tendon):
     """A tendon whose numbers are a row of an array."""
 
 
 class Routing:
-    """The tendons of a hand and the joints that each of them passes.
+    """The tendons of a hand and the pulleys that each of them passes.
 
     Attributes:
-        tendons: the ropes. rows: the array of them, for compiled laws; otherwise the same list.
-        joints: of each pulley, tendon by tendon, the joint's index. arms: of each pulley [m]. Arrays, or lists.
+        tendons: the tendons.
+        rows: array of the tendons for compiled kernels, otherwise the same list.
+        joints: joint index of each pulley, in the order of the tendons, an array or a list.
+        arms: moment arm of each pulley [m], an array or a list.
     """
 
     def __init__(
         self, specs: Sequence[TendonSpec], joints: list[str], motors: list[str], radii: list[float], compiled: bool
     ) -> None:
-        """Args: the tendons; names of joints and motors; radius of each spool [m]; whether for compiled laws."""
+        """Build the tendons and their pulleys.
+
+        Args:
+            specs: the tendons.
+            joints: names of the joints.
+            motors: names of the motors.
+            radii: radius of each spool [m].
+            compiled: True for compiled kernels.
+        """
         memory = (TendonRow * len(specs))() if compiled else [Tendon() for _ in specs]
         self.tendons: list[Tendon] = list(memory)
         path: list[tuple[int, float]] = []
-        for rope, spec in zip(self.tendons, specs, strict=True):
+        for tendon, spec in zip(self.tendons, specs, strict=True):
             motor = motors.index(spec.motor)
-            rope.describe(spec, motor, radii[motor])
-            rope.first = len(path)
+            tendon.describe(spec, motor, radii[motor])
+            tendon.first = len(path)
+            # A joint with moment arm 0 is passed at its axis: no pulley.
             path += [(joints.index(name), arm) for name, arm in spec.arms.items() if arm]
-            rope.end = len(path)
-        self.rows: Any = array_of(memory, RopeRow) if compiled else self.tendons
+            tendon.end = len(path)
+        self.rows: Any = array_of(memory, TendonStruct) if compiled else self.tendons
         self.joints: Any = [joint for joint, _ in path]
         self.arms: Any = [arm for _, arm in path]
         if compiled:
-            self.joints, self.arms = np.array(self.joints, np.int64), np.array(self.arms, np.float64)
+            self.joints = np.array(self.joints, np.int64)
+            self.arms = np.array(self.arms, np.float64)

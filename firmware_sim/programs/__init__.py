@@ -1,1 +1,1 @@
-"""What ``python -m firmware_sim`` runs: a hand, drives on a bench, a bus."""
+"""Programs of ``python -m firmware_sim``: a hand, drives on a bench, a bus."""

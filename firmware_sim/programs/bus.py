@@ -1,22 +1,22 @@
-"""``python -m firmware_sim bus``: a local bus without a hand."""
+"""Program ``python -m firmware_sim bus``: a local bus without a hand."""
 
 import select
 
 from firmware_sim.bus.ports import open_port
-from firmware_sim.bus.wired import ALONE_BITRATES, maker
+from firmware_sim.bus.timed_port import DEFAULT_BITRATES, timed_port_maker
 from firmware_sim.command import Parser, until_signal
 from firmware_sim.printing import printable
 from firmware_sim.server import ScaledClock
 
-_LOOK_S = 0.2
-"""How often a hub alone looks whether it has been told to end."""
+_POLL_S = 0.2
+"""Period of the check for a stop signal [s]."""
 
 
 def run(words: list[str]) -> None:
     """Serve a bus until SIGTERM or SIGINT.
 
     Raises:
-        SimulatorError: arguments that cannot be served.
+        SimulatorError: the arguments cannot be served.
     """
     parser = Parser(
         prog="python -m firmware_sim bus", description="A local bus without a hand, until it is told to end."
@@ -24,15 +24,15 @@ def run(words: list[str]) -> None:
     parser.add_argument("name", help="of the bus: others reach it as local:NAME")
     parser.add_argument("--wire", nargs="*", metavar="KEY=VALUE", help="frames take their time (they take none)")
     args = parser.parse_args(words)
-    wired = maker(args.wire, [ALONE_BITRATES], ScaledClock().now_ns, nodes=False)
-    port = open_port(f"local:{args.name}", 0, wired)
+    timed_port = timed_port_maker(args.wire, [DEFAULT_BITRATES], ScaledClock().now_ns, nodes=False)
+    port = open_port(f"local:{args.name}", 0, timed_port)
     running = [True]
     until_signal(running.clear)
     print(f"firmware_sim: ready bus=local:{printable(args.name)}", flush=True)
     try:
         while running:
             wait_ns = max(0, port.due_ns - ScaledClock().now_ns())
-            ready, _, _ = select.select(port.readers(), port.writers(), [], min(_LOOK_S, wait_ns * 1e-9))
+            ready, _, _ = select.select(port.readers(), port.writers(), [], min(_POLL_S, wait_ns * 1e-9))
             while port.receive(ready):
                 ready = []
     finally:

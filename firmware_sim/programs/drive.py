@@ -1,4 +1,4 @@
-"""``python -m firmware_sim drive``: drives on a bench, with free shafts and no hand, for anybody's client to try."""
+"""Program ``python -m firmware_sim drive``: drives on a bench with free shafts, without a hand, for any client."""
 
 import argparse
 import sys
@@ -6,67 +6,78 @@ from dataclasses import replace
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.bus.ports import open_port
-from firmware_sim.bus.wired import ALONE_BITRATES, maker
+from firmware_sim.bus.timed_port import DEFAULT_BITRATES, timed_port_maker
 from firmware_sim.command import Parser, check_time_scale, until_signal
 from firmware_sim.description import MotorSpec, SimulatorError
-from firmware_sim.faults.broken import FAULTS, break_node
+from firmware_sim.faults.faulty_drive import FAULTS, with_fault
 from firmware_sim.nodes import PROTOCOLS
-from firmware_sim.nodes.kind import Node
+from firmware_sim.nodes.protocol_spec import Node
 from firmware_sim.plant.motor import Motor
 from firmware_sim.printing import printable
 from firmware_sim.programs.drive_types import MIT_TYPES, drive_spec
 from firmware_sim.server import ScaledClock, Server
 
 STEP_NS = 1_000_000
+"""Step of the shafts [ns]."""
 EXAMPLES = """
 examples:
   python -m firmware_sim drive mit --ids 1,2,3,4 --bus socketcan:vcan0 --motor-type dm4310
   python -m firmware_sim drive odrive --ids 0,1 --bus local:lab
   python -m firmware_sim bus lab; ... drive mit --ids 1 --bus join:lab; ... drive cia402 --ids 32 --bus join:lab
 """
+"""Examples of the help text."""
 
 
 class Bench:
-    """Drives on one bus; see ``server.Served``.
+    """Drives on one bus. See ``server.Served``.
 
     Attributes:
-        motors, nodes: in the order of the specs.
+        motors: rotors in the order of the specs.
+        nodes: nodes in the order of the specs.
     """
 
     def __init__(self, specs: list[MotorSpec], origin_ns: int = 0, fault: str = "") -> None:
-        """Args: the drives; the clock at the start [ns]; what is wrong with all of them, of ``broken.FAULTS``."""
-        self.t_ns, self.slip_ns, self.foreign = origin_ns, 0, 0
+        """Build the drives.
+
+        Args:
+            specs: descriptions of the drives.
+            origin_ns: clock at the start [ns].
+            fault: fault of all drives, key of ``faulty_drive.FAULTS``, empty for none.
+        """
+        self.t_ns = origin_ns
+        self.slip_ns = 0
+        self.foreign = 0
         specs = [replace(spec, torque_gain=-1.0) if fault == "sign" else spec for spec in specs]
         self._part_ns = 0
         self.motors = [Motor(spec, STEP_NS * 1e-9) for spec in specs]
         pairs = zip(specs, self.motors, strict=True)
         self.nodes: list[Node] = [
-            break_node(PROTOCOLS[spec.protocol].node(spec, motor, 0.0), spec.protocol, fault) for spec, motor in pairs
+            with_fault(PROTOCOLS[spec.protocol].node(spec, motor, 0.0), spec.protocol, fault) for spec, motor in pairs
         ]
-        self._spoken: list[Frame] = []
+        self._unsolicited: list[Frame] = []
 
     @property
     def malformed(self) -> int:
-        """Frames that a node could not read."""
+        """Return the number of frames that a node could not decode."""
         return sum(node.malformed for node in self.nodes)
 
     def receive(self, frame: Frame) -> list[Frame]:
-        """Hand a frame to every node and return their answers."""
+        """Pass a frame to every node and return the answers."""
         answers = [node.receive(frame, self.t_ns) for node in self.nodes]
         self.foreign += all(answer is None for answer in answers)
         return [reply._replace(bus=frame.bus, t_ns=self.t_ns) for answer in answers for reply in answer or ()]
 
     def advance(self, t_ns: int) -> None:
-        """Let time pass until t_ns, in whole steps."""
+        """Advance to t_ns in whole steps."""
         while self.t_ns - self._part_ns + STEP_NS <= t_ns:
             self._turn(STEP_NS - self._part_ns)
             self._part_ns = 0
             for node in self.nodes:
                 if self.t_ns >= node.wake_ns:
-                    self._spoken += [frame._replace(t_ns=self.t_ns) for frame in node.wake(self.t_ns) or ()]
+                    self._unsolicited += [frame._replace(t_ns=self.t_ns) for frame in node.wake(self.t_ns) or ()]
 
     def reach(self, t_ns: int) -> None:
-        """Let time pass until exactly t_ns; the next call completes the step that this divides."""
+        """Advance to exactly t_ns. The next call completes the divided step."""
         self.advance(t_ns)
         rest_ns = t_ns - self.t_ns
         if rest_ns > 0:
@@ -74,17 +85,18 @@ class Bench:
             self._part_ns += rest_ns
 
     def _turn(self, duration_ns: int) -> None:
-        """Turn every shaft for a whole step or a part of one [ns]."""
+        """Advance every shaft by a step or a part of a step [ns]."""
         self.t_ns += duration_ns
         for motor in self.motors:
             if motor.step != duration_ns * 1e-9:
-                motor.pace(duration_ns * 1e-9)
+                motor.set_step(duration_ns * 1e-9)
             motor.advance(0.0)
 
-    def take_spoken(self) -> list[Frame]:
-        """Return what nodes have sent of their own accord since the last call."""
-        spoken, self._spoken = self._spoken, []
-        return spoken
+    def take_unsolicited(self) -> list[Frame]:
+        """Return the unsolicited frames since the last call."""
+        unsolicited = self._unsolicited
+        self._unsolicited = []
+        return unsolicited
 
 
 def _parser() -> Parser:
@@ -110,10 +122,10 @@ def _parser() -> Parser:
 
 
 def _specs(args: argparse.Namespace) -> list[MotorSpec]:
-    """Return the drives that were asked for.
+    """Build the descriptions of the requested drives.
 
     Raises:
-        SimulatorError: an argument that makes no drive.
+        SimulatorError: an argument is not valid for a drive.
     """
     if args.protocol != "odrive" and args.firmware:
         raise SimulatorError("--firmware: only drive odrive has it")
@@ -130,7 +142,8 @@ def _specs(args: argparse.Namespace) -> list[MotorSpec]:
         raise SimulatorError(f"--ids {args.ids}: expected numbers with commas, as in 1,2,0x10") from None
     if len(set(numbers)) < len(numbers):
         raise SimulatorError(f"--ids {args.ids}: every number once")
-    kind, firmware = args.motor_type or "", args.firmware or "0.6"
+    kind = args.motor_type or ""
+    firmware = args.firmware or "0.6"
     return [drive_spec(args.protocol, n, kind, args.fd, args.inertia, firmware) for n in numbers]
 
 
@@ -138,12 +151,12 @@ def run(words: list[str]) -> None:
     """Serve drives until SIGTERM or SIGINT.
 
     Raises:
-        SimulatorError: arguments that cannot be served.
+        SimulatorError: the arguments cannot be served.
     """
     args = _parser().parse_args(words)
     specs = _specs(args)
     clock = ScaledClock(args.time_scale)
-    port = open_port(args.bus, 0, maker(args.wire, [ALONE_BITRATES], clock.now_ns))
+    port = open_port(args.bus, 0, timed_port_maker(args.wire, [DEFAULT_BITRATES], clock.now_ns))
     try:
         server = Server(Bench(specs, clock.now_ns(), args.broken), [port], clock)
 

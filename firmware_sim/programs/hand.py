@@ -1,4 +1,4 @@
-"""``python -m firmware_sim``: a simulated hand on a bus, in real time."""
+"""Program ``python -m firmware_sim``: a simulated hand on a bus, in real time."""
 
 import argparse
 import gc
@@ -9,16 +9,16 @@ from pathlib import Path
 from typing import Any
 
 from firmware_sim.bus.ports import Port, assign, open_port
-from firmware_sim.bus.wired import maker
+from firmware_sim.bus.timed_port import timed_port_maker
 from firmware_sim.command import Parser, check_time_scale, until_signal
 from firmware_sim.description import SimulatorError, load_hand
 from firmware_sim.faults.socket import FaultSocket
-from firmware_sim.places import faults_path, truth_path
+from firmware_sim.paths import faults_path, truth_path
 from firmware_sim.plant.perturb import KEYS, perturbed
 from firmware_sim.printing import printable
-from firmware_sim.priority import Urgency
+from firmware_sim.priority import RealTimePriority
 from firmware_sim.scene.scene import load_scene, packaged
-from firmware_sim.serials import numbered
+from firmware_sim.serials import with_serials
 from firmware_sim.server import ScaledClock, Server
 from firmware_sim.truth import TruthWriter
 from firmware_sim.wire.options import KEYS as WIRE_KEYS
@@ -27,7 +27,7 @@ from firmware_sim.world import World, make_world
 _KEYS = "\n".join(f"  {key:16}{text}" for key, text in KEYS.items())
 _WIRE_KEYS = "\n".join(f"  {key:16}{text}" for key, text in WIRE_KEYS.items())
 _LOG = ".mcap"
-"""Suffix of what nothing is written over."""
+"""Suffix of files that are never overwritten."""
 _EPILOG = f"""
 factors for --perturb:
 {_KEYS}
@@ -70,6 +70,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _factors(words: list[str]) -> dict[str, float]:
+    """Parse the KEY=FACTOR words of ``--perturb``."""
     factors: dict[str, float] = {}
     for word in words:
         key, _, value = word.partition("=")
@@ -86,39 +87,41 @@ def run(words: list[str]) -> None:
     """Serve a hand until SIGTERM or SIGINT.
 
     Raises:
-        SimulatorError: arguments that cannot be served.
+        SimulatorError: the arguments cannot be served.
     """
     args = _parser().parse_args(words)
     check_time_scale(args.time_scale)
     if args.truth and args.truth.suffix == _LOG and args.truth.exists():
         raise SimulatorError(f"--truth {args.truth}: is a log; expected another name")
     factors = _factors(args.perturb)
-    hand, scene = perturbed(load_hand(args.hand), factors), load_scene(args.scene)
-    hand = numbered(hand, args.serial)
+    hand = perturbed(load_hand(args.hand), factors)
+    scene = load_scene(args.scene)
+    hand = with_serials(hand, args.serial)
     specs = assign(args.bus, hand.buses)
     clock = ScaledClock(args.time_scale)
     world = make_world(hand, scene, args.seed, args.homed, clock.now_ns(), compiled=False)
-    wired = maker(args.wire, hand.bitrates, clock.now_ns)
+    timed_port = timed_port_maker(args.wire, hand.bitrates, clock.now_ns)
     if args.dry_run:
         return
     ports: list[Port] = []
     try:
         for bus, spec in enumerate(specs):
-            ports.append(open_port(spec, bus, wired))
+            ports.append(open_port(spec, bus, timed_port))
         path = args.truth or truth_path(specs[0])
         with closing(FaultSocket(faults_path(specs[0]), world.faults)) as faults:
             header = {**world.header("monotonic"), "perturb": factors, "time_scale": args.time_scale}
             ready = {"hand": world.hand.name, "scene": world.plant.scene.name, "bus": " ".join(args.bus)}
             ready["truth"] = str(path)
             pairs = " ".join(f"{key}={printable(value)}" for key, value in ready.items())
-            told = json.dumps({"ready": ready}) if args.json else f"firmware_sim: ready {pairs}"
-            _serve(Server(world, ports, clock, faults, Urgency()), world, path, header, told)
+            ready_line = json.dumps({"ready": ready}) if args.json else f"firmware_sim: ready {pairs}"
+            _serve(Server(world, ports, clock, faults, RealTimePriority()), world, path, header, ready_line)
     finally:
         for port in ports:
             port.close()
 
 
 def _serve(server: Server, world: World, path: Path, header: dict[str, Any], ready: str) -> None:
+    """Serve a hand and record its truth file."""
     try:
         truth = TruthWriter(path, world.plant, header)
     except OSError as error:
@@ -130,7 +133,7 @@ def _serve(server: Server, world: World, path: Path, header: dict[str, Any], rea
 
     until_signal(stop)
     gc.collect()
-    gc.freeze()  # what is loaded by now lives on; the collector need not look at it in the loop
+    gc.freeze()  # loaded modules live on: the collector need not scan them in the loop
     print(ready, flush=True)
     try:
         server.run()

@@ -1,1 +1,1 @@
-"""What lies in the hand's reach, and what happens to it."""
+"""The scene of a grasp: an object, its support, and the events after the grasp."""

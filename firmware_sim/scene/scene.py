@@ -1,4 +1,4 @@
-"""What lies in the hand's reach: an object and what it stands on, as a small TOML file."""
+"""Scenes: an object and its support, read from a small TOML file."""
 
 import importlib.resources
 import math
@@ -11,17 +11,19 @@ from firmware_sim.description import SimulatorError
 from firmware_sim.scene.stages import Stage, read_stage
 
 SHAPES = ("cylinder", "sphere", "box")
+"""Shapes of an object."""
 
 
 @dataclass(frozen=True, slots=True)
-class Thing:
+class GraspObject:
     """The object to grasp.
 
     Attributes:
         shape: cylinder (axis z), sphere or box.
         size: full extents along x, y, z [m].
-        mass: [kg]. friction: sliding coefficient on fingers, palm and table.
-        position: of its centre in the palm frame [m].
+        mass: mass [kg].
+        friction: sliding friction coefficient on fingers, palm and table.
+        position: centre in the palm frame [m].
     """
 
     shape: str
@@ -37,10 +39,12 @@ class Support:
 
     Attributes:
         drop_when: ``grasped`` (the table sinks once the object is held) or ``never``.
-        drop_force: contact force that counts as holding [N].
-        drop_hold: how long digits must hold [s]. drop_digits: how many of them.
-        drop_opposed: whether one of them must close against the others, as the thumb does.
-        sink_speed: [m/s]. sink_depth: [m].
+        drop_force: minimum contact force of a digit that holds the object [N].
+        drop_hold: time for which the digits must hold the object [s].
+        drop_digits: number of digits that must hold the object.
+        drop_opposed: True if one of these digits must close against the others, as the thumb does.
+        sink_speed: speed of the sinking table [m/s].
+        sink_depth: depth at which the table stops [m].
     """
 
     drop_when: str = "never"
@@ -54,12 +58,12 @@ class Support:
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """A force at the object's centre that grows until something gives.
+    """A force at the object's centre that grows until the grasp fails.
 
     Attributes:
         direction: unit vector in the palm frame.
-        start: when it begins [s after power-up].
-        rate: [N/s].
+        start: start of the force [s after power-up].
+        rate: rate of the force [N/s].
     """
 
     direction: tuple[float, float, float]
@@ -73,29 +77,30 @@ class Load:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """An object, its support, its load and what happens to it once it is held; all absent in a free hand."""
+    """An object with its support, its load and the stages after the grasp. A free hand has none of them."""
 
     name: str
-    thing: Thing | None = None
+    grasp_object: GraspObject | None = None
     support: Support | None = None
     load: Load | None = None
     stages: tuple[Stage, ...] = ()
 
 
 def packaged() -> list[str]:
-    """Return the names of the scenes that come with the simulator."""
+    """List the names of the scenes that come with the simulator."""
     folder = importlib.resources.files("firmware_sim") / "scenes"
     return sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
 
 
 def load_scene(text: str | None) -> Scene:
-    """Return a scene by its packaged name, its file, or shorthand such as ``cylinder:40``.
+    """Load a scene.
 
     Args:
-        text: name, path of a .toml file, or NAME:DIAMETER_mm; None for a free hand.
+        text: packaged name, path of a .toml file, or NAME:DIAMETER_mm such as ``cylinder:40``. None
+            for a free hand.
 
     Raises:
-        SimulatorError: no such scene, or one that is not complete.
+        SimulatorError: the scene does not exist or is not complete.
     """
     if text is None:
         return Scene("none")
@@ -103,40 +108,47 @@ def load_scene(text: str | None) -> Scene:
         return _read(Path(text), text)
     name, _, diameter = text.partition(":")
     if name not in packaged():
-        known = ", ".join(packaged())
-        raise SimulatorError(f"no such scene: {text}; expected {known}, NAME:MILLIMETRES or a .toml file")
+        packaged_names = ", ".join(packaged())
+        raise SimulatorError(f"no such scene: {text}; expected {packaged_names}, NAME:MILLIMETRES or a .toml file")
     scene = _read(importlib.resources.files("firmware_sim") / "scenes" / f"{name}.toml", name)
     return _resized(scene, diameter, text) if diameter else scene
 
 
 def _resized(scene: Scene, millimetres: str, text: str) -> Scene:
+    """Return the scene with another diameter of the object. The gap between object and palm stays."""
     try:
         diameter = float(millimetres) * 1e-3
     except ValueError:
         diameter = math.nan
-    if scene.thing is None or not 0.0 < diameter < 1.0:
+    if scene.grasp_object is None or not 0.0 < diameter < 1.0:
         raise SimulatorError(f"scene {text}: expected a diameter in millimetres, as in cylinder:35")
-    old = scene.thing
+    old = scene.grasp_object
     height = diameter if old.shape == "sphere" else old.size[2]
+    # The palm's face is the plane x = 0.
     gap = old.position[0] - old.size[0] / 2.0
     position = (diameter / 2.0 + gap, old.position[1], old.position[2])
-    return replace(scene, name=text, thing=replace(old, size=(diameter, diameter, height), position=position))
+    return replace(scene, name=text, grasp_object=replace(old, size=(diameter, diameter, height), position=position))
 
 
 def _read(path: Any, where: str) -> Scene:
+    """Read a scene file and check that its parts fit together."""
     try:
         if not path.is_file():
             raise ValueError("no such file")
         raw = tomllib.loads(path.read_text("utf-8"))
-        thing, support, load = _thing(raw.get("object")), _support(raw.get("support")), _load(raw.get("load"))
-        scene = Scene(raw["name"], thing, support, load, tuple(read_stage(stage) for stage in raw.get("stage", ())))
+        grasp_object = _grasp_object(raw.get("object"))
+        support = _support(raw.get("support"))
+        load = _load(raw.get("load"))
+        scene = Scene(
+            raw["name"], grasp_object, support, load, tuple(read_stage(stage) for stage in raw.get("stage", ()))
+        )
     except KeyError as error:
         raise SimulatorError(f"scene {where}: missing or unknown key {error}") from error
     except (OSError, RecursionError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise SimulatorError(f"scene {where}: {error}") from error
-    if scene.support and not scene.thing:
+    if scene.support and not scene.grasp_object:
         raise SimulatorError(f"scene {where}: a support without an object")
-    if scene.load and not scene.thing:
+    if scene.load and not scene.grasp_object:
         raise SimulatorError(f"scene {where}: a load without an object")
     if scene.stages and (scene.support is None or scene.support.drop_when != "grasped"):
         raise SimulatorError(f"scene {where}: a stage without a support that sinks when the object is grasped")
@@ -145,7 +157,8 @@ def _read(path: Any, where: str) -> Scene:
     return scene
 
 
-def _thing(raw: dict[str, Any] | None) -> Thing | None:
+def _grasp_object(raw: dict[str, Any] | None) -> GraspObject | None:
+    """Build the object from its table."""
     if raw is None:
         return None
     shape = raw["shape"]
@@ -162,10 +175,11 @@ def _thing(raw: dict[str, Any] | None) -> Thing | None:
     friction = float(raw["friction"])
     if not (0.0 <= friction <= 10.0 and all(map(math.isfinite, position))):
         raise ValueError(f"object: friction {friction}, position {position}: expected finite, friction 0 to 10")
-    return Thing(shape, size, float(raw["mass_kg"]), friction, position)
+    return GraspObject(shape, size, float(raw["mass_kg"]), friction, position)
 
 
 def _support(raw: dict[str, Any] | None) -> Support | None:
+    """Build the support from its table."""
     if raw is None:
         return None
     if raw["drop_when"] not in ("grasped", "never"):
@@ -177,10 +191,13 @@ def _support(raw: dict[str, Any] | None) -> Support | None:
 
 
 def _load(raw: dict[str, Any] | None) -> Load | None:
+    """Build the load from its table. The direction is normalised."""
     if raw is None:
         return None
     x, y, z = (float(value) for value in raw["direction"])
-    length, start, rate = math.hypot(x, y, z), float(raw["start_s"]), float(raw["rate_N_per_s"])
+    length = math.hypot(x, y, z)
+    start = float(raw["start_s"])
+    rate = float(raw["rate_N_per_s"])
     if not (0.0 < length < math.inf and 0.0 <= start < math.inf and 0.0 < rate < math.inf) or len(raw) != 3:
         raise ValueError("load: expected direction (not zero), start_s and a positive rate_N_per_s")
     return Load((x / length, y / length, z / length), start, rate)

@@ -1,38 +1,42 @@
-"""What happens to an object once it is held: the hand is turned, the object pushed, its skin gets slippery."""
+"""Stages after the grasp: the hand is turned, the object is pushed, the friction changes."""
 
 import math
 from dataclasses import dataclass
 from typing import Any
 
 GRAVITY_M_S2 = 9.81
+"""Standard gravity [m/s2]."""
 KEYS = {"down", "turn_s", "last_s", "push_N", "push_at_s", "push_s", "friction"}
+"""Keys of a stage in a scene file."""
 
 Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """One stretch of time; the first begins when the table begins to sink, each other after the one before.
+    """One stage. The first stage starts when the table starts to sink, each other stage after the one before.
 
     Attributes:
-        down: unit vector along which gravity acts in the palm frame; None: as before.
-        turn: how long the turn takes [s].
-        last: how long the stage lasts after the turn [s].
-        push: force at the object's centre [N]. push_at: when it begins, after the turn [s]. push_for: how long [s].
-        friction: sliding coefficient from the turn on; None: as before.
+        down: unit vector of gravity in the palm frame, None to keep the direction.
+        turn: duration of the turn [s].
+        duration: time after the turn [s].
+        push: force at the object's centre [N].
+        push_at: start of the push after the turn [s].
+        push_duration: duration of the push [s].
+        friction: sliding friction coefficient after the turn, None to keep the coefficient.
     """
 
     down: Vector | None
     turn: float
-    last: float
+    duration: float
     push: Vector
     push_at: float
-    push_for: float
+    push_duration: float
     friction: float | None
 
 
 def read_stage(raw: dict[str, Any]) -> Stage:
-    """Return a stage of a scene file.
+    """Read one stage of a scene file.
 
     Raises:
         ValueError: a key or a value is wrong.
@@ -63,8 +67,15 @@ def _vector(raw: Any, where: str) -> Vector:
 
 
 @dataclass(frozen=True, slots=True)
-class Now:
-    """What acts at an instant: gravity [m/s2], push [N], friction (None: the scene's); which stage; -1 before all."""
+class StageState:
+    """State of the scene at an instant.
+
+    Attributes:
+        stage: index of the stage, -1 without stages.
+        gravity: gravity in the palm frame [m/s2].
+        push: force at the object's centre [N].
+        friction: sliding friction coefficient, None for the scene's coefficient.
+    """
 
     stage: int
     gravity: Vector
@@ -73,40 +84,60 @@ class Now:
 
 
 class Stages:
-    """Follows the stages of a scene through time.
+    """The stages of a scene over time.
 
     Attributes:
-        duration: of all of them [s].
+        duration: total duration of all stages [s].
     """
 
     def __init__(self, stages: tuple[Stage, ...], gravity: Vector) -> None:
-        """Args: the scene's stages; gravity before them [m/s2]."""
-        self._stages, self._gravity = stages, gravity
-        self.duration = sum(stage.turn + stage.last for stage in stages)
+        """Store the stages.
 
-    def at(self, time: float) -> Now:
-        """Return what acts at a time since the table began to sink [s]; after the last stage its end goes on."""
-        begin, gravity, friction = 0.0, self._gravity, None
+        Args:
+            stages: stages of the scene.
+            gravity: gravity before the first stage [m/s2].
+        """
+        self._stages = stages
+        self._gravity = gravity
+        self.duration = sum(stage.turn + stage.duration for stage in stages)
+
+    def at(self, time: float) -> StageState:
+        """Return the state at a time since the table started to sink [s]. The end of the last stage stays in force."""
+        start = 0.0
+        gravity = self._gravity
+        friction = None
         for i, stage in enumerate(self._stages):
-            since = time - begin
+            since = time - start
             target = gravity if stage.down is None else _scaled(stage.down, GRAVITY_M_S2)
             friction = stage.friction if stage.friction is not None and since >= stage.turn else friction
-            if since < stage.turn + stage.last or i == len(self._stages) - 1:
-                pushing = stage.push_at <= since - stage.turn < stage.push_at + stage.push_for
-                share = min(since / stage.turn, 1.0) if stage.turn > 0.0 else 1.0
-                return Now(i, _turned(gravity, target, share), stage.push if pushing else (0.0, 0.0, 0.0), friction)
-            begin, gravity = begin + stage.turn + stage.last, target
-        return Now(-1, self._gravity, (0.0, 0.0, 0.0), None)
+            if since < stage.turn + stage.duration or i == len(self._stages) - 1:
+                pushing = stage.push_at <= since - stage.turn < stage.push_at + stage.push_duration
+                fraction = min(since / stage.turn, 1.0) if stage.turn > 0.0 else 1.0
+                return StageState(
+                    i, _turned(gravity, target, fraction), stage.push if pushing else (0.0, 0.0, 0.0), friction
+                )
+            start = start + stage.turn + stage.duration
+            gravity = target
+        return StageState(-1, self._gravity, (0.0, 0.0, 0.0), None)
 
 
 def _scaled(v: Vector, factor: float) -> Vector:
+    """Scale a vector."""
     return v[0] * factor, v[1] * factor, v[2] * factor
 
 
-def _turned(start: Vector, end: Vector, share: float) -> Vector:
-    """Return the vector on the way from one to another, along the great circle; opposite ones through the middle."""
-    mixed = tuple(a + (b - a) * share for a, b in zip(start, end, strict=True))
-    length, wanted = math.hypot(*mixed), math.hypot(*end)
-    if length < 1e-9 or wanted == 0.0:
+def _turned(start: Vector, end: Vector, fraction: float) -> Vector:
+    """Interpolate between two vectors along the great circle. Opposite vectors pass through the middle.
+
+    Args:
+        start: vector at fraction 0.
+        end: vector at fraction 1, whose length the result has.
+        fraction: 0 to 1.
+    """
+    mixed = tuple(a + (b - a) * fraction for a, b in zip(start, end, strict=True))
+    length = math.hypot(*mixed)
+    target_length = math.hypot(*end)
+    # Opposite vectors at one half have no direction: no great circle is singled out.
+    if length < 1e-9 or target_length == 0.0:
         return mixed[0], mixed[1], mixed[2]
-    return _scaled((mixed[0], mixed[1], mixed[2]), wanted / length)
+    return _scaled((mixed[0], mixed[1], mixed[2]), target_length / length)

@@ -1,1 +1,1 @@
-"""A CAN wire in virtual time: bit time, arbitration, queues, acknowledge, error states; sends and receives nothing."""
+"""A simulated CAN wire: frame times, arbitration, error counters and queues."""

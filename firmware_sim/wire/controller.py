@@ -1,6 +1,14 @@
-"""One CAN controller: its queue, its error counters and state, and what it tells its owner.
+"""One CAN controller: queue, error counters, error state, and error frames to its owner.
 
-Source: ISO 11898-1:2015, fault confinement; Linux ``can/error.h`` for the error frames.
+Error frame (8 bytes):
+
+    can_id   ERROR flag and the class bits below
+    data[1]  status bits of a CRTL frame
+    data[3]  location of a protocol error
+    data[6]  transmit error counter, at most 255
+    data[7]  receive error counter
+
+Source: ISO 11898-1:2015, fault confinement. Linux ``can/error.h`` for the error frames.
 """
 
 import enum
@@ -10,19 +18,49 @@ from collections.abc import Callable
 from firmware_sim.bus.frame import ERROR, Frame
 from firmware_sim.wire.bits import priority
 
-WARNING_AT, PASSIVE_AT, BUS_OFF_AT = 96, 128, 256
-HIT, COUNTER_TOP = 8, 255
+WARNING_AT = 96
+"""Error counter at which the state becomes WARNING."""
+PASSIVE_AT = 128
+"""Error counter at which the state becomes PASSIVE."""
+BUS_OFF_AT = 256
+"""Transmit error counter at which the controller leaves the bus."""
+TX_ERROR_STEP = 8
+"""Increase of the transmit error counter for one error."""
+COUNTER_MAX = 255
+"""Maximum of an error counter in an error frame."""
 
-CRTL, PROT, ACK, BUSOFF, BUSERROR, RESTARTED, CNT = 0x04, 0x08, 0x20, 0x40, 0x80, 0x100, 0x200
-"""Classes of an error frame."""
-TX_OVERFLOW, RX_WARNING, TX_WARNING, RX_PASSIVE, TX_PASSIVE, ACTIVE = 0x02, 0x04, 0x08, 0x10, 0x20, 0x40
-"""Bits of data[1] of a CRTL error frame."""
+CRTL = 0x04
+"""Error class: change of the controller's state, details in data[1]."""
+PROT = 0x08
+"""Error class: protocol violation."""
+ACK = 0x20
+"""Error class: no acknowledge."""
+BUSOFF = 0x40
+"""Error class: the controller is off the bus."""
+BUSERROR = 0x80
+"""Error class: bus error."""
+RESTARTED = 0x100
+"""Error class: the controller was restarted."""
+CNT = 0x200
+"""Error class: data[6] and data[7] hold the error counters."""
+TX_OVERFLOW = 0x02
+"""Bit of data[1]: the transmit queue is full."""
+RX_WARNING = 0x04
+"""Bit of data[1]: receive errors reached the warning level."""
+TX_WARNING = 0x08
+"""Bit of data[1]: transmit errors reached the warning level."""
+RX_PASSIVE = 0x10
+"""Bit of data[1]: receive errors reached the passive level."""
+TX_PASSIVE = 0x20
+"""Bit of data[1]: transmit errors reached the passive level."""
+ACTIVE = 0x40
+"""Bit of data[1]: the controller is error-active again."""
 LOC_ACK = 0x19
-"""data[3] of a PROT error frame: in the acknowledge slot."""
+"""Value of data[3]: the error is in the acknowledge slot."""
 
 
 class State(enum.IntEnum):
-    """Of fault confinement."""
+    """Error states of fault confinement."""
 
     ACTIVE = 0
     WARNING = 1
@@ -31,110 +69,146 @@ class State(enum.IntEnum):
 
 
 class Controller:
-    """Hangs on a wire; made by ``Wire.add``.
+    """A CAN controller on a wire. ``Wire.add`` makes it.
 
     Attributes:
-        queue: frames to be sent, with the time from which each may [ns].
-        tx_errors, rx_errors: the error counters.
-        state: of fault confinement.
-        refused: frames that found the queue full, or the controller off the bus.
-        sent: frames that went out.
-        heard: is called with each frame that this controller receives, error frames of its own included; None: by
-            nobody.
-        retry_ns: it does not send before this time [ns]: a passive sender lets others go first.
+        queue: earliest start [ns], priority and frame of each queued frame.
+        tx_errors: transmit error counter.
+        rx_errors: receive error counter.
+        state: error state.
+        refused: frames refused because of a full queue or bus-off.
+        sent: frames sent successfully.
+        on_receive: callback for each received frame and its time [ns], including the controller's
+            error frames. None to ignore received frames.
+        retry_ns: earliest time of the next transmission [ns]. A passive sender waits for others.
     """
 
-    def __init__(self, depth: int, heard: Callable[[Frame, int], None] | None) -> None:
-        """Args: frames that the queue can hold; who listens, if anybody."""
+    def __init__(self, depth: int, on_receive: Callable[[Frame, int], None] | None) -> None:
+        """Make a controller with an empty queue.
+
+        Args:
+            depth: maximum frames in the queue.
+            on_receive: callback for received frames, or None.
+        """
         self.queue: deque[tuple[int, int, Frame]] = deque()
         self.tx_errors = self.rx_errors = 0
         self.state = State.ACTIVE
         self.refused = self.sent = 0
-        self.heard = heard
+        self.on_receive = on_receive
         self.retry_ns = 0
         self._depth = depth
-        self._last = 0
-        """What went wrong last: told once, until a frame goes well."""
+        self._last_error = 0
+        """Classes of the last error, which is reported once until a frame is sent."""
 
     @property
     def on_bus(self) -> bool:
-        """Whether it takes part."""
+        """Return True unless the controller is off the bus."""
         return self.state != State.BUS_OFF
 
     def offer(self, frame: Frame, t_ns: int) -> bool:
-        """Queue a frame at a time [ns]; whether there was room. Every refusal is told to the owner."""
+        """Queue a frame. Each refusal is reported to the owner.
+
+        Args:
+            frame: frame to send.
+            t_ns: earliest start [ns].
+
+        Returns:
+            True if the queue had room.
+        """
         if self.on_bus and len(self.queue) < self._depth:
             self.queue.append((t_ns, priority(frame.can_id), frame))
             return True
         self.refused += 1
-        self._tell(CRTL, t_ns, {1: TX_OVERFLOW})
+        self._report(CRTL, t_ns, {1: TX_OVERFLOW})
         return False
 
     def ready_ns(self) -> int:
-        """Return from when on the frame at the head may be sent [ns]; the queue must not be empty."""
-        since_ns, retry_ns = self.queue[0][0], self.retry_ns
+        """Return the earliest start of the frame at the head of the queue [ns]. The queue must not be empty."""
+        since_ns = self.queue[0][0]
+        retry_ns = self.retry_ns
         return since_ns if since_ns > retry_ns else retry_ns
 
-    def went_well(self, t_ns: int) -> None:
-        """Count the frame at the head as sent."""
+    def count_sent(self, t_ns: int) -> None:
+        """Remove the frame at the head of the queue as sent."""
         self.queue.popleft()
         self.sent += 1
-        self._last = 0
+        self._last_error = 0
         if self.tx_errors:
             self.tx_errors -= 1
             self._update(t_ns)
 
-    def received(self, frame: Frame, t_ns: int) -> None:
-        """Count a frame of another as received."""
+    def deliver(self, frame: Frame, t_ns: int) -> None:
+        """Count a frame of another controller as received and pass it to the owner."""
         if self.rx_errors:
+            # ISO 11898-1: a success brings a passive receiver below the passive level, and any
+            # other down by one.
             self.rx_errors = min(self.rx_errors, PASSIVE_AT) - 1
             self._update(t_ns)
-        if self.heard:
-            self.heard(frame, t_ns)
+        if self.on_receive:
+            self.on_receive(frame, t_ns)
 
-    def unanswered(self, t_ns: int) -> None:
-        """Nobody acknowledged: a passive sender's counter stays, so that one who is alone never goes off the bus."""
+    def count_unacknowledged(self, t_ns: int) -> None:
+        """Count an error because no controller acknowledged the frame.
+
+        The counter of a passive sender stays, so that a controller alone on the bus never goes off
+        the bus.
+        """
         if self.state < State.PASSIVE:
-            self.tx_errors += HIT
-        self._went_wrong(ACK, t_ns)
+            self.tx_errors += TX_ERROR_STEP
+        self._count_error(ACK, t_ns)
 
-    def hit(self, t_ns: int) -> None:
-        """The frame at the head was destroyed on the wire."""
-        self.tx_errors += HIT
-        self._went_wrong(PROT | BUSERROR, t_ns)
+    def count_destroyed(self, t_ns: int) -> None:
+        """Count an error because the frame at the head of the queue was destroyed on the wire."""
+        self.tx_errors += TX_ERROR_STEP
+        self._count_error(PROT | BUSERROR, t_ns)
 
-    def saw_error(self, t_ns: int) -> None:
-        """The frame of another was destroyed."""
-        self.rx_errors = min(COUNTER_TOP, self.rx_errors + 1)
+    def count_error_seen(self, t_ns: int) -> None:
+        """Count an error because a frame of another controller was destroyed on the wire."""
+        self.rx_errors = min(COUNTER_MAX, self.rx_errors + 1)
         self._update(t_ns)
 
     def restart(self, t_ns: int) -> None:
-        """Take part again after bus-off."""
+        """Restart the controller after bus-off."""
         self.tx_errors = self.rx_errors = 0
         self.state = State.ACTIVE
-        self._last = 0
-        self._tell(RESTARTED, t_ns)
+        self._last_error = 0
+        self._report(RESTARTED, t_ns)
 
-    def _went_wrong(self, kind: int, t_ns: int) -> None:
+    def _count_error(self, kind: int, t_ns: int) -> None:
+        """Update the state after a transmit error.
+
+        Each kind of error is reported once, until a frame is sent successfully.
+        """
         changed = self._update(t_ns, kind)
-        if kind != self._last and not changed:
-            self._tell(kind, t_ns)
-        self._last = kind
+        if kind != self._last_error and not changed:
+            self._report(kind, t_ns)
+        self._last_error = kind
 
     def _update(self, t_ns: int, kind: int = 0) -> bool:
-        """Follow the counters; whether the state is another."""
-        before, worst = self.state, max(self.tx_errors, self.rx_errors)
+        """Update the state from the counters and report a change.
+
+        Args:
+            t_ns: present time [ns].
+            kind: error classes to add to the report.
+
+        Returns:
+            True if the state changed.
+        """
+        before = self.state
+        highest = max(self.tx_errors, self.rx_errors)
         if self.tx_errors >= BUS_OFF_AT:
             self.state = State.BUS_OFF
             self.queue.clear()
-            self._tell(BUSOFF | kind, t_ns)
+            self._report(BUSOFF | kind, t_ns)
         else:
-            self.state = State((worst >= WARNING_AT) + (worst >= PASSIVE_AT))
+            # The order of the states makes the sum of two comparisons the state.
+            self.state = State((highest >= WARNING_AT) + (highest >= PASSIVE_AT))
             if self.state != before:
-                self._tell(CRTL | kind, t_ns, {1: self._status()})
+                self._report(CRTL | kind, t_ns, {1: self._status()})
         return self.state != before
 
     def _status(self) -> int:
+        """Return the bits of data[1] for the present state."""
         if self.state == State.ACTIVE:
             return ACTIVE
         limit, receive, send = (
@@ -144,13 +218,21 @@ class Controller:
         )
         return receive * (self.rx_errors >= limit) | send * (self.tx_errors >= limit)
 
-    def _tell(self, kind: int, t_ns: int, more: dict[int, int] | None = None) -> None:
-        if not self.heard:
+    def _report(self, kind: int, t_ns: int, extra: dict[int, int] | None = None) -> None:
+        """Send an error frame to the owner.
+
+        Args:
+            kind: error classes.
+            t_ns: present time [ns].
+            extra: bytes of the payload by position.
+        """
+        if not self.on_receive:
             return
         data = bytearray(8)
-        for i, value in (more or {}).items():
+        for i, value in (extra or {}).items():
             data[i] = value
         if kind & ACK:
             data[3] = LOC_ACK
-        data[6], data[7] = min(COUNTER_TOP, self.tx_errors), self.rx_errors
-        self.heard(Frame(ERROR | CNT | kind, bytes(data)), t_ns)
+        data[6] = min(COUNTER_MAX, self.tx_errors)
+        data[7] = self.rx_errors
+        self.on_receive(Frame(ERROR | CNT | kind, bytes(data)), t_ns)

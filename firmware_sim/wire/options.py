@@ -1,4 +1,4 @@
-"""What a person can say of a simulated wire: ``--wire queue=10 stuffing=actual``."""
+"""Command-line words of a simulated wire: ``--wire queue=10 stuffing=actual``."""
 
 import math
 from collections.abc import Sequence
@@ -17,18 +17,21 @@ KEYS = {
     "restart_ms": "a controller that is off the bus is started again after this time (never)",
     "seed": "of the errors (0)",
 }
-"""Key to what it means and its default."""
-_TOP_BITRATE = 20_000_000
+"""Meaning and default of each key."""
+_MAX_BITRATE = 20_000_000
+"""Maximum bit rate of any phase [bit/s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class WireSpec:
-    """A wire as it was asked for.
+    """Specification of a wire from the command line.
 
     Attributes:
-        options: its behaviour.
-        actual: whether each frame's own stuff bits count.
-        bitrate, data_bitrate: instead of the hand file's [bit/s]; 0 for those.
+        options: behaviour.
+        actual: True to count the stuff bits of each frame.
+        bitrate: nominal bit rate that replaces the hand file's [bit/s], 0 to keep it.
+        data_bitrate: bit rate of the data phase that replaces the hand file's [bit/s], 0 to keep
+            it.
     """
 
     options: Options = field(default_factory=Options)
@@ -37,23 +40,29 @@ class WireSpec:
     data_bitrate: int = 0
 
     def rate(self, bitrate: int, data_bitrate: int) -> Rate:
-        """Return the speed of a bus that the hand file gives these bit rates."""
+        """Return the bit rates of a bus.
+
+        Args:
+            bitrate: nominal bit rate of the hand file [bit/s].
+            data_bitrate: bit rate of the data phase of the hand file [bit/s].
+        """
         return Rate(self.bitrate or bitrate, self.data_bitrate or data_bitrate, self.actual)
 
 
 def parse(words: Sequence[str]) -> WireSpec:
-    """Return what KEY=VALUE words ask for.
+    """Parse KEY=VALUE words.
 
     Raises:
-        SimulatorError: an unknown key, or a value out of its range.
+        SimulatorError: a key is unknown, or a value is out of range.
     """
     spec = WireSpec()
     for word in words:
-        spec = _with(spec, word)
+        spec = _updated(spec, word)
     return spec
 
 
-def _with(spec: WireSpec, word: str) -> WireSpec:
+def _updated(spec: WireSpec, word: str) -> WireSpec:
+    """Return the specification with one word applied."""
     key, _, text = word.partition("=")
     if key not in KEYS:
         raise SimulatorError(f"--wire {word}: expected one of {', '.join(KEYS)}, as in queue=10")
@@ -69,11 +78,12 @@ def _with(spec: WireSpec, word: str) -> WireSpec:
         return replace(spec, options=replace(spec.options, queue=int(_number(word, text, 1, 100_000))))
     if key == "seed":
         return replace(spec, options=replace(spec.options, seed=int(_number(word, text, 0, 1 << 32))))
-    rate = int(_number(word, text, 1_000, _TOP_BITRATE))
+    rate = int(_number(word, text, 1_000, _MAX_BITRATE))
     return replace(spec, bitrate=rate) if key == "bitrate" else replace(spec, data_bitrate=rate)
 
 
 def _number(word: str, text: str, low: float, high: float) -> float:
+    """Parse a number in a range."""
     try:
         value = float(text)
     except ValueError:

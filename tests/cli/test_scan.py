@@ -35,7 +35,7 @@ class BenchBus:
         return len(frames)
 
     def drain(self):
-        frames = [Frame(*frame) for frame in self.bench.take_spoken() + self.waiting] + 5 * self.talk
+        frames = [Frame(*frame) for frame in self.bench.take_unsolicited() + self.waiting] + 5 * self.talk
         self.waiting = []
         return frames
 

@@ -33,7 +33,7 @@ def test_every_packaged_task_and_its_scenes_are_named() -> None:
     assert {name for name, _ in rows} == tasks
     for _, scenes in rows:
         for scene in re.findall(r"`([\w:]+)`", scenes):
-            assert load_scene(scene).thing is not None, scene
+            assert load_scene(scene).grasp_object is not None, scene
 
 
 def test_every_key_of_every_phase_is_named() -> None:

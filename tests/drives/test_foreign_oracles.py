@@ -67,7 +67,7 @@ def test_errors_are_the_vendors(dbc: cantools.database.can.Database, bit: int) -
 def test_what_a_simulated_odrive_answers_is_a_message_of_the_vendor(dbc: cantools.database.can.Database) -> None:
     bench = Bench([drive_spec("odrive", NODE)])
     bench.advance(150_000_000)
-    frames = bench.take_spoken()
+    frames = bench.take_unsolicited()
     for message in dbc.messages:
         if message.name.startswith(f"Axis{NODE}_Get_"):
             frames += bench.receive(Frame(message.frame_id | REMOTE, b""))

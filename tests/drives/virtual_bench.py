@@ -53,7 +53,7 @@ class VirtualBench:
 
     def drain(self):
         """Return the drive's frames, late by the delay."""
-        self.late.append(self.waiting + self.bench.take_spoken())
+        self.late.append(self.waiting + self.bench.take_unsolicited())
         self.waiting = []
         return [Frame(*frame) for frame in self.late.pop(0)]
 

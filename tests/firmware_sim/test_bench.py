@@ -74,7 +74,7 @@ def test_frames_for_nobody_are_counted() -> None:
     assert bench.receive(Frame(0x123, b"")) == []
     assert bench.foreign == 1
     bench.advance(5 * MS)
-    assert [frame.can_id for frame in bench.take_spoken()] == [0x720]
+    assert [frame.can_id for frame in bench.take_unsolicited()] == [0x720]
 
 
 @pytest.mark.parametrize(

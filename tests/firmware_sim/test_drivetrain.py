@@ -31,9 +31,9 @@ def closing(hand: str, native: bool = True, compiled: bool = True) -> Plant:
 def state(plant: Plant) -> list[str]:
     """Every number of the motion, to the last bit."""
     motors = [(m.theta, m.omega, m.torque, m.velocity, m.heat) for m in plant.motors.values()]
-    ropes = [(rope.tension, rope.speed, rope.slope) for rope, _ in plant.ropes]
+    tendons = [(tendon.tension, tendon.speed, tendon.slope) for tendon, _ in plant.tendons]
     engine = plant.engine
-    numbers = [*sum(motors, ()), *sum(ropes, ()), *engine.q, *engine.dq, *engine.applied, *plant.tensions()]
+    numbers = [*sum(motors, ()), *sum(tendons, ()), *engine.q, *engine.dq, *engine.applied, *plant.tensions()]
     return [float(number).hex() for number in numbers]
 
 
@@ -114,8 +114,8 @@ def test_a_divided_step_is_nearly_the_whole_one_and_ends_where_it_does() -> None
     assert min(whole.tensions()) > 5.0, "ropes pulled"
     assert divided.tensions() == pytest.approx(whole.tensions(), abs=0.2)
     assert divided.engine.q == pytest.approx(whole.engine.q, abs=0.01)
-    pace = [(motor.step, motor.lag, motor.velocity_lag) for motor in whole.motors.values()]
-    assert [(motor.step, motor.lag, motor.velocity_lag) for motor in divided.motors.values()] == pace
+    set_step = [(motor.step, motor.lag, motor.velocity_lag) for motor in whole.motors.values()]
+    assert [(motor.step, motor.lag, motor.velocity_lag) for motor in divided.motors.values()] == set_step
 
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
@@ -146,7 +146,7 @@ def test_what_is_sampled_between_steps_leaves_the_truths_rows_where_they_are(tmp
     t_ns = read_truth(path).t_ns
     assert t_ns.tolist() == [k * 1_000_000 for k in range(len(t_ns))]
     assert len(t_ns) >= 99
-    (told,) = rig.told()
+    (told,) = rig.fault_states()
     assert told["felt"] == pytest.approx(87, abs=2)
 
 
@@ -154,7 +154,7 @@ def test_a_fault_of_a_motor_is_asked_in_every_step() -> None:
     rig = Rig("jamia", homed=True)
     rig.inject("off node=index_motor")
     seen: list[float] = []
-    rig.world.plant.motors["ring_motor"].disobeys = lambda command: seen.append(command) or 0.25
+    rig.world.plant.motors["ring_motor"].power_stage_fault = lambda command: seen.append(command) or 0.25
     rig.step(0, [])
     assert len(seen) == 4
     assert rig.world.plant.motors["ring_motor"].torque > 0.2

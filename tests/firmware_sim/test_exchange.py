@@ -116,9 +116,9 @@ def test_the_law_answers_as_the_nodes_do(protocols: tuple[str, ...], buses: int,
     rigs[1].world.faults.in_frames = True  # every frame goes through the nodes, and they speak for themselves
     heard = 0
     for k, frames in enumerate(stream(protocols, 400, seed, buses)):
-        law, nodes = (rig.step(k * TICK_NS, frames) for rig in rigs)
-        assert law == nodes, f"tick {k}"
-        heard += len(law)
+        answers, nodes = (rig.step(k * TICK_NS, frames) for rig in rigs)
+        assert answers == nodes, f"tick {k}"
+        heard += len(answers)
     for rig in rigs:
         rig.close()
     assert heard > 400 * 3
@@ -195,7 +195,7 @@ def test_a_law_is_compiled_anew_if_another_module_that_it_calls_changes(
 ) -> None:
     from firmware_sim.nodes.mit import codec
 
-    modules = set(compiled._foreign(cyclic).values())
+    modules = set(compiled._imported_kernels(cyclic).values())
     assert codec in modules
     before = compiled._digest(modules)
     changed = tmp_path / "codec.py"

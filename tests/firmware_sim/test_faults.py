@@ -79,18 +79,18 @@ def test_everything_that_can_be_injected_is_felt_and_ends(text):
     run.world.plant.motors["index_motor"].servo.limit = 0.8
     ask(run, 5)
     run.inject(f"{text} at=4ms for=40ms")
-    assert run.told()[0]["state"] == "waiting"
+    assert run.fault_states()[0]["state"] == "waiting"
     ask(run, 10)
-    assert run.told()[0]["state"] == "acting"
+    assert run.fault_states()[0]["state"] == "acting"
     run.world.plant.motors["index_motor"].servo.torque = 0.02
     ask(run, 20)
-    told = run.told()[0]
+    told = run.fault_states()[0]
     assert told["state"] == "over"
     assert told["felt"] > 0, "the disturbance was there"
     assert 14_000_000 <= told["first_ns"] <= 54_000_000
     before = told["felt"]
     ask(run, 10)
-    assert run.told()[0]["felt"] == before
+    assert run.fault_states()[0]["felt"] == before
 
 
 @pytest.mark.parametrize("text", OTHERS)
@@ -101,7 +101,7 @@ def test_no_instance_and_no_size_ends_the_simulator(text):
         with contextlib.suppress(SimulatorError):
             run.inject(f"{text} size={size} for=6ms seed={i}")
         ask(run, 4)
-    assert 1 <= len(run.told()) < 7
+    assert 1 <= len(run.fault_states()) < 7
 
 
 @pytest.mark.parametrize("kind", OF_DRIVES)
@@ -164,8 +164,8 @@ def test_what_is_due_between_steps_happens_as_if_every_step_were_looked_at():
         for k in range(60):
             for t_ns in range(world.t_ns + step_ns, (k + 1) * 2_000_000 + 1, step_ns):
                 world.advance(t_ns)
-            heard += [*world.receive(REFRESH), *world.receive(Frame(SYNC, bytes((k,)))), *world.take_spoken()]
-        told = [{key: value for key, value in fault.items() if key != "state"} for fault in one.told()]
+            heard += [*world.receive(REFRESH), *world.receive(Frame(SYNC, bytes((k,)))), *world.take_unsolicited()]
+        told = [{key: value for key, value in fault.items() if key != "state"} for fault in one.fault_states()]
         return heard, told, [motor.theta.hex() for motor in world.plant.motors.values()]
 
     far, near = run(2_000_000), run(500_000)

@@ -14,7 +14,7 @@ import pytest
 
 from firmware_sim.bus.hub import Hub
 from firmware_sim.description import SimulatorError
-from firmware_sim.places import bus_path, run_dir, truth_path
+from firmware_sim.paths import bus_path, run_dir, truth_path
 
 SIZE = 72
 CLASSICAL, FD = 0, 4

@@ -24,25 +24,25 @@ drop_when = "never"
 
 def test_the_cylinder_is_the_one_of_the_demonstration() -> None:
     scene = load_scene("cylinder")
-    assert scene.thing is not None
+    assert scene.grasp_object is not None
     assert scene.support is not None
-    assert scene.thing.size == (0.035, 0.035, 0.093)
-    assert (scene.thing.mass, scene.thing.friction) == (0.15, 0.5)
-    assert scene.thing.position == pytest.approx((0.035 / 2 + 0.002, 0.0, 0.0))
+    assert scene.grasp_object.size == (0.035, 0.035, 0.093)
+    assert (scene.grasp_object.mass, scene.grasp_object.friction) == (0.15, 0.5)
+    assert scene.grasp_object.position == pytest.approx((0.035 / 2 + 0.002, 0.0, 0.0))
     assert (scene.support.drop_when, scene.support.drop_force, scene.support.drop_hold) == ("grasped", 1.0, 1.5)
 
 
 @pytest.mark.parametrize("millimetres", [30.0, 35.0, 40.0])
 def test_shorthand_keeps_the_gap_to_the_palm(millimetres: float) -> None:
-    thing = load_scene(f"cylinder:{millimetres:g}").thing
-    assert thing is not None
-    assert thing.size == pytest.approx((millimetres * 1e-3, millimetres * 1e-3, 0.093))
-    assert thing.position[0] == pytest.approx(millimetres * 0.5e-3 + 0.002)
+    grasp_object = load_scene(f"cylinder:{millimetres:g}").grasp_object
+    assert grasp_object is not None
+    assert grasp_object.size == pytest.approx((millimetres * 1e-3, millimetres * 1e-3, 0.093))
+    assert grasp_object.position[0] == pytest.approx(millimetres * 0.5e-3 + 0.002)
 
 
 def test_no_scene_is_a_free_hand() -> None:
-    assert load_scene(None).thing is None
-    assert load_scene("none").thing is None
+    assert load_scene(None).grasp_object is None
+    assert load_scene("none").grasp_object is None
 
 
 @pytest.mark.parametrize("name", packaged())
@@ -84,5 +84,5 @@ def test_a_good_scene_file_is_taken(tmp_path: Path) -> None:
     path.write_text(GOOD)
     scene = load_scene(str(path))
     assert scene.name == "good"
-    assert scene.thing is not None
-    assert scene.thing.size == (0.03, 0.03, 0.03)
+    assert scene.grasp_object is not None
+    assert scene.grasp_object.size == (0.03, 0.03, 0.03)

@@ -11,7 +11,7 @@ from firmware_sim.bus.local import HubPort, JoinedPort
 from firmware_sim.bus.ports import assign, open_port
 from firmware_sim.description import SimulatorError, load_hand
 from firmware_sim.pace import Pace, rounded_down
-from firmware_sim.priority import ORDINARY_S, Urgency
+from firmware_sim.priority import ORDINARY_S, RealTimePriority
 from firmware_sim.scene.scene import load_scene
 from firmware_sim.server import LATE_NS, SLIP_NS, STRIDE_NS, ScaledClock, Server
 from firmware_sim.world import World
@@ -128,35 +128,35 @@ class Granted:
     """Real-time priority that is granted by the test."""
 
     def __init__(self) -> None:
-        self.now_s, self.asked, self.taken = 0.0, 0, False
+        self.now_s, self.asked, self.active = 0.0, 0, False
 
     def take(self) -> bool:
-        self.asked, self.taken = self.asked + 1, True
+        self.asked, self.active = self.asked + 1, True
         return True
 
     def give_back(self) -> None:
-        self.taken = False
+        self.active = False
 
 
 def test_priority_is_for_a_host_that_is_there_and_a_plant_that_keeps_up() -> None:
     granted = Granted()
-    urgency = Urgency(granted.take, granted.give_back, lambda: granted.now_s)
+    priority = RealTimePriority(granted.take, granted.give_back, lambda: granted.now_s)
     for _ in range(10):
-        urgency.behind()
+        priority.note_slip()
     assert granted.asked == 0, "nobody has sent anything yet"
-    urgency.heard()
-    assert granted.taken
-    urgency.behind()
-    assert granted.taken, "a machine that stood still once keeps up"
+    priority.note_host_frames()
+    assert granted.active
+    priority.note_slip()
+    assert granted.active, "a machine that stood still once keeps up"
     for _ in range(2):
         granted.now_s += 0.2
-        urgency.behind()
-    assert not granted.taken
-    urgency.heard()
-    assert not granted.taken, "not at once again"
+        priority.note_slip()
+    assert not granted.active
+    priority.note_host_frames()
+    assert not granted.active, "not at once again"
     granted.now_s += ORDINARY_S
-    urgency.heard()
-    assert granted.taken
+    priority.note_host_frames()
+    assert granted.active
 
 
 def test_a_machine_that_is_too_slow_is_said_once_a_second_with_the_pace_that_it_keeps() -> None:
@@ -174,7 +174,7 @@ def test_a_machine_that_is_too_slow_is_said_once_a_second_with_the_pace_that_it_
     assert sum(int(line.split(" times")[0].rsplit(" ", 1)[1]) for line in lines[1:]) >= 80
     assert pace.advice == pytest.approx(0.08)
     assert "--time-scale 0.08" in lines[-1]
-    assert pace.told(plant_ns)["plant_s_per_cpu_s"] == pytest.approx(0.1)
+    assert pace.report(plant_ns)["plant_s_per_cpu_s"] == pytest.approx(0.1)
 
 
 def test_one_stall_is_no_slow_machine() -> None:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_sim.description import TendonSpec, load_hand
-from firmware_sim.plant.drivetrain import drive, tensions
+from firmware_sim.plant.drivetrain import step_drivetrain, tensions
 from firmware_sim.plant.motor import Motor
 from firmware_sim.plant.tendon import Routing
 
@@ -38,34 +38,34 @@ class Rope:
     def pull(self, q: list[float], dq: list[float], theta: float, omega: float, torque: list[float]) -> float:
         """Add the torques of the pulleys, without what the rope's damping takes; the tension."""
         self.motor.theta, self.motor.omega = theta, omega
-        self.motor.waits, total = True, [0.0] * 3
-        drive(*self.parts, q, dq, total, [0.0], False)
+        self.motor.steps_alone, total = True, [0.0] * 3
+        step_drivetrain(*self.parts, q, dq, total, [0.0], False)
         back = self.row.slope * self.row.speed
         torque[:] = [before + all_ - 0.003 * back for before, all_ in zip(torque, total, strict=True)]
         return self.row.tension
 
 
-def rope() -> Rope:
+def make_tendon() -> Rope:
     return Rope()
 
 
 def test_linear_up_to_the_knee_then_softer_without_a_kink() -> None:
-    law = rope().elastic
-    assert law(1e-3) == pytest.approx(100.0)
-    assert law(2e-3) == pytest.approx(200.0)
+    elastic = make_tendon().elastic
+    assert elastic(1e-3) == pytest.approx(100.0)
+    assert elastic(2e-3) == pytest.approx(200.0)
     x = np.linspace(0.1e-3, 5e-3, 20001)
-    stiffness = np.gradient([law(float(value)) for value in x], x)
+    stiffness = np.gradient([elastic(float(value)) for value in x], x)
     assert stiffness[:7000].max() == pytest.approx(1e5, rel=1e-6)
     assert np.abs(np.diff(stiffness)).max() < 200.0, "the stiffness jumps"
     assert stiffness[-1] == pytest.approx(0.4e5, rel=1e-3)
     # closed form: 200 + k2 x + (k - k2) w (1 - exp(-x/w)) at x = 1 mm
-    assert law(3e-3) == pytest.approx(200.0 + 40.0 + 6e4 * 0.3e-3 * (1 - math.exp(-1 / 0.3)))
+    assert elastic(3e-3) == pytest.approx(200.0 + 40.0 + 6e4 * 0.3e-3 * (1 - math.exp(-1 / 0.3)))
 
 
 @given(st.floats(-3.0, 3.0), st.floats(-60.0, 60.0), st.lists(st.floats(-0.2, 1.8), min_size=3, max_size=3))
 def test_it_never_pushes(theta: float, omega: float, q: list[float]) -> None:
     torque = [0.0] * 3
-    tendon = rope()
+    tendon = make_tendon()
     tension = tendon.pull(q, REST, theta, omega, torque)
     assert tension >= 0.0
     assert tension == tendon.tension_at(q, REST, theta, omega)
@@ -77,13 +77,13 @@ def test_it_never_pushes(theta: float, omega: float, q: list[float]) -> None:
 
 def test_a_rope_that_goes_slack_quickly_does_not_push_through_its_damping() -> None:
     torque = [0.0] * 3
-    assert rope().pull(REST, REST, 0.01, -50.0, torque) == 0.0
+    assert make_tendon().pull(REST, REST, 0.01, -50.0, torque) == 0.0
     assert torque == [0.0] * 3
 
 
 def test_at_rest_every_pulley_has_the_tension_of_the_load_cell() -> None:
     torque = [0.0] * 3
-    tension = rope().pull([0.3, 0.2, 0.1], REST, 0.5, 0.0, torque)
+    tension = make_tendon().pull([0.3, 0.2, 0.1], REST, 0.5, 0.0, torque)
     stretch = 0.005 * 0.5 - 0.003 * 0.6
     assert tension == pytest.approx(1e5 * stretch)
     assert torque == pytest.approx([0.003 * tension] * 3)
@@ -92,7 +92,7 @@ def test_at_rest_every_pulley_has_the_tension_of_the_load_cell() -> None:
 @pytest.mark.parametrize(("speed", "sign"), [(10.0, 1.0), (-10.0, -1.0)])
 def test_capstan_ratio_from_pulley_to_pulley(speed: float, sign: float) -> None:
     q, torque = [0.4, 0.5, 0.6], [0.0] * 3
-    tendon = rope()
+    tendon = make_tendon()
     tension = tendon.pull(q, [speed, 0.0, 0.0], 1.0, 6.0 * sign, torque)
     angles = math.pi / 2 + np.cumsum(q)
     assert np.array(torque) / 0.003 / tension == pytest.approx(np.exp(-sign * 0.08 * angles), rel=1e-5)
@@ -102,7 +102,7 @@ def test_capstan_ratio_from_pulley_to_pulley(speed: float, sign: float) -> None:
 
 def test_friction_grows_with_speed_as_tanh() -> None:
     q, torque = [0.0, 0.0, 0.0], [0.0] * 3
-    tension = rope().pull(q, [0.5e-3 / 0.003, 0.0, 0.0], 0.2, 0.0, torque)
+    tension = make_tendon().pull(q, [0.5e-3 / 0.003, 0.0, 0.0], 0.2, 0.0, torque)
     assert torque[0] / 0.003 == pytest.approx(tension * math.exp(-0.08 * math.pi / 2 * math.tanh(0.5)), rel=1e-3)
 
 
@@ -111,7 +111,7 @@ def test_friction_takes_energy_and_the_integrator_knows_how_much(speed: float, q
     """The rope's friction power is never positive, and ``slope`` covers the loss at every pulley."""
     dq = [speed / 0.009] * 3
     torque = [0.0] * 3
-    tendon = rope()
+    tendon = make_tendon()
     theta = (0.003 * sum(q) + 0.3e-3) / 0.005
     tension = tendon.pull(q, dq, theta, speed / 0.005, torque)
     power = sum(t * v for t, v in zip(torque, dq, strict=True)) - tension * speed
@@ -123,7 +123,7 @@ def test_friction_takes_energy_and_the_integrator_knows_how_much(speed: float, q
 def test_slope_is_continuous_where_the_rope_stands_still() -> None:
     slopes = []
     for speed in (0.99e-6, 1.01e-6):
-        tendon = rope()
+        tendon = make_tendon()
         tendon.pull([0.2] * 3, [speed / 0.009] * 3, 0.6, 0.0, [0.0] * 3)
         slopes.append(tendon.row.slope)
     assert slopes[0] == pytest.approx(slopes[1], rel=2e-3)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from firmware_sim.bus.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
 from firmware_sim.wire.bits import FD_LENGTHS, Rate, priority
 from firmware_sim.wire.controller import Controller, State
-from firmware_sim.wire.medium import NEVER, Options, Wire
+from firmware_sim.wire.medium import NEVER_NS, Options, Wire
 from handctl.drives.frame_time import frame_time_s
 
 NOMINAL, DATA = 1_000_000, 5_000_000
@@ -95,7 +95,7 @@ def test_the_wire_is_never_idle_while_somebody_waits() -> None:
     wire.advance(10**9)
     assert wire.busy_ns == sum(map(ACTUAL.frame_ns, frames))
     assert wire.frames == len(frames)
-    assert wire.next_ns() == NEVER
+    assert wire.next_ns() == NEVER_NS
 
 
 def test_a_full_queue_refuses_and_says_so() -> None:
@@ -159,7 +159,7 @@ def test_without_a_restart_bus_off_is_for_good() -> None:
     destroy(wire, sender.controller, 32, 0)
     wire.advance(10**10)
     assert sender.controller.state == State.BUS_OFF
-    assert wire.next_ns() == NEVER
+    assert wire.next_ns() == NEVER_NS
     receiver.controller.offer(Frame(1, b""), 10**10)
     wire.advance(10**10 + 10**8)
     assert receiver.controller.state == State.PASSIVE, "and its peer is alone"

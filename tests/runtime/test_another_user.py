@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from firmware_sim import places as simulated
+from firmware_sim import paths as simulated
 from firmware_sim.bus.hub import Hub
 from firmware_sim.description import SimulatorError
 from handctl.cli.main import main

@@ -2,7 +2,7 @@
 
 import pytest
 
-from firmware_sim.faults.broken import FAULTS
+from firmware_sim.faults.faulty_drive import FAULTS
 from handctl.runtime.diagnostics.conformance import Check, DeviceUnderTest, Verdict, checks
 from handctl.runtime.diagnostics.drive_rig import DriveRig
 from tests.drives.protocol_bench import GUARDED

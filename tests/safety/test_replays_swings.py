@@ -110,4 +110,4 @@ def test_a_grasping_hand_relaxes(fault: str, rows: set[str], seconds: float, see
         course.peer.inject(fault.format(tendon=hand.tendon[which].name, motor=hand.motor[which].name))
         assert course.until(lambda out: out.mode in (Mode.RELAX, Mode.CUT), seconds)
         assert {mark.id for mark in course.state.latched} <= rows
-        assert course.peer.told()[0]["felt"]
+        assert course.peer.fault_states()[0]["felt"]

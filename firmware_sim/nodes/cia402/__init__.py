@@ -1,1 +1,1 @@
-"""Simulated drives of the CiA 402 profile."""
+"""Simulated drives that speak CiA 402 over CANopen."""

@@ -1,26 +1,35 @@
-"""CiA 402 drives out of the box; a free shaft is an assumption."""
+"""CiA 402 drives as delivered. The free shaft is an assumption."""
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.nodes.cia402.node import Cia402Node, Cia402NodeRow
-from firmware_sim.nodes.kind import CIA402, NOTHING, Kind, Shaft
+from firmware_sim.nodes.protocol_spec import CIA402, UNADDRESSED, ProtocolSpec, Shaft
 
 NUMBERS = range(1, 0x7F)
-"""The last of CANopen's is handctl's own."""
+"""Valid node numbers. CANopen's last number (127) belongs to handctl."""
 
 
 def _host_frame(node_id: int) -> tuple[int, bytes]:
+    """Return an SDO read of object 0x1000, the device type."""
     return 0x600 + node_id, b"\x40\x00\x10" + bytes(5)
 
 
-def _mishear(frame: Frame) -> Frame:
-    let_go = 0x200 < frame.can_id < 0x280 and len(frame.data) >= 2 and not frame.data[0] & 0x02
-    order = let_go or (frame.can_id == 0 and frame.data[:1] in (b"\2", b"\x80", b"\x81", b"\x82"))
-    return NOTHING if order else frame
+def _corrupt_command(frame: Frame) -> Frame:
+    """Replace commands that switch the torque off by a frame for no node."""
+    # An RPDO whose control word lacks bit 1 (enable voltage).
+    disables = 0x200 < frame.can_id < 0x280 and len(frame.data) >= 2 and not frame.data[0] & 0x02
+    # NMT commands: 2 stop, 0x80 pre-operational, 0x81 reset node, 0x82 reset communication.
+    releases = disables or (frame.can_id == 0 and frame.data[:1] in (b"\2", b"\x80", b"\x81", b"\x82"))
+    return UNADDRESSED if releases else frame
 
 
-def _spoil(frame: Frame) -> Frame:
-    told = 0x580 < frame.can_id < 0x600 and frame.data[:4] == b"\x4b\x72\x60\x00"
-    return frame._replace(data=frame.data[:4] + b"\xff\xff\0\0") if told else frame  # 0x6072 reads 65535
+def _corrupt_reply(frame: Frame) -> Frame:
+    """Replace the value of 0x6072 (maximum torque) by 65535 in a read-back."""
+    # SDO upload response of two bytes (0x4B) for index 0x6072.
+    matches = 0x580 < frame.can_id < 0x600 and frame.data[:4] == b"\x4b\x72\x60\x00"
+    return frame._replace(data=frame.data[:4] + b"\xff\xff\0\0") if matches else frame  # 0x6072 reads 65535
 
 
-KIND = Kind(Cia402Node, NUMBERS, Shaft(1.0, 5e-5, 0.08), _host_frame, _mishear, _spoil, Cia402NodeRow, CIA402)
+SPEC = ProtocolSpec(
+    Cia402Node, NUMBERS, Shaft(1.0, 5e-5, 0.08), _host_frame, _corrupt_command, _corrupt_reply, Cia402NodeRow, CIA402
+)
+"""The CiA 402 protocol."""

@@ -1,26 +1,41 @@
-"""The object dictionary of the simulated CiA 402 drive, as its EDS file lists it."""
+"""The object dictionary of the simulated CiA 402 drive, as described by its EDS file."""
 
 import configparser
 from pathlib import Path
 from typing import Any
 
-from firmware_sim.nodes.cia402.laws import HOT, ROOM
+from firmware_sim.nodes.cia402.kernels import CYCLIC_OBJECTS, VALUE_CAPACITY
 
 EDS = Path(__file__).with_name("cia402.eds")
+"""Path of the EDS file."""
 _SIZES = {0x02: 1, 0x03: 2, 0x04: 4, 0x05: 1, 0x06: 2, 0x07: 4}
-"""Bytes of each data type. Source: CiA 301, data types INTEGER8 to UNSIGNED32."""
+"""Size of each data type [bytes]. Source: CiA 301, data types INTEGER8 to UNSIGNED32."""
 _SIGNED = {0x02, 0x03, 0x04}
-NO_OBJECT, NO_SUB, READ_ONLY, LENGTH, RANGE = 0x06020000, 0x06090011, 0x06010002, 0x06070010, 0x06090030
-"""SDO aborts."""
+"""Data types with a sign."""
+NO_OBJECT = 0x06020000
+"""SDO abort code: the object does not exist. Source: CiA 301."""
+NO_SUB = 0x06090011
+"""SDO abort code: the sub-index does not exist. Source: CiA 301."""
+READ_ONLY = 0x06010002
+"""SDO abort code: the object is read-only. Source: CiA 301."""
+LENGTH = 0x06070010
+"""SDO abort code: the data type does not match. Source: CiA 301."""
+RANGE = 0x06090030
+"""SDO abort code: the value is out of range. Source: CiA 301."""
 
 Key = tuple[int, int]
-"""Index and sub-index."""
+"""Index and sub-index of an object."""
 
 
 class Abort(Exception):  # noqa: N818 - the standard's word
-    """A request that is refused; ``code`` goes back to the client."""
+    """A refused SDO request.
+
+    Attributes:
+        code: SDO abort code for the client.
+    """
 
     def __init__(self, code: int) -> None:
+        """Make an abort with an SDO abort code."""
         super().__init__(f"{code:#010x}")
         self.code = code
 
@@ -29,33 +44,40 @@ class Dictionary:
     """Values of all objects of one node.
 
     Attributes:
-        values: of the objects, those of ``laws.HOT`` first.
+        values: values of the objects, those of ``kernels.CYCLIC_OBJECTS`` first.
     """
 
     def __init__(self, node_id: int, memory: Any = None) -> None:
-        """Args: node_id, on which default identifiers depend; memory for ``laws.ROOM`` values, if not its own."""
+        """Read the EDS file and set all objects to their defaults.
+
+        Args:
+            node_id: node number, on which default identifiers depend.
+            memory: memory for ``kernels.VALUE_CAPACITY`` values, None to allocate a list.
+        """
         parser = configparser.ConfigParser(interpolation=None)
         parser.read(EDS, encoding="ascii")
         self._sizes: dict[Key, int] = {}
         self._signed: set[Key] = set()
         self._writable: set[Key] = set()
         self._mappable: set[Key] = set()
-        self._places: dict[Key, int] = {key: place for place, key in enumerate(HOT)}
-        self.values: Any = [0] * ROOM if memory is None else memory
+        self._indices_of: dict[Key, int] = {key: place for place, key in enumerate(CYCLIC_OBJECTS)}
+        self.values: Any = [0] * VALUE_CAPACITY if memory is None else memory
         for name in parser.sections():
             if parser.has_option(name, "DataType"):
                 self._add(name, parser[name], node_id)
         self._indices = {index for index, _ in self._sizes}
 
     def _add(self, name: str, section: configparser.SectionProxy, node_id: int) -> None:
+        """Add the object of one section of the EDS file."""
         index, _, sub = name.partition("sub")
-        key, kind = (int(index, 16), int(sub or "0", 16)), int(section["DataType"], 16)
-        self._sizes[key] = _SIZES[kind]
-        self._places.setdefault(key, len(self._places))
-        self.values[self._places[key]] = sum(
+        key = (int(index, 16), int(sub or "0", 16))
+        data_type = int(section["DataType"], 16)
+        self._sizes[key] = _SIZES[data_type]
+        self._indices_of.setdefault(key, len(self._indices_of))
+        self.values[self._indices_of[key]] = sum(
             node_id if term == "$NODEID" else int(term, 0) for term in section["DefaultValue"].split("+")
         )
-        if kind in _SIGNED:
+        if data_type in _SIGNED:
             self._signed.add(key)
         if section["AccessType"] != "ro":
             self._writable.add(key)
@@ -63,46 +85,47 @@ class Dictionary:
             self._mappable.add(key)
 
     def __getitem__(self, key: Key) -> int:
-        value: int = self.values[self._places[key]]
+        """Return the value of an object."""
+        value: int = self.values[self._indices_of[key]]
         return value
 
     def __setitem__(self, key: Key, value: int) -> None:
-        """Set from the inside; saturates at what the type can hold."""
+        """Set an object from inside the drive, saturated at the range of its type."""
         bits = 8 * self._sizes[key]
         low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if key in self._signed else (0, (1 << bits) - 1)
-        self.values[self._places[key]] = min(high, max(low, value))
+        self.values[self._indices_of[key]] = min(high, max(low, value))
 
     def size(self, key: Key) -> int:
-        """Return the bytes of an object.
+        """Return the size of an object [bytes].
 
         Raises:
-            Abort: there is none.
+            Abort: the object does not exist.
         """
         if key not in self._sizes:
             raise Abort(NO_SUB if key[0] in self._indices else NO_OBJECT)
         return self._sizes[key]
 
     def mappable(self, key: Key) -> bool:
-        """Return whether an object may be mapped into a PDO."""
+        """Return True if an object may be mapped into a PDO."""
         return key in self._mappable
 
     def read(self, key: Key) -> bytes:
-        """Return an object's bytes.
+        """Return the bytes of an object.
 
         Raises:
-            Abort: there is none.
+            Abort: the object does not exist.
         """
         size = self.size(key)
         return self[key].to_bytes(size, "little", signed=key in self._signed)
 
     def write(self, key: Key, raw: bytes) -> None:
-        """Take bytes from the wire.
+        """Write bytes from the wire.
 
         Raises:
-            Abort: no such object, read-only, or another length.
+            Abort: the object does not exist, is read-only, or has another length.
         """
         if len(raw) != self.size(key):
             raise Abort(LENGTH)
         if key not in self._writable:
             raise Abort(READ_ONLY)
-        self.values[self._places[key]] = int.from_bytes(raw, "little", signed=key in self._signed)
+        self.values[self._indices_of[key]] = int.from_bytes(raw, "little", signed=key in self._signed)

@@ -1,4 +1,12 @@
-"""Process data of the simulated CiA 402 drive: four PDOs each way, mapped over SDO. Source: facts, cia402."""
+"""Process data of the simulated CiA 402 drive: four RPDOs and four TPDOs, mapped over SDO. Source: facts, cia402.
+
+Objects of PDO i:
+
+    0x1400+i, 0x1800+i  communication: 1 identifier (bit 31: off), 2 transmission type
+    0x1600+i, 0x1A00+i  mapping: 0 number of entries, 1.. entries
+
+    entry: index in bits 31..16, sub-index in bits 15..8, length in bits 7..0 [bit]
+"""
 
 from collections.abc import Iterator
 
@@ -6,27 +14,32 @@ from firmware_sim.bus.frame import Frame
 from firmware_sim.nodes.cia402.dictionary import RANGE, Abort, Dictionary, Key
 
 OFF = 1 << 31
-NOT_MAPPABLE, TOO_LONG = 0x06040041, 0x06040042
-USUAL_RPDO = [((0x6040, 0), 2), ((0x6071, 0), 2)]
-USUAL_TPDO = [((0x6041, 0), 2), ((0x6064, 0), 4), ((0x6077, 0), 2)]
-"""Mappings that compiled laws know: objects and their bytes."""
+"""Bit of an identifier object: the PDO is off."""
+NOT_MAPPABLE = 0x06040041
+"""SDO abort code: the object cannot be mapped. Source: CiA 301."""
+TOO_LONG = 0x06040042
+"""SDO abort code: the mapped objects exceed the length of a PDO. Source: CiA 301."""
+STANDARD_RPDO = [((0x6040, 0), 2), ((0x6071, 0), 2)]
+"""RPDO mapping that kernels handle: objects and their sizes [bytes]."""
+STANDARD_TPDO = [((0x6041, 0), 2), ((0x6064, 0), 4), ((0x6077, 0), 2)]
+"""TPDO mapping that kernels handle: objects and their sizes [bytes]."""
 SYNCHRONOUS = 240
-"""Transmission types up to here depend on SYNC."""
+"""Highest transmission type that depends on SYNC."""
 
 
 class Pdos:
     """The PDO engine of one node."""
 
     def __init__(self, objects: Dictionary) -> None:
-        """Args: the node's dictionary, which holds communication and mapping."""
+        """Use the communication and mapping objects of a dictionary."""
         self._objects = objects
         self._waiting: dict[int, bytes] = {}
 
     def write(self, key: Key, raw: bytes) -> None:
-        """Write communication or mapping over SDO.
+        """Write a communication or mapping object over SDO.
 
         Raises:
-            Abort: a mapping that cannot be, or one that is changed while it is in use.
+            Abort: the mapping is not possible, or is in use.
         """
         index, sub = key
         if index & 0x200:
@@ -42,27 +55,32 @@ class Pdos:
         self._objects.write(key, raw)
 
     def _check(self, index: int, count: int) -> None:
+        """Check the number of entries and the length of a mapping."""
         if count > 4:
             raise Abort(RANGE)
         if sum(self._objects[index, i + 1] & 0xFF for i in range(count)) > 64:
             raise Abort(TOO_LONG)
 
     def _entries(self, mapping: int) -> Iterator[tuple[Key, int]]:
-        """Objects of a mapping and their bytes."""
+        """Iterate over the objects of a mapping and their sizes [bytes]."""
         for i in range(self._objects[mapping, 0]):
             entry = self._objects[mapping, i + 1]
             yield (entry >> 16, entry >> 8 & 0xFF), (entry & 0xFF) // 8
 
     def _receiver(self, can_id: int) -> int:
-        """Return which RPDO has an identifier; -1 if none."""
+        """Return the index of the RPDO with an identifier, -1 without any."""
         return next((i for i in range(4) if self._objects[0x1400 + i, 1] == can_id), -1)
 
     def receives(self, can_id: int) -> bool:
-        """Return whether an RPDO has this identifier."""
+        """Return True if an RPDO has this identifier."""
         return self._receiver(can_id) >= 0
 
     def unpack(self, can_id: int, data: bytes) -> list[Key] | None:
-        """Take an RPDO; return the objects that were written now, None if it is too short."""
+        """Store an RPDO, or keep it until SYNC.
+
+        Returns:
+            The objects that were written now, None if the RPDO is too short.
+        """
         number = self._receiver(can_id)
         if len(data) < sum(size for _, size in self._entries(0x1600 + number)):
             return None
@@ -72,7 +90,9 @@ class Pdos:
         return self._store(number, data)
 
     def _store(self, number: int, data: bytes) -> list[Key]:
-        keys, offset = [], 0
+        """Write the objects of an RPDO."""
+        keys = []
+        offset = 0
         for key, size in self._entries(0x1600 + number):
             self._objects.write(key, data[offset : offset + size])
             keys.append(key)
@@ -80,49 +100,65 @@ class Pdos:
         return keys
 
     def synchronise(self) -> list[Key]:
-        """Take over the RPDOs that waited for SYNC; return the objects that were written."""
-        waiting, self._waiting = self._waiting, {}
+        """Write the RPDOs that wait for SYNC.
+
+        Returns:
+            The objects that were written.
+        """
+        waiting = self._waiting
+        self._waiting = {}
         return [key for number, data in waiting.items() for key in self._store(number, data)]
 
     def on_sync(self, syncs: int) -> list[Frame]:
-        """Return the TPDOs of a SYNC; ``syncs``: how many there were."""
-        kinds = {i: self._objects[0x1800 + i, 2] for i in self._active()}
-        return [self._frame(i) for i, kind in kinds.items() if 1 <= kind <= SYNCHRONOUS and syncs % kind == 0]
+        """Return the TPDOs of a SYNC.
+
+        Args:
+            syncs: SYNCs since the last reset.
+        """
+        transmissions = {i: self._objects[0x1800 + i, 2] for i in self._active()}
+        return [
+            self._frame(i)
+            for i, transmission in transmissions.items()
+            if 1 <= transmission <= SYNCHRONOUS and syncs % transmission == 0
+        ]
 
     @property
     def identifiers(self) -> list[int]:
-        """Identifiers that RPDOs receive."""
+        """Return the identifiers of the RPDOs."""
         return [self._objects[0x1400 + i, 1] for i in range(4)]
 
-    def usual_rpdo(self) -> int:
-        """Return the identifier of the RPDO that writes control word and target torque at once; -1 if there is none."""
+    def standard_rpdo(self) -> int:
+        """Return the identifier of the RPDO that writes control word and target torque at once, -1 without any."""
         for i in range(4):
-            can_id, kind = self._objects[0x1400 + i, 1], self._objects[0x1400 + i, 2]
-            if can_id < 0x800 and kind > SYNCHRONOUS and self._receiver(can_id) == i:
-                return can_id if list(self._entries(0x1600 + i)) == USUAL_RPDO else -1
+            can_id = self._objects[0x1400 + i, 1]
+            transmission = self._objects[0x1400 + i, 2]
+            if can_id < 0x800 and transmission > SYNCHRONOUS and self._receiver(can_id) == i:
+                return can_id if list(self._entries(0x1600 + i)) == STANDARD_RPDO else -1
         return -1
 
-    def usual_tpdo(self) -> tuple[int, int]:
-        """Return identifier and type of the only TPDO: status word, position, torque after SYNC.
+    def standard_tpdo(self) -> tuple[int, int]:
+        """Return identifier and transmission type of the only TPDO: status word, position and torque after SYNC.
 
-        The identifier is -1 if PDOs are arranged in any other way, or an RPDO waits for SYNC.
+        The identifier is -1 with any other arrangement of PDOs, or if an RPDO waits for SYNC.
         """
         active = self._active()
         waits = any(self._objects[0x1400 + i, 2] <= SYNCHRONOUS for i in range(4) if self.identifiers[i] < OFF)
         if len(active) != 1 or waits or self._waiting:
             return -1, 0
         (i,) = active
-        kind = self._objects[0x1800 + i, 2]
-        usual = 1 <= kind <= SYNCHRONOUS and list(self._entries(0x1A00 + i)) == USUAL_TPDO
-        return (self._objects[0x1800 + i, 1] & 0x7FF if usual else -1), kind
+        transmission = self._objects[0x1800 + i, 2]
+        standard = 1 <= transmission <= SYNCHRONOUS and list(self._entries(0x1A00 + i)) == STANDARD_TPDO
+        return (self._objects[0x1800 + i, 1] & 0x7FF if standard else -1), transmission
 
     def on_event(self) -> list[Frame]:
         """Return the TPDOs that are sent on a change."""
         return [self._frame(i) for i in self._active() if self._objects[0x1800 + i, 2] >= 254]
 
     def _active(self) -> list[int]:
+        """List the indices of the TPDOs that are on."""
         return [i for i in range(4) if not self._objects[0x1800 + i, 1] & OFF]
 
     def _frame(self, number: int) -> Frame:
+        """Build the frame of a TPDO."""
         data = b"".join(self._objects.read(key) for key, _ in self._entries(0x1A00 + number))
         return Frame(self._objects[0x1800 + number, 1] & 0x7FF, data)

@@ -1,7 +1,10 @@
 """The power state machine of CiA 402: control words in, states out. Source: facts, cia402.
 
-Choices: 0x0F out of *ready to switch on* takes transitions 3 and 4 in one; quick stop goes on to *switch on disabled*
-by itself; *fault reaction* is passed within one step.
+Control word: bit 0 switch on, bit 1 enable voltage, bit 2 quick stop (0 stops), bit 3 enable
+operation, bit 7 fault reset (rising edge).
+
+Choices: 0x0F in *ready to switch on* takes transitions 3 and 4 at once. Quick stop goes on to
+*switch on disabled* without a command. *Fault reaction* is passed within one step.
 """
 
 import ctypes
@@ -10,18 +13,28 @@ from typing import Any
 from firmware_sim.compiled import inner
 
 OFF, READY, ON, ENABLED, FAULT = range(5)
-"""Switch on disabled, ready to switch on, switched on, operation enabled, fault."""
+"""States: switch on disabled, ready to switch on, switched on, operation enabled, fault."""
 _WORDS = (0x40, 0x21, 0x23, 0x27, 0x08)
+"""State bits of the status word, by state."""
 
 
 @inner
 def status(power: Any) -> int:
-    """Return the status word: state, voltage present, remote; bit 12 says that the target torque is followed."""
+    """Return the status word.
+
+    Bit 4 is voltage enabled, bit 9 remote, bit 12 target torque followed. The other bits are the
+    state.
+    """
     return _WORDS[power.state] | 1 << 4 | 1 << 9 | (1 << 12 if power.state == ENABLED else 0)
 
 
 class Power:
-    """Attributes: state: one of those above. reset_bit: whether the last control word had the bit of fault reset."""
+    """The power state machine.
+
+    Attributes:
+        state: OFF, READY, ON, ENABLED or FAULT.
+        reset_bit: True if the last control word had the bit of fault reset.
+    """
 
     def __init__(self) -> None:
         """Start with the power stage off."""
@@ -29,7 +42,7 @@ class Power:
         self.reset_bit = False
 
     def command(self, word: int) -> None:
-        """Take a control word; all but fault reset are levels, and depend on the present state only."""
+        """Apply a control word. Only fault reset acts on an edge, all other bits act on their level."""
         edge = bool(word & 0x80) and not self.reset_bit
         self.reset_bit = bool(word & 0x80)
         if self.state == FAULT:
@@ -49,7 +62,7 @@ class Power:
         self.state = FAULT
 
 
-class PowerRow(ctypes.Structure, Power):
-    """The power state machine in a row of a drive."""
+class PowerStruct(ctypes.Structure, Power):
+    """The power state machine in the memory of a drive."""
 
     _fields_ = [(name, ctypes.c_int64) for name in ("state", "reset_bit")]

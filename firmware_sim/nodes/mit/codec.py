@@ -1,7 +1,25 @@
-"""MIT frames as Damiao motors speak them: bytes <-> values. Source: facts, mit_damiao.
+"""MIT frames of Damiao motors. Source: facts, mit_damiao.
 
-Eight bytes are one number here, the first byte highest; its sign means nothing. Whoever wants these laws compiled, if
-they are, calls them through the module.
+Command to ESC_ID (8 bytes, highest byte and bit first):
+
+    bit 63..48  position   16 bit, -PMAX..PMAX [rad]
+    bit 47..36  velocity   12 bit, -VMAX..VMAX [rad/s]
+    bit 35..24  kp         12 bit, 0..500 [N m/rad]
+    bit 23..12  kd         12 bit, 0..5 [N m s/rad]
+    bit 11..0   torque     12 bit, -TMAX..TMAX [N m]
+
+Feedback from MST_ID (8 bytes, highest byte and bit first):
+
+    bit 63..60  state or error nibble
+    bit 59..56  low four bits of ESC_ID
+    bit 55..40  position   16 bit, -PMAX..PMAX [rad]
+    bit 39..28  velocity   12 bit, -VMAX..VMAX [rad/s]
+    bit 27..16  torque     12 bit, -TMAX..TMAX [N m]
+    bit 15..8   temperature of the MOSFETs [degC]
+    bit  7..0   temperature of the winding [degC]
+
+Kernels handle the eight bytes as one signed 64-bit integer, whose sign has no meaning. Callers that
+want compiled kernels call them through this module.
 """
 
 import ctypes
@@ -9,39 +27,56 @@ import struct
 from typing import Any, NamedTuple
 
 from firmware_sim.compiled import compiled, inner
-from firmware_sim.nodes.thermal import ThermalRow
+from firmware_sim.nodes.thermal import ThermalStruct
 
 WORD = struct.Struct(">q")
-"""Bytes of a frame <-> number."""
-KP_MAX, KD_MAX = 500.0, 5.0
-"""Ranges of the gains [N m/rad], [N m s/rad]."""
+"""Conversion between the bytes of a frame and a 64-bit integer."""
+KP_MAX = 500.0
+"""Range of kp [N m/rad]."""
+KD_MAX = 5.0
+"""Range of kd [N m s/rad]."""
 ENABLED = 0x1
 """State nibble of a drive that follows commands."""
-WARM_PERIOD_NS = 100_000_000
+THERMAL_PERIOD_NS = 100_000_000
+"""Period of the thermal update [ns]."""
 
 
 class Ranges(NamedTuple):
-    """The symmetric ranges of registers 21, 22, 23: position [rad], velocity [rad/s], torque [N m]."""
+    """Symmetric ranges of registers 21, 22, 23.
+
+    Attributes:
+        position: PMAX [rad].
+        velocity: VMAX [rad/s].
+        torque: TMAX [N m].
+    """
 
     position: float
     velocity: float
     torque: float
 
 
-class MitRow(ctypes.Structure):
-    """See ``node.MitNode``; ``motor_number``: of its rotor."""
+class MitStruct(ctypes.Structure):
+    """Memory of a ``node.MitNode``. ``motor_number`` is the row of its rotor."""
 
     _fields_ = [
         *((name, ctypes.c_double) for name in ("offset", "direction")),
         *((name, ctypes.c_double) for name in ("position_range", "velocity_range", "torque_range")),
         *((name, ctypes.c_int64) for name in ("state", "node_id", "reply_id", "motor_number")),
-        *((name, ctypes.c_int64) for name in ("fed_ns", "wake_ns", "warmed_ns", "timeout_ns")),
-        ("temperatures", ThermalRow),
+        *((name, ctypes.c_int64) for name in ("watchdog_fed_ns", "wake_ns", "thermal_ns", "timeout_ns")),
+        ("temperatures", ThermalStruct),
     ]
 
 
 class Command(NamedTuple):
-    """An MIT command at the output shaft: [rad], [rad/s], [N m/rad], [N m s/rad], [N m]."""
+    """An MIT command at the output shaft.
+
+    Attributes:
+        position: position setpoint [rad].
+        velocity: velocity setpoint [rad/s].
+        kp: stiffness [N m/rad].
+        kd: damping [N m s/rad].
+        torque: feedforward torque [N m].
+    """
 
     position: float
     velocity: float
@@ -52,20 +87,31 @@ class Command(NamedTuple):
 
 @compiled("real", "real", "count")
 def to_code(value: float, limit: float, bits: int) -> int:
-    """Return the code of a value in -limit .. limit: clamped, then truncated as the firmware does."""
+    """Encode a value in -limit..limit: clamp, then truncate as the firmware does."""
     clamped = -limit if value < -limit else limit if value > limit else value
+    # The order of the operations is the firmware's: another order rounds differently.
     return int((clamped + limit) * ((1 << bits) - 1) / (2.0 * limit))
 
 
 @compiled("count", "real", "count")
 def from_code(code: int, limit: float, bits: int) -> float:
-    """Return the value of a code over -limit .. limit."""
+    """Decode a value in -limit..limit."""
     return code * (2.0 * limit) / ((1 << bits) - 1) - limit
 
 
 @compiled("count", "real", "real", "real")
 def read_command(word: int, position: float, velocity: float, torque: float) -> tuple[float, ...]:
-    """Return the fields of ``Command`` in a word, given the ranges; the first field is in the highest bits."""
+    """Decode a command.
+
+    Args:
+        word: frame as an integer.
+        position: position range [rad].
+        velocity: velocity range [rad/s].
+        torque: torque range [N m].
+
+    Returns:
+        The fields of ``Command``.
+    """
     return (
         from_code(word >> 48 & 0xFFFF, position, 16),
         from_code(word >> 36 & 0xFFF, velocity, 12),
@@ -77,7 +123,7 @@ def read_command(word: int, position: float, velocity: float, torque: float) -> 
 
 @compiled("real")
 def _degrees(value: float) -> int:
-    """Return a temperature as a byte, saturated."""
+    """Return a temperature as one byte, saturated."""
     return 0 if value < 0.0 else 255 if value > 255.0 else int(value)
 
 
@@ -86,61 +132,83 @@ def write_feedback(
     head: int, p: float, v: float, t: float, position: float, velocity: float, torque: float,
     mosfet: float, winding: float,
 ) -> int:  # fmt: skip
-    """Return a word of feedback.
+    """Encode feedback.
 
     Args:
-        head: state or error nibble, and ESC_ID, of which four bits travel, as one byte.
-        p, v, t: position [rad], velocity [rad/s], torque [N m]; beyond the ranges they saturate.
-        position, velocity, torque: the ranges of registers 21 to 23.
-        mosfet, winding: temperatures [degC].
+        head: state or error nibble and low four bits of ESC_ID, as one byte.
+        p: position [rad], saturated at the range.
+        v: velocity [rad/s], saturated at the range.
+        t: torque [N m], saturated at the range.
+        position: position range, register 21 [rad].
+        velocity: velocity range, register 22 [rad/s].
+        torque: torque range, register 23 [N m].
+        mosfet: temperature of the MOSFETs [degC].
+        winding: temperature of the winding [degC].
+
+    Returns:
+        Frame as an integer.
     """
     motion = to_code(p, position, 16) << 24 | to_code(v, velocity, 12) << 12 | to_code(t, torque, 12)
+    # Two's complement by hand: a shift of more than 127 would overflow 64 bits in compiled code.
     signed = head - 256 if head > 127 else head
     return signed << 56 | motion << 16 | _degrees(mosfet) << 8 | _degrees(winding)
 
 
 @inner
-def obey(node: Any, servo: Any, word: int) -> None:
-    """Let the servo of an enabled drive follow the command in a word.
+def apply_command(node: Any, servo: Any, word: int) -> None:
+    """Apply a command to the servo of an enabled drive.
 
     Args:
-        node: the drive, a row or an object. servo: of its rotor. word: the command.
+        node: drive, a row or an object.
+        servo: servo of its rotor.
+        word: frame as an integer.
     """
     ranges = node.position_range, node.velocity_range, node.torque_range
     position, velocity, servo.kp, servo.kd, torque = read_command(word, *ranges)
-    servo.position, servo.velocity = node.direction * (position - node.offset), node.direction * velocity
+    # From the wire to the hand: subtract the encoder offset, then apply the direction of the motor.
+    servo.position = node.direction * (position - node.offset)
+    servo.velocity = node.direction * velocity
     servo.torque = node.direction * torque
 
 
 @inner
 def feedback_word(node: Any, rotor: Any, angle: float, mosfet: float, winding: float) -> int:
-    """Return the feedback of a drive at this moment as a word.
+    """Encode the present feedback of a drive.
 
     Args:
-        node: the drive, a row or an object. rotor: its rotor. angle: of the spool by the encoder [rad].
-        mosfet, winding: temperatures [degC].
+        node: drive, a row or an object.
+        rotor: rotor of the drive.
+        angle: spool angle of the encoder [rad].
+        mosfet: temperature of the MOSFETs [degC].
+        winding: temperature of the winding [degC].
+
+    Returns:
+        Frame as an integer.
     """
-    sign, head = node.direction, node.state << 4 | node.node_id & 0xF
-    p, v, t = sign * angle + node.offset, sign * rotor.velocity, sign * rotor.torque
+    sign = node.direction
+    head = node.state << 4 | node.node_id & 0xF
+    p = sign * angle + node.offset
+    v = sign * rotor.velocity
+    t = sign * rotor.torque
     ranges = node.position_range, node.velocity_range, node.torque_range
     return write_feedback(head, p, v, t, *ranges, mosfet, winding)
 
 
 @inner
 def schedule(node: Any) -> None:
-    """Note when time must pass for a drive next: for its temperatures, or for its watchdog while it is enabled."""
-    node.wake_ns = node.warmed_ns + WARM_PERIOD_NS
+    """Schedule the next wake of a drive: thermal update, or watchdog while enabled."""
+    node.wake_ns = node.thermal_ns + THERMAL_PERIOD_NS
     if node.timeout_ns != 0 and node.state == ENABLED:
-        node.wake_ns = min(node.wake_ns, node.fed_ns + node.timeout_ns)
+        node.wake_ns = min(node.wake_ns, node.watchdog_fed_ns + node.timeout_ns)
 
 
 def decode_command(data: bytes, ranges: Ranges) -> Command:
-    """Return the command in 8 bytes."""
+    """Decode a command of 8 bytes."""
     return Command(*read_command(WORD.unpack(data)[0], *ranges))
 
 
 def encode_feedback(
     state: int, node_id: int, motion: tuple[float, float, float], ranges: Ranges, temperatures: tuple[float, float]
 ) -> bytes:
-    """Return 8 bytes of feedback; see ``write_feedback``."""
+    """Encode feedback into 8 bytes. See ``write_feedback``."""
     return WORD.pack(write_feedback(state << 4 | node_id & 0xF, *motion, *ranges, *temperatures))

@@ -1,7 +1,21 @@
-"""A motor with the firmware of a Damiao drive: it speaks only when spoken to. Source: facts, mit_damiao.
+"""A motor with the firmware of a Damiao drive, which sends only answers. Source: facts, mit_damiao.
 
-Choices where the fact sheet says "assumption": the watchdog is fed by commands on ESC_ID only, not by register traffic;
-FE acts only while disabled; positions beyond PMAX saturate; unknown registers are not answered.
+Choices where the fact sheet has an "assumption":
+
+- Commands to ESC_ID feed the watchdog, register requests do not.
+- FE (set zero) acts only while disabled.
+- Positions beyond PMAX saturate.
+- Unknown registers are not answered.
+
+Register request to 0x7FF (8 bytes):
+
+    byte 0..1  ESC_ID, low byte first
+    byte 2     0x33 read, 0x55 write, 0xAA save, 0xCC request feedback
+    byte 3     register
+    byte 4..7  value, uint32 or float32, low byte first
+
+The reply from MST_ID has the same layout. Special commands are seven bytes of FF and FC (enable),
+FD (disable), FE (set zero) or FB (clear error).
 """
 
 import enum
@@ -9,19 +23,27 @@ import enum
 from firmware_sim.bus.frame import Frame
 from firmware_sim.description import MotorSpec
 from firmware_sim.nodes.mit import registers as reg
-from firmware_sim.nodes.mit.codec import WARM_PERIOD_NS, WORD, MitRow, feedback_word, obey, schedule
-from firmware_sim.nodes.thermal import Thermal, ThermalRow
+from firmware_sim.nodes.mit.codec import THERMAL_PERIOD_NS, WORD, MitStruct, apply_command, feedback_word, schedule
+from firmware_sim.nodes.thermal import Thermal, ThermalStruct
 from firmware_sim.plant.motor import Motor
 
 REGISTER_ID = 0x7FF
+"""Identifier of register requests, common to all motors."""
 WATCHDOG_UNIT_NS = 50_000
+"""Unit of the register TIMEOUT [ns]."""
 _SPECIAL = b"\xff" * 7
-_ENABLE, _DISABLE, _ZERO, _CLEAR = 0xFC, 0xFD, 0xFE, 0xFB
-_READ, _WRITE, _SAVE, _REFRESH = 0x33, 0x55, 0xAA, 0xCC
+_ENABLE = 0xFC
+_DISABLE = 0xFD
+_ZERO = 0xFE
+_CLEAR = 0xFB
+_READ = 0x33
+_WRITE = 0x55
+_SAVE = 0xAA
+_REFRESH = 0xCC
 
 
 class State(enum.IntEnum):
-    """The state nibble of the feedback; everything above ENABLED is an error and means no torque."""
+    """State nibble of the feedback. All states above ENABLED are errors without torque."""
 
     DISABLED = 0x0
     ENABLED = 0x1
@@ -33,32 +55,43 @@ class State(enum.IntEnum):
 
 
 _ENABLED = State.ENABLED
+"""The state as a module constant, for speed in ``_command``."""
 
 
 class MitNode:
     """One motor node.
 
     Attributes:
-        state: the state nibble.
-        registers: the register file.
-        offset: wire angle at theta = 0 [rad].
+        state: state nibble.
+        registers: register file.
+        offset: angle on the wire at theta = 0 [rad].
         thermal: temperatures.
         ids: identifiers that it may answer.
-        malformed: frames on its identifiers that it could not read.
-        wake_ns: when time must pass for it next [ns].
-        fed_ns: last frame that fed its watchdog [ns].
-        timeout_ns: of the watchdog [ns]; 0 if it is off.
-        warmed_ns: when its temperatures were computed last [ns]; below 0 before the first time.
-        node_id, reply_id: its own identifier and that of its answers, of registers 8 and 7.
-        position_range, velocity_range, torque_range: of registers 21 to 23 [rad], [rad/s], [N m].
-        direction: +1 or -1, of the motor's angle to that of the spool.
+        malformed: frames on its identifiers that it could not decode.
+        wake_ns: time of the next wake [ns].
+        watchdog_fed_ns: time of the last frame that fed the watchdog [ns].
+        timeout_ns: timeout of the watchdog [ns], 0 if off.
+        thermal_ns: time of the last thermal update [ns], negative before the first.
+        node_id: identifier of commands, register 8.
+        reply_id: identifier of answers, register 7.
+        position_range: register 21 [rad].
+        velocity_range: register 22 [rad/s].
+        torque_range: register 23 [N m].
+        direction: +1 or -1, sign between motor angle and spool angle.
     """
 
     state: int
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
-        """Args: the motor's description; its rotor; wire angle at theta = 0 [rad]."""
-        self.motor, self.offset = motor, offset
+        """Set up the node after power-up.
+
+        Args:
+            spec: description of the motor.
+            motor: rotor of the motor.
+            offset: angle on the wire at theta = 0 [rad].
+        """
+        self.motor = motor
+        self.offset = offset
         self.registers = reg.Registers(spec)
         self.thermal = self._temperatures(spec.torque_constant)
         self.state = State.DISABLED
@@ -66,22 +99,23 @@ class MitNode:
         self.wake_ns = 0
         self.direction = spec.direction
         self._torque_peak = spec.torque_peak
-        self.fed_ns = 0
-        self.warmed_ns = -1
-        self._renew()
+        self.watchdog_fed_ns = 0
+        self.thermal_ns = -1
+        self._update_derived()
 
     def _temperatures(self, torque_constant: float) -> Thermal:
-        """Return temperatures of a drive that is as warm as the room."""
+        """Return the temperatures of a drive at ambient temperature."""
         return Thermal(torque_constant)
 
     @property
-    def cyclic(self) -> tuple[int, ...]:
-        """Identifiers of the frames that come in every tick."""
+    def cyclic_ids(self) -> tuple[int, ...]:
+        """Return the identifiers of the frames that come in every tick."""
         return (self.node_id,)
 
-    def _renew(self) -> None:
-        """Take over what depends on registers."""
-        self.node_id, self.reply_id = int(self.registers[reg.ESC_ID]), int(self.registers[reg.MST_ID])
+    def _update_derived(self) -> None:
+        """Update the values that depend on registers."""
+        self.node_id = int(self.registers[reg.ESC_ID])
+        self.reply_id = int(self.registers[reg.MST_ID])
         self._mode_ids = {self.node_id + offset for offset in (0x100, 0x200, 0x300)}
         self.ids = frozenset((self.node_id, REGISTER_ID, *self._mode_ids))
         ranges = self.registers[reg.PMAX], self.registers[reg.VMAX], self.registers[reg.TMAX]
@@ -90,7 +124,11 @@ class MitNode:
         self.timeout_ns = int(self.registers[reg.TIMEOUT]) * WATCHDOG_UNIT_NS
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
-        """Return the answers to a frame in the frame's own format; None if it is not for this motor."""
+        """Answer a frame in the frame's format.
+
+        Returns:
+            The answers, None if the frame is not for this motor.
+        """
         can_id, data, flags, bus, _ = frame
         if can_id == self.node_id:
             if t_ns >= self.wake_ns:
@@ -103,7 +141,7 @@ class MitNode:
             answer = self._register(data)
         elif can_id in self._mode_ids:
             self.wake(t_ns)
-            answer = self._special(data, t_ns)  # some clients send FD and FE to the identifier of a mode
+            answer = self._special(data, t_ns)  # some clients send FD and FE to a mode's identifier
         else:
             return None
         schedule(self)
@@ -113,19 +151,23 @@ class MitNode:
         return [Frame(self.reply_id, answer, flags, bus, t_ns)]
 
     def _command(self, data: bytes, t_ns: int) -> bytes | None:
+        """Answer a frame to ESC_ID, None if it is malformed."""
         if len(data) != 8:
             return None
+        # The last byte first: it differs in most commands, so the comparison of seven bytes is
+        # rarely made.
         if data[7] >= _CLEAR and data[7] != 0xFF and data[:7] == _SPECIAL:
             return self._special(data, t_ns)
-        self.fed_ns = t_ns
+        self.watchdog_fed_ns = t_ns
         if self.state == _ENABLED:
-            obey(self, self.motor.servo, WORD.unpack(data)[0])
+            apply_command(self, self.motor.servo, WORD.unpack(data)[0])
         return self.feedback()
 
     def _special(self, data: bytes, t_ns: int) -> bytes | None:
+        """Execute a special command, None if it is malformed."""
         if len(data) != 8 or data[:7] != _SPECIAL:
             return None
-        self.fed_ns = t_ns
+        self.watchdog_fed_ns = t_ns
         code = data[7]
         if code == _ENABLE:
             self._enable()
@@ -155,17 +197,20 @@ class MitNode:
             self.state = State.DISABLED
 
     def trip(self, state: State) -> None:
-        """Enter an error state: no torque until it is cleared and the motor enabled again."""
+        """Enter an error state. Torque returns after the error is cleared and the motor enabled."""
         self.motor.servo.release()
         self.state = state
 
     def feedback(self) -> bytes:
-        """Return the feedback of this moment."""
-        motor, thermal = self.motor, self.thermal
+        """Return the present feedback."""
+        motor = self.motor
+        thermal = self.thermal
         return WORD.pack(feedback_word(self, motor, motor.encoder(), thermal.mosfet, thermal.winding))
 
     def _register(self, data: bytes) -> bytes | None:
-        operation, register = data[2], data[3]
+        """Answer a register request, None if it is malformed."""
+        operation = data[2]
+        register = data[3]
         if operation == _REFRESH:
             return self.feedback()
         head = data[:3]
@@ -178,11 +223,12 @@ class MitNode:
             if len(data) != 8:
                 return None
             self.registers.write(register, data[4:])
-            self._renew()
+            self._update_derived()
         self._measure()
         return head + data[3:4] + self.registers.read(register)
 
     def _measure(self) -> None:
+        """Update the registers with measurements."""
         position = self.direction * self.motor.encoder() + self.offset
         self.registers.show(reg.MOTOR_POSITION, position)
         self.registers.show(reg.OUTPUT_POSITION, position)
@@ -190,46 +236,52 @@ class MitNode:
         self.registers.show(reg.T_MOTOR, self.thermal.winding)
 
     def power_cycle(self) -> None:
-        """Lose what was not saved, and start disabled."""
+        """Restore the saved registers and start disabled."""
         self.registers.power_cycle()
         self.motor.servo.release()
         self.state = State.DISABLED
-        self._renew()
+        self._update_derived()
 
-    def forget(self, torque_max: float) -> None:
-        """Fall back to what was saved, and go on as before; ``torque_max``: TMAX from now on [N m], 0: as saved."""
+    def lose_settings(self, torque_max: float) -> None:
+        """Restore the saved registers without a change of state.
+
+        Args:
+            torque_max: new value of TMAX [N m], 0 for the saved value.
+        """
         self.registers.power_cycle()
         if torque_max:
             self.registers.show(reg.TMAX, torque_max)
-        self._renew()
+        self._update_derived()
 
     def wake(self, t_ns: int) -> None:
-        """Judge the watchdog and the temperatures."""
-        if t_ns - self.warmed_ns >= WARM_PERIOD_NS or self.warmed_ns < 0:
-            self._warm(t_ns)
-        if self.state == State.ENABLED and self.timeout_ns and t_ns >= self.fed_ns + self.timeout_ns:
+        """Check the watchdog and update the temperatures."""
+        if t_ns - self.thermal_ns >= THERMAL_PERIOD_NS or self.thermal_ns < 0:
+            self._update_thermal(t_ns)
+        if self.state == State.ENABLED and self.timeout_ns and t_ns >= self.watchdog_fed_ns + self.timeout_ns:
             self.trip(State.COMMUNICATION_LOST)
         schedule(self)
 
-    def _warm(self, t_ns: int) -> None:
-        if self.warmed_ns >= 0:
-            self.thermal.advance((t_ns - self.warmed_ns) * 1e-9, self.motor.heat)
-        self.motor.heat, self.warmed_ns = 0.0, t_ns
+    def _update_thermal(self, t_ns: int) -> None:
+        """Integrate the temperatures and trip on over-temperature."""
+        if self.thermal_ns >= 0:
+            self.thermal.advance((t_ns - self.thermal_ns) * 1e-9, self.motor.heat)
+        self.motor.heat = 0.0
+        self.thermal_ns = t_ns
         if self.state == State.ENABLED and self.thermal.winding > self.registers[reg.OVER_TEMPERATURE]:
             self.trip(State.WINDING_HOT)
 
 
-class MitNodeRow(MitRow, MitNode):
+class MitNodeRow(MitStruct, MitNode):
     """A node whose numbers are a row of an array."""
 
-    layout = MitRow
+    layout = MitStruct
 
     def prepare(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
-        """Fill the row; see ``MitNode``."""
+        """Initialize the row. See ``MitNode``."""
         MitNode.__init__(self, spec, motor, offset)
         self.motor_number = motor.number
 
     def _temperatures(self, torque_constant: float) -> Thermal:
-        thermal: ThermalRow = self.temperatures
+        thermal: ThermalStruct = self.temperatures
         Thermal.__init__(thermal, torque_constant)
         return thermal

@@ -5,42 +5,73 @@ import struct
 
 from firmware_sim.description import MotorSpec
 
-KT, OVER_TEMPERATURE, OVER_CURRENT = 1, 2, 3
-MST_ID, ESC_ID, TIMEOUT, CTRL_MODE = 7, 8, 9, 10
-PMAX, VMAX, TMAX = 21, 22, 23
-VBUS, T_BOARD, T_MOTOR, MOTOR_POSITION, OUTPUT_POSITION = 60, 61, 62, 80, 81
+KT = 1
+"""Register: torque constant [N m/A]."""
+OVER_TEMPERATURE = 2
+"""Register: temperature limit of the winding [degC]."""
+OVER_CURRENT = 3
+"""Register: current limit as a fraction."""
+MST_ID = 7
+"""Register: identifier of answers."""
+ESC_ID = 8
+"""Register: identifier of commands."""
+TIMEOUT = 9
+"""Register: watchdog timeout in units of 50 us, 0 for off."""
+CTRL_MODE = 10
+"""Register: control mode."""
+PMAX = 21
+"""Register: position range [rad]."""
+VMAX = 22
+"""Register: velocity range [rad/s]."""
+TMAX = 23
+"""Register: torque range [N m]."""
+VBUS = 60
+"""Register: supply voltage [V]."""
+T_BOARD = 61
+"""Register: temperature of the MOSFETs [degC]."""
+T_MOTOR = 62
+"""Register: temperature of the winding [degC]."""
+MOTOR_POSITION = 80
+"""Register: motor position [rad]."""
+OUTPUT_POSITION = 81
+"""Register: output position [rad]."""
 
 _UINT = {7, 8, 9, 10, 13, 14, 15, 16, 35, 36}
+"""Registers of type uint32. All others are float32."""
 _READ_ONLY = {11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 36, *range(50, 56), 60, 61, 62, 80, 81}
 _POSITIVE = {KT, OVER_TEMPERATURE, PMAX, VMAX, TMAX}
+"""Registers that accept only positive values."""
 MODE_MIT = 1
+"""Value of CTRL_MODE for MIT mode."""
 
 
 class Registers:
-    """The register file of one motor; a write acts at once and is lost at power-off unless saved."""
+    """The register file of one motor. A write acts at once and is lost at power-off unless saved."""
 
     def __init__(self, spec: MotorSpec) -> None:
-        """Fill the registers as a commissioned motor has them; its watchdog (TIMEOUT) is off."""
+        """Initialize the registers as in a commissioned motor. The watchdog (TIMEOUT) is off."""
         self._values: dict[int, float] = _factory(spec)
         self._flash = self._values.copy()
 
     def __contains__(self, register: int) -> bool:
+        """Check whether a register exists."""
         return register in self._values
 
     def __getitem__(self, register: int) -> float:
+        """Return the value of a register."""
         return self._values[register]
 
     def show(self, register: int, value: float) -> None:
-        """Set a register from the inside: a measurement."""
+        """Set a register from inside the drive, as for a measurement."""
         self._values[register] = value
 
     def read(self, register: int) -> bytes:
-        """Return a register's four bytes."""
+        """Return the four bytes of a register."""
         value = self._values[register]
         return struct.pack("<I", int(value)) if register in _UINT else struct.pack("<f", value)
 
     def write(self, register: int, raw: bytes) -> None:
-        """Take four bytes from the wire; a read-only register or an impossible value leaves all as it was."""
+        """Write four bytes from the wire. Read-only registers and impossible values are ignored."""
         value = float(struct.unpack("<I" if register in _UINT else "<f", raw)[0])
         if register not in _READ_ONLY and _possible(register, value):
             self._values[register] = value
@@ -50,21 +81,25 @@ class Registers:
         self._flash = self._values.copy()
 
     def power_cycle(self) -> None:
-        """Fall back to what was saved."""
+        """Restore the saved values."""
         self._values = self._flash.copy()
 
 
 def _possible(register: int, value: float) -> bool:
+    """Check a value before it is written."""
     if register == CTRL_MODE:
         return value == MODE_MIT  # the only mode simulated
     if register in (MST_ID, ESC_ID):
         return 0 <= value < 0x7FF
+    # Register 35 is the code of the bit rate.
     if register == 35:
         return value <= 11
     return math.isfinite(value) and (value > 0 or register not in _POSITIVE)
 
 
 def _factory(spec: MotorSpec) -> dict[int, float]:
+    """Return the register values of a commissioned motor."""
+    # ASCII "SIM" and the node number.
     serial = 0x5349_4D00 + spec.node_id if spec.serial is None else spec.serial
     values: dict[int, float] = dict.fromkeys((*range(24, 29), *range(31, 35), *range(50, 56), 4, 5, 6, 18, 19), 0.0)
     values.update({0: 15.0, KT: spec.torque_constant, OVER_TEMPERATURE: 100.0, OVER_CURRENT: 0.98})

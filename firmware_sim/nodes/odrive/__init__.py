@@ -1,1 +1,1 @@
-"""Simulated ODrive."""
+"""Simulated drives that speak ODrive's CANSimple protocol."""

@@ -1,9 +1,36 @@
 """A motor with the firmware of an ODrive, 0.6.x or 0.5.x, on CANSimple. Source: facts, odrive_cansimple.
 
-Choices where the fact sheet says "assumption": the heartbeat's error is active errors or else the disarm reason; only
-setpoints feed the watchdog; NaN as a setpoint disarms with "missing input"; a disarm reason is kept until Clear_Errors
-and refuses closed loop until then. Endpoints have the numbers that the hand file gives them. Position and velocity
-control have no integrator and no ramps: one proportional cascade, whatever the input mode.
+Identifier: node number in bits 10..5, command in bits 4..0. Payloads are little-endian:
+
+    0x01  Heartbeat              u32 errors, u8 state, u8 result, u8, u8, cyclic
+    0x02  Estop                  -
+    0x03  Get_Error              u32 active errors, u32 disarm reason
+    0x04  RxSdo                  u8 operation (0 read, 1 write), u16 endpoint, u8, value
+    0x05  TxSdo                  u8, u16 endpoint, u8, value
+    0x06  Get_Address            u8 node, u48 serial number, u8
+    0x07  Set_Axis_State         u32 state
+    0x09  Get_Encoder_Estimates  f32 position [turn], f32 velocity [turn/s], cyclic
+    0x0B  Set_Controller_Mode    u32 control mode, u32 input mode
+    0x0C  Set_Input_Pos          f32 position, i16 velocity, i16 torque, both in thousandths
+    0x0D  Set_Input_Vel          f32 velocity [turn/s], f32 torque [N m]
+    0x0E  Set_Input_Torque       f32 torque [N m]
+    0x0F  Set_Limits             f32 velocity [turn/s], f32 current [A]
+    0x16  Reboot                 u8
+    0x18  Clear_Errors           u8
+    0x1A  Set_Pos_Gain           f32 gain [1/s]
+    0x1B  Set_Vel_Gains          f32 gain [N m s/turn], f32 integrator gain
+
+A Get message is requested by a remote frame with its identifier.
+
+Choices where the fact sheet has an "assumption":
+
+- The heartbeat's error is the active errors or else the disarm reason.
+- Only setpoints feed the watchdog.
+- NaN as a setpoint disarms with "missing input".
+- A disarm reason stays until Clear_Errors and blocks closed loop until then.
+- Endpoints have the numbers of the hand file.
+- Position and velocity control are one proportional cascade without integrator and ramps in every
+  input mode.
 """
 
 import math
@@ -11,72 +38,122 @@ import struct
 
 from firmware_sim.bus.frame import FDF, REMOTE, Frame
 from firmware_sim.description import MotorSpec
-from firmware_sim.nodes.odrive.laws import (
+from firmware_sim.nodes.odrive.kernels import (
     CLOSED_LOOP,
     IDLE,
     PASSTHROUGH,
+    THERMAL_PERIOD_NS,
     TURN,
-    WARM_PERIOD_NS,
-    OdriveRow,
-    make_torque,
+    OdriveStruct,
     next_due,
     schedule,
-    starves,
+    set_torque,
     turns,
     turns_per_s,
+    watchdog_expired,
 )
 from firmware_sim.nodes.thermal import Thermal
 from firmware_sim.plant.motor import Motor
 
-MISSING_INPUT, MOTOR_HOT, WATCHDOG, ESTOP = 1 << 6, 1 << 13, 1 << 24, 1 << 25
-SUCCESS, DISARMED, INVALID_STATE = 0, 3, 13
+MISSING_INPUT = 1 << 6
+"""Error: a setpoint is not finite."""
+MOTOR_HOT = 1 << 13
+"""Error: over-temperature of the motor."""
+WATCHDOG = 1 << 24
+"""Error: the watchdog fired."""
+ESTOP = 1 << 25
+"""Error: emergency stop requested."""
+SUCCESS = 0
+"""Procedure result: success."""
+DISARMED = 3
+"""Procedure result: the axis was disarmed by an error."""
+INVALID_STATE = 13
+"""Procedure result: the requested state is not possible."""
 BROADCAST = 0x3F
-VELOCITY_CONTROL, POSITION_CONTROL = 2, 3
-POSITION_GAIN, VELOCITY_GAIN = 20.0, 0.167
-"""Vendor's defaults [1/s], [N m s/turn]."""
-HEARTBEAT_MS, ENCODER_MS = 100, 10
-"""Vendor's defaults."""
+"""Node number of messages to all nodes."""
+VELOCITY_CONTROL = 2
+"""Control mode: velocity."""
+POSITION_CONTROL = 3
+"""Control mode: position."""
+POSITION_GAIN = 20.0
+"""Vendor's default position gain [1/s]."""
+VELOCITY_GAIN = 0.167
+"""Vendor's default velocity gain [N m s/turn]."""
+HEARTBEAT_MS = 100
+"""Vendor's default period of the heartbeat [ms]."""
+ENCODER_MS = 10
+"""Vendor's default period of the encoder estimates [ms]."""
 SERIAL = 0x0D_5A_11_00_00_00
+"""Serial number of node 0."""
 HOT_C = 120.0
+"""Winding temperature at which the axis disarms [degC]."""
 _SIZES = {0x02: 0, 0x04: 4, 0x07: 4, 0x0B: 8, 0x0C: 8, 0x0D: 8, 0x0E: 4, 0x0F: 8, 0x16: 0, 0x18: 0, 0x1A: 4, 0x1B: 8}
-"""Shortest payload of each message that is taken."""
-_OLD_ANSWERS = {0x09, 0x14, 0x17}
-_OLD_ERRORS = {MISSING_INPUT: 1 << 0, MOTOR_HOT: 1 << 6, WATCHDOG: 1 << 11, ESTOP: 1 << 14}
-"""Firmware 0.5.x: what it tells, and its axis errors."""
+"""Minimum payload of each accepted message [bytes]."""
+_LEGACY_ANSWERS = {0x09, 0x14, 0x17}
+"""Get messages that firmware 0.5.x answers."""
+_LEGACY_ERRORS = {MISSING_INPUT: 1 << 0, MOTOR_HOT: 1 << 6, WATCHDOG: 1 << 11, ESTOP: 1 << 14}
+"""Axis errors of firmware 0.5.x by errors of firmware 0.6.x."""
 
 
 class OdriveNode:
     """One axis.
 
     Attributes:
-        state: axis state. active: errors that are present. reason: what disarmed it last.
-        endpoints: value by number, as bytes: enable_watchdog, watchdog_timeout, torque maximum and minimum.
-        control_mode, input_mode, mode: what it follows; both in one. setpoint: of the torque [N m].
-        torque_min, torque_max, timeout_ns: limits [N m] and watchdog [ns], 0 if it is off, by the endpoints.
-        velocity_limit: [turn/s]. current_limit: [A].
-        gains: of position [1/s] and velocity [N m s/turn].
-        thermal: temperatures. ids: None: many. malformed: frames that it could not read.
-        wake_ns: when time must pass next [ns]. fed_ns: last setpoint [ns]. warmed_ns: of the temperatures [ns].
-        heartbeat_due_ns, encoder_due_ns: when it sends its cyclic messages next [ns], in periods [ns].
-        takes: identifiers that it may answer.
+        state: axis state.
+        active_errors: present errors.
+        disarm_reason: error that disarmed the axis last.
+        result: procedure result.
+        endpoints: bytes of enable_watchdog, watchdog_timeout, torque maximum and minimum, by
+            endpoint number.
+        control_mode: controlled quantity.
+        input_mode: input filter.
+        setpoint: torque setpoint [N m].
+        torque_min: lower torque limit of the endpoints [N m].
+        torque_max: upper torque limit of the endpoints [N m].
+        timeout_ns: watchdog timeout of the endpoints [ns], 0 if off.
+        velocity_limit: velocity limit [turn/s].
+        current_limit: current limit [A].
+        gains: position gain [1/s] and velocity gain [N m s/turn].
+        thermal: temperatures.
+        ids: None, because it takes many identifiers.
+        malformed: frames that it could not decode.
+        wake_ns: time of the next wake [ns].
+        watchdog_fed_ns: time of the last setpoint [ns].
+        thermal_ns: time of the last thermal update [ns].
+        heartbeat_due_ns: time of the next heartbeat [ns].
+        encoder_due_ns: time of the next encoder estimates [ns].
+        accepted_ids: identifiers that it may answer.
     """
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
-        """Args: the motor's description; its rotor; shaft angle at theta = 0 [rad]."""
-        self.motor, self.offset = motor, offset
+        """Set up the axis after power-up.
+
+        Args:
+            spec: description of the motor.
+            motor: rotor of the motor.
+            offset: shaft angle at theta = 0 [rad].
+        """
+        self.motor = motor
+        self.offset = offset
         self.ids: frozenset[int] | None = None
-        self.node_id, options = spec.node_id, spec.options
-        own = [node << 5 | command for node in (spec.node_id, BROADCAST) for command in range(0x20)]
-        self.takes = frozenset((*own, *(can_id | REMOTE for can_id in own)))
+        self.node_id = spec.node_id
+        options = spec.options
+        own_ids = [node << 5 | command for node in (spec.node_id, BROADCAST) for command in range(0x20)]
+        self.accepted_ids = frozenset((*own_ids, *(can_id | REMOTE for can_id in own_ids)))
         self._serial = SERIAL + spec.node_id if spec.serial is None else spec.serial
         self.gear = float(options.get("gear_ratio", 1.0))
-        self.direction, self.torque_constant = spec.direction, spec.torque_constant
+        self.direction = spec.direction
+        self.torque_constant = spec.torque_constant
         self.peak = spec.torque_peak
         self.thermal = Thermal(spec.torque_constant)
-        self.state, self.active, self.reason, self.result = IDLE, 0, 0, SUCCESS
+        self.state = IDLE
+        self.active_errors = 0
+        self.disarm_reason = 0
+        self.result = SUCCESS
         self._set_modes(POSITION_CONTROL, PASSTHROUGH)
         self.gains = (POSITION_GAIN, VELOCITY_GAIN)
-        self.velocity_limit, self.current_limit = 50.0, 20.0
+        self.velocity_limit = 50.0
+        self.current_limit = 20.0
         self._numbers = {
             key: int(options.get(f"endpoint_{key}", 0))
             for key in ("enable_watchdog", "watchdog_timeout", "torque_max", "torque_min")
@@ -88,8 +165,8 @@ class OdriveNode:
             self._numbers["torque_min"]: struct.pack("<f", -math.inf),
         }
         self.endpoints.pop(0, None)
-        self.old = options.get("firmware") == "0.5"
-        if usb := options.get("usb_watchdog_s"):  # set where no frame can reach it
+        self.legacy = options.get("firmware") == "0.5"
+        if usb := options.get("usb_watchdog_s"):  # set over USB: no frame reaches it
             self._numbers |= {"enable_watchdog": -1, "watchdog_timeout": -2}
             self.endpoints |= {-1: b"\1", -2: struct.pack("<f", usb)}
         self._saved = dict(self.endpoints)
@@ -97,60 +174,71 @@ class OdriveNode:
         self.heartbeat_period_ns = HEARTBEAT_MS * 1_000_000
         self.encoder_period_ns = int(options.get("encoder_period_ms", ENCODER_MS)) * 1_000_000
         self.heartbeat_due_ns = self.encoder_due_ns = 0
-        self.fed_ns, self.warmed_ns = 0, -1
-        self._renew()
+        self.watchdog_fed_ns = 0
+        self.thermal_ns = -1
+        self._update_derived()
         self.malformed = 0
         self.wake_ns = 0
 
-    def _set_modes(self, control: int, entry: int) -> None:
-        self.control_mode, self.input_mode = control, entry
+    def _set_modes(self, control: int, input_mode: int) -> None:
+        """Set control mode and input mode."""
+        self.control_mode = control
+        self.input_mode = input_mode
 
-    def _renew(self) -> None:
-        """Take over what depends on endpoints."""
+    def _update_derived(self) -> None:
+        """Update the values that depend on endpoints."""
         self.torque_min, self.torque_max = self._limit("torque_min", -math.inf), self._limit("torque_max", math.inf)
-        enabled, seconds = self.endpoints.get(self._numbers["enable_watchdog"]), self._limit("watchdog_timeout", 0.0)
+        enabled = self.endpoints.get(self._numbers["enable_watchdog"])
+        seconds = self._limit("watchdog_timeout", 0.0)
         self.timeout_ns = int(seconds * 1e9) if enabled == b"\1" and 0.0 < seconds < 1e6 else 0
 
     @property
     def mode(self) -> tuple[int, int]:
-        """Control and input mode."""
+        """Return control mode and input mode."""
         return self.control_mode, self.input_mode
 
     @property
-    def cyclic(self) -> tuple[int, ...]:
-        """Identifiers of the frames that come in every tick."""
+    def cyclic_ids(self) -> tuple[int, ...]:
+        """Return the identifiers of the frames that come in every tick."""
         return self.node_id << 5 | 0x0E, self.node_id << 5 | 0x09 | REMOTE
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
-        """Return the answers to a frame; None if it is not for this axis."""
+        """Answer a frame.
+
+        Returns:
+            The answers, None if the frame is not for this axis.
+        """
         can_id = frame.can_id & ~REMOTE
-        node, command = can_id >> 5, can_id & 0x1F
+        node = can_id >> 5
+        command = can_id & 0x1F
         if node not in (self.node_id, BROADCAST) or frame.flags & FDF:
             return None
         if frame.can_id & REMOTE:
-            return self._asked(node, command)
+            return self._answer_remote(node, command)
         if command not in _SIZES:
             return [] if node == self.node_id else None
         if len(frame.data) < _SIZES[command]:
             self.malformed += 1
             return []
-        return self._told(command, frame.data, t_ns)
+        return self._execute(command, frame.data, t_ns)
 
-    def _asked(self, node: int, command: int) -> list[Frame]:
+    def _answer_remote(self, node: int, command: int) -> list[Frame]:
+        """Answer a remote frame. Only Get_Address may be broadcast."""
         if node == BROADCAST and command != 0x06:
             return []
-        answer = self._answer(command)
+        answer = self._get_payload(command)
         return [Frame(self.node_id << 5 | command, answer)] if answer else []
 
-    def _answer(self, command: int) -> bytes:
-        """Return the payload of a Get message; empty if there is no such message."""
-        gear, sign = self.gear, self.direction
-        if self.old and command not in _OLD_ANSWERS:
+    def _get_payload(self, command: int) -> bytes:
+        """Return the payload of a Get message, empty if the message does not exist."""
+        gear = self.gear
+        sign = self.direction
+        if self.legacy and command not in _LEGACY_ANSWERS:
             return b""
         if command == 0x00:
             return bytes((2, 4, 4, 58, 0, 6, 10, 0))
         if command == 0x03:
-            return struct.pack("<II", self.active, self.reason)
+            return struct.pack("<II", self.active_errors, self.disarm_reason)
         if command == 0x06:
             return bytes((self.node_id,)) + self._serial.to_bytes(6, "little") + b"\0"
         if command == 0x09:
@@ -165,7 +253,8 @@ class OdriveNode:
         }
         return struct.pack("<ff", *pairs[command]) if command in pairs else b""
 
-    def _told(self, command: int, data: bytes, t_ns: int) -> list[Frame]:
+    def _execute(self, command: int, data: bytes, t_ns: int) -> list[Frame]:
+        """Execute a message of the host."""
         if command == 0x02:
             self.disarm(ESTOP)
         elif command == 0x04:
@@ -190,126 +279,159 @@ class OdriveNode:
         elif command == 0x16:
             self._reboot()
         elif command == 0x18:
-            self.active = self.reason = 0
+            self.active_errors = self.disarm_reason = 0
             self.result = SUCCESS
         schedule(self)
         return []
 
     def _set_state(self, state: int, t_ns: int) -> None:
+        """Set the axis state. Errors block closed loop."""
         if state == IDLE:
             self._release(SUCCESS)
-        elif state != CLOSED_LOOP or self.active or self.reason:
+        elif state != CLOSED_LOOP or self.active_errors or self.disarm_reason:
             self.result = INVALID_STATE if self.state == IDLE else self.result
         elif self.state != CLOSED_LOOP:
-            self.state, self.result, self.fed_ns = CLOSED_LOOP, SUCCESS, t_ns
-            self._set_motion(
-                POSITION_CONTROL, turns(self, self.motor.encoder()), 0.0, 0.0, t_ns
-            )  # stays where it is, if in that mode
+            self.state = CLOSED_LOOP
+            self.result = SUCCESS
+            self.watchdog_fed_ns = t_ns
+            # In position control the axis holds its present position.
+            self._set_motion(POSITION_CONTROL, turns(self, self.motor.encoder()), 0.0, 0.0, t_ns)
 
-    def _set_mode(self, control: int, entry: int) -> None:
+    def _set_mode(self, control: int, input_mode: int) -> None:
+        """Set the modes while idle."""
         if self.state == IDLE:
-            self._set_modes(control, entry)
+            self._set_modes(control, input_mode)
 
     def _set_limits(self, velocity: float, current: float) -> None:
+        """Set velocity limit [turn/s] and current limit [A], if both are positive."""
         if velocity > 0.0 and current > 0.0:
-            self.velocity_limit, self.current_limit = velocity, current
+            self.velocity_limit = velocity
+            self.current_limit = current
 
     def _set_torque(self, torque: float, t_ns: int) -> None:
+        """Set a torque setpoint [N m]."""
         if not math.isfinite(torque):
             self.disarm(MISSING_INPUT)
             return
-        make_torque(self, self.motor.servo, torque, t_ns)
+        set_torque(self, self.motor.servo, torque, t_ns)
 
-    def _set_motion(self, kind: int, position: float, velocity: float, torque: float, t_ns: int) -> None:
-        """Follow a position [turn] or velocity [turn/s] with feed-forward torque [N m], all at the shaft."""
+    def _set_motion(self, control_mode: int, position: float, velocity: float, torque: float, t_ns: int) -> None:
+        """Follow a position or velocity with feedforward torque at the shaft.
+
+        Args:
+            control_mode: control mode in which the setpoint acts.
+            position: position setpoint [turn].
+            velocity: velocity setpoint [turn/s].
+            torque: feedforward torque [N m].
+            t_ns: present time [ns].
+        """
         if not math.isfinite(position + velocity + torque):
             self.disarm(MISSING_INPUT)
             return
-        self.fed_ns, servo = t_ns, self.motor.servo
-        if self.state != CLOSED_LOOP or self.control_mode != kind:
+        self.watchdog_fed_ns = t_ns
+        servo = self.motor.servo
+        if self.state != CLOSED_LOOP or self.control_mode != control_mode:
             return
-        stiff = self.gains[1] / TURN * self.gear**2
-        servo.kd, servo.kp = stiff, self.gains[0] * stiff if kind == POSITION_CONTROL else 0.0
+        velocity_gain = self.gains[1] / TURN * self.gear**2
+        servo.kd = velocity_gain
+        servo.kp = self.gains[0] * velocity_gain if control_mode == POSITION_CONTROL else 0.0
+        # From turns at the shaft to radians at the spool: subtract the offset, apply direction and
+        # gear ratio.
         servo.position = self.direction * (position * TURN - self.offset) / self.gear
         servo.velocity = self.direction * velocity * TURN / self.gear
         servo.torque = self.direction * self.gear * torque
         servo.limit = min(self.peak, self.current_limit * self.torque_constant)
 
     def _limit(self, name: str, default: float) -> float:
+        """Return the float of an endpoint, or the default without this endpoint."""
         raw = self.endpoints.get(self._numbers[name])
         return float(struct.unpack("<f", raw)[0]) if raw else default
 
     def _sdo(self, data: bytes) -> list[Frame]:
-        """Answer a read; a write is taken without a word, as firmware before 0.6.11 does."""
-        operation, endpoint = data[0], int.from_bytes(data[1:3], "little")
-        held = self.endpoints.get(endpoint)
-        if held is None or operation > 1 or self.old:
+        """Answer a read of an endpoint. A write has no answer, as in firmware before 0.6.11."""
+        operation = data[0]
+        endpoint = int.from_bytes(data[1:3], "little")
+        stored = self.endpoints.get(endpoint)
+        if stored is None or operation > 1 or self.legacy:
             return []
         if operation == 1:
-            if len(data) - 4 >= len(held):
-                self.endpoints[endpoint] = data[4 : 4 + len(held)]
-                self._renew()
+            if len(data) - 4 >= len(stored):
+                self.endpoints[endpoint] = data[4 : 4 + len(stored)]
+                self._update_derived()
             return []
-        return [Frame(self.node_id << 5 | 0x05, b"\0" + endpoint.to_bytes(2, "little") + b"\0" + held)]
+        return [Frame(self.node_id << 5 | 0x05, b"\0" + endpoint.to_bytes(2, "little") + b"\0" + stored)]
 
     def _reboot(self) -> None:
-        """Lose what was not saved."""
+        """Restart with the saved settings."""
         self._release(SUCCESS)
-        self.active = self.reason = 0
+        self.active_errors = self.disarm_reason = 0
         self._set_modes(POSITION_CONTROL, PASSTHROUGH)
-        self.forget()
+        self.lose_settings()
 
-    def forget(self) -> None:
-        """Fall back to what was saved, and go on as before."""
-        self.velocity_limit, self.current_limit = 50.0, 20.0
+    def lose_settings(self) -> None:
+        """Restore the saved settings without a change of state."""
+        self.velocity_limit = 50.0
+        self.current_limit = 20.0
         self.endpoints = dict(self._saved)
-        self._renew()
+        self._update_derived()
 
     def _release(self, result: int) -> None:
+        """Enter idle with a procedure result. The motor coasts."""
         self.motor.servo.release()
-        self.state, self.result, self.setpoint = IDLE, result, 0.0
+        self.state = IDLE
+        self.result = result
+        self.setpoint = 0.0
 
     def disarm(self, error: int) -> None:
-        """Enter idle because of an error; the motor coasts."""
-        self.reason |= error
+        """Enter idle because of an error. The motor coasts."""
+        self.disarm_reason |= error
         self._release(DISARMED)
 
     def wake(self, t_ns: int) -> list[Frame]:
-        """Judge watchdog and temperature; return the cyclic messages that are due."""
-        if self.warmed_ns < 0 or t_ns - self.warmed_ns >= WARM_PERIOD_NS:
-            self._warm(t_ns)
-        if starves(self, t_ns):
+        """Check watchdog and temperature, and send the cyclic messages.
+
+        Returns:
+            The cyclic messages that are due.
+        """
+        if self.thermal_ns < 0 or t_ns - self.thermal_ns >= THERMAL_PERIOD_NS:
+            self._update_thermal(t_ns)
+        if watchdog_expired(self, t_ns):
             self.disarm(WATCHDOG)
         frames = []
         if t_ns >= self.heartbeat_due_ns:
             frames.append(Frame(self.node_id << 5 | 0x01, self._heartbeat()))
             self.heartbeat_due_ns = next_due(self.heartbeat_due_ns, t_ns, self.heartbeat_period_ns)
         if t_ns >= self.encoder_due_ns:
-            frames.append(Frame(self.node_id << 5 | 0x09, self._answer(0x09)))
+            frames.append(Frame(self.node_id << 5 | 0x09, self._get_payload(0x09)))
             self.encoder_due_ns = next_due(self.encoder_due_ns, t_ns, self.encoder_period_ns)
         schedule(self)
         return frames
 
     def _heartbeat(self) -> bytes:
-        if self.old:
-            errors = sum(old for new, old in _OLD_ERRORS.items() if (self.active | self.reason) & new)
-            return struct.pack("<IBBBB", errors, self.state, errors == _OLD_ERRORS[MOTOR_HOT], 0, 0)
-        return struct.pack("<IBBBB", self.active | self.reason, self.state, self.result, 0, 0)
+        """Return the payload of a heartbeat."""
+        if self.legacy:
+            errors = sum(
+                legacy for new, legacy in _LEGACY_ERRORS.items() if (self.active_errors | self.disarm_reason) & new
+            )
+            return struct.pack("<IBBBB", errors, self.state, errors == _LEGACY_ERRORS[MOTOR_HOT], 0, 0)
+        return struct.pack("<IBBBB", self.active_errors | self.disarm_reason, self.state, self.result, 0, 0)
 
-    def _warm(self, t_ns: int) -> None:
-        if self.warmed_ns >= 0:
-            self.thermal.advance((t_ns - self.warmed_ns) * 1e-9, self.motor.heat)
-        self.motor.heat, self.warmed_ns = 0.0, t_ns
+    def _update_thermal(self, t_ns: int) -> None:
+        """Integrate the temperatures and disarm on over-temperature."""
+        if self.thermal_ns >= 0:
+            self.thermal.advance((t_ns - self.thermal_ns) * 1e-9, self.motor.heat)
+        self.motor.heat = 0.0
+        self.thermal_ns = t_ns
         if self.thermal.winding > HOT_C and self.state == CLOSED_LOOP:
             self.disarm(MOTOR_HOT)
 
 
-class OdriveNodeRow(OdriveRow, OdriveNode):
+class OdriveNodeRow(OdriveStruct, OdriveNode):
     """An axis whose numbers are a row of an array."""
 
-    layout = OdriveRow
+    layout = OdriveStruct
 
     def prepare(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
-        """Fill the row; see ``OdriveNode``."""
+        """Initialize the row. See ``OdriveNode``."""
         OdriveNode.__init__(self, spec, motor, offset)
         self.motor_number = motor.number

@@ -104,7 +104,7 @@ def run_scenario(simulation: Simulation, scenario: Scenario, protocol: str) -> S
         _observe(result, simulation, scenario, out, _first_effect_ns(simulation, host, start_ns), t_ns)
         if out.mode == Mode.DONE:
             break
-    result.effects = 1 if host else int(simulation.peer.told()[0]["felt"])
+    result.effects = 1 if host else int(simulation.peer.fault_states()[0]["felt"])
     result.tension_bound = tension_bound(
         simulation,
         scenario,
@@ -179,7 +179,7 @@ def _first_effect_ns(simulation: Simulation, host: "Host | None", start_ns: int)
     """Return the time at which the disturbance first took effect [ns], -1 before that."""
     if host is not None:
         return start_ns
-    return int(simulation.peer.told()[0]["first_ns"])
+    return int(simulation.peer.fault_states()[0]["first_ns"])
 
 
 def _observe(

@@ -168,7 +168,7 @@ def run_sequence(simulation: Simulation, sequence: Sequence) -> ScenarioResult:
         violations += violations_in_tick(before, simulation.state, cleared=CLEAR in inputs["requests"])
         if simulation.state.mode == Mode.DONE:
             break
-    active_faults = sum(int(fault["felt"]) > 0 for fault in simulation.peer.told())
+    active_faults = sum(int(fault["felt"]) > 0 for fault in simulation.peer.fault_states())
     bound = _tension_bound(simulation, sequence, start_tension)
     if tension > bound:
         violations.append(f"{tension:.0f} N in a tendon, at most {bound:.0f} N are explained")

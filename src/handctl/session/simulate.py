@@ -41,7 +41,7 @@ class SimulatedHand(Peer, Protocol):
         """Let a fault begin."""
         ...
 
-    def told(self) -> list[dict[str, Any]]:
+    def fault_states(self) -> list[dict[str, Any]]:
         """Return every fault so far, and what was felt of it."""
         ...
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from firmware_sim.bus.ports import open_port
-from firmware_sim.bus.wired import ALONE_BITRATES, WiredPort, maker
+from firmware_sim.bus.timed_port import DEFAULT_BITRATES, TimedPort, timed_port_maker
 from firmware_sim.description import SimulatorError, load_hand
 from firmware_sim.scene.scene import load_scene
 from firmware_sim.server import Server
@@ -37,7 +37,7 @@ class Lab:
 
     def __init__(self, words: list[str], hand: bool = True) -> None:
         self.clock = ByHand()
-        made = maker(words, [ALONE_BITRATES], self.clock.now_ns, nodes=hand)
+        made = timed_port_maker(words, [DEFAULT_BITRATES], self.clock.now_ns, nodes=hand)
         assert made
         self.port = made("lab", 0)
         self.world = World(load_hand("jamia"), load_scene(None), homed=True, origin_ns=START)
@@ -76,7 +76,7 @@ def us(size: int) -> float:
 
 
 def test_an_answer_comes_after_question_and_answer_have_been_on_the_wire(lab: Lab) -> None:
-    assert isinstance(lab.port, WiredPort)
+    assert isinstance(lab.port, TimedPort)
     lab.host.send([Frame(SYNC, b"\x05")])
     assert lab.at(0.0) == []
     assert lab.at((us(1) + us(7) - 1) * 1e-3) == []
@@ -133,7 +133,7 @@ def test_frames_that_come_while_room_is_looked_for_are_not_lost(lab: Lab) -> Non
 
 
 def test_a_disturbed_wire_puts_the_host_off_the_bus_and_it_says_so(lab: Lab) -> None:
-    assert isinstance(lab.port, WiredPort)
+    assert isinstance(lab.port, TimedPort)
     lab.port.wire.disturbed = 32
     lab.host.send([Frame(0x700, b"")])
     lab.at(0.0)
@@ -162,7 +162,7 @@ def test_a_client_alone_gets_no_acknowledge() -> None:
 
 
 def test_a_client_that_leaves_takes_its_queue_with_it(lab: Lab) -> None:
-    assert isinstance(lab.port, WiredPort)
+    assert isinstance(lab.port, TimedPort)
     other = open_bus("local:lab", 0, 1_000_000)
     lab.settle()
     lab.host.send([Frame(0x700, b"")] * 5)
@@ -181,9 +181,9 @@ def test_a_client_that_leaves_takes_its_queue_with_it(lab: Lab) -> None:
 )
 def test_what_no_wire_can_be_is_refused(word: str) -> None:
     with pytest.raises(SimulatorError, match=f"--wire {word}"):
-        maker([word], [ALONE_BITRATES], lambda: 0)
+        timed_port_maker([word], [DEFAULT_BITRATES], lambda: 0)
 
 
 def test_only_a_bus_that_is_served_here_has_a_wire() -> None:
     with pytest.raises(SimulatorError, match="local:NAME"):
-        open_port("socketcan:vcan0", 0, maker([], [ALONE_BITRATES], lambda: 0))
+        open_port("socketcan:vcan0", 0, timed_port_maker([], [DEFAULT_BITRATES], lambda: 0))

@@ -3,7 +3,7 @@
 import pytest
 
 from firmware_sim.scene.scene import Support
-from firmware_sim.scene.table import Table
+from firmware_sim.scene.support import SupportTable
 
 OPPOSED = [False, False, False, True]
 SUPPORT = Support(drop_when="grasped", drop_force=1.0, drop_hold=1.5, sink_speed=0.05, sink_depth=0.2)
@@ -14,7 +14,7 @@ def forces(*digits: float) -> list[float]:
     return [part for size in digits for part in (0.6 * size, 0.0, -0.8 * size)]
 
 
-def run(table: Table, start: float, stop: float, *digits: float) -> float:
+def run(table: SupportTable, start: float, stop: float, *digits: float) -> float:
     steps = round((stop - start) * 1000)
     for i in range(steps + 1):
         table.update(start + i / 1000, forces(*digits))
@@ -22,7 +22,7 @@ def run(table: Table, start: float, stop: float, *digits: float) -> float:
 
 
 def test_it_sinks_a_second_and_a_half_after_two_fingers_and_the_thumb_press() -> None:
-    table = Table(SUPPORT, OPPOSED)
+    table = SupportTable(SUPPORT, OPPOSED)
     run(table, 0.0, 0.999, 0, 0, 0, 0)
     assert run(table, 1.0, 2.498, 1.1, 1.1, 0, 1.1) == 0.0
     assert table.dropped_at is None
@@ -34,11 +34,11 @@ def test_it_sinks_a_second_and_a_half_after_two_fingers_and_the_thumb_press() ->
 
 @pytest.mark.parametrize("digits", [(5, 5, 5, 0), (5, 0, 0, 5), (0.9, 0.9, 0.9, 9), (0, 0, 0, 9)])
 def test_less_than_a_grasp_does_not_count(digits: tuple[float, ...]) -> None:
-    assert run(Table(SUPPORT, OPPOSED), 0.0, 5.0, *digits) == 0.0
+    assert run(SupportTable(SUPPORT, OPPOSED), 0.0, 5.0, *digits) == 0.0
 
 
 def test_letting_go_begins_the_wait_again() -> None:
-    table = Table(SUPPORT, OPPOSED)
+    table = SupportTable(SUPPORT, OPPOSED)
     run(table, 0.0, 1.4, 2, 2, 2, 2)
     run(table, 1.4, 1.41, 0, 0, 0, 0)
     assert run(table, 1.42, 2.8, 2, 2, 2, 2) == 0.0
@@ -46,4 +46,4 @@ def test_letting_go_begins_the_wait_again() -> None:
 
 
 def test_a_table_that_never_sinks() -> None:
-    assert run(Table(Support(), OPPOSED), 0.0, 5.0, 9, 9, 9, 9) == 0.0
+    assert run(SupportTable(Support(), OPPOSED), 0.0, 5.0, 9, 9, 9, 9) == 0.0

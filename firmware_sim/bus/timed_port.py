@@ -1,0 +1,184 @@
+"""A port that serves a local bus with wire timing: every client and every node has a CAN controller."""
+
+import socket
+import struct
+from collections import deque
+from collections.abc import Callable, Collection, Sequence
+
+from firmware_sim.bus.frame import ERROR, EXTENDED, RECORD_SIZE, REMOTE, Frame, pack_record
+from firmware_sim.bus.hub import Hub, Link
+from firmware_sim.bus.local import split
+from firmware_sim.wire.bits import Rate
+from firmware_sim.wire.controller import Controller
+from firmware_sim.wire.medium import Options, Wire
+from firmware_sim.wire.options import parse
+
+DEFAULT_BITRATES = (1_000_000, 5_000_000)
+"""Bit rates of a bus without a hand: nominal and data phase [bit/s]."""
+QUEUE_REPORT = EXTENDED | REMOTE | ERROR
+"""Identifier of a record that reports a client's queue level. No frame can have this combination of flags."""
+_QUEUE = struct.Struct("<II")
+"""Payload of a queue report: frames that have left the queue modulo 2**32, capacity of the queue in frames."""
+
+
+class TimedPort:
+    """A port on a simulated wire. See ``ports.Port``.
+
+    Events between two calls are processed in the order of the wire. ``receive`` returns the frames
+    of one instant, so that answers are on the wire before the next frame. The caller repeats the
+    call until no frame comes. The nodes have one controller for each identifier they send.
+
+    Attributes:
+        wire: the simulated wire.
+    """
+
+    def __init__(
+        self, name: str, bus: int, rate: Rate, options: Options, now_ns: Callable[[], int], nodes: bool = True
+    ) -> None:
+        """Open the hub and connect the nodes to the wire.
+
+        Args:
+            name: name of the bus.
+            bus: index of the bus in the hand.
+            rate: bit rates of the wire.
+            options: behaviour of the wire.
+            now_ns: clock of the wire [ns].
+            nodes: True if nodes in this process acknowledge frames.
+
+        Raises:
+            SimulatorError: the bus is already served.
+        """
+        self._hub = Hub(name)
+        self.wire = Wire(rate, options)
+        self._bus = bus
+        self._now_ns = now_ns
+        self._clients: dict[Link, Controller] = {}
+        self._queues: dict[Link, tuple[int, int]] = {}
+        """Records received from each client, and records that left its queue in the last report (-1: none)."""
+        self._nodes: dict[int, Controller] = {}
+        self._received: deque[Frame] = deque()
+        self._unreadable = self._refused = 0
+        self._at_ns = self._start_ns = now_ns()
+        if nodes:
+            self.wire.add(self._receive_on_nodes)
+
+    @property
+    def lost(self) -> int:
+        """Return the number of lost frames.
+
+        The sum counts frames dropped for slow clients, frames refused by a full queue of a node,
+        and invalid records.
+        """
+        return self._hub.dropped + self._unreadable + self._refused
+
+    @property
+    def due_ns(self) -> int:
+        """See ``ports.Port``."""
+        return self.wire.next_ns()
+
+    @property
+    def load(self) -> float:
+        """Return the fraction of time in which the wire was occupied since the port was opened."""
+        return self.wire.load(0, max(1, self._now_ns() - self._start_ns))
+
+    def readers(self) -> list[socket.socket]:
+        """See ``ports.Port``."""
+        return self._hub.readers()
+
+    def writers(self) -> list[socket.socket]:
+        """See ``ports.Port``."""
+        return self._hub.writers()
+
+    def receive(self, ready: Collection[socket.socket]) -> list[Frame]:
+        """Receive the frames that ended next on the wire, if any ended by now. See ``ports.Port``."""
+        now_ns = self._now_ns()
+        if ready:
+            self._read_clients(ready, now_ns)
+        while not self._received and self.wire.next_ns() <= now_ns:
+            self._at_ns = self.wire.next_ns()
+            self.wire.step(now_ns)
+        frames = list(self._received)
+        self._received.clear()
+        self._report_queues()
+        return frames
+
+    def _report_queues(self) -> None:
+        """Send each client the level of its queue, so that sending into a full queue fails at once in the client."""
+        for link, controller in self._clients.items():
+            arrived, reported = self._queues[link]
+            left = arrived - len(controller.queue)
+            if left != reported:
+                dropped = link.dropped
+                link.deliver(pack_record(Frame(QUEUE_REPORT, _QUEUE.pack(left & 0xFFFFFFFF, self.wire.options.queue))))
+                self._queues[link] = arrived, left if link.dropped == dropped else -1
+
+    def _read_clients(self, ready: Collection[socket.socket], now_ns: int) -> None:
+        """Queue the frames of the clients at the present time.
+
+        Args:
+            ready: sockets that are ready for reading.
+            now_ns: present time of the wire [ns].
+        """
+        received = self._hub.poll(ready)
+        for link in self._hub.links:
+            if link not in self._clients:
+                self._clients[link] = self.wire.add(self._deliver(link))
+                self._queues[link] = 0, -1
+        for link, records in received:
+            arrived, reported = self._queues[link]
+            self._queues[link] = arrived + len(records) // RECORD_SIZE, reported
+            frames, unreadable = split(records, self._bus)
+            self._unreadable += unreadable
+            for frame in frames:
+                if not frame.can_id & ERROR:
+                    self._clients[link].offer(frame, now_ns)
+        self._drop_closed()
+
+    def _drop_closed(self) -> None:
+        for link in [link for link in self._clients if link.closed]:
+            self.wire.remove(self._clients.pop(link))
+            del self._queues[link]
+        self._hub.drop_closed()
+
+    def _deliver(self, link: Link) -> Callable[[Frame, int], None]:
+        return lambda frame, t_ns: link.deliver(pack_record(frame))
+
+    def _receive_on_nodes(self, frame: Frame, t_ns: int) -> None:
+        """Store a frame for the nodes, unless the frame is an error frame."""
+        if not frame.can_id & ERROR:
+            self._received.append(frame)
+
+    def send(self, frames: list[Frame]) -> None:
+        """Send answers of the nodes. They may start at the time of the frames received last. See ``ports.Port``."""
+        for frame in frames:
+            controller = self._nodes.get(frame.can_id)
+            if controller is None:
+                controller = self._nodes[frame.can_id] = self.wire.add()
+            self._refused += not controller.offer(frame, self._at_ns)
+
+    def close(self) -> None:
+        """See ``ports.Port``."""
+        self._hub.close()
+
+
+def timed_port_maker(
+    words: Sequence[str] | None, bitrates: Sequence[tuple[int, int]], now_ns: Callable[[], int], nodes: bool = True
+) -> Callable[[str, int], TimedPort] | None:
+    """Build a factory for the ports of a hand's buses with simulated wires.
+
+    Args:
+        words: KEY=VALUE words of ``--wire``, None if the option was not given.
+        bitrates: nominal and data bit rate of each bus [bit/s].
+        now_ns: clock of the wires [ns].
+        nodes: True if nodes in this process acknowledge frames.
+
+    Returns:
+        Function of bus name and bus index that opens a port, or None without ``--wire``.
+
+    Raises:
+        SimulatorError: a word is not valid.
+    """
+    if words is None:
+        return None
+    spec = parse(words)
+    return lambda name, bus: TimedPort(name, bus, spec.rate(*bitrates[bus]), spec.options, now_ns, nodes)

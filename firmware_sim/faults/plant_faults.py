@@ -1,0 +1,315 @@
+"""Faults of sensors, motors, tendons and digits. Each fault changes the plant and restores it at its end."""
+
+import math
+import random
+from collections import deque
+from collections.abc import Callable
+from typing import Any, cast
+
+from firmware_sim.bus.frame import Frame
+from firmware_sim.faults.text import CELL, ENCODER, SENSORS, Fault
+from firmware_sim.faults.wire_faults import ActiveFault
+from firmware_sim.nodes.cia402.node import Cia402Node
+from firmware_sim.nodes.mit.node import MitNode, State
+from firmware_sim.nodes.odrive.node import OdriveNode
+from firmware_sim.nodes.sensors import CHANNELS, JOINT_OFFSET
+
+Undo = Callable[[], None]
+RAIL_N = 1e4
+"""Tension beyond the range of every load cell [N]."""
+BLOCK = 1e3
+"""Damping of a blocked joint [N m s/rad]."""
+ERRORS = {
+    "error": (State.WINDING_HOT, 1 << 13, 0x4310),
+    "watchdog": (State.COMMUNICATION_LOST, 1 << 24, 0x8130),
+    "voltage": (0x9, 1 << 9, 0x3220),
+}
+"""Error code of each kind of fault for MIT, ODrive and CiA 402."""
+
+
+def start(world: Any, active: ActiveFault) -> Undo:
+    """Start a fault.
+
+    Args:
+        world: world in which the fault acts.
+        active: the fault.
+
+    Returns:
+        Function that ends the fault.
+    """
+    kind = active.fault.kind
+    if kind in ("stuck", "offset", "drift", "noise", "saturate", "scale", "old"):
+        return _start_reading_fault(world, active)
+    return _STARTERS[kind](world, active) if kind in _STARTERS else lambda: None
+
+
+def _start_reading_fault(world: Any, active: ActiveFault) -> Undo:
+    """Change the reading of one sensor."""
+    fault = active.fault
+    change = _reading_change(active, lambda: int(world.t_ns))
+    if fault.component == ENCODER:
+        motor = world.plant.motors[fault.instance]
+        motor.encoder_fault = change
+        return lambda: setattr(motor, "encoder_fault", None)
+    node = world.sensor_node
+    spec = world.hand.sensors
+    names, table = (spec.tendons, node.cell_faults) if fault.component == CELL else (spec.joints, node.joint_faults)
+    index = names.index(fault.instance)
+    table[index] = change
+    return lambda: table.pop(index, None) and None
+
+
+def _reading_change(active: ActiveFault, now: Callable[[], int]) -> Callable[[float], float]:
+    """Build the function that changes a reading.
+
+    Args:
+        active: the fault.
+        now: returns the present time [ns].
+
+    Returns:
+        Function of the true reading that returns the changed reading.
+    """
+    fault = active.fault
+    start_ns = now()
+    readings = list[float]()
+    rng = random.Random(f"reading {fault.seed} {fault.text}")
+
+    def read_wrong(value: float) -> float:
+        if not readings:
+            readings.append(value)
+        if fault.kind == "old":
+            return _delayed_reading(active, readings, value, now())
+        if fault.kind == "stuck":
+            changed = readings[0]
+        elif fault.kind == "offset":
+            changed = value + fault.size
+        elif fault.kind == "drift":
+            changed = value + fault.size * (now() - start_ns) * 1e-9
+        elif fault.kind == "scale":
+            changed = readings[0] + fault.size * (value - readings[0])
+        elif fault.kind == "noise":
+            changed = value + rng.gauss(0.0, fault.size)
+        else:
+            changed = math.copysign(RAIL_N, fault.size)
+        if changed != value:
+            active.note_effect(now())
+        return changed
+
+    return read_wrong
+
+
+def _delayed_reading(active: ActiveFault, past: list[float], value: float, now_ns: int) -> float:
+    """Return the reading of ``size`` samples ago, or the present reading until so many samples exist."""
+    past.append(value)
+    # The first reading is in the list twice, because ``_reading_change`` stores it as well.
+    if len(past) <= int(active.fault.size) + 1:
+        return value
+    active.note_effect(now_ns)
+    del past[0]
+    return past[0]
+
+
+def _start_mute(world: Any, active: ActiveFault) -> Undo:
+    """Suppress the sensor node's frame that carries the reading."""
+    node = world.sensor_node
+    spec = world.hand.sensors
+    of_cells = active.fault.component == CELL
+    first, names = (spec.base_id, spec.tendons) if of_cells else (spec.base_id + JOINT_OFFSET, spec.joints)
+    can_id = first + names.index(active.fault.instance) // CHANNELS
+    node.suppressed[can_id] = lambda: active.note_effect(int(world.t_ns))
+    return lambda: node.suppressed.pop(can_id, None) and None
+
+
+def _start_snap(world: Any, active: ActiveFault) -> Undo:
+    """Break a tendon."""
+    tendon = _tendon_of(world, active.fault)
+    active.note_effect(world.t_ns)
+    mend: Undo = tendon.snap()
+    return mend
+
+
+def _start_slack(world: Any, active: ActiveFault) -> Undo:
+    """Lengthen a tendon by ``size`` [mm]."""
+    tendon = _tendon_of(world, active.fault)
+    active.note_effect(world.t_ns)
+    tendon.extra_length = active.fault.size * 1e-3
+    return lambda: setattr(tendon, "extra_length", 0.0)
+
+
+def _start_friction(world: Any, active: ActiveFault) -> Undo:
+    """Add Coulomb friction to a motor, ``size`` newtons at its tendon."""
+    tendon = next(spec for spec in world.hand.tendons if spec.name == active.fault.instance)
+    motor = world.plant.motors[tendon.motor]
+    before = motor.coulomb
+    motor.coulomb += active.fault.size * _tendon_of(world, active.fault).radius
+    active.note_effect(world.t_ns)
+    return lambda: setattr(motor, "coulomb", before)
+
+
+def _tendon_of(world: Any, fault: Fault) -> Any:
+    """Return the tendon of a fault."""
+    names = [spec.name for spec in world.hand.tendons]
+    return world.plant.tendons[names.index(fault.instance)][0]
+
+
+def _start_block(world: Any, active: ActiveFault) -> Undo:
+    """Block all joints of a digit."""
+    digit = next(digit for digit in world.hand.digits if digit.name == active.fault.instance)
+    active.note_effect(world.t_ns)
+    release: Undo = world.plant.engine.brake([world.hand.joints.index(joint) for joint in digit.joints], BLOCK)
+    return release
+
+
+def _start_trip(world: Any, active: ActiveFault) -> Undo:
+    """Trip a drive with the error code of the kind, or with the code ``size``."""
+    node = world.node_of(active.fault.instance)
+    codes = ERRORS[active.fault.kind]
+    size = int(active.fault.size)
+    active.note_effect(world.t_ns)
+    match node:
+        case MitNode():
+            node.trip(cast(State, size or codes[0]))
+        case OdriveNode():
+            node.disarm(size or codes[1])
+        case Cia402Node():
+            node.trip(size or codes[2])
+            node.wake_ns = 0
+    return lambda: None
+
+
+def _start_reset(world: Any, active: ActiveFault) -> Undo:
+    """Reset a drive by power cycle or by its protocol's reset command."""
+    node = world.node_of(active.fault.instance)
+    active.note_effect(world.t_ns)
+    match node:
+        case MitNode():
+            node.power_cycle()
+        case OdriveNode():
+            node.receive(Frame(world.motor_spec(active.fault.instance).node_id << 5 | 0x16, b""), world.t_ns)
+        case Cia402Node():
+            node.receive(Frame(0x000, bytes((0x81, world.motor_spec(active.fault.instance).node_id))), world.t_ns)
+            node.wake_ns = 0
+    return lambda: None
+
+
+def _start_forget(world: Any, active: ActiveFault) -> Undo:
+    """Reset all settings of a drive that were not saved, with the power stage on.
+
+    The fault simulates a brown-out of the drive's processor only.
+    """
+    active.note_effect(world.t_ns)
+    match node := world.node_of(active.fault.instance):
+        case MitNode():
+            node.lose_settings(active.fault.size)
+        case OdriveNode() | Cia402Node():
+            node.lose_settings()
+    return lambda: None
+
+
+def _start_ripple(world: Any, active: ActiveFault) -> Undo:
+    """Add a sinusoidal torque ripple to a motor."""
+    motor = world.plant.motors[active.fault.instance]
+    fault = active.fault
+
+    def apply(command: float) -> float:
+        active.note_effect(int(world.t_ns))
+        return command + fault.size * math.sin(2.0 * math.pi * fault.hz * world.plant.t_ns * 1e-9)
+
+    motor.power_stage_fault = apply
+    return lambda: setattr(motor, "power_stage_fault", None)
+
+
+def _start_hot(world: Any, active: ActiveFault) -> Undo:
+    """Hold the winding of a motor at a temperature."""
+    thermal = world.node_of(active.fault.instance).thermal
+    active.note_effect(world.t_ns)
+    thermal.forced = active.fault.size
+    thermal.winding = active.fault.size
+    return lambda: setattr(thermal, "forced", None)
+
+
+class _Crossed:
+    """A drive's motor whose sensors belong to one rotor and whose power stage belongs to another rotor.
+
+    Attributes:
+        servo: setpoints of the driven rotor. All other attributes are those of the sensed rotor.
+    """
+
+    def __init__(self, sensed: Any, driven: Any) -> None:
+        self.__dict__.update(sensed=sensed, servo=driven.servo)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.__dict__["sensed"], name)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        setattr(self.__dict__["sensed"], name, value)
+
+
+def _start_exchange(world: Any, active: ActiveFault) -> Undo:
+    """Exchange the sensors (swap) or the power stages (cross) of two drives."""
+    names = active.fault.instance, active.fault.other
+    nodes = [world.node_of(name) for name in names]
+    motors = [world.plant.motors[name] for name in names]
+    swapped = active.fault.kind == "swap"
+    for i, node in enumerate(nodes):
+        own_motor = motors[i]
+        other_motor = motors[1 - i]
+        node.motor = _Crossed(other_motor, own_motor) if swapped else _Crossed(own_motor, other_motor)
+    active.note_effect(world.t_ns)
+
+    def undo() -> None:
+        for node, motor in zip(nodes, motors, strict=True):
+            node.motor = motor
+
+    return undo
+
+
+def _start_late(world: Any, active: ActiveFault) -> Undo:
+    """Delay each torque command by ``size`` [ms]."""
+    motor = world.plant.motors[active.fault.instance]
+    delay_ns = round(active.fault.size * 1e6)
+    waiting: deque[tuple[int, float]] = deque()
+
+    def apply(command: float) -> float:
+        now_ns = int(world.plant.t_ns)
+        waiting.append((now_ns, command))
+        while len(waiting) > 1 and waiting[1][0] <= now_ns - delay_ns:
+            waiting.popleft()
+        changed = waiting[0][1]
+        if abs(changed - command) > 1e-9:
+            active.note_effect(int(world.t_ns))
+        return changed
+
+    motor.power_stage_fault = apply
+    return lambda: setattr(motor, "power_stage_fault", None)
+
+
+def _start_servo(world: Any, active: ActiveFault) -> Undo:
+    """Replace the torque of the power stage. The sensor node has no power stage."""
+    if active.fault.instance == SENSORS:
+        return lambda: None
+    motor = world.plant.motors[active.fault.instance]
+    fault = active.fault
+    last_torque = motor.servo.torque
+    torque_max = world.motor_spec(fault.instance).torque_max
+
+    def apply(command: float) -> float:
+        changed: float = {"disobey": fault.size * command, "runaway": fault.size * torque_max, "off": 0.0}.get(
+            fault.kind, last_torque
+        )
+        if abs(changed - command) > 1e-9:
+            active.note_effect(int(world.t_ns))
+        return changed
+
+    motor.power_stage_fault = apply
+    return lambda: setattr(motor, "power_stage_fault", None)
+
+
+_STARTERS: dict[str, Callable[[Any, ActiveFault], Undo]] = {
+    "snap": _start_snap, "slack": _start_slack, "friction": _start_friction, "block": _start_block,
+    "error": _start_trip, "watchdog": _start_trip, "voltage": _start_trip, "reset": _start_reset,
+    "forget": _start_forget, "hot": _start_hot, "mute": _start_mute, "ripple": _start_ripple, "late": _start_late,
+    "disobey": _start_servo, "runaway": _start_servo, "hold_on": _start_servo, "off": _start_servo,
+    "swap": _start_exchange, "cross": _start_exchange,
+}  # fmt: skip
+"""Function that starts each kind of fault."""

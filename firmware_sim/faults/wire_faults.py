@@ -1,0 +1,204 @@
+"""Faults between nodes and host: frames that are lost, late, duplicated, changed or replayed."""
+
+import random
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from firmware_sim.bus.frame import EXTENDED, Frame
+from firmware_sim.faults.text import Fault
+
+NEVER_NS = 1 << 62
+"""Release time of a frame that is not delayed by time but stored for another reason [ns]."""
+
+
+@dataclass
+class ActiveFault:
+    """A fault that waits, acts or is over.
+
+    Attributes:
+        fault: the fault as data.
+        rng: random numbers of the fault.
+        effects: number of effects so far.
+        first_ns: time of the first effect [ns], -1 before.
+        delayed: stored frames with their release times [ns].
+        calls: number of calls so far.
+    """
+
+    fault: Fault
+    rng: random.Random
+    effects: int = 0
+    first_ns: int = -1
+    delayed: list[tuple[int, Frame]] = field(default_factory=list)
+    calls: int = 0
+
+    def note_effect(self, t_ns: int) -> None:
+        """Count an effect."""
+        self.effects += 1
+        if self.first_ns < 0:
+            self.first_ns = t_ns
+
+    def hits(self) -> bool:
+        """Decide at random whether the fault hits this frame."""
+        return self.fault.p >= 1.0 or self.rng.random() < self.fault.p
+
+
+def loses_request(actives: Sequence[ActiveFault], t_ns: int) -> bool:
+    """Return True if a frame to the node is lost."""
+    for active in actives:
+        if active.fault.kind in ("deaf", "off") and active.hits():
+            active.note_effect(t_ns)
+            return True
+    return False
+
+
+def transmit(actives: Sequence[ActiveFault], frames: list[Frame], t_ns: int) -> list[Frame]:
+    """Apply the faults to frames that a node sends.
+
+    Returns:
+        The frames that go out.
+    """
+    for active in actives:
+        change = CHANGES.get(active.fault.kind)
+        if change and frames:
+            frames = change(active, frames, t_ns)
+    return frames
+
+
+def due(actives: Sequence[ActiveFault], t_ns: int) -> list[Frame]:
+    """Return the delayed frames whose release time has passed."""
+    frames = []
+    for active in actives:
+        if active.delayed:
+            frames += [frame._replace(t_ns=at_ns) for at_ns, frame in active.delayed if at_ns <= t_ns]
+            active.delayed = [pair for pair in active.delayed if pair[0] > t_ns]
+    return frames
+
+
+def _drop(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+    """Drop frames."""
+    passed = [frame for frame in frames if not active.hits()]
+    if len(passed) < len(frames):
+        active.note_effect(t_ns)
+    return passed
+
+
+def _delay(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+    """Store frames until their delay is over."""
+    passed = []
+    for frame in frames:
+        if active.hits():
+            active.delayed.append((t_ns + round(active.fault.size * 1e6), frame))
+            active.note_effect(t_ns)
+        else:
+            passed.append(frame)
+    return passed
+
+
+def _duplicate(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+    """Send frames twice."""
+    sent = []
+    for frame in frames:
+        sent.append(frame)
+        if active.hits():
+            sent.append(frame)
+            active.note_effect(t_ns)
+    return sent
+
+
+def _twin(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+    """Send frames as a second node with the same identifier would, with another payload."""
+    sent = []
+    for frame in frames:
+        sent.append(frame)
+        if len(frame.data) >= 4 and active.hits():
+            other = bytearray(frame.data)
+            # One bit in the middle of a value: plausible, and different from the true frame.
+            other[2] ^= 0x04
+            sent.append(frame._replace(data=bytes(other)))
+            active.note_effect(t_ns)
+    return sent
+
+
+def _reorder(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+    """Store the first frame until the next frames have been sent."""
+    late = [frame for _, frame in active.delayed]
+    active.delayed = []
+    if not late and active.hits():
+        active.delayed = [(NEVER_NS, frame) for frame in frames[:1]]
+        active.note_effect(t_ns)
+        return frames[1:]
+    return frames + late
+
+
+def _corrupt(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+    """Invert random bits of the payload."""
+    sent = []
+    for frame in frames:
+        if frame.data and active.hits():
+            bits = active.rng.sample(range(8 * len(frame.data)), min(int(active.fault.size), 8 * len(frame.data)))
+            word = int.from_bytes(frame.data, "little")
+            for bit in bits:
+                word ^= 1 << bit
+            frame = frame._replace(data=word.to_bytes(len(frame.data), "little"))
+            active.note_effect(t_ns)
+        sent.append(frame)
+    return sent
+
+
+def _shorten(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+    """Remove the last bytes of the payload."""
+    sent = []
+    for frame in frames:
+        if frame.data and active.hits():
+            frame = frame._replace(data=frame.data[: -max(1, int(active.fault.size))])
+            active.note_effect(t_ns)
+        sent.append(frame)
+    return sent
+
+
+def _extend(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+    """Mark the identifier as one of 29 bits."""
+    sent = []
+    for frame in frames:
+        if active.hits():
+            frame = frame._replace(can_id=frame.can_id | EXTENDED)
+            active.note_effect(t_ns)
+        sent.append(frame)
+    return sent
+
+
+def _slow(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+    """Drop all but every ``size``-th answer."""
+    active.calls += 1
+    if active.calls % max(2, int(active.fault.size)):
+        active.note_effect(t_ns)
+        return []
+    return frames
+
+
+def _off(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+    """Drop all frames of a node without power."""
+    active.note_effect(t_ns)
+    return []
+
+
+def _replay(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+    """Send the frames of ``size`` answers ago, or the present frames until so many answers exist."""
+    active.calls += 1
+    # Beyond NEVER_NS the release time is the number of the answer: ``due`` never releases these
+    # frames.
+    active.delayed += [(NEVER_NS + active.calls, frame) for frame in frames]
+    then = active.calls - int(active.fault.size)
+    if then <= 0:
+        return frames
+    active.note_effect(t_ns)
+    old = [frame for number, frame in active.delayed if number == NEVER_NS + then]
+    active.delayed = [(number, frame) for number, frame in active.delayed if number > NEVER_NS + then]
+    return [frame._replace(t_ns=t_ns) for frame in old]
+
+
+CHANGES = {
+    "drop": _drop, "delay": _delay, "duplicate": _duplicate, "twin": _twin, "reorder": _reorder, "corrupt": _corrupt,
+    "shorten": _shorten, "extend": _extend, "slow": _slow, "off": _off, "replay": _replay,
+}  # fmt: skip
+"""Function that changes the sent frames, for each kind of fault."""

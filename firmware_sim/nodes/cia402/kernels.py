@@ -1,0 +1,140 @@
+"""Kernels for the cyclic frames of a CiA 402 drive, on a row or an object. Source: facts, cia402.
+
+Standard RPDO (little-endian): control word in bytes 0..1, target torque in bytes 2..3, in
+thousandths of the rated torque. Standard TPDO after SYNC: status word in bytes 0..1, position in
+bytes 2..5, torque in bytes 6..7.
+"""
+
+import ctypes
+from typing import Any
+
+from firmware_sim.compiled import inner
+from firmware_sim.nodes.cia402.power import ENABLED, PowerStruct, status
+
+OPERATIONAL = 0x05
+"""NMT state: operational."""
+CST = 10
+"""Mode of operation: cyclic synchronous torque."""
+THERMAL_PERIOD_NS = 100_000_000
+"""Period of the thermal update [ns]."""
+TURN = 6.283185307179586
+"""One turn [rad]."""
+CYCLIC_OBJECTS = (
+    (0x6040, 0), (0x6041, 0), (0x6061, 0), (0x6064, 0), (0x606C, 0), (0x6071, 0), (0x6072, 0), (0x6077, 0), (0x6078, 0),
+    (0x60B2, 0), (0x1016, 1), (0x1017, 0),
+)  # fmt: skip
+"""Objects that come first among the values of a dictionary, so that kernels know their indices."""
+(CONTROL_WORD, STATUS_WORD, MODE_SHOWN, POSITION, VELOCITY, TARGET_TORQUE, MAX_TORQUE, TORQUE, CURRENT,
+ TORQUE_OFFSET, MASTER, HEARTBEAT_MS) = range(len(CYCLIC_OBJECTS))  # fmt: skip
+"""Indices of the objects above among the values of a dictionary."""
+VALUE_CAPACITY = 128
+"""Maximum number of values in a row."""
+_INT16 = (1 << 15) - 1
+"""Maximum of a signed object of two bytes."""
+_INT32 = (1 << 31) - 1
+"""Maximum of a signed object of four bytes."""
+
+
+class Cia402Struct(ctypes.Structure):
+    """Memory of a ``node.Cia402Node``.
+
+    ``motor_number`` is the row of its rotor, ``bus`` the index of its bus in the hand.
+    """
+
+    _fields_ = [
+        *((name, ctypes.c_double) for name in ("offset", "direction", "gear", "rated", "peak", "counts")),
+        *((name, ctypes.c_int64) for name in ("nmt", "node_id", "motor_number", "bus", "syncs", "frame_pending")),
+        *((name, ctypes.c_int64) for name in ("watchdog_fed_ns", "heartbeat_ns", "wake_ns", "thermal_ns")),
+        *((name, ctypes.c_int64) for name in ("sync_id", "master_id", "rpdo_id", "tpdo_id", "tpdo_kind")),
+        ("power_stage", PowerStruct),
+        ("values", ctypes.c_int64 * VALUE_CAPACITY),
+    ]
+
+
+@inner
+def _saturated(value: int, limit: int) -> int:
+    """Return a value saturated at the range of a signed object."""
+    return min(limit, max(-limit - 1, value))
+
+
+@inner
+def measure(node: Any, power: Any, angle: float, velocity: float, torque: float) -> None:
+    """Update the objects with measurements.
+
+    Args:
+        node: drive, a row or an object.
+        power: power stage of the drive.
+        angle: spool angle of the encoder [rad].
+        velocity: spool velocity [rad/s].
+        torque: spool torque [N m].
+    """
+    values = node.values
+    sign = node.direction
+    gear = node.gear
+    shaft = sign * gear * angle + node.offset
+    values[STATUS_WORD] = status(power)
+    # Counts of the encoder at the shaft.
+    values[POSITION] = _saturated(round(shaft / TURN * node.counts), _INT32)
+    # 0x606C is in revolutions per minute here.
+    values[VELOCITY] = _saturated(round(sign * gear * velocity / TURN * 60.0), _INT32)
+    values[TORQUE] = values[CURRENT] = _saturated(round(sign * torque / gear / node.rated * 1000.0), _INT16)
+
+
+@inner
+def apply_torque(node: Any, servo: Any) -> None:
+    """Apply the target torque, limited by 0x6072, to the servo of an enabled drive."""
+    values = node.values
+    thousandths = values[TARGET_TORQUE] + values[TORQUE_OFFSET]
+    limit = values[MAX_TORQUE]
+    servo.limit = node.peak
+    # Thousandths of the rated torque at the shaft, to N m at the spool.
+    servo.torque = node.direction * node.gear * node.rated / 1000.0 * min(limit, max(-limit, thousandths))
+
+
+@inner
+def follows_torque(node: Any, power: Any) -> bool:
+    """Return True if power stage and mode of operation allow torque."""
+    return bool(power.state == ENABLED and node.values[MODE_SHOWN] == CST)
+
+
+@inner
+def heartbeat_timeout_ns(node: Any) -> int:
+    """Return the timeout of the master's heartbeat [ns], 0 if it is not supervised."""
+    # 0x1016: node number in bits 23..16, time in ms in bits 15..0.
+    return int(node.values[MASTER] & 0xFFFF) * 1_000_000
+
+
+@inner
+def heartbeat_due(node: Any, t_ns: int) -> bool:
+    """Return True if the drive's heartbeat is due."""
+    period_ns = node.values[HEARTBEAT_MS] * 1_000_000
+    return bool(period_ns > 0 and t_ns - node.heartbeat_ns >= period_ns)
+
+
+@inner
+def watchdog_expired(node: Any, t_ns: int) -> bool:
+    """Return True if the master's heartbeat has timed out."""
+    return bool(
+        node.watchdog_fed_ns >= 0
+        and heartbeat_timeout_ns(node) > 0
+        and t_ns >= node.watchdog_fed_ns + heartbeat_timeout_ns(node)
+    )
+
+
+@inner
+def schedule(node: Any, t_ns: int, frame_pending: bool) -> None:
+    """Schedule the next wake of a drive: thermal update, heartbeat, timeout of the master.
+
+    Args:
+        node: drive, a row or an object.
+        t_ns: present time [ns].
+        frame_pending: True if a frame waits to be sent now.
+    """
+    wake_ns = t_ns if frame_pending or node.thermal_ns < 0 else node.thermal_ns + THERMAL_PERIOD_NS
+    period_ns = node.values[HEARTBEAT_MS] * 1_000_000
+    if period_ns > 0:
+        wake_ns = min(wake_ns, node.heartbeat_ns + period_ns)
+    if node.watchdog_fed_ns >= 0 and heartbeat_timeout_ns(node) > 0:
+        wake_ns = min(wake_ns, node.watchdog_fed_ns + heartbeat_timeout_ns(node))
+    node.wake_ns = wake_ns
+    node.frame_pending = frame_pending

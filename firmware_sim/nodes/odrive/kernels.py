@@ -1,0 +1,102 @@
+"""Kernels for the cyclic messages of an ODrive, on a row or an object. Source: facts, odrive_cansimple."""
+
+import ctypes
+import math
+from typing import Any
+
+from firmware_sim.compiled import inner
+
+IDLE = 1
+"""Axis state: idle, without torque."""
+CLOSED_LOOP = 8
+"""Axis state: closed-loop control."""
+TORQUE_CONTROL = 1
+"""Control mode: torque."""
+PASSTHROUGH = 1
+"""Input mode: setpoint unchanged."""
+TORQUE_RAMP = 6
+"""Input mode: torque ramp, simulated as pass-through."""
+THERMAL_PERIOD_NS = 100_000_000
+"""Period of the thermal update [ns]."""
+TURN = 2.0 * math.pi
+"""One turn [rad]."""
+
+
+class OdriveStruct(ctypes.Structure):
+    """Memory of a ``node.OdriveNode``.
+
+    ``motor_number`` is the row of its rotor, ``bus`` the index of its bus in the hand.
+    """
+
+    _fields_ = [
+        *((name, ctypes.c_double) for name in ("offset", "direction", "gear", "torque_constant", "peak")),
+        *((name, ctypes.c_double) for name in ("setpoint", "torque_min", "torque_max", "current_limit")),
+        *(
+            (name, ctypes.c_int64)
+            for name in ("state", "active_errors", "disarm_reason", "result", "control_mode", "input_mode")
+        ),
+        *(
+            (name, ctypes.c_int64)
+            for name in ("legacy", "node_id", "motor_number", "bus", "watchdog_fed_ns", "wake_ns", "thermal_ns")
+        ),
+        *((name, ctypes.c_int64) for name in ("timeout_ns", "heartbeat_due_ns", "encoder_due_ns")),
+        *((name, ctypes.c_int64) for name in ("heartbeat_period_ns", "encoder_period_ns")),
+    ]
+
+
+@inner
+def set_torque(node: Any, servo: Any, torque: float, t_ns: int) -> None:
+    """Set a finite torque setpoint [N m at the shaft], and follow it in torque control.
+
+    The setpoint feeds the watchdog in every mode.
+    """
+    node.watchdog_fed_ns = t_ns
+    node.setpoint = torque
+    torque_mode = node.input_mode == PASSTHROUGH or node.input_mode == TORQUE_RAMP
+    if node.state != CLOSED_LOOP or node.control_mode != TORQUE_CONTROL or not torque_mode:
+        return
+    limit = node.current_limit * node.torque_constant
+    servo.limit = limit if limit < node.peak else node.peak
+    # The comparisons are those of Python's min(high, max(low, torque)), because limits may be NaN.
+    torque = torque if torque > node.torque_min else node.torque_min
+    torque = torque if torque < node.torque_max else node.torque_max
+    servo.torque = node.direction * node.gear * torque
+
+
+@inner
+def turns(node: Any, angle: float) -> float:
+    """Return the position [turn] for a spool angle of the encoder [rad]."""
+    return float((node.direction * node.gear * angle + node.offset) / TURN)
+
+
+@inner
+def turns_per_s(node: Any, velocity: float) -> float:
+    """Return the velocity [turn/s] for a spool velocity [rad/s]."""
+    return float(node.direction * node.gear * velocity / TURN)
+
+
+@inner
+def watchdog_expired(node: Any, t_ns: int) -> bool:
+    """Return True if the watchdog fires."""
+    return bool(node.state == CLOSED_LOOP and node.timeout_ns > 0 and t_ns >= node.watchdog_fed_ns + node.timeout_ns)
+
+
+@inner
+def schedule(node: Any) -> None:
+    """Schedule the next wake of a drive: thermal update, cyclic messages, watchdog."""
+    wake_ns = min(node.thermal_ns + THERMAL_PERIOD_NS, node.heartbeat_due_ns, node.encoder_due_ns)
+    if node.state == CLOSED_LOOP and node.timeout_ns > 0:
+        wake_ns = min(wake_ns, node.watchdog_fed_ns + node.timeout_ns)
+    node.wake_ns = wake_ns
+
+
+@inner
+def next_due(due_ns: int, t_ns: int, period_ns: int) -> int:
+    """Return the next due time of a cyclic message after it was sent [ns].
+
+    Args:
+        due_ns: due time of the message [ns].
+        t_ns: present time [ns].
+        period_ns: period [ns].
+    """
+    return max(due_ns, t_ns - 1) + period_ns

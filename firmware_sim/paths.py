@@ -1,0 +1,112 @@
+"""Paths of the user's sockets and truth files."""
+
+import os
+import stat
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+
+from firmware_sim.description import SimulatorError
+
+_PRIVATE = 0o700
+"""Mode of a private directory."""
+_PATH_MAX = 103
+"""Maximum length of a Unix socket's path on all systems [bytes]."""
+
+
+def run_dir() -> Path:
+    """Return the run directory. The directory is made if missing and checked for access by other users.
+
+    Raises:
+        SimulatorError: the directory cannot be made, or the directory or one above it is a link,
+            belongs to another user, or is open to others.
+    """
+    if named := os.environ.get("HANDCTL_RUN_DIR"):
+        folder = Path(named)
+        own_parts = 1
+    elif base := os.environ.get("XDG_RUNTIME_DIR"):
+        folder = Path(base, "handctl")
+        own_parts = 1
+    else:
+        folder = Path(tempfile.gettempdir(), f"handctl-{os.geteuid()}", "handctl")
+        own_parts = 2
+    folder = Path(os.path.abspath(folder))
+    folder = Path(os.path.realpath(_parent_dir(folder, own_parts)), *folder.parts[-own_parts:])
+    try:
+        for path in [*reversed(folder.parents), folder][
+            1:
+        ]:  # downwards: below a safe directory no other user can swap one
+            _check(path, mine=len(folder.parts) - len(path.parts) < own_parts)
+    except OSError as error:
+        raise SimulatorError(f"run directory {folder}: {error.strerror}; HANDCTL_RUN_DIR names another") from error
+    return folder
+
+
+def _parent_dir(folder: Path, own_parts: int) -> Path:
+    """Return the directory above the run directory's own parts. Only the system may have links in its path.
+
+    Raises:
+        SimulatorError: a directory is a link of a user.
+    """
+    parent = folder.parents[own_parts - 1]
+    for path in (*parent.parents, parent):
+        if path.is_symlink() and path.lstat().st_uid:
+            raise _refusal(path, "is a link, and not the system's")
+    return parent
+
+
+def _check(path: Path, mine: bool) -> None:
+    """Make a missing directory, and refuse a directory that another user can change.
+
+    Args:
+        path: path of the directory. The directories above have been checked.
+        mine: True for a part of the run directory, which no other user may access.
+
+    Raises:
+        SimulatorError: see ``run_dir``.
+    """
+    with suppress(FileExistsError):
+        path.mkdir(mode=_PRIVATE)
+    status = path.lstat()
+    if stat.S_ISLNK(status.st_mode):
+        raise _refusal(path, "is a link")
+    if status.st_uid != os.geteuid() and (mine or status.st_uid):
+        raise _refusal(path, f"belongs to another user ({status.st_uid})")
+    # A directory that others may write is safe with the sticky bit: entries belong to their owners,
+    # as in /tmp.
+    if status.st_mode & 0o022 and (mine or not status.st_mode & stat.S_ISVTX):
+        raise _refusal(path, f"is open to others (mode {stat.S_IMODE(status.st_mode):04o})")
+    if mine and status.st_mode & 0o077:
+        path.chmod(_PRIVATE)
+
+
+def _refusal(path: Path, problem: str) -> SimulatorError:
+    """Build the error for a directory."""
+    return SimulatorError(f"run directory {path}: {problem}; expected one of mode 0700 that is yours; HANDCTL_RUN_DIR")
+
+
+def bus_path(name: str) -> Path:
+    """Return the path of a local bus's socket.
+
+    Raises:
+        SimulatorError: the name is not a valid file name, or the path is too long for a socket.
+    """
+    if not name or "/" in name or name.startswith("."):
+        raise SimulatorError(f"bus name {name!r}: expected a plain name, as in local:demo")
+    path = run_dir() / f"{name}.bus"
+    if len(os.fsencode(path)) > _PATH_MAX:
+        raise SimulatorError(
+            f"socket path {path}: longer than {_PATH_MAX} bytes; choose a shorter name or HANDCTL_RUN_DIR"
+        )
+    return path
+
+
+def faults_path(spec: str) -> Path:
+    """Return the path of the fault socket of a simulator on this bus. A joined bus counts as local."""
+    return truth_path(spec).with_suffix(".faults")
+
+
+def truth_path(spec: str) -> Path:
+    """Return the default path of the truth file of a simulator on this bus. A joined bus counts as local."""
+    name = spec.replace("join:", "local:", 1) if spec.startswith("join:") else spec
+    return run_dir() / (name.replace(":", "_").replace("/", "_") + ".truth")

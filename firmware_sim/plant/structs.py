@@ -1,0 +1,63 @@
+"""C structures of tendons and rotors for compiled kernels. In Python any object with the same attributes serves."""
+
+import ctypes
+from dataclasses import dataclass
+
+
+@dataclass
+class Servo:
+    """Setpoints and gains of a drive's servo in the hand's sign, where a positive torque winds.
+
+    The torque is kp (position - theta) + kd (velocity - omega) + torque, within +-limit.
+
+    Attributes:
+        kp: stiffness [N m/rad].
+        kd: damping [N m s/rad].
+        position: position setpoint [rad].
+        velocity: velocity setpoint [rad/s].
+        torque: feedforward torque [N m].
+        limit: torque limit of the drive [N m].
+    """
+
+    kp: float = 0.0
+    kd: float = 0.0
+    position: float = 0.0
+    velocity: float = 0.0
+    torque: float = 0.0
+    limit: float = 0.0
+
+    def release(self) -> None:
+        """Set gains and setpoints to zero, so that the motor coasts."""
+        self.kp = self.kd = self.position = self.velocity = self.torque = 0.0
+
+
+class ServoStruct(ctypes.Structure, Servo):
+    """A servo inside a ``RotorStruct``."""
+
+    _fields_ = [(name, ctypes.c_double) for name in ("kp", "kd", "position", "velocity", "torque", "limit")]
+
+
+class RotorStruct(ctypes.Structure):
+    """Memory of a ``motor.Motor``."""
+
+    _fields_ = [
+        *((name, ctypes.c_double) for name in ("theta", "omega", "torque", "velocity", "heat")),
+        *((name, ctypes.c_double) for name in ("inertia", "viscous", "coulomb", "gain", "step", "lag", "velocity_lag")),
+        *((name, ctypes.c_double) for name in ("load", "angle", "command", "drag", "impedance")),
+        *((name, ctypes.c_int64) for name in ("steps_alone", "faulty")),
+        ("servo_row", ServoStruct),
+    ]
+
+
+class TendonStruct(ctypes.Structure):
+    """Memory of a ``tendon.Tendon``."""
+
+    _fields_ = [
+        *((name, ctypes.c_double) for name in ("tension", "speed", "slope", "extra_length")),
+        *(
+            (name, ctypes.c_double)
+            for name in ("radius", "stiffness", "after_knee", "knee", "knee_stretch", "knee_width")
+        ),
+        *((name, ctypes.c_double) for name in ("damping", "friction", "wrap")),
+        *((name, ctypes.c_int64) for name in ("motor", "first", "end")),
+    ]

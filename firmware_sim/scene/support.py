@@ -1,0 +1,97 @@
+"""The table under the object, which sinks once the object is held."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from firmware_sim.compiled import compiled
+from firmware_sim.scene.scene import Support
+
+
+@compiled("vector", "counts", "counts", "real", "count", "flag")
+def grasped(forces: Any, indices: Any, opposed: Any, min_force_squared: float, digits: int, both_sides: bool) -> bool:
+    """Check whether enough digits press and, if required, press from both sides.
+
+    Args:
+        forces: array that holds x, y, z of the contact force on each digit [N] among other values.
+        indices: index of the first value of each digit, shape (digits,).
+        opposed: 1 for each digit that closes against the first digit, otherwise 0, shape (digits,).
+        min_force_squared: square of the minimum force of a pressing digit [N2].
+        digits: number of digits that must press.
+        both_sides: True if digits of both sides must press.
+    """
+    pressing = 0
+    opposing = 0
+    for i in range(len(indices)):
+        x = forces[indices[i]]
+        y = forces[indices[i] + 1]
+        z = forces[indices[i] + 2]
+        if x * x + y * y + z * z > min_force_squared:
+            pressing += 1
+            opposing += opposed[i]
+    # With both sides required at least one pressing digit is opposed and at least one is not.
+    return pressing >= digits and (not both_sides or 0 < opposing < pressing)
+
+
+class SupportTable:
+    """The sinking table.
+
+    Attributes:
+        depth: depth below the initial position [m].
+        dropped_at: plant time at which the table started to sink [s], None before.
+    """
+
+    def __init__(self, support: Support, opposed: list[bool], indices: Sequence[int] = (), kernels: Any = None) -> None:
+        """Set up the table at its initial position.
+
+        Args:
+            support: support of the scene.
+            opposed: True for each digit that closes against the first digit.
+            indices: index of each digit's first value among the forces, by default three values for
+                each digit in a row.
+            kernels: compiled kernels of this module, which take the forces as an array. None for
+                the Python functions.
+        """
+        self._support = support
+        starts = list(indices) or list(range(0, 3 * len(opposed), 3))
+        sides = [int(side) for side in opposed]
+        self._grasped: Callable[..., bool] = kernels.grasped if kernels else grasped
+        self._digits = (np.array(starts, np.int64), np.array(sides, np.int64)) if kernels else (starts, sides)
+        self._criteria = support.drop_force**2, support.drop_digits, support.drop_opposed
+        self._grasped_since: float | None = None
+        self.depth = 0.0
+        self.dropped_at: float | None = None
+
+    @property
+    def settled(self) -> bool:
+        """Return True if the table will not move any more."""
+        if self.dropped_at is None:
+            return self._support.drop_when != "grasped"
+        return self.depth >= self._support.sink_depth
+
+    def update(self, time: float, forces: Any) -> float:
+        """Update the depth of the table.
+
+        Args:
+            time: plant time [s].
+            forces: x, y, z of the contact force on each digit [N], in one list or array.
+
+        Returns:
+            Depth [m].
+        """
+        if self.dropped_at is None:
+            self._check_grasp(time, forces)
+        if self.dropped_at is not None:
+            self.depth = min(self._support.sink_depth, self._support.sink_speed * (time - self.dropped_at))
+        return self.depth
+
+    def _check_grasp(self, time: float, forces: Any) -> None:
+        """Start to sink once the object has been held for ``drop_hold`` without a break."""
+        if self._support.drop_when != "grasped" or not self._grasped(forces, *self._digits, *self._criteria):
+            self._grasped_since = None
+            return
+        if self._grasped_since is None:
+            self._grasped_since = time
+        if time - self._grasped_since >= self._support.drop_hold:
+            self.dropped_at = time
