@@ -22,11 +22,11 @@ def check_words(words: list[str]) -> None:
     """Check for arguments that no program can use: NUL, line ends, and the end of the options as an option's value."""
     for word in words:
         if "\0" in word:
-            raise SimulatorError("a word with a NUL in it; expected names as files can have them")
+            raise SimulatorError("an argument with a NUL character; expected valid file names")
         if "\n" in word:
-            raise SimulatorError(f"a word with a line end in it: {word}; expected words without it")
+            raise SimulatorError(f"an argument with a line end: {word}; expected one line")
         if match := re.fullmatch(r"(--?[^=]+)=--", word):
-            raise SimulatorError(f"{match[1]}: -- is no value")
+            raise SimulatorError(f"{match[1]}: -- is not a value")
 
 
 def check_time_scale(value: float) -> None:

@@ -51,7 +51,7 @@ def _parent_dir(folder: Path, own_parts: int) -> Path:
     parent = folder.parents[own_parts - 1]
     for path in (*parent.parents, parent):
         if path.is_symlink() and path.lstat().st_uid:
-            raise _refusal(path, "is a link, and not the system's")
+            raise _refusal(path, "is a link of a user")
     return parent
 
 
@@ -82,7 +82,8 @@ def _check(path: Path, mine: bool) -> None:
 
 def _refusal(path: Path, problem: str) -> SimulatorError:
     """Build the error for a directory."""
-    return SimulatorError(f"run directory {path}: {problem}; expected one of mode 0700 that is yours; HANDCTL_RUN_DIR")
+    expected = "expected a directory of mode 0700 that belongs to you; HANDCTL_RUN_DIR names another"
+    return SimulatorError(f"run directory {path}: {problem}; {expected}")
 
 
 def bus_path(name: str) -> Path:

@@ -239,7 +239,7 @@ def _listen(path: Path, name: str) -> socket.socket:
         with _locked(path.parent):
             if _is_served(path):
                 raise SimulatorError(
-                    f"local:{name} is served already; end the other hub, or join it: --bus join:{name}"
+                    f"local:{name} is already served; stop the other hub, or join it: --bus join:{name}"
                 )
             path.unlink(missing_ok=True)
             listener.bind(str(path))

@@ -105,7 +105,7 @@ class JoinedPort:
         self._link.flush()
         records = self._link.receive() if self._link.socket in ready else b""
         if self._link.closed:
-            raise SimulatorError(f"join:{self._name}: the hub has gone")
+            raise SimulatorError(f"join:{self._name}: the hub has closed the connection")
         frames, unreadable = split(records, self._bus)
         self._unreadable += unreadable
         return frames

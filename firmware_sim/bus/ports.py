@@ -65,7 +65,7 @@ def open_port(spec: str, bus: int, timed_port: Callable[[str, int], Port] | None
     """
     kind, _, name = spec.partition(":")
     if timed_port and kind != "local":
-        raise SimulatorError(f"bus {spec!r}: only a bus that is served here, local:NAME, can have a simulated wire")
+        raise SimulatorError(f"bus {spec!r}: --wire needs a bus that this process serves, local:NAME")
     if kind == "local":
         return timed_port(name, bus) if timed_port else HubPort(name, bus)
     if kind == "join":
@@ -93,7 +93,7 @@ def assign(specs: list[str], buses: list[str]) -> list[str]:
         name, equals, spec = text.partition("=")
         if not equals:
             if len(buses) > 1:
-                raise SimulatorError(f"bus {text}: this hand has {len(buses)}; expected {buses[0]}={text}")
+                raise SimulatorError(f"bus {text}: this hand has {len(buses)} buses; expected {buses[0]}={text}")
             name = buses[0]
             spec = text
         if name not in buses or name in specs_by_bus:

@@ -7,11 +7,11 @@ from firmware_sim.nodes import PROTOCOLS
 from firmware_sim.nodes.protocol_spec import DriveNode, Node
 
 FAULTS = {
-    "deaf": "takes no order to let go",
-    "mute": "answers nothing",
-    "readback": "its settings read back wrong",
-    "sign": "makes torque the wrong way round",
-    "watchdog": "never notices that the host is gone",
+    "deaf": "ignores commands to disable",
+    "mute": "never answers",
+    "readback": "reads back wrong settings",
+    "sign": "makes torque of the wrong sign",
+    "watchdog": "its watchdog never fires",
 }
 """Effect of each kind of fault."""
 

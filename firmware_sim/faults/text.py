@@ -42,46 +42,46 @@ class FaultKind(NamedTuple):
 
 
 KINDS = {
-    "drop": FaultKind((NODE, BUS), 0, "what a node sends is lost"),
-    "deaf": FaultKind((NODE, BUS), 0, "what a node is sent is lost"),
-    "delay": FaultKind((NODE, BUS), 4, "what a node sends comes later by size [ms]"),
-    "duplicate": FaultKind((NODE, BUS), 0, "what a node sends comes twice"),
-    "twin": FaultKind((NODE,), 0, "a second node with its identifier answers, too, with other values"),
-    "reorder": FaultKind((NODE, BUS), 0, "what a node sends comes after its next frame"),
+    "drop": FaultKind((NODE, BUS), 0, "frames from a node are lost"),
+    "deaf": FaultKind((NODE, BUS), 0, "frames to a node are lost"),
+    "delay": FaultKind((NODE, BUS), 4, "frames from a node are late by size [ms]"),
+    "duplicate": FaultKind((NODE, BUS), 0, "frames from a node are duplicated"),
+    "twin": FaultKind((NODE,), 0, "a second node with the same identifier answers with other values"),
+    "reorder": FaultKind((NODE, BUS), 0, "a frame from a node comes after the next frame"),
     "corrupt": FaultKind((NODE, BUS), 1, "size bits of the payload are flipped"),
-    "shorten": FaultKind((NODE, BUS), 1, "the payload lacks size bytes"),
-    "extend": FaultKind((NODE, BUS), 0, "the identifier is marked as one of 29 bits"),
-    "slow": FaultKind((NODE,), 2, "a node answers every size-th time only"),
-    "off": FaultKind((NODE,), 0, "a node has no power: no torque, no answer"),
+    "shorten": FaultKind((NODE, BUS), 1, "the payload is shortened by size bytes"),
+    "extend": FaultKind((NODE, BUS), 0, "the identifier is marked as extended (29 bits)"),
+    "slow": FaultKind((NODE,), 2, "a node answers only every size-th frame"),
+    "off": FaultKind((NODE,), 0, "a node loses power: no torque, no answers"),
     "reset": FaultKind((NODE,), 0, "a node restarts, once"),
     "error": FaultKind((NODE,), 0, "a node enters fault with code size, once (0: over-temperature)"),
     "watchdog": FaultKind((NODE,), 0, "a node's watchdog fires, once"),
     "voltage": FaultKind((NODE,), 0, "a node reports under-voltage, once"),
     "hot": FaultKind((NODE,), 90, "a node's winding is at size [degC]"),
-    "disobey": FaultKind((NODE,), 0, "a node makes size times the torque that it is asked for"),
-    "runaway": FaultKind((NODE,), 1, "a node makes size times its largest torque, whatever it is asked for"),
-    "hold_on": FaultKind((NODE,), 0, "a node says that it is disabled, and keeps its torque"),
-    "forget": FaultKind((NODE,), 0, "a node loses its registers once and stays enabled (size > 0: TMAX is size [N m])"),
+    "disobey": FaultKind((NODE,), 0, "a node makes size times the commanded torque"),
+    "runaway": FaultKind((NODE,), 1, "a node makes size times its maximum torque, whatever the command"),
+    "hold_on": FaultKind((NODE,), 0, "a node reports that it is disabled but keeps its torque"),
+    "forget": FaultKind((NODE,), 0, "a node loses its settings once and stays enabled (size > 0: TMAX is size [N m])"),
     "ripple": FaultKind((NODE,), 0.1, "a motor's torque has a ripple of amplitude size [N m] at hz"),
-    "late": FaultKind((NODE,), 50, "a node obeys each command size [ms] later"),
+    "late": FaultKind((NODE,), 50, "a node executes each command late by size [ms]"),
     "swap": FaultKind((NODE,), 0, "two drives report each other's encoder and current"),
-    "cross": FaultKind((NODE,), 0, "two drives make each other's torque, and report what they were told"),
+    "cross": FaultKind((NODE,), 0, "two drives make each other's torque and report their own commands"),
     "flood": FaultKind((BUS,), 100, "size frames of identifier 0x000 every millisecond"),
     "unknown": FaultKind((BUS,), 1, "size frames of an unknown identifier every millisecond"),
-    "foreign": FaultKind((NODE,), 0, "somebody else sends a node commands, every 10 ms"),
-    "mute": FaultKind((JOINT, CELL), 0, "the frame that carries a reading is not sent"),
-    "stuck": FaultKind((ENCODER, JOINT, CELL), 0, "a reading stays where it is"),
+    "foreign": FaultKind((NODE,), 0, "a second host sends commands to a node every 10 ms"),
+    "mute": FaultKind((JOINT, CELL), 0, "the frame with a reading is not sent"),
+    "stuck": FaultKind((ENCODER, JOINT, CELL), 0, "a reading is stuck"),
     "offset": FaultKind((ENCODER, JOINT, CELL), 1, "a reading jumps by size [rad, N]"),
-    "drift": FaultKind((ENCODER, JOINT, CELL), 1, "a reading drifts by size a second [rad/s, N/s]"),
-    "scale": FaultKind((ENCODER,), 1.5, "a reading moves size times as far as what it measures"),
-    "old": FaultKind((CELL,), 16, "a reading is as it was size samples ago, under a fresh counter"),
+    "drift": FaultKind((ENCODER, JOINT, CELL), 1, "a reading drifts by size per second [rad/s, N/s]"),
+    "scale": FaultKind((ENCODER,), 1.5, "a reading changes by size times the true change"),
+    "old": FaultKind((CELL,), 16, "a reading is stale by size samples with a fresh counter"),
     "replay": FaultKind((NODE,), 16, "a node sends the frames of size answers ago"),
     "noise": FaultKind((ENCODER, JOINT, CELL), 1, "a reading has noise of standard deviation size [rad, N]"),
-    "saturate": FaultKind((CELL,), 1, "a load cell is at its upper rail (size > 0) or its lower one"),
-    "snap": FaultKind((TENDON,), 0, "a rope tears"),
-    "slack": FaultKind((TENDON,), 2, "a rope is longer by size [mm]"),
-    "friction": FaultKind((TENDON,), 3, "a motor has size newtons more Coulomb friction at its rope"),
-    "block": FaultKind((DIGIT,), 0, "a digit cannot move"),
+    "saturate": FaultKind((CELL,), 1, "a load cell is saturated at its upper (size > 0) or lower limit"),
+    "snap": FaultKind((TENDON,), 0, "a tendon breaks"),
+    "slack": FaultKind((TENDON,), 2, "a tendon is longer by size [mm]"),
+    "friction": FaultKind((TENDON,), 3, "a motor has additional Coulomb friction of size [N] at its tendon"),
+    "block": FaultKind((DIGIT,), 0, "a digit is blocked"),
 }  # fmt: skip
 """All kinds of fault."""
 SIZES = {
@@ -152,7 +152,7 @@ def parse_fault(text: str, hand: Hand, now_ns: int = 0) -> Fault:
     for pair in pairs:
         key, equals, value = pair.partition("=")
         if not equals or not value or key in given:
-            raise SimulatorError(f"fault {text!r}: {pair!r} is not one new KEY=VALUE")
+            raise SimulatorError(f"fault {text!r}: {pair!r} is not a new KEY=VALUE")
         given[key] = value
     component = _component(text, kind, given)
     instance = _instance(text, instances(component, hand, kind), component, given.pop(component), hand)

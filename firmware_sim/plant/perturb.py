@@ -6,13 +6,13 @@ from dataclasses import replace
 from firmware_sim.description import Digit, Hand, MotorSpec, SensorSpec, SimulatorError, TendonSpec
 
 KEYS = {
-    "stiffness": "rope stiffness",
-    "damping": "damping of ropes, joints and rotors",
-    "friction": "capstan coefficient of the ropes and Coulomb friction of the motors",
+    "stiffness": "tendon stiffness",
+    "damping": "damping of tendons, joints and rotors",
+    "friction": "capstan friction coefficient of the tendons and Coulomb friction of the motors",
     "mass": "mass and inertia of the links",
     "spring": "stiffness of the return springs",
     "motor_inertia": "rotor inertia",
-    "torque_constant": "real torque over the torque the drive believes",
+    "torque_constant": "true torque divided by the torque that the drive believes",
     "bias": "newtons added to every load cell (not a factor)",
     "noise": "noise of load cells and joint encoders",
 }

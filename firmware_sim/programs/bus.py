@@ -19,10 +19,10 @@ def run(words: list[str]) -> None:
         SimulatorError: the arguments cannot be served.
     """
     parser = Parser(
-        prog="python -m firmware_sim bus", description="A local bus without a hand, until it is told to end."
+        prog="python -m firmware_sim bus", description="Serve a local bus without a hand until SIGTERM or SIGINT."
     )
-    parser.add_argument("name", help="of the bus: others reach it as local:NAME")
-    parser.add_argument("--wire", nargs="*", metavar="KEY=VALUE", help="frames take their time (they take none)")
+    parser.add_argument("name", help="name of the bus, which clients reach as local:NAME")
+    parser.add_argument("--wire", nargs="*", metavar="KEY=VALUE", help="simulate the wire with its timing (off)")
     args = parser.parse_args(words)
     timed_port = timed_port_maker(args.wire, [DEFAULT_BITRATES], ScaledClock().now_ns, nodes=False)
     port = open_port(f"local:{args.name}", 0, timed_port)

@@ -102,21 +102,22 @@ class Bench:
 def _parser() -> Parser:
     parser = Parser(
         prog="python -m firmware_sim drive",
-        description="Simulated drives with free shafts, as they come out of the box.",
+        description="Simulate drives with free shafts, as delivered.",
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("protocol", choices=sorted(PROTOCOLS), help="what the drives speak")
+    add("protocol", choices=sorted(PROTOCOLS), help="protocol of the drives")
     add("--ids", required=True, metavar="N,N,..", help="node numbers, decimal or 0x..")
     add("--bus", required=True, metavar="SPEC", help="local:NAME, join:NAME or socketcan:INTERFACE")
-    add("--fd", action="store_true", help="MIT motors set to CAN FD (1/5 Mbit/s); they answer as they are asked")
-    add("--motor-type", metavar="TYPE", help=f"of MIT motors: {', '.join(MIT_TYPES)} (dm4310); an ak is cubemars")
-    add("--firmware", choices=["0.5", "0.6"], help="of ODrives (0.6)")
-    add("--inertia", type=float, metavar="KG_M2", help="of each shaft (the motor's own, an assumption)")
-    add("--wire", nargs="*", metavar="KEY=VALUE", help="frames take their time (they take none)")
+    add("--fd", action="store_true",
+        help="MIT motors set to CAN FD (1/5 Mbit/s); they answer in the format of the request")  # fmt: skip
+    add("--motor-type", metavar="TYPE", help=f"type of MIT motors: {', '.join(MIT_TYPES)} (dm4310); an ak is cubemars")
+    add("--firmware", choices=["0.5", "0.6"], help="firmware of ODrives (0.6)")
+    add("--inertia", type=float, metavar="KG_M2", help="inertia of each shaft [kg m2] (assumed for the motor type)")
+    add("--wire", nargs="*", metavar="KEY=VALUE", help="simulate the wire with its timing (off)")
     faults = "; ".join(f"{key}: {text}" for key, text in FAULTS.items())
-    add("--broken", choices=sorted(FAULTS), default="", help=f"drives that are broken on purpose. {faults}")
+    add("--broken", choices=sorted(FAULTS), default="", help=f"deliberate fault of all drives. {faults}")
     add("--time-scale", type=float, default=1.0, metavar="X", help="drive time per wall time (1)")
     return parser
 
@@ -128,11 +129,11 @@ def _specs(args: argparse.Namespace) -> list[MotorSpec]:
         SimulatorError: an argument is not valid for a drive.
     """
     if args.protocol != "odrive" and args.firmware:
-        raise SimulatorError("--firmware: only drive odrive has it")
+        raise SimulatorError("--firmware: only for drive odrive")
     if args.fd and (args.protocol != "mit" or MIT_TYPES.get(args.motor_type) == "cubemars"):
-        raise SimulatorError("--fd: only drive mit with Damiao motors has it")
+        raise SimulatorError("--fd: only for drive mit with Damiao motors")
     if args.motor_type and args.protocol not in MIT_TYPES.values():
-        raise SimulatorError("--motor-type: only drive mit has it")
+        raise SimulatorError("--motor-type: only for drive mit")
     if args.inertia is not None and not 0.0 < args.inertia <= 100.0:
         raise SimulatorError(f"--inertia {args.inertia}: expected more than 0, at most 100")
     check_time_scale(args.time_scale)
@@ -141,7 +142,7 @@ def _specs(args: argparse.Namespace) -> list[MotorSpec]:
     except ValueError:
         raise SimulatorError(f"--ids {args.ids}: expected numbers with commas, as in 1,2,0x10") from None
     if len(set(numbers)) < len(numbers):
-        raise SimulatorError(f"--ids {args.ids}: every number once")
+        raise SimulatorError(f"--ids {args.ids}: expected each number once")
     kind = args.motor_type or ""
     firmware = args.firmware or "0.6"
     return [drive_spec(args.protocol, n, kind, args.fd, args.inertia, firmware) for n in numbers]

@@ -38,7 +38,7 @@ values for --wire, and what holds without them:
 examples:
   python -m firmware_sim --hand jamia --bus local:demo --scene cylinder
   python -m firmware_sim --hand jamia --bus socketcan:vcan0 --perturb stiffness=1.2 friction=1.5
-  python -m firmware_sim drive mit --ids 1,2 --bus local:lab     drives with free shafts; "drive --help" tells more
+  python -m firmware_sim drive mit --ids 1,2 --bus local:lab     drives with free shafts; see "drive --help"
   python -m firmware_sim --hand jamia --bus local:demo --wire queue=10 stuffing=actual
   python -m firmware_sim bus demo        a bus without a hand; a simulator joins it with --bus join:demo
 """
@@ -47,7 +47,7 @@ examples:
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog="python -m firmware_sim",
-        description="A simulated hand: drives, load cells, tendons, fingers, an object: the other side of a CAN bus.",
+        description="Simulate a hand on a CAN bus: drives, load cells, tendons, fingers and an object.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -56,15 +56,16 @@ def _parser() -> argparse.ArgumentParser:
     add("--bus", required=True, action="append", metavar="[BUS=]SPEC",
         help="local:NAME, join:NAME or socketcan:INTERFACE; repeat for a hand with several buses")  # fmt: skip
     add("--scene", metavar="NAME|FILE", help=f"{', '.join(packaged())}, NAME:MILLIMETRES or a .toml file (free hand)")
-    add("--seed", type=int, default=0, help="of noise, initial slack and encoder offsets (0)")
-    add("--homed", action="store_true", help="start with taut ropes and encoders at zero")
+    add("--seed", type=int, default=0, help="seed of noise, initial slack and encoder offsets (0)")
+    add("--homed", action="store_true", help="start with taut tendons and encoders at zero")
     add("--time-scale", type=float, default=1.0, metavar="X", help="plant time per wall time (1)")
-    add("--truth", type=Path, metavar="FILE", help="where to record what really happens (in the run directory)")
-    add("--json", action="store_true", help="print where it is ready as JSON, in one line")
-    add("--dry-run", action="store_true", help="check all of it and end; no bus is opened")
-    add("--wire", nargs="*", metavar="KEY=VALUE", help="frames take their time on a local bus (they take none)")
-    add("--perturb", nargs="+", action="extend", default=[], metavar="KEY=FACTOR", help="a plant unlike its hand file")
-    text = "serial number of the drives: each adds its number on the bus, or of one motor alone"
+    add("--truth", type=Path, metavar="FILE", help="file for the true state of the plant (in the run directory)")
+    add("--json", action="store_true", help="print the line with the word ready as JSON")
+    add("--dry-run", action="store_true", help="check all arguments and exit without opening a bus")
+    add("--wire", nargs="*", metavar="KEY=VALUE", help="simulate the wire of a local bus with its timing (off)")
+    add("--perturb", nargs="+", action="extend", default=[], metavar="KEY=FACTOR",
+        help="multiply plant parameters by factors")  # fmt: skip
+    text = "serial number of all drives, to which each adds its node number, or of one motor"
     add("--serial", action="append", default=[], metavar="[MOTOR=]NUMBER", help=text)
     return parser
 
@@ -75,7 +76,7 @@ def _factors(words: list[str]) -> dict[str, float]:
     for word in words:
         key, _, value = word.partition("=")
         if key in factors:
-            raise SimulatorError(f"--perturb: {key} is there twice; expected one factor for each")
+            raise SimulatorError(f"--perturb: {key} is given twice; expected one factor for each key")
         try:
             factors[key] = float(value)
         except ValueError:

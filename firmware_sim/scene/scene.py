@@ -153,7 +153,7 @@ def _read(path: Any, where: str) -> Scene:
     if scene.stages and (scene.support is None or scene.support.drop_when != "grasped"):
         raise SimulatorError(f"scene {where}: a stage without a support that sinks when the object is grasped")
     if scene.stages and scene.load:
-        raise SimulatorError(f"scene {where}: stages push the object themselves; expected no load beside them")
+        raise SimulatorError(f"scene {where}: stages and load both push the object; expected one of them")
     return scene
 
 

@@ -9,13 +9,13 @@ from firmware_sim.wire.bits import Rate
 from firmware_sim.wire.medium import Options
 
 KEYS = {
-    "bitrate": "nominal [bit/s] (the hand file's)",
-    "data_bitrate": "of CAN FD's data phase [bit/s] (the hand file's)",
-    "stuffing": "worst: the most stuff bits a length can have; actual: those of each frame (worst)",
-    "queue": "frames that wait in each controller; more are refused (128)",
-    "error_rate": "share of frames destroyed on the wire (0)",
-    "restart_ms": "a controller that is off the bus is started again after this time (never)",
-    "seed": "of the errors (0)",
+    "bitrate": "nominal bit rate [bit/s] (the hand file's)",
+    "data_bitrate": "bit rate of CAN FD's data phase [bit/s] (the hand file's)",
+    "stuffing": "worst: maximum stuff bits for the length, actual: those of each frame (worst)",
+    "queue": "capacity of each controller's queue [frames] (128)",
+    "error_rate": "fraction of frames destroyed on the wire (0)",
+    "restart_ms": "delay of a controller's restart after bus-off [ms] (never)",
+    "seed": "seed of the errors (0)",
 }
 """Meaning and default of each key."""
 _MAX_BITRATE = 20_000_000

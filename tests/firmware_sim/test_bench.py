@@ -80,13 +80,13 @@ def test_frames_for_nobody_are_counted() -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("mit --ids 1,1 --bus local:x", "every number once"),
+        ("mit --ids 1,1 --bus local:x", "each number once"),
         ("mit --ids one --bus local:x", "expected numbers"),
         ("mit --ids 0 --bus local:x", f"expected 1 to {PROTOCOLS['mit'].numbers.stop - 1}"),
         ("odrive --ids 63 --bus local:x", "expected 0 to 62"),
-        ("cia402 --ids 1 --fd --bus local:x", "only drive mit"),
+        ("cia402 --ids 1 --fd --bus local:x", "only for drive mit"),
         ("mit --ids 1 --motor-type ak80-9 --fd --bus local:x", "Damiao"),
-        ("odrive --ids 1 --motor-type dm4310 --bus local:x", "only drive mit"),
+        ("odrive --ids 1 --motor-type dm4310 --bus local:x", "only for drive mit"),
         ("cubemars --ids 1 --motor-type dm4310 --bus local:x", "no such motor"),
         ("mit --ids 1 --motor-type dm1 --bus local:x", "dm4310"),
         ("mit --ids 1 --inertia nan --bus local:x", "more than 0"),

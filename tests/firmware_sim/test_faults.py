@@ -40,7 +40,7 @@ def test_a_line_becomes_a_fault():
         ("drop", "drop needs node=NAME or bus"),
         ("drop node=9", "no node '9'"), ("drop tendon=index_tendon", "drop needs"),
         ("snap node=1", "snap needs tendon"),
-        ("drop node=1 node=1", "not one new KEY=VALUE"), ("drop node=1 p=2", "p=2: expected a number from 0 to 1"),
+        ("drop node=1 node=1", "not a new KEY=VALUE"), ("drop node=1 p=2", "p=2: expected a number from 0 to 1"),
         ("drop node=1 at=3", "at=3: expected"), ("drop node=1 at=nans", "at=na: expected"),
         ("drop node=1 foo=3", "'foo'"),
         ("drop node=1 bus=main", "drop needs"), ("stuck joint=index_j1", "no joint"), ("drop node=1 p=", "KEY=VALUE"),

@@ -274,7 +274,7 @@ def test_a_simulator_can_join_a_bus_that_runs_elsewhere(tmp_path: Path, monkeypa
     guest.send([answer])
     assert owner.receive(owner.readers()) == [answer._replace(bus=3)]
     owner.close()
-    with pytest.raises(SimulatorError, match="hub has gone"):
+    with pytest.raises(SimulatorError, match="hub has closed the connection"):
         guest.receive(guest.readers())
     guest.close()
 

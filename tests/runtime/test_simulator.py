@@ -43,7 +43,7 @@ def test_the_faults_that_can_be_injected_are_listed(simulator, capsys):
     assert "handctl fault kinds" in capsys.readouterr().out
     assert main(["fault", "kinds"]) == 0
     shown = capsys.readouterr().out
-    assert "snap       on tendon: a rope tears; size 0" in shown
+    assert "snap       on tendon: a tendon breaks; size 0" in shown
     assert "tendon     index_tendon, middle_tendon, ring_tendon, thumb_tendon" in shown
     assert main(["fault", "kinds", "--json"]) == 0
     kinds = {kind["kind"]: kind for kind in json.loads(capsys.readouterr().out)["kinds"]}
