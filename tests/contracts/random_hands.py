@@ -1,4 +1,4 @@
-"""Random hands of any number of tendons, ticked with made-up frames: what the kernels do of them, tick by tick."""
+"""Random hands of any number of tendons, ticked with made-up frames, and a hash of each tick."""
 
 import hashlib
 import json
@@ -28,8 +28,9 @@ from handctl.hand.load import hand_from, hand_path
 from handctl.programs.live import LiveProgram
 
 RATE_HZ, TICKS = 200.0, 40
+"""Ticks of one hand."""
 FREE_TICKS = 10
-"""The last ticks, in which faults may end what the hand does; before, it is kept active."""
+"""The last ticks, in which faults may end the motion. Before them the hand is held active."""
 LOST, DOUBLE, BROKEN, SKIPPED = 0.03, 0.02, 0.02, 0.03
 """Fractions of frames that are lost, come twice or have another payload, and of ticks that are skipped."""
 BUSES, ON_A_BUS = ("main", "second"), 12
@@ -37,35 +38,38 @@ Random = np.random.Generator
 
 
 def random_hand(tendons: int, random: Random) -> Hand:
-    """Return a hand of so many tendons: digits of a tendon for each joint, of one tendon, or of one tendon more."""
+    """Return a hand with a number of tendons.
+
+    A digit has a tendon for each joint, one tendon, or one tendon more than joints.
+    """
     raw = tomllib.loads(hand_path("jamia11").read_text("utf-8"))
     finger, tendon, motor = raw["digit"][0], raw["tendon"][0], raw["motor"][0]
-    digits, ropes, joints = list[dict[str, Any]](), list[dict[str, Any]](), list[str]()
-    while len(ropes) < tendons:
-        name, left, size = f"d{len(digits)}", tendons - len(ropes), int(random.integers(1, 4))
-        own = [f"{name}_j{j + 1}" for j in range(size)]
+    digits, entries, joints = list[dict[str, Any]](), list[dict[str, Any]](), list[str]()
+    while len(entries) < tendons:
+        name, left, size = f"d{len(digits)}", tendons - len(entries), int(random.integers(1, 4))
+        digit_joints = [f"{name}_j{j + 1}" for j in range(size)]
         radii = random.uniform(2e-3, 5e-3, size)
-        kinds = [arms for arms in _arms(own, radii) if len(arms) <= left]
+        kinds = [arms for arms in _arms(digit_joints, radii) if len(arms) <= left]
         arms = kinds[int(random.integers(len(kinds)))]
         digits.append(_digit(finger, name, size, len(arms) == 1 < size, random))
-        joints += own
+        joints += digit_joints
         for moment_arm in arms:
             varied = {
                 key: tendon[key] * random.uniform(0.8, 1.2) for key in ("stiffness_N_per_m", "friction_coefficient")
             }
-            number = len(ropes)
-            ropes.append(tendon | varied | {"name": f"t{number}", "motor": f"m{number}", "moment_arm_m": moment_arm})
+            number = len(entries)
+            entries.append(tendon | varied | {"name": f"t{number}", "motor": f"m{number}", "moment_arm_m": moment_arm})
     motors = [
         motor | {"name": f"m{n}", "node_id": n % ON_A_BUS + 1, "bus": BUSES[n // ON_A_BUS]} for n in range(tendons)
     ]
     buses = [raw["bus"][0] | {"name": name} for name in BUSES[: -(-tendons // ON_A_BUS)]]
     read = [joint for joint in joints if random.random() < 0.6]
-    node = raw["sensor_node"] | {"tendons": [rope["name"] for rope in ropes], "joints": read}
+    node = raw["sensor_node"] | {"tendons": [entry["name"] for entry in entries], "joints": read}
     made = raw | {
         "name": "random",
         "bus": buses,
         "digit": digits,
-        "tendon": ropes,
+        "tendon": entries,
         "motor": motors,
         "sensor_node": node,
     }
@@ -98,7 +102,7 @@ def _digit(finger: dict[str, Any], name: str, size: int, coupled: bool, random: 
 
 
 def _payload(message: Message, given: dict[Quantity, Any], random: Random) -> bytes:
-    """Return the payload of a message with these values; a status is spread over its signals, the first one highest."""
+    """Return the payload of a message. A status is spread over its signals, the first one highest."""
     values, left = [], sum(one.length for one in message.signals if one.quantity == Quantity.STATUS)
     for signal in message.signals:
         if signal.quantity == Quantity.UNUSED:
@@ -114,7 +118,7 @@ def _payload(message: Message, given: dict[Quantity, Any], random: Random) -> by
     return random.bytes(len(data)) if random.random() < BROKEN else data
 
 
-class Made:
+class RandomHand:
     """A random hand under torque, and the frames that its nodes might send."""
 
     def __init__(self, tendons: int, seed: int) -> None:
@@ -134,28 +138,28 @@ class Made:
         self.digits = hand.digit_names
 
     def frames(self, t_ns: int) -> tuple[Frame, ...]:
-        """Return what comes in a tick: motors wind, tensions follow, and something goes wrong now and then."""
+        """Return the frames of a tick: motors wind, tensions follow, and some frames are disturbed."""
         random, period = self.random, 1.0 / RATE_HZ
         self.speed = 0.9 * self.speed + random.normal(0.0, 1.0, len(self.speed))
         self.position += self.speed * period
         self.tension = np.clip(400.0 * self.position + random.normal(0.0, 0.5, len(self.tension)), 0.0, 130.0)
         self.angle += random.normal(0.01, 0.02, len(self.angle))
-        found = []
+        messages = []
         for n, drive in enumerate(self.controller.drives):
             given: dict[Quantity, Any] = {
                 Quantity.POSITION: float(self.position[n]), Quantity.VELOCITY: float(self.speed[n]),
                 Quantity.TORQUE: float(random.normal(0.1, 0.05)), Quantity.STATUS: _status(drive, self.protocol),
                 Quantity.TEMPERATURE: float(random.integers(20, 90)),
             }  # fmt: skip
-            found += [(one, drive.bus, given) for one in drive.cyclic.feedback]
+            messages += [(one, drive.bus, given) for one in drive.cyclic.feedback]
         sensors = self.controller.sensors
         counter = self.state.whole(s.SYNC_COUNTER) & 0xF
         for message in sensors.messages:
             late = random.random() < BROKEN
             given = {Quantity.COUNTER: counter ^ late, Quantity.TENSION: self.tension, Quantity.ANGLE: self.angle}
-            found += [(message, sensors.bus, given)]
+            messages += [(message, sensors.bus, given)]
         out = []
-        for message, bus, given in found:
+        for message, bus, given in messages:
             chance = random.random()
             for _ in range(0 if chance < LOST else 2 if chance < LOST + DOUBLE else 1):
                 data = _payload(message, given, random)
@@ -165,7 +169,7 @@ class Made:
         return tuple(out)
 
     def requests(self, i: int) -> tuple[str, ...]:
-        """Return what is asked for: moves of some digits, and tensions of others."""
+        """Return the requests of a tick: moves of some digits, and tensions of others."""
         if i % 8 != 2:
             return ()
         name = str(self.random.choice(self.digits))
@@ -174,7 +178,7 @@ class Made:
         return (json.dumps({"do": "hold", "tension_N": {name: self.random.uniform(5.0, 60.0)}}),)
 
     def ticks(self) -> Iterator[str]:
-        """Tick; yield a hash of the state, all numbers and all frames of each."""
+        """Tick, and yield a hash of state, numbers and frames of each tick."""
         k = 0
         for i in range(TICKS):
             if i < TICKS - FREE_TICKS:
@@ -201,9 +205,9 @@ def _status(drive: Any, protocol: str) -> int:
 
 
 def _enabled(drive: Any, protocol: str) -> DriveState:
-    """Return what is known of a drive that was configured and obeys, without the way to it."""
-    known: DriveState = drive.initial()
-    private: Any = known.private
+    """Return the state of a configured drive that obeys."""
+    state: DriveState = drive.initial()
+    private: Any = state.private
     if protocol != "odrive":
         private = private._replace(enable_sent=True, check=readback.first_recheck(drive.node_id, 0))
     if protocol == "mit":
@@ -211,14 +215,14 @@ def _enabled(drive: Any, protocol: str) -> DriveState:
     if protocol == "cia402":
         cursor = private.cursor._replace(step=len(drive.steps))
         private = private._replace(cursor=cursor, power=cia402.OPERATION_ENABLED, life_sign_ns=0)
-    return known._replace(phase=Phase.ENABLED, private=private)
+    return state._replace(phase=Phase.ENABLED, private=private)
 
 
-def ticked(tendons: int, seed: int) -> list[str]:
+def tick_hashes(tendons: int, seed: int) -> list[str]:
     """Return the hashes of a random hand's ticks."""
     with np.errstate(all="ignore"):
-        return list(Made(tendons, seed).ticks())
+        return list(RandomHand(tendons, seed).ticks())
 
 
 if __name__ == "__main__":
-    print(json.dumps([ticked(*map(int, word.split(":"))) for word in sys.argv[1:]]))
+    print(json.dumps([tick_hashes(*map(int, word.split(":"))) for word in sys.argv[1:]]))

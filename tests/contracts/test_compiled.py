@@ -1,4 +1,4 @@
-"""The kernels: compiled and interpreted give the same bytes, none compiles in a tick, none is an old one."""
+"""The kernels: compiled and interpreted bytes are equal, no kernel compiles in a tick, no kernel is stale."""
 
 import ast
 import inspect
@@ -17,7 +17,7 @@ import handctl
 from handctl.compiled import MARKED, SOURCES, kernel, prepare
 from handctl.log.read.reader import RunLog
 from handctl.replay.rebuild import rebuild
-from tests.contracts.random_hands import TICKS, ticked
+from tests.contracts.random_hands import TICKS, tick_hashes
 
 ROOT = Path(__file__).parents[2]
 GOLDEN = ROOT / "logs" / "golden"
@@ -26,19 +26,19 @@ PACKAGE = Path(handctl.__file__).parent
 
 
 def executed(log: Path) -> str:
-    """Every hash of the state and every number of a log that is executed again, as one hash."""
+    """Execute a log again, and return one hash of all states and numbers."""
     import hashlib
 
-    found = hashlib.blake2b(digest_size=16)
+    digest = hashlib.blake2b(digest_size=16)
     with RunLog(log) as run, np.errstate(all="ignore"):
         controller = rebuild(run)
         state = controller.initial()
         for one in run.ticks():
             state, out = controller.tick(state, one.tick_in)
-            found.update(out.state_hash)
+            digest.update(out.state_hash)
             for numbers in out.telemetry:
-                found.update(numbers.tobytes())
-    return found.hexdigest()
+                digest.update(numbers.tobytes())
+    return digest.hexdigest()
 
 
 def interpreted(*words: str) -> subprocess.Popen[str]:
@@ -52,30 +52,30 @@ def test_interpreted_kernels_give_the_same_bytes(name: str) -> None:
     script = f"from {__name__} import executed, GOLDEN; print(executed(GOLDEN / {name!r}))"
     with interpreted("-c", script) as other:
         mine = executed(GOLDEN / name)
-        told, _ = other.communicate(timeout=120)
-    assert told.strip() == mine
+        output, _ = other.communicate(timeout=120)
+    assert output.strip() == mine
 
 
-USUAL = [(1, 0), (2, 0), (5, 1), (11, 1), (24, 0)]
-"""Tendons, and seed of the hand."""
+DAILY = [(1, 0), (2, 0), (5, 1), (11, 1), (24, 0)]
+"""Number of tendons and seed of each hand."""
 
 
 @pytest.mark.parametrize(
-    "hands", [USUAL, pytest.param([(n, s) for n in range(1, 25) for s in (2, 3)], marks=pytest.mark.nightly)], ids=len
+    "hands", [DAILY, pytest.param([(n, s) for n in range(1, 25) for s in (2, 3)], marks=pytest.mark.nightly)], ids=len
 )
-def test_interpreted_kernels_do_the_same_to_random_hands(hands: list[tuple[int, int]]) -> None:
-    """State, numbers, frames and events of every tick, with frames that are lost, doubled, late and spoilt."""
+def test_interpreted_kernels_give_the_same_ticks_of_random_hands(hands: list[tuple[int, int]]) -> None:
+    """Compare state, numbers, frames and events of every tick, with lost, duplicate, late and corrupt frames."""
     with interpreted("-m", "tests.contracts.random_hands", *[f"{n}:{seed}" for n, seed in hands]) as other:
-        mine = [ticked(*hand) for hand in hands]
-        told, _ = other.communicate(timeout=60.0 * len(hands))
-    for hand, one, two in zip(hands, mine, json.loads(told), strict=True):
+        mine = [tick_hashes(*hand) for hand in hands]
+        output, _ = other.communicate(timeout=60.0 * len(hands))
+    for hand, one, two in zip(hands, mine, json.loads(output), strict=True):
         apart = [i for i, (a, b) in enumerate(zip(one, two, strict=True)) if a != b]
         assert not apart, f"{hand[0]} tendons, seed {hand[1]}: from tick {apart[0]} on"
         assert len(set(one)) == TICKS, "no tick does nothing"
 
 
-def test_a_kernel_that_is_prepared_refuses_what_it_was_not_compiled_for() -> None:
-    """Otherwise an array of another type would compile for a second in the middle of a tick."""
+def test_a_prepared_kernel_refuses_other_argument_types() -> None:
+    """Check that an array of another type does not compile for a second in the middle of a tick."""
 
     @kernel("vector", "real")
     def scaled(values: np.ndarray, by: float) -> np.ndarray:
@@ -99,8 +99,8 @@ from handctl.core import block as s
 def misses(block, at):
     return losses.halved(tables(block, at), 0)
 """
-"""A kernel made of a function of another file, which takes a constant from a third one."""
-ASKED = """
+"""A kernel with a function of another file, which takes a constant from a third file."""
+ASK_SCRIPT = """
 from handctl import compiled
 from handctl.core import block as s
 from handctl.core.probe import misses
@@ -119,7 +119,7 @@ print(bool(misses(block, layout.places)), len(before), folder is not None)
 
 @pytest.fixture
 def copy(tmp_path: Path) -> Path:
-    """A copy of the package with a kernel that says whether a node misses every second tick."""
+    """Copy the package, with a kernel that detects a node that misses every second tick."""
     package = tmp_path / "handctl"
     shutil.copytree(PACKAGE, package, ignore=shutil.ignore_patterns("__pycache__"))
     (package / "core" / "probe.py").write_text(PROBE, encoding="utf-8")
@@ -127,17 +127,21 @@ def copy(tmp_path: Path) -> Path:
 
 
 def ask(package: Path, cache: Path) -> tuple[bool, bool, bool]:
-    """Run a copy's kernel; return what it says, whether it was kept from before, and whether anything can be kept."""
+    """Run the kernel of a copy.
+
+    Returns:
+        Its result, whether its code was stored before, and whether code can be stored.
+    """
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(package.parent)}
-    command = [sys.executable, "-c", ASKED]
+    command = [sys.executable, "-c", ASK_SCRIPT]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, cwd=package.parent, timeout=120)
     assert done.returncode == 0, done.stderr[-2000:]
-    said, hits, kept = done.stdout.split()
-    return said == "True", int(hits) > 0, kept == "True"
+    result, hits, stored = done.stdout.split()
+    return result == "True", int(hits) > 0, stored == "True"
 
 
-def test_a_constant_that_is_changed_in_another_file_is_seen(copy: Path, tmp_path: Path) -> None:
-    """Numba itself asks only whether the file of the kernel has changed: it would keep the old constant."""
+def test_a_constant_changed_in_another_file_compiles_again(copy: Path, tmp_path: Path) -> None:
+    """Check a case that numba misses: numba only checks whether the kernel's file has changed."""
     cache = tmp_path / "cache"
     assert ask(copy, cache) == (True, False, True)
     assert ask(copy, cache) == (True, True, True), "positive control: what has not changed is not compiled again"
@@ -151,7 +155,7 @@ def test_a_constant_that_is_changed_in_another_file_is_seen(copy: Path, tmp_path
 
 
 @pytest.mark.parametrize("kind", ["missing", "a file", "read-only"])
-def test_where_no_cache_can_be_written_each_process_compiles(copy: Path, tmp_path: Path, kind: str) -> None:
+def test_without_a_writable_cache_each_process_compiles(copy: Path, tmp_path: Path, kind: str) -> None:
     cache = Path("/dev/null/none") if kind == "missing" else tmp_path / "cache"
     if kind != "missing":
         cache.mkdir()
@@ -159,30 +163,30 @@ def test_where_no_cache_can_be_written_each_process_compiles(copy: Path, tmp_pat
         (cache / "handctl").write_text("")
     if kind == "read-only":
         cache.chmod(0o555)
-    said, hit, kept = ask(copy, cache)
-    assert (said, hit) == (True, False)
-    assert not kept or (kind == "read-only" and os.geteuid() == 0), "root writes everywhere"
+    result, hit, stored = ask(copy, cache)
+    assert (result, hit) == (True, False)
+    assert not stored or (kind == "read-only" and os.geteuid() == 0), "root writes everywhere"
 
 
 def taken_from(function: Callable[..., object]) -> set[str]:
-    """Modules of this package from which a compiled function takes what it names."""
-    seen, found = function.__globals__, set[str]()
+    """Return the modules of this package from which a compiled function takes names."""
+    names, modules = function.__globals__, set[str]()
     used = set(function.__code__.co_names)
     for node in ast.parse(Path(inspect.getfile(function)).read_text(encoding="utf-8")).body:
         if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("handctl"):
             for one in node.names:
                 if (one.asname or one.name) in used:
-                    value = seen[one.asname or one.name]
-                    found.add(value.__name__ if inspect.ismodule(value) else node.module)
-    return found | {function.__module__}
+                    value = names[one.asname or one.name]
+                    modules.add(value.__name__ if inspect.ismodule(value) else node.module)
+    return modules | {function.__module__}
 
 
-def test_kernels_are_made_of_files_that_name_the_folder_of_their_code() -> None:
-    """What is outside of these could change without making a new folder."""
-    own = [function for function in MARKED if function.__module__.startswith("handctl.")]
-    assert len(own) > 100
+def test_the_cache_folder_depends_on_all_sources_of_kernels() -> None:
+    """Check that no other file can change a kernel without a new folder."""
+    kernels = [function for function in MARKED if function.__module__.startswith("handctl.")]
+    assert len(kernels) > 100
     inside = tuple(f"handctl.{name.removesuffix('.py')}" for name in SOURCES)
-    for function in own:
+    for function in kernels:
         outside = {
             name for name in taken_from(function) if not f"{name}.".startswith(tuple(f"{top}." for top in inside))
         }

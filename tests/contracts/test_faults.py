@@ -1,4 +1,4 @@
-"""Catalogue, fault table, campaign, tests and pages map onto each other; two outside lists map onto the catalogue."""
+"""Catalogue, fault table, campaign, tests and pages agree, and two external lists map onto the catalogue."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from handctl.safety.faults.table import CATALOGUE, TABLE, remedy
 ROOT = Path(__file__).parents[2]
 SIZES = {"B": 18, "N": 17, "T": 9, "H": 15, "I": 10}
 IDS = [f"{letter}{number:02}" for letter, size in SIZES.items() for number in range(1, size + 1)]
-"""The 68 rows of the project's fault catalogue, and N17, which was found by trial."""
+"""The 68 rows of the project's fault catalogue, and N17, which was found in a trial."""
 BY_ID = {entry.id: entry for entry in CATALOGUE}
 
 AUTOSAR = {
@@ -33,7 +33,7 @@ PX4 = {
     "voltage": ("-the drive judges it", "-the drive judges it", "N10", "N10", "-the drive judges it",
                 "-the drive judges it", "-the drive judges it"),
 }  # fmt: skip
-"""PX4's failure kinds on each thing that is measured; what begins with - is not applicable, and why."""
+"""PX4's failure kinds for each measured quantity. An entry with - is not applicable and holds the reason."""
 
 
 def test_the_catalogue_has_every_row_once_and_in_order() -> None:
@@ -49,7 +49,7 @@ def test_table_and_catalogue_agree_on_what_a_tick_can_judge() -> None:
     assert judged & elsewhere <= {"B18", "N12"}, "which are judged before arming, and by the table"
 
 
-def test_every_row_says_what_each_protocol_shows_of_it() -> None:
+def test_every_row_has_its_visibility_in_each_protocol() -> None:
     for entry in CATALOGUE:
         for visibility in (entry.mit, entry.odrive, entry.cia402):
             verdict, _, why = visibility.partition(": ")
@@ -68,7 +68,7 @@ def test_every_row_is_tried() -> None:
     assert LEFT_OUT.keys() | campaign >= set(IDS) - {id_ for id_ in IDS if id_[0] == "I"}
 
 
-def test_the_campaign_allows_no_more_time_than_the_catalogue_says() -> None:
+def test_the_campaign_allows_no_more_time_than_the_catalogue() -> None:
     for row in MATRIX:
         entry = BY_ID[row.id]
         if row.rows[:1] == ("B11b",):  # its second stage, which counts ten ticks
@@ -123,7 +123,7 @@ def test_autosar_s_faults_are_rows(fault: str) -> None:
     assert set(AUTOSAR[fault].split()) <= set(IDS)
 
 
-def test_px4_s_cells_are_rows_or_say_why_not() -> None:
+def test_px4_s_cells_are_rows_or_have_a_reason() -> None:
     cells = [cell for row in PX4.values() for cell in row]
     assert len(AUTOSAR) == 11
     assert len(cells) == 6 * len(KINDS)
@@ -131,5 +131,5 @@ def test_px4_s_cells_are_rows_or_say_why_not() -> None:
         assert cell in IDS or (cell.startswith("-") and len(cell) > 10), cell
 
 
-def test_what_needs_hardware_is_on_the_list() -> None:
+def test_faults_that_need_hardware_are_listed() -> None:
     assert {id_ for id_, _ in ON_HARDWARE} >= {"B12", "B13", "B14", "B15", "B16", "B18"}

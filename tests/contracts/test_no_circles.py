@@ -1,4 +1,4 @@
-"""No module imports itself by way of others, wherever in the module the import stands."""
+"""No module imports itself through others, at any place in the module."""
 
 import ast
 from pathlib import Path
@@ -10,26 +10,26 @@ Graph = dict[str, set[str]]
 
 
 def modules() -> dict[str, Path]:
-    """Return every module of the two packages with its file; packages themselves hold no code."""
-    found = {}
+    """Return every module of the two packages with its file. Packages hold no code."""
+    files = {}
     for package in (ROOT / "src" / "handctl", ROOT / "firmware_sim"):
         for path in package.rglob("*.py"):
             parts = (package.name, *path.relative_to(package).with_suffix("").parts)
-            found[".".join(parts).removesuffix(".__init__")] = path
-    return found
+            files[".".join(parts).removesuffix(".__init__")] = path
+    return files
 
 
-def imports(source: str, known: set[str]) -> set[str]:
-    """Return the known modules that a source imports, in functions and for types too."""
-    found: set[str] = set()
+def imports(source: str, modules_known: set[str]) -> set[str]:
+    """Return the modules that a source imports, including imports in functions and for types."""
+    imported: set[str] = set()
     for node in ast.walk(ast.parse(source)):
         match node:
             case ast.Import(names=names):
-                found |= {one.name for one in names}
+                imported |= {alias.name for alias in names}
             case ast.ImportFrom(module=str(module), names=names):
-                whole = {f"{module}.{one.name}" for one in names} & known
-                found |= whole or {module}
-    return found & known
+                whole = {f"{module}.{alias.name}" for alias in names} & modules_known
+                imported |= whole or {module}
+    return imported & modules_known
 
 
 def circles(graph: Graph) -> list[set[str]]:
@@ -43,16 +43,16 @@ def circles(graph: Graph) -> list[set[str]]:
     return sorted((set(group) for group in groups if group), key=sorted)
 
 
-def test_the_search_finds_circles_of_any_length() -> None:
+def test_the_search_detects_circles_of_any_length() -> None:
     assert circles({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}) == [{"a", "b", "c"}]
     assert circles({"a": {"b"}, "b": {"c"}, "c": set()}) == []
-    known = {"handctl.a", "handctl.b", "handctl.b.c"}
-    assert imports("from handctl.b import c", known) == {"handctl.b.c"}
-    assert imports("def f():\n    import handctl.a", known) == {"handctl.a"}
+    modules_known = {"handctl.a", "handctl.b", "handctl.b.c"}
+    assert imports("from handctl.b import c", modules_known) == {"handctl.b.c"}
+    assert imports("def f():\n    import handctl.a", modules_known) == {"handctl.a"}
 
 
 @pytest.mark.parametrize("package", ["handctl", "firmware_sim"])
-def test_no_module_imports_itself_by_way_of_others(package: str) -> None:
+def test_no_import_circles(package: str) -> None:
     files = {name: path for name, path in modules().items() if name.split(".")[0] == package}
     graph = {name: imports(path.read_text(encoding="utf-8"), set(files)) - {name} for name, path in files.items()}
     assert circles(graph) == []

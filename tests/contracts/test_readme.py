@@ -1,4 +1,4 @@
-"""What the README promises is what the code does."""
+"""The README agrees with the code."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What import-linter cannot see: the shape of the source itself."""
+"""Rules of the source that import-linter cannot check."""
 
 import ast
 import re
@@ -15,13 +15,13 @@ OURS = {"handctl", "firmware_sim", "tests", "fuzz", "benchmarks"}
 
 
 def sources(*folders: str) -> list[Path]:
-    found = sorted(path for folder in folders for path in (ROOT / folder).rglob("*.py"))
-    assert found, folders
-    return found
+    paths = sorted(path for folder in folders for path in (ROOT / folder).rglob("*.py"))
+    assert paths, folders
+    return paths
 
 
 def broad_handlers(source: str) -> Iterator[int]:
-    """Line numbers of handlers and ``suppress`` that catch everything, however it is spelled."""
+    """Yield the line numbers of handlers and ``suppress`` that catch all exceptions, in any spelling."""
     for node in ast.walk(ast.parse(source)):
         match node:
             case ast.ExceptHandler(type=None):
@@ -42,7 +42,7 @@ def names(node: ast.AST | None) -> set[str]:
 
 
 @pytest.mark.parametrize(
-    ("handler", "found"),
+    ("handler", "lines"),
     [
         ("except:", [3]),
         ("except Exception:", [3]),
@@ -51,11 +51,11 @@ def names(node: ast.AST | None) -> set[str]:
         ("except (ValueError, OSError):", []),
     ],
 )
-def test_the_search_finds_broad_handlers(handler: str, found: list[int]) -> None:
-    assert list(broad_handlers(f"try:\n    pass\n{handler}\n    pass\n")) == found
+def test_the_search_finds_broad_handlers(handler: str, lines: list[int]) -> None:
+    assert list(broad_handlers(f"try:\n    pass\n{handler}\n    pass\n")) == lines
 
 
-def test_only_the_loop_catches_everything_and_only_once() -> None:
+def test_only_the_loop_catches_all_exceptions_and_once() -> None:
     for path in sources("src", "firmware_sim"):
         lines = list(broad_handlers(path.read_text(encoding="utf-8")))
         allowed = 1 if path.relative_to(ROOT) == LOOP else 0
@@ -63,29 +63,29 @@ def test_only_the_loop_catches_everything_and_only_once() -> None:
 
 
 def test_a_controller_meets_the_simulator_in_one_place() -> None:
-    """``session.simulate`` builds the simulated hand in lockstep, and nothing else does."""
-    found = {
+    """Check that only ``session.simulate`` builds the simulated hand in lockstep."""
+    builders = {
         str(path.relative_to(ROOT))
         for path in sources("src", "benchmarks", "fuzz")
         if re.search(r"\b(load_peer|LockstepClock)\(", path.read_text(encoding="utf-8"))
     }
-    assert found == {"src/handctl/runtime/lockstep.py", "src/handctl/session/simulate.py"}
+    assert builders == {"src/handctl/runtime/lockstep.py", "src/handctl/session/simulate.py"}
 
 
-def test_no_folder_has_more_modules_than_one_look_takes_in() -> None:
+def test_no_folder_has_more_than_fourteen_modules() -> None:
     for folder in {path.parent for path in sources("src")}:
         modules = [path for path in folder.glob("*.py") if path.stem != "__init__"]
         assert len(modules) <= 14, f"{folder.relative_to(ROOT)} has {len(modules)} modules"
 
 
-def test_no_rubbish_drawers_and_nothing_left_for_later() -> None:
+def test_no_miscellaneous_modules_and_no_todo_marks() -> None:
     for path in sources("src", "firmware_sim"):
         assert path.stem not in {"utils", "util", "common", "helpers", "misc"}, path
         text = path.read_text(encoding="utf-8")
         assert not {"TODO", "FIXME", "XXX"} & set(text.replace(":", " ").split()), path
 
 
-def test_the_locks_name_no_place_and_hash_every_package() -> None:
+def test_the_locks_name_no_index_and_hash_every_package() -> None:
     for name in LOCKS:
         text = (ROOT / name).read_text(encoding="utf-8")
         assert "://" not in text, name
@@ -99,7 +99,7 @@ def test_the_locks_name_no_place_and_hash_every_package() -> None:
 
 
 def named(module: str) -> set[str]:
-    """Everything that has a name in a module, or in the folder of a package."""
+    """Return every name of a module, or of the folder of a package."""
     places = [top / module.replace(".", "/") for top in (ROOT / "src", ROOT)]
     place = next(place for place in places if place.is_dir() or place.with_suffix(".py").exists())
     if place.is_dir():
@@ -116,7 +116,7 @@ def named(module: str) -> set[str]:
 
 
 @pytest.mark.parametrize("path", sources("fuzz", "benchmarks"), ids=lambda path: f"{path.parent.name}/{path.name}")
-def test_what_no_test_runs_finds_what_it_takes_from_here(path: Path) -> None:
+def test_names_imported_by_fuzz_and_benchmarks_exist(path: Path) -> None:
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] in OURS:
             assert {alias.name for alias in node.names} <= named(node.module), node.module

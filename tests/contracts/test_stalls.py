@@ -1,4 +1,4 @@
-"""A machine that stands still is seen, and a test of the clock is tried again for that reason only."""
+"""A stall of the machine is detected, and only then a test of the clock is repeated."""
 
 import os
 import signal
@@ -34,13 +34,13 @@ def test_of_the_clock(stalled, request, slower):
 def test_a_stall_of_one_core_is_seen_once() -> None:
     meter = StallMeter()
     try:
-        begin = time.monotonic()
+        start = time.monotonic()
         os.kill(meter.pids[-1], signal.SIGSTOP)
         time.sleep(0.05)
         os.kill(meter.pids[-1], signal.SIGCONT)
         longest = 0.0
-        while not longest and time.monotonic() < begin + 10.0:
-            longest = meter.longest_since(begin)
+        while not longest and time.monotonic() < start + 10.0:
+            longest = meter.longest_since(start)
         assert 0.03 < longest < 10.0
         assert meter.longest_since(time.monotonic()) == 0.0
     finally:
@@ -48,7 +48,7 @@ def test_a_stall_of_one_core_is_seen_once() -> None:
     assert not any(os.path.exists(f"/proc/{pid}") for pid in meter.pids)
 
 
-def test_only_a_test_in_a_stall_is_tried_again(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_test_is_repeated_after_a_stall_alone(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
     pytester.makepyfile(test_clock=AGAIN)
     pytester.makeconftest("from tests.conftest import *")
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(("", os.getcwd())))

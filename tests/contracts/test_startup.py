@@ -1,4 +1,4 @@
-"""``handctl --help`` answers at once: a verb's libraries are imported when the verb is called."""
+"""``handctl --help`` answers at once, because a verb's libraries are imported when the verb is called."""
 
 import importlib.util
 import subprocess
@@ -10,7 +10,7 @@ import pytest
 HEAVY = ("can", "control", "daqp", "filterpy", "matplotlib", "mcap", "mujoco", "pyarrow", "pydantic", "rerun", "scipy")
 LIMIT_S = 0.3
 LIMIT_INTERPRETERS = 10
-"""On a slow or busy machine: as many times as long as the interpreter needs to start and do nothing."""
+"""Limit on a slow or busy machine, in start-up times of an empty interpreter."""
 HELP = "from handctl.cli.main import main\ntry:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
 
 pytestmark = pytest.mark.skipif(
@@ -20,9 +20,9 @@ pytestmark = pytest.mark.skipif(
 
 
 def seconds(code: str) -> float:
-    begin = time.perf_counter()
+    start = time.perf_counter()
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
-    return time.perf_counter() - begin
+    return time.perf_counter() - start
 
 
 @pytest.mark.realtime
@@ -34,14 +34,14 @@ def test_help_answers_at_once() -> None:
     assert full <= allowed, f"handctl --help {full:.2f} s, bare interpreter {bare:.3f} s"
 
 
-def test_help_imports_nothing_heavy() -> None:
+def test_help_imports_no_heavy_library() -> None:
     code = f"{HELP}import sys\nprint('loaded:', *(name for name in {HEAVY} if name in sys.modules))"
     ran = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert ran.stdout.startswith("usage: handctl")
     assert ran.stdout.splitlines()[-1] == "loaded:"
 
 
-def test_a_run_begins_without_the_statistics_that_it_never_uses() -> None:
+def test_a_run_starts_without_scipy_stats() -> None:
     code = "import sys\nfrom handctl.cli.main import main\nmain(['demo', '--lockstep', '--dry-run'])\n"
     code += "print([name for name in ('control', 'filterpy.kalman', 'scipy.stats') if name in sys.modules])\n"
     code += "from scipy.signal import find_peaks_cwt\nimport numpy as np\n"

@@ -1,4 +1,4 @@
-"""Drives with free shafts: what they are out of the box, and that their shafts turn as mechanics says."""
+"""Drives with free shafts: their settings as delivered, and the motion of their shafts."""
 
 import math
 import struct
@@ -23,7 +23,7 @@ def register(bench: Bench, node: int, number: int) -> bytes:
 
 
 @pytest.mark.parametrize("kind", mit_bench.TYPES)
-def test_an_mit_motor_has_its_makers_ranges_and_no_watchdog(kind: str) -> None:
+def test_an_mit_motor_has_the_manufacturers_ranges_and_no_watchdog(kind: str) -> None:
     bench = Bench([drive_spec("mit", 2, kind), drive_spec("mit", 5, kind)])
     for node in (2, 5):
         ranges = [struct.unpack("<f", register(bench, node, number))[0] for number in (21, 22, 23)]
@@ -32,7 +32,7 @@ def test_an_mit_motor_has_its_makers_ranges_and_no_watchdog(kind: str) -> None:
         assert register(bench, node, 35) == b"\4\0\0\0"
 
 
-def test_a_motor_set_to_fd_says_so_and_answers_in_fd() -> None:
+def test_a_motor_set_to_fd_reports_it_and_answers_in_fd() -> None:
     bench = Bench([drive_spec("mit", 1, fd=True)])
     assert register(bench, 1, 35)[0] == 9
     (reply,) = bench.receive(Frame(1, ENABLE, FDF | BRS))
@@ -53,7 +53,7 @@ def test_a_free_shaft_turns_by_its_inertia() -> None:
     assert abs(bench.motors[0].omega) < 0.01, "it coasts to a stop"
 
 
-def test_an_odrive_goes_to_a_position_and_keeps_a_velocity() -> None:
+def test_an_odrive_follows_positions_and_velocities() -> None:
     bench = Bench([drive_spec("odrive", 3)])
     bench.receive(Frame(3 << 5 | 0x07, struct.pack("<I", 8)))
     bench.receive(Frame(3 << 5 | 0x0C, struct.pack("<fhh", 1.5, 0, 0)))
@@ -69,7 +69,7 @@ def test_an_odrive_goes_to_a_position_and_keeps_a_velocity() -> None:
     assert bench.motors[0].servo.kd == 0.0
 
 
-def test_frames_for_nobody_are_counted() -> None:
+def test_frames_for_no_node_are_counted() -> None:
     bench = Bench([drive_spec("cia402", 32), drive_spec("mit", 1)])
     assert bench.receive(Frame(0x123, b"")) == []
     assert bench.foreign == 1
@@ -78,7 +78,7 @@ def test_frames_for_nobody_are_counted() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "expected"),
     [
         ("mit --ids 1,1 --bus local:x", "each number once"),
         ("mit --ids one --bus local:x", "expected numbers"),
@@ -94,8 +94,8 @@ def test_frames_for_nobody_are_counted() -> None:
         ("mit --ids 1 --bus nothing", "local:NAME"),
     ],
 )
-def test_what_makes_no_drive_is_one_line(words: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_arguments_are_refused_in_one_line(words: str, expected: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["drive", *words.split()]) == 2
     text = capsys.readouterr().err
-    assert said in text
+    assert expected in text
     assert text.count("\n") == 1

@@ -17,7 +17,7 @@ from firmware_sim.rig import Rig
 
 
 def edited(tmp_path: Path, old: str, new: str) -> str:
-    """A copy of jamia with the first occurrence of a text replaced."""
+    """Write a copy of jamia with the first occurrence of a text replaced."""
     text = find_hand("jamia").read_text()
     assert old in text
     path = tmp_path / "edited.toml"
@@ -44,7 +44,7 @@ def test_every_number_comes_from_the_file(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "expected"),
     [
         ("spool_radius_m = 0.005", "", "spool_radius_m"),
         ("[[motor]]", "[[motor", "not TOML"),
@@ -54,14 +54,14 @@ def test_every_number_comes_from_the_file(name: str) -> None:
         ('bus = "main"', 'bus = "side"', "side"),
     ],
 )
-def test_incomplete_hands_are_refused_in_one_line(old: str, new: str, said: str, tmp_path: Path) -> None:
-    with pytest.raises(SimulatorError, match=said) as caught:
+def test_incomplete_hands_are_refused_in_one_line(old: str, new: str, expected: str, tmp_path: Path) -> None:
+    with pytest.raises(SimulatorError, match=expected) as caught:
         Rig(edited(tmp_path, old, new))
     assert "\n" not in str(caught.value)
 
 
 def test_motors_on_two_buses(tmp_path: Path) -> None:
-    """The first motor moves to a second bus; it answers there and is deaf on the first."""
+    """Move the first motor to a second bus: it answers there and ignores the first bus."""
     first = edited(tmp_path, "[sensor_node]", '[[bus]]\nname = "side"\nbitrate = 1_000_000\n\n[sensor_node]')
     text = Path(first).read_text()
     head, _, tail = text.partition('name = "index_motor"')
@@ -73,7 +73,7 @@ def test_motors_on_two_buses(tmp_path: Path) -> None:
 
 
 def changed(before: Any, after: Any) -> set[str]:
-    """Names of the fields that differ."""
+    """Return the names of the fields that differ."""
     return {field.name for field in fields(before) if getattr(before, field.name) != getattr(after, field.name)}
 
 
@@ -91,7 +91,7 @@ def changed(before: Any, after: Any) -> set[str]:
         ("noise", set(), set(), set(), {"tension_noise", "joint_noise"}),
     ],
 )
-def test_each_factor_changes_what_it_says(
+def test_each_factor_changes_only_its_parameters(
     key: str, digit: set[str], tendon: set[str], motor: set[str], sensors: set[str]
 ) -> None:
     hand = load_hand("jamia11")
@@ -103,7 +103,7 @@ def test_each_factor_changes_what_it_says(
 
 
 def test_the_table_above_has_every_key() -> None:
-    (mark,) = test_each_factor_changes_what_it_says.pytestmark  # type: ignore[attr-defined]
+    (mark,) = test_each_factor_changes_only_its_parameters.pytestmark  # type: ignore[attr-defined]
     assert {row[0] for row in mark.args[1]} == set(KEYS)
 
 

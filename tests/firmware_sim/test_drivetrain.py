@@ -1,4 +1,4 @@
-"""The compiled drivetrain: the same motion as motor by motor, as by Python, and as MuJoCo's own ``mj_step``."""
+"""The compiled drivetrain moves as it does motor by motor, in Python, and with MuJoCo's ``mj_step``."""
 
 import subprocess
 import sys
@@ -17,7 +17,7 @@ from firmware_sim.world import World
 
 
 def closing(hand: str, native: bool = True, compiled: bool = True) -> Plant:
-    """A hand that closes on a cylinder: slack ropes, then taut; some motors follow a torque, others a position."""
+    """Build a hand that closes on a cylinder. Tendons are slack, then taut. Motors follow a torque or a position."""
     plant = Plant(load_hand(hand), load_scene("cylinder"), seed=3, compiled=compiled)
     if not native:
         plant._native = None
@@ -29,7 +29,7 @@ def closing(hand: str, native: bool = True, compiled: bool = True) -> Plant:
 
 
 def state(plant: Plant) -> list[str]:
-    """Every number of the motion, to the last bit."""
+    """Return every number of the motion, to the last bit."""
     motors = [(m.theta, m.omega, m.torque, m.velocity, m.heat) for m in plant.motors.values()]
     tendons = [(tendon.tension, tendon.speed, tendon.slope) for tendon, _ in plant.tendons]
     engine = plant.engine
@@ -38,8 +38,8 @@ def state(plant: Plant) -> list[str]:
 
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
-def test_however_steps_are_made_they_are_the_same(hand: str) -> None:
-    """In a block, one by one, with the engine stepped by its bindings, and by plain Python: equal to the last bit."""
+def test_all_ways_to_step_are_equal_to_the_bit(hand: str) -> None:
+    """Compare steps in a block, one by one, with the bindings' step function, and in Python."""
     block, single = closing(hand), closing(hand)
     bindings, plain = closing(hand, native=False), closing(hand, compiled=False)
     block.advance(401)
@@ -52,13 +52,13 @@ def test_however_steps_are_made_they_are_the_same(hand: str) -> None:
         assert state(plant) == state(block)
 
 
-def test_a_whole_hand_says_the_same_compiled_and_plain() -> None:
-    """Also with a fault in a motor, in a load cell, and on the wire."""
+def test_compiled_and_python_worlds_send_equal_frames() -> None:
+    """Include a fault in a motor, in a load cell, and on the wire."""
     worlds = [
         World(load_hand("jamia"), load_scene("cylinder"), seed=4, compiled=compiled) for compiled in (True, False)
     ]
     faults = "runaway node=ring_motor size=0.3 at=20ms", "noise cell=index_tendon", "noise encoder=thumb_motor"
-    said = []
+    outcomes = []
     for world in worlds:
         for fault in faults:
             world.faults.inject(fault)
@@ -68,25 +68,25 @@ def test_a_whole_hand_says_the_same_compiled_and_plain() -> None:
             for data in (b"\xff" * 7 + b"\xfc", bytes.fromhex("9fff7ff0ff0337ff")):
                 answers += world.receive(Frame(1, data))
             answers += world.receive(Frame(0x080, bytes((k,))))
-        said.append((answers, state(world.plant)))
-    assert said[0] == said[1]
+        outcomes.append((answers, state(world.plant)))
+    assert outcomes[0] == outcomes[1]
 
 
 @pytest.mark.parametrize("module", ["server", "rig", "programs.hand", "programs.drive", "programs.bus"])
-def test_who_does_not_step_in_lockstep_waits_for_no_compiler(module: str) -> None:
+def test_real_time_programs_do_not_import_the_compiler(module: str) -> None:
     code = f"import sys, firmware_sim.{module}; print('numba' in sys.modules)"
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert said.stdout.strip() == "False"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "False"
 
 
-def test_the_engine_knows_its_own_addresses() -> None:
+def test_the_engine_has_native_addresses() -> None:
     native = closing("jamia").engine.native
     assert native is not None
     assert all(native)
 
 
-def test_the_world_takes_blocks_between_what_is_due() -> None:
-    """Truth rows, watchdogs and temperatures come at their time, however far the world is asked to go at once."""
+def test_the_world_steps_in_blocks_between_events() -> None:
+    """Check that truth rows, watchdogs and temperatures come at their time in a long advance."""
     far, near = (World(load_hand("jamia"), load_scene("cylinder"), seed=1) for _ in range(2))
     far.advance(250_250_000)
     for k in range(1, 251):
@@ -97,8 +97,8 @@ def test_the_world_takes_blocks_between_what_is_due() -> None:
     assert [node.wake_ns for bus in far.nodes for node in bus] == [node.wake_ns for bus in near.nodes for node in bus]
 
 
-def test_a_divided_step_is_nearly_the_whole_one_and_ends_where_it_does() -> None:
-    """So that samples at any rate are of their own instant: no jitter of up to a step, and no other motion."""
+def test_a_divided_step_ends_where_the_whole_step_ends() -> None:
+    """Check that a sample at any rate belongs to its exact time and does not change the motion."""
     whole, divided = (Plant(load_hand("jamia"), load_scene(None), homed=True) for _ in range(2))
     for plant in (whole, divided):
         for motor in plant.motors.values():
@@ -120,7 +120,7 @@ def test_a_divided_step_is_nearly_the_whole_one_and_ends_where_it_does() -> None
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_a_spool_at_constant_speed_is_sampled_without_jitter_at_any_rate(hand: str) -> None:
-    """At 300 Hz the sixth or seventh step ends up to 0.5 ms before the tick: 5 counts of the encoder at 3 rad/s."""
+    """Check rates that are no multiple of the step. The last whole step would be 5 encoder counts early at 3 rad/s."""
     for rate_hz in (300.0, 333.0, 450.0, 640.0):
         world = World(load_hand(hand), load_scene(None), seed=2)
         motor = next(iter(world.plant.motors.values()))
@@ -134,8 +134,8 @@ def test_a_spool_at_constant_speed_is_sampled_without_jitter_at_any_rate(hand: s
         assert steps == pytest.approx([-3.0 / rate_hz] * 39, rel=1e-6)
 
 
-def test_what_is_sampled_between_steps_leaves_the_truths_rows_where_they_are(tmp_path: Path) -> None:
-    """Every millisecond, whatever the rate; and a fault that is injected within a step does its turns."""
+def test_samples_between_steps_do_not_move_the_rows_of_the_truth_file(tmp_path: Path) -> None:
+    """Check rows of every millisecond at any rate, also with a fault injected within a step."""
     path = tmp_path / "truth"
     rig = Rig("jamia", truth_path=str(path), period_ns=3_333_333)
     for k in range(30):
@@ -146,11 +146,11 @@ def test_what_is_sampled_between_steps_leaves_the_truths_rows_where_they_are(tmp
     t_ns = read_truth(path).t_ns
     assert t_ns.tolist() == [k * 1_000_000 for k in range(len(t_ns))]
     assert len(t_ns) >= 99
-    (told,) = rig.fault_states()
-    assert told["felt"] == pytest.approx(87, abs=2)
+    (fault,) = rig.fault_states()
+    assert fault["felt"] == pytest.approx(87, abs=2)
 
 
-def test_a_fault_of_a_motor_is_asked_in_every_step() -> None:
+def test_a_motor_fault_acts_in_every_step() -> None:
     rig = Rig("jamia", homed=True)
     rig.inject("off node=index_motor")
     seen: list[float] = []

@@ -1,4 +1,4 @@
-"""A tick's frames as records: the compiled law must do what the nodes do with one frame after the other."""
+"""A tick's frames as records: the compiled kernel does what the nodes do with one frame after the other."""
 
 import random
 import re
@@ -44,7 +44,7 @@ def hand_file(folder: Path, protocols: tuple[str, ...], buses: int = 1) -> str:
 
 
 def start(protocol: str, node: int) -> list[tuple[int, bytes]]:
-    """Frames that make a drive follow torques."""
+    """Return the frames that make a drive follow torques."""
     if protocol == "mit":
         return [(0x7FF, struct.pack("<HBBI", node, 0x55, 9, 4000)), (node, b"\xff" * 7 + b"\xfc")]
     if protocol == "odrive":
@@ -62,18 +62,18 @@ def start(protocol: str, node: int) -> list[tuple[int, bytes]]:
 
 
 def cycle(protocol: str, node: int, k: int) -> list[tuple[int, bytes]]:
-    """Frames of a tick for a drive."""
-    share = 0.2 + 0.1 * ((k // 20) % 3)
+    """Return the frames of a tick for a drive."""
+    fraction = 0.2 + 0.1 * ((k // 20) % 3)
     if protocol == "mit":
-        code = round((0.8 * share + 0.8) * 4095 / 1.6)
+        code = round((0.8 * fraction + 0.8) * 4095 / 1.6)
         return [(node, (0x7FFF << 48 | 0x7FF << 36 | 0x010 << 12 | code).to_bytes(8, "big"))]
     if protocol == "odrive":
-        return [(node << 5 | 0x0E, struct.pack("<f", 0.4 * share)), (node << 5 | 0x09 | REMOTE, b"")]
-    return [(0x200 + node, struct.pack("<Hh", 0x0F, round(1000 * share))), *([(0x77F, b"\5")] if k % 5 == 0 else [])]
+        return [(node << 5 | 0x0E, struct.pack("<f", 0.4 * fraction)), (node << 5 | 0x09 | REMOTE, b"")]
+    return [(0x200 + node, struct.pack("<Hh", 0x0F, round(1000 * fraction))), *([(0x77F, b"\5")] if k % 5 == 0 else [])]
 
 
-def spoilt(frame: Frame, chance: random.Random) -> list[Frame]:
-    """Return what becomes of a frame on its way."""
+def disturbed(frame: Frame, rng: random.Random) -> list[Frame]:
+    """Return the frames that arrive in place of one frame."""
     can_id, data, flags, bus, t_ns = frame
     other = [
         [],
@@ -81,25 +81,25 @@ def spoilt(frame: Frame, chance: random.Random) -> list[Frame]:
         [Frame(can_id, data[:-1], flags, bus, t_ns)],
         [Frame(can_id, data, FDF | BRS, bus, t_ns)],
         [Frame(can_id, data + bytes(12), FDF, bus, t_ns)],
-        [Frame(can_id ^ chance.choice((EXTENDED, REMOTE, ERROR, 1, 0x80)), data, flags, bus, t_ns)],
-        [Frame(can_id, chance.randbytes(len(data)), flags, bus, t_ns)],
-        [Frame(can_id, (b"\xff" * 7 + chance.choice((b"\xfb", b"\xfd", b"\xff")))[: len(data) or 8], flags, bus, t_ns)],
-        [Frame(can_id, struct.pack("<f", chance.choice((float("nan"), float("inf"), 1e30))), flags, bus, t_ns), frame],
-        [Frame(0x080, bytes((chance.randrange(256),)), 0, 0, t_ns), frame],
+        [Frame(can_id ^ rng.choice((EXTENDED, REMOTE, ERROR, 1, 0x80)), data, flags, bus, t_ns)],
+        [Frame(can_id, rng.randbytes(len(data)), flags, bus, t_ns)],
+        [Frame(can_id, (b"\xff" * 7 + rng.choice((b"\xfb", b"\xfd", b"\xff")))[: len(data) or 8], flags, bus, t_ns)],
+        [Frame(can_id, struct.pack("<f", rng.choice((float("nan"), float("inf"), 1e30))), flags, bus, t_ns), frame],
+        [Frame(0x080, bytes((rng.randrange(256),)), 0, 0, t_ns), frame],
     ]
-    return chance.choice(other) if chance.random() < 0.03 else [frame]
+    return rng.choice(other) if rng.random() < 0.03 else [frame]
 
 
 def stream(protocols: tuple[str, ...], ticks: int, seed: int, buses: int = 1) -> Iterator[list[Frame]]:
-    """Frames of each tick: set-up, then commands, of which some are spoilt unless the seed is 0."""
-    chance = random.Random(seed)
+    """Yield the frames of each tick: set-up, then commands, some of them disturbed unless the seed is 0."""
+    rng = random.Random(seed)
     drives = [(protocols[i % len(protocols)], FIRST_NODE + i, int(buses == 2 and i >= 2)) for i in range(4)]
     for k in range(ticks):
         frames = [Frame(0x080, bytes((k & 0xFF,)))]
         for protocol, node, bus in drives:
             sent = start(protocol, node) if k == 2 else cycle(protocol, node, k) if k > 2 else []
             frames += [Frame(can_id, data, 0, bus, k) for can_id, data in sent]
-        yield [other for frame in frames for other in spoilt(frame, chance)] if seed else frames
+        yield [other for frame in frames for other in disturbed(frame, rng)] if seed else frames
 
 
 CASES = [
@@ -110,19 +110,19 @@ CASES = [
 
 
 @pytest.mark.parametrize(("protocols", "buses", "seed"), CASES)
-def test_the_law_answers_as_the_nodes_do(protocols: tuple[str, ...], buses: int, seed: int, tmp_path: Path) -> None:
+def test_the_kernel_answers_as_the_nodes_do(protocols: tuple[str, ...], buses: int, seed: int, tmp_path: Path) -> None:
     hand = hand_file(tmp_path, protocols, buses)
-    rigs = [Rig(hand, seed=3, truth_path=str(tmp_path / name)) for name in ("law", "nodes")]
+    rigs = [Rig(hand, seed=3, truth_path=str(tmp_path / name)) for name in ("kernel", "nodes")]
     rigs[1].world.faults.in_frames = True  # every frame goes through the nodes, and they speak for themselves
-    heard = 0
+    count = 0
     for k, frames in enumerate(stream(protocols, 400, seed, buses)):
         answers, nodes = (rig.step(k * TICK_NS, frames) for rig in rigs)
         assert answers == nodes, f"tick {k}"
-        heard += len(answers)
+        count += len(answers)
     for rig in rigs:
         rig.close()
-    assert heard > 400 * 3
-    truth, other = (read_truth(tmp_path / name) for name in ("law", "nodes"))
+    assert count > 400 * 3
+    truth, other = (read_truth(tmp_path / name) for name in ("kernel", "nodes"))
     assert np.array_equal(truth.values, other.values)
     assert rigs[0].world.foreign == rigs[1].world.foreign
     assert rigs[0].world.malformed == rigs[1].world.malformed
@@ -167,7 +167,7 @@ def test_exchange_takes_and_returns_records(tmp_path: Path) -> None:
     assert len(rigs[0].exchange(3 * TICK_NS, to_records([]))) == 0
 
 
-def test_there_is_room_for_every_answer() -> None:
+def test_memory_grows_for_every_answer() -> None:
     rig = Rig("jamia", seed=1)
     frames = [Frame(node, bytes(8)) for node in (1, 2, 3, 4)] * 100
     assert [answer.can_id for answer in rig.step(0, frames)] == [0x11, 0x12, 0x13, 0x14] * 100
@@ -175,7 +175,7 @@ def test_there_is_room_for_every_answer() -> None:
     assert len(rig.step(TICK_NS, frames)) > 400
 
 
-def test_a_number_that_a_motor_gets_holds_from_the_next_frame_on() -> None:
+def test_a_new_identifier_is_valid_from_the_next_frame() -> None:
     rig = Rig("jamia", seed=1)
     rig.step(0, [Frame(2, bytes(8))])
     write = Frame(0x7FF, struct.pack("<HBBI", 2, 0x55, 8, 0x42))
@@ -190,7 +190,7 @@ def test_a_wrong_bus_is_refused() -> None:
         rig.step(0, [Frame(0x080, b"\0", 0, 1)])
 
 
-def test_a_law_is_compiled_anew_if_another_module_that_it_calls_changes(
+def test_a_kernel_is_compiled_again_if_an_imported_module_changes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from firmware_sim.nodes.mit import codec

@@ -1,4 +1,4 @@
-"""Faults as a schedule: read, begun and ended in time, felt, the same every time."""
+"""Faults as a schedule: parsed, started and ended in time, with counted effects, and reproducible."""
 
 import contextlib
 
@@ -18,8 +18,8 @@ def rig(seed=0):
     return Rig("jamia", seed=seed, homed=True)
 
 
-def ask(world, ticks, frames=(REFRESH,)):
-    """Answers of so many ticks, each with a SYNC."""
+def answers_of_ticks(world, ticks, frames=(REFRESH,)):
+    """Return the answers of a number of ticks, each with a SYNC."""
     answers = []
     for _ in range(ticks):
         k = world.world.t_ns // 2_000_000
@@ -27,7 +27,7 @@ def ask(world, ticks, frames=(REFRESH,)):
     return answers
 
 
-def test_a_line_becomes_a_fault():
+def test_a_fault_is_parsed_from_a_line():
     fault = parse_fault("drop node=3 p=0.05 at=3s for=2s seed=7", HAND, 10)
     assert (fault.kind, fault.component, fault.instance) == ("drop", "node", HAND.motors[2].name)
     assert (fault.start_ns, fault.duration_ns, fault.p, fault.seed) == (3_000_000_010, 2_000_000_000, 0.05, 7)
@@ -46,7 +46,7 @@ def test_a_line_becomes_a_fault():
         ("drop node=1 bus=main", "drop needs"), ("stuck joint=index_j1", "no joint"), ("drop node=1 p=", "KEY=VALUE"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_is_one_line(text, words):
+def test_wrong_faults_are_refused_in_one_line(text, words):
     with pytest.raises(SimulatorError) as caught:
         parse_fault(text, HAND)
     assert words in str(caught.value)
@@ -54,53 +54,53 @@ def test_what_cannot_be_is_one_line(text, words):
 
 
 def second(kind: str, index: int) -> str:
-    """The other motor of a kind that takes two."""
+    """Return the second motor of a kind that needs two."""
     return f" with={HAND.motors[index].name}" if kind in OF_TWO else ""
 
 
-EVERYTHING = [
+FIRST_INSTANCES = [
     f"{kind} {component}={instances(component, HAND, kind)[0]}{second(kind, -1)}"
-    for kind, known in KINDS.items()
-    for component in known.components
+    for kind, fault_kind in KINDS.items()
+    for component in fault_kind.components
     if instances(component, HAND, kind)
 ]
-OTHERS = [
+LAST_INSTANCES = [
     f"{kind} {component}={instances(component, HAND, kind)[-1]}{second(kind, 0)}"
-    for kind, known in KINDS.items()
-    for component in known.components
+    for kind, fault_kind in KINDS.items()
+    for component in fault_kind.components
     if instances(component, HAND, kind)
 ]
 
 
-@pytest.mark.parametrize("text", EVERYTHING)
-def test_everything_that_can_be_injected_is_felt_and_ends(text):
+@pytest.mark.parametrize("text", FIRST_INSTANCES)
+def test_every_fault_has_an_effect_and_ends(text):
     run = rig()
     run.world.plant.motors["index_motor"].servo.torque = 0.1
     run.world.plant.motors["index_motor"].servo.limit = 0.8
-    ask(run, 5)
+    answers_of_ticks(run, 5)
     run.inject(f"{text} at=4ms for=40ms")
     assert run.fault_states()[0]["state"] == "waiting"
-    ask(run, 10)
+    answers_of_ticks(run, 10)
     assert run.fault_states()[0]["state"] == "acting"
     run.world.plant.motors["index_motor"].servo.torque = 0.02
-    ask(run, 20)
-    told = run.fault_states()[0]
-    assert told["state"] == "over"
-    assert told["felt"] > 0, "the disturbance was there"
-    assert 14_000_000 <= told["first_ns"] <= 54_000_000
-    before = told["felt"]
-    ask(run, 10)
+    answers_of_ticks(run, 20)
+    state = run.fault_states()[0]
+    assert state["state"] == "over"
+    assert state["felt"] > 0, "the disturbance was there"
+    assert 14_000_000 <= state["first_ns"] <= 54_000_000
+    before = state["felt"]
+    answers_of_ticks(run, 10)
     assert run.fault_states()[0]["felt"] == before
 
 
-@pytest.mark.parametrize("text", OTHERS)
-def test_no_instance_and_no_size_ends_the_simulator(text):
-    """The last instance of each kind, which is the sensor node where it may be, with sizes from small to absurd."""
+@pytest.mark.parametrize("text", LAST_INSTANCES)
+def test_no_size_of_any_fault_ends_the_simulator(text):
+    """Try the last instance of each kind, which is the sensor node if possible, with sizes from small to absurd."""
     run = rig()
     for i, size in enumerate(("-1e12", "-1e6", "0", "1", "2", "1000", "1e6", "1e12")):
         with contextlib.suppress(SimulatorError):
             run.inject(f"{text} size={size} for=6ms seed={i}")
-        ask(run, 4)
+        answers_of_ticks(run, 4)
     assert 1 <= len(run.fault_states()) < 7
 
 
@@ -110,12 +110,12 @@ def test_the_sensor_node_is_no_drive(kind):
         parse_fault(f"{kind} node=sensors", HAND)
 
 
-def test_the_same_seed_is_the_same_loss():
+def test_equal_seeds_lose_equal_frames():
     runs = []
     for seed in (1, 1, 2):
         run = rig()
         run.inject(f"drop node=sensors p=0.3 seed={seed}")
-        runs.append([len(answers) for answers in ask(run, 200)])
+        runs.append([len(answers) for answers in answers_of_ticks(run, 200)])
     assert runs[0] == runs[1] != runs[2]
     lost = 400 - sum(runs[0])
     assert 30 <= lost <= 95
@@ -124,24 +124,24 @@ def test_the_same_seed_is_the_same_loss():
 def test_a_delayed_frame_comes_late_and_a_reordered_one_behind_the_next():
     run = rig()
     run.inject("delay node=sensors size=5")
-    answers = ask(run, 10, ())
+    answers = answers_of_ticks(run, 10, ())
     assert [len(a) for a in answers[:3]] == [0, 0, 1]
     run = rig()
     run.inject("reorder node=sensors")
-    counters = [frame.data[0] & 0xF for a in ask(run, 6, ()) for frame in a if frame.can_id == 0x1A0]
+    counters = [frame.data[0] & 0xF for a in answers_of_ticks(run, 6, ()) for frame in a if frame.can_id == 0x1A0]
     assert counters == [1, 0, 3, 2, 5, 4]
 
 
-def test_a_torn_rope_bears_nothing_and_a_mended_one_does():
+def test_a_broken_tendon_is_slack_until_it_is_mended():
     run = rig()
     motor = run.world.plant.motors["index_motor"]
     motor.servo.torque, motor.servo.limit = 0.15, 0.8
-    ask(run, 150)
+    answers_of_ticks(run, 150)
     assert run.truth()["tension"][0] > 15.0
     run.inject("snap tendon=index_tendon for=20ms")
-    ask(run, 1)
+    answers_of_ticks(run, 1)
     assert run.truth()["tension"][0] == 0.0
-    ask(run, 10)
+    answers_of_ticks(run, 10)
     assert run.truth()["tension"][0] > 15.0
 
 
@@ -152,21 +152,21 @@ MANY = (
 )  # fmt: skip
 
 
-def test_what_is_due_between_steps_happens_as_if_every_step_were_looked_at():
-    """One hand goes tick by tick, in blocks of what is due; the other step by step."""
+def test_blocks_of_steps_end_at_every_event():
+    """Advance one hand tick by tick, in blocks between events, and the other hand step by step."""
 
     def run(step_ns):
-        one = rig()
-        world = one.world
+        hand_rig = rig()
+        world = hand_rig.world
         for text in MANY:
-            one.inject(text.replace("can0", HAND.buses[0]))
-        heard = []
+            hand_rig.inject(text.replace("can0", HAND.buses[0]))
+        frames = []
         for k in range(60):
             for t_ns in range(world.t_ns + step_ns, (k + 1) * 2_000_000 + 1, step_ns):
                 world.advance(t_ns)
-            heard += [*world.receive(REFRESH), *world.receive(Frame(SYNC, bytes((k,)))), *world.take_unsolicited()]
-        told = [{key: value for key, value in fault.items() if key != "state"} for fault in one.fault_states()]
-        return heard, told, [motor.theta.hex() for motor in world.plant.motors.values()]
+            frames += [*world.receive(REFRESH), *world.receive(Frame(SYNC, bytes((k,)))), *world.take_unsolicited()]
+        state = [{key: value for key, value in fault.items() if key != "state"} for fault in hand_rig.fault_states()]
+        return frames, state, [motor.theta.hex() for motor in world.plant.motors.values()]
 
     far, near = run(2_000_000), run(500_000)
     assert far == near

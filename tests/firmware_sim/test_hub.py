@@ -1,4 +1,4 @@
-"""The hub gives every client the records of all others, keeps records whole, and never waits for anybody."""
+"""The hub gives every client the records of all others, keeps records whole, and never waits for a client."""
 
 import os
 import select
@@ -21,7 +21,7 @@ CLASSICAL, FD = 0, 4
 
 
 def record(can_id: int, data: bytes, flags: int = CLASSICAL, dropped: int = 0) -> bytes:
-    """A ``struct canfd_frame`` written out by hand."""
+    """Return a ``struct canfd_frame`` written out by hand."""
     head = can_id.to_bytes(4, "little") + bytes((len(data), flags)) + dropped.to_bytes(2, "little")
     return head + data + bytes(64 - len(data))
 
@@ -39,11 +39,11 @@ def hub() -> Iterator[Hub]:
 
 
 def settle(hub: Hub) -> bytes:
-    """Serve until nothing happens any more; what the owner heard."""
-    heard = b""
+    """Serve until no socket is ready, and return the records for the owner."""
+    received = b""
     while ready := select.select(hub.readers(), [], [], 0.0)[0]:
-        heard += hub.serve(ready)
-    return heard
+        received += hub.serve(ready)
+    return received
 
 
 @pytest.fixture
@@ -63,7 +63,7 @@ def client(hub: Hub) -> Iterator[Callable[[], socket.socket]]:
         link.close()
 
 
-def everything(link: socket.socket) -> bytes:
+def read_all(link: socket.socket) -> bytes:
     data = b""
     try:
         while piece := link.recv(1 << 20):
@@ -78,13 +78,13 @@ def test_all_but_the_sender_get_every_record_in_order(hub: Hub, client: Callable
     batch = record(0x123, b"\x01\x02") + record(1 << 31 | 0x1ABCDE, bytes(range(64)), FD | 1) + record(0x7FF, b"")
     a.sendall(batch)
     assert settle(hub) == batch
-    assert (everything(a), everything(b), everything(c)) == (b"", batch, batch)
+    assert (read_all(a), read_all(b), read_all(c)) == (b"", batch, batch)
 
 
 def test_the_owners_records_reach_every_client(hub: Hub, client: Callable[[], socket.socket]) -> None:
     a, b = client(), client()
     hub.send(record(0x11, b"answer"))
-    assert everything(a) == everything(b) == record(0x11, b"answer")
+    assert read_all(a) == read_all(b) == record(0x11, b"answer")
 
 
 @pytest.mark.parametrize("cut", [1, 71, 73, 100, 143])
@@ -93,50 +93,50 @@ def test_a_record_cut_in_two_arrives_whole(hub: Hub, client: Callable[[], socket
     batch = record(1, b"one") + record(2, b"two")
     a.sendall(batch[:cut])
     settle(hub)
-    assert everything(b) == batch[: cut - cut % SIZE]
+    assert read_all(b) == batch[: cut - cut % SIZE]
     a.sendall(batch[cut:])
     settle(hub)
-    assert everything(b) == batch[cut - cut % SIZE :]
+    assert read_all(b) == batch[cut - cut % SIZE :]
 
 
 def test_the_senders_reserved_bytes_do_not_look_like_drops(hub: Hub, client: Callable[[], socket.socket]) -> None:
     a, b = client(), client()
     a.sendall(record(1, b"x", dropped=0x1234))
     settle(hub)
-    assert everything(b) == record(1, b"x", dropped=0)
+    assert read_all(b) == record(1, b"x", dropped=0)
 
 
 def numbers(data: bytes) -> list[tuple[int, int]]:
-    """Sequence number and drop count of each record."""
+    """Return sequence number and drop count of each record."""
     assert len(data) % SIZE == 0
     rows = struct.iter_unpack("<4xBBHI60x", data)
     return [(number, dropped) for _, _, dropped, number in rows]
 
 
-def test_who_never_reads_is_not_waited_for_and_his_losses_are_counted(
+def test_a_client_that_never_reads_blocks_nobody_and_its_drops_are_counted(
     hub: Hub, client: Callable[[], socket.socket]
 ) -> None:
-    reader, deaf = client(), client()
+    reader, idle = client(), client()
     total, batch = 0, 1000
-    heard: list[tuple[int, int]] = []
+    received: list[tuple[int, int]] = []
     while hub.dropped < 70_000:  # more than the counter in a record can hold
         hub.send(b"".join(record(5, number.to_bytes(4, "little")) for number in range(total, total + batch)))
         total += batch
-        heard += numbers(everything(reader))
-    assert heard == [(number, 0) for number in range(total)]
+        received += numbers(read_all(reader))
+    assert received == [(number, 0) for number in range(total)]
 
-    kept = everything(deaf)
+    read = read_all(idle)
     hub.serve([])  # completes a record that was begun
-    kept += everything(deaf)
-    rows = numbers(kept)
+    read += read_all(idle)
+    rows = numbers(read)
     assert rows == [(number, 0) for number in range(len(rows))], "what was kept is the beginning, whole and in order"
     assert len(rows) + hub.dropped == total
     hub.send(record(5, total.to_bytes(4, "little")))
-    assert numbers(everything(deaf)) == [(total, hub.dropped % 65536)]
+    assert numbers(read_all(idle)) == [(total, hub.dropped % 65536)]
 
 
 def test_half_a_record_is_finished_before_the_next(hub: Hub, client: Callable[[], socket.socket]) -> None:
-    deaf = client()
+    idle = client()
     batch = b"".join(record(number, number.to_bytes(4, "little")) for number in range(2000))
     while not hub.writers():
         hub.send(batch)
@@ -145,38 +145,38 @@ def test_half_a_record_is_finished_before_the_next(hub: Hub, client: Callable[[]
     dropped = hub.dropped
     hub.send(record(1, b"while one is half sent"))
     assert hub.dropped == dropped + 1
-    everything_before = everything(deaf)
-    assert len(everything_before) % SIZE
+    first_part = read_all(idle)
+    assert len(first_part) % SIZE
     hub.serve([])
     assert hub.writers() == []
     hub.send(record(0x7FF, b"next"))
-    data = everything_before + everything(deaf)
+    data = first_part + read_all(idle)
     assert len(data) % SIZE == 0
     assert data[-SIZE:] == record(0x7FF, b"next", dropped=hub.dropped % 65536)
 
 
-def test_a_client_that_leaves_is_forgotten_but_not_its_drops(hub: Hub, client: Callable[[], socket.socket]) -> None:
+def test_drops_of_a_disconnected_client_still_count(hub: Hub, client: Callable[[], socket.socket]) -> None:
     stays, leaves = client(), client()
     while not hub.dropped:
         hub.send(record(1, b"") * 100)
-        everything(stays)
+        read_all(stays)
     before = hub.dropped
     leaves.close()
     settle(hub)
     assert hub.clients == 1
     assert hub.dropped == before
     hub.send(record(2, b"still here"))
-    assert everything(stays) == record(2, b"still here")
+    assert read_all(stays) == record(2, b"still here")
 
 
 def test_a_second_hub_is_refused_and_the_first_goes_on(hub: Hub, client: Callable[[], socket.socket]) -> None:
     a, b = client(), client()
-    with pytest.raises(SimulatorError, match=r"local:test is served already"):
+    with pytest.raises(SimulatorError, match=r"local:test is already served"):
         Hub("test")
     settle(hub)
     a.sendall(record(3, b"alive"))
     settle(hub)
-    assert everything(b) == record(3, b"alive")
+    assert read_all(b) == record(3, b"alive")
 
 
 def test_a_stale_socket_is_replaced() -> None:
@@ -214,7 +214,7 @@ def test_the_run_directory_is_closed_to_others(monkeypatch: pytest.MonkeyPatch, 
 
 
 @pytest.mark.parametrize("name", ["", "a/b", ".hidden", "x" * 120])
-def test_names_that_are_no_bus(name: str) -> None:
+def test_invalid_bus_names_are_refused(name: str) -> None:
     with pytest.raises(SimulatorError):
         bus_path(name)
 

@@ -1,4 +1,4 @@
-"""A load on the object, and the grip that is measured while it grows."""
+"""A load on the object, and the grip measured while it grows."""
 
 import math
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The simulated Damiao motor: states, registers, watchdog; oracle is the fact sheet."""
+"""The simulated Damiao motor: states, registers, watchdog. The oracle is the fact sheet."""
 
 import struct
 
@@ -17,7 +17,7 @@ FULL_TORQUE = bytes.fromhex("7fff7ff000000fff")
 
 
 class Bench:
-    """One motor on a bench, its spool free, stepped by 0.5 ms."""
+    """One motor on a bench with a free spool, in steps of 0.5 ms."""
 
     def __init__(self) -> None:
         self.motor = Motor(SPEC, 0.5e-3)
@@ -43,7 +43,7 @@ class Bench:
         return self.node.state
 
     def special(self, code: int) -> int:
-        """Send a special command; the state nibble of the answer."""
+        """Send a special command and return the state nibble of the answer."""
         return self.ask(b"\xff" * 7 + bytes([code]))[0] >> 4
 
     def register(self, operation: int, number: int, value: bytes = bytes(4)) -> bytes:
@@ -55,7 +55,7 @@ def bench() -> Bench:
     return Bench()
 
 
-def test_a_motor_speaks_only_when_spoken_to(bench: Bench) -> None:
+def test_a_motor_sends_only_answers(bench: Bench) -> None:
     assert bench.node.receive(Frame(ID + 1, FULL_TORQUE), 0) is None
     assert bench.node.receive(Frame(ID | EXTENDED, FULL_TORQUE), 0) is None
     other = struct.pack("<HBB4x", ID + 1, 0x33, 23)
@@ -88,7 +88,7 @@ def test_enabling_does_not_bring_back_an_old_command(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("timeout", [100, 1000])
-def test_the_watchdog_bites_on_time_and_stays(bench: Bench, timeout: int) -> None:
+def test_the_watchdog_trips_on_time_and_latches(bench: Bench, timeout: int) -> None:
     bench.register(0x55, 9, struct.pack("<I", timeout))
     bench.run(1)
     bench.special(0xFC)
@@ -106,7 +106,7 @@ def test_the_watchdog_bites_on_time_and_stays(bench: Bench, timeout: int) -> Non
     assert bench.special(0xFC) == State.ENABLED
 
 
-def test_commands_in_time_keep_the_watchdog_quiet_and_refresh_does_not(bench: Bench) -> None:
+def test_commands_feed_the_watchdog_and_refresh_does_not(bench: Bench) -> None:
     bench.register(0x55, 9, struct.pack("<I", 200))
     bench.special(0xFC)
     for _ in range(10):
@@ -118,7 +118,7 @@ def test_commands_in_time_keep_the_watchdog_quiet_and_refresh_does_not(bench: Be
     assert bench.state() == State.COMMUNICATION_LOST
 
 
-def test_the_watchdog_is_off_until_somebody_switches_it_on(bench: Bench) -> None:
+def test_the_watchdog_is_off_by_default(bench: Bench) -> None:
     assert struct.unpack("<I", bench.register(0x33, 9)[4:]) == (0,)
     bench.special(0xFC)
     bench.run(500)
@@ -143,7 +143,7 @@ def test_writing_tmax_limits_the_torque_and_scales_the_answer(bench: Bench) -> N
     assert ((data[4] & 0xF) << 8 | data[5]) >= 4093
 
 
-def test_the_motor_itself_makes_no_more_than_its_peak(bench: Bench) -> None:
+def test_the_torque_is_limited_to_the_motors_peak(bench: Bench) -> None:
     bench.register(0x55, 23, struct.pack("<f", 10.0))
     bench.special(0xFC)
     bench.ask(FULL_TORQUE)
@@ -151,7 +151,7 @@ def test_the_motor_itself_makes_no_more_than_its_peak(bench: Bench) -> None:
     assert bench.motor.torque == pytest.approx(SPEC.torque_peak, rel=1e-3)
 
 
-def test_what_cannot_be_written_stays(bench: Bench) -> None:
+def test_invalid_writes_are_ignored(bench: Bench) -> None:
     bench.register(0x55, 10, struct.pack("<I", 3))
     assert struct.unpack("<I", bench.register(0x33, 10)[4:]) == (1,)
     bench.register(0x55, 23, struct.pack("<f", float("nan")))
@@ -181,12 +181,12 @@ def test_zero_makes_the_present_position_zero_while_disabled(bench: Bench) -> No
     assert abs(position) <= 2 * 25.0 / 65535
 
 
-def test_the_answer_has_the_format_of_the_question(bench: Bench) -> None:
+def test_the_answer_has_the_format_of_the_request(bench: Bench) -> None:
     bench.ask(FULL_TORQUE, flags=FDF | BRS)
     bench.ask(FULL_TORQUE, flags=FDF)
 
 
-def test_the_law_holds_a_position(bench: Bench) -> None:
+def test_the_servo_holds_a_position(bench: Bench) -> None:
     bench.special(0xFC)
     kp, kd = round(5.0 / 500 * 4095), round(0.05 / 5 * 4095)
     code = int((1.1 + 12.5) * 65535 / 25.0)
@@ -197,7 +197,7 @@ def test_the_law_holds_a_position(bench: Bench) -> None:
     assert bench.motor.theta == pytest.approx(1.0, abs=4e-3)
 
 
-def test_it_warms_up_and_protects_itself(bench: Bench) -> None:
+def test_over_temperature_trips_the_motor(bench: Bench) -> None:
     bench.register(0x55, 23, struct.pack("<f", 10.0))
     bench.special(0xFC)
     bench.ask(FULL_TORQUE)
@@ -211,7 +211,7 @@ def test_it_warms_up_and_protects_itself(bench: Bench) -> None:
     assert bench.ask(FULL_TORQUE)[7] >= 100
 
 
-def test_a_motor_that_gets_another_number_is_found_there_and_no_longer_where_it_was() -> None:
+def test_a_motor_answers_only_at_its_new_identifier() -> None:
     rig = Rig("jamia", homed=True)
     world, torque = rig.world, bytes.fromhex("7fff7ff000000fff")
 

@@ -37,7 +37,7 @@ def test_viscous_friction_sets_the_final_speed() -> None:
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_coulomb_friction_lets_it_creep_below_and_run_above(sign: float) -> None:
+def test_a_rotor_creeps_below_coulomb_friction_and_accelerates_above(sign: float) -> None:
     motor = Motor(replace(SPEC, viscous=0.0), STEP)
     motor.servo.torque, motor.servo.limit = sign * 0.5 * SPEC.coulomb, 1.0
     spin(motor, 0.5)
@@ -48,7 +48,7 @@ def test_coulomb_friction_lets_it_creep_below_and_run_above(sign: float) -> None
     assert motor.omega == pytest.approx(sign * SPEC.coulomb / SPEC.inertia * 0.5, rel=0.01)
 
 
-def test_friction_brings_it_to_rest_and_never_turns_it_round() -> None:
+def test_friction_stops_a_fast_rotor_without_reversing_it() -> None:
     motor = Motor(SPEC, STEP)
     motor.omega = 10.0
     speeds = []
@@ -69,7 +69,7 @@ def test_the_current_follows_with_its_lag() -> None:
     assert motor.torque == pytest.approx(0.5 * (1 - math.exp(-STEP / CURRENT_LAG_S)))
 
 
-def test_the_limit_bounds_the_torque_whatever_is_asked() -> None:
+def test_the_torque_stays_within_the_limit() -> None:
     motor = Motor(SPEC, STEP)
     motor.servo.kp, motor.servo.position, motor.servo.limit = 500.0, 100.0, 0.8
     for _ in range(200):
@@ -82,7 +82,7 @@ def test_the_limit_bounds_the_torque_whatever_is_asked() -> None:
 
 
 @pytest.mark.parametrize(("kp", "kd"), [(5.0, 0.05), (500.0, 5.0), (0.5, 5.0)])
-def test_gains_of_the_whole_range_do_not_run_away(kp: float, kd: float) -> None:
+def test_gains_of_the_whole_range_are_stable(kp: float, kd: float) -> None:
     motor = Motor(SPEC, STEP)
     servo = motor.servo
     servo.kp, servo.kd, servo.position, servo.limit = kp, kd, 0.5, 1.25
@@ -93,7 +93,7 @@ def test_gains_of_the_whole_range_do_not_run_away(kp: float, kd: float) -> None:
     assert abs(motor.theta - before) < 0.02
 
 
-def test_released_it_makes_no_torque() -> None:
+def test_a_released_servo_makes_no_torque() -> None:
     motor = Motor(SPEC, STEP)
     servo = motor.servo
     servo.kp, servo.kd, servo.position, servo.torque, servo.limit = 5.0, 0.1, 1.0, 0.3, 1.0
@@ -103,7 +103,7 @@ def test_released_it_makes_no_torque() -> None:
     assert abs(motor.torque) < 1e-12
 
 
-def test_the_torque_gain_changes_what_appears_not_what_the_drive_believes() -> None:
+def test_the_torque_gain_changes_the_true_torque_only() -> None:
     strong, plain = Motor(replace(SMOOTH, torque_gain=1.2), STEP), Motor(SMOOTH, STEP)
     for motor in (strong, plain):
         motor.servo.torque, motor.servo.limit = 0.05, 1.0
@@ -128,8 +128,8 @@ def test_the_encoder_has_fourteen_bits() -> None:
 
 
 @pytest.mark.parametrize("torque", [-0.03, 0.045])
-def test_friction_takes_no_inertia_along(torque: float) -> None:
-    """A rotor that already turns gains speed by torque less friction over its inertia, as slowly as it may turn."""
+def test_friction_does_not_add_inertia(torque: float) -> None:
+    """Check that a turning rotor accelerates by torque less friction over its inertia, at any speed."""
     motor = Motor(replace(SPEC, viscous=0.0), STEP)
     motor.omega, motor.torque = 2.0, torque
     motor.servo.torque, motor.servo.limit = torque, 1.0
@@ -137,7 +137,7 @@ def test_friction_takes_no_inertia_along(torque: float) -> None:
     assert (motor.omega - 2.0) / 0.005 == pytest.approx((torque - SPEC.coulomb) / SPEC.inertia, rel=1e-3)
 
 
-def test_friction_stops_a_rotor_and_does_not_turn_it_around() -> None:
+def test_friction_stops_a_slow_rotor_without_reversing_it() -> None:
     for start in np.linspace(0.005, 0.5, 100):
         motor = Motor(SPEC, STEP)
         motor.omega = float(start)

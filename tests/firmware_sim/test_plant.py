@@ -1,4 +1,4 @@
-"""The plant against statics and kinematics worked out by hand."""
+"""The plant against statics and kinematics computed by hand."""
 
 import math
 from dataclasses import replace
@@ -24,7 +24,7 @@ def free(factors: dict[str, float] | None = None, hand: Hand = JAMIA, homed: boo
 
 
 def locked() -> Hand:
-    """The hand with all joints between two stops a hundredth of a degree apart."""
+    """Return the hand with all joints between two stops a hundredth of a degree apart."""
     digits = [replace(digit, joint_max_deg=(0.01,) * len(digit.length)) for digit in JAMIA.digits]
     return replace(JAMIA, digits=digits)
 
@@ -34,9 +34,9 @@ def pull(plant: Plant, torque: float, seconds: float, ramp: float = 0.3) -> None
     start = [motor.servo.torque for motor in plant.motors.values()]
     steps = round(seconds * 2000)
     for i in range(steps):
-        share = min(1.0, (i + 1) / (ramp * 2000))
+        fraction = min(1.0, (i + 1) / (ramp * 2000))
         for motor, first in zip(plant.motors.values(), start, strict=True):
-            motor.servo.torque = first + share * (torque - first)
+            motor.servo.torque = first + fraction * (torque - first)
         plant.step()
 
 
@@ -49,7 +49,7 @@ def test_the_springs_hold_the_free_hand_open() -> None:
 
 @pytest.mark.parametrize("tension", [8.0, 10.0, 12.0])
 def test_spring_and_tendon_balance_at_every_joint(tension: float) -> None:
-    """Without friction r f = k (q + q0), so all joints stand at the same angle; gravity is along the hinges."""
+    """Check r f = k (q + q0) without friction: all joints have the same angle. Gravity is along the hinges."""
     plant = free({"friction": 0.0})
     pull(plant, tension * 0.005, 2.0)
     assert plant.tensions() == pytest.approx([tension] * 4, rel=1e-3)
@@ -58,7 +58,7 @@ def test_spring_and_tendon_balance_at_every_joint(tension: float) -> None:
 
 
 def test_excursion_and_stretch_add_up() -> None:
-    """r_a theta = sum r q + f/k, without friction and at rest."""
+    """Check r_a theta = sum r q + f/k, without friction and at rest."""
     plant = free({"friction": 0.0})
     pull(plant, 14.0 * 0.005, 2.0)
     index = plant.motors["index_motor"].theta
@@ -75,7 +75,7 @@ def test_friction_leaves_the_far_joints_behind() -> None:
     assert first > second > third > 0.0
 
 
-def test_a_slack_rope_makes_no_force() -> None:
+def test_a_slack_tendon_makes_no_force() -> None:
     plant = free(homed=False)
     before = [motor.theta for motor in plant.motors.values()]
     assert all(-0.6 <= theta <= -0.2 for theta in before), "slack of 1 to 3 mm on a 5 mm spool"
@@ -88,8 +88,8 @@ def test_a_slack_rope_makes_no_force() -> None:
             assert plant.tensions() == [0.0] * 4
 
 
-def test_a_blocked_finger_is_as_stiff_as_its_rope() -> None:
-    """Joints locked by their stops: the tension follows the spool by k r."""
+def test_a_blocked_finger_is_as_stiff_as_its_tendon() -> None:
+    """Check with locked joints that the tension follows the spool by k r."""
     plant = free({"friction": 0.0}, locked())
     pull(plant, 0.25, 2.0)
     low, theta_low = plant.tensions()[0], plant.motors["index_motor"].theta
@@ -102,8 +102,8 @@ def test_a_blocked_finger_is_as_stiff_as_its_rope() -> None:
     assert plant.tensions()[0] < 1e5 * 0.005 * plant.motors["index_motor"].theta - 5.0, "no softening beyond the knee"
 
 
-def test_a_blocked_rotor_rings_at_the_frequency_of_rope_and_rotor() -> None:
-    """sqrt(k r^2 / J) = 139 rad/s. Source: MODEL, section 4."""
+def test_a_blocked_rotor_rings_at_the_frequency_of_tendon_and_rotor() -> None:
+    """Check sqrt(k r^2 / J) = 139 rad/s. Source: MODEL, section 4."""
     plant = free({"friction": 0.0, "damping": 0.1}, locked())
     pull(plant, 0.25, 0.6)
     motor = plant.motors["index_motor"]
@@ -129,8 +129,8 @@ def link_frames(plant: Plant) -> Any:
     return {name: np.array(plant.engine._data.body(name).xpos) for name in ("index_link3", "ring_link2", "thumb_link2")}
 
 
-def test_where_the_links_are() -> None:
-    """Fingers flex towards -y, the thumb towards +y, all in planes of constant z."""
+def test_forward_kinematics_of_the_links() -> None:
+    """Check that fingers flex towards -y and the thumb towards +y, all in planes of constant z."""
     plant = free()
     q = [0.3, 0.4, 0.1] * 3 + [0.5, 0.2]
     plant.engine.set_joints(q, [0.0] * 11)
@@ -151,7 +151,7 @@ def test_the_thumb_alone_is_opposed() -> None:
 
 
 def test_eleven_motors_move_joints_one_by_one() -> None:
-    """jamia11: winding the last tendon of a finger alone closes all its joints, its first tendon the first only."""
+    """Check in jamia11 that a finger's last tendon closes all its joints, and its first tendon the first joint only."""
     hand = load_hand("jamia11")
     plant = free({"friction": 0.0}, hand)
     motors = [motor.name for motor in hand.motors]
@@ -168,14 +168,14 @@ def test_eleven_motors_move_joints_one_by_one() -> None:
     assert np.abs(q[1:]).max() < 0.02
 
 
-def test_a_plant_that_diverges_says_so() -> None:
+def test_a_diverging_plant_is_an_error() -> None:
     plant = free({"spring": 1e6})
     with pytest.raises(SimulatorError, match="diverged"):
         pull(plant, 0.3, 0.5)
 
 
 def closing(monkeypatch: pytest.MonkeyPatch, step_s: float) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-    """Joint angles every 5 ms while the free hand closes to 12 N in 0.4 s, with a plant step [s]."""
+    """Return joint angles every 5 ms while the free hand closes to 12 N in 0.4 s, with a plant step [s]."""
     monkeypatch.setattr("firmware_sim.plant.plant.STEP_S", step_s)
     monkeypatch.setattr(
         "firmware_sim.plant.plant.model_text",
@@ -192,7 +192,7 @@ def closing(monkeypatch: pytest.MonkeyPatch, step_s: float) -> np.ndarray[tuple[
 
 
 def test_the_step_is_short_enough(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ropes, friction and rotors are integrated to first order: the error is small and falls with the step."""
+    """Check the first-order integration of tendons, friction and rotors: the error is small and falls with the step."""
     exact = closing(monkeypatch, 0.05e-3)
     errors = [np.degrees(np.sqrt(((closing(monkeypatch, step) - exact) ** 2).mean())) for step in (0.5e-3, 0.1e-3)]
     assert np.degrees(exact[-1].min()) > 12.0, "it did close"

@@ -1,4 +1,4 @@
-"""The simulator as others start it: a process with a ready line, a bus, a truth file and an orderly end."""
+"""The simulator as a process: a ready line, a bus, a truth file and an orderly end."""
 
 import json
 import select
@@ -71,7 +71,7 @@ def attach(path: Path) -> socket.socket:
 
 
 def ask(link: socket.socket, can_id: int, data: bytes, flags: int = 0) -> bytes:
-    """Send one frame and return the one record that answers it."""
+    """Send one frame and return the record of its answer."""
     link.sendall(record(can_id, data, flags))
     answer = link.recv(72, socket.MSG_WAITALL)
     assert len(answer) == 72
@@ -132,7 +132,7 @@ def test_a_second_simulator_on_the_same_bus_is_refused(
 ) -> None:
     start("bus", "taken")
     assert main(["--hand", "jamia", "--bus", "local:taken"]) == 2
-    assert "served already" in capsys.readouterr().err
+    assert "already served" in capsys.readouterr().err
     assert not (run_folder / "local_taken.truth").exists()
 
 
@@ -158,7 +158,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_cannot_be_served_is_one_harmless_line(
+def test_wrong_arguments_give_one_printable_line(
     run_folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], case: str
 ) -> None:
     monkeypatch.chdir(run_folder)
@@ -182,7 +182,7 @@ ODD_HANDS = {
 
 
 @pytest.mark.parametrize("case", ODD_HANDS)
-def test_a_hand_that_is_no_plant_is_refused_by_both_simulators(
+def test_impossible_hands_are_refused_by_both_simulators(
     run_folder: Path, capsys: pytest.CaptureFixture[str], case: str
 ) -> None:
     path = run_folder / "odd.toml"
@@ -194,7 +194,7 @@ def test_a_hand_that_is_no_plant_is_refused_by_both_simulators(
         Rig(str(path))
 
 
-def test_the_truth_is_written_over_no_log(run_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_truth_file_never_overwrites_a_log(run_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = run_folder / "run.mcap"
     log.write_bytes(b"a run")
     assert main([*HAND, "--truth", str(log), "--scene", "none"]) == 2
@@ -226,10 +226,10 @@ def test_wrong_arguments_get_one_line_and_exit_code_2(
     words: list[str], run_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(words) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.startswith("firmware_sim: ")
-    assert said.err.count("\n") == 1
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("firmware_sim: ")
+    assert captured.err.count("\n") == 1
     assert not (run_folder / "x.bus").exists()
 
 

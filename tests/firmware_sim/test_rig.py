@@ -23,7 +23,7 @@ def frame(can_id: int, data: bytes) -> Sent:
 
 
 def command(torque: float) -> bytes:
-    """A pure torque command for TMAX = 0.8 N m."""
+    """Return a pure torque command for TMAX = 0.8 N m."""
     return (0x7FFF << 48 | 0x7FF << 36 | round((torque + 0.8) * 4095 / 1.6)).to_bytes(8, "big")
 
 
@@ -43,7 +43,7 @@ def close(rig: Rig, tension: float, seconds: float, ramp: float = 0.8) -> list[l
     return answers
 
 
-def test_who_answers_and_when() -> None:
+def test_answers_of_a_tick_and_their_times() -> None:
     rig = Rig("jamia")
     answers = tick(rig, 0, 0.0)
     assert [answer.can_id for answer in answers] == [0x1A0, 0x11, 0x12, 0x13, 0x14]
@@ -77,14 +77,14 @@ def test_equal_seeds_give_equal_bytes_and_others_do_not(tmp_path: Path) -> None:
     assert outcomes[0][1] != outcomes[2][1]
 
 
-def test_silence_takes_the_torque_away_after_the_watchdogs_time() -> None:
+def test_the_watchdog_removes_the_torque_after_its_timeout() -> None:
     rig = Rig("jamia")
     writes = [frame(0x7FF, struct.pack("<HBBI", motor, 0x55, 9, 1000)) for motor in MOTORS]
     rig.step(0, [*writes, *[frame(motor, ENABLE) for motor in MOTORS]])
     for k in range(1, 200):
         tick(rig, k, 0.1)
-    held = rig.world.plant.tensions()[0]
-    assert held == pytest.approx(20.0, abs=3.5)
+    tension = rig.world.plant.tensions()[0]
+    assert tension == pytest.approx(20.0, abs=3.5)
     torque = []
     for k in range(200, 240):
         rig.step(k * TICK_NS, [sync(k)])
@@ -107,7 +107,7 @@ def test_disable_lets_the_finger_open() -> None:
 
 
 @pytest.mark.parametrize("tension", [30.0, 40.0])
-def test_friction_alone_carries_the_cylinder_when_the_table_is_gone(tension: float, tmp_path: Path) -> None:
+def test_friction_alone_carries_the_cylinder_after_the_table_has_sunk(tension: float, tmp_path: Path) -> None:
     path = tmp_path / "grasp.truth"
     rig = Rig("jamia", scene="cylinder", truth_path=str(path))
     close(rig, tension, 8.0)
@@ -140,7 +140,7 @@ def test_an_object_too_heavy_for_friction_falls(tmp_path: Path) -> None:
     assert rig.world.plant.engine.object_pose()[2] < -0.05
 
 
-def test_the_truth_file_keeps_its_promises(tmp_path: Path) -> None:
+def test_content_of_the_truth_file(tmp_path: Path) -> None:
     path = tmp_path / "t.truth"
     rig = Rig("jamia", scene="cylinder:35", seed=5, truth_path=str(path))
     close(rig, 20.0, 0.5, ramp=0.2)
@@ -164,7 +164,7 @@ def test_the_truth_file_keeps_its_promises(tmp_path: Path) -> None:
     assert truth.column("tension/index_tendon")[-1] == pytest.approx(20.0, abs=4.0)
 
 
-def test_the_load_cell_reads_the_truth_of_its_moment(tmp_path: Path) -> None:
+def test_the_load_cell_reads_the_present_true_tension(tmp_path: Path) -> None:
     path = tmp_path / "t.truth"
     rig = Rig("jamia", truth_path=str(path), perturb={"noise": 0.0})
     answers = close(rig, 15.0, 1.0)
@@ -189,7 +189,7 @@ def test_perturbations_change_the_plant_not_the_wire() -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "expected"),
     [
         ({"hand_path": "nohand"}, "no such hand"),
         ({"hand_path": "jamia", "scene": "cone"}, "no such scene"),
@@ -199,7 +199,7 @@ def test_perturbations_change_the_plant_not_the_wire() -> None:
         ({"hand_path": "jamia", "perturb": {"friction": math.nan}}, "finite"),
     ],
 )
-def test_wrong_arguments_are_refused_in_one_line(arguments: dict[str, object], said: str) -> None:
-    with pytest.raises(SimulatorError, match=said) as caught:
+def test_wrong_arguments_are_refused_in_one_line(arguments: dict[str, object], expected: str) -> None:
+    with pytest.raises(SimulatorError, match=expected) as caught:
         Rig(**arguments)  # type: ignore[arg-type]
     assert "\n" not in str(caught.value)

@@ -1,4 +1,4 @@
-"""Scenes: packaged, shorthand, files, and what is wrong with them."""
+"""Scenes: packaged, shorthand, files, and errors in them."""
 
 from pathlib import Path
 
@@ -46,7 +46,7 @@ def test_no_scene_is_a_free_hand() -> None:
 
 
 @pytest.mark.parametrize("name", packaged())
-def test_objects_rest_on_their_table_until_somebody_grasps(name: str) -> None:
+def test_objects_rest_on_their_table_until_grasped(name: str) -> None:
     plant = Plant(load_hand("jamia"), load_scene(name))
     before = plant.engine.object_pose()
     for _ in range(1000):
@@ -79,7 +79,7 @@ def test_wrong_scenes_are_refused_in_one_line(old: str, new: str, tmp_path: Path
     assert "\n" not in str(caught.value)
 
 
-def test_a_good_scene_file_is_taken(tmp_path: Path) -> None:
+def test_a_valid_scene_file_is_loaded(tmp_path: Path) -> None:
     path = tmp_path / "good.toml"
     path.write_text(GOOD)
     scene = load_scene(str(path))

@@ -26,7 +26,7 @@ def node(spec: SensorSpec = ELEVEN, tension: float = 20.0, angle: float = 0.5, s
 
 
 def channels(data: bytes) -> tuple[int, list[int]]:
-    """Counter and 12-bit channels, read from a string of binary digits, lowest first."""
+    """Return the counter and the 12-bit channels of a payload, read from a string of binary digits, lowest first."""
     text = "".join(format(byte, "08b")[::-1] for byte in data)
     count = (len(text) - 4) // 12
     return int(text[:4][::-1], 2), [int(text[4 + 12 * i : 16 + 12 * i][::-1], 2) for i in range(count)]
@@ -59,14 +59,14 @@ def test_joint_codes(degrees: float, code: int) -> None:
     assert joint_code(math.radians(degrees)) == code
 
 
-def test_it_answers_sync_and_nothing_else() -> None:
+def test_the_node_answers_sync_alone() -> None:
     sensors = node()
     assert sensors.receive(Frame(SYNC + 1, b"\0"), 0) is None
     assert sensors.receive(Frame(SYNC, b""), 0) == []
     assert sensors.malformed == 1
 
 
-def test_which_frames_come_and_with_which_counter() -> None:
+def test_frames_and_counters_after_sync() -> None:
     sensors = node()
     for counter in range(32):
         frames = sensors.receive(Frame(SYNC, bytes([counter]), bus=0), counter) or []
@@ -101,7 +101,7 @@ def test_drift_is_a_random_walk_of_the_given_size() -> None:
     assert np.std(ends) == pytest.approx(ELEVEN.bias_drift, rel=0.15)
 
 
-def test_drift_does_not_depend_on_how_often_it_is_asked() -> None:
+def test_drift_does_not_depend_on_the_sample_rate() -> None:
     spread = {}
     for step_ms in (10, 1000):
         ends = []
@@ -114,11 +114,11 @@ def test_drift_does_not_depend_on_how_often_it_is_asked() -> None:
     assert spread[10] == pytest.approx(spread[1000], rel=0.2)
 
 
-def test_noise_is_the_stream_of_pythons_own_generator() -> None:
-    noise, chance = Noise("a seed"), random.Random("a seed")
+def test_noise_equals_pythons_generator() -> None:
+    noise, rng = Noise("a seed"), random.Random("a seed")
     taken = [float(number) for k in range(200) for number in noise.take(k % 12)]
     assert len(taken) > 2 * BLOCK
-    assert taken == pytest.approx([chance.gauss(0.0, 1.0) for _ in taken], rel=1e-14)
+    assert taken == pytest.approx([rng.gauss(0.0, 1.0) for _ in taken], rel=1e-14)
 
 
 def test_seeds() -> None:

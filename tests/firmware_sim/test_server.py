@@ -1,4 +1,4 @@
-"""The real-time server against a clock of our own: it answers at once, follows, falls behind gracefully."""
+"""The real-time server against a manual clock: it answers at once, follows the clock, and slips in an orderly way."""
 
 import socket
 from collections.abc import Collection
@@ -22,8 +22,8 @@ ENABLE, COMMAND = bytes.fromhex("fffffffffffffffc"), bytes.fromhex("7fff7ff00000
 STATE_ENABLED, STATE_LOST = 1, 0xD
 
 
-class ByHand:
-    """A clock that is set, not read."""
+class ManualClock:
+    """A clock that the test sets."""
 
     scale = 1.0
 
@@ -34,8 +34,8 @@ class ByHand:
         return self.t_ns
 
 
-class Wire:
-    """A port whose frames the test puts in and takes out."""
+class FakePort:
+    """A port with frames from and for the test."""
 
     due_ns = 1 << 62
 
@@ -61,12 +61,12 @@ class Wire:
 
 class Bench:
     def __init__(self) -> None:
-        self.clock, self.wire = ByHand(), Wire()
+        self.clock, self.wire = ManualClock(), FakePort()
         self.world = World(load_hand("jamia"), load_scene(None), homed=True, origin_ns=START)
         self.server = Server(self.world, [self.wire], self.clock)
 
     def turn(self, t_ms: float, *frames: Frame) -> list[Frame]:
-        """Set the clock, make one turn, return what was sent."""
+        """Set the clock, make one turn, and return the frames that were sent."""
         self.clock.t_ns = START + round(t_ms * MS)
         self.wire.coming, self.wire.sent = list(frames), []
         self.server.turn()
@@ -89,8 +89,8 @@ def test_the_plant_follows_the_clock_in_whole_steps(bench: Bench) -> None:
     assert bench.world.t_ns == START + 4 * MS
 
 
-def test_a_frame_samples_the_plant_at_its_own_instant(bench: Bench) -> None:
-    """Not at the end of the last whole step, up to 0.5 ms before; the steps keep their places."""
+def test_a_frame_samples_the_plant_at_its_exact_time(bench: Bench) -> None:
+    """Check that the sample is not from the last whole step, up to 0.5 ms before, and that steps stay in place."""
     bench.turn(3.7, Frame(1, ENABLE))
     assert bench.world.t_ns == START + round(3.7 * MS)
     assert bench.world.plant.part_ns == round(0.2 * MS)
@@ -101,7 +101,7 @@ def test_a_frame_samples_the_plant_at_its_own_instant(bench: Bench) -> None:
     assert (bench.world.plant.steps, bench.world.plant.part_ns) == (9, 0)
 
 
-def test_answers_go_out_in_the_same_turn_in_the_order_of_the_questions(bench: Bench) -> None:
+def test_answers_go_out_in_the_same_turn_in_the_order_of_the_requests(bench: Bench) -> None:
     sent = bench.turn(1, Frame(0x80, b"\x05"), Frame(2, ENABLE), Frame(1, ENABLE), Frame(0x333, b"foreign"))
     assert [frame.can_id for frame in sent] == [0x1A0, 0x12, 0x11]
     assert [state(frame) for frame in sent[1:]] == [STATE_ENABLED] * 2
@@ -117,8 +117,8 @@ def test_a_late_turn_catches_up_in_strides_and_is_counted(bench: Bench) -> None:
     assert bench.world.slip_ns == 0
 
 
-def test_an_answer_does_not_wait_for_all_that_is_caught_up(bench: Bench) -> None:
-    """Catching up 10 ms took 2 ms of computing, and the answer to a SYNC came after the next one."""
+def test_an_answer_waits_for_one_stride_at_most(bench: Bench) -> None:
+    """Check a case where catching up 10 ms took 2 ms of computing, and the answer came after the next SYNC."""
     sent = bench.turn(30, Frame(0x80, b"\x05"))
     assert [frame.can_id for frame in sent] == [0x1A0]
     assert bench.world.t_ns == START + STRIDE_NS
@@ -128,22 +128,22 @@ class Granted:
     """Real-time priority that is granted by the test."""
 
     def __init__(self) -> None:
-        self.now_s, self.asked, self.active = 0.0, 0, False
+        self.now_s, self.requests, self.active = 0.0, 0, False
 
     def take(self) -> bool:
-        self.asked, self.active = self.asked + 1, True
+        self.requests, self.active = self.requests + 1, True
         return True
 
     def give_back(self) -> None:
         self.active = False
 
 
-def test_priority_is_for_a_host_that_is_there_and_a_plant_that_keeps_up() -> None:
+def test_priority_is_taken_for_a_host_and_given_back_after_slips() -> None:
     granted = Granted()
     priority = RealTimePriority(granted.take, granted.give_back, lambda: granted.now_s)
     for _ in range(10):
         priority.note_slip()
-    assert granted.asked == 0, "nobody has sent anything yet"
+    assert granted.requests == 0, "nobody has sent anything yet"
     priority.note_host_frames()
     assert granted.active
     priority.note_slip()
@@ -159,8 +159,8 @@ def test_priority_is_for_a_host_that_is_there_and_a_plant_that_keeps_up() -> Non
     assert granted.active
 
 
-def test_a_machine_that_is_too_slow_is_said_once_a_second_with_the_pace_that_it_keeps() -> None:
-    """2,338 lines in 275 s, and none of them said what would help."""
+def test_a_slow_machine_is_reported_once_a_second_with_an_advised_pace() -> None:
+    """Check a case that printed 2,338 lines in 275 s, none of them with advice."""
     now = {"wall": 0.0, "cpu": 0.0}
     lines: list[str] = []
     pace = Pace(0, lambda: now["wall"], lambda: now["cpu"], lines.append)
@@ -177,7 +177,7 @@ def test_a_machine_that_is_too_slow_is_said_once_a_second_with_the_pace_that_it_
     assert pace.report(plant_ns)["plant_s_per_cpu_s"] == pytest.approx(0.1)
 
 
-def test_one_stall_is_no_slow_machine() -> None:
+def test_one_stall_gives_no_advice() -> None:
     lines: list[str] = []
     pace = Pace(0, lambda: 0.0, lambda: 0.0, lines.append)
     pace.slipped(200 * MS, MS)
@@ -185,18 +185,18 @@ def test_one_stall_is_no_slow_machine() -> None:
     assert pace.advice is None
 
 
-def test_slips_that_no_host_feels_are_counted_in_silence(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
+def test_slips_without_a_host_are_counted_but_not_reported(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
     bench.turn(1 + SLIP_NS // MS + 200)
     assert bench.server.slips == 1
     assert capsys.readouterr().err == ""
 
 
-@pytest.mark.parametrize(("pace", "said"), [(0.37, 0.3), (1.0, 1.0), (0.0299, 0.02), (1e-6, 0.001), (0.3, 0.3)])
-def test_a_pace_is_rounded_down_to_one_digit(pace: float, said: float) -> None:
-    assert rounded_down(pace) == said
+@pytest.mark.parametrize(("pace", "rounded"), [(0.37, 0.3), (1.0, 1.0), (0.0299, 0.02), (1e-6, 0.001), (0.3, 0.3)])
+def test_a_pace_is_rounded_down_to_one_digit(pace: float, rounded: float) -> None:
+    assert rounded_down(pace) == rounded
 
 
-def test_far_behind_it_gives_up_the_time_and_says_so(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_plant_far_behind_slips_and_reports(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
     bench.turn(1, Frame(1, ENABLE))
     lost_ms = SLIP_NS // MS + 200
     bench.turn(1 + lost_ms)
@@ -209,7 +209,7 @@ def test_far_behind_it_gives_up_the_time_and_says_so(bench: Bench, capsys: pytes
 
 
 def write_timeout(milliseconds: int) -> Frame:
-    """Register 9 of motor 1, in units of 50 us."""
+    """Return a write of register 9 of motor 1, in units of 50 us."""
     return Frame(0x7FF, bytes((1, 0, 0x55, 9)) + (milliseconds * 20).to_bytes(4, "little"))
 
 
@@ -241,7 +241,7 @@ def test_each_bus_gets_its_spec(specs: list[str], buses: list[str], expected: li
 
 
 @pytest.mark.parametrize(
-    ("specs", "buses", "says"),
+    ("specs", "buses", "expected"),
     [
         (["local:x"], ["a", "b"], "this hand has 2"),
         (["a=local:x"], ["a", "b"], "no --bus for b"),
@@ -249,28 +249,28 @@ def test_each_bus_gets_its_spec(specs: list[str], buses: list[str], expected: li
         (["a=local:x", "a=local:y"], ["a"], "given twice"),
     ],
 )
-def test_specs_that_do_not_fit_the_hand(specs: list[str], buses: list[str], says: str) -> None:
-    with pytest.raises(SimulatorError, match=says):
+def test_buses_that_do_not_fit_the_hand_are_refused(specs: list[str], buses: list[str], expected: str) -> None:
+    with pytest.raises(SimulatorError, match=expected):
         assign(specs, buses)
 
 
 @pytest.mark.parametrize(
     "spec", ["", "vcan0", "serial:x", "socketcan:", "local:", "socketcan:no-such-if", "join:nobody"]
 )
-def test_buses_that_cannot_be_opened(spec: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_buses_that_cannot_be_opened_are_refused(spec: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path))
     with pytest.raises(SimulatorError):
         open_port(spec, 0)
 
 
-def test_a_simulator_can_join_a_bus_that_runs_elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_port_joins_a_served_bus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path))
     owner = HubPort("shared", 3)
     guest = JoinedPort("shared", 5)
     owner.receive(owner.readers())
-    question, answer = Frame(1, ENABLE), Frame(0x11, bytes(range(48)), FDF)
-    owner.send([question])
-    assert guest.receive(guest.readers()) == [question._replace(bus=5)]
+    request, answer = Frame(1, ENABLE), Frame(0x11, bytes(range(48)), FDF)
+    owner.send([request])
+    assert guest.receive(guest.readers()) == [request._replace(bus=5)]
     guest.send([answer])
     assert owner.receive(owner.readers()) == [answer._replace(bus=3)]
     owner.close()
@@ -279,7 +279,7 @@ def test_a_simulator_can_join_a_bus_that_runs_elsewhere(tmp_path: Path, monkeypa
     guest.close()
 
 
-def test_a_record_that_is_no_frame_is_counted_and_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_invalid_record_is_counted_and_ignored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path))
     port = HubPort("odd", 0)
     link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)

@@ -1,4 +1,4 @@
-"""Frames on a Linux CAN socket, byte for byte, and an interface that refuses; on vcan itself: tests/vcan."""
+"""Frames on a Linux CAN socket, byte for byte, and an interface that refuses. See tests/vcan for real interfaces."""
 
 import errno
 import os
@@ -16,7 +16,7 @@ FD_FRAME = Frame(1 << 31 | 0x1ABCDE, bytes(range(12)), FDF | BRS)
 
 
 class Interface:
-    """Stands for the kernel's end of a raw CAN socket."""
+    """The kernel's end of a raw CAN socket."""
 
     def __init__(self) -> None:
         self.waiting: list[bytes | OSError] = []
@@ -73,7 +73,7 @@ def test_classical_and_fd_frames_from_the_kernel(interface: Interface) -> None:
     assert port.receive(port.readers()) == [Frame(0x123, b"\x01\x02\x03", 0, 2), FD_FRAME._replace(bus=2)]
 
 
-def test_an_fd_frame_is_known_by_its_size_even_if_the_kernel_sets_no_flag(interface: Interface) -> None:
+def test_an_fd_frame_is_recognised_by_its_size_without_the_flag(interface: Interface) -> None:
     port = SocketCanPort("vcan7", 0)
     interface.waiting = [FD_BYTES[:5] + b"\x00" + FD_BYTES[6:]]
     assert port.receive(port.readers())[0].flags == FDF
@@ -84,12 +84,12 @@ def test_classical_and_fd_frames_to_the_kernel(interface: Interface) -> None:
     assert interface.sent == [CLASSICAL, FD_BYTES]
 
 
-def test_nothing_is_read_from_a_socket_that_is_not_ready(interface: Interface) -> None:
+def test_a_socket_that_is_not_ready_is_not_read(interface: Interface) -> None:
     interface.waiting = [CLASSICAL]
     assert SocketCanPort("vcan7", 0).receive([]) == []
 
 
-def test_a_full_queue_loses_a_frame_and_an_interface_that_went_down_is_survived(interface: Interface) -> None:
+def test_a_full_queue_and_an_interface_that_is_down_count_as_losses(interface: Interface) -> None:
     port = SocketCanPort("vcan7", 0)
     interface.refusal = error(errno.ENOBUFS)
     port.send([FD_FRAME])

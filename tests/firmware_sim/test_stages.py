@@ -1,4 +1,4 @@
-"""What a scene does with a held object: turns the hand, pushes, makes it slippery, each in its time."""
+"""Stages of a scene: the hand is turned, the object pushed, the friction changed, each at its time."""
 
 import math
 from pathlib import Path
@@ -49,7 +49,7 @@ def test_gravity_turns_and_stays() -> None:
     assert [stages.at(time).stage for time in (0.0, 2.4, 2.6, 100.0)] == [0, 0, 1, 1]
 
 
-def test_a_push_lasts_as_long_as_it_says_and_friction_stays() -> None:
+def test_duration_of_a_push_and_lasting_friction() -> None:
     stage = {"turn_s": 1.0, "last_s": 3.0, "push_N": [0.0, 1.0, 0.0], "push_at_s": 0.5, "push_s": 1.0, "friction": 0.2}
     stages = Stages((read_stage(stage), read_stage({"last_s": 1.0})), UPRIGHT)
     pushes = [stages.at(time).push[1] for time in (0.5, 1.4, 1.5, 2.4, 2.6, 4.5)]
@@ -57,8 +57,8 @@ def test_a_push_lasts_as_long_as_it_says_and_friction_stays() -> None:
     assert [stages.at(time).friction for time in (0.9, 1.1, 4.5)] == [None, 0.2, 0.2]
 
 
-def test_the_plant_does_what_the_stage_says(tmp_path: Path) -> None:
-    """The first touch begins the stages; then the object falls towards the thumb, not onto the table."""
+def test_the_plant_applies_the_stage(tmp_path: Path) -> None:
+    """Start the stages by the first contact. The object then falls towards the thumb, not onto the table."""
     path = tmp_path / "stages.toml"
     path.write_text(SCENE)
     plant = Plant(load_hand("jamia"), load_scene(str(path)), homed=True)
@@ -75,7 +75,7 @@ def test_the_plant_does_what_the_stage_says(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "expected"),
     [
         ({"last_s": 0.0, "turn_s": 0.0}, "last_s"),
         ({"down": [0.0, 0.0, 0.0]}, "down"),
@@ -85,8 +85,8 @@ def test_the_plant_does_what_the_stage_says(tmp_path: Path) -> None:
         ({"colour": 1}, "colour"),
     ],
 )
-def test_wrong_stages_are_refused(change: dict[str, object], said: str) -> None:
-    with pytest.raises(ValueError, match=said):
+def test_wrong_stages_are_refused(change: dict[str, object], expected: str) -> None:
+    with pytest.raises(ValueError, match=expected):
         read_stage(SIDEWAYS | change)
 
 

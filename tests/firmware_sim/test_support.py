@@ -1,4 +1,4 @@
-"""When the table sinks."""
+"""Conditions under which the table sinks."""
 
 import pytest
 
@@ -10,7 +10,7 @@ SUPPORT = Support(drop_when="grasped", drop_force=1.0, drop_hold=1.5, sink_speed
 
 
 def forces(*digits: float) -> list[float]:
-    """Each force along a skew axis."""
+    """Return each force along a skew axis."""
     return [part for size in digits for part in (0.6 * size, 0.0, -0.8 * size)]
 
 
@@ -21,7 +21,7 @@ def run(table: SupportTable, start: float, stop: float, *digits: float) -> float
     return table.depth
 
 
-def test_it_sinks_a_second_and_a_half_after_two_fingers_and_the_thumb_press() -> None:
+def test_the_table_sinks_after_a_grasp_of_a_second_and_a_half() -> None:
     table = SupportTable(SUPPORT, OPPOSED)
     run(table, 0.0, 0.999, 0, 0, 0, 0)
     assert run(table, 1.0, 2.498, 1.1, 1.1, 0, 1.1) == 0.0
@@ -37,7 +37,7 @@ def test_less_than_a_grasp_does_not_count(digits: tuple[float, ...]) -> None:
     assert run(SupportTable(SUPPORT, OPPOSED), 0.0, 5.0, *digits) == 0.0
 
 
-def test_letting_go_begins_the_wait_again() -> None:
+def test_a_released_grasp_restarts_the_wait() -> None:
     table = SupportTable(SUPPORT, OPPOSED)
     run(table, 0.0, 1.4, 2, 2, 2, 2)
     run(table, 1.4, 1.41, 0, 0, 0, 0)

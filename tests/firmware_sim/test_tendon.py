@@ -18,8 +18,8 @@ JOINTS = ["index_j1", "index_j2", "index_j3"]
 REST = [0.0, 0.0, 0.0]
 
 
-class Rope:
-    """One rope on its spool."""
+class TendonOnSpool:
+    """One tendon on its spool."""
 
     def __init__(self, spec: TendonSpec = SPEC) -> None:
         routing = Routing([spec], JOINTS, [spec.motor], [0.005], compiled=False)
@@ -36,7 +36,7 @@ class Rope:
         return out[0]
 
     def pull(self, q: list[float], dq: list[float], theta: float, omega: float, torque: list[float]) -> float:
-        """Add the torques of the pulleys, without what the rope's damping takes; the tension."""
+        """Add the torques of the pulleys without the compensation of damping, and return the tension."""
         self.motor.theta, self.motor.omega = theta, omega
         self.motor.steps_alone, total = True, [0.0] * 3
         step_drivetrain(*self.parts, q, dq, total, [0.0], False)
@@ -45,8 +45,8 @@ class Rope:
         return self.row.tension
 
 
-def make_tendon() -> Rope:
-    return Rope()
+def make_tendon() -> TendonOnSpool:
+    return TendonOnSpool()
 
 
 def test_linear_up_to_the_knee_then_softer_without_a_kink() -> None:
@@ -63,7 +63,7 @@ def test_linear_up_to_the_knee_then_softer_without_a_kink() -> None:
 
 
 @given(st.floats(-3.0, 3.0), st.floats(-60.0, 60.0), st.lists(st.floats(-0.2, 1.8), min_size=3, max_size=3))
-def test_it_never_pushes(theta: float, omega: float, q: list[float]) -> None:
+def test_a_tendon_never_pushes(theta: float, omega: float, q: list[float]) -> None:
     torque = [0.0] * 3
     tendon = make_tendon()
     tension = tendon.pull(q, REST, theta, omega, torque)
@@ -75,7 +75,7 @@ def test_it_never_pushes(theta: float, omega: float, q: list[float]) -> None:
         assert torque == [0.0] * 3
 
 
-def test_a_rope_that_goes_slack_quickly_does_not_push_through_its_damping() -> None:
+def test_damping_does_not_push_when_the_tendon_goes_slack() -> None:
     torque = [0.0] * 3
     assert make_tendon().pull(REST, REST, 0.01, -50.0, torque) == 0.0
     assert torque == [0.0] * 3
@@ -107,7 +107,7 @@ def test_friction_grows_with_speed_as_tanh() -> None:
 
 
 @given(st.floats(-0.2, 0.2), st.lists(st.floats(0.0, 1.7), min_size=3, max_size=3))
-def test_friction_takes_energy_and_the_integrator_knows_how_much(speed: float, q: list[float]) -> None:
+def test_friction_dissipates_energy_and_the_slope_matches(speed: float, q: list[float]) -> None:
     """The rope's friction power is never positive, and ``slope`` covers the loss at every pulley."""
     dq = [speed / 0.009] * 3
     torque = [0.0] * 3
@@ -120,7 +120,7 @@ def test_friction_takes_energy_and_the_integrator_knows_how_much(speed: float, q
     assert tendon.row.slope * abs(speed) >= worst - 1e-6
 
 
-def test_slope_is_continuous_where_the_rope_stands_still() -> None:
+def test_slope_is_continuous_at_zero_speed() -> None:
     slopes = []
     for speed in (0.99e-6, 1.01e-6):
         tendon = make_tendon()

@@ -22,7 +22,7 @@ START = 5_000 * MS
 SYNC, TENSIONS, REGISTERS = 0x80, 0x1A0, 0x7FF
 
 
-class ByHand:
+class ManualClock:
     scale = 1.0
 
     def __init__(self) -> None:
@@ -33,10 +33,10 @@ class ByHand:
 
 
 class Lab:
-    """A hand on a wired bus and a host; ``at`` sets the clock and lets everybody do what is due."""
+    """A hand and a host on a bus with wire timing. ``at`` sets the clock and processes all events that are due."""
 
     def __init__(self, words: list[str], hand: bool = True) -> None:
-        self.clock = ByHand()
+        self.clock = ManualClock()
         made = timed_port_maker(words, [DEFAULT_BITRATES], self.clock.now_ns, nodes=hand)
         assert made
         self.port = made("lab", 0)
@@ -75,7 +75,7 @@ def us(size: int) -> float:
     return frame_time_s(size, False, 1e6) * 1e6
 
 
-def test_an_answer_comes_after_question_and_answer_have_been_on_the_wire(lab: Lab) -> None:
+def test_an_answer_arrives_after_the_wire_time_of_request_and_answer(lab: Lab) -> None:
     assert isinstance(lab.port, TimedPort)
     lab.host.send([Frame(SYNC, b"\x05")])
     assert lab.at(0.0) == []
@@ -85,7 +85,7 @@ def test_an_answer_comes_after_question_and_answer_have_been_on_the_wire(lab: La
     assert lab.port.wire.busy_ns == round((us(1) + us(7)) * 1e3)
 
 
-def test_answers_with_low_identifiers_overtake_questions_with_high_ones(lab: Lab) -> None:
+def test_answers_with_low_identifiers_overtake_requests_with_high_identifiers(lab: Lab) -> None:
     lab.host.send([Frame(REGISTERS, bytes((node, 0, 0xCC, 0, 0, 0, 0, 0))) for node in (1, 2, 3, 4)])
     lab.at(0.0)
     arrivals = {}
@@ -113,7 +113,7 @@ def test_a_full_queue_refuses_at_once(lab: Lab) -> None:
     assert lab.host.send(frames) == 8
 
 
-def test_a_host_that_has_not_listened_yet_is_told_afterwards(lab: Lab) -> None:
+def test_a_host_that_has_not_read_yet_learns_of_refusals_later(lab: Lab) -> None:
     assert lab.host.send([Frame(0x700 + n, b"") for n in range(20)]) == 20, "the hub has taken them"
     lab.at(0.0)
     assert ("enobufs", "local:lab", 20 - 8) in lab.host.take_events()
@@ -121,7 +121,7 @@ def test_a_host_that_has_not_listened_yet_is_told_afterwards(lab: Lab) -> None:
     assert lab.port.wire.frames == 8
 
 
-def test_frames_that_come_while_room_is_looked_for_are_not_lost(lab: Lab) -> None:
+def test_frames_received_while_sending_are_not_lost(lab: Lab) -> None:
     lab.at(0.0)
     lab.host.send([Frame(REGISTERS, bytes((1, 0, 0xCC, 0, 0, 0, 0, 0)))] * 8)
     lab.server.turn()
@@ -132,7 +132,7 @@ def test_frames_that_come_while_room_is_looked_for_are_not_lost(lab: Lab) -> Non
     assert [frame.can_id for frame in lab.host.drain()] == [0x11]
 
 
-def test_a_disturbed_wire_puts_the_host_off_the_bus_and_it_says_so(lab: Lab) -> None:
+def test_a_disturbed_wire_puts_the_host_off_the_bus_and_is_reported(lab: Lab) -> None:
     assert isinstance(lab.port, TimedPort)
     lab.port.wire.disturbed = 32
     lab.host.send([Frame(0x700, b"")])
@@ -161,7 +161,7 @@ def test_a_client_alone_gets_no_acknowledge() -> None:
     lab.port.close()
 
 
-def test_a_client_that_leaves_takes_its_queue_with_it(lab: Lab) -> None:
+def test_a_disconnected_client_loses_its_queue(lab: Lab) -> None:
     assert isinstance(lab.port, TimedPort)
     other = open_bus("local:lab", 0, 1_000_000)
     lab.settle()
@@ -179,11 +179,11 @@ def test_a_client_that_leaves_takes_its_queue_with_it(lab: Lab) -> None:
 @pytest.mark.parametrize(
     "word", ["speed=1", "queue=0", "queue=x", "stuffing=none", "error_rate=1.5", "bitrate=nan", "restart_ms=-1"]
 )
-def test_what_no_wire_can_be_is_refused(word: str) -> None:
+def test_invalid_wire_words_are_refused(word: str) -> None:
     with pytest.raises(SimulatorError, match=f"--wire {word}"):
         timed_port_maker([word], [DEFAULT_BITRATES], lambda: 0)
 
 
-def test_only_a_bus_that_is_served_here_has_a_wire() -> None:
+def test_only_a_served_bus_can_have_a_wire() -> None:
     with pytest.raises(SimulatorError, match="local:NAME"):
         open_port("socketcan:vcan0", 0, timed_port_maker([], [DEFAULT_BITRATES], lambda: 0))

@@ -23,23 +23,23 @@ FRAMES = st.builds(
 
 
 class Party:
-    """A controller and what its owner has heard."""
+    """A controller and the frames that its owner has received."""
 
     def __init__(self, wire: Wire, queue: int | None = None) -> None:
-        self.heard: list[Frame] = []
+        self.received: list[Frame] = []
         self.errors: list[Frame] = []
-        self.controller = wire.add(self._hear, queue)
+        self.controller = wire.add(self._receive, queue)
 
-    def _hear(self, frame: Frame, t_ns: int) -> None:
-        (self.errors if frame.can_id & ERROR else self.heard).append(frame._replace(t_ns=t_ns))
+    def _receive(self, frame: Frame, t_ns: int) -> None:
+        (self.errors if frame.can_id & ERROR else self.received).append(frame._replace(t_ns=t_ns))
 
     @property
     def ids(self) -> list[int]:
-        return [frame.can_id for frame in self.heard]
+        return [frame.can_id for frame in self.received]
 
     @property
     def classes(self) -> list[int]:
-        """Of its error frames, without the bits that say that it is one with counters."""
+        """Return the classes of the error frames, without the bits that mark error frames and counters."""
         return [frame.can_id & 0x1FF for frame in self.errors]
 
 
@@ -48,24 +48,24 @@ def parties(wire: Wire, count: int) -> list[Party]:
 
 
 @given(FRAMES)
-def test_both_sides_of_the_project_count_the_same_worst_case(frame: Frame) -> None:
+def test_both_packages_compute_the_same_maximum_frame_time(frame: Frame) -> None:
     expected = frame_time_s(len(frame.data), bool(frame.flags & FDF), NOMINAL, DATA)
     assert WORST.frame_ns(frame) == pytest.approx(expected * 1e9, abs=2)
     assert 0.7 * expected * 1e9 < ACTUAL.frame_ns(frame) <= WORST.frame_ns(frame)
 
 
 def test_a_frame_whose_bits_were_counted_by_hand() -> None:
-    """Identifier 0, no data: 19 zeros and a CRC of zeros; every five of them bring a stuff bit."""
+    """Check identifier 0 without data: 19 zeros and a CRC of zeros, with a stuff bit after every five."""
     zeros = 1 + 11 + 3 + 4 + 15
     assert ACTUAL.frame_ns(Frame(0, b"")) == (zeros + zeros // 5 + 13) * 1000
     assert ACTUAL.frame_ns(Frame(0x555, b"\x55" * 8)) < (34 + 64 + 13 + 6) * 1000, "hardly a stuff bit"
 
 
-def test_a_long_identifier_takes_twenty_bits_more() -> None:
+def test_an_extended_identifier_takes_twenty_bits_more() -> None:
     assert WORST.frame_ns(Frame(1 | EXTENDED, bytes(8))) == (54 + 64 + (54 + 64 - 1) // 4 + 13) * 1000
 
 
-def test_the_lowest_identifier_goes_first_and_nobody_is_interrupted() -> None:
+def test_the_lowest_identifier_goes_first_without_interruption() -> None:
     wire = Wire(WORST)
     a, b, ears = parties(wire, 3)
     a.controller.offer(Frame(0x300, b""), 0)
@@ -74,7 +74,7 @@ def test_the_lowest_identifier_goes_first_and_nobody_is_interrupted() -> None:
     a.controller.offer(Frame(0x150, b""), 1000)
     wire.advance(10**9)
     assert ears.ids == [0x300, 0x150, 0x200, 0x100], "each queue keeps its order, its head competes"
-    assert [frame.t_ns for frame in ears.heard] == [55_000 * n for n in (1, 2, 3, 4)]
+    assert [frame.t_ns for frame in ears.received] == [55_000 * n for n in (1, 2, 3, 4)]
 
 
 @pytest.mark.parametrize(
@@ -85,20 +85,20 @@ def test_arbitration_is_bit_by_bit(first: int, second: int) -> None:
     assert priority(first) < priority(second)
 
 
-def test_the_wire_is_never_idle_while_somebody_waits() -> None:
-    wire, chance = Wire(ACTUAL), random.Random(1)
+def test_the_wire_is_never_idle_while_a_frame_waits() -> None:
+    wire, rng = Wire(ACTUAL), random.Random(1)
     senders = parties(wire, 4)
-    frames = [Frame(chance.randrange(0x800), chance.randbytes(chance.randrange(9))) for _ in range(200)]
+    frames = [Frame(rng.randrange(0x800), rng.randbytes(rng.randrange(9))) for _ in range(200)]
     frames = list({frame.can_id: frame for frame in frames}.values())
     for frame in frames:
-        chance.choice(senders).controller.offer(frame, 0)
+        rng.choice(senders).controller.offer(frame, 0)
     wire.advance(10**9)
     assert wire.busy_ns == sum(map(ACTUAL.frame_ns, frames))
     assert wire.frames == len(frames)
     assert wire.next_ns() == NEVER_NS
 
 
-def test_a_full_queue_refuses_and_says_so() -> None:
+def test_a_full_queue_refuses_and_reports() -> None:
     wire = Wire(WORST, Options(queue=3))
     a, b = parties(wire, 2)
     assert [a.controller.offer(Frame(n, b""), 0) for n in range(5)] == [True] * 3 + [False] * 2
@@ -110,7 +110,7 @@ def test_a_full_queue_refuses_and_says_so() -> None:
     assert a.controller.offer(Frame(5, b""), 10**9)
 
 
-def test_who_is_alone_repeats_for_ever_and_turns_passive_but_stays_on() -> None:
+def test_a_sender_alone_repeats_and_turns_passive_but_stays_on_the_bus() -> None:
     wire = Wire(WORST)
     lonely = Party(wire)
     lonely.controller.offer(Frame(1, bytes(8)), 0)
@@ -153,7 +153,7 @@ def test_disturbance_leads_over_warning_and_passive_to_bus_off_and_back() -> Non
     assert receiver.ids == [3]
 
 
-def test_without_a_restart_bus_off_is_for_good() -> None:
+def test_bus_off_is_permanent_without_a_restart() -> None:
     wire = Wire(WORST)
     sender, receiver = parties(wire, 2)
     destroy(wire, sender.controller, 32, 0)
@@ -165,7 +165,7 @@ def test_without_a_restart_bus_off_is_for_good() -> None:
     assert receiver.controller.state == State.PASSIVE, "and its peer is alone"
 
 
-def test_frames_that_come_through_heal() -> None:
+def test_successful_frames_reduce_the_error_counters() -> None:
     wire = Wire(WORST)
     sender, receiver = parties(wire, 2)
     destroy(wire, sender.controller, 13, 0)
@@ -185,7 +185,7 @@ def test_two_of_one_identifier_destroy_each_other() -> None:
     for party, data in ((a, b"a"), (b, b"b")):
         party.controller.offer(Frame(7, data), 0)
     wire.advance(10**9)
-    assert ears.heard == []
+    assert ears.received == []
     assert a.controller.state == b.controller.state == State.BUS_OFF
     for party in parties(wire, 2):
         party.controller.offer(Frame(8, b"same"), 10**9)
@@ -193,7 +193,7 @@ def test_two_of_one_identifier_destroy_each_other() -> None:
     assert ears.ids == [8], "alike, they are one frame"
 
 
-def test_the_share_of_errors_is_what_was_asked_for_and_the_same_each_time() -> None:
+def test_the_error_rate_is_met_and_repeats() -> None:
     errors = []
     for _ in range(2):
         wire = Wire(WORST, Options(error_rate=0.05, queue=10_000, seed=3))
@@ -201,12 +201,12 @@ def test_the_share_of_errors_is_what_was_asked_for_and_the_same_each_time() -> N
         for n in range(4000):
             sender.controller.offer(Frame(n & 0x7FF, b""), 0)
         wire.advance(10**12)
-        assert len(receiver.heard) == 4000
+        assert len(receiver.received) == 4000
         errors.append(wire.errors)
     assert errors[0] == errors[1] == pytest.approx(4000 * 0.05 / 0.95, rel=0.2)
 
 
-def test_who_leaves_in_the_middle_of_his_frame_harms_nobody() -> None:
+def test_removing_a_controller_during_its_frame_is_harmless() -> None:
     wire = Wire(WORST)
     leaves, stays, ears = parties(wire, 3)
     leaves.controller.offer(Frame(1, bytes(8)), 0)

@@ -1,7 +1,7 @@
-"""Runs the tests in inside/ beside real vcan interfaces, in three guests, and reports each as if it had run here.
+"""Run the tests in inside/ beside real vcan interfaces, in three guests, and report each as if it had run here.
 
-The same file is the other end: in the guest it writes every report of pytest, as data, into a file that is named by
-HANDCTL_VCAN_REPORTS. With HANDCTL_REQUIRE_VCAN=1 a skipped test is a failed one.
+In the guest this file writes every report of pytest as data into the file named by
+HANDCTL_VCAN_REPORTS. With HANDCTL_REQUIRE_VCAN=1 a skipped test counts as failed.
 """
 
 import json
@@ -21,12 +21,15 @@ INSIDE = Path(__file__).parent / "inside"
 REPORTS_FILE = os.environ.get("HANDCTL_VCAN_REPORTS")
 REQUIRED = os.environ.get("HANDCTL_REQUIRE_VCAN") == "1"
 GUEST_TIMEOUT_S = 1500.0
-SHARES = (
+GUEST_FILES = (
     ("test_run.py", "test_drive.py", "test_bus_doctor.py"),
     ("test_protocols.py", "test_foreign_clients.py", "test_python_can.py"),
 )
-"""Files of a guest each, all others are a third one's: so parted that all end at about the same time. A guest has one
-core and leaves it to others for more than half of the time, since it runs hands in slowed time."""
+"""Test files of two guests. All other files run in a third guest.
+
+The groups end at about the same time. A guest has one core and uses less than half of its time,
+because hands run in slowed time.
+"""
 Reports = dict[str, list[pytest.TestReport]]
 _reports = pytest.StashKey[Reports]()
 
@@ -66,28 +69,29 @@ def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
 
 
 def _run_inside(items: Sequence[pytest.Item]) -> Reports:
-    """Runs all these tests, each in the guest that has its file."""
-    kind, why_not = uml.means()
+    """Run all these tests, each in the guest of its file."""
+    kind, reason = uml.means()
     if not kind:
-        return {item.nodeid: [_report(item, "skipped", (str(item.path), 0, why_not))] for item in items}
+        return {item.nodeid: [_report(item, "skipped", (str(item.path), 0, reason))] for item in items}
     parts_of: dict[int, list[pytest.Item]] = defaultdict(list)
     for item in items:
-        parts_of[next((i for i, names in enumerate(SHARES) if item.path.name in names), len(SHARES))].append(item)
-    shares = list(parts_of.values())
-    with ThreadPoolExecutor(len(shares)) as guests:
-        parts = list(guests.map(_run_in_guest, shares))
+        group = next((i for i, names in enumerate(GUEST_FILES) if item.path.name in names), len(GUEST_FILES))
+        parts_of[group].append(item)
+    groups = list(parts_of.values())
+    with ThreadPoolExecutor(len(groups)) as guests:
+        parts = list(guests.map(_run_in_guest, groups))
     return {nodeid: reports for part in parts for nodeid, reports in part.items()}
 
 
 def _run_in_guest(items: Sequence[pytest.Item]) -> Reports:
-    """Runs some in one guest; a test without a report from there has failed."""
-    said: list[str] = []
+    """Run tests in one guest. A test without a report has failed."""
+    output: list[str] = []
     with tempfile.TemporaryDirectory(prefix="handctl-vcan-reports-") as folder:
         file = Path(folder) / "reports"
-        status = uml.run(_pytest(items), {"HANDCTL_VCAN_REPORTS": str(file)}, GUEST_TIMEOUT_S, said.append)
+        status = uml.run(_pytest(items), {"HANDCTL_VCAN_REPORTS": str(file)}, GUEST_TIMEOUT_S, output.append)
         lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
     reports = _read(lines, items[0].config)
-    tail = "\n".join([f"the guest ended with status {status} and without a word about this test", *said[-50:]])
+    tail = "\n".join([f"the guest ended with status {status} and without a word about this test", *output[-50:]])
     for item in items:
         if not any(report.when == "teardown" for report in reports[item.nodeid]):
             reports[item.nodeid].append(_report(item, "failed", tail))

@@ -1,4 +1,4 @@
-"""The runner itself: whatever happens to the command must come back as a status, and nothing may stay behind."""
+"""The runner: every end of a command comes back as a status, and no process stays behind."""
 
 import contextlib
 import os
@@ -13,67 +13,68 @@ from tests.vcan import uml
 
 @pytest.fixture
 def _possible() -> None:
-    kind, why_not = uml.means()
+    kind, reason = uml.means()
     if not kind:
-        pytest.skip(why_not)
+        pytest.skip(reason)
 
 
 def processes_of(folder: str) -> list[int]:
-    """Processes whose command lines name a folder: those of a guest that is still alive."""
-    found = []
+    """Return the processes whose command lines name a folder: those of a guest that is alive."""
+    pids = []
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         with contextlib.suppress(FileNotFoundError, ProcessLookupError):
             if folder in path.read_bytes().decode(errors="replace"):
-                found.append(int(path.parent.name))
-    return found
+                pids.append(int(path.parent.name))
+    return pids
 
 
 @pytest.mark.parametrize("end", ["exit 7", "kill -SEGV $$"])
 def test_a_kernel_with_vcan_needs_no_guest(monkeypatch: pytest.MonkeyPatch, end: str) -> None:
     monkeypatch.setattr(uml, "INTERFACES", "true\n")  # as if they could be made here, and without a namespace's rights
     monkeypatch.setattr(uml, "_namespace", lambda: ["env"])
-    said: list[str] = []
-    status = uml.run(["bash", "-c", f"echo $WORD; pwd; {end}"], {"WORD": "a  b"}, say=said.append)
+    output: list[str] = []
+    status = uml.run(["bash", "-c", f"echo $WORD; pwd; {end}"], {"WORD": "a  b"}, report_line=output.append)
     assert uml.means() == ("native", "")
-    assert said[:2] == ["a b", str(Path.cwd())]
+    assert output[:2] == ["a b", str(Path.cwd())]
     assert status == {"exit 7": 7, "kill -SEGV $$": 128 + 11}[end]
 
 
 @pytest.mark.usefixtures("_possible")
 def test_output_and_status_come_back() -> None:
-    said: list[str] = []
+    output: list[str] = []
     script = "seq 20000; echo $WORD; ip -brief link show vcan1; printf 'no line feed'; exit 7"
-    status = uml.run(["bash", "-c", script], {"WORD": "a 'quoted' $word"}, say=said.append)
+    status = uml.run(["bash", "-c", script], {"WORD": "a 'quoted' $word"}, report_line=output.append)
     assert status == 7
-    assert said[:20000] == [str(n) for n in range(1, 20001)]
-    assert said[20000] == "a 'quoted' $word"
-    assert said[20001].startswith("vcan1")
-    assert said[20002:] == ["no line feed"]
+    assert output[:20000] == [str(n) for n in range(1, 20001)]
+    assert output[20000] == "a 'quoted' $word"
+    assert output[20001].startswith("vcan1")
+    assert output[20002:] == ["no line feed"]
 
 
 @pytest.mark.usefixtures("_possible")
-def test_a_crash_is_told_from_an_exit() -> None:
-    said: list[str] = []
-    assert uml.run(["bash", "-c", "kill -SEGV $$"], say=said.append) == 128 + 11
+def test_a_crash_differs_from_an_exit() -> None:
+    output: list[str] = []
+    assert uml.run(["bash", "-c", "kill -SEGV $$"], report_line=output.append) == 128 + 11
 
 
 @pytest.mark.usefixtures("_possible")
 def test_a_command_that_hangs_is_killed_with_all_its_guest(monkeypatch: pytest.MonkeyPatch) -> None:
-    said: list[str] = []
+    output: list[str] = []
     cores: list[set[int]] = []
 
-    def heard(line: str) -> None:
-        said.append(line)
+    def record_line(line: str) -> None:
+        output.append(line)
         cores.extend(os.sched_getaffinity(process) for process in processes_of(folder))
 
-    begun = time.monotonic()
+    start_s = time.monotonic()
     assert uml.run(["true"]) == 0
-    started_s = time.monotonic() - begun
+    started_s = time.monotonic() - start_s
     with tempfile.TemporaryDirectory() as folder:
         monkeypatch.setattr(tempfile, "tempdir", folder)  # so that the processes of this run can be told from others
-        status = uml.run(["bash", "-c", "echo started; sleep 1000"], timeout_s=5.0 + 4.0 * started_s, say=heard)
+        script = "echo started; sleep 1000"
+        status = uml.run(["bash", "-c", script], timeout_s=5.0 + 4.0 * started_s, report_line=record_line)
         assert status == uml.TIMED_OUT
-        assert said == ["started"]
+        assert output == ["started"]
         if uml.means()[0] == "uml":
             assert {len(allowed) for allowed in cores} == {1}, "kernel and program of a guest on one core"
         end = time.monotonic() + 20.0

@@ -1,7 +1,8 @@
-"""Runs a command beside real SocketCAN interfaces vcan0 and vcan1: ``python tests/vcan/uml.py -- COMMAND...``.
+"""Run a command beside real SocketCAN interfaces vcan0 and vcan1: ``python tests/vcan/uml.py -- COMMAND...``.
 
-Where the kernel has vcan, in a network namespace of its own; elsewhere in a guest of user-mode Linux (Debian's
-package user-mode-linux), which needs no rights. In the guest /dev/shm is the only place that is not the host's disk.
+With vcan in the kernel the command runs in a network namespace. Otherwise it runs in a guest of
+user-mode Linux (Debian's package user-mode-linux), which needs no rights. In the guest only
+/dev/shm is not on the host's disk.
 """
 
 import argparse
@@ -21,7 +22,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 TIMED_OUT, NO_STATUS, NO_VCAN = 124, 125, 126
-"""Status of a run that took too long, that ended without a status of its own, that could not start."""
+"""Exit status of a run that could not start."""
 PACKAGES = {"linux.uml": "user-mode-linux", "ip": "iproute2", "insmod": "kmod"}
 SYSTEM_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 MODULES = Path("/usr/lib/uml/modules")
@@ -39,7 +40,7 @@ ip link set lo up
 
 
 def means() -> tuple[str, str]:
-    """How a command can meet vcan here: ("native" | "uml" | "", why not if "")."""
+    """Return the way to vcan on this machine ("native", "uml" or ""), and the reason if there is none."""
     if shutil.which("unshare") is not None:
         trial = subprocess.run([*_namespace(), "bash", "-c", INTERFACES], capture_output=True, check=False, env=_env())
         if trial.returncode == 0:
@@ -56,32 +57,32 @@ def run(
     command: Sequence[str],
     extra_env: Mapping[str, str] | None = None,
     timeout_s: float = 300.0,
-    say: Callable[[str], None] = print,
+    report_line: Callable[[str], None] = print,
 ) -> int:
-    """Runs the command beside vcan0 and vcan1 in this folder and environment.
+    """Run a command beside vcan0 and vcan1 in this folder and environment.
 
     Args:
         command: program and arguments.
-        extra_env: variables on top of this process's.
-        timeout_s: after this the whole guest is killed [s].
-        say: is called with each line of the command's output.
+        extra_env: variables in addition to this process's.
+        timeout_s: time after which the whole guest is killed [s].
+        report_line: called with each line of the command's output.
 
     Returns:
-        The command's exit status; TIMED_OUT, NO_STATUS or NO_VCAN if it has none.
+        The command's exit status, or TIMED_OUT, NO_STATUS or NO_VCAN without one.
     """
-    kind, why_not = means()
+    kind, reason = means()
     if not kind:
-        say(f"no vcan: {why_not}")
+        report_line(f"no vcan: {reason}")
         return NO_VCAN
     job = Path(tempfile.mkdtemp(prefix="handctl-vcan-"))
     try:
         environment = {**_env(), "PYTHONDONTWRITEBYTECODE": "1", **(extra_env or {})}
         if kind == "native":
             (job / "run").write_text(_job(command, environment))
-            return _native(job, timeout_s, say)
+            return _native(job, timeout_s, report_line)
         environment |= {"TMPDIR": "/dev/shm", "HANDCTL_RUN_DIR": "/dev/shm/handctl"}
         (job / "run").write_text(_job(command, environment))
-        return _guest(job, timeout_s, say)
+        return _guest(job, timeout_s, report_line)
     finally:
         shutil.rmtree(job)
 
@@ -93,7 +94,7 @@ def _job(command: Sequence[str], environment: Mapping[str, str]) -> str:
 
 
 def _env() -> dict[str, str]:
-    """This process's environment, with the system's programs in reach also for a user without rights."""
+    """Return this process's environment, with the system's programs in PATH also for an ordinary user."""
     return {**os.environ, "PATH": f"{os.environ.get('PATH', '')}:{SYSTEM_PATH}"}
 
 
@@ -103,15 +104,15 @@ def _namespace() -> list[str]:
 
 @functools.cache
 def _modules() -> Path:
-    told = subprocess.run(["linux.uml", "--version"], capture_output=True, text=True, check=True, env=_env())
-    return MODULES / told.stdout.strip()
+    version = subprocess.run(["linux.uml", "--version"], capture_output=True, text=True, check=True, env=_env())
+    return MODULES / version.stdout.strip()
 
 
-def _native(job: Path, timeout_s: float, say: Callable[[str], None]) -> int:
+def _native(job: Path, timeout_s: float, report_line: Callable[[str], None]) -> int:
     process = _start([*_namespace(), "bash", str(job / "run")], _env())
     try:
         for line in _lines(process, time.monotonic() + timeout_s):
-            say(line)
+            report_line(line)
         status = process.wait(timeout=10)
         return status if status >= 0 else 128 - status  # as a shell tells of a signal
     except TimeoutError:
@@ -120,11 +121,11 @@ def _native(job: Path, timeout_s: float, say: Callable[[str], None]) -> int:
         _kill_group(process)
 
 
-def _guest(job: Path, timeout_s: float, say: Callable[[str], None]) -> int:
+def _guest(job: Path, timeout_s: float, report_line: Callable[[str], None]) -> int:
     with _on_one_core():
-        process = _start(_guest_command(job), {**_env(), "TMPDIR": _room_for_memory()})
+        process = _start(_guest_command(job), {**_env(), "TMPDIR": _memory_folder()})
     try:
-        unsaid = _say_job(_lines(process, time.monotonic() + timeout_s), job, say)
+        other_lines = _report_job(_lines(process, time.monotonic() + timeout_s), job, report_line)
     except TimeoutError:
         return TIMED_OUT
     finally:
@@ -132,17 +133,18 @@ def _guest(job: Path, timeout_s: float, say: Callable[[str], None]) -> int:
     try:
         return int((job / "rc").read_text())
     except FileNotFoundError:
-        for line in unsaid:
-            say(f"guest: {line}")
+        for line in other_lines:
+            report_line(f"guest: {line}")
         return NO_STATUS
 
 
 @contextlib.contextmanager
 def _on_one_core() -> Iterator[None]:
-    """What this thread starts stays on one core; another guest begins on the next.
+    """Keep the children of this thread on one core. The next guest gets the next core.
 
-    In a guest its kernel and a program of it run in turn, as processes of the host. To wake one on another core costs
-    five times what it takes on the same: with both on one, a system call took 20 us instead of 100.
+    In a guest, the kernel and a program run in turn as processes of the host. Waking a process on
+    another core costs five times as much: with both on one core, a system call took 20 us instead
+    of 100.
     """
     cores = sorted(os.sched_getaffinity(0))
     os.sched_setaffinity(0, {cores[next(_guests) % len(cores)]})
@@ -163,7 +165,7 @@ def _guest_command(job: Path) -> list[str]:
 
 
 def _with_all_registers(job: Path) -> list[str]:
-    """Return what goes before the guest's command on a processor with AMX, whose registers it does not save alone."""
+    """Return the command prefix for a processor with AMX, whose registers the guest does not save without help."""
     if "amx_tile" not in Path("/proc/cpuinfo").read_text(encoding="utf-8").split() or not shutil.which("gcc"):
         return []
     library = job / "xstate.so"
@@ -172,11 +174,11 @@ def _with_all_registers(job: Path) -> list[str]:
     return ["env", f"LD_PRELOAD={library}"]
 
 
-def _room_for_memory() -> str:
-    """The folder for the file that is the guest's memory; containers often have a /dev/shm of 64 MB."""
+def _memory_folder() -> str:
+    """Return the folder for the file of the guest's memory. Containers often have a /dev/shm of 64 MB."""
     shared = Path("/dev/shm")
-    roomy = shared.is_dir() and shutil.disk_usage(shared).free > MEMORY_BYTES
-    return str(shared) if roomy and not os.statvfs(shared).f_flag & os.ST_NOEXEC else tempfile.gettempdir()
+    large_enough = shared.is_dir() and shutil.disk_usage(shared).free > MEMORY_BYTES
+    return str(shared) if large_enough and not os.statvfs(shared).f_flag & os.ST_NOEXEC else tempfile.gettempdir()
 
 
 def _start(command: list[str], environment: dict[str, str]) -> "subprocess.Popen[bytes]":
@@ -191,7 +193,7 @@ def _start(command: list[str], environment: dict[str, str]) -> "subprocess.Popen
 
 
 def _kill_group(process: "subprocess.Popen[bytes]") -> None:
-    """Ends every process of the run: user-mode Linux has one on the host for each address space of the guest."""
+    """Kill every process of the run. User-mode Linux has one on the host for each address space of the guest."""
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
@@ -211,22 +213,26 @@ def _lines(process: "subprocess.Popen[bytes]", deadline_s: float) -> Iterator[st
             return
 
 
-def _say_job(lines: Iterator[str], job: Path, say: Callable[[str], None]) -> list[str]:
-    """Passes on what the job printed; returns what came before and after, from the kernel and from init."""
-    unsaid: list[str] = []
-    begun = False
+def _report_job(lines: Iterator[str], job: Path, report_line: Callable[[str], None]) -> list[str]:
+    """Report the output of the job.
+
+    Returns:
+        Lines before and after the job, from the kernel and from init.
+    """
+    other_lines: list[str] = []
+    started = False
     for line in lines:
         if line.endswith(f"end {job}"):
             if unfinished := line.removesuffix(f"end {job}"):
-                say(unfinished)
-            return unsaid
-        if begun:
-            say(line)
+                report_line(unfinished)
+            return other_lines
+        if started:
+            report_line(line)
         elif line == f"begin {job}":
-            begun = True
+            started = True
         else:
-            unsaid.append(line)
-    return unsaid
+            other_lines.append(line)
+    return other_lines
 
 
 def main() -> int:
@@ -234,7 +240,7 @@ def main() -> int:
     parser.add_argument("--timeout", type=float, default=300.0, metavar="S", help="kill it after this time [s]")
     parser.add_argument("command", nargs="+")
     arguments = parser.parse_args()
-    return run(arguments.command, timeout_s=arguments.timeout, say=lambda line: print(line, flush=True))
+    return run(arguments.command, timeout_s=arguments.timeout, report_line=lambda line: print(line, flush=True))
 
 
 if __name__ == "__main__":

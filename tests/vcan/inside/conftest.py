@@ -1,4 +1,4 @@
-"""The simulated hand as a process of its own on the other side of vcan."""
+"""The simulated hand as a process on the other side of vcan."""
 
 import contextlib
 import select
@@ -14,10 +14,10 @@ import pytest
 from tests.runtime.processes import scaled
 
 TIME_SCALE = 0.15
-"""The guest has one core, and a look at a clock is a system call: plant, watchdogs and deadlines run slower."""
+"""Pace of plant, watchdogs and deadlines. The guest has one core, and reading a clock is a system call."""
 READY_S, END_S = 60.0, 20.0
 STOOD_STILL = ("H03", "B02", "N02", "B17", "N08")
-"""Rows by which a run ends if host or simulator are not run for a while, as they should."""
+"""Faults that end a run, as they should, if host or simulator do not run for a while."""
 
 
 SIMULATOR = """
@@ -25,20 +25,26 @@ import ctypes, runpy, mujoco
 mujoco.set_mjcb_time(ctypes.cast(ctypes.CDLL(None).drand48, ctypes.CFUNCTYPE(ctypes.c_double)))
 runpy.run_module("firmware_sim", run_name="__main__", alter_sys=True)
 """
-"""MuJoCo times its own stages with some forty looks at the clock a step, in the guest 1 ms. It takes a C function for
-it: with any that is no system call the step is a hundred times faster. The result only feeds MuJoCo's profile."""
+"""Program with another clock for MuJoCo's profile.
+
+MuJoCo reads the clock some forty times in a step, which takes 1 ms in the guest. A C function
+without a system call makes the step a hundred times faster. The result only feeds MuJoCo's profile.
+"""
 
 
 @contextlib.contextmanager
 def serving(
-    *options: str, told: Path | None = None, time_scale: float = TIME_SCALE
+    *options: str, stderr_file: Path | None = None, time_scale: float = TIME_SCALE
 ) -> Iterator["subprocess.Popen[str]"]:
-    """``firmware_sim`` serving hand jamia on vcan0, with more options; it must end when told to.
+    """Serve hand jamia on vcan0 by ``firmware_sim``, and check that the process ends in an orderly way.
 
-    What it says of itself while it runs and in the end goes into the file ``told``.
+    Args:
+        options: additional arguments.
+        stderr_file: file for the output on stderr.
+        time_scale: pace of the plant.
     """
     words = ["--hand", "jamia", "--bus", "socketcan:vcan0", *scaled(time_scale), "--seed", "1", *options]
-    with told.open("w") if told else contextlib.nullcontext() as stderr:
+    with stderr_file.open("w") if stderr_file else contextlib.nullcontext() as stderr:
         process = subprocess.Popen(
             [sys.executable, "-c", SIMULATOR, *words], stdout=subprocess.PIPE, stderr=stderr, text=True
         )
@@ -54,7 +60,7 @@ def serving(
 
 @pytest.fixture(scope="module")
 def simulator(request: pytest.FixtureRequest) -> Iterator["subprocess.Popen[str]"]:
-    """A simulated hand for all tests of a module, with the options that are its parameter."""
+    """Serve a simulated hand for all tests of a module, with the options of its parameter."""
     with serving(*getattr(request, "param", ())) as process:
         yield process
 

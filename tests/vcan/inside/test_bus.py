@@ -1,4 +1,4 @@
-"""The contract of handctl's own bus, against the kernel's sockets instead of an imitation."""
+"""The contract of handctl's bus against the kernel's sockets."""
 
 import socket
 import struct
@@ -16,7 +16,7 @@ CLASSICAL = struct.Struct("=IB3x8s")
 NOMINAL, DATA = 1_000_000, 5_000_000
 WAIT_S = 20.0
 INDEX = 1
-"""The hand's bus that vcan0 stands for in these tests."""
+"""Index of the hand's bus on vcan0."""
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def peer() -> Iterator[Bus]:
 
 
 def drained(bus: Bus, count: int) -> list[Frame]:
-    """At least this many frames, or all that came in time."""
+    """Return at least this many frames, or all that came in time."""
     frames, end = list(bus.drain()), time.monotonic() + WAIT_S
     while len(frames) < count and time.monotonic() < end:
         time.sleep(0.005)
@@ -61,7 +61,7 @@ def test_a_batch_of_both_kinds_arrives_whole_and_in_order(bus: Bus, peer: Bus) -
     assert peer.take_events() == []
 
 
-def test_nobody_hears_himself(bus: Bus, peer: Bus) -> None:
+def test_a_sender_does_not_receive_its_frames(bus: Bus, peer: Bus) -> None:
     bus.send([Frame(1, b"mine", bus=INDEX)])
     peer.send([Frame(2, b"yours", bus=INDEX)])
     assert [frame.can_id for frame in drained(peer, 1)] == [1]
@@ -115,7 +115,7 @@ def test_every_frame_that_was_not_read_in_time_is_counted(peer: Bus) -> None:
 
 
 def test_an_error_frame_of_the_kernel_is_an_event_and_no_frame(bus: Bus) -> None:
-    """Any socket can send one: as a controller's driver does it, warning, then bus-off, then the restart."""
+    """Send error frames as a controller's driver does: warning, bus-off, restart."""
     with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as driver:
         driver.bind(("vcan0",))
         driver.send(CLASSICAL.pack(ERROR | 0x04, 8, bytes((0, 0x08, 0, 0, 0, 0, 96, 0))))
@@ -129,9 +129,9 @@ def test_an_error_frame_of_the_kernel_is_an_event_and_no_frame(bus: Bus) -> None
 
 
 def wait_for(bus: Bus, kind: str) -> list[Frame]:
-    """Frames that came before an event of this kind did."""
+    """Return the frames that came before an event of this kind."""
     frames, end = list(bus.drain()), time.monotonic() + WAIT_S
-    while kind not in {told for told, _, _ in bus.take_events()}:
+    while kind not in {event for event, _, _ in bus.take_events()}:
         assert time.monotonic() < end, f"no {kind} in {WAIT_S} s"
         time.sleep(0.005)
         frames += bus.drain()
@@ -139,7 +139,7 @@ def wait_for(bus: Bus, kind: str) -> list[Frame]:
 
 
 def test_a_full_transmit_queue_refuses_and_is_an_event(slow: tuple[str, str]) -> None:
-    """A queue of ten frames in front of a wire of 50 kbit/s, as netem makes it; vcan alone never refuses."""
+    """Use a queue of ten frames before a wire of 50 kbit/s, made by netem, because vcan alone never refuses."""
     sender, receiver = (open_bus(f"socketcan:{name}", INDEX, NOMINAL, stamp=int) for name in slow)
     batch = [Frame(n, bytes(8), bus=INDEX) for n in range(60)]
     accepted = sender.send(batch)
@@ -154,7 +154,7 @@ def test_a_full_transmit_queue_refuses_and_is_an_event(slow: tuple[str, str]) ->
 
 @pytest.fixture
 def slow() -> Iterator[tuple[str, str]]:
-    """Two ends of a CAN tunnel, with a slow wire behind the first."""
+    """Make a CAN tunnel with a slow wire behind its first end."""
     made = subprocess.run(["bash", "-c", SLOW], capture_output=True, text=True, check=False)
     if made.returncode:
         pytest.skip(f"no vxcan with netem here: {made.stderr.strip()}")

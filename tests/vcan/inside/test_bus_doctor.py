@@ -1,4 +1,4 @@
-"""``handctl bus doctor`` and ``scan`` on real SocketCAN: what the kernel tells of an interface is what they say."""
+"""``handctl bus doctor`` and ``scan`` on real SocketCAN report the kernel's state of an interface."""
 
 import json
 import subprocess
@@ -22,16 +22,16 @@ def test_an_interface_that_is_down_or_absent_comes_with_the_command(capsys: pyte
     subprocess.run(["ip", "link", "set", "vcan1", "down"], check=True)
     try:
         assert main(["bus", "doctor", "--bus", "socketcan:vcan1"]) == 1
-        said = capsys.readouterr().out
-        assert "sudo ip link set vcan1 up" in said
-        assert "link add" not in said, "it is there, and cannot be added twice"
+        output = capsys.readouterr().out
+        assert "sudo ip link set vcan1 up" in output
+        assert "link add" not in output, "it is there, and cannot be added twice"
     finally:
         subprocess.run(["ip", "link", "set", "vcan1", "up"], check=True)
     assert main(["bus", "doctor", "--bus", "socketcan:vcan7"]) == 1
     assert "sudo ip link add vcan7 type vcan" in capsys.readouterr().out
 
 
-def test_a_short_queue_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_short_queue_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
     subprocess.run(["ip", "link", "set", "vcan1", "txqueuelen", "10"], check=True)
     try:
         assert main(["bus", "doctor", "--bus", "socketcan:vcan1"]) == 1
@@ -40,7 +40,7 @@ def test_a_short_queue_is_told(capsys: pytest.CaptureFixture[str]) -> None:
         subprocess.run(["ip", "link", "set", "vcan1", "txqueuelen", "1000"], check=True)
 
 
-def test_nodes_are_found_and_timed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_nodes_are_listed_with_their_latency(capsys: pytest.CaptureFixture[str]) -> None:
     with drives("socketcan:vcan0", "cia402", "--ids", "32"):
         main(["bus", "doctor", "--bus", "socketcan:vcan0", "--json"])
         (bus,) = json.loads(capsys.readouterr().out)["buses"]

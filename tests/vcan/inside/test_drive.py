@@ -1,4 +1,4 @@
-"""A golden grasp driven again on real SocketCAN: the same angles and the same tensions."""
+"""A golden grasp driven again on real SocketCAN: equal angles and equal tensions."""
 
 import datetime
 import json
@@ -19,8 +19,11 @@ from tests.replay.runs import SCENE
 HANDCTL = Path(sys.executable).with_name("handctl")
 GOLDEN = Path(__file__).parents[3] / "logs" / "golden" / "jamia-grasp.mcap"
 RATE_HZ, SLOWER = 200, 0.03
-"""That of the log, and a third of the speed of the other tests: the guest's core is shared with all that the host does,
-and a pause of four ticks ends a run, as it should."""
+"""Pace of this test, a third of the other tests'.
+
+The guest's core is shared with the host's other work, and a pause of four ticks ends a run, as it
+should.
+"""
 SCENE_FILE = Path("/dev/shm/drive-scene.toml")
 SIMULATED = ["--homed", "--scene", str(SCENE_FILE), "--time-scale", str(SLOWER)]
 
@@ -30,11 +33,11 @@ def scene() -> None:
     SCENE_FILE.write_text(SCENE.format(friction=0.5))
 
 
-def _nothing_to_tare(path: Path) -> None:
-    """Calibration of a hand that starts homed."""
+def _write_homed_calibration(path: Path) -> None:
+    """Write the calibration of a hand that starts homed."""
     hand, made = load_hand("jamia"), datetime.datetime.now(datetime.UTC)
-    nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
-    tendons = dict.fromkeys(hand.tendon_names, nothing)
+    no_offset = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
+    tendons = dict.fromkeys(hand.tendon_names, no_offset)
     made_with = Calibration(hand="jamia", identity=hand.identity, made=made.isoformat(), tendon=tendons)
     write_calibration(path, made_with)
 
@@ -44,18 +47,18 @@ def _nothing_to_tare(path: Path) -> None:
 @pytest.mark.parametrize("simulator", [SIMULATED], indirect=True, ids=["grasp"])
 @pytest.mark.usefixtures("scene", "simulator")
 def test_a_golden_grasp_repeats_on_vcan(tmp_path: Path) -> None:
-    _nothing_to_tare(tmp_path / "c.toml")
+    _write_homed_calibration(tmp_path / "c.toml")
     words = ["--bus", "socketcan:vcan0", "--rate", str(RATE_HZ), "--time-scale", str(SLOWER)]
     files = ["--calibration", str(tmp_path / "c.toml"), "--log", str(tmp_path / "again.mcap")]
     command = [str(HANDCTL), "replay", "drive", str(GOLDEN), *words, *files, "--json"]
     ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert ran.returncode == 0, ran.stderr + ran.stdout
-    found = json.loads(ran.stdout)
-    angles = {name: row["rms"] for name, row in found["joint_deg"].items()}
+    result = json.loads(ran.stdout)
+    angles = {name: row["rms"] for name, row in result["joint_deg"].items()}
     with RunLog(GOLDEN) as before, RunLog(tmp_path / "again.mcap") as after:
         apart, (old, new) = mean_angles_apart(before, after), tensions_held(before, after)
-    told = f"mean angles of the digits {apart.max():.2f} deg at most, joints {max(angles.values()):.2f} deg rms, "
-    print(told + f"tensions {100 * abs(new / old - 1).max():.1f} % apart")
+    summary = f"mean angles of the digits {apart.max():.2f} deg at most, joints {max(angles.values()):.2f} deg rms, "
+    print(summary + f"tensions {100 * abs(new / old - 1).max():.1f} % apart")
     assert max(angles.values()) < 1.0, angles
-    assert np.sqrt((apart**2).mean(axis=0)).max() < 1.0, told  # peaks: the guest's clocks slip under load
+    assert np.sqrt((apart**2).mean(axis=0)).max() < 1.0, summary  # peaks: the guest's clocks slip under load
     np.testing.assert_allclose(new, old, rtol=0.05)

@@ -1,4 +1,4 @@
-"""The simulated drives and sensor node on real sockets, asked with bytes made here from the fact sheets."""
+"""The simulated drives and sensor node on real sockets, with frames made from the fact sheets."""
 
 import socket
 import struct
@@ -31,13 +31,13 @@ class Bus:
     def receive(self, can_id: int) -> bytes:
         end = time.monotonic() + WAIT_S
         while time.monotonic() < end:
-            found, length, data = FRAME.unpack(self.socket.recv(FRAME.size))
-            if found == can_id:
+            received_id, length, data = FRAME.unpack(self.socket.recv(FRAME.size))
+            if received_id == can_id:
                 return bytes(data[:length])
         pytest.fail(f"no frame {can_id:#x} within {WAIT_S} s")
 
     def state(self, node: int) -> int:
-        """The state nibble of the answer to a refresh."""
+        """Return the state nibble of the answer to a refresh."""
         self.send(REGISTERS, bytes([node, 0, REFRESH, 0, 0, 0, 0, 0]))
         return self.receive(node + 0x10)[0] >> 4
 
@@ -82,7 +82,7 @@ def test_a_sync_brings_the_tensions_of_that_moment(bus: Bus, counter: int) -> No
     assert all(0 < value < 0xFFF for value in raw), raw
 
 
-def test_a_drive_that_hears_nothing_lets_go(bus: Bus) -> None:
+def test_a_drive_without_commands_drops_its_torque(bus: Bus) -> None:
     node = NODES[0]
     bus.send(REGISTERS, bytes([node, 0, 0x55, WATCHDOG]) + struct.pack("<I", 1000))  # 50 ms in units of 50 us
     bus.receive(node + 0x10)

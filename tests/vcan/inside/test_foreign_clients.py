@@ -1,4 +1,4 @@
-"""Clients that users have, against the simulated drives on real SocketCAN."""
+"""Third-party clients against the simulated drives on real SocketCAN."""
 
 import can
 import pytest

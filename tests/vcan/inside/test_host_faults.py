@@ -1,4 +1,4 @@
-"""What only root can do to a host, in the guest: the wall clock is set, and the interface is taken down, in a run."""
+"""Faults of a host that only root can make, in the guest: wall clock steps and an interface taken down in a run."""
 
 import fcntl
 import os
@@ -33,12 +33,12 @@ SIOCGIFFLAGS, SIOCSIFFLAGS, IFF_UP = 0x8913, 0x8914, 1
 WATCHDOG_MS = 50
 HOUR_S = 3600.0
 AT_S, AFTER_S = 0.15, 0.3
-"""When it happens, from the beginning of the pull on, and how long the pull would go on [s]."""
+"""Time of the fault from the start of the pull, and time that the pull would continue [s]."""
 TIME_SCALE = 0.1
 
 
 def set_up(interface: str, up: bool) -> None:
-    """``ip link set INTERFACE up``, or down, without a process of its own."""
+    """Set an interface up or down without a process, as ``ip link set INTERFACE up``."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
         name = interface.encode().ljust(16, b"\0")
         (flags,) = struct.unpack_from("=h", fcntl.ioctl(any_socket, SIOCGIFFLAGS, name + bytes(24)), 16)
@@ -47,14 +47,14 @@ def set_up(interface: str, up: bool) -> None:
 
 
 class Hostile:
-    """An attendant of a run that does one thing after the other while it pulls; see ``session.run.Attendant``."""
+    """An attendant of a run that makes one fault after the other during the pull. See ``session.run.Attendant``."""
 
     def __init__(self, *acts: Callable[[], None]) -> None:
         self.acts = acts
-        self.begin()
+        self.reset()
 
-    def begin(self) -> None:
-        """Nothing done, nothing seen yet."""
+    def reset(self) -> None:
+        """Forget all faults made and all modes seen."""
         self.done_ns, self.modes, self.pulled, self.left = 0, list[Mode](), 0, list(self.acts)
 
     def take(self) -> tuple[str, ...]:
@@ -69,7 +69,7 @@ class Hostile:
 
 
 def run(folder: Path, hostile: Hostile) -> tuple[Outcome, Truth]:
-    """Arm, pull every tendon, relax, disarm, with somebody in between."""
+    """Arm, pull every tendon, relax and disarm, with faults during the pull."""
     path = hand_file(folder, ["mit"])
     hand = load_hand(str(path))
     load = tuple(one.at(RATE_HZ) for one in bus_loads(hand))
@@ -82,15 +82,15 @@ def run(folder: Path, hostile: Hostile) -> tuple[Outcome, Truth]:
 
 
 def run_until_done(folder: Path, hostile: Hostile, expected: str) -> tuple[Outcome, Truth]:
-    """The first run in which it was done, and that did not end because the guest's one core was wanted elsewhere.
+    """Return the first run with the fault that did not end because the guest's one core was busy.
 
-    What is done may itself end runs in that way; then it ends each of five, which is told.
+    The fault may end runs in the same way. Then all five runs end, and the test reports it.
     """
     failure = ""
     for number in range(5):
         place = folder / str(number)
         place.mkdir()
-        hostile.begin()
+        hostile.reset()
         set_up("vcan0", True)
         try:
             outcome, truth = run(place, hostile)
@@ -107,7 +107,7 @@ def run_until_done(folder: Path, hostile: Hostile, expected: str) -> tuple[Outco
 
 @pytest.fixture
 def interface() -> Iterator[str]:
-    """An interface that is up again afterwards, with room for FD as before."""
+    """Yield an interface that is up again afterwards, with CAN FD as before."""
     assert shutil.which("ip")
     yield "vcan0"
     set_up("vcan0", True)
@@ -115,7 +115,7 @@ def interface() -> Iterator[str]:
 
 @pytest.fixture
 def clock() -> Iterator[None]:
-    """The guest's wall clock, put right afterwards."""
+    """Restore the guest's wall clock afterwards."""
     wall, mono = time.time(), time.monotonic()
     yield
     time.clock_settime(time.CLOCK_REALTIME, wall + time.monotonic() - mono)
@@ -123,8 +123,8 @@ def clock() -> Iterator[None]:
 
 @pytest.mark.timeout(600)
 @pytest.mark.usefixtures("clock")
-def test_steps_of_the_wall_clock_change_nothing(tmp_path: Path) -> None:
-    """H11: an hour forward, then two back."""
+def test_steps_of_the_wall_clock_have_no_effect(tmp_path: Path) -> None:
+    """H11: one hour forward, then two hours back."""
     offsets = [time.time() - time.monotonic()]
 
     def step(seconds: float) -> None:
@@ -144,7 +144,7 @@ def test_steps_of_the_wall_clock_change_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.timeout(600)
-def test_an_interface_that_is_taken_down_cuts_the_run_and_the_drives_let_go(interface: str, tmp_path: Path) -> None:
+def test_an_interface_taken_down_cuts_the_run_and_the_drives_drop_torque(interface: str, tmp_path: Path) -> None:
     """B14."""
     hostile = Hostile(lambda: set_up(interface, False))
     outcome, truth = run_until_done(tmp_path, hostile, "B14")

@@ -1,4 +1,4 @@
-"""The ground under all other tests here: the kernel's CAN sockets, without any library."""
+"""The basis of all other tests here: the kernel's CAN sockets without any library."""
 
 import json
 import socket

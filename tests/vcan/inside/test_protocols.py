@@ -1,6 +1,7 @@
-"""A hand is armed, pulls, and is disarmed over real SocketCAN: with each protocol, and over two buses with two of them.
+"""A hand is armed, pulls, and is disarmed over real SocketCAN: with each protocol, and over two buses.
 
-The simulated hand is a process of its own, forked from this one: importing takes longer in the guest than all the rest.
+The simulated hand is forked from this process, because imports take longer in the guest than the
+test.
 """
 
 import ctypes
@@ -39,13 +40,13 @@ PERIOD_NS = 5_000_000
 READY_S, END_S = 30.0, 20.0
 SPOOL_TORQUE_N_M, TORQUE_S = 0.05, 0.3
 TAUT_N, PULLED_N = 5.0, 3.0
-"""What that torque brings to a tendon at least, and what is left without it."""
+"""Minimum tension with the torque above, and maximum tension after its end [N]."""
 PULL_N, PULL_S = 20.0, 0.2
 DIGITS = ("index", "middle", "ring", "thumb")
 
 
 def serve(words: Sequence[str], ready: int) -> None:
-    """The simulator, in a child; what it prints goes to a pipe."""
+    """Run the simulator in a child, with its output into a pipe."""
     mujoco.set_mjcb_time(ctypes.cast(ctypes.CDLL(None).drand48, ctypes.CFUNCTYPE(ctypes.c_double)))  # see conftest
     sys.stdout = os.fdopen(ready, "w")
     raise SystemExit(firmware_sim(list(words)))
@@ -53,7 +54,7 @@ def serve(words: Sequence[str], ready: int) -> None:
 
 @contextmanager
 def simulated(path: Path, buses: Sequence[str], time_scale: float, truth: Path) -> Iterator[None]:
-    """A simulated hand beside this process, its ropes taut; it must end well when told to."""
+    """Run a simulated hand with taut tendons beside this process, and check that it ends in an orderly way."""
     names = load_hand(str(path)).bus_names
     words = [word for name, spec in zip(names, buses, strict=True) for word in ("--bus", f"{name}={spec}")]
     words += ["--hand", str(path), "--truth", str(truth), "--time-scale", str(time_scale), "--homed"]
@@ -75,7 +76,7 @@ def simulated(path: Path, buses: Sequence[str], time_scale: float, truth: Path) 
 
 
 class Hand:
-    """The drives of a hand on real sockets, with SYNC, ticked on the slowed clock; nobody else decides anything."""
+    """The drives of a hand on real sockets, with SYNC, ticked on the slowed clock, without a controller."""
 
     def __init__(self, path: Path, specs: Sequence[str], time_scale: float) -> None:
         self.clock = RealClock(PERIOD_NS, time_scale)
@@ -134,7 +135,7 @@ def test_a_hand_is_armed_pulls_and_is_disarmed(protocol: str, tmp_path: Path) ->
 
 
 def test_one_hand_over_two_buses_with_two_protocols(tmp_path: Path) -> None:
-    """The whole controller with its recorder: the two protocols that ``test_run`` does not have."""
+    """Run the whole controller with its recorder, with the two protocols that ``test_run`` does not have."""
     path = on_two_buses(hand_file(tmp_path, ["cia402", "cia402", "odrive"]))
     outcome, truth = pull(path, ["socketcan:vcan0", "socketcan:vcan1"], tmp_path)
     assert outcome.state.failure == ""
@@ -146,7 +147,7 @@ def test_one_hand_over_two_buses_with_two_protocols(tmp_path: Path) -> None:
 
 
 def pull(path: Path, buses: Sequence[str], folder: Path) -> tuple[Outcome, Truth]:
-    """Arm, pull every tendon for a moment, relax, disarm; what the run came to, and what really happened."""
+    """Arm, pull every tendon for a moment, relax and disarm. Return the outcome and the truth."""
     hand, time_scale = load_hand(str(path)), 0.1
     load = tuple(one.at(RATE_HZ) for one in bus_loads(hand))
     plan = Plan(hand, Gains(), RATE_HZ, load, tuple(buses), time_scale=time_scale)

@@ -1,4 +1,4 @@
-"""python-can meets the same frames: what people attach with candump, BUSMASTER or their own scripts."""
+"""python-can receives the same frames, as candump, BUSMASTER or scripts of users do."""
 
 import can
 import pytest

@@ -1,7 +1,7 @@
-"""The whole of it on real SocketCAN: ``handctl run`` grasps a cylinder, two processes apart.
+"""The whole chain on real SocketCAN: ``handctl run`` grasps a cylinder, two processes apart.
 
-At night it commissions the hand first; by day the hand starts homed, with a calibration of this minute, since the seven
-seconds of commissioning take 45 in the guest.
+The nightly run commissions the hand first. The daily run starts homed with a fresh calibration,
+because the seven seconds of commissioning take 45 s in the guest.
 """
 
 import json
@@ -20,24 +20,24 @@ HANDCTL = Path(sys.executable).with_name("handctl")
 TASK = Path(__file__).with_name("short_grasp.toml")
 DIGITS = {"index", "middle", "ring", "thumb"}
 TIME_SCALES = (TIME_SCALE, 0.5 * TIME_SCALE, 0.25 * TIME_SCALE)
-"""One attempt each: in slower time an interruption lasts less, and a defect is still one."""
+"""Pace of each attempt. In slower time an interruption lasts less, and a defect stays."""
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 
 
 def run_on(folder: Path, time_scale: float) -> subprocess.CompletedProcess[str]:
-    """``handctl run`` with a simulator of its own."""
+    """Run ``handctl run`` against a new simulator."""
     calibration = folder / "jamia.calibration.toml"
     if not NIGHTLY:
         write_homed(calibration, load_hand("jamia"))
     words = ["run", "--hand", "jamia", "--bus", "socketcan:vcan0", "--task", str(TASK), *scaled(time_scale)]
     files = ["--json", "--log", str(folder / "run.mcap"), "--calibration", str(calibration)]
     options = ["--scene", "cylinder", *(() if NIGHTLY else HOMED)]
-    with serving(*options, told=folder / "simulator", time_scale=time_scale):
+    with serving(*options, stderr_file=folder / "simulator", time_scale=time_scale):
         return subprocess.run([HANDCTL, *words, *files], cwd=folder, capture_output=True, text=True, check=False)
 
 
 def run_until_undisturbed(folder: Path) -> tuple[subprocess.CompletedProcess[str], Path]:
-    """The first run that did not end because the guest's one core was not there for a while; its folder."""
+    """Return the first run that did not end because the guest's one core was busy, and its folder."""
     for number, time_scale in enumerate(TIME_SCALES):
         place = folder / str(number)
         place.mkdir()
@@ -52,7 +52,7 @@ def run_until_undisturbed(folder: Path) -> tuple[subprocess.CompletedProcess[str
 
 
 @pytest.mark.timeout(900)
-def test_a_run_grasps_holds_and_lets_go(tmp_path: Path) -> None:
+def test_a_run_grasps_holds_and_releases(tmp_path: Path) -> None:
     ran, place = run_until_undisturbed(tmp_path)
     log = place / "run.mcap"
     result = json.loads(ran.stdout)
