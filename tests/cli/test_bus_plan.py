@@ -56,7 +56,7 @@ def test_what_is_counted_is_shown_and_adds_up(capsys: pytest.CaptureFixture[str]
         rows = bus["frames"]
         assert sum(row["per_tick"] * row["frame_us"] for row in rows) == pytest.approx(bus["tick_us"])
         assert bus["load"] == pytest.approx(200e-6 * bus["tick_us"] + bus["by_time"])
-    assert main(["bus", "plan", "--hand", "jamia", "--detail"]) == 0
+    assert main(["bus", "plan", "--hand", "jamia", "--verbose"]) == 0
     assert "tensions" in capsys.readouterr().out
 
 

@@ -30,7 +30,7 @@ ENDPOINTS = [f"--option=endpoint_{key}={number}" for number, key in enumerate(
 )
 def test_a_good_drive_in_another_process_passes(protocol, more):
     with drives("local:c", protocol, "--ids", "33"):
-        done = handctl(*WORDS, "--drive", protocol, "--node", "33", "--yes", "--json", *more)
+        done = handctl(*WORDS, "--protocol", protocol, "--node", "33", "--yes", "--json", *more)
         told = json.loads(done.stdout)
         assert [check for check in told["checks"] if check["verdict"] == "failed"] == []
         assert (done.returncode, told["confirmed_off"]) == (0, True)
@@ -45,7 +45,7 @@ def test_a_good_drive_in_another_process_passes(protocol, more):
 @pytest.mark.realtime
 def test_a_broken_drive_fails_and_its_line_says_why():
     with drives("local:c", "mit", "--ids", "2", "--broken", "sign"):
-        done = handctl(*WORDS, "--drive", "mit", "--node", "2", "--yes")
+        done = handctl(*WORDS, "--protocol", "mit", "--node", "2", "--yes")
     assert done.returncode == 1
     lines = done.stdout.splitlines()
     (line,) = (line for line in lines if line.startswith("FAILED"))
@@ -56,13 +56,13 @@ def test_a_broken_drive_fails_and_its_line_says_why():
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--drive", "mit", "--node", "2"], "mit 2 on local:c turns, with at most 0.1 N m; expected --yes"),
-        (["--drive", "odrive", "--node", "63", "--yes"], "1 to 62"),
-        (["--drive", "mit", "--node", "200", "--yes"], "1 to 127"),
-        (["--drive", "mit", "--node", "1" * 50, "--yes"], f"--node: {'1' * 50}; expected a whole number from 1 to"),
-        (["--drive", "mit", "--node", "2", "--yes", "--torque-limit-Nm", "nan"], "0.001 to 50"),
-        (["--drive", "mit", "--node", "2", "--yes", "--option", "gear=2"], "unknown key"),
-        (["--drive", "mit", "--node", "2", "--yes", "--option", "gear"], "KEY=VALUE"),
+        (["--protocol", "mit", "--node", "2"], "mit 2 on local:c turns, with at most 0.1 N m; expected --yes"),
+        (["--protocol", "odrive", "--node", "63", "--yes"], "1 to 62"),
+        (["--protocol", "mit", "--node", "200", "--yes"], "1 to 127"),
+        (["--protocol", "mit", "--node", "1" * 50, "--yes"], f"--node: {'1' * 50}; expected a whole number from 1 to"),
+        (["--protocol", "mit", "--node", "2", "--yes", "--torque-limit-Nm", "nan"], "0.001 to 50"),
+        (["--protocol", "mit", "--node", "2", "--yes", "--option", "gear=2"], "unknown key"),
+        (["--protocol", "mit", "--node", "2", "--yes", "--option", "gear"], "KEY=VALUE"),
     ],
 )
 def test_what_cannot_be_checked_is_refused_before_a_bus_is_opened(capsys, words, said):
@@ -74,7 +74,7 @@ def test_what_cannot_be_checked_is_refused_before_a_bus_is_opened(capsys, words,
 
 def test_a_drive_that_is_not_there_is_said(capsys):
     with drives("local:c", "odrive", "--ids", "3"):
-        assert main([*WORDS, "--drive", "odrive", "--node", "4", "--yes"]) == 1
+        assert main([*WORDS, "--protocol", "odrive", "--node", "4", "--yes"]) == 1
     assert "no odrive 4; there is odrive 3" in capsys.readouterr().err
 
 
@@ -92,7 +92,7 @@ def test_a_drive_that_another_host_has_is_left_alone(capsys):
         host = threading.Thread(target=command)
         host.start()
         try:
-            code = main([*WORDS, "--drive", "cubemars", "--node", "33", "--yes", "--option", "motor_type='ak80-9'"])
+            code = main([*WORDS, "--protocol", "cubemars", "--node", "33", "--yes", "--option", "motor_type='ak80-9'"])
         finally:
             over.set()
             host.join()
@@ -103,6 +103,6 @@ def test_a_drive_that_another_host_has_is_left_alone(capsys):
 
 def test_a_bus_on_which_a_controller_runs_is_left_alone(capsys):
     box = Mailbox("local:c")
-    assert main([*WORDS, "--drive", "mit", "--node", "2", "--yes"]) == 1
+    assert main([*WORDS, "--protocol", "mit", "--node", "2", "--yes"]) == 1
     box.close()
     assert "another controller runs here" in capsys.readouterr().err

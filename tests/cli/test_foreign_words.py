@@ -212,7 +212,7 @@ def test_a_log_whose_name_is_a_folder(place, capsys, verb, name):
 @pytest.mark.parametrize("number", ["9" * 50, "9" * 5000, "-1", "0.5", "1e99", "\x1b[2J"])
 @pytest.mark.parametrize("drive", ["mit", "odrive", "cia402", "cubemars"])
 def test_a_node_that_no_bus_has(capsys, drive, number):
-    words = ("conformance", "--drive", drive, f"--node={number}", "--bus", "local:nobody")
+    words = ("conformance", "--protocol", drive, f"--node={number}", "--bus", "local:nobody")
     assert exit_code([*words, "--torque-limit-Nm", "0.1", "--dry-run"]) == 2
     out, err = capsys.readouterr()
     assert out == ""

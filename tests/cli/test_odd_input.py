@@ -117,7 +117,7 @@ def test_a_campaign_of_rows_that_nothing_is_tried_of(capsys):
 
 
 def test_an_option_of_a_drive_without_end(capsys):
-    words = ("--drive", "odrive", "--node", "1", "--bus", "local:nobody", "--torque-limit-Nm", "0.1", "--dry-run")
+    words = ("--protocol", "odrive", "--node", "1", "--bus", "local:nobody", "--torque-limit-Nm", "0.1", "--dry-run")
     assert "--option" in refused(capsys, "conformance", *words, "--option", "gear_ratio=" + "9" * 5000)
 
 
@@ -144,7 +144,7 @@ BUSES = ["x", ":x", "local:", "local:../x", "local:a/b", "local:.x", "socketcan:
 
 @pytest.mark.parametrize("bus", BUSES)
 def test_a_bus_that_is_none_is_refused_before_anything_is_begun(place, capsys, bus):
-    drive = ("--drive", "mit", "--node", "1", "--torque-limit-Nm", "0.1")
+    drive = ("--protocol", "mit", "--node", "1", "--torque-limit-Nm", "0.1")
     for words in (("run", "--task", "grasp.toml"), ("scan",), ("jog", "index", "--angle", "3"), ("bus", "doctor")):
         assert main([*words, "--bus", bus]) == 2
         out, err = capsys.readouterr()

@@ -136,7 +136,7 @@ def test_units_in_brackets_are_no_markup(searched, capsys):
     "words",
     [
         ("identify", "--lockstep"),
-        ("identify", "--from", GOLDEN),
+        ("identify", "--from-log", GOLDEN),
         ("tune", "verify", "new.toml", "--lockstep"),
         ("commission", "--bus", "local:nobody"),
         ("jog", "index", "--tension", "8", "--bus", "local:nobody"),
@@ -151,7 +151,7 @@ def test_a_dry_run_writes_nothing_and_answers_in_json(place, capsys, words):
     assert [path.name for path in place.iterdir()] == ["new.toml"]
 
 
-@pytest.mark.parametrize("words", [(), ("--from", GOLDEN, "--lockstep"), ("--lockstep", "--bus", "local:nobody")])
+@pytest.mark.parametrize("words", [(), ("--from-log", GOLDEN, "--lockstep"), ("--lockstep", "--bus", "local:nobody")])
 def test_an_identification_has_one_source(capsys, words):
     assert "expected one of them" in refused(capsys, "identify", *words)
 
@@ -240,7 +240,7 @@ def test_a_fit_of_a_blocked_digit_is_not_written(place, capsys, monkeypatch, oth
     assert others or path.read_bytes() == known
 
 
-@pytest.mark.parametrize("words", [("--out", "x.png"), ("--out", "x.toml", "--picture", "./x.toml")])
+@pytest.mark.parametrize("words", [("--output", "x.png"), ("--output", "x.toml", "--picture", "./x.toml")])
 @pytest.mark.parametrize("kind", ["design", "search"])
 def test_gains_and_picture_are_two_files(place, capsys, kind, words):
     """The picture would be written over the gains."""
@@ -249,7 +249,7 @@ def test_gains_and_picture_are_two_files(place, capsys, kind, words):
 
 
 @pytest.mark.parametrize("name", ["jamia.calibration.toml", "jamia.gains.toml", "mine.study", "jamia.study"])
-@pytest.mark.parametrize("option", ["--out", "--picture"])
+@pytest.mark.parametrize("option", ["--output", "--picture"])
 def test_no_other_file_of_the_hand_is_written_over(place, capsys, name, option):
     (place / "mine.study").write_text("mine")
     words = ("tune", "search", "--plants", "1", "--trials", "1", "--study", "mine.study", option, name)
@@ -258,12 +258,12 @@ def test_no_other_file_of_the_hand_is_written_over(place, capsys, name, option):
 
 
 def test_the_log_of_a_simulated_hand_tells_nothing_of_the_real_one(place, capsys):
-    assert main(["identify", "--from", GOLDEN, "--dry-run", "--json"]) == 0
+    assert main(["identify", "--from-log", GOLDEN, "--dry-run", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["calibration"] == "jamia.lockstep.calibration.toml"
     real = place / "real.mcap"
     with RunLog(Path(GOLDEN)) as log:
         LogWriter(real, replace(log.header, deterministic=False), lambda *what: None, 1).finish("finished", 0)
-    assert "is of a simulated hand" in refused(capsys, "identify", "--from", str(real), "--from", GOLDEN)
+    assert "is of a simulated hand" in refused(capsys, "identify", "--from-log", str(real), "--from-log", GOLDEN)
 
 
 def test_what_is_given_twice_is_taken_twice():
@@ -278,7 +278,7 @@ def test_what_is_given_twice_is_taken_twice():
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (("identify", "--from", GOLDEN, "--digits", "thumb"), "--digits: together with --from"),
+        (("identify", "--from-log", GOLDEN, "--digits", "thumb"), "--digits: together with --from-log"),
         (("identify", "--lockstep", "--seed", "-1"), "--seed: -1; expected 0 or more"),
         (("identify", "--lockstep", "--time-scale", "0.5"), "--time-scale: only with --bus"),
         (("tune", "verify", "new.toml", "--lockstep", "--clear"), "--clear: only with --bus"),

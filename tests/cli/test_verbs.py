@@ -19,16 +19,6 @@ BUS = ("--bus", "local:does-not-exist")
 GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 
-def example(capsys, verb):
-    """The line for a shell that a verb's help ends with."""
-    with pytest.raises(SystemExit) as ended:
-        main([verb, "--help"])
-    assert ended.value.code == 0
-    line = capsys.readouterr().out.splitlines()[-1].strip()
-    assert f"handctl {verb} " in f"{line} "
-    return line
-
-
 HEAVY = {"numpy", "numba", "scipy", "mcap", "handctl.hand.description"}
 """What takes so long to import that a help would be waited for."""
 
@@ -49,43 +39,6 @@ for words in {words!r}:
 
 def test_the_protocols_to_choose_are_those_that_there_are():
     assert sorted(SPOKEN) == sorted(registry.PROTOCOLS)
-
-
-OF_A_LOG = ("log", "replay", "report", "view")
-"""Verbs whose examples make a log first."""
-SLOW = {"demo", "paper"}
-"""Verbs whose examples do a whole job: the demo's runs for those of a log, the paper's in a room of its own."""
-
-
-def typed(line):
-    """What a shell makes of a line, with the handctl of this environment."""
-    path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
-    environment = os.environ | {"PATH": path}
-    return subprocess.run(line, shell=True, env=environment, capture_output=True, text=True, timeout=240)
-
-
-@pytest.mark.parametrize("verb", sorted(set(VERBS) - SLOW - set(OF_A_LOG)))
-def test_the_example_runs_as_printed(place, capsys, verb):
-    ended = typed(example(capsys, verb))
-    assert ended.returncode == 0, ended.stderr
-    assert ended.stdout.strip()
-    assert "Traceback" not in ended.stderr
-
-
-@pytest.mark.parametrize("verb", sorted(SLOW))
-def test_the_examples_that_take_long_are_printed_too(capsys, verb):
-    assert example(capsys, verb).startswith(f"handctl {verb} -")
-
-
-def test_the_examples_of_a_log_run_as_printed(place, capsys):
-    makes = {example(capsys, verb).partition(" && ")[0] for verb in OF_A_LOG}
-    first = typed(makes.pop())
-    assert not makes, "they begin alike"
-    assert first.returncode == 0, first.stderr
-    for verb in OF_A_LOG:
-        ended = typed(example(capsys, verb).partition(" && ")[2])
-        assert ended.returncode == 0, ended.stderr
-        assert ended.stdout.strip()
 
 
 def spoken(capsys, *words):
@@ -130,7 +83,7 @@ DRY_RUNS = {
     "identify": BUS,
     "replay drive": (str(GOLDEN), *BUS),
     "scan": BUS,
-    "conformance": ("--drive", "mit", "--node", "1", "--torque-limit-Nm", "0.1", *BUS),
+    "conformance": ("--protocol", "mit", "--node", "1", "--torque-limit-Nm", "0.1", *BUS),
 }
 
 

@@ -26,7 +26,7 @@ VERBS = {
     "replay execute": ("replay", "execute", "odd.mcap"),
     "replay drive": ("replay", "drive", "odd.mcap", "--bus", "local:nobody", "--dry-run"),
     "replay safety": ("replay", "safety", "odd.mcap", "--limits", "limits.toml"),
-    "identify": ("identify", "--from", "odd.mcap"),
+    "identify": ("identify", "--from-log", "odd.mcap"),
     "view": ("view", "odd.mcap", "--save", "odd.rrd"),
 }
 NUMBERS = {

@@ -89,7 +89,7 @@ def test_workers_do_not_outlive_their_owner() -> None:
 @pytest.mark.timeout(600)
 def test_everything_in_less_than_three_minutes(tmp_path: Path) -> None:
     report, figures = tmp_path / "out.html", tmp_path / "figures"
-    words = ["paper", "--json", "--report", str(report), "--figures", str(figures)]
+    words = ["paper", "--json", "--output", str(report), "--figures", str(figures)]
     begun = time.monotonic()
     done = subprocess.run([sys.executable, "-c", MAIN, *words], capture_output=True, text=True, cwd=ROOT, check=True)
     assert time.monotonic() - begun < 180.0

@@ -115,14 +115,14 @@ def test_html_needs_nothing_else(measured: dict[str, Any], drawn: dict[str, Path
 
 def test_files_are_written_where_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     report, export = tmp_path / "out.html", tmp_path / "export"
-    assert main(["paper", "--quick", "--report", str(report), "--export", str(export)]) == 0
+    assert main(["paper", "--quick", "--output", str(report), "--export", str(export)]) == 0
     shown = capsys.readouterr().out
     assert "wrong" in shown
     assert report.read_text(encoding="utf-8").startswith("<!doctype html>")
     assert {path.name for path in export.iterdir()} == {"jamia.urdf", "jamia.xml"}
 
 
-@pytest.mark.parametrize("words", [["--report", "/no/such/folder/x.html"], ["--figures", __file__], ["--jobs", "0"]])
+@pytest.mark.parametrize("words", [["--output", "/no/such/folder/x.html"], ["--figures", __file__], ["--jobs", "0"]])
 def test_bad_arguments_are_one_line_before_any_work(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["paper", *words]) == 2
     error = capsys.readouterr().err

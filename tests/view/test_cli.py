@@ -44,8 +44,8 @@ def test_a_cut_log_is_shown_with_a_warning(
     ("words", "message"),
     [
         (["--save", "run.mcap"], "ending in .rrd"),
-        (["--png", "no/such/folder/x.png"], "in a folder that exists"),
-        (["--at", "1"], "--png FILE.png"),
+        (["--picture", "no/such/folder/x.png"], "in a folder that exists"),
+        (["--at", "1"], "--picture FILE.png"),
         (["--save", "x.rrd", "--follow"], "one of them"),
     ],
 )
@@ -61,7 +61,7 @@ def test_impossible_requests_are_refused_before_the_log_is_read(
 def test_a_time_outside_of_the_run_is_refused(
     jamia_path: Path, tmp_path: Path, vulkan: dict[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["view", str(jamia_path), "--png", str(tmp_path / "x.png"), "--at", "99"]) == 2
+    assert main(["view", str(jamia_path), "--picture", str(tmp_path / "x.png"), "--at", "99"]) == 2
     assert "0 to 2.990" in line(capsys)
 
 
@@ -80,7 +80,7 @@ def test_without_a_driver_the_packages_are_named(
     monkeypatch.setattr(viewer, "ICD_FOLDERS", (str(tmp_path),))
     monkeypatch.delenv("VK_ICD_FILENAMES", raising=False)
     monkeypatch.delenv("VK_DRIVER_FILES", raising=False)
-    assert main(["view", str(jamia_path), "--png", str(tmp_path / "x.png")]) == 2
+    assert main(["view", str(jamia_path), "--picture", str(tmp_path / "x.png")]) == 2
     assert "libvulkan1 mesa-vulkan-drivers" in line(capsys)
 
 
@@ -90,7 +90,7 @@ def test_without_a_screen_no_window_is_tried(
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     assert main(["view", str(jamia_path)]) == 2
-    assert "--png" in line(capsys)
+    assert "--picture" in line(capsys)
 
 
 def test_the_picture_is_taken_in_the_middle_of_the_hold_phase(jamia_path: Path) -> None:

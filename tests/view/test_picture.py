@@ -40,7 +40,7 @@ def test_the_dashboard_shows_the_hand_its_forces_and_its_lines(
     jamia_path: Path, tmp_path: Path, vulkan: dict[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "run.png"
-    assert main(["view", str(jamia_path), "--png", str(out), "--json"]) == 0
+    assert main(["view", str(jamia_path), "--picture", str(out), "--json"]) == 0
     output = json.loads(capsys.readouterr().out)
     assert output["reports"] == []
     assert output["at_s"] == pytest.approx(0.575 * 3.0, abs=0.02)

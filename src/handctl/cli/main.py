@@ -1,61 +1,107 @@
+# PYTHON_ARGCOMPLETE_OK: a shell with global completion asks this program
 """The command line: a table of verbs. What one takes is in ``arguments`` of its folder, what it does in its own module.
 
 Only the arguments are imported for help and for mistakes, so that they come at once.
 """
 
-import argparse
 import errno
 import importlib
 import sys
+import time
 import traceback
 from collections.abc import Sequence
 from contextlib import suppress
+from typing import Any, NamedTuple
 
+from handctl.cli.console.completion import complete, is_asked
 from handctl.cli.console.ended import Terminated, ended_by_signals, give_bugs_a_code
 from handctl.cli.console.needs import optional_packages
-from handctl.cli.console.parser import Parser, check_words
+from handctl.cli.console.parser import Parser, check_words, did_you_mean
 from handctl.cli.console.streams import flush, give_up_output, make_usable
+from handctl.cli.console.verbosity import chosen_verbosity, detail, is_verbose
 from handctl.errors import ConfigError, HandctlError, IncomparableError, LogError, PowerError
 from handctl.extras import missing_extra, require
-from handctl.printing import escaped_streams, message
+from handctl.printing import escaped_streams, message, printable
 from handctl.session.exit_codes import Exit
 
-VERBS = {
-    "demo": "close a simulated hand on an object and look at the run",
-    "run": "carry out a task on a hand",
-    "stop": "relax and disarm a running hand",
-    "clear": "clear latched faults of a running hand",
-    "commission": "tare, zero, and prove each tendon's sign",
-    "jog": "move one digit or tendon by hand",
-    "view": "look at a log in Rerun, or make a picture of it",
-    "replay": "a log through the controller, on the hand, or past other limits",
-    "log": "say what is in a log, check, compare, export or repair it",
-    "report": "one self-contained HTML page of a run",
-    "sim": "start a simulated hand on a bus",
-    "fault": "inject faults into a simulated hand, or try the whole matrix",
-    "config": "show a hand and where each value comes from, or check files",
-    "identify": "find out what a hand is made of: stiffness, friction, springs, inertia",
-    "gains": "which gains a hand uses and why; other ones, the way back, live changes",
-    "paper": "reproduce the source paper, with what is wrong in it",
-    "bus": "plan the load of a hand's buses, or look at buses and say what to mend",
-    "scan": "find the drives on a bus without moving anything",
-    "conformance": "check the contract of one drive on the drive itself",
-    "tune": "gains by design, by search on the twin, verified on the hand",
-    "doctor": "check this machine: priority, buses, viewer",
-}
-"""Each verb and what a person wants with it."""
-FOLDERS = {
-    "runs": ("demo", "run", "stop", "clear", "commission", "jog", "sim"),
-    "logs": ("view", "replay", "log", "report"),
-    "checks": ("config", "bus", "scan", "conformance", "doctor"),
-    "tuning": ("identify", "gains", "tune"),
-    "studies": ("fault", "paper"),
-}
-"""Where each verb has its module."""
 
-EPILOG = """exit codes: 0 done, 1 failed, 2 bad input, 3 lossy log, 4 not comparable, 70 internal error, 71 remove power
-            130 interrupted, 143 terminated (where no hand ran)
-first steps: handctl demo        help on a verb: handctl VERB --help"""
+class Group(NamedTuple):
+    """Verbs for one purpose.
+
+    Attributes:
+        title: purpose, as a heading in the help.
+        verbs: name and one line of help of each verb.
+    """
+
+    title: str
+    verbs: dict[str, str]
+
+
+GROUPS = {
+    "runs": Group(
+        "run a hand, real or simulated",
+        {
+            "demo": "close a simulated hand on an object, and print a summary",
+            "run": "run a task on a hand",
+            "stop": "relax and disarm a running hand",
+            "clear": "clear latched faults of a running hand",
+            "commission": "tare the load cells, zero the motors, and check the sign of each tendon",
+            "jog": "move one digit by tension or angle",
+            "sim": "start a simulated hand on a bus",
+        },
+    ),
+    "logs": Group(
+        "use the log of a run",
+        {
+            "view": "show a log in Rerun, or draw a picture of it",
+            "replay": "repeat a log in the controller, on the hand, or with other limits",
+            "log": "describe, check, compare, recover or export a log",
+            "report": "write one self-contained HTML page of a run",
+        },
+    ),
+    "checks": Group(
+        "check a hand, its buses and this machine",
+        {
+            "config": "show or check a hand and its files",
+            "bus": "plan the load of the buses of a hand, or check buses",
+            "scan": "find the drives on a bus without motion",
+            "conformance": "check the contract of one drive on the drive itself",
+            "doctor": "check this machine: priority, buses, viewer, space",
+        },
+    ),
+    "tuning": Group(
+        "identify and tune a hand",
+        {
+            "identify": "measure stiffness, friction, springs and inertia of a hand",
+            "gains": "show, compare, apply, roll back or change gains",
+            "tune": "design gains, search them in simulation, verify them on the hand",
+        },
+    ),
+    "studies": Group(
+        "inject faults, reproduce the paper",
+        {
+            "fault": "inject faults into a simulated hand, or try the whole fault matrix",
+            "paper": "reproduce the source paper and list its errors",
+        },
+    ),
+}
+"""Verbs in groups, by the folder of their modules."""
+VERBS = {name: text for group in GROUPS.values() for name, text in group.verbs.items()}
+"""Each verb with one line of help."""
+FOLDERS = {folder: tuple(group.verbs) for folder, group in GROUPS.items()}
+"""Folder of each verb's module."""
+VOLUME = {"-v", "--verbose", "-q", "--quiet"}
+"""Options that may stand before the verb as well."""
+
+EPILOG = """exit codes:
+  0 done, 1 failed, 2 bad input, 3 lossy log, 4 not comparable, 70 internal error, 71 remove power,
+  130 interrupted, 143 terminated (where no hand ran)
+help on a verb:
+  handctl VERB --help
+completion in a shell:
+  eval "$(register-python-argcomplete handctl)"
+example:
+  handctl demo --lockstep"""
 
 WRONG_NAME = {
     errno.ENOENT, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.ENOTEMPTY, errno.ENAMETOOLONG, errno.ELOOP,
@@ -67,6 +113,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Entry point of ``handctl``; what goes wrong becomes one line and an exit code."""
     words = list(sys.argv[1:] if argv is None else argv)
     if argv is None:
+        if is_asked():
+            complete(whole_parser())
         give_bugs_a_code()
     make_usable()
     with escaped_streams():
@@ -111,25 +159,43 @@ def _ended(words: list[str]) -> int:
 
 
 def _done(words: list[str]) -> int:
-    """The exit code of what was asked for."""
+    """Carry out a command line and return its exit code."""
+    while words[1:] and words[0] in VOLUME and words[1] in VERBS.keys() | VOLUME:
+        words = [words[1], words[0], *words[2:]] if words[1] in VERBS else words[1:]
     if words and words[0] in VERBS:
         return _verb(words[0], words[1:])
     parser = Parser(
         prog="handctl",
+        usage="handctl VERB ... [--help]",
         description="Controller and data logger for tendon-driven robot hands.",
-        epilog="verbs:\n" + "".join(f"  {name:<12}{text}\n" for name, text in VERBS.items()) + "\n" + EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog=f"{_verb_table()}{EPILOG}",
     )
     parser.add_argument("--version", action="store_true", help="print the version")
-    parser.add_argument("verb", nargs="?", choices=list(VERBS), metavar="VERB", help="what to do, see below")
+    if words and not words[0].startswith("-"):
+        what = f"unknown verb {printable(words[0])!r}{did_you_mean(words[0], VERBS)}"
+        raise ConfigError(what, "the command line", "one that handctl --help lists")
     args = parser.parse_args(words)
     if args.version:
-        from importlib.metadata import version
-
-        print(version("handctl"))
+        print(_version())
         return Exit.DONE
     parser.print_help()
     return Exit.DONE
+
+
+def _verb_table() -> str:
+    """Return the verbs in their groups, for the help."""
+    lines: list[str] = []
+    for group in GROUPS.values():
+        lines.append(f"{group.title}:")
+        lines += [*(f"  {name:<12}{text}" for name, text in group.verbs.items()), ""]
+    return "\n".join([*lines, ""])
+
+
+def _version() -> str:
+    """Return the version of handctl."""
+    from importlib.metadata import version
+
+    return version("handctl")
 
 
 def _folder(name: str) -> str:
@@ -137,20 +203,40 @@ def _folder(name: str) -> str:
     return next(folder for folder, verbs in FOLDERS.items() if name in verbs)
 
 
+def _arguments(name: str) -> Any:
+    """Import the module that declares the arguments of a verb."""
+    return importlib.import_module(f"handctl.cli.{_folder(name)}.arguments")
+
+
+def verb_parser(name: str) -> Parser:
+    """Return the parser of a verb."""
+    text, example = VERBS[name], _arguments(name).EXAMPLES[name]
+    parser = Parser(prog=f"handctl {name}", description=f"{text[0].upper()}{text[1:]}.", epilog=example.epilog())
+    getattr(_arguments(name), name)(parser)
+    return parser
+
+
+def whole_parser() -> Parser:
+    """Return one parser of all verbs, for completion in a shell."""
+    parser = Parser(prog="handctl")
+    parser.add_argument("--version", action="store_true")
+    verbs = parser.add_subparsers()
+    for name, text in VERBS.items():
+        getattr(_arguments(name), name)(verbs.add_parser(name, help=text))
+    return parser
+
+
 def _verb(name: str, words: list[str]) -> int:
     """Run one verb."""
-    folder = f"handctl.cli.{_folder(name)}"
-    arguments = importlib.import_module(f"{folder}.arguments")
-    parser = Parser(
-        prog=f"handctl {name}",
-        description=VERBS[name][0].upper() + VERBS[name][1:] + ".",
-        epilog=f"example:\n  {arguments.EXAMPLES[name]}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    getattr(arguments, name)(parser)
-    args = parser.parse_args(words)
-    require(name, *optional_packages(name, args))
-    code: int = importlib.import_module(f"{folder}.{name}").run(args)
+    args = verb_parser(name).parse_args(words)
+    with chosen_verbosity(args):
+        require(name, *optional_packages(name, args))
+        begin = time.monotonic()
+        if is_verbose():
+            options = ", ".join(f"{key} = {value}" for key, value in sorted(vars(args).items()) if key != "verbose")
+            detail(f"handctl {_version()} {name}: {options}")
+        code: int = importlib.import_module(f"handctl.cli.{_folder(name)}.{name}").run(args)
+        detail(f"handctl {name}: exit code {int(code)} after {time.monotonic() - begin:.2f} s")
     return code
 
 

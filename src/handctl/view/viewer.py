@@ -84,7 +84,7 @@ def check_screen() -> None:
         ConfigError: the session has no screen.
     """
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise ConfigError("no screen in this session", "DISPLAY", "a desktop; or use --png or --save")
+        raise ConfigError("no screen in this session", "DISPLAY", "a desktop; or use --picture or --save")
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,46 +3,78 @@
 import argparse
 from pathlib import Path
 
-from handctl.cli.console.options import SPOKEN, bitrate_options, bus_option, gains_options, hand_option, json_option
+from handctl.cli.console.completion import hand_names
+from handctl.cli.console.options import (
+    SPOKEN,
+    bitrate_options,
+    bus_option,
+    gains_options,
+    hand_option,
+    json_option,
+    output_option,
+)
+from handctl.cli.console.parser import SIMULATED_HAND, Example, Parser, add_sub_verb
 
 EXAMPLES = {
-    "config": "handctl config show --hand jamia",
-    "bus": "handctl bus plan --hand jamia11 --rate 200",
-    "scan": "handctl scan --bus socketcan:can0 --dry-run",
-    "conformance": "handctl conformance --drive odrive --node 3 --bus socketcan:can0 --torque-limit-Nm 0.1 --dry-run",
-    "doctor": "handctl doctor",
+    "config": Example("handctl config show --hand jamia"),
+    "config show": Example("handctl config show --hand jamia"),
+    "config check": Example("handctl config check --hand jamia --task grasp.toml"),
+    "config list": Example("handctl config list"),
+    "config export": Example("handctl config export --hand jamia --dbc"),
+    "bus": Example("handctl bus plan --hand jamia11 --rate 200"),
+    "bus plan": Example("handctl bus plan --hand jamia11 --rate 200"),
+    "bus doctor": Example("handctl bus doctor --hand jamia --bus local:demo", (SIMULATED_HAND,)),
+    "scan": Example("handctl scan --bus socketcan:can0 --dry-run"),
+    "conformance": Example(
+        "handctl conformance --protocol odrive --node 3 --bus socketcan:can0 --torque-limit-Nm 0.1 --dry-run"
+    ),
+    "doctor": Example("handctl doctor"),
 }
-"""Of each verb, for its help."""
+"""Example of each verb and sub-verb."""
 
 
-def config(parser: argparse.ArgumentParser) -> None:
+def config(parser: Parser) -> None:
     """Declare what ``config`` takes."""
-    hand_option(parser)
-    json_option(parser)
-    parser.add_argument(
-        "what",
-        choices=["show", "check", "list", "export"],
-        help="show the hand, check files, list what is packaged, write the hand's buses for other tools",
-    )
-    parser.add_argument("--dbc", action="store_true", help="export: the frames of each bus, as a CAN database")
-    parser.add_argument("--output", type=Path, metavar="FILE", help="export: a new file (default: HAND.dbc)")
-    parser.add_argument("--task", type=Path, help="task file to check with the hand")
+    kinds = parser.add_subparsers(dest="what", required=True, metavar="show|check|list|export")
+
+    def kind(name: str, text: str) -> Parser:
+        one = add_sub_verb(kinds, name, text, EXAMPLES[f"config {name}"])
+        json_option(one)
+        if name != "list":
+            hand_option(one)
+        return one
+
+    _files(kind("show", "show a hand, and the source of each value"))
+    _files(kind("check", "check a hand with its files"))
+    kind("list", "list the packaged hands and tasks")
+    export = kind("export", "write the buses of a hand for other tools")
+    export.add_argument("--dbc", action="store_true", help="the frames of each bus, as a CAN database")
+    output_option(export, "a new file (default: HAND.dbc)")
+
+
+def _files(parser: argparse.ArgumentParser) -> None:
+    """Declare the files that belong to a hand."""
+    parser.add_argument("--task", type=Path, metavar="FILE", help="task file to check with the hand")
     gains_options(parser)
-    parser.add_argument("--calibration", type=Path, help="calibration file to check (default: HAND.calibration.toml)")
+    text = "calibration file to check (default: HAND.calibration.toml)"
+    parser.add_argument("--calibration", type=Path, metavar="FILE", help=text)
 
 
-def bus(parser: argparse.ArgumentParser) -> None:
+def bus(parser: Parser) -> None:
     """Declare what ``bus`` takes."""
-    told = "plan: worst-case load of each bus of a hand, stuff bits included; doctor: look at buses, and what to type"
-    parser.add_argument("what", choices=["plan", "doctor"], help=told)
-    about = "packaged hand or file (plan: jamia; doctor: none)"
-    parser.add_argument("--hand", metavar="NAME|FILE", help=about)
-    bus_option(parser, required=False)
-    json_option(parser)
-    bitrate_options(parser, "without a hand", "without a hand: of CAN FD's data phase")
-    parser.add_argument("--rate", type=float, metavar="HZ", help="control rate (default: the highest that fits)")
-    parser.add_argument("--detail", action="store_true", help="what is counted, frame by frame")
-    parser.add_argument("--table", action="store_true", help="no hand: the protocols beside each other, bare")
+    kinds = parser.add_subparsers(dest="what", required=True, metavar="plan|doctor")
+    text = "compute the worst-case load of each bus of a hand, stuff bits included"
+    plan = add_sub_verb(kinds, "plan", text, EXAMPLES["bus plan"])
+    text = "check buses from the interface to the drives, and name the command that repairs each finding"
+    doctor = add_sub_verb(kinds, "doctor", text, EXAMPLES["bus doctor"])
+    for one, default in ((plan, "jamia"), (doctor, "none")):
+        named = one.add_argument("--hand", metavar="NAME|FILE", help=f"packaged hand or file (default: {default})")
+        named.completer = hand_names  # type: ignore[attr-defined]  # an attribute that argcomplete reads
+        bus_option(one, required=False)
+        json_option(one)
+    plan.add_argument("--rate", type=float, metavar="HZ", help="control rate (default: the highest that fits)")
+    plan.add_argument("--table", action="store_true", help="compare the protocols, without a hand")
+    bitrate_options(doctor, "without a hand", "without a hand: of CAN FD's data phase")
 
 
 def scan(parser: argparse.ArgumentParser) -> None:
@@ -57,7 +89,7 @@ def scan(parser: argparse.ArgumentParser) -> None:
 def conformance(parser: argparse.ArgumentParser) -> None:
     """Declare what ``conformance`` takes."""
     add = parser.add_argument
-    add("--drive", required=True, choices=sorted(SPOKEN), help="what it speaks")
+    add("--protocol", required=True, choices=sorted(SPOKEN), help="of the drive")
     add("--node", required=True, type=lambda word: int(word, 0), metavar="N", help="its number on the bus")
     add("--bus", required=True, metavar="SPEC", help="local:NAME, socketcan:can0 or any python-can interface:channel")
     add("--torque-limit-Nm", required=True, type=float, metavar="X", dest="limit",

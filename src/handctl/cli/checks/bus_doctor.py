@@ -1,11 +1,11 @@
 """``handctl bus doctor``: each bus from its interface to its nodes, with the command that mends what is wrong."""
 
 import argparse
-import sys
 from collections.abc import Sequence
 from typing import Any
 
 from handctl.cli.console.options import print_json
+from handctl.cli.console.verbosity import is_quiet, note
 from handctl.drives.discovery import DiscoveredNode
 from handctl.drives.registry import DISCOVERIES
 from handctl.errors import BusError, ConfigError
@@ -56,7 +56,7 @@ def _wanted(args: argparse.Namespace, hand: Hand | None) -> Sequence[tuple[str, 
 
 def _examined(spec: str, wanted: BusSection, hand: Hand | None) -> dict[str, Any]:
     """One bus: interface, then nodes if it can be used."""
-    print(f"{spec}: looking", file=sys.stderr, flush=True)
+    note(f"{spec}: looking")
     kind, _, channel = spec.partition(":")
     found = _interface(channel, wanted) if kind == "socketcan" else []
     trips: list[tuple[DiscoveredNode, RoundTrip]] = []
@@ -139,8 +139,10 @@ def _missing(hand: Hand, bus: str, result: Scan) -> list[Finding]:
 
 def _print(buses: list[dict[str, Any]]) -> None:
     for bus in buses:
-        print(f"{bus['name']} ({bus['bus']}):")
-        for finding in bus["findings"]:
+        findings_shown = [one for one in bus["findings"] if not (one["good"] and is_quiet())]
+        if findings_shown or not is_quiet():
+            print(f"{bus['name']} ({bus['bus']}):")
+        for finding in findings_shown:
             print(f"  {'ok ' if finding['good'] else '-- '} {finding['what']}")
             if not finding["good"]:
                 print(f"        {finding['fix']}")

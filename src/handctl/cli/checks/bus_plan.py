@@ -5,6 +5,7 @@ import math
 from typing import Any
 
 from handctl.cli.console.options import print_json
+from handctl.cli.console.verbosity import is_verbose
 from handctl.controller.bus_load import BusLoad, Row, bus_loads, split
 from handctl.drives.frame_time import MAX_BUS_LOAD
 from handctl.drives.load_table import TABLE, TABLE_RATES_HZ
@@ -30,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json(result)
     else:
-        _print(result, args.detail)
+        _print(result, is_verbose())
     return Exit.DONE if result["fits"] and not wrong else Exit.FAILED
 
 

@@ -23,9 +23,6 @@ from handctl.session.tasks import TASKS, find_task
 
 def run(args: argparse.Namespace) -> int:
     """Show, check, list or export."""
-    if args.what != "export" and (args.dbc or args.output):
-        option = "--dbc" if args.dbc else f"--output {args.output}"
-        raise ConfigError("is for export alone", option, "handctl config export --dbc")
     if args.what == "list":
         return _list(args.json)
     hand = load_hand(args.hand)

@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from handctl.cli.checks.scan import identified
 from handctl.cli.console.begin import ask
 from handctl.cli.console.options import print_json
+from handctl.cli.console.verbosity import note
 from handctl.drives.contract import Drive, DriveTarget, Phase
 from handctl.drives.discovery import LISTEN_S, DiscoveredNode
 from handctl.drives.frame import Frame
@@ -43,14 +44,14 @@ MARKS = {Verdict.PASSED: "passed", Verdict.FAILED: "FAILED", Verdict.NOT_APPLICA
 
 def run(args: argparse.Namespace) -> int:
     """Check; 1 if a promise was broken, 71 if the drive does not say in the end that it is off."""
-    options = DEFAULTS.get(args.drive, {}) | _options(args.option)
+    options = DEFAULTS.get(args.protocol, {}) | _options(args.option)
     if not (math.isfinite(args.limit) and 1e-3 <= args.limit <= TORQUE_TOP):
         raise ConfigError(f"{args.limit:g}", "--torque-limit-Nm", f"0.001 to {TORQUE_TOP:g}")
     check_spec(args.bus)
     _drive(args, options, None)
     if args.dry_run:
         return _dry_run(args)
-    warning = f"the shaft of {args.drive} {args.node} on {args.bus} turns, with at most {args.limit:g} N m"
+    warning = f"the shaft of {args.protocol} {args.node} on {args.bus} turns, with at most {args.limit:g} N m"
     ask(warning, args.yes)
     _tell(f"{warning}. Ctrl-C lets go.")
     with bus_lock(args.bus):
@@ -89,11 +90,11 @@ def _drive(args: argparse.Namespace, options: dict[str, Any], found: DiscoveredN
         ConfigError: options that the protocol does not have, or a number that it cannot have.
     """
     told: dict[str, Any] = dict(found.options) if found else {}
-    if args.drive == "cia402":
+    if args.protocol == "cia402":
         told = NEEDED | told
     settings = {"position_range_rad": 12.5, "velocity_range_rad_s": 30.0, **(found.settings if found else {})}
     motor = {
-        "name": f"{args.drive}_{args.node}", "protocol": args.drive, "bus": "bench", "node_id": args.node,
+        "name": f"{args.protocol}_{args.node}", "protocol": args.protocol, "bus": "bench", "node_id": args.node,
         "spool_radius_m": 0.005, "inertia_kg_m2": 1e-4, "viscous_N_m_s_per_rad": 0.0, "coulomb_N_m": 0.0,
         "torque_constant_N_m_per_A": 0.1, "direction": 1, "zero_rad": 0.0, "watchdog_ms": WATCHDOG_MS,
         **settings, "torque_max_N_m": args.limit, "torque_peak_N_m": args.limit, "options": told | options,
@@ -102,7 +103,7 @@ def _drive(args: argparse.Namespace, options: dict[str, Any], found: DiscoveredN
         return make_drive(Motor.model_validate(motor), 0)
     except ValidationError as error:
         wrong = error.errors(include_url=False)[-1]
-        key = str(wrong["loc"][-1]) if wrong["loc"] else args.drive
+        key = str(wrong["loc"][-1]) if wrong["loc"] else args.protocol
         right = wrong["msg"].removeprefix("Value error, ").removeprefix("Input should be ").removeprefix("expected ")
         raise ConfigError(shown(wrong["input"]), "--node" if key == "node_id" else key, right) from None
     except ValueError as error:
@@ -114,7 +115,7 @@ def _dry_run(args: argparse.Namespace) -> int:
     if args.json:
         print_json({"checks": [name for name, _, _ in PROMISES], "torque_limit_N_m": args.limit})
         return Exit.DONE
-    print(f"would check of {args.drive} {args.node}, with at most {args.limit:g} N m, that it")
+    print(f"would check of {args.protocol} {args.node}, with at most {args.limit:g} N m, that it")
     for name, _, turns in PROMISES:
         print(f"  {name}" + (" (the shaft turns)" if turns else ""))
     return Exit.DONE
@@ -127,20 +128,20 @@ def _found(args: argparse.Namespace) -> DiscoveredNode:
         BusError: another host is at work on the bus.
         DriveError: there is no such drive.
     """
-    _tell(f"{args.bus}: looking for it")
+    note(f"{args.bus}: looking for it")
     bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate)
     try:
-        result = scan(bus) if PROTOCOLS[args.drive].discovery else _listened(args, bus)
+        result = scan(bus) if PROTOCOLS[args.protocol].discovery else _listened(args, bus)
     finally:
         bus.close()
     if result.foreign:
         raise BusError("another host is at work on this bus", args.bus, "this host alone: end the other one")
     for node in identified(result.found, args.bus, args.bitrate):
-        if (node.protocol, node.node_id) == (args.drive, args.node):
+        if (node.protocol, node.node_id) == (args.protocol, args.node):
             return node
     there = ", ".join(f"{node.protocol} {node.node_id}" for node in result.found) or "nothing"
     right = "its power, bit rate and number to be right"
-    raise DriveError(f"no {args.drive} {args.node}; there is {there}", args.bus, right)
+    raise DriveError(f"no {args.protocol} {args.node}; there is {there}", args.bus, right)
 
 
 def _listened(args: argparse.Namespace, bus: Bus) -> Scan:
@@ -151,7 +152,7 @@ def _listened(args: argparse.Namespace, bus: Bus) -> Scan:
     seen: list[Frame] = []
     listen(bus, LISTEN_S, seen)
     foreign = tuple(frame for frame in seen if frame.can_id == args.node)
-    return Scan((DiscoveredNode(args.drive, args.node),), foreign, (), (), len(seen))
+    return Scan((DiscoveredNode(args.protocol, args.node),), foreign, (), (), len(seen))
 
 
 def _restoring(drive: Drive, found: DiscoveredNode) -> Drive:
@@ -191,7 +192,7 @@ def _checked(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tuple[
 
 def _plain(args: argparse.Namespace, found: DiscoveredNode, results: list[Check], off: bool) -> dict[str, Any]:
     return {
-        "drive": args.drive,
+        "drive": args.protocol,
         "node": args.node,
         "bus": args.bus,
         "torque_limit_N_m": args.limit,

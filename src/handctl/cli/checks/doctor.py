@@ -5,26 +5,38 @@ import platform
 import shutil
 import socket
 import sys
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 
 from handctl.cli.console.options import print_json
+from handctl.cli.console.verbosity import detail, is_quiet, is_verbose
 from handctl.errors import BusError
 from handctl.extras import extras_installed
 from handctl.runtime.clock import Priority, give_back_priority, take_priority
 from handctl.runtime.paths import run_dir
+from handctl.session.exit_codes import Exit
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check priority, CAN, viewer and space."""
+    """Check priority, CAN, viewer and space. Return 1 if something needs a repair, as ``handctl bus doctor`` does."""
     findings = [_priority(), _memory(), _socketcan(), _interfaces(), _vulkan(), _extras(), _space()]
     if args.json:
         rows = [{"what": what, "good": good, "fix": fix} for what, good, fix in findings]
         print_json({"findings": rows} | _versions())
-        return 0
+    else:
+        _print(findings)
+    return Exit.DONE if all(good for _, good, _ in findings) else Exit.FAILED
+
+
+def _print(findings: Sequence["Finding"]) -> None:
+    """Print the findings. A quiet verb leaves out the good ones, a verbose verb adds the versions."""
     for what, good, fix in findings:
-        print(f"{'ok ' if good else '-- '} {what}" + ("" if good else f"\n      {fix}"))
-    return 0
+        if not (good and is_quiet()):
+            print(f"{'ok ' if good else '-- '} {what}" + ("" if good else f"\n      {fix}"))
+    if is_verbose():
+        for name, value in _versions().items():
+            detail(f"{name}: {value}")
 
 
 Finding = tuple[str, bool, str]

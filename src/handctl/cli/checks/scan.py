@@ -2,11 +2,11 @@
 
 import argparse
 import dataclasses
-import sys
 from typing import Any
 
 from handctl.cli.checks.fragment import fragment
 from handctl.cli.console.options import print_json
+from handctl.cli.console.verbosity import note
 from handctl.drives.cia402 import codec as cia402_codec
 from handctl.drives.discovery import DiscoveredNode
 from handctl.drives.frame import REMOTE, Frame
@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
     for name, spec in buses.items():
         opened = open_bus(spec, 0, args.bitrate)
         try:
-            scans[name] = scan(opened, args.force, lambda text, spec=spec: _tell(f"{spec}: {text}"))  # type: ignore[misc]
+            scans[name] = scan(opened, args.force, lambda text, spec=spec: note(f"{spec}: {text}"))  # type: ignore[misc]
         finally:
             opened.close()
         scans[name] = scans[name]._replace(found=identified(scans[name].found, spec, args.bitrate))
@@ -41,10 +41,6 @@ def run(args: argparse.Namespace) -> int:
     return Exit.DONE if any(result.found for result in scans.values()) else Exit.FAILED
 
 
-def _tell(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
-
-
 def identified(found: tuple[DiscoveredNode, ...], spec: str, bitrate: int) -> tuple[DiscoveredNode, ...]:
     """The same, with what CANopen nodes tell over SDO."""
     nodes = [drive.node_id for drive in found if drive.protocol == "cia402"]
@@ -52,7 +48,7 @@ def identified(found: tuple[DiscoveredNode, ...], spec: str, bitrate: int) -> tu
         return found
     from handctl.runtime.diagnostics.canopen_identity import identify
 
-    _tell(f"{spec}: reading the identity of CANopen nodes {', '.join(map(str, nodes))}")
+    note(f"{spec}: reading the identity of CANopen nodes {', '.join(map(str, nodes))}")
     known = identify(spec, bitrate, nodes)
     return tuple(
         _with_identity(drive, known[drive.node_id].numbers, known[drive.node_id].texts)
@@ -122,8 +118,8 @@ def _print_drive(drive: DiscoveredNode) -> None:
     words = "  ".join(f"{key} {text}".strip() for key, text in known if text)
     number = f"{drive.node_id:#x}" if drive.protocol == "sensor" else str(drive.node_id)
     print(f"  {drive.protocol:<8}{number:>5}  {words}")
-    for note in drive.notes:
-        print(f"                {note}")
+    for line in drive.notes:
+        print(f"                {line}")
 
 
 def _show_questions(as_json: bool) -> int:

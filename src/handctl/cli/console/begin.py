@@ -9,6 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from handctl.cli.console.options import say
+from handctl.cli.console.verbosity import note
 from handctl.core.gains.gains import load_gains_file
 from handctl.errors import ConfigError
 from handctl.programs.calibration import Calibration
@@ -37,7 +38,7 @@ def announce(args: argparse.Namespace, plan: Plan, path: Path, calibration: Cali
     if not args.calibration and calibration:
         found.append(_described("calibration", path, calibration.made))
     if found:
-        say(f"handctl: found in this folder: {'; '.join(found)}", error=True)
+        note(f"handctl: found in this folder: {'; '.join(found)}")
     if calibration and not calibration.drive:
         text = "does not name the drives it was made with, any hand of this design would be armed with it"
         say(f"handctl: caution: {path} {text}; handctl commission makes one that does", error=True)

@@ -9,6 +9,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Sequence
 from typing import Any
 
 from handctl.cli.console.screen import screen
@@ -109,6 +110,11 @@ class Display:
             self.child.kill()
 
 
+def short_names(names: Sequence[str]) -> list[str]:
+    """Return the names of tendons without the ending ``_tendon``, which says nothing in a line of tensions."""
+    return [name.removesuffix("_tendon") or name for name in names]
+
+
 def _plain(head: dict[str, Any]) -> None:
     """One line a second, and each event."""
     last = -1.0
@@ -118,8 +124,9 @@ def _plain(head: dict[str, Any]) -> None:
             print(f"{line['t']:8.3f} s  {level:<5}  {event}", flush=True)
         if line["t"] - last >= 1.0:
             last = line["t"]
-            tension = " ".join(f"{f:6.1f}" for f in line["tension"])
-            print(f"{line['t']:8.3f} s  {line['mode']:<9} {line['phase']:<10} tension {tension} N", flush=True)
+            pairs = zip(short_names(head["names"]), line["tension"], strict=True)
+            tension = "  ".join(f"{name} {f:.1f}" for name, f in pairs)
+            print(f"{line['t']:8.3f} s  {line['mode']:<9} {line['phase']:<10} tension [N]  {tension}", flush=True)
 
 
 def _drawn(head: dict[str, Any]) -> None:

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from handctl.cli.console.completion import hand_names
 from handctl.errors import ConfigError
 from handctl.hand.file.quantities import FASTEST_BUS, SLOWEST_BUS
 from handctl.printing import encodable, message
@@ -28,7 +29,8 @@ class _Named(argparse.Action):
 def hand_option(parser: argparse.ArgumentParser) -> None:
     """--hand: a packaged hand or a file."""
     text = f"packaged hand or file (default: {DEFAULT_HAND}; needed on a real bus)"
-    parser.add_argument("--hand", action=_Named, default=DEFAULT_HAND, metavar="NAME|FILE", help=text)
+    named = parser.add_argument("--hand", action=_Named, default=DEFAULT_HAND, metavar="NAME|FILE", help=text)
+    named.completer = hand_names  # type: ignore[attr-defined]  # an attribute that argcomplete reads
     parser.set_defaults(hand_named=False)
 
 
@@ -101,13 +103,36 @@ def run_options(parser: argparse.ArgumentParser, bus_required: bool = True) -> N
     bus_option(parser, bus_required)
     json_option(parser)
     dry_run_option(parser)
-    parser.add_argument("--clear", action="store_true", help="clear latched drive errors; find the cause first")
+    clear_option(parser)
     gains_options(parser)
     parser.add_argument("--rate", type=float, metavar="HZ", help="control rate (default: by the bus load)")
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="default: HAND.calibration.toml")
     parser.add_argument("--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND.mcap)")
     yes_option(parser)
     time_scale_option(parser)
+
+
+def clear_option(parser: argparse.ArgumentParser) -> None:
+    """Declare --clear: clear latched faults of the drives before arming."""
+    text = "clear latched faults of the drives before arming; find the cause first"
+    parser.add_argument("--clear", action="store_true", help=text)
+
+
+def jobs_option(parser: argparse.ArgumentParser, default: int | None, text: str) -> None:
+    """Declare --jobs: processes at a time.
+
+    Args:
+        parser: of a verb.
+        default: number of processes; None for one per core.
+        text: what is done at a time.
+    """
+    default_text = "one per core" if default is None else str(default)
+    parser.add_argument("--jobs", type=int, default=default, metavar="N", help=f"{text} (default: {default_text})")
+
+
+def output_option(parser: argparse.ArgumentParser, text: str, metavar: str = "FILE") -> None:
+    """Declare --output: file or folder of the result."""
+    parser.add_argument("--output", type=Path, metavar=metavar, help=text)
 
 
 def perturb_option(parser: argparse.ArgumentParser) -> None:

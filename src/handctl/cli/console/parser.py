@@ -1,19 +1,96 @@
-"""The parser of command lines: what argparse says about foreign words is printable and of bounded length."""
+"""The parser of command lines: one-line errors with a suggestion, and help that ends with an example.
+
+Messages of argparse quote the words of a user. They are escaped and cut before they are printed.
+"""
 
 import argparse
 import re
-from collections.abc import Sequence
-from typing import NoReturn
+import textwrap
+from collections.abc import Iterable, Sequence
+from difflib import get_close_matches
+from typing import Any, NamedTuple, NoReturn
 
+from handctl.cli.console.renamed import new_spelling
 from handctl.errors import ConfigError
 from handctl.printing import printable
 
 END_AS_VALUE = re.compile(r"(--?[^=]+)=--")
-"""An option whose value is the word that ends the options: argparse removes it and fails without a word."""
+"""An option whose value is the word that ends the options. argparse removes it and fails without a message."""
+INVALID_CHOICE = re.compile(r"invalid choice: '(?P<word>.*)' \(choose from (?P<choices>.*)\)", re.DOTALL)
+"""Message of argparse about a word that is not one of the choices."""
+LONGEST_WORD = 60
+"""Characters of a word in a message."""
+
+SIMULATED_HAND = "handctl sim --hand jamia --bus local:demo"
+RUNNING_HAND = "handctl run --hand jamia --bus local:demo"
+
+
+class Example(NamedTuple):
+    """A command line that works when it is pasted into a shell.
+
+    Attributes:
+        line: the command.
+        beside: commands that must run in other terminals meanwhile.
+    """
+
+    line: str
+    beside: tuple[str, ...] = ()
+
+    def epilog(self) -> str:
+        """Return the end of a help text. Its last line is the command."""
+        beside = ["in other terminals:", *(f"  {command}" for command in self.beside)] if self.beside else []
+        return "\n".join([*beside, "example:", f"  {self.line}"])
+
+
+class HelpFormatter(argparse.HelpFormatter):
+    """Wraps paragraphs to the width of the terminal, and leaves indented lines as they are."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        lines = (line if line.startswith(" ") else textwrap.fill(line, width) for line in text.splitlines())
+        return "\n".join(lines)
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser, and the kind of its subparsers."""
+    """A parser with the options of every verb. Subparsers are of this class as well."""
+
+    def __init__(self, **keywords: Any) -> None:
+        super().__init__(**{"formatter_class": HelpFormatter} | keywords)
+        # No default: an option before the sub-verb must not be reset by the parser of the sub-verb.
+        volume = self.add_mutually_exclusive_group()
+        add = volume.add_argument
+        text = "print more detail on standard error"
+        add("-v", "--verbose", action="store_true", default=argparse.SUPPRESS, help=text)
+        add("-q", "--quiet", action="store_true", default=argparse.SUPPRESS, help="print only results and errors")
+        self._has_sub_verbs = False
+
+    def add_subparsers(self, **keywords: Any) -> Any:
+        """Add sub-verbs, whose options are unknown to this parser."""
+        self._has_sub_verbs = True
+        return super().add_subparsers(**keywords)
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse a command line, and refuse old spellings and unknown options with a suggestion.
+
+        Raises:
+            ConfigError: an option is unknown, or was renamed.
+        """
+        for word in _options(args or ()):
+            if new := new_spelling(self._verb(), word):
+                raise ConfigError(f"{word} has been renamed", self._verb(), new)
+            # Before argparse complains about a missing argument, whose name may be the misspelt one.
+            if not (self._has_sub_verbs or any(option.startswith(word) for option in self._option_string_actions)):
+                self._refuse(word)
+        found, rest = super().parse_known_args(args, namespace)
+        if rest:
+            self._refuse(rest[0])
+        return found, rest
+
+    def _refuse(self, word: str) -> NoReturn:
+        """Refuse a word that no argument takes."""
+        option = word.partition("=")[0]
+        kind = "option" if word.startswith("-") else "argument"
+        suggestion = did_you_mean(option, self._option_string_actions) if kind == "option" else ""
+        raise ConfigError(f"unknown {kind} {_quoted(option)}{suggestion}", self._where(), self._listed())
 
     def error(self, message: str) -> NoReturn:
         """Refuse the command line in one line.
@@ -21,9 +98,53 @@ class Parser(argparse.ArgumentParser):
         Raises:
             ConfigError: always.
         """
-        where = self.prog.removeprefix("handctl").strip() or "the command line"
-        told = "expected" in message or "choose from" in message
-        raise ConfigError(message, where, "" if told else f"what {self.prog} --help lists")
+        if match := INVALID_CHOICE.search(message):
+            suggestion = did_you_mean(match["word"], re.findall(r"[\w.-]+", match["choices"]))
+            raise ConfigError(message + suggestion, self._where())
+        complete = "expected" in message
+        raise ConfigError(message, self._where(), "" if complete else f"the arguments that {self.prog} --help lists")
+
+    def _verb(self) -> str:
+        """Return verb and sub-verb."""
+        return self.prog.removeprefix("handctl").strip()
+
+    def _where(self) -> str:
+        return self._verb() or "the command line"
+
+    def _listed(self) -> str:
+        return f"one that {self.prog} --help lists"
+
+
+def _options(words: Iterable[str]) -> Iterable[str]:
+    """Yield the options among words, without their values, until ``--`` ends them."""
+    for word in words:
+        if word == "--":
+            return
+        if word.startswith("--"):
+            yield word.partition("=")[0]
+
+
+def _quoted(word: str) -> str:
+    return repr(printable(word, LONGEST_WORD))
+
+
+def did_you_mean(word: str, names: Iterable[str]) -> str:
+    """Return a question that names the nearest of some names, empty if none is near."""
+    near = get_close_matches(word[:LONGEST_WORD], list(names), n=1)
+    return f", did you mean {near[0]}?" if near else ""
+
+
+def add_sub_verb(sub_verbs: "argparse._SubParsersAction[Parser]", name: str, text: str, example: Example) -> "Parser":
+    """Add the parser of a sub-verb.
+
+    Args:
+        sub_verbs: of the verb.
+        name: of the sub-verb.
+        text: one line of help, without a capital letter and a full stop.
+        example: for the end of its help.
+    """
+    description = f"{text[0].upper()}{text[1:]}."
+    return sub_verbs.add_parser(name, help=text, description=description, epilog=example.epilog())
 
 
 def check_words(words: Sequence[str]) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from handctl.cli.console.options import say
 from handctl.cli.console.progress import progress
+from handctl.cli.console.verbosity import detail, is_quiet, is_verbose, note
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.output import check_output
@@ -31,12 +32,30 @@ def make_plan(args: argparse.Namespace, lockstep: bool = False) -> plan.Plan:
         log=args.log,
         clear=args.clear,
     )
-    return replace(plan.make_plan(choice, None if args.json else _display, notice), progress=progress)
+    display = None if args.json or is_quiet() else _display
+    made = replace(plan.make_plan(choice, display, notice), progress=progress)
+    if is_verbose():
+        _describe(args, made)
+    return made
+
+
+def _describe(args: argparse.Namespace, made: plan.Plan) -> None:
+    """Print the details of a plan, for ``--verbose``."""
+    hand = made.hand
+    detail(f"hand: {hand.name} from {args.hand}, identity {hand.identity[:16]}, {len(hand.tendon)} tendons")
+    loads = ", ".join(f"{name} {100 * load:.0f} %" for name, load in zip(hand.bus_names, made.load, strict=False))
+    detail(f"rate: {made.rate_hz:g} Hz, bus load: {loads}; buses: {', '.join(made.buses) or 'in lockstep'}")
+    for key, origin in layered_gains(args, hand).origins.items():
+        if origin != gains.PACKAGED:
+            detail(f"gain {key} is from {origin}")
 
 
 def notice(text: str) -> None:
-    """Print what a session has to tell on standard error."""
-    say(text, error=True)
+    """Print a notice of a session on standard error. Only a caution, which begins with ``handctl:``, is never quiet."""
+    if text.startswith("handctl:"):
+        say(text, error=True)
+    else:
+        note(text)
 
 
 def _display(of: plan.Plan) -> plan.Display:
@@ -80,7 +99,9 @@ def find_calibration(args: argparse.Namespace, hand: Hand) -> tuple[Path, Calibr
         ConfigError: the file named on the command line is there and cannot be used, or none could be written there.
     """
     path = calibration_path(args, hand)
-    return path, *calibration.find_calibration(path, hand, named=bool(args.calibration))
+    found, why = calibration.find_calibration(path, hand, named=bool(args.calibration))
+    detail(f"calibration: {path}" + (f" is not used: {why}" if why else ""))
+    return path, found, why
 
 
 def check_perturb(args: argparse.Namespace, simulated: bool) -> dict[str, float]:

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from typing import Protocol
 
 from handctl.cli.console.screen import screen
+from handctl.cli.console.verbosity import is_quiet
 
 
 class Told(Protocol):
@@ -26,7 +27,7 @@ def progress(words: str, most: int | None = None, quiet: bool = False) -> Iterat
         quiet: show none.
 
     """
-    if quiet or not sys.stderr.isatty():
+    if quiet or is_quiet() or not sys.stderr.isatty():
         yield lambda done, most=None, words=None: None
         return
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn

@@ -3,15 +3,30 @@
 import argparse
 from pathlib import Path
 
-from handctl.cli.console.options import json_option, run_options
+from handctl.cli.console.options import jobs_option, json_option, output_option, run_options
+from handctl.cli.console.parser import Example, Parser, add_sub_verb
+
+
+def _of_a_log(command: str) -> Example:
+    """Return an example that records ``run.mcap`` first, unless the file exists."""
+    return Example(f"[ -e run.mcap ] || handctl demo --lockstep --log run.mcap; {command}")
+
 
 EXAMPLES = {
-    "view": "handctl demo --lockstep --log run.mcap && handctl view run.mcap --save run.rrd",
-    "replay": "handctl demo --lockstep --log run.mcap && handctl replay execute run.mcap",
-    "log": "handctl demo --lockstep --log run.mcap && handctl log info run.mcap",
-    "report": "handctl demo --lockstep --log run.mcap && handctl report run.mcap",
+    "view": _of_a_log("handctl view run.mcap --save run.rrd"),
+    "replay": _of_a_log("handctl replay execute run.mcap"),
+    "replay execute": _of_a_log("handctl replay execute run.mcap"),
+    "replay drive": _of_a_log("handctl replay drive run.mcap --hand jamia --bus local:demo --dry-run"),
+    "replay safety": _of_a_log("echo 'tension_trip_N = 60' > 60.toml; handctl replay safety run.mcap --limits 60.toml"),
+    "log": _of_a_log("handctl log info run.mcap"),
+    "log info": _of_a_log("handctl log info run.mcap"),
+    "log check": _of_a_log("handctl log check run.mcap"),
+    "log diff": _of_a_log("handctl log diff run.mcap run.mcap"),
+    "log recover": _of_a_log("handctl log recover run.mcap --output whole.mcap"),
+    "log export": _of_a_log("handctl log export run.mcap --csv"),
+    "report": _of_a_log("handctl report run.mcap"),
 }
-"""Of each verb, for its help."""
+"""Example of each verb and sub-verb."""
 FORMATS = {
     "parquet": "one table, a row a tick",
     "csv": "the same as text",
@@ -27,7 +42,7 @@ def view(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("log", type=Path, metavar="LOG", help="log of a run")
     parser.add_argument("--save", type=Path, metavar="FILE.rrd", help="write a Rerun recording, open nothing")
     parser.add_argument(
-        "--png", type=Path, metavar="FILE.png", help="draw the dashboard without a screen, open nothing"
+        "--picture", type=Path, metavar="FILE.png", help="draw the dashboard without a screen, open nothing"
     )
     parser.add_argument(
         "--at", type=float, metavar="SECONDS", help="moment of the picture (default: in the middle of the hold phase)"
@@ -36,7 +51,7 @@ def view(parser: argparse.ArgumentParser) -> None:
     json_option(parser)
 
 
-def replay(parser: argparse.ArgumentParser) -> None:
+def replay(parser: Parser) -> None:
     """Declare what ``replay`` takes."""
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="KIND")
     _execute(_kind(kinds, "execute", "run the controller on the log's inputs, compare every output byte; no bus"))
@@ -44,10 +59,8 @@ def replay(parser: argparse.ArgumentParser) -> None:
     _safety(_kind(kinds, "safety", "judge the recorded run by other limits; no bus"))
 
 
-def _kind(
-    kinds: "argparse._SubParsersAction[argparse.ArgumentParser]", name: str, text: str
-) -> argparse.ArgumentParser:
-    parser = kinds.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+def _kind(kinds: "argparse._SubParsersAction[Parser]", name: str, text: str) -> Parser:
+    parser = add_sub_verb(kinds, name, text, EXAMPLES[f"replay {name}"])
     parser.add_argument("recorded", type=Path, metavar="LOG", help="the log")
     return parser
 
@@ -56,7 +69,7 @@ def _execute(parser: argparse.ArgumentParser) -> None:
     json_option(parser)
     parser.add_argument("--gains", type=Path, metavar="FILE", help="what would these gains have commanded here?")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="of --gains (default: LOG.gains.png)")
-    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one for each core)")
+    jobs_option(parser, None, "processes")
     parser.add_argument(
         "--within",
         type=float,
@@ -77,12 +90,12 @@ def _safety(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def log(parser: argparse.ArgumentParser) -> None:
+def log(parser: Parser) -> None:
     """Declare what ``log`` takes."""
     kinds = parser.add_subparsers(dest="what", required=True, metavar="WHAT")
 
-    def kind(name: str, text: str) -> argparse.ArgumentParser:
-        one = kinds.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+    def kind(name: str, text: str) -> Parser:
+        one = add_sub_verb(kinds, name, text, EXAMPLES[f"log {name}"])
         json_option(one)
         one.add_argument("log", type=Path, help="the log")
         return one
@@ -92,19 +105,19 @@ def log(parser: argparse.ArgumentParser) -> None:
     other = kind("diff", "compare it with another run of the same hand, phase by phase")
     other.add_argument("other", type=Path, help="the other log")
     rescue = kind("recover", "write a whole log from a broken one")
-    rescue.add_argument("--output", type=Path, metavar="FILE", help="default: LOG.recovered.mcap")
+    output_option(rescue, "the whole log (default: LOG.recovered.mcap)")
     out = kind("export", "write it in a format that other tools read")
     group = out.add_mutually_exclusive_group(required=True)
     for name, text in FORMATS.items():
         group.add_argument(f"--{name}", dest="format", action="store_const", const=name, help=text)
-    out.add_argument("--output", type=Path, metavar="FILE", help="a new file or folder (default: LOG.FORMAT)")
+    output_option(out, "a new file or folder (default: LOG.FORMAT)", "FILE|DIR")
 
 
 def report(parser: argparse.ArgumentParser) -> None:
     """Declare what ``report`` takes."""
     json_option(parser)
     parser.add_argument("log", type=Path, help="the log")
-    parser.add_argument("--output", type=Path, metavar="FILE", help="the page (default: LOG.html)")
+    output_option(parser, "the page (default: LOG.html)")
     parser.add_argument(
         "--truth", type=Path, metavar="FILE", help="truth of a lockstep run, drawn beside the estimates"
     )

@@ -38,7 +38,7 @@ def _same(args: argparse.Namespace, log: Any) -> bool:
     from handctl.log.code_identity import code_identity
     from handctl.replay.execute import execute, within_tolerance
 
-    workers = cores() if args.workers is None else checked_count(args.workers, "--workers", 64)
+    workers = cores() if args.jobs is None else checked_count(args.jobs, "--jobs", 64)
     with progress("executing", len(log), args.json) as told:
         found = execute(log, progress=told, workers=workers)
     good = not found.differing if args.within is None else within_tolerance(found, args.within)

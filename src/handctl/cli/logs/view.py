@@ -27,11 +27,11 @@ def run(args: argparse.Namespace) -> int:
 
     with RunLog(args.log, checked=False) as log:
         subject = RunInfo.of(log.header, args.log.stem)
-        at_s = _moment(args, log) if args.png else 0.0
+        at_s = _moment(args, log) if args.picture else 0.0
         warning, found = log.warning, log.scan
     code = tell_lossy(args.log, warning)
-    if args.save or args.png:
-        with progress("drawing" if args.png else "writing", quiet=args.json):
+    if args.save or args.picture:
+        with progress("drawing" if args.picture else "writing", quiet=args.json):
             result = _write(args, subject, at_s)
     else:
         result = {}
@@ -57,16 +57,16 @@ def _check(args: argparse.Namespace) -> None:
     """Refuse what cannot be done before anything is read."""
     from handctl.view.viewer import check_screen, software_vulkan
 
-    if args.follow and (args.save or args.png):
-        raise ConfigError("together with --save or --png", "--follow", "one of them")
-    if args.at is not None and not args.png:
-        raise ConfigError("without --png", "--at", "--png FILE.png")
-    for option, path, suffix in (("--save", args.save, ".rrd"), ("--png", args.png, ".png")):
+    if args.follow and (args.save or args.picture):
+        raise ConfigError("together with --save or --picture", "--follow", "one of them")
+    if args.at is not None and not args.picture:
+        raise ConfigError("without --picture", "--at", "--picture FILE.png")
+    for option, path, suffix in (("--save", args.save, ".rrd"), ("--picture", args.picture, ".png")):
         if path and (path.suffix != suffix or not path.parent.is_dir()):
             raise ConfigError(str(path), option, f"a file name ending in {suffix} in a folder that exists")
         if path:
             check_output(path, option, args.log)
-    if args.png:
+    if args.picture:
         software_vulkan()
     elif not args.save:
         check_screen()
@@ -81,7 +81,7 @@ def _write(args: argparse.Namespace, subject: Any, at_s: float) -> dict[str, Any
         with whole(args.save) as part:
             result = {"rrd": args.save, "bytes": write_rrd(args.log, subject, part)}
         _say(args, f"wrote {args.save}, {result['bytes'] / 1e6:.1f} MB; open it with: rerun {args.save}")
-    if not args.png:
+    if not args.picture:
         return result
     with tempfile.TemporaryDirectory(prefix="handctl-view-") as folder:
         rrd = args.save or Path(folder) / f"{args.log.stem}.rrd"
@@ -93,11 +93,11 @@ def _write(args: argparse.Namespace, subject: Any, at_s: float) -> dict[str, Any
 def _picture(args: argparse.Namespace, rrd: Path, at_s: float) -> dict[str, Any]:
     from handctl.view.picture import draw
 
-    reports = draw(rrd, at_s, args.png)
+    reports = draw(rrd, at_s, args.picture)
     for report in reports:
         say(f"handctl: {report}", error=True)
-    _say(args, f"wrote {args.png}: the hand at {at_s:.3f} s")
-    return {"png": args.png, "at_s": at_s, "reports": reports}
+    _say(args, f"wrote {args.picture}: the hand at {at_s:.3f} s")
+    return {"png": args.picture, "at_s": at_s, "reports": reports}
 
 
 def _window(log: Path, subject: Any, found: Any) -> None:

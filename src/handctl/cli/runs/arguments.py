@@ -14,17 +14,18 @@ from handctl.cli.console.options import (
     time_scale_option,
     wire_option,
 )
+from handctl.cli.console.parser import RUNNING_HAND, SIMULATED_HAND, Example
 
 EXAMPLES = {
-    "demo": "handctl demo --lockstep",
-    "run": "handctl run --hand jamia --bus local:demo --task grasp.toml --dry-run",
-    "stop": "handctl stop --help   # with a hand running on local:demo: handctl stop --bus local:demo",
-    "clear": "handctl clear --help   # with a hand running on local:demo: handctl clear --bus local:demo",
-    "commission": "handctl commission --hand jamia --bus local:demo --calibration /tmp/jamia.toml --dry-run",
-    "jog": "handctl jog index --tension 8 --hand jamia --bus local:demo --dry-run",
-    "sim": "handctl sim --hand jamia --bus local:demo --scene cylinder --dry-run",
+    "demo": Example("handctl demo --lockstep"),
+    "run": Example("handctl run --hand jamia --bus local:demo --task grasp.toml --dry-run"),
+    "stop": Example("handctl stop --bus local:demo", (SIMULATED_HAND, RUNNING_HAND)),
+    "clear": Example("handctl clear --bus local:demo", (SIMULATED_HAND, RUNNING_HAND)),
+    "commission": Example("handctl commission --hand jamia --bus local:demo --dry-run"),
+    "jog": Example("handctl jog index --tension 8 --hand jamia --bus local:demo --dry-run"),
+    "sim": Example("handctl sim --hand jamia --bus local:demo --scene cylinder --dry-run"),
 }
-"""Of each verb, for its help."""
+"""Example of each verb."""
 
 
 def demo(parser: argparse.ArgumentParser) -> None:

@@ -18,6 +18,7 @@ from handctl.cli.console.options import (
     wire_words,
 )
 from handctl.cli.console.plan import make_plan
+from handctl.cli.console.verbosity import note
 from handctl.cli.runs.other_protocol import in_protocol
 from handctl.cli.runs.run import report
 from handctl.controller.tick import Controller
@@ -153,7 +154,7 @@ def _commission_and_run(
 ) -> Outcome:
     """A new hand is commissioned, then it works; with what was identified before."""
     first, then = runners
-    print(f"commissioning {plan.hand.name}: tare, zero, and a 3 N pull of each tendon", file=sys.stderr)
+    note(f"commissioning {plan.hand.name}: tare, zero, and a 3 N pull of each tendon")
     calibration, _ = commission(plan, commission_log(log), first)
     calibration = calibration.model_copy(update={"identified": known})
     path = log.with_suffix(".calibration.toml")

@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
 
 def report_folder(args: argparse.Namespace) -> Path:
     """Where reports and the logs of failures go; it is there then."""
-    folder: Path = args.report or Path("logs") / "campaign"
+    folder: Path = args.output or Path("logs") / "campaign"
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 

@@ -36,16 +36,16 @@ def run(args: argparse.Namespace) -> int:
     """Compute everything, measure what is asked for, and print it."""
     if not 1 <= args.jobs <= 64:
         raise ConfigError(f"{args.jobs}", "--jobs", "1 to 64")
-    _writable(args.report, args.figures, args.export)
+    _writable(args.output, args.figures, args.export)
     results = None if args.quick else _results(args.results, args.jobs)
     parts = sections(results)
     if args.export:
         _export(args.export)
-    if args.figures or args.report:
+    if args.figures or args.output:
         with tempfile.TemporaryDirectory() as folder:
             figures = draw_all(args.figures or Path(folder), results)
-            if args.report:
-                write_whole(args.report, report(parts, figures))
+            if args.output:
+                write_whole(args.output, report(parts, figures))
     _print(args, parts)
     return Exit.DONE
 
@@ -68,7 +68,7 @@ def _results(path: Path | None, jobs: int) -> dict[str, Any]:
 def _writable(report_file: Path | None, *folders: Path | None) -> None:
     """Find out before the experiments whether their results can be written."""
     if report_file:
-        check_output(report_file, "--report")
+        check_output(report_file, "--output")
     for folder in filter(None, folders):
         if folder.exists() and not folder.is_dir():
             raise ConfigError("not a folder", str(folder), "a folder, or a name for a new one")
@@ -89,7 +89,7 @@ def _print(args: argparse.Namespace, parts: tuple[PageSection, ...]) -> None:
         sys.stdout.write(markdown(parts))
     else:
         _table(parts)
-        for path in filter(None, (args.figures, args.report, args.export)):
+        for path in filter(None, (args.figures, args.output, args.export)):
             print(f"written: {path}")
 
 

@@ -5,22 +5,40 @@ from pathlib import Path
 
 from handctl.cli.console.options import (
     bus_option,
+    clear_option,
     dry_run_option,
     gains_options,
     hand_option,
+    jobs_option,
     json_option,
+    output_option,
     perturb_option,
     run_options,
     time_scale_option,
     yes_option,
 )
+from handctl.cli.console.parser import RUNNING_HAND, SIMULATED_HAND, Example, Parser, add_sub_verb
+
+NEW_GAINS = "printf 'schema = 1\\n[motion]\\nforce_N = 12.0\\n' > new.toml;"
+"""Shell command that writes a small gains file."""
 
 EXAMPLES = {
-    "identify": "handctl identify --hand jamia --lockstep --digits thumb --calibration /tmp/identified.toml",
-    "gains": "handctl gains show --hand jamia",
-    "tune": "handctl tune design --hand jamia --plants 2 --out tuned.toml",
+    "identify": Example(
+        "handctl identify --hand jamia --lockstep --digits thumb --calibration identified.calibration.toml"
+    ),
+    "gains": Example("handctl gains show --hand jamia"),
+    "gains show": Example("handctl gains show --hand jamia"),
+    "gains diff": Example("handctl gains diff packaged present --hand jamia"),
+    "gains apply": Example(f"{NEW_GAINS} handctl gains apply new.toml --hand jamia --note 'a softer motion loop'"),
+    "gains rollback": Example("handctl gains rollback --to 0 --hand jamia"),
+    "gains log": Example("handctl gains log --hand jamia"),
+    "gains set": Example("handctl gains set motion.force_N=12 --bus local:demo", (SIMULATED_HAND, RUNNING_HAND)),
+    "tune": Example("handctl tune design --hand jamia --plants 2 --output designed.toml"),
+    "tune design": Example("handctl tune design --hand jamia --plants 2 --output designed.toml"),
+    "tune search": Example("handctl tune search --hand jamia --plants 1 --trials 2 --output found.toml"),
+    "tune verify": Example(f"{NEW_GAINS} handctl tune verify new.toml --hand jamia --lockstep --dry-run"),
 }
-"""Of each verb, for its help."""
+"""Example of each verb and sub-verb."""
 
 
 def identify(parser: argparse.ArgumentParser) -> None:
@@ -30,7 +48,7 @@ def identify(parser: argparse.ArgumentParser) -> None:
         "--digits", nargs="+", action="extend", metavar="DIGIT", help="which (default: all, one after the other)"
     )
     parser.add_argument(
-        "--from",
+        "--from-log",
         dest="logs",
         nargs="+",
         action="extend",
@@ -44,44 +62,50 @@ def identify(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-write", action="store_true", help="leave the calibration file as it is")
 
 
-def gains(parser: argparse.ArgumentParser) -> None:
+def gains(parser: Parser) -> None:
     """Declare what ``gains`` takes."""
-    what = parser.add_subparsers(dest="what", required=True, metavar="show|diff|apply|rollback|log|set")
-    show = what.add_parser("show", help="every gain, its bounds, and where it comes from")
-    gains_options(show)
-    diff = what.add_parser("diff", help="compare two: a file, a log, a number of the history, present, packaged")
-    diff.add_argument("sides", nargs="*", default=[], metavar="WHICH", help="one or two (default: packaged present)")
-    apply = what.add_parser("apply", help="make the gains of a file those that runs use")
-    apply.add_argument("file", type=Path, help="gains file")
-    for name, meaning in (("fit", "calibration they rest on"), ("study", "search that found them"), ("note", "why")):
-        apply.add_argument(f"--{name}", default="", help=meaning)
-    apply.add_argument("--from-log", dest="log", action="append", type=Path, default=[], help="run they rest on")
-    back = what.add_parser("rollback", help="bring back the gains from before")
-    back.add_argument("--to", type=int, metavar="N", help="number in the history; 0: the packaged gains")
-    log = what.add_parser("log", help="everything that was applied")
-    live = what.add_parser("set", help="change gains of a running controller, without a step in torque")
-    live.add_argument("values", nargs="+", metavar="KEY=VALUE")
-    bus_option(live)
-    for one in (show, diff, apply, back, log, live):
+    kinds = parser.add_subparsers(dest="what", required=True, metavar="show|diff|apply|rollback|log|set")
+
+    def kind(name: str, text: str) -> Parser:
+        one = add_sub_verb(kinds, name, text, EXAMPLES[f"gains {name}"])
         json_option(one)
-        if one is not live:  # a running controller knows its hand
+        if name != "set":  # a running controller knows its hand
             hand_option(one)
+        return one
+
+    gains_options(kind("show", "show every gain: value, source, meaning, unit and bounds"))
+    diff = kind("diff", "compare two sets of gains")
+    text = "a file, a log, a number of the history, present, or packaged; one or two (default: packaged present)"
+    diff.add_argument("sides", nargs="*", default=[], metavar="GAINS", help=text)
+    apply = kind("apply", "use the gains of a file in all later runs")
+    apply.add_argument("file", type=Path, metavar="FILE", help="gains file")
+    for option, name, meaning in (
+        ("--calibration", "fit", "calibration with the identified parameters, as a note"),
+        ("--study", "study", "search with these gains as result, as a note"),
+        ("--note", "note", "reason"),
+    ):
+        apply.add_argument(option, dest=name, default="", help=meaning)
+    text = "recorded run behind the gains, as a note; may be repeated"
+    apply.add_argument("--from-log", dest="log", action="append", type=Path, default=[], metavar="LOG", help=text)
+    back = kind("rollback", "use earlier gains again")
+    back.add_argument("--to", type=int, metavar="N", help="number in the history; 0: the packaged gains")
+    kind("log", "list all gains that were applied")
+    live = kind("set", "change gains of a running controller, without a step in torque")
+    live.add_argument("values", nargs="+", metavar="KEY=VALUE", help="gains and their new values")
+    bus_option(live)
 
 
-def tune(parser: argparse.ArgumentParser) -> None:
+def tune(parser: Parser) -> None:
     """Declare what ``tune`` takes."""
-    kinds = parser.add_subparsers(dest="kind", required=True, metavar="KIND")
-    _design(_kind(kinds, "design", "gains with margins on every plant of an ensemble, from linear models"))
-    _search(_kind(kinds, "search", "the best gains on an ensemble of simulated plants"))
-    _verify(
-        _kind(kinds, "verify", "new gains on the hand at rising amplitude; back to the old ones when a limit is met")
-    )
+    kinds = parser.add_subparsers(dest="kind", required=True, metavar="design|search|verify")
+    _design(_kind(kinds, "design", "design gains with margins on every plant of an ensemble, from linear models"))
+    _search(_kind(kinds, "search", "search the best gains on an ensemble of simulated plants"))
+    text = "try new gains on the hand at rising amplitude, and return to the old ones at a limit"
+    _verify(_kind(kinds, "verify", text))
 
 
-def _kind(
-    kinds: "argparse._SubParsersAction[argparse.ArgumentParser]", name: str, text: str
-) -> argparse.ArgumentParser:
-    parser = kinds.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+def _kind(kinds: "argparse._SubParsersAction[Parser]", name: str, text: str) -> Parser:
+    parser = add_sub_verb(kinds, name, text, EXAMPLES[f"tune {name}"])
     hand_option(parser)
     json_option(parser)
     gains_options(parser)
@@ -93,10 +117,10 @@ def _kind(
 def _plants(parser: argparse.ArgumentParser, default: int) -> None:
     text = f"plants to keep the margins on, the hand's own first (default: {default})"
     parser.add_argument("--plants", type=int, default=default, metavar="N", help=text)
-    text = "tune the hand as it was identified"
-    parser.add_argument("--fit", "--calibration", dest="fit", type=Path, metavar="FILE", help=text)
+    text = "tune the hand as it was identified (default: as in its file)"
+    parser.add_argument("--calibration", dest="fit", type=Path, metavar="FILE", help=text)
     perturb_option(parser)
-    parser.add_argument("--out", type=Path, metavar="FILE", help="gains file to write (default: HAND.KIND.toml)")
+    output_option(parser, "gains file to write (default: HAND.design.toml or HAND.search.toml)")
 
 
 def _design(parser: argparse.ArgumentParser) -> None:
@@ -105,7 +129,7 @@ def _design(parser: argparse.ArgumentParser) -> None:
         "--poles-Hz", dest="poles", metavar="MOTION,TENSION", help="place the poles here; nothing is sought then"
     )
     parser.add_argument("--damping", type=float, default=1.0, metavar="X", help="of these poles (default: 1)")
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="default: beside --out")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="default: beside --output")
 
 
 def _search(parser: argparse.ArgumentParser) -> None:
@@ -114,9 +138,9 @@ def _search(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--study", type=Path, metavar="FILE", help="journal to write or go on with (default: HAND.study)"
     )
-    parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes (default: 1)")
+    jobs_option(parser, 1, "processes")
     parser.add_argument("--scheduler", metavar="tcp://...", help="an existing Dask cluster instead")
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="default: beside --out")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="default: beside --output")
 
 
 def _verify(parser: argparse.ArgumentParser) -> None:
@@ -132,6 +156,6 @@ def _verify(parser: argparse.ArgumentParser) -> None:
     text = "say verified although a column is worse than with the old gains"
     parser.add_argument("--accept-worse", action="store_true", help=text)
     parser.add_argument("--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND-verify.mcap)")
-    parser.add_argument("--clear", action="store_true", help="clear latched drive errors; find the cause first")
+    clear_option(parser)
     yes_option(parser)
     time_scale_option(parser)

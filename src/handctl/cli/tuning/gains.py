@@ -8,7 +8,8 @@ from typing import Any
 from handctl.cli.console.buses import controller_bus
 from handctl.cli.console.options import print_json, say
 from handctl.cli.console.plan import layered_gains, notice
-from handctl.core.gains.bounds import bounds, flat, with_values
+from handctl.cli.console.verbosity import is_quiet
+from handctl.core.gains.bounds import Bound, bounds, flat, with_values
 from handctl.core.gains.gains import Gains, Provenance, load_gains_file
 from handctl.errors import ConfigError, UnconfirmedError
 from handctl.hand.description import Hand
@@ -37,15 +38,29 @@ def _show(args: argparse.Namespace, hand: Hand) -> int:
     told = layers.provenance
     if args.json:
         rows = {
-            key: {"value": value, "origin": layers.origins[key], "bounds": str(known[key]), "live": known[key].live}
+            key: {
+                "value": value,
+                "origin": layers.origins[key],
+                "bounds": str(known[key]),
+                "live": known[key].live,
+                "meaning": meaning(known[key]),
+            }
             for key, value in flat(layers.gains).items()
         }
         print_json({"hand": hand.name, "gains": rows, "provenance": told.model_dump()})
         return Exit.DONE
     say(f"# gains of {hand.name}: {layers.file or 'packaged'}" + _told(told))
     for key, value in flat(layers.gains).items():
-        print(f"{key:<38} {value:<10g} {layers.origins[key]:<14} {known[key]}{', live' if known[key].live else ''}")
+        when = "changes at any time" if known[key].live else "changes before arming"
+        say(f"{key:<38} {value:<10g} {layers.origins[key]}")
+        if not is_quiet():
+            say(f"    {meaning(known[key])} {str(known[key]).capitalize()}, {when}.")
     return Exit.DONE
+
+
+def meaning(gain: Bound) -> str:
+    """Return the meaning of a gain with its unit, the first line of its description."""
+    return gain.why.partition("\n")[0]
 
 
 def _told(told: Provenance) -> str:

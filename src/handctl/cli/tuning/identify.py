@@ -2,7 +2,6 @@
 
 import argparse
 import shlex
-import sys
 import time
 from collections.abc import Callable
 from functools import partial
@@ -20,6 +19,7 @@ from handctl.cli.console.plan import (
     make_plan,
     notice,
 )
+from handctl.cli.console.verbosity import note
 from handctl.cli.tuning.tune_files import same_hand_words
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
@@ -45,10 +45,10 @@ def run(args: argparse.Namespace) -> int:
     """Excite or read, fit, report, keep."""
     given = sum(map(bool, (args.bus, args.lockstep, args.logs)))
     if given != 1:
-        raise ConfigError(f"{given or 'none'} of them", "--bus, --lockstep, --from", "one of them")
+        raise ConfigError(f"{given or 'none'} of them", "--bus, --lockstep, --from-log", "one of them")
     check_perturb(args, args.lockstep)
     if args.logs and args.digits:
-        raise ConfigError("together with --from", "--digits", "logs of these digits, or a new motion")
+        raise ConfigError("together with --from-log", "--digits", "logs of these digits, or a new motion")
     check_seed(args.seed)
     if not args.bus:
         check_bus_only(args)
@@ -70,17 +70,13 @@ def run(args: argparse.Namespace) -> int:
         calibration, outcome = _in_lockstep(args, plan, program, log, about)
     else:
         announce(args, plan, path, calibration)
-        _say(about)
+        note(about)
         known = calibration or ensure_calibration(plan, path, why, run_live, commission_log(log))
         calibration, outcome = known, run_live(plan, make_controller(plan, program, known, arm_at_once=True), log)
     outcome.refuse_unfinished(f"identifying {plan.hand.name}, log {log}")
     with RunLog(log) as record:
-        found = identify(record, plan.hand, _say)
+        found = identify(record, plan.hand, note)
     return _report(args, plan.hand, {log: found}, path, calibration)
-
-
-def _say(text: str) -> None:
-    print(text, file=sys.stderr)
 
 
 def _in_lockstep(
@@ -90,7 +86,7 @@ def _in_lockstep(
     perturb = assignments(args.perturb, "--perturb")
     simulator = Simulator(args.hand, seed=args.seed, perturb=perturb, truth=log.with_suffix(".truth"))
     with simulator.clock(plan.period_ns) as clock:
-        _say(about)
+        note(about)
         return _commission_and_excite(plan, program, log, partial(run_lockstep, clock=clock))
 
 
@@ -102,7 +98,7 @@ def _commission_and_excite(
     calibration, _ = commission(plan, commission_log(log), runner)
     outcome = runner(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
     simulated = (outcome.offset_ns + outcome.state.k * plan.period_ns) / 1e9
-    _say(f"{simulated:.0f} s of the simulated hand in {time.monotonic() - started:.0f} s")
+    note(f"{simulated:.0f} s of the simulated hand in {time.monotonic() - started:.0f} s")
     return calibration, outcome
 
 
@@ -115,11 +111,11 @@ def _from_logs(args: argparse.Namespace) -> int:
     calibration = load_calibration(path, hand) if path.exists() else None
     found: dict[Path, dict[str, TendonResult]] = {}
     for log in args.logs:
-        _say(f"reading {log}")
+        note(f"reading {log}")
         with RunLog(log) as record:
             if logged_hand(record).identity != hand.identity:
                 raise ConfigError("is of another hand", str(log), f"a log of {hand.name} {hand.identity[:12]}")
-            found[log] = {} if args.dry_run else identify(record, hand, _say)
+            found[log] = {} if args.dry_run else identify(record, hand, note)
     if args.dry_run:
         if args.json:
             print_json({"hand": hand.name, "logs": list(map(str, found)), "calibration": str(path)})
@@ -170,7 +166,7 @@ def _report(
     written = calibration is not None and not args.no_write and (told_anything or not (spoilt or met))
     if calibration is not None and written:
         write_calibration(path, calibration.model_copy(update={"identified": known}))
-    pictures = _pictures(hand, found, _say)  # they go beside the logs: where they cannot, nothing else is lost
+    pictures = _pictures(hand, found, note)  # they go beside the logs: where they cannot, nothing else is lost
     for digit, why in spoilt.items():
         say(f"handctl: nothing of {digit} is kept: {why}; expected a digit that meets nothing", error=True)
     for digit, why in met.items():

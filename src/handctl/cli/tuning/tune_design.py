@@ -9,6 +9,7 @@ from typing import Any
 from handctl.cli.console.options import print_json, say
 from handctl.cli.console.plan import layered_gains
 from handctl.cli.console.screen import screen
+from handctl.cli.console.verbosity import is_quiet
 from handctl.cli.tuning.tune_files import output_files, plants_of, subject, verify_command, write_gains
 from handctl.controller.bus_load import bus_loads
 from handctl.core.model import HandModel
@@ -35,7 +36,9 @@ def run(args: argparse.Namespace) -> int:
     plants = tuple(linear_factors(one) for one in factors)
     model = HandModel.of(twin, gains, rate)
     proof = Proof(twin, factors, plants, args.seed)
-    with screen(error=True).status(f"keeping margins on {len(plants)} plants"):
+    console = screen(error=True)
+    console.quiet = is_quiet()
+    with console.status(f"keeping margins on {len(plants)} plants"):
         try:
             found: Design = (
                 _placed(args, model, plants, rate) if args.poles is not None else design(model, plants, proof)

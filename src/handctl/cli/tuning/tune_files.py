@@ -23,14 +23,14 @@ def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, 
     Raises:
         ConfigError: their folder is not there, they are one, or they are another file of this hand.
     """
-    out: Path = args.out or Path(f"{hand}.{kind}.toml")
+    out: Path = args.output or Path(f"{hand}.{kind}.toml")
     own = [Path(f"{hand}.{what}") for what in ("calibration.toml", "gains.toml", "study")]
     read = (*own, Path(args.hand), args.gains, args.fit, getattr(args, "study", None))
-    check_output(out, "--out", *read)
+    check_output(out, "--output", *read)
     picture: Path = args.picture or named_after(out, ".png")
     check_output(picture, "--picture", *read)
     if picture.resolve() == out.resolve():
-        raise ConfigError("is the name of the picture, too", f"--out {out}", "another --out or --picture")
+        raise ConfigError("is the name of the picture, too", f"--output {out}", "another --output or --picture")
     return out, picture
 
 

@@ -9,6 +9,7 @@ from typing import Any
 from handctl.cli.console.options import checked_count, print_json
 from handctl.cli.console.plan import layered_gains
 from handctl.cli.console.screen import screen
+from handctl.cli.console.verbosity import is_quiet
 from handctl.cli.tuning.tune_files import output_files, plants_of, subject, verify_command, write_gains
 from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.gains import Gains
@@ -31,9 +32,9 @@ def run(args: argparse.Namespace) -> int:
     out, picture = output_files(args, hand.name, "search")
     plants = plants_of(args, spread, 256)
     trials = checked_count(args.trials, "--trials", 100_000)
-    crew_size = checked_count(args.workers, "--workers", 64)
+    crew_size = checked_count(args.jobs, "--jobs", 64)
     storage = args.study or Path(f"{hand.name}.study")
-    with _Progress(trials, args.json) as progress:
+    with _Progress(trials, args.json or is_quiet()) as progress:
         plan = SearchPlan(twin.to_toml(), rate, gains, plants, args.seed, trials, _designed(twin, gains, rate, plants))
         crew = workers(crew_size, args.scheduler)
         try:

@@ -1,7 +1,6 @@
 """``handctl tune verify``: new gains on the hand at rising amplitude, with the old ones to fall back on."""
 
 import argparse
-import sys
 from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
@@ -12,6 +11,7 @@ from handctl.cli.console.dry_run import told
 from handctl.cli.console.options import checked_count, print_json
 from handctl.cli.console.plan import check_bus_only, check_perturb, find_calibration, make_plan
 from handctl.cli.console.screen import screen
+from handctl.cli.console.verbosity import note
 from handctl.errors import ConfigError
 from handctl.session.calibration import ensure_calibration, homed, identified_in
 from handctl.session.exit_codes import Exit
@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     old = plan.gains
     base = old.model_copy(update={"filter": new.gains.filter})
     if old.filter != new.gains.filter:
-        print("the filter's gains cannot change in a run: both halves use the new ones", file=sys.stderr)
+        note("the filter's gains cannot change in a run: both halves use the new ones")
     if args.dry_run:
         line = f"{plan.hand.name}: would verify {args.candidate} in {len(AMPLITUDES)} rounds"
         return told(args, plan, line, gains=args.candidate, amplitudes=AMPLITUDES)

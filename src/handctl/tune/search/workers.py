@@ -93,7 +93,7 @@ class ProcessPool:
                 self._replace(slot)
                 attempts[i] += 1
                 if attempts[i] == ATTEMPTS:
-                    raise ConfigError(f"a worker died {ATTEMPTS} times on one trial", "tune search", "--workers 1")
+                    raise ConfigError(f"a worker died {ATTEMPTS} times on one trial", "tune search", "--jobs 1")
                 # The job of a dead worker comes next, so the order of results changes little.
                 waiting.appendleft(i)
 

@@ -1,0 +1,58 @@
+"""How much a verb prints on standard error: ``--quiet``, the default, or ``--verbose``.
+
+Results, errors and cautions are printed in every case.
+"""
+
+import argparse
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from enum import IntEnum
+
+from handctl.printing import message
+
+
+class Verbosity(IntEnum):
+    """How much a verb prints beside its result."""
+
+    QUIET = 0
+    NORMAL = 1
+    VERBOSE = 2
+
+
+_verbosity: ContextVar[Verbosity] = ContextVar("verbosity", default=Verbosity.NORMAL)
+
+
+@contextmanager
+def chosen_verbosity(args: argparse.Namespace) -> Iterator[None]:
+    """Use the verbosity of a command line for as long as its verb runs."""
+    quiet, verbose = getattr(args, "quiet", False), getattr(args, "verbose", False)
+    level = Verbosity.QUIET if quiet else Verbosity.VERBOSE if verbose else Verbosity.NORMAL
+    token = _verbosity.set(level)
+    try:
+        yield
+    finally:
+        _verbosity.reset(token)
+
+
+def is_quiet() -> bool:
+    """Return whether only results and errors are printed."""
+    return _verbosity.get() == Verbosity.QUIET
+
+
+def is_verbose() -> bool:
+    """Return whether details are printed."""
+    return _verbosity.get() == Verbosity.VERBOSE
+
+
+def note(text: str) -> None:
+    """Print progress or a notice on standard error, unless the verb is quiet."""
+    if not is_quiet():
+        print(message(text), file=sys.stderr, flush=True)
+
+
+def detail(text: str) -> None:
+    """Print a detail on standard error, if the verb is verbose."""
+    if is_verbose():
+        print(message(text), file=sys.stderr, flush=True)

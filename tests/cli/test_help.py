@@ -1,0 +1,211 @@
+"""Help, suggestions, renamed options, completion, and how much verbs print."""
+
+import argparse
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from handctl.cli.console.parser import Parser
+from handctl.cli.console.renamed import RENAMED
+from handctl.cli.main import GROUPS, VERBS, main, verb_parser
+from handctl.core.gains.bounds import bounds
+from tests.cli.refused import refused
+
+DOCUMENT = Path(__file__).parents[2] / "docs" / "command-line.md"
+ONE_NAME = {
+    "--output": {"--out", "--write-to", "--report"},
+    "--perturb": {"--vary", "--perturbation"},
+    "--protocol": {"--drive", "--protocols"},
+    "--jobs": {"--workers", "--processes"},
+    "--picture": {"--png"},
+    "--calibration": {"--fit"},
+}
+"""Options of several verbs, and names that no verb may use instead."""
+
+
+def sub_parsers(parser: Parser) -> dict[str, Parser]:
+    """Return the parsers of the sub-verbs."""
+    found = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
+    return dict(found[0].choices) if found else {}
+
+
+def leaves() -> dict[str, Parser]:
+    """Return the parser of each verb without sub-verbs, and of each sub-verb."""
+    found = {}
+    for verb in VERBS:
+        parser = verb_parser(verb)
+        below = {f"{verb} {name}": one for name, one in sub_parsers(parser).items()}
+        found.update(below or {verb: parser})
+    return found
+
+
+def test_help_shows_21_verbs_in_groups(capsys):
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    lines = capsys.readouterr().out.splitlines()
+    assert len(VERBS) == 21
+    assert all(any(line.startswith(f"  {verb:<11} ") for line in lines) for verb in VERBS)
+    assert all(f"{group.title}:" in lines for group in GROUPS.values())
+    assert lines[-1] == "  handctl demo --lockstep"
+
+
+@pytest.mark.parametrize("words", sorted({*VERBS, *leaves()}))
+def test_every_help_ends_with_an_example_of_its_verb(capsys, words):
+    with pytest.raises(SystemExit) as ended:
+        main([*words.split(), "--help"])
+    assert ended.value.code == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert f"handctl {words} " in f"{lines[-1]} "
+    assert lines[-2] == "example:"
+
+
+@pytest.mark.parametrize("words", sorted(leaves()))
+def test_every_verb_has_verbose_and_quiet_and_one_name_for_one_thing(words):
+    options = set(leaves()[words]._option_string_actions)
+    assert {"-v", "--verbose", "-q", "--quiet"} <= options
+    for name, others in ONE_NAME.items():
+        assert not options & others, f"{words}: {name} is the name"
+
+
+@pytest.mark.parametrize(
+    ("words", "suggestion"),
+    [
+        ("dmeo", "unknown verb 'dmeo', did you mean demo?"),
+        ("demo --lockstepp", "demo: unknown option '--lockstepp', did you mean --lockstep?"),
+        ("run --trajectry x", "run: unknown option '--trajectry', did you mean --trajectory?"),
+        ("tune serach", "did you mean search?"),
+        ("tune design --plnats=3", "tune design: unknown option '--plnats', did you mean --plants?"),
+        ("demo --protocol odriv", "did you mean odrive?"),
+        ("config show list", "config show: unknown argument 'list'"),
+    ],
+)
+def test_a_misspelt_word_is_answered_with_the_nearest_one(capsys, words, suggestion):
+    assert suggestion in refused(capsys, *words.split())
+
+
+ROWS = [(verb, old, new) for verb, options in RENAMED.items() for old, new in options.items()]
+
+
+@pytest.mark.parametrize(("verb", "old", "new"), ROWS, ids=[f"{verb} {old}" for verb, old, _ in ROWS])
+def test_an_old_spelling_is_refused_and_names_the_new_one(capsys, verb, old, new):
+    assert new in leaves()[verb]._option_string_actions
+    for words in ([old, "x"], [f"{old}=x"]):
+        line = refused(capsys, *verb.split(), *words)
+        assert line == f"handctl: {verb}: {old} has been renamed; expected {new}\n"
+
+
+def test_the_document_lists_the_renamed_options():
+    rows = re.findall(r"^\| `([a-z ]+)` \| `(--[a-z-]+)` \| `(--[a-z-]+)` \|", DOCUMENT.read_text(), re.MULTILINE)
+    assert sorted(rows) == sorted(ROWS)
+
+
+def completions(tmp_path, line):
+    """Return what a shell offers after a line."""
+    answer = tmp_path / "answer"
+    environment = os.environ | {
+        "_ARGCOMPLETE": "1", "_ARGCOMPLETE_IFS": "\n", "_ARGCOMPLETE_STDOUT_FILENAME": str(answer),
+        "COMP_LINE": line, "COMP_POINT": str(len(line)),
+    }  # fmt: skip
+    code = "import sys; sys.argv[0] = 'handctl'; from handctl.cli.main import main; main()"
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True, timeout=60)
+    return [word.strip() for word in answer.read_text().split("\n")]
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("handctl de", ["demo"]),
+        ("handctl tune ver", ["verify"]),
+        ("handctl tune design --pla", ["--plants"]),
+        ("handctl demo --protocol od", ["odrive"]),
+        ("handctl demo --hand jamia1", ["jamia11"]),
+    ],
+)
+def test_a_shell_completes_verbs_options_and_hands(tmp_path, line, expected):
+    assert completions(tmp_path, line) == expected
+
+
+def test_verbose_adds_details_on_standard_error_and_leaves_the_result(capsys):
+    assert main(["config", "list"]) == 0
+    plain = capsys.readouterr()
+    for words in (["config", "list", "-v"], ["-v", "config", "list"], ["config", "-v", "list"]):
+        assert main(words) == 0
+        out, err = capsys.readouterr()
+        assert (out, plain.err) == (plain.out, "")
+        assert "exit code 0 after" in err
+
+
+def test_verbose_names_the_files_behind_a_run(place, capsys):
+    assert main(["demo", "--lockstep", "--dry-run", "-v"]) == 0
+    err = capsys.readouterr().err
+    assert "hand: jamia from jamia, identity" in err
+    assert "bus load" in err
+
+
+def test_verbose_and_quiet_exclude_each_other(capsys):
+    assert "not allowed with" in refused(capsys, "-v", "demo", "-q")
+
+
+def test_quiet_leaves_the_findings_that_need_a_repair(capsys):
+    main(["doctor"])
+    lines = capsys.readouterr().out.splitlines()
+    main(["doctor", "--quiet"])
+    quiet = capsys.readouterr().out.splitlines()
+    assert quiet == [line for line in lines if not line.startswith("ok ")]
+
+
+def test_quiet_hides_notices_and_shows_cautions(capsys):
+    from handctl.cli.console.plan import notice
+    from handctl.cli.console.verbosity import chosen_verbosity
+
+    with chosen_verbosity(argparse.Namespace(quiet=True)):
+        notice("commissioning jamia first")
+        notice("handctl: caution: hot")
+    assert capsys.readouterr() == ("", "handctl: caution: hot\n")
+
+
+@pytest.mark.parametrize("good", [True, False])
+def test_the_doctor_fails_if_something_needs_a_repair(monkeypatch, capsys, good):
+    from handctl.cli.checks import doctor
+
+    for name in ("_priority", "_memory", "_socketcan", "_interfaces", "_vulkan", "_extras", "_space"):
+        monkeypatch.setattr(doctor, name, lambda: ("a part", True, ""))
+    monkeypatch.setattr(doctor, "_memory", lambda: ("locked memory", good, "allow it"))
+    assert main(["doctor"]) == (0 if good else 1)
+    assert main(["doctor", "--json"]) == (0 if good else 1)
+
+
+def test_each_gain_is_shown_with_meaning_and_bounds(capsys):
+    assert main(["gains", "show"]) == 0
+    lines = capsys.readouterr().out.splitlines()[1:]
+    assert len(lines) == 2 * len(bounds())
+    for key, text in zip(lines[::2], lines[1::2], strict=True):
+        gain = bounds()[key.split()[0]]
+        assert gain.why
+        assert text.startswith(f"    {gain.why.splitlines()[0]} ")
+        assert f"at most {gain.high:g}" in text
+    assert main(["gains", "show", "-q"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 1 + len(bounds())
+
+
+def test_a_gain_with_a_unit_in_its_name_tells_the_unit():
+    for key, gain in bounds().items():
+        if re.search(r"_(N|m|s|m_s|N_per_s|per_s)$", key):
+            assert re.search(r"\[[^\]]+\]\.", gain.why.splitlines()[0]), key
+
+
+def test_a_line_of_a_run_names_the_tendons(capsys, monkeypatch):
+    import io
+    import json
+
+    from handctl.cli.console import display
+
+    head = {"names": ["thumb_tendon", "index_tendon"], "ceiling": [80.0, 80.0], "rate_hz": 500.0, "load": 0.4}
+    line = {"k": 0, "t": 1.0, "mode": "ACTIVE", "phase": "hold", "tension": [3.0, 12.25], "events": []}
+    monkeypatch.setattr(sys, "stdin", io.StringIO(json.dumps(line) + "\n"))
+    display._plain(head)
+    assert capsys.readouterr().out.endswith("tension [N]  thumb 3.0  index 12.2\n")
