@@ -324,7 +324,7 @@ def test_a_wrong_perturbation_is_one_line_in_every_verb(place, capsys, verb, wor
     ("words", "said"),
     [
         ("luck=2", "--perturb: no such parameter: luck; expected one of"),
-        ("mass=2 mass=3", "--perturb: mass is there twice"),
+        ("mass=2 mass=3", "--perturb: mass is given twice"),
     ],
 )
 def test_the_simulator_refuses_the_same(capsys, words, said):

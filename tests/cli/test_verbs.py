@@ -61,7 +61,7 @@ DRY = {
 def test_json_without_hardware(capsys, verb):
     dry = ("--dry-run",) if verb == "run" else ()
     code, said = spoken(capsys, *verb.split(), *DRY[verb], *dry)
-    assert code == 0
+    assert code in ((0, 1) if verb == "doctor" else (0,))  # the doctor may find something to repair
     assert said
 
 
