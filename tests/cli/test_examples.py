@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from handctl.cli.console.parser import RUNNING_HAND
 from handctl.cli.main import FOLDERS
+from handctl.cli.parsing.parser import RUNNING_HAND
 
 EXAMPLES = {
     words: example

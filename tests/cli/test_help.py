@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from handctl.cli.console.parser import Parser
-from handctl.cli.console.renamed import RENAMED
 from handctl.cli.main import GROUPS, VERBS, main, verb_parser
+from handctl.cli.parsing.parser import Parser
+from handctl.cli.parsing.renamed import RENAMED
 from handctl.core.gains.bounds import bounds
 from tests.cli.refused import refused
 

@@ -13,12 +13,12 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple
 
-from handctl.cli.console.completion import complete, is_asked
 from handctl.cli.console.ended import Terminated, ended_by_signals, give_bugs_a_code
-from handctl.cli.console.needs import optional_packages
-from handctl.cli.console.parser import Parser, check_words, did_you_mean
 from handctl.cli.console.streams import flush, give_up_output, make_usable
 from handctl.cli.console.verbosity import chosen_verbosity, detail, is_verbose
+from handctl.cli.parsing.completion import complete, is_asked
+from handctl.cli.parsing.needs import optional_packages
+from handctl.cli.parsing.parser import Parser, check_words, did_you_mean
 from handctl.errors import ConfigError, HandctlError, IncomparableError, LogError, PowerError
 from handctl.extras import missing_extra, require
 from handctl.printing import escaped_streams, message, printable

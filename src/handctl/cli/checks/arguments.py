@@ -3,7 +3,6 @@
 import argparse
 from pathlib import Path
 
-from handctl.cli.console.completion import hand_names
 from handctl.cli.console.options import (
     SPOKEN,
     bitrate_options,
@@ -13,7 +12,8 @@ from handctl.cli.console.options import (
     json_option,
     output_option,
 )
-from handctl.cli.console.parser import SIMULATED_HAND, Example, Parser, add_sub_verb
+from handctl.cli.parsing.completion import hand_names
+from handctl.cli.parsing.parser import SIMULATED_HAND, Example, Parser, add_sub_verb
 
 EXAMPLES = {
     "config": Example("handctl config show --hand jamia"),

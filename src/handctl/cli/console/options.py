@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.console.completion import hand_names
+from handctl.cli.parsing.completion import hand_names
 from handctl.errors import ConfigError
 from handctl.hand.file.quantities import FASTEST_BUS, SLOWEST_BUS
 from handctl.printing import encodable, message

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from handctl.cli.console.options import jobs_option, json_option, output_option, run_options
-from handctl.cli.console.parser import Example, Parser, add_sub_verb
+from handctl.cli.parsing.parser import Example, Parser, add_sub_verb
 
 
 def _of_a_log(command: str) -> Example:

@@ -14,7 +14,7 @@ from handctl.cli.console.options import (
     time_scale_option,
     wire_option,
 )
-from handctl.cli.console.parser import RUNNING_HAND, SIMULATED_HAND, Example
+from handctl.cli.parsing.parser import RUNNING_HAND, SIMULATED_HAND, Example
 
 EXAMPLES = {
     "demo": Example("handctl demo --lockstep"),

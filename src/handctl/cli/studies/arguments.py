@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from handctl.cli.console.options import PROTOCOLS, hand_option, jobs_option, json_option, output_option
-from handctl.cli.console.parser import SIMULATED_HAND, Example, Parser, add_sub_verb
+from handctl.cli.parsing.parser import SIMULATED_HAND, Example, Parser, add_sub_verb
 
 EXAMPLES = {
     "fault": Example("handctl fault campaign --row N04 --calm 0"),

@@ -17,7 +17,7 @@ from handctl.cli.console.options import (
     time_scale_option,
     yes_option,
 )
-from handctl.cli.console.parser import RUNNING_HAND, SIMULATED_HAND, Example, Parser, add_sub_verb
+from handctl.cli.parsing.parser import RUNNING_HAND, SIMULATED_HAND, Example, Parser, add_sub_verb
 
 NEW_GAINS = "printf 'schema = 1\\n[motion]\\nforce_N = 12.0\\n' > new.toml;"
 """Shell command that writes a small gains file."""

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from typing import Any, NamedTuple, NoReturn
 
-from handctl.cli.console.renamed import new_spelling
+from handctl.cli.parsing.renamed import new_spelling
 from handctl.errors import ConfigError
 from handctl.printing import printable
 

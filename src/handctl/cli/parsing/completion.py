@@ -8,7 +8,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.console.parser import Parser
+from handctl.cli.parsing.parser import Parser
 
 HANDS = Path(__file__).parents[2] / "hand" / "hands"
 """Packaged hands, as ``hand.load`` finds them. Its import would take longer than a user waits for a completion."""
