@@ -1,7 +1,7 @@
-"""A running hand from Python: goals in, states out, over the controller's request socket.
+"""Python client of a running hand. It sends goals and receives states over the controller's request socket.
 
-The controller stays a process of its own; this module only sends it what a person could type, so that whatever a
-program does is checked, limited and logged in the same way.
+The controller is a separate process. The client sends the same requests as the command line. The controller checks,
+limits and logs requests of programs and of operators alike.
 """
 
 import json
@@ -29,34 +29,35 @@ from handctl.session.defaults import DEFAULT_HAND
 from handctl.session.exit_codes import Exit
 
 START_S = 300.0
-"""Longest start: commissioning included, on a slow machine; a controller that cannot start ends long before [s]."""
+"""Timeout of the start of a controller, commissioning on a slow machine included [s]. A controller that cannot start
+ends much earlier."""
 ATTACH_S = 60.0
-"""Longest time until a controller that somebody else has started is ready for goals [s]."""
+"""Timeout until a controller started by another process accepts goals [s]."""
 POLL_S = 0.2
-"""How long a line is waited for before the started controller is looked at [s]."""
+"""Timeout of one read of the state before the controller process is checked [s]."""
 NAME_OF_ASKER = 64
-"""Bytes that the name of who asks may add to a request."""
+"""Bytes that the sender's name may add to a request."""
 LEAVING = {mode.name for mode in LETTING_GO}
-"""Modes in which no goal counts any more."""
+"""Modes in which goals have no effect."""
 A_RUN = "a running handctl run"
 
 
 def connect(
     hand: str | os.PathLike[str] | None = None, bus: str | Sequence[str] = "local:demo", *arguments: str
 ) -> "HandClient":
-    """Connect to the controller of a bus, starting one if none runs there.
+    """Connect to the controller of a bus. Start a controller if none runs there.
 
-    A controller that is started here ends with this program, however that ends: the hand is relaxed and disarmed.
+    A controller started here ends with this program, also after a crash. It relaxes and disarms the hand first.
 
     Args:
-        hand: packaged hand or file, for a controller that is started; needed on a real bus, else ``"jamia"``.
-        bus: as ``--bus``; of a hand on several buses all of them, its first bus first.
-        arguments: more words for ``handctl run``, e.g. ``"--log", "run.mcap"``; on a real bus ``"--yes"``,
-            since nobody is there to be asked whether the hand may move.
+        hand: packaged hand or hand file of a new controller. Required on a real bus, otherwise ``"jamia"``.
+        bus: as ``--bus``. For a hand on several buses: all buses, the first bus of the hand first.
+        arguments: further arguments of ``handctl run``, e.g. ``"--log", "run.mcap"``. On a real bus ``"--yes"``
+            confirms that the hand may move.
 
     Raises:
-        ConfigError: that is no bus, or a real one and no hand is named.
-        BusError: there is no place for a socket.
+        ConfigError: invalid bus, or a real bus without a hand.
+        BusError: the request socket cannot be created.
     """
     given = [bus] if isinstance(bus, str) else list(bus)
     specs = list(named_buses(given).values())
@@ -77,20 +78,19 @@ def connect(
 
 
 class HandClient:
-    """A hand that waits for goals; use as a context manager, from one thread.
+    """Client of one hand. Use it as a context manager and from one thread.
 
-    At the end the hand is relaxed and disarmed if its controller was started here or a goal was set; a client that has
-    only looked leaves it as it is.
+    Closing relaxes and disarms the hand if the client started its controller or set a goal. A client that only read
+    states leaves the hand unchanged.
 
     Attributes:
-        bus: by which the controller is called.
-        child: the controller's process, if it was started here.
-        result: what a run that was started here came to, once it has ended: what ``handctl run --json`` prints, such
-            as ``log`` and ``failure``.
+        bus: bus of the controller.
+        child: controller process, None if another process started it.
+        result: output of ``handctl run --json`` after the end of a run started here, e.g. ``log`` and ``failure``.
     """
 
     def __init__(self, bus: str, command: Sequence[str] = ()) -> None:
-        """See ``connect``; the command starts a controller."""
+        """Create the client. `command` starts a controller. Use ``connect`` instead."""
         self.bus = bus
         self.child: subprocess.Popen[bytes] | None = None
         self.result: dict[str, Any] = {}
@@ -105,10 +105,10 @@ class HandClient:
             )  # Ctrl-C is for this program, which then ends the controller
 
     def __enter__(self) -> Self:
-        """Wait until the hand takes goals; commissioning included.
+        """Wait until the hand accepts goals. Commissioning may come first.
 
         Raises:
-            DriveError: the controller does not start, or takes no goals; in its own words.
+            DriveError: the controller does not start, or accepts no goals. The message is the controller's.
         """
         with ExitStack() as undo:
             undo.callback(self._end, False)
@@ -128,14 +128,14 @@ class HandClient:
         """Move digits to joint angles, e.g. ``hand.move(index=30, thumb=10)`` [deg].
 
         Args:
-            goals: the same as a mapping, e.g. ``hand.move({"index": 30})``; both together are one goal.
-            duration_s: of the motion, in the hand's time [s].
-            wait: return when it is over, not when it begins.
+            goals: goals as a mapping, e.g. ``hand.move({"index": 30})``. Keywords are added to it.
+            duration_s: duration of the motion in the time of the hand [s].
+            wait: return at the end of the motion instead of at its start.
             angle_deg: mean joint angle by digit [deg].
 
         Raises:
-            ConfigError: the goal is refused, e.g. a digit that the hand does not have; the last one stays.
-            DriveError: the run has ended, or ends meanwhile, e.g. by a fault; it says why.
+            ConfigError: the goal was refused, e.g. for an unknown digit. The previous goal stays.
+            DriveError: the run has ended or ends during the motion, e.g. by a fault. The message has the reason.
             BusError: the controller does not answer.
         """
         angles = _digits("move", goals, angle_deg)
@@ -148,12 +148,12 @@ class HandClient:
     def hold(
         self, goals: Mapping[str, float] | None = None, /, rate_N_per_s: float = 100.0, **tension_N: float
     ) -> None:
-        """Hold tensions, one for all tendons of a digit, e.g. ``hand.hold(index=12)`` [N]; returns at once.
+        """Hold tensions, one value for all tendons of a digit, e.g. ``hand.hold(index=12)`` [N]. Return immediately.
 
         Args:
-            goals: the same as a mapping, e.g. ``hand.hold({"index": 12})``; both together are one goal.
-            rate_N_per_s: how fast the tension changes [N/s].
-            tension_N: by digit [N].
+            goals: goals as a mapping, e.g. ``hand.hold({"index": 12})``. Keywords are added to it.
+            rate_N_per_s: rate of the tension [N/s].
+            tension_N: tension by digit [N].
 
         Raises:
             ConfigError, DriveError, BusError: see ``move``.
@@ -164,21 +164,21 @@ class HandClient:
         self._set_goal(goal)
 
     def state(self, timeout_s: float = ANSWER_S) -> dict[str, Any]:
-        """The present state, at most 20 ms old.
+        """Return the present state, at most 20 ms old.
 
         Args:
-            timeout_s: how long it is waited for [s].
+            timeout_s: maximum wait [s].
 
         Returns:
-            Lists in the order of the hand file, None in them where nothing is known: ``q_rad`` by joint [rad]
+            Lists in the order of the hand file, with None for unknown values: ``q_rad`` by joint [rad]
             with its standard deviation ``q_sigma_rad`` (large where a digit in contact has fewer tendons than joints),
             ``tension_N`` and ``tension_goal_N`` by tendon [N], ``tip_force_N`` with ``tip_force_sigma_N``
             and ``contact`` (bool) by digit [N], ``t_s`` time of the run [s], ``k`` tick, ``late_us`` [us], ``mode``,
             ``phase``, ``events`` of this tick.
 
         Raises:
-            DriveError: the run has ended; it says why.
-            BusError: the controller does not say anything.
+            DriveError: the run has ended. The message has the reason.
+            BusError: the controller is silent.
         """
         end = time.monotonic() + timeout_s
         while True:
@@ -191,14 +191,14 @@ class HandClient:
                 raise BusError("the controller is silent", f"bus {self.bus}", A_RUN)
 
     def wait(self, phase: str, timeout_s: float) -> dict[str, Any]:
-        """Wait until the hand is in a phase; its state then.
+        """Wait until the hand is in a phase. Return its state.
 
         Args:
-            phase: its name; ``"live"``: the hand takes goals.
-            timeout_s: how long [s].
+            phase: name of the phase. In ``"live"`` the hand accepts goals.
+            timeout_s: maximum wait [s].
 
         Raises:
-            DriveError: the run has ended, or it took too long.
+            DriveError: the run has ended, or the time is over.
         """
         end, seen = time.monotonic() + timeout_s, "nothing heard"
         while (left := end - time.monotonic()) > 0.0:
@@ -212,16 +212,16 @@ class HandClient:
         raise DriveError(f"not in phase {phase!r} after {timeout_s:g} s: {seen}", f"bus {self.bus}")
 
     def close(self) -> None:
-        """End as the ``with`` statement does; ``result`` is known after it.
+        """Close as the ``with`` statement does. Afterwards ``result`` is available.
 
         Raises:
             DriveError: a fault ended the run.
-            PowerError: a drive did not confirm that it is disabled: remove its power.
+            PowerError: a drive did not confirm that it is disabled. Remove its power.
         """
         self._end(tell=True)
 
     def _set_goal(self, goal: dict[str, Any]) -> float:
-        """Ask, and hear what the tick that takes it says; the time of that tick [s]."""
+        """Send a goal and wait for its confirmation. Return the time of the confirming tick [s]."""
         self._acting(ANSWER_S)
         if (size := len(json.dumps(goal).encode()) + NAME_OF_ASKER) > LARGEST:
             raise ConfigError(f"{size} bytes", goal["do"], f"a request of at most {LARGEST}")
@@ -236,7 +236,7 @@ class HandClient:
         return float(line["t_s"])
 
     def _acting(self, timeout_s: float) -> dict[str, Any]:
-        """The state of a hand that follows goals."""
+        """Return the state of a hand that follows goals."""
         line = self.state(timeout_s)
         if line["mode"] in LEAVING:
             self._collect()
@@ -245,7 +245,7 @@ class HandClient:
         return line
 
     def _refuse_ended(self) -> None:
-        """Say so if there is nobody to ask any more; what a run says of itself at its end is waited for."""
+        """Raise an error if the controller or this client has ended. Wait for the result of the run first."""
         self._pass_on()
         if self.child is not None and (self.child.poll() is not None or (self._live and not is_running(self.bus))):
             self._collect()
@@ -255,10 +255,11 @@ class HandClient:
             raise BusError("this client is closed", f"bus {self.bus}", "another handctl.connect")
 
     def _end(self, tell: bool) -> None:
-        """Stop what was started or moved from here, once.
+        """Stop the hand that this client started or moved. Later calls have no effect.
 
         Args:
-            tell: raise whatever ended the run; if not, because something else is being raised, only what needs hands.
+            tell: raise the error that ended the run. False during another exception: then only a drive that may still
+                have torque is an error.
         """
         if self._closed:
             return
@@ -275,7 +276,7 @@ class HandClient:
             raise self._error()
 
     def _collect(self) -> None:
-        """Let a controller that was started here end; it does as soon as its standard input does."""
+        """Close the standard input of the controller, which ends it, and read its result."""
         if self.child is not None and self.child.stdout and not self.child.stdout.closed:
             out, _ = self.child.communicate()
             self._pass_on()
@@ -283,7 +284,7 @@ class HandClient:
                 self.result = json.loads(out)
 
     def _error(self) -> DriveError:
-        """Why the run has ended."""
+        """Return the error that ended the run."""
         code = self.child.returncode if self.child else 0
         killed = f"killed by signal {-code}" if code < 0 else ""
         why = self.result.get("failure") or killed or self._last_words or "it was stopped"
@@ -292,7 +293,7 @@ class HandClient:
         return DriveError(f"the controller ended: {why}", f"bus {self.bus}")
 
     def _pass_on(self) -> None:
-        """Say what the controller has said since, where this program says what it has to."""
+        """Print the new messages of the controller on the standard error of this program."""
         if self._words.closed:
             return
         new = os.pread(self._words.fileno(), 1 << 16, self._shown)
@@ -303,10 +304,10 @@ class HandClient:
 
 
 def _digits(do: str, goals: object, named: Mapping[str, Any]) -> dict[str, Any]:
-    """Values by digit, from a mapping and from keywords.
+    """Return values by digit from a mapping and from keywords.
 
     Raises:
-        ConfigError: no mapping, no digit, or one that is there twice.
+        ConfigError: the goals are not a mapping, name no digit, or name a digit twice.
     """
     if goals is not None and not isinstance(goals, Mapping):
         raise ConfigError(repr(goals), do, 'digits by name, as in index=30 or {"index": 30}')
@@ -319,7 +320,7 @@ def _digits(do: str, goals: object, named: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _numbers(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Numbers of any kind, such as numpy's, as JSON has them; what is none stays, to be refused by its name."""
+    """Convert numbers of any type, such as numpy's, to float. Other values stay, so that the check can name them."""
     plain = dict(values)
     for key, value in values.items():
         if isinstance(value, Real) and not isinstance(value, bool):

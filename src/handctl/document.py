@@ -1,6 +1,6 @@
-"""Files that a person writes beside the hand (task, gains, calibration): TOML as validated, frozen documents.
+"""Task, gains and calibration files: TOML as validated, frozen documents.
 
-Every mistake becomes one line with file, key path, the value and what would be right.
+Every mistake becomes one line with file, key path, value, and expected value.
 """
 
 import difflib
@@ -17,7 +17,7 @@ from handctl.hand.load import read_toml
 
 
 class Document(BaseModel):
-    """Base of a file's model: no unknown keys, no infinities, no bool or text for a number, frozen."""
+    """Base class of all file models. It refuses unknown keys, infinities, and bool or text in place of a number."""
 
     model_config = ConfigDict(
         extra="forbid",
@@ -37,15 +37,15 @@ def load_document(path: Path, model: type[D]) -> D:
     """Read and validate a TOML file.
 
     Raises:
-        ConfigError: it cannot be read, is not TOML, or a key or value is wrong.
+        ConfigError: the file cannot be read, is not TOML, or has a wrong key or value.
     """
     return validated(read_toml(path), model, str(path))
 
 
 def validated(content: Mapping[str, Any], model: type[D], source: str) -> D:
-    """Validate what was parsed from TOML.
+    """Validate content parsed from TOML.
 
-    The content goes through JSON, whose strict reading knows that a list may be a tuple and 1 a float, but not true.
+    The content goes through JSON. Strict JSON validation accepts a list as tuple and 1 as float, but refuses true.
 
     Raises:
         ConfigError: a key or value is wrong.
@@ -57,9 +57,9 @@ def validated(content: Mapping[str, Any], model: type[D], source: str) -> D:
 
 
 def _line(error: ValidationError, model: type[BaseModel], content: Mapping[str, Any], source: str) -> ConfigError:
-    """The most telling of pydantic's findings: an unknown key before what it makes missing.
+    """Return the most specific error of pydantic. An unknown key comes before the key that is missing because of it.
 
-    Else the one that lies deepest: of the alternatives of a union it is the one that was meant.
+    Otherwise the deepest error is returned. Among the alternatives of a union it belongs to the intended one.
     """
     details = error.errors(include_url=False)
     deepest = max(details, key=lambda d: len(_without_tags(content, d["loc"], d["type"])))
@@ -79,9 +79,9 @@ def _line(error: ValidationError, model: type[BaseModel], content: Mapping[str, 
 
 
 def _without_tags(content: Any, location: Sequence[str | int], kind: str) -> tuple[str | int, ...]:
-    """A location without the names that pydantic adds for the alternatives of a union.
+    """Return a location without the names that pydantic adds for the alternatives of a union.
 
-    Only the end of what is missing may be a key that is not there.
+    Only the last part of a missing key's location may be absent from the content.
     """
     path: list[str | int] = []
     for position, part in enumerate(location):
@@ -104,7 +104,7 @@ def _nearest(key: str, model: type[BaseModel]) -> str:
 
 
 def _all_keys(annotation: Any) -> set[str]:
-    """Every key that occurs anywhere in a document."""
+    """Return every key that occurs anywhere in a document."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         fields = annotation.model_fields
         nested = [_all_keys(field.annotation) for field in fields.values()]

@@ -1,20 +1,20 @@
-"""The errors that reach a person: each says what, where, and what would be right, in one line."""
+"""Errors that reach the user. Each is one line: the mistake, its place, and the expected value."""
 
 from handctl.printing import message
 
 REMOVE_POWER = "REMOVE POWER"
-"""In a failure: torque may be left, and only a person can end it."""
+"""Marks a failure after which a motor may still have torque. Only the operator can end it."""
 
 
 class HandctlError(Exception):
     """An error with a one-line message: ``what; where; expected right``.
 
-    The message is printable and of bounded length, whatever its parts quote.
+    The message is printable and of bounded length.
 
     Args:
-        what: what is wrong, with the offending value.
-        where: key path, node, file and offset; empty if there is no better place than the message.
-        right: what would be right; empty if nothing can be suggested.
+        what: the mistake, with the wrong value.
+        where: key path, node, or file and offset. Empty without a place.
+        right: the expected value. Empty without a suggestion.
     """
 
     def __init__(self, what: str, where: str = "", right: str = "") -> None:
@@ -26,28 +26,28 @@ class HandctlError(Exception):
 
 
 class ConfigError(HandctlError):
-    """A hand, task, gains, calibration or trajectory file, or a command line, that cannot be used."""
+    """Invalid hand, task, gains, calibration or trajectory file, or invalid command line."""
 
 
 class BusError(HandctlError):
-    """A bus that cannot be opened or that is gone."""
+    """Bus that cannot be opened or is lost."""
 
 
 class DriveError(HandctlError):
-    """A motor drive or sensor node that is missing, refuses, or is not what the hand file says."""
+    """Motor drive or sensor node that is missing, refuses, or differs from the hand file."""
 
 
 class PowerError(DriveError):
-    """A drive that did not confirm that it is disabled: somebody must remove its power."""
+    """Drive that did not confirm that it is disabled. The operator must remove its power."""
 
 
 class UnconfirmedError(PowerError, BusError):
-    """A request that no controller has confirmed: nobody knows what the hand does.
+    """Request without a confirmation of the controller. The state of the hand is unknown.
 
     Args:
-        bus: of the controller.
-        word: what was asked, e.g. ``stop``.
-        why: what came instead of a confirmation.
+        bus: bus of the controller.
+        word: request, e.g. ``stop``.
+        why: event instead of the confirmation.
     """
 
     def __init__(self, bus: str, word: str, why: str) -> None:
@@ -55,8 +55,8 @@ class UnconfirmedError(PowerError, BusError):
 
 
 class LogError(HandctlError):
-    """A log that cannot be read, or that does not belong to this hand."""
+    """Log that cannot be read or belongs to another hand."""
 
 
 class IncomparableError(LogError):
-    """Two logs, or a log and a hand, that do not belong together."""
+    """Two logs, or a log and a hand, that cannot be compared."""

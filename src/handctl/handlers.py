@@ -1,4 +1,4 @@
-"""Signal handlers for as long as something goes on."""
+"""Temporary signal handlers."""
 
 import signal
 from collections.abc import Callable, Iterator
@@ -8,11 +8,11 @@ from types import FrameType
 
 @contextmanager
 def handling(handler: Callable[[int, FrameType | None], None], *numbers: signal.Signals) -> Iterator[None]:
-    """Have signals handled, and as before afterwards.
+    """Install a signal handler for a block and restore the previous handlers.
 
     Args:
-        handler: of all of them.
-        numbers: the signals.
+        handler: handler of all signals.
+        numbers: signals.
     """
     before = {number: signal.signal(number, handler) for number in numbers}
     try:
@@ -23,11 +23,11 @@ def handling(handler: Callable[[int, FrameType | None], None], *numbers: signal.
 
 
 class Stop:
-    """Set by SIGTERM, so that nothing is torn apart in the middle."""
+    """Flag that SIGTERM sets, so that a step in progress is completed."""
 
     def __init__(self) -> None:
         self.asked = False
 
     def __call__(self, number: int, frame: object) -> None:
-        """As signal handler."""
+        """Handle the signal: set the flag."""
         self.asked = True

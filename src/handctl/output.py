@@ -1,4 +1,4 @@
-"""Files that verbs write: all of one or nothing of it, whatever comes between."""
+"""Atomic output files: a reader finds the old file or the complete new file."""
 
 import errno
 import os
@@ -11,27 +11,27 @@ from typing import Any
 from handctl.errors import ConfigError
 
 NO_LINKS = {errno.EPERM, errno.ENOTSUP, errno.ENOSYS}
-"""What file systems without links answer, such as that of a memory stick."""
+"""Errors of file systems without links, such as FAT on a memory stick."""
 LOG, LOG_BEGINS = ".mcap", b"\x89MCAP0\r\n"
-"""Suffix, and first bytes, of what nothing may be written over."""
+"""Suffix and first bytes of a log. Outputs never overwrite a log."""
 DRAWN = {".png", ".svg", ".pdf"}
-"""Suffixes that say how a figure is written; others are PNG."""
+"""Suffixes that select the format of a figure. Every other suffix gives PNG."""
 
 
 @contextmanager
 def whole(path: Path, new: bool = False) -> Iterator[Path]:
-    """A name to write a file or folder to, which is moved to ``path`` once all of it is on the disk, if there is any.
+    """Yield a temporary path, and move it to ``path`` when its content is on the disk.
 
-    Whoever reads, also after a power cut, finds the old file or the new one, and nothing is left of what failed. A link
-    is followed; what is there and no file, as a terminal or a pipe, is written to as it is.
+    A reader finds the old file or the new file, also after a power cut. A failed output leaves no file. Links are
+    followed. An existing terminal or pipe is written directly.
 
     Args:
-        path: where it shall be.
-        new: refuse what is there.
+        path: path of the output.
+        new: refuse an existing path.
 
     Raises:
-        ConfigError: nothing can be written there.
-        OSError: it could not be written; with the name of ``path``.
+        ConfigError: the path cannot be written.
+        OSError: writing failed. The error names ``path``.
     """
     target = _target(path, new)
     if target.exists() and not target.is_file():
@@ -54,10 +54,10 @@ def whole(path: Path, new: bool = False) -> Iterator[Path]:
 
 
 def named_after(path: Path, suffix: str) -> Path:
-    """Name an output after the file that it is made of: its path with another suffix.
+    """Return the path of an output beside its source: the same path with another suffix.
 
     Raises:
-        ConfigError: the path has no file name, as ``.`` and ``/``.
+        ConfigError: the path has no file name, e.g. ``.`` or ``/``.
     """
     if not path.name:
         raise ConfigError("is a folder", str(path), "a file")
@@ -65,27 +65,27 @@ def named_after(path: Path, suffix: str) -> Path:
 
 
 def write_whole(path: Path, text: str, new: bool = False) -> None:
-    """Write text; see ``whole``."""
+    """Write text atomically, see ``whole``."""
     with whole(path, new) as part:
         part.write_text(text, encoding="utf-8")
 
 
 def save_figure(figure: Any, path: Path, dpi: int = 110) -> None:
-    """Write a figure of matplotlib; see ``whole``."""
+    """Write a figure of matplotlib atomically, see ``whole``."""
     with whole(path) as part:
         figure.savefig(part, dpi=dpi, format=path.suffix[1:] if path.suffix in DRAWN else "png")
 
 
 def check_output(path: Path, what: str, *read: Path | None) -> None:
-    """Refuse a name that ``whole`` would refuse, before anything is done.
+    """Refuse an output path before the work begins, by the rules of ``whole``.
 
     Args:
-        path: of the file.
-        what: to call it, such as its option.
-        read: files that the same verb reads, if they are given.
+        path: path of the output.
+        what: name of the output in the message, e.g. its option.
+        read: input files of the same verb.
 
     Raises:
-        ConfigError: nothing can be written there.
+        ConfigError: the path cannot be written, or is an input.
     """
     try:
         target = _target(path, False)
@@ -96,13 +96,13 @@ def check_output(path: Path, what: str, *read: Path | None) -> None:
 
 
 def _same(target: Path, other: Path) -> bool:
-    """Whether two names lead to one file, there or not."""
+    """Return True if two paths lead to one file. The file need not exist."""
     there = target.exists() and other.exists()
     return target.samefile(other) if there else str(target) == os.path.realpath(other)
 
 
 def _target(path: Path, new: bool) -> Path:
-    """Where a name leads to."""
+    """Return the target of a path, links followed."""
     target = Path(os.path.realpath(path))
     if not target.parent.is_dir():
         raise ConfigError("no such folder", str(path), "a name in a folder that exists")
@@ -117,9 +117,9 @@ def _target(path: Path, new: bool) -> Path:
 
 @contextmanager
 def _read_pipe(target: Path, path: Path) -> Iterator[None]:
-    """Refuse a named pipe that nobody reads: opening it would wait without end.
+    """Refuse a named pipe without a reader, because opening it would wait forever.
 
-    The pipe stays open meanwhile, because its reader ends when the last writer closes it.
+    The pipe stays open during the block, because its reader ends when the last writer closes it.
     """
     if not target.is_fifo():
         yield
@@ -137,7 +137,7 @@ def _read_pipe(target: Path, path: Path) -> Iterator[None]:
 
 
 def _is_log(path: Path) -> bool:
-    """Whether a file begins as a log does, whatever it is called."""
+    """Return True if a file begins with the first bytes of a log. Its name does not matter."""
     with suppress(PermissionError), path.open("rb") as file:
         return file.read(len(LOG_BEGINS)) == LOG_BEGINS
     return False
@@ -145,7 +145,7 @@ def _is_log(path: Path) -> bool:
 
 @contextmanager
 def _named(path: Path, written: Path) -> Iterator[None]:
-    """Errors name the file that the person knows."""
+    """Replace the temporary path in errors by the path that the user gave."""
     try:
         yield
     except OSError as error:
@@ -156,7 +156,7 @@ def _named(path: Path, written: Path) -> Iterator[None]:
 
 
 def _move(beside: Path, target: Path, new: bool) -> None:
-    """Put a file in its place; a new one never over what another process has put there meanwhile."""
+    """Move a file to its path. A new file never replaces a file of another process."""
     if new and beside.is_file():
         try:
             os.link(beside, target)
@@ -169,7 +169,7 @@ def _move(beside: Path, target: Path, new: bool) -> None:
 
 
 def _settle(path: Path) -> None:
-    """Have a file's bytes, or a folder's entries, on the disk."""
+    """Write the content of a file, or the entries of a folder, to the disk (fsync)."""
     with suppress(PermissionError):  # of a folder that may be written to, but not read
         descriptor = os.open(path, os.O_RDONLY)
         try:

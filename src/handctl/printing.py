@@ -1,7 +1,7 @@
-"""Text for people: what files, logs and arguments say never commands a terminal, and never fills it.
+"""Safe text output. Text from files, logs and arguments can neither control a terminal nor fill it.
 
-Every character that is not printable is written as Python escapes it: control characters, terminal escapes, marks that
-turn the direction of a line, and lone surrogates.
+Characters that are not printable are escaped as in Python source: control characters, terminal escapes, marks of text
+direction, and lone surrogates.
 """
 
 import sys
@@ -10,9 +10,9 @@ from contextlib import contextmanager
 from typing import Any, cast
 
 LONGEST_MESSAGE = 500
-"""Characters of one message."""
+"""Maximum length of a message [characters]."""
 LEFT_OUT = " [...] "
-"""Stands for the middle of a message that is longer."""
+"""Replaces the middle of a longer message."""
 
 
 def escaped(text: str, kept: str = "") -> str:
@@ -38,9 +38,9 @@ def printable(text: str, most: int = 200) -> str:
 
 
 def message(text: str, most: int = LONGEST_MESSAGE) -> str:
-    """Make one line of bounded length: line ends become spaces, and a long text loses its middle.
+    """Return one line of bounded length. Line ends become spaces. A long text loses its middle.
 
-    What is wrong stands at the beginning of a message, what would be right at its end.
+    The mistake is at the beginning of a message, the expected value at its end.
     """
     if len(text) > 4 * most:  # escaping makes a text longer, never shorter
         text = text[: 2 * most] + text[-2 * most :]
@@ -57,11 +57,11 @@ def encodable(text: str) -> str:
 
 
 class EscapedStream:
-    """A text stream that escapes what is not printable; line ends and tabs remain."""
+    """Text stream that escapes characters that are not printable. Line ends and tabs remain."""
 
     def __init__(self, stream: Any) -> None:
         self.rich_proxied_file = stream
-        """The stream itself: ``rich`` writes its own escapes there; see ``cli.console.screen``."""
+        """The original stream. ``rich`` writes its own escapes there, see ``cli.console.screen``."""
 
     def write(self, text: str) -> int:
         """Write escaped text."""
@@ -79,7 +79,7 @@ class EscapedStream:
 
 @contextmanager
 def escaped_streams() -> Iterator[None]:
-    """Escape all that is printed on standard output and standard error, whoever prints it."""
+    """Escape all text on standard output and standard error during a block."""
     before = sys.stdout, sys.stderr
     out, err = (one if isinstance(one, EscapedStream) else EscapedStream(one) for one in before)
     sys.stdout, sys.stderr = cast(Any, out), cast(Any, err)

@@ -1,4 +1,4 @@
-"""Copies of this process that work something out, and the cores that they may have."""
+"""Copies of this process for parallel work, and the number of available cores."""
 
 import os
 import signal
@@ -12,13 +12,13 @@ def cores() -> int:
 
 
 def in_copy(work: Callable[[], str]) -> tuple[int, int]:
-    """Do something in a copy of this process, which ends without anything of the original's.
+    """Run a function in a copy of this process. The copy ends without the exit handlers of the original.
 
     Args:
-        work: is done there; what it returns comes out of the pipe.
+        work: function to run. Its result is written into a pipe.
 
     Returns:
-        The process, and the reading end of the pipe. Its status is 1 where the work fails; the traceback is printed.
+        Process, and reading end of the pipe. If the function fails, the exit status is 1 and the traceback is printed.
     """
     reading, writing = os.pipe()
     process = os.fork()
