@@ -39,10 +39,10 @@ def test_a_topic_is_added_as_the_page_says(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "src" / "handctl", package, ignore=shutil.ignore_patterns("__pycache__"))
     section = PAGE.split("## How to add a topic")[1]
     definition, module, part = (dedent(code) for code in re.findall(r"   ```python\n(.*?) *```", section, re.DOTALL))
-    messages = package / "log" / "messages.py"
+    messages = package / "log" / "message_types.py"
     insert(messages, "DEFINITIONS = {\n", definition)
     (package / "log" / "topics" / "peak.py").write_text(module, encoding="utf-8")
-    everything = package / "log" / "topics" / "all.py"
+    everything = package / "log" / "topics" / "topic_set.py"
     insert(everything, "import numpy as np\n", "from handctl.log.topics.peak import PeakTopic\n")
     insert(everything, "HealthTopics(header, self._registry),\n", part)
     path = os.pathsep.join(map(str, (tmp_path, ROOT / "tests" / "log", ROOT)))

@@ -34,7 +34,7 @@ def eq10(digit, gravity, q, dq, ddq):
     moving = sum(term.value(states) for term in TERMS[:-1])
     still = TERMS[-1].value({**states, "th1": 0.0}) * weight
     first = moving + still + tau2 - digit.links.r2 * ddq[1] + digit.links.r1 * ddq[0]
-    return dynamics._own(digit, (float(first), tau2, tau3))
+    return dynamics._existing(digit, (float(first), tau2, tau3))
 
 
 dynamics._newton = eq10

@@ -90,8 +90,7 @@ class Stream:
         """Create the layout of a Message record, 31 bytes of header and the template."""
         self._channel = channel
         self._stamps = len(template.stamps)
-        # Opcode 5 is Message. Its length excludes opcode and length field: 22 bytes of header and
-        # the
+        # Opcode 5 is Message. Its length excludes opcode and length field: 22 bytes of header and the
         # data.
         self._record = MESSAGE.pack(5, 22 + len(template.data), channel, 0, 0, 0) + template.data
         fields: list[tuple[str, object, int]] = [
