@@ -1,1 +1,1 @@
-"""A run of a hand, from checked files to its log and its verdict: what every verb and every study has in common."""
+"""Runs of a hand, from checked files to log and verdict: the part common to all verbs and studies."""

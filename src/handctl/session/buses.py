@@ -1,4 +1,4 @@
-"""Buses as words where no hand tells their names."""
+"""Bus specifications from the command line for verbs without a hand file."""
 
 from collections.abc import Sequence
 
@@ -8,10 +8,12 @@ from handctl.runtime.buses.open import check_spec
 
 
 def named_buses(given: Sequence[str]) -> dict[str, str]:
-    """Specification by name, where no hand tells the names: NAME=SPEC, or names that a hand file can have.
+    """Parse bus specifications without a hand file into a mapping from bus name to specification.
+
+    A word is NAME=SPEC or a bare SPEC. Bare words get the names main, bus1, bus2 by their position.
 
     Raises:
-        ConfigError: a name twice, or none of a bus.
+        ConfigError: a name is given twice or is not a valid bus name.
     """
     found: dict[str, str] = {}
     for number, text in enumerate(given):

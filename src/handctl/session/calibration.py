@@ -1,4 +1,4 @@
-"""The calibration of a run: found, or made by commissioning the hand first."""
+"""Calibration of a run: read from a file, or made by commissioning the hand first."""
 
 import datetime
 import time
@@ -18,25 +18,25 @@ from handctl.session.plan import Plan
 from handctl.session.run import Outcome, Runner, make_controller
 
 FRESH_S = 24 * 3600.0
-"""A calibration older than this is not armed with: load cells drift and ropes creep."""
+"""Maximum age of a calibration for arming [s]. Load cells drift and tendons creep."""
 VIRTUAL_DATE = datetime.datetime.fromtimestamp(0, datetime.UTC)
 Known = dict[str, Identified]
 """Identified parameters by tendon."""
 
 
 def find_calibration(path: Path, hand: Hand, named: bool) -> tuple[Calibration | None, str]:
-    """Read the hand's calibration file, if it is good enough to arm with.
+    """Read the hand's calibration file and check that it is valid for arming.
 
     Args:
-        path: where it is or shall be.
-        hand: that is to be armed.
-        named: whether the operator has named it: then it must be good.
+        path: calibration file, which may not exist yet.
+        hand: description of the hand to arm.
+        named: True if the operator named the file. An invalid file is then an error.
 
     Returns:
-        the calibration or None, and why it is None.
+        The calibration, or None with the reason as text.
 
     Raises:
-        ConfigError: the file that is named is there and cannot be used.
+        ConfigError: the named file exists and cannot be used.
     """
     if not path.exists():
         return None, f"there is no {path}"
@@ -53,20 +53,21 @@ def find_calibration(path: Path, hand: Hand, named: bool) -> tuple[Calibration |
 
 
 def commission(plan: Plan, log: Path, runner: Runner) -> tuple[Calibration, Outcome]:
-    """Run the commissioning program.
+    """Run the commissioning program and return the new calibration with the outcome.
 
     Args:
-        plan: of the run.
-        log: file to write.
-        runner: how to run it.
+        plan: checked plan of the run.
+        log: log file to write.
+        runner: function that executes the run, live or in lockstep.
 
     Raises:
-        DriveError: a tendon, sensor or drive did not pass; as ``Outcome.refuse_unfinished``.
+        PowerError: a drive did not confirm that it is disabled.
+        DriveError: a tendon, sensor or drive did not pass. See ``Outcome.refuse_unfinished``.
     """
     controller = make_controller(plan, CommissionProgram(), None, arm_at_once=True)
     outcome = runner(plan, controller, log)
     outcome.refuse_unfinished(f"commissioning {plan.hand.name}", remedy(plan, outcome))
-    virtual = outcome.priority is None  # in lockstep there is no date, or no two runs would be the same
+    virtual = outcome.priority is None  # lockstep uses a fixed date, so that two runs are equal
     now = VIRTUAL_DATE if virtual else datetime.datetime.now(datetime.UTC)
     calibration = result(controller.model, outcome.state.progress, now.isoformat(timespec="seconds"))
     there = zip(controller.drives, outcome.state.drives, strict=True)
@@ -75,7 +76,7 @@ def commission(plan: Plan, log: Path, runner: Runner) -> tuple[Calibration, Outc
 
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
-    """Write the file; its rows are tables by tendon."""
+    """Write a calibration to a TOML file with one table per tendon."""
     rows = calibration.model_dump(by_alias=True)
     tables = {f"tendon.{name}": row for name, row in rows.pop("tendon").items()}
     tables |= {f"identified.{name}": row for name, row in rows.pop("identified").items()}
@@ -86,12 +87,15 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
 
 
 def kept(path: Path, hand: Hand, drives: Mapping[str, str], tell: Tell = silent) -> Known:
-    """What was identified before: a new tare does not change what the hand is made of; nothing of another hand.
+    """Return the identified parameters of the previous calibration, by tendon.
+
+    A new tare does not change identified parameters. The result is empty if the file is missing or unusable, or if
+    the drives have changed.
 
     Args:
-        path: of the calibration before.
-        hand: description.
-        drives: that were there now, by motor; empty if unknown.
+        path: file of the previous calibration.
+        hand: description of the hand.
+        drives: identities of the present drives by motor, or empty if unknown.
         tell: takes a notice for the operator.
     """
     try:
@@ -108,12 +112,12 @@ def kept(path: Path, hand: Hand, drives: Mapping[str, str], tell: Tell = silent)
 
 
 def identified_in(path: Path | None, hand: Hand) -> Known:
-    """Return what a calibration file says was identified; nothing without a file.
+    """Read the identified parameters of a calibration file, by tendon. Without a file the result is empty.
 
-    Tares and zeros of a simulated hand are of one seed and one start, what was identified is not.
+    Tares and zeros of a simulated hand hold for one seed and one start. Identified parameters hold for all.
 
     Raises:
-        ConfigError: the file cannot be read, is of another hand, or holds nothing identified.
+        ConfigError: the file cannot be read, is for another hand, or holds no identified parameters.
     """
     if path is None:
         return {}
@@ -124,7 +128,7 @@ def identified_in(path: Path | None, hand: Hand) -> Known:
 
 
 def homed(hand: Hand, known: Known) -> Calibration:
-    """Return the calibration of a simulated hand that starts taut with its encoders at zero."""
+    """Return the calibration of a simulated hand that starts taut with its encoders at zero [N, rad]."""
     zero = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=0.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, zero)
     made = VIRTUAL_DATE.isoformat(timespec="seconds")
@@ -132,17 +136,17 @@ def homed(hand: Hand, known: Known) -> Calibration:
 
 
 def ensure_calibration(plan: Plan, path: Path, why: str, runner: Runner, log: Path) -> Calibration:
-    """Commission a hand that cannot be armed otherwise, and say so.
+    """Commission a hand that has no valid calibration, notify the operator, and write the new calibration.
 
     Args:
-        plan: of the run that follows.
-        path: of the calibration to write.
-        why: there is none.
-        runner: how to run it.
-        log: file to write.
+        plan: plan of the run that follows.
+        path: calibration file to write.
+        why: reason why no calibration is valid.
+        runner: function that executes the run, live or in lockstep.
+        log: log file to write.
 
     Raises:
-        DriveError: as ``commission``.
+        DriveError: see ``commission``.
     """
     plan.tell(f"commissioning {plan.hand.name} first: {why}")
     calibration, _ = commission(plan, log, runner)

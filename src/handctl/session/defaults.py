@@ -1,4 +1,4 @@
-"""What holds where an operator says nothing; imports nothing, so that every verb may read it."""
+"""Defaults of the command line. The module imports nothing, so that every verb can read it."""
 
 DEFAULT_HAND = "jamia"
-"""The hand on a simulated bus where none is named; on a real bus one must be."""
+"""Default hand on a simulated bus. On a real bus the operator must name the hand."""

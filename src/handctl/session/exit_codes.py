@@ -1,25 +1,25 @@
-"""Exit codes of every verb; the README's table is the same."""
+"""Exit codes of every verb. The table in the README is the same."""
 
 from enum import IntEnum
 
 
 class Exit(IntEnum):
-    """What a verb's exit code means."""
+    """Exit code of a verb."""
 
     DONE = 0
     FAILED = 1
-    """The job could not be done: a drive is missing, a fault ended the run."""
+    """The job failed: for example, a drive is missing or a fault ended the run."""
     BAD_INPUT = 2
-    """A file or an argument is wrong; no bus was opened."""
+    """A file or an argument is wrong. No bus was opened."""
     LOSSY_LOG = 3
-    """A log was read, but not all of it."""
+    """A log was read only in part."""
     NOT_COMPARABLE = 4
-    """Two logs, or a log and a hand, that do not belong together."""
+    """Two logs, or a log and a hand, do not belong together."""
     INTERNAL = 70
-    """A bug in handctl; the drives were told to let go, and said that they did."""
+    """A bug in handctl. The drives were commanded to disable and confirmed it."""
     REMOVE_POWER = 71
     """A drive did not confirm that it is disabled: remove power."""
     INTERRUPTED = 130
-    """Ctrl-C, where no hand ran; a hand that runs is relaxed and disarmed, and the code says how that went."""
+    """Ctrl-C while no hand runs. A running hand is relaxed and disarmed, and the exit code reports the result."""
     TERMINATED = 143
-    """SIGTERM or SIGHUP, likewise."""
+    """SIGTERM or SIGHUP while no hand runs. A running hand is handled as for Ctrl-C."""

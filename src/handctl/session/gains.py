@@ -1,4 +1,4 @@
-"""Where each gain of a run comes from: packaged, the hand's gains file, and the command line, the later wins."""
+"""Gains of a run and their origin: packaged, the hand's gains file, the command line. The later one wins."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,10 +18,10 @@ class LayeredGains:
     """Gains with their origins.
 
     Attributes:
-        gains: what a run uses.
-        file: that they were read from; None: the packaged ones.
-        provenance: that the file tells.
-        origins: of every key: "packaged", the file, or "command line".
+        gains: gains that a run uses.
+        file: gains file, or None for the packaged gains.
+        provenance: provenance recorded in the file.
+        origins: origin of every key: "packaged", the file, or "command line".
     """
 
     gains: Gains
@@ -31,16 +31,16 @@ class LayeredGains:
 
 
 def layered_gains(hand: Hand, file: Path | None, words: Sequence[str], tell: Tell = silent) -> LayeredGains:
-    """Return the gains that a run uses.
+    """Return the gains that a run uses, with the origin of each.
 
     Args:
-        hand: that they are for.
-        file: that is named; None: ``HAND.gains.toml`` if it is there.
-        words: KEY=VALUE, over every file.
+        hand: description of the hand.
+        file: gains file, or None for ``HAND.gains.toml`` if that file exists.
+        words: KEY=VALUE words, which override every file.
         tell: takes a notice for the operator.
 
     Raises:
-        ConfigError: a file or a value that cannot be used, or gains of another hand.
+        ConfigError: a file or a value cannot be used, or the gains are for another hand.
     """
     default = Path(f"{hand.name}.gains.toml")
     file = file or (default if default.exists() else None)
@@ -53,10 +53,12 @@ def layered_gains(hand: Hand, file: Path | None, words: Sequence[str], tell: Tel
 
 
 def gains_for(hand: Hand, path: Path, tell: Tell = silent) -> GainsFile:
-    """Read gains that this hand may use; those of an earlier description of it may be, and that is said.
+    """Read a gains file and check that it is for this hand.
+
+    Gains for an earlier description of the same hand are accepted with a notice to the operator.
 
     Raises:
-        ConfigError: the file cannot be used, or was made for another hand.
+        ConfigError: the file cannot be used, or is for another hand.
     """
     file = load_gains_file(path)
     made = file.provenance
@@ -70,17 +72,17 @@ def gains_for(hand: Hand, path: Path, tell: Tell = silent) -> GainsFile:
 
 
 def _origin(gains: Gains, key: str, file: Path | None) -> str:
-    """Where a key comes from, before the command line."""
+    """Return the origin of a key before the command line is applied."""
     section, _, name = key.partition(".")
     said = section in gains.model_fields_set and name in getattr(gains, section).model_fields_set
     return str(file) if file and said else PACKAGED
 
 
 def assignments(words: Sequence[str], where: str) -> dict[str, float]:
-    """KEY=VALUE, as numbers by key.
+    """Parse KEY=VALUE words into numbers by key.
 
     Raises:
-        ConfigError: a word that is no assignment of a number, or a second one of a key.
+        ConfigError: a word does not assign a number, or a key is assigned twice.
     """
     found: dict[str, float] = {}
     for word in words:

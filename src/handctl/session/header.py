@@ -1,4 +1,4 @@
-"""What the log of a run says before its first tick: the hand, the gains, the machine, and how to run it again."""
+"""Header of a run's log: the hand, the gains, the machine, and the command to repeat the run."""
 
 import platform
 import sys
@@ -14,11 +14,11 @@ from handctl.runtime.clock import Priority
 from handctl.session.plan import Plan
 
 VIRTUAL_START_S = 0.0
-"""UNIX time at which every lockstep run starts: with the wall clock's no two logs would be equal [s]."""
+"""UNIX time at which every lockstep run starts [s]. With the wall clock no two logs would be equal."""
 
 
 def run_header(plan: Plan, controller: Controller, priority: Priority | None, lockstep: bool) -> RunHeader:
-    """Describe everything known before the first tick."""
+    """Build the log header from all facts known before the first tick."""
     hand = plan.hand
     installed = sorted({f"{dist.name}=={dist.version}" for dist in distributions()})
     attachments = {

@@ -1,18 +1,18 @@
-"""What a run has to say to its operator beside its result; whoever starts it decides where that goes."""
+"""Notices and progress from a run to its operator. The caller decides where they go."""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 
 Tell = Callable[[str], None]
-"""Takes one notice, a line."""
+"""Callback that takes one notice of one line."""
 Progress = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
-"""Shows the progress of what the words name; takes what is done, and of how much."""
+"""Context that shows the progress of a named step. Its callback takes the completed and the total count."""
 
 
 def silent(text: str) -> None:
-    """Take a notice and drop it: nobody reads."""
+    """Discard a notice."""
 
 
 def unseen(words: str) -> AbstractContextManager[Callable[[int, int], None]]:
-    """Show no progress."""
+    """Discard progress reports."""
     return nullcontext(lambda done, total: None)

@@ -1,4 +1,4 @@
-"""Whether a machine keeps up with a simulated hand, and the time scale at which it would."""
+"""Time scale at which a machine keeps up with a simulated hand."""
 
 import math
 from contextlib import suppress
@@ -10,26 +10,26 @@ from handctl.session.plan import Plan
 from handctl.session.run import Outcome
 
 LOAD = 0.7
-"""Fraction of its core up to which a machine keeps up."""
+"""Maximum load of a core at which a machine keeps up, as a fraction."""
 NOT_KEPT = 0.7
-"""Largest advised pace as a fraction of one that was not kept."""
+"""Maximum advised time scale as a fraction of a time scale that failed."""
 
 
 def remedy(plan: Plan, outcome: Outcome) -> str:
-    """What would be right where a simulated hand and its controller did not keep up with each other."""
+    """Return advice for a simulated run that failed because ticks or answers came too late, or an empty text."""
     if not (plan.simulated and outcome.late):
         return ""
     return f"a machine that keeps up with a simulated hand, or --time-scale {slower(plan, outcome):g} on both sides"
 
 
 def slower(plan: Plan, outcome: Outcome) -> float:
-    """Return the time scale that this machine keeps, by the computing times measured in a run that came too late.
+    """Compute the time scale that this machine can hold, from the computing times of a run that was late.
 
-    Simulator and controller have a core each, or share the only one. The simulator is asked what it measured.
+    Simulator and controller have a core each, or share the only core. The simulator reports its own measurement.
 
     Args:
-        plan: of the run.
-        outcome: of the run; its simulator still runs.
+        plan: plan of the run.
+        outcome: outcome of the run. The simulator must still be running.
     """
     own = outcome.stats.cpu_s / (outcome.state.k * plan.period_ns / 1e9) if outcome.state.k > 0 else 0.0
     told: dict[str, float | None] = {}
@@ -43,6 +43,6 @@ def slower(plan: Plan, outcome: Outcome) -> float:
 
 
 def one_digit(value: float) -> float:
-    """Return a positive number rounded down to one significant digit: 0.3 of 0.37."""
+    """Round a positive number down to one significant digit: 0.37 becomes 0.3."""
     step = 10.0 ** math.floor(math.log10(value))
     return float(f"{math.floor(value / step + 1e-9) * step:.6g}")

@@ -1,4 +1,4 @@
-"""Everything about a run that is known, and checked, before a bus is opened."""
+"""Plan of a run: all settings, checked before a bus is opened."""
 
 import math
 import os
@@ -20,37 +20,37 @@ from handctl.session.gains import layered_gains
 from handctl.session.notices import Progress, Tell, silent, unseen
 
 TICKS_IN_WATCHDOG = 2
-"""Ticks in a drive's watchdog time, at least: one lost frame is no reason to let go."""
+"""Minimum ticks per drive watchdog time. One lost frame must not disable a drive."""
 
 
 class Display(Protocol):
-    """What an operator sees while a hand runs."""
+    """Display for the operator while a hand runs."""
 
     def show(self, entry: TickIn, out: TickOut) -> None:
-        """A tick is over."""
+        """Show the state after a tick."""
         ...
 
     def close(self) -> None:
-        """The run is over."""
+        """Close the display at the end of the run."""
         ...
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Everything about a run that is known, and checked, before a bus is opened.
+    """Plan of a run: all settings, checked before a bus is opened.
 
     Attributes:
-        hand: description.
+        hand: description of the hand.
         gains: weights and noise assumptions.
-        rate_hz: control rate.
-        load: worst-case share of each bus, in the hand's order.
-        buses: specification of each bus; empty in lockstep.
+        rate_hz: control rate [Hz].
+        load: worst-case load of each bus as a fraction, in the hand's order.
+        buses: specification of each bus, empty in lockstep.
         attachments: files that go into the log.
         time_scale: run time per wall time.
-        clear: an operator has ordered that what the drives have latched be cleared.
-        display: starts the display of a run; None for none.
+        clear: True if the operator ordered to clear the latched errors of the drives.
+        display: starts the display of a run, or None for no display.
         tell: takes a notice for the operator.
-        progress: shows how far a preparation is.
+        progress: shows the progress of a preparation.
     """
 
     hand: Hand
@@ -67,33 +67,33 @@ class Plan:
 
     @property
     def period_ns(self) -> int:
-        """Control period [ns]."""
+        """Return the control period [ns]."""
         return round(1e9 / self.rate_hz)
 
     @property
     def simulated(self) -> bool:
-        """Whether it is for buses, and none of them can have real motors."""
+        """Return True if the plan has buses and none of them can have real motors."""
         return bool(self.buses) and not real_buses(self.buses)
 
     def on(self, buses: tuple[str, ...]) -> "Plan":
-        """The same plan on other buses."""
+        """Return the same plan with other buses."""
         return replace(self, buses=buses)
 
 
 @dataclass(frozen=True)
 class Choice:
-    """What an operator chooses of a run, before anything of it is checked.
+    """Operator's choices for a run, not yet checked.
 
     Attributes:
         hand: packaged name or file.
-        hand_named: whether the operator has named the hand.
-        bus: ``SPEC``, or ``NAME=SPEC`` for each bus; None in lockstep.
-        gains: file, or None for the hand's own.
-        gain: KEY=VALUE, over every file.
-        rate: control rate, or None for the highest usual one [Hz].
+        hand_named: True if the operator named the hand.
+        bus: ``SPEC``, or ``NAME=SPEC`` for each bus, or None in lockstep.
+        gains: gains file, or None for the hand's own gains.
+        gain: KEY=VALUE words, which override every file.
+        rate: control rate [Hz], or None for the highest usual rate.
         time_scale: run time per wall time.
-        log: file to write, or None.
-        clear: whether what the drives have latched is cleared.
+        log: log file to write, or None.
+        clear: True to clear the latched errors of the drives.
     """
 
     hand: str | Path
@@ -108,15 +108,15 @@ class Choice:
 
 
 def make_plan(choice: Choice, display: "Callable[[Plan], Display] | None" = None, tell: Tell = silent) -> Plan:
-    """Check hand, gains, buses and rate.
+    """Check hand, gains, buses and rate, and return the plan of the run.
 
     Args:
-        choice: of the operator.
-        display: starts the display of a run; None for none.
+        choice: choices of the operator.
+        display: starts the display of a run, or None for no display.
         tell: takes a notice for the operator.
 
     Raises:
-        ConfigError: anything that is wrong, in one line.
+        ConfigError: a choice is wrong. The message has one line.
     """
     hand = load_hand(choice.hand)
     check_load_cells(hand, str(choice.hand))
@@ -137,10 +137,10 @@ def make_plan(choice: Choice, display: "Callable[[Plan], Display] | None" = None
 
 
 def _refuse_unnamed(choice: Choice, hand: Hand, buses: Sequence[str]) -> None:
-    """Refuse the default hand on a real bus: its limits are those of other motors and tendons.
+    """Refuse the default hand on a real bus. Its limits are for other motors and tendons.
 
     Raises:
-        ConfigError: no hand is named, and the bus may have real motors.
+        ConfigError: the operator named no hand, and the bus may have real motors.
     """
     if not choice.hand_named and (real := real_buses(buses)):
         right = f"--hand, the file of the hand that is there; the default {hand.name!r} is for simulated buses alone"
@@ -148,14 +148,14 @@ def _refuse_unnamed(choice: Choice, hand: Hand, buses: Sequence[str]) -> None:
 
 
 def check_load_cells(hand: Hand, where: str) -> None:
-    """Refuse a hand with a tendon that has no load cell: no controller arms it.
+    """Refuse a hand with a tendon without a load cell. No controller arms such a hand.
 
     Args:
-        hand: to be armed.
-        where: its name or file, for the message.
+        hand: description of the hand to arm.
+        where: name or file of the hand, for the message.
 
     Raises:
-        ConfigError: ``sensor_node.tendons`` leaves a tendon out.
+        ConfigError: a tendon is missing in ``sensor_node.tendons``.
     """
     if bare := [name for name in hand.tendon_names if name not in hand.sensor_node.tendons]:
         what = f"no load cell of {', '.join(bare)}"
@@ -163,10 +163,10 @@ def check_load_cells(hand: Hand, where: str) -> None:
 
 
 def control_rate(asked: float | None, hand: Hand, loads: Sequence[BusLoad]) -> float:
-    """The rate that was asked for [Hz], or the highest usual one.
+    """Return the requested control rate [Hz], or the highest usual rate without a request.
 
     Raises:
-        ConfigError: the drives' watchdogs do not allow a lost tick at it, or a bus cannot carry it.
+        ConfigError: the drives' watchdogs do not allow a lost tick at this rate, or a bus cannot carry the load.
     """
     best = fastest(loads)
     rate = best if asked is None else asked
@@ -182,26 +182,26 @@ def control_rate(asked: float | None, hand: Hand, loads: Sequence[BusLoad]) -> f
 
 
 def _check_log(log: Path | None) -> None:
-    """Refuse a log that could not be created, before anything is opened."""
+    """Refuse a log file that cannot be created, before a bus is opened."""
     if log is not None and (log.suffix != ".mcap" or os.path.lexists(log) or not log.parent.is_dir()):
         raise ConfigError(str(log), "--log", "a new file ending in .mcap in a folder that exists")
 
 
 def fastest(loads: Sequence[BusLoad]) -> float:
-    """The highest usual control rate that all buses can carry [Hz]."""
+    """Return the highest usual control rate that all buses can carry [Hz]."""
     return highest_rate((load.tick_s for load in loads), (load.timed_fraction for load in loads))
 
 
 def check_design(hand: Hand, gains: Gains, rate_hz: float | None = None) -> None:
-    """Refuse gains from which nothing can be designed, though each is within its bounds.
+    """Refuse gains without a valid design, even if each gain is within its bounds.
 
     Args:
-        hand: that they are for.
-        gains: all of them.
-        rate_hz: at which they are used; that of the hand, if it is not given [Hz].
+        hand: description of the hand.
+        gains: all gains of the run.
+        rate_hz: control rate [Hz]. The default is the rate of the hand.
 
     Raises:
-        ConfigError: no controller or no filter follows from them.
+        ConfigError: the design of the controller or of the filter fails.
     """
     from handctl.core.model import HandModel
 
@@ -209,10 +209,10 @@ def check_design(hand: Hand, gains: Gains, rate_hz: float | None = None) -> None
 
 
 def bus_specs(hand: Hand, given: Sequence[str]) -> tuple[str, ...]:
-    """Specification of each bus of a hand, from ``--bus``.
+    """Return the specification of each bus of a hand, from ``--bus``.
 
     Raises:
-        ConfigError: a bus is missing, given twice, not the hand's, or none.
+        ConfigError: a bus is missing, given twice, or unknown to the hand, or a specification is invalid.
     """
     specs = _specs(hand.bus_names, given)
     for spec in specs:
@@ -221,7 +221,7 @@ def bus_specs(hand: Hand, given: Sequence[str]) -> tuple[str, ...]:
 
 
 def _specs(names: tuple[str, ...], given: Sequence[str]) -> tuple[str, ...]:
-    """What was given for each name."""
+    """Return the given specification for each bus name, in the order of the names."""
     if len(names) == 1 and len(given) == 1 and "=" not in given[0].partition(":")[0]:
         return (given[0],)
     found: dict[str, str] = {}
@@ -239,7 +239,8 @@ def _specs(names: tuple[str, ...], given: Sequence[str]) -> tuple[str, ...]:
 def commission_log(log: Path) -> Path:
     """Return a new name beside a run's log for the commissioning before it.
 
-    A run that a fault ended in its commissioning leaves that log and no other; the same command then goes on beside it.
+    A run that a fault ends during commissioning leaves only the commissioning log. When the same command is repeated,
+    it writes a new log beside the old one.
     """
     number, path = 1, log.with_suffix(".commission.mcap")
     while os.path.lexists(path):
@@ -248,7 +249,7 @@ def commission_log(log: Path) -> Path:
 
 
 def default_log(hand: Hand, kind: str = "") -> Path:
-    """logs/DATE-HAND.mcap, made unique."""
+    """Return a unique path logs/DATE-HAND.mcap and create the folder."""
     folder = Path("logs")
     folder.mkdir(exist_ok=True)
     stem = time.strftime("%Y%m%d-%H%M%S") + f"-{hand.name}" + (f"-{kind}" if kind else "")

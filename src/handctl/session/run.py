@@ -1,4 +1,4 @@
-"""A run from its plan to its log, on the clock or in lockstep: who is wired to whom."""
+"""Wiring of a run from its plan to its log, in real time or in lockstep."""
 
 import subprocess
 from collections.abc import Callable, Sequence
@@ -34,19 +34,19 @@ from handctl.session.header import run_header
 from handctl.session.plan import Display, Plan
 
 LATE = ("B02", "B03b", "B17", "N02", "N02b", "N08", "H03")
-"""Rows of the fault table that latch if answers or ticks come too late."""
+"""Rows of the fault table that latch when answers or ticks are late."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run came to.
+    """Outcome of a run.
 
     Attributes:
-        state: the controller's last state.
-        stats: of the loop.
+        state: last state of the controller.
+        stats: statistics of the loop.
         log: summary of the recorder.
-        priority: what the operating system granted; None in lockstep.
-        offset_ns: the run's t = 0 on the simulator's clock [ns].
+        priority: priority granted by the operating system, or None in lockstep.
+        offset_ns: time t = 0 of the run on the simulator's clock [ns].
     """
 
     state: State
@@ -57,26 +57,26 @@ class Outcome:
 
     @property
     def late(self) -> bool:
-        """Whether it failed as it does where host or simulator do not keep up with real time."""
+        """Return True if a fault latched that occurs when host or simulator does not keep up with real time."""
         return any(mark.id in LATE for mark in self.state.latched)
 
     @property
     def exit(self) -> Exit:
-        """Exit code of a verb that did nothing but this run."""
+        """Return the exit code of a verb that consists of this run only."""
         if self.state.unconfirmed:
             return Exit.REMOVE_POWER
         return Exit.FAILED if self.state.failure else Exit.DONE
 
     def refuse_unfinished(self, where: str, right: str = "") -> None:
-        """Let nobody go on from a run that did not come to its end.
+        """Raise an error if the run did not finish.
 
         Args:
-            where: what the run was for.
-            right: what would help, if anything is known.
+            where: purpose of the run, for the message.
+            right: known remedy, for the message, or empty.
 
         Raises:
             PowerError: a drive did not confirm that it is disabled.
-            DriveError: something else ended it.
+            DriveError: the run ended early for another reason.
         """
         if self.state.unconfirmed:
             raise PowerError(self.state.failure, where)
@@ -85,25 +85,25 @@ class Outcome:
 
 
 Runner = Callable[["Plan", Controller, Path], Outcome]
-"""How a run is run: ``run_live``, or its twin in lockstep."""
+"""Function that executes a run: ``run_live``, or its counterpart in lockstep."""
 
 
 def make_controller(plan: Plan, program: Program, calibration: Calibration | None, arm_at_once: bool) -> Controller:
-    """Design the gains and put the controller together; a bar shows how far it is compiled where that takes a while."""
+    """Design the gains and build the controller. A progress bar is shown when the compilation takes long."""
     with plan.progress("compiling the controller, once") as told:
         prepare(told)
     return setup.make_controller(plan.hand, plan.gains, plan.rate_hz, program, calibration, arm_at_once)
 
 
 class Attendant(Protocol):
-    """Somebody who watches a run from this process, and asks as a person would."""
+    """Observer in this process that watches a run and sends requests like an operator."""
 
     def take(self) -> tuple[str, ...]:
-        """Requests since the last call."""
+        """Return the requests since the last call."""
         ...
 
     def see(self, entry: TickIn, out: TickOut) -> None:
-        """A tick is over."""
+        """Receive the input and output of a finished tick."""
         ...
 
 
@@ -113,11 +113,11 @@ def run_live(
     """Run on real time and real (or simulated) buses.
 
     Args:
-        plan: checked.
-        controller: with its program.
-        log: file to write.
-        live_view: show the growing log in Rerun, from a process of its own.
-        attendant: who watches and asks, if anybody.
+        plan: checked plan of the run.
+        controller: controller with its program.
+        log: log file to write.
+        live_view: True to show the growing log in Rerun, from a separate process.
+        attendant: observer that sends requests, or None.
 
     Raises:
         BusError: a bus cannot be opened, or another controller runs on it.
@@ -154,7 +154,7 @@ def run_live(
 def run_lockstep(
     plan: Plan, controller: Controller, log: Path, clock: LockstepClock, attendant: Attendant | None = None
 ) -> Outcome:
-    """Run in virtual time against the clock's peer; may be called again with the same clock."""
+    """Run in virtual time against the clock's peer. Further calls with the same clock are allowed."""
     clock.restart()
     header = run_header(plan, controller, None, lockstep=True)
     began = {TRUTH_OFFSET: str(clock.offset_ns)}
@@ -166,7 +166,7 @@ def run_lockstep(
 
 
 def refuse_blind_view(wanted: bool) -> None:
-    """Refuse ``--view`` where there is no screen, before a bus is opened.
+    """Refuse ``--view`` in a session without a screen, before a bus is opened.
 
     Raises:
         ConfigError: this session has no screen.
@@ -178,7 +178,7 @@ def refuse_blind_view(wanted: bool) -> None:
 
 
 def _start_view(log: Path) -> Callable[[], None]:
-    """Start the live view; what ends its feeding (the viewer itself stays open)."""
+    """Start the live view and return a function that stops its feeding process. The viewer stays open."""
     from handctl.view.live_view import start_live
 
     child: subprocess.Popen[bytes] = start_live(log)
@@ -186,7 +186,7 @@ def _start_view(log: Path) -> Callable[[], None]:
 
 
 def keeper(recorder: Recorder) -> Callable[[TickIn, State], None]:
-    """Return what hands the state to a recorder every second, behind the ticks that it belongs to."""
+    """Return a function that records a snapshot of the state every second, after the tick of that state."""
     due_ns = PERIOD_NS
 
     def keep(entry: TickIn, state: State) -> None:
@@ -228,7 +228,7 @@ def _loop(
 
 
 def _requests(plan: Plan, signals: StopSignals, mailbox: Mailbox) -> Callable[[], tuple[str, ...]]:
-    """What people and programs ask, tick after tick; an order from the command line is the first."""
+    """Return a function that collects the requests of a tick. An order from the command line comes first."""
     orders = [CLEAR] if plan.clear else []
 
     def take() -> tuple[str, ...]:
@@ -260,11 +260,11 @@ def _attended(attendant: Attendant | None, others: Shows) -> Shows:
 
 
 WATCH_HZ = 50.0
-"""How often a program that watches gets a line."""
+"""Rate of the status lines for watching programs [Hz]."""
 
 
 def _shows(display: Display | None, mailbox: Mailbox, rate_hz: float) -> Callable[[TickIn, TickOut], None]:
-    """What is done after each tick for those who watch: the display, and programs."""
+    """Return a function that updates the display and the watching programs after each tick."""
     every = max(1, round(rate_hz / WATCH_HZ))
 
     def show(entry: TickIn, out: TickOut) -> None:
@@ -288,7 +288,7 @@ def _finish(
     priority: Priority | None,
     offset_ns: Callable[[], int],
 ) -> Outcome:
-    """Run the loop and close what hangs on it, whatever happens."""
+    """Run the loop, then close display and recorder, also after an error."""
     reason = "controller error"
     try:
         state = loop.run(controller.initial())

@@ -1,6 +1,6 @@
-"""A controller against the simulated hand in lockstep, put together here and nowhere else.
+"""Lockstep simulation of a controller against the simulated hand. All such runs are built in this module.
 
-``simulate`` runs it to its end, a ``Simulation`` goes tick by tick, and ``Simulator.clock`` is for runs with a log.
+``simulate`` runs to the end, ``Simulation`` runs tick by tick, and ``Simulator.clock`` is for runs with a log.
 """
 
 import math
@@ -25,43 +25,43 @@ from handctl.programs.program import Program
 from handctl.runtime.lockstep import SIMULATED_HAND, LockstepBus, LockstepClock, Peer, load_peer
 
 CHECK_NS = 2_000_000
-"""Period of a simulated hand that is built only to see whether it can be [ns]."""
+"""Control period of a simulated hand that is built only as a check [ns]."""
 
 
 class SimulatedHand(Peer, Protocol):
-    """The simulated hand as an object: the other side of the wire, which takes faults.
+    """Simulated hand as an object: the other side of the wire, with fault injection.
 
     Attributes:
-        world: plant and nodes, for whoever looks behind the wire.
+        world: plant and nodes, for direct access behind the wire.
     """
 
     world: Any
 
     def inject(self, text: str) -> None:
-        """Let a fault begin."""
+        """Inject a fault."""
         ...
 
     def fault_states(self) -> list[dict[str, Any]]:
-        """Return every fault so far, and what was felt of it."""
+        """Return every injected fault with its observed effect."""
         ...
 
     def truth(self) -> dict[str, list[float]]:
-        """Return tensions [N] and torques commanded to the motors [N m], now."""
+        """Return the present tensions [N] and the torques commanded to the motors [N m]."""
         ...
 
 
 @dataclass(frozen=True)
 class Simulator:
-    """What is on the other side of the wire.
+    """Settings of the simulated hand on the other side of the wire.
 
     Attributes:
         hand: packaged name, file, or description.
-        scene: packaged name, file or text of one; None for a free hand.
-        seed: of noise, slack and encoder offsets.
+        scene: packaged name, file or text of a scene, or None for a free hand.
+        seed: random seed of noise, slack and encoder offsets.
         perturb: factors on the plant's parameters.
-        homed: whether it starts taut, with its encoders at zero.
-        truth: file for what really happened; None for none.
-        wire: KEY=VALUE words of a simulated wire; None for answers that are never late.
+        homed: True if the hand starts taut with its encoders at zero.
+        truth: truth file to write, or None.
+        wire: KEY=VALUE words of a simulated wire, or None for answers that are never late.
         serials: serial numbers of the drives.
     """
 
@@ -76,13 +76,13 @@ class Simulator:
 
     @contextmanager
     def peer(self, period_ns: int) -> Iterator[SimulatedHand]:
-        """Build the simulated hand, and close it with its truth file.
+        """Build the simulated hand, and close it with its truth file at the end of the context.
 
         Args:
-            period_ns: length of a tick [ns].
+            period_ns: control period [ns].
 
         Raises:
-            ConfigError: it cannot be built.
+            ConfigError: the simulated hand cannot be built.
         """
         with tempfile.TemporaryDirectory(prefix="handctl-simulated-") as folder:
             peer = load_peer(
@@ -103,19 +103,19 @@ class Simulator:
             peer.close()
 
     def check(self) -> None:
-        """Build the simulated hand only to see whether it can be; see ``peer``."""
+        """Check that the simulated hand can be built. See ``peer``."""
         with self.peer(CHECK_NS):
             pass
 
     @contextmanager
     def clock(self, period_ns: int) -> Iterator[LockstepClock]:
-        """Build the simulated hand and the clock that steps it, for one run or several on end; see ``peer``."""
+        """Build the simulated hand and its clock, for one run or several consecutive runs. See ``peer``."""
         with self.peer(period_ns) as peer:
             yield LockstepClock(peer, period_ns)
 
     @contextmanager
     def against(self, controller: Controller) -> Iterator["Simulation"]:
-        """Begin a run of a controller; see ``peer``."""
+        """Begin a run of a controller against the simulated hand. See ``peer``."""
         with self.peer(round(1e9 * controller.model.period)) as peer:
             yield Simulation.of(controller, peer)
 
@@ -136,16 +136,16 @@ class Simulator:
 
 @dataclass
 class Simulation:
-    """One run of a controller against a simulated hand, tick by tick.
+    """Run of a controller against a simulated hand, tick by tick.
 
     Attributes:
-        controller, peer: both sides.
+        controller, peer: both sides of the wire.
         period_ns: control period [ns].
-        state: of the controller.
+        state: state of the controller.
         k: number of the next tick.
-        out: of the last tick; None before the first.
-        kept: what came in and went out of every tick, if ``keep``.
-        keep: whether to keep it.
+        out: output of the last tick, or None before the first tick.
+        kept: input and output of every tick, if ``keep`` is True.
+        keep: True to store the input and output of every tick.
     """
 
     controller: Controller
@@ -159,7 +159,7 @@ class Simulation:
 
     @staticmethod
     def of(controller: Controller, peer: SimulatedHand) -> "Simulation":
-        """Begin a run."""
+        """Begin a run of a controller against a peer."""
         return Simulation(controller, peer, round(1e9 * controller.model.period), controller.initial())
 
     def __post_init__(self) -> None:
@@ -169,13 +169,13 @@ class Simulation:
     def tick(
         self, io: tuple[IoEvent, ...] = (), requests: tuple[str, ...] = (), late_ns: int = 0, skip: int = 0
     ) -> TickOut:
-        """Run one tick, and the simulated hand up to the next.
+        """Run one tick, then advance the simulated hand to the next tick.
 
         Args:
             io: events of buses and host.
-            requests: of the operator.
+            requests: requests of the operator.
             late_ns: lateness of the tick [ns].
-            skip: deadlines that are missed before it.
+            skip: number of deadlines missed before the tick.
         """
         for _ in range(skip):
             self._step()
@@ -184,10 +184,10 @@ class Simulation:
         return out
 
     def ticks(self, limit_s: float = math.inf) -> Iterator[tuple[TickIn, TickOut]]:
-        """Run ticks until the controller is done; the simulated hand stands at the time of the tick that is yielded.
+        """Run and yield ticks until the controller is done. The simulated hand is at the time of the yielded tick.
 
         Args:
-            limit_s: end of the run if the controller is not done before [s].
+            limit_s: maximum run time [s].
         """
         while self.k * self.period_ns < limit_s * 1e9:
             entry, out = self._decide((), (), 0)
@@ -197,7 +197,7 @@ class Simulation:
             self._step()
 
     def until(self, reached: Callable[[TickOut], bool], timeout_s: float) -> bool:
-        """Run until something is so, at most for some time [s]; whether it came."""
+        """Run until a condition on the output is true, at most ``timeout_s`` [s]. Return True if it was reached."""
         for _ in range(round(timeout_s * 1e9 / self.period_ns)):
             out = self.tick()
             if reached(out):
@@ -222,12 +222,12 @@ class Simulation:
 
 
 def homed_controller(model: HandModel, program: Program, hand: Hand | None = None) -> Controller:
-    """Put the controller of a homed hand together, in which nothing has to be tared.
+    """Build the controller of a homed hand, which needs no tare.
 
     Args:
-        model: with its gains designed.
-        program: to run.
-        hand: whose drives and sensors there are, if not the model's.
+        model: hand model with its gains designed.
+        program: program to run.
+        hand: hand with the actual drives and sensors. The default is the hand of the model.
     """
     there, nothing = hand or model.hand, np.zeros(model.tendon_count)
     return Controller(model, make_drives(there), make_sensors(there), program, nothing, nothing)
@@ -242,13 +242,13 @@ def simulate(
     """Run a controller to its end against a simulated hand.
 
     Args:
-        controller: with its program.
-        simulator: what is on the other side of the wire.
-        see: takes each tick.
-        limit_s: end of the run if the controller is not done before [s].
+        controller: controller with its program.
+        simulator: settings of the simulated hand.
+        see: takes the input and output of each tick.
+        limit_s: maximum run time [s].
 
     Returns:
-        the controller's last state.
+        The last state of the controller.
     """
     with simulator.against(controller) as run:
         run.keep = False

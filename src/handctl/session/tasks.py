@@ -1,4 +1,4 @@
-"""Tasks and trajectories: those that come with handctl and those of files, checked against the hand."""
+"""Tasks and trajectories, packaged with handctl or from files, checked against the hand."""
 
 from pathlib import Path
 
@@ -11,10 +11,10 @@ TASKS = Path(__file__).parents[1] / "tasks"
 
 
 def find_task(name: Path, hand: Hand) -> tuple[Task, bytes]:
-    """A task file, from the path or from those that come with handctl, checked against the hand.
+    """Load a task from a path or from the packaged tasks, and check it against the hand.
 
     Raises:
-        ConfigError: there is none, or something in it is wrong.
+        ConfigError: the task does not exist, or its content is wrong.
     """
     path = name if name.exists() else TASKS / name.with_suffix(".toml").name
     if not path.exists():
@@ -26,10 +26,10 @@ def find_task(name: Path, hand: Hand) -> tuple[Task, bytes]:
 
 
 def find_trajectory(path: Path, hand: Hand) -> Task:
-    """A trajectory file as a task, checked against the hand.
+    """Load a trajectory file as a task, and check it against the hand.
 
     Raises:
-        ConfigError: there is none, or something in it is wrong.
+        ConfigError: the file does not exist, or its content is wrong.
     """
     task = load_trajectory(path)
     check_suits(task, hand, str(path))
@@ -40,8 +40,8 @@ def check_suits(task: Task, hand: Hand, where: str) -> None:
     """Refuse a task that does not suit the hand.
 
     Raises:
-        ConfigError: a digit, a number of angles, a tension or an angle that the hand does not have; a move too fast; a
-            tip force of an underactuated digit.
+        ConfigError: the hand does not have a digit, a number of angles, a tension or an angle of the task, a move is
+            too fast, or a tip force is for an underactuated digit.
     """
     check_task(task, hand.digit_names, min(tendon.tension_max_N for tendon in hand.tendon), where, shapes(hand))
     check_tip_force(task, hand, where)

@@ -1,4 +1,4 @@
-"""Judging a finished run: its numbers and its picture."""
+"""Verdict on a finished run: numbers and picture."""
 
 import shutil
 from contextlib import suppress
@@ -26,17 +26,17 @@ def judge(
     picture: bool = True,
     task: Task | None = None,
 ) -> dict[str, Any]:
-    """Numbers of a run, with its picture beside the log.
+    """Compute the numbers of a run and draw its picture beside the log.
 
-    A disk that became full under the run costs the picture, said in a line, and nothing else.
+    If the disk is full, only the picture is left out, with a notice of one line.
 
     Args:
-        plan: of the run.
-        outcome: of the run.
-        log: its file.
-        truth_file: of the simulator, copied beside the log; None on hardware.
-        picture: whether to draw.
-        task: that was carried out, if its grasp is to be judged: one that did not carry its object is a failure.
+        plan: plan of the run.
+        outcome: outcome of the run.
+        log: log file of the run.
+        truth_file: truth file of the simulator, copied beside the log, or None on hardware.
+        picture: True to draw the picture.
+        task: executed task, if its grasp is to be judged. A grasp that did not carry its object is a failure.
     """
     truth_file = _beside(log, truth_file, plan.tell) if truth_file else None
     truth = read_truth(truth_file) if truth_file else None
@@ -65,12 +65,12 @@ def judge(
 
 
 def _holds(task: Task | None) -> set[str]:
-    """Return the names of the phases in which a task holds something."""
+    """Return the names of the phases in which a task holds an object."""
     return {phase.name for phase in task.phase if isinstance(phase, Hold)} if task else set()
 
 
 def _beside(log: Path, truth: Path, tell: Tell) -> Path:
-    """The truth beside the log, or where it is if there is no room."""
+    """Copy the truth file beside the log and return its path. If the copy fails, return the original path."""
     beside = log.with_suffix(".truth")
     if truth == beside:
         return beside
@@ -83,7 +83,7 @@ def _beside(log: Path, truth: Path, tell: Tell) -> Path:
 
 
 def _picture(plan: Plan, outcome: Outcome, record: RunLog, truth: TruthRecord | None, log: Path) -> Path | None:
-    """The picture of the run; None if there is no room."""
+    """Draw the picture of the run and return its path, or None if the file cannot be written."""
     path = log.with_suffix(".png")
     try:
         draw_run(path, record, plan.hand, truth, outcome.offset_ns, f"{plan.hand.name}: {log.name}")
@@ -94,12 +94,12 @@ def _picture(plan: Plan, outcome: Outcome, record: RunLog, truth: TruthRecord | 
 
 
 def _left_out(path: Path, error: OSError, tell: Tell) -> None:
-    """Say that a file beside the log could not be written; half of one is worth nothing."""
+    """Delete a partly written file beside the log and notify the operator."""
     with suppress(OSError):
         path.unlink()
     tell(f"handctl: {path} is left out: {error.strerror or error}")
 
 
 def lost_frames(plan: Plan, outcome: Outcome) -> int:
-    """Return how many frames a bus refused or the sensor node never sent; an answer after the next SYNC is late."""
+    """Count the frames that a bus refused or the sensor node never sent. A reply after the next SYNC is late."""
     return outcome.stats.refused + make_sensors(plan.hand).lost(*outcome.state.sensor_counts)
