@@ -1,1 +1,1 @@
-"""Verbs on logs."""
+"""Verbs that read logs."""

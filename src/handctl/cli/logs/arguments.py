@@ -1,4 +1,4 @@
-"""What the verbs take. What they do, and all that it needs, is imported only when one is carried out."""
+"""Arguments of the verbs. The code of a verb and its imports are loaded only when the verb runs."""
 
 import argparse
 from pathlib import Path
@@ -26,7 +26,7 @@ EXAMPLES = {
     "log export": _of_a_log("handctl log export run.mcap --csv"),
     "report": _of_a_log("handctl report run.mcap"),
 }
-"""Example of each verb and sub-verb."""
+"""Example of each verb and each sub-verb, as shown in its help text."""
 FORMATS = {
     "parquet": "one table, a row a tick",
     "csv": "the same as text",
@@ -34,11 +34,11 @@ FORMATS = {
     "rrd": "for the Rerun viewer",
     "lerobot": "a LeRobot dataset (3.0) of one episode, in a folder",
 }
-"""That a log is exported to."""
+"""Formats of ``log export``, each with its description."""
 
 
 def view(parser: argparse.ArgumentParser) -> None:
-    """Declare what ``view`` takes."""
+    """Declare the arguments of ``view``."""
     parser.add_argument("log", type=Path, metavar="LOG", help="log of a run")
     parser.add_argument("--save", type=Path, metavar="FILE.rrd", help="write a Rerun recording, open nothing")
     parser.add_argument(
@@ -52,7 +52,7 @@ def view(parser: argparse.ArgumentParser) -> None:
 
 
 def replay(parser: Parser) -> None:
-    """Declare what ``replay`` takes."""
+    """Declare the arguments of ``replay``."""
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="KIND")
     _execute(_kind(kinds, "execute", "run the controller on the log's inputs, compare every output byte; no bus"))
     _drive(_kind(kinds, "drive", "drive the recorded run on the hand again and say how the two differ"))
@@ -91,7 +91,7 @@ def _safety(parser: argparse.ArgumentParser) -> None:
 
 
 def log(parser: Parser) -> None:
-    """Declare what ``log`` takes."""
+    """Declare the arguments of ``log``."""
     kinds = parser.add_subparsers(dest="what", required=True, metavar="WHAT")
 
     def kind(name: str, text: str) -> Parser:
@@ -114,7 +114,7 @@ def log(parser: Parser) -> None:
 
 
 def report(parser: argparse.ArgumentParser) -> None:
-    """Declare what ``report`` takes."""
+    """Declare the arguments of ``report``."""
     json_option(parser)
     parser.add_argument("log", type=Path, help="the log")
     output_option(parser, "the page (default: LOG.html)")

@@ -1,4 +1,4 @@
-"""``handctl log``: what is in a log, whether it is sound, how two differ; export it, or repair a broken one."""
+"""``handctl log``: show, check, compare, export and repair logs."""
 
 import argparse
 import os
@@ -13,11 +13,11 @@ from handctl.output import named_after, whole
 from handctl.session.exit_codes import Exit
 
 UNITS = {"candump": "frames", "rrd": "bytes", "lerobot": "frames"}
-"""What is counted; rows otherwise."""
+"""Unit of the exported count for each format. Formats not listed count rows."""
 
 
 def run(args: argparse.Namespace) -> int:
-    """Do one of them."""
+    """Run the selected sub-verb and return its exit code."""
     done: dict[str, Callable[[argparse.Namespace], int]] = {
         "info": _info,
         "check": _check,
@@ -64,14 +64,14 @@ def _info(args: argparse.Namespace) -> int:
 
 
 def _shown(value: object) -> str:
-    """A value as a person reads it."""
+    """Return the text of a value: yes or no, 9 significant digits, or ``-`` if empty."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     return f"{value:.9g}" if isinstance(value, float) else str(value) or "-"
 
 
 def _lateness(log: RunLog) -> dict[str, float]:
-    """How late ticks began [us]."""
+    """Return the median, 99.9th percentile and maximum of the tick lateness [us]."""
     import numpy as np
 
     late = log.late_ns / 1e3
@@ -123,7 +123,7 @@ def _diff(args: argparse.Namespace) -> int:
 
 
 def _export(args: argparse.Namespace) -> int:
-    os.environ.setdefault("RUST_LOG", "error")  # Rerun's own notes; what matters is said by us
+    os.environ.setdefault("RUST_LOG", "error")  # hide Rerun's own log lines: handctl reports the errors itself
     with RunLog(args.log) as log:
         out = args.output or named_after(args.log, f".{args.format}")
         with whole(out, new=True) as part, progress("writing", quiet=args.json):

@@ -1,7 +1,6 @@
-"""``handctl replay``: a recorded run through the controller again, on the hand again, or past other limits.
+"""``handctl replay``: execute a recorded run again, drive it on the hand, or judge it by other limits.
 
-The arguments of all kinds are declared here; what does a kind is imported when it is asked for, because only one of
-them knows buses.
+This verb imports the module of a kind only when that kind is requested, because only ``drive`` uses buses.
 """
 
 import argparse
@@ -9,6 +8,6 @@ import importlib
 
 
 def run(args: argparse.Namespace) -> int:
-    """Replay."""
+    """Run the selected kind of replay and return its exit code."""
     done: int = importlib.import_module(f"handctl.cli.logs.replay_{args.kind}").run(args)
     return done

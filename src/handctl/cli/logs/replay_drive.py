@@ -1,4 +1,4 @@
-"""``handctl replay drive``: a recorded run on the hand again, and how the two differ."""
+"""``handctl replay drive``: drive a recorded run on the hand and compare both runs."""
 
 import argparse
 from dataclasses import replace
@@ -18,11 +18,11 @@ from handctl.session.run import make_controller, run_live
 
 
 def run(args: argparse.Namespace) -> int:
-    """Drive it again."""
+    """Drive the recorded run, compare the new log with it, and return the exit code."""
     with RunLog(args.recorded) as before:
         plan = make_plan(args)
         check_same_hand(before, plan.hand.name, plan.hand.identity, f"--hand {args.hand}")
-        logged_hand(before)  # its names are those of the columns
+        logged_hand(before)  # refuse a log whose hand cannot be rebuilt: the column names come from that hand
         program = playback(before, plan.period_ns * 1e-9, args.raw)
         path, calibration, why = find_calibration(args, plan.hand)
         begin, end = active_interval(before)

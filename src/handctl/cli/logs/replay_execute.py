@@ -1,6 +1,6 @@
-"""``handctl replay execute``: what the controller decided is decided again, or what other gains would have commanded.
+"""``handctl replay execute``: repeat the controller's decisions, with the logged gains or with other gains.
 
-This module and all that it imports know no bus.
+This module and its imports use no bus.
 """
 
 import argparse
@@ -15,7 +15,7 @@ from handctl.session.exit_codes import Exit
 
 
 def run(args: argparse.Namespace) -> int:
-    """Execute the log again."""
+    """Execute the log again and return the exit code."""
     from handctl.log.read.reader import RunLog
 
     if args.within is not None and not args.within >= 0:
@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _same(args: argparse.Namespace, log: Any) -> bool:
-    """Execute it with its own gains; whether all is equal."""
+    """Execute the log with its own gains. Return True if all ticks are equal or within tolerance."""
     from importlib.metadata import version
 
     from handctl.log.code_identity import code_identity
@@ -81,21 +81,21 @@ def _same(args: argparse.Namespace, log: Any) -> bool:
 
 
 def _writer(log: Any) -> tuple[str, str]:
-    """Version and code that wrote a log."""
+    """Return the version and the code identity of the handctl that wrote a log."""
     from handctl.log.code_identity import UNKNOWN
 
     return log.header.metadata.get("version", UNKNOWN), log.header.metadata.get("code", UNKNOWN)
 
 
 def _sentence(one: Any) -> str:
-    """A difference for a person."""
+    """Return one line of text for a difference: tick, time [s], field, logged and computed value."""
     place = f"{one.field} of {one.name}" if one.name else one.field
     apart = f", {one.ulps} units in the last place" if one.ulps is not None else ""
     return f"tick {one.k} ({one.t_s:.3f} s), {place}: logged {one.logged!r}, now {one.computed!r}{apart}"
 
 
 def _other_gains(args: argparse.Namespace, log: Any) -> bool:
-    """Execute it with other gains, and draw what they would have commanded; always good."""
+    """Execute the log with other gains and draw their commands. Always return True."""
     from handctl.core.gains.gains import load_gains
     from handctl.replay.counterfactual import Commands, draw, summary
     from handctl.replay.execute import execute

@@ -1,4 +1,4 @@
-"""``handctl replay safety``: what other limits would have stopped in a recorded run. This module knows no bus."""
+"""``handctl replay safety``: list the stops of a recorded run under other limits. This module uses no bus."""
 
 import argparse
 
@@ -9,7 +9,7 @@ from handctl.replay.other_limits import judge_by_limits
 
 
 def run(args: argparse.Namespace) -> int:
-    """Judge again."""
+    """Judge the recorded run by the given limits, print the stops, and return the exit code."""
     with RunLog(args.recorded) as log:
         with progress("judging", len(log), args.json) as told:
             found = judge_by_limits(log, args.limits, told)

@@ -9,7 +9,7 @@ from handctl.output import check_output, named_after
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the page."""
+    """Write the HTML page of a run and return the exit code."""
     from handctl.log.read.reader import RunLog
     from handctl.replay.rebuild import logged_hand
     from handctl.report.run_page import write_page

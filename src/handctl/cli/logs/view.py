@@ -1,4 +1,4 @@
-"""``handctl view``: look at a log in Rerun, keep it as Rerun recording, or make a picture of it."""
+"""``handctl view``: show a log in Rerun, save it as a Rerun recording, or draw a picture of it."""
 
 import argparse
 import os
@@ -14,8 +14,8 @@ from handctl.session.exit_codes import Exit
 
 
 def run(args: argparse.Namespace) -> int:
-    """Show it, or write what was asked for."""
-    os.environ.setdefault("RUST_LOG", "error")  # Rerun's own notes; what matters is said by us
+    """Show the log, or write the requested recording and picture. Return the exit code."""
+    os.environ.setdefault("RUST_LOG", "error")  # hide Rerun's own log lines: handctl reports the errors itself
     _check(args)
     if args.follow:
         from handctl.view.follow import follow
@@ -42,7 +42,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _moment(args: argparse.Namespace, log: Any) -> float:
-    """Moment of the picture [s]."""
+    """Return the time of the picture in the run [s].
+
+    Raises:
+        ConfigError: ``--at`` is outside the run.
+    """
     from handctl.view.picture_time import picture_time
 
     end_s = float(log.times[-1]) if len(log) else 0.0
@@ -54,7 +58,7 @@ def _moment(args: argparse.Namespace, log: Any) -> float:
 
 
 def _check(args: argparse.Namespace) -> None:
-    """Refuse what cannot be done before anything is read."""
+    """Refuse impossible options before the log is read."""
     from handctl.view.viewer import check_screen, software_vulkan
 
     if args.follow and (args.save or args.picture):
@@ -73,7 +77,7 @@ def _check(args: argparse.Namespace) -> None:
 
 
 def _write(args: argparse.Namespace, subject: Any, at_s: float) -> dict[str, Any]:
-    """The recording, and the picture."""
+    """Write the recording and the picture. Return the fields of the JSON result."""
     from handctl.view.feed import write_rrd
 
     result: dict[str, Any] = {}
@@ -101,7 +105,7 @@ def _picture(args: argparse.Namespace, rrd: Path, at_s: float) -> dict[str, Any]
 
 
 def _window(log: Path, subject: Any, found: Any) -> None:
-    """Open the viewer, send it the log, and wait until it is closed."""
+    """Open the viewer, send the log to it, and wait until the user closes the viewer."""
     from handctl.view.browse import browse
 
     with browse(log, subject, [], {}, found) as running:

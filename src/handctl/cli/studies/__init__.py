@@ -1,1 +1,1 @@
-"""Verbs that try a simulated hand many times: faults, and the source paper."""
+"""Verbs that run many simulations of a hand: fault studies and the source paper."""

@@ -1,4 +1,4 @@
-"""What the verbs take. What they do, and all that it needs, is imported only when one is carried out."""
+"""Arguments of the verbs. The code of a verb and its imports are loaded only when the verb runs."""
 
 import argparse
 from pathlib import Path
@@ -17,14 +17,14 @@ EXAMPLES = {
     "fault sequences": Example("handctl fault sequences --count 2 --seed 7"),
     "paper": Example("handctl paper --quick"),
 }
-"""Example of each verb and sub-verb."""
+"""Example of each verb and each sub-verb, as shown in its help text."""
 TEXT = """a fault is KIND COMPONENT=INSTANCE [size=X] [p=X] [at=TIME] [for=TIME] [seed=N], as in
 'drop node=3 p=0.05 at=3s for=2s', 'snap tendon=index_tendon', 'stuck cell=thumb_tendon at=500ms';
 handctl fault kinds lists all that a running simulator knows"""
 
 
 def fault(parser: Parser) -> None:
-    """Declare what ``fault`` takes."""
+    """Declare the arguments of ``fault``."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="inject|list|kinds|campaign|sequences")
 
     def action(name: str, text: str) -> Parser:
@@ -43,7 +43,7 @@ def fault(parser: Parser) -> None:
 
 
 def paper(parser: argparse.ArgumentParser) -> None:
-    """Declare what ``paper`` takes."""
+    """Declare the arguments of ``paper``."""
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument("--json", action="store_true", help="print the items as JSON on standard output")
     kind.add_argument("--markdown", action="store_true", help="print the page as Markdown on standard output")

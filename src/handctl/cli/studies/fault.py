@@ -1,4 +1,4 @@
-"""``handctl fault``: faults for a simulated hand, one by one, the whole matrix, or sequences by chance."""
+"""``handctl fault``: inject single faults, the whole fault matrix, or random sequences into a simulated hand."""
 
 import argparse
 
@@ -6,11 +6,11 @@ from handctl.cli.console.options import print_json
 from handctl.runtime.simulator import ask_simulator, find_simulator
 
 MOST_NAMES = 8
-"""Names of instances that are shown in one line."""
+"""Maximum number of instance names in one line."""
 
 
 def run(args: argparse.Namespace) -> int:
-    """Do it."""
+    """Run the selected action and return its exit code."""
     if args.action in ("campaign", "sequences"):
         from handctl.cli.studies import fault_campaign, fault_sequences
 
@@ -21,7 +21,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _ask(args: argparse.Namespace, question: dict[str, object]) -> int:
-    """Ask a running simulator, and show its faults."""
+    """Send a request to a running simulator and print its faults."""
     faults = ask_simulator(find_simulator(args.bus), question)["faults"]
     if args.json:
         print_json({"faults": faults})
@@ -33,7 +33,7 @@ def _ask(args: argparse.Namespace, question: dict[str, object]) -> int:
 
 
 def _kinds(args: argparse.Namespace) -> int:
-    """What can be injected."""
+    """Print the kinds of fault and the instances that accept them."""
     kinds = ask_simulator(find_simulator(args.bus), {"kinds": True})["kinds"]
     if args.json:
         print_json({"kinds": kinds})

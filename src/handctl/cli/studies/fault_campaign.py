@@ -1,4 +1,4 @@
-"""``handctl fault campaign``: the whole fault matrix against a simulated hand in lockstep."""
+"""``handctl fault campaign``: run the whole fault matrix on a simulated hand in lockstep."""
 
 import argparse
 import json
@@ -27,14 +27,14 @@ from handctl.session.plan import Plan, fastest
 from handctl.session.simulate import Simulation
 
 QUICK_CALM_S, CALM_S = 4.0, 60.0
-"""How long the undisturbed hand is watched for each protocol, in a sample and in full [s]."""
+"""Duration of the fault-free run for each protocol, in a quick and in a full campaign [s]."""
 JOBS_MOST = 64
 FIRST = "bringing the hand to its stages"
 CALM_MOST_S = 86_400.0
 
 
 def run(args: argparse.Namespace) -> int:
-    """Try everything, report, and say whether all is as it must be."""
+    """Run the campaign and write its reports. Fail if a detection is late or an alarm is false."""
     check_seed(args.seed)
     if not 1 <= args.jobs <= JOBS_MOST:
         raise ConfigError(f"{args.jobs}", "--jobs", f"1 to {JOBS_MOST}")
@@ -70,14 +70,14 @@ def run(args: argparse.Namespace) -> int:
 
 
 def report_folder(args: argparse.Namespace) -> Path:
-    """Where reports and the logs of failures go; it is there then."""
+    """Create and return the folder of the reports and of the logs of failed scenarios."""
     folder: Path = args.output or Path("logs") / "campaign"
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 
 
 def rate_of(hand: Hand) -> float:
-    """The rate at which a hand runs by default [Hz]."""
+    """Return the default control rate of a hand [Hz]."""
     return fastest(bus_loads(hand))
 
 
@@ -91,7 +91,7 @@ def _say(report: Report, folder: Path, as_json: bool) -> None:
 
 
 def keeper(folder: Path) -> Callable[[Simulation, ScenarioResult], None]:
-    """Writes the log of a scenario that failed."""
+    """Return a function that writes the log of a failed scenario into ``folder``."""
 
     def keep(course: Simulation, result: ScenarioResult) -> None:
         name = re.sub(r"[^A-Za-z0-9=.]+", "-", result.scenario)

@@ -1,4 +1,4 @@
-"""``handctl fault sequences``: random sequences of faults against a simulated hand in lockstep."""
+"""``handctl fault sequences``: run random sequences of faults on a simulated hand in lockstep."""
 
 import argparse
 from typing import Any
@@ -15,7 +15,7 @@ COUNT_MOST = 1_000_000
 
 
 def run(args: argparse.Namespace) -> int:
-    """Let them happen, and tell which rules were not kept."""
+    """Run the sequences and report the broken rules. Return the exit code."""
     for name, value, most in (("--jobs", args.jobs, JOBS_MOST), ("--count", args.count, COUNT_MOST)):
         if not 1 <= value <= most:
             raise ConfigError(f"{value}", name, f"1 to {most}")

@@ -1,4 +1,4 @@
-"""``handctl paper``: the source paper reproduced, with its misprints: table, JSON, Markdown, figures, one page."""
+"""``handctl paper``: reproduce the source paper and its misprints as table, JSON, Markdown, figures or page."""
 
 import argparse
 import json
@@ -33,7 +33,7 @@ COLOURS = {
 
 
 def run(args: argparse.Namespace) -> int:
-    """Compute everything, measure what is asked for, and print it."""
+    """Compute all items, run the requested experiments, and print the items. Return the exit code."""
     if not 1 <= args.jobs <= 64:
         raise ConfigError(f"{args.jobs}", "--jobs", "1 to 64")
     _writable(args.output, args.figures, args.export)
@@ -51,10 +51,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _results(path: Path | None, jobs: int) -> dict[str, Any]:
-    """Read the experiments' results, or do the experiments and keep them.
+    """Read the results of the experiments, or run the experiments and save their results.
 
     Raises:
-        ConfigError: the file has no results, or none could be written there.
+        ConfigError: the file holds no results, or results cannot be written to it.
     """
     if path is None:
         return _measured(jobs)
@@ -66,7 +66,7 @@ def _results(path: Path | None, jobs: int) -> dict[str, Any]:
 
 
 def _writable(report_file: Path | None, *folders: Path | None) -> None:
-    """Find out before the experiments whether their results can be written."""
+    """Check before the experiments that the report and the folders can be written."""
     if report_file:
         check_output(report_file, "--output")
     for folder in filter(None, folders):
@@ -94,7 +94,7 @@ def _print(args: argparse.Namespace, parts: tuple[PageSection, ...]) -> None:
 
 
 def _measured(jobs: int) -> dict[str, Any]:
-    """All experiments, with progress on standard error."""
+    """Run all experiments and show the progress on standard error. Return their results."""
     done = 0
     with progress("starting the simulator", count()) as told:
 
@@ -108,7 +108,7 @@ def _measured(jobs: int) -> dict[str, Any]:
 
 
 def _table(parts: tuple[PageSection, ...]) -> None:
-    """The items for a terminal."""
+    """Print the tables of the items on a terminal, then the count of each verdict."""
     from rich.table import Table
     from rich.text import Text
 

@@ -1,1 +1,1 @@
-"""Verbs on gains and on what a hand is made of."""
+"""Verbs that tune gains and identify the parameters of a hand."""

@@ -1,4 +1,4 @@
-"""What the verbs take. What they do, and all that it needs, is imported only when one is carried out."""
+"""Arguments of the verbs. The code of a verb and its imports are loaded only when the verb runs."""
 
 import argparse
 from pathlib import Path
@@ -38,11 +38,11 @@ EXAMPLES = {
     "tune search": Example("handctl tune search --hand jamia --plants 1 --trials 2 --output found.toml"),
     "tune verify": Example(f"{NEW_GAINS} handctl tune verify new.toml --hand jamia --lockstep --dry-run"),
 }
-"""Example of each verb and sub-verb."""
+"""Example of each verb and each sub-verb, as shown in its help text."""
 
 
 def identify(parser: argparse.ArgumentParser) -> None:
-    """Declare what ``identify`` takes."""
+    """Declare the arguments of ``identify``."""
     run_options(parser, bus_required=False)
     parser.add_argument(
         "--digits", nargs="+", action="extend", metavar="DIGIT", help="which (default: all, one after the other)"
@@ -63,13 +63,13 @@ def identify(parser: argparse.ArgumentParser) -> None:
 
 
 def gains(parser: Parser) -> None:
-    """Declare what ``gains`` takes."""
+    """Declare the arguments of ``gains``."""
     kinds = parser.add_subparsers(dest="what", required=True, metavar="show|diff|apply|rollback|log|set")
 
     def kind(name: str, text: str) -> Parser:
         one = add_sub_verb(kinds, name, text, EXAMPLES[f"gains {name}"])
         json_option(one)
-        if name != "set":  # a running controller knows its hand
+        if name != "set":  # no --hand for set: the running controller has loaded its hand
             hand_option(one)
         return one
 
@@ -96,7 +96,7 @@ def gains(parser: Parser) -> None:
 
 
 def tune(parser: Parser) -> None:
-    """Declare what ``tune`` takes."""
+    """Declare the arguments of ``tune``."""
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="design|search|verify")
     _design(_kind(kinds, "design", "design gains with margins on every plant of an ensemble, from linear models"))
     _search(_kind(kinds, "search", "search the best gains on an ensemble of simulated plants"))

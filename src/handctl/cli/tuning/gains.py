@@ -1,4 +1,4 @@
-"""``handctl gains``: which gains a hand uses, where they come from, other ones, the way back; and live changes."""
+"""``handctl gains``: show, compare, apply and roll back the gains of a hand, and change gains live."""
 
 import argparse
 import itertools
@@ -21,11 +21,11 @@ from handctl.session.plan import check_design
 from handctl.tune.gains_store import Entry, GainsStore
 
 TAKEN_OVER_S = 3.0
-"""How long a running controller may take to design and take over gains."""
+"""Maximum time for a running controller to design and take over gains [s]."""
 
 
 def run(args: argparse.Namespace) -> int:
-    """Do what was asked."""
+    """Run the selected sub-verb and return its exit code."""
     if args.what == "set":
         return _set(args)
     does = {"show": _show, "diff": _diff, "apply": _apply, "rollback": _rollback, "log": _log}
@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _show(args: argparse.Namespace, hand: Hand) -> int:
-    """Every gain with its origin."""
+    """Print every gain with its value, origin, meaning and bounds."""
     layers, known = layered_gains(args, hand), bounds()
     told = layers.provenance
     if args.json:
@@ -64,14 +64,18 @@ def meaning(gain: Bound) -> str:
 
 
 def _told(told: Provenance) -> str:
-    """Provenance in a few words."""
+    """Return the provenance in one phrase: number, time and sources."""
     rests = [*told.log, *filter(None, (told.fit, told.study, told.note))]
     number = f", number {told.number}" if told.number else ""
     return number + (f", made {told.made}" if told.made else "") + (f", from {', '.join(rests)}" if rests else "")
 
 
 def _diff(args: argparse.Namespace, hand: Hand) -> int:
-    """Keys whose values are not the same."""
+    """Print the gains that differ between two sides.
+
+    Raises:
+        ConfigError: more than two sides.
+    """
     sides = {0: ["packaged", "present"], 1: ["present", *args.sides], 2: args.sides}.get(len(args.sides))
     if sides is None:
         raise ConfigError(f"{len(args.sides)} sides", "gains diff", "at most two")
@@ -87,7 +91,11 @@ def _diff(args: argparse.Namespace, hand: Hand) -> int:
 
 
 def _side(word: str, hand: Hand) -> Gains:
-    """Gains by what a person calls them."""
+    """Return the gains that ``word`` names: packaged, present, a history number, a log or a gains file.
+
+    Raises:
+        ConfigError: the history has no such number.
+    """
     store = GainsStore(hand.name)
     if word == "packaged":
         return Gains()
@@ -109,7 +117,7 @@ def _side(word: str, hand: Hand) -> Gains:
 
 
 def _apply(args: argparse.Namespace, hand: Hand) -> int:
-    """Make gains the present ones."""
+    """Apply a gains file as the present gains of the hand."""
     file = gains_for(hand, args.file, notice)
     check_design(hand, file.gains)
     own = {"fit": args.fit, "study": args.study, "note": args.note, "log": tuple(map(str, args.log))}
@@ -120,7 +128,7 @@ def _apply(args: argparse.Namespace, hand: Hand) -> int:
 
 
 def _rollback(args: argparse.Namespace, hand: Hand) -> int:
-    """The way back."""
+    """Restore earlier gains. Default to the newest entry if the present file cannot be used."""
     store = GainsStore(hand.name, hand.identity)
     entries = store.entries()
     newest = entries[-1].number if entries else 0
@@ -129,7 +137,7 @@ def _rollback(args: argparse.Namespace, hand: Hand) -> int:
 
 
 def _set_aside(store: GainsStore) -> bool:
-    """Move a present file that cannot be used out of the way, and say so; whether there was one."""
+    """Move an unusable present file aside and report it. Return True if a file was moved."""
     aside = store.set_aside()
     if aside:
         say(f"handctl: {store.path} cannot be used, and is {aside} now", error=True)
@@ -145,7 +153,7 @@ def _done(args: argparse.Namespace, store: GainsStore, told: Provenance) -> int:
 
 
 def _log(args: argparse.Namespace, hand: Hand) -> int:
-    """The history."""
+    """Print the history of applied gains and mark the present entry."""
     store = GainsStore(hand.name)
     entries = store.entries()
     try:
@@ -168,7 +176,7 @@ def _number(present: Any) -> int:
 
 
 def _line(entry: Entry, entries: list[Entry]) -> str:
-    """One entry for a person: when, from what, and how many gains it changed."""
+    """Return one line of text for an entry: time, sources, and the first three changed gains."""
     before = {one.number: one.file.gains for one in entries}.get(entry.file.provenance.replaces, Gains())
     old, new = flat(before), flat(entry.file.gains)
     changed = [key for key in new if new[key] != old[key]]
@@ -177,7 +185,7 @@ def _line(entry: Entry, entries: list[Entry]) -> str:
 
 
 def _set(args: argparse.Namespace) -> int:
-    """Change gains of a running controller; what cannot be is refused before anything is sent."""
+    """Change gains of a running controller. Refuse invalid values before any request is sent."""
     from handctl.runtime.confirm import open_watcher, send_confirmed
 
     values = assignments(args.values, "gains set")
@@ -200,11 +208,11 @@ def _set(args: argparse.Namespace) -> int:
 
 
 def _answers(watcher: Any, values: dict[str, float], taken: dict[str, Any]) -> dict[str, str]:
-    """What the controller says of the gains that were asked for in the tick ``taken``: those that have changed.
+    """Return the text of each changed gain that was requested in the tick ``taken``.
 
     Raises:
-        ConfigError: it refuses.
-        UnconfirmedError: it says nothing.
+        ConfigError: the controller refuses the gains.
+        UnconfirmedError: the controller does not confirm the gains in time.
     """
     said: dict[str, str] = {}
     for line in itertools.chain((taken,), watcher.lines(TAKEN_OVER_S)):
@@ -218,10 +226,10 @@ def _answers(watcher: Any, values: dict[str, float], taken: dict[str, Any]) -> d
 
 
 def _heed(text: str) -> None:
-    """Raise what the controller refuses.
+    """Raise the refusal that ``text`` contains.
 
     Raises:
-        ConfigError: it does.
+        ConfigError: the controller refused the request.
     """
     if text.startswith(REFUSED):
         raise ConfigError(text.removeprefix(REFUSED), "the controller")

@@ -1,4 +1,4 @@
-"""``handctl identify``: find out what a hand is made of, by exciting it or from logs; keep it."""
+"""``handctl identify``: identify the parameters of a hand by excitation or from logs, and save them."""
 
 import argparse
 import shlex
@@ -42,7 +42,7 @@ CLEAR_THE_WAY = "expected a digit that touches nothing: move away what it meets,
 
 
 def run(args: argparse.Namespace) -> int:
-    """Excite or read, fit, report, keep."""
+    """Excite the hand or read logs, fit, report and save. Return the exit code."""
     given = sum(map(bool, (args.bus, args.lockstep, args.logs)))
     if given != 1:
         raise ConfigError(f"{given or 'none'} of them", "--bus, --lockstep, --from-log", "one of them")
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     plan = make_plan(args, lockstep=args.lockstep)
     program = ExciteProgram(excitation(plan.hand, tuple(args.digits or plan.hand.digit_names)))
     path, calibration, why = find_calibration(args, plan.hand)
-    if args.lockstep and not args.calibration:  # nothing of a simulated hand into what the real one is armed with
+    if args.lockstep and not args.calibration:  # keep simulated results out of the real calibration
         path = _of_simulated(plan.hand)
     total = sum(step.duration_s for step in program.steps)
     if args.dry_run:
@@ -93,7 +93,7 @@ def _in_lockstep(
 def _commission_and_excite(
     plan: Plan, program: ExciteProgram, log: Path, runner: Runner
 ) -> tuple[Calibration, Outcome]:
-    """A new hand is commissioned, then excited."""
+    """Commission the hand, then excite it. Return the calibration and the outcome."""
     started = time.monotonic()
     calibration, _ = commission(plan, commission_log(log), runner)
     outcome = runner(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
@@ -103,7 +103,7 @@ def _commission_and_excite(
 
 
 def _from_logs(args: argparse.Namespace) -> int:
-    """Recorded runs, no motion; the last log that tells of a tendon counts."""
+    """Identify from recorded runs without motion. The last log with a result for a tendon counts."""
     hand = load_hand(args.hand)
     path = calibration_path(args, hand)
     if _simulated(args.logs) and not args.calibration:
@@ -126,15 +126,15 @@ def _from_logs(args: argparse.Namespace) -> int:
 
 
 def _of_simulated(hand: Hand) -> Path:
-    """Where a simulated hand's calibration goes: not where the real one is armed with it."""
+    """Return the calibration file of a simulated hand. The real hand is never armed with this file."""
     return Path(f"{hand.name}.lockstep.calibration.toml")
 
 
 def _simulated(logs: list[Path]) -> bool:
-    """Whether runs are of a simulated hand in lockstep.
+    """Return True if the logs are of a simulated hand in lockstep.
 
     Raises:
-        ConfigError: some are, and some are not.
+        ConfigError: only some of the logs are of a simulated hand.
     """
     kinds = {}
     for log in logs:
@@ -152,7 +152,7 @@ def _report(
     path: Path,
     calibration: Calibration | None,
 ) -> int:
-    """The calibration, pictures, numbers."""
+    """Write the calibration, draw the pictures, and print the results. Return the exit code."""
     made = now()
     known = kept(path, hand, calibration.drive if calibration else {}, notice)
     every = [one for tendons in found.values() for one in tendons.values()]
@@ -166,7 +166,7 @@ def _report(
     written = calibration is not None and not args.no_write and (told_anything or not (spoilt or met))
     if calibration is not None and written:
         write_calibration(path, calibration.model_copy(update={"identified": known}))
-    pictures = _pictures(hand, found, note)  # they go beside the logs: where they cannot, nothing else is lost
+    pictures = _pictures(hand, found, note)  # after the calibration: a drawing error loses nothing else
     for digit, why in spoilt.items():
         say(f"handctl: nothing of {digit} is kept: {why}; expected a digit that meets nothing", error=True)
     for digit, why in met.items():

@@ -1,6 +1,6 @@
-"""``handctl tune``: gains by design, by a search on the twin, and the proof on the hand.
+"""``handctl tune``: design gains, search gains on the twin, and verify gains on the hand.
 
-The arguments of all kinds are declared here; what does a kind is imported when it is asked for.
+This verb imports the module of a kind only when that kind is requested.
 """
 
 import argparse
@@ -12,7 +12,7 @@ from handctl.cli.console.options import (
 
 
 def run(args: argparse.Namespace) -> int:
-    """Tune."""
+    """Run the selected kind of tuning and return its exit code."""
     check_seed(args.seed)
     done: int = importlib.import_module(f"handctl.cli.tuning.tune_{args.kind}").run(args)
     return done

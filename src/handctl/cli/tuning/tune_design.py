@@ -1,4 +1,4 @@
-"""``handctl tune design``: margins before and after, and the gains that have them."""
+"""``handctl tune design``: design gains and compare the stability margins before and after."""
 
 import argparse
 import math
@@ -21,7 +21,7 @@ LOWEST_POLE_HZ, MOST_DAMPING = 0.01, 100.0
 
 
 def run(args: argparse.Namespace) -> int:
-    """Design, draw, write."""
+    """Design the gains, draw the loops, and write both files. Fail if the margins are too small."""
     from handctl.tune.loops.design import Design, design, linear_factors, redesigned
     from handctl.tune.loops.steps import Proof
     from handctl.tune.plots import draw_loops
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _nothing(args: argparse.Namespace, why: str) -> int:
-    """No gains are written."""
+    """Report the reason why no gains are written and return the exit code of a failure."""
     if args.json:
         print_json({"gains": None, "picture": None, "enough": False, "why": why})
     say(f"handctl: tune design: {why}; nothing is written", error=True)
@@ -70,7 +70,11 @@ def _nothing(args: argparse.Namespace, why: str) -> int:
 
 
 def _placed(args: argparse.Namespace, model: HandModel, plants: Any, rate: float) -> Any:
-    """Poles where the person wants them."""
+    """Return the design with the poles of ``--poles-Hz`` [Hz] and the damping ratio of ``--damping``.
+
+    Raises:
+        ConfigError: a pole or the damping is not a number in its limits.
+    """
     from handctl.tune.loops.design import placed
 
     try:

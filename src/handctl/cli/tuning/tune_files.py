@@ -1,4 +1,4 @@
-"""Files that the kinds of ``handctl tune`` read and write alike."""
+"""Files that all kinds of ``handctl tune`` read and write."""
 
 import argparse
 import shlex
@@ -18,10 +18,10 @@ from handctl.tune.search.ensemble import ensemble, widths
 
 
 def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, Path]:
-    """Gains file and picture to write.
+    """Return the paths of the gains file and of the picture.
 
     Raises:
-        ConfigError: their folder is not there, they are one, or they are another file of this hand.
+        ConfigError: a folder is missing, both paths are equal, or a path is another file of this hand.
     """
     out: Path = args.output or Path(f"{hand}.{kind}.toml")
     own = [Path(f"{hand}.{what}") for what in ("calibration.toml", "gains.toml", "study")]
@@ -35,10 +35,10 @@ def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, 
 
 
 def plants_of(args: argparse.Namespace, spread: dict[str, float], most: int) -> tuple[dict[str, float], ...]:
-    """Return the factors of the plants to tune on: an ensemble around the hand as it is known.
+    """Return the factors of the plants to tune on: an ensemble around the best estimate of the hand.
 
-    Without a calibration it lies around the hand file with the factors of ``--perturb`` on it. An identification of
-    the perturbed hand has found these factors, so that they are not put on top of it.
+    Without a calibration, the center of the ensemble is the hand file times the factors of ``--perturb``. With a
+    calibration, the identification already contains these factors. They are not applied again.
 
     Raises:
         ConfigError: too few or too many plants, or ``--perturb`` is wrong.
@@ -66,19 +66,19 @@ def same_hand_words(args: argparse.Namespace) -> list[str]:
 
 
 def write_gains(path: Path, gains: Gains, hand: Hand, note: str, fit: Path | None = None, study: str = "") -> None:
-    """A gains file that says where it comes from."""
+    """Write a gains file with its provenance."""
     told = Provenance(hand=hand.name, identity=hand.identity, note=note, fit=str(fit or ""), study=study)
     write_whole(path, gains_text(gains, told))
 
 
 class Subject(NamedTuple):
-    """What is tuned.
+    """Hand to tune, its identified twin, and the spread of the ensemble.
 
     Attributes:
-        hand: as in its file, whose name and identity the gains carry.
-        twin: the same with what was identified in the place of what the file says: the controller's model, as with
-            this calibration in a run, and the middle of the ensemble.
-        spread: half widths of the ensemble that the identification asks for; see ``ensemble``.
+        hand: the hand as in its file. The gains carry its name and identity.
+        twin: the hand with the identified parameters in place of those in the file. The twin is the controller's
+            model, as in a run with this calibration, and the center of the ensemble.
+        spread: half widths of the ensemble from the identification. See ``ensemble``.
     """
 
     hand: Hand
@@ -87,10 +87,10 @@ class Subject(NamedTuple):
 
 
 def subject(name: str, fit: Path | None) -> Subject:
-    """The hand to tune.
+    """Load the hand to tune and its identified parameters.
 
     Args:
-        name: of a packaged hand, or its file.
+        name: name of a packaged hand, or path of a hand file.
         fit: calibration file with identified parameters, or None.
 
     Raises:

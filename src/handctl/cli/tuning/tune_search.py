@@ -1,4 +1,4 @@
-"""``handctl tune search``: the best gains on an ensemble of twins; goes on where it was interrupted."""
+"""``handctl tune search``: search the best gains on an ensemble of twins. An interrupted search can resume."""
 
 import argparse
 import time
@@ -21,7 +21,7 @@ from handctl.session.plan import control_rate
 
 
 def run(args: argparse.Namespace) -> int:
-    """Search, draw, write."""
+    """Search the gains, draw the trials, and write both files. Fail if no trial keeps the margins."""
     from handctl.tune.plots import draw_search
     from handctl.tune.search.search import SearchPlan, search
     from handctl.tune.search.workers import workers
@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _nothing_good(args: argparse.Namespace, found: Any, storage: Path, picture: Path, trials: int) -> int:
-    """No gains are written."""
+    """Report that no trial keeps the margins and return the exit code of a failure."""
     if args.json:
         print_json(_result(found, storage, None, picture))
     else:
@@ -68,7 +68,7 @@ def _nothing_good(args: argparse.Namespace, found: Any, storage: Path, picture: 
 
 
 def _designed(hand: Hand, gains: Gains, rate: float, plants: tuple[dict[str, float], ...]) -> tuple[Gains, ...]:
-    """The design for the same plants as a second point to begin from, if there is one."""
+    """Return the design for the same plants as a second start point, or nothing if the design fails."""
     from handctl.tune.loops.design import design, linear_factors
 
     try:
@@ -79,7 +79,7 @@ def _designed(hand: Hand, gains: Gains, rate: float, plants: tuple[dict[str, flo
 
 
 class _Progress:
-    """How far a search is, what the best is, and how long it will take."""
+    """Progress display of a search: completed trials, best trial and remaining time."""
 
     def __init__(self, trials: int, quiet: bool) -> None:
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -106,7 +106,7 @@ class _Progress:
         self._bar.stop()
 
     def show(self, found: Any) -> None:
-        """After a trial; without a terminal, a line now and then."""
+        """Update the display after a trial. Without a terminal, print at most one line per 5 s."""
         text = f"best {found.cost(found.best):.3f}, trial {found.best.number}" if found.best else "none good yet"
         self._bar.update(self._task, completed=len(found.trials), description=text)
         if not self._quiet and self._bar.disable and time.monotonic() >= self._next:

@@ -1,4 +1,4 @@
-"""``handctl tune verify``: new gains on the hand at rising amplitude, with the old ones to fall back on."""
+"""``handctl tune verify``: test new gains on the hand at rising amplitude, with the old gains as fallback."""
 
 import argparse
 from collections.abc import Iterable
@@ -22,7 +22,7 @@ from handctl.session.simulate import Simulator
 
 
 def run(args: argparse.Namespace) -> int:
-    """Verify; 0 only if the new gains went through at full amplitude."""
+    """Verify the new gains. Return 0 only if the new gains pass at full amplitude."""
     from handctl.programs.exercise import Exercise
     from handctl.tune.verify import AMPLITUDES, VerifyObserver
 
@@ -77,7 +77,7 @@ def _run(args: argparse.Namespace, plan: Plan, program: Any, watch: Any, log: Pa
 
 
 def _judged(plan: Plan, outcome: Outcome, watch: Any, log: Path, truth_file: Path | None) -> dict[str, Any]:
-    """What one run came to."""
+    """Score one run and draw its picture. Return the fields of the JSON result."""
     from handctl.log.read.reader import RunLog
     from handctl.report.truth import read_truth
     from handctl.tune.plots import draw_verify
@@ -100,7 +100,7 @@ def _judged(plan: Plan, outcome: Outcome, watch: Any, log: Path, truth_file: Pat
 
 
 def _report(args: argparse.Namespace, runs: list[dict[str, Any]], outcome: Outcome) -> int:
-    """Say what all runs came to; the table is that of the last one."""
+    """Print the result of all runs with the table of the last run. Return the exit code."""
     from handctl.tune.verify import compare
 
     last = runs[-1]
@@ -163,7 +163,7 @@ def _print(result: dict[str, Any], rounds: Iterable[Any], args: argparse.Namespa
 
 
 def _who(number: int, back: dict[str, Any] | None) -> str:
-    """Whose gains a round of the exercise was done with."""
+    """Return the label of the gains in a round: old, new, or back to the old gains."""
     from handctl.tune.verify import AMPLITUDES, OLD_ROUNDS
 
     if number < OLD_ROUNDS:
