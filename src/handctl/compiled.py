@@ -24,6 +24,7 @@ from typing import IO, Any, NamedTuple, TypeVar, cast
 from numba import njit, types
 from numba.core import cgutils as _cgutils
 from numba.core import config as _config
+from numba.core.errors import TypingError
 from numba.extending import intrinsic, overload
 from numba.np import arrayobj as _arrayobj
 from numpy.typing import NDArray
@@ -59,6 +60,9 @@ _TYPES = {
     "flags": types.Array(types.boolean, 1, "A", readonly=True),
     "counts": types.Array(types.int64, 1, "A", readonly=True),
     "matrix_int": types.Array(types.int64, 2, "A", readonly=True),
+    "keys": types.Array(types.int64, 1, "C", readonly=True),
+    "table": types.Array(types.float64, 2, "C", readonly=True),
+    "table_int": types.Array(types.int64, 2, "C", readonly=True),
     "bytes": types.Array(types.uint8, 1, "C", readonly=True),
 }
 
@@ -68,8 +72,8 @@ def kernel(*arguments: str) -> Callable[[F], F]:
 
     Args:
         arguments: the type of each. real and count are numbers. vector, matrix, cube, flags and counts are arrays that
-            it reads; block (float64), layout (int64) and words (rows of uint64) are contiguous arrays that it may
-            write into.
+            it reads; keys (int64), table (rows of float64) and table_int are contiguous ones, which it may borrow;
+            block (float64), layout (int64) and words (rows of uint64) are contiguous arrays that it may write into.
     """
 
     def mark(function: F) -> F:
@@ -149,7 +153,13 @@ def square(value: float) -> float:
 
 
 def _without_owner(typing_context: Any, flat: Any, first: Any, shape: Any) -> Any:
-    """Generate the code of ``borrow``: an array without an owner, so that nothing counts references to it."""
+    """Generate the code of ``borrow``: an array without an owner, so that nothing counts references to it.
+
+    Raises:
+        TypingError: the array may have gaps, or its last axis may not be the nearest in memory.
+    """
+    if flat.layout != "C":
+        raise TypingError(f"a kernel can borrow a contiguous array only, not {flat}")
     result = types.Array(flat.dtype, shape.count, "C")
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

@@ -12,9 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numba import njit
+from numba.core.errors import TypingError
 
 import handctl
-from handctl.compiled import MARKED, SOURCES, kernel, prepare
+from handctl.compiled import MARKED, SOURCES, borrow, kernel, prepare
 from handctl.log.read.reader import RunLog
 from handctl.replay.rebuild import rebuild
 from tests.contracts.random_hands import TICKS, tick_hashes
@@ -86,6 +88,20 @@ def test_a_prepared_kernel_refuses_other_argument_types() -> None:
     np.testing.assert_array_equal(scaled(np.ones(6)[::2], 2.0), np.full(3, 2.0))
     with pytest.raises(TypeError, match="No matching definition"):
         scaled(np.ones(3, dtype=np.float32), 2.0)
+
+
+def test_only_a_contiguous_array_can_be_borrowed() -> None:
+    """Of an array with gaps, the elements between its own would be read."""
+
+    @njit
+    def third(values: np.ndarray) -> float:
+        return float(borrow(values, 1, (2,))[1])
+
+    values = np.arange(8.0).reshape(2, 4)
+    assert third(values) == 2.0
+    for other in (values[:, ::2], values.T):
+        with pytest.raises(TypingError, match="a kernel can borrow a contiguous array only"):
+            third(other)
 
 
 PROBE = """

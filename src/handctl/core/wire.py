@@ -95,7 +95,7 @@ def begin(block: Block, at: Places, k: int, t_ns: int, late_ns: int, missed: int
     x.run_int[s.STALE_NOW] = x.run_int[s.UNKNOWN_FRAMES] = x.run_int[s.REFUSED_NOW] = x.run_int[s.CHANGED] = 0
 
 
-@kernel("block", "layout", "words", "counts", "matrix_int", "matrix_int", "matrix", "count")
+@kernel("block", "layout", "words", "keys", "table_int", "table_int", "table", "count")
 def receive(
     block: Block, at: Places, rows: Rows, keys: Whole, entries: Whole, wholes: Whole, reals: Real, first: int
 ) -> int:
