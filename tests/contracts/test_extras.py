@@ -81,6 +81,16 @@ def test_an_import_that_fails_in_the_middle_is_translated_as_well() -> None:
     assert missing_extra("log", ModuleNotFoundError("no", name="numpy")) is None
 
 
+def test_an_import_that_fails_within_a_verb_names_the_verb(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setattr("handctl.cli.main.optional_packages", lambda verb, args: ())
+    monkeypatch.setitem(sys.modules, "optuna", None)
+    monkeypatch.chdir(tmp_path)
+    assert main(["-q", "tune", "search", "--hand", "jamia"]) == 2
+    assert capsys.readouterr() == ("", "handctl: tune needs optuna: pip install 'handctl[tune]'\n")
+
+
 def test_what_is_installed_is_not_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     require("view", *EXTRAS)
     monkeypatch.setitem(sys.modules, "rerun", None)

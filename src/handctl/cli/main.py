@@ -133,11 +133,6 @@ def _ended(words: list[str]) -> int:
         return _say(error, Exit.NOT_COMPARABLE)
     except (ConfigError, LogError) as error:
         return _say(error, Exit.BAD_INPUT)
-    except ModuleNotFoundError as error:
-        missing = missing_extra(words[0], error)
-        if missing is None:
-            raise
-        return _say(missing, Exit.BAD_INPUT)
     except PowerError as error:
         if error.__cause__:  # a bug in handctl
             traceback.print_exception(error.__cause__)
@@ -235,7 +230,12 @@ def _verb(name: str, words: list[str]) -> int:
         if is_verbose():
             options = ", ".join(f"{key} = {value}" for key, value in sorted(vars(args).items()) if key != "verbose")
             detail(f"handctl {_version()} {name}: {options}")
-        code: int = importlib.import_module(f"handctl.cli.{_folder(name)}.{name}").run(args)
+        try:
+            code: int = importlib.import_module(f"handctl.cli.{_folder(name)}.{name}").run(args)
+        except ModuleNotFoundError as error:
+            if (missing := missing_extra(name, error)) is None:
+                raise
+            raise missing from None
         detail(f"handctl {name}: exit code {int(code)} after {time.monotonic() - begin:.2f} s")
     return code
 
