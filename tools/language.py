@@ -84,9 +84,15 @@ def count_prose(tally: Tally, text: str, place: str) -> None:
         tally.add(name, place, f"{len(matches)} in the text", len(matches))
 
 
-def count_module(tally: Tally, text: str, name: str) -> None:
-    """Count names, docstrings and the shape of a module."""
-    tree = ast.parse(text)
+def count_module(tally: Tally, tree: ast.Module, text: str, name: str) -> None:
+    """Count names, docstrings and the shape of a module.
+
+    Args:
+        tally: counts of the folder, changed.
+        tree: parsed module.
+        text: source of the module.
+        name: path of the module, for places.
+    """
     lines = [line for line in text.splitlines() if line.strip()]
     tally.totals["lines"] += len(lines)
     for number, line in enumerate(text.splitlines(), 1):
@@ -156,9 +162,10 @@ def count_folder(folder: Path) -> Tally:
     tally, classes = Tally(), defaultdict(list)
     for path in sorted(folder.rglob("*.py")):
         text, name = path.read_text(encoding="utf-8"), path.relative_to(folder.parent).as_posix()
-        count_module(tally, text, name)
+        tree = ast.parse(text)
+        count_module(tally, tree, text, name)
         tally.totals["comments"] += comments(text)
-        for node in ast.parse(text).body:
+        for node in tree.body:
             if isinstance(node, ast.ClassDef):
                 classes[node.name].append(name)
     for name, places in classes.items():
