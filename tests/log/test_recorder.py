@@ -140,6 +140,22 @@ def test_a_stalled_recorder_never_holds_up_the_controller(start: Callable[..., R
         assert len(log.gaps) >= 1
 
 
+def test_a_deterministic_run_has_no_event_of_the_time_that_its_recorder_takes(start: Callable[..., Recorder]) -> None:
+    # The run waits for a full pipe and loses nothing. An event would make two equal runs differ.
+    recorder = start(deterministic=True)
+    os.kill(recorder._child.pid, signal.SIGSTOP)
+    events, sent = [], 0
+    for record in _records(1000):
+        if sent > 0.52 * recorder._size:
+            break
+        assert recorder.record(record)
+        sent += len(record)
+        events += recorder.events()
+    os.kill(recorder._child.pid, signal.SIGCONT)
+    assert sent > recorder._size // 2
+    assert events == []
+
+
 def test_records_longer_than_an_atomic_write_stay_whole(start: Callable[..., Recorder], tmp_path: Path) -> None:
     recorder, chance, taken = start(), random.Random(3), []
     ticks = list(synthetic.Synthetic(synthetic.header(rate_hz=1000), 1.0))
