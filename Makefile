@@ -12,7 +12,7 @@ PYTEST_FLAGS ?=
 WORKERS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test lint kernels unit realtime wheel vcan nightly bench fuzz mutation soak golden lock clean
+.PHONY: help env demo test lint kernels unit realtime wheel vcan nightly docs bench fuzz mutation soak golden lock clean
 
 help: ## list these commands
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-9s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -77,6 +77,9 @@ nightly: export OPENBLAS_NUM_THREADS = 1
 nightly: lint ## the tests with full counts: long property runs, fault campaigns, soak
 	$(PYTEST) -n $(WORKERS) -m "not realtime" $(PYTEST_FLAGS)
 	$(MAKE) realtime
+
+docs: env ## the documentation site in build/site, without the network; a dead link is an error
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
 bench: $(EXTRA) ## side by side with what a user would pick instead; prints ratios
 	@set -e; for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python "$$script"; done

@@ -222,7 +222,7 @@ def main() -> None:
     parser.add_argument("--wrong-seeds", type=int, default=10, help="of each plant that is wrong (default 10)")
     add_options(parser)
     parser.add_argument("--stiffness", action="store_true", help="of the wrong plants only those of stiffness")
-    parser.add_argument("--page", action="store_true", help="write the section of docs/control.md and its pictures")
+    parser.add_argument("--page", action="store_true", help="write its section of docs/evidence/control.md")
     args = parser.parse_args()
     start = time.monotonic()
     plants = list(TRIED)[:3] if args.quick or args.stiffness else list(TRIED)

@@ -3,7 +3,7 @@
 ``python benchmarks/grasp.py [--quick | --full] [--json] [--seeds N] [--keep FOLDER] [--page]``. All parts run
 over frames and the simulator in lockstep, and are judged by the plant's truth. Objects and disturbances are in
 ``grasps/objects.py``, fixed before any tuning. ``--full`` tries every object. ``--page`` writes
-docs/control-grasps.md with its picture.
+docs/evidence/control-grasps.md with its picture.
 """
 
 import argparse

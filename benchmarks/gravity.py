@@ -113,7 +113,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="numbers for programs")
     parser.add_argument("--seeds", type=int, default=10, help="of noise and drift (default 10)")
     add_options(parser)
-    parser.add_argument("--page", action="store_true", help="write the section of docs/control.md")
+    parser.add_argument("--page", action="store_true", help="write the section of docs/evidence/control.md")
     args = parser.parse_args()
     result = measure(args.seeds, plan_of(args))
     print(json.dumps(result, indent=2) if args.json else section(result))

@@ -9,7 +9,7 @@ from grasps import payload, slip
 from grasps.objects import MAX_MOTION_M
 
 DOCS = Path(__file__).parents[2] / "docs"
-PAGE = DOCS / "control-grasps.md"
+PAGE = DOCS / "evidence" / "control-grasps.md"
 PICTURE = DOCS / "figures" / "grasps.png"
 MARKS = "<!-- {}: written by benchmarks/grasp.py -->", "<!-- end of {} -->"
 

@@ -1,4 +1,4 @@
-"""The section of ``docs/control.md`` on the tension estimate, and its picture."""
+"""The section of ``docs/evidence/control.md`` on the tension estimate, and its picture."""
 
 import numpy as np
 
@@ -55,7 +55,7 @@ def section(result: dict) -> str:
             columns = [f"{regime}: now, then and now / raw" for regime in regimes]
             head = [f"{hand}, wrong plant", *columns, "NIS free", "NIS hold"]
             parts += ["", table(head, [_wrong(plant, plants[plant], regimes) for plant in others])]
-    parts += ["", _conclusion(result), "", "![Tension errors by regime](figures/control-estimation.png)"]
+    parts += ["", _conclusion(result), "", "![Tension errors by regime](../figures/control-estimation.png)"]
     return "\n".join(parts)
 
 

@@ -1,4 +1,4 @@
-"""The section of ``docs/control.md`` on the force step."""
+"""The section of ``docs/evidence/control.md`` on the force step."""
 
 from typing import Any
 

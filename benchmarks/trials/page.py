@@ -1,9 +1,9 @@
-"""The page ``docs/control.md``, composed of parts that the benchmarks write."""
+"""The page ``docs/evidence/control.md``, composed of parts that the benchmarks write."""
 
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = ROOT / "docs" / "control.md"
+PAGE = ROOT / "docs" / "evidence" / "control.md"
 FIGURES = ROOT / "docs" / "figures"
 HEAD = """# What the controller is worth, measured
 

@@ -221,7 +221,7 @@ def main() -> None:
     parser.add_argument("--parts", default="tracking,force", help="which of them, separated by commas")
     parser.add_argument("--tune", action="store_true", help="try all weights again")
     add_options(parser)
-    parser.add_argument("--page", action="store_true", help="write the sections of docs/control.md and their picture")
+    parser.add_argument("--page", action="store_true", help="write its sections of docs/evidence/control.md")
     args = parser.parse_args()
     start = time.monotonic()
     plan = plan_of(args)

@@ -1,4 +1,4 @@
-"""The section of ``docs/control.md`` on tracking, and its picture."""
+"""The section of ``docs/evidence/control.md`` on tracking, and its picture."""
 
 import numpy as np
 
@@ -53,7 +53,7 @@ def section(result: dict, named: tuple[str, str, str, str]) -> str:
             parts += ["", _table(f"{hand}, weights that keep their margins", known), "", _compared(known, named) + "."]
         if len(careful) > 1:
             parts += ["", _wrong(hand, careful, named)]
-    parts += ["", "![Tracking error at the fast motion, by law](figures/control-tracking.png)"]
+    parts += ["", "![Tracking error at the fast motion, by law](../figures/control-tracking.png)"]
     return "\n".join(parts)
 
 

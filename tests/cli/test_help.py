@@ -15,7 +15,7 @@ from handctl.cli.parsing.renamed import RENAMED
 from handctl.core.gains.bounds import bounds
 from tests.cli.refused import refused
 
-DOCUMENT = Path(__file__).parents[2] / "docs" / "command-line.md"
+DOCUMENT = Path(__file__).parents[2] / "docs" / "reference" / "command-line.md"
 ONE_NAME = {
     "--output": {"--out", "--write-to", "--report"},
     "--perturb": {"--vary", "--perturbation"},

@@ -64,7 +64,7 @@ def insert(path: Path, place: str, text: str) -> None:
     path.write_text(source.replace(place, place + text), encoding="utf-8")
 
 
-PAGES = ("CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md", "docs/stability.md")
+PAGES = ("CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md", "docs/reference/stability.md")
 
 
 @pytest.mark.parametrize("page", PAGES)

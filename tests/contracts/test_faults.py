@@ -100,7 +100,7 @@ def test_a_reaction_later_than_required_has_a_reason() -> None:
 
 
 def test_the_pages_are_the_code_s() -> None:
-    page = (ROOT / "docs" / "faults.md").read_text()
+    page = (ROOT / "docs" / "reference" / "faults.md").read_text()
     assert catalogue() in page
     assert later() in page
     assert checklist() in page

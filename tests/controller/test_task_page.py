@@ -1,4 +1,4 @@
-"""docs/tasks.md: its example is a task, its tables name what there is, its scene is a scene."""
+"""docs/reference/tasks.md: its example is a task, its tables name what there is, its scene is a scene."""
 
 import re
 from pathlib import Path
@@ -9,7 +9,7 @@ from handctl.programs.task import Close, Follow, Hold, Move, Release
 from handctl.session.tasks import find_task
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "tasks.md").read_text("utf-8")
+PAGE = (ROOT / "docs" / "reference" / "tasks.md").read_text("utf-8")
 BLOCKS = re.findall(r"```toml\n(.*?)```", PAGE, re.S)
 
 

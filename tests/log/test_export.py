@@ -87,8 +87,8 @@ def test_every_column_says_its_unit(log: RunLog, tmp_path: Path) -> None:
 
 
 def test_the_page_has_the_units() -> None:
-    """The table in docs/logs.md has the unit of every quantity."""
-    page = (GOLDEN.parents[1] / "docs" / "logs.md").read_text(encoding="utf-8")
+    """The table in docs/how-to/logs.md has the unit of every quantity."""
+    page = (GOLDEN.parents[1] / "docs" / "how-to" / "logs.md").read_text(encoding="utf-8")
     listed = {
         name: row[2]
         for row in re.findall(r"^\| (`[^|]*) \| ([^|]+) \| ([^|]+) \|", page, re.MULTILINE)

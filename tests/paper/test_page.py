@@ -13,7 +13,7 @@ from handctl.paper.bench import experiments, payload
 from handctl.paper.item import ErrataVerdict
 
 ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "paper.md"
+PAGE = ROOT / "docs" / "evidence" / "paper.md"
 
 
 RESULTS = ROOT / "docs" / "evidence" / "paper-results.json"
@@ -59,7 +59,7 @@ def test_the_page_has_all_that_is_measured(measured: dict[str, Any]) -> None:
 
 def test_the_page_s_figures_are_there(measured: dict[str, Any]) -> None:
     text = PAGE.read_text(encoding="utf-8")
-    found = re.findall(r"\]\((figures/paper-[\w-]+\.png)\)", text)
+    found = re.findall(r"\]\((\.\./figures/paper-[\w-]+\.png)\)", text)
     assert len(found) == len(set(found)) == len(page.CAPTIONS)
     for name in found:
         assert (PAGE.parent / name).stat().st_size > 20_000

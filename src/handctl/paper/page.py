@@ -11,7 +11,7 @@ from typing import Any
 from handctl.paper.item import Item
 from handctl.paper.sections import INTRODUCTION, REFERENCE, TITLE, PageSection, tally
 
-FIGURES = "figures"
+FIGURES = "../figures"
 """Folder of figures beside the Markdown page."""
 PREFIX = "paper-"
 """Prefix of the figures' file names."""
@@ -46,7 +46,7 @@ def value(item: Item) -> str:
 
 
 def markdown(parts: Sequence[PageSection]) -> str:
-    """Return the page as Markdown. Figures are in the folder `figures` beside it."""
+    """Return the page as Markdown. Figures are in the folder `figures` beside its own."""
     rows = [item for part in parts for item in part.items]
     lines = [
         f"# {TITLE}",

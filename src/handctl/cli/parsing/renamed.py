@@ -1,6 +1,6 @@
 """Options that were renamed: the old spelling is refused with one line that names the new one.
 
-The table in docs/command-line.md has the same rows.
+The table in docs/reference/command-line.md has the same rows.
 """
 
 RENAMED = {
