@@ -64,7 +64,7 @@ class Stack:
         controller = make_controller(load_hand(hand), Gains(), rate_hz, program, None, arm_at_once=True)
         self._open = ExitStack()
         self.simulation = self._open.enter_context(Simulator(hand, scene.scene, homed=True).against(controller))
-        self.simulation.keep = False
+        self.simulation.record = False
         self.peer = self.simulation.peer
         self.engine = self.peer.world.plant.engine
 

@@ -29,18 +29,18 @@ WARM_S = 600.0
 
 
 class Looks:
-    """Attendant of a run that samples the memory of this process and its children."""
+    """Observer of a run that samples the memory of this process and its children."""
 
     def __init__(self, until_s: float) -> None:
         """Start without samples. ``until_s`` ends the run."""
         self.samples: list[Sample] = []
         self.until_s = until_s
 
-    def take(self) -> tuple[str, ...]:
+    def poll_requests(self) -> tuple[str, ...]:
         """Return a stop request after the end of the time."""
         return (STOP,) if self.samples and self.samples[-1].t >= self.until_s else ()
 
-    def see(self, entry: TickIn, out: TickOut) -> None:
+    def on_tick(self, entry: TickIn, out: TickOut) -> None:
         """Take a sample every ``EVERY_S``."""
         t = entry.t_ns / 1e9
         if not self.samples or t - self.samples[-1].t >= EVERY_S:

@@ -116,7 +116,7 @@ def simulate(
     stages = []
     with Simulator(hand, scene, seed, perturb, homed=True).against(controller) as simulation:
         plant = simulation.peer.world.plant
-        simulation.keep = False
+        simulation.record = False
         for entry, out in simulation.ticks(timeout):
             k = entry.k
             state = simulation.state

@@ -108,7 +108,7 @@ def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, lo
 
 
 class Counter:
-    """Attendant that counts the ticks with an active hand and ends the run."""
+    """Observer that counts the ticks with an active hand and ends the run."""
 
     def __init__(self, seconds: float) -> None:
         self.seconds = seconds

@@ -35,9 +35,9 @@ ATTACH_S = 60.0
 """Timeout until a controller started by another process accepts goals [s]."""
 POLL_S = 0.2
 """Timeout of one read of the state before the controller process is checked [s]."""
-NAME_OF_ASKER = 64
+SENDER_NAME_BYTES = 64
 """Bytes that the sender's name may add to a request."""
-LEAVING = {mode.name for mode in LETTING_GO}
+SHUTTING_DOWN = {mode.name for mode in LETTING_GO}
 """Modes in which goals have no effect."""
 A_RUN = "a running handctl run"
 
@@ -59,22 +59,22 @@ def connect(
         ConfigError: invalid bus, or a real bus without a hand.
         BusError: the request socket cannot be created.
     """
-    given = [bus] if isinstance(bus, str) else list(bus)
-    specs = list(named_buses(given).values())
+    buses = [bus] if isinstance(bus, str) else list(bus)
+    specs = list(named_buses(buses).values())
     if not specs:
         raise ConfigError("no bus", "bus", "one, as in 'local:demo'")
     if is_running(specs[0]):
         return HandClient(specs[0])
     if hand is None and (real := real_buses(specs)):
         raise ConfigError(f"no hand is named, and {real[0]} may have real motors", "hand", "the hand that is there")
-    words = [
+    options = [
         "--hand",
         os.fspath(hand or DEFAULT_HAND),
-        *(word for text in given for word in ("--bus", text)),
+        *(option for text in buses for option in ("--bus", text)),
         "--json",
         "--until-eof",
     ]
-    return HandClient(specs[0], [sys.executable, "-m", "handctl.cli", "run", *words, *arguments])
+    return HandClient(specs[0], [sys.executable, "-m", "handctl.cli", "run", *options, *arguments])
 
 
 class HandClient:
@@ -94,14 +94,15 @@ class HandClient:
         self.bus = bus
         self.child: subprocess.Popen[bytes] | None = None
         self.result: dict[str, Any] = {}
-        self._live = self._asked = self._closed = self._told = self._off = False
+        self._live = self._goal_sent = self._closed = self._error_raised = self._off = False
         self._watcher = Watcher(bus)
-        self._words = tempfile.TemporaryFile()  # noqa: SIM115
-        self._shown, self._last_words = 0, ""
+        self._stderr = tempfile.TemporaryFile()  # noqa: SIM115
+        self._shown = 0
+        self._last_message = ""
         if command:
             pipe = subprocess.PIPE
             self.child = subprocess.Popen(
-                command, stdin=pipe, stdout=pipe, stderr=self._words, start_new_session=True
+                command, stdin=pipe, stdout=pipe, stderr=self._stderr, start_new_session=True
             )  # Ctrl-C is for this program, which then ends the controller
 
     def __enter__(self) -> Self:
@@ -119,7 +120,7 @@ class HandClient:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._end(tell=kind is None)
+        self._end(raise_error=kind is None)
 
     def move(
         self, goals: Mapping[str, float] | None = None, /, duration_s: float = 1.0, wait: bool = True,
@@ -141,8 +142,8 @@ class HandClient:
         angles = _digits("move", goals, angle_deg)
         goal = {"do": "move", "angle_deg": _numbers(angles), **_numbers({"duration_s": duration_s})}
         validated(goal, MoveDigits, "move")
-        began_s = self._set_goal(goal)
-        while wait and self._acting(ANSWER_S)["t_s"] < began_s + goal["duration_s"]:
+        start_s = self._set_goal(goal)
+        while wait and self._acting(ANSWER_S)["t_s"] < start_s + goal["duration_s"]:
             pass
 
     def hold(
@@ -200,16 +201,17 @@ class HandClient:
         Raises:
             DriveError: the run has ended, or the time is over.
         """
-        end, seen = time.monotonic() + timeout_s, "nothing heard"
-        while (left := end - time.monotonic()) > 0.0:
+        end = time.monotonic() + timeout_s
+        last_phase = "no state received"
+        while (remaining_s := end - time.monotonic()) > 0.0:
             self._refuse_ended()
             with suppress(BusError):
-                line = self.state(min(POLL_S, left))
+                line = self.state(min(POLL_S, remaining_s))
                 self._live |= line["phase"] == "live"
                 if line["phase"] == phase:
                     return line
-                seen = f"phase {line['phase']!r}"
-        raise DriveError(f"not in phase {phase!r} after {timeout_s:g} s: {seen}", f"bus {self.bus}")
+                last_phase = f"phase {line['phase']!r}"
+        raise DriveError(f"not in phase {phase!r} after {timeout_s:g} s: {last_phase}", f"bus {self.bus}")
 
     def close(self) -> None:
         """Close as the ``with`` statement does. Afterwards ``result`` is available.
@@ -218,27 +220,27 @@ class HandClient:
             DriveError: a fault ended the run.
             PowerError: a drive did not confirm that it is disabled. Remove its power.
         """
-        self._end(tell=True)
+        self._end(raise_error=True)
 
     def _set_goal(self, goal: dict[str, Any]) -> float:
         """Send a goal and wait for its confirmation. Return the time of the confirming tick [s]."""
         self._acting(ANSWER_S)
-        if (size := len(json.dumps(goal).encode()) + NAME_OF_ASKER) > LARGEST:
+        if (size := len(json.dumps(goal).encode()) + SENDER_NAME_BYTES) > LARGEST:
             raise ConfigError(f"{size} bytes", goal["do"], f"a request of at most {LARGEST}")
-        self._asked = True
+        self._goal_sent = True
         try:
-            line, said = send_confirmed(self._watcher, goal)
+            line, replies = send_confirmed(self._watcher, goal)
         except UnconfirmedError:
             self._refuse_ended()
             raise
-        if refused := [text for text in said if text.startswith(REFUSED)]:
+        if refused := [text for text in replies if text.startswith(REFUSED)]:
             raise ConfigError(refused[0].removeprefix(REFUSED), f"the controller of {self.bus}")
         return float(line["t_s"])
 
     def _acting(self, timeout_s: float) -> dict[str, Any]:
         """Return the state of a hand that follows goals."""
         line = self.state(timeout_s)
-        if line["mode"] in LEAVING:
+        if line["mode"] in SHUTTING_DOWN:
             self._collect()
             self._refuse_ended()
             raise DriveError(f"the hand takes no goals any more: {line['mode']}", f"bus {self.bus}")
@@ -249,30 +251,31 @@ class HandClient:
         self._pass_on()
         if self.child is not None and (self.child.poll() is not None or (self._live and not is_running(self.bus))):
             self._collect()
-            self._told = True
+            self._error_raised = True
             raise self._error()
         if self._closed:
             raise BusError("this client is closed", f"bus {self.bus}", "another handctl.connect")
 
-    def _end(self, tell: bool) -> None:
+    def _end(self, raise_error: bool) -> None:
         """Stop the hand that this client started or moved. Later calls have no effect.
 
         Args:
-            tell: raise the error that ended the run. False during another exception: then only a drive that may still
-                have torque is an error.
+            raise_error: raise the error that ended the run. False during another exception: then only a drive that
+                may still have torque is an error.
         """
         if self._closed:
             return
         self._closed = True
         try:
-            if self.child is None and self._asked and not self._off:
+            if self.child is None and self._goal_sent and not self._off:
                 line, _ = send_confirmed(self._watcher, {"do": "stop"}, repeat=True)
                 follow_until_off(self._watcher, "stop", line)
         finally:
             self._watcher.close()
             self._collect()
-            self._words.close()
-        if self.child and (code := self.child.returncode) and not self._told and (tell or code == Exit.REMOVE_POWER):
+            self._stderr.close()
+        code = self.child.returncode if self.child else 0
+        if code and not self._error_raised and (raise_error or code == Exit.REMOVE_POWER):
             raise self._error()
 
     def _collect(self) -> None:
@@ -280,26 +283,26 @@ class HandClient:
         if self.child is not None and self.child.stdout and not self.child.stdout.closed:
             out, _ = self.child.communicate()
             self._pass_on()
-            with suppress(ValueError):  # one that was killed has said nothing, or half of it
+            with suppress(ValueError):  # a killed process leaves no output, or a part of it
                 self.result = json.loads(out)
 
     def _error(self) -> DriveError:
         """Return the error that ended the run."""
         code = self.child.returncode if self.child else 0
         killed = f"killed by signal {-code}" if code < 0 else ""
-        why = self.result.get("failure") or killed or self._last_words or "it was stopped"
+        reason = self.result.get("failure") or killed or self._last_message or "it was stopped"
         if code == Exit.REMOVE_POWER:
-            return PowerError(why, f"bus {self.bus}", "its power removed")
-        return DriveError(f"the controller ended: {why}", f"bus {self.bus}")
+            return PowerError(reason, f"bus {self.bus}", "its power removed")
+        return DriveError(f"the controller ended: {reason}", f"bus {self.bus}")
 
     def _pass_on(self) -> None:
         """Print the new messages of the controller on the standard error of this program."""
-        if self._words.closed:
+        if self._stderr.closed:
             return
-        new = os.pread(self._words.fileno(), 1 << 16, self._shown)
+        new = os.pread(self._stderr.fileno(), 1 << 16, self._shown)
         self._shown += len(new)
         if text := new.decode("utf-8", "replace"):
-            self._last_words = text.strip().splitlines()[-1].removeprefix("handctl: ") if text.strip() else ""
+            self._last_message = text.strip().splitlines()[-1].removeprefix("handctl: ") if text.strip() else ""
             print(escaped(text, "\n\t"), end="", file=sys.stderr, flush=True)
 
 
@@ -311,19 +314,19 @@ def _digits(do: str, goals: object, named: Mapping[str, Any]) -> dict[str, Any]:
     """
     if goals is not None and not isinstance(goals, Mapping):
         raise ConfigError(repr(goals), do, 'digits by name, as in index=30 or {"index": 30}')
-    found = {str(name): value for name, value in (goals or {}).items()}
-    if twice := found.keys() & named.keys():
+    values = {str(name): value for name, value in (goals or {}).items()}
+    if twice := values.keys() & named.keys():
         raise ConfigError(f"{min(twice)} is there twice", do, "one value for each digit")
-    if not found and not named:
+    if not values and not named:
         raise ConfigError("no digit", do, "one at least, as in index=30")
-    return found | dict(named)
+    return values | dict(named)
 
 
 def _numbers(values: Mapping[str, Any]) -> dict[str, Any]:
     """Convert numbers of any type, such as numpy's, to float. Other values stay, so that the check can name them."""
-    plain = dict(values)
+    converted = dict(values)
     for key, value in values.items():
         if isinstance(value, Real) and not isinstance(value, bool):
             with suppress(OverflowError):
-                plain[key] = float(value)
-    return plain
+                converted[key] = float(value)
+    return converted

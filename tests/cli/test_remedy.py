@@ -69,7 +69,7 @@ def test_simulator_and_controller_share_a_core(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(pace, "ask_simulator", lambda path, question: told)
     monkeypatch.setattr(pace, "cores", lambda: 1)
     plan = Plan(load_hand("jamia"), Gains(), 500.0, (0.6,), ("local:lab",))
-    assert pace.slower(plan, ended(*LATE, cpu_s=1.8)) == 0.5
+    assert pace.slower_time_scale(plan, ended(*LATE, cpu_s=1.8)) == 0.5
 
 
 def test_virtual_time_is_not_slowed(capsys: pytest.CaptureFixture[str]) -> None:

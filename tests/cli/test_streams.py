@@ -117,7 +117,7 @@ def test_a_run_in_lockstep_that_is_interrupted_keeps_its_log(place, monkeypatch,
         if entry.k == 100:
             os.kill(os.getpid(), signal.SIGINT)
 
-    monkeypatch.setattr("handctl.session.run._show_nothing", interrupted)
+    monkeypatch.setattr("handctl.session.run._ignore_tick", interrupted)
     assert main(["demo", "--lockstep", "--scene", "none", "--log", "run.mcap", "--json"]) == 130
     assert capsys.readouterr().out == ""
     assert main(["log", "info", "run.commission.mcap", "--json"]) == 0

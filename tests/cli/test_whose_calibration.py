@@ -15,7 +15,7 @@ from handctl.programs.calibration import load_calibration
 from handctl.programs.live import JogProgram
 from handctl.programs.requests import MoveDigits
 from handctl.runtime.lockstep import SIMULATED_HAND, LockstepClock, load_peer
-from handctl.session.calibration import commission, kept, write_calibration
+from handctl.session.calibration import commission, previous_identified, write_calibration
 from handctl.session.run import make_controller, run_lockstep
 from tests.drives.protocol_bench import hand_file
 
@@ -126,10 +126,10 @@ def test_what_was_identified_of_other_drives_is_left_out(place, capsys):
     bench.peer.close()
     hand = bench.plan.hand
     write_calibration(path, calibration)
-    assert kept(path, hand, calibration.drive) == {}
+    assert previous_identified(path, hand, calibration.drive) == {}
     others = dict.fromkeys(calibration.drive, "0x1")
     capsys.readouterr()
-    assert kept(path, hand, others) == {}
+    assert previous_identified(path, hand, others) == {}
     assert capsys.readouterr().err == "", "there was nothing to leave out"
 
 

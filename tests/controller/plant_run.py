@@ -54,7 +54,7 @@ def run_on_plant(
     """
     result = PlantRun()
     with Simulator(hand, scene, seed, wrong, homed=True).against(homed_controller(model_of(hand), program)) as run:
-        plant, run.keep = run.peer.world.plant, False
+        plant, run.record = run.peer.world.plant, False
         for entry, out in run.ticks(seconds):
             t = entry.k / RATE_HZ
             result.t.append(t)

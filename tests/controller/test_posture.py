@@ -61,7 +61,7 @@ def grasped(path: Path, task: str, scene: str, seed: int) -> Iterator[Seen]:
     model = HandModel.of(load_hand(str(path)), Gains(), RATE_HZ)
     program = TaskProgram(find_task(Path(task), model.hand)[0])
     with Simulator(path, scene, seed, homed=True).against(homed_controller(model, program)) as run:
-        plant, run.keep = run.peer.world.plant, False
+        plant, run.record = run.peer.world.plant, False
         for _, out in run.ticks():
             numbers, real = out.telemetry, np.array(plant.engine.q)
             force = np.linalg.norm(np.reshape(plant.contact_forces(), (-1, 3)), axis=1)

@@ -140,7 +140,7 @@ def test_a_free_motion_is_disturbed_while_it_moves(name, rate_hz):
     with started(hand_in(name, "mit"), rate_hz, 0) as simulation:
         advance_to(simulation, ARMING)
         advance_to(simulation, FREE)
-        free = [out for _, out in simulation.kept if out.phase == "free"]
+        free = [out for _, out in simulation.recorded if out.phase == "free"]
         assert len(free) * simulation.period_ns == pytest.approx(FREE_S * 1e9, abs=2 * simulation.period_ns)
         speed = free[-1].telemetry.dq_goal
         assert np.degrees(speed).max() > 10.0

@@ -39,7 +39,7 @@ def simulation():
 
 @pytest.fixture
 def arming(simulation):
-    return replace(simulation, kept=list(simulation.kept))
+    return replace(simulation, recorded=list(simulation.recorded))
 
 
 @pytest.mark.parametrize("protocol", ALL)
@@ -104,14 +104,14 @@ def test_ends_that_break_a_rule(arming):
 
 def test_a_tick_with_another_result_is_found(arming):
     start = arming.state
-    first = len(arming.kept)
+    first = len(arming.recorded)
     for _ in range(5):
         arming.tick()
     assert violations_on_replay(arming, start, first) == []
     other = start.copy()
     other.goal_time += 1e-9
     assert violations_on_replay(arming, other, first) == [
-        f"tick {arming.kept[first][0].k} does not repeat with the same inputs"
+        f"tick {arming.recorded[first][0].k} does not repeat with the same inputs"
     ]
 
 

@@ -157,7 +157,7 @@ def run_sequence(simulation: Simulation, sequence: Sequence) -> ScenarioResult:
         simulation: simulation at the stage of the sequence. The run uses the simulation up.
         sequence: faults to inject.
     """
-    start = (simulation.state, len(simulation.kept))
+    start = (simulation.state, len(simulation.recorded))
     start_tension = simulation.peer.truth()["tension"]
     violations: list[str] = []
     tension = 0.0
@@ -247,7 +247,7 @@ def violations_at_end(simulation: Simulation) -> list[str]:
 
 def violations_on_replay(simulation: Simulation, state: State, first: int) -> list[str]:
     """Return the first tick whose state, frames and events differ with the same inputs."""
-    for entry, out in simulation.kept[first:]:
+    for entry, out in simulation.recorded[first:]:
         state, replayed = simulation.controller.tick(state, entry)
         if (replayed.state_hash, replayed.frames, replayed.events) != (
             out.state_hash,

@@ -7,7 +7,7 @@ from handctl.hand.file.quantities import NAME_PATTERN
 from handctl.runtime.buses.open import check_spec
 
 
-def named_buses(given: Sequence[str]) -> dict[str, str]:
+def named_buses(arguments: Sequence[str]) -> dict[str, str]:
     """Parse bus specifications without a hand file into a mapping from bus name to specification.
 
     A word is NAME=SPEC or a bare SPEC. Bare words get the names main, bus1, bus2 by their position.
@@ -15,13 +15,13 @@ def named_buses(given: Sequence[str]) -> dict[str, str]:
     Raises:
         ConfigError: a name is given twice or is not a valid bus name.
     """
-    found: dict[str, str] = {}
-    for number, text in enumerate(given):
+    specs: dict[str, str] = {}
+    for number, text in enumerate(arguments):
         head, equals, spec = text.partition("=")
         named = bool(equals) and ":" not in head
         name = head if named else "main" if number == 0 else f"bus{number}"
-        if name in found or not NAME_PATTERN.fullmatch(name):
+        if name in specs or not NAME_PATTERN.fullmatch(name):
             raise ConfigError(repr(text), "--bus", "SPEC, or NAME=SPEC with every name once, of letters, digits and _")
-        found[name] = spec if named else text
-        check_spec(found[name])
-    return found
+        specs[name] = spec if named else text
+        check_spec(specs[name])
+    return specs

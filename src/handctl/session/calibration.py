@@ -20,7 +20,7 @@ from handctl.session.run import Outcome, Runner, make_controller
 FRESH_S = 24 * 3600.0
 """Maximum age of a calibration for arming [s]. Load cells drift and tendons creep."""
 VIRTUAL_DATE = datetime.datetime.fromtimestamp(0, datetime.UTC)
-Known = dict[str, Identified]
+IdentifiedByTendon = dict[str, Identified]
 """Identified parameters by tendon."""
 
 
@@ -70,8 +70,8 @@ def commission(plan: Plan, log: Path, runner: Runner) -> tuple[Calibration, Outc
     virtual = outcome.priority is None  # lockstep uses a fixed date, so that two runs are equal
     now = VIRTUAL_DATE if virtual else datetime.datetime.now(datetime.UTC)
     calibration = result(controller.model, outcome.state.progress, now.isoformat(timespec="seconds"))
-    there = zip(controller.drives, outcome.state.drives, strict=True)
-    drives = {drive.name: drive.identity(known) for drive, known in there}
+    drive_states = zip(controller.drives, outcome.state.drives, strict=True)
+    drives = {drive.name: drive.identity(state) for drive, state in drive_states}
     return calibration.model_copy(update={"drive": drives}), outcome
 
 
@@ -86,7 +86,9 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
     write_whole(path, text)
 
 
-def kept(path: Path, hand: Hand, drives: Mapping[str, str], tell: Tell = silent) -> Known:
+def previous_identified(
+    path: Path, hand: Hand, drives: Mapping[str, str], tell: Tell = silent
+) -> IdentifiedByTendon:
     """Return the identified parameters of the previous calibration, by tendon.
 
     A new tare does not change identified parameters. The result is empty if the file is missing or unusable, or if
@@ -111,7 +113,7 @@ def kept(path: Path, hand: Hand, drives: Mapping[str, str], tell: Tell = silent)
     return before.identified
 
 
-def identified_in(path: Path | None, hand: Hand) -> Known:
+def identified_in(path: Path | None, hand: Hand) -> IdentifiedByTendon:
     """Read the identified parameters of a calibration file, by tendon. Without a file the result is empty.
 
     Tares and zeros of a simulated hand hold for one seed and one start. Identified parameters hold for all.
@@ -121,21 +123,21 @@ def identified_in(path: Path | None, hand: Hand) -> Known:
     """
     if path is None:
         return {}
-    found = load_calibration(path, hand).identified
-    if not found:
+    identified = load_calibration(path, hand).identified
+    if not identified:
         raise ConfigError("holds nothing identified", str(path), "a calibration that handctl identify wrote")
-    return found
+    return identified
 
 
-def homed(hand: Hand, known: Known) -> Calibration:
+def homed(hand: Hand, identified: IdentifiedByTendon) -> Calibration:
     """Return the calibration of a simulated hand that starts taut with its encoders at zero [N, rad]."""
     zero = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=0.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, zero)
     made = VIRTUAL_DATE.isoformat(timespec="seconds")
-    return Calibration(hand=hand.name, identity=hand.identity, made=made, tendon=rows, identified=known)
+    return Calibration(hand=hand.name, identity=hand.identity, made=made, tendon=rows, identified=identified)
 
 
-def ensure_calibration(plan: Plan, path: Path, why: str, runner: Runner, log: Path) -> Calibration:
+def ensure_calibration(plan: Plan, path: Path, reason: str, runner: Runner, log: Path) -> Calibration:
     """Commission a hand that has no valid calibration, notify the operator, and write the new calibration.
 
     Args:
@@ -148,8 +150,9 @@ def ensure_calibration(plan: Plan, path: Path, why: str, runner: Runner, log: Pa
     Raises:
         DriveError: see ``commission``.
     """
-    plan.tell(f"commissioning {plan.hand.name} first: {why}")
+    plan.tell(f"commissioning {plan.hand.name} first: {reason}")
     calibration, _ = commission(plan, log, runner)
-    calibration = calibration.model_copy(update={"identified": kept(path, plan.hand, calibration.drive, plan.tell)})
+    previous = previous_identified(path, plan.hand, calibration.drive, plan.tell)
+    calibration = calibration.model_copy(update={"identified": previous})
     write_calibration(path, calibration)
     return calibration

@@ -10,7 +10,8 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.session.notices import Tell, silent
 
-PACKAGED, COMMAND_LINE = "packaged", "command line"
+PACKAGED = "packaged"
+COMMAND_LINE = "command line"
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,12 +45,12 @@ def layered_gains(hand: Hand, file: Path | None, words: Sequence[str], tell: Tel
     """
     default = Path(f"{hand.name}.gains.toml")
     file = file or (default if default.exists() else None)
-    found = gains_for(hand, file, tell) if file else GainsFile()
-    base = found.gains
+    loaded = gains_for(hand, file, tell) if file else GainsFile()
+    base = loaded.gains
     values = assignments(words, "--gain")
     gains = with_values(base, values, "--gain") if values else base
     origins = {key: _origin(base, key, file) for key in flat(base)} | dict.fromkeys(values, COMMAND_LINE)
-    return LayeredGains(gains, file, found.provenance, origins)
+    return LayeredGains(gains, file, loaded.provenance, origins)
 
 
 def gains_for(hand: Hand, path: Path, tell: Tell = silent) -> GainsFile:
@@ -65,8 +66,7 @@ def gains_for(hand: Hand, path: Path, tell: Tell = silent) -> GainsFile:
     if made.hand not in ("", hand.name):
         raise ConfigError(f"is for hand {made.hand!r}", str(path), f"gains for {hand.name!r}")
     if made.identity not in ("", hand.identity):
-        then, now = made.identity[:12], hand.identity[:12]
-        which = f"{hand.name} as {then}, and it is {now} now"
+        which = f"{hand.name} as {made.identity[:12]}, and it is {hand.identity[:12]} now"
         tell(f"handctl: {path} was made for {which}: handctl tune design shows its margins")
     return file
 
@@ -74,8 +74,8 @@ def gains_for(hand: Hand, path: Path, tell: Tell = silent) -> GainsFile:
 def _origin(gains: Gains, key: str, file: Path | None) -> str:
     """Return the origin of a key before the command line is applied."""
     section, _, name = key.partition(".")
-    said = section in gains.model_fields_set and name in getattr(gains, section).model_fields_set
-    return str(file) if file and said else PACKAGED
+    in_file = section in gains.model_fields_set and name in getattr(gains, section).model_fields_set
+    return str(file) if file and in_file else PACKAGED
 
 
 def assignments(words: Sequence[str], where: str) -> dict[str, float]:
@@ -84,16 +84,16 @@ def assignments(words: Sequence[str], where: str) -> dict[str, float]:
     Raises:
         ConfigError: a word does not assign a number, or a key is assigned twice.
     """
-    found: dict[str, float] = {}
+    values: dict[str, float] = {}
     for word in words:
         key, equals, text = word.partition("=")
-        if key in found:
+        if key in values:
             raise ConfigError(f"{key} is there twice", where, "one value for each")
         try:
-            found[key] = float(text)
+            values[key] = float(text)
         except ValueError:
             equals = ""
-        if not equals or not key or found[key] != found[key]:
+        if not equals or not key or values[key] != values[key]:
             example = "stiffness=0.8" if where == "--perturb" else "motion.force_N=25"
             raise ConfigError(repr(word), where, f"KEY=NUMBER, e.g. {example}")
-    return found
+    return values

@@ -162,17 +162,17 @@ def check_load_cells(hand: Hand, where: str) -> None:
         raise ConfigError(what, f"{where}: sensor_node.tendons", "every tendon: without its load cell no hand is armed")
 
 
-def control_rate(asked: float | None, hand: Hand, loads: Sequence[BusLoad]) -> float:
+def control_rate(requested: float | None, hand: Hand, loads: Sequence[BusLoad]) -> float:
     """Return the requested control rate [Hz], or the highest usual rate without a request.
 
     Raises:
         ConfigError: the drives' watchdogs do not allow a lost tick at this rate, or a bus cannot carry the load.
     """
     best = fastest(loads)
-    rate = best if asked is None else asked
+    rate = best if requested is None else requested
     lowest = TICKS_IN_WATCHDOG * 1e3 / min(motor.watchdog_ms for motor in hand.motor)
     if not lowest <= rate < math.inf:
-        what = f"{rate:g}" if asked is not None else f"the buses carry {rate:g}"
+        what = f"{rate:g}" if requested is not None else f"the buses carry {rate:g}"
         raise ConfigError(what, "--rate", f"at least {lowest:g}, for the drives' watchdogs")
     for name, load in zip(hand.bus_names, loads, strict=True):
         if load.at(rate) > MAX_BUS_LOAD:
@@ -208,32 +208,32 @@ def check_design(hand: Hand, gains: Gains, rate_hz: float | None = None) -> None
     HandModel.of(hand, gains, rate_hz or fastest(bus_loads(hand)))
 
 
-def bus_specs(hand: Hand, given: Sequence[str]) -> tuple[str, ...]:
+def bus_specs(hand: Hand, arguments: Sequence[str]) -> tuple[str, ...]:
     """Return the specification of each bus of a hand, from ``--bus``.
 
     Raises:
         ConfigError: a bus is missing, given twice, or unknown to the hand, or a specification is invalid.
     """
-    specs = _specs(hand.bus_names, given)
+    specs = _specs(hand.bus_names, arguments)
     for spec in specs:
         check_spec(spec)
     return specs
 
 
-def _specs(names: tuple[str, ...], given: Sequence[str]) -> tuple[str, ...]:
+def _specs(names: tuple[str, ...], arguments: Sequence[str]) -> tuple[str, ...]:
     """Return the given specification for each bus name, in the order of the names."""
-    if len(names) == 1 and len(given) == 1 and "=" not in given[0].partition(":")[0]:
-        return (given[0],)
-    found: dict[str, str] = {}
-    for text in given:
+    if len(names) == 1 and len(arguments) == 1 and "=" not in arguments[0].partition(":")[0]:
+        return (arguments[0],)
+    specs: dict[str, str] = {}
+    for text in arguments:
         name, _, spec = text.partition("=")
-        if name not in names or not spec or name in found:
+        if name not in names or not spec or name in specs:
             raise ConfigError(repr(text), "--bus", " ".join(f"--bus {name}=SPEC" for name in names))
-        found[name] = spec
+        specs[name] = spec
     for name in names:
-        if name not in found:
+        if name not in specs:
             raise ConfigError("missing", f"--bus {name}=SPEC", f"all of {', '.join(names)}")
-    return tuple(found[name] for name in names)
+    return tuple(specs[name] for name in names)
 
 
 def commission_log(log: Path) -> Path:
@@ -242,9 +242,11 @@ def commission_log(log: Path) -> Path:
     A run that a fault ends during commissioning leaves only the commissioning log. When the same command is repeated,
     it writes a new log beside the old one.
     """
-    number, path = 1, log.with_suffix(".commission.mcap")
+    number = 1
+    path = log.with_suffix(".commission.mcap")
     while os.path.lexists(path):
-        number, path = number + 1, log.with_suffix(f".commission-{number + 1}.mcap")
+        number += 1
+        path = log.with_suffix(f".commission-{number}.mcap")
     return path
 
 
@@ -253,7 +255,9 @@ def default_log(hand: Hand, kind: str = "") -> Path:
     folder = Path("logs")
     folder.mkdir(exist_ok=True)
     stem = time.strftime("%Y%m%d-%H%M%S") + f"-{hand.name}" + (f"-{kind}" if kind else "")
-    number, path = 1, folder / f"{stem}.mcap"
+    number = 1
+    path = folder / f"{stem}.mcap"
     while path.exists():
-        number, path = number + 1, folder / f"{stem}-{number}.mcap"
+        path = folder / f"{stem}-{number}.mcap"
+        number += 1
     return path

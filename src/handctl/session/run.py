@@ -90,25 +90,29 @@ Runner = Callable[["Plan", Controller, Path], Outcome]
 
 def make_controller(plan: Plan, program: Program, calibration: Calibration | None, arm_at_once: bool) -> Controller:
     """Design the gains and build the controller. A progress bar is shown when the compilation takes long."""
-    with plan.progress("compiling the controller, once") as told:
-        prepare(told)
+    with plan.progress("compiling the controller, once") as report_progress:
+        prepare(report_progress)
     return setup.make_controller(plan.hand, plan.gains, plan.rate_hz, program, calibration, arm_at_once)
 
 
-class Attendant(Protocol):
+class RunObserver(Protocol):
     """Observer in this process that watches a run and sends requests like an operator."""
 
-    def take(self) -> tuple[str, ...]:
+    def poll_requests(self) -> tuple[str, ...]:
         """Return the requests since the last call."""
         ...
 
-    def see(self, entry: TickIn, out: TickOut) -> None:
+    def on_tick(self, entry: TickIn, out: TickOut) -> None:
         """Receive the input and output of a finished tick."""
         ...
 
 
 def run_live(
-    plan: Plan, controller: Controller, log: Path, live_view: bool = False, attendant: Attendant | None = None
+    plan: Plan,
+    controller: Controller,
+    log: Path,
+    live_view: bool = False,
+    observer: RunObserver | None = None,
 ) -> Outcome:
     """Run on real time and real (or simulated) buses.
 
@@ -117,7 +121,7 @@ def run_live(
         controller: controller with its program.
         log: log file to write.
         live_view: True to show the growing log in Rerun, from a separate process.
-        attendant: observer that sends requests, or None.
+        observer: observer that sends requests, or None.
 
     Raises:
         BusError: a bus cannot be opened, or another controller runs on it.
@@ -145,33 +149,38 @@ def run_live(
             stack.callback(_start_view(log))
         signals = StopSignals()
         stack.enter_context(signals.installed())
-        show = _attended(attendant, _shows(display, mailbox, plan.rate_hz))
-        asks = _asking(attendant, _requests(plan, signals, mailbox))
-        loop = _loop(plan, controller, clock, buses, recorder, asks, show)
+        show = _merge_observers(observer, _status_callback(display, mailbox, plan.rate_hz))
+        request_source = _merge_requests(observer, _requests(plan, signals, mailbox))
+        loop = _loop(plan, controller, clock, buses, recorder, request_source, show)
         return _finish(loop, controller, recorder, display, priority, lambda: int(clock.start_ns * clock.scale))
 
 
 def run_lockstep(
-    plan: Plan, controller: Controller, log: Path, clock: LockstepClock, attendant: Attendant | None = None
+    plan: Plan,
+    controller: Controller,
+    log: Path,
+    clock: LockstepClock,
+    observer: RunObserver | None = None,
 ) -> Outcome:
     """Run in virtual time against the clock's peer. Further calls with the same clock are allowed."""
     clock.restart()
     header = run_header(plan, controller, None, lockstep=True)
-    began = {TRUTH_OFFSET: str(clock.offset_ns)}
-    recorder = Recorder.start(log, replace(header, metadata=header.metadata | began))
+    start_offset = {TRUTH_OFFSET: str(clock.offset_ns)}
+    recorder = Recorder.start(log, replace(header, metadata=header.metadata | start_offset))
     display = plan.display(plan) if plan.display else None
-    asks, show = _asking(attendant, lambda: ()), _attended(attendant, display.show if display else _show_nothing)
-    loop = _loop(plan, controller, clock, [LockstepBus(clock)], recorder, asks, show)
+    request_source = _merge_requests(observer, lambda: ())
+    show = _merge_observers(observer, display.show if display else _ignore_tick)
+    loop = _loop(plan, controller, clock, [LockstepBus(clock)], recorder, request_source, show)
     return _finish(loop, controller, recorder, display, None, lambda: clock.offset_ns)
 
 
-def refuse_blind_view(wanted: bool) -> None:
+def refuse_blind_view(view_requested: bool) -> None:
     """Refuse ``--view`` in a session without a screen, before a bus is opened.
 
     Raises:
         ConfigError: this session has no screen.
     """
-    if wanted:
+    if view_requested:
         from handctl.view.viewer import check_screen
 
         check_screen()
@@ -238,22 +247,22 @@ def _requests(plan: Plan, signals: StopSignals, mailbox: Mailbox) -> Callable[[]
     return take
 
 
-Asks = Callable[[], tuple[str, ...]]
-Shows = Callable[[TickIn, TickOut], None]
+RequestSource = Callable[[], tuple[str, ...]]
+TickCallback = Callable[[TickIn, TickOut], None]
 
 
-def _asking(attendant: Attendant | None, others: Asks) -> Asks:
-    if attendant is None:
+def _merge_requests(observer: RunObserver | None, others: RequestSource) -> RequestSource:
+    if observer is None:
         return others
-    return lambda: others() + attendant.take()
+    return lambda: others() + observer.poll_requests()
 
 
-def _attended(attendant: Attendant | None, others: Shows) -> Shows:
-    if attendant is None:
+def _merge_observers(observer: RunObserver | None, others: TickCallback) -> TickCallback:
+    if observer is None:
         return others
 
     def show(entry: TickIn, out: TickOut) -> None:
-        attendant.see(entry, out)
+        observer.on_tick(entry, out)
         others(entry, out)
 
     return show
@@ -263,7 +272,7 @@ WATCH_HZ = 50.0
 """Rate of the status lines for watching programs [Hz]."""
 
 
-def _shows(display: Display | None, mailbox: Mailbox, rate_hz: float) -> Callable[[TickIn, TickOut], None]:
+def _status_callback(display: Display | None, mailbox: Mailbox, rate_hz: float) -> TickCallback:
     """Return a function that updates the display and the watching programs after each tick."""
     every = max(1, round(rate_hz / WATCH_HZ))
 
@@ -276,7 +285,7 @@ def _shows(display: Display | None, mailbox: Mailbox, rate_hz: float) -> Callabl
     return show
 
 
-def _show_nothing(entry: TickIn, out: TickOut) -> None:
+def _ignore_tick(entry: TickIn, out: TickOut) -> None:
     return
 
 

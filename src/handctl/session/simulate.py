@@ -144,7 +144,7 @@ class Simulation:
         state: state of the controller.
         k: number of the next tick.
         out: output of the last tick, or None before the first tick.
-        kept: input and output of every tick, if ``keep`` is True.
+        recorded: input and output of every tick, if ``record`` is True.
         keep: True to store the input and output of every tick.
     """
 
@@ -154,8 +154,8 @@ class Simulation:
     state: State
     k: int = 0
     out: TickOut | None = None
-    kept: list[tuple[TickIn, TickOut]] = field(default_factory=list)
-    keep: bool = True
+    recorded: list[tuple[TickIn, TickOut]] = field(default_factory=list)
+    record: bool = True
 
     @staticmethod
     def of(controller: Controller, peer: SimulatedHand) -> "Simulation":
@@ -211,8 +211,8 @@ class Simulation:
         wires = tuple(IoEvent(*event) for event in self._bus.take_events())
         entry = TickIn(self.k, self.k * self.period_ns, late_ns, frames, wires + io, requests)
         self.state, self.out = self.controller.tick(self.state, entry)
-        if self.keep:
-            self.kept.append((entry, self.out))
+        if self.record:
+            self.recorded.append((entry, self.out))
         self._bus.send(self.out.frames)
         return entry, self.out
 
@@ -229,8 +229,9 @@ def homed_controller(model: HandModel, program: Program, hand: Hand | None = Non
         program: program to run.
         hand: hand with the actual drives and sensors. The default is the hand of the model.
     """
-    there, nothing = hand or model.hand, np.zeros(model.tendon_count)
-    return Controller(model, make_drives(there), make_sensors(there), program, nothing, nothing)
+    target_hand = hand or model.hand
+    zeros = np.zeros(model.tendon_count)
+    return Controller(model, make_drives(target_hand), make_sensors(target_hand), program, zeros, zeros)
 
 
 def simulate(
@@ -251,7 +252,7 @@ def simulate(
         The last state of the controller.
     """
     with simulator.against(controller) as run:
-        run.keep = False
+        run.record = False
         for entry, out in run.ticks(limit_s):
             see(entry, out)
         return run.state

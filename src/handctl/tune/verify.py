@@ -96,14 +96,14 @@ class VerifyObserver:
     _rates: deque[float] = field(default_factory=deque)
     _max_ringing: float = 0.0
 
-    def take(self) -> tuple[str, ...]:
-        """Return the requests of this tick, see `Attendant`."""
+    def poll_requests(self) -> tuple[str, ...]:
+        """Return the requests of this tick, see `RunObserver`."""
         requests = tuple(self._requests)
         self._requests = []
         return requests
 
-    def see(self, entry: TickIn, out: TickOut) -> None:
-        """Observe a tick, see `Attendant`."""
+    def on_tick(self, entry: TickIn, out: TickOut) -> None:
+        """Observe a tick, see `RunObserver`."""
         if out.phase == "settle" and self._phase != "settle":
             self._round += 1
             # The gains change in `settle`, while the hand rests.

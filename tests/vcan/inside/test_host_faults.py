@@ -47,7 +47,7 @@ def set_up(interface: str, up: bool) -> None:
 
 
 class Hostile:
-    """An attendant of a run that makes one fault after the other during the pull. See ``session.run.Attendant``."""
+    """Observer of a run that makes one fault after the other during the pull. See ``session.run.RunObserver``."""
 
     def __init__(self, *acts: Callable[[], None]) -> None:
         self.acts = acts
@@ -57,10 +57,10 @@ class Hostile:
         """Forget all faults made and all modes seen."""
         self.done_ns, self.modes, self.pulled, self.left = 0, list[Mode](), 0, list(self.acts)
 
-    def take(self) -> tuple[str, ...]:
+    def poll_requests(self) -> tuple[str, ...]:
         return ()
 
-    def see(self, entry: TickIn, out: TickOut) -> None:
+    def on_tick(self, entry: TickIn, out: TickOut) -> None:
         self.modes.append(out.mode)
         self.pulled += out.mode == Mode.ACTIVE
         if self.left and self.pulled >= (len(self.acts) - len(self.left) + 1) * AT_S * RATE_HZ:
@@ -77,7 +77,7 @@ def run(folder: Path, hostile: Hostile) -> tuple[Outcome, Truth]:
     program = JogProgram(HoldTension(do="hold", tension_N=dict.fromkeys(DIGITS, PULL_N)), AT_S + AFTER_S)
     with simulated(path, plan.buses, TIME_SCALE, folder / "truth"):
         controller = make_controller(plan, program, None, arm_at_once=True)
-        outcome = run_live(plan, controller, folder / "run.mcap", attendant=hostile)
+        outcome = run_live(plan, controller, folder / "run.mcap", observer=hostile)
     return outcome, read_truth(folder / "truth")
 
 

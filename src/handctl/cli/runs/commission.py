@@ -6,7 +6,7 @@ from handctl.cli.console.begin import announce
 from handctl.cli.console.dry_run import told
 from handctl.cli.console.options import print_json
 from handctl.cli.console.plan import calibration_path, make_plan
-from handctl.session.calibration import commission, kept, write_calibration
+from handctl.session.calibration import commission, previous_identified, write_calibration
 from handctl.session.plan import default_log
 from handctl.session.run import run_live
 
@@ -21,7 +21,8 @@ def run(args: argparse.Namespace) -> int:
     announce(args, plan, path, None)
     log = args.log or default_log(plan.hand, "commission")
     calibration, outcome = commission(plan, log, run_live)
-    calibration = calibration.model_copy(update={"identified": kept(path, plan.hand, calibration.drive, plan.tell)})
+    previous = previous_identified(path, plan.hand, calibration.drive, plan.tell)
+    calibration = calibration.model_copy(update={"identified": previous})
     write_calibration(path, calibration)
     if args.json:
         print_json({"calibration": str(path), "log": str(log), **calibration.model_dump(by_alias=True)})

@@ -26,10 +26,10 @@ from handctl.errors import BusError, ConfigError, DriveError
 from handctl.hand.load import load_hand
 from handctl.programs.grasp import TaskProgram
 from handctl.runtime.paths import truth_path
-from handctl.session.calibration import Known, commission, identified_in, write_calibration
+from handctl.session.calibration import IdentifiedByTendon, commission, identified_in, write_calibration
 from handctl.session.exit_codes import Exit
 from handctl.session.gains import assignments
-from handctl.session.pace import slower
+from handctl.session.pace import slower_time_scale
 from handctl.session.plan import Plan, commission_log, default_log
 from handctl.session.run import Outcome, Runner, make_controller, refuse_blind_view, run_live, run_lockstep
 from handctl.session.simulate import Simulator
@@ -99,7 +99,7 @@ class _LateError(Exception):
 
 
 def _in_real_time(
-    args: argparse.Namespace, plan: Plan, program: TaskProgram, log: Path, known: Known
+    args: argparse.Namespace, plan: Plan, program: TaskProgram, log: Path, known: IdentifiedByTendon
 ) -> tuple[Outcome, Plan]:
     """On real clocks, in slower time if it must be; what it came to, and with which plan."""
     again = plan.time_scale > SLOWEST and not wire_words(args)  # a wire may be too slow by itself
@@ -143,14 +143,14 @@ def _live(view: bool, refuse_late: bool) -> Runner:
         outcome = run_live(plan, controller, log, live_view=view)
         state = outcome.state
         if refuse_late and state.failure and not state.progress.failure:  # nothing is wrong with this hand but its time
-            raise _LateError(state.failure, slower(plan, outcome))
+            raise _LateError(state.failure, slower_time_scale(plan, outcome))
         return outcome
 
     return runner
 
 
 def _commission_and_run(
-    plan: Plan, program: TaskProgram, log: Path, runners: tuple[Runner, Runner], known: Known
+    plan: Plan, program: TaskProgram, log: Path, runners: tuple[Runner, Runner], known: IdentifiedByTendon
 ) -> Outcome:
     """A new hand is commissioned, then it works; with what was identified before."""
     first, then = runners
@@ -164,7 +164,7 @@ def _commission_and_run(
 
 
 def _in_lockstep(
-    args: argparse.Namespace, plan: Plan, program: TaskProgram, log: Path, known: Known
+    args: argparse.Namespace, plan: Plan, program: TaskProgram, log: Path, known: IdentifiedByTendon
 ) -> tuple[Outcome, Path]:
     """The same against the simulator's lockstep rig."""
     truth = log.with_suffix(".truth")

@@ -12,17 +12,17 @@ AT_ONCE = 4096
 
 
 class Owner:
-    """An attendant of one run (see ``session.run.Attendant``) that asks to stop once standard input has ended."""
+    """An attendant of one run (see ``session.run.RunObserver``) that asks to stop once standard input has ended."""
 
     def __init__(self) -> None:
         self.gone = False
 
-    def take(self) -> tuple[str, ...]:
+    def poll_requests(self) -> tuple[str, ...]:
         """To stop, once; nothing as long as somebody is there."""
         if self.gone or not select.select([STDIN], [], [], 0)[0] or os.read(STDIN, AT_ONCE):
             return ()
         self.gone = True
         return (STOP,)
 
-    def see(self, entry: TickIn, out: TickOut) -> None:
+    def on_tick(self, entry: TickIn, out: TickOut) -> None:
         """Nothing."""

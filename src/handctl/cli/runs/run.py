@@ -38,12 +38,12 @@ def run(args: argparse.Namespace) -> int:
     announce(args, plan, path, calibration)
     log = args.log or default_log(plan.hand)
     if calibration is None:
-        runner = partial(run_live, attendant=Owner() if args.until_eof else None)
+        runner = partial(run_live, observer=Owner() if args.until_eof else None)
         calibration = ensure_calibration(plan, path, why, runner, commission_log(log))
     plan.attachments.update(attached | {"calibration.toml": path.read_bytes()})
     controller = make_controller(plan, program, calibration, arm_at_once=True)
     owner = Owner() if args.until_eof else None
-    outcome = run_live(plan, controller, log, live_view=args.view, attendant=owner)
+    outcome = run_live(plan, controller, log, live_view=args.view, observer=owner)
     truth = args.truth or truth_path(plan.buses[0])
     result = judge(plan, outcome, log, truth if truth.exists() else None)
     return report(result, outcome, plan, args.json)

@@ -100,7 +100,7 @@ def keeper(folder: Path) -> Callable[[Simulation, ScenarioResult], None]:
         path = folder / f"{name}.mcap"
         path.unlink(missing_ok=True)
         recorder = Recorder.start(path, run_header(plan, course.controller, None, lockstep=True))
-        for entry, out in course.kept:
+        for entry, out in course.recorded:
             recorder.record(pack(entry, out))
         recorder.close(result.problem)
 

@@ -28,7 +28,7 @@ from handctl.log.read.reader import RunLog
 from handctl.programs.calibration import Calibration, load_calibration
 from handctl.programs.excite import ExciteProgram
 from handctl.replay.rebuild import logged_hand
-from handctl.session.calibration import commission, ensure_calibration, kept, write_calibration
+from handctl.session.calibration import commission, ensure_calibration, previous_identified, write_calibration
 from handctl.session.exit_codes import Exit
 from handctl.session.gains import assignments
 from handctl.session.plan import Plan, commission_log, default_log
@@ -154,7 +154,7 @@ def _report(
 ) -> int:
     """Write the calibration, draw the pictures, and print the results. Return the exit code."""
     made = now()
-    known = kept(path, hand, calibration.drive if calibration else {}, notice)
+    known = previous_identified(path, hand, calibration.drive if calibration else {}, notice)
     every = [one for tendons in found.values() for one in tendons.values()]
     spoilt = {one.data.digit: one.blocked for one in every if one.blocked}
     met = {one.data.digit: one.met for one in every if one.met and not one.blocked}

@@ -68,7 +68,8 @@ def _run(args: argparse.Namespace, plan: Plan, program: Any, watch: Any, log: Pa
         announce(args, plan, path, calibration)
         if calibration is None:
             calibration = ensure_calibration(plan, path, why, run_live, commission_log(log))
-        return run_live(plan, make_controller(plan, program, calibration, True), log, attendant=watch), None
+        controller = make_controller(plan, program, calibration, True)
+        return run_live(plan, controller, log, observer=watch), None
     calibration = homed(plan.hand, identified_in(args.calibration, plan.hand))
     truth = log.with_suffix(".truth")
     perturb = assignments(args.perturb, "--perturb")
