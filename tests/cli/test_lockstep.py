@@ -18,7 +18,7 @@ from tests.runtime.processes import SHORT
 
 KEYS = {
     "ticks", "missed", "late_us", "tracking_rmse_rad", "tension_rmse_n", "tension_hold_error_n",
-    "frames_tx", "frames_rx", "frames_late", "frames_lost", "joint_angles", "bus_load", "log",
+    "frames_tx", "frames_rx", "frames_late", "frames_lost", "silent_ticks", "joint_angles", "bus_load", "log",
 }  # fmt: skip
 
 

@@ -26,7 +26,7 @@ def ticks() -> list[TickRecord]:
         return list(islice(log.ticks(), TICKS))
 
 
-def counted(ticks: list[TickRecord]) -> tuple[int, int]:
+def counted(ticks: list[TickRecord]) -> tuple[int, ...]:
     def read() -> Iterator[TickRecord]:
         yield from ticks
 
@@ -44,23 +44,32 @@ def without(ticks: list[TickRecord], at: int) -> tuple[list[TickRecord], object]
 
 
 def test_a_run_without_faults_has_neither(ticks: list[TickRecord]) -> None:
-    assert counted(ticks) == (0, 0)
+    assert counted(ticks) == (0, 0, 0)
 
 
 def test_a_frame_that_never_comes_is_lost(ticks: list[TickRecord]) -> None:
     for at in (300, 310, 320):
         ticks, _ = without(ticks, at)
-    assert counted(ticks) == (0, 3)
+    assert counted(ticks) == (0, 3, 0)
 
 
 def test_a_frame_of_the_tick_before_is_late(ticks: list[TickRecord]) -> None:
     ticks, frame = without(ticks, 300)
     entry = ticks[301].tick_in
     ticks[301] = ticks[301]._replace(tick_in=entry._replace(frames=(frame, *entry.frames)))
-    assert counted(ticks) == (1, 0)
+    assert counted(ticks) == (1, 0, 0)
 
 
 def test_a_refused_frame_is_lost(ticks: list[TickRecord]) -> None:
     entry = ticks[300].tick_in
     refused = ticks[300]._replace(tick_in=entry._replace(io_events=(IoEvent("enobufs", "can0", 2),)))
-    assert counted([*ticks[:300], refused, *ticks[301:]]) == (0, 2)
+    assert counted([*ticks[:300], refused, *ticks[301:]]) == (0, 2, 0)
+
+
+def test_a_simulator_that_stands_still_leaves_a_silent_tick(ticks: list[TickRecord]) -> None:
+    """Move the replies of one tick to the next."""
+    entry, following = ticks[300].tick_in, ticks[301].tick_in
+    ticks = [*ticks]
+    ticks[300] = ticks[300]._replace(tick_in=entry._replace(frames=()))
+    ticks[301] = ticks[301]._replace(tick_in=following._replace(frames=(*entry.frames, *following.frames)))
+    assert counted(ticks) == (1, 0, 1)

@@ -1,4 +1,4 @@
-"""Counts of late and lost frames of a run, from its log."""
+"""Counts of late and lost frames of a run, and of silent ticks, from its log."""
 
 from typing import NamedTuple
 
@@ -8,19 +8,22 @@ from handctl.log.read.reader import RunLog
 
 
 class FrameCounts(NamedTuple):
-    """Late and lost frames of a run.
+    """Late and lost frames of a run, and the pauses that explain them.
 
     Attributes:
         late: replies of the load cells to an older SYNC.
         lost: tension frames that never arrived, and frames that a bus refused.
+        silent: ticks after a SYNC in which no node of the bus sent a frame. The other side of the
+            wire, or the host, stood still. Its replies arrive late in the next tick.
     """
 
     late: int
     lost: int
+    silent: int
 
 
 def frame_counts(log: RunLog, hand: Hand) -> FrameCounts:
-    """Count late and lost frames.
+    """Count late and lost frames, and silent ticks.
 
     Each frame of the load cells is compared with the SYNC before it.
     """
@@ -30,7 +33,9 @@ def frame_counts(log: RunLog, hand: Hand) -> FrameCounts:
     fresh_frames = 0
     late = 0
     refused = 0
+    silent = 0
     for tick in log.ticks():
+        silent += sync_frames > 0 and all(frame.bus != node.bus for frame in tick.tick_in.frames)
         for frame in tick.tick_in.frames:
             if frame.bus != node.bus or frame.can_id not in node.ids:
                 continue
@@ -45,4 +50,4 @@ def frame_counts(log: RunLog, hand: Hand) -> FrameCounts:
                 sync_counter = frame.data[0] & 0xF
                 sync_frames = sync_frames + 1
         refused += sum(event.number for event in tick.tick_in.io_events if event.kind == "enobufs")
-    return FrameCounts(late, refused + node.lost(sync_frames, fresh_frames, late))
+    return FrameCounts(late, refused + node.lost(sync_frames, fresh_frames, late), silent)

@@ -118,6 +118,7 @@ def _numbers(
         ),
         ("frames late", f"{frames.late}"),
         ("frames lost", f"{frames.lost}"),
+        ("ticks with a silent bus", f"{frames.silent}"),
         ("gaps in the log", f"{len(log.gaps)}"),
         ("faults", _faults(log)),
         ("contacts", _contacts(log)),

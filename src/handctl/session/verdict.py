@@ -9,6 +9,7 @@ from handctl.controller.setup import make_sensors
 from handctl.core.block import STALE
 from handctl.log.read.reader import RunLog
 from handctl.programs.task import Hold, Task
+from handctl.report.frame_counts import frame_counts
 from handctl.report.lift import judge_lift, lift_failure
 from handctl.report.run_figure import draw_run
 from handctl.report.summary import summarise
@@ -43,6 +44,7 @@ def judge(
     with RunLog(log) as record:
         result = summarise(record, plan.hand, truth, outcome.offset_ns)
         result |= judge_lift(record, truth, outcome.offset_ns, _holds(task))
+        silent = frame_counts(record, plan.hand).silent
         drawn = _picture(plan, outcome, record, truth, log) if picture else None
     stats = outcome.stats
     result |= {
@@ -52,6 +54,7 @@ def judge(
         "frames_rx": stats.frames_rx,
         "frames_late": outcome.state.whole(STALE),
         "frames_lost": lost_frames(plan, outcome),
+        "silent_ticks": silent,
         "bus_load": max(plan.load),
         "log": str(log),
         "log_bytes": int(str(outcome.log["bytes"])),

@@ -26,7 +26,7 @@ def print_summary(result: dict[str, Any], plan: Plan) -> None:
         *_forces(result),
         ("bus load, worst case", f"{100 * result['bus_load']:.0f} %"),
         ("frames sent / received", f"{result['frames_tx']} / {result['frames_rx']}"),
-        ("frames late / lost", f"{result['frames_late']} / {result['frames_lost']}"),
+        ("frames late / lost", f"{result['frames_late']} / {result['frames_lost']}{_pauses(result['silent_ticks'])}"),
         ("log", f"{result['log']} ({result['log_bytes'] / 1e6:.1f} MB)"),
         ("priority", result["priority"]),
     ]
@@ -38,6 +38,11 @@ def print_summary(result: dict[str, Any], plan: Plan) -> None:
     if result["picture"]:
         console.print(f"picture: {result['picture']}", soft_wrap=True)
     console.print(f"look at it: handctl view {result['log']}", soft_wrap=True)
+
+
+def _pauses(silent: int) -> str:
+    """Return the reason of late frames: ticks in which no node of the bus answered."""
+    return f", bus silent for {silent} tick{'s' if silent > 1 else ''}" if silent else ""
 
 
 def _slowed(scale: float) -> str:
