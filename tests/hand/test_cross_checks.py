@@ -145,9 +145,50 @@ CASES = {
         put("digit", 3, joint_min_deg=[0.0, 100.0]),
         "digit[thumb].joint_max_deg[1]: 100; expected more than joint_min_deg[1] = 100",
     ),
-    "four links": (
-        put("digit", 0, link_length_m=[0.01] * 4),
-        "digit[index].link_length_m: [0.01, 0.01, 0.01, 0.01]; expected at most 3 values",
+    "nine links": (
+        put("digit", 0, link_length_m=[0.01] * 9),
+        "digit[index].link_length_m: [0.01, 0.01, 0.01, 0.01, 0.01, 0.01, 0.01, 0.01, 0.01]; expected at most 8 values",
+    ),
+    "a last link without length": (
+        put("digit", 0, link_length_m=[0.03, 0.015, 0.0], link_com_m=[0.015, 0.0075, 0.0]),
+        "digit[index].link_length_m[2]: 0; expected more than 0",
+    ),
+    "an axis for every joint": (
+        put("digit", 0, joint_axis=[[0.0, 0.0, 1.0]]),
+        "digit[index].joint_axis: 1 values; expected 3, one per link_length_m",
+    ),
+    "an axis of wrong length": (
+        put("digit", 0, joint_axis=[[0.0, 0.0, 1.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]]),
+        "digit[index].joint_axis[1]: a vector of length 1.41; expected a unit vector, of length 1",
+    ),
+    "an axis of two numbers": (
+        put("digit", 0, joint_axis=[[0.0, 1.0]] * 3),
+        "digit[index].joint_axis[0][2]: missing; expected a value",
+    ),
+    "an orientation for every joint": (
+        put("digit", 0, joint_rpy_deg=[[0.0, 0.0, 90.0]] * 2),
+        "digit[index].joint_rpy_deg: 2 values; expected 3",
+    ),
+    "centre of mass of two numbers": (
+        put("digit", 0, link_com_m=[[0.015, 0.0], 0.0075, 0.005]),
+        "digit[index].link_com_m[0]: [0.015, 0.0]; expected a number, or a list of 3 numbers",
+    ),
+    "centre of mass far from the link": (
+        put("digit", 0, link_com_m=[0.015, [0.0, 0.02, 0.0], 0.005]),
+        "digit[index].link_com_m[1]: 0.02 m; expected at most 0.015 m from the joint",
+    ),
+    "inertia of two numbers": (
+        put("digit", 0, link_inertia_kg_m2=[[5e-7, 5e-7], 7e-8, 2e-8]),
+        "digit[index].link_inertia_kg_m2[0]: [5e-07, 5e-07]; expected a number, or a list of 3 or 6 numbers",
+    ),
+    "inertia that is not positive definite": (
+        put("digit", 0, link_inertia_kg_m2=[[5e-7, 5e-7, 5e-7, 6e-7, 0.0, 0.0], 7e-8, 2e-8]),
+        "digit[index].link_inertia_kg_m2[0]: a principal moment of -1e-07 kg m2; expected a positive definite inertia",
+    ),
+    "inertia of no real body": (
+        put("digit", 0, link_inertia_kg_m2=[[1e-7, 2e-7, 5e-7], 7e-8, 2e-8]),
+        "digit[index].link_inertia_kg_m2[0]: principal moments 1e-07, 2e-07, 5e-07; "
+        "expected none larger than the sum of the other two",
     ),
     "coupling of the wrong shape": (
         put("digit", 0, coupling=[[1.0], [1.0]]),

@@ -7,7 +7,7 @@ import pinocchio
 import pytest
 
 from handctl.hand.description import Hand
-from handctl.hand.digit import DigitModel, rotation_rpy
+from handctl.hand.digit import DigitModel
 from handctl.hand.formats.urdf import urdf
 from handctl.hand.inverse_kinematics import coordinate_limits, inverse, inverse_coupled
 from handctl.hand.kinematics import (
@@ -19,6 +19,7 @@ from handctl.hand.kinematics import (
     tip_jacobian,
     to_palm,
 )
+from handctl.hand.link_bodies import rotation_rpy
 from handctl.hand.link_frames import link_transforms, quaternion
 from handctl.hand.load import load_hand
 

@@ -14,8 +14,8 @@ from handctl.hand.file import quantities as qty
 from handctl.hand.file.sections import Bus, Digit, Motor, Mount, Section, SensorNode, Tendon
 from handctl.hand.file.toml_text import toml_text
 
-RATING = "joint_rated_torque_N_m"
-"""Key of a digit that ``content`` has only where the file has it."""
+LATER_KEYS = ("joint_rated_torque_N_m", "joint_axis", "joint_rpy_deg")
+"""Keys of a digit that came later. ``content`` has them only where the file has them."""
 
 
 class Hand(Section):
@@ -95,8 +95,9 @@ class Hand(Section):
         """Return the resolved content as plain values, with defaults, and with the keys of the file."""
         content = self.model_dump(by_alias=True, mode="python")
         for digit in content["digit"]:
-            if digit[RATING] is None:  # a key that came later: hands without it keep their identity
-                del digit[RATING]
+            for key in LATER_KEYS:
+                if digit[key] is None:  # hands without the key keep their identity
+                    del digit[key]
         return content
 
     def to_toml(self) -> str:

@@ -1,6 +1,5 @@
 """Model of one digit: all numbers of kinematics, dynamics and statics, built from the description."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 
 from handctl.hand.description import Hand
 from handctl.hand.file.sections import Digit
+from handctl.hand.link_bodies import rotation_rpy
 
 Array = NDArray[np.float64]
 Values = Sequence[float] | Array
@@ -204,26 +204,6 @@ def link_constants(digit: Digit) -> LinkConstants:
         r1=r1,
         r2=r2,
         r3=r3,
-    )
-
-
-def rotation_rpy(roll: float, pitch: float, yaw: float) -> Array:
-    """Return the (3, 3) rotation about the fixed axes x, y, z in turn [rad].
-
-    Rz(yaw) Ry(pitch) Rx(roll), as in URDF.
-    """
-    cr = math.cos(roll)
-    sr = math.sin(roll)
-    cp = math.cos(pitch)
-    sp = math.sin(pitch)
-    cy = math.cos(yaw)
-    sy = math.sin(yaw)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
     )
 
 

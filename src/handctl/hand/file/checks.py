@@ -9,6 +9,7 @@ import numpy as np
 
 from handctl.errors import ConfigError
 from handctl.hand.file.sections import Digit, Motor, Tendon
+from handctl.hand.link_bodies import inertia
 
 if TYPE_CHECKING:
     from handctl.hand.description import Hand
@@ -25,6 +26,10 @@ PER_LINK = (
     "spring_preload_rad",
 )
 """Keys of a digit with one value per link."""
+OPTIONAL_PER_LINK = ("joint_axis", "joint_rpy_deg", "joint_rated_torque_N_m")
+"""The same, where the file has the key."""
+UNIT_TOLERANCE = 1e-3
+"""Largest deviation of an axis from length 1, and of inertias from the triangle inequality, by rounding."""
 STRENGTH = "rated_breaking_force_N"
 """Key of the strength of a tendon."""
 LIMITS = ("tension_floor_N", "tension_max_N", "tension_trip_N", "drive_limit_N", STRENGTH)
@@ -88,29 +93,66 @@ def _unique(names: Iterable[str], where: str) -> None:
 
 
 def _check_digit(digit: Digit) -> None:
-    """Check lengths of lists, order of joint limits, and mass distribution of a digit."""
+    """Check lengths of lists, order of joint limits, and links of a digit."""
     where = f"digit[{digit.name}]"
     links = len(digit.link_length_m)
-    for key in PER_LINK:
-        if len(getattr(digit, key)) != links:
-            raise Refused(f"{len(getattr(digit, key))} values", f"{where}.{key}", f"{links}, one per link_length_m")
-    for i, (length, com) in enumerate(zip(digit.link_length_m, digit.link_com_m, strict=True)):
-        if com > length:
-            raise Refused(f"{com:g}", f"{where}.link_com_m[{i}]", f"at most the link's length, {length:g} m")
-        # No mass lies farther from the centre of mass than the link's length.
-        largest = digit.link_mass_kg[i] * length**2
-        if digit.link_inertia_kg_m2[i] > largest:
-            right = f"at most mass x length^2 = {largest:.3g} kg m2"
-            raise Refused(f"{digit.link_inertia_kg_m2[i]:g}", f"{where}.link_inertia_kg_m2[{i}]", right)
+    for key in (*PER_LINK, *OPTIONAL_PER_LINK):
+        values = getattr(digit, key)
+        if values is not None and len(values) != links:
+            raise Refused(f"{len(values)} values", f"{where}.{key}", f"{links}, one per link_length_m")
+    for i in range(links):
+        _check_body(digit, i, where)
         if digit.joint_min_deg[i] >= digit.joint_max_deg[i]:
             right = f"more than joint_min_deg[{i}] = {digit.joint_min_deg[i]:g}"
             raise Refused(f"{digit.joint_max_deg[i]:g}", f"{where}.joint_max_deg[{i}]", right)
-    rated = digit.joint_rated_torque_N_m
-    if rated is not None and len(rated) != links:
-        right = f"{links}, one per link_length_m"
-        raise Refused(f"{len(rated)} values", f"{where}.joint_rated_torque_N_m", right)
+    for i, axis in enumerate(digit.joint_axis or ()):
+        length = float(np.linalg.norm(axis))
+        if abs(length - 1.0) > UNIT_TOLERANCE:
+            raise Refused(f"a vector of length {length:.3g}", f"{where}.joint_axis[{i}]", "a unit vector, of length 1")
+    if digit.link_length_m[-1] == 0.0:
+        raise Refused(
+            "0", f"{where}.link_length_m[{links - 1}]", "more than 0, as the tip is at the end of the last link"
+        )
     if digit.coupling is not None:
         _check_coupling(digit.coupling, f"{where}.coupling", links)
+    _check_planar(digit, where)
+
+
+def _check_planar(digit: Digit, where: str) -> None:
+    """Refuse a digit that the planar equations of motion do not describe."""
+    if len(digit.link_length_m) > 3:
+        raise Refused(f"{len(digit.link_length_m)} links", f"{where}.link_length_m", "at most 3 links")
+    for key in ("joint_axis", "joint_rpy_deg"):
+        if getattr(digit, key) is not None:
+            raise Refused("not supported yet", f"{where}.{key}", "hinges along z, without this key")
+    for key in ("link_com_m", "link_inertia_kg_m2"):
+        if not all(isinstance(value, float) for value in getattr(digit, key)):
+            raise Refused("a list per link is not supported yet", f"{where}.{key}", "a number per link")
+
+
+def _check_body(digit: Digit, i: int, where: str) -> None:
+    """Check centre of mass and inertia of link i against its size."""
+    com = digit.link_com_m[i]
+    length = digit.link_length_m[i]
+    # No mass lies farther from the centre of mass than the link's length or width.
+    size = max(length, 2 * digit.link_radius_m)
+    if isinstance(com, float):
+        if com > length:
+            raise Refused(f"{com:g}", f"{where}.link_com_m[{i}]", f"at most the link's length, {length:g} m")
+    elif np.linalg.norm(com) > size:
+        right = f"at most {size:g} m from the joint, the link's length or width"
+        raise Refused(f"{np.linalg.norm(com):g} m", f"{where}.link_com_m[{i}]", right)
+    moments = np.linalg.eigvalsh(inertia(digit, i))
+    largest = digit.link_mass_kg[i] * size**2
+    if moments[-1] > largest:
+        right = f"at most mass x length^2 = {largest:.3g} kg m2"
+        raise Refused(f"{moments[-1]:g}", f"{where}.link_inertia_kg_m2[{i}]", right)
+    if moments[0] <= 0.0:
+        what = f"a principal moment of {moments[0]:.3g} kg m2"
+        raise Refused(what, f"{where}.link_inertia_kg_m2[{i}]", "a positive definite inertia")
+    if moments[-1] > (moments[0] + moments[1]) * (1.0 + UNIT_TOLERANCE):
+        what = "principal moments " + ", ".join(f"{moment:.3g}" for moment in moments)
+        raise Refused(what, f"{where}.link_inertia_kg_m2[{i}]", "none larger than the sum of the other two")
 
 
 def _check_coupling(coupling: tuple[tuple[float, ...], ...], where: str, links: int) -> None:

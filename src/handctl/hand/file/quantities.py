@@ -5,6 +5,7 @@ wrong by a factor of 1000.
 """
 
 import re
+from collections.abc import Callable
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator
@@ -20,7 +21,12 @@ def wrong(right: str) -> PydanticCustomError:
 
 
 def band(low: float, high: float, unit: str = "", hint: str = "") -> BeforeValidator:
-    """Return a validator of a finite real number within [low, high], with a float as result.
+    """Return a validator of a finite real number within [low, high], with a float as result, see ``within``."""
+    return BeforeValidator(within(low, high, unit, hint))
+
+
+def within(low: float, high: float, unit: str = "", hint: str = "") -> Callable[[Any], float]:
+    """Return a check of a finite real number within [low, high], with a float as result.
 
     Args:
         low: smallest plausible value.
@@ -39,7 +45,7 @@ def band(low: float, high: float, unit: str = "", hint: str = "") -> BeforeValid
             raise wrong(f"{right} ({hint})" if hint and value > high else right)
         return float(value)
 
-    return BeforeValidator(check)
+    return check
 
 
 def whole(low: int, high: int) -> BeforeValidator:
@@ -86,18 +92,59 @@ def _options(value: Any) -> dict[str, bool | int | float | str]:
     return value
 
 
+def band_or_zero(low: float, high: float, unit: str, hint: str) -> BeforeValidator:
+    """Return a validator of 0 or a number within [low, high], see ``within``."""
+    number = within(low, high, unit, hint)
+
+    def check(value: Any) -> float:
+        """Return the value as a float."""
+        zero = isinstance(value, int | float) and not isinstance(value, bool) and value == 0
+        return 0.0 if zero else number(value)
+
+    return BeforeValidator(check)
+
+
+def number_or_list(number: Callable[[Any], float], entry: Callable[[Any], float], *counts: int) -> BeforeValidator:
+    """Return a validator of a number or of a list of numbers.
+
+    Args:
+        number: check of a single number.
+        entry: check of each number of a list.
+        counts: valid lengths of a list.
+    """
+    right = f"a number, or a list of {' or '.join(str(count) for count in counts)} numbers"
+
+    def check(value: Any) -> float | tuple[float, ...]:
+        """Return the number as a float, or the list as a tuple of floats."""
+        if not isinstance(value, list | tuple):
+            return number(value)
+        if len(value) not in counts:
+            raise wrong(right)
+        return tuple(entry(one) for one in value)
+
+    return BeforeValidator(check)
+
+
 Name = Annotated[str, BeforeValidator(_identifier)]
 Text = Annotated[str, BeforeValidator(_text)]
 Direction = Annotated[int, BeforeValidator(_direction)]
 Options = Annotated[dict[str, bool | int | float | str], BeforeValidator(_options)]
 
-Length = Annotated[float, band(1e-3, 0.2, "m", "in metres?")]
-ComDistance = Annotated[float, band(0.0, 0.2, "m", "in metres?")]
+Length = Annotated[float, band_or_zero(1e-3, 0.2, "m", "in metres?")]
+"""Length of a link. It is 0 where the axes of two joints meet."""
+CentreOfMass = Annotated[
+    float | tuple[float, float, float],
+    number_or_list(within(0.0, 0.2, "m", "in metres?"), within(-0.2, 0.2, "m", "in metres?"), 3),
+]
+Direction3 = Annotated[float, band(-1.0, 1.0)]
 Radius = Annotated[float, band(5e-4, 0.05, "m", "in metres?")]
 MomentArm = Annotated[float, band(-0.05, 0.05, "m", "in metres?")]
 Position = Annotated[float, band(-0.5, 0.5, "m", "in metres?")]
 Mass = Annotated[float, band(1e-5, 0.5, "kg", "in kilograms?")]
-LinkInertia = Annotated[float, band(1e-12, 1e-3, "kg m2", "in kg m2?")]
+LinkInertia = Annotated[
+    float | tuple[float, ...],
+    number_or_list(within(1e-12, 1e-3, "kg m2", "in kg m2?"), within(-1e-3, 1e-3, "kg m2", "in kg m2?"), 3, 6),
+]
 Armature = Annotated[float, band(0.0, 1e-3, "kg m2", "in kg m2?")]
 MotorInertia = Annotated[float, band(1e-8, 1e-1, "kg m2", "in kg m2, at the spool?")]
 JointAngle = Annotated[float, band(-180.0, 180.0, "deg")]

@@ -63,22 +63,38 @@ JOINT_FRAME_OFFSET = 0x10
 """Distance of joint frame from tension frame identifiers. Source: sensor_node.dbc."""
 
 
-class Digit(Section):
-    """Finger or thumb: a planar chain.
+MAX_LINKS = 8
+"""Largest number of links of a digit."""
 
-    Its frame has x along the straight digit, z along the hinge, flexion positive.
+
+class Digit(Section):
+    """Finger or thumb: a chain of links with a hinge before each.
+
+    The frame of a link has its origin in the link's joint and x along the link. Without
+    ``joint_axis`` and ``joint_rpy_deg`` all hinges are along z, and a positive angle flexes towards y.
     """
 
     name: qty.Name
     mount_position_m: tuple[qty.Position, qty.Position, qty.Position]
     mount_rpy_deg: tuple[qty.MountAngle, qty.MountAngle, qty.MountAngle]
     """Roll, pitch, yaw about the fixed axes of the palm: Rz(yaw) Ry(pitch) Rx(roll)."""
-    link_length_m: tuple[qty.Length, ...] = Field(min_length=1, max_length=3)
-    link_com_m: tuple[qty.ComDistance, ...]
-    """Distance of the centre of mass from the link's own joint."""
+    link_length_m: tuple[qty.Length, ...] = Field(min_length=1, max_length=MAX_LINKS)
+    """Distance from a link's joint to the next joint, or to the tip. 0 if the axes of two joints meet."""
+    joint_axis: tuple[tuple[qty.Direction3, qty.Direction3, qty.Direction3], ...] | None = None
+    """Unit vector of each hinge in the link's frame. Absent for hinges along z, [0, 0, 1]."""
+    joint_rpy_deg: tuple[tuple[qty.MountAngle, qty.MountAngle, qty.MountAngle], ...] | None = None
+    """Orientation of each link's frame in the frame before it at angle zero, as ``mount_rpy_deg``.
+
+    The frame before the first link is that of the mount. Absent for equal orientation.
+    """
+    link_com_m: tuple[qty.CentreOfMass, ...]
+    """Centre of mass in the link's frame: a distance along the link, or x, y, z."""
     link_mass_kg: tuple[qty.Mass, ...]
     link_inertia_kg_m2: tuple[qty.LinkInertia, ...]
-    """About the hinge direction through the centre of mass."""
+    """Inertia about the centre of mass: a number, [xx, yy, zz], or [xx, yy, zz, xy, xz, yz].
+
+    A number is the inertia of a round bar about y and z. About x it is that of the bar's radius.
+    """
     link_radius_m: qty.Radius
     joint_min_deg: tuple[qty.JointAngle, ...]
     joint_max_deg: tuple[qty.JointAngle, ...]

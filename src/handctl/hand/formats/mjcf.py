@@ -10,9 +10,9 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from handctl.hand.description import Hand
-from handctl.hand.digit import rotation_rpy
 from handctl.hand.file.sections import Digit
 from handctl.hand.formats.urdf import PALM_MARGIN, PALM_THICKNESS
+from handctl.hand.link_bodies import rotation_rpy
 from handctl.hand.link_frames import quaternion
 
 STOPS = ("0.002 1", "0.99 0.9999 0.001")

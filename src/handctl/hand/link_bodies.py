@@ -1,0 +1,65 @@
+"""Bodies of a digit's links: axes, orientations, centres of mass and inertia, in each link's frame."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.hand.file.sections import Digit
+
+Array = NDArray[np.float64]
+
+Z_AXIS = (0.0, 0.0, 1.0)
+"""Axis of a hinge without ``joint_axis``."""
+
+
+def joint_axes(digit: Digit) -> Array:
+    """Return the unit vectors of the joints' axes in the links' frames, (n, 3)."""
+    axes = np.array(digit.joint_axis or [Z_AXIS] * len(digit.link_length_m))
+    return np.asarray(axes / np.linalg.norm(axes, axis=1, keepdims=True))
+
+
+def joint_rotations(digit: Digit) -> Array:
+    """Return the rotations of the links' frames at angle zero to the frame before, (n, 3, 3).
+
+    The frame before the first link is that of the mount.
+    """
+    turns = digit.joint_rpy_deg or [(0.0, 0.0, 0.0)] * len(digit.link_length_m)
+    return np.array([rotation_rpy(*np.radians(turn)) for turn in turns])
+
+
+def centre_of_mass(digit: Digit, i: int) -> Array:
+    """Return the centre of mass of link i in its frame, (3,) [m]."""
+    com = digit.link_com_m[i]
+    return np.array([com, 0.0, 0.0] if isinstance(com, float) else com)
+
+
+def inertia(digit: Digit, i: int) -> Array:
+    """Return the inertia of link i about its centre of mass, along its frame, (3, 3) [kg m2]."""
+    values = digit.link_inertia_kg_m2[i]
+    if isinstance(values, float):
+        # A round bar about its axis. A real body's inertias satisfy the triangle inequality: at most 2 I.
+        along = min(digit.link_mass_kg[i] * digit.link_radius_m**2 / 2, 2 * values)
+        return np.diag([along, values, values])
+    xx, yy, zz, xy, xz, yz = values if len(values) == 6 else (*values, 0.0, 0.0, 0.0)
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def rotation_rpy(roll: float, pitch: float, yaw: float) -> Array:
+    """Return the (3, 3) rotation about the fixed axes x, y, z in turn [rad].
+
+    Rz(yaw) Ry(pitch) Rx(roll), as in URDF.
+    """
+    cr = math.cos(roll)
+    sr = math.sin(roll)
+    cp = math.cos(pitch)
+    sp = math.sin(pitch)
+    cy = math.cos(yaw)
+    sy = math.sin(yaw)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
