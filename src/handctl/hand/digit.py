@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from handctl.hand.description import Hand
 from handctl.hand.file.sections import Digit
-from handctl.hand.link_bodies import rotation_rpy
+from handctl.hand.link_bodies import centre_of_mass, inertia, rotation_rpy
 
 Array = NDArray[np.float64]
 Values = Sequence[float] | Array
@@ -143,9 +143,9 @@ class DigitModel:
             joints=joints,
             tendons=tendons,
             lengths=digit.link_length_m,
-            coms=digit.link_com_m,
+            coms=tuple(float(centre_of_mass(digit, i)[0]) for i in range(len(digit.joints))),
             masses=digit.link_mass_kg,
-            inertias=digit.link_inertia_kg_m2,
+            inertias=tuple(float(inertia(digit, i)[2, 2]) for i in range(len(digit.joints))),
             radius=digit.link_radius_m,
             joint_min=_constant(np.radians(digit.joint_min_deg)),
             joint_max=_constant(np.radians(digit.joint_max_deg)),
@@ -187,9 +187,9 @@ def link_constants(digit: Digit) -> LinkConstants:
     """
     absent = (0.0,) * (3 - len(digit.link_length_m))
     l1, l2, _ = (*digit.link_length_m, *absent)
-    d1, d2, d3 = (*digit.link_com_m, *absent)
+    d1, d2, d3 = (*(float(centre_of_mass(digit, i)[0]) for i in range(len(digit.joints))), *absent)
     m1, m2, m3 = (*digit.link_mass_kg, *absent)
-    i1, i2, i3 = (*digit.link_inertia_kg_m2, *absent)
+    i1, i2, i3 = (*(float(inertia(digit, i)[2, 2]) for i in range(len(digit.joints))), *absent)
     r1, r2, r3 = (*digit.joint_armature_kg_m2, *absent)
     return LinkConstants(
         j1=i1 + m1 * d1**2 + (m2 + m3) * l1**2,

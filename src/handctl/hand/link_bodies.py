@@ -11,6 +11,8 @@ Array = NDArray[np.float64]
 
 Z_AXIS = (0.0, 0.0, 1.0)
 """Axis of a hinge without ``joint_axis``."""
+GIMBAL_LOCK = 1e-9
+"""Cosine of the pitch below which roll and yaw are not separable."""
 
 
 def joint_axes(digit: Digit) -> Array:
@@ -43,6 +45,30 @@ def inertia(digit: Digit, i: int) -> Array:
         return np.diag([along, values, values])
     xx, yy, zz, xy, xz, yz = values if len(values) == 6 else (*values, 0.0, 0.0, 0.0)
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def mounted(digit: Digit, i: int) -> tuple[Array, Array]:
+    """Return position (3,) [m] and rotation (3, 3) of link i at angle zero in the frame before.
+
+    The frame before the first link is that of the palm.
+    """
+    rotation = joint_rotations(digit)[i]
+    if i > 0:
+        return np.array([digit.link_length_m[i - 1], 0.0, 0.0]), rotation
+    mount = rotation_rpy(*np.radians(digit.mount_rpy_deg))
+    return np.array(digit.mount_position_m), np.asarray(mount @ rotation)
+
+
+def rpy_of(rotation: Array) -> tuple[float, float, float]:
+    """Return roll, pitch and yaw [rad] of a rotation (3, 3), the inverse of ``rotation_rpy``.
+
+    With a pitch of 90 degrees only the sum or difference of roll and yaw counts. The yaw is then 0.
+    """
+    horizontal = math.hypot(rotation[0, 0], rotation[1, 0])
+    pitch = math.atan2(-rotation[2, 0], horizontal)
+    if horizontal < GIMBAL_LOCK:
+        return math.atan2(-rotation[1, 2], rotation[1, 1]), pitch, 0.0
+    return math.atan2(rotation[2, 1], rotation[2, 2]), pitch, math.atan2(rotation[1, 0], rotation[0, 0])
 
 
 def rotation_rpy(roll: float, pitch: float, yaw: float) -> Array:

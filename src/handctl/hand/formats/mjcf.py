@@ -1,6 +1,6 @@
 """Export of a hand as MJCF for MuJoCo: links, springs, stops, and tendons driven by tension.
 
-The world frame is the palm frame. All joints at zero form the straight hand, positive angles flex.
+The world frame is the palm frame. All joints at zero form the hand at rest, positive angles flex.
 Each control is the tension of one tendon at the joint pulleys [N]. The model has no tendon
 elasticity, no friction, and no rotors.
 """
@@ -12,7 +12,7 @@ import numpy as np
 from handctl.hand.description import Hand
 from handctl.hand.file.sections import Digit
 from handctl.hand.formats.urdf import PALM_MARGIN, PALM_THICKNESS
-from handctl.hand.link_bodies import rotation_rpy
+from handctl.hand.link_bodies import centre_of_mass, inertia, joint_axes, mounted
 from handctl.hand.link_frames import quaternion
 
 STOPS = ("0.002 1", "0.99 0.9999 0.001")
@@ -55,12 +55,11 @@ def _digit(palm: ET.Element, digit: Digit) -> None:
     """Add nested bodies: each link along its x axis, its hinge at its origin."""
     parent = palm
     for i, joint in enumerate(digit.joints):
-        position = digit.mount_position_m if i == 0 else (digit.link_length_m[i - 1], 0.0, 0.0)
-        link = ET.SubElement(parent, "body", name=f"{digit.name}_link{i + 1}", pos=_numbers(position))
-        if i == 0:
-            # MuJoCo's quaternions begin with w.
-            x, y, z, w = quaternion(rotation_rpy(*np.radians(digit.mount_rpy_deg)))
-            link.set("quat", _numbers((w, x, y, z)))
+        position, rotation = mounted(digit, i)
+        # MuJoCo's quaternions begin with w.
+        x, y, z, w = quaternion(rotation)
+        place = {"pos": _numbers(position), "quat": _numbers((w, x, y, z))}
+        link = ET.SubElement(parent, "body", place, name=f"{digit.name}_link{i + 1}")
         _hinge(link, digit, i, joint)
         _bar(link, digit, i)
         parent = link
@@ -73,7 +72,7 @@ def _hinge(link: ET.Element, digit: Digit, i: int, joint: str) -> None:
         link,
         "joint",
         name=joint,
-        axis="0 0 1",
+        axis=_numbers(joint_axes(digit)[i]),
         range=_numbers(np.radians((digit.joint_min_deg[i], digit.joint_max_deg[i]))),
         damping=_number(digit.joint_damping_N_m_s_per_rad[i]),
         armature=_number(digit.joint_armature_kg_m2[i]),
@@ -86,25 +85,21 @@ def _hinge(link: ET.Element, digit: Digit, i: int, joint: str) -> None:
 
 
 def _bar(link: ET.Element, digit: Digit, i: int) -> None:
-    """Add inertia and collision shape of link i.
-
-    Inertia about the hinge is that of the description, about the bar's own axis that of a round bar.
-    The shape is a capsule.
-    """
+    """Add inertia and collision shape of link i. The shape is a capsule, or a ball without length."""
     length = digit.link_length_m[i]
-    radius = digit.link_radius_m
-    mass = digit.link_mass_kg[i]
-    about_hinge = digit.link_inertia_kg_m2[i]
-    # A round bar about its axis. A real body's inertias satisfy the triangle inequality: at most 2 I.
-    along = min(mass * radius**2 / 2, 2 * about_hinge)
+    moments = inertia(digit, i)
     ET.SubElement(
         link,
         "inertial",
-        pos=_numbers((digit.link_com_m[i], 0.0, 0.0)),
-        mass=_number(mass),
-        diaginertia=_numbers((along, about_hinge, about_hinge)),
+        pos=_numbers(centre_of_mass(digit, i)),
+        mass=_number(digit.link_mass_kg[i]),
+        fullinertia=_numbers([*np.diag(moments), moments[0, 1], moments[0, 2], moments[1, 2]]),
     )
-    ET.SubElement(link, "geom", type="capsule", fromto=_numbers((0, 0, 0, length, 0, 0)), size=_number(radius))
+    size = _number(digit.link_radius_m)
+    if length > 0.0:
+        ET.SubElement(link, "geom", type="capsule", fromto=_numbers((0, 0, 0, length, 0, 0)), size=size)
+    else:
+        ET.SubElement(link, "geom", type="sphere", size=size)
 
 
 def _tendons(root: ET.Element, hand: Hand) -> None:

@@ -1,8 +1,7 @@
 """Export of a hand as URDF, with primitive shapes, for viewers and dynamics libraries.
 
-All joints at zero form the straight hand, positive angles flex. Links are bars along their own x
-axis. A link's inertia about its hinge is that of the description, about the other axes that of a
-slender round bar.
+All joints at zero form the hand at rest, positive angles flex. Links are bars along their own x
+axis.
 """
 
 from xml.etree import ElementTree as ET
@@ -11,7 +10,10 @@ import numpy as np
 
 from handctl.hand.description import Hand
 from handctl.hand.file.sections import Digit
+from handctl.hand.link_bodies import centre_of_mass, inertia, joint_axes, mounted, rpy_of
 
+MOMENTS = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
+"""Row and column of each value of URDF's inertia."""
 PALM_THICKNESS = 0.010
 """Depth of the palm's box [m]. Its face is x = 0."""
 PALM_MARGIN = 0.010
@@ -53,13 +55,10 @@ def _joint(robot: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
     joint = ET.SubElement(robot, "joint", name=name, type="revolute")
     ET.SubElement(joint, "parent", link="palm" if i == 0 else f"{digit.name}_link{i}")
     ET.SubElement(joint, "child", link=f"{digit.name}_link{i + 1}")
-    if i == 0:
-        ET.SubElement(
-            joint, "origin", xyz=_numbers(digit.mount_position_m), rpy=_numbers(np.radians(digit.mount_rpy_deg))
-        )
-    else:
-        ET.SubElement(joint, "origin", xyz=_numbers((digit.link_length_m[i - 1], 0.0, 0.0)), rpy="0 0 0")
-    ET.SubElement(joint, "axis", xyz="0 0 1")
+    position, rotation = mounted(digit, i)
+    # Adding 0.0 makes 0.0 of -0.0.
+    ET.SubElement(joint, "origin", xyz=_numbers(position), rpy=_numbers(np.add(rpy_of(rotation), 0.0)))
+    ET.SubElement(joint, "axis", xyz=_numbers(joint_axes(digit)[i]))
     crossing = [tendon for tendon in hand.tendon if name in tendon.moment_arm_m]
     effort = sum(abs(tendon.moment_arm_m[name]) * tendon.tension_max_N for tendon in crossing)
     motors = [(hand.motor_of(tendon.name), abs(tendon.moment_arm_m[name])) for tendon in crossing]
@@ -80,27 +79,18 @@ def _link(robot: ET.Element, digit: Digit, i: int) -> None:
     """Add link i: inertia, and a cylinder with a ball at the far end."""
     length = digit.link_length_m[i]
     radius = digit.link_radius_m
-    mass = digit.link_mass_kg[i]
-    about_hinge = digit.link_inertia_kg_m2[i]
-    along = min(mass * radius**2 / 2, 2 * about_hinge)
     link = ET.SubElement(robot, "link", name=f"{digit.name}_link{i + 1}")
     inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "origin", xyz=_numbers((digit.link_com_m[i], 0.0, 0.0)), rpy="0 0 0")
-    ET.SubElement(inertial, "mass", value=_number(mass))
-    ET.SubElement(
-        inertial,
-        "inertia",
-        ixx=_number(along),
-        iyy=_number(about_hinge),
-        izz=_number(about_hinge),
-        ixy="0",
-        ixz="0",
-        iyz="0",
-    )
+    ET.SubElement(inertial, "origin", xyz=_numbers(centre_of_mass(digit, i)), rpy="0 0 0")
+    ET.SubElement(inertial, "mass", value=_number(digit.link_mass_kg[i]))
+    moments = inertia(digit, i)
+    values = {f"i{key}": _number(moments[place]) for key, place in MOMENTS.items()}
+    ET.SubElement(inertial, "inertia", values)
     for element in ("visual", "collision"):
-        bar = ET.SubElement(link, element)
-        ET.SubElement(bar, "origin", xyz=_numbers((length / 2, 0.0, 0.0)), rpy=f"0 {_number(np.pi / 2)} 0")
-        ET.SubElement(ET.SubElement(bar, "geometry"), "cylinder", radius=_number(radius), length=_number(length))
+        if length > 0.0:
+            bar = ET.SubElement(link, element)
+            ET.SubElement(bar, "origin", xyz=_numbers((length / 2, 0.0, 0.0)), rpy=f"0 {_number(np.pi / 2)} 0")
+            ET.SubElement(ET.SubElement(bar, "geometry"), "cylinder", radius=_number(radius), length=_number(length))
         ball = ET.SubElement(link, element)
         ET.SubElement(ball, "origin", xyz=_numbers((length, 0.0, 0.0)), rpy="0 0 0")
         ET.SubElement(ET.SubElement(ball, "geometry"), "sphere", radius=_number(radius))
