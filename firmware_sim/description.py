@@ -1,10 +1,24 @@
 """The description of a hand as the simulator needs it, read from its TOML file with the standard library only."""
 
 import importlib.util
+import re
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+PER_LINK = (
+    "link_com_m",
+    "link_mass_kg",
+    "link_inertia_kg_m2",
+    "joint_min_deg",
+    "joint_max_deg",
+    "joint_damping_N_m_s_per_rad",
+    "joint_armature_kg_m2",
+    "spring_stiffness_N_m_per_rad",
+    "spring_preload_rad",
+)
+"""Keys of a digit with one value per link. In schema 2 one number may stand for the list."""
 
 
 class SimulatorError(ValueError):
@@ -215,13 +229,58 @@ def load_hand(name_or_path: str) -> Hand:
     """
     path = find_hand(name_or_path)
     try:
-        return _hand(tomllib.loads(path.read_text("utf-8")))
+        return _hand(_resolved(tomllib.loads(path.read_text("utf-8"))))
     except OSError as error:
         raise SimulatorError(f"{path}: cannot be read: {error.strerror}") from error
     except (ValueError, RecursionError) as error:  # also an endless number, or text that is not UTF-8
         raise SimulatorError(f"{path}: not TOML: {error}") from error
     except (KeyError, TypeError, AttributeError) as error:
         raise SimulatorError(f"{path}: not a complete hand: missing or wrong key {error}") from error
+
+
+def _resolved(raw: dict[str, Any]) -> dict[str, Any]:
+    """Return a hand file of schema 2 with the values that its defaults and templates stand for."""
+    if raw.get("schema") != 2:
+        return raw
+    sections: dict[str, list[dict[str, Any]]] = {"digit": [], "tendon": [], "motor": []}
+    for entry in raw["digit"]:
+        digit = _with_template(raw, "digit", entry)
+        name, links = digit["name"], len(digit["link_length_m"])
+        motors = digit.pop("motor", {})
+        for short, motor in motors.items():
+            sections["motor"].append(_with_template(raw, "motor", motor) | {"name": f"{name}_{short}"})
+        for short, own in digit.pop("tendon", {}).items():
+            tendon = _with_template(raw, "tendon", own) | {"name": f"{name}_{short}"}
+            if tendon["motor"] in motors:
+                tendon["motor"] = f"{name}_{tendon['motor']}"
+            arms = tendon["moment_arm_m"].items()
+            tendon["moment_arm_m"] = {f"{name}_{j}" if re.fullmatch("j[0-9]+", j) else j: arm for j, arm in arms}
+            sections["tendon"].append(tendon)
+        listed = {key: [digit[key]] * links for key in PER_LINK if isinstance(digit.get(key), int | float)}
+        sections["digit"].append(digit | listed)
+    for kind in ("tendon", "motor"):
+        sections[kind] += [_with_template(raw, kind, entry) for entry in raw.get(kind, [])]
+    node = dict(raw["sensor_node"]) if "sensor_node" in raw else {}
+    if node.get("tendons") == "all":
+        node["tendons"] = [tendon["name"] for tendon in sections["tendon"]]
+    if node.get("joints") == "all":
+        digits = sections["digit"]
+        node["joints"] = [f"{one['name']}_j{i + 1}" for one in digits for i in range(len(one["link_length_m"]))]
+    return raw | sections | {"sensor_node": node}
+
+
+def _with_template(raw: dict[str, Any], kind: str, entry: dict[str, Any]) -> dict[str, Any]:
+    """Return an entry above its template, above the default of its kind."""
+    default = raw.get("default", {}).get(kind, {})
+    template = raw[f"{kind}_template"][entry["template"]] if "template" in entry else {}
+    return _merged(_merged(default, template), entry)
+
+
+def _merged(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+    """Return two tables merged key by key. ``above`` wins."""
+    tables = {key: _merged(below[key], value) for key, value in above.items()
+              if isinstance(value, dict) and isinstance(below.get(key), dict)}  # fmt: skip
+    return below | above | tables
 
 
 def _hand(raw: dict[str, Any]) -> Hand:

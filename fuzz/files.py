@@ -16,7 +16,7 @@ from handctl.errors import HandctlError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.file.toml_text import toml_text
-from handctl.hand.load import HANDS, hand_from, load_hand, packaged_hands, read_toml
+from handctl.hand.load import HANDS, hand_content, hand_from, load_hand, packaged_hands, read_toml
 from handctl.programs.calibration import calibration_from
 from handctl.programs.task import Task, trajectory_from
 from handctl.session.tasks import check_suits
@@ -37,7 +37,7 @@ def used(hand: Hand) -> None:
 
 def hand(folder: Path) -> Target:
     """Return the target for a hand with up to four changes."""
-    contents = [tomllib.loads((HANDS / f"{name}.toml").read_text()) for name in packaged_hands()]
+    contents = [hand_content(name) for name in packaged_hands()]
     paths = [list(places(content)) for content in contents]
 
     def target(data: bytes) -> bool:

@@ -4,12 +4,11 @@ With all joints of a packaged hand at 60 degrees the fingertips touch the palm a
 A motion that is judged as free must be free. These hands have the digits moved apart and are otherwise the same.
 """
 
-import tomllib
 from functools import cache
 from pathlib import Path
 
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_from, hand_path, load_hand
+from handctl.hand.load import hand_content, hand_from, hand_path, load_hand
 
 CLEAR = ".clear"
 """Suffix of a packaged hand's name for its twin with room around every digit."""
@@ -28,7 +27,7 @@ def hand_by_name(name: str) -> Hand:
     """Return a hand by its name in the benchmarks."""
     if not name.endswith((CLEAR, SIDE)):
         return load_hand(name)
-    content = tomllib.loads(hand_path(packaged(name)).read_text())
+    content = hand_content(packaged(name))
     for i, digit in enumerate(content["digit"]):
         x, y, z = digit["mount_position_m"]
         digit["mount_position_m"] = [x + FORWARD_M, y, z + i * APART_M]

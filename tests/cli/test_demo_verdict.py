@@ -1,13 +1,12 @@
 """What ``handctl demo`` calls a success, and hands a little unlike the packaged ones."""
 
 import json
-import tomllib
 
 import pytest
 
 from handctl.cli.main import main
 from handctl.hand.file.toml_text import toml_text
-from handctl.hand.load import hand_path
+from handctl.hand.load import hand_content
 from tests.cli.refused import refused
 from tests.runtime.processes import handctl, scaled
 
@@ -29,7 +28,7 @@ duration_s = 1.0
 
 
 def jamia():
-    return tomllib.loads(hand_path("jamia").read_text())
+    return hand_content("jamia")
 
 
 def two_fingers():

@@ -9,7 +9,7 @@ import pytest
 
 from handctl.cli.main import VERBS, main
 from handctl.hand.file.toml_text import toml_text
-from handctl.hand.load import HANDS, hand_from, load_hand
+from handctl.hand.load import hand_content, hand_from, load_hand
 from tests.cli.refused import refused
 
 BUS = ("--bus", "local:does-not-exist")
@@ -29,7 +29,7 @@ def no_bus(monkeypatch):
 
 
 def jamia():
-    return tomllib.loads((HANDS / "jamia.toml").read_text())
+    return hand_content("jamia")
 
 
 def nan_mass(content):

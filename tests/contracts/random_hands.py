@@ -3,7 +3,6 @@
 import hashlib
 import json
 import sys
-import tomllib
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -24,7 +23,7 @@ from handctl.drives.frame import Frame
 from handctl.drives.mit import codec as mit
 from handctl.drives.signals import Message, Quantity, Table
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_from, hand_path
+from handctl.hand.load import hand_content, hand_from
 from handctl.programs.live import LiveProgram
 
 RATE_HZ, TICKS = 200.0, 40
@@ -42,7 +41,7 @@ def random_hand(tendons: int, random: Random) -> Hand:
 
     A digit has a tendon for each joint, one tendon, or one tendon more than joints.
     """
-    raw = tomllib.loads(hand_path("jamia11").read_text("utf-8"))
+    raw = hand_content("jamia11")
     finger, tendon, motor = raw["digit"][0], raw["tendon"][0], raw["motor"][0]
     digits, entries, joints = list[dict[str, Any]](), list[dict[str, Any]](), list[str]()
     while len(entries) < tendons:

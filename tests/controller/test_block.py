@@ -1,7 +1,6 @@
 """The block of numbers: its schema, what kernels see of it, and that nothing of a state escapes its digest."""
 
 import random
-import tomllib
 from collections.abc import Iterator
 from dataclasses import fields, replace
 from typing import Any
@@ -25,7 +24,7 @@ from handctl.core.law.trajectory import MinimumJerk
 from handctl.core.model import HandModel
 from handctl.core.schema import INT, Field, Schema
 from handctl.drives.contract import DriveState, Phase
-from handctl.hand.load import hand_from, hand_path, load_hand, packaged_hands
+from handctl.hand.load import hand_content, hand_from, load_hand, packaged_hands
 from handctl.programs.grip import Grip
 from handctl.programs.program import Progress
 from handctl.safety.judge import Counting, Latched
@@ -185,7 +184,7 @@ def random_hand(seed: int) -> HandModel:
     chance = random.Random(seed)
     raw: dict[str, Any] = fifteen_motors()
     if seed % 3:
-        raw = tomllib.loads(hand_path(("jamia", "jamia11")[seed % 3 - 1]).read_text("utf-8"))
+        raw = hand_content(("jamia", "jamia11")[seed % 3 - 1])
     digits = [digit["name"] for digit in raw["digit"]]
     kept = sorted(chance.sample(digits, chance.randint(1, len(digits))), key=digits.index)
 

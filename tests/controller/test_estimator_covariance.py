@@ -1,6 +1,5 @@
 """The tension filter against its own model: as good as it says, and no worse where measurements are missing."""
 
-import tomllib
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -12,7 +11,7 @@ from handctl.core.estimation.filter_stack import MEASUREMENTS, STATES, E, Regime
 from handctl.core.estimation.kalman import _missing
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
-from handctl.hand.load import hand_from, hand_path
+from handctl.hand.load import hand_content, hand_from
 from tests.controller.filter_runs import all_in, corrected, nowhere, parts, readings, resting, step, tick
 from tests.controller.oracle import (
     SCALE,
@@ -27,7 +26,7 @@ from tests.controller.synthetic import Readings, blank, interpreted, nothing_rea
 
 def plain_hand(name: str, rate_hz: float) -> HandModel:
     """A hand whose filter model is exact: no friction, no weight."""
-    content = tomllib.loads(hand_path(name).read_text())
+    content = hand_content(name)
     content["mount"]["gravity_m_s2"] = [0.0, 0.0, 0.0]
     for tendon in content["tendon"]:
         tendon["friction_coefficient"] = 0.0

@@ -1,7 +1,6 @@
 """What the inventory waits for: every drive, every load cell, a first reading of each, though they take turns."""
 
 import math
-import tomllib
 
 import pytest
 
@@ -13,7 +12,7 @@ from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.drives.contract import Phase
 from handctl.drives.frame import Frame
-from handctl.hand.load import hand_from, hand_path
+from handctl.hand.load import hand_content, hand_from
 from handctl.programs.live import LiveProgram
 from handctl.safety.action import Action
 from tests.controller.bench import Bench, bench
@@ -84,7 +83,7 @@ def test_a_drive_that_is_ready_but_never_tells_its_position_is_named(hand: Bench
 
 
 def test_a_tendon_without_a_load_cell_is_named() -> None:
-    content = tomllib.loads(hand_path("jamia").read_text())
+    content = hand_content("jamia")
     content["sensor_node"]["tendons"].remove("ring_tendon")
     run = bench(HandModel.of(hand_from(content, "three cells"), Gains(), 200.0), LiveProgram())
     run.peer.order.remove(2)

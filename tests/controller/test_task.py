@@ -1,13 +1,12 @@
 """Task files: the packaged one is good for every hand, and what is wrong is named with its key."""
 
-import tomllib
 from pathlib import Path
 
 import pytest
 
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_from, hand_path, load_hand, packaged_hands
+from handctl.hand.load import hand_content, hand_from, load_hand, packaged_hands
 from handctl.programs.program import TARE_PHASE
 from handctl.programs.task import Close, Hold, Move, Release, Shape, check_task, for_digit, load_task, shapes
 from handctl.session.tasks import check_suits
@@ -88,7 +87,7 @@ def test_a_digit_with_a_tendon_more_than_joints_takes_an_angle_per_joint(tmp_pat
 
 def hand_with_an_extensor() -> Hand:
     """jamia11, and a third tendon that opens both joints of its thumb."""
-    content = tomllib.loads(hand_path("jamia11").read_text())
+    content = hand_content("jamia11")
     motor = {**content["motor"][-1], "name": "thumb_ext_motor", "node_id": content["motor"][-1]["node_id"] + 1}
     arms = {"thumb_j1": -0.003, "thumb_j2": -0.003}
     tendon = {**content["tendon"][-1], "name": "thumb_ext", "motor": motor["name"], "moment_arm_m": arms}

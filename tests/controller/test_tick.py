@@ -1,7 +1,6 @@
 """The tick as a function: the same in, the same out, nothing changed on the way, whatever the wire brings."""
 
 import random
-import tomllib
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.core.types import TELEMETRY_AXES, IoEvent, Mode, TickIn, TickOut
 from handctl.drives.frame import Frame
-from handctl.hand.load import hand_from, hand_path, load_hand
+from handctl.hand.load import hand_content, hand_from, load_hand
 from handctl.programs.live import LiveProgram
 from handctl.safety.action import Action
 from tests.controller.bench import Bench, bench
@@ -168,7 +167,7 @@ def test_missed_ticks_are_told_and_many_of_them_relax() -> None:
 
 def test_load_cells_wired_in_another_order_belong_to_their_tendons() -> None:
     """The node lists its channels from the last tendon to the first; its second frame is lost."""
-    content = tomllib.loads(hand_path("jamia11").read_text())
+    content = hand_content("jamia11")
     content["sensor_node"]["tendons"] = content["sensor_node"]["tendons"][::-1]
     run = bench(HandModel.of(hand_from(content, "reversed"), Gains(), 200.0), LiveProgram())
     run.peer.order = list(range(11))[::-1]

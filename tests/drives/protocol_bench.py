@@ -12,7 +12,7 @@ from handctl.drives.frame import Frame
 from handctl.drives.registry import PROTOCOLS, make_drive
 from handctl.drives.sensors.node import SensorNode
 from handctl.hand.file.sections import Motor
-from handctl.hand.load import hand_path, load_hand
+from handctl.hand.load import load_hand
 
 PERIOD_NS = 2_000_000
 FIRST_NODE = 0x10
@@ -36,7 +36,7 @@ def hand_file(folder: Path, protocols: Sequence[str], extra: str = "") -> Path:
         protocols: of each motor; the last one for the rest.
         extra: more options of every motor.
     """
-    head, *motors = hand_path("jamia").read_text().split("[[motor]]")
+    head, *motors = load_hand("jamia").to_toml().split("[[motor]]")
     for i, text in enumerate(motors):
         protocol = protocols[min(i, len(protocols) - 1)]
         text = text.replace('"mit"', f'"{protocol}"')
@@ -48,7 +48,7 @@ def hand_file(folder: Path, protocols: Sequence[str], extra: str = "") -> Path:
     return path
 
 
-SECOND = '[[bus]]\nname = "second"\nbitrate = 1_000_000\n\n[sensor_node]'
+SECOND = '[[bus]]\nname = "second"\nbitrate = 1000000\n\n[sensor_node]'
 
 
 def on_two_buses(path: Path, motors: Sequence[int] = (2, 3)) -> Path:

@@ -47,7 +47,7 @@ def test_the_wire_is_as_full_as_the_plan_says(protocol: str, tmp_path: Path) -> 
 
 def test_so_is_each_of_two_with_can_fd_among_them(tmp_path: Path) -> None:
     path = on_two_buses(hand_file(tmp_path, ["mit", "mit", "odrive"]), (0, 1))
-    classical = '"second"\nbitrate = 1_000_000'
+    classical = '"second"\nbitrate = 1000000'
     text = path.read_text().replace(classical, classical + "\ndata_bitrate = 5_000_000")
     head, *motors = text.split("[[motor]]")
     for i in (0, 1):

@@ -11,14 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_sim.bus.frame import BRS, ESI, EXTENDED, FDF, RECORD_SIZE, Frame, pack_record, unpack_record
-from firmware_sim.description import SimulatorError, find_hand, load_hand
+from firmware_sim.description import SimulatorError, load_hand
 from firmware_sim.plant.perturb import KEYS, perturbed
 from firmware_sim.rig import Rig
+from handctl.hand.load import load_hand as described
 
 
 def edited(tmp_path: Path, old: str, new: str) -> str:
     """Write a copy of jamia with the first occurrence of a text replaced."""
-    text = find_hand("jamia").read_text()
+    text = described("jamia").to_toml()
     assert old in text
     path = tmp_path / "edited.toml"
     path.write_text(text.replace(old, new, 1))
@@ -27,7 +28,7 @@ def edited(tmp_path: Path, old: str, new: str) -> str:
 
 @pytest.mark.parametrize("name", ["jamia", "jamia11"])
 def test_every_number_comes_from_the_file(name: str) -> None:
-    raw = tomllib.loads(find_hand(name).read_text())
+    raw = tomllib.loads(described(name).to_toml())
     hand = load_hand(name)
     assert [tendon.arms for tendon in hand.tendons] == [tendon["moment_arm_m"] for tendon in raw["tendon"]]
     for tendon, entry in zip(hand.tendons, raw["tendon"], strict=True):
@@ -62,7 +63,7 @@ def test_incomplete_hands_are_refused_in_one_line(old: str, new: str, expected: 
 
 def test_motors_on_two_buses(tmp_path: Path) -> None:
     """Move the first motor to a second bus: it answers there and ignores the first bus."""
-    first = edited(tmp_path, "[sensor_node]", '[[bus]]\nname = "side"\nbitrate = 1_000_000\n\n[sensor_node]')
+    first = edited(tmp_path, "[sensor_node]", '[[bus]]\nname = "side"\nbitrate = 1000000\n\n[sensor_node]')
     text = Path(first).read_text()
     head, _, tail = text.partition('name = "index_motor"')
     Path(first).write_text(head + 'name = "index_motor"' + tail.replace('bus = "main"', 'bus = "side"', 1))

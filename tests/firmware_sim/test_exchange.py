@@ -4,7 +4,6 @@ import random
 import re
 import struct
 from collections.abc import Iterator
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,7 @@ from firmware_sim.bus.records import RECORD, to_frames, to_records
 from firmware_sim.nodes import cyclic
 from firmware_sim.rig import Rig
 from firmware_sim.truth import read_truth
+from handctl.hand.load import load_hand as described
 
 TICK_NS = 2_000_000
 FIRST_NODE = 0x10
@@ -30,7 +30,7 @@ OPTIONS = {
 
 def hand_file(folder: Path, protocols: tuple[str, ...], buses: int = 1) -> str:
     """Write the packaged hand with other drives, the last two of them on a second bus if there are two."""
-    text = files("firmware_sim").parent.joinpath("src/handctl/hand/hands/jamia.toml").read_text()  # type: ignore[attr-defined]
+    text = described("jamia").to_toml()
     head, *motors = text.split("[[motor]]")
     for i, motor in enumerate(motors):
         protocol = protocols[i % len(protocols)]

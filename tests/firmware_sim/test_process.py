@@ -173,7 +173,7 @@ def test_wrong_arguments_give_one_printable_line(
 
 
 ODD_HANDS = {
-    "a number without end": ("schema = 1", "schema = " + "9" * 5000),
+    "a number without end": ("schema = 2", "schema = " + "9" * 5000),
     "no spool": ("spool_radius_m = ", "spool_radius_m = 0 # "),
     "too few masses": ("link_mass_kg = ", "link_mass_kg = [0.1] # "),
     "no such tendon": ("tendons = ", "tendons = [3] # "),

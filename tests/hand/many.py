@@ -1,14 +1,13 @@
 """Hands with more motors than the packaged ones, made of jamia11."""
 
-import tomllib
 from typing import Any
 
-from handctl.hand.load import hand_path
+from handctl.hand.load import hand_content
 
 
 def fifteen_motors() -> dict[str, Any]:
     """Describe a hand of five three-jointed fingers with a tendon and a motor per joint: jamia11 without its thumb."""
-    raw = tomllib.loads(hand_path("jamia11").read_text("utf-8"))
+    raw = hand_content("jamia11")
     parts = {name: [one for one in raw[name] if "thumb" not in one["name"]] for name in ("digit", "tendon", "motor")}
     for number, name in enumerate(("little", "outer")):
         for section, ones in parts.items():

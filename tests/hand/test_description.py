@@ -2,16 +2,15 @@
 
 import copy
 import re
-import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from handctl.errors import ConfigError
-from handctl.hand.load import HANDS, hand_from, load_hand, packaged_hands
+from handctl.hand.load import HANDS, hand_content, hand_from, load_hand, packaged_hands
 
-CONTENT = {name: tomllib.loads((HANDS / f"{name}.toml").read_text()) for name in packaged_hands()}
+CONTENT = {name: hand_content(name) for name in packaged_hands()}
 
 
 def changed(content, path, value):

@@ -3,16 +3,15 @@
 import copy
 import math
 import re
-import tomllib
 
 import pytest
 
 from handctl.errors import ConfigError
 from handctl.hand.digit import DigitModel
 from handctl.hand.formats.urdf import urdf
-from handctl.hand.load import HANDS, hand_from, packaged_hands
+from handctl.hand.load import hand_content, hand_from, packaged_hands
 
-CONTENT = {name: tomllib.loads((HANDS / f"{name}.toml").read_text()) for name in packaged_hands()}
+CONTENT = {name: hand_content(name) for name in packaged_hands()}
 SIGNED = re.compile(r"gravity|mount_|joint_m(in|ax)_deg|moment_arm|zero_rad|coupling|direction")
 OPTIONAL = {"coupling"}
 

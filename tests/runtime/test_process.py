@@ -6,12 +6,11 @@ ends a run, as it should.
 
 import itertools
 import signal
-import tomllib
 
 import pytest
 
 from handctl.hand.file.toml_text import toml_text
-from handctl.hand.load import HANDS, load_hand
+from handctl.hand.load import hand_content, load_hand
 from handctl.log.read.reader import RunLog
 from handctl.report.truth import read_truth
 from handctl.runtime.mailbox import Watcher
@@ -108,7 +107,7 @@ def test_the_second_ctrl_c_cuts(place, hand, calibrated, processes, scale):
 
 
 def test_a_missing_motor_is_named(place, hand, processes, scale):
-    content = tomllib.loads((HANDS / "jamia.toml").read_text())
+    content = hand_content("jamia")
     content["motor"][2]["node_id"] = 9
     (place / "mine.toml").write_text(toml_text(content))
     write_homed(place / "c.toml", load_hand("mine.toml"))

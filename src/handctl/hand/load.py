@@ -11,10 +11,11 @@ from pydantic import ValidationError
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.file.checks import check_hand
-from handctl.hand.file.error_text import config_error, shown
+from handctl.hand.file.error_text import Mistake, in_file, shown, validation_mistakes
+from handctl.hand.file.templates import RESOLVED, WRITTEN, resolve
 
-SCHEMA = 1
-"""Supported version of the hand file's format."""
+SCHEMAS = (RESOLVED, WRITTEN)
+"""Supported versions of the hand file's format."""
 HANDS = Path(__file__).parent / "hands"
 """Folder of the packaged hand files."""
 
@@ -114,15 +115,40 @@ def hand_from(content: Mapping[str, Any], source: str) -> Hand:
     Raises:
         ConfigError: as ``load_hand``.
     """
-    version = content.get("schema", SCHEMA)
-    if isinstance(version, bool) or version != SCHEMA:
-        raise ConfigError(shown(version), f"{source}: schema", f"{SCHEMA}, the version that this handctl reads")
-    try:
-        hand = Hand.model_validate(content)
-    except ValidationError as error:
-        raise config_error(error, Hand, content, source) from None
-    check_hand(hand, source)
+    hand, mistakes = examined(content)
+    if hand is None:
+        raise mistakes[0].error(source)
     return hand
+
+
+def hand_content(name_or_path: str | Path) -> dict[str, Any]:
+    """Return the content of a hand file with defaults and templates replaced by values, not validated.
+
+    Raises:
+        ConfigError: the file is missing, unreadable, or not TOML.
+    """
+    return resolve(read_toml(hand_path(name_or_path))).content
+
+
+def examined(content: Mapping[str, Any]) -> tuple[Hand | None, list[Mistake]]:
+    """Validate parsed content, and find all its mistakes.
+
+    Returns:
+        The hand and no mistakes, or None and at least one mistake.
+    """
+    version = content.get("schema", RESOLVED)
+    if isinstance(version, bool) or version not in SCHEMAS:
+        return None, [Mistake(shown(version), "schema", f"{RESOLVED} or {WRITTEN}, versions that this handctl reads")]
+    resolved = resolve(content)
+    mistakes = list(resolved.mistakes)
+    hand = None
+    try:
+        hand = Hand.model_validate(resolved.content)
+    except ValidationError as error:
+        mistakes += in_file(validation_mistakes(error, Hand, resolved.content), resolved.origins)
+    else:
+        mistakes += in_file(check_hand(hand), resolved.origins)
+    return (None, mistakes) if mistakes else (hand, [])
 
 
 def _choice(names: tuple[str, ...]) -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from handctl.errors import ConfigError
+from handctl.hand.file.error_text import Mistake
 from handctl.hand.file.sections import Digit, Motor, Tendon
 from handctl.hand.link_bodies import inertia
 
@@ -51,86 +51,96 @@ CONDITION = 1e-6
 """Smallest ratio of singular values that counts as full rank."""
 
 
-class Refused(Exception):  # noqa: N818 - never leaves this module
-    """Problem, key path, and valid value, raised and caught within this module."""
+Mistakes = Iterator[Mistake]
 
 
-def check_hand(hand: Hand, source: str) -> None:
-    """Check a hand as a whole.
+def check_hand(hand: Hand) -> Mistakes:
+    """Yield the mistakes of a hand as a whole.
+
+    A check that needs valid references or shapes runs only if those checks found nothing.
 
     Args:
         hand: hand with valid sections.
-        source: name of the hand file in messages.
-
-    Raises:
-        ConfigError: with key path, value, and a valid value.
     """
-    try:
-        for key in ("bus", "digit", "tendon", "motor"):
-            _unique([section.name for section in getattr(hand, key)], key + "[{}].name")
-        for digit in hand.digit:
-            _check_digit(digit)
-        _check_references(hand)
-        _check_order(hand)
-        for digit in hand.digit:
-            _check_routing(hand, digit)
-        for tendon in hand.tendon:
-            _check_limits(tendon)
-            _check_drive(tendon, hand.motor_of(tendon.name))
-        _check_identifiers(hand)
-    except Refused as refused:
-        what, where, right = refused.args
-        raise ConfigError(what, f"{source}: {where}", right) from None
+    wrong = [*check_names(hand), *check_sections(hand.digit, hand.tendon)]
+    yield from wrong
+    if wrong:
+        return
+    wrong = [*_check_references(hand), *_check_order(hand)]
+    yield from wrong
+    if wrong:
+        return
+    for digit in hand.digit:
+        yield from _check_routing(hand, digit)
+    for tendon in hand.tendon:
+        yield from _check_drive(tendon, hand.motor_of(tendon.name))
+    yield from _check_identifiers(hand)
 
 
-def _unique(names: Iterable[str], where: str) -> None:
+def check_names(hand: Hand) -> Mistakes:
+    """Yield names that occur twice in a kind of section."""
+    for key in ("bus", "digit", "tendon", "motor"):
+        yield from _unique([section.name for section in getattr(hand, key)], key + "[{}].name")
+
+
+def check_sections(digits: Iterable[Digit], tendons: Iterable[Tendon]) -> Mistakes:
+    """Yield mistakes within one section. Sections that are valid by themselves can be checked without the others."""
+    for digit in digits:
+        yield from _check_digit(digit)
+    for tendon in tendons:
+        yield from _check_limits(tendon)
+
+
+def _unique(names: Iterable[str], where: str) -> Mistakes:
     """Refuse a repeated name. The name replaces {} in the key path."""
     seen: set[str] = set()
     for name in names:
         if name in seen:
-            raise Refused(f'"{name}" twice', where.format(name), "every name once")
+            yield Mistake(f'"{name}" twice', where.format(name), "every name once")
         seen.add(name)
 
 
-def _check_digit(digit: Digit) -> None:
+def _check_digit(digit: Digit) -> Mistakes:
     """Check lengths of lists, order of joint limits, and links of a digit."""
     where = f"digit[{digit.name}]"
     links = len(digit.link_length_m)
-    for key in (*PER_LINK, *OPTIONAL_PER_LINK):
-        values = getattr(digit, key)
-        if values is not None and len(values) != links:
-            raise Refused(f"{len(values)} values", f"{where}.{key}", f"{links}, one per link_length_m")
-    for i in range(links):
-        _check_body(digit, i, where)
+    wrong = [
+        Mistake(f"{len(values)} values", f"{where}.{key}", f"{links}, one per link_length_m")
+        for key in (*PER_LINK, *OPTIONAL_PER_LINK)
+        if (values := getattr(digit, key)) is not None and len(values) != links
+    ]
+    yield from wrong
+    for i in range(links) if not wrong else ():
+        yield from _check_body(digit, i, where)
         if digit.joint_min_deg[i] >= digit.joint_max_deg[i]:
             right = f"more than joint_min_deg[{i}] = {digit.joint_min_deg[i]:g}"
-            raise Refused(f"{digit.joint_max_deg[i]:g}", f"{where}.joint_max_deg[{i}]", right)
+            yield Mistake(f"{digit.joint_max_deg[i]:g}", f"{where}.joint_max_deg[{i}]", right)
     for i, axis in enumerate(digit.joint_axis or ()):
         length = float(np.linalg.norm(axis))
         if abs(length - 1.0) > UNIT_TOLERANCE:
-            raise Refused(f"a vector of length {length:.3g}", f"{where}.joint_axis[{i}]", "a unit vector, of length 1")
+            yield Mistake(f"a vector of length {length:.3g}", f"{where}.joint_axis[{i}]", "a unit vector, of length 1")
     if digit.link_length_m[-1] == 0.0:
-        raise Refused(
+        yield Mistake(
             "0", f"{where}.link_length_m[{links - 1}]", "more than 0, as the tip is at the end of the last link"
         )
     if digit.coupling is not None:
-        _check_coupling(digit.coupling, f"{where}.coupling", links)
-    _check_planar(digit, where)
+        yield from _check_coupling(digit.coupling, f"{where}.coupling", links)
+    yield from _check_planar(digit, where)
 
 
-def _check_planar(digit: Digit, where: str) -> None:
+def _check_planar(digit: Digit, where: str) -> Mistakes:
     """Refuse a digit that the planar equations of motion do not describe."""
     if len(digit.link_length_m) > 3:
-        raise Refused(f"{len(digit.link_length_m)} links", f"{where}.link_length_m", "at most 3 links")
+        yield Mistake(f"{len(digit.link_length_m)} links", f"{where}.link_length_m", "at most 3 links")
     for key in ("joint_axis", "joint_rpy_deg"):
         if getattr(digit, key) is not None:
-            raise Refused("not supported yet", f"{where}.{key}", "hinges along z, without this key")
+            yield Mistake("not supported yet", f"{where}.{key}", "hinges along z, without this key")
     for key in ("link_com_m", "link_inertia_kg_m2"):
         if not all(isinstance(value, float) for value in getattr(digit, key)):
-            raise Refused("a list per link is not supported yet", f"{where}.{key}", "a number per link")
+            yield Mistake("a list per link is not supported yet", f"{where}.{key}", "a number per link")
 
 
-def _check_body(digit: Digit, i: int, where: str) -> None:
+def _check_body(digit: Digit, i: int, where: str) -> Mistakes:
     """Check centre of mass and inertia of link i against its size."""
     com = digit.link_com_m[i]
     length = digit.link_length_m[i]
@@ -138,81 +148,92 @@ def _check_body(digit: Digit, i: int, where: str) -> None:
     size = max(length, 2 * digit.link_radius_m)
     if isinstance(com, float):
         if com > length:
-            raise Refused(f"{com:g}", f"{where}.link_com_m[{i}]", f"at most the link's length, {length:g} m")
+            yield Mistake(f"{com:g}", f"{where}.link_com_m[{i}]", f"at most the link's length, {length:g} m")
     elif np.linalg.norm(com) > size:
         right = f"at most {size:g} m from the joint, the link's length or width"
-        raise Refused(f"{np.linalg.norm(com):g} m", f"{where}.link_com_m[{i}]", right)
+        yield Mistake(f"{np.linalg.norm(com):g} m", f"{where}.link_com_m[{i}]", right)
     moments = np.linalg.eigvalsh(inertia(digit, i))
     largest = digit.link_mass_kg[i] * size**2
     if moments[-1] > largest:
         right = f"at most mass x length^2 = {largest:.3g} kg m2"
-        raise Refused(f"{moments[-1]:g}", f"{where}.link_inertia_kg_m2[{i}]", right)
-    if moments[0] <= 0.0:
+        yield Mistake(f"{moments[-1]:g}", f"{where}.link_inertia_kg_m2[{i}]", right)
+    elif moments[0] <= 0.0:
         what = f"a principal moment of {moments[0]:.3g} kg m2"
-        raise Refused(what, f"{where}.link_inertia_kg_m2[{i}]", "a positive definite inertia")
-    if moments[-1] > (moments[0] + moments[1]) * (1.0 + UNIT_TOLERANCE):
+        yield Mistake(what, f"{where}.link_inertia_kg_m2[{i}]", "a positive definite inertia")
+    elif moments[-1] > (moments[0] + moments[1]) * (1.0 + UNIT_TOLERANCE):
         what = "principal moments " + ", ".join(f"{moment:.3g}" for moment in moments)
-        raise Refused(what, f"{where}.link_inertia_kg_m2[{i}]", "none larger than the sum of the other two")
+        yield Mistake(what, f"{where}.link_inertia_kg_m2[{i}]", "none larger than the sum of the other two")
 
 
-def _check_coupling(coupling: tuple[tuple[float, ...], ...], where: str, links: int) -> None:
+def _check_coupling(coupling: tuple[tuple[float, ...], ...], where: str, links: int) -> Mistakes:
     """Check the shape of a coupling matrix."""
     if len(coupling) != links:
-        raise Refused(f"{len(coupling)} rows", where, f"{links}, one per joint")
+        yield Mistake(f"{len(coupling)} rows", where, f"{links}, one per joint")
     widths = {len(row) for row in coupling}
     if len(widths) != 1 or not 1 <= min(widths) <= links:
-        raise Refused(f"rows of {sorted(widths)} values", where, f"rows of equal length, 1 to {links}")
+        yield Mistake(f"rows of {sorted(widths)} values", where, f"rows of equal length, 1 to {links}")
 
 
-def _check_references(hand: Hand) -> None:
+def _check_references(hand: Hand) -> Mistakes:
     """Check that every referenced name exists, and that each motor drives one tendon."""
     node = hand.sensor_node
-    _check_name("sensor_node.bus", node.bus, hand.bus_names)
+    yield from _check_name("sensor_node.bus", node.bus, hand.bus_names)
     for key, names, valid in (("tendons", node.tendons, hand.tendon_names), ("joints", node.joints, hand.joints)):
-        _unique(names, f"sensor_node.{key}")
+        yield from _unique(names, f"sensor_node.{key}")
         for i, name in enumerate(names):
-            _check_name(f"sensor_node.{key}[{i}]", name, valid)
+            yield from _check_name(f"sensor_node.{key}[{i}]", name, valid)
     for motor in hand.motor:
-        _check_name(f"motor[{motor.name}].bus", motor.bus, hand.bus_names)
+        yield from _check_name(f"motor[{motor.name}].bus", motor.bus, hand.bus_names)
+    for tendon in hand.tendon:
+        for joint in tendon.moment_arm_m:
+            yield from _check_name(f"tendon[{tendon.name}].moment_arm_m.{joint}", joint, hand.joints)
+    yield from _check_motors(hand)
+
+
+def _check_motors(hand: Hand) -> Mistakes:
+    """Check that each tendon has an existing motor of its own, and each motor a tendon."""
     driven: dict[str, str] = {}
+    wrong: list[Mistake] = []
     for tendon in hand.tendon:
         where = f"tendon[{tendon.name}].motor"
-        _check_name(where, tendon.motor, hand.motor_names)
+        wrong += _check_name(where, tendon.motor, hand.motor_names)
         if tendon.motor in driven:
-            raise Refused(f'"{tendon.motor}" drives {driven[tendon.motor]} already', where, "a motor of its own")
+            what = f'"{tendon.motor}" drives {driven[tendon.motor]} already'
+            wrong.append(Mistake(what, where, "a motor of its own"))
         driven[tendon.motor] = tendon.name
-        for joint in tendon.moment_arm_m:
-            _check_name(f"tendon[{tendon.name}].moment_arm_m.{joint}", joint, hand.joints)
+    yield from wrong
     for motor in hand.motor:
-        if motor.name not in driven:
-            raise Refused("drives no tendon", f"motor[{motor.name}].name", "to be the motor of one tendon")
+        # A motor without tendon is a consequence of a wrong reference, if there is one.
+        if motor.name not in driven and not wrong:
+            yield Mistake("drives no tendon", f"motor[{motor.name}].name", "to be the motor of one tendon")
 
 
-def _check_name(where: str, name: str, valid: tuple[str, ...]) -> None:
+def _check_name(where: str, name: str, valid: tuple[str, ...]) -> Mistakes:
     """Refuse a name that is not in the file."""
     if name not in valid:
-        raise Refused(f'"{name}" is not in this file', where, "one of " + ", ".join(valid))
+        yield Mistake(f'"{name}" is not in this file', where, "one of " + ", ".join(valid))
 
 
-def _check_order(hand: Hand) -> None:
+def _check_order(hand: Hand) -> Mistakes:
     """Check that each tendon moves joints of one digit, and that tendons follow the order of digits."""
     latest = 0
     for tendon in hand.tendon:
         where = f"tendon[{tendon.name}].moment_arm_m"
+        for joint, arm in tendon.moment_arm_m.items():
+            if abs(arm) < 1e-4:
+                yield Mistake(f"{arm:g}", f"{where}.{joint}", "0.0001 to 0.05 m either way, or no such key")
         crossed = {i for i, digit in enumerate(hand.digit) if not tendon.moment_arm_m.keys().isdisjoint(digit.joints)}
         if len(crossed) != 1:
-            raise Refused(f"moves {len(crossed)} digits", where, "joints of one digit")
+            yield Mistake(f"moves {len(crossed)} digits", where, "joints of one digit")
+            continue
         digit = crossed.pop()
         if digit < latest:
             what = f"a tendon of {hand.digit[digit].name} after one of {hand.digit[latest].name}"
-            raise Refused(what, where, "tendons digit by digit, in the order of the digits")
-        latest = digit
-        for joint, arm in tendon.moment_arm_m.items():
-            if abs(arm) < 1e-4:
-                raise Refused(f"{arm:g}", f"{where}.{joint}", "0.0001 to 0.05 m either way, or no such key")
+            yield Mistake(what, where, "tendons digit by digit, in the order of the digits")
+        latest = max(latest, digit)
 
 
-def _check_routing(hand: Hand, digit: Digit) -> None:
+def _check_routing(hand: Hand, digit: Digit) -> Mistakes:
     """Check that tendons move every coordinate (R B has full column rank) and cross every joint."""
     arms = hand.moment_arms[hand.digit_tendons[digit.name], hand.digit_joints[digit.name]]
     coupling = np.eye(len(digit.joints)) if digit.coupling is None else np.array(digit.coupling)
@@ -222,19 +243,22 @@ def _check_routing(hand: Hand, digit: Digit) -> None:
     if rank < columns:
         where = f"digit[{digit.name}].coupling"
         right = f"a tendon for every coordinate, or a coupling that leaves {max(rank, 1)}"
-        raise Refused(f"its tendons (moment_arm_m) can move only {rank} of {columns} coordinates", where, right)
+        yield Mistake(f"its tendons (moment_arm_m) can move only {rank} of {columns} coordinates", where, right)
     for joint, column in zip(digit.joints, arms.T, strict=True):
         if not column.any():
-            raise Refused(f"no tendon crosses {joint}", f"digit[{digit.name}]", f"a tendon with moment_arm_m.{joint}")
+            yield Mistake(f"no tendon crosses {joint}", f"digit[{digit.name}]", f"a tendon with moment_arm_m.{joint}")
 
 
-def _check_limits(tendon: Tendon) -> None:
+def _check_limits(tendon: Tendon) -> Mistakes:
     """Check that tension limits rise from the floor to the tendon's strength."""
     values = {key: getattr(tendon, key) for key in LIMITS}
     strength = tendon.rated_breaking_force_N
+    too_high = False
     for below, key, above in zip((None, *LIMITS), LIMITS[:-1], LIMITS[1:], strict=False):
         value = values[key]
         next_value = values[above]
+        # The limit below was too high, and is reported: this one is not too low as well.
+        too_low = below is not None and value <= values[below] and not too_high
         bounds = [] if below is None else [f"more than {below} = {values[below]:g} N"]
         if above == STRENGTH or strength < next_value:
             bounds.append(f"at most {STRENGTH} = {strength:g} N")
@@ -242,31 +266,35 @@ def _check_limits(tendon: Tendon) -> None:
         else:
             bounds.append(f"less than {above} = {next_value:g} N")
             too_high = value >= next_value
-        if too_high or (below is not None and value <= values[below]):
+        if too_high or too_low:
             breaks = f", and the tendon breaks at {strength:g} N" if value > strength else ""
-            raise Refused(f"{value:g}{breaks}", f"tendon[{tendon.name}].{key}", " and ".join(bounds))
+            yield Mistake(f"{value:g}{breaks}", f"tendon[{tendon.name}].{key}", " and ".join(bounds))
 
 
-def _check_drive(tendon: Tendon, motor: Motor) -> None:
+def _check_drive(tendon: Tendon, motor: Motor) -> Mistakes:
     """Check that the drive's torque limit equals its tension limit, and that the motor can reach it."""
     where = f"motor[{motor.name}].torque_max_N_m"
     limit = tendon.drive_limit_N * motor.spool_radius_m
     if abs(motor.torque_max_N_m - limit) > 0.01 * limit:
         right = f"drive_limit_N x spool_radius_m = {limit:.4g} N m, within 1 %"
-        raise Refused(f"{motor.torque_max_N_m:g}", where, right)
+        yield Mistake(f"{motor.torque_max_N_m:g}", where, right)
     if motor.torque_max_N_m > motor.torque_peak_N_m:
-        raise Refused(f"{motor.torque_max_N_m:g}", where, f"at most torque_peak_N_m = {motor.torque_peak_N_m:g} N m")
+        yield Mistake(f"{motor.torque_max_N_m:g}", where, f"at most torque_peak_N_m = {motor.torque_peak_N_m:g} N m")
 
 
-def _check_identifiers(hand: Hand) -> None:
+def _check_identifiers(hand: Hand) -> Mistakes:
     """Check that no identifier has two meanings on one bus."""
     owner: dict[tuple[str, object], str] = {}
+    wrong: set[str] = set()
+    for motor in hand.motor:
+        yield from _check_reply(motor)
     for bus, identifier, where in _identifiers(hand):
-        if (bus, identifier) in owner:
+        if (bus, identifier) in owner and where not in wrong:
+            wrong.add(where)
             text = f"0x{identifier:X}" if isinstance(identifier, int) else str(identifier)
             right = f"another identifier; {owner[bus, identifier]} has it"
-            raise Refused(f'{text} on bus "{bus}" is taken', where, right)
-        owner[bus, identifier] = where
+            yield Mistake(f'{text} on bus "{bus}" is taken', where, right)
+        owner.setdefault((bus, identifier), where)
 
 
 def _identifiers(hand: Hand) -> Iterator[tuple[str, object, str]]:
@@ -297,12 +325,18 @@ def _identifiers(hand: Hand) -> Iterator[tuple[str, object, str]]:
             yield motor.bus, f"{motor.protocol} node {motor.node_id}", where
 
 
-def _mit_reply(motor: Motor, where: str) -> tuple[int, str]:
+def _mit_reply(motor: Motor, where: str) -> tuple[object, str]:
     """Return the reply identifier of an MIT drive, and the key that sets it."""
     reply = motor.options.get("reply_id")
     if reply is None:
         return motor.node_id + MIT_REPLY_OFFSET, where
-    where = f"motor[{motor.name}].options.reply_id"
+    return reply, f"motor[{motor.name}].options.reply_id"
+
+
+def _check_reply(motor: Motor) -> Mistakes:
+    """Check the reply identifier of an MIT drive."""
+    reply = motor.options.get("reply_id")
+    if motor.protocol != "mit" or reply is None:
+        return
     if isinstance(reply, bool) or not isinstance(reply, int) or not 1 <= reply <= 0x7FF:
-        raise Refused(f"{reply}", where, "a whole number from 1 to 2047")
-    return reply, where
+        yield Mistake(f"{reply}", f"motor[{motor.name}].options.reply_id", "a whole number from 1 to 2047")

@@ -1,12 +1,32 @@
-"""Messages of validation errors in one line: file, key path, invalid value, and a valid value."""
+"""Mistakes in a file, each with key path, invalid value, and a valid value."""
 
 import difflib
-from collections.abc import Mapping, Sequence
-from typing import Any
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ValidationError
 
 from handctl.errors import ConfigError
+
+
+class Mistake(NamedTuple):
+    """Mistake in a file.
+
+    Attributes:
+        what: the mistake, with the invalid value.
+        where: key path.
+        right: a valid value.
+    """
+
+    what: str
+    where: str
+    right: str
+
+    def error(self, source: str) -> ConfigError:
+        """Return the mistake as an error of one line, with the name of the file."""
+        return ConfigError(self.what, f"{source}: {self.where}", self.right)
+
 
 EXPECTED = {
     "tuple_type": "a list",
@@ -18,29 +38,59 @@ EXPECTED = {
 """Valid values for pydantic's structural errors, in TOML's terms. All other errors carry ``right``."""
 
 
-def config_error(
-    error: ValidationError, model: type[BaseModel], content: Mapping[str, Any], source: str
-) -> ConfigError:
-    """Return a validation error as a one-line error for the user.
+def validation_mistakes(error: ValidationError, model: type[BaseModel], content: Mapping[str, Any]) -> list[Mistake]:
+    """Return a mistake for each validation error.
 
-    An unknown key is reported first. A misspelt key is also a missing key, and the spelling is the
-    cause.
+    Unknown keys come first. A misspelt key is also a missing key, and the spelling is the cause.
 
     Args:
         error: error raised by pydantic.
         model: model of the document, for the names of valid keys.
         content: validated content, for the names of list entries.
-        source: name of the file.
     """
     details = error.errors(include_url=False)
-    detail = next((d for d in details if d["type"] == "extra_forbidden"), details[0])
-    where = f"{source}: {key_path(content, detail['loc'])}"
-    if detail["type"] == "extra_forbidden":
-        return ConfigError("unknown key", where, _nearest(str(detail["loc"][-1]), _keys(model, detail["loc"][:-1])))
-    if detail["type"] == "missing":
-        return ConfigError("missing", where, "a value")
-    context = {"right": detail["msg"], **detail.get("ctx", {})}
-    return ConfigError(shown(detail["input"]), where, EXPECTED.get(detail["type"], "{right}").format(**context))
+    within = {detail["loc"][:1] for detail in details if len(detail["loc"]) > 1}
+    # A list whose entries are refused is also too short for pydantic.
+    details = [detail for detail in details if detail["type"] != "too_short" or detail["loc"] not in within]
+    unknown = [detail for detail in details if detail["type"] == "extra_forbidden"]
+    found = [_unknown_key(detail["loc"], model, content) for detail in unknown]
+    misspelt = {(detail["loc"][:-1], mistake.right) for detail, mistake in zip(unknown, found, strict=True)}
+    for detail in details:
+        location = detail["loc"]
+        where = key_path(content, location)
+        if detail["type"] == "missing":
+            if (location[:-1], location[-1]) not in misspelt:
+                found.append(Mistake("missing", where, "a value"))
+        elif detail["type"] != "extra_forbidden":
+            context = {"right": detail["msg"], **detail.get("ctx", {})}
+            right = EXPECTED.get(detail["type"], "{right}").format(**context)
+            found.append(Mistake(shown(detail["input"]), where, right))
+    return found
+
+
+def _unknown_key(location: Sequence[str | int], model: type[BaseModel], content: Mapping[str, Any]) -> Mistake:
+    """Return the mistake of an unknown key, with the most similar valid key."""
+    return Mistake("unknown key", key_path(content, location), nearest(str(location[-1]), _keys(model, location[:-1])))
+
+
+def in_file(mistakes: Iterable[Mistake], origins: Mapping[str, str]) -> list[Mistake]:
+    """Return mistakes of resolved content with the key paths of the file, each once.
+
+    Args:
+        mistakes: mistakes with key paths of the resolved content.
+        origins: key path in the file by key path in the resolved content.
+    """
+    return list(dict.fromkeys(mistake._replace(where=_origin(mistake.where, origins)) for mistake in mistakes))
+
+
+def _origin(path: str, origins: Mapping[str, str]) -> str:
+    """Return the key path in the file of the longest known part of a path, with the rest of the path."""
+    part = path
+    while part:
+        if part in origins:
+            return origins[part] + path[len(part) :]
+        part = part[: max(part.rfind("."), part.rfind("["))] if re.search(r"[.\[]", part) else ""
+    return path
 
 
 def key_path(content: Any, location: Sequence[str | int]) -> str:
@@ -80,7 +130,7 @@ def _models(annotation: Any) -> list[type[BaseModel]]:
     return [model for part in getattr(annotation, "__args__", ()) for model in _models(part)]
 
 
-def _nearest(key: str, valid: list[str]) -> str:
+def nearest(key: str, valid: list[str]) -> str:
     """Return the most similar valid key, or all valid keys."""
     near = difflib.get_close_matches(key, valid, n=1)
     return near[0] if near else "one of " + ", ".join(valid)

@@ -1,0 +1,296 @@
+"""Resolution of a schema 2 file: defaults and templates are replaced by the values that they stand for.
+
+A file of schema 2 writes a repeated value once. The resolved content is a file of schema 1, in which
+every section has all its values. The rules, in order:
+
+1. A digit, tendon or motor has the values of ``[default.KIND]``, replaced by those of its template
+   ``[KIND_template.NAME]``, replaced by its own. Tables are merged key by key.
+2. A digit may hold tables ``tendon.NAME`` and ``motor.NAME``. They are tendons and motors named
+   DIGIT_NAME. Within them ``j1`` is joint DIGIT_j1, and the name of a motor of the digit may be short.
+3. One number for a list per link holds for every link.
+4. ``"all"`` in the sensor node stands for all tendons, or all joints.
+"""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+from handctl.hand.file.checks import PER_LINK
+from handctl.hand.file.error_text import Mistake, nearest, shown
+
+RESOLVED = 1
+"""Schema of a file in which every section has all its values."""
+WRITTEN = 2
+"""Schema of a file with defaults and templates."""
+KINDS = ("digit", "tendon", "motor")
+"""Sections that have defaults and templates."""
+DIGIT_KINDS = ("tendon", "motor")
+"""Tables that a digit may hold."""
+TEMPLATES = {kind: f"{kind}_template" for kind in KINDS}
+"""Name of the table of templates of each kind."""
+ONE_FOR_ALL_LINKS = (*PER_LINK, "joint_rated_torque_N_m")
+"""Lists of a digit that one number may stand for."""
+ALL = "all"
+"""Value of the sensor node that stands for all tendons or all joints."""
+DEPTH = 3
+"""Levels of tables that are merged. A deeper table is replaced as a whole."""
+SHORT_JOINT = re.compile(r"j[0-9]+")
+
+Table = Mapping[str, Any]
+Origins = dict[str, str]
+"""Key path in the file, by key path in the resolved content."""
+
+
+class Layer(NamedTuple):
+    """Values that later layers replace, and the key path where the file has them."""
+
+    values: Table
+    path: str
+
+
+class Resolved(NamedTuple):
+    """Result of a resolution.
+
+    Attributes:
+        content: content of schema 1.
+        origins: key path in the file of each value with another path in ``content``.
+        mistakes: mistakes in the use of defaults and templates.
+    """
+
+    content: dict[str, Any]
+    origins: Origins
+    mistakes: list[Mistake]
+
+
+def resolve(content: Table) -> Resolved:
+    """Replace defaults and templates by values. Content of schema 1 stays as it is.
+
+    Whatever has not the form of a section also stays as it is: validation describes it better.
+    """
+    if content.get("schema") != WRITTEN:
+        hint = [Mistake(f"the file has [{key}]", "schema", str(WRITTEN)) for key in _template_tables(content)]
+        return Resolved(dict(content), {}, hint[:1])
+    resolver = _Resolver(content)
+    names = ("default", *TEMPLATES.values())
+    resolved = {key: value for key, value in content.items() if key not in names} | {"schema": RESOLVED}
+    resolver.check_tables()
+    sections: dict[str, Any] = {kind: [] for kind in KINDS}
+    for kind in KINDS:
+        entries = content.get(kind, [])
+        if not _is_list_of_tables(entries):
+            sections[kind] = entries
+            continue
+        for position, entry in enumerate(entries):
+            sections[kind].append(resolver.entry(kind, [Layer(entry, f"{kind}[{_label(entry, position)}]")]))
+    for kind in DIGIT_KINDS:
+        if isinstance(sections[kind], list):
+            sections[kind] = resolver.of_digits[kind] + sections[kind]
+    # An absent section stays absent, so that validation names it.
+    resolved |= {kind: section for kind, section in sections.items() if section or kind in content}
+    node = content.get("sensor_node")
+    if isinstance(node, Mapping):
+        resolved["sensor_node"] = _with_all(node, sections)
+    return Resolved(resolved, resolver.origins, resolver.mistakes)
+
+
+class _Resolver:
+    """Resolution in progress: what the file has, and what was found so far."""
+
+    def __init__(self, content: Table) -> None:
+        """Start with the content of a file."""
+        self.content = content
+        self.origins: Origins = {}
+        self.mistakes: list[Mistake] = []
+        self.of_digits: dict[str, list[dict[str, Any]]] = {kind: [] for kind in DIGIT_KINDS}
+
+    def check_tables(self) -> None:
+        """Find defaults and templates that are not tables, or have keys that belong to an entry."""
+        default = self.content.get("default", {})
+        if not isinstance(default, Mapping):
+            self.mistakes.append(Mistake(shown(default), "default", "a table"))
+            default = {}
+        for kind in default:
+            if kind not in KINDS:
+                self.mistakes.append(Mistake("unknown key", f"default.{kind}", nearest(kind, [*KINDS])))
+        layers = [(f"default.{kind}", values) for kind, values in default.items()]
+        for key in TEMPLATES.values():
+            templates = self.content.get(key, {})
+            if isinstance(templates, Mapping):
+                layers += [(f"{key}.{name}", values) for name, values in templates.items()]
+            else:
+                layers.append((key, templates))
+        for path, values in layers:
+            if not isinstance(values, Mapping):
+                self.mistakes.append(Mistake(shown(values), path, "a table"))
+                continue
+            for key in {"name", "template"} & values.keys():
+                self.mistakes.append(Mistake("unknown key", f"{path}.{key}", f"{key} in the section itself"))
+
+    def entry(self, kind: str, own: Sequence[Layer], name: str | None = None) -> dict[str, Any]:
+        """Return one digit, tendon or motor with all its values.
+
+        Args:
+            kind: kind of section.
+            own: layers of the section itself.
+            name: name of the section, or None if its layers have it.
+        """
+        layers = [*self.shared(kind, own), *own]
+        values, origins = _merged(layers, DEPTH)
+        values.pop("template", None)
+        label = name or values.get("name")
+        if name:
+            values["name"] = name
+        path = f"{kind}[{label}]" if name else own[-1].path
+        self.origins |= {f"{path}.{key}": origin for key, origin in origins.items()}
+        if kind == "digit":
+            self._resolve_digit(layers, values, path)
+        return values
+
+    def shared(self, kind: str, own: Sequence[Layer]) -> Iterator[Layer]:
+        """Yield the default of a kind, and the template that its own layers name."""
+        default = self.content.get("default")
+        values = default.get(kind) if isinstance(default, Mapping) else None
+        if isinstance(values, Mapping):
+            yield Layer(_without_names(values), f"default.{kind}")
+        named = [layer for layer in own if "template" in layer.values]
+        if not named:
+            return
+        key = TEMPLATES[kind]
+        name = named[-1].values["template"]
+        templates = self.content.get(key)
+        valid = [*templates] if isinstance(templates, Mapping) else []
+        if not isinstance(name, str) or name not in valid:
+            right = nearest(str(name), valid) if valid else f"the name of a table [{key}.NAME]"
+            self.mistakes.append(Mistake(shown(name), f"{named[-1].path}.template", right))
+            # The most similar template instead: its values would otherwise be reported as missing.
+            name = right if right in valid else next(iter(valid), None)
+        if isinstance(templates, Mapping) and isinstance(templates.get(name), Mapping):
+            yield Layer(_without_names(templates[name]), f"{key}.{name}")
+
+    def _resolve_digit(self, layers: Sequence[Layer], values: dict[str, Any], path: str) -> None:
+        """Take tendons and motors out of a digit, and extend single numbers to lists per link."""
+        digit = values.get("name")
+        inner = {kind: _tables_of(layers, kind) for kind in DIGIT_KINDS}
+        for kind in DIGIT_KINDS:
+            held = values.get(kind)
+            if not isinstance(held, Mapping):
+                continue  # absent, or validation describes it
+            del values[kind]
+            for name, table in held.items():
+                where = self.origins[f"{path}.{kind}.{name}"]
+                if isinstance(table, Mapping):
+                    self.of_digits[kind].append(self._of_digit(kind, digit, name, inner[kind][name], inner["motor"]))
+                else:
+                    self.mistakes.append(Mistake(shown(table), where, "a table"))
+        links = values.get("link_length_m", [0.0])
+        for key in ONE_FOR_ALL_LINKS:
+            value = values.get(key)
+            if isinstance(links, list | tuple) and isinstance(value, int | float) and not isinstance(value, bool):
+                values[key] = [value] * len(links)
+                origin = self.origins[f"{path}.{key}"]
+                self.origins |= {f"{path}.{key}[{i}]": origin for i in range(len(links))}
+
+    def _of_digit(self, kind: str, digit: Any, name: str, own: list[Layer], motors: Table) -> dict[str, Any]:
+        """Return a tendon or motor of a digit with full names.
+
+        Args:
+            kind: kind of section.
+            digit: name of the digit.
+            name: short name of the section.
+            own: layers of the section.
+            motors: motors of the digit by short name.
+        """
+        full = f"{digit}_{name}"
+        values = self.entry(kind, own, full)
+        path = f"{kind}[{full}]"
+        self.origins[path] = own[0].path
+        for layer in own:
+            if "name" in layer.values:
+                self.mistakes.append(Mistake("unknown key", f"{layer.path}.name", f"none: the name is {full}"))
+        if kind == "tendon":
+            if values.get("motor") in motors:
+                values["motor"] = f"{digit}_{values['motor']}"
+            arms = values.get("moment_arm_m")
+            if isinstance(arms, Mapping):
+                whole = {joint: f"{digit}_{joint}" if SHORT_JOINT.fullmatch(joint) else joint for joint in arms}
+                values["moment_arm_m"] = {whole[joint]: arm for joint, arm in arms.items()}
+                self.origins |= {
+                    f"{path}.moment_arm_m.{whole[joint]}": self.origins.get(f"{path}.moment_arm_m.{joint}", "")
+                    for joint in arms
+                }
+        return values
+
+
+def _merged(layers: Sequence[Layer], depth: int) -> tuple[dict[str, Any], Origins]:
+    """Merge layers. Later layers win, and tables are merged key by key.
+
+    Returns:
+        The values, and the key path in the file of each value by its relative key path.
+    """
+    values: dict[str, Any] = {}
+    origins: Origins = {}
+    for key in dict.fromkeys(key for layer in layers for key in layer.values):
+        given = [Layer(layer.values[key], f"{layer.path}.{key}") for layer in layers if key in layer.values]
+        value, path = given[-1]
+        origins[key] = path
+        if isinstance(value, Mapping) and depth > 0:
+            value, inner = _merged([layer for layer in given if isinstance(layer.values, Mapping)], depth - 1)
+            origins |= {f"{key}.{below}": origin for below, origin in inner.items()}
+        values[key] = _copied(value)
+    return values, origins
+
+
+def _copied(value: Any) -> Any:
+    """Return a copy of a list, so that no two sections share it."""
+    return [_copied(entry) for entry in value] if isinstance(value, list) else value
+
+
+def _tables_of(layers: Sequence[Layer], kind: str) -> dict[str, list[Layer]]:
+    """Return the layers of each tendon or motor that a digit holds, by its short name."""
+    held: dict[str, list[Layer]] = {}
+    for layer in layers:
+        tables = layer.values.get(kind)
+        for name, table in tables.items() if isinstance(tables, Mapping) else ():
+            if isinstance(table, Mapping):
+                held.setdefault(name, []).append(Layer(table, f"{layer.path}.{kind}.{name}"))
+    return held
+
+
+def _with_all(node: Table, sections: Table) -> dict[str, Any]:
+    """Return the sensor node with the names that ``"all"`` stands for."""
+    names = {
+        "tendons": [tendon.get("name") for tendon in _tables(sections["tendon"])],
+        "joints": [
+            f"{digit.get('name')}_j{i + 1}"
+            for digit in _tables(sections["digit"])
+            if isinstance(digit.get("link_length_m"), list | tuple)
+            for i in range(len(digit["link_length_m"]))
+        ],
+    }
+    return dict(node) | {key: names[key] for key in names if node.get(key) == ALL}
+
+
+def _template_tables(content: Table) -> Iterator[str]:
+    """Yield the tables of a content that only schema 2 has."""
+    yield from (key for key in ("default", *TEMPLATES.values()) if key in content)
+
+
+def _without_names(values: Table) -> dict[str, Any]:
+    """Return the values of a default or template, without the keys that belong to an entry."""
+    return {key: value for key, value in values.items() if key not in ("name", "template")}
+
+
+def _is_list_of_tables(value: Any) -> bool:
+    """Return True for a list of tables, also an empty one."""
+    return isinstance(value, list | tuple) and all(isinstance(entry, Mapping) for entry in value)
+
+
+def _tables(value: Any) -> list[Table]:
+    """Return a list of tables, empty for anything else."""
+    return list(value) if _is_list_of_tables(value) else []
+
+
+def _label(entry: Table, position: int) -> str:
+    """Return the name of a section for key paths, or its position."""
+    name = entry.get("name")
+    return name if isinstance(name, str) and name else str(position)
