@@ -243,14 +243,14 @@ def _resolved(raw: dict[str, Any]) -> dict[str, Any]:
     if raw.get("schema") != 2:
         return raw
     sections: dict[str, list[dict[str, Any]]] = {"digit": [], "tendon": [], "motor": []}
-    for entry in raw["digit"]:
-        digit = _with_template(raw, "digit", entry)
+    for given in raw["digit"]:
+        digit = _with_template(raw, "digit", given)
         name, links = digit["name"], len(digit["link_length_m"])
         motors = digit.pop("motor", {})
         for short, motor in motors.items():
             sections["motor"].append(_with_template(raw, "motor", motor) | {"name": f"{name}_{short}"})
-        for short, own in digit.pop("tendon", {}).items():
-            tendon = _with_template(raw, "tendon", own) | {"name": f"{name}_{short}"}
+        for short, entry in digit.pop("tendon", {}).items():
+            tendon = _with_template(raw, "tendon", entry) | {"name": f"{name}_{short}"}
             if tendon["motor"] in motors:
                 tendon["motor"] = f"{name}_{tendon['motor']}"
             arms = tendon["moment_arm_m"].items()
