@@ -20,7 +20,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.tuning.tune_files import subject
+from handctl.cli.tuning.tune_files import load_tuned_hand
 from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.bounds import flat, with_values
 from handctl.core.gains.gains import Gains
@@ -79,7 +79,7 @@ def compare(
     hand_name: str, trials: int, plants: int, count: int, into: Path | None, fit: Path | None
 ) -> dict[str, Any]:
     """Run the searches and judge their gains on the real plant. Studies are stored in a folder if one is given."""
-    hand, twin, spread = subject(hand_name, fit)
+    hand, twin, spread = load_tuned_hand(hand_name, fit)
     packaged = Gains()
     detuned = detuned_gains()
     rate = fastest(bus_loads(hand))

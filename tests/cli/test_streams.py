@@ -10,7 +10,7 @@ from contextlib import closing
 
 import pytest
 
-from handctl.cli.console.ended import Terminated, ended_by_signals
+from handctl.cli.console.ended import Terminated, terminate_on_signals
 from handctl.cli.console.screen import screen
 from handctl.cli.main import main
 from handctl.paper.bench.pool import pool
@@ -104,7 +104,7 @@ def test_a_signal_ends_a_verb_with_a_line_and_its_code(capsys, monkeypatch, numb
 def test_what_is_ignored_stays_ignored():
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        with ended_by_signals():
+        with terminate_on_signals():
             os.kill(os.getpid(), signal.SIGHUP)
             with pytest.raises(Terminated):
                 os.kill(os.getpid(), signal.SIGTERM)

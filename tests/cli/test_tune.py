@@ -211,7 +211,7 @@ def test_of_a_digit_that_touches_something_only_motor_and_rope_are_written(place
     begin = f"handctl: springs and friction of middle are not kept: {why}; expected a digit"
     assert line.startswith(begin)
     assert load_calibration(path, hand).identified["middle_tendon"].names == ("rope_stiffness",)
-    monkeypatch.setattr("handctl.cli.tuning.identify._told", lambda *words: {})
+    monkeypatch.setattr("handctl.cli.tuning.identify._result_fields", lambda *words: {})
     assert main(["identify", "--lockstep", "--calibration", "own.toml", "--log", "x.mcap", "--json"]) == 1
     assert json.loads(capsys.readouterr().out)["met"] == {"middle": why}
 

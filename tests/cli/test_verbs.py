@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.cli.console.options import SPOKEN
+from handctl.cli.console.options import DRIVE_PROTOCOLS
 from handctl.cli.main import VERBS, main
 from handctl.drives import registry
 from handctl.log.read.reader import RunLog
@@ -38,7 +38,7 @@ for words in {words!r}:
 
 
 def test_the_protocols_to_choose_are_those_that_there_are():
-    assert sorted(SPOKEN) == sorted(registry.PROTOCOLS)
+    assert sorted(DRIVE_PROTOCOLS) == sorted(registry.PROTOCOLS)
 
 
 def spoken(capsys, *words):

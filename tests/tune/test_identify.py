@@ -8,7 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from benchmarks.identify import WITHIN, one, summary
-from handctl.cli.tuning.tune_files import subject
+from handctl.cli.tuning.tune_files import load_tuned_hand
 from handctl.core.identified import UNITS, Identified, identified_hand, torque_gain
 from handctl.errors import ConfigError
 from handctl.hand.dynamics import DigitModel
@@ -152,14 +152,14 @@ def test_what_is_tuned_is_the_hand_as_identified(tmp_path: Path) -> None:
     rows = dict.fromkeys(hand.tendon_names, TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0))
     made = Calibration(hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows)
     write_calibration(path, made.model_copy(update={"identified": {"ring_tendon": identified_with(capstan=0.04)}}))
-    known = subject("jamia", path)
+    known = load_tuned_hand("jamia", path)
     assert known.hand.identity == hand.identity != known.twin.identity
     assert [rope.friction_coefficient for rope in known.twin.tendon] == [0.08, 0.08, 0.04, 0.08]
     assert known.spread.keys() == {"friction"}
-    assert subject("jamia", None).twin.identity == hand.identity
+    assert load_tuned_hand("jamia", None).twin.identity == hand.identity
     write_calibration(path, made)
     with pytest.raises(ConfigError, match="holds nothing identified"):
-        subject("jamia", path)
+        load_tuned_hand("jamia", path)
 
 
 def test_a_delay_is_missed_by_its_own_measure() -> None:

@@ -13,10 +13,10 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple
 
-from handctl.cli.console.ended import Terminated, ended_by_signals, give_bugs_a_code
+from handctl.cli.console.ended import Terminated, install_excepthook, terminate_on_signals
 from handctl.cli.console.streams import flush, give_up_output, make_usable
-from handctl.cli.console.verbosity import chosen_verbosity, detail, is_verbose
-from handctl.cli.parsing.completion import complete, is_asked
+from handctl.cli.console.verbosity import detail, is_verbose, use_verbosity
+from handctl.cli.parsing.completion import complete, is_completing
 from handctl.cli.parsing.needs import optional_packages
 from handctl.cli.parsing.parser import Parser, check_words, did_you_mean
 from handctl.errors import ConfigError, HandctlError, IncomparableError, LogError, PowerError
@@ -113,32 +113,32 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Entry point of ``handctl``; what goes wrong becomes one line and an exit code."""
     words = list(sys.argv[1:] if argv is None else argv)
     if argv is None:
-        if is_asked():
+        if is_completing():
             complete(whole_parser())
-        give_bugs_a_code()
+        install_excepthook()
     make_usable()
     with escaped_streams():
-        return _ended(words)
+        return _exit_code(words)
 
 
-def _ended(words: list[str]) -> int:
+def _exit_code(words: list[str]) -> int:
     """Carry out a command line; its exit code, also of what goes wrong."""
     try:
-        with ended_by_signals():
+        with terminate_on_signals():
             check_words(words)
-            code = _done(words)
+            code = _run(words)
             flush()
             return code
     except IncomparableError as error:
-        return _say(error, Exit.NOT_COMPARABLE)
+        return _report_error(error, Exit.NOT_COMPARABLE)
     except (ConfigError, LogError) as error:
-        return _say(error, Exit.BAD_INPUT)
+        return _report_error(error, Exit.BAD_INPUT)
     except PowerError as error:
         if error.__cause__:  # a bug in handctl
             traceback.print_exception(error.__cause__)
-        return _say(error, Exit.REMOVE_POWER)
+        return _report_error(error, Exit.REMOVE_POWER)
     except HandctlError as error:
-        return _say(error, Exit.FAILED)
+        return _report_error(error, Exit.FAILED)
     except BrokenPipeError:
         give_up_output()
         return Exit.DONE
@@ -146,19 +146,19 @@ def _ended(words: list[str]) -> int:
         nameless = "the working folder: " if error.errno == errno.ENOENT else ""  # it has been taken away
         where = f"{error.filename}: " if error.filename else nameless
         text = f"{where}{error.strerror or error}"
-        return _say(text, Exit.BAD_INPUT if error.errno in WRONG_NAME else Exit.FAILED)
+        return _report_error(text, Exit.BAD_INPUT if error.errno in WRONG_NAME else Exit.FAILED)
     except Terminated as error:
-        return _say(str(error) or "ended by a signal", Exit.TERMINATED)
+        return _report_error(str(error) or "ended by a signal", Exit.TERMINATED)
     except KeyboardInterrupt as error:
-        return _say(str(error) or "interrupted", Exit.INTERRUPTED)
+        return _report_error(str(error) or "interrupted", Exit.INTERRUPTED)
 
 
-def _done(words: list[str]) -> int:
+def _run(words: list[str]) -> int:
     """Carry out a command line and return its exit code."""
     while words[1:] and words[0] in VOLUME and words[1] in VERBS.keys() | VOLUME:
         words = [words[1], words[0], *words[2:]] if words[1] in VERBS else words[1:]
     if words and words[0] in VERBS:
-        return _verb(words[0], words[1:])
+        return _run_verb(words[0], words[1:])
     parser = Parser(
         prog="handctl",
         usage="handctl VERB ... [--help]",
@@ -221,12 +221,12 @@ def whole_parser() -> Parser:
     return parser
 
 
-def _verb(name: str, words: list[str]) -> int:
+def _run_verb(name: str, words: list[str]) -> int:
     """Run one verb."""
     args = verb_parser(name).parse_args(words)
-    with chosen_verbosity(args):
+    with use_verbosity(args):
         require(name, *optional_packages(name, args))
-        begin = time.monotonic()
+        start_s = time.monotonic()
         if is_verbose():
             options = ", ".join(f"{key} = {value}" for key, value in sorted(vars(args).items()) if key != "verbose")
             detail(f"handctl {_version()} {name}: {options}")
@@ -236,11 +236,11 @@ def _verb(name: str, words: list[str]) -> int:
             if (missing := missing_extra(name, error)) is None:
                 raise
             raise missing from None
-        detail(f"handctl {name}: exit code {int(code)} after {time.monotonic() - begin:.2f} s")
+        detail(f"handctl {name}: exit code {int(code)} after {time.monotonic() - start_s:.2f} s")
     return code
 
 
-def _say(error: HandctlError | str, code: Exit) -> int:
+def _report_error(error: HandctlError | str, code: Exit) -> int:
     with suppress(OSError):  # the code tells, too
         print(f"handctl: {message(str(error))}", file=sys.stderr)
     return code

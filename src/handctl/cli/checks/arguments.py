@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from handctl.cli.console.options import (
-    SPOKEN,
+    DRIVE_PROTOCOLS,
     bitrate_options,
     bus_option,
     gains_options,
@@ -89,7 +89,7 @@ def scan(parser: argparse.ArgumentParser) -> None:
 def conformance(parser: argparse.ArgumentParser) -> None:
     """Declare what ``conformance`` takes."""
     add = parser.add_argument
-    add("--protocol", required=True, choices=sorted(SPOKEN), help="of the drive")
+    add("--protocol", required=True, choices=sorted(DRIVE_PROTOCOLS), help="of the drive")
     add("--node", required=True, type=lambda word: int(word, 0), metavar="N", help="its number on the bus")
     add("--bus", required=True, metavar="SPEC", help="local:NAME, socketcan:can0 or any python-can interface:channel")
     add("--torque-limit-Nm", required=True, type=float, metavar="X", dest="limit",

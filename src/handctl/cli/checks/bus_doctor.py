@@ -35,16 +35,16 @@ def run(args: argparse.Namespace) -> int:
     hand = load_hand(args.hand) if args.hand else None
     if not args.bus:
         raise ConfigError("missing", "--bus", "the buses to look at, such as --bus socketcan:can0")
-    found = [_examined(spec, section, hand) for spec, section in _wanted(args, hand)]
+    results = [_examine(spec, section, hand) for spec, section in _expected_buses(args, hand)]
     if args.json:
-        print_json({"buses": found})
-    good = all(finding["good"] for bus in found for finding in bus["findings"])
+        print_json({"buses": results})
+    good = all(finding["good"] for bus in results for finding in bus["findings"])
     if not args.json:
-        _print(found)
+        _print(results)
     return Exit.DONE if good else Exit.FAILED
 
 
-def _wanted(args: argparse.Namespace, hand: Hand | None) -> Sequence[tuple[str, BusSection]]:
+def _expected_buses(args: argparse.Namespace, hand: Hand | None) -> Sequence[tuple[str, BusSection]]:
     """Specification of each bus, and what it should be."""
     if hand is not None:
         from handctl.session.plan import bus_specs
@@ -54,39 +54,39 @@ def _wanted(args: argparse.Namespace, hand: Hand | None) -> Sequence[tuple[str, 
     return tuple((spec, BusSection(name=name, **rates)) for name, spec in named_buses(args.bus).items())
 
 
-def _examined(spec: str, wanted: BusSection, hand: Hand | None) -> dict[str, Any]:
+def _examine(spec: str, expected: BusSection, hand: Hand | None) -> dict[str, Any]:
     """One bus: interface, then nodes if it can be used."""
     note(f"{spec}: looking")
     kind, _, channel = spec.partition(":")
-    found = _interface(channel, wanted) if kind == "socketcan" else []
+    rows = _interface(channel, expected) if kind == "socketcan" else []
     trips: list[tuple[DiscoveredNode, RoundTrip]] = []
-    if not any(finding.fatal for finding in found):
-        more, trips = _nodes(spec, wanted, hand)
-        found += more
+    if not any(finding.fatal for finding in rows):
+        more, trips = _nodes(spec, expected, hand)
+        rows += more
     return {
         "bus": spec,
-        "name": wanted.name,
-        "findings": [{"what": one.what, "good": one.good, "fix": "" if one.good else one.fix} for one in found],
+        "name": expected.name,
+        "findings": [{"what": one.what, "good": one.good, "fix": "" if one.good else one.fix} for one in rows],
         "nodes": [{"protocol": node.protocol, "node_id": node.node_id, **trip._asdict()} for node, trip in trips],
     }
 
 
-def _interface(channel: str, wanted: BusSection) -> list[Finding]:
+def _interface(channel: str, expected: BusSection) -> list[Finding]:
     try:
         link = read_link(channel)
     except MissingTool:
         return [Finding("the interface's state is not known: no 'ip' here", False, "sudo apt-get install iproute2")]
     if link is None:
-        return [absent(channel, wanted.bitrate, wanted.data_bitrate)]
-    return findings(channel, link, wanted.bitrate, wanted.data_bitrate)
+        return [absent(channel, expected.bitrate, expected.data_bitrate)]
+    return findings(channel, link, expected.bitrate, expected.data_bitrate)
 
 
 def _nodes(
-    spec: str, wanted: BusSection, hand: Hand | None
+    spec: str, expected: BusSection, hand: Hand | None
 ) -> tuple[list[Finding], list[tuple[DiscoveredNode, RoundTrip]]]:
     """Open the bus, look for drives, and time their answers."""
     try:
-        bus = open_bus(spec, 0, wanted.bitrate, wanted.data_bitrate)
+        bus = open_bus(spec, 0, expected.bitrate, expected.data_bitrate)
     except BusError as error:
         return [Finding(f"cannot be opened: {error}", False, error.right or WIRING)], []
     try:
@@ -94,14 +94,14 @@ def _nodes(
         trips = [] if result.foreign else _timed(bus, result)
     finally:
         bus.close()
-    found = [Finding("can be opened", True), *_events(result), *map(_answers, trips)]
+    rows = [Finding("can be opened", True), *_events(result), *map(_answers, trips)]
     if result.foreign:
-        found.append(Finding("another host is at work: nodes were not asked", False, "end it, and look again"))
+        rows.append(Finding("another host is at work: nodes were not asked", False, "end it, and look again"))
     elif hand is not None:
-        found += _missing(hand, wanted.name, result)
+        rows += _missing(hand, expected.name, result)
     elif not result.found:
-        found.append(Finding("no drive answers", False, WIRING))
-    return found, trips
+        rows.append(Finding("no drive answers", False, WIRING))
+    return rows, trips
 
 
 def _timed(bus: Bus, result: Scan) -> list[tuple[DiscoveredNode, RoundTrip]]:
@@ -131,9 +131,9 @@ def _missing(hand: Hand, bus: str, result: Scan) -> list[Finding]:
     names = [(f"{motor.name} ({motor.protocol} {motor.node_id})", motor.protocol in DISCOVERIES) for motor in motors]
     return [
         Finding(f"{name} does not answer", False, WIRING)
-        if asked
+        if is_queried
         else Finding(f"{name} was not looked for: it answers orders only", True)
-        for name, asked in names
+        for name, is_queried in names
     ]
 
 

@@ -53,12 +53,12 @@ def wrong_rates(hand: Hand, specs: tuple[str, ...]) -> list[str]:
     """A line for each interface that is set to another bit rate than the hand file says, with the command to type."""
     from handctl.runtime.buses.interface import wrong_rate
 
-    found = [
+    lines = [
         wrong_rate(spec.removeprefix("socketcan:"), bus.bitrate, bus.data_bitrate)
         for spec, bus in zip(specs, hand.bus, strict=True)
         if spec.startswith("socketcan:")
     ]
-    return [line for line in found if line]
+    return [line for line in lines if line]
 
 
 def _bus(load: BusLoad, rate: float) -> dict[str, Any]:
@@ -82,13 +82,13 @@ def _row(row: Row) -> dict[str, Any]:
 def _print(result: dict[str, Any], detail: bool) -> None:
     print(f"{result['hand']} at {result['rate_hz']:g} Hz, at most {result['most']:.0%} of a bus:")
     for bus in result["buses"]:
-        most = "nothing on it" if bus["max_hz"] is None else f"{bus['max_hz']:.0f} Hz at most"
+        limit = "nothing on it" if bus["max_hz"] is None else f"{bus['max_hz']:.0f} Hz at most"
         time = f"{bus['tick_us']:>7.0f} us a tick + {bus['by_time']:4.1%}"
-        print(f"  {bus['name']:<12}{bus['motors']:>3} motors {time} {bus['load']:>7.1%}  {most}")
+        print(f"  {bus['name']:<12}{bus['motors']:>3} motors {time} {bus['load']:>7.1%}  {limit}")
         for row in bus["frames"] if detail else ():
-            often = f"{row['per_tick']:g} a tick" if row["per_tick"] else f"{row['per_second']:.3g} a second"
+            rate = f"{row['per_tick']:g} a tick" if row["per_tick"] else f"{row['per_second']:.3g} a second"
             kind = "FD" if row["fd"] else "classical"
-            print(f"      {row['what']:<16}{kind:<10}{row['bytes']:>2} bytes {row['frame_us']:>6.1f} us  {often}")
+            print(f"      {row['what']:<16}{kind:<10}{row['bytes']:>2} bytes {row['frame_us']:>6.1f} us  {rate}")
     for line in result["wrong_bit_rates"]:
         print(line)
     if not result["fits"]:

@@ -72,8 +72,8 @@ def _show(args: argparse.Namespace, hand: Hand) -> int:
         print(f"# caution: {text}")
     for text in strength_warnings(hand):
         print(f"# warning: {text}")
-    told = ", ".join(f"bus {name} {100 * share:.0f} %" for name, share in load.items())
-    print(f"# default rate {rate:g} Hz: {told}; gains: {layers.file or 'packaged'}; all files are good")
+    bus_loads_text = ", ".join(f"bus {name} {100 * fraction:.0f} %" for name, fraction in load.items())
+    print(f"# default rate {rate:g} Hz: {bus_loads_text}; gains: {layers.file or 'packaged'}; all files are good")
     return 0
 
 
@@ -85,27 +85,27 @@ def _gains_with_sources(layers: LayeredGains) -> list[str]:
 
 def _calibration(args: argparse.Namespace, hand: Hand) -> dict[str, Any]:
     """Which calibration a run would use, or why none, and what of it takes the place of the hand file."""
-    path, calibration, why = find_calibration(args, hand)
+    path, calibration, reason = find_calibration(args, hand)
     if calibration is None:
-        return {"file": str(path), "problem": why, "made": None, "identified": {}}
+        return {"file": str(path), "problem": reason, "made": None, "identified": {}}
     identified = {
         tendon: {
-            name: {"value": value, "half_width": width, "unit": UNITS[name], "made": known.made}
-            for name, value, width in zip(known.names, known.values, known.half_widths, strict=True)
+            name: {"value": value, "half_width": width, "unit": UNITS[name], "made": parameters.made}
+            for name, value, width in zip(parameters.names, parameters.values, parameters.half_widths, strict=True)
         }
-        for tendon, known in calibration.identified.items()
+        for tendon, parameters in calibration.identified.items()
     }
     return {"file": str(path), "problem": "", "made": calibration.made, "identified": identified}
 
 
-def _calibration_lines(found: dict[str, Any]) -> list[str]:
+def _calibration_lines(calibration: dict[str, Any]) -> list[str]:
     """The same for a person."""
-    if found["problem"]:
-        return [f"calibration: {found['problem']}"]
-    return [f"calibration: {found['file']}, made {found['made']}"] + [
+    if calibration["problem"]:
+        return [f"calibration: {calibration['problem']}"]
+    return [f"calibration: {calibration['file']}, made {calibration['made']}"] + [
         f"{tendon}.{name} = {one['value']:.5g} +- {one['half_width']:.2g} {one['unit']}"
-        f"  ({found['file']}, identified {one['made']})"
-        for tendon, values in found["identified"].items()
+        f"  ({calibration['file']}, identified {one['made']})"
+        for tendon, values in calibration["identified"].items()
         for name, one in values.items()
     ]
 
@@ -115,7 +115,10 @@ def _export(args: argparse.Namespace, hand: Hand) -> int:
     if not args.dbc:
         raise ConfigError("no format", "export", "--dbc")
     output = args.output or Path(f"{hand.name}.dbc")
-    drives, sensors, buses, written = make_drives(hand), make_sensors(hand), hand.bus_names, []
+    drives = make_drives(hand)
+    sensors = make_sensors(hand)
+    buses = hand.bus_names
+    written = []
     for bus, name in enumerate(buses):
         path = output if len(buses) == 1 else named_after(output, f".{name}{output.suffix}")
         write_whole(path, of_bus(bus, drives, sensors, hand.tendon_names, hand.joints), new=True)

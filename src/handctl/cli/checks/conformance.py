@@ -53,20 +53,20 @@ def run(args: argparse.Namespace) -> int:
         return _dry_run(args)
     warning = f"the shaft of {args.protocol} {args.node} on {args.bus} turns, with at most {args.limit:g} N m"
     ask(warning, args.yes)
-    _tell(f"{warning}. Ctrl-C lets go.")
+    _print_error(f"{warning}. Ctrl-C lets go.")
     with bus_lock(args.bus):
-        found = _found(args)
-        drive = _drive(args, options, found)
-        results, off = _checked(args, drive, _restoring(drive, found))
+        node = _find_drive(args)
+        drive = _drive(args, options, node)
+        results, off = _checked(args, drive, _restoring(drive, node))
     failed = sum(check.verdict is Verdict.FAILED for check in results)
     if args.json:
-        print_json(_plain(args, found, results, off))
+        print_json(_plain(args, node, results, off))
     else:
         passed = sum(check.verdict is Verdict.PASSED for check in results)
         print("its watchdog and limits stay as they were set here until it is switched off")
         print(f"{passed} passed, {failed} failed, {len(results) - passed - failed} not applicable")
     if not off:
-        _tell(LEFT_ON)
+        _print_error(LEFT_ON)
         return Exit.REMOVE_POWER
     return Exit.FAILED if failed else Exit.DONE
 
@@ -83,21 +83,21 @@ def _options(words: list[str]) -> dict[str, Any]:
         raise ConfigError(f"{' '.join(words)}: {error.what}", "--option", "KEY=VALUE, as in gear_ratio=6.0") from None
 
 
-def _drive(args: argparse.Namespace, options: dict[str, Any], found: DiscoveredNode | None) -> Drive:
+def _drive(args: argparse.Namespace, options: dict[str, Any], node: DiscoveredNode | None) -> Drive:
     """The drive, of what it told of itself and of the command line, which wins.
 
     Raises:
         ConfigError: options that the protocol does not have, or a number that it cannot have.
     """
-    told: dict[str, Any] = dict(found.options) if found else {}
+    reported: dict[str, Any] = dict(node.options) if node else {}
     if args.protocol == "cia402":
-        told = NEEDED | told
-    settings = {"position_range_rad": 12.5, "velocity_range_rad_s": 30.0, **(found.settings if found else {})}
+        reported = NEEDED | reported
+    settings = {"position_range_rad": 12.5, "velocity_range_rad_s": 30.0, **(node.settings if node else {})}
     motor = {
         "name": f"{args.protocol}_{args.node}", "protocol": args.protocol, "bus": "bench", "node_id": args.node,
         "spool_radius_m": 0.005, "inertia_kg_m2": 1e-4, "viscous_N_m_s_per_rad": 0.0, "coulomb_N_m": 0.0,
         "torque_constant_N_m_per_A": 0.1, "direction": 1, "zero_rad": 0.0, "watchdog_ms": WATCHDOG_MS,
-        **settings, "torque_max_N_m": args.limit, "torque_peak_N_m": args.limit, "options": told | options,
+        **settings, "torque_max_N_m": args.limit, "torque_peak_N_m": args.limit, "options": reported | options,
     }  # fmt: skip
     try:
         return make_drive(Motor.model_validate(motor), 0)
@@ -121,7 +121,7 @@ def _dry_run(args: argparse.Namespace) -> int:
     return Exit.DONE
 
 
-def _found(args: argparse.Namespace) -> DiscoveredNode:
+def _find_drive(args: argparse.Namespace) -> DiscoveredNode:
     """The drive as a scan finds it.
 
     Raises:
@@ -155,10 +155,10 @@ def _listened(args: argparse.Namespace, bus: Bus) -> Scan:
     return Scan((DiscoveredNode(args.protocol, args.node),), foreign, (), (), len(seen))
 
 
-def _restoring(drive: Drive, found: DiscoveredNode) -> Drive:
+def _restoring(drive: Drive, node: DiscoveredNode) -> Drive:
     """The drive with the torque range that it had: to an MIT motor the limit is the scale of every torque."""
-    if isinstance(drive, MitDrive) and "torque_max_N_m" in found.settings:
-        ranges = drive.ranges._replace(torque=found.settings["torque_max_N_m"])
+    if isinstance(drive, MitDrive) and "torque_max_N_m" in node.settings:
+        ranges = drive.ranges._replace(torque=node.settings["torque_max_N_m"])
         return dataclasses.replace(drive, ranges=ranges)
     return drive
 
@@ -190,18 +190,18 @@ def _checked(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tuple[
     return results, off
 
 
-def _plain(args: argparse.Namespace, found: DiscoveredNode, results: list[Check], off: bool) -> dict[str, Any]:
+def _plain(args: argparse.Namespace, node: DiscoveredNode, results: list[Check], off: bool) -> dict[str, Any]:
     return {
         "drive": args.protocol,
         "node": args.node,
         "bus": args.bus,
         "torque_limit_N_m": args.limit,
-        "firmware": found.firmware,
-        "serial": found.serial,
+        "firmware": node.firmware,
+        "serial": node.serial,
         "confirmed_off": off,
         "checks": [{"name": check.name, "verdict": check.verdict.value, "why": check.reason} for check in results],
     }
 
 
-def _tell(text: str) -> None:
+def _print_error(text: str) -> None:
     print(text, file=sys.stderr, flush=True)

@@ -103,8 +103,8 @@ def _interfaces() -> Finding:
 
 
 def _vulkan() -> Finding:
-    found = bool(list(Path("/usr/share/vulkan/icd.d").glob("*.json"))) or sys.platform != "linux"
-    return "Vulkan driver for pictures of the viewer", found, "install libvulkan1 and mesa-vulkan-drivers"
+    has_driver = bool(list(Path("/usr/share/vulkan/icd.d").glob("*.json"))) or sys.platform != "linux"
+    return "Vulkan driver for pictures of the viewer", has_driver, "install libvulkan1 and mesa-vulkan-drivers"
 
 
 def _space() -> Finding:

@@ -41,19 +41,19 @@ def run(args: argparse.Namespace) -> int:
     return Exit.DONE if any(result.found for result in scans.values()) else Exit.FAILED
 
 
-def identified(found: tuple[DiscoveredNode, ...], spec: str, bitrate: int) -> tuple[DiscoveredNode, ...]:
+def identified(nodes: tuple[DiscoveredNode, ...], spec: str, bitrate: int) -> tuple[DiscoveredNode, ...]:
     """The same, with what CANopen nodes tell over SDO."""
-    nodes = [drive.node_id for drive in found if drive.protocol == "cia402"]
-    if not nodes:
-        return found
+    canopen_ids = [drive.node_id for drive in nodes if drive.protocol == "cia402"]
+    if not canopen_ids:
+        return nodes
     from handctl.runtime.diagnostics.canopen_identity import identify
 
-    note(f"{spec}: reading the identity of CANopen nodes {', '.join(map(str, nodes))}")
-    known = identify(spec, bitrate, nodes)
+    note(f"{spec}: reading the identity of CANopen nodes {', '.join(map(str, canopen_ids))}")
+    identities = identify(spec, bitrate, canopen_ids)
     return tuple(
-        _with_identity(drive, known[drive.node_id].numbers, known[drive.node_id].texts)
+        _with_identity(drive, identities[drive.node_id].numbers, identities[drive.node_id].texts)
         if drive.protocol == "cia402" else drive
-        for drive in found
+        for drive in nodes
     )  # fmt: skip
 
 
@@ -101,8 +101,8 @@ def _print(buses: dict[str, str], scans: dict[str, Scan], piece: str) -> None:
     for name, result in scans.items():
         print(f"{name} ({buses[name]}): {len(result.found)} nodes, {result.frames} frames heard")
         if result.foreign:
-            heard = ", ".join(_text(frame) for frame in result.foreign[:SHOWN])
-            print(f"  another host is at work here ({heard}): only listened; end it, or --force")
+            frames_text = ", ".join(_text(frame) for frame in result.foreign[:SHOWN])
+            print(f"  another host is at work here ({frames_text}): only listened; end it, or --force")
         if result.omitted:
             kinds = sorted({f"{frame.can_id:#05x}" for frame in result.omitted})
             print(f"  not asked on {', '.join(kinds)}: a drive that is here would take it as an order;")
@@ -114,10 +114,10 @@ def _print(buses: dict[str, str], scans: dict[str, Scan], piece: str) -> None:
 
 
 def _print_drive(drive: DiscoveredNode) -> None:
-    known = (("firmware", drive.firmware), ("serial", drive.serial), ("", drive.state), ("ERROR", drive.error))
-    words = "  ".join(f"{key} {text}".strip() for key, text in known if text)
+    fields = (("firmware", drive.firmware), ("serial", drive.serial), ("", drive.state), ("ERROR", drive.error))
+    line_text = "  ".join(f"{key} {text}".strip() for key, text in fields if text)
     number = f"{drive.node_id:#x}" if drive.protocol == "sensor" else str(drive.node_id)
-    print(f"  {drive.protocol:<8}{number:>5}  {words}")
+    print(f"  {drive.protocol:<8}{number:>5}  {line_text}")
     for line in drive.notes:
         print(f"                {line}")
 

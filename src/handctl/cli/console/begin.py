@@ -16,7 +16,9 @@ from handctl.programs.calibration import Calibration
 from handctl.runtime.buses.open import real_buses
 from handctl.session.plan import Plan
 
-MINUTE_S, HOUR_S, DAY_S = 60.0, 3600.0, 86400.0
+MINUTE_S = 60.0
+HOUR_S = 3600.0
+DAY_S = 86400.0
 
 
 def announce(args: argparse.Namespace, plan: Plan, path: Path, calibration: Calibration | None) -> None:
@@ -31,14 +33,14 @@ def announce(args: argparse.Namespace, plan: Plan, path: Path, calibration: Cali
     Raises:
         ConfigError: nobody is there to be asked, or whoever is there does not want the hand to move.
     """
-    found = []
+    files = []
     gains = Path(f"{plan.hand.name}.gains.toml")
     if not args.gains and "gains.toml" in plan.attachments:
-        found.append(_described("gains", gains, load_gains_file(gains).provenance.made))
+        files.append(_described("gains", gains, load_gains_file(gains).provenance.made))
     if not args.calibration and calibration:
-        found.append(_described("calibration", path, calibration.made))
-    if found:
-        note(f"handctl: found in this folder: {'; '.join(found)}")
+        files.append(_described("calibration", path, calibration.made))
+    if files:
+        note(f"handctl: found in this folder: {'; '.join(files)}")
     if calibration and not calibration.drive:
         text = "does not name the drives it was made with, any hand of this design would be armed with it"
         say(f"handctl: caution: {path} {text}; handctl commission makes one that does", error=True)

@@ -47,7 +47,7 @@ class Display:
         assert self.child.stdin is not None
         self.pipe = self.child.stdin.fileno()
         self.worst_late_ns = 0
-        self.told: dict[str, int] = {}
+        self.last_warning_ns: dict[str, int] = {}
         self.shown: set[str] = set()
         self._write(head)
         os.set_blocking(self.pipe, False)
@@ -71,19 +71,19 @@ class Display:
             "tension": [round(float(f), 2) for f in out.telemetry.tension],
             "goal": [None if f != f else round(float(f), 2) for f in out.telemetry.tension_goal],
             "contact": [bool(c) for c in out.telemetry.contact],
-            "events": [[event.level, self._advised(event)] for event in out.events if self._tell(entry.t_ns, event)],
+            "events": [[event.level, self._advised(event)] for event in out.events if self._is_due(entry.t_ns, event)],
         }
         self.worst_late_ns = 0
         self._write(line)
 
-    def _tell(self, t_ns: int, event: Event) -> bool:
+    def _is_due(self, t_ns: int, event: Event) -> bool:
         """Whether to say it: errors and news always, a repeated warning once a second; the log has them all."""
         if event.level == "error" or event.name != "fault":
             return True
-        kind = event.text[:3]
-        news = t_ns - self.told.get(kind, -ONE_SECOND_NS) >= ONE_SECOND_NS
+        fault_id = event.text[:3]
+        news = t_ns - self.last_warning_ns.get(fault_id, -ONE_SECOND_NS) >= ONE_SECOND_NS
         if news:
-            self.told[kind] = t_ns
+            self.last_warning_ns[fault_id] = t_ns
         return news
 
     def _advised(self, event: Event) -> str:
@@ -115,7 +115,7 @@ def short_names(names: Sequence[str]) -> list[str]:
     return [name.removesuffix("_tendon") or name for name in names]
 
 
-def _plain(head: dict[str, Any]) -> None:
+def _print_lines(head: dict[str, Any]) -> None:
     """One line a second, and each event."""
     last = -1.0
     for text in sys.stdin:
@@ -164,7 +164,7 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     head = json.loads(sys.stdin.readline())
     with escaped_streams():
-        (_drawn if sys.stdout.isatty() else _plain)(head)
+        (_drawn if sys.stdout.isatty() else _print_lines)(head)
 
 
 if __name__ == "__main__":

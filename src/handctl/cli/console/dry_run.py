@@ -8,7 +8,7 @@ from handctl.session.exit_codes import Exit
 from handctl.session.plan import Plan, check_design
 
 
-def told(args: argparse.Namespace, plan: Plan, *lines: str, **what: Any) -> int:
+def report_dry_run(args: argparse.Namespace, plan: Plan, *lines: str, **fields: Any) -> int:
     """Say that all files are good, and what would be done.
 
     Args:
@@ -23,7 +23,7 @@ def told(args: argparse.Namespace, plan: Plan, *lines: str, **what: Any) -> int:
     check_design(plan.hand, plan.gains, plan.rate_hz)
     if args.json:
         run = {"rate_hz": plan.rate_hz, "bus_load": max(plan.load), "buses": list(plan.buses)}
-        print_json({"hand": plan.hand.name, **run, **what})
+        print_json({"hand": plan.hand.name, **run, **fields})
     else:
         for line in lines:
             say(line)

@@ -26,22 +26,23 @@ def _end(number: int, frame: FrameType | None) -> None:
 
 
 @contextmanager
-def ended_by_signals() -> Iterator[None]:
+def terminate_on_signals() -> Iterator[None]:
     """Have SIGTERM and SIGHUP end what runs as Ctrl-C does; what ``nohup`` has told to be ignored stays so."""
-    with handling(_end, *[one for one in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(one) == signal.SIG_DFL]):
+    ending = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) == signal.SIG_DFL]
+    with handling(_end, *ending):
         yield
 
 
-def give_bugs_a_code() -> None:
+def install_excepthook() -> None:
     """Have an exception that nobody expected end this process with its traceback and ``Exit.INTERNAL``.
 
     Everything is put away as ever: the code is set last, when all else that waits for the end has been called.
     """
     bugs: list[BaseException] = []
 
-    def show(kind: type[BaseException], bug: BaseException, trace: TracebackType | None) -> None:
+    def show(error_type: type[BaseException], bug: BaseException, trace: TracebackType | None) -> None:
         with escaped_streams():
-            sys.__excepthook__(kind, bug, trace)
+            sys.__excepthook__(error_type, bug, trace)
             print("handctl: this is a bug in handctl; what stands above tells where", file=sys.stderr)
         bugs.append(bug)
 

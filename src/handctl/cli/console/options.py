@@ -15,7 +15,7 @@ from handctl.session.exit_codes import Exit
 
 PROTOCOLS = ("mit", "odrive", "cia402")
 """What simulated drives may speak."""
-SPOKEN = (*PROTOCOLS, "cubemars")
+DRIVE_PROTOCOLS = (*PROTOCOLS, "cubemars")
 """What drives may speak; the names of ``drives.registry``, which takes longer to import than a help may take."""
 
 
@@ -23,7 +23,8 @@ class _Named(argparse.Action):
     """Stores a hand, and that somebody has named it."""
 
     def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None) -> None:
-        namespace.hand, namespace.hand_named = values, True
+        namespace.hand = values
+        namespace.hand_named = True
 
 
 def hand_option(parser: argparse.ArgumentParser) -> None:
@@ -44,14 +45,14 @@ def check_seed(seed: int) -> None:
         raise ConfigError(f"{seed}", "--seed", "0 or more")
 
 
-def checked_count(number: int, option: str, most: int) -> int:
+def checked_count(number: int, option: str, maximum: int) -> int:
     """A count from the command line.
 
     Raises:
-        ConfigError: it is not between 1 and ``most``.
+        ConfigError: it is not between 1 and ``maximum``.
     """
-    if not 1 <= number <= most:
-        raise ConfigError(str(number), option, f"1 to {most}")
+    if not 1 <= number <= maximum:
+        raise ConfigError(str(number), option, f"1 to {maximum}")
     return number
 
 
@@ -172,7 +173,7 @@ def say(text: str, error: bool = False) -> None:
     print(message(text), file=sys.stderr if error else sys.stdout)
 
 
-def tell_lossy(path: Path, warning: str) -> Exit:
+def warn_if_lossy(path: Path, warning: str) -> Exit:
     """Say why a log is not whole, if it is not; the exit code of a verb that could do its work on what is there."""
     if warning:
         say(f"handctl: {path}: {warning}", error=True)
@@ -192,15 +193,15 @@ def wire_words(args: argparse.Namespace) -> list[str]:
 
 def print_json(result: dict[str, Any]) -> None:
     """Print a result for programs; NaN becomes null."""
-    text = json.dumps(_plain(result), indent=2, allow_nan=False)
+    text = json.dumps(_json_value(result), indent=2, allow_nan=False)
     sys.stdout.write(text.replace("\x7f", "\\u007f") + "\n")  # JSON leaves this control character as it is
 
 
-def _plain(value: Any) -> Any:
+def _json_value(value: Any) -> Any:
     if isinstance(value, dict):
-        return {encodable(str(key)): _plain(item) for key, item in value.items()}
+        return {encodable(str(key)): _json_value(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [_json_value(item) for item in value]
     if isinstance(value, float) and not (value == value and abs(value) != float("inf")):
         return None
     return encodable(str(value)) if isinstance(value, Path | str) else value

@@ -33,18 +33,18 @@ def make_plan(args: argparse.Namespace, lockstep: bool = False) -> plan.Plan:
         clear=args.clear,
     )
     display = None if args.json or is_quiet() else _display
-    made = replace(plan.make_plan(choice, display, notice), progress=progress)
+    run_plan = replace(plan.make_plan(choice, display, notice), progress=progress)
     if is_verbose():
-        _describe(args, made)
-    return made
+        _describe(args, run_plan)
+    return run_plan
 
 
-def _describe(args: argparse.Namespace, made: plan.Plan) -> None:
+def _describe(args: argparse.Namespace, run_plan: plan.Plan) -> None:
     """Print the details of a plan, for ``--verbose``."""
-    hand = made.hand
+    hand = run_plan.hand
     detail(f"hand: {hand.name} from {args.hand}, identity {hand.identity[:16]}, {len(hand.tendon)} tendons")
-    loads = ", ".join(f"{name} {100 * load:.0f} %" for name, load in zip(hand.bus_names, made.load, strict=False))
-    detail(f"rate: {made.rate_hz:g} Hz, bus load: {loads}; buses: {', '.join(made.buses) or 'in lockstep'}")
+    loads = ", ".join(f"{name} {100 * load:.0f} %" for name, load in zip(hand.bus_names, run_plan.load, strict=False))
+    detail(f"rate: {run_plan.rate_hz:g} Hz, bus load: {loads}; buses: {', '.join(run_plan.buses) or 'in lockstep'}")
     for key, origin in layered_gains(args, hand).origins.items():
         if origin != gains.PACKAGED:
             detail(f"gain {key} is from {origin}")
@@ -99,9 +99,9 @@ def find_calibration(args: argparse.Namespace, hand: Hand) -> tuple[Path, Calibr
         ConfigError: the file named on the command line is there and cannot be used, or none could be written there.
     """
     path = calibration_path(args, hand)
-    found, why = calibration.find_calibration(path, hand, named=bool(args.calibration))
-    detail(f"calibration: {path}" + (f" is not used: {why}" if why else ""))
-    return path, found, why
+    loaded, reason = calibration.find_calibration(path, hand, named=bool(args.calibration))
+    detail(f"calibration: {path}" + (f" is not used: {reason}" if reason else ""))
+    return path, loaded, reason
 
 
 def check_perturb(args: argparse.Namespace, simulated: bool) -> dict[str, float]:
@@ -122,12 +122,12 @@ def check_perturb(args: argparse.Namespace, simulated: bool) -> dict[str, float]
     return factors
 
 
-def check_bus_only(args: argparse.Namespace) -> None:
+def refuse_bus_options(args: argparse.Namespace) -> None:
     """Refuse what only a run on a bus obeys.
 
     Raises:
         ConfigError: it is asked for.
     """
-    for option, given in (("--clear", args.clear), ("--time-scale", args.time_scale != 1.0)):
-        if given:
+    for option, is_set in (("--clear", args.clear), ("--time-scale", args.time_scale != 1.0)):
+        if is_set:
             raise ConfigError("only with --bus", option, "a run in lockstep without it")

@@ -6,12 +6,12 @@ from typing import Any
 from handctl.printing import escaped
 
 
-def screen(error: bool = False, least: int = 1) -> Any:
+def screen(error: bool = False, min_width: int = 1) -> Any:
     """A console of rich.
 
     Args:
         error: print on standard error, where nobody has to read.
-        least: columns that a table needs; in a terminal of fewer its lines are broken, but no number is cut off.
+        min_width: columns that a table needs; in a terminal of fewer its lines are broken, but no number is cut off.
     """
     from rich.console import Console, ConsoleOptions, RenderableType
     from rich.segment import Segment
@@ -23,9 +23,9 @@ def screen(error: bool = False, least: int = 1) -> Any:
                 done = segment.control or segment.text.isprintable()
                 yield segment if done else Segment(escaped(segment.text, "\n\t"), segment.style)
 
-        def render_str(self, text: str, **how: Any) -> Any:
+        def render_str(self, text: str, **keywords: Any) -> Any:
             """Escape a string before its width is measured."""
-            return super().render_str(escaped(text, "\n\t"), **how)
+            return super().render_str(escaped(text, "\n\t"), **keywords)
 
         def on_broken_pipe(self) -> None:
             """Let ``main`` end the verb as it ends those that print without rich; go on without progress."""
@@ -34,6 +34,6 @@ def screen(error: bool = False, least: int = 1) -> Any:
             self.quiet = True
 
     console = Screen(stderr=error, markup=False, emoji=False, highlight=False)
-    if console.width < least:
-        console.width = least
+    if console.width < min_width:
+        console.width = min_width
     return console

@@ -25,9 +25,10 @@ _verbosity: ContextVar[Verbosity] = ContextVar("verbosity", default=Verbosity.NO
 
 
 @contextmanager
-def chosen_verbosity(args: argparse.Namespace) -> Iterator[None]:
+def use_verbosity(args: argparse.Namespace) -> Iterator[None]:
     """Use the verbosity of a command line for as long as its verb runs."""
-    quiet, verbose = getattr(args, "quiet", False), getattr(args, "verbose", False)
+    quiet = getattr(args, "quiet", False)
+    verbose = getattr(args, "verbose", False)
     level = Verbosity.QUIET if quiet else Verbosity.VERBOSE if verbose else Verbosity.NORMAL
     token = _verbosity.set(level)
     try:

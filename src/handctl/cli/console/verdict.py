@@ -55,7 +55,8 @@ def _with(value: float, scale: float, unit: str, digits: int) -> str:
 
 def _lift(result: dict[str, Any]) -> list[tuple[str, str]]:
     """How far the table sank, and how far the object moved in the hand meanwhile; nothing without such a table."""
-    sunk, slid = result["table_sunk_mm"], result["object_slid_mm"]
+    sunk = result["table_sunk_mm"]
+    slid = result["object_slid_mm"]
     if sunk != sunk:
         return []
     return [("table sank / object moved then", f"{sunk:.0f} mm / {_with(slid, 1.0, 'mm', 3)}")]
@@ -63,7 +64,8 @@ def _lift(result: dict[str, Any]) -> list[tuple[str, str]]:
 
 def _forces(result: dict[str, Any]) -> list[tuple[str, str]]:
     """Tip-equivalent estimate beside the plant's contact force, per digit."""
-    estimated, real = result["tip_equivalent_force_n"], result["contact_force_n"]
+    estimated = result["tip_equivalent_force_n"]
+    real = result["contact_force_n"]
     rows = []
     for name, force in estimated.items():
         if force == force:

@@ -5,7 +5,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from handctl.cli.console.options import print_json, say, tell_lossy
+from handctl.cli.console.options import print_json, say, warn_if_lossy
 from handctl.cli.console.progress import progress
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
@@ -86,15 +86,19 @@ def _check(args: argparse.Namespace) -> int:
 
     try:
         with RunLog(args.log) as log, progress("checking", quiet=args.json):
-            found, ticks, lossy = check(log), len(log), bool(log.warning)
+            problems = check(log)
+            ticks = len(log)
+            lossy = bool(log.warning)
     except LogError as error:
-        found, ticks, lossy = [str(error), *filter(None, [first_damage(args.log)])], 0, False
+        problems = [str(error), *filter(None, [first_damage(args.log)])]
+        ticks = 0
+        lossy = False
     if args.json:
-        print_json({"log": str(args.log), "ticks": ticks, "sound": not found, "findings": found})
+        print_json({"log": str(args.log), "ticks": ticks, "sound": not problems, "findings": problems})
     else:
-        for line in found or [f"{args.log}: {ticks} ticks, nothing wrong"]:
+        for line in problems or [f"{args.log}: {ticks} ticks, nothing wrong"]:
             say(line)
-    return Exit.LOSSY_LOG if lossy else Exit.FAILED if found else Exit.DONE
+    return Exit.LOSSY_LOG if lossy else Exit.FAILED if problems else Exit.DONE
 
 
 def _diff(args: argparse.Namespace) -> int:
@@ -103,7 +107,7 @@ def _diff(args: argparse.Namespace) -> int:
 
     with RunLog(args.log) as a, RunLog(args.other) as b, progress("comparing", quiet=args.json):
         result = diff(a, b, str(args.other))
-        code = max(tell_lossy(args.log, a.warning), tell_lossy(args.other, b.warning))
+        code = max(warn_if_lossy(args.log, a.warning), warn_if_lossy(args.other, b.warning))
     if args.json:
         print_json({"logs": [str(args.log), str(args.other)], **result})
         return code
@@ -128,7 +132,7 @@ def _export(args: argparse.Namespace) -> int:
         out = args.output or named_after(args.log, f".{args.format}")
         with whole(out, new=True) as part, progress("writing", quiet=args.json):
             count = _write(args, log, part)
-        code = tell_lossy(args.log, log.warning)
+        code = warn_if_lossy(args.log, log.warning)
     if args.json:
         print_json({"log": str(args.log), "output": str(out), "count": count})
     else:
@@ -161,13 +165,13 @@ def _recover(args: argparse.Namespace) -> int:
 
     output = args.output or Path(str(args.log).removesuffix(".mcap") + ".recovered.mcap")
     with progress("copying", quiet=args.json):
-        found = recover(args.log, output)
-    status = found.status.name.lower()
+        recovery = recover(args.log, output)
+    status = recovery.status.name.lower()
     if args.json:
-        lost = [list(part) for part in found.lost]
-        result = {"status": status, "messages": found.messages, "lost": lost, "problem": found.problem}
+        lost = [list(part) for part in recovery.lost]
+        result = {"status": status, "messages": recovery.messages, "lost": lost, "problem": recovery.problem}
         print_json(result | {"output": str(output)})
     else:
-        kept = "" if not found.messages else f", {found.messages} messages in {output}"
-        say(f"{args.log}: {status}{kept}" + (f" ({found.problem})" if found.problem else ""))
-    return int(found.status)
+        copied = "" if not recovery.messages else f", {recovery.messages} messages in {output}"
+        say(f"{args.log}: {status}{copied}" + (f" ({recovery.problem})" if recovery.problem else ""))
+    return int(recovery.status)

@@ -4,8 +4,8 @@ import argparse
 from dataclasses import replace
 
 from handctl.cli.console.begin import announce
-from handctl.cli.console.dry_run import told
-from handctl.cli.console.options import print_json, say, tell_lossy
+from handctl.cli.console.dry_run import report_dry_run
+from handctl.cli.console.options import print_json, say, warn_if_lossy
 from handctl.cli.console.plan import find_calibration, make_plan
 from handctl.log.read.reader import RunLog
 from handctl.replay.compare import check_same_hand, difference_lines
@@ -24,33 +24,34 @@ def run(args: argparse.Namespace) -> int:
         check_same_hand(before, plan.hand.name, plan.hand.identity, f"--hand {args.hand}")
         logged_hand(before)  # refuse a log whose hand cannot be rebuilt: the column names come from that hand
         program = playback(before, plan.period_ns * 1e-9, args.raw)
-        path, calibration, why = find_calibration(args, plan.hand)
-        begin, end = active_interval(before)
-        lossy = tell_lossy(args.recorded, before.warning)
+        path, calibration, reason = find_calibration(args, plan.hand)
+        start_s, end_s = active_interval(before)
+        lossy = warn_if_lossy(args.recorded, before.warning)
         if missing := count_missing_ticks(before):
             say(f"handctl: caution: {args.recorded}: {missing} ticks are missing; goals are joined there", error=True)
         if args.dry_run:
-            line = f"{plan.hand.name}: would drive {end - begin:.2f} s of {args.recorded} at {plan.rate_hz:g} Hz"
-            told(args, plan, line, log=args.recorded, seconds=end - begin, commissioning=why)
+            line = f"{plan.hand.name}: would drive {end_s - start_s:.2f} s of {args.recorded} at {plan.rate_hz:g} Hz"
+            report_dry_run(args, plan, line, log=args.recorded, seconds=end_s - start_s, commissioning=reason)
             return lossy
         announce(args, plan, path, calibration)
         log = args.log or default_log(plan.hand, "replay")
         if calibration is None:
-            calibration = ensure_calibration(plan, path, why, run_live, commission_log(log))
+            calibration = ensure_calibration(plan, path, reason, run_live, commission_log(log))
         plan = replace(plan, attachments=plan.attachments | {"calibration.toml": path.read_bytes()})
         outcome = run_live(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
         with RunLog(log) as after:
-            result, seconds = compare_replay(before, after), driven_time(before, after)
+            result = compare_replay(before, after)
+            seconds = driven_time(before, after)
     complete = outcome.state.progress.finished
-    what = {"seconds": end - begin, "driven_s": seconds, "complete": complete, "failure": outcome.state.failure}
+    fields = {"seconds": end_s - start_s, "driven_s": seconds, "complete": complete, "failure": outcome.state.failure}
     if args.json:
-        print_json({"recorded": str(args.recorded), "log": str(log), "raw": args.raw, **what, **result})
+        print_json({"recorded": str(args.recorded), "log": str(log), "raw": args.raw, **fields, **result})
     else:
         for line in (*difference_lines(result), f"new log: {log}"):
             say(line)
     if not complete:
-        why = outcome.state.failure or "stopped"
-        say(f"handctl: {why}: {seconds:.2f} of {end - begin:.2f} s were driven", error=True)
+        reason = outcome.state.failure or "stopped"
+        say(f"handctl: {reason}: {seconds:.2f} of {end_s - start_s:.2f} s were driven", error=True)
     if outcome.exit != Exit.DONE:
         return outcome.exit
     return lossy if complete else Exit.FAILED

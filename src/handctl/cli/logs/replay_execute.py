@@ -6,7 +6,7 @@ This module and its imports use no bus.
 import argparse
 from typing import Any
 
-from handctl.cli.console.options import checked_count, print_json, say, tell_lossy
+from handctl.cli.console.options import checked_count, print_json, say, warn_if_lossy
 from handctl.cli.console.progress import progress
 from handctl.errors import ConfigError, LogError
 from handctl.output import check_output, named_after
@@ -26,9 +26,9 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError("together with --gains", "--within", "one of them")
 
     with RunLog(args.recorded) as log:
-        lossy = tell_lossy(args.recorded, log.warning)
-        good = _other_gains(args, log) if args.gains else _same(args, log)
-    return lossy if good else Exit.FAILED
+        lossy = warn_if_lossy(args.recorded, log.warning)
+        passed = _other_gains(args, log) if args.gains else _same(args, log)
+    return lossy if passed else Exit.FAILED
 
 
 def _same(args: argparse.Namespace, log: Any) -> bool:
@@ -39,45 +39,46 @@ def _same(args: argparse.Namespace, log: Any) -> bool:
     from handctl.replay.execute import execute, within_tolerance
 
     workers = cores() if args.jobs is None else checked_count(args.jobs, "--jobs", 64)
-    with progress("executing", len(log), args.json) as told:
-        found = execute(log, progress=told, workers=workers)
-    good = not found.differing if args.within is None else within_tolerance(found, args.within)
-    here, logged_by = (version("handctl"), code_identity()), _writer(log)
+    with progress("executing", len(log), args.json) as update_progress:
+        execution = execute(log, progress=update_progress, workers=workers)
+    passed = not execution.differing if args.within is None else within_tolerance(execution, args.within)
+    here = (version("handctl"), code_identity())
+    logged_by = _writer(log)
     result = {
         "log": str(args.recorded),
-        "ticks": found.ticks,
-        "differing": found.differing,
-        "undecided": found.undecided,
+        "ticks": execution.ticks,
+        "differing": execution.differing,
+        "undecided": execution.undecided,
         "missing": [[gap.before + 1, gap.after - 1] for gap in log.gaps],
         "warning": log.warning,
-        "first": found.first._asdict() if found.first else None,
-        "state": found.state._asdict() if found.state else None,
-        "largest": found.largest._asdict() if found.largest else None,
-        "same": good,
+        "first": execution.first._asdict() if execution.first else None,
+        "state": execution.state._asdict() if execution.state else None,
+        "largest": execution.largest._asdict() if execution.largest else None,
+        "same": passed,
         "version": here[0],
         "version_logged": logged_by[0],
         "code": here[1],
         "code_logged": logged_by[1],
-        "wall_s": found.wall_s,
-        "cpu_s": found.cpu_s,
-        "times_real_time": found.times_real_time,
+        "wall_s": execution.wall_s,
+        "cpu_s": execution.cpu_s,
+        "times_real_time": execution.times_real_time,
     }
     if args.json:
         print_json(result)
     else:
-        say(f"{found.ticks} ticks, {found.differing} differ, {found.undecided} decide something else")
-        for word, one in (("first", found.first), ("state", found.state), ("largest", found.largest)):
+        say(f"{execution.ticks} ticks, {execution.differing} differ, {execution.undecided} decide something else")
+        for word, one in (("first", execution.first), ("state", execution.state), ("largest", execution.largest)):
             if one:
                 say(f"{word}: {_sentence(one)}")
-        say(f"{found.wall_s:.2f} s, {found.times_real_time:.1f} times real time")
-        if found.differing and log.gaps:
+        say(f"{execution.wall_s:.2f} s, {execution.times_real_time:.1f} times real time")
+        if execution.differing and log.gaps:
             gap = log.gaps[0]
             say(f"ticks {gap.before + 1} to {gap.after - 1} are missing in it: what follows cannot be the same")
-        if found.differing and logged_by != here:
+        if execution.differing and logged_by != here:
             say("the log was written by handctl {}, code {}; this is handctl {}, code {}".format(*logged_by, *here))
-        if not good and not found.undecided and args.within is None:
+        if not passed and not execution.undecided and args.within is None:
             say("all decisions are equal; if another machine wrote the log, --within 1e-9 tells whether that is all")
-    return good
+    return passed
 
 
 def _writer(log: Any) -> tuple[str, str]:
@@ -104,20 +105,20 @@ def _other_gains(args: argparse.Namespace, log: Any) -> bool:
     picture = args.picture or named_after(args.recorded, ".gains.png")
     check_output(picture, "--picture", args.recorded, args.gains)
     gains = load_gains(args.gains)
-    with progress("executing", len(log), args.json) as told:
-        found = execute(log, gains, commands.add, told)
-    if not found.ticks:
+    with progress("executing", len(log), args.json) as update_progress:
+        execution = execute(log, gains, commands.add, update_progress)
+    if not execution.ticks:
         raise LogError("not one tick in it", str(args.recorded), "a run that commanded something")
     draw(picture, log, commands, f"{log.header.metadata.get('hand', '?')}: {args.recorded.name} with {args.gains.name}")
     change = summary(log, commands)
     if args.json:
-        first = found.first._asdict() if found.first else None
-        counts = {"ticks": found.ticks, "differing": found.differing, "first": first}
+        first = execution.first._asdict() if execution.first else None
+        counts = {"ticks": execution.ticks, "differing": execution.differing, "first": first}
         print_json(counts | {"gains": str(args.gains), "picture": str(picture), "change": change})
         return True
-    say(f"{found.ticks} ticks, {found.differing} commanded or estimated otherwise")
-    if found.first:
-        say(f"first: {_sentence(found.first)}")
+    say(f"{execution.ticks} ticks, {execution.differing} commanded or estimated otherwise")
+    if execution.first:
+        say(f"first: {_sentence(execution.first)}")
     for unit, rows in change.items():
         for name, size in rows.items():
             say(f"{name:<18} {unit:<18} rms {size['rms']:.4g}, peak {size['peak']:.4g}")

@@ -2,7 +2,7 @@
 
 import argparse
 
-from handctl.cli.console.options import print_json, say, tell_lossy
+from handctl.cli.console.options import print_json, say, warn_if_lossy
 from handctl.cli.console.progress import progress
 from handctl.log.read.reader import RunLog
 from handctl.replay.other_limits import judge_by_limits
@@ -11,16 +11,16 @@ from handctl.replay.other_limits import judge_by_limits
 def run(args: argparse.Namespace) -> int:
     """Judge the recorded run by the given limits, print the stops, and return the exit code."""
     with RunLog(args.recorded) as log:
-        with progress("judging", len(log), args.json) as told:
-            found = judge_by_limits(log, args.limits, told)
-        code = tell_lossy(args.recorded, log.warning)
+        with progress("judging", len(log), args.json) as update_progress:
+            judgement = judge_by_limits(log, args.limits, update_progress)
+        code = warn_if_lossy(args.recorded, log.warning)
     if args.json:
-        stops = [stop._asdict() for stop in found.stops]
-        counts = {"ticks": found.ticks, "stopped": found.stopped, "stopped_logged": found.stopped_logged}
-        print_json({"log": str(args.recorded), **counts, "by_fault": found.by_fault, "stops": stops})
+        stops = [stop._asdict() for stop in judgement.stops]
+        counts = {"ticks": judgement.ticks, "stopped": judgement.stopped, "stopped_logged": judgement.stopped_logged}
+        print_json({"log": str(args.recorded), **counts, "by_fault": judgement.by_fault, "stops": stops})
         return code
-    say(f"{found.ticks} ticks; these limits stop {found.stopped}, the run's own {found.stopped_logged}")
-    for stop in found.stops:
+    say(f"{judgement.ticks} ticks; these limits stop {judgement.stopped}, the run's own {judgement.stopped_logged}")
+    for stop in judgement.stops:
         also = "as in the run" if stop.logged else "new"
         place = f"tick {stop.k} ({stop.t_s:.3f} s)"
         say(f"{place}: {stop.fault} {stop.title}: {stop.instance} {stop.value:g}: {stop.action}, {also}")

@@ -2,7 +2,7 @@
 
 import argparse
 
-from handctl.cli.console.options import print_json, say, tell_lossy
+from handctl.cli.console.options import print_json, say, warn_if_lossy
 from handctl.cli.console.progress import progress
 from handctl.errors import LogError
 from handctl.output import check_output, named_after
@@ -24,7 +24,7 @@ def run(args: argparse.Namespace) -> int:
             raise LogError("is of another time than the log", str(args.truth), "the truth of this run, in lockstep")
         with progress("drawing", quiet=args.json):
             size = write_page(out, log, logged_hand(log), truth, offset, args.log.name)
-        code = tell_lossy(args.log, log.warning)
+        code = warn_if_lossy(args.log, log.warning)
     if args.json:
         print_json({"log": str(args.log), "page": str(out), "bytes": size})
     else:

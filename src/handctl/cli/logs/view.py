@@ -6,7 +6,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.console.options import print_json, say, tell_lossy
+from handctl.cli.console.options import print_json, say, warn_if_lossy
 from handctl.cli.console.progress import progress
 from handctl.errors import ConfigError
 from handctl.output import check_output, whole
@@ -26,16 +26,17 @@ def run(args: argparse.Namespace) -> int:
     from handctl.view.scene.run_info import RunInfo
 
     with RunLog(args.log, checked=False) as log:
-        subject = RunInfo.of(log.header, args.log.stem)
+        run_info = RunInfo.of(log.header, args.log.stem)
         at_s = _moment(args, log) if args.picture else 0.0
-        warning, found = log.warning, log.scan
-    code = tell_lossy(args.log, warning)
+        warning = log.warning
+        scan = log.scan
+    code = warn_if_lossy(args.log, warning)
     if args.save or args.picture:
         with progress("drawing" if args.picture else "writing", quiet=args.json):
-            result = _write(args, subject, at_s)
+            result = _write(args, run_info, at_s)
     else:
         result = {}
-        _window(args.log, subject, found)
+        _window(args.log, run_info, scan)
     if args.json:
         print_json(result | {"log": args.log, "warning": warning})
     return code
@@ -76,21 +77,21 @@ def _check(args: argparse.Namespace) -> None:
         check_screen()
 
 
-def _write(args: argparse.Namespace, subject: Any, at_s: float) -> dict[str, Any]:
+def _write(args: argparse.Namespace, run_info: Any, at_s: float) -> dict[str, Any]:
     """Write the recording and the picture. Return the fields of the JSON result."""
     from handctl.view.feed import write_rrd
 
     result: dict[str, Any] = {}
     if args.save:
         with whole(args.save) as part:
-            result = {"rrd": args.save, "bytes": write_rrd(args.log, subject, part)}
+            result = {"rrd": args.save, "bytes": write_rrd(args.log, run_info, part)}
         _say(args, f"wrote {args.save}, {result['bytes'] / 1e6:.1f} MB; open it with: rerun {args.save}")
     if not args.picture:
         return result
     with tempfile.TemporaryDirectory(prefix="handctl-view-") as folder:
         rrd = args.save or Path(folder) / f"{args.log.stem}.rrd"
         if not args.save:
-            write_rrd(args.log, subject, rrd)
+            write_rrd(args.log, run_info, rrd)
         return _picture(args, rrd, at_s) | result
 
 
@@ -104,11 +105,11 @@ def _picture(args: argparse.Namespace, rrd: Path, at_s: float) -> dict[str, Any]
     return {"png": args.picture, "at_s": at_s, "reports": reports}
 
 
-def _window(log: Path, subject: Any, found: Any) -> None:
+def _window(log: Path, run_info: Any, scan: Any) -> None:
     """Open the viewer, send the log to it, and wait until the user closes the viewer."""
     from handctl.view.browse import browse
 
-    with browse(log, subject, [], {}, found) as running:
+    with browse(log, run_info, [], {}, scan) as running:
         try:
             running.process.wait()
         except KeyboardInterrupt:

@@ -14,7 +14,7 @@ HANDS = Path(__file__).parents[2] / "hand" / "hands"
 """Packaged hands, as ``hand.load`` finds them. Its import would take longer than a user waits for a completion."""
 
 
-def is_asked() -> bool:
+def is_completing() -> bool:
     """Return whether a shell asks for completions."""
     return "_ARGCOMPLETE" in os.environ
 

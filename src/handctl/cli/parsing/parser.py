@@ -80,10 +80,10 @@ class Parser(argparse.ArgumentParser):
             # Before argparse complains about a missing argument, whose name may be the misspelt one.
             if not (self._has_sub_verbs or any(option.startswith(word) for option in self._option_string_actions)):
                 self._refuse(word)
-        found, rest = super().parse_known_args(args, namespace)
+        parsed, rest = super().parse_known_args(args, namespace)
         if rest:
             self._refuse(rest[0])
-        return found, rest
+        return parsed, rest
 
     def _refuse(self, word: str) -> NoReturn:
         """Refuse a word that no argument takes."""

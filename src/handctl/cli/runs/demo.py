@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.console.dry_run import told
+from handctl.cli.console.dry_run import report_dry_run
 from handctl.cli.console.options import (
     perturb_words,
     wire_words,
@@ -57,18 +57,18 @@ def _run(args: argparse.Namespace) -> int:
     plan = make_plan(args, lockstep=args.lockstep)
     task, text = find_task(args.task, plan.hand)
     assignments(args.perturb, "--perturb")
-    known = identified_in(args.calibration, plan.hand)
+    identified = identified_in(args.calibration, plan.hand)
     if args.dry_run:
         _simulator(args, None).check()
         line = f"{plan.hand.name}: {task.name} on {args.scene}, {plan.rate_hz:g} Hz"
-        return told(args, plan, line, task=task.name, scene=args.scene)
+        return report_dry_run(args, plan, line, task=task.name, scene=args.scene)
     log = args.log or default_log(plan.hand, "demo")
     plan.attachments["task.toml"] = text
     started = time.monotonic()
     if args.lockstep:
-        outcome, truth = _in_lockstep(args, plan, TaskProgram(task), log, known)
+        outcome, truth = _in_lockstep(args, plan, TaskProgram(task), log, identified)
     else:
-        outcome, plan = _in_real_time(args, plan, TaskProgram(task), log, known)
+        outcome, plan = _in_real_time(args, plan, TaskProgram(task), log, identified)
         truth = truth_path(plan.buses[0])
     wall = time.monotonic() - started
     result = judge(plan, outcome, log, truth, task=task)
@@ -99,21 +99,21 @@ class _LateError(Exception):
 
 
 def _in_real_time(
-    args: argparse.Namespace, plan: Plan, program: TaskProgram, log: Path, known: IdentifiedByTendon
+    args: argparse.Namespace, plan: Plan, program: TaskProgram, log: Path, identified: IdentifiedByTendon
 ) -> tuple[Outcome, Plan]:
     """On real clocks, in slower time if it must be; what it came to, and with which plan."""
-    again = plan.time_scale > SLOWEST and not wire_words(args)  # a wire may be too slow by itself
-    first, then = _live(view=False, refuse_late=again), _live(args.view, refuse_late=again)
+    retry = plan.time_scale > SLOWEST and not wire_words(args)  # a wire may be too slow by itself
+    runners = (_live(view=False, refuse_late=retry), _live(args.view, refuse_late=retry))
     commissioning = commission_log(log)
     try:
         with simulator(args, plan):
-            return _commission_and_run(plan, program, log, (first, then), known), plan
+            return _commission_and_run(plan, program, log, runners, identified), plan
     except _LateError as late:
         slower_plan = replace(plan, time_scale=max(late.scale, SLOWEST))
         _set_aside(log, commissioning, plan.time_scale)
-        why = f"this machine does not keep up with a simulated hand ({late})"
-        print(f"handctl: {why}; once more at {slower_plan.time_scale:g} of real time", file=sys.stderr)
-    return _in_real_time(args, slower_plan, program, log, known)
+        reason = f"this machine does not keep up with a simulated hand ({late})"
+        print(f"handctl: {reason}; once more at {slower_plan.time_scale:g} of real time", file=sys.stderr)
+    return _in_real_time(args, slower_plan, program, log, identified)
 
 
 def _set_aside(log: Path, commissioning: Path, scale: float) -> None:
@@ -124,9 +124,11 @@ def _set_aside(log: Path, commissioning: Path, scale: float) -> None:
         commissioning: log of its own commissioning; one that an earlier run has left keeps its name.
         scale: of time, for the new names. No file that exists is replaced.
     """
-    number, stem = 1, f"{log.stem}-at-{scale:g}"
+    number = 1
+    stem = f"{log.stem}-at-{scale:g}"
     while any(map(os.path.lexists, _names(log, stem))):
-        number, stem = number + 1, f"{log.stem}-at-{scale:g}-{number + 1}"
+        number += 1
+        stem = f"{log.stem}-at-{scale:g}-{number}"
     for before, after in zip((log, commissioning), _names(log, stem), strict=True):
         if before.exists():
             before.rename(after)
@@ -134,8 +136,8 @@ def _set_aside(log: Path, commissioning: Path, scale: float) -> None:
 
 def _names(log: Path, stem: str) -> tuple[Path, Path]:
     """Return a run's log and that of its commissioning, with another stem."""
-    own = log.with_name(f"{stem}.mcap")
-    return own, log.with_name(f"{stem}.commission.mcap")
+    run_log = log.with_name(f"{stem}.mcap")
+    return run_log, log.with_name(f"{stem}.commission.mcap")
 
 
 def _live(view: bool, refuse_late: bool) -> Runner:
@@ -150,13 +152,13 @@ def _live(view: bool, refuse_late: bool) -> Runner:
 
 
 def _commission_and_run(
-    plan: Plan, program: TaskProgram, log: Path, runners: tuple[Runner, Runner], known: IdentifiedByTendon
+    plan: Plan, program: TaskProgram, log: Path, runners: tuple[Runner, Runner], identified: IdentifiedByTendon
 ) -> Outcome:
     """A new hand is commissioned, then it works; with what was identified before."""
     first, then = runners
     note(f"commissioning {plan.hand.name}: tare, zero, and a 3 N pull of each tendon")
     calibration, _ = commission(plan, commission_log(log), first)
-    calibration = calibration.model_copy(update={"identified": known})
+    calibration = calibration.model_copy(update={"identified": identified})
     path = log.with_suffix(".calibration.toml")
     write_calibration(path, calibration)
     plan.attachments["calibration.toml"] = path.read_bytes()
@@ -164,13 +166,13 @@ def _commission_and_run(
 
 
 def _in_lockstep(
-    args: argparse.Namespace, plan: Plan, program: TaskProgram, log: Path, known: IdentifiedByTendon
+    args: argparse.Namespace, plan: Plan, program: TaskProgram, log: Path, identified: IdentifiedByTendon
 ) -> tuple[Outcome, Path]:
     """The same against the simulator's lockstep rig."""
     truth = log.with_suffix(".truth")
     with _simulator(args, truth).clock(plan.period_ns) as clock:
         runner = partial(run_lockstep, clock=clock)
-        return _commission_and_run(plan, program, log, (runner, runner), known), truth
+        return _commission_and_run(plan, program, log, (runner, runner), identified), truth
 
 
 def _simulator(args: argparse.Namespace, truth: Path | None) -> Simulator:

@@ -3,7 +3,7 @@
 import argparse
 
 from handctl.cli.console.begin import announce
-from handctl.cli.console.dry_run import told
+from handctl.cli.console.dry_run import report_dry_run
 from handctl.cli.console.options import print_json
 from handctl.cli.console.plan import find_calibration, make_plan
 from handctl.document import validated
@@ -19,14 +19,14 @@ def run(args: argparse.Namespace) -> int:
     """Arm, move, relax, disarm."""
     plan = make_plan(args)
     program = _program(args, plan.hand.digit_names, min(tendon.tension_max_N for tendon in plan.hand.tendon))
-    path, calibration, why = find_calibration(args, plan.hand)
+    path, calibration, reason = find_calibration(args, plan.hand)
     if args.dry_run:
-        line = f"{plan.hand.name}: would jog {args.digit}" + (f", after commissioning: {why}" if why else "")
-        return told(args, plan, line, digit=args.digit, commissioning=why)
+        line = f"{plan.hand.name}: would jog {args.digit}" + (f", after commissioning: {reason}" if reason else "")
+        return report_dry_run(args, plan, line, digit=args.digit, commissioning=reason)
     announce(args, plan, path, calibration)
     log = args.log or default_log(plan.hand, "jog")
     if calibration is None:
-        calibration = ensure_calibration(plan, path, why, run_live, commission_log(log))
+        calibration = ensure_calibration(plan, path, reason, run_live, commission_log(log))
     outcome = run_live(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
     if args.json:
         print_json({"digit": args.digit, "log": str(log), "failure": outcome.state.failure})
@@ -42,9 +42,9 @@ def _program(args: argparse.Namespace, digits: tuple[str, ...], ceiling: float) 
     if not 0 < args.duration <= 600:
         raise ConfigError(f"{args.duration:g}", "--for", "more than 0, at most 600 s")
     if args.tension is None:
-        asked = {"do": "move", "angle_deg": {args.digit: args.angle}, "duration_s": args.duration / 2}
-        return JogProgram(validated(asked, MoveDigits, "--angle"), args.duration)
+        goal = {"do": "move", "angle_deg": {args.digit: args.angle}, "duration_s": args.duration / 2}
+        return JogProgram(validated(goal, MoveDigits, "--angle"), args.duration)
     if args.tension > ceiling:
         raise ConfigError(f"{args.tension:g} N", "--tension", f"at most tension_max_N = {ceiling:g} N")
-    asked = {"do": "hold", "tension_N": {args.digit: args.tension}}
-    return JogProgram(validated(asked, HoldTension, "--tension"), args.duration)
+    goal = {"do": "hold", "tension_N": {args.digit: args.tension}}
+    return JogProgram(validated(goal, HoldTension, "--tension"), args.duration)

@@ -20,7 +20,8 @@ def in_protocol(args: argparse.Namespace) -> Iterator[None]:
     if args.protocol is None:
         yield
         return
-    given, text = args.hand, _text(args)
+    original_hand = args.hand
+    text = _text(args)
     with tempfile.TemporaryDirectory(prefix="handctl-") as folder:
         path = Path(folder) / "hand.toml"
         path.write_text(text, encoding="utf-8")
@@ -28,7 +29,7 @@ def in_protocol(args: argparse.Namespace) -> Iterator[None]:
         try:
             yield
         finally:
-            args.hand = given
+            args.hand = original_hand
 
 
 def path_in_protocol(args: argparse.Namespace) -> Path:

@@ -7,21 +7,21 @@ from handctl.core.types import TickIn, TickOut
 from handctl.runtime.mailbox import STOP
 
 STDIN = 0
-AT_ONCE = 4096
+READ_BYTES = 4096
 """Bytes of standard input that are thrown away at a time."""
 
 
-class Owner:
+class StdinWatch:
     """An attendant of one run (see ``session.run.RunObserver``) that asks to stop once standard input has ended."""
 
     def __init__(self) -> None:
-        self.gone = False
+        self.input_ended = False
 
     def poll_requests(self) -> tuple[str, ...]:
         """To stop, once; nothing as long as somebody is there."""
-        if self.gone or not select.select([STDIN], [], [], 0)[0] or os.read(STDIN, AT_ONCE):
+        if self.input_ended or not select.select([STDIN], [], [], 0)[0] or os.read(STDIN, READ_BYTES):
             return ()
-        self.gone = True
+        self.input_ended = True
         return (STOP,)
 
     def on_tick(self, entry: TickIn, out: TickOut) -> None:

@@ -6,11 +6,11 @@ from functools import partial
 from typing import Any
 
 from handctl.cli.console.begin import announce
-from handctl.cli.console.dry_run import told
+from handctl.cli.console.dry_run import report_dry_run
 from handctl.cli.console.options import print_json
 from handctl.cli.console.plan import find_calibration, make_plan
 from handctl.cli.console.verdict import print_summary
-from handctl.cli.runs.owner import Owner
+from handctl.cli.runs.owner import StdinWatch
 from handctl.errors import DriveError
 from handctl.hand.file.toml_text import toml_text
 from handctl.programs.grasp import TaskProgram
@@ -30,20 +30,20 @@ def run(args: argparse.Namespace) -> int:
     refuse_blind_view(args.view)
     plan = make_plan(args)
     program, attached = _program(args, plan)
-    path, calibration, why = find_calibration(args, plan.hand)
+    path, calibration, reason = find_calibration(args, plan.hand)
     if args.dry_run:
-        good = f"{plan.hand.name}: all files are good; {plan.rate_hz:g} Hz, bus load {100 * max(plan.load):.0f} %"
-        next_step = f"the hand would be commissioned first: {why}" if why else "the hand is commissioned"
-        return told(args, plan, good, next_step, commissioning=why)
+        summary = f"{plan.hand.name}: all files are good; {plan.rate_hz:g} Hz, bus load {100 * max(plan.load):.0f} %"
+        next_step = f"the hand would be commissioned first: {reason}" if reason else "the hand is commissioned"
+        return report_dry_run(args, plan, summary, next_step, commissioning=reason)
     announce(args, plan, path, calibration)
     log = args.log or default_log(plan.hand)
     if calibration is None:
-        runner = partial(run_live, observer=Owner() if args.until_eof else None)
-        calibration = ensure_calibration(plan, path, why, runner, commission_log(log))
+        runner = partial(run_live, observer=StdinWatch() if args.until_eof else None)
+        calibration = ensure_calibration(plan, path, reason, runner, commission_log(log))
     plan.attachments.update(attached | {"calibration.toml": path.read_bytes()})
     controller = make_controller(plan, program, calibration, arm_at_once=True)
-    owner = Owner() if args.until_eof else None
-    outcome = run_live(plan, controller, log, live_view=args.view, observer=owner)
+    stdin_watch = StdinWatch() if args.until_eof else None
+    outcome = run_live(plan, controller, log, live_view=args.view, observer=stdin_watch)
     truth = args.truth or truth_path(plan.buses[0])
     result = judge(plan, outcome, log, truth if truth.exists() else None)
     return report(result, outcome, plan, args.json)

@@ -5,7 +5,7 @@ import argparse
 from handctl.cli.console.options import print_json
 from handctl.runtime.simulator import ask_simulator, find_simulator
 
-MOST_NAMES = 8
+MAX_NAMES = 8
 """Maximum number of instance names in one line."""
 
 
@@ -43,6 +43,6 @@ def _kinds(args: argparse.Namespace) -> int:
     print()
     names = {component: names for kind in kinds for component, names in kind["on"].items()}
     for component, instances in names.items():
-        shown = ", ".join(instances[:MOST_NAMES]) + (", ..." if len(instances) > MOST_NAMES else "")
+        shown = ", ".join(instances[:MAX_NAMES]) + (", ..." if len(instances) > MAX_NAMES else "")
         print(f"{component:10} {shown or 'none'}")
     return 0

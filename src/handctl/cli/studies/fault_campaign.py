@@ -26,29 +26,31 @@ from handctl.session.header import run_header
 from handctl.session.plan import Plan, fastest
 from handctl.session.simulate import Simulation
 
-QUICK_CALM_S, CALM_S = 4.0, 60.0
-"""Duration of the fault-free run for each protocol, in a quick and in a full campaign [s]."""
-JOBS_MOST = 64
+QUICK_FAULT_FREE_S = 4.0
+"""Duration of the fault-free run for each protocol in a quick campaign [s]."""
+FAULT_FREE_S = 60.0
+"""Duration of the fault-free run for each protocol in a full campaign [s]."""
+MAX_JOBS = 64
 FIRST = "bringing the hand to its stages"
-CALM_MOST_S = 86_400.0
+MAX_FAULT_FREE_S = 86_400.0
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the campaign and write its reports. Fail if a detection is late or an alarm is false."""
     check_seed(args.seed)
-    if not 1 <= args.jobs <= JOBS_MOST:
-        raise ConfigError(f"{args.jobs}", "--jobs", f"1 to {JOBS_MOST}")
+    if not 1 <= args.jobs <= MAX_JOBS:
+        raise ConfigError(f"{args.jobs}", "--jobs", f"1 to {MAX_JOBS}")
     for id_ in set(args.row) - {row.id for row in MATRIX}:
         raise ConfigError(repr(id_), "--row", "one of " + ", ".join(dict.fromkeys(row.id for row in MATRIX)))
-    if args.calm is not None and not 0 <= args.calm <= CALM_MOST_S:
-        raise ConfigError(f"{args.calm:g}", "--calm", f"0 to {CALM_MOST_S:g} s")
+    if args.calm is not None and not 0 <= args.calm <= MAX_FAULT_FREE_S:
+        raise ConfigError(f"{args.calm:g}", "--calm", f"0 to {MAX_FAULT_FREE_S:g} s")
     protocols = ALL if args.protocol == "all" else (args.protocol,)
     tried = {one.row.id for name in protocols for one in scenarios(hand_in(args.hand, name), name, 1.0)}
     for id_ in sorted(set(args.row) - tried):
         raise ConfigError(repr(id_), "--row", f"a row that this hand can be tried with by {args.protocol}")
     folder = report_folder(args)
-    fault_free_s = args.calm if args.calm is not None else QUICK_CALM_S if args.quick else CALM_S
-    with progress(FIRST, quiet=args.json) as told:
+    fault_free_s = args.calm if args.calm is not None else QUICK_FAULT_FREE_S if args.quick else FAULT_FREE_S
+    with progress(FIRST, quiet=args.json) as update_progress:
         report = run_campaign(
             args.hand,
             protocols,
@@ -56,15 +58,15 @@ def run(args: argparse.Namespace) -> int:
             jobs=args.jobs,
             quick=args.quick,
             fault_free_s=fault_free_s,
-            on_progress=lambda protocol, done, total: told(done, total, protocol),
-            on_failure=keeper(folder),
+            on_progress=lambda protocol, done, total: update_progress(done, total, protocol),
+            on_failure=failure_log_writer(folder),
             row_ids=args.row,
             fault_free_only=args.calm_only,
             seed=args.seed,
         )
     write_page(folder / "report.html", report)
     write_whole(folder / "report.json", json.dumps(report.plain(), indent=1))
-    _say(report, folder, args.json)
+    _print_report(report, folder, args.json)
     figures = report.plain()
     return Exit.FAILED if figures["late"] or figures["false_alarms"] else Exit.DONE
 
@@ -81,7 +83,7 @@ def rate_of(hand: Hand) -> float:
     return fastest(bus_loads(hand))
 
 
-def _say(report: Report, folder: Path, as_json: bool) -> None:
+def _print_report(report: Report, folder: Path, as_json: bool) -> None:
     if as_json:
         print_json(report.plain() | {"report": folder / "report.html"})
         return
@@ -90,18 +92,18 @@ def _say(report: Report, folder: Path, as_json: bool) -> None:
     print(f"written: {folder / 'report.html'}")
 
 
-def keeper(folder: Path) -> Callable[[Simulation, ScenarioResult], None]:
+def failure_log_writer(folder: Path) -> Callable[[Simulation, ScenarioResult], None]:
     """Return a function that writes the log of a failed scenario into ``folder``."""
 
-    def keep(course: Simulation, result: ScenarioResult) -> None:
+    def write_log(simulation: Simulation, result: ScenarioResult) -> None:
         name = re.sub(r"[^A-Za-z0-9=.]+", "-", result.scenario)
-        model = course.controller.model
+        model = simulation.controller.model
         plan = Plan(model.hand, Gains(), 1.0 / model.period, ())
         path = folder / f"{name}.mcap"
         path.unlink(missing_ok=True)
-        recorder = Recorder.start(path, run_header(plan, course.controller, None, lockstep=True))
-        for entry, out in course.recorded:
+        recorder = Recorder.start(path, run_header(plan, simulation.controller, None, lockstep=True))
+        for entry, out in simulation.recorded:
             recorder.record(pack(entry, out))
         recorder.close(result.problem)
 
-    return keep
+    return write_log

@@ -7,47 +7,47 @@ from handctl.campaign import sequences
 from handctl.campaign.stage import hand_in
 from handctl.cli.console.options import check_seed, print_json
 from handctl.cli.console.progress import progress
-from handctl.cli.studies.fault_campaign import FIRST, JOBS_MOST, keeper, rate_of, report_folder
+from handctl.cli.studies.fault_campaign import FIRST, MAX_JOBS, failure_log_writer, rate_of, report_folder
 from handctl.errors import ConfigError
 from handctl.session.exit_codes import Exit
 
-COUNT_MOST = 1_000_000
+MAX_COUNT = 1_000_000
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the sequences and report the broken rules. Return the exit code."""
-    for name, value, most in (("--jobs", args.jobs, JOBS_MOST), ("--count", args.count, COUNT_MOST)):
-        if not 1 <= value <= most:
-            raise ConfigError(f"{value}", name, f"1 to {most}")
+    for name, value, maximum in (("--jobs", args.jobs, MAX_JOBS), ("--count", args.count, MAX_COUNT)):
+        if not 1 <= value <= maximum:
+            raise ConfigError(f"{value}", name, f"1 to {maximum}")
     check_seed(args.seed)
     hand = hand_in(args.hand, args.protocol)
     folder = report_folder(args)
     seeds = range(args.seed, args.seed + args.count)
-    with progress(FIRST, quiet=args.json) as told:
-        found = sequences.run(
+    with progress(FIRST, quiet=args.json) as update_progress:
+        results = sequences.run(
             hand,
             args.protocol,
             rate_of(hand),
             seeds,
             jobs=args.jobs,
-            on_progress=lambda done: told(done, args.count, args.protocol),
-            on_failure=keeper(folder),
+            on_progress=lambda done: update_progress(done, args.count, args.protocol),
+            on_failure=failure_log_writer(folder),
         )
-    broken = [result for result in found if not result.ok]
+    broken = [result for result in results if not result.ok]
     figures: dict[str, Any] = {
         "hand": args.hand,
         "protocol": args.protocol,
         "rate_hz": rate_of(hand),
         "first_seed": args.seed,
-        "sequences": len(found),
+        "sequences": len(results),
         "broken": len(broken),
-        "felt": sum(result.effects for result in found),
-        "worst_tension_N": max(result.tension for result in found),
+        "felt": sum(result.effects for result in results),
+        "worst_tension_N": max(result.tension for result in results),
     }
     if args.json:
         print_json(figures | {"results": [result.plain() for result in broken]})
     else:
-        print(f"{len(found)} sequences, {figures['felt']} faults felt; {len(broken)} broke a rule")
+        print(f"{len(results)} sequences, {figures['felt']} faults felt; {len(broken)} broke a rule")
         print(f"largest true tension {figures['worst_tension_N']:.0f} N")
         for result in broken:
             print(f"{result.scenario}: {result.problem}")

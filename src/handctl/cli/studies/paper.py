@@ -96,12 +96,12 @@ def _print(args: argparse.Namespace, parts: tuple[PageSection, ...]) -> None:
 def _measured(jobs: int) -> dict[str, Any]:
     """Run all experiments and show the progress on standard error. Return their results."""
     done = 0
-    with progress("starting the simulator", count()) as told:
+    with progress("starting the simulator", count()) as update_progress:
 
         def at(job: Job, finished: bool) -> None:
             nonlocal done
             done += finished
-            told(done, words=None if finished else name(job))
+            update_progress(done, label=None if finished else name(job))
 
         with pool(jobs, at) as workers:
             return measure(workers)
@@ -112,7 +112,7 @@ def _table(parts: tuple[PageSection, ...]) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    console = screen(least=80)
+    console = screen(min_width=80)
     for part in parts:
         if part.table:
             numbers = Table(*part.table[0])
@@ -125,8 +125,8 @@ def _table(parts: tuple[PageSection, ...]) -> None:
         table.add_column("printed → right, and why", ratio=1)
         for item in part.items:
             verdict = Text(item.verdict.value, COLOURS[item.verdict])
-            said = Text.assemble(item.printed, (" → ", "bold"), value(item), "\n", (item.why, "dim"))
-            table.add_row(item.id, verdict, said)
+            cell = Text.assemble(item.printed, (" → ", "bold"), value(item), "\n", (item.why, "dim"))
+            table.add_row(item.id, verdict, cell)
         console.print(table)
     counts = tally([item for part in parts for item in part.items])
     console.print(", ".join(f"{number} {verdict}" for verdict, number in counts.items()))

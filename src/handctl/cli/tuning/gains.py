@@ -34,27 +34,28 @@ def run(args: argparse.Namespace) -> int:
 
 def _show(args: argparse.Namespace, hand: Hand) -> int:
     """Print every gain with its value, origin, meaning and bounds."""
-    layers, known = layered_gains(args, hand), bounds()
-    told = layers.provenance
+    layers = layered_gains(args, hand)
+    gain_bounds = bounds()
+    provenance = layers.provenance
     if args.json:
         rows = {
             key: {
                 "value": value,
                 "origin": layers.origins[key],
-                "bounds": str(known[key]),
-                "live": known[key].live,
-                "meaning": meaning(known[key]),
+                "bounds": str(gain_bounds[key]),
+                "live": gain_bounds[key].live,
+                "meaning": meaning(gain_bounds[key]),
             }
             for key, value in flat(layers.gains).items()
         }
-        print_json({"hand": hand.name, "gains": rows, "provenance": told.model_dump()})
+        print_json({"hand": hand.name, "gains": rows, "provenance": provenance.model_dump()})
         return Exit.DONE
-    say(f"# gains of {hand.name}: {layers.file or 'packaged'}" + _told(told))
+    say(f"# gains of {hand.name}: {layers.file or 'packaged'}" + _provenance_text(provenance))
     for key, value in flat(layers.gains).items():
-        when = "changes at any time" if known[key].live else "changes before arming"
+        when = "changes at any time" if gain_bounds[key].live else "changes before arming"
         say(f"{key:<38} {value:<10g} {layers.origins[key]}")
         if not is_quiet():
-            say(f"    {meaning(known[key])} {str(known[key]).capitalize()}, {when}.")
+            say(f"    {meaning(gain_bounds[key])} {str(gain_bounds[key]).capitalize()}, {when}.")
     return Exit.DONE
 
 
@@ -63,11 +64,12 @@ def meaning(gain: Bound) -> str:
     return gain.why.partition("\n")[0]
 
 
-def _told(told: Provenance) -> str:
+def _provenance_text(provenance: Provenance) -> str:
     """Return the provenance in one phrase: number, time and sources."""
-    rests = [*told.log, *filter(None, (told.fit, told.study, told.note))]
-    number = f", number {told.number}" if told.number else ""
-    return number + (f", made {told.made}" if told.made else "") + (f", from {', '.join(rests)}" if rests else "")
+    sources = [*provenance.log, *filter(None, (provenance.fit, provenance.study, provenance.note))]
+    number = f", number {provenance.number}" if provenance.number else ""
+    made = f", made {provenance.made}" if provenance.made else ""
+    return number + made + (f", from {', '.join(sources)}" if sources else "")
 
 
 def _diff(args: argparse.Namespace, hand: Hand) -> int:
@@ -103,10 +105,10 @@ def _side(word: str, hand: Hand) -> Gains:
         present = store.present()
         return present.gains if present else Gains()
     if word.isdecimal():
-        found = {str(entry.number): entry.file.gains for entry in store.entries()}
-        if word.lstrip("0") not in found:
+        entries = {str(entry.number): entry.file.gains for entry in store.entries()}
+        if word.lstrip("0") not in entries:
             raise ConfigError(f"no gains number {word}", str(store.history), "one that handctl gains log lists")
-        return found[word.lstrip("0")]
+        return entries[word.lstrip("0")]
     if word.endswith(".mcap"):
         from handctl.log.read.reader import RunLog
         from handctl.replay.rebuild import logged_gains
@@ -120,11 +122,11 @@ def _apply(args: argparse.Namespace, hand: Hand) -> int:
     """Apply a gains file as the present gains of the hand."""
     file = gains_for(hand, args.file, notice)
     check_design(hand, file.gains)
-    own = {"fit": args.fit, "study": args.study, "note": args.note, "log": tuple(map(str, args.log))}
-    told = file.provenance.model_copy(update={key: value for key, value in own.items() if value})
+    options = {"fit": args.fit, "study": args.study, "note": args.note, "log": tuple(map(str, args.log))}
+    provenance = file.provenance.model_copy(update={key: value for key, value in options.items() if value})
     store = GainsStore(hand.name, hand.identity)
     _set_aside(store)
-    return _done(args, store, store.apply(file.gains, told).provenance)
+    return _done(args, store, store.apply(file.gains, provenance).provenance)
 
 
 def _rollback(args: argparse.Namespace, hand: Hand) -> int:
@@ -144,11 +146,11 @@ def _set_aside(store: GainsStore) -> bool:
     return bool(aside)
 
 
-def _done(args: argparse.Namespace, store: GainsStore, told: Provenance) -> int:
+def _done(args: argparse.Namespace, store: GainsStore, provenance: Provenance) -> int:
     if args.json:
-        print_json({"file": str(store.path), "provenance": told.model_dump()})
+        print_json({"file": str(store.path), "provenance": provenance.model_dump()})
     else:
-        say(f"{store.path}{_told(told)}")
+        say(f"{store.path}{_provenance_text(provenance)}")
     return Exit.DONE
 
 
@@ -178,10 +180,12 @@ def _number(present: Any) -> int:
 def _line(entry: Entry, entries: list[Entry]) -> str:
     """Return one line of text for an entry: time, sources, and the first three changed gains."""
     before = {one.number: one.file.gains for one in entries}.get(entry.file.provenance.replaces, Gains())
-    old, new = flat(before), flat(entry.file.gains)
+    old = flat(before)
+    new = flat(entry.file.gains)
     changed = [key for key in new if new[key] != old[key]]
     few = ", ".join(changed[:3]) + (" .." if len(changed) > 3 else "")
-    return _told(entry.file.provenance).partition(", made ")[2] + (f"; changes {few}" if few else "; changes nothing")
+    made_and_sources = _provenance_text(entry.file.provenance).partition(", made ")[2]
+    return made_and_sources + (f"; changes {few}" if few else "; changes nothing")
 
 
 def _set(args: argparse.Namespace) -> int:
@@ -197,13 +201,13 @@ def _set(args: argparse.Namespace) -> int:
         line, texts = send_confirmed(watcher, {"do": "gains", "set": values})
         for text in texts:
             _heed(text)
-        said = _answers(watcher, values, line)
+        applied = _answers(watcher, values, line)
     finally:
         watcher.close()
     if args.json:
-        print_json({"bus": bus, "set": said})
+        print_json({"bus": bus, "set": applied})
     else:
-        print("\n".join(f"{key} = {text}" for key, text in said.items()) or "no change: the gains are those already")
+        print("\n".join(f"{key} = {text}" for key, text in applied.items()) or "no change: the gains are those already")
     return Exit.DONE
 
 
@@ -214,14 +218,14 @@ def _answers(watcher: Any, values: dict[str, float], taken: dict[str, Any]) -> d
         ConfigError: the controller refuses the gains.
         UnconfirmedError: the controller does not confirm the gains in time.
     """
-    said: dict[str, str] = {}
+    texts: dict[str, str] = {}
     for line in itertools.chain((taken,), watcher.lines(TAKEN_OVER_S)):
         for event in line["events"]:
             if event["name"] == "gain" and event["where"] in values:
-                said[event["where"]] = event["text"]
+                texts[event["where"]] = event["text"]
             if event["name"] == "gains":
                 _heed(event["text"])
-                return said
+                return texts
     raise UnconfirmedError(watcher.name, "gains", "taken, but not taken over")
 
 

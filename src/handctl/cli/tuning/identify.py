@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.console.begin import announce
-from handctl.cli.console.dry_run import told
+from handctl.cli.console.dry_run import report_dry_run
 from handctl.cli.console.options import check_seed, print_json, say
 from handctl.cli.console.plan import (
     calibration_path,
-    check_bus_only,
     check_perturb,
     find_calibration,
     make_plan,
     notice,
+    refuse_bus_options,
 )
 from handctl.cli.console.verbosity import note
 from handctl.cli.tuning.tune_files import same_hand_words
@@ -51,19 +51,19 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError("together with --from-log", "--digits", "logs of these digits, or a new motion")
     check_seed(args.seed)
     if not args.bus:
-        check_bus_only(args)
+        refuse_bus_options(args)
     if args.logs:
         return _from_logs(args)
     plan = make_plan(args, lockstep=args.lockstep)
     program = ExciteProgram(excitation(plan.hand, tuple(args.digits or plan.hand.digit_names)))
-    path, calibration, why = find_calibration(args, plan.hand)
+    path, calibration, reason = find_calibration(args, plan.hand)
     if args.lockstep and not args.calibration:  # keep simulated results out of the real calibration
         path = _of_simulated(plan.hand)
     total = sum(step.duration_s for step in program.steps)
     if args.dry_run:
         digits = list(dict.fromkeys(step.digit for step in program.steps))
         line = f"{plan.hand.name}: would move {len(digits)} digits for {total:.0f} s"
-        return told(args, plan, line, digits=digits, seconds=total, commissioning=why)
+        return report_dry_run(args, plan, line, digits=digits, seconds=total, commissioning=reason)
     log = args.log or default_log(plan.hand, "identify")
     about = f"exciting {plan.hand.name} for about {total:.0f} s, one digit at a time"
     if args.lockstep:
@@ -71,12 +71,13 @@ def run(args: argparse.Namespace) -> int:
     else:
         announce(args, plan, path, calibration)
         note(about)
-        known = calibration or ensure_calibration(plan, path, why, run_live, commission_log(log))
-        calibration, outcome = known, run_live(plan, make_controller(plan, program, known, arm_at_once=True), log)
+        calibration = calibration or ensure_calibration(plan, path, reason, run_live, commission_log(log))
+        controller = make_controller(plan, program, calibration, arm_at_once=True)
+        outcome = run_live(plan, controller, log)
     outcome.refuse_unfinished(f"identifying {plan.hand.name}, log {log}")
     with RunLog(log) as record:
-        found = identify(record, plan.hand, note)
-    return _report(args, plan.hand, {log: found}, path, calibration)
+        results = identify(record, plan.hand, note)
+    return _report(args, plan.hand, {log: results}, path, calibration)
 
 
 def _in_lockstep(
@@ -109,20 +110,20 @@ def _from_logs(args: argparse.Namespace) -> int:
     if _simulated(args.logs) and not args.calibration:
         path = _of_simulated(hand)
     calibration = load_calibration(path, hand) if path.exists() else None
-    found: dict[Path, dict[str, TendonResult]] = {}
+    results: dict[Path, dict[str, TendonResult]] = {}
     for log in args.logs:
         note(f"reading {log}")
         with RunLog(log) as record:
             if logged_hand(record).identity != hand.identity:
                 raise ConfigError("is of another hand", str(log), f"a log of {hand.name} {hand.identity[:12]}")
-            found[log] = {} if args.dry_run else identify(record, hand, note)
+            results[log] = {} if args.dry_run else identify(record, hand, note)
     if args.dry_run:
         if args.json:
-            print_json({"hand": hand.name, "logs": list(map(str, found)), "calibration": str(path)})
+            print_json({"hand": hand.name, "logs": list(map(str, results)), "calibration": str(path)})
         else:
-            say(f"{hand.name}: would identify from {', '.join(map(str, found))}, and write {path}")
+            say(f"{hand.name}: would identify from {', '.join(map(str, results))}, and write {path}")
         return Exit.DONE
-    return _report(args, hand, found, path, calibration)
+    return _report(args, hand, results, path, calibration)
 
 
 def _of_simulated(hand: Hand) -> Path:
@@ -148,41 +149,41 @@ def _simulated(logs: list[Path]) -> bool:
 def _report(
     args: argparse.Namespace,
     hand: Hand,
-    found: dict[Path, dict[str, TendonResult]],
+    results: dict[Path, dict[str, TendonResult]],
     path: Path,
     calibration: Calibration | None,
 ) -> int:
     """Write the calibration, draw the pictures, and print the results. Return the exit code."""
     made = now()
-    known = previous_identified(path, hand, calibration.drive if calibration else {}, notice)
-    every = [one for tendons in found.values() for one in tendons.values()]
+    identified = previous_identified(path, hand, calibration.drive if calibration else {}, notice)
+    every = [one for tendons in results.values() for one in tendons.values()]
     spoilt = {one.data.digit: one.blocked for one in every if one.blocked}
     met = {one.data.digit: one.met for one in every if one.met and not one.blocked}
-    told_anything = False
-    for log, tendons in found.items():
+    any_identified = False
+    for log, tendons in results.items():
         new = {name: one.identified(log, made) for name, one in tendons.items()}
-        told_anything = told_anything or any(one is not None for one in new.values())
-        known |= {name: one.beside(known.get(name)) for name, one in new.items() if one is not None}
-    written = calibration is not None and not args.no_write and (told_anything or not (spoilt or met))
+        any_identified = any_identified or any(one is not None for one in new.values())
+        identified |= {name: one.beside(identified.get(name)) for name, one in new.items() if one is not None}
+    written = calibration is not None and not args.no_write and (any_identified or not (spoilt or met))
     if calibration is not None and written:
-        write_calibration(path, calibration.model_copy(update={"identified": known}))
-    pictures = _pictures(hand, found, note)  # after the calibration: a drawing error loses nothing else
-    for digit, why in spoilt.items():
-        say(f"handctl: nothing of {digit} is kept: {why}; expected a digit that meets nothing", error=True)
-    for digit, why in met.items():
-        say(f"handctl: springs and friction of {digit} are not kept: {why}; {CLEAR_THE_WAY}", error=True)
+        write_calibration(path, calibration.model_copy(update={"identified": identified}))
+    pictures = _pictures(hand, results, note)  # after the calibration: a drawing error loses nothing else
+    for digit, reason in spoilt.items():
+        say(f"handctl: nothing of {digit} is kept: {reason}; expected a digit that meets nothing", error=True)
+    for digit, reason in met.items():
+        say(f"handctl: springs and friction of {digit} are not kept: {reason}; {CLEAR_THE_WAY}", error=True)
     ended = Exit.FAILED if spoilt or met else Exit.DONE
     if args.json:
-        print_json(_told(found, pictures, path if written else None) | {"blocked": spoilt, "met": met})
+        print_json(_result_fields(results, pictures, path if written else None) | {"blocked": spoilt, "met": met})
         return ended
-    for log, tendons in found.items():
+    for log, tendons in results.items():
         print("\n".join([f"from {log}:", *table(tendons)]))
     print("pictures: " + ", ".join(map(str, pictures)))
     if written:
         print(f"calibration written to {path}\nnext: {_search_command(args, path)}")
         return ended
-    why = "as asked" if args.no_write else f"there is no {path}: handctl commission first"
-    print(f"no calibration written: {'every digit was blocked' if spoilt and calibration else why}")
+    reason = "as asked" if args.no_write else f"there is no {path}: handctl commission first"
+    print(f"no calibration written: {'every digit was blocked' if spoilt and calibration else reason}")
     return ended
 
 
@@ -192,9 +193,9 @@ def _search_command(args: argparse.Namespace, path: Path) -> str:
     return shlex.join(words + same_hand_words(args))
 
 
-def _pictures(hand: Hand, found: dict[Path, dict[str, TendonResult]], say: Callable[[str], None]) -> list[Path]:
+def _pictures(hand: Hand, results: dict[Path, dict[str, TendonResult]], say: Callable[[str], None]) -> list[Path]:
     pictures = []
-    for log, tendons in found.items():
+    for log, tendons in results.items():
         for name, one in tendons.items():
             picture = log.with_suffix(f".identify-{name}.png")
             say(f"drawing {picture}")
@@ -203,6 +204,8 @@ def _pictures(hand: Hand, found: dict[Path, dict[str, TendonResult]], say: Calla
     return pictures
 
 
-def _told(found: dict[Path, dict[str, TendonResult]], pictures: list[Path], path: Path | None) -> dict[str, Any]:
-    logs = {str(log): {name: one.as_json() for name, one in tendons.items()} for log, tendons in found.items()}
+def _result_fields(
+    results: dict[Path, dict[str, TendonResult]], pictures: list[Path], path: Path | None
+) -> dict[str, Any]:
+    logs = {str(log): {name: one.as_json() for name, one in tendons.items()} for log, tendons in results.items()}
     return {"logs": logs, "pictures": pictures, "calibration": path}

@@ -10,14 +10,15 @@ from handctl.cli.console.options import print_json, say
 from handctl.cli.console.plan import layered_gains
 from handctl.cli.console.screen import screen
 from handctl.cli.console.verbosity import is_quiet
-from handctl.cli.tuning.tune_files import output_files, plants_of, subject, verify_command, write_gains
+from handctl.cli.tuning.tune_files import load_tuned_hand, output_files, plants_of, verify_command, write_gains
 from handctl.controller.bus_load import bus_loads
 from handctl.core.model import HandModel
 from handctl.errors import ConfigError
 from handctl.session.exit_codes import Exit
 from handctl.session.plan import control_rate
 
-LOWEST_POLE_HZ, MOST_DAMPING = 0.01, 100.0
+MIN_POLE_HZ = 0.01
+MAX_DAMPING = 100.0
 
 
 def run(args: argparse.Namespace) -> int:
@@ -28,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
 
     if args.poles is None and args.damping != 1.0:
         raise ConfigError(f"{args.damping:g}", "--damping", "only with --poles-Hz, whose poles it damps")
-    hand, twin, spread = subject(args.hand, args.fit)
+    hand, twin, spread = load_tuned_hand(args.hand, args.fit)
     gains = layered_gains(args, hand).gains
     rate = control_rate(args.rate, hand, bus_loads(hand))
     out, picture = output_files(args, hand.name, "design")
@@ -40,32 +41,32 @@ def run(args: argparse.Namespace) -> int:
     console.quiet = is_quiet()
     with console.status(f"keeping margins on {len(plants)} plants"):
         try:
-            found: Design = (
+            result: Design = (
                 _placed(args, model, plants, rate) if args.poles is not None else design(model, plants, proof)
             )
         except ValueError as error:
-            return _nothing(args, str(error))
-        if not found.worst_after.stable or not proof(redesigned(model, found.gains)):
-            return _nothing(args, f"these poles are not stable on every plant{proof.reason}")
-        found = found if proof(model) else found.with_unproven_before()
-    after = HandModel.of(twin, found.gains, rate)
+            return _report_failure(args, str(error))
+        if not result.worst_after.stable or not proof(redesigned(model, result.gains)):
+            return _report_failure(args, f"these poles are not stable on every plant{proof.reason}")
+        result = result if proof(model) else result.with_unproven_before()
+    after = HandModel.of(twin, result.gains, rate)
     note = f"tune design at {rate:g} Hz on {len(plants)} plants, seed {args.seed}"
-    write_gains(out, found.gains, hand, note, fit=args.fit)
+    write_gains(out, result.gains, hand, note, fit=args.fit)
     draw_loops(picture, model, after, f"{hand.name} at {rate:g} Hz")
-    good = found.worst_after.enough
+    good = result.worst_after.enough
     if args.json:
-        print_json(_plain(found, out, picture, rate, len(plants)))
+        print_json(_plain(result, out, picture, rate, len(plants)))
     else:
-        _print(found, rate, len(plants))
+        _print(result, rate, len(plants))
         print(f"gains: {out}\npicture: {picture}\nnext: {verify_command(args, out)}")
     return Exit.DONE if good else Exit.FAILED
 
 
-def _nothing(args: argparse.Namespace, why: str) -> int:
+def _report_failure(args: argparse.Namespace, reason: str) -> int:
     """Report the reason why no gains are written and return the exit code of a failure."""
     if args.json:
-        print_json({"gains": None, "picture": None, "enough": False, "why": why})
-    say(f"handctl: tune design: {why}; nothing is written", error=True)
+        print_json({"gains": None, "picture": None, "enough": False, "why": reason})
+    say(f"handctl: tune design: {reason}; nothing is written", error=True)
     return Exit.FAILED
 
 
@@ -81,28 +82,28 @@ def _placed(args: argparse.Namespace, model: HandModel, plants: Any, rate: float
         motion, tension = (float(word) for word in args.poles.split(","))
     except ValueError:
         raise ConfigError(repr(args.poles), "--poles-Hz", "two numbers, e.g. 6,25") from None
-    if not (LOWEST_POLE_HZ <= motion < rate / 2 and LOWEST_POLE_HZ <= tension < rate / 2):
-        raise ConfigError(args.poles, "--poles-Hz", f"{LOWEST_POLE_HZ:g} to half of the rate, {rate / 2:g}")
-    if not 0 < args.damping <= MOST_DAMPING:
-        raise ConfigError(f"{args.damping:g}", "--damping", f"more than 0, at most {MOST_DAMPING:g}")
+    if not (MIN_POLE_HZ <= motion < rate / 2 and MIN_POLE_HZ <= tension < rate / 2):
+        raise ConfigError(args.poles, "--poles-Hz", f"{MIN_POLE_HZ:g} to half of the rate, {rate / 2:g}")
+    if not 0 < args.damping <= MAX_DAMPING:
+        raise ConfigError(f"{args.damping:g}", "--damping", f"more than 0, at most {MAX_DAMPING:g}")
     return placed(model, plants, motion, tension, args.damping)
 
 
-def _plain(found: Any, out: Path, picture: Path, rate: float, plants: int) -> dict[str, Any]:
+def _plain(result: Any, out: Path, picture: Path, rate: float, plants: int) -> dict[str, Any]:
     return {
         "gains": str(out),
         "picture": str(picture),
         "rate_hz": rate,
         "plants": plants,
-        "before": {f"{name}/{kind}": asdict(one) for (name, kind), one in found.before.items()},
-        "after": {f"{name}/{kind}": asdict(one) for (name, kind), one in found.after.items()},
-        "worst_before": asdict(found.worst_before),
-        "worst_after": asdict(found.worst_after),
-        "enough": found.worst_after.enough,
+        "before": {f"{name}/{kind}": asdict(one) for (name, kind), one in result.before.items()},
+        "after": {f"{name}/{kind}": asdict(one) for (name, kind), one in result.after.items()},
+        "worst_before": asdict(result.worst_before),
+        "worst_after": asdict(result.worst_after),
+        "enough": result.worst_after.enough,
     }
 
 
-def _print(found: Any, rate: float, plants: int) -> None:
+def _print(result: Any, rate: float, plants: int) -> None:
     from rich import box
     from rich.table import Table
 
@@ -111,25 +112,25 @@ def _print(found: Any, rate: float, plants: int) -> None:
     for heading in ("tendon", "loop", "gain dB", "phase deg", "disk", "delay ms", "cross Hz"):
         table.add_column(heading, no_wrap=True)
     alike: dict[tuple[str, ...], list[str]] = {}
-    for (name, kind), after in found.after.items():
-        alike.setdefault((str(kind), *_cells(found.before[name, kind], after)), []).append(name)
+    for (name, kind), after in result.after.items():
+        alike.setdefault((str(kind), *_cells(result.before[name, kind], after)), []).append(name)
     for (kind, *cells), names in alike.items():
         more = f" + {len(names) - 1}" if len(names) > 1 else ""
         table.add_row(names[0].removesuffix("_tendon") + more, kind, *cells)
     table.add_section()
-    table.add_row("worst", "", *_cells(found.worst_before, found.worst_after))
-    screen(least=80).print(table)
+    table.add_row("worst", "", *_cells(result.worst_before, result.worst_after))
+    screen(min_width=80).print(table)
 
 
 def _cells(before: Any, after: Any) -> list[str]:
     from handctl.tune.loops.margins import MAX_DELAY_S, MAX_GAIN_DB
 
     def one(margins: Any, name: str, scale: float, digits: int) -> str:
-        most = {"gain_db": MAX_GAIN_DB, "delay_s": MAX_DELAY_S}.get(name, math.inf)
+        limit = {"gain_db": MAX_GAIN_DB, "delay_s": MAX_DELAY_S}.get(name, math.inf)
         value = getattr(margins, name)
         if not margins.stable:
             return "none"
-        return "-" if math.isnan(value) else f"{'>' if value >= most else ''}{value * scale:.{digits}f}"
+        return "-" if math.isnan(value) else f"{'>' if value >= limit else ''}{value * scale:.{digits}f}"
 
     def pair(name: str, scale: float = 1.0, digits: int = 1) -> str:
         return f"{one(before, name, scale, digits)}\u2192{one(after, name, scale, digits)}"

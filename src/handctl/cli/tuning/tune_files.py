@@ -24,8 +24,8 @@ def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, 
         ConfigError: a folder is missing, both paths are equal, or a path is another file of this hand.
     """
     out: Path = args.output or Path(f"{hand}.{kind}.toml")
-    own = [Path(f"{hand}.{what}") for what in ("calibration.toml", "gains.toml", "study")]
-    read = (*own, Path(args.hand), args.gains, args.fit, getattr(args, "study", None))
+    hand_files = [Path(f"{hand}.{what}") for what in ("calibration.toml", "gains.toml", "study")]
+    read = (*hand_files, Path(args.hand), args.gains, args.fit, getattr(args, "study", None))
     check_output(out, "--output", *read)
     picture: Path = args.picture or named_after(out, ".png")
     check_output(picture, "--picture", *read)
@@ -34,7 +34,7 @@ def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, 
     return out, picture
 
 
-def plants_of(args: argparse.Namespace, spread: dict[str, float], most: int) -> tuple[dict[str, float], ...]:
+def plants_of(args: argparse.Namespace, spread: dict[str, float], maximum: int) -> tuple[dict[str, float], ...]:
     """Return the factors of the plants to tune on: an ensemble around the best estimate of the hand.
 
     Without a calibration, the center of the ensemble is the hand file times the factors of ``--perturb``. With a
@@ -44,7 +44,7 @@ def plants_of(args: argparse.Namespace, spread: dict[str, float], most: int) -> 
         ConfigError: too few or too many plants, or ``--perturb`` is wrong.
     """
     perturb = check_perturb(args, simulated=True)
-    plants = ensemble(checked_count(args.plants, "--plants", most), args.seed, spread)
+    plants = ensemble(checked_count(args.plants, "--plants", maximum), args.seed, spread)
     if args.fit:
         return plants
     return tuple(one | {key: one.get(key, 1.0) * factor for key, factor in perturb.items()} for one in plants)
@@ -67,11 +67,11 @@ def same_hand_words(args: argparse.Namespace) -> list[str]:
 
 def write_gains(path: Path, gains: Gains, hand: Hand, note: str, fit: Path | None = None, study: str = "") -> None:
     """Write a gains file with its provenance."""
-    told = Provenance(hand=hand.name, identity=hand.identity, note=note, fit=str(fit or ""), study=study)
-    write_whole(path, gains_text(gains, told))
+    provenance = Provenance(hand=hand.name, identity=hand.identity, note=note, fit=str(fit or ""), study=study)
+    write_whole(path, gains_text(gains, provenance))
 
 
-class Subject(NamedTuple):
+class TunedHand(NamedTuple):
     """Hand to tune, its identified twin, and the spread of the ensemble.
 
     Attributes:
@@ -86,7 +86,7 @@ class Subject(NamedTuple):
     spread: dict[str, float]
 
 
-def subject(name: str, fit: Path | None) -> Subject:
+def load_tuned_hand(name: str, fit: Path | None) -> TunedHand:
     """Load the hand to tune and its identified parameters.
 
     Args:
@@ -98,6 +98,6 @@ def subject(name: str, fit: Path | None) -> Subject:
     """
     hand = load_hand(name)
     if fit is None:
-        return Subject(hand, hand, {})
-    found = identified_in(fit, hand)
-    return Subject(hand, identified_hand(hand, found), widths(found))
+        return TunedHand(hand, hand, {})
+    identified = identified_in(fit, hand)
+    return TunedHand(hand, identified_hand(hand, identified), widths(identified))

@@ -10,7 +10,7 @@ from handctl.cli.console.options import checked_count, print_json
 from handctl.cli.console.plan import layered_gains
 from handctl.cli.console.screen import screen
 from handctl.cli.console.verbosity import is_quiet
-from handctl.cli.tuning.tune_files import output_files, plants_of, subject, verify_command, write_gains
+from handctl.cli.tuning.tune_files import load_tuned_hand, output_files, plants_of, verify_command, write_gains
 from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
@@ -26,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
     from handctl.tune.search.search import SearchPlan, search
     from handctl.tune.search.workers import workers
 
-    hand, twin, spread = subject(args.hand, args.fit)
+    hand, twin, spread = load_tuned_hand(args.hand, args.fit)
     gains = layered_gains(args, hand).gains
     rate = control_rate(args.rate, hand, bus_loads(hand))
     out, picture = output_files(args, hand.name, "search")
@@ -38,30 +38,30 @@ def run(args: argparse.Namespace) -> int:
         plan = SearchPlan(twin.to_toml(), rate, gains, plants, args.seed, trials, _designed(twin, gains, rate, plants))
         crew = workers(crew_size, args.scheduler)
         try:
-            found = search(plan, storage, crew, progress.show)
+            result = search(plan, storage, crew, progress.show)
         except KeyboardInterrupt as error:
             raise type(error)(f"interrupted; the same command goes on with {storage}") from None
         finally:
             crew.close()
-    draw_search(picture, found, f"{hand.name} at {rate:g} Hz: {len(found.trials)} trials on {len(plants)} plants")
-    if found.best is None:
-        return _nothing_good(args, found, storage, picture, trials)
-    best = plan.gains_of(found.best.number, found.best.values)
-    note = f"tune search, trial {found.best.number} of {len(found.trials)} on {len(plants)} plants, seed {args.seed}"
+    draw_search(picture, result, f"{hand.name} at {rate:g} Hz: {len(result.trials)} trials on {len(plants)} plants")
+    if result.best is None:
+        return _report_infeasible(args, result, storage, picture, trials)
+    best = plan.gains_of(result.best.number, result.best.values)
+    note = f"tune search, trial {result.best.number} of {len(result.trials)} on {len(plants)} plants, seed {args.seed}"
     write_gains(out, best, hand, note, fit=args.fit, study=str(storage))
-    result = _result(found, storage, out, picture)
+    report = _report_fields(result, storage, out, picture)
     if args.json:
-        print_json(result)
+        print_json(report)
     else:
-        _print(found, result)
+        _print(result, report)
         print(f"next: {verify_command(args, out)}")
     return Exit.DONE
 
 
-def _nothing_good(args: argparse.Namespace, found: Any, storage: Path, picture: Path, trials: int) -> int:
+def _report_infeasible(args: argparse.Namespace, result: Any, storage: Path, picture: Path, trials: int) -> int:
     """Report that no trial keeps the margins and return the exit code of a failure."""
     if args.json:
-        print_json(_result(found, storage, None, picture))
+        print_json(_report_fields(result, storage, None, picture))
     else:
         print(f"no trial keeps the margins on every plant; look at {picture}, and try --trials {2 * trials}")
     return Exit.FAILED
@@ -72,10 +72,10 @@ def _designed(hand: Hand, gains: Gains, rate: float, plants: tuple[dict[str, flo
     from handctl.tune.loops.design import design, linear_factors
 
     try:
-        found = design(HandModel.of(hand, gains, rate), tuple(linear_factors(one) for one in plants))
+        result = design(HandModel.of(hand, gains, rate), tuple(linear_factors(one) for one in plants))
     except (ValueError, ConfigError):
         return ()
-    return (found.as_weights(),)
+    return (result.as_weights(),)
 
 
 class _Progress:
@@ -94,7 +94,8 @@ class _Progress:
         self._console = screen(error=True)
         self._bar = Progress(*columns, console=self._console, disable=quiet or not self._console.is_terminal)
         self._task = self._bar.add_task("designing", total=trials)
-        self._quiet, self._next = quiet, 0.0
+        self._quiet = quiet
+        self._next = 0.0
 
     def __enter__(self) -> "_Progress":
         self._bar.start()
@@ -105,35 +106,37 @@ class _Progress:
     def __exit__(self, *error: object) -> None:
         self._bar.stop()
 
-    def show(self, found: Any) -> None:
+    def show(self, result: Any) -> None:
         """Update the display after a trial. Without a terminal, print at most one line per 5 s."""
-        text = f"best {found.cost(found.best):.3f}, trial {found.best.number}" if found.best else "none good yet"
-        self._bar.update(self._task, completed=len(found.trials), description=text)
+        text = (
+            f"best {result.cost(result.best):.3f}, trial {result.best.number}" if result.best else "none feasible yet"
+        )
+        self._bar.update(self._task, completed=len(result.trials), description=text)
         if not self._quiet and self._bar.disable and time.monotonic() >= self._next:
             self._next = time.monotonic() + 5.0
-            self._console.print(f"trial {len(found.trials)}: {text}")
+            self._console.print(f"trial {len(result.trials)}: {text}")
 
 
-def _result(found: Any, storage: Path, out: Path | None, picture: Path) -> dict[str, Any]:
-    best, first = found.best, found.trials[0]
-    chosen = best and {"trial": best.number, "values": best.values, "score": asdict(best.score)}
+def _report_fields(result: Any, storage: Path, out: Path | None, picture: Path) -> dict[str, Any]:
+    best, first = result.best, result.trials[0]
+    best_fields = best and {"trial": best.number, "values": best.values, "score": asdict(best.score)}
     return {
-        "trials": len(found.trials),
-        "good": sum(one.feasible for one in found.trials),
-        "best": chosen and chosen | {"cost": found.cost(best)},
+        "trials": len(result.trials),
+        "good": sum(one.feasible for one in result.trials),
+        "best": best_fields and best_fields | {"cost": result.cost(best)},
         "first": asdict(first.score),
-        "front": list(found.front),
+        "front": list(result.front),
         "study": str(storage),
         "gains": out,
         "picture": str(picture),
     }
 
 
-def _print(found: Any, result: dict[str, Any]) -> None:
+def _print(result: Any, report: dict[str, Any]) -> None:
     from rich.table import Table
 
-    table = Table(title=f"{result['trials']} trials, {result['good']} good, {len(result['front'])} on the Pareto front")
-    for heading in ("", "where it began", f"trial {found.best.number}"):
+    table = Table(title=f"{report['trials']} trials, {report['good']} good, {len(report['front'])} on the Pareto front")
+    for heading in ("", "where it began", f"trial {result.best.number}"):
         table.add_column(heading)
     rows = (
         ("tracking error [deg rms]", "tracking_deg", 2),
@@ -143,6 +146,6 @@ def _print(found: Any, result: dict[str, Any]) -> None:
         ("shortfall of margins", "shortfall", 2),
     )
     for name, key, digits in rows:
-        table.add_row(name, *(f"{getattr(one.score, key):.{digits}f}" for one in (found.trials[0], found.best)))
+        table.add_row(name, *(f"{getattr(one.score, key):.{digits}f}" for one in (result.trials[0], result.best)))
     screen().print(table)
-    screen().print(f"gains: {result['gains']}\npicture: {result['picture']}\nstudy: {result['study']}", soft_wrap=True)
+    screen().print(f"gains: {report['gains']}\npicture: {report['picture']}\nstudy: {report['study']}", soft_wrap=True)

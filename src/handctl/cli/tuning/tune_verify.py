@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.console.begin import announce
-from handctl.cli.console.dry_run import told
+from handctl.cli.console.dry_run import report_dry_run
 from handctl.cli.console.options import checked_count, print_json
-from handctl.cli.console.plan import check_bus_only, check_perturb, find_calibration, make_plan
+from handctl.cli.console.plan import check_perturb, find_calibration, make_plan, refuse_bus_options
 from handctl.cli.console.screen import screen
 from handctl.cli.console.verbosity import note
 from handctl.errors import ConfigError
@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError("one of them is needed", "--bus or --lockstep", "--lockstep for a simulated hand")
     check_perturb(args, args.lockstep)
     if args.lockstep:
-        check_bus_only(args)
+        refuse_bus_options(args)
     plan = make_plan(args, lockstep=args.lockstep)
     new = gains_for(plan.hand, args.candidate, plan.tell)
     check_design(plan.hand, new.gains, plan.rate_hz)
@@ -40,16 +40,17 @@ def run(args: argparse.Namespace) -> int:
         note("the filter's gains cannot change in a run: both halves use the new ones")
     if args.dry_run:
         line = f"{plan.hand.name}: would verify {args.candidate} in {len(AMPLITUDES)} rounds"
-        return told(args, plan, line, gains=args.candidate, amplitudes=AMPLITUDES)
+        return report_dry_run(args, plan, line, gains=args.candidate, amplitudes=AMPLITUDES)
     log = args.log or default_log(plan.hand, "verify")
     plan = _with_gains(plan, base, args.candidate)
-    first, runs = args.seed, []
+    first = args.seed
+    runs = []
     for seed in range(first, first + (checked_count(args.seeds, "--seeds", 100) if args.lockstep else 1)):
         args.seed = seed
-        own = log if seed == first else log.with_stem(f"{log.stem}-seed{seed}")
-        watch = VerifyObserver(plan.hand, base, new.gains)
-        outcome, truth = _run(args, plan, Exercise(AMPLITUDES), watch, own)
-        runs.append(_judged(plan, outcome, watch, own, truth))
+        run_log = log if seed == first else log.with_stem(f"{log.stem}-seed{seed}")
+        observer = VerifyObserver(plan.hand, base, new.gains)
+        outcome, truth = _run(args, plan, Exercise(AMPLITUDES), observer, run_log)
+        runs.append(_judged(plan, outcome, observer, run_log, truth))
         if not runs[-1]["through"]:
             break
     args.seed = first
@@ -62,22 +63,22 @@ def _with_gains(plan: Plan, gains: Any, candidate: Path) -> Plan:
     return replace(plan, gains=gains, attachments=plan.attachments | {"candidate.toml": candidate.read_bytes()})
 
 
-def _run(args: argparse.Namespace, plan: Plan, program: Any, watch: Any, log: Path) -> tuple[Outcome, Path | None]:
+def _run(args: argparse.Namespace, plan: Plan, program: Any, observer: Any, log: Path) -> tuple[Outcome, Path | None]:
     if not args.lockstep:
-        path, calibration, why = find_calibration(args, plan.hand)
+        path, calibration, reason = find_calibration(args, plan.hand)
         announce(args, plan, path, calibration)
         if calibration is None:
-            calibration = ensure_calibration(plan, path, why, run_live, commission_log(log))
+            calibration = ensure_calibration(plan, path, reason, run_live, commission_log(log))
         controller = make_controller(plan, program, calibration, True)
-        return run_live(plan, controller, log, observer=watch), None
+        return run_live(plan, controller, log, observer=observer), None
     calibration = homed(plan.hand, identified_in(args.calibration, plan.hand))
     truth = log.with_suffix(".truth")
     perturb = assignments(args.perturb, "--perturb")
     with Simulator(args.hand, None, args.seed, perturb, homed=True, truth=truth).clock(plan.period_ns) as clock:
-        return run_lockstep(plan, make_controller(plan, program, calibration, True), log, clock, watch), truth
+        return run_lockstep(plan, make_controller(plan, program, calibration, True), log, clock, observer), truth
 
 
-def _judged(plan: Plan, outcome: Outcome, watch: Any, log: Path, truth_file: Path | None) -> dict[str, Any]:
+def _judged(plan: Plan, outcome: Outcome, observer: Any, log: Path, truth_file: Path | None) -> dict[str, Any]:
     """Score one run and draw its picture. Return the fields of the JSON result."""
     from handctl.log.read.reader import RunLog
     from handctl.report.truth import read_truth
@@ -88,10 +89,10 @@ def _judged(plan: Plan, outcome: Outcome, watch: Any, log: Path, truth_file: Pat
     with RunLog(log) as record:
         rounds = scores(record, plan.hand, truth, outcome.offset_ns)
         picture = log.with_suffix(".png")
-        draw_verify(picture, record, plan.hand, truth, outcome.offset_ns, watch.returned)
+        draw_verify(picture, record, plan.hand, truth, outcome.offset_ns, observer.returned)
     return {
-        "through": watch.returned is None and not outcome.state.failure and len(rounds) == len(AMPLITUDES),
-        "returned": asdict(watch.returned) if watch.returned else None,
+        "through": observer.returned is None and not outcome.state.failure and len(rounds) == len(AMPLITUDES),
+        "returned": asdict(observer.returned) if observer.returned else None,
         "failure": outcome.state.failure,
         "rounds": rounds,
         "judged_by": "truth" if truth else "estimates",
