@@ -115,6 +115,30 @@ def test_python_can_reads_the_candump(log: RunLog, tmp_path: Path) -> None:
         assert (message.channel, message.is_rx) == ("main", received)
 
 
+def test_time_stamps_of_the_candump_rise(log: RunLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a local bus a frame is stamped when it is read, after the start of the tick that sends the answers."""
+    path = tmp_path / "x.log"
+    ticks = [tick for tick, _ in zip(log.ticks(), range(500), strict=False)]
+    for bus_delay in (0, 40_000):
+        late = [
+            tick._replace(
+                tick_in=tick.tick_in._replace(
+                    frames=[
+                        frame._replace(t_ns=tick.tick_in.t_ns + tick.tick_in.late_ns + 50_000 - bus_delay * (i % 2))
+                        for i, frame in enumerate(tick.tick_in.frames)
+                    ]
+                )
+            )
+            for tick in ticks
+        ]
+        monkeypatch.setattr(log, "ticks", lambda late=late: iter(late))
+        count = export_candump(log, path)
+        stamps = [message.timestamp for message in can.CanutilsLogReader(path)]
+        assert len(stamps) == count > 3000
+        assert stamps == sorted(stamps)
+        path.unlink()
+
+
 @pytest.mark.parametrize(
     "frame",
     [

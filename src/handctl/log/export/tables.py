@@ -2,7 +2,9 @@
 
 import csv
 import re
+from bisect import bisect_left
 from collections.abc import Iterator
+from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -113,8 +115,7 @@ def export_csv(log: RunLog, path: Path) -> int:
 def export_candump(log: RunLog, path: Path) -> int:
     """Write all frames in the log format of can-utils and return the number of frames.
 
-    A received frame has its time of arrival, a sent frame the time of its tick. R and T mark the
-    direction.
+    R and T mark the direction.
 
     Raises:
         OSError: the file exists already or cannot be written.
@@ -123,14 +124,34 @@ def export_candump(log: RunLog, path: Path) -> int:
     buses = log.header.buses
     offset = log.header.offset_ns
     with path.open("x", encoding="ascii") as file:
-        for tick in log.ticks():
-            start_ns = tick.tick_in.t_ns + tick.tick_in.late_ns
-            for frame in tick.tick_in.frames:
-                file.write(_candump(frame, offset + frame.t_ns, buses, "R"))
-            for frame in tick.frames:
-                file.write(_candump(frame, offset + start_ns, buses, "T"))
-            count += len(tick.tick_in.frames) + len(tick.frames)
+        for t_ns, direction, frame in _frames_by_time(log):
+            file.write(_candump(frame, offset + t_ns, buses, direction))
+            count += 1
     return count
+
+
+def _frames_by_time(log: RunLog) -> Iterator[tuple[int, str, Frame]]:
+    """Yield time [ns], direction, and frame of all frames, in the order of time.
+
+    A received frame has its time of arrival. A sent frame has the start of its tick, or the latest
+    arrival before it: on a local bus a frame arrives when the tick reads it, after the start.
+    """
+    waiting: list[tuple[int, str, Frame]] = []
+    complete_ns = 0
+    for tick in log.ticks():
+        start_ns = tick.tick_in.t_ns + tick.tick_in.late_ns
+        received = tick.tick_in.frames
+        sent_ns = max((frame.t_ns for frame in received), default=start_ns)
+        waiting += [(frame.t_ns, "R", frame) for frame in received]
+        waiting += [(max(start_ns, sent_ns), "T", frame) for frame in tick.frames]
+        waiting.sort(key=itemgetter(0))
+        # A frame of the next tick arrives after the start of this tick. One more tick is waited for,
+        # since the kernel may hand a frame over a little after its stamp.
+        ready = bisect_left(waiting, complete_ns, key=itemgetter(0))
+        yield from waiting[:ready]
+        waiting = waiting[ready:]
+        complete_ns = start_ns
+    yield from waiting
 
 
 def _candump(frame: Frame, t_ns: int, buses: tuple[str, ...], direction: str) -> str:
