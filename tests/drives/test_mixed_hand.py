@@ -39,6 +39,19 @@ def test_two_buses_and_three_protocols_work_as_one_hand(tmp_path: Path) -> None:
     bench.rig.close()
 
 
+def test_no_drive_is_silent_while_the_others_are_enabled(tmp_path: Path) -> None:
+    """An ODrive verifies its settings once more before it is enabled: five ticks without feedback were a fault."""
+    bench = Bench(hand_file(tmp_path, ["mit", "odrive", "cubemars", "cia402"]))
+    bench.until(DriveTarget.POLL, Phase.READY)
+    for _ in range(10):
+        bench.tick(DriveTarget.POLL)
+    for _ in range(60):
+        bench.tick(DriveTarget.ENABLE)
+        assert min(state.feedback_t_ns for state in bench.states) >= (bench.k - 4) * 2_000_000
+    assert [state.phase for state in bench.states] == [Phase.ENABLED] * 4
+    bench.rig.close()
+
+
 def test_a_mirrored_geared_motor_winds_too(tmp_path: Path) -> None:
     for protocol in ("odrive", "cia402"):
         path = hand_file(tmp_path, [protocol], "gear_ratio = 4.0\n")

@@ -9,10 +9,15 @@ from handctl.cli.main import main
 from tests.drives.protocol_bench import hand_file
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize("protocol", ["odrive", "cia402", "cubemars"])
-def test_a_hand_grasps(protocol: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path, log = hand_file(tmp_path, [protocol]), tmp_path / "run.mcap"
+@pytest.mark.parametrize(
+    "protocols",
+    [
+        *[pytest.param([name], id=name, marks=pytest.mark.nightly) for name in ("odrive", "cia402", "cubemars")],
+        pytest.param(["mit", "odrive", "cubemars", "cia402"], id="unlike drives in one hand"),
+    ],
+)
+def test_a_hand_grasps(protocols: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, log = hand_file(tmp_path, protocols), tmp_path / "run.mcap"
     assert main(["demo", "--lockstep", "--hand", str(path), "--log", str(log), "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["failure"] == ""

@@ -136,6 +136,7 @@ MOTOR_PERIOD = _real("motor_period", "tendon", "s", "how often the motor tells i
 JOINT_PERIOD = _real("joint_period", "run", "s", "how often joints are read")
 TENSION_TRIP = _real("tension_trip", "tendon", "N", "tension of one sample that means relax")
 DRIVE_LIMIT = _real("drive_limit", "tendon", "N", "tension that the drive's own torque limit can make")
+TORQUE_STEP = _real("torque_step", "tendon", "N", "one count of the drive's torque, 0 for a floating-point number")
 NOISE_LIMIT = _real("noise_limit", "run", "rad2", "mean squared jerk of a motor's position that means noise")
 TEMPERATURE_SOFT = _real("temperature_soft", "run", "degC", "from here on a tendon's limit falls")
 TEMPERATURE_HARD = _real("temperature_hard", "run", "degC", "here it has fallen to the floor")

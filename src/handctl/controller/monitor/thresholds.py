@@ -9,6 +9,7 @@ from handctl.core.model import HandModel
 from handctl.core.types import Vector
 from handctl.drives.contract import Drive
 from handctl.drives.sensors.node import SensorNode
+from handctl.drives.signals import Coding, Quantity
 from handctl.safety.faults.node import NOISE_FACTOR
 from handctl.safety.limits import (
     MIN_FRAMES_LIMIT,
@@ -77,6 +78,7 @@ def constants_of(
         "joint_period": joint_period,
         "tension_trip": limits.tension_trip,
         "drive_limit": limits.drive_limit,
+        "torque_step": [torque_step(drive) for drive in drives] / model.space.spool,
         "noise_limit": limits.noise,
         "temperature_soft": limits.temperature_soft,
         "temperature_hard": limits.temperature_hard,
@@ -93,6 +95,16 @@ def constants_of(
         "frames_limit": limits.frames,
         "tension_groups": sensors.tension_frames,
     })  # fmt: skip
+
+
+def torque_step(drive: Drive) -> float:
+    """Return one count of the torque in feedback or command, the larger one [N m at the spool].
+
+    A floating-point number counts as exact.
+    """
+    messages = (*drive.cyclic.feedback, *drive.cyclic.commands)
+    signals = [signal for message in messages for signal in message.signals if signal.quantity == Quantity.TORQUE]
+    return max((abs(signal.scale) for signal in signals if signal.coding != Coding.FLOAT), default=0.0)
 
 
 def frames_limit(drives: Sequence[Drive], sensors: SensorNode) -> int:

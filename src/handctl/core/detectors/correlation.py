@@ -35,7 +35,10 @@ SETTLED_TICKS = 3
 A command takes effect a tick later, and an increment needs two commands.
 """
 MOVED_FRACTION = 1.0 / 4000.0
-"""Smallest increment, as a fraction of the largest force: half a step of 12-bit torque. Rounding dominates below."""
+"""Smallest increment, as a fraction of the largest force: half a step of 12-bit torque. Rounding dominates below.
+
+A drive whose torque has a scale of its own may have a larger step, and half of that step counts.
+"""
 AA, AB, AB_LATE, BB, FULL = range(5)
 """Rows of ``block.REPORT_MOMENTS``: products, the product with a report a tick late, and the filling."""
 
@@ -87,7 +90,8 @@ def unfollowed(x: Tables, c: ConstantTables, n: int) -> bool:
     aa, bb = x.tendon[s.REPORT_MOMENTS + AA, n], x.tendon[s.REPORT_MOMENTS + BB, n]
     ab = max(x.tendon[s.REPORT_MOMENTS + AB, n], x.tendon[s.REPORT_MOMENTS + AB_LATE, n])
     # Both have to move by more than rounding: a command at rest says nothing, a report at rest is another fault.
-    moves = min(aa, bb) > square(MOVED_FRACTION * c.tendon[h.DRIVE_LIMIT, n])
+    rounding = max(MOVED_FRACTION * c.tendon[h.DRIVE_LIMIT, n], 0.5 * c.tendon[h.TORQUE_STEP, n])
+    moves = min(aa, bb) > square(rounding)
     if x.tendon[s.REPORT_MOMENTS + FULL, n] <= FILLED or not moves:
         return False
     return ab + SIGMAS * math.sqrt(aa * bb * c.run[h.PERIOD] / (2.0 * REPORTED_S)) < REPORTED_FRACTION * aa

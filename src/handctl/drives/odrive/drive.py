@@ -333,14 +333,26 @@ class OdriveDrive:
         if progress.serial_requests < SERIAL_TRIES and not self.firmware_05:
             return self._ask_serial(state, progress, t_ns)
         if progress.cursor.step < len(self.settings):
-            cursor, data, problem = endpoints.next_request(progress.cursor, self.settings, t_ns)
-            updated = state._replace(private=progress._replace(cursor=cursor))
-            frames = (self._frame(codec.RX_SDO, data),) if data else ()
-            return (to_fault(updated, MISMATCH, problem), ()) if problem else (updated, frames)
+            return self._next_setting(state, progress, t_ns)
         if progress.heartbeat_ns < 0:
             return state, ()
         done = progress._replace(configured=True, just_verified=True)
         return state._replace(phase=READY, error_text="", private=done), self._setup()
+
+    def _next_setting(
+        self, state: DriveState, progress: OdriveProgress, t_ns: int
+    ) -> tuple[DriveState, tuple[Frame, ...]]:
+        """Read or write the next endpoint.
+
+        A drive that gave feedback before is also asked for its position: the settings are verified once
+        more before the enable command, and beside enabled drives a silent drive is a fault.
+        """
+        cursor, data, problem = endpoints.next_request(progress.cursor, self.settings, t_ns)
+        updated = state._replace(private=progress._replace(cursor=cursor))
+        if problem:
+            return to_fault(updated, MISMATCH, problem), ()
+        updated, requests = self._questions(updated, t_ns) if state.feedback_count else (updated, ())
+        return updated, (*((self._frame(codec.RX_SDO, data),) if data else ()), *requests)
 
     def _setup(self) -> tuple[Frame, ...]:
         """Return mode and limits. No answer confirms them, hence each enable command is preceded by both."""
