@@ -79,7 +79,9 @@ nightly: lint ## the tests with full counts: long property runs, fault campaigns
 	$(MAKE) realtime
 
 docs: env ## the documentation site in build/site, without the network; a dead link is an error
+	$(BIN)/python -m tools.reference
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+	@echo "the site is in build/site; to read it: $(BIN)/python -m http.server -d build/site"
 
 bench: $(EXTRA) ## side by side with what a user would pick instead; prints ratios
 	@set -e; for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python "$$script"; done

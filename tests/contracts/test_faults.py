@@ -7,7 +7,7 @@ import pytest
 from handctl.campaign.scenarios import LEFT_OUT, MATRIX
 from handctl.safety.faults.fault import DETECTED, LOST, REPLACED, TICK
 from handctl.safety.faults.host import ON_HARDWARE
-from handctl.safety.faults.markdown import catalogue, checklist, fault_sections, late, later
+from handctl.safety.faults.markdown import catalogue, checklist, fault_sections, fault_table, late, later
 from handctl.safety.faults.table import CATALOGUE, TABLE, remedy
 
 ROOT = Path(__file__).parents[2]
@@ -100,11 +100,13 @@ def test_a_reaction_later_than_required_has_a_reason() -> None:
 
 
 def test_the_pages_are_the_code_s() -> None:
-    page = (ROOT / "docs" / "reference" / "faults.md").read_text()
-    assert catalogue() in page
-    assert later() in page
-    assert checklist() in page
-    assert fault_sections() in page
+    evidence = (ROOT / "docs" / "evidence" / "faults.md").read_text()
+    assert catalogue() in evidence
+    assert later() in evidence
+    assert checklist() in evidence
+    reference = (ROOT / "docs" / "reference" / "faults.md").read_text()
+    assert fault_table() in reference
+    assert fault_sections() in reference
 
 
 def test_every_fault_says_in_one_line_what_to_do_about_it() -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "reference" / "faults.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "how-to" / "adding-a-fault.md").read_text(encoding="utf-8")
 TRIED = """
 import json
 from handctl.controller.tick import _fault_event
@@ -32,7 +32,7 @@ print(json.dumps({
 
 def added(package: Path) -> None:
     """Add the fault of the page to a copy of the package, as the page says."""
-    declaration, detector = re.findall(r"```python\n(.*?) *```", PAGE.split("## Adding a fault")[1], re.DOTALL)
+    declaration, detector = re.findall(r"```python\n(.*?) *```", PAGE, re.DOTALL)
     kind = package / "safety" / "faults" / "tendon.py"
     with kind.open("a", encoding="utf-8") as file:
         file.write("\n" + re.sub("^   ", "", declaration, flags=re.MULTILINE))

@@ -137,4 +137,4 @@ ON_HARDWARE: tuple[tuple[str, str], ...] = (
     ("T01", "cut a tendon in a grasp, from behind a screen"),
     ("H05", "kill -9 in a grasp, and time the drives with a current probe"),
 )
-"""Tests on hardware. ``docs/reference/faults.md`` has them as a checklist with dates."""
+"""Tests on hardware. ``docs/evidence/faults.md`` has them as a checklist with dates."""

@@ -1,0 +1,42 @@
+"""The generated blocks of the pages agree with the code. ``python -m tools.reference`` writes them."""
+
+from pathlib import Path
+
+import pytest
+
+from handctl.cli.main import VERBS
+from tools.reference.blocks import BLOCKS, PLACE, filled, pages
+from tools.reference.topics import registered
+
+ROOT = Path(__file__).parents[2]
+PAGES = {path.relative_to(ROOT).as_posix(): (text, right) for path, text, right in pages(ROOT)}
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_no_page_is_stale(page: str) -> None:
+    text, right = PAGES[page]
+    assert text == right, f"{page} is stale; run python -m tools.reference"
+
+
+def test_every_block_has_a_page() -> None:
+    written = {match[2] for text, _ in PAGES.values() for match in PLACE.finditer(text)}
+    assert written == set(BLOCKS)
+
+
+def test_a_changed_block_is_stale() -> None:
+    text = "<!-- generated: exit-codes -->\n\n| 0 | fine |\n\n<!-- end of generated -->\n"
+    assert "| 71 | `REMOVE_POWER` |" in filled(text)
+    assert filled(filled(text)) == filled(text)
+
+
+def test_every_verb_has_a_section_with_its_example() -> None:
+    page = PAGES["docs/reference/verbs.md"][0]
+    for verb in VERBS:
+        section = page.split(f"\n### handctl {verb}\n")[1].split("\n### ")[0]
+        assert "example:\n" in section, verb
+
+
+def test_every_topic_of_a_log_has_a_row() -> None:
+    page = PAGES["docs/reference/topics.md"][0]
+    for topic, (kind, _) in registered().items():
+        assert f"| `{topic}` | `{kind}` | " in page, topic

@@ -1,0 +1,27 @@
+"""Write the generated blocks of all pages in docs/, or check them: ``python -m tools.reference [--check]``."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from tools.reference.blocks import stale_pages, written_pages
+
+ROOT = Path(__file__).parents[2]
+
+
+def main() -> int:
+    """Write or check the pages. Return the exit code."""
+    parser = argparse.ArgumentParser(description="Write the generated blocks of the pages in docs/.")
+    parser.add_argument("--check", action="store_true", help="write nothing, and return 1 if a page is stale")
+    if parser.parse_args().check:
+        stale = stale_pages(ROOT)
+        for page in stale:
+            print(f"{page}: stale; run python -m tools.reference", file=sys.stderr)
+        return 1 if stale else 0
+    for page in written_pages(ROOT):
+        print(page)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

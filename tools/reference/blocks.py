@@ -1,0 +1,63 @@
+"""The blocks by name, and the pages that have them.
+
+A page of docs/ contains ``<!-- generated: NAME -->``, the block, and ``<!-- end of generated -->``.
+"""
+
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from tools.reference import command_line, faults, files, python_api, topics
+
+BLOCKS: dict[str, Callable[[], str]] = {
+    "verbs": command_line.verbs,
+    "verb-table": command_line.verb_table,
+    "exit-codes": command_line.exit_codes,
+    "python": python_api.names,
+    "hand-file": files.hand_file,
+    "gains": files.gains,
+    "requests": files.requests,
+    "topics": topics.topics,
+    "message-types": topics.message_types,
+    "telemetry": topics.telemetry,
+    "fault-table": faults.fault_table,
+    "fault-sections": faults.fault_sections,
+    "fault-catalogue": faults.catalogue,
+    "fault-times": faults.later,
+    "hardware-tests": faults.checklist,
+}
+"""Name of each block and the function that writes it."""
+PLACE = re.compile(r"(<!-- generated: ([\w-]+) -->\n)(.*?)(<!-- end of generated -->)", re.DOTALL)
+"""Place of a block in a page."""
+
+
+def pages(root: Path) -> Iterator[tuple[Path, str, str]]:
+    """Yield path, present text, and right text of each page with a block."""
+    for path in sorted([root / "README.md", *root.glob("docs/**/*.md")]):
+        text = path.read_text(encoding="utf-8")
+        if PLACE.search(text):
+            yield path, text, filled(text)
+
+
+def filled(text: str) -> str:
+    """Return the text of a page with its blocks replaced by the present ones.
+
+    Raises:
+        KeyError: the page names an unknown block.
+    """
+    return PLACE.sub(lambda match: f"{match[1]}\n{BLOCKS[match[2]]().strip()}\n\n{match[4]}", text)
+
+
+def stale_pages(root: Path) -> list[str]:
+    """Return the pages whose blocks differ from the code."""
+    return [path.relative_to(root).as_posix() for path, text, right in pages(root) if text != right]
+
+
+def written_pages(root: Path) -> list[str]:
+    """Write the stale pages, and return their names."""
+    names = []
+    for path, text, right in pages(root):
+        if text != right:
+            path.write_text(right, encoding="utf-8")
+            names.append(path.relative_to(root).as_posix())
+    return names

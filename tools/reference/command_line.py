@@ -1,0 +1,83 @@
+"""Blocks about the command line, generated from the parsers of the verbs and from the exit codes."""
+
+import argparse
+from collections.abc import Iterator
+from typing import Any
+
+from handctl.cli.main import GROUPS, VERBS, verb_parser
+from handctl.session.exit_codes import Exit
+from tools.reference.markdown import attribute_docstrings, code, prose, table
+
+EVERYWHERE = {"-h", "-v", "-q"}
+"""Options of every verb, explained once."""
+
+
+def verb_table() -> str:
+    """Return a table of all verbs with one line each."""
+    return table(("verb", "purpose"), ((code(name), text) for name, text in VERBS.items()))
+
+
+def verbs() -> str:
+    """Return a section per verb: purpose, arguments and example, of its sub-verbs as well."""
+    parts = []
+    for group in GROUPS.values():
+        parts.append(f"## {group.title[0].upper()}{group.title[1:]}")
+        for name in group.verbs:
+            parts += _parser(verb_parser(name), f"handctl {name}", "###")
+    return "\n\n".join(parts)
+
+
+def _parser(parser: argparse.ArgumentParser, command: str, level: str) -> Iterator[str]:
+    """Yield the section of a verb, and those of its sub-verbs."""
+    yield f"{level} {command}"
+    yield prose(parser.description)
+    rows = [_row(action) for action in parser._actions if _is_listed(action)]
+    if rows:
+        yield table(("argument", "meaning"), rows)
+    subs = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
+    example = (parser.epilog or "").strip()
+    if example and not subs:
+        yield f"```text\n{example}\n```"
+    for sub in subs:
+        for name, below in sub.choices.items():
+            yield from _parser(below, f"{command} {name}", "####")
+
+
+def _is_listed(action: argparse.Action) -> bool:
+    """Return True for an argument of one verb alone."""
+    if isinstance(action, argparse._SubParsersAction) or action.help == argparse.SUPPRESS:
+        return False
+    return not EVERYWHERE.intersection(action.option_strings)
+
+
+def _row(action: argparse.Action) -> tuple[str, str]:
+    """Return name and meaning of an argument."""
+    value = _value(action)
+    names = ", ".join(action.option_strings)
+    name = f"{names} {value}".strip() if names else value
+    text = prose(action.help)
+    shown: dict[str, Any] = {"default": action.default, "prog": "handctl"}
+    text = text % shown if "%(" in text else text.replace("%%", "%")
+    required = "required" if names and action.required else ""
+    return code(name), "; ".join(filter(None, (text, required)))
+
+
+def _value(action: argparse.Action) -> str:
+    """Return the placeholder of an argument's value, empty for a switch."""
+    if action.nargs == 0:
+        return ""
+    if action.metavar is not None:
+        words = (action.metavar,) if isinstance(action.metavar, str) else action.metavar
+        value = " ".join(words)
+    elif action.choices:
+        value = "{" + ",".join(map(str, action.choices)) + "}"
+    else:
+        value = action.dest.upper()
+    return f"[{value}]" if action.nargs == "?" else f"{value} ..." if action.nargs in ("*", "+") else value
+
+
+def exit_codes() -> str:
+    """Return a table of the exit codes."""
+    meanings = attribute_docstrings(Exit) | {"DONE": "The verb has done its work."}
+    rows = ((int(exit_), code(exit_.name), meanings[exit_.name]) for exit_ in Exit)
+    return table(("code", "name", "meaning"), rows)

@@ -1,0 +1,201 @@
+"""Blocks about files and requests, generated from their pydantic models."""
+
+from collections.abc import Iterable, Iterator
+from types import NoneType, UnionType
+from typing import Annotated, Any, get_args, get_origin
+
+from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic.fields import FieldInfo
+
+from handctl.core.gains.bounds import SECTIONS, bounds
+from handctl.core.gains.gains import Gains
+from handctl.hand.description import Hand
+from handctl.programs.requests import Request, RequestBase
+from tools.reference.markdown import code, prose, table
+
+MEANINGS = {
+    "hand.schema": "Version of the format.",
+    "hand.name": "Name of the hand. It names the files of calibration and gains.",
+    "hand.description": "One line about the hand.",
+    "hand.mount": "Orientation of the palm.",
+    "hand.bus": "CAN buses.",
+    "hand.sensor_node": "Sensor node with load cells and joint encoders.",
+    "hand.digit": "Fingers and thumb.",
+    "hand.tendon": "Tendons, digit by digit.",
+    "hand.motor": "Motors with their drives.",
+    "bus.name": "Name of the bus.",
+    "bus.bitrate": "Bit rate of a classical bus, or of the arbitration phase of CAN FD [bit/s].",
+    "sensor_node.bus": "Bus of the node.",
+    "sensor_node.tendons": "Tendons with a load cell, in the order of the channels.",
+    "sensor_node.joints": "Joints with an encoder, in the order of the channels. Empty without joint encoders.",
+    "sensor_node.joint_decimation": "Ticks between two frames of the joint encoders.",
+    "sensor_node.tension_noise_N": "Standard deviation of a load-cell sample.",
+    "sensor_node.joint_noise_rad": "Standard deviation of a joint-encoder sample.",
+    "digit.name": "Name of the digit. Its joints are `NAME_j1` and so on, from the palm outwards.",
+    "digit.mount_position_m": "Origin of the first joint in the palm frame.",
+    "digit.link_length_m": "Distance from one joint to the next, and to the tip.",
+    "digit.link_mass_kg": "Mass of each link.",
+    "digit.link_radius_m": "Radius of the links, as a capsule.",
+    "digit.joint_min_deg": "Open stop of each joint.",
+    "digit.joint_max_deg": "Closed stop of each joint.",
+    "digit.joint_damping_N_m_s_per_rad": "Viscous damping of each joint.",
+    "digit.joint_armature_kg_m2": "Additional inertia of each joint: pulley and pin.",
+    "digit.spring_stiffness_N_m_per_rad": "Stiffness k of the return spring of each joint.",
+    "tendon.name": "Name of the tendon.",
+    "tendon.motor": "Motor that winds the tendon.",
+    "tendon.stiffness_N_per_m": "Stiffness of the whole path, below the knee.",
+    "tendon.damping_N_s_per_m": "Damping of the whole path.",
+    "tendon.knee_N": "Tension at which the stiffness changes.",
+    "tendon.stiffness_beyond_ratio": "Stiffness beyond the knee over the stiffness below.",
+    "tendon.knee_width_m": "Length over which the stiffness changes.",
+    "tendon.friction_coefficient": "Capstan coefficient of friction.",
+    "tendon.wrap_angle_rad": "Wrap between spool and first joint. The joint angles add to it.",
+    "tendon.rated_breaking_force_N": "Strength of the tendon by its catalogue.",
+    "tendon.tension_floor_N": "Smallest commanded tension, which keeps the tendon on its pulleys.",
+    "tendon.tension_max_N": "Largest commanded tension.",
+    "tendon.tension_trip_N": "One sample above it relaxes the hand (T03).",
+    "tendon.drive_limit_N": "Limit in the drive: `torque_max_N_m` / `spool_radius_m`. A sample above it cuts (T03b).",
+    "motor.name": "Name of the motor.",
+    "motor.protocol": "Protocol of the drive: `mit`, `odrive`, `cia402`.",
+    "motor.bus": "Bus of the drive.",
+    "motor.node_id": "Node number of the drive.",
+    "motor.spool_radius_m": "Radius of the spool to the middle of the tendon.",
+    "motor.inertia_kg_m2": "Inertia of rotor and gear.",
+    "motor.viscous_N_m_s_per_rad": "Viscous friction.",
+    "motor.coulomb_N_m": "Coulomb friction.",
+    "motor.torque_constant_N_m_per_A": "Torque per ampere.",
+    "motor.torque_max_N_m": "Torque limit that is written into the drive and read back.",
+    "motor.torque_peak_N_m": "Torque that the motor can make without its limit.",
+    "motor.position_range_rad": "Range of the position on the wire, either way.",
+    "motor.velocity_range_rad_s": "Range of the velocity on the wire, either way.",
+    "motor.zero_rad": "Spool angle of the open hand, until a calibration replaces it.",
+    "motor.watchdog_ms": "Time without a command after which the drive removes its torque.",
+    "move.angle_deg": "Angle of each digit [deg].",
+    "move.duration_s": "Duration of the motion [s].",
+    "hold.tension_N": "Tension of each digit [N].",
+    "hold.rate_N_per_s": "Rate of the tension [N/s].",
+}
+"""Meaning of each key whose model has none."""
+SHORTER = {"a name of letters, digits and _ that begins with a letter": "a name", "a whole number from 1 to 1": "1"}
+"""Shorter forms of the messages of validators. The page defines a name."""
+
+
+def hand_file() -> str:
+    """Return a section per table of a hand file, with a row per key."""
+    parts = ["## The file", _keys(Hand, "hand")]
+    for name, field in Hand.model_fields.items():
+        models = [part for part in _parts(field.annotation) if isinstance(part, type) and issubclass(part, BaseModel)]
+        for model in models:
+            brackets = f"[[{name}]]" if get_origin(field.annotation) is tuple else f"[{name}]"
+            parts += [f"## `{brackets}`", prose(model.__doc__), _keys(model, name)]
+    return "\n\n".join(parts)
+
+
+def _keys(model: type[BaseModel], section: str) -> str:
+    """Return a table of the keys of a model."""
+    rows = [(code(field.alias or name), *_row(field, f"{section}.{field.alias or name}"))
+            for name, field in model.model_fields.items()]  # fmt: skip
+    return table(("key", "value", "required", "meaning"), rows)
+
+
+def _row(field: FieldInfo, key: str) -> tuple[str, str, str]:
+    """Return value, necessity and meaning of a key.
+
+    Raises:
+        KeyError: the key has no meaning here and in its model.
+    """
+    required = "yes" if field.is_required() else "no"
+    annotation = Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation
+    return value_text(annotation), required, prose(field.description) or MEANINGS[key]
+
+
+def _parts(annotation: Any) -> Iterator[Any]:
+    """Yield the types within an annotation."""
+    arguments = get_args(annotation)
+    if not arguments:
+        yield annotation
+    for part in arguments:
+        yield from _parts(part)
+
+
+def value_text(annotation: Any) -> str:
+    """Return the valid values of a type in words.
+
+    A type with a range has no readable form of it. Its validator is given a wrong value, and the
+    message contains the range.
+    """
+    origin = get_origin(annotation)
+    arguments = [part for part in get_args(annotation) if part is not NoneType]
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return "a table"
+    if origin is tuple:
+        return _list_text(arguments)
+    if origin is UnionType or NoneType in get_args(annotation):
+        return " or ".join(map(value_text, arguments))
+    if origin is dict:
+        return f"a table of {value_text(arguments[1])}"
+    if origin is Annotated and (get_origin(arguments[0]) is tuple or NoneType in get_args(arguments[0])):
+        return value_text(arguments[0])
+    return _expected(annotation)
+
+
+def _list_text(arguments: list[Any]) -> str:
+    """Return the valid values of a tuple in words."""
+    inner = value_text(arguments[0])
+    if inner == "a table":
+        return "tables"
+    count = "" if Ellipsis in arguments else f"{len(arguments)} values, "
+    return f"a list of lists, {inner}" if get_origin(arguments[0]) is tuple else f"a list, {count}each {inner}"
+
+
+def _expected(annotation: Any) -> str:
+    """Return the expected value by the message of a type's validator."""
+    try:
+        TypeAdapter(annotation).validate_python(object())
+    except ValidationError as error:
+        text = str(error.errors()[0].get("ctx", {}).get("right") or error.errors()[0]["msg"])
+        return SHORTER.get(text, text)
+    return "any value"
+
+
+def gains() -> str:
+    """Return a section per table of a gains file, with bounds, default and meaning of each key."""
+    parts = []
+    for section in SECTIONS:
+        model = Gains.model_fields[section].annotation
+        keys = [bound for key, bound in bounds().items() if key.startswith(f"{section}.")]
+        live = "during a run" if keys[0].live else "before a run only"
+        rows = ((code(b.key), f"{b.default:g}", str(b), prose(b.why)) for b in keys)
+        parts += [f"## `[{section}]`", f"{prose(getattr(model, '__doc__', ''))}\n\nChanges: {live}."]
+        parts.append(table(("gain", "packaged", "bounds", "meaning"), rows))
+    return "\n\n".join(parts)
+
+
+def requests() -> str:
+    """Return a section per request, with a row per field."""
+    parts = []
+    for model in get_args(Request):
+        do = get_args(model.model_fields["do"].annotation)[0]
+        rows = list(_fields(model, do))
+        parts += [f"## `{do}`", prose(model.__doc__)]
+        parts += [table(("field", "value", "default", "meaning"), rows)] if rows else []
+    return "\n\n".join(parts)
+
+
+def _fields(model: type[BaseModel], do: str) -> Iterable[tuple[str, str, str, str]]:
+    """Yield a row per field of a request that not every request has."""
+    schema = model.model_json_schema()["properties"]
+    for name, field in model.model_fields.items():
+        if name == "do" or name in RequestBase.model_fields:
+            continue
+        default = "required" if field.is_required() else f"{field.default:g}"
+        yield code(name), _bounds_text(schema[name]), default, prose(field.description) or MEANINGS[f"{do}.{name}"]
+
+
+def _bounds_text(schema: dict[str, Any]) -> str:
+    """Return the valid values of a JSON schema in words."""
+    if schema.get("type") == "object":
+        return f"a table, each {_bounds_text(schema['additionalProperties'])}"
+    limits = {"minimum": "at least", "exclusiveMinimum": "more than", "maximum": "at most", "exclusiveMaximum": "below"}
+    texts = [f"{words} {schema[key]:g}" for key, words in limits.items() if key in schema]
+    return ", ".join([f"a {schema.get('type', 'value')}", *texts])

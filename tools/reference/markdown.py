@@ -1,0 +1,66 @@
+"""Markdown of tables, and of docstrings in the google convention."""
+
+import ast
+import inspect
+import re
+import textwrap
+from collections.abc import Iterable, Sequence
+
+SECTION = re.compile(r"^(Args|Returns|Raises|Attributes|Source):\s*$|^(Source): (.*)$")
+"""Heading of a section in a docstring."""
+ENTRY = re.compile(r"^    (\*{0,2}[\w, ]+): (.*)$")
+"""First line of an argument or an exception."""
+
+
+def cell(text: object) -> str:
+    """Return a text as the content of a table cell."""
+    return " ".join(str(text).split()).replace("|", "\\|")
+
+
+def code(text: object) -> str:
+    """Return a text as code. A table cell escapes it afterwards."""
+    return "`" + " ".join(str(text).split()) + "`"
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Return a table."""
+    lines = [head, ["---"] * len(head), *([cell(value) for value in row] for row in rows)]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def prose(text: str | None) -> str:
+    """Return a docstring as prose, with the double backquotes of Python replaced."""
+    return inspect.cleandoc(text or "").replace("``", "`")
+
+
+def docstring(value: object) -> str:
+    """Return the docstring of an object as Markdown, with lists for its arguments, results and errors."""
+    lines: list[str] = []
+    listing = False
+    for line in inspect.cleandoc(inspect.getdoc(value) or "").splitlines():
+        if match := SECTION.match(line):
+            listing = True
+            lines += ["", f"**{match[1] or match[2]}:** {match[3] or ''}".rstrip(), ""]
+        elif listing and (entry := ENTRY.match(line)):
+            lines.append(f"- `{entry[1]}`: {entry[2]}")
+        elif line and not line.startswith(" "):
+            listing = False
+            lines.append(line)
+        else:
+            lines.append(f"  {line.strip()}" if line.strip() and lines and lines[-1].startswith("- ") else line.strip())
+    return re.sub(r"\n{3,}", "\n\n", prose("\n".join(lines))).strip()
+
+
+def attribute_docstrings(kind: type) -> dict[str, str]:
+    """Return the docstring below each attribute of a class, as prose."""
+    body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
+    assert isinstance(body, ast.ClassDef)
+    texts: dict[str, str] = {}
+    name = ""
+    for node in body.body:
+        match node:
+            case ast.Assign(targets=[ast.Name(id=name)]) | ast.AnnAssign(target=ast.Name(id=name)):
+                continue
+            case ast.Expr(value=ast.Constant(value=str(text))) if name:
+                texts[name] = prose(text)
+    return texts

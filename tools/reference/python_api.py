@@ -1,0 +1,65 @@
+"""Block about the Python API, generated from the names that ``handctl`` exports."""
+
+import inspect
+from collections.abc import Iterator
+
+import handctl
+from tools.reference.markdown import docstring
+
+
+def names() -> str:
+    """Return a section per exported name: functions first, then classes, then errors."""
+    exported = [getattr(handctl, name) for name in handctl.__all__]
+    errors = [value for value in exported if isinstance(value, type) and issubclass(value, Exception)]
+    classes = [value for value in exported if isinstance(value, type) and value not in errors]
+    functions = [value for value in exported if value not in errors and value not in classes]
+    parts = ["## Functions"]
+    for function in functions:
+        parts += [f"### handctl.{function.__name__}", _signature(function), docstring(function)]
+    parts.append("## Classes")
+    for kind in classes:
+        parts += [f"### handctl.{kind.__name__}", docstring(kind), *_methods(kind)]
+    parts.append("## Errors")
+    for error in errors:
+        bases = ", ".join(f"`{base.__name__}`" for base in error.__bases__)
+        parts += [f"### handctl.{error.__name__}", f"A kind of {bases}.", docstring(error)]
+    return "\n\n".join(parts)
+
+
+def _methods(kind: type) -> Iterator[str]:
+    """Yield a section per public method or property of a class."""
+    for name, member in vars(kind).items():
+        if name.startswith("_"):
+            continue
+        if isinstance(member, property):
+            yield from (f"#### {kind.__name__}.{name}", docstring(member))
+        elif inspect.isfunction(member):
+            yield from (f"#### {kind.__name__}.{name}", _signature(member), docstring(member))
+
+
+def _signature(function: object) -> str:
+    """Return the signature of a function as code, an argument a line if it is long."""
+    assert inspect.isfunction(function)
+    signature = inspect.signature(function)
+    shown = [p for p in signature.parameters.values() if p.name != "self"]
+    name, result = function.__name__, inspect.formatannotation(signature.return_annotation)
+    result = result.strip("'")
+    flat = str(signature.replace(parameters=shown, return_annotation=inspect.Signature.empty))
+    flat = flat.replace("collections.abc.", "").replace("typing.", "")
+    line = f"{name}{flat} -> {result}"
+    if len(line) > 90:
+        inner = flat[1:-1].replace(", ", ",\n    ")
+        # Commas within brackets of a type do not separate arguments.
+        line = f"{name}(\n    {_rejoined(inner)},\n) -> {result}"
+    return f"```python\n{line}\n```"
+
+
+def _rejoined(text: str) -> str:
+    """Join the lines of a signature that end within brackets."""
+    lines: list[str] = []
+    for line in text.split(",\n    "):
+        if lines and lines[-1].count("[") > lines[-1].count("]"):
+            lines[-1] += f", {line}"
+        else:
+            lines.append(line)
+    return ",\n    ".join(lines)

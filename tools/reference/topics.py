@@ -1,0 +1,105 @@
+"""Blocks about the topics of a log, generated from the topics that a run of the packaged hand registers."""
+
+from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS, Telemetry
+from handctl.hand.load import load_hand
+from handctl.log.export.tables import unit
+from handctl.log.header import RunHeader
+from handctl.log.message_types import DEFINITIONS
+from handctl.log.topics.state_topics import ESTIMATES, JOINT_STATES
+from handctl.log.topics.topic_set import Topics
+from tools.reference.markdown import attribute_docstrings, code, table
+
+TICK = "every tick"
+CONTENT = {
+    "/robot_description": ("at the start", "URDF of the hand"),
+    "/controller/names": ("at the start", "names of the columns of `/controller/values`: `field/name`"),
+    "/controller/values": (TICK, "all telemetry of the tick, see below"),
+    "/controller/mode": ("at a change", "mode of the hand"),
+    "/controller/snapshot": ("every second", "whole state of the controller, for the code that wrote it"),
+    "/tick": (TICK, "the tick as it happened: times [ns], frames, requests, events, hash of the state"),
+    "/tick/chain": (TICK, "hash over this tick and the hash before it"),
+    "/tf_static": ("at the start", "fixed frames [m]"),
+    "/tf": ("50 Hz", "pose of each link [m, quaternion] by the estimated angles"),
+    "/rosout": ("per event", "events as text, faults included"),
+    "/parameter_events": ("at a change", "gains at the start and after each change"),
+    "/grasp/phase": ("at a change", "phase of the task"),
+    "/safety/action": ("at a change", "largest reaction that a fault demands"),
+    "/cycle": (TICK, "period, lateness, age of the feedback [s], missed ticks"),
+    "/can/rx": ("per frame", "received classical frames of all buses, `frame_id` is the bus"),
+    "/can/rx_fd": ("per frame", "received CAN FD frames"),
+    "/can/tx": ("per frame", "sent classical frames"),
+    "/can/tx_fd": ("per frame", "sent CAN FD frames"),
+    "/diagnostics": ("1 Hz and at a change", "state of motors, buses and controller"),
+    "/clock_pairs": ("every 10 s", "wall clock and monotonic clock [ns]"),
+    "/fingertip/DIGIT/wrench": (TICK, "tip-equivalent force of the object on the digit [N], in the frame of the tip"),
+    "/actuator/MOTOR/temperature": ("5 Hz", "temperature of the drive [degC]"),
+}
+"""Rate and content of each topic whose fields are not telemetry."""
+SHOWN = ("handctl_msgs/", "sensor_msgs/JointState", "pal_statistics_msgs/StatisticsValues")
+"""Message types whose definition the page prints."""
+
+
+def registered() -> dict[str, tuple[str, str]]:
+    """Return message type and note of each topic of the packaged hand, with a placeholder for its names."""
+    hand = load_hand("jamia")
+    header = RunHeader.of_hand(hand.to_toml(), 2_000_000)
+    made = Topics(header)
+    types = {schema.id: schema.name for schema in made.schemas}
+    return {
+        _placeholder(channel.topic, header): (types[channel.schema_id], channel.metadata.get("note", ""))
+        for channel in made.channels
+    }
+
+
+def _placeholder(topic: str, header: RunHeader) -> str:
+    """Replace the name of a digit or motor in a topic."""
+    names = dict.fromkeys(header.digits, "DIGIT") | dict.fromkeys(header.motors, "MOTOR")
+    return "/".join(names.get(word, word) for word in topic.split("/"))
+
+
+def topics() -> str:
+    """Return a table of all topics: message type, rate, content with units."""
+    rows = ((code(topic), code(kind), *content(topic, note)) for topic, (kind, note) in sorted(registered().items()))
+    return table(("topic", "message type", "rate", "content"), rows)
+
+
+def content(topic: str, note: str) -> tuple[str, str]:
+    """Return rate and content of a topic.
+
+    Raises:
+        KeyError: the topic has no text here.
+    """
+    if topic in JOINT_STATES:
+        axis, *fields = JOINT_STATES[topic]
+        parts = [
+            f"{part} `{field}` [{_unit(field)}]"
+            for part, field in zip(("position:", "velocity:", "effort:"), fields, strict=True)
+            if field
+        ]
+        text = f"per {axis}, {', '.join(parts)}"
+        return TICK, f"{text}. {note[0].upper()}{note[1:]}" if note else text
+    if topic in ESTIMATES:
+        field, unit = ESTIMATES[topic]
+        return TICK, f"`{field}` per {TELEMETRY_AXES[field]} with its variance [{unit}, {unit}²]"
+    return CONTENT[topic]
+
+
+def message_types() -> str:
+    """Return the definitions of handctl's own message types, and of the two that most topics use."""
+    parts = []
+    for name, definition in DEFINITIONS.items():
+        if name.startswith(SHOWN):
+            parts += [f"### {name}", f"```text\n{definition.strip()}\n```"]
+    return "\n\n".join(parts)
+
+
+def telemetry() -> str:
+    """Return a table of the telemetry fields, in the order of `/controller/values`."""
+    meanings = attribute_docstrings(Telemetry)
+    rows = ((code(field), TELEMETRY_AXES[field], _unit(field), meanings[field]) for field in TELEMETRY_FIELDS)
+    return table(("field", "per", "unit", "meaning"), rows)
+
+
+def _unit(field: str) -> str:
+    """Return the unit of a telemetry field, or of the torque that the log derives from it."""
+    return "N m" if field == "tendon_torque" else unit(f"{field}/x")
