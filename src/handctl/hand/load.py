@@ -1,23 +1,27 @@
 """Loading of hands: packaged or from a file, each section validated, then the whole checked."""
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 from pydantic import ValidationError
 
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.file.checks import check_hand
-from handctl.hand.file.error_text import Mistake, in_file, shown, validation_mistakes
-from handctl.hand.file.templates import RESOLVED, WRITTEN, resolve
+from handctl.hand.file.checks import check_hand, check_sections
+from handctl.hand.file.error_text import Mistake, grouped, in_file, shown, validation_mistakes
+from handctl.hand.file.sections import Digit, Section, Tendon
+from handctl.hand.file.templates import RESOLVED, WRITTEN, Origins, of_default, resolve
+from handctl.hand.readiness import unready
 
 SCHEMAS = (RESOLVED, WRITTEN)
 """Supported versions of the hand file's format."""
 HANDS = Path(__file__).parent / "hands"
 """Folder of the packaged hand files."""
+Validated = TypeVar("Validated", bound=Section)
 
 
 def packaged_hands() -> tuple[str, ...]:
@@ -145,10 +149,46 @@ def examined(content: Mapping[str, Any]) -> tuple[Hand | None, list[Mistake]]:
     try:
         hand = Hand.model_validate(resolved.content)
     except ValidationError as error:
-        mistakes += in_file(validation_mistakes(error, Hand, resolved.content), resolved.origins)
+        found = validation_mistakes(error, Hand, resolved.content)
+        if content.get("schema") == WRITTEN:
+            found = of_default(found, resolved.content)
+        found += check_sections(_valid(resolved.content, "digit", Digit), _valid(resolved.content, "tendon", Tendon))
     else:
-        mistakes += in_file(check_hand(hand), resolved.origins)
+        # What a mistaken template leaves out has consequences for the whole hand.
+        found = [] if mistakes else list(check_hand(hand))
+    mistakes += in_file(found, resolved.origins)
     return (None, mistakes) if mistakes else (hand, [])
+
+
+class Inspected(NamedTuple):
+    """Findings in a hand file.
+
+    Attributes:
+        hand: the hand, or None if the content is not valid.
+        mistakes: all mistakes that a run refuses. A valid hand can have mistakes as well.
+        origins: key path in the file by key path in the resolved content.
+    """
+
+    hand: Hand | None
+    mistakes: list[Mistake]
+    origins: Origins
+
+
+def inspect(content: Mapping[str, Any]) -> Inspected:
+    """Validate parsed content, and find all mistakes that a run refuses."""
+    hand, mistakes = examined(content)
+    origins = resolve(content).origins if content.get("schema") == WRITTEN else {}
+    if hand is not None:
+        mistakes = in_file(unready(hand), origins)
+    return Inspected(hand, grouped(mistakes), origins)
+
+
+def _valid(content: Mapping[str, Any], kind: str, model: type[Validated]) -> Iterator[Validated]:
+    """Yield the sections of a kind that are valid by themselves."""
+    sections = content.get(kind)
+    for section in sections if isinstance(sections, list | tuple) else ():
+        with suppress(ValidationError):
+            yield model.model_validate(section)
 
 
 def _choice(names: tuple[str, ...]) -> str:

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from handctl.hand.description import Hand
+from handctl.hand.file.error_text import listed
 
 MARGIN = 1.5
 """Required ratio of ``rated_breaking_force_N`` to the peak tension of a runaway."""
@@ -46,7 +47,7 @@ def strength_warnings(hand: Hand) -> tuple[str, ...]:
             if rated < MARGIN * torque:
                 text = f"a runaway at torque_peak_N_m loads it with {torque:.3g} N m, and {rated:g} N m is its rating"
                 rows.setdefault(text, []).append(joint)
-    return tuple(f"{_names(names)}: {text}" for text, names in rows.items())
+    return tuple(f"{listed(names)}: {text}" for text, names in rows.items())
 
 
 def _too_strong(key: str, force: float, strength: float, spool: float) -> str:
@@ -71,8 +72,3 @@ def _joint_loads(hand: Hand, digit: str) -> Iterable[tuple[str, float, float]]:
     peaks = np.array([runaway_tension(motor.torque_peak_N_m / motor.spool_radius_m) for motor in motors])
     torques = np.abs(hand.moment_arms[tendons, joints]).T @ peaks
     yield from zip(described.joints, torques.tolist(), described.joint_rated_torque_N_m, strict=True)
-
-
-def _names(names: list[str]) -> str:
-    """Join names, at most three of them in full."""
-    return ", ".join(names) if len(names) <= 3 else f"{', '.join(names[:2])} and {len(names) - 2} more"

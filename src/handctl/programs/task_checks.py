@@ -119,6 +119,28 @@ def check_tip_force(task: Task, hand: Hand, where: str) -> None:
                 raise ConfigError(problem, f"{where}: phase[{i}].tip_force_N", f"tension_N for {name}")
 
 
+def check_slip_limit(task: Task, hand: Hand, where: str) -> None:
+    """Refuse a slip limit below the tension of its hold. Slip could then raise no tension.
+
+    Args:
+        task: task that suits the hand otherwise.
+        hand: hand with the digits.
+        where: name of the file, for messages.
+
+    Raises:
+        ConfigError: A hold has a `slip_limit_N` below its `tension_N`.
+    """
+    for i, phase in enumerate(task.phase):
+        if not isinstance(phase, Hold) or phase.slip_limit_N is None or phase.tension_N is None:
+            continue
+        for name in hand.digit_names:
+            limit = for_digit(phase.slip_limit_N, name)
+            tension = for_digit(phase.tension_N, name)
+            if limit is not None and tension is not None and np.max(limit) < np.max(tension):
+                expected = f"at least tension_N of {name}, {np.max(tension):g}"
+                raise ConfigError(f"{np.max(limit):g}", f"{where}: phase[{i}].slip_limit_N", expected)
+
+
 def _extremes(phase: Move | Close | Follow, name: str) -> Iterable[float | tuple[float, ...]]:
     """Return the angles of a phase that a digit must reach: one for all its coordinates, or one for each."""
     if isinstance(phase, Follow):

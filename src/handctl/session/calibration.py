@@ -86,9 +86,7 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
     write_whole(path, text)
 
 
-def previous_identified(
-    path: Path, hand: Hand, drives: Mapping[str, str], tell: Tell = silent
-) -> IdentifiedByTendon:
+def previous_identified(path: Path, hand: Hand, drives: Mapping[str, str], tell: Tell = silent) -> IdentifiedByTendon:
     """Return the identified parameters of the previous calibration, by tendon.
 
     A new tare does not change identified parameters. The result is empty if the file is missing or unusable, or if

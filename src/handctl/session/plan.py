@@ -15,6 +15,7 @@ from handctl.drives.frame_time import MAX_BUS_LOAD, highest_rate
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
+from handctl.hand.readiness import unready
 from handctl.runtime.buses.open import check_spec, real_buses
 from handctl.session.gains import layered_gains
 from handctl.session.notices import Progress, Tell, silent, unseen
@@ -119,7 +120,7 @@ def make_plan(choice: Choice, display: "Callable[[Plan], Display] | None" = None
         ConfigError: a choice is wrong. The message has one line.
     """
     hand = load_hand(choice.hand)
-    check_load_cells(hand, str(choice.hand))
+    check_ready(hand, str(choice.hand))
     layers = layered_gains(hand, choice.gains, choice.gain, tell)
     buses = () if choice.bus is None else bus_specs(hand, choice.bus)
     _refuse_unnamed(choice, hand, buses)
@@ -147,19 +148,18 @@ def _refuse_unnamed(choice: Choice, hand: Hand, buses: Sequence[str]) -> None:
         raise ConfigError(f"no hand is named, and {real[0]} may have real motors", "--hand", right)
 
 
-def check_load_cells(hand: Hand, where: str) -> None:
-    """Refuse a hand with a tendon without a load cell. No controller arms such a hand.
+def check_ready(hand: Hand, where: str) -> None:
+    """Refuse a hand that is valid and cannot run. See ``unready``.
 
     Args:
-        hand: description of the hand to arm.
+        hand: description of the hand to run.
         where: name or file of the hand, for the message.
 
     Raises:
-        ConfigError: a tendon is missing in ``sensor_node.tendons``.
+        ConfigError: the first reason.
     """
-    if bare := [name for name in hand.tendon_names if name not in hand.sensor_node.tendons]:
-        what = f"no load cell of {', '.join(bare)}"
-        raise ConfigError(what, f"{where}: sensor_node.tendons", "every tendon: without its load cell no hand is armed")
+    for mistake in unready(hand):
+        raise mistake.error(where)
 
 
 def control_rate(requested: float | None, hand: Hand, loads: Sequence[BusLoad]) -> float:

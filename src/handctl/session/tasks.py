@@ -5,7 +5,7 @@ from pathlib import Path
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.programs.task import Task, check_task, load_task, load_trajectory, shapes
-from handctl.programs.task_checks import check_joint_range, check_speed, check_tip_force
+from handctl.programs.task_checks import check_joint_range, check_slip_limit, check_speed, check_tip_force
 
 TASKS = Path(__file__).parents[1] / "tasks"
 
@@ -16,13 +16,23 @@ def find_task(name: Path, hand: Hand) -> tuple[Task, bytes]:
     Raises:
         ConfigError: the task does not exist, or its content is wrong.
     """
+    path = task_path(name)
+    task = load_task(path)
+    check_suits(task, hand, str(name))
+    return task, path.read_bytes()
+
+
+def task_path(name: Path) -> Path:
+    """Return the path of a task file, by path or by packaged name.
+
+    Raises:
+        ConfigError: the task does not exist.
+    """
     path = name if name.exists() else TASKS / name.with_suffix(".toml").name
     if not path.exists():
         packaged = ", ".join(sorted(path.name for path in TASKS.glob("*.toml")))
         raise ConfigError("no such task", str(name), f"a task file, or one of {packaged}")
-    task = load_task(path)
-    check_suits(task, hand, str(name))
-    return task, path.read_bytes()
+    return path
 
 
 def find_trajectory(path: Path, hand: Hand) -> Task:
@@ -41,9 +51,10 @@ def check_suits(task: Task, hand: Hand, where: str) -> None:
 
     Raises:
         ConfigError: the hand does not have a digit, a number of angles, a tension or an angle of the task, a move is
-            too fast, or a tip force is for an underactuated digit.
+            too fast, a tip force is for an underactuated digit, or a slip limit is below the tension.
     """
     check_task(task, hand.digit_names, min(tendon.tension_max_N for tendon in hand.tendon), where, shapes(hand))
     check_tip_force(task, hand, where)
+    check_slip_limit(task, hand, where)
     check_joint_range(task, hand, where)
     check_speed(task, hand.digit_names, where)

@@ -1,6 +1,8 @@
 """``handctl config``: show a hand with everything that follows from it, check files, or export it for other tools."""
 
 import argparse
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,24 +13,85 @@ from handctl.controller.setup import caveats, make_drives, make_sensors
 from handctl.core.gains.bounds import flat
 from handctl.core.identified import UNITS
 from handctl.drives.dbc import of_bus
+from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_path, load_hand, packaged_hands
+from handctl.hand.file.error_text import SECTION, Mistake, in_file
+from handctl.hand.load import hand_path, inspect, load_hand, packaged_hands, read_toml
 from handctl.hand.strength import strength_warnings
 from handctl.output import named_after, write_whole
+from handctl.programs.task import load_task
+from handctl.session.exit_codes import Exit
 from handctl.session.gains import LayeredGains
-from handctl.session.plan import check_design, check_load_cells, fastest
-from handctl.session.tasks import TASKS, find_task
+from handctl.session.plan import check_design, control_rate, fastest
+from handctl.session.tasks import TASKS, find_task, task_path
 
 
 def run(args: argparse.Namespace) -> int:
     """Show, check, list or export."""
     if args.what == "list":
         return _list(args.json)
+    if args.what == "check" and (errors := _errors(args)):
+        return _report_errors(args, errors)
     hand = load_hand(args.hand)
     if args.what == "export":
         return _export(args, hand)
     return _show(args, hand)
+
+
+def _errors(args: argparse.Namespace) -> list[str]:
+    """Return all errors of a hand and its files, one line each."""
+    path = hand_path(args.hand)
+    hand, mistakes, origins = inspect(read_toml(path))
+    errors = [mistake.error(str(path)) for mistake in mistakes]
+    checks: list[Callable[[], object]] = []
+    if hand is None:
+        if args.task:
+            checks.append(lambda: load_task(task_path(args.task)))
+    else:
+        checks = _checks(args, hand)
+    for check in checks:
+        try:
+            check()
+        except ConfigError as error:
+            in_hand = SECTION.fullmatch(error.where)
+            placed = in_file([Mistake(error.what, error.where, error.right)], origins)
+            errors.append(placed[0].error(str(path)) if in_hand else error)
+    places = [error.where for error in errors]
+    # An error of a later check at the same key is a consequence.
+    return [str(error) for i, error in enumerate(errors) if error.where not in places[:i]]
+
+
+def _checks(args: argparse.Namespace, hand: Hand) -> list[Callable[[], object]]:
+    """Return the checks of a valid hand and its files. Each raises a ConfigError."""
+    buses = hand.bus_names
+
+    def task() -> None:
+        """Check the task, if there is one."""
+        if args.task:
+            find_task(args.task, hand)
+
+    def calibration() -> None:
+        """Check the calibration that the user named."""
+        if args.calibration and not args.calibration.exists():
+            raise ConfigError("no such file", str(args.calibration), "a calibration to check")
+        find_calibration(args, hand)
+
+    def design() -> None:
+        """Check that the gains have a design at the rate of a run."""
+        check_design(hand, layered_gains(args, hand).gains, control_rate(None, hand, bus_loads(hand)))
+
+    drives = [partial(make_drive, motor, buses.index(motor.bus)) for motor in hand.motor]
+    return [*drives, lambda: make_drives(hand), lambda: layered_gains(args, hand), design, task, calibration]
+
+
+def _report_errors(args: argparse.Namespace, errors: list[str]) -> int:
+    """Print all errors, one line each."""
+    if args.json:
+        print_json({"file": hand_path(args.hand).name, "errors": errors})
+    for error in errors:
+        say(f"handctl: {error}", error=True)
+    return Exit.BAD_INPUT
 
 
 def _show(args: argparse.Namespace, hand: Hand) -> int:
@@ -42,9 +105,6 @@ def _show(args: argparse.Namespace, hand: Hand) -> int:
     loads = bus_loads(hand)
     rate = fastest(loads)
     load = {one.name: one.at(rate) for one in loads}
-    if args.what == "check":
-        check_load_cells(hand, str(args.hand))
-        check_design(hand, layers.gains, rate)
     source = str(hand_path(args.hand).name)
     if args.json:
         print_json(

@@ -66,7 +66,7 @@ def check_hand(hand: Hand) -> Mistakes:
     yield from wrong
     if wrong:
         return
-    wrong = [*_check_references(hand), *_check_order(hand)]
+    wrong = [*_check_references(hand)] or [*_check_order(hand)]
     yield from wrong
     if wrong:
         return

@@ -28,6 +28,8 @@ class Mistake(NamedTuple):
         return ConfigError(self.what, f"{source}: {self.where}", self.right)
 
 
+SECTION = re.compile(r"(\w+)\[([^\]]*)\](.*)", re.DOTALL)
+"""Key path within one of several sections: kind, name, and the rest."""
 EXPECTED = {
     "tuple_type": "a list",
     "dict_type": "a table",
@@ -74,13 +76,39 @@ def _unknown_key(location: Sequence[str | int], model: type[BaseModel], content:
 
 
 def in_file(mistakes: Iterable[Mistake], origins: Mapping[str, str]) -> list[Mistake]:
-    """Return mistakes of resolved content with the key paths of the file, each once.
+    """Return mistakes of resolved content with the key paths of the file.
+
+    A value of a default or template stands for many values. Its first mistake stands for all.
 
     Args:
         mistakes: mistakes with key paths of the resolved content.
         origins: key path in the file by key path in the resolved content.
     """
-    return list(dict.fromkeys(mistake._replace(where=_origin(mistake.where, origins)) for mistake in mistakes))
+    found: dict[Mistake | str, Mistake] = {}
+    for mistake in mistakes:
+        where = _origin(mistake.where, origins)
+        shared = where != mistake.where and mistake.what != "missing"
+        placed = mistake._replace(where=where)
+        found.setdefault(where if shared else placed, placed)
+    return list(found.values())
+
+
+def grouped(mistakes: Iterable[Mistake]) -> list[Mistake]:
+    """Join mistakes that differ only in the name of the section, in the order of the first of each.
+
+    The key path of several sections names at most three: ``tendon[a, b and 4 more].knee_N``.
+    """
+    names: dict[Mistake, list[str]] = {}
+    for mistake in mistakes:
+        section = SECTION.fullmatch(mistake.where)
+        pattern = mistake._replace(where=f"{section[1]}[{{}}]{section[3]}") if section else mistake
+        names.setdefault(pattern, []).append(section[2] if section else "")
+    return [pattern._replace(where=pattern.where.replace("{}", listed(found))) for pattern, found in names.items()]
+
+
+def listed(names: Sequence[str]) -> str:
+    """Join names, at most three of them in full."""
+    return ", ".join(names) if len(names) <= 3 else f"{', '.join(names[:2])} and {len(names) - 2} more"
 
 
 def _origin(path: str, origins: Mapping[str, str]) -> str:

@@ -12,7 +12,8 @@ every section has all its values. The rules, in order:
 """
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from handctl.hand.file.checks import PER_LINK
@@ -34,6 +35,8 @@ ALL = "all"
 """Value of the sensor node that stands for all tendons or all joints."""
 DEPTH = 3
 """Levels of tables that are merged. A deeper table is replaced as a whole."""
+MISSING = re.compile(r"(digit|tendon|motor)\[[^\]]*\]\.([A-Za-z_0-9]+)")
+"""Key path of a key of a section."""
 SHORT_JOINT = re.compile(r"j[0-9]+")
 
 Table = Mapping[str, Any]
@@ -67,10 +70,12 @@ def resolve(content: Table) -> Resolved:
 
     Whatever has not the form of a section also stays as it is: validation describes it better.
     """
-    if content.get("schema") != WRITTEN:
-        hint = [Mistake(f"the file has [{key}]", "schema", str(WRITTEN)) for key in _template_tables(content)]
-        return Resolved(dict(content), {}, hint[:1])
+    tables = [key for key in ("default", *TEMPLATES.values()) if key in content]
+    if content.get("schema") != WRITTEN and not tables:
+        return Resolved(dict(content), {}, [])
     resolver = _Resolver(content)
+    if content.get("schema") != WRITTEN:
+        resolver.mistakes.append(Mistake(f"the file has [{tables[0]}]", "schema", str(WRITTEN)))
     names = ("default", *TEMPLATES.values())
     resolved = {key: value for key, value in content.items() if key not in names} | {"schema": RESOLVED}
     resolver.check_tables()
@@ -148,10 +153,13 @@ class _Resolver:
 
     def shared(self, kind: str, own: Sequence[Layer]) -> Iterator[Layer]:
         """Yield the default of a kind, and the template that its own layers name."""
-        default = self.content.get("default")
-        values = default.get(kind) if isinstance(default, Mapping) else None
-        if isinstance(values, Mapping):
-            yield Layer(_without_names(values), f"default.{kind}")
+        given = self.content.get("default")
+        default: Table = given if isinstance(given, Mapping) else {}
+        for key, values in default.items():
+            # A misspelt kind has its values nevertheless: they would otherwise be reported as missing.
+            misspelt = key not in KINDS and kind not in default and nearest(key, [*KINDS]) == kind
+            if isinstance(values, Mapping) and (key == kind or misspelt):
+                yield Layer(_without_names(values), f"default.{key}")
         named = [layer for layer in own if "template" in layer.values]
         if not named:
             return
@@ -221,6 +229,24 @@ class _Resolver:
         return values
 
 
+def of_default(mistakes: Iterable[Mistake], content: Table) -> list[Mistake]:
+    """Join mistakes of a key that all sections of a kind miss. It is missing once, in the default.
+
+    Args:
+        mistakes: mistakes with key paths of the resolved content.
+        content: resolved content.
+    """
+    found = list(mistakes)
+    missing = [MISSING.fullmatch(mistake.where) if mistake.what == "missing" else None for mistake in found]
+    counts = Counter(match.groups() for match in missing if match)
+    joined: dict[Mistake, None] = {}
+    for mistake, match in zip(found, missing, strict=True):
+        if match and counts[match.groups()] == len(_tables(content.get(match[1]))) > 1:
+            mistake = Mistake("missing", f"default.{match[1]}.{match[2]}", f"a value, there or in each {match[1]}")
+        joined[mistake] = None
+    return list(joined)
+
+
 def _merged(layers: Sequence[Layer], depth: int) -> tuple[dict[str, Any], Origins]:
     """Merge layers. Later layers win, and tables are merged key by key.
 
@@ -268,11 +294,6 @@ def _with_all(node: Table, sections: Table) -> dict[str, Any]:
         ],
     }
     return dict(node) | {key: names[key] for key in names if node.get(key) == ALL}
-
-
-def _template_tables(content: Table) -> Iterator[str]:
-    """Yield the tables of a content that only schema 2 has."""
-    yield from (key for key in ("default", *TEMPLATES.values()) if key in content)
 
 
 def _without_names(values: Table) -> dict[str, Any]:

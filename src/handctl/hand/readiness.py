@@ -1,0 +1,84 @@
+"""Checks that a hand must pass before it runs, beyond those of a valid file.
+
+A valid hand can be read, simulated in part and found in a log. A hand that runs also needs buses that
+exist, digits that open, and angles that flex.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from handctl.hand.description import Hand
+from handctl.hand.file.error_text import Mistake
+from handctl.hand.file.sections import Bus, Digit
+
+FASTEST_ARBITRATION = 1_000_000
+"""Largest bit rate of classical CAN and of the arbitration phase of CAN FD [bit/s]. Source: ISO 11898-2."""
+SMALLEST_RANGE_DEG = 1.0
+"""Smallest range of a coordinate that counts as a motion [deg]."""
+
+
+def unready(hand: Hand) -> Iterator[Mistake]:
+    """Yield the reasons why a valid hand cannot run, by key."""
+    for bus in hand.bus:
+        yield from _check_rates(bus)
+    yield from _check_load_cells(hand)
+    for digit in hand.digit:
+        yield from _check_direction(digit)
+        yield from _check_opening(hand, digit)
+
+
+def _check_rates(bus: Bus) -> Iterator[Mistake]:
+    """Check that controllers can have the bit rates of a bus."""
+    where = f"bus[{bus.name}]"
+    if bus.bitrate > FASTEST_ARBITRATION:
+        right = f"at most {FASTEST_ARBITRATION}; the faster data phase of CAN FD is data_bitrate"
+        yield Mistake(f"{bus.bitrate}", f"{where}.bitrate", right)
+    elif bus.data_bitrate is not None and bus.data_bitrate < bus.bitrate:
+        yield Mistake(f"{bus.data_bitrate}", f"{where}.data_bitrate", f"at least bitrate = {bus.bitrate}")
+
+
+def _check_load_cells(hand: Hand) -> Iterator[Mistake]:
+    """Check that every tendon has a load cell."""
+    if bare := [name for name in hand.tendon_names if name not in hand.sensor_node.tendons]:
+        right = "every tendon: without its load cell no hand is armed"
+        yield Mistake(f"no load cell of {', '.join(bare)}", "sensor_node.tendons", right)
+
+
+def _check_direction(digit: Digit) -> Iterator[Mistake]:
+    """Check that a positive coordinate of a coupled digit flexes, and that its joints can follow."""
+    if digit.coupling is None:
+        return
+    where = f"digit[{digit.name}].coupling"
+    for i, column in enumerate(np.array(digit.coupling).T):
+        moved = column != 0.0
+        limits = np.array([digit.joint_min_deg, digit.joint_max_deg])[:, moved] / column[moved]
+        low = float(limits.min(axis=0).max(initial=-np.inf))
+        high = float(limits.max(axis=0).min(initial=np.inf))
+        if high - low < SMALLEST_RANGE_DEG:
+            right = "signs and sizes that leave the joints a common range within their limits"
+            yield Mistake(f"column {i} moves no joint within its limits", where, right)
+        elif low + high < 0.0:
+            yield Mistake(f"column {i} opens the digit", where, "the opposite sign: a positive coordinate flexes")
+
+
+def _check_opening(hand: Hand, digit: Digit) -> Iterator[Mistake]:
+    """Check that springs, or an extensor, open each coordinate of a digit against the tension floor."""
+    tendons = hand.digit_tendons[digit.name]
+    coupling = np.eye(len(digit.joints)) if digit.coupling is None else np.array(digit.coupling)
+    arms = hand.moment_arms[tendons, hand.digit_joints[digit.name]] @ coupling
+    floor = np.array([tendon.tension_floor_N for tendon in hand.tendon[tendons]])
+    stiffness = np.array(digit.spring_stiffness_N_m_per_rad)
+    opened = np.radians(digit.joint_min_deg) + np.array(digit.spring_preload_rad)
+    springs = coupling.T @ (stiffness * opened)
+    closing = arms.T @ floor
+    weak = (springs <= closing) & (arms.min(axis=0) >= 0.0)
+    if not weak.any():
+        return
+    # One line per digit: the joint that is held closed by most.
+    worst = int(np.argmax(np.where(weak, closing - springs, -np.inf)))
+    joint = f"j{worst + 1}" if digit.coupling is None else "the joints"
+    key = "spring_preload_rad" if stiffness.any() else "spring_stiffness_N_m_per_rad"
+    what = f"the springs open {joint} with {springs[worst]:.3g} N m at joint_min_deg"
+    right = f"more than the {closing[worst]:.3g} N m with which tension_floor_N closes"
+    yield Mistake(what, f"digit[{digit.name}].{key}", right)

@@ -1,0 +1,169 @@
+"""Typical mistakes in a hand file of schema 2: each is one line that names the key as the file has it."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from handctl.cli.main import main
+from handctl.hand.load import hand_path
+
+MISTAKES = {
+    "a value in millimetres": (
+        "link_length_m = [0.030, 0.015, 0.010]", "link_length_m = [30, 0.015, 0.010]",
+        "digit_template.finger.link_length_m[0]: 30; expected a number from ",
+    ),
+    "a misspelt key of a default": (
+        "knee_N = 200.0", "kneeN = 200.0", "default.tendon.kneeN: unknown key; expected knee_N",
+    ),
+    "a key of another section": (
+        "watchdog_ms = 50", "watchdog_ms = 50\nknee_N = 200.0",
+        "default.motor.knee_N: unknown key; expected one of name, protocol,",
+    ),
+    "a key that no section has": (
+        "wrap_angle_rad = 1.5708", "# wrap_angle_rad = 1.5708",
+        "default.tendon.wrap_angle_rad: missing; expected a value, there or in each tendon",
+    ),
+    "a template that is not there": (
+        'template = "finger"\nmount_position_m = [0.0, 0.025, 0.020]',
+        'template = "fingr"\nmount_position_m = [0.0, 0.025, 0.020]',
+        'digit[index].template: "fingr"; expected finger',
+    ),
+    "a default of an unknown section": (
+        "[default.motor]", "[default.motors]", "default.motors: unknown key; expected motor",
+    ),
+    "a name in a default": (
+        "[default.tendon]", '[default.tendon]\nname = "t"',
+        "default.tendon.name: unknown key; expected name in the section itself",
+    ),
+    "the schema before templates": (
+        "schema = 2", "schema = 1", "schema: the file has [default]; expected 2",
+    ),
+    "a schema of tomorrow": (
+        "schema = 2", "schema = 3", "schema: 3; expected 1 or 2, versions that this handctl reads",
+    ),
+    "a joint that the digit does not have": (
+        "moment_arm_m = { j1 = 0.003 } }   # 3 mm pulleys", "moment_arm_m = { j4 = 0.003 } }",
+        'digit_template.finger.tendon.t1.moment_arm_m.j4: "index_j4" is not in this file; expected one of index_j1,',
+    ),
+    "a motor that the digit does not have": (
+        'tendon.t1 = { motor = "m1", moment_arm_m = { j1 = 0.003 } }   #',
+        'tendon.t1 = { motor = "m9", moment_arm_m = { j1 = 0.003 } }   #',
+        'digit_template.finger.tendon.t1.motor: "m9" is not in this file; expected one of index_m1,',
+    ),
+    "a tendon that is no table": (
+        'tendon.t3 = { motor = "m3", moment_arm_m = { j1 = 0.003, j2 = 0.003, j3 = 0.003 } }', "tendon.t3 = 3",
+        "digit_template.finger.tendon.t3: 3; expected a table",
+    ),
+    "too few values": (
+        "link_mass_kg = [6.384e-3, 3.192e-3, 2.128e-3]", "link_mass_kg = [6.384e-3, 3.192e-3]",
+        "digit_template.finger.link_mass_kg: 2 values; expected 3, one per link_length_m",
+    ),
+    "limits in the wrong order": (
+        "tension_max_N = 110.0", "tension_max_N = 150.0",
+        "default.tendon.tension_max_N: 150; expected more than tension_floor_N = 3 N and less than tension_trip_N",
+    ),
+    "a drive that may pull more than the limit": (
+        "torque_max_N_m = 0.8 ", "torque_max_N_m = 1.0 ",
+        "default.motor.torque_max_N_m: 1; expected drive_limit_N x spool_radius_m = 0.8 N m, within 1 %",
+    ),
+    "one node number twice": (
+        "m1.node_id = 4", "m1.node_id = 1",
+        'digit[middle].motor.m1.node_id: 0x1 on bus "main" is taken; expected another identifier',
+    ),
+    "an unknown protocol": (
+        'protocol = "mit"', 'protocol = "morse"',
+        "default.motor.protocol: 'morse'; expected one of cia402, cubemars, mit, odrive",
+    ),
+    "a bus that is not there": (
+        'protocol = "mit"\nbus = "main"', 'protocol = "mit"\nbus = "can0"',
+        'default.motor.bus: "can0" is not in this file; expected one of main',
+    ),
+    "a tendon without a load cell": (
+        'tendons = "all"', 'tendons = ["index_t1"]', "sensor_node.tendons: no load cell of index_t2, index_t3,",
+    ),
+    "springs that do not open the digit": (
+        "spring_preload_rad = 0.6", "spring_preload_rad = 0.1",
+        "default.digit.spring_preload_rad: the springs open j1 with 0.009 N m at joint_min_deg; expected more than the "
+        "0.027 N m with which tension_floor_N closes",
+    ),
+    "a coupling of the wrong sign": (
+        "spring_stiffness_N_m_per_rad = [0.09, 0.06, 0.03]        # 3:2:1 biases all three tendons equally",
+        "spring_stiffness_N_m_per_rad = [0.09, 0.06, 0.03]\ncoupling = [[-1.0], [-1.0], [-1.0]]",
+        "digit_template.finger.coupling: column 0 opens the digit; expected the opposite sign: a positive coordinate",
+    ),
+    "8 Mbit/s without CAN FD": (
+        "bitrate = 1_000_000", "bitrate = 8_000_000", "bus[main].bitrate: 8000000; expected at most 1000000; the",
+    ),
+    "a data phase slower than the arbitration": (
+        "bitrate = 1_000_000", "bitrate = 1_000_000\ndata_bitrate = 500_000",
+        "bus[main].data_bitrate: 500000; expected at least bitrate = 1000000",
+    ),
+}  # fmt: skip
+"""Text of jamia11, what a person wrote instead, and the beginning of the line."""
+
+def spoilt(place: Path, *edits: tuple[str, str]) -> None:
+    """Write mine.toml: jamia11 with texts replaced."""
+    text = hand_path("jamia11").read_text("utf-8")
+    for old, new in edits:
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    (place / "mine.toml").write_text(text)
+
+
+def lines(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
+    """Return the error lines of `config check` without the name of the file."""
+    assert main(["config", "check", "--hand", "mine.toml", *words]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    return [line.removeprefix("handctl: ").removeprefix("mine.toml: ") for line in err.splitlines()]
+
+
+@pytest.mark.parametrize("case", MISTAKES)
+def test_a_mistake_is_one_line_that_names_the_key(place: Path, capsys: pytest.CaptureFixture[str], case: str) -> None:
+    old, new, start = MISTAKES[case]
+    spoilt(place, (old, new))
+    found = lines(capsys)
+    assert found[0].startswith(start)
+    assert len(found) == 1, found
+    assert all("expected" in line for line in found)
+
+
+def test_all_mistakes_come_at_once(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cases = ("a misspelt key of a default", "a default of an unknown section", "a template that is not there")
+    spoilt(place, *[MISTAKES[case][:2] for case in cases], ("m2.node_id = 5", "m2.node_id = 500"))
+    found = lines(capsys)
+    starts = [MISTAKES[case][2] for case in cases] + ["digit[middle].motor.m2.node_id: 500"]
+    for start in starts:
+        assert len([line for line in found if line.startswith(start)]) == 1, start
+
+
+def test_mistakes_of_the_files_beside_the_hand_come_too(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    spoilt(place, ("bitrate = 1_000_000", "bitrate = 8_000_000"))
+    (place / "task.toml").write_text(
+        'schema = 1\nname = "t"\n[[phase]]\nkind = "hold"\ntension_N = 40.0\nslip_limit_N = 30.0\n'
+    )
+    found = lines(capsys, "--task", "task.toml", "--gain", "motion.force_N=-1", "--calibration", "no.toml")
+    starts = ("bus[main].bitrate: 8000000", "task.toml: phase[0].slip_limit_N: 30; expected at least tension_N of")
+    for start in (*starts, "--gain: motion.force_N", "no.toml: no such file"):
+        assert len([line for line in found if line.startswith(start)]) == 1, found
+
+
+def test_what_several_sections_have_in_common_is_one_line(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    numbers = "[0.015, 0.010]"
+    spoilt(place, (f"link_length_m = {numbers}", ""), ("m1.node_id = 10,", "m1 = { node_id = 10, direction = 0 },"))
+    assert lines(capsys)[0] == "digit[thumb].link_length_m: missing; expected a value"
+
+
+def test_json_has_the_same_lines(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    spoilt(place, MISTAKES["one node number twice"][:2])
+    assert main(["config", "check", "--json", "--hand", "mine.toml"]) == 2
+    out, err = capsys.readouterr()
+    assert [f"handctl: {line}" for line in json.loads(out)["errors"]] == err.splitlines()
+
+
+@pytest.mark.parametrize("case", ["springs that do not open the digit", "8 Mbit/s without CAN FD"])
+def test_a_run_refuses_it_too(place: Path, capsys: pytest.CaptureFixture[str], case: str) -> None:
+    spoilt(place, MISTAKES[case][:2])
+    assert main(["run", "--hand", "mine.toml", "--bus", "local:nobody", "--task", "grasp", "--dry-run"]) == 2
+    assert "mine.toml: " in capsys.readouterr().err
