@@ -82,14 +82,14 @@ def test_a_table_of_rich_escapes_its_cells_and_keeps_its_own_codes(monkeypatch):
     table = Table(f"head{ESCAPES}")
     table.add_row(f"cell{ESCAPES}")
     table.add_row(Text(f"text{ESCAPES}"))
-    console = screen(least=80)
+    console = screen(min_width=80)
     console.file = io.StringIO()
     console.print(table)
     console.print(f"line{ESCAPES}")
     assert is_harmless(console.file.getvalue())
     assert console.file.getvalue().count("\\x1b[2J") == 4
     monkeypatch.setenv("FORCE_COLOR", "1")
-    console = screen(least=80)
+    console = screen(min_width=80)
     console.file = io.StringIO()
     console.print(Text(f"red{ESCAPES}", style="red"))
     assert console.file.getvalue().startswith("\x1b[31m"), "rich colours"

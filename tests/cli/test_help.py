@@ -207,5 +207,5 @@ def test_a_line_of_a_run_names_the_tendons(capsys, monkeypatch):
     head = {"names": ["thumb_tendon", "index_tendon"], "ceiling": [80.0, 80.0], "rate_hz": 500.0, "load": 0.4}
     line = {"k": 0, "t": 1.0, "mode": "ACTIVE", "phase": "hold", "tension": [3.0, 12.25], "events": []}
     monkeypatch.setattr(sys, "stdin", io.StringIO(json.dumps(line) + "\n"))
-    display._plain(head)
+    display._print_lines(head)
     assert capsys.readouterr().out.endswith("tension [N]  thumb 3.0  index 12.2\n")

@@ -1,0 +1,45 @@
+"""Lines that an operator sees while a hand runs, from the display process itself."""
+
+from handctl.campaign.stage import started
+from handctl.cli.console.display import Display
+from handctl.core.types import Event, Mode
+from handctl.hand.load import load_hand
+from handctl.safety.faults.table import BY_ID, remedy
+
+RATE_HZ = 500.0
+
+
+def test_the_first_line_of_a_fault_is_followed_by_its_remedy(capfd) -> None:
+    """A drive that loses power in motion latches faults. The terminal names the remedy of each fault once."""
+    hand = load_hand("jamia")
+    with started(hand, RATE_HZ, 1) as simulation:
+        assert simulation.until(lambda out: out.mode == Mode.ACTIVE, 3.0), simulation.state.failure
+        display = Display.start(hand, RATE_HZ, 0.5)
+        simulation.peer.inject("off node=index_motor")
+        for _ in range(round(0.5 * RATE_HZ)):
+            simulation.tick()
+            display.show(*simulation.recorded[-1])
+        display.close()
+    faults = [event for _, out in simulation.recorded for event in out.events if event.name == "fault"]
+    errors = {event.text for event in faults if event.level == "error"}
+    assert errors, "the fault was not detected"
+    lines = capfd.readouterr().err.splitlines()
+    for text in errors:
+        assert remedy(text) == BY_ID[text.split()[0]].remedy
+        first = next(i for i, line in enumerate(lines) if line.endswith(f"error  {text}"))
+        assert lines[first + 1].strip() == f"what to do: {remedy(text)}"
+    for advice in {remedy(event.text) for event in faults}:
+        assert sum(line.endswith(f"what to do: {advice}") for line in lines) <= 1
+
+
+def test_only_a_fault_has_a_remedy(capfd) -> None:
+    """An event of another name prints no second line, even if its text begins with the id of a fault."""
+    display = Display(("index_tendon",), (80.0,), RATE_HZ, 0.5)
+    try:
+        fault = next(fault for fault in BY_ID.values() if fault.remedy)
+        text = f"{fault.id} {fault.title}"
+        assert display._advised(Event("info", "mode", "", text)) == text
+        assert display._advised(Event("error", "fault", "", text)).endswith(f"what to do: {fault.remedy}")
+        assert display._advised(Event("error", "fault", "", text)) == text
+    finally:
+        display.close()
