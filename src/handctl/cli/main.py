@@ -1,7 +1,7 @@
 # PYTHON_ARGCOMPLETE_OK: a shell with global completion asks this program
-"""The command line: a table of verbs. What one takes is in ``arguments`` of its folder, what it does in its own module.
+"""Entry point and table of verbs. The arguments of a verb are in ``arguments`` of its folder, its code in its module.
 
-Only the arguments are imported for help and for mistakes, so that they come at once.
+Help and errors in the arguments import only the arguments, so that they appear at once.
 """
 
 import errno
@@ -85,13 +85,13 @@ GROUPS = {
         },
     ),
 }
-"""Verbs in groups, by the folder of their modules."""
+"""Groups of verbs by the folder of their modules."""
 VERBS = {name: text for group in GROUPS.values() for name, text in group.verbs.items()}
-"""Each verb with one line of help."""
+"""One line of help by verb."""
 FOLDERS = {folder: tuple(group.verbs) for folder, group in GROUPS.items()}
-"""Folder of each verb's module."""
+"""Verbs by the folder of their modules."""
 VOLUME = {"-v", "--verbose", "-q", "--quiet"}
-"""Options that may stand before the verb as well."""
+"""Options that are also allowed before the verb."""
 
 EPILOG = """exit codes:
   0 done, 1 failed, 2 bad input, 3 lossy log, 4 not comparable, 70 internal error, 71 remove power,
@@ -106,11 +106,11 @@ example:
 WRONG_NAME = {
     errno.ENOENT, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.ENOTEMPTY, errno.ENAMETOOLONG, errno.ELOOP,
 }  # fmt: skip
-"""Where a person gave a name that cannot be; every other failure of a file is the machine's."""
+"""Error numbers of a wrong file name from the user. Every other failure of a file has its cause in the machine."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point of ``handctl``; what goes wrong becomes one line and an exit code."""
+    """Run ``handctl`` with a command line. An error becomes one line and an exit code."""
     words = list(sys.argv[1:] if argv is None else argv)
     if argv is None:
         if is_completing():
@@ -122,7 +122,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _exit_code(words: list[str]) -> int:
-    """Carry out a command line; its exit code, also of what goes wrong."""
+    """Run a command line and return its exit code. An error is printed and gives its exit code."""
     try:
         with terminate_on_signals():
             check_words(words)
@@ -143,7 +143,7 @@ def _exit_code(words: list[str]) -> int:
         give_up_output()
         return Exit.DONE
     except OSError as error:
-        nameless = "the working folder: " if error.errno == errno.ENOENT else ""  # it has been taken away
+        nameless = "the working folder: " if error.errno == errno.ENOENT else ""  # the folder was deleted
         where = f"{error.filename}: " if error.filename else nameless
         text = f"{where}{error.strerror or error}"
         return _report_error(text, Exit.BAD_INPUT if error.errno in WRONG_NAME else Exit.FAILED)
@@ -154,7 +154,7 @@ def _exit_code(words: list[str]) -> int:
 
 
 def _run(words: list[str]) -> int:
-    """Carry out a command line and return its exit code."""
+    """Run a command line and return its exit code. Errors are raised."""
     while words[1:] and words[0] in VOLUME and words[1] in VERBS.keys() | VOLUME:
         words = [words[1], words[0], *words[2:]] if words[1] in VERBS else words[1:]
     if words and words[0] in VERBS:
@@ -194,7 +194,7 @@ def _version() -> str:
 
 
 def _folder(name: str) -> str:
-    """Return the folder in which a verb has its module."""
+    """Return the folder of a verb's module."""
     return next(folder for folder, verbs in FOLDERS.items() if name in verbs)
 
 
@@ -205,7 +205,8 @@ def _arguments(name: str) -> Any:
 
 def verb_parser(name: str) -> Parser:
     """Return the parser of a verb."""
-    text, example = VERBS[name], _arguments(name).EXAMPLES[name]
+    text = VERBS[name]
+    example = _arguments(name).EXAMPLES[name]
     parser = Parser(prog=f"handctl {name}", description=f"{text[0].upper()}{text[1:]}.", epilog=example.epilog())
     getattr(_arguments(name), name)(parser)
     return parser
@@ -222,7 +223,7 @@ def whole_parser() -> Parser:
 
 
 def _run_verb(name: str, words: list[str]) -> int:
-    """Run one verb."""
+    """Run one verb and return its exit code."""
     args = verb_parser(name).parse_args(words)
     with use_verbosity(args):
         require(name, *optional_packages(name, args))
@@ -241,6 +242,6 @@ def _run_verb(name: str, words: list[str]) -> int:
 
 
 def _report_error(error: HandctlError | str, code: Exit) -> int:
-    with suppress(OSError):  # the code tells, too
+    with suppress(OSError):  # without a readable standard error, the exit code still reports the error
         print(f"handctl: {message(str(error))}", file=sys.stderr)
     return code

@@ -1,1 +1,1 @@
-"""Verbs that look before a hand is run: files, machine, buses, drives."""
+"""Verbs that check files, machine, buses and drives before a run."""

@@ -1,4 +1,4 @@
-"""What the verbs take. What they do, and all that it needs, is imported only when one is carried out."""
+"""Arguments of the verbs. The code of a verb and its imports are loaded only when the verb runs."""
 
 import argparse
 from pathlib import Path
@@ -34,7 +34,7 @@ EXAMPLES = {
 
 
 def config(parser: Parser) -> None:
-    """Declare what ``config`` takes."""
+    """Declare the arguments of ``config``."""
     kinds = parser.add_subparsers(dest="what", required=True, metavar="show|check|list|export")
 
     def kind(name: str, text: str) -> Parser:
@@ -61,7 +61,7 @@ def _files(parser: argparse.ArgumentParser) -> None:
 
 
 def bus(parser: Parser) -> None:
-    """Declare what ``bus`` takes."""
+    """Declare the arguments of ``bus``."""
     kinds = parser.add_subparsers(dest="what", required=True, metavar="plan|doctor")
     text = "compute the worst-case load of each bus of a hand, stuff bits included"
     plan = add_sub_verb(kinds, "plan", text, EXAMPLES["bus plan"])
@@ -78,7 +78,7 @@ def bus(parser: Parser) -> None:
 
 
 def scan(parser: argparse.ArgumentParser) -> None:
-    """Declare what ``scan`` takes."""
+    """Declare the arguments of ``scan``."""
     bus_option(parser)
     json_option(parser)
     parser.add_argument("--dry-run", action="store_true", help="print every frame that may be sent, open no bus")
@@ -87,7 +87,7 @@ def scan(parser: argparse.ArgumentParser) -> None:
 
 
 def conformance(parser: argparse.ArgumentParser) -> None:
-    """Declare what ``conformance`` takes."""
+    """Declare the arguments of ``conformance``."""
     add = parser.add_argument
     add("--protocol", required=True, choices=sorted(DRIVE_PROTOCOLS), help="of the drive")
     add("--node", required=True, type=lambda word: int(word, 0), metavar="N", help="its number on the bus")
@@ -102,5 +102,5 @@ def conformance(parser: argparse.ArgumentParser) -> None:
 
 
 def doctor(parser: argparse.ArgumentParser) -> None:
-    """Declare what ``doctor`` takes."""
+    """Declare the arguments of ``doctor``."""
     json_option(parser)

@@ -1,6 +1,6 @@
-"""``handctl bus``: what a hand's buses must carry, and how the buses here are.
+"""``handctl bus``: plan the load of a hand's buses, or check the buses of this machine.
 
-The arguments are declared here; what does it is imported when it is asked for, because only the plan knows controllers.
+The module of a sub-verb is imported only when that sub-verb runs, because only ``plan`` needs the controller.
 """
 
 import argparse
@@ -8,6 +8,6 @@ import importlib
 
 
 def run(args: argparse.Namespace) -> int:
-    """Plan, or look."""
+    """Run the selected sub-verb and return its exit code."""
     done: int = importlib.import_module(f"handctl.cli.checks.bus_{args.what}").run(args)
     return done

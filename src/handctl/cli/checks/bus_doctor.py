@@ -1,4 +1,4 @@
-"""``handctl bus doctor``: each bus from its interface to its nodes, with the command that mends what is wrong."""
+"""``handctl bus doctor``: check each bus from its interface to its nodes, with a command that repairs each finding."""
 
 import argparse
 from collections.abc import Sequence
@@ -23,14 +23,14 @@ from handctl.session.exit_codes import Exit
 
 BUSY = "is the machine busy, or the adapter's latency timer long? handctl doctor tells priorities"
 SLOW_S = 0.005
-"""A median answer later than this leaves no room in a tick of 200 Hz."""
+"""Maximum median round-trip time [s]: the period of 200 Hz."""
 
 
 def run(args: argparse.Namespace) -> int:
-    """Look at the buses of the command line; 1 if something is to be mended.
+    """Check the buses of the command line. Return 1 if a finding needs a repair.
 
     Args:
-        args: hand (whose bit rates and motors are expected; None: any), bus, bitrate, data_bitrate, json.
+        args: arguments with hand (expected bit rates and motors, None for any), bus, bitrate, data_bitrate, json.
     """
     hand = load_hand(args.hand) if args.hand else None
     if not args.bus:
@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _expected_buses(args: argparse.Namespace, hand: Hand | None) -> Sequence[tuple[str, BusSection]]:
-    """Specification of each bus, and what it should be."""
+    """Return the specification of each bus with its expected name and bit rates."""
     if hand is not None:
         from handctl.session.plan import bus_specs
 
@@ -55,7 +55,7 @@ def _expected_buses(args: argparse.Namespace, hand: Hand | None) -> Sequence[tup
 
 
 def _examine(spec: str, expected: BusSection, hand: Hand | None) -> dict[str, Any]:
-    """One bus: interface, then nodes if it can be used."""
+    """Check the interface of a bus, then its nodes if the interface works. Return the fields of the JSON result."""
     note(f"{spec}: looking")
     kind, _, channel = spec.partition(":")
     rows = _interface(channel, expected) if kind == "socketcan" else []
@@ -84,7 +84,7 @@ def _interface(channel: str, expected: BusSection) -> list[Finding]:
 def _nodes(
     spec: str, expected: BusSection, hand: Hand | None
 ) -> tuple[list[Finding], list[tuple[DiscoveredNode, RoundTrip]]]:
-    """Open the bus, look for drives, and time their answers."""
+    """Open the bus, scan for drives, and measure their round-trip times."""
     try:
         bus = open_bus(spec, 0, expected.bitrate, expected.data_bitrate)
     except BusError as error:
@@ -109,7 +109,7 @@ def _timed(bus: Bus, result: Scan) -> list[tuple[DiscoveredNode, RoundTrip]]:
 
 
 def _events(result: Scan) -> list[Finding]:
-    """What happened to the bus meanwhile."""
+    """Return a finding for each bus event during the scan."""
     return [Finding(f"while asking: {kind}, {number} times", False, WIRING) for kind, _, number in result.events]
 
 
@@ -125,7 +125,7 @@ def _answers(timed: tuple[DiscoveredNode, RoundTrip]) -> Finding:
 
 
 def _missing(hand: Hand, bus: str, result: Scan) -> list[Finding]:
-    """Motors of the hand file that did not answer."""
+    """Return a finding for each motor of the hand file that did not answer."""
     there = {(node.protocol, node.node_id) for node in result.found}
     motors = [motor for motor in hand.motor if motor.bus == bus and (motor.protocol, motor.node_id) not in there]
     names = [(f"{motor.name} ({motor.protocol} {motor.node_id})", motor.protocol in DISCOVERIES) for motor in motors]

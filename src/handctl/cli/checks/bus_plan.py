@@ -1,4 +1,4 @@
-"""``handctl bus plan``: how full each bus of a hand is in the worst case, and how to split it if it does not fit."""
+"""``handctl bus plan``: compute the worst-case load of each bus of a hand, and a split if a bus is overloaded."""
 
 import argparse
 import math
@@ -17,7 +17,7 @@ from handctl.session.plan import bus_specs, fastest
 
 
 def run(args: argparse.Namespace) -> int:
-    """Compute and print; 1 if the hand does not fit at the rate, or an interface is set to another bit rate."""
+    """Compute and print the load. Return 1 if a bus is overloaded or an interface has another bit rate."""
     if args.table:
         _print_table() if not args.json else print_json({"rows": [row.numbers() for row in TABLE]})
         return Exit.DONE
@@ -36,11 +36,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def plan(hand: Hand, loads: tuple[BusLoad, ...], rate: float) -> dict[str, Any]:
-    """Load of each bus, and what would fit.
+    """Return the load of each bus, and a split of the motors if a bus is overloaded.
 
     Args:
-        hand: with its buses.
-        loads: of each bus.
+        hand: description of the hand.
+        loads: worst-case load of each bus, in the hand's order.
         rate: control rate [Hz].
     """
     fits = all(load.at(rate) <= MAX_BUS_LOAD for load in loads)
@@ -50,7 +50,7 @@ def plan(hand: Hand, loads: tuple[BusLoad, ...], rate: float) -> dict[str, Any]:
 
 
 def wrong_rates(hand: Hand, specs: tuple[str, ...]) -> list[str]:
-    """A line for each interface that is set to another bit rate than the hand file says, with the command to type."""
+    """Return a line with a command for each interface whose bit rate differs from the hand file."""
     from handctl.runtime.buses.interface import wrong_rate
 
     lines = [

@@ -1,4 +1,4 @@
-"""``handctl config``: show a hand with everything that follows from it, check files, or export it for other tools."""
+"""``handctl config``: show a hand with its derived values, check its files, or export it for other tools."""
 
 import argparse
 from collections.abc import Callable
@@ -28,7 +28,7 @@ from handctl.session.tasks import TASKS, find_task, task_path
 
 
 def run(args: argparse.Namespace) -> int:
-    """Show, check, list or export."""
+    """Run the selected sub-verb and return its exit code."""
     if args.what == "list":
         return _list(args.json)
     if args.what == "check" and (errors := _errors(args)):
@@ -138,13 +138,13 @@ def _show(args: argparse.Namespace, hand: Hand) -> int:
 
 
 def _gains_with_sources(layers: LayeredGains) -> list[str]:
-    """Every gain with where it came from, as comments: they are a file of their own."""
+    """Return every gain with its origin, as comments, because gains belong to a separate file."""
     values = flat(layers.gains)
     return ["", "# gains", *(f"# {key} = {value}  ({layers.origins[key]})" for key, value in values.items())]
 
 
 def _calibration(args: argparse.Namespace, hand: Hand) -> dict[str, Any]:
-    """Which calibration a run would use, or why none, and what of it takes the place of the hand file."""
+    """Return the calibration that a run would use, or the reason for none, and its identified parameters."""
     path, calibration, reason = find_calibration(args, hand)
     if calibration is None:
         return {"file": str(path), "problem": reason, "made": None, "identified": {}}
@@ -159,7 +159,7 @@ def _calibration(args: argparse.Namespace, hand: Hand) -> dict[str, Any]:
 
 
 def _calibration_lines(calibration: dict[str, Any]) -> list[str]:
-    """The same for a person."""
+    """Return the fields of ``_calibration`` as lines of text."""
     if calibration["problem"]:
         return [f"calibration: {calibration['problem']}"]
     return [f"calibration: {calibration['file']}, made {calibration['made']}"] + [
@@ -171,7 +171,7 @@ def _calibration_lines(calibration: dict[str, Any]) -> list[str]:
 
 
 def _export(args: argparse.Namespace, hand: Hand) -> int:
-    """Write a DBC of each bus; of several, a file with the name of the bus in it."""
+    """Write a DBC file for each bus. With several buses, each file name contains the name of its bus."""
     if not args.dbc:
         raise ConfigError("no format", "export", "--dbc")
     output = args.output or Path(f"{hand.name}.dbc")
@@ -192,7 +192,7 @@ def _export(args: argparse.Namespace, hand: Hand) -> int:
 
 
 def _list(as_json: bool) -> int:
-    """Packaged hands and tasks."""
+    """Print the packaged hands and tasks."""
     tasks = sorted(path.name for path in TASKS.glob("*.toml"))
     if as_json:
         print_json({"hands": list(packaged_hands()), "tasks": tasks})

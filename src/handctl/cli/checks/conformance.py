@@ -1,4 +1,4 @@
-"""``handctl conformance``: a drive's contract, checked on the drive itself, below a torque that the person gives."""
+"""``handctl conformance``: check the contract of a drive on the drive itself, below a given torque."""
 
 import argparse
 import dataclasses
@@ -31,19 +31,19 @@ from handctl.runtime.mailbox import bus_lock
 from handctl.session.exit_codes import Exit
 
 WATCHDOG_MS = 100
-"""Longer than what a desktop without real-time priority may keep this process waiting."""
+"""Watchdog time of the drive [ms]. Longer than the delays of a desktop without real-time priority."""
 TORQUE_TOP = 50.0
-"""Largest torque that a hand file takes [N m]."""
+"""Maximum torque in a hand file [N m]."""
 DEFAULTS: dict[str, dict[str, Any]] = {"odrive": {"torque_feedback": True}, "cia402": {"sync": True}}
-"""Options of a drive alone on a bench: nobody else sends SYNC."""
+"""Options of a single drive on a bench, where no other host sends SYNC."""
 NEEDED = {"rated_torque_N_m": 1.0, "counts_per_turn": 65536}
-"""What a CiA 402 drive may not tell; a wrong rated torque is refused when it is read back."""
+"""Defaults of options that a CiA 402 drive may not report. The read-back refuses a wrong rated torque."""
 LEFT_ON = "the drive does not say that it is off: REMOVE ITS POWER"
 MARKS = {Verdict.PASSED: "passed", Verdict.FAILED: "FAILED", Verdict.NOT_APPLICABLE: "n/a   "}
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check; 1 if a promise was broken, 71 if the drive does not say in the end that it is off."""
+    """Run the checks. Return 1 if a check failed, 71 if the drive does not confirm that it is disabled."""
     options = DEFAULTS.get(args.protocol, {}) | _options(args.option)
     if not (math.isfinite(args.limit) and 1e-3 <= args.limit <= TORQUE_TOP):
         raise ConfigError(f"{args.limit:g}", "--torque-limit-Nm", f"0.001 to {TORQUE_TOP:g}")
@@ -72,10 +72,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _options(words: list[str]) -> dict[str, Any]:
-    """Options from KEY=VALUE, values as in TOML.
+    """Parse options from KEY=VALUE words, with values as in TOML.
 
     Raises:
-        ConfigError: not TOML.
+        ConfigError: a word is not TOML.
     """
     try:
         return parse_toml("\n".join(words), "--option")
@@ -84,10 +84,10 @@ def _options(words: list[str]) -> dict[str, Any]:
 
 
 def _drive(args: argparse.Namespace, options: dict[str, Any], node: DiscoveredNode | None) -> Drive:
-    """The drive, of what it told of itself and of the command line, which wins.
+    """Return the drive with the values that it reported. Values of the command line take precedence.
 
     Raises:
-        ConfigError: options that the protocol does not have, or a number that it cannot have.
+        ConfigError: the protocol has no such option, or its node cannot have this number.
     """
     reported: dict[str, Any] = dict(node.options) if node else {}
     if args.protocol == "cia402":
@@ -122,11 +122,11 @@ def _dry_run(args: argparse.Namespace) -> int:
 
 
 def _find_drive(args: argparse.Namespace) -> DiscoveredNode:
-    """The drive as a scan finds it.
+    """Return the drive as found by a scan.
 
     Raises:
-        BusError: another host is at work on the bus.
-        DriveError: there is no such drive.
+        BusError: another host controls the bus.
+        DriveError: the drive does not answer.
     """
     note(f"{args.bus}: looking for it")
     bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate)
@@ -145,9 +145,9 @@ def _find_drive(args: argparse.Namespace) -> DiscoveredNode:
 
 
 def _listened(args: argparse.Namespace, bus: Bus) -> Scan:
-    """As a scan of a drive that answers orders only: what is heard on its identifier, another host has asked for.
+    """Return a scan result for a drive that answers commands only. A frame with its identifier comes from another host.
 
-    Whether it is there at all, the first check tells.
+    The first check shows whether the drive is present.
     """
     seen: list[Frame] = []
     listen(bus, LISTEN_S, seen)
@@ -156,7 +156,7 @@ def _listened(args: argparse.Namespace, bus: Bus) -> Scan:
 
 
 def _restoring(drive: Drive, node: DiscoveredNode) -> Drive:
-    """The drive with the torque range that it had: to an MIT motor the limit is the scale of every torque."""
+    """Return the drive with its original torque range. For an MIT motor, the limit is the scale of every torque."""
     if isinstance(drive, MitDrive) and "torque_max_N_m" in node.settings:
         ranges = drive.ranges._replace(torque=node.settings["torque_max_N_m"])
         return dataclasses.replace(drive, ranges=ranges)
@@ -164,7 +164,7 @@ def _restoring(drive: Drive, node: DiscoveredNode) -> Drive:
 
 
 def _checked(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tuple[list[Check], bool]:
-    """Do the checks, let go, give the torque range back; whether the drive says that it is off."""
+    """Run the checks, disable the drive, restore its torque range. Return the checks, and True if it is disabled."""
     clock = RealClock(PERIOD_NS)
     bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate, clock.of)
     results: list[Check] = []
@@ -182,7 +182,7 @@ def _checked(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tuple[
             if off and restoring is not drive:
                 rig.take(restoring)
                 rig.until(DriveTarget.POLL, lambda state: state.phase == Phase.READY, 3.0)
-            if not off and len(results) < len(PROMISES):  # a person or a bug has ended it, and nobody else will tell
+            if not off and len(results) < len(PROMISES):  # ended by Ctrl-C or a bug: report it here
                 raise PowerError(LEFT_ON)
     finally:
         give_back_priority()

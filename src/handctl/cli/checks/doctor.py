@@ -1,4 +1,4 @@
-"""``handctl doctor``: what this machine grants, and the command that would fix what it does not."""
+"""``handctl doctor``: check the permissions and devices of this machine, with a command that repairs each finding."""
 
 import argparse
 import platform
@@ -43,7 +43,7 @@ Finding = tuple[str, bool, str]
 
 
 def _versions() -> dict[str, object]:
-    """Return what a report of an error needs: versions, system, installed extras."""
+    """Return the facts for an error report: versions, system, installed extras."""
     return {
         "version": version("handctl"),
         "python": platform.python_version(),
@@ -58,7 +58,7 @@ def _extras() -> Finding:
 
 
 def _granted() -> Priority:
-    """What the system grants, tried and given back."""
+    """Return the priority that the system grants. It is acquired and released."""
     granted = take_priority()
     give_back_priority()
     return granted

@@ -1,4 +1,4 @@
-"""A piece of a hand file for drives that were found: what they told, and places for what only a person can measure."""
+"""Fragment of a hand file for scanned drives: values that the drives reported, and values for the user to measure."""
 
 from collections.abc import Mapping, Sequence
 
@@ -6,20 +6,21 @@ from handctl.drives.discovery import DiscoveredNode
 from handctl.drives.registry import PROTOCOLS
 
 Entry = tuple[str, object, str]
-"""Key, value, comment."""
+"""Key, value and comment of a line in TOML."""
 TO_FILL_IN = "yours: "
 TORQUE_TOP = 50.0
-"""Largest torque that a hand file takes [N m]."""
+"""Maximum torque in a hand file [N m]."""
 RATED_N_M = 0.1
 COUNTS = 65536
 
 
 def fragment(buses: Mapping[str, Sequence[DiscoveredNode]], bitrate: int, data_bitrate: int | None) -> str:
-    """``[[bus]]`` and ``[[motor]]`` sections of what was found.
+    """Return the ``[[bus]]`` and ``[[motor]]`` sections of the scanned drives.
 
     Args:
         buses: drives by the name of their bus.
-        bitrate, data_bitrate: nominal, and of CAN FD's data phase [bit/s].
+        bitrate: nominal bit rate [bit/s].
+        data_bitrate: bit rate of the data phase of CAN FD [bit/s], or None.
     """
     lines = ["# From `handctl scan`. What a drive told is marked so; measure the rest before arming."]
     for name in buses:

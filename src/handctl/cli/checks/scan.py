@@ -1,4 +1,4 @@
-"""``handctl scan``: what is on a bus, found without moving anything, and a piece of a hand file for it."""
+"""``handctl scan``: find the nodes on a bus without motion, and print a fragment of a hand file."""
 
 import argparse
 import dataclasses
@@ -16,12 +16,12 @@ from handctl.session.buses import named_buses
 from handctl.session.exit_codes import Exit
 
 SHOWN = 8
-"""Frames of another host that are named at most."""
+"""Maximum number of frames of another host in the output."""
 MILLI = 1e-3
 
 
 def run(args: argparse.Namespace) -> int:
-    """Scan each bus; 1 if nothing was found."""
+    """Scan each bus. Return 1 if no node was found."""
     buses = named_buses(args.bus)
     if args.dry_run:
         return _show_questions(args.json)
@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def identified(nodes: tuple[DiscoveredNode, ...], spec: str, bitrate: int) -> tuple[DiscoveredNode, ...]:
-    """The same, with what CANopen nodes tell over SDO."""
+    """Return the nodes with the identity that CANopen nodes report over SDO."""
     canopen_ids = [drive.node_id for drive in nodes if drive.protocol == "cia402"]
     if not canopen_ids:
         return nodes
@@ -93,7 +93,7 @@ def _plain(name: str, spec: str, result: Scan) -> dict[str, Any]:
 
 
 def _text(frame: Frame) -> str:
-    """A frame as candump writes it."""
+    """Return a frame in the notation of candump."""
     return f"{frame.can_id & 0x1FFFFFFF:03X}#" + ("R" if frame.can_id & REMOTE else frame.data.hex().upper())
 
 

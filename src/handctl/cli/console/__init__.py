@@ -1,1 +1,1 @@
-"""What verbs have in common: options, output, the screen, and what an operator is asked."""
+"""Parts common to all verbs: options, output, display, and questions to the operator."""

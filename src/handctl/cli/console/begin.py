@@ -1,4 +1,4 @@
-"""What a person reads and is asked before a hand moves: which files were found, and whether it may move at all."""
+"""Notices and the question before a hand moves: the files in use, and whether the hand may move."""
 
 import argparse
 import datetime
@@ -22,16 +22,16 @@ DAY_S = 86400.0
 
 
 def announce(args: argparse.Namespace, plan: Plan, path: Path, calibration: Calibration | None) -> None:
-    """Name what was found in the working folder, then ask once before anything moves on a real bus.
+    """Name the files from the working folder, then ask once before a hand moves on a real bus.
 
     Args:
-        args: with ``yes``, and with ``gains`` and ``calibration`` where the command line names them.
-        plan: of the run.
-        path: of the calibration.
-        calibration: what was read from it; None if it will be made first.
+        args: arguments with ``yes``, ``gains`` and ``calibration``.
+        plan: plan of the run.
+        path: calibration file.
+        calibration: content of the calibration file, or None if the hand is commissioned first.
 
     Raises:
-        ConfigError: nobody is there to be asked, or whoever is there does not want the hand to move.
+        ConfigError: no operator is at the terminal, or the operator refuses the motion.
     """
     files = []
     gains = Path(f"{plan.hand.name}.gains.toml")
@@ -50,7 +50,7 @@ def announce(args: argparse.Namespace, plan: Plan, path: Path, calibration: Cali
 
 
 def _described(what: str, path: Path, made: str) -> str:
-    """Return a file's kind, whole path and age: since it was made, or changed if it does not say when it was."""
+    """Return the kind, path and age of a file. Without a date in the file, its change time counts."""
     then = path.stat().st_mtime
     with suppress(ValueError):
         then = datetime.datetime.fromisoformat(made).timestamp()
@@ -58,7 +58,7 @@ def _described(what: str, path: Path, made: str) -> str:
 
 
 def age(seconds: float) -> str:
-    """Return an age in its largest whole unit."""
+    """Return an age as text in its largest whole unit."""
     for unit, name in ((DAY_S, "days"), (HOUR_S, "h"), (MINUTE_S, "min")):
         if seconds >= 2 * unit:
             return f"{seconds / unit:.0f} {name}"
@@ -66,14 +66,14 @@ def age(seconds: float) -> str:
 
 
 def ask(warning: str, yes: bool) -> None:
-    """Go on only if the command line or a person at the terminal says so.
+    """Ask the operator to confirm, unless the command line already does.
 
     Args:
-        warning: what will happen.
-        yes: whether ``--yes`` was given.
+        warning: consequence of the confirmation, one line.
+        yes: True if ``--yes`` was given.
 
     Raises:
-        ConfigError: nobody has said so.
+        ConfigError: the operator does not confirm, or no operator is at the terminal.
     """
     if yes:
         return

@@ -6,5 +6,5 @@ from handctl.session.buses import named_buses
 
 
 def controller_bus(args: argparse.Namespace) -> str:
-    """The bus by which a running controller is called: the first, without the name that a hand file gives it."""
+    """Return the bus that identifies a running controller: the first bus, without the name from the hand file."""
     return next(iter(named_buses(args.bus).values()))

@@ -1,7 +1,8 @@
-"""What a person sees while a hand runs: a process of its own, fed with a line of JSON now and then.
+"""Display of a running hand. A separate process draws it, from lines of JSON.
 
-The controller writes a short line every tenth of a second to a pipe that never blocks; if this process is slow, lines
-are lost and nothing else happens. In a terminal the state is drawn in place; otherwise one plain line a second.
+The controller writes a short line every tenth of a second to a pipe that never blocks. If the display process is slow,
+lines are lost and the control is not disturbed. In a terminal the state is drawn in place. Otherwise the display prints
+one plain line per second.
 """
 
 import json
@@ -20,20 +21,29 @@ from handctl.safety.faults.table import remedy
 
 EVERY_S = 0.1
 STDERR = 2
-"""Descriptor: standard output is for results."""
+"""File descriptor of the display. Standard output is for results."""
 ONE_SECOND_NS = 1_000_000_000
 
 
 class Display:
-    """The controller's end of the pipe."""
+    """Controller's end of the pipe to the display process.
+
+    Attributes:
+        every: ticks between two lines.
+        child: display process.
+        pipe: file descriptor of the pipe.
+        worst_late_ns: maximum lateness since the last line [ns].
+        last_warning_ns: time of the last printed warning of each fault id [ns].
+        shown: remedies already printed.
+    """
 
     def __init__(self, names: tuple[str, ...], ceiling: tuple[float, ...], rate_hz: float, load: float) -> None:
         """Start the display process.
 
         Args:
-            names: of the tendons.
-            ceiling: their tension limits [N].
-            rate_hz: control rate.
+            names: names of the tendons.
+            ceiling: tension limit of each tendon [N].
+            rate_hz: control rate [Hz].
             load: worst-case bus load, 0 to 1.
         """
         self.every = max(1, round(EVERY_S * rate_hz))
@@ -54,11 +64,11 @@ class Display:
 
     @staticmethod
     def start(hand: Hand, rate_hz: float, load: float) -> "Display":
-        """Display of a hand's run."""
+        """Start the display of a run."""
         return Display(hand.tendon_names, tuple(tendon.tension_max_N for tendon in hand.tendon), rate_hz, load)
 
     def show(self, entry: TickIn, out: TickOut) -> None:
-        """Send a line when it is time, and every event at once."""
+        """Send a line every ``EVERY_S``, and at once after an event."""
         self.worst_late_ns = max(self.worst_late_ns, entry.late_ns)
         if entry.k % self.every and not out.events:
             return
@@ -77,7 +87,7 @@ class Display:
         self._write(line)
 
     def _is_due(self, t_ns: int, event: Event) -> bool:
-        """Whether to say it: errors and news always, a repeated warning once a second; the log has them all."""
+        """Return True if an event is to be printed. A repeated warning is printed once per second. The log has all."""
         if event.level == "error" or event.name != "fault":
             return True
         fault_id = event.text[:3]
@@ -87,7 +97,7 @@ class Display:
         return news
 
     def _advised(self, event: Event) -> str:
-        """Return the text of an event. The first event of a fault has what to do in a second line."""
+        """Return the text of an event. The first event of a fault has its remedy in a second line."""
         advice = remedy(event.text) if event.name == "fault" else ""
         if not advice or advice in self.shown:
             return event.text
@@ -101,7 +111,7 @@ class Display:
             return
 
     def close(self) -> None:
-        """Let the display finish its last line."""
+        """Close the pipe and wait until the display has printed its last line, at most 2 s."""
         assert self.child.stdin is not None
         self.child.stdin.close()
         try:
@@ -111,12 +121,12 @@ class Display:
 
 
 def short_names(names: Sequence[str]) -> list[str]:
-    """Return the names of tendons without the ending ``_tendon``, which says nothing in a line of tensions."""
+    """Return the names of tendons without the ending ``_tendon``."""
     return [name.removesuffix("_tendon") or name for name in names]
 
 
 def _print_lines(head: dict[str, Any]) -> None:
-    """One line a second, and each event."""
+    """Print one line per second, and each event."""
     last = -1.0
     for text in sys.stdin:
         line = json.loads(text)
@@ -130,7 +140,7 @@ def _print_lines(head: dict[str, Any]) -> None:
 
 
 def _drawn(head: dict[str, Any]) -> None:
-    """The state in place, by rich."""
+    """Draw the state in place, with rich."""
     from rich.live import Live
 
     console = screen()
@@ -160,7 +170,7 @@ def _panel(head: dict[str, Any], line: dict[str, Any]) -> Any:
 
 
 def main() -> None:
-    """The display process: reads lines until the controller closes the pipe."""
+    """Run the display process until the controller closes the pipe."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     head = json.loads(sys.stdin.readline())
     with escaped_streams():

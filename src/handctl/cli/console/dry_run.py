@@ -1,4 +1,4 @@
-"""What a dry run says: alike in every verb that would run a controller."""
+"""Report of a dry run, the same in every verb that runs a controller."""
 
 import argparse
 from typing import Any
@@ -9,16 +9,16 @@ from handctl.session.plan import Plan, check_design
 
 
 def report_dry_run(args: argparse.Namespace, plan: Plan, *lines: str, **fields: Any) -> int:
-    """Say that all files are good, and what would be done.
+    """Check the design of the gains, and report the run that would follow.
 
     Args:
-        args: with ``json``.
-        plan: that was checked.
-        lines: for a person.
-        what: would be done, for a program.
+        args: arguments with ``json``.
+        plan: checked plan.
+        lines: lines for the operator.
+        fields: further fields of the JSON result.
 
     Raises:
-        ConfigError: no controller follows from the gains.
+        ConfigError: the design of the controller or of the filter fails.
     """
     check_design(plan.hand, plan.gains, plan.rate_hz)
     if args.json:

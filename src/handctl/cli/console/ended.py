@@ -1,7 +1,7 @@
-"""How a verb ends that does not end by itself: by a signal, or by a bug.
+"""End of a verb by a signal or by a bug.
 
-Where no hand runs a signal unwinds the verb, so that files, children and sockets are put away; while a hand runs the
-loop has the signals: see ``runtime.loop.StopSignals``.
+While no hand runs, a signal raises an exception in the verb, so that files, child processes and sockets are closed.
+While a hand runs, the loop handles the signals. See ``runtime.loop.StopSignals``.
 """
 
 import atexit
@@ -18,7 +18,7 @@ from handctl.session.exit_codes import Exit
 
 
 class Terminated(KeyboardInterrupt):
-    """SIGTERM, or SIGHUP of a terminal that has gone."""
+    """SIGTERM, or SIGHUP of a closed terminal."""
 
 
 def _end(number: int, frame: FrameType | None) -> None:
@@ -27,16 +27,16 @@ def _end(number: int, frame: FrameType | None) -> None:
 
 @contextmanager
 def terminate_on_signals() -> Iterator[None]:
-    """Have SIGTERM and SIGHUP end what runs as Ctrl-C does; what ``nohup`` has told to be ignored stays so."""
+    """Handle SIGTERM and SIGHUP like Ctrl-C. A signal that ``nohup`` ignores stays ignored."""
     ending = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) == signal.SIG_DFL]
     with handling(_end, *ending):
         yield
 
 
 def install_excepthook() -> None:
-    """Have an exception that nobody expected end this process with its traceback and ``Exit.INTERNAL``.
+    """End this process with a traceback and ``Exit.INTERNAL`` after an unexpected exception.
 
-    Everything is put away as ever: the code is set last, when all else that waits for the end has been called.
+    The exit code is set last, after all other exit handlers have run, so that every resource is closed as usual.
     """
     bugs: list[BaseException] = []
 

@@ -1,4 +1,4 @@
-"""Options that mean the same in every verb."""
+"""Options with the same meaning in every verb, and output of results."""
 
 import argparse
 import json
@@ -14,13 +14,13 @@ from handctl.session.defaults import DEFAULT_HAND
 from handctl.session.exit_codes import Exit
 
 PROTOCOLS = ("mit", "odrive", "cia402")
-"""What simulated drives may speak."""
+"""Protocols of simulated drives."""
 DRIVE_PROTOCOLS = (*PROTOCOLS, "cubemars")
-"""What drives may speak; the names of ``drives.registry``, which takes longer to import than a help may take."""
+"""Protocols of all drives: the names of ``drives.registry``. Its import takes longer than a help may take."""
 
 
 class _Named(argparse.Action):
-    """Stores a hand, and that somebody has named it."""
+    """Action that stores a hand and marks it as named by the operator."""
 
     def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None) -> None:
         namespace.hand = values
@@ -28,7 +28,7 @@ class _Named(argparse.Action):
 
 
 def hand_option(parser: argparse.ArgumentParser) -> None:
-    """--hand: a packaged hand or a file."""
+    """Declare --hand: a packaged hand or a file."""
     text = f"packaged hand or file (default: {DEFAULT_HAND}; needed on a real bus)"
     named = parser.add_argument("--hand", action=_Named, default=DEFAULT_HAND, metavar="NAME|FILE", help=text)
     named.completer = hand_names  # type: ignore[attr-defined]  # an attribute that argcomplete reads
@@ -39,17 +39,17 @@ def check_seed(seed: int) -> None:
     """Refuse a seed that no generator takes.
 
     Raises:
-        ConfigError: below 0.
+        ConfigError: the seed is negative.
     """
     if seed < 0:
         raise ConfigError(f"{seed}", "--seed", "0 or more")
 
 
 def checked_count(number: int, option: str, maximum: int) -> int:
-    """A count from the command line.
+    """Return a count from the command line.
 
     Raises:
-        ConfigError: it is not between 1 and ``maximum``.
+        ConfigError: the count is not between 1 and ``maximum``.
     """
     if not 1 <= number <= maximum:
         raise ConfigError(str(number), option, f"1 to {maximum}")
@@ -57,13 +57,13 @@ def checked_count(number: int, option: str, maximum: int) -> int:
 
 
 def protocol_option(parser: argparse.ArgumentParser, more: str = "") -> None:
-    """--protocol: the same hand with other drives."""
+    """Declare --protocol: drives of another protocol for the same hand."""
     text = "drives of the simulated hand (default: as in its file)" + more
     parser.add_argument("--protocol", choices=PROTOCOLS, help=text)
 
 
 def bus_option(parser: argparse.ArgumentParser, required: bool = True) -> None:
-    """--bus: one specification, or NAME=SPEC repeated for a hand on several buses."""
+    """Declare --bus: one specification, or NAME=SPEC repeated for a hand on several buses."""
     parser.add_argument(
         "--bus",
         action="append",
@@ -74,14 +74,14 @@ def bus_option(parser: argparse.ArgumentParser, required: bool = True) -> None:
 
 
 def bitrate_options(parser: argparse.ArgumentParser, nominal: str, data: str) -> None:
-    """--bitrate and --data-bitrate, with what they are said to be of."""
+    """Declare --bitrate and --data-bitrate, with their help texts."""
     add = parser.add_argument
     add("--bitrate", type=_bit_rate, default=1_000_000, metavar="BIT/S", help=f"{nominal} (1000000)")
     add("--data-bitrate", type=_bit_rate, metavar="BIT/S", help=data)
 
 
 def _bit_rate(word: str) -> int:
-    """A bit rate that a hand file can have, too [bit/s]."""
+    """Parse a bit rate within the limits of a hand file [bit/s]."""
     rate = int(word)
     if not SLOWEST_BUS <= rate <= FASTEST_BUS:
         raise argparse.ArgumentTypeError(f"{word}; expected {SLOWEST_BUS} to {FASTEST_BUS} bit/s")
@@ -89,17 +89,17 @@ def _bit_rate(word: str) -> int:
 
 
 def json_option(parser: argparse.ArgumentParser) -> None:
-    """--json: machine-readable output on stdout, nothing else there."""
+    """Declare --json: standard output contains only the result as JSON."""
     parser.add_argument("--json", action="store_true", help="print the result as JSON on standard output")
 
 
 def dry_run_option(parser: argparse.ArgumentParser) -> None:
-    """--dry-run: check everything that can be checked without opening a bus."""
+    """Declare --dry-run: check all inputs without opening a bus."""
     parser.add_argument("--dry-run", action="store_true", help="check all files and the bus load, open no bus")
 
 
 def run_options(parser: argparse.ArgumentParser, bus_required: bool = True) -> None:
-    """Options of the verbs that run the controller."""
+    """Declare the options of the verbs that run the controller."""
     hand_option(parser)
     bus_option(parser, bus_required)
     json_option(parser)
@@ -120,12 +120,12 @@ def clear_option(parser: argparse.ArgumentParser) -> None:
 
 
 def jobs_option(parser: argparse.ArgumentParser, default: int | None, text: str) -> None:
-    """Declare --jobs: processes at a time.
+    """Declare --jobs: number of parallel processes.
 
     Args:
-        parser: of a verb.
-        default: number of processes; None for one per core.
-        text: what is done at a time.
+        parser: parser of a verb.
+        default: number of processes, or None for one per core.
+        text: help text without the default.
     """
     default_text = "one per core" if default is None else str(default)
     parser.add_argument("--jobs", type=int, default=default, metavar="N", help=f"{text} (default: {default_text})")
@@ -137,29 +137,29 @@ def output_option(parser: argparse.ArgumentParser, text: str, metavar: str = "FI
 
 
 def perturb_option(parser: argparse.ArgumentParser) -> None:
-    """--perturb: how the simulated hand differs from its file."""
+    """Declare --perturb: factors between the simulated hand and its file."""
     text = "make the simulated hand unlike its file, e.g. stiffness=0.8 friction=1.3 (python -m firmware_sim --help)"
     parser.add_argument("--perturb", nargs="+", action="extend", default=[], metavar="KEY=FACTOR", help=text)
 
 
 def perturb_words(args: argparse.Namespace) -> list[str]:
-    """The option as the simulator takes it."""
+    """Return the option --perturb for the command line of the simulator."""
     return ["--perturb", *args.perturb] if args.perturb else []
 
 
 def yes_option(parser: argparse.ArgumentParser) -> None:
-    """--yes: go on without the question."""
+    """Declare --yes: confirm the motion without a question."""
     parser.add_argument("--yes", action="store_true", help="on a real bus: move at once, do not ask")
 
 
 def time_scale_option(parser: argparse.ArgumentParser, more: str = "") -> None:
-    """--time-scale: how fast a simulated hand lives, the same on both sides of its bus."""
+    """Declare --time-scale: simulated time per wall time, the same on both sides of the bus."""
     text = "simulated time per wall time" + more
     parser.add_argument("--time-scale", type=float, default=1.0, metavar="X", help=text)
 
 
 def gains_options(parser: argparse.ArgumentParser) -> None:
-    """--gains and --gain."""
+    """Declare --gains and --gain."""
     parser.add_argument(
         "--gains", type=Path, metavar="FILE", help="gains file (default: HAND.gains.toml, else the packaged gains)"
     )
@@ -169,30 +169,30 @@ def gains_options(parser: argparse.ArgumentParser) -> None:
 
 
 def say(text: str, error: bool = False) -> None:
-    """Print a line that has words of a file in it, so that none of them can command the terminal."""
+    """Print a line that contains text from a file. Control characters are escaped."""
     print(message(text), file=sys.stderr if error else sys.stdout)
 
 
 def warn_if_lossy(path: Path, warning: str) -> Exit:
-    """Say why a log is not whole, if it is not; the exit code of a verb that could do its work on what is there."""
+    """Warn if a log is incomplete. Return the exit code of a verb that used the readable part."""
     if warning:
         say(f"handctl: {path}: {warning}", error=True)
     return Exit.LOSSY_LOG if warning else Exit.DONE
 
 
 def wire_option(parser: argparse.ArgumentParser) -> None:
-    """--wire: simulated frames take the time of a real bus."""
+    """Declare --wire: simulated frames take the time of a real bus."""
     text = "the simulated bus has a bit rate, queues and errors; e.g. --wire queue=10 (python -m firmware_sim --help)"
     parser.add_argument("--wire", nargs="*", metavar="KEY=VALUE", help=text)
 
 
 def wire_words(args: argparse.Namespace) -> list[str]:
-    """The option as the simulator takes it."""
+    """Return the option --wire for the command line of the simulator."""
     return [] if args.wire is None else ["--wire", *args.wire]
 
 
 def print_json(result: dict[str, Any]) -> None:
-    """Print a result for programs; NaN becomes null."""
+    """Print a result as JSON. NaN becomes null."""
     text = json.dumps(_json_value(result), indent=2, allow_nan=False)
     sys.stdout.write(text.replace("\x7f", "\\u007f") + "\n")  # JSON leaves this control character as it is
 

@@ -1,4 +1,4 @@
-"""From the command line's arguments to what a session takes."""
+"""Conversion of command-line arguments to the inputs of a session."""
 
 import argparse
 from dataclasses import replace
@@ -16,10 +16,10 @@ from handctl.session.simulate import Simulator
 
 
 def make_plan(args: argparse.Namespace, lockstep: bool = False) -> plan.Plan:
-    """Check hand, gains, buses and rate.
+    """Check hand, gains, buses and rate, and return the plan of the run.
 
     Raises:
-        ConfigError: anything that is wrong, in one line.
+        ConfigError: an argument or a file is wrong. The message has one line.
     """
     choice = plan.Choice(
         hand=args.hand,
@@ -51,7 +51,7 @@ def _describe(args: argparse.Namespace, run_plan: plan.Plan) -> None:
 
 
 def notice(text: str) -> None:
-    """Print a notice of a session on standard error. Only a caution, which begins with ``handctl:``, is never quiet."""
+    """Print a notice of a session on standard error. A caution begins with ``handctl:`` and is always printed."""
     if text.startswith("handctl:"):
         say(text, error=True)
     else:
@@ -69,20 +69,20 @@ def layered_gains(args: argparse.Namespace, hand: Hand) -> gains.LayeredGains:
     """Return the gains that a run with these arguments uses.
 
     Args:
-        args: with ``gains`` and ``gain``.
-        hand: that they are for.
+        args: arguments with ``gains`` and ``gain``.
+        hand: hand of the run.
 
     Raises:
-        ConfigError: a file or a value that cannot be used, or gains of another hand.
+        ConfigError: a file or a value cannot be used, or the gains are for another hand.
     """
     return gains.layered_gains(hand, args.gains, getattr(args, "gain", None) or (), notice)
 
 
 def calibration_path(args: argparse.Namespace, hand: Hand) -> Path:
-    """Where the hand's calibration is or shall be.
+    """Return the path of the calibration file, which may not exist yet.
 
     Raises:
-        ConfigError: none could be written there: that is known before a hand moves for it.
+        ConfigError: the file could not be written. The check comes before a hand moves.
     """
     path: Path = args.calibration or Path(f"{hand.name}.calibration.toml")
     check_output(path, "--calibration", Path(args.hand), getattr(args, "gains", None), getattr(args, "task", None))
@@ -90,13 +90,13 @@ def calibration_path(args: argparse.Namespace, hand: Hand) -> Path:
 
 
 def find_calibration(args: argparse.Namespace, hand: Hand) -> tuple[Path, Calibration | None, str]:
-    """Find the hand's calibration file, if it is good enough to arm with.
+    """Read the hand's calibration file and check that it is valid for arming.
 
     Returns:
-        where it is or shall be, the calibration or None, and why it is None.
+        The path, the calibration or None, and the reason for None.
 
     Raises:
-        ConfigError: the file named on the command line is there and cannot be used, or none could be written there.
+        ConfigError: the named file exists and cannot be used, or the file could not be written.
     """
     path = calibration_path(args, hand)
     loaded, reason = calibration.find_calibration(path, hand, named=bool(args.calibration))
@@ -105,14 +105,14 @@ def find_calibration(args: argparse.Namespace, hand: Hand) -> tuple[Path, Calibr
 
 
 def check_perturb(args: argparse.Namespace, simulated: bool) -> dict[str, float]:
-    """Return the factors of ``--perturb``, refused before anything runs if the simulated hand would not take them.
+    """Return the factors of ``--perturb``, checked on a simulated hand before a run.
 
     Args:
-        args: with the hand and ``--perturb``.
-        simulated: whether this verb simulates the hand itself.
+        args: arguments with the hand and ``--perturb``.
+        simulated: True if this verb simulates the hand.
 
     Raises:
-        ConfigError: no KEY=NUMBER, an unknown key, a factor that cannot be, or a hand that is not simulated here.
+        ConfigError: a word is no KEY=NUMBER, a key or a factor is invalid, or this verb does not simulate the hand.
     """
     factors = gains.assignments(args.perturb, "--perturb")
     if factors and not simulated:
@@ -123,10 +123,10 @@ def check_perturb(args: argparse.Namespace, simulated: bool) -> dict[str, float]
 
 
 def refuse_bus_options(args: argparse.Namespace) -> None:
-    """Refuse what only a run on a bus obeys.
+    """Refuse options that have an effect only in a run on a bus.
 
     Raises:
-        ConfigError: it is asked for.
+        ConfigError: such an option is given.
     """
     for option, is_set in (("--clear", args.clear), ("--time-scale", args.time_scale != 1.0)):
         if is_set:

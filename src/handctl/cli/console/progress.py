@@ -1,4 +1,4 @@
-"""What a person sees who waits: a bar on the terminal, gone when the work is done."""
+"""Progress bar on the terminal. It disappears when the work is done."""
 
 import sys
 from collections.abc import Iterator
@@ -10,22 +10,21 @@ from handctl.cli.console.verbosity import is_quiet
 
 
 class ProgressCallback(Protocol):
-    """How the work tells where it is."""
+    """Callback with the progress of the work."""
 
     def __call__(self, done: int, total: int | None = None, label: str | None = None) -> None:
-        """So much is done, of so much, which is called so."""
+        """Report progress: ``done`` of ``total`` steps. ``label`` names the step."""
         ...
 
 
 @contextmanager
 def progress(label: str, total: int | None = None, quiet: bool = False) -> Iterator[ProgressCallback]:
-    """A bar on standard error, if that is a terminal.
+    """Show a progress bar on standard error, if standard error is a terminal.
 
     Args:
-        words: what is done.
-        total: how much there is to do; None if nobody knows.
-        quiet: show none.
-
+        label: name of the work.
+        total: number of steps, or None if unknown.
+        quiet: True to show no bar.
     """
     if quiet or is_quiet() or not sys.stderr.isatty():
         yield lambda done, total=None, label=None: None

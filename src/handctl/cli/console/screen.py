@@ -1,4 +1,4 @@
-"""rich as the verbs use it: for a reader who has gone, and for words of a person that are no markup."""
+"""Console of rich for the verbs. It escapes text from files, and ends a verb whose reader closed the pipe."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -7,18 +7,18 @@ from handctl.printing import escaped
 
 
 def screen(error: bool = False, min_width: int = 1) -> Any:
-    """A console of rich.
+    """Create a console of rich.
 
     Args:
-        error: print on standard error, where nobody has to read.
-        min_width: columns that a table needs; in a terminal of fewer its lines are broken, but no number is cut off.
+        error: True to print on standard error. A closed standard error is not an error.
+        min_width: minimum width [columns]. A narrower terminal breaks the lines of a table, but cuts no number.
     """
     from rich.console import Console, ConsoleOptions, RenderableType
     from rich.segment import Segment
 
     class Screen(Console):
         def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-            """Escape every text, and leave rich's own control codes."""
+            """Escape every text except the control codes of rich."""
             for segment in super().render(renderable, options):
                 done = segment.control or segment.text.isprintable()
                 yield segment if done else Segment(escaped(segment.text, "\n\t"), segment.style)
@@ -28,7 +28,7 @@ def screen(error: bool = False, min_width: int = 1) -> Any:
             return super().render_str(escaped(text, "\n\t"), **keywords)
 
         def on_broken_pipe(self) -> None:
-            """Let ``main`` end the verb as it ends those that print without rich; go on without progress."""
+            """Raise the error for ``main``, as for verbs without rich. Continue without progress."""
             if not error:
                 raise BrokenPipeError
             self.quiet = True

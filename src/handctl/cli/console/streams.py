@@ -1,4 +1,4 @@
-"""Standard input, output and error as a verb can rely on them, whatever it was started with."""
+"""Standard input, output and error in a state that every verb can use."""
 
 import os
 import sys
@@ -6,7 +6,10 @@ from io import TextIOWrapper
 
 
 def make_usable() -> None:
-    """Open what is closed, or the next file would take its place; a name that a terminal cannot show is escaped."""
+    """Open closed standard streams, and escape characters that a terminal cannot show.
+
+    Without this step, the next opened file would get the number of a closed stream.
+    """
     for number in range(3):
         try:
             os.fstat(number)
@@ -20,10 +23,10 @@ def make_usable() -> None:
 
 
 def flush() -> None:
-    """Have all that was printed out of this process.
+    """Flush standard output.
 
     Raises:
-        OSError: there is no room for it, or nobody reads it.
+        OSError: the disk is full, or the reader closed the pipe.
     """
     try:
         sys.stdout.flush()
@@ -33,5 +36,5 @@ def flush() -> None:
 
 
 def give_up_output() -> None:
-    """Throw away what was printed and cannot be written: it would fail again when the process ends."""
+    """Discard output that cannot be written. Otherwise the same error would occur at the end of the process."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

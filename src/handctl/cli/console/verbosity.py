@@ -1,6 +1,6 @@
-"""How much a verb prints on standard error: ``--quiet``, the default, or ``--verbose``.
+"""Amount of output on standard error: ``--quiet``, the default, or ``--verbose``.
 
-Results, errors and cautions are printed in every case.
+Results, errors and cautions are always printed.
 """
 
 import argparse
@@ -14,7 +14,7 @@ from handctl.printing import message
 
 
 class Verbosity(IntEnum):
-    """How much a verb prints beside its result."""
+    """Amount of output of a verb beside its result."""
 
     QUIET = 0
     NORMAL = 1
@@ -26,7 +26,7 @@ _verbosity: ContextVar[Verbosity] = ContextVar("verbosity", default=Verbosity.NO
 
 @contextmanager
 def use_verbosity(args: argparse.Namespace) -> Iterator[None]:
-    """Use the verbosity of a command line for as long as its verb runs."""
+    """Use the verbosity of a command line while its verb runs."""
     quiet = getattr(args, "quiet", False)
     verbose = getattr(args, "verbose", False)
     level = Verbosity.QUIET if quiet else Verbosity.VERBOSE if verbose else Verbosity.NORMAL
@@ -38,12 +38,12 @@ def use_verbosity(args: argparse.Namespace) -> Iterator[None]:
 
 
 def is_quiet() -> bool:
-    """Return whether only results and errors are printed."""
+    """Return True if only results and errors are printed."""
     return _verbosity.get() == Verbosity.QUIET
 
 
 def is_verbose() -> bool:
-    """Return whether details are printed."""
+    """Return True if details are printed."""
     return _verbosity.get() == Verbosity.VERBOSE
 
 

@@ -1,4 +1,4 @@
-"""The table that ends a run."""
+"""Table at the end of a run."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from handctl.session.plan import Plan
 
 
 def print_summary(result: dict[str, Any], plan: Plan) -> None:
-    """The table that ends a run."""
+    """Print the table of results of a finished run."""
     from rich.table import Table
 
     late = result["late_us"]
@@ -54,7 +54,7 @@ def _with(value: float, scale: float, unit: str, digits: int) -> str:
 
 
 def _lift(result: dict[str, Any]) -> list[tuple[str, str]]:
-    """How far the table sank, and how far the object moved in the hand meanwhile; nothing without such a table."""
+    """Return how far the table sank and how far the object then moved in the hand. Empty without such a table."""
     sunk = result["table_sunk_mm"]
     slid = result["object_slid_mm"]
     if sunk != sunk:
@@ -63,7 +63,7 @@ def _lift(result: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _forces(result: dict[str, Any]) -> list[tuple[str, str]]:
-    """Tip-equivalent estimate beside the plant's contact force, per digit."""
+    """Return the estimated tip force of each digit beside the contact force of the plant."""
     estimated = result["tip_equivalent_force_n"]
     real = result["contact_force_n"]
     rows = []

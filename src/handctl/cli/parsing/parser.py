@@ -54,6 +54,7 @@ class Parser(argparse.ArgumentParser):
     """A parser with the options of every verb. Subparsers are of this class as well."""
 
     def __init__(self, **keywords: Any) -> None:
+        """Create a parser with ``--verbose`` and ``--quiet``. ``keywords`` are those of ``ArgumentParser``."""
         super().__init__(**{"formatter_class": HelpFormatter} | keywords)
         # No default: an option before the sub-verb must not be reset by the parser of the sub-verb.
         volume = self.add_mutually_exclusive_group()

@@ -1,1 +1,1 @@
-"""Verbs that run a hand, or a simulated one."""
+"""Verbs that run a real or a simulated hand."""

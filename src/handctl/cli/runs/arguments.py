@@ -1,4 +1,4 @@
-"""What the verbs take. What they do, and all that it needs, is imported only when one is carried out."""
+"""Arguments of the verbs. The code of a verb and its imports are loaded only when the verb runs."""
 
 import argparse
 from pathlib import Path
@@ -29,7 +29,7 @@ EXAMPLES = {
 
 
 def demo(parser: argparse.ArgumentParser) -> None:
-    """Declare what ``demo`` takes."""
+    """Declare the arguments of ``demo``."""
     hand_option(parser)
     protocol_option(parser)
     json_option(parser)
@@ -55,7 +55,7 @@ def demo(parser: argparse.ArgumentParser) -> None:
 
 
 def run(parser: argparse.ArgumentParser) -> None:
-    """Declare what ``run`` takes."""
+    """Declare the arguments of ``run``."""
     run_options(parser)
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--trajectory", type=Path, metavar="FILE", help="trajectory file: angles over time")
@@ -69,25 +69,25 @@ def run(parser: argparse.ArgumentParser) -> None:
 
 
 def stop(parser: argparse.ArgumentParser) -> None:
-    """Declare what ``stop`` takes."""
+    """Declare the arguments of ``stop``."""
     bus_option(parser)
     json_option(parser)
     parser.add_argument("--cut", action="store_true", help="take the torque away at once, without a ramp")
 
 
 def clear(parser: argparse.ArgumentParser) -> None:
-    """Declare what ``clear`` takes."""
+    """Declare the arguments of ``clear``."""
     bus_option(parser)
     json_option(parser)
 
 
 def commission(parser: argparse.ArgumentParser) -> None:
-    """Declare what ``commission`` takes."""
+    """Declare the arguments of ``commission``."""
     run_options(parser)
 
 
 def jog(parser: argparse.ArgumentParser) -> None:
-    """Declare what ``jog`` takes."""
+    """Declare the arguments of ``jog``."""
     run_options(parser)
     parser.add_argument("digit", help="the digit to move")
     goal = parser.add_mutually_exclusive_group(required=True)
@@ -97,7 +97,7 @@ def jog(parser: argparse.ArgumentParser) -> None:
 
 
 def sim(parser: argparse.ArgumentParser) -> None:
-    """Declare what ``sim`` takes."""
+    """Declare the arguments of ``sim``."""
     hand_option(parser)
     protocol_option(parser, "; writes HAND-PROTOCOL.toml, for the --hand of its controller")
     bus_option(parser)

@@ -1,6 +1,6 @@
-"""``handctl clear``: clear the latched faults of a running controller; it never arms a hand by itself.
+"""``handctl clear``: clear the latched faults of a running controller. The verb never arms a hand.
 
-What a drive has latched after a controller died is cleared by ``handctl run --clear``, before anything is armed.
+Faults that a drive latched after a controller crashed are cleared by ``handctl run --clear``, before arming.
 """
 
 import argparse
@@ -11,7 +11,7 @@ from handctl.runtime.confirm import request_action
 
 
 def run(args: argparse.Namespace) -> int:
-    """Ask the controller of the bus to clear; 71 if it does not say that it has."""
+    """Request the controller of the bus to clear its faults. Return 0 after the confirmation."""
     bus = controller_bus(args)
     line = request_action(bus, "clear")
     if args.json:

@@ -1,4 +1,4 @@
-"""``handctl demo``: the main job with nothing but this machine: a simulated hand grasps an object over a CAN bus."""
+"""``handctl demo``: grasp an object with a simulated hand over a local CAN bus. No hardware is needed."""
 
 import argparse
 import os
@@ -39,18 +39,18 @@ from handctl.session.verdict import judge
 SIMULATOR = "firmware_sim"
 START_S = 20.0
 SLOWEST = 0.1
-"""How far time is slowed where a machine cannot keep up with a hand that it simulates as well."""
+"""Minimum time scale of a machine that cannot keep up with its simulated hand."""
 
 
 def run(args: argparse.Namespace) -> int:
-    """Simulate, commission, grasp, judge."""
+    """Simulate a hand, commission it, run the task and report the result. Return the exit code."""
     refuse_blind_view(args.view and not args.lockstep)
     with in_protocol(args):
         return _run(args)
 
 
 def _run(args: argparse.Namespace) -> int:
-    """Run with the hand file that the simulator and the controller have in common."""
+    """Run with one hand file for the simulator and the controller."""
     if args.lockstep and args.time_scale != 1:
         raise ConfigError(f"{args.time_scale:g}", "--time-scale", "no --lockstep with it: that has a time of its own")
     args.bus = _buses(load_hand(args.hand).bus_names)
@@ -90,7 +90,7 @@ class _LateError(Exception):
     """The simulated hand and its controller did not keep up with each other on this machine.
 
     Attributes:
-        scale: of time that the machine keeps.
+        scale: time scale that the machine can hold.
     """
 
     def __init__(self, failure: str, scale: float) -> None:
@@ -101,8 +101,8 @@ class _LateError(Exception):
 def _in_real_time(
     args: argparse.Namespace, plan: Plan, program: TaskProgram, log: Path, identified: IdentifiedByTendon
 ) -> tuple[Outcome, Plan]:
-    """On real clocks, in slower time if it must be; what it came to, and with which plan."""
-    retry = plan.time_scale > SLOWEST and not wire_words(args)  # a wire may be too slow by itself
+    """Run on real clocks, with a smaller time scale if the machine is too slow. Return the outcome and its plan."""
+    retry = plan.time_scale > SLOWEST and not wire_words(args)  # a simulated wire can be slower than the machine
     runners = (_live(view=False, refuse_late=retry), _live(args.view, refuse_late=retry))
     commissioning = commission_log(log)
     try:
@@ -120,9 +120,9 @@ def _set_aside(log: Path, commissioning: Path, scale: float) -> None:
     """Rename the logs of a run that was too late, so that the names are free for the next attempt.
 
     Args:
-        log: of the run.
-        commissioning: log of its own commissioning; one that an earlier run has left keeps its name.
-        scale: of time, for the new names. No file that exists is replaced.
+        log: log of the run.
+        commissioning: log of the commissioning of this run. Logs of earlier runs keep their names.
+        scale: time scale, for the new names. No existing file is replaced.
     """
     number = 1
     stem = f"{log.stem}-at-{scale:g}"
@@ -135,7 +135,7 @@ def _set_aside(log: Path, commissioning: Path, scale: float) -> None:
 
 
 def _names(log: Path, stem: str) -> tuple[Path, Path]:
-    """Return a run's log and that of its commissioning, with another stem."""
+    """Return the log of a run and of its commissioning, with another stem."""
     run_log = log.with_name(f"{stem}.mcap")
     return run_log, log.with_name(f"{stem}.commission.mcap")
 
@@ -144,7 +144,7 @@ def _live(view: bool, refuse_late: bool) -> Runner:
     def runner(plan: Plan, controller: Controller, log: Path) -> Outcome:
         outcome = run_live(plan, controller, log, live_view=view)
         state = outcome.state
-        if refuse_late and state.failure and not state.progress.failure:  # nothing is wrong with this hand but its time
+        if refuse_late and state.failure and not state.progress.failure:  # a hand that was only late
             raise _LateError(state.failure, slower_time_scale(plan, outcome))
         return outcome
 
@@ -154,7 +154,7 @@ def _live(view: bool, refuse_late: bool) -> Runner:
 def _commission_and_run(
     plan: Plan, program: TaskProgram, log: Path, runners: tuple[Runner, Runner], identified: IdentifiedByTendon
 ) -> Outcome:
-    """A new hand is commissioned, then it works; with what was identified before."""
+    """Commission the hand, then run the program with the parameters that were identified before."""
     first, then = runners
     note(f"commissioning {plan.hand.name}: tare, zero, and a 3 N pull of each tendon")
     calibration, _ = commission(plan, commission_log(log), first)
@@ -168,7 +168,7 @@ def _commission_and_run(
 def _in_lockstep(
     args: argparse.Namespace, plan: Plan, program: TaskProgram, log: Path, identified: IdentifiedByTendon
 ) -> tuple[Outcome, Path]:
-    """The same against the simulator's lockstep rig."""
+    """Run in virtual time against the simulated hand. Return the outcome and the truth file."""
     truth = log.with_suffix(".truth")
     with _simulator(args, truth).clock(plan.period_ns) as clock:
         runner = partial(run_lockstep, clock=clock)
@@ -176,23 +176,23 @@ def _in_lockstep(
 
 
 def _simulator(args: argparse.Namespace, truth: Path | None) -> Simulator:
-    """The simulated hand in this process, stepped by the loop."""
+    """Return the simulated hand of a run in lockstep."""
     perturb = assignments(args.perturb, "--perturb")
     return Simulator(args.hand, args.scene, args.seed, perturb, truth=truth, wire=args.wire)
 
 
 def _speed(outcome: Outcome, plan: Plan, wall: float) -> dict[str, Any]:
-    """How much faster than real time it went, commissioning included."""
+    """Return the ratio of simulated time to wall time, commissioning included."""
     simulated = (outcome.offset_ns + outcome.state.k * plan.period_ns) / 1e9
     return {"lockstep": True, "simulated_s": simulated, "wall_s": wall, "times_real_time": simulated / wall}
 
 
 @contextmanager
 def simulator(args: argparse.Namespace, plan: Plan) -> Iterator[None]:
-    """The simulator as a process of its own, ready when the body begins.
+    """Start the simulator as a separate process and stop it at the end of the context.
 
     Raises:
-        BusError: it does not start.
+        BusError: the simulator does not start.
     """
     command = [sys.executable, "-m", SIMULATOR, "--hand", str(args.hand)]
     command += ["--scene", str(args.scene), "--seed", str(args.seed), *wire_words(args)]
@@ -205,7 +205,7 @@ def simulator(args: argparse.Namespace, plan: Plan) -> Iterator[None]:
         line = child.stdout.readline()
         if "ready" not in line:
             if child.wait(START_S) == Exit.BAD_INPUT:
-                raise SystemExit(Exit.BAD_INPUT)  # it has said why
+                raise SystemExit(Exit.BAD_INPUT)  # the simulator has printed the reason
             raise BusError("the simulator did not start", SIMULATOR, "a line that says ready")
         yield
     finally:

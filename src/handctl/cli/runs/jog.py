@@ -1,4 +1,4 @@
-"""``handctl jog``: move one digit by hand, by tension or by angle, for a while."""
+"""``handctl jog``: move one digit to a tension or an angle for some seconds."""
 
 import argparse
 
@@ -16,7 +16,7 @@ from handctl.session.run import make_controller, run_live
 
 
 def run(args: argparse.Namespace) -> int:
-    """Arm, move, relax, disarm."""
+    """Arm the hand, move the digit, relax and disarm. Return the exit code."""
     plan = make_plan(args)
     program = _program(args, plan.hand.digit_names, min(tendon.tension_max_N for tendon in plan.hand.tendon))
     path, calibration, reason = find_calibration(args, plan.hand)
@@ -36,7 +36,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _program(args: argparse.Namespace, digits: tuple[str, ...], ceiling: float) -> JogProgram:
-    """The goal, checked before anything moves."""
+    """Return the program, with its goal checked before the hand moves.
+
+    Raises:
+        ConfigError: the digit, the duration, the tension or the angle is invalid.
+    """
     if args.digit not in digits:
         raise ConfigError(repr(args.digit), "digit", "one of " + ", ".join(digits))
     if not 0 < args.duration <= 600:

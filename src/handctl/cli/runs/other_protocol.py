@@ -1,4 +1,4 @@
-"""A simulated hand with drives of another protocol, as the fault campaign tries it."""
+"""Hand file of a simulated hand with drives of another protocol, as in the fault campaign."""
 
 import argparse
 import tempfile
@@ -12,10 +12,10 @@ from handctl.output import write_whole
 
 @contextmanager
 def in_protocol(args: argparse.Namespace) -> Iterator[None]:
-    """Let ``args.hand`` be a file of the hand in ``args.protocol``, if that is given, as long as the body runs.
+    """Replace ``args.hand`` by a file of the hand with drives of ``args.protocol``, until the end of the context.
 
     Raises:
-        ConfigError: no such hand.
+        ConfigError: the hand does not exist.
     """
     if args.protocol is None:
         yield
@@ -33,10 +33,10 @@ def in_protocol(args: argparse.Namespace) -> Iterator[None]:
 
 
 def path_in_protocol(args: argparse.Namespace) -> Path:
-    """Name the file of the hand in ``args.protocol``, in the present folder.
+    """Return the path of the hand file with drives of ``args.protocol``, in the present folder.
 
     Raises:
-        ConfigError: another file has this name.
+        ConfigError: a different file has this name.
     """
     path = Path(f"{Path(args.hand).stem}-{args.protocol}.toml")
     if path.exists() and path.read_bytes() != _text(args).encode():
@@ -45,14 +45,14 @@ def path_in_protocol(args: argparse.Namespace) -> Path:
 
 
 def write_in_protocol(args: argparse.Namespace) -> Path:
-    """Write the file that ``path_in_protocol`` names."""
+    """Write the hand file of ``path_in_protocol`` and return its path."""
     path = path_in_protocol(args)
     write_whole(path, _text(args))
     return path
 
 
 def _text(args: argparse.Namespace) -> str:
-    """Describe the hand with drives of the protocol."""
-    from handctl.campaign.stage import hand_in  # it brings the whole controller along
+    """Return the text of the hand file with drives of the protocol."""
+    from handctl.campaign.stage import hand_in  # a slow import: the whole controller
 
     return hand_in(args.hand, args.protocol).to_toml()

@@ -1,4 +1,4 @@
-"""Whoever started a run and holds the other end of its standard input: if that goes, nobody is left to stop it."""
+"""Watch of standard input for ``--until-eof``. Its end means that the program that started the run has ended."""
 
 import os
 import select
@@ -8,21 +8,22 @@ from handctl.runtime.mailbox import STOP
 
 STDIN = 0
 READ_BYTES = 4096
-"""Bytes of standard input that are thrown away at a time."""
+"""Maximum number of bytes of standard input that one read discards."""
 
 
 class StdinWatch:
-    """An attendant of one run (see ``session.run.RunObserver``) that asks to stop once standard input has ended."""
+    """Observer of a run that requests a stop after the end of standard input. See ``session.run.RunObserver``."""
 
     def __init__(self) -> None:
+        """Start with an open standard input."""
         self.input_ended = False
 
     def poll_requests(self) -> tuple[str, ...]:
-        """To stop, once; nothing as long as somebody is there."""
+        """Return one stop request after the end of standard input."""
         if self.input_ended or not select.select([STDIN], [], [], 0)[0] or os.read(STDIN, READ_BYTES):
             return ()
         self.input_ended = True
         return (STOP,)
 
     def on_tick(self, entry: TickIn, out: TickOut) -> None:
-        """Nothing."""
+        """Ignore the tick. See ``session.run.RunObserver``."""

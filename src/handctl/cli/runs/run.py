@@ -1,4 +1,4 @@
-"""``handctl run``: carry out a task on a hand, log it, and say how it went."""
+"""``handctl run``: run a task on a hand, write its log, and report the result."""
 
 import argparse
 import sys
@@ -26,7 +26,7 @@ from handctl.session.verdict import judge
 
 
 def run(args: argparse.Namespace) -> int:
-    """Carry out the task."""
+    """Run the task and return the exit code."""
     refuse_blind_view(args.view)
     plan = make_plan(args)
     program, attached = _program(args, plan)
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _program(args: argparse.Namespace, plan: Plan) -> tuple[Program, dict[str, bytes]]:
-    """The task, or a program that waits for requests."""
+    """Return the program of the task with its attachments, or a program that waits for requests."""
     if args.trajectory is not None:
         task = find_trajectory(args.trajectory, plan.hand)
         return TaskProgram(task), {"task.toml": toml_text(task.model_dump(by_alias=True)).encode()}
@@ -61,7 +61,7 @@ def _program(args: argparse.Namespace, plan: Plan) -> tuple[Program, dict[str, b
 
 
 def report(result: dict[str, Any], outcome: Outcome, plan: Plan, as_json: bool) -> int:
-    """Print what came out; the exit code of the run."""
+    """Print the result of a run and return its exit code."""
     if as_json:
         print_json(result)
     else:

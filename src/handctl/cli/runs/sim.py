@@ -1,4 +1,4 @@
-"""``handctl sim``: start the simulated hand; the same as ``python -m firmware_sim``."""
+"""``handctl sim``: start the simulated hand, as ``python -m firmware_sim`` does."""
 
 import argparse
 import os
@@ -16,7 +16,7 @@ from handctl.session.gains import assignments
 
 
 def run(args: argparse.Namespace) -> int:
-    """Become the simulator."""
+    """Replace this process by the simulator."""
     if args.dry_run:
         return _check(args)
     if args.protocol:
@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _command(args: argparse.Namespace, hand: str) -> list[str]:
-    """Words that start the simulator with a hand file."""
+    """Return the command that starts the simulator with a hand file."""
     command = [sys.executable, "-m", "firmware_sim", "--hand", hand, "--scene", args.scene]
     command += ["--seed", str(args.seed), "--time-scale", str(args.time_scale)]
     for bus in args.bus:
@@ -38,7 +38,7 @@ def _command(args: argparse.Namespace, hand: str) -> list[str]:
 
 
 def _check(args: argparse.Namespace) -> int:
-    """Check what is given, and print the command."""
+    """Check the arguments and print the command. Return the exit code."""
     from handctl.session.plan import bus_specs
 
     command = _command(args, str(path_in_protocol(args)) if args.protocol else args.hand)

@@ -38,7 +38,7 @@ from handctl.tune.identify.excitation import excitation
 from handctl.tune.identify.figure import draw
 from handctl.tune.identify.identify import TendonResult, identify, now, table
 
-CLEAR_THE_WAY = "expected a digit that touches nothing: move away what it meets, or correct the hand file's springs"
+BLOCKED_HINT = "expected a digit that touches nothing: move away what it meets, or correct the hand file's springs"
 
 
 def run(args: argparse.Namespace) -> int:
@@ -171,7 +171,7 @@ def _report(
     for digit, reason in spoilt.items():
         say(f"handctl: nothing of {digit} is kept: {reason}; expected a digit that meets nothing", error=True)
     for digit, reason in met.items():
-        say(f"handctl: springs and friction of {digit} are not kept: {reason}; {CLEAR_THE_WAY}", error=True)
+        say(f"handctl: springs and friction of {digit} are not kept: {reason}; {BLOCKED_HINT}", error=True)
     ended = Exit.FAILED if spoilt or met else Exit.DONE
     if args.json:
         print_json(_result_fields(results, pictures, path if written else None) | {"blocked": spoilt, "met": met})

@@ -118,7 +118,8 @@ class _Progress:
 
 
 def _report_fields(result: Any, storage: Path, out: Path | None, picture: Path) -> dict[str, Any]:
-    best, first = result.best, result.trials[0]
+    best = result.best
+    first = result.trials[0]
     best_fields = best and {"trial": best.number, "values": best.values, "score": asdict(best.score)}
     return {
         "trials": len(result.trials),
