@@ -1,43 +1,40 @@
 """Drives with deliberate faults, for tests of the programs that must find faulty drives."""
 
-from collections.abc import Callable
+from dataclasses import replace
 
 from firmware_sim.bus.frame import Frame
+from firmware_sim.description import MotorSpec
 from firmware_sim.nodes import PROTOCOLS
-from firmware_sim.nodes.protocol_spec import DriveNode, Node
+from firmware_sim.nodes.protocol_spec import DriveNode, Node, ProtocolSpec
 
 FAULTS = {
     "deaf": "ignores commands to disable",
+    "eager": "follows torque commands while it is disabled",
     "mute": "never answers",
     "readback": "reads back wrong settings",
     "sign": "makes torque of the wrong sign",
+    "twin": "shares its number with a second drive",
     "watchdog": "its watchdog never fires",
 }
 """Effect of each kind of fault."""
+TWIN_SERIAL = 0x7714_0000
+"""Serial number of the second drive with node number 0."""
 
 
 class FaultyDrive:
     """A drive node with a fault. See ``nodes.Node``."""
 
-    def __init__(
-        self,
-        node: DriveNode,
-        fault: str,
-        corrupt_command: Callable[[Frame], Frame],
-        corrupt_reply: Callable[[Frame], Frame],
-    ) -> None:
+    def __init__(self, node: DriveNode, fault: str, spec: ProtocolSpec) -> None:
         """Wrap a node.
 
         Args:
             node: the node.
             fault: key of ``FAULTS``.
-            corrupt_command: replaces a command to disable.
-            corrupt_reply: replaces the reply of a read-back.
+            spec: protocol of the node, with the variants of its frames.
         """
         self._node = node
         self._fault = fault
-        self._corrupt_command = corrupt_command
-        self._corrupt_reply = corrupt_reply
+        self._spec = spec
 
     @property
     def wake_ns(self) -> int:
@@ -57,10 +54,14 @@ class FaultyDrive:
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
         """See ``nodes.Node``."""
         self._feed(t_ns)
-        answers = self._node.receive(self._corrupt_command(frame) if self._fault == "deaf" else frame, t_ns)
+        answers = self._node.receive(self._spec.corrupt_command(frame) if self._fault == "deaf" else frame, t_ns)
+        if self._fault == "eager" and self._spec.force_command:
+            self._spec.force_command(self._node, frame)
         if self._fault == "mute":
             return [] if answers is not None else None
-        return [self._corrupt_reply(answer) for answer in answers] if self._fault == "readback" and answers else answers
+        if self._fault == "readback" and answers:
+            return [self._spec.corrupt_reply(answer) for answer in answers]
+        return answers
 
     def wake(self, t_ns: int) -> list[Frame] | None:
         """See ``nodes.Node``."""
@@ -80,9 +81,16 @@ def with_fault(node: DriveNode, protocol: str, fault: str) -> Node:
     Args:
         node: the node.
         protocol: key of ``PROTOCOLS``.
-        fault: key of ``FAULTS``, empty for none. ``sign`` is a fault of the motor, which the caller
-            sets.
+        fault: key of ``FAULTS``, empty for none. ``sign`` and ``twin`` are faults of motors and of their
+            numbers, which the caller sets (``with_faulty_specs``).
     """
-    if fault in ("", "sign"):
-        return node
-    return FaultyDrive(node, fault, PROTOCOLS[protocol].corrupt_command, PROTOCOLS[protocol].corrupt_reply)
+    return node if fault in ("", "sign", "twin") else FaultyDrive(node, fault, PROTOCOLS[protocol])
+
+
+def with_faulty_specs(specs: list[MotorSpec], fault: str) -> list[MotorSpec]:
+    """Return the descriptions of drives with a fault of motor or number: ``sign`` or ``twin``."""
+    if fault == "sign":
+        return [replace(spec, torque_gain=-1.0) for spec in specs]
+    if fault == "twin":
+        return specs + [replace(spec, name=f"{spec.name}_twin", serial=TWIN_SERIAL + spec.node_id) for spec in specs]
+    return specs

@@ -212,5 +212,16 @@ def _corrupt_command(frame: Frame) -> Frame:
     return frame._replace(data=b"\x7f\xff\x7f\xf0\0\0\x07\xff") if frame.data == _SPECIAL + b"\xfd" else frame
 
 
-SPEC = ProtocolSpec(CubemarsNode, range(1, 0x100), shaft(DEFAULT_TYPE), _host_frame, _corrupt_command)
+def _force_command(node: CubemarsNode, frame: Frame) -> None:
+    """Apply an MIT command in any state."""
+    if frame.can_id in node.ids and len(frame.data) == 8 and frame.data[:7] != _SPECIAL:
+        enabled = node.enabled
+        node.enabled = True
+        node._apply_command(frame.data)
+        node.enabled = enabled
+
+
+SPEC = ProtocolSpec(
+    CubemarsNode, range(1, 0x100), shaft(DEFAULT_TYPE), _host_frame, _corrupt_command, force_command=_force_command
+)
 """The MIT protocol with CubeMars motors."""

@@ -104,6 +104,7 @@ class ProtocolSpec(NamedTuple):
             that has no effect.
         corrupt_command: replaces a command to disable in a faulty drive.
         corrupt_reply: replaces the reply of a read-back in a faulty drive.
+        force_command: makes a drive follow a torque command in any state, for a faulty drive. None without.
         row: class of a node whose numbers are a row of an array for compiled kernels, None without.
         node_kind: kind of node in compiled kernels, see ``cyclic.Receiver``.
     """
@@ -116,3 +117,4 @@ class ProtocolSpec(NamedTuple):
     corrupt_reply: Callable[[Frame], Frame] = identity
     row: Any = None
     node_kind: int = -1
+    force_command: Callable[[Any, Frame], None] | None = None

@@ -2,14 +2,13 @@
 
 import argparse
 import sys
-from dataclasses import replace
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.bus.ports import open_port
 from firmware_sim.bus.timed_port import DEFAULT_BITRATES, timed_port_maker
 from firmware_sim.command import Parser, check_time_scale, until_signal
 from firmware_sim.description import MotorSpec, SimulatorError
-from firmware_sim.faults.faulty_drive import FAULTS, with_fault
+from firmware_sim.faults.faulty_drive import FAULTS, with_fault, with_faulty_specs
 from firmware_sim.nodes import PROTOCOLS
 from firmware_sim.nodes.protocol_spec import Node
 from firmware_sim.plant.motor import Motor
@@ -47,7 +46,7 @@ class Bench:
         self.t_ns = origin_ns
         self.slip_ns = 0
         self.foreign = 0
-        specs = [replace(spec, torque_gain=-1.0) if fault == "sign" else spec for spec in specs]
+        specs = with_faulty_specs(specs, fault)
         self._part_ns = 0
         self.motors = [Motor(spec, STEP_NS * 1e-9) for spec in specs]
         pairs = zip(specs, self.motors, strict=True)

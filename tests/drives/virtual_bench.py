@@ -29,21 +29,22 @@ class VirtualBench:
         """Put one simulated drive on the bench, with a fault and a delay in ticks."""
         spec = drive_spec(protocol, NODE, inertia=inertia)
         self.bench = Bench([replace(spec, options=options or spec.options)], fault=fault)
-        self.waiting, self.top = [], 0.0
+        self.waiting, self.top, self.origin_ns = [], 0.0, 0
         self.late = [[] for _ in range(delay)]  # what the wire still holds, tick by tick
 
     def start(self):
-        """Start no clock: time is virtual."""
+        """Begin a run: its tick 0 is now."""
+        self.origin_ns = self.bench.t_ns
 
     def wait(self, k):
         """Advance time to tick k, and return 0 missed ticks."""
-        self.bench.advance(k * PERIOD_NS)
+        self.bench.advance(self.origin_ns + k * PERIOD_NS)
         self.top = max(self.top, abs(self.bench.motors[0].servo.torque))
         return 0
 
     def now_ns(self):
         """Return the virtual time [ns]."""
-        return self.bench.t_ns
+        return self.bench.t_ns - self.origin_ns
 
     def send(self, frames):
         """Deliver frames to the drive at once."""
@@ -55,7 +56,11 @@ class VirtualBench:
         """Return the drive's frames, late by the delay."""
         self.late.append(self.waiting + self.bench.take_unsolicited())
         self.waiting = []
-        return [Frame(*frame) for frame in self.late.pop(0)]
+        return [Frame(*frame)._replace(t_ns=frame.t_ns - self.origin_ns) for frame in self.late.pop(0)]
+
+    def pass_time(self, for_s):
+        """Advance the drives' time without a host [s]."""
+        self.bench.advance(self.bench.t_ns + round(for_s * 1e9))
 
     def take_events(self):
         """Return no bus events."""

@@ -3,7 +3,9 @@
 import pytest
 
 from firmware_sim.faults.faulty_drive import FAULTS
-from handctl.runtime.diagnostics.conformance import Check, DeviceUnderTest, Verdict, checks
+from firmware_sim.nodes import PROTOCOLS as SIMULATED
+from handctl.drives.contract import DriveTarget
+from handctl.runtime.diagnostics.conformance import Check, DeviceUnderTest, Verdict, checks, leave
 from handctl.runtime.diagnostics.drive_rig import DriveRig
 from tests.drives.protocol_bench import GUARDED
 from tests.drives.virtual_bench import VirtualBench, rig_on
@@ -34,6 +36,22 @@ def test_a_good_drive_keeps_every_promise(protocol):
     assert place.bench.motors[0].servo.torque == 0.0
 
 
+def test_a_good_drive_passes_three_times_running(protocol):
+    """ODrives and CiA 402 drives were left with a latched error: the second run failed them."""
+    place = VirtualBench(protocol)
+    for _ in range(3):
+        rig = rig_on(place, protocol, LIMIT)
+        found = {check.name: check for check in checks(DeviceUnderTest(rig, LIMIT, 0.05))}
+        assert failed(found) == []
+        assert leave(rig, 0.05)
+        place.pass_time(2.0)
+        late = rig_on(place, protocol, LIMIT)
+        late.tick(DriveTarget.LISTEN)
+        late.keep(DriveTarget.POLL, 0.3)
+        assert late.state.error_text == "", "nothing is latched after a silence of two seconds"
+        assert leave(late, 0.05)
+
+
 @pytest.mark.parametrize("inertia", [2e-5, 1e-4, 2e-3])
 @pytest.mark.parametrize("delay", [1, 3])
 def test_a_light_shaft_and_a_slow_wire_make_no_failure(protocol, inertia, delay):
@@ -44,6 +62,8 @@ def test_a_light_shaft_and_a_slow_wire_make_no_failure(protocol, inertia, delay)
 
 BROKEN_PROMISE = {
     "deaf": "disables on command, and reports it",
+    "eager": "makes no torque until it is enabled",
+    "twin": "is the only drive with its number",
     "mute": "identifies itself, takes its settings and reads them back",
     "readback": "identifies itself, takes its settings and reads them back",
     "sign": "turns the positive way by positive torque",
@@ -53,9 +73,35 @@ BROKEN_PROMISE = {
 
 @pytest.mark.parametrize("fault", sorted(FAULTS))
 def test_a_broken_drive_fails_its_check(protocol, fault):
+    if fault == "eager" and not SIMULATED[protocol].force_command:
+        pytest.skip("its simulated drive cannot follow a torque command while disabled")
     failures, place, _ = judged(protocol, fault)
     assert BROKEN_PROMISE[fault] in failed(failures)
     assert place.top <= LIMIT * 1.001
+
+
+@pytest.mark.parametrize("fault", ["deaf", "eager", "mute", "sign", "twin"])
+def test_a_broken_cubemars_motor_fails_its_check(fault):
+    """A deaf one passed like a good one, because its feedback does not report whether it is enabled."""
+    good, _, _ = judged("cubemars")
+    broken, place, _ = judged("cubemars", fault)
+    assert BROKEN_PROMISE[fault] not in failed(good)
+    assert BROKEN_PROMISE[fault] in failed(broken)
+    assert place.top <= LIMIT * 1.05
+
+
+@pytest.mark.parametrize("fault", ["", "deaf", "twin"])
+def test_an_odrive_of_firmware_05_is_judged_without_torque_reports(fault):
+    place = VirtualBench("odrive", fault, firmware="0.5", usb_watchdog_s=0.1)
+    rig = rig_on(place, "odrive", LIMIT, {"firmware": "0.5"})
+    found = {check.name: check for check in checks(DeviceUnderTest(rig, LIMIT, 0.1))}
+    assert failed(found)[:1] == ([BROKEN_PROMISE[fault]] if fault else [])
+
+
+def test_a_second_drive_never_turns(protocol):
+    """Nothing is enabled once a second drive has answered."""
+    _, place, _ = judged(protocol, "twin")
+    assert place.top == 0.0
 
 
 def test_a_drive_that_does_not_obey_is_left_to_its_watchdog(protocol):
@@ -75,3 +121,5 @@ def test_an_odrive_without_watchdog_fails_that_check_only():
     failures, _, _ = judged("odrive", options={"torque_feedback": True})
     assert failed(failures) == [BROKEN_PROMISE["watchdog"]]
     assert "CANSimple cannot read it" in failures[BROKEN_PROMISE["watchdog"]].reason
+    for option in ("endpoint_enable_watchdog", "endpoint_watchdog_timeout"):
+        assert option in failures[BROKEN_PROMISE["watchdog"]].reason

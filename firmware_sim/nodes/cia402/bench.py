@@ -1,6 +1,7 @@
 """CiA 402 drives as delivered. The free shaft is an assumption."""
 
 from firmware_sim.bus.frame import Frame
+from firmware_sim.nodes.cia402.kernels import apply_torque
 from firmware_sim.nodes.cia402.node import Cia402Node, Cia402NodeRow
 from firmware_sim.nodes.protocol_spec import CIA402, UNADDRESSED, ProtocolSpec, Shaft
 
@@ -29,7 +30,14 @@ def _corrupt_reply(frame: Frame) -> Frame:
     return frame._replace(data=frame.data[:4] + b"\xff\xff\0\0") if matches else frame  # 0x6072 reads 65535
 
 
+def _force_command(node: Cia402Node, frame: Frame) -> None:
+    """Follow the target torque of an RPDO in any state."""
+    if frame.can_id == node.rpdo_id and len(frame.data) >= 4:
+        apply_torque(node, node.motor.servo)
+
+
 SPEC = ProtocolSpec(
-    Cia402Node, NUMBERS, Shaft(1.0, 5e-5, 0.08), _host_frame, _corrupt_command, _corrupt_reply, Cia402NodeRow, CIA402
-)
+    Cia402Node, NUMBERS, Shaft(1.0, 5e-5, 0.08), _host_frame, _corrupt_command, _corrupt_reply, Cia402NodeRow, CIA402,
+    _force_command,
+)  # fmt: skip
 """The CiA 402 protocol."""

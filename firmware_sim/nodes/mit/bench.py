@@ -1,6 +1,7 @@
 """Damiao motors as delivered. Source of the ranges: facts, mit_damiao. The free shaft is an assumption."""
 
 from firmware_sim.bus.frame import Frame
+from firmware_sim.nodes.mit.codec import WORD, apply_command
 from firmware_sim.nodes.mit.node import REGISTER_ID, MitNode, MitNodeRow
 from firmware_sim.nodes.protocol_spec import MIT, ProtocolSpec, Shaft
 
@@ -52,7 +53,14 @@ def _corrupt_reply(frame: Frame) -> Frame:
     return frame._replace(data=frame.data[:4] + b"\0\0\x80\x3f") if matches else frame  # TMAX reads 1
 
 
+def _force_command(node: MitNode, frame: Frame) -> None:
+    """Apply an MIT command in any state."""
+    if frame.can_id == node.node_id and len(frame.data) == 8 and frame.data[:7] != b"\xff" * 7:
+        apply_command(node, node.motor.servo, WORD.unpack(frame.data)[0])
+
+
 SPEC = ProtocolSpec(
-    MitNode, range(1, 0x7F0), shaft(TYPES[DEFAULT_TYPE]), _host_frame, _corrupt_command, _corrupt_reply, MitNodeRow, MIT
-)
+    MitNode, range(1, 0x7F0), shaft(TYPES[DEFAULT_TYPE]), _host_frame, _corrupt_command, _corrupt_reply, MitNodeRow,
+    MIT, _force_command,
+)  # fmt: skip
 """The MIT protocol with Damiao motors."""

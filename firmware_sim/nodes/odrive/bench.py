@@ -1,5 +1,6 @@
 """ODrives as delivered. The free shaft and the endpoint numbers are assumptions."""
 
+import struct
 from typing import Any
 
 from firmware_sim.bus.frame import Frame
@@ -36,7 +37,16 @@ def _corrupt_reply(frame: Frame) -> Frame:
     return frame._replace(data=frame.data[:4] + b"\0\0\x80\x3f") if matches else frame
 
 
+def _force_command(node: OdriveNode, frame: Frame) -> None:
+    """Follow Set_Input_Torque in any state."""
+    if frame.can_id == node.node_id << 5 | 0x0E and len(frame.data) >= 4:
+        servo = node.motor.servo
+        servo.limit = node.peak
+        servo.torque = node.direction * node.gear * struct.unpack_from("<f", frame.data)[0]
+
+
 SPEC = ProtocolSpec(
-    OdriveNode, range(0x3F), shaft("0.6"), _host_frame, _corrupt_command, _corrupt_reply, OdriveNodeRow, ODRIVE
-)
+    OdriveNode, range(0x3F), shaft("0.6"), _host_frame, _corrupt_command, _corrupt_reply, OdriveNodeRow, ODRIVE,
+    _force_command,
+)  # fmt: skip
 """The ODrive protocol."""

@@ -216,6 +216,13 @@ class Drive(Protocol):
         """
         ...
 
+    def torque_frames(self, torque: float) -> tuple[Frame, ...]:
+        """Return a torque command alone [N m at the spool], to check that a disabled drive ignores it.
+
+        Empty if every torque command of the protocol enables the drive.
+        """
+        ...
+
     def cut(self) -> tuple[Frame, ...]:
         """Return the frames that remove the torque at once, in any state.
 

@@ -12,7 +12,7 @@ from handctl.cli.checks.scan import identified
 from handctl.cli.console.begin import ask
 from handctl.cli.console.options import print_json
 from handctl.cli.console.verbosity import note
-from handctl.drives.contract import Drive, DriveTarget, Phase
+from handctl.drives.contract import Drive
 from handctl.drives.discovery import LISTEN_S, DiscoveredNode
 from handctl.drives.frame import Frame
 from handctl.drives.mit.drive import MitDrive
@@ -24,7 +24,7 @@ from handctl.hand.load import parse_toml
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import check_spec, open_bus
 from handctl.runtime.clock import RealClock, give_back_priority, take_priority
-from handctl.runtime.diagnostics.conformance import PROMISES, Check, DeviceUnderTest, Verdict, checks
+from handctl.runtime.diagnostics.conformance import PROMISES, Check, DeviceUnderTest, Verdict, checks, leave
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 from handctl.runtime.diagnostics.scan import Scan, listen, scan
 from handctl.runtime.mailbox import bus_lock
@@ -177,11 +177,9 @@ def _checked(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tuple[
                 if not args.json:
                     print(f"{MARKS[check.verdict]}  {check.name}: {check.reason}", flush=True)
         finally:
-            bus.send(drive.cut())
-            off = rig.confirm_off(WATCHDOG_MS / 1e3)
-            if off and restoring is not drive:
-                rig.take(restoring)
-                rig.until(DriveTarget.POLL, lambda state: state.phase == Phase.READY, 3.0)
+            if len(results) < len(PROMISES):
+                bus.send(drive.cut())
+            off = leave(rig, WATCHDOG_MS / 1e3, restoring if restoring is not drive else None)
             if not off and len(results) < len(PROMISES):  # ended by Ctrl-C or a bug: report it here
                 raise PowerError(LEFT_ON)
     finally:

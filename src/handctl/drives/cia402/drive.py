@@ -375,6 +375,10 @@ class Cia402Drive:
         """Return the cause of an error, see ``contract.Drive``."""
         return CAUSES.get(error, Cause.OTHER if error in codec.ERRORS else Cause.UNKNOWN)
 
+    def torque_frames(self, torque: float) -> tuple[Frame, ...]:
+        """Return an RPDO with a target torque [N m at the spool] and a control word that keeps the power stage off."""
+        return (self._rpdo(codec.DISABLE_VOLTAGE, torque),)
+
     def cut(self) -> tuple[Frame, ...]:
         """Return DISABLE_VOLTAGE, then NMT pre-operational, a fault by object 0x6007.
 

@@ -318,6 +318,10 @@ class MitDrive:
         except ValueError as error:
             raise ValueError(f"{self.name}: {error}") from None
 
+    def torque_frames(self, torque: float) -> tuple[Frame, ...]:
+        """Return the torque command [N m at the spool]. It does not enable the motor."""
+        return (self._frame(self._torque(torque)),)
+
     def cut(self) -> tuple[Frame, ...]:
         """Return the disable command."""
         return (self._frame(codec.special_command(codec.DISABLE)),)

@@ -153,7 +153,7 @@ class OdriveDrive:
     @property
     def unverified_guards(self) -> tuple[str, ...]:
         """Return the guards without verification, for the operator before arming."""
-        return endpoints.unverified_guards(self.settings)
+        return endpoints.unverified_guards(self.settings, self.firmware_05)
 
     @property
     def one_reply_per_command(self) -> bool:
@@ -419,6 +419,10 @@ class OdriveDrive:
     def cause(self, error: int) -> Cause:
         """Return the cause of an error, see ``contract.Drive``."""
         return cause_of(error)
+
+    def torque_frames(self, torque: float) -> tuple[Frame, ...]:
+        """Return Set_Input_Torque [N m at the spool]. It does not enable the drive."""
+        return (self._torque(torque),)
 
     def cut(self) -> tuple[Frame, ...]:
         """Return Estop: disarm and latch."""

@@ -58,14 +58,16 @@ def pop_settings(
     return tuple(settings)
 
 
-def unverified_guards(settings: tuple[Setting, ...]) -> tuple[str, ...]:
+def unverified_guards(settings: tuple[Setting, ...], firmware_05: bool) -> tuple[str, ...]:
     """Return the guards without verification, for the operator before arming."""
     names = {setting.name for setting in settings}
     guards = []
     if "watchdog_timeout" not in names:
-        guards.append("watchdog not verified: CANSimple cannot read it; a dead host may leave torque on")
+        remedy = "set it over USB" if firmware_05 else f"give {KEYS[0]} and {KEYS[1]}"
+        guards.append(f"watchdog not verified: CANSimple cannot read it; a dead host may leave torque on; {remedy}")
     if not {"torque_max", "torque_min"} <= names:
-        guards.append("the drive's own torque limit is not verified: CANSimple cannot read it")
+        remedy = "set it over USB" if firmware_05 else f"give {KEYS[2]} and {KEYS[3]}"
+        guards.append(f"the drive's own torque limit is not verified: CANSimple cannot read it; {remedy}")
     return tuple(guards)
 
 

@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 from enum import Enum
 from typing import NamedTuple
 
-from handctl.drives.contract import DriveTarget, Phase
-from handctl.runtime.diagnostics.drive_rig import DriveRig
+from handctl.drives.contract import Drive, DriveTarget, Phase
+from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 from handctl.runtime.diagnostics.torque_step import MOVED_RAD, STILL_RAD_S, brake, torque_step
 
 FRESH_NS = 50_000_000
@@ -19,6 +19,12 @@ LATE_OF_100 = 5
 """Ticks of 100 that may find older feedback, because this process shares its machine."""
 SILENCE_S = 0.3
 """Shortest silence in the check of the watchdog [s]."""
+COUNTED_TICKS = 60
+"""Ticks in which answers are counted, and in which a disabled drive gets torque commands."""
+SECOND_DRIVE = 1.5
+"""Answers per request that mean a second drive. One drive has 1, two have 2."""
+REPORTED_FRACTION = 0.3
+"""Reported torque that counts as obeyed, as a fraction of the command."""
 
 
 class Verdict(Enum):
@@ -83,8 +89,9 @@ def checks(device: DeviceUnderTest) -> Iterator[Check]:
             continue
         check = _run_check(device, name, promise)
         yield check
-        reversed_turn |= turns and check.verdict is Verdict.FAILED
-        usable = device.rig.rest()
+        failed = check.verdict is Verdict.FAILED
+        reversed_turn |= turns and failed
+        usable = device.rig.rest() and not (failed and promise is _alone)
 
 
 def _not_run(device: DeviceUnderTest, name: str, promise: Promise) -> Check:
@@ -118,8 +125,34 @@ def _enabled(rig: DriveRig) -> None:
         raise Failed(rig.state.error_text or "does not report that it is enabled within 2 s of the command")
 
 
+def _alone(device: DeviceUnderTest) -> str:
+    """Check that each request has one answer. A second drive with the same number also answers."""
+    rig = device.rig
+    drive = rig.drive
+    unasked = 0 if drive.one_reply_per_command else _feedback_frames(rig, DriveTarget.LISTEN)
+    answers = _feedback_frames(rig, DriveTarget.POLL)
+    if drive.feedback_period_s:
+        requests = COUNTED_TICKS * PERIOD_NS * 1e-9 / drive.feedback_period_s
+        text = f"{answers} messages in the time of {requests:.0f}"
+    else:
+        answers -= unasked
+        requests = COUNTED_TICKS
+        text = f"{answers} answers to {requests} requests"
+    if answers > SECOND_DRIVE * requests:
+        raise Failed(f"{text}: another drive has the same number; give each a number of its own")
+    return text
+
+
+def _feedback_frames(rig: DriveRig, target: DriveTarget) -> int:
+    """Return the number of feedback frames in COUNTED_TICKS ticks."""
+    before = rig.state.feedback_count
+    for _ in range(COUNTED_TICKS):
+        rig.tick(target)
+    return rig.state.feedback_count - before
+
+
 def _waits(device: DeviceUnderTest) -> str:
-    """Check that a ready drive makes no torque."""
+    """Check that a ready drive makes no torque, without and with torque commands."""
     rig = device.rig
     before = rig.state.feedback_count
     rig.keep(DriveTarget.POLL, 0.3)
@@ -127,7 +160,35 @@ def _waits(device: DeviceUnderTest) -> str:
         raise Failed(rig.state.error_text or f"went to {rig.state.phase.name}")
     if math.isfinite(rig.velocity) and abs(rig.velocity) > STILL_RAD_S:
         raise NotApplicable(f"the shaft turns by itself, {rig.velocity:.2g} rad/s")
-    return f"{rig.state.feedback_count - before} feedback frames meanwhile"
+    seen = _ignores_torque(device)
+    if rig.state.phase != Phase.READY:
+        raise Failed(rig.state.error_text or f"went to {rig.state.phase.name} at a torque command")
+    return f"{seen}; {rig.state.feedback_count - before} feedback frames meanwhile"
+
+
+def _ignores_torque(device: DeviceUnderTest) -> str:
+    """Send a disabled drive torque commands up to the limit. Raises Failed if it follows them."""
+    rig = device.rig
+    if not rig.drive.torque_frames(0.0):
+        return "without torque commands, because each of them enables"
+    start = rig.state.position
+    reported_before = rig.state.torque
+    coasting = abs(rig.velocity) if math.isfinite(rig.velocity) else 0.0
+    reported: list[float] = []
+    for i in range(COUNTED_TICKS):
+        torque = device.limit * (i + 1) / COUNTED_TICKS
+        rig.tick(DriveTarget.POLL, extra=rig.drive.torque_frames(torque))
+        reported.append(rig.state.torque - reported_before)
+        moved = rig.state.position - start
+        if abs(moved) > MOVED_RAD + coasting * (i + 1) * PERIOD_NS * 1e-9:
+            rig.tick(DriveTarget.POLL, extra=rig.drive.torque_frames(0.0))
+            raise Failed(f"follows torque commands while disabled: {torque:+.3f} N m turned it by {moved:+.3f} rad")
+    # A drive may keep the last command until it is enabled.
+    rig.tick(DriveTarget.POLL, extra=rig.drive.torque_frames(0.0))
+    mean = sum(reported[len(reported) // 2 :]) / (len(reported) - len(reported) // 2)
+    if abs(mean) > REPORTED_FRACTION * device.limit:
+        raise Failed(f"reports {mean:+.3f} N m at torque commands while disabled")
+    return f"ignores torque commands up to {device.limit:+.3f} N m"
 
 
 def _enables(device: DeviceUnderTest) -> str:
@@ -204,7 +265,10 @@ def _disables(device: DeviceUnderTest) -> str:
         raise Failed("does not report within 1 s of the command that it is disabled")
     if rig.state.phase == Phase.FAULT:
         raise Failed(f"reports a fault after the disable command: {rig.state.error_text}")
-    return f"after {(rig.t_ns - start) / 1e6:.0f} ms"
+    took = f"after {(rig.t_ns - start) / 1e6:.0f} ms"
+    # A drive that does not report whether it is enabled may have ignored the command.
+    rig.keep(DriveTarget.DISABLE, 0.05)
+    return f"{took}; {_ignores_torque(device)}"
 
 
 def _watchdog_disables(device: DeviceUnderTest) -> str:
@@ -246,8 +310,30 @@ def _readable(device: DeviceUnderTest) -> str:
     return f"{state.feedback_count} feedback frames, every frame on its identifiers could be decoded"
 
 
+def leave(rig: DriveRig, watchdog_s: float, restoring: Drive | None = None) -> bool:
+    """Disable the drive, clear its errors and leave it as after a run. Returns True if it reports that it is off.
+
+    The next program finds a drive that is ready, and that does not take the end of this one for the death
+    of its host.
+
+    Args:
+        rig: of a drive in any state.
+        watchdog_s: timeout of the drive's watchdog [s].
+        restoring: description with the settings that the drive shall get back, None for the present ones.
+    """
+    if not rig.confirm_off(watchdog_s):
+        return False
+    if restoring is not None:
+        rig.take(restoring)
+    rig.clear()
+    rig.until(DriveTarget.POLL, lambda state: state.phase == Phase.READY, 3.0)
+    rig.release()
+    return True
+
+
 PROMISES: tuple[tuple[str, Promise, bool], ...] = (
     ("identifies itself, takes its settings and reads them back", _configured, False),
+    ("is the only drive with its number", _alone, False),
     ("makes no torque until it is enabled", _waits, False),
     ("enables on command, and reports it", _enables, False),
     ("gives feedback in every tick", _feedback, False),

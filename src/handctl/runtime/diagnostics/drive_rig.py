@@ -98,6 +98,10 @@ class DriveRig:
         """Send only the frames that take the torque away."""
         self.tick(DriveTarget.LISTEN, extra=self.drive.cut())
 
+    def release(self) -> None:
+        """Send the frames of the regular end of a run."""
+        self.tick(DriveTarget.LISTEN, extra=self.drive.release_frames(self.state))
+
     def rest(self) -> bool:
         """Bring the drive to READY from any phase. Returns True if it arrived there."""
         self.until(DriveTarget.DISABLE, lambda state: state.phase != Phase.ENABLED, 1.0)
