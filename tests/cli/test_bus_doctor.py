@@ -34,6 +34,20 @@ def test_what_is_not_there_comes_with_what_to_type(capsys, words, said):
     assert said in capsys.readouterr().out
 
 
+def test_an_odrive_of_firmware_05_is_there(capsys):
+    """It was asked for its version, which it does not have, and every healthy one was reported as gone."""
+    with drives("local:d", "odrive", "--ids", "3", "--firmware", "0.5"):
+        assert main(["bus", "doctor", "--bus", "local:d"]) == 0
+    assert "odrive 3 answers 20 of 20" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("protocol", ["mit", "odrive", "cia402"])
+def test_two_drives_with_one_number_are_found(capsys, protocol):
+    with drives("local:d", protocol, "--ids", "33", "--broken", "twin"):
+        assert main(["bus", "doctor", "--bus", "local:d"]) == 1
+    assert f"--  {protocol} 33: two drives answer" in capsys.readouterr().out
+
+
 def test_no_bus_is_bad_input(capsys):
     assert main(["bus", "doctor"]) == 2
     assert "--bus" in capsys.readouterr().err

@@ -2,9 +2,11 @@
 
 import json
 import threading
+import time
 
 import pytest
 
+from handctl.cli.checks.conformance import _options
 from handctl.cli.main import main
 from handctl.drives.frame import Frame
 from handctl.drives.mit.codec import Ranges, command_message
@@ -40,6 +42,46 @@ def test_a_good_drive_in_another_process_passes(protocol, more):
     if protocol == "mit":
         assert node["settings"]["torque_max_N_m"] == 10.0, "the torque range is given back"
         assert node["state"] == "disabled"
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("protocol", ["odrive", "cia402"])
+def test_a_drive_is_left_as_good_as_it_was(protocol):
+    """It was left with a latched error: `commission` then refused the hand."""
+    more = ENDPOINTS if protocol == "odrive" else []
+    with drives("local:c", protocol, "--ids", "33"):
+        done = handctl(*WORDS, "--protocol", protocol, "--node", "33", "--yes", "--json", *more)
+        assert done.returncode == 0
+        time.sleep(0.5)
+        found = handctl("scan", "--bus", "local:c", "--json")
+    (node,) = json.loads(found.stdout)["buses"][0]["nodes"]
+    assert node["error"] == ""
+    assert "fault" not in node["state"]
+
+
+def test_two_drives_with_one_number_are_refused(capsys):
+    with drives("local:c", "mit", "--ids", "2", "--broken", "twin"):
+        assert main([*WORDS, "--protocol", "mit", "--node", "2", "--yes"]) == 1
+    assert "two drives answer as mit 2" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "options"),
+    [
+        (["motor_type=ak80-9"], {"motor_type": "ak80-9"}),
+        (["motor_type='ak80-9'", "temperature_offset_C=0"], {"motor_type": "ak80-9", "temperature_offset_C": 0}),
+        (["firmware=0.5"], {"firmware": "0.5"}),
+        (["sync=true", "gear_ratio=6.0"], {"sync": True, "gear_ratio": 6.0}),
+    ],
+)
+def test_a_text_option_needs_no_quotes(words, options):
+    assert _options(words) == options
+
+
+def test_an_odrive_of_firmware_05_needs_no_option(capsys):
+    """It refused the verb's own default, torque_feedback."""
+    words = ["--protocol", "odrive", "--node", "3", "--option", "firmware=0.5", "--dry-run"]
+    assert main([*WORDS, *words]) == 0
 
 
 @pytest.mark.realtime

@@ -2,6 +2,7 @@
 
 import json
 import tomllib
+from dataclasses import replace
 
 import pytest
 
@@ -10,6 +11,7 @@ from firmware_sim.programs.drive import Bench
 from firmware_sim.programs.drive_types import drive_spec
 from handctl.cli.checks.fragment import fragment
 from handctl.cli.main import main
+from handctl.drives.discovery import TWINS
 from handctl.drives.frame import REMOTE, Frame
 from handctl.drives.registry import make_drive
 from handctl.hand.file.sections import Bus, Motor
@@ -48,8 +50,8 @@ def hear(bus, for_s, seen):
     seen += bus.drain()
 
 
-def scanned(*specs, talk=(), force=False) -> tuple[Scan, Bench, BenchBus]:
-    bench = Bench([drive_spec(*spec) for spec in specs])
+def scanned(*specs, talk=(), force=False, fault="") -> tuple[Scan, Bench, BenchBus]:
+    bench = Bench([drive_spec(*spec) for spec in specs], fault=fault)
     bus = BenchBus(bench, talk)
     return scan(bus, force, listen=hear), bench, bus
 
@@ -94,6 +96,55 @@ def test_beside_another_host_it_only_listens(talk):
     assert result.foreign
     assert bus.heard == []
     assert scanned(("mit", 1), talk=[talk], force=True)[0].found
+
+
+def test_beside_another_host_no_firmware_is_invented():
+    """An ODrive 0.6 that was never asked was reported as firmware 0.5, told by the drive."""
+    request = Frame(3 << 5 | 0x09 | REMOTE, b"")
+    result, _, bus = scanned(("odrive", 3), talk=[request])
+    assert bus.heard == []
+    (drive,) = result.found
+    assert (drive.firmware, drive.options, drive.origins) == ("", {}, {})
+    assert "firmware unknown, because nothing was asked" in drive.notes
+    assert "firmware =" not in fragment({"a": result.found}, 1_000_000, None)
+
+
+def test_firmware_05_is_a_conclusion_and_the_fragment_says_so():
+    result, _, _ = scanned(("odrive", 3, "", False, None, "0.5"))
+    (drive,) = result.found
+    assert drive.options == {"firmware": "0.5"}
+    assert 'firmware = "0.5"    # concluded: no answer to Get_Version' in fragment({"a": result.found}, 1_000_000, None)
+
+
+@pytest.mark.parametrize(
+    "spec", [("mit", 5), ("cia402", 33), ("odrive", 3), ("odrive", 3, "", False, None, "0.5")], ids=str
+)
+def test_two_drives_with_one_number_are_found(spec):
+    (alone,) = scanned(spec)[0].found
+    assert (alone.twins, TWINS in alone.notes) == (False, False)
+    (drive,) = scanned(spec, fault="twin")[0].found
+    assert (drive.twins, drive.notes[0]) == (True, TWINS)
+
+
+def test_two_motors_that_answer_on_one_identifier_are_found():
+    specs = [drive_spec("mit", 1), replace(drive_spec("mit", 2), options={"reply_id": 0x11})]
+    result = scan(BenchBus(Bench(specs)), listen=hear)
+    assert ["answers on 0x11 as motor" in node.notes[0] for node in result.found] == [True, True]
+
+
+def test_a_torque_beyond_a_hand_file_is_not_told_by_the_drive():
+    """A DM-J8009 reports 54 N m. The fragment has the largest torque of a hand file, and says why."""
+    result, _, _ = scanned(("mit", 1, "dm8009"))
+    text = fragment({"a": result.found}, 1_000_000, None)
+    assert "torque_max_N_m = 50.0    # the drive reports 54, a hand file takes at most 50" in text
+
+
+def test_drives_that_a_scan_cannot_find_are_named(capsys):
+    with drives("local:s", "mit", "--ids", "17"):
+        assert main(["scan", "--bus", "local:s"]) == 0
+        assert "not looked for: cubemars" in capsys.readouterr().out
+        assert main(["bus", "doctor", "--bus", "local:s"]) == 0
+    assert "not looked for: cubemars" in capsys.readouterr().out
 
 
 def test_the_sensor_node_of_a_hand_is_found_but_not_beside_drives_that_know_sync(tmp_path):

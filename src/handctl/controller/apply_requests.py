@@ -28,6 +28,7 @@ from handctl.safety.faults.table import BY_ID, DEBOUNCE
 BEFORE_READY = (Mode.SILENT, Mode.INVENTORY)
 """Modes in which a request to clear also clears the drives."""
 
+
 def apply_requests(
     model: HandModel, program: Program, state: State, requests: tuple[str, ...]
 ) -> tuple[OperatorRequests, tuple[Event, ...]]:

@@ -106,9 +106,7 @@ def shutdown_frames(drives: tuple[Drive, ...], state: State) -> tuple[Frame, ...
     """
     if state.mode != Mode.DONE or state.failure:
         return ()
-    return tuple(
-        frame for drive, own in zip(drives, state.drives, strict=True) for frame in drive.release_frames(own)
-    )
+    return tuple(frame for drive, own in zip(drives, state.drives, strict=True) for frame in drive.release_frames(own))
 
 
 def next_mode(

@@ -155,9 +155,7 @@ class Controller:
         self._count_refusals(state, request_events)
         action, findings = self._judge(before, state, entry, signs)
         t = entry.t_ns / 1e9
-        mode_events = modes.next_mode(
-            self.model, self.drives, state, action, operator, signs, t, self.identities
-        )
+        mode_events = modes.next_mode(self.model, self.drives, state, action, operator, signs, t, self.identities)
         program_events = self._program(state, action)
         self._write_progress(state, before)
         unchanged = state.copy() if state.decisions.pending else None

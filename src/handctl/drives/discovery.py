@@ -32,6 +32,8 @@ class DiscoveredNode:
         settings: keys of a ``[[motor]]`` section with values from the drive.
         options: keys of ``[motor.options]`` with values from the drive.
         notes: warnings for the operator.
+        origins: origin of a value in settings or options that the drive has not reported, by its key.
+        twins: more than one drive answers with this number.
     """
 
     protocol: str
@@ -43,6 +45,30 @@ class DiscoveredNode:
     settings: Mapping[str, float] = field(default_factory=dict)
     options: Mapping[str, bool | int | float | str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    origins: Mapping[str, str] = field(default_factory=dict)
+    twins: bool = False
+
+
+TWINS = "two drives answer with this number: give each a number of its own, one drive on the bus at a time"
+"""Note on a node with ``twins``."""
+
+
+def have_twins(answers: Mapping[int, Sequence[bytes]], serial: int) -> bool:
+    """Return True if two drives sent the answers to requests that were sent once each.
+
+    A bus can deliver a single frame twice, but not the answers to two requests.
+
+    Args:
+        answers: answers by request, such as the number of a register.
+        serial: request for the serial number, which no two drives share.
+    """
+    serials = set(answers.get(serial, ()))
+    return len(serials) > 1 or sum(len(payloads) > 1 for payloads in answers.values()) > 1
+
+
+def same(node: DiscoveredNode) -> DiscoveredNode:
+    """Return the node unchanged."""
+    return node
 
 
 ReceivedFrames = Sequence[Frame]
@@ -59,6 +85,7 @@ class Discovery(NamedTuple):
         other_host_frames: frames that only another host can have sent.
         ping: request to one node, without motion.
         is_pong: True for a frame that answers ``ping``.
+        unasked: the node without conclusions from a missing answer, for a scan that has only listened.
     """
 
     probe_frames: Callable[[int, ReceivedFrames], tuple[Frame, ...]]
@@ -67,6 +94,7 @@ class Discovery(NamedTuple):
     other_host_frames: Callable[[ReceivedFrames], tuple[Frame, ...]]
     ping: Callable[[DiscoveredNode], Frame]
     is_pong: Callable[[DiscoveredNode, Frame], bool]
+    unasked: Callable[[DiscoveredNode], DiscoveredNode] = same
 
 
 def split_probes(

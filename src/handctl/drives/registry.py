@@ -41,6 +41,8 @@ DISCOVERIES: dict[str, Discovery] = {
     "sensor": sensor_discovery.DISCOVERY,
 }
 """Discovery of each protocol and of the sensor node."""
+UNDISCOVERED = tuple(name for name, entry in PROTOCOLS.items() if not entry.discovery)
+"""Protocols whose drives a scan cannot find: they answer commands only."""
 
 
 def make_drive(motor: MotorDescription, bus: int) -> Drive:

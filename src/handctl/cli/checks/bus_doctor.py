@@ -4,9 +4,10 @@ import argparse
 from collections.abc import Sequence
 from typing import Any
 
+from handctl.cli.checks.scan import not_looked_for
 from handctl.cli.console.options import print_json
 from handctl.cli.console.verbosity import is_quiet, note
-from handctl.drives.discovery import DiscoveredNode
+from handctl.drives.discovery import TWINS, DiscoveredNode
 from handctl.drives.registry import DISCOVERIES
 from handctl.errors import BusError, ConfigError
 from handctl.hand.description import Hand
@@ -95,13 +96,24 @@ def _nodes(
     finally:
         bus.close()
     rows = [Finding("can be opened", True), *_events(result), *map(_answers, trips)]
+    rows += [
+        Finding(f"{node.protocol} {node.node_id}: two drives answer", False, TWINS) for node in _twins(result, trips)
+    ]
     if result.foreign:
         rows.append(Finding("another host is at work: nodes were not asked", False, "end it, and look again"))
     elif hand is not None:
         rows += _missing(hand, expected.name, result)
     elif not result.found:
-        rows.append(Finding("no drive answers", False, WIRING))
+        rows.append(Finding("no drive answers", False, f"{WIRING}; {not_looked_for()}"))
+    else:
+        rows.append(Finding(not_looked_for(), True))
     return rows, trips
+
+
+def _twins(result: Scan, trips: list[tuple[DiscoveredNode, RoundTrip]]) -> list[DiscoveredNode]:
+    """Nodes whose number more than one drive has."""
+    twice = [node for node, trip in trips if trip.twins]
+    return [node for node in result.found if node.twins or node in twice]
 
 
 def _timed(bus: Bus, result: Scan) -> list[tuple[DiscoveredNode, RoundTrip]]:

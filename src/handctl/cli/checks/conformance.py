@@ -3,6 +3,7 @@
 import argparse
 import dataclasses
 import math
+import re
 import sys
 from typing import Any
 
@@ -36,6 +37,10 @@ TORQUE_TOP = 50.0
 """Maximum torque in a hand file [N m]."""
 DEFAULTS: dict[str, dict[str, Any]] = {"odrive": {"torque_feedback": True}, "cia402": {"sync": True}}
 """Options of a single drive on a bench, where no other host sends SYNC."""
+TEXT_OPTIONS = ("firmware", "motor_type")
+"""Options whose value is a text even if it looks like a number, as in firmware=0.5."""
+BARE_TEXT = re.compile(r"[A-Za-z0-9][\w.-]*")
+"""Text whose quotes may be left out."""
 NEEDED = {"rated_torque_N_m": 1.0, "counts_per_turn": 65536}
 """Defaults of options that a CiA 402 drive may not report. The read-back refuses a wrong rated torque."""
 LEFT_ON = "the drive does not say that it is off: REMOVE ITS POWER"
@@ -44,7 +49,7 @@ MARKS = {Verdict.PASSED: "passed", Verdict.FAILED: "FAILED", Verdict.NOT_APPLICA
 
 def run(args: argparse.Namespace) -> int:
     """Run the checks. Return 1 if a check failed, 71 if the drive does not confirm that it is disabled."""
-    options = DEFAULTS.get(args.protocol, {}) | _options(args.option)
+    options = _options(args.option)
     if not (math.isfinite(args.limit) and 1e-3 <= args.limit <= TORQUE_TOP):
         raise ConfigError(f"{args.limit:g}", "--torque-limit-Nm", f"0.001 to {TORQUE_TOP:g}")
     check_spec(args.bus)
@@ -72,15 +77,29 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _options(words: list[str]) -> dict[str, Any]:
-    """Parse options from KEY=VALUE words, with values as in TOML.
+    """Parse options from KEY=VALUE words, with values as in TOML. The quotes of a text may be left out.
 
     Raises:
         ConfigError: a word is not TOML.
     """
+    options: dict[str, Any] = {}
+    for word in words:
+        options |= _option(word)
+    return options
+
+
+def _option(word: str) -> dict[str, Any]:
+    key, _, value = word.partition("=")
+    quoted = f'{key}="{value}"'
+    if key.strip() in TEXT_OPTIONS and value[:1] not in ('"', "'"):
+        word = quoted
     try:
-        return parse_toml("\n".join(words), "--option")
+        return parse_toml(word, "--option")
     except ConfigError as error:
-        raise ConfigError(f"{' '.join(words)}: {error.what}", "--option", "KEY=VALUE, as in gear_ratio=6.0") from None
+        if BARE_TEXT.fullmatch(value):
+            return parse_toml(quoted, "--option")
+        right = "KEY=VALUE, as in gear_ratio=6.0 or motor_type=ak80-9"
+        raise ConfigError(f"{word}: {error.what}", "--option", right) from None
 
 
 def _drive(args: argparse.Namespace, options: dict[str, Any], node: DiscoveredNode | None) -> Drive:
@@ -92,6 +111,7 @@ def _drive(args: argparse.Namespace, options: dict[str, Any], node: DiscoveredNo
     reported: dict[str, Any] = dict(node.options) if node else {}
     if args.protocol == "cia402":
         reported = NEEDED | reported
+    reported = _defaults(args.protocol, reported | options) | reported
     settings = {"position_range_rad": 12.5, "velocity_range_rad_s": 30.0, **(node.settings if node else {})}
     motor = {
         "name": f"{args.protocol}_{args.node}", "protocol": args.protocol, "bus": "bench", "node_id": args.node,
@@ -109,6 +129,11 @@ def _drive(args: argparse.Namespace, options: dict[str, Any], node: DiscoveredNo
     except ValueError as error:
         text = str(error).splitlines()[-1]
         raise ConfigError(text, shown(args.node), "a number of that protocol") from None
+
+
+def _defaults(protocol: str, options: dict[str, Any]) -> dict[str, Any]:
+    """Return the options of a single drive on a bench. Firmware 0.5 of an ODrive does not report torque."""
+    return {} if options.get("firmware") == "0.5" else DEFAULTS.get(protocol, {})
 
 
 def _dry_run(args: argparse.Namespace) -> int:
@@ -138,6 +163,8 @@ def _find_drive(args: argparse.Namespace) -> DiscoveredNode:
         raise BusError("another host is at work on this bus", args.bus, "this host alone: end the other one")
     for node in identified(result.found, args.bus, args.bitrate):
         if (node.protocol, node.node_id) == (args.protocol, args.node):
+            if node.twins:
+                raise DriveError(f"two drives answer as {args.protocol} {args.node}", args.bus, "a number of its own")
             return node
     there = ", ".join(f"{node.protocol} {node.node_id}" for node in result.found) or "nothing"
     right = "its power, bit rate and number to be right"

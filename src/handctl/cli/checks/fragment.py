@@ -49,7 +49,7 @@ def _motor(bus: str, drive: DiscoveredNode) -> list[str]:
         ("viscous_N_m_s_per_rad", 1e-3, TO_FILL_IN + "measure"),
         ("coulomb_N_m", 0.015, TO_FILL_IN + "measure"),
         ("torque_constant_N_m_per_A", 0.26, TO_FILL_IN + "data sheet, at the spool"),
-        ("torque_max_N_m", torque, _source("torque_max_N_m", settings, "begin small")),
+        ("torque_max_N_m", torque, _torque_source(settings)),
         ("torque_peak_N_m", torque, TO_FILL_IN + "what the motor itself can do"),
         ("position_range_rad", settings.get("position_range_rad", 12.5), _source("position_range_rad", settings, "")),
         ("velocity_range_rad_s", settings.get("velocity_range_rad_s", 30.0),
@@ -67,8 +67,17 @@ def _source(key: str, settings: Mapping[str, float], hint: str) -> str:
     return "told by the drive" if key in settings else TO_FILL_IN + hint if hint else ""
 
 
+def _torque_source(settings: Mapping[str, float]) -> str:
+    told = settings.get("torque_max_N_m", 0.0)
+    if told > TORQUE_TOP:
+        return f"the drive reports {told:g}, a hand file takes at most {TORQUE_TOP:g}"
+    return _source("torque_max_N_m", settings, "begin small")
+
+
 def _options(drive: DiscoveredNode) -> list[Entry]:
-    entries: list[Entry] = [(key, value, "told by the drive") for key, value in drive.options.items()]
+    entries: list[Entry] = [
+        (key, value, drive.origins.get(key, "told by the drive")) for key, value in drive.options.items()
+    ]
     if drive.protocol == "cia402":
         for key, value, where in (("rated_torque_N_m", RATED_N_M, "0x6076"), ("counts_per_turn", COUNTS, "0x608F")):
             if key not in drive.options:

@@ -10,6 +10,7 @@ from handctl.cli.console.verbosity import note
 from handctl.drives.cia402 import codec as cia402_codec
 from handctl.drives.discovery import DiscoveredNode
 from handctl.drives.frame import REMOTE, Frame
+from handctl.drives.registry import UNDISCOVERED
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.diagnostics.scan import Scan, all_questions, scan
 from handctl.session.buses import named_buses
@@ -32,10 +33,12 @@ def run(args: argparse.Namespace) -> int:
             scans[name] = scan(opened, args.force, lambda text, spec=spec: note(f"{spec}: {text}"))  # type: ignore[misc]
         finally:
             opened.close()
-        scans[name] = scans[name]._replace(found=identified(scans[name].found, spec, args.bitrate))
+        if not scans[name].foreign:
+            scans[name] = scans[name]._replace(found=identified(scans[name].found, spec, args.bitrate))
     piece = fragment({name: result.found for name, result in scans.items()}, args.bitrate, args.data_bitrate)
     if args.json:
-        print_json({"buses": [_plain(name, buses[name], result) for name, result in scans.items()], "fragment": piece})
+        listed = [_plain(name, buses[name], result) for name, result in scans.items()]
+        print_json({"buses": listed, "fragment": piece, "not_looked_for": list(UNDISCOVERED)})
     else:
         _print(buses, scans, piece)
     return Exit.DONE if any(result.found for result in scans.values()) else Exit.FAILED
@@ -63,8 +66,10 @@ def _with_identity(drive: DiscoveredNode, numbers: dict[str, int], texts: dict[s
     if not numbers.get("modes", 0) >> 9 & 1:
         notes.append("does not offer cyclic synchronous torque (0x6502 bit 9)")
     options: dict[str, bool | int | float | str] = {}
+    origins: dict[str, str] = {}
     if rated := numbers.get("rated_torque"):
         options["rated_torque_N_m"] = rated * MILLI
+        origins["rated_torque_N_m"] = f"from {rated} in 0x6076, if that is in mN m; EPOS4: uN m"
         notes.append(f"rated torque {rated} taken as mN m; EPOS4 counts in uN m: rated_torque_unit")
     if counts := numbers.get("counts"):
         options["counts_per_turn"] = counts
@@ -76,6 +81,7 @@ def _with_identity(drive: DiscoveredNode, numbers: dict[str, int], texts: dict[s
         state=", ".join(filter(None, (drive.state, power))),
         error=cia402_codec.error_text(numbers["error"]) if numbers.get("error") else "",
         options=options,
+        origins=origins,
         notes=tuple(filter(None, (texts.get("name", ""), *identity, *notes))),
     )
 
@@ -109,8 +115,14 @@ def _print(buses: dict[str, str], scans: dict[str, Scan], piece: str) -> None:
             print("  for what answers on that, scan again with that drive off")
         for drive in result.found:
             _print_drive(drive)
+    print(not_looked_for())
     if any(result.found for result in scans.values()):
         print(f"\n{piece}", end="")
+
+
+def not_looked_for() -> str:
+    """Return the line on protocols whose drives a scan cannot find."""
+    return f"not looked for: {', '.join(UNDISCOVERED)}, whose drives answer commands only"
 
 
 def _print_drive(drive: DiscoveredNode) -> None:

@@ -6,7 +6,7 @@ drive, outside any tick (``runtime.diagnostics.canopen_identity``). Source: CiA 
 
 from handctl.drives.cia402 import codec
 from handctl.drives.cia402.settings import MASTER
-from handctl.drives.discovery import DiscoveredNode, Discovery, ReceivedFrames
+from handctl.drives.discovery import TWINS, DiscoveredNode, Discovery, ReceivedFrames, have_twins
 from handctl.drives.frame import REMOTE, Frame
 
 NUMBERS = range(1, MASTER)
@@ -14,6 +14,8 @@ NUMBERS = range(1, MASTER)
 # Object with the device type, and the profile number in its low word.
 DEVICE_TYPE = 0x1000
 PROFILE = 402
+SERIAL = (0x1018, 4)
+"""Object with the serial number, an optional object."""
 NMT_STATES = {0x00: "boot-up", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
 """NMT states in words."""
 _RPDOS = (0x200, 0x300, 0x400, 0x500)
@@ -21,34 +23,49 @@ _RPDOS = (0x200, 0x300, 0x400, 0x500)
 
 
 def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return the request frames of a round: the device type of every number in round 2."""
-    if turn != 2:
-        return ()
-    return tuple(Frame(codec.SDO_REQUEST + number, codec.upload(DEVICE_TYPE, 0)) for number in NUMBERS)
+    """Return the request frames of a round.
+
+    Round 2 reads the device type of every number, round 3 the serial number of discovered nodes.
+    """
+    if turn == 2:
+        return tuple(Frame(codec.SDO_REQUEST + number, codec.upload(DEVICE_TYPE, 0)) for number in NUMBERS)
+    if turn == 3:
+        return tuple(Frame(codec.SDO_REQUEST + node.node_id, codec.upload(*SERIAL)) for node in nodes(received))
+    return ()
 
 
 def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the nodes with a device type, and nodes with heartbeats but without a device type."""
     types: dict[int, int] = {}
     states: dict[int, int] = {}
+    answers: dict[int, dict[int, list[bytes]]] = {}
     for frame in received:
         if frame.can_id - codec.SDO_REPLY in NUMBERS and len(frame.data) == 8:
             reply = codec.sdo_reply(frame.data)
+            if reply and reply[:2] in ((DEVICE_TYPE, 0), SERIAL):
+                by_object = answers.setdefault(frame.can_id - codec.SDO_REPLY, {})
+                by_object.setdefault(reply.number, []).append(frame.data)
             if reply and reply[:2] == (DEVICE_TYPE, 0) and len(reply.raw) == 4:
                 types[frame.can_id - codec.SDO_REPLY] = int.from_bytes(reply.raw, "little")
         elif frame.can_id - codec.HEARTBEAT in NUMBERS and len(frame.data) == 1:
             states[frame.can_id - codec.HEARTBEAT] = frame.data[0]
-    return tuple(_node(number, types.get(number), states.get(number)) for number in sorted(types | states))
+    return tuple(
+        _node(number, types.get(number), states.get(number), have_twins(answers.get(number, {}), SERIAL[0]))
+        for number in sorted(types | states)
+    )
 
 
-def _node(number: int, device_type: int | None, nmt: int | None) -> DiscoveredNode:
+def _node(number: int, device_type: int | None, nmt: int | None, twins: bool) -> DiscoveredNode:
     """Return the data of a node."""
     state = NMT_STATES.get(nmt, f"NMT state {nmt:#x}") if nmt is not None else ""
     if device_type is None:
         return DiscoveredNode("canopen", number, state=state, notes=("sends heartbeats, but does not answer an SDO",))
     profile = device_type & 0xFFFF
-    notes = () if profile == PROFILE else (f"a CANopen device of profile {profile}, not a drive of CiA 402",)
-    return DiscoveredNode("cia402" if profile == PROFILE else "canopen", number, state=state, notes=notes)
+    notes = (TWINS,) * twins
+    if profile != PROFILE:
+        notes = (*notes, f"a CANopen device of profile {profile}, not a drive of CiA 402")
+    protocol = "cia402" if profile == PROFILE else "canopen"
+    return DiscoveredNode(protocol, number, state=state, notes=notes, twins=twins)
 
 
 def command_ids(node: DiscoveredNode) -> frozenset[int]:

@@ -7,7 +7,7 @@ be discovered without a command. Source: Damiao DM-J4310-2EC manual, register ta
 
 import struct
 
-from handctl.drives.discovery import DiscoveredNode, Discovery, ReceivedFrames
+from handctl.drives.discovery import TWINS, DiscoveredNode, Discovery, ReceivedFrames, have_twins
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
 
@@ -46,25 +46,33 @@ def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
 
 def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the motors that answered with their MST_ID on that identifier."""
-    replies: dict[int, dict[int, bytes]] = {}
+    replies: dict[int, dict[int, list[bytes]]] = {}
     for frame in received:
         if len(frame.data) == 8 and frame.data[2] == codec.READ and int.from_bytes(frame.data[:2], "little") in NUMBERS:
-            replies.setdefault(int.from_bytes(frame.data[:2], "little"), {})[frame.data[3]] = frame.data[4:]
-    reply_ids = {number: _integer(raw[MST_ID]) for number, raw in replies.items() if MST_ID in raw}
+            answers = replies.setdefault(int.from_bytes(frame.data[:2], "little"), {})
+            answers.setdefault(frame.data[3], []).append(frame.data[4:])
+    reply_ids = {number: _integer(raw[MST_ID][-1]) for number, raw in replies.items() if MST_ID in raw}
     identifiers = {frame.can_id for frame in received}
     present = sorted(number for number, reply_id in reply_ids.items() if reply_id in identifiers)
-    return tuple(_motor(number, reply_ids[number], replies[number], received) for number in present)
+    return tuple(_motor(number, reply_ids, replies[number], received) for number in present)
 
 
-def _motor(number: int, reply_id: int, raw: dict[int, bytes], received: ReceivedFrames) -> DiscoveredNode:
+def _motor(
+    number: int, reply_ids: dict[int, int], answers: dict[int, list[bytes]], received: ReceivedFrames
+) -> DiscoveredNode:
     """Return the data of one motor from its register values."""
+    reply_id = reply_ids[number]
+    raw = {register: payloads[-1] for register, payloads in answers.items()}
     values = {register: _integer(data) for register, data in raw.items() if register in _INTEGERS}
     settings = {key: struct.unpack("<f", raw[register])[0] for key, register in _RANGES if register in raw}
     # Without reply_id the hand file assumes MST_ID = ESC_ID + 0x10.
     options: dict[str, bool | int | float | str] = {} if reply_id == number + 0x10 else {"reply_id": reply_id}
     if values.get(CAN_BR, 0) >= FD_FROM:
         options["fd"] = True
-    notes = []
+    twins = have_twins(answers, SERIAL)
+    notes = [TWINS] if twins else []
+    if others := [other for other, used in reply_ids.items() if used == reply_id and other != number]:
+        notes.append(f"answers on {reply_id:#x} as motor {others[0]} does: give each an MST_ID of its own (register 7)")
     if values.get(codec.TIMEOUT) == 0:
         notes.append("its watchdog is off; handctl sets it before arming")
     if values.get(codec.CTRL_MODE, codec.MIT_MODE) != codec.MIT_MODE:
@@ -72,7 +80,7 @@ def _motor(number: int, reply_id: int, raw: dict[int, bytes], received: Received
     state, error = _state(number, reply_id, received)
     firmware = f"{values[SOFTWARE]:#x}" if SOFTWARE in values else ""
     serial = f"{values[SERIAL]:#x}" if SERIAL in values else ""
-    return DiscoveredNode("mit", number, firmware, serial, state, error, settings, options, tuple(notes))
+    return DiscoveredNode("mit", number, firmware, serial, state, error, settings, options, tuple(notes), {}, twins)
 
 
 def _state(number: int, reply_id: int, received: ReceivedFrames) -> tuple[str, str]:

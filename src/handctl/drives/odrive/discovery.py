@@ -5,9 +5,10 @@ other errors, and does not report version or serial number. Source: ODrive docum
 Protocol", and the vendor's DBC 0.5.6 and 0.6.10.
 """
 
+import dataclasses
 import struct
 
-from handctl.drives.discovery import DiscoveredNode, Discovery, ReceivedFrames
+from handctl.drives.discovery import TWINS, DiscoveredNode, Discovery, ReceivedFrames, have_twins
 from handctl.drives.frame import ERROR, EXTENDED, FDF, REMOTE, Frame
 from handctl.drives.odrive import codec
 from handctl.drives.odrive import firmware_05 as odrive_05
@@ -17,6 +18,13 @@ ADDRESS = 0x06
 BROADCAST = 0x3F
 BEATS = 3
 """Frames with the layout of a heartbeat before a node counts. A single frame may be anything."""
+IQ, BUS_VOLTAGE = 0x14, 0x17
+"""Messages of firmware 0.5 that it sends on request only, unless it was set otherwise."""
+_OLD_ANSWERS = (IQ, BUS_VOLTAGE)
+_ANSWERS_ONCE = (ADDRESS, codec.GET_VERSION, *_OLD_ANSWERS)
+"""Messages with one answer to each request of a scan."""
+OLD = "does not report its version: treated as firmware 0.5.x, whose watchdog and limits are set over USB"
+"""Note on a drive without an answer to Get_Version."""
 _STATES = {codec.IDLE: "idle", codec.CLOSED_LOOP: "closed loop control"}
 """Axis states in words."""
 _CYCLIC = {0x00, 0x01, 0x03, 0x09, 0x14, 0x15, 0x17, 0x1C, 0x1D}
@@ -24,48 +32,81 @@ _CYCLIC = {0x00, 0x01, 0x03, 0x09, 0x14, 0x15, 0x17, 0x1C, 0x1D}
 
 
 def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return the request frames of a round: Address of all nodes (1), version of discovered nodes (3)."""
+    """Return the request frames of a round.
+
+    Round 1 requests Address of all nodes, round 2 the version of discovered nodes. Round 3 repeats the
+    version where it is missing, and requests two messages of firmware 0.5 there.
+    """
     if turn == 1:
         return (Frame(codec.can_id(BROADCAST, ADDRESS) | REMOTE, b""),)
+    if turn == 2:
+        return tuple(_request(drive, codec.GET_VERSION) for drive in nodes(received))
     if turn == 3:
-        return tuple(Frame(codec.can_id(drive.node_id, codec.GET_VERSION) | REMOTE, b"") for drive in nodes(received))
+        silent = [drive for drive in nodes(received) if not drive.firmware]
+        return tuple(_request(drive, command) for drive in silent for command in (codec.GET_VERSION, *_OLD_ANSWERS))
     return ()
+
+
+def _request(drive: DiscoveredNode, command: int) -> Frame:
+    """Return a remote frame to a drive."""
+    return Frame(codec.can_id(drive.node_id, command) | REMOTE, b"")
 
 
 def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the nodes with ODrive heartbeats, or with an answer to Address."""
-    beats = _sorted(received, codec.HEARTBEAT)
-    serials = _sorted(received, ADDRESS)
-    versions = _sorted(received, codec.GET_VERSION)
-    present = {node for node, data in beats.items() if len(data) >= BEATS and all(map(_beat, data))}
-    present |= {node for node, data in serials.items() if data[-1][0] == node}
-    nodes = []
-    for node in sorted(present):
-        beat = codec.heartbeat(beats[node][-1]) if node in beats else None
-        serial = f"{int.from_bytes(serials[node][-1][1:7], 'little'):012X}" if node in serials else ""
-        nodes.append(_drive(node, beat, serial, versions[node][-1] if node in versions else b""))
-    return tuple(nodes)
+    messages = {command: _sorted(received, command) for command in (codec.HEARTBEAT, *_ANSWERS_ONCE)}
+    present = {node for node, data in messages[codec.HEARTBEAT].items() if len(data) >= BEATS and all(map(_beat, data))}
+    present |= {node for node, data in messages[ADDRESS].items() if data[-1][0] == node}
+    return tuple(
+        _drive(node, {command: sent[node] for command, sent in messages.items() if node in sent})
+        for node in sorted(present)
+    )
 
 
-def _drive(node: int, beat: codec.Heartbeat | None, serial: str, version: bytes) -> DiscoveredNode:
-    """Return the data of one drive."""
-    notes = ["watchdog and torque limit: give endpoint_... keys in the hand file, or set them over USB and trust that"]
+def _drive(node: int, messages: dict[int, list[bytes]]) -> DiscoveredNode:
+    """Return the data of one drive from its messages, by command."""
+    latest = {command: payloads[-1] for command, payloads in messages.items()}
+    beat = codec.heartbeat(latest[codec.HEARTBEAT]) if codec.HEARTBEAT in latest else None
+    serial = f"{int.from_bytes(latest[ADDRESS][1:7], 'little'):012X}" if ADDRESS in latest else ""
+    version = latest.get(codec.GET_VERSION, b"")
+    twins = have_twins({command: messages.get(command, []) for command in _ANSWERS_ONCE}, ADDRESS)
+    notes = [TWINS] if twins else []
     options: dict[str, bool | int | float | str] = {}
-    if version and version[0] != codec.PROTOCOL:
-        notes.append(f"has CANSimple version {version[0]}, handctl supports {codec.PROTOCOL}")
-    if not version:
+    origins: dict[str, str] = {}
+    if version or serial:
+        notes += _notes_06(serial, version)
+    else:
         options["firmware"] = "0.5"
-        notes = ["does not report its version: treated as firmware 0.5.x, whose watchdog and limits are set over USB"]
-    if not serial and version:
-        notes.append("does not report its serial number")
+        origins["firmware"] = "concluded: no answer to Get_Version"
+        notes.append(OLD)
     if node == BROADCAST:
         notes.append("has no node number yet: give it one")
     elif node == 0:
-        notes.append("node 0 shares its identifiers with CANopen's NMT; give it 0x10 to 0x1f")
+        notes.append("node 0 shares its identifiers with CANopen's NMT: give it another number")
     firmware = ".".join(map(str, version[4:7])) if version else ""
     state = _STATES.get(beat.state, f"axis state {beat.state}") if beat else "no heartbeat"
-    error = (codec.error_text if version else odrive_05.error_text)(beat.errors) if beat else ""
-    return DiscoveredNode("odrive", node, firmware, serial, state, error, {}, options, tuple(notes))
+    error = (codec.error_text if version or serial else odrive_05.error_text)(beat.errors) if beat else ""
+    return DiscoveredNode("odrive", node, firmware, serial, state, error, {}, options, tuple(notes), origins, twins)
+
+
+def _notes_06(serial: str, version: bytes) -> list[str]:
+    """Return the notes on a drive of firmware 0.6."""
+    notes = ["watchdog and torque limit: give endpoint_... keys in the hand file, or set them over USB and trust that"]
+    if not version:
+        notes.append("does not report its version")
+    elif version[0] != codec.PROTOCOL:
+        notes.append(f"has CANSimple version {version[0]}, handctl supports {codec.PROTOCOL}")
+    if not serial:
+        notes.append("does not report its serial number")
+    return notes
+
+
+def unasked(drive: DiscoveredNode) -> DiscoveredNode:
+    """Return a drive that was not asked for its version: its firmware is unknown."""
+    if "firmware" not in drive.origins:
+        return drive
+    notes = tuple("firmware unknown, because nothing was asked" if note == OLD else note for note in drive.notes)
+    return dataclasses.replace(drive, options={}, origins={}, error="", notes=notes)
 
 
 def _sorted(received: ReceivedFrames, command: int) -> dict[int, list[bytes]]:
@@ -108,13 +149,18 @@ def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
 
 
 def ping(drive: DiscoveredNode) -> Frame:
-    """Return the request for the version. A drive sends its version rarely on its own."""
-    return Frame(codec.can_id(drive.node_id, codec.GET_VERSION) | REMOTE, b"")
+    """Return the request for a message that the drive rarely sends on its own."""
+    return _request(drive, _ping_command(drive))
 
 
 def is_pong(drive: DiscoveredNode, frame: Frame) -> bool:
-    """Return True for a version message."""
-    return frame.can_id == codec.can_id(drive.node_id, codec.GET_VERSION) and len(frame.data) == 8
+    """Return True for the message that ``ping`` requests."""
+    return frame.can_id == codec.can_id(drive.node_id, _ping_command(drive)) and len(frame.data) == 8
 
 
-DISCOVERY = Discovery(probe_frames, nodes, command_ids, other_host_frames, ping, is_pong)
+def _ping_command(drive: DiscoveredNode) -> int:
+    """Return the version for firmware 0.6, and bus voltage and current for 0.5, which has no version."""
+    return BUS_VOLTAGE if drive.options.get("firmware") == "0.5" else codec.GET_VERSION
+
+
+DISCOVERY = Discovery(probe_frames, nodes, command_ids, other_host_frames, ping, is_pong, unasked)

@@ -11,6 +11,8 @@ TIMES = 20
 """Number of requests."""
 ANSWER_S = 0.1
 """Longest wait for an answer [s]."""
+SECOND_S = 0.005
+"""Wait for a second answer after the first [s]."""
 
 
 class RoundTrip(NamedTuple):
@@ -22,6 +24,7 @@ class RoundTrip(NamedTuple):
         shortest: round-trip time [s]. NaN without an answer, as the next two.
         median: round-trip time [s].
         longest: round-trip time [s].
+        twice: number of requests with more than one answer. A second drive with the same number answers too.
     """
 
     answers: int
@@ -29,24 +32,37 @@ class RoundTrip(NamedTuple):
     shortest: float
     median: float
     longest: float
+    twice: int = 0
+
+    @property
+    def twins(self) -> bool:
+        """Return True if most requests had more than one answer."""
+        return self.twice > self.asked / 2
 
 
 def round_trip(bus: Bus, node: DiscoveredNode, times: int = TIMES) -> RoundTrip:
     """Measure the round-trip time of a node with one request at a time."""
-    took = sorted(filter(None, (_once(bus, node) for _ in range(times))))
+    trips = [_once(bus, node) for _ in range(times)]
+    took = sorted(first for first, _ in trips if first is not None)
+    twice = sum(more for _, more in trips)
     if not took:
-        return RoundTrip(0, times, *[float("nan")] * 3)
-    return RoundTrip(len(took), times, took[0], took[len(took) // 2], took[-1])
+        return RoundTrip(0, times, *[float("nan")] * 3, twice)
+    return RoundTrip(len(took), times, took[0], took[len(took) // 2], took[-1], twice)
 
 
-def _once(bus: Bus, node: DiscoveredNode) -> float | None:
-    """Return the time to the answer [s]. None if no answer arrives."""
+def _once(bus: Bus, node: DiscoveredNode) -> tuple[float | None, bool]:
+    """Return the time to the answer [s], None if no answer arrives, and True if a second answer follows."""
     discovery = DISCOVERIES[node.protocol]
     bus.drain()  # a late reply to the request before must not count
     start = time.perf_counter()
     bus.send((discovery.ping(node),))
-    while (passed := time.perf_counter() - start) < ANSWER_S:
-        if any(discovery.is_pong(node, frame) for frame in bus.drain()):
-            return time.perf_counter() - start
+    first = None
+    answers = 0
+    while (passed := time.perf_counter() - start) < (ANSWER_S if first is None else first + SECOND_S):
+        answers += sum(discovery.is_pong(node, frame) for frame in bus.drain())
+        if answers and first is None:
+            first = time.perf_counter() - start
+        if answers > 1:
+            break
         time.sleep(0.0001 if passed < 0.01 else 0.002)  # fine at first, then sparing of the processor
-    return None
+    return first, answers > 1

@@ -77,7 +77,11 @@ def scan(
         listen(bus, LISTEN_S if turn == 0 else ANSWER_S, seen)
         if turn == 0 and not force and (foreign := _foreign(seen)):
             break
-    drives = tuple(node for discovery in DISCOVERIES.values() for node in discovery.nodes(seen))
+    drives = tuple(
+        discovery.unasked(node) if foreign else node
+        for discovery in DISCOVERIES.values()
+        for node in discovery.nodes(seen)
+    )
     return Scan(drives, foreign, tuple(omitted), tuple(bus.take_events()), len(seen))
 
 
