@@ -1,5 +1,6 @@
 """Round-trip time of a node: from the call that sends a harmless request to the reception of the answer."""
 
+import math
 import time
 from typing import NamedTuple
 
@@ -46,7 +47,7 @@ def round_trip(bus: Bus, node: DiscoveredNode, times: int = TIMES) -> RoundTrip:
     took = sorted(first for first, _ in trips if first is not None)
     twice = sum(more for _, more in trips)
     if not took:
-        return RoundTrip(0, times, *[float("nan")] * 3, twice)
+        return RoundTrip(0, times, math.nan, math.nan, math.nan, twice)
     return RoundTrip(len(took), times, took[0], took[len(took) // 2], took[-1], twice)
 
 
