@@ -30,23 +30,25 @@ from numba.np import arrayobj as _arrayobj
 from numpy.typing import NDArray
 
 config: Any = _config
-"""Numba's settings, which have no type information."""
+"""Settings of numba. They have no type information."""
 cgutils: Any = _cgutils
 arrayobj: Any = _arrayobj
-"""Numba's tools for code generation, which have none either."""
+"""Code generation of numba. It has no type information."""
 F = TypeVar("F", bound=Callable[..., Any])
 
 SOURCES = ("compiled.py", "core", "drives", "hand", "safety")
 """Files and folders of this package whose functions and constants kernels are made of."""
-KEPT_FOLDERS = 16
-"""Versions whose code is kept; older ones are removed."""
-MOST_WORKERS, LOOK_S = 8, 0.1
-"""Processes that compile, and the time between two looks at how far they are [s]."""
+MAX_FOLDERS = 16
+"""Maximum number of versions whose code is stored. Older versions are deleted."""
+MAX_WORKERS = 8
+"""Maximum number of processes that compile in parallel."""
+POLL_S = 0.1
+"""Time between two checks of the progress of these processes [s]."""
 
 _KERNELS: dict[str, tuple[Any, tuple[Any, ...]]] = {}
 """Name of each kernel to its dispatcher and the types of its arguments."""
 MARKED: list[Callable[..., Any]] = []
-"""Every function that is compiled, as it is written."""
+"""All compiled functions in their Python form."""
 _TYPES = {
     "real": types.float64,
     "count": types.int64,
@@ -101,7 +103,7 @@ def _marked(function: F, **options: Any) -> F:
 
 @contextlib.contextmanager
 def _cached_in(folder: Path | None) -> Iterator[None]:
-    """Let numba keep the code of what is marked meanwhile in a folder; other packages keep theirs where they do."""
+    """Let numba store the code of kernels in a folder, inside this context. Other packages are not affected."""
     before = config.CACHE_DIR
     config.CACHE_DIR = str(folder or "")
     try:
@@ -111,7 +113,7 @@ def _cached_in(folder: Path | None) -> Iterator[None]:
 
 
 def _folder() -> Path | None:
-    """Return the folder of this version's code, made if need be; None where none can be written."""
+    """Create and return the folder for the code of this version, or return None if no folder can be written."""
     root = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser())
     folder = root / "handctl" / f"kernels-{_content()}"
     try:
@@ -127,19 +129,20 @@ def _folder() -> Path | None:
 
 def _content() -> str:
     """Return a hash of all source files that kernels are made of."""
-    here, found = Path(__file__).parent, hashlib.blake2b(digest_size=8)
+    here = Path(__file__).parent
+    digest = hashlib.blake2b(digest_size=8)
     for name in SOURCES:
         top = here / name
         for path in [top] if top.is_file() else sorted(top.rglob("*.py")):
-            found.update(path.read_bytes())
-    return found.hexdigest()
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
 def _remove_old(root: Path) -> None:
-    """Remove the code of versions that were not used lately."""
+    """Delete the code of versions that were not used recently."""
     with contextlib.suppress(OSError):
         folders = sorted(root.glob("kernels-*"), key=lambda path: path.stat().st_mtime, reverse=True)
-        for path in folders[KEPT_FOLDERS:]:
+        for path in folders[MAX_FOLDERS:]:
             shutil.rmtree(path, ignore_errors=True)
 
 
@@ -203,7 +206,7 @@ def _compiled_borrow(flat: Any, first: Any, shape: Any) -> Any:
 
 
 class _Waiting(NamedTuple):
-    """A kernel that is not ready: its name, its dispatcher, and the types of its arguments."""
+    """Kernel that is not compiled yet: its name, its dispatcher, and the types of its arguments."""
 
     name: str
     code: Any
@@ -211,58 +214,62 @@ class _Waiting(NamedTuple):
 
 
 def prepare(progress: Callable[[int, int], None] | None = None) -> None:
-    """Compile every kernel that has been imported, or load its code; afterwards none compiles in a tick.
+    """Compile all imported kernels, or load their code, so that no kernel compiles during a tick.
 
     Args:
-        progress: called now and then with the number that are ready and the number of all.
+        progress: callback with the number of ready kernels and the number of all kernels.
     """
-    told = progress or _untold
+    report = progress or _ignore_progress
     all_of_them = [_Waiting(name, *kernel) for name, kernel in _KERNELS.items()]
     waiting = [one for one in all_of_them if not getattr(one.code, "signatures", True)]
-    if _FOLDER and _kept(_FOLDER, waiting) < len(waiting):
-        _compile_together(_FOLDER, waiting, told)
+    if _FOLDER and _compiled_count(_FOLDER, waiting) < len(waiting):
+        _compile_together(_FOLDER, waiting, report)
     for done, one in enumerate(waiting):
-        told(done, len(waiting))
+        report(done, len(waiting))
         one.code.compile(one.types)
         one.code.disable_compile()
 
 
-def _untold(done: int, most: int) -> None:
-    """Tell nobody."""
+def _ignore_progress(done: int, total: int) -> None:
+    """Discard a progress report."""
 
 
-def _kept(folder: Path, kernels: Sequence[_Waiting]) -> int:
-    """Return how many of these kernels have code in a folder, by the names that numba gives to its files."""
-    kept = {path.name.partition("-")[0] for path in folder.rglob("*.nbi")}
-    return sum(".".join(one.name.rsplit(".", 2)[1:]) in kept for one in kernels)
+def _compiled_count(folder: Path, kernels: Sequence[_Waiting]) -> int:
+    """Count the kernels that have code in a folder, by the file names that numba chooses."""
+    compiled_names = {path.name.partition("-")[0] for path in folder.rglob("*.nbi")}
+    return sum(".".join(one.name.rsplit(".", 2)[1:]) in compiled_names for one in kernels)
 
 
-def _compile_together(folder: Path, waiting: Sequence[_Waiting], told: Callable[[int, int], None]) -> None:
-    """Fill the folder by a process for each core; who comes meanwhile waits. What fails here fails in ``prepare``.
+def _compile_together(folder: Path, waiting: Sequence[_Waiting], report: Callable[[int, int], None]) -> None:
+    """Compile kernels into the folder, with a process per core. Other processes wait for the lock.
+
+    A kernel that cannot be compiled raises its error later, in ``prepare``.
 
     Args:
-        folder: of the code. waiting: what it lacks. told: as in ``prepare``.
+        folder: folder of the code.
+        waiting: kernels without code in the folder.
+        report: callback as in ``prepare``.
     """
     order = sorted(range(len(waiting)), key=lambda i: len(waiting[i].code.py_func.__code__.co_names), reverse=True)
     with contextlib.suppress(OSError), open(folder / "lock", "w") as lock:
         while not _locked(lock):
-            told(_kept(folder, waiting), len(waiting))
-            time.sleep(LOOK_S)
-        if _kept(folder, waiting) == len(waiting):
+            report(_compiled_count(folder, waiting), len(waiting))
+            time.sleep(POLL_S)
+        if _compiled_count(folder, waiting) == len(waiting):
             return
         todo, giving = os.pipe()
-        os.write(giving, bytes(order))  # a byte is a kernel; whoever reads it compiles it
+        os.write(giving, bytes(order))  # a byte is the number of a kernel: the worker that reads it compiles it
         os.close(giving)
-        workers = [_worker(todo, waiting) for _ in range(min(os.cpu_count() or 1, MOST_WORKERS))]
+        workers = [_worker(todo, waiting) for _ in range(min(os.cpu_count() or 1, MAX_WORKERS))]
         os.close(todo)
         while workers:
             workers = [one for one in workers if os.waitpid(one, os.WNOHANG)[0] == 0]
-            told(_kept(folder, waiting), len(waiting))
-            time.sleep(LOOK_S)
+            report(_compiled_count(folder, waiting), len(waiting))
+            time.sleep(POLL_S)
 
 
 def _locked(lock: IO[str]) -> bool:
-    """Return whether the lock could be had."""
+    """Try to acquire the lock. Return True on success."""
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

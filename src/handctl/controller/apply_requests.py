@@ -43,7 +43,8 @@ def apply_requests(
     Returns:
         Stop and cut requests, and events for each request.
     """
-    operator, events = OperatorRequests(), list[Event]()
+    operator = OperatorRequests()
+    events = list[Event]()
     for text in requests:
         request = parse_request(text)
         if isinstance(request, str):

@@ -118,7 +118,8 @@ def split(hand: Hand, rate_hz: float) -> list[list[str]]:
     """
     first = hand.bus[0]
     # The first bus also carries SYNC and load cells, so it has less room for motors.
-    capacity, buses = MAX_BUS_LOAD - BusLoad("", 0, sensor_rows(hand, first)).at(rate_hz), list[list[str]]([[]])
+    capacity = MAX_BUS_LOAD - BusLoad("", 0, sensor_rows(hand, first)).at(rate_hz)
+    buses = list[list[str]]([[]])
     for drive in make_drives(hand):
         load = BusLoad("", 1, drive_rows(drive, first)).at(rate_hz)
         if load > MAX_BUS_LOAD:

@@ -151,7 +151,8 @@ def next_mode(
         text += f"; {REMOVE_POWER}: not confirmed disabled: {', '.join(unconfirmed)}"
     reason = f"{state.failure}; {failure}" if state.failure and unconfirmed else state.failure or failure
     state.decide(failure=reason, unconfirmed=unconfirmed)
-    state.mode, state.mode_since = mode, t
+    state.mode = mode
+    state.mode_since = t
     if mode == Mode.RELAX:
         begin_relaxing(model, state)
     return (Event(level, "mode", "", text),)

@@ -25,7 +25,8 @@ from handctl.core.types import Vector
 from handctl.safety.action import Release
 from handctl.safety.faults.table import BY_ID
 
-RELAX_RATE_N_PER_S, OVER_TENSION_RATE_N_PER_S = 500.0, 2000.0
+RELAX_RATE_N_PER_S = 500.0
+OVER_TENSION_RATE_N_PER_S = 2000.0
 START_MARGIN_N = 15.0
 """Largest start of the setpoint above the last command [N], for friction and the load of motion."""
 
@@ -44,7 +45,8 @@ def begin_relaxing(model: HandModel, state: State) -> None:
     growing, and would continue to pull. The start is also bounded by the commanded force, because
     a load cell may be wrong.
     """
-    table, whole = state.tendon, state.tendon_int
+    table = state.tendon
+    whole = state.tendon_int
     in_tension_loop = np.array([state.progress.goals[d].kind == Kind.TENSION for d in model.digit_of])
     present = np.maximum(table[s.TENSION], RELAX_FLOOR_N) + SETPOINT_MARGIN_N
     # A tendon whose digit follows a position goal has no setpoint that leads its tension.

@@ -102,6 +102,7 @@ def begin_design(present: Gains, values: dict[str, float]) -> tuple[PendingGains
 
 def changes(before: Gains, after: Gains) -> tuple[Event, ...]:
     """Return an event for each changed gain, then an event for the takeover."""
-    old, new = flat(before), flat(after)
+    old = flat(before)
+    new = flat(after)
     changed = tuple(Event("info", GAIN_EVENT, key, repr(value)) for key, value in new.items() if value != old[key])
     return *changed, Event("info", "gains", "", f"taken over: {len(changed)} changed")

@@ -123,8 +123,10 @@ class Setup(Document):
         identified = parse_toml(self.identified_hand, ATTACHMENT)
         known = hand_from(identified, ATTACHMENT) if identified else hand
         model = HandModel.of(known, gains, self.rate_hz, np.array(self.torque_gain) if self.torque_gain else None)
-        tare, zero = np.array(self.tare_N), np.array(self.zero_rad)
-        drives, sensors = make_drives(hand), make_sensors(hand)
+        tare = np.array(self.tare_N)
+        zero = np.array(self.zero_rad)
+        drives = make_drives(hand)
+        sensors = make_sensors(hand)
         controller = Controller(model, drives, sensors, _made(self.program, hand), tare, zero, self.arm_at_once)
         return replace(controller, identities=self.identities)
 
@@ -167,7 +169,8 @@ def make_controller(
     found = calibration.identified if calibration else {}
     gain = torque_gain(hand, found) if found else None
     model = HandModel.of(identified_hand(hand, found) if found else hand, gains, rate_hz, gain)
-    drives, sensors = make_drives(hand), make_sensors(hand)
+    drives = make_drives(hand)
+    sensors = make_sensors(hand)
     controller = Controller(model, drives, sensors, program, tare, zero, arm_at_once)
     known = calibration.drive if calibration else {}
     return replace(controller, identities=tuple(known.get(drive.name, "") for drive in drives) if known else ())

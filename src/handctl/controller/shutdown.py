@@ -38,7 +38,8 @@ def shutdown_step(controller: Controller, state: State, t_ns: int, received: Seq
     Returns:
         The next state, the frames to send, and the unconfirmed motors.
     """
-    after, enabled = state.copy(), []
+    after = state.copy()
+    enabled = []
     after.set_whole(s.K, state.k + 1)
     frames = [controller.sensors.sync(after.k)]
     for n, drive in enumerate(controller.drives):

@@ -69,7 +69,8 @@ def layout_of(model: HandModel, groups: int) -> Layout:
         model: the hand.
         groups: number of frame groups of the sensor node.
     """
-    n, joints = model.tendon_count, len(model.hand.joints)
+    n = model.tendon_count
+    joints = len(model.hand.joints)
     return Layout(STATE, {
         "tendon": n,
         "joint": joints,
@@ -113,7 +114,9 @@ class State:
             block: numbers of the state, not copied.
             decisions: see ``Decisions``.
         """
-        self.layout, self.block, self.decisions = layout, block, decisions
+        self.layout = layout
+        self.block = block
+        self.decisions = decisions
         self.tendon: NDArray[np.float64] = layout.table(block, "tendon")
         self.tendon_int: NDArray[np.int64] = layout.table(block, "tendon_int")
         # "run" has one column, so a row number is directly the position.
@@ -212,8 +215,10 @@ class State:
     @property
     def estimate(self) -> Estimate:
         """Return the present estimates, for programs."""
-        layout, block = self.layout, self.block
-        joint, digit = layout.table(block, "joint"), layout.table(block, "digit")
+        layout = self.layout
+        block = self.block
+        joint = layout.table(block, "joint")
+        digit = layout.table(block, "digit")
         return Estimate(self.tendon, joint, digit, self.tendon_int[s.REGIME])
 
     @property

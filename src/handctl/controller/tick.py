@@ -44,7 +44,11 @@ from handctl.safety.judge import Finding, filter_error_frames, judge, newly_coun
 from handctl.safety.limits import Limits
 
 NO_REQUESTS: tuple[modes.OperatorRequests, tuple[Event, ...]] = modes.OperatorRequests(), ()
-ACTIVE, CUT, DONE, RELAX, SILENT = Mode.ACTIVE, Mode.CUT, Mode.DONE, Mode.RELAX, Mode.SILENT
+ACTIVE = Mode.ACTIVE
+CUT = Mode.CUT
+DONE = Mode.DONE
+RELAX = Mode.RELAX
+SILENT = Mode.SILENT
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +176,9 @@ class Controller:
 
     def _take_in(self, before: State, state: State, entry: TickIn, frames: Frames) -> tuple[str, ...]:
         """Take in frames, correct and predict the filter. Return the signs of a second controller."""
-        block, places, missed = state.block, self.layout.places, entry.k - before.k - 1
+        block = state.block
+        places = self.layout.places
+        missed = entry.k - before.k - 1
         wire.begin(block, places, entry.k, entry.t_ns, entry.late_ns, missed, len(frames))
         signs = self._receive(state, frames)
         stages.observe(block, places, *self._constants)
@@ -185,7 +191,10 @@ class Controller:
 
     def _receive(self, state: State, frames: Frames) -> tuple[str, ...]:
         """Take in frames. Return received identifiers of this host's own frames, each once."""
-        tables, signs, at, rows = self.wire, list[str](), 0, frames.rows
+        tables = self.wire
+        signs = list[str]()
+        at = 0
+        rows = frames.rows
         while True:
             at = wire.receive(
                 state.block, self.layout.places, rows, tables.keys, tables.entries, tables.wholes, tables.reals, at
@@ -202,18 +211,22 @@ class Controller:
 
     def keep(self, state: State, n: int, drive_state: DriveState) -> None:
         """Write the state of a drive into the block and the decisions after the state machine has acted."""
-        table, whole = state.tendon, state.tendon_int
+        table = state.tendon
+        whole = state.tendon_int
         table[s.POSITION : s.POSITION + 4, n] = drive_state[1:5]
         received = drive_state.feedback_count - whole[s.FEEDBACKS, n]
         whole[s.ANSWERED, n] += received
-        whole[s.FEEDBACKS, n], whole[s.FEEDBACK_NS, n] = drive_state.feedback_count, drive_state.feedback_t_ns
+        whole[s.FEEDBACKS, n] = drive_state.feedback_count
+        whole[s.FEEDBACK_NS, n] = drive_state.feedback_t_ns
         before = state.decisions.drives[n]
         if drive_state.misread != before.misread:
             state.view("misread_now")[n] = 1
         drive = self.drives[n]
-        whole[s.PHASE, n], whole[s.FAULT_CODE, n] = drive_state.phase, drive_state.error
+        whole[s.PHASE, n] = drive_state.phase
+        whole[s.FAULT_CODE, n] = drive_state.error
         whole[s.FAULT_CAUSE, n] = drive.cause(drive_state.error) if drive_state.phase == Phase.FAULT else -1
-        whole[s.STATUS_EXPECTED, n], whole[s.DUE_NS, n] = drive.steady_status(drive_state), drive.due_ns(drive_state)
+        whole[s.STATUS_EXPECTED, n] = drive.steady_status(drive_state)
+        whole[s.DUE_NS, n] = drive.due_ns(drive_state)
         stripped = drive_state.with_values()  # they are in the block
         if stripped != before:
             drives = state.decisions.drives
@@ -226,7 +239,8 @@ class Controller:
         recent = state.decisions.refusals
         if request_events or recent:
             refused = sum(event.level == "warn" for event in request_events)
-            k, rate = state.k, 1.0 / self.model.period
+            k = state.k
+            rate = 1.0 / self.model.period
             recent = tuple(then for then in (*recent, *(k,) * refused) if k - then < rate)
             state.decide(refusals=recent)
             state.set_whole(s.REFUSED, len(recent))
@@ -267,7 +281,8 @@ class Controller:
 
     def _write_progress(self, state: State, before: State | None) -> None:
         """Write changed goals of the program into the block."""
-        progress, old = state.progress, before.progress if before else None
+        progress = state.progress
+        old = before.progress if before else None
         if progress is old:
             return
         if old is None or progress.goals is not old.goals:
@@ -283,7 +298,9 @@ class Controller:
 
     def _command(self, state: State, action: Action, ticks: int) -> None:
         """Compute the motor torques of the tick, 0 unless the hand is active or relaxing."""
-        block, places, mode = state.block, self.layout.places, state.mode
+        block = state.block
+        places = self.layout.places
+        mode = state.mode
         if mode in (ACTIVE, RELAX):
             sample(self.model, self.layout, block, state.progress.goals, state.goal_time)
             write_loads(self.model, self.layout, self.constants, block, int(action))
@@ -336,7 +353,11 @@ class Controller:
 
     def _send(self, state: State, out: Rows, target: DriveTarget, torque: Vector, t_ns: int) -> Frames:
         """Write commands behind the SYNC in ``out``. Drives in transition go through their state machines."""
-        tables, parts, first, pending_row, count = self.wire, list[Frames](), 0, 0, 1
+        tables = self.wire
+        parts = list[Frames]()
+        first = 0
+        pending_row = 0
+        count = 1
         clearing = state.clearing and state.mode == Mode.INVENTORY
         n = len(self.drives)
         while True:
@@ -347,7 +368,8 @@ class Controller:
                 )  # fmt: skip
             if first >= n:
                 break
-            drive_state, drive = state.drive(first), self.drives[first]
+            drive_state = state.drive(first)
+            drive = self.drives[first]
             if clearing and drive_state.phase == Phase.FAULT:
                 drive_state, frames = drive.clear(drive_state)
             else:

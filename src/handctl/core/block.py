@@ -28,7 +28,8 @@ TABLES = (
 )  # fmt: skip
 
 STATE = Schema(*TABLES)
-_real, _whole = STATE.real, STATE.whole
+_real = STATE.real
+_whole = STATE.whole
 
 # Tension filter. The seven states come first, so that they are one contiguous vector (7 N) for filterpy.
 TRAVEL = _real("travel", "tendon", "m", "tendon wound at the spool, predicted to the present")
@@ -289,10 +290,14 @@ def tables(block: Block, at: Places) -> Tables:
     )
 
 
-TENDON_FIRST, TENDON_END = _MONITOR_FIRST["tendon"], _MONITOR_END["tendon"]
-TENDON_INT_FIRST, TENDON_INT_END = _MONITOR_FIRST["tendon_int"], _MONITOR_END["tendon_int"]
-JOINT_FIRST, JOINT_END = _MONITOR_FIRST["joint"], _MONITOR_END["joint"]
-JOINT_INT_FIRST, JOINT_INT_END = _MONITOR_FIRST["joint_int"], _MONITOR_END["joint_int"]
+TENDON_FIRST = _MONITOR_FIRST["tendon"]
+TENDON_END = _MONITOR_END["tendon"]
+TENDON_INT_FIRST = _MONITOR_FIRST["tendon_int"]
+TENDON_INT_END = _MONITOR_END["tendon_int"]
+JOINT_FIRST = _MONITOR_FIRST["joint"]
+JOINT_END = _MONITOR_END["joint"]
+JOINT_INT_FIRST = _MONITOR_FIRST["joint_int"]
+JOINT_INT_END = _MONITOR_END["joint_int"]
 RUN_INT_FIRST, RUN_INT_END = _MONITOR_FIRST["run_int"], _MONITOR_END["run_int"]
 """Rows reset when the hand is armed."""
 

@@ -20,7 +20,8 @@ TABLES = (
 )  # fmt: skip
 
 HAND = Schema(*TABLES)
-_real, _whole = HAND.real, HAND.whole
+_real = HAND.real
+_whole = HAND.whole
 
 # Tendons and motors, at the spool.
 MOTOR_MASS = _real("motor_mass", "tendon", "kg", "reflected rotor inertia")
@@ -107,8 +108,19 @@ POSTURE_TICKS = _whole("posture_ticks", "run", "", "ticks from one estimate in t
 
 # Tension filter: blocks of a tendon in one kind (a regime, or 3 and a regime in doubt), element by element.
 DESIGN = _real("design", "tendon*kind*element", "", "blocks of the filter, see the elements below")
-F_AT, B_AT, K_AT, Q_AT, R_AT, P_AT, H_AT = 0, 49, 63, 84, 133, 135, 184
-TENSION_AT, INFORMATION_AT, VARIANCE_AT, CELL_SIGMA_AT, DRIFT_AT, KNOWN_AT = 205, 212, 215, 216, 217, 218
+F_AT = 0
+B_AT = 49
+K_AT = 63
+Q_AT = 84
+R_AT = 133
+P_AT = 135
+H_AT = 184
+TENSION_AT = 205
+INFORMATION_AT = 212
+VARIANCE_AT = 215
+CELL_SIGMA_AT = 216
+DRIFT_AT = 217
+KNOWN_AT = 218
 ELEMENTS = 219
 """Number of elements of a filter design. The constants above are the first elements of the parts.
 
@@ -184,7 +196,13 @@ def constant_tables(block: Block, at: Places) -> ConstantTables:
         block: the constants.
         at: ``Layout.places``.
     """
-    n, j, d, c, kinds, elements, places = at[0], at[1], at[2], at[3], at[4], at[5], at[6]
+    n = at[0]
+    j = at[1]
+    d = at[2]
+    c = at[3]
+    kinds = at[4]
+    elements = at[5]
+    places = at[6]
     whole = block.view(np.int64)
     return ConstantTables(
         borrow(block, at[8], ((at[9] - at[8]) // n, n)),

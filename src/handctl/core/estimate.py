@@ -30,7 +30,10 @@ class Estimate:
             digit: table of the block.
             regimes: (N,) of the tendons.
         """
-        self.tendon, self.joint, self.digit, self.regimes = tendon, joint, digit, regimes
+        self.tendon = tendon
+        self.joint = joint
+        self.digit = digit
+        self.regimes = regimes
 
     @property
     def tension(self) -> Vector:
@@ -135,7 +138,8 @@ class Measured:
             tendon: table of the block.
             joint: table of the block.
         """
-        self.tendon, self.joint = tendon, joint
+        self.tendon = tendon
+        self.joint = joint
 
     @property
     def travel(self) -> Vector:

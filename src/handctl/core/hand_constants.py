@@ -97,8 +97,11 @@ def _motors(model: HandModel) -> dict[str, object]:
 
 
 def _law(model: HandModel) -> dict[str, object]:
-    space, motion, tension = model.space, model.gains.motion, model.gains.tension
-    limit, half = model.torque_limit / space.spool, 0.5 * model.period / space.motor_mass
+    space = model.space
+    motion = model.gains.motion
+    tension = model.gains.tension
+    limit = model.torque_limit / space.spool
+    half = 0.5 * model.period / space.motor_mass
     return {
         "limit": limit,
         "unwind": -UNWIND_FRACTION * limit,
@@ -129,7 +132,8 @@ def _exact(digit: DigitModel) -> list[bool]:
 
 
 def _links(model: HandModel) -> dict[str, object]:
-    digits, coordinates = model.digits, np.cumsum([0, *(digit.coupling.shape[1] for digit in model.digits)])
+    digits = model.digits
+    coordinates = np.cumsum([0, *(digit.coupling.shape[1] for digit in model.digits)])
     moments = [np.array(digit.links[6 : 6 + digit.joint_count]) for digit in digits]
     span = np.concatenate([digit.joint_max - digit.joint_min for digit in digits])
     return {
@@ -153,9 +157,11 @@ def _links(model: HandModel) -> dict[str, object]:
 
 
 def _structure(model: HandModel) -> dict[str, object]:
-    digits, size = model.digits, np.abs(model.excursion_to_joints)
+    digits = model.digits
+    size = np.abs(model.excursion_to_joints)
     lengths = np.diag(np.concatenate([digit.lengths for digit in digits]))
-    inward, coupling = block_diag(*(np.tri(digit.joint_count) for digit in digits)), model.coupling
+    inward = block_diag(*(np.tri(digit.joint_count) for digit in digits))
+    coupling = model.coupling
     last = np.repeat([digit.joints.stop - 1 for digit in digits], [digit.joint_count for digit in digits])
     return {
         "excursion_to_joints": model.excursion_to_joints,
@@ -172,7 +178,9 @@ def _structure(model: HandModel) -> dict[str, object]:
 
 
 def _posture(model: HandModel) -> dict[str, object]:
-    digits, hand, arms = model.digits, model.hand, model.hand.moment_arms
+    digits = model.digits
+    hand = model.hand
+    arms = model.hand.moment_arms
     sizes = [digit.joint_count for digit in digits]
     compliance = block_diag(*(_compliance(digit) for digit in digits))
     spread = block_diag(*(digit.coupling @ digit.coupling.T for digit in digits))
@@ -229,7 +237,8 @@ def _every_place(digits: tuple[DigitModel, ...]) -> list[tuple[Vector, Vector, V
 def _place(digit: DigitModel, place: int, alike: bool) -> tuple[Vector, Vector, Vector]:
     """Return a contact place on a digit: the middle of a link, the tip after the last, or all joints alike."""
     n = digit.joint_count
-    ahead, reach = np.zeros((n, n)), np.zeros((n, n))
+    ahead = np.zeros((n, n))
+    reach = np.zeros((n, n))
     if place > n and not alike:
         return ahead, reach, np.zeros(n)
     if not alike:
@@ -260,7 +269,8 @@ def _elements(block: FilterBlock) -> Vector:
 def low_pass_fractions(model: HandModel, motor_period: Vector, joint_period: float) -> Vector:
     """Return the update fraction (8, N) of each low-passed residual, see ``detectors.residuals``."""
     every = np.full((len(TIMES_S), model.tendon_count), model.period)
-    every[2], every[5] = motor_period, joint_period  # commanded against reported torque, and slip
+    every[2] = motor_period  # commanded against reported torque
+    every[5] = joint_period  # slip
     return np.asarray(1.0 - np.exp(-every / np.array(TIMES_S)[:, None]))
 
 

@@ -78,7 +78,8 @@ class Identified(Document):
         others = [i for i, name in enumerate(older.names) if name not in self.names] if older else []
         if older is None or not others:
             return self
-        n, m = len(self.names), len(others)
+        n = len(self.names)
+        m = len(others)
         joined = np.zeros((n + m, n + m))
         joined[:n, :n] = self.covariance
         joined[n:, n:] = np.array(older.covariance)[np.ix_(others, others)]

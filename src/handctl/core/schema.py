@@ -113,7 +113,8 @@ class Layout:
             schema: with the tables and fields.
             axes: length of each axis, in the order of the compiled code's indices.
         """
-        self.schema, self.axes = schema, dict(axes)
+        self.schema = schema
+        self.axes = dict(axes)
         widths = {table: self._width(table) for table in schema.tables}
         ends = np.cumsum([0, *(schema.rows(table) * widths[table] for table in schema.tables)])
         self.size = int(ends[-1])
@@ -171,7 +172,8 @@ class Layout:
             first, end, _, whole = self._fields[field.name]
             inside = apart[(apart >= first) & (apart < end)]
             if len(inside):
-                kind, at = np.int64 if whole else np.float64, int(inside[0])
+                kind = np.int64 if whole else np.float64
+                at = int(inside[0])
                 return field.name, at - first, one.view(kind)[at].item(), other.view(kind)[at].item()
         raise AssertionError("a difference outside of all fields")
 

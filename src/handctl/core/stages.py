@@ -37,7 +37,8 @@ HOLD = 2
 @kernel("block", "layout", "constants", "layout")
 def observe(block: Block, at: Places, constants: Block, constants_at: Places) -> None:
     """Convert received values into measurements."""
-    x, c = tables(block, at), constant_tables(constants, constants_at)
+    x = tables(block, at)
+    c = constant_tables(constants, constants_at)
     measure.measure(x, c)
     if ARMING <= x.run_int[s.MODE] <= RELAX:
         measure.screen(x, c, x.run_int[s.MISSED])
@@ -51,7 +52,8 @@ def observe(block: Block, at: Places, constants: Block, constants_at: Places) ->
 @kernel("block", "layout", "constants", "layout")
 def correct(block: Block, at: Places, constants: Block, constants_at: Places) -> None:
     """Correct the filter by the measurements, and judge slack, stops and contact."""
-    x, c = tables(block, at), constant_tables(constants, constants_at)
+    x = tables(block, at)
+    c = constant_tables(constants, constants_at)
     if x.run_int[s.STARTED]:
         kalman.correct(x, c, x.run_int[s.MISSED])
     else:
@@ -61,7 +63,8 @@ def correct(block: Block, at: Places, constants: Block, constants_at: Places) ->
 @kernel("block", "layout", "constants", "layout")
 def conclude(block: Block, at: Places, constants: Block, constants_at: Places) -> bool:
     """Derive the estimate from the predicted filter. Return True if a node sent excess replies."""
-    x, c = tables(block, at), constant_tables(constants, constants_at)
+    x = tables(block, at)
+    c = constant_tables(constants, constants_at)
     kalman.conclude(x, c)
     if x.run_int[s.MODE] == ACTIVE or x.run_int[s.MODE] == RELAX:
         touch.feel(x, c)
@@ -79,14 +82,16 @@ def conclude(block: Block, at: Places, constants: Block, constants_at: Places) -
 @kernel("block", "layout", "constants", "layout", "constants")
 def judged(block: Block, at: Places, constants: Block, constants_at: Places, initial: Block) -> tuple[int, Evidence]:
     """Find and debounce faults, see ``detectors.judge``."""
-    x, c = tables(block, at), constant_tables(constants, constants_at)
+    x = tables(block, at)
+    c = constant_tables(constants, constants_at)
     return judge.judge(x, c, tables(initial, at))
 
 
 @kernel("block", "layout", "constants", "layout", "count")
 def refer(block: Block, at: Places, constants: Block, constants_at: Places, action: int) -> int:
     """Evaluate the goals. Return a bit for each digit with a bounded least-squares problem to solve."""
-    x, c = tables(block, at), constant_tables(constants, constants_at)
+    x = tables(block, at)
+    c = constant_tables(constants, constants_at)
     computed_torque.restrain(x, c, action == HOLD and x.run_int[s.MODE] == ACTIVE)
     reference.follow(x, c, x.run_int[s.HOLDING] == 1)
     reference.require(x, c, reference.on_joints(x, c))
@@ -116,7 +121,8 @@ def act(
     ticks: int,
 ) -> None:
     """Compute the motor torques, 0 unless the hand is active or relaxing. See ``computed_torque.command``."""
-    x, c = tables(block, at), constant_tables(constants, constants_at)
+    x = tables(block, at)
+    c = constant_tables(constants, constants_at)
     if x.run_int[s.MODE] == ACTIVE or x.run_int[s.MODE] == RELAX:
         computed_torque.command(x, c, reference.on_joints(x, c), relax_rate, open_loop == 1, ticks)
     else:
@@ -126,7 +132,8 @@ def act(
 @kernel("block", "layout", "constants", "layout")
 def remember(block: Block, at: Places, constants: Block, constants_at: Places) -> None:
     """Store commands and requests of the tick for the next one, and complete the numbers for the log."""
-    x, c = tables(block, at), constant_tables(constants, constants_at)
+    x = tables(block, at)
+    c = constant_tables(constants, constants_at)
     mode = x.run_int[s.MODE]
     for n in range(x.tendon.shape[1]):
         x.tendon[s.COMMANDED_FORCE, n] = x.tendon[s.COMMANDED_TENSION, n] = math.nan

@@ -175,7 +175,8 @@ class PackedTelemetry:
             numbers: all fields in order.
             places: slice of each field.
         """
-        self.numbers, self.places = numbers, places
+        self.numbers = numbers
+        self.places = places
 
     def __getattr__(self, name: str) -> Vector:
         """Return a field by name."""

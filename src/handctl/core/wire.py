@@ -48,13 +48,15 @@ UNKNOWN = -1
 """Index without an entry."""
 POSITION, VELOCITY, TORQUE, TEMPERATURE, STATUS, CELL, ANGLE, COUNTER = map(int, tuple(Quantity)[:8])
 """Quantities as numbers, for compiled code."""
-ID_MASK, BYTE_MASK = 0xFFFFFFFF, 0xFF
+ID_MASK = 0xFFFFFFFF
+BYTE_MASK = 0xFF
 
 
 @inner
 def find(keys: Whole, key: Any) -> int:
     """Return the index of a key among sorted keys, UNKNOWN if missing. Binary search."""
-    low, high = 0, len(keys)
+    low = 0
+    high = len(keys)
     while low < high:
         middle = (low + high) // 2
         if keys[middle] < key:
@@ -116,20 +118,27 @@ def receive(
             without such a frame.
     """
     x = tables(block, at)
-    rows, keys = borrow(rows, 0, rows.shape), borrow(keys, 0, keys.shape)
-    entries, wholes = borrow(entries, 0, entries.shape), borrow(wholes, 0, wholes.shape)
+    rows = borrow(rows, 0, rows.shape)
+    keys = borrow(keys, 0, keys.shape)
+    entries = borrow(entries, 0, entries.shape)
+    wholes = borrow(wholes, 0, wholes.shape)
     reals = borrow(reals, 0, reals.shape)
     for r in range(first, len(rows)):
         # HEAD: identifier in bits 0 to 31, then flags, bus (from BUS_BIT) and payload length (from LENGTH_BIT).
         head = np.int64(rows[r, HEAD])
-        can_id, bus, length = head & ID_MASK & ~ERROR, head >> BUS_BIT & BYTE_MASK, head >> LENGTH_BIT & BYTE_MASK
-        entry, flagged = find(keys, bus << 32 | can_id), head & ERROR != 0
+        can_id = head & ID_MASK & ~ERROR
+        bus = head >> BUS_BIT & BYTE_MASK
+        length = head >> LENGTH_BIT & BYTE_MASK
+        entry = find(keys, bus << 32 | can_id)
+        flagged = head & ERROR != 0
         if entry == UNKNOWN or (flagged and entries[entry, KIND] == HOST):
             _strange(x, keys, entries, bus, can_id)
             continue
         if flagged:
             continue  # an error frame has no values, whatever its identifier looks like
-        kind, t_ns, payload = entries[entry, KIND], np.int64(rows[r, T_NS]), rows[r, PAYLOAD]
+        kind = entries[entry, KIND]
+        t_ns = np.int64(rows[r, T_NS])
+        payload = rows[r, PAYLOAD]
         fits = length == entries[entry, LENGTH]
         if kind == SENSORS:
             _sensors(x, t_ns, payload, fits, entries, entry, wholes, reals)
@@ -169,9 +178,12 @@ def _sensors(
     if not fits:
         x.node_int[s.MISREAD_NOW, x.node_int.shape[1] - 1] = 1
         return
-    group, tensions = entries[entry, GROUP], 0
+    group = entries[entry, GROUP]
+    tensions = 0
     for i in range(entries[entry, FIRST], entries[entry, END]):
-        value, quantity, channel = unpacked(payload, wholes, reals, i), wholes[i, QUANTITY], wholes[i, CHANNEL]
+        value = unpacked(payload, wholes, reals, i)
+        quantity = wholes[i, QUANTITY]
+        channel = wholes[i, CHANNEL]
         if quantity == COUNTER and value != x.run_int[s.SYNC_COUNTER]:
             x.run_int[s.STALE] += 1
             x.run_int[s.STALE_NOW] = max(x.run_int[s.STALE_NOW], 2 if x.group_int[s.GROUP_ANSWERED, group] else 1)
@@ -284,7 +296,8 @@ def send(
         if n < first:
             continue
         steady = x.tendon_int[s.PHASE, n] == ENABLED and x.tendon_int[s.STATUS_EXPECTED, n] >= 0
-        heard_ns, timeout_ns = x.tendon_int[s.FEEDBACK_NS, n], commands[i, 2]
+        heard_ns = x.tendon_int[s.FEEDBACK_NS, n]
+        timeout_ns = commands[i, 2]
         overdue = timeout_ns > 0 and heard_ns < now_ns - timeout_ns
         if not steady or now_ns >= x.tendon_int[s.DUE_NS, n] or overdue:
             return n, count
@@ -349,11 +362,14 @@ class Wire:
         return first, first + len(self._signals[-1].wholes)
 
     def _commands(self, drives: Sequence[Drive]) -> None:
-        rows, templates = list[list[int]](), list[Rows]()
-        wholes, reals = list[Whole](), list[list[float]]()
+        rows = list[list[int]]()
+        templates = list[Rows]()
+        wholes = list[Whole]()
+        reals = list[list[float]]()
         for n, drive in enumerate(drives):
             for message in drive.cyclic.commands:
-                table, signal = Table(message), -1
+                table = Table(message)
+                signal = -1
                 if len(table.wholes):
                     signal = len(wholes)
                     wholes.append(table.wholes[0])

@@ -31,7 +31,8 @@ def unsolicited(
     Returns:
         A phrase for each motor replying without a request.
     """
-    duplicates, surplus = state.view("twice"), state.view("surplus").tolist()
+    duplicates = state.view("twice")
+    surplus = state.view("surplus").tolist()
     signs = []
     for n, count in enumerate(surplus):
         # 1: replied without a request. More: number of replies to one request.
@@ -41,7 +42,8 @@ def unsolicited(
             duplicates[n] = _differ(_answers(drives[n], before, n, frames), count - 1)
     for group, count in enumerate(state.view("group_answered").tolist()):
         if count > 1:
-            counter, can_id = before.whole(s.SYNC_COUNTER), sensors.ids[group]
+            counter = before.whole(s.SYNC_COUNTER)
+            can_id = sensors.ids[group]
             # The low four bits of the first payload byte echo the counter of the SYNC.
             fresh = [
                 frame.data
@@ -59,7 +61,8 @@ def _differ(payloads: list[bytes], due: int) -> int:
 
 def _answers(drive: Drive, before: State, n: int, frames: Sequence[Frame]) -> list[bytes]:
     """Return the payloads counted as replies by a drive's state machine, in order."""
-    drive_state, payloads = before.drive(n), []
+    drive_state = before.drive(n)
+    payloads = []
     for frame in frames:
         after = drive.receive(drive_state, frame)
         payloads += [frame.data] if after.feedback_count > drive_state.feedback_count else []

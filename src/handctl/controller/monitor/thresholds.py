@@ -63,7 +63,8 @@ def constants_of(
         tare: (N,) load-cell tare [N].
         zero: (N,) motor zero [rad].
     """
-    hand, period = model.hand, model.period
+    hand = model.hand
+    period = model.period
     motor_period = np.array([max(period, drive.feedback_period_s) for drive in drives])
     joint_period = hand.sensor_node.joint_decimation * period
     mute = ticks_for(SILENT_S, joint_period, MIN_SILENT_TICKS) * joint_period
@@ -118,7 +119,8 @@ def _noise_limit(model: HandModel) -> float:
     The limit contains the drive's torque in alternating direction on the bare rotor, and encoder
     rounding.
     """
-    space, period = model.space, model.period
+    space = model.space
+    period = model.period
     # Acceleration of the bare rotor at full torque [rad/s^2]: torque / spool = force, / mass, / spool.
     torque = float((model.torque_limit / space.spool / space.motor_mass / space.spool).max())
     rounding = NOISE_STEPS * float((space.encoder_step / space.spool).max()) ** 2

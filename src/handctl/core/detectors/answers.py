@@ -29,7 +29,8 @@ def answered(x: Tables, c: ConstantTables) -> bool:
     """
     any_excess = False
     for n in range(x.tendon.shape[1]):
-        replies, outstanding = x.tendon_int[s.ANSWERED, n], x.tendon_int[s.OUTSTANDING, n]
+        replies = x.tendon_int[s.ANSWERED, n]
+        outstanding = x.tendon_int[s.OUTSTANDING, n]
         x.tendon_int[s.EXCESS_REPLIES, n] = 0
         if replies > outstanding and c.tendon_int[h.ANSWERS_ONCE, n]:
             x.tendon_int[s.EXCESS_REPLIES, n] = 1 + outstanding

@@ -57,14 +57,14 @@ def update(x: Tables, c: ConstantTables, missed: int) -> None:
     fraction = 1.0 - math.exp(-c.run[h.PERIOD] / REPORTED_S)
     for n in range(x.tendon.shape[1]):
         # Commands of this tick and of the three ticks before, newest first.
-        command, first, second, last = (
-            x.tendon[s.COMMANDED_FORCE, n],
-            x.tendon[s.REPORT_FORCES, n],
-            x.tendon[s.REPORT_FORCES + 1, n],
-            x.tendon[s.REPORT_FORCES + 2, n],
-        )
+        command = x.tendon[s.COMMANDED_FORCE, n]
+        first = x.tendon[s.REPORT_FORCES, n]
+        second = x.tendon[s.REPORT_FORCES + 1, n]
+        last = x.tendon[s.REPORT_FORCES + 2, n]
         report = x.tendon[s.MEASURED_FORCE, n]
-        a, b, late = first - second, report - x.tendon[s.REPORT_FORCES + 3, n], second - last
+        a = first - second
+        b = report - x.tendon[s.REPORT_FORCES + 3, n]
+        late = second - last
         settled = 0.0
         if missed == 0 and math.isfinite(report):
             settled = x.tendon[s.REPORT_ON_TIME, n] + 1.0
@@ -75,8 +75,10 @@ def update(x: Tables, c: ConstantTables, missed: int) -> None:
             _low_pass(x, n, BB, fraction, b * b)
             _low_pass(x, n, FULL, fraction, 1.0)
         x.tendon[s.REPORT_ON_TIME, n] = settled
-        x.tendon[s.REPORT_FORCES, n], x.tendon[s.REPORT_FORCES + 1, n] = command, first
-        x.tendon[s.REPORT_FORCES + 2, n], x.tendon[s.REPORT_FORCES + 3, n] = second, report
+        x.tendon[s.REPORT_FORCES, n] = command
+        x.tendon[s.REPORT_FORCES + 1, n] = first
+        x.tendon[s.REPORT_FORCES + 2, n] = second
+        x.tendon[s.REPORT_FORCES + 3, n] = report
 
 
 @inner
@@ -87,7 +89,8 @@ def _low_pass(x: Tables, n: int, moment: int, fraction: float, value: float) -> 
 @inner
 def unfollowed(x: Tables, c: ConstantTables, n: int) -> bool:
     """Return True if a motor's report does not follow the command."""
-    aa, bb = x.tendon[s.REPORT_MOMENTS + AA, n], x.tendon[s.REPORT_MOMENTS + BB, n]
+    aa = x.tendon[s.REPORT_MOMENTS + AA, n]
+    bb = x.tendon[s.REPORT_MOMENTS + BB, n]
     ab = max(x.tendon[s.REPORT_MOMENTS + AB, n], x.tendon[s.REPORT_MOMENTS + AB_LATE, n])
     # Both have to move by more than rounding: a command at rest says nothing, a report at rest is another fault.
     rounding = max(MOVED_FRACTION * c.tendon[h.DRIVE_LIMIT, n], 0.5 * c.tendon[h.TORQUE_STEP, n])

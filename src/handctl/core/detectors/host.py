@@ -13,7 +13,8 @@ from handctl.safety.faults.host import H01, H02, H03, I07A, I07B, LATE_FRACTION,
 def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
     """Write the findings of the module's rows."""
     # Lateness as a fraction of the period.
-    late, missed = x.run_int[s.LATE_NS] / c.run_int[h.PERIOD_NS], x.run_int[s.MISSED]
+    late = x.run_int[s.LATE_NS] / c.run_int[h.PERIOD_NS]
+    missed = x.run_int[s.MISSED]
     if late > LATE_FRACTION:
         evidence[H01, 0] = late
     if missed >= 1:

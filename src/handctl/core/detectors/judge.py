@@ -47,7 +47,8 @@ def judge(x: Tables, c: ConstantTables, initial: Tables) -> tuple[int, Evidence]
             where absent. ``FOUND_NOW`` is set to the number of newly counting faults.
     """
     mode = x.run_int[s.MODE]
-    armed, cut = ARMING <= mode <= RELAX, mode == CUT or mode == DISARM
+    armed = ARMING <= mode <= RELAX
+    cut = mode == CUT or mode == DISARM
     evidence = np.full((ROWS, x.instance_int.shape[1]), math.nan)
     losses.count(x, c, x.run_int[s.T_NS], x.run_int[s.UNKNOWN_FRAMES], armed and x.run_int[s.MISSED] == 0)
     bus.detect(x, c, armed, evidence)
@@ -69,7 +70,8 @@ def judge(x: Tables, c: ConstantTables, initial: Tables) -> tuple[int, Evidence]
 @inner
 def remember(x: Tables, c: ConstantTables) -> None:
     """Update the detectors' memory of a hand under torque."""
-    missed, tared = x.run_int[s.MISSED], x.run_int[s.TARED] == 1
+    missed = x.run_int[s.MISSED]
+    tared = x.run_int[s.TARED] == 1
     slip.update(x, c, tared)
     residuals.update(x, c, missed, tared)
     slack.update(x)
@@ -82,7 +84,8 @@ def remember(x: Tables, c: ConstantTables) -> None:
 @inner
 def debounce(x: Tables, evidence: Evidence) -> int:
     """Count consecutive ticks of each fault. Return the largest action of all counting faults."""
-    action, fresh = 0, 0
+    action = 0
+    fresh = 0
     for row in range(evidence.shape[0]):
         for i in range(evidence.shape[1]):
             if math.isnan(evidence[row, i]):

@@ -12,7 +12,8 @@ NEVER = 1_000_000
 """Age without any reading [ticks]."""
 HALF = WINDOW // 2
 """Bits in each of the two words of a window."""
-HALF_MASK, SHORT_MASK = (1 << HALF) - 1, (1 << SHORT) - 1
+HALF_MASK = (1 << HALF) - 1
+SHORT_MASK = (1 << SHORT) - 1
 
 
 @inner
@@ -42,7 +43,8 @@ def cell_age(x: Tables, c: ConstantTables, n: int, now_ns: int) -> int:
 
     A tendon without a cell has the age of the node's latest frame.
     """
-    group, heard_ns = c.tendon_int[h.CELL_GROUP, n], -1
+    group = c.tendon_int[h.CELL_GROUP, n]
+    heard_ns = -1
     for g in range(c.run_int[h.TENSION_GROUPS]):
         if g == group or group < 0:
             heard_ns = max(heard_ns, x.group_int[s.GROUP_NS, g])
@@ -68,7 +70,8 @@ def count(x: Tables, c: ConstantTables, now_ns: int, unknown: int, judged: bool)
         else:
             for n in range(tendons):
                 late |= cell_age(x, c, n, now_ns) > 0
-        recent, earlier = x.node_int[s.LOST, node], x.node_int[s.LOST + 1, node]
+        recent = x.node_int[s.LOST, node]
+        earlier = x.node_int[s.LOST + 1, node]
         # A shift register of two words: the oldest bit of the recent word moves into the earlier word.
         x.node_int[s.LOST + 1, node] = (earlier << 1 | recent >> (HALF - 1)) & HALF_MASK
         x.node_int[s.LOST, node] = (recent << 1 | (late and judged)) & HALF_MASK

@@ -61,7 +61,8 @@ def replayed(x: Tables, n: int) -> int:
 @inner
 def _chance(x: Tables, n: int) -> float:
     """Estimate the chance of two equal readings, from pairs among the last readings."""
-    pairs, different = 0, 0
+    pairs = 0
+    different = 0
     for a in range(REPEAT_WINDOW):
         first = True
         for b in range(a):

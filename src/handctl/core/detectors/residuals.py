@@ -42,7 +42,8 @@ def update(x: Tables, c: ConstantTables, missed: int, tared: bool) -> None:
         position = x.tendon[s.MEASURED_POSITION, n] if missed == 0 else math.nan
         speed = x.tendon[s.SPEED, n] if missed == 0 else math.nan
         tension = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
-        force, commanded = x.tendon[s.MEASURED_FORCE, n], x.tendon[s.COMMANDED_FORCE, n]
+        force = x.tendon[s.MEASURED_FORCE, n]
+        commanded = x.tendon[s.COMMANDED_FORCE, n]
         made = commanded if math.isnan(force) else force
         if not initialized:
             # What is filtered quickly begins at what is there.
@@ -53,8 +54,12 @@ def update(x: Tables, c: ConstantTables, missed: int, tared: bool) -> None:
         drag = c.tendon[h.MOTOR_DAMPING, n] * speed + c.tendon[h.COULOMB, n] * math.tanh(speed * 1e3)
         inertia = c.tendon[h.MOTOR_MASS, n] / c.run[h.PERIOD]
         balance = made - tension - inertia * (speed - x.tendon[s.LAST_SPEED, n]) - drag
-        now[BALANCE], now[MADE], now[ASKED] = balance, made, commanded - force
-        now[TENSION], now[QUICK_FORCE], now[SLIP] = tension, made, x.tendon[s.SLIP, n]
+        now[BALANCE] = balance
+        now[MADE] = made
+        now[ASKED] = commanded - force
+        now[TENSION] = tension
+        now[QUICK_FORCE] = made
+        now[SLIP] = x.tendon[s.SLIP, n]
         now[JERK] = square(turned - x.tendon[s.LAST_TURNED, n])
         # Against the motion: what rubs has the sign of the speed.
         now[RUB] = math.copysign(1.0, speed) * balance if abs(speed) > RUB_SPEED else math.nan
@@ -62,7 +67,9 @@ def update(x: Tables, c: ConstantTables, missed: int, tared: bool) -> None:
             low = x.tendon[s.RESIDUAL + row, n]
             if not math.isnan(now[row] - low):
                 x.tendon[s.RESIDUAL + row, n] = low + c.tendon[h.RESIDUAL_FRACTION + row, n] * (now[row] - low)
-        x.tendon[s.LAST_SPEED, n], x.tendon[s.LAST_POSITION, n], x.tendon[s.LAST_TURNED, n] = speed, position, turned
+        x.tendon[s.LAST_SPEED, n] = speed
+        x.tendon[s.LAST_POSITION, n] = position
+        x.tendon[s.LAST_TURNED, n] = turned
 
 
 @inner

@@ -19,12 +19,15 @@ def update(x: Tables) -> None:
     """Update the history under torque."""
     x.run_int[s.CUT_TICKS] = -1
     for n in range(x.tendon.shape[1]):
-        tension, commanded = x.tendon[s.RESIDUAL + TENSION, n], x.tendon[s.COMMANDED_TENSION, n]
+        tension = x.tendon[s.RESIDUAL + TENSION, n]
+        commanded = x.tendon[s.COMMANDED_TENSION, n]
         # No tension is commanded: forget the history, no tendon may be called snapped.
         if math.isnan(commanded):
-            x.tendon_int[s.TAUT_AGO, n], x.tendon_int[s.SLACK_TICKS, n] = -1, 0
+            x.tendon_int[s.TAUT_AGO, n] = -1
+            x.tendon_int[s.SLACK_TICKS, n] = 0
         elif tension > TAUT_N:
-            x.tendon_int[s.TAUT_AGO, n], x.tendon_int[s.SLACK_TICKS, n] = 0, 0
+            x.tendon_int[s.TAUT_AGO, n] = 0
+            x.tendon_int[s.SLACK_TICKS, n] = 0
         elif x.tendon_int[s.TAUT_AGO, n] >= 0:
             x.tendon_int[s.TAUT_AGO, n] += 1
             loose = tension < SLACK_N and commanded > TAUT_N

@@ -34,9 +34,11 @@ def update(x: Tables, c: ConstantTables, tared: bool) -> None:
         tared: True if the load cells' zero is known.
     """
     for n in range(x.tendon.shape[1]):
-        value, last = x.tendon[s.MEASURED_TRAVEL, n], x.tendon[s.MOTOR_VALUE, n]
+        value = x.tendon[s.MEASURED_TRAVEL, n]
+        last = x.tendon[s.MOTOR_VALUE, n]
         moved = not math.isnan(value) and value != last
-        goal, tension = x.tendon[s.FOLLOWED, n], x.tendon[s.RESIDUAL + TENSION, n]
+        goal = x.tendon[s.FOLLOWED, n]
+        tension = x.tendon[s.RESIDUAL + TENSION, n]
         if moved or math.isnan(x.tendon[s.MOTOR_ANCHOR, n]):
             x.tendon[s.MOTOR_ANCHOR, n] = goal
         if moved or math.isnan(x.tendon[s.MOTOR_ANCHOR + 1, n]):
@@ -44,7 +46,8 @@ def update(x: Tables, c: ConstantTables, tared: bool) -> None:
         if not math.isnan(value):
             x.tendon_int[s.MOTOR_STUCK, n] = 0 if moved else x.tendon_int[s.MOTOR_STUCK, n] + 1
             x.tendon[s.MOTOR_VALUE, n] = value
-        cell, last = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan, x.tendon[s.CELL_VALUE, n]
+        cell = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
+        last = x.tendon[s.CELL_VALUE, n]
         moved = not math.isnan(cell) and cell != last
         if moved or math.isnan(x.tendon[s.CELL_ANCHOR, n]):
             x.tendon[s.CELL_ANCHOR, n] = x.tendon[s.RESIDUAL + QUICK_FORCE, n]
@@ -52,7 +55,8 @@ def update(x: Tables, c: ConstantTables, tared: bool) -> None:
             x.tendon_int[s.CELL_STUCK, n] = 0 if moved else x.tendon_int[s.CELL_STUCK, n] + 1
             x.tendon[s.CELL_VALUE, n] = cell
     for j in range(x.joint.shape[1]):
-        value, last = x.joint[s.MEASURED_JOINT, j], x.joint[s.JOINT_VALUE, j]
+        value = x.joint[s.MEASURED_JOINT, j]
+        last = x.joint[s.JOINT_VALUE, j]
         moved = not math.isnan(value) and value != last
         reference = turned(x, c, j)
         if not bears(x, c, j):
@@ -102,13 +106,16 @@ def follow(x: Tables, c: ConstantTables) -> None:
     at the goal is not stuck while the filtered goal still approaches. From this tick on the
     filtered goal is the digit's position.
     """
-    fraction, min_step = 1.0 - math.exp(-c.run[h.PERIOD] / FOLLOW_S), SLOW_M_S * c.run[h.PERIOD]
+    fraction = 1.0 - math.exp(-c.run[h.PERIOD] / FOLLOW_S)
+    min_step = SLOW_M_S * c.run[h.PERIOD]
     for n in range(x.tendon.shape[1]):
-        goal, d = 0.0, c.tendon_int[h.DIGIT, n]
+        goal = 0.0
+        d = c.tendon_int[h.DIGIT, n]
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
             if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
                 goal += c.tendon_joint[h.MOMENT_ARMS, n, j] * x.joint[s.Q_GOAL, j]
-        before, present = x.tendon[s.FOLLOWED, n], x.tendon[s.EXCURSION, n]
+        before = x.tendon[s.FOLLOWED, n]
+        present = x.tendon[s.EXCURSION, n]
         x.tendon[s.FOLLOWED, n] = goal
         if math.isnan(before):
             continue

@@ -14,15 +14,18 @@ from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.safety.faults.node import SWING_N
 
-SLOW_S, MEAN_S = 0.02, 0.025
-"""Time constants of the subtracted slow part of the deviation (corner at ``SWING_HZ``), and of the mean square [s]."""
+SLOW_S = 0.02
+"""Time constant of the subtracted slow part of the deviation [s]. Its corner is at ``SWING_HZ``."""
+MEAN_S = 0.025
+"""Time constant of the mean square [s]."""
 
 
 @inner
 def update(x: Tables, c: ConstantTables, tared: bool) -> None:
     """Update the swing by measured minus commanded tension."""
     period = c.run[h.PERIOD]
-    slow, mean = 1.0 - math.exp(-period / SLOW_S), 1.0 - math.exp(-period / MEAN_S)
+    slow = 1.0 - math.exp(-period / SLOW_S)
+    mean = 1.0 - math.exp(-period / MEAN_S)
     for n in range(x.tendon.shape[1]):
         quick = 0.0
         deviation = x.tendon[s.MEASURED_TENSION, n] - x.tendon[s.COMMANDED_TENSION, n]

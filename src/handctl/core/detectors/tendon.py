@@ -48,7 +48,8 @@ RELAX = 5
 @inner
 def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
     """Write the findings of the module's rows, with or without torque."""
-    rail, low = c.run[h.TENSION_RAIL], c.run[h.TENSION_LOW]
+    rail = c.run[h.TENSION_RAIL]
+    low = c.run[h.TENSION_LOW]
     relaxing_s = x.run_int[s.T_NS] * 1e-9 - x.run[s.MODE_SINCE]
     relaxed = x.run_int[s.MODE] == RELAX and relaxing_s > RELAXED_S
     for n in range(x.tendon.shape[1]):
@@ -69,7 +70,8 @@ def detect_under_torque(x: Tables, c: ConstantTables, evidence: Evidence) -> Non
     """Write the findings of rows for a hand under torque."""
     for n in range(x.tendon.shape[1]):
         _slack(x, c, n, evidence)
-        unexplained, rubs = residuals.unexplained(x, c, n), residuals.friction(x, n)
+        unexplained = residuals.unexplained(x, c, n)
+        rubs = residuals.friction(x, n)
         if unexplained > RESIDUAL_WARN_N:
             evidence[T04A, n] = unexplained
         if unexplained > RESIDUAL_TRIP_N:
@@ -91,7 +93,9 @@ def detect_under_torque(x: Tables, c: ConstantTables, evidence: Evidence) -> Non
 @inner
 def _slack(x: Tables, c: ConstantTables, n: int, evidence: Evidence) -> None:
     """Find a tendon without tension: snapped if the spool runs, slack if tension is commanded."""
-    period, commanded, speed = c.run[h.PERIOD], x.tendon[s.COMMANDED_TENSION, n], x.tendon[s.SPEED, n]
+    period = c.run[h.PERIOD]
+    commanded = x.tendon[s.COMMANDED_TENSION, n]
+    speed = x.tendon[s.SPEED, n]
     since = x.tendon_int[s.SLACK_TICKS, n] * period
     if since > SLACK_WARN_S:
         evidence[T02A, n] = since

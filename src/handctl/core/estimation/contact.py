@@ -28,10 +28,14 @@ Vector = NDArray[np.float64]
 
 SMOOTH_S = 5e-3
 """Time constant of the tip force: a quarter of the time for finding a contact [s]."""
-USUAL_S, DRIFT_S = 0.15, 2.0
-"""Time constants of the tip force before contact: several times the growth of a contact, and a whole closing [s]."""
-FAST_S, SLOW_S = 0.02, 0.2
-"""Time constants of the two averages of a grip [s]."""
+USUAL_S = 0.15
+"""Time constant of the tip force before contact: several times the growth of a contact [s]."""
+DRIFT_S = 2.0
+"""Time constant of the drift of the tip force before contact: a whole closing [s]."""
+FAST_S = 0.02
+"""Time constant of the fast average of a grip [s]."""
+SLOW_S = 0.2
+"""Time constant of the slow average of a grip [s]."""
 
 
 @inner
@@ -83,7 +87,8 @@ def _levers(x: Tables, c: ConstantTables, lever: Vector) -> None:
 @inner
 def _force(x: Tables, c: ConstantTables, d: int, lever: Vector) -> float:
     """Return the force at a tip [N] with the best fit to the digit's unexplained tensions, in least squares."""
-    work, size = 0.0, 0.0
+    work = 0.0
+    size = 0.0
     for n in range(c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]):
         response = 0.0
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
@@ -100,7 +105,8 @@ def watch_grip(x: Tables, c: ConstantTables) -> None:
     for n in range(x.tendon.shape[1]):
         # Length wound minus elastic stretch: the tendon length that moves the joints.
         here = x.tendon[s.TRAVEL, n] - x.tendon[s.TENSION, n] / c.tendon[h.STIFFNESS, n]
-        fast, slow = x.tendon[s.GRIP_FAST, n], x.tendon[s.GRIP_SLOW, n]
+        fast = x.tendon[s.GRIP_FAST, n]
+        slow = x.tendon[s.GRIP_SLOW, n]
         fast = fast + (here - fast) * c.run[h.FAST_FRACTION] if x.run_int[s.GRIPPING] else here
         slow = slow + (here - slow) * c.run[h.SLOW_FRACTION]
         x.tendon[s.GRIP_FAST, n] = fast

@@ -62,9 +62,13 @@ def update(x: Tables, c: ConstantTables, n: int, z: Vector, gain: Matrix, after:
     for m in range(2):
         R[m] = c.design[n, kind, h.R_AT + m] * (MISSING if math.isnan(z[m]) else 1.0)
     # Innovation covariance [[a, b], [b, d]], inverted in closed form.
-    a, b, d = size[0, 0] + R[0], size[0, 1], size[1, 1] + R[1]
+    a = size[0, 0] + R[0]
+    b = size[0, 1]
+    d = size[1, 1] + R[1]
     determinant = a * d - b * b
-    information[0], information[1], information[2] = d / determinant, -2.0 * b / determinant, a / determinant
+    information[0] = d / determinant
+    information[1] = -2.0 * b / determinant
+    information[2] = a / determinant
     for i in range(STATES):
         # What cannot be told from tension is not corrected, and its growth counts in the variance.
         observed = observable if i == ERROR else 1.0
@@ -93,7 +97,8 @@ def predict(x: Tables, c: ConstantTables, after: Matrix, missed: int) -> None:
     steady = True
     for n in range(len(after)):
         kind = x.tendon_int[s.KIND, n]
-        F, Q = _square(c, n, kind, h.F_AT), _square(c, n, kind, h.Q_AT)
+        F = _square(c, n, kind, h.F_AT)
+        Q = _square(c, n, kind, h.Q_AT)
         P = after[n]
         for _ in range(periods):
             P = _times_transposed(_times(F, P), F)

@@ -27,18 +27,22 @@ def notes(model: HandModel, before: Viewed, after: Viewed) -> tuple[Event, ...]:
         after: state of the present tick.
     """
     events: list[Event] = []
-    doubtful, was = after.view("doubtful"), before.view("doubtful")
+    doubtful = after.view("doubtful")
+    was = before.view("doubtful")
     if (doubtful != was).any():
         for n in np.flatnonzero(doubtful != was).tolist():
-            name, nis = model.hand.tendon_names[n], after.view("nis_mean")[n]
+            name = model.hand.tendon_names[n]
+            nis = after.view("nis_mean")[n]
             verdict = "the estimate is not to be trusted" if doubtful[n] else "the estimate is good again"
             text = f"{name}: NIS {nis:.1f} over {DOUBT_S:g} s, 2 is right: {verdict}"
             events.append(Event("warn" if doubtful[n] else "info", "estimate", name, text))
-    blocked, was = after.view("blocked"), before.view("blocked")
+    blocked = after.view("blocked")
+    was = before.view("blocked")
     if (blocked != was).any():
         planned = after.view("planned_contact")
         for d in np.flatnonzero((blocked != was) & (planned == 0)).tolist():
-            name, tension = model.hand.digit_names[d], after.view("touch")[d]
+            name = model.hand.digit_names[d]
+            tension = after.view("touch")[d]
             text = f"{name} is blocked: {tension:.1f} N of unexplained tension"
             events.append(Event("info", "blocked", name, text if blocked[d] else f"{name} is free again"))
     return tuple(events)

@@ -48,10 +48,14 @@ FORGET_S = 1e4
 Faster forgetting pulls the estimate: a millimetre of offset in a minute is 1.7 N per second.
 """
 
-DOUBTED_DISTURBANCE, DOUBTED_HELD_DISTURBANCE = 5.0, 2.0
-"""Factors on the motor disturbance of a doubted tendon: the motor's friction differs from the hand file."""
-DOUBTED_WALK, DOUBTED_HELD_WALK = 8.0, 3.0
+DOUBTED_DISTURBANCE = 5.0
+"""Factor on the motor disturbance of a doubted tendon: the motor's friction differs from the hand file."""
+DOUBTED_HELD_DISTURBANCE = 2.0
+"""Factor on the motor disturbance of a doubted tendon that is held."""
+DOUBTED_WALK = 8.0
 """Random walk of the tension of a doubted tendon [N/s^0.5]: the joints' friction differs as well."""
+DOUBTED_HELD_WALK = 3.0
+"""Random walk of the tension of a doubted tendon that is held [N/s^0.5]."""
 DOUBTED_PLAN = 0.25
 """Fraction of the planned change of tension expected of a doubted tendon."""
 TAUT = (Regime.FREE, Regime.HELD)
@@ -89,14 +93,16 @@ def _continuous(space: TendonSpace, i: int, regime: Regime, gains: FilterGains) 
     taut = regime != Regime.SLACK
     k, c = (space.stiffness[i], space.damping[i]) if taut else (0.0, 0.0)
     tension = np.array([k, c, -k, -c, 0.0, 0.0, -k])
-    A, B = np.zeros((STATES, STATES)), np.zeros((STATES, INPUTS))
+    A = np.zeros((STATES, STATES))
+    B = np.zeros((STATES, INPUTS))
     A[X, V] = A[S, W] = 1.0
     A[V] = -tension / space.motor_mass[i]
     A[V, V] -= space.motor_damping[i] / space.motor_mass[i]
     A[V, D] = B[V, 0] = 1.0 / space.motor_mass[i]
     if regime == Regime.FREE:
         # A free digit follows the rotor: its rate has the rotor's acceleration, and decays to the rotor's speed.
-        A[W], B[W] = A[V], B[V]
+        A[W] = A[V]
+        B[W] = B[V]
         A[W, V] += 1.0 / gains.free_time_s
         A[W, W] -= 1.0 / gains.free_time_s
         # Rising tension stretches the tendon, so the excursion falls behind the travel.

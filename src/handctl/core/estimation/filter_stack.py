@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 Matrix = NDArray[np.float64]
 
-STATES, INPUTS, MEASUREMENTS = 7, 2, 3
+STATES = 7
+INPUTS = 2
+MEASUREMENTS = 3
 X, V, S, W, D, E, O = range(STATES)  # noqa: E741 - the names of the states, as below
 """States of a tendon.
 

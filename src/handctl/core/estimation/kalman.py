@@ -26,28 +26,43 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 STATES = 7
-FREE, HELD, SLACK = 0, 1, 2
-STOP_BAND_REST_M, STOP_BAND_STAY_M = 2e-5, 1e-4
-"""Excursions of a digit on the open stop: limit for coming to rest, and limit for staying [m]."""
-STOP_PULL_REST, STOP_PULL_STAY = 0.8, 1.05
-"""Pulls of a digit on the open stop, as fractions of the springs' requirement: for coming to rest, and for staying.
+FREE = 0
+HELD = 1
+SLACK = 2
+STOP_BAND_REST_M = 2e-5
+"""Limit of the excursion at which a digit comes to rest on the open stop [m]."""
+STOP_BAND_STAY_M = 1e-4
+"""Limit of the excursion at which a digit stays on the open stop [m]."""
+STOP_PULL_REST = 0.8
+"""Limit of the pull at which a digit comes to rest on the open stop, as a fraction of the springs' requirement.
 
-The first is so small that friction cannot hold the digit just above the stop.
+The fraction is so small that friction cannot hold the digit just above the stop.
 """
+STOP_PULL_STAY = 1.05
+"""Limit of the pull at which a digit stays on the open stop, as a fraction of the springs' requirement."""
 LOOSE_M = 2e-4
 """Slack length for a load cell showing nothing but the error [m]."""
-GATE, STRANGE = 5.0, 2.5
-"""Thresholds of load-cell innovations, in standard deviations.
+GATE = 5.0
+"""Innovation above which a single load-cell sample is rejected, in standard deviations."""
+STRANGE = 2.5
+"""Innovation above which two load-cell samples in a row, on the same side, are accepted without smoothing.
 
-A single sample beyond the first is rejected. Two in a row beyond the second, on the same side, are
-accepted without smoothing.
+In standard deviations.
 """
 BELIEVED = 0.8
 """Fraction of the second innovation accepted at once."""
-DOUBT_S, DOUBT_ABOVE, DOUBT_BELOW = 1.0, 8.0, 4.0
-"""Averaging time of NIS [s], mean above which the model is inconsistent, and below which consistent. 2 is ideal."""
-WARY_S, WARY_ABOVE, WARY_FOR_S = 0.25, 3.2, 20.0
-"""Averaging time of NIS for adapting the noise [s], mean above which noise is adapted, and duration [s]."""
+DOUBT_S = 1.0
+"""Averaging time of NIS [s]. The ideal mean is 2."""
+DOUBT_ABOVE = 8.0
+"""Mean NIS above which the model counts as inconsistent."""
+DOUBT_BELOW = 4.0
+"""Mean NIS below which the model counts as consistent again."""
+WARY_S = 0.25
+"""Averaging time of NIS for adapting the noise [s]."""
+WARY_ABOVE = 3.2
+"""Mean NIS above which the noise is adapted."""
+WARY_FOR_S = 20.0
+"""Duration of an adapted noise [s]."""
 WARY_PERIOD_S = 5e-3
 """Longest control period with adapted noise [s].
 
@@ -88,7 +103,9 @@ def correct(x: Tables, c: ConstantTables, missed: int) -> None:
     z = _usable(x)
     innovation = _innovation(x, c, z)
     full = missed > 0 or x.run_int[s.CARRIED] == 1 or _missing(x, z)
-    gain, information, cell_sigma = np.zeros((count, STATES, 3)), np.zeros((count, 3)), np.zeros(count)
+    gain = np.zeros((count, STATES, 3))
+    information = np.zeros((count, 3))
+    cell_sigma = np.zeros(count)
     after = np.zeros((count, STATES, STATES) if full else (0, 0, 0))
     for n in range(count):
         kind = x.tendon_int[s.KIND, n]
@@ -114,7 +131,8 @@ def _usable(x: Tables) -> Matrix:
     """
     z = np.empty((x.tendon.shape[1], 3))
     for n in range(len(z)):
-        z[n, 0], z[n, 1] = x.tendon[s.MEASURED_TRAVEL, n], x.tendon[s.MEASURED_TENSION, n]
+        z[n, 0] = x.tendon[s.MEASURED_TRAVEL, n]
+        z[n, 1] = x.tendon[s.MEASURED_TENSION, n]
         z[n, 2] = x.tendon[s.MEASURED_EXCURSION, n]
         if x.tendon_int[s.SATURATED, n]:
             z[n, 1] = math.nan
@@ -195,7 +213,8 @@ def _gate_and_correct(x: Tables, c: ConstantTables, innovation: Matrix, gain: Ma
 @inner
 def _nis(innovation: Vector, information: Vector) -> float:
     """Return the normalised innovation squared of encoder and load cell, NaN if either is missing."""
-    encoder, cell = innovation[0], innovation[1]
+    encoder = innovation[0]
+    cell = innovation[1]
     return (information[0] * encoder + information[1] * cell) * encoder + information[2] * (cell * cell)
 
 
@@ -209,7 +228,8 @@ def _judge_innovation(x: Tables, c: ConstantTables, innovation: Matrix, informat
     nominal = np.empty(3)
     for n in range(len(innovation)):
         nis = _nis(innovation[n], information[n])
-        x.tendon[s.NIS, n], x.tendon[s.INNOVATION, n] = nis, innovation[n, 1]
+        x.tendon[s.NIS, n] = nis
+        x.tendon[s.INNOVATION, n] = innovation[n, 1]
         kind = x.tendon_int[s.KIND, n]
         if kind >= 3 and not full:
             for i in range(3):
@@ -217,7 +237,8 @@ def _judge_innovation(x: Tables, c: ConstantTables, innovation: Matrix, informat
             nis = _nis(innovation[n], nominal)
         if math.isnan(nis):
             continue
-        nis, period = min(nis, NIS_LIMIT), c.run[h.PERIOD]
+        nis = min(nis, NIS_LIMIT)
+        period = c.run[h.PERIOD]
         # First-order low-pass. The period is short against the averaging time.
         x.tendon[s.NIS_MEAN, n] += period / DOUBT_S * (nis - x.tendon[s.NIS_MEAN, n])
         if period <= WARY_PERIOD_S:
@@ -240,7 +261,8 @@ def _judge_noise(x: Tables, c: ConstantTables) -> None:
     """
     if c.run[h.PERIOD] > WARY_PERIOD_S:
         return
-    total, count = 0.0, x.tendon.shape[1]
+    total = 0.0
+    count = x.tendon.shape[1]
     for n in range(count):
         total += x.tendon[s.NIS_FAST, n]
     limit = WARY_ABOVE if total < WARY_HAND * count else 0.0
@@ -252,7 +274,8 @@ def _judge_noise(x: Tables, c: ConstantTables) -> None:
 @inner
 def tension_of(x: Tables, c: ConstantTables, n: int) -> float:
     """Return the tension of a tendon's filter state at the load cell [N], which may be negative."""
-    tension, kind = 0.0, x.tendon_int[s.KIND, n]
+    tension = 0.0
+    kind = x.tendon_int[s.KIND, n]
     for i in range(STATES):
         tension += c.design[n, kind, h.TENSION_AT + i] * x.tendon[s.TRAVEL + i, n]
     return tension
@@ -276,12 +299,17 @@ def _load_forces(x: Tables, c: ConstantTables) -> Matrix:
     mass on a spring, is estimated too roughly: the sign would chatter. The speed-signed pull always
     uses the speed at the spool, and is the first sign of a digit leaving a stop.
     """
-    count, joints = x.tendon.shape[1], x.joint.shape[1]
-    force, q, torque = np.zeros((3, count)), np.zeros(joints), np.zeros(joints)
+    count = x.tendon.shape[1]
+    joints = x.joint.shape[1]
+    force = np.zeros((3, count))
+    q = np.zeros(joints)
+    torque = np.zeros(joints)
     free_angles(x, c, s.EXCURSION, q)
     static_torque(c, q, torque)
     torque_to_tension(c, torque, force[0])
-    tension, quick, developed = np.empty(count), np.empty(count), np.empty(count)
+    tension = np.empty(count)
+    quick = np.empty(count)
+    developed = np.empty(count)
     better = False
     for n in range(count):
         tension[n] = tension_of(x, c, n)
@@ -297,9 +325,11 @@ def _load_forces(x: Tables, c: ConstantTables) -> Matrix:
 @inner
 def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
     """Judge slack, stops and contact, and set the offset of a newly taut tendon. Return the new ``_load_forces``."""
-    force, changed = _load_forces(x, c), False
+    force = _load_forces(x, c)
+    changed = False
     for n in range(x.tendon.shape[1]):
-        regime, cell = x.tendon_int[s.REGIME, n], x.tendon[s.MEASURED_TENSION, n]
+        regime = x.tendon_int[s.REGIME, n]
+        cell = x.tendon[s.MEASURED_TENSION, n]
         # Only in slack: then the encoder alone tells how much tendon is left to wind in.
         near = regime == SLACK and x.tendon_int[s.LENGTH_KNOWN, n] == 1 and near_taut(x, n)
         points = turning(regime, x.tendon_int[s.TURNING, n], tension_of(x, c, n), cell, x.tendon[s.CELL_ERROR, n], near)

@@ -83,14 +83,16 @@ def _screened(
     """
     value = table[measured, i]
     # A comparison with NaN is False: without a value or an accepted position no step is rejected.
-    step, gap = abs(value - table[accepted, i]), table[gap_row, i] + 1.0 + missed
+    step = abs(value - table[accepted, i])
+    gap = table[gap_row, i] + 1.0 + missed
     table[jump, i] = 0.0
     if step > limit * gap:
         table[jump, i] = step
         table[dropped, i] += 1.0
         table[measured, i] = math.nan
     elif not math.isnan(value):
-        table[accepted, i], table[dropped, i] = value, 0.0
+        table[accepted, i] = value
+        table[dropped, i] = 0.0
         gap = float(missed)
     table[gap_row, i] = gap
 
@@ -112,7 +114,8 @@ def convert(x: Tables, c: ConstantTables) -> None:
         x.tendon[s.MEASURED_TRAVEL, n] = x.tendon[s.MEASURED_POSITION, n] * spool
         valid = not math.isnan(x.tendon[s.MEASURED_TRAVEL, n])
         x.tendon[s.MEASURED_FORCE, n] = x.tendon[s.REPORTED, n] / spool if valid else math.nan
-        d, excursion = c.tendon_int[h.DIGIT, n], 0.0
+        d = c.tendon_int[h.DIGIT, n]
+        excursion = 0.0
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
             if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
                 excursion += c.tendon_joint[h.MOMENT_ARMS, n, j] * x.joint[s.MEASURED_JOINT, j]

@@ -49,8 +49,10 @@ TURN_LEAST_RAD = 1e-9
 """Smallest turn limited by a joint's range [rad]."""
 RELEASE_S = 0.15
 """Time constant of the fading effect of a contact [s]. Friction holds the joints for a while."""
-UPDATE_S, SMOOTH_S = 8e-3, 20e-3
-"""Period of the estimate in the null space, and time constant of the turn [s]."""
+UPDATE_S = 8e-3
+"""Period of the estimate in the null space [s]."""
+SMOOTH_S = 20e-3
+"""Time constant of the turn [s]."""
 
 
 @inner
@@ -86,8 +88,10 @@ def joint_angles(x: Tables, c: ConstantTables, k: int, t_ns: int) -> None:
 @inner
 def _by_excursion(x: Tables, c: ConstantTables) -> tuple[Matrix, Vector]:
     """Return deviations (J, N) of the joint angles by each tendon's excursion [rad], and the sums of squares (J,)."""
-    joints, tendons = x.joint.shape[1], x.tendon.shape[1]
-    spread, total = np.zeros((joints, tendons)), np.zeros(joints)
+    joints = x.joint.shape[1]
+    tendons = x.tendon.shape[1]
+    spread = np.zeros((joints, tendons))
+    total = np.zeros(joints)
     for n in range(tendons):
         stretch = square(x.tendon[s.TENSION, n] * STRETCH_ERROR) + square(x.tendon[s.SIGMA, n])
         variance = c.tendon[h.EXCURSION_VARIANCE, n] + stretch / square(c.tendon[h.STIFFNESS, n])
@@ -104,7 +108,8 @@ def _columns(x: Tables, c: ConstantTables) -> Matrix:
 
     The levers are those of the last estimate: the ticks are the iterations of a fixed point.
     """
-    places, joints = c.place_joint.shape[1], x.joint.shape[1]
+    places = c.place_joint.shape[1]
+    joints = x.joint.shape[1]
     columns = np.zeros((2 * places + 2, joints))
     turns, doubt = _turns(x, c)
     _free_errors(x, c, columns[2 * places :])
@@ -135,16 +140,20 @@ def _columns(x: Tables, c: ConstantTables) -> Matrix:
 @inner
 def _turns(x: Tables, c: ConstantTables) -> tuple[Matrix, Matrix]:
     """Return the turn of joints by a contact at each place, and by the error of tension, (H, J) [rad] each."""
-    places, joints = c.place_joint.shape[1], x.joint.shape[1]
-    turns, doubt = np.zeros((places, joints)), np.zeros((places, joints))
-    torque, error = np.zeros(joints), np.zeros(joints)
+    places = c.place_joint.shape[1]
+    joints = x.joint.shape[1]
+    turns = np.zeros((places, joints))
+    doubt = np.zeros((places, joints))
+    torque = np.zeros(joints)
+    error = np.zeros(joints)
     for j in range(joints):
         for n in range(x.tendon.shape[1]):
             external = x.digit[s.PRESSED, c.tendon_int[h.DIGIT, n]]
             wrong = math.sqrt(square(MODEL_ERROR_N) + square(MODEL_ERROR * external))
             torque[j] += c.joint_tendon[h.POSTURE_TORQUE, j, n] * external
             error[j] += c.joint_tendon[h.POSTURE_TORQUE, j, n] * wrong
-    q, lever = np.zeros(joints), np.zeros(joints)
+    q = np.zeros(joints)
+    lever = np.zeros(joints)
     for j in range(joints):
         q[j] = x.joint[s.Q, j] + x.joint[s.TURN, j]
     for place in range(places):
@@ -191,8 +200,11 @@ def _turn_of_digit(
         turns: (J,) result: turn [rad].
         doubt: (J,) result: standard deviation of the turn [rad].
     """
-    first, end = c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]
-    size, work, work_error = 0.0, 0.0, 0.0
+    first = c.digit_int[h.JOINTS_FIRST, d]
+    end = c.digit_int[h.JOINTS_END, d]
+    size = 0.0
+    work = 0.0
+    work_error = 0.0
     for j in range(first, end):
         work += lever[j] * torque[j]
         work_error += lever[j] * error[j]
@@ -216,7 +228,8 @@ def _range_fraction(x: Tables, c: ConstantTables, d: int, turn: Vector, sign: fl
     """Return the fraction, 0 to 1, of a digit's turn (J,) [rad] within the joints' ranges at the free angles."""
     fraction = 1.0
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
-        way, q = sign * turn[j], x.joint[s.Q, j]
+        way = sign * turn[j]
+        q = x.joint[s.Q, j]
         margin = max(c.joint[h.HIGH, j] - q if way > 0.0 else q - c.joint[h.LOW, j], 0.0)
         fraction = min(fraction, margin / max(abs(way), TURN_LEAST_RAD))
     return fraction
@@ -229,7 +242,8 @@ def _free_errors(x: Tables, c: ConstantTables, turn: Matrix) -> None:
     torque = np.zeros((2, joints))
     static_torque(c, x.joint[s.Q], torque[1])
     for n in range(x.tendon.shape[1]):
-        d, wrapped = c.tendon_int[h.DIGIT, n], c.tendon[h.WRAP, n]
+        d = c.tendon_int[h.DIGIT, n]
+        wrapped = c.tendon[h.WRAP, n]
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
             arm = c.tendon_joint[h.MOMENT_ARMS, n, j]
             if arm != 0.0:
@@ -266,7 +280,8 @@ def _fuse(x: Tables, c: ConstantTables, columns: Matrix, spread: Matrix, t_ns: i
                 covariance[a, b] += spread[a, n] * spread[b, n]
             covariance[a, b] *= c.joint_joint[h.SAME_DIGIT, a, b]
     used = False
-    gain, before = np.zeros(joints), np.zeros(joints)
+    gain = np.zeros(joints)
+    before = np.zeros(joints)
     for j in range(joints):
         if not c.joint_int[h.LOOSE, j]:
             continue
@@ -280,7 +295,8 @@ def _fuse(x: Tables, c: ConstantTables, columns: Matrix, spread: Matrix, t_ns: i
         residual = x.joint[s.JOINT_ANGLE, j] + moved - x.joint[s.Q, j]
         for a in range(joints):
             # The row is copied, because the loop below overwrites the covariance.
-            gain[a], before[a] = covariance[a, j] / (covariance[j, j] + noise), covariance[j, a]
+            gain[a] = covariance[a, j] / (covariance[j, j] + noise)
+            before[a] = covariance[j, a]
         for a in range(joints):
             x.joint[s.Q, a] += gain[a] * residual
             for b in range(joints):
@@ -313,7 +329,9 @@ def tip_forces(x: Tables, c: ConstantTables) -> None:
     one-tendon finger gives no information on the place of contact. The tip is then a convention.
     """
     coordinates = x.coordinate.shape[1]
-    torque, lever, turned = np.zeros(coordinates), np.zeros(coordinates), np.zeros(coordinates)
+    torque = np.zeros(coordinates)
+    lever = np.zeros(coordinates)
+    turned = np.zeros(coordinates)
     q = np.zeros(x.joint.shape[1])
     for j in range(len(q)):
         q[j] = x.joint[s.Q, j]

@@ -21,8 +21,10 @@ def predict(model: HandModel, layout: Layout, block: Block, missed: int = 0) -> 
         block: the state, modified in place.
         missed: ticks missed before the present tick.
     """
-    n, first = model.tendon_count, layout.start("tendon")
-    states, inputs = block[first : first + 7 * n], block[first + 7 * n : first + 9 * n]
+    n = model.tendon_count
+    first = layout.start("tendon")
+    states = block[first : first + 7 * n]
+    inputs = block[first + 7 * n : first + 9 * n]
     F, B = model.filter.transition(layout.table(block, "tendon_int")[s.KIND].tobytes())
     x = predict_steadystate(states, F, inputs, B)
     if missed:

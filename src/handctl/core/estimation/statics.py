@@ -19,7 +19,8 @@ def static_torque(c: ConstantTables, q: Vector, torque: Vector) -> None:
     A link's weight acts on the link's joint and on all joints towards the palm.
     """
     for d in range(c.digit_int.shape[1]):
-        first, end = c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]
+        first = c.digit_int[h.JOINTS_FIRST, d]
+        end = c.digit_int[h.JOINTS_END, d]
         angle = 0.0
         for j in range(first, end):
             angle += q[j]
@@ -56,7 +57,8 @@ def pull(c: ConstantTables, q: Vector, tension: Vector, developed: Vector, resul
     """
     torque = np.zeros(len(q))
     for n in range(len(tension)):
-        d, wrapped = c.tendon_int[h.DIGIT, n], c.tendon[h.WRAP, n]
+        d = c.tendon_int[h.DIGIT, n]
+        wrapped = c.tendon[h.WRAP, n]
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
             arm = c.tendon_joint[h.MOMENT_ARMS, n, j]
             if arm != 0.0:
@@ -77,7 +79,9 @@ def winding_efficiency(c: ConstantTables, n: int, q: Vector) -> float:
         n: index of the tendon.
         q: (J,) joint angles [rad].
     """
-    d, wrapped, efficiency = c.tendon_int[h.DIGIT, n], c.tendon[h.WRAP, n], 0.0
+    d = c.tendon_int[h.DIGIT, n]
+    wrapped = c.tendon[h.WRAP, n]
+    efficiency = 0.0
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
         if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
             wrapped += q[j]

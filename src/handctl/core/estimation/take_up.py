@@ -7,11 +7,16 @@ from handctl.core import block as s
 from handctl.core.block import Tables
 
 SLACK = 2
-SLACK_BELOW_N, SLACK_TICKS = 1.0, 3
-"""Limit of estimated and measured tension in slack (two standard deviations of the load cell) [N], ticks in a row."""
-TAUT_ABOVE_N, TAUT_AT_ONCE = 2.5, 6
-LIKELY_ABOVE_N, LIKELY = 1.5, 2
-POSSIBLE_ABOVE_N, POSSIBLE = 1.0, 1
+SLACK_BELOW_N = 1.0
+"""Limit of estimated and measured tension in slack: two standard deviations of the load cell [N]."""
+SLACK_TICKS = 3
+"""Consecutive ticks below ``SLACK_BELOW_N`` before a tendon counts as slack."""
+TAUT_ABOVE_N = 2.5
+TAUT_AT_ONCE = 6
+LIKELY_ABOVE_N = 1.5
+LIKELY = 2
+POSSIBLE_ABOVE_N = 1.0
+POSSIBLE = 1
 """Points towards a taut tendon for a load-cell sample above each tension. A sample below all subtracts ``AGAINST``.
 
 A sample above the first (five standard deviations) ends slack at once.

@@ -19,7 +19,9 @@ def joint_lever(digit: DigitModel, q: Vector) -> Vector:
         digit: the digit.
         q: (n,) joint angles [rad].
     """
-    angle_sum, reach, lever = 0.0, 0.0, []
+    angle_sum = 0.0
+    reach = 0.0
+    lever = []
     # From the tip inwards, with the angle to the last link.
     for length, angle in zip(reversed(digit.lengths), reversed(q.tolist()), strict=True):
         reach += length * math.cos(angle_sum)

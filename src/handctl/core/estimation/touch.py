@@ -13,8 +13,10 @@ from handctl.core.constants import ConstantTables
 
 SMOOTH_S = 20e-3
 """Time constant of the judged tension [s]."""
-BLOCKED_N, FREED_N = 6.0, 3.0
-"""Unexplained tension, the mean of a digit's tendons, from which the digit is blocked, and below which free again [N].
+FREED_N = 3.0
+"""Unexplained tension, the mean of a digit's tendons, below which the digit is free again [N]."""
+BLOCKED_N = 6.0
+"""Unexplained tension, the mean of a digit's tendons, from which the digit is blocked [N].
 
 Fast free motion with friction wrong by a half reaches 3.6 N. The tension is not converted to a
 force at the tip, because a digit curled up on the stops has no lever.
@@ -30,7 +32,8 @@ The loop at a blocked digit is stiff enough to wind the tendon up to the limits 
 def feel(x: Tables, c: ConstantTables) -> None:
     """Update the blocked state of each digit."""
     for d in range(x.digit.shape[1]):
-        first, end = c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]
+        first = c.digit_int[h.TENDONS_FIRST, d]
+        end = c.digit_int[h.TENDONS_END, d]
         mean = 0.0
         for n in range(first, end):
             mean += x.tendon[s.EXTERNAL, n] / (end - first)

@@ -55,7 +55,8 @@ def bounds() -> Mapping[str, Bound]:
         model = cast(type[Document], Gains.model_fields[section].annotation)
         for name, field in model.model_fields.items():
             low, high, open_low = _limits(field.metadata)
-            key, whole = f"{section}.{name}", field.annotation is int
+            key = f"{section}.{name}"
+            whole = field.annotation is int
             why = field.description or ""
             result[key] = Bound(key, low, high, open_low, field.default, whole, section in LIVE, why)
     return result
@@ -63,10 +64,13 @@ def bounds() -> Mapping[str, Bound]:
 
 def _limits(metadata: list[Any]) -> tuple[float, float, bool]:
     """Return smallest and largest value of a field, and True if the smallest is excluded."""
-    low, high, open_low = float("-inf"), float("inf"), False
+    low = float("-inf")
+    high = float("inf")
+    open_low = False
     for limit in metadata:
         if isinstance(limit, Gt):
-            low, open_low = cast(float, limit.gt), True
+            low = cast(float, limit.gt)
+            open_low = True
         elif isinstance(limit, Ge):
             low = cast(float, limit.ge)
         elif isinstance(limit, Le):

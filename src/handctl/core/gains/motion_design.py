@@ -84,8 +84,10 @@ def design_piece(space: TendonSpace, gains: Gains, period: float, piece: int) ->
 
 def assembled(space: TendonSpace, designed: list[Vector]) -> MotionDesign:
     """Return the design from all pieces."""
-    n, mass = len(space.spool), space.motor_mass + space.load_mass
-    motion, tension = designed[:n], designed[n:]
+    n = len(space.spool)
+    mass = space.motor_mass + space.load_mass
+    motion = designed[:n]
+    tension = designed[n:]
     return MotionDesign(
         stiffness=np.array([K[0] for K in motion]) / mass,
         damping=np.array([K[1] for K in motion]) / mass,
@@ -101,7 +103,8 @@ def _dlqr(A: NDArray[np.float64], B: NDArray[np.float64], state: list[float], fo
 
     # Zero-order hold: exp([[A, B], [0, 0]] T) = [[F, G], [0, I]].
     sampled = expm(period * np.block([[A, B], [np.zeros((1, 3))]]))
-    F, G = sampled[:2, :2], sampled[:2, 2:]
+    F = sampled[:2, :2]
+    G = sampled[:2, 2:]
     K, *_ = dlqr(F, G, np.diag([1.0 / x**2 for x in state]), np.array([[1.0 / force**2]]), method="scipy")
     check_finite(K)
     if not np.abs(np.linalg.eigvals(F - G @ K)).max() < 1.0:
@@ -112,7 +115,8 @@ def _dlqr(A: NDArray[np.float64], B: NDArray[np.float64], state: list[float], fo
 def _motion(mass: float, gains: Gains, period: float) -> Vector:
     """Design the motion loop: motor and digit as a mass on a rigid tendon, force per [m, m/s]."""
     weights = gains.motion
-    A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0 / mass]])
+    A = np.array([[0.0, 1.0], [0.0, 0.0]])
+    B = np.array([[0.0], [1.0 / mass]])
     return _dlqr(A, B, [weights.position_error_m, weights.speed_error_m_s], bearable(weights.force_N, period), period)
 
 
@@ -122,6 +126,9 @@ def _tension(space: TendonSpace, i: int, gains: Gains, period: float) -> Vector:
     The states are tension error [N] and tendon speed [m/s].
     """
     weights = gains.tension
-    mass, k, b = space.motor_mass[i], space.stiffness[i], space.motor_damping[i] + space.damping[i]
-    A, B = np.array([[0.0, k], [-1.0 / mass, -b / mass]]), np.array([[0.0], [1.0 / mass]])
+    mass = space.motor_mass[i]
+    k = space.stiffness[i]
+    b = space.motor_damping[i] + space.damping[i]
+    A = np.array([[0.0, k], [-1.0 / mass, -b / mass]])
+    B = np.array([[0.0], [1.0 / mass]])
     return _dlqr(A, B, [weights.tension_error_N, weights.speed_error_m_s], bearable(weights.force_N, period), period)

@@ -63,7 +63,8 @@ def _problem(moment_arms: Vector) -> _Problem:
         return result[1]
     if len(_problems) >= MOST:
         _problems.clear()
-    n, mean = len(moment_arms), float(np.abs(moment_arms).mean())
+    n = len(moment_arms)
+    mean = float(np.abs(moment_arms).mean())
     arms = moment_arms / mean
     weight = np.ascontiguousarray(arms @ arms.T + REGULARISATION * np.eye(n))
     problem = _Problem(arms, mean, weight, np.zeros((0, n)))

@@ -106,12 +106,14 @@ def tension_limit(x: Tables, c: ConstantTables) -> Vector:
 @inner
 def _derated(x: Tables, c: ConstantTables, n: int) -> float:
     """Return the largest tension of a tendon by the drive's temperature. A drive without temperature counts as cool."""
-    soft, hard = c.run[h.TEMPERATURE_SOFT], c.run[h.TEMPERATURE_HARD]
+    soft = c.run[h.TEMPERATURE_SOFT]
+    hard = c.run[h.TEMPERATURE_HARD]
     temperature = x.tendon[s.TEMPERATURE, n]
     if math.isnan(temperature):
         temperature = soft
     fraction = min(max((hard - temperature) / (hard - soft), 0.0), 1.0)
-    low, high = c.tendon[h.FLOOR, n], c.tendon[h.CEILING, n]
+    low = c.tendon[h.FLOOR, n]
+    high = c.tendon[h.CEILING, n]
     return low + fraction * (high - low)
 
 
@@ -128,14 +130,17 @@ def command(x: Tables, c: ConstantTables, way: Matrix, relax_rate: float, open_l
         ticks: periods since the last tick, 1 without missed ticks.
     """
     limit = tension_limit(x, c)
-    joints, count = x.joint.shape[1], x.tendon.shape[1]
+    joints = x.joint.shape[1]
+    count = x.tendon.shape[1]
     load = np.zeros(count)
     for n in range(count):
         kind = x.tendon_int[s.GOAL_KIND, n]
         excursion, rate, acceleration = _along(c, n, way)
         efficiency = 1.0
-        force, x.tendon[s.TENSION_GOAL, n] = 0.0, math.nan
-        setpoint, integral = x.tendon[s.TENSION, n], 0.0
+        force = 0.0
+        x.tendon[s.TENSION_GOAL, n] = math.nan
+        setpoint = x.tendon[s.TENSION, n]
+        integral = 0.0
         if kind == MOTION:
             efficiency = winding_efficiency(c, n, way[0])
             force = _move(x, c, n, limit[n], efficiency, excursion, rate, acceleration)
@@ -153,7 +158,8 @@ def command(x: Tables, c: ConstantTables, way: Matrix, relax_rate: float, open_l
             command_force = ceiling if open_loop else min(max(command_force, 0.0), ceiling)
         x.tendon[s.FORCE, n] = command_force - _motor_friction(x, c, n, command_force)
         x.tendon[s.TORQUE, n] = command_force * c.tendon[h.SPOOL, n]
-        x.tendon[s.SETPOINT, n], x.tendon[s.INTEGRAL, n] = setpoint, integral
+        x.tendon[s.SETPOINT, n] = setpoint
+        x.tendon[s.INTEGRAL, n] = integral
         if kind == MOTION:
             look_ahead(x, c, n, rate, efficiency)
         else:
@@ -168,13 +174,16 @@ def command(x: Tables, c: ConstantTables, way: Matrix, relax_rate: float, open_l
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
             x.joint[s.JOINT_TORQUE, j] += load[n] * c.tendon_joint[h.MOMENT_ARMS, n, j]
             if x.tendon_int[s.GOAL_KIND, n] == MOTION:
-                x.joint[s.Q_GOAL, j], x.joint[s.DQ_GOAL, j] = way[0, j], way[1, j]
+                x.joint[s.Q_GOAL, j] = way[0, j]
+                x.joint[s.DQ_GOAL, j] = way[1, j]
 
 
 @inner
 def _along(c: ConstantTables, n: int, way: Matrix) -> tuple[float, float, float]:
     """Return excursion [m], rate [m/s] and acceleration [m/s2] of a tendon on the joints' trajectories."""
-    excursion, rate, acceleration = 0.0, 0.0, 0.0
+    excursion = 0.0
+    rate = 0.0
+    acceleration = 0.0
     d = c.tendon_int[h.DIGIT, n]
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
         arm = c.tendon_joint[h.MOMENT_ARMS, n, j]
@@ -237,7 +246,8 @@ def _hold(x: Tables, c: ConstantTables, n: int, limit: float) -> tuple[float, fl
         n: index of the tendon.
         limit: largest tension [N].
     """
-    target, step = min(x.tendon[s.TARGET, n], limit), x.tendon[s.TARGET_STEP, n]
+    target = min(x.tendon[s.TARGET, n], limit)
+    step = x.tendon[s.TARGET_STEP, n]
     before = x.tendon[s.SETPOINT, n]
     setpoint = before + min(max(target - before, -step), step)
     error = setpoint - x.tendon[s.TENSION, n]
@@ -265,7 +275,8 @@ def _hold(x: Tables, c: ConstantTables, n: int, limit: float) -> tuple[float, fl
 @inner
 def _expected(x: Tables, c: ConstantTables, n: int) -> float:
     """Return the feedforward motor force of a tension-controlled tendon on an expected trajectory [N]."""
-    speed, acceleration = 0.0, 0.0
+    speed = 0.0
+    acceleration = 0.0
     for k in range(x.coordinate.shape[1]):
         speed += c.tendon_coordinate[h.REDUCED_ARMS, n, k] * x.coordinate[s.TRAJECTORY + 1, k]
         acceleration += c.tendon_coordinate[h.REDUCED_ARMS, n, k] * x.coordinate[s.TRAJECTORY + 2, k]

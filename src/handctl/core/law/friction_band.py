@@ -36,7 +36,9 @@ def look_ahead(x: Tables, c: ConstantTables, n: int, rate: float, efficiency: fl
         rate: planned speed of the tendon [m/s].
         efficiency: fraction of a tension at the joints while the tendon winds.
     """
-    before, period, tension = x.tendon[s.PLANNED, n], c.run[h.PERIOD], x.tendon[s.TENSION, n]
+    before = x.tendon[s.PLANNED, n]
+    period = c.run[h.PERIOD]
+    tension = x.tendon[s.TENSION, n]
     load = x.tendon[s.LOAD, n]
     accelerating = x.tendon[s.FORCE, n] + x.tendon[s.DISTURBANCE, n] - tension
     coming_speed = x.tendon[s.SPEED, n] + 0.5 * period / c.tendon[h.MOTOR_MASS, n] * accelerating
@@ -44,7 +46,8 @@ def look_ahead(x: Tables, c: ConstantTables, n: int, rate: float, efficiency: fl
     now = before if before > 0.0 else tension
     planned = expected(now, coming, efficiency, period * coming_speed, c.tendon[h.STIFFNESS, n], CREEP_SPEED * period)
     x.tendon[s.PLANNED, n] = planned
-    x.tendon[s.RATE, n], x.tendon[s.FRICTION_STATE, n] = 0.0, math.nan
+    x.tendon[s.RATE, n] = 0.0
+    x.tendon[s.FRICTION_STATE, n] = math.nan
     if before > 0.0:
         x.tendon[s.RATE, n] = (planned - before) / period
         ratio_log = math.log(max(before, FRICTION_LEAST_N) / max(load, FRICTION_LEAST_N))

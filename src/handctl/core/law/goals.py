@@ -21,7 +21,8 @@ def write_goals(model: HandModel, layout: Layout, block: Block, goals: tuple[Dig
         block: the state, modified in place.
         goals: per digit.
     """
-    tendon, digit = layout.table(block, "tendon"), layout.table(block, "digit")
+    tendon = layout.table(block, "tendon")
+    digit = layout.table(block, "digit")
     kinds = layout.table(block, "tendon_int")[s.GOAL_KIND]
     ways = layout.table(block, "digit_int")[s.TRAJECTORY_KIND]
     way = layout.table(block, "coordinate")
@@ -34,8 +35,10 @@ def write_goals(model: HandModel, layout: Layout, block: Block, goals: tuple[Dig
         ways[d] = NO_WAY if goal.trajectory is None else SAMPLED
         if isinstance(goal.trajectory, MinimumJerk):
             ways[d] = MINIMUM_JERK
-            way[s.TRAJECTORY_START, places], way[s.TRAJECTORY_END, places] = goal.trajectory.start, goal.trajectory.end
-            digit[s.TRAJECTORY_SINCE, d], digit[s.TRAJECTORY_DURATION, d] = goal.since, goal.trajectory.duration
+            way[s.TRAJECTORY_START, places] = goal.trajectory.start
+            way[s.TRAJECTORY_END, places] = goal.trajectory.end
+            digit[s.TRAJECTORY_SINCE, d] = goal.since
+            digit[s.TRAJECTORY_DURATION, d] = goal.trajectory.duration
 
 
 def _kind(goal: DigitGoal) -> Kind:

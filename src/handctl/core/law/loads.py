@@ -38,10 +38,12 @@ def allocate(model: HandModel, layout: Layout, block: Block, undecided: int) -> 
         block: the state, modified in place.
         undecided: a bit for each of these digits.
     """
-    required, load = layout.view(block, "joint_required"), layout.view(block, "load")
+    required = layout.view(block, "joint_required")
+    load = layout.view(block, "load")
     for d, digit in enumerate(model.digits):
         if undecided >> d & 1:
             tendons = digit.tendons
             required_torque = required[digit.joints] @ digit.coupling
-            low, high = model.floor[tendons], model.ceiling[tendons]
+            low = model.floor[tendons]
+            high = model.ceiling[tendons]
             load[tendons] = bounded(digit.reduced_moment_arms, required_torque, low, high, load[tendons])

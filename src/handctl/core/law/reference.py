@@ -31,7 +31,8 @@ def follow(x: Tables, c: ConstantTables, frozen: bool) -> None:
     """
     t = x.run[s.GOAL_TIME]
     for d in range(x.digit.shape[1]):
-        first, end = c.digit_int[h.COORDINATES_FIRST, d], c.digit_int[h.COORDINATES_END, d]
+        first = c.digit_int[h.COORDINATES_FIRST, d]
+        end = c.digit_int[h.COORDINATES_END, d]
         if x.digit_int[s.TRAJECTORY_KIND, d] == NO_WAY:
             for k in range(first, end):
                 for order in range(3):
@@ -81,17 +82,21 @@ def require(x: Tables, c: ConstantTables, way: Matrix) -> None:
         c: constants of the hand.
         way: (3, J) angles [rad], rates [rad/s] and accelerations [rad/s2].
     """
-    q, dq, ddq = np.zeros(3), np.zeros(3), np.zeros(3)
+    q = np.zeros(3)
+    dq = np.zeros(3)
+    ddq = np.zeros(3)
     for d in range(x.digit.shape[1]):
         if not moves(x, c, d):
             continue
-        first, end = c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]
+        first = c.digit_int[h.JOINTS_FIRST, d]
+        end = c.digit_int[h.JOINTS_END, d]
         for i in range(3):
             there = first + i < end
             # The equations are for three joints: a digit of two has a third of no mass.
             q[i], dq[i] = (way[0, first + i], way[1, first + i]) if there else (0.0, 0.0)
             ddq[i] = way[2, first + i] if there else 0.0
-        k, g = c.digit[h.LINKS : h.LINKS + 12, d], c.digit[h.GRAVITY : h.GRAVITY + 2, d]
+        k = c.digit[h.LINKS : h.LINKS + 12, d]
+        g = c.digit[h.GRAVITY : h.GRAVITY + 2, d]
         torque = newton(
             k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7], k[8], k[9], k[10], k[11], g[0], g[1],
             q[0], q[1], q[2], dq[0], dq[1], dq[2], ddq[0], ddq[1], ddq[2],
@@ -114,7 +119,8 @@ def load(x: Tables, c: ConstantTables) -> int:
     """
     undecided = 0
     for d in range(x.digit.shape[1]):
-        first, end = c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]
+        first = c.digit_int[h.TENDONS_FIRST, d]
+        end = c.digit_int[h.TENDONS_END, d]
         good = True
         for n in range(first, end):
             x.tendon[s.LOAD, n] = 0.0
@@ -122,7 +128,8 @@ def load(x: Tables, c: ConstantTables) -> int:
                 continue
             for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
                 x.tendon[s.LOAD, n] += c.tendon_joint[h.TORQUE_TO_TENSION, n, j] * x.joint[s.JOINT_REQUIRED, j]
-            low, high = c.tendon[h.FLOOR, n], c.tendon[h.CEILING, n]
+            low = c.tendon[h.FLOOR, n]
+            high = c.tendon[h.CEILING, n]
             good &= c.tendon_int[h.EXACT, n] == 1 and low <= x.tendon[s.LOAD, n] <= high
             if end - first == 1:
                 x.tendon[s.LOAD, n] = min(max(x.tendon[s.LOAD, n], low), high)

@@ -148,7 +148,8 @@ class Chirp:
         rise = 2.0 * math.pi * (self.high - self.low) / self.duration
         speed = 2.0 * math.pi * self.low + rise * s
         phase = (math.pi * self.low + 0.5 * speed) * s
-        sine, cosine = math.sin(phase), math.cos(phase)
+        sine = math.sin(phase)
+        cosine = math.cos(phase)
         way = size * sine
         velocity = growth * sine + size * speed * cosine
         acceleration = bend * sine + 2.0 * growth * speed * cosine + size * (rise * cosine - speed**2 * sine)
