@@ -149,7 +149,7 @@ def in_c(floor: str, medium: str, channel: str, motors: int, ticks: int) -> dict
     return {"wall_us": int(out[0]) / 1e3, "cpu_us": int(out[1]) / 1e3}
 
 
-def timed(way, peer, motors: int, ticks: int) -> dict:
+def timed(client, peer, motors: int, ticks: int) -> dict:
     """Measure sending and receiving of a tick [us]: median wall time and mean CPU time, without garbage collection."""
     torques = [0.01 * i for i in range(motors)]
 
@@ -162,11 +162,11 @@ def timed(way, peer, motors: int, ticks: int) -> dict:
         looking = statistics.median(-clock() + clock() for _ in range(100))
         for _ in range(count):
             a = clock()
-            way.send(torques)
+            client.send(torques)
             b = clock()
-            peer.answer(motors, way.answer)
+            peer.answer(motors, client.answer)
             c = clock()
-            got = way.receive()
+            got = client.receive()
             times.append(b - a + clock() - c - 2 * looking)
             assert len(got) == motors
         return times
@@ -177,7 +177,7 @@ def timed(way, peer, motors: int, ticks: int) -> dict:
     wall = spans(time.perf_counter_ns, ticks)
     used = spans(time.thread_time_ns, ticks)
     gc.enable()
-    way.close()
+    client.close()
     return {"wall_us": statistics.median(wall) / 1e3, "cpu_us": statistics.fmean(used) / 1e3}
 
 

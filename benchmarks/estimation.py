@@ -106,9 +106,9 @@ def judge(job: tuple[str, str, int]) -> dict[str, dict[str, list[float]]]:
 
 def _summed(values: np.ndarray, mask: np.ndarray) -> list[float]:
     """Return [sum, count] over the ticks of a regime."""
-    kept = values[mask]
-    kept = kept[~np.isnan(kept)]
-    return [float(kept.sum()), float(len(kept))]
+    values_in_regime = values[mask]
+    values_in_regime = values_in_regime[~np.isnan(values_in_regime)]
+    return [float(values_in_regime.sum()), float(len(values_in_regime))]
 
 
 def _squares(record: TrialRecord, regime: str) -> dict[str, np.ndarray]:
@@ -138,23 +138,26 @@ def _squares(record: TrialRecord, regime: str) -> dict[str, np.ndarray]:
 
 
 @cache
-def _limits(hand: str, held: bool) -> np.ndarray:
+def _limits(hand: str, is_held: bool) -> np.ndarray:
     """Return the standard deviation of the reference (N, 2), at the last sample and at present [N]."""
     name = hand.removesuffix(CLEAR)
     model = HandModel.of(hand_by_name(name), Gains(), RATES_HZ[name])
-    return np.array([limit(model, i, held) for i in range(model.tendon_count)])
+    return np.array([limit(model, i, is_held) for i in range(model.tendon_count)])
 
 
-def tabulate(found: list[dict]) -> dict[str, dict[str, float]]:
+def tabulate(results: list[dict]) -> dict[str, dict[str, float]]:
     """Tabulate by regime the RMSE of each estimator [N] with its spread over the seeds, ratios, NIS, whiteness."""
     table = {}
     for regime in REGIMES:
-        seeds = [_means(sums[regime]) for sums in found if regime in sums]
+        seeds = [_means(sums[regime]) for sums in results if regime in sums]
         if not seeds:
             continue
         mean = {name: float(np.sqrt(np.mean([row[name] for row in seeds]))) for name in seeds[0] if "lag" not in name}
-        best = {way: min((n for n in mean if n.startswith(f"{way} ")), key=mean.__getitem__) for way in WAYS[4:]}
-        row = {way: mean[best.get(way, way)] for way in WAYS} | {
+        best = {
+            column: min((name for name in mean if name.startswith(f"{column} ")), key=mean.__getitem__)
+            for column in WAYS[4:]
+        }
+        row = {column: mean[best.get(column, column)] for column in WAYS} | {
             "limit": mean["limit"],
             "limit now": mean["limit now"],
             "sigma": mean["sigma"],
@@ -164,7 +167,7 @@ def tabulate(found: list[dict]) -> dict[str, dict[str, float]]:
         row["whiteness"] = float(
             np.mean([row["innovation lag 1"] for row in seeds]) / np.mean([row["innovation"] for row in seeds])
         )
-        row |= {f"{way} / {other}": row[way] / row[other] for way, other in RATIOS}
+        row |= {f"{column} / {other}": row[column] / row[other] for column, other in RATIOS}
         table[regime] = row
     return table
 
@@ -185,7 +188,7 @@ def measure(seeds: int, wrong_seeds: int, plants: list[str], plan: Plan) -> dict
     tables: dict = {"seeds": {}, "hands": {}, "ended": []}
     for case in cases:
         of_case = {job: sums for job, sums in results.items() if job[:2] == case}
-        tables["ended"] += [f"{job}: {why}" for job, sums in of_case.items() for why in sums.pop("ended", {})]
+        tables["ended"] += [f"{job}: {reason}" for job, sums in of_case.items() for reason in sums.pop("ended", {})]
         if of_case:
             tables["hands"].setdefault(case[0], {})[case[1]] = tabulate(list(of_case.values()))
             tables["seeds"][", ".join(case)] = len(of_case)

@@ -17,7 +17,7 @@ from trials.jobs import Plan, add_options, collect, plan_of
 
 HANDS = ("jamia", "jamia11")
 QUICK = (1,)
-USUAL = (1, 6, 8, 11, 16)
+DEFAULT = (1, 6, 8, 11, 16)
 """Objects by number: of the quick and of the usual run."""
 STRETCH_S = 30.0
 """Of free motion in one run."""
@@ -49,7 +49,7 @@ def measure(args: argparse.Namespace, plan: Plan) -> dict[str, Any]:
     parts = args.parts.split(",")
     seeds = range(args.seeds)
     hands = HANDS[:1] if args.quick else HANDS
-    which = QUICK if args.quick else range(len(CASES)) if args.full else USUAL
+    which = QUICK if args.quick else range(len(CASES)) if args.full else DEFAULT
     which = [i for i in which if CASES[i].grasp in args.grasps.split(",")]
     result: dict[str, Any] = {}
     if "success" in parts:

@@ -87,9 +87,9 @@ def _description(result: dict) -> str:
     parts = []
     for hand, laws in result.items():
         names = list(laws)
-        for without, known in zip(names[::2], names[1::2], strict=True):
-            texts = [f"{speed} {_gain(laws[without][speed], laws[known][speed])}" for speed in SPEEDS]
-            parts.append(f"{hand}, {known}: {', '.join(texts)}")
+        for without, compensated in zip(names[::2], names[1::2], strict=True):
+            texts = [f"{speed} {_gain(laws[without][speed], laws[compensated][speed])}" for speed in SPEEDS]
+            parts.append(f"{hand}, {compensated}: {', '.join(texts)}")
     return (
         "Gain of gravity compensation in RMSE: "
         + "; ".join(parts)
@@ -99,9 +99,9 @@ def _description(result: dict) -> str:
     )
 
 
-def _gain(without: dict, known: dict) -> str:
+def _gain(without: dict, compensated: dict) -> str:
     before = without["rmse_deg"]
-    after = known["rmse_deg"]
+    after = compensated["rmse_deg"]
     change = before["mean"] - after["mean"]
     spread = math.hypot(before["spread"], after["spread"])
     return f"{change:+.3f} ± {spread:.3f} deg" + ("" if abs(change) > spread else " (nothing beyond the spread)")

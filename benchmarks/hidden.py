@@ -22,8 +22,10 @@ from handctl.safety.action import Action
 from handctl.session.plan import fastest
 from handctl.session.simulate import Simulation
 
-WATCHED_S, STOPPED_S = 2.0, 1.5
-"""Time from the fault until the operator stops the run, and from there to the end [s]."""
+FAULT_S = 2.0
+"""Time from the fault until the operator stops the run [s]."""
+STOPPED_S = 1.5
+"""Time from the stop to the end of the run [s]."""
 STOP = '{"do": "stop"}'
 HOLD_N = 90.0
 FAST_N_S = 60.0
@@ -84,7 +86,7 @@ def strike(simulation: Simulation, text: str) -> dict[str, Any]:
     reacted = -1.0
     tension = 0.0
     stopped = 0.0
-    watched, end = (round(s * 1e9 / simulation.period_ns) for s in (WATCHED_S, WATCHED_S + STOPPED_S))
+    watched, end = (round(s * 1e9 / simulation.period_ns) for s in (FAULT_S, FAULT_S + STOPPED_S))
     for i in range(end):
         stops = i == watched and reacted < 0
         out = simulation.tick(requests=(STOP,) if stops else ())
@@ -102,7 +104,7 @@ def strike(simulation: Simulation, text: str) -> dict[str, Any]:
             "felt": bool(simulation.peer.fault_states()[-1]["felt"])}  # fmt: skip
 
 
-def rows(hand_name: str, protocol: str, seed: int, only: str) -> Iterator[dict[str, Any]]:
+def rows(hand_name: str, protocol: str, seed: int, selected_fault: str) -> Iterator[dict[str, Any]]:
     """Yield a row for every fault in every stage of one run, each in a copy of this process."""
     hand = hand_in(hand_name, protocol)
     rate = fastest(bus_loads(hand))
@@ -120,7 +122,7 @@ def rows(hand_name: str, protocol: str, seed: int, only: str) -> Iterator[dict[s
             else:
                 raise SystemExit(f"seed {seed}: no {stage}: {simulation.state.failure or out.phase}")
             for name, text, stages in FAULTS:
-                if stage in stages and only in name:
+                if stage in stages and selected_fault in name:
                     reading, writing = os.pipe()
                     if os.fork() == 0:
                         os.write(writing, json.dumps(strike(simulation, text.format(**words))).encode())
@@ -131,12 +133,12 @@ def rows(hand_name: str, protocol: str, seed: int, only: str) -> Iterator[dict[s
                     os.wait()
 
 
-def table(found: list[dict[str, Any]]) -> str:
+def table(results: list[dict[str, Any]]) -> str:
     """Tabulate fault and stage: number of relaxed runs, rows, latest reaction, and the largest true tension."""
     lines = ["| fault | stage | relaxed or cut | by (runs) | at the latest, ms | true tension, N | after a stop, N |",
              "|---|---|---|---|---|---|---|"]  # fmt: skip
-    for name, stage in dict.fromkeys((one["fault"], one["stage"]) for one in found):
-        selected = [one for one in found if (one["fault"], one["stage"]) == (name, stage)]
+    for name, stage in dict.fromkeys((one["fault"], one["stage"]) for one in results):
+        selected = [one for one in results if (one["fault"], one["stage"]) == (name, stage)]
         by = Counter(id_ for one in selected for id_ in one["found"])
         rel = [one["ms"] for one in selected if one["ms"] >= 0]
         detected = ", ".join(f"{id_} ({n})" for id_, n in by.most_common(5)) or "-"

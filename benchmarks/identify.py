@@ -126,21 +126,21 @@ def one(seed: int, digit: str, folder: Path, hand_name: str = "jamia") -> Row:
     return row
 
 
-def judged(name: str, tendon: str, real: float, found: TendonResult) -> Row:
+def judged(name: str, tendon: str, real: float, result: TendonResult) -> Row:
     """Compare one parameter with the truth. Widths and error are fractions of the true value."""
-    known = name in found.judged.names
-    error = found.fit.values[name] / real - 1.0
-    width = found.fit.half_widths[name] / real
-    together = found.fit.half_widths_of(max(1, len(found.judged.names)))[name] / real
+    identified = name in result.judged.names
+    error = result.fit.values[name] / real - 1.0
+    width = result.fit.half_widths[name] / real
+    together = result.fit.half_widths_of(max(1, len(result.judged.names)))[name] / real
     return {
         "name": name,
         "tendon": tendon,
         "error": error,
         "half_width": width,
         "half_width_all_at_once": together,
-        "covered": known and abs(error) <= width,
-        "covered_all_at_once": known and abs(error) <= together,
-        "within": known and abs(error) <= WITHIN[name],
+        "covered": identified and abs(error) <= width,
+        "covered_all_at_once": identified and abs(error) <= together,
+        "within": identified and abs(error) <= WITHIN[name],
     }
 
 

@@ -129,17 +129,17 @@ def repeated(stack: Stack, rollout: Rollout) -> list[float]:
 def show(result: dict) -> None:
     """Print one result as text."""
     for hand, scenes in result.items():
-        for scene, found in scenes.items():
+        for scene, row in scenes.items():
             print(
-                f"{hand}, {scene} ({found['contacts']:.1f} contacts), {found['rate_hz']:g} Hz: bare "
-                f"{found['bare_times_real_time']:.1f}, whole stack {found['whole_times_real_time']:.1f} times real "
-                f"time: {100 * found['share_of_bare']:.0f} %"
+                f"{hand}, {scene} ({row['contacts']:.1f} contacts), {row['rate_hz']:g} Hz: bare "
+                f"{row['bare_times_real_time']:.1f}, whole stack {row['whole_times_real_time']:.1f} times real "
+                f"time: {100 * row['share_of_bare']:.0f} %"
             )
             print(
-                f"  mj_step {found['bare_us_a_tick']:.0f} us a tick, the rest {found['rest_us_a_tick']:.0f} us, of it "
-                f"{found['simulator_us_a_tick']:.0f} us behind the wire:"
+                f"  mj_step {row['bare_us_a_tick']:.0f} us a tick, the rest {row['rest_us_a_tick']:.0f} us, of it "
+                f"{row['simulator_us_a_tick']:.0f} us behind the wire:"
             )
-            rest = {who: fraction for who, fraction in found["spent"].items() if who != "mj_step"}
+            rest = {who: fraction for who, fraction in row["spent"].items() if who != "mj_step"}
             for who, fraction in sorted(rest.items(), key=lambda row: -row[1]):
                 print(f"    {100 * fraction / sum(rest.values()):5.1f} %  {who}")
 

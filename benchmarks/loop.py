@@ -75,8 +75,8 @@ def free_and_highest_rate(which: str, hand: str, bus: str, seconds: float, quick
 def ratio(rates: dict, name: str) -> float | None:
     """Return the ratio of handctl to the usual loop. None if a loop held none of the rates."""
     ours = rates["ours"][name]
-    usual = rates["usual"][name]
-    return ours / usual if ours and usual else None
+    baseline = rates["usual"][name]
+    return ours / baseline if ours and baseline else None
 
 
 def child(which: str, hand: str, bus: str, seconds: float, rate_hz: float) -> dict:
@@ -93,16 +93,16 @@ def one(which: str, hand: str, bus: str, seconds: str, rate: str) -> dict:
     sys.path.insert(0, str(Path(__file__).parent))
     log = Path(os.environ["HANDCTL_RUN_DIR"]) / f"{os.getpid()}.log"
     if which == "bare":
-        found = bare_sleep(float(seconds), float(rate))
+        outcome = bare_sleep(float(seconds), float(rate))
     elif which == "bare_spin":
-        found = bare_spin(float(seconds), float(rate))
+        outcome = bare_spin(float(seconds), float(rate))
     else:
         run = __import__(f"loops.{which}", fromlist=["run"]).run
         try:
-            found = run(hand, bus, float(seconds), float(rate) or None, log)
+            outcome = run(hand, bus, float(seconds), float(rate) or None, log)
         except RuntimeError:  # a rate at which the drives cannot even be set up
-            found = 0.0, 1.0, []
-    hz, missed, late, *more = found
+            outcome = 0.0, 1.0, []
+    hz, missed, late, *more = outcome
     result = {"hz": hz, "missed": missed, "late_us": marks(late)}
     if more:
         took, cpu = more
@@ -112,8 +112,8 @@ def one(which: str, hand: str, bus: str, seconds: str, rate: str) -> dict:
 
 def marks(times_ns: list[int]) -> dict:
     """Return percentiles [us]."""
-    found = np.percentile(times_ns, [50, 99, 99.9, 100]) / 1e3 if times_ns else [0.0] * 4
-    return dict(zip(("p50", "p99", "p99_9", "max"), (float(mark) for mark in found), strict=True))
+    percentiles = np.percentile(times_ns, [50, 99, 99.9, 100]) / 1e3 if times_ns else [0.0] * 4
+    return dict(zip(("p50", "p99", "p99_9", "max"), (float(mark) for mark in percentiles), strict=True))
 
 
 def bare_spin(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]:
@@ -181,10 +181,10 @@ def show(result: dict) -> None:
     print("lateness, cores loaded [us]     p50     p99   p99.9     max")
     for name, label in (("ours", "handctl"), ("bare_spin", "bare sleep and spin")):
         print(f"  {label:<24}" + "".join(f"{value:8.1f}" for value in loaded[name].values()))
-    for rate, found in result["at_rate"].items():
-        tick = found["tick_us"]
+    for rate, row in result["at_rate"].items():
+        tick = row["tick_us"]
         print(
-            f"11 motors at {rate:g} Hz: {100 * found['cpu']:.0f} % of a core, {100 * found['missed']:.2f} % missed, "
+            f"11 motors at {rate:g} Hz: {100 * row['cpu']:.0f} % of a core, {100 * row['missed']:.2f} % missed, "
             f"a tick {tick['p50']:.0f} us, p99 {tick['p99']:.0f} us"
         )
     print("rate [Hz]                 handctl   usual   ratio")

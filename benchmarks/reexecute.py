@@ -75,13 +75,13 @@ def once(log: RunLog, controller: Controller) -> dict:
 
 def show(result: dict) -> None:
     """Print one result as text."""
-    for name, found in result.items():
-        parts = ", ".join(f"{stage} {us:.1f}" for stage, us in found["us_a_tick"].items())
+    for name, row in result.items():
+        parts = ", ".join(f"{stage} {us:.1f}" for stage, us in row["us_a_tick"].items())
         print(
-            f"{name}: {found['times_real_time']:.1f} times real time, {found['equal']} of {found['ticks']} ticks equal"
+            f"{name}: {row['times_real_time']:.1f} times real time, {row['equal']} of {row['ticks']} ticks equal"
         )
         print(f"  us a tick: {parts}")
-        for who, fraction in sorted(found["spent"].items(), key=lambda row: -row[1]):
+        for who, fraction in sorted(row["spent"].items(), key=lambda item: -item[1]):
             print(f"    {100 * fraction:5.1f} %  {who}")
 
 

@@ -44,11 +44,11 @@ def demo(hand: str, protocol: str, seed: int) -> dict[str, Any]:
     return figures | {"why": failure_reason(figures, result)}
 
 
-def failure_reason(figures: dict[str, Any], told: dict[str, Any]) -> str:
+def failure_reason(figures: dict[str, Any], run_result: dict[str, Any]) -> str:
     """Describe why a run has not passed. Empty if it has passed."""
-    if told["failure"] or told["missed"] or told["frames_lost"]:
-        return told["failure"] or f"{told['missed']} ticks missed, {told['frames_lost']} frames lost"
-    if min(told["contact_force_n"].values()) <= 0.5:
+    if run_result["failure"] or run_result["missed"] or run_result["frames_lost"]:
+        return run_result["failure"] or f"{run_result['missed']} ticks missed, {run_result['frames_lost']} frames lost"
+    if min(run_result["contact_force_n"].values()) <= 0.5:
         return "a digit does not hold the object"
     return ", ".join(f"{name} {figures[name]:.2f}" for name, limit in LIMITS.items() if not figures[name] < limit)
 

@@ -91,11 +91,11 @@ def compare(
             blind = SearchPlan(hand.to_toml(), rate, detuned, ensemble(plants, 0), 1, trials, (packaged,))
             knowing = SearchPlan(blind.hand, rate, detuned, (PLANT,), 1, trials, (packaged,))
             searches, spent = _searched(blind, folder / "blind", crew)
-            known, _ = _searched(knowing, folder / "knowing", crew)
+            informed, _ = _searched(knowing, folder / "knowing", crew)
             around = SearchPlan(twin.to_toml(), rate, detuned, ensemble(plants, 0, spread), 1, trials, (packaged,))
             fitted = _searched(around, folder / "identified", crew)[0] if fit else None
         jobs = [
-            _judged(knowing, gains) for gains in (detuned, packaged, _best(detuned, searches), _best(detuned, known))
+            _judged(knowing, gains) for gains in (detuned, packaged, _best(detuned, searches), _best(detuned, informed))
         ]
         scores = [Score(**score) for _, score in sorted(crew.scores(jobs), key=lambda pair: pair[0])]
     finally:
@@ -123,19 +123,19 @@ def compare(
 def _searched(plan: SearchPlan, storage: Path, crew: Workers) -> tuple[SearchResult, float]:
     began = time.monotonic()
 
-    def show(found: SearchResult) -> None:
-        best = f"{found.cost(found.best):.3f}" if found.best else "none good yet"
-        print(f"\r{storage.name}: trial {len(found.trials)} of {plan.trials}, best {best}   ", end="", file=sys.stderr)
+    def show(result: SearchResult) -> None:
+        best = f"{result.cost(result.best):.3f}" if result.best else "none good yet"
+        print(f"\r{storage.name}: trial {len(result.trials)} of {plan.trials}, best {best}   ", end="", file=sys.stderr)
 
-    found = search(plan, storage, crew, show)
+    result = search(plan, storage, crew, show)
     print(file=sys.stderr)
-    return found, time.monotonic() - began
+    return result, time.monotonic() - began
 
 
-def _best(base: Gains, found: SearchResult) -> Gains:
-    if found.best is None:
+def _best(base: Gains, result: SearchResult) -> Gains:
+    if result.best is None:
         raise SystemExit("no trial kept its margins; expected more --trials")
-    return with_values(base, found.best.values, "study") if found.best.number else base
+    return with_values(base, result.best.values, "study") if result.best.number else base
 
 
 def _judged(plan: SearchPlan, gains: Gains) -> dict[str, Any]:

@@ -36,9 +36,9 @@ def spent(work: Callable[[], None]) -> dict[str, float]:
     profile.runcall(work)
     stats = pstats.Stats(profile).stats
     total: dict[str, float] = defaultdict(float)
-    for function, (_, _, own_s, _, _) in stats.items():
+    for function, (_, _, self_s, _, _) in stats.items():
         for part, fraction in _owners(stats, function, 6):
-            total[part] += own_s * fraction
+            total[part] += self_s * fraction
     whole = sum(total.values())
     return {part: value / whole for part, value in sorted(total.items(), key=lambda row: -row[1])}
 

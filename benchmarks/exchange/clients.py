@@ -83,15 +83,15 @@ class TMotor:
 
         manager = object.__new__(mit_can.CAN_Manager)
         manager.bus = can.Bus(channel, interface=interface, ignore_config=True)
-        heard = []
-        manager.notifier = SimpleNamespace(add_listener=heard.append)
+        listeners = []
+        manager.notifier = SimpleNamespace(add_listener=listeners.append)
         mit_can.CAN_Manager.__del__ = lambda self: None
         mit_can.CAN_Manager._instance = manager
         with contextlib.redirect_stdout(io.StringIO()):
             make = mit_can.TMotorManager_mit_can
             self.motors = [make(motor_type="AK80-9", motor_ID=i) for i in range(1, motors + 1)]
         self.bus = manager.bus
-        self.heard = heard
+        self.listeners = listeners
         for motor in self.motors:
             motor._entered = True
             motor._last_command_time = 0.0
@@ -109,7 +109,7 @@ class TMotor:
     def receive(self):
         for _ in self.motors:
             message = self.bus.recv(0)
-            for listener in self.heard:
+            for listener in self.listeners:
                 listener.on_message_received(message)
         return [motor.get_output_torque_newton_meters() for motor in self.motors]
 
@@ -129,8 +129,8 @@ class Moteus:
         self.device = PythonCanDevice(interface=interface, channel=channel, fd=True)
         self.transport = moteus.Transport([self.device])
         self.count = motors
-        known = dict.fromkeys(range(1, motors + 1), self.device)
-        self.controllers = [moteus.Controller(id=i, transport=self.transport) for i in known]
+        devices = dict.fromkeys(range(1, motors + 1), self.device)
+        self.controllers = [moteus.Controller(id=i, transport=self.transport) for i in devices]
         self.transport._routing_table = {}
         self.nan = float("nan")
 

@@ -31,8 +31,8 @@ class LocalMotors:
         size = 0
         while size < motors * RECORD.size:
             size += len(self.link.recv(1 << 16))
-        told = [of(i + 1) for i in range(motors)]
-        self.link.sendall(b"".join(RECORD.pack(can_id, len(data), flags, 0, data) for can_id, data, flags in told))
+        answers = [of(i + 1) for i in range(motors)]
+        self.link.sendall(b"".join(RECORD.pack(can_id, len(data), flags, 0, data) for can_id, data, flags in answers))
 
     def close(self) -> None:
         if self.link:

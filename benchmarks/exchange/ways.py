@@ -75,7 +75,7 @@ class Ours:
         self.controller, state = enabled(motors)
         self.state = state.copy()
         self.want = DriveTarget.ENABLE
-        self.begin = wire.begin
+        self.start = wire.begin
         self.np = np
         self.shape = 1 + motors, WORDS
         self.bus = open_bus(f"{interface}:{channel}", 0, 1_000_000)
@@ -91,7 +91,7 @@ class Ours:
     def receive(self):
         frames = self.bus.drain()
         state = self.state
-        self.begin(state.block, self.controller.layout.places, state.k, self.t_ns, 0, 0, len(frames))
+        self.start(state.block, self.controller.layout.places, state.k, self.t_ns, 0, 0, len(frames))
         self.controller._receive(state, frames)
         return frames
 

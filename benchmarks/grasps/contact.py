@@ -54,14 +54,14 @@ def find_contacts(job: tuple[str, int]) -> list[float]:
 
 
 def _latencies(run: Run, digits: tuple[str, ...]) -> list[float]:
-    found = {event.where: float(run.t[k]) for k, event in run.events if event.name == "contact"}
+    contact_times = {event.where: float(run.t[k]) for k, event in run.events if event.name == "contact"}
     latencies = []
     for d, name in enumerate(digits):
         above = np.flatnonzero(run.force[:, d] > CONTACT_N)
-        if name in found:
+        if name in contact_times:
             at = float(run.t[above[0]]) if len(above) else np.inf
-            touched = run.force[: np.searchsorted(run.t, found[name]) + 1, d].max() > TOUCHED_N
-            latencies += [max(found[name] - at, -1.0)] if touched else []
+            touched = run.force[: np.searchsorted(run.t, contact_times[name]) + 1, d].max() > TOUCHED_N
+            latencies += [max(contact_times[name] - at, -1.0)] if touched else []
         elif len(above):
             latencies.append(np.inf)
     return latencies
@@ -75,9 +75,8 @@ def free_motion(job: tuple[str, float, int]) -> dict[str, float]:
     planned = 0.0
     while planned < seconds:
         speed = chance.uniform(*SPEED_DEG_S)
-        home = {
-            name: chance.uniform(0, most) for name, most in {"index": 15, "middle": 8, "ring": 15, "thumb": 3}.items()
-        }
+        limits = {"index": 15, "middle": 8, "ring": 15, "thumb": 3}
+        home = {name: chance.uniform(0, limit) for name, limit in limits.items()}
         goal = {"index": chance.uniform(25, 50)}
         # the middle finger and the thumb would meet each other
         if chance.random() < 0.6:

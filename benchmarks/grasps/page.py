@@ -37,21 +37,24 @@ def _success(rows: list[dict[str, Any]]) -> str:
     for (grasp, thing), tried in _groups(rows, "grasp", "object").items():
         cells = []
         for hand in hands:
-            own = [row for row in tried if row["hand"] == hand]
-            moved = [max(row["motion_mm"]) for row in own if row["motion_mm"]]
+            selected = [row for row in tried if row["hand"] == hand]
+            moved = [max(row["motion_mm"]) for row in selected if row["motion_mm"]]
             worst = f", {min(max(moved), 99.0):.1f} mm" if moved else ""
-            cells.append(f"{sum(row['ok'] for row in own)} of {len(own)}{worst}" if own else "-")
+            cells.append(f"{sum(row['ok'] for row in selected)} of {len(selected)}{worst}" if selected else "-")
         table.append([grasp, thing, *cells])
     totals = []
     for grasp in dict.fromkeys(row["grasp"] for row in rows):
         for hand in hands:
-            own = [row for row in rows if row["hand"] == hand and row["grasp"] == grasp]
-            totals.append(f"{hand} {grasp} {100 * np.mean([row['ok'] for row in own]):.0f} % of {len(own)}")
+            selected = [row for row in rows if row["hand"] == hand and row["grasp"] == grasp]
+            totals.append(f"{hand} {grasp} {100 * np.mean([row['ok'] for row in selected]):.0f} % of {len(selected)}")
     failures = []
     for (hand, grasp, thing), failed in _groups([row for row in rows if row["why"]], "hand", "grasp", "object").items():
-        whys = _groups(failed, "why")
-        told = [f"{why} (seed {', '.join(str(row['seed']) for row in own)})" for (why,), own in whys.items()]
-        failures.append(f"* {hand}, {grasp}, {thing}: {'; '.join(told)}")
+        by_reason = _groups(failed, "why")
+        reasons = [
+            f"{reason} (seed {', '.join(str(row['seed']) for row in selected)})"
+            for (reason,), selected in by_reason.items()
+        ]
+        failures.append(f"* {hand}, {grasp}, {thing}: {'; '.join(reasons)}")
     named = "\n\nFailures:\n\n" + "\n".join(failures) if failures else "\n\nNo failures."
     head = ["grasp", "object", *[f"{hand}: held, worst motion" for hand in hands]]
     return f"{_table(head, table)}\n\nIn total: {'; '.join(totals)}.{named}"
@@ -74,12 +77,13 @@ def _payload(rows: list[dict[str, Any]]) -> str:
 
 def _tip(rows: list[dict[str, Any]]) -> str:
     table = []
-    for (hand, digit, asked), own in _groups(rows, "hand", "digit", "asked").items():
-        felt, told = (np.array([row[name] for row in own]) for name in ("felt", "told"))
-        error = told - felt
+    for (hand, digit, command), selected in _groups(rows, "hand", "digit", "asked").items():
+        true, estimated = (np.array([row[name] for row in selected]) for name in ("felt", "told"))
+        error = estimated - true
         table.append([
-            hand, digit, f"{asked:g}", f"{felt.mean():.2f} ± {felt.std():.2f}", f"{told.mean():.2f}",
-            f"{np.sqrt((error**2).mean()):.2f}", f"{np.mean([row['noise'] for row in own]):.2f}", str(len(own)),
+            hand, digit, f"{command:g}", f"{true.mean():.2f} ± {true.std():.2f}", f"{estimated.mean():.2f}",
+            f"{np.sqrt((error**2).mean()):.2f}", f"{np.mean([row['noise'] for row in selected]):.2f}",
+            str(len(selected)),
         ])  # fmt: skip
     head = ["hand", "digit", "command, N", "true force, N", "estimate, N", "error of the estimate, RMS, N",
             "its noise, N", "runs"]  # fmt: skip

@@ -30,8 +30,8 @@ def press(job: tuple[str, int]) -> list[dict[str, Any]]:
     phases += [{"kind": "hold", "name": f"{f:g}", "tip_force_N": f, "duration_s": HOLD_S} for f in COMMANDS_N]
     run = simulate(hand, task_of(phases), wall, seed=seed, until="end", timeout=12.0)
     rows = []
-    for asked in COMMANDS_N:
-        mask = np.array(run.phase) == f"{asked:g}"
+    for command in COMMANDS_N:
+        mask = np.array(run.phase) == f"{command:g}"
         mask &= run.t > run.t[mask].max(initial=0.0) - JUDGED_S
         for d, name in enumerate(hand_model(hand)[0].hand.digit_names):
             if mask.any() and run.contact[mask, d].all():
@@ -42,7 +42,7 @@ def press(job: tuple[str, int]) -> list[dict[str, Any]]:
                         "hand": hand,
                         "seed": seed,
                         "digit": name,
-                        "asked": asked,
+                        "asked": command,
                         "told": round(float(estimated.mean()), 3),
                         "felt": round(float(true.mean()), 3),
                         "noise": round(float((estimated - true).std()), 3),

@@ -76,12 +76,12 @@ class Run:
 
 def task_program(task: str, hand: str, hold_s: float | None = None) -> TaskProgram:
     """Return the program of a packaged task or a task file for a hand, with the duration of its holds [s]."""
-    found, _ = find_task(Path(task), load_hand(hand))
+    packaged_task, _ = find_task(Path(task), load_hand(hand))
     phases = [
         phase.model_copy(update={"duration_s": hold_s}) if hold_s is not None and isinstance(phase, Hold) else phase
-        for phase in found.phase
+        for phase in packaged_task.phase
     ]
-    return TaskProgram(found.model_copy(update={"phase": tuple(phases)}))
+    return TaskProgram(packaged_task.model_copy(update={"phase": tuple(phases)}))
 
 
 def simulate(

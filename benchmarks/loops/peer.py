@@ -20,21 +20,21 @@ class Echo:
 
     def __init__(self, hand: str) -> None:
         self.rig = Rig(hand, homed=True)
-        self.known: dict[tuple[int, int], bytes] = {}
+        self.replies: dict[tuple[int, int], bytes] = {}
         self.sync = self.rig.world.hand.sensors.sync_id
 
     def answer(self, frame: Frame) -> bytes:
         """Return the records that answer a frame."""
         if frame.can_id != self.sync and (frame.can_id > 0xFF or frame.data.startswith(SPECIAL)):
-            self.known.clear()
+            self.replies.clear()
             return b"".join(map(pack_record, self.rig.world.receive(frame)))
         key = (frame.can_id, frame.data[0] & 0xF if frame.can_id == self.sync else 0)
-        if key in self.known:
-            return self.known[key]
+        if key in self.replies:
+            return self.replies[key]
         answers = self.rig.world.receive(frame)
         records = b"".join(map(pack_record, answers))
         if frame.can_id == self.sync or (answers and answers[0].data[0] >> 4 == ENABLED):
-            self.known[key] = records
+            self.replies[key] = records
         return records
 
 

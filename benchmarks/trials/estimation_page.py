@@ -59,12 +59,12 @@ def section(result: dict) -> str:
     return "\n".join(parts)
 
 
-def _wrong(plant: str, found: dict, regimes: list[str]) -> list[str]:
+def _wrong(plant: str, regimes_table: dict, regimes: list[str]) -> list[str]:
     cells = [
         f"{row['estimate']:.2f} N, {' and '.join(f'{row[ratio]:.2f}' for ratio in WRONG)}"
-        for row in (found[regime] for regime in regimes)
+        for row in (regimes_table[regime] for regime in regimes)
     ]
-    return [plant, *cells, f"{found['free']['nis']:.2f}", f"{found['hold']['nis']:.2f}"]
+    return [plant, *cells, f"{regimes_table['free']['nis']:.2f}", f"{regimes_table['hold']['nis']:.2f}"]
 
 
 def _conclusion(result: dict) -> str:
@@ -87,11 +87,11 @@ def _conclusion(result: dict) -> str:
         f"at {', '.join(strict)}. "
     )
     raw = "\n".join(f"- {_against_raw(result, ratio)}" for ratio in WHEN)
-    parts = (text.strip(), "Comparison with the raw load cell:", raw, _otherwise_wrong(result), *WHY)
+    parts = (text.strip(), "Comparison with the raw load cell:", raw, _otherwise_wrong(result), *EXPLANATION)
     return "\n\n".join(part for part in parts if part)
 
 
-WHY = (
+EXPLANATION = (
     "Both the prediction and the raw cell come from the same sample, which is one period old, and both are judged at "
     "present, because the control loop would use the raw sample as it is. While NIS shows that the model does not "
     "fit, the filter trusts its model less (`innovation.py`, `caution`).",
@@ -168,16 +168,16 @@ def picture(result: dict) -> None:
         "estimate": "#4477aa",
     }
     for axis, (hand, plants) in zip(axes[0], hands.items(), strict=True):
-        found = plants["as known"]
-        places = np.arange(len(found))
+        regimes_table = plants["as known"]
+        places = np.arange(len(regimes_table))
         for i, (estimator, colour) in enumerate(ways.items()):
-            values = [row[estimator] for row in found.values()]
+            values = [row[estimator] for row in regimes_table.values()]
             axis.bar(places + 0.14 * (i - 2.5), values, 0.14, color=colour, label=estimator)
         for key, style, where in (("limit", "-", -0.28), ("limit now", ":", 0.14)):
-            limits = [row[key] for row in found.values()]
+            limits = [row[key] for row in regimes_table.values()]
             name = key.replace("limit", "reference")
             axis.hlines(limits, places + where - 0.16, places + where + 0.3, "#222222", style, label=name)
-        axis.set_xticks(places, list(found), rotation=20)
+        axis.set_xticks(places, list(regimes_table), rotation=20)
         axis.set_title(hand)
     axes[0][0].set_ylabel("RMSE of tension [N]")
     axes[0][-1].legend(fontsize=8, loc="upper left", ncols=2)

@@ -36,7 +36,7 @@ def collect(work: Work, jobs: list[Any], plan: Plan) -> dict[Any, Any]:
         work: top-level function of one job. jobs: tuples. plan: see there.
     """
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
-    done = {job: stored for job in jobs if (stored := _kept(work, job, plan)) is not None}
+    done = {job: stored for job in jobs if (stored := _stored(work, job, plan)) is not None}
     missing = [job for job in jobs if job not in done]
     until = time.monotonic() + 60.0 * plan.minutes
     for job, results in _run(work, missing, plan.workers or os.cpu_count() or 1, until):
@@ -76,24 +76,24 @@ def _place(work: Work, job: Any, keep: Path) -> Path:
     return keep / f"{work.__module__.rpartition('.')[2]}-{work.__name__}-{digest}.json"
 
 
-def _kept(work: Work, job: Any, plan: Plan) -> Any:
+def _stored(work: Work, job: Any, plan: Plan) -> Any:
     if plan.keep is None or not (path := _place(work, job, plan.keep)).exists():
         return None
     return json.loads(path.read_text("utf-8"))["result"]
 
 
-def _keep(work: Work, job: Any, found: Any, plan: Plan) -> None:
+def _keep(work: Work, job: Any, result: Any, plan: Plan) -> None:
     if plan.keep is None:
         return
     plan.keep.mkdir(parents=True, exist_ok=True)
     path = _place(work, job, plan.keep)
-    path.with_suffix(".part").write_text(json.dumps({"job": repr(job), "result": found}), "utf-8")
+    path.with_suffix(".part").write_text(json.dumps({"job": repr(job), "result": result}), "utf-8")
     path.with_suffix(".part").replace(path)
 
 
-def _through_json(found: Any) -> Any:
+def _through_json(result: Any) -> Any:
     """Return a result as read back from JSON: lists instead of tuples, rounded numbers."""
-    return json.loads(json.dumps(found))
+    return json.loads(json.dumps(result))
 
 
 def add_options(parser: Any) -> None:

@@ -20,7 +20,7 @@ from handctl.paper.model import equations
 NO_FORCE_LOOP = {"disturbance_rejection": 0.0, "tension_feedback": 0.0}
 
 
-def nothing(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[float, ...]:
+def zero_torque(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[float, ...]:
     """Return zero torque: feedback alone."""
     return (0.0,) * digit.joint_count
 
@@ -133,7 +133,7 @@ GRAVITY_LAWS = {
 }
 """Two pairs of laws that differ in gravity alone, for a hand that lies on its side."""
 LAWS = {
-    "PD alone": Law(nothing, SPRINGS),
+    "PD alone": Law(zero_torque, SPRINGS),
     "+ gravity and springs": Law(statics, SPRINGS),
     "+ motor inertia": Law(statics, MOTOR),
     "+ friction": Law(statics, NO_FORCE_LOOP),

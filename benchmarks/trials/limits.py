@@ -25,7 +25,7 @@ DRIFT_N2_PER_S = 1.0 / 100.0
 SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 1.0, 1e-5])
 
 
-def limit(model: HandModel, i: int, held: bool, encoder: bool = True) -> tuple[float, float]:
+def limit(model: HandModel, i: int, is_held: bool, encoder: bool = True) -> tuple[float, float]:
     """Return the reference's standard deviation of tendon i's tension at the last sample's instant, and now [N].
 
     The controller's estimate is for the present, one period later; it is judged by the first all the same.
@@ -38,7 +38,7 @@ def limit(model: HandModel, i: int, held: bool, encoder: bool = True) -> tuple[f
     """
     space = model.space
     arm = float(np.abs(model.hand.moment_arms[i]).sum())
-    spring = CONTACT_N_M_PER_RAD / arm**2 if held else space.load_stiffness[i]
+    spring = CONTACT_N_M_PER_RAD / arm**2 if is_held else space.load_stiffness[i]
     k = space.stiffness[i]
     c = space.damping[i]
     m = space.motor_mass[i]

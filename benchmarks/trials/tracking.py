@@ -124,8 +124,8 @@ def tune(plan: Plan) -> None:
     for (hand, law, weights, *_), rows in results.items():
         error = rows["fast"]["rmse_deg"]
         keeps = keeps_margins(hand, law, weights)
-        why = rows["fast"].get("why", "")
-        print(f"{hand:<8} {law:<32} {weights!s:<18} {error:8.3f} deg  {'keeps margins' if keeps else ''} {why}")
+        reason = rows["fast"].get("why", "")
+        print(f"{hand:<8} {law:<32} {weights!s:<18} {error:8.3f} deg  {'keeps margins' if keeps else ''} {reason}")
         table["rmse_deg"].setdefault(hand, {}).setdefault(law, []).append(
             round(error, 4) if np.isfinite(error) else None
         )

@@ -49,8 +49,9 @@ def section(result: dict, named: tuple[str, str, str, str]) -> str:
         parts += ["", _table(hand, laws), "", _conclusion(laws, named)]
         careful = result["careful"].get(hand, {})
         if "as known" in careful:
-            known = careful["as known"]
-            parts += ["", _table(f"{hand}, weights that keep their margins", known), "", _compared(known, named) + "."]
+            nominal = careful["as known"]
+            heading = f"{hand}, weights that keep their margins"
+            parts += ["", _table(heading, nominal), "", _compared(nominal, named) + "."]
         if len(careful) > 1:
             parts += ["", _wrong(hand, careful, named)]
     parts += ["", "![Tracking error at the fast motion, by law](../figures/control-tracking.png)"]
@@ -62,9 +63,9 @@ def _table(title: str, laws: dict) -> str:
     speeds = list(next(iter(laws.values())))
     head = [title, *[f"{speed} [deg]" for speed in speeds], "peak [deg]", "steady [deg]", "settled [s]", "seeds"]
     rows = []
-    for law, found in laws.items():
-        fast = found["fast"]
-        cells = [_cell(found[speed]) for speed in speeds]
+    for law, row in laws.items():
+        fast = row["fast"]
+        cells = [_cell(row[speed]) for speed in speeds]
         numbers = [_number(fast[k]) for k in ("peak_deg", "steady_deg", "settling_s")]
         rows.append([law, *cells, *numbers, str(fast["seeds"])])
     return table(head, rows)
@@ -162,8 +163,8 @@ def _wrong(hand: str, plants: dict, named: tuple[str, str, str, str]) -> str:
 
 def _costs(plants: dict, law: str) -> str:
     """List the cost of the wrong plants for a law at the fast motion, largest first."""
-    known = plants["as known"][law]["fast"]["rmse_deg"]
-    more = {plant: laws[law]["fast"]["rmse_deg"] - known for plant, laws in plants.items() if law in laws}
+    nominal = plants["as known"][law]["fast"]["rmse_deg"]
+    more = {plant: laws[law]["fast"]["rmse_deg"] - nominal for plant, laws in plants.items() if law in laws}
     dear = sorted((plant for plant in more if plant != "as known"), key=lambda plant: -more[plant])
     costs = ", ".join(f"{plant} {more[plant]:+.2f} deg" for plant in dear)
     return f"Additional error of the whole control law at the fast motion: {costs}."

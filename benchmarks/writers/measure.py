@@ -153,13 +153,14 @@ def show(result: dict[str, Any]) -> None:
     _show_sustained(result["sustained"])
 
 
-def _show_sustained(held: dict[str, Any]) -> None:
+def _show_sustained(sustained: dict[str, Any]) -> None:
     print(
-        f"in real time for {held['seconds']:.0f} s: {held['ticks']} ticks, {held['frames_in_log']} frames, "
-        f"{held['dropped']} ticks dropped, {held['ticks_in_log']} in the log; "
-        f"the recorder took {100 * held['recorder_core_share']:.0f} % of its core"
+        f"in real time for {sustained['seconds']:.0f} s: {sustained['ticks']} ticks, "
+        f"{sustained['frames_in_log']} frames, "
+        f"{sustained['dropped']} ticks dropped, {sustained['ticks_in_log']} in the log; "
+        f"the recorder took {100 * sustained['recorder_core_share']:.0f} % of its core"
     )
     print(f"{'lateness of the loop [us]':<28}{'p50':>8}{'p99':>8}{'p99.9':>8}{'max':>8}{'missed':>10}")
     for name in ("without", "with"):
-        *late, missed = held[f"{name}_us"].values()
+        *late, missed = sustained[f"{name}_us"].values()
         print(f"  {name + ' recorder':<26}" + "".join(f"{one:8.0f}" for one in late) + f"{100 * missed:8.2f} %")
