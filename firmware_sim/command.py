@@ -10,7 +10,7 @@ from typing import NoReturn
 from firmware_sim.description import SimulatorError
 
 
-class Parser(argparse.ArgumentParser):
+class CommandParser(argparse.ArgumentParser):
     """A parser that reports errors in one line."""
 
     def error(self, message: str) -> NoReturn:

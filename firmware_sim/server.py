@@ -31,7 +31,7 @@ It is half a millisecond of computing. An answer after the next SYNC would be la
 """
 
 
-class Clock(Protocol):
+class ServerClock(Protocol):
     """Clock of the server."""
 
     @property
@@ -112,7 +112,7 @@ class Server:
         self,
         world: Served,
         ports: list[Port],
-        clock: Clock,
+        clock: ServerClock,
         faults: FaultSocket | None = None,
         priority: RealTimePriority | None = None,
     ) -> None:

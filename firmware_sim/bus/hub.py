@@ -27,7 +27,7 @@ _PIECE = 1 << 16
 """Maximum bytes of one read from a client. The limit keeps a flooding client from blocking the others."""
 
 
-class Link:
+class HubConnection:
     """One connection that carries whole records in both directions and never blocks.
 
     Attributes:
@@ -122,7 +122,7 @@ class Hub:
         self._path = bus_path(name)
         self._listener = _listen(self._path, name)
         self._inode = self._path.stat().st_ino
-        self._links: list[Link] = []
+        self._links: list[HubConnection] = []
         self._closed_dropped = 0
 
     @property
@@ -136,7 +136,7 @@ class Hub:
         return len(self._links)
 
     @property
-    def links(self) -> Sequence[Link]:
+    def links(self) -> Sequence[HubConnection]:
         """Return the connections of the clients."""
         return self._links
 
@@ -163,7 +163,7 @@ class Hub:
         self.drop_closed()
         return b"".join(records for _, records in received)
 
-    def poll(self, ready: Collection[socket.socket]) -> list[tuple[Link, bytes]]:
+    def poll(self, ready: Collection[socket.socket]) -> list[tuple[HubConnection, bytes]]:
         """Accept clients and read their records without forwarding.
 
         Args:
@@ -193,9 +193,9 @@ class Hub:
                 if _is_foreign(link):
                     link.close()
                     continue
-                self._links.append(Link(link))
+                self._links.append(HubConnection(link))
 
-    def _forward(self, records: bytes, sender: Link | None) -> None:
+    def _forward(self, records: bytes, sender: HubConnection | None) -> None:
         for link in self._links:
             if link is not sender and not link.closed:
                 link.deliver(records)

@@ -4,7 +4,7 @@ import socket
 from collections.abc import Collection
 
 from firmware_sim.bus.frame import RECORD_SIZE, Frame, pack_record, unpack_record
-from firmware_sim.bus.hub import Hub, Link
+from firmware_sim.bus.hub import Hub, HubConnection
 from firmware_sim.description import SimulatorError
 from firmware_sim.paths import bus_path
 from firmware_sim.wire.medium import NEVER_NS
@@ -72,7 +72,7 @@ class JoinedPort:
         Raises:
             SimulatorError: no hub serves the bus.
         """
-        self._link = Link(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
+        self._link = HubConnection(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
         self._name = name
         self._bus = bus
         self._unreadable = 0

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Sequence
 
 from firmware_sim.bus.frame import ERROR, Frame
-from firmware_sim.wire.controller import Controller
+from firmware_sim.wire.controller import CanController
 from firmware_sim.wire.medium import Wire
 from firmware_sim.wire.options import WireSpec
 from firmware_sim.world import World
@@ -32,7 +32,7 @@ class TimedLockstep:
         self._hosts = [wire.add(self._to_host(bus)) for bus, wire in enumerate(self.wires)]
         for bus, wire in enumerate(self.wires):
             wire.add(self._to_nodes(bus))
-        self._nodes: dict[tuple[int, int], Controller] = {}
+        self._nodes: dict[tuple[int, int], CanController] = {}
 
     def _to_host(self, bus: int) -> Callable[[Frame, int], None]:
         return lambda frame, t_ns: self._arrived.append(Frame(frame[0], frame[1], frame[2], bus, t_ns))

@@ -6,11 +6,11 @@ from collections import deque
 from collections.abc import Callable, Collection, Sequence
 
 from firmware_sim.bus.frame import ERROR, EXTENDED, RECORD_SIZE, REMOTE, Frame, pack_record
-from firmware_sim.bus.hub import Hub, Link
+from firmware_sim.bus.hub import Hub, HubConnection
 from firmware_sim.bus.local import split
 from firmware_sim.wire.bits import Rate
-from firmware_sim.wire.controller import Controller
-from firmware_sim.wire.medium import Options, Wire
+from firmware_sim.wire.controller import CanController
+from firmware_sim.wire.medium import Wire, WireOptions
 from firmware_sim.wire.options import parse
 
 DEFAULT_BITRATES = (1_000_000, 5_000_000)
@@ -33,7 +33,7 @@ class TimedPort:
     """
 
     def __init__(
-        self, name: str, bus: int, rate: Rate, options: Options, now_ns: Callable[[], int], nodes: bool = True
+        self, name: str, bus: int, rate: Rate, options: WireOptions, now_ns: Callable[[], int], nodes: bool = True
     ) -> None:
         """Open the hub and connect the nodes to the wire.
 
@@ -52,10 +52,10 @@ class TimedPort:
         self.wire = Wire(rate, options)
         self._bus = bus
         self._now_ns = now_ns
-        self._clients: dict[Link, Controller] = {}
-        self._queues: dict[Link, tuple[int, int]] = {}
+        self._clients: dict[HubConnection, CanController] = {}
+        self._queues: dict[HubConnection, tuple[int, int]] = {}
         """Records received from each client, and records that left its queue in the last report (-1: none)."""
-        self._nodes: dict[int, Controller] = {}
+        self._nodes: dict[int, CanController] = {}
         self._received: deque[Frame] = deque()
         self._unreadable = self._refused = 0
         self._at_ns = self._start_ns = now_ns()
@@ -140,7 +140,7 @@ class TimedPort:
             del self._queues[link]
         self._hub.drop_closed()
 
-    def _deliver(self, link: Link) -> Callable[[Frame, int], None]:
+    def _deliver(self, link: HubConnection) -> Callable[[Frame, int], None]:
         return lambda frame, t_ns: link.deliver(pack_record(frame))
 
     def _receive_on_nodes(self, frame: Frame, t_ns: int) -> None:

@@ -10,7 +10,7 @@ from firmware_sim.bus.frame import Frame
 from firmware_sim.faults.text import CELL, ENCODER, SENSORS, Fault
 from firmware_sim.faults.wire_faults import ActiveFault
 from firmware_sim.nodes.cia402.node import Cia402Node
-from firmware_sim.nodes.mit.node import MitNode, State
+from firmware_sim.nodes.mit.node import FeedbackState, MitNode
 from firmware_sim.nodes.odrive.node import OdriveNode
 from firmware_sim.nodes.sensors import CHANNELS, JOINT_OFFSET
 
@@ -20,8 +20,8 @@ RAIL_N = 1e4
 BLOCK = 1e3
 """Damping of a blocked joint [N m s/rad]."""
 ERRORS = {
-    "error": (State.WINDING_HOT, 1 << 13, 0x4310),
-    "watchdog": (State.COMMUNICATION_LOST, 1 << 24, 0x8130),
+    "error": (FeedbackState.WINDING_HOT, 1 << 13, 0x4310),
+    "watchdog": (FeedbackState.COMMUNICATION_LOST, 1 << 24, 0x8130),
     "voltage": (0x9, 1 << 9, 0x3220),
 }
 """Error code of each kind of fault for MIT, ODrive and CiA 402."""
@@ -168,7 +168,7 @@ def _start_trip(world: Any, active: ActiveFault) -> Undo:
     active.note_effect(world.t_ns)
     match node:
         case MitNode():
-            node.trip(cast(State, size or codes[0]))
+            node.trip(cast(FeedbackState, size or codes[0]))
         case OdriveNode():
             node.disarm(size or codes[1])
         case Cia402Node():

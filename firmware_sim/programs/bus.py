@@ -4,7 +4,7 @@ import select
 
 from firmware_sim.bus.ports import open_port
 from firmware_sim.bus.timed_port import DEFAULT_BITRATES, timed_port_maker
-from firmware_sim.command import Parser, until_signal
+from firmware_sim.command import CommandParser, until_signal
 from firmware_sim.printing import printable
 from firmware_sim.server import ScaledClock
 
@@ -18,7 +18,7 @@ def run(words: list[str]) -> None:
     Raises:
         SimulatorError: the arguments cannot be served.
     """
-    parser = Parser(
+    parser = CommandParser(
         prog="python -m firmware_sim bus", description="Serve a local bus without a hand until SIGTERM or SIGINT."
     )
     parser.add_argument("name", help="name of the bus, which clients reach as local:NAME")

@@ -6,7 +6,7 @@ import sys
 from firmware_sim.bus.frame import Frame
 from firmware_sim.bus.ports import open_port
 from firmware_sim.bus.timed_port import DEFAULT_BITRATES, timed_port_maker
-from firmware_sim.command import Parser, check_time_scale, until_signal
+from firmware_sim.command import CommandParser, check_time_scale, until_signal
 from firmware_sim.description import MotorSpec, SimulatorError
 from firmware_sim.faults.faulty_drive import FAULTS, with_fault, with_faulty_specs
 from firmware_sim.nodes import PROTOCOLS
@@ -98,8 +98,8 @@ class Bench:
         return unsolicited
 
 
-def _parser() -> Parser:
-    parser = Parser(
+def _parser() -> CommandParser:
+    parser = CommandParser(
         prog="python -m firmware_sim drive",
         description="Simulate drives with free shafts, as delivered.",
         epilog=EXAMPLES,

@@ -10,7 +10,7 @@ from typing import Any
 
 from firmware_sim.bus.ports import Port, assign, open_port
 from firmware_sim.bus.timed_port import timed_port_maker
-from firmware_sim.command import Parser, check_time_scale, until_signal
+from firmware_sim.command import CommandParser, check_time_scale, until_signal
 from firmware_sim.description import SimulatorError, load_hand
 from firmware_sim.faults.socket import FaultSocket
 from firmware_sim.paths import faults_path, truth_path
@@ -45,7 +45,7 @@ examples:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
+    parser = CommandParser(
         prog="python -m firmware_sim",
         description="Simulate a hand on a CAN bus: drives, load cells, tendons, fingers and an object.",
         epilog=_EPILOG,

@@ -59,7 +59,7 @@ LOC_ACK = 0x19
 """Value of data[3]: the error is in the acknowledge slot."""
 
 
-class State(enum.IntEnum):
+class ErrorState(enum.IntEnum):
     """Error states of fault confinement."""
 
     ACTIVE = 0
@@ -68,7 +68,7 @@ class State(enum.IntEnum):
     BUS_OFF = 3
 
 
-class Controller:
+class CanController:
     """A CAN controller on a wire. ``Wire.add`` makes it.
 
     Attributes:
@@ -92,7 +92,7 @@ class Controller:
         """
         self.queue: deque[tuple[int, int, Frame]] = deque()
         self.tx_errors = self.rx_errors = 0
-        self.state = State.ACTIVE
+        self.state = ErrorState.ACTIVE
         self.refused = self.sent = 0
         self.on_receive = on_receive
         self.retry_ns = 0
@@ -103,7 +103,7 @@ class Controller:
     @property
     def on_bus(self) -> bool:
         """Return True unless the controller is off the bus."""
-        return self.state != State.BUS_OFF
+        return self.state != ErrorState.BUS_OFF
 
     def offer(self, frame: Frame, t_ns: int) -> bool:
         """Queue a frame. Each refusal is reported to the owner.
@@ -153,7 +153,7 @@ class Controller:
         The counter of a passive sender stays, so that a controller alone on the bus never goes off
         the bus.
         """
-        if self.state < State.PASSIVE:
+        if self.state < ErrorState.PASSIVE:
             self.tx_errors += TX_ERROR_STEP
         self._count_error(ACK, t_ns)
 
@@ -170,7 +170,7 @@ class Controller:
     def restart(self, t_ns: int) -> None:
         """Restart the controller after bus-off."""
         self.tx_errors = self.rx_errors = 0
-        self.state = State.ACTIVE
+        self.state = ErrorState.ACTIVE
         self._last_error = 0
         self._report(RESTARTED, t_ns)
 
@@ -197,23 +197,23 @@ class Controller:
         before = self.state
         highest = max(self.tx_errors, self.rx_errors)
         if self.tx_errors >= BUS_OFF_AT:
-            self.state = State.BUS_OFF
+            self.state = ErrorState.BUS_OFF
             self.queue.clear()
             self._report(BUSOFF | kind, t_ns)
         else:
             # The order of the states makes the sum of two comparisons the state.
-            self.state = State((highest >= WARNING_AT) + (highest >= PASSIVE_AT))
+            self.state = ErrorState((highest >= WARNING_AT) + (highest >= PASSIVE_AT))
             if self.state != before:
                 self._report(CRTL | kind, t_ns, {1: self._status()})
         return self.state != before
 
     def _status(self) -> int:
         """Return the bits of data[1] for the present state."""
-        if self.state == State.ACTIVE:
+        if self.state == ErrorState.ACTIVE:
             return ACTIVE
         limit, receive, send = (
             (WARNING_AT, RX_WARNING, TX_WARNING)
-            if self.state == State.WARNING
+            if self.state == ErrorState.WARNING
             else (PASSIVE_AT, RX_PASSIVE, TX_PASSIVE)
         )
         return receive * (self.rx_errors >= limit) | send * (self.tx_errors >= limit)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.wire.bits import Rate
-from firmware_sim.wire.controller import Controller, State
+from firmware_sim.wire.controller import CanController, ErrorState
 
 NEVER_NS = 1 << 62
 """Time of an event that will not happen [ns]."""
@@ -28,7 +28,7 @@ RECOVERY_BITS = 128 * 11
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
+class WireOptions:
     """Behaviour of a wire.
 
     Attributes:
@@ -57,7 +57,7 @@ class Wire:
         disturbed: number of following frames to destroy, set by tests and fault scripts.
     """
 
-    def __init__(self, rate: Rate, options: Options = Options()) -> None:
+    def __init__(self, rate: Rate, options: WireOptions = WireOptions()) -> None:
         """Make an idle wire without controllers.
 
         Args:
@@ -67,15 +67,15 @@ class Wire:
         self.rate = rate
         self.options = options
         self.busy_ns = self.frames = self.errors = self.disturbed = 0
-        self._controllers: list[Controller] = []
+        self._controllers: list[CanController] = []
         self._rng = random.Random(f"wire {options.seed}")
         self._free_ns = 0
-        self._senders: list[Controller] = []
+        self._senders: list[CanController] = []
         self._acknowledged = self._intact = True
         self._end_ns = NEVER_NS
-        self._restarts: list[tuple[int, Controller]] = []
+        self._restarts: list[tuple[int, CanController]] = []
 
-    def add(self, on_receive: Callable[[Frame, int], None] | None = None, queue: int | None = None) -> Controller:
+    def add(self, on_receive: Callable[[Frame, int], None] | None = None, queue: int | None = None) -> CanController:
         """Connect a new controller.
 
         Args:
@@ -83,11 +83,11 @@ class Wire:
                 frames.
             queue: capacity of the queue [frames], None for the value of the options.
         """
-        controller = Controller(self.options.queue if queue is None else queue, on_receive)
+        controller = CanController(self.options.queue if queue is None else queue, on_receive)
         self._controllers.append(controller)
         return controller
 
-    def remove(self, controller: Controller) -> None:
+    def remove(self, controller: CanController) -> None:
         """Disconnect a controller. A frame on the wire is completed."""
         self._controllers.remove(controller)
         controller.queue.clear()
@@ -165,7 +165,7 @@ class Wire:
     def _has_receiver(self) -> bool:
         """Check whether a controller other than the senders is on the bus."""
         for controller in self._controllers:
-            if controller.state != State.BUS_OFF and controller not in self._senders:
+            if controller.state != ErrorState.BUS_OFF and controller not in self._senders:
                 return True
         return False
 
@@ -189,7 +189,7 @@ class Wire:
         else:
             self._destroy(senders, t_ns)
 
-    def _deliver(self, senders: list[Controller], t_ns: int) -> None:
+    def _deliver(self, senders: list[CanController], t_ns: int) -> None:
         """Deliver the frame of the senders to all other controllers."""
         self.frames += 1
         can_id, data, flags, bus, _ = senders[0].queue[0][2]
@@ -201,7 +201,7 @@ class Wire:
             if (controller.on_receive or controller.rx_errors) and controller.on_bus and controller not in senders:
                 controller.deliver(frame, t_ns)
 
-    def _destroy(self, senders: list[Controller], t_ns: int) -> None:
+    def _destroy(self, senders: list[CanController], t_ns: int) -> None:
         """Count the error in all controllers. Senders keep the frame for a retry."""
         self.errors += 1
         for controller in self._controllers:
@@ -214,9 +214,9 @@ class Wire:
                 wait_ns = round(self.options.restart_ms * 1e6) + self.rate.bits_ns(RECOVERY_BITS)
                 self._restarts.append((t_ns + wait_ns, controller))
 
-    def _suspend(self, controller: Controller, t_ns: int) -> None:
+    def _suspend(self, controller: CanController, t_ns: int) -> None:
         """Delay the next frame of an error-passive sender."""
-        if controller.state == State.PASSIVE:
+        if controller.state == ErrorState.PASSIVE:
             controller.retry_ns = t_ns + self.rate.bits_ns(SUSPEND_BITS)
 
     def _restart(self, t_ns: int) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 from firmware_sim.description import SimulatorError
 from firmware_sim.wire.bits import Rate
-from firmware_sim.wire.medium import Options
+from firmware_sim.wire.medium import WireOptions
 
 KEYS = {
     "bitrate": "nominal bit rate [bit/s] (the hand file's)",
@@ -34,7 +34,7 @@ class WireSpec:
             it.
     """
 
-    options: Options = field(default_factory=Options)
+    options: WireOptions = field(default_factory=WireOptions)
     actual: bool = False
     bitrate: int = 0
     data_bitrate: int = 0

@@ -22,7 +22,7 @@ def handling(handler: Callable[[int, FrameType | None], None], *numbers: signal.
             signal.signal(number, handled)
 
 
-class Stop:
+class TerminationFlag:
     """Flag that SIGTERM sets, so that a step in progress is completed."""
 
     def __init__(self) -> None:

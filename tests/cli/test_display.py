@@ -1,7 +1,7 @@
 """Lines that an operator sees while a hand runs, from the display process itself."""
 
 from handctl.campaign.stage import started
-from handctl.cli.console.display import Display
+from handctl.cli.console.display import DisplayProcess
 from handctl.core.types import Event, Mode
 from handctl.hand.load import load_hand
 from handctl.safety.faults.table import BY_ID, remedy
@@ -14,7 +14,7 @@ def test_the_first_line_of_a_fault_is_followed_by_its_remedy(capfd) -> None:
     hand = load_hand("jamia")
     with started(hand, RATE_HZ, 1) as simulation:
         assert simulation.until(lambda out: out.mode == Mode.ACTIVE, 3.0), simulation.state.failure
-        display = Display.start(hand, RATE_HZ, 0.5)
+        display = DisplayProcess.start(hand, RATE_HZ, 0.5)
         simulation.peer.inject("off node=index_motor")
         for _ in range(round(0.5 * RATE_HZ)):
             simulation.tick()
@@ -34,7 +34,7 @@ def test_the_first_line_of_a_fault_is_followed_by_its_remedy(capfd) -> None:
 
 def test_only_a_fault_has_a_remedy(capfd) -> None:
     """An event of another name prints no second line, even if its text begins with the id of a fault."""
-    display = Display(("index_tendon",), (80.0,), RATE_HZ, 0.5)
+    display = DisplayProcess(("index_tendon",), (80.0,), RATE_HZ, 0.5)
     try:
         fault = next(fault for fault in BY_ID.values() if fault.remedy)
         text = f"{fault.id} {fault.title}"

@@ -15,7 +15,7 @@ from handctl.drives.frame import Frame
 from handctl.drives.mit.cubemars import MODELS, CubemarsDrive
 from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
-from handctl.runtime.diagnostics.conformance import DeviceUnderTest, Verdict, checks
+from handctl.runtime.diagnostics.conformance import CheckVerdict, DeviceUnderTest, checks
 from tests.drives.protocol_bench import Bench, described, hand_file, servo_torques
 from tests.drives.virtual_bench import VirtualBench, rig_on
 
@@ -134,7 +134,7 @@ def test_of_the_contract_only_what_needs_a_state_in_the_feedback_cannot_be_kept(
     place = VirtualBench("cubemars")
     rig = rig_on(place, "cubemars", 0.1)
     found = list(checks(DeviceUnderTest(rig, 0.1, 0.05)))
-    failed = [check for check in found if check.verdict is not Verdict.PASSED]
+    failed = [check for check in found if check.verdict is not CheckVerdict.PASSED]
     dead_host, cut = failed
     assert dead_host.name == "disables itself when the host falls silent, and stays off"
     assert "has none" in dead_host.reason

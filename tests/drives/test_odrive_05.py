@@ -12,7 +12,7 @@ from handctl.drives.frame import REMOTE, Frame
 from handctl.drives.odrive import firmware_05 as odrive_05
 from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
-from handctl.runtime.diagnostics.conformance import DeviceUnderTest, Verdict, checks
+from handctl.runtime.diagnostics.conformance import CheckVerdict, DeviceUnderTest, checks
 from handctl.runtime.diagnostics.scan import scan
 from tests.drives.protocol_bench import described
 from tests.drives.virtual_bench import NODE, VirtualBench, rig_on
@@ -23,14 +23,15 @@ OLD = {"firmware": "0.5"}
 def test_it_keeps_every_promise_if_its_watchdog_was_set_over_usb():
     place = VirtualBench("odrive", usb_watchdog_s=0.05, **OLD)
     rig = rig_on(place, "odrive", 0.1, OLD)
-    assert [check for check in checks(DeviceUnderTest(rig, 0.1, 0.05)) if check.verdict is not Verdict.PASSED] == []
+    results = list(checks(DeviceUnderTest(rig, 0.1, 0.05)))
+    assert [check for check in results if check.verdict is not CheckVerdict.PASSED] == []
     assert len(rig.drive.unverified_guards) == 2
     assert 0.0 < place.top <= 0.1001
 
 
 def test_without_its_watchdog_it_fails_by_that():
     rig = rig_on(VirtualBench("odrive", **OLD), "odrive", 0.1, OLD)
-    failed = [check.name for check in checks(DeviceUnderTest(rig, 0.1, 0.05)) if check.verdict is Verdict.FAILED]
+    failed = [check.name for check in checks(DeviceUnderTest(rig, 0.1, 0.05)) if check.verdict is CheckVerdict.FAILED]
     assert failed == ["disables itself when the host falls silent, and stays off"]
 
 

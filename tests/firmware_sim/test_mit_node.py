@@ -6,7 +6,7 @@ import pytest
 
 from firmware_sim.bus.frame import BRS, EXTENDED, FDF, Frame
 from firmware_sim.description import load_hand
-from firmware_sim.nodes.mit.node import MitNode, State
+from firmware_sim.nodes.mit.node import FeedbackState, MitNode
 from firmware_sim.plant.motor import Motor
 from firmware_sim.rig import Rig
 
@@ -39,7 +39,7 @@ class Bench:
         assert answer.flags == flags
         return answer.data
 
-    def state(self) -> State:
+    def state(self) -> FeedbackState:
         return self.node.state
 
     def special(self, code: int) -> int:
@@ -64,15 +64,15 @@ def test_a_motor_sends_only_answers(bench: Bench) -> None:
 
 def test_no_torque_until_enabled_and_none_after_disable(bench: Bench) -> None:
     for _ in range(20):
-        assert bench.ask(FULL_TORQUE)[0] >> 4 == State.DISABLED
+        assert bench.ask(FULL_TORQUE)[0] >> 4 == FeedbackState.DISABLED
         bench.run(1)
     assert bench.motor.torque == 0.0
     assert bench.motor.theta == 0.0
-    assert bench.special(0xFC) == State.ENABLED
+    assert bench.special(0xFC) == FeedbackState.ENABLED
     bench.ask(FULL_TORQUE)
     bench.run(5)
     assert bench.motor.torque == pytest.approx(0.8, rel=1e-3)
-    assert bench.special(0xFD) == State.DISABLED
+    assert bench.special(0xFD) == FeedbackState.DISABLED
     bench.ask(FULL_TORQUE)
     bench.run(5)
     assert abs(bench.motor.torque) < 1e-6
@@ -95,15 +95,15 @@ def test_the_watchdog_trips_on_time_and_latches(bench: Bench, timeout: int) -> N
     bench.ask(FULL_TORQUE)
     limit_ms = timeout * 0.05
     bench.run(limit_ms - 0.5)
-    assert bench.state() == State.ENABLED
+    assert bench.state() == FeedbackState.ENABLED
     bench.run(0.5)
-    assert bench.state() == State.COMMUNICATION_LOST
+    assert bench.state() == FeedbackState.COMMUNICATION_LOST
     bench.run(5)
     assert abs(bench.motor.torque) < 1e-6
     assert bench.ask(FULL_TORQUE)[0] >> 4 == 0xD
     assert bench.special(0xFC) == 0xD, "enable alone must not clear an error"
-    assert bench.special(0xFB) == State.DISABLED
-    assert bench.special(0xFC) == State.ENABLED
+    assert bench.special(0xFB) == FeedbackState.DISABLED
+    assert bench.special(0xFC) == FeedbackState.ENABLED
 
 
 def test_commands_feed_the_watchdog_and_refresh_does_not(bench: Bench) -> None:
@@ -111,18 +111,18 @@ def test_commands_feed_the_watchdog_and_refresh_does_not(bench: Bench) -> None:
     bench.special(0xFC)
     for _ in range(10):
         bench.run(9)
-        assert bench.ask(FULL_TORQUE)[0] >> 4 == State.ENABLED
+        assert bench.ask(FULL_TORQUE)[0] >> 4 == FeedbackState.ENABLED
     bench.run(6)
     bench.register(0xCC, 0)
     bench.run(6)
-    assert bench.state() == State.COMMUNICATION_LOST
+    assert bench.state() == FeedbackState.COMMUNICATION_LOST
 
 
 def test_the_watchdog_is_off_by_default(bench: Bench) -> None:
     assert struct.unpack("<I", bench.register(0x33, 9)[4:]) == (0,)
     bench.special(0xFC)
     bench.run(500)
-    assert bench.state() == State.ENABLED
+    assert bench.state() == FeedbackState.ENABLED
 
 
 @pytest.mark.parametrize(("number", "value"), [(21, 12.5), (22, 50.0), (23, 0.8)])
@@ -201,12 +201,12 @@ def test_over_temperature_trips_the_motor(bench: Bench) -> None:
     bench.register(0x55, 23, struct.pack("<f", 10.0))
     bench.special(0xFC)
     bench.ask(FULL_TORQUE)
-    while bench.state() == State.ENABLED and bench.t_ns < 600_000 * MS:
+    while bench.state() == FeedbackState.ENABLED and bench.t_ns < 600_000 * MS:
         elapsed_ns = bench.node.wake_ns - bench.t_ns
         bench.t_ns = bench.node.wake_ns
         bench.motor.heat += SPEC.torque_peak**2 * elapsed_ns * 1e-9
         bench.node.wake(bench.t_ns)
-    assert bench.state() == State.WINDING_HOT
+    assert bench.state() == FeedbackState.WINDING_HOT
     assert bench.t_ns > 20_000 * MS
     assert bench.ask(FULL_TORQUE)[7] >= 100
 

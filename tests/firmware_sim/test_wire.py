@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from firmware_sim.bus.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
 from firmware_sim.wire.bits import FD_LENGTHS, Rate, priority
-from firmware_sim.wire.controller import Controller, State
-from firmware_sim.wire.medium import NEVER_NS, Options, Wire
+from firmware_sim.wire.controller import CanController, ErrorState
+from firmware_sim.wire.medium import NEVER_NS, Wire, WireOptions
 from handctl.drives.frame_time import frame_time_s
 
 NOMINAL, DATA = 1_000_000, 5_000_000
@@ -99,7 +99,7 @@ def test_the_wire_is_never_idle_while_a_frame_waits() -> None:
 
 
 def test_a_full_queue_refuses_and_reports() -> None:
-    wire = Wire(WORST, Options(queue=3))
+    wire = Wire(WORST, WireOptions(queue=3))
     a, b = parties(wire, 2)
     assert [a.controller.offer(Frame(n, b""), 0) for n in range(5)] == [True] * 3 + [False] * 2
     assert a.controller.refused == 2
@@ -117,7 +117,7 @@ def test_a_sender_alone_repeats_and_turns_passive_but_stays_on_the_bus() -> None
     wire.advance(10**9)
     assert wire.frames == 0
     assert lonely.controller.tx_errors == 128
-    assert lonely.controller.state == State.PASSIVE
+    assert lonely.controller.state == ErrorState.PASSIVE
     assert lonely.classes == [0x20, 0x24, 0x24], "no acknowledge; with the warning; and with passive"
     assert [frame.data[1] for frame in lonely.errors] == [0, 0x08, 0x20]
     assert wire.load(0, 10**9) > 0.9, "a bus with one node is busy"
@@ -127,14 +127,14 @@ def test_a_sender_alone_repeats_and_turns_passive_but_stays_on_the_bus() -> None
     assert lonely.controller.tx_errors == 127
 
 
-def destroy(wire: Wire, sender: Controller, count: int, t_ns: int) -> None:
+def destroy(wire: Wire, sender: CanController, count: int, t_ns: int) -> None:
     wire.disturbed = count
     sender.offer(Frame(1, b"x"), t_ns)
     wire.advance(t_ns + 10**8)
 
 
 def test_disturbance_leads_over_warning_and_passive_to_bus_off_and_back() -> None:
-    wire = Wire(WORST, Options(restart_ms=100.0))
+    wire = Wire(WORST, WireOptions(restart_ms=100.0))
     sender, receiver = parties(wire, 2)
     destroy(wire, sender.controller, 32, 0)
     assert sender.controller.tx_errors == 256
@@ -146,7 +146,7 @@ def test_disturbance_leads_over_warning_and_passive_to_bus_off_and_back() -> Non
     assert receiver.ids == [], "what waited is gone"
     wire.advance(10**9)
     assert sender.classes[-1] == 0x100
-    assert sender.controller.state == State.ACTIVE
+    assert sender.controller.state == ErrorState.ACTIVE
     assert sender.errors[-1].t_ns - sender.errors[3].t_ns == 100_000_000 + 128 * 11 * 1000
     sender.controller.offer(Frame(3, b""), 10**9)
     wire.advance(2 * 10**9)
@@ -158,11 +158,11 @@ def test_bus_off_is_permanent_without_a_restart() -> None:
     sender, receiver = parties(wire, 2)
     destroy(wire, sender.controller, 32, 0)
     wire.advance(10**10)
-    assert sender.controller.state == State.BUS_OFF
+    assert sender.controller.state == ErrorState.BUS_OFF
     assert wire.next_ns() == NEVER_NS
     receiver.controller.offer(Frame(1, b""), 10**10)
     wire.advance(10**10 + 10**8)
-    assert receiver.controller.state == State.PASSIVE, "and its peer is alone"
+    assert receiver.controller.state == ErrorState.PASSIVE, "and its peer is alone"
 
 
 def test_successful_frames_reduce_the_error_counters() -> None:
@@ -170,11 +170,11 @@ def test_successful_frames_reduce_the_error_counters() -> None:
     sender, receiver = parties(wire, 2)
     destroy(wire, sender.controller, 13, 0)
     assert (sender.controller.tx_errors, receiver.controller.rx_errors) == (103, 12)
-    assert sender.controller.state == State.WARNING
+    assert sender.controller.state == ErrorState.WARNING
     for n in range(8):
         sender.controller.offer(Frame(n, b""), 10**9)
     wire.advance(2 * 10**9)
-    assert sender.controller.state == State.ACTIVE
+    assert sender.controller.state == ErrorState.ACTIVE
     assert sender.errors[-1].data[1] == 0x40, "CAN_ERR_CRTL_ACTIVE"
     assert receiver.controller.rx_errors == 4
 
@@ -186,7 +186,7 @@ def test_two_of_one_identifier_destroy_each_other() -> None:
         party.controller.offer(Frame(7, data), 0)
     wire.advance(10**9)
     assert ears.received == []
-    assert a.controller.state == b.controller.state == State.BUS_OFF
+    assert a.controller.state == b.controller.state == ErrorState.BUS_OFF
     for party in parties(wire, 2):
         party.controller.offer(Frame(8, b"same"), 10**9)
     wire.advance(2 * 10**9)
@@ -196,7 +196,7 @@ def test_two_of_one_identifier_destroy_each_other() -> None:
 def test_the_error_rate_is_met_and_repeats() -> None:
     errors = []
     for _ in range(2):
-        wire = Wire(WORST, Options(error_rate=0.05, queue=10_000, seed=3))
+        wire = Wire(WORST, WireOptions(error_rate=0.05, queue=10_000, seed=3))
         sender, receiver = parties(wire, 2)
         for n in range(4000):
             sender.controller.offer(Frame(n & 0x7FF, b""), 0)

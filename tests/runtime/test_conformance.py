@@ -5,7 +5,7 @@ import pytest
 from firmware_sim.faults.faulty_drive import FAULTS
 from firmware_sim.nodes import PROTOCOLS as SIMULATED
 from handctl.drives.contract import DriveTarget
-from handctl.runtime.diagnostics.conformance import Check, DeviceUnderTest, Verdict, checks, leave
+from handctl.runtime.diagnostics.conformance import CheckVerdict, ConformanceCheck, DeviceUnderTest, checks, leave
 from handctl.runtime.diagnostics.drive_rig import DriveRig
 from tests.drives.protocol_bench import GUARDED
 from tests.drives.virtual_bench import VirtualBench, rig_on
@@ -13,7 +13,9 @@ from tests.drives.virtual_bench import VirtualBench, rig_on
 LIMIT = 0.1
 
 
-def judged(protocol, fault="", options=None, inertia=None, delay=0) -> tuple[dict[str, Check], VirtualBench, DriveRig]:
+def judged(
+    protocol, fault="", options=None, inertia=None, delay=0
+) -> tuple[dict[str, ConformanceCheck], VirtualBench, DriveRig]:
     place = VirtualBench(protocol, fault, inertia, delay)
     rig = rig_on(place, protocol, LIMIT, options)
     return {check.name: check for check in checks(DeviceUnderTest(rig, LIMIT, 0.05))}, place, rig
@@ -25,12 +27,12 @@ def protocol(request):
 
 
 def failed(found):
-    return [name for name, check in found.items() if check.verdict is Verdict.FAILED]
+    return [name for name, check in found.items() if check.verdict is CheckVerdict.FAILED]
 
 
 def test_a_good_drive_keeps_every_promise(protocol):
     failures, place, rig = judged(protocol)
-    assert [check for check in failures.values() if check.verdict is not Verdict.PASSED] == []
+    assert [check for check in failures.values() if check.verdict is not CheckVerdict.PASSED] == []
     assert 0.0 < place.top <= LIMIT * 1.001
     assert rig.confirm_off(0.05)
     assert place.bench.motors[0].servo.torque == 0.0
@@ -113,7 +115,7 @@ def test_a_drive_that_does_not_obey_is_left_to_its_watchdog(protocol):
 def test_a_blocked_shaft_is_no_failure(protocol):
     failures, _, _ = judged(protocol, inertia=100.0)
     check = failures["turns the positive way by positive torque"]
-    assert check.verdict is Verdict.NOT_APPLICABLE
+    assert check.verdict is CheckVerdict.NOT_APPLICABLE
     assert "did not turn at +0.100 N m" in check.reason
 
 

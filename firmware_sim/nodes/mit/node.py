@@ -42,7 +42,7 @@ _SAVE = 0xAA
 _REFRESH = 0xCC
 
 
-class State(enum.IntEnum):
+class FeedbackState(enum.IntEnum):
     """State nibble of the feedback. All states above ENABLED are errors without torque."""
 
     DISABLED = 0x0
@@ -54,7 +54,7 @@ class State(enum.IntEnum):
     OVERLOAD = 0xE
 
 
-_ENABLED = State.ENABLED
+_ENABLED = FeedbackState.ENABLED
 """The state as a module constant, for speed in ``_command``."""
 
 
@@ -94,7 +94,7 @@ class MitNode:
         self.offset = offset
         self.registers = reg.Registers(spec)
         self.thermal = self._temperatures(spec.torque_constant)
-        self.state = State.DISABLED
+        self.state = FeedbackState.DISABLED
         self.malformed = 0
         self.wake_ns = 0
         self.direction = spec.direction
@@ -174,7 +174,7 @@ class MitNode:
         elif code == _DISABLE:
             self._disable()
         elif code == _ZERO:
-            if self.state != State.ENABLED:
+            if self.state != FeedbackState.ENABLED:
                 self.offset = -self.direction * self.motor.encoder()
         elif code == _CLEAR:
             self._clear()
@@ -183,20 +183,20 @@ class MitNode:
         return self.feedback()
 
     def _enable(self) -> None:
-        if self.state == State.DISABLED:
+        if self.state == FeedbackState.DISABLED:
             self.motor.servo.release()
-            self.state = State.ENABLED
+            self.state = FeedbackState.ENABLED
 
     def _disable(self) -> None:
         self.motor.servo.release()
-        if self.state == State.ENABLED:
-            self.state = State.DISABLED
+        if self.state == FeedbackState.ENABLED:
+            self.state = FeedbackState.DISABLED
 
     def _clear(self) -> None:
-        if self.state > State.ENABLED:
-            self.state = State.DISABLED
+        if self.state > FeedbackState.ENABLED:
+            self.state = FeedbackState.DISABLED
 
-    def trip(self, state: State) -> None:
+    def trip(self, state: FeedbackState) -> None:
         """Enter an error state. Torque returns after the error is cleared and the motor enabled."""
         self.motor.servo.release()
         self.state = state
@@ -214,7 +214,7 @@ class MitNode:
         if operation == _REFRESH:
             return self.feedback()
         head = data[:3]
-        if operation == _SAVE and self.state != State.ENABLED:
+        if operation == _SAVE and self.state != FeedbackState.ENABLED:
             self.registers.save()
             return head + b"\x01\0\0\0\0"
         if operation not in (_READ, _WRITE) or register not in self.registers:
@@ -239,7 +239,7 @@ class MitNode:
         """Restore the saved registers and start disabled."""
         self.registers.power_cycle()
         self.motor.servo.release()
-        self.state = State.DISABLED
+        self.state = FeedbackState.DISABLED
         self._update_derived()
 
     def lose_settings(self, torque_max: float) -> None:
@@ -257,8 +257,8 @@ class MitNode:
         """Check the watchdog and update the temperatures."""
         if t_ns - self.thermal_ns >= THERMAL_PERIOD_NS or self.thermal_ns < 0:
             self._update_thermal(t_ns)
-        if self.state == State.ENABLED and self.timeout_ns and t_ns >= self.watchdog_fed_ns + self.timeout_ns:
-            self.trip(State.COMMUNICATION_LOST)
+        if self.state == FeedbackState.ENABLED and self.timeout_ns and t_ns >= self.watchdog_fed_ns + self.timeout_ns:
+            self.trip(FeedbackState.COMMUNICATION_LOST)
         schedule(self)
 
     def _update_thermal(self, t_ns: int) -> None:
@@ -267,8 +267,8 @@ class MitNode:
             self.thermal.advance((t_ns - self.thermal_ns) * 1e-9, self.motor.heat)
         self.motor.heat = 0.0
         self.thermal_ns = t_ns
-        if self.state == State.ENABLED and self.thermal.winding > self.registers[reg.OVER_TEMPERATURE]:
-            self.trip(State.WINDING_HOT)
+        if self.state == FeedbackState.ENABLED and self.thermal.winding > self.registers[reg.OVER_TEMPERATURE]:
+            self.trip(FeedbackState.WINDING_HOT)
 
 
 class MitNodeRow(MitStruct, MitNode):

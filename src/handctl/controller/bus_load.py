@@ -11,7 +11,7 @@ from handctl.hand.file.sections import Bus
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class FrameRow:
     """Frames of a kind.
 
     Attributes:
@@ -43,7 +43,7 @@ class BusLoad:
 
     name: str
     motors: int
-    rows: tuple[Row, ...]
+    rows: tuple[FrameRow, ...]
 
     @property
     def tick_s(self) -> float:
@@ -74,7 +74,7 @@ def bus_loads(hand: Hand) -> tuple[BusLoad, ...]:
     return tuple(_load(hand, index, bus, drives) for index, bus in enumerate(hand.bus))
 
 
-def drive_rows(drive: Drive, bus: Bus) -> tuple[Row, ...]:
+def drive_rows(drive: Drive, bus: Bus) -> tuple[FrameRow, ...]:
     """Return the frames of a motor on a bus.
 
     Raises:
@@ -85,17 +85,17 @@ def drive_rows(drive: Drive, bus: Bus) -> tuple[Row, ...]:
     if bus.data_bitrate is None and any(fd for _, fd, _, _ in kinds):
         raise ConfigError("missing, and a motor on it is set to CAN FD", f"bus[{bus.name}].data_bitrate", "bit/s")
     return tuple(
-        Row(drive.name, size, fd, tick, second, frame_time_s(size, fd, bus.bitrate, bus.data_bitrate))
+        FrameRow(drive.name, size, fd, tick, second, frame_time_s(size, fd, bus.bitrate, bus.data_bitrate))
         for size, fd, tick, second in kinds
     )
 
 
-def sensor_rows(hand: Hand, bus: Bus) -> tuple[Row, ...]:
+def sensor_rows(hand: Hand, bus: Bus) -> tuple[FrameRow, ...]:
     """Return the frames of sensor node and SYNC on a bus."""
     node = make_sensors(hand)
     names = ["SYNC"] + ["tensions"] * node.tension_frames + ["joint angles"] * (len(node.ids) - node.tension_frames)
     return tuple(
-        Row(name, size, False, number, 0.0, frame_time_s(size, False, bus.bitrate))
+        FrameRow(name, size, False, number, 0.0, frame_time_s(size, False, bus.bitrate))
         for name, (size, number) in zip(names, node.exchange, strict=True)
     )
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import rerun as rr
 
 from handctl.errors import LogError
-from handctl.handlers import Stop
+from handctl.handlers import TerminationFlag
 from handctl.log.read.reader import RunLog
 from handctl.view.feed import log_chunks, recording
 from handctl.view.scene.blueprint import dashboard
@@ -80,7 +80,7 @@ class Follower:
         self._folder.cleanup()
 
 
-def follow(log: Path, arguments: Sequence[str] = (), stop: Stop | None = None) -> None:
+def follow(log: Path, arguments: Sequence[str] = (), stop: TerminationFlag | None = None) -> None:
     """Open a viewer and show a log until its end.
 
     Args:
@@ -96,7 +96,7 @@ def follow(log: Path, arguments: Sequence[str] = (), stop: Stop | None = None) -
     headless = "--headless" in arguments
     if not headless:
         check_screen()
-    stop = stop or Stop()
+    stop = stop or TerminationFlag()
     run = _appeared(log, stop)
     if run is None:
         return
@@ -111,7 +111,7 @@ def follow(log: Path, arguments: Sequence[str] = (), stop: Stop | None = None) -
         follower.close()
 
 
-def _until_end(follower: Follower, running: Viewer, stop: Stop) -> None:
+def _until_end(follower: Follower, running: Viewer, stop: TerminationFlag) -> None:
     """Send new chunks until the log ends, the viewer is closed, a stop is requested, or the log stops growing."""
     news = time.monotonic()
     while not (follower.ended or stop.asked) and running.process.poll() is None:
@@ -124,7 +124,7 @@ def _until_end(follower: Follower, running: Viewer, stop: Stop) -> None:
         time.sleep(max(PERIOD_S - (time.monotonic() - start), PERIOD_S / 4))
 
 
-def _appeared(log: Path, stop: Stop) -> RunInfo | None:
+def _appeared(log: Path, stop: TerminationFlag) -> RunInfo | None:
     """Wait for the header of a log. Return None after a stop request."""
     end = time.monotonic() + APPEAR_S
     while not stop.asked:

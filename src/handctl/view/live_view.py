@@ -14,7 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from handctl.errors import HandctlError
-from handctl.handlers import Stop
+from handctl.handlers import TerminationFlag
 
 NICE = 10
 """Scheduling priority, below that of the controller."""
@@ -43,7 +43,7 @@ def start_live(log_path: Path, *arguments: str) -> "subprocess.Popen[bytes]":
 
 def main() -> int:
     """Run the live view of the log in the first argument."""
-    stop = Stop()
+    stop = TerminationFlag()
     signal.signal(signal.SIGTERM, stop)
     with suppress(OSError):
         os.nice(NICE)

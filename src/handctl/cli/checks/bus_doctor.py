@@ -16,7 +16,7 @@ from handctl.hand.load import load_hand
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.link import MissingTool, read_link
 from handctl.runtime.buses.open import open_bus
-from handctl.runtime.diagnostics.link_findings import WIRING, Finding, absent, findings
+from handctl.runtime.diagnostics.link_findings import WIRING, LinkFinding, absent, findings
 from handctl.runtime.diagnostics.round_trip import RoundTrip, round_trip
 from handctl.runtime.diagnostics.scan import Scan, scan
 from handctl.session.buses import named_buses
@@ -72,11 +72,11 @@ def _examine(spec: str, expected: BusSection, hand: Hand | None) -> dict[str, An
     }
 
 
-def _interface(channel: str, expected: BusSection) -> list[Finding]:
+def _interface(channel: str, expected: BusSection) -> list[LinkFinding]:
     try:
         link = read_link(channel)
     except MissingTool:
-        return [Finding("the interface's state is not known: no 'ip' here", False, "sudo apt-get install iproute2")]
+        return [LinkFinding("the interface's state is not known: no 'ip' here", False, "sudo apt-get install iproute2")]
     if link is None:
         return [absent(channel, expected.bitrate, expected.data_bitrate)]
     return findings(channel, link, expected.bitrate, expected.data_bitrate)
@@ -84,29 +84,30 @@ def _interface(channel: str, expected: BusSection) -> list[Finding]:
 
 def _nodes(
     spec: str, expected: BusSection, hand: Hand | None
-) -> tuple[list[Finding], list[tuple[DiscoveredNode, RoundTrip]]]:
+) -> tuple[list[LinkFinding], list[tuple[DiscoveredNode, RoundTrip]]]:
     """Open the bus, scan for drives, and measure their round-trip times."""
     try:
         bus = open_bus(spec, 0, expected.bitrate, expected.data_bitrate)
     except BusError as error:
-        return [Finding(f"cannot be opened: {error}", False, error.right or WIRING)], []
+        return [LinkFinding(f"cannot be opened: {error}", False, error.right or WIRING)], []
     try:
         result = scan(bus)
         trips = [] if result.foreign else _timed(bus, result)
     finally:
         bus.close()
-    rows = [Finding("can be opened", True), *_events(result), *map(_answers, trips)]
+    rows = [LinkFinding("can be opened", True), *_events(result), *map(_answers, trips)]
     rows += [
-        Finding(f"{node.protocol} {node.node_id}: two drives answer", False, TWINS) for node in _twins(result, trips)
+        LinkFinding(f"{node.protocol} {node.node_id}: two drives answer", False, TWINS)
+        for node in _twins(result, trips)
     ]
     if result.foreign:
-        rows.append(Finding("another host is at work: nodes were not asked", False, "end it, and look again"))
+        rows.append(LinkFinding("another host is at work: nodes were not asked", False, "end it, and look again"))
     elif hand is not None:
         rows += _missing(hand, expected.name, result)
     elif not result.found:
-        rows.append(Finding("no drive answers", False, f"{WIRING}; {not_looked_for()}"))
+        rows.append(LinkFinding("no drive answers", False, f"{WIRING}; {not_looked_for()}"))
     else:
-        rows.append(Finding(not_looked_for(), True))
+        rows.append(LinkFinding(not_looked_for(), True))
     return rows, trips
 
 
@@ -120,31 +121,31 @@ def _timed(bus: Bus, result: Scan) -> list[tuple[DiscoveredNode, RoundTrip]]:
     return [(node, round_trip(bus, node)) for node in result.found if node.protocol in DISCOVERIES]
 
 
-def _events(result: Scan) -> list[Finding]:
+def _events(result: Scan) -> list[LinkFinding]:
     """Return a finding for each bus event during the scan."""
-    return [Finding(f"while asking: {kind}, {number} times", False, WIRING) for kind, _, number in result.events]
+    return [LinkFinding(f"while asking: {kind}, {number} times", False, WIRING) for kind, _, number in result.events]
 
 
-def _answers(timed: tuple[DiscoveredNode, RoundTrip]) -> Finding:
+def _answers(timed: tuple[DiscoveredNode, RoundTrip]) -> LinkFinding:
     node, trip = timed
     name = f"{node.protocol} {node.node_id}"
     if not trip.answers:
-        return Finding(f"{name} was there, and answers no more", False, WIRING)
+        return LinkFinding(f"{name} was there, and answers no more", False, WIRING)
     times = f"{trip.shortest * 1e3:.2f} / {trip.median * 1e3:.2f} / {trip.longest * 1e3:.2f} ms"
     what = f"{name} answers {trip.answers} of {trip.asked}, shortest / median / longest {times}"
     good = trip.answers == trip.asked and trip.median < SLOW_S
-    return Finding(what, good, BUSY)
+    return LinkFinding(what, good, BUSY)
 
 
-def _missing(hand: Hand, bus: str, result: Scan) -> list[Finding]:
+def _missing(hand: Hand, bus: str, result: Scan) -> list[LinkFinding]:
     """Return a finding for each motor of the hand file that did not answer."""
     there = {(node.protocol, node.node_id) for node in result.found}
     motors = [motor for motor in hand.motor if motor.bus == bus and (motor.protocol, motor.node_id) not in there]
     names = [(f"{motor.name} ({motor.protocol} {motor.node_id})", motor.protocol in DISCOVERIES) for motor in motors]
     return [
-        Finding(f"{name} does not answer", False, WIRING)
+        LinkFinding(f"{name} does not answer", False, WIRING)
         if is_queried
-        else Finding(f"{name} was not looked for: it answers orders only", True)
+        else LinkFinding(f"{name} was not looked for: it answers orders only", True)
         for name, is_queried in names
     ]
 

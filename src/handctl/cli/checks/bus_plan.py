@@ -6,7 +6,7 @@ from typing import Any
 
 from handctl.cli.console.options import print_json
 from handctl.cli.console.verbosity import is_verbose
-from handctl.controller.bus_load import BusLoad, Row, bus_loads, split
+from handctl.controller.bus_load import BusLoad, FrameRow, bus_loads, split
 from handctl.drives.frame_time import MAX_BUS_LOAD
 from handctl.drives.load_table import TABLE, TABLE_RATES_HZ
 from handctl.errors import ConfigError
@@ -74,7 +74,7 @@ def _bus(load: BusLoad, rate: float) -> dict[str, Any]:
     }
 
 
-def _row(row: Row) -> dict[str, Any]:
+def _row(row: FrameRow) -> dict[str, Any]:
     return {"what": row.what, "bytes": row.size, "fd": row.fd, "per_tick": row.per_tick,
             "per_second": row.per_second, "frame_us": row.frame_s * 1e6}  # fmt: skip
 

@@ -25,7 +25,14 @@ from handctl.hand.load import parse_toml
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import check_spec, open_bus
 from handctl.runtime.clock import RealClock, give_back_priority, take_priority
-from handctl.runtime.diagnostics.conformance import PROMISES, Check, DeviceUnderTest, Verdict, checks, leave
+from handctl.runtime.diagnostics.conformance import (
+    PROMISES,
+    CheckVerdict,
+    ConformanceCheck,
+    DeviceUnderTest,
+    checks,
+    leave,
+)
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 from handctl.runtime.diagnostics.scan import Scan, listen, scan
 from handctl.runtime.mailbox import bus_lock
@@ -44,7 +51,7 @@ BARE_TEXT = re.compile(r"[A-Za-z0-9][\w.-]*")
 NEEDED = {"rated_torque_N_m": 1.0, "counts_per_turn": 65536}
 """Defaults of options that a CiA 402 drive may not report. The read-back refuses a wrong rated torque."""
 LEFT_ON = "the drive does not say that it is off: REMOVE ITS POWER"
-MARKS = {Verdict.PASSED: "passed", Verdict.FAILED: "FAILED", Verdict.NOT_APPLICABLE: "n/a   "}
+MARKS = {CheckVerdict.PASSED: "passed", CheckVerdict.FAILED: "FAILED", CheckVerdict.NOT_APPLICABLE: "n/a   "}
 
 
 def run(args: argparse.Namespace) -> int:
@@ -63,11 +70,11 @@ def run(args: argparse.Namespace) -> int:
         node = _find_drive(args)
         drive = _drive(args, options, node)
         results, off = _checked(args, drive, _restoring(drive, node))
-    failed = sum(check.verdict is Verdict.FAILED for check in results)
+    failed = sum(check.verdict is CheckVerdict.FAILED for check in results)
     if args.json:
         print_json(_plain(args, node, results, off))
     else:
-        passed = sum(check.verdict is Verdict.PASSED for check in results)
+        passed = sum(check.verdict is CheckVerdict.PASSED for check in results)
         print("its watchdog and limits stay as they were set here until it is switched off")
         print(f"{passed} passed, {failed} failed, {len(results) - passed - failed} not applicable")
     if not off:
@@ -190,11 +197,11 @@ def _restoring(drive: Drive, node: DiscoveredNode) -> Drive:
     return drive
 
 
-def _checked(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tuple[list[Check], bool]:
+def _checked(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tuple[list[ConformanceCheck], bool]:
     """Run the checks, disable the drive, restore its torque range. Return the checks, and True if it is disabled."""
     clock = RealClock(PERIOD_NS)
     bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate, clock.of)
-    results: list[Check] = []
+    results: list[ConformanceCheck] = []
     clock.spin = take_priority().realtime
     try:
         rig = DriveRig(drive, bus, clock)
@@ -215,7 +222,9 @@ def _checked(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tuple[
     return results, off
 
 
-def _plain(args: argparse.Namespace, node: DiscoveredNode, results: list[Check], off: bool) -> dict[str, Any]:
+def _plain(
+    args: argparse.Namespace, node: DiscoveredNode, results: list[ConformanceCheck], off: bool
+) -> dict[str, Any]:
     return {
         "drive": args.protocol,
         "node": args.node,

@@ -25,7 +25,7 @@ STDERR = 2
 ONE_SECOND_NS = 1_000_000_000
 
 
-class Display:
+class DisplayProcess:
     """Controller's end of the pipe to the display process.
 
     Attributes:
@@ -63,9 +63,9 @@ class Display:
         os.set_blocking(self.pipe, False)
 
     @staticmethod
-    def start(hand: Hand, rate_hz: float, load: float) -> "Display":
+    def start(hand: Hand, rate_hz: float, load: float) -> "DisplayProcess":
         """Start the display of a run."""
-        return Display(hand.tendon_names, tuple(tendon.tension_max_N for tendon in hand.tendon), rate_hz, load)
+        return DisplayProcess(hand.tendon_names, tuple(tendon.tension_max_N for tendon in hand.tendon), rate_hz, load)
 
     def show(self, entry: TickIn, out: TickOut) -> None:
         """Send a line every ``EVERY_S``, and at once after an event."""

@@ -60,9 +60,9 @@ def notice(text: str) -> None:
 
 def _display(of: plan.Plan) -> plan.Display:
     """Start the display of a run."""
-    from handctl.cli.console.display import Display
+    from handctl.cli.console.display import DisplayProcess
 
-    return Display.start(of.hand, of.rate_hz, max(of.load, default=0.0))
+    return DisplayProcess.start(of.hand, of.rate_hz, max(of.load, default=0.0))
 
 
 def layered_gains(args: argparse.Namespace, hand: Hand) -> gains.LayeredGains:

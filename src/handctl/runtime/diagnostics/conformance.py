@@ -27,7 +27,7 @@ REPORTED_FRACTION = 0.3
 """Reported torque that counts as obeyed, as a fraction of the command."""
 
 
-class Verdict(Enum):
+class CheckVerdict(Enum):
     """Result of a check."""
 
     PASSED = "passed"
@@ -35,7 +35,7 @@ class Verdict(Enum):
     NOT_APPLICABLE = "not applicable"
 
 
-class Check(NamedTuple):
+class ConformanceCheck(NamedTuple):
     """A check that was done.
 
     Attributes:
@@ -45,7 +45,7 @@ class Check(NamedTuple):
     """
 
     name: str
-    verdict: Verdict
+    verdict: CheckVerdict
     reason: str
 
 
@@ -75,7 +75,7 @@ Promise = Callable[[DeviceUnderTest], str]
 """Function that checks one promise and returns the observation. Raises Failed or NotApplicable."""
 
 
-def checks(device: DeviceUnderTest) -> Iterator[Check]:
+def checks(device: DeviceUnderTest) -> Iterator[ConformanceCheck]:
     """Run all checks in order.
 
     The rest is not run after a check that leaves the drive in a state in which it cannot go on. The second
@@ -89,26 +89,26 @@ def checks(device: DeviceUnderTest) -> Iterator[Check]:
             continue
         check = _run_check(device, name, promise)
         yield check
-        failed = check.verdict is Verdict.FAILED
+        failed = check.verdict is CheckVerdict.FAILED
         reversed_turn |= turns and failed
         usable = device.rig.rest() and not (failed and promise is _alone)
 
 
-def _not_run(device: DeviceUnderTest, name: str, promise: Promise) -> Check:
+def _not_run(device: DeviceUnderTest, name: str, promise: Promise) -> ConformanceCheck:
     """Report a check that cannot be run. A drive that stayed enabled between checks has failed to disable."""
     if promise is _disables and device.rig.state.phase == Phase.ENABLED:
-        return Check(name, Verdict.FAILED, "stays enabled after the disable command of another check")
-    return Check(name, Verdict.NOT_APPLICABLE, "not run, because of what failed before")
+        return ConformanceCheck(name, CheckVerdict.FAILED, "stays enabled after the disable command of another check")
+    return ConformanceCheck(name, CheckVerdict.NOT_APPLICABLE, "not run, because of what failed before")
 
 
-def _run_check(device: DeviceUnderTest, name: str, promise: Promise) -> Check:
+def _run_check(device: DeviceUnderTest, name: str, promise: Promise) -> ConformanceCheck:
     """Run one check."""
     try:
-        return Check(name, Verdict.PASSED, promise(device))
+        return ConformanceCheck(name, CheckVerdict.PASSED, promise(device))
     except Failed as failed:
-        return Check(name, Verdict.FAILED, str(failed))
+        return ConformanceCheck(name, CheckVerdict.FAILED, str(failed))
     except NotApplicable as not_applicable:
-        return Check(name, Verdict.NOT_APPLICABLE, str(not_applicable))
+        return ConformanceCheck(name, CheckVerdict.NOT_APPLICABLE, str(not_applicable))
 
 
 def _configured(device: DeviceUnderTest) -> str:

@@ -20,7 +20,7 @@ HARMLESS = {"arbitration_lost"}
 """Counters that also rise on a healthy bus."""
 
 
-class Finding(NamedTuple):
+class LinkFinding(NamedTuple):
     """One finding about an interface.
 
     Attributes:
@@ -36,15 +36,15 @@ class Finding(NamedTuple):
     fatal: bool = False
 
 
-def absent(name: str, bitrate: int, data_bitrate: int | None) -> Finding:
+def absent(name: str, bitrate: int, data_bitrate: int | None) -> LinkFinding:
     """Return the finding for an interface that does not exist."""
     if name.startswith("vcan"):
-        return Finding(f"{name} does not exist", False, advice(name, bitrate, data_bitrate), fatal=True)
+        return LinkFinding(f"{name} does not exist", False, advice(name, bitrate, data_bitrate), fatal=True)
     fix = f"plug the adapter in and look: sudo dmesg | tail; to give it this name, in {UDEV_FILE}: "
-    return Finding(f"{name} does not exist", False, fix + UDEV_NAME.format(name), fatal=True)
+    return LinkFinding(f"{name} does not exist", False, fix + UDEV_NAME.format(name), fatal=True)
 
 
-def findings(name: str, link: Link, bitrate: int, data_bitrate: int | None) -> list[Finding]:
+def findings(name: str, link: Link, bitrate: int, data_bitrate: int | None) -> list[LinkFinding]:
     """Judge an interface.
 
     Args:
@@ -54,40 +54,40 @@ def findings(name: str, link: Link, bitrate: int, data_bitrate: int | None) -> l
         data_bitrate: of the hand file [bit/s]. None for a classical bus.
     """
     set_up = advice(name, bitrate, data_bitrate, exists=True)
-    result = [Finding(f"{name} is {'up' if link.up else 'down'}", link.up, set_up, fatal=not link.up)]
+    result = [LinkFinding(f"{name} is {'up' if link.up else 'down'}", link.up, set_up, fatal=not link.up)]
     if link.bitrate is not None or link.kind == "can":
         result.append(_rate("bit rate", link.bitrate, bitrate, set_up))
     if data_bitrate is not None:
-        result.append(Finding("carries CAN FD" if link.fd else "does not carry CAN FD", link.fd, set_up))
+        result.append(LinkFinding("carries CAN FD" if link.fd else "does not carry CAN FD", link.fd, set_up))
         if link.kind == "can":
             result.append(_rate("bit rate of the data phase", link.data_bitrate, data_bitrate, set_up))
     queue = f"sudo ip link set {name} txqueuelen 128; for good, in {UDEV_FILE}: {UDEV_QUEUE.format(name)}"
-    result.append(Finding(f"transmit queue of {link.queue} frames", link.queue >= QUEUE, queue))
+    result.append(LinkFinding(f"transmit queue of {link.queue} frames", link.queue >= QUEUE, queue))
     return [*result, *_controller(name, link), *_counts(link)]
 
 
-def _rate(what: str, has: int | None, required: int, fix: str) -> Finding:
+def _rate(what: str, has: int | None, required: int, fix: str) -> LinkFinding:
     """Judge a bit rate [bit/s]."""
-    return Finding(f"{what} {has or 'not set'}, the hand needs {required}", has == required, fix)
+    return LinkFinding(f"{what} {has or 'not set'}, the hand needs {required}", has == required, fix)
 
 
-def _controller(name: str, link: Link) -> list[Finding]:
+def _controller(name: str, link: Link) -> list[LinkFinding]:
     """Judge state, error counters and restart of a real CAN controller."""
     if not link.state:
         return []
     restart = f"sudo ip link set {name} type can restart; " if link.state == "BUS-OFF" else ""
     counters = f"{link.state}, error counters {link.sending} sending, {link.receiving} receiving"
     good = link.state == "ERROR-ACTIVE" and link.sending + link.receiving == 0
-    result = [Finding(counters, good or not link.up, restart + WIRING)]
+    result = [LinkFinding(counters, good or not link.up, restart + WIRING)]
     if link.restart_ms is not None:
         command = f"sudo ip link set {name} down; sudo ip link set {name} up type can restart-ms 100"
-        result.append(Finding(f"restarts {link.restart_ms} ms after bus-off", link.restart_ms > 0, command))
+        result.append(LinkFinding(f"restarts {link.restart_ms} ms after bus-off", link.restart_ms > 0, command))
     return result
 
 
-def _counts(link: Link) -> list[Finding]:
+def _counts(link: Link) -> list[LinkFinding]:
     """Judge the event counters of an interface."""
     counted = [f"{number} {ERRORS[key]}" for key, number in link.counts.items() if number and key in ERRORS]
     bad = any(number for key, number in link.counts.items() if key in ERRORS and key not in HARMLESS)
     fix = f"since it was made; {WIRING}; look again after a run"
-    return [Finding("counted: " + (", ".join(counted) or "no errors"), not bad, fix)]
+    return [LinkFinding("counted: " + (", ".join(counted) or "no errors"), not bad, fix)]
