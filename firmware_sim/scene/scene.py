@@ -41,7 +41,7 @@ class Support:
         drop_when: ``grasped`` (the table sinks once the object is held) or ``never``.
         drop_force: minimum contact force of a digit that holds the object [N].
         drop_hold: time for which the digits must hold the object [s].
-        drop_digits: number of digits that must hold the object.
+        drop_digits: number of digits that must hold the object, or all digits of a hand with fewer.
         drop_opposed: True if one of these digits must close against the others, as the thumb does.
         sink_speed: speed of the sinking table [m/s].
         sink_depth: depth at which the table stops [m].

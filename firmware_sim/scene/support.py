@@ -58,7 +58,9 @@ class SupportTable:
         sides = [int(side) for side in opposed]
         self._grasped: Callable[..., bool] = kernels.grasped if kernels else grasped
         self._digits = (np.array(starts, np.int64), np.array(sides, np.int64)) if kernels else (starts, sides)
-        self._criteria = support.drop_force**2, support.drop_digits, support.drop_opposed
+        # A hand with fewer digits holds with all that it has.
+        digits = min(support.drop_digits, len(opposed))
+        self._criteria = support.drop_force**2, digits, support.drop_opposed
         self._grasped_since: float | None = None
         self.depth = 0.0
         self.dropped_at: float | None = None

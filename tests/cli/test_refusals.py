@@ -9,7 +9,7 @@ import pytest
 
 from handctl.cli.main import VERBS, main
 from handctl.hand.file.toml_text import toml_text
-from handctl.hand.load import hand_content, hand_from, load_hand
+from handctl.hand.load import hand_content, hand_from, load_hand, packaged_hands
 from tests.cli.refused import refused
 
 BUS = ("--bus", "local:does-not-exist")
@@ -271,7 +271,7 @@ def test_what_nobody_confirms_is_not_done(capsys, verb):
     assert err.startswith(told)
 
 
-@pytest.mark.parametrize("name", ["jamia", "jamia11", "jamia_bench"])
+@pytest.mark.parametrize("name", packaged_hands())
 def test_what_config_shows_is_the_hand(place, capsys, name):
     assert main(["config", "show", "--hand", name]) == 0
     text = capsys.readouterr().out

@@ -13,10 +13,10 @@ PAGE = (ROOT / "docs" / "reference" / "tasks.md").read_text("utf-8")
 BLOCKS = re.findall(r"```toml\n(.*?)```", PAGE, re.S)
 
 
-def test_the_example_suits_every_hand(tmp_path: Path) -> None:
+def test_the_example_suits_every_jamia(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(BLOCKS[0])
-    for name in packaged_hands():
+    for name in (name for name in packaged_hands() if name.startswith("jamia")):
         task, _ = find_task(path, load_hand(name))
         assert [phase.kind for phase in task.phase] == ["move", "close", "hold", "release", "move"]
 

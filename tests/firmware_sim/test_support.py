@@ -47,3 +47,9 @@ def test_a_released_grasp_restarts_the_wait() -> None:
 
 def test_a_table_that_never_sinks() -> None:
     assert run(SupportTable(Support(), OPPOSED), 0.0, 5.0, 9, 9, 9, 9) == 0.0
+
+
+def test_a_hand_of_two_opposed_digits_holds_with_both() -> None:
+    assert run(SupportTable(SUPPORT, [False, True]), 0.0, 2.0, 2, 2) > 0.0
+    assert run(SupportTable(SUPPORT, [False, True]), 0.0, 2.0, 2, 0) == 0.0
+    assert run(SupportTable(SUPPORT, [False, False]), 0.0, 2.0, 2, 2) == 0.0

@@ -26,8 +26,8 @@ def changed(
     return hand.model_copy(update={"digit": digits, "motor": motors, "tendon": tendons})
 
 
-@pytest.mark.parametrize("name", packaged_hands())
-def test_check_warns_of_each_packaged_hand_and_accepts_it(name, capsys):
+@pytest.mark.parametrize("name", [name for name in packaged_hands() if name.startswith("jamia")])
+def test_check_warns_of_each_jamia_and_accepts_it(name, capsys):
     """Their motors can make 250 N and more, 500 N in a runaway: less than 1.5 to the 620 N of the tendon."""
     assert main(["config", "check", "--hand", name]) == 0
     warned = [line for line in capsys.readouterr().out.splitlines() if line.startswith("# warning: ")]

@@ -30,7 +30,7 @@ def test_limits_are_those_of_the_description(hand):
     low = np.concatenate([np.radians(digit.joint_min_deg) for digit in hand.digit])
     high = np.concatenate([np.radians(digit.joint_max_deg) for digit in hand.digit])
     assert np.allclose(model.jnt_range, np.column_stack((low, high)))
-    assert np.allclose(model.dof_damping, 5e-4)
+    assert np.allclose(model.dof_damping, np.concatenate([digit.joint_damping_N_m_s_per_rad for digit in hand.digit]))
     assert np.isclose(model.body_mass.sum(), sum(sum(digit.link_mass_kg) for digit in hand.digit))
 
 

@@ -7,11 +7,13 @@ exist, digits that open, and angles that flex.
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from handctl.hand.description import Hand
 from handctl.hand.file.error_text import Mistake
 from handctl.hand.file.sections import Bus, Digit
 
+Vector = NDArray[np.float64]
 FASTEST_ARBITRATION = 1_000_000
 """Largest bit rate of classical CAN and of the arbitration phase of CAN FD [bit/s]. Source: ISO 11898-2."""
 SMALLEST_RANGE_DEG = 1.0
@@ -50,16 +52,29 @@ def _check_direction(digit: Digit) -> Iterator[Mistake]:
     if digit.coupling is None:
         return
     where = f"digit[{digit.name}].coupling"
-    for i, column in enumerate(np.array(digit.coupling).T):
-        moved = column != 0.0
-        limits = np.array([digit.joint_min_deg, digit.joint_max_deg])[:, moved] / column[moved]
-        low = float(limits.min(axis=0).max(initial=-np.inf))
-        high = float(limits.max(axis=0).min(initial=np.inf))
+    for i, (low, high) in enumerate(zip(*coordinate_range_deg(digit), strict=True)):
         if high - low < SMALLEST_RANGE_DEG:
             right = "signs and sizes that leave the joints a common range within their limits"
             yield Mistake(f"column {i} moves no joint within its limits", where, right)
         elif low + high < 0.0:
             yield Mistake(f"column {i} opens the digit", where, "the opposite sign: a positive coordinate flexes")
+
+
+def coordinate_range_deg(digit: Digit) -> tuple[Vector, Vector]:
+    """Return the smallest and the largest value of each coordinate of a digit, (n_c,) each [deg].
+
+    Each coordinate alone moves its joints within their limits.
+    """
+    limits = np.array([digit.joint_min_deg, digit.joint_max_deg])
+    if digit.coupling is None:
+        return limits[0], limits[1]
+    ranges = []
+    for column in np.array(digit.coupling).T:
+        moved = column != 0.0
+        each = limits[:, moved] / column[moved]
+        # A negative entry swaps the limits of its joint.
+        ranges.append((each.min(axis=0).max(initial=-np.inf), each.max(axis=0).min(initial=np.inf)))
+    return np.array(ranges)[:, 0], np.array(ranges)[:, 1]
 
 
 def _check_opening(hand: Hand, digit: Digit) -> Iterator[Mistake]:

@@ -1,21 +1,35 @@
 """Tasks and trajectories, packaged with handctl or from files, checked against the hand."""
 
+from contextlib import suppress
 from pathlib import Path
 
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
+from handctl.programs.default_task import default_task
 from handctl.programs.task import Task, check_task, load_task, load_trajectory, shapes
 from handctl.programs.task_checks import check_joint_range, check_slip_limit, check_speed, check_tip_force
 
 TASKS = Path(__file__).parents[1] / "tasks"
 
 
-def find_task(name: Path, hand: Hand) -> tuple[Task, bytes]:
+GRASP = Path("grasp.toml")
+"""Packaged task of the hands that have its digits."""
+
+
+def find_task(name: Path | None, hand: Hand) -> tuple[Task, bytes]:
     """Load a task from a path or from the packaged tasks, and check it against the hand.
+
+    Without a name the task is the packaged grasp, or for a hand of other digits the default task.
 
     Raises:
         ConfigError: the task does not exist, or its content is wrong.
     """
+    if name is None:
+        with suppress(ConfigError):
+            return find_task(GRASP, hand)
+        task, text = default_task(hand)
+        check_suits(task, hand, "default task")
+        return task, text.encode()
     path = task_path(name)
     task = load_task(path)
     check_suits(task, hand, str(name))

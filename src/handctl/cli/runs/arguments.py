@@ -34,9 +34,8 @@ def demo(parser: argparse.ArgumentParser) -> None:
     protocol_option(parser)
     json_option(parser)
     dry_run_option(parser)
-    parser.add_argument(
-        "--task", type=Path, default=Path("grasp.toml"), metavar="FILE", help="task (default: grasp.toml)"
-    )
+    text = "task (default: grasp.toml, or close, hold and open for a hand of other digits)"
+    parser.add_argument("--task", type=Path, metavar="FILE", help=text)
     parser.add_argument(
         "--scene", default="cylinder", metavar="NAME|FILE", help="what the hand meets (default: cylinder)"
     )

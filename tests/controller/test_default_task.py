@@ -1,0 +1,59 @@
+"""The task of a hand that has none yet: open, close, hold, release, for whatever digits there are."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handctl.hand.load import hand_content, hand_from, load_hand, packaged_hands
+from handctl.hand.readiness import coordinate_range_deg
+from handctl.programs.default_task import default_task
+from handctl.programs.task import Close, Hold, load_task
+from handctl.session.tasks import check_suits, find_task
+
+
+@pytest.mark.parametrize("name", packaged_hands())
+def test_it_suits_every_hand_and_reads_back_from_its_text(name: str, tmp_path: Path) -> None:
+    hand = load_hand(name)
+    task, text = default_task(hand)
+    check_suits(task, hand, "default task")
+    (tmp_path / "task.toml").write_text(text)
+    assert load_task(tmp_path / "task.toml") == task
+    assert [phase.kind for phase in task.phase] == ["move", "close", "hold", "release", "move"]
+    for digit in hand.digit:
+        low, high = coordinate_range_deg(digit)
+        close, hold = task.phase[1], task.phase[2]
+        assert isinstance(close, Close)
+        assert isinstance(hold, Hold)
+        assert isinstance(close.angle_deg, dict)
+        assert isinstance(hold.tension_N, dict)
+        angle = np.array(close.angle_deg[digit.name])
+        assert ((angle > 0.5 * np.minimum(high, 120.0)) & (angle < high)).all()
+        assert (low == 0.0).all()
+        limits = [tendon.tension_max_N for tendon in hand.tendon[hand.digit_tendons[digit.name]]]
+        assert (np.array(hold.tension_N[digit.name]) < 0.5 * np.array(limits)).all()
+
+
+def test_a_sideways_joint_stays_in_the_middle_and_an_extensor_only_taut() -> None:
+    content = hand_content("jamia11")
+    thumb = content["digit"][3]
+    thumb["joint_min_deg"], thumb["joint_max_deg"] = [-20.0, 0.0], [20.0, 100.0]
+    motor = {**content["motor"][-1], "name": "thumb_m3", "node_id": 12}
+    arms = {"thumb_j1": -0.003, "thumb_j2": -0.003}
+    content["motor"].append(motor)
+    content["tendon"].append({**content["tendon"][-1], "name": "thumb_ext", "motor": "thumb_m3", "moment_arm_m": arms})
+    task, _ = default_task(hand_from(content, "an extensor"))
+    close, hold = task.phase[1], task.phase[2]
+    assert isinstance(close, Close)
+    assert isinstance(hold, Hold)
+    assert isinstance(close.angle_deg, dict)
+    assert isinstance(hold.tension_N, dict)
+    assert close.angle_deg["thumb"] == (0.0, 85.0)
+    assert hold.tension_N["thumb"] == (33.0, 33.0, 4.5)
+
+
+def test_without_a_name_a_jamia_takes_its_grasp_and_another_hand_the_default() -> None:
+    assert find_task(None, load_hand("jamia"))[0].name == "power grasp"
+    task, text = find_task(None, load_hand("t42"))
+    assert task.name == "close, hold, open"
+    assert b"t42" in text
