@@ -62,14 +62,14 @@ def wrong_rates(hand: Hand, specs: tuple[str, ...]) -> list[str]:
 
 
 def _bus(load: BusLoad, rate: float) -> dict[str, Any]:
-    most = load.highest(MAX_BUS_LOAD)
+    max_rate = load.highest(MAX_BUS_LOAD)
     return {
         "name": load.name,
         "motors": load.motors,
         "tick_us": load.tick_s * 1e6,
         "by_time": load.timed_fraction,
         "load": load.at(rate),
-        "max_hz": most if math.isfinite(most) else None,
+        "max_hz": max_rate if math.isfinite(max_rate) else None,
         "frames": [_row(row) for row in load.rows],
     }
 

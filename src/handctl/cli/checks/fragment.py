@@ -68,9 +68,9 @@ def _source(key: str, settings: Mapping[str, float], hint: str) -> str:
 
 
 def _torque_source(settings: Mapping[str, float]) -> str:
-    told = settings.get("torque_max_N_m", 0.0)
-    if told > TORQUE_TOP:
-        return f"the drive reports {told:g}, a hand file takes at most {TORQUE_TOP:g}"
+    reported = settings.get("torque_max_N_m", 0.0)
+    if reported > TORQUE_TOP:
+        return f"the drive reports {reported:g}, a hand file takes at most {TORQUE_TOP:g}"
     return _source("torque_max_N_m", settings, "begin small")
 
 
