@@ -3,6 +3,7 @@
 from firmware_sim.nodes import cubemars
 from firmware_sim.nodes.cia402 import bench as cia402_bench
 from firmware_sim.nodes.mit import bench as mit_bench
+from firmware_sim.nodes.moteus import bench as moteus_bench
 from firmware_sim.nodes.odrive import bench as odrive_bench
 from firmware_sim.nodes.protocol_spec import ProtocolSpec
 
@@ -10,6 +11,7 @@ PROTOCOLS: dict[str, ProtocolSpec] = {
     "cia402": cia402_bench.SPEC,
     "cubemars": cubemars.SPEC,
     "mit": mit_bench.SPEC,
+    "moteus": moteus_bench.SPEC,
     "odrive": odrive_bench.SPEC,
 }
 """Protocol specifications by the name in the hand file."""

@@ -12,7 +12,7 @@ from firmware_sim.programs.drive_types import drive_spec
 from handctl.cli.checks.fragment import fragment
 from handctl.cli.main import main
 from handctl.drives.discovery import TWINS
-from handctl.drives.frame import REMOTE, Frame
+from handctl.drives.frame import EXTENDED, REMOTE, Frame
 from handctl.drives.registry import make_drive
 from handctl.hand.file.sections import Bus, Motor
 from handctl.runtime.diagnostics.scan import Scan, all_questions, scan
@@ -66,6 +66,23 @@ def test_damiao_and_canopen_drives_are_found_on_one_bus():
     assert "watchdog is off" in first.notes[0]
     assert [motor.servo.torque for motor in bench.motors] == [0.0] * 3
     assert [motor.theta for motor in bench.motors] == [0.0] * 3
+
+
+def test_moteus_controllers_are_found_by_classical_frames():
+    result, bench, bus = scanned(("moteus", 1), ("moteus", 17), ("mit", 3))
+    assert [(node.protocol, node.node_id) for node in result.found] == [("mit", 3), ("moteus", 1), ("moteus", 17)]
+    first, second = result.found[1:]
+    assert (first.firmware, first.state, first.error, first.twins) == ("1.0.1", "stopped", "", False)
+    assert first.serial != second.serial != ""
+    assert all(frame.flags == 0 and len(frame.data) <= 8 for frame in bus.heard), "the bus may be classical"
+    assert [node.mode for node in bench.nodes[:2]] == [0, 0]
+    assert [motor.theta for motor in bench.motors] == [0.0] * 3
+
+
+def test_beside_another_moteus_host_it_only_listens():
+    result, _, bus = scanned(("moteus", 1), talk=[Frame(EXTENDED | 0x8101, b"\x11\x00")])
+    assert result.foreign
+    assert bus.heard == []
 
 
 def test_beside_an_odrive_nothing_is_asked_that_it_would_obey():

@@ -22,8 +22,11 @@ OPTIONS = {
     "mit": "",
     "odrive": "[motor.options]\n" + ENDPOINTS,
     "cia402": "[motor.options]\nrated_torque_N_m = 0.4\ncounts_per_turn = 65536\n",
+    "moteus": "",
     "cubemars": '[motor.options]\nmotor_type = "ak80-6"\n',
 }
+FD_ONLY = {"moteus"}
+"""Protocols that need a bus with CAN FD."""
 GUARDED = tuple(sorted(PROTOCOLS.keys() - {"cubemars"}))
 """Protocols that keep every promise; what CubeMars motors cannot keep is in test_cubemars."""
 
@@ -42,6 +45,8 @@ def hand_file(folder: Path, protocols: Sequence[str], extra: str = "") -> Path:
         text = text.replace('"mit"', f'"{protocol}"')
         text = re.sub(r"node_id = \d+", f"node_id = {FIRST_NODE + i}", text)
         options = OPTIONS[protocol] + extra
+        if protocol in FD_ONLY and "data_bitrate" not in head:
+            head = head.replace("bitrate = 1_000_000\n", "bitrate = 1_000_000\ndata_bitrate = 5_000_000\n")
         motors[i] = text.rstrip() + "\n" + options + "\n" if options else text
     path = folder / "hand.toml"
     path.write_text("[[motor]]".join([head, *motors]))

@@ -15,6 +15,7 @@ NODE = 0x21
 OPTIONS = {
     "mit": {},
     "odrive": {**ENDPOINTS, "torque_feedback": True},
+    "moteus": {},
     "cubemars": {"motor_type": "ak80-9"},
     "cia402": {"rated_torque_N_m": 1.0, "counts_per_turn": 65536, "sync": True},
 }

@@ -85,7 +85,14 @@ def drive_rows(drive: Drive, bus: Bus) -> tuple[FrameRow, ...]:
     if bus.data_bitrate is None and any(fd for _, fd, _, _ in kinds):
         raise ConfigError("missing, and a motor on it is set to CAN FD", f"bus[{bus.name}].data_bitrate", "bit/s")
     return tuple(
-        FrameRow(drive.name, size, fd, tick, second, frame_time_s(size, fd, bus.bitrate, bus.data_bitrate))
+        FrameRow(
+            drive.name,
+            size,
+            fd,
+            tick,
+            second,
+            frame_time_s(size, fd, bus.bitrate, bus.data_bitrate, drive.extended),
+        )
         for size, fd, tick, second in kinds
     )
 

@@ -19,6 +19,8 @@ from handctl.drives.cia402.progress import Cia402Progress
 from handctl.drives.contract import DriveState, DriveTarget, Phase
 from handctl.drives.mit.cubemars import CubemarsProgress
 from handctl.drives.mit.progress import MitProgress
+from handctl.drives.moteus.progress import MoteusProgress
+from handctl.drives.moteus.settings import Channel
 from handctl.drives.odrive.progress import OdriveProgress
 from handctl.drives.readback import Cursor, Recheck
 from handctl.programs.grip import Grip
@@ -28,7 +30,7 @@ from handctl.safety.judge import Counting, Latched
 register(
     Decisions, DriveState, Phase, DriveTarget, Progress, Grip, DigitGoal, Kind, MinimumJerk, Curve, Sample, Chirp,
     Latched, Counting, Gains, PendingGains, Recheck, Cursor, MitProgress, CubemarsProgress, OdriveProgress,
-    Cia402Progress,
+    Cia402Progress, MoteusProgress, Channel,
 )  # fmt: skip
 
 HEAD = 8

@@ -30,7 +30,21 @@ from handctl.drives.records import (
     frames_of,
 )
 from handctl.drives.sensors.node import SensorNode
-from handctl.drives.signals import CHANNEL, ORDER, QUANTITY, Message, Quantity, Table, packed, swapped, unpacked
+from handctl.drives.signals import (
+    CHANNEL,
+    COLUMNS,
+    ORDER,
+    QUANTITY,
+    WINDOW,
+    Message,
+    Quantity,
+    Table,
+    packed,
+    put_window,
+    swapped,
+    unpacked,
+    window_at,
+)
 from handctl.drives.signals import LENGTH as LENGTH_BITS
 
 Whole = NDArray[np.int64]
@@ -50,6 +64,10 @@ POSITION, VELOCITY, TORQUE, TEMPERATURE, STATUS, CELL, ANGLE, COUNTER = map(int,
 """Quantities as numbers, for compiled code."""
 ID_MASK = 0xFFFFFFFF
 BYTE_MASK = 0xFF
+NUMBER_MASK = 0x1FFFFFFF
+"""Bits of an identifier without its flags."""
+STANDARD_IDS = 0x800
+"""Number of 11-bit identifiers."""
 
 
 @inner
@@ -142,18 +160,20 @@ def receive(
         fits = length == entries[entry, LENGTH]
         if kind == SENSORS:
             _sensors(x, t_ns, payload, fits, entries, entry, wholes, reals)
-        elif kind == LOOK or kind == HOST or not fits or not _values(x, t_ns, payload, entries, entry, wholes, reals):
+        elif kind == LOOK or kind == HOST or not fits or not _values(x, t_ns, rows[r], entries, entry, wholes, reals):
             return r
     return len(rows)
 
 
 @inner
 def _strange(x: Tables, keys: Whole, entries: Whole, bus: Any, can_id: Any) -> None:
-    """Count a frame with an unknown identifier. A remote or 29-bit frame with a node's number is malformed."""
+    """Count a frame with an unknown identifier. A remote or 29-bit frame with a node's number is malformed.
+
+    A 29-bit identifier of 0x800 or more belongs to another protocol, whatever its lower 11 bits are.
+    """
     x.run_int[s.UNKNOWN_FRAMES] += 1
-    if can_id & (EXTENDED | REMOTE):
-        # The lower 11 bits are the identifier of a standard frame with the same number.
-        entry = find(keys, bus << 32 | can_id & 0x7FF)
+    if can_id & (EXTENDED | REMOTE) and can_id & NUMBER_MASK < STANDARD_IDS:
+        entry = find(keys, bus << 32 | can_id & NUMBER_MASK)
         if entry != UNKNOWN and entries[entry, KIND] != HOST:
             owner = entries[entry, OWNER]
             x.node_int[s.MISREAD_NOW, owner if owner != NODE else x.node_int.shape[1] - 1] = 1
@@ -202,13 +222,13 @@ def _sensors(
 
 
 @inner
-def _values(x: Tables, t_ns: Any, payload: Any, entries: Whole, entry: int, wholes: Whole, reals: Real) -> bool:
+def _values(x: Tables, t_ns: Any, row: Any, entries: Whole, entry: int, wholes: Whole, reals: Real) -> bool:
     """Take in a drive's frame. Return False without any change if the state machine must handle the frame.
 
     Args:
         x: state tables.
         t_ns: reception [ns].
-        payload: first eight bytes.
+        row: (WORDS,) record of the frame.
         entries: see ``Wire``.
         entry: row of ``entries``.
         wholes: see ``Wire``.
@@ -220,9 +240,15 @@ def _values(x: Tables, t_ns: Any, payload: Any, entries: Whole, entry: int, whol
         return False
     position = velocity = torque = temperature = math.nan
     status = 0
+    payload = row[PAYLOAD]
     opposite = swapped(payload)
     for i in range(entries[entry, FIRST], entries[entry, END]):
-        value = unpacked(opposite if wholes[i, ORDER] else payload, wholes, reals, i)
+        if wholes[i, WINDOW] == 0:
+            window = opposite if wholes[i, ORDER] else payload
+        else:
+            window = window_at(row, PAYLOAD, wholes[i, WINDOW])
+            window = swapped(window) if wholes[i, ORDER] else window
+        value = unpacked(window, wholes, reals, i)
         if math.isnan(value):
             return False
         quantity = wholes[i, QUANTITY]
@@ -308,7 +334,7 @@ def send(
             out[count, word] = templates[i, word]
         if signal >= 0:
             bits = packed(torque[n], wholes, reals, signal)
-            out[count, PAYLOAD] |= swapped(bits) if wholes[signal, ORDER] else bits
+            put_window(out[count], PAYLOAD, wholes[signal, WINDOW], swapped(bits) if wholes[signal, ORDER] else bits)
         count += 1
     return len(torque), count
 
@@ -319,11 +345,11 @@ class Wire:
     Attributes:
         keys: (e,) bus << 32 | identifier, sorted.
         entries: (e, 6) with the columns above.
-        wholes: (s, 6) integers of the received signals.
+        wholes: (s, COLUMNS) integers of the received signals.
         reals: (s, 2) real numbers of the received signals.
         commands: (f, 3) drive, row of the torque in ``sent_wholes`` or -1, and feedback timeout
             [ns] of each command.
-        sent_wholes: (t, 6) integers of the sent torques.
+        sent_wholes: (t, COLUMNS) integers of the sent torques.
         sent_reals: (t, 3) real numbers of the sent torques, with the limit [N m] in the third
             column.
         templates: (f, WORDS) commands without torque.
@@ -377,7 +403,7 @@ class Wire:
                 rows.append([n, signal, drive.cyclic.feedback_timeout_ns])
                 templates.append(_template(message, drive.bus))
         self.commands: Whole = np.array(rows, dtype=np.int64).reshape(-1, 3)
-        self.sent_wholes: Whole = np.array(wholes, dtype=np.int64).reshape(-1, 6)
+        self.sent_wholes: Whole = np.array(wholes, dtype=np.int64).reshape(-1, COLUMNS)
         self.sent_reals: Real = np.array(reals, dtype=np.float64).reshape(-1, 3)
         self.templates: Rows = np.array(templates, dtype=np.uint64).reshape(-1, WORDS)
 

@@ -108,6 +108,7 @@ class Drive(Protocol):
         exchange: worst-case frames of one control tick in both directions, for the bus load, as
             (payload bytes, CAN FD?).
         background: frames with a rate of their own, as (payload bytes, CAN FD?, frames per second).
+        extended: True if the frames have 29-bit identifiers, for the bus load.
         host_ids: identifiers sent by the host alone. From another node they mean a second controller.
         node_ids: identifiers of the drive's answers.
         unverified_guards: guards without verification in this configuration, for the operator before arming.
@@ -141,6 +142,11 @@ class Drive(Protocol):
     @property
     def background(self) -> tuple[tuple[int, bool, float], ...]:
         """Return the periodic frames as (payload bytes, CAN FD?, frames per second)."""
+        ...
+
+    @property
+    def extended(self) -> bool:
+        """Return True if the frames have 29-bit identifiers."""
         ...
 
     @property

@@ -3,8 +3,9 @@
     classical   exposed to stuffing 34 + 8 n | at most (exposed - 1) / 4 stuff bits | 13 without stuffing
     CAN FD      header 17 + 4 stuff | ESI and DLC 5, data 8 n | stuff count 4, CRC 17 or 21, fixed stuff | 13
 
-The classical row has an 11-bit identifier and n data bytes. The 13 bits are CRC delimiter,
-acknowledge, end of frame, and interframe space. Source: ISO 11898-1.
+The rows have an 11-bit identifier and n data bytes. A 29-bit identifier adds SRR, IDE and 18 bits,
+all exposed to stuffing. The 13 bits are CRC delimiter, acknowledge, end of frame, and interframe
+space. Source: ISO 11898-1.
 """
 
 import math
@@ -16,19 +17,27 @@ MAX_BUS_LOAD = 0.70
 """Fraction of a bus that a hand may use. The rest is reserved for bursts."""
 
 
-def frame_time_s(size: int, fd: bool, bitrate: float, data_bitrate: float | None = None) -> float:
-    """Return the longest time of one frame with an 11-bit identifier on the wire [s].
+EXTENDED_BITS = 20
+"""Bits that a 29-bit identifier adds to a frame: SRR, IDE, and the lower 18 bits of the identifier."""
+
+
+def frame_time_s(
+    size: int, fd: bool, bitrate: float, data_bitrate: float | None = None, extended: bool = False
+) -> float:
+    """Return the longest time of one frame on the wire [s].
 
     Args:
         size: payload [bytes]. An FD frame has the next larger FD length.
         fd: True for CAN FD with bit rate switch.
         bitrate: nominal bit rate [bit/s].
         data_bitrate: bit rate of the data phase [bit/s], nominal if None.
+        extended: True for a 29-bit identifier.
     """
+    more = EXTENDED_BITS if extended else 0
     if not fd:
-        exposed = 34 + 8 * size
+        exposed = 34 + more + 8 * size
         return (exposed + 13 + (exposed - 1) // 4) / bitrate
-    return _fd_time(size, bitrate, data_bitrate or bitrate)
+    return _fd_time(size, bitrate, data_bitrate or bitrate, more)
 
 
 FD_SIZES = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
@@ -45,19 +54,20 @@ The delimiter changes rate in its middle, and counts as nominal.
 """
 
 
-def _fd_time(size: int, bitrate: float, data_bitrate: float) -> float:
+def _fd_time(size: int, bitrate: float, data_bitrate: float, more: int) -> float:
     """Return the longest time of a CAN FD frame [s].
 
     Up to the last data bit stuffing is that of a classical frame. In the CRC field one fixed stuff bit
-    precedes every four bits.
+    precedes every four bits. ``more`` is the number of bits that a longer identifier adds.
     """
     size = next(length for length in FD_SIZES if length >= size)
     # ESI and the four bits of DLC, then the data.
     body = 5 + 8 * size
-    stuff = (HEADER_BITS + body - 1) // 4 - HEADER_STUFF_BITS
+    header_stuff = HEADER_STUFF_BITS + more // 4
+    stuff = (HEADER_BITS + more + body - 1) // 4 - header_stuff
     # Stuff count (3 bits and parity), then a CRC of 17 bits up to 16 bytes and of 21 bits above.
     check = 4 + (17 if size <= 16 else 21)
-    nominal = HEADER_BITS + HEADER_STUFF_BITS + END_BITS
+    nominal = HEADER_BITS + more + header_stuff + END_BITS
     return nominal / bitrate + (body + stuff + check + math.ceil(check / 4)) / data_bitrate
 
 

@@ -10,6 +10,8 @@ from handctl.drives.discovery import Discovery
 from handctl.drives.mit import discovery as mit_discovery
 from handctl.drives.mit.cubemars import CubemarsDrive
 from handctl.drives.mit.drive import MitDrive
+from handctl.drives.moteus import discovery as moteus_discovery
+from handctl.drives.moteus.drive import MoteusDrive
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.odrive import discovery as odrive_discovery
 from handctl.drives.odrive.drive import OdriveDrive
@@ -33,6 +35,7 @@ PROTOCOLS: dict[str, ProtocolEntry] = {
     "odrive": ProtocolEntry(OdriveDrive.of, odrive_discovery.DISCOVERY),
     "mit": ProtocolEntry(MitDrive.of, mit_discovery.DISCOVERY),
     "cia402": ProtocolEntry(Cia402Drive.of, cia402_discovery.DISCOVERY),
+    "moteus": ProtocolEntry(MoteusDrive.of, moteus_discovery.DISCOVERY),
     "cubemars": ProtocolEntry(CubemarsDrive.of, None),
 }
 """Protocols by their name in the hand file."""

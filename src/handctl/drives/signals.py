@@ -4,6 +4,9 @@ One compiled packer and one compiled unpacker serve all protocols. The same tabl
 (``drives.dbc``) for other tools. Bit positions are those of a DBC: bit 0 is the lowest bit of the
 first byte. The start of a little-endian signal is its lowest bit. The start of a big-endian signal
 is its highest bit.
+
+A signal is read from a window of eight bytes. The window begins at byte 0, or at the first byte of
+a signal that ends behind byte 7. Payloads of CAN FD have up to 64 bytes.
 """
 
 import enum
@@ -115,8 +118,13 @@ class Cyclic(NamedTuple):
     feedback_timeout_ns: int = 0
 
 
-START, LENGTH, ORDER, CODING, QUANTITY, CHANNEL = range(6)
-"""Columns of the integer array that describes signals to the packer and the unpacker."""
+START, LENGTH, ORDER, CODING, QUANTITY, CHANNEL, WINDOW = range(7)
+"""Columns of the integer array that describes signals to the packer and the unpacker.
+
+START is the signal's lowest bit in its window, WINDOW the first byte of the window.
+"""
+COLUMNS = 7
+"""Number of integer columns."""
 UNSIGNED, SIGNED, FLOAT = map(int, Coding)
 """Codings as module-level integers, for compiled code."""
 SCALE, OFFSET = range(2)
@@ -124,12 +132,52 @@ SCALE, OFFSET = range(2)
 
 
 def whole_columns(signal: Signal) -> tuple[int, ...]:
-    """Return the integer columns of a signal. The start is its lowest bit in a word."""
-    start = signal.start
+    """Return the integer columns of a signal. The start is its lowest bit in its window."""
+    first = signal.start // 8
+    # Bits of the first byte that precede the signal, in the order of the signal's bits.
+    before = 7 - signal.start % 8 if signal.big_endian else signal.start % 8
+    window = first if 8 * first + before + signal.length > 64 else 0
+    start = 8 * (first - window) + before
     if signal.big_endian:
         # In a word that was read with the first byte highest, the position of the signal's lowest bit.
-        start = 64 - 8 * (start // 8) - (7 - start % 8) - signal.length
-    return start, signal.length, int(signal.big_endian), int(signal.coding), int(signal.quantity), signal.channel
+        start = 64 - start - signal.length
+    order, coding, quantity = int(signal.big_endian), int(signal.coding), int(signal.quantity)
+    return start, signal.length, order, coding, quantity, signal.channel, window
+
+
+@inner
+def window_at(words: Any, first: int, byte: int) -> Any:
+    """Return eight bytes (uint64) of a payload, from a byte on. Bytes behind the last word are 0.
+
+    Args:
+        words: (n,) uint64 words of a row.
+        first: index of the first word of the payload.
+        byte: first byte of the window.
+    """
+    at = first + byte // 8
+    shift = np.uint64(8 * (byte % 8))
+    value = words[at] >> shift
+    # A shift by 64 bits is undefined, hence the second word counts only for a divided window.
+    if shift > np.uint64(0) and at + 1 < len(words):
+        value |= words[at + 1] << (np.uint64(64) - shift)
+    return value
+
+
+@inner
+def put_window(words: Any, first: int, byte: int, bits: Any) -> None:
+    """Add bits (uint64) to eight bytes of a payload with zeros at their positions.
+
+    Args:
+        words: (n,) uint64 words of a row.
+        first: index of the first word of the payload.
+        byte: first byte of the window.
+        bits: content of the window.
+    """
+    at = first + byte // 8
+    shift = np.uint64(8 * (byte % 8))
+    words[at] |= bits << shift
+    if shift > np.uint64(0) and at + 1 < len(words):
+        words[at + 1] |= bits >> (np.uint64(64) - shift)
 
 
 @inner
@@ -178,19 +226,20 @@ def packed(value: float, wholes: Whole, reals: Real, i: int) -> Any:
 
 @kernel("words", "matrix_int", "matrix")
 def unpack_rows(data: Words, rows: Whole, reals: Real) -> Real:
-    """Return the values (signals,) of a payload (1, 1). The arrays have one row per signal."""
+    """Return the values (signals,) of a payload (1, words). The arrays have one row per signal."""
     result = np.empty(len(rows))
     for i in range(len(rows)):
-        result[i] = unpacked(swapped(data[0, 0]) if rows[i, ORDER] else data[0, 0], rows, reals, i)
+        value = window_at(data[0], 0, rows[i, WINDOW])
+        result[i] = unpacked(swapped(value) if rows[i, ORDER] else value, rows, reals, i)
     return result
 
 
 @kernel("words", "matrix_int", "matrix", "vector")
 def pack_rows(data: Words, rows: Whole, reals: Real, values: Real) -> None:
-    """Write values (signals,) into a payload (1, 1) with zeros at their positions."""
+    """Write values (signals,) into a payload (1, words) with zeros at their positions."""
     for i in range(len(rows)):
         bits = packed(values[i], rows, reals, i)
-        data[0, 0] |= swapped(bits) if rows[i, ORDER] else bits
+        put_window(data[0], 0, rows[i, WINDOW], swapped(bits) if rows[i, ORDER] else bits)
 
 
 class Table:
@@ -198,7 +247,7 @@ class Table:
 
     Attributes:
         message: the message.
-        wholes: (signals, 6), see ``START``.
+        wholes: (signals, COLUMNS), see ``START``.
         reals: (signals, 2), see ``SCALE``.
     """
 
@@ -206,13 +255,14 @@ class Table:
         """Build the arrays of a message. Unused signals are left out."""
         self.message = message
         signals = [signal for signal in message.signals if signal.quantity != Quantity.UNUSED]
-        self.wholes: Whole = np.array([whole_columns(signal) for signal in signals], dtype=np.int64).reshape(-1, 6)
+        self.wholes: Whole = np.array([whole_columns(signal) for signal in signals], dtype=np.int64).reshape(
+            -1, COLUMNS
+        )
         self.reals: Real = np.array([(one.scale, one.offset) for one in signals], dtype=np.float64).reshape(-1, 2)
 
     def unpack(self, data: bytes) -> list[float]:
         """Return the value of each signal, NaN for a float that is not finite."""
-        padded = np.frombuffer(data.ljust(8, b"\0"), np.uint64, 1).reshape(1, 1).copy()
-        values: list[float] = unpack_rows(padded, self.wholes, self.reals).tolist()
+        values: list[float] = unpack_rows(self._words(data), self.wholes, self.reals).tolist()
         return values
 
     def pack(self, *values: float) -> bytes:
@@ -225,6 +275,11 @@ class Table:
             # Negated, so that NaN is refused.
             if not abs(value) <= self.message.limit:
                 raise ValueError(f"torque {value} N m, expected at most {self.message.limit:g}")
-        data = np.frombuffer(self.message.base.ljust(8, b"\0"), np.uint64, 1).reshape(1, 1).copy()
+        data = self._words(self.message.base)
         pack_rows(data, self.wholes, self.reals, np.array(values, dtype=np.float64))
         return data.tobytes()[: self.message.length]
+
+    def _words(self, data: bytes) -> Words:
+        """Return a payload as words (1, words), with zeros up to the length of the message or more."""
+        words = max(1, -(-self.message.length // 8))
+        return np.frombuffer(data.ljust(8 * words, b"\0"), np.uint64, words).reshape(1, words).copy()

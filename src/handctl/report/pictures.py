@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.core.types import Mode
-from handctl.drives.frame import FDF
+from handctl.drives.frame import EXTENDED, FDF
 from handctl.drives.frame_time import frame_time_s
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
@@ -190,7 +190,8 @@ def loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
                 bus = hand.bus[frame.bus]
                 fd = bool(frame.flags & FDF)
                 size = len(frame.data)
-                busy[i, frame.bus] += frame_time_s(size, fd, bus.bitrate, bus.data_bitrate)
+                extended = bool(frame.can_id & EXTENDED)
+                busy[i, frame.bus] += frame_time_s(size, fd, bus.bitrate, bus.data_bitrate, extended)
     window = max(1, min(round(LOAD_WINDOW_S * 1e9 / log.header.period_ns), len(log)))
     kernel = np.ones(window) / (window * log.header.period_ns * 1e-9)
     load = busy

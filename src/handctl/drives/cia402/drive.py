@@ -145,6 +145,11 @@ class Cia402Drive:
         return (*beats, *((8, False, readback.RECHECKS_PER_SECOND),) * 2)
 
     @property
+    def extended(self) -> bool:
+        """Return False: all identifiers have 11 bits."""
+        return False
+
+    @property
     def host_ids(self) -> frozenset[int]:
         """Return NMT, RPDO, SDO requests, and the master's heartbeat."""
         return frozenset((codec.NMT, codec.RPDO + self.node_id, codec.SDO_REQUEST + self.node_id, _MASTER_BEAT))

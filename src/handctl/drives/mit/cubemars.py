@@ -186,6 +186,11 @@ class CubemarsDrive:
         return ()
 
     @property
+    def extended(self) -> bool:
+        """Return False: all identifiers have 11 bits."""
+        return False
+
+    @property
     def host_ids(self) -> frozenset[int]:
         """Return the command identifier.
 

@@ -116,6 +116,11 @@ class MitDrive:
         return ((8, bool(self.flags), readback.RECHECKS_PER_SECOND),) * 2
 
     @property
+    def extended(self) -> bool:
+        """Return False: all identifiers have 11 bits."""
+        return False
+
+    @property
     def host_ids(self) -> frozenset[int]:
         """Return the command identifiers of all modes, and the register identifier."""
         return frozenset(mode + self.node_id for mode in (0x000, 0x100, 0x200, 0x300)) | {codec.BROADCAST_ID}

@@ -140,6 +140,11 @@ class OdriveDrive:
         )
 
     @property
+    def extended(self) -> bool:
+        """Return False: all identifiers have 11 bits."""
+        return False
+
+    @property
     def host_ids(self) -> frozenset[int]:
         """Return the commands and remote requests of any host."""
         commands = frozenset(codec.can_id(self.node_id, command) for command in codec.COMMANDS)

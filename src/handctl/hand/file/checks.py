@@ -40,6 +40,10 @@ MIT_REGISTER_ID = 0x7FF
 """Identifier of all MIT drives' register frames. Source: Damiao manual."""
 CANOPEN_SERVICES = (0x080, 0x180, 0x200, 0x580, 0x600, 0x700)
 """Emergency, TPDO1, RPDO1, SDO in both directions, heartbeat: plus the node number. Source: CiA 301."""
+EXTENDED = 1 << 31
+"""Mark of a 29-bit identifier. Source: Linux ``can.h``, CAN_EFF_FLAG."""
+STANDARD_IDS = 0x800
+"""Number of 11-bit identifiers."""
 SHARED_IDS = (
     ("mit", MIT_REGISTER_ID, "the register frames of MIT drives"),
     ("odrive", 0x7E2, "the broadcast emergency stop of ODrives"),
@@ -291,7 +295,7 @@ def _check_identifiers(hand: Hand) -> Mistakes:
     for bus, identifier, where in _identifiers(hand):
         if (bus, identifier) in owner and where not in wrong:
             wrong.add(where)
-            text = f"0x{identifier:X}" if isinstance(identifier, int) else str(identifier)
+            text = f"0x{identifier & ~EXTENDED:X}" if isinstance(identifier, int) else str(identifier)
             right = f"another identifier; {owner[bus, identifier]} has it"
             yield Mistake(f'{text} on bus "{bus}" is taken', where, right)
         owner.setdefault((bus, identifier), where)
@@ -310,19 +314,30 @@ def _identifiers(hand: Hand) -> Iterator[tuple[str, object, str]]:
     for identifier in (*node.tension_ids, *node.joint_ids):
         yield node.bus, identifier, "sensor_node.base_id"
     for motor in hand.motor:
-        where = f"motor[{motor.name}].node_id"
-        if motor.protocol == "mit":
-            yield motor.bus, motor.node_id, where
-            yield motor.bus, *_mit_reply(motor, where)
-        elif motor.protocol == "odrive":
-            # An ODrive owns all 32 commands of its node number.
-            for message in range(32):
-                yield motor.bus, motor.node_id << 5 | message, where
-        elif motor.protocol == "cia402":
-            for service in CANOPEN_SERVICES:
-                yield motor.bus, service + motor.node_id, where
-        else:
-            yield motor.bus, f"{motor.protocol} node {motor.node_id}", where
+        for key, where in _motor_identifiers(motor):
+            yield motor.bus, key, where
+
+
+def _motor_identifiers(motor: Motor) -> Iterator[tuple[object, str]]:
+    """Yield (identifier, key path) of the frames of a motor."""
+    where = f"motor[{motor.name}].node_id"
+    if motor.protocol == "mit":
+        yield motor.node_id, where
+        yield _mit_reply(motor, where)
+    elif motor.protocol == "odrive":
+        # An ODrive owns all 32 commands of its node number.
+        for message in range(32):
+            yield motor.node_id << 5 | message, where
+    elif motor.protocol == "cia402":
+        for service in CANOPEN_SERVICES:
+            yield service + motor.node_id, where
+    elif motor.protocol == "moteus":
+        # Requests from source 0 with the reply bit, and replies with 11 bits if the number fits.
+        yield EXTENDED | 0x8000 | motor.node_id, where
+        number = motor.node_id << 8
+        yield number if number < STANDARD_IDS else number | EXTENDED, where
+    else:
+        yield f"{motor.protocol} node {motor.node_id}", where
 
 
 def _mit_reply(motor: Motor, where: str) -> tuple[object, str]:

@@ -1,0 +1,119 @@
+"""Subframes of moteus' register protocol, as the drive reads and writes them. Source: facts, moteus.
+
+    0x00..0x0F write    count, first register, values        0x30  write error: register, error
+    0x10..0x1F read     count, first register                0x31  read error: register, error
+    0x20..0x2F reply    count, first register, values        0x50  no operation
+    0x40 text in, 0x41 text out: channel, length, text       0x42  poll for text: channel, longest length
+
+Bits 3 and 2 of a register subframe are the type: int8, int16, int32, float32. Bits 1 and 0 are the
+count, or 0 if the count follows as a varuint. Numbers are little-endian.
+"""
+
+import math
+import struct
+
+INT8, INT16, INT32, FLOAT = range(4)
+"""Types of values."""
+STRUCTS = (struct.Struct("<b"), struct.Struct("<h"), struct.Struct("<i"), struct.Struct("<f"))
+"""Encoding of a value of each type."""
+FULL = (127, 32767, 2147483647)
+"""Largest count of each integer type. The most negative count means NaN."""
+LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
+"""Payload lengths of CAN FD [bytes]."""
+PADDING = b"\x50"
+"""No operation, which fills a payload up to a length of CAN FD."""
+
+# Value of one count as int8, int16 and int32, by the kind of quantity.
+PLAIN = (1.0, 1.0, 1.0)
+POSITION = (0.01, 0.0001, 0.00001)
+VELOCITY = (0.1, 0.00025, 0.00001)
+TORQUE = (0.5, 0.01, 0.001)
+TEMPERATURE = (1.0, 0.1, 0.001)
+TIME = (0.01, 0.001, 0.000001)
+CURRENT = (1.0, 0.1, 0.001)
+VOLTAGE = (0.5, 0.1, 0.001)
+POWER = (10.0, 0.05, 0.0001)
+ACCELERATION = (0.05, 0.001, 0.00001)
+FRACTION = (1.0 / 127, 1.0 / 32767, 1.0 / 2147483647)
+
+
+class Malformed(Exception):  # noqa: N818 - never leaves the node
+    """A payload ends within a subframe, or has an unknown subframe."""
+
+
+class Reader:
+    """Cursor over a payload."""
+
+    def __init__(self, data: bytes) -> None:
+        """Start at the first byte of a payload."""
+        self._data = data
+        self._at = 0
+
+    @property
+    def more(self) -> bool:
+        """Return True before the end of the payload."""
+        return self._at < len(self._data)
+
+    def take(self, length: int) -> bytes:
+        """Return the next bytes.
+
+        Raises:
+            Malformed: fewer bytes are left.
+        """
+        part = self._data[self._at : self._at + length]
+        if len(part) != length:
+            raise Malformed
+        self._at += length
+        return part
+
+    def varuint(self) -> int:
+        """Return the next varuint, of at most five bytes.
+
+        Raises:
+            Malformed: the payload ends, or the number is longer.
+        """
+        value = 0
+        for i in range(5):
+            (byte,) = self.take(1)
+            value += (byte & 127) << 7 * i
+            if byte < 128:
+                return value
+        raise Malformed
+
+
+def varuint(value: int) -> bytes:
+    """Return the bytes of a varuint."""
+    if value < 128:
+        return bytes([value])
+    return bytes([128 | value & 127]) + varuint(value >> 7)
+
+
+def decode(raw: bytes, kind: int, steps: tuple[float, float, float]) -> float:
+    """Return the value of a register's bytes. The most negative integer means NaN."""
+    (number,) = STRUCTS[kind].unpack(raw)
+    if kind == FLOAT:
+        return float(number)
+    return math.nan if number < -FULL[kind] else float(number * steps[kind])
+
+
+def encode(value: float, kind: int, steps: tuple[float, float, float]) -> bytes:
+    """Return the bytes of a value, limited to the range of the type and truncated towards 0."""
+    if kind == FLOAT:
+        return STRUCTS[FLOAT].pack(value)
+    if not math.isfinite(value):
+        return STRUCTS[kind].pack(-FULL[kind] - 1)
+    # A step of 1e-5 and 0.00003 give 2.9999999999999996 counts: the drive's float32 gives 3.
+    count = struct.unpack("<f", struct.pack("<f", value / steps[kind]))[0]
+    return STRUCTS[kind].pack(int(max(-FULL[kind], min(FULL[kind], count))))
+
+
+def head(base: int, kind: int, count: int, first: int) -> bytes:
+    """Return the head of a register subframe."""
+    subframe = base | kind << 2
+    start = bytes([subframe | count]) if 0 < count < 4 else bytes([subframe]) + varuint(count)
+    return start + varuint(first)
+
+
+def padded(data: bytes) -> bytes:
+    """Return a payload with a length of CAN FD."""
+    return data + PADDING * (min(length for length in LENGTHS if length >= len(data)) - len(data))

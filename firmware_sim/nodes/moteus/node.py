@@ -1,0 +1,435 @@
+"""A motor with a moteus controller. Source: facts, moteus.
+
+A frame is executed subframe by subframe. Written registers take effect at the end of the frame if
+the frame has written the mode. The reply is built before, therefore its mode is that of the frame
+before. An unknown subframe ends the execution of a frame.
+
+Choices where the fact sheet has an "assumption":
+
+- Preparation of the power stage takes 10 ms, in modes 2, 3 and 4.
+- The drive is calibrated, with the gains of ``text.FACTORY``. The integrator is not simulated.
+- Trajectory limits, stop position, fixed current and the voltage modes are not simulated: a command
+  with one of these modes is refused like a value that does not exist.
+- Beyond a position limit the drive makes no torque in the direction of the limit.
+"""
+
+import math
+import struct
+
+from firmware_sim.bus.frame import BRS, EXTENDED, FDF, REMOTE, Frame
+from firmware_sim.description import MotorSpec
+from firmware_sim.nodes.moteus import multiplex as mp
+from firmware_sim.nodes.moteus import registers as reg
+from firmware_sim.nodes.moteus.text import TextChannel
+from firmware_sim.nodes.thermal import Thermal
+from firmware_sim.plant.motor import Motor
+
+STOPPED, FAULT, ENABLING, CALIBRATING, CALIBRATED = range(5)
+POSITION, TIMEOUT, ZERO_VELOCITY, WITHIN = range(10, 14)
+BRAKE = 15
+"""Modes."""
+COMMANDABLE = {STOPPED, POSITION, ZERO_VELOCITY, WITHIN, BRAKE}
+"""Modes that a host may write here."""
+LAST_MODE = 16
+"""Largest mode number."""
+OVER_TEMPERATURE = 38
+"""Fault code."""
+OUTSIDE_LIMIT = 39
+"""Fault code."""
+UNDER_VOLTAGE = 40
+"""Fault code."""
+MAX_TORQUE_LIMITS = 102
+"""Fault code in position mode: the commanded torque limit acts."""
+BROADCAST = 0x7F
+"""Destination of frames to all drives."""
+ENABLING_NS = 10_000_000
+"""Duration of the preparation of the power stage [ns], an assumption."""
+THERMAL_PERIOD_NS = 100_000_000
+"""Period of the thermal update [ns]."""
+BRAKE_DAMPING = 0.05
+"""Damping of a motor with shorted phases [N m s/rad], an assumption."""
+SERIAL = 0x6D6F7465_75730000_00000000
+"""Serial number of node 0."""
+FIRMWARE_VERSION = 0x00010001
+"""Version 1.0.1, one byte a number."""
+TURN = 2.0 * math.pi
+"""Radians per turn [rad]."""
+INTEGERS = frozenset((0x100, 0x101, 0x102, 0x110, 0x120, 0x121, 0x122, 0x150, 0x151, 0x152, 0x153, 0x158))
+"""Registers that can only be read as int32."""
+
+
+class MoteusNode:
+    """One controller.
+
+    Attributes:
+        mode: present mode.
+        fault: fault code, also of a limit in effect.
+        command: registers of the present command.
+        channel: text channel with the configuration.
+        thermal: temperatures.
+        offset: angle on the wire at theta = 0 [rad].
+        ids: None, because it takes many identifiers.
+        malformed: frames that it could not decode.
+        wake_ns: time of the next wake [ns].
+        watchdog_fed_ns: time of the last command [ns].
+    """
+
+    def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
+        """Set up the node after power-up.
+
+        Args:
+            spec: description of the motor.
+            motor: rotor of the motor.
+            offset: angle on the wire at theta = 0 [rad].
+        """
+        self.motor = motor
+        self.offset = offset
+        self.ids: frozenset[int] | None = None
+        self.node_id = spec.node_id
+        self.thermal = Thermal(spec.torque_constant)
+        self.mode = STOPPED
+        self.fault = 0
+        self.command = dict(reg.DEFAULTS)
+        self.channel = TextChannel(lambda: self._stop())
+        self.malformed = 0
+        self.wake_ns = 0
+        self.watchdog_fed_ns = 0
+        self._direction = spec.direction
+        self._peak = spec.torque_peak
+        self._torque_constant = spec.torque_constant
+        self._serial = SERIAL + spec.node_id if spec.serial is None else spec.serial
+        self._next_mode = STOPPED
+        self._pending: int | None = None
+        self._enabling_ns = 0
+        self._thermal_ns = -1
+        self._t_ns = 0
+
+    def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
+        """Execute a frame.
+
+        Returns:
+            The answers, None if the frame is not for this controller.
+        """
+        number = frame.can_id & ~EXTENDED
+        if frame.can_id & REMOTE or number >> 16 or number & 0xFF not in (self.node_id, BROADCAST):
+            return None
+        self._t_ns = t_ns
+        self._pending = None
+        reply = self._execute(frame.data)
+        if self._pending is not None:
+            self._apply(self._pending, t_ns)
+        if not number & 0x8000:
+            return []
+        return [self._reply(reply, number >> 8 & 0x7F, frame)]
+
+    def _reply(self, data: bytes, host: int, frame: Frame) -> Frame:
+        """Return a reply to a host, in the format of the request if its length allows."""
+        number = self.node_id << 8 | host
+        can_id = number | EXTENDED if number >= 0x800 else number
+        classical = not frame.flags & FDF and len(data) <= 8
+        flags = 0 if classical else FDF | frame.flags & BRS
+        return Frame(can_id, data if classical else mp.padded(data), flags, frame.bus, self._t_ns)
+
+    def _execute(self, data: bytes) -> bytes:
+        """Execute the subframes of a payload and return the reply."""
+        reader = mp.Reader(data)
+        out = b""
+        try:
+            while reader.more:
+                (kind,) = reader.take(1)
+                if kind == mp.PADDING[0]:
+                    continue
+                if kind < 0x20:
+                    part = self._registers(kind, reader)
+                    if part is None:
+                        return out
+                    out += part
+                elif kind in (0x40, 0x42):
+                    out += self._text(kind, reader)
+                else:
+                    raise mp.Malformed
+        except mp.Malformed:
+            self.malformed += 1
+        return out
+
+    def _registers(self, subframe: int, reader: mp.Reader) -> bytes | None:
+        """Execute a subframe that writes or reads registers.
+
+        Returns:
+            Part of the reply, None if the rest of the frame is for another controller.
+        """
+        kind = subframe >> 2 & 3
+        count = subframe & 3 or reader.varuint()
+        first = reader.varuint()
+        out = b""
+        if subframe >= 0x10:
+            return self._read_all(kind, count, first)
+        for number in range(first, first + count):
+            raw = reader.take(mp.STRUCTS[kind].size)
+            if reg.UUID_MASK <= number < reg.UUID_MASK + 4:
+                expected = struct.pack("<I", self._uuid(number - reg.UUID_MASK))
+                if kind != mp.INT32 or raw != expected:
+                    return None
+                continue
+            if error := self._write(number, kind, raw):
+                out += b"\x30" + mp.varuint(number) + mp.varuint(error)
+        return out
+
+    def _read_all(self, kind: int, count: int, first: int) -> bytes:
+        """Return the reply to a read of registers. A register without a value ends it with an error."""
+        values = list[bytes]()
+        error = b""
+        for number in range(first, first + min(count, 64)):
+            raw = self._read(number, kind)
+            if raw is None:
+                error = b"\x31" + mp.varuint(number) + mp.varuint(reg.UNKNOWN)
+                break
+            values.append(raw)
+        return (mp.head(0x20, kind, len(values), first) + b"".join(values) if values else b"") + error
+
+    def _write(self, number: int, kind: int, raw: bytes) -> int:
+        """Write a register and return an error number, 0 without an error."""
+        number = reg.SHADOWS.get(number, number)
+        if number == reg.MODE:
+            mode = mp.decode(raw, kind, mp.PLAIN)
+            if mode not in COMMANDABLE:
+                return reg.INVALID
+            self._pending = int(mode)
+            self.command = dict(reg.DEFAULTS)
+        elif number in reg.COMMANDS:
+            self.command[number] = mp.decode(raw, kind, reg.COMMANDS[number])
+        elif number in (reg.SET_NEAREST, reg.SET_EXACT):
+            self._set_position(mp.decode(raw, kind, mp.POSITION), number == reg.SET_NEAREST)
+        elif number == reg.RECAPTURE:
+            self._apply(self.mode, self._t_ns)
+        elif number in reg.MEASURED or number in INTEGERS:
+            return reg.NOT_WRITEABLE
+        else:
+            return reg.UNKNOWN
+        return 0
+
+    def _set_position(self, turns: float, nearest: bool) -> None:
+        """Shift the reported position to a value, or by whole turns to the nearest value."""
+        if math.isfinite(turns):
+            shift = turns - self._position
+            self.offset += TURN * (round(shift) if nearest else shift)
+
+    def _read(self, number: int, kind: int) -> bytes | None:
+        """Return the bytes of a register, None for an unknown register or a wrong type."""
+        number = reg.SHADOWS.get(number, number)
+        if number in INTEGERS:
+            return struct.pack("<I", self._integer(number)) if kind == mp.INT32 else None
+        if number == reg.MODE:
+            return mp.encode(self.mode, kind, mp.PLAIN)
+        if number in reg.COMMANDS:
+            return mp.encode(self.command[number], kind, reg.COMMANDS[number])
+        steps = reg.MEASURED.get(number)
+        return None if steps is None else mp.encode(self._measured(number), kind, steps)
+
+    def _integer(self, number: int) -> int:
+        """Return a register of 32 bits."""
+        if 0x120 <= number <= 0x122:
+            return self._serial >> 32 * (number - 0x120) & 0xFFFFFFFF
+        if reg.UUID <= number < reg.UUID + 4:
+            return self._uuid(number - reg.UUID)
+        # Model number, firmware, register map version, capability of the UUID mask.
+        fixed = {0x100: 3, 0x101: FIRMWARE_VERSION, 0x102: 6, reg.MULTIPLEX_ID: self.node_id, 0x158: 1}
+        return fixed[number]
+
+    def _uuid(self, part: int) -> int:
+        """Return 32 of the 128 bits of the UUID."""
+        return (self._serial << 32 | 0x5AFE) >> 32 * part & 0xFFFFFFFF
+
+    @property
+    def _position(self) -> float:
+        """Return the position on the wire [turn]."""
+        return (self._direction * self.motor.encoder() + self.offset) / TURN
+
+    def _measured(self, number: int) -> float:
+        """Return a measured value."""
+        motor = self.motor
+        sign = self._direction
+        torque = sign * motor.torque
+        velocity = sign * motor.velocity / TURN
+        commanded = sign * motor.servo.torque
+        values: dict[int, float] = {
+            0x001: self._position, 0x002: velocity, 0x003: torque, 0x004: torque / self._torque_constant,
+            0x006: self._position, 0x007: motor.torque * motor.velocity, 0x00A: self.thermal.winding, 0x00B: 1.0,
+            0x00C: 1.0, 0x00D: 24.0, 0x00E: self.thermal.mosfet, 0x00F: self.fault, 0x033: commanded,
+            0x034: commanded, 0x03A: commanded, 0x03D: torque - commanded, 0x050: self._position, 0x051: velocity,
+            0x070: self._t_ns // 1_000_000 % 8388608,
+        }  # fmt: skip
+        return values.get(number, 0.0)
+
+    def _text(self, kind: int, reader: mp.Reader) -> bytes:
+        """Execute a subframe of the text channel and return the part of the answers that fits."""
+        channel = reader.varuint()
+        length = reader.varuint()
+        data = reader.take(length) if kind == 0x40 else b""
+        if channel != 1:
+            return b""
+        self.channel.write(data)
+        part = self.channel.read(min(length, 61)) if kind == 0x42 else b""
+        return b"\x41" + mp.varuint(channel) + mp.varuint(len(part)) + part
+
+    def _apply(self, mode: int, t_ns: int) -> None:
+        """Execute a command. Fault and timeout are left by the stop command only."""
+        if mode == STOPPED:
+            self._stop()
+            return
+        if self.mode in (FAULT, TIMEOUT):
+            return
+        self.watchdog_fed_ns = t_ns
+        self._next_mode = mode
+        if self.mode == STOPPED:
+            self.mode = ENABLING
+            self._enabling_ns = t_ns
+        elif self.mode not in (ENABLING, CALIBRATING, CALIBRATED):
+            self.mode = mode
+            self._follow()
+        self._schedule()
+
+    def _stop(self) -> None:
+        """Switch the power stage off and clear a fault."""
+        self.motor.servo.release()
+        self.mode = STOPPED
+        self.fault = 0
+        self._schedule()
+
+    def _item(self, name: str) -> float:
+        """Return a configuration item."""
+        return self.channel.items[name]
+
+    def _follow(self) -> None:
+        """Set the servo for the present command."""
+        command = self.command
+        kp = self._item("servo.pid_position.kp") / TURN
+        kd = self._item("servo.pid_position.kd") / TURN
+        limit = command[reg.MAX_TORQUE]
+        if self.mode == BRAKE:
+            self._servo(0.0, BRAKE_DAMPING, 0.0, 0.0, 0.0, math.nan)
+        elif self.mode == ZERO_VELOCITY:
+            timeout_limit = self._item("servo.timeout_max_torque_Nm")
+            self._servo(0.0, kd * command[reg.KD_SCALE], 0.0, 0.0, 0.0, timeout_limit)
+        elif self.mode == WITHIN:
+            target = self._violated_bound()
+            scale = 0.0 if target is None else 1.0
+            kp *= scale * command[reg.KP_SCALE]
+            kd *= scale * command[reg.KD_SCALE]
+            self._servo(kp, kd, target or 0.0, 0.0, command[reg.FEEDFORWARD], limit)
+        else:
+            position = command[reg.POSITION]
+            velocity = command[reg.VELOCITY]
+            position = self._position if math.isnan(position) else position
+            velocity = 0.0 if math.isnan(velocity) else velocity
+            kp *= command[reg.KP_SCALE]
+            kd *= command[reg.KD_SCALE]
+            self._servo(kp, kd, position, velocity, command[reg.FEEDFORWARD], limit)
+
+    def _violated_bound(self) -> float | None:
+        """Return the bound of "stay within" that the position violates [turn], None without."""
+        lower = self.command[reg.LOWER_BOUND]
+        upper = self.command[reg.UPPER_BOUND]
+        if self._position < lower:
+            return lower
+        return upper if self._position > upper else None
+
+    def _servo(self, kp: float, kd: float, position: float, velocity: float, torque: float, limit: float) -> None:
+        """Set gains and setpoints in units of the wire: turn, turn/s, N m. A limit of NaN is the peak torque."""
+        servo = self.motor.servo
+        sign = self._direction
+        peak = min(self._peak, self._item("servo.max_current_A") * self._torque_constant)
+        largest = peak if math.isnan(limit) else min(peak, abs(limit))
+        finite = torque if math.isfinite(torque) else 0.0
+        if not self.command[reg.IGNORE_BOUNDS]:
+            if self._position > self._item("servopos.position_max"):
+                finite = min(0.0, finite)
+            if self._position < self._item("servopos.position_min"):
+                finite = max(0.0, finite)
+        self.fault = MAX_TORQUE_LIMITS if abs(finite) > largest else 0
+        servo.kp = kp
+        servo.kd = kd
+        servo.position = sign * (position * TURN - self.offset)
+        servo.velocity = sign * velocity * TURN
+        servo.torque = sign * max(-largest, min(largest, finite))
+        servo.limit = largest
+
+    def trip(self, fault: int) -> None:
+        """Enter the fault mode with a code. Timeout is a mode of its own, without a code."""
+        self.motor.servo.release()
+        self.mode = TIMEOUT if fault == TIMEOUT else FAULT
+        self.fault = 0 if fault == TIMEOUT else fault
+        self._schedule()
+
+    def power_cycle(self) -> None:
+        """Restart stopped, with the stored configuration."""
+        self._stop()
+        self.command = dict(reg.DEFAULTS)
+        self.channel.forget()
+
+    def lose_settings(self) -> None:
+        """Restore the stored configuration without a change of mode."""
+        self.channel.forget()
+
+    @property
+    def _timeout_ns(self) -> int:
+        """Return the time without a command until the watchdog fires [ns], 0 if it is off."""
+        seconds = self.command[reg.TIMEOUT]
+        if seconds == 0.0:
+            seconds = self._item("servo.default_timeout_s")
+        return int(seconds * 1e9) if 0.0 < seconds < 1e6 else 0
+
+    def _schedule(self) -> None:
+        """Set the time of the next wake."""
+        due = [self._thermal_ns + THERMAL_PERIOD_NS]
+        if self.mode in (ENABLING, CALIBRATING, CALIBRATED):
+            due.append(self._enabling_ns + ENABLING_NS)
+        if self.mode in (POSITION, WITHIN) and self._timeout_ns:
+            due.append(self.watchdog_fed_ns + self._timeout_ns + 1)
+        self.wake_ns = min(due)
+
+    def wake(self, t_ns: int) -> None:
+        """Finish the preparation, and check watchdog and temperatures."""
+        self._t_ns = t_ns
+        if self.mode == ENABLING and t_ns - self._enabling_ns >= ENABLING_NS:
+            self._start()
+        timeout_ns = self._timeout_ns
+        if self.mode in (POSITION, WITHIN) and timeout_ns and t_ns - self.watchdog_fed_ns > timeout_ns:
+            self._time_out()
+        if self._thermal_ns < 0 or t_ns - self._thermal_ns >= THERMAL_PERIOD_NS:
+            self._update_thermal(t_ns)
+        self._schedule()
+
+    def _start(self) -> None:
+        """Enter the commanded mode, unless the position is outside its limits."""
+        position = self._position
+        outside = position < self._item("servopos.position_min") or position > self._item("servopos.position_max")
+        if self._next_mode == POSITION and outside and not self.command[reg.IGNORE_BOUNDS]:
+            self.trip(OUTSIDE_LIMIT)
+            return
+        self.mode = self._next_mode
+        self._follow()
+
+    def _time_out(self) -> None:
+        """Enter the timeout mode, whose effect is an item of the configuration."""
+        effect = int(self._item("servo.timeout_mode"))
+        self.mode = effect if effect in (POSITION, ZERO_VELOCITY, BRAKE) else STOPPED
+        if self.mode == STOPPED:
+            self.motor.servo.release()
+        else:
+            self.command |= {reg.FEEDFORWARD: 0.0, reg.POSITION: math.nan, reg.VELOCITY: 0.0}
+            self._follow()
+        self.mode = TIMEOUT
+        self.fault = 0
+
+    def _update_thermal(self, t_ns: int) -> None:
+        """Integrate the temperatures, and trip on over-temperature."""
+        if self._thermal_ns >= 0:
+            self.thermal.advance((t_ns - self._thermal_ns) * 1e-9, self.motor.heat)
+        self.motor.heat = 0.0
+        self._thermal_ns = t_ns
+        too_hot = self.thermal.winding > self._item(
+            "servo.motor_fault_temperature"
+        ) or self.thermal.mosfet > self._item("servo.fault_temperature")
+        if too_hot and self.mode not in (STOPPED, FAULT):
+            self.trip(OVER_TEMPERATURE)

@@ -1,0 +1,1 @@
+"""Moteus controllers (mjbots): register protocol over CAN FD."""

@@ -1,0 +1,337 @@
+"""Frames of moteus' register protocol: bytes <-> values at the output shaft. All numbers are little-endian.
+
+Identifier of a request, always 29 bits, and of its reply, 11 bits below 0x800, else 29 bits:
+
+    bits    28..16         15                14..8           7..0
+    request prefix (0)     1 reply wanted    source (host)   destination (node)
+    reply   prefix (0)     0                 source (node)   destination (host)
+
+A payload is a sequence of subframes, padded with 50 (no operation). Type is 0 int8, 1 int16,
+2 int32, 3 float32. A count of 1 to 3 is in the lowest two bits, a larger one is a varuint:
+
+    00 | type << 2 | count    register (varuint), values          write
+    10 | type << 2 | count    register (varuint)                  read
+    20 | type << 2 | count    register (varuint), values          reply
+    30, 31                    register, error (varuints)          write refused, read refused
+    40, 41                    channel, length, text               text to the drive, text from it
+    42                        channel, longest length             request for text
+
+Command of a tick, 48 bytes:
+
+    byte    0..2            3, 4    5..8      9..12                     13..16
+    field   mode: 01 00 0A  0D 22   torque    02 20 80 00               02 23 00 00
+            position mode           float32   position NaN, velocity 0  kp and kd scale 0
+    byte    17..19          20, 21  22..25        26, 27  28..31         32..39, then padding
+    field   01 2B 00        0D 25   limit         0D 27   watchdog [s]   query
+            integrator 0            float32 N m           float32
+
+Feedback, the reply to the query, 24 bytes:
+
+    byte    0, 1, 2         3..6                         7, 8    9..20                           21..23
+    field   21 00 mode      22 0E temperature, fault     2F 01   position, velocity, torque      21 0A temperature
+                            int8 degC                            float32 turn, turn/s, N m       motor, int8 degC
+
+Source: docs/facts/moteus.md.
+"""
+
+import math
+import struct
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+from handctl.drives.frame import BRS, EXTENDED, FDF
+from handctl.drives.frame_time import FD_SIZES
+from handctl.drives.signals import Coding, Message, Quantity, Signal
+
+FLAGS = FDF | BRS
+"""Flags of frames to the drive."""
+REPLY_WANTED = 0x8000
+"""Bit of a request's identifier. Without it a drive does not answer."""
+STANDARD_IDS = 0x800
+"""Number of 11-bit identifiers."""
+LAST_NODE = 0x7E
+"""Largest node number. 0x7F is the broadcast."""
+BROADCAST = 0x7F
+"""Node number of all drives."""
+SOURCES = range(0x80)
+"""Source numbers of hosts. handctl is source 0."""
+NOP = 0x50
+"""Padding byte."""
+
+# Registers: commands, then identity. Numbers beyond 0x7F take two bytes as a varuint.
+MODE = 0x000
+MOTOR_TEMPERATURE = 0x00A
+TEMPERATURE = 0x00E
+FAULT = 0x00F
+MAX_TORQUE = 0x025
+TIMEOUT = 0x027
+INTEGRATOR_SCALE = 0x02B
+FIRMWARE = 0x101
+SERIAL = 0x120
+
+# Modes without torque: stopped, fault.
+STOPPED = 0
+IN_FAULT = 1
+PREPARING = (2, 3, 4)
+"""Modes between stopped and position mode."""
+POSITION = 10
+"""Mode of torque commands: position mode with gains 0."""
+TIMED_OUT = 11
+"""Mode after the watchdog. Only the stop command leaves it."""
+LIMITING = range(96, 128)
+"""Fault codes in position mode that name the limit in effect. They are no errors."""
+FAULTS = {
+    32: "calibration fault",
+    33: "motor driver fault",
+    34: "over-voltage",
+    35: "encoder fault",
+    36: "motor not configured",
+    37: "PWM cycle overrun",
+    38: "over-temperature",
+    39: "outside the position limits",
+    40: "under-voltage",
+    41: "configuration changed while enabled",
+    42: "no valid commutation encoder",
+    43: "no valid output encoder",
+    44: "gate driver cannot be enabled",
+    45: "stop position is not supported",
+    46: "timing violation",
+    47: "back-EMF feedforward without acceleration limit",
+    48: "invalid position limits",
+}
+"""Fault codes in mode 1."""
+
+WRITE, READ, REPLY = 0x00, 0x10, 0x20
+"""Kinds of register subframes."""
+INT8, INT16, INT32, FLOAT = range(4)
+"""Types of register values."""
+WRITE_REFUSED, READ_REFUSED = 0x30, 0x31
+"""Subframes with a register and an error number."""
+TEXT_IN, TEXT_OUT, TEXT_POLL = 0x40, 0x41, 0x42
+"""Subframes of the text channel: to the drive, from the drive, request."""
+CHANNEL = 1
+"""Channel of the diagnostic protocol."""
+LONGEST_TEXT = 48
+"""Longest text in one reply [bytes]."""
+_VALUES = tuple(struct.Struct(f"<{letter}") for letter in "bhif")
+"""Coding of each type."""
+
+QUERY = bytes((READ | 1, MODE, READ | 2, TEMPERATURE, READ | FLOAT << 2 | 3, 0x01, READ | 1, MOTOR_TEMPERATURE))
+"""Request for the feedback."""
+FEEDBACK_LENGTH = 24
+"""Length of the feedback [bytes]."""
+STATUS_HEADS = ((0, b"\x21"), (3, b"\x22"), (7, b"\x2f\x01"), (21, b"\x21\x0a"))
+"""First byte and content of the subframe heads that the feedback's status contains."""
+
+
+def request_id(node_id: int, source: int = 0) -> int:
+    """Return the identifier of a request of a source to a node."""
+    return EXTENDED | REPLY_WANTED | source << 8 | node_id
+
+
+def reply_id(node_id: int, source: int = 0) -> int:
+    """Return the identifier of a node's reply to a source."""
+    number = node_id << 8 | source
+    return number if number < STANDARD_IDS else number | EXTENDED
+
+
+def padded(payload: bytes) -> bytes:
+    """Return a payload with the next length of CAN FD."""
+    return payload.ljust(next(size for size in FD_SIZES if size >= len(payload)), bytes((NOP,)))
+
+
+def floats(first: int, *values: float) -> bytes:
+    """Return the subframe that writes at most three consecutive registers as float32."""
+    head = bytes((WRITE | FLOAT << 2 | len(values), first))
+    return head + struct.pack(f"<{len(values)}f", *values)
+
+
+def small(first: int, *values: int) -> bytes:
+    """Return the subframe that writes at most three consecutive registers as int8. -128 is NaN."""
+    return struct.pack(f"<BB{len(values)}b", WRITE | len(values), first, *values)
+
+
+def read(kind: int, register: int) -> bytes:
+    """Return the subframe that reads a register as a type."""
+    return bytes((READ | kind << 2 | 1,)) + varuint(register)
+
+
+def varuint(number: int) -> bytes:
+    """Return a number in groups of seven bits, the lowest first."""
+    out = bytearray()
+    while number > 0x7F:
+        out.append(number & 0x7F | 0x80)
+        number >>= 7
+    return bytes((*out, number))
+
+
+def limits(torque: float, timeout_s: float) -> bytes:
+    """Return the subframes of the drive's own torque limit [N m] and watchdog [s]."""
+    return floats(MAX_TORQUE, torque) + floats(TIMEOUT, timeout_s)
+
+
+STOP = padded(small(MODE, STOPPED) + QUERY)
+"""Payload of the stop command."""
+
+
+def limits_request(torque: float, timeout_s: float) -> bytes:
+    """Return the payload that stores the limits in the command registers.
+
+    Without a write of the mode they take no effect. A firmware without the integrator's register
+    refuses it here, before any torque.
+    """
+    return padded(limits(torque, timeout_s) + small(INTEGRATOR_SCALE, 0) + QUERY)
+
+
+def text_request(text: bytes) -> bytes:
+    """Return the payload that writes a text to the diagnostic channel."""
+    return padded(bytes((TEXT_IN, CHANNEL, len(text))) + text)
+
+
+TEXT_REQUEST = padded(bytes((TEXT_POLL, CHANNEL, LONGEST_TEXT)))
+"""Payload that requests the text of the diagnostic channel."""
+
+
+def command_message(node_id: int, torque: float, timeout_s: float, sign: int = 1) -> Message:
+    """Return the torque command: position mode, gains 0, and feedforward torque.
+
+    Args:
+        node_id: node number.
+        torque: torque limit, in host and drive [N m].
+        timeout_s: watchdog [s].
+        sign: sign of the torque, 1 if positive torque winds.
+    """
+    no_motion = small(0x020, -128, 0) + small(0x023, 0, 0) + small(INTEGRATOR_SCALE, 0)
+    base = small(MODE, POSITION) + floats(0x022, 0.0) + no_motion + limits(torque, timeout_s) + QUERY
+    signals = (
+        _float("torque", Quantity.TORQUE, 5, float(sign), "N m"),
+        _float("torque_limit", Quantity.UNUSED, 22, 1.0, "N m"),
+        _float("watchdog", Quantity.UNUSED, 28, 1.0, "s"),
+    )
+    base = padded(base)
+    return Message("command", request_id(node_id), len(base), signals, FLAGS, base, False, torque)
+
+
+def feedback_message(node_id: int, sign: int = 1, zero: float = 0.0) -> Message:
+    """Return the feedback.
+
+    Args:
+        node_id: node number.
+        sign: sign of position, velocity, and torque, 1 if positive torque winds.
+        zero: motor angle of the spool's zero [rad].
+    """
+    turns = sign * math.tau
+    position = _float("position", Quantity.POSITION, 9, turns, "rad")
+    return Message("feedback", reply_id(node_id), FEEDBACK_LENGTH, (
+        Signal("mode_head", Quantity.STATUS, 0, 8),
+        Signal("mode", Quantity.STATUS, 16, 8),
+        Signal("temperature_head", Quantity.STATUS, 24, 8),
+        Signal("fault", Quantity.STATUS, 48, 8),
+        Signal("values_head", Quantity.STATUS, 56, 16),
+        Signal("motor_head", Quantity.STATUS, 168, 16),
+        # Spool angle = sign * (motor angle - zero).
+        position._replace(offset=-sign * zero),
+        _float("velocity", Quantity.VELOCITY, 13, turns, "rad/s"),
+        _float("torque", Quantity.TORQUE, 17, float(sign), "N m"),
+        Signal("board", Quantity.TEMPERATURE, 40, 8, coding=Coding.SIGNED, unit="degC"),
+        # Without a thermistor the count is -128, and the board is the hottest.
+        Signal("motor", Quantity.TEMPERATURE, 184, 8, coding=Coding.SIGNED, unit="degC"),
+    ), FLAGS)  # fmt: skip
+
+
+def _float(name: str, quantity: Quantity, byte: int, scale: float, unit: str) -> Signal:
+    """Return a float32 that begins at a byte."""
+    return Signal(name, quantity, 8 * byte, 32, coding=Coding.FLOAT, scale=scale, unit=unit)
+
+
+def status(mode: int, fault: int) -> int:
+    """Return the status of feedback as compiled code joins it from the signals."""
+    heads = [int.from_bytes(content, "little") for _, content in STATUS_HEADS]
+    return ((((heads[0] << 8 | mode) << 8 | heads[1]) << 8 | fault) << 16 | heads[2]) << 16 | heads[3]
+
+
+def is_feedback(data: bytes) -> bool:
+    """Return True for a payload with the layout of the feedback."""
+    heads = all(data[at : at + len(content)] == content for at, content in STATUS_HEADS)
+    return len(data) == FEEDBACK_LENGTH and heads
+
+
+class Reply(NamedTuple):
+    """Content of a reply.
+
+    Attributes:
+        values: values by register.
+        refused: error numbers by register.
+        text: text of the diagnostic channel, None without a text subframe.
+    """
+
+    values: dict[int, float]
+    refused: dict[int, int]
+    text: bytes | None
+
+
+def reply(data: bytes) -> Reply | None:
+    """Return the content of a reply, None for a payload that is no reply."""
+    values = dict[int, float]()
+    refused = dict[int, int]()
+    text = None
+    reader = _Reader(data)
+    try:
+        while reader.at < len(data):
+            kind = reader.byte()
+            if kind == NOP:
+                continue
+            if REPLY <= kind < REPLY + 0x10:
+                values.update(reader.registers(kind))
+            elif kind in (WRITE_REFUSED, READ_REFUSED):
+                register = reader.varuint()
+                refused[register] = reader.varuint()
+            elif kind == TEXT_OUT:
+                reader.varuint()
+                text = reader.bytes(reader.varuint())
+            else:
+                return None
+    except IndexError:
+        return None
+    return Reply(values, refused, text) if values or refused or text is not None else None
+
+
+class _Reader:
+    """Cursor over a payload. Raises IndexError beyond its end."""
+
+    def __init__(self, data: bytes) -> None:
+        """Start at the first byte."""
+        self.data = data
+        self.at = 0
+
+    def byte(self) -> int:
+        """Return the next byte."""
+        value = self.data[self.at]
+        self.at += 1
+        return value
+
+    def bytes(self, number: int) -> bytes:
+        """Return the next bytes."""
+        value = self.data[self.at : self.at + number]
+        if len(value) < number:
+            raise IndexError
+        self.at += number
+        return value
+
+    def varuint(self) -> int:
+        """Return the next number of at most five groups of seven bits."""
+        number = 0
+        for shift in range(0, 35, 7):
+            group = self.byte()
+            number |= (group & 0x7F) << shift
+            if group < 0x80:
+                return number
+        raise IndexError
+
+    def registers(self, kind: int) -> Iterator[tuple[int, Any]]:
+        """Yield (register, value) of a register subframe."""
+        coding = _VALUES[kind >> 2 & 3]
+        count = kind & 3 or self.varuint()
+        first = self.varuint()
+        for register in range(first, first + count):
+            yield register, coding.unpack(self.bytes(coding.size))[0]

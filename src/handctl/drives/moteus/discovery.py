@@ -1,0 +1,101 @@
+"""Discovery of moteus controllers: reads of the mode register from each node number, then of other registers.
+
+Reads make no torque and do not feed the watchdog. All requests and replies fit into eight bytes,
+and are classical frames, because a classical bus must not carry CAN FD. A drive answers a classical
+request classically. Source: docs/facts/moteus.md.
+"""
+
+import math
+
+from handctl.drives.discovery import TWINS, DiscoveredNode, Discovery, ReceivedFrames, have_twins
+from handctl.drives.frame import ERROR, EXTENDED, REMOTE, Frame
+from handctl.drives.moteus import codec
+from handctl.drives.moteus.progress import error_text
+
+NUMBERS = range(1, codec.LAST_NODE + 1)
+"""Node numbers to try."""
+MODE_REQUEST = codec.read(codec.INT8, codec.MODE)
+"""Request that finds a node. Its reply begins with 21 00."""
+MODE_REPLY = bytes((codec.REPLY | 1, codec.MODE))
+DETAILS = (
+    codec.read(codec.INT8, codec.FAULT),
+    *(codec.read(codec.INT32, register) for register in (codec.FIRMWARE, *range(codec.SERIAL, codec.SERIAL + 3))),
+)
+"""Requests for fault code, firmware version, and serial number."""
+_MODES = {codec.STOPPED: "stopped", codec.IN_FAULT: "fault", codec.POSITION: "position", codec.TIMED_OUT: "timeout"}
+
+
+def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
+    """Return the request frames of a round: mode of every number (2), details of discovered drives (3)."""
+    if turn == 2:
+        return tuple(Frame(codec.request_id(number), MODE_REQUEST) for number in NUMBERS)
+    if turn == 3:
+        return tuple(Frame(codec.request_id(drive.node_id), data) for drive in nodes(received) for data in DETAILS)
+    return ()
+
+
+def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
+    """Return the drives that answered with their mode to this host."""
+    answers: dict[int, dict[int, list[bytes]]] = {}
+    by_reply = {codec.reply_id(number): number for number in NUMBERS}
+    for frame in received:
+        number = by_reply.get(frame.can_id)
+        reply = codec.reply(frame.data) if number is not None else None
+        # Each request of a scan reads one register. Longer replies belong to another host.
+        if number is not None and reply is not None and len(reply.values) == 1:
+            answers.setdefault(number, {}).setdefault(next(iter(reply.values)), []).append(frame.data)
+    return tuple(_drive(number, answers[number]) for number in sorted(answers) if codec.MODE in answers[number])
+
+
+def _drive(number: int, answers: dict[int, list[bytes]]) -> DiscoveredNode:
+    """Return the data of one drive from its answers, by register."""
+    values: dict[int, int] = {}
+    for register, payloads in answers.items():
+        reply = codec.reply(payloads[-1])
+        if reply is not None and math.isfinite(reply.values[register]):
+            values[register] = int(reply.values[register])
+    mode = values.get(codec.MODE, codec.STOPPED)
+    fault = values.get(codec.FAULT, 0)
+    in_error = mode in (codec.IN_FAULT, codec.TIMED_OUT)
+    error = error_text(fault if mode == codec.IN_FAULT and fault else mode) if in_error else ""
+    version = values.get(codec.FIRMWARE, 0)
+    firmware = ".".join(str(version >> shift & 0xFF) for shift in (16, 8, 0)) if version else ""
+    words = [values.get(codec.SERIAL + i, 0) & 0xFFFFFFFF for i in range(3)]
+    serial = "".join(f"{word:08x}" for word in reversed(words)) if any(words) else ""
+    twins = have_twins(answers, codec.SERIAL)
+    notes = (TWINS,) * twins + ("needs a bus with CAN FD: data_bitrate = 5_000_000",)
+    state = _MODES.get(mode, f"mode {mode}")
+    return DiscoveredNode("moteus", number, firmware, serial, state, error, notes=notes, twins=twins)
+
+
+def command_ids(drive: DiscoveredNode) -> frozenset[int]:
+    """Return the requests of any source to the node and to all nodes."""
+    return frozenset(
+        codec.request_id(node, source) for node in (drive.node_id, codec.BROADCAST) for source in codec.SOURCES
+    )
+
+
+def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
+    """Return the requests to any drive. All have the reply bit and 29 bits without a prefix."""
+    return tuple(
+        frame
+        for frame in received
+        if frame.can_id & EXTENDED
+        and not frame.can_id & (REMOTE | ERROR)
+        and (frame.can_id & ~EXTENDED) >> 15 == 1
+        and 0 < frame.can_id & 0xFF <= codec.BROADCAST
+        and frame.data
+    )
+
+
+def ping(drive: DiscoveredNode) -> Frame:
+    """Return the request for the mode."""
+    return Frame(codec.request_id(drive.node_id), MODE_REQUEST)
+
+
+def is_pong(drive: DiscoveredNode, frame: Frame) -> bool:
+    """Return True for a reply with the mode."""
+    return frame.can_id == codec.reply_id(drive.node_id) and frame.data[:2] == MODE_REPLY
+
+
+DISCOVERY = Discovery(probe_frames, nodes, command_ids, other_host_frames, ping, is_pong)

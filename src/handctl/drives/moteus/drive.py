@@ -1,0 +1,416 @@
+"""Moteus controller: from silence through its settings to torque, and back to stopped.
+
+A drive answers requests and sends no other frame. A torque command is position mode with gains 0
+and a feedforward torque, and the same frame has the drive's torque limit, its watchdog, and the
+request for feedback. Every command enables, hence a drive that reports any other mode while it is
+enabled is in fault, and gets the stop command. The stop command also clears a fault of the drive.
+This host keeps the fault until the operator clears it.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+from handctl.drives import readback
+from handctl.drives.causes import Cause
+from handctl.drives.contract import UNSTEADY, DriveState, DriveTarget, Phase
+from handctl.drives.frame import Frame
+from handctl.drives.moteus import codec
+from handctl.drives.moteus import settings as items
+from handctl.drives.moteus.progress import (
+    CAUSES,
+    CLEAR_TRIES,
+    MISMATCH,
+    SERIAL_TRIES,
+    SILENCE_NS,
+    MoteusProgress,
+    apply_mode,
+    progress_of,
+    to_fault,
+)
+from handctl.drives.motor_description import MotorDescription
+from handctl.drives.readback import Cursor
+from handctl.drives.signals import Cyclic, Table
+from handctl.errors import ConfigError
+
+LISTEN, POLL, ENABLE, DISABLE = DriveTarget
+SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
+"""Phases as module-level names. An attribute look-up in the enumeration costs more than a comparison."""
+SERIAL_REQUEST = codec.padded(bytes((codec.READ | codec.INT32 << 2 | 3,)) + codec.varuint(codec.SERIAL))
+"""Payload that reads the three registers of the serial number."""
+
+
+@dataclass(frozen=True, slots=True)
+class MoteusDrive:
+    """One motor. Implements ``contract.Drive``.
+
+    Attributes:
+        name: name of the motor.
+        bus: index of the bus.
+        node_id: 1 to 0x7e.
+        torque_limit: largest torque command, and the drive's own limit [N m at the spool].
+        direction: 1 if positive torque of the motor winds, else -1.
+        zero: motor angle of the spool's zero [rad].
+        timeout_s: watchdog [s].
+        command: signal table of the command, from the fields above.
+        feedback: signal table of the feedback, from the fields above.
+        required: settings required before arming, from the fields above.
+    """
+
+    name: str
+    bus: int
+    node_id: int
+    torque_limit: float
+    direction: int
+    zero: float
+    timeout_s: float
+    command: Table = field(init=False, repr=False, compare=False)
+    feedback: Table = field(init=False, repr=False, compare=False)
+    required: tuple[items.MoteusSetting, ...] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        """Build the signal tables of the cyclic frames."""
+        command = codec.command_message(self.node_id, self.torque_limit, self.timeout_s, self.direction)
+        object.__setattr__(self, "command", Table(command))
+        object.__setattr__(self, "feedback", Table(codec.feedback_message(self.node_id, self.direction, self.zero)))
+        object.__setattr__(self, "required", items.required(self.torque_limit, self.timeout_s))
+
+    @staticmethod
+    def of(motor: MotorDescription, bus: int) -> "MoteusDrive":
+        """Return the drive of a motor description.
+
+        Raises:
+            ConfigError: an option, or a node number beyond 0x7e.
+        """
+        if not 0 < motor.node_id <= codec.LAST_NODE:
+            raise ConfigError(str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {codec.LAST_NODE}")
+        if motor.options:
+            where = f"motor[{motor.name}].options.{next(iter(motor.options))}"
+            raise ConfigError("unknown key", where, "no such key: moteus has no options")
+        return MoteusDrive(
+            name=motor.name,
+            bus=bus,
+            node_id=motor.node_id,
+            torque_limit=motor.torque_max_N_m,
+            direction=motor.direction,
+            zero=motor.zero_rad,
+            timeout_s=motor.watchdog_ms * 1e-3,
+        )
+
+    @property
+    def exchange(self) -> tuple[tuple[int, bool], ...]:
+        """Return command and feedback."""
+        return ((self.command.message.length, True), (codec.FEEDBACK_LENGTH, True))
+
+    @property
+    def background(self) -> tuple[tuple[int, bool, float], ...]:
+        """Return the text requests of the read-back: command, request for the answer, and both replies."""
+        rate = readback.RECHECKS_PER_SECOND
+        return ((48, True, rate), (3, True, rate), (4, True, rate), (16, True, rate))
+
+    @property
+    def extended(self) -> bool:
+        """Return True: requests have 29-bit identifiers."""
+        return True
+
+    @property
+    def host_ids(self) -> frozenset[int]:
+        """Return the requests of any host to this node and to all nodes."""
+        return frozenset(
+            codec.request_id(node, source) for node in (self.node_id, codec.BROADCAST) for source in codec.SOURCES
+        )
+
+    @property
+    def node_ids(self) -> frozenset[int]:
+        """Return the identifier of the replies to this host."""
+        return frozenset((codec.reply_id(self.node_id),))
+
+    @property
+    def unverified_guards(self) -> tuple[str, ...]:
+        """Return no entry: every setting is read back."""
+        return ()
+
+    @property
+    def one_reply_per_command(self) -> bool:
+        """Return True: a drive sends one reply per request."""
+        return True
+
+    @property
+    def position_step(self) -> float:
+        """Return 0, unknown: the encoder's steps are coarser than float32 turns, and not reported."""
+        return 0.0
+
+    @property
+    def feedback_period_s(self) -> float:
+        """Return 0: every command requests feedback."""
+        return 0.0
+
+    @property
+    def cyclic(self) -> Cyclic:
+        """Return command and feedback."""
+        return Cyclic((self.feedback.message,), (self.command.message,))
+
+    def steady_status(self, state: DriveState) -> int:
+        """Return the status of feedback in position mode without a fault code."""
+        progress = progress_of(state)
+        if state.phase != ENABLED or not progress.enable_sent or progress.disabling or progress.check.waiting:
+            return UNSTEADY
+        return codec.status(codec.POSITION, 0)
+
+    def due_ns(self, state: DriveState) -> int:
+        """Return the time of the next read-back [ns]."""
+        return progress_of(state).check.due_ns
+
+    def initial(self) -> DriveState:
+        """Return the silent state."""
+        return DriveState(private=MoteusProgress())
+
+    def receive(self, state: DriveState, frame: Frame) -> DriveState:
+        """Apply one received frame, see ``contract.Drive``."""
+        can_id, data, _, bus, t_ns = frame
+        if bus != self.bus or can_id != self.feedback.message.can_id:
+            return state
+        if codec.is_feedback(data):
+            return self._on_feedback(state, data, t_ns)
+        reply = codec.reply(data)
+        if reply is None:
+            return state._replace(misread=state.misread + 1)
+        progress = progress_of(state)
+        if reply.refused and state.phase == CONFIGURING:
+            register, error = next(iter(reply.refused.items()))
+            return to_fault(state, MISMATCH, f"refuses register {register:#x} with error {error}: firmware too old?")
+        if reply.text is not None:
+            return self._on_text(state, progress, reply.text)
+        if codec.SERIAL in reply.values:
+            return self._on_serial(state, progress, reply.values, t_ns)
+        setting = self._open_setting(state, progress)
+        if setting is None or setting.register not in reply.values:
+            return state
+        return self._on_value(state, progress, setting, reply.values[setting.register], "")
+
+    def _on_feedback(self, state: DriveState, data: bytes, t_ns: int) -> DriveState:
+        """Apply the values, the mode, and the fault code of a feedback frame."""
+        *status, position, velocity, torque, board, motor = self.feedback.unpack(data)
+        if math.isnan(position + velocity + torque):
+            return state._replace(misread=state.misread + 1)
+        updated = state._replace(
+            position=position,
+            velocity=velocity,
+            torque=torque,
+            temperature=max(board, motor),
+            feedback_t_ns=t_ns,
+            feedback_count=state.feedback_count + 1,
+        )
+        return apply_mode(updated, int(status[1]), int(status[3]))
+
+    def _open_setting(self, state: DriveState, progress: MoteusProgress) -> items.MoteusSetting | None:
+        """Return the setting whose value was requested, None without a request."""
+        if state.phase == CONFIGURING and progress.cursor.waiting and progress.cursor.step < len(self.required):
+            return self.required[progress.cursor.step]
+        if state.phase == ENABLED and progress.check.waiting:
+            return self.required[progress.check.step]
+        return None
+
+    def _on_text(self, state: DriveState, progress: MoteusProgress, text: bytes) -> DriveState:
+        """Apply a part of the text channel."""
+        emptied = progress.channel.asked_ns < 0
+        channel, line = progress.channel.take(text)
+        progress = progress._replace(channel=channel)
+        if emptied:
+            # The request for old text has its answer. The next request may follow at once.
+            cursor = progress.cursor
+            progress = progress._replace(cursor=cursor._replace(sent_ns=-1, tries=max(0, cursor.tries - 1)))
+        state = state._replace(private=progress)
+        setting = self._open_setting(state, progress) if line else None
+        if setting is None or setting.register:
+            return state
+        if state.phase == CONFIGURING and progress.cursor.writing:
+            return state._replace(private=progress._replace(cursor=progress.cursor.after_write()))
+        return self._on_value(state, progress, setting, items.value_of(line), line.decode(errors="replace"))
+
+    def _on_value(
+        self, state: DriveState, progress: MoteusProgress, setting: items.MoteusSetting, value: float | None, text: str
+    ) -> DriveState:
+        """Compare a value with the required one. A text that is no number counts as a wrong value."""
+        same = value is not None and setting.is_right(value)
+        shown = text if value is None else f"{value:g}"
+        expected = f"{setting.value:g}"
+        if state.phase == ENABLED:
+            check, problem = readback.on_recheck_reply(
+                progress.check, len(self.required), same, setting.name, f"reads {shown}", expected
+            )
+            updated = state._replace(private=progress._replace(check=check))
+            return to_fault(updated, MISMATCH, problem) if problem else updated
+        if progress.cursor.writing:
+            return state
+        if same:
+            return state._replace(private=progress._replace(cursor=progress.cursor.next_setting()))
+        writes = items.WRITES if value is not None else 0
+        cursor, problem = readback.on_wrong_value(progress.cursor, setting.name, shown, expected, writes)
+        updated = state._replace(private=progress._replace(cursor=cursor))
+        return to_fault(updated, MISMATCH, problem) if problem else updated
+
+    def _on_serial(
+        self, state: DriveState, progress: MoteusProgress, values: dict[int, float], t_ns: int
+    ) -> DriveState:
+        """Apply the serial number, the last step of the configuration."""
+        if state.phase != CONFIGURING or progress.cursor.step < len(self.required):
+            return state
+        words = [int(values.get(codec.SERIAL + i, 0)) & 0xFFFFFFFF for i in range(3)]
+        return _ready(state, progress, t_ns, words[2] << 64 | words[1] << 32 | words[0])
+
+    def advance(
+        self, state: DriveState, t_ns: int, target: DriveTarget, torque: float
+    ) -> tuple[DriveState, tuple[Frame, ...]]:
+        """Return the next state and the frames to send, see ``contract.Drive``."""
+        progress: MoteusProgress = state.private
+        if target == ENABLE and state.phase == ENABLED and not progress.disabling:
+            command = self._frame(self._torque(torque))
+            # The usual path of a running hand: one command, no other state change.
+            if t_ns < progress.check.due_ns and not progress.check.waiting:
+                return state, (command,)
+            state, requests = self._recheck(state, progress, t_ns)
+            return state, (command, *requests)
+        if target == LISTEN:
+            return state, ()
+        if target == DISABLE or state.phase == ENABLED:
+            return self._disable(state, progress, t_ns), self.cut()
+        if state.phase == FAULT and progress.enabled_by_other:
+            return state, self.cut()
+        progress = progress._replace(disabling=False)
+        if (
+            state.phase == READY
+            and not progress.enable_sent
+            and t_ns - max(state.feedback_t_ns, progress.ready_ns) > SILENCE_NS
+        ):
+            return state._replace(phase=SILENT, private=MoteusProgress()), (self._frame(codec.QUERY),)
+        if state.phase == CONFIGURING or (state.phase == READY and not progress.configured):
+            return self._configure(state._replace(phase=CONFIGURING), progress, t_ns)
+        if state.phase == READY and target == ENABLE:
+            check = progress.check if progress.enable_sent else readback.first_recheck(self.node_id, t_ns)
+            enabling = state._replace(private=progress._replace(enable_sent=True, check=check))
+            return enabling, (self._frame(self._torque(0.0)),)
+        question = self.cut()[0] if progress.clearing else self._frame(codec.QUERY)
+        return state._replace(private=progress), (question,)
+
+    def _disable(self, state: DriveState, progress: MoteusProgress, t_ns: int) -> DriveState:
+        """Return the state while stopping. A possibly enabled drive counts as enabled until it reports stopped."""
+        phase = ENABLED if progress.enable_sent or progress.enabled_by_other else state.phase
+        since = progress.disabling_ns if progress.disabling else t_ns
+        return state._replace(phase=phase, private=progress._replace(disabling=True, disabling_ns=since))
+
+    def _recheck(self, state: DriveState, progress: MoteusProgress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
+        """Read a setting of the enabled drive, if due, or the rest of its answer."""
+        setting = self.required[progress.check.step]
+        channel = progress.channel
+        data = b""
+        problem = ""
+        if channel.awaits(t_ns):
+            channel, data = channel.poll()
+        elif t_ns >= progress.check.due_ns:
+            # A request without an answer may have left its text on the way.
+            channel = items.Channel() if progress.check.waiting else channel
+            check, problem = readback.next_recheck(progress.check, setting.name, self.node_id, t_ns)
+            progress = progress._replace(check=check)
+            channel, data = self._request(channel, setting, False, t_ns)
+        elif not setting.register and channel.empty and channel.asked_ns < 0:
+            channel, data = self._request(channel, setting, False, t_ns)
+        state = state._replace(private=progress._replace(channel=channel))
+        if problem:
+            state = to_fault(state, MISMATCH, problem)
+        return state, (self._frame(data),) if data else ()
+
+    def _configure(
+        self, state: DriveState, progress: MoteusProgress, t_ns: int
+    ) -> tuple[DriveState, tuple[Frame, ...]]:
+        """Do one step of the configuration. An enabled drive is stopped first."""
+        if progress.enabled_by_other:
+            text = f"in mode {progress.mode} without a command, and does not stop"
+            return state._replace(error_text=text, private=progress), self.cut()
+        if progress.cursor.step >= len(self.required):
+            return self._ask_serial(state, progress, t_ns)
+        setting = self.required[progress.cursor.step]
+        if setting.register and progress.cursor.writing:  # has no answer of its own
+            limits = self._frame(codec.limits_request(self.torque_limit, self.timeout_s))
+            return state._replace(private=progress._replace(cursor=progress.cursor.after_write())), (limits,)
+        if progress.channel.awaits(t_ns):
+            channel, data = progress.channel.poll()
+            return state._replace(private=progress._replace(channel=channel)), (self._frame(data),)
+        cursor, send, problem = readback.next_request(progress.cursor, setting.name, t_ns)
+        if problem:
+            return to_fault(state._replace(private=progress), MISMATCH, problem), ()
+        channel = progress.channel
+        data = b""
+        if send:
+            # A request without an answer may have left its text on the way.
+            channel = items.Channel() if progress.cursor.waiting else channel
+            channel, data = self._request(channel, setting, cursor.writing, t_ns)
+        updated = state._replace(error_text="", private=progress._replace(cursor=cursor, channel=channel))
+        return updated, (self._frame(data),) if data else ()
+
+    def _request(
+        self, channel: items.Channel, setting: items.MoteusSetting, writing: bool, t_ns: int
+    ) -> tuple[items.Channel, bytes]:
+        """Return the channel and the payload that reads or writes a setting."""
+        if setting.register:
+            return channel, codec.read(codec.FLOAT, setting.register)
+        command = items.write_request(setting) if writing else items.read_request(setting)
+        return channel.ask(command, t_ns)
+
+    def _ask_serial(
+        self, state: DriveState, progress: MoteusProgress, t_ns: int
+    ) -> tuple[DriveState, tuple[Frame, ...]]:
+        """Request the serial number a few times, then do without it."""
+        cursor, send, unanswered = readback.next_request(progress.cursor, "serial number", t_ns, SERIAL_TRIES)
+        updated = state._replace(private=progress._replace(cursor=cursor))
+        if unanswered:
+            return _ready(updated, progress, t_ns, 0), ()
+        return updated, (self._frame(SERIAL_REQUEST),) if send else ()
+
+    def _torque(self, torque: float) -> bytes:
+        """Return the payload of a torque command.
+
+        Args:
+            torque: command [N m at the spool].
+
+        Raises:
+            ValueError: torque is not finite, or beyond the limit.
+        """
+        try:
+            return self.command.pack(torque)
+        except ValueError as error:
+            raise ValueError(f"{self.name}: {error}") from None
+
+    def torque_frames(self, torque: float) -> tuple[Frame, ...]:
+        """Return no frame: every torque command enables."""
+        return ()
+
+    def cut(self) -> tuple[Frame, ...]:
+        """Return the stop command."""
+        return (self._frame(codec.STOP),)
+
+    def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
+        """Clear the latched error by the stop command, and start again with the read-back."""
+        fresh = state._replace(phase=SILENT, error=0, error_text="", private=MoteusProgress(clearing=CLEAR_TRIES))
+        return fresh, self.cut()
+
+    def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
+        """Return no frame: the watchdog of a stopped drive is inactive."""
+        return ()
+
+    def identity(self, state: DriveState) -> str:
+        """Return the 96 bits of the serial number, or the node number."""
+        return f"{serial:024x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
+
+    def cause(self, error: int) -> Cause:
+        """Return the cause of an error, see ``contract.Drive``."""
+        return CAUSES.get(error, Cause.UNKNOWN)
+
+    def _frame(self, data: bytes) -> Frame:
+        """Return a frame to the drive."""
+        return Frame(self.command.message.can_id, data, codec.FLAGS, self.bus)
+
+
+def _ready(state: DriveState, progress: MoteusProgress, t_ns: int, serial: int) -> DriveState:
+    """Return the ready state with all settings right. Serial number 0 is unknown."""
+    ready = progress._replace(cursor=Cursor(), configured=True, ready_ns=t_ns, serial=serial)
+    return state._replace(phase=READY, private=ready)

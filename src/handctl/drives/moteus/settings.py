@@ -1,0 +1,126 @@
+"""Settings of a moteus controller: read, written if wrong, and read again.
+
+Torque limit and watchdog are command registers. Every command carries both, and a request without
+effect on the motor stores them before the first torque. The other settings are configuration items of the diagnostic
+text channel. ``conf set`` changes the working memory alone, and no request writes the flash.
+
+A text is lost with its frame, and an answer may come late. Therefore each exchange starts with an
+empty channel: after a request without an answer, the host reads until no text is left.
+"""
+
+import math
+import struct
+from typing import NamedTuple
+
+from handctl.drives.moteus import codec
+from handctl.drives.readback import REQUEST_TIMEOUT_NS
+
+WRITES = 3
+"""Writes per setting. A register write is not confirmed, and a possibly lost write is repeated."""
+POLLS = 3
+"""Reads of an answer before a request counts as unanswered, however long a tick is."""
+LONGEST_LINE = 128
+"""Text without an end of line that counts as an answer to another host [bytes]."""
+
+
+class MoteusSetting(NamedTuple):
+    """Setting with its required value.
+
+    Attributes:
+        name: name of the configuration item, or of the register.
+        value: required value.
+        register: number of the register, 0 for a configuration item.
+    """
+
+    name: str
+    value: float
+    register: int = 0
+
+    def is_right(self, value: float) -> bool:
+        """Return True for the required value, as float32."""
+        return value == self.value or (math.isnan(value) and math.isnan(self.value))
+
+
+def required(torque: float, timeout_s: float) -> tuple[MoteusSetting, ...]:
+    """Return the settings required before arming.
+
+    Args:
+        torque: torque limit [N m].
+        timeout_s: watchdog [s].
+    """
+    return (
+        MoteusSetting("torque limit", single(torque), codec.MAX_TORQUE),
+        MoteusSetting("watchdog", single(timeout_s), codec.TIMEOUT),
+        # After the watchdog: stopped. By default the drive would damp, or hold its position.
+        MoteusSetting("servo.timeout_mode", 0.0),
+        # Torque limits do not act in this mode.
+        MoteusSetting("servo.fixed_voltage_mode", 0.0),
+        # Beyond these positions the drive would reduce the torque. The default is 0.01 turns.
+        MoteusSetting("servopos.position_min", math.nan),
+        MoteusSetting("servopos.position_max", math.nan),
+    )
+
+
+def single(value: float) -> float:
+    """Return a value with the precision of float32."""
+    return float(struct.unpack("<f", struct.pack("<f", value))[0])
+
+
+def read_request(setting: MoteusSetting) -> bytes:
+    """Return the text command that reads a configuration item."""
+    return f"conf get {setting.name}\n".encode()
+
+
+def write_request(setting: MoteusSetting) -> bytes:
+    """Return the text command that changes a configuration item in the working memory."""
+    return f"conf set {setting.name} {setting.value:g}\n".encode()
+
+
+def value_of(line: bytes) -> float | None:
+    """Return the value in an answer, None for any other text."""
+    try:
+        return float(line)
+    except ValueError:
+        return None
+
+
+class Channel(NamedTuple):
+    """Exchange over the diagnostic text channel.
+
+    Attributes:
+        empty: True if no old text can arrive.
+        asked_ns: time of the open request [ns], -1 without one.
+        polls: reads of its answer.
+        text: answer so far.
+    """
+
+    empty: bool = False
+    asked_ns: int = -1
+    polls: int = 0
+    text: bytes = b""
+
+    def ask(self, command: bytes, t_ns: int) -> tuple["Channel", bytes]:
+        """Return the channel and the payload of a request, or of a read that empties the channel first."""
+        if not self.empty:
+            return Channel(), codec.TEXT_REQUEST
+        return Channel(True, t_ns), codec.text_request(command)
+
+    def awaits(self, t_ns: int) -> bool:
+        """Return True if the answer of the open request must be read in this tick."""
+        late = t_ns - self.asked_ns > REQUEST_TIMEOUT_NS and self.polls >= POLLS
+        return 0 <= self.asked_ns < t_ns and not late
+
+    def poll(self) -> tuple["Channel", bytes]:
+        """Return the channel and the payload that reads an answer."""
+        return self._replace(polls=self.polls + 1), codec.TEXT_REQUEST
+
+    def take(self, text: bytes) -> tuple["Channel", bytes]:
+        """Return the channel and the first complete line of an answer, empty without one."""
+        if self.asked_ns < 0:
+            return self._replace(empty=not text), b""
+        line, end, _ = (self.text + text).partition(b"\n")
+        if end:
+            return Channel(True), line.strip()
+        if len(line) > LONGEST_LINE:
+            return Channel(), b""
+        return self._replace(text=line), b""

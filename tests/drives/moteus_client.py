@@ -1,0 +1,88 @@
+"""The vendor's Python client of moteus controllers, against ``python -m firmware_sim drive moteus`` on any bus."""
+
+import asyncio
+import math
+from typing import Any
+
+import moteus  # type: ignore[import-untyped,unused-ignore]
+from moteus.pythoncan_device import PythonCanDevice  # type: ignore[import-untyped,unused-ignore]
+
+TURNS = 0.1
+TRIES = 400
+PAUSE_S = 0.005
+WAIT_S = 60.0
+RESOLUTIONS = (moteus.INT8, moteus.INT16, moteus.INT32, moteus.F32)
+
+
+def use_moteus(interface: str, channel: str, node: int = 2) -> None:
+    """Use moteus: query in every type, configuration, torque, position by the drive's gains, watchdog, stop."""
+    asyncio.run(asyncio.wait_for(_use(interface, channel, node), WAIT_S))
+
+
+async def _use(interface: str, channel: str, node: int) -> None:
+    device = PythonCanDevice(interface=interface, channel=channel, fd=True)
+    transport = moteus.Transport([device])
+    try:
+        await _drive(moteus.Controller(id=node, transport=transport), transport, node)
+    finally:
+        transport.close()
+
+
+async def _until(step: Any, reached: Any, what: str) -> Any:
+    for _ in range(TRIES):
+        result = await step()
+        if reached(result.values):
+            return result.values
+        await asyncio.sleep(PAUSE_S)
+    raise AssertionError(f"never: {what}; {result.values}")
+
+
+async def _drive(controller: Any, transport: Any, node: int) -> None:
+    register, mode = moteus.Register, moteus.Mode
+    for resolution in RESOLUTIONS:
+        query = moteus.QueryResolution()
+        query.position = query.velocity = query.torque = query.temperature = resolution
+        values = (await controller.query(query_override=query)).values
+        assert values[register.MODE] == mode.STOPPED
+        assert values[register.FAULT] == 0
+        assert math.isclose(values[register.TEMPERATURE], 25.0, abs_tol=0.5)
+        assert math.isclose(values[register.POSITION], 0.0, abs_tol=0.01)
+    identity = {register.FIRMWARE_VERSION: moteus.INT32, register.MULTIPLEX_ID: moteus.INT32}
+    for one in identity:
+        assert (await controller.custom_query({one: moteus.INT32})).values[one] != 0
+    stream = moteus.Stream(controller, use_flow_control=False)
+    assert await stream.command(b"conf get servo.timeout_mode", allow_any_response=True) == b"12"
+    for item, value in (("position_min", "nan"), ("position_max", "nan")):
+        await stream.command(f"conf set servopos.{item} {value}".encode())
+        shown = await stream.command(f"conf get servopos.{item}".encode(), allow_any_response=True)
+        assert shown == b"nan"
+    await stream.command(b"conf set servo.timeout_mode 0")
+
+    async def pull() -> Any:
+        return await controller.set_position(
+            position=math.nan, kp_scale=0.0, kd_scale=0.0, ilimit_scale=0.0, feedforward_torque=0.05,
+            maximum_torque=0.1, watchdog_timeout=1.0, query=True,
+        )  # fmt: skip
+
+    turned = await _until(pull, lambda seen: seen[register.POSITION] > TURNS, "turned by a torque")
+    assert turned[register.MODE] == mode.POSITION
+    assert math.isclose(turned[register.TORQUE], 0.05, abs_tol=0.02)
+    goal = turned[register.POSITION] - TURNS
+
+    async def hold() -> Any:
+        return await controller.set_position(position=goal, velocity=0.0, maximum_torque=0.5, query=True)
+
+    held = await _until(hold, lambda seen: abs(seen[register.VELOCITY]) < 0.05, "stands")
+    for _ in range(TRIES):
+        held = (await hold()).values
+        if abs(held[register.POSITION] - goal) < 0.02 and abs(held[register.VELOCITY]) < 0.05:
+            break
+        await asyncio.sleep(PAUSE_S)
+    assert abs(held[register.POSITION] - goal) < 0.02, "held at a position"
+    await controller.set_position(position=math.nan, watchdog_timeout=0.05, query=True)
+    await asyncio.sleep(0.2)
+    late = await _until(controller.query, lambda seen: seen[register.MODE] == mode.TIMEOUT, "the watchdog")
+    assert late[register.MODE] == mode.TIMEOUT
+    assert (await hold()).values[register.MODE] == mode.TIMEOUT, "only the stop command leaves it"
+    await controller.set_stop(query=True)
+    await _until(controller.query, lambda seen: seen[register.MODE] == mode.STOPPED, "stopped")
