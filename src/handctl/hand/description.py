@@ -24,14 +24,23 @@ class Hand(Section):
     model_config = ConfigDict(extra="forbid", frozen=True, validate_by_name=False)
 
     schema_: qty.SchemaNumber = Field(alias="schema")
+    """Version of the format."""
     name: qty.Name
+    """Name of the hand. It names the files of calibration and gains."""
     description: qty.Text
+    """One line about the hand."""
     mount: Mount
+    """Orientation of the palm."""
     bus: tuple[Bus, ...] = Field(min_length=1)
+    """CAN buses."""
     sensor_node: SensorNode
+    """Sensor node with load cells and joint encoders."""
     digit: tuple[Digit, ...] = Field(min_length=1)
+    """Fingers and thumb."""
     tendon: tuple[Tendon, ...] = Field(min_length=1)
+    """Tendons, digit by digit."""
     motor: tuple[Motor, ...] = Field(min_length=1)
+    """Motors with their drives."""
 
     @cached_property
     def joints(self) -> tuple[str, ...]:

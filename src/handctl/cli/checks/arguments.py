@@ -20,6 +20,7 @@ EXAMPLES = {
     "config show": Example("handctl config show --hand jamia"),
     "config check": Example("handctl config check --hand jamia --task grasp.toml"),
     "config list": Example("handctl config list"),
+    "config schema": Example("handctl config schema --output hand.schema.json"),
     "config export": Example("handctl config export --hand jamia --dbc"),
     "bus": Example("handctl bus plan --hand jamia11 --rate 200"),
     "bus plan": Example("handctl bus plan --hand jamia11 --rate 200"),
@@ -35,18 +36,20 @@ EXAMPLES = {
 
 def config(parser: Parser) -> None:
     """Declare the arguments of ``config``."""
-    kinds = parser.add_subparsers(dest="what", required=True, metavar="show|check|list|export")
+    kinds = parser.add_subparsers(dest="what", required=True, metavar="show|check|list|schema|export")
 
     def kind(name: str, text: str) -> Parser:
         one = add_sub_verb(kinds, name, text, EXAMPLES[f"config {name}"])
         json_option(one)
-        if name != "list":
+        if name not in ("list", "schema"):
             hand_option(one)
         return one
 
     _files(kind("show", "show a hand, and the source of each value"))
     _files(kind("check", "check a hand with its files"))
     kind("list", "list the packaged hands and tasks")
+    schema = kind("schema", "print the JSON Schema of hand files, for completion in an editor")
+    output_option(schema, "a new file (default: standard output)")
     export = kind("export", "write the buses of a hand for other tools")
     export.add_argument("--dbc", action="store_true", help="the frames of each bus, as a CAN database")
     output_option(export, "a new file (default: HAND.dbc)")

@@ -17,6 +17,7 @@ from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.file.error_text import SECTION, Mistake, in_file
+from handctl.hand.file.json_schema import hand_schema_text
 from handctl.hand.load import hand_path, inspect, load_hand, packaged_hands, read_toml
 from handctl.hand.strength import strength_warnings
 from handctl.output import named_after, write_whole
@@ -31,6 +32,8 @@ def run(args: argparse.Namespace) -> int:
     """Run the selected sub-verb and return its exit code."""
     if args.what == "list":
         return _list(args.json)
+    if args.what == "schema":
+        return _schema(args)
     if args.what == "check" and (errors := _errors(args)):
         return _report_errors(args, errors)
     hand = load_hand(args.hand)
@@ -188,6 +191,20 @@ def _export(args: argparse.Namespace, hand: Hand) -> int:
     else:
         for one in written:
             say(f"{one['output']}: bus {one['bus']}")
+    return 0
+
+
+def _schema(args: argparse.Namespace) -> int:
+    """Print or write the JSON Schema of hand files."""
+    text = hand_schema_text()
+    if args.output is None:
+        print(text, end="")
+        return 0
+    write_whole(args.output, text, new=True)
+    if args.json:
+        print_json({"output": str(args.output)})
+    else:
+        say(f"{args.output}: begin a hand file with the line #:schema {args.output.name}")
     return 0
 
 

@@ -5,11 +5,12 @@ wrong by a factor of 1000.
 """
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator
-from pydantic_core import PydanticCustomError
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 NAME_PATTERN = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 """Valid names of digits, tendons, motors, and buses."""
@@ -20,36 +21,67 @@ def wrong(right: str) -> PydanticCustomError:
     return PydanticCustomError("hand", "expected {right}", {"right": right})
 
 
-def band(low: float, high: float, unit: str = "", hint: str = "") -> BeforeValidator:
-    """Return a validator of a finite real number within [low, high], with a float as result, see ``within``."""
-    return BeforeValidator(within(low, high, unit, hint))
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """Validation of a kind of value: pydantic calls the check first, and editors get the schema.
+
+    Attributes:
+        check: returns the valid value, or raises.
+        schema: JSON Schema of the valid values.
+    """
+
+    check: Callable[[Any], Any]
+    schema: Mapping[str, Any]
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Return the schema with which pydantic validates."""
+        return core_schema.no_info_before_validator_function(self.check, handler(source))
+
+    def __get_pydantic_json_schema__(self, core: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """Return the JSON Schema."""
+        return dict(self.schema)
 
 
-def within(low: float, high: float, unit: str = "", hint: str = "") -> Callable[[Any], float]:
-    """Return a check of a finite real number within [low, high], with a float as result.
+@dataclass(frozen=True)
+class Range:
+    """Check of a finite real number within [low, high], with a float as result.
 
-    Args:
+    Attributes:
         low: smallest plausible value.
         high: largest plausible value.
         unit: unit of value and limits.
         hint: likely cause of a too large value, such as "in metres?".
     """
-    right = f"a number from {low:g} to {high:g} {unit}".rstrip()
 
-    def check(value: Any) -> float:
+    low: float
+    high: float
+    unit: str = ""
+    hint: str = ""
+
+    def __call__(self, value: Any) -> float:
         """Return the value as a float."""
+        right = f"a number from {self.low:g} to {self.high:g} {self.unit}".rstrip()
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise wrong(right)
         # Negated, so that NaN is refused.
-        if not low <= value <= high:
-            raise wrong(f"{right} ({hint})" if hint and value > high else right)
+        if not self.low <= value <= self.high:
+            raise wrong(f"{right} ({self.hint})" if self.hint and value > self.high else right)
         return float(value)
 
-    return check
+    @property
+    def schema(self) -> dict[str, Any]:
+        """Return the JSON Schema of the range."""
+        return {"type": "number", "minimum": self.low, "maximum": self.high}
 
 
-def whole(low: int, high: int) -> BeforeValidator:
-    """Return a validator of an integer within [low, high]."""
+def band(low: float, high: float, unit: str = "", hint: str = "") -> Checked:
+    """Return the validation of a number within [low, high], see ``Range``."""
+    number = Range(low, high, unit, hint)
+    return Checked(number, number.schema)
+
+
+def whole(low: int, high: int) -> Checked:
+    """Return the validation of an integer within [low, high]."""
 
     def check(value: Any) -> int:
         """Return the value."""
@@ -57,7 +89,7 @@ def whole(low: int, high: int) -> BeforeValidator:
             raise wrong(f"a whole number from {low} to {high}")
         return value
 
-    return BeforeValidator(check)
+    return Checked(check, {"type": "integer", "minimum": low, "maximum": high})
 
 
 def _direction(value: Any) -> int:
@@ -92,20 +124,20 @@ def _options(value: Any) -> dict[str, bool | int | float | str]:
     return value
 
 
-def band_or_zero(low: float, high: float, unit: str, hint: str) -> BeforeValidator:
-    """Return a validator of 0 or a number within [low, high], see ``within``."""
-    number = within(low, high, unit, hint)
+def band_or_zero(low: float, high: float, unit: str, hint: str) -> Checked:
+    """Return the validation of 0 or a number within [low, high], see ``Range``."""
+    number = Range(low, high, unit, hint)
 
     def check(value: Any) -> float:
         """Return the value as a float."""
         zero = isinstance(value, int | float) and not isinstance(value, bool) and value == 0
         return 0.0 if zero else number(value)
 
-    return BeforeValidator(check)
+    return Checked(check, {"anyOf": [{"const": 0}, number.schema]})
 
 
-def number_or_list(number: Callable[[Any], float], entry: Callable[[Any], float], *counts: int) -> BeforeValidator:
-    """Return a validator of a number or of a list of numbers.
+def number_or_list(number: Range, entry: Range, *counts: int) -> Checked:
+    """Return the validation of a number or of a list of numbers.
 
     Args:
         number: check of a single number.
@@ -122,19 +154,23 @@ def number_or_list(number: Callable[[Any], float], entry: Callable[[Any], float]
             raise wrong(right)
         return tuple(entry(one) for one in value)
 
-    return BeforeValidator(check)
+    lists = [{"type": "array", "items": entry.schema, "minItems": count, "maxItems": count} for count in counts]
+    return Checked(check, {"anyOf": [number.schema, *lists]})
 
 
-Name = Annotated[str, BeforeValidator(_identifier)]
-Text = Annotated[str, BeforeValidator(_text)]
-Direction = Annotated[int, BeforeValidator(_direction)]
-Options = Annotated[dict[str, bool | int | float | str], BeforeValidator(_options)]
+Name = Annotated[str, Checked(_identifier, {"type": "string", "pattern": f"^{NAME_PATTERN.pattern}$"})]
+Text = Annotated[str, Checked(_text, {"type": "string"})]
+Direction = Annotated[int, Checked(_direction, {"enum": [1, -1]})]
+Options = Annotated[
+    dict[str, bool | int | float | str],
+    Checked(_options, {"type": "object", "additionalProperties": {"type": ["boolean", "number", "string"]}}),
+]
 
 Length = Annotated[float, band_or_zero(1e-3, 0.2, "m", "in metres?")]
 """Length of a link. It is 0 where the axes of two joints meet."""
 CentreOfMass = Annotated[
     float | tuple[float, float, float],
-    number_or_list(within(0.0, 0.2, "m", "in metres?"), within(-0.2, 0.2, "m", "in metres?"), 3),
+    number_or_list(Range(0.0, 0.2, "m", "in metres?"), Range(-0.2, 0.2, "m", "in metres?"), 3),
 ]
 Direction3 = Annotated[float, band(-1.0, 1.0)]
 Radius = Annotated[float, band(5e-4, 0.05, "m", "in metres?")]
@@ -143,7 +179,7 @@ Position = Annotated[float, band(-0.5, 0.5, "m", "in metres?")]
 Mass = Annotated[float, band(1e-5, 0.5, "kg", "in kilograms?")]
 LinkInertia = Annotated[
     float | tuple[float, ...],
-    number_or_list(within(1e-12, 1e-3, "kg m2", "in kg m2?"), within(-1e-3, 1e-3, "kg m2", "in kg m2?"), 3, 6),
+    number_or_list(Range(1e-12, 1e-3, "kg m2", "in kg m2?"), Range(-1e-3, 1e-3, "kg m2", "in kg m2?"), 3, 6),
 ]
 Armature = Annotated[float, band(0.0, 1e-3, "kg m2", "in kg m2?")]
 MotorInertia = Annotated[float, band(1e-8, 1e-1, "kg m2", "in kg m2, at the spool?")]

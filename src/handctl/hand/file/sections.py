@@ -24,7 +24,9 @@ class Bus(Section):
     """CAN bus. The command line names its interface."""
 
     name: qty.Name
+    """Name of the bus."""
     bitrate: qty.Bitrate
+    """Bit rate of a classical bus, or of the arbitration phase of CAN FD [bit/s]."""
     data_bitrate: qty.Bitrate | None = None
     """Bit rate of CAN FD's data phase, absent for a classical bus."""
 
@@ -33,17 +35,23 @@ class SensorNode(Section):
     """Sensor node with load cells between spool and first pulley, and joint encoders."""
 
     bus: qty.Name
+    """Bus of the node."""
     sync_id: qty.CanId
     """Identifier of SYNC, one byte with the tick counter. The node samples at SYNC."""
     base_id: qty.CanId
     """First identifier of tension frames. Joint frames begin at ``base_id + 0x10``. A frame has five channels."""
     tendons: tuple[qty.Name, ...]
+    """Tendon of each load cell, in the order of the channels. In schema 2 also ``"all"``."""
     joints: tuple[qty.Name, ...]
+    """Joint of each encoder, in the order of the channels. In schema 2 also ``"all"``."""
     joint_decimation: qty.Decimation
+    """Ticks between two frames of the joint encoders."""
     tension_noise_N: qty.Force
+    """Standard deviation of a load-cell sample."""
     tension_bias_drift_N: qty.Force
     """Random walk, per 100 s."""
     joint_noise_rad: qty.JointNoise
+    """Standard deviation of a joint-encoder sample."""
 
     @property
     def tension_ids(self) -> tuple[int, ...]:
@@ -75,7 +83,9 @@ class Digit(Section):
     """
 
     name: qty.Name
+    """Name of the digit. Its joints are ``NAME_j1`` and so on, from the palm outwards."""
     mount_position_m: tuple[qty.Position, qty.Position, qty.Position]
+    """Position of the first joint in the palm frame: x out of the palm, y from thumb to fingers."""
     mount_rpy_deg: tuple[qty.MountAngle, qty.MountAngle, qty.MountAngle]
     """Roll, pitch, yaw about the fixed axes of the palm: Rz(yaw) Ry(pitch) Rx(roll)."""
     link_length_m: tuple[qty.Length, ...] = Field(min_length=1, max_length=MAX_LINKS)
@@ -90,17 +100,24 @@ class Digit(Section):
     link_com_m: tuple[qty.CentreOfMass, ...]
     """Centre of mass in the link's frame: a distance along the link, or x, y, z."""
     link_mass_kg: tuple[qty.Mass, ...]
+    """Mass of each link."""
     link_inertia_kg_m2: tuple[qty.LinkInertia, ...]
     """Inertia about the centre of mass: a number, [xx, yy, zz], or [xx, yy, zz, xy, xz, yz].
 
     A number is the inertia of a round bar about y and z. About x it is that of the bar's radius.
     """
     link_radius_m: qty.Radius
+    """Radius of the links, as a capsule."""
     joint_min_deg: tuple[qty.JointAngle, ...]
+    """Open stop of each joint."""
     joint_max_deg: tuple[qty.JointAngle, ...]
+    """Closed stop of each joint."""
     joint_damping_N_m_s_per_rad: tuple[qty.Damping, ...]
+    """Viscous damping of each joint."""
     joint_armature_kg_m2: tuple[qty.Armature, ...]
+    """Additional inertia of each joint: pulley and pin."""
     spring_stiffness_N_m_per_rad: tuple[qty.SpringStiffness, ...]
+    """Stiffness k of the return spring of each joint."""
     spring_preload_rad: tuple[qty.Preload, ...]
     """Spring torque is k (q + preload), against flexion."""
     coupling: tuple[tuple[qty.Coupling, ...], ...] | None = None
@@ -121,42 +138,71 @@ class Tendon(Section):
     """Tendon: path, material, and limits. Tensions are at the load cell."""
 
     name: qty.Name
+    """Name of the tendon."""
     motor: qty.Name
+    """Motor that winds the tendon."""
     moment_arm_m: dict[str, qty.MomentArm]
     """Row of R, by joint. The tendon does not cross absent joints. Positive arms flex."""
     stiffness_N_per_m: qty.TendonStiffness
+    """Stiffness of the whole path, below the knee."""
     damping_N_s_per_m: qty.TendonDamping
+    """Damping of the whole path."""
     knee_N: qty.PositiveForce
+    """Tension at which the stiffness changes."""
     stiffness_beyond_ratio: qty.StiffnessRatio
+    """Stiffness beyond the knee over the stiffness below."""
     knee_width_m: qty.KneeWidth
+    """Length over which the stiffness changes."""
     friction_coefficient: qty.FrictionCoefficient
+    """Capstan coefficient of friction."""
     wrap_angle_rad: qty.Wrap
+    """Wrap between spool and first joint. The joint angles add to it."""
     rated_breaking_force_N: qty.PositiveForce
+    """Strength of the tendon by its catalogue."""
     tension_floor_N: qty.Force
+    """Smallest commanded tension, which keeps the tendon on its pulleys."""
     tension_max_N: qty.PositiveForce
+    """Largest commanded tension."""
     tension_trip_N: qty.PositiveForce
+    """One sample above it relaxes the hand (T03)."""
     drive_limit_N: qty.PositiveForce
+    """Limit in the drive: ``torque_max_N_m`` / ``spool_radius_m``. A sample above it cuts (T03b)."""
 
 
 class Motor(Section):
     """Motor with its drive. Quantities are at the spool, after the gear."""
 
     name: qty.Name
+    """Name of the motor."""
     protocol: qty.Name
+    """Protocol of the drive: ``mit``, ``odrive``, ``cia402`` or ``cubemars``."""
     bus: qty.Name
+    """Bus of the drive."""
     node_id: qty.NodeId
+    """Node number of the drive."""
     spool_radius_m: qty.Radius
+    """Radius of the spool to the middle of the tendon."""
     inertia_kg_m2: qty.MotorInertia
+    """Inertia of rotor and gear."""
     viscous_N_m_s_per_rad: qty.Damping
+    """Viscous friction."""
     coulomb_N_m: qty.Torque
+    """Coulomb friction."""
     torque_constant_N_m_per_A: qty.TorqueConstant
+    """Torque per ampere."""
     torque_max_N_m: qty.PositiveTorque
+    """Torque limit that is written into the drive and read back."""
     torque_peak_N_m: qty.PositiveTorque
+    """Torque that the motor can make without its limit."""
     position_range_rad: qty.PositionRange
+    """Range of the position on the wire, either way."""
     velocity_range_rad_s: qty.SpeedRange
+    """Range of the velocity on the wire, either way."""
     direction: qty.Direction
     """1 if positive torque of the drive winds the tendon, else -1."""
     zero_rad: qty.Zero
+    """Spool angle of the open hand, until a calibration replaces it."""
     watchdog_ms: qty.Watchdog
+    """Time without a command after which the drive removes its torque."""
     options: qty.Options = Field(default_factory=dict)
     """Options of the protocol, such as ``reply_id``."""

@@ -1,0 +1,98 @@
+"""JSON Schema of hand files, for completion and checks in editors. ``handctl config schema`` prints it."""
+
+import json
+from copy import deepcopy
+from typing import Any
+
+from handctl.hand.description import Hand
+from handctl.hand.file.templates import ALL, DIGIT_KINDS, KINDS, ONE_FOR_ALL_LINKS, RESOLVED, TEMPLATES, WRITTEN
+
+DRAFT = "http://json-schema.org/draft-07/schema#"
+"""Version of JSON Schema that editors of TOML read."""
+DEFINITIONS = {"digit": "Digit", "tendon": "Tendon", "motor": "Motor"}
+"""Definition of a section of each kind."""
+VALUES = {kind: f"{name}Values" for kind, name in DEFINITIONS.items()}
+"""Definition of the values of a default, a template, or a table within a digit."""
+
+
+def hand_schema() -> dict[str, Any]:
+    """Return the JSON Schema of a hand file of schema 2. A file of schema 1 suits it as well.
+
+    Every key of a digit, tendon or motor is optional for an editor, because a default or template can
+    have it. ``handctl config check`` finds what is missing.
+    """
+    schema = Hand.model_json_schema(by_alias=True)
+    definitions = schema["definitions"] = schema.pop("$defs")
+    for kind, name in DEFINITIONS.items():
+        definition = definitions[name]
+        if kind == "digit":
+            _extend_digit(definition)
+        definition["properties"]["template"] = {
+            "type": "string",
+            "description": f"Name of a table [{TEMPLATES[kind]}.NAME] with values that this section does not have.",
+        }
+        definition["required"] = ["name"]
+        values = deepcopy(definition)
+        del values["required"], values["properties"]["name"]
+        values["title"] = VALUES[kind]
+        definitions[VALUES[kind]] = values
+    node = definitions["SensorNode"]["properties"]
+    for key in ("tendons", "joints"):
+        node[key] = {"description": node[key].pop("description"), "anyOf": [{"const": ALL}, node[key]]}
+    properties = schema["properties"]
+    properties["schema"] = {"enum": [WRITTEN, RESOLVED], "description": "Version of the format."}
+    properties["default"] = {
+        "type": "object",
+        "description": "Values of all digits, tendons or motors that do not have their own.",
+        "properties": {kind: _reference(VALUES[kind]) for kind in KINDS},
+        "additionalProperties": False,
+    }
+    for kind, key in TEMPLATES.items():
+        properties[key] = _tables(kind, f"Values of each {kind} that names the template.")
+    schema["required"] = [key for key in schema["required"] if key not in DIGIT_KINDS]
+    return {"$schema": DRAFT, **_for_draft(schema), "title": "Hand file of handctl"}
+
+
+def hand_schema_text() -> str:
+    """Return the JSON Schema as text."""
+    return json.dumps(hand_schema(), indent=1, sort_keys=True) + "\n"
+
+
+def _extend_digit(definition: dict[str, Any]) -> None:
+    """Add the forms that a digit has only in schema 2."""
+    properties = definition["properties"]
+    for kind in DIGIT_KINDS:
+        properties[kind] = _tables(kind, f"Each {kind} of this digit, named DIGIT_NAME.")
+    for key in ONE_FOR_ALL_LINKS:
+        lists = properties[key]
+        items = next(one["items"] for one in (lists, *lists.get("anyOf", ())) if "items" in one)
+        properties[key] = {"anyOf": [items, {"type": "array", "items": items}], "description": lists["description"]}
+
+
+def _tables(kind: str, description: str) -> dict[str, Any]:
+    """Return the schema of a table of tables of a kind."""
+    return {"type": "object", "description": description, "additionalProperties": _reference(VALUES[kind])}
+
+
+def _reference(name: str) -> dict[str, Any]:
+    """Return a reference to a definition."""
+    return {"$ref": f"#/definitions/{name}"}
+
+
+def _for_draft(node: Any) -> Any:
+    """Return a schema in the words of the draft, without the titles that only repeat a key."""
+    if isinstance(node, list):
+        return [_for_draft(entry) for entry in node]
+    if not isinstance(node, dict):
+        return node
+    if "prefixItems" in node:
+        node = {**node, "items": node["prefixItems"]}
+        del node["prefixItems"]
+    if isinstance(node.get("$ref"), str):
+        # Draft 7 ignores what stands beside a reference.
+        node = {"$ref": node["$ref"].replace("#/$defs/", "#/definitions/")}
+    return {
+        key: value.replace("``", "`") if key == "description" and isinstance(value, str) else _for_draft(value)
+        for key, value in node.items()
+        if key != "title" or not isinstance(value, str) or value.endswith("Values")
+    }

@@ -1,0 +1,91 @@
+"""The JSON Schema that editors read: as packaged, true of good files, and strict with wrong values."""
+
+import copy
+import json
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+
+import handctl
+from handctl.cli.main import main
+from handctl.hand.file.json_schema import hand_schema
+from handctl.hand.load import HANDS, hand_path, load_hand, packaged_hands, parse_toml, read_toml
+
+PACKAGED = Path(handctl.__file__).parent / "hand" / "hand.schema.json"
+VALIDATOR = jsonschema.Draft7Validator(hand_schema())
+
+
+def plain(content: dict[str, Any]) -> Any:
+    """Return content with lists in place of tuples."""
+    return json.loads(json.dumps(content))
+
+
+def changed(path: tuple[Any, ...], value: Any) -> dict[str, Any]:
+    """Return the content of jamia11 with one value replaced."""
+    content = copy.deepcopy(read_toml(hand_path("jamia11")))
+    node: Any = content
+    for key in path[:-1]:
+        node = node[key]
+    node[path[-1]] = value
+    return content
+
+
+def test_the_packaged_file_is_fresh() -> None:
+    text = "stale; run python -m handctl.cli config schema > src/handctl/hand/hand.schema.json"
+    assert json.loads(PACKAGED.read_text("utf-8")) == hand_schema(), text
+
+
+def test_the_schema_is_one() -> None:
+    jsonschema.Draft7Validator.check_schema(hand_schema())
+
+
+@pytest.mark.parametrize("name", packaged_hands())
+def test_good_files_of_both_schemas_suit_it(name: str) -> None:
+    path = hand_path(name)
+    VALIDATOR.validate(read_toml(path))
+    VALIDATOR.validate(plain(parse_toml(load_hand(name).to_toml(), "resolved")))
+    first = path.read_text("utf-8").splitlines()[0]
+    assert (HANDS / first.removeprefix("#:schema ")).resolve() == PACKAGED.resolve()
+
+
+WRONG = {
+    "a value in millimetres": (("digit_template", "finger", "link_length_m", 0), 30),
+    "a value in millimetres for all links": (("default", "digit", "link_com_m"), 15),
+    "an unknown key of a default": (("default", "tendon", "kneeN"), 200.0),
+    "an unknown kind of default": (("default", "motors"), {}),
+    "an unknown key of a tendon within a digit": (("digit_template", "finger", "tendon", "t1", "colour"), 1),
+    "a node number out of range": (("digit", 0, "motor", "m1", "node_id"), 128),
+    "a direction": (("default", "motor", "direction"), 0),
+    "a fractional watchdog": (("default", "motor", "watchdog_ms"), 2.5),
+    "a name with a blank": (("digit", 0, "name"), "index finger"),
+    "a word for all load cells": (("sensor_node", "tendons"), "every"),
+    "three numbers of gravity": (("mount", "gravity_m_s2"), [0.0, -9.81]),
+    "the schema of tomorrow": (("schema",), 3),
+    "no name": (("digit", 0), {"template": "finger"}),
+}
+
+
+@pytest.mark.parametrize(("path", "value"), WRONG.values(), ids=WRONG.keys())
+def test_an_editor_marks_it(path: tuple[Any, ...], value: Any) -> None:
+    assert not VALIDATOR.is_valid(changed(path, value))
+
+
+def test_every_key_has_a_description() -> None:
+    schema = hand_schema()
+    for name, definition in schema["definitions"].items():
+        for key, value in definition["properties"].items():
+            assert value.get("description") or "$ref" in value, f"{name}.{key}"
+
+
+def test_the_verb_prints_and_writes_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["config", "schema"]) == 0
+    assert json.loads(capsys.readouterr().out) == hand_schema()
+    assert main(["config", "schema", "--output", "hand.schema.json"]) == 0
+    assert "#:schema hand.schema.json" in capsys.readouterr().out
+    assert json.loads((tmp_path / "hand.schema.json").read_text()) == hand_schema()
+    assert main(["config", "schema", "--output", "hand.schema.json"]) == 2
