@@ -12,7 +12,7 @@ PYTEST_FLAGS ?=
 WORKERS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test lint kernels unit realtime wheel vcan nightly docs bench fuzz mutation soak golden lock clean
+.PHONY: help env demo test lint kernels unit realtime wheel vcan nightly docs figures bench fuzz mutation soak golden lock clean
 
 help: ## list these commands
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-9s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -82,6 +82,9 @@ docs: env ## the documentation site in build/site, without the network; a dead l
 	$(BIN)/python -m tools.reference
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 	@echo "the site is in build/site; to read it: $(BIN)/python -m http.server -d build/site"
+
+figures: env ## the figures of README and site, and the demo's numbers, from runs in lockstep; NAMES= for some of them
+	MUJOCO_GL=egl $(BIN)/python -m tools.figures $(NAMES)
 
 bench: $(EXTRA) ## side by side with what a user would pick instead; prints ratios
 	@set -e; for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python "$$script"; done

@@ -1,25 +1,40 @@
-"""The README agrees with the code."""
+"""The README is short, agrees with the code, and says first what is not known."""
 
 import re
+import tomllib
 from pathlib import Path
 
-from handctl.cli.main import VERBS
-from handctl.safety.faults.markdown import fault_table
+from handctl.drives.registry import PROTOCOLS
 from handctl.session.exit_codes import Exit
 
-README = (Path(__file__).parents[2] / "README.md").read_text()
+README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+MOST_LINES = 150
 
 
-def test_the_fault_table_is_the_code_s() -> None:
-    assert fault_table() in README
+def test_it_is_short() -> None:
+    assert len(README.splitlines()) <= MOST_LINES
+    paragraphs = [text for text in README.split("\n\n") if not text.startswith(("|", "```", "- ", "<", "#"))]
+    longest = max(paragraphs, key=lambda text: len(re.findall(r"[.:!?](?:\s|$)", text)))
+    assert len(re.findall(r"[.!?](?:\s|$)", longest)) <= 6, longest
 
 
-def test_every_verb_is_named() -> None:
-    table = README.split("## Verbs")[1].split("## On real hardware")[0]
-    assert [verb for verb in VERBS if f"`{verb}`" not in table] == []
+def test_the_limits_come_before_the_commands() -> None:
+    assert README.index("**Simulated only.**") < README.index("make demo")
+    for word in ("Nobody has run handctl on a real hand", "To be the first", "Firmware and schematic"):
+        assert word in README, word
 
 
-def test_every_exit_code_is_named() -> None:
-    codes = README.split("Exit codes:")[1].split("\n\n")[0]
-    named = {int(word) for word in re.findall(r"(?<!\d)(\d+)(?= )", codes.replace("\n", " "))}
-    assert {int(code) for code in Exit} <= named
+def test_the_code_that_needs_a_hand_is_named() -> None:
+    assert f"**{int(Exit.REMOVE_POWER)}**" in README
+    assert "switch the power off" in README
+
+
+def test_every_protocol_is_named() -> None:
+    names = {"mit": "MIT", "odrive": "ODrive", "cia402": "CiA 402", "cubemars": "CubeMars"}
+    assert [protocol for protocol in PROTOCOLS if names.get(protocol, protocol) not in README] == []
+
+
+def test_every_extra_is_named() -> None:
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    table = README.split("| extra |")[1].split("\n\n")[0]
+    assert [extra for extra in project["optional-dependencies"] if f"`{extra}`" not in table] == []

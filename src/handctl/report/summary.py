@@ -36,7 +36,7 @@ def summarise(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int
         offset_ns: t = 0 of the run on the simulator's clock [ns].
 
     Returns:
-        Plain numbers and names. README explains each.
+        Plain numbers and names.
     """
     truth = truth if truth and truth.covers(log.t_ns + offset_ns) else None
     late = log.late_ns / 1e3

@@ -1,4 +1,4 @@
-"""Exit codes of every verb. The table in the README is the same."""
+"""Exit codes of every verb. docs/reference/exit-codes.md is generated from them."""
 
 from enum import IntEnum
 

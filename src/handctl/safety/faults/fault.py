@@ -2,7 +2,7 @@
 
 A row of the catalogue is a possible failure. A fault is a row, or a stage of a row, judged in every
 tick. Each row and each fault is declared once, in the module of its kind: ``bus``,
-``node``, ``tendon``, ``host``. The tables in README and docs, the campaign's deadlines, the text of
+``node``, ``tendon``, ``host``. The tables in the documents, the campaign's deadlines, the text of
 an event and the reaction follow from the declaration.
 
 A compiled detector in ``core.detectors`` finds a fault with ``per``. The declaration returns

@@ -1,4 +1,4 @@
-"""Tables and sections of README and docs in Markdown, generated from the fault declarations."""
+"""Tables and sections of the documents in Markdown, generated from the fault declarations."""
 
 from handctl.safety.faults.fault import TICK, Fault, Row
 from handctl.safety.faults.host import ON_HARDWARE

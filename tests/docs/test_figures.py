@@ -1,0 +1,34 @@
+"""Figures name the version beside which they stand, are used by a page, and are small enough."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tools.figures.__main__ import DIAGRAMS, PICTURES, PLOTS
+from tools.figures.gif import LARGEST_BYTES
+from tools.figures.style import CREATOR, FOLDER, drawn_by
+
+ROOT = Path(__file__).parents[2]
+MADE = sorted([f"{name}.{kind}" for name in (*DIAGRAMS, *PLOTS) for kind in ("svg", "png")]
+              + [f"{name}.png" for name in PICTURES] + ["grasp.gif"])  # fmt: skip
+TEXTS = [path.read_text(encoding="utf-8") for path in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md"))]
+MOST_BYTES = 700_000
+"""Largest size of a figure beside the moving one."""
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_a_figure_is_of_this_version(name: str) -> None:
+    assert drawn_by(FOLDER / name) == CREATOR, "run make figures"
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_a_figure_is_small_and_used(name: str) -> None:
+    assert (FOLDER / name).stat().st_size < (LARGEST_BYTES if name.endswith(".gif") else MOST_BYTES)
+    stem = name.partition(".")[0]
+    assert any(re.search(rf"figures/{stem}\.(svg|png|gif)", text) for text in TEXTS)
+
+
+def test_every_figure_in_the_folder_is_used() -> None:
+    unused = [path.name for path in FOLDER.iterdir() if not any(path.stem in text for text in TEXTS)]
+    assert unused == []

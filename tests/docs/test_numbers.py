@@ -1,0 +1,29 @@
+"""The numbers of the demo in README and site are those that the command beside them prints."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from handctl.cli.main import main
+from tools.figures.numbers import PLACE, rows_of
+from tools.figures.runs import DEMO
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", ROOT / "docs" / "start" / "ten-minutes.md"]
+NUMBER = re.compile(r"\d+(?:\.\d+)?")
+TOLERANCE, ROUNDED = 0.1, 0.051
+"""Relative difference that another processor may make, and half of the last digit."""
+
+
+def test_the_numbers_are_fresh(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*DEMO, "--log", str(tmp_path / "demo.mcap")]) == 0
+    right = " ".join(f"{name} {value}" for name, value in rows_of(json.loads(capsys.readouterr().out)))
+    for page in PAGES:
+        places = [match[2] for match in PLACE.finditer(page.read_text(encoding="utf-8"))]
+        assert len(places) == 1, page
+        written = " ".join(places[0].splitlines()[2:])
+        pairs = zip(NUMBER.findall(written), NUMBER.findall(right), strict=True)
+        off = [(a, b) for a, b in pairs if abs(float(a) - float(b)) > TOLERANCE * float(b) + ROUNDED]
+        assert off == [], f"{page.name}: run make figures NAMES=numbers"

@@ -1,0 +1,56 @@
+"""Draw the figures: ``python -m tools.figures [NAME ...]``. Runs are in build/figures, pictures go to docs/figures."""
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from tools.figures import diagrams, gif, numbers, plots, runs
+from tools.figures.style import FOLDER, save, stamp
+
+ROOT = Path(__file__).parents[2]
+RUNS = ROOT / "build" / "figures"
+DIAGRAMS: dict[str, Callable[[], Any]] = {
+    "architecture": diagrams.architecture, "control-law": diagrams.control, "wiring": diagrams.wiring,
+    "tendon": diagrams.tendon, "modes": diagrams.modes,
+}  # fmt: skip
+PLOTS: dict[str, Callable[[Path], Any]] = {
+    "estimate": plots.estimate, "snapped-tendon": plots.snapped_tendon, "tip-force": plots.tip_force,
+    "replay": plots.replayed, "bus-tick": plots.bus_tick,
+}  # fmt: skip
+PICTURES: dict[str, Callable[[Path], Path]] = {"run": runs.run_picture, "view": runs.view_picture}
+NAMES = (*DIAGRAMS, *PLOTS, *PICTURES, "grasp", "numbers")
+
+
+def main() -> int:
+    """Draw all figures, or some of them. Return the exit code."""
+    parser = argparse.ArgumentParser(description="Draw the figures of README and site, and write the demo's numbers.")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(NAMES))
+    parser.add_argument("--keep", action="store_true", help="use the demo's run in build/figures if it is there")
+    args = parser.parse_args()
+    if unknown := set(args.names) - set(NAMES):
+        parser.error(f"{min(unknown)}: no such figure; expected {', '.join(NAMES)}")
+    RUNS.mkdir(parents=True, exist_ok=True)
+    if not args.keep:
+        for path in RUNS.glob("grasp.*"):
+            path.unlink()
+    for name in args.names or NAMES:
+        start = time.monotonic()
+        if name in DIAGRAMS:
+            save(DIAGRAMS[name](), name)
+        elif name in PLOTS:
+            save(PLOTS[name](RUNS), name)
+        elif name in PICTURES:
+            stamp(PICTURES[name](RUNS), FOLDER / f"{name}.png")
+        elif name == "grasp":
+            gif.write(RUNS, FOLDER / "grasp.gif")
+        else:
+            numbers.write(ROOT, RUNS)
+        print(f"{name}: {time.monotonic() - start:.1f} s", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,196 @@
+"""Diagrams: architecture, control, wiring, tendon, modes of the hand."""
+
+from typing import Any
+
+from tools.figures.shapes import area, arrow, block, circle, note, plane
+from tools.figures.style import DIGITS, FAULT, INK
+
+
+def architecture() -> Any:
+    """Draw the processes and files of a run."""
+    figure, axes = plane(8.6, 4.6, (17.2, 9.2))
+    area(axes, (4.0, 2.7), (6.2, 6.2), "controller: one process, one thread")
+    block(axes, (0.2, 6.8), (3.0, 1.2), "command line\nrun, stop, gains set")
+    block(axes, (0.2, 4.9), (3.0, 1.2), "Python client\nhandctl.connect")
+    block(axes, (4.4, 6.5), (5.4, 1.5), "tick(): a pure function\nestimate · judge · decide · command")
+    block(axes, (4.4, 4.7), (2.5, 1.2), "clock\nabsolute deadlines")
+    block(axes, (7.3, 4.7), (2.5, 1.2), "mailbox\nrequests, state")
+    block(axes, (4.4, 3.0), (5.4, 1.1), "buses: bytes in records of 80 bytes", "wire")
+    block(axes, (11.6, 6.6), (2.6, 1.3), "recorder\na process", "log")
+    block(axes, (11.6, 4.6), (2.6, 1.3), "log\nMCAP file", "log")
+    block(axes, (14.8, 6.6), (2.2, 1.3), "view, report\nexports", "log")
+    block(axes, (14.8, 4.6), (2.2, 1.3), "replay\nidentify, tune", "log")
+    block(axes, (4.0, 0.3), (4.4, 1.4), "hardware\ndrives, sensor node", "hardware")
+    block(axes, (9.2, 0.3), (5.0, 1.4), "firmware_sim: drives, sensors,\nMuJoCo; shares no code", "hardware")
+    arrow(axes, [(3.2, 7.4), (3.7, 7.4), (3.7, 4.45), (8.5, 4.45), (8.5, 4.7)])
+    arrow(axes, [(3.2, 5.5), (3.7, 5.5)])
+    arrow(axes, [(5.6, 5.9), (5.6, 6.5)], "TickIn", (6.3, 6.2))
+    arrow(axes, [(8.5, 5.9), (8.5, 6.5)])
+    arrow(axes, [(5.2, 4.1), (5.2, 4.7)])
+    arrow(axes, [(4.4, 7.2), (4.2, 7.2), (4.2, 3.55), (4.4, 3.55)])
+    note(axes, (4.28, 4.3), "frames", fontsize=7)
+    arrow(axes, [(9.8, 7.25), (11.6, 7.25)], "every tick", (10.9, 7.45))
+    arrow(axes, [(12.9, 6.6), (12.9, 5.9)])
+    arrow(axes, [(14.2, 5.5), (14.5, 5.5), (14.5, 7.25), (14.8, 7.25)])
+    arrow(axes, [(14.2, 5.1), (14.8, 5.1)])
+    arrow(axes, [(5.6, 3.0), (5.6, 1.7)], "SocketCAN", (6.5, 2.25), both=True)
+    arrow(axes, [(9.5, 3.0), (9.5, 1.7)], "embedded bus,\nvcan, or lockstep", (11.1, 2.25), both=True)
+    return figure
+
+
+def control() -> Any:
+    """Draw the control law of a tendon as a block diagram, with the symbols of the equations."""
+    figure, axes = plane(9.2, 5.0, (18.4, 10.0))
+    block(axes, (0.2, 6.4), (2.3, 1.3), "goal\n$q_d,\\ \\dot q_d,\\ \\ddot q_d$")
+    block(axes, (3.3, 6.4), (3.2, 1.3), "inverse dynamics\n$M\\ddot q_d + h(q_d,\\dot q_d)$")
+    block(axes, (7.3, 6.4), (3.0, 1.3), "allocation\n$R^T f = \\tau,\\ f \\geq f_{min}$")
+    block(axes, (11.1, 6.4), (2.4, 1.3), "pulley friction\n$f_0 = f / \\eta$")
+    block(axes, (3.3, 8.3), (3.2, 1.2), "excursion\n$s_d = R\\,q_d$")
+    block(axes, (7.3, 8.3), (6.2, 1.2), "motion feedback\n$(m_m + m_l)\\,[k\\,(s_d - s) + d\\,(\\dot s_d - v)]$")
+    block(axes, (7.3, 4.3), (6.2, 1.3), "tension loop (hold)\n$f_d + K\\,(f_d - \\hat f) - K_v v + \\int$", "safety")
+    block(axes, (0.2, 4.3), (2.3, 1.3), "goal\ntension $f_d$")
+    circle(axes, (14.6, 7.05), 0.35, "host", "+")
+    block(axes, (15.4, 6.2), (2.8, 1.7), "limits, envelope\nof relaxing,\nlast word", "safety")
+    block(axes, (15.4, 3.9), (2.8, 1.3), "drive and spool\n$\\tau_m = r_a u$", "hardware")
+    block(axes, (15.4, 1.6), (2.8, 1.3), "tendon, digit,\nobject", "hardware")
+    block(
+        axes,
+        (4.9, 1.2),
+        (6.3, 1.9),
+        "tension filter, 7 states a tendon\n$\\hat f = k\\,(x - s - o)$,  $v$,  $s$,  $d$,  load-cell error\n"
+        "encoder, load cell, joint encoder",
+        "host",
+    )
+    arrow(axes, [(2.5, 7.05), (3.3, 7.05)])
+    arrow(axes, [(2.9, 7.05), (2.9, 8.9), (3.3, 8.9)])
+    arrow(axes, [(6.5, 7.05), (7.3, 7.05)], "$\\tau$", (6.72, 7.3))
+    arrow(axes, [(10.3, 7.05), (11.1, 7.05)], "$f$", (10.7, 7.3))
+    arrow(axes, [(13.5, 7.05), (14.25, 7.05)], "$f_0$", (13.9, 7.3))
+    arrow(axes, [(6.5, 8.9), (7.3, 8.9)], "$s_d$", (6.8, 9.15))
+    arrow(axes, [(13.5, 8.9), (14.6, 8.9), (14.6, 7.4)])
+    arrow(axes, [(2.5, 4.95), (7.3, 4.95)], "$f_d$, rate limited")
+    arrow(axes, [(13.5, 4.95), (14.6, 4.95), (14.6, 6.7)])
+    arrow(axes, [(14.95, 7.05), (15.4, 7.05)], "$u$", (15.15, 7.3))
+    arrow(axes, [(16.8, 6.2), (16.8, 5.2)], "torque command\nover CAN", (15.7, 5.7))
+    arrow(axes, [(16.8, 3.9), (16.8, 2.9)], "tension $f_0$", (15.95, 3.4))
+    arrow(axes, [(15.4, 2.2), (11.2, 2.2)], "load cell, spool angle,\njoint angle: a tick old", (13.3, 1.75))
+    arrow(axes, [(9.0, 3.1), (9.0, 4.3)], "$\\hat f,\\ v,\\ d$", (9.75, 3.7))
+    arrow(axes, [(7.0, 3.1), (7.0, 7.9), (7.9, 7.9), (7.9, 8.3)], "$s,\\ v$", (6.6, 5.7))
+    note(
+        axes,
+        (0.2, 2.9),
+        "disturbance $d$: the filter's estimate\nof friction that the model does not\nhave, subtracted from $u$",
+    )
+    note(axes, (0.2, 0.5), "$m_m$, $m_l$: rotor and digit along the tendon.  $\\eta$: efficiency of the pulleys.  "
+         "$r_a$: spool radius.  "
+         "$o$: stretch offset.  $x$: travel at the spool.", fontsize=8)  # fmt: skip
+    return figure
+
+
+def wiring() -> Any:
+    """Draw power, CAN and the emergency stop of a hand on a bench."""
+    figure, axes = plane(8.6, 4.4, (17.2, 8.8))
+    block(axes, (0.3, 6.6), (2.6, 1.3), "supply\ncurrent limit set", "wire")
+    block(axes, (4.0, 6.6), (2.8, 1.3), "emergency stop\nmushroom button", "safety")
+    block(axes, (7.9, 6.6), (2.4, 1.3), "contactor\nor relay", "safety")
+    block(axes, (11.4, 6.6), (2.4, 1.3), "brake resistor", "wire")
+    block(axes, (0.3, 2.6), (2.6, 1.5), "computer\nhandctl")
+    block(axes, (4.0, 2.6), (2.8, 1.5), "CAN adapter\ncan0", "wire")
+    for i, (x, name) in enumerate(((7.9, "drive 1"), (10.3, "drive 2"), (12.7, "drive n"))):
+        block(axes, (x, 3.6), (1.9, 1.3), f"{name}\nown limit", "hardware")
+        arrow(axes, [(x + 0.6, 5.7), (x + 0.6, 4.9)], colour=FAULT)
+        axes.plot([x + 0.95, x + 0.95], [3.6, 2.4], color=INK, linewidth=1.1)
+        note(axes, (x + 1.1, 3.0), f"node {i + 1}" if i < 2 else "node n", fontsize=7)
+    block(axes, (15.1, 3.6), (1.9, 1.3), "sensor node\nload cells", "hardware")
+    axes.plot([16.05, 16.05], [3.6, 2.4], color=INK, linewidth=1.1)
+    axes.plot([8.5, 13.3], [5.7, 5.7], color=FAULT, linewidth=1.6)
+    arrow(axes, [(2.9, 7.25), (4.0, 7.25)], colour=FAULT)
+    arrow(axes, [(6.8, 7.25), (7.9, 7.25)], "coil", (7.35, 7.5), colour=FAULT)
+    arrow(axes, [(1.6, 7.9), (1.6, 8.4), (9.1, 8.4), (9.1, 7.9)], "motor power", (5.4, 8.6), colour=FAULT)
+    axes.plot([9.1, 9.1], [6.6, 5.7], color=FAULT, linewidth=1.6)
+    axes.plot([12.6, 12.6], [6.6, 5.7], color=FAULT, linewidth=1.6)
+    note(axes, (9.3, 6.15), "motor power, switched", color=FAULT)
+    arrow(axes, [(2.9, 3.35), (4.0, 3.35)], "USB", (3.45, 3.6), both=True)
+    axes.plot([5.4, 5.4], [2.6, 2.4], color=INK, linewidth=1.1)
+    axes.plot([5.4, 16.6], [2.4, 2.4], color=INK, linewidth=2.2)
+    for x in (5.4, 16.6):
+        block(axes, (x - 0.25, 1.2), (0.5, 0.9), "120\n$\\Omega$", "wire", 6.5)
+        axes.plot([x, x], [2.1, 2.4], color=INK, linewidth=1.1)
+    note(axes, (11.0, 2.1), "CANH, CANL, GND: a line with two ends, short stubs", ha="center", va="top")
+    note(axes, (0.3, 0.6), "The emergency stop cuts motor power only. Sensor node and adapter keep theirs, so that the "
+         "log shows the stop.\n60 ohm between CANH and CANL with the power off. The drive's own current limit is set "
+         "before a tendon is attached.",
+         fontsize=8)  # fmt: skip
+    return figure
+
+
+def tendon() -> Any:
+    """Draw motor, spool, load cell, pulleys and joints of a digit with their symbols."""
+    from matplotlib.patches import Arc
+
+    figure, axes = plane(8.6, 2.9, (17.2, 5.8))
+    circle(axes, (1.8, 3.4), 1.0, "hardware")
+    circle(axes, (1.8, 3.4), 0.12, "wire")
+    axes.add_patch(Arc((1.8, 3.4), 2.6, 2.6, theta1=100, theta2=200, color=INK, linewidth=1.0))
+    note(axes, (0.1, 4.6), "$\\theta_m$, $\\tau_m$")
+    arrow(axes, [(1.8, 3.4), (2.5, 2.69)], "$r_a$", (2.35, 3.2))
+    note(axes, (1.8, 2.05), "motor and spool\nencoder, inertia $J_m$", ha="center", va="top")
+    colour = DIGITS["index"]
+    axes.plot([1.8, 4.0], [4.4, 4.4], color=colour, linewidth=2.2)
+    block(axes, (4.0, 4.0), (1.5, 0.8), "load cell", "log")
+    axes.plot([5.5, 7.6], [4.4, 4.4], color=colour, linewidth=2.2)
+    note(axes, (4.75, 5.25), "tension $f_0$, measured here\nand commanded here", ha="center")
+    note(axes, (3.3, 3.75), "travel\n$x = r_a\\theta_m$", ha="center")
+    axes.plot([6.9, 16.8], [2.6, 2.6], color="#9aa7b2", linewidth=1.0, linestyle=(0, (2, 2)))
+    joints = ((8.0, 3.4), (11.0, 3.4), (13.9, 3.4))
+    for n, (x, y) in enumerate(joints):
+        end = joints[n + 1][0] if n < 2 else 16.3
+        axes.plot([x, end], [y, y], color="#c5ced6", linewidth=11, solid_capstyle="round", zorder=0)
+        circle(axes, (x, y), 0.95 - 0.12 * n, "wire")
+        note(axes, (x, y - 0.1), f"$q_{n + 1}$", ha="center")
+        arrow(axes, [(x, y), (x + 0.62 - 0.08 * n, y + 0.66 - 0.08 * n)], f"$r_{n + 1}$", (x + 0.5, y + 0.25))
+        note(axes, (x, y - 1.35), f"spring $k_{n + 1}$", ha="center")
+    axes.plot(
+        [7.6, 8.0, 10.9, 11.0, 13.85, 13.9, 15.6], [4.4, 4.36, 4.24, 4.23, 4.12, 4.11, 3.6], color=colour, linewidth=2.2
+    )
+    note(axes, (9.5, 4.75), "$f_1 = f_0\\,e^{-\\mu\\varphi_1}$", ha="center")
+    note(axes, (12.5, 4.6), "$f_2$", ha="center")
+    note(axes, (15.4, 4.3), "anchor")
+    arrow(axes, [(16.9, 4.9), (16.4, 3.8)], "contact $F$", (16.5, 5.15), colour=FAULT)
+    note(axes, (0.2, 0.55), "excursion $s = r_1 q_1 + r_2 q_2 + r_3 q_3 = R\\,q$     stretch $x - s - o$     "
+         "joint torque $\\tau = R^T f$,  $f \\geq 0$"
+         "     friction: winding the joints get less than $f_0$, paying out more", fontsize=8)  # fmt: skip
+    return figure
+
+
+def modes() -> Any:
+    """Draw the modes of the hand and the ways between them."""
+    figure, axes = plane(8.8, 4.0, (17.6, 8.0))
+    row = {"SILENT": 0.3, "INVENTORY": 3.5, "READY": 6.9, "ARMING": 10.1, "ACTIVE": 13.3}
+    texts = ("listen,\nsend nothing", "query, configure,\nread back", "all have\nanswered", "enable the\ndrives",
+             "the program\nmoves the hand")  # fmt: skip
+    for (name, x), text in zip(row.items(), texts, strict=True):
+        block(axes, (x, 6.0), (2.3, 1.5), f"{name}\n{text}", "host", 7.6)
+    block(axes, (13.3, 3.7), (2.3, 1.5), "RELAX\ntensions to 5 N", "safety", 7.6)
+    block(axes, (13.3, 1.4), (2.3, 1.5), "DISARM\ndisable, query", "safety", 7.6)
+    block(axes, (8.3, 3.0), (2.3, 1.5), "CUT\nno torque, now", "safety", 7.6)
+    block(axes, (3.5, 1.4), (2.3, 1.5), "DONE\nconfirmed off,\nor exit code 71", "log", 7.6)
+    names = list(row)
+    for first, second, text in zip(names, names[1:], ("0.5 s", "all answer", "armed", "enabled"), strict=False):
+        arrow(axes, [(row[first] + 2.3, 6.75), (row[second], 6.75)])
+        note(axes, ((row[first] + 2.3 + row[second]) / 2.0, 7.05), text, ha="center", fontsize=6.5)
+    arrow(axes, [(14.6, 6.0), (14.6, 5.2)], "stop, end\nor fault", (15.4, 5.6))
+    arrow(axes, [(14.6, 3.7), (14.6, 2.9)], "below 8 N\nor 1 s", (15.4, 3.3))
+    arrow(axes, [(13.3, 1.8), (5.8, 1.8)], "every drive confirms that it is disabled, or 1 s", (9.4, 1.58))
+    arrow(axes, [(13.6, 6.0), (13.6, 5.55), (9.9, 5.55), (9.9, 4.5)], "cut, or a fault that cuts", (10.9, 5.75), FAULT)
+    arrow(axes, [(13.3, 4.2), (10.6, 4.2)], "the same", (12.2, 4.4), FAULT)
+    arrow(axes, [(10.6, 3.4), (12.6, 3.4), (12.6, 2.5), (13.3, 2.5)], "0.1 s", (11.1, 3.6))
+    arrow(axes, [(11.6, 6.0), (11.6, 3.05), (13.0, 3.05), (13.0, 2.2), (13.3, 2.2)], "stop", (11.95, 4.85))
+    arrow(axes, [(4.65, 6.0), (4.65, 2.9)], "a node is silent or differs,\nor a second controller", (6.4, 4.5))
+    note(
+        axes,
+        (0.3, 0.6),
+        "A latched fault ends in DONE, and only the operator clears it. No mode leads back to an earlier one.",
+        fontsize=8,
+    )
+    return figure

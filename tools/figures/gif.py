@@ -1,0 +1,126 @@
+"""The moving picture of a grasp: the demo's true poses, rendered by MuJoCo without a screen."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from firmware_sim.description import load_hand
+from firmware_sim.plant.mjcf import model_text
+from firmware_sim.scene.scene import load_scene
+from tools.figures import runs
+from tools.figures.style import CREATOR, DIGITS
+
+SIZE = (480, 400)
+"""Width and height [pixels]."""
+RATE_HZ = 12.5
+"""Pictures per second of the run."""
+COLOURS = 96
+LARGEST_BYTES = 3_000_000
+"""Largest size of the file."""
+SKY = """<asset><texture type="skybox" builtin="gradient" rgb1="0.95 0.97 0.99" rgb2="0.78 0.83 0.88"
+  width="32" height="192"/></asset>"""
+ARROW_M_PER_N = 0.006
+"""Length of the arrow of a contact force."""
+
+
+def rgba(colour: str, alpha: float = 1.0) -> tuple[float, float, float, float]:
+    """Return red, green, blue and opacity of a colour such as #3b6fb6."""
+    red, green, blue = (int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
+    return red, green, blue, alpha
+
+
+def write(folder: Path, path: Path) -> None:
+    """Render the demo's grasp as an animated GIF.
+
+    Raises:
+        RuntimeError: the file is larger than a README may carry.
+    """
+    os.environ.setdefault("MUJOCO_GL", "egl")
+    from PIL import Image
+
+    pictures = [Image.fromarray(picture) for picture in frames(folder)]
+    palette = pictures[len(pictures) // 2].quantize(COLOURS)
+    small = [picture.quantize(COLOURS, palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+    small[0].save(path, save_all=True, append_images=small[1:], duration=round(1e3 / RATE_HZ), loop=0, optimize=True,
+                  comment=CREATOR.encode())  # fmt: skip
+    if path.stat().st_size > LARGEST_BYTES:
+        raise RuntimeError(f"{path}: {path.stat().st_size} bytes; expected at most {LARGEST_BYTES}")
+
+
+def frames(folder: Path) -> list[Any]:
+    """Return the pictures, (height, width, 3) each."""
+    import mujoco  # type: ignore[import-untyped,unused-ignore]
+
+    log, truth, _ = runs.grasp(folder)
+    hand, scene = load_hand("jamia"), load_scene("cylinder")
+    model = mujoco.MjModel.from_xml_string(model_text(hand, scene).replace("<worldbody>", SKY + "<worldbody>"))
+    paint(mujoco, model)
+    model.vis.headlight.ambient[:] = 0.45
+    model.vis.headlight.diffuse[:] = 0.55
+    data = mujoco.MjData(model)
+    camera = mujoco.MjvCamera()
+    camera.lookat[:] = (0.018, 0.0, 0.0)
+    camera.distance, camera.azimuth, camera.elevation = 0.21, 192.0, -27.0
+    offset = int(log.header.metadata.get("truth_offset_ns", "0"))
+    starts = {change.name: change.t_ns for change in log.phases}
+    times = np.arange(starts["preshape"], int(log.t_ns[-1]), int(1e9 / RATE_HZ)) + offset
+    joints = truth.table([f"q/{joint}" for joint in log.header.joints], times)
+    pose = truth.table([f"object/{part}" for part in ("x", "y", "z", "qw", "qx", "qy", "qz")], times)
+    sunk = truth.at("support", times)
+    force = {name: truth.table([f"contact_force/{name}/{axis}" for axis in "xyz"], times) for name in DIGITS}
+    top = float(data.mocap_pos[0, 2])
+    pictures = []
+    with mujoco.Renderer(model, SIZE[1], SIZE[0]) as renderer:
+        for i in range(len(times)):
+            data.qpos[: joints.shape[1]] = joints[i]
+            data.qpos[joints.shape[1] :] = pose[i]
+            data.mocap_pos[0, 2] = top - sunk[i]
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_camlight(model, data)
+            renderer.update_scene(data, camera)
+            for name in DIGITS:
+                link = f"{name}_link{2 if name == 'thumb' else 3}"
+                add_arrow(mujoco, renderer.scene, data.body(link).xpos, force[name][i], rgba(DIGITS[name], 0.9))
+            pictures.append(labelled(renderer.render(), log, int(times[i]) - offset, force, i))
+    return pictures
+
+
+def paint(mujoco: Any, model: Any) -> None:
+    """Give links, palm, object and table their colours."""
+    for geom in range(model.ngeom):
+        body = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, model.geom_bodyid[geom])
+        digit = body.partition("_")[0]
+        plain = {"object": "#d8d2c4", "table": "#8d99a5"}.get(body, "#5b6670")
+        model.geom_rgba[geom] = (
+            rgba(DIGITS[digit]) if digit in DIGITS else rgba(plain, 0.55 if body == "object" else 1.0)
+        )
+
+
+def add_arrow(mujoco: Any, scene: Any, start: Any, force: Any, colour: tuple[float, float, float, float]) -> None:
+    """Add the arrow of a contact force [N] at a point."""
+    if np.linalg.norm(force) < 0.2 or scene.ngeom >= scene.maxgeom:
+        return
+    geom = scene.geoms[scene.ngeom]
+    scene.ngeom += 1
+    arrow = mujoco.mjtGeom.mjGEOM_ARROW
+    mujoco.mjv_initGeom(geom, arrow, np.zeros(3), np.zeros(3), np.zeros(9), np.array(colour, np.float32))
+    mujoco.mjv_connector(geom, arrow, 0.0025, np.array(start), np.array(start) + ARROW_M_PER_N * force)
+
+
+def labelled(picture: Any, log: Any, t_ns: int, force: dict[str, Any], i: int) -> Any:
+    """Write time, phase and true contact forces into a picture."""
+    from matplotlib import font_manager
+    from PIL import Image, ImageDraw, ImageFont
+
+    image = Image.fromarray(picture)
+    draw = ImageDraw.Draw(image)
+    font = ImageFont.truetype(font_manager.findfont("DejaVu Sans"), 15)
+    phase = [change.name for change in log.phases if change.t_ns <= t_ns][-1]
+    draw.text((12, 10), f"{t_ns * 1e-9:4.1f} s   {phase}", fill="#22303c", font=font)
+    for row, (name, colour) in enumerate(DIGITS.items()):
+        newtons = float(np.linalg.norm(force[name][i]))
+        draw.rectangle((12, 36 + 20 * row, 22, 46 + 20 * row), fill=colour)
+        draw.text((30, 32 + 20 * row), f"{name} {newtons:4.1f} N", fill="#22303c", font=font)
+    return np.asarray(image)

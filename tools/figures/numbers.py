@@ -1,0 +1,43 @@
+"""The table of the demo's numbers in README and site, between marks that name its command."""
+
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+from tools.figures import runs
+
+PLACE = re.compile(r"(<!-- measured: handctl demo --lockstep -->\n)(.*?)(<!-- end of measured -->)", re.DOTALL)
+"""Place of the table in a page."""
+
+
+def table(result: dict[str, Any]) -> str:
+    """Return the table of a result of ``handctl demo --lockstep --json``."""
+    rows = "\n".join(f"| {name} | {value} |" for name, value in rows_of(result))
+    return f"| `handctl demo --lockstep` prints, among others | |\n|---|---|\n{rows}\n"
+
+
+def rows_of(result: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return name and value of each number."""
+    assumed = result["joint_angles"]["index"]["error_deg"]
+    tracking = math.degrees(result["tracking_rmse_rad"])
+    return [
+        ("ticks, missed", f"{result['ticks']} at {result['rate_hz']:g} Hz, {result['missed']}"),
+        ("tracking error in free motion, against the plant", f"{tracking:.2f} deg rms"),
+        ("tension against the plant: estimate, raw load cell",
+         f"{result['tension_rmse_n']:.2f} N, {result['tension_raw_rmse_n']:.2f} N rms"),
+        ("true tension against the command while holding", f"{result['tension_hold_error_n']:.2f} N"),
+        ("object moved while the table sank by "
+         f"{result['table_sunk_mm']:.0f} mm", f"{result['object_slid_mm']:.1f} mm"),
+        ("joint angles of a held finger: assumed, error", f"{assumed:.1f} deg rms"),
+    ]  # fmt: skip
+
+
+def write(root: Path, folder: Path) -> None:
+    """Write the table into every page that has a place for it."""
+    _, _, result = runs.grasp(folder)
+    for path in (root / "README.md", *sorted((root / "docs").rglob("*.md"))):
+        text = path.read_text(encoding="utf-8")
+        new = PLACE.sub(lambda match: f"{match[1]}{table(result)}{match[3]}", text)
+        if new != text:
+            path.write_text(new, encoding="utf-8")

@@ -1,0 +1,179 @@
+"""Plots of simulated runs: estimate, snapped tendon, tip force, replay, and the frames of a tick."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from handctl.controller.bus_load import bus_loads
+from handctl.core.types import Mode
+from handctl.hand.load import load_hand
+from tools.figures import runs
+from tools.figures.style import COMMAND, DIGITS, ESTIMATE, FAULT, INK, RAW, TRUTH, new_figure
+
+POINTS_LIMIT = 1500
+"""Points of a curve in an SVG."""
+
+
+def thinned(t: Any, *curves: Any) -> tuple[Any, ...]:
+    """Return every n-th point of curves, so that none has more than POINTS_LIMIT."""
+    step = max(1, len(t) // POINTS_LIMIT)
+    return tuple(values[::step] for values in (t, *curves))
+
+
+def estimate(folder: Path) -> Any:
+    """Plot raw load cell, estimate with its band, and truth, in motion and at contact."""
+    log, truth, _ = runs.grasp(folder)
+    offset = int(log.header.metadata.get("truth_offset_ns", "0"))
+    true = truth.at("tension/index_tendon", log.t_ns + offset)
+    raw, mean, sigma = (log.field(name)[:, 0] for name in ("tension_raw", "tension", "tension_sigma"))
+    figure = new_figure(8.6, 3.6)
+    left, right = figure.subplots(1, 2)
+    starts = {change.name: change.t_ns * 1e-9 for change in log.phases}
+    spans = ((left, starts["preshape"], starts["preshape"] + 0.9, "free motion"),
+             (right, starts["hold"] + 0.15, starts["hold"] + 0.75, "a hold begins"))  # fmt: skip
+    for axes, first, last, title in spans:
+        part = (log.times >= first) & (log.times <= last)
+        t = log.times[part]
+        axes.plot(t, raw[part], ".", color=RAW, markersize=3, label="raw load cell")
+        axes.fill_between(t, (mean - 2 * sigma)[part], (mean + 2 * sigma)[part], color=ESTIMATE, alpha=0.2, linewidth=0,
+                          label="estimate, two sigma")  # fmt: skip
+        axes.plot(t, mean[part], color=ESTIMATE, label="estimate")
+        axes.plot(t, true[part], color=TRUTH, linewidth=0.9, label="truth of the plant")
+        axes.set(title=f"index tendon, {title}", xlabel="time [s]")
+        axes.margins(x=0)
+    left.set_ylabel("tension [N]")
+    left.legend(loc="upper left")
+    return figure
+
+
+def snapped_tendon(folder: Path) -> Any:
+    """Plot tension, torque and mode around a tendon that snaps."""
+    del folder
+    run = runs.snap()
+    ms = run.t * 1e3
+    figure = new_figure(8.6, 4.6)
+    top, middle, bottom = figure.subplots(3, 1, sharex=True, height_ratios=(3, 3, 1.1))
+    for n, (name, colour) in enumerate(DIGITS.items()):
+        top.plot(ms, run.values["true_tension"][:, n], color=colour, label=name)
+        middle.plot(ms, run.values["motor_torque_goal"][:, n] * 1e3, color=colour)
+    top.plot(
+        ms, run.values["tension"][:, 0], color=DIGITS["index"], linestyle="--", linewidth=0.9, label="index, estimate"
+    )
+    top.set_ylabel("true tension [N]")
+    top.legend(loc="center left")
+    middle.set_ylabel("torque command\n[mN m]")
+    modes = np.array([int(mode) for mode in run.mode])
+    for mode in np.unique(modes):
+        part = ms[modes == mode]
+        colour = {Mode.ACTIVE: "#3c9d5d", Mode.RELAX: "#d9822b"}.get(Mode(mode), "#7a5fb5")
+        bottom.barh(0, part[-1] - part[0] + 2.0, left=part[0], color=colour, height=0.8)
+        if part[-1] - part[0] > 10.0:
+            middle_ms = (part[0] + part[-1]) / 2.0
+            bottom.text(middle_ms, 0, Mode(mode).name, ha="center", va="center", color="white", fontsize=7.5)
+    bottom.set(yticks=[], ylabel="mode", xlabel="time after the snap [ms]")
+    bottom.grid(visible=False)
+    reports = [(when, text) for when, text in run.events if text.startswith(("T01", "T02"))][:1]
+    for axes in (top, middle, bottom):
+        axes.axvline(0.0, color=FAULT, linewidth=1.0)
+        axes.margins(x=0)
+        for when, _ in reports:
+            axes.axvline(when * 1e3, color=FAULT, linewidth=1.0, linestyle=":")
+    for when, text in reports:
+        middle.text(when * 1e3 + 2.0, middle.get_ylim()[1] * 0.9, text.split(":")[0], color=FAULT, fontsize=8, va="top")
+    top.set_title("the index tendon snaps in a grasp")
+    return figure
+
+
+def tip_force(folder: Path) -> Any:
+    """Plot commanded, estimated and true tip force of a digit that presses on a wall."""
+    del folder
+    run = runs.tip()
+    figure = new_figure(8.6, 3.4)
+    grid = figure.subplots(1, 4, sharey=True)
+    phases = np.array(run.phase)
+    command = np.full(len(run.t), np.nan)
+    for force in runs.TIP_COMMANDS_N:
+        command[phases == f"{force:g} N"] = force
+    start_s = run.t[np.isfinite(command)][0] - 0.4
+    part = run.t >= start_s
+    for n, (axes, (name, colour)) in enumerate(zip(grid, DIGITS.items(), strict=True)):
+        axes.plot(run.t[part], command[part], color=COMMAND, linestyle="--", label="command")
+        axes.plot(run.t[part], run.values["tip_force"][part, n], color=colour, linewidth=0.9, label="estimate")
+        axes.plot(
+            run.t[part], run.values["true_contact"][part, n], color=TRUTH, linewidth=0.9, label="truth of the plant"
+        )
+        axes.set(title=name, xlabel="time [s]")
+        axes.margins(x=0)
+    grid[0].set_ylabel("force at the tip [N]")
+    grid[0].legend(loc="upper left")
+    return figure
+
+
+def replayed(folder: Path) -> Any:
+    """Plot angles and tensions of a grasp and of its replay on a hand with other noise."""
+    log, _, _ = runs.grasp(folder)
+    again = runs.replay(folder)
+    start, end = runs.interval(log)
+    first = again.t[again.phase.index("playback")]
+    figure = new_figure(8.6, 4.4)
+    top, bottom = figure.subplots(2, 1, sharex=True)
+    part = (log.times >= start) & (log.times <= end)
+    later = (again.t >= first) & (again.t <= first + end - start)
+    joints = {"index": slice(0, 3), "thumb": slice(9, 11)}
+    for n, name in ((0, "index"), (3, "thumb")):
+        before = np.degrees(log.field("q")[part, joints[name]].mean(axis=1))
+        after = np.degrees(again.values["q"][later, joints[name]].mean(axis=1))
+        for axes, old, new in (
+            (top, before, after),
+            (bottom, log.field("tension")[part, n], again.values["tension"][later, n]),
+        ):
+            axes.plot(
+                *thinned(log.times[part] - start, old),
+                color=DIGITS[name],
+                alpha=0.45,
+                linewidth=3,
+                label=f"{name}, recorded",
+            )
+            axes.plot(
+                *thinned(again.t[later] - first, new), color=DIGITS[name], linewidth=1.0, label=f"{name}, replayed"
+            )
+    top.set(
+        ylabel="mean joint angle [deg]", title="a recorded grasp, and the same driven again on a hand with other noise"
+    )
+    top.legend(ncols=2)
+    bottom.set(ylabel="tendon tension [N]", xlabel="time [s]")
+    bottom.margins(x=0)
+    return figure
+
+
+def bus_tick(folder: Path) -> Any:
+    """Plot the frames of one tick on the bus, with the longest time of each."""
+    del folder
+    (load,) = bus_loads(load_hand("jamia"))
+    rows = [row for row in load.rows if row.per_tick >= 1.0]
+    figure = new_figure(8.6, 2.9)
+    axes = figure.add_subplot()
+    lanes = {"host": 2, "drives": 1, "sensor node": 0}
+    # The host's frames wait in the order of sending. Of the answers the lowest identifier is sent first.
+    commands = [("host", "SYNC", "SYNC", INK), *(("host", f"{name}_motor", name, DIGITS[name]) for name in DIGITS)]
+    answers = [
+        *(("drives", f"{name}_motor", name, DIGITS[name]) for name in DIGITS),
+        ("sensor node", "tensions", "tensions", INK),
+    ]
+    at = 0.0
+    for lane, what, label, colour in [*commands, *answers]:
+        us = 1e6 * next(row.frame_s for row in rows if row.what == what)
+        axes.barh(lanes[lane], us - 6.0, left=at, color=colour, height=0.55)
+        axes.text(at + us / 2.0 - 3.0, lanes[lane], label, ha="center", va="center", color="white", fontsize=7)
+        at += us
+    axes.axvline(2000.0, color=FAULT, linewidth=1.0)
+    axes.text(1990.0, 2.4, "next tick", ha="right", color=FAULT, fontsize=8)
+    axes.axvspan(at, 2000.0, color="#eef3f7", zorder=0)
+    text = f"free: {2000.0 - at:.0f} us\nfor read-backs, retries,\nthe next computation"
+    axes.text((at + 2000.0) / 2.0, 1.0, text, ha="center", va="center", fontsize=8, color=INK)
+    axes.set(yticks=list(lanes.values()), yticklabels=list(lanes), xlim=(0.0, 2000.0), ylim=(-0.5, 2.7))
+    axes.set(xlabel="time on the wire [us]",
+             title="one tick of jamia at 500 Hz, 1 Mbit/s: SYNC, four commands, four replies, tensions")  # fmt: skip
+    axes.grid(visible=False, axis="y")
+    return figure

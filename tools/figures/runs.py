@@ -1,0 +1,177 @@
+"""Runs of the simulated hand behind the figures, all in lockstep and therefore the same every time."""
+
+import contextlib
+import io
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.campaign.stage import advance_to, started
+from handctl.cli.main import main
+from handctl.controller.setup import make_controller
+from handctl.core.gains.gains import Gains
+from handctl.core.types import Mode
+from handctl.hand.load import load_hand
+from handctl.log.read.reader import RunLog
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.program import Program
+from handctl.programs.task import Task
+from handctl.replay.drive_again import active_interval, playback
+from handctl.report.truth import TruthRecord, read_truth
+from handctl.session.simulate import Simulation, Simulator
+
+Array = NDArray[np.float64]
+DEMO = ("demo", "--lockstep", "--json")
+"""Verb whose numbers stand in the README."""
+RATE_HZ = 500.0
+SNAP_S = 0.25
+"""Time after the snap in the figure [s]."""
+TIP_HAND, TIP_RATE_HZ = "jamia11", 200.0
+TIP_COMMANDS_N = (2.0, 4.0, 6.0)
+WALL = """name = "wall"
+[object]
+shape = "box"
+size_m = [0.04, 0.02, 0.093]
+mass_kg = 50.0
+friction = 0.5
+position_m = [0.045, -0.001, 0.0]
+[support]
+drop_when = "never"
+"""
+"""A heavy block that only the last link of each digit reaches."""
+
+
+@dataclass
+class Recording:
+    """Numbers of a run, tick by tick.
+
+    Attributes:
+        t: (ticks,) time [s].
+        values: arrays by name: telemetry fields, ``true_tension``, ``true_torque``, ``true_contact``.
+        phase: name of the phase in each tick.
+        mode: mode of the hand in each tick.
+        events: time and text of each event.
+    """
+
+    t: Array
+    values: dict[str, Array]
+    phase: list[str]
+    mode: list[Mode]
+    events: list[tuple[float, str]] = field(default_factory=list)
+
+
+FIELDS = ("q", "tension", "motor_torque_goal", "tip_force")
+"""Telemetry of a recording."""
+
+
+def record(run: Simulation, seconds: float, until: str = "") -> Recording:
+    """Run on, and record until a phase begins, the hand is done, or the time is over.
+
+    Args:
+        run: simulation in any stage.
+        seconds: longest time [s].
+        until: phase that ends the recording.
+    """
+    rows: dict[str, list[Array]] = {name: [] for name in (*FIELDS, "true_tension", "true_torque", "true_contact")}
+    made = Recording(np.zeros(0), {}, [], [])
+    times = []
+    run.record = False
+    for _ in range(round(seconds * 1e9 / run.period_ns)):
+        t = run.k * run.period_ns * 1e-9
+        truth = run.peer.truth()
+        contact = np.linalg.norm(np.reshape(run.peer.world.plant.contact_forces(), (-1, 3)), axis=1)
+        out = run.tick()
+        times.append(t)
+        for name in FIELDS:
+            rows[name].append(np.array(getattr(out.telemetry, name)))
+        rows["true_tension"].append(np.array(truth["tension"]))
+        rows["true_torque"].append(np.array(truth["torque"]))
+        rows["true_contact"].append(contact)
+        made.phase.append(out.phase)
+        made.mode.append(out.mode)
+        made.events += [(t, event.text) for event in out.events]
+        if out.mode == Mode.DONE or (until and out.phase == until):
+            break
+    made.t = np.array(times)
+    made.values = {name: np.array(values) for name, values in rows.items()}
+    return made
+
+
+def grasp(folder: Path) -> tuple[RunLog, TruthRecord, dict[str, Any]]:
+    """Run the demo, and return its log, the plant's truth, and the printed result."""
+    log = folder / "grasp.mcap"
+    printed = folder / "grasp.json"
+    if not printed.exists():
+        out = io.StringIO()
+        with contextlib.redirect_stdout(out):
+            code = main([*DEMO, "--log", str(log)])
+        if code:
+            raise RuntimeError(f"handctl {' '.join(DEMO)} returned {code}")
+        printed.write_text(out.getvalue(), encoding="utf-8")
+    return RunLog(log), read_truth(log.with_suffix(".truth")), json.loads(printed.read_text(encoding="utf-8"))
+
+
+def run_picture(folder: Path) -> Path:
+    """Return the picture that the demo itself has drawn."""
+    grasp(folder)
+    return folder / "grasp.png"
+
+
+def view_picture(folder: Path) -> Path:
+    """Draw the demo's log in Rerun, while the hand holds the object. A Vulkan driver is required."""
+    log, _, _ = grasp(folder)
+    at_s = next(change.t_ns for change in log.phases if change.name == "hold") * 1e-9 + 2.5
+    path = folder / "view.png"
+    if code := main(["view", str(folder / "grasp.mcap"), "--picture", str(path), "--at", f"{at_s:.1f}"]):
+        raise RuntimeError(f"handctl view returned {code}")
+    return path
+
+
+def replay(folder: Path) -> Recording:
+    """Drive the demo's log again, on a hand with other noise."""
+    log, _, _ = grasp(folder)
+    program: Program = playback(log, 1.0 / RATE_HZ, False)
+    hand = load_hand("jamia")
+    controller = make_controller(hand, Gains(), RATE_HZ, program, None, arm_at_once=True)
+    with Simulator(hand, "cylinder", 5, homed=True).against(controller) as run:
+        return record(run, 30.0)
+
+
+def interval(log: RunLog) -> tuple[float, float]:
+    """Return begin and end of the part of a log that a replay repeats [s]."""
+    return active_interval(log)
+
+
+def snap() -> Recording:
+    """Snap the index finger's tendon in a grasp."""
+    with started(load_hand("jamia"), RATE_HZ, 0) as run:
+        advance_to(run, "grasp")
+        record(run, 0.5)
+        before = record(run, 0.05)
+        run.peer.inject("snap tendon=index_tendon")
+        after = record(run, SNAP_S)
+    t = np.concatenate([before.t, after.t]) - after.t[0]
+    values = {name: np.concatenate([before.values[name], after.values[name]]) for name in before.values}
+    events = [(when - after.t[0], text) for when, text in after.events]
+    return Recording(t, values, before.phase + after.phase, before.mode + after.mode, events)
+
+
+def tip() -> Recording:
+    """Press on a wall with three commanded tip forces, with the hand that has a tendon at every joint."""
+    hand = load_hand(TIP_HAND)
+    phases: list[dict[str, Any]] = [
+        {"kind": "move", "angle_deg": {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0}, "duration_s": 0.6},
+        {"kind": "close", "angle_deg": 60.0, "speed_deg_s": 50.0},
+        *(
+            {"kind": "hold", "name": f"{force:g} N", "tip_force_N": force, "duration_s": 1.2}
+            for force in TIP_COMMANDS_N
+        ),
+    ]
+    task = Task.model_validate_json(json.dumps({"schema": 1, "name": "tip", "phase": phases}))
+    controller = make_controller(hand, Gains(), TIP_RATE_HZ, TaskProgram(task), None, arm_at_once=True)
+    with Simulator(hand, WALL, 0, homed=True).against(controller) as run:
+        return record(run, 12.0)

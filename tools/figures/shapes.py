@@ -1,0 +1,77 @@
+"""Blocks, arrows and labels of the diagrams, in a plane whose units are chosen by each diagram."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+from tools.figures.style import BLOCKS, INK, new_figure
+
+Point = tuple[float, float]
+
+
+def plane(width: float, height: float, size: Point) -> tuple[Any, Any]:
+    """Return a figure [inch] and axes without frame that span `size` units."""
+    figure = new_figure(width, height)
+    axes = figure.add_subplot()
+    axes.set(xlim=(0.0, size[0]), ylim=(0.0, size[1]), aspect="equal")
+    axes.axis("off")
+    return figure, axes
+
+
+def block(axes: Any, corner: Point, size: Point, text: str, subject: str = "host", fontsize: float = 8.5) -> None:
+    """Draw a block with a text in its middle. The colour is the subject's."""
+    from matplotlib.patches import FancyBboxPatch
+
+    style = "round,pad=0,rounding_size=0.12"
+    axes.add_patch(
+        FancyBboxPatch(corner, *size, boxstyle=style, facecolor=BLOCKS[subject], edgecolor=INK, linewidth=0.9)
+    )
+    middle = (corner[0] + size[0] / 2.0, corner[1] + size[1] / 2.0)
+    axes.text(*middle, text, ha="center", va="center", fontsize=fontsize, color=INK, linespacing=1.35)
+
+
+def area(axes: Any, corner: Point, size: Point, text: str) -> None:
+    """Draw a dashed frame around blocks, with a title at its upper left corner."""
+    from matplotlib.patches import Rectangle
+
+    axes.add_patch(Rectangle(corner, *size, fill=False, edgecolor="#8896a3", linewidth=0.9, linestyle=(0, (4, 3))))
+    axes.text(corner[0] + 0.1, corner[1] + size[1] - 0.12, text, ha="left", va="top", fontsize=8, color="#5b6b79")
+
+
+def arrow(
+    axes: Any, points: Sequence[Point], text: str = "", at: Point | None = None, colour: str = INK, both: bool = False
+) -> None:
+    """Draw an arrow along points.
+
+    Args:
+        axes: of the diagram.
+        points: corners of the line, with the tip at the last one.
+        text: label.
+        at: middle of the label. The default is just above the middle of the longest part.
+        colour: of line and label.
+        both: True for a tip at both ends.
+    """
+    xs, ys = zip(*points[:-1], strict=True) if len(points) > 2 else ((), ())
+    if xs:
+        axes.plot(xs, ys, color=colour, linewidth=1.1, solid_capstyle="round")
+    style = {"arrowstyle": "<|-|>" if both else "-|>", "color": colour, "linewidth": 1.1, "mutation_scale": 9,
+             "shrinkA": 0, "shrinkB": 0}  # fmt: skip
+    axes.annotate("", xy=points[-1], xytext=points[-2], arrowprops=style)
+    if text:
+        pairs = list(pairwise(points))
+        (x0, y0), (x1, y1) = max(pairs, key=lambda ends: abs(ends[0][0] - ends[1][0]) + abs(ends[0][1] - ends[1][1]))
+        place = at or ((x0 + x1) / 2.0, (y0 + y1) / 2.0 + 0.14)
+        axes.text(*place, text, ha="center", va="center", fontsize=7.5, color=colour, linespacing=1.2)
+
+
+def note(axes: Any, place: Point, text: str, **how: Any) -> None:
+    """Write a text."""
+    axes.text(*place, text, **{"ha": "left", "va": "center", "fontsize": 7.5, "color": INK, "linespacing": 1.3} | how)
+
+
+def circle(axes: Any, place: Point, radius: float, subject: str = "hardware", text: str = "") -> None:
+    """Draw a circle with a text in its middle."""
+    from matplotlib.patches import Circle
+
+    axes.add_patch(Circle(place, radius, facecolor=BLOCKS[subject], edgecolor=INK, linewidth=0.9))
+    note(axes, place, text, ha="center")

@@ -1,0 +1,80 @@
+"""One style for all figures: fonts, colours, and files that name the version beside which they stand."""
+
+import io
+import re
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+FOLDER = Path(__file__).parents[2] / "docs" / "figures"
+DIGITS = {"index": "#3b6fb6", "middle": "#d9822b", "ring": "#3c9d5d", "thumb": "#b8436f"}
+"""Colour of each digit, as in the figures of a run and in the viewer."""
+TRUTH = "#000000"
+COMMAND = "#7a7a7a"
+ESTIMATE = "#3b6fb6"
+RAW = "#c9c9c9"
+FAULT = "#d01c1c"
+"""Colours of the plant's truth, of commands, estimates, raw readings and faults."""
+INK = "#22303c"
+BLOCKS = {"host": "#dbe7f5", "wire": "#f6e3c8", "hardware": "#dcefdf", "log": "#ece2f4", "safety": "#f8d9d9"}
+"""Colours of lines and text of diagrams, and of their blocks by subject."""
+SETTINGS: dict[str, Any] = {
+    "font.family": "DejaVu Sans", "font.size": 9, "axes.titlesize": 10, "axes.labelsize": 9, "axes.grid": True,
+    "grid.alpha": 0.3, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False,
+    "legend.fontsize": 8, "svg.hashsalt": "handctl", "svg.fonttype": "path", "figure.facecolor": "white",
+    "lines.linewidth": 1.3, "figure.dpi": 100,
+}  # fmt: skip
+CREATOR = f"handctl {version('handctl')}"
+"""Name and version in the metadata of every figure."""
+
+
+def new_figure(width: float, height: float) -> Any:
+    """Return an empty figure [inch] in the style."""
+    import matplotlib
+
+    for key, value in SETTINGS.items():
+        matplotlib.rcParams[key] = value  # type: ignore[index]
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def save(figure: Any, name: str, folder: Path = FOLDER) -> list[Path]:
+    """Write a figure as SVG and PNG, both with the version in their metadata."""
+    written = []
+    for kind, metadata in (("svg", {"Creator": CREATOR, "Date": None}), ("png", {"Software": CREATOR})):
+        path = folder / f"{name}.{kind}"
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format=kind, metadata=metadata, dpi=110)
+        lines = buffer.getvalue()
+        # matplotlib leaves blanks at the ends of lines of an SVG, which git reports.
+        path.write_bytes(b"\n".join(map(bytes.rstrip, lines.split(b"\n"))) if kind == "svg" else lines)
+        written.append(path)
+    return written
+
+
+def stamp(source: Path, path: Path) -> None:
+    """Copy a PNG that handctl has drawn, with the version in its metadata."""
+    from PIL import Image, PngImagePlugin
+
+    info = PngImagePlugin.PngInfo()
+    info.add_text("Software", CREATOR)
+    with Image.open(source) as image:
+        image.save(path, pnginfo=info, optimize=True)
+
+
+def drawn_by(path: Path) -> str:
+    """Return the name and version in the metadata of a figure, empty without them."""
+    if path.suffix == ".svg":
+        text = path.read_text(encoding="utf-8")
+        match = re.search(r"<dc:title>(.*?)</dc:title>", text)
+        return match[1] if match else ""
+    from PIL import Image
+
+    with Image.open(path) as image:
+        info = image.info
+    comment = info.get("comment", b"")
+    return str(info.get("Software", "")) or (comment.decode() if isinstance(comment, bytes) else str(comment))
