@@ -21,6 +21,9 @@ EXAMPLES = {
     "config check": Example("handctl config check --hand jamia --task grasp.toml"),
     "config list": Example("handctl config list"),
     "config schema": Example("handctl config schema --output hand.schema.json"),
+    "config convert": Example(
+        "handctl config show --hand jamia > old.toml; handctl config convert old.toml --output new.toml"
+    ),
     "config export": Example("handctl config export --hand jamia --dbc"),
     "bus": Example("handctl bus plan --hand jamia11 --rate 200"),
     "bus plan": Example("handctl bus plan --hand jamia11 --rate 200"),
@@ -36,12 +39,12 @@ EXAMPLES = {
 
 def config(parser: Parser) -> None:
     """Declare the arguments of ``config``."""
-    kinds = parser.add_subparsers(dest="what", required=True, metavar="show|check|list|schema|export")
+    kinds = parser.add_subparsers(dest="what", required=True, metavar="show|check|list|schema|convert|export")
 
     def kind(name: str, text: str) -> Parser:
         one = add_sub_verb(kinds, name, text, EXAMPLES[f"config {name}"])
         json_option(one)
-        if name not in ("list", "schema"):
+        if name not in ("list", "schema", "convert"):
             hand_option(one)
         return one
 
@@ -50,6 +53,9 @@ def config(parser: Parser) -> None:
     kind("list", "list the packaged hands and tasks")
     schema = kind("schema", "print the JSON Schema of hand files, for completion in an editor")
     output_option(schema, "a new file (default: standard output)")
+    convert = kind("convert", "write a hand file of schema 1 as schema 2: repeated values once, comments kept")
+    convert.add_argument("old", type=Path, metavar="OLD", help="hand file of schema 1")
+    output_option(convert, "a new file", required=True)
     export = kind("export", "write the buses of a hand for other tools")
     export.add_argument("--dbc", action="store_true", help="the frames of each bus, as a CAN database")
     output_option(export, "a new file (default: HAND.dbc)")

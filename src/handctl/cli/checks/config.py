@@ -18,7 +18,16 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.file.error_text import SECTION, Mistake, in_file
 from handctl.hand.file.json_schema import hand_schema_text
-from handctl.hand.load import hand_path, inspect, load_hand, packaged_hands, read_toml
+from handctl.hand.file.templates import RESOLVED
+from handctl.hand.load import (
+    hand_from,
+    hand_path,
+    inspect,
+    load_hand,
+    packaged_hands,
+    parse_toml,
+    read_toml,
+)
 from handctl.hand.strength import strength_warnings
 from handctl.output import named_after, write_whole
 from handctl.programs.task import load_task
@@ -34,6 +43,8 @@ def run(args: argparse.Namespace) -> int:
         return _list(args.json)
     if args.what == "schema":
         return _schema(args)
+    if args.what == "convert":
+        return _convert(args)
     if args.what == "check" and (errors := _errors(args)):
         return _report_errors(args, errors)
     hand = load_hand(args.hand)
@@ -205,6 +216,27 @@ def _schema(args: argparse.Namespace) -> int:
         print_json({"output": str(args.output)})
     else:
         say(f"{args.output}: begin a hand file with the line #:schema {args.output.name}")
+    return 0
+
+
+def _convert(args: argparse.Namespace) -> int:
+    """Write a hand file of schema 1 as schema 2."""
+    from handctl.hand.file.convert import converted  # tomlkit is for this verb alone
+
+    hand = load_hand(args.old)
+    text = hand_path(args.old).read_text("utf-8")
+    if parse_toml(text, str(args.old))["schema"] != RESOLVED:
+        raise ConfigError("schema 2 already", f"{args.old}: schema", f"a file of schema {RESOLVED}")
+    new = converted(text, str(args.old))
+    again = hand_from(parse_toml(new, str(args.output)), str(args.output))
+    if again.identity != hand.identity:
+        raise ConfigError("describes another hand after its conversion", str(args.old), "a report of this as a bug")
+    write_whole(args.output, new, new=True)
+    lines = len(text.splitlines()), len(new.splitlines())
+    if args.json:
+        print_json({"output": str(args.output), "lines": lines, "identity": hand.identity})
+    else:
+        say(f"{args.output}: {lines[1]} lines instead of {lines[0]}, the same hand {hand.identity[:16]}")
     return 0
 
 

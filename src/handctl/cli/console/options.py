@@ -131,9 +131,9 @@ def jobs_option(parser: argparse.ArgumentParser, default: int | None, text: str)
     parser.add_argument("--jobs", type=int, default=default, metavar="N", help=f"{text} (default: {default_text})")
 
 
-def output_option(parser: argparse.ArgumentParser, text: str, metavar: str = "FILE") -> None:
+def output_option(parser: argparse.ArgumentParser, text: str, metavar: str = "FILE", *, required: bool = False) -> None:
     """Declare --output: file or folder of the result."""
-    parser.add_argument("--output", type=Path, metavar=metavar, help=text)
+    parser.add_argument("--output", type=Path, metavar=metavar, help=text, required=required)
 
 
 def perturb_option(parser: argparse.ArgumentParser) -> None:

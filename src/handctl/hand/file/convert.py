@@ -1,0 +1,312 @@
+"""Conversion of a hand file of schema 1 to schema 2. Repeated values are written once, and comments are kept.
+
+The text of each value stays as it is, so that ``0x1A0`` and ``6.384e-3`` are found again. A comment
+goes where its value goes.
+"""
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import tomlkit
+from tomlkit.exceptions import TOMLKitError
+from tomlkit.items import AoT, Comment, Item, Table, Whitespace
+
+from handctl.errors import ConfigError
+from handctl.hand.file.templates import ALL, DIGIT_KINDS, KINDS, ONE_FOR_ALL_LINKS, SHORT_JOINT, WRITTEN
+from handctl.hand.file.toml_text import toml_text
+
+LONGEST_LINE = 120
+"""Longest line of a table within a line."""
+PERSONAL = {"digit": {"name", "mount_position_m"}, "tendon": {"name"}, "motor": {"name", "node_id"}}
+"""Keys of a section that no default and no template has."""
+SHARED_FROM = 2
+"""Number of sections from which a common value becomes a default or a template."""
+
+
+@dataclass
+class Entry:
+    """A key with its value as text and the comment at the end of its line.
+
+    Attributes:
+        key: key, empty for a line that is only a comment or blank.
+        text: text of the value, or the whole line without a key.
+        value: value, None without a key.
+        comment: comment with its #, or empty.
+    """
+
+    key: str
+    text: str
+    value: Any = None
+    comment: str = ""
+
+    def line(self) -> str:
+        """Return the line of the entry."""
+        if not self.key:
+            return self.text
+        return f"{self.key} = {self.text}" + (f"   {self.comment}" if self.comment else "")
+
+
+@dataclass
+class Block:
+    """A table of the file, or its root.
+
+    Attributes:
+        entries: keys and comments in order.
+        before: comment lines before the header of the table.
+        comment: comment behind the header.
+        held: tendons and motors within a digit, by kind and short name.
+    """
+
+    entries: list[Entry]
+    before: list[str] = field(default_factory=list)
+    comment: str = ""
+    held: dict[str, dict[str, "Block"]] = field(default_factory=lambda: {kind: {} for kind in DIGIT_KINDS})
+
+    def values(self) -> dict[str, Any]:
+        """Return the values by key."""
+        return {entry.key: entry.value for entry in self.entries if entry.key}
+
+    def take(self, keys: Iterable[str]) -> list[Entry]:
+        """Remove keys, and return their entries."""
+        taken = [entry for entry in self.entries if entry.key in set(keys)]
+        self.entries = [entry for entry in self.entries if entry not in taken]
+        return taken
+
+
+def converted(text: str, source: str) -> str:
+    """Return the text of a hand file of schema 1 as schema 2.
+
+    Args:
+        text: text of a valid hand file of schema 1.
+        source: name of the file in messages.
+
+    Raises:
+        ConfigError: the text is not TOML.
+    """
+    try:
+        document = tomlkit.parse(text)
+    except (TOMLKitError, ValueError, RecursionError) as error:
+        raise ConfigError(f"not TOML: {error}", source, "valid TOML") from None
+    root, tables = _blocks(document)
+    for entry in root.entries:
+        if entry.key == "schema":
+            entry.text = str(WRITTEN)
+    sections = {kind: [block for name, block in tables if name == kind] for kind in KINDS}
+    others = [(name, block) for name, block in tables if name not in KINDS]
+    _shorten_sensor_node(others, sections)
+    defaults = {kind: _common(kind, sections[kind]) for kind in KINDS}
+    for kind in DIGIT_KINDS:
+        _hold(kind, sections)
+    templates = _templates(sections["digit"])
+    lines = _lines(root, "")
+    for name, block in others:
+        array = isinstance(document[name], AoT)
+        lines += ["", *block.before, f"[[{name}]]" if array else f"[{name}]" + _behind(block), *_lines(block, name)]
+    for kind in KINDS:
+        lines += _kind_lines(kind, defaults[kind], templates if kind == "digit" else {}, sections[kind])
+    return re.sub(r"\n{3,}", "\n\n", "\n".join(lines).strip("\n")) + "\n"
+
+
+def _blocks(document: tomlkit.TOMLDocument) -> tuple[Block, list[tuple[str, Block]]]:
+    """Return the root and the tables of a document in order, each with the comments before its header."""
+    root = Block([])
+    tables: list[tuple[str, Block]] = []
+    last = root
+    for key, item in document.body:
+        if key is None or not isinstance(item, Table | AoT):
+            last.entries += _entry(key.key if key else "", item)
+            continue
+        for table in item.body if isinstance(item, AoT) else [item]:
+            block = Block([], _trailing_comments(last), table.trivia.comment)
+            for name, value in table.value.body:
+                block.entries += _entry(name.key if name else "", value)
+            tables.append((key.key, block))
+            last = block
+    return root, tables
+
+
+def _entry(key: str, item: Item) -> list[Entry]:
+    """Return the entries of a key, a comment line or blank lines."""
+    if isinstance(item, Whitespace):
+        return []
+    if isinstance(item, Comment):
+        return [Entry("", item.trivia.comment)]
+    if isinstance(item, Table):
+        comments = [Entry("", value.trivia.comment) for name, value in item.value.body if isinstance(value, Comment)]
+        return [*comments, Entry(key, _inline(item.unwrap()), item.unwrap())]
+    return [Entry(key, item.as_string().strip(), item.unwrap(), item.trivia.comment)]
+
+
+def _trailing_comments(block: Block) -> list[str]:
+    """Remove the comment lines at the end of a table, and return them. They belong to the next table."""
+    trailing: list[str] = []
+    while len(block.entries) > 1 and not block.entries[-1].key:
+        trailing.insert(0, block.entries.pop().text)
+    return trailing
+
+
+def _common(kind: str, blocks: Sequence[Block]) -> list[Entry]:
+    """Remove the values that all sections of a kind have in common, and return them."""
+    if kind == "digit":
+        for block in blocks:
+            _one_for_all_links(block)
+    if len(blocks) < SHARED_FROM:
+        return []
+    return _shared(blocks, lambda key, value: key not in PERSONAL[kind] and key not in ("motor", "moment_arm_m"))
+
+
+def _shared(blocks: Sequence[Block], can_be: Callable[[str, Any], bool]) -> list[Entry]:
+    """Remove the values that all blocks have in common, and return them with all their comments."""
+    first = blocks[0].values()
+    others = [block.values() for block in blocks[1:]]
+    keys = [
+        key
+        for key, value in first.items()
+        if can_be(key, value) and all(key in other and _same(other[key], value) for other in others)
+    ]
+    entries = {entry.key: entry for entry in blocks[0].take(keys)}
+    for block in blocks[1:]:
+        for entry in block.take(keys):
+            known = entries[entry.key]
+            if entry.comment and entry.comment not in known.comment:
+                known.comment = f"{known.comment}; {entry.comment.lstrip('# ')}" if known.comment else entry.comment
+    return list(entries.values())
+
+
+def _same(one: Any, other: Any) -> bool:
+    """Return True for equal values of one type: true is not 1."""
+    return bool(one == other) and isinstance(one, bool) == isinstance(other, bool)
+
+
+def _one_for_all_links(block: Block) -> None:
+    """Write one number for a list of equal numbers per link."""
+    for entry in block.entries:
+        values = entry.value
+        if entry.key not in ONE_FOR_ALL_LINKS or not isinstance(values, list) or not values:
+            continue
+        if isinstance(values[0], int | float) and all(value == values[0] for value in values):
+            # The text between the brackets, up to the first comma, is the number as it was written.
+            entry.text = entry.text.strip("[] \n").split(",")[0].strip()
+            entry.value = values[0]
+
+
+def _shorten_sensor_node(others: Sequence[tuple[str, Block]], sections: dict[str, list[Block]]) -> None:
+    """Write all tendons, and all joints, as one word."""
+    digits = [block.values() for block in sections["digit"]]
+    names = {
+        "tendons": [block.values().get("name") for block in sections["tendon"]],
+        "joints": [f"{digit['name']}_j{i + 1}" for digit in digits for i in range(len(digit["link_length_m"]))],
+    }
+    for name, block in others:
+        for entry in block.entries if name == "sensor_node" else ():
+            if entry.key in names and entry.value == names[entry.key]:
+                entry.text = f'"{ALL}"'
+
+
+def _hold(kind: str, sections: dict[str, list[Block]]) -> None:
+    """Move the tendons or motors into the digits whose names they have, if all of them can."""
+    moved: list[tuple[Block, str, Block]] = []
+    digits = {block.values()["name"]: block for block in sections["digit"]}
+    for block in sections[kind]:
+        name = str(block.values()["name"])
+        owner = max((digit for digit in digits if name.startswith(f"{digit}_")), key=len, default=None)
+        if owner is None or not all(joint.startswith(f"{owner}_j") for joint in block.values().get("moment_arm_m", ())):
+            return
+        moved.append((digits[owner], name.removeprefix(f"{owner}_"), block))
+    if [id(block) for *_, block in sorted(moved, key=lambda row: list(digits.values()).index(row[0]))] != [
+        id(block) for block in sections[kind]
+    ]:
+        return  # the order would change
+    comments: list[str] = []
+    if sections[kind]:
+        comments, sections[kind][0].before = sections[kind][0].before, []
+    for digit, short, block in moved:
+        owner = digit.values()["name"]
+        block.take(["name"])
+        for entry in block.entries:
+            if entry.key == "motor" and str(entry.value).startswith(f"{owner}_"):
+                entry.value = str(entry.value).removeprefix(f"{owner}_")
+                entry.text = f'"{entry.value}"'
+            if entry.key == "moment_arm_m":
+                entry.value = {joint.removeprefix(f"{owner}_"): arm for joint, arm in entry.value.items()}
+                entry.text = entry.text.replace(f"{owner}_j", "j")
+                assert all(SHORT_JOINT.fullmatch(joint) for joint in entry.value)
+        digit.held[kind][short] = block
+    sections[kind].clear()
+    if comments:
+        sections[kind].append(Block([], comments))
+
+
+def _templates(digits: Sequence[Block]) -> dict[str, Block]:
+    """Remove the values that digits of the same links have in common, and return them as templates."""
+    groups: dict[str, list[Block]] = {}
+    for block in digits:
+        groups.setdefault(str(block.values().get("link_length_m")), []).append(block)
+    templates: dict[str, Block] = {}
+    for group in groups.values():
+        if len(group) < SHARED_FROM or "link_length_m" not in group[0].values():
+            continue
+        template = Block(_shared(group, lambda key, value: key not in PERSONAL["digit"]))
+        for kind in DIGIT_KINDS:
+            for short in group[0].held[kind]:
+                if not all(short in block.held[kind] for block in group):
+                    continue
+                held = [block.held[kind][short] for block in group]
+                common = _shared(held, lambda key, value: key != "node_id")
+                if common:
+                    template.held[kind][short] = Block(common)
+        name = "finger" if not templates else f"finger_{len(templates) + 1}"
+        templates[name] = template
+        for block in group:
+            place = next(i for i, entry in enumerate(block.entries) if entry.key == "name") + 1
+            block.entries.insert(place, Entry("template", f'"{name}"', name))
+    return templates
+
+
+def _kind_lines(
+    kind: str, default: Sequence[Entry], templates: dict[str, Block], sections: Sequence[Block]
+) -> list[str]:
+    """Return the lines of the default, the templates and the sections of a kind."""
+    lines = ["", *(sections[0].before if sections else [])]
+    if default:
+        lines += [f"[default.{kind}]", *(entry.line() for entry in default), ""]
+    for name, template in templates.items():
+        lines += [f"[{kind}_template.{name}]", *_lines(template, f"{kind}_template.{name}"), ""]
+    for i, block in enumerate(sections):
+        if block.entries or any(block.held.values()):
+            lines += [*(block.before if i else []), f"[[{kind}]]" + _behind(block), *_lines(block, kind), ""]
+    return lines
+
+
+def _behind(block: Block) -> str:
+    """Return the comment behind a header."""
+    return f"   {block.comment}" if block.comment else ""
+
+
+def _lines(block: Block, header: str) -> list[str]:
+    """Return the lines of a table, and of the tendons and motors that it holds."""
+    lines = [entry.line() for entry in block.entries]
+    tables: list[str] = []
+    for kind, held in block.held.items():
+        for short, inner in held.items():
+            keyed = [entry for entry in inner.entries if entry.key]
+            comments = "; ".join(entry.comment.lstrip("# ") for entry in keyed if entry.comment)
+            behind = f"   # {comments}" if comments else ""
+            line = f"{kind}.{short} = {{ " + ", ".join(f"{entry.key} = {entry.text}" for entry in keyed) + " }" + behind
+            alone = [entry for entry in inner.entries if not entry.key]
+            if len(keyed) == 1 and not alone and not inner.before:
+                lines.append(f"{kind}.{short}.{keyed[0].line()}")
+            elif keyed and len(line) <= LONGEST_LINE and "\n" not in line:
+                lines += [*inner.before, *(entry.text for entry in alone), line] if alone or not lines else [line]
+            elif keyed:
+                tables += ["", f"[{header}.{kind}.{short}]", *(entry.line() for entry in inner.entries)]
+            elif kind == "motor":
+                lines.append(f"{kind}.{short} = {{}}")
+    return lines + tables
+
+
+def _inline(table: dict[str, Any]) -> str:
+    """Return a table within a line."""
+    return toml_text({"x": [{"x": table}]}).split("x = ", 1)[1].strip()
