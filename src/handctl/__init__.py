@@ -6,6 +6,8 @@ from handctl.errors import BusError, ConfigError, DriveError, HandctlError, LogE
 
 if TYPE_CHECKING:
     from handctl.client import HandClient as HandClient
+    from handctl.client import Observation as Observation
+    from handctl.client import TargetStream as TargetStream
     from handctl.client import connect as connect
 
 __all__ = [
@@ -15,7 +17,9 @@ __all__ = [
     "HandClient",
     "HandctlError",
     "LogError",
+    "Observation",
     "PowerError",
+    "TargetStream",
     "UnconfirmedError",
     "connect",
 ]

@@ -27,6 +27,7 @@ from handctl.drives.contract import DriveState, Phase
 from handctl.hand.load import hand_content, hand_from, load_hand, packaged_hands
 from handctl.programs.grip import Grip
 from handctl.programs.program import Progress
+from handctl.programs.streams import StreamPlan
 from handctl.safety.judge import Counting, Latched
 from tests.controller.bench import Bench
 from tests.controller.synthetic import interpreted
@@ -301,6 +302,13 @@ def progresses(before: Progress) -> Iterator[tuple[str, Progress]]:
             yield name, replace(before, **{name: value})
 
 
+STREAM = StreamPlan("s", "one", "digit", ("index",), "linear", 0.01, 0.014)
+OTHER_STREAM = {
+    "name": "t", "client": "two", "space": "joint", "names": ("thumb",), "interpolation": "minimum_jerk",
+    "period": 0.02, "horizon": 0.015,
+}  # fmt: skip
+
+
 def decisions(before: Decisions) -> Iterator[tuple[str, Decisions]]:
     """Decisions with one part changed, for every part."""
     pending = PendingGains(with_values(Gains(), {"motion.force_N": 21.0}, "test"))
@@ -314,6 +322,8 @@ def decisions(before: Decisions) -> Iterator[tuple[str, Decisions]]:
         "unconfirmed": [("x",)],
         "gains": [pending.gains],
         "pending": [pending, replace(pending, step=1), replace(pending, gains=Gains())],
+        "commander": ["", "one"],
+        "stream": [STREAM, *(replace(STREAM, **{name: value}) for name, value in OTHER_STREAM.items())],
     }
     assert values.keys() == set(Decisions._fields), "a new decision needs a line here"
     for name, others in values.items():

@@ -72,14 +72,20 @@ def test_replies_to_other_programs_are_ignored(alone, monkeypatch, theirs):
     with pytest.raises(ConfigError, match="the hand is not ready yet"):
         alone.move(index=3, wait=False)
     assert len({one["by"] for one in sent}) == 2
-    alone._goal_sent = False
+    alone._commands = False
 
 
 def test_a_goal_without_a_digit_is_refused(alone):
     with pytest.raises(ConfigError, match="move: no digit; expected"):
         alone.move()
-    with pytest.raises(ConfigError, match="hold: no digit; expected"):
-        alone.hold()
+
+
+def test_a_hold_without_a_tension_brings_the_hand_to_rest(alone, monkeypatch):
+    requests = []
+    monkeypatch.setattr(alone, "_set_goal", requests.append)
+    alone.hold()
+    alone.hold({})
+    assert requests == [{"do": "stay"}] * 2
 
 
 def test_digits_may_come_as_a_mapping(alone, monkeypatch):
@@ -95,8 +101,8 @@ def test_digits_may_come_as_a_mapping(alone, monkeypatch):
             do(2.0)
         with pytest.raises(ConfigError, match="index is there twice; expected one value for each digit"):
             do({"index": 1}, index=2)
-        with pytest.raises(ConfigError, match="no digit; expected one at least"):
-            do({})
+    with pytest.raises(ConfigError, match="no digit; expected one at least"):
+        alone.move({})
 
 
 def test_a_silent_controller_is_one_line(alone):
@@ -197,7 +203,7 @@ def test_a_fault_between_two_calls_is_reported_at_the_end(place, hand, calibrate
 
 @REALTIME
 def test_a_task_of_another_program_goes_on(place, hand, calibrated, processes, monkeypatch, scale):
-    monkeypatch.setattr("handctl.client.ATTACH_S", 1.0)
+    monkeypatch.setattr("handctl.client.hand.ATTACH_S", 1.0)
     process = start_handctl("run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *scale)
     processes.append(process)
     watcher = Watcher(BUS)

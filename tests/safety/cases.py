@@ -131,6 +131,11 @@ def derailed(tendon: int, deg: float) -> Shown:
                 measured_excursion={tendon: excursion})  # fmt: skip
 
 
+def stream(silence_ns: int) -> Shown:
+    """Return an open stream of targets whose latest target was sent some time ago."""
+    return rows(streaming=2, stream_sent_ns=NOW_NS - silence_ns)
+
+
 def stuck_motor(motor: int, goal: float) -> Shown:
     return rows(motor_value={motor: 0.0}, motor_stuck={motor: 50}, motor_anchor={(0, motor): 0.0, (1, motor): 20.0},
                 followed={motor: goal})  # fmt: skip
@@ -245,6 +250,8 @@ CASES = {
     "H13": Case(Shown(reports=tuple(second_controller_reports(["0x001"]))), REST, "0x001", 1, RELAX, True),
     "I07a": Case(rows(refused_now=1, refused=1), rows(refused=1), "goal", 1, WARN, False, True),
     "I07b": Case(rows(refused_now=1, refused=3), rows(refused_now=1, refused=2), "goal", 1, RELAX, True, True),
+    "I11a": Case(stream(100_000_001), stream(100_000_000), "stream", 1, HOLD, False, True),
+    "I11b": Case(stream(1_000_000_001), stream(1_000_000_000), "stream", 1, RELAX, True, True),
 }  # fmt: skip
 OTHER_SIGNS = {
     "B16": [io("ebadf")],

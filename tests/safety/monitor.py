@@ -68,6 +68,7 @@ class Monitor:
             residual_fraction=low_pass_fractions(every, motor_period, joint_period),  # type: ignore[arg-type]
             cell_group=np.arange(n), joint_group=n + np.arange(n), tension_groups=n, mute_ns=30_000_000,
             answers_once=1, digit=np.arange(n), joints_first=np.arange(n), joints_end=np.arange(n) + 1,
+            stream_hold_ns=100_000_000, stream_relax_ns=1_000_000_000,
         )  # fmt: skip
         self.follow(limits)
         self.set_constants(**constants)

@@ -10,7 +10,7 @@ from pydantic.fields import FieldInfo
 from handctl.core.gains.bounds import SECTIONS, bounds
 from handctl.core.gains.gains import Gains
 from handctl.hand.description import Hand
-from handctl.programs.requests import Request, RequestBase
+from handctl.programs.requests import CommandBase, Request
 from tools.reference.markdown import code, prose, table
 
 MEANINGS = {
@@ -130,14 +130,18 @@ def _fields(model: type[BaseModel], do: str) -> Iterable[tuple[str, str, str, st
     """Yield a row per field of a request that not every request has."""
     schema = model.model_json_schema()["properties"]
     for name, field in model.model_fields.items():
-        if name == "do" or name in RequestBase.model_fields:
+        if name == "do" or name in CommandBase.model_fields:
             continue
-        default = "required" if field.is_required() else f"{field.default:g}"
+        default = "required" if field.is_required() else str(field.default).removesuffix(".0")
         yield code(name), _bounds_text(schema[name]), default, prose(field.description) or MEANINGS[f"{do}.{name}"]
 
 
 def _bounds_text(schema: dict[str, Any]) -> str:
     """Return the valid values of a JSON schema in words."""
+    if "enum" in schema:
+        return " or ".join(code(value) for value in schema["enum"])
+    if schema.get("type") == "array":
+        return f"a list of at most {schema['maxItems']}, each {_bounds_text(schema['items'])}"
     if schema.get("type") == "object":
         return f"a table, each {_bounds_text(schema['additionalProperties'])}"
     limits = {"minimum": "at least", "exclusiveMinimum": "more than", "maximum": "at most", "exclusiveMaximum": "below"}

@@ -7,6 +7,8 @@ import numpy as np
 from handctl.controller import retune
 from handctl.controller.modes import OperatorRequests
 from handctl.controller.state import State
+from handctl.controller.streams import apply_target, close_stream, open_stream, reference_of, stay
+from handctl.core import block as s
 from handctl.core.model import HandModel
 from handctl.core.types import LETTING_GO, Event, Mode
 from handctl.programs.commission import CommissionProgram
@@ -15,14 +17,21 @@ from handctl.programs.program import Program
 from handctl.programs.requests import (
     Arm,
     Clear,
+    CloseStream,
+    CommandBase,
     Cut,
     HoldTension,
+    Leave,
     MoveDigits,
+    OpenStream,
     SetGains,
     Stop,
     describe_request,
+    is_target,
     parse_request,
+    parse_target,
 )
+from handctl.programs.streams import mapping
 from handctl.safety.faults.table import BY_ID, DEBOUNCE
 
 BEFORE_READY = (Mode.SILENT, Mode.INVENTORY)
@@ -46,6 +55,9 @@ def apply_requests(
     operator = OperatorRequests()
     events = list[Event]()
     for text in requests:
+        if is_target(text):
+            events += apply_target(model, state, parse_target(text), state.whole(s.T_NS))
+            continue
         request = parse_request(text)
         if isinstance(request, str):
             events.append(Event("warn", "request", "", request))
@@ -60,27 +72,72 @@ def apply_requests(
         elif isinstance(request, Clear):
             clear(state)
             state.clearing = state.mode in BEFORE_READY
-        elif isinstance(request, SetGains) and isinstance(program, CommissionProgram):
-            events.append(Event("warn", "request", "", "refused: the hand is being commissioned"))
         elif isinstance(request, SetGains):
-            pending = state.decisions.pending
-            designed, refused = retune.begin_design(pending.gains if pending else model.gains, request.set)
-            state.decide(pending=designed or pending)
-            events += refused
-        elif isinstance(request, MoveDigits | HoldTension):
-            events += _set_goal(model, program, state, request)
+            events += _set_gains(model, program, state, request)
+        elif isinstance(request, CommandBase):
+            events += _command(model, program, state, request)
     return operator, tuple(events)
 
 
-def _set_goal(model: HandModel, program: Program, state: State, request: MoveDigits | HoldTension) -> tuple[Event, ...]:
-    """Set a live goal if the run accepts live goals. A relaxing or commissioning hand must not pull."""
+def _set_gains(model: HandModel, program: Program, state: State, request: SetGains) -> tuple[Event, ...]:
+    """Begin the design of other gains."""
+    if isinstance(program, CommissionProgram):
+        return (Event("warn", "request", "", "refused: the hand is being commissioned"),)
+    pending = state.decisions.pending
+    designed, refused = retune.begin_design(pending.gains if pending else model.gains, request.set)
+    state.decide(pending=designed or pending)
+    return refused
+
+
+def _command(model: HandModel, program: Program, state: State, request: CommandBase) -> tuple[Event, ...]:
+    """Carry out a command if the run accepts commands of this client."""
+    if refusal := _refusal(program, state, request):
+        return (refusal,)
+    if state.decisions.commander not in (None, request.client):
+        close_stream(model, state)
+    state.decide(commander=request.client)
+    if isinstance(request, MoveDigits | HoldTension):
+        return _set_goal(model, state, request)
+    if isinstance(request, OpenStream):
+        return (open_stream(model, state, request),)
+    stream = state.decisions.stream
+    if not isinstance(request, CloseStream):
+        close_stream(model, state)
+        state.decide(progress=stay(model, state))
+    elif stream is not None and stream.name == request.stream:
+        close_stream(model, state)
+    if isinstance(request, Leave):
+        state.decide(commander=None)
+    return ()
+
+
+def _refusal(program: Program, state: State, request: CommandBase) -> Event | None:
+    """Return the refusal of a command. A relaxing or commissioning hand must not pull, and one client commands."""
     if state.mode in LETTING_GO:
-        return (Event("info", "request", "", "refused: the hand is letting go"),)
+        return Event("info", "request", "", "refused: the hand is letting go")
     if not isinstance(program, LiveProgram):
-        return (Event("warn", "request", "", "refused: this run has goals of its own"),)
-    if state.mode != Mode.ACTIVE:
-        return (Event("warn", "request", "", "refused: the hand is not ready yet"),)
-    progress, events = apply_goal(model, state.progress, request, state.estimate, state.goal_time)
+        return Event("warn", "request", "", "refused: this run has goals of its own")
+    if state.mode != Mode.ACTIVE or state.progress.phase != "live":
+        return Event("warn", "request", "", "refused: the hand is not ready yet")
+    commander = state.decisions.commander
+    if commander in (None, request.client) or request.take_over:
+        return None
+    text = f"refused: {commander or 'a client without a name'} commands this hand, expected take_over"
+    return Event("info", "request", "", text)
+
+
+def _set_goal(model: HandModel, state: State, request: MoveDigits | HoldTension) -> tuple[Event, ...]:
+    """Set a goal of digits. A stream of one of them ends."""
+    reference = reference_of(model, state)
+    progress, events = apply_goal(model, state.progress, request, state.estimate, state.goal_time, reference)
+    if progress is state.progress:
+        return events
+    stream, goals = state.decisions.stream, state.progress.goals
+    if stream is not None:
+        streamed = mapping(model, stream.space, stream.names).digits
+        if any(progress.goals[d] is not goals[d] for d in streamed):
+            close_stream(model, state)
+            progress, _ = apply_goal(model, state.progress, request, state.estimate, state.goal_time, reference)
     state.decide(progress=progress)
     return events
 

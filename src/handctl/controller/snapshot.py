@@ -12,7 +12,7 @@ from handctl.controller.pending_gains import PendingGains
 from handctl.controller.state import Decisions, State
 from handctl.core.gains.gains import Gains
 from handctl.core.law.goal import DigitGoal, Kind
-from handctl.core.law.trajectory import Chirp, Curve, MinimumJerk, Sample
+from handctl.core.law.trajectory import Blend, Chirp, Curve, MinimumJerk, Sample, Streamed
 from handctl.core.plain import BYTES, plain, register, restored
 from handctl.core.schema import Layout
 from handctl.drives.cia402.progress import Cia402Progress
@@ -25,12 +25,13 @@ from handctl.drives.odrive.progress import OdriveProgress
 from handctl.drives.readback import Cursor, Recheck
 from handctl.programs.grip import Grip
 from handctl.programs.program import Progress
+from handctl.programs.streams import StreamPlan
 from handctl.safety.judge import Counting, Latched
 
 register(
-    Decisions, DriveState, Phase, DriveTarget, Progress, Grip, DigitGoal, Kind, MinimumJerk, Curve, Sample, Chirp,
-    Latched, Counting, Gains, PendingGains, Recheck, Cursor, MitProgress, CubemarsProgress, OdriveProgress,
-    Cia402Progress, MoteusProgress, Channel,
+    Decisions, DriveState, Phase, DriveTarget, Progress, Grip, DigitGoal, Kind, MinimumJerk, Blend, Curve, Sample,
+    Chirp, Streamed, StreamPlan, Latched, Counting, Gains, PendingGains, Recheck, Cursor, MitProgress, CubemarsProgress,
+    OdriveProgress, Cia402Progress, MoteusProgress, Channel,
 )  # fmt: skip
 
 HEAD = 8

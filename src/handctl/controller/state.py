@@ -18,6 +18,7 @@ from handctl.core.schema import Block, Layout
 from handctl.core.types import Mode
 from handctl.drives.contract import DriveState, Phase
 from handctl.programs.program import Progress
+from handctl.programs.streams import StreamPlan
 from handctl.safety.judge import Counting, Latched
 
 
@@ -29,11 +30,13 @@ class Decisions(NamedTuple):
         progress: of the program.
         latched: latched faults.
         counting: faults reported by buses and host, with consecutive ticks.
-        refusals: ticks of the last second with a refused live goal.
+        refusals: ticks of the last second with a malformed request.
         failure: reason of an early end of the run, a line. Empty without failure.
         unconfirmed: motors without a confirmed disable.
         gains: replacement of the gains at the start. None before a change.
         pending: requested gains in design.
+        commander: client that commands, see ``requests.CommandBase``. None: any client may.
+        stream: open stream of targets.
     """
 
     drives: tuple[DriveState, ...]
@@ -45,6 +48,8 @@ class Decisions(NamedTuple):
     unconfirmed: tuple[str, ...] = ()
     gains: Gains | None = None
     pending: PendingGains | None = None
+    commander: str | None = None
+    stream: StreamPlan | None = None
 
 
 # Serialized parts by identity: most decisions are the same objects from tick to tick.

@@ -39,6 +39,7 @@ from handctl.drives.frame import ERROR, Frame
 from handctl.drives.records import PAYLOAD, WORDS, Frames, Rows, frames_of, joined
 from handctl.drives.sensors.node import SensorNode
 from handctl.programs.program import TARE_PHASE, Program
+from handctl.programs.requests import REFUSED
 from handctl.safety.action import Action
 from handctl.safety.judge import Finding, filter_error_frames, judge, newly_counting, second_controller_reports
 from handctl.safety.limits import Limits
@@ -235,16 +236,21 @@ class Controller:
     # judge, decide
 
     def _count_refusals(self, state: State, request_events: tuple[Event, ...]) -> None:
-        """Count the live goals refused within the last second."""
+        """Count the refused requests, and the malformed ones within the last second.
+
+        A request that is out of range is a normal event for a program that explores. Only requests
+        without a meaning show that the client is broken.
+        """
         recent = state.decisions.refusals
         if request_events or recent:
-            refused = sum(event.level == "warn" for event in request_events)
+            refused = [event.text for event in request_events if event.level == "warn"]
+            malformed = sum(not text.startswith(REFUSED) for text in refused)
             k = state.k
             rate = 1.0 / self.model.period
-            recent = tuple(then for then in (*recent, *(k,) * refused) if k - then < rate)
+            recent = tuple(then for then in (*recent, *(k,) * malformed) if k - then < rate)
             state.decide(refusals=recent)
             state.set_whole(s.REFUSED, len(recent))
-            state.set_whole(s.REFUSED_NOW, refused)
+            state.set_whole(s.REFUSED_NOW, len(refused))
 
     def _judge(
         self, before: State, state: State, entry: TickIn, signs: tuple[str, ...]

@@ -57,6 +57,10 @@ FRICTION_FRACTION = _real("friction_fraction", "run", "", "fraction of pulley fr
 TENSION_FEEDBACK = _real("tension_feedback", "run", "", "inner tension loop of a moving digit")
 INTEGRAL_GAIN = _real("integral_gain", "run", "", "tension loop: integral gain times the period")
 PERIOD = _real("period", "run", "s", "control period")
+STREAM_SPEED = _real("stream_speed", "run", "rad/s", "largest rate of a streamed motion")
+STREAM_ACCELERATION = _real("stream_acceleration", "run", "rad/s2", "largest acceleration of a streamed motion")
+STREAM_HOLD_NS = _whole("stream_hold_ns", "run", "ns", "age of a target after which the hand holds")
+STREAM_RELAX_NS = _whole("stream_relax_ns", "run", "ns", "age of a target after which the hand relaxes")
 TRIM_DECAY = _real("trim_kept", "run", "", "fraction of a trim that is left after a tick")
 
 # Joints and links.

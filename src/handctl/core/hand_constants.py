@@ -118,6 +118,10 @@ def _law(model: HandModel) -> dict[str, object]:
         "friction_fraction": motion.friction_share,
         "tension_feedback": motion.tension_feedback,
         "integral_gain": tension.integral_per_s * model.period,
+        "stream_speed": math.radians(model.hand.stream.speed_deg_s),
+        "stream_acceleration": math.radians(model.hand.stream.acceleration_deg_s2),
+        "stream_hold_ns": round(1e6 * model.hand.stream.hold_after_ms),
+        "stream_relax_ns": round(1e6 * model.hand.stream.relax_after_ms),
         "trim_kept": math.exp(-model.period / TRIM_TIME_S),
     }
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from handctl.hand.file import quantities as qty
-from handctl.hand.file.sections import Bus, Digit, Motor, Mount, Section, SensorNode, Tendon
+from handctl.hand.file.sections import Bus, Digit, Motor, Mount, Section, SensorNode, StreamLimits, Tendon
 from handctl.hand.file.toml_text import toml_text
 
 LATER_KEYS = ("joint_rated_torque_N_m", "joint_axis", "joint_rpy_deg")
@@ -35,6 +35,8 @@ class Hand(Section):
     """CAN buses."""
     sensor_node: SensorNode
     """Sensor node with load cells and joint encoders."""
+    stream: StreamLimits = StreamLimits()
+    """Limits of targets that a client streams."""
     digit: tuple[Digit, ...] = Field(min_length=1)
     """Fingers and thumb."""
     tendon: tuple[Tendon, ...] = Field(min_length=1)
@@ -107,6 +109,8 @@ class Hand(Section):
             for key in LATER_KEYS:
                 if digit[key] is None:  # hands without the key keep their identity
                     del digit[key]
+        if self.stream == StreamLimits():  # a section that came later, too
+            del content["stream"]
         return content
 
     def to_toml(self) -> str:

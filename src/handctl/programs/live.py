@@ -1,6 +1,6 @@
 """Programs whose goals come from requests: a live session with `jog` or a client, and a single jog."""
 
-import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,7 +9,7 @@ from handctl.core.estimate import Estimate, Measured
 from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.law.trajectory import PEAK_SPEED
 from handctl.core.model import HandModel
-from handctl.core.types import Event
+from handctl.core.types import Event, Vector
 from handctl.programs.program import (
     TIGHTEN_TIMEOUT_S,
     Progress,
@@ -20,6 +20,7 @@ from handctl.programs.program import (
     tighten,
 )
 from handctl.programs.requests import HoldTension, MoveDigits
+from handctl.programs.streams import continued
 from handctl.programs.task import FOLLOW_SPEED_DEG_S
 from handctl.programs.task_checks import ROUNDING_DEG
 
@@ -86,15 +87,27 @@ def apply_goal(
     request: MoveDigits | HoldTension,
     estimate: Estimate,
     t: float,
+    reference: tuple[Vector, ...] | None = None,
 ) -> ProgressAndEvents:
     """Apply the goals of a request.
 
-    A request with an unknown digit, an angle out of range, too high a speed or too much tension
-    changes nothing.
+    A request with an unknown digit or joint, an angle out of range, too high a speed or too much
+    tension changes nothing.
+
+    Args:
+        model: model of the hand.
+        progress: progress with the present goals.
+        request: the request.
+        estimate: estimate of this tick.
+        t: time of the program [s].
+        reference: for each digit, (3, n) position, rate and acceleration of the present reference. A
+            moving digit goes on from its reference, any other from the estimate. None: all from the
+            estimate.
     """
     names = model.hand.digit_names
     values = request.angle_deg if isinstance(request, MoveDigits) else request.tension_N
-    unknown = sorted(values.keys() - set(names))
+    right = (*names, *model.hand.joints) if isinstance(request, MoveDigits) else names
+    unknown = sorted(values.keys() - set(right))
     if unknown or progress.phase in ("start", "tighten"):
         reason = (
             f"no digit {unknown[0]!r}, expected one of {', '.join(names)}" if unknown else "the hand is not ready yet"
@@ -102,35 +115,82 @@ def apply_goal(
         return progress, (Event("warn", "request", "", f"refused: {reason}"),)
     goals = list(progress.goals)
     contact = list(progress.contact)
-    for name, value in values.items():
-        d = names.index(name)
-        tendons = model.digit_tendons[d]
+    for d, name in enumerate(names):
+        start = None if reference is None or goals[d].kind != Kind.MOTION else reference[d]
         if isinstance(request, MoveDigits):
-            if reason := _out_of_reach(model, d, estimate, value, request.duration_s):
+            end = _end_of_move(model, d, request.angle_deg, estimate if start is None else start[0])
+            if isinstance(end, str):
+                return progress, (Event("warn", "request", name, f"refused: {end}"),)
+            if end is None:
+                continue
+            if reason := _out_of_reach(model, d, estimate, end, request.duration_s):
                 return progress, (Event("warn", "request", name, f"refused: {name} {reason}"),)
-            goals[d] = motion_to(model.digits[d], estimate, math.radians(value), request.duration_s, t)
+            goals[d] = _move(model, d, estimate, start, np.radians(end), request.duration_s, t)
             contact[d] = False
-        elif value > float(model.ceiling[tendons].min()):
+        elif name in values:
+            value, tendons = values[name], model.digit_tendons[d]
             limit = float(model.ceiling[tendons].min())
-            text = f"refused: {value:g} N on {name}, expected at most {limit:g} N"
-            return progress, (Event("warn", "request", name, text),)
-        else:
+            if value > limit:
+                text = f"refused: {value:g} N on {name}, expected at most {limit:g} N"
+                return progress, (Event("warn", "request", name, text),)
             target = np.full(tendons.stop - tendons.start, value)
             goals[d] = DigitGoal(Kind.TENSION, tension=target, rate=request.rate_N_per_s)
     text = f"{request.do} " + ", ".join(f"{name} {value:g}" for name, value in values.items())
     return replace(progress, goals=tuple(goals), contact=tuple(contact)), (Event("info", "request", "", text),)
 
 
-def _out_of_reach(model: HandModel, d: int, estimate: Estimate, angle: float, duration: float) -> str:
-    """Return why a digit refuses an angle [deg] in a time [s], empty if it accepts."""
+COUPLED_DEG = 0.5
+"""Largest difference of an angle from the coupled joints of its digit [deg]."""
+
+
+def _end_of_move(
+    model: HandModel, d: int, angles: Mapping[str, float], start: Estimate | Vector
+) -> Vector | str | None:
+    """Return the coordinates at the end of a digit's move [deg].
+
+    Args:
+        model: model of the hand.
+        d: index of the digit.
+        angles: angle by digit or joint [deg].
+        start: present coordinates [rad], or the estimate. Joints without an angle stay there.
+
+    Returns:
+        None for a digit without an angle, the reason for angles that the digit cannot take together.
+    """
+    digit, name = model.digits[d], model.hand.digit_names[d]
+    count = digit.coupling.shape[1]
+    joints = model.hand.joints[digit.joints]
+    given = {j: angles[joint] for j, joint in enumerate(joints) if joint in angles}
+    if not given:
+        return np.full(count, angles[name]) if name in angles else None
+    if name in angles:
+        return f"{name} and {joints[next(iter(given))]}, expected either the digit or its joints"
+    now = np.degrees(np.clip(start if isinstance(start, np.ndarray) else coordinates(digit, start), *digit.reach))
+    rows = digit.coupling[list(given)]
+    wanted = np.array(list(given.values()))
+    end = np.asarray(now + np.linalg.pinv(rows) @ (wanted - rows @ now))
+    if np.abs(rows @ end - wanted).max() > COUPLED_DEG:
+        return f"{', '.join(joints[j] for j in given)} are coupled, expected {name}, one angle for all of them"
+    return end
+
+
+def _move(
+    model: HandModel, d: int, estimate: Estimate, start: Vector | None, end: Vector, duration: float, t: float
+) -> DigitGoal:
+    """Return a move of a digit, from its present reference (3, n), or from the estimate if that is None."""
+    if start is None:
+        return motion_to(model.digits[d], estimate, end, duration, t)
+    return DigitGoal(Kind.MOTION, continued(start, end, duration, model.digits[d].reach), since=t)
+
+
+def _out_of_reach(model: HandModel, d: int, estimate: Estimate, end: Vector, duration: float) -> str:
+    """Return why a digit refuses coordinates [deg] in a time [s], empty if it accepts."""
     digit = model.digits[d]
-    joint_min, joint_max = digit.reach
-    # One angle for all coordinates, so the tightest range of any coordinate counts.
-    low = math.degrees(joint_min.max())
-    high = math.degrees(joint_max.min())
-    if not low - ROUNDING_DEG <= angle <= high + ROUNDING_DEG:
-        return f"{angle:g} deg, expected from {low:g} to {high:g} deg"
-    travel = np.abs(angle - np.degrees(coordinates(digit, estimate))).max()
+    joint_min, joint_max = (np.degrees(bound) for bound in digit.reach)
+    for angle, low, high in zip(end, joint_min, joint_max, strict=True):
+        if not low - ROUNDING_DEG <= angle <= high + ROUNDING_DEG:
+            return f"{angle:g} deg, expected from {low:g} to {high:g} deg"
+    travel = np.abs(end - np.degrees(coordinates(digit, estimate))).max()
     peak = PEAK_SPEED * float(travel) / duration
     too_fast = f"at up to {peak:.0f} deg/s, expected at most {FOLLOW_SPEED_DEG_S:g} deg/s: give it more time"
     return "" if peak <= FOLLOW_SPEED_DEG_S else too_fast

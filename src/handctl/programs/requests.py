@@ -3,13 +3,17 @@
 Requests enter the tick as text, so a log is re-executed with exactly the same requests.
 """
 
-from collections.abc import Iterable, Mapping
-from typing import Annotated, Any, Literal
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field, TypeAdapter, ValidationError
 
 from handctl.document import Document
 from handctl.programs.task import SHORTEST_MOVE_S, Angle, Tension
+
+MOST_VALUES = 64
+"""Largest number of values of a streamed target."""
 
 
 class RequestBase(Document):
@@ -43,15 +47,61 @@ class Clear(RequestBase):
     do: Literal["clear"]
 
 
-class MoveDigits(RequestBase):
-    """Move digits to joint angles, a one-tendon digit by the mean joint angle."""
+class CommandBase(RequestBase):
+    """Fields of a request that moves the hand. One client commands at a time."""
+
+    client: str = Field("", max_length=40, pattern=r"^[\w.-]*$")
+    """Client that commands. Requests without a client count as one client."""
+    take_over: bool = False
+    """Take the command over from another client."""
+
+
+class MoveDigits(CommandBase):
+    """Move digits or joints to angles. A digit has one angle for all its joints."""
 
     do: Literal["move"]
     angle_deg: dict[str, Angle] = Field(min_length=1)
+    """Angle by digit, or by joint of the hand file."""
     duration_s: float = Field(1.0, ge=SHORTEST_MOVE_S, le=600)
 
 
-class HoldTension(RequestBase):
+class Stay(CommandBase):
+    """Bring the moving digits to rest where they are. Digits that hold a tension go on."""
+
+    do: Literal["stay"]
+
+
+class Leave(CommandBase):
+    """Give the command back. The digits come to rest, and another client may command."""
+
+    do: Literal["leave"]
+
+
+class OpenStream(CommandBase):
+    """Begin a stream of targets. A stream that is open ends."""
+
+    do: Literal["stream"]
+    stream: str = Field(min_length=1, max_length=40, pattern=r"^[\w.-]*$")
+    """Name of the stream, which every target repeats."""
+    space: Literal["joint", "digit"]
+    """Meaning of a target: an angle for each joint, or one angle for all joints of a digit."""
+    names: tuple[str, ...] = Field(min_length=1, max_length=MOST_VALUES)
+    """Names of the values of a target, in order."""
+    rate_Hz: float = Field(ge=1, le=1000)
+    """Rate at which the client sends targets."""
+    interpolation: Literal["linear", "minimum_jerk"] = "linear"
+    """Motion from one target to the next."""
+
+
+class CloseStream(CommandBase):
+    """End a stream. Its digits come to rest where they are."""
+
+    do: Literal["stream_end"]
+    stream: str = Field(max_length=40)
+    """Name of the stream."""
+
+
+class HoldTension(CommandBase):
     """Hold tensions, one for all tendons of a digit."""
 
     do: Literal["hold"]
@@ -67,7 +117,7 @@ class SetGains(RequestBase):
     """Value by key, e.g. `motion.force_N`. All values are applied, or none."""
 
 
-Request = Arm | Stop | Cut | Clear | MoveDigits | HoldTension | SetGains
+Request = Arm | Stop | Cut | Clear | MoveDigits | HoldTension | Stay | Leave | OpenStream | CloseStream | SetGains
 
 _PREFIX = "asked: "
 _ADAPTER: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])
@@ -102,6 +152,48 @@ def events_for_request(by: str, events: Iterable[Mapping[str, Any]]) -> list[str
         elif texts is not None:
             texts.append(text)
     return texts
+
+
+class Target(NamedTuple):
+    """Target of a stream.
+
+    Attributes:
+        stream: name of the stream.
+        number: number of the target. It rises from one target to the next.
+        sent_ns: time at which the client sent the target [ns of the run].
+        values: one per name of the stream, in its unit. Not checked.
+    """
+
+    stream: str
+    number: int
+    sent_ns: int
+    values: tuple[float, ...]
+
+
+_TARGET = '{"do": "target", '
+"""Start of the text of a target, for a quick test. Targets come hundreds of times a second."""
+
+
+def target_text(stream: str, number: int, sent_ns: int, values: Sequence[float]) -> str:
+    """Return the request of a target, see ``Target``. Values are written to the last bit."""
+    return f'{_TARGET}"stream": "{stream}", "n": {number}, "sent_ns": {sent_ns}, "values": {json.dumps(list(values))}}}'
+
+
+def is_target(text: str) -> bool:
+    """Return True if a request is a target of a stream."""
+    return text.startswith(_TARGET)
+
+
+def parse_target(text: str) -> Target | None:
+    """Parse a target. Return None for a text of another form."""
+    try:
+        fields = json.loads(text)
+        stream, number, sent_ns = fields["stream"], fields["n"], fields["sent_ns"]
+        values = tuple([float(value) for value in fields["values"]])
+    except (ValueError, KeyError, TypeError, RecursionError, OverflowError):
+        return None
+    right = isinstance(stream, str) and type(number) is int and type(sent_ns) is int
+    return Target(stream, number, sent_ns, values) if right else None
 
 
 def parse_request(text: str) -> Request | str:

@@ -119,6 +119,10 @@ def _no_snapshot(entry: TickIn, state: object) -> None:
     """Record no snapshot of the state."""
 
 
+def _no_observer(entry: TickIn, out: TickOut, state: object) -> None:
+    """Show the state to no program."""
+
+
 @dataclass
 class Loop(Generic[S]):
     """One run of the controller.
@@ -134,6 +138,7 @@ class Loop(Generic[S]):
         record: hands one tick to the recorder.
         keep: hands the state after a tick to the recorder at intervals.
         show: draws the state of a tick at intervals.
+        observe: hands the state after a tick to programs that observe the hand, right after the commands.
         let_go: disables the drives again, given the last state, the time [ns] and the frames since. It returns the
             state after that, frames to send, and the drives that have not reported yet that they are off.
         urgent: context of the ticks, such as real-time priority. Nothing before or after them runs in it.
@@ -150,6 +155,7 @@ class Loop(Generic[S]):
     record: Callable[[TickIn, TickOut], None]
     show: Callable[[TickIn, TickOut], None]
     keep: Callable[[TickIn, S], None] = _no_snapshot
+    observe: Callable[[TickIn, TickOut, S], None] = _no_observer
     let_go: Callable[[S, int, list[Frame]], tuple[S, tuple[Frame, ...], tuple[str, ...]]] | None = None
     urgent: Callable[[], AbstractContextManager[object]] = nullcontext
     stats: LoopStats = field(default_factory=LoopStats)
@@ -243,6 +249,7 @@ class Loop(Generic[S]):
             entry = self._collect(k, late - skipped * self.period_ns)
             last[0], out = self.tick(last[0], entry)
             self._send(out.frames)
+            self.observe(entry, out, last[0])
             self.record(entry, out)
             self.keep(entry, last[0])
             self._count(entry, skipped, late)

@@ -26,8 +26,8 @@ LARGEST = 4096
 STOP, CUT, CLEAR = (f'{{"do": "{word}"}}' for word in ("stop", "cut", "clear"))
 """Requests that several modules send."""
 WATCH = b'{"do": "watch"}'
-WATCHERS = 4
-"""Largest number of programs that watch at once. The newest replace the oldest."""
+WATCHERS = 16
+"""Largest number of programs that get every status line. Further ones get one line for each ``watch``."""
 LARGEST_STATUS = 65536
 """Longest status line [bytes]."""
 RETRY_S = 0.05
@@ -79,8 +79,12 @@ class Mailbox:
             if not ours:
                 continue
             if data == WATCH and sender:
-                others = [watcher for watcher in self.watchers if watcher != sender]
-                self.watchers = [*others[-WATCHERS + 1 :], sender]
+                if sender in self.watchers:
+                    continue
+                if len(self.watchers) < WATCHERS:
+                    self.watchers.append(sender)
+                else:  # a watcher that is there keeps its place: its program may read without asking again
+                    self.askers.append(sender)
                 continue
             texts.append(data.decode("utf-8", "replace"))
             if sender:

@@ -135,6 +135,16 @@ def mailbox_path(spec: str) -> Path:
     return run_dir() / f"{_file_name(spec)}.requests"
 
 
+def targets_path(spec: str) -> Path:
+    """Return the socket on which the controller of a bus takes streamed targets."""
+    return run_dir() / f"{_file_name(spec)}.targets"
+
+
+def observations_path(spec: str) -> Path:
+    """Return the file of shared memory in which the controller of a bus writes its observations."""
+    return run_dir() / f"{_file_name(spec)}.observations"
+
+
 def watcher_path(number: int) -> Path:
     """Return the socket on which this process receives the status lines of one watched controller."""
     return run_dir() / f"watcher-{os.getpid()}-{number}"

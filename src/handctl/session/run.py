@@ -13,9 +13,11 @@ from handctl.controller import setup
 from handctl.controller.shutdown import shutdown_step
 from handctl.controller.snapshot import snapshot
 from handctl.controller.state import State
+from handctl.controller.streams import stream_status
 from handctl.controller.tick import Controller
 from handctl.core.types import IoEvent, TickIn, TickOut
 from handctl.errors import DriveError, PowerError
+from handctl.hand.description import Hand
 from handctl.log.header import TRUTH_OFFSET
 from handctl.log.record import pack, pack_snapshot
 from handctl.log.topics.snapshots import PERIOD_NS
@@ -27,8 +29,10 @@ from handctl.runtime.clock import Clock, Priority, RealClock, give_back_priority
 from handctl.runtime.lockstep import LockstepBus, LockstepClock
 from handctl.runtime.loop import Loop, LoopBus, LoopStats, StopSignals
 from handctl.runtime.mailbox import CLEAR, Mailbox, bus_lock
+from handctl.runtime.observations import ObservationWriter
 from handctl.runtime.status import status
 from handctl.runtime.suspend import SuspendWatch
+from handctl.runtime.targets import TargetBox
 from handctl.session.exit_codes import Exit
 from handctl.session.header import run_header
 from handctl.session.plan import Display, Plan
@@ -133,6 +137,10 @@ def run_live(
     with ExitStack() as stack:
         mailbox = Mailbox(plan.buses[0])
         stack.callback(mailbox.close)
+        targets = TargetBox(plan.buses[0], clock.of)
+        stack.callback(targets.close)
+        observations = ObservationWriter(plan.buses[0], _axes(plan.hand), _description(plan))
+        stack.callback(observations.close)
         for spec in sorted({*plan.buses} - {plan.buses[0]}):
             stack.enter_context(bus_lock(spec))
         buses: list[LoopBus] = []
@@ -150,8 +158,9 @@ def run_live(
         signals = StopSignals()
         stack.enter_context(signals.installed())
         show = _merge_observers(observer, _status_callback(display, mailbox, plan.rate_hz))
-        request_source = _merge_requests(observer, _requests(plan, signals, mailbox))
+        request_source = _merge_requests(observer, _requests(plan, signals, mailbox, targets))
         loop = _loop(plan, controller, clock, buses, recorder, request_source, show)
+        loop.observe = lambda entry, out, state: observations.publish(entry, out, stream_status(state))
         return _finish(loop, controller, recorder, display, priority, lambda: int(clock.start_ns * clock.scale))
 
 
@@ -236,13 +245,25 @@ def _loop(
     )
 
 
-def _requests(plan: Plan, signals: StopSignals, mailbox: Mailbox) -> Callable[[], tuple[str, ...]]:
+def _axes(hand: Hand) -> dict[str, int]:
+    """Return the number of joints, tendons, motors and digits."""
+    return {"joint": len(hand.joints), "tendon": len(hand.tendon), "motor": len(hand.motor), "digit": len(hand.digit)}
+
+
+def _description(plan: Plan) -> dict[str, object]:
+    """Return the constants of a run for observing programs."""
+    return {"hand_toml": plan.hand.to_toml(), "rate_Hz": plan.rate_hz, "time_scale": plan.time_scale}
+
+
+def _requests(
+    plan: Plan, signals: StopSignals, mailbox: Mailbox, targets: TargetBox
+) -> Callable[[], tuple[str, ...]]:
     """Return a function that collects the requests of a tick. An order from the command line comes first."""
     orders = [CLEAR] if plan.clear else []
 
     def take() -> tuple[str, ...]:
         first = (orders.pop(),) if orders else ()
-        return first + signals.take() + mailbox.read()
+        return first + signals.take() + mailbox.read() + targets.read()
 
     return take
 

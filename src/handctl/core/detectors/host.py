@@ -1,4 +1,4 @@
-"""Detectors of rows H01 to H03 and I07, see ``safety.faults.host``."""
+"""Detectors of rows H01 to H03, I07 and I11, see ``safety.faults.host``."""
 
 from handctl.compiled import inner
 from handctl.core import block as s
@@ -6,7 +6,7 @@ from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.detectors.bus import Evidence
-from handctl.safety.faults.host import H01, H02, H03, I07A, I07B, LATE_FRACTION, REFUSED_LIMIT
+from handctl.safety.faults.host import H01, H02, H03, I07A, I07B, I11A, I11B, LATE_FRACTION, REFUSED_LIMIT
 
 
 @inner
@@ -22,6 +22,12 @@ def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> Non
     if armed and missed >= c.run_int[h.STALLED_TICKS]:
         evidence[H03, 0] = missed
     if armed and x.run_int[s.REFUSED_NOW]:
-        evidence[I07A, 0] = x.run_int[s.REFUSED]
+        evidence[I07A, 0] = x.run_int[s.REFUSED_NOW]
         if x.run_int[s.REFUSED] >= REFUSED_LIMIT:
             evidence[I07B, 0] = x.run_int[s.REFUSED]
+    if armed and x.run_int[s.STREAMING] == 2:
+        silence_ns = x.run_int[s.T_NS] - x.run_int[s.STREAM_SENT_NS]
+        if silence_ns > c.run_int[h.STREAM_HOLD_NS]:
+            evidence[I11A, 0] = silence_ns / 1e9
+        if silence_ns > c.run_int[h.STREAM_RELAX_NS]:
+            evidence[I11B, 0] = silence_ns / 1e9

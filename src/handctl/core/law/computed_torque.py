@@ -217,8 +217,8 @@ def _move(
         acceleration: of the excursion [m/s2].
     """
     speed = x.tendon[s.SPEED, n]
-    feedback = c.tendon[h.ERROR_GAIN, n] * (excursion - x.tendon[s.EXCURSION, n])
-    feedback += c.tendon[h.SPEED_GAIN, n] * (rate - speed)
+    feedback = x.tendon[s.STIFFNESS_FRACTION, n] * c.tendon[h.ERROR_GAIN, n] * (excursion - x.tendon[s.EXCURSION, n])
+    feedback += x.tendon[s.DAMPING_FRACTION, n] * c.tendon[h.SPEED_GAIN, n] * (rate - speed)
     counted = c.run[h.FRICTION_FRACTION]
     # Fraction of the tension that passes the pulleys: efficiency winding, about 1 / efficiency paying out.
     passed = (1.0 - counted) + counted * math.pow(efficiency, math.tanh(rate / CAPSTAN_FRICTION_SPEED))
@@ -229,7 +229,7 @@ def _move(
         tension
         + c.tendon[h.MASS, n] * feedback
         + c.tendon[h.INERTIA, n] * acceleration
-        - c.run[h.REJECTION] * x.tendon[s.DISTURBANCE, n]
+        - x.tendon[s.STIFFNESS_FRACTION, n] * c.run[h.REJECTION] * x.tendon[s.DISTURBANCE, n]
         + c.run[h.TENSION_FEEDBACK] * (tension - x.tendon[s.TENSION, n])
         + counted * c.tendon[h.MOTOR_DAMPING, n] * speed
         + counted * c.tendon[h.COULOMB, n] * math.tanh(rate / MOTOR_FRICTION_SPEED)

@@ -4,7 +4,7 @@ import enum
 import math
 from dataclasses import dataclass
 
-from handctl.core.law.trajectory import Trajectory
+from handctl.core.law.trajectory import Streamed, Trajectory
 from handctl.core.types import Vector
 
 
@@ -34,7 +34,7 @@ class DigitGoal:
     """
 
     kind: Kind = Kind.LIMP
-    trajectory: Trajectory | None = None
+    trajectory: Trajectory | Streamed | None = None
     since: float = 0.0
     tension: Vector | None = None
     rate: float = 200.0

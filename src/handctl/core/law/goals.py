@@ -6,8 +6,8 @@ import numpy as np
 
 from handctl.core import block as s
 from handctl.core.law.goal import DigitGoal, Kind
-from handctl.core.law.reference import MINIMUM_JERK, NO_WAY, SAMPLED
-from handctl.core.law.trajectory import MinimumJerk, Trajectory
+from handctl.core.law.reference import MINIMUM_JERK, NO_WAY, SAMPLED, STREAMED
+from handctl.core.law.trajectory import MinimumJerk, Streamed, Trajectory
 from handctl.core.model import HandModel
 from handctl.core.schema import Block, Layout
 
@@ -33,12 +33,18 @@ def write_goals(model: HandModel, layout: Layout, block: Block, goals: tuple[Dig
             tendon[s.TARGET_STEP, tendons] = goal.rate * model.period
             tendon[s.FORCE_LIMIT, tendons] = goal.force_limit
         ways[d] = NO_WAY if goal.trajectory is None else SAMPLED
+        if isinstance(goal.trajectory, Streamed):
+            ways[d] = STREAMED
         if isinstance(goal.trajectory, MinimumJerk):
             ways[d] = MINIMUM_JERK
             way[s.TRAJECTORY_START, places] = goal.trajectory.start
             way[s.TRAJECTORY_END, places] = goal.trajectory.end
             digit[s.TRAJECTORY_SINCE, d] = goal.since
             digit[s.TRAJECTORY_DURATION, d] = goal.trajectory.duration
+            blend = goal.trajectory.blend
+            digit[s.TRAJECTORY_BLEND, d] = blend.duration if blend else 1.0
+            way[s.TRAJECTORY_START_SPEED, places] = blend.speed if blend else 0.0
+            way[s.TRAJECTORY_START_ACCELERATION, places] = blend.acceleration if blend else 0.0
 
 
 def _kind(goal: DigitGoal) -> Kind:
@@ -61,7 +67,7 @@ def sampled(model: HandModel, goals: tuple[DigitGoal, ...]) -> tuple[tuple[Traje
     return tuple(
         (goal.trajectory, goal.since, places)
         for goal, places in rows
-        if goal.trajectory is not None and not isinstance(goal.trajectory, MinimumJerk)
+        if goal.trajectory is not None and not isinstance(goal.trajectory, MinimumJerk | Streamed)
     )
 
 

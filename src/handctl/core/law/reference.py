@@ -8,13 +8,14 @@ from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
+from handctl.core.law.stream import advance
 from handctl.hand.dynamics import newton
 
 Matrix = NDArray[np.float64]
 
 LIMP, MOTION, TENSION = 0, 1, 2
 """Numbers of ``goal.Kind`` and of ``block.GOAL_KIND``."""
-NO_WAY, MINIMUM_JERK, SAMPLED = 0, 1, 2
+NO_WAY, MINIMUM_JERK, SAMPLED, STREAMED = 0, 1, 2, 3
 """Numbers of ``block.TRAJECTORY_KIND``."""
 
 
@@ -30,6 +31,7 @@ def follow(x: Tables, c: ConstantTables, frozen: bool) -> None:
     Source: Flash & Hogan (1985): position 10 s^3 - 15 s^4 + 6 s^5 of normalised time s.
     """
     t = x.run[s.GOAL_TIME]
+    x.run_int[s.STREAM_LIMITED] = 0
     for d in range(x.digit.shape[1]):
         first = c.digit_int[h.COORDINATES_FIRST, d]
         end = c.digit_int[h.COORDINATES_END, d]
@@ -39,7 +41,8 @@ def follow(x: Tables, c: ConstantTables, frozen: bool) -> None:
                     x.coordinate[s.TRAJECTORY + order, k] = 0.0
         if x.digit_int[s.TRAJECTORY_KIND, d] == MINIMUM_JERK:
             duration = x.digit[s.TRAJECTORY_DURATION, d]
-            u = min(max((t - x.digit[s.TRAJECTORY_SINCE, d]) / duration, 0.0), 1.0)
+            after = t - x.digit[s.TRAJECTORY_SINCE, d]
+            u = min(max(after / duration, 0.0), 1.0)
             position = u * u * u * (10.0 - 15.0 * u + 6.0 * u * u)
             rate = 30.0 * u * u * (1.0 - u) * (1.0 - u) / duration
             acceleration = 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) / (duration * duration)
@@ -48,9 +51,36 @@ def follow(x: Tables, c: ConstantTables, frozen: bool) -> None:
                 x.coordinate[s.TRAJECTORY, k] = x.coordinate[s.TRAJECTORY_START, k] + position * length
                 x.coordinate[s.TRAJECTORY + 1, k] = rate * length
                 x.coordinate[s.TRAJECTORY + 2, k] = acceleration * length
+                _continue(x, k, after, x.digit[s.TRAJECTORY_BLEND, d])
+        if x.digit_int[s.TRAJECTORY_KIND, d] == STREAMED and not frozen:
+            for k in range(first, end):
+                advance(x, c, k)
         if frozen and moves(x, c, d):
             for k in range(first, end):
                 x.coordinate[s.TRAJECTORY + 1, k] = x.coordinate[s.TRAJECTORY + 2, k] = 0.0
+
+
+@inner
+def _continue(x: Tables, k: int, after: float, blend: float) -> None:
+    """Add the part of a minimum-jerk move that continues an earlier motion, see ``trajectory.MinimumJerk``.
+
+    Args:
+        x: state tables.
+        k: index of the coordinate.
+        after: time since the start of the move [s].
+        blend: duration of this part [s].
+    """
+    speed = x.coordinate[s.TRAJECTORY_START_SPEED, k]
+    bend = x.coordinate[s.TRAJECTORY_START_ACCELERATION, k]
+    if speed == 0.0 and bend == 0.0:
+        return
+    u = min(max(after / blend, 0.0), 1.0)
+    x.coordinate[s.TRAJECTORY, k] += blend * u * (1.0 + u * u * (-6.0 + u * (8.0 - 3.0 * u))) * speed
+    x.coordinate[s.TRAJECTORY, k] += 0.5 * blend * blend * u * u * (1.0 + u * (-3.0 + u * (3.0 - u))) * bend
+    x.coordinate[s.TRAJECTORY + 1, k] += (1.0 + u * u * (-18.0 + u * (32.0 - 15.0 * u))) * speed
+    x.coordinate[s.TRAJECTORY + 1, k] += 0.5 * blend * u * (2.0 + u * (-9.0 + u * (12.0 - 5.0 * u))) * bend
+    x.coordinate[s.TRAJECTORY + 2, k] += u * (-36.0 + u * (96.0 - 60.0 * u)) / blend * speed
+    x.coordinate[s.TRAJECTORY + 2, k] += (1.0 + u * (-9.0 + u * (18.0 - 10.0 * u))) * bend
 
 
 @inner

@@ -26,8 +26,41 @@ class Trajectory(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
+class Blend:
+    """The part of a move that continues an earlier motion and fades.
+
+    Two quintics, each with one derivative of 1 at the start, and all others 0 at both ends.
+
+    Attributes:
+        speed: (n,) rate at t = 0 [rad/s].
+        acceleration: (n,) acceleration at t = 0 [rad/s^2].
+        duration: [s], > 0.
+    """
+
+    speed: Vector
+    acceleration: Vector
+    duration: float
+
+    def at(self, t: float) -> Vector:
+        """Return (3, n): position [rad], velocity [rad/s] and acceleration [rad/s^2] to add at t [s]."""
+        T = self.duration
+        s = min(max(t / T, 0.0), 1.0)
+        by_speed = np.array((
+            T * s * (1.0 + s * s * (-6.0 + s * (8.0 - 3.0 * s))),
+            1.0 + s * s * (-18.0 + s * (32.0 - 15.0 * s)),
+            s * (-36.0 + s * (96.0 - 60.0 * s)) / T,
+        ))  # fmt: skip
+        by_acceleration = np.array((
+            0.5 * T * T * s * s * (1.0 + s * (-3.0 + s * (3.0 - s))),
+            0.5 * T * s * (2.0 + s * (-9.0 + s * (12.0 - 5.0 * s))),
+            1.0 + s * (-9.0 + s * (18.0 - 10.0 * s)),
+        ))  # fmt: skip
+        return np.outer(by_speed, self.speed) + np.outer(by_acceleration, self.acceleration)
+
+
+@dataclass(frozen=True, slots=True)
 class MinimumJerk:
-    """A straight move in coordinates with minimum jerk, at rest at both ends.
+    """A straight move in coordinates with minimum jerk, at rest at the end.
 
     Source: Flash & Hogan (1985): position 10 s^3 - 15 s^4 + 6 s^5 of normalised time s.
 
@@ -35,11 +68,13 @@ class MinimumJerk:
         start: (n,) coordinates at t = 0 [rad].
         end: (n,) coordinates at t = duration [rad].
         duration: [s], > 0.
+        blend: motion at the start, None at rest.
     """
 
     start: Vector
     end: Vector
     duration: float
+    blend: Blend | None = None
 
     def at(self, t: float) -> Vector:
         """Evaluate the move, see ``Trajectory``."""
@@ -49,7 +84,18 @@ class MinimumJerk:
         acceleration = 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / (self.duration * self.duration)
         way = np.array(((position,), (velocity,), (acceleration,))) * (self.end - self.start)
         way[0] += self.start
-        return way
+        return way if self.blend is None else np.asarray(way + self.blend.at(t))
+
+
+@dataclass(frozen=True, slots=True)
+class Streamed:
+    """A motion along targets of a client. The state block has the targets, and compiled code follows them.
+
+    Attributes:
+        duration: 0 [s], because the end is unknown.
+    """
+
+    duration: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from handctl.hand.file.error_text import Mistake
-from handctl.hand.file.sections import Digit, Motor, Tendon
+from handctl.hand.file.sections import Digit, Motor, StreamLimits, Tendon
 from handctl.hand.link_bodies import inertia
 
 if TYPE_CHECKING:
@@ -78,6 +78,7 @@ def check_hand(hand: Hand) -> Mistakes:
         yield from _check_routing(hand, digit)
     for tendon in hand.tendon:
         yield from _check_drive(tendon, hand.motor_of(tendon.name))
+    yield from _check_stream(hand.stream)
     yield from _check_identifiers(hand)
 
 
@@ -284,6 +285,13 @@ def _check_drive(tendon: Tendon, motor: Motor) -> Mistakes:
         yield Mistake(f"{motor.torque_max_N_m:g}", where, right)
     if motor.torque_max_N_m > motor.torque_peak_N_m:
         yield Mistake(f"{motor.torque_max_N_m:g}", where, f"at most torque_peak_N_m = {motor.torque_peak_N_m:g} N m")
+
+
+def _check_stream(stream: StreamLimits) -> Mistakes:
+    """Check that a hand holds before it relaxes."""
+    if stream.relax_after_ms <= stream.hold_after_ms:
+        right = f"more than hold_after_ms = {stream.hold_after_ms:g} ms"
+        yield Mistake(f"{stream.relax_after_ms:g}", "stream.relax_after_ms", right)
 
 
 def _check_identifiers(hand: Hand) -> Mistakes:

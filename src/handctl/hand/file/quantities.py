@@ -205,6 +205,9 @@ Torque = Annotated[float, band(0.0, 50.0, "N m", "in N m?")]
 PositiveTorque = Annotated[float, band(1e-3, 50.0, "N m", "in N m?")]
 TorqueConstant = Annotated[float, band(1e-4, 50.0, "N m/A", "at the spool?")]
 JointNoise = Annotated[float, band(1e-7, 0.5, "rad", "in radians?")]
+JointSpeed = Annotated[float, band(1.0, 3000.0, "deg/s", "in degrees?")]
+JointAcceleration = Annotated[float, band(10.0, 1e6, "deg/s2", "in degrees?")]
+StaleTime = Annotated[float, band(1.0, 60_000.0, "ms", "in milliseconds?")]
 # Limits of the bit rate of CAN, and of the data phase of CAN FD [bit/s].
 SLOWEST_BUS = 10_000
 FASTEST_BUS = 8_000_000

@@ -71,6 +71,19 @@ JOINT_FRAME_OFFSET = 0x10
 """Distance of joint frame from tension frame identifiers. Source: sensor_node.dbc."""
 
 
+class StreamLimits(Section):
+    """Limits of targets that a client streams to the hand."""
+
+    speed_deg_s: qty.JointSpeed = 700.0
+    """Largest joint speed. Source: the largest speed of a task's move."""
+    acceleration_deg_s2: qty.JointAcceleration = 20_000.0
+    """Largest joint acceleration. A move of a task at the largest speed has 13,500 deg/s2."""
+    hold_after_ms: qty.StaleTime = 100.0
+    """Age of the latest target after which the hand holds."""
+    relax_after_ms: qty.StaleTime = 1000.0
+    """Age of the latest target after which the hand relaxes."""
+
+
 MAX_LINKS = 8
 """Largest number of links of a digit."""
 

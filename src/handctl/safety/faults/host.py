@@ -18,7 +18,7 @@ from handctl.safety.limits import MIN_STALLED_TICKS, STALLED_S
 LATE_FRACTION = 0.25
 """Delay of a late tick, as a fraction of the period."""
 REFUSED_LIMIT = 3
-"""Refused live goals within a second."""
+"""Malformed requests within a second."""
 FOREIGN = "foreign"
 """Kind of report of a second controller."""
 
@@ -115,15 +115,30 @@ I07A = fault(
     remedy="Correct the client: the event before this one says which value was wrong and what is right.",
 )  # fmt: skip
 I07B = fault(
-    "I07b", "live goals keep being refused", f"{REFUSED_LIMIT} refused within a second",
+    "I07b", "requests keep being malformed", f"{REFUSED_LIMIT} requests in a second: no JSON, unknown keys, no numbers",
     Action.RELAX, OPERATOR, HAND, name="goal",
-    cause="The client keeps sending goals that the hand cannot reach.",
+    cause="The client is broken, or speaks to another version of the controller.",
     remedy="Stop and correct the client: the events before say which value was wrong.",
 )  # fmt: skip
 
 row("I08", "truncated or corrupt log", FILES, tested="tests/log/test_recover.py")
 row("I09", "hostile log", FILES, tested="tests/log/test_reader.py")
 row("I10", "log of another hand or version", FILES, tested="tests/replay/test_execute.py")
+
+row("I11", "a stream of targets goes stale", ticks=1, ms=100, required=0,
+    tested="tests/controller/test_stream.py")  # fmt: skip
+I11A = fault(
+    "I11a", "streamed targets are missing", "no target for hold_after_ms of the hand file, 100",
+    Action.HOLD, ITSELF, HAND, name="stream",
+    cause="The client that streams targets is busy, paused, or has ended without closing its stream.",
+    remedy="The hand goes on with the next target. Send targets in time, or close the stream before a pause.",
+)  # fmt: skip
+I11B = fault(
+    "I11b", "the stream of targets has ended", "no target for relax_after_ms of the hand file, 1000",
+    Action.RELAX, OPERATOR, HAND, name="stream",
+    cause="The client that streams targets has crashed or hangs.",
+    remedy="Mend the client, then start a new run. relax_after_ms of the hand file allows longer pauses.",
+)  # fmt: skip
 
 ON_HARDWARE: tuple[tuple[str, str], ...] = (
     ("B12", "short CANH to CANL in motion"),

@@ -1,29 +1,38 @@
-"""Python client of a running hand. It sends goals and receives states over the controller's request socket.
+"""Client of a running hand: motions, streams, observations.
 
 The controller is a separate process. The client sends the same requests as the command line. The controller checks,
 limits and logs requests of programs and of operators alike.
 """
 
+import itertools
 import json
 import os
 import subprocess
 import sys
 import tempfile
+import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from numbers import Real
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Literal, Self
 
+from handctl.client.observation import Observation
+from handctl.client.stream import TargetStream
 from handctl.core.types import LETTING_GO
 from handctl.document import validated
 from handctl.errors import BusError, ConfigError, DriveError, PowerError, UnconfirmedError
+from handctl.hand.description import Hand
+from handctl.hand.load import hand_from, parse_toml
 from handctl.printing import escaped
-from handctl.programs.requests import REFUSED, HoldTension, MoveDigits
+from handctl.programs.requests import REFUSED, HoldTension, MoveDigits, OpenStream
+from handctl.programs.streams import horizon_s
 from handctl.runtime.buses.open import real_buses
 from handctl.runtime.confirm import ANSWER_S, follow_until_off, is_off, send_confirmed
 from handctl.runtime.mailbox import LARGEST, Watcher, is_running
+from handctl.runtime.observations import ObservationReader
+from handctl.runtime.targets import TargetSender, stream_name
 from handctl.session.buses import named_buses
 from handctl.session.defaults import DEFAULT_HAND
 from handctl.session.exit_codes import Exit
@@ -33,6 +42,8 @@ START_S = 300.0
 ends much earlier."""
 ATTACH_S = 60.0
 """Timeout until a controller started by another process accepts goals [s]."""
+POLL_OBSERVATION_S = 50e-6
+"""Pause between two looks at the shared memory [s]."""
 POLL_S = 0.2
 """Timeout of one read of the state before the controller process is checked [s]."""
 SENDER_NAME_BYTES = 64
@@ -40,6 +51,8 @@ SENDER_NAME_BYTES = 64
 SHUTTING_DOWN = {mode.name for mode in LETTING_GO}
 """Modes in which goals have no effect."""
 A_RUN = "a running handctl run"
+_numbers = itertools.count(1)
+"""Numbers of the clients and streams of this process."""
 
 
 def connect(
@@ -78,13 +91,17 @@ def connect(
 
 
 class HandClient:
-    """Client of one hand. Use it as a context manager and from one thread.
+    """Client of one hand. Use it as a context manager. Several threads may use it.
 
-    Closing relaxes and disarms the hand if the client started its controller or set a goal. A client that only read
-    states leaves the hand unchanged.
+    One client commands, any number of clients observe. The first client that moves the hand commands until it
+    closes. ``take_over`` gives the command to another client.
+
+    Closing relaxes and disarms the hand if the client started its controller. Otherwise the hand comes to rest if
+    the client commanded, and stays armed.
 
     Attributes:
         bus: bus of the controller.
+        name: name of this client, which other clients read in a refusal.
         child: controller process, None if another process started it.
         result: output of ``handctl run --json`` after the end of a run started here, e.g. ``log`` and ``failure``.
     """
@@ -92,9 +109,13 @@ class HandClient:
     def __init__(self, bus: str, command: Sequence[str] = ()) -> None:
         """Create the client. `command` starts a controller. Use ``connect`` instead."""
         self.bus = bus
+        self.name = f"client-{os.getpid()}-{next(_numbers)}"
         self.child: subprocess.Popen[bytes] | None = None
         self.result: dict[str, Any] = {}
-        self._live = self._goal_sent = self._closed = self._error_raised = self._off = False
+        self._live = self._commands = self._closed = self._error_raised = self._off = False
+        self._lock = threading.RLock()  # a status line belongs to the call that waits for it
+        self._observations: ObservationReader | None = None
+        self._description: Hand | None = None
         self._watcher = Watcher(bus)
         self._stderr = tempfile.TemporaryFile()  # noqa: SIM115
         self._shown = 0
@@ -111,6 +132,10 @@ class HandClient:
         Raises:
             DriveError: the controller does not start, or accepts no goals. The message is the controller's.
         """
+        return self.open()
+
+    def open(self) -> Self:
+        """Wait as the ``with`` statement does, for notebooks. Close with ``close``. Raises as ``with``."""
         with ExitStack() as undo:
             undo.callback(self._end, False)
             self.wait(phase="live", timeout_s=START_S if self.child else ATTACH_S)
@@ -126,13 +151,15 @@ class HandClient:
         self, goals: Mapping[str, float] | None = None, /, duration_s: float = 1.0, wait: bool = True,
         **angle_deg: float,
     ) -> None:  # fmt: skip
-        """Move digits to joint angles, e.g. ``hand.move(index=30, thumb=10)`` [deg].
+        """Move digits or joints to angles, e.g. ``hand.move(index=30, thumb_j1=10)`` [deg].
+
+        A moving digit goes on from its present speed.
 
         Args:
             goals: goals as a mapping, e.g. ``hand.move({"index": 30})``. Keywords are added to it.
             duration_s: duration of the motion in the time of the hand [s].
             wait: return at the end of the motion instead of at its start.
-            angle_deg: mean joint angle by digit [deg].
+            angle_deg: angle by digit, for all its joints, or by joint [deg].
 
         Raises:
             ConfigError: the goal was refused, e.g. for an unknown digit. The previous goal stays.
@@ -140,7 +167,7 @@ class HandClient:
             BusError: the controller does not answer.
         """
         angles = _digits("move", goals, angle_deg)
-        goal = {"do": "move", "angle_deg": _numbers(angles), **_numbers({"duration_s": duration_s})}
+        goal = {"do": "move", "angle_deg": _numbers_of(angles), **_numbers_of({"duration_s": duration_s})}
         validated(goal, MoveDigits, "move")
         start_s = self._set_goal(goal)
         while wait and self._acting(ANSWER_S)["t_s"] < start_s + goal["duration_s"]:
@@ -151,6 +178,8 @@ class HandClient:
     ) -> None:
         """Hold tensions, one value for all tendons of a digit, e.g. ``hand.hold(index=12)`` [N]. Return immediately.
 
+        Without goals all moving digits come to rest where they are.
+
         Args:
             goals: goals as a mapping, e.g. ``hand.hold({"index": 12})``. Keywords are added to it.
             rate_N_per_s: rate of the tension [N/s].
@@ -159,13 +188,171 @@ class HandClient:
         Raises:
             ConfigError, DriveError, BusError: see ``move``.
         """
+        if not goals and not tension_N and (goals is None or isinstance(goals, Mapping)):
+            self._set_goal({"do": "stay"})
+            return
         tensions = _digits("hold", goals, tension_N)
-        goal = {"do": "hold", "tension_N": _numbers(tensions), **_numbers({"rate_N_per_s": rate_N_per_s})}
+        goal = {"do": "hold", "tension_N": _numbers_of(tensions), **_numbers_of({"rate_N_per_s": rate_N_per_s})}
         validated(goal, HoldTension, "hold")
         self._set_goal(goal)
 
+    def stream(
+        self,
+        rate_Hz: float,
+        space: Literal["joint", "digit"] = "joint",
+        names: Sequence[str] | None = None,
+        interpolation: Literal["linear", "minimum_jerk"] = "minimum_jerk",
+        unit: Literal["deg", "rad"] = "deg",
+    ) -> TargetStream:
+        """Open a stream of targets. Use it as a context manager, see ``TargetStream``.
+
+        Args:
+            rate_Hz: rate of the targets in the time of the hand [Hz], 20 up to the control rate.
+            space: a target has an angle for each joint, or one angle for all joints of a digit.
+            names: joints or digits of a target, in order. None: all of the hand.
+            interpolation: motion between targets. ``"linear"`` has a constant speed, ``"minimum_jerk"`` is smooth.
+            unit: unit of the targets.
+
+        Raises:
+            ConfigError: the stream was refused, e.g. for a name or a rate, or another client commands.
+            DriveError, BusError: see ``move``.
+        """
+        hand = self.description
+        given = tuple(names) if names is not None else hand.joints if space == "joint" else hand.digit_names
+        number = next(_numbers)
+        goal = {
+            "do": "stream", "stream": stream_name(os.getpid(), number), "space": space, "names": list(given),
+            "interpolation": interpolation, **_numbers_of({"rate_Hz": rate_Hz}),
+        }  # fmt: skip
+        validated(goal, OpenStream, "stream")
+        with ExitStack() as undo:
+            sender = TargetSender(self.bus, os.getpid(), number)
+            undo.callback(sender.close)
+            self._set_goal(goal)
+            undo.pop_all()
+        constants = self._reader().description
+        horizon = horizon_s(goal["rate_Hz"], 1.0 / constants["rate_Hz"])
+        return TargetStream(self, sender, goal, unit, horizon, constants["time_scale"])
+
+    def end_stream(self, name: str) -> None:
+        """End a stream by its name. ``TargetStream.close`` calls it."""
+        self._set_goal({"do": "stream_end", "stream": name})
+
+    def take_over(self) -> None:
+        """Take the command over from another client. All digits come to rest, and a stream of that client ends.
+
+        Raises:
+            DriveError, BusError: see ``move``.
+        """
+        self._set_goal({"do": "stay", "take_over": True})
+
+    @property
+    def description(self) -> Hand:
+        """Return the description of the hand: names, limits, geometry.
+
+        Raises:
+            DriveError, BusError: see ``state``.
+        """
+        if self._description is None:
+            self._description = hand_from(parse_toml(self._reader().description["hand_toml"], self.bus), self.bus)
+        return self._description
+
+    def observe(self, wait: bool = False, timeout_s: float = ANSWER_S) -> Observation:
+        """Return the observation of the latest tick, from shared memory.
+
+        Args:
+            wait: wait for a tick that this client has not observed yet.
+            timeout_s: maximum wait [s].
+
+        Raises:
+            DriveError: the run has ended. The message has the reason.
+            BusError: the controller is silent.
+        """
+        reader = self._reader()
+        end = time.monotonic() + timeout_s
+        while True:
+            record = reader.latest() if not wait or reader.written > reader.seen else None
+            if record is not None:
+                return Observation(record, self.description)
+            self._check_silence(reader, end)
+            time.sleep(POLL_OBSERVATION_S)
+
+    def observations(self, timeout_s: float = ANSWER_S) -> Iterator[Observation]:
+        """Yield the observation of every tick from now on, in order, until the run ends.
+
+        A program that is more than a second late misses ticks: ``k`` jumps.
+
+        Args:
+            timeout_s: maximum wait for the next tick [s].
+
+        Raises:
+            BusError: the controller is silent.
+        """
+        reader = self._reader()
+        reader.seen = reader.written
+        end = time.monotonic() + timeout_s
+        while True:
+            if (record := reader.next()) is not None:
+                end = time.monotonic() + timeout_s
+                yield Observation(record, self.description)
+            elif reader.ended:
+                return
+            else:
+                self._check_silence(reader, end)
+                time.sleep(POLL_OBSERVATION_S)
+
+    def wait_for(
+        self, contact: str | Sequence[str] | None = None, phase: str | None = None, timeout_s: float = 10.0
+    ) -> Observation:
+        """Wait until digits are in contact, or until the hand is in a phase. Return the observation.
+
+        Args:
+            contact: a digit, or several digits that must all be in contact.
+            phase: name of the phase.
+            timeout_s: maximum wait [s].
+
+        Raises:
+            ConfigError: no such digit, or no condition.
+            DriveError: the run has ended, or the time is over.
+        """
+        digits = [contact] if isinstance(contact, str) else list(contact or ())
+        names = self.description.digit_names
+        if unknown := [digit for digit in digits if digit not in names]:
+            raise ConfigError(f"no digit {unknown[0]!r}", "wait_for", f"one of {', '.join(names)}")
+        if not digits and phase is None:
+            raise ConfigError("no condition", "wait_for", "contact or phase")
+        end = time.monotonic() + timeout_s
+        while True:
+            seen = self.observe(wait=True)
+            touching = all(seen.contact[names.index(digit)] > 0.5 for digit in digits)
+            if touching and (phase is None or seen.phase == phase):
+                return seen
+            if time.monotonic() > end:
+                raise DriveError(f"not so after {timeout_s:g} s: {seen.phase}", f"bus {self.bus}: wait_for")
+
+    def _reader(self) -> ObservationReader:
+        """Return the reader of the observations. It is opened at the first use, while the run is alive."""
+        if self._observations is not None:
+            if not self._observations.ended:
+                return self._observations
+            self._collect()
+        self._refuse_ended()
+        if self._observations is None or self._observations.ended:
+            self._observations = ObservationReader(self.bus)
+        return self._observations
+
+    def _check_silence(self, reader: ObservationReader, end: float) -> None:
+        """Raise an error if the run has ended, or if the time of a wait is over."""
+        if reader.ended:
+            self._collect()
+            self._refuse_ended()
+            raise DriveError("the run has ended", f"bus {self.bus}")
+        if time.monotonic() >= end:
+            self._refuse_ended()
+            raise BusError("the controller is silent", f"bus {self.bus}", A_RUN)
+
     def state(self, timeout_s: float = ANSWER_S) -> dict[str, Any]:
-        """Return the present state, at most 20 ms old.
+        """Return the present state, at most 20 ms old, as plain values. ``observe`` is faster and has more.
 
         Args:
             timeout_s: maximum wait [s].
@@ -184,7 +371,8 @@ class HandClient:
         end = time.monotonic() + timeout_s
         while True:
             self._refuse_ended()
-            line = self._watcher.fresh_line(max(0.0, min(POLL_S, end - time.monotonic())))
+            with self._lock:
+                line = self._watcher.fresh_line(max(0.0, min(POLL_S, end - time.monotonic())))
             if line is not None:
                 self._off |= is_off(line)
                 return line
@@ -213,6 +401,18 @@ class HandClient:
                 last_phase = f"phase {line['phase']!r}"
         raise DriveError(f"not in phase {phase!r} after {timeout_s:g} s: {last_phase}", f"bus {self.bus}")
 
+    def stop(self) -> None:
+        """Relax and disarm the hand, whoever started its controller, and end the run.
+
+        Raises:
+            UnconfirmedError: the controller has not taken the request.
+            PowerError: a drive did not confirm that it is disabled. Remove its power.
+        """
+        with self._lock:
+            line, _ = send_confirmed(self._watcher, {"do": "stop"}, repeat=True)
+            follow_until_off(self._watcher, "stop", line)
+            self._off = True
+
     def close(self) -> None:
         """Close as the ``with`` statement does. Afterwards ``result`` is available.
 
@@ -227,14 +427,15 @@ class HandClient:
         self._acting(ANSWER_S)
         if (size := len(json.dumps(goal).encode()) + SENDER_NAME_BYTES) > LARGEST:
             raise ConfigError(f"{size} bytes", goal["do"], f"a request of at most {LARGEST}")
-        self._goal_sent = True
         try:
-            line, replies = send_confirmed(self._watcher, goal)
+            with self._lock:
+                line, replies = send_confirmed(self._watcher, {**goal, "client": self.name})
         except UnconfirmedError:
             self._refuse_ended()
             raise
         if refused := [text for text in replies if text.startswith(REFUSED)]:
             raise ConfigError(refused[0].removeprefix(REFUSED), f"the controller of {self.bus}")
+        self._commands = True
         return float(line["t_s"])
 
     def _acting(self, timeout_s: float) -> dict[str, Any]:
@@ -257,7 +458,7 @@ class HandClient:
             raise BusError("this client is closed", f"bus {self.bus}", "another handctl.connect")
 
     def _end(self, raise_error: bool) -> None:
-        """Stop the hand that this client started or moved. Later calls have no effect.
+        """Stop the hand that this client started, give back the command of another. Later calls have no effect.
 
         Args:
             raise_error: raise the error that ended the run. False during another exception: then only a drive that
@@ -267,10 +468,12 @@ class HandClient:
             return
         self._closed = True
         try:
-            if self.child is None and self._goal_sent and not self._off:
-                line, _ = send_confirmed(self._watcher, {"do": "stop"}, repeat=True)
-                follow_until_off(self._watcher, "stop", line)
+            if self.child is None and self._commands and is_running(self.bus):
+                with self._lock:
+                    send_confirmed(self._watcher, {"do": "leave", "client": self.name}, repeat=True)
         finally:
+            if self._observations is not None:
+                self._observations.close()
             self._watcher.close()
             self._collect()
             self._stderr.close()
@@ -322,7 +525,7 @@ def _digits(do: str, goals: object, named: Mapping[str, Any]) -> dict[str, Any]:
     return values | dict(named)
 
 
-def _numbers(values: Mapping[str, Any]) -> dict[str, Any]:
+def _numbers_of(values: Mapping[str, Any]) -> dict[str, Any]:
     """Convert numbers of any type, such as numpy's, to float. Other values stay, so that the check can name them."""
     converted = dict(values)
     for key, value in values.items():

@@ -1,0 +1,7 @@
+"""Python client of a running hand, see ``docs/how-to/python.md``."""
+
+from handctl.client.hand import HandClient, connect
+from handctl.client.observation import Observation
+from handctl.client.stream import TargetStream
+
+__all__ = ["HandClient", "Observation", "TargetStream", "connect"]

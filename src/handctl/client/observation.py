@@ -1,0 +1,136 @@
+"""Observation of a hand at one tick: a numpy record with names, units and ages."""
+
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.core.types import TELEMETRY_AXES, Mode, Vector
+from handctl.hand.description import Hand
+from handctl.programs.streams import StreamStatus
+from handctl.runtime.observations import NAMES
+
+AXIS_OF = {NAMES[name]: axis for name, axis in TELEMETRY_AXES.items()}
+"""Axis of each array of an observation: joint, tendon, motor or digit."""
+
+
+class Observation:
+    """State of the hand at one tick. Unknown numbers are NaN.
+
+    Every field of ``record`` is an attribute. Names end with the unit. Shapes: J joints, N tendons, M motors, D
+    digits, in the order of the hand file. ``named`` gives a field by names.
+
+    Attributes:
+        record: all values, a numpy record of shape ().
+        k: number of the tick.
+        t_ns: time of the tick since the start of the run [ns].
+        late_ns: lateness of the tick [ns].
+        published_ns: CLOCK_MONOTONIC at which the tick had sent its commands [ns].
+        q_rad: (J,) estimated joint angle.
+        q_sigma_rad: (J,) its standard deviation.
+        dq_rad_s: (J,) estimated joint rate.
+        q_goal_rad: (J,) commanded joint angle, NaN for a digit that holds a tension.
+        tension_N: (N,) estimated tension.
+        tension_sigma_N: (N,) its standard deviation.
+        tension_goal_N: (N,) commanded tension.
+        tip_force_N: (D,) contact force at the tip, normal to the last link.
+        tip_force_sigma_N: (D,) its standard deviation.
+        contact: (D,) 1 in contact, 0 not.
+        motor_position_rad: (M,) measured position at the spool, NaN if the motor did not reply in this tick.
+        motor_velocity_rad_s: (M,) measured velocity.
+        motor_torque_N_m: (M,) measured torque.
+        motor_temperature_degC: (M,) hottest sensor of the drive.
+        motor_age_s: (M,) age of the latest feedback.
+    """
+
+    k: int
+    t_ns: int
+    late_ns: int
+    published_ns: int
+    q_rad: Vector
+    q_sigma_rad: Vector
+    dq_rad_s: Vector
+    q_goal_rad: Vector
+    dq_goal_rad_s: Vector
+    joint_torque_N_m: Vector
+    tension_N: Vector
+    tension_sigma_N: Vector
+    tension_goal_N: Vector
+    tip_force_N: Vector
+    tip_force_sigma_N: Vector
+    contact: Vector
+    motor_position_rad: Vector
+    motor_velocity_rad_s: Vector
+    motor_torque_N_m: Vector
+    motor_torque_goal_N_m: Vector
+    motor_temperature_degC: Vector
+    motor_age_s: Vector
+
+    def __init__(self, record: NDArray[np.void], hand: Hand) -> None:
+        """Wrap a record.
+
+        Args:
+            record: array of shape (), see ``runtime.observations.record_type``.
+            hand: description of the hand, for the names.
+        """
+        self.record = record
+        self._hand = hand
+
+    def __getattr__(self, name: str) -> Any:
+        """Return a field of the record."""
+        try:
+            value = self.record[name]
+        except (KeyError, ValueError):
+            raise AttributeError(f"no field {name!r} in an observation") from None
+        return value if value.shape else value.item()
+
+    @property
+    def t_s(self) -> float:
+        """Return the time of the tick since the start of the run [s]."""
+        return int(self.record["t_ns"]) / 1e9
+
+    @property
+    def age_s(self) -> float:
+        """Return the time since the tick sent its commands, on the wall clock [s]."""
+        return (time.monotonic_ns() - int(self.record["published_ns"])) / 1e9
+
+    @property
+    def mode(self) -> str:
+        """Return the mode of the hand, e.g. ``"ACTIVE"``."""
+        return Mode(int(self.record["mode"])).name
+
+    @property
+    def phase(self) -> str:
+        """Return the phase of the program, e.g. ``"live"``."""
+        return bytes(self.record["phase"].item()).decode("utf-8", "replace")
+
+    @property
+    def q_deg(self) -> Vector:
+        """Return the (J,) estimated joint angle [deg]."""
+        return np.degrees(self.q_rad)
+
+    @property
+    def stream(self) -> StreamStatus:
+        """Return what the controller has made of the stream of targets."""
+        fields = ("number", "age_s", "accepted", "clipped", "late", "refused", "limited")
+        return StreamStatus(*[self.record[f"stream_{field}"].item() for field in fields])
+
+    def names(self, field: str) -> tuple[str, ...]:
+        """Return the names of a field's values, e.g. the joints for ``"q_rad"``.
+
+        Raises:
+            KeyError: no array has this name.
+        """
+        hand = self._hand
+        axes = {"joint": hand.joints, "tendon": hand.tendon_names, "motor": hand.motor_names,
+                "digit": hand.digit_names}  # fmt: skip
+        return axes[AXIS_OF[field]]
+
+    def named(self, field: str) -> dict[str, float]:
+        """Return a field by names, e.g. ``observation.named("q_rad")["index_j1"]``."""
+        return dict(zip(self.names(field), self.record[field].tolist(), strict=True))
+
+    def __repr__(self) -> str:
+        """Describe the observation in one line."""
+        return f"<Observation k={self.k} t={self.t_s:.3f} s {self.mode} {self.phase}>"

@@ -1,0 +1,162 @@
+"""Stream of targets from a program to a running hand."""
+
+import time
+from collections.abc import Mapping, Sequence
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.client.observation import Observation
+from handctl.errors import ConfigError, DriveError
+from handctl.hand.description import Hand
+from handctl.programs.streams import StreamStatus
+from handctl.runtime.targets import TargetSender
+
+Values = Mapping[str, float] | Sequence[float] | NDArray[np.floating[Any]]
+"""Values of a target: in the order of the names, or by name. Names that are left out keep their value."""
+
+
+class StreamOwner(Protocol):
+    """The part of a ``HandClient`` that a stream needs."""
+
+    bus: str
+
+    @property
+    def description(self) -> Hand:
+        """Return the description of the hand."""
+        ...
+
+    def observe(self) -> Observation:
+        """Return the latest observation."""
+        ...
+
+    def state(self) -> dict[str, Any]:
+        """Return the present state, or raise the reason why the run has ended."""
+        ...
+
+    def end_stream(self, name: str) -> None:
+        """End a stream."""
+        ...
+
+
+class TargetStream:
+    """Open stream of targets. Use it as a context manager.
+
+    The hand reaches a target ``horizon_s`` after the target was sent, and passes on to the next one. A program that
+    knows the future sends the target for that moment, so that the hand follows without delay. If no target comes,
+    the hand stays at the last one, then holds, then relaxes (``[stream]`` in the hand file).
+
+    A target beyond the range of a joint is clipped. Speed and acceleration are limited. ``status`` tells so.
+
+    Attributes:
+        name: name of the stream.
+        names: joints or digits of a target, in order.
+        rate_Hz: rate of the targets in the time of the hand [Hz].
+        horizon_s: time from the sending of a target until the hand shall reach it [s].
+        sent: number of targets sent.
+        skipped: number of targets that were not sent because the controller had not read the ones before.
+    """
+
+    def __init__(
+        self, hand: StreamOwner, sender: TargetSender, goal: Mapping[str, Any], unit: str, horizon_s: float,
+        time_scale: float,
+    ) -> None:  # fmt: skip
+        """Create the sending end. Use ``HandClient.stream`` instead."""
+        self._hand = hand
+        self._sender = sender
+        self._factor = 1.0 if unit == "deg" else 180.0 / np.pi
+        self.name: str = goal["stream"]
+        self.names: tuple[str, ...] = tuple(goal["names"])
+        self.rate_Hz: float = goal["rate_Hz"]
+        self.horizon_s = horizon_s
+        self.sent = self.skipped = 0
+        self._period_ns = 1e9 / self.rate_Hz / time_scale
+        self._next_ns = float(time.monotonic_ns())
+        self._last: NDArray[np.float64] | None = None
+        self._closed = False
+
+    def __enter__(self) -> Self:
+        """Return the stream."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the stream."""
+        self.close()
+
+    def send(self, values: Values) -> None:
+        """Send a target, without waiting.
+
+        Args:
+            values: (V,) values in the order of ``names``, or by name.
+
+        Raises:
+            ConfigError: a wrong number of values, an unknown name, or a value that is not finite.
+            DriveError: the stream is closed, or the run has ended. The message has the reason.
+        """
+        if self._closed:
+            raise DriveError("this stream is closed", self.name, "another hand.stream")
+        target = self._target(values)
+        try:
+            accepted = self._sender.send(self.sent, time.monotonic_ns(), target * self._factor)
+        except OSError:
+            self._hand.state()  # raises the reason why the run has ended
+            raise DriveError("the controller takes no targets any more", self._hand.bus) from None
+        self._last = target
+        self.sent += accepted
+        self.skipped += not accepted
+
+    def sleep(self) -> None:
+        """Sleep until the next target is due. A late program goes on from now, without a burst."""
+        now = time.monotonic_ns()
+        self._next_ns += self._period_ns
+        if self._next_ns <= now:
+            self._next_ns = float(now)
+        else:
+            time.sleep((self._next_ns - now) / 1e9)
+
+    @property
+    def status(self) -> StreamStatus:
+        """Return what the controller has made of the targets: accepted, clipped, late, refused."""
+        return self._hand.observe().stream
+
+    def close(self) -> None:
+        """End the stream. Its digits come to rest."""
+        if self._closed:
+            return
+        self._closed = True
+        self._sender.close()
+        self._hand.end_stream(self.name)
+
+    def _target(self, values: Values) -> NDArray[np.float64]:
+        """Return the values in order, in the unit of the program.
+
+        Raises:
+            ConfigError: see ``send``.
+        """
+        if isinstance(values, Mapping):
+            if unknown := [str(name) for name in values if name not in self.names]:
+                raise ConfigError(f"no {unknown[0]!r} in this stream", "send", f"some of {', '.join(self.names)}")
+            target = self._present() if self._last is None else self._last.copy()
+            for name, value in values.items():
+                target[self.names.index(name)] = value
+        else:
+            target = np.asarray(values, dtype=np.float64)
+        if target.shape != (len(self.names),):
+            raise ConfigError(f"values of shape {target.shape}", "send", f"{len(self.names)} values")
+        if not np.isfinite(target).all():
+            name = self.names[int(np.flatnonzero(~np.isfinite(target))[0])]
+            raise ConfigError(f"{name} is not finite", "send", "a finite angle")
+        return target
+
+    def _present(self) -> NDArray[np.float64]:
+        """Return the present angles, as the first target of names that a mapping leaves out."""
+        seen = self._hand.observe()
+        angles = dict(zip(self._hand.description.joints, np.degrees(seen.q_rad).tolist(), strict=True))
+        joints = self._hand.description.digit_joints
+        for name, part in joints.items():
+            angles[name] = float(np.degrees(seen.q_rad[part]).mean())
+        return np.array([angles[name] for name in self.names]) / self._factor

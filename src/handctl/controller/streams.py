@@ -1,0 +1,171 @@
+"""Streamed targets, applied to the state: opening and end of a stream, and every target."""
+
+import math
+
+import numpy as np
+
+from handctl.controller.state import State
+from handctl.core import block as s
+from handctl.core.law.goal import Kind
+from handctl.core.model import HandModel
+from handctl.core.types import Event, Mode, Vector
+from handctl.programs.program import Progress, coordinates
+from handctl.programs.requests import OpenStream, Target
+from handctl.programs.streams import (
+    StreamPlan,
+    StreamStatus,
+    is_plausible,
+    mapping,
+    opened,
+    segment,
+    staying,
+    streamed_goals,
+)
+
+OLDEST_S = 0.1
+"""Age beyond which a target is ignored [s]. Its moment has passed, and later ones are on the way."""
+CLIPPED_RAD = 1e-9
+"""Smallest difference that counts as clipping [rad]."""
+STEADY_PERIODS = 2.5
+"""Longest time between two targets whose difference counts as a speed, in periods of the stream."""
+OPEN, RUNNING = 1, 2
+"""Numbers of ``block.STREAMING``."""
+
+
+def reference_of(model: HandModel, state: State) -> tuple[Vector, ...]:
+    """Return, for each digit, (3, n) position, rate and acceleration of the present reference."""
+    rows = state.layout.table(state.block, "coordinate")[s.TRAJECTORY : s.TRAJECTORY + 3]
+    parts = list[Vector]()
+    first = 0
+    for digit in model.digits:
+        end = first + digit.coupling.shape[1]
+        parts.append(rows[:, first:end])
+        first = end
+    return tuple(parts)
+
+
+def open_stream(model: HandModel, state: State, request: OpenStream) -> Event:
+    """Open a stream. Its digits stay at their present reference until the first target."""
+    stream = opened(model, request)
+    if isinstance(stream, str):
+        return Event("info", "request", "", f"refused: {stream}")
+    close_stream(model, state)
+    where = mapping(model, stream.space, stream.names)
+    rows = state.layout.table(state.block, "coordinate")
+    reference = reference_of(model, state)
+    for d in where.digits:
+        if state.progress.goals[d].kind != Kind.MOTION:  # no reference yet: begin where the digit is, at rest
+            reference[d][0] = coordinates(model.digits[d], state.estimate)
+            reference[d][1:] = 0.0
+    rows[s.STREAM_TARGET] = np.clip(rows[s.TRAJECTORY], *where.reach)
+    rows[s.STREAM_RANGE : s.STREAM_RANGE + 2] = where.reach
+    rows[s.STREAM_SEGMENT : s.STREAM_SEGMENT + 6] = 0.0
+    state.set_number(s.STREAM_SINCE, 0.0)
+    state.set_number(s.STREAM_DURATION, 0.0)
+    for row in (s.STREAM_ACCEPTED, s.STREAM_CLIPPED, s.STREAM_LATE, s.STREAM_REFUSED):
+        state.set_whole(row, 0)
+    state.set_whole(s.STREAM_SEQUENCE, -1)
+    state.set_whole(s.STREAMING, OPEN)
+    state.decide(stream=stream, progress=streamed_goals(state.progress, where.digits))
+    text = f"stream {stream.space} of {len(stream.names)} values at {request.rate_Hz:g} Hz, {stream.interpolation}"
+    return Event("info", "request", "", text)
+
+
+def close_stream(model: HandModel, state: State) -> None:
+    """End the open stream, if there is one. Its digits come to rest."""
+    if state.decisions.stream is None:
+        return
+    progress = stay(model, state, only_streamed=True)
+    state.decide(stream=None, progress=progress)
+    state.set_whole(s.STREAMING, 0)
+
+
+def stay(model: HandModel, state: State, only_streamed: bool = False) -> Progress:
+    """Return the progress with moving digits that come to rest."""
+    reach = tuple(digit.reach for digit in model.digits)
+    return staying(state.progress, reference_of(model, state), state.goal_time, reach, only_streamed)
+
+
+def apply_target(model: HandModel, state: State, target: Target | None, t_ns: int) -> tuple[Event, ...]:
+    """Take in a target, and begin the motion to it.
+
+    Args:
+        model: the hand.
+        state: of the tick, modified in place.
+        target: as parsed, None for a malformed one.
+        t_ns: time of the tick [ns].
+
+    Returns:
+        An event for the first target of a stream that is clipped, ignored or refused. All of them are
+            counted in the state.
+    """
+    stream = state.decisions.stream
+    if stream is None or state.mode != Mode.ACTIVE or (target is not None and target.stream != stream.name):
+        return ()  # of a stream that has ended, or of another client
+    if target is None or not is_plausible(target.values, len(stream.names)):
+        right = f"{len(stream.names)} finite angles"
+        return _count(state, s.STREAM_REFUSED, f"refused: a target that is no target, expected {right}")
+    sent_ns = min(target.sent_ns, t_ns)
+    running = state.whole(s.STREAMING) == RUNNING
+    overtaken = target.number <= state.whole(s.STREAM_SEQUENCE) or sent_ns <= state.whole(s.STREAM_SENT_NS)
+    if (running and overtaken) or t_ns - sent_ns > 1e9 * OLDEST_S:
+        return _count(state, s.STREAM_LATE, "ignored: a target that is repeated, overtaken or too old")
+    where = mapping(model, stream.space, stream.names)
+    latest = state.layout.table(state.block, "coordinate")[s.STREAM_TARGET]
+    aim = np.where(where.driven, where.matrix @ np.array(target.values), latest)
+    inside = np.clip(aim, *where.reach)
+    _begin_segment(model, state, stream, inside, sent_ns, t_ns)
+    state.set_whole(s.STREAM_SENT_NS, sent_ns)
+    state.set_whole(s.STREAM_SEQUENCE, target.number)
+    state.set_whole(s.STREAMING, RUNNING)
+    _count(state, s.STREAM_ACCEPTED)
+    if (np.abs(inside - aim) > CLIPPED_RAD).any():
+        return _count(state, s.STREAM_CLIPPED, "clipped: a target beyond the range of a joint")
+    return ()
+
+
+def _begin_segment(model: HandModel, state: State, stream: StreamPlan, inside: Vector, sent_ns: int, t_ns: int) -> None:
+    """Begin the motion from the present reference to a target.
+
+    Args:
+        model: the hand.
+        state: of the tick, modified in place.
+        stream: stream of the target.
+        inside: (C,) the target, within the joints' range [rad].
+        sent_ns: time at which the client sent it [ns].
+        t_ns: time of the tick [ns].
+    """
+    rows = state.layout.table(state.block, "coordinate")
+    apart_s = (sent_ns - state.whole(s.STREAM_SENT_NS)) / 1e9
+    steady = state.whole(s.STREAMING) == RUNNING and apart_s <= STEADY_PERIODS * stream.period
+    speed = (inside - rows[s.STREAM_TARGET]) / max(apart_s, 0.5 * stream.period) if steady else np.zeros_like(inside)
+    top = math.radians(model.hand.stream.speed_deg_s)
+    # The reference of the last tick is the start. This tick is already on the way.
+    since = t_ns / 1e9 - model.period * (1 + state.whole(s.MISSED))
+    duration = max(sent_ns / 1e9 + stream.horizon - since, model.period)
+    smooth = stream.interpolation == "minimum_jerk"
+    powers = segment(rows[s.TRAJECTORY : s.TRAJECTORY + 3], inside, np.clip(speed, -top, top), duration, smooth)
+    rows[s.STREAM_SEGMENT : s.STREAM_SEGMENT + 6] = powers
+    rows[s.STREAM_TARGET] = inside
+    state.set_number(s.STREAM_SINCE, since)
+    state.set_number(s.STREAM_DURATION, duration)
+
+
+def _count(state: State, row: int, text: str = "") -> tuple[Event, ...]:
+    """Count a target. Return an event for the first one of the stream, if there is a text for it."""
+    count = state.whole(row) + 1
+    state.set_whole(row, count)
+    return (Event("info", "stream", "", text),) if text and count == 1 else ()
+
+
+def stream_status(state: State) -> StreamStatus:
+    """Return the state of the open stream of targets."""
+    if state.decisions.stream is None:
+        return _NO_STREAM
+    running = state.whole(s.STREAMING) == RUNNING
+    age_s = (state.whole(s.T_NS) - state.whole(s.STREAM_SENT_NS)) / 1e9 if running else math.nan
+    rows = (s.STREAM_ACCEPTED, s.STREAM_CLIPPED, s.STREAM_LATE, s.STREAM_REFUSED, s.STREAM_LIMITED)
+    return StreamStatus(state.whole(s.STREAM_SEQUENCE), age_s, *[state.whole(row) for row in rows])
+
+
+_NO_STREAM = StreamStatus()

@@ -1,0 +1,250 @@
+"""Streams of targets from a client: what a target means for the digits of a hand."""
+
+import functools
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.law.trajectory import Blend, MinimumJerk, Streamed
+from handctl.core.model import HandModel
+from handctl.core.types import Vector
+from handctl.programs.program import Progress
+from handctl.programs.requests import OpenStream
+
+SPARE_TICKS = 2
+"""Control periods between the arrival of a target and the end of the motion to the target before.
+
+A target that is late by less than this leaves no gap.
+"""
+STAY_S = 0.15
+"""Duration of the motion to a stop [s]."""
+HELD_PERIODS = 2
+"""Fewest periods of a stream before the hand holds: one target may be lost."""
+OUTLIER_DEG = 720.0
+"""Largest angle that counts as a target [deg]. A larger one is a mistake of the client, and is refused."""
+
+
+@dataclass(frozen=True, slots=True)
+class StreamPlan:
+    """Stream of targets.
+
+    Attributes:
+        name: name of the stream, which every target repeats.
+        client: client that opened it.
+        space: meaning of a target, see ``requests.OpenStream``.
+        names: names of the values.
+        interpolation: motion from target to target: "linear" or "minimum_jerk".
+        period: time from one target to the next [s].
+        horizon: time from the sending of a target to the moment at which the hand shall reach it [s].
+    """
+
+    name: str
+    client: str
+    space: str
+    names: tuple[str, ...]
+    interpolation: str
+    period: float
+    horizon: float
+
+
+class StreamStatus(NamedTuple):
+    """State of the stream of targets after a tick.
+
+    Attributes:
+        number: number of the latest accepted target, -1 before the first.
+        age_s: time since it was sent [s], NaN without one.
+        accepted: accepted targets of the stream.
+        clipped: accepted targets that were clipped to the range of a joint.
+        late: ignored targets: repeated, overtaken or too old.
+        refused: refused targets: not numbers, or of a wrong shape.
+        limited: coordinates that the limits on speed and acceleration hold back in this tick.
+    """
+
+    number: int = -1
+    age_s: float = float("nan")
+    accepted: int = 0
+    clipped: int = 0
+    late: int = 0
+    refused: int = 0
+    limited: int = 0
+
+
+def horizon_s(rate_Hz: float, period: float) -> float:
+    """Return the time from the sending of a target to the moment at which the hand shall reach it [s].
+
+    Args:
+        rate_Hz: rate of the stream [Hz].
+        period: control period [s].
+    """
+    return 1.0 / rate_Hz + SPARE_TICKS * period
+
+
+class Mapping(NamedTuple):
+    """Linear map from the values of a target to the coordinates of the digits.
+
+    Attributes:
+        matrix: (C, V) coordinates [rad] per value [deg].
+        driven: (C,) True where the stream sets the coordinate.
+        digits: indices of the digits with such a coordinate.
+        reach: (2, C) lowest and highest value of each coordinate [rad].
+    """
+
+    matrix: Vector
+    driven: NDArray[np.bool_]
+    digits: tuple[int, ...]
+    reach: Vector
+
+
+@functools.lru_cache(maxsize=16)
+def mapping(model: HandModel, space: str, names: tuple[str, ...]) -> Mapping:
+    """Return the map from the values of a stream to coordinates."""
+    hand = model.hand
+    values = np.zeros((model.coordinate_count, len(names)))
+    digits = list[int]()
+    first = 0
+    for d, (name, digit) in enumerate(zip(hand.digit_names, model.digits, strict=True)):
+        places = slice(first, first + digit.coupling.shape[1])
+        first = places.stop
+        if space == "digit" and name in names:
+            values[places, names.index(name)] = 1.0
+            digits.append(d)
+        given = [j for j, joint in enumerate(hand.joints[digit.joints]) if joint in names] if space == "joint" else []
+        if given:
+            # The coordinates nearest to the angles: joints that springs couple turn together.
+            columns = [names.index(hand.joints[digit.joints][j]) for j in given]
+            values[places, columns] = np.linalg.pinv(digit.coupling[given])
+            digits.append(d)
+    driven = np.abs(values).max(axis=1) > 1e-12
+    reach = np.concatenate([np.array(digit.reach) for digit in model.digits], axis=1)
+    return Mapping(np.radians(values), driven, tuple(digits), reach)
+
+
+def unknown_names(model: HandModel, request: OpenStream) -> str:
+    """Return why a stream's names do not suit the hand, empty if they do."""
+    right = model.hand.joints if request.space == "joint" else model.hand.digit_names
+    for name in request.names:
+        if name not in right:
+            return f"no {request.space} {name!r}, expected some of {', '.join(right)}"
+    if len(set(request.names)) < len(request.names):
+        return "a name is there twice, expected each once"
+    return ""
+
+
+def opened(model: HandModel, request: OpenStream) -> StreamPlan | str:
+    """Return the stream of a request, or the reason to refuse it."""
+    if reason := unknown_names(model, request):
+        return reason
+    slowest = HELD_PERIODS * 1e3 / model.hand.stream.hold_after_ms
+    fastest = 1.0 / model.period
+    if not slowest <= request.rate_Hz <= fastest:
+        limits = "stream.hold_after_ms of the hand file, and the control rate"
+        return f"{request.rate_Hz:g} Hz, expected {slowest:g} to {fastest:g} Hz ({limits})"
+    horizon = horizon_s(request.rate_Hz, model.period)
+    return StreamPlan(
+        request.stream, request.client, request.space, request.names, request.interpolation,
+        1.0 / request.rate_Hz, horizon,
+    )  # fmt: skip
+
+
+def streamed_goals(progress: Progress, digits: tuple[int, ...]) -> Progress:
+    """Return the progress with digits that follow a stream."""
+    goals = list(progress.goals)
+    contact = list(progress.contact)
+    for d in digits:
+        goals[d] = DigitGoal(Kind.MOTION, Streamed())
+        contact[d] = False
+    return replace(progress, goals=tuple(goals), contact=tuple(contact))
+
+
+def staying(progress: Progress, reference: tuple[Vector, ...], t: float, reach: tuple[tuple[Vector, Vector], ...],
+            only_streamed: bool) -> Progress:  # fmt: skip
+    """Return the progress with moving digits that come to rest.
+
+    Args:
+        progress: progress with the present goals.
+        reference: for each digit, (3, n) position, rate and acceleration of the present reference.
+        t: time of the program [s].
+        reach: for each digit, lowest and highest coordinates [rad].
+        only_streamed: only digits that follow a stream come to rest.
+    """
+    goals = list(progress.goals)
+    for d, goal in enumerate(goals):
+        moves = goal.kind == Kind.MOTION and (isinstance(goal.trajectory, Streamed) or not only_streamed)
+        if moves:
+            position, rate, _ = reference[d]
+            end = np.clip(position + 0.5 * STAY_S * rate, *reach[d])
+            goals[d] = DigitGoal(Kind.MOTION, continued(reference[d], end, STAY_S, reach[d]), since=t)
+    return replace(progress, goals=tuple(goals))
+
+
+SHORTEST_BLEND_S = 0.05
+"""Shortest time in which an earlier motion fades [s]."""
+_SHARES = np.linspace(0.0, 1.0, 33)[1:]
+"""Moments of a move at which its course is checked, as fractions of the duration."""
+
+
+def continued(reference: Vector, end: Vector, duration: float, reach: tuple[Vector, Vector]) -> MinimumJerk:
+    """Return a move that begins with the position, rate and acceleration of a reference, at rest at the end.
+
+    A long move that continued a fast motion would run far beyond both its ends. The earlier motion
+    then fades in a shorter time, the longest that keeps the joints within their range.
+
+    Args:
+        reference: (3, n) position, rate and acceleration [rad, s].
+        end: (n,) coordinates at the end [rad].
+        duration: duration of the move [s].
+        reach: lowest and highest coordinates [rad].
+    """
+    position, rate, acceleration = (row.copy() for row in reference)
+    if not rate.any() and not acceleration.any():
+        return MinimumJerk(position, end, duration)
+    blend = duration
+    while True:
+        move = MinimumJerk(position, end, duration, Blend(rate, acceleration, blend))
+        course = np.array([move.at(share * blend)[0] for share in _SHARES])
+        inside = (course >= np.minimum(reach[0], position)).all() and (course <= np.maximum(reach[1], position)).all()
+        if inside or blend <= SHORTEST_BLEND_S:
+            return move
+        blend = max(0.5 * blend, SHORTEST_BLEND_S)
+
+
+def segment(
+    start: Vector, target: Vector, speed: Vector, duration: float, minimum_jerk: bool
+) -> Vector:
+    """Return the polynomials (6, C) of a motion to a target, lowest power first [rad, s].
+
+    The motion of minimum jerk begins with the position, rate and acceleration of the reference and
+    ends at the target with its speed. The acceleration at the end is free, so the jerk ends at 0:
+    it is b u + c u^2 of the time u that is left. The linear motion has a constant rate.
+
+    Args:
+        start: (3, C) position, rate and acceleration at the start.
+        target: (C,) position at the end.
+        speed: (C,) rate at the end of the motion of minimum jerk.
+        duration: duration of the motion [s].
+        minimum_jerk: motion of minimum jerk instead of a linear one.
+    """
+    position, rate, acceleration = start
+    powers = np.zeros((6, len(position)))
+    T = duration
+    powers[0] = position
+    if not minimum_jerk:
+        powers[1] = (target - position) / T
+        return powers
+    missing = target - position - T * rate - 0.5 * T * T * acceleration
+    slower = speed - rate - T * acceleration
+    b = 480.0 * (slower * T / 10.0 - missing / 4.0) / T**4
+    c = 480.0 * (missing / 3.0 - slower * T / 8.0) / T**5
+    powers[1], powers[2] = rate, 0.5 * acceleration
+    powers[3] = (b * T + c * T * T) / 6.0
+    powers[4] = -(b + 2.0 * c * T) / 24.0
+    powers[5] = c / 60.0
+    return powers
+
+
+def is_plausible(values: tuple[float, ...], count: int) -> bool:
+    """Return True if a target has the right number of finite values within a plausible range."""
+    return len(values) == count and all(abs(value) <= OUTLIER_DEG for value in values)

@@ -1,0 +1,222 @@
+"""Observations of a running hand in shared memory: one numpy record per tick, for any number of readers.
+
+The controller writes records into a ring in a file of the run folder. A reader maps the file and
+copies records. No lock and no system call is needed. A record has a counter that is odd while the
+record is written (a seqlock). A reader repeats a copy whose counter has changed.
+
+File: magic 8 bytes, lengths of the description and of a record, number of records, number of
+records written so far, end mark, u64 each. Then the description as JSON, then the ring.
+"""
+
+import contextlib
+import json
+import mmap
+import os
+import struct
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS, PackedTelemetry, TickIn, TickOut
+from handctl.errors import BusError
+from handctl.programs.streams import StreamStatus
+from handctl.runtime.mailbox import RIGHT_FOLDER
+from handctl.runtime.paths import observations_path
+
+MAGIC = b"HCOBS001"
+HEAD = struct.Struct("<8sQQQQQ")
+"""Start of the file: magic, length of the description, size of a record, records, written so far, end mark."""
+WRITTEN_AT = 32
+ENDED_AT = 40
+"""Offsets of the number of records written so far, and of the end mark."""
+RECORDS = 512
+"""Records in the ring: about a second at 500 Hz."""
+PAGE = 4096
+"""Alignment of the ring [bytes]."""
+TRIES = 100
+"""Copies of a record that is being overwritten, before a reader gives up."""
+NAMES = {
+    "q": "q_rad", "dq": "dq_rad_s", "q_goal": "q_goal_rad", "dq_goal": "dq_goal_rad_s",
+    "joint_torque": "joint_torque_N_m", "joint_encoder": "joint_encoder_rad", "excursion": "excursion_m",
+    "excursion_rate": "excursion_rate_m_s", "tension": "tension_N", "tension_sigma": "tension_sigma_N",
+    "tension_raw": "tension_raw_N", "tension_goal": "tension_goal_N", "stretch_offset": "stretch_offset_m",
+    "innovation": "innovation_N", "nis": "nis", "external_tension": "external_tension_N",
+    "motor_position": "motor_position_rad", "motor_velocity": "motor_velocity_rad_s",
+    "motor_torque": "motor_torque_N_m", "motor_torque_goal": "motor_torque_goal_N_m",
+    "motor_temperature": "motor_temperature_degC", "motor_age": "motor_age_s", "drive_phase": "drive_phase",
+    "tip_force": "tip_force_N", "contact": "contact", "q_sigma": "q_sigma_rad", "tip_force_sigma": "tip_force_sigma_N",
+}  # fmt: skip
+"""Name of each telemetry field in a record, with its unit."""
+COUNTER = "<u8"
+FIXED: tuple[tuple[str, str], ...] = (
+    ("k", "<i8"), ("t_ns", "<i8"), ("late_ns", "<i8"), ("published_ns", "<i8"), ("mode", "<i4"), ("action", "<i4"),
+    ("phase", "S24"),
+    ("stream_number", "<i8"), ("stream_age_s", "<f8"), ("stream_accepted", "<i8"), ("stream_clipped", "<i8"),
+    ("stream_late", "<i8"), ("stream_refused", "<i8"), ("stream_limited", "<i8"),
+)  # fmt: skip
+"""Fields of a record before the telemetry."""
+_FIXED = struct.Struct("<qqqqii24sqdqqqqq")
+
+
+def record_type(axes: Mapping[str, int]) -> np.dtype[np.void]:
+    """Return the type of a record.
+
+    Args:
+        axes: number of joints, tendons, motors and digits, by "joint", "tendon", "motor" and "digit".
+    """
+    numbers = [(NAMES[name], "<f8", (axes[TELEMETRY_AXES[name]],)) for name in TELEMETRY_FIELDS]
+    return np.dtype([*FIXED, *numbers])
+
+
+class ObservationWriter:
+    """Writing end, owned by the controller."""
+
+    def __init__(self, bus: str, axes: Mapping[str, int], description: Mapping[str, Any]) -> None:
+        """Create the file of a bus.
+
+        Args:
+            bus: bus of the controller, which holds its lock.
+            axes: see ``record_type``.
+            description: names and constants of the hand, for readers.
+
+        Raises:
+            BusError: the file cannot be made.
+        """
+        self.path = observations_path(bus)
+        kind = record_type(axes)
+        self._size = 8 + kind.itemsize
+        self._written = 0
+        text = json.dumps({"axes": dict(axes), **description}).encode()
+        self._ring_at = -(-(HEAD.size + len(text)) // PAGE) * PAGE
+        try:
+            self.path.unlink(missing_ok=True)
+            descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+        except OSError as error:
+            raise BusError(f"cannot write observations: {error}", str(self.path.parent), RIGHT_FOLDER) from None
+        try:
+            os.posix_fallocate(descriptor, 0, self._ring_at + RECORDS * self._size)
+            self._map = mmap.mmap(descriptor, 0)
+        finally:
+            os.close(descriptor)
+        # Fields of 8 bytes follow each other without gaps: the telemetry is one vector at the end of a record.
+        count = sum(axes[TELEMETRY_AXES[name]] for name in TELEMETRY_FIELDS)
+        assert kind.itemsize == _FIXED.size + 8 * count
+        starts = [self._ring_at + self._size * slot for slot in range(RECORDS)]
+        self._counters = [np.frombuffer(self._map, COUNTER, 1, start) for start in starts]
+        self._numbers = [np.frombuffer(self._map, "<f8", count, start + 8 + _FIXED.size) for start in starts]
+        self._map[HEAD.size : HEAD.size + len(text)] = text
+        HEAD.pack_into(self._map, 0, MAGIC, len(text), self._size, RECORDS, 0, 0)
+        self._total = np.frombuffer(self._map, COUNTER, 1, WRITTEN_AT)
+        self._ended = np.frombuffer(self._map, COUNTER, 1, ENDED_AT)
+
+    def publish(self, entry: TickIn, out: TickOut, stream: StreamStatus) -> None:
+        """Write the record of a tick."""
+        numbers = out.telemetry
+        assert isinstance(numbers, PackedTelemetry)
+        written = self._written
+        slot = written % RECORDS
+        counter = self._counters[slot]
+        counter[0] = 2 * written + 1
+        _FIXED.pack_into(
+            self._map, self._ring_at + self._size * slot + 8, entry.k, entry.t_ns, entry.late_ns, time.monotonic_ns(),
+            out.mode, out.action, out.phase.encode()[:24], *stream,
+        )  # fmt: skip
+        self._numbers[slot][...] = numbers.numbers
+        counter[0] = 2 * written + 2
+        self._written = written + 1
+        self._total[0] = written + 1
+
+    def close(self) -> None:
+        """Mark the end for the readers, and remove the file."""
+        self._ended[0] = 1
+        self.path.unlink(missing_ok=True)
+        del self._counters, self._numbers, self._total, self._ended
+        self._map.close()
+
+
+class ObservationReader:
+    """Reading end, in a client.
+
+    Attributes:
+        description: names and constants of the hand.
+        kind: type of a record.
+    """
+
+    def __init__(self, bus: str) -> None:
+        """Map the file of a running controller.
+
+        Raises:
+            BusError: no controller writes observations there.
+        """
+        self._path: Path = observations_path(bus)
+        try:
+            with open(self._path, "rb") as file:
+                self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        except (OSError, ValueError):
+            raise BusError("no observations", f"bus {bus}", "a running handctl run") from None
+        if len(self._map) < HEAD.size or self._map[:8] != MAGIC:
+            self._map.close()
+            raise BusError("no observations of this version", f"bus {bus}", "a controller of the same version")
+        _, length, self._size, self._records, _, _ = HEAD.unpack_from(self._map)
+        self._ring_at = -(-(HEAD.size + length) // PAGE) * PAGE
+        self.description: dict[str, Any] = json.loads(self._map[HEAD.size : HEAD.size + length])
+        self.kind = record_type(self.description["axes"])
+        self.seen = 0
+
+    @property
+    def written(self) -> int:
+        """Return the number of records so far."""
+        return int.from_bytes(self._map[WRITTEN_AT : WRITTEN_AT + 8], "little")
+
+    @property
+    def ended(self) -> bool:
+        """Return True if the run has ended."""
+        return self._map[ENDED_AT] != 0
+
+    def latest(self) -> NDArray[np.void] | None:
+        """Return the latest record as an array of shape (), None before the first."""
+        for _ in range(TRIES):
+            written = self.written
+            if written == 0:
+                return None
+            record = self.read(written - 1)
+            if record is not None:
+                self.seen = written
+                return record
+        return None
+
+    def next(self) -> NDArray[np.void] | None:
+        """Return the record after the last one returned, None if there is none yet.
+
+        A reader that is more than a ring late goes on with the oldest record that is left.
+        """
+        for _ in range(TRIES):
+            written = self.written
+            # The oldest slot may be overwritten next, so the reader keeps away from it.
+            at = max(self.seen, written - self._records + 2)
+            if at >= written:
+                return None
+            record = self.read(at)
+            if record is not None:
+                self.seen = at + 1
+                return record
+        return None
+
+    def read(self, index: int) -> NDArray[np.void] | None:
+        """Return a record by its number, None if it was overwritten meanwhile."""
+        start = self._ring_at + self._size * (index % self._records)
+        data = self._map[start : start + self._size]
+        after = self._map[start : start + 8]
+        complete = (2 * index + 2).to_bytes(8, "little")
+        if data[:8] != complete or after != complete:
+            return None
+        return np.frombuffer(data, self.kind, 1, 8).reshape(())
+
+    def close(self) -> None:
+        """Unmap the file."""
+        with contextlib.suppress(BufferError):
+            self._map.close()

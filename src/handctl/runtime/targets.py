@@ -1,0 +1,136 @@
+"""The target socket of a running controller: streamed targets as binary datagrams, read without blocking.
+
+The socket is apart from the request socket, so that a client that sends too fast cannot keep a stop
+request of another client waiting.
+
+Datagram, little-endian: magic 4 bytes, process of the client u32, number of the stream u32, number
+of values u32, number of the target i64, CLOCK_MONOTONIC at the sending i64 [ns], values float64.
+"""
+
+import socket
+import struct
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.errors import BusError
+from handctl.programs.requests import MOST_VALUES, target_text
+from handctl.runtime.mailbox import RIGHT_FOLDER
+from handctl.runtime.paths import targets_path
+from handctl.runtime.peers import name_senders, receive
+
+MAGIC = b"HCT1"
+"""First bytes of a target, with the version of the format."""
+HEAD = struct.Struct("<4sIIIqq")
+LARGEST = HEAD.size + 8 * MOST_VALUES
+"""Longest datagram of a target [bytes]."""
+READ_PER_TICK = 64
+"""Datagrams read per tick: more than a client sends that is ten times too fast."""
+KEPT_PER_TICK = 4
+"""Targets given to a tick, the newest ones. The numbers of targets show that others were skipped."""
+
+
+def stream_name(process: int, number: int) -> str:
+    """Return the name of a stream."""
+    return f"{process}-{number}"
+
+
+class TargetBox:
+    """Receiving end of streamed targets, owned by the controller.
+
+    Attributes:
+        path: of the socket.
+        socket: Unix datagram socket.
+    """
+
+    def __init__(self, name: str, run_time: Callable[[int], int]) -> None:
+        """Bind the socket of controller ``name``, which holds the lock of the bus.
+
+        Args:
+            name: bus of the controller.
+            run_time: converts CLOCK_MONOTONIC to the run's time [ns].
+
+        Raises:
+            BusError: the socket cannot be made.
+        """
+        self.path = targets_path(name)
+        self._run_time = run_time
+        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        try:
+            self.path.unlink(missing_ok=True)
+            name_senders(self.socket)
+            self.socket.bind(str(self.path))
+        except OSError as error:
+            self.socket.close()
+            raise BusError(f"cannot take targets there: {error}", str(self.path.parent), RIGHT_FOLDER) from None
+        self.socket.setblocking(False)
+
+    def read(self) -> tuple[str, ...]:
+        """Return the newest waiting targets as requests, oldest first. Datagrams of another form are dropped."""
+        texts: list[str] = []
+        for _ in range(READ_PER_TICK):
+            try:
+                data, _, ours = receive(self.socket, LARGEST + 1)
+            except BlockingIOError:
+                break
+            if ours and (text := self._decoded(data)):
+                texts.append(text)
+        return tuple(texts[-KEPT_PER_TICK:])
+
+    def _decoded(self, data: bytes) -> str:
+        """Return a datagram as a request, empty for a datagram of another form."""
+        if len(data) < HEAD.size:
+            return ""
+        magic, process, number, count, index, sent_ns = HEAD.unpack_from(data)
+        if magic != MAGIC or len(data) != HEAD.size + 8 * count:
+            return ""
+        values = struct.unpack_from(f"<{count}d", data, HEAD.size)
+        return target_text(stream_name(process, number), index, self._run_time(sent_ns), values)
+
+    def close(self) -> None:
+        """Remove the socket."""
+        self.socket.close()
+        self.path.unlink(missing_ok=True)
+
+
+class TargetSender:
+    """Sending end of one stream, in a client."""
+
+    def __init__(self, name: str, process: int, number: int) -> None:
+        """Connect to the controller ``name``.
+
+        Raises:
+            BusError: no controller takes targets there.
+        """
+        self._head = process, number
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        try:
+            self._socket.connect(str(targets_path(name)))
+        except OSError:
+            self._socket.close()
+            raise BusError("no controller takes targets", f"bus {name}", "a running handctl run") from None
+        self._socket.setblocking(False)
+
+    def send(self, index: int, sent_ns: int, values: NDArray[np.float64]) -> bool:
+        """Send a target. Return False if the controller has not read the ones before.
+
+        Args:
+            index: number of the target.
+            sent_ns: CLOCK_MONOTONIC [ns].
+            values: (V,) values.
+
+        Raises:
+            OSError: the controller has ended.
+        """
+        process, number = self._head
+        data = HEAD.pack(MAGIC, process, number, len(values), index, sent_ns) + values.astype("<f8").tobytes()
+        try:
+            self._socket.send(data)
+        except BlockingIOError:
+            return False
+        return True
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()

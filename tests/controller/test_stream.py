@@ -1,0 +1,481 @@
+"""Streamed targets in lockstep: interpolation, limits, bad clients, stale streams, and who may command."""
+
+import json
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handctl.controller.snapshot import restore, snapshot
+from handctl.controller.streams import stream_status
+from handctl.core.law.goal import Kind
+from handctl.core.law.trajectory import Streamed
+from handctl.core.model import HandModel
+from handctl.core.types import Mode, TickOut
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.live import LiveProgram
+from handctl.programs.requests import is_target, parse_target, target_text
+from handctl.programs.streams import continued, horizon_s, mapping, segment
+from handctl.programs.task import Task
+from handctl.session.simulate import Simulation, Simulator, homed_controller
+
+RATE_HZ = 100.0
+MIDDLE_DEG, SWING_DEG = 30.0, 20.0
+
+
+def sine(t: Any) -> Any:
+    """Return the angle of the test motion, 1 Hz [deg]."""
+    return MIDDLE_DEG + SWING_DEG * np.sin(2.0 * math.pi * t)
+
+
+class Client:
+    """A client of a hand in lockstep.
+
+    Attributes:
+        run: the simulation.
+        sent: number of targets so far.
+        outs: outputs of all ticks since the hand is live.
+    """
+
+    def __init__(self, run: Simulation, model: HandModel, name: str = "one") -> None:
+        self.run, self.model, self.name, self.sent = run, model, name, 0
+        self.outs = list[TickOut]()
+        while run.out is None or run.out.phase != "live":
+            run.tick()
+
+    @property
+    def t_ns(self) -> int:
+        """Return the time of the next tick [ns]."""
+        return self.run.k * self.run.period_ns
+
+    def tick(self, *requests: str) -> TickOut:
+        """Run a tick."""
+        self.outs.append(self.run.tick(requests=requests))
+        return self.outs[-1]
+
+    def wait(self, seconds: float) -> None:
+        """Run ticks without a request."""
+        for _ in range(round(seconds / self.model.period)):
+            self.tick()
+
+    def ask(self, do: str, **fields: Any) -> str:
+        """Send a command and return the text of the last event about it."""
+        out = self.tick(json.dumps({"do": do, "client": self.name, **fields}))
+        return [event.text for event in out.events if event.name == "request"][-1]
+
+    def open(self, space: str = "digit", names: tuple[str, ...] = ("index",), **fields: Any) -> str:
+        """Open a stream."""
+        fields = {"interpolation": "linear", "rate_Hz": RATE_HZ} | fields
+        return self.ask("stream", stream="s", space=space, names=names, **fields)
+
+    def target(self, *values: float, number: int | None = None, age_s: float = 0.0) -> str:
+        """Return the request of a target that is sent now."""
+        self.sent += number is None
+        return target_text("s", self.sent if number is None else number, self.t_ns - round(1e9 * age_s), values)
+
+    def follow(self, motion: Callable[[float], float], seconds: float, rate_Hz: float = RATE_HZ) -> None:
+        """Stream a motion of one value in regular time."""
+        every = round(1.0 / rate_Hz / self.model.period)
+        for i in range(round(seconds / self.model.period)):
+            self.tick(*([self.target(motion(i * self.model.period))] if i % every == 0 else []))
+
+    @property
+    def faults(self) -> set[str]:
+        """Return the ids of all faults so far."""
+        return {event.text.split()[0] for out in self.outs for event in out.events if event.name == "fault"}
+
+    def goals(self, name: str) -> Any:
+        """Return the goals of the first joint in all ticks so far."""
+        return np.array([getattr(out.telemetry, name)[0] for out in self.outs])
+
+
+@contextmanager
+def live(model: HandModel) -> Iterator[Client]:
+    """A hand that takes commands."""
+    hand = model.hand.name
+    with Simulator(hand, homed=True).against(homed_controller(model, LiveProgram())) as run:
+        yield Client(run, model)
+
+
+def true_angle(run: Simulation) -> float:
+    """Return the mean joint angle of the first digit in the plant [deg]."""
+    return float(np.degrees(run.peer.world.plant.engine.q[:3]).mean())
+
+
+def test_a_streamed_sine_is_followed_like_a_trajectory(jamia: HandModel) -> None:
+    """The client knows the future, so it sends the angle that the hand shall have after the horizon."""
+    errors = {}
+    for interpolation in ("linear", "minimum_jerk"):
+        with live(jamia) as client:
+            client.ask("move", angle_deg={"index": MIDDLE_DEG})
+            client.wait(1.2)
+            assert client.open(interpolation=interpolation).startswith("stream digit of 1 values at 100 Hz")
+            client.outs.clear()
+            began_ns, horizon = client.t_ns, horizon_s(RATE_HZ, jamia.period)
+            missed = []
+            for _ in range(3):
+                for i in range(round(1.0 / jamia.period)):
+                    missed.append(true_angle(client.run) - sine((client.t_ns - began_ns) / 1e9))
+                    client.tick(*([client.target(sine(i * jamia.period + horizon))] if i % 5 == 0 else []))
+            errors[interpolation] = float(np.sqrt(np.mean(np.square(missed[len(missed) // 3 :]))))
+            assert client.faults == set()
+            assert stream_status(client.run.state).accepted == 300
+            assert stream_status(client.run.state).clipped == 0
+    known = error_of_trajectory(jamia)
+    assert errors["linear"] < 1.5 * known, (errors, known)
+    assert errors["minimum_jerk"] < 1.2 * known, (errors, known)
+
+
+def error_of_trajectory(model: HandModel) -> float:
+    """Return the error of the same motion as a task [deg]."""
+    times = np.arange(0.0, 3.001, 0.02)
+    stay = {"kind": "move", "name": "stay", "angle_deg": {"index": MIDDLE_DEG}, "duration_s": 1.0}
+    angles = {"index": sine(times).tolist()}
+    follow = {"kind": "follow", "name": "follow", "time_s": times.tolist(), "angle_deg": angles}
+    task = {"schema": 1, "name": "sine", "phase": [stay, follow]}
+    program = TaskProgram(Task.model_validate_json(json.dumps(task)))
+    with Simulator(model.hand.name, homed=True).against(homed_controller(model, program)) as run:
+        began, missed = None, []
+        while run.out is None or run.out.mode != Mode.DONE:
+            if run.out is not None and run.out.phase == "follow":
+                began = run.k - 1 if began is None else began
+                t = (run.k - began) * model.period
+                if 1.0 < t < 3.0:
+                    missed.append(true_angle(run) - sine(t))
+            run.tick()
+    return float(np.sqrt(np.mean(np.square(missed))))
+
+
+def test_the_ticks_of_a_stream_repeat_to_the_last_bit(jamia: HandModel) -> None:
+    """Also from a snapshot in the middle of the stream."""
+    with live(jamia) as client:
+        client.open(space="joint", names=("index_j1", "index_j2", "index_j3", "thumb_j1"), interpolation="minimum_jerk")
+        for i in range(100):
+            angles = [sine(i / 100) + j for j in range(3)]
+            client.tick(*([client.target(*angles, 10.0)] if i % 5 == 0 else []))
+            if i == 50:
+                middle, at = snapshot(client.run.state), len(client.run.recorded)
+        controller = client.run.controller
+        for state, ticks in (
+            (controller.initial(), client.run.recorded),
+            (restore(controller.layout, middle), client.run.recorded[at:]),
+        ):
+            for entry, out in ticks:
+                state, again = controller.tick(state, entry)
+                assert again.state_hash == out.state_hash
+
+
+@pytest.mark.parametrize("interpolation", ["linear", "minimum_jerk"])
+@pytest.mark.parametrize("target", [100.0, 150.0, -40.0])
+def test_a_jump_is_bounded_in_speed_acceleration_and_range(jamia: HandModel, interpolation: str, target: float) -> None:
+    limits = jamia.hand.stream
+    with live(jamia) as client:
+        client.ask("move", angle_deg={"index": 40.0})
+        client.wait(1.2)
+        client.open(interpolation=interpolation)
+        client.outs.clear()
+        client.follow(lambda t: target, 0.6)
+        speed, angle = np.degrees(client.goals("dq_goal")), np.degrees(client.goals("q_goal"))
+        assert np.abs(speed).max() <= limits.speed_deg_s * (1 + 1e-9)
+        assert np.abs(np.diff(speed)).max() <= limits.acceleration_deg_s2 * jamia.period * (1 + 1e-9)
+        assert np.abs(np.diff(angle)).max() <= limits.speed_deg_s * jamia.period * (1 + 1e-9)
+        assert angle.min() >= -1e-9
+        assert angle.max() <= 100.0 + 1e-9
+        assert angle[-1] == pytest.approx(min(max(target, 0.0), 100.0), abs=1e-6)
+        clipped = stream_status(client.run.state).clipped
+        assert clipped == (0 if target == 100.0 else client.sent), "told, and no fault"
+        assert client.run.out is not None
+        assert client.run.out.mode == Mode.ACTIVE
+
+
+def test_a_random_stream_never_leaves_the_limits(jamia: HandModel) -> None:
+    """A policy gone wild: any angle, at any time, twenty seeds."""
+    limits, period = jamia.hand.stream, jamia.period
+    with live(jamia) as client:
+        for seed in range(20):
+            random = np.random.default_rng(seed)
+            client.open(interpolation=("linear", "minimum_jerk")[seed % 2])
+            client.sent = 0
+            client.outs.clear()
+            for _ in range(100):
+                client.tick(*[client.target(random.uniform(-30.0, 130.0)) for _ in range(random.integers(0, 3))])
+            speed, angle = np.degrees(client.goals("dq_goal")), np.degrees(client.goals("q_goal"))
+            assert np.abs(np.diff(speed)).max() <= limits.acceleration_deg_s2 * period * (1 + 1e-9)
+            assert np.abs(speed).max() <= limits.speed_deg_s * (1 + 1e-9)
+            assert -1e-9 <= angle.min() <= angle.max() <= 100.0 + 1e-9
+            tension = np.array([out.telemetry.tension_goal for out in client.outs])
+            assert np.nanmax(tension - jamia.ceiling) <= 1e-9
+
+
+def test_a_stale_stream_holds_then_relaxes(jamia: HandModel) -> None:
+    with live(jamia) as client:
+        client.open()
+        client.follow(lambda t: 60.0 * t, 0.5)
+        client.outs.clear()
+        client.wait(0.09)
+        assert client.faults == set()
+        client.wait(0.03)
+        assert client.faults == {"I11a"}
+        at = client.goals("q_goal")[-1]
+        client.wait(0.3)
+        assert client.goals("q_goal")[-1] == at, "held"
+        client.follow(lambda t: math.degrees(at) + 20.0 * t, 0.3)
+        assert client.outs[-1].mode == Mode.ACTIVE, "the next target goes on"
+        assert client.goals("q_goal")[-1] > at + math.radians(4.0)
+        client.wait(1.2)
+        assert client.faults == {"I11a", "I11b"}
+        assert client.outs[-1].mode >= Mode.RELAX
+
+
+def test_a_late_target_waits_at_the_last_one(jamia: HandModel) -> None:
+    """Nothing is extrapolated: the reference never passes the last target by more than its braking."""
+    with live(jamia) as client:
+        client.open()
+        client.follow(lambda t: 100.0 * t, 0.5)
+        last = 100.0 * (0.5 - 1.0 / RATE_HZ)
+        client.outs.clear()
+        client.wait(0.06)
+        angle = np.degrees(client.goals("q_goal"))
+        braking = 100.0**2 / (2.0 * jamia.hand.stream.acceleration_deg_s2)
+        assert angle.max() <= last + braking + 0.2
+        assert angle[-1] == pytest.approx(last, abs=1e-6)
+        assert np.degrees(client.goals("dq_goal"))[-1] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [(math.nan,), (math.inf,), (1e308,), (-1e308,), (721.0,), (), (1.0, 2.0)],
+)
+def test_a_target_that_is_none_is_counted_and_not_obeyed(jamia: HandModel, values: tuple[float, ...]) -> None:
+    with live(jamia) as client:
+        client.open()
+        client.follow(lambda t: 20.0, 0.3)
+        before = client.goals("q_goal")[-1]
+        for _ in range(5):
+            client.tick(client.target(*values))
+        client.wait(0.02)
+        assert client.goals("q_goal")[-1] == pytest.approx(before, abs=1e-9)
+        status = stream_status(client.run.state)
+        assert (status.refused, status.accepted) == (5, 30)
+        refusals = [event for out in client.outs for event in out.events if event.name == "stream"]
+        assert len(refusals) == 1, "told once, so that a flood fills no log"
+        client.follow(lambda t: 20.0, 0.1)
+        assert client.faults == set()
+        assert client.outs[-1].mode == Mode.ACTIVE
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "", "7", "[]", '"stream": "s"}', '"stream": "s", "n": 1.5, "sent_ns": 1, "values": []}',
+        '"stream": "s", "n": 1, "sent_ns": 1, "values": [null]}',
+        '"stream": "s", "n": 1, "sent_ns": 1, "values": "1"}', "[" * 5000,
+    ],
+)  # fmt: skip
+def test_a_text_that_is_no_target_is_counted(text: str) -> None:
+    whole = '{"do": "target", ' + text
+    assert is_target(whole)
+    target = parse_target(whole)
+    assert target is None or target.values == (1.0,)
+
+
+def test_repeated_overtaken_and_old_targets_are_ignored(jamia: HandModel) -> None:
+    with live(jamia) as client:
+        client.open()
+        client.follow(lambda t: 20.0, 0.3)
+        at = client.goals("q_goal")[-1]
+        client.tick(client.target(80.0, number=client.sent), client.target(80.0, number=3))
+        client.tick(client.target(80.0, age_s=0.05), client.target(80.0, age_s=0.2))
+        client.wait(0.02)
+        assert client.goals("q_goal")[-1] == pytest.approx(at, abs=1e-9)
+        assert stream_status(client.run.state).late == 4
+
+
+def test_a_target_from_the_future_counts_as_sent_now(jamia: HandModel) -> None:
+    with live(jamia) as client:
+        client.open()
+        client.tick(client.target(10.0, age_s=-1e6))
+        assert 0.0 <= stream_status(client.run.state).age_s <= jamia.period
+        client.wait(0.2)
+        assert client.faults == {"I11a"}, "it does not silence the watch for a million seconds"
+
+
+def test_a_jittering_stream_is_smooth(jamia: HandModel) -> None:
+    """Targets arrive up to 8 ms late, some are lost: no tick needs the acceleration limit."""
+    random = np.random.default_rng(4)
+    with live(jamia) as client:
+        client.ask("move", angle_deg={"index": MIDDLE_DEG})
+        client.wait(1.2)
+        client.open(interpolation="minimum_jerk")
+        client.outs.clear()
+        began_ns, waiting = client.t_ns, list[tuple[int, str]]()
+        for i in range(1000):
+            if i % 5 == 0 and random.random() > 0.05:
+                text = client.target(sine((client.t_ns - began_ns) / 1e9))
+                waiting.append((client.t_ns + int(random.uniform(0, 8e6)), text))
+            due = [text for at, text in waiting if at <= client.t_ns]
+            waiting = [(at, text) for at, text in waiting if at > client.t_ns]
+            client.tick(*due)
+        late = np.degrees(client.goals("q_goal"))[250:] - sine(
+            np.arange(250, 1000) * jamia.period - horizon_s(RATE_HZ, jamia.period)
+        )
+        assert np.sqrt(np.mean(late**2)) < 0.6
+        assert client.faults == set()
+
+
+def test_a_stream_goes_on_from_a_moving_digit(jamia: HandModel) -> None:
+    with live(jamia) as client:
+        client.ask("move", angle_deg={"index": 80.0})
+        client.wait(0.5)
+        before = len(client.outs)
+        client.open(interpolation="minimum_jerk")
+        client.follow(lambda t: 40.0 + 100.0 * t, 0.2)
+        speed = np.degrees(client.goals("dq_goal"))
+        assert speed[before - 1] > 100.0
+        limit = jamia.hand.stream.acceleration_deg_s2 * jamia.period
+        assert np.abs(np.diff(speed[before - 5 :])).max() <= limit * (1 + 1e-9)
+        client.ask("move", angle_deg={"index": 20.0})
+        client.wait(1.1)
+        speed = np.degrees(client.goals("dq_goal"))
+        assert np.abs(np.diff(speed[before:])).max() <= limit * (1 + 1e-9), "and a move goes on from the stream"
+        assert np.degrees(client.goals("q_goal"))[-1] == pytest.approx(20.0)
+        assert client.run.state.decisions.stream is None, "which the move has ended"
+
+
+def test_goals_with_a_long_horizon_move_the_hand(jamia: HandModel) -> None:
+    """Regression: every goal began at rest at the estimate, so a goal 50 times a second stood still."""
+    with live(jamia) as client:
+        client.ask("move", angle_deg={"index": MIDDLE_DEG})
+        client.wait(1.2)
+        client.outs.clear()
+        for i in range(round(3.0 / jamia.period)):
+            if i % 10 == 0:
+                client.ask("move", angle_deg={"index": sine(i * jamia.period / 4.0)}, duration_s=0.5)
+            else:
+                client.tick()
+        swing = np.degrees([out.telemetry.q[0] for out in client.outs[500:]])
+        assert np.ptp(swing) > 20.0
+
+
+def test_a_long_move_of_a_fast_digit_stays_within_the_range() -> None:
+    """A quintic that continues 300 deg/s over five seconds would swing 280 degrees beyond its end."""
+    reference = np.radians([[90.0], [300.0], [0.0]])
+    reach = np.radians([0.0]), np.radians([100.0])
+    move = continued(reference, np.radians([10.0]), 5.0, reach)
+    way = np.degrees([move.at(t)[:, 0] for t in np.linspace(0.0, 5.0, 5001)])
+    assert way[:, 0].max() <= 100.5
+    assert way[0] == pytest.approx([90.0, 300.0, 0.0])
+    assert way[-1] == pytest.approx([10.0, 0.0, 0.0], abs=1e-9)
+
+
+def test_three_goals_out_of_range_are_no_fault(jamia: HandModel) -> None:
+    """Regression: they relaxed the hand and latched."""
+    with live(jamia) as client:
+        for _ in range(5):
+            assert "from 0 to 100 deg" in client.ask("move", angle_deg={"index": 120.0})
+        client.wait(0.1)
+        assert client.outs[-1].mode == Mode.ACTIVE
+        assert client.faults == {"I07a"}
+        client.tick("{", "nonsense", '{"do": "fly"}')
+        client.wait(0.01)
+        assert client.outs[-1].mode >= Mode.RELAX, "a client that speaks no sense is stopped"
+
+
+def test_one_client_commands_and_another_takes_over(jamia: HandModel) -> None:
+    with live(jamia) as client:
+        client.open()
+        client.follow(lambda t: 20.0, 0.2)
+        client.name = "two"
+        for do in ({"do": "move", "angle_deg": {"thumb": 5.0}}, {"do": "hold", "tension_N": {"thumb": 8.0}}):
+            assert client.ask(**do) == "refused: one commands this hand, expected take_over"
+        client.wait(0.02)
+        assert client.faults == set()
+        client.ask("stay", take_over=True)
+        assert client.run.state.decisions.stream is None
+        assert client.ask("move", angle_deg={"thumb": 5.0}) == "move thumb 5"
+        client.name = "one"
+        client.tick(client.target(90.0))
+        assert client.ask("move", angle_deg={"index": 5.0}).startswith("refused: two commands")
+        client.name = "two"
+        client.ask("leave")
+        client.name = "one"
+        assert client.ask("move", angle_deg={"index": 5.0}) == "move index 5"
+
+
+def test_the_end_of_a_stream_brings_the_digit_to_rest(jamia: HandModel) -> None:
+    with live(jamia) as client:
+        client.open()
+        client.follow(lambda t: 200.0 * t, 0.3)
+        client.outs.clear()
+        client.ask("stream_end", stream="s")
+        client.wait(1.5)
+        assert client.faults == set(), "a stream that has ended is not stale"
+        assert client.goals("dq_goal")[-1] == 0.0
+        assert np.degrees(client.goals("q_goal"))[-1] < 80.0
+
+
+def test_streams_that_do_not_suit_the_hand_are_refused(jamia: HandModel) -> None:
+    with live(jamia) as client:
+        assert "no digit 'pinky', expected some of index" in client.open(names=("pinky",))
+        assert "no joint 'index', expected some of index_j1" in client.open(space="joint")
+        assert "twice" in client.open(names=("index", "index"))
+        assert "5 Hz, expected 20 to 500 Hz" in client.open(rate_Hz=5.0)
+        assert "expected 20 to 500 Hz" in client.open(rate_Hz=800.0)
+        assert client.run.state.decisions.stream is None
+        client.wait(0.01)
+        assert client.faults == set()
+
+
+def test_joint_angles_become_coordinates(model: HandModel) -> None:
+    """Every joint of a hand by name: coupled joints turn by the nearest common angle."""
+    names = model.hand.joints
+    where = mapping(model, "joint", names)
+    assert where.driven.all()
+    angles = np.linspace(10.0, 30.0, len(names))
+    q = np.degrees(model.coupling @ where.matrix @ angles)
+    for digit in model.digits:
+        part = angles[digit.joints]
+        nearest = digit.coupling @ np.linalg.lstsq(digit.coupling, part, rcond=None)[0]
+        np.testing.assert_allclose(q[digit.joints], nearest, atol=1e-9)
+    one = mapping(model, "joint", (names[1],))
+    assert one.driven.sum() == 1, "the other joints of the digit stay"
+
+
+def test_moves_of_single_joints(jamia: HandModel, jamia11: HandModel) -> None:
+    with live(jamia) as client:
+        text = client.ask("move", angle_deg={"index_j1": 20.0, "index_j2": 30.0})
+        assert "index_j1, index_j2 are coupled, expected index" in text
+        assert client.ask("move", angle_deg={"index_j1": 20.0, "index_j2": 20.0}).startswith("move index_j1 20")
+        assert "expected either the digit or its joints" in client.ask("move", angle_deg={"index": 2, "index_j1": 3})
+    with live(jamia11) as client:
+        assert client.ask("move", angle_deg={"index_j1": 25.0}).startswith("move index_j1 25")
+        client.wait(1.2)
+        assert np.degrees(client.outs[-1].telemetry.q_goal[:3]) == pytest.approx([25.0, 0.0, 0.0], abs=3.0)
+
+
+def test_a_segment_meets_both_ends() -> None:
+    random = np.random.default_rng(0)
+    for _ in range(20):
+        start, target, speed, T = random.normal(size=(3, 4)), random.normal(size=4), random.normal(size=4), 0.014
+        for smooth in (False, True):
+            powers = segment(start, target, speed, T, smooth)
+            at = [np.polynomial.polynomial.polyval(t, powers) for t in (0.0, T)]
+            np.testing.assert_allclose(at[0], start[0], atol=1e-12)
+            np.testing.assert_allclose(at[1], target, atol=1e-9)
+            if smooth:
+                slope = np.polynomial.polynomial.polyder(powers)
+                np.testing.assert_allclose(np.polynomial.polynomial.polyval(0.0, slope), start[1])
+                np.testing.assert_allclose(np.polynomial.polynomial.polyval(T, slope), speed, atol=1e-6)
+
+
+def test_a_stream_needs_no_goal_objects_per_target(jamia: HandModel) -> None:
+    with live(jamia) as client:
+        client.open()
+        goals = client.run.state.progress.goals
+        client.follow(lambda t: 10.0 * t, 0.2)
+        assert client.run.state.progress.goals is goals
+        assert goals[0].kind == Kind.MOTION
+        assert isinstance(goals[0].trajectory, Streamed)

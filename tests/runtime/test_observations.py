@@ -1,0 +1,216 @@
+"""The ring of observations in shared memory, and the socket of streamed targets, in one process."""
+
+import json
+import math
+import os
+import struct
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS, Mode, PackedTelemetry, TickIn, TickOut
+from handctl.errors import BusError
+from handctl.programs.requests import parse_target
+from handctl.programs.streams import StreamStatus
+from handctl.runtime.mailbox import Mailbox
+from handctl.runtime.observations import RECORDS, ObservationReader, ObservationWriter
+from handctl.runtime.paths import observations_path, targets_path
+from handctl.runtime.targets import HEAD, KEPT_PER_TICK, MAGIC, READ_PER_TICK, TargetBox, TargetSender
+from handctl.safety.action import Action
+
+AXES = {"joint": 3, "tendon": 2, "motor": 2, "digit": 1}
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Sockets and files of this test only."""
+    monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path / "h"))
+    return tmp_path
+
+
+def numbers_of(k: int) -> PackedTelemetry:
+    """Return telemetry in which every number is the tick's, and its index."""
+    places, first = {}, 0
+    for name in TELEMETRY_FIELDS:
+        places[name] = slice(first, first + AXES[TELEMETRY_AXES[name]])
+        first = places[name].stop
+    return PackedTelemetry(1000.0 * k + np.arange(first), places)
+
+
+NO_STREAM = StreamStatus()
+
+
+def ticks_of(reader: ObservationReader) -> list[int]:
+    """Return the ticks of all records that the reader has not seen."""
+    ticks = list[int]()
+    while (record := reader.next()) is not None:
+        ticks.append(record["k"].item())
+    return ticks
+
+
+def write(writer: ObservationWriter, k: int, status: StreamStatus = NO_STREAM) -> None:
+    """Write the record of a tick."""
+    out = TickOut((), Mode.ACTIVE, "live", Action.WARN, numbers_of(k), (), bytes(8))
+    writer.publish(TickIn(k, 2_000_000 * k, 7), out, status)
+
+
+def test_a_record_comes_back_with_every_field() -> None:
+    writer = ObservationWriter("local:x", AXES, {"rate_Hz": 500.0})
+    reader = ObservationReader("local:x")
+    assert reader.latest() is None
+    assert reader.description["rate_Hz"] == 500.0
+    write(writer, 41, StreamStatus(5, 0.25, 6, 7, 8, 9, 10))
+    record = reader.latest()
+    assert record is not None
+    assert (record["k"], record["t_ns"], record["late_ns"]) == (41, 82_000_000, 7)
+    assert (record["mode"], record["action"], record["phase"]) == (Mode.ACTIVE, Action.WARN, b"live")
+    assert [record[name].item() for name in record.dtype.names or () if name.startswith("stream_")] == [
+        5, 0.25, 6, 7, 8, 9, 10,
+    ]  # fmt: skip
+    packed = numbers_of(41)
+    np.testing.assert_array_equal(record["q_rad"], packed.q)
+    np.testing.assert_array_equal(record["tip_force_sigma_N"], packed.tip_force_sigma)
+    assert 0 <= time.monotonic_ns() - int(record["published_ns"]) < 5e9
+    reader.close()
+    writer.close()
+
+
+def test_a_reader_gets_every_tick_once_and_a_late_one_misses_the_oldest() -> None:
+    writer = ObservationWriter("local:x", AXES, {})
+    reader = ObservationReader("local:x")
+    for k in range(10):
+        write(writer, k)
+    assert ticks_of(reader) == list(range(10))
+    for k in range(10, 10 + 2 * RECORDS):
+        write(writer, k)
+    late = ticks_of(reader)
+    assert late == list(range(10 + 2 * RECORDS - len(late), 10 + 2 * RECORDS))
+    assert RECORDS - 4 <= len(late) < RECORDS
+    reader.close()
+    writer.close()
+
+
+def test_no_reader_sees_a_torn_record() -> None:
+    writer = ObservationWriter("local:x", AXES, {})
+    stop, torn, seen = threading.Event(), list[int](), list[int]()
+
+    def read() -> None:
+        reader = ObservationReader("local:x")
+        while not stop.is_set():
+            record = reader.latest()
+            if record is not None:
+                k = record["k"].item()
+                seen.append(k)
+                if not np.array_equal(record["q_rad"], 1000.0 * k + np.arange(3)):
+                    torn.append(k)
+        reader.close()
+
+    readers = [threading.Thread(target=read) for _ in range(2)]
+    for one in readers:
+        one.start()
+    for k in range(20_000):
+        write(writer, k)
+    stop.set()
+    for one in readers:
+        one.join()
+    assert not torn
+    assert len(set(seen)) > 10
+    writer.close()
+
+
+def test_a_half_written_record_is_not_returned() -> None:
+    writer = ObservationWriter("local:x", AXES, {})
+    reader = ObservationReader("local:x")
+    write(writer, 1)
+    writer._counters[0][0] = 3  # as while the second round begins
+    assert reader.read(0) is None
+    assert reader.latest() is None, "and a reader does not wait for a writer that has died"
+    reader.close()
+    writer.close()
+
+
+def test_the_file_is_private_and_goes_with_the_run() -> None:
+    writer = ObservationWriter("local:x", AXES, {})
+    path = observations_path("local:x")
+    assert path.stat().st_mode & 0o777 == 0o600
+    reader = ObservationReader("local:x")
+    assert not reader.ended
+    writer.close()
+    assert reader.ended
+    assert not path.exists()
+    reader.close()
+    with pytest.raises(BusError, match="bus local:x: no observations; expected a running handctl run"):
+        ObservationReader("local:x")
+
+
+def test_a_file_that_a_killed_controller_left_is_replaced() -> None:
+    path = observations_path("local:x")
+    path.write_bytes(b"old")
+    with pytest.raises(BusError, match="of this version"):
+        ObservationReader("local:x") if path.write_bytes(b"x" * 100) else None
+    writer = ObservationWriter("local:x", AXES, {})
+    ObservationReader("local:x").close()
+    writer.close()
+
+
+def test_targets_arrive_in_order_with_the_time_of_the_run() -> None:
+    box = TargetBox("local:x", lambda ns: ns - 1000)
+    sender = TargetSender("local:x", 17, 3)
+    for index in range(3):
+        assert sender.send(index, 5000 + index, np.array([0.1, math.nan, 1e308]))
+    texts = box.read()
+    targets = [parse_target(text) for text in texts]
+    assert [target and target[:3] for target in targets] == [("17-3", index, 4000 + index) for index in range(3)]
+    assert targets[0] is not None
+    assert targets[0].values[0] == 0.1
+    assert math.isnan(targets[0].values[1])
+    assert targets[0].values[2] == 1e308
+    assert box.read() == ()
+    sender.close()
+    box.close()
+    assert not targets_path("local:x").exists()
+
+
+def test_a_flood_neither_blocks_nor_delays_a_stop() -> None:
+    """The newest targets reach the tick. The request socket stays free."""
+    box, mail = TargetBox("local:x", int), Mailbox("local:x")
+    sender, sent = TargetSender("local:x", 1, 1), 0
+    began = time.monotonic()
+    while time.monotonic() < began + 0.2:
+        sent += sender.send(sent, sent, np.zeros(4))
+    read = 0
+    while texts := box.read():
+        assert len(texts) <= KEPT_PER_TICK
+        last = parse_target(texts[-1])
+        assert last is not None
+        assert last.number == min(read + READ_PER_TICK, sent) - 1, "the newest of those read"
+        read += READ_PER_TICK
+    assert mail.read() == ()
+    sender.close()
+    box.close()
+    mail.close()
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"", b"HCT1", b"x" * 1000, HEAD.pack(b"HCT0", 1, 1, 0, 0, 0), HEAD.pack(MAGIC, 1, 1, 2, 0, 0) + bytes(8),
+        HEAD.pack(MAGIC, 1, 1, 2**32 - 1, 0, 0), HEAD.pack(MAGIC, 1, 1, 65, 0, 0) + bytes(8 * 65),
+    ],
+)  # fmt: skip
+def test_a_datagram_of_another_form_is_dropped(data: bytes) -> None:
+    box, sender = TargetBox("local:x", int), TargetSender("local:x", 1, 1)
+    sender._socket.send(data)
+    assert box.read() == ()
+    sender._socket.send(HEAD.pack(MAGIC, 1, 1, 1, 2**63 - 1, -(2**63)) + struct.pack("<d", 5.0))
+    assert json.loads(box.read()[0])["values"] == [5.0]
+    sender.close()
+    box.close()
+
+
+def test_a_sender_without_a_controller_says_so() -> None:
+    with pytest.raises(BusError, match="bus local:x: no controller takes targets; expected a running handctl run"):
+        TargetSender("local:x", os.getpid(), 1)

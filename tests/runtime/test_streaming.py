@@ -1,0 +1,162 @@
+"""A hand in another program, in real time: streams, observations, several clients, and clients that fail."""
+
+import re
+import select
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import handctl as library
+from handctl import ConfigError, DriveError
+from handctl.runtime.mailbox import WATCH, WATCHERS, Mailbox, Watcher
+from tests.runtime.processes import BUS, READY_S, handctl, modes_of_complete, start_handctl
+
+REALTIME = pytest.mark.realtime
+PAGE = (Path(__file__).parents[2] / "docs" / "how-to" / "python.md").read_text()
+
+
+@pytest.fixture
+def live(place, hand, calibrated, scale):
+    """Return a client of a live hand that it has started."""
+    with library.connect("jamia", f"main={BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale) as client:
+        yield client
+
+
+@REALTIME
+def test_a_stream_is_followed_observed_logged_and_repeated(place, hand, calibrated, scale):
+    with library.connect("jamia", f"main={BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale) as client:
+        client.move(index=30.0)
+        seen, ready = [], threading.Event()
+
+        def watch():
+            with library.connect("jamia", BUS) as other:
+                for one in other.observations():
+                    ready.set()
+                    seen.append((one.k, one.q_deg[:3].mean(), np.degrees(one.q_goal_rad[0])))
+                    if len(seen) == 1000:
+                        return
+
+        watcher = threading.Thread(target=watch)
+        watcher.start()
+        assert ready.wait(20.0)
+        with client.stream(rate_Hz=100, space="digit", names=["index"]) as stream:
+            for i in range(200):
+                stream.send({"index": 30.0 + 15.0 * np.sin(2 * np.pi * i / 100)})
+                stream.sleep()
+            status = stream.status
+        watcher.join(30.0)
+        assert status.accepted == stream.sent > 190
+        assert (status.refused, status.late, status.clipped) == (0, 0, 0)
+        ticks = np.array([k for k, *_ in seen])
+        assert (np.diff(ticks) == 1).mean() > 0.99, "every tick, in order"
+        q, goal = np.array([row[1:] for row in seen]).T
+        assert np.ptp(q) > 20.0
+        assert np.sqrt(np.mean((q - goal)[100:] ** 2)) < 1.0
+        with pytest.raises(DriveError, match="this stream is closed"):
+            stream.send([1.0])
+    assert client.result["failure"] == ""
+    modes_of_complete(place / "live.mcap")
+    again = handctl("replay", "execute", "live.mcap")
+    assert again.returncode == 0
+    assert " 0 differ" in again.stdout
+
+
+@REALTIME
+def test_several_clients_of_one_hand(live):
+    """Regressions: a client that left stopped the hand, and two threads heard nothing of their moves."""
+    live.move(index=10.0, duration_s=0.3)
+    with library.connect("jamia", BUS) as other:
+        assert other.observe().mode == "ACTIVE"
+        with pytest.raises(ConfigError, match=f"{live.name} commands this hand, expected take_over"):
+            other.move(thumb=5.0)
+        other.take_over()
+        other.move(thumb=5.0, duration_s=0.3)
+        with pytest.raises(ConfigError, match=f"{other.name} commands this hand"):
+            live.hold(thumb=8.0)
+    live.move(thumb=0.0, duration_s=0.3)
+    assert live.observe().mode == "ACTIVE", "the other has left, and the hand goes on"
+    errors = []
+
+    def move(**angles):
+        try:
+            live.move(duration_s=0.3, **angles)
+        except library.HandctlError as error:
+            errors.append(error)
+
+    threads = [threading.Thread(target=move, kwargs={name: 10.0}) for name in ("index", "middle", "ring")]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not errors
+    assert live.observe(wait=True).q_deg[:9] == pytest.approx(10.0, abs=3.0)
+    with pytest.raises(ConfigError, match="wait_for: no digit 'pinky'; expected one of"):
+        live.wait_for(contact="pinky")
+    with pytest.raises(DriveError, match=r"not so after 0.1 s"):
+        live.wait_for(contact="index", timeout_s=0.1)
+    assert live.wait_for(phase="live").phase == "live"
+
+
+def test_no_watcher_silences_another(place):
+    """Regression: a fifth watcher took the place of the first."""
+    box = Mailbox("local:many")
+    watchers = [Watcher("local:many") for _ in range(WATCHERS + 3)]
+    for watcher in watchers:
+        watcher.send(WATCH, 1.0)
+        box.read()
+    box.publish({"k": 1})
+    heard = [watcher.next_line(0.0) is not None for watcher in watchers]
+    assert all(heard[:WATCHERS])
+    for watcher in watchers[WATCHERS:]:
+        watcher.send(WATCH, 1.0)
+        box.read()
+        box.publish({"k": 2})
+        assert watcher.next_line(0.0) == {"k": 2}, "a further one gets a line when it asks"
+    for one in (*watchers, box):
+        one.close()
+
+
+def test_values_are_checked_before_they_are_sent(place):
+    from handctl.client.stream import TargetStream
+
+    class Sender:
+        def send(self, index, sent_ns, values):
+            sent.append(values.tolist())
+            return True
+
+        def close(self):
+            pass
+
+    sent = []
+    goal = {"stream": "1-1", "names": ["a", "b"], "rate_Hz": 100.0}
+    stream = TargetStream(None, Sender(), goal, "rad", 0.012, 1.0)
+    stream.send([0.0, np.pi])
+    stream.send({"a": np.pi / 2})
+    assert sent == [[0.0, pytest.approx(180.0)], [pytest.approx(90.0), pytest.approx(180.0)]]
+    for values, text in (
+        ([1.0], r"send: values of shape \(1,\); expected 2 values"),
+        ({"c": 1.0}, "send: no 'c' in this stream; expected some of a, b"),
+        ([1.0, np.nan], "send: b is not finite; expected a finite angle"),
+        ([np.inf, 0.0], "a is not finite"),
+    ):
+        with pytest.raises(ConfigError, match=text):
+            stream.send(values)
+
+
+@pytest.mark.realtime
+@pytest.mark.alone
+@pytest.mark.parametrize("example", range(2))
+def test_the_programs_of_the_page_run(place, processes, example):
+    programs = re.findall(r"^```python\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+    assert len(programs) == 2
+    simulator = start_handctl("sim", "--hand", "jamia", "--bus", "local:lab")
+    processes.append(simulator)
+    assert select.select([simulator.stdout], [], [], READY_S)[0]
+    (place / "example.py").write_text(programs[example])
+    ran = subprocess.run([sys.executable, "example.py"], capture_output=True, text=True, timeout=300.0)
+    assert ran.returncode == 0, ran.stderr[-2000:]
+    assert ran.stdout
