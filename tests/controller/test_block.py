@@ -322,7 +322,7 @@ def decisions(before: Decisions) -> Iterator[tuple[str, Decisions]]:
         "unconfirmed": [("x",)],
         "gains": [pending.gains],
         "pending": [pending, replace(pending, step=1), replace(pending, gains=Gains())],
-        "commander": ["", "one"],
+        "commander": ["one", "two"],
         "stream": [STREAM, *(replace(STREAM, **{name: value}) for name, value in OTHER_STREAM.items())],
     }
     assert values.keys() == set(Decisions._fields), "a new decision needs a line here"
