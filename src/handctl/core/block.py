@@ -106,7 +106,8 @@ TRAJECTORY_KIND = _whole("way_kind", "digit", "", "0 none, 1 minimum jerk, 2 sam
 TRAJECTORY_START = _real("way_start", "coordinate", "rad", "where a minimum-jerk move begins")
 TRAJECTORY_END = _real("way_end", "coordinate", "rad", "where it ends")
 TRAJECTORY_START_SPEED = _real("trajectory_start_speed", "coordinate", "rad/s", "rate at its beginning")
-TRAJECTORY_START_ACCELERATION = _real("trajectory_start_acceleration", "coordinate", "rad/s2", "acceleration at its beginning")
+TRAJECTORY_START_ACCELERATION = _real("trajectory_start_acceleration", "coordinate", "rad/s2",
+                                      "acceleration at its beginning")  # fmt: skip
 TRAJECTORY_SINCE = _real("way_since", "digit", "s", "when it began, in time of the program")
 TRAJECTORY_DURATION = _real("way_duration", "digit", "s", "how long it takes", initial=1.0)
 TRAJECTORY_BLEND = _real("trajectory_blend", "digit", "s", "how long an earlier motion continues in it", initial=1.0)
