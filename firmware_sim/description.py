@@ -33,10 +33,14 @@ class Digit:
         name: name.
         position: position of the first hinge in the palm frame [m].
         rpy_deg: extrinsic roll, pitch, yaw [deg].
-        length: length of each link [m].
-        com: centre of mass of each link along the link [m].
+        length: length of each link [m], 0 where the axes of two joints meet.
+        axis: axis of each joint in the link's frame.
+        joint_rpy_deg: extrinsic roll, pitch, yaw of each link's frame at angle zero in the frame
+            before, which is that of the mount for the first link [deg].
+        com: centre of mass of each link, x, y, z in its frame [m].
         mass: mass of each link [kg].
-        inertia: inertia about the link's centre of mass, along the hinge [kg m2].
+        inertia: inertia of each link about its centre of mass, xx, yy, zz, xy, xz, yz in its frame
+            [kg m2].
         radius: radius of the links [m].
         joint_min_deg: lower stop of each joint [deg].
         joint_max_deg: upper stop of each joint [deg].
@@ -50,9 +54,11 @@ class Digit:
     position: tuple[float, float, float]
     rpy_deg: tuple[float, float, float]
     length: tuple[float, ...]
-    com: tuple[float, ...]
+    axis: tuple[tuple[float, ...], ...]
+    joint_rpy_deg: tuple[tuple[float, ...], ...]
+    com: tuple[tuple[float, ...], ...]
     mass: tuple[float, ...]
-    inertia: tuple[float, ...]
+    inertia: tuple[tuple[float, ...], ...]
     radius: float
     joint_min_deg: tuple[float, ...]
     joint_max_deg: tuple[float, ...]
@@ -298,14 +304,17 @@ def _hand(raw: dict[str, Any]) -> Hand:
 
 
 def _digit(raw: dict[str, Any]) -> Digit:
+    count = len(raw["link_length_m"])
     return Digit(
         name=raw["name"],
         position=tuple(raw["mount_position_m"]),
         rpy_deg=tuple(raw["mount_rpy_deg"]),
         length=tuple(raw["link_length_m"]),
-        com=tuple(raw["link_com_m"]),
+        axis=tuple(map(tuple, raw.get("joint_axis", [(0.0, 0.0, 1.0)] * count))),
+        joint_rpy_deg=tuple(map(tuple, raw.get("joint_rpy_deg", [(0.0, 0.0, 0.0)] * count))),
+        com=tuple((com, 0.0, 0.0) if isinstance(com, int | float) else tuple(com) for com in raw["link_com_m"]),
         mass=tuple(raw["link_mass_kg"]),
-        inertia=tuple(raw["link_inertia_kg_m2"]),
+        inertia=tuple(_inertia(raw, i) for i in range(count)),
         radius=raw["link_radius_m"],
         joint_min_deg=tuple(raw["joint_min_deg"]),
         joint_max_deg=tuple(raw["joint_max_deg"]),
@@ -314,6 +323,16 @@ def _digit(raw: dict[str, Any]) -> Digit:
         spring=tuple(raw["spring_stiffness_N_m_per_rad"]),
         preload=tuple(raw["spring_preload_rad"]),
     )
+
+
+def _inertia(raw: dict[str, Any], i: int) -> tuple[float, ...]:
+    """Return the six values of the inertia of link i. A number is that of a round bar, about y and z."""
+    value = raw["link_inertia_kg_m2"][i]
+    if isinstance(value, int | float):
+        # No principal moment of a body is larger than the sum of the other two.
+        along = min(raw["link_mass_kg"][i] * raw["link_radius_m"] ** 2 / 2, 2 * value)
+        return (along, value, value, 0.0, 0.0, 0.0)
+    return tuple(value) if len(value) == 6 else (*value, 0.0, 0.0, 0.0)
 
 
 def _tendon(raw: dict[str, Any]) -> TendonSpec:

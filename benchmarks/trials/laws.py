@@ -56,10 +56,10 @@ def misprinted(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[f
     for i in range(3):
         here = i < digit.joint_count
         names[f"L{i + 1}"] = digit.lengths[i] if here else 0.0
-        names[f"d{i + 1}"] = digit.coms[i] if here else 0.0
+        names[f"d{i + 1}"] = float(digit.coms[i, 0]) if here else 0.0
         names[f"m{i + 1}"] = digit.masses[i] if here else 0.0
-        names[f"I{i + 1}"] = digit.inertias[i] if here else 0.0
-    names["g"] = -digit.gravity[1]
+        names[f"I{i + 1}"] = float(digit.inertias[i, 2, 2]) if here else 0.0
+    names["g"] = -float((digit.gravity @ digit.mount_rotation)[1])
     printed = [sum(float(term.readings[0].value(names)) for term in terms) for terms in equations.TORQUES]
     joint = (sum(printed), printed[1] + printed[2], printed[2])[: digit.joint_count]
     passive = zip(spring_torque(digit, q), damping_torque(digit, dq), strict=True)

@@ -1,6 +1,10 @@
 """MuJoCo model of a hand and a scene as MJCF text. The world frame is the palm frame."""
 
 import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
 
 from firmware_sim.description import Digit, Hand, TendonSpec
 from firmware_sim.scene.scene import GraspObject, Scene, Support
@@ -20,11 +24,15 @@ PALM_BIT = 8
 """Collision category of the palm."""
 TABLE_BIT = 16
 """Collision category of the table."""
-PALM_SIZE = (0.01, 0.035, 0.035)
-"""Half extents of the palm [m]. Its face lies in the plane x = 0."""
+PALM_DEPTH = 0.02
+"""Depth of the palm [m]. Its face lies at the mount farthest back, in the plane x = 0 if all mounts do."""
+PALM_MARGIN = 0.01
+"""Extent of the palm beyond the outermost mounts [m]."""
+SAMPLES = 9
+"""Points along a link that are compared with the palm."""
 TABLE_HALF = (0.12, 0.12, 0.005)
 """Half extents of the table [m]."""
-CONTACTS = 8
+CONTACTS = 16
 """Contacts of one digit with the object that are measured, at most two for each link."""
 
 _OPTIONS = f"""
@@ -34,7 +42,7 @@ _OPTIONS = f"""
   </option>
   <default>
     <geom condim="4" solref="0.004 1" solimp="0.95 0.99 0.001" friction="{{friction}} 0.005 0.0001"/>
-    <joint type="hinge" axis="0 0 1" solreflimit="0.002 1" solimplimit="0.99 0.9999 0.001"/>
+    <joint type="hinge" solreflimit="0.002 1" solimplimit="0.99 0.9999 0.001"/>
   </default>
 """
 """Engine options and defaults. Source of the settings: see ``model_text``."""
@@ -50,7 +58,8 @@ def model_text(hand: Hand, scene: Scene) -> str:
     """
     friction = scene.grasp_object.friction if scene.grasp_object else HAND_FRICTION
     options = _OPTIONS.format(gravity=_text(hand.gravity), friction=friction)
-    bodies = "\n".join(_digit(digit, opposed) for digit, opposed in zip(hand.digits, opposed_digits(hand), strict=True))
+    sides = zip(hand.digits, opposed_digits(hand), strict=True)
+    bodies = "\n".join(_digit(hand, digit, opposed) for digit, opposed in sides)
     scene_bodies = (_grasp_object(scene.grasp_object) if scene.grasp_object else "") + (
         _table(scene.grasp_object, scene.support) if scene.grasp_object else ""
     )
@@ -59,7 +68,7 @@ def model_text(hand: Hand, scene: Scene) -> str:
     if scene.load:
         sensors += "".join(_normal(digit) for digit in hand.digits)
     return (
-        f'<mujoco model="{hand.name}">{options}<worldbody>\n{_palm()}\n{bodies}\n{scene_bodies}</worldbody>\n'
+        f'<mujoco model="{hand.name}">{options}<worldbody>\n{_palm(hand)}\n{bodies}\n{scene_bodies}</worldbody>\n'
         f"<tendon>{tendons}</tendon>\n<sensor>{sensors}</sensor>\n</mujoco>"
     )
 
@@ -70,55 +79,112 @@ def opposed_digits(hand: Hand) -> list[bool]:
     return [sum(a * b for a, b in zip(directions[0], direction, strict=True)) < 0.0 for direction in directions]
 
 
-def _closing_direction(digit: Digit) -> tuple[float, float, float]:
-    """Compute the digit's y axis in the palm frame from extrinsic roll, pitch and yaw."""
-    roll, pitch, yaw = (math.radians(angle) for angle in digit.rpy_deg)
-    x = math.sin(roll) * math.sin(pitch)
-    y = math.cos(roll)
-    z = math.sin(roll) * math.cos(pitch)
-    return (x * math.cos(yaw) - y * math.sin(yaw), x * math.sin(yaw) + y * math.cos(yaw), z)
+def _closing_direction(digit: Digit) -> list[float]:
+    """Compute the y axis of the last link at rest, the side of flexion, in the palm frame."""
+    return [float(value) for value in rest_poses(digit)[-1][1][:, 1]]
 
 
-def _text(values: tuple[float, ...]) -> str:
+def rest_poses(digit: Digit) -> list[tuple[Any, Any]]:
+    """Compute the pose of each link with all joints at zero.
+
+    Returns:
+        Position of the joint, shape (3,) [m], and rotation to the palm frame, shape (3, 3), of each
+        link.
+    """
+    position = np.array(digit.position)
+    rotation = _rotation(digit.rpy_deg)
+    poses = []
+    for length, turn in zip(digit.length, digit.joint_rpy_deg, strict=True):
+        rotation = rotation @ _rotation(turn)
+        poses.append((position, rotation))
+        position = position + length * rotation[:, 0]
+    return poses
+
+
+def _rotation(rpy_deg: Sequence[float]) -> Any:
+    """Compute the rotation of extrinsic roll, pitch and yaw [deg], shape (3, 3)."""
+    (sr, cr), (sp, cp), (sy, cy) = ((math.sin(angle), math.cos(angle)) for angle in map(math.radians, rpy_deg))
+    x = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
+    y = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
+    z = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
+    return z @ y @ x
+
+
+def _text(values: Sequence[float]) -> str:
     return " ".join(repr(value) for value in values)
 
 
-def _palm() -> str:
-    x, y, z = PALM_SIZE
+def palm_box(hand: Hand) -> tuple[Any, Any]:
+    """Compute the palm: a square box behind the mounts of all digits.
+
+    Returns:
+        Centre and half extents, shape (3,) each [m].
+    """
+    mounts = np.array([digit.position for digit in hand.digits])
+    low = mounts.min(axis=0)
+    high = mounts.max(axis=0)
+    side = float((high - low)[1:].max()) / 2.0 + PALM_MARGIN
+    centre = (low + high) / 2.0
+    centre[0] = low[0] - PALM_DEPTH / 2.0
+    return centre, np.array([PALM_DEPTH / 2.0, side, side])
+
+
+def _palm(hand: Hand) -> str:
+    centre, half = palm_box(hand)
     return (
-        f'<geom name="palm" type="box" size="{x} {y} {z}" pos="{-x} 0 0" contype="{PALM_BIT}"'
-        f' conaffinity="{OBJECT_BIT}"/>'
+        f'<geom name="palm" type="box" size="{_text(half.tolist())}" pos="{_text(centre.tolist())}"'
+        f' contype="{PALM_BIT}" conaffinity="{OBJECT_BIT}"/>'
     )
 
 
-def _digit(digit: Digit, opposed: bool) -> str:
+def touches_palm(hand: Hand, digit: Digit) -> list[bool]:
+    """Return, for each link of a digit, True if it overlaps with the palm at rest.
+
+    Such a link is hinged close to the palm and does not collide with it.
+    """
+    centre, half = palm_box(hand)
+    along = np.linspace(0.0, 1.0, SAMPLES)[:, None]
+    overlaps = []
+    for length, (position, rotation) in zip(digit.length, rest_poses(digit), strict=True):
+        points = position + along * (length * rotation[:, 0])
+        outside = np.maximum(np.abs(points - centre) - half, 0.0)
+        overlaps.append(bool((np.linalg.norm(outside, axis=1) <= digit.radius).any()))
+    return overlaps
+
+
+def _digit(hand: Hand, digit: Digit, opposed: bool) -> str:
     """Build the nested bodies of a digit. Each link lies along its x axis with the hinge at its origin."""
-    opening = ""
-    closing = ""
-    for i, name in enumerate(digit.joints):
-        pose = f'pos="{_text(digit.position)}" euler="{_text(digit.rpy_deg)}"' if i == 0 else _offset(digit, i)
-        opening += f'<body name="{digit.name}_link{i + 1}" {pose}>{_link(digit, i, name, opposed)}\n'
-        closing += "</body>"
+    opening = f'<frame pos="{_text(digit.position)}" euler="{_text(digit.rpy_deg)}">'
+    closing = "</frame>"
+    near_palm = touches_palm(hand, digit)
+    for i, turn in enumerate(digit.joint_rpy_deg):
+        offset = f"{digit.length[i - 1] if i else 0.0} 0 0"
+        opening += f'<body name="{digit.name}_link{i + 1}" pos="{offset}" euler="{_text(turn)}">'
+        opening += _joint(digit, i) + _body(digit, i, opposed, near_palm[i]) + "\n"
+        closing = "</body>" + closing
     return opening + closing
 
 
-def _offset(digit: Digit, i: int) -> str:
-    return f'pos="{digit.length[i - 1]} 0 0"'
-
-
-def _link(digit: Digit, i: int, joint: str, opposed: bool) -> str:
-    """Build joint, inertia and collision geometry of one link."""
-    inertia = digit.inertia[i]
-    category, opposite = (OPPOSED_BIT, FINGER_BIT) if opposed else (FINGER_BIT, OPPOSED_BIT)
-    # A digit touches the object and the opposed digits. The first link is hinged to the palm and
-    # does not touch the palm.
-    affinity = OBJECT_BIT | opposite | (PALM_BIT if i > 0 else 0)
+def _joint(digit: Digit, i: int) -> str:
+    """Build the joint of link i."""
     return (
-        f'<joint name="{joint}" range="{digit.joint_min_deg[i]} {digit.joint_max_deg[i]}" damping="{digit.damping[i]}"'
+        f'<joint name="{digit.joints[i]}" axis="{_text(digit.axis[i])}"'
+        f' range="{digit.joint_min_deg[i]} {digit.joint_max_deg[i]}" damping="{digit.damping[i]}"'
         f' armature="{digit.armature[i]}" stiffness="{digit.spring[i]}" springref="{-math.degrees(digit.preload[i])}"/>'
-        f'<inertial pos="{digit.com[i]} 0 0" mass="{digit.mass[i]}" diaginertia="{inertia} {inertia} {inertia}"/>'
-        f'<geom type="capsule" fromto="0 0 0 {digit.length[i]} 0 0" size="{digit.radius}" contype="{category}"'
-        f' conaffinity="{affinity}"/>'
+    )
+
+
+def _body(digit: Digit, i: int, opposed: bool, near_palm: bool) -> str:
+    """Build inertia and collision geometry of link i: a capsule, or a ball without length."""
+    category, opposite = (OPPOSED_BIT, FINGER_BIT) if opposed else (FINGER_BIT, OPPOSED_BIT)
+    # A digit touches the object, the opposed digits, and the palm with the links away from it.
+    affinity = OBJECT_BIT | opposite | (0 if near_palm else PALM_BIT)
+    moments = digit.inertia[i]
+    inertia = f'fullinertia="{_text(moments)}"' if any(moments[3:]) else f'diaginertia="{_text(moments[:3])}"'
+    shape = f'type="capsule" fromto="0 0 0 {digit.length[i]} 0 0"' if digit.length[i] else 'type="sphere"'
+    return (
+        f'<inertial pos="{_text(digit.com[i])}" mass="{digit.mass[i]}" {inertia}/>'
+        f'<geom {shape} size="{digit.radius}" contype="{category}" conaffinity="{affinity}"/>'
     )
 
 

@@ -61,7 +61,7 @@ def _digit(digit: Digit, f: dict[str, float]) -> Digit:
     return replace(
         digit,
         mass=_scaled(digit.mass, f["mass"]),
-        inertia=_scaled(digit.inertia, f["mass"]),
+        inertia=tuple(_scaled(one, f["mass"]) for one in digit.inertia),
         damping=_scaled(digit.damping, f["damping"]),
         spring=_scaled(digit.spring, f["spring"]),
     )

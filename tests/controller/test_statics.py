@@ -5,14 +5,29 @@ import math
 import numpy as np
 import pytest
 
+from handctl.compiled import kernel
 from handctl.core import stages
+from handctl.core.constants import constant_tables
 from handctl.core.estimation import statics
 from handctl.core.estimation.filter_stack import STATES, S, V
 from handctl.core.estimation.tip import tip_force, tip_lever
 from handctl.core.model import HandModel
+from handctl.core.schema import Block, Places
 from handctl.hand.dynamics import potential_energy, spring_energy, static_torque
-from handctl.hand.kinematics import points, tip_jacobian
-from tests.controller.synthetic import blank, constant_tables_of, constants, efficiency, interpreted, load_statics
+from handctl.hand.kinematics import forward, tip_jacobian
+from tests.controller.synthetic import blank, constants, efficiency, load_statics
+
+
+@kernel("constants", "layout", "vector")
+def _static_torque(block: Block, at: Places, q: np.ndarray) -> np.ndarray:
+    torque = np.empty(len(q))
+    statics.static_torque(constant_tables(block, at), q, torque)
+    return torque
+
+
+def static_torque_of(model: HandModel, q: np.ndarray) -> np.ndarray:
+    """Return the torque of gravity and springs at all joints, as the estimator has it."""
+    return _static_torque(*constants(model), q)
 
 
 def stood(model: HandModel, theta: list[np.ndarray], speed: float = 0.0) -> np.ndarray:
@@ -91,8 +106,7 @@ def test_all_digits_at_once_are_the_digits_one_by_one(model: HandModel) -> None:
     rng = np.random.default_rng(8)
     for _ in range(50):
         q, external = rng.uniform(-0.2, 1.8, len(model.hand.joints)), rng.normal(size=model.tendon_count) * 20.0
-        torque = np.empty(len(q))
-        interpreted(statics.static_torque)(constant_tables_of(model), q, torque)
+        torque = static_torque_of(model, q)
         state = blank(model)
         state.view("q")[...], state.view("external")[...] = q, external
         stages.remember(state.block, state.layout.places, *constants(model))
@@ -110,9 +124,7 @@ def test_lever_is_the_jacobian_along_the_normal(model: HandModel) -> None:
     for digit in model.digits:
         for _ in range(20):
             q = rng.uniform(0.0, 1.6, digit.joint_count)
-            along = np.diff(points(digit, q)[-2:], axis=0)[0]
-            normal = np.array([-along[1], along[0]]) / np.linalg.norm(along)
-            expected = digit.coupling.T @ tip_jacobian(digit, q).T @ normal
+            expected = digit.coupling.T @ tip_jacobian(digit, q).T @ forward(digit, q).rotation[:, 1]
             np.testing.assert_allclose(tip_lever(digit, q), expected, atol=1e-15)
 
 

@@ -13,7 +13,6 @@ from handctl.hand.inverse_kinematics import coordinate_limits, inverse, inverse_
 from handctl.hand.kinematics import (
     forward,
     from_palm,
-    palm_jacobian,
     point_jacobian,
     points,
     tip_jacobian,
@@ -22,6 +21,13 @@ from handctl.hand.kinematics import (
 from handctl.hand.link_bodies import rotation_rpy
 from handctl.hand.link_frames import link_transforms, quaternion
 from handctl.hand.load import load_hand
+from tests.hand.chains import random_hand
+
+
+def planar(digit, q):
+    """Return position of the tip in the plane of a planar digit, and direction of its last link."""
+    x, y, _ = from_palm(digit, points(digit, q)[-1])
+    return x, y, float(np.sum(q))
 
 
 def angles(rng, digit, count=100):
@@ -57,14 +63,14 @@ def test_frames_and_jacobians_agree_with_pinocchio(hand, rng):
                 assert np.allclose(turned, place.rotation, atol=1e-13)
             world = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
             theirs = pinocchio.computeFrameJacobian(model, data, configuration, tip, world)[:3, columns]
-            assert np.allclose(palm_jacobian(digit, q), theirs, atol=1e-14)
+            assert np.allclose(tip_jacobian(digit, q), theirs, atol=1e-14)
 
 
 def test_straight_fingers_point_out_of_the_palm_and_flex_towards_each_other(digits):
     for digit in digits:
-        straight = to_palm(digit, points(digit, np.zeros(digit.joint_count)))
+        straight = points(digit, np.zeros(digit.joint_count))
         assert np.allclose(straight[-1] - straight[0], [sum(digit.lengths), 0.0, 0.0])
-        bent = to_palm(digit, points(digit, np.full(digit.joint_count, 0.3)))[-1] - straight[-1]
+        bent = points(digit, np.full(digit.joint_count, 0.3))[-1] - straight[-1]
         assert bent[1] * digit.mount_position[1] < 0.0
         assert abs(bent[2]) < 1e-12
 
@@ -89,7 +95,8 @@ def test_tip_pose_is_the_last_point_and_the_sum_of_angles(digits, rng):
     for digit in digits:
         q = angles(rng, digit, 1)[0]
         pose = forward(digit, q)
-        assert np.allclose(pose, [*points(digit, q)[-1], q.sum()])
+        assert np.allclose(pose.position, points(digit, q)[-1])
+        assert np.allclose(pose.rotation, digit.mount_rotation @ rotation_rpy(0.0, 0.0, q.sum()))
         lengths = np.linalg.norm(np.diff(points(digit, q), axis=0), axis=1)
         assert np.allclose(lengths, digit.lengths, rtol=1e-12)
 
@@ -97,16 +104,16 @@ def test_tip_pose_is_the_last_point_and_the_sum_of_angles(digits, rng):
 def test_the_paper_s_finger_at_thirty_degrees():
     """Eq. 1-2 with q1 = q2 = q3 = theta: X = 30 c(t) + 15 c(2t) + 10 c(3t)."""
     t = math.radians(30.0)
-    pose = forward(DigitModel.of(load_hand("jamia"), "index"), (t, t, t))
+    pose = planar(DigitModel.of(load_hand("jamia"), "index"), (t, t, t))
     x = 0.030 * math.cos(t) + 0.015 * math.cos(2 * t) + 0.010 * math.cos(3 * t)
     y = 0.030 * math.sin(t) + 0.015 * math.sin(2 * t) + 0.010 * math.sin(3 * t)
-    assert np.allclose(pose, (x, y, 3 * t), rtol=1e-14)
+    assert np.allclose(pose, (x, y, 3 * t), rtol=1e-13)
 
 
 def test_palm_frame_and_back(digits, rng):
     for digit in digits:
-        planar = rng.normal(size=(20, 2))
-        assert np.allclose(from_palm(digit, to_palm(digit, planar)), planar, atol=1e-14)
+        own = rng.normal(size=(20, 3))
+        assert np.allclose(from_palm(digit, to_palm(digit, own)), own, atol=1e-14)
 
 
 def test_quaternions_of_all_rotations(rng):
@@ -126,14 +133,14 @@ def test_quaternions_of_all_rotations(rng):
 def test_inverse_finds_the_angles_that_were_given(digits, rng):
     for digit in digits:
         for q in angles(rng, digit):
-            x, y, angle = forward(digit, q)
+            x, y, angle = planar(digit, q)
             solutions = inverse(digit, x, y, angle)
             assert len(solutions) == 2
             assert solutions[0][1] > 0.0 > solutions[1][1]
             gaps = [np.abs(np.remainder(np.subtract(s, q) + np.pi, 2 * np.pi) - np.pi).max() for s in solutions]
             assert min(gaps) < 1e-9
             for solution in solutions:
-                assert np.allclose(forward(digit, solution)[:2], (x, y), atol=1e-15)
+                assert np.allclose(planar(digit, solution)[:2], (x, y), atol=1e-15)
 
 
 def test_inverse_near_the_edge_of_reach(digits):
@@ -143,7 +150,7 @@ def test_inverse_near_the_edge_of_reach(digits):
         assert inverse(digit, reach + 1e-6, 0.0, 0.0) == ()
         for bend in (1e-3, 1e-5):
             q = (0.2, bend, 0.1)[: digit.joint_count]
-            x, y, angle = forward(digit, q)
+            x, y, angle = planar(digit, q)
             assert np.allclose(inverse(digit, x, y, angle)[0], q, atol=1e-15 / bend)
 
 
@@ -154,10 +161,12 @@ def test_inverse_within_the_fold():
 
 
 def test_inverse_says_what_it_needs():
+    with pytest.raises(ValueError, match="parallel hinges"):
+        inverse(DigitModel.of(random_hand(1, 3), "d0"), 0.03, 0.01, 0.0)
     with pytest.raises(ValueError, match="a direction"):
         inverse(DigitModel.of(load_hand("jamia"), "index"), 0.03, 0.01)
     with pytest.raises(ValueError, match="needed: one"):
-        inverse_coupled(DigitModel.of(load_hand("jamia11"), "index"), 0.03, 0.01)
+        inverse_coupled(DigitModel.of(load_hand("jamia11"), "index"), (0.03, 0.01, 0.0))
 
 
 def test_coupled_inverse_finds_the_coordinate_that_was_given(rng):
@@ -166,8 +175,7 @@ def test_coupled_inverse_finds_the_coordinate_that_was_given(rng):
         low, high = coordinate_limits(digit)
         assert (low, high) == (digit.joint_min[0], digit.joint_max[0])
         for theta in [low, high, *rng.uniform(low, high, 50)]:
-            x, y, _ = forward(digit, digit.coupling[:, 0] * theta)
-            found, gap = inverse_coupled(digit, x, y)
+            found, gap = inverse_coupled(digit, points(digit, digit.coupling[:, 0] * theta)[-1])
             assert abs(found - theta) < 1e-7
             assert gap < 1e-9
 
@@ -176,9 +184,9 @@ def test_coupled_inverse_comes_as_near_as_a_fine_scan(rng):
     digit = DigitModel.of(load_hand("jamia"), "index")
     scan = np.linspace(*coordinate_limits(digit), 4001)
     curve = np.array([points(digit, digit.coupling[:, 0] * theta)[-1] for theta in scan])
-    for x, y in rng.uniform(-0.06, 0.06, (100, 2)):
-        _, gap = inverse_coupled(digit, x, y)
-        nearest = np.linalg.norm(curve - (x, y), axis=1).min()
+    for target in digit.mount_position + rng.uniform(-0.06, 0.06, (100, 3)):
+        _, gap = inverse_coupled(digit, target)
+        nearest = np.linalg.norm(curve - target, axis=1).min()
         assert nearest - 1e-6 < gap < nearest + 1e-12
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from handctl.hand import dynamics
 from handctl.hand.formats.mjcf import mjcf
-from handctl.hand.kinematics import points, to_palm
+from handctl.hand.kinematics import points
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def test_tips_masses_and_torques_are_the_model_s(hand, digits, model, rng):
         mujoco.mj_fullM(model, data, full)
         for digit in digits:
             own = q[digit.joints]
-            tip = to_palm(digit, points(digit, own))[-1]
+            tip = points(digit, own)[-1]
             assert data.site(f"{digit.name}_tip").xpos == pytest.approx(tip, abs=1e-12)
             assert full[digit.joints, digit.joints] == pytest.approx(dynamics.mass_matrix(digit, own), rel=1e-9)
             spring = -np.array(dynamics.spring_torque(digit, own))

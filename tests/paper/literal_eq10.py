@@ -10,31 +10,32 @@ from handctl.hand import dynamics
 from handctl.paper.model import equations
 
 TERMS = [term.readings[0] if os.environ["HANDCTL_EQ10"] == "printed" else term.right for term in equations.TORQUE_1]
-PRESENT = dynamics._newton
+PRESENT = dynamics._rigid
 
 
 def eq10(digit, gravity, q, dq, ddq):
     """All of the model but T_1."""
     _, tau2, tau3 = (*PRESENT(digit, gravity, q, dq, ddq), 0.0, 0.0)[:3]
+    r1, r2, _ = (*digit.armature, 0.0, 0.0)[:3]
     states = {"g": 1.0}
     for i in range(3):
         there = i < digit.joint_count
         states |= {
             f"L{i + 1}": digit.lengths[i] if there else 0.0,
-            f"d{i + 1}": digit.coms[i] if there else 0.0,
+            f"d{i + 1}": digit.coms[i, 0] if there else 0.0,
             f"m{i + 1}": digit.masses[i] if there else 0.0,
-            f"I{i + 1}": digit.inertias[i] if there else 0.0,
+            f"I{i + 1}": digit.inertias[i, 2, 2] if there else 0.0,
             f"th{i + 1}": sum(q[: i + 1]),
             f"dth{i + 1}": sum(dq[: i + 1]),
             f"ddth{i + 1}": sum(ddq[: i + 1]),
         }
-    gx, gy = gravity
+    gx, gy, _ = gravity @ digit.mount_rotation
     angle = states["th1"]
     weight = gx * sin(angle) - gy * cos(angle)
     moving = sum(term.value(states) for term in TERMS[:-1])
     still = TERMS[-1].value({**states, "th1": 0.0}) * weight
-    first = moving + still + tau2 - digit.links.r2 * ddq[1] + digit.links.r1 * ddq[0]
-    return dynamics._existing(digit, (float(first), tau2, tau3))
+    first = moving + still + tau2 - r2 * ddq[1] + r1 * ddq[0]
+    return (float(first), tau2, tau3)[: digit.joint_count]
 
 
-dynamics._newton = eq10
+dynamics._rigid = eq10

@@ -73,8 +73,8 @@ def test_the_thumb_s_are_the_same_without_a_third_link() -> None:
     chance = np.random.default_rng(3)
     states = {"g": 9.81, "I3": 0.0, "m3": 0.0, "L3": 1.0, "d3": 1.0, "th3": 0.3, "dth3": 5.0, "ddth3": 7.0}
     for i in (0, 1):
-        states |= {f"I{i + 1}": thumb.inertias[i], f"m{i + 1}": thumb.masses[i]}
-        states |= {f"L{i + 1}": thumb.lengths[i], f"d{i + 1}": thumb.coms[i]}
+        states |= {f"I{i + 1}": thumb.inertias[i, 2, 2], f"m{i + 1}": thumb.masses[i]}
+        states |= {f"L{i + 1}": thumb.lengths[i], f"d{i + 1}": thumb.coms[i, 0]}
     for _ in range(20):
         theta, rate, acceleration = chance.normal(size=(3, 2)) * np.array([[1.0], [10.0], [100.0]])
         for k in (0, 1):
@@ -191,7 +191,7 @@ def test_the_joint_that_holds_the_straight_finger_feels_its_whole_weight() -> No
     """Compute tau_1 = g sum(m x) with x the distance of each centre of mass from joint 1, without dynamics code."""
     digit = motion.upright("index")
     base = np.concatenate(([0.0], np.cumsum(digit.lengths)[:-1]))
-    held = 9.81 * float(np.array(digit.masses) @ (base + np.array(digit.coms)))
+    held = 9.81 * float(np.array(digit.masses) @ (base + digit.coms[:, 0]))
     found = {item.id: item for item in sections.items(None)}
     assert found["eq10.static"].computed == pytest.approx(held, rel=1e-9)
 

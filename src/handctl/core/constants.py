@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from handctl.compiled import borrow, inner
 from handctl.core.schema import Block, Places, Schema
+from handctl.hand import rigid_body
 
 AXES = ("tendon", "joint", "digit", "coordinate", "kind", "element", "place", "run")
 TABLES = (
-    "tendon", "joint", "digit", "run", "joint*tendon", "tendon*joint", "joint*joint", "joint*coordinate",
-    "tendon*coordinate", "place*joint*joint", "place*joint", "tendon*kind*element",
+    "tendon", "joint", "run", "joint*tendon", "tendon*joint", "joint*joint", "joint*coordinate",
+    "tendon*coordinate", "place*joint", "tendon*kind*element",
     "tendon_int", "joint_int", "digit_int", "run_int",
 )  # fmt: skip
 
@@ -67,15 +68,14 @@ TRIM_DECAY = _real("trim_kept", "run", "", "fraction of a trim that is left afte
 SPRING = _real("spring", "joint", "N m/rad", "return spring")
 PRELOAD = _real("preload", "joint", "rad", "of the spring")
 JOINT_DAMPING = _real("joint_damping", "joint", "N m s/rad", "viscous")
-WEIGHT_X = _real("weight_x", "joint", "N m", "first moment of mass that turns with a link times gravity in its plane")
-WEIGHT_Y = _real("weight_y", "joint", "N m", "the same, across")
+LINK = _real("link", "joint", "", "frames and bodies of the links, see hand.rigid_body", rows=rigid_body.ROWS)
+PARENT = _whole("parent", "joint", "", "joint before; -1 for the palm")
 LOW = _real("low", "joint", "rad", "smallest angle")
 HIGH = _real("high", "joint", "rad", "largest angle")
 RANGE_SIGMA = _real("range_sigma", "joint", "rad", "standard deviation of an angle anywhere in the range")
 ENCODER_VARIANCE = _real("encoder_variance", "joint", "rad2", "of a joint encoder's reading")
 LOOSE = _whole("loose", "joint", "", "the joint has an encoder and its digit a null space")
-LINKS = _real("links", "digit", "", "constants of the equations of motion, see LinkConstants", rows=12)
-GRAVITY = _real("gravity", "digit", "m/s2", "gravity in the digit's plane", rows=2)
+GRAVITY = _real("gravity", "run", "m/s2", "gravity in the palm frame", rows=3)
 JOINTS_FIRST = _whole("joints_first", "digit", "", "first joint")
 JOINTS_END = _whole("joints_end", "digit", "", "joint after the last")
 TENDONS_FIRST = _whole("tendons_first", "digit", "", "first tendon")
@@ -91,17 +91,12 @@ MOMENT_ARMS = _real("moment_arms", "tendon*joint", "m", "moment arms R")
 TORQUE_TO_TENSION = _real("torque_to_tension", "tendon*joint", "1/m", "smallest tensions that make a torque")
 PULLEY_WEIGHT = _real("pulley_weight", "tendon*joint", "", "fraction of each pulley in a tendon's moment arms")
 COUPLING = _real("coupling", "joint*coordinate", "", "joint angles of coordinates")
-TIP_REACH = _real("tip_reach", "joint*coordinate", "m", "lever of a link along the last one about each coordinate")
 REDUCED_ARMS = _real("reduced_arms", "tendon*coordinate", "m", "moment arms about coordinates")
-TIP_AHEAD = _real("tip_ahead", "joint*joint", "", "angles from a link to the last one of its digit")
-TIP_BEYOND = _real("tip_beyond", "joint*joint", "m", "lever of a link along the last one about each joint")
 
 # Posture in the null space.
 COMPLIANCE = _real("compliance", "joint*joint", "rad/(N m)", "joint angles per torque at constant excursion")
 SPREAD = _real("spread", "joint*joint", "", "joint torques in the digits' coordinates and back")
 SAME_DIGIT = _real("same_digit", "joint*joint", "", "1 where two joints are of one digit")
-PLACE_AHEAD = _real("place_ahead", "place*joint*joint", "", "angles from each link to the one that is touched")
-PLACE_REACH = _real("place_reach", "place*joint*joint", "m", "distance along each link that a force acts over")
 PLACE_WEIGHT = _real("place_weight", "place*joint", "", "probability of each place")
 EXCURSION_VARIANCE = _real("excursion_variance", "tendon", "m2", "of an excursion, that of the stretch aside")
 TURN_FRACTION = _real("turn_fraction", "run", "", "fraction of a new turn in the smoothed one")
@@ -176,14 +171,12 @@ class ConstantTables(NamedTuple):
 
     tendon: NDArray[np.float64]
     joint: NDArray[np.float64]
-    digit: NDArray[np.float64]
     run: NDArray[np.float64]
     joint_tendon: NDArray[np.float64]
     tendon_joint: NDArray[np.float64]
     joint_joint: NDArray[np.float64]
     joint_coordinate: NDArray[np.float64]
     tendon_coordinate: NDArray[np.float64]
-    place_joint_joint: NDArray[np.float64]
     place_joint: NDArray[np.float64]
     design: NDArray[np.float64]
     tendon_int: NDArray[np.int64]
@@ -211,18 +204,16 @@ def constant_tables(block: Block, at: Places) -> ConstantTables:
     return ConstantTables(
         borrow(block, at[8], ((at[9] - at[8]) // n, n)),
         borrow(block, at[9], ((at[10] - at[9]) // j, j)),
-        borrow(block, at[10], ((at[11] - at[10]) // d, d)),
-        borrow(block, at[11], (at[12] - at[11],)),
-        borrow(block, at[12], ((at[13] - at[12]) // (j * n), j, n)),
-        borrow(block, at[13], ((at[14] - at[13]) // (n * j), n, j)),
-        borrow(block, at[14], ((at[15] - at[14]) // (j * j), j, j)),
-        borrow(block, at[15], ((at[16] - at[15]) // (j * c), j, c)),
-        borrow(block, at[16], ((at[17] - at[16]) // (n * c), n, c)),
-        borrow(block, at[17], ((at[18] - at[17]) // (places * j * j), places, j, j)),
-        borrow(block, at[18], ((at[19] - at[18]) // (places * j), places, j)),
-        borrow(block, at[19], (n, kinds, elements)),
-        borrow(whole, at[20], ((at[21] - at[20]) // n, n)),
-        borrow(whole, at[21], ((at[22] - at[21]) // j, j)),
-        borrow(whole, at[22], ((at[23] - at[22]) // d, d)),
-        borrow(whole, at[23], (at[24] - at[23],)),
+        borrow(block, at[10], (at[11] - at[10],)),
+        borrow(block, at[11], ((at[12] - at[11]) // (j * n), j, n)),
+        borrow(block, at[12], ((at[13] - at[12]) // (n * j), n, j)),
+        borrow(block, at[13], ((at[14] - at[13]) // (j * j), j, j)),
+        borrow(block, at[14], ((at[15] - at[14]) // (j * c), j, c)),
+        borrow(block, at[15], ((at[16] - at[15]) // (n * c), n, c)),
+        borrow(block, at[16], ((at[17] - at[16]) // (places * j), places, j)),
+        borrow(block, at[17], (n, kinds, elements)),
+        borrow(whole, at[18], ((at[19] - at[18]) // n, n)),
+        borrow(whole, at[19], ((at[20] - at[19]) // j, j)),
+        borrow(whole, at[20], ((at[21] - at[20]) // d, d)),
+        borrow(whole, at[21], (at[22] - at[21],)),
     )

@@ -138,19 +138,17 @@ def _exact(digit: DigitModel) -> list[bool]:
 def _links(model: HandModel) -> dict[str, object]:
     digits = model.digits
     coordinates = np.cumsum([0, *(digit.coupling.shape[1] for digit in model.digits)])
-    moments = [np.array(digit.links[6 : 6 + digit.joint_count]) for digit in digits]
     span = np.concatenate([digit.joint_max - digit.joint_min for digit in digits])
     return {
         "spring": np.concatenate([digit.spring_stiffness for digit in digits]),
         "preload": np.concatenate([digit.spring_preload for digit in digits]),
         "joint_damping": np.concatenate([digit.joint_damping for digit in digits]),
-        "weight_x": np.concatenate([w * digit.gravity[0] for w, digit in zip(moments, digits, strict=True)]),
-        "weight_y": np.concatenate([w * digit.gravity[1] for w, digit in zip(moments, digits, strict=True)]),
+        "link": np.concatenate([digit.table for digit in digits], axis=1),
+        "parent": np.concatenate([_parents(digit) for digit in digits]),
         "low": np.concatenate([digit.joint_min for digit in digits]),
         "high": np.concatenate([digit.joint_max for digit in digits]),
         "range_sigma": span / math.sqrt(12.0),
-        "links": np.array([digit.links for digit in digits]).T,
-        "gravity": np.array([digit.gravity for digit in digits]).T,
+        "gravity": np.array(model.hand.mount.gravity_m_s2)[:, None],
         "joints_first": [digit.joints.start for digit in digits],
         "joints_end": [digit.joints.stop for digit in digits],
         "tendons_first": [digit.tendons.start for digit in digits],
@@ -160,24 +158,22 @@ def _links(model: HandModel) -> dict[str, object]:
     }
 
 
+def _parents(digit: DigitModel) -> NDArray[np.int64]:
+    """Return the joint before each joint of a digit in the hand's order, -1 for the palm."""
+    return np.where(digit.parent < 0, digit.parent, digit.parent + digit.joints.start)
+
+
 def _structure(model: HandModel) -> dict[str, object]:
     digits = model.digits
     size = np.abs(model.excursion_to_joints)
-    lengths = np.diag(np.concatenate([digit.lengths for digit in digits]))
-    inward = block_diag(*(np.tri(digit.joint_count) for digit in digits))
-    coupling = model.coupling
-    last = np.repeat([digit.joints.stop - 1 for digit in digits], [digit.joint_count for digit in digits])
     return {
         "excursion_to_joints": model.excursion_to_joints,
         "moves": size > MOVES_LEAST * size.max(initial=0.0),
         "moment_arms": model.hand.moment_arms,
         "torque_to_tension": model.torque_to_tension,
         "pulley_weight": model.pulley_weights,
-        "coupling": coupling,
-        "tip_reach": lengths @ inward @ coupling,
+        "coupling": model.coupling,
         "reduced_arms": block_diag(*(digit.reduced_moment_arms for digit in digits)),
-        "tip_ahead": inward[last] - inward,
-        "tip_beyond": lengths @ inward,
     }
 
 
@@ -188,7 +184,6 @@ def _posture(model: HandModel) -> dict[str, object]:
     sizes = [digit.joint_count for digit in digits]
     compliance = block_diag(*(_compliance(digit) for digit in digits))
     spread = block_diag(*(digit.coupling @ digit.coupling.T for digit in digits))
-    ahead, reach, weight = (np.stack(parts) for parts in zip(*_every_place(digits), strict=True))
     read = np.array([joint in hand.sensor_node.joints for joint in hand.joints])
     covered = ~((arms != 0.0) & ~read).any(axis=1)
     fused = bool((compliance.any(axis=1) & read).any())
@@ -199,9 +194,7 @@ def _posture(model: HandModel) -> dict[str, object]:
         "spread": spread,
         "posture_torque": spread @ arms.T,
         "same_digit": block_diag(*(np.ones((size, size)) for size in sizes)),
-        "place_ahead": ahead,
-        "place_reach": reach,
-        "place_weight": weight,
+        "place_weight": np.concatenate([_place_weights(digits, digit) for digit in digits], axis=1),
         "encoder_variance": noise,
         "loose": compliance.any(axis=1) & read,
         "excursion_variance": np.where(
@@ -224,35 +217,15 @@ def _compliance(digit: DigitModel) -> Vector:
     return np.asarray(free @ np.linalg.solve(free.T @ stiffness @ free, free.T))
 
 
-def _every_place(digits: tuple[DigitModel, ...]) -> list[tuple[Vector, Vector, Vector]]:
-    """Return the contact places: (J, J) joints before each, (J, J) distances [m], (J,) probability.
+def _place_weights(digits: tuple[DigitModel, ...], digit: DigitModel) -> Vector:
+    """Return the probability of each contact place, for each joint of a digit, (places, n).
 
-    The last place has no lever: all joints turn alike.
+    The places are the middles of the links, the tip, and all joints alike, see ``posture``.
     """
-    largest = max(digit.joint_count for digit in digits)
-    result = []
-    for place in range(largest + 2):
-        parts = [_place(digit, place, place == largest + 1) for digit in digits]
-        ahead, reach = (block_diag(*(part[i] for part in parts)) for i in (0, 1))
-        result.append((ahead, reach, np.concatenate([part[2] for part in parts])))
-    return result
-
-
-def _place(digit: DigitModel, place: int, alike: bool) -> tuple[Vector, Vector, Vector]:
-    """Return a contact place on a digit: the middle of a link, the tip after the last, or all joints alike."""
     n = digit.joint_count
-    ahead = np.zeros((n, n))
-    reach = np.zeros((n, n))
-    if place > n and not alike:
-        return ahead, reach, np.zeros(n)
-    if not alike:
-        touched = min(place, n - 1)
-        lengths = np.array(digit.lengths)
-        lengths[touched] *= 1.0 if place == n else 0.5
-        for link in range(touched + 1):
-            ahead[link, link + 1 : touched + 1] = 1.0
-            reach[: link + 1, link] = lengths[link]
-    return ahead, reach, np.full(n, 1.0 / (n + 2))
+    weight = np.zeros((max(one.joint_count for one in digits) + 2, n))
+    weight[: n + 1] = weight[-1] = 1.0 / (n + 2)
+    return weight
 
 
 @functools.lru_cache(maxsize=16)

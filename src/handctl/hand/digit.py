@@ -2,50 +2,18 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from handctl.hand import rigid_body as body
 from handctl.hand.description import Hand
 from handctl.hand.file.sections import Digit
-from handctl.hand.link_bodies import centre_of_mass, inertia, rotation_rpy
+from handctl.hand.link_bodies import centre_of_mass, inertia, joint_axes, mounted, rotation_rpy
 
 Array = NDArray[np.float64]
 Values = Sequence[float] | Array
 """One number per joint. Lists and tuples are fastest."""
-
-
-class LinkConstants(NamedTuple):
-    """Constants of the equations of motion of three links in a row, 0 for absent links.
-
-    Attributes:
-        j1: diagonal of the mass matrix in absolute angles, link 1 [kg m2].
-        j2: diagonal, link 2 [kg m2].
-        j3: diagonal, link 3 [kg m2].
-        a: coupling of links 1 and 2 [kg m2].
-        b: coupling of links 1 and 3 [kg m2].
-        e: coupling of links 2 and 3 [kg m2].
-        w1: first moment of the mass that turns with link 1 [kg m].
-        w2: first moment, link 2 [kg m].
-        w3: first moment, link 3 [kg m].
-        r1: armature of joint 1 [kg m2].
-        r2: armature of joint 2 [kg m2].
-        r3: armature of joint 3 [kg m2].
-    """
-
-    j1: float
-    j2: float
-    j3: float
-    a: float
-    b: float
-    e: float
-    w1: float
-    w2: float
-    w3: float
-    r1: float
-    r2: float
-    r3: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,9 +27,10 @@ class DigitModel:
         joints: slice of the digit in the hand's joints.
         tendons: slice of the digit in the hand's tendons.
         lengths: (n,) [m].
-        coms: (n,) distance of each link's centre of mass from its joint [m].
+        coms: (n, 3) centre of mass of each link in its frame [m].
         masses: (n,) [kg].
-        inertias: (n,) about the centre of mass [kg m2].
+        inertias: (n, 3, 3) about the centre of mass, in the link's frame [kg m2].
+        axes: (n, 3) unit vector of each joint in the link's frame.
         radius: radius of the links [m].
         joint_min: (n,) [rad].
         joint_max: (n,) [rad].
@@ -71,9 +40,9 @@ class DigitModel:
         spring_preload: (n,) [rad].
         mount_rotation: (3, 3) digit frame to palm frame.
         mount_position: (3,) [m] in the palm frame.
-        gravity: (2,) in the digit's plane [m/s2].
-        links: constants of the equations of motion.
-        padding: zeros to extend n values to three.
+        gravity: (3,) in the palm frame [m/s2].
+        table: (rigid_body.ROWS, n) frames and bodies of the links.
+        parent: (n,) column of the link before each link, -1 for the palm.
         moment_arms: R, (n_t, n) [m].
         coupling: B, (n, n_c), the identity for independent joints.
         reduced_moment_arms: R B, (n_t, n_c) [m].
@@ -91,9 +60,10 @@ class DigitModel:
     joints: slice
     tendons: slice
     lengths: tuple[float, ...]
-    coms: tuple[float, ...]
+    coms: Array
     masses: tuple[float, ...]
-    inertias: tuple[float, ...]
+    inertias: Array
+    axes: Array
     radius: float
     joint_min: Array
     joint_max: Array
@@ -103,9 +73,9 @@ class DigitModel:
     spring_preload: tuple[float, ...]
     mount_rotation: Array
     mount_position: Array
-    gravity: tuple[float, float]
-    links: LinkConstants
-    padding: tuple[float, ...]
+    gravity: Array
+    table: Array
+    parent: NDArray[np.int64]
     moment_arms: Array
     coupling: Array
     reduced_moment_arms: Array
@@ -131,7 +101,7 @@ class DigitModel:
         joints = hand.digit_joints[name]
         tendons = hand.digit_tendons[name]
         motors = [hand.motor_of(tendon.name) for tendon in hand.tendon[tendons]]
-        rotation = rotation_rpy(*np.radians(digit.mount_rpy_deg))
+        links = range(len(digit.joints))
         arms = hand.moment_arms[:, joints][tendons]
         coupling = np.eye(len(digit.joints)) if digit.coupling is None else np.array(digit.coupling)
         # Pseudo-inverse: least squares for angles, its transpose the least-norm tensions.
@@ -143,9 +113,10 @@ class DigitModel:
             joints=joints,
             tendons=tendons,
             lengths=digit.link_length_m,
-            coms=tuple(float(centre_of_mass(digit, i)[0]) for i in range(len(digit.joints))),
+            coms=_constant([centre_of_mass(digit, i) for i in links]),
             masses=digit.link_mass_kg,
-            inertias=tuple(float(inertia(digit, i)[2, 2]) for i in range(len(digit.joints))),
+            inertias=_constant([inertia(digit, i) for i in links]),
+            axes=_constant(joint_axes(digit)),
             radius=digit.link_radius_m,
             joint_min=_constant(np.radians(digit.joint_min_deg)),
             joint_max=_constant(np.radians(digit.joint_max_deg)),
@@ -153,11 +124,11 @@ class DigitModel:
             armature=digit.joint_armature_kg_m2,
             spring_stiffness=digit.spring_stiffness_N_m_per_rad,
             spring_preload=digit.spring_preload_rad,
-            mount_rotation=_constant(rotation),
+            mount_rotation=_constant(rotation_rpy(*np.radians(digit.mount_rpy_deg))),
             mount_position=_constant(digit.mount_position_m),
-            gravity=_in_plane(rotation, hand.mount.gravity_m_s2),
-            links=link_constants(digit),
-            padding=(0.0,) * (3 - len(digit.joints)),
+            gravity=_constant(hand.mount.gravity_m_s2),
+            table=_constant(link_table(digit)),
+            parent=np.arange(-1, len(links) - 1),
             moment_arms=_constant(arms),
             coupling=_constant(coupling),
             reduced_moment_arms=_constant(arms @ coupling),
@@ -176,44 +147,35 @@ class DigitModel:
 
     def with_gravity(self, gravity: Values) -> "DigitModel":
         """Return the digit under another gravity, (3,) in the palm frame [m/s2]."""
-        return replace(self, gravity=_in_plane(self.mount_rotation, gravity))
+        return replace(self, gravity=_constant(gravity))
 
 
-def link_constants(digit: Digit) -> LinkConstants:
-    """Compute the constants of the equations of motion.
-
-    An absent link has no mass and no length. Source: Hussain & Suhaib, closed form of section 7,
-    corrected.
-    """
-    absent = (0.0,) * (3 - len(digit.link_length_m))
-    l1, l2, _ = (*digit.link_length_m, *absent)
-    d1, d2, d3 = (*(float(centre_of_mass(digit, i)[0]) for i in range(len(digit.joints))), *absent)
-    m1, m2, m3 = (*digit.link_mass_kg, *absent)
-    i1, i2, i3 = (*(float(inertia(digit, i)[2, 2]) for i in range(len(digit.joints))), *absent)
-    r1, r2, r3 = (*digit.joint_armature_kg_m2, *absent)
-    return LinkConstants(
-        j1=i1 + m1 * d1**2 + (m2 + m3) * l1**2,
-        j2=i2 + m2 * d2**2 + m3 * l2**2,
-        j3=i3 + m3 * d3**2,
-        a=(m2 * d2 + m3 * l2) * l1,
-        b=m3 * l1 * d3,
-        e=m3 * l2 * d3,
-        w1=m1 * d1 + (m2 + m3) * l1,
-        w2=m2 * d2 + m3 * l2,
-        w3=m3 * d3,
-        r1=r1,
-        r2=r2,
-        r3=r3,
-    )
+def link_table(digit: Digit) -> Array:
+    """Return frames and bodies of a digit's links for ``rigid_body``, (rigid_body.ROWS, n)."""
+    table = np.zeros((body.ROWS, len(digit.joints)))
+    for i, axis in enumerate(joint_axes(digit)):
+        position, rotation = mounted(digit, i)
+        along = np.outer(axis, axis)
+        x, y, z = axis.tolist()
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        # Rodrigues' formula: a a^T + cos q (1 - a a^T) + sin q [a]x.
+        for row, part in ((body.FIXED, along), (body.COSINE, np.eye(3) - along), (body.SINE, cross)):
+            table[row : row + 9, i] = (rotation @ part).ravel()
+        mass = digit.link_mass_kg[i]
+        com = centre_of_mass(digit, i)
+        # Steiner's theorem, from the centre of mass to the joint.
+        moments = inertia(digit, i) + mass * (float(com @ com) * np.eye(3) - np.outer(com, com))
+        table[body.ORIGIN : body.ORIGIN + 3, i] = position
+        table[body.AXIS : body.AXIS + 3, i] = axis
+        table[body.MASS, i] = mass
+        table[body.MOMENT : body.MOMENT + 3, i] = mass * com
+        table[body.INERTIA : body.INERTIA + 6, i] = moments[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
+        table[body.ARMATURE, i] = digit.joint_armature_kg_m2[i]
+        table[body.LENGTH, i] = digit.link_length_m[i]
+    return table
 
 
-def _in_plane(rotation: Array, gravity: Values) -> tuple[float, float]:
-    """Project gravity of the palm frame on the digit's plane."""
-    x, y, _ = (rotation.T @ np.asarray(gravity, dtype=float)).tolist()
-    return x, y
-
-
-def _constant(values: Values) -> Array:
+def _constant(values: ArrayLike) -> Array:
     """Return a read-only copy."""
     array = np.array(values, dtype=float)
     array.setflags(write=False)

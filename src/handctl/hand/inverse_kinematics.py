@@ -1,10 +1,11 @@
-"""Inverse kinematics: joint angles for a tip position in the digit's plane (frame: ``kinematics``)."""
+"""Inverse kinematics: joint angles for a tip position."""
 
 import math
 
 import numpy as np
 
-from handctl.hand.digit import DigitModel
+from handctl.hand import rigid_body as body
+from handctl.hand.digit import DigitModel, Values
 from handctl.hand.kinematics import points, tip_jacobian
 
 SCAN = 64
@@ -16,7 +17,8 @@ REACH_TOLERANCE = 1e-12
 def inverse(digit: DigitModel, x: float, y: float, angle: float | None = None) -> tuple[tuple[float, ...], ...]:
     """Return joint angles that put the tip of a digit of two or three independent joints at a point.
 
-    The solution is closed form. Joint limits are not applied.
+    The hinges are parallel, so the tip moves in the plane of x and y of the digit's frame. The
+    solution is closed form. Joint limits are not applied.
 
     Args:
         digit: model of the digit.
@@ -29,8 +31,11 @@ def inverse(digit: DigitModel, x: float, y: float, angle: float | None = None) -
         out of reach, and for two equal links folded onto the base, where the direction is free.
 
     Raises:
-        ValueError: not two or three joints, or three without a direction.
+        ValueError: not two or three joints, hinges that are not parallel, or three joints without a
+            direction.
     """
+    if not _is_planar(digit):
+        raise ValueError(f"{digit.name} has hinges that are not along z; needed: parallel hinges")
     if digit.joint_count == 2:
         return _two_links(digit.lengths[0], digit.lengths[1], x, y)
     if digit.joint_count != 3 or angle is None:
@@ -40,7 +45,7 @@ def inverse(digit: DigitModel, x: float, y: float, angle: float | None = None) -
     return tuple((q1, q2, _wrapped(angle - q1 - q2)) for q1, q2 in wrist)
 
 
-def inverse_coupled(digit: DigitModel, x: float, y: float) -> tuple[float, float]:
+def inverse_coupled(digit: DigitModel, position: Values) -> tuple[float, float]:
     """Return the coordinate of a coupled digit, q = B theta, with the tip closest to a point.
 
     The tip moves on a curve. A scan with bracketing yields all points of extreme distance. The nearest
@@ -48,8 +53,7 @@ def inverse_coupled(digit: DigitModel, x: float, y: float) -> tuple[float, float
 
     Args:
         digit: model of a digit with one reduced coordinate.
-        x: position [m].
-        y: position [m].
+        position: (3,) in the palm frame [m].
 
     Returns:
         theta [rad] within the joint limits, and the remaining distance [m].
@@ -62,7 +66,7 @@ def inverse_coupled(digit: DigitModel, x: float, y: float) -> tuple[float, float
     from scipy.optimize import brentq
 
     ratio = digit.coupling[:, 0]
-    target = np.array([x, y])
+    target = np.asarray(position, dtype=np.float64)
 
     def distance(theta: float) -> float:
         return float(np.linalg.norm(points(digit, ratio * theta)[-1] - target))
@@ -93,6 +97,13 @@ def coordinate_limits(digit: DigitModel) -> tuple[float, float]:
             low = max(low, first)
             high = min(high, last)
     return low, high
+
+
+def _is_planar(digit: DigitModel) -> bool:
+    """Return True if all hinges are along z of the digit's frame."""
+    at_zero = digit.table[body.FIXED : body.COSINE] + digit.table[body.COSINE : body.SINE]
+    straight = np.array([digit.mount_rotation, *[np.eye(3)] * (digit.joint_count - 1)]).reshape(-1, 9).T
+    return bool(np.all(digit.axes == (0.0, 0.0, 1.0)) and np.allclose(at_zero, straight, rtol=0.0, atol=1e-12))
 
 
 def _two_links(l1: float, l2: float, x: float, y: float) -> tuple[tuple[float, float], ...]:

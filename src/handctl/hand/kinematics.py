@@ -1,39 +1,52 @@
-"""Kinematics of a digit: positions of links and tip, and Jacobians.
+"""Kinematics of a digit: positions of links and tip, and Jacobians, in the palm frame.
 
-Planar functions use the digit's frame: x along the straight digit, y to the side of flexion.
+The frame of a digit is that of its mount: x along the digit at rest, y to the side of flexion.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
+from handctl.hand import rigid_body
 from handctl.hand.digit import Array, DigitModel, Values
 
 
 class TipPose(NamedTuple):
-    """Tip of a digit in its plane: position [m] and direction of the last link [rad]."""
+    """Tip of a digit: position (3,) [m] and rotation (3, 3) of the last link, in the palm frame."""
 
-    x: float
-    y: float
-    angle: float
+    position: Array
+    rotation: Array
+
+
+def link_poses(digit: DigitModel, q: Values) -> Array:
+    """Return the poses of all links at joint angles q (n,) [rad], (n, rigid_body.POSE)."""
+    return rigid_body.poses(digit.table, digit.parent, np.asarray(q, dtype=np.float64))
+
+
+def rotations(poses: Array) -> Array:
+    """Return the rotations of links to the palm frame, (n, 3, 3)."""
+    return poses[:, rigid_body.ROTATION : rigid_body.ROTATION + 9].reshape(-1, 3, 3)
+
+
+def positions(poses: Array) -> Array:
+    """Return the positions of the links' joints, (n, 3) [m]."""
+    return poses[:, rigid_body.POSITION : rigid_body.POSITION + 3]
 
 
 def points(digit: DigitModel, q: Values) -> Array:
-    """Return the joints from the palm outwards, then the tip, (n + 1, 2) [m]."""
-    angles = np.cumsum(q)
-    steps = np.array(digit.lengths)[:, None] * np.column_stack((np.cos(angles), np.sin(angles)))
-    return np.vstack((np.zeros(2), np.cumsum(steps, axis=0)))
+    """Return the joints from the palm outwards, then the tip, (n + 1, 3) [m]."""
+    poses = link_poses(digit, q)
+    tip = positions(poses)[-1] + digit.lengths[-1] * rotations(poses)[-1, :, 0]
+    return np.vstack((positions(poses), tip))
 
 
 def forward(digit: DigitModel, q: Values) -> TipPose:
     """Return the tip pose at joint angles q (n,) [rad]."""
-    x, y = points(digit, q)[-1].tolist()
-    return TipPose(x, y, float(np.sum(q)))
+    return TipPose(points(digit, q)[-1], rotations(link_poses(digit, q))[-1])
 
 
 def point_jacobian(digit: DigitModel, q: Values, link: int, along: float) -> Array:
-    """Return the velocity of a point of a link per joint velocity, (2, n) [m].
+    """Return the velocity of a point of a link per joint velocity, (3, n) [m].
 
     Args:
         digit: model of the digit.
@@ -41,31 +54,25 @@ def point_jacobian(digit: DigitModel, q: Values, link: int, along: float) -> Arr
         link: index of the link, from 0.
         along: distance of the point from the link's own joint, along the link [m].
     """
-    joints = points(digit, q)
-    angle = float(np.sum(np.asarray(q)[: link + 1]))
-    arm = joints[link] + along * np.array([math.cos(angle), math.sin(angle)]) - joints[: link + 1]
-    jacobian = np.zeros((2, digit.joint_count))
-    # Planar rotation about each joint: z cross arm.
-    jacobian[0, : link + 1] = -arm[:, 1]
-    jacobian[1, : link + 1] = arm[:, 0]
-    return jacobian
+    poses = link_poses(digit, q)
+    point = positions(poses)[link] + along * rotations(poses)[link, :, 0]
+    axes = poses[:, rigid_body.DIRECTION : rigid_body.DIRECTION + 3]
+    jacobian = np.cross(axes, point - positions(poses)).T
+    # Joints beyond the link do not move it.
+    jacobian[:, link + 1 :] = 0.0
+    return np.asarray(jacobian)
 
 
 def tip_jacobian(digit: DigitModel, q: Values) -> Array:
-    """Return the velocity of the tip per joint velocity, (2, n) [m]."""
+    """Return the velocity of the tip per joint velocity, (3, n) [m]."""
     return point_jacobian(digit, q, digit.joint_count - 1, digit.lengths[-1])
 
 
-def to_palm(digit: DigitModel, planar: Array) -> Array:
-    """Transform points (.., 2) [m] of the digit's plane to the palm frame, (.., 3) [m]."""
-    return planar @ digit.mount_rotation[:, :2].T + digit.mount_position
+def to_palm(digit: DigitModel, positions: Array) -> Array:
+    """Transform points (.., 3) [m] of the digit's frame to the palm frame."""
+    return positions @ digit.mount_rotation.T + digit.mount_position
 
 
 def from_palm(digit: DigitModel, position: Values) -> Array:
-    """Project points (.., 3) [m] of the palm frame on the digit's plane, (.., 2) [m]."""
-    return (np.asarray(position) - digit.mount_position) @ digit.mount_rotation[:, :2]
-
-
-def palm_jacobian(digit: DigitModel, q: Values) -> Array:
-    """Return the velocity of the tip in the palm frame per joint velocity, (3, n) [m]."""
-    return digit.mount_rotation[:, :2] @ tip_jacobian(digit, q)
+    """Transform points (.., 3) [m] of the palm frame to the digit's frame."""
+    return np.asarray((np.asarray(position) - digit.mount_position) @ digit.mount_rotation)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handctl.hand.digit import Array, DigitModel, Values
-from handctl.hand.kinematics import points, to_palm
+from handctl.hand.kinematics import link_poses, points, rotations
 
 
 class Transform(NamedTuple):
@@ -22,15 +22,13 @@ def link_transforms(digit: DigitModel, q: Values) -> tuple[Transform, ...]:
 
     ``<digit>_link1``.. lie at each link's joint with x along the link. ``<digit>_tip`` follows.
     """
-    angles = np.cumsum(q).tolist()
+    poses = link_poses(digit, q)
     # The tip frame has the direction of the last link.
     names = [*(f"{digit.name}_link{i + 1}" for i in range(digit.joint_count)), f"{digit.name}_tip"]
-    mount = quaternion(digit.mount_rotation)
+    turned = [quaternion(rotation) for rotation in rotations(poses)]
     return tuple(
-        Transform(name, (position[0], position[1], position[2]), _turned(mount, angle))
-        for name, position, angle in zip(
-            names, to_palm(digit, points(digit, q)).tolist(), [*angles, angles[-1]], strict=True
-        )
+        Transform(name, (position[0], position[1], position[2]), turn)
+        for name, position, turn in zip(names, points(digit, q).tolist(), [*turned, turned[-1]], strict=True)
     )
 
 
@@ -53,11 +51,3 @@ def quaternion(rotation: Array) -> tuple[float, float, float, float]:
     )
     x, y, z, w = (entry / (2.0 * math.sqrt(squares[largest])) for entry in rows[largest])
     return x, y, z, w
-
-
-def _turned(mount: tuple[float, float, float, float], angle: float) -> tuple[float, float, float, float]:
-    """Return the product of the mount's quaternion and a rotation about z [rad]."""
-    x, y, z, w = mount
-    s = math.sin(angle / 2)
-    c = math.cos(angle / 2)
-    return x * c + y * s, y * c - x * s, z * c + w * s, w * c - z * s

@@ -11,7 +11,7 @@ from handctl.drives.frame import EXTENDED, FDF
 from handctl.drives.frame_time import frame_time_s
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
-from handctl.hand.kinematics import points, to_palm
+from handctl.hand.kinematics import link_poses, points, rotations
 from handctl.log.read.reader import RunLog
 from handctl.report.run_figure import COLOURS, PASSIVE_PHASES
 
@@ -75,8 +75,8 @@ def _projected(points_m: Array) -> Array:
 
 
 def _limits(digits: list[DigitModel]) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the limits of the picture, which contains the palm and every digit straight."""
-    ends = [to_palm(digit, np.array([[0.0, 0.0], [sum(digit.lengths), 0.0]])) for digit in digits]
+    """Return the limits of the picture, which contains the palm and every digit at rest."""
+    ends = [points(digit, np.zeros(digit.joint_count)) for digit in digits]
     corners = _projected(np.concatenate(ends))
     low = corners.min(axis=0) - 20.0
     high = corners.max(axis=0) + 10.0
@@ -95,7 +95,7 @@ def _palm(axes: Any, digits: list[DigitModel]) -> None:
 def _digit(axes: Any, digit: DigitModel, q: Array, force: float, colour: str) -> None:
     """Draw the links from the palm to the tip, and the estimated force on the tip as an arrow."""
     joints = points(digit, q)
-    path = _projected(to_palm(digit, joints))
+    path = _projected(joints)
     axes.plot(
         *path.T,
         color=colour,
@@ -105,12 +105,11 @@ def _digit(axes: Any, digit: DigitModel, q: Array, force: float, colour: str) ->
         solid_joinstyle="round",
     )
     axes.plot(*path[:-1].T, "o", color="white", markersize=3)
-    angle = float(np.sum(q))
-    if force < MIN_ARROW_N or np.isnan(angle):
+    if force < MIN_ARROW_N or np.isnan(q).any():
         return
-    # The object pushes against the closing direction of the fingertip.
-    push = ARROW_M_PER_N * force * np.array([np.sin(angle), -np.cos(angle)])
-    start, end = _projected(to_palm(digit, np.array([joints[-1], joints[-1] + push])))
+    # The object pushes against the closing direction of the fingertip, y of the last link.
+    push = -ARROW_M_PER_N * force * rotations(link_poses(digit, q))[-1, :, 1]
+    start, end = _projected(np.array([joints[-1], joints[-1] + push]))
     style = {"arrowstyle": "-|>", "color": "#222222", "linewidth": 1.2, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", xy=end, xytext=start, arrowprops=style, zorder=10)
 

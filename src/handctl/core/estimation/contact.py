@@ -23,6 +23,7 @@ from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation.kalman import free_angles
+from handctl.core.estimation.statics import hand_pose, tip_levers
 
 Vector = NDArray[np.float64]
 
@@ -72,16 +73,11 @@ def _levers(x: Tables, c: ConstantTables, lever: Vector) -> None:
 
     A closing digit is free until contact is found.
     """
-    joints = x.joint.shape[1]
-    q = np.zeros(joints)
+    q = np.zeros(x.joint.shape[1])
     free_angles(x, c, s.EXCURSION, q)
-    for link in range(joints):
-        angle = 0.0
-        for j in range(joints):
-            # Angle from a link to the last one: the lever of a force normal to the last link is its cosine.
-            angle += c.joint_joint[h.TIP_AHEAD, link, j] * q[j]
-        for j in range(joints):
-            lever[j] += math.cos(angle) * c.joint_joint[h.TIP_BEYOND, link, j]
+    pose = hand_pose(c, q)
+    for d in range(x.digit.shape[1]):
+        tip_levers(c, d, pose, lever)
 
 
 @inner

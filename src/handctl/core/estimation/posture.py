@@ -26,7 +26,8 @@ from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
-from handctl.core.estimation.statics import static_torque
+from handctl.core.estimation.statics import hand_pose, static_torque, tip_levers
+from handctl.hand.rigid_body import LENGTH, levers, turned_levers
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -156,25 +157,30 @@ def _turns(x: Tables, c: ConstantTables) -> tuple[Matrix, Matrix]:
     lever = np.zeros(joints)
     for j in range(joints):
         q[j] = x.joint[s.Q, j] + x.joint[s.TURN, j]
+    pose = hand_pose(c, q)
     for place in range(places):
-        _place_levers(c, place, q, lever)
         for d in range(x.digit.shape[1]):
+            _place_levers(c, d, place, pose, lever)
             _turn_of_digit(x, c, d, lever, torque, error, turns[place], doubt[place])
     return turns, doubt
 
 
 @inner
-def _place_levers(c: ConstantTables, place: int, q: Vector, lever: Vector) -> None:
-    """Write the levers (J,) [m] of a force on each digit at a place about the joints."""
-    joints = len(q)
-    for j in range(joints):
+def _place_levers(c: ConstantTables, d: int, place: int, pose: Matrix, lever: Vector) -> None:
+    """Write the levers (J,) [m] of a force on a digit at a place about its joints.
+
+    Place i is the middle of link i, the place after the last link is the tip. The others have no
+    lever.
+    """
+    first = c.digit_int[h.JOINTS_FIRST, d]
+    end = c.digit_int[h.JOINTS_END, d]
+    for j in range(first, end):
         lever[j] = 0.0
-    for link in range(joints):
-        angle = 0.0
-        for j in range(joints):
-            angle += c.place_joint_joint[h.PLACE_AHEAD, place, link, j] * q[j]
-        for j in range(joints):
-            lever[j] += math.cos(angle) * c.place_joint_joint[h.PLACE_REACH, place, j, link]
+    touched = first + place
+    if touched < end:
+        levers(pose, first, touched, 0.5 * c.joint[h.LINK + LENGTH, touched], lever)
+    elif touched == end:
+        tip_levers(c, d, pose, lever)
 
 
 @inner
@@ -308,47 +314,42 @@ def _fuse(x: Tables, c: ConstantTables, columns: Matrix, spread: Matrix, t_ns: i
 
 
 @inner
-def tip_levers(c: ConstantTables, q: Vector, lever: Vector) -> None:
-    """Write the levers (C,) [m] of forces at the digits' tips, normal to the last link, about the coordinates."""
-    joints = len(q)
-    for k in range(len(lever)):
-        lever[k] = 0.0
-    for link in range(joints):
-        angle = 0.0
-        for j in range(joints):
-            angle += c.joint_joint[h.TIP_AHEAD, link, j] * q[j]
-        for k in range(len(lever)):
-            lever[k] += math.cos(angle) * c.joint_coordinate[h.TIP_REACH, link, k]
-
-
-@inner
 def tip_forces(x: Tables, c: ConstantTables) -> None:
     """Write tip-equivalent forces of all digits, and the standard deviations from those of angles and tensions.
 
-    The tip-equivalent force is normal to the last link, at the tip, with the same torque. A
+    The tip-equivalent force is along y of the last link, at the tip, with the same torque. A
     one-tendon finger gives no information on the place of contact. The tip is then a convention.
     """
+    joints = x.joint.shape[1]
     coordinates = x.coordinate.shape[1]
     torque = np.zeros(coordinates)
     lever = np.zeros(coordinates)
     turned = np.zeros(coordinates)
-    q = np.zeros(x.joint.shape[1])
-    for j in range(len(q)):
+    about = np.zeros(joints)
+    about_turned = np.zeros(joints)
+    q = np.zeros(joints)
+    for j in range(joints):
         q[j] = x.joint[s.Q, j]
     for k in range(coordinates):
         for n in range(x.tendon.shape[1]):
             torque[k] += x.tendon[s.EXTERNAL, n] * c.tendon_coordinate[h.REDUCED_ARMS, n, k]
-    tip_levers(c, q, lever)
+    pose = hand_pose(c, q)
     for d in range(x.digit.shape[1]):
-        x.digit[s.TIP_FORCE, d] = _over(c, d, lever, torque) / _over(c, d, lever, lever)
+        first = c.digit_int[h.JOINTS_FIRST, d]
+        last = c.digit_int[h.JOINTS_END, d] - 1
+        length = c.joint[h.LINK + LENGTH, last]
+        tip_levers(c, d, pose, about)
+        _reduced(c, d, about, lever)
+        force = _over(c, d, lever, torque) / _over(c, d, lever, lever)
+        x.digit[s.TIP_FORCE, d] = force
         x.digit[s.TIP_FORCE_SIGMA, d] = 0.0
-    for j in range(len(q)):
-        # Numerical derivative by a step of one standard deviation.
-        q[j] = x.joint[s.Q, j] + x.joint[s.Q_SIGMA, j]
-        tip_levers(c, q, turned)
-        q[j] = x.joint[s.Q, j]
-        for d in range(x.digit.shape[1]):
-            change = _over(c, d, turned, torque) / _over(c, d, turned, turned) - x.digit[s.TIP_FORCE, d]
+        for j in range(first, last + 1):
+            # Numerical derivative by a step of one standard deviation.
+            for i in range(first, last + 1):
+                about_turned[i] = about[i]
+            turned_levers(pose, first, last, length, j, x.joint[s.Q_SIGMA, j], about_turned)
+            _reduced(c, d, about_turned, turned)
+            change = _over(c, d, turned, torque) / _over(c, d, turned, turned) - force
             x.digit[s.TIP_FORCE_SIGMA, d] += square(change)
     for n in range(x.tendon.shape[1]):
         d = c.tendon_int[h.DIGIT, n]
@@ -360,6 +361,15 @@ def tip_forces(x: Tables, c: ConstantTables) -> None:
         x.digit[s.TIP_FORCE_SIGMA, d] += square(change)
     for d in range(x.digit.shape[1]):
         x.digit[s.TIP_FORCE_SIGMA, d] = math.sqrt(x.digit[s.TIP_FORCE_SIGMA, d])
+
+
+@inner
+def _reduced(c: ConstantTables, d: int, lever: Vector, result: Vector) -> None:
+    """Write the levers of a digit about its coordinates (C,) from those about its joints (J,) [m]."""
+    for k in range(c.digit_int[h.COORDINATES_FIRST, d], c.digit_int[h.COORDINATES_END, d]):
+        result[k] = 0.0
+        for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+            result[k] += c.joint_coordinate[h.COUPLING, j, k] * lever[j]
 
 
 @inner

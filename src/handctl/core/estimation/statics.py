@@ -8,8 +8,18 @@ from numpy.typing import NDArray
 from handctl.compiled import inner
 from handctl.core import constants as h
 from handctl.core.constants import ConstantTables
+from handctl.hand import rigid_body
 
 Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+
+@inner
+def hand_pose(c: ConstantTables, q: Vector) -> Matrix:
+    """Return the poses (J, rigid_body.POSE) of all links at joint angles q (J,) [rad], without carried masses."""
+    pose = np.empty((len(q), rigid_body.POSE))
+    rigid_body.place_links(c.joint, h.LINK, c.joint_int[h.PARENT], q, pose)
+    return pose
 
 
 @inner
@@ -18,18 +28,17 @@ def static_torque(c: ConstantTables, q: Vector, torque: Vector) -> None:
 
     A link's weight acts on the link's joint and on all joints towards the palm.
     """
-    for d in range(c.digit_int.shape[1]):
-        first = c.digit_int[h.JOINTS_FIRST, d]
-        end = c.digit_int[h.JOINTS_END, d]
-        angle = 0.0
-        for j in range(first, end):
-            angle += q[j]
-            torque[j] = c.joint[h.WEIGHT_X, j] * math.sin(angle) - c.joint[h.WEIGHT_Y, j] * math.cos(angle)
-        carried = 0.0
-        # From the tip inwards: each joint carries the weight of all links beyond.
-        for j in range(end - 1, first - 1, -1):
-            carried += torque[j]
-            torque[j] = carried + c.joint[h.SPRING, j] * (q[j] + c.joint[h.PRELOAD, j])
+    gravity = c.run[h.GRAVITY : h.GRAVITY + 3]
+    rigid_body.weight(c.joint, h.LINK, c.joint_int[h.PARENT], gravity, hand_pose(c, q), torque)
+    for j in range(len(q)):
+        torque[j] += c.joint[h.SPRING, j] * (q[j] + c.joint[h.PRELOAD, j])
+
+
+@inner
+def tip_levers(c: ConstantTables, d: int, pose: Matrix, lever: Vector) -> None:
+    """Write the levers (J,) [m] of a force at a digit's tip about its joints, see ``rigid_body.levers``."""
+    last = c.digit_int[h.JOINTS_END, d] - 1
+    rigid_body.levers(pose, c.digit_int[h.JOINTS_FIRST, d], last, c.joint[h.LINK + rigid_body.LENGTH, last], lever)
 
 
 @inner

@@ -4,30 +4,22 @@ A one-tendon finger gives no information on the place of contact. The tip is a c
 name indicates.
 """
 
-import math
-
 import numpy as np
 
 from handctl.core.types import Vector
-from handctl.hand.dynamics import DigitModel
+from handctl.hand import rigid_body
+from handctl.hand.digit import DigitModel
 
 
 def joint_lever(digit: DigitModel, q: Vector) -> Vector:
-    """Return the lever of a force normal to the last link at the tip about each joint: J^T n, (n,) [m].
+    """Return the lever of a force at the tip along y of the last link about each joint: J^T n, (n,) [m].
 
     Args:
         digit: the digit.
         q: (n,) joint angles [rad].
     """
-    angle_sum = 0.0
-    reach = 0.0
-    lever = []
-    # From the tip inwards, with the angle to the last link.
-    for length, angle in zip(reversed(digit.lengths), reversed(q.tolist()), strict=True):
-        reach += length * math.cos(angle_sum)
-        angle_sum += angle
-        lever.append(reach)
-    return np.array(lever[::-1])
+    last = digit.joint_count - 1
+    return rigid_body.tip_levers(digit.table, digit.parent, np.asarray(q), last, digit.lengths[last])
 
 
 def tip_lever(digit: DigitModel, q: Vector) -> Vector:

@@ -9,7 +9,7 @@ from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.law.stream import advance
-from handctl.hand.dynamics import newton
+from handctl.hand.rigid_body import newton_euler
 
 Matrix = NDArray[np.float64]
 
@@ -112,31 +112,32 @@ def require(x: Tables, c: ConstantTables, way: Matrix) -> None:
         c: constants of the hand.
         way: (3, J) angles [rad], rates [rad/s] and accelerations [rad/s2].
     """
-    q = np.zeros(3)
-    dq = np.zeros(3)
-    ddq = np.zeros(3)
+    joints = x.joint.shape[1]
+    moving = False
+    motion = np.zeros((3, joints))
+    torque = np.empty(joints)
     for d in range(x.digit.shape[1]):
-        if not moves(x, c, d):
-            continue
         first = c.digit_int[h.JOINTS_FIRST, d]
         end = c.digit_int[h.JOINTS_END, d]
-        for i in range(3):
-            there = first + i < end
-            # The equations are for three joints: a digit of two has a third of no mass.
-            q[i], dq[i] = (way[0, first + i], way[1, first + i]) if there else (0.0, 0.0)
-            ddq[i] = way[2, first + i] if there else 0.0
-        k = c.digit[h.LINKS : h.LINKS + 12, d]
-        g = c.digit[h.GRAVITY : h.GRAVITY + 2, d]
-        torque = newton(
-            k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7], k[8], k[9], k[10], k[11], g[0], g[1],
-            q[0], q[1], q[2], dq[0], dq[1], dq[2], ddq[0], ddq[1], ddq[2],
-        )  # fmt: skip
-        for i in range(end - first):
-            j = first + i
-            spring = c.joint[h.SPRING, j] * (q[i] + c.joint[h.PRELOAD, j])
-            # numba cannot index a tuple by a variable.
-            rigid = torque[0] if i == 0 else torque[1] if i == 1 else torque[2]
-            x.joint[s.JOINT_REQUIRED, j] = rigid + spring + c.joint[h.JOINT_DAMPING, j] * dq[i]
+        if moves(x, c, d):
+            moving = True
+            for order in range(3):
+                for j in range(first, end):
+                    motion[order, j] = way[order, j]
+        else:
+            # A digit without a trajectory rests where it is.
+            for j in range(first, end):
+                motion[0, j] = x.joint[s.Q, j]
+    if not moving:
+        return
+    parent = c.joint_int[h.PARENT]
+    gravity = c.run[h.GRAVITY : h.GRAVITY + 3]
+    newton_euler(c.joint, h.LINK, parent, gravity, motion[0], motion[1], motion[2], torque)
+    for d in range(x.digit.shape[1]):
+        if moves(x, c, d):
+            for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+                spring = c.joint[h.SPRING, j] * (motion[0, j] + c.joint[h.PRELOAD, j])
+                x.joint[s.JOINT_REQUIRED, j] = torque[j] + spring + c.joint[h.JOINT_DAMPING, j] * motion[1, j]
 
 
 @inner

@@ -130,19 +130,6 @@ def _check_digit(digit: Digit) -> Mistakes:
         )
     if digit.coupling is not None:
         yield from _check_coupling(digit.coupling, f"{where}.coupling", links)
-    yield from _check_planar(digit, where)
-
-
-def _check_planar(digit: Digit, where: str) -> Mistakes:
-    """Refuse a digit that the planar equations of motion do not describe."""
-    if len(digit.link_length_m) > 3:
-        yield Mistake(f"{len(digit.link_length_m)} links", f"{where}.link_length_m", "at most 3 links")
-    for key in ("joint_axis", "joint_rpy_deg"):
-        if getattr(digit, key) is not None:
-            yield Mistake("not supported yet", f"{where}.{key}", "hinges along z, without this key")
-    for key in ("link_com_m", "link_inertia_kg_m2"):
-        if not all(isinstance(value, float) for value in getattr(digit, key)):
-            yield Mistake("a list per link is not supported yet", f"{where}.{key}", "a number per link")
 
 
 def _check_body(digit: Digit, i: int, where: str) -> Mistakes:

@@ -2,7 +2,7 @@
 
 import math
 import tomllib
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,8 @@ PERIOD_NS = 20_000_000
 """Interval between transforms [ns]. 50 Hz is enough for a viewer."""
 ROOT = "palm"
 """Root frame."""
+Z_AXIS = (0.0, 0.0, 1.0)
+"""Axis of a hinge without ``joint_axis``."""
 
 
 class LinkFrame(NamedTuple):
@@ -26,13 +28,15 @@ class LinkFrame(NamedTuple):
         parent, child: names of the frames.
         position: (3,) origin of the child in the parent [m].
         rotation: (4,) x, y, z, w of the child with its joint at zero.
-        joint: index of the joint that turns the child about its z axis, -1 if the link is fixed.
+        axis: (3,) unit vector in the child about which its joint turns it.
+        joint: index of the joint, -1 if the link is fixed.
     """
 
     parent: str
     child: str
     position: tuple[float, ...]
     rotation: tuple[float, ...]
+    axis: tuple[float, ...]
     joint: int
 
 
@@ -57,32 +61,39 @@ def link_frames(hand_toml: str) -> list[LinkFrame]:
         parent = ROOT
         position = tuple(map(float, digit["mount_position_m"]))
         rotation = quaternion(*map(math.radians, digit["mount_rpy_deg"]))
+        turns = digit.get("joint_rpy_deg", [(0.0, 0.0, 0.0)] * len(lengths))
+        axes = digit.get("joint_axis", [Z_AXIS] * len(lengths))
         for index, length in enumerate(lengths):
             child = f"{name}_link{index + 1}"
-            frames.append(LinkFrame(parent, child, position, rotation, joint))
+            size = math.hypot(*axes[index])
+            axis = tuple(component / size for component in axes[index])
+            turned = product(rotation, quaternion(*map(math.radians, turns[index])))
+            frames.append(LinkFrame(parent, child, position, turned, axis, joint))
             parent = child
             position = (float(length), 0.0, 0.0)
             rotation = (0.0, 0.0, 0.0, 1.0)
             joint += 1
-        frames.append(LinkFrame(parent, f"{name}_tip", position, rotation, -1))
+        frames.append(LinkFrame(parent, f"{name}_tip", position, rotation, Z_AXIS, -1))
     return frames
+
+
+def product(left: tuple[Any, ...], right: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Compute the product of two quaternions x, y, z, w, of numbers or of arrays."""
+    a, b, c, d = left
+    x, y, z, w = right
+    return (
+        d * x + a * w + b * z - c * y,
+        d * y + b * w + c * x - a * z,
+        d * z + c * w + a * y - b * x,
+        d * w - a * x - b * y - c * z,
+    )
 
 
 def rotated(link: LinkFrame, q: NDArray[np.float64]) -> NDArray[np.float64]:
     """Compute the rotations x, y, z, w (n, 4) of a link at joint angles (n,) [rad]."""
-    x, y, z, w = link.rotation
     sine = np.sin(q / 2)
-    cosine = np.cos(q / 2)
-    # Quaternion product of the link's rotation and a rotation about z by q: (0, 0, sine, cosine).
-    return np.stack(
-        [
-            x * cosine + y * sine,
-            y * cosine - x * sine,
-            z * cosine + w * sine,
-            w * cosine - z * sine,
-        ],
-        axis=1,
-    )
+    turn = (*(component * sine for component in link.axis), np.cos(q / 2))
+    return np.stack(product(link.rotation, turn), axis=1)
 
 
 def _stream(channel: int, some: list[LinkFrame]) -> Stream:

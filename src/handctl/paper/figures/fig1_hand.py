@@ -7,7 +7,7 @@ import numpy as np
 
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.formats.urdf import PALM_MARGIN, PALM_THICKNESS
-from handctl.hand.kinematics import points, to_palm
+from handctl.hand.kinematics import points
 from handctl.paper import sources as src
 from handctl.paper.figures.style import BLUE, GREEN, ORANGE, PURPLE
 
@@ -38,7 +38,7 @@ def hand(figure: Any) -> None:
     colours: list[Any] = []
     for name, colour in zip(src.hand().digit_names, COLOURS, strict=True):
         model = DigitModel.of(src.hand(), name)
-        nodes = 1000.0 * to_palm(model, points(model, np.radians(np.full(model.joint_count, POSE_DEG[name]))))
+        nodes = 1000.0 * points(model, np.radians(np.full(model.joint_count, POSE_DEG[name])))
         for start, end in pairwise(nodes):
             capsule = _capsule(start, end, 1000.0 * model.radius)
             faces += capsule

@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 
-from handctl.hand.kinematics import points
 from handctl.paper import sources as src
 from handctl.paper.figures.style import BLUE, GREY, ORANGE
 from handctl.paper.model import kinematics
@@ -20,7 +19,7 @@ def model(figure: Any) -> None:
     axes = figure.add_subplot()
     q = np.radians(POSE_DEG)
     theta = np.cumsum(q)
-    nodes = 1000.0 * points(kinematics.digit("index"), q)
+    nodes = 1000.0 * kinematics.planar(kinematics.digit("index"), q)
     lengths = src.millimetres(src.finger().link_length_m)
     axes.plot(*nodes.T, color=GREY, linewidth=7, alpha=0.4, solid_capstyle="round", zorder=1)
     axes.plot(*nodes[:-1].T, "o", color="white", markeredgecolor="black", markersize=9, zorder=5)

@@ -7,7 +7,6 @@ from scipy.ndimage import binary_closing, gaussian_filter
 
 from handctl.hand.digit import Array
 from handctl.hand.inverse_kinematics import coordinate_limits
-from handctl.hand.kinematics import points
 from handctl.paper.figures.style import BLUE, GREY, RED
 from handctl.paper.model import kinematics
 
@@ -37,7 +36,7 @@ def _digit(axes: Any, name: str, title: str, x: tuple[float, float]) -> None:
     full_path = kinematics.path(name, np.linspace(low, high, 400))
     axes.plot(*full_path.T, color=BLUE, linewidth=2.2, label="tip, θ₁ = θ₂ = θ₃ = θ", zorder=4)
     for degrees in POSES_DEG:
-        nodes = 1000.0 * points(model, np.full(model.joint_count, np.radians(degrees)))
+        nodes = 1000.0 * kinematics.planar(model, np.full(model.joint_count, np.radians(degrees)))
         axes.plot(*nodes.T, color=GREY, linewidth=1.1, marker="o", markersize=2.8, zorder=3)
     for degrees in range(0, 101, 10):
         tip = kinematics.path(name, np.radians([degrees]))[0]

@@ -6,7 +6,7 @@ import numpy as np
 
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.inverse_kinematics import inverse
-from handctl.hand.kinematics import forward, points, to_palm
+from handctl.hand.kinematics import from_palm, points
 from handctl.paper import sources as src
 from handctl.paper.item import Item
 from handctl.paper.model.expression import Expression
@@ -24,6 +24,11 @@ def digit(name: str) -> DigitModel:
     return DigitModel.of(src.hand(), name)
 
 
+def planar(model: DigitModel, q: Array) -> Array:
+    """Return the joints and the tip in the digit's plane, (n + 1, 2) [m]."""
+    return from_palm(model, points(model, q))[:, :2]
+
+
 def items() -> list[Item]:
     """Return Eq. 1-2, the meaning of their angles, and inverse kinematics."""
     return [_hinges(), *_general(), *_paths(), _meaning(), _absolute(), _inverse()]
@@ -32,7 +37,7 @@ def items() -> list[Item]:
 def path(name: str, angles: Array) -> Array:
     """Return the tip of a digit whose joints all have the same angle (angles, 2) [mm]."""
     model = digit(name)
-    return 1000.0 * np.array([forward(model, np.full(model.joint_count, angle))[:2] for angle in angles])
+    return 1000.0 * np.array([planar(model, np.full(model.joint_count, angle))[-1] for angle in angles])
 
 
 def workspace(name: str, per_joint: int) -> Array:
@@ -85,7 +90,7 @@ def _general() -> list[Item]:
     rows = random.uniform(-2.0, 2.0, (100, 3))
     lengths = {f"L{i + 1}": length for i, length in enumerate(model.lengths)}
     angles = {f"q{i + 1}": rows[:, i] for i in range(3)}
-    tips = np.array([forward(model, q)[:2] for q in rows])
+    tips = np.array([planar(model, q)[-1] for q in rows])
     items_of_components = []
     components = (("sec4.position", "X", "cos"), ("sec4.position_y", "Y", "sin"))
     for (id, axis, wave), right in zip(components, tips.T, strict=True):
@@ -107,7 +112,7 @@ def _hinges() -> Item:
     random = np.random.default_rng(3)
     worst = 0.0
     for q in random.uniform(-2.0, 2.0, (100, 3)):
-        nodes = to_palm(model, points(model, q))
+        nodes = points(model, q)
         steps = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
         worst = max(worst, float(np.ptp(nodes[:, 2])), float(np.abs(steps - model.lengths).max()))
     return Item(
@@ -127,7 +132,7 @@ def _meaning() -> Item:
     q = np.array([0.3, 0.5, 0.7])
     absolute = np.cumsum(q)
     height: Callable[[Array], float] = lambda theta: float(np.array(model.lengths) @ np.sin(theta))  # noqa: E731
-    tip = float(points(model, q)[-1][1])
+    tip = float(planar(model, q)[-1][1])
     same = abs(height(q) - tip) < TOLERANCE
     return Item(
         "sec4-7.angles", "Sec. 4 against Sec. 7", "θ₁, θ₂, θ₃ in both", "θ = S q, S lower triangular of ones", "",
@@ -144,7 +149,7 @@ def _absolute() -> Item:
     model = digit("index")
     q = np.array([0.3, 0.5, 0.7])
     height = 1000.0 * float(np.array(model.lengths) @ np.sin(np.cumsum(q)))
-    tip = 1000.0 * float(points(model, q)[-1][1])
+    tip = 1000.0 * float(planar(model, q)[-1][1])
     return Item(
         "sec7.absolute", "Sec. 7", "θ₁, θ₂ and θ₃ absolute angles with the x-axis", "the angles of Eq. 3 to 12", "",
         of_statement(abs(height - tip) < TOLERANCE),
@@ -158,12 +163,10 @@ def _inverse() -> Item:
     random = np.random.default_rng(2)
     worst = 0.0
     for q in random.uniform(0.05, 1.7, (200, 3)):
-        pose = forward(model, q)
-        solutions = [forward(model, solution) for solution in inverse(model, *pose)]
-        worst = max(
-            worst,
-            *(max(abs(repeated.x - pose.x), abs(repeated.y - pose.y)) for repeated in solutions),
-        )
+        tip = planar(model, q)[-1]
+        x, y = tip.tolist()
+        solutions = inverse(model, x, y, float(q.sum()))
+        worst = max(worst, *(float(np.abs(planar(model, np.array(one))[-1] - tip).max()) for one in solutions))
     return Item(
         "sec4.inverse", "Sec. 4", "(not printed)", "forward(inverse(X, Y, θ)) = (X, Y, θ)", "",
         of_statement(worst < 1e-12),

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from handctl.hand import rigid_body
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.dynamics import inverse_dynamics
 from handctl.hand.load import load_hand
@@ -59,8 +60,8 @@ def finger_states(digit: DigitModel) -> States:
     """Return random motions of a finger with its own lengths and masses."""
     states = dict(random_states())
     for i in range(3):
-        states |= {f"I{i + 1}": digit.inertias[i], f"m{i + 1}": digit.masses[i]}
-        states |= {f"L{i + 1}": digit.lengths[i], f"d{i + 1}": digit.coms[i]}
+        states |= {f"I{i + 1}": digit.inertias[i, 2, 2], f"m{i + 1}": digit.masses[i]}
+        states |= {f"L{i + 1}": digit.lengths[i], f"d{i + 1}": digit.coms[i, 0]}
     return {**states, "g": 9.81}
 
 
@@ -195,7 +196,10 @@ def paper_finger() -> DigitModel:
     """Return a finger of the packaged hand as in Eq. 3 to 12: no armature, weight along -y of its plane."""
     # Eq. 3 to 12 have no armature, and their weight acts along -y of the finger's plane.
     digit = DigitModel.of(load_hand("jamia"), "index")
-    return replace(digit, gravity=(0.0, -9.81), links=digit.links._replace(r1=0.0, r2=0.0, r3=0.0))
+    digit = digit.with_gravity(digit.mount_rotation @ np.array([0.0, -9.81, 0.0]))
+    table = digit.table.copy()
+    table[rigid_body.ARMATURE] = 0.0
+    return replace(digit, table=table)
 
 
 def joint_torques(digit: DigitModel, states: States) -> Array:

@@ -1,0 +1,390 @@
+"""Rigid-body mechanics of trees of hinged links: poses, weight, inverse dynamics, compiled.
+
+A table has a column per link, in an order in which each link follows its parent. ``parent`` is the
+column of the link before, -1 for the palm. The frame of a link has its origin in the link's joint
+and x along the link. The tip of a link is at its length along x. Gravity and poses are in the palm
+frame, rates and forces of ``newton_euler`` in the links' frames.
+
+Source: Featherstone, Rigid Body Dynamics Algorithms (2008), recursive Newton-Euler algorithm.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.compiled import inner, kernel
+
+Array = NDArray[np.float64]
+Counts = NDArray[np.int64]
+
+FIXED = 0
+COSINE = 9
+SINE = 18
+"""First rows of three matrices, row by row: a link's rotation to its parent is FIXED + cos q COSINE + sin q SINE."""
+ORIGIN = 27
+"""First row of the joint's position in the parent's frame [m]."""
+AXIS = 30
+"""First row of the joint's axis in the link's frame, a unit vector."""
+MASS = 33
+"""Row of the link's mass [kg]."""
+MOMENT = 34
+"""First row of the link's first moment of mass in its frame [kg m]."""
+INERTIA = 37
+"""First row of the inertia about the joint's position: xx, yy, zz, xy, xz, yz [kg m2]."""
+ARMATURE = 43
+"""Row of the inertia of the joint alone [kg m2]."""
+LENGTH = 44
+"""Row of the link's length [m]."""
+ROWS = 45
+"""Number of rows of a table."""
+
+ROTATION = 0
+"""First column of a pose's rotation to the palm frame, row by row."""
+POSITION = 9
+"""First column of the position of the link's joint [m]."""
+DIRECTION = 12
+"""First column of the joint's axis in the palm frame."""
+CARRIED_MASS = 15
+"""Column of the mass of the link and of all links beyond [kg]."""
+CARRIED_MOMENT = 16
+"""First column of its first moment of mass in the palm frame [kg m]."""
+POSE = 19
+"""Number of columns of a pose."""
+
+# Columns of the working memory of ``newton_euler``: rotation to the parent, then vectors in the link's frame.
+_RATE = 9
+_TURN = 12
+_MOVE = 15
+_FORCE = 18
+_TORQUE = 21
+_WORK = 24
+
+
+@inner
+def place_links(table: Array, row: int, parent: Counts, q: Array, pose: Array) -> None:
+    """Write the poses of all links, without the carried masses.
+
+    Args:
+        table: see the module, with its first row at ``row``.
+        row: first row in the table.
+        parent: (n,) column of the link before, -1 for the palm.
+        q: (n,) joint angles [rad].
+        pose: (n, POSE) result.
+    """
+    turn = np.empty(9)
+    for j in range(len(q)):
+        cosine = math.cos(q[j])
+        sine = math.sin(q[j])
+        for i in range(9):
+            turn[i] = table[row + FIXED + i, j] + cosine * table[row + COSINE + i, j] + sine * table[row + SINE + i, j]
+        before = parent[j]
+        for a in range(3):
+            if before < 0:
+                pose[j, POSITION + a] = table[row + ORIGIN + a, j]
+                for b in range(3):
+                    pose[j, ROTATION + 3 * a + b] = turn[3 * a + b]
+            else:
+                first = pose[before, ROTATION + 3 * a]
+                second = pose[before, ROTATION + 3 * a + 1]
+                third = pose[before, ROTATION + 3 * a + 2]
+                for b in range(3):
+                    pose[j, ROTATION + 3 * a + b] = first * turn[b] + second * turn[3 + b] + third * turn[6 + b]
+                pose[j, POSITION + a] = (
+                    pose[before, POSITION + a]
+                    + first * table[row + ORIGIN, j]
+                    + second * table[row + ORIGIN + 1, j]
+                    + third * table[row + ORIGIN + 2, j]
+                )
+            pose[j, DIRECTION + a] = _along(table, row + AXIS, pose, j, a)
+
+
+@inner
+def _along(table: Array, row: int, pose: Array, j: int, a: int) -> float:
+    """Return component a, in the palm frame, of a vector of three rows in the frame of link j."""
+    first = pose[j, ROTATION + 3 * a] * table[row, j]
+    second = pose[j, ROTATION + 3 * a + 1] * table[row + 1, j]
+    third = pose[j, ROTATION + 3 * a + 2] * table[row + 2, j]
+    return first + second + third
+
+
+@inner
+def carry(table: Array, row: int, parent: Counts, pose: Array) -> None:
+    """Write the carried masses and first moments of all links, for given poses."""
+    for j in range(len(pose)):
+        pose[j, CARRIED_MASS] = table[row + MASS, j]
+        for a in range(3):
+            moment = _along(table, row + MOMENT, pose, j, a)
+            pose[j, CARRIED_MOMENT + a] = table[row + MASS, j] * pose[j, POSITION + a] + moment
+    # From the tips inwards.
+    for j in range(len(pose) - 1, -1, -1):
+        before = parent[j]
+        if before >= 0:
+            for i in range(CARRIED_MASS, CARRIED_MOMENT + 3):
+                pose[before, i] += pose[j, i]
+
+
+@inner
+def weight(table: Array, row: int, parent: Counts, gravity: Array, pose: Array, torque: Array) -> None:
+    """Write the joint torques (n,) that balance the weight of the links [N m], for given poses.
+
+    Args:
+        table: see ``place_links``.
+        row: first row in the table.
+        parent: see ``place_links``.
+        gravity: (3,) in the palm frame [m/s2].
+        pose: (n, POSE) poses. The carried masses are written.
+        torque: (n,) result.
+    """
+    carry(table, row, parent, pose)
+    for j in range(len(pose)):
+        mass = pose[j, CARRIED_MASS]
+        x = pose[j, CARRIED_MOMENT] - mass * pose[j, POSITION]
+        y = pose[j, CARRIED_MOMENT + 1] - mass * pose[j, POSITION + 1]
+        z = pose[j, CARRIED_MOMENT + 2] - mass * pose[j, POSITION + 2]
+        # Against the torque of the weight, (first moment) x gravity, along the joint's axis.
+        torque[j] = -(
+            pose[j, DIRECTION] * (y * gravity[2] - z * gravity[1])
+            + pose[j, DIRECTION + 1] * (z * gravity[0] - x * gravity[2])
+            + pose[j, DIRECTION + 2] * (x * gravity[1] - y * gravity[0])
+        )
+
+
+@inner
+def levers(pose: Array, first: int, touched: int, along: float, lever: Array) -> None:
+    """Write the levers of a force on a link about the joints from ``first`` to the link [m].
+
+    The force is along y of the link, the side of flexion, at a point on the link's x axis.
+
+    Args:
+        pose: (n, POSE) poses.
+        first: first joint of the chain.
+        touched: index of the link.
+        along: distance of the point from the link's joint [m].
+        lever: (n,) result, from ``first`` to ``touched``.
+    """
+    px = pose[touched, POSITION] + along * pose[touched, ROTATION]
+    py = pose[touched, POSITION + 1] + along * pose[touched, ROTATION + 3]
+    pz = pose[touched, POSITION + 2] + along * pose[touched, ROTATION + 6]
+    nx, ny, nz = pose[touched, ROTATION + 1], pose[touched, ROTATION + 4], pose[touched, ROTATION + 7]
+    for j in range(first, touched + 1):
+        lever[j] = _lever(pose, j, px, py, pz, nx, ny, nz)
+
+
+@inner
+def _lever(pose: Array, j: int, px: float, py: float, pz: float, nx: float, ny: float, nz: float) -> float:
+    """Return the lever about joint j of a force along a unit vector n at a point p, axis . (arm x n) [m]."""
+    x, y, z = px - pose[j, POSITION], py - pose[j, POSITION + 1], pz - pose[j, POSITION + 2]
+    return (
+        pose[j, DIRECTION] * (y * nz - z * ny)
+        + pose[j, DIRECTION + 1] * (z * nx - x * nz)
+        + pose[j, DIRECTION + 2] * (x * ny - y * nx)
+    )
+
+
+@inner
+def turned_levers(pose: Array, first: int, last: int, along: float, turned: int, angle: float, lever: Array) -> None:
+    """Write the levers of a force on the last link of a chain after one joint has turned, see ``levers``.
+
+    The links beyond that joint turn as a whole with the force: their levers stay.
+
+    Args:
+        pose: (n, POSE) poses.
+        first: first joint of the chain.
+        last: index of the link.
+        along: distance of the point from the link's joint [m].
+        turned: joint that turns.
+        angle: angle of the turn [rad].
+        lever: (n,) levers before, and the result. Entries up to the turned joint change.
+    """
+    ax, ay, az = pose[turned, DIRECTION], pose[turned, DIRECTION + 1], pose[turned, DIRECTION + 2]
+    nx, ny, nz = pose[last, ROTATION + 1], pose[last, ROTATION + 4], pose[last, ROTATION + 7]
+    x = pose[last, POSITION] + along * pose[last, ROTATION] - pose[turned, POSITION]
+    y = pose[last, POSITION + 1] + along * pose[last, ROTATION + 3] - pose[turned, POSITION + 1]
+    z = pose[last, POSITION + 2] + along * pose[last, ROTATION + 6] - pose[turned, POSITION + 2]
+    nx, ny, nz = _rotated(ax, ay, az, angle, nx, ny, nz)
+    x, y, z = _rotated(ax, ay, az, angle, x, y, z)
+    px, py, pz = pose[turned, POSITION] + x, pose[turned, POSITION + 1] + y, pose[turned, POSITION + 2] + z
+    for j in range(first, turned + 1):
+        lever[j] = _lever(pose, j, px, py, pz, nx, ny, nz)
+
+
+@inner
+def _rotated(ax: float, ay: float, az: float, angle: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return a vector turned about a unit axis by an angle [rad]. Source: Rodrigues' formula."""
+    cosine = math.cos(angle)
+    sine = math.sin(angle)
+    part = (1.0 - cosine) * (ax * x + ay * y + az * z)
+    return (
+        x * cosine + (ay * z - az * y) * sine + ax * part,
+        y * cosine + (az * x - ax * z) * sine + ay * part,
+        z * cosine + (ax * y - ay * x) * sine + az * part,
+    )
+
+
+@inner
+def newton_euler(
+    table: Array, row: int, parent: Counts, gravity: Array, q: Array, dq: Array, ddq: Array, torque: Array
+) -> None:
+    """Write the joint torques (n,) of inertia and weight, M q'' + C q' + g [N m].
+
+    Args:
+        table: see ``place_links``.
+        row: first row in the table.
+        parent: see ``place_links``.
+        gravity: (3,) in the palm frame [m/s2].
+        q: (n,) joint angles [rad].
+        dq: (n,) joint rates [rad/s].
+        ddq: (n,) joint accelerations [rad/s2].
+        torque: (n,) result.
+    """
+    work = np.empty((len(q), _WORK))
+    for j in range(len(q)):
+        _move_link(table, row, parent[j], gravity, q[j], dq[j], ddq[j], work, j)
+        _load_link(table, row, work, j)
+    # From the tips inwards: each joint carries the forces of its link and of all links beyond.
+    for j in range(len(q) - 1, -1, -1):
+        torque[j] = (
+            table[row + AXIS, j] * work[j, _TORQUE]
+            + table[row + AXIS + 1, j] * work[j, _TORQUE + 1]
+            + table[row + AXIS + 2, j] * work[j, _TORQUE + 2]
+            + table[row + ARMATURE, j] * ddq[j]
+        )
+        before = parent[j]
+        if before >= 0:
+            _hand_on(table, row, work, j, before)
+
+
+@inner
+def _move_link(
+    table: Array, row: int, before: int, gravity: Array, q: float, dq: float, ddq: float, work: Array, j: int
+) -> None:
+    """Write rotation, rate, angular acceleration and acceleration of link j, less gravity, in its frame."""
+    cosine = math.cos(q)
+    sine = math.sin(q)
+    for i in range(9):
+        work[j, i] = table[row + FIXED + i, j] + cosine * table[row + COSINE + i, j] + sine * table[row + SINE + i, j]
+    wx, wy, wz = 0.0, 0.0, 0.0
+    tx, ty, tz = 0.0, 0.0, 0.0
+    # Gravity is an upward acceleration of the palm.
+    mx, my, mz = -gravity[0], -gravity[1], -gravity[2]
+    if before >= 0:
+        wx, wy, wz = work[before, _RATE], work[before, _RATE + 1], work[before, _RATE + 2]
+        tx, ty, tz = work[before, _TURN], work[before, _TURN + 1], work[before, _TURN + 2]
+        ox, oy, oz = table[row + ORIGIN, j], table[row + ORIGIN + 1, j], table[row + ORIGIN + 2, j]
+        # Of the joint's position: a + t x o + w x (w x o).
+        ux, uy, uz = wy * oz - wz * oy, wz * ox - wx * oz, wx * oy - wy * ox
+        mx = work[before, _MOVE] + (ty * oz - tz * oy) + (wy * uz - wz * uy)
+        my = work[before, _MOVE + 1] + (tz * ox - tx * oz) + (wz * ux - wx * uz)
+        mz = work[before, _MOVE + 2] + (tx * oy - ty * ox) + (wx * uy - wy * ux)
+    for a in range(3):
+        # Transposed rotation: from the parent's frame into the link's.
+        work[j, _RATE + a] = work[j, a] * wx + work[j, 3 + a] * wy + work[j, 6 + a] * wz
+        work[j, _TURN + a] = work[j, a] * tx + work[j, 3 + a] * ty + work[j, 6 + a] * tz
+        work[j, _MOVE + a] = work[j, a] * mx + work[j, 3 + a] * my + work[j, 6 + a] * mz
+    ax, ay, az = table[row + AXIS, j], table[row + AXIS + 1, j], table[row + AXIS + 2, j]
+    wx, wy, wz = work[j, _RATE], work[j, _RATE + 1], work[j, _RATE + 2]
+    work[j, _TURN] += ax * ddq + (wy * az - wz * ay) * dq
+    work[j, _TURN + 1] += ay * ddq + (wz * ax - wx * az) * dq
+    work[j, _TURN + 2] += az * ddq + (wx * ay - wy * ax) * dq
+    work[j, _RATE] += ax * dq
+    work[j, _RATE + 1] += ay * dq
+    work[j, _RATE + 2] += az * dq
+
+
+@inner
+def _load_link(table: Array, row: int, work: Array, j: int) -> None:
+    """Write the force on link j, and its torque about the joint, in the link's frame."""
+    mass = table[row + MASS, j]
+    hx, hy, hz = table[row + MOMENT, j], table[row + MOMENT + 1, j], table[row + MOMENT + 2, j]
+    wx, wy, wz = work[j, _RATE], work[j, _RATE + 1], work[j, _RATE + 2]
+    tx, ty, tz = work[j, _TURN], work[j, _TURN + 1], work[j, _TURN + 2]
+    mx, my, mz = work[j, _MOVE], work[j, _MOVE + 1], work[j, _MOVE + 2]
+    # Force: m a + t x h + w x (w x h).
+    ux, uy, uz = wy * hz - wz * hy, wz * hx - wx * hz, wx * hy - wy * hx
+    work[j, _FORCE] = mass * mx + (ty * hz - tz * hy) + (wy * uz - wz * uy)
+    work[j, _FORCE + 1] = mass * my + (tz * hx - tx * hz) + (wz * ux - wx * uz)
+    work[j, _FORCE + 2] = mass * mz + (tx * hy - ty * hx) + (wx * uy - wy * ux)
+    xx, yy, zz = table[row + INERTIA, j], table[row + INERTIA + 1, j], table[row + INERTIA + 2, j]
+    xy, xz, yz = table[row + INERTIA + 3, j], table[row + INERTIA + 4, j], table[row + INERTIA + 5, j]
+    # Torque: I t + w x (I w) + h x a.
+    lx, ly, lz = xx * wx + xy * wy + xz * wz, xy * wx + yy * wy + yz * wz, xz * wx + yz * wy + zz * wz
+    work[j, _TORQUE] = xx * tx + xy * ty + xz * tz + (wy * lz - wz * ly) + (hy * mz - hz * my)
+    work[j, _TORQUE + 1] = xy * tx + yy * ty + yz * tz + (wz * lx - wx * lz) + (hz * mx - hx * mz)
+    work[j, _TORQUE + 2] = xz * tx + yz * ty + zz * tz + (wx * ly - wy * lx) + (hx * my - hy * mx)
+
+
+@inner
+def _hand_on(table: Array, row: int, work: Array, j: int, before: int) -> None:
+    """Add force and torque of link j to those of its parent."""
+    fx, fy, fz = work[j, _FORCE], work[j, _FORCE + 1], work[j, _FORCE + 2]
+    nx, ny, nz = work[j, _TORQUE], work[j, _TORQUE + 1], work[j, _TORQUE + 2]
+    gx = work[j, 0] * fx + work[j, 1] * fy + work[j, 2] * fz
+    gy = work[j, 3] * fx + work[j, 4] * fy + work[j, 5] * fz
+    gz = work[j, 6] * fx + work[j, 7] * fy + work[j, 8] * fz
+    ox, oy, oz = table[row + ORIGIN, j], table[row + ORIGIN + 1, j], table[row + ORIGIN + 2, j]
+    work[before, _FORCE] += gx
+    work[before, _FORCE + 1] += gy
+    work[before, _FORCE + 2] += gz
+    # The force acts at the joint's position: R n + o x (R f).
+    work[before, _TORQUE] += work[j, 0] * nx + work[j, 1] * ny + work[j, 2] * nz + (oy * gz - oz * gy)
+    work[before, _TORQUE + 1] += work[j, 3] * nx + work[j, 4] * ny + work[j, 5] * nz + (oz * gx - ox * gz)
+    work[before, _TORQUE + 2] += work[j, 6] * nx + work[j, 7] * ny + work[j, 8] * nz + (ox * gy - oy * gx)
+
+
+@kernel("matrix", "counts", "vector")
+def poses(table: Array, parent: Counts, q: Array) -> Array:
+    """Return the poses (n, POSE) of all links, with carried masses, at joint angles q (n,) [rad]."""
+    pose = np.empty((len(q), POSE))
+    place_links(table, 0, parent, q, pose)
+    carry(table, 0, parent, pose)
+    return pose
+
+
+@kernel("matrix", "counts", "vector", "vector")
+def weight_torque(table: Array, parent: Counts, gravity: Array, q: Array) -> Array:
+    """Return the joint torques (n,) that balance the weight of the links [N m], see ``weight``."""
+    pose = np.empty((len(q), POSE))
+    torque = np.empty(len(q))
+    place_links(table, 0, parent, q, pose)
+    weight(table, 0, parent, gravity, pose, torque)
+    return torque
+
+
+@kernel("matrix", "counts", "vector", "vector", "vector", "vector")
+def rigid_torque(table: Array, parent: Counts, gravity: Array, q: Array, dq: Array, ddq: Array) -> Array:
+    """Return the joint torques (n,) of inertia and weight [N m], see ``newton_euler``."""
+    torque = np.empty(len(q))
+    newton_euler(table, 0, parent, gravity, q, dq, ddq, torque)
+    return torque
+
+
+@kernel("matrix", "counts", "vector")
+def inertia_matrix(table: Array, parent: Counts, q: Array) -> Array:
+    """Return the mass matrix (n, n) [kg m2] at joint angles q (n,) [rad], with armature.
+
+    Column k is the torque of a unit acceleration of joint k at rest without gravity. The matrix is
+    symmetric to the last bit: the lower triangle is a copy of the upper.
+    """
+    n = len(q)
+    rest = np.zeros(max(n, 3))
+    unit = np.zeros(n)
+    matrix = np.empty((n, n))
+    for k in range(n):
+        unit[k] = 1.0
+        newton_euler(table, 0, parent, rest, q, rest, unit, matrix[k])
+        unit[k] = 0.0
+    for k in range(n):
+        for i in range(k):
+            matrix[k, i] = matrix[i, k]
+    return matrix
+
+
+@kernel("matrix", "counts", "vector", "count", "real")
+def tip_levers(table: Array, parent: Counts, q: Array, touched: int, along: float) -> Array:
+    """Return the levers (n,) [m] of a force on a link of a chain about its joints, 0 beyond, see ``levers``."""
+    pose = np.empty((len(q), POSE))
+    lever = np.zeros(len(q))
+    place_links(table, 0, parent, q, pose)
+    levers(pose, 0, touched, along, lever)
+    return lever

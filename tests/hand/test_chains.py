@@ -1,0 +1,164 @@
+"""Spatial chains against pinocchio and MuJoCo: twenty random hands with gravity in any direction."""
+
+import mujoco
+import numpy as np
+import pinocchio
+import pytest
+
+from firmware_sim.description import load_hand as simulated_hand
+from firmware_sim.plant.mjcf import model_text
+from firmware_sim.scene.scene import load_scene
+from handctl.core.estimation.tip import joint_lever
+from handctl.hand import dynamics, rigid_body
+from handctl.hand.description import Hand
+from handctl.hand.digit import DigitModel
+from handctl.hand.formats.mjcf import mjcf
+from handctl.hand.formats.urdf import urdf
+from handctl.hand.kinematics import forward, point_jacobian, points, tip_jacobian
+from handctl.hand.link_frames import link_transforms
+from handctl.log.topics.transforms import link_frames, product, rotated
+from tests.hand.chains import SEEDS, random_hand
+from tests.hand.test_dynamics import TOLERANCE, agree, pinocchio_by_hand, states, whole_hand
+
+
+@pytest.fixture(params=SEEDS)
+def chains(request: pytest.FixtureRequest) -> tuple[Hand, tuple[DigitModel, ...]]:
+    """Return every random hand with its digits."""
+    hand = random_hand(request.param)
+    return hand, tuple(DigitModel.of(hand, name) for name in hand.digit_names)
+
+
+def test_random_hands_have_all_counts_of_links():
+    assert {len(random_hand(seed).digit[0].joints) for seed in SEEDS} == set(range(1, 9))
+
+
+def test_dynamics_and_kinematics_are_pinocchio_s(chains, rng):
+    hand, digits = chains
+    for digit in digits:
+        model = pinocchio_by_hand(digit, hand.mount.gravity_m_s2)
+        tip = model.addFrame(
+            pinocchio.Frame(
+                "tip",
+                digit.joint_count,
+                pinocchio.SE3(np.eye(3), np.array([digit.lengths[-1], 0.0, 0.0])),
+                pinocchio.FrameType.OP_FRAME,
+            )
+        )
+        data = model.createData()
+        world = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        for q, dq, ddq in states(rng, digit.joint_count, 50):
+            tau = pinocchio.rnea(model, data, q, dq, ddq)
+            assert agree(dynamics.inverse_dynamics(digit, q, dq, ddq), tau)
+            standing = pinocchio.computeGeneralizedGravity(model, data, q)
+            assert np.allclose(dynamics.gravity_torque(digit, q), standing, rtol=0, atol=TOLERANCE * 1e-3)
+            upper = np.triu(pinocchio.crba(model, data, q))
+            assert agree(dynamics.mass_matrix(digit, q), upper + np.triu(upper, 1).T)
+            assert agree(dynamics.forward_dynamics(digit, q, dq, tau), ddq)
+            pinocchio.framesForwardKinematics(model, data, q)
+            pose = forward(digit, q)
+            assert np.allclose(pose.position, data.oMf[tip].translation, atol=1e-13)
+            assert np.allclose(pose.rotation, data.oMf[tip].rotation, atol=1e-13)
+            jacobian = pinocchio.computeFrameJacobian(model, data, q, tip, world).reshape(6, -1)[:3]
+            assert np.allclose(tip_jacobian(digit, q), jacobian, atol=1e-13)
+            energy = pinocchio.computePotentialEnergy(model, data, q) + sum(digit.masses) * np.dot(
+                hand.mount.gravity_m_s2, digit.mount_position
+            )
+            assert np.isclose(dynamics.potential_energy(digit, q), energy, rtol=1e-9, atol=1e-15)
+            kinetic = pinocchio.computeKineticEnergy(model, data, q, dq) + 0.5 * np.dot(digit.armature, dq**2)
+            assert np.isclose(dynamics.kinetic_energy(digit, q, dq), kinetic, rtol=1e-9)
+
+
+def inverse_by_mujoco(model, q, dq, ddq):
+    """Return inverse dynamics of a model without constraints, damping and springs, and its mass matrix."""
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    model.dof_damping[:] = model.jnt_stiffness[:] = model.tendon_damping[:] = 0.0
+    data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
+    data.qpos[:], data.qvel[:], data.qacc[:] = q, dq, ddq
+    mujoco.mj_inverse(model, data)
+    mujoco.mj_fullM(model, data, full)
+    return np.array(data.qfrc_inverse), full
+
+
+def test_exports_and_the_simulator_s_own_model_are_the_same_hand(chains, rng, tmp_path):
+    """Compare the export as MJCF, and the model that the simulator makes of the same file by code of its own."""
+    hand, digits = chains
+    path = tmp_path / "random.toml"
+    path.write_text(hand.to_toml())
+    for text in (mjcf(hand), model_text(simulated_hand(str(path)), load_scene(None))):
+        model = mujoco.MjModel.from_xml_string(text)
+        assert [model.joint(i).name for i in range(model.nv)] == list(hand.joints)
+        for q, dq, ddq in states(rng, model.nv, 10):
+            theirs, full = inverse_by_mujoco(model, q, dq, ddq)
+            assert agree(whole_hand(digits, q, dq, ddq), theirs)
+            for digit in digits:
+                own = digit.joints
+                assert agree(dynamics.mass_matrix(digit, q[own]), full[own, own])
+
+
+def test_urdf_is_the_same_hand(chains, rng):
+    hand, digits = chains
+    model = pinocchio.buildModelFromXML(urdf(hand))
+    model.gravity.linear = np.array(hand.mount.gravity_m_s2)
+    order = [model.joints[model.getJointId(joint)].idx_v for joint in hand.joints]
+    data = model.createData()
+    for q, dq, ddq in states(rng, len(hand.joints), 10):
+        theirs = [np.zeros(model.nv) for _ in range(3)]
+        for vector, mine in zip(theirs, (q, dq, ddq), strict=True):
+            vector[order] = mine
+        armature = np.concatenate([digit.armature for digit in digits]) * ddq
+        assert agree(whole_hand(digits, q, dq, ddq) - armature, pinocchio.rnea(model, data, *theirs)[order])
+        pinocchio.framesForwardKinematics(model, data, theirs[0])
+        for digit in digits:
+            for transform in link_transforms(digit, q[digit.joints]):
+                place = data.oMf[model.getFrameId(transform.frame)]
+                assert np.allclose(transform.position, place.translation, atol=1e-12)
+                turned = pinocchio.Quaternion(np.array(transform.quaternion_xyzw)).toRotationMatrix()
+                assert np.allclose(turned, place.rotation, atol=1e-12)
+
+
+def test_transforms_of_the_log_are_those_of_the_model(chains, rng):
+    """Compose the log's transforms, made of the text of the hand file alone."""
+    hand, digits = chains
+    q = rng.uniform(-2.0, 2.0, len(hand.joints))
+    place = {"palm": (np.zeros(3), (0.0, 0.0, 0.0, 1.0))}
+    for link in link_frames(hand.to_toml()):
+        position, turn = place[link.parent]
+        here = np.array(pinocchio.Quaternion(np.array(turn)).toRotationMatrix()) @ link.position + position
+        own = tuple(rotated(link, q[[link.joint]])[0]) if link.joint >= 0 else link.rotation
+        place[link.child] = here, product(turn, own)
+    for digit in digits:
+        for transform in link_transforms(digit, q[digit.joints]):
+            position, turn = place[transform.frame]
+            assert np.allclose(transform.position, position, atol=1e-12)
+            assert np.isclose(abs(np.dot(turn, transform.quaternion_xyzw)), 1.0, atol=1e-12)
+
+
+def test_jacobians_and_levers_are_derivatives(chains, rng):
+    _, digits = chains
+    h = 1e-6
+    for digit in digits:
+        steps = h * np.eye(digit.joint_count)
+        q = rng.uniform(-2.0, 2.0, digit.joint_count)
+        slope = [(points(digit, q + s)[-1] - points(digit, q - s)[-1]) / (2 * h) for s in steps]
+        assert np.allclose(tip_jacobian(digit, q), np.transpose(slope), atol=1e-9)
+        side = forward(digit, q).rotation[:, 1]
+        assert np.allclose(joint_lever(digit, q), side @ tip_jacobian(digit, q), atol=1e-14)
+        for link in range(digit.joint_count):
+            middle = point_jacobian(digit, q, link, 0.5 * digit.lengths[link])
+            normal = np.array(rigid_body.poses(digit.table, digit.parent, q))[link, [1, 4, 7]]
+            lever = rigid_body.tip_levers(digit.table, digit.parent, q, link, 0.5 * digit.lengths[link])
+            assert np.allclose(lever, normal @ middle, atol=1e-14)
+
+
+def test_each_number_of_a_table_matters(rng):
+    """Change each number of a link in the middle by a thousandth: the torque leaves the tolerance."""
+    hand = random_hand(3, 3)
+    digit = DigitModel.of(hand, "d0")
+    q, dq, ddq = next(iter(states(rng, 3, 1)))
+    right = np.array(dynamics.inverse_dynamics(digit, q, dq, ddq))
+    for row in range(rigid_body.LENGTH):
+        table = digit.table.copy()
+        table[row, 1] *= 1.001
+        wrong = rigid_body.rigid_torque(table, digit.parent, digit.gravity, q, dq, ddq)
+        unused = table[row, 1] == 0.0
+        assert unused != (not agree(wrong, right)), row
