@@ -125,6 +125,8 @@ class MotorSpec:
         options: options of the protocol.
         serial: serial number of the drive, None for the default of the protocol.
         torque_gain: true torque divided by the torque that the drive believes, 1 unless perturbed.
+        top_speed: no-load speed at the supply voltage [rad/s], 0 for a motor without a speed limit.
+        stall_torque: torque at standstill if only the supply voltage limited it [N m].
     """
 
     name: str
@@ -145,6 +147,8 @@ class MotorSpec:
     options: dict[str, Any]
     serial: int | None = None
     torque_gain: float = 1.0
+    top_speed: float = 0.0
+    stall_torque: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

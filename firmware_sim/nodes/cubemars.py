@@ -15,6 +15,7 @@ torque and ends when its cause ends. Unknown codes behind seven bytes of FF are 
 """
 
 import enum
+import math
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.description import MotorSpec
@@ -31,6 +32,18 @@ FULL_SCALE = {
     "ak10-9": (12.5, 50.0, 65.0),
 }
 """Position [rad], velocity [rad/s] and torque [N m] range of each model."""
+SPEED_CONSTANTS = {
+    "ak60-6": (80.0, 6.0),
+    "ak70-10": (100.0, 10.0),
+    "ak80-6": (100.0, 6.0),
+    "ak80-9": (100.0, 9.0),
+    "ak10-9": (60.0, 9.0),
+}
+"""Speed constant [1/min/V] and gear ratio of each model. Source: the names of the models, such as AK80-9 KV100."""
+SUPPLY_V = 48.0
+"""Supply voltage [V]."""
+STALL_FACTOR = 2.0
+"""Stall torque divided by full scale, an assumption."""
 DEFAULT_TYPE = "ak80-9"
 """Default model."""
 THERMAL_PERIOD_NS = 100_000_000
@@ -198,9 +211,12 @@ class CubemarsNode:
 
 
 def shaft(motor_type: str) -> Shaft:
-    """Build the shaft of a model. Its inertia is an assumption."""
+    """Build the shaft of a model. Inertia and stall torque are assumptions."""
     position, velocity, peak = FULL_SCALE[motor_type]
-    return Shaft(peak, 2e-4 * peak, 1.0, position, velocity, {"motor_type": motor_type})
+    speed_constant, ratio = SPEED_CONSTANTS[motor_type]
+    top_speed = speed_constant * SUPPLY_V / ratio * math.tau / 60.0
+    options = {"motor_type": motor_type}
+    return Shaft(peak, 2e-4 * peak, 1.0, position, velocity, options, peak, top_speed, STALL_FACTOR * peak)
 
 
 def _host_frame(node_id: int) -> tuple[int, bytes]:

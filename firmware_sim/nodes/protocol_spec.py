@@ -1,5 +1,6 @@
 """The interface of a protocol to the simulator: its node, and its motors as delivered."""
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
@@ -68,12 +69,15 @@ class Shaft(NamedTuple):
     """A motor as delivered, at its output shaft.
 
     Attributes:
-        peak: peak torque [N m].
+        peak: full scale of the torque [N m].
         inertia: inertia of the free shaft [kg m2].
         torque_constant: torque constant [N m/A].
         position: position range [rad].
         velocity: velocity range [rad/s].
         options: options of the hand file.
+        limit: largest torque that the motor can make [N m].
+        top_speed: no-load speed [rad/s].
+        stall_torque: torque at standstill if only the supply voltage limited it [N m].
     """
 
     peak: float
@@ -82,6 +86,9 @@ class Shaft(NamedTuple):
     position: float = 12.5
     velocity: float = 30.0
     options: dict[str, Any] = {}  # noqa: RUF012 - read only
+    limit: float = math.inf
+    top_speed: float = 0.0
+    stall_torque: float = 0.0
 
 
 def identity(frame: Frame) -> Frame:

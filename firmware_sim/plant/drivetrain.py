@@ -149,6 +149,36 @@ def measure_angle(rotor: Any) -> None:
 
 
 @inner
+def within_speed(
+    rotor: Any, command: float, inertia: float, drag: float, speed: float, slope: float, brakes: bool
+) -> float:
+    """Limit a torque command [N m] between slope (-speed - omega) and slope (speed - omega).
+
+    The limits hold at the velocity at the end of the step, like the command of the servo.
+
+    Args:
+        rotor: the rotor.
+        command: torque command [N m].
+        inertia: inertia divided by step, plus the slope of the friction [N m s/rad].
+        drag: load plus Coulomb friction [N m].
+        speed: speed at which the limit is zero [rad/s].
+        slope: decrease of the limit with the speed [N m s/rad].
+        brakes: True if the limit brakes a faster rotor, False if the rotor then coasts.
+    """
+    sign = 1.0 if rotor.gain > 0.0 else -1.0
+    mass = inertia + rotor.viscous
+    push = inertia * rotor.omega + rotor.gain * (1.0 - rotor.lag) * rotor.torque - drag
+    # Solution of limit = slope (+-speed - omega), with omega = (push + gain lag limit) / mass.
+    scale = mass + slope * abs(rotor.gain) * rotor.lag
+    highest = (slope * speed * mass - sign * slope * push) / scale
+    lowest = (-slope * speed * mass - sign * slope * push) / scale
+    if not brakes:
+        highest = max(highest, 0.0)
+        lowest = min(lowest, 0.0)
+    return min(highest, max(lowest, command))
+
+
+@inner
 def compute_command(rotor: Any) -> None:
     """Compute the servo's torque command [N m] for the velocity at the end of the step, within the limit.
 
@@ -176,6 +206,12 @@ def compute_command(rotor: Any) -> None:
         command = limit
     elif command < -limit:
         command = -limit
+    if servo.speed_gain > 0.0:
+        command = within_speed(rotor, command, inertia, drag, servo.speed_limit, servo.speed_gain, True)
+    if rotor.top_speed > 0.0:
+        # Back-EMF: the voltage that is left for the current falls linearly to zero at no-load speed.
+        slope = rotor.stall_torque / rotor.top_speed
+        command = within_speed(rotor, command, inertia, drag, rotor.top_speed, slope, False)
     rotor.command = command
     rotor.drag = drag
     rotor.impedance = inertia

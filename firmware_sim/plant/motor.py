@@ -44,6 +44,8 @@ class Motor:
         viscous: viscous friction [N m s/rad].
         coulomb: Coulomb friction [N m].
         gain: true torque divided by the torque that the drive believes.
+        top_speed: no-load speed [rad/s], 0 for a motor without a speed limit.
+        stall_torque: torque at standstill if only the supply voltage limited it [N m].
         step: step of the plant [s].
         lag: fraction by which the current approaches its command in one step.
         velocity_lag: fraction by which the estimate approaches the velocity in one step.
@@ -81,6 +83,8 @@ class Motor:
         self.viscous = spec.viscous
         self.coulomb = spec.coulomb
         self.gain = spec.torque_gain
+        self.top_speed = spec.top_speed
+        self.stall_torque = spec.stall_torque
         self.set_step(step_s)
         self.load = self.angle = self.command = self.drag = self.impedance = 0.0
         self.steps_alone = False

@@ -17,6 +17,8 @@ class Servo:
         velocity: velocity setpoint [rad/s].
         torque: feedforward torque [N m].
         limit: torque limit of the drive [N m].
+        speed_limit: speed above which the drive brakes [rad/s].
+        speed_gain: gain of that limit [N m s/rad], 0 for no speed limit.
     """
 
     kp: float = 0.0
@@ -25,16 +27,21 @@ class Servo:
     velocity: float = 0.0
     torque: float = 0.0
     limit: float = 0.0
+    speed_limit: float = 0.0
+    speed_gain: float = 0.0
 
     def release(self) -> None:
         """Set gains and setpoints to zero, so that the motor coasts."""
-        self.kp = self.kd = self.position = self.velocity = self.torque = 0.0
+        self.kp = self.kd = self.position = self.velocity = self.torque = self.speed_gain = 0.0
 
 
 class ServoStruct(ctypes.Structure, Servo):
     """A servo inside a ``RotorStruct``."""
 
-    _fields_ = [(name, ctypes.c_double) for name in ("kp", "kd", "position", "velocity", "torque", "limit")]
+    _fields_ = [
+        (name, ctypes.c_double)
+        for name in ("kp", "kd", "position", "velocity", "torque", "limit", "speed_limit", "speed_gain")
+    ]
 
 
 class RotorStruct(ctypes.Structure):
@@ -44,6 +51,7 @@ class RotorStruct(ctypes.Structure):
         *((name, ctypes.c_double) for name in ("theta", "omega", "torque", "velocity", "heat")),
         *((name, ctypes.c_double) for name in ("inertia", "viscous", "coulomb", "gain", "step", "lag", "velocity_lag")),
         *((name, ctypes.c_double) for name in ("load", "angle", "command", "drag", "impedance")),
+        *((name, ctypes.c_double) for name in ("top_speed", "stall_torque")),
         *((name, ctypes.c_int64) for name in ("steps_alone", "faulty")),
         ("servo_row", ServoStruct),
     ]

@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from dataclasses import replace
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.bus.ports import open_port
@@ -10,6 +11,9 @@ from firmware_sim.command import CommandParser, check_time_scale, until_signal
 from firmware_sim.description import MotorSpec, SimulatorError
 from firmware_sim.faults.faulty_drive import FAULTS, with_fault, with_faulty_specs
 from firmware_sim.nodes import PROTOCOLS
+from firmware_sim.nodes.cia402.dictionary import EDS
+from firmware_sim.nodes.mit.node import COMMANDS, WATCHDOGS
+from firmware_sim.nodes.odrive import bench as odrive_bench
 from firmware_sim.nodes.protocol_spec import Node
 from firmware_sim.plant.motor import Motor
 from firmware_sim.printing import printable
@@ -22,9 +26,18 @@ EXAMPLES = """
 examples:
   python -m firmware_sim drive mit --ids 1,2,3,4 --bus socketcan:vcan0 --motor-type dm4310
   python -m firmware_sim drive odrive --ids 0,1 --bus local:lab
+  python -m firmware_sim drive odrive --ids 0 --uncalibrated --bus socketcan:vcan0
   python -m firmware_sim bus lab; ... drive mit --ids 1 --bus join:lab; ... drive cia402 --ids 32 --bus join:lab
 """
 """Examples of the help text."""
+ENDPOINTS = "\n".join(f"  {number}  {key.removeprefix('endpoint_')}" for key, number in odrive_bench.ENDPOINTS.items())
+EPILOG = f"""{EXAMPLES}
+endpoints of an ODrive with firmware 0.6 (read and written by SDO; real numbers are in its flat_endpoints.json):
+{ENDPOINTS}
+
+objects of a CiA 402 drive, for CANopen tools: {EDS}
+"""
+"""Text after the options in the help."""
 
 
 class Bench:
@@ -102,7 +115,7 @@ def _parser() -> CommandParser:
     parser = CommandParser(
         prog="python -m firmware_sim drive",
         description="Simulate drives with free shafts, as delivered.",
-        epilog=EXAMPLES,
+        epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
@@ -113,6 +126,9 @@ def _parser() -> CommandParser:
         help="MIT motors set to CAN FD (1/5 Mbit/s); they answer in the format of the request")  # fmt: skip
     add("--motor-type", metavar="TYPE", help=f"type of MIT motors: {', '.join(MIT_TYPES)} (dm4310); an ak is cubemars")
     add("--firmware", choices=["0.5", "0.6"], help="firmware of ODrives (0.6)")
+    add("--uncalibrated", action="store_true", help="ODrives that refuse closed loop until they were calibrated")
+    texts = "; ".join(f"{key}: {text}" for key, text in WATCHDOGS.items())
+    add("--watchdog", choices=list(WATCHDOGS), default=COMMANDS, help=f"watchdog of MIT motors. {texts} ({COMMANDS})")
     add("--inertia", type=float, metavar="KG_M2", help="inertia of each shaft [kg m2] (assumed for the motor type)")
     add("--wire", nargs="*", metavar="KEY=VALUE", help="simulate the wire with its timing (off)")
     faults = "; ".join(f"{key}: {text}" for key, text in FAULTS.items())
@@ -129,6 +145,10 @@ def _specs(args: argparse.Namespace) -> list[MotorSpec]:
     """
     if args.protocol != "odrive" and args.firmware:
         raise SimulatorError("--firmware: only for drive odrive")
+    if args.protocol != "odrive" and args.uncalibrated:
+        raise SimulatorError("--uncalibrated: only for drive odrive")
+    if args.watchdog != COMMANDS and args.protocol != "mit":
+        raise SimulatorError("--watchdog: only for drive mit")
     if args.fd and (args.protocol != "mit" or MIT_TYPES.get(args.motor_type) == "cubemars"):
         raise SimulatorError("--fd: only for drive mit with Damiao motors")
     if args.motor_type and args.protocol not in MIT_TYPES.values():
@@ -144,7 +164,11 @@ def _specs(args: argparse.Namespace) -> list[MotorSpec]:
         raise SimulatorError(f"--ids {args.ids}: expected each number once")
     kind = args.motor_type or ""
     firmware = args.firmware or "0.6"
-    return [drive_spec(args.protocol, n, kind, args.fd, args.inertia, firmware) for n in numbers]
+    options: dict[str, object] = {"uncalibrated": True} if args.uncalibrated else {}
+    if args.watchdog != COMMANDS:
+        options["watchdog"] = args.watchdog
+    specs = [drive_spec(args.protocol, n, kind, args.fd, args.inertia, firmware) for n in numbers]
+    return [replace(spec, options={**spec.options, **options}) for spec in specs]
 
 
 def run(words: list[str]) -> None:

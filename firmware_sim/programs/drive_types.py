@@ -50,8 +50,9 @@ def drive_spec(
     return MotorSpec(
         name=f"{protocol}{node_id}", protocol=protocol, bus="bench", node_id=node_id, spool_radius=1.0,
         inertia=rotor_inertia, viscous=rotor_inertia / COASTING_S, coulomb=FRICTION_FRACTION * shaft.peak,
-        torque_constant=shaft.torque_constant, torque_max=shaft.peak, torque_peak=shaft.peak,
+        torque_constant=shaft.torque_constant, torque_max=shaft.peak, torque_peak=min(shaft.peak, shaft.limit),
         position_range=shaft.position, velocity_range=shaft.velocity, direction=1, zero=0.0, options=shaft.options,
+        top_speed=shaft.top_speed, stall_torque=shaft.stall_torque,
     )  # fmt: skip
 
 
@@ -62,6 +63,6 @@ def _shaft(protocol: str, motor_type: str, fd: bool, firmware: str) -> Shaft:
     if protocol == "cubemars":
         return cubemars.shaft(motor_type or cubemars.DEFAULT_TYPE)
     if protocol == "mit":
-        ranges = mit_bench.TYPES[motor_type or mit_bench.DEFAULT_TYPE]
-        return mit_bench.shaft(ranges, fd=True) if fd else mit_bench.shaft(ranges)
+        kind = motor_type or mit_bench.DEFAULT_TYPE
+        return mit_bench.shaft(kind, fd=True) if fd else mit_bench.shaft(kind)
     return PROTOCOLS[protocol].shaft

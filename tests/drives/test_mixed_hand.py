@@ -10,6 +10,7 @@ from handctl.controller.setup import make_sensors
 from handctl.drives.contract import DriveTarget, Phase
 from handctl.drives.frame_time import bus_time_s
 from handctl.drives.identifiers import check_identifiers
+from handctl.drives.odrive.discovery import FREE_NUMBERS
 from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
 from handctl.hand.load import load_hand
@@ -138,6 +139,25 @@ def test_the_load_is_that_of_the_table(tmp_path: Path, protocol: str, extra: str
     frames = [(size, fd, 1.0) for drive in bench.drives for size, fd in drive.exchange] + [(8, False, 1.0)]
     frames += [(0, False, 1.0)] if protocol == "cia402" else [(8, False, 4.0)] if protocol == "odrive" else []
     assert bus_time_s(frames, 1e6) * 1e6 == pytest.approx(microseconds, rel=0.02)
+
+
+def test_the_numbers_that_the_page_recommends_for_odrives_are_free_beside_canopen() -> None:
+    """The page recommended 0x10, which takes the RPDO1 of CANopen nodes 1 to 31."""
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "adding-a-drive.md").read_text(encoding="utf-8")
+    text = re.search(r"The numbers (.*?) are outside of CANopen", page, re.DOTALL)
+    assert text
+    pairs = re.findall(r"0x(\w\w) to\s+0x(\w\w)", text[1])
+    assert [(int(first, 16), int(last, 16)) for first, last in pairs] == [(a[0], a[-1]) for a in FREE_NUMBERS]
+    options = {"rated_torque_N_m": 0.4, "counts_per_turn": 65536}
+    others = [("sensor", make_sensors(load_hand("jamia11")))]
+    canopen = [make_drive(described("cia402", node, 0.8, options), 0) for node in range(1, 0x7F)]
+    for node in (number for numbers in FREE_NUMBERS for number in numbers):
+        drive = make_drive(described("odrive", node, 0.8, {}), 0)
+        check_identifiers([*others, ("odrive", drive)])
+        for other in canopen:
+            check_identifiers([("odrive", drive), ("cia402", other)])
+    with pytest.raises(ConfigError, match="has two meanings"):
+        check_identifiers([("odrive", make_drive(described("odrive", 0x10, 0.8, {}), 0)), ("cia402", canopen[0])])
 
 
 @pytest.mark.parametrize(("cubemars", "mit", "reply"), [(5, 5, 0x15), (5, 0x21, 5), (5, 1, 0x80)])

@@ -2,13 +2,17 @@
 
 import math
 import struct
+from dataclasses import replace
 
 import pytest
 
 from firmware_sim.__main__ import main
-from firmware_sim.bus.frame import BRS, FDF, Frame
-from firmware_sim.nodes import PROTOCOLS
+from firmware_sim.bus.frame import BRS, EXTENDED, FDF, REMOTE, Frame
+from firmware_sim.faults.faulty_drive import FAULTS
+from firmware_sim.nodes import PROTOCOLS, cubemars
+from firmware_sim.nodes.cia402.dictionary import EDS, Dictionary
 from firmware_sim.nodes.mit import bench as mit_bench
+from firmware_sim.nodes.odrive import bench as odrive_bench
 from firmware_sim.programs.drive import Bench
 from firmware_sim.programs.drive_types import drive_spec
 
@@ -67,6 +71,210 @@ def test_an_odrive_follows_positions_and_velocities() -> None:
     assert bench.motors[0].omega == pytest.approx(-2.0 * math.tau, rel=0.05)
     bench.receive(Frame(3 << 5 | 0x0C, struct.pack("<fhh", math.nan, 0, 0)))
     assert bench.motors[0].servo.kd == 0.0
+
+
+def speed_at(protocol: str, torque: float, kind: str = "", inertia: float | None = None) -> tuple[Bench, float]:
+    """A bench after five seconds at a torque command [N m], and its speed [rad/s]."""
+    bench = Bench([drive_spec(protocol, 2, kind, inertia=inertia)])
+    spec = drive_spec(protocol, 2, kind)
+    code = round((torque / spec.torque_max + 1.0) / 2.0 * 4095)
+    bench.receive(Frame(2, ENABLE))
+    for _ in range(50):
+        bench.receive(Frame(2, (0x7FFF7FF << 36 | code).to_bytes(8, "big")))
+        bench.advance(bench.t_ns + 100 * MS)
+    return bench, bench.motors[0].omega
+
+
+@pytest.mark.parametrize("kind", sorted(mit_bench.TYPES))
+@pytest.mark.parametrize("inertia", [None, 2e-5], ids=["free shaft", "light shaft"])
+def test_a_damiao_motor_turns_no_faster_than_its_no_load_speed(kind: str, inertia: float | None) -> None:
+    """1 N m drove a DM4310 to 76 rad/s. Its no-load speed is 21 rad/s."""
+    shaft = mit_bench.shaft(kind)
+    for sign in (1.0, -1.0):
+        _, speed = speed_at("mit", sign * 0.1 * shaft.peak, kind, inertia)
+        assert 0.9 * shaft.top_speed < sign * speed <= shaft.top_speed
+
+
+def test_a_dm4310_at_one_newton_metre() -> None:
+    _, speed = speed_at("mit", 1.0)
+    assert speed == pytest.approx(200.0 / 60.0 * math.tau, rel=0.01)
+
+
+@pytest.mark.parametrize("kind", sorted(cubemars.FULL_SCALE))
+def test_a_cubemars_motor_turns_no_faster_than_its_no_load_speed(kind: str) -> None:
+    shaft = cubemars.shaft(kind)
+    _, speed = speed_at("mit", 0.1 * shaft.peak, kind)
+    assert 0.9 * shaft.top_speed < speed <= shaft.top_speed
+
+
+def test_a_motor_makes_no_more_than_its_peak_torque() -> None:
+    """A DM4310 has a scale of 10 N m and a peak torque of 7."""
+    bench, _ = speed_at("mit", 10.0, inertia=100.0)
+    assert bench.motors[0].torque == pytest.approx(7.0, rel=0.01)
+
+
+def test_the_torque_falls_with_the_speed() -> None:
+    bench = Bench([drive_spec("mit", 2, inertia=100.0)])
+    motor, rating = bench.motors[0], mit_bench.RATINGS["dm4310"]
+    motor.servo.torque = 7.0
+    for fraction, expected in ((0.0, 7.0), (0.75, 0.25 * rating.stall_torque), (1.0, 0.0), (1.5, 0.0)):
+        motor.omega = fraction * rating.top_speed
+        bench.advance(bench.t_ns + 20 * MS)
+        assert motor.torque == pytest.approx(expected, abs=0.15)
+
+
+def odrive_on(bench: Bench, *messages: tuple[int, bytes]) -> None:
+    """Send messages to ODrive 3 on a bench."""
+    for command, data in messages:
+        bench.receive(Frame(3 << 5 | command, data))
+
+
+TORQUE_MODE = (0x0B, struct.pack("<II", 1, 1))
+CLOSED_LOOP = (0x07, struct.pack("<I", 8))
+IDLE = (0x07, struct.pack("<I", 1))
+
+
+@pytest.mark.parametrize("inertia", [2e-5, 1e-4, 1e-2])
+def test_the_velocity_limit_of_an_odrive_acts_in_torque_control(inertia: float) -> None:
+    bench = Bench([drive_spec("odrive", 3, inertia=inertia)])
+    odrive_on(bench, TORQUE_MODE, (0x0F, struct.pack("<ff", 2.0, 20.0)), CLOSED_LOOP, (0x0E, struct.pack("<f", 0.05)))
+    bench.advance(10_000 * MS)
+    assert 1.5 * math.tau < bench.motors[0].omega <= 2.0 * math.tau
+    odrive_on(bench, (0x0F, struct.pack("<ff", 1.0, 20.0)), (0x0E, struct.pack("<f", 0.05)))
+    bench.advance(bench.t_ns + 5_000 * MS)
+    assert bench.motors[0].omega <= 1.0 * math.tau, "above its limit it brakes"
+    odrive_on(bench, IDLE)
+    bench.motors[0].omega = 100.0
+    bench.advance(bench.t_ns + 50 * MS)
+    assert bench.motors[0].omega > 80.0, "an idle motor coasts"
+
+
+def test_the_velocity_limit_of_an_odrive_acts_in_position_control() -> None:
+    bench = Bench([drive_spec("odrive", 3)])
+    odrive_on(bench, (0x0F, struct.pack("<ff", 2.0, 20.0)), CLOSED_LOOP, (0x0C, struct.pack("<fhh", 20.0, 0, 0)))
+    fastest = 0.0
+    for _ in range(100):
+        bench.advance(bench.t_ns + 50 * MS)
+        fastest = max(fastest, bench.motors[0].omega)
+    assert 1.8 * math.tau < fastest <= 2.0 * math.tau
+
+
+def test_the_current_limit_of_an_odrive_acts() -> None:
+    bench = Bench([drive_spec("odrive", 3, inertia=1.0)])
+    odrive_on(bench, TORQUE_MODE, (0x0F, struct.pack("<ff", 50.0, 4.0)), CLOSED_LOOP, (0x0E, struct.pack("<f", 1.0)))
+    bench.advance(10 * MS)
+    assert bench.motors[0].torque == pytest.approx(4.0 * odrive_bench.TORQUE_CONSTANT, rel=0.01)
+
+
+@pytest.mark.parametrize("command", [0x00, 0x03, 0x06, 0x09, 0x14, 0x15, 0x17, 0x1C, 0x1D])
+def test_an_odrive_answers_an_empty_data_frame_as_a_request(command: int) -> None:
+    bench = Bench([drive_spec("odrive", 3)])
+    (remote,) = bench.receive(Frame(3 << 5 | command | REMOTE, b""))
+    (data,) = bench.receive(Frame(3 << 5 | command, b""))
+    assert (data.can_id, data.data) == (remote.can_id, remote.data)
+
+
+def position_of(bench: Bench) -> float:
+    (reply,) = bench.receive(Frame(3 << 5 | 0x09 | REMOTE, b""))
+    return float(struct.unpack_from("<f", reply.data)[0])
+
+
+@pytest.mark.parametrize("firmware", ["0.6", "0.5"])
+def test_an_odrive_obeys_set_absolute_position(firmware: str) -> None:
+    bench = Bench([drive_spec("odrive", 3, firmware=firmware)])
+    odrive_on(bench, (0x19, struct.pack("<f", 7.25) if firmware == "0.6" else struct.pack("<i", 7 * 8192 + 2048)))
+    assert position_of(bench) == pytest.approx(7.25)
+    odrive_on(bench, CLOSED_LOOP, (0x0C, struct.pack("<fhh", 7.5, 0, 0)))
+    bench.advance(2000 * MS)
+    assert position_of(bench) == pytest.approx(7.5, abs=0.02)
+
+
+def test_an_odrive_calibrates() -> None:
+    spec = drive_spec("odrive", 3)
+    bench = Bench([replace(spec, options={**spec.options, "uncalibrated": True})])
+
+    def beat() -> tuple[int, int]:
+        bench.advance(bench.t_ns + 200 * MS)
+        beats = [frame for frame in bench.take_unsolicited() if frame.can_id == 3 << 5 | 0x01]
+        return beats[-1].data[4], beats[-1].data[5]
+
+    odrive_on(bench, CLOSED_LOOP)
+    assert beat() == (1, 14), "not calibrated"
+    odrive_on(bench, (0x07, struct.pack("<I", 3)))
+    assert beat() == (3, 1), "busy"
+    odrive_on(bench, IDLE)
+    assert beat() == (1, 2), "cancelled"
+    odrive_on(bench, (0x07, struct.pack("<I", 3)))
+    bench.advance(bench.t_ns + 4_000 * MS)
+    assert beat() == (1, 0)
+    odrive_on(bench, CLOSED_LOOP)
+    assert beat() == (8, 0)
+
+
+def test_an_odrive_keeps_what_reboot_saves() -> None:
+    bench = Bench([drive_spec("odrive", 3)])
+
+    def endpoint(number: int) -> bytes:
+        (reply,) = bench.receive(Frame(3 << 5 | 0x04, struct.pack("<BHB", 0, number, 0)))
+        return reply.data[4:]
+
+    odrive_on(bench, (0x04, struct.pack("<BHBf", 1, 202, 0, 0.25)), (0x16, b"\0"))
+    assert endpoint(202) == struct.pack("<f", 0.0), "a reboot alone saves nothing"
+    odrive_on(bench, (0x04, struct.pack("<BHBf", 1, 202, 0, 0.25)), (0x16, b"\1"), (0x16, b"\0"))
+    assert endpoint(202) == struct.pack("<f", 0.25)
+    odrive_on(bench, (0x16, b"\2"))
+    assert endpoint(202) == struct.pack("<f", 0.0), "erased"
+
+
+def test_the_help_names_the_endpoints_and_the_eds_file(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["drive", "--help"])
+    text = capsys.readouterr().out
+    for key, number in odrive_bench.ENDPOINTS.items():
+        assert f"{number}  {key.removeprefix('endpoint_')}" in text
+    assert str(EDS) in text
+
+
+@pytest.mark.parametrize(
+    ("behaviour", "polled", "idle"),
+    [("commands", 0xD, 0x0), ("frames", 0x1, 0x0), ("always", 0xD, 0xD)],
+)
+def test_the_watchdog_of_a_damiao_motor_is_selectable(behaviour: str, polled: int, idle: int) -> None:
+    """The vendor says "no CAN commands within the interval": registers and a disabled motor are open."""
+    spec = drive_spec("mit", 2)
+    for enabled, expected in ((True, polled), (False, idle)):
+        bench = Bench([replace(spec, options={"watchdog": behaviour})])
+        bench.receive(Frame(0x7FF, b"\2\0\x55\x09" + struct.pack("<I", 2000)))
+        bench.receive(Frame(2, ENABLE if enabled else b"\xff" * 7 + b"\xfd"))
+        for _ in range(30):
+            bench.advance(bench.t_ns + 20 * MS)
+            if enabled:
+                register(bench, 2, 9)
+        (reply,) = bench.receive(Frame(0x7FF, b"\2\0\xcc\0" + bytes(4)))
+        assert reply.data[0] >> 4 == expected
+
+
+def test_the_eds_file_and_a_drive_agree_on_the_rated_torque() -> None:
+    assert Dictionary(33)[0x6076, 0] == 1000
+    bench = Bench([drive_spec("cia402", 33)])
+    reply = bench.receive(Frame(0x600 + 33, b"\x40\x76\x60\0" + bytes(4)))[-1]
+    assert int.from_bytes(reply.data[4:], "little") == 1000
+
+
+@pytest.mark.parametrize("fault", ["", *sorted(FAULTS)])
+@pytest.mark.parametrize("protocol", sorted(PROTOCOLS))
+def test_no_frame_ends_a_drive(protocol: str, fault: str) -> None:
+    """A deaf MIT motor died with OverflowError at the first remote or extended frame."""
+    bench = Bench([drive_spec(protocol, 2)], fault=fault)
+    specials = [b"\xff" * 7 + bytes((code,)) for code in (0xFB, 0xFC, 0xFD, 0xFE, 0xFF)]
+    payloads = [b"\xff" * size for size in range(9)] + [bytes(size) for size in range(9)] + specials
+    identifiers = [0, 2, 0x41, 0x47, 0x4E, 0x80, 0x202, 0x602, 0x702, 0x77F, 0x7FF, 0x12345678]
+    for number in identifiers:
+        for flags in (0, REMOTE, EXTENDED, EXTENDED | REMOTE):
+            for data in payloads:
+                bench.receive(Frame(number & (0x1FFFFFFF if flags & EXTENDED else 0x7FF) | flags, data))
+        bench.advance(bench.t_ns + 2 * MS)
+        bench.take_unsolicited()
 
 
 def test_frames_for_no_node_are_counted() -> None:

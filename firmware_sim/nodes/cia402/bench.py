@@ -9,6 +9,10 @@ NUMBERS = range(1, 0x7F)
 """Valid node numbers. CANopen's last number (127) belongs to handctl."""
 
 
+SHAFT = Shaft(1.0, 5e-5, 0.08, top_speed=24.0 / 0.08, stall_torque=4.0)
+"""Shaft of the default motor at 24 V, whose voltage constant equals its torque constant in SI units."""
+
+
 def _host_frame(node_id: int) -> tuple[int, bytes]:
     """Return an SDO read of object 0x1000, the device type."""
     return 0x600 + node_id, b"\x40\x00\x10" + bytes(5)
@@ -37,7 +41,7 @@ def _force_command(node: Cia402Node, frame: Frame) -> None:
 
 
 SPEC = ProtocolSpec(
-    Cia402Node, NUMBERS, Shaft(1.0, 5e-5, 0.08), _host_frame, _corrupt_command, _corrupt_reply, Cia402NodeRow, CIA402,
+    Cia402Node, NUMBERS, SHAFT, _host_frame, _corrupt_command, _corrupt_reply, Cia402NodeRow, CIA402,
     _force_command,
 )  # fmt: skip
 """The CiA 402 protocol."""

@@ -1,5 +1,8 @@
 """Damiao motors as delivered. Source of the ranges: facts, mit_damiao. The free shaft is an assumption."""
 
+import math
+from typing import NamedTuple
+
 from firmware_sim.bus.frame import Frame
 from firmware_sim.nodes.mit.codec import WORD, apply_command
 from firmware_sim.nodes.mit.node import REGISTER_ID, MitNode, MitNodeRow
@@ -9,31 +12,90 @@ TYPES = {
     "dm3507": (12.566, 50.0, 5.0),
     "dm4310": (12.5, 30.0, 10.0),
     "dm4310-48v": (12.5, 50.0, 10.0),
+    "dm4310v": (3.1415926, 30.0, 10.0),
     "dm4340": (12.5, 10.0, 28.0),
+    "dm4340-48v": (12.5, 10.0, 28.0),
     "dm6006": (12.5, 45.0, 20.0),
+    "dm6248": (12.566, 20.0, 120.0),
     "dm8006": (12.5, 45.0, 40.0),
     "dm8009": (12.5, 45.0, 54.0),
     "dm10010l": (12.5, 25.0, 200.0),
     "dm10010": (12.5, 20.0, 200.0),
     "dmh3510": (12.5, 280.0, 1.0),
     "dmh6215": (12.5, 45.0, 10.0),
+    "dmg6220": (12.5, 45.0, 10.0),
 }
-"""PMAX [rad], VMAX [rad/s] and TMAX [N m] of each motor type."""
+"""PMAX [rad], VMAX [rad/s] and TMAX [N m] of each motor type.
+
+Source of the types that the fact sheet lacks: public clients, DM4310V in i2rt, DM6248 in openarm_can.
+"""
+
+
+class Rating(NamedTuple):
+    """Rating of a motor type, at the output shaft and its supply voltage.
+
+    Attributes:
+        peak: peak torque [N m].
+        no_load: no-load speed [1/min].
+        torque_constant: torque per phase current [N m/A].
+        resistance: phase resistance [ohm].
+        supply: supply voltage [V].
+    """
+
+    peak: float
+    no_load: float
+    torque_constant: float
+    resistance: float
+    supply: float = 24.0
+
+    @property
+    def top_speed(self) -> float:
+        """Return the no-load speed [rad/s]."""
+        return self.no_load * math.tau / 60.0
+
+    @property
+    def stall_torque(self) -> float:
+        """Return the torque at standstill if only the voltage limited the current [N m]."""
+        # Largest amplitude of a phase voltage with space-vector modulation.
+        return self.torque_constant * self.supply / math.sqrt(3.0) / self.resistance
+
+
+RATINGS = {
+    "dm3507": Rating(3.0, 460.0, 0.5439, 0.8),
+    "dm4310": Rating(7.0, 200.0, 0.945, 0.85),
+    "dm4310-48v": Rating(7.0, 400.0, 0.945, 0.85, 48.0),
+    "dm4310v": Rating(7.0, 200.0, 0.945, 0.85),
+    "dm4340": Rating(27.0, 52.5, 4.074, 0.88),
+    "dm4340-48v": Rating(27.0, 100.0, 4.074, 0.88, 48.0),
+    "dm6006": Rating(11.0, 226.0, 0.7308, 0.435),
+    "dm8006": Rating(20.0, 194.2, 1.0206, 0.4),
+    "dm8009": Rating(40.0, 168.0, 1.261575, 0.145),
+    "dm10010l": Rating(120.0, 100.0, 2.00025, 0.11),
+    "dm10010": Rating(150.0, 75.0, 2.59875, 0.125),
+}
+"""Ratings by motor type. Source: table of Damiao motors in the wiki of Seeed Studio, "Damiao Series"."""
+STALL_FACTOR = 2.0
+"""Stall torque divided by TMAX of a motor without a published rating, whose no-load speed is VMAX: assumptions."""
 DEFAULT_TYPE = "dm4310"
 """Default motor type."""
 INERTIA_PER_TORQUE = 2e-4
 """Output inertia of a geared MIT motor for each N m of TMAX [kg m2/N m]: 2e-3 for the 10 N m of a DM-J4310."""
 
 
-def shaft(ranges: tuple[float, float, float], **options: object) -> Shaft:
+def shaft(kind: str, **options: object) -> Shaft:
     """Build the shaft of a motor.
 
     Args:
-        ranges: position [rad], velocity [rad/s] and torque [N m].
+        kind: key of ``TYPES``.
         options: options of the hand file.
     """
-    position, velocity, peak = ranges
-    return Shaft(peak, INERTIA_PER_TORQUE * peak, 1.0, position, velocity, dict(options))
+    position, velocity, peak = TYPES[kind]
+    inertia = INERTIA_PER_TORQUE * peak
+    if kind not in RATINGS:
+        return Shaft(peak, inertia, 1.0, position, velocity, dict(options), peak, velocity, STALL_FACTOR * peak)
+    rating = RATINGS[kind]
+    limits = rating.peak, rating.top_speed, rating.stall_torque
+    return Shaft(peak, inertia, 1.0, position, velocity, dict(options), *limits)
 
 
 def _host_frame(node_id: int) -> tuple[int, bytes]:
@@ -42,14 +104,16 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
 
 def _corrupt_command(frame: Frame) -> Frame:
     """Replace disable by a request for feedback, so that the faulty motor still answers."""
-    refresh = Frame(REGISTER_ID, frame.can_id.to_bytes(2, "little") + b"\xcc" + bytes(5), frame.flags, frame.bus)
-    return refresh if frame.data == b"\xff" * 7 + b"\xfd" else frame
+    # Remote and extended frames have flags above the 11 bits of the identifier.
+    if frame.data != b"\xff" * 7 + b"\xfd" or frame.can_id > 0x7FF:
+        return frame
+    return Frame(REGISTER_ID, frame.can_id.to_bytes(2, "little") + b"\xcc" + bytes(5), frame.flags, frame.bus)
 
 
 def _corrupt_reply(frame: Frame) -> Frame:
     """Replace the value of TMAX by 1 in a read-back."""
     # Read (0x33) of register 23 (TMAX) by an identifier below 0x100.
-    matches = frame.data[2] == 0x33 and frame.data[3] == 23 and frame.data[1] == 0
+    matches = len(frame.data) == 8 and frame.data[2] == 0x33 and frame.data[3] == 23 and frame.data[1] == 0
     return frame._replace(data=frame.data[:4] + b"\0\0\x80\x3f") if matches else frame  # TMAX reads 1
 
 
@@ -60,7 +124,7 @@ def _force_command(node: MitNode, frame: Frame) -> None:
 
 
 SPEC = ProtocolSpec(
-    MitNode, range(1, 0x7F0), shaft(TYPES[DEFAULT_TYPE]), _host_frame, _corrupt_command, _corrupt_reply, MitNodeRow,
+    MitNode, range(1, 0x7F0), shaft(DEFAULT_TYPE), _host_frame, _corrupt_command, _corrupt_reply, MitNodeRow,
     MIT, _force_command,
 )  # fmt: skip
 """The MIT protocol with Damiao motors."""

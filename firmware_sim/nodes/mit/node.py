@@ -2,7 +2,8 @@
 
 Choices where the fact sheet has an "assumption":
 
-- Commands to ESC_ID feed the watchdog, register requests do not.
+- Commands to ESC_ID feed the watchdog, register requests do not. The option ``watchdog`` selects another
+  behaviour of ``WATCHDOGS``, because the manual says no more than "no CAN commands within the interval".
 - FE (set zero) acts only while disabled.
 - Positions beyond PMAX saturate.
 - Unknown registers are not answered.
@@ -40,6 +41,15 @@ _READ = 0x33
 _WRITE = 0x55
 _SAVE = 0xAA
 _REFRESH = 0xCC
+
+
+COMMANDS, FRAMES, ALWAYS = "commands", "frames", "always"
+WATCHDOGS = {
+    COMMANDS: "commands feed it, and it fires while the motor is enabled",
+    FRAMES: "register requests feed it too",
+    ALWAYS: "commands feed it, and it also fires while the motor is disabled",
+}
+"""Behaviours of the watchdog."""
 
 
 class FeedbackState(enum.IntEnum):
@@ -99,6 +109,7 @@ class MitNode:
         self.wake_ns = 0
         self.direction = spec.direction
         self._torque_peak = spec.torque_peak
+        self._watchdog = str(spec.options.get("watchdog", COMMANDS))
         self.watchdog_fed_ns = 0
         self.thermal_ns = -1
         self._update_derived()
@@ -138,6 +149,8 @@ class MitNode:
             if len(data) < 4 or int.from_bytes(data[:2], "little") != self.node_id:
                 return None
             self.wake(t_ns)
+            if self._watchdog == FRAMES:
+                self.watchdog_fed_ns = t_ns
             answer = self._register(data)
         elif can_id in self._mode_ids:
             self.wake(t_ns)
@@ -257,7 +270,8 @@ class MitNode:
         """Check the watchdog and update the temperatures."""
         if t_ns - self.thermal_ns >= THERMAL_PERIOD_NS or self.thermal_ns < 0:
             self._update_thermal(t_ns)
-        if self.state == FeedbackState.ENABLED and self.timeout_ns and t_ns >= self.watchdog_fed_ns + self.timeout_ns:
+        watched = self.state == FeedbackState.ENABLED or (self._watchdog == ALWAYS and self.state == FeedbackState.DISABLED)
+        if watched and self.timeout_ns and t_ns >= self.watchdog_fed_ns + self.timeout_ns:
             self.trip(FeedbackState.COMMUNICATION_LOST)
         schedule(self)
 

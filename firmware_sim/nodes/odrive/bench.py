@@ -10,13 +10,17 @@ from firmware_sim.nodes.protocol_spec import ODRIVE, UNADDRESSED, ProtocolSpec, 
 ENDPOINTS = {"endpoint_enable_watchdog": 201, "endpoint_watchdog_timeout": 202, "endpoint_torque_max": 203,
              "endpoint_torque_min": 204}  # fmt: skip
 """Endpoint numbers of an ODrive's settings, assumed here. Real numbers differ between firmware versions."""
+TORQUE_CONSTANT = 0.05
+"""Torque constant [N m/A], an assumption."""
+TOP_SPEED = 24.0 / TORQUE_CONSTANT
+"""No-load speed [rad/s] at 24 V: torque constant and voltage constant are equal in SI units."""
 FIRMWARES: dict[str, dict[str, Any]] = {"0.6": dict(ENDPOINTS), "0.5": {"firmware": "0.5"}}
 """Options of the hand file for each firmware version."""
 
 
 def shaft(firmware: str) -> Shaft:
     """Build the shaft of an ODrive with firmware 0.6 or 0.5."""
-    return Shaft(2.0, 1e-4, 0.05, options=FIRMWARES[firmware])
+    return Shaft(2.0, 1e-4, TORQUE_CONSTANT, options=FIRMWARES[firmware], top_speed=TOP_SPEED, stall_torque=8.0)
 
 
 def _host_frame(node_id: int) -> tuple[int, bytes]:

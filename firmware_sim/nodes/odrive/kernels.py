@@ -31,6 +31,7 @@ class OdriveStruct(ctypes.Structure):
     _fields_ = [
         *((name, ctypes.c_double) for name in ("offset", "direction", "gear", "torque_constant", "peak")),
         *((name, ctypes.c_double) for name in ("setpoint", "torque_min", "torque_max", "current_limit")),
+        *((name, ctypes.c_double) for name in ("velocity_limit", "velocity_gain")),
         *(
             (name, ctypes.c_int64)
             for name in ("state", "active_errors", "disarm_reason", "result", "control_mode", "input_mode")
@@ -39,7 +40,7 @@ class OdriveStruct(ctypes.Structure):
             (name, ctypes.c_int64)
             for name in ("legacy", "node_id", "motor_number", "bus", "watchdog_fed_ns", "wake_ns", "thermal_ns")
         ),
-        *((name, ctypes.c_int64) for name in ("timeout_ns", "heartbeat_due_ns", "encoder_due_ns")),
+        *((name, ctypes.c_int64) for name in ("timeout_ns", "heartbeat_due_ns", "encoder_due_ns", "busy_until_ns")),
         *((name, ctypes.c_int64) for name in ("heartbeat_period_ns", "encoder_period_ns")),
     ]
 
@@ -61,6 +62,19 @@ def set_torque(node: Any, servo: Any, torque: float, t_ns: int) -> None:
     torque = torque if torque > node.torque_min else node.torque_min
     torque = torque if torque < node.torque_max else node.torque_max
     servo.torque = node.direction * node.gear * torque
+    limit_speed(node, servo)
+
+
+@inner
+def limit_speed(node: Any, servo: Any) -> None:
+    """Apply velocity limit and velocity gain, as in every control mode of an ODrive.
+
+    Torque control brakes above the limit (``enable_torque_mode_vel_limit``, on by default), velocity
+    control limits its setpoint. Both are gain (limit - velocity). Source: ODrive firmware 0.5.6,
+    ``controller.cpp``, limitVel.
+    """
+    servo.speed_limit = node.velocity_limit * TURN / node.gear
+    servo.speed_gain = node.velocity_gain / TURN * node.gear * node.gear
 
 
 @inner
@@ -87,6 +101,8 @@ def schedule(node: Any) -> None:
     wake_ns = min(node.thermal_ns + THERMAL_PERIOD_NS, node.heartbeat_due_ns, node.encoder_due_ns)
     if node.state == CLOSED_LOOP and node.timeout_ns > 0:
         wake_ns = min(wake_ns, node.watchdog_fed_ns + node.timeout_ns)
+    if node.busy_until_ns > 0:
+        wake_ns = min(wake_ns, node.busy_until_ns)
     node.wake_ns = wake_ns
 
 

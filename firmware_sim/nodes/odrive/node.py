@@ -15,12 +15,13 @@ Identifier: node number in bits 10..5, command in bits 4..0. Payloads are little
     0x0D  Set_Input_Vel          f32 velocity [turn/s], f32 torque [N m]
     0x0E  Set_Input_Torque       f32 torque [N m]
     0x0F  Set_Limits             f32 velocity [turn/s], f32 current [A]
-    0x16  Reboot                 u8
+    0x16  Reboot                 u8 action: 0 reboot, 1 save and reboot, 2 erase the settings and reboot
     0x18  Clear_Errors           u8
+    0x19  Set_Absolute_Position  f32 position [turn]; firmware 0.5: i32 position [count]
     0x1A  Set_Pos_Gain           f32 gain [1/s]
     0x1B  Set_Vel_Gains          f32 gain [N m s/turn], f32 integrator gain
 
-A Get message is requested by a remote frame with its identifier.
+A Get message is requested by a remote frame with its identifier, or by a data frame without payload.
 
 Choices where the fact sheet has an "assumption":
 
@@ -29,12 +30,15 @@ Choices where the fact sheet has an "assumption":
 - NaN as a setpoint disarms with "missing input".
 - A disarm reason stays until Clear_Errors and blocks closed loop until then.
 - Endpoints have the numbers of the hand file.
+- A calibration takes ``CALIBRATION_NS`` and moves nothing. With the option ``uncalibrated`` closed loop is
+  refused until then.
 - Position and velocity control are one proportional cascade without integrator and ramps in every
   input mode.
 """
 
 import math
 import struct
+from typing import Any
 
 from firmware_sim.bus.frame import FDF, REMOTE, Frame
 from firmware_sim.description import MotorSpec
@@ -45,6 +49,7 @@ from firmware_sim.nodes.odrive.kernels import (
     THERMAL_PERIOD_NS,
     TURN,
     OdriveStruct,
+    limit_speed,
     next_due,
     schedule,
     set_torque,
@@ -67,8 +72,18 @@ SUCCESS = 0
 """Procedure result: success."""
 DISARMED = 3
 """Procedure result: the axis was disarmed by an error."""
+BUSY = 1
+"""Procedure result: a procedure runs."""
+CANCELLED = 2
+"""Procedure result: a procedure was ended by the host."""
 INVALID_STATE = 13
 """Procedure result: the requested state is not possible."""
+NOT_CALIBRATED = 14
+"""Procedure result: closed loop needs a calibration first."""
+CALIBRATION_NS = {3: 4_000_000_000, 4: 2_000_000_000, 7: 2_000_000_000}
+"""Duration of each calibration by its axis state [ns], an assumption: full, motor, encoder offset."""
+COUNTS_PER_TURN = 8192
+"""Encoder counts of one turn, vendor's default of firmware 0.5."""
 BROADCAST = 0x3F
 """Node number of messages to all nodes."""
 VELOCITY_CONTROL = 2
@@ -87,7 +102,9 @@ SERIAL = 0x0D_5A_11_00_00_00
 """Serial number of node 0."""
 HOT_C = 120.0
 """Winding temperature at which the axis disarms [degC]."""
-_SIZES = {0x02: 0, 0x04: 4, 0x07: 4, 0x0B: 8, 0x0C: 8, 0x0D: 8, 0x0E: 4, 0x0F: 8, 0x16: 0, 0x18: 0, 0x1A: 4, 0x1B: 8}
+_SIZES = {
+    0x02: 0, 0x04: 4, 0x07: 4, 0x0B: 8, 0x0C: 8, 0x0D: 8, 0x0E: 4, 0x0F: 8, 0x16: 0, 0x18: 0, 0x19: 4, 0x1A: 4, 0x1B: 8,
+}  # fmt: skip
 """Minimum payload of each accepted message [bytes]."""
 _LEGACY_ANSWERS = {0x09, 0x14, 0x17}
 """Get messages that firmware 0.5.x answers."""
@@ -113,7 +130,8 @@ class OdriveNode:
         timeout_ns: watchdog timeout of the endpoints [ns], 0 if off.
         velocity_limit: velocity limit [turn/s].
         current_limit: current limit [A].
-        gains: position gain [1/s] and velocity gain [N m s/turn].
+        position_gain: position gain [1/s].
+        velocity_gain: velocity gain [N m s/turn].
         thermal: temperatures.
         ids: None, because it takes many identifiers.
         malformed: frames that it could not decode.
@@ -151,7 +169,8 @@ class OdriveNode:
         self.disarm_reason = 0
         self.result = SUCCESS
         self._set_modes(POSITION_CONTROL, PASSTHROUGH)
-        self.gains = (POSITION_GAIN, VELOCITY_GAIN)
+        self.position_gain = POSITION_GAIN
+        self.velocity_gain = VELOCITY_GAIN
         self.velocity_limit = 50.0
         self.current_limit = 20.0
         self._numbers = {
@@ -169,7 +188,10 @@ class OdriveNode:
         if usb := options.get("usb_watchdog_s"):  # set over USB: no frame reaches it
             self._numbers |= {"enable_watchdog": -1, "watchdog_timeout": -2}
             self.endpoints |= {-1: b"\1", -2: struct.pack("<f", usb)}
-        self._saved = dict(self.endpoints)
+        self.calibrated = not options.get("uncalibrated", False)
+        self.busy_until_ns = 0
+        self._factory = self._settings()
+        self._saved = self._factory
         self.setpoint = 0.0
         self.heartbeat_period_ns = HEARTBEAT_MS * 1_000_000
         self.encoder_period_ns = int(options.get("encoder_period_ms", ENCODER_MS)) * 1_000_000
@@ -213,7 +235,7 @@ class OdriveNode:
         command = can_id & 0x1F
         if node not in (self.node_id, BROADCAST) or frame.flags & FDF:
             return None
-        if frame.can_id & REMOTE:
+        if frame.can_id & REMOTE or (not frame.data and command not in _SIZES):
             return self._answer_remote(node, command)
         if command not in _SIZES:
             return [] if node == self.node_id else None
@@ -272,12 +294,13 @@ class OdriveNode:
         elif command == 0x0E:
             self._set_torque(struct.unpack_from("<f", data)[0], t_ns)
         elif command in (0x1A, 0x1B):
-            gain = max(0.0, struct.unpack_from("<f", data)[0])
-            self.gains = (gain, self.gains[1]) if command == 0x1A else (self.gains[0], gain)
+            self._set_gain(command, struct.unpack_from("<f", data)[0])
         elif command == 0x0F:
             self._set_limits(*struct.unpack("<ff", data))
         elif command == 0x16:
-            self._reboot()
+            self._reboot(data[0] if data else 0)
+        elif command == 0x19:
+            self._set_position(data)
         elif command == 0x18:
             self.active_errors = self.disarm_reason = 0
             self.result = SUCCESS
@@ -287,7 +310,13 @@ class OdriveNode:
     def _set_state(self, state: int, t_ns: int) -> None:
         """Set the axis state. Errors block closed loop."""
         if state == IDLE:
-            self._release(SUCCESS)
+            self._release(CANCELLED if self.busy_until_ns else SUCCESS)
+        elif state in CALIBRATION_NS and self.state == IDLE and not (self.active_errors or self.disarm_reason):
+            self.state = state
+            self.result = BUSY
+            self.busy_until_ns = t_ns + CALIBRATION_NS[state]
+        elif state == CLOSED_LOOP and not self.calibrated:
+            self.result = NOT_CALIBRATED
         elif state != CLOSED_LOOP or self.active_errors or self.disarm_reason:
             self.result = INVALID_STATE if self.state == IDLE else self.result
         elif self.state != CLOSED_LOOP:
@@ -301,6 +330,13 @@ class OdriveNode:
         """Set the modes while idle."""
         if self.state == IDLE:
             self._set_modes(control, input_mode)
+
+    def _set_gain(self, command: int, gain: float) -> None:
+        """Set position gain [1/s] or velocity gain [N m s/turn], if it is positive."""
+        if command == 0x1A:
+            self.position_gain = max(0.0, gain)
+        else:
+            self.velocity_gain = max(0.0, gain)
 
     def _set_limits(self, velocity: float, current: float) -> None:
         """Set velocity limit [turn/s] and current limit [A], if both are positive."""
@@ -332,9 +368,10 @@ class OdriveNode:
         servo = self.motor.servo
         if self.state != CLOSED_LOOP or self.control_mode != control_mode:
             return
-        velocity_gain = self.gains[1] / TURN * self.gear**2
+        velocity_gain = self.velocity_gain / TURN * self.gear**2
         servo.kd = velocity_gain
-        servo.kp = self.gains[0] * velocity_gain if control_mode == POSITION_CONTROL else 0.0
+        servo.kp = self.position_gain * velocity_gain if control_mode == POSITION_CONTROL else 0.0
+        limit_speed(self, servo)
         # From turns at the shaft to radians at the spool: subtract the offset, apply direction and
         # gear ratio.
         servo.position = self.direction * (position * TURN - self.offset) / self.gear
@@ -361,24 +398,49 @@ class OdriveNode:
             return []
         return [Frame(self.node_id << 5 | 0x05, b"\0" + endpoint.to_bytes(2, "little") + b"\0" + stored)]
 
-    def _reboot(self) -> None:
-        """Restart with the saved settings."""
+    def _set_position(self, data: bytes) -> None:
+        """Take the present position as a position [turn], or [count] with firmware 0.5."""
+        (value,) = struct.unpack_from("<i" if self.legacy else "<f", data)
+        position = value / COUNTS_PER_TURN if self.legacy else value
+        if math.isfinite(position):
+            self.offset = position * TURN - self.direction * self.gear * self.motor.encoder()
+
+    def _settings(self) -> dict[str, Any]:
+        """Return the settings that Reboot(save) stores."""
+        return {
+            "endpoints": dict(self.endpoints),
+            "modes": (self.control_mode, self.input_mode),
+            "velocity_limit": self.velocity_limit,
+            "current_limit": self.current_limit,
+            "position_gain": self.position_gain,
+            "velocity_gain": self.velocity_gain,
+            "calibrated": self.calibrated,
+        }
+
+    def _reboot(self, action: int) -> None:
+        """Restart with the saved settings, after they were saved (1) or erased (2)."""
+        self._saved = {1: self._settings(), 2: self._factory}.get(action, self._saved)
         self._release(SUCCESS)
         self.active_errors = self.disarm_reason = 0
-        self._set_modes(POSITION_CONTROL, PASSTHROUGH)
+        self._set_modes(*self._saved["modes"])
         self.lose_settings()
 
     def lose_settings(self) -> None:
         """Restore the saved settings without a change of state."""
-        self.velocity_limit = 50.0
-        self.current_limit = 20.0
-        self.endpoints = dict(self._saved)
+        saved = self._saved
+        self.velocity_limit = saved["velocity_limit"]
+        self.current_limit = saved["current_limit"]
+        self.position_gain = saved["position_gain"]
+        self.velocity_gain = saved["velocity_gain"]
+        self.calibrated = saved["calibrated"]
+        self.endpoints = dict(saved["endpoints"])
         self._update_derived()
 
     def _release(self, result: int) -> None:
         """Enter idle with a procedure result. The motor coasts."""
         self.motor.servo.release()
         self.state = IDLE
+        self.busy_until_ns = 0
         self.result = result
         self.setpoint = 0.0
 
@@ -397,6 +459,9 @@ class OdriveNode:
             self._update_thermal(t_ns)
         if watchdog_expired(self, t_ns):
             self.disarm(WATCHDOG)
+        if 0 < self.busy_until_ns <= t_ns:
+            self.calibrated = True
+            self._release(SUCCESS)
         frames = []
         if t_ns >= self.heartbeat_due_ns:
             frames.append(Frame(self.node_id << 5 | 0x01, self._heartbeat()))

@@ -23,6 +23,11 @@ IQ, BUS_VOLTAGE = 0x14, 0x17
 _OLD_ANSWERS = (IQ, BUS_VOLTAGE)
 _ANSWERS_ONCE = (ADDRESS, codec.GET_VERSION, *_OLD_ANSWERS)
 """Messages with one answer to each request of a scan."""
+FREE_NUMBERS = (range(0x01, 0x04), range(0x09, 0x0C), range(0x34, 0x38))
+"""Node numbers without a common identifier with CANopen's predefined connection set or the sensor node.
+
+Source: CiA 301, predefined connection set.
+"""
 OLD = "does not report its version: treated as firmware 0.5.x, whose watchdog and limits are set over USB"
 """Note on a drive without an answer to Get_Version."""
 _STATES = {codec.IDLE: "idle", codec.CLOSED_LOOP: "closed loop control"}
@@ -82,7 +87,8 @@ def _drive(node: int, messages: dict[int, list[bytes]]) -> DiscoveredNode:
     if node == BROADCAST:
         notes.append("has no node number yet: give it one")
     elif node == 0:
-        notes.append("node 0 shares its identifiers with CANopen's NMT: give it another number")
+        first, last = FREE_NUMBERS[0][0], FREE_NUMBERS[0][-1]
+        notes.append(f"node 0 shares its identifiers with CANopen's NMT: give it {first} to {last}")
     firmware = ".".join(map(str, version[4:7])) if version else ""
     state = _STATES.get(beat.state, f"axis state {beat.state}") if beat else "no heartbeat"
     error = (codec.error_text if version or serial else odrive_05.error_text)(beat.errors) if beat else ""
