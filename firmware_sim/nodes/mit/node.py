@@ -270,8 +270,8 @@ class MitNode:
         """Check the watchdog and update the temperatures."""
         if t_ns - self.thermal_ns >= THERMAL_PERIOD_NS or self.thermal_ns < 0:
             self._update_thermal(t_ns)
-        watched = self.state == FeedbackState.ENABLED or (self._watchdog == ALWAYS and self.state == FeedbackState.DISABLED)
-        if watched and self.timeout_ns and t_ns >= self.watchdog_fed_ns + self.timeout_ns:
+        watched = (FeedbackState.ENABLED, *[FeedbackState.DISABLED] * (self._watchdog == ALWAYS))
+        if self.state in watched and self.timeout_ns and t_ns >= self.watchdog_fed_ns + self.timeout_ns:
             self.trip(FeedbackState.COMMUNICATION_LOST)
         schedule(self)
 
