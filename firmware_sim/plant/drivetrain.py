@@ -175,7 +175,7 @@ def within_speed(
     if not brakes:
         highest = max(highest, 0.0)
         lowest = min(lowest, 0.0)
-    return min(highest, max(lowest, command))
+    return float(min(highest, max(lowest, command)))
 
 
 @inner
