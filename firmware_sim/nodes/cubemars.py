@@ -39,7 +39,10 @@ SPEED_CONSTANTS = {
     "ak80-9": (100.0, 9.0),
     "ak10-9": (60.0, 9.0),
 }
-"""Speed constant [1/min/V] and gear ratio of each model. Source: the names of the models, such as AK80-9 KV100."""
+"""Speed constant [1/min/V] and gear ratio of each model.
+
+Source: names of the models, such as AK80-9 KV100.
+"""
 SUPPLY_V = 48.0
 """Supply voltage [V]."""
 STALL_FACTOR = 2.0
@@ -216,7 +219,8 @@ def shaft(motor_type: str) -> Shaft:
     speed_constant, ratio = SPEED_CONSTANTS[motor_type]
     top_speed = speed_constant * SUPPLY_V / ratio * math.tau / 60.0
     options = {"motor_type": motor_type}
-    return Shaft(peak, 2e-4 * peak, 1.0, position, velocity, options, peak, top_speed, STALL_FACTOR * peak)
+    limits = peak, top_speed, STALL_FACTOR * peak
+    return Shaft(peak, 2e-4 * peak, 1.0, position, velocity, options, *limits)
 
 
 def _host_frame(node_id: int) -> tuple[int, bytes]:

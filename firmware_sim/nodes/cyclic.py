@@ -531,11 +531,13 @@ def answer(frames: Any, answers: Any, at: Any, t_ns: int, last_ns: int, max_answ
 def _odrive_needs_wake(node: Any, rotor: Any, now_ns: int) -> bool:
     """Return True if an ODrive has more to do than to send messages.
 
-    Such are thermal updates, the watchdog, the end of a calibration, and the messages of firmware 0.5.
+    Such are thermal updates, the watchdog, the end of a calibration, and the messages of firmware
+    0.5.
     """
     busy = node.busy_until_ns > 0
     thermal_due = node.thermal_ns < 0 or now_ns - node.thermal_ns >= THERMAL_PERIOD_NS
-    return thermal_due or busy or node.legacy != 0 or watchdog_expired(node, now_ns) or rotor.faulty != 0
+    watchdog_due = watchdog_expired(node, now_ns)
+    return thermal_due or busy or watchdog_due or node.legacy != 0 or rotor.faulty != 0
 
 
 @inner

@@ -209,7 +209,7 @@ def compute_command(rotor: Any) -> None:
     if servo.speed_gain > 0.0:
         command = within_speed(rotor, command, inertia, drag, servo.speed_limit, servo.speed_gain, True)
     if rotor.top_speed > 0.0:
-        # Back-EMF: the voltage that is left for the current falls linearly to zero at no-load speed.
+        # Back-EMF: the voltage left for the current falls linearly to zero at no-load speed.
         slope = rotor.stall_torque / rotor.top_speed
         command = within_speed(rotor, command, inertia, drag, rotor.top_speed, slope, False)
     rotor.command = command

@@ -30,9 +30,13 @@ examples:
   python -m firmware_sim bus lab; ... drive mit --ids 1 --bus join:lab; ... drive cia402 --ids 32 --bus join:lab
 """
 """Examples of the help text."""
-ENDPOINTS = "\n".join(f"  {number}  {key.removeprefix('endpoint_')}" for key, number in odrive_bench.ENDPOINTS.items())
+ENDPOINTS = "\n".join(
+    f"  {number}  {key.removeprefix('endpoint_')}"
+    for key, number in odrive_bench.ENDPOINTS.items()
+)  # fmt: skip
+"""Endpoints in the help text."""
 EPILOG = f"""{EXAMPLES}
-endpoints of an ODrive with firmware 0.6 (read and written by SDO; real numbers are in its flat_endpoints.json):
+endpoints of an ODrive with firmware 0.6, for SDO (real numbers are in its flat_endpoints.json):
 {ENDPOINTS}
 
 objects of a CiA 402 drive, for CANopen tools: {EDS}
@@ -126,9 +130,11 @@ def _parser() -> CommandParser:
         help="MIT motors set to CAN FD (1/5 Mbit/s); they answer in the format of the request")  # fmt: skip
     add("--motor-type", metavar="TYPE", help=f"type of MIT motors: {', '.join(MIT_TYPES)} (dm4310); an ak is cubemars")
     add("--firmware", choices=["0.5", "0.6"], help="firmware of ODrives (0.6)")
-    add("--uncalibrated", action="store_true", help="ODrives that refuse closed loop until they were calibrated")
+    add("--uncalibrated", action="store_true",
+        help="ODrives that refuse closed loop until they were calibrated")  # fmt: skip
     texts = "; ".join(f"{key}: {text}" for key, text in WATCHDOGS.items())
-    add("--watchdog", choices=list(WATCHDOGS), default=COMMANDS, help=f"watchdog of MIT motors. {texts} ({COMMANDS})")
+    add("--watchdog", choices=list(WATCHDOGS), default=COMMANDS,
+        help=f"watchdog of MIT motors. {texts} ({COMMANDS})")  # fmt: skip
     add("--inertia", type=float, metavar="KG_M2", help="inertia of each shaft [kg m2] (assumed for the motor type)")
     add("--wire", nargs="*", metavar="KEY=VALUE", help="simulate the wire with its timing (off)")
     faults = "; ".join(f"{key}: {text}" for key, text in FAULTS.items())

@@ -50,7 +50,8 @@ def drive_spec(
     return MotorSpec(
         name=f"{protocol}{node_id}", protocol=protocol, bus="bench", node_id=node_id, spool_radius=1.0,
         inertia=rotor_inertia, viscous=rotor_inertia / COASTING_S, coulomb=FRICTION_FRACTION * shaft.peak,
-        torque_constant=shaft.torque_constant, torque_max=shaft.peak, torque_peak=min(shaft.peak, shaft.limit),
+        torque_constant=shaft.torque_constant,
+        torque_max=shaft.peak, torque_peak=min(shaft.peak, shaft.limit),
         position_range=shaft.position, velocity_range=shaft.velocity, direction=1, zero=0.0, options=shaft.options,
         top_speed=shaft.top_speed, stall_torque=shaft.stall_torque,
     )  # fmt: skip

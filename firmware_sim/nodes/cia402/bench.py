@@ -10,7 +10,7 @@ NUMBERS = range(1, 0x7F)
 
 
 SHAFT = Shaft(1.0, 5e-5, 0.08, top_speed=24.0 / 0.08, stall_torque=4.0)
-"""Shaft of the default motor at 24 V, whose voltage constant equals its torque constant in SI units."""
+"""Shaft of the default motor at 24 V. Voltage and torque constant are equal in SI units."""
 
 
 def _host_frame(node_id: int) -> tuple[int, bytes]:

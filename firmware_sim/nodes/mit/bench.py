@@ -27,7 +27,8 @@ TYPES = {
 }
 """PMAX [rad], VMAX [rad/s] and TMAX [N m] of each motor type.
 
-Source of the types that the fact sheet lacks: public clients, DM4310V in i2rt, DM6248 in openarm_can.
+Source of the types that the fact sheet lacks: public clients, DM4310V in i2rt, DM6248 in
+openarm_can.
 """
 
 
@@ -73,9 +74,12 @@ RATINGS = {
     "dm10010l": Rating(120.0, 100.0, 2.00025, 0.11),
     "dm10010": Rating(150.0, 75.0, 2.59875, 0.125),
 }
-"""Ratings by motor type. Source: table of Damiao motors in the wiki of Seeed Studio, "Damiao Series"."""
+"""Ratings by motor type. Source: wiki of Seeed Studio, table in "Damiao Series"."""
 STALL_FACTOR = 2.0
-"""Stall torque divided by TMAX of a motor without a published rating, whose no-load speed is VMAX: assumptions."""
+"""Stall torque divided by TMAX of a motor without a published rating. Its no-load speed is VMAX.
+
+Both are assumptions.
+"""
 DEFAULT_TYPE = "dm4310"
 """Default motor type."""
 INERTIA_PER_TORQUE = 2e-4
@@ -92,9 +96,10 @@ def shaft(kind: str, **options: object) -> Shaft:
     position, velocity, peak = TYPES[kind]
     inertia = INERTIA_PER_TORQUE * peak
     if kind not in RATINGS:
-        return Shaft(peak, inertia, 1.0, position, velocity, dict(options), peak, velocity, STALL_FACTOR * peak)
-    rating = RATINGS[kind]
-    limits = rating.peak, rating.top_speed, rating.stall_torque
+        limits = peak, velocity, STALL_FACTOR * peak
+    else:
+        rating = RATINGS[kind]
+        limits = rating.peak, rating.top_speed, rating.stall_torque
     return Shaft(peak, inertia, 1.0, position, velocity, dict(options), *limits)
 
 
@@ -107,13 +112,15 @@ def _corrupt_command(frame: Frame) -> Frame:
     # Remote and extended frames have flags above the 11 bits of the identifier.
     if frame.data != b"\xff" * 7 + b"\xfd" or frame.can_id > 0x7FF:
         return frame
-    return Frame(REGISTER_ID, frame.can_id.to_bytes(2, "little") + b"\xcc" + bytes(5), frame.flags, frame.bus)
+    data = frame.can_id.to_bytes(2, "little") + b"\xcc" + bytes(5)
+    return Frame(REGISTER_ID, data, frame.flags, frame.bus)
 
 
 def _corrupt_reply(frame: Frame) -> Frame:
     """Replace the value of TMAX by 1 in a read-back."""
     # Read (0x33) of register 23 (TMAX) by an identifier below 0x100.
-    matches = len(frame.data) == 8 and frame.data[2] == 0x33 and frame.data[3] == 23 and frame.data[1] == 0
+    data = frame.data
+    matches = len(data) == 8 and data[2] == 0x33 and data[3] == 23 and data[1] == 0
     return frame._replace(data=frame.data[:4] + b"\0\0\x80\x3f") if matches else frame  # TMAX reads 1
 
 

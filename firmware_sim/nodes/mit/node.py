@@ -2,8 +2,9 @@
 
 Choices where the fact sheet has an "assumption":
 
-- Commands to ESC_ID feed the watchdog, register requests do not. The option ``watchdog`` selects another
-  behaviour of ``WATCHDOGS``, because the manual says no more than "no CAN commands within the interval".
+- Commands to ESC_ID feed the watchdog, register requests do not. The option ``watchdog`` selects
+  another behaviour of ``WATCHDOGS``, because the manual says no more than "no CAN commands within
+  the interval".
 - FE (set zero) acts only while disabled.
 - Positions beyond PMAX saturate.
 - Unknown registers are not answered.
@@ -271,7 +272,8 @@ class MitNode:
         if t_ns - self.thermal_ns >= THERMAL_PERIOD_NS or self.thermal_ns < 0:
             self._update_thermal(t_ns)
         watched = (FeedbackState.ENABLED, *[FeedbackState.DISABLED] * (self._watchdog == ALWAYS))
-        if self.state in watched and self.timeout_ns and t_ns >= self.watchdog_fed_ns + self.timeout_ns:
+        silence_ns = t_ns - self.watchdog_fed_ns
+        if self.state in watched and self.timeout_ns and silence_ns >= self.timeout_ns:
             self.trip(FeedbackState.COMMUNICATION_LOST)
         schedule(self)
 

@@ -20,7 +20,8 @@ FIRMWARES: dict[str, dict[str, Any]] = {"0.6": dict(ENDPOINTS), "0.5": {"firmwar
 
 def shaft(firmware: str) -> Shaft:
     """Build the shaft of an ODrive with firmware 0.6 or 0.5."""
-    return Shaft(2.0, 1e-4, TORQUE_CONSTANT, options=FIRMWARES[firmware], top_speed=TOP_SPEED, stall_torque=8.0)
+    limits = {"top_speed": TOP_SPEED, "stall_torque": 8.0}
+    return Shaft(2.0, 1e-4, TORQUE_CONSTANT, options=FIRMWARES[firmware], **limits)
 
 
 def _host_frame(node_id: int) -> tuple[int, bytes]:

@@ -40,7 +40,8 @@ class OdriveStruct(ctypes.Structure):
             (name, ctypes.c_int64)
             for name in ("legacy", "node_id", "motor_number", "bus", "watchdog_fed_ns", "wake_ns", "thermal_ns")
         ),
-        *((name, ctypes.c_int64) for name in ("timeout_ns", "heartbeat_due_ns", "encoder_due_ns", "busy_until_ns")),
+        *((name, ctypes.c_int64) for name in ("timeout_ns", "heartbeat_due_ns", "encoder_due_ns")),
+        ("busy_until_ns", ctypes.c_int64),
         *((name, ctypes.c_int64) for name in ("heartbeat_period_ns", "encoder_period_ns")),
     ]
 
@@ -69,9 +70,9 @@ def set_torque(node: Any, servo: Any, torque: float, t_ns: int) -> None:
 def limit_speed(node: Any, servo: Any) -> None:
     """Apply velocity limit and velocity gain, as in every control mode of an ODrive.
 
-    Torque control brakes above the limit (``enable_torque_mode_vel_limit``, on by default), velocity
-    control limits its setpoint. Both are gain (limit - velocity). Source: ODrive firmware 0.5.6,
-    ``controller.cpp``, limitVel.
+    Torque control brakes above the limit (``enable_torque_mode_vel_limit``, on by default).
+    Velocity control limits its setpoint. Both are gain (limit - velocity). Source: ODrive firmware
+    0.5.6, ``controller.cpp``, limitVel.
     """
     servo.speed_limit = node.velocity_limit * TURN / node.gear
     servo.speed_gain = node.velocity_gain / TURN * node.gear * node.gear

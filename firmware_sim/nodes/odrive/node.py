@@ -15,13 +15,14 @@ Identifier: node number in bits 10..5, command in bits 4..0. Payloads are little
     0x0D  Set_Input_Vel          f32 velocity [turn/s], f32 torque [N m]
     0x0E  Set_Input_Torque       f32 torque [N m]
     0x0F  Set_Limits             f32 velocity [turn/s], f32 current [A]
-    0x16  Reboot                 u8 action: 0 reboot, 1 save and reboot, 2 erase the settings and reboot
+    0x16  Reboot                 u8 action: 0 none, 1 save settings, 2 erase settings
     0x18  Clear_Errors           u8
-    0x19  Set_Absolute_Position  f32 position [turn]; firmware 0.5: i32 position [count]
+    0x19  Set_Absolute_Position  f32 position [turn], firmware 0.5: i32 position [count]
     0x1A  Set_Pos_Gain           f32 gain [1/s]
     0x1B  Set_Vel_Gains          f32 gain [N m s/turn], f32 integrator gain
 
-A Get message is requested by a remote frame with its identifier, or by a data frame without payload.
+A Get message is requested by a remote frame with its identifier, or by a data frame without
+payload.
 
 Choices where the fact sheet has an "assumption":
 
@@ -30,8 +31,8 @@ Choices where the fact sheet has an "assumption":
 - NaN as a setpoint disarms with "missing input".
 - A disarm reason stays until Clear_Errors and blocks closed loop until then.
 - Endpoints have the numbers of the hand file.
-- A calibration takes ``CALIBRATION_NS`` and moves nothing. With the option ``uncalibrated`` closed loop is
-  refused until then.
+- A calibration takes ``CALIBRATION_NS`` and moves nothing. With the option ``uncalibrated`` closed
+  loop is refused until then.
 - Position and velocity control are one proportional cascade without integrator and ramps in every
   input mode.
 """
@@ -81,7 +82,7 @@ INVALID_STATE = 13
 NOT_CALIBRATED = 14
 """Procedure result: closed loop needs a calibration first."""
 CALIBRATION_NS = {3: 4_000_000_000, 4: 2_000_000_000, 7: 2_000_000_000}
-"""Duration of each calibration by its axis state [ns], an assumption: full, motor, encoder offset."""
+"""Duration of each calibration by its axis state [ns]: full, motor, encoder offset. Assumed."""
 COUNTS_PER_TURN = 8192
 """Encoder counts of one turn, vendor's default of firmware 0.5."""
 BROADCAST = 0x3F
@@ -103,7 +104,8 @@ SERIAL = 0x0D_5A_11_00_00_00
 HOT_C = 120.0
 """Winding temperature at which the axis disarms [degC]."""
 _SIZES = {
-    0x02: 0, 0x04: 4, 0x07: 4, 0x0B: 8, 0x0C: 8, 0x0D: 8, 0x0E: 4, 0x0F: 8, 0x16: 0, 0x18: 0, 0x19: 4, 0x1A: 4, 0x1B: 8,
+    0x02: 0, 0x04: 4, 0x07: 4, 0x0B: 8, 0x0C: 8, 0x0D: 8, 0x0E: 4, 0x0F: 8, 0x16: 0, 0x18: 0,
+    0x19: 4, 0x1A: 4, 0x1B: 8,
 }  # fmt: skip
 """Minimum payload of each accepted message [bytes]."""
 _LEGACY_ANSWERS = {0x09, 0x14, 0x17}
@@ -311,7 +313,7 @@ class OdriveNode:
         """Set the axis state. Errors block closed loop."""
         if state == IDLE:
             self._release(CANCELLED if self.busy_until_ns else SUCCESS)
-        elif state in CALIBRATION_NS and self.state == IDLE and not (self.active_errors or self.disarm_reason):
+        elif self._can_calibrate(state):
             self.state = state
             self.result = BUSY
             self.busy_until_ns = t_ns + CALIBRATION_NS[state]
@@ -325,6 +327,11 @@ class OdriveNode:
             self.watchdog_fed_ns = t_ns
             # In position control the axis holds its present position.
             self._set_motion(POSITION_CONTROL, turns(self, self.motor.encoder()), 0.0, 0.0, t_ns)
+
+    def _can_calibrate(self, state: int) -> bool:
+        """Return True if a state is a calibration that may start."""
+        has_error = self.active_errors or self.disarm_reason
+        return state in CALIBRATION_NS and self.state == IDLE and not has_error
 
     def _set_mode(self, control: int, input_mode: int) -> None:
         """Set the modes while idle."""
