@@ -309,6 +309,7 @@ def _hand(raw: dict[str, Any]) -> Hand:
 
 def _digit(raw: dict[str, Any]) -> Digit:
     count = len(raw["link_length_m"])
+    no_springs = [0.0] * count
     return Digit(
         name=raw["name"],
         position=tuple(raw["mount_position_m"]),
@@ -324,8 +325,8 @@ def _digit(raw: dict[str, Any]) -> Digit:
         joint_max_deg=tuple(raw["joint_max_deg"]),
         damping=tuple(raw["joint_damping_N_m_s_per_rad"]),
         armature=tuple(raw["joint_armature_kg_m2"]),
-        spring=tuple(raw["spring_stiffness_N_m_per_rad"]),
-        preload=tuple(raw["spring_preload_rad"]),
+        spring=tuple(raw.get("spring_stiffness_N_m_per_rad", no_springs)),
+        preload=tuple(raw.get("spring_preload_rad", no_springs)),
     )
 
 

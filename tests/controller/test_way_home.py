@@ -5,11 +5,11 @@ import pytest
 
 from handctl.controller.relaxing import (
     OVER_TENSION_RATE_N_PER_S,
-    RELAX_FLOOR_N,
     RELAX_RATE_N_PER_S,
     SETPOINT_MARGIN_N,
 )
 from handctl.core.gains.gains import Gains
+from handctl.core.law.computed_torque import RELAX_FLOOR_N
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.drives.frame import Frame

@@ -258,7 +258,7 @@ def _active(state: State, inputs: ModeInputs) -> Next:
 
 def _relax(state: State, inputs: ModeInputs) -> Next:
     # A load cell that reads too little must not cut a taut tendon: the command has to have fallen, too.
-    relaxed = tensions_relaxed(state) and commands_relaxed(state)
+    relaxed = tensions_relaxed(inputs.model, state) and commands_relaxed(inputs.model, state)
     return (Mode.DISARM if relaxed or inputs.elapsed >= RELAX_TIMEOUT_S else Mode.RELAX), ""
 
 

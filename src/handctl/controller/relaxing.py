@@ -18,7 +18,6 @@ import numpy as np
 
 from handctl.controller.state import State
 from handctl.core import block as s
-from handctl.core.law.computed_torque import RELAX_FLOOR_N
 from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.model import HandModel
 from handctl.core.types import Vector
@@ -48,12 +47,12 @@ def begin_relaxing(model: HandModel, state: State) -> None:
     table = state.tendon
     whole = state.tendon_int
     in_tension_loop = np.array([state.progress.goals[d].kind == Kind.TENSION for d in model.digit_of])
-    present = np.maximum(table[s.TENSION], RELAX_FLOOR_N) + SETPOINT_MARGIN_N
+    present = np.maximum(table[s.TENSION], model.relaxed) + SETPOINT_MARGIN_N
     # A tendon whose digit follows a position goal has no setpoint that leads its tension.
     setpoint = np.where(in_tension_loop, np.minimum(table[s.SETPOINT], present), table[s.SETPOINT])
     start = np.minimum(setpoint, np.maximum(table[s.FORCE], 0.0) + START_MARGIN_N)
     goals = tuple(
-        DigitGoal(Kind.TENSION, tension=np.minimum(start[tendons], RELAX_FLOOR_N), rate=relax_rate(state))
+        DigitGoal(Kind.TENSION, tension=np.minimum(start[tendons], model.relaxed[tendons]), rate=relax_rate(state))
         for tendons in model.digit_tendons
     )
     state.decide(progress=replace(state.progress, goals=goals))
@@ -81,14 +80,14 @@ def _envelope_start(model: HandModel, state: State, present: Vector) -> Vector:
     return np.minimum(commanded, present + model.space.coulomb)
 
 
-def commands_relaxed(state: State) -> bool:
+def commands_relaxed(model: HandModel, state: State) -> bool:
     """Return True if no motor is commanded more than the tension of a relaxed tendon."""
-    return not np.any(state.tendon[s.COMMANDED_FORCE] > RELAX_FLOOR_N + RELAXED_WITHIN_N)
+    return not np.any(state.tendon[s.COMMANDED_FORCE] > model.relaxed + RELAXED_WITHIN_N)
 
 
-def tensions_relaxed(state: State) -> bool:
+def tensions_relaxed(model: HandModel, state: State) -> bool:
     """Return True if every tendon is relaxed."""
-    return bool(np.max(state.tendon[s.TENSION]) < RELAX_FLOOR_N + RELAXED_WITHIN_N)
+    return bool(np.all(state.tendon[s.TENSION] < model.relaxed + RELAXED_WITHIN_N))
 
 
 def update_relax_rate(state: State) -> None:

@@ -84,6 +84,15 @@ def _motors(model: HandModel) -> dict[str, object]:
         "ceiling": model.ceiling,
         "torque_gain": 1.0 if model.torque_gain is None else model.torque_gain,
         "digit": model.digit_of,
+        "side": model.redundancy.side,
+        "open_excursion": model.redundancy.open_excursion,
+        "excursion_low": model.redundancy.excursion_range[0],
+        "excursion_high": model.redundancy.excursion_range[1],
+        "relaxed": model.relaxed,
+        "balance": model.redundancy.balance,
+        "sprung": model.redundancy.sprung,
+        "surplus": model.redundancy.surplus,
+        "absolute": ~model.redundancy.sprung & ~model.hand.covered,
         "period": model.period,
         "period_ns": round(model.period * 1e9),
         "touch_kept": math.exp(-model.period / touch.SMOOTH_S),
@@ -185,7 +194,6 @@ def _posture(model: HandModel) -> dict[str, object]:
     compliance = block_diag(*(_compliance(digit) for digit in digits))
     spread = block_diag(*(digit.coupling @ digit.coupling.T for digit in digits))
     read = np.array([joint in hand.sensor_node.joints for joint in hand.joints])
-    covered = ~((arms != 0.0) & ~read).any(axis=1)
     fused = bool((compliance.any(axis=1) & read).any())
     every = 1 if fused else max(1, round(posture.UPDATE_S / model.period))
     noise = hand.sensor_node.joint_noise_rad**2 + JOINT_STEP_RAD**2 / 12.0
@@ -198,7 +206,7 @@ def _posture(model: HandModel) -> dict[str, object]:
         "encoder_variance": noise,
         "loose": compliance.any(axis=1) & read,
         "excursion_variance": np.where(
-            covered, noise * (arms**2).sum(axis=1), (2.0 * model.gains.filter.offset_m) ** 2
+            hand.covered, noise * (arms**2).sum(axis=1), (2.0 * model.gains.filter.offset_m) ** 2
         ),
         "turn_fraction": -math.expm1(-every * model.period / posture.SMOOTH_S),
         "pressed_kept": math.exp(-model.period / posture.RELEASE_S),

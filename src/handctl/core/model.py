@@ -10,6 +10,8 @@ from handctl.core.estimation.filter_design import design_filter
 from handctl.core.estimation.filter_stack import FilterDesign
 from handctl.core.gains.gains import Gains
 from handctl.core.gains.motion_design import MotionDesign, design_motion
+from handctl.core.law.computed_torque import RELAX_FLOOR_N
+from handctl.core.law.redundancy import Redundancy, redundancy
 from handctl.core.tendon_space import TendonSpace, tendon_space
 from handctl.core.types import Vector
 from handctl.hand.description import Hand
@@ -44,6 +46,7 @@ class HandModel:
         floor: (N,) smallest tension at the load cell [N].
         ceiling: (N,) largest tension at the load cell [N].
         torque_limit: (N,) largest motor torque the host may command [N m].
+        redundancy: directions of the tendons, and tensions that hold each other.
         torque_gain: (N,) torque at the spool per commanded torque. None: not identified.
         inverse: joint torque of a motion, from digit, q, dq and ddq. Experiments replace it.
     """
@@ -67,6 +70,7 @@ class HandModel:
     floor: Vector
     ceiling: Vector
     torque_limit: Vector
+    redundancy: Redundancy
     torque_gain: Vector | None = None
     inverse: Inverse = required_torque
 
@@ -84,6 +88,8 @@ class HandModel:
         space = tendon_space(hand, digits)
         tendons = hand.tendon
         arms = np.abs(hand.moment_arms)
+        floor = np.array([tendon.tension_floor_N for tendon in tendons])
+        ceiling = np.array([tendon.tension_max_N for tendon in tendons])
         return HandModel(
             hand=hand,
             gains=gains,
@@ -101,9 +107,10 @@ class HandModel:
             pulley_weights=arms / arms.sum(axis=1, keepdims=True),
             friction=np.array([tendon.friction_coefficient for tendon in tendons]),
             wrap=np.array([tendon.wrap_angle_rad for tendon in tendons]),
-            floor=np.array([tendon.tension_floor_N for tendon in tendons]),
-            ceiling=np.array([tendon.tension_max_N for tendon in tendons]),
+            floor=floor,
+            ceiling=ceiling,
             torque_limit=_torque_limit(hand, torque_gain),
+            redundancy=redundancy(digits, floor, ceiling),
             torque_gain=torque_gain,
         )
 
@@ -111,6 +118,11 @@ class HandModel:
     def tendon_count(self) -> int:
         """Return N."""
         return len(self.floor)
+
+    @property
+    def relaxed(self) -> Vector:
+        """Return the tensions (N,) of a relaxed hand [N]. Tendons that hold each other keep their balance."""
+        return np.where(self.redundancy.balance > 0.0, self.redundancy.balance, RELAX_FLOOR_N)
 
     @property
     def coordinate_count(self) -> int:
@@ -131,7 +143,4 @@ def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:
 
 def _joint_period(hand: Hand, period: float) -> Vector:
     """Return (N,) time between readings of all joints of a tendon [s], inf if a joint has no encoder."""
-    sensors = hand.sensor_node
-    measured = np.array([joint in sensors.joints for joint in hand.joints])
-    covered = ~((hand.moment_arms != 0.0) & ~measured).any(axis=1)
-    return np.where(covered, sensors.joint_decimation * period, np.inf)
+    return np.where(hand.covered, hand.sensor_node.joint_decimation * period, np.inf)

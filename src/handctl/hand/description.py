@@ -77,6 +77,12 @@ class Hand(Section):
         return arms
 
     @cached_property
+    def covered(self) -> NDArray[np.bool_]:
+        """Return True for each tendon whose joints all have encoders, (N,)."""
+        measured = np.array([joint in self.sensor_node.joints for joint in self.joints])
+        return np.asarray(~((self.moment_arms != 0.0) & ~measured).any(axis=1))
+
+    @cached_property
     def digit_joints(self) -> dict[str, slice]:
         """Return the slice of each digit in ``joints``."""
         return dict(zip(self.digit_names, _slices([len(digit.joints) for digit in self.digit]), strict=True))

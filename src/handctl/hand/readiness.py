@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import nnls
 
 from handctl.hand.description import Hand
 from handctl.hand.file.error_text import Mistake
@@ -16,6 +17,8 @@ from handctl.hand.file.sections import Bus, Digit
 Vector = NDArray[np.float64]
 FASTEST_ARBITRATION = 1_000_000
 """Largest bit rate of classical CAN and of the arbitration phase of CAN FD [bit/s]. Source: ISO 11898-2."""
+CONDITION = 1e-6
+"""Largest residual of a torque that counts as 0, as a fraction of the largest moment arm at 1 N."""
 SMALLEST_RANGE_DEG = 1.0
 """Smallest range of a coordinate that counts as a motion [deg]."""
 
@@ -78,7 +81,7 @@ def coordinate_range_deg(digit: Digit) -> tuple[Vector, Vector]:
 
 
 def _check_opening(hand: Hand, digit: Digit) -> Iterator[Mistake]:
-    """Check that springs, or an extensor, open each coordinate of a digit against the tension floor."""
+    """Check that springs open each coordinate of a digit against the tension floor, or that antagonists do."""
     tendons = hand.digit_tendons[digit.name]
     coupling = np.eye(len(digit.joints)) if digit.coupling is None else np.array(digit.coupling)
     arms = hand.moment_arms[tendons, hand.digit_joints[digit.name]] @ coupling
@@ -87,8 +90,12 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[Mistake]:
     opened = np.radians(digit.joint_min_deg) + np.array(digit.spring_preload_rad)
     springs = coupling.T @ (stiffness * opened)
     closing = arms.T @ floor
-    weak = (springs <= closing) & (arms.min(axis=0) >= 0.0)
-    if not weak.any():
+    weak = springs <= closing
+    if not weak.any() or hold_each_other(arms):
+        return
+    if (arms.min(axis=0) < 0.0).any() and not stiffness.any():
+        right = "tensions above 0 that make no torque together: one more tendon than coordinates, or other arms"
+        yield Mistake("its tendons cannot hold each other", f"digit[{digit.name}].tendon", right)
         return
     # One line per digit: the joint that is held closed by most.
     worst = int(np.argmax(np.where(weak, closing - springs, -np.inf)))
@@ -97,3 +104,14 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[Mistake]:
     what = f"the springs open {joint} with {springs[worst]:.3g} N m at joint_min_deg"
     right = f"more than the {closing[worst]:.3g} N m with which tension_floor_N closes"
     yield Mistake(what, f"digit[{digit.name}].{key}", right)
+
+
+def hold_each_other(arms: Vector) -> bool:
+    """Return True if tensions above 0 exist that make no torque together.
+
+    Args:
+        arms: reduced moment arms R B, (n_t, n_c) [m].
+    """
+    # Tensions 1 + w with w >= 0 without torque: the non-negative least-squares problem has no residual.
+    _, residual = nnls(arms.T, -arms.sum(axis=0))
+    return bool(residual <= CONDITION * np.abs(arms).max())

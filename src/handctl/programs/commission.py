@@ -4,6 +4,11 @@ One tendon after the other is pulled gently while all others are slack. Only its
 respond. The pull is too weak to move a digit against the springs, so the joint encoders are not
 tested.
 
+Without springs a single tendon would move its digit. There all tendons of the digit pull together,
+so that the digit is pressed on its lower joint limits. One tendon after the other is then pulled
+more. The known excursion of the limits, or that of the joint encoders, is taken off the motor
+zeros.
+
 Load cells drift while many tendons are pulled one by one. Therefore the hand is without torque for
 a moment before each pull. The readings of that moment are the reference for the responses of all
 load cells. They also renew the tare of the tendon that is pulled next.
@@ -14,10 +19,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from handctl.core.estimate import Estimate, Measured
+from handctl.core.law.allocation import allocate
 from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.model import HandModel
 from handctl.core.types import Event, Vector
 from handctl.drives.sensors.node import TARE_MAX_N, TARE_MIN_N
+from handctl.hand.dynamics import static_torque
 from handctl.programs.calibration import Calibration, TendonCalibration
 from handctl.programs.program import TARE_PHASE, Progress, ProgressAndEvents
 
@@ -35,6 +42,10 @@ SETTLE_S = 0.7
 """Time between a taut tendon and the measurement [s]."""
 TAKE_UP_TIMEOUT_S = 3.0
 """Longest time until a pulled tendon is taut [s]."""
+HOLD_TIMEOUT_S = 10.0
+"""Longest time until all tendons of a digit without springs are taut, with the way to its lower limits [s]."""
+PRESS_FACTOR = 1.5
+"""Torque that presses a digit without springs on its lower limits, as a multiple of the torque of a pull."""
 MEASURE_S = 0.3
 """Averaging time of the response to a pull [s]."""
 MIN_ANSWER_FRACTION = 0.6
@@ -78,6 +89,8 @@ class CommissionProgram:
             return self._tare(model, progress, measured, t)
         if progress.touching[0] == RESTING:
             return self._rest(model, progress, measured, t)
+        if progress.phase == _hold_phase(model, progress.step - 1):
+            return self._hold(model, progress, estimate, measured, t)
         return self._pull(model, progress, estimate, measured, t)
 
     def _tare(self, model: HandModel, progress: Progress, measured: Measured, t: float) -> ProgressAndEvents:
@@ -103,8 +116,8 @@ class CommissionProgram:
     def _rest(self, model: HandModel, progress: Progress, measured: Measured, t: float) -> ProgressAndEvents:
         """Read all load cells without torque, renew the tare of the present tendon, then pull it.
 
-        Only the present tendon's tare is renewed. That tendon was never taut, whereas friction may
-        hold tension in a tendon pulled before.
+        Only tares of tendons that were never taut are renewed, because friction may hold tension in a
+        tendon pulled before: that of the present tendon, or those of a digit without springs.
         """
         if t - progress.since < REST_SETTLE_S or np.isnan(measured.tension).any():
             return progress, ()
@@ -117,14 +130,80 @@ class CommissionProgram:
         if samples * model.period < REST_S:
             return _with_table(progress, table), ()
         # The average of the rest weighs as much as all samples before it.
-        table[i, TARE_SUM] += table[i, REST_SUM] / samples * table[i, TARE_SAMPLES]
-        table[i, REST_SUM] = 0.0
+        fresh = slice(i, i + 1) if model.redundancy.sprung[i] else model.digit_tendons[model.digit_of[i]]
+        table[fresh, TARE_SUM] += table[fresh, REST_SUM] / samples * table[fresh, TARE_SAMPLES]
+        table[fresh, REST_SUM] = 0.0
         progress = _with_new_tare(_with_table(progress, table))
+        if not model.redundancy.sprung[i]:
+            held, events = self._begin_hold(model, progress, t, taut=False)
+            return self._check_tare(model, progress) or (held, events)
         goals = tuple(_pull_goal(tendons, i) for tendons in model.digit_tendons)
         name = model.hand.tendon_names[i]
         pulling = replace(progress, since=t, goals=goals, phase=f"pull {name}", touching=(0,) * len(goals))
         event = Event("info", "phase", name, f"pulling {name} with {PULL_N:g} N")
         return self._check_tare(model, progress) or (pulling, (event,))
+
+    def _begin_hold(self, model: HandModel, progress: Progress, t: float, taut: bool) -> ProgressAndEvents:
+        """Press the digit of the present tendon on its lower joint limits, with all tendons taut.
+
+        Args:
+            model: model of the hand.
+            progress: progress so far.
+            t: time [s].
+            taut: True if the tendons are taut already.
+        """
+        i = progress.step - 1
+        goals = _hold_goals(model, i, np.zeros(model.tendon_count))
+        phase = _hold_phase(model, i)
+        table = _table(progress)
+        table[:, [PULL_SUM, REST_SUM, REST_SAMPLES]] = 0.0
+        holding = replace(
+            _with_table(progress, table), since=t, goals=goals, phase=phase, touching=(int(taut),) * len(goals)
+        )
+        digit = model.hand.digit_names[model.digit_of[i]]
+        return holding, () if taut else (Event("info", "phase", digit, f"{phase}: all its tendons together"),)
+
+    def _hold(
+        self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
+    ) -> ProgressAndEvents:
+        """Wait until the held digit rests, read all load cells and the motor zeros, then pull the present tendon."""
+        i = progress.step - 1
+        own = model.digit_tendons[model.digit_of[i]]
+        waiting = progress.touching[0]
+        if waiting == 0:
+            if not estimate.slack[own].any():
+                return replace(progress, touching=(1, *progress.touching[1:]), since=t), ()
+            if t - progress.since <= HOLD_TIMEOUT_S:
+                return progress, ()
+            slack = own.start + int(np.flatnonzero(estimate.slack[own])[0])
+            return self._refuse(model, progress, slack, _no_answer_text(model, measured))
+        excursion = np.where(model.hand.covered, measured.excursion, model.redundancy.open_excursion)[own]
+        missing = np.isnan(measured.tension).any() or np.isnan(measured.travel[own] + excursion).any()
+        if t - progress.since < SETTLE_S or missing:
+            return progress, ()
+        table = _table(progress)
+        table[:, REST_SUM] += measured.tension
+        table[:, REST_SAMPLES] += 1.0
+        first = i == own.start
+        if first:
+            stretch = measured.tension[own] / model.space.stiffness[own]
+            table[own, ZERO] += (measured.travel[own] - stretch - excursion) / model.space.spool[own]
+        progress = replace(_with_table(progress, table), touching=(waiting + 1, *progress.touching[1:]))
+        if waiting * model.period < MEASURE_S:
+            return progress, ()
+        if first:
+            table[own, ZERO] /= waiting
+        more = np.zeros(model.tendon_count)
+        more[i] = PULL_N
+        name = model.hand.tendon_names[i]
+        pulling = replace(
+            _with_table(progress, table),
+            since=t,
+            goals=_hold_goals(model, i, more),
+            phase=f"pull {name}",
+            touching=(1,) * len(progress.goals),
+        )
+        return pulling, (Event("info", "phase", name, f"pulling {name} with {PULL_N:g} N more"),)
 
     def _pull(
         self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
@@ -141,8 +220,9 @@ class CommissionProgram:
             return progress, ()
         table = _table(progress)
         table[:, PULL_SUM] += measured.tension
-        # The spool's radius makes travel [m] to motor angle [rad].
-        table[i, ZERO] += measured.travel[i] / model.space.spool[i]
+        if model.redundancy.sprung[i]:
+            # The spool's radius makes travel [m] to motor angle [rad].
+            table[i, ZERO] += measured.travel[i] / model.space.spool[i]
         samples = progress.touching[0]
         if samples * model.period >= MEASURE_S:
             return self._judge(model, _with_table(progress, _with_results(model, table, i, samples)), i, t)
@@ -168,6 +248,9 @@ class CommissionProgram:
     def _next(self, model: HandModel, progress: Progress, t: float) -> ProgressAndEvents:
         """Release the tendon, then rest before the next one, or finish."""
         step = progress.step + 1
+        same_digit = 1 < step <= model.tendon_count and model.digit_of[step - 1] == model.digit_of[step - 2]
+        if same_digit and not model.redundancy.sprung[step - 1]:
+            return self._begin_hold(model, replace(progress, step=step), t, taut=True)
         passive = (DigitGoal(),) * len(model.digits)
         if step > model.tendon_count:
             finished = replace(progress, finished=True, phase="end", goals=passive)
@@ -212,6 +295,32 @@ def _pull_goal(tendons: slice, i: int) -> DigitGoal:
     return DigitGoal(Kind.TENSION, tension=tension, rate=20.0, force_limit=PULL_FORCE_LIMIT_N)
 
 
+def _hold_phase(model: HandModel, i: int) -> str:
+    """Return the phase in which all tendons of tendon i's digit pull together."""
+    return f"hold {model.hand.digit_names[model.digit_of[i]]}"
+
+
+def _hold_goals(model: HandModel, i: int, more: Vector) -> tuple[DigitGoal, ...]:
+    """Return goals that press the digit of tendon i on its lower limits. All other digits are without torque.
+
+    Args:
+        model: model of the hand.
+        i: index of the tendon.
+        more: (N,) tension beyond that [N].
+    """
+    held = model.digit_of[i]
+    digit = model.digits[held]
+    tendons = model.digit_tendons[held]
+    arms = digit.reduced_moment_arms
+    # One more pull must not lift the digit off: its torque is at most that of the largest closing arm.
+    press = PRESS_FACTOR * PULL_N * np.maximum(arms, 0.0).max(axis=0)
+    torque = digit.coupling.T @ np.asarray(static_torque(digit, digit.joint_min)) - press
+    tension = allocate(arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
+    limit = float(tension.max()) + PULL_FORCE_LIMIT_N
+    goal = DigitGoal(Kind.TENSION, tension=tension + more[tendons], rate=20.0, force_limit=limit)
+    return tuple(goal if d == held else DigitGoal() for d in range(len(model.digits)))
+
+
 def _table(progress: Progress) -> Vector:
     """Return the table of a progress (N, COLUMNS)."""
     return np.array(progress.record).reshape(-1, COLUMNS)
@@ -235,9 +344,10 @@ def _with_new_tare(progress: Progress) -> Progress:
 def _with_results(model: HandModel, table: Vector, i: int, samples: int) -> Vector:
     """Return the table with the results of tendon i and cleared sums."""
     rise = table[:, PULL_SUM] / samples - table[:, REST_SUM] / table[i, REST_SAMPLES]
-    # The pull stretches the tendon. Without it the motor would have stopped earlier.
-    stretch = rise[i] / model.space.stiffness[i] / model.space.spool[i]
-    table[i, ZERO] = table[i, ZERO] / samples - stretch
+    if model.redundancy.sprung[i]:
+        # The pull stretches the tendon. Without it the motor would have stopped earlier.
+        stretch = rise[i] / model.space.stiffness[i] / model.space.spool[i]
+        table[i, ZERO] = table[i, ZERO] / samples - stretch - model.redundancy.open_excursion[i] / model.space.spool[i]
     table[i, ANSWER] = rise[i]
     table[i, CROSSTALK] = np.abs(np.delete(rise, i)).max(initial=0.0)
     table[:, [PULL_SUM, REST_SUM, REST_SAMPLES]] = 0.0

@@ -3,14 +3,12 @@
 import math
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from handctl.core.estimate import Estimate, Measured
 from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.model import HandModel
 from handctl.core.types import Event
 from handctl.programs.live import LiveProgram
-from handctl.programs.program import Progress, ProgressAndEvents, motion_to
+from handctl.programs.program import Progress, ProgressAndEvents, motion_to, pull_tensions
 
 REST_S = 0.15
 """Time at the end of every move, in which the digit may still oscillate [s]."""
@@ -110,6 +108,5 @@ def _goal(model: HandModel, d: int, stage: ExerciseStage, estimate: Estimate, t:
     """Return the goal of digit d in a stage."""
     if not math.isnan(stage.angle):
         return motion_to(model.digits[d], estimate, stage.angle, stage.duration - stage.rest, t)
-    tendons = model.digit_tendons[d]
-    tension = np.full(tendons.stop - tendons.start, stage.tension)
+    tension = pull_tensions(model, d, stage.tension)
     return DigitGoal(Kind.TENSION, tension=tension, rate=model.gains.tension.rate_N_per_s)

@@ -21,6 +21,8 @@ from handctl.programs.program import (
     ProgressAndEvents,
     coordinates,
     motion_to,
+    pull_tensions,
+    released_tensions,
     slack_tendons,
     tighten,
 )
@@ -150,7 +152,7 @@ class TaskProgram:
         if not progress.contact[d]:
             return previous
         if isinstance(phase, Release):
-            target = np.full(len(digit.reduced_moment_arms), phase.tension_N)
+            target = released_tensions(model, d, phase.tension_N)
             return DigitGoal(Kind.TENSION, tension=target, rate=phase.rate_N_per_s)
         tension = self._hold_tension(model, phase, d, name, estimate)
         return previous if tension is None else DigitGoal(Kind.TENSION, tension=tension, rate=phase.rate_N_per_s)
@@ -164,7 +166,7 @@ class TaskProgram:
         tendons = model.digit_tendons[d]
         if phase.tension_N is not None:
             tension = for_digit(phase.tension_N, name)
-            return None if tension is None else np.full(tendons.stop - tendons.start, tension)
+            return None if tension is None else pull_tensions(model, d, tension)
         assert phase.tip_force_N is not None
         force = for_digit(phase.tip_force_N, name)
         if force is None:
@@ -204,7 +206,9 @@ class TaskProgram:
             if touching[d] >= gains.ticks:
                 contact[d] = True
                 # A digit that pulls harder than the contact tension keeps its tension.
-                start = np.maximum(estimate.tension[tendons], phase.contact_tension_N)
+                start = pull_tensions(model, d, phase.contact_tension_N)
+                closes = model.redundancy.side[tendons] > 0.0
+                start = np.where(closes, np.maximum(estimate.tension[tendons], start), start)
                 goals[d] = DigitGoal(Kind.TENSION, tension=start, rate=model.gains.tension.rate_N_per_s)
                 name = model.hand.digit_names[d]
                 events.append(Event("info", "contact", name, f"{name} touches, {forces[d]:.2f} N at its tip"))
@@ -250,10 +254,10 @@ def _closing(phase: Move | Follow | Close | Hold | Release, progress: Progress) 
 
 def _still_tensioned(model: HandModel, progress: Progress, phase: Release, estimate: Estimate) -> list[str]:
     """Return the names of tension-controlled digits above the tension of a release."""
-    limit = phase.tension_N + RELEASED_WITHIN_N
+    limit = np.maximum(phase.tension_N, model.redundancy.balance) + RELEASED_WITHIN_N
     rows = zip(model.hand.digit_names, progress.goals, model.digit_tendons, strict=True)
     return [
-        name for name, goal, tendons in rows if goal.kind == Kind.TENSION and estimate.tension[tendons].max() >= limit
+        name for name, goal, tendons in rows if goal.kind == Kind.TENSION and (estimate.tension >= limit)[tendons].any()
     ]
 
 

@@ -113,7 +113,8 @@ def hold(
         # The first tick after the settling fixes the position of a stiff grip.
         grip = grip._replace(anchor=estimate.grip.copy())
     if judged:
-        opening = np.where(np.isnan(grip.tension), 0.0, estimate.opening)
+        # A tendon that opens its digit pays out while the digit closes.
+        opening = np.where(np.isnan(grip.tension), 0.0, model.redundancy.side * estimate.opening)
         if opening.max() > OPENING_M:
             grip, events = _answer(model, grip, plan, opening, t)
     if not (judged or settled) or not (events or plan.stiffness):
@@ -132,7 +133,8 @@ def _answer(model: HandModel, grip: Grip, plan: GripPlan, opening: Vector, t: fl
     grip = grip._replace(ready=t + PAUSE_S)
     moved = f"{digit} is pushed open, {1e6 * opening[worst]:.0f} um of tendon"
     # The tendon with the most room decides, all tendons rise by the same factor.
-    max_factor = float(np.nanmax(np.append(plan.limit / grip.tension, 1.0)))
+    room = np.where(model.redundancy.side > 0.0, plan.limit / grip.tension, np.nan)
+    max_factor = float(np.nanmax(np.append(room, 1.0)))
     if grip.raised < max_factor:
         grip = grip._replace(raised=min(grip.raised * STEP, max_factor))
         return grip, (Event("warn", "slip", digit, f"{moved}: force x {grip.raised:.2f}"),)
@@ -145,7 +147,8 @@ def _goals(
 ) -> tuple[DigitGoal, ...]:
     """Return the goals with the tensions of slip and stiffness, never below the floor."""
     limit = np.fmax(plan.limit, grip.tension)
-    target = np.minimum(grip.raised * grip.tension, limit) + plan.stiffness * (grip.anchor - excursion)
+    raised = np.where(model.redundancy.side > 0.0, grip.raised, 1.0)
+    target = np.minimum(raised * grip.tension, limit) + plan.stiffness * (grip.anchor - excursion)
     # A stiff grip may exceed the limit of slip, up to the hand's own ceiling.
     target = np.clip(
         target,

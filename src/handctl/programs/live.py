@@ -16,6 +16,7 @@ from handctl.programs.program import (
     ProgressAndEvents,
     coordinates,
     motion_to,
+    pull_tensions,
     slack_tendons,
     tighten,
 )
@@ -133,7 +134,7 @@ def apply_goal(
             if value > limit:
                 text = f"refused: {value:g} N on {name}, expected at most {limit:g} N"
                 return progress, (Event("warn", "request", name, text),)
-            target = np.full(tendons.stop - tendons.start, value)
+            target = pull_tensions(model, d, value)
             goals[d] = DigitGoal(Kind.TENSION, tension=target, rate=request.rate_N_per_s)
     text = f"{request.do} " + ", ".join(f"{name} {value:g}" for name, value in values.items())
     return replace(progress, goals=tuple(goals), contact=tuple(contact)), (Event("info", "request", "", text),)

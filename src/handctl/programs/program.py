@@ -98,9 +98,31 @@ TIGHTEN_TIMEOUT_S = 4.0
 def tighten(model: HandModel) -> tuple[DigitGoal, ...]:
     """Return goals that take up the slack of every tendon."""
     return tuple(
-        DigitGoal(Kind.TENSION, tension=model.floor[tendons] + TIGHTEN_MARGIN_N, rate=40.0)
-        for tendons in model.digit_tendons
+        DigitGoal(Kind.TENSION, tension=_tightened(model, tendons), rate=40.0) for tendons in model.digit_tendons
     )
+
+
+def _tightened(model: HandModel, tendons: slice) -> Vector:
+    """Return tensions (n_t,) of a digit that take up slack [N], without torque if the tendons hold each other."""
+    balance = model.redundancy.balance[tendons]
+    least = model.floor[tendons] + TIGHTEN_MARGIN_N
+    return np.asarray(balance * (least / balance).max() if balance.all() else least)
+
+
+def pull_tensions(model: HandModel, d: int, tension: float) -> Vector:
+    """Return tensions (n_t,) of digit d under tension control [N].
+
+    Tendons that close the digit have the given tension. Their antagonists have the balance.
+    """
+    tendons = model.digit_tendons[d]
+    opens = model.redundancy.surplus[tendons] & (model.redundancy.side[tendons] < 0.0)
+    return np.where(opens, model.redundancy.balance[tendons], tension)
+
+
+def released_tensions(model: HandModel, d: int, tension: float) -> Vector:
+    """Return tensions (n_t,) of a released digit d [N]: the given tension, or the balance of antagonists."""
+    balance = model.redundancy.balance[model.digit_tendons[d]]
+    return balance if balance.all() else np.full(len(balance), tension)
 
 
 def slack_tendons(model: HandModel, estimate: Estimate) -> list[str]:

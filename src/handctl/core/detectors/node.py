@@ -143,7 +143,7 @@ def _stuck(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
     for n in range(x.tendon.shape[1]):
         if x.tendon_int[s.MOTOR_STUCK, n] * c.tendon[h.MOTOR_PERIOD, n] > STUCK_S:
             goal = stuck.away(x.tendon[s.FOLLOWED, n], x.tendon[s.MOTOR_ANCHOR, n])
-            tension = stuck.away(x.tendon[s.RESIDUAL + residuals.TENSION, n], x.tendon[s.MOTOR_ANCHOR + 1, n])
+            tension = stuck.away(stuck.stretching(x, c, n), x.tendon[s.MOTOR_ANCHOR + 1, n])
             if goal > STUCK_GOAL_M or tension > STUCK_TENSION_N:
                 evidence[N04, n] = max(goal * 1e3, tension)
     for j in range(x.joint.shape[1]):

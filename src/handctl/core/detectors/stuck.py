@@ -38,7 +38,7 @@ def update(x: Tables, c: ConstantTables, tared: bool) -> None:
         last = x.tendon[s.MOTOR_VALUE, n]
         moved = not math.isnan(value) and value != last
         goal = x.tendon[s.FOLLOWED, n]
-        tension = x.tendon[s.RESIDUAL + TENSION, n]
+        tension = stretching(x, c, n)
         if moved or math.isnan(x.tendon[s.MOTOR_ANCHOR, n]):
             x.tendon[s.MOTOR_ANCHOR, n] = goal
         if moved or math.isnan(x.tendon[s.MOTOR_ANCHOR + 1, n]):
@@ -66,6 +66,15 @@ def update(x: Tables, c: ConstantTables, tared: bool) -> None:
         if not math.isnan(value):
             x.joint_int[s.JOINT_STUCK, j] = 0 if moved else x.joint_int[s.JOINT_STUCK, j] + 1
             x.joint[s.JOINT_VALUE, j] = value
+
+
+@inner
+def stretching(x: Tables, c: ConstantTables, n: int) -> float:
+    """Return the tension that only a motion of the tendon's own spool changes [N], NaN if there is none.
+
+    An antagonist stretches a tendon whose own motor rests.
+    """
+    return math.nan if c.tendon_int[h.SURPLUS, n] else x.tendon[s.RESIDUAL + TENSION, n]
 
 
 @inner

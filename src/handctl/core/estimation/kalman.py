@@ -18,7 +18,7 @@ from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation import covariance as carried
-from handctl.core.estimation.statics import pull, static_torque, torque_to_tension
+from handctl.core.estimation.statics import by_others, pull, static_torque, torque_to_tension
 from handctl.core.estimation.take_up import has_turned, near_taut, take_up, turning
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 
@@ -114,6 +114,7 @@ def correct(x: Tables, c: ConstantTables, missed: int) -> None:
         if full:
             cell_sigma[n] = carried.update(x, c, n, z[n], gain[n], after[n], information[n])
     _gate_and_correct(x, c, innovation, gain, cell_sigma)
+    _follow_taut(x, c)
     _judge_innovation(x, c, innovation, information, full)
     force = _judge_regimes(x, c)
     _adapt(x)
@@ -208,6 +209,22 @@ def _gate_and_correct(x: Tables, c: ConstantTables, innovation: Matrix, gain: Ma
                     x.tendon[s.TRAVEL + i, n] += gain[n, i, m] * innovation[n, m]
         # More tension is a shorter excursion at the same travel.
         x.tendon[s.EXCURSION, n] -= jump / c.tendon[h.STIFFNESS, n]
+
+
+@inner
+def _follow_taut(x: Tables, c: ConstantTables) -> None:
+    """Move the excursions of slack tendons with the taut tendons of the same digit, for tendons in surplus.
+
+    The excursions of a digit are R q. With one slack tendon the equation for it is exact. With
+    several, the ticks are the iterations of a Gauss-Seidel solution.
+    """
+    for n in range(x.tendon.shape[1]):
+        if c.tendon_int[h.SURPLUS, n] and x.tendon_int[s.REGIME, n] == SLACK:
+            excursion = by_others(c, n, x.tendon[s.EXCURSION])
+            rate = by_others(c, n, x.tendon[s.EXCURSION_RATE])
+            if not math.isnan(excursion):
+                x.tendon[s.EXCURSION, n] = excursion
+                x.tendon[s.EXCURSION_RATE, n] = rate
 
 
 @inner
@@ -336,18 +353,25 @@ def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
         if has_turned(regime, points):
             points = 0
             if regime == SLACK:
-                take_up(x, n, c.tendon[h.STIFFNESS, n], cell)
+                take_up(x, c, n, cell)
                 x.tendon_int[s.LENGTH_KNOWN, n] = 1
             regime = FREE if regime == SLACK else SLACK
         x.tendon_int[s.TURNING, n] = points
         was = x.tendon_int[s.STOPPED, n] == 1
-        stopped = _at_stop(was, x.tendon[s.EXCURSION, n], force[1, n], force[0, n])
+        stopped = c.tendon_int[h.SPRUNG, n] == 1
+        if stopped:
+            # The pull of a tendon that opens its digit has the sign of its excursion, minus.
+            side = c.tendon[h.SIDE, n]
+            opened = c.tendon[h.OPEN_EXCURSION, n]
+            stopped = _at_stop(was, side * (x.tendon[s.EXCURSION, n] - opened), side * force[1, n], side * force[0, n])
         x.tendon_int[s.STOPPED, n] = stopped
         if regime != SLACK:
             if stopped and not was:
-                # It has come to rest on its open stop: its excursion is known to be zero, the rest was offset.
-                x.tendon[s.STRETCH_OFFSET, n] += x.tendon[s.EXCURSION, n]
-                x.tendon[s.EXCURSION, n] = x.tendon[s.EXCURSION_RATE, n] = 0.0
+                # It has come to rest on its open stop: its excursion is known, the rest was offset.
+                opened = c.tendon[h.OPEN_EXCURSION, n]
+                x.tendon[s.STRETCH_OFFSET, n] += x.tendon[s.EXCURSION, n] - opened
+                x.tendon[s.EXCURSION, n] = opened
+                x.tendon[s.EXCURSION_RATE, n] = 0.0
                 changed = True
             regime = HELD if stopped or held(x, c.tendon_int[h.DIGIT, n]) else FREE
         changed |= regime != x.tendon_int[s.REGIME, n]

@@ -132,5 +132,7 @@ def start(x: Tables, c: ConstantTables) -> None:
     for n in range(x.tendon.shape[1]):
         for state in range(7):
             x.tendon[s.TRAVEL + state, n] = 0.0
+        x.tendon[s.EXCURSION, n] = c.tendon[h.OPEN_EXCURSION, n]
+        x.tendon_int[s.STOPPED, n] = c.tendon_int[h.SPRUNG, n]
         x.tendon[s.TRAVEL, n] = (x.tendon[s.POSITION, n] - c.tendon[h.ZERO, n]) * c.tendon[h.SPOOL, n]
     x.run_int[s.STARTED] = 1

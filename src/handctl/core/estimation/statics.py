@@ -21,6 +21,9 @@ def hand_pose(c: ConstantTables, q: Vector) -> Matrix:
     rigid_body.place_links(c.joint, h.LINK, c.joint_int[h.PARENT], q, pose)
     return pose
 
+OWN_MOST = 0.999
+"""Largest fraction of a tendon's value that only the tendon itself tells. Above, no other tendon tells it."""
+
 
 @inner
 def static_torque(c: ConstantTables, q: Vector, torque: Vector) -> None:
@@ -74,6 +77,46 @@ def pull(c: ConstantTables, q: Vector, tension: Vector, developed: Vector, resul
                 wrapped += q[j]
                 torque[j] += arm * tension[n] * math.exp(-c.tendon[h.CAPSTAN, n] * developed[n] * wrapped)
     torque_to_tension(c, torque, result)
+
+
+@inner
+def explained(c: ConstantTables, n: int, values: Vector) -> float:
+    """Return the part of tendon n's value that a motion of the digit's coordinates explains, of values R R^+ v.
+
+    Args:
+        c: constants of the hand.
+        n: index of the tendon.
+        values: (N,) values along all tendons, for example excursions [m].
+    """
+    d = c.tendon_int[h.DIGIT, n]
+    total = 0.0
+    for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+        angle = 0.0
+        for other in range(c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]):
+            angle += c.joint_tendon[h.EXCURSION_TO_JOINTS, j, other] * values[other]
+        total += c.tendon_joint[h.MOMENT_ARMS, n, j] * angle
+    return total
+
+
+@inner
+def by_others(c: ConstantTables, n: int, values: Vector) -> float:
+    """Return tendon n's value as the other tendons of a digit tell it, NaN if they do not.
+
+    The values of a digit are R q. The equation for one tendon is solved with the values of the
+    others, which are enough in a digit with more tendons than coordinates.
+
+    Args:
+        c: constants of the hand.
+        n: index of the tendon.
+        values: (N,) values along all tendons, for example excursions [m].
+    """
+    d = c.tendon_int[h.DIGIT, n]
+    own = 0.0
+    for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+        own += c.tendon_joint[h.MOMENT_ARMS, n, j] * c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n]
+    if own > OWN_MOST:
+        return math.nan
+    return (explained(c, n, values) - own * values[n]) / (1.0 - own)
 
 
 @inner

@@ -4,7 +4,9 @@ import math
 
 from handctl.compiled import inner
 from handctl.core import block as s
+from handctl.core import constants as h
 from handctl.core.block import Tables
+from handctl.core.constants import ConstantTables
 
 SLACK = 2
 SLACK_BELOW_N = 1.0
@@ -32,6 +34,9 @@ NEAR_M, NEAR_FACTOR = 5e-5, 3
 A sample of three standard deviations ends slack at once then. Stops and friction leave the length
 uncertain by about as much.
 """
+
+RANGE_MARGIN_M = 1e-3
+"""Margin of a newly taut tendon's excursion by its length [m]. Beyond the joints' range the length is not known."""
 
 
 @inner
@@ -77,17 +82,26 @@ def has_turned(regime: int, points: int) -> bool:
 
 
 @inner
-def take_up(x: Tables, n: int, stiffness: float, cell: float) -> None:
-    """Set the offset of a newly taut tendon to make stretch and load cell agree.
+def take_up(x: Tables, c: ConstantTables, n: int, cell: float) -> None:
+    """Set offset or excursion of a newly taut tendon to make stretch and load cell agree.
+
+    The excursion of a digit on its open stop, or with joint encoders, is known. Otherwise the
+    length of the tendon is known by commissioning.
 
     Args:
         x: state tables.
+        c: constants of the hand.
         n: index of the tendon.
-        stiffness: [N/m].
         cell: load cell [N].
     """
     if x.tendon_int[s.STOPPED, n]:
-        x.tendon[s.EXCURSION, n] = 0.0
-    stretch = (cell - x.tendon[s.CELL_ERROR, n]) / stiffness
-    x.tendon[s.STRETCH_OFFSET, n] = x.tendon[s.TRAVEL, n] - x.tendon[s.EXCURSION, n] - stretch
+        x.tendon[s.EXCURSION, n] = c.tendon[h.OPEN_EXCURSION, n]
+    stretch = (cell - x.tendon[s.CELL_ERROR, n]) / c.tendon[h.STIFFNESS, n]
+    excursion = x.tendon[s.TRAVEL, n] - x.tendon[s.STRETCH_OFFSET, n] - stretch
+    low = c.tendon[h.EXCURSION_LOW, n] - RANGE_MARGIN_M
+    high = c.tendon[h.EXCURSION_HIGH, n] + RANGE_MARGIN_M
+    if c.tendon_int[h.ABSOLUTE, n] and low <= excursion <= high:
+        x.tendon[s.EXCURSION, n] = excursion
+    else:
+        x.tendon[s.STRETCH_OFFSET, n] = x.tendon[s.TRAVEL, n] - x.tendon[s.EXCURSION, n] - stretch
     x.tendon[s.EXCURSION_RATE, n] = x.tendon[s.DISTURBANCE, n] = 0.0

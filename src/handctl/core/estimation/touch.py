@@ -18,6 +18,8 @@ FREED_N = 3.0
 BLOCKED_N = 6.0
 """Unexplained tension, the mean of a digit's tendons, from which the digit is blocked [N].
 
+A tension of a tendon that opens the digit counts with the other sign.
+
 Fast free motion with friction wrong by a half reaches 3.6 N. The tension is not converted to a
 force at the tip, because a digit curled up on the stops has no lever.
 """
@@ -36,7 +38,7 @@ def feel(x: Tables, c: ConstantTables) -> None:
         end = c.digit_int[h.TENDONS_END, d]
         mean = 0.0
         for n in range(first, end):
-            mean += x.tendon[s.EXTERNAL, n] / (end - first)
+            mean += c.tendon[h.SIDE, n] * x.tendon[s.EXTERNAL, n] / (end - first)
         retained = c.run[h.TOUCH_DECAY]
         x.digit[s.TOUCH, d] = retained * x.digit[s.TOUCH, d] + (1.0 - retained) * mean
         limit = FREED_N if x.digit_int[s.BLOCKED, d] else BLOCKED_N

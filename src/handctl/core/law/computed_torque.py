@@ -24,17 +24,16 @@ from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
-from handctl.core.estimation.statics import winding_efficiency
+from handctl.core.estimation.statics import explained, winding_efficiency
 from handctl.core.estimation.touch import PRESS_N
 from handctl.core.law.friction_band import look_ahead
+from handctl.core.law.null_space import INTEGRAL_LIMIT_N, hold_each_other
 from handctl.core.law.reference import LIMP, MOTION, NO_WAY, TENSION
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-INTEGRAL_LIMIT_N = 8.0
-"""Limit of the tension integral, for anti-windup [N]."""
 MOTOR_FRICTION_SPEED = 2.5e-3
 """Tendon speed of fully developed motor friction [m/s]: 0.5 rad/s at a 5 mm spool."""
 UNWIND_FRACTION = 0.3
@@ -48,7 +47,7 @@ HELD_MARGIN_N = 1.0
 ROUNDING = 1.0 - 1e-12
 """Factor to prevent a settled envelope from creeping upwards by rounding errors of a division."""
 RELAX_FLOOR_N = 5.0
-"""Tension of a relaxed hand [N]."""
+"""Tension of a relaxed hand whose springs open it [N]."""
 
 
 @inner
@@ -133,17 +132,19 @@ def command(x: Tables, c: ConstantTables, way: Matrix, relax_rate: float, open_l
     joints = x.joint.shape[1]
     count = x.tendon.shape[1]
     load = np.zeros(count)
+    winding, terms, internal = _motion_terms(x, c, way, limit)
     for n in range(count):
         kind = x.tendon_int[s.GOAL_KIND, n]
-        excursion, rate, acceleration = _along(c, n, way)
-        efficiency = 1.0
+        _, rate, acceleration = _along(c, n, way)
         force = 0.0
         x.tendon[s.TENSION_GOAL, n] = math.nan
         setpoint = x.tendon[s.TENSION, n]
         integral = 0.0
         if kind == MOTION:
-            efficiency = winding_efficiency(c, n, way[0])
-            force = _move(x, c, n, limit[n], efficiency, excursion, rate, acceleration)
+            force = _move(x, c, n, terms[0, n], terms[1, n], rate, acceleration)
+            if c.tendon_int[h.SURPLUS, n]:
+                integral = internal[1, n]
+                force += internal[0, n] + integral
             load[n] = x.tendon[s.LOAD, n]
         if kind == TENSION:
             force, setpoint, integral = _hold(x, c, n, limit[n])
@@ -161,7 +162,7 @@ def command(x: Tables, c: ConstantTables, way: Matrix, relax_rate: float, open_l
         x.tendon[s.SETPOINT, n] = setpoint
         x.tendon[s.INTEGRAL, n] = integral
         if kind == MOTION:
-            look_ahead(x, c, n, rate, efficiency)
+            look_ahead(x, c, n, rate, winding[n])
         else:
             x.tendon[s.PLANNED, n] = x.tendon[s.RATE, n] = 0.0
             x.tendon[s.FRICTION_STATE, n] = math.nan
@@ -176,6 +177,46 @@ def command(x: Tables, c: ConstantTables, way: Matrix, relax_rate: float, open_l
             if x.tendon_int[s.GOAL_KIND, n] == MOTION:
                 x.joint[s.Q_GOAL, j] = way[0, j]
                 x.joint[s.DQ_GOAL, j] = way[1, j]
+
+
+@inner
+def _motion_terms(x: Tables, c: ConstantTables, way: Matrix, limit: Vector) -> tuple[Vector, Matrix, Matrix]:
+    """Return efficiency (N,), tension goal and feedback (2, N) [N], and null-space force and integral (2, N) [N].
+
+    The feedback accelerates rotor and digit. All terms are 0 for tendons that follow no trajectory.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        way: (3, J) angles, rates and accelerations of the joints on the trajectories.
+        limit: (N,) present tension limits [N].
+    """
+    count = x.tendon.shape[1]
+    efficiency = np.ones(count)
+    terms = np.zeros((2, count))
+    internal = np.zeros((2, count))
+    surplus = False
+    for n in range(count):
+        if x.tendon_int[s.GOAL_KIND, n] != MOTION:
+            continue
+        efficiency[n] = winding_efficiency(c, n, way[0])
+        excursion, rate, _ = _along(c, n, way)
+        place = x.tendon[s.EXCURSION, n]
+        if c.tendon_int[h.SURPLUS, n]:
+            surplus = True
+            # Excursions that no motion of the digit explains are errors of length: no feedback acts on them.
+            place = explained(c, n, x.tendon[s.EXCURSION])
+        feedback = x.tendon[s.STIFFNESS_FRACTION, n] * c.tendon[h.ERROR_GAIN, n] * (excursion - place)
+        feedback += x.tendon[s.DAMPING_FRACTION, n] * c.tendon[h.SPEED_GAIN, n] * (rate - x.tendon[s.SPEED, n])
+        counted = c.run[h.FRICTION_FRACTION]
+        # Fraction of the tension that passes the pulleys: efficiency winding, about 1 / efficiency paying out.
+        passed = (1.0 - counted) + counted * math.pow(efficiency[n], math.tanh(rate / CAPSTAN_FRICTION_SPEED))
+        ceiling = min(c.tendon[h.CEILING, n], limit[n])
+        terms[0, n] = min(max(x.tendon[s.LOAD, n] / passed, c.tendon[h.FLOOR, n]), ceiling)
+        terms[1, n] = c.tendon[h.MASS, n] * feedback
+    if surplus:
+        hold_each_other(x, c, limit, terms, internal)
+    return efficiency, terms, internal
 
 
 @inner
@@ -195,14 +236,7 @@ def _along(c: ConstantTables, n: int, way: Matrix) -> tuple[float, float, float]
 
 @inner
 def _move(
-    x: Tables,
-    c: ConstantTables,
-    n: int,
-    limit: float,
-    efficiency: float,
-    excursion: float,
-    rate: float,
-    acceleration: float,
+    x: Tables, c: ConstantTables, n: int, tension: float, feedback: float, rate: float, acceleration: float
 ) -> float:
     """Return the motor force of computed torque [N], and write the tension goal.
 
@@ -210,24 +244,17 @@ def _move(
         x: state tables.
         c: constants of the hand.
         n: index of the tendon.
-        limit: largest tension [N].
-        efficiency: fraction of a tension at the joints while the tendon winds.
-        excursion: of the tendon on the trajectory [m].
-        rate: of the excursion [m/s].
-        acceleration: of the excursion [m/s2].
+        tension: goal at the load cell [N].
+        feedback: force by the errors of excursion and speed [N].
+        rate: of the excursion on the trajectory [m/s].
+        acceleration: of the excursion on the trajectory [m/s2].
     """
     speed = x.tendon[s.SPEED, n]
-    feedback = x.tendon[s.STIFFNESS_FRACTION, n] * c.tendon[h.ERROR_GAIN, n] * (excursion - x.tendon[s.EXCURSION, n])
-    feedback += x.tendon[s.DAMPING_FRACTION, n] * c.tendon[h.SPEED_GAIN, n] * (rate - speed)
     counted = c.run[h.FRICTION_FRACTION]
-    # Fraction of the tension that passes the pulleys: efficiency winding, about 1 / efficiency paying out.
-    passed = (1.0 - counted) + counted * math.pow(efficiency, math.tanh(rate / CAPSTAN_FRICTION_SPEED))
-    ceiling = min(c.tendon[h.CEILING, n], limit)
-    tension = min(max(x.tendon[s.LOAD, n] / passed, c.tendon[h.FLOOR, n]), ceiling)
     x.tendon[s.TENSION_GOAL, n] = tension
     return (
         tension
-        + c.tendon[h.MASS, n] * feedback
+        + feedback
         + c.tendon[h.INERTIA, n] * acceleration
         - x.tendon[s.STIFFNESS_FRACTION, n] * c.run[h.REJECTION] * x.tendon[s.DISTURBANCE, n]
         + c.run[h.TENSION_FEEDBACK] * (tension - x.tendon[s.TENSION, n])
@@ -291,7 +318,7 @@ def _envelope(x: Tables, c: ConstantTables, n: int, rate: float, ticks: int) -> 
     last = x.tendon[s.COMMANDED_FORCE, n]
     last = 0.0 if math.isnan(last) else max(last, 0.0)
     falling = max(last - rate * c.run[h.PERIOD] * ticks, 0.0)
-    return max(min(last, RELAX_FLOOR_N), falling) * ROUNDING
+    return max(min(last, c.tendon[h.RELAXED, n]), falling) * ROUNDING
 
 
 @inner

@@ -1,11 +1,16 @@
 """Tensions at the joints required by the goals: the compiled reference, and the decisions of Python."""
 
+import numpy as np
+
 from handctl.core import stages
 from handctl.core.hand_constants import HandConstants
+from handctl.core.law.allocation import allocate as allocate_tension
 from handctl.core.law.allocation import bounded
 from handctl.core.model import HandModel
 from handctl.core.schema import Block, Layout
-from handctl.hand.dynamics import required_torque
+from handctl.core.types import Vector
+from handctl.hand.dynamics import DigitModel, required_torque
+from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 
 
 def write_loads(model: HandModel, layout: Layout, constants: HandConstants, block: Block, action: int = 0) -> None:
@@ -26,10 +31,11 @@ def write_loads(model: HandModel, layout: Layout, constants: HandConstants, bloc
         for digit in model.digits:
             required[digit.joints] = model.inverse(digit, *(row[digit.joints].tolist() for row in way))
         undecided = stages.load(block, layout.places, *constants_in)
-    allocate(model, layout, block, undecided)
+    if undecided:
+        allocate(model, layout, block, undecided, stages.on_joints(block, layout.places, *constants_in))
 
 
-def allocate(model: HandModel, layout: Layout, block: Block, undecided: int) -> None:
+def allocate(model: HandModel, layout: Layout, block: Block, undecided: int, way: Vector) -> None:
     """Solve the bounded least-squares problem of digits with tensions out of bounds or not unique.
 
     Args:
@@ -37,13 +43,45 @@ def allocate(model: HandModel, layout: Layout, block: Block, undecided: int) -> 
         layout: of the block.
         block: the state, modified in place.
         undecided: a bit for each of these digits.
+        way: (3, J) angles, rates and accelerations of the joints on the trajectories.
     """
     required = layout.view(block, "joint_required")
     load = layout.view(block, "load")
     for d, digit in enumerate(model.digits):
         if undecided >> d & 1:
             tendons = digit.tendons
+            if model.redundancy.surplus[tendons.start]:
+                load[tendons] = _with_friction(model, digit, required[digit.joints], way[:2, digit.joints])
+                continue
             required_torque = required[digit.joints] @ digit.coupling
             low = model.floor[tendons]
             high = model.ceiling[tendons]
             load[tendons] = bounded(digit.reduced_moment_arms, required_torque, low, high, load[tendons])
+
+
+def _with_friction(model: HandModel, digit: DigitModel, required: Vector, way: Vector) -> Vector:
+    """Return the tensions at the joints (n_t,) of a digit whose tendons hold each other [N].
+
+    Each pulley of a tendon has its own share of friction. Without springs the sum of all tendons
+    must be right at each joint, so the problem is solved with the moment arms less friction.
+
+    Args:
+        model: the hand.
+        digit: the digit.
+        required: (n,) joint torques [N m].
+        way: (2, n) angles and rates of the joints on the trajectory.
+    """
+    tendons = digit.tendons
+    arms = digit.moment_arms
+    counted = model.gains.motion.friction_share
+    winding = np.tanh(arms @ way[1] / CAPSTAN_FRICTION_SPEED)
+    passes = arms != 0.0
+    lost = digit.friction[:, None] * (digit.wrap[:, None] + np.cumsum(passes * way[0], axis=1))
+    factors = 1.0 - counted + counted * np.exp(-lost * winding[:, None])
+    low = model.floor[tendons]
+    high = model.ceiling[tendons]
+    reduced = (arms * factors) @ digit.coupling
+    tension, _ = allocate_tension(reduced, required @ digit.coupling, low, high)
+    # The control law divides by this mean over the pulleys.
+    efficiency = (model.pulley_weights[tendons, digit.joints] * np.exp(-lost)).sum(axis=1)
+    return np.asarray(tension * (1.0 - counted + counted * efficiency**winding))

@@ -1,8 +1,9 @@
 """Sections of a hand file as frozen pydantic models. Keys carry their units."""
 
 import math
+from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from handctl.hand.file import quantities as qty
 
@@ -86,6 +87,8 @@ class StreamLimits(Section):
 
 MAX_LINKS = 8
 """Largest number of links of a digit."""
+SPRINGS = ("spring_stiffness_N_m_per_rad", "spring_preload_rad")
+"""Keys of a digit's return springs, both absent without springs."""
 
 
 class Digit(Section):
@@ -140,6 +143,15 @@ class Digit(Section):
     """
     joint_rated_torque_N_m: tuple[qty.PositiveTorque, ...] | None = None
     """Torque limit of each joint with its pin and links, absent if unknown."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_springs(cls, given: Any) -> Any:
+        """Add springs without stiffness to a digit without springs: an antagonist returns it."""
+        if not isinstance(given, dict) or given.keys() & set(SPRINGS):
+            return given
+        links = given.get("link_length_m")
+        return given | dict.fromkeys(SPRINGS, (0.0,) * len(links) if isinstance(links, list | tuple) else ())
 
     @property
     def joints(self) -> tuple[str, ...]:

@@ -1,0 +1,70 @@
+"""Tensions of tendons that hold each other: those in the null space of (R B)^T make no torque.
+
+Position feedback acts on the coordinates alone. Within the null space a feedback of tension with an
+integral keeps the tensions at the goal, so that neither motor friction nor an error of length makes
+a tendon slack. Source: Abdallah et al. (2010), tension and joint space of tendon-driven fingers.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.compiled import inner
+from handctl.core import block as s
+from handctl.core import constants as h
+from handctl.core.block import Tables
+from handctl.core.constants import ConstantTables
+from handctl.core.estimation.statics import explained
+from handctl.core.law.reference import MOTION
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+INTEGRAL_LIMIT_N = 8.0
+"""Limit of the tension integral, for anti-windup [N]."""
+
+
+@inner
+def hold_each_other(x: Tables, c: ConstantTables, limit: Vector, terms: Matrix, internal: Matrix) -> None:
+    """Raise the tension goals of moving tendons in surplus above the floor, and write the null-space forces.
+
+    The feedback of motion may take more tension off a tendon than the goal has above the floor. The
+    balance of the digit is added to all goals then, which leaves the torque as it is.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        limit: (N,) present tension limits [N].
+        terms: (2, N) tension goal and feedback of motion [N]. The goal is modified in place.
+        internal: (2, N) result: force by the error in the null space, and the integral of this error [N].
+    """
+    count = x.tendon.shape[1]
+    error = np.zeros(count)
+    total = np.zeros(count)
+    for d in range(x.digit.shape[1]):
+        first = c.digit_int[h.TENDONS_FIRST, d]
+        end = c.digit_int[h.TENDONS_END, d]
+        if not c.tendon_int[h.SURPLUS, first] or x.tendon_int[s.GOAL_KIND, first] != MOTION:
+            continue
+        more = _more_balance(c, first, end, limit, terms)
+        for n in range(first, end):
+            terms[0, n] += more * c.tendon[h.BALANCE, n]
+            error[n] = terms[0, n] - x.tendon[s.TENSION, n]
+            total[n] = x.tendon[s.INTEGRAL, n] + c.run[h.INTEGRAL_GAIN] * error[n]
+        for n in range(first, end):
+            internal[0, n] = c.tendon[h.TENSION_GAIN, n] * (error[n] - explained(c, n, error))
+            integral = total[n] - explained(c, n, total)
+            internal[1, n] = min(max(integral, -INTEGRAL_LIMIT_N), INTEGRAL_LIMIT_N)
+
+
+@inner
+def _more_balance(c: ConstantTables, first: int, end: int, limit: Vector, terms: Matrix) -> float:
+    """Return the factor of the balance that keeps all tendons of a digit at the floor or above, within the limits."""
+    required = 0.0
+    room = np.inf
+    for n in range(first, end):
+        balance = c.tendon[h.BALANCE, n]
+        # The null-space part of the feedback damps the rotors. It must not raise the goal against itself.
+        feedback = explained(c, n, terms[1])
+        required = max(required, (c.tendon[h.FLOOR, n] - terms[0, n] - feedback) / balance)
+        room = min(room, (min(c.tendon[h.CEILING, n], limit[n]) - terms[0, n]) / balance)
+    return min(required, max(room, 0.0))

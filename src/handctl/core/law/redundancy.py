@@ -1,0 +1,95 @@
+"""Digits without return springs, and digits with more tendons than coordinates.
+
+An antagonist returns such a digit. Its tendons hold each other: a vector of tensions in the null
+space of (R B)^T, all above the floor, makes no torque. This vector is the balance of the digit. A
+digit with n + 1 tendons has a null space of one dimension, a digit with 2 n tendons one of n
+dimensions. Source: Lee & Tsai (1991), Salisbury & Craig (1982).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from handctl.core.law.allocation import allocate
+from handctl.core.types import Vector
+from handctl.hand.digit import DigitModel
+
+MISSING_FRACTION = 1e-3
+"""Largest torque of a balance, as a fraction of the torque of its largest tension at the mean moment arm."""
+
+
+@dataclass(frozen=True, slots=True)
+class Redundancy:
+    """Directions and balance of the N tendons of a hand, each (N,).
+
+    Attributes:
+        side: 1 for a tendon that pays in while its digit closes, -1 for one that pays out.
+        sprung: True if springs return the tendon's digit to its lower joint limits.
+        surplus: True for a tendon of a digit with more tendons than coordinates.
+        balance: smallest tensions, all above the floor, without torque. 0 without surplus [N].
+        open_excursion: excursion at the lower joint limits [m].
+        excursion_range: (2, N) smallest and largest excursion within the joint limits [m].
+    """
+
+    side: Vector
+    sprung: Vector
+    surplus: Vector
+    balance: Vector
+    open_excursion: Vector
+    excursion_range: Vector
+
+
+def redundancy(digits: tuple[DigitModel, ...], floor: Vector, ceiling: Vector) -> Redundancy:
+    """Derive directions and balance of all tendons.
+
+    Args:
+        digits: digit models, in file order.
+        floor: (N,) smallest tensions [N].
+        ceiling: (N,) largest tensions [N].
+    """
+    counts = [len(digit.moment_arms) for digit in digits]
+    surplus = [len(digit.moment_arms) > digit.coupling.shape[1] for digit in digits]
+    balance = [
+        _balance(digit, floor[digit.tendons], ceiling[digit.tendons]) if more else np.zeros(count)
+        for digit, more, count in zip(digits, surplus, counts, strict=True)
+    ]
+    return Redundancy(
+        side=np.concatenate([np.where(digit.reduced_moment_arms.sum(axis=1) < 0.0, -1.0, 1.0) for digit in digits]),
+        sprung=np.repeat([is_sprung(digit) for digit in digits], counts),
+        surplus=np.repeat(surplus, counts),
+        balance=np.concatenate(balance),
+        open_excursion=np.concatenate([digit.moment_arms @ digit.joint_min for digit in digits]),
+        excursion_range=np.concatenate([_excursion_range(digit) for digit in digits], axis=1),
+    )
+
+
+def _excursion_range(digit: DigitModel) -> Vector:
+    """Return the smallest and the largest excursions of a digit within the joint limits, (2, n_t) [m]."""
+    ends = np.stack((digit.moment_arms * digit.joint_min, digit.moment_arms * digit.joint_max))
+    return np.stack((ends.min(axis=0).sum(axis=1), ends.max(axis=0).sum(axis=1)))
+
+
+def is_sprung(digit: DigitModel) -> bool:
+    """Return True if springs push every coordinate of a digit towards the lower joint limits."""
+    torque = np.asarray(digit.spring_stiffness) * (np.asarray(digit.spring_preload) + digit.joint_min)
+    return bool((digit.coupling.T @ torque > 0.0).all())
+
+
+def _balance(digit: DigitModel, floor: Vector, ceiling: Vector) -> Vector:
+    """Return the balance of a digit (n_t,) [N], the floor if its tendons cannot hold each other."""
+    arms = digit.reduced_moment_arms
+    tension, missing = allocate(arms, np.zeros(arms.shape[1]), floor, ceiling)
+    bearable = MISSING_FRACTION * float(tension.max() * np.abs(arms).mean())
+    return tension if np.abs(missing).max() <= bearable else floor
+
+
+def co_contraction(digit: DigitModel, balance: Vector, least: float) -> Vector:
+    """Return the balance of a digit, scaled to a smallest tension [N].
+
+    Args:
+        digit: the digit.
+        balance: (N,) of the hand.
+        least: smallest tension of the result [N].
+    """
+    own = balance[digit.tendons]
+    return np.asarray(own * (least / own.min()))

@@ -1,0 +1,175 @@
+"""Hands without return springs: n + 1 tendons a digit commission, track, grasp and release against the simulator."""
+
+import os
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handctl.controller.setup import make_controller
+from handctl.core import block as s
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
+from handctl.core.types import Event, Mode
+from handctl.hand.description import Hand
+from handctl.hand.load import hand_from, load_hand
+from handctl.hand.readiness import unready
+from handctl.programs.calibration import Calibration
+from handctl.programs.commission import PULL_N, CommissionProgram, result
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.program import Program
+from handctl.programs.task import Task
+from handctl.session.simulate import SimulatedHand, Simulation, Simulator
+
+RATE_HZ = 250.0
+FILE = Path(__file__).parents[1] / "hand" / "hands" / "n_plus_1.toml"
+SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 2)
+
+
+@cache
+def n_plus_1() -> Hand:
+    """Two fingers of three joints with four tendons each, and a thumb of two joints with three tendons."""
+    return load_hand(str(FILE))
+
+
+@cache
+def model() -> HandModel:
+    """The model at the test's rate."""
+    return HandModel.of(n_plus_1(), Gains(), RATE_HZ)
+
+
+def moves(*angles: tuple[float, float]) -> Task:
+    """Return a task of moves: angle of all joints [deg] and duration [s]."""
+    phases = [
+        {"kind": "move", "name": f"move {i}", "angle_deg": angle, "duration_s": duration}
+        for i, (angle, duration) in enumerate(angles)
+    ]
+    return Task.model_validate({"schema": 1, "name": "moves", "description": "moves", "phase": tuple(phases)})
+
+
+def ticks_of(
+    peer: SimulatedHand, program: Program, calibration: Calibration | None, first: int
+) -> tuple[Simulation, Iterator[None]]:
+    """Begin a run of a program at a tick, on a hand that may have run before."""
+    controller = make_controller(n_plus_1(), Gains(), RATE_HZ, program, calibration, arm_at_once=True)
+    run = Simulation.of(controller, peer)
+    run.k, run.keep = first, False
+    run.state.set_whole(s.K, first - 1)
+    return run, (None for _ in run.ticks(first / RATE_HZ + 60.0))
+
+
+def events_of(run: Simulation) -> tuple[Event, ...]:
+    assert run.out is not None
+    return run.out.events
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_it_commissions_and_tracks_from_a_cold_start(seed: int) -> None:
+    """The motor zeros are those of the simulator, and the joints follow within a degree."""
+    period_ns = round(1e9 / RATE_HZ)
+    with Simulator(n_plus_1(), None, seed).peer(period_ns) as peer:
+        plant = peer.world.plant
+        run, ticks = ticks_of(peer, CommissionProgram(), None, 0)
+        for _ in ticks:
+            assert not [event for event in events_of(run) if event.level == "error"]
+        assert not run.state.progress.failure
+        calibration = result(model(), run.state.progress, "2026-01-01T00:00:00+00:00")
+        for row in calibration.tendon.values():
+            assert row.answer_N == pytest.approx(PULL_N, abs=0.8)
+        # The encoder reads its offset where the tendon is just taut and the digit open. 0.1 mm is a degree of a finger.
+        offset = [peer.world.encoder_offset[name] for name in n_plus_1().motor_names]
+        found = (calibration.zero(n_plus_1()) - offset) * model().space.spool
+        np.testing.assert_allclose(found, 0.0, atol=5e-5)
+
+        run, ticks = ticks_of(
+            peer, TaskProgram(moves((0.0, 0.6), (40.0, 1.0), (5.0, 1.0), (40.0, 0.3))), calibration, run.k
+        )
+        errors, least = list[np.ndarray](), list[float]()
+        for _ in ticks:
+            assert not [event for event in events_of(run) if event.level == "error"]
+            if run.state.mode == Mode.ACTIVE and run.state.progress.phase.startswith("move"):
+                errors.append(np.degrees(run.state.view("q_goal") - plant.engine.q))
+                least.append(min(plant.tensions()))
+        assert np.sqrt(np.mean(np.square(errors))) < 1.0
+        assert min(least) > 0.5 * model().floor.min(), "no tendon comes near slack"
+
+
+GRASP = Task.model_validate(
+    {
+        "schema": 1,
+        "name": "grasp",
+        "description": "grasp",
+        "phase": (
+            {"kind": "move", "name": "home", "angle_deg": 0.0, "duration_s": 0.4},
+            {
+                "kind": "move",
+                "name": "preshape",
+                "angle_deg": {"index": 10.0, "middle": 10.0, "thumb": 5.0},
+                "duration_s": 0.8,
+            },
+            {"kind": "close", "name": "close", "angle_deg": 80.0, "speed_deg_s": 50.0, "contact_tension_N": 18.0},
+            {"kind": "hold", "name": "hold", "tension_N": 40.0, "rate_N_per_s": 40.0, "duration_s": 3.5},
+            {"kind": "release", "name": "release", "tension_N": 9.0, "rate_N_per_s": 60.0},
+            {"kind": "move", "name": "open", "angle_deg": 0.0, "duration_s": 0.8},
+        ),
+    }
+)
+CYLINDER = """name = "cylinder"
+[object]
+shape = "cylinder"
+diameter_m = 0.042
+length_m = 0.093
+mass_kg = 0.2
+friction = 0.5
+position_m = [0.023, 0.0, 0.0]
+[support]
+drop_when = "grasped"
+drop_hold_s = 0.5
+sink_speed_m_s = 0.2
+"""
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_it_grasps_holds_against_gravity_and_lets_go(seed: int) -> None:
+    with Simulator(n_plus_1(), CYLINDER, seed, homed=True).peer(round(1e9 / RATE_HZ)) as peer:
+        plant = peer.world.plant
+        run, ticks = ticks_of(peer, TaskProgram(GRASP), None, 0)
+        height, tension = dict[str, float](), dict[str, np.ndarray]()
+        touched = set[str]()
+        for _ in ticks:
+            assert not [event for event in events_of(run) if event.level == "error"]
+            touched |= {event.where for event in events_of(run) if event.name == "contact"}
+            height[run.state.progress.phase] = plant.engine.object_pose()[2]
+            tension[run.state.progress.phase] = np.array(plant.tensions())
+        assert touched == {"index", "middle", "thumb"}
+        assert height["hold"] == pytest.approx(0.0, abs=2e-3), "the table has sunk, the grasp holds"
+        assert height["open"] < -0.05, "the antagonists open the digits"
+        closes = model().redundancy.side > 0.0
+        np.testing.assert_allclose(tension["hold"][closes], 40.0, atol=3.0)
+        np.testing.assert_allclose(tension["hold"][~closes], model().redundancy.balance[~closes], atol=2.0)
+
+
+def test_the_balance_makes_no_torque_and_is_at_the_floor_or_above() -> None:
+    for digit in model().digits:
+        balance = model().redundancy.balance[digit.tendons]
+        np.testing.assert_allclose(digit.moment_arms.T @ balance, 0.0, atol=1e-4)
+        assert balance.min() == pytest.approx(model().floor[digit.tendons].min(), rel=1e-3)
+
+
+def test_springs_of_no_stiffness_are_no_springs() -> None:
+    content = n_plus_1().content
+    named = {digit["name"]: digit for digit in content["digit"]}
+    assert named["thumb"]["spring_stiffness_N_m_per_rad"] == (0.0, 0.0)
+    assert hand_from(content, "x").identity == n_plus_1().identity
+
+
+def test_a_digit_that_nothing_opens_is_refused() -> None:
+    content = n_plus_1().content
+    for tendon in content["tendon"]:
+        if tendon["name"] == "thumb_e":
+            tendon["moment_arm_m"] = {"thumb_j1": 0.004, "thumb_j2": 0.003}
+    mistakes = [str(mistake) for mistake in unready(hand_from(content, "x"))]
+    assert len(mistakes) == 1
+    assert "digit[thumb]" in mistakes[0]
