@@ -109,11 +109,14 @@ def _tightened(model: HandModel, tendons: slice) -> Vector:
     return np.asarray(balance * (least / balance).max() if balance.all() else least)
 
 
-def pull_tensions(model: HandModel, d: int, tension: float) -> Vector:
+def pull_tensions(model: HandModel, d: int, tension: float | tuple[float, ...]) -> Vector:
     """Return tensions (n_t,) of digit d under tension control [N].
 
-    Tendons that close the digit have the given tension. Their antagonists have the balance.
+    Tendons that close the digit have the given tension. Their antagonists have the balance. With a
+    tension for each tendon all have theirs.
     """
+    if isinstance(tension, tuple):
+        return np.array(tension)
     tendons = model.digit_tendons[d]
     opens = model.redundancy.surplus[tendons] & (model.redundancy.side[tendons] < 0.0)
     return np.where(opens, model.redundancy.balance[tendons], tension)

@@ -9,11 +9,13 @@ dimensions. Source: Lee & Tsai (1991), Salisbury & Craig (1982).
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from handctl.core.law.allocation import allocate
 from handctl.core.types import Vector
 from handctl.hand.digit import DigitModel
 
+Flags = NDArray[np.bool_]
 MISSING_FRACTION = 1e-3
 """Largest torque of a balance, as a fraction of the torque of its largest tension at the mean moment arm."""
 
@@ -32,8 +34,8 @@ class Redundancy:
     """
 
     side: Vector
-    sprung: Vector
-    surplus: Vector
+    sprung: Flags
+    surplus: Flags
     balance: Vector
     open_excursion: Vector
     excursion_range: Vector
