@@ -5,6 +5,7 @@ from pathlib import Path
 
 from handctl.cli.console.options import (
     DRIVE_PROTOCOLS,
+    PROTOCOLS,
     bitrate_options,
     bus_option,
     gains_options,
@@ -21,6 +22,7 @@ EXAMPLES = {
     "config check": Example("handctl config check --hand jamia --task grasp.toml"),
     "config list": Example("handctl config list"),
     "config schema": Example("handctl config schema --output hand.schema.json"),
+    "config init": Example("handctl config init --yes --fingers 2 --opposed 1 --output mine.toml"),
     "config convert": Example(
         "handctl config show --hand jamia > old.toml; handctl config convert old.toml --output new.toml"
     ),
@@ -39,15 +41,16 @@ EXAMPLES = {
 
 def config(parser: Parser) -> None:
     """Declare the arguments of ``config``."""
-    kinds = parser.add_subparsers(dest="what", required=True, metavar="show|check|list|schema|convert|export")
+    kinds = parser.add_subparsers(dest="what", required=True, metavar="init|show|check|list|schema|convert|export")
 
     def kind(name: str, text: str) -> Parser:
         one = add_sub_verb(kinds, name, text, EXAMPLES[f"config {name}"])
         json_option(one)
-        if name not in ("list", "schema", "convert"):
+        if name not in ("init", "list", "schema", "convert"):
             hand_option(one)
         return one
 
+    _init(kind("init", "write a new hand file from a few answers"))
     _files(kind("show", "show a hand, and the source of each value"))
     _files(kind("check", "check a hand with its files"))
     kind("list", "list the packaged hands and tasks")
@@ -59,6 +62,30 @@ def config(parser: Parser) -> None:
     export = kind("export", "write the buses of a hand for other tools")
     export.add_argument("--dbc", action="store_true", help="the frames of each bus, as a CAN database")
     output_option(export, "a new file (default: HAND.dbc)")
+
+
+def _init(parser: argparse.ArgumentParser) -> None:
+    """Declare the answers about a new hand. What no option answers is asked."""
+    output_option(parser, "a new hand file", required=True)
+    add = parser.add_argument
+    add("--yes", action="store_true", help="ask nothing: take the defaults where no option answers")
+    add("--name", help="name of the hand (default: mine)")
+    add("--fingers", type=int, metavar="N", help="digits on one side (default: 2)")
+    add("--opposed", type=int, metavar="N", help="digits that close against them (default: 1)")
+    add("--links", type=_lengths, dest="links_mm", metavar="MM,MM", help="length of each link (default: 40,30)")
+    add("--width", type=float, dest="width_mm", metavar="MM", help="width of the links (default: 12)")
+    add("--palm", type=float, dest="palm_mm", metavar="MM", help="distance between the sides (default: 52)")
+    add("--tendons", choices=("one", "each"), help="one per digit, or one for each joint (default: one)")
+    add("--pulley", type=float, dest="pulley_mm", metavar="MM", help="moment arm at the joints (default: 5)")
+    add("--spool", type=float, dest="spool_mm", metavar="MM", help="radius of the spools (default: 8)")
+    add("--tension", type=float, dest="tension_N", metavar="N", help="largest commanded tension (default: 80)")
+    add("--strength", type=float, dest="strength_N", metavar="N", help="breaking force of the tendons (default: 600)")
+    add("--protocol", choices=PROTOCOLS, help="protocol of the drives (default: mit)")
+
+
+def _lengths(text: str) -> tuple[float, ...]:
+    """Return the lengths of a list such as ``40,30`` [mm]."""
+    return tuple(float(part) for part in text.split(","))
 
 
 def _files(parser: argparse.ArgumentParser) -> None:

@@ -41,6 +41,10 @@ def run(args: argparse.Namespace) -> int:
     """Run the selected sub-verb and return its exit code."""
     if args.what == "list":
         return _list(args.json)
+    if args.what == "init":
+        from handctl.cli.checks.config_init import run as init
+
+        return init(args)
     if args.what == "schema":
         return _schema(args)
     if args.what == "convert":

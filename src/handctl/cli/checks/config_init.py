@@ -1,0 +1,114 @@
+"""``handctl config init``: write a new hand file from options, or from the answers to a few questions."""
+
+import argparse
+import sys
+from collections.abc import Callable
+from dataclasses import fields, replace
+from typing import Any, NamedTuple
+
+from handctl.cli.console.options import print_json, say
+from handctl.errors import ConfigError
+from handctl.hand.file.json_schema import hand_schema_text
+from handctl.hand.file.new_file import Answers, check_answers, new_hand_text
+from handctl.hand.load import inspect, parse_toml
+from handctl.output import write_whole
+
+SCHEMA_FILE = "hand.schema.json"
+"""Name of the JSON Schema beside a new hand file."""
+
+
+class Question(NamedTuple):
+    """Question about a hand.
+
+    Attributes:
+        field: field of ``Answers``.
+        text: the question, without its default.
+        read: returns the answer of a text, or raises ValueError.
+        right: the expected answer.
+    """
+
+    field: str
+    text: str
+    read: Callable[[str], Any]
+    right: str
+
+
+def lengths(text: str) -> tuple[float, ...]:
+    """Return the lengths of a list such as ``40,30`` [mm]."""
+    return tuple(float(part) for part in text.replace(",", " ").split())
+
+
+def one_or_each(text: str) -> str:
+    """Return ``one`` or ``each``."""
+    if text not in ("one", "each"):
+        raise ValueError(text)
+    return text
+
+
+QUESTIONS = (
+    Question("name", "Name of the hand", str, "a word"),
+    Question("fingers", "Digits on one side", int, "a whole number"),
+    Question("opposed", "Digits that close against them, as a thumb does", int, "a whole number"),
+    Question("links_mm", "Length of each link, from the palm outwards [mm]", lengths, "numbers, e.g. 40,30"),
+    Question("width_mm", "Width of the links [mm]", float, "a number"),
+    Question("palm_mm", "Distance between the two sides of the palm [mm]", float, "a number"),
+    Question("tendons", "Tendons of a digit: one, or one for each joint (one, each)", one_or_each, "one or each"),
+    Question("pulley_mm", "Moment arm of the tendons at the joints [mm]", float, "a number"),
+    Question("spool_mm", "Radius of the spools, to the middle of the tendon [mm]", float, "a number"),
+    Question("tension_N", "Largest tension that a tendon may be commanded [N]", float, "a number"),
+    Question("strength_N", "Rated breaking force of the tendons [N]", float, "a number"),
+)
+"""Questions in order. An option answers a question before it is asked."""
+
+
+def run(args: argparse.Namespace) -> int:
+    """Ask what no option answers, and write the file and the schema beside it."""
+    given = {one.name: getattr(args, one.name) for one in fields(Answers)}
+    answers = replace(Answers(), **{name: value for name, value in given.items() if value is not None})
+    if not args.yes:
+        answers = _ask(args, answers)
+    check_answers(answers)
+    schema = args.output.parent / SCHEMA_FILE
+    text = f"#:schema {SCHEMA_FILE}\n" + new_hand_text(answers)
+    found = inspect(parse_toml(text, str(args.output)))
+    if found.mistakes:
+        raise found.mistakes[0].error("the answers")
+    write_whole(args.output, text, new=True)
+    if not schema.exists():
+        write_whole(schema, hand_schema_text(), new=True)
+    assumed = sum("ASSUMED" in line for line in text.splitlines()) - 1
+    if args.json:
+        print_json({"output": str(args.output), "schema": str(schema), "assumed": assumed})
+        return 0
+    say(f"{args.output}: {answers.fingers + answers.opposed} digits; {assumed} lines are marked ASSUMED")
+    say(f"next: handctl config check --hand {args.output}; handctl demo --lockstep --hand {args.output}")
+    return 0
+
+
+def _ask(args: argparse.Namespace, answers: Answers) -> Answers:
+    """Ask the questions that no option answers. An empty answer takes the default.
+
+    Raises:
+        ConfigError: nobody is there to answer.
+    """
+    if not (sys.stdin and sys.stdin.isatty()):
+        raise ConfigError("nobody can answer the questions: no terminal", "config init", "--yes, and options")
+    for question in QUESTIONS:
+        if getattr(args, question.field) is not None:
+            continue
+        default = getattr(answers, question.field)
+        shown = ",".join(f"{one:g}" for one in default) if isinstance(default, tuple) else default
+        answers = replace(answers, **{question.field: _answer(question, str(shown), default)})
+    return answers
+
+
+def _answer(question: Question, shown: str, default: Any) -> Any:
+    """Ask one question until the answer can be read."""
+    while True:
+        text = input(f"{question.text} [{shown}]: ").strip()
+        if not text:
+            return default
+        try:
+            return question.read(text)
+        except ValueError:
+            say(f"{text!r}; expected {question.right}")
