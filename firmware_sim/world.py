@@ -20,6 +20,7 @@ from firmware_sim.nodes.cyclic import NEVER_NS
 from firmware_sim.nodes.mit import codec as mit_codec
 from firmware_sim.nodes.protocol_spec import SENSORS, DriveNode, Node
 from firmware_sim.nodes.sensors import SensorNode, SensorNodeRow, SensorStruct
+from firmware_sim.plant.mjcf import shapes
 from firmware_sim.plant.plant import STEP_NS, Plant
 from firmware_sim.scene.scene import Scene
 from firmware_sim.truth import TruthWriter
@@ -340,6 +341,7 @@ class World:
             "scene": self.plant.scene.name,
             "homed": self.homed,
             "encoder_offset_rad": self.encoder_offset,
+            "shapes": shapes(self.plant.scene),
         }
 
 

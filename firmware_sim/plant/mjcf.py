@@ -231,6 +231,18 @@ def _table(grasp_object: GraspObject, support: Support | None) -> str:
     )
 
 
+def shapes(scene: Scene) -> dict[str, dict[str, object]]:
+    """Return shape and extents [m] of object and table, and the table's position [m], for those who draw them."""
+    if scene.grasp_object is None:
+        return {}
+    grasp_object: dict[str, object] = {"shape": scene.grasp_object.shape, "size_m": scene.grasp_object.size}
+    if scene.support is None:
+        return {"object": grasp_object}
+    size = tuple(2.0 * half for half in TABLE_HALF)
+    position = table_position(scene.grasp_object)
+    return {"object": grasp_object, "table": {"shape": "box", "size_m": size, "position_m": position}}
+
+
 def table_position(grasp_object: GraspObject) -> tuple[float, float, float]:
     """Return the centre of the table when the object rests on the table [m]."""
     x, y, z = grasp_object.position

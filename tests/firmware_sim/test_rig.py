@@ -154,6 +154,8 @@ def test_content_of_the_truth_file(tmp_path: Path) -> None:
     assert len(names) == len(truth.header["units"]) == 4 + 11 + 11 + 4 + 4 + 12 + 7 + 1 + 1
     assert (truth.header["clock"], truth.header["seed"], truth.header["period_ns"]) == ("virtual", 5, 1_000_000)
     assert truth.header["scene"] == "cylinder:35"
+    assert truth.header["shapes"]["object"] == {"shape": "cylinder", "size_m": [0.035, 0.035, 0.093]}
+    assert truth.header["shapes"]["table"]["shape"] == "box"
     assert np.array_equal(np.diff(truth.t_ns), np.full(len(truth.t_ns) - 1, 1_000_000))
     assert len(truth.t_ns) == 500
     assert np.isfinite(truth.values).all()

@@ -20,6 +20,7 @@ from handctl.view.scene.blueprint import dashboard
 from handctl.view.scene.run_info import RunInfo
 from handctl.view.scene.styles import styles
 from handctl.view.scene.topic_converters import TopicConverters
+from handctl.view.scene.true_shapes import true_shapes
 from handctl.view.time_slices import SPAN_NS, time_slices
 
 DISK_SPACE_FACTOR = 2
@@ -59,7 +60,7 @@ def run_parts(
     Raises:
         LogError: the log is damaged.
     """
-    yield list(styles(run))
+    yield [*styles(run), *true_shapes(run)]
     with tempfile.TemporaryDirectory(prefix="handctl-view-") as folder:
         converters = TopicConverters(run)
         complete, scan = complete_log(path, Path(folder), scan or scan_path(path))

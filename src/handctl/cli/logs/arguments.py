@@ -47,6 +47,9 @@ def view(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--at", type=float, metavar="SECONDS", help="moment of the picture (default: in the middle of the hold phase)"
     )
+    parser.add_argument(
+        "--truth", type=Path, metavar="FILE", help="truth of a lockstep run, whose object is drawn (default: LOG.truth)"
+    )
     parser.add_argument("--follow", action="store_true", help="the log is still being written: show it as it grows")
     json_option(parser)
 

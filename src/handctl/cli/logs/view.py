@@ -3,12 +3,13 @@
 import argparse
 import os
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from handctl.cli.console.options import print_json, say, warn_if_lossy
 from handctl.cli.console.progress import progress
-from handctl.errors import ConfigError
+from handctl.errors import ConfigError, LogError
 from handctl.output import check_output, whole
 from handctl.session.exit_codes import Exit
 
@@ -26,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
     from handctl.view.scene.run_info import RunInfo
 
     with RunLog(args.log, checked=False) as log:
-        run_info = RunInfo.of(log.header, args.log.stem)
+        run_info = replace(RunInfo.of(log.header, args.log.stem), truth=_truth(args, log))
         at_s = _moment(args, log) if args.picture else 0.0
         warning = log.warning
         scan = log.scan
@@ -40,6 +41,25 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json(result | {"log": args.log, "warning": warning})
     return code
+
+
+def _truth(args: argparse.Namespace, log: Any) -> Any:
+    """Return the truth of a run in lockstep, or None if there is none beside the log.
+
+    Raises:
+        LogError: the file that ``--truth`` names is no truth of this run.
+    """
+    from handctl.report.truth import read_truth
+
+    beside = args.log.with_suffix(".truth")
+    if args.truth is None and not (log.header.deterministic and beside.is_file()):
+        return None
+    truth = read_truth(args.truth or beside)
+    if truth.covers(log.t_ns + log.header.truth_offset_ns):
+        return truth
+    if args.truth is None:
+        return None
+    raise LogError("is of another time than the log", str(args.truth), "the truth of this run, in lockstep")
 
 
 def _moment(args: argparse.Namespace, log: Any) -> float:

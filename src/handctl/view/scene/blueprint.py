@@ -34,7 +34,7 @@ def dashboard(run: RunInfo, live: bool = False) -> rrb.Blueprint:
         live: show the last seconds and follow the run.
     """
     window = [LAST_SECONDS] if live else None
-    left = rrb.Vertical(_hand(run), _timing(window), _log(), row_shares=[0.56, 0.18, 0.26])
+    left = rrb.Vertical(_hand(run), _timing(run, window), _log(), row_shares=[0.56, 0.18, 0.26])
     right = rrb.Vertical(_forces(run, window), _angles(run, window), _states(window), row_shares=ROWS)
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[0.40, 0.60]),
@@ -51,9 +51,10 @@ def _hand(run: RunInfo) -> rrb.Spatial3DView:
     """Build the view of the hand."""
     mounts = np.array([digit.mount_position_m for digit in run.hand.digit])
     middle = mounts.mean(axis=0) * (1, 0, 1) + run.reach * np.array([0.4, -0.05, -0.06])
+    shown = "object and table as in the simulator" if run.truth else "forces of the object on the fingertips"
     return rrb.Spatial3DView(
-        name=f"{run.hand.name}, {run.name}: arrows are forces of the object on the fingertips",
-        contents=["+ /hand/**", "+ /force/**", "+ /tf/**", "+ /tf_static/**"],
+        name=f"{run.hand.name}, {run.name}: {shown}",
+        contents=["+ /hand/**", "+ /force/**", "+ /true/**", "+ /tf/**", "+ /tf_static/**"],
         spatial_information=rrb.SpatialInformation(target_frame="palm"),
         background=rrb.Background(kind=BackgroundKind.SolidColor, color=BACKGROUND),
         line_grid=False,
@@ -108,11 +109,12 @@ def _states(window: Window) -> rrb.StateTimelineView:
     )
 
 
-def _timing(window: Window) -> rrb.Horizontal:
+def _timing(run: RunInfo, window: Window) -> rrb.Horizontal:
     """Build the plots of lateness and bus load."""
+    late = "Tick late: never, in virtual time" if run.header.deterministic else "Tick late [us]"
     return rrb.Horizontal(
         rrb.TimeSeriesView(
-            name="Tick late [us]",
+            name=late,
             contents="/loop/**",
             axis_x=LINKED,
             time_ranges=window,

@@ -11,6 +11,7 @@ from handctl.log.batch import columns, row_fields
 from handctl.log.header import RunHeader
 from handctl.log.read.log_hand import described_hand
 from handctl.printing import printable
+from handctl.report.truth import TruthRecord
 
 Floats = NDArray[np.float64]
 
@@ -23,11 +24,13 @@ class RunInfo:
         header: names, period and offset of the run.
         hand: description of the hand from the log.
         name: name of the log for the user.
+        truth: truth of the simulator that covers the run, or None.
     """
 
     header: RunHeader
     hand: Hand
     name: str
+    truth: TruthRecord | None = None
 
     @classmethod
     def of(cls, header: RunHeader, name: str) -> "RunInfo":

@@ -1,0 +1,79 @@
+"""Object and table of a simulated run, where the simulator's truth has them."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import rerun as rr
+from rerun.chunk import Chunk
+
+from handctl.errors import LogError
+from handctl.report.truth import TruthRecord
+from handctl.view.scene.arrow import static, timed
+from handctl.view.scene.palette import Colour
+from handctl.view.scene.run_info import RunInfo
+
+PERIOD_NS = 20_000_000
+"""Interval between poses [ns], as of the links' transforms."""
+COLOURS = {"object": Colour(216, 206, 186), "table": Colour(112, 122, 134)}
+POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+"""Columns of the object's pose, in Rerun's order of a quaternion."""
+
+
+def true_shapes(run: RunInfo) -> Iterator[Chunk]:
+    """Yield shapes and poses of object and table. A run without truth, or a truth without shapes, has none.
+
+    Raises:
+        LogError: the truth describes a shape that it does not know, or lacks a column.
+    """
+    if run.truth is None:
+        return
+    described = run.truth.header.get("shapes")
+    shapes = described if isinstance(described, Mapping) else {}
+    offset = run.header.truth_offset_ns
+    times = np.arange(int(run.truth.t_ns[0]), int(run.truth.t_ns[-1]), PERIOD_NS)
+    times = times[times >= offset]
+    for name in COLOURS.keys() & shapes.keys():
+        yield static(f"/true/{name}", _solid(shapes[name], COLOURS[name]))
+        yield static(f"/true/{name}", rr.CoordinateFrame.columns(frame=[f"true_{name}"]))
+        place = _object_pose if name == "object" else _table_pose
+        translation, rotation = place(run.truth, shapes[name], times)
+        pose = rr.Transform3D.columns(
+            translation=translation,
+            quaternion=rotation,
+            parent_frame=["palm"] * len(times),
+            child_frame=[f"true_{name}"] * len(times),
+        )
+        yield timed(f"/true/{name}_pose", times - offset, pose)
+
+
+def _solid(shape: Mapping[str, Any], colour: Colour) -> Any:
+    """Return a shape as a solid.
+
+    Raises:
+        LogError: the kind of shape is unknown.
+    """
+    x, y, z = (float(extent) for extent in shape["size_m"])
+    style: dict[str, Any] = {"fill_mode": [rr.components.FillMode.Solid], "colors": [colour]}
+    if shape["shape"] == "cylinder":
+        return rr.Cylinders3D.columns(lengths=[z], radii=[x / 2.0], **style)
+    half = [(x / 2.0, y / 2.0, z / 2.0)]
+    if shape["shape"] == "sphere":
+        return rr.Ellipsoids3D.columns(half_sizes=half, **style)
+    if shape["shape"] == "box":
+        return rr.Boxes3D.columns(half_sizes=half, **style)
+    raise LogError(f"shape {shape['shape']!r}", "the simulator's truth", "cylinder, sphere or box")
+
+
+def _object_pose(truth: TruthRecord, shape: Mapping[str, Any], times: Any) -> tuple[Any, Any]:
+    """Return position [m] and quaternion x, y, z, w of the object, a row per time."""
+    pose = truth.table([f"object/{part}" for part in POSE], times)
+    return pose[:, :3], pose[:, 3:]
+
+
+def _table_pose(truth: TruthRecord, shape: Mapping[str, Any], times: Any) -> tuple[Any, Any]:
+    """Return position [m] and quaternion of the table, which only sinks."""
+    position = np.tile(np.array(shape["position_m"], np.float64), (len(times), 1))
+    if truth.has("support"):
+        position[:, 2] -= truth.at("support", times)
+    return position, np.tile((0.0, 0.0, 0.0, 1.0), (len(times), 1))
