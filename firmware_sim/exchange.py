@@ -93,7 +93,7 @@ class Exchange:
             if at == len(frames):
                 return answers[: progress[ANSWERS]], bool(progress[IN_ORDER])
             if progress[ANSWERS] + self._max_answers > len(answers):
-                answers = self._grown(answers)
+                answers = self._enlarged(answers)
                 continue
             (frame,) = to_frames(frames[at : at + 1])
             answers = self._appended(answers, world.receive(frame))
@@ -108,7 +108,7 @@ class Exchange:
             self._noise.draw(self._draws)
         self._kernels.answer(frames, answers, self._addresses, t_ns, last_ns, self._max_answers)
 
-    def _grown(self, answers: Any) -> Any:
+    def _enlarged(self, answers: Any) -> Any:
         """Return the answers in an array of twice the capacity."""
         self._capacity = 2 * len(answers)
         return np.concatenate((answers, np.empty(len(answers), RECORD)))
@@ -118,7 +118,7 @@ class Exchange:
         count = int(self._progress[ANSWERS])
         new = len(frames)
         while count + new > len(answers):
-            answers = self._grown(answers)
+            answers = self._enlarged(answers)
         answers[count : count + new] = to_records(frames)
         self._progress[ANSWERS] = count + new
         return answers

@@ -67,7 +67,7 @@ def test_corrected_torques_are_lagrange_s(i: int) -> None:
     assert sp.simplify(total(equations.TORQUES[i]) - in_symbols(torque)) == 0
 
 
-def test_the_thumb_s_are_the_same_without_a_third_link() -> None:
+def test_the_thumb_equations_are_the_same_without_a_third_link() -> None:
     """With m3 = I3 = 0 two links remain, those of this project's thumb."""
     thumb = DigitModel.of(src.hand(), "thumb").with_gravity((0.0, -9.81, 0.0))
     chance = np.random.default_rng(3)

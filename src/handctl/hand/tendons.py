@@ -49,7 +49,7 @@ class TendonElasticity:
         excess = stretch - self.knee / self.stiffness
         if excess <= 0.0:
             return self.stiffness * max(stretch, 0.0)
-        return self.knee + self._above_knee(excess)
+        return self.knee + self._tension_above_knee(excess)
 
     def tension(self, stretch: float, stretch_rate: float) -> float:
         """Return the tension with damping [N], 0 when slack and never below 0.
@@ -84,14 +84,14 @@ class TendonElasticity:
             return tension / self.stiffness
         excess = (tension - self.knee) / self.stiffness
         for _ in range(NEWTON_STEPS):
-            step = (tension - self.knee - self._above_knee(excess)) / self._slope(excess)
+            step = (tension - self.knee - self._tension_above_knee(excess)) / self._slope(excess)
             excess += step
             # Below the resolution of float64.
             if abs(step) <= 1e-15 * excess:
                 break
         return self.knee / self.stiffness + excess
 
-    def _above_knee(self, x: float) -> float:
+    def _tension_above_knee(self, x: float) -> float:
         """Return the tension above the knee at x beyond the knee's stretch."""
         # expm1 keeps its accuracy for x near 0.
         softer = self.stiffness - self.stiffness_beyond

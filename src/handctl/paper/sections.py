@@ -30,9 +30,9 @@ class PageSection:
         title: heading.
         text: paragraphs.
         figures: names of figures.
-        items: rows of the table.
-        measured: the section rests on experiments.
-        table: table of numbers before the items, titles first.
+        items: rows of the table of items.
+        measured: True if the section uses results of experiments.
+        table: a table of numbers shown before the items. Its first row has the column titles.
     """
 
     title: str

@@ -97,7 +97,7 @@ def _at(log: RunLog, values: Array, times: Array) -> Array:
 
 
 def playback(log: RunLog, period: float, raw: bool) -> PlaybackProgram:
-    """Return the program that drives a run again.
+    """Return the program that repeats the motion of a recorded run.
 
     Args:
         log: the run.

@@ -1,7 +1,7 @@
 """Latches, faults reported by buses and host, and the choice of a reaction in each tick.
 
 Compiled code (``core.detectors.judge``) debounces the detected faults. This module names
-newly counting faults, latches faults until an operator clears them, and counts the reports.
+newly active faults, latches faults until an operator clears them, and counts the reports.
 """
 
 from collections.abc import Iterable, Sequence
@@ -22,14 +22,14 @@ Report = tuple[str, str, float]
 
 
 class Latched(NamedTuple):
-    """A fault that counts until an operator clears it."""
+    """A fault that stays active until an operator clears it."""
 
     id: str
     instance: str
 
 
 class Counting(NamedTuple):
-    """A present, reported fault, with the number of consecutive ticks."""
+    """A reported fault that is active, with its number of consecutive ticks."""
 
     id: str
     instance: str
@@ -37,7 +37,7 @@ class Counting(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """A newly counting fault."""
+    """A fault that became active in this tick."""
 
     fault: Fault
     instance: str
@@ -48,10 +48,10 @@ class Verdict(NamedTuple):
     """The judgement of a tick.
 
     Attributes:
-        action: the largest action demanded.
-        findings: newly counting faults.
-        latched: latched faults after the tick.
-        counting: reported faults present in the tick.
+        action: most severe action that a fault requires.
+        findings: faults that became active in this tick.
+        latched: faults latched after the tick.
+        counting: reported faults that are active in this tick.
     """
 
     action: Action

@@ -132,7 +132,7 @@ def writes(cursor: Cursor, step: Step) -> bool:
 
 
 def on_reply(cursor: Cursor, required: tuple[Step, ...], reply: codec.SdoReply) -> tuple[Cursor, int, str]:
-    """Apply an SDO reply. Replies to any but the open request have no effect.
+    """Apply an SDO reply. A reply that does not answer the open request is ignored.
 
     Returns:
         the new cursor, the value of a TELL_IF_THERE object (else 0), and the problem in words, empty

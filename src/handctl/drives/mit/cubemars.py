@@ -301,11 +301,11 @@ class CubemarsDrive:
         if state.phase == READY and t_ns - state.feedback_t_ns > SILENCE_NS and not progress.enable_sent:
             state = state._replace(phase=SILENT)
         if target == ENABLE and state.phase == READY:
-            return self._order(state, ENABLE, t_ns), (self._frame(codec.special_command(codec.ENABLE)),)
+            return self._after_command(state, ENABLE, t_ns), (self._frame(codec.special_command(codec.ENABLE)),)
         phase = ENABLED if progress.enable_sent and (target == DISABLE or state.phase != FAULT) else state.phase
-        return self._order(state._replace(phase=phase), DISABLE, t_ns), self.cut()
+        return self._after_command(state._replace(phase=phase), DISABLE, t_ns), self.cut()
 
-    def _order(self, state: DriveState, command_sent: DriveTarget, t_ns: int) -> DriveState:
+    def _after_command(self, state: DriveState, command_sent: DriveTarget, t_ns: int) -> DriveState:
         """Return the state after a command. A new command has no answers yet."""
         progress: CubemarsProgress = state.private
         if progress.command_sent == command_sent and progress.since_ns >= 0:

@@ -14,7 +14,7 @@ RequiredRegisters = tuple[tuple[int, float], ...]
 
 
 def on_reply(cursor: Cursor, required: RequiredRegisters, reply: codec.RegisterReply) -> tuple[Cursor, str]:
-    """Apply a register reply. Replies to any but the open request, such as late ones, have no effect.
+    """Apply a register reply. A reply that does not answer the open request is ignored.
 
     Args:
         cursor: cursor, not beyond the last register.

@@ -72,7 +72,7 @@ def unverified_guards(settings: tuple[Setting, ...], firmware_05: bool) -> tuple
 
 
 def on_reply(cursor: Cursor, settings: tuple[Setting, ...], data: bytes) -> tuple[Cursor, str]:
-    """Apply a TxSdo. Replies to any but the open request have no effect.
+    """Apply a TxSdo. A reply that does not answer the open request is ignored.
 
     Returns:
         the new cursor, and the problem in words, empty without a problem.
