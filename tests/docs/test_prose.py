@@ -1,0 +1,44 @@
+"""Paragraphs of the documents are short, and terms of the glossary are in order."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+DOCUMENTS = [ROOT / "README.md", ROOT / "SECURITY.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+SENTENCES = 5
+"""Largest number of sentences in a paragraph."""
+FENCE = re.compile(r"^ *```.*?^ *```$", re.MULTILINE | re.DOTALL)
+NO_PROSE = ("|", "#", "<!--", "    ")
+
+
+def paragraphs(text: str) -> list[str]:
+    """Return the paragraphs of a document, each entry of a list as one, without code and tables."""
+    unquoted = re.sub(r"^> ?", "", FENCE.sub("", text), flags=re.MULTILINE)
+    blocks = re.split(r"\n\s*\n", unquoted)
+    prose = [block for block in blocks if not block.lstrip("\n").startswith(NO_PROSE)]
+    return [entry for block in prose for entry in re.split(r"\n(?=\s*(?:- |\d+\. ))", block)]
+
+
+def sentences(paragraph: str) -> int:
+    """Count the sentences of a paragraph. A full stop within code or an abbreviation ends none."""
+    plain = re.sub(r"\b(?:e\.g|i\.e|Eq|Fig|Sec)\.", "", re.sub(r"`[^`]*`", "x", paragraph))
+    return len(re.findall(r"[.!?](?=\s|$|\*|\))", plain))
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_no_paragraph_is_long(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert [part[:60] for part in paragraphs(text) if sentences(part) > SENTENCES] == []
+
+
+def test_six_sentences_are_counted() -> None:
+    assert sentences("A `b.c. d.` is. One (two). *Three.* Four? Five! Six.") == 6
+
+
+def test_the_glossary_is_in_order_and_has_no_term_twice() -> None:
+    rows = re.findall(r"^\| ([^|]+) \|", (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8"), re.MULTILINE)
+    letters = [re.sub(r"[^a-z]", "", term.lower()) for term in rows if term not in ("term", "---")]
+    assert len(set(letters)) == len(letters)
+    assert letters == sorted(letters)
