@@ -51,7 +51,11 @@ def config(parser: Parser) -> None:
         return one
 
     _init(kind("init", "write a new hand file from a few answers"))
-    _files(kind("show", "show a hand, and the source of each value"))
+    show = kind("show", "show a hand, and the source of each value")
+    text = "draw digits, tendons, spools, sensors and buses instead: as text, or as a picture with --output"
+    show.add_argument("--graph", action="store_true", help=text)
+    output_option(show, "picture of --graph: a new .svg, .png or .pdf")
+    _files(show)
     _files(kind("check", "check a hand with its files"))
     kind("list", "list the packaged hands and tasks")
     schema = kind("schema", "print the JSON Schema of hand files, for completion in an editor")

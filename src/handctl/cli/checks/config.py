@@ -29,7 +29,7 @@ from handctl.hand.load import (
     read_toml,
 )
 from handctl.hand.strength import strength_warnings
-from handctl.output import named_after, write_whole
+from handctl.output import DRAWN, check_output, named_after, write_whole
 from handctl.programs.task import load_task
 from handctl.session.exit_codes import Exit
 from handctl.session.gains import LayeredGains
@@ -54,6 +54,8 @@ def run(args: argparse.Namespace) -> int:
     hand = load_hand(args.hand)
     if args.what == "export":
         return _export(args, hand)
+    if args.what == "show" and (args.graph or args.output):
+        return _graph(args, hand)
     return _show(args, hand)
 
 
@@ -110,6 +112,26 @@ def _report_errors(args: argparse.Namespace, errors: list[str]) -> int:
     for error in errors:
         say(f"handctl: {error}", error=True)
     return Exit.BAD_INPUT
+
+
+def _graph(args: argparse.Namespace, hand: Hand) -> int:
+    """Print how a hand is put together, or draw it."""
+    from handctl.report.hand_graph import draw_hand, text_graph
+
+    if not args.graph:
+        raise ConfigError("no picture without it", "--output", "--graph with it")
+    if args.output is None:
+        print(text_graph(hand))
+        return 0
+    if args.output.suffix not in DRAWN:
+        raise ConfigError(str(args.output), "--output", "a file ending in " + ", ".join(sorted(DRAWN)))
+    check_output(args.output, "--output", Path(args.hand))
+    draw_hand(args.output, hand)
+    if args.json:
+        print_json({"output": str(args.output)})
+    else:
+        say(f"{args.output}: {len(hand.digit)} digits, {len(hand.tendon)} tendons, {len(hand.bus)} buses")
+    return 0
 
 
 def _show(args: argparse.Namespace, hand: Hand) -> int:

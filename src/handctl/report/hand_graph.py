@@ -1,0 +1,179 @@
+"""Picture of how a hand is put together: buses, motors with spools, load cells, tendons, joints with encoders.
+
+Each digit is a chain of links. Below the chain each tendon has a row: from its bus through motor, spool
+and load cell to the joints that it crosses, with the moment arm at each.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from handctl.hand.description import Hand
+from handctl.hand.file.sections import Digit, Tendon
+from handctl.output import save_figure
+from handctl.printing import printable
+
+BUS_COLOURS = ("#3b6fb6", "#d9822b", "#3c9d5d", "#b8436f", "#7a5fb5", "#8a8a2a")
+"""Colours of the buses."""
+FLEX = "#333333"
+EXTEND = "#d01c1c"
+LINK = "#b9c3cf"
+CELL = "#d9822b"
+ENCODER = "#3c9d5d"
+"""Colours of flexors and extensors, links, load cells and joint encoders."""
+MOTOR_X = 0.0
+CELL_X = 1.5
+JOINTS_X = 3.0
+JOINT_STEP = 1.7
+BUS_STEP = 0.35
+"""Columns of the picture, and the distances of joints and of buses."""
+INCHES = 0.42
+"""Height of a row [inch]."""
+
+
+def draw_hand(path: Path, hand: Hand) -> None:
+    """Draw the picture. The suffix selects PNG, SVG or PDF.
+
+    Args:
+        path: file to write.
+        hand: hand to draw.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    rows = sum(1.6 + len(_tendons(hand, digit)) for digit in hand.digit) + 1.0
+    joints = max(len(digit.joints) for digit in hand.digit)
+    left = MOTOR_X - 1.6 - BUS_STEP * len(hand.bus)
+    right = JOINTS_X + JOINT_STEP * joints + 0.6
+    figure = Figure(figsize=(1.05 * (right - left), INCHES * rows + 0.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.set_xlim(left, right)
+    axes.set_ylim(-rows, 0.4)
+    axes.set_axis_off()
+    title = printable(f"{hand.name}: {hand.description}", 100)
+    axes.set_title(title, fontsize=10, loc="left", parse_math=False)
+    ends = {name: [0.0, 0.0] for name in hand.bus_names}
+    y = -_sensor_node(axes, hand)
+    for digit in hand.digit:
+        y = _draw_digit(axes, hand, digit, y, ends) - 0.6
+    _draw_buses(axes, hand, ends)
+    save_figure(figure, path)
+
+
+def text_graph(hand: Hand) -> str:
+    """Return the same as text, with one line per tendon."""
+    node = hand.sensor_node
+    lines = []
+    for bus in hand.bus:
+        data = f", data phase {bus.data_bitrate / 1e6:g} Mbit/s" if bus.data_bitrate else ""
+        motors = sum(motor.bus == bus.name for motor in hand.motor)
+        sensors = ""
+        if node.bus == bus.name:
+            sensors = f", sensor node with {len(node.tendons)} load cells and {len(node.joints)} joint encoders"
+        lines.append(f"bus {bus.name}: {bus.bitrate / 1e6:g} Mbit/s{data}, {motors} motors{sensors}")
+    for digit in hand.digit:
+        joints = " - ".join(
+            f"{'(' if joint in node.joints else ''}j{i + 1}{')' if joint in node.joints else ''} {1e3 * length:g} mm"
+            for i, (joint, length) in enumerate(zip(digit.joints, digit.link_length_m, strict=True))
+        )
+        lines += ["", f"{digit.name}: {joints}"]
+        for tendon in _tendons(hand, digit):
+            motor = hand.motor_of(tendon.name)
+            cell = " -[load cell]" if tendon.name in node.tendons else ""
+            arms = "  ".join(
+                f"{joint.removeprefix(f'{digit.name}_')} {1e3 * arm:+g} mm"
+                for joint, arm in tendon.moment_arm_m.items()
+            )
+            drive = (
+                f"{motor.bus}:{motor.node_id} {motor.protocol} {motor.name} (spool {1e3 * motor.spool_radius_m:g} mm)"
+            )
+            lines.append(f"  {drive}{cell}- {tendon.name}: {arms}")
+    if any(joint in node.joints for joint in hand.joints):
+        lines += ["", "(j1): a joint with an encoder"]
+    return "\n".join(lines)
+
+
+def _tendons(hand: Hand, digit: Digit) -> list[Tendon]:
+    """Return the tendons that cross a joint of a digit."""
+    return [tendon for tendon in hand.tendon if not tendon.moment_arm_m.keys().isdisjoint(digit.joints)]
+
+
+def _joint_xs(digit: Digit) -> Iterator[tuple[str, float]]:
+    """Yield name and column of each joint of a digit."""
+    for i, joint in enumerate(digit.joints):
+        yield joint, JOINTS_X + JOINT_STEP * i
+
+
+def _sensor_node(axes: Any, hand: Hand) -> float:
+    """Draw the legend line of the sensor node, and return its height in rows."""
+    node = hand.sensor_node
+    text = f"sensor node on {node.bus}, SYNC 0x{node.sync_id:X}: {len(node.tendons)} load cells"
+    axes.plot(JOINTS_X, -0.1, "s", color=CELL, markersize=7)
+    axes.text(JOINTS_X + 0.2, -0.1, text, va="center", fontsize=7.5)
+    axes.plot(JOINTS_X, -0.6, "o", color="white", markeredgecolor=ENCODER, markeredgewidth=2, markersize=8)
+    axes.text(JOINTS_X + 0.2, -0.6, f"{len(node.joints)} joint encoders", va="center", fontsize=7.5)
+    return 1.5
+
+
+def _draw_digit(axes: Any, hand: Hand, digit: Digit, y: float, ends: dict[str, list[float]]) -> float:
+    """Draw a digit with its tendons below ``y``, and return the last row."""
+    columns = dict(_joint_xs(digit))
+    axes.text(JOINTS_X - 0.35, y, digit.name, ha="right", va="center", fontsize=9, weight="bold")
+    for (joint, x), length in zip(columns.items(), digit.link_length_m, strict=True):
+        axes.plot([x, x + JOINT_STEP], [y, y], color=LINK, linewidth=7, solid_capstyle="round", zorder=1)
+        axes.text(x + JOINT_STEP / 2, y, f"{1e3 * length:g} mm", ha="center", va="center", fontsize=7, zorder=3)
+        edge, width = (ENCODER, 2.0) if joint in hand.sensor_node.joints else ("#555555", 1.0)
+        axes.plot(x, y, "o", color="white", markeredgecolor=edge, markeredgewidth=width, markersize=9, zorder=3)
+        axes.text(x, y + 0.35, joint.removeprefix(f"{digit.name}_"), ha="center", va="center", fontsize=7)
+    for tendon in _tendons(hand, digit):
+        y -= 1.0
+        _draw_tendon(axes, hand, tendon, columns, y)
+        motor = hand.motor_of(tendon.name)
+        ends[motor.bus][0] = ends[motor.bus][0] or y
+        ends[motor.bus][1] = y
+    return y - 1.0
+
+
+def _draw_tendon(axes: Any, hand: Hand, tendon: Tendon, columns: dict[str, float], y: float) -> None:
+    """Draw a tendon in its row, from the bus of its motor to the last joint that it crosses."""
+    motor = hand.motor_of(tendon.name)
+    bus = hand.bus_names.index(motor.bus)
+    colour = BUS_COLOURS[bus % len(BUS_COLOURS)]
+    crossed = {joint: arm for joint, arm in tendon.moment_arm_m.items() if joint in columns}
+    last = max(columns[joint] for joint in crossed)
+    axes.plot([_bus_x(bus), MOTOR_X], [y, y], color=colour, linewidth=1.2, zorder=1)
+    axes.plot([MOTOR_X, last + 0.45], [y, y], color=FLEX, linewidth=1.0, zorder=1)
+    axes.plot(last + 0.45, y, "|", color=FLEX, markersize=8)
+    axes.plot(MOTOR_X, y, "o", color="white", markeredgecolor=colour, markeredgewidth=1.6, markersize=15, zorder=2)
+    axes.text(MOTOR_X, y, f"{motor.node_id}", ha="center", va="center", fontsize=7, zorder=3)
+    spool = f"{motor.name}, {motor.protocol}, spool {1e3 * motor.spool_radius_m:g} mm"
+    axes.text(MOTOR_X + 0.2, y + 0.25, spool, ha="left", va="center", fontsize=6.5)
+    if tendon.name in hand.sensor_node.tendons:
+        axes.plot(CELL_X, y, "s", color=CELL, markersize=7, zorder=2)
+    axes.text(CELL_X + 0.15, y - 0.27, tendon.name, ha="left", va="center", fontsize=6.5)
+    for joint, arm in crossed.items():
+        # A flexor pulls below the joint, an extensor above.
+        side = -1.0 if arm > 0.0 else 1.0
+        shade = FLEX if arm > 0.0 else EXTEND
+        axes.plot(columns[joint], y, "o", color=shade, markersize=4.5, zorder=2)
+        axes.text(
+            columns[joint], y + 0.3 * side, f"{1e3 * arm:g} mm", ha="center", va="center", fontsize=7, color=shade
+        )
+
+
+def _bus_x(bus: int) -> float:
+    """Return the column of a bus."""
+    return MOTOR_X - 0.9 - BUS_STEP * bus
+
+
+def _draw_buses(axes: Any, hand: Hand, ends: dict[str, list[float]]) -> None:
+    """Draw each bus as a line past its motors, with its bit rates."""
+    for i, bus in enumerate(hand.bus):
+        x = _bus_x(i)
+        top, bottom = ends[bus.name]
+        colour = BUS_COLOURS[i % len(BUS_COLOURS)]
+        axes.plot([x, x], [top + 0.4, bottom - 0.4], color=colour, linewidth=3, solid_capstyle="round")
+        rates = f"{bus.bitrate / 1e6:g}" + (f"/{bus.data_bitrate / 1e6:g}" if bus.data_bitrate else "")
+        label = f"{bus.name}, {rates} Mbit/s"
+        axes.text(x - 0.12, (top + bottom) / 2, label, rotation=90, ha="right", va="center", fontsize=7.5, color=colour)
