@@ -31,7 +31,7 @@ def test_it_suits_every_hand_and_reads_back_from_its_text(name: str, tmp_path: P
         assert ((angle > 0.5 * np.minimum(high, 120.0)) & (angle < high)).all()
         assert (low == 0.0).all()
         limits = [tendon.tension_max_N for tendon in hand.tendon[hand.digit_tendons[digit.name]]]
-        assert (np.array(hold.tension_N[digit.name]) < 0.5 * np.array(limits)).all()
+        assert (np.array(hold.tension_N[digit.name]) <= 0.7 * np.array(limits) + 0.1).all()
 
 
 def test_a_sideways_joint_stays_in_the_middle_and_an_extensor_only_taut() -> None:
@@ -49,7 +49,8 @@ def test_a_sideways_joint_stays_in_the_middle_and_an_extensor_only_taut() -> Non
     assert isinstance(close.angle_deg, dict)
     assert isinstance(hold.tension_N, dict)
     assert close.angle_deg["thumb"] == (0.0, 85.0)
-    assert hold.tension_N["thumb"] == (33.0, 33.0, 4.5)
+    assert hold.tension_N["thumb"] == (77.0, 77.0, 4.5)
+    assert hold.tension_N["index"] == (25.7, 25.7, 25.7)
 
 
 def test_without_a_name_a_jamia_takes_its_grasp_and_another_hand_the_default() -> None:

@@ -1,12 +1,15 @@
-"""Write the generated blocks of all pages in docs/, or check them: ``python -m tools.reference [--check]``."""
+"""Write what is generated in docs/, and the JSON Schema of hand files: ``python -m tools.reference [--check]``."""
 
 import argparse
 import sys
 from pathlib import Path
 
+from handctl.hand.file.json_schema import hand_schema_text
 from tools.reference.blocks import stale_pages, written_pages
 
 ROOT = Path(__file__).parents[2]
+SCHEMA = ROOT / "src" / "handctl" / "hand" / "hand.schema.json"
+"""JSON Schema of hand files, for editors."""
 
 
 def main() -> int:
@@ -14,12 +17,17 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Write the generated blocks of the pages in docs/.")
     parser.add_argument("--check", action="store_true", help="write nothing, and return 1 if a page is stale")
     if parser.parse_args().check:
-        stale = stale_pages(ROOT)
+        stale = [*stale_pages(ROOT)]
+        if SCHEMA.read_text("utf-8") != hand_schema_text():
+            stale.append(str(SCHEMA.relative_to(ROOT)))
         for page in stale:
             print(f"{page}: stale; run python -m tools.reference", file=sys.stderr)
         return 1 if stale else 0
     for page in written_pages(ROOT):
         print(page)
+    if SCHEMA.read_text("utf-8") != hand_schema_text():
+        SCHEMA.write_text(hand_schema_text(), "utf-8")
+        print(SCHEMA.relative_to(ROOT))
     return 0
 
 

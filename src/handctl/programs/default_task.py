@@ -6,7 +6,7 @@ import numpy as np
 
 from handctl.document import validated
 from handctl.hand.description import Hand
-from handctl.hand.digit import DigitModel
+from handctl.hand.digit import DigitModel, rotation_rpy
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.load import parse_toml
 from handctl.hand.readiness import coordinate_range_deg
@@ -18,8 +18,10 @@ LARGEST_CLOSED_DEG = 120.0
 """Largest angle of a closed coordinate [deg]."""
 SIDEWAYS = 0.5
 """Opening per closing range from which a coordinate counts as sideways motion, which stays at 0."""
-HOLD = 0.3
-"""Tension of a hold per ``tension_max_N``."""
+HOLD = 0.35
+"""Tension of a hold per ``tension_max_N``, if as many digits close from one side as from the other."""
+LARGEST_HOLD = 0.7
+"""Largest tension of a hold per ``tension_max_N``."""
 CONTACT = 0.16
 """Tension of a digit in contact per ``tension_max_N``, until all digits hold."""
 RELEASE_N = 6.0
@@ -53,7 +55,7 @@ def default_task(hand: Hand) -> tuple[Task, str]:
             {
                 "kind": "hold",
                 "name": "hold",
-                "tension_N": {name: _hold_tensions(hand, name) for name in hand.digit_names},
+                "tension_N": {name: _hold_tensions(hand, name, share) for name, share in _shares(hand).items()},
                 "rate_N_per_s": 40.0,
                 "duration_s": 5.0,
             },
@@ -73,10 +75,26 @@ def _closed_deg(hand: Hand, name: str) -> np.ndarray:
     return np.asarray(np.round(closed, 1))
 
 
-def _hold_tensions(hand: Hand, name: str) -> list[float]:
+def _shares(hand: Hand) -> dict[str, float]:
+    """Return the factor of each digit's tension in a hold.
+
+    The digits of both sides press alike. Two fingers would otherwise push a thumb open.
+    """
+    closing = {digit.name: rotation_rpy(*np.radians(digit.mount_rpy_deg))[:, 1] for digit in hand.digit}
+    first = closing[hand.digit[0].name]
+    opposed = {name: bool(direction @ first < 0.0) for name, direction in closing.items()}
+    count = len(opposed)
+    behind = sum(opposed.values())
+    if behind == 0:
+        return dict.fromkeys(opposed, 1.0)
+    return {name: count / 2 / (behind if is_opposed else count - behind) for name, is_opposed in opposed.items()}
+
+
+def _hold_tensions(hand: Hand, name: str, share: float) -> list[float]:
     """Return the tension of each tendon of a digit in a hold [N]. Extensors only stay taut."""
+    held = min(HOLD * share, LARGEST_HOLD)
     arms = DigitModel.of(hand, name).reduced_moment_arms
     rows = zip(hand.tendon[hand.digit_tendons[name]], arms.sum(axis=1), strict=True)
     return [
-        round(HOLD * tendon.tension_max_N if arm > 0.0 else RESTING * tendon.tension_floor_N, 1) for tendon, arm in rows
+        round(held * tendon.tension_max_N if arm > 0.0 else RESTING * tendon.tension_floor_N, 1) for tendon, arm in rows
     ]
