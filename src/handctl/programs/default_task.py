@@ -6,8 +6,9 @@ import numpy as np
 
 from handctl.document import validated
 from handctl.hand.description import Hand
-from handctl.hand.digit import DigitModel, rotation_rpy
+from handctl.hand.digit import DigitModel
 from handctl.hand.file.toml_text import toml_text
+from handctl.hand.link_bodies import rotation_rpy
 from handctl.hand.load import parse_toml
 from handctl.hand.readiness import coordinate_range_deg
 from handctl.programs.task import Task
