@@ -1,5 +1,6 @@
 """One tick in lockstep with wire timing: frames of host and nodes take their time on simulated wires."""
 
+from bisect import bisect_left
 from collections.abc import Callable, Iterable, Sequence
 
 from firmware_sim.bus.frame import ERROR, Frame
@@ -29,13 +30,20 @@ class TimedLockstep:
         self.refused = 0
         self._arrived: list[Frame] = []
         self._received: list[Frame] = []
+        self._latencies = [spec.latency(bus) for bus in range(len(self.wires))]
         self._hosts = [wire.add(self._to_host(bus)) for bus, wire in enumerate(self.wires)]
         for bus, wire in enumerate(self.wires):
             wire.add(self._to_nodes(bus))
         self._nodes: dict[tuple[int, int], CanController] = {}
 
     def _to_host(self, bus: int) -> Callable[[Frame, int], None]:
-        return lambda frame, t_ns: self._arrived.append(Frame(frame[0], frame[1], frame[2], bus, t_ns))
+        latency = self._latencies[bus]
+
+        def receive(frame: Frame, t_ns: int) -> None:
+            can_id, data, flags, _, _ = frame
+            self._arrived.append(Frame(can_id, data, flags, bus, latency.receive(t_ns)))
+
+        return receive
 
     def _to_nodes(self, bus: int) -> Callable[[Frame, int], None]:
         def receive(frame: Frame, t_ns: int) -> None:
@@ -57,7 +65,7 @@ class TimedLockstep:
             The frames that have reached the host before ``end_ns``, in the order of arrival.
         """
         for frame in frames:
-            self._hosts[frame.bus].offer(frame, t_ns)
+            self._hosts[frame.bus].offer(frame, self._latencies[frame.bus].send(t_ns))
         while True:
             at_ns = min([wire.next_ns() for wire in self.wires])
             self._world.advance(min(at_ns, end_ns))
@@ -73,9 +81,10 @@ class TimedLockstep:
             if any(map(self._world.has_receiver, self._received)):
                 self._world.reach(at_ns)
             self._answer()
-        arrived = self._arrived
-        self._arrived = []
-        return sorted(arrived, key=_arrival_ns)
+        arrived = sorted(self._arrived, key=_arrival_ns)
+        ready = bisect_left(arrived, end_ns, key=_arrival_ns)
+        self._arrived = arrived[ready:]
+        return arrived[:ready]
 
     def _answer(self) -> None:
         received = self._received

@@ -4,10 +4,12 @@ import socket
 import struct
 from collections import deque
 from collections.abc import Callable, Collection, Sequence
+from heapq import heappop, heappush
 
 from firmware_sim.bus.frame import ERROR, EXTENDED, RECORD_SIZE, REMOTE, Frame, pack_record
 from firmware_sim.bus.hub import Hub, HubConnection
 from firmware_sim.bus.local import split
+from firmware_sim.wire.adapter import NONE, Latency
 from firmware_sim.wire.bits import Rate
 from firmware_sim.wire.controller import CanController
 from firmware_sim.wire.medium import Wire, WireOptions
@@ -33,7 +35,14 @@ class TimedPort:
     """
 
     def __init__(
-        self, name: str, bus: int, rate: Rate, options: WireOptions, now_ns: Callable[[], int], nodes: bool = True
+        self,
+        name: str,
+        bus: int,
+        rate: Rate,
+        options: WireOptions,
+        now_ns: Callable[[], int],
+        nodes: bool = True,
+        latency: Callable[[int], Latency] | None = None,
     ) -> None:
         """Open the hub and connect the nodes to the wire.
 
@@ -44,10 +53,16 @@ class TimedPort:
             options: behaviour of the wire.
             now_ns: clock of the wire [ns].
             nodes: True if nodes in this process acknowledge frames.
+            latency: latency of the adapter of a client, by the number of the client. None for no latency.
 
         Raises:
             SimulatorError: the bus is already served.
         """
+        self._latency = latency or no_latency
+        self._latencies: dict[HubConnection, Latency] = {}
+        self._late: list[tuple[int, int, HubConnection, bytes]] = []
+        """Records on their way through an adapter: time at the client [ns], serial number, client, record."""
+        self._delayed = 0
         self._hub = Hub(name)
         self.wire = Wire(rate, options)
         self._bus = bus
@@ -74,7 +89,7 @@ class TimedPort:
     @property
     def due_ns(self) -> int:
         """See ``ports.Port``."""
-        return self.wire.next_ns()
+        return min(self.wire.next_ns(), self._late[0][0]) if self._late else self.wire.next_ns()
 
     @property
     def load(self) -> float:
@@ -97,6 +112,9 @@ class TimedPort:
         while not self._received and self.wire.next_ns() <= now_ns:
             self._at_ns = self.wire.next_ns()
             self.wire.step(now_ns)
+        while self._late and self._late[0][0] <= now_ns:
+            _, _, link, record = heappop(self._late)
+            link.deliver(record)
         frames = list(self._received)
         self._received.clear()
         self._report_queues()
@@ -124,6 +142,7 @@ class TimedPort:
             if link not in self._clients:
                 self._clients[link] = self.wire.add(self._deliver(link))
                 self._queues[link] = 0, -1
+                self._latencies[link] = self._latency(len(self._latencies))
         for link, records in received:
             arrived, reported = self._queues[link]
             self._queues[link] = arrived + len(records) // RECORD_SIZE, reported
@@ -131,17 +150,27 @@ class TimedPort:
             self._unreadable += unreadable
             for frame in frames:
                 if not frame.can_id & ERROR:
-                    self._clients[link].offer(frame, now_ns)
+                    self._clients[link].offer(frame, self._latencies[link].send(now_ns))
         self._drop_closed()
 
     def _drop_closed(self) -> None:
         for link in [link for link in self._clients if link.closed]:
             self.wire.remove(self._clients.pop(link))
-            del self._queues[link]
+            del self._queues[link], self._latencies[link]
         self._hub.drop_closed()
 
     def _deliver(self, link: HubConnection) -> Callable[[Frame, int], None]:
-        return lambda frame, t_ns: link.deliver(pack_record(frame))
+        """Return the function that passes received frames to a client, through its adapter."""
+
+        def deliver(frame: Frame, t_ns: int) -> None:
+            at_ns = self._latencies[link].receive(t_ns)
+            if at_ns <= t_ns:
+                link.deliver(pack_record(frame))
+                return
+            self._delayed += 1
+            heappush(self._late, (at_ns, self._delayed, link, pack_record(frame)))
+
+        return deliver
 
     def _receive_on_nodes(self, frame: Frame, t_ns: int) -> None:
         """Store a frame for the nodes, unless the frame is an error frame."""
@@ -181,4 +210,9 @@ def timed_port_maker(
     if words is None:
         return None
     spec = parse(words)
-    return lambda name, bus: TimedPort(name, bus, spec.rate(*bitrates[bus]), spec.options, now_ns, nodes)
+    return lambda name, bus: TimedPort(name, bus, spec.rate(*bitrates[bus]), spec.options, now_ns, nodes, spec.latency)
+
+
+def no_latency(number: int) -> Latency:
+    """Return the latency of a client on the wire itself."""
+    return Latency(NONE)

@@ -22,7 +22,11 @@ TWIN_SERIAL = 0x7714_0000
 
 
 class FaultyDrive:
-    """A drive node with a fault. See ``nodes.Node``."""
+    """A drive node with a fault. See ``nodes.Node``.
+
+    Attributes:
+        node: the node without the fault.
+    """
 
     def __init__(self, node: DriveNode, fault: str, spec: ProtocolSpec) -> None:
         """Wrap a node.
@@ -32,31 +36,31 @@ class FaultyDrive:
             fault: key of ``FAULTS``.
             spec: protocol of the node, with the variants of its frames.
         """
-        self._node = node
+        self.node = node
         self._fault = fault
         self._spec = spec
 
     @property
     def wake_ns(self) -> int:
         """See ``nodes.Node``."""
-        return self._node.wake_ns
+        return self.node.wake_ns
 
     @property
     def ids(self) -> frozenset[int] | None:
         """See ``nodes.Node``."""
-        return self._node.ids
+        return self.node.ids
 
     @property
     def malformed(self) -> int:
         """See ``nodes.Node``."""
-        return self._node.malformed
+        return self.node.malformed
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
         """See ``nodes.Node``."""
         self._feed(t_ns)
-        answers = self._node.receive(self._spec.corrupt_command(frame) if self._fault == "deaf" else frame, t_ns)
+        answers = self.node.receive(self._spec.corrupt_command(frame) if self._fault == "deaf" else frame, t_ns)
         if self._fault == "eager" and self._spec.force_command:
-            self._spec.force_command(self._node, frame)
+            self._spec.force_command(self.node, frame)
         if self._fault == "mute":
             return [] if answers is not None else None
         if self._fault == "readback" and answers:
@@ -66,13 +70,13 @@ class FaultyDrive:
     def wake(self, t_ns: int) -> list[Frame] | None:
         """See ``nodes.Node``."""
         self._feed(t_ns)
-        unsolicited = self._node.wake(t_ns)
+        unsolicited = self.node.wake(t_ns)
         return None if self._fault == "mute" else unsolicited
 
     def _feed(self, t_ns: int) -> None:
-        if self._fault == "watchdog" and self._node.watchdog_fed_ns >= 0:
+        if self._fault == "watchdog" and self.node.watchdog_fed_ns >= 0:
             # Every event feeds the watchdog, so that it never fires.
-            self._node.watchdog_fed_ns = t_ns
+            self.node.watchdog_fed_ns = t_ns
 
 
 def with_fault(node: DriveNode, protocol: str, fault: str) -> Node:

@@ -15,6 +15,16 @@ LONGEST = 4096
 """Maximum length of a request [bytes]."""
 
 
+def is_served(path: Path) -> bool:
+    """Return True if a running simulator listens at the path of a fault socket."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(str(path))
+        except OSError:
+            return False
+    return True
+
+
 class FaultSocket:
     """A Unix datagram socket that takes JSON requests and answers with a JSON object.
 

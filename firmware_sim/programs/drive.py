@@ -9,12 +9,16 @@ from firmware_sim.bus.ports import open_port
 from firmware_sim.bus.timed_port import DEFAULT_BITRATES, timed_port_maker
 from firmware_sim.command import CommandParser, check_time_scale, until_signal
 from firmware_sim.description import MotorSpec, SimulatorError
+from firmware_sim.faults.active import Faults
+from firmware_sim.faults.bench_world import BenchWorld
 from firmware_sim.faults.faulty_drive import FAULTS, with_fault, with_faulty_specs
+from firmware_sim.faults.socket import FaultSocket, is_served
 from firmware_sim.nodes import PROTOCOLS
 from firmware_sim.nodes.cia402.dictionary import EDS
 from firmware_sim.nodes.mit.node import COMMANDS, WATCHDOGS
 from firmware_sim.nodes.odrive import bench as odrive_bench
 from firmware_sim.nodes.protocol_spec import Node
+from firmware_sim.paths import faults_path
 from firmware_sim.plant.motor import Motor
 from firmware_sim.printing import printable
 from firmware_sim.programs.drive_types import MIT_TYPES, drive_spec
@@ -26,6 +30,7 @@ EXAMPLES = """
 examples:
   python -m firmware_sim drive mit --ids 1,2,3,4 --bus socketcan:vcan0 --motor-type dm4310
   python -m firmware_sim drive odrive --ids 0,1 --bus local:lab
+  handctl fault inject "drop node=1 p=0.1" --bus local:lab      into running drives
   python -m firmware_sim drive odrive --ids 0 --uncalibrated --bus socketcan:vcan0
   python -m firmware_sim bus lab; ... drive mit --ids 1 --bus join:lab; ... drive cia402 --ids 32 --bus join:lab
 """
@@ -50,6 +55,9 @@ class Bench:
     Attributes:
         motors: rotors in the order of the specs.
         nodes: nodes in the order of the specs.
+        slip_ns: time given up [ns].
+        part_ns: completed part of a divided step [ns].
+        faults: faults injected while it runs.
     """
 
     def __init__(self, specs: list[MotorSpec], origin_ns: int = 0, fault: str = "") -> None:
@@ -64,13 +72,14 @@ class Bench:
         self.slip_ns = 0
         self.foreign = 0
         specs = with_faulty_specs(specs, fault)
-        self._part_ns = 0
+        self.part_ns = 0
         self.motors = [Motor(spec, STEP_NS * 1e-9) for spec in specs]
         pairs = zip(specs, self.motors, strict=True)
         self.nodes: list[Node] = [
             with_fault(PROTOCOLS[spec.protocol].node(spec, motor, 0.0), spec.protocol, fault) for spec, motor in pairs
         ]
         self._unsolicited: list[Frame] = []
+        self.faults = Faults(BenchWorld(self, specs))
 
     @property
     def malformed(self) -> int:
@@ -79,18 +88,28 @@ class Bench:
 
     def receive(self, frame: Frame) -> list[Frame]:
         """Pass a frame to every node and return the answers."""
-        answers = [node.receive(frame, self.t_ns) for node in self.nodes]
+        if self.faults.wire_faults_of:
+            answers = [self.faults.exchange(node, frame, self.t_ns) for node in self.nodes]
+        else:
+            answers = [node.receive(frame, self.t_ns) for node in self.nodes]
         self.foreign += all(answer is None for answer in answers)
         return [reply._replace(bus=frame.bus, t_ns=self.t_ns) for answer in answers for reply in answer or ()]
 
     def advance(self, t_ns: int) -> None:
         """Advance to t_ns in whole steps."""
-        while self.t_ns - self._part_ns + STEP_NS <= t_ns:
-            self._turn(STEP_NS - self._part_ns)
-            self._part_ns = 0
+        while self.t_ns - self.part_ns + STEP_NS <= t_ns:
+            self._turn(STEP_NS - self.part_ns)
+            self.part_ns = 0
             for node in self.nodes:
                 if self.t_ns >= node.wake_ns:
-                    self._unsolicited += [frame._replace(t_ns=self.t_ns) for frame in node.wake(self.t_ns) or ()]
+                    frames = [frame._replace(t_ns=self.t_ns) for frame in node.wake(self.t_ns) or ()]
+                    self.queue_frames(self.faults.unsolicited(node, frames, self.t_ns))
+            if self.faults.on:
+                self.queue_frames(self.faults.advance(self.t_ns))
+
+    def queue_frames(self, frames: list[Frame]) -> None:
+        """Queue unsolicited frames."""
+        self._unsolicited += frames
 
     def reach(self, t_ns: int) -> None:
         """Advance to exactly t_ns. The next call completes the divided step."""
@@ -98,7 +117,7 @@ class Bench:
         rest_ns = t_ns - self.t_ns
         if rest_ns > 0:
             self._turn(rest_ns)
-            self._part_ns += rest_ns
+            self.part_ns += rest_ns
 
     def _turn(self, duration_ns: int) -> None:
         """Advance every shaft by a step or a part of a step [ns]."""
@@ -186,9 +205,11 @@ def run(words: list[str]) -> None:
     args = _parser().parse_args(words)
     specs = _specs(args)
     clock = ScaledClock(args.time_scale)
+    bench = Bench(specs, clock.now_ns(), args.broken)
     port = open_port(args.bus, 0, timed_port_maker(args.wire, [DEFAULT_BITRATES], clock.now_ns))
+    faults = fault_socket(args.bus, bench)
     try:
-        server = Server(Bench(specs, clock.now_ns(), args.broken), [port], clock)
+        server = Server(bench, [port], clock, faults)
 
         def stop() -> None:
             server.running = False
@@ -200,3 +221,19 @@ def run(words: list[str]) -> None:
         print(f"firmware_sim: ended {counts}", file=sys.stderr)
     finally:
         port.close()
+        if faults:
+            faults.close()
+
+
+def fault_socket(bus: str, bench: Bench) -> FaultSocket | None:
+    """Open the socket for ``handctl fault inject``. None if another simulator on this bus has one.
+
+    Args:
+        bus: specification of the bus.
+        bench: drives on the bus.
+    """
+    path = faults_path(bus)
+    if is_served(path):
+        print(f"firmware_sim: another simulator on {printable(bus)} takes the faults", file=sys.stderr)
+        return None
+    return FaultSocket(path, bench.faults)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from firmware_sim.description import SimulatorError
+from firmware_sim.wire.adapter import ADAPTERS, NONE, Latency
 from firmware_sim.wire.bits import Rate
 from firmware_sim.wire.medium import WireOptions
 
@@ -15,7 +16,8 @@ KEYS = {
     "queue": "capacity of each controller's queue [frames] (128)",
     "error_rate": "fraction of frames destroyed on the wire (0)",
     "restart_ms": "delay of a controller's restart after bus-off [ms] (never)",
-    "seed": "seed of the errors (0)",
+    "seed": "seed of the errors and of the adapter's phase (0)",
+    "adapter": f"latency of the host's CAN adapter: {', '.join(ADAPTERS)} ({NONE})",
 }
 """Meaning and default of each key."""
 _MAX_BITRATE = 20_000_000
@@ -32,12 +34,22 @@ class WireSpec:
         bitrate: nominal bit rate that replaces the hand file's [bit/s], 0 to keep it.
         data_bitrate: bit rate of the data phase that replaces the hand file's [bit/s], 0 to keep
             it.
+        adapter: class of the hosts' adapters, key of ``ADAPTERS``.
     """
 
     options: WireOptions = field(default_factory=WireOptions)
     actual: bool = False
     bitrate: int = 0
     data_bitrate: int = 0
+    adapter: str = NONE
+
+    def latency(self, number: int) -> Latency:
+        """Return the latency of a host's adapter.
+
+        Args:
+            number: number of the adapter, which selects its phase.
+        """
+        return Latency(self.adapter, self.options.seed + number)
 
     def rate(self, bitrate: int, data_bitrate: int) -> Rate:
         """Return the bit rates of a bus.
@@ -70,6 +82,10 @@ def _updated(spec: WireSpec, word: str) -> WireSpec:
         if text not in ("worst", "actual"):
             raise SimulatorError(f"--wire {word}: expected stuffing=worst or stuffing=actual")
         return replace(spec, actual=text == "actual")
+    if key == "adapter":
+        if text not in ADAPTERS:
+            raise SimulatorError(f"--wire {word}: expected one of {', '.join(ADAPTERS)}")
+        return replace(spec, adapter=text)
     if key == "error_rate":
         return replace(spec, options=replace(spec.options, error_rate=_number(word, text, 0.0, 1.0)))
     if key == "restart_ms":

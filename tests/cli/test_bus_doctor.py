@@ -48,6 +48,16 @@ def test_two_drives_with_one_number_are_found(capsys, protocol):
     assert f"--  {protocol} 33: two drives answer" in capsys.readouterr().out
 
 
+def test_a_fault_can_be_injected_into_running_drives(capsys):
+    with drives("local:d", "mit", "--ids", "1,2"):
+        assert main(["fault", "kinds", "--bus", "local:d"]) == 0
+        assert "mit1, mit2" in capsys.readouterr().out
+        assert main(["fault", "inject", "off node=2", "--bus", "local:d"]) == 0
+        main(["bus", "doctor", "--bus", "local:d", "--json"])
+    (bus,) = json.loads(capsys.readouterr().out.split("\n", 2)[2])["buses"]
+    assert [node["node_id"] for node in bus["nodes"]] == [1]
+
+
 def test_no_bus_is_bad_input(capsys):
     assert main(["bus", "doctor"]) == 2
     assert "--bus" in capsys.readouterr().err

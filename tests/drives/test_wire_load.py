@@ -100,3 +100,18 @@ def test_the_same_wire_gives_the_same_answers(tmp_path: Path) -> None:
         bench.rig.close()
     assert heard[0] == heard[1]
     assert len(heard[0]) > 400
+
+
+@pytest.mark.parametrize(("adapter", "ticks"), [("none", 1), ("usb-hs", 1), ("spi", 1), ("usb-fs", 2), ("ftdi", 8)])
+def test_feedback_is_as_late_as_the_usb_frames_of_the_adapter(adapter: str, ticks: int, tmp_path: Path) -> None:
+    """Drives behind each adapter become ready at 250 Hz. Ticks without feedback come with the latency."""
+    bench = Bench(hand_file(tmp_path, ["mit"]), [f"adapter={adapter}"], PERIOD_NS)
+    bench.until(DriveTarget.POLL, Phase.READY, 1000)
+    silent = longest = 0
+    for _ in range(100):
+        before = bench.states[0].feedback_count
+        bench.tick(DriveTarget.POLL)
+        silent = silent + 1 if bench.states[0].feedback_count == before else 0
+        longest = max(longest, silent)
+    assert ticks // 2 - 1 <= longest < ticks
+    bench.rig.close()

@@ -8,6 +8,7 @@ import pytest
 
 from firmware_sim.__main__ import main
 from firmware_sim.bus.frame import BRS, EXTENDED, FDF, REMOTE, Frame
+from firmware_sim.description import SimulatorError
 from firmware_sim.faults.faulty_drive import FAULTS
 from firmware_sim.nodes import PROTOCOLS, cubemars
 from firmware_sim.nodes.cia402.dictionary import EDS, Dictionary
@@ -275,6 +276,42 @@ def test_no_frame_ends_a_drive(protocol: str, fault: str) -> None:
                 bench.receive(Frame(number & (0x1FFFFFFF if flags & EXTENDED else 0x7FF) | flags, data))
         bench.advance(bench.t_ns + 2 * MS)
         bench.take_unsolicited()
+
+
+@pytest.mark.parametrize("protocol", ["mit", "odrive", "cia402"])
+def test_faults_act_on_bench_drives(protocol: str) -> None:
+    bench = Bench([drive_spec(protocol, 2), drive_spec(protocol, 3)])
+    requests = {
+        "mit": Frame(0x7FF, b"\2\0\xcc\0" + bytes(4)),
+        "odrive": Frame(2 << 5 | 0x09 | REMOTE, b""),
+        "cia402": Frame(0x602, b"\x40\0\x10\0" + bytes(4)),
+    }
+    bench.advance(10 * MS)
+    assert bench.receive(requests[protocol])
+    bench.faults.inject("drop node=2 for=20ms")
+    assert not bench.receive(requests[protocol])
+    bench.advance(40 * MS)
+    assert bench.receive(requests[protocol])
+    bench.faults.inject(f"duplicate node={protocol}2")
+    assert len(bench.receive(requests[protocol])) == 2
+    assert all(state["felt"] for state in bench.faults.states())
+
+
+def test_a_fault_of_a_bench_drive_reaches_its_power_stage() -> None:
+    bench = Bench([drive_spec("mit", 2, inertia=1.0)])
+    bench.receive(Frame(2, ENABLE))
+    bench.faults.inject("runaway node=2 size=0.1")
+    bench.advance(20 * MS)
+    assert bench.motors[0].torque == pytest.approx(1.0, rel=0.05)
+    bench.faults.inject("error node=2")
+    (reply,) = bench.receive(Frame(0x7FF, b"\2\0\xcc\0" + bytes(4)))
+    assert reply.data[0] >> 4 == 0xC
+
+
+def test_a_bench_has_no_tendons_to_break() -> None:
+    bench = Bench([drive_spec("mit", 2)])
+    with pytest.raises(SimulatorError, match="expected one of none"):
+        bench.faults.inject("snap tendon=index_tendon")
 
 
 def test_frames_for_no_node_are_counted() -> None:

@@ -1,12 +1,14 @@
 """The simulated wire: bit time, arbitration, queues, acknowledge, error states."""
 
 import random
+from itertools import pairwise
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_sim.bus.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
+from firmware_sim.wire.adapter import ADAPTERS, Latency
 from firmware_sim.wire.bits import FD_LENGTHS, Rate, priority
 from firmware_sim.wire.controller import CanController, ErrorState
 from firmware_sim.wire.medium import NEVER_NS, Wire, WireOptions
@@ -215,3 +217,30 @@ def test_removing_a_controller_during_its_frame_is_harmless() -> None:
     wire.remove(leaves.controller)
     wire.advance(10**9)
     assert ears.ids == [2]
+
+
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("kind", sorted(ADAPTERS))
+def test_an_adapter_delays_by_at_most_a_usb_frame(kind: str, seed: int) -> None:
+    adapter, latency = ADAPTERS[kind], Latency(kind, seed)
+    sent = [latency.send(t_ns) - t_ns for t_ns in range(0, 200_000_000, 3_000_000)]
+    received = [latency.receive(t_ns) - t_ns for t_ns in range(0, 200_000_000, 3_000_000)]
+    for delays, period in ((sent, adapter.send_ns), (received, adapter.receive_ns)):
+        assert 0 <= min(delays) <= max(delays) <= period * 1.001 + adapter.frame_ns
+    if kind == "none":
+        assert set(sent + received) == {0}
+
+
+def test_frames_of_one_usb_frame_arrive_together_and_in_order() -> None:
+    latency = Latency("usb-fs", 3)
+    times = [latency.receive(t_ns) for t_ns in range(0, 20_000_000, 130_000)]
+    assert times == sorted(times)
+    steps = sorted({later - earlier for earlier, later in pairwise(times)} - {0})
+    assert steps == pytest.approx([1_000_100] * len(steps), abs=2)
+
+
+def test_all_phases_of_a_usb_frame_occur() -> None:
+    latency = Latency("usb-fs")
+    delays = [latency.send(t_ns) - t_ns for t_ns in range(0, 12_000_000_000, 2_000_000)]
+    assert min(delays) < 20_000
+    assert max(delays) > 980_000

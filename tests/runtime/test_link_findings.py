@@ -4,8 +4,9 @@ import json
 
 import pytest
 
+from handctl.runtime.buses.adapter import Adapter, read_adapter
 from handctl.runtime.buses.link import parse_link
-from handctl.runtime.diagnostics.link_findings import absent, findings
+from handctl.runtime.diagnostics.link_findings import absent, adapter_findings, findings
 
 MEGABIT = 1_000_000
 
@@ -76,3 +77,56 @@ def test_a_missing_interface_comes_with_the_command():
 @pytest.mark.parametrize("text", ["", "[]", "Device does not exist", "{"])
 def test_invalid_output_of_ip_is_no_link(text):
     assert parse_link(text) is None
+
+
+def usb_interface(folder, driver="gs_usb", speed="12", serial="0042"):
+    """A folder like /sys/class/net with one interface, can0, of a USB adapter."""
+    usb = folder / "usb1" / "1-1"
+    (usb / "1-1:1.0").mkdir(parents=True)
+    (folder / "drivers" / driver).mkdir(parents=True)
+    (usb / "1-1:1.0" / "driver").symlink_to(folder / "drivers" / driver)
+    (usb / "speed").write_text(f"{speed}\n")
+    (usb / "serial").write_text(f"{serial}\n")
+    (folder / "net" / "can0").mkdir(parents=True)
+    (folder / "net" / "can0" / "device").symlink_to(usb / "1-1:1.0")
+    return folder / "net"
+
+
+def test_the_adapter_of_an_interface_is_read(tmp_path):
+    network = usb_interface(tmp_path)
+    assert read_adapter("can0", network) == Adapter("gs_usb", 12.0, "0042")
+    assert read_adapter("vcan0", network) is None
+
+
+def test_a_controller_without_usb_has_no_speed(tmp_path):
+    spi = tmp_path / "spi0.0"
+    spi.mkdir()
+    (tmp_path / "mcp251xfd").mkdir()
+    (spi / "driver").symlink_to(tmp_path / "mcp251xfd")
+    (tmp_path / "net" / "can0").mkdir(parents=True)
+    (tmp_path / "net" / "can0" / "device").symlink_to(spi)
+    assert read_adapter("can0", tmp_path / "net") == Adapter("mcp251xfd", 0.0, "")
+
+
+@pytest.mark.parametrize(
+    ("adapter", "kind", "good", "said"),
+    [
+        (Adapter("gs_usb", 12.0, "0042"), "can", True, "at most 250 Hz"),
+        (Adapter("peak_usb", 480.0, "1"), "can", True, "USB 480 Mbit/s"),
+        (Adapter("mttcan"), "can", True, "driver mttcan"),
+        (Adapter("mcp251x"), "can", False, "two receive buffers"),
+        (None, "slcan", False, "serial line"),
+    ],
+)
+def test_each_adapter_has_its_finding(adapter, kind, good, said):
+    last = adapter_findings("can0", adapter, kind, [])[-1]
+    assert (last.good, said in last.what, bool(last.fix)) == (good, True, not good)
+
+
+def test_a_virtual_interface_has_no_adapter():
+    assert adapter_findings("vcan0", None, "vcan", ["can0"]) == []
+
+
+def test_two_usb_adapters_get_names_by_their_serial_numbers():
+    (_, name) = adapter_findings("can0", Adapter("gs_usb", 480.0, "0042"), "can", ["can1"])
+    assert 'ATTRS{serial}=="0042", NAME="can0"' in name.what

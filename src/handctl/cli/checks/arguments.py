@@ -29,6 +29,7 @@ EXAMPLES = {
     "config export": Example("handctl config export --hand jamia --dbc"),
     "bus": Example("handctl bus plan --hand jamia11 --rate 200"),
     "bus plan": Example("handctl bus plan --hand jamia11 --rate 200"),
+    "bus up": Example("handctl bus up --hand jamia --bus socketcan:vcan0"),
     "bus doctor": Example("handctl bus doctor --hand jamia --bus local:demo", (SIMULATED_HAND,)),
     "scan": Example("handctl scan --bus socketcan:can0 --dry-run"),
     "conformance": Example(
@@ -102,19 +103,23 @@ def _files(parser: argparse.ArgumentParser) -> None:
 
 def bus(parser: Parser) -> None:
     """Declare the arguments of ``bus``."""
-    kinds = parser.add_subparsers(dest="what", required=True, metavar="plan|doctor")
+    kinds = parser.add_subparsers(dest="what", required=True, metavar="plan|doctor|up")
     text = "compute the worst-case load of each bus of a hand, stuff bits included"
     plan = add_sub_verb(kinds, "plan", text, EXAMPLES["bus plan"])
     text = "check buses from the interface to the drives, and name the command that repairs each finding"
     doctor = add_sub_verb(kinds, "doctor", text, EXAMPLES["bus doctor"])
-    for one, default in ((plan, "jamia"), (doctor, "none")):
+    text = "print the commands that set up the interfaces of a hand, or run them (--yes, as root)"
+    up = add_sub_verb(kinds, "up", text, EXAMPLES["bus up"])
+    for one, default in ((plan, "jamia"), (doctor, "none"), (up, "none")):
         named = one.add_argument("--hand", metavar="NAME|FILE", help=f"packaged hand or file (default: {default})")
         named.completer = hand_names  # type: ignore[attr-defined]  # an attribute that argcomplete reads
         bus_option(one, required=False)
         json_option(one)
     plan.add_argument("--rate", type=float, metavar="HZ", help="control rate (default: the highest that fits)")
     plan.add_argument("--table", action="store_true", help="compare the protocols, without a hand")
-    bitrate_options(doctor, "without a hand", "without a hand: of CAN FD's data phase")
+    for one in (doctor, up):
+        bitrate_options(one, "without a hand", "without a hand: of CAN FD's data phase")
+    up.add_argument("--yes", action="store_true", help="run the commands now; needs root")
 
 
 def scan(parser: argparse.ArgumentParser) -> None:

@@ -1,6 +1,7 @@
 """``handctl bus doctor``: check each bus from its interface to its nodes, with a command that repairs each finding."""
 
 import argparse
+import socket
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,15 +14,18 @@ from handctl.errors import BusError, ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.file.sections import Bus as BusSection
 from handctl.hand.load import load_hand
+from handctl.runtime.buses.adapter import Adapter, read_adapter
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.link import MissingTool, read_link
 from handctl.runtime.buses.open import open_bus
-from handctl.runtime.diagnostics.link_findings import WIRING, LinkFinding, absent, findings
+from handctl.runtime.diagnostics.link_findings import WIRING, LinkFinding, absent, adapter_findings, findings
 from handctl.runtime.diagnostics.round_trip import RoundTrip, round_trip
 from handctl.runtime.diagnostics.scan import Scan, scan
 from handctl.session.buses import named_buses
 from handctl.session.exit_codes import Exit
 
+NO_USB = Adapter()
+"""Adapter of an interface without USB."""
 BUSY = "is the machine busy, or the adapter's latency timer long? handctl doctor tells priorities"
 SLOW_S = 0.005
 """Maximum median round-trip time [s]: the period of 200 Hz."""
@@ -79,7 +83,10 @@ def _interface(channel: str, expected: BusSection) -> list[LinkFinding]:
         return [LinkFinding("the interface's state is not known: no 'ip' here", False, "sudo apt-get install iproute2")]
     if link is None:
         return [absent(channel, expected.bitrate, expected.data_bitrate)]
-    return findings(channel, link, expected.bitrate, expected.data_bitrate)
+    adapter = read_adapter(channel)
+    others = [name for _, name in socket.if_nameindex() if name != channel and (read_adapter(name) or NO_USB).serial]
+    rows = findings(channel, link, expected.bitrate, expected.data_bitrate)
+    return rows + adapter_findings(channel, adapter, link.kind, others)
 
 
 def _nodes(

@@ -1,6 +1,35 @@
-"""Comparison of the bit rates of an interface with the hand file. ``link`` reads the state of an interface."""
+"""Set-up of an interface for a hand, and comparison of its bit rates. ``link`` reads the state of an interface."""
 
-from handctl.runtime.buses.link import Link, MissingTool, read_link
+from handctl.runtime.buses.link import MTU_FD, Link, MissingTool, read_link
+
+Command = tuple[str, ...]
+"""Words of a command."""
+QUEUE_LENGTH = 128
+"""Transmit queue [frames]. The default of 10 is less than one tick of a large hand."""
+RESTART_MS = 100
+"""Delay of the restart after bus-off [ms]."""
+
+
+def set_up_commands(channel: str, bitrate: int, data_bitrate: int | None, exists: bool) -> tuple[Command, ...]:
+    """Return the commands that set an interface up as a hand needs it, for root.
+
+    Args:
+        channel: name of the interface. ``vcan...`` is virtual.
+        bitrate: of the hand file [bit/s].
+        data_bitrate: of the hand file [bit/s]. None for a classical bus.
+        exists: True if the interface exists.
+    """
+    link = ("ip", "link", "set", channel)
+    queue = (*link, "txqueuelen", str(QUEUE_LENGTH))
+    up: Command = (*link, "up")
+    if channel.startswith("vcan"):
+        begin: Command = (*link, "down") if exists else ("ip", "link", "add", channel, "type", "vcan")
+        mtu = ((*link, "mtu", str(MTU_FD)),) if data_bitrate else ()
+        return (begin, *mtu, queue, up)
+    timing: Command = (*link, "type", "can", "bitrate", str(bitrate))
+    if data_bitrate:
+        timing = (*timing, "dbitrate", str(data_bitrate), "fd", "on")
+    return ((*link, "down"), (*timing, "restart-ms", str(RESTART_MS)), queue, up)
 
 
 def wrong_rate(channel: str, bitrate: int, data_bitrate: int | None) -> str:

@@ -1,13 +1,16 @@
 """Findings about a CAN interface, each with the command that mends it."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
+from handctl.runtime.buses.adapter import Adapter
 from handctl.runtime.buses.link import Link
 from handctl.runtime.buses.socketcan import QUEUE, advice
 
 # Rules for udev, which keep the setting after a restart of the machine. Source: man 7 udev.
 UDEV_QUEUE = 'SUBSYSTEM=="net", ACTION=="add", KERNEL=="{0}", ATTR{{tx_queue_len}}="128"'
 UDEV_NAME = 'SUBSYSTEM=="net", ACTION=="add", ATTRS{{serial}}=="THE ADAPTER\'S", NAME="{0}"'
+UDEV_SERIAL = 'SUBSYSTEM=="net", ACTION=="add", ATTRS{{serial}}=="{1}", NAME="{0}"'
 UDEV_FILE = "/etc/udev/rules.d/90-can.rules"
 WIRING = "check that the drives have power, both ends have 120 ohm, and all have the same bit rate"
 ERRORS = {
@@ -16,6 +19,8 @@ ERRORS = {
     "rx_dropped": "received frames dropped", "tx_dropped": "frames to be sent dropped",
 }  # fmt: skip
 """Text for each counter of ``Link.counts`` that is reported."""
+FULL_SPEED_HZ = 250
+"""Largest control rate that a hand holds behind a full-speed USB adapter [Hz]. Source: docs/how-to/adapters.md."""
 HARMLESS = {"arbitration_lost"}
 """Counters that also rise on a healthy bus."""
 
@@ -64,6 +69,36 @@ def findings(name: str, link: Link, bitrate: int, data_bitrate: int | None) -> l
     queue = f"sudo ip link set {name} txqueuelen 128; for good, in {UDEV_FILE}: {UDEV_QUEUE.format(name)}"
     result.append(LinkFinding(f"transmit queue of {link.queue} frames", link.queue >= QUEUE, queue))
     return [*result, *_controller(name, link), *_counts(link)]
+
+
+def adapter_findings(name: str, adapter: Adapter | None, kind: str, others: Sequence[str]) -> list[LinkFinding]:
+    """Judge the adapter of an interface.
+
+    Args:
+        name: name of the interface.
+        adapter: adapter of the interface, None for a virtual interface.
+        kind: kind of the interface, as ``slcan``.
+        others: other CAN interfaces with a USB adapter.
+    """
+    if kind == "slcan":
+        what = "a serial line (slcan): no error counters, no bit rate to compare, one frame at a time"
+        return [LinkFinding(what, False, "flash candleLight firmware, which the driver gs_usb runs")]
+    if adapter is None:
+        return []
+    usb = f", USB {adapter.usb_speed:g} Mbit/s" if adapter.usb_speed else ""
+    what = f"adapter of driver {adapter.driver or 'unknown'}{usb}"
+    if adapter.is_full_speed:
+        what += f": one exchange each millisecond, at most {FULL_SPEED_HZ} Hz for a hand (--rate {FULL_SPEED_HZ})"
+    rows = [LinkFinding(what, True)]
+    if adapter.driver == "mcp251x":
+        what = "MCP2515 has two receive buffers and loses frames of a bus at 1 Mbit/s"
+        rows.append(LinkFinding(what, False, "use a hat with MCP2518FD (driver mcp251xfd), or 250 kbit/s"))
+    if adapter.serial and others:
+        rule = UDEV_SERIAL.format(name, adapter.serial)
+        rows.append(
+            LinkFinding(f"its name depends on the order of plugging in; to keep it, in {UDEV_FILE}: {rule}", True)
+        )
+    return rows
 
 
 def _rate(what: str, has: int | None, required: int, fix: str) -> LinkFinding:

@@ -1,0 +1,118 @@
+"""Drives on a bench in the form in which faults act on a hand: each drive is a motor of a hand without digits."""
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+from firmware_sim.bus.frame import Frame
+from firmware_sim.description import Hand, MotorSpec
+from firmware_sim.faults.faulty_drive import FaultyDrive
+from firmware_sim.nodes import PROTOCOLS
+from firmware_sim.plant.motor import Motor
+
+BUS = "bench"
+"""Name of the bus."""
+
+
+class Benchlike(Protocol):
+    """The part of a bench that faults use.
+
+    Attributes:
+        motors: rotors in the order of the specs.
+        nodes: nodes in the order of the specs.
+        slip_ns: time given up [ns].
+        part_ns: completed part of a divided step [ns].
+    """
+
+    motors: list[Motor]
+    nodes: list[Any]
+    slip_ns: int
+    part_ns: int
+
+    @property
+    def t_ns(self) -> int:
+        """Return the clock of the drives [ns]."""
+        ...
+
+    def queue_frames(self, frames: list[Frame]) -> None:
+        """Queue frames of foreign senders on the bus."""
+        ...
+
+
+class BenchPlant:
+    """Rotors of a bench by name, with the bench's clock.
+
+    Attributes:
+        motors: rotors by the names of their drives.
+        tendons: none.
+    """
+
+    tendons: Sequence[Any] = ()
+
+    def __init__(self, bench: Benchlike, specs: Sequence[MotorSpec]) -> None:
+        """Name the rotors of a bench."""
+        self._bench = bench
+        self.motors = {spec.name: motor for spec, motor in zip(specs, bench.motors, strict=True)}
+
+    @property
+    def t_ns(self) -> int:
+        """Return the clock of the rotors [ns]."""
+        return self._bench.t_ns
+
+    @property
+    def part_ns(self) -> int:
+        """Return the completed part of a divided step [ns]."""
+        return self._bench.part_ns
+
+
+class BenchWorld:
+    """World of the faults of a bench, see ``active.Faults``.
+
+    Attributes:
+        hand: the drives as motors of a hand.
+        plant: rotors.
+        nodes: nodes of the only bus.
+        sensor_node: none.
+    """
+
+    sensor_node = None
+
+    def __init__(self, bench: Benchlike, specs: Sequence[MotorSpec]) -> None:
+        """Describe a bench as a hand."""
+        self._bench = bench
+        motors = list(specs)
+        self.hand = Hand("bench", (0.0, 0.0, 0.0), [BUS], [(0, 0)], [], [], motors, None)
+        self.plant = BenchPlant(bench, specs)
+        self.nodes = [bench.nodes]
+        self._nodes = {spec.name: node for spec, node in zip(specs, bench.nodes, strict=True)}
+
+    @property
+    def t_ns(self) -> int:
+        """Return the clock of the drives [ns]."""
+        return self._bench.t_ns
+
+    @property
+    def slip_ns(self) -> int:
+        """Return the time given up [ns]."""
+        return self._bench.slip_ns
+
+    def node_of(self, name: str) -> Any:
+        """Return the node of a drive, without its deliberate fault."""
+        node = self._nodes[name]
+        return node.node if isinstance(node, FaultyDrive) else node
+
+    def motor_spec(self, name: str) -> MotorSpec:
+        """Return the description of a drive."""
+        return next(motor for motor in self.hand.motors if motor.name == name)
+
+    def host_frame(self, name: str) -> Frame:
+        """Return a frame that only the host of a drive sends and that has no effect."""
+        spec = self.motor_spec(name)
+        can_id, data = PROTOCOLS[spec.protocol].host_frame(spec.node_id)
+        return Frame(can_id, data, 0, 0, self.t_ns)
+
+    def queue_frames(self, frames: list[Frame]) -> None:
+        """Queue frames of foreign senders on the bus."""
+        self._bench.queue_frames(frames)
+
+    def refresh_identifiers(self) -> None:
+        """Do nothing: a bench passes every frame to every node."""

@@ -1,0 +1,78 @@
+"""Latency of a CAN adapter between a host and its controller on the wire.
+
+A USB host moves frames at the start of a USB frame only: each millisecond for a full-speed device,
+each 125 us for a high-speed device. A frame waits for the next start in either direction. A serial
+bus inside the adapter moves one frame after the other. Source of the USB times: USB 2.0
+specification, 5.3.3 (frames and microframes).
+"""
+
+import random
+from typing import NamedTuple
+
+DRIFT = 1e-4
+"""Difference between the clock of USB frames and that of the host, so that all phases occur."""
+
+
+class Adapter(NamedTuple):
+    """Class of adapters.
+
+    Attributes:
+        send_ns: period in which frames of the host leave [ns], 0 for at once.
+        receive_ns: period in which received frames reach the host [ns], 0 for at once.
+        frame_ns: time of one frame on a serial bus inside of the adapter, in either direction [ns].
+        text: examples.
+    """
+
+    send_ns: int
+    receive_ns: int
+    frame_ns: int
+    text: str
+
+
+ADAPTERS = {
+    "none": Adapter(0, 0, 0, "controller on the processor's own bus, as on Jetson"),
+    "spi": Adapter(0, 0, 100_000, "controller behind SPI, as on Pi hats; 100 us a frame are an assumption"),
+    "usb-hs": Adapter(125_000, 125_000, 0, "high-speed USB: PCAN-USB Pro FD, Kvaser Leaf v3"),
+    "usb-fs": Adapter(1_000_000, 1_000_000, 0, "full-speed USB: candleLight, CANable, also with slcan"),
+    "ftdi": Adapter(1_000_000, 16_000_000, 0, "serial adapter with FTDI chip, latency timer at its default of 16 ms"),
+}
+"""Classes of adapters by name."""
+NONE = "none"
+"""Class without latency."""
+
+
+class Latency:
+    """Latency of one adapter. Times passed to a method must not fall."""
+
+    def __init__(self, kind: str, seed: int = 0) -> None:
+        """Make an adapter with a random phase of its USB frames.
+
+        Args:
+            kind: key of ``ADAPTERS``.
+            seed: seed of the phase.
+        """
+        self._adapter = ADAPTERS[kind]
+        self._phase = random.Random(f"adapter {kind} {seed}").random()
+        self._sent_ns = self._received_ns = 0
+
+    def send(self, t_ns: int) -> int:
+        """Return the time at which a frame of the host reaches the controller [ns]."""
+        adapter = self._adapter
+        at_ns = self._next_start(t_ns, adapter.send_ns)
+        self._sent_ns = max(at_ns, self._sent_ns) + adapter.frame_ns
+        return self._sent_ns
+
+    def receive(self, t_ns: int) -> int:
+        """Return the time at which a received frame reaches the host [ns]."""
+        adapter = self._adapter
+        at_ns = self._next_start(t_ns, adapter.receive_ns)
+        self._received_ns = max(at_ns, self._received_ns) + adapter.frame_ns
+        return self._received_ns
+
+    def _next_start(self, t_ns: int, period_ns: int) -> int:
+        """Return the start of the next USB frame [ns]."""
+        if not period_ns:
+            return t_ns
+        period = period_ns * (1.0 + DRIFT)
+        passed = (t_ns / period - self._phase) % 1.0
+        return t_ns + round((1.0 - passed) * period)

@@ -1,0 +1,88 @@
+"""``handctl bus up``: the commands that set the interfaces of a hand up, printed or run."""
+
+import argparse
+import os
+import shlex
+import socket
+import subprocess
+
+from handctl.cli.console.options import print_json
+from handctl.errors import BusError, ConfigError
+from handctl.hand.file.sections import Bus as BusSection
+from handctl.hand.load import load_hand
+from handctl.runtime.buses.interface import Command, set_up_commands
+from handctl.session.buses import named_buses
+from handctl.session.exit_codes import Exit
+
+TIMEOUT_S = 10.0
+"""Longest duration of a command [s]."""
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the commands of each interface, or run them as root."""
+    if not args.bus:
+        raise ConfigError("missing", "--bus", "the interfaces to set up, such as --bus socketcan:can0")
+    commands = [command for spec, section in _buses(args) for command in _commands(spec, section)]
+    if args.yes:
+        _check_root(commands)
+        for command in commands:
+            _run(command)
+    lines = [("" if args.yes else "sudo ") + shlex.join(command) for command in commands]
+    if args.json:
+        print_json({"commands": [list(command) for command in commands], "done": args.yes})
+    else:
+        print("\n".join(lines))
+    return Exit.DONE
+
+
+def _buses(args: argparse.Namespace) -> tuple[tuple[str, BusSection], ...]:
+    """Return each bus specification with its section of the hand file, or with the rates of the options."""
+    if args.hand:
+        from handctl.session.plan import bus_specs
+
+        hand = load_hand(args.hand)
+        return tuple(zip(bus_specs(hand, args.bus), hand.bus, strict=True))
+    rates = {"bitrate": args.bitrate, "data_bitrate": args.data_bitrate}
+    return tuple((spec, BusSection(name=name, **rates)) for name, spec in named_buses(args.bus).items())
+
+
+def _commands(spec: str, section: BusSection) -> tuple[Command, ...]:
+    """Return the commands of one bus.
+
+    Raises:
+        BusError: not an interface of SocketCAN, or a real interface that does not exist.
+    """
+    kind, _, channel = spec.partition(":")
+    if kind != "socketcan":
+        raise BusError("has no interface to set up", spec, "socketcan:NAME; other buses are set up when opened")
+    exists = channel in [name for _, name in socket.if_nameindex()]
+    if not exists and not channel.startswith("vcan"):
+        raise BusError("no such interface", spec, f"an adapter that is plugged in; handctl bus doctor --bus {spec}")
+    return set_up_commands(channel, section.bitrate, section.data_bitrate, exists)
+
+
+def _check_root(commands: list[Command]) -> None:
+    """Refuse --yes without the rights to set up an interface.
+
+    Raises:
+        BusError: the user is not root.
+    """
+    if os.geteuid():
+        text = "; ".join(shlex.join(command) for command in commands)
+        raise BusError("only root may set up an interface", "--yes", f"sudo handctl bus up ..., or type: {text}")
+
+
+def _run(command: Command) -> None:
+    """Run one command.
+
+    Raises:
+        BusError: it fails.
+    """
+    text = shlex.join(command)
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+    except (FileNotFoundError, subprocess.TimeoutExpired) as error:
+        raise BusError(f"does not run: {error}", text, "sudo apt-get install iproute2") from None
+    if done.returncode:
+        reason = " ".join((done.stderr or done.stdout).split())
+        raise BusError(f"failed: {reason}", text, "an interface of the kernel, and its driver's bit rates")

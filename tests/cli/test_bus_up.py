@@ -1,0 +1,103 @@
+"""``handctl bus up``: the commands for each kind of interface, and what is refused."""
+
+import json
+import os
+
+import pytest
+
+from handctl.cli.checks import bus_up
+from handctl.cli.main import main
+from handctl.runtime.buses.interface import set_up_commands
+
+MEGABIT = 1_000_000
+
+
+def texts(*words) -> list[str]:
+    return [" ".join(command) for command in set_up_commands(*words)]
+
+
+def test_the_commands_of_a_real_interface():
+    assert texts("can0", MEGABIT, None, True) == [
+        "ip link set can0 down",
+        "ip link set can0 type can bitrate 1000000 restart-ms 100",
+        "ip link set can0 txqueuelen 128",
+        "ip link set can0 up",
+    ]
+    assert texts("can0", MEGABIT, 5 * MEGABIT, True)[1] == (
+        "ip link set can0 type can bitrate 1000000 dbitrate 5000000 fd on restart-ms 100"
+    )
+
+
+@pytest.mark.parametrize(
+    ("exists", "first"), [(True, "ip link set vcan0 down"), (False, "ip link add vcan0 type vcan")]
+)
+def test_the_commands_of_a_virtual_interface(exists, first):
+    assert texts("vcan0", MEGABIT, 5 * MEGABIT, exists) == [
+        first, "ip link set vcan0 mtu 72", "ip link set vcan0 txqueuelen 128", "ip link set vcan0 up",
+    ]  # fmt: skip
+
+
+def test_without_yes_nothing_runs(capsys, monkeypatch):
+    monkeypatch.setattr(bus_up.subprocess, "run", lambda *words, **options: pytest.fail("a command ran"))
+    assert main(["bus", "up", "--bus", "socketcan:vcan77", "--bitrate", "500000"]) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        "sudo ip link add vcan77 type vcan", "sudo ip link set vcan77 txqueuelen 128", "sudo ip link set vcan77 up",
+    ]  # fmt: skip
+
+
+def test_a_hand_gives_the_bit_rates(capsys, monkeypatch):
+    monkeypatch.setattr(bus_up.socket, "if_nameindex", lambda: [(1, "can0")])
+    assert main(["bus", "up", "--hand", "jamia", "--bus", "socketcan:can0", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["done"] is False
+    assert told["commands"][1][:8] == ["ip", "link", "set", "can0", "type", "can", "bitrate", "1000000"]
+
+
+def test_with_yes_root_runs_them_in_order(capsys, monkeypatch):
+    ran = []
+
+    class Done:
+        returncode, stdout, stderr = 0, "", ""
+
+    def record(command, **options):
+        ran.append(" ".join(command))
+        return Done()
+
+    monkeypatch.setattr(bus_up.os, "geteuid", lambda: 0)
+    monkeypatch.setattr(bus_up.subprocess, "run", record)
+    assert main(["bus", "up", "--bus", "socketcan:vcan77", "--yes"]) == 0
+    assert ran == capsys.readouterr().out.splitlines()
+    assert len(ran) == 3
+
+
+def test_a_command_that_fails_ends_the_verb_with_its_reason(capsys, monkeypatch):
+    class Failed:
+        returncode, stdout, stderr = 2, "", "RTNETLINK answers: Operation not supported\n"
+
+    monkeypatch.setattr(bus_up.os, "geteuid", lambda: 0)
+    monkeypatch.setattr(bus_up.subprocess, "run", lambda command, **options: Failed())
+    assert main(["bus", "up", "--bus", "socketcan:vcan77", "--yes"]) == 1
+    error = capsys.readouterr().err
+    assert "Operation not supported" in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        ([], 2, "--bus"),
+        (["--bus", "local:x"], 1, "socketcan:NAME"),
+        (["--bus", "socketcan:can77"], 1, "no such interface"),
+    ],
+)
+def test_what_cannot_be_set_up_is_refused_in_one_line(capsys, words, code, said):
+    assert main(["bus", "up", *words]) == code
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+
+
+def test_only_root_may_run_them(capsys, monkeypatch):
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    assert main(["bus", "up", "--bus", "socketcan:vcan77", "--yes"]) == 1
+    assert "only root" in capsys.readouterr().err
