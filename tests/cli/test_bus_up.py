@@ -46,7 +46,7 @@ def test_without_yes_nothing_runs(capsys, monkeypatch):
 
 
 def test_a_hand_gives_the_bit_rates(capsys, monkeypatch):
-    monkeypatch.setattr(bus_up.socket, "if_nameindex", lambda: [(1, "can0")])
+    monkeypatch.setattr(bus_up, "interface_names", lambda: ("can0",))
     assert main(["bus", "up", "--hand", "jamia", "--bus", "socketcan:can0", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["done"] is False

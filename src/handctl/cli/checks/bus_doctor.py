@@ -1,7 +1,6 @@
 """``handctl bus doctor``: check each bus from its interface to its nodes, with a command that repairs each finding."""
 
 import argparse
-import socket
 from collections.abc import Sequence
 from typing import Any
 
@@ -16,6 +15,7 @@ from handctl.hand.file.sections import Bus as BusSection
 from handctl.hand.load import load_hand
 from handctl.runtime.buses.adapter import Adapter, read_adapter
 from handctl.runtime.buses.contract import Bus
+from handctl.runtime.buses.interface import interface_names
 from handctl.runtime.buses.link import MissingTool, read_link
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.diagnostics.link_findings import WIRING, LinkFinding, absent, adapter_findings, findings
@@ -84,7 +84,7 @@ def _interface(channel: str, expected: BusSection) -> list[LinkFinding]:
     if link is None:
         return [absent(channel, expected.bitrate, expected.data_bitrate)]
     adapter = read_adapter(channel)
-    others = [name for _, name in socket.if_nameindex() if name != channel and (read_adapter(name) or NO_USB).serial]
+    others = [name for name in interface_names() if name != channel and (read_adapter(name) or NO_USB).serial]
     rows = findings(channel, link, expected.bitrate, expected.data_bitrate)
     return rows + adapter_findings(channel, adapter, link.kind, others)
 

@@ -3,14 +3,13 @@
 import argparse
 import os
 import shlex
-import socket
 import subprocess
 
 from handctl.cli.console.options import print_json
 from handctl.errors import BusError, ConfigError
 from handctl.hand.file.sections import Bus as BusSection
 from handctl.hand.load import load_hand
-from handctl.runtime.buses.interface import Command, set_up_commands
+from handctl.runtime.buses.interface import Command, interface_names, set_up_commands
 from handctl.session.buses import named_buses
 from handctl.session.exit_codes import Exit
 
@@ -55,7 +54,7 @@ def _commands(spec: str, section: BusSection) -> tuple[Command, ...]:
     kind, _, channel = spec.partition(":")
     if kind != "socketcan":
         raise BusError("has no interface to set up", spec, "socketcan:NAME; other buses are set up when opened")
-    exists = channel in [name for _, name in socket.if_nameindex()]
+    exists = channel in interface_names()
     if not exists and not channel.startswith("vcan"):
         raise BusError("no such interface", spec, f"an adapter that is plugged in; handctl bus doctor --bus {spec}")
     return set_up_commands(channel, section.bitrate, section.data_bitrate, exists)

@@ -1,5 +1,7 @@
 """Set-up of an interface for a hand, and comparison of its bit rates. ``link`` reads the state of an interface."""
 
+import socket
+
 from handctl.runtime.buses.link import MTU_FD, Link, MissingTool, read_link
 
 Command = tuple[str, ...]
@@ -8,6 +10,11 @@ QUEUE_LENGTH = 128
 """Transmit queue [frames]. The default of 10 is less than one tick of a large hand."""
 RESTART_MS = 100
 """Delay of the restart after bus-off [ms]."""
+
+
+def interface_names() -> tuple[str, ...]:
+    """Return the names of the network interfaces of this machine."""
+    return tuple(name for _, name in socket.if_nameindex())
 
 
 def set_up_commands(channel: str, bitrate: int, data_bitrate: int | None, exists: bool) -> tuple[Command, ...]:
