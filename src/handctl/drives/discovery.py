@@ -49,7 +49,7 @@ class DiscoveredNode:
     twins: bool = False
 
 
-TWINS = "two drives answer with this number: give each a number of its own, one drive on the bus at a time"
+TWINS = "two drives answer with this number: set another number with one drive on the bus at a time"
 """Note on a node with ``twins``."""
 
 

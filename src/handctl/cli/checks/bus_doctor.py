@@ -18,7 +18,13 @@ from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.interface import interface_names
 from handctl.runtime.buses.link import MissingTool, read_link
 from handctl.runtime.buses.open import open_bus
-from handctl.runtime.diagnostics.link_findings import WIRING, LinkFinding, absent, adapter_findings, findings
+from handctl.runtime.diagnostics.link_findings import (
+    WIRING,
+    LinkFinding,
+    absent,
+    adapter_findings,
+    findings,
+)
 from handctl.runtime.diagnostics.round_trip import RoundTrip, round_trip
 from handctl.runtime.diagnostics.scan import Scan, scan
 from handctl.session.buses import named_buses
@@ -80,11 +86,18 @@ def _interface(channel: str, expected: BusSection) -> list[LinkFinding]:
     try:
         link = read_link(channel)
     except MissingTool:
-        return [LinkFinding("the interface's state is not known: no 'ip' here", False, "sudo apt-get install iproute2")]
+        return [
+            LinkFinding(
+                "the interface's state is not known: no 'ip' here",
+                False,
+                "sudo apt-get install iproute2",
+            )
+        ]
     if link is None:
         return [absent(channel, expected.bitrate, expected.data_bitrate)]
     adapter = read_adapter(channel)
-    others = [name for name in interface_names() if name != channel and (read_adapter(name) or NO_USB).serial]
+    other_names = [name for name in interface_names() if name != channel]
+    others = [name for name in other_names if (read_adapter(name) or NO_USB).serial]
     rows = findings(channel, link, expected.bitrate, expected.data_bitrate)
     return rows + adapter_findings(channel, adapter, link.kind, others)
 
@@ -108,7 +121,8 @@ def _nodes(
         for node in _twins(result, trips)
     ]
     if result.foreign:
-        rows.append(LinkFinding("another host is at work: nodes were not asked", False, "end it, and look again"))
+        what = "another host is at work: nodes were not asked"
+        rows.append(LinkFinding(what, False, "end it, and look again"))
     elif hand is not None:
         rows += _missing(hand, expected.name, result)
     elif not result.found:

@@ -20,7 +20,7 @@ TIMEOUT_S = 10.0
 def run(args: argparse.Namespace) -> int:
     """Print the commands of each interface, or run them as root."""
     if not args.bus:
-        raise ConfigError("missing", "--bus", "the interfaces to set up, such as --bus socketcan:can0")
+        raise ConfigError("missing", "--bus", "the interfaces, such as --bus socketcan:can0")
     commands = [command for spec, section in _buses(args) for command in _commands(spec, section)]
     if args.yes:
         _check_root(commands)
@@ -35,14 +35,15 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _buses(args: argparse.Namespace) -> tuple[tuple[str, BusSection], ...]:
-    """Return each bus specification with its section of the hand file, or with the rates of the options."""
+    """Return each bus specification with its bit rates, from the hand file or the options."""
     if args.hand:
         from handctl.session.plan import bus_specs
 
         hand = load_hand(args.hand)
         return tuple(zip(bus_specs(hand, args.bus), hand.bus, strict=True))
     rates = {"bitrate": args.bitrate, "data_bitrate": args.data_bitrate}
-    return tuple((spec, BusSection(name=name, **rates)) for name, spec in named_buses(args.bus).items())
+    named = named_buses(args.bus)
+    return tuple((spec, BusSection(name=name, **rates)) for name, spec in named.items())
 
 
 def _commands(spec: str, section: BusSection) -> tuple[Command, ...]:
@@ -53,10 +54,15 @@ def _commands(spec: str, section: BusSection) -> tuple[Command, ...]:
     """
     kind, _, channel = spec.partition(":")
     if kind != "socketcan":
-        raise BusError("has no interface to set up", spec, "socketcan:NAME; other buses are set up when opened")
+        right = "socketcan:NAME; others are set up when opened"
+        raise BusError("has no interface to set up", spec, right)
     exists = channel in interface_names()
     if not exists and not channel.startswith("vcan"):
-        raise BusError("no such interface", spec, f"an adapter that is plugged in; handctl bus doctor --bus {spec}")
+        raise BusError(
+            "no such interface",
+            spec,
+            f"an adapter that is plugged in; handctl bus doctor --bus {spec}",
+        )
     return set_up_commands(channel, section.bitrate, section.data_bitrate, exists)
 
 
@@ -68,7 +74,11 @@ def _check_root(commands: list[Command]) -> None:
     """
     if os.geteuid():
         text = "; ".join(shlex.join(command) for command in commands)
-        raise BusError("only root may set up an interface", "--yes", f"sudo handctl bus up ..., or type: {text}")
+        raise BusError(
+            "only root may set up an interface",
+            "--yes",
+            f"sudo handctl bus up ..., or type: {text}",
+        )
 
 
 def _run(command: Command) -> None:
@@ -79,9 +89,12 @@ def _run(command: Command) -> None:
     """
     text = shlex.join(command)
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+        done = subprocess.run(  # noqa: PLW1510 - the code is judged below
+            command, capture_output=True, text=True, timeout=TIMEOUT_S
+        )
     except (FileNotFoundError, subprocess.TimeoutExpired) as error:
         raise BusError(f"does not run: {error}", text, "sudo apt-get install iproute2") from None
     if done.returncode:
         reason = " ".join((done.stderr or done.stdout).split())
-        raise BusError(f"failed: {reason}", text, "an interface of the kernel, and its driver's bit rates")
+        right = "an interface of the kernel, and its driver's bit rates"
+        raise BusError(f"failed: {reason}", text, right)

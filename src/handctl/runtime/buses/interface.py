@@ -1,4 +1,7 @@
-"""Set-up of an interface for a hand, and comparison of its bit rates. ``link`` reads the state of an interface."""
+"""Set-up of an interface for a hand, and comparison of its bit rates.
+
+``link`` reads the state of an interface.
+"""
 
 import socket
 
@@ -30,7 +33,8 @@ def set_up_commands(channel: str, bitrate: int, data_bitrate: int | None, exists
     queue = (*link, "txqueuelen", str(QUEUE_LENGTH))
     up: Command = (*link, "up")
     if channel.startswith("vcan"):
-        begin: Command = (*link, "down") if exists else ("ip", "link", "add", channel, "type", "vcan")
+        add: Command = ("ip", "link", "add", channel, "type", "vcan")
+        begin = (*link, "down") if exists else add
         mtu = ((*link, "mtu", str(MTU_FD)),) if data_bitrate else ()
         return (begin, *mtu, queue, up)
     timing: Command = (*link, "type", "can", "bitrate", str(bitrate))

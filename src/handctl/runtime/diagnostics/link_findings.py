@@ -20,7 +20,10 @@ ERRORS = {
 }  # fmt: skip
 """Text for each counter of ``Link.counts`` that is reported."""
 FULL_SPEED_HZ = 250
-"""Largest control rate that a hand holds behind a full-speed USB adapter [Hz]. Source: docs/how-to/adapters.md."""
+"""Control rate that a hand holds behind a full-speed USB adapter [Hz].
+
+Source: docs/how-to/adapters.md.
+"""
 HARMLESS = {"arbitration_lost"}
 """Counters that also rise on a healthy bus."""
 
@@ -81,14 +84,14 @@ def adapter_findings(name: str, adapter: Adapter | None, kind: str, others: Sequ
         others: other CAN interfaces with a USB adapter.
     """
     if kind == "slcan":
-        what = "a serial line (slcan): no error counters, no bit rate to compare, one frame at a time"
-        return [LinkFinding(what, False, "flash candleLight firmware, which the driver gs_usb runs")]
+        what = "a serial line (slcan): no error counters, no bit rate to compare"
+        return [LinkFinding(what, False, "flash candleLight firmware for the driver gs_usb")]
     if adapter is None:
         return []
     usb = f", USB {adapter.usb_speed:g} Mbit/s" if adapter.usb_speed else ""
     what = f"adapter of driver {adapter.driver or 'unknown'}{usb}"
     if adapter.is_full_speed:
-        what += f": one exchange each millisecond, at most {FULL_SPEED_HZ} Hz for a hand (--rate {FULL_SPEED_HZ})"
+        what += f": one exchange each millisecond, at most {FULL_SPEED_HZ} Hz for a hand"
     rows = [LinkFinding(what, True)]
     if adapter.driver == "mcp251x":
         what = "MCP2515 has two receive buffers and loses frames of a bus at 1 Mbit/s"
@@ -96,7 +99,10 @@ def adapter_findings(name: str, adapter: Adapter | None, kind: str, others: Sequ
     if adapter.serial and others:
         rule = UDEV_SERIAL.format(name, adapter.serial)
         rows.append(
-            LinkFinding(f"its name depends on the order of plugging in; to keep it, in {UDEV_FILE}: {rule}", True)
+            LinkFinding(
+                f"its name depends on the order of plugging in. To keep it, in {UDEV_FILE}: {rule}",
+                True,
+            )
         )
     return rows
 
