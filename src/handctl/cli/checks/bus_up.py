@@ -89,9 +89,7 @@ def _run(command: Command) -> None:
     """
     text = shlex.join(command)
     try:
-        done = subprocess.run(  # noqa: PLW1510 - the code is judged below
-            command, capture_output=True, text=True, timeout=TIMEOUT_S
-        )
+        done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S)
     except (FileNotFoundError, subprocess.TimeoutExpired) as error:
         raise BusError(f"does not run: {error}", text, "sudo apt-get install iproute2") from None
     if done.returncode:
