@@ -34,6 +34,7 @@ from firmware_sim.nodes.cia402.kernels import THERMAL_PERIOD_NS as CIA402_THERMA
 from firmware_sim.nodes.cia402.kernels import schedule as schedule_cia402
 from firmware_sim.nodes.cia402.kernels import watchdog_expired as cia402_watchdog_expired
 from firmware_sim.nodes.mit.codec import ENABLED, MitStruct, apply_command, feedback_word, schedule
+from firmware_sim.nodes.mit.registers import MODE_MIT
 from firmware_sim.nodes.odrive.kernels import (
     THERMAL_PERIOD_NS,
     OdriveStruct,
@@ -141,7 +142,7 @@ def _put_float(data: Any, at: int, value: float) -> None:
 @inner
 def _mit_needs_python(node: Any, rotor: Any, frame: Any, t_ns: int) -> bool:
     """Return True if an MIT drive must process a frame in Python."""
-    if frame.length != 8 or t_ns >= node.wake_ns or rotor.faulty != 0:
+    if frame.length != 8 or t_ns >= node.wake_ns or rotor.faulty != 0 or node.mode != MODE_MIT:
         return True
     # The seven first bytes, without the code of the special command.
     return _word(frame.data) >> 8 & _SPECIAL == _SPECIAL

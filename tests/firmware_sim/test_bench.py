@@ -278,6 +278,73 @@ def test_no_frame_ends_a_drive(protocol: str, fault: str) -> None:
         bench.take_unsolicited()
 
 
+def in_mode(mode: int) -> Bench:
+    """Return a bench with one enabled Damiao motor in a mode."""
+    bench = Bench([drive_spec("mit", 2)])
+    bench.receive(Frame(0x7FF, b"\2\0\x55\x0a" + struct.pack("<I", mode)))
+    assert register(bench, 2, 10) == struct.pack("<I", mode)
+    bench.receive(Frame(2, ENABLE))
+    return bench
+
+
+def test_a_damiao_motor_holds_a_velocity() -> None:
+    bench = in_mode(3)
+    bench.receive(Frame(0x202, struct.pack("<f", -5.0)))
+    bench.advance(1000 * MS)
+    assert bench.motors[0].omega == pytest.approx(-5.0, rel=0.05)
+    bench.receive(Frame(0x202, struct.pack("<ff", 100.0, 0.0)))
+    bench.advance(3000 * MS)
+    assert bench.motors[0].omega <= mit_bench.RATINGS["dm4310"].top_speed
+
+
+def test_a_damiao_motor_moves_to_a_position_within_a_speed() -> None:
+    bench = in_mode(2)
+    bench.receive(Frame(0x102, struct.pack("<ff", 3.0, 2.0)))
+    fastest = 0.0
+    for _ in range(60):
+        bench.advance(bench.t_ns + 50 * MS)
+        fastest = max(fastest, bench.motors[0].omega)
+    assert 1.7 < fastest <= 2.0, "friction takes a part, there is no integrator"
+    assert bench.motors[0].theta == pytest.approx(3.0, abs=0.1)
+
+
+def test_a_damiao_motor_moves_with_a_limited_torque() -> None:
+    bench = in_mode(4)
+    bench.receive(Frame(0x302, struct.pack("<fHH", 3.0, 1000, 500)))
+    strongest = 0.0
+    for _ in range(200):
+        bench.advance(bench.t_ns + 2 * MS)
+        strongest = max(strongest, abs(bench.motors[0].torque))
+    assert strongest == pytest.approx(0.05 * 7.0, rel=0.02)
+
+
+@pytest.mark.parametrize("mode", [1, 2, 3, 4])
+def test_a_command_of_another_mode_is_answered_without_effect(mode: int) -> None:
+    bench = in_mode(mode)
+    commands = {
+        1: Frame(2, (0x7FFF7FF << 36 | 0xFFF).to_bytes(8, "big")),
+        2: Frame(0x102, struct.pack("<ff", 3.0, 2.0)),
+        3: Frame(0x202, struct.pack("<f", 3.0)),
+        4: Frame(0x302, struct.pack("<fHH", 3.0, 1000, 10_000)),
+    }
+    for other, frame in commands.items():
+        if other != mode:
+            (reply,) = bench.receive(frame)
+            assert reply.data[0] >> 4 == 1
+    bench.advance(100 * MS)
+    assert bench.motors[0].theta == 0.0
+    bench.receive(commands[mode])
+    bench.advance(bench.t_ns + 100 * MS)
+    assert bench.motors[0].theta > 0.0
+
+
+def test_a_change_of_the_mode_ends_the_setpoint() -> None:
+    bench = in_mode(3)
+    bench.receive(Frame(0x202, struct.pack("<f", 5.0)))
+    bench.receive(Frame(0x7FF, b"\2\0\x55\x0a" + struct.pack("<I", 1)))
+    assert (bench.motors[0].servo.kd, bench.motors[0].servo.speed_gain) == (0.0, 0.0)
+
+
 @pytest.mark.parametrize("protocol", ["mit", "odrive", "cia402"])
 def test_faults_act_on_bench_drives(protocol: str) -> None:
     bench = Bench([drive_spec(protocol, 2), drive_spec(protocol, 3)])

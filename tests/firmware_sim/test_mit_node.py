@@ -152,7 +152,7 @@ def test_the_torque_is_limited_to_the_motors_peak(bench: Bench) -> None:
 
 
 def test_invalid_writes_are_ignored(bench: Bench) -> None:
-    bench.register(0x55, 10, struct.pack("<I", 3))
+    bench.register(0x55, 10, struct.pack("<I", 5))
     assert struct.unpack("<I", bench.register(0x33, 10)[4:]) == (1,)
     bench.register(0x55, 23, struct.pack("<f", float("nan")))
     assert struct.unpack("<f", bench.register(0x33, 23)[4:])[0] == pytest.approx(0.8)

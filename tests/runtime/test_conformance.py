@@ -125,3 +125,14 @@ def test_an_odrive_without_watchdog_fails_that_check_only():
     assert "CANSimple cannot read it" in failures[BROKEN_PROMISE["watchdog"]].reason
     for option in ("endpoint_enable_watchdog", "endpoint_watchdog_timeout"):
         assert option in failures[BROKEN_PROMISE["watchdog"]].reason
+
+
+def test_a_motor_in_velocity_mode_is_set_to_mit_mode():
+    """A client before may have left CTRL_MODE at 3."""
+    place = VirtualBench("mit")
+    node = place.bench.nodes[0]
+    node.registers.write(10, (3).to_bytes(4, "little"))
+    node._update_derived()
+    rig = rig_on(place, "mit", LIMIT)
+    assert rig.until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0)
+    assert node.mode == 1

@@ -111,7 +111,7 @@ def test_a_controller_without_usb_has_no_speed(tmp_path):
 @pytest.mark.parametrize(
     ("adapter", "kind", "good", "said"),
     [
-        (Adapter("gs_usb", 12.0, "0042"), "can", True, "at most 250 Hz"),
+        (Adapter("gs_usb", 12.0, "0042"), "can", True, "at most 333 Hz"),
         (Adapter("peak_usb", 480.0, "1"), "can", True, "USB 480 Mbit/s"),
         (Adapter("mttcan"), "can", True, "driver mttcan"),
         (Adapter("mcp251x"), "can", False, "two receive buffers"),

@@ -61,7 +61,7 @@ class MitStruct(ctypes.Structure):
     _fields_ = [
         *((name, ctypes.c_double) for name in ("offset", "direction")),
         *((name, ctypes.c_double) for name in ("position_range", "velocity_range", "torque_range")),
-        *((name, ctypes.c_int64) for name in ("state", "node_id", "reply_id", "motor_number")),
+        *((name, ctypes.c_int64) for name in ("state", "node_id", "reply_id", "motor_number", "mode")),
         *((name, ctypes.c_int64) for name in ("watchdog_fed_ns", "wake_ns", "thermal_ns", "timeout_ns")),
         ("temperatures", ThermalStruct),
     ]

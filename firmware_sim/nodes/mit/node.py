@@ -6,6 +6,8 @@ Choices where the fact sheet has an "assumption":
   another behaviour of ``WATCHDOGS``, because the manual says no more than "no CAN commands within
   the interval".
 - FE (set zero) acts only while disabled.
+- A command of another mode than CTRL_MODE is answered and has no effect.
+- Position and velocity modes are a cascade with fixed gains, without ramps.
 - Positions beyond PMAX saturate.
 - Unknown registers are not answered.
 
@@ -21,6 +23,8 @@ FD (disable), FE (set zero) or FB (clear error).
 """
 
 import enum
+import math
+import struct
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.description import MotorSpec
@@ -34,6 +38,12 @@ REGISTER_ID = 0x7FF
 WATCHDOG_UNIT_NS = 50_000
 """Unit of the register TIMEOUT [ns]."""
 _SPECIAL = b"\xff" * 7
+_MOTION = {1: struct.Struct("<ff"), 2: struct.Struct("<f"), 3: struct.Struct("<fHH")}
+"""Layouts of commands to 0x100, 0x200 and 0x300 + ESC_ID."""
+POSITION_GAIN = 10.0
+"""Position gain [1/s], an assumption."""
+VELOCITY_BANDWIDTH = 50.0
+"""Bandwidth of the velocity loop [1/s], an assumption."""
 _ENABLE = 0xFC
 _DISABLE = 0xFD
 _ZERO = 0xFE
@@ -87,6 +97,7 @@ class MitNode:
         reply_id: identifier of answers, register 7.
         position_range: register 21 [rad].
         velocity_range: register 22 [rad/s].
+        mode: register 10, the control mode.
         torque_range: register 23 [N m].
         direction: +1 or -1, sign between motor angle and spool angle.
     """
@@ -109,6 +120,7 @@ class MitNode:
         self.malformed = 0
         self.wake_ns = 0
         self.direction = spec.direction
+        self.mode = reg.MODE_MIT
         self._torque_peak = spec.torque_peak
         self._watchdog = str(spec.options.get("watchdog", COMMANDS))
         self.watchdog_fed_ns = 0
@@ -134,6 +146,11 @@ class MitNode:
         self.position_range, self.velocity_range, self.torque_range = ranges
         self.motor.servo.limit = min(self._torque_peak, self.torque_range)
         self.timeout_ns = int(self.registers[reg.TIMEOUT]) * WATCHDOG_UNIT_NS
+        mode = int(self.registers[reg.CTRL_MODE])
+        if mode != self.mode:
+            # A setpoint of another mode ends with the mode.
+            self.motor.servo.release()
+        self.mode = mode
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
         """Answer a frame in the frame's format.
@@ -155,7 +172,9 @@ class MitNode:
             answer = self._register(data)
         elif can_id in self._mode_ids:
             self.wake(t_ns)
-            answer = self._special(data, t_ns)  # some clients send FD and FE to a mode's identifier
+            # Some clients send FD and FE to a mode's identifier.
+            is_special = data[:7] == _SPECIAL and len(data) == 8
+            answer = self._special(data, t_ns) if is_special else self._motion(can_id - self.node_id >> 8, data, t_ns)
         else:
             return None
         schedule(self)
@@ -173,9 +192,52 @@ class MitNode:
         if data[7] >= _CLEAR and data[7] != 0xFF and data[:7] == _SPECIAL:
             return self._special(data, t_ns)
         self.watchdog_fed_ns = t_ns
-        if self.state == _ENABLED:
+        if self.state == _ENABLED and self.mode == reg.MODE_MIT:
             apply_command(self, self.motor.servo, WORD.unpack(data)[0])
         return self.feedback()
+
+    def _motion(self, kind: int, data: bytes, t_ns: int) -> bytes | None:
+        """Answer a command of position-velocity (1), velocity (2) or force-position mode (3).
+
+        Returns:
+            Feedback, None if the command is malformed.
+        """
+        layout = _MOTION[kind]
+        if len(data) < layout.size:
+            return None
+        self.watchdog_fed_ns = t_ns
+        if self.state != _ENABLED or self.mode != kind + 1:
+            return self.feedback()
+        values = layout.unpack_from(data)
+        if not all(map(math.isfinite, values)):
+            return None
+        if kind == 2:
+            self._follow(0.0, values[0], self.velocity_range, 0.0, 1.0)
+        elif kind == 1:
+            self._follow(values[0], 0.0, abs(values[1]), POSITION_GAIN, 1.0)
+        else:
+            # Speed in 1/100 rad/s, current in 1/10000 of the largest.
+            self._follow(values[0], 0.0, values[1] / 100.0, POSITION_GAIN, values[2] / 10_000.0)
+        return self.feedback()
+
+    def _follow(self, position: float, velocity: float, speed: float, gain: float, fraction: float) -> None:
+        """Regulate position and velocity by a cascade.
+
+        Args:
+            position: position setpoint [rad].
+            velocity: velocity setpoint [rad/s].
+            speed: largest speed [rad/s].
+            gain: position gain [1/s], 0 in velocity mode.
+            fraction: torque limit as a fraction of the motor's.
+        """
+        servo = self.motor.servo
+        servo.kd = servo.speed_gain = VELOCITY_BANDWIDTH * self.motor.inertia
+        servo.kp = gain * servo.kd
+        servo.position = self.direction * (position - self.offset)
+        servo.velocity = self.direction * velocity
+        servo.torque = 0.0
+        servo.speed_limit = min(speed, self.velocity_range)
+        servo.limit = min(1.0, fraction) * min(self._torque_peak, self.torque_range)
 
     def _special(self, data: bytes, t_ns: int) -> bytes | None:
         """Execute a special command, None if it is malformed."""

@@ -41,8 +41,8 @@ _UINT = {7, 8, 9, 10, 13, 14, 15, 16, 35, 36}
 _READ_ONLY = {11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 36, *range(50, 56), 60, 61, 62, 80, 81}
 _POSITIVE = {KT, OVER_TEMPERATURE, PMAX, VMAX, TMAX}
 """Registers that accept only positive values."""
-MODE_MIT = 1
-"""Value of CTRL_MODE for MIT mode."""
+MODE_MIT, MODE_POSITION, MODE_VELOCITY, MODE_FORCE = range(1, 5)
+"""Values of CTRL_MODE: MIT, position-velocity, velocity, force-position."""
 
 
 class Registers:
@@ -88,7 +88,7 @@ class Registers:
 def _possible(register: int, value: float) -> bool:
     """Check a value before it is written."""
     if register == CTRL_MODE:
-        return value == MODE_MIT  # the only mode simulated
+        return MODE_MIT <= value <= MODE_FORCE
     if register in (MST_ID, ESC_ID):
         return 0 <= value < 0x7FF
     # Register 35 is the code of the bit rate.

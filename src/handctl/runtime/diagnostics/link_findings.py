@@ -19,7 +19,7 @@ ERRORS = {
     "rx_dropped": "received frames dropped", "tx_dropped": "frames to be sent dropped",
 }  # fmt: skip
 """Text for each counter of ``Link.counts`` that is reported."""
-FULL_SPEED_HZ = 250
+FULL_SPEED_HZ = 333
 """Control rate that a hand holds behind a full-speed USB adapter [Hz].
 
 Source: docs/how-to/adapters.md.

@@ -1,0 +1,74 @@
+"""Control rates that a simulated hand holds behind each class of CAN adapter, in virtual time.
+
+Each run is the demo: commission, grasp, hold, release. A rate is held if the run ends without a fault. Virtual time
+makes the result independent of this machine, but the machine computes each run in 20 s to several minutes.
+
+    python benchmarks/adapters.py --hand jamia --adapters usb-fs --rates 250 333 500 --seeds 1
+"""
+
+import argparse
+import contextlib
+import io
+import json
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+from firmware_sim.wire.adapter import ADAPTERS
+from handctl.cli.main import main
+from handctl.cli.runs import demo
+
+
+class Outcome(NamedTuple):
+    """Outcome of a run: whether the rate was held, tracking error [deg], error of the held tension [N], and the end."""
+
+    held: bool
+    tracking_deg: float
+    hold_error_n: float
+    end: str
+
+
+def outcome(hand: str, adapter: str, rate: float, seed: int) -> Outcome:
+    """Run the demo of a hand behind an adapter at a control rate [Hz]."""
+    run = demo.run
+
+    def at_rate(args: argparse.Namespace) -> int:
+        args.rate = rate  # the demo has no such option
+        return run(args)
+
+    output, errors = io.StringIO(), io.StringIO()
+    with tempfile.TemporaryDirectory() as folder:
+        words = ["demo", "--lockstep", "--hand", hand, "--json", "--log", str(Path(folder) / "run.mcap")]
+        words += ["--wire", f"adapter={adapter}", f"seed={seed}"]
+        demo.run = at_rate
+        try:
+            with contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):
+                main(words)
+        finally:
+            demo.run = run
+    if not output.getvalue():
+        return Outcome(False, float("nan"), float("nan"), errors.getvalue().strip().splitlines()[-1])
+    result = json.loads(output.getvalue())
+    errors_of = result["tracking_rmse_deg"]
+    tracking = (sum(error**2 for error in errors_of.values()) / len(errors_of)) ** 0.5
+    return Outcome(not result["failure"], tracking, result["tension_hold_error_n"], result["failure"] or "done")
+
+
+def _print_outcomes() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--hand", default="jamia")
+    parser.add_argument("--adapters", nargs="+", choices=list(ADAPTERS), default=list(ADAPTERS))
+    parser.add_argument("--rates", nargs="+", type=float, default=[250.0, 333.0, 500.0])
+    parser.add_argument("--seeds", type=int, default=1)
+    args = parser.parse_args()
+    for adapter in args.adapters:
+        for rate in args.rates:
+            for seed in range(args.seeds):
+                result = outcome(args.hand, adapter, rate, seed)
+                print(f"{args.hand} {adapter} {rate:g} Hz, seed {seed}: {'held' if result.held else 'NOT HELD'},"
+                      f" tracking {result.tracking_deg:.2f} deg, hold {result.hold_error_n:.2f} N, {result.end}",
+                      flush=True)  # fmt: skip
+
+
+if __name__ == "__main__":
+    _print_outcomes()
