@@ -411,3 +411,48 @@ def test_wrong_arguments_are_refused_in_one_line(words: str, expected: str, caps
     text = capsys.readouterr().err
     assert expected in text
     assert text.count("\n") == 1
+
+
+def sdo(bench: Bench, data: bytes) -> bytes:
+    """Return the last reply of CiA 402 node 33 to an SDO request."""
+    return bench.receive(Frame(0x600 + 33, data))[-1].data
+
+
+def test_a_cia402_drive_tells_its_name_in_segments() -> None:
+    bench = Bench([drive_spec("cia402", 33)])
+    head = sdo(bench, b"\x40\x08\x10\0" + bytes(4))
+    text, toggle = b"", 0
+    while len(text) < int.from_bytes(head[4:], "little"):
+        part = sdo(bench, bytes((0x60 | toggle << 4,)) + bytes(7))
+        assert part[0] >> 4 & 1 == toggle
+        text += part[1 : 8 - (part[0] >> 1 & 7)]
+        toggle ^= 1
+    assert text == b"firmware_sim CiA 402 drive"
+    assert part[0] & 1, "the last segment is marked"
+    assert sdo(bench, b"\x60" + bytes(7))[0] == 0x80
+
+
+def test_a_cia402_drive_tells_its_counts_and_stores_its_settings() -> None:
+    spec = drive_spec("cia402", 33)
+    bench = Bench([replace(spec, options={**spec.options, "counts_per_turn": 4096})])
+    assert int.from_bytes(sdo(bench, b"\x40\x8f\x60\1" + bytes(4))[4:], "little") == 4096
+    sdo(bench, b"\x2b\x72\x60\0" + struct.pack("<Hxx", 500))
+    bench.receive(Frame(0, b"\x81\x21"))
+    assert sdo(bench, b"\x40\x72\x60\0" + bytes(4))[4:6] != struct.pack("<H", 500)
+    sdo(bench, b"\x2b\x72\x60\0" + struct.pack("<Hxx", 500))
+    sdo(bench, b"\x23\x10\x10\1save")
+    bench.receive(Frame(0, b"\x81\x21"))
+    assert sdo(bench, b"\x40\x72\x60\0" + bytes(4))[4:6] == struct.pack("<H", 500)
+
+
+@pytest.mark.parametrize("rpm", [100, 600])
+def test_the_speed_limit_of_a_cia402_drive_acts(rpm: int) -> None:
+    bench = Bench([drive_spec("cia402", 33)])
+    sdo(bench, b"\x23\x80\x60\0" + struct.pack("<I", rpm))
+    sdo(bench, b"\x2f\x60\x60\0" + struct.pack("<Bxxx", 10))
+    sdo(bench, b"\x2b\x71\x60\0" + struct.pack("<hxx", 200))
+    for word in (0x06, 0x07, 0x0F):
+        sdo(bench, b"\x2b\x40\x60\0" + struct.pack("<Hxx", word))
+    bench.advance(5_000 * MS)
+    top = rpm / 60.0 * math.tau
+    assert 0.8 * top < bench.motors[0].omega <= top

@@ -98,6 +98,7 @@ def test_an_odrive_of_firmware_05_is_judged_without_torque_reports(fault):
     rig = rig_on(place, "odrive", LIMIT, {"firmware": "0.5"})
     found = {check.name: check for check in checks(DeviceUnderTest(rig, LIMIT, 0.1))}
     assert failed(found)[:1] == ([BROKEN_PROMISE[fault]] if fault else [])
+    assert not any("nan" in check.reason for check in found.values())
 
 
 def test_a_second_drive_never_turns(protocol):

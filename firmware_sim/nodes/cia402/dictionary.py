@@ -23,6 +23,11 @@ LENGTH = 0x06070010
 RANGE = 0x06090030
 """SDO abort code: the value is out of range. Source: CiA 301."""
 
+COMMANDS = {(0x6040, 0), (0x6060, 0), (0x6071, 0), (0x60B2, 0), (0x1010, 1)}
+"""Objects that are commands, not settings."""
+TEXT = 0x0009
+"""Data type of a text in an EDS file (VISIBLE_STRING). Source: CiA 306."""
+
 Key = tuple[int, int]
 """Index and sub-index of an object."""
 
@@ -44,6 +49,7 @@ class Dictionary:
     """Values of all objects of one node.
 
     Attributes:
+        texts: objects with a text, such as the name of the device.
         values: values of the objects, those of ``kernels.CYCLIC_OBJECTS`` first.
     """
 
@@ -56,6 +62,7 @@ class Dictionary:
         """
         parser = configparser.ConfigParser(interpolation=None)
         parser.read(EDS, encoding="ascii")
+        self.texts: dict[Key, bytes] = {}
         self._sizes: dict[Key, int] = {}
         self._signed: set[Key] = set()
         self._writable: set[Key] = set()
@@ -63,7 +70,11 @@ class Dictionary:
         self._indices_of: dict[Key, int] = {key: place for place, key in enumerate(CYCLIC_OBJECTS)}
         self.values: Any = [0] * VALUE_CAPACITY if memory is None else memory
         for name in parser.sections():
-            if parser.has_option(name, "DataType"):
+            if not parser.has_option(name, "DataType"):
+                continue
+            if int(parser[name]["DataType"], 16) == TEXT:
+                self.texts[int(name, 16), 0] = parser[name]["DefaultValue"].encode("ascii")
+            else:
                 self._add(name, parser[name], node_id)
         self._indices = {index for index, _ in self._sizes}
 
@@ -94,6 +105,10 @@ class Dictionary:
         bits = 8 * self._sizes[key]
         low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if key in self._signed else (0, (1 << bits) - 1)
         self.values[self._indices_of[key]] = min(high, max(low, value))
+
+    def settings(self) -> dict[Key, int]:
+        """Return the objects that a drive can store: all writable ones except commands."""
+        return {key: self[key] for key in self._writable if key not in COMMANDS}
 
     def size(self, key: Key) -> int:
         """Return the size of an object [bytes].

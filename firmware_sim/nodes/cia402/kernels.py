@@ -21,14 +21,16 @@ TURN = 6.283185307179586
 """One turn [rad]."""
 CYCLIC_OBJECTS = (
     (0x6040, 0), (0x6041, 0), (0x6061, 0), (0x6064, 0), (0x606C, 0), (0x6071, 0), (0x6072, 0), (0x6077, 0), (0x6078, 0),
-    (0x60B2, 0), (0x1016, 1), (0x1017, 0),
+    (0x60B2, 0), (0x1016, 1), (0x1017, 0), (0x6080, 0),
 )  # fmt: skip
 """Objects that come first among the values of a dictionary, so that kernels know their indices."""
 (CONTROL_WORD, STATUS_WORD, MODE_SHOWN, POSITION, VELOCITY, TARGET_TORQUE, MAX_TORQUE, TORQUE, CURRENT,
- TORQUE_OFFSET, MASTER, HEARTBEAT_MS) = range(len(CYCLIC_OBJECTS))  # fmt: skip
+ TORQUE_OFFSET, MASTER, HEARTBEAT_MS, MAX_SPEED) = range(len(CYCLIC_OBJECTS))  # fmt: skip
 """Indices of the objects above among the values of a dictionary."""
 VALUE_CAPACITY = 128
 """Maximum number of values in a row."""
+SPEED_BAND = 0.1
+"""Fraction of the speed limit over which the torque falls to zero, an assumption."""
 _INT16 = (1 << 15) - 1
 """Maximum of a signed object of two bytes."""
 _INT32 = (1 << 31) - 1
@@ -82,13 +84,18 @@ def measure(node: Any, power: Any, angle: float, velocity: float, torque: float)
 
 @inner
 def apply_torque(node: Any, servo: Any) -> None:
-    """Apply the target torque, limited by 0x6072, to the servo of an enabled drive."""
+    """Apply the target torque, limited by 0x6072 and 0x6080, to the servo of an enabled drive."""
     values = node.values
     thousandths = values[TARGET_TORQUE] + values[TORQUE_OFFSET]
     limit = values[MAX_TORQUE]
     servo.limit = node.peak
     # Thousandths of the rated torque at the shaft, to N m at the spool.
     servo.torque = node.direction * node.gear * node.rated / 1000.0 * min(limit, max(-limit, thousandths))
+    # Revolutions per minute at the shaft, to rad/s at the spool.
+    servo.speed_limit = values[MAX_SPEED] * TURN / 60.0 / node.gear
+    servo.speed_gain = 0.0
+    if servo.speed_limit > 0.0:
+        servo.speed_gain = node.peak / (SPEED_BAND * servo.speed_limit)
 
 
 @inner

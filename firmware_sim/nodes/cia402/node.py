@@ -10,6 +10,9 @@ Frames (COB-ID, payload little-endian):
     0x700+node  heartbeat    u8 NMT state
     RPDO, TPDO  see ``pdo``
 
+Texts are uploaded in segments: 0x41 with the length, then 0x60 and 0x70 in turn, answered by seven bytes
+each. ``save`` in 0x1010:1 stores the settings.
+
 SDO specifiers: 0x40 upload request, 0x43 | 4 n upload reply with n unused bytes, 0x23 | 4 n
 download request, 0x60 download reply, 0x80 abort.
 
@@ -24,7 +27,7 @@ Choices where the fact sheet leaves one:
 
 from firmware_sim.bus.frame import FDF, REMOTE, Frame
 from firmware_sim.description import MotorSpec
-from firmware_sim.nodes.cia402.dictionary import Abort, Dictionary
+from firmware_sim.nodes.cia402.dictionary import Abort, Dictionary, Key
 from firmware_sim.nodes.cia402.kernels import (
     CST,
     OPERATIONAL,
@@ -111,16 +114,21 @@ class Cia402Node:
         self.thermal_ns = -1
         self.frame_pending = False
         self._unsolicited: list[Frame] = []
+        self._stored: dict[Key, int] = {}
+        self._segments: list[bytes] = []
         self._reset(announce=True)
 
     def _reset(self, announce: bool) -> None:
-        """Restart with default settings, because nothing can be saved.
+        """Restart with the stored settings.
 
         Args:
             announce: True to send the boot-up message.
         """
         self.motor.servo.release()
         self.objects, self.power, self.nmt = *self._initial_objects(), PRE_OPERATIONAL
+        self.objects[0x608F, 1] = int(self.counts)
+        for key, value in self._stored.items():
+            self.objects[key] = value
         self.objects[0x6076, 0] = round(self.rated * _UNITS[self._spec.options.get("rated_torque_unit", "mN_m")])
         if self._spec.serial is not None:
             self.objects[0x1018, 4] = self._spec.serial
@@ -254,6 +262,10 @@ class Cia402Node:
             Abort: the request is refused.
         """
         specifier = data[0]
+        if specifier >> 5 == 3:
+            return self._next_segment(specifier >> 4 & 1)
+        if specifier >> 5 == 2 and key in self.objects.texts:
+            return self._first_segment(data[1:4], self.objects.texts[key])
         if specifier >> 5 == 2:
             self._measure()
             raw = self.objects.read(key)
@@ -267,6 +279,27 @@ class Cia402Node:
         self._write(key, data[4 : 4 + size])
         return b"\x60" + data[1:4] + bytes(4)
 
+    def _first_segment(self, name: bytes, text: bytes) -> bytes:
+        """Return the reply that announces a text, and keep its segments of seven bytes."""
+        self._segments = [text[i : i + 7] for i in range(0, len(text), 7)]
+        return b"\x41" + name + len(text).to_bytes(4, "little")
+
+    def _next_segment(self, toggle: int) -> bytes:
+        """Return the next segment of a text.
+
+        Args:
+            toggle: toggle bit of the request.
+
+        Raises:
+            Abort: no upload is in progress.
+        """
+        if not self._segments:
+            raise Abort(0x05040001)
+        segment = self._segments.pop(0)
+        # Bit 4: toggle. Bits 3..1: unused bytes. Bit 0: the last segment.
+        head = toggle << 4 | (7 - len(segment)) << 1 | (not self._segments)
+        return bytes((head,)) + segment.ljust(7, b"\0")
+
     def _write(self, key: tuple[int, int], raw: bytes) -> None:
         """Write an object and apply the consequences."""
         # Communication and mapping objects of RPDOs (0x1400, 0x1600) and TPDOs (0x1800, 0x1A00).
@@ -278,6 +311,10 @@ class Cia402Node:
             self.objects.write(key, raw)
         if key[0] < 0x2000:
             self._update_derived()
+        if key == (0x1010, 1):
+            if raw == b"save":
+                self._stored = self.objects.settings()
+            self.objects[key] = 1
         if key == (0x1016, 1):
             self.watchdog_fed_ns = -1
         elif key == (0x1017, 0):

@@ -228,7 +228,8 @@ def _turns(sign: int) -> Promise:
             raise Failed(f"{step.torque:+.3f} N m turned it by {sign * step.moved:+.3f} rad, the wrong way")
         if step.moved > MOVED_RAD:
             brake(rig, device.limit)
-            return f"at {step.torque:+.3f} N m; the drive reports {step.reported:+.3f} N m"
+            reported = "no torque" if math.isnan(step.reported) else f"{step.reported:+.3f} N m"
+            return f"at {step.torque:+.3f} N m; the drive reports {reported}"
         raise _unmoved(device, sign, step.reported)
 
     return turns
