@@ -15,7 +15,7 @@ from firmware_sim.faults.faulty_drive import FAULTS, with_fault, with_faulty_spe
 from firmware_sim.faults.socket import FaultSocket, is_served
 from firmware_sim.nodes import PROTOCOLS
 from firmware_sim.nodes.cia402.dictionary import EDS
-from firmware_sim.nodes.mit.node import COMMANDS, WATCHDOGS
+from firmware_sim.nodes.mit.node import CLEAR_ANSWERS, COMMANDS, EACH, WATCHDOGS
 from firmware_sim.nodes.odrive import bench as odrive_bench
 from firmware_sim.nodes.protocol_spec import Node
 from firmware_sim.paths import faults_path
@@ -154,6 +154,9 @@ def _parser() -> CommandParser:
     texts = "; ".join(f"{key}: {text}" for key, text in WATCHDOGS.items())
     add("--watchdog", choices=list(WATCHDOGS), default=COMMANDS,
         help=f"watchdog of MIT motors. {texts} ({COMMANDS})")  # fmt: skip
+    texts = "; ".join(f"{key}: {text}" for key, text in CLEAR_ANSWERS.items())
+    add("--clear-answers", choices=list(CLEAR_ANSWERS), default=EACH,
+        help=f"answers of MIT motors to the clear command. {texts} ({EACH})")  # fmt: skip
     add("--inertia", type=float, metavar="KG_M2", help="inertia of each shaft [kg m2] (assumed for the motor type)")
     add("--wire", nargs="*", metavar="KEY=VALUE", help="simulate the wire with its timing (off)")
     faults = "; ".join(f"{key}: {text}" for key, text in FAULTS.items())
@@ -162,18 +165,32 @@ def _parser() -> CommandParser:
     return parser
 
 
+def _behaviour(args: argparse.Namespace) -> dict[str, object]:
+    """Return the options of the drives' behaviour.
+
+    Raises:
+        SimulatorError: an option belongs to another protocol.
+    """
+    given = {
+        "--firmware": ("odrive", "", bool(args.firmware)),
+        "--uncalibrated": ("odrive", True, args.uncalibrated),
+        "--watchdog": ("mit", args.watchdog, args.watchdog != COMMANDS),
+        "--clear-answers": ("mit", args.clear_answers, args.clear_answers != EACH),
+    }
+    wrong = [name for name, (protocol, _, on) in given.items() if on and args.protocol != protocol]
+    if wrong:
+        raise SimulatorError(f"{wrong[0]}: only for drive {given[wrong[0]][0]}")
+    behaviour = {name: value for name, (_, value, on) in given.items() if on and name != "--firmware"}
+    return {name.removeprefix("--").replace("-", "_"): value for name, value in behaviour.items()}
+
+
 def _specs(args: argparse.Namespace) -> list[MotorSpec]:
     """Build the descriptions of the requested drives.
 
     Raises:
         SimulatorError: an argument is not valid for a drive.
     """
-    if args.protocol != "odrive" and args.firmware:
-        raise SimulatorError("--firmware: only for drive odrive")
-    if args.protocol != "odrive" and args.uncalibrated:
-        raise SimulatorError("--uncalibrated: only for drive odrive")
-    if args.watchdog != COMMANDS and args.protocol != "mit":
-        raise SimulatorError("--watchdog: only for drive mit")
+    options = _behaviour(args)
     if args.fd and (args.protocol != "mit" or MIT_TYPES.get(args.motor_type) == "cubemars"):
         raise SimulatorError("--fd: only for drive mit with Damiao motors")
     if args.motor_type and args.protocol not in MIT_TYPES.values():
@@ -189,9 +206,6 @@ def _specs(args: argparse.Namespace) -> list[MotorSpec]:
         raise SimulatorError(f"--ids {args.ids}: expected each number once")
     kind = args.motor_type or ""
     firmware = args.firmware or "0.6"
-    options: dict[str, object] = {"uncalibrated": True} if args.uncalibrated else {}
-    if args.watchdog != COMMANDS:
-        options["watchdog"] = args.watchdog
     specs = [drive_spec(args.protocol, n, kind, args.fd, args.inertia, firmware) for n in numbers]
     return [replace(spec, options={**spec.options, **options}) for spec in specs]
 

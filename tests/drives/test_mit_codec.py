@@ -164,7 +164,7 @@ STATES = st.builds(
         enable_sent=st.booleans(),
         disabling=st.booleans(),
         disabling_ns=st.integers(0, 10),
-        clearing=st.integers(0, 3),
+        clearing=st.integers(0, 6),
     ),
 )
 IDENTIFIERS = st.one_of(st.just(0x11), st.integers(0, 2047))

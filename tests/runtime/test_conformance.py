@@ -137,3 +137,15 @@ def test_a_motor_in_velocity_mode_is_set_to_mit_mode():
     rig = rig_on(place, "mit", LIMIT)
     assert rig.until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0)
     assert node.mode == 1
+
+
+@pytest.mark.parametrize("answers", ["each", "error", "never"])
+def test_an_error_is_cleared_whether_the_clear_command_is_answered_or_not(answers):
+    """A host that waited for an answer to the clear command never became ready."""
+    place = VirtualBench("mit", clear_answers=answers)
+    rig = rig_on(place, "mit", LIMIT)
+    assert rig.until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0)
+    place.bench.faults.inject("error node=33")
+    assert rig.until(DriveTarget.POLL, lambda state: state.phase.name == "FAULT", 1.0)
+    rig.clear()
+    assert rig.until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0), rig.state.error_text

@@ -61,6 +61,13 @@ WATCHDOGS = {
     ALWAYS: "commands feed it, and it also fires while the motor is disabled",
 }
 """Behaviours of the watchdog."""
+EACH, IN_ERROR, NEVER = "each", "error", "never"
+CLEAR_ANSWERS = {
+    EACH: "each clear command is answered",
+    IN_ERROR: "only one that clears an error",
+    NEVER: "none is answered",
+}
+"""Answers to the clear command, which are not documented."""
 
 
 class FeedbackState(enum.IntEnum):
@@ -122,6 +129,7 @@ class MitNode:
         self.direction = spec.direction
         self.mode = reg.MODE_MIT
         self._torque_peak = spec.torque_peak
+        self._clear_answers = str(spec.options.get("clear_answers", EACH))
         self._watchdog = str(spec.options.get("watchdog", COMMANDS))
         self.watchdog_fed_ns = 0
         self.thermal_ns = -1
@@ -180,6 +188,7 @@ class MitNode:
         schedule(self)
         if answer is None:
             self.malformed += 1
+        if not answer:
             return []
         return [Frame(self.reply_id, answer, flags, bus, t_ns)]
 
@@ -253,7 +262,10 @@ class MitNode:
             if self.state != FeedbackState.ENABLED:
                 self.offset = -self.direction * self.motor.encoder()
         elif code == _CLEAR:
+            had_error = self.state > FeedbackState.ENABLED
             self._clear()
+            if self._clear_answers == NEVER or (self._clear_answers == IN_ERROR and not had_error):
+                return b""
         else:
             return None
         return self.feedback()

@@ -274,8 +274,9 @@ class MitDrive:
             check = progress.check if progress.enable_sent else readback.first_recheck(self.node_id, t_ns)
             enabling = state._replace(private=progress._replace(enable_sent=True, check=check))
             return enabling, (self._frame(codec.special_command(codec.ENABLE)),)
-        question = self._frame(codec.special_command(codec.CLEAR)) if progress.clearing else self._refresh()
-        return state._replace(private=progress), (question,)
+        # Whether the clear command has an answer is not documented, hence feedback is requested as well.
+        clear = (self._frame(codec.special_command(codec.CLEAR)),) if progress.clearing else ()
+        return state._replace(private=progress), (*clear, self._refresh())
 
     def _disable(self, state: DriveState, progress: MitProgress, t_ns: int) -> DriveState:
         """Return the state while disabling. A possibly enabled motor counts as enabled until state 0."""

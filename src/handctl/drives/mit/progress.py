@@ -22,8 +22,8 @@ CAUSES = {
     DROPPED_OUT: Cause.DROPPED_OUT, MISMATCH: Cause.MISMATCH, ENABLED_BY_OTHERS: Cause.MISMATCH,
 } | dict.fromkeys(codec.ERRORS.keys() - {0x8, 0x9, 0xB, 0xC, 0xD}, Cause.OTHER)  # fmt: skip
 """Causes by state nibble, and by the error codes of the host."""
-CLEAR_TRIES = 3
-"""Feedback frames that may still carry an error after the command to clear the error."""
+CLEAR_TRIES = 6
+"""Feedback frames that may still carry an error after the command to clear the error, two in each tick."""
 SILENCE_NS = 250_000_000
 """Silence after which a motor may have lost power, and with it its register values [ns]."""
 
