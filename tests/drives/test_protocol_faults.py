@@ -241,7 +241,7 @@ def test_drives_that_take_no_sync_with_a_counter_are_said_and_have_an_empty_one(
 
 def test_a_simulated_drive_refuses_an_object_that_it_does_not_have(cia402: Bench) -> None:
     node = first_cia402(cia402)
-    for index, sub, code in ((0x608F, 1, 0x06020000), (0x6041, 3, 0x06090011)):
+    for index, sub, code in ((0x6091, 1, 0x06020000), (0x6041, 3, 0x06090011)):
         request = bytes((0x40,)) + index.to_bytes(2, "little") + bytes((sub, 0, 0, 0, 0))
         replies = node.receive(Frame(0x610, request), 0)  # type: ignore[arg-type]
         assert replies is not None
