@@ -160,6 +160,18 @@ def test_the_velocity_limit_of_an_odrive_acts_in_position_control() -> None:
     assert 1.8 * math.tau < fastest <= 2.0 * math.tau
 
 
+def test_a_trajectory_of_an_odrive_has_a_velocity_limit_of_its_own() -> None:
+    bench = Bench([drive_spec("odrive", 3)])
+    odrive_on(bench, (0x0B, struct.pack("<II", 3, 5)), (0x11, struct.pack("<f", 1.0)), CLOSED_LOOP)
+    odrive_on(bench, (0x0C, struct.pack("<fhh", 10.0, 0, 0)))
+    fastest = 0.0
+    for _ in range(300):
+        bench.advance(bench.t_ns + 50 * MS)
+        fastest = max(fastest, bench.motors[0].omega)
+    assert 0.8 * math.tau < fastest <= 1.0 * math.tau
+    assert bench.motors[0].theta == pytest.approx(10.0 * math.tau, abs=0.2)
+
+
 def test_the_current_limit_of_an_odrive_acts() -> None:
     bench = Bench([drive_spec("odrive", 3, inertia=1.0)])
     odrive_on(bench, TORQUE_MODE, (0x0F, struct.pack("<ff", 50.0, 4.0)), CLOSED_LOOP, (0x0E, struct.pack("<f", 1.0)))

@@ -15,6 +15,7 @@ Identifier: node number in bits 10..5, command in bits 4..0. Payloads are little
     0x0D  Set_Input_Vel          f32 velocity [turn/s], f32 torque [N m]
     0x0E  Set_Input_Torque       f32 torque [N m]
     0x0F  Set_Limits             f32 velocity [turn/s], f32 current [A]
+    0x11  Set_Traj_Vel_Limit     f32 velocity [turn/s]
     0x16  Reboot                 u8 action: 0 none, 1 save settings, 2 erase settings
     0x18  Clear_Errors           u8
     0x19  Set_Absolute_Position  f32 position [turn], firmware 0.5: i32 position [count]
@@ -34,7 +35,7 @@ Choices where the fact sheet has an "assumption":
 - A calibration takes ``CALIBRATION_NS`` and moves nothing. With the option ``uncalibrated`` closed
   loop is refused until then.
 - Position and velocity control are one proportional cascade without integrator and ramps in every
-  input mode.
+  input mode. Trapezoidal input (5) has the velocity limit of trajectories, without accelerations.
 """
 
 import math
@@ -95,6 +96,10 @@ POSITION_GAIN = 20.0
 """Vendor's default position gain [1/s]."""
 VELOCITY_GAIN = 0.167
 """Vendor's default velocity gain [N m s/turn]."""
+TRAPEZOID = 5
+"""Input mode: trapezoidal trajectory."""
+TRAJECTORY_LIMIT = 2.0
+"""Vendor's default velocity limit of trajectories [turn/s]."""
 HEARTBEAT_MS = 100
 """Vendor's default period of the heartbeat [ms]."""
 ENCODER_MS = 10
@@ -104,8 +109,8 @@ SERIAL = 0x0D_5A_11_00_00_00
 HOT_C = 120.0
 """Winding temperature at which the axis disarms [degC]."""
 _SIZES = {
-    0x02: 0, 0x04: 4, 0x07: 4, 0x0B: 8, 0x0C: 8, 0x0D: 8, 0x0E: 4, 0x0F: 8, 0x16: 0, 0x18: 0,
-    0x19: 4, 0x1A: 4, 0x1B: 8,
+    0x02: 0, 0x04: 4, 0x07: 4, 0x0B: 8, 0x0C: 8, 0x0D: 8, 0x0E: 4, 0x0F: 8, 0x11: 4, 0x16: 0,
+    0x18: 0, 0x19: 4, 0x1A: 4, 0x1B: 8,
 }  # fmt: skip
 """Minimum payload of each accepted message [bytes]."""
 _LEGACY_ANSWERS = {0x09, 0x14, 0x17}
@@ -131,6 +136,7 @@ class OdriveNode:
         torque_max: upper torque limit of the endpoints [N m].
         timeout_ns: watchdog timeout of the endpoints [ns], 0 if off.
         velocity_limit: velocity limit [turn/s].
+        trajectory_limit: velocity limit of trajectories [turn/s].
         current_limit: current limit [A].
         position_gain: position gain [1/s].
         velocity_gain: velocity gain [N m s/turn].
@@ -173,6 +179,7 @@ class OdriveNode:
         self._set_modes(POSITION_CONTROL, PASSTHROUGH)
         self.position_gain = POSITION_GAIN
         self.velocity_gain = VELOCITY_GAIN
+        self.trajectory_limit = TRAJECTORY_LIMIT
         self.velocity_limit = 50.0
         self.current_limit = 20.0
         self._numbers = {
@@ -299,6 +306,8 @@ class OdriveNode:
             self._set_gain(command, struct.unpack_from("<f", data)[0])
         elif command == 0x0F:
             self._set_limits(*struct.unpack("<ff", data))
+        elif command == 0x11:
+            self._set_trajectory_limit(struct.unpack_from("<f", data)[0])
         elif command == 0x16:
             self._reboot(data[0] if data else 0)
         elif command == 0x19:
@@ -337,6 +346,11 @@ class OdriveNode:
         """Set the modes while idle."""
         if self.state == IDLE:
             self._set_modes(control, input_mode)
+
+    def _set_trajectory_limit(self, velocity: float) -> None:
+        """Set the velocity limit of trajectories [turn/s], if it is positive."""
+        if velocity > 0.0:
+            self.trajectory_limit = velocity
 
     def _set_gain(self, command: int, gain: float) -> None:
         """Set position gain [1/s] or velocity gain [N m s/turn], if it is positive."""
@@ -379,6 +393,8 @@ class OdriveNode:
         servo.kd = velocity_gain
         servo.kp = self.position_gain * velocity_gain if control_mode == POSITION_CONTROL else 0.0
         limit_speed(self, servo)
+        if self.input_mode == TRAPEZOID and control_mode == POSITION_CONTROL:
+            servo.speed_limit = min(servo.speed_limit, self.trajectory_limit * TURN / self.gear)
         # From turns at the shaft to radians at the spool: subtract the offset, apply direction and
         # gear ratio.
         servo.position = self.direction * (position * TURN - self.offset) / self.gear
@@ -418,6 +434,7 @@ class OdriveNode:
             "endpoints": dict(self.endpoints),
             "modes": (self.control_mode, self.input_mode),
             "velocity_limit": self.velocity_limit,
+            "trajectory_limit": self.trajectory_limit,
             "current_limit": self.current_limit,
             "position_gain": self.position_gain,
             "velocity_gain": self.velocity_gain,
@@ -436,6 +453,7 @@ class OdriveNode:
         """Restore the saved settings without a change of state."""
         saved = self._saved
         self.velocity_limit = saved["velocity_limit"]
+        self.trajectory_limit = saved["trajectory_limit"]
         self.current_limit = saved["current_limit"]
         self.position_gain = saved["position_gain"]
         self.velocity_gain = saved["velocity_gain"]
