@@ -85,6 +85,21 @@ def test_an_answer_arrives_after_the_wire_time_of_request_and_answer(lab: Lab) -
     assert lab.port.wire.busy_ns == round((us(1) + us(7)) * 1e3)
 
 
+@pytest.mark.parametrize(("adapter", "longest_ms"), [("usb-hs", 0.25), ("usb-fs", 2.0), ("spi", 0.2)])
+def test_an_answer_arrives_later_behind_an_adapter(adapter: str, longest_ms: float) -> None:
+    lab = Lab([f"adapter={adapter}"])
+    wire_ms = (us(1) + us(7)) * 1e-3
+    lab.host.send([Frame(SYNC, b"\x05")])
+    passed = 0.0
+    while not (frames := lab.at(passed)):
+        passed += 0.01
+        assert passed < 10.0
+    assert [frame.can_id for frame in frames] == [TENSIONS]
+    assert wire_ms < passed <= wire_ms + longest_ms + 0.02
+    lab.host.close()
+    lab.port.close()
+
+
 def test_answers_with_low_identifiers_overtake_requests_with_high_identifiers(lab: Lab) -> None:
     lab.host.send([Frame(REGISTERS, bytes((node, 0, 0xCC, 0, 0, 0, 0, 0))) for node in (1, 2, 3, 4)])
     lab.at(0.0)
