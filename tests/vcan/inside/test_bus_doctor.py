@@ -48,3 +48,15 @@ def test_nodes_are_listed_with_their_latency(capsys: pytest.CaptureFixture[str])
     assert bus["nodes"][0]["answers"] == 20
     (node,) = json.loads(capsys.readouterr().out)["buses"][0]["nodes"]
     assert (node["protocol"], node["serial"]) == ("cia402", "0x53494d20")
+
+
+def test_bus_up_makes_an_interface_and_sets_it_up(capsys: pytest.CaptureFixture[str]) -> None:
+    try:
+        assert main(["bus", "up", "--bus", "socketcan:vcan7", "--data-bitrate", "5000000", "--yes"]) == 0
+        link = read_link("vcan7")
+        assert link is not None
+        assert (link.up, link.kind, link.fd, link.queue) == (True, "vcan", True, 128)
+        assert main(["bus", "up", "--bus", "socketcan:vcan7", "--yes"]) == 0, "again"
+        assert "ip link set vcan7 down" in capsys.readouterr().out
+    finally:
+        subprocess.run(["ip", "link", "del", "vcan7"], check=True)
