@@ -31,7 +31,8 @@ class Digit:
 
     Attributes:
         name: name.
-        position: position of the first hinge in the palm frame [m].
+        carrier: digit whose last link carries this digit, empty for the palm.
+        position: position of the first hinge in the palm frame, or in the frame of that link [m].
         rpy_deg: extrinsic roll, pitch, yaw [deg].
         length: length of each link [m], 0 where the axes of two joints meet.
         axis: axis of each joint in the link's frame.
@@ -51,6 +52,7 @@ class Digit:
     """
 
     name: str
+    carrier: str
     position: tuple[float, float, float]
     rpy_deg: tuple[float, float, float]
     length: tuple[float, ...]
@@ -205,6 +207,15 @@ class Hand:
     motors: list[MotorSpec]
     sensors: SensorSpec | None
 
+    def carried_by(self, carrier: str) -> list[Digit]:
+        """Return the digits on the last link of another digit, or on the palm for an empty name."""
+        return [digit for digit in self.digits if digit.carrier == carrier]
+
+    @property
+    def closing(self) -> list[Digit]:
+        """Return the digits that close on an object: those that carry no other digit."""
+        return [digit for digit in self.digits if not self.carried_by(digit.name)]
+
     @property
     def joints(self) -> list[str]:
         """Return the names of all joints in the order of the digits."""
@@ -312,6 +323,7 @@ def _digit(raw: dict[str, Any]) -> Digit:
     no_springs = [0.0] * count
     return Digit(
         name=raw["name"],
+        carrier=raw.get("mount_on", ""),
         position=tuple(raw["mount_position_m"]),
         rpy_deg=tuple(raw["mount_rpy_deg"]),
         length=tuple(raw["link_length_m"]),

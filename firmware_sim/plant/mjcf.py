@@ -58,38 +58,40 @@ def model_text(hand: Hand, scene: Scene) -> str:
     """
     friction = scene.grasp_object.friction if scene.grasp_object else HAND_FRICTION
     options = _OPTIONS.format(gravity=_text(hand.gravity), friction=friction)
-    sides = zip(hand.digits, opposed_digits(hand), strict=True)
-    bodies = "\n".join(_digit(hand, digit, opposed) for digit, opposed in sides)
+    opposed = dict(zip((digit.name for digit in hand.digits), opposed_digits(hand), strict=True))
     scene_bodies = (_grasp_object(scene.grasp_object) if scene.grasp_object else "") + (
         _table(scene.grasp_object, scene.support) if scene.grasp_object else ""
     )
     tendons = "".join(_tendon(tendon) for tendon in hand.tendons)
-    sensors = "".join(_contact(digit) for digit in hand.digits)
+    sensors = "".join(_contact(hand, digit) for digit in hand.digits)
     if scene.load:
-        sensors += "".join(_normal(digit) for digit in hand.digits)
+        sensors += "".join(_normal(hand, digit) for digit in hand.digits)
     return (
-        f'<mujoco model="{hand.name}">{options}<worldbody>\n{_palm(hand)}\n{bodies}\n{scene_bodies}</worldbody>\n'
+        f'<mujoco model="{hand.name}">{options}<worldbody>\n{_palm(hand, "", opposed)}\n{scene_bodies}</worldbody>\n'
         f"<tendon>{tendons}</tendon>\n<sensor>{sensors}</sensor>\n</mujoco>"
     )
 
 
 def opposed_digits(hand: Hand) -> list[bool]:
-    """Return, for each digit, True if it closes against the first digit (as the thumb does)."""
-    directions = [_closing_direction(digit) for digit in hand.digits]
-    return [sum(a * b for a, b in zip(directions[0], direction, strict=True)) < 0.0 for direction in directions]
+    """Return, for each digit, True if it closes against the first one that closes (as the thumb does)."""
+    first = _closing_direction(hand, hand.closing[0])
+    return [float(first @ _closing_direction(hand, digit)) < 0.0 for digit in hand.digits]
 
 
-def _closing_direction(digit: Digit) -> list[float]:
+def _closing_direction(hand: Hand, digit: Digit) -> Any:
     """Compute the y axis of the last link at rest, the side of flexion, in the palm frame."""
-    return [float(value) for value in rest_poses(digit)[-1][1][:, 1]]
+    direction = rest_poses(digit)[-1][1][:, 1]
+    while digit.carrier:
+        digit = next(one for one in hand.digits if one.name == digit.carrier)
+        direction = rest_poses(digit)[-1][1] @ direction
+    return direction
 
 
 def rest_poses(digit: Digit) -> list[tuple[Any, Any]]:
-    """Compute the pose of each link with all joints at zero.
+    """Compute the pose of each link with all joints at zero, in the frame of the palm or of the carrying link.
 
     Returns:
-        Position of the joint, shape (3,) [m], and rotation to the palm frame, shape (3, 3), of each
-        link.
+        Position of the joint, shape (3,) [m], and rotation, shape (3, 3), of each link.
     """
     position = np.array(digit.position)
     rotation = _rotation(digit.rpy_deg)
@@ -114,13 +116,17 @@ def _text(values: Sequence[float]) -> str:
     return " ".join(repr(value) for value in values)
 
 
-def palm_box(hand: Hand) -> tuple[Any, Any]:
-    """Compute the palm: a square box behind the mounts of all digits.
+def palm_box(hand: Hand, carrier: str) -> tuple[Any, Any]:
+    """Compute the palm: a square box behind the mounts of all digits on a link.
+
+    Args:
+        hand: the hand.
+        carrier: digit whose last link carries the digits, empty for the palm.
 
     Returns:
         Centre and half extents, shape (3,) each [m].
     """
-    mounts = np.array([digit.position for digit in hand.digits])
+    mounts = np.array([digit.position for digit in hand.carried_by(carrier)])
     low = mounts.min(axis=0)
     high = mounts.max(axis=0)
     side = float((high - low)[1:].max()) / 2.0 + PALM_MARGIN
@@ -129,40 +135,69 @@ def palm_box(hand: Hand) -> tuple[Any, Any]:
     return centre, np.array([PALM_DEPTH / 2.0, side, side])
 
 
-def _palm(hand: Hand) -> str:
-    centre, half = palm_box(hand)
-    return (
-        f'<geom name="palm" type="box" size="{_text(half.tolist())}" pos="{_text(centre.tolist())}"'
+def _palm(hand: Hand, carrier: str, opposed: dict[str, bool]) -> str:
+    """Build the palm, or the box on the last link of a digit, with the digits on it."""
+    centre, half = palm_box(hand, carrier)
+    name = f"{carrier}_palm" if carrier else "palm"
+    box = (
+        f'<geom name="{name}" type="box" size="{_text(half.tolist())}" pos="{_text(centre.tolist())}"'
         f' contype="{PALM_BIT}" conaffinity="{OBJECT_BIT}"/>'
     )
+    digits = "\n".join(_digit(hand, digit, opposed) for digit in hand.carried_by(carrier))
+    return f"{box}\n{digits}\n"
 
 
 def touches_palm(hand: Hand, digit: Digit) -> list[bool]:
-    """Return, for each link of a digit, True if it overlaps with the palm at rest.
+    """Return, for each link of a digit, True if it overlaps at rest with the palm or the link that carries it.
 
     Such a link is hinged close to the palm and does not collide with it.
     """
-    centre, half = palm_box(hand)
+    centre, half = palm_box(hand, digit.carrier)
+    carrier = [one for one in hand.digits if one.name == digit.carrier]
     along = np.linspace(0.0, 1.0, SAMPLES)[:, None]
     overlaps = []
     for length, (position, rotation) in zip(digit.length, rest_poses(digit), strict=True):
         points = position + along * (length * rotation[:, 0])
         outside = np.maximum(np.abs(points - centre) - half, 0.0)
-        overlaps.append(bool((np.linalg.norm(outside, axis=1) <= digit.radius).any()))
+        overlap = bool((np.linalg.norm(outside, axis=1) <= digit.radius).any())
+        for one in carrier:
+            # The carrying link is a capsule along x of this frame.
+            nearest = np.clip(points[:, :1], 0.0, one.length[-1]) * np.array([1.0, 0.0, 0.0])
+            overlap |= bool((np.linalg.norm(points - nearest, axis=1) <= digit.radius + one.radius).any())
+        overlaps.append(overlap)
     return overlaps
 
 
-def _digit(hand: Hand, digit: Digit, opposed: bool) -> str:
+def _digit(hand: Hand, digit: Digit, opposed: dict[str, bool]) -> str:
     """Build the nested bodies of a digit. Each link lies along its x axis with the hinge at its origin."""
     opening = f'<frame pos="{_text(digit.position)}" euler="{_text(digit.rpy_deg)}">'
     closing = "</frame>"
     near_palm = touches_palm(hand, digit)
+    carries = bool(hand.carried_by(digit.name))
+    last = len(digit.length) - 1
     for i, turn in enumerate(digit.joint_rpy_deg):
         offset = f"{digit.length[i - 1] if i else 0.0} 0 0"
         opening += f'<body name="{digit.name}_link{i + 1}" pos="{offset}" euler="{_text(turn)}">'
-        opening += _joint(digit, i) + _body(digit, i, opposed, near_palm[i]) + "\n"
+        bits = _carrier_bits() if carries else _digit_bits(opposed[digit.name], near_palm[i])
+        # The link that carries the box ends at the face of the box.
+        length = max(digit.length[i] - digit.radius, 0.0) if carries and i == last else digit.length[i]
+        opening += _joint(digit, i) + _body(digit, i, length, bits) + "\n"
         closing = "</body>" + closing
-    return opening + closing
+    return opening + (_palm(hand, digit.name, opposed) if carries else "") + closing
+
+
+def _digit_bits(opposed: bool, near_palm: bool) -> tuple[int, int]:
+    """Return category and affinity of a link.
+
+    A digit touches the object, the opposed digits, and the palm with the links away from it.
+    """
+    category, opposite = (OPPOSED_BIT, FINGER_BIT) if opposed else (FINGER_BIT, OPPOSED_BIT)
+    return category, OBJECT_BIT | opposite | (0 if near_palm else PALM_BIT)
+
+
+def _carrier_bits() -> tuple[int, int]:
+    """Return category and affinity of a link of a digit that carries others, which are those of the palm."""
+    return PALM_BIT, OBJECT_BIT
 
 
 def _joint(digit: Digit, i: int) -> str:
@@ -174,17 +209,14 @@ def _joint(digit: Digit, i: int) -> str:
     )
 
 
-def _body(digit: Digit, i: int, opposed: bool, near_palm: bool) -> str:
-    """Build inertia and collision geometry of link i: a capsule, or a ball without length."""
-    category, opposite = (OPPOSED_BIT, FINGER_BIT) if opposed else (FINGER_BIT, OPPOSED_BIT)
-    # A digit touches the object, the opposed digits, and the palm with the links away from it.
-    affinity = OBJECT_BIT | opposite | (0 if near_palm else PALM_BIT)
+def _body(digit: Digit, i: int, length: float, bits: tuple[int, int]) -> str:
+    """Build inertia and collision geometry of link i: a capsule of a length [m], or a ball without length."""
     moments = digit.inertia[i]
     inertia = f'fullinertia="{_text(moments)}"' if any(moments[3:]) else f'diaginertia="{_text(moments[:3])}"'
-    shape = f'type="capsule" fromto="0 0 0 {digit.length[i]} 0 0"' if digit.length[i] else 'type="sphere"'
+    shape = f'type="capsule" fromto="0 0 0 {length} 0 0"' if length else 'type="sphere"'
     return (
         f'<inertial pos="{_text(digit.com[i])}" mass="{digit.mass[i]}" {inertia}/>'
-        f'<geom {shape} size="{digit.radius}" contype="{category}" conaffinity="{affinity}"/>'
+        f'<geom {shape} size="{digit.radius}" contype="{bits[0]}" conaffinity="{bits[1]}"/>'
     )
 
 
@@ -194,19 +226,24 @@ def _tendon(tendon: TendonSpec) -> str:
     return f'<fixed name="{tendon.name}" damping="{tendon.damping}">{joints}</fixed>'
 
 
-def _contact(digit: Digit) -> str:
+def _contact(hand: Hand, digit: Digit) -> str:
     """Build the sensor of the net contact force on a digit."""
-    return (
-        f'<contact name="contact/{digit.name}" subtree1="{digit.name}_link1" num="1" reduce="netforce" data="force"/>'
-    )
+    return f'<contact name="contact/{digit.name}" {_touching(hand, digit)} num="1" reduce="netforce" data="force"/>'
 
 
-def _normal(digit: Digit) -> str:
+def _normal(hand: Hand, digit: Digit) -> str:
     """Build the sensor of the contacts between a digit and the object. Axis 1 of a contact frame is the normal."""
     return (
-        f'<contact name="normal/{digit.name}" subtree1="{digit.name}_link1" geom2="object" num="{CONTACTS}"'
+        f'<contact name="normal/{digit.name}" {_touching(hand, digit)} geom2="object" num="{CONTACTS}"'
         ' reduce="maxforce" data="force"/>'
     )
+
+
+def _touching(hand: Hand, digit: Digit) -> str:
+    """Return the bodies of a digit for a contact sensor: all links, or the last one without the digits on it."""
+    if hand.carried_by(digit.name):
+        return f'body1="{digit.name}_link{len(digit.length)}"'
+    return f'subtree1="{digit.name}_link1"'
 
 
 def _grasp_object(grasp_object: GraspObject) -> str:

@@ -112,10 +112,12 @@ class Plant:
 
     def _table(self, support: Support, compiled: bool) -> SupportTable:
         """Build the table. With compiled kernels it reads the contact forces in the engine's memory."""
-        opposed = opposed_digits(self.hand)
+        hand = self.hand
+        closing = [i for i, digit in enumerate(hand.digits) if digit in hand.closing]
+        opposed = [opposed_digits(hand)[i] for i in closing]
         if not compiled:
-            return SupportTable(support, opposed)
-        indices = self.engine.force_indices("contact", [digit.name for digit in self.hand.digits])
+            return SupportTable(support, opposed, [3 * i for i in closing])
+        indices = self.engine.force_indices("contact", [hand.digits[i].name for i in closing])
         return SupportTable(support, opposed, indices, machine_code(support_kernels))
 
     def _slacken(self, seed: int) -> None:

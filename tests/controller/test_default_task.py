@@ -10,6 +10,7 @@ from handctl.hand.readiness import coordinate_range_deg
 from handctl.programs.default_task import default_task
 from handctl.programs.task import Close, Hold, load_task
 from handctl.session.tasks import check_suits, find_task
+from tests.hand.chains import SEEDS, random_tree
 
 
 @pytest.mark.parametrize("name", packaged_hands())
@@ -58,3 +59,13 @@ def test_without_a_name_a_jamia_takes_its_grasp_and_another_hand_the_default() -
     task, text = find_task(None, load_hand("t42"))
     assert task.name == "close, hold, open"
     assert b"t42" in text
+
+
+def test_a_digit_that_carries_others_keeps_its_angle() -> None:
+    for seed in SEEDS:
+        hand = random_tree(seed)
+        task, _ = default_task(hand)
+        _, close, hold, _, opened = task.phase
+        closing = set(hand.digit_names) - hand.carriers
+        assert set(close.angle_deg) == set(hold.tension_N) == closing  # type: ignore[union-attr, arg-type]
+        assert set(opened.angle_deg) == set(hand.digit_names)  # type: ignore[union-attr, arg-type]

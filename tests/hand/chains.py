@@ -10,12 +10,29 @@ from handctl.hand.load import hand_from, load_hand
 SEEDS = range(20)
 
 
-def random_hand(seed: int, *counts: int) -> Hand:
-    """Return a hand of random digits with one tendon per joint, by default one of 1 to 8 links and one of 1 to 7."""
+def random_tree(seed: int) -> Hand:
+    """Return a hand of up to five random digits of 1 to 3 links, each on the palm or on a digit before."""
+    chance = np.random.default_rng(seed + 100)
+    return random_hand(seed, *chance.integers(1, 4, 5).tolist(), chance=chance)
+
+
+def random_hand(seed: int, *counts: int, chance: np.random.Generator | None = None) -> Hand:
+    """Return a hand of random digits with one tendon per joint, by default one of 1 to 8 links and one of 1 to 7.
+
+    With ``chance`` some digits are mounted on others.
+    """
+    mounted = chance
     chance = np.random.default_rng(seed)
     counts = counts or (seed % 8 + 1, int(chance.integers(1, 8)))
     content = load_hand("jamia11").content
     digits = [random_digit(chance, f"d{number}", count) for number, count in enumerate(counts)]
+    line: list[str] = []
+    for digit in digits if mounted else ():
+        # On a digit of the line from the digit before to the palm, or on the palm.
+        level = int(chance.integers(0, len(line) + 1))
+        if level:
+            digit["mount_on"] = line[level - 1]
+        line = [*line[:level], digit["name"]]
     tendons: list[dict[str, Any]] = []
     motors: list[dict[str, Any]] = []
     for digit in digits:

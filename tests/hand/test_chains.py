@@ -16,8 +16,9 @@ from handctl.hand.formats.mjcf import mjcf
 from handctl.hand.formats.urdf import urdf
 from handctl.hand.kinematics import forward, point_jacobian, points, tip_jacobian
 from handctl.hand.link_frames import link_transforms
+from handctl.hand.tree import HandTree
 from handctl.log.topics.transforms import link_frames, product, rotated
-from tests.hand.chains import SEEDS, random_hand
+from tests.hand.chains import SEEDS, random_hand, random_tree
 from tests.hand.test_dynamics import TOLERANCE, agree, pinocchio_by_hand, states, whole_hand
 
 
@@ -148,6 +149,82 @@ def test_jacobians_and_levers_are_derivatives(chains, rng):
             normal = np.array(rigid_body.poses(digit.table, digit.parent, q))[link, [1, 4, 7]]
             lever = rigid_body.tip_levers(digit.table, digit.parent, q, link, 0.5 * digit.lengths[link])
             assert np.allclose(lever, normal @ middle, atol=1e-14)
+
+
+@pytest.fixture(params=SEEDS)
+def tree(request: pytest.FixtureRequest) -> tuple[Hand, HandTree]:
+    """Return every random tree of digits."""
+    hand = random_tree(request.param)
+    return hand, HandTree.of(hand)
+
+
+def test_random_trees_have_digits_on_digits_on_digits():
+    carried = [sum(digit.mount_on is not None for digit in random_tree(seed).digit) for seed in SEEDS]
+    assert max(carried) >= 3
+    on_a_carried_one = [
+        digit.mount_on is not None and hand.digit_named(digit.mount_on).mount_on is not None
+        for hand in map(random_tree, SEEDS)
+        for digit in hand.digit
+    ]
+    assert any(on_a_carried_one)
+
+
+def test_a_tree_is_the_same_in_both_mujoco_models(tree, rng, tmp_path):
+    hand, whole = tree
+    path = tmp_path / "tree.toml"
+    path.write_text(hand.to_toml())
+    for text in (mjcf(hand), model_text(simulated_hand(str(path)), load_scene(None))):
+        model = mujoco.MjModel.from_xml_string(text)
+        assert [model.joint(i).name for i in range(model.nv)] == list(hand.joints)
+        for q, dq, ddq in states(rng, model.nv, 10):
+            theirs, full = inverse_by_mujoco(model, q, dq, ddq)
+            assert agree(whole.inverse_dynamics(q, dq, ddq), theirs)
+            assert agree(whole.mass_matrix(q), full)
+
+
+def test_a_tree_is_pinocchio_s(tree, rng):
+    hand, whole = tree
+    model = pinocchio.buildModelFromXML(urdf(hand))
+    model.gravity.linear = np.array(hand.mount.gravity_m_s2)
+    order = [model.joints[model.getJointId(joint)].idx_v for joint in hand.joints]
+    data = model.createData()
+    for q, dq, ddq in states(rng, len(hand.joints), 10):
+        theirs = [np.zeros(model.nv) for _ in range(3)]
+        for vector, mine in zip(theirs, (q, dq, ddq), strict=True):
+            vector[order] = mine
+        armature = whole.table[rigid_body.ARMATURE] * ddq
+        assert agree(whole.inverse_dynamics(q, dq, ddq) - armature, pinocchio.rnea(model, data, *theirs)[order])
+        standing = pinocchio.computeGeneralizedGravity(model, data, theirs[0])[order]
+        springs = whole.stiffness * (q + whole.preload)
+        assert np.allclose(whole.static_torque(q) - springs, standing, rtol=0.0, atol=1e-12)
+        pinocchio.framesForwardKinematics(model, data, theirs[0])
+        for digit, points_of_digit in zip(whole.digits, whole.points(q), strict=True):
+            place = data.oMf[model.getFrameId(f"{digit.name}_tip")]
+            assert np.allclose(points_of_digit[-1], place.translation, atol=1e-12)
+
+
+def test_the_log_s_transforms_of_a_tree_are_the_model_s(tree, rng):
+    hand, whole = tree
+    q = rng.uniform(-2.0, 2.0, len(hand.joints))
+    place = {"palm": (np.zeros(3), (0.0, 0.0, 0.0, 1.0))}
+    for link in link_frames(hand.to_toml()):
+        position, turn = place[link.parent]
+        here = np.array(pinocchio.Quaternion(np.array(turn)).toRotationMatrix()) @ link.position + position
+        own = tuple(rotated(link, q[[link.joint]])[0]) if link.joint >= 0 else link.rotation
+        place[link.child] = here, product(turn, own)
+    for digit, points_of_digit in zip(whole.digits, whole.points(q), strict=True):
+        assert np.allclose(place[f"{digit.name}_tip"][0], points_of_digit[-1], atol=1e-12)
+
+
+def test_a_digit_on_a_resting_carrier_is_that_digit_alone(tree, rng):
+    """Compare a digit's own weight with that in the tree, where all digits that it is mounted on are at zero."""
+    hand, whole = tree
+    for digit in whole.digits:
+        if digit.name in hand.carriers:
+            continue
+        q = np.zeros(len(hand.joints))
+        q[digit.joints] = rng.uniform(-2.0, 2.0, digit.joint_count)
+        assert np.allclose(whole.static_torque(q)[digit.joints], dynamics.static_torque(digit, q[digit.joints]))
 
 
 def test_each_number_of_a_table_matters(rng):

@@ -176,6 +176,16 @@ CASES = {
         put("digit", 0, link_com_m=[0.015, [0.0, 0.02, 0.0], 0.005]),
         "digit[index].link_com_m[1]: 0.02 m; expected at most 0.015 m from the joint",
     ),
+    "mounted on nothing": (put("digit", 1, mount_on="wrist"), 'digit[middle].mount_on: "wrist" is not in this file'),
+    "mounted on itself": (put("digit", 1, mount_on="middle"), "digit[middle].mount_on: middle does not follow middle"),
+    "mounted on a later digit": (
+        put("digit", 0, mount_on="middle"),
+        "digit[index].mount_on: index does not follow middle; expected each digit right after the one that carries it",
+    ),
+    "mounted on a digit before others": (
+        lambda c: (c["digit"][1].update(mount_on="index"), c["digit"][3].update(mount_on="middle")),
+        "digit[thumb].mount_on: thumb does not follow middle",
+    ),
     "inertia of two numbers": (
         put("digit", 0, link_inertia_kg_m2=[[5e-7, 5e-7], 7e-8, 2e-8]),
         "digit[index].link_inertia_kg_m2[0]: [5e-07, 5e-07]; expected a number, or a list of 3 or 6 numbers",

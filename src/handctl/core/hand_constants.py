@@ -152,8 +152,8 @@ def _links(model: HandModel) -> dict[str, object]:
         "spring": np.concatenate([digit.spring_stiffness for digit in digits]),
         "preload": np.concatenate([digit.spring_preload for digit in digits]),
         "joint_damping": np.concatenate([digit.joint_damping for digit in digits]),
-        "link": np.concatenate([digit.table for digit in digits], axis=1),
-        "parent": np.concatenate([_parents(digit) for digit in digits]),
+        "link": model.tree.table,
+        "parent": model.tree.parent,
         "low": np.concatenate([digit.joint_min for digit in digits]),
         "high": np.concatenate([digit.joint_max for digit in digits]),
         "range_sigma": span / math.sqrt(12.0),
@@ -165,11 +165,6 @@ def _links(model: HandModel) -> dict[str, object]:
         "coordinates_first": coordinates[:-1],
         "coordinates_end": coordinates[1:],
     }
-
-
-def _parents(digit: DigitModel) -> NDArray[np.int64]:
-    """Return the joint before each joint of a digit in the hand's order, -1 for the palm."""
-    return np.where(digit.parent < 0, digit.parent, digit.parent + digit.joints.start)
 
 
 def _structure(model: HandModel) -> dict[str, object]:

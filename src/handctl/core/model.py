@@ -17,6 +17,7 @@ from handctl.core.types import Vector
 from handctl.hand.description import Hand
 from handctl.hand.digit import Values
 from handctl.hand.dynamics import DigitModel, required_torque
+from handctl.hand.tree import HandTree
 
 Inverse = Callable[[DigitModel, Values, Values, Values], tuple[float, ...]]
 """Inverse dynamics of a digit: joint torque from digit, q, dq and ddq."""
@@ -47,6 +48,7 @@ class HandModel:
         ceiling: (N,) largest tension at the load cell [N].
         torque_limit: (N,) largest motor torque the host may command [N m].
         redundancy: directions of the tendons, and tensions that hold each other.
+        tree: all links of the hand.
         torque_gain: (N,) torque at the spool per commanded torque. None: not identified.
         inverse: joint torque of a motion, from digit, q, dq and ddq. Experiments replace it.
     """
@@ -71,6 +73,7 @@ class HandModel:
     ceiling: Vector
     torque_limit: Vector
     redundancy: Redundancy
+    tree: HandTree
     torque_gain: Vector | None = None
     inverse: Inverse = required_torque
 
@@ -111,6 +114,7 @@ class HandModel:
             ceiling=ceiling,
             torque_limit=_torque_limit(hand, torque_gain),
             redundancy=redundancy(digits, floor, ceiling),
+            tree=HandTree.of(hand, digits),
             torque_gain=torque_gain,
         )
 

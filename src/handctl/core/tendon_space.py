@@ -14,8 +14,9 @@ import numpy as np
 from handctl.core.types import Vector
 from handctl.drives.registry import make_drive
 from handctl.hand.description import Hand
-from handctl.hand.dynamics import DigitModel, mass_matrix
+from handctl.hand.dynamics import DigitModel
 from handctl.hand.file.sections import Motor
+from handctl.hand.tree import HandTree
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +61,9 @@ def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
     tendons = hand.tendon
     spool = np.array([motors[tendon.motor].spool_radius_m for tendon in tendons])
     inertia = np.array([motors[tendon.motor].inertia_kg_m2 for tendon in tendons])
-    load = np.concatenate([_load(digit) for digit in digits], axis=1)
+    # With the mass matrix of the whole hand: a wrist moves its fingers.
+    mass = HandTree.of(hand, digits).mass_matrix(np.full(len(hand.joints), np.pi / 4))
+    load = np.concatenate([_load(digit, mass[digit.joints, digit.joints]) for digit in digits], axis=1)
     return TendonSpace(
         motor_mass=inertia / spool**2,
         motor_damping=np.array([motors[tendon.motor].viscous_N_m_s_per_rad for tendon in tendons]) / spool**2,
@@ -84,12 +87,16 @@ def _position_step(motor: Motor) -> float:
     return max(2 * motor.position_range_rad / 0xFFFF, make_drive(motor, 0).position_step)
 
 
-def _load(digit: DigitModel) -> Vector:
-    """Return effective mass, stiffness and damping along each tendon of the digit, shape (3, n)."""
-    half = np.full(digit.joint_count, np.pi / 4)
+def _load(digit: DigitModel, mass: Vector) -> Vector:
+    """Return effective mass, stiffness and damping along each tendon of the digit, shape (3, n).
+
+    Args:
+        digit: model of the digit.
+        mass: (n, n) mass matrix of its joints at half closure, with all that it carries [kg m2].
+    """
     coupling = digit.coupling
     joint_space = (
-        mass_matrix(digit, half),
+        mass,
         np.diag(digit.spring_stiffness),
         np.diag(digit.joint_damping),
     )

@@ -14,7 +14,7 @@ from handctl.hand.file import quantities as qty
 from handctl.hand.file.sections import Bus, Digit, Motor, Mount, Section, SensorNode, StreamLimits, Tendon
 from handctl.hand.file.toml_text import toml_text
 
-LATER_KEYS = ("joint_rated_torque_N_m", "joint_axis", "joint_rpy_deg")
+LATER_KEYS = ("joint_rated_torque_N_m", "joint_axis", "joint_rpy_deg", "mount_on")
 """Keys of a digit that came later. ``content`` has them only where the file has them."""
 
 
@@ -86,6 +86,25 @@ class Hand(Section):
     def digit_joints(self) -> dict[str, slice]:
         """Return the slice of each digit in ``joints``."""
         return dict(zip(self.digit_names, _slices([len(digit.joints) for digit in self.digit]), strict=True))
+
+    @cached_property
+    def base_joints(self) -> dict[str, int]:
+        """Return the joint whose link carries each digit, as an index in ``joints``, -1 for the palm."""
+        return {
+            digit.name: -1 if digit.mount_on is None else self.digit_joints[digit.mount_on].stop - 1
+            for digit in self.digit
+        }
+
+    @cached_property
+    def carriers(self) -> frozenset[str]:
+        """Return the names of digits that carry other digits."""
+        return frozenset(digit.mount_on for digit in self.digit if digit.mount_on is not None)
+
+    def base_link(self, digit: Digit) -> str:
+        """Return the name of the link that carries a digit: ``palm``, or the last link of another digit."""
+        if digit.mount_on is None:
+            return "palm"
+        return f"{digit.mount_on}_link{len(self.digit_named(digit.mount_on).joints)}"
 
     @cached_property
     def digit_tendons(self) -> dict[str, slice]:

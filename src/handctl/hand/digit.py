@@ -40,7 +40,8 @@ class DigitModel:
         spring_preload: (n,) [rad].
         mount_rotation: (3, 3) digit frame to palm frame.
         mount_position: (3,) [m] in the palm frame.
-        gravity: (3,) in the palm frame [m/s2].
+        gravity: (3,) in the palm frame [m/s2]. For a digit on another digit the palm is the link that
+            carries it, at rest.
         table: (rigid_body.ROWS, n) frames and bodies of the links.
         parent: (n,) column of the link before each link, -1 for the palm.
         moment_arms: R, (n_t, n) [m].
@@ -126,7 +127,7 @@ class DigitModel:
             spring_preload=digit.spring_preload_rad,
             mount_rotation=_constant(rotation_rpy(*np.radians(digit.mount_rpy_deg))),
             mount_position=_constant(digit.mount_position_m),
-            gravity=_constant(hand.mount.gravity_m_s2),
+            gravity=_constant(base_rotation(hand, digit).T @ hand.mount.gravity_m_s2),
             table=_constant(link_table(digit)),
             parent=np.arange(-1, len(links) - 1),
             moment_arms=_constant(arms),
@@ -173,6 +174,17 @@ def link_table(digit: Digit) -> Array:
         table[body.ARMATURE, i] = digit.joint_armature_kg_m2[i]
         table[body.LENGTH, i] = digit.link_length_m[i]
     return table
+
+
+def base_rotation(hand: Hand, digit: Digit) -> Array:
+    """Return the rotation (3, 3) to the palm frame of the link that carries a digit, all joints at zero."""
+    if digit.mount_on is None:
+        return np.eye(3)
+    carrier = hand.digit_named(digit.mount_on)
+    rotation = base_rotation(hand, carrier)
+    for i in range(len(carrier.joints)):
+        rotation = rotation @ mounted(carrier, i)[1]
+    return rotation
 
 
 def _constant(values: ArrayLike) -> Array:

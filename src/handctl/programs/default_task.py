@@ -8,9 +8,10 @@ from handctl.document import validated
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.file.toml_text import toml_text
-from handctl.hand.link_bodies import rotation_rpy
+from handctl.hand.kinematics import rotations
 from handctl.hand.load import parse_toml
 from handctl.hand.readiness import coordinate_range_deg
+from handctl.hand.tree import HandTree
 from handctl.programs.task import Task
 
 CLOSED = 0.85
@@ -40,6 +41,8 @@ def default_task(hand: Hand) -> tuple[Task, str]:
     largest = min(tendon.tension_max_N for tendon in hand.tendon)
     floor = max(tendon.tension_floor_N for tendon in hand.tendon)
     opened = {name: np.zeros_like(_closed_deg(hand, name)).tolist() for name in hand.digit_names}
+    # A digit that carries others, such as a wrist, keeps its angle.
+    closing = [name for name in hand.digit_names if name not in hand.carriers]
     content: dict[str, Any] = {
         "schema": 1,
         "name": "close, hold, open",
@@ -49,7 +52,7 @@ def default_task(hand: Hand) -> tuple[Task, str]:
             {
                 "kind": "close",
                 "name": "close",
-                "angle_deg": {name: _closed_deg(hand, name).tolist() for name in hand.digit_names},
+                "angle_deg": {name: _closed_deg(hand, name).tolist() for name in closing},
                 "speed_deg_s": 50.0,
                 "contact_tension_N": round(max(CONTACT * largest, floor + 1.0), 1),
             },
@@ -81,9 +84,12 @@ def _shares(hand: Hand) -> dict[str, float]:
 
     The digits of both sides press alike. Two fingers would otherwise push a thumb open.
     """
-    closing = {digit.name: rotation_rpy(*np.radians(digit.mount_rpy_deg))[:, 1] for digit in hand.digit}
-    first = closing[hand.digit[0].name]
-    opposed = {name: bool(direction @ first < 0.0) for name, direction in closing.items()}
+    # The side of flexion is y of the last link, in the palm frame at rest.
+    tree = HandTree.of(hand)
+    turned = rotations(tree.poses(np.zeros(len(hand.joints))))
+    sides = {digit.name: turned[digit.joints][-1, :, 1] for digit in tree.digits if digit.name not in hand.carriers}
+    first = next(iter(sides.values()))
+    opposed = {name: bool(direction @ first < 0.0) for name, direction in sides.items()}
     count = len(opposed)
     behind = sum(opposed.values())
     if behind == 0:

@@ -12,7 +12,6 @@ from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.law.trajectory import Curve, duration_for
 from handctl.core.model import HandModel
 from handctl.core.types import Event, Vector
-from handctl.hand.dynamics import static_torque
 from handctl.programs.grip import Grip, GripPlan, hold
 from handctl.programs.program import (
     TIGHTEN_S,
@@ -173,7 +172,7 @@ class TaskProgram:
             return None
         q = estimate.q[digit.joints]
         # Springs and gravity, plus the tip force by its lever, in the digit's coordinates.
-        torque = digit.coupling.T @ np.asarray(static_torque(digit, q)) + force * tip_lever(digit, q)
+        torque = digit.coupling.T @ model.tree.static_torque(estimate.q)[digit.joints] + force * tip_lever(digit, q)
         return allocate(digit.reduced_moment_arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
 
     def _hold_on(self, model: HandModel, progress: Progress, estimate: Estimate, t: float) -> ProgressAndEvents:

@@ -10,8 +10,8 @@ from handctl.core.types import Mode
 from handctl.drives.frame import EXTENDED, FDF
 from handctl.drives.frame_time import frame_time_s
 from handctl.hand.description import Hand
-from handctl.hand.digit import DigitModel
-from handctl.hand.kinematics import link_poses, points, rotations
+from handctl.hand.kinematics import rotations
+from handctl.hand.tree import HandTree
 from handctl.log.read.reader import RunLog
 from handctl.report.run_figure import COLOURS, PASSIVE_PHASES
 
@@ -41,23 +41,22 @@ def poses(log: RunLog, hand: Hand) -> str:
     if not moments:
         return "<p>The hand acts in no phase of this run.</p>"
     figure, grid = _figure(min(len(moments), PER_ROW), 2.6, 2.9, -(-len(moments) // PER_ROW))
-    digits = [DigitModel.of(hand, name) for name in hand.digit_names]
+    tree = HandTree.of(hand)
+    digits = tree.digits
     q = log.field("q")
     force = log.field("tip_force")
-    limits = _limits(digits)
+    limits = _limits(tree)
     for axes in grid:
         axes.set_axis_off()
     for axes, (name, index) in zip(grid, moments, strict=False):
-        _palm(axes, digits)
+        _palm(axes, hand)
+        paths = tree.points(q[index])
+        turned = rotations(tree.poses(q[index]))
         # Digits with a large z lie behind the others in this projection and are drawn first.
         for d in sorted(range(len(digits)), key=lambda d: -float(digits[d].mount_position[2])):
-            _digit(
-                axes,
-                digits[d],
-                q[index, digits[d].joints],
-                float(force[index, d]),
-                COLOURS[d % len(COLOURS)],
-            )
+            # The object pushes against the closing direction of the fingertip, y of the last link.
+            push = -max(float(force[index, d]), 0.0) * turned[digits[d].joints][-1, :, 1]
+            _digit(axes, paths[d], push, COLOURS[d % len(COLOURS)])
         _forces(axes, force[index])
         axes.set_title(f"{name}, {log.times[index]:.2f} s", fontsize=11)
         axes.set_aspect("equal")
@@ -74,27 +73,32 @@ def _projected(points_m: Array) -> Array:
     return np.asarray(1e3 * (points_m[..., :2] + points_m[..., 2:] * np.array(SLANT)), np.float64)
 
 
-def _limits(digits: list[DigitModel]) -> tuple[tuple[float, float], tuple[float, float]]:
+def _limits(tree: HandTree) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the limits of the picture, which contains the palm and every digit at rest."""
-    ends = [points(digit, np.zeros(digit.joint_count)) for digit in digits]
-    corners = _projected(np.concatenate(ends))
+    corners = _projected(np.concatenate(tree.points(np.zeros(len(tree.parent)))))
     low = corners.min(axis=0) - 20.0
     high = corners.max(axis=0) + 10.0
     return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
 
 
-def _palm(axes: Any, digits: list[DigitModel]) -> None:
-    """Draw the plate that carries the digits."""
-    mounts = np.array([digit.mount_position for digit in digits])
+def _palm(axes: Any, hand: Hand) -> None:
+    """Draw the plate that carries the digits on the palm."""
+    mounts = np.array([digit.mount_position_m for digit in hand.digit if digit.mount_on is None])
     (y0, z0) = mounts[:, 1:].min(axis=0) - 0.009
     (y1, z1) = mounts[:, 1:].max(axis=0) + 0.009
     corners = np.array([[0.0, y, z] for y, z in ((y0, z0), (y1, z0), (y1, z1), (y0, z1))])
     axes.fill(*_projected(corners).T, color="#e3e6ea", zorder=0)
 
 
-def _digit(axes: Any, digit: DigitModel, q: Array, force: float, colour: str) -> None:
-    """Draw the links from the palm to the tip, and the estimated force on the tip as an arrow."""
-    joints = points(digit, q)
+def _digit(axes: Any, joints: Array, push: Array, colour: str) -> None:
+    """Draw the links from the palm to the tip, and the estimated force on the tip [N] as an arrow.
+
+    Args:
+        axes: of the picture.
+        joints: (n + 1, 3) joints and tip in the palm frame [m].
+        push: (3,) force of the object [N].
+        colour: of the links.
+    """
     path = _projected(joints)
     axes.plot(
         *path.T,
@@ -105,11 +109,10 @@ def _digit(axes: Any, digit: DigitModel, q: Array, force: float, colour: str) ->
         solid_joinstyle="round",
     )
     axes.plot(*path[:-1].T, "o", color="white", markersize=3)
-    if force < MIN_ARROW_N or np.isnan(q).any():
+    # A negative comparison: an unknown force or angle has no arrow.
+    if not np.linalg.norm(push) >= MIN_ARROW_N:
         return
-    # The object pushes against the closing direction of the fingertip, y of the last link.
-    push = -ARROW_M_PER_N * force * rotations(link_poses(digit, q))[-1, :, 1]
-    start, end = _projected(np.array([joints[-1], joints[-1] + push]))
+    start, end = _projected(np.array([joints[-1], joints[-1] + ARROW_M_PER_N * push]))
     style = {"arrowstyle": "-|>", "color": "#222222", "linewidth": 1.2, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", xy=end, xytext=start, arrowprops=style, zorder=10)
 

@@ -70,7 +70,7 @@ def check_hand(hand: Hand) -> Mistakes:
     yield from wrong
     if wrong:
         return
-    wrong = [*_check_references(hand)] or [*_check_order(hand)]
+    wrong = [*_check_references(hand), *_check_mounts(hand)] or [*_check_order(hand)]
     yield from wrong
     if wrong:
         return
@@ -204,6 +204,21 @@ def _check_name(where: str, name: str, valid: tuple[str, ...]) -> Mistakes:
     """Refuse a name that is not in the file."""
     if name not in valid:
         yield Mistake(f'"{name}" is not in this file', where, "one of " + ", ".join(valid))
+
+
+def _check_mounts(hand: Hand) -> Mistakes:
+    """Check that a digit on another digit follows it in the file, or follows others on it."""
+    line: list[str] = []
+    for digit in hand.digit:
+        where = f"digit[{digit.name}].mount_on"
+        carrier = digit.mount_on
+        if carrier is not None and carrier not in line:
+            yield from _check_name(where, carrier, hand.digit_names)
+            if carrier in hand.digit_names:
+                what = f"{digit.name} does not follow {carrier}"
+                yield Mistake(what, where, "each digit right after the one that carries it, or after others on it")
+        # The digit before, the digit that carries it, and so on: each of them may carry the next.
+        line = [*line[: line.index(carrier) + 1 if carrier in line else 0], digit.name]
 
 
 def _check_order(hand: Hand) -> Mistakes:

@@ -102,6 +102,11 @@ class Digit(Section):
     """Name of the digit. Its joints are ``NAME_j1`` and so on, from the palm outwards."""
     mount_position_m: tuple[qty.Position, qty.Position, qty.Position]
     """Position of the first joint in the palm frame: x out of the palm, y from thumb to fingers."""
+    mount_on: qty.Name | None = None
+    """Digit whose last link carries this digit, such as a wrist. Absent for a digit on the palm.
+
+    ``mount_position_m`` and ``mount_rpy_deg`` are then in the frame of that link.
+    """
     mount_rpy_deg: tuple[qty.MountAngle, qty.MountAngle, qty.MountAngle]
     """Roll, pitch, yaw about the fixed axes of the palm: Rz(yaw) Ry(pitch) Rx(roll)."""
     link_length_m: tuple[qty.Length, ...] = Field(min_length=1, max_length=MAX_LINKS)

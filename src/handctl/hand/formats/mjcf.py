@@ -11,7 +11,7 @@ import numpy as np
 
 from handctl.hand.description import Hand
 from handctl.hand.file.sections import Digit
-from handctl.hand.formats.urdf import PALM_MARGIN, PALM_THICKNESS
+from handctl.hand.formats.urdf import palm_box, shape_length
 from handctl.hand.link_bodies import centre_of_mass, inertia, joint_axes, mounted
 from handctl.hand.link_frames import quaternion
 
@@ -32,28 +32,25 @@ def mjcf(hand: Hand) -> str:
     gravity = _numbers(hand.mount.gravity_m_s2)
     ET.SubElement(root, "option", gravity=gravity, timestep="0.0005", integrator="implicitfast", cone="elliptic")
     palm = ET.SubElement(ET.SubElement(root, "worldbody"), "body", name="palm")
-    _palm(palm, hand)
-    for digit in hand.digit:
-        _digit(palm, digit)
+    _palm(palm, hand, None)
     _tendons(root, hand)
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _palm(palm: ET.Element, hand: Hand) -> None:
-    """Add a box behind all digits. Digits mounted on the box do not collide with it."""
-    mounts = np.array([digit.mount_position_m for digit in hand.digit])
-    low = mounts.min(axis=0) - PALM_MARGIN
-    high = mounts.max(axis=0) + PALM_MARGIN
-    low[0], high[0] = -PALM_THICKNESS, 0.0
-    size = (high - low) / 2
-    centre = (high + low) / 2
-    ET.SubElement(palm, "geom", name="palm", type="box", size=_numbers(size), pos=_numbers(centre))
+def _palm(link: ET.Element, hand: Hand, carrier: str | None) -> None:
+    """Add a box behind all digits on a link, and the digits. Digits mounted on the box do not collide with it."""
+    centre, size = palm_box(hand, carrier)
+    name = "palm" if carrier is None else f"{carrier}_palm"
+    ET.SubElement(link, "geom", name=name, type="box", size=_numbers(size / 2), pos=_numbers(centre))
+    for digit in hand.digit:
+        if digit.mount_on == carrier:
+            _digit(link, hand, digit)
 
 
-def _digit(palm: ET.Element, digit: Digit) -> None:
+def _digit(base: ET.Element, hand: Hand, digit: Digit) -> None:
     """Add nested bodies: each link along its x axis, its hinge at its origin."""
-    parent = palm
+    parent = base
     for i, joint in enumerate(digit.joints):
         position, rotation = mounted(digit, i)
         # MuJoCo's quaternions begin with w.
@@ -61,9 +58,11 @@ def _digit(palm: ET.Element, digit: Digit) -> None:
         place = {"pos": _numbers(position), "quat": _numbers((w, x, y, z))}
         link = ET.SubElement(parent, "body", place, name=f"{digit.name}_link{i + 1}")
         _hinge(link, digit, i, joint)
-        _bar(link, digit, i)
+        _bar(link, digit, i, shape_length(hand, digit, i))
         parent = link
     ET.SubElement(parent, "site", name=f"{digit.name}_tip", pos=_numbers((digit.link_length_m[-1], 0.0, 0.0)))
+    if digit.name in hand.carriers:
+        _palm(parent, hand, digit.name)
 
 
 def _hinge(link: ET.Element, digit: Digit, i: int, joint: str) -> None:
@@ -84,9 +83,8 @@ def _hinge(link: ET.Element, digit: Digit, i: int, joint: str) -> None:
     )
 
 
-def _bar(link: ET.Element, digit: Digit, i: int) -> None:
-    """Add inertia and collision shape of link i. The shape is a capsule, or a ball without length."""
-    length = digit.link_length_m[i]
+def _bar(link: ET.Element, digit: Digit, i: int, length: float) -> None:
+    """Add inertia and collision shape of link i: a capsule of a length [m], or a ball without length."""
     moments = inertia(digit, i)
     ET.SubElement(
         link,

@@ -9,6 +9,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from handctl.hand.description import Hand
+from handctl.hand.digit import Array
 from handctl.hand.file.sections import Digit
 from handctl.hand.link_bodies import centre_of_mass, inertia, joint_axes, mounted, rpy_of
 
@@ -26,34 +27,57 @@ def urdf(hand: Hand) -> str:
     The root link is ``palm``, links are ``index_link1``.., joints ``index_j1``.., tips ``index_tip``.
     """
     robot = ET.Element("robot", name=hand.name)
-    _palm(robot, hand)
+    _palm(ET.SubElement(robot, "link", name="palm"), hand, None)
     for digit in hand.digit:
         for i in range(len(digit.link_length_m)):
             _joint(robot, hand, digit, i)
-            _link(robot, digit, i)
+            _link(robot, digit, i, shape_length(hand, digit, i))
+        if digit.name in hand.carriers:
+            _palm(robot[-1], hand, digit.name)
         _tip(robot, digit)
     ET.indent(robot)
     return ET.tostring(robot, encoding="unicode") + "\n"
 
 
-def _palm(robot: ET.Element, hand: Hand) -> None:
-    """Add the root link: a box behind all digits, without mass since it is fixed."""
-    mounts = np.array([digit.mount_position_m for digit in hand.digit])
+def palm_box(hand: Hand, carrier: str | None) -> tuple[Array, Array]:
+    """Return the box behind the digits that a link carries: centre and lengths, (3,) each [m].
+
+    Args:
+        hand: description.
+        carrier: digit whose last link carries the digits, None for the palm.
+    """
+    mounts = np.array([digit.mount_position_m for digit in hand.digit if digit.mount_on == carrier])
     low = mounts.min(axis=0) - PALM_MARGIN
     high = mounts.max(axis=0) + PALM_MARGIN
-    low[0], high[0] = -PALM_THICKNESS, 0.0
-    link = ET.SubElement(robot, "link", name="palm")
+    high[0] = 0.0 if carrier is None else mounts[:, 0].min()
+    low[0] = high[0] - PALM_THICKNESS
+    return (low + high) / 2, high - low
+
+
+def shape_length(hand: Hand, digit: Digit, i: int) -> float:
+    """Return the length of the shape of link i [m].
+
+    A link that carries digits ends, with its round end, at the face of the box that carries them.
+    """
+    length = digit.link_length_m[i]
+    last = i == len(digit.link_length_m) - 1
+    return max(length - digit.link_radius_m, 0.0) if last and digit.name in hand.carriers else length
+
+
+def _palm(link: ET.Element, hand: Hand, carrier: str | None) -> None:
+    """Add a box behind all digits on a link. The palm has no mass since it is fixed."""
+    centre, size = palm_box(hand, carrier)
     for element in ("visual", "collision"):
         part = ET.SubElement(link, element)
-        ET.SubElement(part, "origin", xyz=_numbers((low + high) / 2), rpy="0 0 0")
-        ET.SubElement(ET.SubElement(part, "geometry"), "box", size=_numbers(high - low))
+        ET.SubElement(part, "origin", xyz=_numbers(centre), rpy="0 0 0")
+        ET.SubElement(ET.SubElement(part, "geometry"), "box", size=_numbers(size))
 
 
 def _joint(robot: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
     """Add the hinge before link i, with the limits of tendons and motors."""
     name = digit.joints[i]
     joint = ET.SubElement(robot, "joint", name=name, type="revolute")
-    ET.SubElement(joint, "parent", link="palm" if i == 0 else f"{digit.name}_link{i}")
+    ET.SubElement(joint, "parent", link=hand.base_link(digit) if i == 0 else f"{digit.name}_link{i}")
     ET.SubElement(joint, "child", link=f"{digit.name}_link{i + 1}")
     position, rotation = mounted(digit, i)
     # Adding 0.0 makes 0.0 of -0.0.
@@ -75,9 +99,8 @@ def _joint(robot: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
     ET.SubElement(joint, "dynamics", damping=_number(digit.joint_damping_N_m_s_per_rad[i]), friction="0")
 
 
-def _link(robot: ET.Element, digit: Digit, i: int) -> None:
-    """Add link i: inertia, and a cylinder with a ball at the far end."""
-    length = digit.link_length_m[i]
+def _link(robot: ET.Element, digit: Digit, i: int, length: float) -> None:
+    """Add link i: inertia, and a cylinder of a length [m] with a ball at the far end."""
     radius = digit.link_radius_m
     link = ET.SubElement(robot, "link", name=f"{digit.name}_link{i + 1}")
     inertial = ET.SubElement(link, "inertial")

@@ -54,11 +54,12 @@ def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, ...]:
 def link_frames(hand_toml: str) -> list[LinkFrame]:
     """Return the frames of a hand: palm, `<digit>_link<i>`, `<digit>_tip`."""
     frames = []
+    tips: dict[str, str] = {}
     joint = 0
     for digit in tomllib.loads(hand_toml)["digit"]:
         name = digit["name"]
         lengths = digit["link_length_m"]
-        parent = ROOT
+        parent = tips[digit["mount_on"]] if "mount_on" in digit else ROOT
         position = tuple(map(float, digit["mount_position_m"]))
         rotation = quaternion(*map(math.radians, digit["mount_rpy_deg"]))
         turns = digit.get("joint_rpy_deg", [(0.0, 0.0, 0.0)] * len(lengths))
@@ -73,6 +74,7 @@ def link_frames(hand_toml: str) -> list[LinkFrame]:
             position = (float(length), 0.0, 0.0)
             rotation = (0.0, 0.0, 0.0, 1.0)
             joint += 1
+        tips[name] = parent
         frames.append(LinkFrame(parent, f"{name}_tip", position, rotation, Z_AXIS, -1))
     return frames
 

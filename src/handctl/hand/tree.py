@@ -1,0 +1,88 @@
+"""The whole hand as one tree of links: poses, mass matrix and static torque of all joints together.
+
+A digit may be mounted on the last link of another digit, such as fingers on a wrist. The functions of
+``dynamics`` and ``kinematics`` are those of one digit on a base at rest.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.hand import rigid_body
+from handctl.hand.description import Hand
+from handctl.hand.digit import Array, DigitModel, Values
+from handctl.hand.kinematics import positions, rotations
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HandTree:
+    """All links of a hand in the order of its joints.
+
+    Attributes:
+        digits: models of the digits, in file order.
+        table: (rigid_body.ROWS, J) frames and bodies of the links.
+        parent: (J,) joint before each joint, -1 for the palm.
+        gravity: (3,) in the palm frame [m/s2].
+        stiffness: (J,) return springs [N m/rad].
+        preload: (J,) of the springs [rad].
+    """
+
+    digits: tuple[DigitModel, ...]
+    table: Array
+    parent: NDArray[np.int64]
+    gravity: Array
+    stiffness: Array
+    preload: Array
+
+    @staticmethod
+    def of(hand: Hand, digits: Sequence[DigitModel] = ()) -> "HandTree":
+        """Build the tree of a hand.
+
+        Args:
+            hand: description.
+            digits: models of its digits, in file order, made if absent.
+        """
+        digits = tuple(digits) or tuple(DigitModel.of(hand, name) for name in hand.digit_names)
+        parents = [
+            np.where(digit.parent < 0, hand.base_joints[digit.name], digit.parent + digit.joints.start)
+            for digit in digits
+        ]
+        return HandTree(
+            digits=digits,
+            table=np.concatenate([digit.table for digit in digits], axis=1),
+            parent=np.concatenate(parents),
+            gravity=np.array(hand.mount.gravity_m_s2),
+            stiffness=np.concatenate([digit.spring_stiffness for digit in digits]),
+            preload=np.concatenate([digit.spring_preload for digit in digits]),
+        )
+
+    def poses(self, q: Values) -> Array:
+        """Return the poses of all links at joint angles q (J,) [rad], (J, rigid_body.POSE)."""
+        return rigid_body.poses(self.table, self.parent, np.asarray(q, dtype=np.float64))
+
+    def points(self, q: Values) -> tuple[Array, ...]:
+        """Return for each digit its joints and its tip, (n + 1, 3) in the palm frame [m]."""
+        poses = self.poses(q)
+        result = []
+        for digit in self.digits:
+            own = poses[digit.joints]
+            tip = positions(own)[-1] + digit.lengths[-1] * rotations(own)[-1, :, 0]
+            result.append(np.vstack((positions(own), tip)))
+        return tuple(result)
+
+    def mass_matrix(self, q: Values) -> Array:
+        """Return the mass matrix of all joints with armature, (J, J) [kg m2]."""
+        return rigid_body.inertia_matrix(self.table, self.parent, np.asarray(q, dtype=np.float64))
+
+    def inverse_dynamics(self, q: Values, dq: Values, ddq: Values) -> Array:
+        """Return the joint torques of inertia and weight, (J,) [N m], see ``dynamics.inverse_dynamics``."""
+        rows = (np.asarray(values, dtype=np.float64) for values in (q, dq, ddq))
+        return rigid_body.rigid_torque(self.table, self.parent, self.gravity, *rows)
+
+    def static_torque(self, q: Values) -> Array:
+        """Return the joint torques that hold the hand at rest: gravity and springs, (J,) [N m]."""
+        angles = np.asarray(q, dtype=np.float64)
+        weight = rigid_body.weight_torque(self.table, self.parent, self.gravity, angles)
+        return np.asarray(weight + self.stiffness * (angles + self.preload))
