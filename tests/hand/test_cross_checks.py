@@ -252,6 +252,10 @@ CASES = {
         "tendon[index_tendon].moment_arm_m: moves 2 digits; expected joints of one digit",
     ),
     "tendon of no digit": (tension(moment_arm_m={}), "tendon[index_tendon].moment_arm_m: moves 0 digits"),
+    "moment arm as a polynomial": (
+        tension(moment_arm_m={"index_j1": [0.003, 1e-4]}),
+        "tendon[index_tendon].moment_arm_m.index_j1: [0.003, 0.0001]; expected one number: a moment arm is constant",
+    ),
     "tendon without lever": (
         tension(moment_arm_m={"index_j1": 0.003, "index_j2": 0.0}),
         "tendon[index_tendon].moment_arm_m.index_j2: 0; expected 0.0001 to 0.05 m either way, or no such key",

@@ -158,6 +158,17 @@ def number_or_list(number: Range, entry: Range, *counts: int) -> Checked:
     return Checked(check, {"anyOf": [number.schema, *lists]})
 
 
+ARM = Range(-0.05, 0.05, "m", "in metres?")
+"""Moment arms of tendons at joints."""
+
+
+def _moment_arm(value: Any) -> float:
+    """Validate a moment arm. A polynomial or a table is refused by a line of its own."""
+    if isinstance(value, list | tuple | dict):
+        raise wrong("one number: a moment arm is constant over the joint's angle")
+    return ARM(value)
+
+
 Name = Annotated[str, Checked(_identifier, {"type": "string", "pattern": f"^{NAME_PATTERN.pattern}$"})]
 Text = Annotated[str, Checked(_text, {"type": "string"})]
 Direction = Annotated[int, Checked(_direction, {"enum": [1, -1]})]
@@ -174,7 +185,7 @@ CentreOfMass = Annotated[
 ]
 Direction3 = Annotated[float, band(-1.0, 1.0)]
 Radius = Annotated[float, band(5e-4, 0.05, "m", "in metres?")]
-MomentArm = Annotated[float, band(-0.05, 0.05, "m", "in metres?")]
+MomentArm = Annotated[float, Checked(_moment_arm, ARM.schema)]
 Position = Annotated[float, band(-0.5, 0.5, "m", "in metres?")]
 Mass = Annotated[float, band(1e-5, 0.5, "kg", "in kilograms?")]
 LinkInertia = Annotated[
