@@ -314,7 +314,7 @@ def _hand(raw: dict[str, Any]) -> Hand:
         digits=[_digit(digit) for digit in raw["digit"]],
         tendons=[_tendon(tendon) for tendon in raw["tendon"]],
         motors=[_motor(motor) for motor in raw["motor"]],
-        sensors=_sensors(sensors) if sensors else None,
+        sensors=_sensors(sensors) if sensors and (sensors["tendons"] or sensors["joints"]) else None,
     )
 
 

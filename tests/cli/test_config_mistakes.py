@@ -79,9 +79,6 @@ MISTAKES = {
         'protocol = "mit"\nbus = "main"', 'protocol = "mit"\nbus = "can0"',
         'default.motor.bus: "can0" is not in this file; expected one of main',
     ),
-    "a tendon without a load cell": (
-        'tendons = "all"', 'tendons = ["index_t1"]', "sensor_node.tendons: no load cell of index_t2, index_t3,",
-    ),
     "springs that do not open the digit": (
         "spring_preload_rad = 0.6", "spring_preload_rad = 0.1",
         "default.digit.spring_preload_rad: the springs open j1 with 0.009 N m at joint_min_deg; expected more than the "

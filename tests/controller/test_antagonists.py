@@ -3,7 +3,6 @@
 import os
 from collections.abc import Iterator
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,14 +23,14 @@ from handctl.programs.task import Task
 from handctl.session.simulate import SimulatedHand, Simulation, Simulator
 
 RATE_HZ = 250.0
-FILE = Path(__file__).parents[1] / "hand" / "hands" / "n_plus_1.toml"
+HAND = "n_plus_1"
 SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 2)
 
 
 @cache
 def n_plus_1() -> Hand:
     """Two fingers of three joints with four tendons each, and a thumb of two joints with three tendons."""
-    return load_hand(str(FILE))
+    return load_hand(HAND)
 
 
 @cache

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from handctl.core.block import tables
+from handctl.core.constants import constant_tables
 from handctl.core.estimation.filter_stack import MEASUREMENTS, STATES, E, Regime, S, V, X
 from handctl.core.estimation.kalman import _missing
 from handctl.core.gains.gains import Gains
@@ -21,7 +22,7 @@ from tests.controller.oracle import (
     measurement_noise,
     over_one_period,
 )
-from tests.controller.synthetic import Readings, blank, interpreted, nothing_read
+from tests.controller.synthetic import Readings, blank, constants, interpreted, nothing_read
 
 
 def plain_hand(name: str, rate_hz: float) -> HandModel:
@@ -173,7 +174,8 @@ def test_what_is_missing(model: HandModel, column: int | None, regime: Regime, c
         z[-1, column] = np.nan
     state = blank(model)
     state.view("regime")[-1] = regime
-    assert interpreted(_missing)(interpreted(tables)(state.block, state.layout.places), z) is counts
+    x = interpreted(tables)(state.block, state.layout.places)
+    assert interpreted(_missing)(x, interpreted(constant_tables)(*constants(model)), z) is counts
 
 
 def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: HandModel) -> None:

@@ -7,12 +7,10 @@ import pytest
 from handctl.controller.modes import INVENTORY_TIMEOUT_S, OperatorRequests, next_mode
 from handctl.controller.state import State
 from handctl.core import block as s
-from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.drives.contract import Phase
 from handctl.drives.frame import Frame
-from handctl.hand.load import hand_content, hand_from
 from handctl.programs.live import LiveProgram
 from handctl.safety.action import Action
 from tests.controller.bench import Bench, bench
@@ -80,12 +78,3 @@ def test_a_drive_that_is_ready_but_never_tells_its_position_is_named(hand: Bench
     unread.mode_since = 0.0
     assert decided(hand, unread)[0] == Mode.INVENTORY
     assert decided(hand, known) == (Mode.READY, "")
-
-
-def test_a_tendon_without_a_load_cell_is_named() -> None:
-    content = hand_content("jamia")
-    content["sensor_node"]["tendons"].remove("ring_tendon")
-    run = bench(HandModel.of(hand_from(content, "three cells"), Gains(), 200.0), LiveProgram())
-    run.peer.order.remove(2)
-    run.until(Mode.DONE)
-    assert run.state.failure == "no load cell of ring_tendon in sensor_node.tendons"

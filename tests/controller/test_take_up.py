@@ -15,7 +15,7 @@ SLACK = int(Regime.SLACK)
 def test_a_rope_whose_length_is_known_is_taut_at_the_first_clear_sample(length_is_known: bool, samples: int) -> None:
     """At 200 Hz a rope gains 1 N from one sample to the next, so that each of them counts."""
     points, taken = 0, 0
-    while not interpreted(has_turned)(SLACK, points):
+    while not interpreted(has_turned)(SLACK, points, False):
         points = interpreted(turning)(SLACK, points, 0.0, 1.6, 0.0, length_is_known)
         taken += 1
     assert taken == samples

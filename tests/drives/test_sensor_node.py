@@ -280,7 +280,8 @@ def test_all_load_cells_are_read_when_each_has_been_read_once(node: SensorNode) 
             sync = hand.sync(k)
             hand.receive([Frame(base, bytes([sync.data[0] & 0xF] + [0] * (size - 1)))]).observe()
         assert wired.number("started") == done, hex(base)
-    assert not bare.number("started"), "one has no load cell"
+        # The last frame has the last tendon's load cell alone, which this hand does not have.
+        assert bare.number("started") == (done or base == 0x1A1), hex(base)
 
 
 def test_each_joint_frame_has_its_joints_and_the_time_when_it_came_last(node: SensorNode) -> None:

@@ -23,11 +23,11 @@ def changed(content, path, value):
     return content
 
 
-PACKAGED = "jamia, jamia11, jamia_bench, t42"
+PACKAGED = "jamia, jamia11, jamia_bench, n_plus_1, t42"
 
 
 def test_packaged_hands_are_there():
-    assert packaged_hands() == ("jamia", "jamia11", "jamia_bench", "t42")
+    assert packaged_hands() == ("jamia", "jamia11", "jamia_bench", "n_plus_1", "t42")
 
 
 def test_resolved_text_reads_back_as_the_same_hand(hand, tmp_path):
@@ -68,12 +68,17 @@ def tweakable(content):
         yield ("digit", 0, "link_mass_kg", i), content["digit"][0]["link_mass_kg"][i]
 
 
+PLACES = {"t42": (("left", "right"), 4), "n_plus_1": (("index", "middle", "thumb"), 8)}
+"""Digits and number of joints of hands other than jamia."""
+
+
 def test_names_and_places(hand):
     first, last = hand.digit[0], hand.digit[-1]
     assert hand.joints[:2] == (f"{first.name}_j1", f"{first.name}_j2")
     assert hand.joints[-2:] == (f"{last.name}_j1", f"{last.name}_j2")
-    assert hand.digit_names == (("left", "right") if hand.name == "t42" else ("index", "middle", "ring", "thumb"))
-    assert hand.moment_arms.shape == (len(hand.tendon_names), 4 if hand.name == "t42" else 11)
+    digits, joints = PLACES.get(hand.name, (("index", "middle", "ring", "thumb"), 11))
+    assert hand.digit_names == digits
+    assert hand.moment_arms.shape == (len(hand.tendon_names), joints)
     for tendon, row in zip(hand.tendon, hand.moment_arms, strict=True):
         assert {hand.joints[j]: row[j] for j in np.flatnonzero(row)} == tendon.moment_arm_m
         assert hand.motor_of(tendon.name).name == tendon.motor
@@ -93,9 +98,10 @@ def test_a_hand_cannot_be_changed(hand):
 
 
 def test_sensor_frames(hand):
-    eleven = hand.name == "jamia11"
+    eleven = hand.name in ("jamia11", "n_plus_1")
+    encoders = {"jamia11": (0x1B0, 0x1B1, 0x1B2), "n_plus_1": (0x1B0, 0x1B1)}
     assert hand.sensor_node.tension_ids == ((0x1A0, 0x1A1, 0x1A2) if eleven else (0x1A0,))
-    assert hand.sensor_node.joint_ids == ((0x1B0, 0x1B1, 0x1B2) if eleven else ())
+    assert hand.sensor_node.joint_ids == encoders.get(hand.name, ())
 
 
 def test_several_buses_may_use_the_same_node_ids():

@@ -184,7 +184,8 @@ def test_energy_is_conserved(digits):
             k4 = rate(state + dt * k3)
             state = state + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
             kinetic.append(dynamics.kinetic_energy(digit, state[:n], state[n:]))
-        assert np.ptp(kinetic) > 0.3 * start
+        # Without springs only weight exchanges energy.
+        assert np.ptp(kinetic) > (0.3 if any(digit.spring_stiffness) else 0.1) * start
         assert abs(energy(state) - start) < 1e-6 * start
 
 

@@ -38,7 +38,7 @@ def added(package: Path) -> None:
         file.write("\n" + re.sub("^   ", "", declaration, flags=re.MULTILINE))
     path = package / "core" / "detectors" / "tendon.py"
     source = path.read_text(encoding="utf-8")
-    place = "        tension = x.tendon[s.MEASURED_TENSION, n]\n"
+    place = "        tension = monitored_tension(x, c, n, True)\n"
     assert place in source
     lines = re.sub("^   ", " " * 8, detector, flags=re.MULTILINE)
     source = source.replace(place, place + lines, 1)

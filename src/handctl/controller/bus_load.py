@@ -100,6 +100,8 @@ def drive_rows(drive: Drive, bus: Bus) -> tuple[FrameRow, ...]:
 def sensor_rows(hand: Hand, bus: Bus) -> tuple[FrameRow, ...]:
     """Return the frames of sensor node and SYNC on a bus."""
     node = make_sensors(hand)
+    if not node.ids:
+        return ()
     names = ["SYNC"] + ["tensions"] * node.tension_frames + ["joint angles"] * (len(node.ids) - node.tension_frames)
     return tuple(
         FrameRow(name, size, False, number, 0.0, frame_time_s(size, False, bus.bitrate))
@@ -110,7 +112,7 @@ def sensor_rows(hand: Hand, bus: Bus) -> tuple[FrameRow, ...]:
 def _load(hand: Hand, index: int, bus: Bus, drives: tuple[Drive, ...]) -> BusLoad:
     bus_drives = [drive for drive in drives if drive.bus == index]
     rows = [row for drive in bus_drives for row in drive_rows(drive, bus)]
-    if hand.sensor_node.bus == bus.name:
+    if hand.sensor_node.bus == bus.name and make_sensors(hand).ids:
         rows += sensor_rows(hand, bus)
     return BusLoad(bus.name, len(bus_drives), tuple(rows))
 

@@ -219,10 +219,7 @@ def _missing_inputs(state: State, inputs: ModeInputs) -> list[str]:
     """Return the missing inputs of the filter, where all drives are ready and all sensor frames were received."""
     drives = _named_drives(state, inputs)
     blind = [name for name, drive in drives if drive.phase == Phase.READY and math.isnan(drive.position)]
-    sensed = inputs.model.hand.sensor_node.tendons
-    bare = [name for name in inputs.model.hand.tendon_names if name not in sensed]
-    reason = [f"no position from {', '.join(blind)}"] if blind else []
-    return [*reason, f"no load cell of {', '.join(bare)} in sensor_node.tendons"] if bare else reason
+    return [f"no position from {', '.join(blind)}"] if blind else []
 
 
 def _ready(state: State, inputs: ModeInputs) -> Next:

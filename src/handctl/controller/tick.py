@@ -345,24 +345,36 @@ class Controller:
         if mode in (SILENT, DONE):
             return frames_of(modes.shutdown_frames(self.drives, state))
         out = np.empty((1 + len(self.wire.templates), WORDS), dtype=np.uint64)
-        counter = self.sensors.counter(state.k)
-        out[0] = self.sync_row
-        out[0, PAYLOAD] = counter
-        state.set_whole(s.SYNC_COUNTER, counter & 0xF)
-        state.set_whole(s.SYNCS, state.whole(s.SYNCS) + 1)
+        # A hand without sensors has no SYNC: its row is left out.
+        start = 0 if self.sensors.ids else 1
+        if self.sensors.ids:
+            counter = self.sensors.counter(state.k)
+            out[0] = self.sync_row
+            out[0, PAYLOAD] = counter
+            state.set_whole(s.SYNC_COUNTER, counter & 0xF)
+            state.set_whole(s.SYNCS, state.whole(s.SYNCS) + 1)
         torque = state.tendon[s.TORQUE]
         if self.model.torque_gain is not None:
             torque = torque / self.model.torque_gain
         target = modes.drive_target(mode)
-        sent = self._send(state, out, target, torque, t_ns)
-        return joined([frames_of(self.cut_frames()), Frames.of_rows(out[:1])]) if mode == CUT else sent
+        sent = self._send(state, out, start, target, torque, t_ns)
+        return joined([frames_of(self.cut_frames()), Frames.of_rows(out[start:1])]) if mode == CUT else sent
 
-    def _send(self, state: State, out: Rows, target: DriveTarget, torque: Vector, t_ns: int) -> Frames:
-        """Write commands behind the SYNC in ``out``. Drives in transition go through their state machines."""
+    def _send(self, state: State, out: Rows, start: int, target: DriveTarget, torque: Vector, t_ns: int) -> Frames:
+        """Write commands behind the SYNC in ``out``. Drives in transition go through their state machines.
+
+        Args:
+            state: modified in place.
+            out: memory for the frames, with SYNC in row 0.
+            start: first row to send: 0 with SYNC, 1 without.
+            target: state that the drives are driven to.
+            torque: (N,) commanded torque [N m].
+            t_ns: time of the tick [ns].
+        """
         tables = self.wire
         parts = list[Frames]()
         first = 0
-        pending_row = 0
+        pending_row = start
         count = 1
         clearing = state.clearing and state.mode == Mode.INVENTORY
         n = len(self.drives)

@@ -44,10 +44,11 @@ SIDE = _real("side", "tendon", "", "1 for a tendon that closes its digit, -1 for
 OPEN_EXCURSION = _real("open_excursion", "tendon", "m", "excursion at the lower joint limits")
 EXCURSION_LOW = _real("excursion_low", "tendon", "m", "smallest excursion within the joint limits")
 EXCURSION_HIGH = _real("excursion_high", "tendon", "m", "largest excursion within the joint limits")
+BLIND = _real("blind", "tendon", "N", "margin of an estimated tension without load cell, 0 with load cell")
 RELAXED = _real("relaxed", "tendon", "N", "tension of a relaxed hand")
 BALANCE = _real("balance", "tendon", "N", "tensions of a digit without torque, 0 without surplus tendons")
 SPRUNG = _whole("sprung", "tendon", "", "springs return the digit to its lower joint limits")
-SURPLUS = _whole("surplus", "tendon", "", "the digit has more tendons than coordinates")
+REDUNDANT = _whole("redundant", "tendon", "", "the digit has more tendons than coordinates")
 ABSOLUTE = _whole("absolute", "tendon", "", "a newly taut tendon keeps its length, its excursion follows")
 
 # Control law.

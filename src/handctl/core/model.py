@@ -19,6 +19,8 @@ from handctl.hand.digit import Values
 from handctl.hand.dynamics import DigitModel, required_torque
 from handctl.hand.tree import HandTree
 
+BLIND_SIGMAS = 2.0
+"""Margin of the limits of a tendon without load cell, in standard deviations of its estimated tension."""
 Inverse = Callable[[DigitModel, Values, Values, Values], tuple[float, ...]]
 """Inverse dynamics of a digit: joint torque from digit, q, dq and ddq."""
 
@@ -49,6 +51,7 @@ class HandModel:
         torque_limit: (N,) largest motor torque the host may command [N m].
         redundancy: directions of the tendons, and tensions that hold each other.
         tree: all links of the hand.
+        blind_margin: (N,) margin of limits for an estimated tension without load cell, 0 with one [N].
         torque_gain: (N,) torque at the spool per commanded torque. None: not identified.
         inverse: joint torque of a motion, from digit, q, dq and ddq. Experiments replace it.
     """
@@ -74,6 +77,7 @@ class HandModel:
     torque_limit: Vector
     redundancy: Redundancy
     tree: HandTree
+    blind_margin: Vector
     torque_gain: Vector | None = None
     inverse: Inverse = required_torque
 
@@ -91,8 +95,15 @@ class HandModel:
         space = tendon_space(hand, digits)
         tendons = hand.tendon
         arms = np.abs(hand.moment_arms)
-        floor = np.array([tendon.tension_floor_N for tendon in tendons])
-        ceiling = np.array([tendon.tension_max_N for tendon in tendons])
+        period = 1.0 / rate_hz
+        filters = design_filter(space, gains.filter, period, _joint_period(hand, period))
+        margin = np.where(hand.has_cell, 0.0, BLIND_SIGMAS * filters.held_sigma)
+        # The floor of tendons that springs return is the hand file's: more of it would close the digit.
+        held = np.array(
+            [len(digit.moment_arms) > digit.coupling.shape[1] for digit in digits for _ in digit.moment_arms]
+        )
+        floor = np.array([tendon.tension_floor_N for tendon in tendons]) + np.where(held, margin, 0.0)
+        ceiling = np.array([tendon.tension_max_N for tendon in tendons]) - margin
         return HandModel(
             hand=hand,
             gains=gains,
@@ -102,7 +113,7 @@ class HandModel:
             digit_tendons=tuple(digit.tendons for digit in digits),
             digit_of=tuple(d for d, one in enumerate(digits) for _ in range(one.tendons.start, one.tendons.stop)),
             space=space,
-            filter=design_filter(space, gains.filter, 1.0 / rate_hz, _joint_period(hand, 1.0 / rate_hz)),
+            filter=filters,
             motion=design_motion(space, gains, 1.0 / rate_hz),
             excursion_to_joints=block_diag(*(digit.excursion_to_joints for digit in digits)),
             torque_to_tension=block_diag(*(digit.torque_to_tension for digit in digits)),
@@ -115,6 +126,7 @@ class HandModel:
             torque_limit=_torque_limit(hand, torque_gain),
             redundancy=redundancy(digits, floor, ceiling),
             tree=HandTree.of(hand, digits),
+            blind_margin=margin,
             torque_gain=torque_gain,
         )
 

@@ -35,6 +35,7 @@ class TendonSpace:
         spool: radius [m].
         encoder_step: resolution of the motor position along the tendon [m].
         tension_noise: standard deviation of a load-cell sample [N].
+        has_cell: 1 for a tendon with a load cell, 0 without.
     """
 
     motor_mass: Vector
@@ -48,6 +49,7 @@ class TendonSpace:
     spool: Vector
     encoder_step: Vector
     tension_noise: Vector
+    has_cell: Vector
 
 
 def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
@@ -76,6 +78,7 @@ def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
         spool=spool,
         encoder_step=np.array([_position_step(motors[tendon.motor]) for tendon in tendons]) * spool,
         tension_noise=np.full(len(tendons), hand.sensor_node.tension_noise_N),
+        has_cell=hand.has_cell.astype(np.float64),
     )
 
 

@@ -42,7 +42,7 @@ def of_bus(
         joints: names of all joints.
     """
     sent = list[Sent]()
-    if sensors.bus == bus:
+    if sensors.bus == bus and sensors.ids:
         counter = Signal("counter", Quantity.COUNTER, 0, 8)
         sent.append(Sent(Message("sync", sensors.sync_id, 1, (counter,)), HOST, SENSORS))
         sent += [Sent(_channels(message, tendons, joints), SENSORS, HOST) for message in sensors.messages]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, model_validator
 
 from handctl.hand.file import quantities as qty
 from handctl.hand.file.sections import Bus, Digit, Motor, Mount, Section, SensorNode, StreamLimits, Tendon
@@ -16,6 +16,12 @@ from handctl.hand.file.toml_text import toml_text
 
 LATER_KEYS = ("joint_rated_torque_N_m", "joint_axis", "joint_rpy_deg", "mount_on")
 """Keys of a digit that came later. ``content`` has them only where the file has them."""
+
+NO_SENSORS: dict[str, Any] = {
+    "sync_id": 0x080, "base_id": 0x1A0, "tendons": (), "joints": (), "joint_decimation": 1,
+    "tension_noise_N": 0.5, "tension_bias_drift_N": 0.0, "joint_noise_rad": 1e-3,
+}  # fmt: skip
+"""Sensor node of a hand whose file has none. No channel uses its identifiers and noise."""
 
 
 class Hand(Section):
@@ -34,6 +40,7 @@ class Hand(Section):
     bus: tuple[Bus, ...] = Field(min_length=1)
     """CAN buses."""
     sensor_node: SensorNode
+    """A node without load cells and joint encoders in a hand without sensors. SYNC is not sent then."""
     """Sensor node with load cells and joint encoders."""
     stream: StreamLimits = StreamLimits()
     """Limits of targets that a client streams."""
@@ -43,6 +50,22 @@ class Hand(Section):
     """Tendons, digit by digit."""
     motor: tuple[Motor, ...] = Field(min_length=1)
     """Motors with their drives."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_sensors(cls, given: Any) -> Any:
+        """Add a sensor node without channels to a hand without sensors."""
+        if not isinstance(given, dict) or "sensor_node" in given:
+            return given
+        buses = given.get("bus")
+        if not isinstance(buses, list | tuple) or not buses or not isinstance(buses[0], dict) or "name" not in buses[0]:
+            return given  # the bus is what is wrong
+        return given | {"sensor_node": NO_SENSORS | {"bus": buses[0]["name"]}}
+
+    @cached_property
+    def has_cell(self) -> NDArray[np.bool_]:
+        """Return True for each tendon with a load cell, (N,)."""
+        return np.array([name in self.sensor_node.tendons for name in self.tendon_names])
 
     @cached_property
     def joints(self) -> tuple[str, ...]:

@@ -27,7 +27,6 @@ def unready(hand: Hand) -> Iterator[Mistake]:
     """Yield the reasons why a valid hand cannot run, by key."""
     for bus in hand.bus:
         yield from _check_rates(bus)
-    yield from _check_load_cells(hand)
     for digit in hand.digit:
         yield from _check_direction(digit)
         yield from _check_opening(hand, digit)
@@ -41,13 +40,6 @@ def _check_rates(bus: Bus) -> Iterator[Mistake]:
         yield Mistake(f"{bus.bitrate}", f"{where}.bitrate", right)
     elif bus.data_bitrate is not None and bus.data_bitrate < bus.bitrate:
         yield Mistake(f"{bus.data_bitrate}", f"{where}.data_bitrate", f"at least bitrate = {bus.bitrate}")
-
-
-def _check_load_cells(hand: Hand) -> Iterator[Mistake]:
-    """Check that every tendon has a load cell."""
-    if bare := [name for name in hand.tendon_names if name not in hand.sensor_node.tendons]:
-        right = "every tendon: without its load cell no hand is armed"
-        yield Mistake(f"no load cell of {', '.join(bare)}", "sensor_node.tendons", right)
 
 
 def _check_direction(digit: Digit) -> Iterator[Mistake]:
@@ -90,12 +82,14 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[Mistake]:
     opened = np.radians(digit.joint_min_deg) + np.array(digit.spring_preload_rad)
     springs = coupling.T @ (stiffness * opened)
     closing = arms.T @ floor
-    weak = springs <= closing
-    if not weak.any() or hold_each_other(arms):
+    if hold_each_other(arms):
         return
     if (arms.min(axis=0) < 0.0).any() and not stiffness.any():
         right = "tensions above 0 that make no torque together: one more tendon than coordinates, or other arms"
         yield Mistake("its tendons cannot hold each other", f"digit[{digit.name}].tendon", right)
+        return
+    weak = (springs <= closing) & (arms.min(axis=0) >= 0.0)
+    if not weak.any():
         return
     # One line per digit: the joint that is held closed by most.
     worst = int(np.argmax(np.where(weak, closing - springs, -np.inf)))

@@ -4,6 +4,8 @@ One tendon after the other is pulled gently while all others are slack. Only its
 respond. The pull is too weak to move a digit against the springs, so the joint encoders are not
 tested.
 
+A tendon without load cell has no tare. Its motor proves that it becomes taut.
+
 Without springs a single tendon would move its digit. There all tendons of the digit pull together,
 so that the digit is pressed on its lower joint limits. One tendon after the other is then pulled
 more. The known excursion of the limits, or that of the joint encoders, is taken off the motor
@@ -44,6 +46,8 @@ TAKE_UP_TIMEOUT_S = 3.0
 """Longest time until a pulled tendon is taut [s]."""
 HOLD_TIMEOUT_S = 10.0
 """Longest time until all tendons of a digit without springs are taut, with the way to its lower limits [s]."""
+HOLD_SETTLE_S = 1.6
+"""Time between taut tendons of a digit without springs and the measurement: it goes to its limits meanwhile [s]."""
 PRESS_FACTOR = 1.5
 """Torque that presses a digit without springs on its lower limits, as a multiple of the torque of a pull."""
 MEASURE_S = 0.3
@@ -95,8 +99,9 @@ class CommissionProgram:
 
     def _tare(self, model: HandModel, progress: Progress, measured: Measured, t: float) -> ProgressAndEvents:
         table = _table(progress)
-        if not np.isnan(measured.tension).any():
-            table[:, TARE_SUM] += measured.tension
+        tension = _tensions(model, measured)
+        if not np.isnan(tension).any():
+            table[:, TARE_SUM] += tension
             table[:, TARE_SAMPLES] += 1.0
         progress = _with_table(progress, table)
         if t - progress.since < TARE_S:
@@ -119,11 +124,12 @@ class CommissionProgram:
         Only tares of tendons that were never taut are renewed, because friction may hold tension in a
         tendon pulled before: that of the present tendon, or those of a digit without springs.
         """
-        if t - progress.since < REST_SETTLE_S or np.isnan(measured.tension).any():
+        tension = _tensions(model, measured)
+        if t - progress.since < REST_SETTLE_S or np.isnan(tension).any():
             return progress, ()
         i = progress.step - 1
         table = _table(progress)
-        table[:, REST_SUM] += measured.tension
+        table[:, REST_SUM] += tension
         table[:, REST_SAMPLES] += 1.0
         samples = table[i, REST_SAMPLES]
         # Missing readings do not count, so the time is counted in samples.
@@ -172,21 +178,24 @@ class CommissionProgram:
         waiting = progress.touching[0]
         if waiting == 0:
             if not estimate.slack[own].any():
-                return replace(progress, touching=(1, *progress.touching[1:]), since=t), ()
+                # The digit is pressed on its limits from here on, and the filter must not take it for free.
+                contact = tuple(d == model.digit_of[i] for d in range(len(model.digits)))
+                return replace(progress, touching=(1, *progress.touching[1:]), since=t, contact=contact), ()
             if t - progress.since <= HOLD_TIMEOUT_S:
                 return progress, ()
             slack = own.start + int(np.flatnonzero(estimate.slack[own])[0])
             return self._refuse(model, progress, slack, _no_answer_text(model, measured))
         excursion = np.where(model.hand.covered, measured.excursion, model.redundancy.open_excursion)[own]
-        missing = np.isnan(measured.tension).any() or np.isnan(measured.travel[own] + excursion).any()
-        if t - progress.since < SETTLE_S or missing:
+        tension = _tensions(model, measured, estimate)
+        missing = np.isnan(tension).any() or np.isnan(measured.travel[own] + excursion).any()
+        if t - progress.since < HOLD_SETTLE_S or missing:
             return progress, ()
         table = _table(progress)
-        table[:, REST_SUM] += measured.tension
+        table[:, REST_SUM] += tension
         table[:, REST_SAMPLES] += 1.0
         first = i == own.start
         if first:
-            stretch = measured.tension[own] / model.space.stiffness[own]
+            stretch = tension[own] / model.space.stiffness[own]
             table[own, ZERO] += (measured.travel[own] - stretch - excursion) / model.space.spool[own]
         progress = replace(_with_table(progress, table), touching=(waiting + 1, *progress.touching[1:]))
         if waiting * model.period < MEASURE_S:
@@ -216,10 +225,11 @@ class CommissionProgram:
         if waiting == 0:
             late = t - progress.since > TAKE_UP_TIMEOUT_S
             return self._refuse(model, progress, i, _no_answer_text(model, measured)) if late else (progress, ())
-        if t - progress.since < SETTLE_S or np.isnan(measured.tension).any() or np.isnan(measured.travel[i]):
+        tension = _tensions(model, measured, estimate)
+        if t - progress.since < SETTLE_S or np.isnan(tension).any() or np.isnan(measured.travel[i]):
             return progress, ()
         table = _table(progress)
-        table[:, PULL_SUM] += measured.tension
+        table[:, PULL_SUM] += tension
         if model.redundancy.sprung[i]:
             # The spool's radius makes travel [m] to motor angle [rad].
             table[i, ZERO] += measured.travel[i] / model.space.spool[i]
@@ -261,6 +271,7 @@ class CommissionProgram:
             since=t,
             goals=passive,
             phase="rest",
+            contact=(False,) * len(passive),
             touching=(RESTING,) * len(passive),
         ), ()
 
@@ -293,6 +304,14 @@ def _pull_goal(tendons: slice, i: int) -> DigitGoal:
     tension = np.zeros(tendons.stop - tendons.start)
     tension[i - tendons.start] = PULL_N
     return DigitGoal(Kind.TENSION, tension=tension, rate=20.0, force_limit=PULL_FORCE_LIMIT_N)
+
+
+def _tensions(model: HandModel, measured: Measured, estimate: Estimate | None = None) -> Vector:
+    """Return the tensions (N,) of a tick [N]: load cells, and estimates of tendons without.
+
+    Without an estimate a tendon without load cell counts as slack.
+    """
+    return np.where(model.hand.has_cell, measured.tension, 0.0 if estimate is None else estimate.tension)
 
 
 def _hold_phase(model: HandModel, i: int) -> str:
@@ -349,7 +368,8 @@ def _with_results(model: HandModel, table: Vector, i: int, samples: int) -> Vect
         stretch = rise[i] / model.space.stiffness[i] / model.space.spool[i]
         table[i, ZERO] = table[i, ZERO] / samples - stretch - model.redundancy.open_excursion[i] / model.space.spool[i]
     table[i, ANSWER] = rise[i]
-    table[i, CROSSTALK] = np.abs(np.delete(rise, i)).max(initial=0.0)
+    others = model.hand.has_cell & (np.arange(model.tendon_count) != i)
+    table[i, CROSSTALK] = np.abs(rise[others]).max(initial=0.0)
     table[:, [PULL_SUM, REST_SUM, REST_SAMPLES]] = 0.0
     return table
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from handctl.core.estimate import Estimate, Measured
-from handctl.core.estimation.tip import tip_lever
+from handctl.core.estimation.tip import joint_lever, tip_lever
 from handctl.core.law.allocation import allocate
 from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.law.trajectory import Curve, duration_for
@@ -198,9 +198,8 @@ class TaskProgram:
         events: list[Event] = []
         for d, tendons in enumerate(model.digit_tendons):
             closing = goals[d].kind == Kind.MOTION and not contact[d]
-            above = closing and forces[d] > contact_threshold(
-                goals[d], model.digits[d].joint_count, gains.threshold_N, t
-            )
+            threshold = contact_threshold(goals[d], model.digits[d].joint_count, gains.threshold_N, t)
+            above = closing and forces[d] > threshold + blind_tip_force(model, d)
             touching[d] = touching[d] + 1 if above else 0
             if touching[d] >= gains.ticks:
                 contact[d] = True
@@ -280,6 +279,17 @@ def _distance_error(model: HandModel, phase: Follow, estimate: Estimate) -> str:
         if np.abs(angle - first).max() > FOLLOW_START_DEG:
             return f"{name} is at {angle.mean():.1f} deg, but the trajectory begins at {first:g} deg: move there first"
     return ""
+
+
+def blind_tip_force(model: HandModel, d: int) -> float:
+    """Return the margin of digit d's tip force for estimated tensions without load cell [N], 0 with load cells."""
+    digit = model.digits[d]
+    margin = float(model.blind_margin[digit.tendons].mean())
+    if margin == 0.0:
+        return 0.0
+    # Tensions per tip force of the open digit: the tip force fits them in least squares.
+    response = digit.torque_to_tension @ joint_lever(digit, digit.joint_min)
+    return margin / float(np.linalg.norm(response))
 
 
 def contact_threshold(goal: DigitGoal, joints: int, threshold: float, t: float) -> float:

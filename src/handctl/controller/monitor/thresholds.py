@@ -39,7 +39,10 @@ def limits_of(model: HandModel, drives: tuple[Drive, ...], sensors: SensorNode) 
         tendons=hand.tendon_names,
         motors=tuple(drive.name for drive in drives),
         joints=hand.joints,
-        tension_trip=tuple(tendon.tension_trip_N for tendon in hand.tendon),
+        tension_trip=tuple(
+            tendon.tension_trip_N - margin
+            for tendon, margin in zip(hand.tendon, model.blind_margin.tolist(), strict=True)
+        ),
         drive_limit=tuple(tendon.drive_limit_N for tendon in hand.tendon),
         tension_rail=sensors.tension_rail,
         tension_low=sensors.tension_low,

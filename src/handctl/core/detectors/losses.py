@@ -41,13 +41,15 @@ def motor_age(x: Tables, c: ConstantTables, n: int, now_ns: int) -> int:
 def cell_age(x: Tables, c: ConstantTables, n: int, now_ns: int) -> int:
     """Return the number of ticks a load cell is overdue.
 
-    A tendon without a cell has the age of the node's latest frame.
+    A tendon without a cell has the age of the node's latest frame, 0 in a hand without load cells.
     """
     group = c.tendon_int[h.CELL_GROUP, n]
     heard_ns = -1
     for g in range(c.run_int[h.TENSION_GROUPS]):
         if g == group or group < 0:
             heard_ns = max(heard_ns, x.group_int[s.GROUP_NS, g])
+    if c.run_int[h.TENSION_GROUPS] == 0:
+        return 0
     return ticks_late(now_ns, heard_ns, 0, c.run_int[h.PERIOD_NS])
 
 

@@ -14,6 +14,7 @@ from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
+from handctl.core.estimation.measure import monitored_tension
 
 BALANCE, MADE, ASKED, TENSION, QUICK_FORCE, SLIP, JERK, RUB = range(8)
 """Rows of ``block.RESIDUAL``."""
@@ -45,9 +46,10 @@ def update(x: Tables, c: ConstantTables, missed: int, tared: bool) -> None:
         force = x.tendon[s.MEASURED_FORCE, n]
         commanded = x.tendon[s.COMMANDED_FORCE, n]
         made = commanded if math.isnan(force) else force
+        monitored = monitored_tension(x, c, n, tared)
         if not initialized:
             # What is filtered quickly begins at what is there.
-            x.tendon[s.RESIDUAL + TENSION, n] = 0.0 if math.isnan(tension) else tension
+            x.tendon[s.RESIDUAL + TENSION, n] = 0.0 if math.isnan(monitored) else monitored
             x.tendon[s.RESIDUAL + QUICK_FORCE, n] = 0.0 if math.isnan(made) else made
         turned = position - x.tendon[s.LAST_POSITION, n]
         # Friction as tanh(1000 v): full above some millimetres per second, without chatter at rest.
@@ -57,7 +59,7 @@ def update(x: Tables, c: ConstantTables, missed: int, tared: bool) -> None:
         now[BALANCE] = balance
         now[MADE] = made
         now[ASKED] = commanded - force
-        now[TENSION] = tension
+        now[TENSION] = monitored
         now[QUICK_FORCE] = made
         now[SLIP] = x.tendon[s.SLIP, n]
         now[JERK] = square(turned - x.tendon[s.LAST_TURNED, n])

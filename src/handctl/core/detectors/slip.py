@@ -7,6 +7,7 @@ from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
+from handctl.core.estimation.measure import monitored_tension
 from handctl.safety.faults.tendon import DERAILED_DEG, SLACK_N, TAUT_N
 
 SETTLE_S = 0.1
@@ -25,7 +26,7 @@ def update(x: Tables, c: ConstantTables, tared: bool) -> None:
     """
     read = x.run_int[s.JOINTS_READ] == 1
     for n in range(x.tendon.shape[1]):
-        tension = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
+        tension = monitored_tension(x, c, n, tared)
         if tension < SLACK_N:
             x.tendon[s.TAUT_S, n] = 0.0
         elif tension > TAUT_N:

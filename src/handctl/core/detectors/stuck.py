@@ -74,7 +74,7 @@ def stretching(x: Tables, c: ConstantTables, n: int) -> float:
 
     An antagonist stretches a tendon whose own motor rests.
     """
-    return math.nan if c.tendon_int[h.SURPLUS, n] else x.tendon[s.RESIDUAL + TENSION, n]
+    return math.nan if c.tendon_int[h.REDUNDANT, n] else x.tendon[s.RESIDUAL + TENSION, n]
 
 
 @inner

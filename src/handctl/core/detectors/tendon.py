@@ -1,7 +1,5 @@
 """Detectors of rows T01 to T09, see ``safety.faults.tendon``."""
 
-import math
-
 from handctl.compiled import inner
 from handctl.core import block as s
 from handctl.core import constants as h
@@ -10,6 +8,7 @@ from handctl.core.constants import ConstantTables
 from handctl.core.detectors import residuals, stuck
 from handctl.core.detectors.bus import Evidence
 from handctl.core.detectors.replays import replayed
+from handctl.core.estimation.measure import monitored_tension
 from handctl.safety.faults.tendon import (
     CELL_FORCE_N,
     CELL_TICKS,
@@ -53,10 +52,12 @@ def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> Non
     relaxing_s = x.run_int[s.T_NS] * 1e-9 - x.run[s.MODE_SINCE]
     relaxed = x.run_int[s.MODE] == RELAX and relaxing_s > RELAXED_S
     for n in range(x.tendon.shape[1]):
-        tension = x.tendon[s.MEASURED_TENSION, n]
+        # The load cell is read before its tare as well.
+        tension = monitored_tension(x, c, n, True)
         if c.tendon[h.TENSION_TRIP, n] < tension < rail:
             evidence[T03, n] = tension
-        if c.tendon[h.DRIVE_LIMIT, n] < tension < rail:
+        # An estimate is no proof that the drive exceeds its own limit.
+        if c.tendon[h.DRIVE_LIMIT, n] < tension < rail and c.tendon_int[h.CELL_GROUP, n] >= 0:
             evidence[T03B, n] = tension
         if relaxed and tension > c.tendon[h.TENSION_TRIP, n]:
             evidence[T03C, n] = tension
@@ -101,7 +102,7 @@ def _slack(x: Tables, c: ConstantTables, n: int, evidence: Evidence) -> None:
         evidence[T02A, n] = since
     if since > SLACK_TRIP_S:
         evidence[T02B, n] = since
-    tension = x.tendon[s.MEASURED_TENSION, n] if x.run_int[s.TARED] else math.nan
+    tension = monitored_tension(x, c, n, x.run_int[s.TARED] == 1)
     was_taut = 0.0 <= x.tendon_int[s.TAUT_AGO, n] * period < SNAP_MEMORY_S
     if speed > SNAP_SPEED and commanded > SNAP_N and tension < SNAP_FRACTION * commanded and was_taut:
         evidence[T01, n] = speed

@@ -58,6 +58,13 @@ DOUBTED_HELD_WALK = 3.0
 """Random walk of the tension of a doubted tendon that is held [N/s^0.5]."""
 DOUBTED_PLAN = 0.25
 """Fraction of the planned change of tension expected of a doubted tendon."""
+BLIND_FRICTION = 0.6
+"""Standard deviation of a motor's friction as a fraction of the Coulomb friction, for tendons without load cell.
+
+Between the two directions of motion friction may have any value: 1 / sqrt(3) for an equal distribution.
+"""
+BLIND_TIME_S = 0.3
+"""Correlation time of this friction [s]: the motor rests and moves as the digit does."""
 TAUT = (Regime.FREE, Regime.HELD)
 """Regimes with a block for doubt, in order. Slack follows after them."""
 
@@ -110,7 +117,8 @@ def _continuous(space: TendonSpace, i: int, regime: Regime, gains: FilterGains) 
     else:
         A[W, W] = -1.0 / gains.held_time_s
         A[S, S] = -1.0 / FORGET_S
-    A[D, D] = -1.0 / _motor_noise(regime, gains)[1]
+    time = _motor_noise(regime, gains)[1]
+    A[D, D] = -1.0 / (time if space.has_cell[i] else max(time, BLIND_TIME_S))
     A[E, E] = A[O, O] = -1.0 / FORGET_S
     return A, B, tension
 
@@ -129,6 +137,10 @@ def _intensity(space: TendonSpace, i: int, regime: Regime, gains: FilterGains) -
     """
     Q = np.zeros((STATES, STATES))
     disturbance, time, jerk = _motor_noise(regime, gains)
+    if not space.has_cell[i]:
+        # Without load cell the tension is the motor force less friction, so friction is its error.
+        disturbance = math.hypot(disturbance, BLIND_FRICTION * space.coulomb[i])
+        time = max(time, BLIND_TIME_S)
     Q[V, V] = jerk**2 / space.motor_mass[i] ** 2
     if regime == Regime.FREE:
         rate = gains.free_rate_N_per_s / space.stiffness[i]
@@ -165,6 +177,9 @@ def _block(
 ) -> Block:
     """Return the filter of a tendon in a regime, with or without doubt.
 
+    A tendon without load cell has the encoder alone. Its tension is then known by the motor force, with
+    the wide uncertainty of friction.
+
     The load-cell error is estimated in slack only, where the tension is known. In other regimes the
     error is not observable: it is kept, the growing variance is included, and the gains are those
     of a filter without the error state.
@@ -188,19 +203,22 @@ def _block(
     known = regime == Regime.SLACK
     H[1, E] = float(known)
     noise = np.array([space.encoder_step[i] * gains.encoder_noise_counts, space.tension_noise[i]])
-    P = _riccati(F, H[:2], Q, np.diag(noise**2))
+    # Encoder and load cell, or the encoder alone.
+    read = 2 if space.has_cell[i] else 1
+    P = _riccati(F, H[:read], Q, np.diag(noise[:read] ** 2))
     innovation = H[:2] @ P @ H[:2].T + np.diag(noise**2)
     K = np.zeros((STATES, MEASUREMENTS))
-    K[:, :2] = np.linalg.solve(innovation, H[:2] @ P).T
+    K[:, :read] = np.linalg.solve(innovation[:read, :read], H[:read] @ P).T
     # Consider state: no correction of the cell error unless it is observable, see the docstring.
     K[E] *= known
     H[1, E] = 1.0
     K[S, 2] = 1.0 - math.exp(-joint_period / gains.joint_time_s) if math.isfinite(joint_period) else 0.0
     # Travel and tension fix the sum of excursion and offset, so the offset moves the other way.
     K[O, 2] = -K[S, 2]
-    drift = 0.0 if known else gains.cell_drift_N**2 / gains.cell_drift_time_s * gains.cell_tared_s
+    drift = 0.0 if known or read == 1 else gains.cell_drift_N**2 / gains.cell_drift_time_s * gains.cell_tared_s
     variance = float(tension @ P @ tension) + drift  # without tension, in slack, nothing
-    information = np.asarray(np.linalg.inv(innovation), dtype=np.float64)
+    information = np.zeros((2, 2))
+    information[:read, :read] = np.linalg.inv(innovation[:read, :read])
     sigma = math.sqrt(innovation[1, 1])
     check_finite(F, held, K, P, information)
     return Block(F, held, H, K, Q, noise**2, P, known, drift, tension, variance, information, sigma)

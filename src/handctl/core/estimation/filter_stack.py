@@ -100,6 +100,11 @@ class FilterDesign:
         """Make the cache of the transition matrices."""
         object.__setattr__(self, "transition", functools.lru_cache(KEPT)(self._transition))
 
+    @property
+    def held_sigma(self) -> Matrix:
+        """Return the standard deviation of the tension of each held tendon, (N,) [N]."""
+        return np.sqrt([tendon[Regime.HELD].tension_variance for tendon in self.blocks])
+
     def _transition(self, kinds: bytes) -> Transition:
         in_use = [tendon[kind] for tendon, kind in zip(self.blocks, np.frombuffer(kinds, np.int64), strict=True)]
         return Transition(_stacked([block.F for block in in_use]), _stacked([block.B for block in in_use]))

@@ -19,7 +19,7 @@ from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation import covariance as carried
 from handctl.core.estimation.statics import by_others, pull, static_torque, torque_to_tension
-from handctl.core.estimation.take_up import has_turned, near_taut, take_up, turning
+from handctl.core.estimation.take_up import has_turned, near_taut, take_up, turning, turning_blind
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 
 Vector = NDArray[np.float64]
@@ -102,7 +102,7 @@ def correct(x: Tables, c: ConstantTables, missed: int) -> None:
         x.tendon_int[s.KIND, n] = x.tendon_int[s.KIND_BEFORE, n] = kind_of(x, n)
     z = _usable(x)
     innovation = _innovation(x, c, z)
-    full = missed > 0 or x.run_int[s.CARRIED] == 1 or _missing(x, z)
+    full = missed > 0 or x.run_int[s.CARRIED] == 1 or _missing(x, c, z)
     gain = np.zeros((count, STATES, 3))
     information = np.zeros((count, 3))
     cell_sigma = np.zeros(count)
@@ -158,10 +158,11 @@ def _innovation(x: Tables, c: ConstantTables, z: Matrix) -> Matrix:
 
 
 @inner
-def _missing(x: Tables, z: Matrix) -> bool:
+def _missing(x: Tables, c: ConstantTables, z: Matrix) -> bool:
     """Return True if a measurement assumed by the steady gains is missing. In slack no load cell is assumed."""
     for n in range(len(z)):
-        if math.isnan(z[n, 0]) or (math.isnan(z[n, 1]) and x.tendon_int[s.REGIME, n] != SLACK):
+        assumed = x.tendon_int[s.REGIME, n] != SLACK and c.tendon_int[h.CELL_GROUP, n] >= 0
+        if math.isnan(z[n, 0]) or (math.isnan(z[n, 1]) and assumed):
             return True
     return False
 
@@ -219,7 +220,7 @@ def _follow_taut(x: Tables, c: ConstantTables) -> None:
     several, the ticks are the iterations of a Gauss-Seidel solution.
     """
     for n in range(x.tendon.shape[1]):
-        if c.tendon_int[h.SURPLUS, n] and x.tendon_int[s.REGIME, n] == SLACK:
+        if c.tendon_int[h.REDUNDANT, n] and x.tendon_int[s.REGIME, n] == SLACK:
             excursion = by_others(c, n, x.tendon[s.EXCURSION])
             rate = by_others(c, n, x.tendon[s.EXCURSION_RATE])
             if not math.isnan(excursion):
@@ -228,8 +229,13 @@ def _follow_taut(x: Tables, c: ConstantTables) -> None:
 
 
 @inner
-def _nis(innovation: Vector, information: Vector) -> float:
-    """Return the normalised innovation squared of encoder and load cell, NaN if either is missing."""
+def _nis(innovation: Vector, information: Vector, blind: bool) -> float:
+    """Return the normalised innovation squared of encoder and load cell, NaN if either is missing.
+
+    Without load cell (``blind``) it is twice that of the encoder, so that 2 is right as well.
+    """
+    if blind:
+        return 2.0 * information[0] * innovation[0] * innovation[0]
     encoder = innovation[0]
     cell = innovation[1]
     return (information[0] * encoder + information[1] * cell) * encoder + information[2] * (cell * cell)
@@ -244,14 +250,15 @@ def _judge_innovation(x: Tables, c: ConstantTables, innovation: Matrix, informat
     """
     nominal = np.empty(3)
     for n in range(len(innovation)):
-        nis = _nis(innovation[n], information[n])
+        blind = c.tendon_int[h.CELL_GROUP, n] < 0
+        nis = _nis(innovation[n], information[n], blind)
         x.tendon[s.NIS, n] = nis
         x.tendon[s.INNOVATION, n] = innovation[n, 1]
         kind = x.tendon_int[s.KIND, n]
         if kind >= 3 and not full:
             for i in range(3):
                 nominal[i] = c.design[n, kind - 3, h.INFORMATION_AT + i]
-            nis = _nis(innovation[n], nominal)
+            nis = _nis(innovation[n], nominal, blind)
         if math.isnan(nis):
             continue
         nis = min(nis, NIS_LIMIT)
@@ -349,8 +356,16 @@ def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
         cell = x.tendon[s.MEASURED_TENSION, n]
         # Only in slack: then the encoder alone tells how much tendon is left to wind in.
         near = regime == SLACK and x.tendon_int[s.LENGTH_KNOWN, n] == 1 and near_taut(x, n)
-        points = turning(regime, x.tendon_int[s.TURNING, n], tension_of(x, c, n), cell, x.tendon[s.CELL_ERROR, n], near)
-        if has_turned(regime, points):
+        blind = c.tendon_int[h.CELL_GROUP, n] < 0
+        points = x.tendon_int[s.TURNING, n]
+        tension = tension_of(x, c, n)
+        if blind:
+            # The force that a slack tendon's motor lacks is the tension of a tendon that has become taut.
+            cell = -x.tendon[s.DISTURBANCE, n]
+            points = turning_blind(regime, points, tension, cell)
+        else:
+            points = turning(regime, points, tension, cell, x.tendon[s.CELL_ERROR, n], near)
+        if has_turned(regime, points, blind):
             points = 0
             if regime == SLACK:
                 take_up(x, c, n, cell)

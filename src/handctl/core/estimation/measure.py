@@ -123,11 +123,26 @@ def convert(x: Tables, c: ConstantTables) -> None:
 
 
 @inner
+def monitored_tension(x: Tables, c: ConstantTables, n: int, tared: bool) -> float:
+    """Return the tension of a tendon for detectors: the load cell, or the estimate of a tendon without [N].
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        n: index of the tendon.
+        tared: True if the load cells' zero is known.
+    """
+    if c.tendon_int[h.CELL_GROUP, n] < 0:
+        return x.tendon[s.TENSION, n]
+    return x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
+
+
+@inner
 def start(x: Tables, c: ConstantTables) -> None:
-    """Start the tension filter after the first reading of every encoder and load cell: hand open, tendons slack."""
+    """Start the tension filter after the first reading of all encoders and load cells: hand open, tendons slack."""
     for n in range(x.tendon.shape[1]):
         group = c.tendon_int[h.CELL_GROUP, n]
-        if group < 0 or x.group_int[s.GROUP_FRAMES, group] == 0 or math.isnan(x.tendon[s.POSITION, n]):
+        if (group >= 0 and x.group_int[s.GROUP_FRAMES, group] == 0) or math.isnan(x.tendon[s.POSITION, n]):
             return
     for n in range(x.tendon.shape[1]):
         for state in range(7):

@@ -21,6 +21,7 @@ def hand_pose(c: ConstantTables, q: Vector) -> Matrix:
     rigid_body.place_links(c.joint, h.LINK, c.joint_int[h.PARENT], q, pose)
     return pose
 
+
 OWN_MOST = 0.999
 """Largest fraction of a tendon's value that only the tendon itself tells. Above, no other tendon tells it."""
 

@@ -69,6 +69,29 @@ def turning(regime: int, points: int, tension: float, cell: float, error: float,
     return max(points + evidence, 0)
 
 
+BLIND_TAUT_N = 2.5
+"""Force missing at the motor of a slack tendon without load cell that counts as tension [N]."""
+BLIND_SLACK_TICKS = 12
+"""Ticks in a row of slack by the estimate alone."""
+
+
+@inner
+def turning_blind(regime: int, points: int, tension: float, missing: float) -> int:
+    """Return the evidence of a tendon without load cell, see ``turning``.
+
+    The motor of a slack tendon runs alone. Once the tendon is taut the motor lacks its tension.
+
+    Args:
+        regime: of the tendon.
+        points: so far.
+        tension: estimated [N].
+        missing: force that the motor lacks [N].
+    """
+    if regime != SLACK:
+        return points + 1 if tension < SLACK_BELOW_N else 0
+    return max(points + (LIKELY if missing > BLIND_TAUT_N else -AGAINST), 0)
+
+
 @inner
 def near_taut(x: Tables, n: int) -> bool:
     """Return True if a slack tendon of known length is nearly taut by the encoder."""
@@ -76,9 +99,10 @@ def near_taut(x: Tables, n: int) -> bool:
 
 
 @inner
-def has_turned(regime: int, points: int) -> bool:
-    """Return True if the evidence ends a regime."""
-    return points >= (TAUT_POINTS if regime == SLACK else SLACK_TICKS)
+def has_turned(regime: int, points: int, blind: bool) -> bool:
+    """Return True if the evidence ends a regime. A tendon without load cell (``blind``) becomes slack later."""
+    slack_ticks = BLIND_SLACK_TICKS if blind else SLACK_TICKS
+    return points >= (TAUT_POINTS if regime == SLACK else slack_ticks)
 
 
 @inner

@@ -37,11 +37,13 @@ def feel(x: Tables, c: ConstantTables) -> None:
         first = c.digit_int[h.TENDONS_FIRST, d]
         end = c.digit_int[h.TENDONS_END, d]
         mean = 0.0
+        margin = 0.0
         for n in range(first, end):
+            margin += c.tendon[h.BLIND, n] / (end - first)
             mean += c.tendon[h.SIDE, n] * x.tendon[s.EXTERNAL, n] / (end - first)
         retained = c.run[h.TOUCH_DECAY]
         x.digit[s.TOUCH, d] = retained * x.digit[s.TOUCH, d] + (1.0 - retained) * mean
-        limit = FREED_N if x.digit_int[s.BLOCKED, d] else BLOCKED_N
+        limit = FREED_N if x.digit_int[s.BLOCKED, d] else BLOCKED_N + margin
         blocked = x.digit[s.TOUCH, d] > limit
         if blocked != x.digit_int[s.BLOCKED, d]:
             x.run_int[s.CHANGED] = 1

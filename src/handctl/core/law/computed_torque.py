@@ -142,7 +142,7 @@ def command(x: Tables, c: ConstantTables, way: Matrix, relax_rate: float, open_l
         integral = 0.0
         if kind == MOTION:
             force = _move(x, c, n, terms[0, n], terms[1, n], rate, acceleration)
-            if c.tendon_int[h.SURPLUS, n]:
+            if c.tendon_int[h.REDUNDANT, n]:
                 integral = internal[1, n]
                 force += internal[0, n] + integral
             load[n] = x.tendon[s.LOAD, n]
@@ -202,7 +202,7 @@ def _motion_terms(x: Tables, c: ConstantTables, way: Matrix, limit: Vector) -> t
         efficiency[n] = winding_efficiency(c, n, way[0])
         excursion, rate, _ = _along(c, n, way)
         place = x.tendon[s.EXCURSION, n]
-        if c.tendon_int[h.SURPLUS, n]:
+        if c.tendon_int[h.REDUNDANT, n]:
             surplus = True
             # Excursions that no motion of the digit explains are errors of length: no feedback acts on them.
             place = explained(c, n, x.tendon[s.EXCURSION])

@@ -43,7 +43,7 @@ def hold_each_other(x: Tables, c: ConstantTables, limit: Vector, terms: Matrix, 
     for d in range(x.digit.shape[1]):
         first = c.digit_int[h.TENDONS_FIRST, d]
         end = c.digit_int[h.TENDONS_END, d]
-        if not c.tendon_int[h.SURPLUS, first] or x.tendon_int[s.GOAL_KIND, first] != MOTION:
+        if not c.tendon_int[h.REDUNDANT, first] or x.tendon_int[s.GOAL_KIND, first] != MOTION:
             continue
         more = _more_balance(c, first, end, limit, terms)
         for n in range(first, end):

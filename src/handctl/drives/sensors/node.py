@@ -154,7 +154,7 @@ class SensorNode:
     @property
     def host_ids(self) -> frozenset[int]:
         """Return the identifiers sent by the host alone."""
-        return frozenset((self.sync_id,))
+        return frozenset((self.sync_id,) if self.ids else ())
 
     @property
     def tension_rail(self) -> float:
@@ -176,7 +176,7 @@ class SensorNode:
         Angle frames count with the fraction of ticks in which they come.
         """
         rates = [1.0] * self.tension_frames + [1.0 / self.decimation] * (len(self.ids) - self.tension_frames)
-        return ((1, 1.0), *zip(self.lengths, rates, strict=True))
+        return ((1, 1.0), *zip(self.lengths, rates, strict=True)) if self.ids else ()
 
     @property
     def messages(self) -> tuple[Message, ...]:

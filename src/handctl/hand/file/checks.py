@@ -320,7 +320,8 @@ def _identifiers(hand: Hand) -> Iterator[tuple[str, object, str]]:
         for bus in {motor.bus for motor in hand.motor if motor.protocol == protocol}:
             yield bus, identifier, what
     node = hand.sensor_node
-    yield node.bus, node.sync_id, "sensor_node.sync_id"
+    if node.tendons or node.joints:
+        yield node.bus, node.sync_id, "sensor_node.sync_id"
     for identifier in (*node.tension_ids, *node.joint_ids):
         yield node.bus, identifier, "sensor_node.base_id"
     for motor in hand.motor:

@@ -49,7 +49,8 @@ def hand_schema() -> dict[str, Any]:
     }
     for kind, key in TEMPLATES.items():
         properties[key] = _tables(kind, f"Values of each {kind} that names the template.")
-    schema["required"] = [key for key in schema["required"] if key not in DIGIT_KINDS]
+    optional = (*DIGIT_KINDS, "sensor_node")
+    schema["required"] = [key for key in schema["required"] if key not in optional]
     return {"$schema": DRAFT, **_for_draft(schema), "title": "Hand file of handctl"}
 
 

@@ -1,0 +1,27 @@
+"""Faults that need a sensor which a hand file may leave out, for ``handctl config check``."""
+
+from handctl.hand.description import Hand
+from handctl.hand.file.error_text import listed
+
+NEED_LOAD_CELL = ("N02", "N14b", "N16", "T03b", "T04a", "T04b", "T05", "T05b", "T06", "T09")
+"""Faults that are not judged for a tendon without load cell.
+
+They compare a load cell with the motor, or judge the cell itself. T01, T02, T03, T08 and N06 use the
+estimated tension instead, with limits that are stricter by two standard deviations of it.
+"""
+NEED_ENCODERS = ("N06a", "N06b", "T08")
+"""Faults that are not judged for a tendon whose joints have no encoders."""
+
+
+def sensing_warnings(hand: Hand) -> tuple[str, ...]:
+    """Return one line per missing kind of sensor, with the faults that are not judged."""
+    lines = []
+    tendons = hand.tendon_names
+    if bare := [name for name, has in zip(tendons, hand.has_cell.tolist(), strict=True) if not has]:
+        text = "no load cell: its tension is that of motor, encoder and friction"
+        lines.append(f"{listed(bare)}: {text}; not judged: {', '.join(NEED_LOAD_CELL)}")
+        if unread := [name for name in bare if not hand.covered[tendons.index(name)]]:
+            lines.append(
+                f"{listed(unread)}: neither load cell nor joint encoders; not judged: {', '.join(NEED_ENCODERS)}"
+            )
+    return tuple(lines)

@@ -1,0 +1,162 @@
+"""Hands without load cells on some or all tendons: tension by motor, encoder and friction, against the simulator."""
+
+import os
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handctl.controller.setup import make_controller
+from handctl.core.gains.gains import Gains
+from handctl.core.model import BLIND_SIGMAS, HandModel
+from handctl.core.types import Event, Mode
+from handctl.hand.description import Hand
+from handctl.hand.load import hand_content, hand_from
+from handctl.programs.commission import CommissionProgram, result
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.program import Program
+from handctl.programs.task import Task
+from handctl.session.simulate import Simulation, Simulator, homed_controller
+
+RATE_HZ = 500.0
+SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 2)
+
+
+@cache
+def without(*tendons: str) -> Hand:
+    """Return jamia without the load cells of some tendons, without a sensor node if no tendon is named."""
+    content: dict[str, Any] = hand_content("jamia")
+    if not tendons:
+        del content["sensor_node"]
+    else:
+        node = content["sensor_node"]
+        content["sensor_node"] = node | {"tendons": [name for name in node["tendons"] if name not in tendons]}
+    return hand_from(content, "without cells")
+
+
+@cache
+def model_of(*tendons: str) -> HandModel:
+    """Return the model of ``without(*tendons)``."""
+    return HandModel.of(without(*tendons), Gains(), RATE_HZ)
+
+
+TASK = Task.model_validate(
+    {
+        "schema": 1,
+        "name": "close",
+        "description": "close on a cylinder, hold, let go",
+        "phase": (
+            {"kind": "move", "name": "home", "angle_deg": 0.0, "duration_s": 0.4},
+            {
+                "kind": "move",
+                "name": "preshape",
+                "angle_deg": {"index": 20.0, "middle": 20.0, "ring": 20.0, "thumb": 4.0},
+                "duration_s": 0.8,
+            },
+            {"kind": "close", "name": "close", "angle_deg": 85.0, "speed_deg_s": 50.0, "contact_tension_N": 18.0},
+            {"kind": "hold", "name": "hold", "tension_N": 32.0, "rate_N_per_s": 40.0, "duration_s": 3.0},
+            {"kind": "release", "name": "release", "tension_N": 9.0, "rate_N_per_s": 60.0},
+            {"kind": "move", "name": "open", "angle_deg": 0.0, "duration_s": 0.8},
+        ),
+    }
+)
+
+
+@dataclass
+class BlindRun:
+    """A row per tick: phase, estimate, its standard deviation and true tension (N,) [N]; and all events."""
+
+    phase: list[str] = field(default_factory=list)
+    tension: list[np.ndarray] = field(default_factory=list)
+    sigma: list[np.ndarray] = field(default_factory=list)
+    true: list[np.ndarray] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
+    height: float = 0.0
+
+    def error(self, *phases: str) -> np.ndarray:
+        """Return estimate minus truth over its standard deviation in some phases."""
+        rows = np.isin(self.phase, phases)
+        return (np.array(self.tension)[rows] - np.array(self.true)[rows]) / np.array(self.sigma)[rows]
+
+
+def seen(program: Program, scene: str | None, seed: int, *faults: str, limit_s: float = 30.0) -> BlindRun:
+    """Run a program on a homed hand without sensors. Faults are injected at the beginning, with their own times."""
+    rows = BlindRun()
+    with Simulator(without(), scene, seed, homed=True).against(homed_controller(model_of(), program)) as run:
+        run.keep = False
+        for fault in faults:
+            run.peer.inject(fault)
+        for _, out in run.ticks(limit_s):
+            rows.phase.append(out.phase)
+            rows.tension.append(run.state.view("tension").copy())
+            rows.sigma.append(run.state.view("sigma").copy())
+            rows.true.append(np.array(run.peer.world.plant.tensions()))
+            rows.events += out.events
+            if run.state.progress.phase == "hold":
+                rows.height = run.peer.world.plant.engine.object_pose()[2]
+    return rows
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("bare", [(), ("index_tendon", "thumb_tendon")])
+def test_it_commissions_with_tares_of_its_load_cells_alone(bare: tuple[str, ...], seed: int) -> None:
+    hand = without(*bare)
+    with Simulator(hand, None, seed).peer(round(1e9 / RATE_HZ)) as peer:
+        run = Simulation.of(make_controller(hand, Gains(), RATE_HZ, CommissionProgram(), None, True), peer)
+        for _, out in run.ticks(30.0):
+            assert not [event for event in out.events if event.level == "error"]
+        found = result(model_of(*bare), run.state.progress, "2026-01-01T00:00:00+00:00")
+        assert not found.tare(hand)[~hand.has_cell].any()
+        offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
+        wrong = (found.zero(hand) - offset) * model_of(*bare).space.spool
+        np.testing.assert_allclose(wrong, 0.0, atol=5e-5)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_it_grasps_holds_and_lets_go_and_the_error_is_within_its_sigma(seed: int) -> None:
+    rows = seen(TaskProgram(TASK), "cylinder", seed)
+    assert not [event.text for event in rows.events if event.level == "error"]
+    assert {event.where for event in rows.events if event.name == "contact"} == {"index", "middle", "ring", "thumb"}
+    assert rows.height == pytest.approx(0.0, abs=3e-3)
+    error = rows.error("home", "preshape", "close", "hold")
+    assert np.sqrt(np.mean(error**2)) < 1.0, "the standard deviation is not too small"
+    assert np.quantile(np.abs(error), 0.99) < 4.0, "an impact is seen late"
+
+
+def test_limits_are_stricter_by_the_sigma_of_the_estimate() -> None:
+    file = without()
+    bare = model_of("index_tendon")
+    margin = bare.blind_margin
+    assert margin[0] > 2.0
+    assert not margin[1:].any()
+    assert bare.ceiling[0] == file.tendon[0].tension_max_N - margin[0]
+    controller = homed_controller(bare, TaskProgram(TASK))
+    assert controller.limits.tension_trip[0] == file.tendon[0].tension_trip_N - margin[0]
+    assert controller.limits.tension_trip[1] == file.tendon[1].tension_trip_N
+    assert margin[0] == BLIND_SIGMAS * bare.filter.held_sigma[0]
+
+
+def test_a_hand_without_sensors_sends_no_sync() -> None:
+    hand = without()
+    controller = homed_controller(model_of(), TaskProgram(TASK))
+    with Simulator(hand, None, 0, homed=True).against(controller) as run:
+        sync = (controller.sensors.bus, hand.sensor_node.sync_id)
+        for _, out in run.ticks(1.0):
+            assert sync not in {(frame.bus, frame.can_id) for frame in out.frames}
+        assert run.state.mode == Mode.ACTIVE
+
+
+@pytest.mark.parametrize(
+    ("fault", "expected"),
+    [
+        ("snap tendon=index_tendon at=2.4s", ("T01", "T02a", "T02b")),
+        ("stuck encoder=middle_motor at=1.5s", ("N04",)),
+        ("drop node=ring_motor at=2.4s", ("B02", "B17")),
+    ],
+)
+def test_faults_that_need_no_load_cell_are_found(fault: str, expected: tuple[str, ...]) -> None:
+    rows = seen(TaskProgram(TASK), "cylinder", 0, fault)
+    found = {event.text.split()[0] for event in rows.events if event.name == "fault"}
+    assert found & set(expected), rows.events[-5:]
