@@ -1,8 +1,10 @@
-"""``handctl config export --dbc``: a database of each bus, that cantools takes."""
+"""``handctl config export``: a database of each bus that cantools takes, links that MuJoCo takes."""
 
 import json
 
 import cantools
+import mujoco
+import pytest
 
 from handctl.cli.main import main
 from tests.cli.refused import refused
@@ -27,6 +29,14 @@ def test_each_bus_of_a_hand_has_its_file(place, capsys):
     assert files == [{"bus": "main", "output": "two.main.dbc"}, {"bus": "second", "output": "two.second.dbc"}]
     assert "sync" in names("two.main.dbc")
     assert names("two.second.dbc") == {f"{one}_motor_{pdo}" for one in ("ring", "thumb") for pdo in ("tpdo1", "rpdo1")}
+
+
+@pytest.mark.parametrize(("form", "name"), [("--urdf", "t42.urdf"), ("--mjcf", "t42.xml")])
+def test_links_are_a_model_that_mujoco_reads(form, name, place, capsys):
+    assert main(["config", "export", form, "--hand", "t42"]) == 0
+    assert capsys.readouterr().out == f"{name}: 2 digits, 4 joints\n"
+    assert mujoco.MjModel.from_xml_path(str(place / name)).njnt == 4
+    assert "not allowed with" in refused(capsys, "config", "export", form, "--dbc", "--hand", "t42")
 
 
 def test_nothing_is_written_over_and_options_have_their_verb(place, capsys):

@@ -64,9 +64,12 @@ def config(parser: Parser) -> None:
     convert = kind("convert", "write a hand file of schema 1 as schema 2: repeated values once, comments kept")
     convert.add_argument("old", type=Path, metavar="OLD", help="hand file of schema 1")
     output_option(convert, "a new file", required=True)
-    export = kind("export", "write the buses of a hand for other tools")
-    export.add_argument("--dbc", action="store_true", help="the frames of each bus, as a CAN database")
-    output_option(export, "a new file (default: HAND.dbc)")
+    export = kind("export", "write the buses or the links of a hand for other tools")
+    form = export.add_mutually_exclusive_group()
+    form.add_argument("--dbc", action="store_true", help="the frames of each bus, as a CAN database")
+    form.add_argument("--urdf", action="store_true", help="links and joints, for ROS and pinocchio")
+    form.add_argument("--mjcf", action="store_true", help="links, joints, springs and tendons, for MuJoCo")
+    output_option(export, "a new file (default: HAND.dbc, HAND.urdf, HAND.xml)")
 
 
 def _init(parser: argparse.ArgumentParser) -> None:

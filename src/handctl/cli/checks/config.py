@@ -19,6 +19,8 @@ from handctl.hand.description import Hand
 from handctl.hand.file.error_text import SECTION, Mistake, in_file
 from handctl.hand.file.json_schema import hand_schema_text
 from handctl.hand.file.templates import RESOLVED
+from handctl.hand.formats.mjcf import mjcf
+from handctl.hand.formats.urdf import urdf
 from handctl.hand.load import (
     hand_from,
     hand_path,
@@ -212,9 +214,22 @@ def _calibration_lines(calibration: dict[str, Any]) -> list[str]:
 
 
 def _export(args: argparse.Namespace, hand: Hand) -> int:
+    """Write a hand in a format of other tools."""
+    if args.dbc:
+        return _export_buses(args, hand)
+    if not (args.urdf or args.mjcf):
+        raise ConfigError("no format", "export", "--dbc, --urdf or --mjcf")
+    output = args.output or Path(f"{hand.name}.{'urdf' if args.urdf else 'xml'}")
+    write_whole(output, urdf(hand) if args.urdf else mjcf(hand), new=True)
+    if args.json:
+        print_json({"hand": hand.name, "output": str(output)})
+    else:
+        say(f"{output}: {len(hand.digit)} digits, {len(hand.joints)} joints")
+    return 0
+
+
+def _export_buses(args: argparse.Namespace, hand: Hand) -> int:
     """Write a DBC file for each bus. With several buses, each file name contains the name of its bus."""
-    if not args.dbc:
-        raise ConfigError("no format", "export", "--dbc")
     output = args.output or Path(f"{hand.name}.dbc")
     drives = make_drives(hand)
     sensors = make_sensors(hand)
