@@ -52,7 +52,7 @@ def cases() -> Iterator[Any]:
     for page, parts in RUN.items():
         live = any("stays open" in block.title for block in parts)
         if any(block.language == "sh" for block in parts):
-            yield pytest.param(page, marks=[pytest.mark.realtime] if live else [])
+            yield pytest.param(page, marks=[pytest.mark.realtime, pytest.mark.alone] if live else [])
 
 
 @pytest.mark.parametrize("page", list(cases()))
