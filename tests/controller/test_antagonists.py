@@ -13,7 +13,7 @@ from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.core.types import Event, Mode
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_from, load_hand
+from handctl.hand.load import hand_content, hand_from, load_hand
 from handctl.hand.readiness import unready
 from handctl.programs.calibration import Calibration
 from handctl.programs.commission import PULL_N, CommissionProgram, result
@@ -34,6 +34,35 @@ def n_plus_1() -> Hand:
 
 
 @cache
+def without_encoders() -> Hand:
+    """The same hand without joint encoders: the lower joint limits are the reference of the motor zeros."""
+    content = hand_content("n_plus_1")
+    return hand_from(content | {"sensor_node": content["sensor_node"] | {"joints": []}}, "no encoders")
+
+
+@cache
+def two_n() -> Hand:
+    """The same hand, but its thumb has two tendons per joint: a flexor and an extensor each."""
+    content = hand_content("n_plus_1")
+    base = content["tendon"][-1]
+    motor = content["motor"][-1]
+    arm = 0.004948
+    routes = {
+        "f1": {"thumb_j1": arm},
+        "e1": {"thumb_j1": -arm},
+        "f2": {"thumb_j1": arm, "thumb_j2": arm},
+        "e2": {"thumb_j1": -arm, "thumb_j2": -arm},
+    }
+    tendons = [one for one in content["tendon"] if not one["name"].startswith("thumb")]
+    motors = [one for one in content["motor"] if not one["name"].startswith("thumb")]
+    for i, (name, arms) in enumerate(routes.items()):
+        tendons.append(base | {"name": f"thumb_{name}", "motor": f"thumb_m{name}", "moment_arm_m": arms})
+        motors.append(motor | {"name": f"thumb_m{name}", "node_id": 9 + i})
+    node = content["sensor_node"] | {"tendons": [one["name"] for one in tendons]}
+    return hand_from(content | {"tendon": tendons, "motor": motors, "sensor_node": node}, "2 n")
+
+
+@cache
 def model() -> HandModel:
     """The model at the test's rate."""
     return HandModel.of(n_plus_1(), Gains(), RATE_HZ)
@@ -49,14 +78,15 @@ def moves(*angles: tuple[float, float]) -> Task:
 
 
 def ticks_of(
-    peer: SimulatedHand, program: Program, calibration: Calibration | None, first: int
+    peer: SimulatedHand, program: Program, calibration: Calibration | None, first: int, hand: Hand | None = None
 ) -> tuple[Simulation, Iterator[None]]:
     """Begin a run of a program at a tick, on a hand that may have run before."""
-    controller = make_controller(n_plus_1(), Gains(), RATE_HZ, program, calibration, arm_at_once=True)
+    controller = make_controller(hand or n_plus_1(), Gains(), RATE_HZ, program, calibration, arm_at_once=True)
     run = Simulation.of(controller, peer)
-    run.k, run.keep = first, False
+    run.k = first
+    run.keep = False
     run.state.set_whole(s.K, first - 1)
-    return run, (None for _ in run.ticks(first / RATE_HZ + 60.0))
+    return run, (None for _ in run.ticks(first / RATE_HZ + 120.0))
 
 
 def events_of(run: Simulation) -> tuple[Event, ...]:
@@ -64,35 +94,40 @@ def events_of(run: Simulation) -> tuple[Event, ...]:
     return run.out.events
 
 
+HANDS = {"n + 1": n_plus_1, "n + 1 without joint encoders": without_encoders, "2 n": two_n}
+
+
 @pytest.mark.parametrize("seed", SEEDS)
-def test_it_commissions_and_tracks_from_a_cold_start(seed: int) -> None:
+@pytest.mark.parametrize("kind", HANDS)
+def test_it_commissions_and_tracks_from_a_cold_start(kind: str, seed: int) -> None:
     """The motor zeros are those of the simulator, and the joints follow within a degree."""
+    hand = HANDS[kind]()
     period_ns = round(1e9 / RATE_HZ)
-    with Simulator(n_plus_1(), None, seed).peer(period_ns) as peer:
+    with Simulator(hand, None, seed).peer(period_ns) as peer:
         plant = peer.world.plant
-        run, ticks = ticks_of(peer, CommissionProgram(), None, 0)
+        run, ticks = ticks_of(peer, CommissionProgram(), None, 0, hand)
         for _ in ticks:
             assert not [event for event in events_of(run) if event.level == "error"]
         assert not run.state.progress.failure
-        calibration = result(model(), run.state.progress, "2026-01-01T00:00:00+00:00")
+        calibration = result(run.controller.model, run.state.progress, "2026-01-01T00:00:00+00:00")
         for row in calibration.tendon.values():
             assert row.answer_N == pytest.approx(PULL_N, abs=0.8)
         # The encoder reads its offset where the tendon is just taut and the digit open. 0.1 mm is a degree of a finger.
-        offset = [peer.world.encoder_offset[name] for name in n_plus_1().motor_names]
-        found = (calibration.zero(n_plus_1()) - offset) * model().space.spool
+        offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
+        found = (calibration.zero(hand) - offset) * run.controller.model.space.spool
         np.testing.assert_allclose(found, 0.0, atol=5e-5)
 
-        run, ticks = ticks_of(
-            peer, TaskProgram(moves((0.0, 0.6), (40.0, 1.0), (5.0, 1.0), (40.0, 0.3))), calibration, run.k
-        )
-        errors, least = list[np.ndarray](), list[float]()
+        task = TaskProgram(moves((0.0, 0.6), (40.0, 1.0), (5.0, 1.0), (40.0, 0.3)))
+        run, ticks = ticks_of(peer, task, calibration, run.k, hand)
+        errors = list[np.ndarray]()
+        least = list[float]()
         for _ in ticks:
             assert not [event for event in events_of(run) if event.level == "error"]
             if run.state.mode == Mode.ACTIVE and run.state.progress.phase.startswith("move"):
                 errors.append(np.degrees(run.state.view("q_goal") - plant.engine.q))
                 least.append(min(plant.tensions()))
         assert np.sqrt(np.mean(np.square(errors))) < 1.0
-        assert min(least) > 0.5 * model().floor.min(), "no tendon comes near slack"
+        assert min(least) > 0.5 * run.controller.model.floor.min(), "no tendon comes near slack"
 
 
 GRASP = Task.model_validate(

@@ -46,7 +46,7 @@ TAKE_UP_TIMEOUT_S = 3.0
 """Longest time until a pulled tendon is taut [s]."""
 HOLD_TIMEOUT_S = 10.0
 """Longest time until all tendons of a digit without springs are taut, with the way to its lower limits [s]."""
-HOLD_SETTLE_S = 1.6
+HOLD_SETTLE_S = 3.0
 """Time between taut tendons of a digit without springs and the measurement: it goes to its limits meanwhile [s]."""
 PRESS_FACTOR = 1.5
 """Torque that presses a digit without springs on its lower limits, as a multiple of the torque of a pull."""
