@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from handctl.campaign.stage import OPTIONS
 from handctl.controller.setup import make_controller
 from handctl.core.gains.gains import Gains
 from handctl.core.model import BLIND_SIGMAS, HandModel
@@ -146,6 +147,16 @@ def test_a_hand_without_sensors_sends_no_sync() -> None:
         for _, out in run.ticks(1.0):
             assert sync not in {(frame.bus, frame.can_id) for frame in out.frames}
         assert run.state.mode == Mode.ACTIVE
+
+
+def test_cia402_drives_have_their_sync_without_sensors() -> None:
+    content: dict[str, Any] = hand_content("jamia")
+    del content["sensor_node"]
+    content["motor"] = [motor | {"protocol": "cia402", "options": OPTIONS["cia402"]} for motor in content["motor"]]
+    hand = hand_from(content, "cia402")
+    model = HandModel.of(hand, Gains(), 250.0)
+    with Simulator(hand, None, 0, homed=True).against(homed_controller(model, TaskProgram(TASK))) as run:
+        assert run.until(lambda out: out.mode == Mode.ACTIVE, 10.0)
 
 
 @pytest.mark.parametrize(

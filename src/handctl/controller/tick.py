@@ -73,6 +73,7 @@ class Controller:
         wire: tables of the drives' cyclic frames.
         gather: selection of the telemetry.
         owners: index of the drive of each bus and identifier.
+        sends_sync: True if a sensor or a drive needs SYNC.
         sync_row: SYNC frame as a record.
     """
 
@@ -93,6 +94,7 @@ class Controller:
     gather: Gather = field(init=False, compare=False, repr=False)
     _constants: tuple[Vector, Places] = field(init=False, compare=False, repr=False)
     owners: dict[tuple[int, int], int] = field(init=False, compare=False, repr=False)
+    sends_sync: bool = field(init=False, compare=False, repr=False)
     sync_row: Rows = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -110,6 +112,7 @@ class Controller:
             "wire": Wire(self.drives, self.sensors),
             "gather": Gather(layout),
             "owners": owners,
+            "sends_sync": bool(self.sensors.ids) or any(motor.protocol == "cia402" for motor in self.model.hand.motor),
             "sync_row": frames_of([self.sensors.sync(0)]).rows[0],
         }
         for name, value in made.items():
@@ -345,9 +348,9 @@ class Controller:
         if mode in (SILENT, DONE):
             return frames_of(modes.shutdown_frames(self.drives, state))
         out = np.empty((1 + len(self.wire.templates), WORDS), dtype=np.uint64)
-        # A hand without sensors has no SYNC: its row is left out.
-        start = 0 if self.sensors.ids else 1
-        if self.sensors.ids:
+        # SYNC is for sensors and for CiA 402 drives. Without both its row is left out.
+        start = 0 if self.sends_sync else 1
+        if self.sends_sync:
             counter = self.sensors.counter(state.k)
             out[0] = self.sync_row
             out[0, PAYLOAD] = counter
