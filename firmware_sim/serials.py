@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from firmware_sim.description import Hand, SimulatorError
 
-BITS = {"mit": 32, "cia402": 32, "odrive": 48, "moteus": 96}
+BITS = {"mit": 32, "cia402": 32, "odrive": 48, "moteus": 96, "robstride": 64}
 """Size of the serial number of each protocol [bit]. Other protocols have none."""
 EXPECTED = "expected a number, or MOTOR=NUMBER, as in --serial 0x4000 or --serial index_motor=0x4001"
 """Help text of an error."""

@@ -11,8 +11,11 @@ from firmware_sim.faults.text import CELL, ENCODER, SENSORS, Fault
 from firmware_sim.faults.wire_faults import ActiveFault
 from firmware_sim.nodes.cia402.node import Cia402Node
 from firmware_sim.nodes.mit.node import FeedbackState, MitNode
-from firmware_sim.nodes.moteus.node import OVER_TEMPERATURE, TIMEOUT, UNDER_VOLTAGE, MoteusNode
+from firmware_sim.nodes.moteus import node as moteus
+from firmware_sim.nodes.moteus.node import MoteusNode
 from firmware_sim.nodes.odrive.node import OdriveNode
+from firmware_sim.nodes.robstride import node as robstride
+from firmware_sim.nodes.robstride.node import RobstrideNode
 from firmware_sim.nodes.sensors import CHANNELS, JOINT_OFFSET
 
 Undo = Callable[[], None]
@@ -21,11 +24,11 @@ RAIL_N = 1e4
 BLOCK = 1e3
 """Damping of a blocked joint [N m s/rad]."""
 ERRORS = {
-    "error": (FeedbackState.WINDING_HOT, 1 << 13, 0x4310, OVER_TEMPERATURE),
-    "watchdog": (FeedbackState.COMMUNICATION_LOST, 1 << 24, 0x8130, TIMEOUT),
-    "voltage": (0x9, 1 << 9, 0x3220, UNDER_VOLTAGE),
+    "error": (FeedbackState.WINDING_HOT, 1 << 13, 0x4310, moteus.OVER_TEMPERATURE, robstride.HOT),
+    "watchdog": (FeedbackState.COMMUNICATION_LOST, 1 << 24, 0x8130, moteus.TIMEOUT, 0),
+    "voltage": (0x9, 1 << 9, 0x3220, moteus.UNDER_VOLTAGE, robstride.UNDER_VOLTAGE),
 }
-"""Error code of each kind of fault for MIT, ODrive, CiA 402 and moteus."""
+"""Error code of each kind of fault for MIT, ODrive, CiA 402, moteus and RobStride."""
 
 
 def start(world: Any, active: ActiveFault) -> Undo:
@@ -177,6 +180,8 @@ def _start_trip(world: Any, active: ActiveFault) -> Undo:
             node.wake_ns = 0
         case MoteusNode():
             node.trip(size or codes[3])
+        case RobstrideNode():
+            node.trip(size or codes[4])
     return lambda: None
 
 
@@ -185,7 +190,7 @@ def _start_reset(world: Any, active: ActiveFault) -> Undo:
     node = world.node_of(active.fault.instance)
     active.note_effect(world.t_ns)
     match node:
-        case MitNode() | MoteusNode():
+        case MitNode() | MoteusNode() | RobstrideNode():
             node.power_cycle()
         case OdriveNode():
             node.receive(Frame(world.motor_spec(active.fault.instance).node_id << 5 | 0x16, b""), world.t_ns)
@@ -204,7 +209,7 @@ def _start_forget(world: Any, active: ActiveFault) -> Undo:
     match node := world.node_of(active.fault.instance):
         case MitNode():
             node.lose_settings(active.fault.size)
-        case OdriveNode() | Cia402Node() | MoteusNode():
+        case OdriveNode() | Cia402Node() | MoteusNode() | RobstrideNode():
             node.lose_settings()
     return lambda: None
 

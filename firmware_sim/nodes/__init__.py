@@ -6,6 +6,7 @@ from firmware_sim.nodes.mit import bench as mit_bench
 from firmware_sim.nodes.moteus import bench as moteus_bench
 from firmware_sim.nodes.odrive import bench as odrive_bench
 from firmware_sim.nodes.protocol_spec import ProtocolSpec
+from firmware_sim.nodes.robstride import bench as robstride_bench
 
 PROTOCOLS: dict[str, ProtocolSpec] = {
     "cia402": cia402_bench.SPEC,
@@ -13,5 +14,6 @@ PROTOCOLS: dict[str, ProtocolSpec] = {
     "mit": mit_bench.SPEC,
     "moteus": moteus_bench.SPEC,
     "odrive": odrive_bench.SPEC,
+    "robstride": robstride_bench.SPEC,
 }
 """Protocol specifications by the name in the hand file."""

@@ -21,7 +21,7 @@ from firmware_sim.nodes.protocol_spec import Node
 from firmware_sim.paths import faults_path
 from firmware_sim.plant.motor import Motor
 from firmware_sim.printing import printable
-from firmware_sim.programs.drive_types import MIT_TYPES, drive_spec
+from firmware_sim.programs.drive_types import MIT_TYPES, ROBSTRIDE_TYPES, drive_spec
 from firmware_sim.server import ScaledClock, Server
 
 STEP_NS = 1_000_000
@@ -32,6 +32,8 @@ examples:
   python -m firmware_sim drive odrive --ids 0,1 --bus local:lab
   handctl fault inject "drop node=1 p=0.1" --bus local:lab      into running drives
   python -m firmware_sim drive odrive --ids 0 --uncalibrated --bus socketcan:vcan0
+  python -m firmware_sim drive moteus --ids 1,2 --bus socketcan:vcan0
+  python -m firmware_sim drive robstride --ids 1,2 --motor-type rs00 --bus local:lab
   python -m firmware_sim bus lab; ... drive mit --ids 1 --bus join:lab; ... drive cia402 --ids 32 --bus join:lab
 """
 """Examples of the help text."""
@@ -147,7 +149,8 @@ def _parser() -> CommandParser:
     add("--bus", required=True, metavar="SPEC", help="local:NAME, join:NAME or socketcan:INTERFACE")
     add("--fd", action="store_true",
         help="MIT motors set to CAN FD (1/5 Mbit/s); they answer in the format of the request")  # fmt: skip
-    add("--motor-type", metavar="TYPE", help=f"type of MIT motors: {', '.join(MIT_TYPES)} (dm4310); an ak is cubemars")
+    add("--motor-type", metavar="TYPE", help=f"type of MIT motors: {', '.join(MIT_TYPES)} (dm4310); an ak is cubemars; "
+        f"of RobStride motors: {', '.join(ROBSTRIDE_TYPES)} (rs05)")  # fmt: skip
     add("--firmware", choices=["0.5", "0.6"], help="firmware of ODrives (0.6)")
     add("--uncalibrated", action="store_true",
         help="ODrives that refuse closed loop until they were calibrated")  # fmt: skip
@@ -193,8 +196,8 @@ def _specs(args: argparse.Namespace) -> list[MotorSpec]:
     options = _behaviour(args)
     if args.fd and (args.protocol != "mit" or MIT_TYPES.get(args.motor_type) == "cubemars"):
         raise SimulatorError("--fd: only for drive mit with Damiao motors")
-    if args.motor_type and args.protocol not in MIT_TYPES.values():
-        raise SimulatorError("--motor-type: only for drive mit")
+    if args.motor_type and args.protocol not in (*MIT_TYPES.values(), "robstride"):
+        raise SimulatorError("--motor-type: only for drive mit and drive robstride")
     if args.inertia is not None and not 0.0 < args.inertia <= 100.0:
         raise SimulatorError(f"--inertia {args.inertia}: expected more than 0, at most 100")
     check_time_scale(args.time_scale)

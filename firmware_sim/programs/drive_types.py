@@ -5,9 +5,13 @@ from firmware_sim.nodes import PROTOCOLS, cubemars
 from firmware_sim.nodes.mit import bench as mit_bench
 from firmware_sim.nodes.odrive import bench as odrive_bench
 from firmware_sim.nodes.protocol_spec import Shaft
+from firmware_sim.nodes.robstride import bench as robstride_bench
+from firmware_sim.nodes.robstride.node import FULL_SCALE
 
 MIT_TYPES = {**dict.fromkeys(mit_bench.TYPES, "mit"), **dict.fromkeys(cubemars.FULL_SCALE, "cubemars")}
 """Motor types that speak MIT mode, each with its protocol in handctl."""
+ROBSTRIDE_TYPES = tuple(FULL_SCALE)
+"""Models of RobStride motors."""
 FRICTION_FRACTION = 2e-3
 """Coulomb friction as a fraction of peak torque."""
 COASTING_S = 4.0
@@ -35,10 +39,7 @@ def drive_spec(
     Raises:
         SimulatorError: number or type do not exist.
     """
-    if motor_type and MIT_TYPES.get(motor_type, protocol) != protocol != "mit":
-        raise SimulatorError(f"--motor-type {motor_type}: {protocol} has no such motor")
-    if motor_type and motor_type not in MIT_TYPES:
-        raise SimulatorError(f"--motor-type {motor_type}: expected one of {', '.join(MIT_TYPES)}")
+    _check_type(protocol, motor_type)
     protocol = MIT_TYPES.get(motor_type, protocol)
     protocol_spec = PROTOCOLS[protocol]
     if node_id not in protocol_spec.numbers:
@@ -57,10 +58,25 @@ def drive_spec(
     )  # fmt: skip
 
 
+def _check_type(protocol: str, motor_type: str) -> None:
+    """Check that a protocol has a motor type. Every type of an MIT mode is valid for ``mit``.
+
+    Raises:
+        SimulatorError: the type does not exist, or has another protocol.
+    """
+    types = ROBSTRIDE_TYPES if protocol == "robstride" else tuple(MIT_TYPES)
+    if motor_type and MIT_TYPES.get(motor_type, protocol) != protocol != "mit":
+        raise SimulatorError(f"--motor-type {motor_type}: {protocol} has no such motor")
+    if motor_type and motor_type not in types:
+        raise SimulatorError(f"--motor-type {motor_type}: expected one of {', '.join(types)}")
+
+
 def _shaft(protocol: str, motor_type: str, fd: bool, firmware: str) -> Shaft:
     """Build the shaft of the requested motor."""
     if protocol == "odrive":
         return odrive_bench.shaft(firmware)
+    if protocol == "robstride" and motor_type:
+        return robstride_bench.shaft(motor_type)
     if protocol == "cubemars":
         return cubemars.shaft(motor_type or cubemars.DEFAULT_TYPE)
     if protocol == "mit":

@@ -79,6 +79,44 @@ def test_moteus_controllers_are_found_by_classical_frames():
     assert [motor.theta for motor in bench.motors] == [0.0] * 3
 
 
+def test_robstride_motors_are_found_by_their_identity():
+    result, bench, bus = scanned(("robstride", 1), ("robstride", 0x7F), ("mit", 3), ("moteus", 5))
+    found = [(node.protocol, node.node_id) for node in result.found]
+    assert found == [("mit", 3), ("moteus", 5), ("robstride", 1), ("robstride", 0x7F)]
+    assert [node.serial for node in result.found[2:]] == ["5253050000000001", "525305000000007f"]
+    assert [node.mode for node in bench.nodes[:2]] == [0, 0]
+    assert bench.nodes[3].malformed == 0, "to moteus node 5 the request writes no register"
+    assert all(frame.flags == 0 and len(frame.data) <= 8 for frame in bus.heard)
+
+
+@pytest.mark.parametrize("protocol", ["moteus", "robstride"])
+def test_two_drives_with_one_number_are_named(protocol):
+    bench = Bench([drive_spec(protocol, 7)], fault="twin")
+    (node,) = scan(BenchBus(bench), listen=hear).found
+    assert node.twins
+
+
+@pytest.mark.parametrize("kind", [1, 3, 4, 6, 0x12])
+def test_beside_another_robstride_host_it_only_listens(kind):
+    result, _, bus = scanned(("robstride", 1), talk=[Frame(EXTENDED | kind << 24 | 0xFD01, bytes(8))])
+    assert result.foreign
+    assert bus.heard == []
+
+
+def test_no_question_changes_a_moteus_or_a_robstride_that_is_enabled():
+    bench = Bench([drive_spec("moteus", 1), drive_spec("robstride", 2)])
+    bench.receive(SimFrame(EXTENDED | 0x8001, bytes.fromhex("01000a022080000223000001ff")))
+    bench.receive(SimFrame(EXTENDED | 3 << 24 | 0xFD02, bytes(8)))
+    bench.advance(20_000_000)
+    before = [node.mode for node in bench.nodes]
+    fed = [node.watchdog_fed_ns for node in bench.nodes]
+    for question in all_questions():
+        bench.receive(SimFrame(*question))
+    assert [node.mode for node in bench.nodes] == before
+    assert [node.watchdog_fed_ns for node in bench.nodes] == fed
+    assert [motor.servo.torque for motor in bench.motors] == [0.0, 0.0]
+
+
 def test_beside_another_moteus_host_it_only_listens():
     result, _, bus = scanned(("moteus", 1), talk=[Frame(EXTENDED | 0x8101, b"\x11\x00")])
     assert result.foreign

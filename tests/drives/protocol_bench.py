@@ -23,6 +23,7 @@ OPTIONS = {
     "odrive": "[motor.options]\n" + ENDPOINTS,
     "cia402": "[motor.options]\nrated_torque_N_m = 0.4\ncounts_per_turn = 65536\n",
     "moteus": "",
+    "robstride": '[motor.options]\nmotor_type = "rs05"\n',
     "cubemars": '[motor.options]\nmotor_type = "ak80-6"\n',
 }
 FD_ONLY = {"moteus"}
@@ -46,7 +47,7 @@ def hand_file(folder: Path, protocols: Sequence[str], extra: str = "") -> Path:
         text = re.sub(r"node_id = \d+", f"node_id = {FIRST_NODE + i}", text)
         options = OPTIONS[protocol] + extra
         if protocol in FD_ONLY and "data_bitrate" not in head:
-            head = head.replace("bitrate = 1_000_000\n", "bitrate = 1_000_000\ndata_bitrate = 5_000_000\n")
+            head = head.replace("bitrate = 1000000\n", "bitrate = 1000000\ndata_bitrate = 5000000\n")
         motors[i] = text.rstrip() + "\n" + options + "\n" if options else text
     path = folder / "hand.toml"
     path.write_text("[[motor]]".join([head, *motors]))

@@ -16,6 +16,7 @@ OPTIONS = {
     "mit": {},
     "odrive": {**ENDPOINTS, "torque_feedback": True},
     "moteus": {},
+    "robstride": {"motor_type": "rs05"},
     "cubemars": {"motor_type": "ak80-9"},
     "cia402": {"rated_torque_N_m": 1.0, "counts_per_turn": 65536, "sync": True},
 }

@@ -23,6 +23,7 @@ from handctl.drives.moteus.progress import MoteusProgress
 from handctl.drives.moteus.settings import Channel
 from handctl.drives.odrive.progress import OdriveProgress
 from handctl.drives.readback import Cursor, Recheck
+from handctl.drives.robstride.progress import RobstrideProgress
 from handctl.programs.grip import Grip
 from handctl.programs.program import Progress
 from handctl.programs.streams import StreamPlan
@@ -31,7 +32,7 @@ from handctl.safety.judge import Counting, Latched
 register(
     Decisions, DriveState, Phase, DriveTarget, Progress, Grip, DigitGoal, Kind, MinimumJerk, Blend, Curve, Sample,
     Chirp, Streamed, StreamPlan, Latched, Counting, Gains, PendingGains, Recheck, Cursor, MitProgress, CubemarsProgress,
-    OdriveProgress, Cia402Progress, MoteusProgress, Channel,
+    OdriveProgress, Cia402Progress, MoteusProgress, Channel, RobstrideProgress,
 )  # fmt: skip
 
 HEAD = 8

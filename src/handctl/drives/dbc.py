@@ -1,9 +1,9 @@
 """DBC of the cyclic frames of a bus, for other tools, from the controller's own signal tables.
 
 Values are the controller's: at the spool, with the hand's sign. A DBC has one message per
-identifier. Commands are left out if the answer has the same identifier (CubeMars). Frames without
-values are left out: remote frames and an empty SYNC. The tables, and the DBC, have no settings,
-heartbeats, register replies, or SDO replies.
+identifier. Commands are left out if the answer has the same identifier (CubeMars), or if a value is
+in the identifier (RobStride). Frames without values are left out: remote frames and an empty SYNC.
+The tables, and the DBC, have no settings, heartbeats, register replies, or SDO replies.
 """
 
 from collections.abc import Iterable, Sequence
@@ -58,7 +58,8 @@ def dbc(sent: Iterable[Sent]) -> str:
     """Write a DBC. Of messages with equal identifiers the first is used."""
     by_identifier: dict[int, Sent] = {}
     for item in sent:
-        if item.message.signals and not item.message.can_id & REMOTE:
+        in_payload = all(signal.start >= 0 for signal in item.message.signals)
+        if item.message.signals and in_payload and not item.message.can_id & REMOTE:
             by_identifier.setdefault(item.message.can_id, item)
     nodes = dict.fromkeys(node for item in by_identifier.values() for node in (item.sender, item.receiver))
     lines = ['VERSION ""', "", "NS_ :", "", "BS_:", "", " ".join(["BU_:", *nodes]), ""]

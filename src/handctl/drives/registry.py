@@ -15,6 +15,8 @@ from handctl.drives.moteus.drive import MoteusDrive
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.odrive import discovery as odrive_discovery
 from handctl.drives.odrive.drive import OdriveDrive
+from handctl.drives.robstride import discovery as robstride_discovery
+from handctl.drives.robstride.drive import RobstrideDrive
 from handctl.drives.sensors import discovery as sensor_discovery
 from handctl.errors import ConfigError
 
@@ -36,6 +38,7 @@ PROTOCOLS: dict[str, ProtocolEntry] = {
     "mit": ProtocolEntry(MitDrive.of, mit_discovery.DISCOVERY),
     "cia402": ProtocolEntry(Cia402Drive.of, cia402_discovery.DISCOVERY),
     "moteus": ProtocolEntry(MoteusDrive.of, moteus_discovery.DISCOVERY),
+    "robstride": ProtocolEntry(RobstrideDrive.of, robstride_discovery.DISCOVERY),
     "cubemars": ProtocolEntry(CubemarsDrive.of, None),
 }
 """Protocols by their name in the hand file."""

@@ -7,6 +7,9 @@ is its highest bit.
 
 A signal is read from a window of eight bytes. The window begins at byte 0, or at the first byte of
 a signal that ends behind byte 7. Payloads of CAN FD have up to 64 bytes.
+
+A command may have a signal in its identifier. The identifier is the word before the payload, hence
+its lowest bit has the number -64.
 """
 
 import enum
@@ -57,7 +60,7 @@ class Signal(NamedTuple):
     Attributes:
         name: name of the signal.
         quantity: physical quantity.
-        start: start bit, as in a DBC.
+        start: start bit, as in a DBC. From -64 on in an identifier.
         length: number of bits.
         big_endian: byte order.
         coding: coding of the count.
@@ -121,8 +124,12 @@ class Cyclic(NamedTuple):
 START, LENGTH, ORDER, CODING, QUANTITY, CHANNEL, WINDOW = range(7)
 """Columns of the integer array that describes signals to the packer and the unpacker.
 
-START is the signal's lowest bit in its window, WINDOW the first byte of the window.
+START is the signal's lowest bit in its window, WINDOW the first byte of the window, or IN_IDENTIFIER.
 """
+IN_IDENTIFIER = -8
+"""Window of a signal in the identifier, the word before the payload."""
+IDENTIFIER_BIT = -64
+"""Number of the lowest bit of the identifier, as a start bit."""
 COLUMNS = 7
 """Number of integer columns."""
 UNSIGNED, SIGNED, FLOAT = map(int, Coding)
@@ -133,6 +140,10 @@ SCALE, OFFSET = range(2)
 
 def whole_columns(signal: Signal) -> tuple[int, ...]:
     """Return the integer columns of a signal. The start is its lowest bit in its window."""
+    order, coding, quantity = int(signal.big_endian), int(signal.coding), int(signal.quantity)
+    if signal.start < 0:
+        start = signal.start - IDENTIFIER_BIT
+        return start, signal.length, order, coding, quantity, signal.channel, IN_IDENTIFIER
     first = signal.start // 8
     # Bits of the first byte that precede the signal, in the order of the signal's bits.
     before = 7 - signal.start % 8 if signal.big_endian else signal.start % 8
@@ -141,7 +152,6 @@ def whole_columns(signal: Signal) -> tuple[int, ...]:
     if signal.big_endian:
         # In a word that was read with the first byte highest, the position of the signal's lowest bit.
         start = 64 - start - signal.length
-    order, coding, quantity = int(signal.big_endian), int(signal.coding), int(signal.quantity)
     return start, signal.length, order, coding, quantity, signal.channel, window
 
 
@@ -226,20 +236,20 @@ def packed(value: float, wholes: Whole, reals: Real, i: int) -> Any:
 
 @kernel("words", "matrix_int", "matrix")
 def unpack_rows(data: Words, rows: Whole, reals: Real) -> Real:
-    """Return the values (signals,) of a payload (1, words). The arrays have one row per signal."""
+    """Return the values (signals,) of identifier and payload (1, words). The arrays have one row per signal."""
     result = np.empty(len(rows))
     for i in range(len(rows)):
-        value = window_at(data[0], 0, rows[i, WINDOW])
+        value = window_at(data[0], 1, rows[i, WINDOW])
         result[i] = unpacked(swapped(value) if rows[i, ORDER] else value, rows, reals, i)
     return result
 
 
 @kernel("words", "matrix_int", "matrix", "vector")
 def pack_rows(data: Words, rows: Whole, reals: Real, values: Real) -> None:
-    """Write values (signals,) into a payload (1, words) with zeros at their positions."""
+    """Write values (signals,) into identifier and payload (1, words) with zeros at their positions."""
     for i in range(len(rows)):
         bits = packed(values[i], rows, reals, i)
-        put_window(data[0], 0, rows[i, WINDOW], swapped(bits) if rows[i, ORDER] else bits)
+        put_window(data[0], 1, rows[i, WINDOW], swapped(bits) if rows[i, ORDER] else bits)
 
 
 class Table:
@@ -271,15 +281,24 @@ class Table:
         Raises:
             ValueError: a value is not finite, or its torque is beyond the limit.
         """
+        return self.pack_frame(*values)[1]
+
+    def pack_frame(self, *values: float) -> tuple[int, bytes]:
+        """Return identifier and payload with one value per signal.
+
+        Raises:
+            ValueError: a value is not finite, or its torque is beyond the limit.
+        """
         for value in values:
             # Negated, so that NaN is refused.
             if not abs(value) <= self.message.limit:
                 raise ValueError(f"torque {value} N m, expected at most {self.message.limit:g}")
         data = self._words(self.message.base)
         pack_rows(data, self.wholes, self.reals, np.array(values, dtype=np.float64))
-        return data.tobytes()[: self.message.length]
+        return int(data[0, 0]), data[0, 1:].tobytes()[: self.message.length]
 
     def _words(self, data: bytes) -> Words:
-        """Return a payload as words (1, words), with zeros up to the length of the message or more."""
-        words = max(1, -(-self.message.length // 8))
-        return np.frombuffer(data.ljust(8 * words, b"\0"), np.uint64, words).reshape(1, words).copy()
+        """Return identifier and payload as words (1, words), with zeros up to the length of the message or more."""
+        size = 8 * max(1, -(-self.message.length // 8))
+        head = self.message.can_id.to_bytes(8, "little")
+        return np.frombuffer(head + data.ljust(size, b"\0")[:size], np.uint64).reshape(1, -1).copy()

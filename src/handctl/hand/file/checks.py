@@ -347,6 +347,10 @@ def _motor_identifiers(motor: Motor) -> Iterator[tuple[object, str]]:
         yield EXTENDED | 0x8000 | motor.node_id, where
         number = motor.node_id << 8
         yield number if number < STANDARD_IDS else number | EXTENDED, where
+    elif motor.protocol == "robstride":
+        # Requests of type 0, and feedback of a running motor to the usual host.
+        yield EXTENDED | 0xFD00 | motor.node_id, where
+        yield EXTENDED | 0x0280_00FD | motor.node_id << 8, where
     else:
         yield f"{motor.protocol} node {motor.node_id}", where
 

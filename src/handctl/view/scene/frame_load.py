@@ -4,7 +4,7 @@ import numpy as np
 import pyarrow as pa  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
-from handctl.drives.frame import FDF
+from handctl.drives.frame import EXTENDED, FDF
 from handctl.drives.frame_time import frame_time_s
 from handctl.view.scene.arrow import Floats
 from handctl.view.scene.run_info import RunInfo
@@ -33,7 +33,10 @@ class FrameLoad:
         self._period_ns = run.header.period_ns
         seconds = [
             [
-                [frame_time_s(size, fd, bus.bitrate, bus.data_bitrate) for size in range(LONGEST + 1)]
+                [
+                    [frame_time_s(size, fd, bus.bitrate, bus.data_bitrate, extended) for size in range(LONGEST + 1)]
+                    for extended in (False, True)
+                ]
                 for fd in (False, True)
             ]
             for bus in run.hand.bus
@@ -68,12 +71,14 @@ class FrameLoad:
         counts: NDArray[np.int64] = np.diff(np.asarray(frames.offsets))
         tick = np.repeat(np.arange(len(frames)), counts)
         flat = frames.flatten()
-        bus, flags, size = (np.asarray(flat.field(name)).astype(np.intp) for name in ("bus", "flags", "length"))
+        names = ("bus", "flags", "length", "can_id")
+        bus, flags, size, can_id = (np.asarray(flat.field(name)).astype(np.intp) for name in names)
         valid = (bus < len(self._times)) & (size <= LONGEST)
         tick = tick[valid]
         bus = bus[valid]
         flags = flags[valid]
         size = size[valid]
+        extended = (can_id[valid] & EXTENDED) // EXTENDED
         spent = np.zeros((len(frames), len(self._times)), np.int64)
-        np.add.at(spent, (tick, bus), self._times[bus, (flags & FDF) // FDF, size])
+        np.add.at(spent, (tick, bus), self._times[bus, (flags & FDF) // FDF, extended, size])
         return spent

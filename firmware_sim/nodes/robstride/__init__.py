@@ -1,0 +1,1 @@
+"""Simulated RobStride motors."""

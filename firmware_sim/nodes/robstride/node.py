@@ -1,0 +1,340 @@
+"""A motor with RobStride's firmware, private protocol. Source: facts, robstride.
+
+    type   identifier 23..16   15..8   7..0     payload
+    0      0                   host    motor    identity request, answered by motor in 15..8, 0xFE, 64 bits
+    1      torque in 23..8             motor    position, velocity, kp, kd: 16 bits each, high byte first
+    2      mode 2, fault 6     motor   host     position, velocity, torque, 10 x degC: 16 bits each
+    3      0                   host    motor    enable
+    4      0                   host    motor    stop, byte 0 = 1 also clears faults
+    6      0                   host    motor    byte 0 = 1: the present position is zero
+    7      new number          host    motor    change of the number
+    0x11   0                   host    motor    u16 parameter, u16, value, 1 in 23..16 if it failed
+    0x12   0                   host    motor    u16 parameter, u16, value
+    0x15   0                   motor   host     u32 faults, u32 warnings
+    0x16   0                   host    motor    01 .. 08: save the parameters
+
+Types 1, 3, 4, 6, 0x12 and 0x16 are answered by type 2.
+
+Choices where the fact sheet has an "assumption":
+
+- A control command is answered to the host of the latest request.
+- Enable and control commands feed the watchdog. It enters reset mode without a fault.
+- Faults other than over-temperature stay until they are cleared. A fault prevents enabling.
+- A fault report follows each new fault, to the host of the latest request.
+- Modes of operation other than 0 and the change of bit rate or protocol are refused in silence.
+"""
+
+import math
+import struct
+
+from firmware_sim.bus.frame import EXTENDED, FDF, REMOTE, Frame
+from firmware_sim.description import MotorSpec
+from firmware_sim.nodes.thermal import Thermal
+from firmware_sim.plant.motor import Motor
+
+FULL_SCALE = {
+    "rs00": (33.0, 14.0, 500.0, 5.0),
+    "rs01": (44.0, 17.0, 500.0, 5.0),
+    "rs02": (44.0, 17.0, 500.0, 5.0),
+    "rs03": (20.0, 60.0, 5000.0, 100.0),
+    "rs04": (15.0, 120.0, 5000.0, 100.0),
+    "rs05": (50.0, 5.5, 500.0, 5.0),
+}
+"""Velocity [rad/s], torque [N m], kp [N m/rad] and kd [N m s/rad] of each model."""
+DEFAULT_TYPE = "rs05"
+"""Default model."""
+POSITION_RANGE = 4.0 * math.pi
+"""Position range of all models [rad]."""
+RESET = 0
+RUN = 2
+"""Modes."""
+UNDER_VOLTAGE = 1 << 0
+OVER_CURRENT = 1 << 1
+HOT = 1 << 2
+ENCODER = 1 << 3
+OVERLOAD = 1 << 4
+UNCALIBRATED = 1 << 5
+"""Faults in the identifier of the feedback."""
+REPORTED = {
+    UNDER_VOLTAGE: 1 << 2, OVER_CURRENT: 1 << 4, HOT: 1 << 0, ENCODER: 1 << 9, OVERLOAD: 1 << 14, UNCALIBRATED: 1 << 7,
+}  # fmt: skip
+"""Faults in the fault report, by the fault in the feedback."""
+HOT_C = 135.0
+"""Winding temperature of the fault [degC]."""
+THERMAL_PERIOD_NS = 100_000_000
+"""Period of the thermal update [ns]."""
+TIMEOUT_UNIT_NS = 50_000
+"""One count of the watchdog: 20000 counts are a second [ns]."""
+SERIAL = 0x5253_0500_0000_0000
+"""Identity of motor 0."""
+FACTORY_HOST = 0xFD
+"""Host of feedback before the first request."""
+PARAMETERS = {0x7005: "B", 0x700B: "f", 0x7017: "f", 0x7018: "f", 0x7026: "H", 0x7028: "I", 0x7029: "B", 0x702B: "f"}
+"""Parameters that can be written, with their coding in ``struct``."""
+MEASURED = (0x7019, 0x701A, 0x701B, 0x701C)
+"""Parameters that can only be read: position, current, velocity, voltage."""
+
+
+def to_code(value: float, largest: float) -> int:
+    """Return the 16 bits of a value within +-largest. Values beyond are limited."""
+    return round((min(largest, max(-largest, value)) + largest) / (2.0 * largest) * 65535)
+
+
+def from_code(code: int, low: float, high: float) -> float:
+    """Return the value of 16 bits that span low to high."""
+    return low + (high - low) * code / 65535
+
+
+class RobstrideNode:
+    """One motor.
+
+    Attributes:
+        mode: reset or run.
+        fault: present faults.
+        parameters: bytes of the writable parameters, by number.
+        thermal: temperatures.
+        offset: angle on the wire at theta = 0 [rad].
+        ids: None, because it takes many identifiers.
+        malformed: frames that it could not decode.
+        wake_ns: time of the next wake [ns].
+        watchdog_fed_ns: time of the last command [ns].
+    """
+
+    def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
+        """Set up the node after power-up.
+
+        Args:
+            spec: description of the motor.
+            motor: rotor of the motor.
+            offset: angle on the wire at theta = 0 [rad].
+        """
+        self.motor = motor
+        self.offset = offset
+        self.ids: frozenset[int] | None = None
+        self.node_id = spec.node_id
+        self.thermal = Thermal(spec.torque_constant)
+        self.mode = RESET
+        self.fault = 0
+        self.malformed = 0
+        self.wake_ns = 0
+        self.watchdog_fed_ns = 0
+        model = str(spec.options.get("motor_type", DEFAULT_TYPE))
+        self._velocity, self._torque, self._kp, self._kd = FULL_SCALE[model]
+        self._direction = spec.direction
+        self._peak = spec.torque_peak
+        self._torque_constant = spec.torque_constant
+        self._serial = SERIAL + spec.node_id if spec.serial is None else spec.serial
+        self._saved = {number: bytes(4) for number in PARAMETERS}
+        self._saved[0x700B] = struct.pack("<f", self._torque)
+        self._saved[0x7017] = struct.pack("<f", 2.0)
+        self._saved[0x7018] = struct.pack("<f", self._torque / 0.5)
+        self._saved[0x7026] = struct.pack("<HH", 1, 0)
+        self.parameters = dict(self._saved)
+        self._host = FACTORY_HOST
+        self._reports: list[int] = []
+        self._thermal_ns = -1
+
+    @property
+    def run_mode(self) -> int:
+        """Return the mode of operation."""
+        return self.parameters[0x7005][0]
+
+    @property
+    def timeout_ns(self) -> int:
+        """Return the time without a command until the watchdog fires [ns], 0 if it is off."""
+        return int.from_bytes(self.parameters[0x7028], "little") * TIMEOUT_UNIT_NS
+
+    @property
+    def torque_limit(self) -> float:
+        """Return the torque limit [N m]."""
+        limit = float(struct.unpack("<f", self.parameters[0x700B])[0])
+        return min(self._peak, self._torque, limit)
+
+    def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
+        """Execute a frame.
+
+        Returns:
+            The answers, None if the frame is not for this motor.
+        """
+        number = frame.can_id & ~EXTENDED
+        if not frame.can_id & EXTENDED or frame.can_id & REMOTE or frame.flags & FDF or number & 0xFF != self.node_id:
+            return None
+        kind = number >> 24 & 0x1F
+        if kind == 2 or kind == 0x15:
+            return None
+        if len(frame.data) != 8:
+            self.malformed += 1
+            return []
+        if kind == 1:
+            self._control(number >> 8 & 0xFFFF, frame.data, t_ns)
+            return [self._feedback(frame)]
+        self._host = number >> 8 & 0xFF
+        return self._execute(kind, number >> 16 & 0xFF, frame, t_ns)
+
+    def _execute(self, kind: int, area: int, frame: Frame, t_ns: int) -> list[Frame]:
+        """Execute a request of a host."""
+        if kind in (0, 7):
+            # A new number takes effect at once, and is answered by the identity.
+            if kind == 7 and 0 < area < 0x80:
+                self.node_id = area
+            return [self._identity(frame)]
+        if kind == 0x11:
+            return [self._read(frame.data, frame)]
+        requests = {3: self._enable, 4: self._stop_on_request, 6: self._set_zero, 0x12: self._write, 0x16: self._save}
+        if kind not in requests:
+            self.malformed += 1
+            return []
+        requests[kind](frame.data, t_ns)
+        return [self._feedback(frame)]
+
+    def _identity(self, frame: Frame) -> Frame:
+        """Return the frame with the identity."""
+        return Frame(EXTENDED | self.node_id << 8 | 0xFE, self._serial.to_bytes(8, "big"), 0, frame.bus)
+
+    def _enable(self, _data: bytes, t_ns: int) -> None:
+        """Enter run mode, without faults and in operation control."""
+        if self.fault or self.run_mode != 0:
+            return
+        self.watchdog_fed_ns = t_ns
+        if self.mode != RUN:
+            self.motor.servo.release()
+            self.mode = RUN
+        self._schedule()
+
+    def _stop_on_request(self, data: bytes, _t_ns: int) -> None:
+        """Enter reset mode. Byte 0 = 1 also clears the faults."""
+        self._stop(clear=data[0] == 1)
+
+    def _set_zero(self, data: bytes, _t_ns: int) -> None:
+        """Make the present position zero."""
+        if data[0] == 1:
+            self.offset = -self._direction * self.motor.encoder()
+
+    def _save(self, data: bytes, _t_ns: int) -> None:
+        """Save the parameters."""
+        if data == bytes(range(1, 9)):
+            self._saved = dict(self.parameters)
+
+    def _stop(self, clear: bool) -> None:
+        """Enter reset mode, and clear the faults on request."""
+        self.motor.servo.release()
+        self.mode = RESET
+        if clear:
+            self.fault = 0
+        self._schedule()
+
+    def _control(self, torque: int, data: bytes, t_ns: int) -> None:
+        """Follow a control command in run mode."""
+        self.watchdog_fed_ns = t_ns
+        if self.mode == RUN:
+            self.follow(torque, data)
+        self._schedule()
+
+    def follow(self, torque: int, data: bytes) -> None:
+        """Set the servo from the 16 bits of the torque and a payload of 8 bytes."""
+        position, velocity, kp, kd = struct.unpack(">4H", data)
+        servo = self.motor.servo
+        sign = self._direction
+        limit = self.torque_limit
+        servo.kp = from_code(kp, 0.0, self._kp)
+        servo.kd = from_code(kd, 0.0, self._kd)
+        servo.position = sign * (from_code(position, -POSITION_RANGE, POSITION_RANGE) - self.offset)
+        servo.velocity = sign * from_code(velocity, -self._velocity, self._velocity)
+        feedforward = from_code(torque, -self._torque, self._torque)
+        servo.torque = sign * max(-limit, min(limit, feedforward))
+        servo.limit = limit
+
+    def _read(self, data: bytes, frame: Frame) -> Frame:
+        """Return the reply to a parameter read."""
+        number = int.from_bytes(data[:2], "little")
+        value = self.parameters.get(number)
+        if value is None and number in MEASURED:
+            value = struct.pack("<f", self._measured(number))
+        head = EXTENDED | 0x11 << 24 | (value is None) << 16 | self.node_id << 8 | self._host
+        return Frame(head, data[:2] + b"\0\0" + (value or bytes(4)), 0, frame.bus)
+
+    def _measured(self, number: int) -> float:
+        """Return a measured parameter."""
+        sign = self._direction
+        values = {
+            0x7019: sign * self.motor.encoder() + self.offset,
+            0x701A: sign * self.motor.torque / self._torque_constant,
+            0x701B: sign * self.motor.velocity,
+            0x701C: 48.0,
+        }
+        return values[number]
+
+    def _write(self, data: bytes, _t_ns: int) -> None:
+        """Write a parameter. Unknown parameters and values out of range are ignored."""
+        number = int.from_bytes(data[:2], "little")
+        coding = PARAMETERS.get(number)
+        if coding is None:
+            return
+        (value,) = struct.unpack_from(f"<{coding}", data, 4)
+        if number == 0x7005 and (value not in (0, 1, 2, 3, 5) or self.mode == RUN):
+            return
+        if number == 0x700B and not 0.0 <= value <= self._torque:
+            return
+        self.parameters[number] = struct.pack(f"<{coding}", value).ljust(4, b"\0")
+
+    def _feedback(self, frame: Frame) -> Frame:
+        """Return the feedback to the latest host."""
+        motor = self.motor
+        sign = self._direction
+        position = to_code(sign * motor.encoder() + self.offset, POSITION_RANGE)
+        velocity = to_code(sign * motor.velocity, self._velocity)
+        torque = to_code(sign * motor.torque, self._torque)
+        data = struct.pack(">HHHh", position, velocity, torque, int(10 * self.thermal.winding))
+        status = self.mode << 6 | self.fault
+        return Frame(EXTENDED | 2 << 24 | status << 16 | self.node_id << 8 | self._host, data, 0, frame.bus)
+
+    def trip(self, fault: int) -> None:
+        """Enter reset mode with a fault. A fault of 0 is the watchdog, which has no fault."""
+        self.motor.servo.release()
+        self.mode = RESET
+        self.fault |= fault
+        if fault:
+            self._reports.append(fault)
+            self.wake_ns = 0
+
+    def power_cycle(self) -> None:
+        """Restart in reset mode, with the saved parameters."""
+        self._stop(clear=True)
+        self.parameters = dict(self._saved)
+        self._host = FACTORY_HOST
+
+    def lose_settings(self) -> None:
+        """Restore the saved parameters without a change of mode."""
+        self.parameters = dict(self._saved)
+
+    def _schedule(self) -> None:
+        """Set the time of the next wake."""
+        self.wake_ns = self._thermal_ns + THERMAL_PERIOD_NS
+        if self.mode == RUN and self.timeout_ns:
+            self.wake_ns = min(self.wake_ns, self.watchdog_fed_ns + self.timeout_ns + 1)
+
+    def wake(self, t_ns: int) -> list[Frame]:
+        """Check watchdog and temperature, and send the reports of new faults.
+
+        Returns:
+            The fault reports.
+        """
+        if self.mode == RUN and self.timeout_ns and t_ns - self.watchdog_fed_ns > self.timeout_ns:
+            self.trip(0)
+        if self._thermal_ns < 0 or t_ns - self._thermal_ns >= THERMAL_PERIOD_NS:
+            if self._thermal_ns >= 0:
+                self.thermal.advance((t_ns - self._thermal_ns) * 1e-9, self.motor.heat)
+            self.motor.heat = 0.0
+            self._thermal_ns = t_ns
+            if self.thermal.winding > HOT_C and not self.fault & HOT:
+                self.trip(HOT)
+        reports = [self._report(fault) for fault in self._reports]
+        self._reports.clear()
+        self._schedule()
+        return reports
+
+    def _report(self, fault: int) -> Frame:
+        """Return the fault report of faults."""
+        bits = sum(reported for bit, reported in REPORTED.items() if fault & bit)
+        warning = int(self.thermal.winding > HOT_C)
+        return Frame(EXTENDED | 0x15 << 24 | self.node_id << 8 | self._host, struct.pack("<II", bits, warning))

@@ -1,0 +1,1 @@
+"""RobStride motors: private protocol with 29-bit identifiers."""

@@ -1,0 +1,207 @@
+"""Frames of RobStride's private protocol: identifiers and bytes <-> values at the output shaft.
+
+Identifier, always 29 bits. A frame to the motor has the motor's number in its lowest byte:
+
+    bits    28..24   23..16                     15..8            7..0
+    type 1  1        torque, 16 bits: 23..8                      motor          control command
+    type 2  2        mode 23..22, fault 21..16  motor            host           feedback
+    other   type     see below                  host             motor          request
+    other   type     see below                  motor            host           reply
+
+Control command, 8 bytes, big-endian. Every field spans its range with 16 bits:
+
+    byte    0, 1           2, 3              4, 5      6, 7
+    field   position       velocity          kp        kd
+    range   +-4 pi rad     see MODELS        from 0    from 0
+
+Feedback, 8 bytes, big-endian:
+
+    byte    0, 1           2, 3              4, 5            6, 7
+    field   position       velocity          torque          winding
+    range   +-4 pi rad     see MODELS        see MODELS      0.1 degC/count
+
+Parameter read (type 0x11) and write (0x12), little-endian: parameter number in bytes 0 and 1, value
+in bytes 4 to 7. A read reply has 1 in bits 23..16 if it failed. A write is answered by feedback.
+
+Source: docs/facts/robstride.md.
+"""
+
+import math
+import struct
+from typing import NamedTuple
+
+from handctl.drives.frame import EXTENDED
+from handctl.drives.signals import IDENTIFIER_BIT, Coding, Message, Quantity, Signal
+
+# Types of frames.
+GET_ID = 0x00
+CONTROL = 0x01
+FEEDBACK = 0x02
+ENABLE = 0x03
+STOP = 0x04
+SET_ZERO = 0x06
+SET_NUMBER = 0x07
+READ = 0x11
+WRITE = 0x12
+FAULT_REPORT = 0x15
+SAVE = 0x16
+SET_BIT_RATE = 0x17
+REPORTING = 0x18
+SET_PROTOCOL = 0x19
+REQUESTS = (GET_ID, ENABLE, STOP, SET_ZERO, SET_NUMBER, READ, WRITE, SAVE, SET_BIT_RATE, REPORTING, SET_PROTOCOL)
+"""Types with the number of the host in bits 15..8."""
+BROADCAST = 0xFE
+"""Destination of the reply with the motor's identity."""
+LAST_NODE = 0x7F
+"""Largest motor number."""
+HOST = 0xFD
+"""Usual number of a host."""
+
+# Modes in the feedback's identifier.
+RESET = 0
+CALIBRATING = 1
+RUNNING = 2
+FAULTS = {
+    0: "under-voltage",
+    1: "over-current",
+    2: "over-temperature",
+    3: "encoder fault",
+    4: "overload: the shaft is blocked",
+    5: "not calibrated",
+    # Faults of the fault report, above those of the feedback.
+    8: "over-temperature",
+    9: "driver chip fault",
+    10: "under-voltage",
+    11: "over-voltage",
+    12: "over-current in phase B",
+    13: "over-current in phase C",
+    15: "encoder not calibrated",
+    16: "hardware identification fault",
+    17: "position initialization fault",
+    22: "overload: the shaft is blocked",
+    24: "over-current in phase A",
+}
+"""Faults by bit of the error code: 6 bits of the feedback's identifier, then those of the fault report from bit 8."""
+REPORT_SHIFT = 8
+"""Bit of the error code for bit 0 of the fault report."""
+
+# Parameters: mode of operation, torque limit, watchdog.
+RUN_MODE = 0x7005
+LIMIT_TORQUE = 0x700B
+CAN_TIMEOUT = 0x7028
+OPERATION = 0
+"""Value of RUN_MODE for control commands."""
+TIMEOUT_UNITS_PER_MS = 20
+"""Watchdog counts per millisecond: 20000 counts are a second."""
+TURNS = 4.0 * math.pi
+"""Full scale of the position [rad]."""
+TOP = 0xFFFF
+"""Largest code of a field."""
+_MIDDLE = TOP // 2
+NO_MOTION = struct.pack(">HHHH", _MIDDLE, _MIDDLE, 0, 0)
+"""Payload of a pure torque command. Position and velocity act only through the gains."""
+CLEAR = bytes((1,)) + bytes(7)
+"""Payload of the stop command that also clears faults."""
+EMPTY = bytes(8)
+"""Payload of requests without data."""
+_PARAMETER = struct.Struct("<HH4s")
+
+
+class ModelRanges(NamedTuple):
+    """Full scale of a model: velocity [rad/s], torque [N m], kp [N m/rad], kd [N m s/rad]."""
+
+    velocity: float
+    torque: float
+    kp: float
+    kd: float
+
+
+MODELS = {
+    "rs00": ModelRanges(33.0, 14.0, 500.0, 5.0),
+    "rs01": ModelRanges(44.0, 17.0, 500.0, 5.0),
+    "rs02": ModelRanges(44.0, 17.0, 500.0, 5.0),
+    "rs03": ModelRanges(20.0, 60.0, 5000.0, 100.0),
+    "rs04": ModelRanges(15.0, 120.0, 5000.0, 100.0),
+    "rs05": ModelRanges(50.0, 5.5, 500.0, 5.0),
+}
+"""Full scale of the models. The motor does not report its model."""
+
+
+def request_id(kind: int, node_id: int, host: int, data: int = 0) -> int:
+    """Return the identifier of a request of a host to a motor."""
+    return EXTENDED | kind << 24 | data << 16 | host << 8 | node_id
+
+
+def reply_id(kind: int, node_id: int, host: int, data: int = 0) -> int:
+    """Return the identifier of a motor's frame to a host."""
+    return EXTENDED | kind << 24 | data << 16 | node_id << 8 | host
+
+
+def motor_ids(node_id: int, host: int) -> frozenset[int]:
+    """Return the identifiers of a motor's frames to a host.
+
+    They are identity, feedback with every mode and fault, replies to reads, and the fault report.
+    """
+    feedback = {reply_id(FEEDBACK, node_id, host, data) for data in range(0x100)}
+    reads = {reply_id(READ, node_id, host, failed) for failed in (0, 1)}
+    identity = reply_id(GET_ID, node_id, BROADCAST)
+    return frozenset(feedback | reads | {identity, reply_id(FAULT_REPORT, node_id, host)})
+
+
+def status(mode: int, fault: int) -> int:
+    """Return bits 23..16 of the feedback's identifier."""
+    return mode << 6 | fault
+
+
+def command_message(node_id: int, ranges: ModelRanges, limit: float, sign: int = 1) -> Message:
+    """Return the torque command, whose torque is in the identifier.
+
+    Zero torque has no code. 0 N m is sent as the nearest code, half a step away.
+
+    Args:
+        node_id: number of the motor.
+        ranges: full scale of the motor.
+        limit: torque limit [N m].
+        sign: sign of the torque, 1 if positive torque winds.
+    """
+    scale = sign * 2 * ranges.torque / TOP
+    offset = -sign * ranges.torque
+    torque = Signal("torque", Quantity.TORQUE, IDENTIFIER_BIT + 8, 16, scale=scale, offset=offset, unit="N m")
+    return Message("command", EXTENDED | CONTROL << 24 | node_id, 8, (torque,), 0, NO_MOTION, False, limit)
+
+
+def feedback_message(node_id: int, host: int, ranges: ModelRanges, sign: int = 1, zero: float = 0.0) -> Message:
+    """Return the feedback of a running motor without a fault.
+
+    Args:
+        node_id: number of the motor.
+        host: number of the host.
+        ranges: full scale of the motor.
+        sign: sign of position, velocity, and torque, 1 if positive torque winds.
+        zero: motor angle of the spool's zero [rad].
+    """
+    position = _spanning("position", Quantity.POSITION, 7, TURNS, "rad", sign)
+    return Message("feedback", reply_id(FEEDBACK, node_id, host, status(RUNNING, 0)), 8, (
+        # Spool angle = sign * (motor angle - zero).
+        position._replace(offset=position.offset - sign * zero),
+        _spanning("velocity", Quantity.VELOCITY, 23, ranges.velocity, "rad/s", sign),
+        _spanning("torque", Quantity.TORQUE, 39, ranges.torque, "N m", sign),
+        Signal("winding", Quantity.TEMPERATURE, 55, 16, True, Coding.SIGNED, 0.1, unit="degC"),
+    ))  # fmt: skip
+
+
+def _spanning(name: str, quantity: Quantity, start: int, largest: float, unit: str, sign: int) -> Signal:
+    """Return a signal whose 16 bits span -largest to largest."""
+    scale = sign * 2 * largest / TOP
+    return Signal(name, quantity, start, 16, True, Coding.UNSIGNED, scale, -sign * largest, unit)
+
+
+def parameter(number: int, raw: bytes = EMPTY[:4]) -> bytes:
+    """Return the payload that reads a parameter, or writes its four bytes."""
+    return _PARAMETER.pack(number, 0, raw)
+
+
+def parameter_reply(data: bytes) -> tuple[int, bytes]:
+    """Return number and four bytes of a parameter from a payload of 8 bytes."""
+    number, _, raw = _PARAMETER.unpack(data)
+    return number, raw

@@ -1,0 +1,79 @@
+"""Discovery of RobStride motors: the identity request to each number.
+
+The identity request (type 0) makes no torque and changes nothing. Fault, mode and parameters are not
+read, because the stop command is the only request for feedback. Source: docs/facts/robstride.md.
+"""
+
+from handctl.drives.discovery import TWINS, DiscoveredNode, Discovery, ReceivedFrames
+from handctl.drives.frame import ERROR, EXTENDED, REMOTE, Frame
+from handctl.drives.robstride import codec
+
+NUMBERS = range(1, codec.LAST_NODE + 1)
+"""Motor numbers to try."""
+ALL_HOSTS = range(0x100)
+"""Numbers of hosts."""
+HOST_ONLY = frozenset(codec.REQUESTS) - {codec.GET_ID, codec.READ, codec.REPORTING} | {codec.CONTROL}
+"""Types of frames that a motor never sends."""
+
+
+def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
+    """Return the request frames of a round: the identity of every number in round 2, of found motors in round 3."""
+    if turn == 2:
+        return tuple(_identity_request(number) for number in NUMBERS)
+    if turn == 3:
+        return tuple(_identity_request(motor.node_id) for motor in nodes(received))
+    return ()
+
+
+def _identity_request(number: int) -> Frame:
+    """Return the identity request to a motor."""
+    return Frame(codec.request_id(codec.GET_ID, number, codec.HOST), codec.EMPTY)
+
+
+def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
+    """Return the motors that answered with their identity."""
+    by_reply = {codec.reply_id(codec.GET_ID, number, codec.BROADCAST): number for number in NUMBERS}
+    serials: dict[int, set[bytes]] = {}
+    for frame in received:
+        number = by_reply.get(frame.can_id)
+        if number is not None and len(frame.data) == 8:
+            serials.setdefault(number, set()).add(frame.data)
+    return tuple(_motor(number, serials[number]) for number in sorted(serials))
+
+
+def _motor(number: int, serials: set[bytes]) -> DiscoveredNode:
+    """Return the data of one motor."""
+    twins = len(serials) > 1
+    notes = (TWINS,) * twins + ("does not report its model: give motor_type in the hand file",)
+    return DiscoveredNode("robstride", number, serial=min(serials).hex(), notes=notes, twins=twins)
+
+
+def command_ids(motor: DiscoveredNode) -> frozenset[int]:
+    """Return the requests of any host to the motor."""
+    return frozenset(codec.request_id(kind, motor.node_id, host) for kind in codec.REQUESTS for host in ALL_HOSTS)
+
+
+def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
+    """Return the frames of types that a motor never sends, to a motor number."""
+    return tuple(
+        frame
+        for frame in received
+        if frame.can_id & EXTENDED
+        and not frame.can_id & (REMOTE | ERROR)
+        and (frame.can_id & ~EXTENDED) >> 24 in HOST_ONLY
+        and 0 < frame.can_id & 0xFF <= codec.LAST_NODE
+        and len(frame.data) == 8
+    )
+
+
+def ping(motor: DiscoveredNode) -> Frame:
+    """Return the identity request."""
+    return _identity_request(motor.node_id)
+
+
+def is_pong(motor: DiscoveredNode, frame: Frame) -> bool:
+    """Return True for the identity."""
+    return frame.can_id == codec.reply_id(codec.GET_ID, motor.node_id, codec.BROADCAST)
+
+
+DISCOVERY = Discovery(probe_frames, nodes, command_ids, other_host_frames, ping, is_pong)

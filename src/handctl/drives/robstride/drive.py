@@ -1,0 +1,369 @@
+"""RobStride motor: from silence through its parameters to torque, and back to reset mode.
+
+A motor answers requests and sends fault reports on its own. Mode and faults are in the identifier
+of the feedback. Hence feedback of a running motor without a fault has one identifier, and any other
+goes to the state machine here. A stop command without data stops and does not clear faults. It is
+also the request for feedback while the motor is disabled, because no other request has one.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from handctl.drives import readback
+from handctl.drives.causes import Cause
+from handctl.drives.contract import UNSTEADY, DriveState, DriveTarget, Phase
+from handctl.drives.frame import EXTENDED, Frame
+from handctl.drives.motor_description import MotorDescription
+from handctl.drives.option_checks import whole_number
+from handctl.drives.readback import Cursor
+from handctl.drives.robstride import codec
+from handctl.drives.robstride import settings as parameters
+from handctl.drives.robstride.progress import (
+    CLEAR_TRIES,
+    MISMATCH,
+    SILENCE_NS,
+    RobstrideProgress,
+    apply_fault,
+    apply_status,
+    cause_of,
+    progress_of,
+    to_fault,
+)
+from handctl.drives.signals import Cyclic, Table
+from handctl.errors import ConfigError
+
+LISTEN, POLL, ENABLE, DISABLE = DriveTarget
+SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
+"""Phases as module-level names. An attribute look-up in the enumeration costs more than a comparison."""
+
+
+@dataclass(frozen=True, slots=True)
+class RobstrideDrive:
+    """One motor. Implements ``contract.Drive``.
+
+    Attributes:
+        name: name of the motor.
+        bus: index of the bus.
+        node_id: 1 to 0x7f.
+        host: number of this host.
+        ranges: full scale of the model.
+        torque_limit: largest torque command, and the motor's own limit [N m at the spool].
+        direction: 1 if positive torque of the motor winds, else -1.
+        zero: motor angle of the spool's zero [rad].
+        watchdog_ms: watchdog [ms].
+        command: signal table of the command, from the fields above.
+        feedback: signal table of the feedback, from the fields above.
+        required: parameters required before arming, from the fields above.
+        node_ids: identifiers of the motor's frames, from the fields above.
+    """
+
+    name: str
+    bus: int
+    node_id: int
+    host: int
+    ranges: codec.ModelRanges
+    torque_limit: float
+    direction: int
+    zero: float
+    watchdog_ms: float
+    command: Table = field(init=False, repr=False, compare=False)
+    feedback: Table = field(init=False, repr=False, compare=False)
+    required: tuple[parameters.RequiredParameter, ...] = field(init=False, repr=False, compare=False)
+    node_ids: frozenset[int] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        """Build the signal tables of the cyclic frames."""
+        command = codec.command_message(self.node_id, self.ranges, self.torque_limit, self.direction)
+        feedback = codec.feedback_message(self.node_id, self.host, self.ranges, self.direction, self.zero)
+        object.__setattr__(self, "command", Table(command))
+        object.__setattr__(self, "feedback", Table(feedback))
+        object.__setattr__(self, "required", parameters.required(self.torque_limit, self.watchdog_ms))
+        object.__setattr__(self, "node_ids", codec.motor_ids(self.node_id, self.host))
+
+    @staticmethod
+    def of(motor: MotorDescription, bus: int) -> "RobstrideDrive":
+        """Return the drive of a motor description.
+
+        Ranges of position and velocity are those of the model, not of the description.
+
+        Raises:
+            ConfigError: an unknown model or option, or more torque than the model's full scale.
+        """
+        options = dict(motor.options)
+        where = f"motor[{motor.name}]"
+        model: Any = options.pop("motor_type", None)
+        if model not in codec.MODELS:
+            problem = "missing" if model is None else repr(model)
+            raise ConfigError(problem, f"{where}.options.motor_type", "one of " + ", ".join(codec.MODELS))
+        host = whole_number(options.pop("host_id", codec.HOST), f"{where}.options.host_id", codec.HOST)
+        if options:
+            raise ConfigError("unknown key", f"{where}.options.{next(iter(options))}", "motor_type or host_id")
+        if host <= codec.LAST_NODE:
+            raise ConfigError(str(host), f"{where}.options.host_id", "128 to 253, no number of a motor")
+        ranges = codec.MODELS[model]
+        if motor.torque_max_N_m > ranges.torque:
+            raise ConfigError(f"{motor.torque_max_N_m:g}", f"{where}.torque_max_N_m", f"at most {ranges.torque:g}")
+        return RobstrideDrive(
+            name=motor.name,
+            bus=bus,
+            node_id=motor.node_id,
+            host=host,
+            ranges=ranges,
+            torque_limit=motor.torque_max_N_m,
+            direction=motor.direction,
+            zero=motor.zero_rad,
+            watchdog_ms=motor.watchdog_ms,
+        )
+
+    @property
+    def exchange(self) -> tuple[tuple[int, bool], ...]:
+        """Return command and feedback."""
+        return ((8, False), (8, False))
+
+    @property
+    def background(self) -> tuple[tuple[int, bool, float], ...]:
+        """Return the parameter reads of the read-back, and their replies."""
+        return ((8, False, readback.RECHECKS_PER_SECOND),) * 2
+
+    @property
+    def extended(self) -> bool:
+        """Return True: all identifiers have 29 bits."""
+        return True
+
+    @property
+    def host_ids(self) -> frozenset[int]:
+        """Return the requests of this host, and the commands with the codes of zero torque.
+
+        Commands with other torques have 65536 identifiers. A second host is found by its requests.
+        """
+        requests = {codec.request_id(kind, self.node_id, self.host) for kind in codec.REQUESTS}
+        return frozenset(requests | {self.command.message.can_id, self.command.pack_frame(0.0)[0]})
+
+    @property
+    def unverified_guards(self) -> tuple[str, ...]:
+        """Return no entry: torque limit and watchdog are read back."""
+        return ()
+
+    @property
+    def one_reply_per_command(self) -> bool:
+        """Return True: a motor sends one feedback per command."""
+        return True
+
+    @property
+    def position_step(self) -> float:
+        """Return one count of 16 bits over 8 pi [rad]."""
+        return 2 * codec.TURNS / codec.TOP
+
+    @property
+    def feedback_period_s(self) -> float:
+        """Return 0: every command requests feedback."""
+        return 0.0
+
+    @property
+    def cyclic(self) -> Cyclic:
+        """Return command and feedback."""
+        return Cyclic((self.feedback.message,), (self.command.message,))
+
+    def steady_status(self, state: DriveState) -> int:
+        """Return 0: the identifier of the feedback is the status."""
+        progress = progress_of(state)
+        if state.phase != ENABLED or not progress.enable_sent or progress.disabling or progress.check.waiting:
+            return UNSTEADY
+        return 0
+
+    def due_ns(self, state: DriveState) -> int:
+        """Return the time of the next read-back [ns]."""
+        return progress_of(state).check.due_ns
+
+    def initial(self) -> DriveState:
+        """Return the silent state."""
+        return DriveState(private=RobstrideProgress())
+
+    def receive(self, state: DriveState, frame: Frame) -> DriveState:
+        """Apply one received frame, see ``contract.Drive``."""
+        can_id, data, _, bus, t_ns = frame
+        number = can_id & ~EXTENDED
+        if bus != self.bus or can_id not in self.node_ids:
+            return state
+        if len(data) != 8:
+            return state._replace(misread=state.misread + 1)
+        kind = number >> 24
+        status = number >> 16 & 0xFF
+        if kind == codec.FEEDBACK:
+            return self._on_feedback(state, data, t_ns, status)
+        if kind == codec.READ:
+            return self._on_parameter(state, data, bool(status))
+        if kind == codec.FAULT_REPORT:
+            return self._on_report(state, data)
+        serial = int.from_bytes(data, "big")
+        progress = progress_of(state)._replace(serial=serial)
+        phase = CONFIGURING if state.phase == SILENT and not progress.clearing else state.phase
+        return state._replace(phase=phase, private=progress)
+
+    def _on_feedback(self, state: DriveState, data: bytes, t_ns: int, status: int) -> DriveState:
+        """Apply the values of a feedback frame, and the status of its identifier."""
+        position, velocity, torque, winding = self.feedback.unpack(data)
+        updated = state._replace(
+            position=position,
+            velocity=velocity,
+            torque=torque,
+            temperature=winding,
+            feedback_t_ns=t_ns,
+            feedback_count=state.feedback_count + 1,
+        )
+        return apply_status(updated, status >> 6, status & 0x3F)
+
+    def _on_report(self, state: DriveState, data: bytes) -> DriveState:
+        """Apply a fault report. Faults in bytes 0 to 3 have removed the torque, bytes 4 to 7 are warnings."""
+        faults = int.from_bytes(data[:4], "little")
+        if not faults:
+            return state
+        return apply_fault(state, codec.RESET, faults << codec.REPORT_SHIFT & 0xFFFFFFFF)
+
+    def _on_parameter(self, state: DriveState, data: bytes, failed: bool) -> DriveState:
+        """Compare a parameter with the required value."""
+        progress = progress_of(state)
+        number, raw = codec.parameter_reply(data)
+        if state.phase == ENABLED and progress.check.waiting:
+            one = self.required[progress.check.step]
+            if number != one.number:
+                return state
+            same = one.is_right(raw) and not failed
+            answer = "cannot be read" if failed else f"reads {one.shown(raw)}"
+            check, problem = readback.on_recheck_reply(
+                progress.check, len(self.required), same, one.name, answer, f"{one.value:g}"
+            )
+            updated = state._replace(private=progress._replace(check=check))
+            return to_fault(updated, MISMATCH, problem) if problem else updated
+        cursor = progress.cursor
+        if state.phase != CONFIGURING or not cursor.waiting or cursor.step >= len(self.required):
+            return state
+        one = self.required[cursor.step]
+        if number != one.number:
+            return state
+        if failed:
+            return to_fault(state, MISMATCH, f"{one.name} cannot be read")
+        if one.is_right(raw):
+            return state._replace(private=progress._replace(cursor=cursor.next_setting()))
+        cursor, problem = readback.on_wrong_value(cursor, one.name, one.shown(raw), f"{one.value:g}", parameters.WRITES)
+        updated = state._replace(private=progress._replace(cursor=cursor))
+        return to_fault(updated, MISMATCH, problem) if problem else updated
+
+    def advance(
+        self, state: DriveState, t_ns: int, target: DriveTarget, torque: float
+    ) -> tuple[DriveState, tuple[Frame, ...]]:
+        """Return the next state and the frames to send, see ``contract.Drive``."""
+        progress: RobstrideProgress = state.private
+        if target == ENABLE and state.phase == ENABLED and not progress.disabling:
+            command = self._torque(torque)
+            # The usual path of a running hand: one command, no other state change.
+            if t_ns < progress.check.due_ns:
+                return state, (command,)
+            state, question = self._recheck(state, progress, t_ns)
+            return state, (command, question)
+        if target == LISTEN:
+            return state, ()
+        if target == DISABLE or state.phase == ENABLED:
+            return self._disable(state, progress, t_ns), self.cut()
+        if state.phase == FAULT:
+            return state, self.cut()
+        progress = progress._replace(disabling=False)
+        if (
+            state.phase == READY
+            and not progress.enable_sent
+            and t_ns - max(state.feedback_t_ns, progress.ready_ns) > SILENCE_NS
+        ):
+            return state._replace(phase=SILENT, private=RobstrideProgress()), (self._request(codec.GET_ID),)
+        if state.phase == CONFIGURING or (state.phase == READY and not progress.configured):
+            return self._configure(state._replace(phase=CONFIGURING), progress, t_ns)
+        if state.phase == READY and target == ENABLE:
+            check = progress.check if progress.enable_sent else readback.first_recheck(self.node_id, t_ns)
+            enabling = state._replace(private=progress._replace(enable_sent=True, check=check))
+            return enabling, (self._request(codec.ENABLE),)
+        return state._replace(private=progress), (self._question(state, progress),)
+
+    def _question(self, state: DriveState, progress: RobstrideProgress) -> Frame:
+        """Return the request to a motor without torque: for feedback, to clear faults, or for its identity."""
+        if state.phase == READY:
+            return self._request(codec.STOP)
+        return self._request(codec.STOP, codec.CLEAR) if progress.clearing else self._request(codec.GET_ID)
+
+    def _disable(self, state: DriveState, progress: RobstrideProgress, t_ns: int) -> DriveState:
+        """Return the state while stopping. A possibly enabled motor counts as enabled until it reports reset mode."""
+        phase = ENABLED if progress.enable_sent or progress.enabled_by_other else state.phase
+        since = progress.disabling_ns if progress.disabling else t_ns
+        return state._replace(phase=phase, private=progress._replace(disabling=True, disabling_ns=since))
+
+    def _recheck(self, state: DriveState, progress: RobstrideProgress, t_ns: int) -> tuple[DriveState, Frame]:
+        """Return the read of a parameter of the enabled motor."""
+        one = self.required[progress.check.step]
+        check, problem = readback.next_recheck(progress.check, one.name, self.node_id, t_ns)
+        state = state._replace(private=progress._replace(check=check))
+        if problem:
+            state = to_fault(state, MISMATCH, problem)
+        return state, self._request(codec.READ, codec.parameter(one.number))
+
+    def _configure(
+        self, state: DriveState, progress: RobstrideProgress, t_ns: int
+    ) -> tuple[DriveState, tuple[Frame, ...]]:
+        """Read or write the next parameter. An enabled motor is stopped first."""
+        if progress.enabled_by_other:
+            updated = state._replace(error_text="enabled, and does not stop", private=progress)
+            return updated, self.cut()
+        cursor = progress.cursor
+        if cursor.step >= len(self.required):
+            ready = progress._replace(cursor=Cursor(), configured=True, ready_ns=t_ns)
+            return state._replace(phase=READY, private=ready), self.cut()
+        one = self.required[cursor.step]
+        if cursor.writing:
+            updated = state._replace(private=progress._replace(cursor=cursor.after_write()))
+            return updated, (self._request(codec.WRITE, codec.parameter(one.number, one.raw)),)
+        cursor, send, problem = readback.next_request(cursor, one.name, t_ns)
+        if problem:
+            return to_fault(state._replace(private=progress), MISMATCH, problem), ()
+        updated = state._replace(error_text="", private=progress._replace(cursor=cursor))
+        return updated, (self._request(codec.READ, codec.parameter(one.number)),) if send else ()
+
+    def _torque(self, torque: float) -> Frame:
+        """Return a torque command.
+
+        Args:
+            torque: command [N m at the spool].
+
+        Raises:
+            ValueError: torque is not finite, or beyond the limit.
+        """
+        try:
+            can_id, data = self.command.pack_frame(torque)
+        except ValueError as error:
+            raise ValueError(f"{self.name}: {error}") from None
+        return Frame(can_id, data, 0, self.bus)
+
+    def torque_frames(self, torque: float) -> tuple[Frame, ...]:
+        """Return the torque command alone."""
+        return (self._torque(torque),)
+
+    def cut(self) -> tuple[Frame, ...]:
+        """Return the stop command."""
+        return (self._request(codec.STOP),)
+
+    def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
+        """Clear the latched faults by a stop command, and start again with the read-back."""
+        fresh = state._replace(phase=SILENT, error=0, error_text="", private=RobstrideProgress(clearing=CLEAR_TRIES))
+        return fresh, (self._request(codec.STOP, codec.CLEAR),)
+
+    def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
+        """Return no frame: the watchdog of a stopped motor is inactive."""
+        return ()
+
+    def identity(self, state: DriveState) -> str:
+        """Return the 64 bits of the processor's identifier, or the node number."""
+        return f"{serial:016x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
+
+    def cause(self, error: int) -> Cause:
+        """Return the cause of an error, see ``contract.Drive``."""
+        return cause_of(error)
+
+    def _request(self, kind: int, data: bytes = codec.EMPTY) -> Frame:
+        """Return a request to the motor."""
+        return Frame(codec.request_id(kind, self.node_id, self.host), data, 0, self.bus)

@@ -1,0 +1,133 @@
+"""Progress of a RobStride motor between frames, and the effect of mode and faults."""
+
+from typing import NamedTuple
+
+from handctl.drives.causes import Cause
+from handctl.drives.contract import DriveState, Phase
+from handctl.drives.readback import Cursor, Recheck
+from handctl.drives.robstride import codec
+
+SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
+
+# Error codes of the host, above the 32 bits of the motor's faults.
+DROPPED_OUT, MISMATCH, ENABLED_BY_OTHERS = (1 << 32 | number for number in range(3))
+CAUSES = {DROPPED_OUT: Cause.DROPPED_OUT, MISMATCH: Cause.MISMATCH, ENABLED_BY_OTHERS: Cause.MISMATCH}
+"""Causes by the error codes of the host."""
+CAUSES_OF_BITS = {0: Cause.VOLTAGE, 10: Cause.VOLTAGE, 11: Cause.VOLTAGE, 2: Cause.HOT, 8: Cause.HOT}
+"""Causes by bit of the motor's faults."""
+CLEAR_TRIES = 3
+"""Feedback frames that may still carry a fault after the command to clear it."""
+SILENCE_NS = 250_000_000
+"""Silence after which a motor may have lost power, and with it its parameters [ns]."""
+WATCHDOG_TEXT = "disabled by itself: it restarted, or its watchdog fired"
+"""Error text of a motor that left its running mode. The feedback does not report the reason."""
+
+
+class RobstrideProgress(NamedTuple):
+    """Progress of a RobStride motor, the content of ``DriveState.private``.
+
+    Attributes:
+        cursor: cursor of the read-back.
+        configured: True if all parameters have their required values.
+        enabled_by_other: True if the motor may make torque without a command of this host.
+        enable_sent: True from the enable command to the next report of reset.
+        disabling: True while the motor is being stopped.
+        disabling_ns: time of the first stop command [ns].
+        clearing: feedback frames that may still carry the fault being cleared.
+        ready_ns: time at which all parameters were right [ns].
+        check: cursor of the read-back while enabled.
+        serial: identifier of the motor's processor, 0 if unknown.
+    """
+
+    cursor: Cursor = Cursor()
+    configured: bool = False
+    enabled_by_other: bool = False
+    enable_sent: bool = False
+    disabling: bool = False
+    disabling_ns: int = 0
+    clearing: int = 0
+    ready_ns: int = 0
+    check: Recheck = Recheck()
+    serial: int = 0
+
+
+def progress_of(state: DriveState) -> RobstrideProgress:
+    """Return the private part of a state."""
+    progress: RobstrideProgress = state.private
+    return progress
+
+
+def to_fault(state: DriveState, error: int, text: str) -> DriveState:
+    """Return the state with an error."""
+    return state._replace(phase=FAULT, error=error, error_text=text)
+
+
+def apply_status(state: DriveState, mode: int, fault: int) -> DriveState:
+    """Apply mode and faults to a state that has the values of the same feedback."""
+    progress = progress_of(state)
+    if fault:
+        return apply_fault(state, mode, fault)
+    if mode == codec.RESET:
+        return _is_stopped(state, progress)
+    if mode == codec.RUNNING:
+        return _is_running(state, progress)
+    return _is_enabled_by_other(state, progress, "calibrating, but not by this host")
+
+
+def apply_fault(state: DriveState, mode: int, fault: int) -> DriveState:
+    """Apply faults. A motor in reset mode makes no torque, another one may."""
+    progress = progress_of(state)
+    if progress.clearing:
+        return state._replace(private=progress._replace(clearing=progress.clearing - 1))
+    off = mode == codec.RESET
+    updated = progress._replace(enable_sent=progress.enable_sent and not off, enabled_by_other=not off)
+    in_error = to_fault(state._replace(private=updated), fault, fault_text(fault))
+    return in_error._replace(phase=ENABLED) if progress.disabling and not off else in_error
+
+
+def _is_stopped(state: DriveState, progress: RobstrideProgress) -> DriveState:
+    """Apply a report of reset mode without a fault."""
+    off = progress._replace(enable_sent=False, enabled_by_other=False, clearing=0)
+    if progress.disabling:
+        # Feedback from before the stop command proves nothing.
+        if state.feedback_t_ns < progress.disabling_ns:
+            return state
+        return state._replace(phase=FAULT if state.error else READY, private=off)
+    if state.phase == ENABLED:
+        return to_fault(state._replace(private=off), DROPPED_OUT, WATCHDOG_TEXT)
+    off = off._replace(enable_sent=progress.enable_sent)
+    return state._replace(phase=CONFIGURING if state.phase == SILENT else state.phase, private=off)
+
+
+def _is_running(state: DriveState, progress: RobstrideProgress) -> DriveState:
+    """Apply a report of running mode."""
+    if progress.enable_sent and state.phase != FAULT:
+        return state if state.phase == ENABLED else state._replace(phase=ENABLED)
+    return _is_enabled_by_other(state, progress, "enabled, but not by this host")
+
+
+def _is_enabled_by_other(state: DriveState, progress: RobstrideProgress, text: str) -> DriveState:
+    """Apply a report of a mode that another host has caused."""
+    enabled = state._replace(private=progress._replace(enabled_by_other=True))
+    if progress.disabling:
+        return enabled._replace(phase=ENABLED)
+    if state.phase in (READY, ENABLED):
+        return to_fault(enabled, ENABLED_BY_OTHERS, text)
+    return enabled._replace(phase=CONFIGURING) if state.phase == SILENT else enabled
+
+
+def fault_text(fault: int) -> str:
+    """Return the faults of an error code in words."""
+    names = [codec.FAULTS.get(bit, f"unknown fault bit {bit}") for bit in range(32) if fault >> bit & 1]
+    return ", ".join(dict.fromkeys(names))
+
+
+def cause_of(error: int) -> Cause:
+    """Return the cause of an error other than 0."""
+    if error in CAUSES:
+        return CAUSES[error]
+    bits = [bit for bit in range(32) if error >> bit & 1]
+    if not bits or any(bit not in codec.FAULTS for bit in bits):
+        return Cause.UNKNOWN
+    causes = [CAUSES_OF_BITS.get(bit, Cause.OTHER) for bit in bits]
+    return next((cause for cause in causes if cause != Cause.OTHER), Cause.OTHER)
