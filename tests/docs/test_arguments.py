@@ -1,0 +1,46 @@
+"""Every command of the documents takes the arguments that it is given. Placeholders such as N stay unchecked."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from handctl.cli.main import VERBS, verb_parser
+from handctl.errors import ConfigError
+
+ROOT = Path(__file__).parents[2]
+DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+FENCE = re.compile(r"^ *```.*?^ *```$", re.MULTILINE | re.DOTALL)
+
+
+def commands(text: str) -> list[list[str]]:
+    """Return the words of the commands in a document, without those that a shell would change."""
+    lines = re.findall(r"`handctl ([^`\n]+)`", text)
+    for block in FENCE.findall(text):
+        lines += re.findall(r"^ *(?:sudo )?handctl ([^\n#;&|]+)$", block, re.MULTILINE)
+    plain = [line for line in lines if not re.search(r"[<>\[\]]|\.\.\.", line)]
+    return [words for words in map(shlex.split, plain) if words[0] in VERBS]
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_every_argument_is_known(path: Path) -> None:
+    refused = [refusal(words) for words in commands(path.read_text(encoding="utf-8"))]
+    assert [text for text in refused if "unknown" in text] == []
+
+
+def refusal(words: list[str]) -> str:
+    """Return why a command is refused, empty for one that is not."""
+    try:
+        verb_parser(words[0]).parse_args(words[1:])
+    except ConfigError as error:
+        return f"handctl {' '.join(words)}: {error}"
+    except SystemExit:  # --help
+        pass
+    return ""
+
+
+def test_a_wrong_argument_is_unknown() -> None:
+    ((verb, *words),) = commands("`handctl log export --candump move.log move.mcap`")
+    with pytest.raises(ConfigError, match="unknown argument"):
+        verb_parser(verb).parse_args(words)
