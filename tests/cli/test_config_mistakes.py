@@ -73,7 +73,7 @@ MISTAKES = {
     ),
     "an unknown protocol": (
         'protocol = "mit"', 'protocol = "morse"',
-        "default.motor.protocol: 'morse'; expected one of cia402, cubemars, mit, odrive",
+        "default.motor.protocol: 'morse'; expected one of cia402, cubemars, mit",
     ),
     "a bus that is not there": (
         'protocol = "mit"\nbus = "main"', 'protocol = "mit"\nbus = "can0"',
