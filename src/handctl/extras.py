@@ -15,6 +15,7 @@ EXTRAS = {
     "pyarrow": "export",
     "optuna": "tune",
     "distributed": "dask",
+    "gymnasium": "gym",
 }
 """Import name of each optional package, and the extra that installs it."""
 

@@ -18,7 +18,7 @@ from handctl.extras import EXTRAS, MissingExtraError, missing_extra, require
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-HOMES = ("src/handctl/view/", "src/handctl/log/export/", "src/handctl/tune/search/")
+HOMES = ("src/handctl/gym/", "src/handctl/view/", "src/handctl/log/export/", "src/handctl/tune/search/")
 """Where optional packages are imported."""
 PARTS = {"pydantic_core"}
 """Packages that another dependency pins to one version."""
@@ -104,7 +104,7 @@ def test_the_doctor_names_what_is_installed(
     monkeypatch.setitem(sys.modules, "rerun_cli", None)
     main(["doctor", "--json"])
     report = json.loads(capsys.readouterr().out)
-    assert report["extras"] == {"sim": True, "view": False, "export": True, "tune": True, "dask": True}
+    assert report["extras"] == {"sim": True, "view": False, "export": True, "tune": True, "dask": True, "gym": True}
     assert {"version", "python", "platform"} <= report.keys()
     main(["doctor"])
     assert "not installed: view\n" in capsys.readouterr().out

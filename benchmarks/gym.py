@@ -1,0 +1,155 @@
+"""Environments of ``handctl.gym`` beside a bare MuJoCo environment of the same model: steps a second, time of a reset.
+
+``python benchmarks/gym.py [--quick] [--json]``. The bare environment has the same rigid bodies, step and rate of
+actions. Its actions are joint torques: it has no tendons, no drives, no bus and no controller. Actions are random,
+slow enough that the hand has no fault. CPU time counts, for vectors of environments wall time.
+"""
+
+import argparse
+import json
+import time
+from typing import Any
+
+import gymnasium
+import mujoco
+import numpy as np
+from gymnasium.vector import AsyncVectorEnv
+
+import handctl.gym
+from firmware_sim.description import load_hand
+from firmware_sim.plant.mjcf import STEP_S
+from firmware_sim.plant.plant import Plant
+from firmware_sim.scene.scene import load_scene
+
+HANDS = ("jamia", "jamia11", "t42")
+SCENES = {"Track": None, "Grasp": "cylinder:33"}
+TORQUE_N_M = 0.05
+STEPS = 2000
+QUICK_STEPS = 300
+RESETS = 10
+PROCESSES = 2
+
+
+class BareEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+    """The rigid bodies alone: an action is a torque for each joint, an observation has angles and rates."""
+
+    def __init__(self, hand: str, scene: str | None, step_s: float) -> None:
+        """Build the model."""
+        self.plant = Plant(load_hand(hand), load_scene(scene), homed=True)
+        self.engine = self.plant.engine
+        self.count = round(step_s / STEP_S)
+        joints = len(self.engine.q)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (joints,), np.float32)
+        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (2 * joints,), np.float32)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
+        """Set the initial state."""
+        super().reset(seed=seed)
+        mujoco.mj_resetData(self.engine._model, self.engine._data)
+        return self._observation(), {}
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
+        """Apply the torques until the next action."""
+        self.engine.applied[:] = TORQUE_N_M * action
+        mujoco.mj_step(self.engine._model, self.engine._data, nstep=self.count)
+        return self._observation(), 0.0, False, False, {}
+
+    def _observation(self) -> np.ndarray:
+        return np.concatenate([self.engine.q, self.engine.dq]).astype(np.float32)
+
+
+def main() -> None:
+    """Measure, print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="under half a minute")
+    parser.add_argument("--json", action="store_true", help="numbers for programs")
+    args = parser.parse_args()
+    steps = QUICK_STEPS if args.quick else STEPS
+    rows = [measured(hand, name, steps) for hand in HANDS for name in SCENES]
+    print(json.dumps(rows, indent=2)) if args.json else show(rows)
+
+
+def measured(hand: str, name: str, steps: int) -> dict[str, Any]:
+    """Measure one environment of one hand."""
+    options = {"hand": hand, **({"diameter_mm": (33.0, 33.0)} if name == "Grasp" else {"span": (0.0, 0.05)})}
+    kind = f"handctl/{name}-v0"
+    env = gymnasium.make(kind, **options)
+    bare = BareEnv(hand, SCENES[name], env.unwrapped.step_s)
+    stepping_s = steps_s(env, steps)
+    bare_s = steps_s(bare, steps)
+    step_s = env.unwrapped.step_s
+    vector = AsyncVectorEnv([lambda: gymnasium.make(kind, **options)] * PROCESSES)
+    return {
+        "hand": hand,
+        "environment": kind,
+        "control_rate_hz": 1.0 / env.unwrapped.model.period,
+        "steps_per_s": 1.0 / stepping_s,
+        "times_real_time": step_s / stepping_s,
+        "bare_steps_per_s": 1.0 / bare_s,
+        "fraction_of_bare": bare_s / stepping_s,
+        "processes": PROCESSES,
+        "vector_steps_per_s": vector_rate(vector, steps // PROCESSES),
+        "reset_ms": 1e3 * reset_s(env),
+        "bare_reset_ms": 1e3 * reset_s(bare),
+    }
+
+
+def action_of(space: gymnasium.spaces.Box, rng: np.random.Generator) -> np.ndarray:
+    """Return a random action near the open hand."""
+    return np.asarray(-1.0 + 0.1 * rng.uniform(0.0, 1.0, space.shape), np.float32)
+
+
+def steps_s(env: gymnasium.Env, steps: int) -> float:
+    """Return the CPU time of a step without that of resets [s]."""
+    rng = np.random.default_rng(0)
+    env.reset(seed=0)
+    took = 0.0
+    for _ in range(steps):
+        action = action_of(env.action_space, rng)
+        begin = time.process_time()
+        _, _, ended, truncated, info = env.step(action)
+        took += time.process_time() - begin
+        if ended:
+            raise RuntimeError(f"the episode ended: {info}")
+        if truncated:
+            env.reset()
+    return took / steps
+
+
+def reset_s(env: gymnasium.Env) -> float:
+    """Return the CPU time of a reset [s]."""
+    begin = time.process_time()
+    for _ in range(RESETS):
+        env.reset()
+    return (time.process_time() - begin) / RESETS
+
+
+def vector_rate(vector: AsyncVectorEnv, steps: int) -> float:
+    """Return the steps of all processes per second of wall time, resets included."""
+    rng = np.random.default_rng(0)
+    vector.reset(seed=0)
+    begin = time.monotonic()
+    for _ in range(steps):
+        vector.step(action_of(vector.action_space, rng))
+    rate = PROCESSES * steps / (time.monotonic() - begin)
+    vector.close()
+    return rate
+
+
+def show(rows: list[dict[str, Any]]) -> None:
+    """Print the results as a table."""
+    for row in rows:
+        print(
+            f"{row['hand']:8} {row['environment']}, {row['control_rate_hz']:g} Hz: {row['steps_per_s']:.0f} steps/s, "
+            f"{row['times_real_time']:.0f} times real time; bare MuJoCo {row['bare_steps_per_s']:.0f} steps/s "
+            f"({100 * row['fraction_of_bare']:.0f} %)"
+        )
+        print(
+            f"         {row['processes']} processes {row['vector_steps_per_s']:.0f} steps/s; reset "
+            f"{row['reset_ms']:.0f} ms, bare {row['bare_reset_ms']:.2f} ms"
+        )
+
+
+if __name__ == "__main__":
+    assert handctl.gym
+    main()

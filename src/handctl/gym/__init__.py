@@ -1,0 +1,20 @@
+"""Gymnasium environments of a simulated hand, see ``docs/how-to/gym.md``.
+
+``import handctl.gym`` registers ``handctl/Track-v0`` and ``handctl/Grasp-v0``. ``gymnasium.make`` also imports it
+itself: ``gymnasium.make("handctl.gym:handctl/Track-v0")``.
+"""
+
+from handctl.extras import require
+
+require("handctl.gym", "gymnasium", "mujoco")
+
+from gymnasium.envs.registration import register  # noqa: E402
+
+from handctl.gym.environment import HandEnv  # noqa: E402
+from handctl.gym.grasp import GraspEnv  # noqa: E402
+from handctl.gym.track import TrackEnv  # noqa: E402
+
+__all__ = ["GraspEnv", "HandEnv", "TrackEnv"]
+
+register("handctl/Track-v0", entry_point="handctl.gym.track:TrackEnv", disable_env_checker=False)
+register("handctl/Grasp-v0", entry_point="handctl.gym.grasp:GraspEnv", disable_env_checker=False)

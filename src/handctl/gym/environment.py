@@ -1,0 +1,305 @@
+"""Base of the environments: a homed simulated hand in lockstep, commanded by a stream of targets.
+
+An action takes the path of a client's target: it is text in ``TickIn``, so that the controller checks, clips and
+limits it, and safety acts as on a hand. Only ``Track`` and ``Grasp`` know what an action is good for.
+"""
+
+import json
+import math
+from abc import abstractmethod
+from collections.abc import Mapping
+from contextlib import ExitStack
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box
+
+from handctl.controller.bus_load import bus_loads
+from handctl.controller.streams import stream_status
+from handctl.controller.tick import Controller
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
+from handctl.core.types import Mode, TickOut, Vector
+from handctl.errors import ConfigError
+from handctl.gym.observed import FIELDS, Numbers, ObservationLayout, Part
+from handctl.hand.load import load_hand
+from handctl.programs.live import LiveProgram
+from handctl.programs.requests import REFUSED, target_text
+from handctl.programs.streams import horizon_s
+from handctl.session.plan import check_ready, fastest
+from handctl.session.simulate import Simulation, Simulator, homed_controller
+
+RATE_HZ = 50.0
+"""Rate of the actions [Hz]. The stream of targets has the nearest rate with a whole number of ticks."""
+SPEED_DEG_S = 60.0
+"""Default of the largest rate of a target [deg/s]. Random actions at the full rate of a stream would trip tensions."""
+READY_S = 5.0
+"""Longest time from power-up until the hand takes targets [s]."""
+STREAM = "gym"
+"""Name of the stream."""
+TargetSpace = Literal["joint", "digit"]
+"""Meaning of an action: a target for each joint, or one for all joints of a digit."""
+
+
+class HandEnv(gymnasium.Env[Numbers, Numbers]):
+    """Environment of a simulated hand.
+
+    Attributes:
+        hand: description of the hand.
+        names: joints or digits of an action, in order.
+        layout: names, units and bounds of an observation.
+        low_deg, high_deg: (V,) angles of the actions -1 and 1 [deg].
+        ticks: control ticks of a step.
+        step_s: duration of a step [s].
+        horizon_s: time from an action until the hand shall reach its target [s].
+        longest: steps of an episode without fault and success.
+    """
+
+    has_tensions: ClassVar = False
+    """True if an action has a tension for each digit after the targets."""
+    metadata: dict[str, Any] = {"render_modes": [], "render_fps": round(RATE_HZ)}  # noqa: RUF012
+
+    def __init__(
+        self,
+        hand: str | Path,
+        space: TargetSpace,
+        duration_s: float,
+        perturb: Mapping[str, float] | None,
+        speed_deg_s: float = SPEED_DEG_S,
+    ) -> None:
+        """Design the controller, once for each hand.
+
+        Args:
+            hand: packaged name or file of a hand.
+            space: meaning of an action.
+            duration_s: longest time of an episode [s].
+            perturb: factors on the plant's parameters, see ``handctl sim --help``.
+            speed_deg_s: largest rate of the targets [deg/s]. A target approaches that of the action at this rate.
+
+        Raises:
+            ConfigError: hand, space, duration or speed are wrong.
+        """
+        if space not in ("joint", "digit"):
+            raise ConfigError(repr(space), "space", "joint or digit")
+        if not 0.0 < duration_s <= 600.0:
+            raise ConfigError(f"{duration_s:g} s", "duration_s", "more than 0, at most 600")
+        if not 0.0 < speed_deg_s < math.inf:
+            raise ConfigError(f"{speed_deg_s:g} deg/s", "speed_deg_s", "more than 0")
+        self._path = str(hand)
+        self._controller = _controller(self._path)
+        self.model = self._controller.model
+        self.hand = self.model.hand
+        self.names = self.hand.joints if space == "joint" else self.hand.digit_names
+        self.low_deg, self.high_deg = _range_deg(self.model, space)
+        rate = 1.0 / self.model.period
+        self.ticks = max(1, round(rate / RATE_HZ))
+        self.step_s = self.ticks * self.model.period
+        self.longest = max(1, round(duration_s / self.step_s))
+        self.horizon_s = horizon_s(1.0 / self.step_s, self.model.period)
+        self._space = space
+        self._largest_step_deg = speed_deg_s * self.step_s
+        self._target_deg = self.low_deg
+        self._perturb = dict(perturb or {})
+        self.layout = ObservationLayout(self.parts())
+        self.observation_space = self.layout.space
+        tensions = len(self.hand.digit_names) if self.has_tensions else 0
+        self.action_space = Box(-1.0, 1.0, (len(self.names) + tensions,), np.float32)
+        self._open = ExitStack()
+        self._run: Simulation | None = None
+        self.steps = 0
+        self._number = 0
+        self._streamed: tuple[str, ...] = ()
+
+    @abstractmethod
+    def parts(self) -> list[Part]:
+        """Return the parts of an observation."""
+
+    @abstractmethod
+    def extra_values(self, name: str) -> Any:
+        """Return the values of a part of the observation that is not telemetry."""
+
+    @abstractmethod
+    def begin(self) -> None:
+        """Begin an episode, after the simulated hand has begun to take targets."""
+
+    @abstractmethod
+    def judge(self) -> tuple[float, bool, dict[str, Any]]:
+        """Return the reward of the step, whether the episode has ended by success or failure, and information."""
+
+    def scene(self) -> str | None:
+        """Return the scene of the next episode, None for a free hand. Random choices use ``np_random``."""
+        return None
+
+    def requests(self, action: Vector) -> list[str]:
+        """Return the requests of a step besides the target of the stream."""
+        return []
+
+    def streamed(self, action: Vector) -> tuple[str, ...]:
+        """Return the names that follow the stream in this step."""
+        return self.names
+
+    @property
+    def run(self) -> Simulation:
+        """Return the simulation of the episode.
+
+        Raises:
+            ConfigError: no episode has begun.
+        """
+        if self._run is None:
+            raise ConfigError("no episode has begun", "step", "reset first")
+        return self._run
+
+    @property
+    def out(self) -> TickOut:
+        """Return the output of the latest tick."""
+        out = self.run.out
+        assert out is not None
+        return out
+
+    @property
+    def t_s(self) -> float:
+        """Return the time of the episode [s]."""
+        return self.steps * self.step_s
+
+    @property
+    def true_q(self) -> Vector:
+        """Return the true joint angles of the plant (J,) [rad]."""
+        return np.array(self.run.peer.world.plant.engine.q)
+
+    @property
+    def world(self) -> Any:
+        """Return the plant behind the wire, for rewards."""
+        return self.run.peer.world
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Numbers, dict[str, Any]]:
+        """Power up a homed hand, and wait until it takes targets. See ``gymnasium.Env``.
+
+        Args:
+            seed: seed of this episode and the following ones: noise, scene and reference.
+            options: none are known.
+        """
+        super().reset(seed=seed)
+        self._open.close()
+        plant_seed = int(self.np_random.integers(1 << 31))
+        simulator = Simulator(self._path, self.scene(), plant_seed, self._perturb or None, homed=True)
+        run = self._open.enter_context(simulator.against(self._controller))
+        run.record = False
+        self._run = run
+        if not run.until(lambda out: out.phase == "live", READY_S):
+            raise ConfigError(run.state.failure or "not ready", f"the simulated {self.hand.name}", "a hand that arms")
+        self.steps = 0
+        self._number = 0
+        self._streamed = ()
+        self._target_deg = np.clip(np.degrees(self.values_of(self.out.telemetry.q)), self.low_deg, self.high_deg)
+        self.begin()
+        return self._observation(), self._information()
+
+    def step(self, action: Numbers) -> tuple[Numbers, float, bool, bool, dict[str, Any]]:
+        """Send the targets of an action, and run the ticks until the next action. See ``gymnasium.Env``."""
+        run = self.run
+        clipped = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
+        if clipped.shape != self.action_space.shape or not np.isfinite(clipped).all():
+            raise ConfigError(f"{action!r}", "action", f"{math.prod(self.action_space.shape or ())} finite values")
+        out = run.tick(requests=tuple(self._requests(clipped)))
+        refused = [event.text for event in out.events if event.text.startswith(REFUSED)]
+        if refused and out.mode == Mode.ACTIVE:
+            raise ConfigError(refused[0], f"the controller of {self.hand.name}", "targets that the hand takes")
+        for _ in range(self.ticks - 1):
+            if out.mode == Mode.DONE:
+                break
+            out = run.tick()
+        self.steps += 1
+        reward, ended, information = self.judge()
+        failed = out.mode != Mode.ACTIVE
+        truncated = self.steps >= self.longest and not (ended or failed)
+        return self._observation(), float(reward), ended or failed, truncated, self._information() | information
+
+    def close(self) -> None:
+        """Remove the simulated hand."""
+        self._open.close()
+        self._run = None
+
+    def angles_deg(self, action: Vector | Numbers) -> Vector:
+        """Return the targets of an action (V,) [deg]."""
+        part = np.asarray(action[: len(self.names)], np.float64)
+        return self.low_deg + 0.5 * (part + 1.0) * (self.high_deg - self.low_deg)
+
+    def action_for(self, angles_deg: Vector) -> Numbers:
+        """Return the action with targets (V,) [deg], without extra actions."""
+        scaled = 2.0 * (np.asarray(angles_deg) - self.low_deg) / (self.high_deg - self.low_deg) - 1.0
+        return np.clip(scaled, -1.0, 1.0).astype(np.float32)
+
+    def values_of(self, q: Vector) -> Vector:
+        """Return the value of each name of an action (V,) at joint angles (J,), in their unit."""
+        if self._space == "joint":
+            return np.asarray(q)
+        return np.array([(digit.joints_to_coordinates @ q[digit.joints]).mean() for digit in self.model.digits])
+
+    def _requests(self, action: Vector) -> list[str]:
+        """Return the requests of a step. A stream of other names than before is opened."""
+        requests = self.requests(action)
+        names = self.streamed(action)
+        if names and names != self._streamed:
+            opening = {
+                "do": "stream", "stream": STREAM, "space": self._space, "names": list(names),
+                "rate_Hz": 1.0 / self.step_s, "interpolation": "minimum_jerk",
+            }  # fmt: skip
+            requests.append(json.dumps(opening))
+        self._streamed = names
+        return [*requests, self._target(action)] if names else requests
+
+    def _target(self, action: Vector) -> str:
+        """Return the request of the next target. Every target approaches its action at the largest rate."""
+        change = self.angles_deg(action) - self._target_deg
+        self._target_deg = self._target_deg + np.clip(change, -self._largest_step_deg, self._largest_step_deg)
+        angles = dict(zip(self.names, self._target_deg.tolist(), strict=True))
+        number = self._number
+        self._number += 1
+        return target_text(STREAM, number, self.run.k * self.run.period_ns, [angles[name] for name in self._streamed])
+
+    def _observation(self) -> Numbers:
+        telemetry = self.out.telemetry
+        return self.layout.vector(
+            lambda name: getattr(telemetry, FIELDS[name]) if name in FIELDS else self.extra_values(name)
+        )
+
+    def _information(self) -> dict[str, Any]:
+        """Return information about the hand besides the observation."""
+        state = self.run.state
+        stream = stream_status(state)
+        return {
+            "t_s": self.t_s,
+            "mode": self.out.mode.name,
+            "failure": state.failure,
+            "clipped": stream.clipped,
+            "limited": stream.limited,
+        }
+
+
+@lru_cache(maxsize=8)
+def _controller(path: str) -> Controller:
+    """Design the controller of a homed hand. A controller is constant, so that environments share it."""
+    hand = load_hand(path)
+    check_ready(hand, path)
+    model = HandModel.of(hand, Gains(), fastest(bus_loads(hand)))
+    return homed_controller(model, LiveProgram())
+
+
+def _range_deg(model: HandModel, space: TargetSpace) -> tuple[Vector, Vector]:
+    """Return the lowest and highest target of each name (V,) [deg].
+
+    The range of a digit is that of its narrowest coordinate.
+    """
+    if space == "joint":
+        digits = model.hand.digit
+        lowest = [angle for digit in digits for angle in digit.joint_min_deg]
+        return np.array(lowest), np.array([angle for digit in digits for angle in digit.joint_max_deg])
+    reach = [digit.reach for digit in model.digits]
+    low = np.array([math.degrees(bounds[0].max()) for bounds in reach])
+    high = np.array([math.degrees(bounds[1].min()) for bounds in reach])
+    return low, high

@@ -1,0 +1,131 @@
+"""Environment ``handctl/Grasp-v0``: grasp a cylinder and hold it when its table sinks."""
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from handctl.core.types import Mode, Vector
+from handctl.errors import ConfigError
+from handctl.gym.environment import SPEED_DEG_S, HandEnv, TargetSpace
+from handctl.gym.observed import Part, telemetry_part
+
+PRESS_N = 1.0
+"""Force on the object at which a digit counts as pressing [N]."""
+HELD_S = 1.0
+"""Time after the table begins to sink for which the object must stay [s]."""
+FALL_M = 0.015
+"""Fall of the object at which it counts as dropped [m]."""
+RATE_N_PER_S = 40.0
+"""Rate of a tension towards that of an action [N/s]."""
+SUCCESS = 10.0
+FAILURE = -1.0
+"""Rewards of an object that is held, and of a dropped object or a fault."""
+
+
+class GraspEnv(HandEnv):
+    """Close the digits on a cylinder of random diameter until the table sinks, and hold it.
+
+    The table sinks after three digits, the thumb among them, have pressed with 1 N for 1.5 s. An action has targets,
+    then a tension for each digit: a positive value t lets the digit hold t times its largest tension instead of the
+    target. The reward of a step is the change of the mean of min(force / 1 N, 1) over the digits, 10 on success and
+    -1 on a drop or a fault. Forces and the object's height are the plant's truth.
+    """
+
+    has_tensions = True
+
+    def __init__(
+        self,
+        hand: str | Path = "jamia",
+        space: TargetSpace = "digit",
+        duration_s: float = 6.0,
+        perturb: Mapping[str, float] | None = None,
+        speed_deg_s: float = SPEED_DEG_S,
+        diameter_mm: tuple[float, float] = (30.0, 35.0),
+    ) -> None:
+        """Make the environment. See ``HandEnv``.
+
+        Args:
+            hand, space, duration_s, perturb, speed_deg_s: see ``HandEnv``.
+            diameter_mm: range of the cylinder's diameter [mm].
+
+        Raises:
+            ConfigError: see ``HandEnv``, or the range is empty.
+        """
+        low, high = diameter_mm
+        if not 5.0 <= low <= high <= 100.0:
+            raise ConfigError(f"{diameter_mm}", "diameter_mm", "two ascending numbers from 5 to 100")
+        self._diameter_mm = float(low), float(high)
+        super().__init__(hand, space, duration_s, perturb, speed_deg_s)
+        self._largest_N = np.array([self.model.ceiling[tendons].min() for tendons in self.model.digit_tendons])
+        self._digit_of = [
+            d for d, digit in enumerate(self.model.digits) for _ in (digit.joint_names if space == "joint" else (0,))
+        ]
+
+    def scene(self) -> str:
+        """Return the scene of the next episode: a cylinder of random diameter."""
+        return f"cylinder:{self.np_random.uniform(*self._diameter_mm):.2f}"
+
+    def parts(self) -> list[Part]:
+        """Return the parts: joint angles and rates, tensions, tip forces and contacts."""
+        largest = 2.0 * max(tendon.tension_max_N for tendon in self.hand.tendon)
+        return [
+            telemetry_part(self.hand, "q_rad", -math.pi, math.pi),
+            telemetry_part(self.hand, "dq_rad_s", -30.0, 30.0),
+            telemetry_part(self.hand, "tension_N", -largest, largest),
+            telemetry_part(self.hand, "tip_force_N", -50.0, 50.0),
+            telemetry_part(self.hand, "contact", 0.0, 1.0),
+        ]
+
+    def extra_values(self, name: str) -> Any:
+        """Return nothing: all values are telemetry."""
+        raise KeyError(name)
+
+    def begin(self) -> None:
+        """Note the initial height of the object.
+
+        Raises:
+            ConfigError: the object does not fit into the open hand.
+        """
+        engine = self.world.plant.engine
+        self._forces = engine.forces_on("contact", list(self.hand.digit_names))
+        self._height_m = engine.object_pose()[2]
+        if max(np.abs(self._forces())) > PRESS_N:
+            scene = self.world.plant.scene.name
+            raise ConfigError(f"{scene} touches the open {self.hand.name}", "diameter_mm", "a smaller object")
+        self._pressing = 0.0
+        self._held: dict[str, float] = {}
+
+    def requests(self, action: Vector) -> list[str]:
+        """Return the request of new tensions of digits that hold."""
+        tension = np.round(action[len(self.names) :] * self._largest_N, 3).tolist()
+        held = {name: value for name, value in zip(self.hand.digit_names, tension, strict=True) if value > 0.0}
+        new = {name: value for name, value in held.items() if value != self._held.get(name)}
+        self._held = held
+        return [json.dumps({"do": "hold", "tension_N": new, "rate_N_per_s": RATE_N_PER_S})] if new else []
+
+    def streamed(self, action: Vector) -> tuple[str, ...]:
+        """Return the joints or digits whose digit holds no tension."""
+        moves = np.round(action[len(self.names) :] * self._largest_N, 3) <= 0.0
+        return tuple(name for name, d in zip(self.names, self._digit_of, strict=True) if moves[d])
+
+    def judge(self) -> tuple[float, bool, dict[str, Any]]:
+        """Return the reward, whether the object is held or dropped, and information about the object."""
+        forces = np.linalg.norm(np.reshape(self._forces(), (-1, 3)), axis=1)
+        pressing = float(np.minimum(forces / PRESS_N, 1.0).mean())
+        reward = pressing - self._pressing
+        self._pressing = pressing
+        plant = self.world.plant
+        fallen_m = self._height_m - plant.engine.object_pose()[2]
+        since = plant.table.dropped_at
+        dropped = fallen_m > FALL_M
+        held = since is not None and plant.t_ns / 1e9 - since >= HELD_S and not dropped
+        if held:
+            reward += SUCCESS
+        elif dropped or self.out.mode != Mode.ACTIVE:
+            reward += FAILURE
+        information = {"is_success": held, "force_N": forces, "fallen_m": fallen_m, "table_sinks": since is not None}
+        return reward, held or dropped, information

@@ -1,0 +1,73 @@
+"""Observation vector of an environment: named values of the telemetry within fixed bounds."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from gymnasium.spaces import Box
+from numpy.typing import NDArray
+
+from handctl.core.types import TELEMETRY_AXES
+from handctl.hand.description import Hand
+from handctl.runtime.observations import NAMES
+
+Numbers = NDArray[np.float32]
+"""Observation or action."""
+FIELDS = {name: field for field, name in NAMES.items()}
+"""Field of the telemetry by its name in an observation."""
+
+
+class Part(NamedTuple):
+    """Values of an observation with the same meaning.
+
+    Attributes:
+        name: name with the unit, as in ``handctl.client.Observation``.
+        axis: names of the values, e.g. of the joints.
+        low, high: bounds of every value.
+    """
+
+    name: str
+    axis: tuple[str, ...]
+    low: float
+    high: float
+
+
+class ObservationLayout:
+    """Names, units and bounds of an observation vector.
+
+    Attributes:
+        parts: parts in order.
+        names: name of every value with its unit, e.g. ``q_rad[index_j1]``.
+        space: bounds of the vector. Values beyond a bound are clipped to it.
+    """
+
+    def __init__(self, parts: Sequence[Part]) -> None:
+        """Lay out the parts one after the other."""
+        self.parts = tuple(parts)
+        self.names = tuple([f"{part.name}[{name}]" for part in parts for name in part.axis])
+        sizes = [len(part.axis) for part in parts]
+        low = np.repeat(np.array([part.low for part in parts], np.float32), sizes)
+        high = np.repeat(np.array([part.high for part in parts], np.float32), sizes)
+        self.space = Box(low, high, dtype=np.float32)
+
+    def vector(self, values: Callable[[str], Any]) -> Numbers:
+        """Return the vector of an observation.
+
+        Args:
+            values: returns the values of a part by its name. A NaN, an unknown value, becomes 0.
+        """
+        row = np.concatenate([np.asarray(values(part.name), np.float64) for part in self.parts])
+        inside = np.clip(np.nan_to_num(row, nan=0.0).astype(np.float32), self.space.low, self.space.high)
+        return np.asarray(inside, np.float32)
+
+
+def telemetry_part(hand: Hand, name: str, low: float, high: float) -> Part:
+    """Return a part of the telemetry by its name in an observation, e.g. ``q_rad``."""
+    axis: Mapping[str, tuple[str, ...]] = {
+        "joint": hand.joints,
+        "tendon": hand.tendon_names,
+        "motor": tuple(motor.name for motor in hand.motor),
+        "digit": hand.digit_names,
+    }
+    return Part(name, axis[TELEMETRY_AXES[FIELDS[name]]], low, high)
+

@@ -1,0 +1,122 @@
+"""Environment ``handctl/Track-v0``: the joints of a free hand follow a random smooth reference."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from handctl.core.types import Vector
+from handctl.errors import ConfigError
+from handctl.gym.environment import SPEED_DEG_S, HandEnv, TargetSpace
+from handctl.gym.observed import Part, telemetry_part
+
+SCALE_DEG = 5.0
+"""Error at which the reward is half of the largest [deg]."""
+SPAN = (0.15, 0.55)
+"""Lowest and highest reference, as fractions of the range."""
+PERIODS_S = (1.5, 4.0)
+"""Range of the periods of its two sines [s]."""
+FASTEST_DEG_S = 45.0
+"""Largest rate of the reference after its start [deg/s]."""
+START_S = 1.0
+"""Time in which the reference leaves the initial posture [s]."""
+
+
+class TrackEnv(HandEnv):
+    """Follow a reference: two sines for each joint or digit, with random periods and phases.
+
+    The reward of a step is 1 / (1 + (e / 5 deg)^2) with the RMS e of the true error over all joints or digits. An
+    episode ends early by a fault only.
+    """
+
+    def __init__(
+        self,
+        hand: str | Path = "jamia",
+        space: TargetSpace = "digit",
+        duration_s: float = 5.0,
+        perturb: Mapping[str, float] | None = None,
+        speed_deg_s: float = SPEED_DEG_S,
+        span: tuple[float, float] = SPAN,
+    ) -> None:
+        """Make the environment. See ``HandEnv``.
+
+        Args:
+            hand, space, duration_s, perturb, speed_deg_s: see ``HandEnv``.
+            span: lowest and highest reference, as fractions of the range of each joint or digit. Digits that meet
+                in their range need a smaller one.
+
+        Raises:
+            ConfigError: see ``HandEnv``, or the span is empty.
+        """
+        if not 0.0 <= span[0] < span[1] <= 1.0:
+            raise ConfigError(f"{span}", "span", "two ascending numbers from 0 to 1")
+        self._span = span
+        super().__init__(hand, space, duration_s, perturb, speed_deg_s)
+
+    def parts(self) -> list[Part]:
+        """Return the parts: joint angles and rates, tensions, and the reference now and after the horizon."""
+        largest = 2.0 * max(tendon.tension_max_N for tendon in self.hand.tendon)
+        return [
+            telemetry_part(self.hand, "q_rad", -math.pi, math.pi),
+            telemetry_part(self.hand, "dq_rad_s", -30.0, 30.0),
+            telemetry_part(self.hand, "tension_N", -largest, largest),
+            Part("reference_rad", self.names, -math.pi, math.pi),
+            Part("reference_ahead_rad", self.names, -math.pi, math.pi),
+        ]
+
+    def begin(self) -> None:
+        """Choose the reference."""
+        low, high = self._limits_deg()
+        shape = (2, len(low))
+        period = self.np_random.uniform(*PERIODS_S, shape)
+        self._rate = 2.0 * np.pi / period
+        self._phase = self.np_random.uniform(0.0, 2.0 * np.pi, shape)
+        self._middle = low + sum(self._span) / 2.0 * (high - low)
+        swing = (self._span[1] - self._span[0]) / 2.0 * (high - low) * np.array([[0.6], [0.4]])
+        self._swing = np.minimum(swing, 0.5 * FASTEST_DEG_S / self._rate)
+        self._start = self._coordinates(self.out.telemetry.q)
+
+    def reference_deg(self, t_s: float) -> Vector:
+        """Return the reference of each joint or digit (V,) at a time of the episode [deg]."""
+        course = self._middle + (self._swing * np.sin(self._rate * t_s + self._phase)).sum(axis=0)
+        s = min(t_s / START_S, 1.0)
+        blend = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
+        angles = np.degrees(self._start) * (1.0 - blend) + course * blend
+        return angles if self._space == "digit" else self._joints(angles)
+
+    def extra_values(self, name: str) -> Any:
+        """Return the reference now, or after the horizon [rad]."""
+        ahead = self.horizon_s if name == "reference_ahead_rad" else 0.0
+        return np.radians(self.reference_deg(self.t_s + ahead))
+
+    def judge(self) -> tuple[float, bool, dict[str, Any]]:
+        """Return the reward of the true error, and the error."""
+        error = np.degrees(self.values_of(self.true_q)) - self.reference_deg(self.t_s)
+        rms = float(np.sqrt(np.mean(error**2)))
+        return 1.0 / (1.0 + (rms / SCALE_DEG) ** 2), False, {"error_deg": rms}
+
+    def _limits_deg(self) -> tuple[Vector, Vector]:
+        """Return the range of each value of the reference: of the digits, or of the coordinates of joints [deg]."""
+        if self._space == "digit":
+            return self.low_deg, self.high_deg
+        reach = [np.degrees(digit.reach) for digit in self.model.digits]
+        low, high = np.concatenate(reach, axis=1)
+        return low, high
+
+    def _coordinates(self, q: Vector) -> Vector:
+        """Return the values of the reference at joint angles, in their unit."""
+        if self._space == "digit":
+            return self.values_of(q)
+        return np.concatenate([digit.joints_to_coordinates @ q[digit.joints] for digit in self.model.digits])
+
+    def _joints(self, coordinates: Vector) -> Vector:
+        """Return the joint angles of coordinates, in their unit. Coupled joints turn together."""
+        parts = list[Vector]()
+        first = 0
+        for digit in self.model.digits:
+            end = first + digit.coupling.shape[1]
+            parts.append(digit.coupling @ coordinates[first:end])
+            first = end
+        return np.concatenate(parts)

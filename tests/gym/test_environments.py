@@ -1,0 +1,222 @@
+"""The environments of ``handctl.gym``: interface, determinism, safety, and that both tasks can be solved."""
+
+import re
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
+
+import handctl.gym
+from handctl.client.observation import AXIS_OF
+from handctl.errors import ConfigError
+
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "gym.md"
+TRACK, GRASP = "handctl/Track-v0", "handctl/Grasp-v0"
+GRASPS = {"jamia": (70, 0.3), "jamia11": (70, 0.3), "jamia_bench": (70, 0.3), "t42": (15, 0.15)}
+"""Step in which the digits of a packaged hand are close to the object, and fraction of the tension that holds it."""
+SIZES = {"t42": {"diameter_mm": (33.4, 35.0)}}
+"""The two fingers of the t42 squeeze smaller objects out."""
+
+
+def make(name: str, **options: Any) -> Any:
+    """Return an environment without wrappers."""
+    return gymnasium.make(name, **options).unwrapped
+
+
+def ideal(env: Any, seen: Any) -> Any:
+    """Return the action that is the reference after the horizon."""
+    first = env.layout.names.index(f"reference_ahead_rad[{env.names[0]}]")
+    return env.action_for(np.degrees(seen[first : first + len(env.names)]))
+
+
+def closing(env: Any, step: int) -> Any:
+    """Return the action of a scripted grasp: close, then hold."""
+    action = np.full(env.action_space.shape, min(1.0, -1.0 + step / 60), np.float32)
+    begin, tension = GRASPS[env.hand.name]
+    action[len(env.names) :] = tension if step > begin else -1.0
+    return action
+
+
+def episode(env: Any, seed: int, steps: int) -> bytes:
+    """Return all that random actions of a seed show."""
+    rng = np.random.default_rng(seed)
+    seen, _ = env.reset(seed=seed)
+    rows = [seen.tobytes()]
+    for _ in range(steps):
+        seen, reward, ended, *_ = env.step(rng.uniform(-1.0, 1.0, env.action_space.shape).astype(np.float32))
+        rows += [seen.tobytes(), np.float64(reward).tobytes()]
+        if ended:
+            break
+    return b"".join(rows)
+
+
+@pytest.mark.parametrize("name", [TRACK, GRASP])
+@pytest.mark.parametrize("hand", ["jamia", "t42"])
+@pytest.mark.parametrize("space", ["digit", "joint"])
+def test_the_checker_of_gymnasium_is_content(name: str, hand: str, space: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env = make(name, hand=hand, space=space, duration_s=0.4)
+        check_env(env)
+        env.close()
+
+
+@pytest.mark.parametrize("name", [TRACK, GRASP])
+def test_equal_seeds_and_actions_give_equal_episodes(name: str) -> None:
+    env = make(name)
+    first = [episode(env, seed, 12) for seed in range(20)]
+    assert [episode(make(name), seed, 12) for seed in range(20)] == first
+    assert len(set(first)) == 20
+
+
+@pytest.mark.parametrize(("hand", "span"), [("jamia", None), ("jamia11", None), ("jamia_bench", None), ("t42", 0.05)])
+def test_the_reference_can_be_tracked(hand: str, span: float | None) -> None:
+    """The fingers of the t42 meet at 9 degrees, so they need a small reference."""
+    env = make(TRACK, hand=hand, **({} if span is None else {"span": (0.0, span)}))
+    seen, _ = env.reset(seed=3)
+    rewards, ended, truncated = [], False, False
+    while not (ended or truncated):
+        seen, reward, ended, truncated, info = env.step(ideal(env, seen))
+        rewards.append(reward)
+    assert truncated, info
+    assert len(rewards) == env.longest == 250
+    assert np.mean(rewards) > 0.8
+    assert info["error_deg"] < 3.0
+
+
+@pytest.mark.parametrize("hand", GRASPS)
+def test_the_object_can_be_grasped(hand: str) -> None:
+    env = make(GRASP, hand=hand, **SIZES.get(hand, {}))
+    for seed in range(3):
+        env.reset(seed=seed)
+        total, step, ended, truncated = 0.0, 0, False, False
+        while not (ended or truncated):
+            _, reward, ended, truncated, info = env.step(closing(env, step))
+            total, step = total + reward, step + 1
+        assert ended, info
+        assert info["is_success"], info
+        assert total > 10.5
+
+
+def test_an_object_that_does_not_fit_is_refused() -> None:
+    env = make(GRASP, hand="t42", diameter_mm=(38.0, 38.0))
+    with pytest.raises(ConfigError, match=r"diameter_mm: cylinder:38.00 touches the open t42"):
+        env.reset(seed=0)
+
+
+def test_a_hand_that_does_nothing_grasps_nothing() -> None:
+    env = make(GRASP, duration_s=1.0)
+    env.reset(seed=0)
+    still = np.full(env.action_space.shape, -1.0, np.float32)
+    rows = [env.step(still) for _ in range(env.longest)]
+    assert sum(row[1] for row in rows) == pytest.approx(0.0)
+    assert [row[2] for row in rows] == [False] * env.longest
+    assert rows[-1][3]
+    assert rows[-1][4]["is_success"] is False
+
+
+def test_a_fault_ends_an_episode() -> None:
+    env = make(TRACK)
+    seen, _ = env.reset(seed=0)
+    env.run.peer.inject("snap tendon=index_tendon at=1s")
+    ended = False
+    while not ended:
+        seen, _, ended, truncated, info = env.step(ideal(env, seen))
+        assert not truncated
+    assert re.match("fault T0(1|2b) index_tendon", info["failure"])
+    assert info["mode"] == "RELAX"
+
+
+def test_random_actions_are_limited_and_trip_nothing_on_a_free_hand() -> None:
+    """20 seeds: the hand obeys no target blindly, and the tensions stay within their limits."""
+    env = make(TRACK, duration_s=1.0)
+    limit = max(tendon.tension_max_N for tendon in env.hand.tendon)
+    for seed in range(20):
+        env.reset(seed=seed)
+        rng = np.random.default_rng(seed)
+        truncated = False
+        while not truncated:
+            *_, ended, truncated, info = env.step(rng.uniform(-1.0, 1.0, 4).astype(np.float32))
+            assert not ended, (seed, info)
+            assert max(env.run.peer.truth()["tension"]) < limit
+
+
+def test_names_are_those_of_the_client_s_observations() -> None:
+    env = make(TRACK, hand="jamia11")
+    telemetry = {part.name for part in env.layout.parts if not part.name.startswith("reference")}
+    assert telemetry <= AXIS_OF.keys()
+    assert env.layout.names[:2] == ("q_rad[index_j1]", "q_rad[index_j2]")
+    assert len(env.layout.names) == env.observation_space.shape[0]
+    seen, _ = env.reset(seed=0)
+    np.testing.assert_array_equal(seen[:11], env.out.telemetry.q.astype(np.float32))
+
+
+def test_processes_give_the_same_as_one_process() -> None:
+    def made() -> gymnasium.Env[Any, Any]:
+        return gymnasium.make("handctl.gym:handctl/Track-v0", duration_s=0.2)
+
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-1.0, 1.0, (15, 2, 4)).astype(np.float32)  # one episode, and the begin of the next
+    rows = []
+    for kind in (SyncVectorEnv, AsyncVectorEnv):
+        envs = kind([made, made])
+        seen = [envs.reset(seed=[7, 8])[0]]
+        steps = [envs.step(action) for action in actions]
+        rows.append(np.array([*seen, *(row[0] for row in steps)]))
+        assert any(row[3].all() for row in steps)
+        envs.close()
+    np.testing.assert_array_equal(*rows)
+    assert not np.array_equal(rows[0][:, 0], rows[0][:, 1])
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "line"),
+    [
+        (TRACK, {"hand": "jamja"}, "no such hand or file"),
+        (TRACK, {"space": "tip"}, "space: 'tip'; expected joint or digit"),
+        (TRACK, {"duration_s": 0.0}, "duration_s: 0 s; expected more than 0"),
+        (TRACK, {"speed_deg_s": -1.0}, "speed_deg_s: -1 deg/s; expected more than 0"),
+        (TRACK, {"span": (0.5, 0.5)}, "span: "),
+        (GRASP, {"diameter_mm": (40.0, 30.0)}, "diameter_mm: "),
+    ],
+)
+def test_a_wrong_option_is_one_line(name: str, options: dict[str, Any], line: str) -> None:
+    kinds = {TRACK: handctl.gym.TrackEnv, GRASP: handctl.gym.GraspEnv}
+    with pytest.raises(ConfigError) as error:
+        kinds[name](**options)
+    assert line in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_wrong_action_is_one_line() -> None:
+    env = handctl.gym.TrackEnv()
+    with pytest.raises(ConfigError, match="no episode has begun"):
+        env.step(np.zeros(4, np.float32))
+    env.reset(seed=0)
+    for action in (np.zeros(3), np.full(4, np.nan)):
+        with pytest.raises(ConfigError, match="expected 4 finite values"):
+            env.step(action)
+
+
+def test_a_missing_extra_is_one_line_that_names_it() -> None:
+    code = "import sys\nsys.modules['gymnasium'] = None\nimport handctl.gym"
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert ran.stderr.splitlines()[-1].endswith("handctl.gym needs gymnasium: pip install 'handctl[gym]'")
+
+
+def test_the_program_of_the_page_grasps(capsys: pytest.CaptureFixture[str]) -> None:
+    program = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)[0]
+    exec(program, {})
+    assert capsys.readouterr().out.endswith("True\n")
+
+
+def test_another_plant_behaves_otherwise() -> None:
+    episodes = [episode(make(TRACK, perturb=perturb), 0, 5) for perturb in (None, {"friction": 1.5})]
+    assert episodes[0] != episodes[1]
