@@ -81,7 +81,10 @@ class Hand:
     def __init__(self, path: Path, specs: Sequence[str], time_scale: float) -> None:
         self.clock = RealClock(PERIOD_NS, time_scale)
         hand = load_hand(str(path))
-        self.buses = [open_bus(spec, i, 1_000_000, stamp=self.clock.of) for i, spec in enumerate(specs)]
+        self.buses = [
+            open_bus(spec, i, bus.bitrate, bus.data_bitrate, self.clock.of)
+            for i, (spec, bus) in enumerate(zip(specs, hand.bus, strict=True))
+        ]
         self.drives, self.sensors = make_drives(hand), make_sensors(hand)
         self.states = [drive.initial() for drive in self.drives]
         self.k = 0
