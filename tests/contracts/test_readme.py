@@ -26,7 +26,10 @@ def test_the_code_that_needs_a_hand_is_named() -> None:
 
 
 def test_every_protocol_is_named() -> None:
-    names = {"mit": "MIT", "odrive": "ODrive", "cia402": "CiA 402", "cubemars": "CubeMars", "moteus": "moteus (CAN FD)"}
+    names = {
+        "mit": "MIT", "odrive": "ODrive", "cia402": "CiA 402", "cubemars": "CubeMars", "moteus": "moteus (CAN FD)",
+        "robstride": "RobStride",
+    }  # fmt: skip
     assert [protocol for protocol in PROTOCOLS if names.get(protocol, protocol) not in README] == []
 
 
