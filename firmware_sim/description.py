@@ -321,6 +321,10 @@ def _hand(raw: dict[str, Any]) -> Hand:
 def _digit(raw: dict[str, Any]) -> Digit:
     count = len(raw["link_length_m"])
     no_springs = [0.0] * count
+    for key in (*PER_LINK, "joint_axis", "joint_rpy_deg"):
+        if key in raw and len(raw[key]) != count:
+            what = f"digit {raw['name']}: {key} has {len(raw[key])} values"
+            raise SimulatorError(f"{what}; expected {count}, one per link")
     return Digit(
         name=raw["name"],
         carrier=raw.get("mount_on", ""),

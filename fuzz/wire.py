@@ -77,12 +77,18 @@ def path_to_torque(name: str, folder: Path) -> tuple[Drive, list[Seen]]:
 def answers(name: str, folder: Path) -> list[bytes]:
     """Return the frames that a drive really received on its way to torque, as inputs."""
     motor, seen = path_to_torque(name, folder)
-    ours = sorted(motor.node_ids)
+    ours = identifiers(motor, seen)
     inputs = []
     for i, (_, _, received) in enumerate(seen):
         parts = [bytes((ours.index(one.can_id), *_shape(one.data))) + one.data for one in received[:MAX_FRAMES]]
         inputs.append(bytes((i,)) + b"".join(parts))
     return [data for data in inputs if len(data) > 1]
+
+
+def identifiers(motor: Drive, seen: Sequence[Seen]) -> list[int]:
+    """Return the identifiers that a byte of an input selects: those of received frames first, at most 256."""
+    received = {frame.can_id for one in seen for frame in one.received}
+    return [*sorted(received), *sorted(motor.node_ids - received)][:256]
 
 
 def _shape(payload: bytes) -> tuple[int, int]:
@@ -95,7 +101,7 @@ def drive(name: str) -> Callable[[Path], Target]:
 
     def make(folder: Path) -> Target:
         motor, seen = path_to_torque(name, folder)
-        ours = sorted(motor.node_ids)
+        ours = identifiers(motor, seen)
         return lambda data: _walked(motor, seen[data[0] % len(seen)] if data else seen[0], ours, data)
 
     return make

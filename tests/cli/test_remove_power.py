@@ -46,6 +46,12 @@ class Bus:
     def send(self, frames):
         return len(frames)
 
+    def drain(self):
+        return ()
+
+    def take_events(self):
+        return ()
+
     def close(self):
         pass
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 
 from firmware_sim.bus.frame import Frame as SimFrame
+from firmware_sim.nodes.moteus import registers
 from firmware_sim.programs.drive import Bench
 from firmware_sim.programs.drive_types import drive_spec
 from handctl.cli.checks.fragment import fragment
@@ -85,7 +86,7 @@ def test_robstride_motors_are_found_by_their_identity():
     assert found == [("mit", 3), ("moteus", 5), ("robstride", 1), ("robstride", 0x7F)]
     assert [node.serial for node in result.found[2:]] == ["5253050000000001", "525305000000007f"]
     assert [node.mode for node in bench.nodes[:2]] == [0, 0]
-    assert bench.nodes[3].malformed == 0, "to moteus node 5 the request writes no register"
+    assert bench.nodes[3].command == registers.DEFAULTS, "to moteus node 5 the request writes no register"
     assert all(frame.flags == 0 and len(frame.data) <= 8 for frame in bus.heard)
 
 

@@ -119,7 +119,7 @@ def test_springs_too_weak_to_stretch_against_are_refused_in_one_line(place, caps
     )
     (place / "weak.toml").write_text(text)
     said = refused(capsys, "identify", "--lockstep", "--hand", "weak.toml", "--dry-run")
-    assert "lifts it off its open stop" in said
+    assert "digit[index].spring_preload_rad: the springs open the joints with" in said
 
 
 def test_units_in_brackets_are_no_markup(searched, capsys):

@@ -35,7 +35,7 @@ def test_seeds_of_a_corpus_are_accepted(name: str, tmp_path: Path) -> None:
 def test_seeds_of_a_drive_s_corpus_reach_torque(name: str, tmp_path: Path) -> None:
     motor, seen = wire.path_to_torque(name, tmp_path)
     assert {one.state.phase for one in seen} >= {Phase.SILENT, Phase.READY, Phase.ENABLED}
-    ours = sorted(motor.node_ids)
+    ours = wire.identifiers(motor, seen)
     for data in seeds(name, tmp_path):
         state, t_ns, recorded = seen[data[0]]
         sent = [frame for frame, _ in wire.frames(data, ours, t_ns)]

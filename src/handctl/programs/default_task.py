@@ -20,7 +20,7 @@ LARGEST_CLOSED_DEG = 120.0
 """Largest angle of a closed coordinate [deg]."""
 SIDEWAYS = 0.5
 """Opening per closing range from which a coordinate counts as sideways motion, which stays at 0."""
-HOLD = 0.35
+HOLD = 0.3
 """Tension of a hold per ``tension_max_N``, if as many digits close from one side as from the other."""
 LARGEST_HOLD = 0.7
 """Largest tension of a hold per ``tension_max_N``."""

@@ -21,7 +21,7 @@ EXAMPLES = {
     "config show": Example("handctl config show --hand jamia"),
     "config check": Example("handctl config check --hand jamia --task grasp.toml"),
     "config list": Example("handctl config list"),
-    "config schema": Example("handctl config schema --output hand.schema.json"),
+    "config schema": Example("handctl config schema | tee hand.schema.json"),
     "config init": Example("handctl config init --yes --fingers 2 --opposed 1 --output mine.toml"),
     "config convert": Example(
         "handctl config show --hand jamia > old.toml; handctl config convert old.toml --output new.toml"

@@ -15,7 +15,7 @@ from handctl.session.exit_codes import Exit
 
 PROTOCOLS = ("mit", "odrive", "cia402")
 """Protocols of simulated drives."""
-DRIVE_PROTOCOLS = (*PROTOCOLS, "cubemars")
+DRIVE_PROTOCOLS = (*PROTOCOLS, "cubemars", "moteus", "robstride")
 """Protocols of all drives: the names of ``drives.registry``. Its import takes longer than a help may take."""
 
 
