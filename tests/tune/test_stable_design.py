@@ -18,7 +18,7 @@ from tests.conftest import NIGHTLY
 
 HANDS = packaged_hands()
 SEEDS = range(20) if NIGHTLY else range(2)
-RATES = {"jamia": 500.0, "t42": 500.0}
+RATES = {"jamia": 500.0, "n_plus_1": 250.0, "t42": 500.0}
 SATURATED = {"tension": {"tension_error_N": 0.5, "speed_error_m_s": 0.1}}
 """Weights with 390 N of authority command more torque than the motor has at the operating point."""
 
