@@ -20,7 +20,9 @@ PLOTS: dict[str, Callable[[Path], Any]] = {
     "estimate": plots.estimate, "snapped-tendon": plots.snapped_tendon, "tip-force": plots.tip_force,
     "replay": plots.replayed, "bus-tick": plots.bus_tick,
 }  # fmt: skip
-PICTURES: dict[str, Callable[[Path], Path]] = {"run": runs.run_picture, "view": runs.view_picture}
+PICTURES: dict[str, Callable[[Path], Path]] = {
+    "run": runs.run_picture, "view": runs.view_picture, "gym-training": runs.training_picture,
+}  # fmt: skip
 NAMES = (*DIAGRAMS, *PLOTS, *PICTURES, "grasp", "numbers")
 
 

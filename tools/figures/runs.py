@@ -3,6 +3,8 @@
 import contextlib
 import io
 import json
+import subprocess
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -175,3 +177,10 @@ def tip() -> Recording:
     controller = make_controller(hand, Gains(), TIP_RATE_HZ, TaskProgram(task), None, arm_at_once=True)
     with Simulator(hand, WALL, 0, homed=True).against(controller) as run:
         return record(run, 12.0)
+
+
+def training_picture(folder: Path) -> Path:
+    """Run ``examples/train_policy.py``, and return its picture."""
+    program = Path(__file__).parents[2] / "examples" / "train_policy.py"
+    subprocess.run([sys.executable, str(program)], cwd=folder, check=True, stdout=subprocess.DEVNULL)
+    return folder / "training.png"

@@ -1,0 +1,34 @@
+"""Plot the angles, tensions and tip forces of a grasp, with its phases.
+
+handctl demo --lockstep --log grasp.mcap
+python plot_grasp.py grasp.mcap writes grasp.png. `handctl report grasp.mcap` makes a page with more.
+"""
+
+import sys
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+
+from handctl.log.read.reader import RunLog
+
+ROWS = (("q", "angle [deg]", 180.0 / np.pi), ("tension", "tension [N]", 1.0), ("tip_force", "tip force [N]", 1.0))
+
+with RunLog(sys.argv[1]) as log:
+    figure, axes = plt.subplots(len(ROWS), sharex=True, figsize=(8, 7), layout="constrained")
+    for axis, (field, label, factor) in zip(axes, ROWS, strict=True):
+        for name, values in zip(log.names(field), log.field(field).T, strict=True):
+            axis.plot(log.times, factor * values, label=name, linewidth=1.0)
+        axis.set_ylabel(label)
+        axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize="x-small", frameon=False)
+    starts = [log.times[np.searchsorted(log.k, change.k)] for change in log.phases]
+    for change, start, end in zip(log.phases, starts, [*starts[1:], log.times[-1]], strict=True):
+        for axis in axes:
+            axis.axvline(start, color="0.8", linewidth=0.8, zorder=0)
+        if end - start > 0.3:  # the names of short phases would overlap
+            above = axes[0].get_xaxis_transform()
+            axes[0].text(start, 1.02, change.name, transform=above, rotation=30, fontsize="small")
+    axes[-1].set_xlabel("time [s]")
+    figure.savefig("grasp.png", dpi=120)

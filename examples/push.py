@@ -1,0 +1,63 @@
+"""Push a held object, and compare the force for two stiffnesses of the grip. Simulation in lockstep.
+
+python push.py writes push.png.
+"""
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+
+from handctl.controller.setup import make_controller
+from handctl.core.gains.gains import Gains
+from handctl.hand.load import load_hand
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.task import Task
+from handctl.session.simulate import Simulator
+
+SCENE = """
+name = "push"
+[object]
+shape = "cylinder"
+diameter_m = 0.035
+length_m = 0.093
+mass_kg = 0.15
+friction = 0.5
+position_m = [0.0195, 0.0, 0.0]
+[support]
+drop_when = "never"
+[load]
+direction = [1.0, 0.0, 0.0]  # out of the palm
+start_s = 3.5                # after power-up
+rate_N_per_s = 8.0
+"""
+START_S, RATE_N_PER_S, LARGEST_N, SHOWN_MM = 3.5, 8.0, 8.0, 3.0
+
+
+def task(stiffness_N_per_mm):
+    """Return a grasp whose tendons pull harder when they are pulled out."""
+    hold = {"kind": "hold", "tension_N": 12.0, "stiffness_N_per_mm": stiffness_N_per_mm, "duration_s": 8.0}
+    close = {"kind": "close", "angle_deg": 85.0, "speed_deg_s": 100.0, "contact_tension_N": 12.0}
+    return Task.model_validate({"schema": 1, "name": "push", "description": "push", "phase": (close, hold)})
+
+
+figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
+hand = load_hand("jamia")
+for stiffness in (0.0, 30.0):
+    controller = make_controller(hand, Gains(), 500.0, TaskProgram(task(stiffness)), None, arm_at_once=True)
+    force, place = [], []
+    with Simulator(hand, SCENE, homed=True).against(controller) as run:
+        for entry, _ in run.ticks(START_S + LARGEST_N / RATE_N_PER_S):
+            force.append(max(0.0, RATE_N_PER_S * (entry.t_ns / 1e9 - START_S)))
+            place.append(run.peer.world.plant.engine.object_pose()[0])
+    pushed = np.array(force) > 0.0
+    force_now = np.array(force)[pushed]  # [N]
+    moved_mm = 1e3 * (np.array(place)[pushed] - place[int(np.argmax(pushed))])
+    given_way = int(np.argmax(moved_mm > SHOWN_MM))
+    axes.plot(moved_mm[:given_way], force_now[:given_way], label=f"{stiffness:g} N/mm at each tendon")
+    print(f"stiffness {stiffness:g} N/mm: {force_now[given_way]:.1f} N move the object by {SHOWN_MM:g} mm")
+axes.set(xlabel="displacement of the object [mm]", ylabel="force out of the palm [N]")
+axes.set_title("A push on a held cylinder")
+axes.legend()
+figure.savefig("push.png", dpi=120)

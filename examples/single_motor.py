@@ -1,0 +1,46 @@
+"""Turn one motor by a radian with a proportional-derivative loop. It needs no hand and no tendon.
+
+In another terminal: python -m firmware_sim drive mit --ids 1 --bus local:bench
+Then: python single_motor.py
+
+A real shaft must be free. Set the limit of the torque below, and the bus, e.g. socketcan:can0.
+"""
+
+from handctl.drives.contract import DriveTarget, Phase
+from handctl.drives.registry import make_drive
+from handctl.hand.file.sections import Motor
+from handctl.runtime.buses.open import open_bus
+from handctl.runtime.clock import RealClock
+from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
+from handctl.runtime.mailbox import bus_lock
+
+BUS, LIMIT_N_M, WATCHDOG_MS = "local:bench", 0.1, 100
+STIFFNESS_N_M_PER_RAD, DAMPING_N_M_S_PER_RAD = 0.5, 0.02
+MOTOR = Motor.model_validate({
+    "name": "motor", "protocol": "mit", "bus": "bench", "node_id": 1, "direction": 1, "zero_rad": 0.0,
+    "spool_radius_m": 0.005, "inertia_kg_m2": 1e-4, "viscous_N_m_s_per_rad": 0.0, "coulomb_N_m": 0.0,
+    "torque_constant_N_m_per_A": 0.1, "torque_max_N_m": LIMIT_N_M, "torque_peak_N_m": LIMIT_N_M,
+    "position_range_rad": 12.5, "velocity_range_rad_s": 30.0, "watchdog_ms": WATCHDOG_MS,
+})  # fmt: skip
+
+with bus_lock(BUS):  # one host at a time
+    clock = RealClock(PERIOD_NS)
+    bus = open_bus(BUS, 0, 1_000_000, stamp=clock.of)
+    rig = DriveRig(make_drive(MOTOR, 0), bus, clock)
+    try:
+        if not rig.until(DriveTarget.POLL, lambda state: state.phase == Phase.READY, 5.0):
+            raise SystemExit(f"the drive is not ready: {rig.state.error_text or rig.state.phase.name}")
+        if not rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.ENABLED, 1.0):
+            raise SystemExit(f"the drive does not enable: {rig.state.error_text or rig.state.phase.name}")
+        goal = rig.state.position + 1.0
+        for tick in range(400):  # 2 s
+            state = rig.state
+            torque = STIFFNESS_N_M_PER_RAD * (goal - state.position) - DAMPING_N_M_S_PER_RAD * state.velocity
+            rig.tick(DriveTarget.ENABLE, max(-LIMIT_N_M, min(LIMIT_N_M, torque)))
+            if tick % 50 == 0:
+                print(f"{tick * PERIOD_NS / 1e9:4.2f} s: {goal - rig.state.position:+.3f} rad to go")
+    finally:
+        off = rig.confirm_off(WATCHDOG_MS / 1e3)
+        bus.close()
+print("the drive has confirmed that it is off" if off else "REMOVE THE POWER: the drive has not confirmed it is off")
+raise SystemExit(0 if off else 71)

@@ -1,0 +1,192 @@
+"""Every program of examples/ runs as a user runs it, and does what its head says."""
+
+import re
+import select
+import subprocess
+import sys
+import tempfile
+from contextlib import contextmanager
+from pathlib import Path
+
+import nbformat
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from nbclient import NotebookClient
+
+from handctl.cli.main import main
+from handctl.hand.load import load_hand
+from tests.runtime.processes import HOMED, READY_S, end, scaled, write_homed
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+REALTIME = pytest.mark.realtime
+SCALE = 0.3
+
+
+@contextmanager
+def serving(*words):
+    """Run a program that another one needs, from its ready line on."""
+    process = subprocess.Popen([sys.executable, *words], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    try:
+        assert select.select([process.stdout], [], [], READY_S)[0], "no ready line"
+        assert process.stdout.readline().startswith("firmware_sim: ready")
+        yield
+    finally:
+        end(process)
+
+
+@pytest.fixture(autouse=True)
+def place(tmp_path, monkeypatch):
+    """Change to an empty folder, with sockets in a folder that has a short path."""
+    with tempfile.TemporaryDirectory(prefix="h-") as short:
+        monkeypatch.setenv("HANDCTL_RUN_DIR", short)
+        monkeypatch.chdir(tmp_path)
+        yield tmp_path
+
+
+@pytest.fixture(scope="module")
+def grasp_log(tmp_path_factory):
+    """Return the log of a grasp in lockstep."""
+    path = tmp_path_factory.mktemp("grasp") / "grasp.mcap"
+    assert main(["demo", "--lockstep", "--log", str(path)]) == 0
+    return path
+
+
+def example(name, *words, stdin=""):
+    """Run an example and return its output."""
+    command = [sys.executable, str(EXAMPLES / name), *words]
+    ran = subprocess.run(command, capture_output=True, text=True, timeout=280, input=stdin, check=False)
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    assert "Traceback" not in ran.stderr
+    return ran.stdout
+
+
+def numbers(text):
+    """Return the numbers of a text."""
+    return [float(number) for number in re.findall(r"-?\d+(?:\.\d+)?", text)]
+
+
+def check_picture(name):
+    """Check that a picture has several colours on a white ground."""
+    picture = imread(name)[..., :3]
+    colours = np.unique(picture.reshape(-1, 3).round(1), axis=0)
+    assert len(colours) > 5
+    assert (picture > 0.99).all(axis=-1).mean() > 0.5
+
+
+@contextmanager
+def hand(slower, *words):
+    """Serve the simulated hand of the examples, homed and slowed. Yield the options of its controller."""
+    scale = scaled(SCALE * slower)
+    write_homed(Path("c.toml"), load_hand("jamia"))
+    with serving("-m", "firmware_sim", "--hand", "jamia", "--bus", "local:lab", *HOMED, *words, *scale):
+        yield ("--calibration", "c.toml", *scale)
+
+
+@REALTIME
+def test_connect_and_move(slower):
+    with hand(slower, "--scene", "none") as options:
+        out = example("connect_and_move.py", *options)
+    angles = [numbers(line)[-1] for line in out.splitlines() if line.endswith("deg")]
+    assert len(angles) == 11
+    assert np.abs(np.array(angles[:9]) - 30.0).max() < 3.0
+    assert Path(out.splitlines()[-1].removeprefix("log: ")).is_file()
+
+
+@REALTIME
+def test_stream_sine(slower):
+    with hand(slower, "--scene", "none") as options:
+        out = example("stream_sine.py", *options)
+    assert "accepted=300, clipped=0" in out
+    assert numbers(out.splitlines()[-1])[0] < 1.5
+    check_picture("sine.png")
+
+
+@REALTIME
+def test_teleoperate(slower):
+    with hand(slower, "--scene", "none") as options:
+        out = example("teleoperate.py", *options, stdin="index=40 middle=20\nnonsense\nthumb=10\n")
+    angles = np.array(numbers(out.partition("StreamStatus")[0]))
+    assert np.abs(angles[:3].mean() - 40.0) < 3.0
+    assert np.abs(angles[3:6].mean() - 20.0) < 3.0
+    assert np.abs(angles[9:].mean() - 10.0) < 3.0
+
+
+@REALTIME
+def test_single_motor():
+    with serving("-m", "firmware_sim", "drive", "mit", "--ids", "1", "--bus", "local:bench"):
+        out = example("single_motor.py").splitlines()
+    assert numbers(out[0])[1] == pytest.approx(1.0)
+    assert abs(numbers(out[-2])[1]) < 0.05
+    assert out[-1] == "the drive has confirmed that it is off"
+
+
+@REALTIME
+def test_notebook(slower, monkeypatch):
+    notebook = nbformat.read(EXAMPLES / "notebook.ipynb", as_version=4)
+    assert not any(cell.get("outputs") for cell in notebook.cells), "outputs are made by the user"
+    with hand(slower, "--scene", "cylinder") as options:
+        monkeypatch.setenv("HANDCTL_OPTIONS", " ".join(options))
+        NotebookClient(notebook, timeout=240, kernel_name="python3", resources={"metadata": {"path": "."}}).execute()
+    outputs = [output for cell in notebook.cells for output in cell.get("outputs", ())]
+    texts = [output["data"]["text/plain"] for output in outputs if output.output_type == "execute_result"]
+    assert "index_tendon" in texts[0]
+    assert texts[-1].strip("'").endswith(".mcap")
+    assert any("image/png" in output.get("data", ()) for output in outputs)
+
+
+def test_push():
+    soft, stiff = (numbers(line)[1] for line in example("push.py").splitlines())
+    assert 2.0 < soft < stiff - 1.0 < 8.0
+    check_picture("push.png")
+
+
+def test_read_log(grasp_log):
+    out = example("read_log.py", str(grasp_log))
+    assert "index touches" in out
+    tensions = {line.split()[0]: numbers(line) for line in out.splitlines() if line.startswith(("hold", "home"))}
+    assert min(tensions["hold"]) > 25.0 > 15.0 > max(tensions["home"])
+
+
+def test_plot_grasp(grasp_log):
+    example("plot_grasp.py", str(grasp_log))
+    check_picture("grasp.png")
+
+
+def test_own_hand():
+    refused, mine, contact, result = example("own_hand.py").splitlines()
+    assert refused.endswith("link_lenght_m: unknown key; expected link_length_m")
+    assert mine == "mine: 11 joints, 4 tendons, 4 motors"
+    assert contact == "in contact: index, middle, ring, thumb"
+    assert result == "result: complete, relaxed and disarmed"
+
+
+def test_inject_fault():
+    out = example("inject_fault.py").splitlines()
+    assert "T01 a tendon snapped: index_tendon" in out[0]
+    assert numbers(out[0])[0] <= 60.0
+    assert "DISARM -> DONE" in out[-2]
+    assert out[-1] == "failure: fault T01 index_tendon"
+
+
+def test_train_policy_begins():
+    out = example("train_policy.py", "1").splitlines()
+    assert len(out) == 1
+    check_picture("training.png")
+
+
+@pytest.mark.nightly
+def test_train_policy_learns():
+    rewards = [numbers(line)[1] for line in example("train_policy.py").splitlines()]
+    assert rewards[0] < 0.4
+    assert rewards[-1] > 0.75
+
+
+def test_every_example_has_a_test_and_a_row_in_the_table():
+    names = {path.stem for path in EXAMPLES.iterdir() if path.suffix in (".py", ".ipynb")}
+    assert len(names) >= 10
+    tests = {name.removeprefix("test_") for name in globals() if name.startswith("test_")}
+    table = (EXAMPLES / "README.md").read_text("utf-8")
+    for name in names:
+        assert any(test.startswith(name) for test in tests), name
+        assert f"]({name}." in table, name
