@@ -1,5 +1,7 @@
 """Topics are complete, joined by sequence, independent of the chunks, and readable by other tools."""
 
+import json
+import math
 import os
 from collections import Counter
 from pathlib import Path
@@ -22,6 +24,7 @@ from handctl.log.header import RunHeader
 from handctl.log.record import FRAMING, pack
 from handctl.log.topics.transforms import link_frames
 from handctl.log.write.writer import LogWriter
+from handctl.programs.requests import target_text
 
 
 def _write(
@@ -175,6 +178,31 @@ def test_frames_form_one_tree() -> None:
         frame_names.add(link.child)
     assert [link.joint for link in tree if link.joint >= 0] == list(range(11))
     assert {f"{digit}_tip" for digit in synthetic.header().digits} <= frame_names
+
+
+def test_streamed_targets_have_a_topic_and_no_line_in_rosout(tmp_path: Path) -> None:
+    run = lively.header()
+    ticks = [(tick_in._replace(requests=()), out) for tick_in, out in lively.ticks(run)]
+    opening = {"do": "stream", "stream": "s", "space": "joint", "names": ["index_j1", "thumb_j1"], "rate_Hz": 100.0}
+    asked = {
+        0: (json.dumps(opening),),
+        2: (target_text("s", 0, ticks[2][0].t_ns - 3_000_000, (1.5, math.nan)), target_text("t", 1, 0, (1e308,))),
+        3: (target_text("s", 2**70, 0, ()), '{"do": "target", nonsense', '{"do": "stop"}'),
+    }
+    ticks = [(tick_in._replace(requests=asked.get(i, ())), out) for i, (tick_in, out) in enumerate(ticks)]
+    topics = by_topic(_write(tmp_path / "a", run, [pack(*tick)[FRAMING.size :] for tick in ticks]))
+    targets = topics["/stream/target"]
+    oracle = Rosbags(targets[0].kind, targets[0].schema)
+    first, other, last = (oracle.decode(one.data) for one in targets)
+    assert (first.stream, first.number, first.name) == ("s", 0, ["index_j1", "thumb_j1"])
+    assert first.age == pytest.approx(0.003)
+    np.testing.assert_array_equal(first.value, [1.5, math.nan])
+    assert (other.stream, other.name, other.value.tolist()) == ("t", [], [1e308]), "of a stream that nobody opened"
+    assert (last.number, last.name) == (2**63 - 1, [])
+    lines = [Rosbags(one.kind, one.schema).decode(one.data) for one in topics["/rosout"]]
+    asked_lines = [line.msg for line in lines if line.name == "handctl.request"]
+    assert asked_lines[:2] == [json.dumps(opening), '{"do": "stop"}']
+    assert not any("target" in line for line in asked_lines)
 
 
 def test_cycle_has_missed_ticks_and_lateness(tmp_path: Path) -> None:

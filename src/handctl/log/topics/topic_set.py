@@ -15,6 +15,7 @@ from handctl.log.topics.health import HealthTopics
 from handctl.log.topics.message_streams import Registry, Stamps, stamps_at, variable_length_block
 from handctl.log.topics.snapshots import Snapshot, SnapshotTopic
 from handctl.log.topics.state_topics import StateTopics, names_message
+from handctl.log.topics.targets import TargetTopic
 from handctl.log.topics.transforms import TfTopics
 
 TICK_TOPIC = "/tick"
@@ -42,7 +43,7 @@ class Topics:
         self._events = EventTopics(header, self._registry)
         self._parts = (
             StateTopics(header, self._registry), CanTopics(header, self._registry), self._tf, self._events,
-            HealthTopics(header, self._registry),
+            HealthTopics(header, self._registry), TargetTopic(header, self._registry),
         )  # fmt: skip
         self._chain = ChainTopic(header, self._registry)
         self._clocks = ClockTopic(self._registry)

@@ -1,0 +1,61 @@
+"""Topic of the targets that a client streams, as they arrived in a tick."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from handctl.log.batch import Batch
+from handctl.log.cdr import CdrWriter
+from handctl.log.container import MessageBlock
+from handctl.log.header import RunHeader
+from handctl.log.topics.message_streams import Registry, Stamps, variable_length_block
+from handctl.programs.requests import OpenStream, Target, is_target, parse_request, parse_target
+
+
+class TargetTopic:
+    """Streamed targets, one message per target. Malformed targets are in `/tick` only."""
+
+    def __init__(self, header: RunHeader, registry: Registry) -> None:
+        """Register the topic."""
+        self._offset_ns = header.offset_ns
+        self._channel = registry.add("/stream/target", "handctl_msgs/StreamTarget")
+        self._names: dict[str, tuple[str, ...]] = {}
+
+    def blocks(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
+        """Return the messages of a batch."""
+        at = list[int]()
+        messages = list[bytes]()
+        for index, tick in batch.ticks_with_events.items():
+            for target in self._targets(tick.tick_in.requests):
+                at.append(index)
+                messages.append(self._message(int(stamps.log[index]), target))
+        if not messages:
+            return []
+        return [variable_length_block(self._channel, stamps.at(np.array(at, np.intp)), messages)]
+
+    def _targets(self, requests: tuple[str, ...]) -> Iterator[Target]:
+        """Yield the targets among requests. Keep the names of a stream that is opened."""
+        for text in requests:
+            if not is_target(text):
+                request = parse_request(text)
+                if isinstance(request, OpenStream):
+                    self._names[request.stream] = request.names
+            elif (target := parse_target(text)) is not None:
+                yield target
+
+    def _message(self, log_ns: int, target: Target) -> bytes:
+        """Encode a handctl_msgs/StreamTarget."""
+        names = self._names.get(target.stream, ())
+        age_s = (log_ns - self._offset_ns - target.sent_ns) / 1e9
+        out = CdrWriter()
+        out.put("I", log_ns // 10**9)
+        out.put("I", log_ns % 10**9)
+        out.text("")
+        out.text(target.stream)
+        out.put("q", int(np.clip(target.number, -(2**63), 2**63 - 1)))
+        out.put("d", age_s)
+        out.texts(names if len(names) == len(target.values) else ())
+        out.count(len(target.values))
+        for value in target.values:
+            out.put("d", value)
+        return out.message()
