@@ -15,10 +15,11 @@ from handctl.core.law.goal import Kind
 from handctl.core.law.trajectory import Streamed
 from handctl.core.model import HandModel
 from handctl.core.types import Mode, TickOut
+from handctl.hand.dynamics import static_torque
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.live import LiveProgram
 from handctl.programs.requests import is_target, parse_target, target_text
-from handctl.programs.streams import continued, horizon_s, mapping, segment
+from handctl.programs.streams import continued, holdable, horizon_s, mapping, segment
 from handctl.programs.task import Task
 from handctl.session.simulate import Simulation, Simulator, homed_controller
 
@@ -454,6 +455,157 @@ def test_moves_of_single_joints(jamia: HandModel, jamia11: HandModel) -> None:
         assert client.ask("move", angle_deg={"index_j1": 25.0}).startswith("move index_j1 25")
         client.wait(1.2)
         assert np.degrees(client.outs[-1].telemetry.q_goal[:3]) == pytest.approx([25.0, 0.0, 0.0], abs=3.0)
+
+
+def test_tensions_follow_a_stream(jamia: HandModel) -> None:
+    with live(jamia) as client:
+        assert "expected one of angles" in client.open("tension", ("index_tendon",), stiffness_N_m_per_rad=1.0)
+        assert client.open("tension", ("index_tendon",)).startswith("stream tension of 1 values")
+        for i in range(500):
+            wave = 10.0 + 3.0 * math.sin(2.0 * math.pi * i / 250)
+            client.tick(*([client.target(wave)] if i % 5 == 0 else []))
+        goal = np.array([out.telemetry.tension_goal[0] for out in client.outs[-250:]])
+        felt = np.array([out.telemetry.tension[0] for out in client.outs[-250:]])
+        assert np.ptp(goal) == pytest.approx(6.0, abs=0.3)
+        assert np.sqrt(np.mean((goal - felt) ** 2)) < 1.0
+        rate = np.abs(np.diff(goal)).max() / jamia.period
+        assert rate < 1.5 * 3.0 * 4.0 * math.pi, "a ramp between targets, no steps"
+        for value in (1e4, -5.0, 500.0):
+            client.tick(client.target(value))
+        client.wait(0.01)
+        status = stream_status(client.run.state)
+        assert (status.refused, status.clipped) == (1, 2)
+        assert np.diff([out.telemetry.tension_goal[0] for out in client.outs[-8:]]).max() <= (
+            jamia.hand.stream.tension_rate_N_per_s * jamia.period * (1 + 1e-9)
+        )
+        client.ask("stream_end", stream="s")
+        client.wait(0.3)
+        held = [out.telemetry.tension_goal[0] for out in client.outs[-50:]]
+        assert np.ptp(held) < 1e-9, "the end of a stream holds the present tension"
+        assert client.faults == set()
+
+
+def test_a_move_of_another_digit_does_not_disturb_streamed_tensions(jamia: HandModel) -> None:
+    with live(jamia) as client:
+        client.open("tension", ("index_tendon",))
+        for i in range(100):
+            client.tick(*([client.target(12.0)] if i % 5 == 0 else []))
+        before = len(client.outs)
+        client.ask("move", angle_deg={"thumb": 5.0})
+        for i in range(20):
+            client.tick(*([client.target(12.0)] if i % 5 == 4 else []))
+        goal = [out.telemetry.tension_goal[0] for out in client.outs[before:]]
+        assert goal == pytest.approx([12.0] * len(goal), abs=1e-6)
+        assert client.run.state.decisions.stream is not None
+
+
+def test_tip_forces_become_tensions(jamia: HandModel, jamia11: HandModel) -> None:
+    with live(jamia) as client:
+        assert "index has 1 tendons for 3 joints, expected a stream of tension" in client.open("tip_force", ("index",))
+    with live(jamia11) as client:
+        assert client.open("tip_force", ("index",)).startswith("stream tip_force")
+        client.tick(client.target(0.0))
+        client.wait(0.04)
+        rest = client.outs[-1].telemetry.tension_goal[:3].copy()
+        client.tick(client.target(2.0))
+        client.wait(0.06)
+        more = client.outs[-1].telemetry.tension_goal[:3]
+        assert (more >= rest - 0.1).all()
+        assert more.sum() > rest.sum() + 5.0
+        assert (more <= jamia11.ceiling[:3]).all()
+
+
+@pytest.mark.parametrize("softness", [None, 0.3, 0.05])
+def test_a_softer_stream_is_still_followed_and_stable(jamia: HandModel, softness: float | None) -> None:
+    with live(jamia) as client:
+        client.ask("move", angle_deg={"index": MIDDLE_DEG})
+        client.wait(1.2)
+        text = client.open(interpolation="minimum_jerk", stiffness_N_m_per_rad=softness)
+        fraction = client.run.state.view("stiffness_fraction")[0]
+        assert ("% of the stiffness" in text) == (softness is not None)
+        assert fraction == 1.0 if softness is None else 0.05 <= fraction < 1.0
+        assert (client.run.state.view("stiffness_fraction")[1:] == 1.0).all(), "only the streamed digits"
+        client.outs.clear()
+        client.follow(lambda t: sine(t), 3.0)
+        apart = np.degrees([out.telemetry.q[0] - out.telemetry.q_goal[0] for out in client.outs[500:]])
+        assert np.sqrt(np.mean(apart**2)) < 3.0
+        assert client.faults == set()
+        client.ask("stream_end", stream="s")
+        assert (client.run.state.view("stiffness_fraction") == 1.0).all()
+        assert (client.run.state.view("damping_fraction") == 1.0).all()
+
+
+def test_a_soft_digit_yields_to_a_push(jamia: HandModel) -> None:
+    """A constant push on the tendon's load opens a soft digit further than a stiff one."""
+    yielded = {}
+    for softness in (None, 0.2):
+        with live(jamia) as client:
+            client.ask("move", angle_deg={"index": 40.0})
+            client.wait(1.2)
+            client.open(stiffness_N_m_per_rad=softness)
+            client.follow(lambda t: 40.0, 0.4)
+            start = true_angle(client.run)
+            client.run.peer.world.plant.engine.data.qfrc_applied[:3] = -0.02
+            client.follow(lambda t: 40.0, 0.4)
+            yielded[softness] = start - true_angle(client.run)
+            assert client.outs[-1].mode == Mode.ACTIVE
+    assert yielded[0.2] > 1.5 * yielded[None] > 0.0, yielded
+
+
+def test_targets_that_tendons_cannot_hold_are_moved_to_the_nearest_posture(jamia11: HandModel) -> None:
+    """Bending an outer joint alone needs an inner tendon that pushes: the monitor found it slack, and relaxed."""
+    digit = jamia11.digits[0]
+    floor = jamia11.floor[digit.tendons]
+    for angles in ([0.0, 25.0, 0.0], [0.0, 0.0, 40.0], [30.0, 30.0, 30.0], [5.0, 60.0, 60.0]):
+        wanted = np.radians(angles)
+        held = holdable(digit, wanted, floor)
+        tension = digit.torque_to_tension @ np.asarray(static_torque(digit, digit.coupling @ held))
+        assert (tension >= floor).all(), angles
+    even = np.radians([30.0, 30.0, 30.0])
+    np.testing.assert_array_equal(holdable(digit, even, floor), even)
+    with live(jamia11) as client:
+        client.open("joint", ("index_j1", "index_j2", "index_j3"))
+        for i in range(300):
+            client.tick(client.target(0.0, min(25.0, i / 4), 0.0))
+        assert client.faults == set()
+        assert stream_status(client.run.state).clipped > 0
+        assert np.degrees(client.outs[-1].telemetry.q_goal[1]) > 10.0
+
+
+def test_a_task_within_a_session_holds_until_it_is_released(jamia: HandModel) -> None:
+    task = {
+        "schema": 1, "name": "close", "phase": [
+            {"kind": "move", "angle_deg": 10.0, "duration_s": 0.3},
+            {"kind": "close", "angle_deg": 30.0, "speed_deg_s": 100.0},
+            {"kind": "hold", "tension_N": 12.0, "duration_s": 0.2},
+            {"kind": "release", "tension_N": 8.0},
+            {"kind": "move", "name": "open", "angle_deg": 0.0, "duration_s": 0.3},
+        ],
+    }  # fmt: skip
+    with live(jamia) as client:
+        client.open()
+        client.follow(lambda t: 20.0, 0.2)
+        assert "no hold of a task" in client.ask("release")
+        assert client.ask("grasp", task=task) == "grasp close"
+        assert client.run.state.decisions.stream is None
+        client.wait(3.0)
+        assert client.outs[-1].phase == "hold", "longer than the task's 0.2 s"
+        middle = snapshot(client.run.state)
+        assert restore(client.run.controller.layout, middle).digest() == client.run.state.digest()
+        assert client.ask("release") == "release after hold"
+        client.wait(1.5)
+        assert client.outs[-1].phase == "live"
+        assert client.outs[-1].mode == Mode.ACTIVE
+        assert client.ask("move", angle_deg={"index": 20.0}) == "move index 20"
+        assert client.ask("grasp", task=task) == "grasp close"
+        client.wait(0.1)
+        assert client.ask("move", angle_deg={"index": 20.0}) == "move index 20"
+        assert client.outs[-1].phase == "live", "a goal ends the task"
+        wrong = task | {"phase": [{"kind": "move", "angle_deg": {"pinky": 3.0}}]}
+        assert client.ask("grasp", task=wrong).startswith("refused: task: phase[0]")
+        fast = task | {"phase": [{"kind": "move", "angle_deg": 100.0, "duration_s": 0.2}]}
+        assert client.ask("grasp", task=fast).startswith("refused: ")
+        assert client.outs[-1].phase == "live"
 
 
 def test_a_segment_meets_both_ends() -> None:

@@ -132,7 +132,7 @@ def test_values_are_checked_before_they_are_sent(place):
             pass
 
     sent = []
-    goal = {"stream": "1-1", "names": ["a", "b"], "rate_Hz": 100.0}
+    goal = {"stream": "1-1", "names": ["a", "b"], "rate_Hz": 100.0, "space": "joint"}
     stream = TargetStream(None, Sender(), goal, "rad", 0.012, 1.0)
     stream.send([0.0, np.pi])
     stream.send({"a": np.pi / 2})
@@ -140,7 +140,7 @@ def test_values_are_checked_before_they_are_sent(place):
     for values, text in (
         ([1.0], r"send: values of shape \(1,\); expected 2 values"),
         ({"c": 1.0}, "send: no 'c' in this stream; expected some of a, b"),
-        ([1.0, np.nan], "send: b is not finite; expected a finite angle"),
+        ([1.0, np.nan], "send: b is not finite; expected a finite number"),
         ([np.inf, 0.0], "a is not finite"),
     ):
         with pytest.raises(ConfigError, match=text):

@@ -15,6 +15,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from numbers import Real
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self
 
@@ -28,6 +29,7 @@ from handctl.hand.load import hand_from, parse_toml
 from handctl.printing import escaped
 from handctl.programs.requests import REFUSED, HoldTension, MoveDigits, OpenStream
 from handctl.programs.streams import horizon_s
+from handctl.programs.task import Hold
 from handctl.runtime.buses.open import real_buses
 from handctl.runtime.confirm import ANSWER_S, follow_until_off, is_off, send_confirmed
 from handctl.runtime.mailbox import LARGEST, Watcher, is_running
@@ -36,6 +38,7 @@ from handctl.runtime.targets import TargetSender, stream_name
 from handctl.session.buses import named_buses
 from handctl.session.defaults import DEFAULT_HAND
 from handctl.session.exit_codes import Exit
+from handctl.session.tasks import find_task
 
 START_S = 300.0
 """Timeout of the start of a controller, commissioning on a slow machine included [s]. A controller that cannot start
@@ -199,30 +202,40 @@ class HandClient:
     def stream(
         self,
         rate_Hz: float,
-        space: Literal["joint", "digit"] = "joint",
+        space: Literal["joint", "digit", "tension", "tip_force"] = "joint",
         names: Sequence[str] | None = None,
         interpolation: Literal["linear", "minimum_jerk"] = "minimum_jerk",
         unit: Literal["deg", "rad"] = "deg",
+        stiffness_N_m_per_rad: float | None = None,
+        damping_ratio: float = 1.0,
     ) -> TargetStream:
         """Open a stream of targets. Use it as a context manager, see ``TargetStream``.
 
         Args:
             rate_Hz: rate of the targets in the time of the hand [Hz], 20 up to the control rate.
-            space: a target has an angle for each joint, or one angle for all joints of a digit.
-            names: joints or digits of a target, in order. None: all of the hand.
-            interpolation: motion between targets. ``"linear"`` has a constant speed, ``"minimum_jerk"`` is smooth.
-            unit: unit of the targets.
+            space: a target has an angle for each ``"joint"``, one for all joints of a ``"digit"``, a ``"tension"`` for
+                each tendon [N], or a ``"tip_force"`` for each digit [N].
+            names: joints, digits or tendons of a target, in order. None: all of the hand.
+            interpolation: motion between angles. ``"linear"`` has a constant speed, ``"minimum_jerk"`` is smooth.
+            unit: unit of angles.
+            stiffness_N_m_per_rad: impedance control: stiffness of the streamed joints against a push. None: that of
+                the gains, which is also the largest.
+            damping_ratio: damping with a stiffness, as a multiple of the damping ratio of the gains, 0.5 to 2.
 
         Raises:
             ConfigError: the stream was refused, e.g. for a name or a rate, or another client commands.
             DriveError, BusError: see ``move``.
         """
         hand = self.description
-        given = tuple(names) if names is not None else hand.joints if space == "joint" else hand.digit_names
+        everything = {"joint": hand.joints, "tension": hand.tendon_names}.get(space, hand.digit_names)
         number = next(_numbers)
+        numbers = {"rate_Hz": rate_Hz, "damping_ratio": damping_ratio}
+        if stiffness_N_m_per_rad is not None:
+            numbers["stiffness_N_m_per_rad"] = stiffness_N_m_per_rad
         goal = {
-            "do": "stream", "stream": stream_name(os.getpid(), number), "space": space, "names": list(given),
-            "interpolation": interpolation, **_numbers_of({"rate_Hz": rate_Hz}),
+            "do": "stream", "stream": stream_name(os.getpid(), number), "space": space,
+            "names": list(everything if names is None else names), "interpolation": interpolation,
+            **_numbers_of(numbers),
         }  # fmt: skip
         validated(goal, OpenStream, "stream")
         with ExitStack() as undo:
@@ -233,6 +246,47 @@ class HandClient:
         constants = self._reader().description
         horizon = horizon_s(goal["rate_Hz"], 1.0 / constants["rate_Hz"])
         return TargetStream(self, sender, goal, unit, horizon, constants["time_scale"])
+
+    def grasp(self, task: str | os.PathLike[str], wait: bool = True, timeout_s: float = 30.0) -> Observation:
+        """Carry out a task up to its first hold, which lasts until ``release``. Return the observation of the hold.
+
+        Args:
+            task: packaged task, e.g. ``"grasp"``, or a task file.
+            wait: return in the hold instead of at once. A task without a hold is waited for to its end.
+            timeout_s: maximum wait [s].
+
+        Raises:
+            ConfigError: the task does not exist or does not suit the hand, or another client commands.
+            DriveError: the task has ended without a hold, the time is over, or the run has ended.
+        """
+        found, _ = find_task(Path(task), self.description)
+        hold = next((phase.name for phase in found.phase if isinstance(phase, Hold)), "live")
+        content = found.model_dump(by_alias=True, exclude_unset=True, mode="json")
+        self._set_goal({"do": "grasp", "task": content})
+        if not wait:
+            return self.observe(wait=True)
+        end = time.monotonic() + timeout_s
+        seen = self.observe(wait=True)
+        while seen.phase != hold:
+            if seen.phase == "live" or time.monotonic() > end:
+                raise DriveError(f"no hold: the hand is in phase {seen.phase!r}", f"task {found.name}")
+            seen = self.observe(wait=True)
+        return seen
+
+    def release(self, wait: bool = True, timeout_s: float = 30.0) -> None:
+        """End the hold of ``grasp``, and carry out the phases after it.
+
+        Args:
+            wait: return at the end of the task instead of at once.
+            timeout_s: maximum wait [s].
+
+        Raises:
+            ConfigError: the hand holds no grasp, or another client commands.
+            DriveError: the time is over, or the run has ended.
+        """
+        self._set_goal({"do": "release"})
+        if wait:
+            self.wait_for(phase="live", timeout_s=timeout_s)
 
     def end_stream(self, name: str) -> None:
         """End a stream by its name. ``TargetStream.close`` calls it."""

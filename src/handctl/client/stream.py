@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from handctl.client.observation import Observation
 from handctl.errors import ConfigError, DriveError
 from handctl.hand.description import Hand
-from handctl.programs.streams import StreamStatus
+from handctl.programs.streams import UNITS, StreamStatus
 from handctl.runtime.targets import TargetSender
 
 Values = Mapping[str, float] | Sequence[float] | NDArray[np.floating[Any]]
@@ -52,7 +52,8 @@ class TargetStream:
 
     Attributes:
         name: name of the stream.
-        names: joints or digits of a target, in order.
+        space: meaning of a target, see ``HandClient.stream``.
+        names: joints, digits or tendons of a target, in order.
         rate_Hz: rate of the targets in the time of the hand [Hz].
         horizon_s: time from the sending of a target until the hand shall reach it [s].
         sent: number of targets sent.
@@ -66,7 +67,8 @@ class TargetStream:
         """Create the sending end. Use ``HandClient.stream`` instead."""
         self._hand = hand
         self._sender = sender
-        self._factor = 1.0 if unit == "deg" else 180.0 / np.pi
+        self.space: str = goal["space"]
+        self._factor = 180.0 / np.pi if unit == "rad" and UNITS[self.space] == "deg" else 1.0
         self.name: str = goal["stream"]
         self.names: tuple[str, ...] = tuple(goal["names"])
         self.rate_Hz: float = goal["rate_Hz"]
@@ -149,12 +151,15 @@ class TargetStream:
             raise ConfigError(f"values of shape {target.shape}", "send", f"{len(self.names)} values")
         if not np.isfinite(target).all():
             name = self.names[int(np.flatnonzero(~np.isfinite(target))[0])]
-            raise ConfigError(f"{name} is not finite", "send", "a finite angle")
+            raise ConfigError(f"{name} is not finite", "send", "a finite number")
         return target
 
     def _present(self) -> NDArray[np.float64]:
-        """Return the present angles, as the first target of names that a mapping leaves out."""
+        """Return the present values, as the first target of names that a mapping leaves out."""
         seen = self._hand.observe()
+        if UNITS[self.space] != "deg":
+            present = seen.named("tension_N" if self.space == "tension" else "tip_force_N")
+            return np.array([present[name] for name in self.names])
         angles = dict(zip(self._hand.description.joints, np.degrees(seen.q_rad).tolist(), strict=True))
         joints = self._hand.description.digit_joints
         for name, part in joints.items():

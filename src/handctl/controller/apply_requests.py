@@ -12,7 +12,7 @@ from handctl.core import block as s
 from handctl.core.model import HandModel
 from handctl.core.types import LETTING_GO, Event, Mode
 from handctl.programs.commission import CommissionProgram
-from handctl.programs.live import LiveProgram, apply_goal
+from handctl.programs.live import LiveProgram, apply_goal, begin_task, end_task, release_task
 from handctl.programs.program import Program
 from handctl.programs.requests import (
     Arm,
@@ -20,10 +20,12 @@ from handctl.programs.requests import (
     CloseStream,
     CommandBase,
     Cut,
+    Grasp,
     HoldTension,
     Leave,
     MoveDigits,
     OpenStream,
+    ReleaseGrasp,
     SetGains,
     Stop,
     describe_request,
@@ -31,7 +33,7 @@ from handctl.programs.requests import (
     parse_request,
     parse_target,
 )
-from handctl.programs.streams import mapping
+from handctl.programs.streams import digits_of
 from handctl.safety.faults.table import BY_ID, DEBOUNCE
 
 BEFORE_READY = (Mode.SILENT, Mode.INVENTORY)
@@ -96,6 +98,10 @@ def _command(model: HandModel, program: Program, state: State, request: CommandB
     if state.decisions.commander not in (None, request.client):
         close_stream(model, state)
     state.decide(commander=request.client)
+    if isinstance(request, Grasp | ReleaseGrasp):
+        return _grasp(model, state, request)
+    if state.progress.task is not None and not isinstance(request, CloseStream):
+        state.decide(progress=end_task(state.progress))
     if isinstance(request, MoveDigits | HoldTension):
         return _set_goal(model, state, request)
     if isinstance(request, OpenStream):
@@ -111,13 +117,24 @@ def _command(model: HandModel, program: Program, state: State, request: CommandB
     return ()
 
 
+def _grasp(model: HandModel, state: State, request: Grasp | ReleaseGrasp) -> tuple[Event, ...]:
+    """Begin a task, or end its hold."""
+    if isinstance(request, ReleaseGrasp):
+        progress, events = release_task(state.progress)
+    else:
+        close_stream(model, state)
+        progress, events = begin_task(model, state.progress, request.task, state.estimate, state.goal_time)
+    state.decide(progress=progress)
+    return events
+
+
 def _refusal(program: Program, state: State, request: CommandBase) -> Event | None:
     """Return the refusal of a command. A relaxing or commissioning hand must not pull, and one client commands."""
     if state.mode in LETTING_GO:
         return Event("info", "request", "", "refused: the hand is letting go")
     if not isinstance(program, LiveProgram):
         return Event("warn", "request", "", "refused: this run has goals of its own")
-    if state.mode != Mode.ACTIVE or state.progress.phase != "live":
+    if state.mode != Mode.ACTIVE or state.progress.phase in ("start", "tighten"):
         return Event("warn", "request", "", "refused: the hand is not ready yet")
     commander = state.decisions.commander
     if commander in (None, request.client) or request.take_over:
@@ -133,11 +150,9 @@ def _set_goal(model: HandModel, state: State, request: MoveDigits | HoldTension)
     if progress is state.progress:
         return events
     stream, goals = state.decisions.stream, state.progress.goals
-    if stream is not None:
-        streamed = mapping(model, stream.space, stream.names).digits
-        if any(progress.goals[d] is not goals[d] for d in streamed):
-            close_stream(model, state)
-            progress, _ = apply_goal(model, state.progress, request, state.estimate, state.goal_time, reference)
+    if stream is not None and any(progress.goals[d] is not goals[d] for d in digits_of(model, stream)):
+        close_stream(model, state)
+        progress, _ = apply_goal(model, state.progress, request, state.estimate, state.goal_time, reference)
     state.decide(progress=progress)
     return events
 

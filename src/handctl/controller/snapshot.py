@@ -27,12 +27,13 @@ from handctl.drives.robstride.progress import RobstrideProgress
 from handctl.programs.grip import Grip
 from handctl.programs.program import Progress
 from handctl.programs.streams import StreamPlan
+from handctl.programs.task import Task
 from handctl.safety.judge import Counting, Latched
 
 register(
     Decisions, DriveState, Phase, DriveTarget, Progress, Grip, DigitGoal, Kind, MinimumJerk, Blend, Curve, Sample,
-    Chirp, Streamed, StreamPlan, Latched, Counting, Gains, PendingGains, Recheck, Cursor, MitProgress, CubemarsProgress,
-    OdriveProgress, Cia402Progress, MoteusProgress, Channel, RobstrideProgress,
+    Chirp, Streamed, StreamPlan, Task, Latched, Counting, Gains, PendingGains, Recheck, Cursor, MitProgress,
+    CubemarsProgress, OdriveProgress, Cia402Progress, MoteusProgress, Channel, RobstrideProgress,
 )  # fmt: skip
 
 HEAD = 8

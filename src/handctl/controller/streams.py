@@ -12,20 +12,25 @@ from handctl.core.types import Event, Mode, Vector
 from handctl.programs.program import Progress, coordinates
 from handctl.programs.requests import OpenStream, Target
 from handctl.programs.streams import (
+    UNITS,
     StreamPlan,
     StreamStatus,
+    digits_of,
+    holdable,
     is_plausible,
+    loop_fractions,
     mapping,
     opened,
     segment,
     staying,
     streamed_goals,
+    tensions_of,
 )
 
 OLDEST_S = 0.1
 """Age beyond which a target is ignored [s]. Its moment has passed, and later ones are on the way."""
-CLIPPED_RAD = 1e-9
-"""Smallest difference that counts as clipping [rad]."""
+CLIPPED = 1e-9
+"""Smallest difference that counts as clipping [rad, N]."""
 STEADY_PERIODS = 2.5
 """Longest time between two targets whose difference counts as a speed, in periods of the stream."""
 OPEN, RUNNING = 1, 2
@@ -44,46 +49,64 @@ def reference_of(model: HandModel, state: State) -> tuple[Vector, ...]:
     return tuple(parts)
 
 
+def setpoints_of(model: HandModel, state: State) -> tuple[Vector, ...]:
+    """Return, for each digit, the present tension setpoints [N]."""
+    return tuple(state.tendon[s.SETPOINT, tendons] for tendons in model.digit_tendons)
+
+
 def open_stream(model: HandModel, state: State, request: OpenStream) -> Event:
     """Open a stream. Its digits stay at their present reference until the first target."""
     stream = opened(model, request)
     if isinstance(stream, str):
         return Event("info", "request", "", f"refused: {stream}")
     close_stream(model, state)
-    where = mapping(model, stream.space, stream.names)
-    rows = state.layout.table(state.block, "coordinate")
-    reference = reference_of(model, state)
-    for d in where.digits:
-        if state.progress.goals[d].kind != Kind.MOTION:  # no reference yet: begin where the digit is, at rest
-            reference[d][0] = coordinates(model.digits[d], state.estimate)
-            reference[d][1:] = 0.0
-    rows[s.STREAM_TARGET] = np.clip(rows[s.TRAJECTORY], *where.reach)
-    rows[s.STREAM_RANGE : s.STREAM_RANGE + 2] = where.reach
-    rows[s.STREAM_SEGMENT : s.STREAM_SEGMENT + 6] = 0.0
-    state.set_number(s.STREAM_SINCE, 0.0)
-    state.set_number(s.STREAM_DURATION, 0.0)
+    digits = digits_of(model, stream)
+    if stream.moves:
+        _prepare_motion(model, state, digits)
     for row in (s.STREAM_ACCEPTED, s.STREAM_CLIPPED, s.STREAM_LATE, s.STREAM_REFUSED):
         state.set_whole(row, 0)
     state.set_whole(s.STREAM_SEQUENCE, -1)
     state.set_whole(s.STREAMING, OPEN)
-    state.decide(stream=stream, progress=streamed_goals(state.progress, where.digits))
+    state.tendon[s.STIFFNESS_FRACTION], state.tendon[s.DAMPING_FRACTION] = loop_fractions(model, stream)
+    tension = None if stream.moves else setpoints_of(model, state)
+    state.decide(stream=stream, progress=streamed_goals(state.progress, digits, tension))
     text = f"stream {stream.space} of {len(stream.names)} values at {request.rate_Hz:g} Hz, {stream.interpolation}"
+    if stream.softness is not None:
+        fractions = state.tendon[s.STIFFNESS_FRACTION, [model.digits[d].tendons.start for d in digits]]
+        text += f", {100 * fractions.min():.0f} % of the stiffness of the gains"
     return Event("info", "request", "", text)
+
+
+def _prepare_motion(model: HandModel, state: State, digits: tuple[int, ...]) -> None:
+    """Begin a stream of angles at the present reference of its digits."""
+    rows = state.layout.table(state.block, "coordinate")
+    reference = reference_of(model, state)
+    for d in digits:
+        if state.progress.goals[d].kind != Kind.MOTION:  # no reference yet: begin where the digit is, at rest
+            reference[d][0] = coordinates(model.digits[d], state.estimate)
+            reference[d][1:] = 0.0
+    reach = np.concatenate([np.array(digit.reach) for digit in model.digits], axis=1)
+    rows[s.STREAM_TARGET] = np.clip(rows[s.TRAJECTORY], *reach)
+    rows[s.STREAM_RANGE : s.STREAM_RANGE + 2] = reach
+    rows[s.STREAM_SEGMENT : s.STREAM_SEGMENT + 6] = 0.0
+    state.set_number(s.STREAM_SINCE, 0.0)
+    state.set_number(s.STREAM_DURATION, 0.0)
 
 
 def close_stream(model: HandModel, state: State) -> None:
     """End the open stream, if there is one. Its digits come to rest."""
     if state.decisions.stream is None:
         return
-    progress = stay(model, state, only_streamed=True)
-    state.decide(stream=None, progress=progress)
+    state.decide(stream=None, progress=stay(model, state, only_streamed=True))
     state.set_whole(s.STREAMING, 0)
+    state.tendon[[s.STIFFNESS_FRACTION, s.DAMPING_FRACTION]] = 1.0
 
 
 def stay(model: HandModel, state: State, only_streamed: bool = False) -> Progress:
     """Return the progress with moving digits that come to rest."""
     reach = tuple(digit.reach for digit in model.digits)
-    return staying(state.progress, reference_of(model, state), state.goal_time, reach, only_streamed)
+    setpoints = setpoints_of(model, state)
+    return staying(state.progress, reference_of(model, state), setpoints, state.goal_time, reach, only_streamed)
 
 
 def apply_target(model: HandModel, state: State, target: Target | None, t_ns: int) -> tuple[Event, ...]:
@@ -102,40 +125,68 @@ def apply_target(model: HandModel, state: State, target: Target | None, t_ns: in
     stream = state.decisions.stream
     if stream is None or state.mode != Mode.ACTIVE or (target is not None and target.stream != stream.name):
         return ()  # of a stream that has ended, or of another client
-    if target is None or not is_plausible(target.values, len(stream.names)):
-        right = f"{len(stream.names)} finite angles"
+    if target is None or not is_plausible(stream, target.values):
+        right = f"{len(stream.names)} finite numbers of {UNITS[stream.space]}"
         return _count(state, s.STREAM_REFUSED, f"refused: a target that is no target, expected {right}")
     sent_ns = min(target.sent_ns, t_ns)
     running = state.whole(s.STREAMING) == RUNNING
     overtaken = target.number <= state.whole(s.STREAM_SEQUENCE) or sent_ns <= state.whole(s.STREAM_SENT_NS)
     if (running and overtaken) or t_ns - sent_ns > 1e9 * OLDEST_S:
         return _count(state, s.STREAM_LATE, "ignored: a target that is repeated, overtaken or too old")
-    where = mapping(model, stream.space, stream.names)
-    latest = state.layout.table(state.block, "coordinate")[s.STREAM_TARGET]
-    aim = np.where(where.driven, where.matrix @ np.array(target.values), latest)
-    inside = np.clip(aim, *where.reach)
-    _begin_segment(model, state, stream, inside, sent_ns, t_ns)
+    begin = _begin_segment if stream.moves else _begin_ramp
+    clipped = begin(model, state, stream, np.array(target.values), sent_ns, t_ns)
     state.set_whole(s.STREAM_SENT_NS, sent_ns)
     state.set_whole(s.STREAM_SEQUENCE, target.number)
     state.set_whole(s.STREAMING, RUNNING)
     _count(state, s.STREAM_ACCEPTED)
-    if (np.abs(inside - aim) > CLIPPED_RAD).any():
-        return _count(state, s.STREAM_CLIPPED, "clipped: a target beyond the range of a joint")
-    return ()
+    limit = "the range of a joint, or one that taut tendons cannot hold" if stream.moves else "the tension limits"
+    return _count(state, s.STREAM_CLIPPED, f"clipped: a target beyond {limit}") if clipped else ()
 
 
-def _begin_segment(model: HandModel, state: State, stream: StreamPlan, inside: Vector, sent_ns: int, t_ns: int) -> None:
-    """Begin the motion from the present reference to a target.
+def _begin_ramp(
+    model: HandModel, state: State, stream: StreamPlan, values: Vector, sent_ns: int, t_ns: int
+) -> bool:
+    """Begin the ramp from the present tension setpoints to a target. Return True if the target was clipped.
+
+    Arguments: see ``_begin_segment``.
+    """
+    setpoint = state.tendon[s.SETPOINT]
+    aim = tensions_of(model, stream, values, setpoint, state.estimate.q)
+    inside = np.clip(aim, model.floor, model.ceiling)
+    step = model.hand.stream.tension_rate_N_per_s * model.period
+    ticks = max((sent_ns - t_ns) / 1e9 + stream.horizon, model.period) / model.period
+    for d in digits_of(model, stream):
+        tendons = model.digit_tendons[d]
+        state.tendon[s.TARGET, tendons] = inside[tendons]
+        state.tendon[s.TARGET_STEP, tendons] = np.minimum(np.abs(inside - setpoint)[tendons] / ticks, step)
+    named = np.array([name in stream.names for name in model.hand.tendon_names])
+    return stream.space == "tension" and bool((np.abs(inside - aim) > CLIPPED)[named].any())
+
+
+def _begin_segment(
+    model: HandModel, state: State, stream: StreamPlan, values: Vector, sent_ns: int, t_ns: int
+) -> bool:
+    """Begin the motion from the present reference to a target. Return True if the target was clipped.
 
     Args:
         model: the hand.
         state: of the tick, modified in place.
         stream: stream of the target.
-        inside: (C,) the target, within the joints' range [rad].
+        values: (V,) values of the target.
         sent_ns: time at which the client sent it [ns].
         t_ns: time of the tick [ns].
     """
     rows = state.layout.table(state.block, "coordinate")
+    where = mapping(model, stream.space, stream.names)
+    aim = np.where(where.driven, where.matrix @ values, rows[s.STREAM_TARGET])
+    inside = np.clip(aim, *where.reach)
+    first = 0
+    for d, digit in enumerate(model.digits):
+        places = slice(first, first + digit.coupling.shape[1])
+        first = places.stop
+        if d in where.digits:
+            inside[places] = holdable(digit, inside[places], model.floor[digit.tendons])
+    inside = np.clip(inside, *where.reach)
     apart_s = (sent_ns - state.whole(s.STREAM_SENT_NS)) / 1e9
     steady = state.whole(s.STREAMING) == RUNNING and apart_s <= STEADY_PERIODS * stream.period
     speed = (inside - rows[s.STREAM_TARGET]) / max(apart_s, 0.5 * stream.period) if steady else np.zeros_like(inside)
@@ -149,6 +200,7 @@ def _begin_segment(model: HandModel, state: State, stream: StreamPlan, inside: V
     rows[s.STREAM_TARGET] = inside
     state.set_number(s.STREAM_SINCE, since)
     state.set_number(s.STREAM_DURATION, duration)
+    return bool((np.abs(inside - aim) > CLIPPED).any())
 
 
 def _count(state: State, row: int, text: str = "") -> tuple[Event, ...]:

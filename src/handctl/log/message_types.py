@@ -79,8 +79,8 @@ DEFINITIONS = {
     "handctl_msgs/ClockPair": "# Wall and monotonic clock at the same moment [ns]; a step of the wall shows here.\n"
     + _HEADER
     + "int64 wall_ns\nint64 monotonic_ns\n",
-    "handctl_msgs/StreamTarget": "# Target of a client as it arrived. number: rises with each target; age: since it was sent [s];\n"
-    "# name: joints or digits; value: angle [deg].\n"
+    "handctl_msgs/StreamTarget": "# Target of a client as it arrived. number: rises with each target;\n"
+    "# age: since it was sent [s]; name: joints, digits or tendons; value: angle [deg], tension or force [N].\n"
     + _HEADER
     + "string stream\nint64 number\nfloat64 age\nstring[] name\nfloat64[] value\n",
     "handctl_msgs/Snapshot": "# The controller's state after tick k, for the code that wrote it.\n"

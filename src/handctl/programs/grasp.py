@@ -80,6 +80,15 @@ class TaskProgram:
             return progress, (Event("info", "phase", "", "tighten: taking up slack"),)
         if progress.phase == "tighten" and progress.step == 0:
             return self._tighten(model, progress, estimate, t)
+        return self._carry_out(model, progress, estimate, t)
+
+    def begin(self, model: HandModel, progress: Progress, estimate: Estimate, t: float) -> ProgressAndEvents:
+        """Begin with the first phase of the task, for a hand whose tendons are taut."""
+        untouched = (0,) * len(model.digits)
+        return self._enter(model, replace(progress, step=0, touching=untouched), estimate, t)
+
+    def _carry_out(self, model: HandModel, progress: Progress, estimate: Estimate, t: float) -> ProgressAndEvents:
+        """Advance the present phase of the task by one tick."""
         progress, events = self._detect_contact(model, progress, estimate, t)
         progress, slipped = self._hold_on(model, progress, estimate, t)
         events += slipped

@@ -10,6 +10,8 @@ from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.law.trajectory import PEAK_SPEED
 from handctl.core.model import HandModel
 from handctl.core.types import Event, Vector
+from handctl.errors import ConfigError
+from handctl.programs.grasp import TaskProgram
 from handctl.programs.program import (
     TIGHTEN_TIMEOUT_S,
     Progress,
@@ -22,8 +24,8 @@ from handctl.programs.program import (
 )
 from handctl.programs.requests import HoldTension, MoveDigits
 from handctl.programs.streams import continued
-from handctl.programs.task import FOLLOW_SPEED_DEG_S
-from handctl.programs.task_checks import ROUNDING_DEG
+from handctl.programs.task import FOLLOW_SPEED_DEG_S, Hold, Move, Task, check_task, for_digit, shapes
+from handctl.programs.task_checks import ROUNDING_DEG, check_joint_range, check_speed, check_tip_force
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +40,8 @@ class LiveProgram:
         self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
     ) -> ProgressAndEvents:
         """Advance by one tick. See `Program`."""
+        if progress.task is not None:
+            return _carry_out(model, progress, progress.task, estimate, measured, t)
         if progress.phase == "start":
             progress = replace(progress, since=t, phase="tighten", goals=tighten(model))
             return progress, (Event("info", "phase", "", "tighten: taking up slack"),)
@@ -47,6 +51,66 @@ class LiveProgram:
             text = f"not taut after {TIGHTEN_TIMEOUT_S:g} s: {', '.join(slack_tendons(model, estimate))}"
             return replace(progress, finished=True, failure=text), (Event("error", "tighten", "", text),)
         return progress, ()
+
+
+LONGEST_HOLD_S = 3600.0
+"""Duration of a task's hold that waits for ``release`` [s], the longest of a task."""
+
+
+def _carry_out(
+    model: HandModel, progress: Progress, task: Task, estimate: Estimate, measured: Measured, t: float
+) -> ProgressAndEvents:
+    """Advance the task of a live session. After its end, or its failure, the session waits for requests again."""
+    progress, events = TaskProgram(task).advance(model, progress, estimate, measured, t)
+    return (end_task(progress) if progress.finished else progress), events
+
+
+def end_task(progress: Progress) -> Progress:
+    """Return the progress of a live session without its task. Digits keep their goals."""
+    return replace(
+        progress, step=0, phase="live", finished=False, failure="", task=None, closing=(), grip=None,
+        touching=(0,) * len(progress.touching),
+    )  # fmt: skip
+
+
+def begin_task(model: HandModel, progress: Progress, task: Task, estimate: Estimate, t: float) -> ProgressAndEvents:
+    """Begin a task up to its first hold, which lasts until ``release_task``, at most an hour.
+
+    A task that does not suit the hand, or that begins with a move that is too fast, changes nothing.
+    """
+    ceiling = min(tendon.tension_max_N for tendon in model.hand.tendon)
+    try:
+        check_task(task, model.hand.digit_names, ceiling, "task", shapes(model.hand))
+        check_tip_force(task, model.hand, "task")
+        check_joint_range(task, model.hand, "task")
+        check_speed(task, model.hand.digit_names, "task")
+    except ConfigError as error:
+        return progress, (Event("warn", "request", "", f"refused: {error}"),)
+    first = task.phase[0]
+    for d, name in enumerate(model.hand.digit_names):
+        angle = for_digit(first.angle_deg, name) if isinstance(first, Move) else None
+        if angle is None or not isinstance(first, Move):
+            continue
+        end = np.broadcast_to(np.array(angle, dtype=float), (model.digits[d].coupling.shape[1],))
+        if reason := _out_of_reach(model, d, estimate, end, first.duration_s):
+            return progress, (Event("warn", "request", name, f"refused: {name} {reason}"),)
+    at = next((i for i, phase in enumerate(task.phase) if isinstance(phase, Hold)), None)
+    if at is not None:
+        held = task.phase[at].model_copy(update={"duration_s": LONGEST_HOLD_S})
+        task = task.model_copy(update={"phase": (*task.phase[:at], held, *task.phase[at + 1 :])})
+    progress, events = TaskProgram(task).begin(model, replace(progress, task=task), estimate, t)
+    if progress.finished:
+        progress = end_task(progress)
+    return progress, (Event("info", "request", "", f"grasp {task.name}"), *events)
+
+
+def release_task(progress: Progress) -> ProgressAndEvents:
+    """End the hold of a task. The phases after it follow."""
+    phase = progress.task.phase[progress.step - 1] if progress.task else None
+    if not isinstance(phase, Hold):
+        return progress, (Event("info", "request", "", "refused: no hold of a task, expected grasp first"),)
+    event = Event("info", "request", "", f"release after {phase.name}")
+    return replace(progress, since=progress.since - LONGEST_HOLD_S), (event,)
 
 
 @dataclass(frozen=True, slots=True)

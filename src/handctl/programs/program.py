@@ -12,6 +12,7 @@ from handctl.core.model import HandModel
 from handctl.core.types import Event, Vector
 from handctl.hand.dynamics import DigitModel
 from handctl.programs.grip import Grip
+from handctl.programs.task import Task
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +33,7 @@ class Progress:
         tare: new tares of the load cells [N], empty for the calibration's.
         closing: for each digit, whether it closes until contact, empty in other phases.
         grip: grip of a hold, None in other phases.
+        task: task that a live session carries out, None otherwise.
     """
 
     step: int
@@ -46,6 +48,7 @@ class Progress:
     tare: tuple[float, ...] = ()
     closing: tuple[bool, ...] = ()
     grip: Grip | None = None
+    task: Task | None = None
 
     @staticmethod
     def initial(digits: int, phase: str) -> "Progress":

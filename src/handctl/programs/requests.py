@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 from pydantic import Field, TypeAdapter, ValidationError
 
 from handctl.document import Document
-from handctl.programs.task import SHORTEST_MOVE_S, Angle, Tension
+from handctl.programs.task import SHORTEST_MOVE_S, Angle, Task, Tension
 
 MOST_VALUES = 64
 """Largest number of values of a streamed target."""
@@ -83,14 +83,33 @@ class OpenStream(CommandBase):
     do: Literal["stream"]
     stream: str = Field(min_length=1, max_length=40, pattern=r"^[\w.-]*$")
     """Name of the stream, which every target repeats."""
-    space: Literal["joint", "digit"]
-    """Meaning of a target: an angle for each joint, or one angle for all joints of a digit."""
+    space: Literal["joint", "digit", "tension", "tip_force"]
+    """Meaning of a target: an angle for each joint [deg], one angle for all joints of a digit [deg], a tension for each
+    tendon [N], or a force at the tip of a digit [N]."""
     names: tuple[str, ...] = Field(min_length=1, max_length=MOST_VALUES)
     """Names of the values of a target, in order."""
     rate_Hz: float = Field(ge=1, le=1000)
     """Rate at which the client sends targets."""
     interpolation: Literal["linear", "minimum_jerk"] = "linear"
-    """Motion from one target to the next."""
+    """Motion from one target to the next. Tensions and forces are always linear."""
+    stiffness_N_m_per_rad: float | None = Field(None, gt=0, le=1000)
+    """Stiffness of the joints against a push [N m/rad]. Without it the digits are as stiff as the gains allow."""
+    damping_ratio: float = Field(1.0, ge=0.5, le=2)
+    """Damping of a stiffness, as a multiple of the damping ratio of the gains."""
+
+
+class Grasp(CommandBase):
+    """Carry out a task up to its first hold, and hold until ``release``."""
+
+    do: Literal["grasp"]
+    task: Task
+    """The task, as in a task file."""
+
+
+class ReleaseGrasp(CommandBase):
+    """Carry out the phases of the task after the hold."""
+
+    do: Literal["release"]
 
 
 class CloseStream(CommandBase):
@@ -117,7 +136,10 @@ class SetGains(RequestBase):
     """Value by key, e.g. `motion.force_N`. All values are applied, or none."""
 
 
-Request = Arm | Stop | Cut | Clear | MoveDigits | HoldTension | Stay | Leave | OpenStream | CloseStream | SetGains
+Request = (
+    Arm | Stop | Cut | Clear | MoveDigits | HoldTension | Stay | Leave | Grasp | ReleaseGrasp | OpenStream
+    | CloseStream | SetGains
+)  # fmt: skip
 
 _PREFIX = "asked: "
 _ADAPTER: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])

@@ -7,10 +7,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from handctl.core.estimation.tip import tip_lever
+from handctl.core.law.allocation import allocate
 from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.law.trajectory import Blend, MinimumJerk, Streamed
 from handctl.core.model import HandModel
 from handctl.core.types import Vector
+from handctl.hand.digit import DigitModel
+from handctl.hand.dynamics import static_torque
 from handctl.programs.program import Progress
 from handctl.programs.requests import OpenStream
 
@@ -23,8 +27,12 @@ STAY_S = 0.15
 """Duration of the motion to a stop [s]."""
 HELD_PERIODS = 2
 """Fewest periods of a stream before the hand holds: one target may be lost."""
-OUTLIER_DEG = 720.0
-"""Largest angle that counts as a target [deg]. A larger one is a mistake of the client, and is refused."""
+OUTLIERS = {"joint": 720.0, "digit": 720.0, "tension": 5000.0, "tip_force": 500.0}
+"""Largest value that counts as a target, by space [deg, N]. A larger one is a mistake of the client, and is refused."""
+UNITS = {"joint": "deg", "digit": "deg", "tension": "N", "tip_force": "N"}
+"""Unit of the values of a target, by space."""
+SOFTEST = 0.05
+"""Smallest fraction of the gains' stiffness. Below it friction decides where a digit stays."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +47,8 @@ class StreamPlan:
         interpolation: motion from target to target: "linear" or "minimum_jerk".
         period: time from one target to the next [s].
         horizon: time from the sending of a target to the moment at which the hand shall reach it [s].
+        softness: stiffness of the streamed digits [N m/rad]. None: that of the gains.
+        damping_ratio: multiple of the gains' damping ratio.
     """
 
     name: str
@@ -48,6 +58,13 @@ class StreamPlan:
     interpolation: str
     period: float
     horizon: float
+    softness: float | None = None
+    damping_ratio: float = 1.0
+
+    @property
+    def moves(self) -> bool:
+        """Return True for a stream of angles, False for a stream of tensions or forces."""
+        return UNITS[self.space] == "deg"
 
 
 class StreamStatus(NamedTuple):
@@ -122,58 +139,175 @@ def mapping(model: HandModel, space: str, names: tuple[str, ...]) -> Mapping:
     return Mapping(np.radians(values), driven, tuple(digits), reach)
 
 
-def unknown_names(model: HandModel, request: OpenStream) -> str:
-    """Return why a stream's names do not suit the hand, empty if they do."""
-    right = model.hand.joints if request.space == "joint" else model.hand.digit_names
+def unsuitable(model: HandModel, request: OpenStream) -> str:
+    """Return why a stream does not suit the hand, empty if it does."""
+    hand = model.hand
+    right = {"joint": hand.joints, "tension": hand.tendon_names}.get(request.space, hand.digit_names)
+    kind = {"joint": "joint", "tension": "tendon"}.get(request.space, "digit")
     for name in request.names:
         if name not in right:
-            return f"no {request.space} {name!r}, expected some of {', '.join(right)}"
+            return f"no {kind} {name!r}, expected some of {', '.join(right)}"
     if len(set(request.names)) < len(request.names):
         return "a name is there twice, expected each once"
+    if request.space == "tip_force":
+        for name in request.names:
+            tendons, joints = model.digits[hand.digit_names.index(name)].moment_arms.shape
+            if tendons < joints:
+                return f"{name} has {tendons} tendons for {joints} joints, expected a stream of tension"
+    if request.stiffness_N_m_per_rad is not None and UNITS[request.space] != "deg":
+        return f"a stiffness in a stream of {request.space}, expected one of angles"
     return ""
 
 
 def opened(model: HandModel, request: OpenStream) -> StreamPlan | str:
     """Return the stream of a request, or the reason to refuse it."""
-    if reason := unknown_names(model, request):
+    if reason := unsuitable(model, request):
         return reason
     slowest = HELD_PERIODS * 1e3 / model.hand.stream.hold_after_ms
     fastest = 1.0 / model.period
     if not slowest <= request.rate_Hz <= fastest:
         limits = "stream.hold_after_ms of the hand file, and the control rate"
         return f"{request.rate_Hz:g} Hz, expected {slowest:g} to {fastest:g} Hz ({limits})"
-    horizon = horizon_s(request.rate_Hz, model.period)
     return StreamPlan(
-        request.stream, request.client, request.space, request.names, request.interpolation,
-        1.0 / request.rate_Hz, horizon,
+        request.stream, request.client, request.space, request.names, request.interpolation, 1.0 / request.rate_Hz,
+        horizon_s(request.rate_Hz, model.period), request.stiffness_N_m_per_rad, request.damping_ratio,
     )  # fmt: skip
 
 
-def streamed_goals(progress: Progress, digits: tuple[int, ...]) -> Progress:
-    """Return the progress with digits that follow a stream."""
+HELD_MARGIN_N = 0.5
+"""Margin of the tensions above the floor in a posture that counts as holdable [N]."""
+HELD_STEPS = 4
+"""Steps of Newton's method towards a holdable posture. Gravity, which the slope leaves out, needs more than one."""
+
+
+def holdable(digit: DigitModel, coordinates: Vector, floor: Vector) -> Vector:
+    """Return the nearest coordinates that taut tendons can hold against springs and gravity [rad].
+
+    A tendon that flexes the outer joints flexes the inner ones, too. Bending the outer joints alone
+    would need an inner tendon that pushes, and the monitor would find it slack.
+
+    Args:
+        digit: the digit.
+        coordinates: (n_c,) target [rad].
+        floor: (n_t,) smallest tensions [N].
+    """
+    tendons, count = digit.reduced_moment_arms.shape
+    if tendons != count or count == 1:  # the tensions are not determined by the posture, or rise with the angle
+        return coordinates
+    slope = digit.torque_to_tension @ np.diag(digit.spring_stiffness) @ digit.coupling
+    angles = coordinates.copy()
+    for _ in range(HELD_STEPS):
+        tension = digit.torque_to_tension @ np.asarray(static_torque(digit, digit.coupling @ angles))
+        missing = floor + HELD_MARGIN_N - tension
+        short = missing > 1e-6
+        if not short.any():
+            break
+        angles += np.linalg.pinv(slope[short]) @ missing[short]
+    return angles
+
+
+def digits_of(model: HandModel, stream: StreamPlan) -> tuple[int, ...]:
+    """Return the indices of the digits that a stream commands."""
+    if stream.moves:
+        return mapping(model, stream.space, stream.names).digits
+    hand = model.hand
+    if stream.space == "tip_force":
+        return tuple(sorted(hand.digit_names.index(name) for name in stream.names))
+    return tuple(sorted({model.digit_of[hand.tendon_names.index(name)] for name in stream.names}))
+
+
+def loop_fractions(model: HandModel, stream: StreamPlan) -> tuple[Vector, Vector]:
+    """Return the fractions (N,) of the motion loop's stiffness and damping for a stream.
+
+    The stiffness of a tendon's loop [N/m] times its moment arm squared is the stiffness of the
+    joints. A damping that falls with the root of the stiffness keeps the damping ratio. Neither
+    exceeds the gains, which are stable.
+    """
+    stiffness = np.ones(model.tendon_count)
+    damping = np.ones(model.tendon_count)
+    if stream.softness is None:
+        return stiffness, damping
+    for d in digits_of(model, stream):
+        digit = model.digits[d]
+        arms = (digit.reduced_moment_arms**2).sum(axis=1)
+        mass = (model.space.motor_mass + model.space.load_mass)[digit.tendons]
+        full = arms * mass * model.motion.stiffness[digit.tendons]
+        stiffness[digit.tendons] = np.clip(stream.softness / full, SOFTEST, 1.0)
+        damping[digit.tendons] = np.minimum(stream.damping_ratio * np.sqrt(stiffness[digit.tendons]), 1.0)
+    return stiffness, damping
+
+
+def tensions_of(model: HandModel, stream: StreamPlan, values: Vector, present: Vector, q: Vector) -> Vector:
+    """Return the tensions (N,) of a target [N], not limited yet.
+
+    Args:
+        model: the hand.
+        stream: stream of tensions or forces.
+        values: (V,) values of the target [N].
+        present: (N,) present tension setpoints [N]. Tendons without a value keep theirs.
+        q: (J,) joint angles [rad], for the levers of tip forces.
+    """
+    hand, tension = model.hand, present.copy()
+    if stream.space == "tension":
+        tension[[hand.tendon_names.index(name) for name in stream.names]] = values
+        return tension
+    for name, force in zip(stream.names, values.tolist(), strict=True):
+        digit = model.digits[hand.digit_names.index(name)]
+        angles, tendons = q[digit.joints], digit.tendons
+        # Springs and gravity, plus the tip force by its lever, in the digit's coordinates.
+        torque = digit.coupling.T @ np.asarray(static_torque(digit, angles))
+        torque += max(force, 0.0) * tip_lever(digit, angles)
+        tension[tendons] = allocate(digit.reduced_moment_arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
+    return tension
+
+
+def streamed_goals(progress: Progress, digits: tuple[int, ...], tension: tuple[Vector, ...] | None) -> Progress:
+    """Return the progress with digits that follow a stream.
+
+    Args:
+        progress: progress with the present goals.
+        digits: indices of the digits.
+        tension: for each digit of the hand, the present tension setpoints [N] of a stream of tensions,
+            None for a stream of angles.
+    """
     goals = list(progress.goals)
     contact = list(progress.contact)
     for d in digits:
-        goals[d] = DigitGoal(Kind.MOTION, Streamed())
-        contact[d] = False
+        if tension is None:
+            goals[d] = DigitGoal(Kind.MOTION, Streamed())
+            contact[d] = False
+        else:
+            goals[d] = DigitGoal(Kind.TENSION, tension=tension[d].copy(), rate=STREAMED_RATE)
     return replace(progress, goals=tuple(goals), contact=tuple(contact))
 
 
-def staying(progress: Progress, reference: tuple[Vector, ...], t: float, reach: tuple[tuple[Vector, Vector], ...],
-            only_streamed: bool) -> Progress:  # fmt: skip
+STREAMED_RATE = 0.0
+"""Rate of the goal of a digit with streamed tensions [N/s]. The targets bring their own."""
+
+
+def staying(
+    progress: Progress,
+    reference: tuple[Vector, ...],
+    tension: tuple[Vector, ...],
+    t: float,
+    reach: tuple[tuple[Vector, Vector], ...],
+    only_streamed: bool,
+) -> Progress:
     """Return the progress with moving digits that come to rest.
 
     Args:
         progress: progress with the present goals.
         reference: for each digit, (3, n) position, rate and acceleration of the present reference.
+        tension: for each digit, the present tension setpoints [N].
         t: time of the program [s].
         reach: for each digit, lowest and highest coordinates [rad].
         only_streamed: only digits that follow a stream come to rest.
     """
     goals = list(progress.goals)
     for d, goal in enumerate(goals):
-        moves = goal.kind == Kind.MOTION and (isinstance(goal.trajectory, Streamed) or not only_streamed)
-        if moves:
+        if goal.kind == Kind.TENSION and goal.rate == STREAMED_RATE:
+            goals[d] = DigitGoal(Kind.TENSION, tension=tension[d].copy())
+        if goal.kind == Kind.MOTION and (isinstance(goal.trajectory, Streamed) or not only_streamed):
             position, rate, _ = reference[d]
             end = np.clip(position + 0.5 * STAY_S * rate, *reach[d])
             goals[d] = DigitGoal(Kind.MOTION, continued(reference[d], end, STAY_S, reach[d]), since=t)
@@ -245,6 +379,7 @@ def segment(
     return powers
 
 
-def is_plausible(values: tuple[float, ...], count: int) -> bool:
+def is_plausible(stream: StreamPlan, values: tuple[float, ...]) -> bool:
     """Return True if a target has the right number of finite values within a plausible range."""
-    return len(values) == count and all(abs(value) <= OUTLIER_DEG for value in values)
+    outlier = OUTLIERS[stream.space]
+    return len(values) == len(stream.names) and all(abs(value) <= outlier for value in values)

@@ -218,6 +218,7 @@ TorqueConstant = Annotated[float, band(1e-4, 50.0, "N m/A", "at the spool?")]
 JointNoise = Annotated[float, band(1e-7, 0.5, "rad", "in radians?")]
 JointSpeed = Annotated[float, band(1.0, 3000.0, "deg/s", "in degrees?")]
 JointAcceleration = Annotated[float, band(10.0, 1e6, "deg/s2", "in degrees?")]
+TensionRate = Annotated[float, band(1.0, 1e5, "N/s")]
 StaleTime = Annotated[float, band(1.0, 60_000.0, "ms", "in milliseconds?")]
 # Limits of the bit rate of CAN, and of the data phase of CAN FD [bit/s].
 SLOWEST_BUS = 10_000

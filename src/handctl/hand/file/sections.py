@@ -79,6 +79,8 @@ class StreamLimits(Section):
     """Largest joint speed. Source: the largest speed of a task's move."""
     acceleration_deg_s2: qty.JointAcceleration = 20_000.0
     """Largest joint acceleration. A move of a task at the largest speed has 13,500 deg/s2."""
+    tension_rate_N_per_s: qty.TensionRate = 1000.0
+    """Largest rate of a streamed tension. Source: a grasp's answer to slip has 300 N/s."""
     hold_after_ms: qty.StaleTime = 100.0
     """Age of the latest target after which the hand holds."""
     relax_after_ms: qty.StaleTime = 1000.0
