@@ -44,8 +44,7 @@ class Client:
     def __init__(self, run: Simulation, model: HandModel, name: str = "one") -> None:
         self.run, self.model, self.name, self.sent = run, model, name, 0
         self.outs = list[TickOut]()
-        while run.out is None or run.out.phase != "live":
-            run.tick()
+        assert run.until(lambda out: out.phase == "live", 5.0)
 
     @property
     def t_ns(self) -> int:
@@ -545,7 +544,7 @@ def test_a_soft_digit_yields_to_a_push(jamia: HandModel) -> None:
             client.open(stiffness_N_m_per_rad=softness)
             client.follow(lambda t: 40.0, 0.4)
             start = true_angle(client.run)
-            client.run.peer.world.plant.engine.data.qfrc_applied[:3] = -0.02
+            client.run.peer.world.plant.engine.applied[:3] = -0.02
             client.follow(lambda t: 40.0, 0.4)
             yielded[softness] = start - true_angle(client.run)
             assert client.outs[-1].mode == Mode.ACTIVE
