@@ -460,15 +460,16 @@ def test_tensions_follow_a_stream(jamia: HandModel) -> None:
     with live(jamia) as client:
         assert "expected one of angles" in client.open("tension", ("index_tendon",), stiffness_N_m_per_rad=1.0)
         assert client.open("tension", ("index_tendon",)).startswith("stream tension of 1 values")
-        for i in range(500):
-            wave = 10.0 + 3.0 * math.sin(2.0 * math.pi * i / 250)
+        for i in range(2000):  # slow, because a newton moves a free finger by twelve degrees
+            wave = 10.0 + 3.0 * math.sin(2.0 * math.pi * i / 1000)
             client.tick(*([client.target(wave)] if i % 5 == 0 else []))
-        goal = np.array([out.telemetry.tension_goal[0] for out in client.outs[-250:]])
-        felt = np.array([out.telemetry.tension[0] for out in client.outs[-250:]])
+        goal = np.array([out.telemetry.tension_goal[0] for out in client.outs[-1000:]])
+        felt = np.array([out.telemetry.tension[0] for out in client.outs[-1000:]])
         assert np.ptp(goal) == pytest.approx(6.0, abs=0.3)
-        assert np.sqrt(np.mean((goal - felt) ** 2)) < 1.0
+        # Half of the motor's Coulomb friction, 3 N, which a moving free finger meets in both directions.
+        assert np.sqrt(np.mean((goal - felt) ** 2)) < 1.5
         rate = np.abs(np.diff(goal)).max() / jamia.period
-        assert rate < 1.5 * 3.0 * 4.0 * math.pi, "a ramp between targets, no steps"
+        assert rate < 1.5 * 3.0 * math.pi, "a ramp between targets, no steps"
         for value in (1e4, -5.0, 500.0):
             client.tick(client.target(value))
         client.wait(0.01)
@@ -534,8 +535,12 @@ def test_a_softer_stream_is_still_followed_and_stable(jamia: HandModel, softness
         assert (client.run.state.view("damping_fraction") == 1.0).all()
 
 
+PUSH_N = 1.5
+"""Force on the last link of the index finger against flexion, +y of the palm frame [N]."""
+
+
 def test_a_soft_digit_yields_to_a_push(jamia: HandModel) -> None:
-    """A constant push on the tendon's load opens a soft digit further than a stiff one."""
+    """A constant push on the last link opens a soft digit further than a stiff one."""
     yielded = {}
     for softness in (None, 0.2):
         with live(jamia) as client:
@@ -544,7 +549,8 @@ def test_a_soft_digit_yields_to_a_push(jamia: HandModel) -> None:
             client.open(stiffness_N_m_per_rad=softness)
             client.follow(lambda t: 40.0, 0.4)
             start = true_angle(client.run)
-            client.run.peer.world.plant.engine.applied[:3] = -0.02
+            engine = client.run.peer.world.plant.engine
+            engine._data.xfrc_applied[engine._model.body("index_link3").id, 1] = PUSH_N
             client.follow(lambda t: 40.0, 0.4)
             yielded[softness] = start - true_angle(client.run)
             assert client.outs[-1].mode == Mode.ACTIVE
