@@ -21,7 +21,7 @@ CONTENT = {
     "/tf_static": ("at the start", "fixed frames [m]"),
     "/tf": ("50 Hz", "pose of each link [m, quaternion] by the estimated angles"),
     "/rosout": ("per event", "events as text, faults included"),
-    "/stream/target": ("per target", "targets that a client streams, as they arrived: angle [deg], tension or force [N], age [s]"),
+    "/stream/target": ("per target", "streamed targets as they arrived: angle [deg], tension or force [N], age [s]"),
     "/parameter_events": ("at a change", "gains at the start and after each change"),
     "/grasp/phase": ("at a change", "phase of the task"),
     "/safety/action": ("at a change", "largest reaction that a fault demands"),
