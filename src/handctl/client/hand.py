@@ -59,7 +59,9 @@ _numbers = itertools.count(1)
 
 
 def connect(
-    hand: str | os.PathLike[str] | None = None, bus: str | Sequence[str] = "local:demo", *arguments: str
+    hand: str | os.PathLike[str] | None = None,
+    bus: str | Sequence[str] = "local:demo",
+    *arguments: str,
 ) -> "HandClient":
     """Connect to the controller of a bus. Start a controller if none runs there.
 
@@ -82,7 +84,11 @@ def connect(
     if is_running(specs[0]):
         return HandClient(specs[0])
     if hand is None and (real := real_buses(specs)):
-        raise ConfigError(f"no hand is named, and {real[0]} may have real motors", "hand", "the hand that is there")
+        raise ConfigError(
+            f"no hand is named, and {real[0]} may have real motors",
+            "hand",
+            "the hand that is there",
+        )
     options = [
         "--hand",
         os.fspath(hand or DEFAULT_HAND),
@@ -146,7 +152,10 @@ class HandClient:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self._end(raise_error=kind is None)
 
@@ -170,14 +179,22 @@ class HandClient:
             BusError: the controller does not answer.
         """
         angles = _digits("move", goals, angle_deg)
-        goal = {"do": "move", "angle_deg": _numbers_of(angles), **_numbers_of({"duration_s": duration_s})}
+        goal = {
+            "do": "move",
+            "angle_deg": _numbers_of(angles),
+            **_numbers_of({"duration_s": duration_s}),
+        }
         validated(goal, MoveDigits, "move")
         start_s = self._set_goal(goal)
         while wait and self._acting(ANSWER_S)["t_s"] < start_s + goal["duration_s"]:
             pass
 
     def hold(
-        self, goals: Mapping[str, float] | None = None, /, rate_N_per_s: float = 100.0, **tension_N: float
+        self,
+        goals: Mapping[str, float] | None = None,
+        /,
+        rate_N_per_s: float = 100.0,
+        **tension_N: float,
     ) -> None:
         """Hold tensions, one value for all tendons of a digit, e.g. ``hand.hold(index=12)`` [N]. Return immediately.
 
@@ -195,7 +212,11 @@ class HandClient:
             self._set_goal({"do": "stay"})
             return
         tensions = _digits("hold", goals, tension_N)
-        goal = {"do": "hold", "tension_N": _numbers_of(tensions), **_numbers_of({"rate_N_per_s": rate_N_per_s})}
+        goal = {
+            "do": "hold",
+            "tension_N": _numbers_of(tensions),
+            **_numbers_of({"rate_N_per_s": rate_N_per_s}),
+        }
         validated(goal, HoldTension, "hold")
         self._set_goal(goal)
 
@@ -227,7 +248,9 @@ class HandClient:
             DriveError, BusError: see ``move``.
         """
         hand = self.description
-        everything = {"joint": hand.joints, "tension": hand.tendon_names}.get(space, hand.digit_names)
+        everything = {"joint": hand.joints, "tension": hand.tendon_names}.get(
+            space, hand.digit_names
+        )
         number = next(_numbers)
         numbers = {"rate_Hz": rate_Hz, "damping_ratio": damping_ratio}
         if stiffness_N_m_per_rad is not None:
@@ -247,7 +270,9 @@ class HandClient:
         horizon = horizon_s(goal["rate_Hz"], 1.0 / constants["rate_Hz"])
         return TargetStream(self, sender, goal, unit, horizon, constants["time_scale"])
 
-    def grasp(self, task: str | os.PathLike[str], wait: bool = True, timeout_s: float = 30.0) -> Observation:
+    def grasp(
+        self, task: str | os.PathLike[str], wait: bool = True, timeout_s: float = 30.0
+    ) -> Observation:
         """Carry out a task up to its first hold, which lasts until ``release``. Return the observation of the hold.
 
         Args:
@@ -269,7 +294,9 @@ class HandClient:
         seen = self.observe(wait=True)
         while seen.phase != hold:
             if seen.phase == "live" or time.monotonic() > end:
-                raise DriveError(f"no hold: the hand is in phase {seen.phase!r}", f"task {found.name}")
+                raise DriveError(
+                    f"no hold: the hand is in phase {seen.phase!r}", f"task {found.name}"
+                )
             seen = self.observe(wait=True)
         return seen
 
@@ -308,7 +335,9 @@ class HandClient:
             DriveError, BusError: see ``state``.
         """
         if self._description is None:
-            self._description = hand_from(parse_toml(self._reader().description["hand_toml"], self.bus), self.bus)
+            self._description = hand_from(
+                parse_toml(self._reader().description["hand_toml"], self.bus), self.bus
+            )
         return self._description
 
     def observe(self, wait: bool = False, timeout_s: float = ANSWER_S) -> Observation:
@@ -356,7 +385,10 @@ class HandClient:
                 time.sleep(POLL_OBSERVATION_S)
 
     def wait_for(
-        self, contact: str | Sequence[str] | None = None, phase: str | None = None, timeout_s: float = 10.0
+        self,
+        contact: str | Sequence[str] | None = None,
+        phase: str | None = None,
+        timeout_s: float = 10.0,
     ) -> Observation:
         """Wait until digits are in contact, or until the hand is in a phase. Return the observation.
 
@@ -382,7 +414,9 @@ class HandClient:
             if touching and (phase is None or seen.phase == phase):
                 return seen
             if time.monotonic() > end:
-                raise DriveError(f"not so after {timeout_s:g} s: {seen.phase}", f"bus {self.bus}: wait_for")
+                raise DriveError(
+                    f"not so after {timeout_s:g} s: {seen.phase}", f"bus {self.bus}: wait_for"
+                )
 
     def _reader(self) -> ObservationReader:
         """Return the reader of the observations. It is opened at the first use, while the run is alive."""
@@ -453,7 +487,9 @@ class HandClient:
                 if line["phase"] == phase:
                     return line
                 last_phase = f"phase {line['phase']!r}"
-        raise DriveError(f"not in phase {phase!r} after {timeout_s:g} s: {last_phase}", f"bus {self.bus}")
+        raise DriveError(
+            f"not in phase {phase!r} after {timeout_s:g} s: {last_phase}", f"bus {self.bus}"
+        )
 
     def stop(self) -> None:
         """Relax and disarm the hand, whoever started its controller, and end the run.
@@ -504,7 +540,9 @@ class HandClient:
     def _refuse_ended(self) -> None:
         """Raise an error if the controller or this client has ended. Wait for the result of the run first."""
         self._pass_on()
-        if self.child is not None and (self.child.poll() is not None or (self._live and not is_running(self.bus))):
+        if self.child is not None and (
+            self.child.poll() is not None or (self._live and not is_running(self.bus))
+        ):
             self._collect()
             self._error_raised = True
             raise self._error()
@@ -559,7 +597,9 @@ class HandClient:
         new = os.pread(self._stderr.fileno(), 1 << 16, self._shown)
         self._shown += len(new)
         if text := new.decode("utf-8", "replace"):
-            self._last_message = text.strip().splitlines()[-1].removeprefix("handctl: ") if text.strip() else ""
+            self._last_message = (
+                text.strip().splitlines()[-1].removeprefix("handctl: ") if text.strip() else ""
+            )
             print(escaped(text, "\n\t"), end="", file=sys.stderr, flush=True)
 
 

@@ -67,12 +67,16 @@ def open_stream(model: HandModel, state: State, request: OpenStream) -> Event:
         state.set_whole(row, 0)
     state.set_whole(s.STREAM_SEQUENCE, -1)
     state.set_whole(s.STREAMING, OPEN)
-    state.tendon[s.STIFFNESS_FRACTION], state.tendon[s.DAMPING_FRACTION] = loop_fractions(model, stream)
+    state.tendon[s.STIFFNESS_FRACTION], state.tendon[s.DAMPING_FRACTION] = loop_fractions(
+        model, stream
+    )
     tension = None if stream.moves else setpoints_of(model, state)
     state.decide(stream=stream, progress=streamed_goals(state.progress, digits, tension))
     text = f"stream {stream.space} of {len(stream.names)} values at {request.rate_Hz:g} Hz, {stream.interpolation}"
     if stream.softness is not None:
-        fractions = state.tendon[s.STIFFNESS_FRACTION, [model.digits[d].tendons.start for d in digits]]
+        fractions = state.tendon[
+            s.STIFFNESS_FRACTION, [model.digits[d].tendons.start for d in digits]
+        ]
         text += f", {100 * fractions.min():.0f} % of the stiffness of the gains"
     return Event("info", "request", "", text)
 
@@ -82,7 +86,9 @@ def _prepare_motion(model: HandModel, state: State, digits: tuple[int, ...]) -> 
     rows = state.layout.table(state.block, "coordinate")
     reference = reference_of(model, state)
     for d in digits:
-        if state.progress.goals[d].kind != Kind.MOTION:  # no reference yet: begin where the digit is, at rest
+        if (
+            state.progress.goals[d].kind != Kind.MOTION
+        ):  # no reference yet: begin where the digit is, at rest
             reference[d][0] = coordinates(model.digits[d], state.estimate)
             reference[d][1:] = 0.0
     reach = np.concatenate([np.array(digit.reach) for digit in model.digits], axis=1)
@@ -106,10 +112,14 @@ def stay(model: HandModel, state: State, only_streamed: bool = False) -> Progres
     """Return the progress with moving digits that come to rest."""
     reach = tuple(digit.reach for digit in model.digits)
     setpoints = setpoints_of(model, state)
-    return staying(state.progress, reference_of(model, state), setpoints, state.goal_time, reach, only_streamed)
+    return staying(
+        state.progress, reference_of(model, state), setpoints, state.goal_time, reach, only_streamed
+    )
 
 
-def apply_target(model: HandModel, state: State, target: Target | None, t_ns: int) -> tuple[Event, ...]:
+def apply_target(
+    model: HandModel, state: State, target: Target | None, t_ns: int
+) -> tuple[Event, ...]:
     """Take in a target, and begin the motion to it.
 
     Args:
@@ -123,23 +133,37 @@ def apply_target(model: HandModel, state: State, target: Target | None, t_ns: in
             counted in the state.
     """
     stream = state.decisions.stream
-    if stream is None or state.mode != Mode.ACTIVE or (target is not None and target.stream != stream.name):
+    if (
+        stream is None
+        or state.mode != Mode.ACTIVE
+        or (target is not None and target.stream != stream.name)
+    ):
         return ()  # of a stream that has ended, or of another client
     if target is None or not is_plausible(stream, target.values):
         right = f"{len(stream.names)} finite numbers of {UNITS[stream.space]}"
-        return _count(state, s.STREAM_REFUSED, f"refused: a target that is no target, expected {right}")
+        return _count(
+            state, s.STREAM_REFUSED, f"refused: a target that is no target, expected {right}"
+        )
     sent_ns = min(target.sent_ns, t_ns)
     running = state.whole(s.STREAMING) == RUNNING
-    overtaken = target.number <= state.whole(s.STREAM_SEQUENCE) or sent_ns <= state.whole(s.STREAM_SENT_NS)
+    overtaken = target.number <= state.whole(s.STREAM_SEQUENCE) or sent_ns <= state.whole(
+        s.STREAM_SENT_NS
+    )
     if (running and overtaken) or t_ns - sent_ns > 1e9 * OLDEST_S:
-        return _count(state, s.STREAM_LATE, "ignored: a target that is repeated, overtaken or too old")
+        return _count(
+            state, s.STREAM_LATE, "ignored: a target that is repeated, overtaken or too old"
+        )
     begin = _begin_segment if stream.moves else _begin_ramp
     clipped = begin(model, state, stream, np.array(target.values), sent_ns, t_ns)
     state.set_whole(s.STREAM_SENT_NS, sent_ns)
     state.set_whole(s.STREAM_SEQUENCE, target.number)
     state.set_whole(s.STREAMING, RUNNING)
     _count(state, s.STREAM_ACCEPTED)
-    limit = "the range of a joint, or one that taut tendons cannot hold" if stream.moves else "the tension limits"
+    limit = (
+        "the range of a joint, or one that taut tendons cannot hold"
+        if stream.moves
+        else "the tension limits"
+    )
     return _count(state, s.STREAM_CLIPPED, f"clipped: a target beyond {limit}") if clipped else ()
 
 
@@ -158,7 +182,9 @@ def _begin_ramp(
     for d in digits_of(model, stream):
         tendons = model.digit_tendons[d]
         state.tendon[s.TARGET, tendons] = inside[tendons]
-        state.tendon[s.TARGET_STEP, tendons] = np.minimum(np.abs(inside - setpoint)[tendons] / ticks, step)
+        state.tendon[s.TARGET_STEP, tendons] = np.minimum(
+            np.abs(inside - setpoint)[tendons] / ticks, step
+        )
     named = np.array([name in stream.names for name in model.hand.tendon_names])
     return stream.space == "tension" and bool((np.abs(inside - aim) > CLIPPED)[named].any())
 
@@ -189,13 +215,19 @@ def _begin_segment(
     inside = np.clip(inside, *where.reach)
     apart_s = (sent_ns - state.whole(s.STREAM_SENT_NS)) / 1e9
     steady = state.whole(s.STREAMING) == RUNNING and apart_s <= STEADY_PERIODS * stream.period
-    speed = (inside - rows[s.STREAM_TARGET]) / max(apart_s, 0.5 * stream.period) if steady else np.zeros_like(inside)
+    speed = (
+        (inside - rows[s.STREAM_TARGET]) / max(apart_s, 0.5 * stream.period)
+        if steady
+        else np.zeros_like(inside)
+    )
     top = math.radians(model.hand.stream.speed_deg_s)
     # The reference of the last tick is the start. This tick is already on the way.
     since = t_ns / 1e9 - model.period * (1 + state.whole(s.MISSED))
     duration = max(sent_ns / 1e9 + stream.horizon - since, model.period)
     smooth = stream.interpolation == "minimum_jerk"
-    powers = segment(rows[s.TRAJECTORY : s.TRAJECTORY + 3], inside, np.clip(speed, -top, top), duration, smooth)
+    powers = segment(
+        rows[s.TRAJECTORY : s.TRAJECTORY + 3], inside, np.clip(speed, -top, top), duration, smooth
+    )
     rows[s.STREAM_SEGMENT : s.STREAM_SEGMENT + 6] = powers
     rows[s.STREAM_TARGET] = inside
     state.set_number(s.STREAM_SINCE, since)

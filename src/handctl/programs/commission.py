@@ -88,7 +88,9 @@ class CommissionProgram:
         if progress.finished:
             return progress, ()
         if progress.since < 0.0:
-            return replace(progress, since=t), (Event("info", "phase", "", "tare: all motors limp"),)
+            return replace(progress, since=t), (
+                Event("info", "phase", "", "tare: all motors limp"),
+            )
         if progress.step == 0:
             return self._tare(model, progress, measured, t)
         if progress.touching[0] == RESTING:
@@ -97,7 +99,9 @@ class CommissionProgram:
             return self._hold(model, progress, estimate, measured, t)
         return self._pull(model, progress, estimate, measured, t)
 
-    def _tare(self, model: HandModel, progress: Progress, measured: Measured, t: float) -> ProgressAndEvents:
+    def _tare(
+        self, model: HandModel, progress: Progress, measured: Measured, t: float
+    ) -> ProgressAndEvents:
         table = _table(progress)
         tension = _tensions(model, measured)
         if not np.isnan(tension).any():
@@ -116,9 +120,13 @@ class CommissionProgram:
             return None
         reading = f"{tare[worst]:.1f} N without tension"
         bounds = f"from {TARE_MIN_N:g} to {TARE_MAX_N:g} N"
-        return self._refuse(model, progress, worst, f"load cell reads {reading}, which can be tared {bounds}")
+        return self._refuse(
+            model, progress, worst, f"load cell reads {reading}, which can be tared {bounds}"
+        )
 
-    def _rest(self, model: HandModel, progress: Progress, measured: Measured, t: float) -> ProgressAndEvents:
+    def _rest(
+        self, model: HandModel, progress: Progress, measured: Measured, t: float
+    ) -> ProgressAndEvents:
         """Read all load cells without torque, renew the tare of the present tendon, then pull it.
 
         Only tares of tendons that were never taut are renewed, because friction may hold tension in a
@@ -136,7 +144,11 @@ class CommissionProgram:
         if samples * model.period < REST_S:
             return _with_table(progress, table), ()
         # The average of the rest weighs as much as all samples before it.
-        fresh = slice(i, i + 1) if model.redundancy.sprung[i] else model.digit_tendons[model.digit_of[i]]
+        fresh = (
+            slice(i, i + 1)
+            if model.redundancy.sprung[i]
+            else model.digit_tendons[model.digit_of[i]]
+        )
         table[fresh, TARE_SUM] += table[fresh, REST_SUM] / samples * table[fresh, TARE_SAMPLES]
         table[fresh, REST_SUM] = 0.0
         progress = _with_new_tare(_with_table(progress, table))
@@ -145,11 +157,15 @@ class CommissionProgram:
             return self._check_tare(model, progress) or (held, events)
         goals = tuple(_pull_goal(tendons, i) for tendons in model.digit_tendons)
         name = model.hand.tendon_names[i]
-        pulling = replace(progress, since=t, goals=goals, phase=f"pull {name}", touching=(0,) * len(goals))
+        pulling = replace(
+            progress, since=t, goals=goals, phase=f"pull {name}", touching=(0,) * len(goals)
+        )
         event = Event("info", "phase", name, f"pulling {name} with {PULL_N:g} N")
         return self._check_tare(model, progress) or (pulling, (event,))
 
-    def _begin_hold(self, model: HandModel, progress: Progress, t: float, taut: bool) -> ProgressAndEvents:
+    def _begin_hold(
+        self, model: HandModel, progress: Progress, t: float, taut: bool
+    ) -> ProgressAndEvents:
         """Press the digit of the present tendon on its lower joint limits, with all tendons taut.
 
         Args:
@@ -164,10 +180,16 @@ class CommissionProgram:
         table = _table(progress)
         table[:, [PULL_SUM, REST_SUM, REST_SAMPLES]] = 0.0
         holding = replace(
-            _with_table(progress, table), since=t, goals=goals, phase=phase, touching=(int(taut),) * len(goals)
+            _with_table(progress, table),
+            since=t,
+            goals=goals,
+            phase=phase,
+            touching=(int(taut),) * len(goals),
         )
         digit = model.hand.digit_names[model.digit_of[i]]
-        return holding, () if taut else (Event("info", "phase", digit, f"{phase}: all its tendons together"),)
+        return holding, () if taut else (
+            Event("info", "phase", digit, f"{phase}: all its tendons together"),
+        )
 
     def _hold(
         self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
@@ -180,12 +202,16 @@ class CommissionProgram:
             if not estimate.slack[own].any():
                 # The digit is pressed on its limits from here on, and the filter must not take it for free.
                 contact = tuple(d == model.digit_of[i] for d in range(len(model.digits)))
-                return replace(progress, touching=(1, *progress.touching[1:]), since=t, contact=contact), ()
+                return replace(
+                    progress, touching=(1, *progress.touching[1:]), since=t, contact=contact
+                ), ()
             if t - progress.since <= HOLD_TIMEOUT_S:
                 return progress, ()
             slack = own.start + int(np.flatnonzero(estimate.slack[own])[0])
             return self._refuse(model, progress, slack, _no_answer_text(model, measured))
-        excursion = np.where(model.hand.covered, measured.excursion, model.redundancy.open_excursion)[own]
+        excursion = np.where(
+            model.hand.covered, measured.excursion, model.redundancy.open_excursion
+        )[own]
         tension = _tensions(model, measured, estimate)
         missing = np.isnan(tension).any() or np.isnan(measured.travel[own] + excursion).any()
         if t - progress.since < HOLD_SETTLE_S or missing:
@@ -196,8 +222,12 @@ class CommissionProgram:
         first = i == own.start
         if first:
             stretch = tension[own] / model.space.stiffness[own]
-            table[own, ZERO] += (measured.travel[own] - stretch - excursion) / model.space.spool[own]
-        progress = replace(_with_table(progress, table), touching=(waiting + 1, *progress.touching[1:]))
+            table[own, ZERO] += (measured.travel[own] - stretch - excursion) / model.space.spool[
+                own
+            ]
+        progress = replace(
+            _with_table(progress, table), touching=(waiting + 1, *progress.touching[1:])
+        )
         if waiting * model.period < MEASURE_S:
             return progress, ()
         if first:
@@ -224,7 +254,11 @@ class CommissionProgram:
             progress = replace(progress, touching=(1, *progress.touching[1:]), since=t)
         if waiting == 0:
             late = t - progress.since > TAKE_UP_TIMEOUT_S
-            return self._refuse(model, progress, i, _no_answer_text(model, measured)) if late else (progress, ())
+            return (
+                self._refuse(model, progress, i, _no_answer_text(model, measured))
+                if late
+                else (progress, ())
+            )
         tension = _tensions(model, measured, estimate)
         if t - progress.since < SETTLE_S or np.isnan(tension).any() or np.isnan(measured.travel[i]):
             return progress, ()
@@ -235,14 +269,20 @@ class CommissionProgram:
             table[i, ZERO] += measured.travel[i] / model.space.spool[i]
         samples = progress.touching[0]
         if samples * model.period >= MEASURE_S:
-            return self._judge(model, _with_table(progress, _with_results(model, table, i, samples)), i, t)
-        return replace(_with_table(progress, table), touching=(samples + 1, *progress.touching[1:])), ()
+            return self._judge(
+                model, _with_table(progress, _with_results(model, table, i, samples)), i, t
+            )
+        return replace(
+            _with_table(progress, table), touching=(samples + 1, *progress.touching[1:])
+        ), ()
 
     def _judge(self, model: HandModel, progress: Progress, i: int, t: float) -> ProgressAndEvents:
         """Accept the measured response of tendon i, or refuse the hand."""
         answer, crosstalk = _table(progress)[i, [ANSWER, CROSSTALK]]
         if answer < MIN_ANSWER_FRACTION * PULL_N:
-            return self._refuse(model, progress, i, f"load cell answers {answer:.2f} N to a pull of {PULL_N:g} N")
+            return self._refuse(
+                model, progress, i, f"load cell answers {answer:.2f} N to a pull of {PULL_N:g} N"
+            )
         if crosstalk > MAX_CROSSTALK_FRACTION * PULL_N:
             text = f"another load cell answers {crosstalk:.2f} N: swapped, or two tendons touch"
             return self._refuse(model, progress, i, text)
@@ -258,7 +298,9 @@ class CommissionProgram:
     def _next(self, model: HandModel, progress: Progress, t: float) -> ProgressAndEvents:
         """Release the tendon, then rest before the next one, or finish."""
         step = progress.step + 1
-        same_digit = 1 < step <= model.tendon_count and model.digit_of[step - 1] == model.digit_of[step - 2]
+        same_digit = (
+            1 < step <= model.tendon_count and model.digit_of[step - 1] == model.digit_of[step - 2]
+        )
         if same_digit and not model.redundancy.sprung[step - 1]:
             return self._begin_hold(model, replace(progress, step=step), t, taut=True)
         passive = (DigitGoal(),) * len(model.digits)
@@ -294,7 +336,9 @@ def _no_answer_text(model: HandModel, measured: Measured) -> str:
     if answers[other] < MIN_ANSWER_FRACTION * PULL_N:
         return "does not become taut"
     name = model.hand.tendon_names[other]
-    return f"does not become taut, but the load cell of {name} reads {answers[other]:.1f} N: swapped?"
+    return (
+        f"does not become taut, but the load cell of {name} reads {answers[other]:.1f} N: swapped?"
+    )
 
 
 def _pull_goal(tendons: slice, i: int) -> DigitGoal:
@@ -311,7 +355,9 @@ def _tensions(model: HandModel, measured: Measured, estimate: Estimate | None = 
 
     Without an estimate a tendon without load cell counts as slack.
     """
-    return np.where(model.hand.has_cell, measured.tension, 0.0 if estimate is None else estimate.tension)
+    return np.where(
+        model.hand.has_cell, measured.tension, 0.0 if estimate is None else estimate.tension
+    )
 
 
 def _hold_phase(model: HandModel, i: int) -> str:
@@ -366,7 +412,11 @@ def _with_results(model: HandModel, table: Vector, i: int, samples: int) -> Vect
     if model.redundancy.sprung[i]:
         # The pull stretches the tendon. Without it the motor would have stopped earlier.
         stretch = rise[i] / model.space.stiffness[i] / model.space.spool[i]
-        table[i, ZERO] = table[i, ZERO] / samples - stretch - model.redundancy.open_excursion[i] / model.space.spool[i]
+        table[i, ZERO] = (
+            table[i, ZERO] / samples
+            - stretch
+            - model.redundancy.open_excursion[i] / model.space.spool[i]
+        )
     table[i, ANSWER] = rise[i]
     others = model.hand.has_cell & (np.arange(model.tendon_count) != i)
     table[i, CROSSTALK] = np.abs(rise[others]).max(initial=0.0)

@@ -82,12 +82,16 @@ class TaskProgram:
             return self._tighten(model, progress, estimate, t)
         return self._carry_out(model, progress, estimate, t)
 
-    def begin(self, model: HandModel, progress: Progress, estimate: Estimate, t: float) -> ProgressAndEvents:
+    def begin(
+        self, model: HandModel, progress: Progress, estimate: Estimate, t: float
+    ) -> ProgressAndEvents:
         """Begin with the first phase of the task, for a hand whose tendons are taut."""
         untouched = (0,) * len(model.digits)
         return self._enter(model, replace(progress, step=0, touching=untouched), estimate, t)
 
-    def _carry_out(self, model: HandModel, progress: Progress, estimate: Estimate, t: float) -> ProgressAndEvents:
+    def _carry_out(
+        self, model: HandModel, progress: Progress, estimate: Estimate, t: float
+    ) -> ProgressAndEvents:
         """Advance the present phase of the task by one tick."""
         progress, events = self._detect_contact(model, progress, estimate, t)
         progress, slipped = self._hold_on(model, progress, estimate, t)
@@ -98,7 +102,9 @@ class TaskProgram:
             events += entered
         return progress, events
 
-    def _tighten(self, model: HandModel, progress: Progress, estimate: Estimate, t: float) -> ProgressAndEvents:
+    def _tighten(
+        self, model: HandModel, progress: Progress, estimate: Estimate, t: float
+    ) -> ProgressAndEvents:
         """Wait until all tendons have been taut for a while.
 
         A tick with a slack tendon counts one down, so noise delays the start but does not restart
@@ -108,47 +114,71 @@ class TaskProgram:
         ticks = max(0, progress.touching[0] + (-1 if slack else 1))
         progress = replace(progress, touching=(ticks, *progress.touching[1:]))
         if ticks * model.period >= TIGHTEN_S:
-            return self._enter(model, replace(progress, touching=(0,) * len(model.digits)), estimate, t)
+            return self._enter(
+                model, replace(progress, touching=(0,) * len(model.digits)), estimate, t
+            )
         if t - progress.since > TIGHTEN_TIMEOUT_S:
             text = f"not taut after {TIGHTEN_TIMEOUT_S:g} s: {', '.join(slack) or 'now one tendon, now another'}"
-            return replace(progress, finished=True, failure=text), (Event("error", "tighten", "", text),)
+            return replace(progress, finished=True, failure=text), (
+                Event("error", "tighten", "", text),
+            )
         return progress, ()
 
-    def _enter(self, model: HandModel, progress: Progress, estimate: Estimate, t: float) -> ProgressAndEvents:
+    def _enter(
+        self, model: HandModel, progress: Progress, estimate: Estimate, t: float
+    ) -> ProgressAndEvents:
         """Enter the next phase of the task, or finish."""
         step = progress.step + 1
         if step > len(self.task.phase):
-            return replace(progress, finished=True, phase="end"), (Event("info", "phase", "", "task complete"),)
+            return replace(progress, finished=True, phase="end"), (
+                Event("info", "phase", "", "task complete"),
+            )
         phase = self.task.phase[step - 1]
         # A motion and the phase after a release begin without contact.
-        free = isinstance(phase, Move | Follow) or (step > 1 and isinstance(self.task.phase[step - 2], Release))
+        free = isinstance(phase, Move | Follow) or (
+            step > 1 and isinstance(self.task.phase[step - 2], Release)
+        )
         contact = (False,) * len(model.digits) if free else progress.contact
         progress = replace(progress, step=step, since=t, phase=phase.name, contact=contact)
         names = model.hand.digit_names
         if isinstance(phase, Follow) and (error := _distance_error(model, phase, estimate)):
-            return replace(progress, finished=True, failure=error), (Event("error", "phase", "", error),)
-        goals = tuple(self._goal(model, progress, d, names[d], estimate, t) for d in range(len(names)))
+            return replace(progress, finished=True, failure=error), (
+                Event("error", "phase", "", error),
+            )
+        goals = tuple(
+            self._goal(model, progress, d, names[d], estimate, t) for d in range(len(names))
+        )
         events = [Event("info", "phase", "", phase.name)]
         if isinstance(phase, Hold) and not any(contact):
             events.append(Event("warn", "phase", "", f"{phase.name}: no digit is in contact"))
-        grip = Grip.of(model, goals, estimate, t) if isinstance(phase, Hold) and any(contact) else None
+        grip = (
+            Grip.of(model, goals, estimate, t) if isinstance(phase, Hold) and any(contact) else None
+        )
         untouched = (0,) * len(names)
         progress = replace(progress, goals=goals, touching=untouched, grip=grip)
         return replace(progress, closing=_closing(phase, progress)), tuple(events)
 
-    def _goal(self, model: HandModel, progress: Progress, d: int, name: str, estimate: Estimate, t: float) -> DigitGoal:
+    def _goal(
+        self, model: HandModel, progress: Progress, d: int, name: str, estimate: Estimate, t: float
+    ) -> DigitGoal:
         """Return the goal of digit d at the beginning of the present phase."""
         phase = self.task.phase[progress.step - 1]
         previous = progress.goals[d]
         digit = model.digits[d]
         if isinstance(phase, Move):
             angle = for_digit(phase.angle_deg, name)
-            return previous if angle is None else motion_to(digit, estimate, np.radians(angle), phase.duration_s, t)
+            return (
+                previous
+                if angle is None
+                else motion_to(digit, estimate, np.radians(angle), phase.duration_s, t)
+            )
         if isinstance(phase, Follow):
             angles = phase.angle_deg.get(name)
             if angles is None:
                 return previous
-            curve = Curve.through(phase.time_s, tuple(map(math.radians, angles)), digit.coupling.shape[1])
+            curve = Curve.through(
+                phase.time_s, tuple(map(math.radians, angles)), digit.coupling.shape[1]
+            )
             return DigitGoal(Kind.MOTION, curve, since=t)
         if isinstance(phase, Close):
             angle = for_digit(phase.angle_deg, name)
@@ -163,9 +193,15 @@ class TaskProgram:
             target = released_tensions(model, d, phase.tension_N)
             return DigitGoal(Kind.TENSION, tension=target, rate=phase.rate_N_per_s)
         tension = self._hold_tension(model, phase, d, name, estimate)
-        return previous if tension is None else DigitGoal(Kind.TENSION, tension=tension, rate=phase.rate_N_per_s)
+        return (
+            previous
+            if tension is None
+            else DigitGoal(Kind.TENSION, tension=tension, rate=phase.rate_N_per_s)
+        )
 
-    def _hold_tension(self, model: HandModel, phase: Hold, d: int, name: str, estimate: Estimate) -> Vector | None:
+    def _hold_tension(
+        self, model: HandModel, phase: Hold, d: int, name: str, estimate: Estimate
+    ) -> Vector | None:
         """Return the tension targets (n_t,) of a held digit [N], from a tension or from a tip force.
 
         None leaves the digit as it is.
@@ -181,20 +217,30 @@ class TaskProgram:
             return None
         q = estimate.q[digit.joints]
         # Springs and gravity, plus the tip force by its lever, in the digit's coordinates.
-        torque = digit.coupling.T @ model.tree.static_torque(estimate.q)[digit.joints] + force * tip_lever(digit, q)
-        return allocate(digit.reduced_moment_arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
+        torque = digit.coupling.T @ model.tree.static_torque(estimate.q)[
+            digit.joints
+        ] + force * tip_lever(digit, q)
+        return allocate(
+            digit.reduced_moment_arms, torque, model.floor[tendons], model.ceiling[tendons]
+        )[0]
 
-    def _hold_on(self, model: HandModel, progress: Progress, estimate: Estimate, t: float) -> ProgressAndEvents:
+    def _hold_on(
+        self, model: HandModel, progress: Progress, estimate: Estimate, t: float
+    ) -> ProgressAndEvents:
         """Keep the grip while holding, and answer slip."""
         phase = self.task.phase[progress.step - 1]
         if progress.grip is None or not isinstance(phase, Hold):
             return progress, ()
-        grip, goals, events = hold(model, progress.grip, _plan(model, phase), progress.goals, estimate, t)
+        grip, goals, events = hold(
+            model, progress.grip, _plan(model, phase), progress.goals, estimate, t
+        )
         if grip is progress.grip and goals is progress.goals:
             return progress, events
         return replace(progress, grip=grip, goals=goals), events
 
-    def _detect_contact(self, model: HandModel, progress: Progress, estimate: Estimate, t: float) -> ProgressAndEvents:
+    def _detect_contact(
+        self, model: HandModel, progress: Progress, estimate: Estimate, t: float
+    ) -> ProgressAndEvents:
         """Detect contact of closing digits and let them hold."""
         phase = self.task.phase[progress.step - 1]
         if not isinstance(phase, Close):
@@ -207,7 +253,9 @@ class TaskProgram:
         events: list[Event] = []
         for d, tendons in enumerate(model.digit_tendons):
             closing = goals[d].kind == Kind.MOTION and not contact[d]
-            threshold = contact_threshold(goals[d], model.digits[d].joint_count, gains.threshold_N, t)
+            threshold = contact_threshold(
+                goals[d], model.digits[d].joint_count, gains.threshold_N, t
+            )
             above = closing and forces[d] > threshold + blind_tip_force(model, d)
             touching[d] = touching[d] + 1 if above else 0
             if touching[d] >= gains.ticks:
@@ -216,15 +264,23 @@ class TaskProgram:
                 start = pull_tensions(model, d, phase.contact_tension_N)
                 closes = model.redundancy.side[tendons] > 0.0
                 start = np.where(closes, np.maximum(estimate.tension[tendons], start), start)
-                goals[d] = DigitGoal(Kind.TENSION, tension=start, rate=model.gains.tension.rate_N_per_s)
+                goals[d] = DigitGoal(
+                    Kind.TENSION, tension=start, rate=model.gains.tension.rate_N_per_s
+                )
                 name = model.hand.digit_names[d]
-                events.append(Event("info", "contact", name, f"{name} touches, {forces[d]:.2f} N at its tip"))
+                events.append(
+                    Event("info", "contact", name, f"{name} touches, {forces[d]:.2f} N at its tip")
+                )
         if not events and tuple(touching) == progress.touching:
             return progress, ()
-        changed = replace(progress, goals=tuple(goals), contact=tuple(contact), touching=tuple(touching))
+        changed = replace(
+            progress, goals=tuple(goals), contact=tuple(contact), touching=tuple(touching)
+        )
         return replace(changed, closing=_closing(phase, changed)), tuple(events)
 
-    def _phase_over(self, model: HandModel, progress: Progress, estimate: Estimate, t: float) -> bool:
+    def _phase_over(
+        self, model: HandModel, progress: Progress, estimate: Estimate, t: float
+    ) -> bool:
         """Return True if the present phase has ended."""
         phase = self.task.phase[progress.step - 1]
         elapsed = t - progress.since
@@ -233,13 +289,25 @@ class TaskProgram:
         if isinstance(phase, Follow):
             return elapsed >= phase.time_s[-1]
         if isinstance(phase, Close):
-            moving = [goal for goal in progress.goals if goal.kind == Kind.MOTION and goal.trajectory is not None]
-            longest = max((goal.trajectory.duration for goal in moving if goal.trajectory), default=0.0)
-            return elapsed >= min(longest + SETTLE_AFTER_CLOSE_S, phase.timeout_s) if moving else True
+            moving = [
+                goal
+                for goal in progress.goals
+                if goal.kind == Kind.MOTION and goal.trajectory is not None
+            ]
+            longest = max(
+                (goal.trajectory.duration for goal in moving if goal.trajectory), default=0.0
+            )
+            return (
+                elapsed >= min(longest + SETTLE_AFTER_CLOSE_S, phase.timeout_s) if moving else True
+            )
         late = elapsed > RELEASE_TIMEOUT_S
-        return elapsed >= phase.settle_s and (late or not _still_tensioned(model, progress, phase, estimate))
+        return elapsed >= phase.settle_s and (
+            late or not _still_tensioned(model, progress, phase, estimate)
+        )
 
-    def _not_released(self, model: HandModel, progress: Progress, estimate: Estimate) -> tuple[Event, ...]:
+    def _not_released(
+        self, model: HandModel, progress: Progress, estimate: Estimate
+    ) -> tuple[Event, ...]:
         """Return warnings at the end of a release, for digits that are still under tension."""
         phase = self.task.phase[progress.step - 1]
         if not isinstance(phase, Release):
@@ -247,7 +315,10 @@ class TaskProgram:
         waited = max(phase.settle_s, RELEASE_TIMEOUT_S)
         text = f"{phase.name}: above {phase.tension_N:g} N after {waited:g} s, and going on"
         return tuple(
-            [Event("warn", "phase", name, text) for name in _still_tensioned(model, progress, phase, estimate)]
+            [
+                Event("warn", "phase", name, text)
+                for name in _still_tensioned(model, progress, phase, estimate)
+            ]
         )
 
 
@@ -259,12 +330,16 @@ def _closing(phase: Move | Follow | Close | Hold | Release, progress: Progress) 
     return tuple([goal.kind == Kind.MOTION and not in_contact for goal, in_contact in rows])
 
 
-def _still_tensioned(model: HandModel, progress: Progress, phase: Release, estimate: Estimate) -> list[str]:
+def _still_tensioned(
+    model: HandModel, progress: Progress, phase: Release, estimate: Estimate
+) -> list[str]:
     """Return the names of tension-controlled digits above the tension of a release."""
     limit = np.maximum(phase.tension_N, model.redundancy.balance) + RELEASED_WITHIN_N
     rows = zip(model.hand.digit_names, progress.goals, model.digit_tendons, strict=True)
     return [
-        name for name, goal, tendons in rows if goal.kind == Kind.TENSION and (estimate.tension >= limit)[tendons].any()
+        name
+        for name, goal, tendons in rows
+        if goal.kind == Kind.TENSION and (estimate.tension >= limit)[tendons].any()
     ]
 
 
@@ -311,5 +386,7 @@ def contact_threshold(goal: DigitGoal, joints: int, threshold: float, t: float) 
         t: time [s].
     """
     threshold *= joints / REFERENCE_JOINTS
-    is_moving = goal.trajectory is not None and t - goal.since < goal.trajectory.duration + ARRIVAL_S
+    is_moving = (
+        goal.trajectory is not None and t - goal.since < goal.trajectory.duration + ARRIVAL_S
+    )
     return threshold if is_moving else ARRIVAL_FACTOR * threshold

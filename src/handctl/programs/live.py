@@ -24,8 +24,21 @@ from handctl.programs.program import (
 )
 from handctl.programs.requests import HoldTension, MoveDigits
 from handctl.programs.streams import continued
-from handctl.programs.task import FOLLOW_SPEED_DEG_S, Hold, Move, Task, check_task, for_digit, shapes
-from handctl.programs.task_checks import ROUNDING_DEG, check_joint_range, check_speed, check_tip_force
+from handctl.programs.task import (
+    FOLLOW_SPEED_DEG_S,
+    Hold,
+    Move,
+    Task,
+    check_task,
+    for_digit,
+    shapes,
+)
+from handctl.programs.task_checks import (
+    ROUNDING_DEG,
+    check_joint_range,
+    check_speed,
+    check_tip_force,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,10 +59,14 @@ class LiveProgram:
             progress = replace(progress, since=t, phase="tighten", goals=tighten(model))
             return progress, (Event("info", "phase", "", "tighten: taking up slack"),)
         if progress.phase == "tighten" and not slack_tendons(model, estimate):
-            return replace(progress, phase="live"), (Event("info", "phase", "", "live: waiting for requests"),)
+            return replace(progress, phase="live"), (
+                Event("info", "phase", "", "live: waiting for requests"),
+            )
         if progress.phase == "tighten" and t - progress.since > TIGHTEN_TIMEOUT_S:
             text = f"not taut after {TIGHTEN_TIMEOUT_S:g} s: {', '.join(slack_tendons(model, estimate))}"
-            return replace(progress, finished=True, failure=text), (Event("error", "tighten", "", text),)
+            return replace(progress, finished=True, failure=text), (
+                Event("error", "tighten", "", text),
+            )
         return progress, ()
 
 
@@ -58,7 +75,12 @@ LONGEST_HOLD_S = 3600.0
 
 
 def _carry_out(
-    model: HandModel, progress: Progress, task: Task, estimate: Estimate, measured: Measured, t: float
+    model: HandModel,
+    progress: Progress,
+    task: Task,
+    estimate: Estimate,
+    measured: Measured,
+    t: float,
 ) -> ProgressAndEvents:
     """Advance the task of a live session. After its end, or its failure, the session waits for requests again."""
     progress, events = TaskProgram(task).advance(model, progress, estimate, measured, t)
@@ -73,7 +95,9 @@ def end_task(progress: Progress) -> Progress:
     )  # fmt: skip
 
 
-def begin_task(model: HandModel, progress: Progress, task: Task, estimate: Estimate, t: float) -> ProgressAndEvents:
+def begin_task(
+    model: HandModel, progress: Progress, task: Task, estimate: Estimate, t: float
+) -> ProgressAndEvents:
     """Begin a task up to its first hold, which lasts until ``release_task``, at most an hour.
 
     A task that does not suit the hand, or that begins with a move that is too fast, changes nothing.
@@ -108,7 +132,9 @@ def release_task(progress: Progress) -> ProgressAndEvents:
     """End the hold of a task. The phases after it follow."""
     phase = progress.task.phase[progress.step - 1] if progress.task else None
     if not isinstance(phase, Hold):
-        return progress, (Event("info", "request", "", "refused: no hold of a task, expected grasp first"),)
+        return progress, (
+            Event("info", "request", "", "refused: no hold of a task, expected grasp first"),
+        )
     event = Event("info", "request", "", f"release after {phase.name}")
     return replace(progress, since=progress.since - LONGEST_HOLD_S), (event,)
 
@@ -139,7 +165,9 @@ class JogProgram:
             progress, goal_events = apply_goal(model, progress, self.request, estimate, t)
             # A refused request leaves the goals as they are.
             if progress.goals is goals:
-                return replace(progress, finished=True, failure=goal_events[-1].text), events + goal_events
+                return replace(
+                    progress, finished=True, failure=goal_events[-1].text
+                ), events + goal_events
             return replace(progress, phase="jog", since=t), events + goal_events
         if progress.phase == "jog" and t - progress.since >= self.duration:
             return replace(progress, finished=True), events
@@ -175,7 +203,9 @@ def apply_goal(
     unknown = sorted(values.keys() - set(right))
     if unknown or progress.phase in ("start", "tighten"):
         reason = (
-            f"no digit {unknown[0]!r}, expected one of {', '.join(names)}" if unknown else "the hand is not ready yet"
+            f"no digit {unknown[0]!r}, expected one of {', '.join(names)}"
+            if unknown
+            else "the hand is not ready yet"
         )
         return progress, (Event("warn", "request", "", f"refused: {reason}"),)
     goals = list(progress.goals)
@@ -201,7 +231,9 @@ def apply_goal(
             target = pull_tensions(model, d, value)
             goals[d] = DigitGoal(Kind.TENSION, tension=target, rate=request.rate_N_per_s)
     text = f"{request.do} " + ", ".join(f"{name} {value:g}" for name, value in values.items())
-    return replace(progress, goals=tuple(goals), contact=tuple(contact)), (Event("info", "request", "", text),)
+    return replace(progress, goals=tuple(goals), contact=tuple(contact)), (
+        Event("info", "request", "", text),
+    )
 
 
 COUPLED_DEG = 0.5
@@ -230,7 +262,9 @@ def _end_of_move(
         return np.full(count, angles[name]) if name in angles else None
     if name in angles:
         return f"{name} and {joints[next(iter(given))]}, expected either the digit or its joints"
-    now = np.degrees(np.clip(start if isinstance(start, np.ndarray) else coordinates(digit, start), *digit.reach))
+    now = np.degrees(
+        np.clip(start if isinstance(start, np.ndarray) else coordinates(digit, start), *digit.reach)
+    )
     rows = digit.coupling[list(given)]
     wanted = np.array(list(given.values()))
     end = np.asarray(now + np.linalg.pinv(rows) @ (wanted - rows @ now))
@@ -240,7 +274,13 @@ def _end_of_move(
 
 
 def _move(
-    model: HandModel, d: int, estimate: Estimate, start: Vector | None, end: Vector, duration: float, t: float
+    model: HandModel,
+    d: int,
+    estimate: Estimate,
+    start: Vector | None,
+    end: Vector,
+    duration: float,
+    t: float,
 ) -> DigitGoal:
     """Return a move of a digit, from its present reference (3, n), or from the estimate if that is None."""
     if start is None:
@@ -248,7 +288,9 @@ def _move(
     return DigitGoal(Kind.MOTION, continued(start, end, duration, model.digits[d].reach), since=t)
 
 
-def _out_of_reach(model: HandModel, d: int, estimate: Estimate, end: Vector, duration: float) -> str:
+def _out_of_reach(
+    model: HandModel, d: int, estimate: Estimate, end: Vector, duration: float
+) -> str:
     """Return why a digit refuses coordinates [deg] in a time [s], empty if it accepts."""
     digit = model.digits[d]
     joint_min, joint_max = (np.degrees(bound) for bound in digit.reach)

@@ -128,7 +128,11 @@ def mapping(model: HandModel, space: str, names: tuple[str, ...]) -> Mapping:
         if space == "digit" and name in names:
             values[places, names.index(name)] = 1.0
             digits.append(d)
-        given = [j for j, joint in enumerate(hand.joints[digit.joints]) if joint in names] if space == "joint" else []
+        given = (
+            [j for j, joint in enumerate(hand.joints[digit.joints]) if joint in names]
+            if space == "joint"
+            else []
+        )
         if given:
             # The coordinates nearest to the angles: joints that springs couple turn together.
             columns = [names.index(hand.joints[digit.joints][j]) for j in given]
@@ -142,7 +146,9 @@ def mapping(model: HandModel, space: str, names: tuple[str, ...]) -> Mapping:
 def unsuitable(model: HandModel, request: OpenStream) -> str:
     """Return why a stream does not suit the hand, empty if it does."""
     hand = model.hand
-    right = {"joint": hand.joints, "tension": hand.tendon_names}.get(request.space, hand.digit_names)
+    right = {"joint": hand.joints, "tension": hand.tendon_names}.get(
+        request.space, hand.digit_names
+    )
     kind = {"joint": "joint", "tension": "tendon"}.get(request.space, "digit")
     for name in request.names:
         if name not in right:
@@ -192,12 +198,16 @@ def holdable(digit: DigitModel, coordinates: Vector, floor: Vector) -> Vector:
         floor: (n_t,) smallest tensions [N].
     """
     tendons, count = digit.reduced_moment_arms.shape
-    if tendons != count or count == 1:  # the tensions are not determined by the posture, or rise with the angle
+    if (
+        tendons != count or count == 1
+    ):  # the tensions are not determined by the posture, or rise with the angle
         return coordinates
     slope = digit.torque_to_tension @ np.diag(digit.spring_stiffness) @ digit.coupling
     angles = coordinates.copy()
     for _ in range(HELD_STEPS):
-        tension = digit.torque_to_tension @ np.asarray(static_torque(digit, digit.coupling @ angles))
+        tension = digit.torque_to_tension @ np.asarray(
+            static_torque(digit, digit.coupling @ angles)
+        )
         missing = floor + HELD_MARGIN_N - tension
         short = missing > 1e-6
         if not short.any():
@@ -233,11 +243,15 @@ def loop_fractions(model: HandModel, stream: StreamPlan) -> tuple[Vector, Vector
         mass = (model.space.motor_mass + model.space.load_mass)[digit.tendons]
         full = arms * mass * model.motion.stiffness[digit.tendons]
         stiffness[digit.tendons] = np.clip(stream.softness / full, SOFTEST, 1.0)
-        damping[digit.tendons] = np.minimum(stream.damping_ratio * np.sqrt(stiffness[digit.tendons]), 1.0)
+        damping[digit.tendons] = np.minimum(
+            stream.damping_ratio * np.sqrt(stiffness[digit.tendons]), 1.0
+        )
     return stiffness, damping
 
 
-def tensions_of(model: HandModel, stream: StreamPlan, values: Vector, present: Vector, q: Vector) -> Vector:
+def tensions_of(
+    model: HandModel, stream: StreamPlan, values: Vector, present: Vector, q: Vector
+) -> Vector:
     """Return the tensions (N,) of a target [N], not limited yet.
 
     Args:
@@ -257,11 +271,15 @@ def tensions_of(model: HandModel, stream: StreamPlan, values: Vector, present: V
         # Springs and gravity, plus the tip force by its lever, in the digit's coordinates.
         torque = digit.coupling.T @ np.asarray(static_torque(digit, angles))
         torque += max(force, 0.0) * tip_lever(digit, angles)
-        tension[tendons] = allocate(digit.reduced_moment_arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
+        tension[tendons] = allocate(
+            digit.reduced_moment_arms, torque, model.floor[tendons], model.ceiling[tendons]
+        )[0]
     return tension
 
 
-def streamed_goals(progress: Progress, digits: tuple[int, ...], tension: tuple[Vector, ...] | None) -> Progress:
+def streamed_goals(
+    progress: Progress, digits: tuple[int, ...], tension: tuple[Vector, ...] | None
+) -> Progress:
     """Return the progress with digits that follow a stream.
 
     Args:
@@ -307,10 +325,14 @@ def staying(
     for d, goal in enumerate(goals):
         if goal.kind == Kind.TENSION and goal.rate == STREAMED_RATE:
             goals[d] = DigitGoal(Kind.TENSION, tension=tension[d].copy())
-        if goal.kind == Kind.MOTION and (isinstance(goal.trajectory, Streamed) or not only_streamed):
+        if goal.kind == Kind.MOTION and (
+            isinstance(goal.trajectory, Streamed) or not only_streamed
+        ):
             position, rate, _ = reference[d]
             end = np.clip(position + 0.5 * STAY_S * rate, *reach[d])
-            goals[d] = DigitGoal(Kind.MOTION, continued(reference[d], end, STAY_S, reach[d]), since=t)
+            goals[d] = DigitGoal(
+                Kind.MOTION, continued(reference[d], end, STAY_S, reach[d]), since=t
+            )
     return replace(progress, goals=tuple(goals))
 
 
@@ -320,7 +342,9 @@ _SHARES = np.linspace(0.0, 1.0, 33)[1:]
 """Moments of a move at which its course is checked, as fractions of the duration."""
 
 
-def continued(reference: Vector, end: Vector, duration: float, reach: tuple[Vector, Vector]) -> MinimumJerk:
+def continued(
+    reference: Vector, end: Vector, duration: float, reach: tuple[Vector, Vector]
+) -> MinimumJerk:
     """Return a move that begins with the position, rate and acceleration of a reference, at rest at the end.
 
     A long move that continued a fast motion would run far beyond both its ends. The earlier motion
@@ -339,7 +363,9 @@ def continued(reference: Vector, end: Vector, duration: float, reach: tuple[Vect
     while True:
         move = MinimumJerk(position, end, duration, Blend(rate, acceleration, blend))
         course = np.array([move.at(share * blend)[0] for share in _SHARES])
-        inside = (course >= np.minimum(reach[0], position)).all() and (course <= np.maximum(reach[1], position)).all()
+        inside = (course >= np.minimum(reach[0], position)).all() and (
+            course <= np.maximum(reach[1], position)
+        ).all()
         if inside or blend <= SHORTEST_BLEND_S:
             return move
         blend = max(0.5 * blend, SHORTEST_BLEND_S)
