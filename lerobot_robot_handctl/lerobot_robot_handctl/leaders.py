@@ -1,0 +1,171 @@
+"""Teleoperators without hardware: the keys of a terminal, and a recorded run."""
+
+import os
+import select
+import sys
+import termios
+import time
+import tty
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from lerobot.teleoperators.teleoperator import Teleoperator
+from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
+from lerobot_robot_handctl.config_handctl import HandctlKeyboardConfig, HandctlLogConfig
+from lerobot_robot_handctl.names import named, positions
+
+from handctl.core.types import Mode
+from handctl.hand.load import load_hand
+from handctl.log.read.reader import RunLog
+
+CLOSE, OPEN, OPEN_ALL = "qwertyuiop", "asdfghjkl;", " "
+"""Keys that close and open the digits in the order of the hand file, and the key that opens all."""
+
+
+class Leader(Teleoperator):
+    """Teleoperator of the joints of a hand, without force feedback and calibration."""
+
+    joints: tuple[str, ...]
+
+    @cached_property
+    def action_features(self) -> dict[str, Any]:
+        """Return the names of an action: an angle for each joint."""
+        return positions(self.joints)
+
+    @property
+    def feedback_features(self) -> dict[str, Any]:
+        """Return no names: there is no feedback."""
+        return {}
+
+    @property
+    def is_connected(self) -> bool:
+        """Return True between ``connect`` and ``disconnect``."""
+        return self._is_open
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Return True: there is nothing to calibrate."""
+        return True
+
+    _is_open = False
+
+    def connect(self, calibrate: bool = True) -> None:
+        """Begin to lead."""
+        if self._is_open:
+            raise DeviceAlreadyConnectedError(f"{self} is connected")
+        self._is_open = True
+
+    def calibrate(self) -> None:
+        """Do nothing."""
+
+    def configure(self) -> None:
+        """Do nothing."""
+
+    def send_feedback(self, feedback: dict[str, Any]) -> None:
+        """Do nothing: there is no feedback."""
+
+    def disconnect(self) -> None:
+        """Stop to lead."""
+        self._check_open()
+        self._is_open = False
+
+    def _check_open(self) -> None:
+        """Raise DeviceNotConnectedError if the leader is not connected."""
+        if not self._is_open:
+            raise DeviceNotConnectedError(f"{self} is not connected")
+
+
+class HandctlKeyboard(Leader):
+    """Keys of a terminal, read from the standard input: each closes or opens a digit by a step."""
+
+    config_class = HandctlKeyboardConfig
+    name = "handctl_keyboard"
+
+    def __init__(self, config: HandctlKeyboardConfig) -> None:
+        """Load the hand."""
+        super().__init__(config)
+        hand = load_hand(config.hand)
+        self.joints = hand.joints
+        self._digits = [(hand.digit_joints[name], hand.digit_named(name)) for name in hand.digit_names]
+        self._step = np.radians(config.step_deg)
+        self._angles = np.zeros(len(self.joints))
+        self._settings: Any = None
+
+    def connect(self, calibrate: bool = True) -> None:
+        """Read single keys from a terminal. Other inputs are read as they come."""
+        super().connect(calibrate)
+        self._angles[:] = 0.0
+        if sys.stdin.isatty():
+            self._settings = termios.tcgetattr(0)
+            tty.setcbreak(0)
+
+    def get_action(self) -> dict[str, Any]:
+        """Return the angles after the keys that were pressed since the last call [rad]."""
+        self._check_open()
+        for key in self._keys():
+            self._press(key)
+        return named(self.joints, self._angles)
+
+    def disconnect(self) -> None:
+        """Give the terminal back."""
+        super().disconnect()
+        if self._settings is not None:
+            termios.tcsetattr(0, termios.TCSADRAIN, self._settings)
+            self._settings = None
+
+    def _keys(self) -> str:
+        """Return the keys since the last call, without waiting."""
+        return os.read(0, 1024).decode("ascii", "ignore") if select.select([0], [], [], 0.0)[0] else ""
+
+    def _press(self, key: str) -> None:
+        """Move the digit of a key."""
+        if key == OPEN_ALL:
+            self._angles[:] = 0.0
+        for keys, step in ((CLOSE, self._step), (OPEN, -self._step)):
+            d = keys.find(key)
+            if 0 <= d < len(self._digits):
+                joints, digit = self._digits[d]
+                low, high = np.radians(digit.joint_min_deg), np.radians(digit.joint_max_deg)
+                self._angles[joints] = np.clip(self._angles[joints] + step, low, high)
+
+
+class HandctlLog(Leader):
+    """A recorded run: commanded angles while the hand was active, in the time of the run."""
+
+    config_class = HandctlLogConfig
+    name = "handctl_log"
+
+    def __init__(self, config: HandctlLogConfig) -> None:
+        """Read the run.
+
+        Raises:
+            LogError: the file is no log.
+            ValueError: the hand was never active.
+        """
+        super().__init__(config)
+        with RunLog(Path(config.log)) as log:
+            self.joints = log.names("q")
+            active = log.mode == Mode.ACTIVE
+            goal = log.field("q_goal")[active]
+            # A digit that holds a tension has no commanded angle: its estimated one counts.
+            self._angles = np.where(np.isnan(goal), log.field("q")[active], goal)
+            self._times = log.times[active]
+        if not len(self._times):
+            raise ValueError(f"teleop.log: {config.log}: never active; expected a run that moved the hand")
+        self._times = self._times - self._times[0]
+        self._start_s: float | None = None
+
+    def connect(self, calibrate: bool = True) -> None:
+        """Begin at the first angles. Time runs from the first action on."""
+        super().connect(calibrate)
+        self._start_s = None
+
+    def get_action(self) -> dict[str, Any]:
+        """Return the angles of the present moment [rad], at the end the last ones."""
+        self._check_open()
+        now = time.monotonic()
+        self._start_s = now if self._start_s is None else self._start_s
+        row = int(np.searchsorted(self._times, now - self._start_s, side="right")) - 1
+        return named(self.joints, self._angles[max(row, 0)])

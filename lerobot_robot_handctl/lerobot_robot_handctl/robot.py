@@ -1,0 +1,153 @@
+"""A hand of handctl as a robot of LeRobot."""
+
+import threading
+import time
+from contextlib import suppress
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from lerobot.cameras.utils import make_cameras_from_configs
+from lerobot.robots.robot import Robot
+from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
+from lerobot_robot_handctl.config_handctl import HandctlRobotConfig
+from lerobot_robot_handctl.names import TENSION, angles_of, named, positions
+
+import handctl
+from handctl.client import HandClient, TargetStream
+from handctl.hand.load import load_hand
+
+PAUSE_S = 0.4
+"""Time without an action after which the stream closes and the hand comes to rest [s]."""
+
+
+class HandctlRobot(Robot):
+    """A hand that follows actions by a stream of targets.
+
+    A thread closes the stream in a pause of the actions. It does not send anything, so that a program that hangs
+    leaves the stream stale, and the controller holds and relaxes the hand.
+    """
+
+    config_class = HandctlRobotConfig
+    name = "handctl"
+
+    def __init__(self, config: HandctlRobotConfig) -> None:
+        """Load the hand. Nothing is connected."""
+        super().__init__(config)
+        self.config = config
+        self.description = load_hand(config.hand)
+        self.cameras = make_cameras_from_configs(config.cameras)
+        digits = self.description.digit
+        self._low = np.radians([angle for digit in digits for angle in digit.joint_min_deg])
+        self._high = np.radians([angle for digit in digits for angle in digit.joint_max_deg])
+        self._step = np.radians(config.speed_deg_s) / config.rate_Hz
+        self._hand: HandClient | None = None
+        self._stream: TargetStream | None = None
+        self._sent: Any = None
+        self._sent_s = 0.0
+        self._lock = threading.Lock()
+        self._ended = threading.Event()
+
+    @cached_property
+    def observation_features(self) -> dict[str, Any]:
+        """Return the names of an observation: angles, tensions, pictures."""
+        tensions = {f"{tendon}{TENSION}": float for tendon in self.description.tendon_names}
+        pictures = {name: (camera.height, camera.width, 3) for name, camera in self.config.cameras.items()}
+        return {**positions(self.description.joints), **tensions, **pictures}
+
+    @cached_property
+    def action_features(self) -> dict[str, Any]:
+        """Return the names of an action: an angle for each joint."""
+        return positions(self.description.joints)
+
+    @property
+    def is_connected(self) -> bool:
+        """Return True if the hand takes actions."""
+        return self._hand is not None
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Return True: handctl commissions a hand itself."""
+        return True
+
+    def connect(self, calibrate: bool = True) -> None:
+        """Connect to the controller of the bus, or start one. It commissions and arms the hand."""
+        if self._hand is not None:
+            raise DeviceAlreadyConnectedError(f"{self} is connected")
+        hand = handctl.connect(self.config.hand, self.config.bus, *self.config.options).open()
+        try:
+            if hand.description.joints != self.description.joints:
+                right = f"the hand on the bus, {hand.description.name}"
+                raise ValueError(f"robot.hand: {self.config.hand}; expected {right}")
+            for camera in self.cameras.values():
+                camera.connect()
+        except BaseException:
+            hand.close()
+            raise
+        self._hand = hand
+        self._sent = None
+        self._ended.clear()
+        threading.Thread(target=self._close_in_pauses, daemon=True).start()
+
+    def calibrate(self) -> None:
+        """Do nothing, see ``handctl commission``."""
+
+    def configure(self) -> None:
+        """Do nothing: the controller has its settings from the hand file."""
+
+    def get_observation(self) -> dict[str, Any]:
+        """Return the latest observation: angles [rad], tensions [N], pictures."""
+        seen = self._connected().observe()
+        tendons = self.description.tendon_names
+        tensions = {f"{name}{TENSION}": float(value) for name, value in zip(tendons, seen.tension_N, strict=True)}
+        pictures = {name: camera.async_read() for name, camera in self.cameras.items()}
+        return {**named(self.description.joints, seen.q_rad), **tensions, **pictures}
+
+    def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
+        """Send a target. Return the target that was sent, within the range and the largest rate of the joints."""
+        hand = self._connected()
+        wanted = np.clip(angles_of(self.description.joints, action), self._low, self._high)
+        with self._lock:
+            if self._stream is None:
+                self._sent = np.clip(hand.observe().q_rad, self._low, self._high)
+                self._stream = hand.stream(self.config.rate_Hz, "joint", unit="rad")
+            target = self._sent + np.clip(wanted - self._sent, -self._step, self._step)
+            self._stream.send(target)
+            self._sent = target
+            self._sent_s = time.monotonic()
+        return named(self.description.joints, target)
+
+    def disconnect(self) -> None:
+        """Close the stream, relax and disarm the hand if this robot has started its controller."""
+        hand = self._connected()
+        self._ended.set()
+        with self._lock:
+            stream, self._stream = self._stream, None
+            self._hand = None
+        try:
+            if stream is not None:
+                with suppress(handctl.HandctlError):  # the run has ended: close raises the reason
+                    stream.close()
+            hand.close()
+        finally:
+            for camera in self.cameras.values():
+                camera.disconnect()
+
+    def _connected(self) -> HandClient:
+        """Return the client.
+
+        Raises:
+            DeviceNotConnectedError: the robot is not connected.
+        """
+        if self._hand is None:
+            raise DeviceNotConnectedError(f"{self} is not connected")
+        return self._hand
+
+    def _close_in_pauses(self) -> None:
+        """Close the stream whenever no action has come for a while."""
+        while not self._ended.wait(PAUSE_S / 4):
+            with self._lock:
+                if self._stream is not None and time.monotonic() - self._sent_s > PAUSE_S:
+                    stream, self._stream = self._stream, None
+                    with suppress(handctl.HandctlError):  # the run has ended: the next action raises the reason
+                        stream.close()

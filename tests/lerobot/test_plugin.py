@@ -1,0 +1,148 @@
+"""The plug-in against LeRobot's own registry, base classes and script. Skipped where LeRobot is not installed."""
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handctl.cli.main import main
+from handctl.core.types import Mode
+from handctl.hand.load import load_hand
+from handctl.log.read.reader import RunLog
+from tests.runtime.processes import HOMED, end, scaled, start_hand, write_homed
+
+FOLDER = Path(__file__).parents[2] / "lerobot_robot_handctl"
+MISSING = "needs lerobot and lerobot_robot_handctl in an environment of its own, see lerobot_robot_handctl/README.md"
+LEROBOT = pytest.mark.skipif(find_spec("lerobot") is None, reason=MISSING)
+SCALE, BUS = 0.5, "local:t"
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """Change to an empty folder, with sockets in a folder that has a short path."""
+    with tempfile.TemporaryDirectory(prefix="h-") as short:
+        monkeypatch.setenv("HANDCTL_RUN_DIR", short)
+        monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+        monkeypatch.chdir(tmp_path)
+        write_homed(tmp_path / "c.toml", load_hand("jamia"))
+        yield tmp_path
+
+
+@pytest.fixture
+def options(place):
+    """Start a slowed simulated hand. Return the options of its controller."""
+    scale = scaled(SCALE)
+    process = start_hand(place / "hand.truth", "--hand", "jamia", "--scene", "none", *scale)
+    yield ["--calibration", "c.toml", "--log", "run.mcap", *scale]
+    end(process)
+
+
+def test_the_distribution_has_the_name_and_version_that_lerobot_and_users_look_for() -> None:
+    project = tomllib.loads((FOLDER / "pyproject.toml").read_text("utf-8"))["project"]
+    assert project["name"] == "lerobot_robot_handctl"
+    assert project["version"] == version("handctl")
+    assert (FOLDER / project["name"] / "__init__.py").is_file()
+    assert HOMED[0] == "--homed"
+
+
+@LEROBOT
+def test_lerobot_finds_robot_and_teleoperators() -> None:
+    from lerobot.robots.config import RobotConfig
+    from lerobot.robots.utils import make_robot_from_config
+    from lerobot.teleoperators.config import TeleoperatorConfig
+    from lerobot.utils.import_utils import register_third_party_plugins
+
+    register_third_party_plugins()
+    robot = make_robot_from_config(RobotConfig.get_choice_class("handctl")())
+    assert len(robot.action_features) == 11
+    assert set(robot.action_features) < set(robot.observation_features)
+    assert "index_tendon.tension_N" in robot.observation_features
+    assert {"handctl_keyboard", "handctl_log"} <= TeleoperatorConfig.get_known_choices().keys()
+
+
+@LEROBOT
+@pytest.mark.realtime
+def test_a_robot_observes_follows_limits_and_rests_in_pauses(options) -> None:
+    from lerobot.utils.errors import DeviceNotConnectedError
+    from lerobot_robot_handctl import HandctlRobot, HandctlRobotConfig
+
+    robot = HandctlRobot(HandctlRobotConfig(bus=BUS, options=options))
+    with pytest.raises(DeviceNotConnectedError):
+        robot.get_observation()
+    robot.connect()
+    try:
+        seen = robot.get_observation()
+        assert seen.keys() == robot.observation_features.keys()
+        goal = dict.fromkeys(robot.action_features, 9.0)  # far beyond every joint
+        sent = robot.send_action({**goal, "index_tendon.tension_N": 5.0})
+        assert sent.keys() == robot.action_features.keys()
+        assert max(sent.values()) < np.radians(4.0), "120 deg/s at 50 Hz"
+        goal = {name: np.radians(20.0) for name in goal}
+        for _ in range(40):
+            robot.send_action(goal)
+            time.sleep(0.02 / SCALE)
+        time.sleep(1.5 / SCALE)  # longer than the controller waits before it relaxes a stale stream
+        seen = robot.get_observation()
+        assert np.degrees([seen[name] for name in goal]).mean() == pytest.approx(20.0, abs=2.0)
+        robot.send_action(goal)
+        with pytest.raises(ValueError, match=r"no thumb_j2.pos_rad"):
+            robot.send_action({name: 0.0 for name in goal if name != "thumb_j2.pos_rad"})
+    finally:
+        robot.disconnect()
+    assert not robot.is_connected
+    with RunLog(Path("run.mcap")) as log:
+        assert not [row for row in log.events if row.event.text.startswith("I11b")]
+        assert Mode.RELAX in log.mode
+
+
+@LEROBOT
+def test_keys_close_and_open_digits() -> None:
+    from lerobot_robot_handctl import HandctlKeyboard, HandctlKeyboardConfig
+
+    reading, writing = os.pipe()
+    before = os.dup(0)
+    os.dup2(reading, 0)
+    try:
+        keys = HandctlKeyboard(HandctlKeyboardConfig())
+        keys.connect()
+        os.write(writing, b"qqqwa!")
+        action = keys.get_action()
+        assert keys.get_action() == action
+        angles = np.degrees(list(action.values()))
+        np.testing.assert_allclose(angles, [4, 4, 4, 2, 2, 2, 0, 0, 0, 0, 0], atol=1e-9)
+        os.write(writing, b" ")
+        assert set(keys.get_action().values()) == {0.0}
+        keys.disconnect()
+    finally:
+        os.dup2(before, 0)
+        for descriptor in (reading, writing, before):
+            os.close(descriptor)
+
+
+@LEROBOT
+@pytest.mark.realtime
+def test_the_script_of_lerobot_teleoperates_the_hand_by_a_log(options, place) -> None:
+    assert main(["-q", "demo", "--lockstep", "--log", "leader.mcap"]) == 0
+    seconds = 6.0
+    words = [
+        "--robot.type=handctl", f"--robot.bus={BUS}", f"--robot.options={list(options)}".replace("'", '"'),
+        "--teleop.type=handctl_log", "--teleop.log=leader.mcap", f"--fps={round(50 * SCALE)}",
+        f"--teleop_time_s={seconds}",
+    ]  # fmt: skip
+    command = [sys.executable, "-m", "lerobot.scripts.lerobot_teleoperate", *words]
+    ran = subprocess.run(command, capture_output=True, text=True, timeout=280, check=False)
+    assert ran.returncode == 0, ran.stderr[-2000:]
+    with RunLog(Path("run.mcap")) as log, RunLog(Path("leader.mcap")) as leader:
+        faults = [row.event.text for row in log.events if row.event.name == "fault" and row.event.level != "info"]
+        assert not [text for text in faults if not text.startswith("I11a")]  # a late action holds for a moment
+        goal = np.degrees(np.nanmax(log.field("q_goal")[:, :9]))
+        # The leader closes its fingers to an object. Coupled joints follow by their nearest common angle.
+        assert 20.0 < goal < np.degrees(leader.field("q").max()) + 1.0
