@@ -44,7 +44,7 @@ def test_a_topic_is_added_as_the_page_says(tmp_path: Path) -> None:
     (package / "log" / "topics" / "peak.py").write_text(module, encoding="utf-8")
     everything = package / "log" / "topics" / "topic_set.py"
     insert(everything, "import numpy as np\n", "from handctl.log.topics.peak import PeakTopic\n")
-    insert(everything, "HealthTopics(header, self._registry),\n", part)
+    insert(everything, "self._parts = (\n", part)
     path = os.pathsep.join(map(str, (tmp_path, ROOT / "tests" / "log", ROOT)))
     ran = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", READ_BACK],

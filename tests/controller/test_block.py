@@ -29,6 +29,7 @@ from handctl.programs.grip import Grip
 from handctl.programs.program import Progress
 from handctl.programs.streams import StreamPlan
 from handctl.safety.judge import Counting, Latched
+from handctl.session.tasks import find_task
 from tests.controller.bench import Bench
 from tests.controller.synthetic import interpreted
 from tests.hand.many import fifteen_motors
@@ -297,6 +298,7 @@ def progresses(before: Progress) -> Iterator[tuple[str, Progress]]:
         "grip": [grip, grip._replace(tension=np.full(4, 21.0)), grip._replace(anchor=np.zeros(4)),
                  grip._replace(ready=2.0), grip._replace(raised=1.2), grip._replace(limited=True)],
         "goals": [before.goals[::-1], *((goal, *before.goals[1:]) for _, goal in goals())],
+        "task": [find_task(None, load_hand(name))[0] for name in ("jamia", "t42")],
     }  # fmt: skip
     assert values.keys() == {field.name for field in fields(Progress)}, "a new part of the progress needs a line here"
     for name, others in values.items():

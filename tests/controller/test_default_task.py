@@ -50,8 +50,8 @@ def test_a_sideways_joint_stays_in_the_middle_and_an_extensor_only_taut() -> Non
     assert isinstance(close.angle_deg, dict)
     assert isinstance(hold.tension_N, dict)
     assert close.angle_deg["thumb"] == (0.0, 85.0)
-    assert hold.tension_N["thumb"] == (77.0, 77.0, 4.5)
-    assert hold.tension_N["index"] == (25.7, 25.7, 25.7)
+    assert hold.tension_N["thumb"] == (66.0, 66.0, 4.5)
+    assert hold.tension_N["index"] == (22.0, 22.0, 22.0)
 
 
 def test_without_a_name_a_jamia_takes_its_grasp_and_another_hand_the_default() -> None:

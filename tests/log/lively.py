@@ -10,9 +10,11 @@ from handctl.core.types import TELEMETRY_AXES, Event, IoEvent, Mode, Telemetry, 
 from handctl.drives.contract import Phase
 from handctl.drives.frame import BRS, ERROR, ESI, EXTENDED, FDF, REMOTE, Frame
 from handctl.log.header import RunHeader
+from handctl.programs.requests import target_text
 from handctl.safety.action import Action
 
 BUSES = ("main", "a_second_bus")
+OPEN_STREAM = '{"do": "stream", "stream": "s", "space": "digit", "names": ["index", "thumb"], "rate_Hz": 100}'
 
 
 def header(**more: object) -> RunHeader:
@@ -41,9 +43,13 @@ def _frames(index: int, t_ns: int, random: np.random.Generator) -> tuple[Frame, 
 
 
 def _tick_in(run: RunHeader, k: int, index: int, random: np.random.Generator) -> TickIn:
+    t_ns = k * run.period_ns
     io_events = (IoEvent("enobufs", "main", 4), IoEvent("signal", "", 15)) if index % 23 == 5 else ()
     requests = ('{"do": "gain", "text": "\u00e4\u03b1\u4e2d"}', "") if index % 19 == 3 else ()
-    t_ns = k * run.period_ns
+    if index == 50:
+        requests += (OPEN_STREAM,)
+    if index > 50:
+        requests += (target_text("s", index, t_ns - 10**6, (10.0, index / 7)),)
     return TickIn(k, t_ns, int(random.integers(0, 10**7)), _frames(index, t_ns, random), io_events, requests)
 
 
