@@ -56,7 +56,7 @@ def failure_reason(figures: dict[str, Any], run_result: dict[str, Any]) -> str:
 def table(results: list[dict[str, Any]]) -> str:
     """Make a Markdown table, a row per hand and protocol, and a line for each run that has not passed."""
     rows = [
-        "| hand | protocol | seeds passed | worst tracking error [deg] | of tension [N] | object motion [mm] |",
+        "| hand | protocol | seeds passed | tracking error [deg] | tension error [N] | object motion [mm] |",
         "|---|---|---|---|---|---|",
     ]
     for hand, protocol in dict.fromkeys((one["hand"], one["protocol"]) for one in results):
