@@ -1,10 +1,11 @@
 """Contract of every motor drive protocol: codec and state machine, with time as an argument.
 
-A protocol is one class. The object is the immutable description of one motor on one bus. All
-changing values live in an immutable ``DriveState``. Per tick and motor the controller calls
-``receive`` for every received frame, then ``advance`` once with the requested drive state. While a
-drive is enabled and steady, compiled code does both from the tables of ``cyclic`` (``core.wire``).
-``steady_status`` and ``due_ns`` tell for how long. No function here reads a clock or a socket.
+Each protocol is one class. Each object of the class is the immutable description of one motor on
+one bus. All changing values live in an immutable ``DriveState``. Per tick and motor the controller
+calls ``receive`` for every received frame, then ``advance`` once with the requested drive state.
+While a drive is enabled and steady, compiled code does both from the tables of ``cyclic``
+(``core.wire``). ``steady_status`` and ``due_ns`` limit this mode. No function here reads a clock or
+a socket.
 """
 
 import enum
@@ -16,22 +17,22 @@ from handctl.drives.frame import Frame
 from handctl.drives.signals import Cyclic
 
 UNSTEADY = -1
-"""Status of a drive whose state machine must see every frame."""
+"""Value of ``steady_status`` for a drive whose state machine must process every frame."""
 NEVER_NS = (1 << 63) - 1
-"""Latest time [ns], for events without a date."""
+"""Largest time [ns]: ``due_ns`` returns it if no call is scheduled."""
 
 
 class DriveTarget(enum.IntEnum):
-    """Drive state requested by the controller. The drive approaches it one step per tick."""
+    """Drive state that the controller requests. In each tick the drive goes one step towards it."""
 
     LISTEN = 0
     """Send nothing."""
     POLL = 1
     """Discover the drive, configure it, read limits and watchdog back, then poll feedback. No torque."""
     ENABLE = 2
-    """Do as POLL, then enable. Torque commands follow once the drive reports enabled."""
+    """Do as POLL, then enable the drive. Send torque commands after the drive reports enabled."""
     DISABLE = 3
-    """Disable, and repeat the request until the drive reports disabled."""
+    """Disable the drive, and repeat the command until the drive reports disabled."""
 
 
 class Phase(enum.IntEnum):
@@ -40,13 +41,13 @@ class Phase(enum.IntEnum):
     SILENT = 0
     """No frame received yet, or none for longer than the timeout."""
     CONFIGURING = 1
-    """Settings are being written and read back."""
+    """The settings of the drive are being written and read back."""
     READY = 2
-    """Configured, read back, and disabled: no torque."""
+    """All settings are verified. The drive is disabled and makes no torque."""
     ENABLED = 3
-    """Confirmed by the drive's own feedback: torque commands act."""
+    """The drive has reported enabled. Torque commands act."""
     FAULT = 4
-    """The drive reports an error, or a read-back differs. ``DriveState.error`` names the error."""
+    """The drive reports an error, or a setting reads back wrong. ``DriveState.error`` has the code."""
 
 
 class DriveState(NamedTuple):
@@ -58,12 +59,13 @@ class DriveState(NamedTuple):
         velocity: [rad/s].
         torque: measured or estimated by the drive [N m].
         temperature: hottest sensor of the drive [degC], NaN without a sensor.
-        feedback_t_ns: reception of the latest feedback [ns], -1 before the first.
+        feedback_t_ns: reception time of the latest feedback [ns], -1 before the first.
         feedback_count: number of feedback frames since the start.
         error: error code of the drive, 0 without an error.
         error_text: the error in words, empty without an error.
-        misread: frames on the drive's own identifiers with an invalid payload.
-        private: the protocol's own progress (open request, deadlines, ranges), opaque to callers.
+        misread: number of frames with the drive's identifiers but an invalid payload.
+        private: internal state of the protocol (open request, deadlines, ranges). Callers do not
+            read it.
     """
 
     phase: Phase = Phase.SILENT
@@ -107,13 +109,16 @@ class Drive(Protocol):
         torque_limit: largest torque command [N m at the spool].
         exchange: worst-case frames of one control tick in both directions, for the bus load, as
             (payload bytes, CAN FD?).
-        background: frames with a rate of their own, as (payload bytes, CAN FD?, frames per second).
+        background: frames that do not follow the control rate, as (payload bytes, CAN FD?, frames
+            per second).
         extended: True if the frames have 29-bit identifiers, for the bus load.
-        host_ids: identifiers sent by the host alone. From another node they mean a second controller.
+        host_ids: identifiers sent only by the host. A received frame with such an identifier comes from
+            a second controller.
         node_ids: identifiers of the drive's answers.
-        unverified_guards: guards without verification in this configuration, for the operator before arming.
-        one_reply_per_command: True if every command has exactly one feedback. An extra feedback is then a
-            duplicate, or a second node.
+        unverified_guards: protections of the drive not verifiable by handctl, shown to the
+            operator before arming.
+        one_reply_per_command: True if the drive sends one feedback frame per command. An extra one
+            is then a duplicate, or comes from a second node.
         position_step: resolution of the position [rad at the spool], 0 if unknown.
         cyclic: frames of a tick while the drive is enabled.
         feedback_period_s: period of unsolicited feedback [s], 0 if every tick requests feedback.
@@ -136,7 +141,7 @@ class Drive(Protocol):
 
     @property
     def exchange(self) -> tuple[tuple[int, bool], ...]:
-        """Return the worst-case frames of one control tick as (payload bytes, CAN FD?)."""
+        """Return the frames of one control tick in the worst case, as (payload bytes, CAN FD?)."""
         ...
 
     @property
@@ -151,22 +156,22 @@ class Drive(Protocol):
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Return the identifiers sent by the host alone."""
+        """Return the identifiers sent only by the host."""
         ...
 
     @property
     def node_ids(self) -> frozenset[int]:
-        """Return the identifiers of the drive's answers."""
+        """Return the identifiers sent only by the drive."""
         ...
 
     @property
     def unverified_guards(self) -> tuple[str, ...]:
-        """Return the guards without verification in this configuration, one line each."""
+        """Return one line for each protection of the drive not verifiable by handctl."""
         ...
 
     @property
     def one_reply_per_command(self) -> bool:
-        """Return True if every command has exactly one feedback."""
+        """Return True if the drive sends exactly one feedback frame per command."""
         ...
 
     @property
@@ -181,18 +186,18 @@ class Drive(Protocol):
 
     @property
     def cyclic(self) -> Cyclic:
-        """Return the frames of a tick while the drive is enabled."""
+        """Return the signal tables of the frames exchanged in each tick while the drive is enabled."""
         ...
 
     def steady_status(self, state: DriveState) -> int:
         """Return the feedback status of a steady drive, or UNSTEADY.
 
-        With a steady status, feedback changes values only, and commands may continue.
+        While feedback has this status, only its values change, and torque commands may continue.
         """
         ...
 
     def due_ns(self, state: DriveState) -> int:
-        """Return the time of the next call of ``advance`` for a steady drive [ns]."""
+        """Return the time by which a steady drive needs the next call of ``advance`` [ns]."""
         ...
 
     def initial(self) -> DriveState:
@@ -200,9 +205,9 @@ class Drive(Protocol):
         ...
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
-        """Apply one received frame. A frame of another node leaves the state unchanged.
+        """Return the state after one received frame. A frame of another node leaves the state unchanged.
 
-        Never raises on wire data.
+        Does not raise for any content of a frame.
         """
         ...
 
@@ -215,7 +220,7 @@ class Drive(Protocol):
             state: state of the drive.
             t_ns: time of the tick [ns].
             target: requested drive state.
-            torque: command [N m at the spool], used for ENABLE alone.
+            torque: command [N m at the spool], used only if the target is ENABLE.
 
         Raises:
             ValueError: torque is not finite or beyond ``torque_limit``.
@@ -223,27 +228,31 @@ class Drive(Protocol):
         ...
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
-        """Return a torque command alone [N m at the spool], to check that a disabled drive ignores it.
+        """Return the frames of a torque command [N m at the spool] without an enable command.
 
-        Empty if every torque command of the protocol enables the drive.
+        They test that a disabled drive ignores torque commands.
+
+        The result is empty if every torque command of the protocol also enables the drive.
         """
         ...
 
     def cut(self) -> tuple[Frame, ...]:
         """Return the frames that remove the torque at once, in any state.
 
-        They are constant, and can be built early.
+        The frames do not depend on the state, so they can be built before a run.
         """
         ...
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Clear the drive's latched error on the operator's request. The drive stays disabled."""
+        """Return the state that clears the drive's latched error. The drive stays disabled."""
         ...
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
-        """Return the frames at the regular end of a run. Afterwards the drive may miss this host.
+        """Return the frames to send at the regular end of a run.
 
-        Empty if the drive may still make torque.
+        After these frames the drive tolerates a silent host.
+
+        The result is empty if the drive may still make torque.
         """
         ...
 
@@ -256,5 +265,5 @@ class Drive(Protocol):
         ...
 
     def cause(self, error: int) -> Cause:
-        """Return the cause of ``DriveState.error``, an error other than 0."""
+        """Return the cause of a nonzero ``DriveState.error``."""
         ...

@@ -1,9 +1,10 @@
-"""DBC of the cyclic frames of a bus, for other tools, from the controller's own signal tables.
+"""Export of the cyclic frames of a bus as a DBC file, from the controller's own signal tables.
 
-Values are the controller's: at the spool, with the hand's sign. A DBC has one message per
-identifier. Commands are left out if the answer has the same identifier (CubeMars), or if a value is
-in the identifier (RobStride). Frames without values are left out: remote frames and an empty SYNC.
-The tables, and the DBC, have no settings, heartbeats, register replies, or SDO replies.
+Values are those that the controller uses: at the spool, with the hand's sign. A DBC has one message
+per identifier. A command is left out if its answer has the same identifier (CubeMars), or if one of
+its values is coded in the identifier (RobStride). Frames without values are left out: remote frames
+and an empty SYNC. The tables, and the DBC, have no settings, heartbeats, register replies, or SDO
+replies.
 """
 
 from collections.abc import Iterable, Sequence
@@ -18,11 +19,11 @@ from handctl.drives.signals import Coding, Message, Quantity, Signal
 HOST = "host"
 SENSORS = "sensor_node"
 EXTENDED_BIT = 1 << 31
-"""Mark of a 29-bit identifier in a DBC, as in SocketCAN."""
+"""Flag bit of a 29-bit identifier in a DBC, as in SocketCAN."""
 
 
 class Sent(NamedTuple):
-    """Message with its sender and its receiver."""
+    """Message with the names of its sender and its receiver."""
 
     message: Message
     sender: str
@@ -32,7 +33,7 @@ class Sent(NamedTuple):
 def of_bus(
     bus: int, drives: Iterable[Drive], sensors: SensorNode, tendons: Sequence[str], joints: Sequence[str]
 ) -> str:
-    """Write the DBC of one bus of a hand.
+    """Return the DBC text for one bus of a hand.
 
     Args:
         bus: index of the bus.
@@ -55,7 +56,7 @@ def of_bus(
 
 
 def dbc(sent: Iterable[Sent]) -> str:
-    """Write a DBC. Of messages with equal identifiers the first is used."""
+    """Return the DBC text for messages. If several messages have one identifier, the first is used."""
     by_identifier: dict[int, Sent] = {}
     for item in sent:
         in_payload = all(signal.start >= 0 for signal in item.message.signals)
@@ -102,12 +103,12 @@ def _signal(signal: Signal, receiver: str) -> str:
 
 
 def _named(message: Message, drive: str) -> Message:
-    """Return a message whose name begins with the name of its drive."""
+    """Return the message with the name of its drive put before its own name."""
     return message._replace(name=f"{drive}_{message.name}")
 
 
 def _channels(message: Message, tendons: Sequence[str], joints: Sequence[str]) -> Message:
-    """Return a frame of the sensor node with tendon or joint names for its channels."""
+    """Return the message of the sensor node with tendon or joint names on its channels."""
     names = {Quantity.TENSION: tendons, Quantity.ANGLE: joints}
     signals = [
         signal._replace(name=names[signal.quantity][signal.channel]) if signal.quantity in names else signal

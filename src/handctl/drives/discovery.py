@@ -1,9 +1,9 @@
-"""Discovery of nodes on a bus without motion: requests that no drive obeys as a command, and answers.
+"""Discovery of the nodes on a bus without motion. No drive obeys the requests as commands.
 
-A protocol offers one ``Discovery``. Requests come in rounds: listen (0), ask all nodes at once (1),
-ask every node number (2), ask discovered nodes for details (3). Each round computes the nodes from
-all received frames, and no function here keeps a state. ``split_probes`` leaves out requests that are a
-command to a drive of another protocol.
+Each protocol has one ``Discovery``. Requests come in rounds: listen (0), ask all nodes at once (1),
+ask every node number (2), ask discovered nodes for details (3). After each round the nodes are
+computed from all received frames. The functions here keep no state. ``split_probes`` leaves out
+requests that are a command to a drive of another protocol.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -20,7 +20,7 @@ ANSWER_S = 0.25
 
 @dataclass(frozen=True)
 class DiscoveredNode:
-    """Node on a bus, with its own data.
+    """Node found on a bus, with the data that it reported.
 
     Attributes:
         protocol: name in the hand file.
@@ -32,8 +32,9 @@ class DiscoveredNode:
         settings: keys of a ``[[motor]]`` section with values from the drive.
         options: keys of ``[motor.options]`` with values from the drive.
         notes: warnings for the operator.
-        origins: origin of a value in settings or options that the drive has not reported, by its key.
-        twins: more than one drive answers with this number.
+        origins: source of each value in settings or options that the drive has not reported, by
+            key.
+        twins: True if more than one drive answers with this number.
     """
 
     protocol: str
@@ -50,24 +51,25 @@ class DiscoveredNode:
 
 
 TWINS = "two drives answer with this number: set another number with one drive on the bus at a time"
-"""Note on a node with ``twins``."""
+"""Warning for a node whose ``twins`` is True."""
 
 
 def have_twins(answers: Mapping[int, Sequence[bytes]], serial: int) -> bool:
-    """Return True if two drives sent the answers to requests that were sent once each.
+    """Return True if single requests got answers from two drives.
 
-    A bus can deliver a single frame twice, but not the answers to two requests.
+    A bus may deliver one frame twice by mistake, but not the answers to two different requests.
 
     Args:
-        answers: answers by request, such as the number of a register.
-        serial: request for the serial number, which no two drives share.
+        answers: received answers by request (for example by register number). Each request was sent
+            once.
+        serial: the request for the serial number. Two drives always answer it differently.
     """
     serials = set(answers.get(serial, ()))
     return len(serials) > 1 or sum(len(payloads) > 1 for payloads in answers.values()) > 1
 
 
 def same(node: DiscoveredNode) -> DiscoveredNode:
-    """Return the node unchanged."""
+    """Return the node unchanged, for protocols that draw no conclusion from a missing answer."""
     return node
 
 
@@ -80,12 +82,13 @@ class Discovery(NamedTuple):
 
     Attributes:
         probe_frames: request frames of a round, from the frames received before, for bus 0.
-        nodes: nodes in the received frames.
+        nodes: the nodes that sent the received frames.
         command_ids: identifiers that a node obeys as commands, from any sender.
-        other_host_frames: frames that only another host can have sent.
-        ping: request to one node, without motion.
-        is_pong: True for a frame that answers ``ping``.
-        unasked: the node without conclusions from a missing answer, for a scan that has only listened.
+        other_host_frames: those received frames that only another host can have sent.
+        ping: request to one node that causes no motion.
+        is_pong: True if a frame answers ``ping``.
+        unasked: the node for a scan that only listened. No conclusion is drawn from a missing
+            answer.
     """
 
     probe_frames: Callable[[int, ReceivedFrames], tuple[Frame, ...]]
@@ -100,7 +103,7 @@ class Discovery(NamedTuple):
 def split_probes(
     probe_frames: Iterable[Frame], command_ids: Iterable[frozenset[int]]
 ) -> tuple[tuple[Frame, ...], tuple[Frame, ...]]:
-    """Split requests into safe ones and ones that a drive of another protocol would obey.
+    """Split requests into safe ones and those that a drive of another protocol would obey.
 
     Args:
         probe_frames: data and remote frames. A remote frame has no payload, and no drive obeys it.

@@ -27,7 +27,7 @@ def frame_time_s(
     """Return the longest time of one frame on the wire [s].
 
     Args:
-        size: payload [bytes]. An FD frame has the next larger FD length.
+        size: payload [bytes]. CAN FD rounds it up to the next payload length of the standard.
         fd: True for CAN FD with bit rate switch.
         bitrate: nominal bit rate [bit/s].
         data_bitrate: bit rate of the data phase [bit/s], nominal if None.
@@ -48,17 +48,18 @@ FD_SIZES = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 HEADER_BITS = 17
 HEADER_STUFF_BITS = 4
 END_BITS = 13
-"""CRC delimiter, acknowledge, end of frame, interframe space, at the nominal rate.
+"""Bits after the CRC at the nominal rate: delimiter, acknowledge, end of frame, interframe space.
 
-The delimiter changes rate in its middle, and counts as nominal.
+The bit rate changes in the middle of the delimiter. The delimiter counts at the nominal rate.
 """
 
 
 def _fd_time(size: int, bitrate: float, data_bitrate: float, more: int) -> float:
-    """Return the longest time of a CAN FD frame [s].
+    """Return the longest time of a CAN FD frame on the wire [s].
 
-    Up to the last data bit stuffing is that of a classical frame. In the CRC field one fixed stuff bit
-    precedes every four bits. ``more`` is the number of bits that a longer identifier adds.
+    Up to the last data bit, stuff bits are inserted as in a classical frame. The CRC field has one
+    fixed stuff bit before every four bits. ``more`` is the number of bits that a longer identifier
+    adds.
     """
     size = next(length for length in FD_SIZES if length >= size)
     # ESI and the four bits of DLC, then the data.
@@ -72,7 +73,7 @@ def _fd_time(size: int, bitrate: float, data_bitrate: float, more: int) -> float
 
 
 def bus_time_s(frames: Iterable[tuple[int, bool, float]], bitrate: float, data_bitrate: float | None = None) -> float:
-    """Return the time of one tick's frames [s].
+    """Return the time that the frames of one tick occupy the bus [s].
 
     Args:
         frames: (payload bytes, CAN FD?, frames per tick).
@@ -83,7 +84,7 @@ def bus_time_s(frames: Iterable[tuple[int, bool, float]], bitrate: float, data_b
 
 
 def highest_rate(tick_times_s: Iterable[float], periodic_loads: Iterable[float] | None = None) -> float:
-    """Return the highest usual control rate that loads no bus beyond ``MAX_BUS_LOAD`` [Hz].
+    """Return the highest usual control rate at which no bus load exceeds ``MAX_BUS_LOAD`` [Hz].
 
     Args:
         tick_times_s: time of one tick's frames on each bus [s].

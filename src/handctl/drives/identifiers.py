@@ -1,6 +1,7 @@
 """Check that each identifier on a bus has one sender and one meaning.
 
-The check uses the identifiers that the drives report. A new protocol needs no rule of its own.
+The check uses the identifiers that each drive object lists, so a new protocol needs no new code
+here.
 """
 
 from collections.abc import Iterable
@@ -10,7 +11,7 @@ from handctl.errors import ConfigError
 
 
 class Owner(Protocol):
-    """Owner of identifiers: a drive, or the sensor node."""
+    """Node that owns identifiers: a drive, or the sensor node."""
 
     @property
     def bus(self) -> int:
@@ -19,7 +20,7 @@ class Owner(Protocol):
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Return the identifiers sent by the host alone."""
+        """Return the identifiers sent only by the host."""
         ...
 
     @property
@@ -29,10 +30,10 @@ class Owner(Protocol):
 
 
 def check_identifiers(owners: Iterable[tuple[str, Owner]]) -> None:
-    """Compare the identifiers of every node with those of every other node on its bus.
+    """Check that no two nodes on a bus share an identifier.
 
     Args:
-        owners: (key path in the hand file, node).
+        owners: pairs of the key path in the hand file and the node.
 
     Raises:
         ConfigError: two nodes share an identifier.

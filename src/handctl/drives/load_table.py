@@ -1,7 +1,8 @@
-"""Bus load of the bare protocols: time per tick of four or eleven motors at the usual bit rates.
+"""Table of the bus load of each protocol: time per tick for 4 or 11 motors at the usual bit rates.
 
-Counted are command, feedback, and load cell frames (four tendons in 8 bytes, or all in one CAN FD
-frame), and SYNC where a protocol needs SYNC. ``controller.bus_load`` has the load of a hand file.
+The time includes command, feedback, and load cell frames (four tendons in 8 bytes, or all in one
+CAN FD frame), and SYNC where a protocol needs it. ``controller.bus_load`` computes the load for a
+hand file.
 """
 
 from typing import Any, NamedTuple
@@ -16,14 +17,14 @@ TABLE_RATES_HZ = (250.0, 500.0, 1000.0)
 
 
 class TableRow(NamedTuple):
-    """One line of the table.
+    """Row of the table.
 
     Attributes:
         protocol: name and variant.
         fd: CAN FD at 1/5 Mbit/s if True, else classical CAN at 1 Mbit/s.
         motors: number of motors.
-        per_motor: payloads of a tick's frames of one motor [bytes].
-        shared: payloads of frames for all motors: tensions, SYNC [bytes].
+        per_motor: payload of each frame of one motor in a tick [bytes].
+        shared: payload of each frame that serves all motors: tensions, SYNC [bytes].
     """
 
     protocol: str
@@ -39,7 +40,7 @@ class TableRow(NamedTuple):
         return bus_time_s([(size, self.fd, 1.0) for size in sizes], NOMINAL, DATA)
 
     def numbers(self) -> dict[str, Any]:
-        """Return the line as a mapping, for programs."""
+        """Return the row as a mapping for JSON output."""
         loads = {f"{rate:g}": rate * self.tick_s for rate in TABLE_RATES_HZ}
         return self._asdict() | {"tick_us": self.tick_s * 1e6, "load": loads, "max_hz": MAX_BUS_LOAD / self.tick_s}
 

@@ -1,4 +1,4 @@
-"""Keys of a motor's section in the hand file, as far as the drives use them."""
+"""Keys of a ``[[motor]]`` section in the hand file that the drives use."""
 
 from collections.abc import Mapping
 from typing import Any, Protocol

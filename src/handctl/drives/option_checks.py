@@ -4,12 +4,12 @@ from handctl.errors import ConfigError
 
 
 def positive_number(value: object, where: str, largest: float) -> float:
-    """Return a number above 0.
+    """Return the value as a number above 0.
 
     Args:
         value: value in the hand file.
         where: key path.
-        largest: largest plausible value.
+        largest: largest accepted value.
 
     Raises:
         ConfigError: not a number above 0, or larger than ``largest``.
@@ -21,12 +21,12 @@ def positive_number(value: object, where: str, largest: float) -> float:
 
 
 def whole_number(value: object, where: str, largest: int) -> int:
-    """Return a whole number from 1 on.
+    """Return a whole number of at least 1.
 
     Args:
         value: value in the hand file. 50.0 counts as 50.
         where: key path.
-        largest: largest plausible value.
+        largest: largest accepted value.
 
     Raises:
         ConfigError: not a whole number from 1 to ``largest``.
@@ -38,7 +38,7 @@ def whole_number(value: object, where: str, largest: int) -> int:
 
 
 def boolean(value: object, where: str) -> bool:
-    """Return True or False. Numbers and strings are refused.
+    """Return the value as True or False. Numbers and strings are refused.
 
     Args:
         value: value in the hand file.

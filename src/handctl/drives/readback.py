@@ -1,13 +1,13 @@
-"""Read-back of drive settings: read, write wrong values, read again, until all values are right.
+"""Read-back of drive settings: read each setting, write it if it is wrong, and read it again.
 
-All protocols share the cursor over their list of settings. A protocol adds the payload of a
-request, and recognises the reply to the open request.
+All protocols share the ``Cursor``, the position in their list of settings. A protocol adds the
+payload of each request, and recognises the reply to the open request.
 
-Limit and watchdog make a drive the first guard. They are read again while the drive is enabled. A
-drive may restart within a few milliseconds and return enabled, with its saved settings, and
-without the settings written before arming. Feedback does not show the restart. One setting per
-drive is read each half second, in turn. The offset differs from drive to drive, and no tick
-carries the requests of several drives.
+The torque limit and the watchdog in the drive protect the hand even if the host fails. Therefore
+both are read again while the drive is enabled. A drive may restart within a few milliseconds and be
+enabled again. It then has its saved settings, but not the settings that the host wrote before
+arming. Feedback does not show the restart. Every half second one setting of each drive is read, in
+turn. Each drive has its own time offset, so that no tick contains the requests of several drives.
 """
 
 from typing import NamedTuple
@@ -15,36 +15,36 @@ from typing import NamedTuple
 REQUEST_TIMEOUT_NS = 20_000_000
 """Time after which an open request is repeated [ns]."""
 REQUEST_TRIES = 10
-"""Requests for one setting before the drive is in fault."""
+"""Number of unanswered requests for one setting after which the drive is in fault."""
 RECHECK_NS = 500_000_000
 """Time between two requests to an enabled drive [ns].
 
-On a classical bus, 11 MIT motors at 200 Hz leave no capacity for a shorter time.
+A shorter time would overload a classical bus with 11 MIT motors at 200 Hz.
 """
 RECHECKS_PER_SECOND = 1e9 / RECHECK_NS
 """Rate of requests to an enabled drive [1/s]."""
 STAGGER_NS = 37_000_000
 """Offset between drives with consecutive node numbers [ns].
 
-In milliseconds, offset and period have no common factor.
+Offset and period in milliseconds have no common factor.
 """
 RECHECK_TRIES = 20
-"""Requests in a row without an answer that count as a lost setting.
+"""Number of requests in a row without an answer after which the setting counts as lost.
 
-On a bus that loses a fifth of all frames each way, 20 lost answers in a row happen once in 10^9
-periods.
+On a bus that loses a fifth of the frames in each direction, 20 requests in a row stay unanswered
+once in 10^9 periods.
 """
 
 
 class Cursor(NamedTuple):
-    """Cursor of the read-back of a drive's settings.
+    """Position in the read-back of a drive's settings.
 
     Attributes:
-        step: index of the setting.
+        step: index of the present setting.
         writing: True if the next request writes, because the value read was wrong.
-        written: number of writes of this setting.
+        written: number of writes of this setting so far.
         sent_ns: time of the open request [ns], -1 without an open request.
-        tries: requests for this setting.
+        tries: number of requests for this setting so far.
     """
 
     step: int = 0
@@ -55,11 +55,11 @@ class Cursor(NamedTuple):
 
     @property
     def waiting(self) -> bool:
-        """Return True if a request is open."""
+        """Return True if a request has no answer yet."""
         return self.sent_ns >= 0
 
     def next_setting(self) -> "Cursor":
-        """Return the cursor at the next setting, after a correct value."""
+        """Return the cursor at the next setting, after the present one was verified."""
         return Cursor(self.step + 1)
 
     def after_write(self) -> "Cursor":
@@ -68,23 +68,23 @@ class Cursor(NamedTuple):
 
 
 def due(cursor: Cursor, t_ns: int) -> bool:
-    """Return True if no request is open, or the open request timed out."""
+    """Return True if no request waits for an answer, or if the open request timed out."""
     return not cursor.waiting or t_ns - cursor.sent_ns >= REQUEST_TIMEOUT_NS
 
 
 def sent(cursor: Cursor, t_ns: int) -> Cursor:
-    """Return the cursor after a request at ``t_ns`` [ns]."""
+    """Return the cursor after a request was sent at ``t_ns`` [ns]."""
     return cursor._replace(sent_ns=t_ns, tries=cursor.tries + 1)
 
 
 def next_request(cursor: Cursor, name: str, t_ns: int, tries: int = REQUEST_TRIES) -> tuple[Cursor, bool, str]:
-    """Decide whether to send a request for the setting, read or write.
+    """Decide whether a read or write request for the present setting is sent now.
 
     Args:
         cursor: cursor, not beyond the last setting.
         name: name of the setting.
         t_ns: time of the tick [ns].
-        tries: requests before the setting counts as not answered.
+        tries: number of requests after which the setting counts as not answered.
 
     Returns:
         the new cursor, True to send the request, and the problem in words, empty without a problem.
@@ -97,7 +97,7 @@ def next_request(cursor: Cursor, name: str, t_ns: int, tries: int = REQUEST_TRIE
 
 
 def on_wrong_value(cursor: Cursor, name: str, read: str, expected: str, writes: int) -> tuple[Cursor, str]:
-    """Request a write of a setting with a wrong value, at most ``writes`` times.
+    """Request a write of a setting whose value is wrong, at most ``writes`` times.
 
     Args:
         cursor: cursor.
@@ -116,13 +116,13 @@ def on_wrong_value(cursor: Cursor, name: str, read: str, expected: str, writes: 
 
 
 class Recheck(NamedTuple):
-    """Cursor of the repeated read-back while a drive is enabled.
+    """Position in the read-back repeated while a drive is enabled.
 
     Attributes:
         step: index of the next setting.
         due_ns: time of the next request [ns].
         waiting: True if a request is open.
-        tries: requests in a row without an answer.
+        tries: number of requests in a row without an answer.
     """
 
     step: int = 0
@@ -132,12 +132,12 @@ class Recheck(NamedTuple):
 
 
 def first_recheck(node_id: int, t_ns: int) -> Recheck:
-    """Return the cursor of a drive shortly before it is enabled at ``t_ns`` [ns]."""
+    """Return the start of the repeated read-back for a drive that is enabled at ``t_ns`` [ns]."""
     return Recheck(due_ns=_next_slot_ns(node_id, t_ns))
 
 
 def next_recheck(check: Recheck, name: str, node_id: int, t_ns: int) -> tuple[Recheck, str]:
-    """Return the cursor after a request to the enabled drive, and the problem in words.
+    """Return the position after a request to the enabled drive, and the problem in words.
 
     Args:
         check: cursor.
@@ -152,7 +152,9 @@ def next_recheck(check: Recheck, name: str, node_id: int, t_ns: int) -> tuple[Re
 def on_recheck_reply(
     check: Recheck, count: int, same: bool, name: str, answer: str, expected: str
 ) -> tuple[Recheck, str]:
-    """Compare a setting read again while enabled. A wrong value means that all settings may be lost.
+    """Compare a setting, read again while the drive is enabled, with its required value.
+
+    A wrong value means that the drive may have lost all its settings.
 
     Args:
         check: cursor.

@@ -1,12 +1,12 @@
-"""Frames as rows of bytes: exchanged with buses, read and written by kernels, stored in the log.
+"""Frames as rows of bytes. Buses exchange them, compiled code reads and writes them, and the log stores them.
 
     word 0      t_ns int64
     word 1      bits 0..31 can_id | 32..47 flags | 48..55 bus | 56..63 length
     word 2..9   data, 64 bytes
 
-All fields are little-endian. A ``Frame`` object exists where code handles a single frame: in
-python-can interfaces, tests, tools, and the state machines of drives. ``Frames`` is a sequence of
-frames over the rows, which builds ``Frame`` objects on access.
+All fields are little-endian. Code that handles single frames uses ``Frame`` objects: python-can
+interfaces, tests, tools, and the state machines of drives. ``Frames`` is a sequence of frames over
+the rows, which builds ``Frame`` objects on access.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -24,7 +24,7 @@ RECORD = np.dtype(
 SIZE = RECORD.itemsize
 """Size of a record [bytes]."""
 SHORT = 24
-"""Length of the leading part of a record that holds a payload of at most eight bytes [bytes]."""
+"""Length of the first part of a record, sufficient for a payload of at most eight bytes [bytes]."""
 Records = NDArray[np.void]
 Rows = NDArray[np.uint64]
 WORDS = SIZE // 8
@@ -40,7 +40,7 @@ LENGTH_BIT = 56
 
 
 class Frames(Sequence[Frame]):
-    """Sequence of frames over their records. It equals any sequence of equal frames.
+    """Sequence of frames stored as records. It equals any sequence with equal frames.
 
     Attributes:
         records: (n,) of ``RECORD``.
@@ -49,17 +49,17 @@ class Frames(Sequence[Frame]):
     __slots__ = ("records",)
 
     def __init__(self, records: Records) -> None:
-        """Wrap records, without a copy."""
+        """Use the records without a copy."""
         self.records = records
 
     @staticmethod
     def of_rows(rows: Rows) -> "Frames":
-        """Return the frames of contiguous words (n, WORDS)."""
+        """Return the frames stored in contiguous words (n, WORDS)."""
         return Frames(rows.reshape(-1).view(RECORD))
 
     @property
     def rows(self) -> Rows:
-        """Return the records as words of eight bytes (n, WORDS), for kernels."""
+        """Return the records as words of eight bytes (n, WORDS), for compiled code."""
         return self.records.view(np.uint64).reshape(-1, WORDS)
 
     def __len__(self) -> int:
@@ -78,20 +78,20 @@ class Frames(Sequence[Frame]):
         return Frame(can_id, data.tobytes()[:length], flags, bus, t_ns)
 
     def __iter__(self) -> Iterator[Frame]:
-        """Yield the frames, with one conversion per column for speed."""
+        """Yield the frames. Each column is converted once, for speed."""
         data = self.records["data"].tobytes()
         columns = [self.records[name].tolist() for name in ("can_id", "length", "flags", "bus", "t_ns")]
         for i, (can_id, length, flags, bus, t_ns) in enumerate(zip(*columns, strict=True)):
             yield Frame(can_id, data[64 * i : 64 * i + length], flags, bus, t_ns)
 
     def __eq__(self, other: object) -> bool:
-        """Compare the rows, or the frames of any other sequence."""
+        """Return True if the other sequence has equal frames."""
         if isinstance(other, Frames):
             return bool(np.array_equal(self.rows, other.rows))
         return isinstance(other, Sequence) and tuple(self) == tuple(other)
 
     def __hash__(self) -> int:
-        """Return the hash of the bytes."""
+        """Return the hash of the record bytes."""
         return hash(self.rows.tobytes())
 
     def __repr__(self) -> str:
@@ -104,7 +104,7 @@ EMPTY = Frames(np.empty(0, RECORD))
 
 
 def frames_of(frames: Iterable[Frame]) -> Frames:
-    """Return frames as records.
+    """Return the frames as records.
 
     Raises:
         ValueError: a payload of more than 64 bytes.
@@ -125,7 +125,7 @@ def frames_of(frames: Iterable[Frame]) -> Frames:
 
 
 def joined(parts: Sequence[Frames]) -> Frames:
-    """Return the concatenation of several sequences of frames."""
+    """Return several sequences of frames joined to one."""
     some = [part for part in parts if len(part)]
     if len(some) < 2:
         return some[0] if some else EMPTY

@@ -1,4 +1,4 @@
-"""Registry of protocols, one line each."""
+"""Registry of the drive protocols, one line per protocol."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -22,11 +22,11 @@ from handctl.errors import ConfigError
 
 
 class ProtocolEntry(NamedTuple):
-    """Entry of a protocol.
+    """Constructor and discovery functions of one protocol.
 
     Attributes:
         make: constructor of a drive from a motor description and a bus index.
-        discovery: discovery of the protocol, None if every request would be a command.
+        discovery: discovery functions of the protocol, None if its drives answer only commands.
     """
 
     make: Callable[[MotorDescription, int], Drive]
@@ -48,7 +48,7 @@ DISCOVERIES: dict[str, Discovery] = {
 }
 """Discovery of each protocol and of the sensor node."""
 UNDISCOVERED = tuple(name for name, entry in PROTOCOLS.items() if not entry.discovery)
-"""Protocols whose drives a scan cannot find: they answer commands only."""
+"""Protocols whose drives a scan cannot find, because they answer only commands."""
 
 
 def make_drive(motor: MotorDescription, bus: int) -> Drive:

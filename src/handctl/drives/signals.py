@@ -5,11 +5,11 @@ One compiled packer and one compiled unpacker serve all protocols. The same tabl
 first byte. The start of a little-endian signal is its lowest bit. The start of a big-endian signal
 is its highest bit.
 
-A signal is read from a window of eight bytes. The window begins at byte 0, or at the first byte of
-a signal that ends behind byte 7. Payloads of CAN FD have up to 64 bytes.
+A signal is read from a window of eight bytes. The window begins at byte 0. For a signal that ends
+after byte 7, it begins at the first byte of the signal. Payloads of CAN FD have up to 64 bytes.
 
-A command may have a signal in its identifier. The identifier is the word before the payload, hence
-its lowest bit has the number -64.
+A command may have a signal in its identifier. The identifier is the word before the payload, so its
+lowest bit has the number -64.
 """
 
 import enum
@@ -34,18 +34,18 @@ class Quantity(enum.IntEnum):
     VELOCITY = 1
     TORQUE = 2
     TEMPERATURE = 3
-    """Of several temperatures in a frame the hottest is used."""
+    """Temperature. If a frame has several, the highest is used."""
     STATUS = 4
-    """Several status signals in a frame form one number, the first in its highest bits."""
+    """Status. Several status signals in a frame form one number, with the first signal in the highest bits."""
     TENSION = 5
     ANGLE = 6
     COUNTER = 7
     UNUSED = 8
-    """Constant in commands, ignored in feedback."""
+    """Constant value in commands. Ignored in feedback."""
 
 
 class Coding(enum.IntEnum):
-    """Coding of a raw value."""
+    """Coding of the bits of a signal."""
 
     UNSIGNED = 0
     SIGNED = 1
@@ -60,14 +60,14 @@ class Signal(NamedTuple):
     Attributes:
         name: name of the signal.
         quantity: physical quantity.
-        start: start bit, as in a DBC. From -64 on in an identifier.
+        start: start bit, as in a DBC. In an identifier, counted from -64.
         length: number of bits.
         big_endian: byte order.
         coding: coding of the count.
         scale: value of one count [unit].
         offset: value of count 0 [unit].
         unit: unit of the value.
-        channel: index of the tendon or joint, in a frame with several.
+        channel: index of the tendon or joint, in a frame with several tendons or joints.
     """
 
     name: str
@@ -88,7 +88,7 @@ class Message(NamedTuple):
     Attributes:
         name: name of the message.
         can_id: identifier with the flag bits of ``frame``.
-        length: payload [bytes].
+        length: length of the payload [bytes].
         signals: signals in the frame.
         flags: flags of the frame, see ``frame``.
         base: payload of a command with all signals 0.
@@ -124,10 +124,11 @@ class Cyclic(NamedTuple):
 START, LENGTH, ORDER, CODING, QUANTITY, CHANNEL, WINDOW = range(7)
 """Columns of the integer array that describes signals to the packer and the unpacker.
 
-START is the signal's lowest bit in its window, WINDOW the first byte of the window, or IN_IDENTIFIER.
+START is the lowest bit of the signal in its window. WINDOW is the first byte of the window, or
+IN_IDENTIFIER.
 """
 IN_IDENTIFIER = -8
-"""Window of a signal in the identifier, the word before the payload."""
+"""Value of WINDOW for a signal in the identifier."""
 IDENTIFIER_BIT = -64
 """Number of the lowest bit of the identifier, as a start bit."""
 COLUMNS = 7
@@ -139,7 +140,7 @@ SCALE, OFFSET = range(2)
 
 
 def whole_columns(signal: Signal) -> tuple[int, ...]:
-    """Return the integer columns of a signal. The start is its lowest bit in its window."""
+    """Return the values of the integer columns for a signal. Its start is the lowest bit in its window."""
     order, coding, quantity = int(signal.big_endian), int(signal.coding), int(signal.quantity)
     if signal.start < 0:
         start = signal.start - IDENTIFIER_BIT
@@ -157,7 +158,7 @@ def whole_columns(signal: Signal) -> tuple[int, ...]:
 
 @inner
 def window_at(words: Any, first: int, byte: int) -> Any:
-    """Return eight bytes (uint64) of a payload, from a byte on. Bytes behind the last word are 0.
+    """Return eight bytes of a payload as uint64, from the given byte on. Bytes after the last word are 0.
 
     Args:
         words: (n,) uint64 words of a row.
@@ -175,7 +176,7 @@ def window_at(words: Any, first: int, byte: int) -> Any:
 
 @inner
 def put_window(words: Any, first: int, byte: int, bits: Any) -> None:
-    """Add bits (uint64) to eight bytes of a payload with zeros at their positions.
+    """Write the bits of a signal (uint64) into a payload that has zeros at their positions.
 
     Args:
         words: (n,) uint64 words of a row.
@@ -192,7 +193,7 @@ def put_window(words: Any, first: int, byte: int, bits: Any) -> None:
 
 @inner
 def swapped(value: Any) -> Any:
-    """Return a word of eight bytes (uint64) with the bytes in opposite order."""
+    """Return a word of eight bytes (uint64) with its bytes in reverse order."""
     result = np.uint64(0)
     for _ in range(8):
         result = result << np.uint64(8) | value & np.uint64(0xFF)
@@ -202,7 +203,7 @@ def swapped(value: Any) -> Any:
 
 @inner
 def unpacked(value: Any, wholes: Whole, reals: Real, i: int) -> float:
-    """Return the value of signal i in a word, NaN for a float that is not finite."""
+    """Return the value of signal i from a window, or NaN for a float that is not finite."""
     length = wholes[i, LENGTH]
     mask = (np.uint64(1) << np.uint64(length)) - np.uint64(1)
     bits = (value >> np.uint64(wholes[i, START])) & mask
@@ -220,9 +221,9 @@ def unpacked(value: Any, wholes: Whole, reals: Real, i: int) -> float:
 
 @inner
 def packed(value: float, wholes: Whole, reals: Real, i: int) -> Any:
-    """Return the bits of signal i at their position in a word.
+    """Return the bits of signal i at their position in a window.
 
-    The caller guarantees a finite value within range. Half a count is rounded up.
+    The value must be finite and within range. Half a count is rounded up.
     """
     # floor(x + 0.5), since round() goes to the even neighbour. The mask cuts the sign extension.
     scaled = (value - reals[i, OFFSET]) / reals[i, SCALE]
@@ -236,7 +237,10 @@ def packed(value: float, wholes: Whole, reals: Real, i: int) -> Any:
 
 @kernel("words", "matrix_int", "matrix")
 def unpack_rows(data: Words, rows: Whole, reals: Real) -> Real:
-    """Return the values (signals,) of identifier and payload (1, words). The arrays have one row per signal."""
+    """Return the value of each signal (signals,) from an identifier and payload (1, words).
+
+    The arrays have one row per signal.
+    """
     result = np.empty(len(rows))
     for i in range(len(rows)):
         value = window_at(data[0], 1, rows[i, WINDOW])
@@ -246,14 +250,17 @@ def unpack_rows(data: Words, rows: Whole, reals: Real) -> Real:
 
 @kernel("words", "matrix_int", "matrix", "vector")
 def pack_rows(data: Words, rows: Whole, reals: Real, values: Real) -> None:
-    """Write values (signals,) into identifier and payload (1, words) with zeros at their positions."""
+    """Write the value of each signal (signals,) into identifier and payload (1, words).
+
+    The bits at the positions of the signals must be zero.
+    """
     for i in range(len(rows)):
         bits = packed(values[i], rows, reals, i)
         put_window(data[0], 1, rows[i, WINDOW], swapped(bits) if rows[i, ORDER] else bits)
 
 
 class Table:
-    """Signals of a message as arrays for the packer and the unpacker.
+    """Signals of a message as arrays, for the packer and the unpacker.
 
     Attributes:
         message: the message.
@@ -262,7 +269,7 @@ class Table:
     """
 
     def __init__(self, message: Message) -> None:
-        """Build the arrays of a message. Unused signals are left out."""
+        """Build the arrays of a message. Signals of quantity UNUSED are left out."""
         self.message = message
         signals = [signal for signal in message.signals if signal.quantity != Quantity.UNUSED]
         self.wholes: Whole = np.array([whole_columns(signal) for signal in signals], dtype=np.int64).reshape(
@@ -276,7 +283,7 @@ class Table:
         return values
 
     def pack(self, *values: float) -> bytes:
-        """Return the payload with one value per signal.
+        """Return the payload that contains one value per signal.
 
         Raises:
             ValueError: a value is not finite, or its torque is beyond the limit.
@@ -284,7 +291,7 @@ class Table:
         return self.pack_frame(*values)[1]
 
     def pack_frame(self, *values: float) -> tuple[int, bytes]:
-        """Return identifier and payload with one value per signal.
+        """Return the identifier and the payload that contain one value per signal.
 
         Raises:
             ValueError: a value is not finite, or its torque is beyond the limit.
@@ -298,7 +305,7 @@ class Table:
         return int(data[0, 0]), data[0, 1:].tobytes()[: self.message.length]
 
     def _words(self, data: bytes) -> Words:
-        """Return identifier and payload as words (1, words), with zeros up to the length of the message or more."""
+        """Return identifier and payload as words (1, words), with zeros appended if the payload is shorter."""
         size = 8 * max(1, -(-self.message.length // 8))
         head = self.message.can_id.to_bytes(8, "little")
         return np.frombuffer(head + data.ljust(size, b"\0")[:size], np.uint64).reshape(1, -1).copy()

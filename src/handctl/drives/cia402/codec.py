@@ -72,7 +72,10 @@ NEXT = {
     SWITCHED_ON: ENABLE_OPERATION,
     OPERATION_ENABLED: ENABLE_OPERATION,
 }
-"""Control word of the next step towards operation enabled. DISABLE_VOLTAGE for all other states."""
+"""Control word for the next step towards operation enabled, by power state.
+
+Other states get DISABLE_VOLTAGE.
+"""
 
 ERRORS = {
     0x2310: "over-current", 0x3210: "DC bus over-voltage", 0x3220: "DC bus under-voltage",
@@ -93,16 +96,18 @@ ABORTS = {
 
 
 ENABLED_STATUS = 0x07 << 2 | 0x01
-"""State and stop bits of operation enabled, joined as in ``feedback_message``."""
+"""Value of the state and stop bits in operation enabled, joined as in ``feedback_message``."""
 
 
 def state_of(status: int) -> str:
-    """Return the power state in a status word, empty for an undefined one."""
+    """Return the power state coded in a status word, or an empty string for an undefined code."""
     return next((state for mask, value, state in _STATES if status & mask == value), "")
 
 
 def feedback_message(node_id: int, counts: int, ratio: float, rated: float, zero: float) -> Message:
-    """Return TPDO1: status word, position [count], torque [1/1000 of rated], all at the shaft.
+    """Return the signal table of TPDO1: status word, position [count], torque [1/1000 of rated].
+
+    Position and torque are at the motor's shaft.
 
     Args:
         node_id: node number of the drive.
@@ -125,7 +130,7 @@ def feedback_message(node_id: int, counts: int, ratio: float, rated: float, zero
 
 
 def command_message(node_id: int, ratio: float, rated: float, limit: float) -> Message:
-    """Return RPDO1 while enabled: control word, target torque [1/1000 of rated].
+    """Return the signal table of RPDO1 while enabled: control word, target torque [1/1000 of rated].
 
     Args:
         node_id: node number of the drive.
@@ -140,29 +145,29 @@ def command_message(node_id: int, ratio: float, rated: float, limit: float) -> M
 
 
 def error_text(code: int) -> str:
-    """Return an emergency's error code in words."""
+    """Return the text for an emergency error code."""
     return ERRORS.get(code, f"error {code:#06x}")
 
 
 def abort_text(code: int) -> str:
-    """Return an SDO abort code in words."""
+    """Return the text for an SDO abort code."""
     return ABORTS.get(code, f"abort {code:#010x}")
 
 
 def upload(index: int, sub: int) -> bytes:
-    """Return the request to read an object."""
+    """Return the SDO payload that requests the value of an object."""
     # 0x40: initiate upload, from the drive to the host.
     return struct.pack("<BHB4x", 0x40, index, sub)
 
 
 def download(index: int, sub: int, raw: bytes) -> bytes:
-    """Return the request to write an object of one to four bytes."""
+    """Return the SDO payload that writes one to four bytes to an object."""
     # 0x23: initiate download, expedited, size in bits 2..3 as the number of unused bytes.
     return struct.pack("<BHB4s", 0x23 | (4 - len(raw)) << 2, index, sub, raw)
 
 
 class SdoReply(NamedTuple):
-    """Object, value read (empty after a write), and abort code, 0 without an abort."""
+    """SDO reply: object, value read (empty after a write), and abort code (0 without an abort)."""
 
     number: int
     sub: int
@@ -171,7 +176,7 @@ class SdoReply(NamedTuple):
 
 
 def sdo_reply(data: bytes) -> SdoReply | None:
-    """Return the SDO reply in 8 bytes, or None for any other specifier."""
+    """Decode 8 bytes of an SDO reply, or return None if the specifier is not a reply to a read or write."""
     specifier, index, sub = struct.unpack_from("<BHB", data)
     # 0x80 abort, 0x60 write confirmed, 0x43 value with the number of unused bytes in bits 2..3.
     if specifier == 0x80:

@@ -35,7 +35,7 @@ def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
 
 
 def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
-    """Return the nodes with a device type, and nodes with heartbeats but without a device type."""
+    """Return the discovered nodes: those that reported a device type, and those that only sent heartbeats."""
     types: dict[int, int] = {}
     states: dict[int, int] = {}
     answers: dict[int, dict[int, list[bytes]]] = {}
@@ -56,7 +56,7 @@ def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
 
 
 def _node(number: int, device_type: int | None, nmt: int | None, twins: bool) -> DiscoveredNode:
-    """Return the data of a node."""
+    """Return the discovered node with its data."""
     state = NMT_STATES.get(nmt, f"NMT state {nmt:#x}") if nmt is not None else ""
     if device_type is None:
         return DiscoveredNode("canopen", number, state=state, notes=("sends heartbeats, but does not answer an SDO",))
@@ -69,24 +69,24 @@ def _node(number: int, device_type: int | None, nmt: int | None, twins: bool) ->
 
 
 def command_ids(node: DiscoveredNode) -> frozenset[int]:
-    """Return NMT, SYNC, and the node's RPDOs and SDO requests."""
+    """Return the identifiers that a node obeys: NMT, SYNC, its RPDOs, and its SDO requests."""
     node_ids = {base + node.node_id for base in (codec.SDO_REQUEST, *_RPDOS)}
     return frozenset(node_ids | {codec.NMT, codec.SYNC})
 
 
 def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return SYNC, NMT, and heartbeats of another handctl."""
+    """Return the received frames sent by another host: SYNC, NMT, heartbeats of handctl."""
     identifiers = (codec.NMT, codec.SYNC, codec.HEARTBEAT + MASTER)
     return tuple(frame for frame in received if frame.can_id & ~REMOTE in identifiers)
 
 
 def ping(node: DiscoveredNode) -> Frame:
-    """Return the request for the device type."""
+    """Return the SDO request that reads the device type of a node."""
     return Frame(codec.SDO_REQUEST + node.node_id, codec.upload(DEVICE_TYPE, 0))
 
 
 def is_pong(node: DiscoveredNode, frame: Frame) -> bool:
-    """Return True for an SDO reply of the node."""
+    """Return True if the frame is an SDO reply of the node."""
     return frame.can_id == codec.SDO_REPLY + node.node_id and len(frame.data) == 8
 
 

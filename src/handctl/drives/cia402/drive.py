@@ -1,9 +1,10 @@
 """CiA 402 drive in cyclic synchronous torque mode over CANopen: from silence to torque, and back.
 
-A tick is one RPDO (control word, target torque) and one TPDO (status word, position, torque). The
-drive sends the TPDO at SYNC. The SYNC of the sensor node has the same identifier 0x080 and serves
-both. On a bus without a sensor node, one drive has the option ``sync``. This host's heartbeat is
-the drive's watchdog. Only a status word counts as enabled or disabled.
+In each tick the host sends one RPDO (control word, target torque), and the drive sends one TPDO
+(status word, position, torque). The drive sends the TPDO at SYNC. The SYNC of the sensor node has
+the same identifier 0x080 and serves both. On a bus without a sensor node, the option ``sync`` of
+one drive makes handctl send SYNC. This host's heartbeat is the drive's watchdog. Only a status word
+proves that the drive is enabled or disabled.
 """
 
 import math
@@ -44,7 +45,7 @@ UNITS = {"uN_m": 1e6, "mN_m": 1e3}
 
 @dataclass(frozen=True, slots=True)
 class Cia402Drive:
-    """One motor. Implements ``contract.Drive``.
+    """Motor on a CiA 402 drive. Implements ``contract.Drive``.
 
     Attributes:
         name: name of the motor.
@@ -56,8 +57,8 @@ class Cia402Drive:
         zero: angle at the shaft of the spool's zero [rad].
         rated: rated torque at the shaft [N m].
         counts: position counts per turn of the shaft.
-        steps: required objects.
-        sync: True if SYNC follows the command.
+        steps: objects with the values required before arming.
+        sync: True if the host sends SYNC after the command of this drive.
         heartbeat_period_ns: period of this host's heartbeat [ns].
         life_sign_timeout_ns: longest time without a sign of life [ns].
         command: signal table of the command, from the fields above.
@@ -132,12 +133,12 @@ class Cia402Drive:
 
     @property
     def exchange(self) -> tuple[tuple[int, bool], ...]:
-        """Return RPDO, TPDO, and SYNC if sent here."""
+        """Return the frames of a tick: RPDO, TPDO, and SYNC with the option ``sync``."""
         return ((4, False), (8, False), *(((0, False),) if self.sync else ()))
 
     @property
     def background(self) -> tuple[tuple[int, bool, float], ...]:
-        """Return both heartbeats, and the objects read again."""
+        """Return the periodic frames: both heartbeats, and the SDO transfers of the repeated read-back."""
         beats = (
             (1, False, HEARTBEATS_MISSED * 1e9 / self.life_sign_timeout_ns),
             (1, False, 1e9 / self.heartbeat_period_ns),
@@ -146,28 +147,28 @@ class Cia402Drive:
 
     @property
     def extended(self) -> bool:
-        """Return False: all identifiers have 11 bits."""
+        """Return False, because all identifiers have 11 bits."""
         return False
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Return NMT, RPDO, SDO requests, and the master's heartbeat."""
+        """Return the identifiers of NMT, RPDO, SDO requests, and the host's heartbeat."""
         return frozenset((codec.NMT, codec.RPDO + self.node_id, codec.SDO_REQUEST + self.node_id, _MASTER_BEAT))
 
     @property
     def node_ids(self) -> frozenset[int]:
-        """Return TPDO, SDO replies, emergency, and heartbeat."""
+        """Return the identifiers of TPDO, SDO replies, emergency, and the drive's heartbeat."""
         bases = (codec.TPDO, codec.SDO_REPLY, codec.EMERGENCY, codec.HEARTBEAT)
         return frozenset(base + self.node_id for base in bases)
 
     @property
     def unverified_guards(self) -> tuple[str, ...]:
-        """Return no entry: every setting is read back."""
+        """Return an empty tuple, because every setting is read back."""
         return ()
 
     @property
     def one_reply_per_command(self) -> bool:
-        """Return True: one TPDO per SYNC."""
+        """Return True, because the drive sends one TPDO per SYNC."""
         return True
 
     @property
@@ -177,37 +178,37 @@ class Cia402Drive:
 
     @property
     def feedback_period_s(self) -> float:
-        """Return 0: SYNC requests feedback."""
+        """Return 0, because SYNC requests feedback in every tick."""
         return 0.0
 
     @property
     def cyclic(self) -> Cyclic:
-        """Return RPDO, TPDO, and SYNC if sent here."""
+        """Return the signal tables of RPDO and TPDO, and SYNC with the option ``sync``."""
         sync = (Message("sync", codec.SYNC, 0, answers=False),) if self.sync else ()
         return Cyclic((self.feedback.message,), (self.command.message, *sync), self.life_sign_timeout_ns)
 
     def steady_status(self, state: DriveState) -> int:
-        """Return the status of a drive enabled by this host."""
+        """Return the feedback status of a drive that this host has enabled, else UNSTEADY."""
         progress = progress_of(state)
         steady = state.phase == ENABLED and progress.enable_sent and progress.disabling_ns < 0
         return codec.ENABLED_STATUS if steady else UNSTEADY
 
     def due_ns(self, state: DriveState) -> int:
-        """Return the time of this host's next heartbeat or read-back [ns]."""
+        """Return the time at which this host must send its heartbeat or read an object back [ns]."""
         progress = progress_of(state)
         return min(progress.check.due_ns, progress.heartbeat_sent_ns + self.heartbeat_period_ns)
 
     @property
     def guards(self) -> tuple[setup.Step, ...]:
-        """Return the objects read again while enabled."""
+        """Return the objects that are read back again while the drive is enabled."""
         return tuple(step for step in self.steps if (step.number, step.sub) in setup.GUARDS)
 
     def initial(self) -> DriveState:
-        """Return the silent state."""
+        """Return the state before the first frame."""
         return DriveState(private=Cia402Progress())
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
-        """Apply one received frame, see ``contract.Drive``."""
+        """Return the state after one received frame, see ``contract.Drive``."""
         if frame.bus != self.bus or frame.can_id not in self.node_ids:
             return state
         service = frame.can_id - self.node_id
@@ -224,7 +225,7 @@ class Cia402Drive:
         return state._replace(private=progress_of(state)._replace(code=code)) if code else state
 
     def _on_object(self, state: DriveState, data: bytes) -> DriveState:
-        """Apply an SDO reply."""
+        """Update the state with an SDO reply."""
         progress = progress_of(state)
         reply = codec.sdo_reply(data)
         if reply is not None and state.phase == ENABLED and progress.check.waiting:
@@ -237,7 +238,7 @@ class Cia402Drive:
         return to_fault(updated, MISMATCH, problem) if problem else updated
 
     def _on_recheck_reply(self, state: DriveState, progress: Cia402Progress, reply: codec.SdoReply) -> DriveState:
-        """Compare an object read again while enabled."""
+        """Compare the value of an object, read again while the drive is enabled, with the required value."""
         step = self.guards[progress.check.step]
         if reply[:2] != (step.number, step.sub) or not (reply.raw or reply.abort):
             return state
@@ -251,7 +252,11 @@ class Cia402Drive:
         return to_fault(updated, MISMATCH, problem) if problem else updated
 
     def _on_feedback(self, state: DriveState, frame: Frame) -> DriveState:
-        """Apply values and power state. Before the read-back is complete, a TPDO may hold anything."""
+        """Update the state with a TPDO: values and power state.
+
+        Before the read-back is complete, the mapping of the TPDO is unknown and its values are not
+        used.
+        """
         progress = progress_of(state)
         if progress.cursor.step < len(self.steps):
             return state
@@ -284,7 +289,7 @@ class Cia402Drive:
     def _command(
         self, state: DriveState, t_ns: int, target: DriveTarget, torque: float
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state and the frames of the requested drive state, without heartbeat and SYNC."""
+        """Return the next state and the frames for the requested drive state, except heartbeat and SYNC."""
         progress = progress_of(state)
         if target == DISABLE or (state.phase == ENABLED and (target != ENABLE or progress.disabling_ns >= 0)):
             return self._disable(state, progress, t_ns)
@@ -309,7 +314,7 @@ class Cia402Drive:
     def _next_recheck(
         self, state: DriveState, progress: Cia402Progress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Request an object of the enabled drive, if due."""
+        """Return the next read-back request for an enabled drive, if its time has come."""
         if t_ns < progress.check.due_ns:
             return state, ()
         step = self.guards[progress.check.step]
@@ -320,7 +325,9 @@ class Cia402Drive:
         return state, (Frame(codec.SDO_REQUEST + self.node_id, codec.upload(step.number, step.sub), 0, self.bus),)
 
     def _disable(self, state: DriveState, progress: Cia402Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Disable the drive. A possibly enabled drive counts as enabled until a status word reports disabled.
+        """Return the state and the frames that disable the drive.
+
+        A drive that may be enabled counts as enabled until a status word reports disabled.
 
         Status words need the NMT state operational: NMT start is repeated without feedback.
         """
@@ -336,7 +343,10 @@ class Cia402Drive:
     def _configure(
         self, state: DriveState, progress: Cia402Progress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next SDO request. Before the first one the node becomes pre-operational."""
+        """Return the state and the next SDO request.
+
+        Before the first request the node is set to pre-operational.
+        """
         cursor, data, problem = setup.next_request(progress.cursor, self.steps, t_ns)
         updated = state._replace(private=progress._replace(cursor=cursor))
         if problem:
@@ -345,7 +355,7 @@ class Cia402Drive:
         return updated, (self._nmt(codec.PRE_OPERATIONAL), *frames) if cursor.step == 0 and data else frames
 
     def _start(self, state: DriveState, progress: Cia402Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Make the node operational, and wait for a status word.
+        """Return the state and the frames that make the node operational, until a status word arrives.
 
         A fault cleared by the operator is reset by the rising edge of a control bit.
         """
@@ -361,7 +371,7 @@ class Cia402Drive:
         return state._replace(error_text=text, private=updated), (self._nmt(codec.START),)
 
     def _rpdo(self, control: int, torque: float) -> Frame:
-        """Return RPDO1 with a control word and a torque [N m at the spool]."""
+        """Return the RPDO1 frame with a control word and a torque [N m at the spool]."""
         try:
             data = struct.pack("<H", control) + self.command.pack(torque)[2:]
         except ValueError as error:
@@ -369,23 +379,25 @@ class Cia402Drive:
         return Frame(codec.RPDO + self.node_id, data, 0, self.bus)
 
     def _nmt(self, order: int) -> Frame:
-        """Return an NMT command to the node."""
+        """Return the frame of an NMT command to the node."""
         return Frame(codec.NMT, bytes((order, self.node_id)), 0, self.bus)
 
     def identity(self, state: DriveState) -> str:
-        """Return the serial number of object 0x1018:4, an optional object, or the node number."""
+        """Return the serial number from object 0x1018:4, or the node number if the drive lacks this object."""
         return f"{serial:#x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
     def cause(self, error: int) -> Cause:
-        """Return the cause of an error, see ``contract.Drive``."""
+        """Return the cause of an error code, see ``contract.Drive``."""
         return CAUSES.get(error, Cause.OTHER if error in codec.ERRORS else Cause.UNKNOWN)
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
-        """Return an RPDO with a target torque [N m at the spool] and a control word that keeps the power stage off."""
+        """Return an RPDO with a target torque [N m at the spool] that leaves the power stage off."""
         return (self._rpdo(codec.DISABLE_VOLTAGE, torque),)
 
     def cut(self) -> tuple[Frame, ...]:
-        """Return DISABLE_VOLTAGE, then NMT pre-operational, a fault by object 0x6007.
+        """Return the frames that remove the torque: DISABLE_VOLTAGE, then NMT pre-operational.
+
+        Pre-operational makes the drive fault through object 0x6007.
 
         The order matters. A node outside operational reads no PDO, and CiA 402-2 does not require the loss
         of torque on entry to pre-operational.
@@ -393,14 +405,17 @@ class Cia402Drive:
         return (self._rpdo(codec.DISABLE_VOLTAGE, 0.0), self._nmt(codec.PRE_OPERATIONAL))
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
-        """Return the end of heartbeat supervision. Silence after a run would otherwise latch a fault."""
+        """Return the SDO request that ends the supervision of the host's heartbeat.
+
+        Without this request the drive would latch a fault when the host is silent after a run.
+        """
         if state.phase != READY:
             return ()
         data = codec.download(*setup.UNSUPERVISED)
         return (Frame(codec.SDO_REQUEST + self.node_id, data, 0, self.bus),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Start again with the object read-back, and reset the fault at its end."""
+        """Return the state that repeats the read-back of all objects and then resets the fault."""
         power = progress_of(state).power
         fresh = Cia402Progress(power="" if power == codec.FAULT else power, clearing=CLEAR_TRIES)
         updated = state._replace(phase=SILENT, error=0, error_text="", private=fresh)

@@ -20,18 +20,18 @@ CAUSES = {
     0x8250: Cause.WATCHDOG, 0x8100: Cause.DROPPED_OUT, DROPPED_OUT: Cause.DROPPED_OUT, LOST: Cause.LOST,
     MISMATCH: Cause.MISMATCH, ENABLED_BY_OTHERS: Cause.MISMATCH,
 }  # fmt: skip
-"""Causes by the code of the emergency, and by the error codes of the host."""
+"""Cause of each emergency code and of each error code added by handctl."""
 CLEAR_TRIES = 20
-"""Status words that may still show a fault while the fault is being cleared."""
+"""Number of status words that may still show a fault after the command to clear it."""
 REPEAT_NS = 20_000_000
 """Time between repeated NMT commands [ns]."""
 
 
 class Cia402Progress(NamedTuple):
-    """Progress of CiA 402, the content of ``DriveState.private``.
+    """State of the CiA 402 state machine between frames, stored in ``DriveState.private``.
 
     Attributes:
-        cursor: cursor of the object read-back.
+        cursor: position in the list of objects to read back.
         power: latest power state, empty before the first.
         code: error code of the latest emergency.
         life_sign_ns: time of the latest heartbeat or status word [ns], -1 before the first.
@@ -39,8 +39,8 @@ class Cia402Progress(NamedTuple):
         heartbeat_sent_ns: time of this host's latest heartbeat [ns].
         enable_sent: True from the enable command to the next report of disabled.
         disabling_ns: time of the first disable command [ns], -1 without one.
-        clearing: status words that may still show the fault being cleared.
-        check: cursor of the read-back while enabled.
+        clearing: status words left to ignore while the fault is being cleared.
+        check: position in the read-back repeated while enabled.
         serial: serial number, 0 if unknown.
     """
 
@@ -58,22 +58,22 @@ class Cia402Progress(NamedTuple):
 
     @property
     def may_be_enabled(self) -> bool:
-        """Return True after an enable command, or in a state with the power stage on."""
+        """Return True if an enable command was sent, or if the power stage is reported on."""
         return self.enable_sent or (self.power != "" and self.power not in codec.WITHOUT_TORQUE)
 
 
 def progress_of(state: DriveState) -> Cia402Progress:
-    """Return the private part of a state."""
+    """Return the CiA 402 part of a drive state."""
     return cast(Cia402Progress, state.private)
 
 
 def to_fault(state: DriveState, error: int, text: str) -> DriveState:
-    """Return the state with an error."""
+    """Return the state in phase FAULT with an error code and its text."""
     return state._replace(phase=FAULT, error=error, error_text=text)
 
 
 def apply_power_state(state: DriveState, progress: Cia402Progress) -> DriveState:
-    """Apply a power state."""
+    """Return the state after a status word reported a power state."""
     power = progress.power
     updated = state._replace(private=progress)
     if power == codec.FAULT:
@@ -100,7 +100,7 @@ def apply_power_state(state: DriveState, progress: Cia402Progress) -> DriveState
 
 
 def _has_fault(state: DriveState, progress: Cia402Progress) -> DriveState:
-    """Apply a drive fault: no torque, and the error code of the emergency if one was received."""
+    """Return the state after the drive reported a fault: no torque, and the code of the last emergency."""
     if progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
     off = state._replace(private=progress._replace(enable_sent=False, disabling_ns=-1))
@@ -109,7 +109,11 @@ def _has_fault(state: DriveState, progress: Cia402Progress) -> DriveState:
 
 
 def on_heartbeat(state: DriveState, frame: Frame) -> DriveState:
-    """Apply a heartbeat. A drive no longer operational lost its objects, or was stopped."""
+    """Return the state after a heartbeat of the drive.
+
+    A drive that has left the NMT state operational was stopped, or has restarted and lost its
+    objects.
+    """
     progress = progress_of(state)._replace(life_sign_ns=frame.t_ns)
     if frame.data[0] == codec.OPERATIONAL or state.phase not in (READY, ENABLED) or progress.disabling_ns >= 0:
         return state._replace(private=progress)
@@ -120,7 +124,11 @@ def on_heartbeat(state: DriveState, frame: Frame) -> DriveState:
 
 
 def on_timeout(state: DriveState) -> DriveState:
-    """Apply missing signs of life. An enabled drive is in fault, another one may have lost its objects."""
+    """Return the state after the drive was silent for too long.
+
+    An enabled drive is then in fault. A disabled drive may have restarted, so its objects are read
+    back again.
+    """
     progress = progress_of(state)
     if state.phase == FAULT or progress.disabling_ns >= 0:
         return state

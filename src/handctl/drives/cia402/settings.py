@@ -13,7 +13,7 @@ from handctl.drives.cia402 import codec
 from handctl.drives.readback import Cursor
 
 UNLIMITED = 1 << 62
-"""Number of requests without an end."""
+"""Unlimited number of requests, for an object requested until the drive answers."""
 TORQUE_MODE = 10
 """Mode of operation: cyclic synchronous torque."""
 PDO_OFF = 1 << 31
@@ -21,26 +21,26 @@ PDO_OFF = 1 << 31
 MASTER = 0x7F
 """Node number of this host, whose heartbeat the drives supervise."""
 UNSUPERVISED = 0x1016, 1, (MASTER << 16).to_bytes(4, "little")
-"""Number, sub-index, and bytes of an object: time 0 ends the supervision of the master's heartbeat."""
+"""Index, sub-index, and value of the object that ends the supervision of the host's heartbeat: time 0."""
 
 
 SERIAL = 0x1018, 4
-"""Number and sub-index of the serial number."""
+"""Index and sub-index of the object with the serial number."""
 
 
 class Check(enum.IntEnum):
-    """Treatment of an object."""
+    """How an object is written and compared."""
 
     SAME = 0
-    """Read. The value must be equal."""
+    """Read the object. The value must equal the required value."""
     HAS_BITS = 1
-    """Read. The bits must be set."""
+    """Read the object. The required bits must be set."""
     WRITE = 2
-    """Write, then read. The value must be equal."""
+    """Write the object, then read it. The value must equal the required value."""
     WRITE_IF_PRESENT = 3
-    """As WRITE. The drive need not have the object."""
+    """Do as WRITE. A drive without the object is accepted."""
     READ_IF_PRESENT = 4
-    """Read any value. The drive need not have the object."""
+    """Read the object and accept any value. A drive without the object is accepted."""
 
 
 class Step(NamedTuple):
@@ -54,12 +54,12 @@ class Step(NamedTuple):
 
     @property
     def raw(self) -> bytes:
-        """Return the value as bytes."""
+        """Return the required value as little-endian bytes."""
         return self.value.to_bytes(self.size, "little")
 
     @property
     def writes(self) -> bool:
-        """Return True if the object is written before the read."""
+        """Return True if the object is written before it is read."""
         return self.check in (Check.WRITE, Check.WRITE_IF_PRESENT)
 
     @property
@@ -69,11 +69,11 @@ class Step(NamedTuple):
 
 
 GUARDS = ((0x1016, 1), (0x6072, 0))
-"""Objects of the drive's own guards: supervision of the master's heartbeat, and maximum torque."""
+"""Objects with the drive's own protections: supervision of the host's heartbeat, and maximum torque."""
 
 
 def steps(node_id: int, rated: int, max_torque: int, watchdog_ms: int, heartbeat_ms: int) -> tuple[Step, ...]:
-    """Return all objects in order.
+    """Return all objects to write and read back, in the order of the requests.
 
     Args:
         node_id: node number of the drive.
@@ -113,7 +113,7 @@ def steps(node_id: int, rated: int, max_torque: int, watchdog_ms: int, heartbeat
 
 
 def _pdo(communication: int, mapping: int, cob: int, transmission: int, objects: tuple[int, ...]) -> tuple[Step, ...]:
-    """Return the steps of one PDO: disable, map, enable."""
+    """Return the steps that set up one PDO: disable it, map its objects, enable it."""
     write = Check.WRITE
     return (
         # CiA 301: the mapping of a PDO changes only while the PDO is off and its entry count is 0.
@@ -127,12 +127,12 @@ def _pdo(communication: int, mapping: int, cob: int, transmission: int, objects:
 
 
 def writes(cursor: Cursor, step: Step) -> bool:
-    """Return True if the next request writes. An object is written before the read."""
+    """Return True if the next request writes the object. The object is written before it is read."""
     return step.writes and not cursor.written
 
 
 def on_reply(cursor: Cursor, required: tuple[Step, ...], reply: codec.SdoReply) -> tuple[Cursor, int, str]:
-    """Apply an SDO reply. A reply that does not answer the open request is ignored.
+    """Advance the read-back with an SDO reply. Replies to other requests are ignored.
 
     Returns:
         the new cursor, the value of a TELL_IF_THERE object (else 0), and the problem in words, empty
@@ -159,10 +159,10 @@ def on_reply(cursor: Cursor, required: tuple[Step, ...], reply: codec.SdoReply) 
 
 
 def next_request(cursor: Cursor, required: tuple[Step, ...], t_ns: int) -> tuple[Cursor, bytes, str]:
-    """Return the next request: cursor, payload, and problem in words.
+    """Return the next request of the read-back: cursor, SDO payload, and problem in words.
 
-    The payload is empty while an answer is awaited, the problem is empty without a problem. The first
-    object is requested until the drive answers.
+    The payload is empty while the drive has not answered. The problem is empty if nothing is wrong.
+    The first object is requested until the drive answers.
     """
     step = required[cursor.step]
     cursor, send, problem = readback.next_request(

@@ -21,8 +21,8 @@ Register request, identifier 0x7FF, and register reply, identifier MST_ID, 8 byt
     field   ESC_ID   33 read, 55 write, AA save, CC refresh           register   uint32 or float32
 
 Register replies share identifier and length with feedback. Here the first four bytes distinguish
-them. As feedback, those four bytes mean a position within 0.3 % of -PMAX, outside the travel of any
-hand.
+them. Feedback with the same four bytes would mean a position within 0.3 % of -PMAX, outside the
+travel of any hand.
 
 Source: Damiao DM-J4310-2EC manual. Details missing in the manual are from public clients (LeRobot,
 i2rt, openarm_can).
@@ -76,15 +76,18 @@ ERRORS = {
     0xD: "communication lost: the drive's watchdog fired",
     0xE: "overload",
 }
-"""State nibbles of a motor with an error. Such a motor makes no torque."""
+"""Error text by state nibble. A motor with one of these errors makes no torque."""
 
 _REPLY = struct.Struct("<HBB")
-"""Head of a register reply: node number, operation, register."""
+"""First bytes of a register reply: node number, operation, register."""
 # Largest codes of the 16 bit and the 12 bit fields.
 POSITION_TOP = 2**16 - 1
 TOP = 2**12 - 1
 _NO_MOTION = POSITION_TOP // 2 << 48 | TOP // 2 << 36
-"""Command with position and velocity 0 and gains 0. Both fields act only through the gains."""
+"""Payload of a command with position, velocity, and gains 0.
+
+Position and velocity act only through the gains.
+"""
 
 
 class Ranges(NamedTuple):
@@ -96,16 +99,16 @@ class Ranges(NamedTuple):
 
     @property
     def position_step(self) -> float:
-        """Return one count of the 16 bit position [rad]."""
+        """Return the position step of one count of the 16-bit field [rad]."""
         return 2 * self.position / 0xFFFF
 
 
 Feedback = tuple[int, float, float, float, float]
-"""State nibble, position [rad], velocity [rad/s], torque [N m], hotter of two temperatures [degC]."""
+"""Feedback: state nibble, position [rad], velocity [rad/s], torque [N m], higher of two temperatures [degC]."""
 
 
 def command_message(can_id: int, ranges: Ranges, sign: int = 1, flags: int = 0) -> Message:
-    """Return the command with kp = kd = 0.
+    """Return the signal table of the command with kp = kd = 0.
 
     Zero torque has no code in this format. 0 N m is sent as the nearest code, half a step
     (TMAX / 4095) away.
@@ -128,7 +131,7 @@ def command_message(can_id: int, ranges: Ranges, sign: int = 1, flags: int = 0) 
 
 
 def feedback_message(can_id: int, ranges: Ranges, sign: int = 1, zero: float = 0.0) -> Message:
-    """Return the feedback frame.
+    """Return the signal table of the feedback.
 
     Args:
         can_id: identifier of the feedback, MST_ID.
@@ -152,14 +155,14 @@ def feedback_message(can_id: int, ranges: Ranges, sign: int = 1, zero: float = 0
 def _spanning(
     name: str, quantity: Quantity, start: int, length: int, largest: float, unit: str, sign: int = 1
 ) -> Signal:
-    """Return a signal whose codes span -largest to largest."""
+    """Return a signal whose range of codes covers the values from -largest to largest."""
     # The top code is +largest, hence 2^n - 1 steps. A negative sign reverses scale and offset.
     scale = sign * 2 * largest / ((1 << length) - 1)
     return Signal(name, quantity, start, length, True, Coding.UNSIGNED, scale, -sign * largest, unit)
 
 
 def decode_feedback(data: bytes, table: Table) -> Feedback:
-    """Return the values of 8 bytes of feedback.
+    """Decode 8 bytes of feedback.
 
     Args:
         data: payload.
@@ -170,12 +173,12 @@ def decode_feedback(data: bytes, table: Table) -> Feedback:
 
 
 def special_command(code: int) -> bytes:
-    """Return the payload of ENABLE, DISABLE or CLEAR."""
+    """Return the payload of a special command: ENABLE, DISABLE, or CLEAR."""
     return b"\xff" * 7 + bytes((code,))
 
 
 def register_request(node_id: int, operation: int, register: int = 0, value: float = 0.0) -> bytes:
-    """Return the payload of a register request on BROADCAST_ID.
+    """Return the payload of a register request. It is sent on the identifier BROADCAST_ID.
 
     Args:
         node_id: ESC_ID.
@@ -188,13 +191,13 @@ def register_request(node_id: int, operation: int, register: int = 0, value: flo
 
 
 def register_bytes(register: int, value: float) -> bytes:
-    """Return a register's value as four bytes. An integer register takes the integer part."""
+    """Return a register value as four bytes. For an integer register the fraction is cut off."""
     layout = _FORMATS.get(register, _FLOAT)
     return layout.pack(int(value)) if layout is _INTEGER else layout.pack(value)
 
 
 class RegisterReply(NamedTuple):
-    """Operation, register, and the four bytes of the value."""
+    """Register reply: operation, register, and the four bytes of the value."""
 
     operation: int
     register: int
@@ -202,12 +205,12 @@ class RegisterReply(NamedTuple):
 
     @property
     def value(self) -> float:
-        """Return the value in the type of the register."""
+        """Return the value decoded with the type of the register."""
         return float(_FORMATS.get(self.register, _FLOAT).unpack(self.raw)[0])
 
 
 def register_reply(data: bytes, node_id: int) -> RegisterReply | None:
-    """Return the register reply in 8 bytes from a motor, or None for feedback."""
+    """Decode 8 bytes as a register reply of the motor, or return None if they are feedback."""
     # Fast path: in nearly every feedback the state nibble makes byte 0 differ from the node number.
     if data[0] != node_id & 0xFF:  # nearly every feedback ends here: its first byte has the state above the identifier
         return None

@@ -9,9 +9,10 @@ the command, 8 bytes (6 on older firmware, without bytes 6 and 7), big-endian:
 
 The motor has no registers and no watchdog, and its feedback does not report enabled or disabled. A
 motor counts as enabled after several answers to the enable command. A motor counts as disabled
-after several answers to the disable command without torque. The disable command also polls the
-motor, as the only request whose answer is free of torque. ``unverified_guards`` lists the guards without
-verification. Source: CubeMars AK Series Actuator Driver Manual V1.0.8, section 5.3.
+after several answers to the disable command without torque. The disable command also serves to
+request feedback, because every other request may make torque. ``unverified_guards`` lists the
+protections that cannot be verified. Source: CubeMars AK Series Actuator Driver Manual V1.0.8,
+section 5.3.
 """
 
 import math
@@ -47,26 +48,29 @@ ERRORS = {
     5: "encoder error",
     6: "phase current imbalance",
 }
-"""Byte 7 of the feedback, 0 without an error."""
+"""Error text by byte 7 of the feedback. The byte is 0 without an error."""
 CAUSES = {1: Cause.HOT, 3: Cause.VOLTAGE, 4: Cause.VOLTAGE} | dict.fromkeys((2, 5, 6), Cause.OTHER)
-"""Causes by the error byte."""
+"""Cause of each value of the error byte."""
 SIZES = (6, 8)
 """Payload lengths of the feedback [bytes]. Older firmware sends six, without temperature and error."""
 ANSWERS = 3
-"""Answers to a command before the command counts as obeyed.
+"""Number of answers after which a command counts as obeyed.
 
 The first answer may have been sent before the command.
 """
 COLDEST_C = -40.0
 """Temperature of count 0 in byte 6 [degC].
 
-Source: CubeMars AK Series Actuator Driver Manual, 5.3, example of a reply. Clients that use the
-count as degC (TMotorCANControl) read 40 degC too much.
+Source: CubeMars AK Series Actuator Driver Manual, 5.3, example of a reply. Clients that read the
+count as degC (TMotorCANControl) report 40 degC too much.
 """
 QUIET = 0.02
-"""Torque that counts as zero, as a fraction of full scale: noise of the current sensor at rest."""
+"""Torque below which a motor counts as free of torque, as a fraction of full scale.
+
+Sensor noise at rest is lower.
+"""
 SILENCE_NS = 250_000_000
-"""Silence after which a motor counts as silent [ns]."""
+"""Time without a frame after which the motor is in phase SILENT [ns]."""
 UNVERIFIED_GUARDS = (
     "watchdog: CubeMars' MIT mode has none; a dead host leaves torque on",
     "has no torque limit below its model's full scale; torque_max_N_m is this host's alone",
@@ -75,16 +79,16 @@ UNVERIFIED_GUARDS = (
     "ranges cannot be read back; motor_type must be right",
     "temperature counts from -40 degC by the manual; a cold motor that reads below zero needs temperature_offset_C = 0",
 )
-"""Guards without verification."""
+"""Protections not verifiable by handctl, one line each."""
 
 
 class CubemarsProgress(NamedTuple):
-    """Progress of a CubeMars motor, the content of ``DriveState.private``.
+    """State of the CubeMars state machine between frames, stored in ``DriveState.private``.
 
     Attributes:
-        command_sent: latest command, ENABLE or DISABLE.
-        since_ns: time of the first such command [ns].
-        answers: expected answers to the command in a row.
+        command_sent: latest special command, ENABLE or DISABLE.
+        since_ns: time at which this command was first sent [ns].
+        answers: number of answers in a row that agree with the command.
         enable_sent: True from the enable command until the motor is disabled without torque.
     """
 
@@ -95,14 +99,14 @@ class CubemarsProgress(NamedTuple):
 
 
 def progress_of(state: DriveState) -> CubemarsProgress:
-    """Return the private part of a state."""
+    """Return the CubeMars part of a drive state."""
     progress: CubemarsProgress = state.private
     return progress
 
 
 @dataclass(frozen=True, slots=True)
 class CubemarsDrive:
-    """One motor. Implements ``contract.Drive``.
+    """CubeMars motor. Implements ``contract.Drive``.
 
     Attributes:
         name: name of the motor.
@@ -177,17 +181,17 @@ class CubemarsDrive:
 
     @property
     def exchange(self) -> tuple[tuple[int, bool], ...]:
-        """Return command and answer."""
+        """Return the frames of a tick: command and answer."""
         return ((8, False), (8, False))
 
     @property
     def background(self) -> tuple[tuple[int, bool, float], ...]:
-        """Return no entry: the motor answers requests and sends no other frame."""
+        """Return an empty tuple, because the motor sends answers only."""
         return ()
 
     @property
     def extended(self) -> bool:
-        """Return False: all identifiers have 11 bits."""
+        """Return False, because all identifiers have 11 bits."""
         return False
 
     @property
@@ -205,45 +209,45 @@ class CubemarsDrive:
 
     @property
     def unverified_guards(self) -> tuple[str, ...]:
-        """Return the guards without verification."""
+        """Return the protections not verifiable by handctl, one line each."""
         return UNVERIFIED_GUARDS
 
     @property
     def one_reply_per_command(self) -> bool:
-        """Return True: the motor sends one answer per request."""
+        """Return True, because the motor sends one answer per request."""
         return True
 
     @property
     def position_step(self) -> float:
-        """Return one count of 16 bits over twice the model's range [rad]."""
+        """Return the position step of one count: 16 bits cover twice the model's range [rad]."""
         return self.ranges.position_step
 
     @property
     def feedback_period_s(self) -> float:
-        """Return 0: every command requests feedback."""
+        """Return 0, because every command requests feedback."""
         return 0.0
 
     @property
     def cyclic(self) -> Cyclic:
-        """Return command and answer."""
+        """Return the signal tables of command and answer."""
         return Cyclic((self.feedback.message,), (self.command.message,))
 
     def steady_status(self, state: DriveState) -> int:
-        """Return the node number with error 0, as ``signals`` joins the two status bytes."""
+        """Return the feedback status of an enabled motor: node number and error 0, joined as in ``signals``."""
         progress: CubemarsProgress = state.private
         enabled = state.phase == ENABLED and progress.command_sent == ENABLE and progress.answers >= ANSWERS
         return (self.node_id & 0xFF) << 8 if enabled else UNSTEADY
 
     def due_ns(self, state: DriveState) -> int:
-        """Return never: the motor has no settings to read."""
+        """Return NEVER_NS, because the motor has no settings to read back."""
         return NEVER_NS
 
     def initial(self) -> DriveState:
-        """Return the silent state."""
+        """Return the state before the first frame."""
         return DriveState(private=CubemarsProgress())
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
-        """Apply one received frame, see ``contract.Drive``."""
+        """Return the state after one received frame, see ``contract.Drive``."""
         can_id, data, _, bus, t_ns = frame
         if can_id != self.node_id or bus != self.bus:
             return state
@@ -270,7 +274,7 @@ class CubemarsDrive:
         return updated if disabling else updated._replace(phase=FAULT)
 
     def _on_answer(self, state: DriveState, progress: CubemarsProgress) -> DriveState:
-        """Count an answer to the present command."""
+        """Return the state after an answer to the present command."""
         # An answer from before the command proves nothing.
         if state.feedback_t_ns < progress.since_ns:
             return state
@@ -306,7 +310,7 @@ class CubemarsDrive:
         return self._after_command(state._replace(phase=phase), DISABLE, t_ns), self.cut()
 
     def _after_command(self, state: DriveState, command_sent: DriveTarget, t_ns: int) -> DriveState:
-        """Return the state after a command. A new command has no answers yet."""
+        """Return the state after a special command was sent. A new command has no answers yet."""
         progress: CubemarsProgress = state.private
         if progress.command_sent == command_sent and progress.since_ns >= 0:
             return state
@@ -314,7 +318,7 @@ class CubemarsDrive:
         return state._replace(private=CubemarsProgress(command_sent, t_ns, 0, enable_sent))
 
     def _torque(self, torque: float) -> bytes:
-        """Return the payload of a pure torque command.
+        """Return the payload of a command that contains a torque only.
 
         Args:
             torque: command [N m at the spool].
@@ -328,15 +332,18 @@ class CubemarsDrive:
             raise ValueError(f"{self.name}: {error}") from None
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
-        """Return the torque command [N m at the spool]. It does not enable the motor."""
+        """Return the frame of a torque command [N m at the spool]. It does not enable the motor."""
         return (self._frame(self._torque(torque)),)
 
     def cut(self) -> tuple[Frame, ...]:
-        """Return the disable command."""
+        """Return the frame of the disable command."""
         return (self._frame(codec.special_command(codec.DISABLE)),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Forget the error. No frame clears it, and a motor with a lasting error reports it again."""
+        """Return the state without the error.
+
+        No frame clears an error. A motor whose error remains reports it again.
+        """
         progress: CubemarsProgress = state.private
         fresh = state._replace(
             phase=SILENT, error=0, error_text="", private=CubemarsProgress(enable_sent=progress.enable_sent)
@@ -344,17 +351,17 @@ class CubemarsDrive:
         return fresh, self.cut()
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
-        """Return no frame: the motor has no watchdog."""
+        """Return no frame, because the motor has no watchdog."""
         return ()
 
     def identity(self, state: DriveState) -> str:
-        """Return the node number: the motor has no serial number on the bus."""
+        """Return the node number, because the motor does not report a serial number."""
         return f"node {self.node_id}"
 
     def cause(self, error: int) -> Cause:
-        """Return the cause of an error, see ``contract.Drive``."""
+        """Return the cause of an error code, see ``contract.Drive``."""
         return CAUSES.get(error, Cause.UNKNOWN)
 
     def _frame(self, data: bytes) -> Frame:
-        """Return a frame to the motor."""
+        """Return a frame to the motor with this payload."""
         return Frame(self.node_id, data, 0, self.bus)

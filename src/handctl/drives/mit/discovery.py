@@ -1,4 +1,4 @@
-"""Discovery of Damiao motors: a read of register MST_ID from each node number, then of other registers.
+"""Discovery of Damiao motors: read register MST_ID from each node number, then the other registers.
 
 Register traffic makes no torque. Replies use the identifiers of the feedback, hence no request is
 sent while another host drives motors (``other_host_frames``). CubeMars motors have no registers, and cannot
@@ -22,16 +22,17 @@ CAN_BR = 35
 _INTEGERS = {MST_ID, codec.TIMEOUT, codec.CTRL_MODE, HARDWARE, SOFTWARE, SERIAL, CAN_BR}
 _DETAILS = (SOFTWARE, SERIAL, CAN_BR, codec.CTRL_MODE, codec.TIMEOUT, codec.PMAX, codec.VMAX, codec.TMAX)
 FD_FROM = 5
-"""Smallest code of register CAN_BR that means CAN FD."""
+"""Smallest value of register CAN_BR that stands for CAN FD."""
 _RANGES = (("position_range_rad", codec.PMAX), ("velocity_range_rad_s", codec.VMAX), ("torque_max_N_m", codec.TMAX))
-"""Keys of a motor section, and the register of each."""
+"""Register of each key in a ``[[motor]]`` section."""
 _STATES = {codec.DISABLED: "disabled", codec.ENABLED: "enabled"}
 
 
 def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the request frames of a round.
 
-    Round 2 reads MST_ID of every number. Round 3 reads registers and state of discovered motors.
+    Round 2 reads register MST_ID of every node number. Round 3 reads the registers and the state of
+    discovered motors.
     """
     if turn == 2:
         return tuple(_read(number, MST_ID) for number in NUMBERS)
@@ -60,7 +61,7 @@ def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
 def _motor(
     number: int, reply_ids: dict[int, int], answers: dict[int, list[bytes]], received: ReceivedFrames
 ) -> DiscoveredNode:
-    """Return the data of one motor from its register values."""
+    """Return the discovered motor with its data from the register values."""
     reply_id = reply_ids[number]
     raw = {register: payloads[-1] for register, payloads in answers.items()}
     values = {register: _integer(data) for register, data in raw.items() if register in _INTEGERS}
@@ -84,7 +85,7 @@ def _motor(
 
 
 def _state(number: int, reply_id: int, received: ReceivedFrames) -> tuple[str, str]:
-    """Return state and error from the latest feedback, both empty without feedback."""
+    """Return the texts of state and error from the latest feedback, both empty without feedback."""
     for frame in reversed(received):
         matches = frame.can_id == reply_id and len(frame.data) == 8 and frame.data[0] & 0xF == number & 0xF
         if matches and codec.register_reply(frame.data, number) is None:
@@ -95,13 +96,13 @@ def _state(number: int, reply_id: int, received: ReceivedFrames) -> tuple[str, s
 
 
 def command_ids(motor: DiscoveredNode) -> frozenset[int]:
-    """Return the command identifiers of all modes."""
+    """Return the command identifiers of the motor in all its control modes."""
     # MIT, position-velocity, velocity, and force-position mode.
     return frozenset(mode + motor.node_id for mode in (0x000, 0x100, 0x200, 0x300))
 
 
 def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return the frames of another host: register requests, MIT commands, and special commands."""
+    """Return the received frames sent only by hosts: register requests, MIT commands, special commands."""
     return tuple(
         frame
         for frame in received
@@ -112,22 +113,22 @@ def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
 
 
 def _read(number: int, register: int) -> Frame:
-    """Return the request to read a register."""
+    """Return the frame that reads a register."""
     return Frame(codec.BROADCAST_ID, codec.register_request(number, codec.READ, register))
 
 
 def _integer(raw: bytes) -> int:
-    """Return a little-endian integer."""
+    """Return the integer in little-endian bytes."""
     return int.from_bytes(raw, "little")
 
 
 def ping(motor: DiscoveredNode) -> Frame:
-    """Return the request for MST_ID."""
+    """Return the frame that reads register MST_ID."""
     return _read(motor.node_id, MST_ID)
 
 
 def is_pong(motor: DiscoveredNode, frame: Frame) -> bool:
-    """Return True for a reply with MST_ID."""
+    """Return True if the frame is a reply with register MST_ID."""
     answer = frame.can_id != codec.BROADCAST_ID and len(frame.data) == 8
     return answer and frame.data[:4] == codec.register_request(motor.node_id, codec.READ, MST_ID)[:4]
 

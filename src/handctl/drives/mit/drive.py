@@ -2,8 +2,8 @@
 
 A motor answers requests and sends no other frame. Hence one request per tick is sent, and one
 register request is open at a time. Position, velocity, and torque are NaN until the ranges of the
-motor are known. Angles beyond PMAX are not unwrapped, since a hand's travel is far smaller. Only
-feedback with state 0 or with an error counts as disabled.
+motor are known. Angles beyond PMAX are not unwrapped, because the travel of a hand is far smaller.
+Only feedback with state 0 or with an error proves that the motor is disabled.
 """
 
 import math
@@ -33,12 +33,15 @@ from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = DriveTarget
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
-"""Phases as module-level names. An attribute look-up in the enumeration costs more than a comparison."""
+"""Phases as module-level names for speed.
+
+Reading an attribute of the enumeration is slower than a comparison.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class MitDrive:
-    """One motor. Implements ``contract.Drive``.
+    """Damiao motor. Implements ``contract.Drive``.
 
     Attributes:
         name: name of the motor.
@@ -48,7 +51,7 @@ class MitDrive:
         ranges: PMAX, VMAX, TMAX. TMAX is also the drive's own torque limit.
         direction: 1 if positive torque of the motor winds, else -1.
         zero: motor angle of the spool's zero [rad].
-        timeout: watchdog [50 us].
+        timeout: time of the watchdog [50 us].
         flags: flags of frames to the motor, 0 for classical CAN.
         command: signal table of the command, from the fields above.
         feedback: signal table of the feedback, from the fields above.
@@ -107,82 +110,85 @@ class MitDrive:
 
     @property
     def exchange(self) -> tuple[tuple[int, bool], ...]:
-        """Return command and answer."""
+        """Return the frames of a tick: command and answer."""
         return ((8, bool(self.flags)), (8, bool(self.flags)))
 
     @property
     def background(self) -> tuple[tuple[int, bool, float], ...]:
-        """Return the register requests of the read-back, and their answers."""
+        """Return the register requests of the repeated read-back, and their answers."""
         return ((8, bool(self.flags), readback.RECHECKS_PER_SECOND),) * 2
 
     @property
     def extended(self) -> bool:
-        """Return False: all identifiers have 11 bits."""
+        """Return False, because all identifiers have 11 bits."""
         return False
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Return the command identifiers of all modes, and the register identifier."""
+        """Return the command identifiers in all control modes, and the identifier of register frames."""
         return frozenset(mode + self.node_id for mode in (0x000, 0x100, 0x200, 0x300)) | {codec.BROADCAST_ID}
 
     @property
     def node_ids(self) -> frozenset[int]:
-        """Return MST_ID, the identifier of every answer."""
+        """Return MST_ID, the identifier of every answer of the motor."""
         return frozenset((self.reply_id,))
 
     @property
     def unverified_guards(self) -> tuple[str, ...]:
-        """Return no entry: every setting is read back."""
+        """Return an empty tuple, because every setting is read back."""
         return ()
 
     @property
     def one_reply_per_command(self) -> bool:
-        """Return True: a motor sends one answer per request."""
+        """Return True, because a motor sends one answer per request."""
         return True
 
     @property
     def position_step(self) -> float:
-        """Return one count of 16 bits over twice PMAX [rad]."""
+        """Return the position step of one count: 16 bits cover twice PMAX [rad]."""
         return self.ranges.position_step
 
     @property
     def feedback_period_s(self) -> float:
-        """Return 0: every command requests feedback."""
+        """Return 0, because every command requests feedback."""
         return 0.0
 
     @property
     def required(self) -> tuple[tuple[int, float], ...]:
-        """Return (register, value) pairs required before arming."""
+        """Return the registers to verify before arming, as (register, value) pairs."""
         ranges = zip((codec.PMAX, codec.VMAX, codec.TMAX), self.ranges, strict=True)
         return ((codec.CTRL_MODE, codec.MIT_MODE), *ranges, (codec.TIMEOUT, self.timeout))
 
     @property
     def guards(self) -> tuple[tuple[int, float], ...]:
-        """Return (register, value) pairs of the drive's own guards, read again while enabled."""
+        """Return the registers of the drive's own protections, as (register, value) pairs.
+
+        They are read back again while the motor is enabled.
+        """
         return ((codec.TIMEOUT, self.timeout), (codec.TMAX, self.ranges.torque))
 
     @property
     def cyclic(self) -> Cyclic:
-        """Return command and answer."""
+        """Return the signal tables of command and answer."""
         return Cyclic((self.feedback.message,), (self.command.message,))
 
     def steady_status(self, state: DriveState) -> int:
-        """Return the first byte of steady feedback: state enabled, and the node number."""
+        """Return the first byte of feedback from an enabled motor without error: state and node number."""
         progress = progress_of(state)
         if state.phase != ENABLED or not progress.enable_sent or progress.disabling or progress.check.waiting:
             return UNSTEADY
         return codec.ENABLED << 4 | self.node_id & 0xF
 
     def due_ns(self, state: DriveState) -> int:
-        """Return the time of the next read-back [ns]."""
+        """Return the time of the next read-back request [ns]."""
         return progress_of(state).check.due_ns
 
     def initial(self) -> DriveState:
-        """Return the silent state."""
+        """Return the state before the first frame."""
         return DriveState(private=MitProgress())
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
-        """Apply one received frame, see ``contract.Drive``."""
+        """Return the state after one received frame, see ``contract.Drive``."""
         can_id, data, _, bus, t_ns = frame
         if can_id != self.reply_id or bus != self.bus:
             return state
@@ -205,7 +211,7 @@ class MitDrive:
         return self._on_feedback(state, data, t_ns)
 
     def _on_register(self, state: DriveState, reply: codec.RegisterReply, t_ns: int) -> DriveState:
-        """Apply a register reply during configuration."""
+        """Return the state after a register reply during configuration."""
         if state.phase != CONFIGURING:
             return state
         progress = progress_of(state)
@@ -218,7 +224,7 @@ class MitDrive:
         return state._replace(private=progress._replace(cursor=cursor))
 
     def _on_guard(self, state: DriveState, progress: MitProgress, reply: codec.RegisterReply) -> DriveState:
-        """Compare a register read again while enabled."""
+        """Compare the value of a register, read again while the motor is enabled, with the required value."""
         register, value = self.guards[progress.check.step]
         same = reply.raw == codec.register_bytes(register, value)
         answer = f"reads {reply.value:g}"
@@ -229,7 +235,7 @@ class MitDrive:
         return to_fault(updated, MISMATCH, problem) if problem else updated
 
     def _on_feedback(self, state: DriveState, data: bytes, t_ns: int) -> DriveState:
-        """Apply the values and the state nibble of a feedback frame."""
+        """Update the state with the values and the state nibble of a feedback frame."""
         nibble, position, velocity, torque, hot = codec.decode_feedback(data, self.feedback)
         if not progress_of(state).configured:
             position = velocity = torque = math.nan
@@ -279,13 +285,16 @@ class MitDrive:
         return state._replace(private=progress), (*clear, self._refresh())
 
     def _disable(self, state: DriveState, progress: MitProgress, t_ns: int) -> DriveState:
-        """Return the state while disabling. A possibly enabled motor counts as enabled until state 0."""
+        """Return the state while the motor is being disabled.
+
+        A motor that may be enabled counts as enabled until it reports state 0.
+        """
         phase = ENABLED if progress.enable_sent or progress.enabled_by_other else state.phase
         since = progress.disabling_ns if progress.disabling else t_ns
         return state._replace(phase=phase, private=progress._replace(disabling=True, disabling_ns=since))
 
     def _ask_guard(self, state: DriveState, progress: MitProgress, t_ns: int) -> tuple[DriveState, Frame]:
-        """Return the request for a guard register of the enabled drive."""
+        """Return the state and the request that reads a protection register of the enabled motor."""
         register, _ = self.guards[progress.check.step]
         check, problem = readback.next_recheck(progress.check, registers.name(register), self.node_id, t_ns)
         state = state._replace(private=progress._replace(check=check))
@@ -294,7 +303,7 @@ class MitDrive:
         return state, self._broadcast(codec.register_request(self.node_id, codec.READ, register))
 
     def _configure(self, state: DriveState, progress: MitProgress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next register request. An enabled motor is disabled first."""
+        """Return the state and the next register request. An enabled motor is disabled first."""
         if progress.enabled_by_other:
             updated = state._replace(error_text="enabled, and does not disable", private=progress)
             return updated, self.cut()
@@ -311,7 +320,7 @@ class MitDrive:
         return updated, (self._broadcast(data),) if data else ()
 
     def _torque(self, torque: float) -> bytes:
-        """Return the payload of a pure torque command.
+        """Return the payload of a command that contains a torque only.
 
         Args:
             torque: command [N m at the spool].
@@ -325,44 +334,47 @@ class MitDrive:
             raise ValueError(f"{self.name}: {error}") from None
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
-        """Return the torque command [N m at the spool]. It does not enable the motor."""
+        """Return the frame of a torque command [N m at the spool]. It does not enable the motor."""
         return (self._frame(self._torque(torque)),)
 
     def cut(self) -> tuple[Frame, ...]:
-        """Return the disable command."""
+        """Return the frame of the disable command."""
         return (self._frame(codec.special_command(codec.DISABLE)),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Clear the latched error, and start again with the register read-back."""
+        """Return the state that clears the latched error and repeats the register read-back."""
         fresh = state._replace(phase=SILENT, error=0, error_text="", private=MitProgress(clearing=CLEAR_TRIES))
         return fresh, (self._frame(codec.special_command(codec.CLEAR)),)
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
-        """Return no frame: the watchdog of a disabled motor is inactive."""
+        """Return no frame, because the watchdog of a disabled motor is inactive."""
         return ()
 
     def identity(self, state: DriveState) -> str:
-        """Return the serial number of register 15, or the node number."""
+        """Return the serial number from register 15, or the node number if it is unknown."""
         return f"{serial:#x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
     def cause(self, error: int) -> Cause:
-        """Return the cause of an error, see ``contract.Drive``."""
+        """Return the cause of an error code, see ``contract.Drive``."""
         return CAUSES.get(error, Cause.UNKNOWN)
 
     def _frame(self, data: bytes) -> Frame:
-        """Return a frame to the motor."""
+        """Return a frame to the motor with this payload."""
         return Frame(self.node_id, data, self.flags, self.bus)
 
     def _broadcast(self, data: bytes) -> Frame:
-        """Return a register frame."""
+        """Return a register frame with this payload."""
         return Frame(codec.BROADCAST_ID, data, self.flags, self.bus)
 
     def _refresh(self) -> Frame:
-        """Return a request for feedback."""
+        """Return the frame that requests feedback."""
         return self._broadcast(codec.register_request(self.node_id, codec.REFRESH))
 
 
 def _ready(state: DriveState, progress: MitProgress, t_ns: int, serial: int) -> DriveState:
-    """Return the ready state with all registers right. Serial number 0 is unknown."""
+    """Return the state in phase READY, after all registers were verified.
+
+    Serial number 0 means unknown.
+    """
     ready = progress._replace(cursor=Cursor(), configured=True, ready_ns=t_ns, serial=serial)
     return state._replace(phase=READY, private=ready)

@@ -21,26 +21,30 @@ CAUSES = {
     0x8: Cause.VOLTAGE, 0x9: Cause.VOLTAGE, 0xB: Cause.HOT, 0xC: Cause.HOT, 0xD: Cause.WATCHDOG,
     DROPPED_OUT: Cause.DROPPED_OUT, MISMATCH: Cause.MISMATCH, ENABLED_BY_OTHERS: Cause.MISMATCH,
 } | dict.fromkeys(codec.ERRORS.keys() - {0x8, 0x9, 0xB, 0xC, 0xD}, Cause.OTHER)  # fmt: skip
-"""Causes by state nibble, and by the error codes of the host."""
+"""Cause of each state nibble and of each error code added by handctl."""
 CLEAR_TRIES = 6
-"""Feedback frames that may still carry an error after the command to clear the error, two in each tick."""
+"""Number of feedback frames that may still show an error after the command to clear it.
+
+Two frames come per tick.
+"""
 SILENCE_NS = 250_000_000
-"""Silence after which a motor may have lost power, and with it its register values [ns]."""
+"""Time without a frame after which the motor may have lost power and its register values [ns]."""
 
 
 class MitProgress(NamedTuple):
-    """Progress of MIT mode, the content of ``DriveState.private``.
+    """State of the MIT state machine between frames, stored in ``DriveState.private``.
 
     Attributes:
-        cursor: cursor of the register read-back.
-        configured: True if all registers have their required values. Feedback can be decoded then.
+        cursor: position in the list of registers to read back.
+        configured: True if all registers have their required values. Only then can feedback be
+            decoded.
         enabled_by_other: True if the motor reports enabled without a command of this host.
         enable_sent: True from the enable command to the next report of disabled.
         disabling: True while the motor is being disabled.
         disabling_ns: time of the first disable command [ns].
-        clearing: feedback frames that may still carry the error being cleared.
-        ready_ns: time at which all registers were right [ns].
-        check: cursor of the read-back while enabled.
+        clearing: feedback frames left to ignore while the error is being cleared.
+        ready_ns: time at which the last register was verified [ns].
+        check: position in the read-back repeated while enabled.
         serial: serial number, 0 if unknown.
     """
 
@@ -57,18 +61,18 @@ class MitProgress(NamedTuple):
 
 
 def progress_of(state: DriveState) -> MitProgress:
-    """Return the private part of a state."""
+    """Return the MIT part of a drive state."""
     progress: MitProgress = state.private
     return progress
 
 
 def to_fault(state: DriveState, error: int, text: str) -> DriveState:
-    """Return the state with an error."""
+    """Return the state in phase FAULT with an error code and its text."""
     return state._replace(phase=FAULT, error=error, error_text=text)
 
 
 def apply_status(state: DriveState, nibble: int) -> DriveState:
-    """Apply a state nibble to a state that has the values of the same feedback."""
+    """Return the state after a state nibble. The given state already has the values of the same feedback."""
     progress = progress_of(state)
     if nibble == codec.ENABLED:
         return _is_enabled(state, progress)
@@ -78,7 +82,7 @@ def apply_status(state: DriveState, nibble: int) -> DriveState:
 
 
 def _is_disabled(state: DriveState, progress: MitProgress) -> DriveState:
-    """Apply a report of disabled."""
+    """Return the state after the motor reported disabled."""
     off = progress._replace(enable_sent=False, enabled_by_other=False, clearing=0)
     if progress.disabling:
         # Feedback from before the disable command proves nothing.
@@ -92,7 +96,7 @@ def _is_disabled(state: DriveState, progress: MitProgress) -> DriveState:
 
 
 def _is_enabled(state: DriveState, progress: MitProgress) -> DriveState:
-    """Apply a report of enabled."""
+    """Return the state after the motor reported enabled."""
     if progress.enable_sent and state.phase != FAULT:
         return state if state.phase == ENABLED else state._replace(phase=ENABLED)
     enabled = state._replace(private=progress._replace(enabled_by_other=True))
@@ -104,7 +108,11 @@ def _is_enabled(state: DriveState, progress: MitProgress) -> DriveState:
 
 
 def _is_in_error(state: DriveState, progress: MitProgress, nibble: int) -> DriveState:
-    """Apply an error. Known errors remove the torque, an unknown state may leave torque on."""
+    """Return the state after the motor reported an error.
+
+    A known error has removed the torque. With an unknown state nibble the motor may still make
+    torque.
+    """
     if nibble in codec.ERRORS and progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
     if nibble in codec.ERRORS:

@@ -1,20 +1,20 @@
-"""Register values required before arming: read each register, write a wrong value, read it again."""
+"""Read-back of the registers before arming: read each one, correct a wrong value, and read it again."""
 
 from handctl.drives import readback
 from handctl.drives.mit import codec
 from handctl.drives.readback import Cursor
 
 SERIAL_TRIES = 3
-"""Requests for the serial number, an optional register."""
+"""Number of requests for the serial number. Not every motor has this register."""
 WRITES = 1
-"""Writes per register. A register that differs after one write refuses the value."""
+"""Number of writes per register. A register that is still wrong after one write refuses the value."""
 
 RequiredRegisters = tuple[tuple[int, float], ...]
 """(register, value) in the order of the requests."""
 
 
 def on_reply(cursor: Cursor, required: RequiredRegisters, reply: codec.RegisterReply) -> tuple[Cursor, str]:
-    """Apply a register reply. A reply that does not answer the open request is ignored.
+    """Advance the read-back with a register reply. Replies to other requests are ignored.
 
     Args:
         cursor: cursor, not beyond the last register.
@@ -35,7 +35,7 @@ def on_reply(cursor: Cursor, required: RequiredRegisters, reply: codec.RegisterR
 
 
 def next_request(cursor: Cursor, required: RequiredRegisters, node_id: int, t_ns: int) -> tuple[Cursor, bytes, str]:
-    """Return the next register request, if one is due.
+    """Return the next register request of the read-back, if its time has come.
 
     Args:
         cursor: cursor, not beyond the last register.
@@ -54,7 +54,7 @@ def next_request(cursor: Cursor, required: RequiredRegisters, node_id: int, t_ns
 
 
 def next_serial_request(cursor: Cursor, node_id: int, t_ns: int) -> tuple[Cursor, bytes, bool]:
-    """Return the request for the serial number, after all registers are right.
+    """Return the request for the serial number, which follows the read-back of all registers.
 
     Returns:
         the new cursor, the payload on BROADCAST_ID (empty while an answer is awaited), and True if the

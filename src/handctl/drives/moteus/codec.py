@@ -46,9 +46,9 @@ from handctl.drives.signals import Coding, Message, Quantity, Signal
 FLAGS = FDF | BRS
 """Flags of frames to the drive."""
 REPLY_WANTED = 0x8000
-"""Bit of a request's identifier. Without it a drive does not answer."""
+"""Bit of a request's identifier that asks for a reply."""
 STANDARD_IDS = 0x800
-"""Number of 11-bit identifiers."""
+"""Number of identifiers with 11 bits: larger identifiers have 29 bits."""
 LAST_NODE = 0x7E
 """Largest node number. 0x7F is the broadcast."""
 BROADCAST = 0x7F
@@ -102,30 +102,30 @@ FAULTS = {
 """Fault codes in mode 1."""
 
 WRITE, READ, REPLY = 0x00, 0x10, 0x20
-"""Kinds of register subframes."""
+"""First bytes of register subframes: write, read, and reply."""
 INT8, INT16, INT32, FLOAT = range(4)
 """Types of register values."""
 WRITE_REFUSED, READ_REFUSED = 0x30, 0x31
-"""Subframes with a register and an error number."""
+"""First bytes of subframes that report a refused write or read: register and error number."""
 TEXT_IN, TEXT_OUT, TEXT_POLL = 0x40, 0x41, 0x42
-"""Subframes of the text channel: to the drive, from the drive, request."""
+"""First bytes of text subframes: text to the drive, text from the drive, request for text."""
 CHANNEL = 1
 """Channel of the diagnostic protocol."""
 LONGEST_TEXT = 48
 """Longest text in one reply [bytes]."""
 _VALUES = tuple(struct.Struct(f"<{letter}") for letter in "bhif")
-"""Coding of each type."""
+"""``struct`` code of each type of register value."""
 
 QUERY = bytes((READ | 1, MODE, READ | 2, TEMPERATURE, READ | FLOAT << 2 | 3, 0x01, READ | 1, MOTOR_TEMPERATURE))
 """Request for the feedback."""
 FEEDBACK_LENGTH = 24
 """Length of the feedback [bytes]."""
 STATUS_HEADS = ((0, b"\x21"), (3, b"\x22"), (7, b"\x2f\x01"), (21, b"\x21\x0a"))
-"""First byte and content of the subframe heads that the feedback's status contains."""
+"""Position and content of those head bytes that are part of the feedback's status."""
 
 
 def request_id(node_id: int, source: int = 0) -> int:
-    """Return the identifier of a request of a source to a node."""
+    """Return the identifier of a request from a source to a node."""
     return EXTENDED | REPLY_WANTED | source << 8 | node_id
 
 
@@ -136,28 +136,28 @@ def reply_id(node_id: int, source: int = 0) -> int:
 
 
 def padded(payload: bytes) -> bytes:
-    """Return a payload with the next length of CAN FD."""
+    """Return a payload padded to the next payload length of CAN FD."""
     return payload.ljust(next(size for size in FD_SIZES if size >= len(payload)), bytes((NOP,)))
 
 
 def floats(first: int, *values: float) -> bytes:
-    """Return the subframe that writes at most three consecutive registers as float32."""
+    """Return a subframe that writes up to three consecutive registers as float32."""
     head = bytes((WRITE | FLOAT << 2 | len(values), first))
     return head + struct.pack(f"<{len(values)}f", *values)
 
 
 def small(first: int, *values: int) -> bytes:
-    """Return the subframe that writes at most three consecutive registers as int8. -128 is NaN."""
+    """Return a subframe that writes up to three consecutive registers as int8. -128 means NaN."""
     return struct.pack(f"<BB{len(values)}b", WRITE | len(values), first, *values)
 
 
 def read(kind: int, register: int) -> bytes:
-    """Return the subframe that reads a register as a type."""
+    """Return the subframe that reads a register as a value of the given type."""
     return bytes((READ | kind << 2 | 1,)) + varuint(register)
 
 
 def varuint(number: int) -> bytes:
-    """Return a number in groups of seven bits, the lowest first."""
+    """Return a number as varuint: groups of seven bits, the lowest first."""
     out = bytearray()
     while number > 0x7F:
         out.append(number & 0x7F | 0x80)
@@ -166,7 +166,7 @@ def varuint(number: int) -> bytes:
 
 
 def limits(torque: float, timeout_s: float) -> bytes:
-    """Return the subframes of the drive's own torque limit [N m] and watchdog [s]."""
+    """Return the subframes that set the drive's own torque limit [N m] and watchdog [s]."""
     return floats(MAX_TORQUE, torque) + floats(TIMEOUT, timeout_s)
 
 
@@ -175,16 +175,16 @@ STOP = padded(small(MODE, STOPPED) + QUERY)
 
 
 def limits_request(torque: float, timeout_s: float) -> bytes:
-    """Return the payload that stores the limits in the command registers.
+    """Return the payload that stores torque limit and watchdog in the command registers.
 
-    Without a write of the mode they take no effect. A firmware without the integrator's register
-    refuses it here, before any torque.
+    They have no effect until a command sets the mode. A firmware without the integrator's register
+    refuses the write here, before the first torque.
     """
     return padded(limits(torque, timeout_s) + small(INTEGRATOR_SCALE, 0) + QUERY)
 
 
 def text_request(text: bytes) -> bytes:
-    """Return the payload that writes a text to the diagnostic channel."""
+    """Return the payload that sends a text to the diagnostic channel."""
     return padded(bytes((TEXT_IN, CHANNEL, len(text))) + text)
 
 
@@ -193,12 +193,12 @@ TEXT_REQUEST = padded(bytes((TEXT_POLL, CHANNEL, LONGEST_TEXT)))
 
 
 def command_message(node_id: int, torque: float, timeout_s: float, sign: int = 1) -> Message:
-    """Return the torque command: position mode, gains 0, and feedforward torque.
+    """Return the signal table of the torque command: position mode, gains 0, and feedforward torque.
 
     Args:
         node_id: node number.
-        torque: torque limit, in host and drive [N m].
-        timeout_s: watchdog [s].
+        torque: torque limit that host and drive apply [N m].
+        timeout_s: time of the watchdog [s].
         sign: sign of the torque, 1 if positive torque winds.
     """
     no_motion = small(0x020, -128, 0) + small(0x023, 0, 0) + small(INTEGRATOR_SCALE, 0)
@@ -213,7 +213,7 @@ def command_message(node_id: int, torque: float, timeout_s: float, sign: int = 1
 
 
 def feedback_message(node_id: int, sign: int = 1, zero: float = 0.0) -> Message:
-    """Return the feedback.
+    """Return the signal table of the feedback.
 
     Args:
         node_id: node number.
@@ -240,29 +240,29 @@ def feedback_message(node_id: int, sign: int = 1, zero: float = 0.0) -> Message:
 
 
 def _float(name: str, quantity: Quantity, byte: int, scale: float, unit: str) -> Signal:
-    """Return a float32 that begins at a byte."""
+    """Return a float32 signal that begins at a byte."""
     return Signal(name, quantity, 8 * byte, 32, coding=Coding.FLOAT, scale=scale, unit=unit)
 
 
 def status(mode: int, fault: int) -> int:
-    """Return the status of feedback as compiled code joins it from the signals."""
+    """Return the status number of a feedback frame, joined as compiled code joins its signals."""
     heads = [int.from_bytes(content, "little") for _, content in STATUS_HEADS]
     return ((((heads[0] << 8 | mode) << 8 | heads[1]) << 8 | fault) << 16 | heads[2]) << 16 | heads[3]
 
 
 def is_feedback(data: bytes) -> bool:
-    """Return True for a payload with the layout of the feedback."""
+    """Return True if the payload has the layout of the feedback."""
     heads = all(data[at : at + len(content)] == content for at, content in STATUS_HEADS)
     return len(data) == FEEDBACK_LENGTH and heads
 
 
 class Reply(NamedTuple):
-    """Content of a reply.
+    """Content of a reply from the drive.
 
     Attributes:
         values: values by register.
-        refused: error numbers by register.
-        text: text of the diagnostic channel, None without a text subframe.
+        refused: error numbers of refused reads and writes, by register.
+        text: text from the diagnostic channel, None without a text subframe.
     """
 
     values: dict[int, float]
@@ -271,7 +271,7 @@ class Reply(NamedTuple):
 
 
 def reply(data: bytes) -> Reply | None:
-    """Return the content of a reply, None for a payload that is no reply."""
+    """Decode a payload as a reply, or return None if it is not one."""
     values = dict[int, float]()
     refused = dict[int, int]()
     text = None
@@ -297,10 +297,10 @@ def reply(data: bytes) -> Reply | None:
 
 
 class _Reader:
-    """Cursor over a payload. Raises IndexError beyond its end."""
+    """Reader that decodes a payload step by step. Raises IndexError at the end of the payload."""
 
     def __init__(self, data: bytes) -> None:
-        """Start at the first byte."""
+        """Start at the first byte of the payload."""
         self.data = data
         self.at = 0
 
@@ -319,7 +319,7 @@ class _Reader:
         return value
 
     def varuint(self) -> int:
-        """Return the next number of at most five groups of seven bits."""
+        """Return the next varuint: at most five groups of seven bits."""
         number = 0
         for shift in range(0, 35, 7):
             group = self.byte()
@@ -329,7 +329,7 @@ class _Reader:
         raise IndexError
 
     def registers(self, kind: int) -> Iterator[tuple[int, Any]]:
-        """Yield (register, value) of a register subframe."""
+        """Yield the (register, value) pairs of a register subframe."""
         coding = _VALUES[kind >> 2 & 3]
         count = kind & 3 or self.varuint()
         first = self.varuint()

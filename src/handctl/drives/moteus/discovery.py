@@ -1,8 +1,8 @@
-"""Discovery of moteus controllers: reads of the mode register from each node number, then of other registers.
+"""Discovery of moteus controllers: read the mode register from each node number, then other registers.
 
-Reads make no torque and do not feed the watchdog. All requests and replies fit into eight bytes,
-and are classical frames, because a classical bus must not carry CAN FD. A drive answers a classical
-request classically. Source: docs/facts/moteus.md.
+Reads make no torque and do not feed the watchdog. All requests and replies are classical frames of
+at most eight bytes, because a classical bus must not carry CAN FD. A drive answers a classical
+frame with a classical frame. Source: docs/facts/moteus.md.
 """
 
 import math
@@ -15,18 +15,21 @@ from handctl.drives.moteus.progress import error_text
 NUMBERS = range(1, codec.LAST_NODE + 1)
 """Node numbers to try."""
 MODE_REQUEST = codec.read(codec.INT8, codec.MODE)
-"""Request that finds a node. Its reply begins with 21 00."""
+"""Payload that reads the mode, to discover a node. The reply begins with 21 00."""
 MODE_REPLY = bytes((codec.REPLY | 1, codec.MODE))
 DETAILS = (
     codec.read(codec.INT8, codec.FAULT),
     *(codec.read(codec.INT32, register) for register in (codec.FIRMWARE, *range(codec.SERIAL, codec.SERIAL + 3))),
 )
-"""Requests for fault code, firmware version, and serial number."""
+"""Payloads that read fault code, firmware version, and serial number."""
 _MODES = {codec.STOPPED: "stopped", codec.IN_FAULT: "fault", codec.POSITION: "position", codec.TIMED_OUT: "timeout"}
 
 
 def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return the request frames of a round: mode of every number (2), details of discovered drives (3)."""
+    """Return the request frames of a round.
+
+    Round 2 reads the mode from every node number. Round 3 reads details of the discovered drives.
+    """
     if turn == 2:
         return tuple(Frame(codec.request_id(number), MODE_REQUEST) for number in NUMBERS)
     if turn == 3:
@@ -35,7 +38,7 @@ def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
 
 
 def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
-    """Return the drives that answered with their mode to this host."""
+    """Return the drives that reported their mode to this host."""
     answers: dict[int, dict[int, list[bytes]]] = {}
     by_reply = {codec.reply_id(number): number for number in NUMBERS}
     for frame in received:
@@ -48,7 +51,7 @@ def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
 
 
 def _drive(number: int, answers: dict[int, list[bytes]]) -> DiscoveredNode:
-    """Return the data of one drive from its answers, by register."""
+    """Return the discovered drive with its data, from its answers by register."""
     values: dict[int, int] = {}
     for register, payloads in answers.items():
         reply = codec.reply(payloads[-1])
@@ -69,14 +72,17 @@ def _drive(number: int, answers: dict[int, list[bytes]]) -> DiscoveredNode:
 
 
 def command_ids(drive: DiscoveredNode) -> frozenset[int]:
-    """Return the requests of any source to the node and to all nodes."""
+    """Return the identifiers of requests from any source to this node and to all nodes."""
     return frozenset(
         codec.request_id(node, source) for node in (drive.node_id, codec.BROADCAST) for source in codec.SOURCES
     )
 
 
 def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return the requests to any drive. All have the reply bit and 29 bits without a prefix."""
+    """Return the received frames that are requests to a drive.
+
+    They have the reply bit and a 29-bit identifier without a prefix.
+    """
     return tuple(
         frame
         for frame in received
@@ -89,12 +95,12 @@ def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
 
 
 def ping(drive: DiscoveredNode) -> Frame:
-    """Return the request for the mode."""
+    """Return the frame that reads the mode."""
     return Frame(codec.request_id(drive.node_id), MODE_REQUEST)
 
 
 def is_pong(drive: DiscoveredNode, frame: Frame) -> bool:
-    """Return True for a reply with the mode."""
+    """Return True if the frame is a reply with the mode."""
     return frame.can_id == codec.reply_id(drive.node_id) and frame.data[:2] == MODE_REPLY
 
 

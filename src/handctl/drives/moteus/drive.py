@@ -1,10 +1,10 @@
 """Moteus controller: from silence through its settings to torque, and back to stopped.
 
-A drive answers requests and sends no other frame. A torque command is position mode with gains 0
-and a feedforward torque, and the same frame has the drive's torque limit, its watchdog, and the
-request for feedback. Every command enables, hence a drive that reports any other mode while it is
-enabled is in fault, and gets the stop command. The stop command also clears a fault of the drive.
-This host keeps the fault until the operator clears it.
+A drive answers requests and sends no other frame. A torque command selects position mode with gains
+0 and a feedforward torque. The same frame contains the drive's torque limit, its watchdog time, and
+the request for feedback. Every torque command enables the drive. An enabled drive that reports
+another mode is therefore in fault, and gets the stop command. The stop command also clears a fault
+of the drive. This host keeps the fault until the operator clears it.
 """
 
 import math
@@ -34,14 +34,17 @@ from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = DriveTarget
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
-"""Phases as module-level names. An attribute look-up in the enumeration costs more than a comparison."""
+"""Phases as module-level names for speed.
+
+Reading an attribute of the enumeration is slower than a comparison.
+"""
 SERIAL_REQUEST = codec.padded(bytes((codec.READ | codec.INT32 << 2 | 3,)) + codec.varuint(codec.SERIAL))
 """Payload that reads the three registers of the serial number."""
 
 
 @dataclass(frozen=True, slots=True)
 class MoteusDrive:
-    """One motor. Implements ``contract.Drive``.
+    """Moteus controller with its motor. Implements ``contract.Drive``.
 
     Attributes:
         name: name of the motor.
@@ -50,7 +53,7 @@ class MoteusDrive:
         torque_limit: largest torque command, and the drive's own limit [N m at the spool].
         direction: 1 if positive torque of the motor winds, else -1.
         zero: motor angle of the spool's zero [rad].
-        timeout_s: watchdog [s].
+        timeout_s: time of the watchdog [s].
         command: signal table of the command, from the fields above.
         feedback: signal table of the feedback, from the fields above.
         required: settings required before arming, from the fields above.
@@ -98,55 +101,55 @@ class MoteusDrive:
 
     @property
     def exchange(self) -> tuple[tuple[int, bool], ...]:
-        """Return command and feedback."""
+        """Return the frames of a tick: command and feedback."""
         return ((self.command.message.length, True), (codec.FEEDBACK_LENGTH, True))
 
     @property
     def background(self) -> tuple[tuple[int, bool, float], ...]:
-        """Return the text requests of the read-back: command, request for the answer, and both replies."""
+        """Return the frames of one read-back per text channel: command, request for the answer, and both replies."""
         rate = readback.RECHECKS_PER_SECOND
         return ((48, True, rate), (3, True, rate), (4, True, rate), (16, True, rate))
 
     @property
     def extended(self) -> bool:
-        """Return True: requests have 29-bit identifiers."""
+        """Return True, because requests have 29-bit identifiers."""
         return True
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Return the requests of any host to this node and to all nodes."""
+        """Return the identifiers of requests from any host to this node and to all nodes."""
         return frozenset(
             codec.request_id(node, source) for node in (self.node_id, codec.BROADCAST) for source in codec.SOURCES
         )
 
     @property
     def node_ids(self) -> frozenset[int]:
-        """Return the identifier of the replies to this host."""
+        """Return the identifier of the drive's replies to this host."""
         return frozenset((codec.reply_id(self.node_id),))
 
     @property
     def unverified_guards(self) -> tuple[str, ...]:
-        """Return no entry: every setting is read back."""
+        """Return an empty tuple, because every setting is read back."""
         return ()
 
     @property
     def one_reply_per_command(self) -> bool:
-        """Return True: a drive sends one reply per request."""
+        """Return True, because a drive sends one reply per request."""
         return True
 
     @property
     def position_step(self) -> float:
-        """Return 0, unknown: the encoder's steps are coarser than float32 turns, and not reported."""
+        """Return 0 (unknown): the drive does not report the encoder step."""
         return 0.0
 
     @property
     def feedback_period_s(self) -> float:
-        """Return 0: every command requests feedback."""
+        """Return 0, because every command requests feedback."""
         return 0.0
 
     @property
     def cyclic(self) -> Cyclic:
-        """Return command and feedback."""
+        """Return the signal tables of command and feedback."""
         return Cyclic((self.feedback.message,), (self.command.message,))
 
     def steady_status(self, state: DriveState) -> int:
@@ -157,15 +160,15 @@ class MoteusDrive:
         return codec.status(codec.POSITION, 0)
 
     def due_ns(self, state: DriveState) -> int:
-        """Return the time of the next read-back [ns]."""
+        """Return the time of the next read-back request [ns]."""
         return progress_of(state).check.due_ns
 
     def initial(self) -> DriveState:
-        """Return the silent state."""
+        """Return the state before the first frame."""
         return DriveState(private=MoteusProgress())
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
-        """Apply one received frame, see ``contract.Drive``."""
+        """Return the state after one received frame, see ``contract.Drive``."""
         can_id, data, _, bus, t_ns = frame
         if bus != self.bus or can_id != self.feedback.message.can_id:
             return state
@@ -188,7 +191,7 @@ class MoteusDrive:
         return self._on_value(state, progress, setting, reply.values[setting.register], "")
 
     def _on_feedback(self, state: DriveState, data: bytes, t_ns: int) -> DriveState:
-        """Apply the values, the mode, and the fault code of a feedback frame."""
+        """Update the state with the values, the mode, and the fault code of a feedback frame."""
         *status, position, velocity, torque, board, motor = self.feedback.unpack(data)
         if math.isnan(position + velocity + torque):
             return state._replace(misread=state.misread + 1)
@@ -203,7 +206,7 @@ class MoteusDrive:
         return apply_mode(updated, int(status[1]), int(status[3]))
 
     def _open_setting(self, state: DriveState, progress: MoteusProgress) -> items.MoteusSetting | None:
-        """Return the setting whose value was requested, None without a request."""
+        """Return the setting whose value was requested, or None without an open request."""
         if state.phase == CONFIGURING and progress.cursor.waiting and progress.cursor.step < len(self.required):
             return self.required[progress.cursor.step]
         if state.phase == ENABLED and progress.check.waiting:
@@ -211,7 +214,7 @@ class MoteusDrive:
         return None
 
     def _on_text(self, state: DriveState, progress: MoteusProgress, text: bytes) -> DriveState:
-        """Apply a part of the text channel."""
+        """Return the state after a part of a text answer."""
         emptied = progress.channel.asked_ns < 0
         channel, line = progress.channel.take(text)
         progress = progress._replace(channel=channel)
@@ -230,7 +233,7 @@ class MoteusDrive:
     def _on_value(
         self, state: DriveState, progress: MoteusProgress, setting: items.MoteusSetting, value: float | None, text: str
     ) -> DriveState:
-        """Compare a value with the required one. A text that is no number counts as a wrong value."""
+        """Compare the value of a setting with the required value. A text that is not a number counts as wrong."""
         same = value is not None and setting.is_right(value)
         shown = text if value is None else f"{value:g}"
         expected = f"{setting.value:g}"
@@ -252,7 +255,7 @@ class MoteusDrive:
     def _on_serial(
         self, state: DriveState, progress: MoteusProgress, values: dict[int, float], t_ns: int
     ) -> DriveState:
-        """Apply the serial number, the last step of the configuration."""
+        """Return the state after the serial number arrived, the last step of the configuration."""
         if state.phase != CONFIGURING or progress.cursor.step < len(self.required):
             return state
         words = [int(values.get(codec.SERIAL + i, 0)) & 0xFFFFFFFF for i in range(3)]
@@ -293,13 +296,16 @@ class MoteusDrive:
         return state._replace(private=progress), (question,)
 
     def _disable(self, state: DriveState, progress: MoteusProgress, t_ns: int) -> DriveState:
-        """Return the state while stopping. A possibly enabled drive counts as enabled until it reports stopped."""
+        """Return the state while the drive is being stopped.
+
+        A drive that may be enabled counts as enabled until it reports stopped.
+        """
         phase = ENABLED if progress.enable_sent or progress.enabled_by_other else state.phase
         since = progress.disabling_ns if progress.disabling else t_ns
         return state._replace(phase=phase, private=progress._replace(disabling=True, disabling_ns=since))
 
     def _recheck(self, state: DriveState, progress: MoteusProgress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Read a setting of the enabled drive, if due, or the rest of its answer."""
+        """Return the request that reads a setting of the enabled drive, or the next part of its answer, if due."""
         setting = self.required[progress.check.step]
         channel = progress.channel
         data = b""
@@ -322,7 +328,7 @@ class MoteusDrive:
     def _configure(
         self, state: DriveState, progress: MoteusProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Do one step of the configuration. An enabled drive is stopped first."""
+        """Return the state and the next request of the configuration. An enabled drive is stopped first."""
         if progress.enabled_by_other:
             text = f"in mode {progress.mode} without a command, and does not stop"
             return state._replace(error_text=text, private=progress), self.cut()
@@ -350,7 +356,7 @@ class MoteusDrive:
     def _request(
         self, channel: items.Channel, setting: items.MoteusSetting, writing: bool, t_ns: int
     ) -> tuple[items.Channel, bytes]:
-        """Return the channel and the payload that reads or writes a setting."""
+        """Return the text channel and the payload that reads or writes a setting."""
         if setting.register:
             return channel, codec.read(codec.FLOAT, setting.register)
         command = items.write_request(setting) if writing else items.read_request(setting)
@@ -359,7 +365,7 @@ class MoteusDrive:
     def _ask_serial(
         self, state: DriveState, progress: MoteusProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Request the serial number a few times, then do without it."""
+        """Request the serial number a few times, then continue without it."""
         cursor, send, unanswered = readback.next_request(progress.cursor, "serial number", t_ns, SERIAL_TRIES)
         updated = state._replace(private=progress._replace(cursor=cursor))
         if unanswered:
@@ -381,36 +387,39 @@ class MoteusDrive:
             raise ValueError(f"{self.name}: {error}") from None
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
-        """Return no frame: every torque command enables."""
+        """Return no frame, because every torque command enables the drive."""
         return ()
 
     def cut(self) -> tuple[Frame, ...]:
-        """Return the stop command."""
+        """Return the frame of the stop command."""
         return (self._frame(codec.STOP),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Clear the latched error by the stop command, and start again with the read-back."""
+        """Return the state that clears the latched error by the stop command and repeats the read-back."""
         fresh = state._replace(phase=SILENT, error=0, error_text="", private=MoteusProgress(clearing=CLEAR_TRIES))
         return fresh, self.cut()
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
-        """Return no frame: the watchdog of a stopped drive is inactive."""
+        """Return no frame, because the watchdog of a stopped drive is inactive."""
         return ()
 
     def identity(self, state: DriveState) -> str:
-        """Return the 96 bits of the serial number, or the node number."""
+        """Return the serial number (96 bits), or the node number if it is unknown."""
         return f"{serial:024x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
     def cause(self, error: int) -> Cause:
-        """Return the cause of an error, see ``contract.Drive``."""
+        """Return the cause of an error code, see ``contract.Drive``."""
         return CAUSES.get(error, Cause.UNKNOWN)
 
     def _frame(self, data: bytes) -> Frame:
-        """Return a frame to the drive."""
+        """Return a frame to the drive with this payload."""
         return Frame(self.command.message.can_id, data, codec.FLAGS, self.bus)
 
 
 def _ready(state: DriveState, progress: MoteusProgress, t_ns: int, serial: int) -> DriveState:
-    """Return the ready state with all settings right. Serial number 0 is unknown."""
+    """Return the state in phase READY, after all settings were verified.
+
+    Serial number 0 means unknown.
+    """
     ready = progress._replace(cursor=Cursor(), configured=True, ready_ns=t_ns, serial=serial)
     return state._replace(phase=READY, private=ready)

@@ -18,30 +18,30 @@ CAUSES = {
     codec.IN_FAULT: Cause.OTHER, codec.TIMED_OUT: Cause.WATCHDOG, 34: Cause.VOLTAGE, 40: Cause.VOLTAGE, 38: Cause.HOT,
     DROPPED_OUT: Cause.DROPPED_OUT, MISMATCH: Cause.MISMATCH, ENABLED_BY_OTHERS: Cause.MISMATCH,
 } | dict.fromkeys(codec.FAULTS.keys() - {34, 38, 40}, Cause.OTHER)  # fmt: skip
-"""Causes by fault code, by mode, and by the error codes of the host."""
+"""Cause of each fault code, of each mode, and of each error code added by handctl."""
 CLEAR_TRIES = 3
-"""Feedback frames that may still carry an error after the stop command that clears the error."""
+"""Number of feedback frames that may still show an error after the stop command that clears it."""
 SILENCE_NS = 250_000_000
-"""Silence after which a drive may have lost power, and with it its settings [ns]."""
+"""Time without a frame after which the drive may have lost power and its settings [ns]."""
 SERIAL_TRIES = 3
-"""Requests for the serial number, which no safety depends on."""
+"""Number of requests for the serial number. Safety does not depend on the serial number."""
 
 
 class MoteusProgress(NamedTuple):
-    """Progress of a moteus controller, the content of ``DriveState.private``.
+    """State of the moteus state machine between frames, stored in ``DriveState.private``.
 
     Attributes:
-        cursor: cursor of the read-back.
-        channel: exchange over the text channel.
+        cursor: position in the list of settings to read back.
+        channel: state of the exchange over the text channel.
         configured: True if all settings have their required values.
-        mode: latest mode.
+        mode: mode in the latest feedback.
         enabled_by_other: True if the drive may make torque without a command of this host.
         enable_sent: True from the enable command to the next report of stopped.
         disabling: True while the drive is being stopped.
         disabling_ns: time of the first stop command [ns].
-        clearing: feedback frames that may still carry the error being cleared.
-        ready_ns: time at which all settings were right [ns].
-        check: cursor of the read-back while enabled.
+        clearing: feedback frames left to ignore while the error is being cleared.
+        ready_ns: time at which the last setting was verified [ns].
+        check: position in the read-back repeated while enabled.
         serial: serial number, 0 if unknown.
     """
 
@@ -60,18 +60,21 @@ class MoteusProgress(NamedTuple):
 
 
 def progress_of(state: DriveState) -> MoteusProgress:
-    """Return the private part of a state."""
+    """Return the moteus part of a drive state."""
     progress: MoteusProgress = state.private
     return progress
 
 
 def to_fault(state: DriveState, error: int, text: str) -> DriveState:
-    """Return the state with an error."""
+    """Return the state in phase FAULT with an error code and its text."""
     return state._replace(phase=FAULT, error=error, error_text=text)
 
 
 def apply_mode(state: DriveState, mode: int, fault: int) -> DriveState:
-    """Apply a mode and a fault code to a state that has the values of the same feedback."""
+    """Return the state after a mode and a fault code.
+
+    The given state already has the values of the same feedback.
+    """
     progress = progress_of(state)
     if progress.mode != mode:
         progress = progress._replace(mode=mode)
@@ -88,7 +91,7 @@ def apply_mode(state: DriveState, mode: int, fault: int) -> DriveState:
 
 
 def _is_stopped(state: DriveState, progress: MoteusProgress) -> DriveState:
-    """Apply a report of stopped."""
+    """Return the state after the drive reported stopped."""
     off = progress._replace(enable_sent=False, enabled_by_other=False, clearing=0)
     if progress.disabling:
         # Feedback from before the stop command proves nothing.
@@ -102,14 +105,14 @@ def _is_stopped(state: DriveState, progress: MoteusProgress) -> DriveState:
 
 
 def _is_enabled(state: DriveState, progress: MoteusProgress) -> DriveState:
-    """Apply a report of position mode."""
+    """Return the state after the drive reported position mode."""
     if progress.enable_sent and state.phase != FAULT:
         return state if state.phase == ENABLED else state._replace(phase=ENABLED)
     return _is_enabled_by_other(state, progress, "enabled, but not by this host")
 
 
 def _is_in_other_mode(state: DriveState, progress: MoteusProgress) -> DriveState:
-    """Apply a report of a mode that the host does not use. The drive may make torque."""
+    """Return the state after a mode not used by this host. The drive may make torque."""
     if state.phase == ENABLED and progress.enable_sent and not progress.disabling:
         enabled = state._replace(private=progress._replace(enabled_by_other=True))
         return to_fault(enabled, DROPPED_OUT, f"went to mode {progress.mode} by itself")
@@ -117,7 +120,7 @@ def _is_in_other_mode(state: DriveState, progress: MoteusProgress) -> DriveState
 
 
 def _is_enabled_by_other(state: DriveState, progress: MoteusProgress, text: str) -> DriveState:
-    """Apply a report of a mode that another host or a restart has caused."""
+    """Return the state after a mode caused by another host or a restart."""
     enabled = state._replace(private=progress._replace(enabled_by_other=True))
     if progress.disabling:
         return enabled._replace(phase=ENABLED)
@@ -127,7 +130,7 @@ def _is_enabled_by_other(state: DriveState, progress: MoteusProgress, text: str)
 
 
 def _is_in_error(state: DriveState, progress: MoteusProgress, error: int) -> DriveState:
-    """Apply an error, which has removed the torque."""
+    """Return the state after an error. The error has removed the torque."""
     if progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
     off = state._replace(private=progress._replace(enable_sent=False, enabled_by_other=False))
@@ -135,7 +138,7 @@ def _is_in_error(state: DriveState, progress: MoteusProgress, error: int) -> Dri
 
 
 def error_text(error: int) -> str:
-    """Return an error of the drive in words."""
+    """Return the text for an error of the drive."""
     if error == codec.TIMED_OUT:
         return "commands were missing: the drive's watchdog fired"
     if error == codec.IN_FAULT:

@@ -1,11 +1,12 @@
 """Settings of a moteus controller: read, written if wrong, and read again.
 
-Torque limit and watchdog are command registers. Every command carries both, and a request without
-effect on the motor stores them before the first torque. The other settings are configuration items of the diagnostic
-text channel. ``conf set`` changes the working memory alone, and no request writes the flash.
+Torque limit and watchdog are command registers. Every torque command sets both. Before the first
+torque, a request that does not move the motor stores them. The other settings are configuration
+items of the diagnostic text channel. ``conf set`` changes the working memory alone, and no request
+writes the flash.
 
-A text is lost with its frame, and an answer may come late. Therefore each exchange starts with an
-empty channel: after a request without an answer, the host reads until no text is left.
+A frame with text may be lost, and an answer may come late. Therefore each exchange starts with an
+empty channel: if a request got no answer, the host reads until no text is left.
 """
 
 import math
@@ -16,11 +17,11 @@ from handctl.drives.moteus import codec
 from handctl.drives.readback import REQUEST_TIMEOUT_NS
 
 WRITES = 3
-"""Writes per setting. A register write is not confirmed, and a possibly lost write is repeated."""
+"""Number of writes per setting. The drive does not confirm a write, and a possibly lost write is repeated."""
 POLLS = 3
-"""Reads of an answer before a request counts as unanswered, however long a tick is."""
+"""Number of reads without an answer after which a request counts as unanswered, at any control rate."""
 LONGEST_LINE = 128
-"""Text without an end of line that counts as an answer to another host [bytes]."""
+"""Length of text without an end of line from which the text counts as an answer to another host [bytes]."""
 
 
 class MoteusSetting(NamedTuple):
@@ -37,7 +38,7 @@ class MoteusSetting(NamedTuple):
     register: int = 0
 
     def is_right(self, value: float) -> bool:
-        """Return True for the required value, as float32."""
+        """Return True if a value equals the required one in float32 precision."""
         return value == self.value or (math.isnan(value) and math.isnan(self.value))
 
 
@@ -62,7 +63,7 @@ def required(torque: float, timeout_s: float) -> tuple[MoteusSetting, ...]:
 
 
 def single(value: float) -> float:
-    """Return a value with the precision of float32."""
+    """Return a value rounded to float32 precision."""
     return float(struct.unpack("<f", struct.pack("<f", value))[0])
 
 
@@ -77,7 +78,7 @@ def write_request(setting: MoteusSetting) -> bytes:
 
 
 def value_of(line: bytes) -> float | None:
-    """Return the value in an answer, None for any other text."""
+    """Return the number in an answer, or None for any other text."""
     try:
         return float(line)
     except ValueError:
@@ -85,13 +86,13 @@ def value_of(line: bytes) -> float | None:
 
 
 class Channel(NamedTuple):
-    """Exchange over the diagnostic text channel.
+    """State of the exchange over the diagnostic text channel.
 
     Attributes:
-        empty: True if no old text can arrive.
+        empty: True if no text of an earlier request can still arrive.
         asked_ns: time of the open request [ns], -1 without one.
-        polls: reads of its answer.
-        text: answer so far.
+        polls: number of reads for the answer of the open request.
+        text: part of the answer received so far.
     """
 
     empty: bool = False
@@ -100,13 +101,13 @@ class Channel(NamedTuple):
     text: bytes = b""
 
     def ask(self, command: bytes, t_ns: int) -> tuple["Channel", bytes]:
-        """Return the channel and the payload of a request, or of a read that empties the channel first."""
+        """Return the channel and the next payload: the request, or a read that first empties the channel."""
         if not self.empty:
             return Channel(), codec.TEXT_REQUEST
         return Channel(True, t_ns), codec.text_request(command)
 
     def awaits(self, t_ns: int) -> bool:
-        """Return True if the answer of the open request must be read in this tick."""
+        """Return True if the host must read the answer of the open request in this tick."""
         late = t_ns - self.asked_ns > REQUEST_TIMEOUT_NS and self.polls >= POLLS
         return 0 <= self.asked_ns < t_ns and not late
 
@@ -115,7 +116,7 @@ class Channel(NamedTuple):
         return self._replace(polls=self.polls + 1), codec.TEXT_REQUEST
 
     def take(self, text: bytes) -> tuple["Channel", bytes]:
-        """Return the channel and the first complete line of an answer, empty without one."""
+        """Return the channel and the first complete line of an answer, empty if no line is complete."""
         if self.asked_ns < 0:
             return self._replace(empty=not text), b""
         line, end, _ = (self.text + text).partition(b"\n")

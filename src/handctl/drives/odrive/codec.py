@@ -46,7 +46,7 @@ TEMPERATURE = 0x15
 CLEAR_ERRORS = 0x18
 TORQUES = 0x1C
 COMMANDS = frozenset((ESTOP, RX_SDO, SET_AXIS_STATE, SET_MODE, 0x0C, 0x0D, SET_TORQUE, SET_LIMITS, 0x16, CLEAR_ERRORS))
-"""Commands that only a host sends. 0x0C and 0x0D set position and velocity, 0x16 reboots."""
+"""Numbers of commands sent only by hosts. 0x0C and 0x0D set position and velocity, 0x16 reboots."""
 REQUESTABLE = frozenset((GET_VERSION, ADDRESS, ENCODER, TEMPERATURE, TORQUES))
 """Messages requested by a remote frame."""
 ANSWERS = REQUESTABLE | {HEARTBEAT, TX_SDO}
@@ -91,7 +91,7 @@ RESULTS = {
 
 
 class Heartbeat(NamedTuple):
-    """Errors as bits, axis state, result of the last procedure."""
+    """Heartbeat: errors as bits, axis state, result of the last procedure."""
 
     errors: int
     state: int
@@ -104,12 +104,12 @@ def can_id(node_id: int, command: int) -> int:
 
 
 def error_text(errors: int) -> str:
-    """Return all errors in words. An undocumented bit appears with its number."""
+    """Return the text for all set error bits. An undocumented bit appears with its number."""
     return ", ".join(ERRORS.get(bit, f"unknown error bit {bit}") for bit in range(32) if errors >> bit & 1)
 
 
 def result_text(result: int) -> str:
-    """Return the result of a procedure in words."""
+    """Return the text for the result of a procedure."""
     return RESULTS.get(result, f"unknown result {result}")
 
 
@@ -119,7 +119,7 @@ def _float(name: str, quantity: Quantity, first: int, scale: float, offset: floa
 
 
 def encoder_message(node_id: int, ratio: float, zero: float) -> Message:
-    """Return Get_Encoder_Estimates: position [turn] and velocity [turn/s] of the shaft.
+    """Return the signal table of Get_Encoder_Estimates: position [turn] and velocity [turn/s] of the shaft.
 
     Args:
         node_id: node number of the drive.
@@ -135,7 +135,9 @@ def encoder_message(node_id: int, ratio: float, zero: float) -> Message:
 
 
 def torques_message(node_id: int, ratio: float) -> Message:
-    """Return Get_Torques: target and estimate [N m] at the shaft. The estimate is used.
+    """Return the signal table of Get_Torques: target and estimate [N m] at the shaft.
+
+    The controller uses the estimate.
 
     Args:
         node_id: node number of the drive.
@@ -148,7 +150,7 @@ def torques_message(node_id: int, ratio: float) -> Message:
 
 
 def torque_message(node_id: int, ratio: float, limit: float) -> Message:
-    """Return Set_Input_Torque [N m] at the shaft.
+    """Return the signal table of Set_Input_Torque [N m] at the shaft.
 
     Args:
         node_id: node number of the drive.
@@ -161,17 +163,17 @@ def torque_message(node_id: int, ratio: float, limit: float) -> Message:
 
 
 def request_message(node_id: int, command: int) -> Message:
-    """Return the remote frame that requests a message."""
+    """Return the signal table of the remote frame that requests a message."""
     return Message(f"ask_{command:#04x}", can_id(node_id, command) | REMOTE, 0, answers=False)
 
 
 def heartbeat(data: bytes) -> Heartbeat:
-    """Decode 8 bytes of Heartbeat."""
+    """Decode 8 bytes of a heartbeat."""
     return Heartbeat(*struct.unpack_from("<IBB", data))
 
 
 def pair(data: bytes) -> tuple[float, float] | None:
-    """Return two float32, or None unless both are finite."""
+    """Decode two float32, or return None unless both are finite."""
     first, second = struct.unpack("<ff", data)
     return (first, second) if math.isfinite(first) and math.isfinite(second) else None
 
@@ -179,13 +181,13 @@ def pair(data: bytes) -> tuple[float, float] | None:
 def hottest(data: bytes) -> float | None:
     """Return the larger of two float32 temperatures [degC], or None if both are NaN.
 
-    A missing sensor may report NaN.
+    A drive reports NaN for a sensor that is not connected.
     """
     return max((value for value in struct.unpack("<ff", data) if math.isfinite(value)), default=None)
 
 
 def floats(*values: float) -> bytes:
-    """Return a payload of float32.
+    """Return a payload with float32 values.
 
     Raises:
         ValueError: a value is not finite, or too large for a float32.
@@ -198,15 +200,15 @@ def floats(*values: float) -> bytes:
 
 
 def integers(*values: int) -> bytes:
-    """Return a payload of uint32."""
+    """Return a payload with uint32 values."""
     return struct.pack(f"<{len(values)}I", *values)
 
 
 def sdo_request(operation: int, endpoint: int, value: bytes = b"") -> bytes:
-    """Return the payload of RxSdo."""
+    """Return the payload of RxSdo, which reads or writes an endpoint."""
     return struct.pack("<BHB", operation, endpoint, 0) + value
 
 
 def sdo_reply(data: bytes) -> tuple[int, bytes]:
-    """Return endpoint and value of TxSdo."""
+    """Decode a TxSdo: endpoint and value."""
     return int.from_bytes(data[1:3], "little"), data[4:]

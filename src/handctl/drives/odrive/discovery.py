@@ -1,4 +1,4 @@
-"""Discovery of ODrives: heartbeats, and answers to Address, which one remote frame requests from all.
+"""Discovery of ODrives by heartbeats, and by the message Address, which one remote frame requests from all drives.
 
 Remote frames have no payload, and no drive obeys them. Firmware 0.5.x also sends heartbeats, with
 other errors, and does not report version or serial number. Source: ODrive documentation, "CAN
@@ -17,30 +17,34 @@ from handctl.drives.odrive import firmware_05 as odrive_05
 ADDRESS = 0x06
 BROADCAST = 0x3F
 BEATS = 3
-"""Frames with the layout of a heartbeat before a node counts. A single frame may be anything."""
+"""Number of frames with the layout of a heartbeat to prove an ODrive.
+
+A single frame may be another message.
+"""
 IQ, BUS_VOLTAGE = 0x14, 0x17
-"""Messages of firmware 0.5 that it sends on request only, unless it was set otherwise."""
+"""Messages sent by firmware 0.5 on request only, with factory settings."""
 _OLD_ANSWERS = (IQ, BUS_VOLTAGE)
 _ANSWERS_ONCE = (ADDRESS, codec.GET_VERSION, *_OLD_ANSWERS)
-"""Messages with one answer to each request of a scan."""
+"""Messages sent by a drive once per request of a scan."""
 FREE_NUMBERS = (range(0x01, 0x04), range(0x09, 0x0C), range(0x34, 0x38))
-"""Node numbers without a common identifier with CANopen's predefined connection set or the sensor node.
+"""Node numbers whose identifiers do not overlap those of CANopen's predefined connection set and of the sensor node.
 
 Source: CiA 301, predefined connection set.
 """
 OLD = "does not report its version: treated as firmware 0.5.x, whose watchdog and limits are set over USB"
-"""Note on a drive without an answer to Get_Version."""
+"""Warning for a drive that did not answer Get_Version."""
 _STATES = {codec.IDLE: "idle", codec.CLOSED_LOOP: "closed loop control"}
 """Axis states in words."""
 _CYCLIC = {0x00, 0x01, 0x03, 0x09, 0x14, 0x15, 0x17, 0x1C, 0x1D}
-"""Commands that a drive sends on its own."""
+"""Numbers of messages sent by a drive without a request."""
 
 
 def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the request frames of a round.
 
-    Round 1 requests Address of all nodes, round 2 the version of discovered nodes. Round 3 repeats the
-    version where it is missing, and requests two messages of firmware 0.5 there.
+    Round 1 requests Address of all nodes, round 2 the version of discovered nodes. Round 3 repeats
+    the request to drives whose version is missing, and requests two messages of firmware 0.5 from
+    them.
     """
     if turn == 1:
         return (Frame(codec.can_id(BROADCAST, ADDRESS) | REMOTE, b""),)
@@ -53,12 +57,12 @@ def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
 
 
 def _request(drive: DiscoveredNode, command: int) -> Frame:
-    """Return a remote frame to a drive."""
+    """Return a remote frame that requests a message from a drive."""
     return Frame(codec.can_id(drive.node_id, command) | REMOTE, b"")
 
 
 def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
-    """Return the nodes with ODrive heartbeats, or with an answer to Address."""
+    """Return the senders of ODrive heartbeats and of answers to Address."""
     messages = {command: _sorted(received, command) for command in (codec.HEARTBEAT, *_ANSWERS_ONCE)}
     present = {node for node, data in messages[codec.HEARTBEAT].items() if len(data) >= BEATS and all(map(_beat, data))}
     present |= {node for node, data in messages[ADDRESS].items() if data[-1][0] == node}
@@ -69,7 +73,7 @@ def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
 
 
 def _drive(node: int, messages: dict[int, list[bytes]]) -> DiscoveredNode:
-    """Return the data of one drive from its messages, by command."""
+    """Return the discovered drive with its data, from its messages by command number."""
     latest = {command: payloads[-1] for command, payloads in messages.items()}
     beat = codec.heartbeat(latest[codec.HEARTBEAT]) if codec.HEARTBEAT in latest else None
     serial = f"{int.from_bytes(latest[ADDRESS][1:7], 'little'):012X}" if ADDRESS in latest else ""
@@ -96,7 +100,7 @@ def _drive(node: int, messages: dict[int, list[bytes]]) -> DiscoveredNode:
 
 
 def _notes_06(serial: str, version: bytes) -> list[str]:
-    """Return the notes on a drive of firmware 0.6."""
+    """Return the warnings for a drive of firmware 0.6."""
     notes = ["watchdog and torque limit: give endpoint_... keys in the hand file, or set them over USB and trust that"]
     if not version:
         notes.append("does not report its version")
@@ -108,7 +112,7 @@ def _notes_06(serial: str, version: bytes) -> list[str]:
 
 
 def unasked(drive: DiscoveredNode) -> DiscoveredNode:
-    """Return a drive that was not asked for its version: its firmware is unknown."""
+    """Return the drive for a scan that did not request its version: the firmware is unknown."""
     if "firmware" not in drive.origins:
         return drive
     notes = tuple("firmware unknown, because nothing was asked" if note == OLD else note for note in drive.notes)
@@ -116,7 +120,7 @@ def unasked(drive: DiscoveredNode) -> DiscoveredNode:
 
 
 def _sorted(received: ReceivedFrames, command: int) -> dict[int, list[bytes]]:
-    """Return the payloads of a message by node. Address of older firmware has 7 bytes."""
+    """Return the payloads of one message by node number. Address of older firmware has 7 bytes."""
     by_node: dict[int, list[bytes]] = {}
     for frame in received:
         is_standard = not frame.can_id & (EXTENDED | REMOTE | ERROR) and not frame.flags & FDF
@@ -130,21 +134,22 @@ def _sorted(received: ReceivedFrames, command: int) -> dict[int, list[bytes]]:
 
 
 def _beat(data: bytes) -> bool:
-    """Return True if 8 bytes can be a heartbeat.
+    """Return True if 8 bytes have the layout of a heartbeat.
 
-    State and result are documented values. Byte 7 has no bits but the two flags of firmware 0.5.
+    State and result must be documented values. In byte 7 only the two flags of firmware 0.5 may be
+    set.
     """
     _, state, result = struct.unpack_from("<IBB", data)
     return 1 <= state <= 14 and result <= 15 and not data[7] & 0x7E
 
 
 def command_ids(drive: DiscoveredNode) -> frozenset[int]:
-    """Return every identifier of the node and of the broadcast. 0x7ff is Enter_DFU_Mode."""
+    """Return every identifier of the node and of the broadcast, and 0x7ff, Enter_DFU_Mode."""
     return frozenset(codec.can_id(node, command) for node in (drive.node_id, BROADCAST) for command in range(32))
 
 
 def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return the commands to discovered nodes."""
+    """Return the received frames that are commands to the discovered nodes."""
     numbers = {drive.node_id for drive in nodes(received)}
     return tuple(
         frame
@@ -155,17 +160,21 @@ def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
 
 
 def ping(drive: DiscoveredNode) -> Frame:
-    """Return the request for a message that the drive rarely sends on its own."""
+    """Return the remote frame that requests a message, one the drive rarely sends on its own."""
     return _request(drive, _ping_command(drive))
 
 
 def is_pong(drive: DiscoveredNode, frame: Frame) -> bool:
-    """Return True for the message that ``ping`` requests."""
+    """Return True if the frame is the message that ``ping`` requests."""
     return frame.can_id == codec.can_id(drive.node_id, _ping_command(drive)) and len(frame.data) == 8
 
 
 def _ping_command(drive: DiscoveredNode) -> int:
-    """Return the version for firmware 0.6, and bus voltage and current for 0.5, which has no version."""
+    """Return the command number that ``ping`` requests.
+
+    Firmware 0.6 is asked for its version. Firmware 0.5 has no version, and is asked for bus voltage
+    and current.
+    """
     return BUS_VOLTAGE if drive.options.get("firmware") == "0.5" else codec.GET_VERSION
 
 

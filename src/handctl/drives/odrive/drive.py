@@ -1,9 +1,10 @@
 """ODrive (firmware 0.6.x or 0.5.x) on CANSimple: from its heartbeat to torque, and back to idle.
 
 A remote frame in every tick requests the position, so that position and command have the same age.
-With ``encoder_period_ms`` the drive's cyclic messages are used instead. CANSimple cannot read mode
-and limits back, and cannot set the watchdog. The endpoints of ``settings`` do both by SDO. Only a
-heartbeat reports the state of the drive.
+With the option ``encoder_period_ms`` the host uses the messages that the drive sends periodically
+instead. The commands of CANSimple cannot read back mode and limits, and cannot set the watchdog.
+SDO access to the endpoints of ``settings`` does both. Only a heartbeat reports the state of the
+drive.
 """
 
 import math
@@ -43,7 +44,7 @@ SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 
 @dataclass(frozen=True, slots=True)
 class OdriveDrive:
-    """One motor. Implements ``contract.Drive``.
+    """Motor on an ODrive. Implements ``contract.Drive``.
 
     Attributes:
         name: name of the motor.
@@ -118,14 +119,14 @@ class OdriveDrive:
 
     @property
     def exchange(self) -> tuple[tuple[int, bool], ...]:
-        """Return the torque command, and the messages requested by remote frames."""
+        """Return the frames of a tick: torque command, and the messages requested by remote frames."""
         return ((4, False), *(((0, False), (8, False)) * ((not self.cyclic_s) + self.torque_feedback)))
 
     @property
     def background(self) -> tuple[tuple[int, bool, float], ...]:
-        """Return heartbeat, cyclic position, temperature, and settings traffic.
+        """Return the periodic frames: heartbeat, cyclic position, temperature, and SDO transfers of the settings.
 
-        The cyclic position is on by default, used or not.
+        The drive sends the cyclic position by default, even if the host does not use it.
         """
         temperature_rate = 0.0 if self.firmware_05 else 1e9 / TEMPERATURE_NS
         parsed = 1.0 / (self.cyclic_s or codec.ENCODER_MS * 1e-3)
@@ -141,53 +142,53 @@ class OdriveDrive:
 
     @property
     def extended(self) -> bool:
-        """Return False: all identifiers have 11 bits."""
+        """Return False, because all identifiers have 11 bits."""
         return False
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Return the commands and remote requests of any host."""
+        """Return the identifiers of commands and remote frames, which only a host sends."""
         commands = frozenset(codec.can_id(self.node_id, command) for command in codec.COMMANDS)
         return commands | {codec.can_id(self.node_id, command) | REMOTE for command in codec.REQUESTABLE}
 
     @property
     def node_ids(self) -> frozenset[int]:
-        """Return answers, heartbeat, and cyclic messages."""
+        """Return the identifiers of answers, heartbeat, and cyclic messages."""
         return frozenset(codec.can_id(self.node_id, command) for command in codec.ANSWERS)
 
     @property
     def unverified_guards(self) -> tuple[str, ...]:
-        """Return the guards without verification, for the operator before arming."""
+        """Return the protections of the drive not verifiable by handctl, one line each."""
         return endpoints.unverified_guards(self.settings, self.firmware_05)
 
     @property
     def one_reply_per_command(self) -> bool:
-        """Return False: cyclic messages come beside the answers."""
+        """Return False, because the drive also sends cyclic messages."""
         return False
 
     @property
     def position_step(self) -> float:
-        """Return 0, unknown: the encoder's steps are coarser than float32 turns, and not reported."""
+        """Return 0 (unknown): the drive does not report the encoder step."""
         return 0.0
 
     @property
     def feedback_period_s(self) -> float:
-        """Return the period of the drive's own messages [s], 0 if every tick requests position."""
+        """Return the period of the drive's cyclic messages [s], 0 if every tick requests the position."""
         return self.cyclic_s
 
     @property
     def cyclic(self) -> Cyclic:
-        """Return position and torque messages, the torque command, and the remote requests."""
+        """Return the signal tables of position and torque, the torque command, and the remote frames."""
         requests = [codec.ENCODER] * (not self.cyclic_s) + [codec.TORQUES] * self.torque_feedback
         questions = [codec.request_message(self.node_id, command) for command in requests]
         return Cyclic((self.encoder.message, self.torques.message), (self.command.message, *questions))
 
     def steady_status(self, state: DriveState) -> int:
-        """Return 0: values have no status, and only a heartbeat reports the state."""
+        """Return 0, because frames with values have no status. Only a heartbeat reports the state."""
         return 0 if state.phase == ENABLED and progress_of(state).disabling_ns < 0 else UNSTEADY
 
     def due_ns(self, state: DriveState) -> int:
-        """Return the time of the heartbeat timeout, temperature request, or read-back [ns]."""
+        """Return the time of the next event [ns]: heartbeat timeout, temperature request, or read-back."""
         progress = progress_of(state)
         temperature_rate = NEVER_NS if self.firmware_05 else progress.temperature_request_ns + TEMPERATURE_NS
         recheck = progress.check.due_ns if self.settings else NEVER_NS
@@ -198,11 +199,11 @@ class OdriveDrive:
         )
 
     def initial(self) -> DriveState:
-        """Return the silent state."""
+        """Return the state before the first frame."""
         return DriveState(private=OdriveProgress(version=self.firmware_05))
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
-        """Apply one received frame, see ``contract.Drive``."""
+        """Return the state after one received frame, see ``contract.Drive``."""
         command = frame.can_id & 0x1F
         if frame.bus != self.bus or frame.can_id >> 5 != self.node_id or command not in codec.ANSWERS:
             return state
@@ -221,7 +222,7 @@ class OdriveDrive:
         return self._on_values(state, command, frame)
 
     def _on_values(self, state: DriveState, command: int, frame: Frame) -> DriveState:
-        """Apply position and velocity, torque, or temperatures."""
+        """Update the state with position and velocity, torque, or temperatures from a frame."""
         if command == codec.TEMPERATURE and (hottest := codec.hottest(frame.data)) is not None:
             return state._replace(temperature=hottest)
         table = self.torques if command == codec.TORQUES else self.encoder
@@ -238,7 +239,7 @@ class OdriveDrive:
         )
 
     def _on_version(self, state: DriveState, data: bytes) -> DriveState:
-        """Apply the protocol version."""
+        """Return the state after the message with the protocol version."""
         if state.phase not in (SILENT, CONFIGURING):
             return state
         if data[0] != codec.PROTOCOL:
@@ -248,14 +249,14 @@ class OdriveDrive:
         )
 
     def _on_serial(self, state: DriveState, data: bytes) -> DriveState:
-        """Apply an Address message: node number, then 48 bits of serial number."""
+        """Return the state after an Address message: node number, then 48 bits of serial number."""
         if state.phase != CONFIGURING or data[0] != self.node_id:
             return state
         serial = int.from_bytes(data[1:7], "little")
         return state._replace(private=progress_of(state)._replace(serial=serial, serial_requests=SERIAL_TRIES))
 
     def _on_setting(self, state: DriveState, data: bytes) -> DriveState:
-        """Apply a TxSdo."""
+        """Return the state after a TxSdo during configuration."""
         progress = progress_of(state)
         if state.phase == ENABLED and progress.check.waiting:
             return self._on_recheck_reply(state, progress, data)
@@ -266,7 +267,7 @@ class OdriveDrive:
         return to_fault(updated, MISMATCH, problem) if problem else updated
 
     def _on_recheck_reply(self, state: DriveState, progress: OdriveProgress, data: bytes) -> DriveState:
-        """Compare a setting read again while enabled."""
+        """Compare the value of a setting, read again while the drive is enabled, with the required value."""
         setting = self.settings[progress.check.step]
         endpoint, raw = codec.sdo_reply(data)
         if endpoint != setting.endpoint or len(raw) < len(setting.raw):
@@ -308,9 +309,10 @@ class OdriveDrive:
         return self._configure(state._replace(phase=SILENT if progress.heartbeat_ns < 0 else CONFIGURING), t_ns)
 
     def _ready(self, state: DriveState, t_ns: int, target: DriveTarget) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Poll a ready drive, and enable it on request.
+        """Return the state and frames of a configured drive: request feedback, and enable it if requested.
 
-        One enable command is sent, then 0 N m. A second command would enable a restarted drive.
+        The enable command is sent once, and 0 N m follow. A repeated enable command would enable a
+        drive that has restarted.
         """
         state, requests = self._questions(state, t_ns)
         progress = progress_of(state)
@@ -347,10 +349,11 @@ class OdriveDrive:
     def _next_setting(
         self, state: DriveState, progress: OdriveProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Read or write the next endpoint.
+        """Return the request that reads or writes the next endpoint.
 
-        A drive that gave feedback before is also asked for its position: the settings are verified once
-        more before the enable command, and beside enabled drives a silent drive is a fault.
+        The position of a drive that gave feedback before is requested as well. Its settings are
+        verified once more before the enable command, and a silent drive is a fault while other
+        drives are enabled.
         """
         cursor, data, problem = endpoints.next_request(progress.cursor, self.settings, t_ns)
         updated = state._replace(private=progress._replace(cursor=cursor))
@@ -360,14 +363,17 @@ class OdriveDrive:
         return updated, (*((self._frame(codec.RX_SDO, data),) if data else ()), *requests)
 
     def _setup(self) -> tuple[Frame, ...]:
-        """Return mode and limits. No answer confirms them, hence each enable command is preceded by both."""
+        """Return the frames that set mode and limits.
+
+        No answer confirms them, so both are sent before each enable command.
+        """
         mode = self._frame(codec.SET_MODE, codec.integers(codec.TORQUE_MODE, codec.PASSTHROUGH))
         return mode, self._frame(codec.SET_LIMITS, self.limits)
 
     def _ask_version(
         self, state: DriveState, progress: OdriveProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Request the version, or clear errors, at most once per ``REPEAT_NS``."""
+        """Return the frame that requests the version or clears errors, at most once per ``REPEAT_NS``."""
         if t_ns - progress.sent_ns < REPEAT_NS:
             return state, ()
         if progress.heartbeat_ns >= 0 and progress.tries >= VERSION_TRIES:
@@ -379,14 +385,14 @@ class OdriveDrive:
     def _ask_serial(
         self, state: DriveState, progress: OdriveProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Request the serial number a few times. Older firmware 0.6 does not answer."""
+        """Request the serial number a few times. Early versions of firmware 0.6 do not answer."""
         if t_ns - progress.sent_ns < REPEAT_NS:
             return state, ()
         requests = progress._replace(sent_ns=t_ns, serial_requests=progress.serial_requests + 1)
         return state._replace(private=requests), (self._ask(codec.ADDRESS),)
 
     def _questions(self, state: DriveState, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the requests of a tick."""
+        """Return the state and the remote frames of a tick."""
         frames = [self._ask(codec.ENCODER)] * (not self.cyclic_s) + [self._ask(codec.TORQUES)] * self.torque_feedback
         progress = progress_of(state)
         if t_ns - progress.temperature_request_ns >= TEMPERATURE_NS and not self.firmware_05:
@@ -395,7 +401,7 @@ class OdriveDrive:
         return state, tuple(frames)
 
     def _next_recheck(self, state: DriveState, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Request a setting of the enabled drive, if due."""
+        """Return the next read-back request for the enabled drive, if its time has come."""
         progress = progress_of(state)
         if not self.settings or t_ns < progress.check.due_ns:
             return state, ()
@@ -407,40 +413,40 @@ class OdriveDrive:
         return state, (self._frame(codec.RX_SDO, codec.sdo_request(codec.SDO_READ, setting.endpoint)),)
 
     def _torque(self, torque: float) -> Frame:
-        """Return the torque command [N m at the spool]."""
+        """Return the frame of a torque command [N m at the spool]."""
         try:
             return self._frame(codec.SET_TORQUE, self.command.pack(torque))
         except ValueError as error:
             raise ValueError(f"{self.name}: {error}") from None
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
-        """Return no frame: the watchdog of a disabled drive is inactive."""
+        """Return no frame, because the watchdog of a disabled drive is inactive."""
         return ()
 
     def identity(self, state: DriveState) -> str:
-        """Return 48 bits of the Address message, or the node number for firmware 0.5 and early 0.6."""
+        """Return the serial number (48 bits), or the node number for firmware 0.5 and early 0.6."""
         return f"{serial:012X}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
     def cause(self, error: int) -> Cause:
-        """Return the cause of an error, see ``contract.Drive``."""
+        """Return the cause of an error code, see ``contract.Drive``."""
         return cause_of(error)
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
-        """Return Set_Input_Torque [N m at the spool]. It does not enable the drive."""
+        """Return the frame Set_Input_Torque [N m at the spool]. It does not enable the drive."""
         return (self._torque(torque),)
 
     def cut(self) -> tuple[Frame, ...]:
-        """Return Estop: disarm and latch."""
+        """Return the frame Estop, which disarms the drive and latches an error."""
         return (self._frame(codec.ESTOP, b""),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Clear the latched error, and start again with the version request."""
+        """Return the state that clears the latched error and begins again with the version request."""
         just_verified = OdriveProgress(version=self.firmware_05, axis=progress_of(state).axis, clearing=CLEAR_TRIES)
         cleared = state._replace(phase=SILENT, error=0, error_text="", private=just_verified)
         return cleared, (self._frame(codec.CLEAR_ERRORS, b""),)
 
     def _state(self, state: int) -> Frame:
-        """Return Set_Axis_State."""
+        """Return the frame that sets the axis state."""
         return self._frame(codec.SET_AXIS_STATE, codec.integers(state))
 
     def _frame(self, command: int, data: bytes) -> Frame:
@@ -448,5 +454,5 @@ class OdriveDrive:
         return Frame(codec.can_id(self.node_id, command), data, 0, self.bus)
 
     def _ask(self, command: int) -> Frame:
-        """Return a remote frame to the drive."""
+        """Return a remote frame that requests a message from the drive."""
         return Frame(codec.can_id(self.node_id, command) | REMOTE, b"", 0, self.bus)

@@ -5,9 +5,9 @@ Heartbeat, 8 bytes, little-endian:
     byte    0..3                       4             5, bit 0      6, bit 0        7, bit 0           7, bit 7
     field   errors 32 (bits, ERRORS)   axis state 8  motor error   encoder error   controller error   done
 
-The bus has no version, SDO, temperature, or torque. Watchdog and torque limit are set over USB, and
-cannot be read over CAN. Source: ODrive firmware 0.5.6 (``communication/can``) and the vendor's
-DBC 0.5.6.
+Over CAN this firmware offers no version, SDO, temperature, or torque. Watchdog and torque limit are
+set over USB, and cannot be read over CAN. Source: ODrive firmware 0.5.6 (``communication/can``) and
+the vendor's DBC 0.5.6.
 """
 
 from handctl.drives.odrive.codec import SUCCESS, Heartbeat
@@ -27,11 +27,14 @@ ERRORS = {
 
 
 def heartbeat(data: bytes) -> Heartbeat:
-    """Decode 8 bytes of Heartbeat. The flags of motor, encoder, and controller become axis errors."""
+    """Decode 8 bytes of a heartbeat.
+
+    The flags of motor, encoder, and controller become bits of the axis errors.
+    """
     flags = (MOTOR * (data[5] & 1)) | (ENCODER * (data[6] & 1)) | (CONTROLLER * (data[7] & 1))
     return Heartbeat(int.from_bytes(data[:4], "little") | flags, data[4], SUCCESS)
 
 
 def error_text(errors: int) -> str:
-    """Return all errors in words. An undocumented bit appears with its number."""
+    """Return the text for all set error bits. An undocumented bit appears with its number."""
     return ", ".join(ERRORS.get(bit, f"unknown error bit {bit}") for bit in range(32) if errors >> bit & 1)

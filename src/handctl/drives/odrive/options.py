@@ -9,7 +9,7 @@ from handctl.drives.option_checks import positive_number, whole_number
 from handctl.errors import ConfigError
 
 LARGEST = 1000
-"""Largest plausible ratio, current [A], and period [ms]."""
+"""Largest accepted ratio, current [A], and period [ms]."""
 OPTION_NAMES = "gear_ratio, current_limit_A, heartbeat_ms, encoder_period_ms, firmware, torque_feedback or endpoint_..."
 """Option names, for messages."""
 
@@ -22,7 +22,8 @@ class Options(NamedTuple):
         current: current limit [A].
         heartbeat: period of the heartbeat [ms].
         torque_feedback: True to request torque in every tick.
-        cyclic_s: period of the drive's own messages [s], 0 to request position in every tick.
+        cyclic_s: period of the drive's cyclic messages [s], 0 to request the position in every
+            tick.
         firmware_05: True for firmware 0.5.
     """
 
@@ -35,7 +36,7 @@ class Options(NamedTuple):
 
 
 def pop_options(options: MutableMapping[str, Any], where: str) -> Options:
-    """Read the options and remove their keys. Keys of endpoints remain.
+    """Read the options and remove their keys. The keys of endpoints remain.
 
     Args:
         options: options of the motor.

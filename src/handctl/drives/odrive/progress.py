@@ -11,16 +11,16 @@ from handctl.drives.readback import Cursor, Recheck
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 DROPPED_OUT, MISMATCH, REFUSED, ENABLED_BY_OTHERS, LOST = (1 << 32 | number for number in range(5))
-"""Error codes of the host, above the drive's 32 bits."""
+"""Error codes added by handctl, above the drive's 32 bits."""
 CAUSES = {
     DROPPED_OUT: Cause.DROPPED_OUT, MISMATCH: Cause.MISMATCH, REFUSED: Cause.OTHER,
     ENABLED_BY_OTHERS: Cause.MISMATCH, LOST: Cause.LOST,
 }  # fmt: skip
-"""Causes by the error codes of the host."""
+"""Cause of each error code added by handctl."""
 CAUSES_OF_BITS = {
     8: Cause.VOLTAGE, 9: Cause.VOLTAGE, 11: Cause.VOLTAGE, 13: Cause.HOT, 14: Cause.HOT, 24: Cause.WATCHDOG,
 }  # fmt: skip
-"""Causes by the bit of the heartbeat's error."""
+"""Cause of each error bit of the heartbeat."""
 # Time between repeated requests, and between temperature requests [ns].
 REPEAT_NS = 20_000_000
 TEMPERATURE_NS = 200_000_000
@@ -29,34 +29,35 @@ VERSION_TRIES = 10
 CLEAR_TRIES = 3
 SERIAL_TRIES = 3
 ENABLE_COMMANDS = 5
-"""Enable commands that may be lost before the drive is in fault."""
+"""Number of enable commands without success after which the drive is in fault."""
 HEARTBEATS_MISSED = 3.5
-"""Periods without a heartbeat before the drive counts as lost."""
+"""Number of periods without a heartbeat after which the drive counts as lost."""
 SETTLE_NS = 5_000_000
 """Time after a command in which a heartbeat may still be older than the command [ns]."""
 
 
 class OdriveProgress(NamedTuple):
-    """Progress of CANSimple, the content of ``DriveState.private``.
+    """State of the ODrive state machine between frames, stored in ``DriveState.private``.
 
     Attributes:
         version: True if the protocol version is the supported one.
         serial: serial number, 0 if unknown.
-        serial_requests: requests for the serial number. The drive answered, or no more requests are sent,
-            at ``SERIAL_TRIES``.
-        cursor: cursor of the endpoint read-back.
+        serial_requests: number of requests for the serial number. ``SERIAL_TRIES`` means that the
+            drive has answered or that no more requests are sent.
+        cursor: position in the list of endpoints to read back.
         configured: True if mode and limits were sent.
         axis: latest axis state.
         heartbeat_ns: time of the latest heartbeat [ns], -1 before the first.
         enable_sent_ns: time of the enable command [ns], -1 without one.
         disabling_ns: time of the first disable command [ns], -1 without one.
         sent_ns: time of the latest repeated request [ns].
-        tries: number of such requests.
+        tries: number of requests of that kind so far.
         temperature_request_ns: time of the latest temperature request [ns].
-        clearing: heartbeats that may still carry the error being cleared.
-        just_verified: True if all settings were verified in the last tick, too recently for a restart.
-        enable_commands: enable commands without success.
-        check: cursor of the read-back while enabled.
+        clearing: heartbeats left to ignore while the error is being cleared.
+        just_verified: True if all settings were verified in the last tick. The drive cannot have
+            restarted since then.
+        enable_commands: number of enable commands without success.
+        check: position in the read-back repeated while enabled.
     """
 
     version: bool = False
@@ -78,22 +79,22 @@ class OdriveProgress(NamedTuple):
 
     @property
     def may_be_enabled(self) -> bool:
-        """Return True after an enable command, or in an axis state above idle."""
+        """Return True if an enable command was sent, or if the axis state is above idle."""
         return self.enable_sent_ns >= 0 or self.axis > codec.IDLE
 
 
 def progress_of(state: DriveState) -> OdriveProgress:
-    """Return the private part of a state."""
+    """Return the ODrive part of a drive state."""
     return cast(OdriveProgress, state.private)
 
 
 def to_fault(state: DriveState, error: int, text: str) -> DriveState:
-    """Return the state with an error."""
+    """Return the state in phase FAULT with an error code and its text."""
     return state._replace(phase=FAULT, error=error, error_text=text)
 
 
 def on_heartbeat(state: DriveState, frame: Frame, firmware_05: bool) -> DriveState:
-    """Apply a heartbeat of 8 bytes.
+    """Return the state after a heartbeat of 8 bytes.
 
     Args:
         state: state of the drive.
@@ -113,7 +114,10 @@ def on_heartbeat(state: DriveState, frame: Frame, firmware_05: bool) -> DriveSta
 
 
 def _is_in_error(state: DriveState, progress: OdriveProgress, beat: codec.Heartbeat, firmware_05: bool) -> DriveState:
-    """Apply an error. An error disarms, but a drive outside idle may still make torque."""
+    """Return the state after a heartbeat with an error.
+
+    An error disarms the drive. A drive in any state other than idle may still make torque.
+    """
     error_text = odrive_05.error_text if firmware_05 else codec.error_text
     in_error = to_fault(state, beat.errors, error_text(beat.errors))
     if beat.state == codec.IDLE:
@@ -122,7 +126,7 @@ def _is_in_error(state: DriveState, progress: OdriveProgress, beat: codec.Heartb
 
 
 def _is_enabled(state: DriveState, progress: OdriveProgress) -> DriveState:
-    """Apply a report of closed loop control."""
+    """Return the state after a heartbeat with closed loop control."""
     if progress.disabling_ns >= 0 or (progress.enable_sent_ns >= 0 and state.phase != FAULT):
         return state._replace(phase=ENABLED, private=progress._replace(enable_commands=0, clearing=0))
     if state.phase == READY:
@@ -131,7 +135,10 @@ def _is_enabled(state: DriveState, progress: OdriveProgress) -> DriveState:
 
 
 def _is_in_other_state(state: DriveState, progress: OdriveProgress) -> DriveState:
-    """Apply a report of another axis state, such as a calibration, with torque beyond the host's control."""
+    """Return the state after a heartbeat with another axis state, such as a calibration.
+
+    The drive may then make torque that the host does not control.
+    """
     if state.phase == ENABLED and progress.disabling_ns < 0:
         return to_fault(state, DROPPED_OUT, f"went to axis state {progress.axis} by itself")
     if state.phase == READY and progress.enable_sent_ns < 0 and progress.axis > codec.IDLE:
@@ -140,7 +147,10 @@ def _is_in_other_state(state: DriveState, progress: OdriveProgress) -> DriveStat
 
 
 def _is_disabled(state: DriveState, progress: OdriveProgress, beat: codec.Heartbeat) -> DriveState:
-    """Apply a report of idle. Shortly after a command the report proves nothing."""
+    """Return the state after a heartbeat with idle.
+
+    Shortly after a command the heartbeat may be older than it.
+    """
     off = state._replace(private=progress._replace(enable_sent_ns=-1, disabling_ns=-1))
     if progress.disabling_ns >= 0:
         if progress.heartbeat_ns < progress.disabling_ns + SETTLE_NS:
@@ -155,9 +165,12 @@ def _is_disabled(state: DriveState, progress: OdriveProgress, beat: codec.Heartb
 
 
 def _did_not_enable(state: DriveState, progress: OdriveProgress, beat: codec.Heartbeat) -> DriveState:
-    """Apply a report of idle after an enable command: refused, command lost, or drive restarted.
+    """Return the state after a heartbeat with idle that follows an enable command.
 
-    A restart has no other sign. All settings are written and verified again before the next command.
+    The drive refused the command, the command was lost, or the drive restarted.
+
+    The host cannot detect a restart in another way. All settings are written and verified again
+    before the next enable command.
     """
     if beat.result != codec.SUCCESS:
         off = state._replace(private=progress._replace(enable_sent_ns=-1))
@@ -179,7 +192,10 @@ def _did_not_enable(state: DriveState, progress: OdriveProgress, beat: codec.Hea
 
 
 def on_timeout(state: DriveState, firmware_05: bool) -> DriveState:
-    """Apply missing heartbeats. An enabled drive is in fault, another one may have lost power and mode."""
+    """Return the state after heartbeats were missing for too long.
+
+    An enabled drive is then in fault. A disabled drive may have lost power and its mode.
+    """
     progress = progress_of(state)
     if state.phase == ENABLED or progress.enable_sent_ns >= 0:
         return to_fault(state, LOST, "no heartbeat")
@@ -187,14 +203,17 @@ def on_timeout(state: DriveState, firmware_05: bool) -> DriveState:
 
 
 def start_disabling(state: DriveState, progress: OdriveProgress, t_ns: int) -> DriveState:
-    """Return the state while disabling. A possibly enabled drive counts as enabled until idle."""
+    """Return the state while the drive is being disabled.
+
+    A drive that may be enabled counts as enabled until it reports idle.
+    """
     phase = ENABLED if progress.may_be_enabled else state.phase
     since = progress.disabling_ns if progress.disabling_ns >= 0 else t_ns
     return state._replace(phase=phase, private=progress._replace(disabling_ns=since))
 
 
 def cause_of(error: int) -> Cause:
-    """Return the cause of an error other than 0."""
+    """Return the cause of a nonzero error code."""
     if error in CAUSES:
         return CAUSES[error]
     bits = [bit for bit in range(32) if error >> bit & 1]

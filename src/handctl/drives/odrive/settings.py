@@ -1,7 +1,8 @@
 """ODrive settings without a CANSimple message: read by SDO, written if wrong, read again.
 
-Endpoint numbers belong to one firmware and one board (``flat_endpoints.json``), and are given in
-the hand file. Without them the drive's watchdog is set over USB, and cannot be verified over CAN.
+Endpoint numbers differ between firmware versions and boards (``flat_endpoints.json``), so the hand
+file gives them. Without them the operator must set the drive's watchdog over USB, and handctl
+cannot verify it over CAN.
 """
 
 import struct
@@ -14,13 +15,13 @@ from handctl.drives.readback import Cursor
 from handctl.errors import ConfigError
 
 WRITES = 3
-"""Writes per setting. A drive does not confirm writes, and a possibly lost write is repeated."""
+"""Number of writes per setting. The drive does not confirm a write, and a possibly lost write is repeated."""
 KEYS = ("endpoint_enable_watchdog", "endpoint_watchdog_timeout", "endpoint_torque_max", "endpoint_torque_min")
-"""Options with an endpoint number."""
+"""Names of the options whose value is an endpoint number."""
 
 
 class Setting(NamedTuple):
-    """Endpoint, required bytes, and name of a setting."""
+    """Setting with its endpoint number, its required bytes, and its name."""
 
     endpoint: int
     raw: bytes
@@ -59,7 +60,7 @@ def pop_settings(
 
 
 def unverified_guards(settings: tuple[Setting, ...], firmware_05: bool) -> tuple[str, ...]:
-    """Return the guards without verification, for the operator before arming."""
+    """Return the protections of the drive not verifiable by handctl, one line each."""
     names = {setting.name for setting in settings}
     guards = []
     if "watchdog_timeout" not in names:
@@ -72,7 +73,7 @@ def unverified_guards(settings: tuple[Setting, ...], firmware_05: bool) -> tuple
 
 
 def on_reply(cursor: Cursor, settings: tuple[Setting, ...], data: bytes) -> tuple[Cursor, str]:
-    """Apply a TxSdo. A reply that does not answer the open request is ignored.
+    """Advance the read-back with a TxSdo. Replies to other requests are ignored.
 
     Returns:
         the new cursor, and the problem in words, empty without a problem.
@@ -87,9 +88,9 @@ def on_reply(cursor: Cursor, settings: tuple[Setting, ...], data: bytes) -> tupl
 
 
 def next_request(cursor: Cursor, settings: tuple[Setting, ...], t_ns: int) -> tuple[Cursor, bytes, str]:
-    """Return the next request: cursor, payload, and problem in words.
+    """Return the next request of the read-back: cursor, payload, and problem in words.
 
-    The payload is empty while an answer is awaited, the problem is empty without a problem.
+    The payload is empty while the drive has not answered. The problem is empty if nothing is wrong.
     """
     setting = settings[cursor.step]
     if cursor.writing:  # has no answer
@@ -99,7 +100,7 @@ def next_request(cursor: Cursor, settings: tuple[Setting, ...], t_ns: int) -> tu
 
 
 def shown(raw: bytes, setting: Setting) -> str:
-    """Return a value as text: one byte is a flag, four are a float32."""
+    """Return the value of a setting as text. One byte is a flag, four bytes are a float32."""
     if len(setting.raw) == 1:
         return str(raw[0])
     return f"{struct.unpack_from('<f', raw)[0]:g}"

@@ -49,13 +49,13 @@ SET_BIT_RATE = 0x17
 REPORTING = 0x18
 SET_PROTOCOL = 0x19
 REQUESTS = (GET_ID, ENABLE, STOP, SET_ZERO, SET_NUMBER, READ, WRITE, SAVE, SET_BIT_RATE, REPORTING, SET_PROTOCOL)
-"""Types with the number of the host in bits 15..8."""
+"""Frame types with the number of the host in bits 15..8."""
 BROADCAST = 0xFE
 """Destination of the reply with the motor's identity."""
 LAST_NODE = 0x7F
 """Largest motor number."""
 HOST = 0xFD
-"""Usual number of a host."""
+"""Default number of a host."""
 
 # Modes in the feedback's identifier.
 RESET = 0
@@ -81,9 +81,12 @@ FAULTS = {
     22: "overload: the shaft is blocked",
     24: "over-current in phase A",
 }
-"""Faults by bit of the error code: 6 bits of the feedback's identifier, then those of the fault report from bit 8."""
+"""Fault text by bit of the error code.
+
+Bits 0 to 5 come from the feedback's identifier, bits from 8 on from the fault report.
+"""
 REPORT_SHIFT = 8
-"""Bit of the error code for bit 0 of the fault report."""
+"""Bit number of the error code that stands for bit 0 of the fault report."""
 
 # Parameters: mode of operation, torque limit, watchdog.
 RUN_MODE = 0x7005
@@ -99,7 +102,7 @@ TOP = 0xFFFF
 """Largest code of a field."""
 _MIDDLE = TOP // 2
 NO_MOTION = struct.pack(">HHHH", _MIDDLE, _MIDDLE, 0, 0)
-"""Payload of a pure torque command. Position and velocity act only through the gains."""
+"""Payload of a command with torque only: gains are 0, so position and velocity have no effect."""
 CLEAR = bytes((1,)) + bytes(7)
 """Payload of the stop command that also clears faults."""
 EMPTY = bytes(8)
@@ -128,17 +131,17 @@ MODELS = {
 
 
 def request_id(kind: int, node_id: int, host: int, data: int = 0) -> int:
-    """Return the identifier of a request of a host to a motor."""
+    """Return the identifier of a request from a host to a motor."""
     return EXTENDED | kind << 24 | data << 16 | host << 8 | node_id
 
 
 def reply_id(kind: int, node_id: int, host: int, data: int = 0) -> int:
-    """Return the identifier of a motor's frame to a host."""
+    """Return the identifier of a frame from a motor to a host."""
     return EXTENDED | kind << 24 | data << 16 | node_id << 8 | host
 
 
 def motor_ids(node_id: int, host: int) -> frozenset[int]:
-    """Return the identifiers of a motor's frames to a host.
+    """Return the identifiers of all frames from a motor to a host.
 
     They are identity, feedback with every mode and fault, replies to reads, and the fault report.
     """
@@ -149,14 +152,14 @@ def motor_ids(node_id: int, host: int) -> frozenset[int]:
 
 
 def status(mode: int, fault: int) -> int:
-    """Return bits 23..16 of the feedback's identifier."""
+    """Return the status that bits 23..16 of the feedback's identifier contain."""
     return mode << 6 | fault
 
 
 def command_message(node_id: int, ranges: ModelRanges, limit: float, sign: int = 1) -> Message:
-    """Return the torque command, whose torque is in the identifier.
+    """Return the signal table of the torque command. The identifier contains the torque.
 
-    Zero torque has no code. 0 N m is sent as the nearest code, half a step away.
+    No code stands for exactly 0 N m. It is sent as the nearest code, half a step away.
 
     Args:
         node_id: number of the motor.
@@ -171,7 +174,7 @@ def command_message(node_id: int, ranges: ModelRanges, limit: float, sign: int =
 
 
 def feedback_message(node_id: int, host: int, ranges: ModelRanges, sign: int = 1, zero: float = 0.0) -> Message:
-    """Return the feedback of a running motor without a fault.
+    """Return the signal table of the feedback from a running motor without a fault.
 
     Args:
         node_id: number of the motor.
@@ -191,7 +194,7 @@ def feedback_message(node_id: int, host: int, ranges: ModelRanges, sign: int = 1
 
 
 def _spanning(name: str, quantity: Quantity, start: int, largest: float, unit: str, sign: int) -> Signal:
-    """Return a signal whose 16 bits span -largest to largest."""
+    """Return a signal of 16 bits that covers the values from -largest to largest."""
     scale = sign * 2 * largest / TOP
     return Signal(name, quantity, start, 16, True, Coding.UNSIGNED, scale, -sign * largest, unit)
 
@@ -202,6 +205,6 @@ def parameter(number: int, raw: bytes = EMPTY[:4]) -> bytes:
 
 
 def parameter_reply(data: bytes) -> tuple[int, bytes]:
-    """Return number and four bytes of a parameter from a payload of 8 bytes."""
+    """Decode 8 bytes of a parameter reply: number and four bytes of the value."""
     number, _, raw = _PARAMETER.unpack(data)
     return number, raw

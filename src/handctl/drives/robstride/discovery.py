@@ -11,13 +11,16 @@ from handctl.drives.robstride import codec
 NUMBERS = range(1, codec.LAST_NODE + 1)
 """Motor numbers to try."""
 ALL_HOSTS = range(0x100)
-"""Numbers of hosts."""
+"""Node numbers of hosts."""
 HOST_ONLY = frozenset(codec.REQUESTS) - {codec.GET_ID, codec.READ, codec.REPORTING} | {codec.CONTROL}
-"""Types of frames that a motor never sends."""
+"""Frame types sent only by hosts."""
 
 
 def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return the request frames of a round: the identity of every number in round 2, of found motors in round 3."""
+    """Return the request frames of a round.
+
+    Round 2 requests the identity of every number, round 3 that of the discovered motors.
+    """
     if turn == 2:
         return tuple(_identity_request(number) for number in NUMBERS)
     if turn == 3:
@@ -26,7 +29,7 @@ def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
 
 
 def _identity_request(number: int) -> Frame:
-    """Return the identity request to a motor."""
+    """Return the frame that requests the identity of a motor."""
     return Frame(codec.request_id(codec.GET_ID, number, codec.HOST), codec.EMPTY)
 
 
@@ -42,19 +45,19 @@ def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
 
 
 def _motor(number: int, serials: set[bytes]) -> DiscoveredNode:
-    """Return the data of one motor."""
+    """Return the discovered motor with its data."""
     twins = len(serials) > 1
     notes = (TWINS,) * twins + ("does not report its model: give motor_type in the hand file",)
     return DiscoveredNode("robstride", number, serial=min(serials).hex(), notes=notes, twins=twins)
 
 
 def command_ids(motor: DiscoveredNode) -> frozenset[int]:
-    """Return the requests of any host to the motor."""
+    """Return the identifiers of requests from any host to the motor."""
     return frozenset(codec.request_id(kind, motor.node_id, host) for kind in codec.REQUESTS for host in ALL_HOSTS)
 
 
 def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return the frames of types that a motor never sends, to a motor number."""
+    """Return the received frames sent only by hosts to a motor number."""
     return tuple(
         frame
         for frame in received
@@ -67,12 +70,12 @@ def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
 
 
 def ping(motor: DiscoveredNode) -> Frame:
-    """Return the identity request."""
+    """Return the frame that requests the identity."""
     return _identity_request(motor.node_id)
 
 
 def is_pong(motor: DiscoveredNode, frame: Frame) -> bool:
-    """Return True for the identity."""
+    """Return True if the frame reports the identity."""
     return frame.can_id == codec.reply_id(codec.GET_ID, motor.node_id, codec.BROADCAST)
 
 

@@ -1,9 +1,10 @@
 """RobStride motor: from silence through its parameters to torque, and back to reset mode.
 
 A motor answers requests and sends fault reports on its own. Mode and faults are in the identifier
-of the feedback. Hence feedback of a running motor without a fault has one identifier, and any other
-goes to the state machine here. A stop command without data stops and does not clear faults. It is
-also the request for feedback while the motor is disabled, because no other request has one.
+of the feedback. Therefore feedback of a running motor without a fault has one identifier. Feedback
+with any other identifier is processed by the state machine here. A stop command without data stops
+and does not clear faults. It also requests feedback while the motor is disabled, because no other
+request is answered by feedback.
 """
 
 from dataclasses import dataclass, field
@@ -34,12 +35,15 @@ from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = DriveTarget
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
-"""Phases as module-level names. An attribute look-up in the enumeration costs more than a comparison."""
+"""Phases as module-level names for speed.
+
+Reading an attribute of the enumeration is slower than a comparison.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class RobstrideDrive:
-    """One motor. Implements ``contract.Drive``.
+    """RobStride motor. Implements ``contract.Drive``.
 
     Attributes:
         name: name of the motor.
@@ -50,7 +54,7 @@ class RobstrideDrive:
         torque_limit: largest torque command, and the motor's own limit [N m at the spool].
         direction: 1 if positive torque of the motor winds, else -1.
         zero: motor angle of the spool's zero [rad].
-        watchdog_ms: watchdog [ms].
+        watchdog_ms: time of the watchdog [ms].
         command: signal table of the command, from the fields above.
         feedback: signal table of the feedback, from the fields above.
         required: parameters required before arming, from the fields above.
@@ -117,70 +121,71 @@ class RobstrideDrive:
 
     @property
     def exchange(self) -> tuple[tuple[int, bool], ...]:
-        """Return command and feedback."""
+        """Return the frames of a tick: command and feedback."""
         return ((8, False), (8, False))
 
     @property
     def background(self) -> tuple[tuple[int, bool, float], ...]:
-        """Return the parameter reads of the read-back, and their replies."""
+        """Return the frames of the repeated read-back: parameter reads and their replies."""
         return ((8, False, readback.RECHECKS_PER_SECOND),) * 2
 
     @property
     def extended(self) -> bool:
-        """Return True: all identifiers have 29 bits."""
+        """Return True, because all identifiers have 29 bits."""
         return True
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Return the requests of this host, and the commands with the codes of zero torque.
+        """Return the identifiers of this host's requests, and of commands with zero torque.
 
-        Commands with other torques have 65536 identifiers. A second host is found by its requests.
+        Commands with other torques have 65536 identifiers and are left out. A second host is
+        detected by its requests.
         """
         requests = {codec.request_id(kind, self.node_id, self.host) for kind in codec.REQUESTS}
         return frozenset(requests | {self.command.message.can_id, self.command.pack_frame(0.0)[0]})
 
     @property
     def unverified_guards(self) -> tuple[str, ...]:
-        """Return no entry: torque limit and watchdog are read back."""
+        """Return an empty tuple, because torque limit and watchdog are read back."""
         return ()
 
     @property
     def one_reply_per_command(self) -> bool:
-        """Return True: a motor sends one feedback per command."""
+        """Return True, because a motor sends one feedback frame per command."""
         return True
 
     @property
     def position_step(self) -> float:
-        """Return one count of 16 bits over 8 pi [rad]."""
+        """Return the position step of one count: 16 bits cover 8 pi [rad]."""
         return 2 * codec.TURNS / codec.TOP
 
     @property
     def feedback_period_s(self) -> float:
-        """Return 0: every command requests feedback."""
+        """Return 0, because every command requests feedback."""
         return 0.0
 
     @property
     def cyclic(self) -> Cyclic:
-        """Return command and feedback."""
+        """Return the signal tables of command and feedback."""
         return Cyclic((self.feedback.message,), (self.command.message,))
 
     def steady_status(self, state: DriveState) -> int:
-        """Return 0: the identifier of the feedback is the status."""
+        """Return 0, because the identifier of the feedback contains the status."""
         progress = progress_of(state)
         if state.phase != ENABLED or not progress.enable_sent or progress.disabling or progress.check.waiting:
             return UNSTEADY
         return 0
 
     def due_ns(self, state: DriveState) -> int:
-        """Return the time of the next read-back [ns]."""
+        """Return the time of the next read-back request [ns]."""
         return progress_of(state).check.due_ns
 
     def initial(self) -> DriveState:
-        """Return the silent state."""
+        """Return the state before the first frame."""
         return DriveState(private=RobstrideProgress())
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
-        """Apply one received frame, see ``contract.Drive``."""
+        """Return the state after one received frame, see ``contract.Drive``."""
         can_id, data, _, bus, t_ns = frame
         number = can_id & ~EXTENDED
         if bus != self.bus or can_id not in self.node_ids:
@@ -201,7 +206,7 @@ class RobstrideDrive:
         return state._replace(phase=phase, private=progress)
 
     def _on_feedback(self, state: DriveState, data: bytes, t_ns: int, status: int) -> DriveState:
-        """Apply the values of a feedback frame, and the status of its identifier."""
+        """Update the state with the values of a feedback frame and the status in its identifier."""
         position, velocity, torque, winding = self.feedback.unpack(data)
         updated = state._replace(
             position=position,
@@ -214,14 +219,17 @@ class RobstrideDrive:
         return apply_status(updated, status >> 6, status & 0x3F)
 
     def _on_report(self, state: DriveState, data: bytes) -> DriveState:
-        """Apply a fault report. Faults in bytes 0 to 3 have removed the torque, bytes 4 to 7 are warnings."""
+        """Return the state after a fault report.
+
+        A fault in bytes 0 to 3 has removed the torque. Bytes 4 to 7 are warnings.
+        """
         faults = int.from_bytes(data[:4], "little")
         if not faults:
             return state
         return apply_fault(state, codec.RESET, faults << codec.REPORT_SHIFT & 0xFFFFFFFF)
 
     def _on_parameter(self, state: DriveState, data: bytes, failed: bool) -> DriveState:
-        """Compare a parameter with the required value."""
+        """Compare the value of a parameter with the required value."""
         progress = progress_of(state)
         number, raw = codec.parameter_reply(data)
         if state.phase == ENABLED and progress.check.waiting:
@@ -289,13 +297,16 @@ class RobstrideDrive:
         return self._request(codec.STOP, codec.CLEAR) if progress.clearing else self._request(codec.GET_ID)
 
     def _disable(self, state: DriveState, progress: RobstrideProgress, t_ns: int) -> DriveState:
-        """Return the state while stopping. A possibly enabled motor counts as enabled until it reports reset mode."""
+        """Return the state while the motor is being stopped.
+
+        A motor that may be enabled counts as enabled until it reports reset mode.
+        """
         phase = ENABLED if progress.enable_sent or progress.enabled_by_other else state.phase
         since = progress.disabling_ns if progress.disabling else t_ns
         return state._replace(phase=phase, private=progress._replace(disabling=True, disabling_ns=since))
 
     def _recheck(self, state: DriveState, progress: RobstrideProgress, t_ns: int) -> tuple[DriveState, Frame]:
-        """Return the read of a parameter of the enabled motor."""
+        """Return the request that reads a parameter of the enabled motor, if its time has come."""
         one = self.required[progress.check.step]
         check, problem = readback.next_recheck(progress.check, one.name, self.node_id, t_ns)
         state = state._replace(private=progress._replace(check=check))
@@ -306,7 +317,10 @@ class RobstrideDrive:
     def _configure(
         self, state: DriveState, progress: RobstrideProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Read or write the next parameter. An enabled motor is stopped first."""
+        """Return the state and the request that reads or writes the next parameter.
+
+        An enabled motor is stopped first.
+        """
         if progress.enabled_by_other:
             updated = state._replace(error_text="enabled, and does not stop", private=progress)
             return updated, self.cut()
@@ -325,7 +339,7 @@ class RobstrideDrive:
         return updated, (self._request(codec.READ, codec.parameter(one.number)),) if send else ()
 
     def _torque(self, torque: float) -> Frame:
-        """Return a torque command.
+        """Return the frame of a torque command.
 
         Args:
             torque: command [N m at the spool].
@@ -340,28 +354,28 @@ class RobstrideDrive:
         return Frame(can_id, data, 0, self.bus)
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
-        """Return the torque command alone."""
+        """Return the frame of a torque command. It does not enable the motor."""
         return (self._torque(torque),)
 
     def cut(self) -> tuple[Frame, ...]:
-        """Return the stop command."""
+        """Return the frame of the stop command."""
         return (self._request(codec.STOP),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Clear the latched faults by a stop command, and start again with the read-back."""
+        """Return the state that clears the latched faults by a stop command and repeats the read-back."""
         fresh = state._replace(phase=SILENT, error=0, error_text="", private=RobstrideProgress(clearing=CLEAR_TRIES))
         return fresh, (self._request(codec.STOP, codec.CLEAR),)
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
-        """Return no frame: the watchdog of a stopped motor is inactive."""
+        """Return no frame, because the watchdog of a stopped motor is inactive."""
         return ()
 
     def identity(self, state: DriveState) -> str:
-        """Return the 64 bits of the processor's identifier, or the node number."""
+        """Return the 64-bit identifier of the motor's processor, or the node number if it is unknown."""
         return f"{serial:016x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
     def cause(self, error: int) -> Cause:
-        """Return the cause of an error, see ``contract.Drive``."""
+        """Return the cause of an error code, see ``contract.Drive``."""
         return cause_of(error)
 
     def _request(self, kind: int, data: bytes = codec.EMPTY) -> Frame:

@@ -12,30 +12,30 @@ SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 # Error codes of the host, above the 32 bits of the motor's faults.
 DROPPED_OUT, MISMATCH, ENABLED_BY_OTHERS = (1 << 32 | number for number in range(3))
 CAUSES = {DROPPED_OUT: Cause.DROPPED_OUT, MISMATCH: Cause.MISMATCH, ENABLED_BY_OTHERS: Cause.MISMATCH}
-"""Causes by the error codes of the host."""
+"""Cause of each error code added by handctl."""
 CAUSES_OF_BITS = {0: Cause.VOLTAGE, 10: Cause.VOLTAGE, 11: Cause.VOLTAGE, 2: Cause.HOT, 8: Cause.HOT}
-"""Causes by bit of the motor's faults."""
+"""Cause of each fault bit of the motor."""
 CLEAR_TRIES = 3
-"""Feedback frames that may still carry a fault after the command to clear it."""
+"""Number of feedback frames that may still show a fault after the command to clear it."""
 SILENCE_NS = 250_000_000
-"""Silence after which a motor may have lost power, and with it its parameters [ns]."""
+"""Time without a frame after which the motor may have lost power and its parameters [ns]."""
 WATCHDOG_TEXT = "disabled by itself: it restarted, or its watchdog fired"
-"""Error text of a motor that left its running mode. The feedback does not report the reason."""
+"""Error text for a motor that left the running mode without a reported reason."""
 
 
 class RobstrideProgress(NamedTuple):
-    """Progress of a RobStride motor, the content of ``DriveState.private``.
+    """State of the RobStride state machine between frames, stored in ``DriveState.private``.
 
     Attributes:
-        cursor: cursor of the read-back.
+        cursor: position in the list of parameters to read back.
         configured: True if all parameters have their required values.
         enabled_by_other: True if the motor may make torque without a command of this host.
-        enable_sent: True from the enable command to the next report of reset.
+        enable_sent: True from the enable command to the next report of reset mode.
         disabling: True while the motor is being stopped.
         disabling_ns: time of the first stop command [ns].
-        clearing: feedback frames that may still carry the fault being cleared.
-        ready_ns: time at which all parameters were right [ns].
-        check: cursor of the read-back while enabled.
+        clearing: feedback frames left to ignore while the fault is being cleared.
+        ready_ns: time at which the last parameter was verified [ns].
+        check: position in the read-back repeated while enabled.
         serial: identifier of the motor's processor, 0 if unknown.
     """
 
@@ -52,18 +52,18 @@ class RobstrideProgress(NamedTuple):
 
 
 def progress_of(state: DriveState) -> RobstrideProgress:
-    """Return the private part of a state."""
+    """Return the RobStride part of a drive state."""
     progress: RobstrideProgress = state.private
     return progress
 
 
 def to_fault(state: DriveState, error: int, text: str) -> DriveState:
-    """Return the state with an error."""
+    """Return the state in phase FAULT with an error code and its text."""
     return state._replace(phase=FAULT, error=error, error_text=text)
 
 
 def apply_status(state: DriveState, mode: int, fault: int) -> DriveState:
-    """Apply mode and faults to a state that has the values of the same feedback."""
+    """Return the state after mode and faults. The given state already has the values of the same feedback."""
     progress = progress_of(state)
     if fault:
         return apply_fault(state, mode, fault)
@@ -75,7 +75,7 @@ def apply_status(state: DriveState, mode: int, fault: int) -> DriveState:
 
 
 def apply_fault(state: DriveState, mode: int, fault: int) -> DriveState:
-    """Apply faults. A motor in reset mode makes no torque, another one may."""
+    """Return the state after a fault. A motor in reset mode makes no torque, in any other mode it may."""
     progress = progress_of(state)
     if progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
@@ -86,7 +86,7 @@ def apply_fault(state: DriveState, mode: int, fault: int) -> DriveState:
 
 
 def _is_stopped(state: DriveState, progress: RobstrideProgress) -> DriveState:
-    """Apply a report of reset mode without a fault."""
+    """Return the state after the motor reported reset mode without a fault."""
     off = progress._replace(enable_sent=False, enabled_by_other=False, clearing=0)
     if progress.disabling:
         # Feedback from before the stop command proves nothing.
@@ -100,14 +100,14 @@ def _is_stopped(state: DriveState, progress: RobstrideProgress) -> DriveState:
 
 
 def _is_running(state: DriveState, progress: RobstrideProgress) -> DriveState:
-    """Apply a report of running mode."""
+    """Return the state after the motor reported running mode."""
     if progress.enable_sent and state.phase != FAULT:
         return state if state.phase == ENABLED else state._replace(phase=ENABLED)
     return _is_enabled_by_other(state, progress, "enabled, but not by this host")
 
 
 def _is_enabled_by_other(state: DriveState, progress: RobstrideProgress, text: str) -> DriveState:
-    """Apply a report of a mode that another host has caused."""
+    """Return the state after a mode caused by another host."""
     enabled = state._replace(private=progress._replace(enabled_by_other=True))
     if progress.disabling:
         return enabled._replace(phase=ENABLED)
@@ -117,13 +117,13 @@ def _is_enabled_by_other(state: DriveState, progress: RobstrideProgress, text: s
 
 
 def fault_text(fault: int) -> str:
-    """Return the faults of an error code in words."""
+    """Return the text for the faults in an error code."""
     names = [codec.FAULTS.get(bit, f"unknown fault bit {bit}") for bit in range(32) if fault >> bit & 1]
     return ", ".join(dict.fromkeys(names))
 
 
 def cause_of(error: int) -> Cause:
-    """Return the cause of an error other than 0."""
+    """Return the cause of a nonzero error code."""
     if error in CAUSES:
         return CAUSES[error]
     bits = [bit for bit in range(32) if error >> bit & 1]

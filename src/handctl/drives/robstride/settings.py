@@ -9,7 +9,7 @@ from typing import NamedTuple
 from handctl.drives.robstride import codec
 
 WRITES = 3
-"""Writes per parameter. Feedback confirms a write without its value, hence each write is read back."""
+"""Number of writes per parameter. The motor answers a write without the value, so each write is read back."""
 
 
 class RequiredParameter(NamedTuple):
@@ -18,7 +18,7 @@ class RequiredParameter(NamedTuple):
     Attributes:
         name: name in the manual.
         number: number of the parameter.
-        coding: coding of the value in ``struct``: B, I or f.
+        coding: ``struct`` code of the value: B, I or f.
         value: required value.
     """
 
@@ -34,12 +34,12 @@ class RequiredParameter(NamedTuple):
         return struct.pack(f"<{self.coding}", value).ljust(4, b"\0")
 
     def is_right(self, raw: bytes) -> bool:
-        """Return True if four bytes are the required value. Bytes behind a short value do not count."""
+        """Return True if four bytes are the required value. Bytes after a shorter value are ignored."""
         size = struct.calcsize(self.coding)
         return raw[:size] == self.raw[:size]
 
     def shown(self, raw: bytes) -> str:
-        """Return four bytes as text."""
+        """Return the value in four bytes as text."""
         return f"{struct.unpack_from(f'<{self.coding}', raw)[0]:g}"
 
 

@@ -1,8 +1,8 @@
-"""Discovery of the sensor node: its answers carry the low four bits of the SYNC counter.
+"""Discovery of the sensor node by its answers, which contain the low four bits of the SYNC counter.
 
-No motor of handctl obeys SYNC, but CANopen drives apply pending PDOs at SYNC. SYNC is not sent
-where a CANopen drive is found, nor beside an ODrive with node number 4 (their ``command_ids`` include
-its identifier). Source: ``node``.
+No motor of handctl obeys SYNC, but CANopen drives apply pending PDOs at SYNC. No SYNC is sent on a
+bus with a CANopen drive or an ODrive with node number 4, because their ``command_ids`` include the
+identifier of SYNC. Source: ``node``.
 """
 
 from handctl.drives.discovery import DiscoveredNode, Discovery, ReceivedFrames
@@ -11,7 +11,7 @@ from handctl.drives.frame import Frame
 SYNC = 0x080
 """Identifier of SYNC, as in CANopen."""
 COUNTERS = (0x35, 0x3A)
-"""Counters of the two SYNCs, so that four bits cannot agree by chance."""
+"""Counters of the two SYNCs. They differ, so that a foreign frame is not mistaken for two answers."""
 # Bits of the counter and of a channel.
 BITS_HEAD = 4
 BITS_CHANNEL = 12
@@ -25,20 +25,23 @@ def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
 
 
 def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
-    """Return the nodes: identifiers that answered both SYNCs, the first of a consecutive run as one node."""
+    """Return the discovered sensor nodes: identifiers that answered both SYNCs.
+
+    Consecutive identifiers are one node.
+    """
     ids = sorted({frame.can_id for frame in received if _answered(received, frame.can_id)})
     first = [can_id for can_id in ids if can_id - 1 not in ids]
     return tuple(_node(can_id, received) for can_id in first)
 
 
 def _answered(received: ReceivedFrames, can_id: int) -> bool:
-    """Return True if an identifier carries the counters in their order, and no other frame."""
+    """Return True if all frames of an identifier contain the SYNC counters, in the order sent."""
     counters = [frame.data[0] & 0xF for frame in received if frame.can_id == can_id and 2 <= len(frame.data) <= LONGEST]
     return can_id < SYNC << 3 and counters == [counter & 0xF for counter in COUNTERS]
 
 
 def _node(can_id: int, received: ReceivedFrames) -> DiscoveredNode:
-    """Return the data of a node."""
+    """Return the discovered sensor node with its data."""
     size = next(len(frame.data) for frame in received if frame.can_id == can_id)
     channels = (8 * size - BITS_HEAD) // BITS_CHANNEL
     note = f"answers SYNC 0x{SYNC:03x}: a sensor node with base_id = 0x{can_id:x} and {channels} channels in a frame?"
@@ -46,27 +49,27 @@ def _node(can_id: int, received: ReceivedFrames) -> DiscoveredNode:
 
 
 def command_ids(node: DiscoveredNode) -> frozenset[int]:
-    """Return no identifier: a SYNC makes the node sample, without effect on a motor."""
+    """Return an empty set: SYNC makes the node sample and has no effect on a motor."""
     return frozenset()
 
 
 def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return no frame: CANopen's discovery reports a SYNC of another host."""
+    """Return no frames, because CANopen's discovery reports a SYNC of another host."""
     return ()
 
 
 def ping_with(counter: int) -> Frame:
-    """Return a SYNC with a counter."""
+    """Return a SYNC frame with this counter."""
     return Frame(SYNC, bytes((counter,)))
 
 
 def ping(node: DiscoveredNode) -> Frame:
-    """Return a SYNC."""
+    """Return a SYNC frame."""
     return ping_with(COUNTERS[0])
 
 
 def is_pong(node: DiscoveredNode, frame: Frame) -> bool:
-    """Return True for an answer with the counter of ``ping``."""
+    """Return True if the frame is an answer with the counter of ``ping``."""
     return frame.can_id == node.node_id and len(frame.data) >= 2 and frame.data[0] & 0xF == COUNTERS[0] & 0xF
 
 

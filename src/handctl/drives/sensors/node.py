@@ -10,9 +10,9 @@ the lowest bit:
     tension     62.5 mN            -6 N to 249.9 N       base_id + 0, 1, ..
     angle       1/4096 turn        -180 to 179.9 deg     base_id + 0x10, 0x11, ..
 
-The node samples at SYNC and answers with the low four bits of the counter byte in every frame, so
-that a stale frame cannot pass for a fresh one. Successive counters do not repeat with period 16,
-see ``counters``. Angle frames follow every SYNC whose counter is a multiple of
+The node samples at SYNC. Every frame of its answer contains the low four bits of the counter byte,
+so that a stale frame is not mistaken for a fresh one. Successive counters do not repeat with period
+16, see ``counters``. Angle frames follow every SYNC whose counter is a multiple of
 ``joint_decimation``.
 """
 
@@ -25,11 +25,11 @@ from handctl.drives.frame import Frame
 from handctl.drives.signals import Message, Quantity, Signal
 
 CHANNELS = 5
-"""Channels of a frame."""
+"""Number of channels in a frame."""
 CHANNEL_BITS = 12
-"""Bits of a channel."""
+"""Number of bits of a channel."""
 COUNTER_BITS = 4
-"""Bits of the counter in an answer."""
+"""Number of bits of the counter in an answer."""
 SHIFTS = tuple(range(COUNTER_BITS, COUNTER_BITS + CHANNELS * CHANNEL_BITS, CHANNEL_BITS))
 """Lowest bit of each channel."""
 FULL = (1 << CHANNEL_BITS) - 1
@@ -37,11 +37,11 @@ FULL = (1 << CHANNEL_BITS) - 1
 TENSION_STEP_N = 0.0625
 """Tension of one count [N]."""
 TENSION_ZERO_N = -6.0
-"""Tension of count 0 [N]. Below zero, so that noise and bias of a slack tendon fit."""
+"""Tension of count 0 [N]. It is negative, so that noise and bias of a slack tendon are in the range."""
 TENSION_TOP_N = TENSION_ZERO_N + FULL * TENSION_STEP_N
-"""Reading of a full channel [N]. At count 0 and at the full count the cell is saturated."""
+"""Tension at the largest count [N]. At count 0 and at the largest count the load cell is saturated."""
 LOW_MARGIN_N = 2.0
-"""Distance of the broken-cell threshold from the lower end of the range [N]."""
+"""Distance from the lower end of the range to the threshold for a broken load cell [N]."""
 # Valid readings of a load cell without tension [N].
 #
 # Below, noise reaches the end of the range, and a broken wire looks like a slack tendon. Above, the
@@ -49,7 +49,7 @@ LOW_MARGIN_N = 2.0
 TARE_MIN_N = TENSION_ZERO_N + LOW_MARGIN_N
 TARE_MAX_N = 6.0
 TENSION_RAIL_N = TENSION_TOP_N - TARE_MAX_N
-"""Tension after any tare above which a load cell may be saturated [N]."""
+"""Tared tension above which a load cell may be saturated, for any accepted tare [N]."""
 # Ticks after which the SYNC counters repeat, and ticks in a row with distinct answers.
 COUNTER_PERIOD = 4096
 DISTINCT = 8
@@ -58,11 +58,11 @@ JOINT_STEP_RAD = 2 * math.pi / 4096
 JOINT_ZERO = 2048
 """Count of angle 0."""
 JOINT_FRAMES = 0x10
-"""Distance of the angle frames' identifiers from the tension frames' identifiers."""
+"""Offset from the first tension identifier to the first angle identifier."""
 
 
 class SensorDescription(Protocol):
-    """Keys of the hand file's section ``sensor_node``, as far as this module uses them."""
+    """Keys of the section ``sensor_node`` in the hand file that this module uses."""
 
     @property
     def sync_id(self) -> int:
@@ -92,18 +92,18 @@ class SensorDescription(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class SensorNode:
-    """Sensor node from the host's side. Immutable.
+    """Sensor node as the host uses it. Immutable.
 
     Attributes:
         bus: index of the bus.
         sync_id: identifier of SYNC.
         ids: identifier of each frame, tension frames first.
         channels: indices of the tendons or joints in each frame, in the hand's order.
-        lengths: payload of each frame [bytes].
+        lengths: payload length of each frame [bytes].
         tension_frames: number of tension frames.
         frame_of: tension frame of each tendon of the hand, -1 without a load cell.
         decimation: number of SYNCs per angle frame.
-        counters: byte of SYNC by tick, repeated, from the decimation.
+        counters: counter byte of SYNC in successive ticks, repeated from the start at the end.
     """
 
     bus: int
@@ -117,7 +117,7 @@ class SensorNode:
     counters: bytes = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        """Compute the counters."""
+        """Compute the counter bytes from the decimation."""
         object.__setattr__(self, "counters", counters(self.decimation))
 
     @classmethod
@@ -153,19 +153,19 @@ class SensorNode:
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Return the identifiers sent by the host alone."""
+        """Return the identifiers sent only by the host."""
         return frozenset((self.sync_id,) if self.ids else ())
 
     @property
     def tension_rail(self) -> float:
-        """Return the tension after any tare above which a load cell may be saturated [N]."""
+        """Return the tared tension above which a load cell may be saturated, for any accepted tare [N]."""
         return TENSION_RAIL_N
 
     @property
     def tension_low(self) -> float:
-        """Return the tared reading below which a cell or its wire is broken [N].
+        """Return the tared tension below which a load cell or its wire counts as broken [N].
 
-        The threshold is near the lower end of the range, far from noise.
+        The threshold is near the lower end of the range, beyond the reach of noise.
         """
         return TENSION_ZERO_N + LOW_MARGIN_N
 
@@ -173,14 +173,14 @@ class SensorNode:
     def exchange(self) -> tuple[tuple[int, float], ...]:
         """Return the frames of a tick as (payload bytes, frames per tick).
 
-        Angle frames count with the fraction of ticks in which they come.
+        The number of an angle frame is the fraction of ticks in which the node sends it.
         """
         rates = [1.0] * self.tension_frames + [1.0 / self.decimation] * (len(self.ids) - self.tension_frames)
         return ((1, 1.0), *zip(self.lengths, rates, strict=True)) if self.ids else ()
 
     @property
     def messages(self) -> tuple[Message, ...]:
-        """Return the frames as signal tables, in the order of ``ids``.
+        """Return the signal tables of the frames, in the order of ``ids``.
 
         The channel of a signal is the index of its tendon or joint.
         """
@@ -194,15 +194,15 @@ class SensorNode:
         return tuple(messages)
 
     def counter(self, k: int) -> int:
-        """Return the counter byte of the SYNC of tick k. Answers carry its low four bits."""
+        """Return the counter byte of the SYNC in tick k. Answers contain its low four bits."""
         return self.counters[k % len(self.counters)]
 
     def sync(self, k: int) -> Frame:
-        """Return the SYNC of tick k."""
+        """Return the SYNC frame of tick k."""
         return Frame(self.sync_id, bytes((self.counter(k),)), bus=self.bus)
 
     def lost(self, syncs: int, accepted: int, stale: int) -> int:
-        """Return the number of lost tension frames.
+        """Return how many tension frames are lost.
 
         Frames of the last SYNC are excluded, since they may still arrive.
 
@@ -214,17 +214,17 @@ class SensorNode:
         return max(0, (syncs - 1) * self.tension_frames - accepted - stale)
 
     def group_of_tendon(self, index: int) -> int:
-        """Return the frame of a tendon's load cell, -1 without one."""
+        """Return the index of the frame with a tendon's load cell, -1 without a load cell."""
         return self.frame_of[index]
 
     def group_of_joint(self, index: int) -> int:
-        """Return the frame of a joint's encoder, -1 without one."""
+        """Return the index of the frame with a joint's encoder, -1 without an encoder."""
         groups = range(self.tension_frames, len(self.ids))
         return next((g for g in groups if index in self.channels[g]), -1)
 
 
 def _channel(slot: int, index: int, tension: bool) -> Signal:
-    """Return one channel of a frame, at its position after the counter."""
+    """Return the signal of one channel of a frame, at its position after the counter."""
     if tension:
         return Signal(f"tension_{slot}", Quantity.TENSION, SHIFTS[slot], CHANNEL_BITS, scale=TENSION_STEP_N,
                       offset=TENSION_ZERO_N, unit="N", channel=index)  # fmt: skip
@@ -234,13 +234,14 @@ def _channel(slot: int, index: int, tension: bool) -> Signal:
 
 @functools.lru_cache(maxsize=16)
 def counters(decimation: int) -> bytes:
-    """Return the counter byte of each SYNC over a period of about ``COUNTER_PERIOD`` ticks.
+    """Return the counter bytes of SYNC for a period of about ``COUNTER_PERIOD`` ticks.
 
-    Four bits that count up cannot distinguish a frame of 16 or 32 ticks ago from a fresh one. These
-    counters are pseudo-random. The low four bits of two ticks less than ``DISTINCT`` apart differ. At
-    any larger distance they agree by chance alone. The remainder by ``decimation`` equals that of the
-    tick, since the node sends angle frames by the remainder. From a decimation of 8 on, the four bits
-    have fewer than three values per remainder, and the bits of near ticks may agree.
+    A counter of four bits that counts up has the same value 16 or 32 ticks later, so a frame of
+    that age would seem fresh. These counters are pseudo-random instead. The low four bits of two
+    ticks less than ``DISTINCT`` apart differ. At larger distances they are equal only by chance.
+    The counter modulo ``decimation`` equals the tick modulo ``decimation``, because the node sends
+    angle frames by this remainder. With a decimation of 8 or more, fewer than three values of the
+    four bits have the same remainder, so the bits of near ticks may be equal.
     """
     rows = [range(remainder, 256, decimation) for remainder in range(decimation)]
     by_nibble = [{byte & 0xF: byte for byte in row} for row in rows]
@@ -261,10 +262,10 @@ def counters(decimation: int) -> bytes:
 
 
 def _groups(channels: list[int]) -> list[tuple[int, ...]]:
-    """Return the channels of each frame."""
+    """Return the channels grouped by frame."""
     return [tuple(channels[first : first + CHANNELS]) for first in range(0, len(channels), CHANNELS)]
 
 
 def _length(channels: int) -> int:
-    """Return the payload of a frame [bytes]."""
+    """Return the payload length of a frame [bytes]."""
     return math.ceil((COUNTER_BITS + CHANNEL_BITS * channels) / 8)
