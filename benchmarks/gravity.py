@@ -67,14 +67,15 @@ def section(result: dict) -> str:
     seeds = max(speeds[SPEEDS[0]]["rmse_deg"]["seeds"] for laws in result.values() for speeds in laws.values())
     return f"""## Gravity: a hand that lies on its side
 
-`python benchmarks/gravity.py --seeds {seeds} --page`. The packaged hands stand upright. Gravity then points along the
-hinges and has no torque about them, so the tracking table's row "+ gravity and springs" shows the springs only. Here
-the hands lie on their side, with fingertips {FINGERTIP_LOAD:g} times as heavy (21 g on a finger). Gravity pulls the
-fingers closed and the thumb open.
+`python benchmarks/gravity.py --seeds {seeds} --page` writes this section. The packaged hands stand upright: their
+hinges are vertical, and gravity has no torque about them. The row "+ gravity and springs" of the tracking table
+therefore shows the benefit of the springs only. In this section the hands lie on their side, and their fingertips are
+{FINGERTIP_LOAD:g} times as heavy (21 g on a finger). Gravity pulls the fingers closed and the thumb open.
 
-The control laws of a pair differ in gravity only. They have the weights of the tracking table that keep their
-margins, and no force loop. The error is that of the mean joint angle against the plant, the worst digit in the steady
-column, mean and spread over the seeds.
+Each pair of rows compares two control laws that differ in gravity compensation only. The feedback weights are those of
+the tracking table that keep their margins, and there is no force loop. The error is the difference of the mean joint
+angle of a digit from its setpoint, measured in the plant. The columns *steady* have the digit with the largest error.
+All numbers are means over the seeds, with their spread.
 
 {page.table(head, rows)}
 
@@ -91,11 +92,12 @@ def _description(result: dict) -> str:
             texts = [f"{speed} {_gain(laws[without][speed], laws[compensated][speed])}" for speed in SPEEDS]
             parts.append(f"{hand}, {compensated}: {', '.join(texts)}")
     return (
-        "Gain of gravity compensation in RMSE: "
+        "Reduction of the RMSE by gravity compensation: "
         + "; ".join(parts)
-        + ". A control law without friction compensation lags "
-        "behind. Gravity pulls the fingers in the direction of the motion, so it hides a part of that lag in the first "
-        "pair."
+        + ". The control laws of the first pair of each hand do not compensate friction, so that the fingers "
+        "lag behind "
+        "their setpoint. Uncompensated gravity pulls the fingers in the direction of the motion, and reduces "
+        "this lag."
     )
 
 

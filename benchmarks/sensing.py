@@ -193,20 +193,26 @@ def measure(seeds: int) -> dict[str, Any]:
 
 
 TEXT = """\
-Written by `python benchmarks/sensing.py --page`, from runs in lockstep against the simulated hand. Nothing on this page
-was measured on hardware. Each run moves, closes on a cylinder, holds it while the table sinks, and lets go. Without
-load cells the tension is estimated from motor torque, encoder and the hand file's friction. The simulated motor has
-exactly this friction, so a real hand is worse by the error of its friction.
+Written by `python benchmarks/sensing.py --page`, from runs in lockstep with the simulated hand. Nothing on this page
+was measured on hardware. In each run the hand moves freely, closes on a cylinder, holds it while the table sinks, and
+lets go.
 
-- *moving*, *holding*: RMSE of the tension at present against the plant, all tendons.
-- *sigma*: standard deviation that the filter states while it holds. *error / sigma*: 1 is right, less is cautious.
-- *angle*: RMSE of the joint angles in motion. A digit of one tendon has a posture that no tendon tells.
-- *delay*: median time from a contact force of 0.3 N to the detected contact.
-- *held*: runs that held the object, without any fault.""".splitlines()
+Without load cells, the controller estimates the tension from the motor torque, the encoder and the friction in the hand
+file. The simulated motor has exactly the friction of its hand file. On a real hand, an error of the friction in the
+hand file is an additional error of the tension.
+
+- *moving* and *holding*: root mean square error (RMSE) of the estimated tension at present, over all tendons.
+- *sigma*: standard deviation of the tension that the filter reports while the hand holds. *error / sigma*: true error
+  divided by sigma. A value of 1 is right, and with a smaller value the filter is more cautious than necessary.
+- *angle*: RMSE of the joint angles while the hand moves. If one tendon moves several joints, its excursion does not
+  determine the angle of each joint.
+- *delay*: median time from a true contact force of 0.3 N until the controller detects the contact.
+- *held*: fraction of the runs in which the hand held the object without any fault.""".splitlines()
 FAULT_TEXT = """\
-Faults of jamia's index finger, and what was found (seed 0). T03b, T04, T05, T06, T09, N02, N14b and N16 need a load
-cell and are not judged without. The others use the estimated tension, and the limits of T03 are lower by two
-sigma.""".splitlines()
+The next table has the faults that the controller reported when a fault was injected into the index finger of jamia
+(seed 0). The faults T03b, T04, T05, T06, T09, N02, N14b and N16 need a load cell, and are not detected on a hand
+without load cells. The other detectors use the estimated tension. Without load cells, the limits of T03 are lower by
+two times sigma.""".splitlines()
 
 
 def page(result: dict[str, Any]) -> str:
@@ -235,7 +241,7 @@ def page(result: dict[str, Any]) -> str:
             "",
             *FAULT_TEXT,
             "",
-            "| fault | with load cells | without |",
+            "| injected fault | reported with load cells | reported without load cells |",
             "| --- | --- | --- |",
             *faults,
             "",

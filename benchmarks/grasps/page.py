@@ -55,9 +55,9 @@ def _success(rows: list[dict[str, Any]]) -> str:
             for (reason,), selected in by_reason.items()
         ]
         failures.append(f"* {hand}, {grasp}, {thing}: {'; '.join(reasons)}")
-    named = "\n\nFailures:\n\n" + "\n".join(failures) if failures else "\n\nNo failures."
-    head = ["grasp", "object", *[f"{hand}: held, worst motion" for hand in hands]]
-    return f"{_table(head, table)}\n\nIn total: {'; '.join(totals)}.{named}"
+    named = "\n\nFailed runs:\n\n" + "\n".join(failures) if failures else "\n\nNo failures."
+    head = ["grasp", "object", *[f"{hand}: objects held, largest motion" for hand in hands]]
+    return f"{_table(head, table)}\n\nObjects held in total: {'; '.join(totals)}.{named}"
 
 
 def _payload(rows: list[dict[str, Any]]) -> str:
@@ -70,8 +70,8 @@ def _payload(rows: list[dict[str, Any]]) -> str:
             hand, direction, f"{over}{min(masses):.2f}", f"{np.mean(masses):.2f}", str(len(selected)),
             " / ".join(f"{value:.1f}" for value in normal), f"{np.mean([row['coulomb_kg'] for row in selected]):.2f}",
         ])  # fmt: skip
-    head = ["hand", "load", "smallest payload, kg", "mean, kg", "seeds", "normal forces before the load, N",
-            "friction x their sum, kg"]  # fmt: skip
+    head = ["hand", "load", "smallest payload, kg", "mean payload, kg", "seeds", "normal forces before the load, N",
+            "friction x sum of the normal forces, kg"]  # fmt: skip
     return f"{_table(head, table)}\n\nThe paper states {payload.PAPER_KG} kg at 6 N per finger and friction 0.5."
 
 
@@ -86,7 +86,7 @@ def _tip(rows: list[dict[str, Any]]) -> str:
             str(len(selected)),
         ])  # fmt: skip
     head = ["hand", "digit", "command, N", "true force, N", "estimate, N", "error of the estimate, RMS, N",
-            "its noise, N", "runs"]  # fmt: skip
+            "noise of the estimate, N", "runs"]  # fmt: skip
     return _table(head, table)
 
 
@@ -100,10 +100,10 @@ def _contact(rows: list[dict[str, Any]]) -> str:
     head = [
         "hand",
         "contacts",
-        "detected within 20 ms of 1 N",
+        "detected at most 20 ms after 1 N",
         "detected before 1 N",
-        "95 % within",
-        "all within",
+        "delay of 95 % at most",
+        "longest delay",
         "minutes of free motion",
         "false alarms",
     ]
@@ -126,9 +126,9 @@ def _slip(rows: list[dict[str, Any]]) -> str:
     head = [
         "hand",
         "tension raised",
-        "lost",
+        "object lost",
         f"motion at {load:.0f} N, mm",
-        "first event after, mm",
+        "motion at the first slip event, mm",
         "tension at the end, N",
     ]
     return _table(head, table)

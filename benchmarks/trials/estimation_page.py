@@ -5,22 +5,22 @@ import numpy as np
 from trials.page import FIGURES, table
 
 COLUMNS = {
-    "then: filter": "filtered",
-    "raw cell": "raw",
+    "at the sample: filter": "filtered",
+    "load cell": "raw",
     "reference": "limit",
     "filter / reference": "filtered / limit",
-    "filter / raw": "filtered / raw",
-    "now: estimate": "estimate",
-    "raw cell now": "raw now",
+    "filter / load cell": "filtered / raw",
+    "at present: filter": "estimate",
+    "load cell at present": "raw now",
     "average": "average",
     "cell alone": "cell alone",
-    "reference now": "limit now",
-    "estimate / reference now": "estimate / limit now",
-    "estimate / raw now": "estimate / raw now",
+    "reference at present": "limit now",
+    "filter / reference at present": "estimate / limit now",
+    "filter / load cell at present": "estimate / raw now",
     "NIS": "nis",
     "whiteness": "whiteness",
 }
-"""Heads of the columns, and what stands in them."""
+"""Heading of each column, and the key of its values."""
 WRONG = ("filtered / raw", "estimate / raw now")
 MAX_RATIO = 1.3
 NIS_RANGE = (0.8, 1.3)
@@ -31,20 +31,30 @@ def section(result: dict) -> str:
     parts = ["## The tension estimate", ""]
     few = min(result["seeds"].values())
     many = max(result["seeds"].values())
+    seeds = many if few == many else f"{few} to {many}"
     parts += [
-        "`python benchmarks/estimation.py --page`. RMSE of the tension at the load cell [N], all tendons, against the "
-        f"plant. Seeds: {many if few == many else f'{few} to {many}'}. A sample is one control period old when the "
-        "controller uses it (2 ms on jamia, 5 ms on jamia11).",
+        "`python benchmarks/estimation.py --page` writes this section. The error is that of the estimated "
+        "tension at the "
+        "load cell, compared with the true tension of the simulated hand. All numbers are root mean square "
+        "errors (RMSE) "
+        f"in newtons over all tendons, unless the column is a ratio. Seeds: {seeds}. A sample of the load cell "
+        f"is one "
+        "control period old when the controller uses it (2 ms on jamia, 5 ms on jamia11).",
         "",
-        "- *then*: at the instant of the sample, the filter's value against the raw load cell.",
-        "- *now*: at present, where the control loop needs the tension, the filter's prediction against the same "
-        "sample.",
-        "- *average* and *cell alone*: the best exponential average and the best filter on the load cell alone at "
-        "present, both chosen with hindsight.",
-        "- *reference*: the error of the filter that is optimal for a fixed noise model (motor 10 mN m, joint 5 mN m, "
-        "offset unknown, cell drift). It is no bound. The simulated plant has less noise than that model where a digit "
-        "moves freely, and the controller's filter knows the planned change of tension, so it may be below.",
-        "- *NIS*: normalized innovation squared per degree of freedom, 1 is right.",
+        "- *at the sample*: errors at the instant of the sample. The estimate of the filter for this instant is "
+        "compared with the reading of the load cell.",
+        "- *at present*: errors at the instant at which the control loop needs the tension. The filter predicts the "
+        "tension at this instant. The reading of the load cell, which is one period old, is used as it is.",
+        "- *average*: the best exponential average of the load cell, at present. *cell alone*: the best filter that "
+        "uses only the load cell, at present. Both were chosen afterwards, for each regime, as those with the "
+        "smallest error.",
+        "- *reference*: the error of a filter that is optimal for a fixed noise model (motor 10 mN m, joint 5 mN m, "
+        "unknown offset, drift of the load cell). The reference is no lower bound. Where a digit moves freely the "
+        "simulated hand has less noise than this model, and the filter of the controller also knows the "
+        "planned change "
+        "of tension. The error of the filter can therefore be smaller than the reference.",
+        "- *NIS*: normalized innovation squared per degree of freedom. It is 1 if the noise model is right.",
+        "- *whiteness*: correlation of consecutive innovations. It is 0 if the model is right.",
     ]
     for hand, plants in result["hands"].items():
         rows = [[regime, *(f"{row[c]:.2f}" for c in COLUMNS.values())] for regime, row in plants["as known"].items()]
@@ -52,8 +62,8 @@ def section(result: dict) -> str:
         others = [plant for plant in plants if plant != "as known"]
         if others:
             regimes = [r for r in ("free", "reversal", "impact", "hold", "slack") if r in plants["as known"]]
-            columns = [f"{regime}: now, then and now / raw" for regime in regimes]
-            head = [f"{hand}, wrong plant", *columns, "NIS free", "NIS hold"]
+            columns = [f"{regime}: error at present, ratios at the sample and at present" for regime in regimes]
+            head = [f"{hand}, wrong parameter", *columns, "NIS free", "NIS hold"]
             parts += ["", table(head, [_wrong(plant, plants[plant], regimes) for plant in others])]
     parts += ["", _conclusion(result), "", "![Tension errors by regime](../figures/control-estimation.png)"]
     return "\n".join(parts)
@@ -78,34 +88,49 @@ def _conclusion(result: dict) -> str:
             ratio = row["filtered / limit"]
             nis = row["nis"]
             good = ratio <= MAX_RATIO and NIS_RANGE[0] <= nis <= NIS_RANGE[1]
-            (met if good else missed).append(f"{hand} {regime} {ratio:.2f} times the reference, NIS {nis:.2f}")
-            strict.append(f"{hand} {regime} {row['estimate / limit']:.2f}")
-    text = f"Required: within {MAX_RATIO} times the reference, and NIS between {NIS_RANGE[0]} and {NIS_RANGE[1]}. "
-    text += f"Met: {'; '.join(met) or 'nowhere'}. " + (f"Not met: {'; '.join(missed)}. " if missed else "")
+            (met if good else missed).append(f"{hand} {regime}: {ratio:.2f} times the reference, NIS {nis:.2f}")
+            strict.append(f"{hand} {regime}: {row['estimate / limit']:.2f}")
+    text = (
+        f"At the sample, the error of the filter must be at most {MAX_RATIO} times the reference, and NIS must "
+        f"be between "
+        f"{NIS_RANGE[0]} and {NIS_RANGE[1]}. "
+    )
+    text += f"Cases that meet both requirements: {'; '.join(met) or 'none'}. "
+    text += f"Cases that miss one of them: {'; '.join(missed)}. " if missed else ""
     text += (
-        "Relative to the reference without its delay, which is of another instant, the estimate for the present is "
-        f"at {', '.join(strict)}. "
+        "\n\nA stricter comparison divides the error of the prediction for the present by the reference at the "
+        "sample, "
+        f"although the two belong to different instants. The ratios are: {', '.join(strict)}. "
     )
     raw = "\n".join(f"- {_against_raw(result, ratio)}" for ratio in WHEN)
-    parts = (text.strip(), "Comparison with the raw load cell:", raw, _otherwise_wrong(result), *EXPLANATION)
+    heading = "Comparison of the filter with the load cell alone:"
+    parts = (text.strip(), heading, raw, _otherwise_wrong(result), *EXPLANATION)
     return "\n\n".join(part for part in parts if part)
 
 
 EXPLANATION = (
-    "Both the prediction and the raw cell come from the same sample, which is one period old, and both are judged at "
-    "present, because the control loop would use the raw sample as it is. While NIS shows that the model does not "
-    "fit, the filter trusts its model less (`innovation.py`, `caution`).",
-    "At a reversal friction takes the tension from one edge of its band to the other, and the filter gets this change "
-    "from the tendon's own speed. At an impact the first two samples decide, and an averaging filter is late. There "
-    "jamia11 gains least.",
-    "While a tendon is taut no measurement distinguishes the cell's error from tension. A bias is in the estimate as "
-    "it is in the cell, and is found only when the tendon is slack. The best average and the best filter on the cell "
-    "alone are chosen for each regime with hindsight, so one of them is better in some regimes.",
+    "The prediction of the filter and the reading of the load cell come from the same sample, which is one "
+    "period old. "
+    "Both are compared with the true tension at present, because a control loop without a filter would use the old "
+    "reading as it is. While NIS shows that the model does not fit, the filter gives its model less weight "
+    "(`innovation.py`, `caution`).",
+    "When a tendon reverses its motion, the friction changes sign and the tension changes by twice the friction. The "
+    "filter predicts this change from the speed of the tendon. When a digit hits an object (regime *impact*), "
+    "the first "
+    "two samples after the impact decide about the error, and every filter that averages samples is late. "
+    "jamia11 gains "
+    "least from the filter in this regime.",
+    "While a tendon is taut, no measurement distinguishes an error of the load cell from tension. A bias of the load "
+    "cell is therefore an error of the estimate as well, and can be detected only while the tendon is slack. "
+    "The columns "
+    "*average* and *cell alone* are chosen afterwards for each regime, so that one of them has a smaller error "
+    "than the "
+    "filter in some regimes.",
 )
 WHEN = {
-    "filtered / raw": "At the instant of the sample",
+    "filtered / raw": "At the sample",
     "estimate / raw now": "At present",
-    "estimate / raw": "With the cell at its own instant and the estimate at present",
+    "estimate / raw": "When the filter is judged at present and the load cell at the sample,",
 }
 
 
@@ -122,10 +147,14 @@ def _against_raw(result: dict, ratio: str) -> str:
     worst, name = max(rows)
     if not above:
         return (
-            f"{WHEN[ratio]} the estimate is never worse than the raw cell, also with the stiffness off by up to 50 %. "
-            f"The worst ratio is {worst:.2f} ({name})."
+            f"{WHEN[ratio]} the filter is never worse than the load cell, even if the stiffness in the hand "
+            f"file is wrong "
+            f"by 50 %. The largest ratio of the errors is {worst:.2f} ({name})."
         )
-    return f"{WHEN[ratio]} the estimate is worse than the raw cell in: {'; '.join(above)}."
+    return (
+        f"{WHEN[ratio]} the filter is worse than the load cell in these cases (ratio of the errors): "
+        f"{'; '.join(above)}."
+    )
 
 
 def _otherwise_wrong(result: dict) -> str:
@@ -142,10 +171,14 @@ def _otherwise_wrong(result: dict) -> str:
     above = [f"{name} ({value:.2f})" for value, _, name in rows if value > 1.0]
     nis, name = max((nis, name) for _, nis, name in rows)
     if not above:
-        return "With mass, friction or the cell itself off the estimate is at present never worse than the raw cell."
+        return (
+            "With a wrong mass, a wrong friction or a bias of the load cell, the filter at present is never "
+            "worse than the load cell."
+        )
     return (
-        f"With other parameters off the estimate is at present worse than the raw cell in: {'; '.join(above)}. "
-        f"The innovations show it (the largest NIS is {nis:.2f}, {name}), and `handctl identify` finds friction "
+        f"With other wrong parameters, the filter at present is worse than the load cell in: {'; '.join(above)}. "
+        f"The innovations show this (the largest NIS is {nis:.2f}, {name}), and `handctl identify` measures "
+        f"the friction "
         "within some per cent."
     )
 

@@ -16,20 +16,23 @@ COLUMNS = {
 def section(result: dict[str, Any]) -> str:
     """Return the Markdown section of a result of ``force.measure``."""
     parts = ["## A step of force", ""]
-    parts.append(
-        "`python benchmarks/control.py --parts force --page`. The digits hold a cylinder with 15 N per "
-        "tendon, and the command steps to 40 N (5000 N/s) and back to 15 N. The error is that of the true "
-        "tension at the load cells of all tendons in contact, over both steps, mean over tendons and seeds. "
-        "*set-point alone* has no feedback: the motor makes the commanded force. Both loops have the same "
-        "weights without tuning, and *overshoot* is the largest distance beyond the goal, noise included."
-    )
+    parts += [
+        "`python benchmarks/control.py --parts force --page` writes this section. The digits hold a cylinder "
+        "with 15 N per tendon. The command then steps to 40 N (limited to 5000 N/s) and back to 15 N. The "
+        "error is the true tension at the load cell minus the command during both steps, as a mean over all "
+        "tendons in contact and all seeds.",
+        "",
+        "In the row *set-point alone* there is no feedback: the motor makes the commanded force. The two rows"
+        " with a loop use the same gains, which were not tuned for this test. *overshoot* is the largest "
+        "distance by which the tension exceeds the command, noise included.",
+    ]
     for hand, plants in result["hands"].items():
         rows = [_row(law, row) for law, row in plants.get("as known", {}).items()]
         parts += ["", table([hand, *COLUMNS.values(), "seeds"], rows)]
         others = [plant for plant in plants if plant != "as known"]
         if others:
             laws = list(plants["as known"])
-            head = [f"{hand}, wrong plant, RMSE (steady error) [N]", *laws]
+            head = [f"{hand}, wrong parameter, RMSE (steady error) [N]", *laws]
             parts += ["", table(head, [[plant, *[_cell(plants[plant].get(law)) for law in laws]] for plant in others])]
     return "\n".join([*parts, "", _conclusion(result)])
 
@@ -53,15 +56,15 @@ def _conclusion(result: dict[str, Any]) -> str:
         spread = max(raw["rmse_spread_N"], estimate["rmse_spread_N"])
         word = "better than" if margin > 2 * spread else "worse than" if margin < -2 * spread else "no better than"
         texts.append(
-            f"{hand}: the loop on the estimate is {word} that on the raw sensor ({estimate['rmse_N']:.2f} and "
-            f"{raw['rmse_N']:.2f} N, spread {spread:.2f} N) and {none['rmse_N'] / estimate['rmse_N']:.1f} times "
-            f"better than no loop. It overshoots by {estimate['overshoot_N']:.1f} N of 25 N and ends "
-            f"{estimate['steady_N']:.2f} N off, "
-            f"with {estimate['ripple_N']:.2f} N of ripple ({raw['ripple_N']:.2f} N on the raw sensor)."
+            f"{hand}: the loop on the estimate is {word} the loop on the raw sensor (RMSE {estimate['rmse_N']:.2f} and "
+            f"{raw['rmse_N']:.2f} N, spread {spread:.2f} N). Its error is {none['rmse_N'] / estimate['rmse_N']:.1f} "
+            f"times smaller than without a loop. It overshoots the step of 25 N by {estimate['overshoot_N']:.1f} N, "
+            f"and its steady error is {estimate['steady_N']:.2f} N. Its ripple is {estimate['ripple_N']:.2f} N, "
+            f"compared with {raw['ripple_N']:.2f} N of the loop on the raw sensor."
         )
     whys = sorted(
         {w for plants in result["hands"].values() for laws in plants.values() for r in laws.values() for w in r["why"]}
     )
-    texts += [f"Ended early: {'; '.join(whys)}."] if whys else []
-    texts.append("A bias of the load cell is in the force as it is in the sensor, and no loop can remove it.")
+    texts += [f"These faults ended runs early: {'; '.join(whys)}."] if whys else []
+    texts.append("A bias of the load cell is an error of the true tension as well, and no loop can remove this error.")
     return "\n\n".join(texts)

@@ -5,11 +5,15 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "evidence" / "control.md"
 FIGURES = ROOT / "docs" / "figures"
-HEAD = """# What the controller is worth, measured
+HEAD = """# Measured benefit of each part of the controller
 
-Each section is written by the benchmark named in it, from runs of the real controller over the simulated bus, in
-lockstep, against the plant's ground truth. Nothing on this page was measured on hardware. Objects and effects of the
-plant are fixed in the benchmarks, and its physics is never changed to suit a result. Weak results are stated.
+This page shows how much each part of the filter and of the control law improves the simulated hand. A benchmark writes
+each section, and the section names the command of its benchmark. The benchmarks run the real controller in lockstep
+with the simulated drives and the simulated hand, which is also called the *plant*. All errors are differences from the
+true values of the plant.
+
+Nothing on this page was measured on hardware. The objects and the physical effects of the plant are fixed in the
+benchmarks, and were not changed to improve a result. Results that are weak or negative are stated as well.
 """
 ORDER = ("estimation", "tracking", "gravity", "force", "tip", "grasps")
 

@@ -6,13 +6,12 @@ from trials.page import FIGURES, table
 
 ENDED = "ended"
 FAULT_TEXTS = {
-    "N04": "with such soft weights a motor may rest in its own friction while its goal moves, which looks like a "
+    "N04": "with such soft weights, friction may stop a motor while its setpoint moves, which looks like a "
     "stuck encoder",
     "T02b": "a tendon stayed slack",
-    "T01": "a tendon paid out without tension, like a snapped one",
+    "T01": "a tendon paid out without tension, which looks like a snapped tendon",
 }
-"""What faults mean that ended runs."""
-"""For a law with which safety ends all of the runs."""
+"""Cause of each fault that ended runs."""
 MIN_DEG = 0.03
 """Left end of the picture."""
 
@@ -24,25 +23,33 @@ def section(result: dict, named: tuple[str, str, str, str]) -> str:
         result: of ``tracking.measure``.
         named: laws PD alone, springs and gravity, best, misprinted.
     """
-    parts = ["## Tracking: what each part of the control law is worth", ""]
+    parts = ["## Tracking: benefit of each part of the control law", ""]
     parts += [
-        "`python benchmarks/control.py --parts tracking --page` moves every digit from 0 to 60 degrees and "
-        "back, with one more part of the control law in each row. The error is that of the mean joint angle "
-        "of each digit against the plant. RMSE is taken during the motion (slow 1.5 s, medium 0.5 s, fast "
-        "0.15 s), with its spread over the seeds. Peak, steady error and settling (to one degree, after the "
-        "end of the motion) are those of the fast motion.",
+        "`python benchmarks/control.py --parts tracking --page` writes this section. The benchmark moves "
+        "every digit from 0 to 60 degrees and back at three speeds: slow (1.5 s), medium (0.5 s) and fast "
+        "(0.15 s). Each row of a table adds one part to the control law of the row before. The error is the "
+        "difference of the mean joint angle of a digit from its setpoint, measured in the plant.",
         "",
-        "*ended*: safety or the controller ended these runs, and the numbers are of the others.",
+        "The columns *slow*, *medium* and *fast* have the root mean square error (RMSE) during the motion, "
+        "with its spread over the seeds. The columns *peak*, *steady* and *settled* belong to the fast "
+        "motion. A motion has settled when the error stays below one degree, and the time counts from the end"
+        " of the motion. *ended* counts the runs that a fault or the controller ended early. The numbers are "
+        "those of the remaining runs.",
         "",
-        "The two feedback weights of every control law, PD included, are the best of the same sixteen at the "
-        "fast motion of the nominal plant, in the same run of three motions, on another seed (`--tune`; "
-        "values in `benchmarks/trials/tuned.json`). The best weights are the stiffest that do not oscillate: "
-        "on jamia 0.02 mm of error count like 20 N, which leaves 2 dB and 15 degrees of margin. The simulated "
-        "plant tolerates that, a real one does not, and feedback alone does most of the work.",
+        "Every control law, PD included, has two feedback weights. They were chosen for each law from the "
+        "same sixteen pairs of weights, as the pair with the smallest error of the fast motion on the nominal"
+        " plant, with another seed (`--tune`, results in `benchmarks/trials/tuned.json`).",
         "",
-        "Therefore a second table compares the control laws with the best of those weights that keep 6 dB and "
-        "45 degrees on the plants drawn around the hand file's, as the packaged gains must. Plants with other "
-        "parameters are run with these weights.",
+        "The best weights "
+        "are the stiffest ones that do not oscillate. On jamia, a position error of 0.02 mm has the same "
+        "weight as a force of 20 N, which leaves margins of 2 dB and 15 degrees. The simulated plant "
+        "tolerates such small margins and a real hand does not. With such stiff weights, feedback alone "
+        "removes most of the error.",
+        "",
+        "Therefore a second table for each hand compares the control laws with other weights. These are the "
+        "best of the sixteen pairs that keep margins of 6 dB and 45 degrees on random plants around the hand "
+        "file, as the packaged gains must. The plants with wrong parameters in the third table are run with "
+        "these weights, too.",
     ]
     for hand, plants in result["hands"].items():
         laws = plants["as known"]
@@ -86,8 +93,9 @@ def _conclusion(laws: dict, named: tuple[str, str, str, str]) -> str:
     """Write the conclusion from the numbers."""
     best, printed = (laws[name]["fast"] for name in named[2:])
     return (
-        f"{_compared(laws, named)}. {_printed(printed, best)}\n\nGain of each row over the row before at the fast "
-        f"motion, with the spread of the difference:\n\n{_steps(laws)}"
+        f"{_compared(laws, named)}. {_printed(printed, best)}\n\nEach entry is the error of "
+        f"the row before minus the error of the row, at the fast motion, with the spread of the "
+        f"difference:\n\n{_steps(laws)}"
     )
 
 
@@ -97,24 +105,25 @@ def _compared(laws: dict, named: tuple[str, str, str, str]) -> str:
     ratio = plain["rmse_deg"] / best["rmse_deg"]
     gain = springs["rmse_deg"] - best["rmse_deg"]
     spread = max(best["rmse_spread_deg"], springs["rmse_spread_deg"])
-    gained = f"The whole control law's error is {gain:.3f} deg smaller than with springs and gravity alone" + _times(
-        gain, spread, best["seeds"]
-    )
+    gained = f"It is {gain:.3f} deg smaller than with springs and gravity alone" + _times(gain, spread, best["seeds"])
     if not np.isfinite(gain):
-        gained = "Springs and gravity alone do not complete the run"
+        gained = "With springs and gravity alone, no run completes the motions"
     return f"{_against(ratio)}. {gained}"
 
 
 def _against(ratio: float) -> str:
     """Compare the whole law with PD."""
     if not np.isfinite(ratio):
-        return "PD with its weights does not complete a fast motion after a slow and a medium one"
-    return f"At the fast motion the error of the whole control law is {ratio:.1f} times smaller than that of PD"
+        return "With PD alone, no run completes the fast motion after the slow and the medium one"
+    return (
+        f"At the fast motion, the error of the whole control law (row '+ force loop, estimate') is "
+        f"{ratio:.1f} times smaller than that of PD alone"
+    )
 
 
 def _times(gain: float, spread: float, seeds: int) -> str:
     """Return the gain in units of its spread, if there are enough seeds."""
-    return f", {gain / max(spread, 1e-9):.0f} times the spread" if seeds > 1 else " (one seed: no spread)"
+    return f", which is {gain / max(spread, 1e-9):.0f} times the spread" if seeds > 1 else " (one seed: no spread)"
 
 
 def _steps(laws: dict) -> str:
@@ -124,13 +133,13 @@ def _steps(laws: dict) -> str:
     for law in list(laws)[1:-1]:
         new = laws[law]["fast"]
         if not np.isfinite(new["rmse_deg"]):
-            texts.append(f"'{law}' ends {new['ended']} of {new['seeds']} runs ({'; '.join(new['why'])})")
+            texts.append(f"'{law}': a fault ends {new['ended']} of {new['seeds']} runs ({'; '.join(new['why'])})")
             continue
         gain = old["rmse_deg"] - new["rmse_deg"]
         spread = float(np.hypot(old["rmse_spread_deg"], new["rmse_spread_deg"]))
         some = f", {new['ended']} of {new['seeds']} runs ended ({'; '.join(new['why'])})" if new["ended"] else ""
         weak = "" if gain > 2 * spread else " (worse)" if gain < -2 * spread else " (within the spread)"
-        texts.append(f"'{law}' {gain:+.3f} ± {spread:.3f} deg{weak}{some}")
+        texts.append(f"'{law}': {gain:+.3f} ± {spread:.3f} deg{weak}{some}")
         old = new
     return "\n".join(f"- {line}" for line in texts)
 
@@ -142,7 +151,10 @@ def _printed(printed: dict, best: dict) -> str:
             f"Eq. 10-12 as printed: {printed['rmse_deg'] / best['rmse_deg']:.1f} times the error of the correct ones."
         )
     reason = "; ".join(printed["why"])
-    return f"With Eq. 10-12 as printed {printed['ended']} of {printed['seeds']} runs end early: {reason}."
+    return (
+        f"With Eq. 10-12 of the source paper as printed, {printed['ended']} of {printed['seeds']} runs end "
+        f"early: {reason}."
+    )
 
 
 def _wrong(hand: str, plants: dict, named: tuple[str, str, str, str]) -> str:
@@ -167,7 +179,7 @@ def _costs(plants: dict, law: str) -> str:
     more = {plant: laws[law]["fast"]["rmse_deg"] - nominal for plant, laws in plants.items() if law in laws}
     dear = sorted((plant for plant in more if plant != "as known"), key=lambda plant: -more[plant])
     costs = ", ".join(f"{plant} {more[plant]:+.2f} deg" for plant in dear)
-    return f"Additional error of the whole control law at the fast motion: {costs}."
+    return f"Additional error of the whole control law at the fast motion, compared with the plant *as known*: {costs}."
 
 
 def _end_reasons(plants: dict) -> str:
@@ -184,7 +196,7 @@ def _end_reasons(plants: dict) -> str:
             }
             texts.setdefault(law, set()).update(faults)
     return " ".join(
-        f"Runs of '{law}' ended by {fault}: {FAULT_TEXTS[fault]}."
+        f"Fault {fault} ended runs of '{law}': {FAULT_TEXTS[fault]}."
         for law, faults in texts.items()
         for fault in sorted(faults)
     )
