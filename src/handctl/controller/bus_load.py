@@ -1,8 +1,10 @@
 """Load of each bus of a hand: all frames in the worst case."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from handctl.controller.setup import make_drives, make_sensors
+from handctl.drives.cia402.codec import SYNC
+from handctl.drives.cia402.drive import Cia402Drive
 from handctl.drives.contract import Drive
 from handctl.drives.frame_time import MAX_BUS_LOAD, frame_time_s
 from handctl.errors import ConfigError
@@ -128,14 +130,22 @@ def split(hand: Hand, rate_hz: float) -> list[list[str]]:
     first = hand.bus[0]
     # The first bus also carries SYNC and load cells, so it has less room for motors.
     capacity = MAX_BUS_LOAD - BusLoad("", 0, sensor_rows(hand, first)).at(rate_hz)
+    # CiA 402 drives reply to SYNC: a bus without the sensor node's SYNC carries one of its own.
+    has_sync = SYNC in make_sensors(hand).host_ids
+    sync_load = rate_hz * frame_time_s(0, False, first.bitrate)
     buses = list[list[str]]([[]])
     for drive in make_drives(hand):
-        load = BusLoad("", 1, drive_rows(drive, first)).at(rate_hz)
-        if load > MAX_BUS_LOAD:
+        listens = isinstance(drive, Cia402Drive)
+        alone = replace(drive, sync=False) if isinstance(drive, Cia402Drive) else drive
+        load = BusLoad("", 1, drive_rows(alone, first)).at(rate_hz)
+        with_sync = load + sync_load * listens
+        if with_sync > MAX_BUS_LOAD:
             return []
-        if load > capacity:
+        if (load if has_sync else with_sync) > capacity:
             capacity = MAX_BUS_LOAD
             buses.append([])
+            has_sync = False
+        capacity -= load if has_sync else with_sync
+        has_sync |= listens
         buses[-1].append(drive.name)
-        capacity -= load
     return buses

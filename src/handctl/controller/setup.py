@@ -12,6 +12,8 @@ from handctl.core.gains.gains import Gains
 from handctl.core.identified import identified_hand, torque_gain
 from handctl.core.model import HandModel
 from handctl.document import Document
+from handctl.drives.cia402.codec import SYNC
+from handctl.drives.cia402.drive import Cia402Drive
 from handctl.drives.contract import Drive
 from handctl.drives.identifiers import check_identifiers
 from handctl.drives.registry import make_drive
@@ -139,15 +141,34 @@ def caveats(drives: Iterable[Drive]) -> tuple[str, ...]:
 def make_drives(hand: Hand) -> tuple[Drive, ...]:
     """Return the motor of each tendon, in the order of the tendons.
 
+    A CiA 402 drive replies to SYNC. One drive of each bus without another SYNC sends it.
+
     Raises:
         ConfigError: for an option unknown to a drive, or an identifier with two meanings.
     """
     buses = hand.bus_names
     motors = [hand.motor_of(name) for name in hand.tendon_names]
     drives = tuple(make_drive(motor, buses.index(motor.bus)) for motor in motors)
+    sensors = make_sensors(hand)
     named = [(f"motor[{drive.name}].node_id", drive) for drive in drives]
-    check_identifiers([("sensor_node.base_id", make_sensors(hand)), *named])
-    return drives
+    check_identifiers([("sensor_node.base_id", sensors), *named])
+    return _with_sync(drives, sensors)
+
+
+def _with_sync(drives: tuple[Drive, ...], sensors: SensorNode) -> tuple[Drive, ...]:
+    """Return the drives with the option ``sync`` in the last CiA 402 drive of each bus that has no SYNC.
+
+    A bus has SYNC from the sensor node's SYNC, if that is 0x080, or from the option in the hand file.
+    The last drive is chosen so that SYNC follows every command.
+    """
+    with_sync = {sensors.bus} if SYNC in sensors.host_ids else set()
+    with_sync |= {drive.bus for drive in drives if isinstance(drive, Cia402Drive) and drive.sync}
+    last = {drive.bus: n for n, drive in enumerate(drives) if isinstance(drive, Cia402Drive)}
+    senders = {n for bus, n in last.items() if bus not in with_sync}
+    return tuple(
+        replace(drive, sync=True) if n in senders and isinstance(drive, Cia402Drive) else drive
+        for n, drive in enumerate(drives)
+    )
 
 
 def make_sensors(hand: Hand) -> SensorNode:

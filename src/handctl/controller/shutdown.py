@@ -41,7 +41,7 @@ def shutdown_step(controller: Controller, state: State, t_ns: int, received: Seq
     after = state.copy()
     enabled = []
     after.set_whole(s.K, state.k + 1)
-    frames = [controller.sensors.sync(after.k)]
+    frames = [controller.sensors.sync(after.k)] if controller.sends_sync else []
     for n, drive in enumerate(controller.drives):
         drive_state = after.drive(n)
         for frame in received:

@@ -73,8 +73,8 @@ class Controller:
         wire: tables of the drives' cyclic frames.
         gather: selection of the telemetry.
         owners: index of the drive of each bus and identifier.
-        sends_sync: True if a sensor or a drive needs SYNC.
-        sync_row: SYNC frame as a record.
+        sends_sync: True if the sensor node needs SYNC. Drives without such a SYNC send one themselves.
+        sync_row: the sensor node's SYNC as a record.
     """
 
     model: HandModel
@@ -112,7 +112,7 @@ class Controller:
             "wire": Wire(self.drives, self.sensors),
             "gather": Gather(layout),
             "owners": owners,
-            "sends_sync": bool(self.sensors.ids) or any(motor.protocol == "cia402" for motor in self.model.hand.motor),
+            "sends_sync": bool(self.sensors.ids),
             "sync_row": frames_of([self.sensors.sync(0)]).rows[0],
         }
         for name, value in made.items():
@@ -348,7 +348,7 @@ class Controller:
         if mode in (SILENT, DONE):
             return frames_of(modes.shutdown_frames(self.drives, state))
         out = np.empty((1 + len(self.wire.templates), WORDS), dtype=np.uint64)
-        # SYNC is for sensors and for CiA 402 drives. Without both its row is left out.
+        # Without sensors the row of their SYNC is left out.
         start = 0 if self.sends_sync else 1
         if self.sends_sync:
             counter = self.sensors.counter(state.k)

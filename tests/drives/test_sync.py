@@ -1,0 +1,90 @@
+"""SYNC for CiA 402 drives on every bus: from the sensor node's SYNC, or from one drive of the bus."""
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from handctl.campaign.stage import OPTIONS, hand_in
+from handctl.controller.bus_load import bus_loads, split
+from handctl.controller.setup import make_drives
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
+from handctl.core.types import Mode
+from handctl.drives.frame_time import MAX_BUS_LOAD, frame_time_s
+from handctl.hand.description import Hand
+from handctl.hand.load import hand_content, hand_from, load_hand
+from handctl.programs.live import LiveProgram
+from handctl.session.simulate import Simulator, homed_controller
+from tests.drives.protocol_bench import hand_file, on_two_buses
+
+SYNC = 0x080
+
+
+def senders(hand: Hand) -> list[str]:
+    """Return the names of the drives that send SYNC."""
+    return [drive.name for drive in make_drives(hand) if getattr(drive, "sync", False)]
+
+
+def without_sensors() -> Hand:
+    """Return jamia with CiA 402 drives and without a sensor node."""
+    content: dict[str, Any] = hand_content("jamia")
+    del content["sensor_node"]
+    content["motor"] = [motor | {"protocol": "cia402", "options": OPTIONS["cia402"]} for motor in content["motor"]]
+    return hand_from(content, "without sensors")
+
+
+def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
+    """A hand of CiA 402 drives on two buses had no SYNC on the bus without the sensor node, and never armed."""
+    path = on_two_buses(hand_file(tmp_path, ["cia402"]))
+    hand = load_hand(str(path))
+    assert senders(hand) == ["thumb_motor"], "the last drive of the bus without the sensor node"
+    model = HandModel.of(hand, Gains(), 250.0)
+    with Simulator(str(path), None, 0, homed=True).against(homed_controller(model, LiveProgram())) as run:
+        assert run.until(lambda out: out.mode == Mode.ACTIVE, 5.0)
+        sent = [(frame.bus, len(frame.data)) for frame in run.out.frames if frame.can_id == SYNC]
+        assert sent == [(0, 1), (1, 0)], "once on each bus: with the counter for the sensor node, else empty"
+
+
+def test_the_packaged_hand_on_two_buses_has_sync_on_both() -> None:
+    assert senders(hand_in("n_plus_1", "cia402")) == ["middle_f2"], "the last drive of the bus without the sensor node"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("sync_id = 128", "sync_id = 255", ["middle_motor", "thumb_motor"]),
+        ("counts_per_turn = 65536", "counts_per_turn = 65536\nsync = true", ["index_motor", "thumb_motor"]),
+    ],
+)
+def test_one_drive_of_a_bus_sends_sync(old: str, new: str, expected: list[str], tmp_path: Path) -> None:
+    """A sensor node with an identifier of its own is no SYNC for drives. The option of the hand file stays."""
+    path = on_two_buses(hand_file(tmp_path, ["cia402"]))
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    assert senders(load_hand(str(path))) == expected
+
+
+def test_other_protocols_have_no_sync(tmp_path: Path) -> None:
+    assert senders(load_hand(str(on_two_buses(hand_file(tmp_path, ["mit", "odrive"]))))) == []
+
+
+def test_the_bus_load_has_the_sync_without_sensors() -> None:
+    (load,) = bus_loads(without_sensors())
+    (sync,) = [row for row in load.rows if row.size == 0]
+    assert (sync.per_tick, sync.frame_s) == (1.0, frame_time_s(0, False, 1e6))
+
+
+def test_each_bus_of_a_split_has_room_for_its_sync() -> None:
+    for rate in range(200, 1000, 80):
+        hand = hand_in("jamia11", "cia402")
+        buses = split(hand, rate)
+        bus_of = {name: f"bus{i}" for i, names in enumerate(buses) for name in names}
+        wires = tuple(hand.bus[0].model_copy(update={"name": f"bus{i}"}) for i in range(len(buses)))
+        node = hand.sensor_node.model_copy(update={"bus": "bus0"})
+        motors = tuple(motor.model_copy(update={"bus": bus_of[motor.name]}) for motor in hand.motor)
+        changed = hand.model_copy(update={"bus": wires, "sensor_node": node, "motor": motors})
+        loads = bus_loads(hand_from(tomllib.loads(changed.to_toml()), "split"))
+        assert max(load.at(rate) for load in loads) <= MAX_BUS_LOAD, rate
