@@ -37,22 +37,24 @@ from handctl.programs.streams import digits_of
 from handctl.safety.faults.table import BY_ID, DEBOUNCE
 
 BEFORE_READY = (Mode.SILENT, Mode.INVENTORY)
-"""Modes in which a request to clear also clears the drives."""
+"""Modes in which a clear request also clears the drives' errors."""
 
 
 def apply_requests(
     model: HandModel, program: Program, state: State, requests: tuple[str, ...]
 ) -> tuple[OperatorRequests, tuple[Event, ...]]:
-    """Apply the requests of one tick, in order. Other text becomes a warning event.
+    """Apply the requests of one tick, in order.
+
+    A text that is not a request becomes a warning event.
 
     Args:
         model: the hand.
-        program: source of the goals.
-        state: of the tick, modified in place.
-        requests: JSON texts.
+        program: program that sets the goals of the digits.
+        state: state of the tick, modified in place.
+        requests: requests as JSON texts.
 
     Returns:
-        Stop and cut requests, and events for each request.
+        Stop and cut requests, and the events of all requests.
     """
     operator = OperatorRequests()
     events = list[Event]()
@@ -82,7 +84,7 @@ def apply_requests(
 
 
 def _set_gains(model: HandModel, program: Program, state: State, request: SetGains) -> tuple[Event, ...]:
-    """Begin the design of other gains."""
+    """Begin the design of the controller for requested gains."""
     if isinstance(program, CommissionProgram):
         return (Event("warn", "request", "", "refused: the hand is being commissioned"),)
     pending = state.decisions.pending
@@ -92,7 +94,7 @@ def _set_gains(model: HandModel, program: Program, state: State, request: SetGai
 
 
 def _command(model: HandModel, program: Program, state: State, request: CommandBase) -> tuple[Event, ...]:
-    """Carry out a command if the run accepts commands of this client."""
+    """Execute a motion command if the run accepts commands from this client."""
     if refusal := _refusal(program, state, request):
         return (refusal,)
     if state.decisions.commander not in (None, request.client):
@@ -118,7 +120,7 @@ def _command(model: HandModel, program: Program, state: State, request: CommandB
 
 
 def _grasp(model: HandModel, state: State, request: Grasp | ReleaseGrasp) -> tuple[Event, ...]:
-    """Begin a task, or end its hold."""
+    """Begin a grasp task, or end the hold of a running one."""
     if isinstance(request, ReleaseGrasp):
         progress, events = release_task(state.progress)
     else:
@@ -129,7 +131,10 @@ def _grasp(model: HandModel, state: State, request: Grasp | ReleaseGrasp) -> tup
 
 
 def _refusal(program: Program, state: State, request: CommandBase) -> Event | None:
-    """Return the refusal of a command. A relaxing or commissioning hand must not pull, and one client commands."""
+    """Return the reason to refuse a command, empty to accept the command.
+
+    A relaxing or commissioning hand must not pull, and only one client may send commands.
+    """
     if state.mode in LETTING_GO:
         return Event("info", "request", "", "refused: the hand is letting go")
     if not isinstance(program, LiveProgram):
@@ -144,7 +149,7 @@ def _refusal(program: Program, state: State, request: CommandBase) -> Event | No
 
 
 def _set_goal(model: HandModel, state: State, request: MoveDigits | HoldTension) -> tuple[Event, ...]:
-    """Set a goal of digits. A stream of one of them ends."""
+    """Set a goal for digits. A stream that includes one of the digits ends."""
     reference = reference_of(model, state)
     progress, events = apply_goal(model, state.progress, request, state.estimate, state.goal_time, reference)
     if progress is state.progress:
@@ -158,9 +163,10 @@ def _set_goal(model: HandModel, state: State, request: MoveDigits | HoldTension)
 
 
 def clear(state: State) -> None:
-    """Drop all latches by request of the operator.
+    """Clear all latched faults on the operator's request.
 
-    A fault still present counts anew in the tick, and latches again.
+    If a fault is still present, its detection starts again in this tick, and the fault latches
+    again.
     """
     ticks = state.view("fault_ticks")[: len(DEBOUNCE)]
     # One tick below the debounce: a present fault counts again in this tick, an absent one is reset.

@@ -1,4 +1,4 @@
-"""Load of each bus of a hand: all frames in the worst case."""
+"""Load of each bus of a hand, in the worst case of all frames."""
 
 from dataclasses import dataclass, replace
 
@@ -14,14 +14,14 @@ from handctl.hand.file.sections import Bus
 
 @dataclass(frozen=True, slots=True)
 class FrameRow:
-    """Frames of a kind.
+    """Row of the bus-load table: all frames of one kind.
 
     Attributes:
-        what: name of the motor, or part of the sensor node.
+        what: name of the motor, or name of a part of the sensor node.
         size: payload [bytes].
         fd: True for CAN FD.
         per_tick: number of frames in every tick.
-        per_second: number of frames per second without relation to the tick.
+        per_second: number of frames per second that do not depend on the control rate.
         frame_s: longest duration of a frame [s].
     """
 
@@ -35,10 +35,10 @@ class FrameRow:
 
 @dataclass(frozen=True, slots=True)
 class BusLoad:
-    """Load of a bus.
+    """Load of one bus.
 
     Attributes:
-        name: of the bus.
+        name: name of the bus.
         motors: number of motors on the bus.
         rows: kinds of frames on the bus.
     """
@@ -54,7 +54,7 @@ class BusLoad:
 
     @property
     def timed_fraction(self) -> float:
-        """Return the fraction of bus time for frames without relation to the tick."""
+        """Return the fraction of bus time used by frames independent of the control rate."""
         return sum(row.per_second * row.frame_s for row in self.rows)
 
     def at(self, rate_hz: float) -> float:
@@ -62,7 +62,7 @@ class BusLoad:
         return rate_hz * self.tick_s + self.timed_fraction
 
     def highest(self, limit: float) -> float:
-        """Return the control rate at which the load is ``limit`` [Hz]. Infinity without frames per tick."""
+        """Return the control rate at which the bus load is ``limit`` [Hz], infinity without frames per tick."""
         return max(0.0, limit - self.timed_fraction) / self.tick_s if self.tick_s else float("inf")
 
 
@@ -100,7 +100,7 @@ def drive_rows(drive: Drive, bus: Bus) -> tuple[FrameRow, ...]:
 
 
 def sensor_rows(hand: Hand, bus: Bus) -> tuple[FrameRow, ...]:
-    """Return the frames of sensor node and SYNC on a bus."""
+    """Return the frames of the sensor node and SYNC on a bus."""
     node = make_sensors(hand)
     if not node.ids:
         return ()
@@ -120,12 +120,12 @@ def _load(hand: Hand, index: int, bus: Bus, drives: tuple[Drive, ...]) -> BusLoa
 
 
 def split(hand: Hand, rate_hz: float) -> list[list[str]]:
-    """Distribute the motors over the least number of buses at a rate [Hz].
+    """Distribute the motors over the smallest sufficient number of buses at a control rate [Hz].
 
-    All buses have the bit rates of the hand's first bus. The load cells stay on the first bus.
+    All buses get the bit rates of the hand's first bus. The load cells stay on the first bus.
 
     Returns:
-        Names of the motors of each bus. Empty if a single motor exceeds a bus.
+        Names of the motors on each bus. Empty if a single motor overloads a bus.
     """
     first = hand.bus[0]
     # The first bus also carries SYNC and load cells, so it has less room for motors.

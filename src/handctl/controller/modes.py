@@ -1,8 +1,8 @@
-"""Mode machine of the hand: from silence through inventory and arming to action, and back to a confirmed standstill.
+"""Mode machine of the hand: silence, inventory, arming, action, and a confirmed disarm at the end.
 
 SILENT -> INVENTORY -> READY -> ARMING -> ACTIVE -> RELAX -> DISARM -> DONE. CUT is reached from
-every mode with torque. Each mode is a small function. The function returns the next mode, and the
-reason of a failure.
+every mode with torque. Each mode has one function. The function returns the next mode, and the
+reason if the run has failed.
 """
 
 import math
@@ -20,23 +20,23 @@ from handctl.errors import REMOVE_POWER
 from handctl.safety.action import Action
 
 LISTEN_S = 0.5
-"""Silence before the first frame, to notice a second controller [s]."""
+"""Time of listening before the first frame is sent, to detect a second controller [s]."""
 INVENTORY_TIMEOUT_S = 3.0
 CLEAR_ADVICE = " (when you have looked why: --clear)"
-"""Advice for a drive with a latched error."""
+"""Advice to the operator for a drive with a latched error."""
 MAYBE_LATCHED = " (or an error that does not clear)"
 READY_S = 0.1
-"""Time for a few measurements of the filter before arming [s]."""
+"""Time before arming in which the filter gets its first measurements [s]."""
 ARMING_TIMEOUT_S = 1.0
 RELAX_TIMEOUT_S = 1.0
 DISARM_TIMEOUT_S = 1.0
 CUT_S = 0.1
-"""Duration of repeated cut frames [s]."""
+"""Time for which cut frames are repeated [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class OperatorRequests:
-    """Stop and cut requests of the operator in the tick."""
+    """Stop and cut requests from the operator in a tick."""
 
     stop: bool = False
     cut: bool = False
@@ -47,14 +47,14 @@ class ModeInputs(NamedTuple):
 
     Attributes:
         model: the hand.
-        drives: of the motors.
+        drives: drives of all motors.
         elapsed: time in the present mode [s].
-        action: reaction demanded by safety.
-        operator: requests of the operator.
-        foreign: signs of a second controller: identifiers only sent by a host, and replies of
-            motors without a request of this host.
-        identities: of the drives at calibration, as ``Drive.identity``. Empty
-            where unknown.
+        action: reaction that the safety monitor demands.
+        operator: stop and cut requests from the operator.
+        foreign: signs of a second controller: frames that only a host sends, and motor replies
+            without a request from this host.
+        identities: identities of the drives at calibration, see ``Drive.identity``. Empty where
+            unknown.
     """
 
     model: HandModel
@@ -72,17 +72,17 @@ class ModeInputs(NamedTuple):
 
     @property
     def no_override(self) -> bool:
-        """Return True if neither safety nor the operator overrides the mode."""
+        """Return True if neither the safety monitor nor the operator determines the next mode."""
         return self.action < RELAX and not (self.foreign or self.operator.stop or self.operator.cut)
 
 
 RELAX = Action.RELAX
 Next = tuple[Mode, str]
-"""The next mode, and the reason if the run has failed."""
+"""Next mode, and the reason if the run has failed (else empty)."""
 
 
 def drive_target(mode: Mode) -> DriveTarget:
-    """Return the target state of every drive in a mode."""
+    """Return the drive state to request from every drive in a mode."""
     return _DRIVE_TARGETS[mode]
 
 
@@ -100,9 +100,9 @@ _DRIVE_TARGETS = {
 
 
 def shutdown_frames(drives: tuple[Drive, ...], state: State) -> tuple[Frame, ...]:
-    """Return the frames for the release of the drives at the end of a run.
+    """Return the frames that release the drives at the end of a run.
 
-    No frames follow a failure: the drives stay as they are.
+    After a failure no frames are returned, and the drives stay as they are.
     """
     if state.mode != Mode.DONE or state.failure:
         return ()
@@ -119,20 +119,20 @@ def next_mode(
     t: float,
     identities: tuple[str, ...] = (),
 ) -> tuple[Event, ...]:
-    """Decide and set the mode of the tick.
+    """Determine the next mode and write it into the state.
 
     Args:
         model: the hand.
-        drives: of the motors.
-        state: with the tick's drive and filter states, modified in place.
-        action: reaction demanded by safety.
-        operator: requests of the operator.
-        foreign: signs of a second controller, as text.
+        drives: drives of all motors.
+        state: state with the drive and filter values of the tick, modified in place.
+        action: reaction that the safety monitor demands.
+        operator: stop and cut requests from the operator.
+        foreign: texts that describe signs of a second controller.
         t: time of the tick [s].
-        identities: of the drives in the calibration. May be empty.
+        identities: identities of the drives in the calibration. May be empty.
 
     Returns:
-        The event of a change of mode. Empty without a change.
+        The event of a mode change, empty without a change.
     """
     inputs = ModeInputs(model, drives, t - state.mode_since, action, operator, foreign, identities)
     before = state.mode
@@ -159,7 +159,7 @@ def next_mode(
 
 
 def _overriding_mode(state: State, inputs: ModeInputs) -> Next | None:
-    """Return the mode demanded by safety or the operator, else None."""
+    """Return the mode demanded by the safety monitor or the operator, else None."""
     acting = state.mode in ACTING
     if acting and (inputs.operator.cut or inputs.action == Action.CUT):
         return Mode.CUT, _latched_faults(state)
@@ -171,7 +171,7 @@ def _overriding_mode(state: State, inputs: ModeInputs) -> Next | None:
 
 
 def _before_arming(state: State, inputs: ModeInputs) -> Next | None:
-    """Return the end of a run before any torque, None if the run continues."""
+    """Return the mode that ends a run before any torque, or None if the run continues."""
     if inputs.operator.stop or inputs.operator.cut:
         return Mode.DONE, ""
     if inputs.foreign:
@@ -180,14 +180,15 @@ def _before_arming(state: State, inputs: ModeInputs) -> Next | None:
 
 
 _MODE_AFTER_STOP = {Mode.ARMING: Mode.DISARM, Mode.ACTIVE: Mode.RELAX}
-"""Mode after a fault or a stop.
+"""Mode that follows each mode after a fault or a stop.
 
-ARMING leads to DISARM: no tension was commanded yet, and no further drive may be enabled.
+ARMING is followed by DISARM, because no tension has been commanded yet and no further drive may be
+enabled.
 """
 
 
 def _latched_faults(state: State) -> str:
-    """Return the latched faults as the reason of a failure. May be empty."""
+    """Return the latched faults in words, as reason of a failure. May be empty."""
     if not state.latched:
         return ""
     return "fault " + ", ".join(f"{mark.id} {mark.instance}" for mark in state.latched)
@@ -216,7 +217,7 @@ def _inventory(state: State, inputs: ModeInputs) -> Next:
 
 
 def _missing_inputs(state: State, inputs: ModeInputs) -> list[str]:
-    """Return the missing inputs of the filter, where all drives are ready and all sensor frames were received."""
+    """Return the filter inputs still missing when all drives are ready and all sensor frames have arrived."""
     drives = _named_drives(state, inputs)
     blind = [name for name, drive in drives if drive.phase == Phase.READY and math.isnan(drive.position)]
     return [f"no position from {', '.join(blind)}"] if blind else []
@@ -229,10 +230,10 @@ def _ready(state: State, inputs: ModeInputs) -> Next:
 
 
 def _other_drives(state: State, inputs: ModeInputs) -> str:
-    """Return the drives other than at calibration.
+    """Return the drives whose identity differs from the calibration.
 
     Returns:
-        A phrase per drive. Empty if all are equal, or the calibration names no drives.
+        One phrase per drive, empty if all are equal or the calibration has no identities.
     """
     there = [drive.identity(drive_state) for drive, drive_state in zip(inputs.drives, state.drives, strict=True)]
     pairs = zip(inputs.names, there, inputs.identities, strict=False)
@@ -297,22 +298,22 @@ def _named_drives(state: State, inputs: ModeInputs) -> Iterator[tuple[str, Drive
 
 
 def _enabled(state: State, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the motors without a confirmed disable."""
+    """Return the names of motors not confirmed as disabled."""
     disabled = (Phase.READY, Phase.FAULT)
     return tuple(name for name, drive in zip(names, state.drives, strict=True) if drive.phase not in disabled)
 
 
 def _pulling(model: HandModel, state: State, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the motors whose tendon is still loaded after the torque was cut (N16)."""
+    """Return the names of motors whose tendon still has tension after the torque was cut (N16)."""
     tendons = {mark.instance for mark in state.latched if mark.id == "N16"}
     return tuple(name for name, tendon in zip(names, model.hand.tendon_names, strict=True) if tendon in tendons)
 
 
 def _possibly_energized(model: HandModel, state: State, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the motors with possible torque at the end of a run.
+    """Return the names of motors that may make torque at the end of a run.
 
-    A run ending before arming has enabled no motor. Only a motor reporting to be enabled
-    counts then.
+    If the run ends before arming, no motor was enabled by handctl, and only a motor that reports
+    enabled is returned.
     """
     if state.mode not in BEFORE_ARMING:
         return tuple(dict.fromkeys((*_enabled(state, names), *_pulling(model, state, names))))

@@ -1,4 +1,4 @@
-"""Requested gains in design while the controller runs."""
+"""Requested gains whose controller design is in progress while the controller runs."""
 
 from dataclasses import dataclass
 
@@ -7,11 +7,11 @@ from handctl.core.gains.gains import Gains
 
 @dataclass(frozen=True, slots=True)
 class PendingGains:
-    """Requested gains.
+    """Requested gains with the progress of their design.
 
     Attributes:
-        gains: all gains, with the changes.
-        step: number of designed pieces.
+        gains: all gains, including the requested changes.
+        step: number of loops designed so far.
     """
 
     gains: Gains

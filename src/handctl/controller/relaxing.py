@@ -1,15 +1,14 @@
-"""Relax the hand: lower every tension to the floor without any rise of a motor command.
+"""Relaxing of the hand: lower every tension to the floor, without increasing any motor command.
 
-The tension loop may itself be faulty: crossed feedback, a motor replying late,
-a wrong encoder. Therefore an envelope bounds the motor force of each tendon, and no measurement can
-raise the envelope:
+The tension loop may itself be faulty (crossed feedback, late motor replies, a wrong encoder).
+Therefore an envelope bounds the motor force of each tendon. No measurement can raise the envelope:
 
     e[k] = max(min(u[k-1], floor), u[k-1] - rate T)      0 <= u[k] <= e[k]
 
-with the commanded motor force u at the tendon [N]. The envelope begins at the last command, or at
-the present tension if smaller. The tension loop may only go below the envelope. After a fault
-of the loop (``Release.OPEN``) u[k] = e[k]. A motor braking when relaxing
-begins goes to zero.
+with the commanded motor force u at the tendon [N]. T is the period. The envelope begins at the last
+command, or at the present tension if the tension is smaller. The tension loop may only go below the
+envelope. After a fault of the loop (``Release.OPEN``) u[k] = e[k]. The command of a motor that
+brakes at the start of relaxing goes to zero.
 """
 
 from dataclasses import replace
@@ -27,22 +26,25 @@ from handctl.safety.faults.table import BY_ID
 RELAX_RATE_N_PER_S = 500.0
 OVER_TENSION_RATE_N_PER_S = 2000.0
 START_MARGIN_N = 15.0
-"""Largest start of the setpoint above the last command [N], for friction and the load of motion."""
+"""Largest amount by which the first setpoint may exceed the last command [N], for friction and motion."""
 
 LOAD_CELL_FAULTS = ("T04b", "T05", "T05b", "T06")
-"""Faults with an unreliable measured tension."""
+"""Faults that make the measured tension unreliable."""
 RELAXED_WITHIN_N = 3.0
-"""Largest distance of a relaxed tendon from the floor [N]."""
+"""Largest tension above the floor at which a tendon counts as relaxed [N]."""
 SETPOINT_MARGIN_N = 3.0
-"""Margin of a setpoint above the tension [N]. In a settled hold the margin is at most 2 N."""
+"""Largest margin of the first setpoint above the present tension [N].
+
+During a steady hold the margin is at most 2 N.
+"""
 
 
 def begin_relaxing(model: HandModel, state: State) -> None:
-    """Set the goals of relaxing.
+    """Set the state for the start of relaxing: setpoints, rates, and envelope.
 
-    Relaxing begins at the present tension. The setpoint of a held digit may lead the tension while
-    growing, and would continue to pull. The start is also bounded by the commanded force, because
-    a load cell may be wrong.
+    Relaxing begins at the present tension. The setpoint of a held digit may be above the present
+    tension, and a start from the setpoint would continue to pull. The start is also bounded by the
+    commanded force, because a load cell may be wrong.
     """
     table = state.tendon
     whole = state.tendon_int
@@ -63,15 +65,14 @@ def begin_relaxing(model: HandModel, state: State) -> None:
 
 
 def _envelope_start(model: HandModel, state: State, present: Vector) -> Vector:
-    """Return (N,) motor force at the start of the envelope [N]: the last command, or less.
+    """Return (N,) motor force at the start of the envelope [N]: the last command or a smaller force.
 
-    A loop made unstable by a fault may have commanded 100 N for a tendon bearing 10 N.
-    The command ends at once: the motor begins at the present tension plus friction. A doubtful
-    load cell is not used.
+    An unstable loop may have commanded 100 N for a tendon with a tension of 10 N. The envelope then
+    begins at the present tension plus friction. An unreliable load cell is not used.
 
     Args:
         model: the hand.
-        state: at the start of relaxing.
+        state: state at the start of relaxing.
         present: (N,) tension with a margin [N].
     """
     commanded = np.nan_to_num(state.tendon[s.COMMANDED_FORCE], nan=0.0)
@@ -81,7 +82,7 @@ def _envelope_start(model: HandModel, state: State, present: Vector) -> Vector:
 
 
 def commands_relaxed(model: HandModel, state: State) -> bool:
-    """Return True if no motor is commanded more than the tension of a relaxed tendon."""
+    """Return True if every motor command is at most the tension of a relaxed tendon."""
     return not np.any(state.tendon[s.COMMANDED_FORCE] > model.relaxed + RELAXED_WITHIN_N)
 
 
@@ -91,7 +92,7 @@ def tensions_relaxed(model: HandModel, state: State) -> bool:
 
 
 def update_relax_rate(state: State) -> None:
-    """Relax at the faster rate as soon as a tendon is overloaded."""
+    """Switch to the faster relaxing rate as soon as a tendon is overloaded."""
     rate = relax_rate(state)
     if state.progress.goals[0].rate != rate:
         goals = tuple([replace(goal, rate=rate) for goal in state.progress.goals])
@@ -99,15 +100,15 @@ def update_relax_rate(state: State) -> None:
 
 
 def relax_rate(state: State) -> float:
-    """Return the rate of falling tensions [N/s]."""
+    """Return the rate at which tensions are lowered [N/s]."""
     return OVER_TENSION_RATE_N_PER_S if Release.FAST in _release_methods(state) else RELAX_RATE_N_PER_S
 
 
 def open_loop(state: State) -> bool:
-    """Return True if the envelope itself is commanded, without measurements."""
+    """Return True if the envelope is commanded directly, without measurements."""
     return Release.OPEN in _release_methods(state)
 
 
 def _release_methods(state: State) -> set[Release]:
-    """Return the methods of relaxing demanded by the latched faults."""
+    """Return the methods of relaxing that the latched faults demand."""
     return {BY_ID[mark.id].release for mark in state.latched}

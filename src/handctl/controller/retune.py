@@ -1,9 +1,9 @@
-"""Change of gains while the controller runs: a piece of design per tick, then a takeover without torque step.
+"""Change of gains while the controller runs: design in steps, then a takeover without a torque step.
 
-The design of a loop takes about a millisecond. A running controller therefore designs a loop
-per tick, and takes all loops over at once. At the takeover, the motor force commanded by the old
-gains minus the force commanded by the new gains becomes a fading trim (bumpless transfer).
-Integrals are in newtons, not integrals of the error, and need no rescaling.
+The design of a loop takes about a millisecond. A running controller therefore designs one loop per
+tick, and switches all loops to the new design in the same tick. At the takeover, the difference
+between the motor forces commanded with old and new gains becomes an offset that fades out (bumpless
+transfer). The integrators hold forces in newtons, so they need no rescaling.
 """
 
 from dataclasses import dataclass, field, replace
@@ -19,18 +19,18 @@ from handctl.errors import ConfigError
 from handctl.programs.requests import REFUSED
 
 Controller = TypeVar("Controller")
-"""``controller.tick.Controller``, or another dataclass with a ``model``."""
+"""Type variable for ``controller.tick.Controller``, or another dataclass with a ``model``."""
 
 CACHE_SIZE = 8
-"""Size of the design cache: the gains of a run, the pending gains, and some earlier gains to return to."""
+"""Number of designs in the cache: present gains, pending gains, and some earlier gains to return to."""
 
 
 class DesignProgress(NamedTuple):
-    """An incomplete design.
+    """Result of a design step before the design is complete.
 
     Attributes:
-        pending: progress of the design. None if these weights lead to no gains.
-        events: of the failure.
+        pending: progress of the design, None if no stabilising gains exist for these weights.
+        events: events that report the failure.
     """
 
     pending: PendingGains | None
@@ -39,12 +39,12 @@ class DesignProgress(NamedTuple):
 
 @dataclass(slots=True)
 class Designs:
-    """Cache of designs by gains. A missing design is computed again.
+    """Cache of designs by gains. A design dropped from the cache is computed again.
 
     Attributes:
-        designed_pieces: pieces designed so far, for the last ``CACHE_SIZE`` requests.
-        controllers: with complete designs.
-        used: gains of the last requested controller.
+        designed_pieces: loops designed so far, for the last ``CACHE_SIZE`` requested gains.
+        controllers: controllers with complete designs.
+        used: gains of the controller returned last.
     """
 
     designed_pieces: dict[Gains, list[Vector]] = field(default_factory=dict)
@@ -52,7 +52,7 @@ class Designs:
     used: Gains | None = None
 
     def advance(self, model: HandModel, pending: PendingGains) -> DesignProgress | None:
-        """Design a further piece. Return None when the design is complete."""
+        """Design one more loop. Returns None when the design is complete."""
         try:
             done = self._up_to(model, pending.gains, pending.step + 1)
         except ConfigError as error:
@@ -60,7 +60,7 @@ class Designs:
         return None if len(done) >= pieces(model.space) else DesignProgress(replace(pending, step=pending.step + 1))
 
     def controller(self, controller: Controller, gains: Gains) -> Controller:
-        """Return the controller with other gains, and keep these gains in the cache."""
+        """Return the controller with the given gains, and keep this design in the cache."""
         self.used = gains
         if gains not in self.controllers:
             old: Any = controller
@@ -72,7 +72,7 @@ class Designs:
         return made
 
     def _up_to(self, model: HandModel, gains: Gains, count: int) -> list[Vector]:
-        """Return the first ``count`` pieces or more, with missing pieces designed."""
+        """Return at least the first ``count`` designed loops, after designing the missing loops."""
         designed_pieces = self.designed_pieces.setdefault(gains, [])
         if len(self.designed_pieces) > CACHE_SIZE:
             # Dictionaries keep insertion order, so the first entry is the oldest. The gains in use stay.
@@ -85,14 +85,14 @@ class Designs:
 
 
 def begin_design(present: Gains, values: dict[str, float]) -> tuple[PendingGains | None, tuple[Event, ...]]:
-    """Begin the design of requested gains.
+    """Begin the controller design for requested gains.
 
     Args:
-        present: gains to change.
+        present: present gains.
         values: requested values by key.
 
     Returns:
-        The pending gains, or None with an event stating the reason.
+        The pending gains, or None and an event with the reason.
     """
     try:
         return PendingGains(with_values(present, values, "gains", live=True)), ()

@@ -1,4 +1,4 @@
-"""Construction of a controller from data, so a log can construct the same controller again."""
+"""Construction of a controller from plain data, so that the same controller can be constructed from a log."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -32,24 +32,24 @@ from handctl.programs.requests import HoldTension, MoveDigits
 from handctl.programs.task import Task
 
 ATTACHMENT = "setup.json"
-"""Name of the ``Setup`` attachment in a log."""
+"""Name of the log attachment that holds the ``Setup``."""
 
 
 class TaskSetup(Document):
-    """Program of a task file."""
+    """Setup of a program that executes a task file."""
 
     program: Literal["task"] = "task"
     task: Task
 
 
 class LiveSetup(Document):
-    """Program waiting for requests."""
+    """Setup of a program that waits for requests."""
 
     program: Literal["live"] = "live"
 
 
 class JogSetup(Document):
-    """Program with a single goal for a duration."""
+    """Setup of a program with a single goal for a given duration."""
 
     program: Literal["jog"] = "jog"
     request: Annotated[MoveDigits | HoldTension, Field(discriminator="do")]
@@ -57,13 +57,13 @@ class JogSetup(Document):
 
 
 class CommissionSetup(Document):
-    """Program for commissioning the hand."""
+    """Setup of the program that commissions the hand."""
 
     program: Literal["commission"] = "commission"
 
 
 class PlaybackSetup(Document):
-    """Program repeating a recorded run. ``rows`` is ``Recording.text``."""
+    """Setup of a program that repeats a recorded run. ``rows`` is ``Recording.text``."""
 
     program: Literal["playback"] = "playback"
     raw: bool
@@ -71,14 +71,14 @@ class PlaybackSetup(Document):
 
 
 class ExerciseSetup(Document):
-    """Program with motions for the evaluation of gains."""
+    """Setup of a program with motions to evaluate gains."""
 
     program: Literal["exercise"] = "exercise"
     amplitudes: tuple[float, ...]
 
 
 class ExciteSetup(Document):
-    """Program exciting the hand for identification."""
+    """Setup of a program that excites the hand for identification."""
 
     program: Literal["excite"] = "excite"
     steps: tuple[ExciteStep, ...]
@@ -89,7 +89,10 @@ ProgramSetup = Annotated[AnySetup, Field(discriminator="program")]
 
 
 class Setup(Document):
-    """Data of a controller besides the hand and the gains. Floats are restored to the bit."""
+    """Data from which a controller is constructed, besides hand and gains.
+
+    Floats are stored without rounding.
+    """
 
     schema_: int = Field(1, alias="schema", ge=1, le=1)
     rate_hz: float = Field(gt=0, le=100_000)
@@ -99,16 +102,16 @@ class Setup(Document):
     zero_rad: tuple[Annotated[float, Field(ge=-1000, le=1000)], ...]
     """(N,) motor zero within the range of a calibration [rad]."""
     identities: tuple[str, ...] = ()
-    """Identities of the drives at calibration. Empty: unknown."""
+    """Identities of the drives at calibration. Empty if unknown."""
     program: ProgramSetup
     identified_hand: str = ""
-    """The identified hand as TOML. Empty: the hand file's values apply."""
+    """Identified hand as TOML text. Empty if the values of the hand file apply."""
     torque_gain: tuple[float, ...] = ()
-    """(N,) identified torque gains. Empty: 1."""
+    """(N,) identified torque gains. Empty if all are 1."""
 
     @staticmethod
     def of(controller: Controller, rate_hz: float) -> "Setup":
-        """Return the setup of a controller running at ``rate_hz`` [Hz]."""
+        """Return the setup of a controller with control rate ``rate_hz`` [Hz]."""
         return Setup(
             rate_hz=rate_hz,
             arm_at_once=controller.arm_at_once,
@@ -121,7 +124,7 @@ class Setup(Document):
         )
 
     def controller(self, hand: Hand, gains: Gains) -> Controller:
-        """Construct the controller again, including the design of all gains."""
+        """Construct the controller from the setup, including the design of all gains."""
         identified = parse_toml(self.identified_hand, ATTACHMENT)
         known = hand_from(identified, ATTACHMENT) if identified else hand
         model = HandModel.of(known, gains, self.rate_hz, np.array(self.torque_gain) if self.torque_gain else None)
@@ -134,17 +137,20 @@ class Setup(Document):
 
 
 def caveats(drives: Iterable[Drive]) -> tuple[str, ...]:
-    """Return the drives' guards without read-back, a line each, for the operator to read before arming."""
+    """Return one line for each drive protection without read-back.
+
+    The operator reads these lines before arming.
+    """
     return tuple(f"{drive.name}: {text}" for drive in drives for text in drive.unverified_guards)
 
 
 def make_drives(hand: Hand) -> tuple[Drive, ...]:
-    """Return the motor of each tendon, in the order of the tendons.
+    """Return the drive of each tendon, in the order of the tendons.
 
     A CiA 402 drive replies to SYNC. One drive of each bus without another SYNC sends it.
 
     Raises:
-        ConfigError: for an option unknown to a drive, or an identifier with two meanings.
+        ConfigError: a drive does not know an option, or two nodes share an identifier.
     """
     buses = hand.bus_names
     motors = [hand.motor_of(name) for name in hand.tendon_names]
@@ -179,7 +185,9 @@ def make_sensors(hand: Hand) -> SensorNode:
 def make_controller(
     hand: Hand, gains: Gains, rate_hz: float, program: Program, calibration: Calibration | None, arm_at_once: bool
 ) -> Controller:
-    """Design the gains and construct the controller. Without a calibration tare and zero are 0.
+    """Construct a controller, including the design of the gains.
+
+    Without a calibration, tare and zero are 0.
 
     Values identified by the calibration replace values of the hand file. Drives and limits stay
     as in the file.
@@ -218,7 +226,7 @@ def _described(program: Program) -> AnySetup:
 
 
 def _made(setup: AnySetup, hand: Hand) -> Program:
-    """Return the program of a setup."""
+    """Return the program constructed from a setup."""
     match setup:
         case TaskSetup():
             return TaskProgram(setup.task)

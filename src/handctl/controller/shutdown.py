@@ -1,4 +1,4 @@
-"""Shutdown after an exception inside a tick: command every drive to disable until confirmation."""
+"""Shutdown after an exception in a tick: repeat the disable command until every drive confirms."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -14,9 +14,9 @@ class ShutdownStep(NamedTuple):
     """Result of a shutdown step.
 
     Attributes:
-        state: with the drives' latest replies.
-        frames: to be sent.
-        enabled: motors possibly on, without a confirmation of the contrary.
+        state: state with the latest replies of the drives.
+        frames: frames to send.
+        enabled: names of motors not confirmed as disabled.
     """
 
     state: State
@@ -25,15 +25,15 @@ class ShutdownStep(NamedTuple):
 
 
 def shutdown_step(controller: Controller, state: State, t_ns: int, received: Sequence[Frame]) -> ShutdownStep:
-    """Take in received frames and command every drive to disable.
+    """Process received frames, and command every drive to disable.
 
     SYNC continues, because some drives reply to SYNC.
 
     Args:
-        controller: with the drives.
-        state: from the last complete tick, or from the step before.
+        controller: controller with the drives.
+        state: state of the last complete tick, or of the last shutdown step.
         t_ns: time of the step [ns].
-        received: frames since the step before.
+        received: frames received since the last step.
 
     Returns:
         The next state, the frames to send, and the unconfirmed motors.

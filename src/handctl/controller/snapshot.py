@@ -1,7 +1,7 @@
-"""State as bytes, for re-execution of a log from the middle: the block, and the decisions.
+"""Conversion of the controller state to bytes, so that a log can be executed again from the middle.
 
-A snapshot consists of the layout's identity (8 bytes), the block, and the decisions as plain JSON.
-Only code with the same schema can read a snapshot.
+A snapshot consists of the identity of the layout (8 bytes), the state block, and the decisions as
+JSON. Only code with the same schema can read a snapshot.
 """
 
 import json
@@ -41,26 +41,26 @@ HEAD = 8
 
 
 def snapshot(state: State) -> bytes:
-    """Return a state as bytes."""
+    """Return the snapshot of a state as bytes."""
     decisions = json.dumps(plain(state.decisions), separators=(",", ":"), default=_marked)
     return state.layout.identity + state.block.tobytes() + decisions.encode()
 
 
 def _marked(value: object) -> tuple[str, str]:
-    """Return bytes in a form for JSON."""
+    """Return a bytes value as a JSON object with a mark, because JSON has no bytes."""
     assert isinstance(value, bytes)
     return BYTES, value.hex()
 
 
 def restore(layout: Layout, data: bytes) -> State:
-    """Return the state of a snapshot.
+    """Return the state stored in a snapshot.
 
     Args:
-        layout: of the writing controller.
-        data: the snapshot.
+        layout: layout of the state of the controller that wrote the snapshot.
+        data: bytes of the snapshot.
 
     Raises:
-        ValueError: if the data is no snapshot of the controller.
+        ValueError: the data are not a snapshot of such a controller.
     """
     # The block consists of 8-byte numbers.
     end = HEAD + 8 * layout.size

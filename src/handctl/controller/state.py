@@ -1,4 +1,4 @@
-"""State of a controller: a block of numbers, and decisions other than numbers."""
+"""State of a controller: a block of numbers, and decisions that are not numbers."""
 
 from typing import Any, NamedTuple
 
@@ -23,19 +23,21 @@ from handctl.safety.judge import Counting, Latched
 
 
 class Decisions(NamedTuple):
-    """State outside the block, changed by events, not in every tick.
+    """State kept outside the per-tick state block, because only events change it.
 
     Attributes:
-        drives: set-up of each drive. The values of a drive are in the block, and NaN or 0 here.
-        progress: of the program.
+        drives: state of each drive without its values. The values are in the block, and NaN or 0
+            here.
+        progress: progress of the program.
         latched: latched faults.
-        counting: faults reported by buses and host, with consecutive ticks.
-        refusals: ticks of the last second with a malformed request.
-        failure: reason of an early end of the run, a line. Empty without failure.
-        unconfirmed: motors without a confirmed disable.
-        gains: replacement of the gains at the start. None before a change.
-        pending: requested gains in design.
-        commander: client that commands, see ``requests.CommandBase``. None: any client may.
+        counting: faults reported by buses and host, with the number of consecutive ticks.
+        refusals: ticks within the last second that had a malformed request.
+        failure: reason of an early end of the run in one line, empty without a failure.
+        unconfirmed: names of motors not confirmed as disabled.
+        gains: gains that replace those from the start of the run, None before a change.
+        pending: requested gains whose design is in progress.
+        commander: client that may send commands, see ``requests.CommandBase``. None if any client
+            may.
         stream: open stream of targets.
     """
 
@@ -57,7 +59,7 @@ _parts = Kept[Any](plain_bytes)
 
 
 def _decided(decisions: Decisions) -> bytes:
-    """Hash the decisions to 8 bytes. Only a new object is serialized again."""
+    """Return an 8-byte hash of the decisions. An unchanged object is not serialized again."""
     drives = b"".join([_parts(drive) for drive in decisions.drives])
     goals = b"".join([_parts(goal) for goal in decisions.progress.goals])
     rest = [_parts(part) for part in decisions[1:]]
@@ -68,7 +70,7 @@ _decisions = Kept[Decisions](_decided)
 
 
 def layout_of(model: HandModel, groups: int) -> Layout:
-    """Return the layout of a hand's state.
+    """Return the layout of the state block for a hand.
 
     Args:
         model: the hand.
@@ -91,31 +93,31 @@ def layout_of(model: HandModel, groups: int) -> Layout:
 def drive_values(
     tendon: NDArray[np.float64], tendon_int: NDArray[np.int64], n: int
 ) -> tuple[float, float, float, float, int, int]:
-    """Return the block's values of a drive, as arguments of ``DriveState.with_values``."""
+    """Return the values of a drive in the block, as arguments of ``DriveState.with_values``."""
     position, velocity, torque, temperature = tendon[s.POSITION : s.POSITION + 4, n].tolist()
     return position, velocity, torque, temperature, int(tendon_int[s.FEEDBACK_NS, n]), int(tendon_int[s.FEEDBACKS, n])
 
 
 class State:
-    """State between ticks.
+    """State of the controller between ticks.
 
     A tick works on a copy. The block is copied as a whole. Decisions are immutable and shared.
 
     Attributes:
-        layout: of the block.
-        block: see ``core.block``.
+        layout: layout of the block.
+        block: numbers of the state, see ``core.block``.
         decisions: see ``Decisions``.
-        tendon: (rows, N) table of real numbers in the block.
-        tendon_int: (rows, N) table of integers in the block.
+        tendon: (rows, N) table of the real numbers per tendon in the block.
+        tendon_int: (rows, N) table of the integers per tendon in the block.
     """
 
     __slots__ = ("_run", "_run_int", "block", "decisions", "layout", "tendon", "tendon_int")
 
     def __init__(self, layout: Layout, block: Block, decisions: Decisions) -> None:
-        """Make views of the tables in a block.
+        """Use a block of numbers, and make views of its tables.
 
         Args:
-            layout: of the block.
+            layout: layout of the block.
             block: numbers of the state, not copied.
             decisions: see ``Decisions``.
         """
@@ -133,7 +135,7 @@ class State:
         return State(self.layout, self.block.copy(), self.decisions)
 
     def decide(self, **changes: Any) -> None:
-        """Replace some of the decisions."""
+        """Replace the given fields of the decisions."""
         self.decisions = self.decisions._replace(**changes)
 
     def digest(self) -> bytes:
@@ -147,24 +149,24 @@ class State:
         return self.layout.view(self.block, name)
 
     def number(self, row: int) -> float:
-        """Return a real number of the run."""
+        """Return a real number that is stored once per run, by its row."""
         return float(self._run[row])
 
     def set_number(self, row: int, value: float) -> None:
-        """Set a real number of the run."""
+        """Set a real number that is stored once per run."""
         self._run[row] = value
 
     def whole(self, row: int) -> int:
-        """Return an integer of the run."""
+        """Return an integer that is stored once per run, by its row."""
         return int(self._run_int[row])
 
     def set_whole(self, row: int, value: int) -> None:
-        """Set an integer of the run."""
+        """Set an integer that is stored once per run."""
         self._run_int[row] = value
 
     @property
     def k(self) -> int:
-        """Number of the last tick; -1 before the first."""
+        """Return the number of the last tick, -1 before the first."""
         return self.whole(s.K)
 
     @property
@@ -187,7 +189,7 @@ class State:
 
     @property
     def goal_time(self) -> float:
-        """Return the program's time [s], stopped while safety holds the hand."""
+        """Return the program's time [s]. The time stops while the safety monitor holds the hand."""
         return self.number(s.GOAL_TIME)
 
     @goal_time.setter
@@ -214,7 +216,7 @@ class State:
 
     @property
     def started(self) -> bool:
-        """Return True if encoder and load cell of every tendon have been read once."""
+        """Return True if encoder and load cell of every tendon have been read at least once."""
         return bool(self.whole(s.STARTED))
 
     @property
@@ -233,7 +235,7 @@ class State:
 
     @property
     def sensor_counts(self) -> tuple[int, int, int]:
-        """Count SYNCs sent, accepted tension frames, and frames in reply to an older SYNC."""
+        """Return the number of SYNCs sent, of accepted tension frames, and of frames with an old counter."""
         return self.whole(s.SYNCS), self.whole(s.TENSION_FRAMES), self.whole(s.STALE)
 
     # Decisions by their names.
@@ -250,18 +252,18 @@ class State:
 
     @property
     def failure(self) -> str:
-        """Return the reason of an early end of the run, one line. Empty without failure."""
+        """Return the reason of an early end of the run in one line, empty without a failure."""
         return self.decisions.failure
 
     @property
     def unconfirmed(self) -> tuple[str, ...]:
-        """Return the motors without a confirmed disable."""
+        """Return the names of motors not confirmed as disabled."""
         return self.decisions.unconfirmed
 
     # Drives: set-up from the decisions, values from the block.
 
     def drive(self, n: int) -> DriveState:
-        """Return a drive's state."""
+        """Return the state of one drive."""
         return self.decisions.drives[n].with_values(*drive_values(self.tendon, self.tendon_int, n))
 
     @property

@@ -1,4 +1,4 @@
-"""Streamed targets, applied to the state: opening and end of a stream, and every target."""
+"""Application of streamed targets to the state: opening of a stream, each target, end of the stream."""
 
 import math
 
@@ -28,17 +28,17 @@ from handctl.programs.streams import (
 )
 
 OLDEST_S = 0.1
-"""Age beyond which a target is ignored [s]. Its moment has passed, and later ones are on the way."""
+"""Age beyond which a target is ignored [s], because later targets replace it."""
 CLIPPED = 1e-9
-"""Smallest difference that counts as clipping [rad, N]."""
+"""Smallest difference from the requested value that counts as clipping [rad, N]."""
 STEADY_PERIODS = 2.5
-"""Longest time between two targets whose difference counts as a speed, in periods of the stream."""
+"""Longest time between two targets from which a speed is computed [periods of the stream]."""
 OPEN, RUNNING = 1, 2
-"""Numbers of ``block.STREAMING``."""
+"""Values of ``block.STREAMING``."""
 
 
 def reference_of(model: HandModel, state: State) -> tuple[Vector, ...]:
-    """Return, for each digit, (3, n) position, rate and acceleration of the present reference."""
+    """Return the present reference of each digit: (3, n) position, rate, and acceleration."""
     rows = state.layout.table(state.block, "coordinate")[s.TRAJECTORY : s.TRAJECTORY + 3]
     parts = list[Vector]()
     first = 0
@@ -50,12 +50,12 @@ def reference_of(model: HandModel, state: State) -> tuple[Vector, ...]:
 
 
 def setpoints_of(model: HandModel, state: State) -> tuple[Vector, ...]:
-    """Return, for each digit, the present tension setpoints [N]."""
+    """Return the present tension setpoints of each digit [N]."""
     return tuple(state.tendon[s.SETPOINT, tendons] for tendons in model.digit_tendons)
 
 
 def open_stream(model: HandModel, state: State, request: OpenStream) -> Event:
-    """Open a stream. Its digits stay at their present reference until the first target."""
+    """Open a stream. Its digits keep their present reference until the first target."""
     stream = opened(model, request)
     if isinstance(stream, str):
         return Event("info", "request", "", f"refused: {stream}")
@@ -82,7 +82,7 @@ def open_stream(model: HandModel, state: State, request: OpenStream) -> Event:
 
 
 def _prepare_motion(model: HandModel, state: State, digits: tuple[int, ...]) -> None:
-    """Begin a stream of angles at the present reference of its digits."""
+    """Start a stream of joint angles at the present reference of its digits."""
     rows = state.layout.table(state.block, "coordinate")
     reference = reference_of(model, state)
     for d in digits:
@@ -100,7 +100,7 @@ def _prepare_motion(model: HandModel, state: State, digits: tuple[int, ...]) -> 
 
 
 def close_stream(model: HandModel, state: State) -> None:
-    """End the open stream, if there is one. Its digits come to rest."""
+    """Close the open stream, if any. Its digits come to rest."""
     if state.decisions.stream is None:
         return
     state.decide(stream=None, progress=stay(model, state, only_streamed=True))
@@ -109,7 +109,7 @@ def close_stream(model: HandModel, state: State) -> None:
 
 
 def stay(model: HandModel, state: State, only_streamed: bool = False) -> Progress:
-    """Return the progress with moving digits that come to rest."""
+    """Return the program's progress with new goals that bring moving digits to rest."""
     reach = tuple(digit.reach for digit in model.digits)
     setpoints = setpoints_of(model, state)
     return staying(
@@ -120,17 +120,17 @@ def stay(model: HandModel, state: State, only_streamed: bool = False) -> Progres
 def apply_target(
     model: HandModel, state: State, target: Target | None, t_ns: int
 ) -> tuple[Event, ...]:
-    """Take in a target, and begin the motion to it.
+    """Apply a target, and begin the motion to it.
 
     Args:
         model: the hand.
         state: of the tick, modified in place.
-        target: as parsed, None for a malformed one.
+        target: parsed target, None for a malformed target.
         t_ns: time of the tick [ns].
 
     Returns:
-        An event for the first target of a stream that is clipped, ignored or refused. All of them are
-            counted in the state.
+        An event for the first clipped, ignored, or refused target of a stream. The state counts all
+        such targets.
     """
     stream = state.decisions.stream
     if (
@@ -170,7 +170,9 @@ def apply_target(
 def _begin_ramp(
     model: HandModel, state: State, stream: StreamPlan, values: Vector, sent_ns: int, t_ns: int
 ) -> bool:
-    """Begin the ramp from the present tension setpoints to a target. Return True if the target was clipped.
+    """Begin a ramp from the present tension setpoints to a target.
+
+    Returns True if the target was clipped.
 
     Arguments: see ``_begin_segment``.
     """
@@ -192,7 +194,9 @@ def _begin_ramp(
 def _begin_segment(
     model: HandModel, state: State, stream: StreamPlan, values: Vector, sent_ns: int, t_ns: int
 ) -> bool:
-    """Begin the motion from the present reference to a target. Return True if the target was clipped.
+    """Begin the motion from the present reference to a target.
+
+    Returns True if the target was clipped.
 
     Args:
         model: the hand.
@@ -236,7 +240,10 @@ def _begin_segment(
 
 
 def _count(state: State, row: int, text: str = "") -> tuple[Event, ...]:
-    """Count a target. Return an event for the first one of the stream, if there is a text for it."""
+    """Count a target in a row of the state.
+
+    Returns an event with the text for the first such target of a stream.
+    """
     count = state.whole(row) + 1
     state.set_whole(row, count)
     return (Event("info", "stream", "", text),) if text and count == 1 else ()

@@ -1,4 +1,4 @@
-"""Telemetry of a tick for the log: selection of fields from the state block."""
+"""Telemetry of a tick for the log, copied from fields of the state block."""
 
 import numpy as np
 
@@ -14,17 +14,17 @@ FIELD_OF = {
     "motor_torque_goal": "torque",
     "motor_temperature": "temperature",
 }
-"""Block fields of the telemetry fields with another name in the block."""
+"""Name in the block of each telemetry field with a different name there."""
 
 
 class Gather:
-    """Gather the telemetry of a hand from the state block."""
+    """Function object that copies the telemetry of a hand from the state block."""
 
     def __init__(self, layout: Layout) -> None:
-        """Compute the index of each telemetry number within a block.
+        """Compute the index of each telemetry number in the block.
 
         Args:
-            layout: of the state block.
+            layout: layout of the state block.
         """
         # A block that holds its own positions: a view of a field then yields the field's indices.
         numbered = np.arange(layout.size, dtype=np.float64)
@@ -36,5 +36,5 @@ class Gather:
         }
 
     def __call__(self, block: Block) -> PackedTelemetry:
-        """Return the telemetry of a block."""
+        """Return the telemetry from a block."""
         return PackedTelemetry(block.take(self._index), self._places)

@@ -1,4 +1,6 @@
-"""A tick: frames in, frames out, as a pure function. ``TickIn`` has every fact behind a decision.
+"""One tick of the controller as a pure function from received frames to frames to send.
+
+``TickIn`` contains all inputs, so that a logged tick can be executed again.
 
 receive   frames -> values of drives and sensors
 estimate  values -> tension, excursion, contact
@@ -7,8 +9,8 @@ decide    requests, safety, mode, program -> goals
 command   goals -> tension -> motor torque
 encode    motor torque -> frames
 
-Compiled stages (``core.stages``) compute the numbers on the state block. ``tick`` decides, and
-calls the stages in order. A tick works on a copy of the state.
+Compiled stages (``core.stages``) compute the numbers in the state block. ``tick`` makes the
+decisions and calls the stages in order. A tick works on a copy of the state.
 """
 
 from dataclasses import dataclass, field
@@ -54,27 +56,27 @@ SILENT = Mode.SILENT
 
 @dataclass(frozen=True, slots=True)
 class Controller:
-    """Constants of a run. ``tick`` is a pure function of a controller, a state and a ``TickIn``.
+    """Constants of a run. ``tick`` is a pure function of controller, state, and ``TickIn``.
 
     Attributes:
-        model: the hand, with gains and designs.
+        model: model of the hand, with gains and their designs.
         drives: the motor of each tendon, in the order of the tendons.
         sensors: the sensor node.
-        program: source of the goals.
+        program: program that sets the goals of the digits.
         tare: (N,) load-cell tare [N].
         zero: (N,) motor zero [rad].
-        arm_at_once: True: arm as soon as every node has replied, without a request.
-        identities: of the drives at calibration. Empty if unknown.
-        other_limits: thresholds in place of the hand's own. None: the hand's own.
-        designs: cache of the gains set in a run.
-        limits: thresholds of the monitor.
-        layout: of the state block.
-        constants: of the compiled code.
-        wire: tables of the drives' cyclic frames.
-        gather: selection of the telemetry.
-        owners: index of the drive of each bus and identifier.
-        sends_sync: True if the sensor node needs SYNC. Drives without such a SYNC send one themselves.
-        sync_row: the sensor node's SYNC as a record.
+        arm_at_once: True to arm as soon as every node has replied, without a request.
+        identities: identities of the drives at calibration, empty if unknown.
+        other_limits: thresholds that replace those of the hand, None to use those of the hand.
+        designs: cache of the designs for gains set during a run.
+        limits: thresholds of the safety monitor.
+        layout: layout of the state block.
+        constants: constants for the compiled code.
+        wire: signal tables of the drives' cyclic frames.
+        gather: function that copies the telemetry from the state block.
+        owners: index of the drive, by bus and identifier.
+        sends_sync: True if the sensor node needs SYNC. Drives without this SYNC send SYNC themselves.
+        sync_row: SYNC frame of the sensor node as a record.
     """
 
     model: HandModel
@@ -119,7 +121,7 @@ class Controller:
             object.__setattr__(self, name, value)
 
     def initial(self) -> State:
-        """Return the state before the first tick, as determined by the configuration."""
+        """Return the state before the first tick, from the configuration alone."""
         drives = tuple(drive.initial() for drive in self.drives)
         decisions = Decisions(tuple(drive.with_values() for drive in drives), self.program.initial(self.model))
         state = State(self.layout, self.layout.initial.copy(), decisions)
@@ -131,21 +133,21 @@ class Controller:
         return state
 
     def cut_frames(self) -> tuple[Frame, ...]:
-        """Return the frames for removing the torque of every motor."""
+        """Return the frames that remove the torque of every motor."""
         return tuple(frame for drive in self.drives for frame in drive.cut())
 
     def tick(self, before: State, entry: TickIn) -> tuple[State, TickOut]:
-        """Run a tick.
+        """Compute one tick.
 
         Args:
-            before: state of the tick before.
-            entry: all new facts.
+            before: state after the previous tick.
+            entry: all inputs of the tick.
 
         Returns:
-            The state after the tick, and the output.
+            The state after the tick, and the output of the tick.
 
         Raises:
-            ValueError: for a command without an encoding. The command is never sent.
+            ValueError: a command cannot be encoded. The command is not sent.
         """
         gains = before.decisions.gains
         if gains is None or gains is self.model.gains:
@@ -179,7 +181,10 @@ class Controller:
     # receive, estimate
 
     def _take_in(self, before: State, state: State, entry: TickIn, frames: Frames) -> tuple[str, ...]:
-        """Take in frames, correct and predict the filter. Return the signs of a second controller."""
+        """Process received frames, and correct and predict the filter.
+
+        Returns the signs of a second controller.
+        """
         block = state.block
         places = self.layout.places
         missed = entry.k - before.k - 1
@@ -194,7 +199,10 @@ class Controller:
         return signs
 
     def _receive(self, state: State, frames: Frames) -> tuple[str, ...]:
-        """Take in frames. Return received identifiers of this host's own frames, each once."""
+        """Process received frames.
+
+        Returns those received identifiers that only this host sends, each once.
+        """
         tables = self.wire
         signs = list[str]()
         at = 0
@@ -214,7 +222,7 @@ class Controller:
             at += 1
 
     def keep(self, state: State, n: int, drive_state: DriveState) -> None:
-        """Write the state of a drive into the block and the decisions after the state machine has acted."""
+        """Store the state of a drive in block and decisions, after its state machine has run."""
         table = state.tendon
         whole = state.tendon_int
         table[s.POSITION : s.POSITION + 4, n] = drive_state[1:5]
@@ -239,10 +247,10 @@ class Controller:
     # judge, decide
 
     def _count_refusals(self, state: State, request_events: tuple[Event, ...]) -> None:
-        """Count the refused requests, and the malformed ones within the last second.
+        """Count the refused requests, and the malformed requests within the last second.
 
-        A request that is out of range is a normal event for a program that explores. Only requests
-        without a meaning show that the client is broken.
+        A request out of range is normal for a program that explores. Only malformed requests show
+        that a client is faulty.
         """
         recent = state.decisions.refusals
         if request_events or recent:
@@ -258,7 +266,7 @@ class Controller:
     def _judge(
         self, before: State, state: State, entry: TickIn, signs: tuple[str, ...]
     ) -> tuple[Action, tuple[Finding, ...]]:
-        """Find faults, latch them, and choose the reaction."""
+        """Detect faults, latch them, and choose the reaction."""
         state.set_whole(s.TARED, state.progress.phase != TARE_PHASE)  # until then a load cell may read anything
         demanded, found = stages.judged(state.block, self.layout.places, *self._constants, self.layout.initial)
         new_findings = newly_counting(self.limits, found, state.view("fault_ticks")) if state.whole(s.FOUND_NOW) else []
@@ -273,12 +281,15 @@ class Controller:
         return verdict.action, verdict.findings
 
     def _any_node_seen(self, state: State) -> bool:
-        """Return True if any node has ever answered, or torque may act."""
+        """Return True if any node has ever answered, or if torque may act."""
         heard = any(phase != Phase.SILENT for phase in state.phases) or bool(state.view("group_frames").any())
         return heard or Mode.ARMING <= state.mode <= RELAX
 
     def _program(self, state: State, action: Action) -> tuple[Event, ...]:
-        """Advance the program while the hand is active. The program's time stops while safety holds."""
+        """Advance the program while the hand is active.
+
+        The program's time stops while the safety monitor holds the hand.
+        """
         if state.mode != ACTIVE or action >= Action.HOLD:
             return ()
         t = state.goal_time + self.model.period
@@ -289,7 +300,7 @@ class Controller:
         return events
 
     def _write_progress(self, state: State, before: State | None) -> None:
-        """Write changed goals of the program into the block."""
+        """Write goals changed by the program into the block."""
         progress = state.progress
         old = before.progress if before else None
         if progress is old:
@@ -306,7 +317,10 @@ class Controller:
     # command
 
     def _command(self, state: State, action: Action, ticks: int) -> None:
-        """Compute the motor torques of the tick, 0 unless the hand is active or relaxing."""
+        """Compute the motor torques of the tick.
+
+        The torques are 0 unless the hand is active or relaxing.
+        """
         block = state.block
         places = self.layout.places
         mode = state.mode
@@ -318,13 +332,15 @@ class Controller:
         stages.act(block, places, *self._constants, rate, int(opened), ticks)
 
     def _retune(self, unchanged: State, state: State, action: Action, ticks: int) -> tuple[Event, ...]:
-        """Design a piece of the pending gains. Take complete gains over from the next tick on.
+        """Design the next loop of the pending gains.
+
+        A complete design is used from the next tick on.
 
         Args:
-            unchanged: the state before the command.
-            state: the state after the command.
+            unchanged: state before the motor torques were computed.
+            state: state after the motor torques were computed.
             action: reaction demanded by safety.
-            ticks: periods since the last tick.
+            ticks: number of periods since the last tick.
         """
         pending = state.decisions.pending
         assert pending is not None
@@ -343,7 +359,7 @@ class Controller:
     # encode
 
     def _encode(self, state: State, t_ns: int) -> Frames:
-        """Return the SYNC for the sensors, then the command of each drive. The frames of a cut go first."""
+        """Return the frames of the tick: cut frames first, then SYNC, then the command of each drive."""
         mode = state.mode
         if mode in (SILENT, DONE):
             return frames_of(modes.shutdown_frames(self.drives, state))
@@ -364,13 +380,15 @@ class Controller:
         return joined([frames_of(self.cut_frames()), Frames.of_rows(out[start:1])]) if mode == CUT else sent
 
     def _send(self, state: State, out: Rows, start: int, target: DriveTarget, torque: Vector, t_ns: int) -> Frames:
-        """Write commands behind the SYNC in ``out``. Drives in transition go through their state machines.
+        """Write the commands after the SYNC into ``out``.
+
+        Drives that are not steady run their state machines.
 
         Args:
-            state: modified in place.
+            state: state of the tick, modified in place.
             out: memory for the frames, with SYNC in row 0.
             start: first row to send: 0 with SYNC, 1 without.
-            target: state that the drives are driven to.
+            target: requested state of the drives.
             torque: (N,) commanded torque [N m].
             t_ns: time of the tick [ns].
         """
@@ -408,7 +426,7 @@ _ACTIONS = {int(action): action for action in Action}
 
 
 def _fault_event(finding: Finding) -> Event:
-    """Return the event of a finding."""
+    """Return the event that reports a finding."""
     fault = finding.fault
     level = "error" if fault.action >= Action.RELAX else "warn"
     text = f"{fault.id} {fault.title}: {finding.instance} ({finding.value:g}): {fault.action.name}"

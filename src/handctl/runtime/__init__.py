@@ -1,1 +1,1 @@
-"""Runtime: clocks, buses, the fixed-rate loop, and requests of other processes."""
+"""Clocks, buses, the fixed-rate loop, and requests from other processes."""

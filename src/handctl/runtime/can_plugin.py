@@ -19,11 +19,11 @@ from handctl.runtime.buses.pythoncan import frame_of, message_of
 from handctl.runtime.paths import run_dir
 
 RETRY_S = 1e-3
-"""Pause before a frame is sent again that found the queue full [s]."""
+"""Pause before a frame refused by a full queue is sent again [s]."""
 
 
 class LocalCanBus(can.BusABC):
-    """A local bus behind the interface of ``can.BusABC``."""
+    """Local bus with the interface of ``can.BusABC``."""
 
     def __init__(
         self,
@@ -38,8 +38,8 @@ class LocalCanBus(can.BusABC):
         Args:
             channel: name of the bus, as in ``local:NAME``.
             can_filters: filters in the format of python-can.
-            receive_own_messages: deliver sent messages to this client as well.
-            fd: send and receive CAN FD frames.
+            receive_own_messages: True to deliver sent messages to this client as well.
+            fd: True to send and receive CAN FD frames.
             **kwargs: options of other interfaces, such as the bit rate, which are ignored.
 
         Raises:
@@ -83,8 +83,8 @@ class LocalCanBus(can.BusABC):
         """Send a message.
 
         Args:
-            msg: to send.
-            timeout: longest wait for room in the queue [s]. None waits without limit.
+            msg: message to send.
+            timeout: longest wait for free space in the queue [s]. None waits without limit.
 
         Raises:
             can.CanOperationError: the queue stayed full, the hub is gone, or an FD message was sent on
@@ -108,7 +108,7 @@ class LocalCanBus(can.BusABC):
         return self._link.fileno()
 
     def shutdown(self) -> None:
-        """Leave the bus."""
+        """Disconnect from the bus."""
         super().shutdown()
         self._link.close()
 

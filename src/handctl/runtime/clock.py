@@ -1,4 +1,4 @@
-"""Time of a run: absolute deadlines on CLOCK_MONOTONIC, scaled on request.
+"""Time of a run: absolute deadlines on CLOCK_MONOTONIC, with an optional scale.
 
 The virtual time of lockstep is in ``lockstep``.
 """
@@ -11,17 +11,17 @@ from dataclasses import dataclass
 from typing import Protocol
 
 SPIN_NS = 60_000
-"""Time before a deadline that a process with real-time priority spins instead of sleeping [ns of wall time].
+"""Time before a deadline in which a process with real-time priority spins instead of sleeping [ns of wall time].
 
-``time.sleep`` wakes some 50 us late, even under SCHED_FIFO.
+``time.sleep`` returns about 50 us late, even under SCHED_FIFO.
 """
 
 
 class Clock(Protocol):
-    """The clock that the control loop needs. All times are in the run's time unless wall time is named."""
+    """Clock of the control loop. All times are in the run's time unless wall time is stated."""
 
     def start(self) -> None:
-        """Start the run's time. Tick 0 is next."""
+        """Start the run's time. The next tick is tick 0."""
         ...
 
     def wait(self, k: int) -> int:
@@ -35,12 +35,14 @@ class Clock(Protocol):
 
 @dataclass
 class RealClock:
-    """Deadlines at start + k * period on CLOCK_MONOTONIC. With scale 0.1 a second of the run takes ten.
+    """Clock with deadlines at start + k * period on CLOCK_MONOTONIC.
+
+    With scale 0.1, one second of the run takes ten seconds.
 
     Attributes:
         period_ns: control period [ns of the run's time].
-        scale: run time per wall time.
-        spin: spin before each deadline, which pays only with real-time priority.
+        scale: run time divided by wall time.
+        spin: True to spin before each deadline, useful only with real-time priority.
         start_ns: CLOCK_MONOTONIC at tick 0 [ns of wall time].
     """
 
@@ -75,11 +77,11 @@ class RealClock:
 
 @dataclass(frozen=True, slots=True)
 class Priority:
-    """Scheduling and memory locking that the operating system granted.
+    """Scheduling and memory locking granted by the operating system.
 
     Attributes:
-        realtime: SCHED_FIFO was granted.
-        locked: the memory is locked against paging.
+        realtime: True if SCHED_FIFO was granted.
+        locked: True if the memory is locked against paging.
     """
 
     realtime: bool
@@ -92,16 +94,17 @@ class Priority:
 
 
 def take_priority(level: int = 60) -> Priority:
-    """Request SCHED_FIFO and locked memory. The result says what was refused, without an error."""
+    """Request SCHED_FIFO and locked memory. The result states refusals, and no error is raised."""
     # Memory first: locking it fills hundreds of MB. Under SCHED_FIFO nothing else would get the core meanwhile.
     locked = _lock_memory()
     return Priority(_enter_fifo(level), locked)
 
 
 def prepare_priority() -> Priority:
-    """Lock the memory and try whether :func:`realtime_priority` will be granted SCHED_FIFO.
+    """Lock the memory, and test if :func:`realtime_priority` will be granted SCHED_FIFO.
 
-    To start a loop takes a quarter of a second. Other processes keep the core in this time.
+    Starting a loop takes a quarter of a second, without real-time priority, so that other processes
+    can use the core.
     """
     locked = _lock_memory()
     with realtime_priority() as granted:
@@ -110,7 +113,7 @@ def prepare_priority() -> Priority:
 
 @contextmanager
 def realtime_priority(level: int = 60) -> Iterator[bool]:
-    """Run a block under SCHED_FIFO. Yields True if SCHED_FIFO was granted."""
+    """Run a block under SCHED_FIFO. The value yielded is True if SCHED_FIFO was granted."""
     try:
         yield _enter_fifo(level)
     finally:
@@ -118,7 +121,7 @@ def realtime_priority(level: int = 60) -> Iterator[bool]:
 
 
 def give_back_priority() -> None:
-    """Return to ordinary scheduling and unlocked memory after the loop."""
+    """Return to ordinary scheduling and unlock the memory after the loop."""
     _leave_fifo()
     if sys.platform.startswith("linux"):
         import ctypes
@@ -127,7 +130,7 @@ def give_back_priority() -> None:
 
 
 def _leave_fifo() -> None:
-    """Leave SCHED_FIFO. Another scheduling class stays as it is."""
+    """Leave SCHED_FIFO. Any other scheduling class is kept."""
     if not sys.platform.startswith("linux"):
         return
     import os

@@ -1,8 +1,8 @@
-"""Requests to a running controller. A request counts only when the controller has confirmed it.
+"""Requests to a running controller, with confirmation by the controller.
 
-A sent datagram proves nothing. The controller may be paused, its mailbox full, or its socket left over
-from a killed process. Every request therefore carries the name of its sender, and the controller
-confirms it with a status line that repeats this name.
+A sent datagram proves nothing. The controller may be paused, the mailbox may be full, or the socket
+may be left from a killed process. Every request therefore carries the name of its sender, and the
+controller confirms it with a status line that repeats this name.
 """
 
 import itertools
@@ -18,21 +18,24 @@ from handctl.programs.requests import events_for_request
 from handctl.runtime.mailbox import RETRY_S, WATCH, Watcher
 
 ANSWER_S = 2.0
-"""Longest wait for a confirmation, and longest silence of a controller that relaxes the hand [s]."""
+"""Longest wait for a confirmation, and longest silence of a controller while relaxing the hand [s]."""
 REPEAT_S = 0.25
-"""Interval at which a request is repeated that may arrive twice [s]."""
+"""Interval between repetitions of a request [s].
+
+Only requests that may arrive twice are repeated.
+"""
 OFF_S = 10.0
 """Longest time from a stop to the confirmation of the last drive, in the hand's time [s]."""
 SILENT = "the controller is silent"
 FULL = "its mailbox is full"
 _numbers = itertools.count(1)
-"""Request numbers of this process. They make the name of each request unique."""
+"""Request numbers of this process, for unique request names."""
 
 Line = dict[str, Any]
 
 
 def open_watcher(bus: str, word: str) -> Watcher:
-    """Open a watcher of the controller that a request goes to.
+    """Return an open watcher of the controller of a bus, for one request.
 
     Raises:
         UnconfirmedError: the folder for the socket cannot be trusted.
@@ -44,17 +47,17 @@ def open_watcher(bus: str, word: str) -> Watcher:
 
 
 def send_confirmed(watcher: Watcher, request: Mapping[str, Any], repeat: bool = False) -> tuple[Line, list[str]]:
-    """Send a request and wait until the controller confirms that it has taken the request.
+    """Send a request, and wait for the controller's confirmation.
 
     Args:
-        watcher: of the controller.
-        request: without ``by``.
-        repeat: send the request repeatedly, also to a controller that does not run yet. Only for
-            requests that may arrive twice.
+        watcher: watcher of the controller.
+        request: content of the request, without ``by``.
+        repeat: True to send the request repeatedly, also to a controller that has not started yet.
+            Only for requests that may arrive twice.
 
     Returns:
-        the status line of the tick that took the request, and the texts of that tick about the request,
-        possibly a refusal.
+        the status line of the tick in which the controller took the request, and the event texts of
+        this tick about the request (possibly a refusal).
 
     Raises:
         UnconfirmedError: the controller has not confirmed the request.
@@ -84,7 +87,7 @@ def _try_send(watcher: Watcher, data: bytes, timeout_s: float) -> tuple[bool, st
     """Send a request once.
 
     Returns:
-        whether the request was sent, and the reason to report if no confirmation follows.
+        True if the request was sent, and the reason to report if no confirmation follows.
     """
     try:
         watcher.send(data, timeout_s)
@@ -96,11 +99,13 @@ def _try_send(watcher: Watcher, data: bytes, timeout_s: float) -> tuple[bool, st
 
 
 def request_action(bus: str, word: str) -> Line:
-    """Request ``clear``, ``stop`` or ``cut``. After ``stop`` and ``cut`` follow the hand until it is off.
+    """Request ``clear``, ``stop`` or ``cut``.
+
+    After ``stop`` and ``cut``, wait until the hand is off.
 
     Args:
-        bus: of the controller.
-        word: the request.
+        bus: bus of the controller.
+        word: name of the request.
 
     Returns:
         the last status line of the controller.
@@ -119,12 +124,12 @@ def request_action(bus: str, word: str) -> Line:
 
 
 def follow_until_off(watcher: Watcher, word: str, line: Line) -> Line:
-    """Follow a stopping hand until its controller reports that every drive is off.
+    """Wait until the controller of a stopping hand reports that every drive is off.
 
     Args:
-        watcher: of the controller.
+        watcher: watcher of the controller.
         word: the confirmed request.
-        line: status line that confirmed the request.
+        line: status line with the confirmation of the request.
 
     Returns:
         the last status line of the controller.
@@ -156,11 +161,11 @@ def is_off(line: Line) -> bool:
 
 
 def _mode_texts(line: Line) -> list[str]:
-    """Return the texts of the mode changes in a status line."""
+    """Return the event texts about mode changes in a status line."""
     return [event["text"] for event in line["events"] if event["name"] == "mode"]
 
 
 def _resubscribed(watcher: Watcher) -> Line | None:
-    """Subscribe to status lines again and wait for the next one."""
+    """Subscribe to status lines again, and return the next status line."""
     _try_send(watcher, WATCH, REPEAT_S)
     return watcher.next_line(REPEAT_S)

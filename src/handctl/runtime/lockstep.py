@@ -1,8 +1,12 @@
-"""Virtual time for lockstep: the loop itself steps the peer on the other side of the wire, without sleeping.
+"""Virtual time for lockstep: the loop advances the simulator tick by tick, without sleeping.
 
-The peer is an object with ``step(t_ns, frames) -> frames``. It is loaded by name, because handctl never
-imports a simulator. A peer with ``exchange(t_ns, records) -> records`` gets this call instead, and no
-frame becomes an object.
+frames``. It is loaded by name, because handctl never imports a simulator. A peer with
+``exchange(t_ns, records) -> records`` gets this call instead, and no frame becomes an object. ->
+The simulator is called the peer: an object with ``step(t_ns, frames) -> frames``. The peer is
+loaded by name, because handctl never imports a simulator. If the peer has ``exchange(t_ns, records)
+-> records``, the loop calls this method instead, which avoids an object per frame. -> frames``. It
+is loaded by name, because handctl never imports a simulator. A peer with ``exchange(t_ns, records)
+-> records`` gets this call instead, and no frame becomes an object.
 """
 
 import importlib
@@ -20,28 +24,28 @@ from handctl.runtime.buses.canfd import without_errors
 from handctl.runtime.buses.events import BusEvents
 
 SIMULATED_HAND = "firmware_sim.rig:Rig"
-"""Name of the peer that comes with handctl."""
+"""Name of the simulator in the handctl repository."""
 
 
 class Peer(Protocol):
-    """The other side of the wire in lockstep."""
+    """Simulator on the other side of the wire in lockstep."""
 
     def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
-        """Take the host's frames of the tick at t_ns, advance one period, and return the answers."""
+        """Advance the simulator by one period with the host's frames of the tick at t_ns, and return its answers."""
         ...
 
     def close(self) -> None:
-        """Complete and close the files of the peer."""
+        """Complete and close the files of the simulator."""
         ...
 
 
 def _exchange_objects(peer: Peer, t_ns: int, records: Records) -> Records:
-    """Exchange records with a peer that handles frames only as objects."""
+    """Exchange records with a simulator that accepts only frame objects."""
     return frames_of(Frame(*reply) for reply in peer.step(t_ns, list(Frames(records)))).records
 
 
 def load_peer(entry: str, **options: object) -> Peer:
-    """Load and construct a peer from ``module:Class``.
+    """Load a simulator class from ``module:Class``, and return an object of the class.
 
     Raises:
         ConfigError: the module or class does not exist, or the class refuses the options.
@@ -60,21 +64,21 @@ def load_peer(entry: str, **options: object) -> Peer:
 
 
 class LockstepClock:
-    """A clock that stands still while controller and peer compute.
+    """Clock that stops while controller and simulator compute.
 
-    Waiting for a tick steps the peer through the tick before it.
+    Waiting for a tick advances the simulator through the tick before.
 
     Attributes:
-        peer: the other side of the wire.
+        peer: the simulator.
         period_ns: control period [ns].
-        outgoing: frames of the host for the next step.
-        incoming: answers that ``LockstepBus.drain`` has not taken yet.
-        k: present tick.
-        offset_ns: the peer's time at this run's t = 0 [ns].
+        outgoing: frames from the host for the next step.
+        incoming: answers not yet returned by ``LockstepBus.drain``.
+        k: number of the present tick.
+        offset_ns: time of the simulator at t = 0 of this run [ns].
     """
 
     def __init__(self, peer: Peer, period_ns: int) -> None:
-        """Start at tick 0 of the peer's time, with a control period [ns]."""
+        """Start at tick 0 of the simulator's time, with a control period [ns]."""
         self.peer = peer
         self.period_ns = period_ns
         self._exchange: Callable[[int, Records], Records]
@@ -85,10 +89,10 @@ class LockstepClock:
         self.offset_ns = 0
 
     def restart(self) -> None:
-        """Begin another run, one tick after the last frames of the run before were sent.
+        """Begin another run, one tick after the last frames of the previous run were sent.
 
-        The peer receives these frames, because drives are disarmed by them. Its answers are discarded: they arrive
-        between two runs, when no bus is open.
+        The simulator receives these frames, because these frames disable the drives. The answers
+        are discarded, because no bus is open between two runs.
         """
         if self.outgoing:
             self.wait(self.k + 1)
@@ -97,10 +101,13 @@ class LockstepClock:
         self.incoming = []
 
     def start(self) -> None:
-        """Do nothing. The peer's time stands still until the first step."""
+        """Do nothing. The simulator's time begins with the first step."""
 
     def wait(self, k: int) -> int:
-        """Step the peer from the last tick to tick k. Returns 0, since virtual time is never late."""
+        """Advance the simulator from the last tick to tick k.
+
+        Returns 0, because virtual time is never late.
+        """
         if k > 0:
             frames = joined(self.outgoing)
             replies = self._exchange(self.offset_ns + (k - 1) * self.period_ns, frames.records)
@@ -118,17 +125,17 @@ class LockstepClock:
 
 
 class LockstepBus:
-    """All buses of a hand in lockstep as one object. Frames carry the bus index."""
+    """All buses of a hand in lockstep, as one object. Each frame has the index of its bus."""
 
     name = "lockstep"
 
     def __init__(self, clock: LockstepClock) -> None:
-        """Connect to the peer that the clock steps."""
+        """Connect to the simulator of a clock."""
         self.clock = clock
         self._events: dict[int, BusEvents] = {}
 
     def drain(self) -> Frames:
-        """Return the answers of the peer. Error frames become events."""
+        """Return the answers of the simulator. Error frames become events."""
         frames = joined(self.clock.incoming)
         self.clock.incoming = []
         # One OR over all identifiers: a tick without error frames needs no look at each frame.
@@ -141,13 +148,13 @@ class LockstepBus:
         return frames
 
     def send(self, frames: Sequence[Frame]) -> int:
-        """Queue frames for the next step of the peer and return their number."""
+        """Queue frames for the next step of the simulator, and return their number."""
         self.clock.outgoing.append(frames_of(frames))
         return len(frames)
 
     def take_events(self) -> list[tuple[str, str, int]]:
-        """Return the events of the simulated wires. A peer without wires has none."""
+        """Return the events of the simulated wires. A simulator without wires has none."""
         return [event for events in self._events.values() for event in events.take()]
 
     def close(self) -> None:
-        """Do nothing. The peer is closed by its owner."""
+        """Do nothing. The owner of the simulator closes it."""

@@ -1,8 +1,11 @@
-"""The fixed-rate loop: wait, drain, tick, send, record. The same loop runs in real time and in lockstep.
+"""The fixed-rate loop: wait, drain, tick, send, record.
 
-The loop never catches up. It skips a missed deadline, the tick number jumps, and the tick itself judges the
-gap. This module has the only broad ``except`` of the project: after any error inside a tick the loop
-disables the drives and polls whether they are off, before it raises the error again.
+The same loop runs in real time and in lockstep.
+
+The loop never catches up. After a missed deadline the loop skips tick numbers, and the tick
+function decides if the gap is a fault. This module has the only broad ``except`` of the project:
+after any error inside a tick the loop disables the drives and polls whether they are off, before it
+raises the error again.
 """
 
 import gc
@@ -26,23 +29,23 @@ from handctl.runtime.mailbox import CUT, STOP
 S = TypeVar("S")
 
 Tick = Callable[[S, TickIn], tuple[S, TickOut]]
-"""The pure function of one tick."""
+"""Type of the pure function that computes one tick."""
 
 
 CUT_TRIES = 20
-"""Tries of the last cut on an interface that refuses it."""
+"""Number of attempts to send the last cut on an interface that refuses frames."""
 CUT_PAUSE_S = 1e-3
-"""Pause between these tries [s]. A frame takes 0.1 ms on the wire."""
+"""Pause between two attempts [s]. A frame takes 0.1 ms on the wire."""
 
 CONFIRM_NS = 500_000_000
-"""Time in which the drives are polled after an error [ns]. A heartbeat may come every 100 ms."""
+"""Duration of polling the drives after an error [ns]. Heartbeats may arrive only every 100 ms."""
 
 LATENESS_RING = 1 << 18
-"""Ticks whose lateness is in memory: 2 MiB for a run of any length. The memory may be locked."""
+"""Number of ticks whose lateness is kept in memory (2 MiB). The memory may be locked."""
 
 
 class LoopBus(Protocol):
-    """The part of a bus that the loop needs, see ``runtime.buses.contract``."""
+    """Methods of a bus that the loop needs, see ``runtime.buses.contract``."""
 
     def drain(self) -> Frames:
         """Return the received frames."""
@@ -64,10 +67,11 @@ class LoopStats:
     Attributes:
         ticks: number of ticks.
         missed: number of skipped deadlines.
-        late_ns: lateness of the last ``LATENESS_RING`` ticks [ns]. Unordered after more ticks. The log has all.
-        frames_tx: sent frames.
-        frames_rx: received frames.
-        refused: frames that the bus refused.
+        late_ns: lateness of the last ``LATENESS_RING`` ticks [ns], not in order after more ticks.
+            The log has the lateness of all ticks.
+        frames_tx: number of sent frames.
+        frames_rx: number of received frames.
+        refused: number of frames refused by the bus.
         cpu_s: CPU time of this process during the loop [s].
     """
 
@@ -81,14 +85,16 @@ class LoopStats:
 
 
 class StopSignals:
-    """Signals that end a program, as requests. The first signal relaxes and stops the hand, the second cuts.
+    """Signals that end a program, converted to requests.
 
-    SIGHUP is one of them, because a closed terminal would otherwise leave the hand armed. Under ``nohup`` it
-    stays ignored.
+    The first signal relaxes and stops the hand, the second cuts the torque.
+
+    SIGHUP is included, because a closed terminal would otherwise leave the hand armed. Under
+    ``nohup``, SIGHUP stays ignored.
 
     Attributes:
         count: number of received signals.
-        seen: number of signals that ``take`` has turned into requests.
+        seen: number of signals already converted by ``take`` to requests.
     """
 
     def __init__(self) -> None:
@@ -97,11 +103,11 @@ class StopSignals:
         self.seen = 0
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
-        """Count a signal. This is the signal handler."""
+        """Count a signal. This method is the signal handler."""
         self.count += 1
 
     def take(self) -> tuple[str, ...]:
-        """Return the request for the next signal, one signal per tick."""
+        """Return the request for the next signal. Each tick gets at most one signal."""
         if self.seen == self.count:
             return ()
         self.seen += 1
@@ -109,40 +115,42 @@ class StopSignals:
 
     @contextmanager
     def installed(self) -> Iterator[None]:
-        """Receive the signals in a block."""
+        """Install the signal handler during a block."""
         under_nohup = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
         with handling(self, signal.SIGINT, signal.SIGTERM, *([] if under_nohup else [signal.SIGHUP])):
             yield
 
 
 def _no_snapshot(entry: TickIn, state: object) -> None:
-    """Record no snapshot of the state."""
+    """Ignore the state: no snapshot is recorded."""
 
 
 def _no_observer(entry: TickIn, out: TickOut, state: object) -> None:
-    """Show the state to no program."""
+    """Ignore the state: no program observes the hand."""
 
 
 @dataclass
 class Loop(Generic[S]):
-    """One run of the controller.
+    """Fixed-rate loop of one run of the controller.
 
     Attributes:
-        clock: real time or lockstep.
+        clock: clock in real time or in lockstep.
         period_ns: control period [ns].
-        buses: in the order of the hand's buses. One object may serve all of them.
-        tick: the pure function.
-        cut: frames that take the torque away, built before the run.
-        requests: returns the requests of operators and programs since the last call.
-        host_events: returns the events of recorder and host since the last call.
-        record: hands one tick to the recorder.
-        keep: hands the state after a tick to the recorder at intervals.
-        show: draws the state of a tick at intervals.
-        observe: hands the state after a tick to programs that observe the hand, right after the commands.
-        let_go: disables the drives again, given the last state, the time [ns] and the frames since. It returns the
-            state after that, frames to send, and the drives that have not reported yet that they are off.
-        urgent: context of the ticks, such as real-time priority. Nothing before or after them runs in it.
-        stats: of this run.
+        buses: buses in the order of the hand file. A single object may serve all of them.
+        tick: pure function of one tick.
+        cut: frames that remove the torque, built before the run.
+        requests: function that returns the requests of operators and programs since the last call.
+        host_events: function that returns the events of recorder and host since the last call.
+        record: function that gives one tick to the recorder.
+        keep: function that gives the state after a tick to the recorder, at intervals.
+        show: function that displays the state of a tick, at intervals.
+        observe: function that gives the state after a tick to observing programs, right after the
+            commands were sent.
+        let_go: function that commands all drives to disable, from the last state, the time [ns] and
+            the frames received since then. Returns the next state, frames to send, and the drives
+            without a report of off.
+        urgent: context manager around the ticks only, such as real-time priority.
+        stats: statistics of this run.
     """
 
     clock: Clock
@@ -162,7 +170,7 @@ class Loop(Generic[S]):
     _k: int = 0
 
     def run(self, state: S) -> S:
-        """Run ticks until the hand is disarmed and done. Returns the final state."""
+        """Run ticks until the hand is disarmed and the run is done. Returns the final state."""
         self._warm_up(state)
         gc.collect()  # a collection inside a tick would make it late
         gc.freeze()
@@ -180,10 +188,10 @@ class Loop(Generic[S]):
             self.stats.cpu_s = time.process_time() - cpu_s
 
     def _guarded(self, state: S) -> S:
-        """Run. After any error disable the drives before raising it again.
+        """Run the ticks. After any error disable the drives, then raise the error again.
 
         Raises:
-            PowerError: from that error, if a drive did not report that it is off.
+            PowerError: raised from that error, if a drive did not report off.
         """
         last = [state]
         try:
@@ -199,7 +207,10 @@ class Loop(Generic[S]):
             raise
 
     def _still_on(self, state: S) -> tuple[str, ...]:
-        """Disable and poll the drives after an error. Returns the drives that do not report that they are off."""
+        """Disable and poll the drives after an error.
+
+        Returns the drives without a report of off.
+        """
         if self.let_go is None:
             return ()
         left: tuple[str, ...] = ()
@@ -213,7 +224,10 @@ class Loop(Generic[S]):
         return left
 
     def _send_cut(self) -> None:
-        """Cut on every bus. Repeat frames that found the queue full of the last tick's commands."""
+        """Send the cut frames on every bus.
+
+        Frames refused by a queue full of commands are sent again.
+        """
         alone = len(self.buses) == 1
         left = [(bus, [f for f in self.cut if f.bus == index or alone]) for index, bus in enumerate(self.buses)]
         for _ in range(CUT_TRIES):
@@ -223,7 +237,10 @@ class Loop(Generic[S]):
             time.sleep(CUT_PAUSE_S)
 
     def _cut(self, left: list[tuple[LoopBus, list[Frame]]]) -> None:
-        """Send on every bus and remove the accepted frames. A bus that raises does not stop the cut on the others."""
+        """Send the given frames on every bus, and remove the accepted frames from ``left``.
+
+        An exception from one bus does not prevent the cut on the others.
+        """
         if not left:
             return
         (bus, frames), *others = left
@@ -234,11 +251,17 @@ class Loop(Generic[S]):
             self._cut(others)
 
     def _warm_up(self, state: S) -> None:
-        """Run a tick without effect. Objects and imports of the first use would make the first real tick late."""
+        """Run a tick and discard its result.
+
+        Objects and imports of the first use would otherwise delay the first real tick.
+        """
         self.tick(state, TickIn(0, 0))
 
     def _run(self, last: list[S]) -> S:
-        """Run from the last state to the end. ``last`` always has the state after a complete tick."""
+        """Run ticks from the last state to the end.
+
+        ``last`` always has the state after the last complete tick.
+        """
         k = 0
         mode = Mode.SILENT
         while mode != Mode.DONE:
@@ -269,7 +292,7 @@ class Loop(Generic[S]):
         return TickIn(k, k * self.period_ns, late_ns, frames, tuple(events), self.requests())
 
     def _send(self, frames: Sequence[Frame]) -> None:
-        """Send each frame on its bus and count accepted and refused frames."""
+        """Send each frame on its bus, and count accepted and refused frames."""
         if len(self.buses) == 1:
             accepted = self.buses[0].send(frames)
         else:

@@ -1,10 +1,10 @@
 """The request socket of a running controller: a Unix datagram socket per bus name, read without blocking.
 
-A program that sends ``{"do": "watch"}`` from its own socket gets status lines. This request changes
-nothing. It ends here, and the tick never sees it. A program that sends any other request from its own
-socket gets the status line of the tick that took the request. This line is the controller's
-confirmation. On Linux the kernel names the user of every sender. Both sides accept only datagrams of
-this user and of root.
+A program that sends ``{"do": "watch"}`` from its own socket gets status lines. This request is
+handled here and has no effect on the tick. A program that sends any other request from its own
+socket gets the status line of the tick that took the request. This status line is the controller's
+confirmation. On Linux the kernel names the user of every sender. Controller and program accept only
+datagrams from this user and from root.
 """
 
 import fcntl
@@ -22,29 +22,35 @@ from handctl.runtime.paths import mailbox_path, watcher_path
 from handctl.runtime.peers import name_senders, receive
 
 LARGEST = 4096
-"""Longest request [bytes]. A longer one is truncated and then refused, because it is no JSON."""
+"""Longest request [bytes]. A longer request is truncated, and then refused as invalid JSON."""
 STOP, CUT, CLEAR = (f'{{"do": "{word}"}}' for word in ("stop", "cut", "clear"))
-"""Requests that several modules send."""
+"""Requests sent by several modules."""
 WATCH = b'{"do": "watch"}'
 WATCHERS = 16
-"""Largest number of programs that get every status line. Further ones get one line for each ``watch``."""
+"""Largest number of programs with a continuous subscription.
+
+Further programs get one status line for each ``watch``.
+"""
 LARGEST_STATUS = 65536
 """Longest status line [bytes]."""
 RETRY_S = 0.05
-"""Pause between requests to a controller that does not run yet [s]."""
+"""Pause between requests to a controller that has not started yet [s]."""
 PER_TICK = 16
-"""Requests read per tick. The limit keeps a flood of requests from making a tick long."""
+"""Largest number of requests read per tick.
+
+The limit keeps a flood of requests from delaying a tick.
+"""
 RIGHT_FOLDER = "a short path of a folder that can be written in HANDCTL_RUN_DIR"
 
 
 class Mailbox:
-    """Receiving end of the requests, owned by the controller.
+    """Receiving end of the request socket, owned by the controller.
 
     Attributes:
-        path: of the socket.
+        path: path of the socket.
         socket: Unix datagram socket.
-        watchers: socket paths of the programs that get status lines.
-        askers: socket paths of the programs whose requests the last ``read`` returned.
+        watchers: socket paths of the programs that subscribe to status lines.
+        askers: socket paths of the programs that sent the requests of the last ``read``.
     """
 
     def __init__(self, name: str) -> None:
@@ -92,7 +98,7 @@ class Mailbox:
         return tuple(texts)
 
     def publish(self, status: dict[str, Any]) -> None:
-        """Send a status line to all watchers and askers. A watcher whose socket is gone is removed."""
+        """Send a status line to all watchers and askers. A watcher without a socket is removed."""
         line = json.dumps(status).encode()
         for listener in {*self.watchers, *self.askers}:
             try:
@@ -111,7 +117,7 @@ class Mailbox:
 
 @contextmanager
 def bus_lock(name: str) -> Iterator[None]:
-    """Lock a further bus of a hand, one without a mailbox, against other controllers.
+    """Lock a further bus of a hand against other controllers, without a mailbox.
 
     Raises:
         BusError: another controller uses the bus.
@@ -127,14 +133,16 @@ def bus_lock(name: str) -> Iterator[None]:
 
 
 def _lock_error(name: str, error: OSError) -> BusError:
-    """Describe why a bus cannot be locked."""
+    """Return the error for a bus that cannot be locked."""
     if isinstance(error, BlockingIOError):
         return BusError("another controller runs here", f"bus {name}", "one controller a bus: handctl stop")
     return BusError(f"cannot take requests there: {error}", str(mailbox_path(name).parent), RIGHT_FOLDER)
 
 
 def _lock_bus(name: str) -> int:
-    """Take the lock of a bus and return its descriptor. The kernel releases the lock when this process ends.
+    """Lock a bus, and return the file descriptor of the lock.
+
+    The kernel releases the lock when this process ends.
 
     Raises:
         BlockingIOError: another process holds the lock.
@@ -150,7 +158,10 @@ def _lock_bus(name: str) -> int:
 
 
 def is_running(name: str) -> bool:
-    """Return True if a controller takes requests on a bus now. A socket left over from a killed one does not count."""
+    """Return True if a controller now takes requests on a bus.
+
+    A socket left from a killed controller does not count.
+    """
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
         try:
             out.connect(str(mailbox_path(name)))
@@ -160,21 +171,21 @@ def is_running(name: str) -> bool:
 
 
 class Watcher:
-    """Receiving end of a program that watches a running controller.
+    """Socket of a program that watches a running controller.
 
     Attributes:
         name: bus of the controller.
-        path: of the socket of this watcher.
+        path: path of this watcher's socket.
         socket: Unix datagram socket.
     """
 
     _numbers = itertools.count()
 
     def __init__(self, name: str) -> None:
-        """Bind a socket for controller ``name``, which need not run yet.
+        """Bind a socket to watch controller ``name``. The controller may start later.
 
         Raises:
-            BusError: the socket cannot be made.
+            BusError: the socket cannot be created.
         """
         self.name = name
         self.path = watcher_path(next(self._numbers))
@@ -188,7 +199,7 @@ class Watcher:
             raise BusError(f"cannot listen there: {error}", str(self.path.parent), RIGHT_FOLDER) from None
 
     def fresh_line(self, timeout_s: float) -> dict[str, Any] | None:
-        """Request and return a status line newer than this call. None if none came in time [s]."""
+        """Request a status line, and return it, or None if none arrived in time [s]."""
         self.discard()
         try:
             self.send(WATCH, timeout_s)
@@ -198,11 +209,11 @@ class Watcher:
         return self.next_line(timeout_s)
 
     def send(self, data: bytes, timeout_s: float) -> None:
-        """Send a datagram to the controller from this socket, which lets the controller answer.
+        """Send a datagram to the controller from this socket, so that the controller can answer.
 
         Args:
             data: datagram.
-            timeout_s: longest wait for room in the mailbox [s].
+            timeout_s: longest wait for free space in the mailbox [s].
 
         Raises:
             OSError: no controller runs, or the mailbox stayed full.
@@ -211,7 +222,7 @@ class Watcher:
         self.socket.sendto(data, str(mailbox_path(self.name)))
 
     def next_line(self, timeout_s: float) -> dict[str, Any] | None:
-        """Return the next unread status line. None if there is none within the timeout [s]."""
+        """Return the next unread status line, or None if none arrives within the timeout [s]."""
         self.socket.settimeout(timeout_s)
         try:
             data, _, ours = receive(self.socket, LARGEST_STATUS)
@@ -223,7 +234,7 @@ class Watcher:
         return line
 
     def lines(self, timeout_s: float) -> Iterator[dict[str, Any]]:
-        """Yield each status line that arrives within the timeout [s]."""
+        """Yield status lines until none arrives within the timeout [s]."""
         end = time.monotonic() + timeout_s
         while (left := end - time.monotonic()) > 0.0:
             line = self.next_line(left)
@@ -240,6 +251,6 @@ class Watcher:
             return
 
     def close(self) -> None:
-        """Remove the socket. The controller forgets this watcher at the next line."""
+        """Remove the socket. The controller removes this watcher at the next status line."""
         self.socket.close()
         self.path.unlink(missing_ok=True)

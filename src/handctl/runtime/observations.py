@@ -32,13 +32,13 @@ HEAD = struct.Struct("<8sQQQQQ")
 """Start of the file: magic, length of the description, size of a record, records, written so far, end mark."""
 WRITTEN_AT = 32
 ENDED_AT = 40
-"""Offsets of the number of records written so far, and of the end mark."""
+"""Offsets in the file: number of records written so far, end mark."""
 RECORDS = 512
 """Records in the ring: about a second at 500 Hz."""
 PAGE = 4096
 """Alignment of the ring [bytes]."""
 TRIES = 100
-"""Copies of a record that is being overwritten, before a reader gives up."""
+"""Number of attempts to copy a record that is being overwritten."""
 NAMES = {
     "q": "q_rad", "dq": "dq_rad_s", "q_goal": "q_goal_rad", "dq_goal": "dq_goal_rad_s",
     "joint_torque": "joint_torque_N_m", "joint_encoder": "joint_encoder_rad", "excursion": "excursion_m",
@@ -58,33 +58,34 @@ FIXED: tuple[tuple[str, str], ...] = (
     ("stream_number", "<i8"), ("stream_age_s", "<f8"), ("stream_accepted", "<i8"), ("stream_clipped", "<i8"),
     ("stream_late", "<i8"), ("stream_refused", "<i8"), ("stream_limited", "<i8"),
 )  # fmt: skip
-"""Fields of a record before the telemetry."""
+"""Fields of a record that precede the telemetry."""
 _FIXED = struct.Struct("<qqqqii24sqdqqqqq")
 
 
 def record_type(axes: Mapping[str, int]) -> np.dtype[np.void]:
-    """Return the type of a record.
+    """Return the numpy type of a record.
 
     Args:
-        axes: number of joints, tendons, motors and digits, by "joint", "tendon", "motor" and "digit".
+        axes: numbers of joints, tendons, motors and digits, with the keys "joint", "tendon",
+            "motor" and "digit".
     """
     numbers = [(NAMES[name], "<f8", (axes[TELEMETRY_AXES[name]],)) for name in TELEMETRY_FIELDS]
     return np.dtype([*FIXED, *numbers])
 
 
 class ObservationWriter:
-    """Writing end, owned by the controller."""
+    """Writer of the observations, owned by the controller."""
 
     def __init__(self, bus: str, axes: Mapping[str, int], description: Mapping[str, Any]) -> None:
-        """Create the file of a bus.
+        """Create the shared-memory file of a bus.
 
         Args:
-            bus: bus of the controller, which holds its lock.
+            bus: bus of the controller. The controller holds the lock of this bus.
             axes: see ``record_type``.
             description: names and constants of the hand, for readers.
 
         Raises:
-            BusError: the file cannot be made.
+            BusError: the file cannot be created.
         """
         self.path = observations_path(bus)
         kind = record_type(axes)
@@ -131,7 +132,7 @@ class ObservationWriter:
         self._total[0] = written + 1
 
     def close(self) -> None:
-        """Mark the end for the readers, and remove the file."""
+        """Write the end mark for the readers, and remove the file."""
         self._ended[0] = 1
         self.path.unlink(missing_ok=True)
         del self._counters, self._numbers, self._total, self._ended
@@ -139,7 +140,7 @@ class ObservationWriter:
 
 
 class ObservationReader:
-    """Reading end, in a client.
+    """Reader of the observations, in a client.
 
     Attributes:
         description: names and constants of the hand.
@@ -150,7 +151,7 @@ class ObservationReader:
         """Map the file of a running controller.
 
         Raises:
-            BusError: no controller writes observations there.
+            BusError: no controller writes observations for this bus.
         """
         self._path: Path = observations_path(bus)
         try:
@@ -178,7 +179,7 @@ class ObservationReader:
         return self._map[ENDED_AT] != 0
 
     def latest(self) -> NDArray[np.void] | None:
-        """Return the latest record as an array of shape (), None before the first."""
+        """Return the latest record as an array of shape (), or None before the first record."""
         for _ in range(TRIES):
             written = self.written
             if written == 0:
@@ -190,9 +191,9 @@ class ObservationReader:
         return None
 
     def next(self) -> NDArray[np.void] | None:
-        """Return the record after the last one returned, None if there is none yet.
+        """Return the record after the last returned record, or None if none has been written yet.
 
-        A reader that is more than a ring late goes on with the oldest record that is left.
+        If the next record has already been overwritten, the oldest record in the ring is returned.
         """
         for _ in range(TRIES):
             written = self.written
@@ -207,7 +208,7 @@ class ObservationReader:
         return None
 
     def read(self, index: int) -> NDArray[np.void] | None:
-        """Return a record by its number, None if it was overwritten meanwhile."""
+        """Return the record with this number, or None if it was overwritten."""
         start = self._ring_at + self._size * (index % self._records)
         data = self._map[start : start + self._size]
         after = self._map[start : start + 8]

@@ -1,10 +1,11 @@
-"""Paths of the sockets and truth files of this user, out of the reach of other users.
+"""Paths of the sockets and truth files of this user, protected against other users.
 
-A user who can write in the folder of the sockets can take the place of a controller and receive its stop
-request. The folder is therefore used only if no other user can change it or any folder above it. The
-check walks from the root downwards, each step relative to the folder that was just checked. A checked
-folder cannot be replaced later: only its owner, root, and users who can write in its parent could do
-that, and the check has found these to be this user and root alone.
+A user who can write in the folder of the sockets could replace the socket of a controller and
+receive its stop request. The folder is therefore used only if no other user can change it or any
+folder above it. The check walks from the root downwards, each step relative to the folder that was
+just checked. Only the owner of a folder, root, and users who can write in its parent can replace
+the folder. The check makes sure that these are only this user and root, so a checked folder cannot
+be replaced later.
 """
 
 import os
@@ -17,26 +18,28 @@ from pathlib import Path
 from handctl.errors import BusError
 
 OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
-"""Mode bits by which group or others may write."""
+"""Permission bits for writing by group or others."""
 OTHERS = stat.S_IRWXG | stat.S_IRWXO
-"""Mode bits of group and others."""
+"""Permission bits of group and others."""
 PRIVATE = 0o700
-"""Mode of a folder that handctl makes."""
+"""Permission bits of a folder created by handctl."""
 OPEN_FLAGS = getattr(os, "O_PATH", os.O_RDONLY) | os.O_DIRECTORY | os.O_CLOEXEC
-"""Flags to open a folder above handctl's own. O_PATH needs no permission to read the folder."""
+"""Flags to open a parent folder. O_PATH needs no permission to read the folder."""
 MAX_LINKS = 8
-"""Symbolic links that the walk follows at most."""
+"""Largest number of symbolic links to follow."""
 RIGHT_FOLDER = "a folder that is yours alone (mode 0700); HANDCTL_RUN_DIR names another"
 
 
 def run_dir() -> Path:
-    """Return the folder for sockets after checking that no other user can change it. Make it if it is missing.
+    """Return the folder for sockets, after a check that no other user can change the folder.
+
+    A missing folder is created.
 
     The folder is HANDCTL_RUN_DIR, else XDG_RUNTIME_DIR/handctl, else TMP/handctl-UID/handctl.
 
     Raises:
-        BusError: the folder cannot be made. Or the folder or one above it belongs to another user, is
-            open to others, or is a link.
+        BusError: the folder cannot be created, or the folder or a parent belongs to another user,
+            is writable by others, or is a symbolic link.
     """
     if override := os.environ.get("HANDCTL_RUN_DIR"):
         return _private(Path(override), 1)
@@ -46,11 +49,11 @@ def run_dir() -> Path:
 
 
 def _private(path: Path, private_parts: int, links: int = 0) -> Path:
-    """Walk down to a folder, check each step, and make missing folders.
+    """Walk from the root to a folder, check each folder on the way, and create missing folders.
 
     Args:
-        path: of the folder.
-        private_parts: number of its last parts that are handctl's own. They must belong to this user.
+        path: path of the folder.
+        private_parts: number of last parts of the path that must belong to this user.
         links: number of symbolic links followed so far.
 
     Raises:
@@ -82,7 +85,10 @@ def _private(path: Path, private_parts: int, links: int = 0) -> Path:
 
 
 def _stat_or_make(part: str, at: int) -> os.stat_result:
-    """Return the state of a part of a path without following a link. Make a folder if the part is missing."""
+    """Return the status of a part of a path without following a link.
+
+    A missing part is created as a folder.
+    """
     with suppress(FileNotFoundError):
         return os.stat(part, dir_fd=at, follow_symlinks=False)
     with suppress(FileExistsError):  # another process has made the folder meanwhile, and it is checked like any other
@@ -91,7 +97,10 @@ def _stat_or_make(part: str, at: int) -> os.stat_result:
 
 
 def _refuse_shared(here: Path, at: int) -> None:
-    """Refuse a folder of handctl that others own or can write in. Make a readable one private."""
+    """Raise an error if others own or can write in a folder of handctl.
+
+    A folder readable by others is made private.
+    """
     state = os.fstat(at)
     if state.st_uid != os.geteuid():
         raise BusError(f"belongs to {_user_name(state.st_uid)}", str(here), RIGHT_FOLDER)
@@ -102,9 +111,10 @@ def _refuse_shared(here: Path, at: int) -> None:
 
 
 def _refuse_unsafe(here: Path, at: int) -> None:
-    """Refuse a folder above handctl's in which others could replace handctl's folder.
+    """Raise an error if others could replace handctl's folder in a parent folder.
 
-    The sticky bit is enough: with it, as on /tmp, only the owner of an entry can replace it.
+    A parent folder with the sticky bit, such as /tmp, is safe: only the owner of an entry can
+    replace the entry.
     """
     state = os.fstat(at)
     if state.st_uid not in (0, os.geteuid()):
@@ -121,40 +131,40 @@ def _user_name(number: int) -> str:
 
 
 def _file_name(spec: str) -> str:
-    """Turn a bus specification into a file name."""
+    """Return a bus specification converted to a file name."""
     return spec.replace(":", "_").replace("/", "_")
 
 
 def local_bus_path(name: str) -> Path:
-    """Return the socket of the hub of ``local:NAME``."""
+    """Return the path of the hub's socket for ``local:NAME``."""
     return run_dir() / f"{name}.bus"
 
 
 def mailbox_path(spec: str) -> Path:
-    """Return the socket on which the controller of a bus takes requests."""
+    """Return the path of the socket that receives requests to the controller of a bus."""
     return run_dir() / f"{_file_name(spec)}.requests"
 
 
 def targets_path(spec: str) -> Path:
-    """Return the socket on which the controller of a bus takes streamed targets."""
+    """Return the path of the socket that receives streamed targets for the controller of a bus."""
     return run_dir() / f"{_file_name(spec)}.targets"
 
 
 def observations_path(spec: str) -> Path:
-    """Return the file of shared memory in which the controller of a bus writes its observations."""
+    """Return the path of the shared-memory file with the observations of the controller of a bus."""
     return run_dir() / f"{_file_name(spec)}.observations"
 
 
 def watcher_path(number: int) -> Path:
-    """Return the socket on which this process receives the status lines of one watched controller."""
+    """Return the path of the socket on which this process receives the status lines of a controller."""
     return run_dir() / f"watcher-{os.getpid()}-{number}"
 
 
 def faults_path(spec: str) -> Path:
-    """Return the socket on which the simulator of a bus takes faults."""
+    """Return the path of the socket that receives fault requests to the simulator of a bus."""
     return run_dir() / f"{_file_name(spec)}.faults"
 
 
 def truth_path(spec: str) -> Path:
-    """Return the default truth file of the simulator of a bus."""
+    """Return the default path of the truth file of the simulator of a bus."""
     return run_dir() / f"{_file_name(spec)}.truth"

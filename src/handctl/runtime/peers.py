@@ -1,8 +1,8 @@
 """Check of the user at the other end of a Unix socket. Only this user and root are trusted.
 
-The folder of the sockets already keeps other users out (``places``). This check is the second guard. It
-works on Linux, where the kernel names the user. Other systems have no portable way, and every sender
-counts as this user.
+The folder of the sockets already excludes other users (``paths``). This check is a second
+protection. On Linux the kernel reports the user of a sender. On other systems every sender counts
+as this user.
 """
 
 import os
@@ -20,20 +20,24 @@ SO_PASSCRED, SCM_CREDENTIALS, SO_PEERCRED = (getattr(socket, name, 0) for name i
 
 
 def name_senders(link: socket.socket) -> None:
-    """Let the kernel add the sender's user to every datagram. Call it before the socket is bound."""
+    """Make the kernel add the sender's user to every datagram.
+
+    Call this before the socket is bound.
+    """
     if LINUX:
         link.setsockopt(socket.SOL_SOCKET, SO_PASSCRED, 1)
 
 
 def receive(link: socket.socket, max_bytes: int) -> tuple[bytes, str, bool]:
-    """Receive one datagram from a socket that ``name_senders`` has set up.
+    """Receive one datagram from a socket prepared by ``name_senders``.
 
     Args:
         link: socket to read from.
         max_bytes: size of the buffer [bytes]. A longer datagram is truncated.
 
     Returns:
-        the data, the path of the sender's socket (empty if it is unbound), and whether the sender is trusted.
+        the data, the path of the sender's socket (empty for an unbound socket), and True if the
+        sender is trusted.
     """
     if not LINUX:
         data, sender = link.recvfrom(max_bytes)
@@ -53,5 +57,5 @@ def served_by_us(link: socket.socket) -> bool:
 
 
 def trusted(user: int) -> bool:
-    """Return True if a user may command this user's hand."""
+    """Return True if a user may send commands to this user's hand."""
     return user in (0, os.geteuid())

@@ -21,7 +21,7 @@ def find_simulator(bus: str | None) -> Path:
 
     Raises:
         BusError: no bus is named, and not exactly one simulator runs.
-        ConfigError: ``bus`` is no bus specification.
+        ConfigError: ``bus`` is not a valid bus specification.
     """
     if bus is not None:
         check_spec(bus)

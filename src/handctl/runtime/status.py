@@ -31,5 +31,5 @@ def status(entry: TickIn, out: TickOut) -> dict[str, Any]:
 
 
 def _plain(values: list[float]) -> list[float | None]:
-    """Round values to four digits and replace NaN, which JSON does not have, by None."""
+    """Return the values rounded to four digits, with None instead of NaN, because JSON has no NaN."""
     return [round(value, 4) if value == value else None for value in values]

@@ -1,4 +1,7 @@
-"""Detection of a suspend of the machine. In a suspend CLOCK_BOOTTIME goes on, CLOCK_MONOTONIC stands still."""
+"""Detection of a suspend of the machine.
+
+During a suspend CLOCK_BOOTTIME continues and CLOCK_MONOTONIC stops.
+"""
 
 import time
 from collections.abc import Callable
@@ -8,37 +11,43 @@ from handctl.core.types import IoEvent
 MIN_SUSPEND_NS = 20_000_000
 """Shortest suspend that is reported [ns]."""
 MAX_READING_NS = 1_000_000
-"""Longest reading of both clocks. A longer one was interrupted and is discarded [ns]."""
+"""Longest accepted duration of reading both clocks [ns].
+
+A longer reading was interrupted and is discarded.
+"""
 
 
 def boot_ns() -> int:
-    """Return the time since the machine was started, including suspends where the system has CLOCK_BOOTTIME [ns]."""
+    """Return the time since the machine was started [ns].
+
+    The time includes suspends if the system has CLOCK_BOOTTIME.
+    """
     clock: int = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
     return time.clock_gettime_ns(clock)
 
 
 class SuspendWatch:
-    """Suspend detector that compares the two clocks at every call."""
+    """Suspend detector. Each call compares the two clocks."""
 
     def __init__(self, boot: Callable[[], int] = boot_ns, monotonic: Callable[[], int] = time.monotonic_ns) -> None:
         """Read the clocks once.
 
         Args:
-            boot: clock that goes on in a suspend [ns].
-            monotonic: clock that stands still in a suspend [ns].
+            boot: clock that continues during a suspend [ns].
+            monotonic: clock that stops during a suspend [ns].
         """
         self._boot = boot
         self._monotonic = monotonic
         self._difference_ns = self._difference()
 
     def _difference(self) -> int | None:
-        """Return the difference of the clocks [ns]. None if the reading was interrupted."""
+        """Return the difference of the clocks [ns], or None if the reading was interrupted."""
         before = self._monotonic()
         boot = self._boot()
         return boot - before if self._monotonic() - before < MAX_READING_NS else None
 
     def events(self) -> list[IoEvent]:
-        """Return an event for a suspend since the last call, with its duration [ms]."""
+        """Return an event if the machine was suspended since the last call, with the duration [ms]."""
         difference_ns = self._difference()
         if difference_ns is None:
             return []

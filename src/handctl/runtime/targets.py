@@ -1,7 +1,7 @@
 """The target socket of a running controller: streamed targets as binary datagrams, read without blocking.
 
-The socket is apart from the request socket, so that a client that sends too fast cannot keep a stop
-request of another client waiting.
+Targets and requests have separate sockets. A client that sends targets too fast therefore cannot
+delay a stop request of another client.
 
 Datagram, little-endian: magic 4 bytes, process of the client u32, number of the stream u32, number
 of values u32, number of the target i64, CLOCK_MONOTONIC at the sending i64 [ns], values float64.
@@ -21,14 +21,17 @@ from handctl.runtime.paths import targets_path
 from handctl.runtime.peers import name_senders, receive
 
 MAGIC = b"HCT1"
-"""First bytes of a target, with the version of the format."""
+"""First bytes of a target datagram. They include the version of the format."""
 HEAD = struct.Struct("<4sIIIqq")
 LARGEST = HEAD.size + 8 * MOST_VALUES
 """Longest datagram of a target [bytes]."""
 READ_PER_TICK = 64
-"""Datagrams read per tick: more than a client sends that is ten times too fast."""
+"""Largest number of datagrams read per tick. A client ten times too fast sends fewer."""
 KEPT_PER_TICK = 4
-"""Targets given to a tick, the newest ones. The numbers of targets show that others were skipped."""
+"""Largest number of targets passed to a tick.
+
+The newest are passed, and the target numbers show skipped targets.
+"""
 
 
 def stream_name(process: int, number: int) -> str:
@@ -37,22 +40,22 @@ def stream_name(process: int, number: int) -> str:
 
 
 class TargetBox:
-    """Receiving end of streamed targets, owned by the controller.
+    """Receiver of streamed targets, owned by the controller.
 
     Attributes:
-        path: of the socket.
+        path: path of the socket.
         socket: Unix datagram socket.
     """
 
     def __init__(self, name: str, run_time: Callable[[int], int]) -> None:
-        """Bind the socket of controller ``name``, which holds the lock of the bus.
+        """Bind the target socket of controller ``name``. The controller holds the lock of the bus.
 
         Args:
             name: bus of the controller.
-            run_time: converts CLOCK_MONOTONIC to the run's time [ns].
+            run_time: function from CLOCK_MONOTONIC to the run's time [ns].
 
         Raises:
-            BusError: the socket cannot be made.
+            BusError: the socket cannot be created.
         """
         self.path = targets_path(name)
         self._run_time = run_time
@@ -67,7 +70,10 @@ class TargetBox:
         self.socket.setblocking(False)
 
     def read(self) -> tuple[str, ...]:
-        """Return the newest waiting targets as requests, oldest first. Datagrams of another form are dropped."""
+        """Return the newest waiting targets as requests, oldest first.
+
+        Malformed datagrams are dropped.
+        """
         texts: list[str] = []
         for _ in range(READ_PER_TICK):
             try:
@@ -79,7 +85,7 @@ class TargetBox:
         return tuple(texts[-KEPT_PER_TICK:])
 
     def _decoded(self, data: bytes) -> str:
-        """Return a datagram as a request, empty for a datagram of another form."""
+        """Return a datagram as a request, empty for a malformed datagram."""
         if len(data) < HEAD.size:
             return ""
         magic, process, number, count, index, sent_ns = HEAD.unpack_from(data)
@@ -95,13 +101,13 @@ class TargetBox:
 
 
 class TargetSender:
-    """Sending end of one stream, in a client."""
+    """Sender of one stream of targets, in a client."""
 
     def __init__(self, name: str, process: int, number: int) -> None:
         """Connect to the controller ``name``.
 
         Raises:
-            BusError: no controller takes targets there.
+            BusError: no controller receives targets on this bus.
         """
         self._head = process, number
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -113,12 +119,12 @@ class TargetSender:
         self._socket.setblocking(False)
 
     def send(self, index: int, sent_ns: int, values: NDArray[np.float64]) -> bool:
-        """Send a target. Return False if the controller has not read the ones before.
+        """Send a target. Returns False if the socket is full of targets not read by the controller.
 
         Args:
             index: number of the target.
-            sent_ns: CLOCK_MONOTONIC [ns].
-            values: (V,) values.
+            sent_ns: CLOCK_MONOTONIC at the sending [ns].
+            values: (V,) values of the target.
 
         Raises:
             OSError: the controller has ended.

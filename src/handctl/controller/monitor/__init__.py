@@ -1,1 +1,1 @@
-"""Inputs of the safety monitor: the thresholds of a hand, and replies beyond the requests."""
+"""Inputs to the safety monitor: the thresholds for a hand, and excess replies from nodes."""

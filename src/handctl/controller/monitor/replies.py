@@ -1,10 +1,10 @@
 """Unsolicited and duplicate replies: a node sends more replies than this host has sent requests.
 
-A motor replying before the first request of this host was addressed by a second controller
-(H13). A single frame is enough, as for the second controller's own frames. A reply more than
-requests is a duplicate (B05), or a masquerade if the bytes differ (B06). Only frames accepted
-as a reply by the drive or the sensor node count. A heartbeat or a frame with an old counter does not.
-The code runs only in ticks with excess replies.
+A motor that replies before the first request from this host has been addressed by a second
+controller (H13). A single reply is enough for this fault. If there are more replies than requests,
+the excess reply is a duplicate (B05), or a masquerade if its bytes differ (B06). Only frames
+accepted as replies by the drive or sensor node are counted. Heartbeats and frames with an old
+counter are not counted. The code runs only in ticks with excess replies.
 """
 
 from collections.abc import Sequence
@@ -19,17 +19,19 @@ from handctl.drives.sensors.node import SensorNode
 def unsolicited(
     drives: tuple[Drive, ...], sensors: SensorNode, before: State, state: State, frames: Sequence[Frame]
 ) -> tuple[str, ...]:
-    """Judge the excess replies of a tick, and write duplicates into ``DUPLICATES``.
+    """Detect unsolicited and duplicate replies in a tick.
+
+    Duplicates are written into ``DUPLICATES``.
 
     Args:
-        drives: of the hand.
-        sensors: of the hand.
+        drives: drives of the hand.
+        sensors: sensor node of the hand.
         before: state before the tick.
-        state: with the data received in the tick.
-        frames: received in the tick.
+        state: state with the data received in the tick.
+        frames: frames received in the tick.
 
     Returns:
-        A phrase for each motor replying without a request.
+        One phrase for each motor that replied without a request.
     """
     duplicates = state.view("twice")
     surplus = state.view("surplus").tolist()
@@ -55,12 +57,12 @@ def unsolicited(
 
 
 def _differ(payloads: list[bytes], due: int) -> int:
-    """Return 2 if the excess replies differ from the last due reply, else 1."""
+    """Return 2 if an excess reply differs from the last expected reply, else 1."""
     return 2 if len(set(payloads[due - 1 :])) > 1 else 1
 
 
 def _answers(drive: Drive, before: State, n: int, frames: Sequence[Frame]) -> list[bytes]:
-    """Return the payloads counted as replies by a drive's state machine, in order."""
+    """Return the payloads that the drive's state machine accepts as replies, in order."""
     drive_state = before.drive(n)
     payloads = []
     for frame in frames:

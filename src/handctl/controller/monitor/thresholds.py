@@ -1,4 +1,4 @@
-"""Thresholds of the safety monitor for a hand, from drives, sensors and model."""
+"""Thresholds of the safety monitor for a hand, computed from drives, sensors, and model."""
 
 from collections.abc import Sequence
 
@@ -22,18 +22,18 @@ from handctl.safety.limits import (
 )
 
 JUMP_MARGIN = 1.5
-"""Largest plausible step of a position, as a multiple of the drive's top speed times the period."""
+"""Largest plausible position step per tick, as a multiple of the drive's top speed times the period."""
 JOINT_RATE_RAD_S = 60.0
-"""Speed above the range of any joint [rad/s].
+"""Joint speed that no joint can reach [rad/s].
 
 Source: spool speed of the packaged hands over their smallest moment arm.
 """
 NOISE_STEPS = 6.0
-"""Encoder counts of rounding in the mean squared jerk."""
+"""Rounding error of the encoder in the mean squared jerk [encoder counts]."""
 
 
 def limits_of(model: HandModel, drives: tuple[Drive, ...], sensors: SensorNode) -> Limits:
-    """Return the limits of a hand."""
+    """Return the safety thresholds of a hand."""
     hand = model.hand
     return Limits(
         tendons=hand.tendon_names,
@@ -56,13 +56,13 @@ def limits_of(model: HandModel, drives: tuple[Drive, ...], sensors: SensorNode) 
 def constants_of(
     model: HandModel, drives: tuple[Drive, ...], sensors: SensorNode, limits: Limits, tare: Vector, zero: Vector
 ) -> HandConstants:
-    """Return the constants for the compiled code.
+    """Return the constants of a hand for the compiled code.
 
     Args:
         model: the hand.
         drives: of the hand.
         sensors: of the hand.
-        limits: thresholds.
+        limits: safety thresholds.
         tare: (N,) load-cell tare [N].
         zero: (N,) motor zero [rad].
     """
@@ -102,9 +102,9 @@ def constants_of(
 
 
 def torque_step(drive: Drive) -> float:
-    """Return one count of the torque in feedback or command, the larger one [N m at the spool].
+    """Return the torque of one count in feedback or command, the larger of the two [N m at the spool].
 
-    A floating-point number counts as exact.
+    A floating-point torque counts as exact.
     """
     messages = (*drive.cyclic.feedback, *drive.cyclic.commands)
     signals = [signal for message in messages for signal in message.signals if signal.quantity == Quantity.TORQUE]
@@ -112,14 +112,14 @@ def torque_step(drive: Drive) -> float:
 
 
 def frames_limit(drives: Sequence[Drive], sensors: SensorNode) -> int:
-    """Return the number of frames per tick of a flooded bus: twice the replies of all nodes."""
+    """Return the number of frames per tick that means a flooded bus: twice the replies of all nodes."""
     return max(MIN_FRAMES_LIMIT, sum(len(drive.exchange) for drive in drives) + 2 * len(sensors.node_ids))
 
 
 def _noise_limit(model: HandModel) -> float:
-    """Return the mean squared jerk of a motor's position in a noise burst [rad^2].
+    """Return the largest mean squared jerk of a motor's position without a noise burst [rad^2].
 
-    The limit contains the drive's torque in alternating direction on the bare rotor, and encoder
+    The limit allows for full torque in alternating directions on the bare rotor, and for encoder
     rounding.
     """
     space = model.space

@@ -1,1 +1,1 @@
-"""CAN buses that never block, one module for each kind."""
+"""CAN buses with non-blocking calls, one module per kind of bus."""

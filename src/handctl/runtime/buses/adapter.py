@@ -1,4 +1,4 @@
-"""CAN adapter behind an interface, as Linux reports it: driver, USB speed, serial number.
+"""Properties of the CAN adapter of an interface, from Linux: driver, USB speed, serial number.
 
 Source: Linux ABI documentation, ``sysfs-bus-usb`` (speed in Mbit/s) and ``sysfs-class-net``.
 """
@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 NETWORK = Path("/sys/class/net")
-"""Folder of the interfaces."""
+"""Folder in which Linux lists the network interfaces."""
 FULL_SPEED = 12
-"""USB full speed [Mbit/s]: one USB frame each millisecond. High speed has one each 125 us."""
+"""USB full speed [Mbit/s], with one USB frame per millisecond. High speed has one per 125 us."""
 
 
 class Adapter(NamedTuple):
-    """Adapter of an interface.
+    """CAN adapter of a network interface.
 
     Attributes:
         driver: name of the kernel's driver, empty if unknown.
@@ -27,12 +27,12 @@ class Adapter(NamedTuple):
 
     @property
     def is_full_speed(self) -> bool:
-        """Return True if the adapter exchanges frames once a millisecond."""
+        """Return True if the adapter is at USB full speed, and exchanges frames once a millisecond."""
         return 0.0 < self.usb_speed <= FULL_SPEED
 
 
 def read_adapter(name: str, network: Path = NETWORK) -> Adapter | None:
-    """Read the adapter of an interface. None for a virtual interface or a missing one.
+    """Return the adapter of an interface, or None for a virtual or missing interface.
 
     Args:
         name: name of the interface.
@@ -53,7 +53,7 @@ def read_adapter(name: str, network: Path = NETWORK) -> Adapter | None:
 
 
 def _text(path: Path) -> str:
-    """Return the text of a file without line end, empty if it cannot be read."""
+    """Return the content of a text file without the line end, empty if the file cannot be read."""
     try:
         return path.read_text(encoding="utf-8", errors="replace").strip()
     except OSError:

@@ -1,4 +1,4 @@
-"""Conversion of frame batches between records and ``struct canfd_frame``, without an object or a loop per frame.
+"""Conversion of frame batches between records and ``struct canfd_frame``, without a loop over frames.
 
     can_id 32 | length 8 | flags 8 | reserved 16 | data 64 x 8
 
@@ -28,12 +28,15 @@ LONGEST = 64
 CACHED_BATCHES = 256
 """Number of batches whose heads are cached."""
 LONGEST_CACHED = 128
-"""Most frames of a cached batch. The limit keeps a flood of frames from filling the memory."""
+"""Largest number of frames in a cached batch.
+
+The limit keeps a flood of frames from filling the memory.
+"""
 WORD = np.dtype("<u8")
 PAYLOAD = np.dtype(("<u8", (8,)))
 _HEAD = np.dtype(STRUCT.descr[:-1])
 T_NS_AT, HEAD_AT, DATA_AT = (RECORD.fields[name][1] for name in ("t_ns", "can_id", "data"))  # type: ignore[index]
-"""Offsets of the time, of the head (identifier to length), and of the payload in a record [bytes]."""
+"""Offsets in a record [bytes]: time, head (from identifier to length), payload."""
 
 Words = NDArray[np.uint64]
 
@@ -58,9 +61,9 @@ class Received(NamedTuple):
 
     Attributes:
         heads: (n,) identifier, flags, bus and length of each record.
-        words: 8-byte words that the longest payload takes, at least 1.
+        words: number of 8-byte words for the longest payload, at least 1.
         masks: bits of each payload, (n,) for one word and (n, words) for more. None if all payloads are full.
-        errors: True if one is an error frame.
+        errors: True if there is an error frame among the structs.
     """
 
     heads: Words
@@ -71,7 +74,7 @@ class Received(NamedTuple):
 
 @functools.lru_cache
 def _flags(mask: int, added: int) -> bytes:
-    """Return a table for ``bytes.translate``: flags of a struct to flags of a record."""
+    """Return a table for ``bytes.translate`` from the flags of a struct to the flags of a record."""
     return bytes(flags & mask | added for flags in range(256))
 
 
@@ -104,7 +107,7 @@ class Sent(NamedTuple):
 
     Attributes:
         heads: (n,) identifier, length and flags of each struct.
-        words: 8-byte words that the longest payload takes, at least 1.
+        words: number of 8-byte words for the longest payload, at least 1.
         sizes: (n,) size of each struct, ``can_frame`` or ``canfd_frame`` [bytes].
     """
 
@@ -143,7 +146,7 @@ class Structs:
     """
 
     def __init__(self, memory: Any) -> None:
-        """Make views into ``memory``, a writable buffer of a whole number of structs."""
+        """Make views into ``memory``, a writable buffer with a whole number of structs."""
         rows = np.frombuffer(memory, WORD).reshape(-1, SIZE // 8)
         self.count = len(rows)
         self._heads = rows[:, 0]
@@ -152,28 +155,28 @@ class Structs:
         self._written = 8
 
     def converted_heads(self, count: int, bus: int, flag_mask: int = 0xFF, added_flags: int = 0) -> Received:
-        """Convert the heads of the first structs.
+        """Return the heads of the first structs, converted to records.
 
         Args:
             count: number of structs.
             bus: index of the bus.
-            flag_mask: mask of the flags that are taken from the structs.
-            added_flags: flags that all frames get in addition.
+            flag_mask: mask of the flags to copy from the structs.
+            added_flags: flags to set in every frame.
         """
         convert = _received if count <= LONGEST_CACHED else _received.__wrapped__
         return convert(self._heads[:count].tobytes(), bus, flag_mask, added_flags)
 
     def reserved(self, at: int) -> int:
-        """Return the reserved 16 bits of a struct."""
+        """Return the value in the 16 reserved bits of a struct."""
         return int(self._heads[at]) >> 48
 
     def read(self, count: int, heads: Received, t_ns: "int | NDArray[np.int64]") -> Records:
-        """Convert the first structs to records.
+        """Return the first structs as records.
 
         Args:
             count: number of structs.
-            heads: their converted heads.
-            t_ns: time of reception, one for all or one for each [ns].
+            heads: converted heads of these structs.
+            t_ns: time of reception, for all frames or for each frame [ns].
         """
         records: Records = np.zeros(count, RECORD)
         records.setfield(t_ns, np.dtype("<i8"), T_NS_AT)
@@ -188,7 +191,7 @@ class Structs:
         return records
 
     def write(self, frames: Frames) -> Sent:
-        """Write frames into the first structs, with zeros behind each payload.
+        """Write frames into the first structs. The rest of each payload field is set to zero.
 
         Raises:
             ValueError: a payload is longer than its kind of frame can carry. Nothing is written.

@@ -1,20 +1,26 @@
-"""Offset from the wall clock, by which the kernel stamps frames, to CLOCK_MONOTONIC.
+"""Offset from the wall clock to CLOCK_MONOTONIC, for the reception times of frames.
 
-Both clocks run at the same rate. The offset changes only when the wall clock is set. The bus requests a
-new measurement when a stamp is impossible. Where reading a clock is a system call (user-mode Linux), two
-readings per tick cost as much as the exchange itself. Source: man 2 clock_gettime, man 7 vdso.
+The kernel stamps frames with the wall clock.
+
+Both clocks run at the same rate. The offset changes only when the wall clock is set. The bus
+requests a new measurement when a frame has an impossible time stamp. Where reading a clock is a
+system call (user-mode Linux), two readings per tick cost as much as the exchange itself. Source:
+man 2 clock_gettime, man 7 vdso.
 """
 
 import time
 
 LIFE = 256
-"""Uses of one measurement. They limit how long a small step of the wall clock goes unnoticed."""
+"""Number of uses of each measurement.
+
+A small step of the wall clock is noticed after at most this number.
+"""
 TRIES = 3
-"""Readings per measurement."""
+"""Number of clock readings per measurement."""
 
 
 class ClockOffset:
-    """The offset between the clocks, measured every ``LIFE`` uses."""
+    """Offset between the clocks, measured every ``LIFE`` uses."""
 
     def __init__(self) -> None:
         """Start without a measurement."""
@@ -33,7 +39,10 @@ class ClockOffset:
         self._uses_left = 0
 
     def _measure(self) -> None:
-        """Measure the offset. The fastest of some readings counts, since a reading may be interrupted."""
+        """Measure the offset.
+
+        The fastest of several readings is used, because a reading may be interrupted.
+        """
         readings = [(time.monotonic_ns(), time.time_ns(), time.monotonic_ns()) for _ in range(TRIES)]
         before, wall, after = min(readings, key=_width)
         self._offset_ns = (before + after) // 2 - wall

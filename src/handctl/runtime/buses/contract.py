@@ -12,24 +12,25 @@ Stamp = Callable[[int], int]
 
 
 class Bus(Protocol):
-    """One CAN bus that never blocks and never raises for events on the wire."""
+    """CAN bus with calls that never block and never raise for events on the wire."""
 
     @property
     def name(self) -> str:
-        """Specification of the bus, also the ``where`` of its events."""
+        """Specification of the bus, also the ``where`` of the bus's events."""
         ...
 
     def drain(self) -> Frames:
-        """Return all received frames, oldest first, with bus index and time of reception."""
+        """Return all received frames, oldest first, with bus index and reception time."""
         ...
 
     def send(self, frames: Sequence[Frame]) -> int:
         """Send a batch and return the number of accepted frames, counted from the first.
 
-        The rest is dropped. A command that cannot go out now must not go out late.
+        The remaining frames are dropped, because a command must not be sent late.
 
         Args:
-            frames: ``Frames`` (the loop sends these) are sent as they are, other sequences are converted first.
+            frames: frames to send. ``Frames`` objects (as from the loop) are sent directly, other
+                sequences are converted first.
 
         Raises:
             ValueError: a payload is longer than its kind of frame can carry.
@@ -41,7 +42,7 @@ class Bus(Protocol):
         ...
 
     def fileno(self) -> int:
-        """Return the file descriptor that becomes readable when a frame arrives. -1 if there is none."""
+        """Return a file descriptor that becomes readable when a frame arrives, or -1 if the bus has none."""
         ...
 
     def close(self) -> None:
@@ -50,7 +51,7 @@ class Bus(Protocol):
 
 
 def check_size(frame: Frame) -> None:
-    """Refuse a payload that its kind of frame cannot carry.
+    """Raise an error for a payload too long for its kind of frame.
 
     Raises:
         ValueError: the payload is longer than 8 bytes, or longer than 64 with CAN FD.

@@ -1,23 +1,21 @@
-"""Events of a bus, collected until the tick takes them: (kind, where, number).
+"""Events of a bus as tuples (kind, where, number), collected until the next tick reads them.
 
 Kinds:
 
-- ``enobufs``: frames refused by a full queue, or refused without a reason
-- ``enetdown``: interface down
-- ``enodev``: interface or hub gone, or reading fails without a reason
-- ``ebadf``: bus closed
-- ``dropped``: received frames lost before they were read
-- ``error_frame``, ``error_warning``, ``error_passive``, ``error_active``, ``bus_off``, ``restarted``: as
-  reported by the CAN controller
+- ``enobufs``: frames refused by a full queue, or refused without a reason - ``enetdown``: interface
+down - ``enodev``: interface or hub gone, or reading fails without a reason - ``ebadf``: bus closed
+- ``dropped``: received frames lost before they were read - ``error_frame``, ``error_warning``,
+``error_passive``, ``error_active``, ``bus_off``, ``restarted``: states reported by the CAN
+controller
 
-States (``bus_off``, ``error_passive``, ``enodev``) are reported at every call while they last, so that
-the fault detectors can debounce them in ticks.
+A lasting state (``bus_off``, ``error_passive``, ``enodev``) is reported at every call. The fault
+detectors debounce such states in ticks.
 """
 
 import errno
 
 Event = tuple[str, str, int]
-"""Kind, where, number."""
+"""Event of a bus: kind, location, and number of occurrences."""
 
 ERRNO_KINDS = {
     errno.ENOBUFS: "enobufs",
@@ -31,7 +29,7 @@ ERRNO_KINDS = {
     errno.ENOTCONN: "enodev",
     errno.EBADF: "ebadf",
 }
-"""Kind of event by errno."""
+"""Kind of event for each errno."""
 
 TX_TIMEOUT, LOST_ARBITRATION, CONTROLLER, PROTOCOL, TRANSCEIVER, NO_ACK, BUS_OFF, BUS_ERROR, RESTARTED = (
     1 << bit for bit in range(9)
@@ -66,23 +64,24 @@ class BusEvents:
         self._lasting: set[str] = set()
 
     def add(self, kind: str, number: int = 1, detail: str = "") -> None:
-        """Count an event.
+        """Add occurrences of an event to its count.
 
         Args:
             kind: see the module.
-            number: of occurrences.
-            detail: text that is appended to ``where``. Events with different details are counted apart.
+            number: number of occurrences.
+            detail: text to append to ``where``. Events with different details are counted
+                separately.
         """
         key = kind, f"{self.where} {detail}" if detail else self.where
         self._counts[key] = self._counts.get(key, 0) + number
 
     def failed(self, code: int | None, otherwise: str, number: int = 1) -> None:
-        """Count a failed operation.
+        """Count a failed operation on the bus.
 
         Args:
             code: errno of the failure. None if unknown.
             otherwise: kind of event for an unknown or unlisted errno.
-            number: of frames that the operation failed for.
+            number: number of frames in the failed operation.
         """
         kind = ERRNO_KINDS.get(code or 0, otherwise)
         if ERRNO_KINDS.get(code or 0) == "enodev":
@@ -94,14 +93,14 @@ class BusEvents:
         self.add(kind, number)
 
     def lasting(self, kind: str, present: bool) -> None:
-        """Begin or end a state that every ``take`` reports again."""
+        """Set or end a lasting state. Each call of ``take`` reports every lasting state."""
         (self._lasting.add if present else self._lasting.discard)(kind)
 
     def error_frame(self, can_id: int, data: bytes) -> None:
-        """Decode an error frame of the kernel and count its events.
+        """Decode an error frame from the kernel, and count its events.
 
         Args:
-            can_id: identifier, which has the class bits.
+            can_id: identifier with the class bits.
             data: payload. data[1] is the state of the controller.
         """
         names = [name for bit, name in enumerate(CLASS_NAMES) if can_id >> bit & 1]

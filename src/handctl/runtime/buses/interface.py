@@ -1,4 +1,4 @@
-"""Set-up of an interface for a hand, and comparison of its bit rates.
+"""Commands to set up a CAN interface for a hand, and a check of its bit rates.
 
 ``link`` reads the state of an interface.
 """
@@ -8,9 +8,12 @@ import socket
 from handctl.runtime.buses.link import MTU_FD, Link, MissingTool, read_link
 
 Command = tuple[str, ...]
-"""Words of a command."""
+"""Words of a shell command."""
 QUEUE_LENGTH = 128
-"""Transmit queue [frames]. The default of 10 is less than one tick of a large hand."""
+"""Length of the transmit queue [frames].
+
+The default of 10 is too short for one tick of a large hand.
+"""
 RESTART_MS = 100
 """Delay of the restart after bus-off [ms]."""
 
@@ -21,12 +24,12 @@ def interface_names() -> tuple[str, ...]:
 
 
 def set_up_commands(channel: str, bitrate: int, data_bitrate: int | None, exists: bool) -> tuple[Command, ...]:
-    """Return the commands that set an interface up as a hand needs it, for root.
+    """Return the shell commands for root that set up an interface for a hand.
 
     Args:
         channel: name of the interface. ``vcan...`` is virtual.
-        bitrate: of the hand file [bit/s].
-        data_bitrate: of the hand file [bit/s]. None for a classical bus.
+        bitrate: bit rate in the hand file [bit/s].
+        data_bitrate: bit rate of the data phase in the hand file [bit/s]. None for a classical bus.
         exists: True if the interface exists.
     """
     link = ("ip", "link", "set", channel)
@@ -44,12 +47,12 @@ def set_up_commands(channel: str, bitrate: int, data_bitrate: int | None, exists
 
 
 def wrong_rate(channel: str, bitrate: int, data_bitrate: int | None) -> str:
-    """Describe a wrong bit rate of an interface in one line. Empty if the rates are right or unknown.
+    """Return one line about a wrong bit rate of an interface, empty if the rates are right or unknown.
 
     Args:
         channel: name of the interface.
-        bitrate: of the hand file [bit/s].
-        data_bitrate: of the hand file [bit/s]. None for a classical bus.
+        bitrate: bit rate in the hand file [bit/s].
+        data_bitrate: bit rate of the data phase in the hand file [bit/s]. None for a classical bus.
     """
     try:
         link = read_link(channel)
@@ -59,7 +62,7 @@ def wrong_rate(channel: str, bitrate: int, data_bitrate: int | None) -> str:
 
 
 def rate_difference(channel: str, link: Link, bitrate: int, data_bitrate: int | None) -> str:
-    """Describe a wrong bit rate of ``link`` in one line. An interface without bit timing (vcan, slcan) has none."""
+    """Return one line about a wrong bit rate in ``link``, empty for an interface without bit timing."""
     if link.bitrate is None:
         return ""
     if link.bitrate != bitrate:

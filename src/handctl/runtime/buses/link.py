@@ -1,4 +1,4 @@
-"""The state of a Linux CAN interface as reported by ``ip -details -statistics -json link show``.
+"""State of a Linux CAN interface, from the output of ``ip -details -statistics -json link show``.
 
 Source: iproute2, iplink_can.c.
 """
@@ -18,17 +18,18 @@ class Link(NamedTuple):
     """State of a CAN interface.
 
     Attributes:
-        up: the interface is up.
+        up: True if the interface is up.
         kind: ``can``, ``vcan``, ...
         queue: length of the transmit queue (txqueuelen) [frames].
-        fd: the interface carries CAN FD.
-        bitrate: nominal [bit/s]. None without bit timing, as on vcan.
-        data_bitrate: of the data phase [bit/s]. None without bit timing.
-        state: of the controller, such as ``ERROR-ACTIVE``. Empty without a controller.
-        sending: transmit error counter of the controller.
-        receiving: receive error counter of the controller.
+        fd: True if the interface carries CAN FD.
+        bitrate: nominal bit rate [bit/s]. None without bit timing, as on vcan.
+        data_bitrate: bit rate of the data phase [bit/s]. None without bit timing.
+        state: state of the CAN controller, such as ``ERROR-ACTIVE``. Empty without a controller.
+        sending: transmit error counter of the CAN controller.
+        receiving: receive error counter of the CAN controller.
         restart_ms: delay of the restart after bus-off [ms]. 0 for a restart by hand, None without a controller.
-        counts: events since the interface was made: bus_error, error_passive, bus_off, tx_dropped, ...
+        counts: number of events by kind since the interface was created: bus_error, error_passive,
+            bus_off, tx_dropped, ...
     """
 
     up: bool
@@ -49,7 +50,7 @@ class MissingTool(Exception):  # noqa: N818 - tells that a program is missing
 
 
 def read_link(name: str) -> Link | None:
-    """Read the state of an interface. None if the interface does not exist.
+    """Return the state of an interface, or None if the interface does not exist.
 
     Raises:
         MissingTool: iproute2 is not installed or does not answer.
@@ -63,7 +64,7 @@ def read_link(name: str) -> Link | None:
 
 
 def parse_link(text: str) -> Link | None:
-    """Parse the output of ``ip``. None if it lists no interface."""
+    """Return the state parsed from the output of ``ip``, or None if the output lists no interface."""
     try:
         (link,) = json.loads(text)
     except ValueError:
@@ -87,5 +88,5 @@ def parse_link(text: str) -> Link | None:
 
 
 def _dropped(stats: dict[str, Any]) -> dict[str, int]:
-    """Return the dropped frames of the receive and the transmit side."""
+    """Return the number of dropped frames in both directions."""
     return {f"{side}_dropped": int(stats.get(side, {}).get("dropped", 0)) for side in ("rx", "tx")}

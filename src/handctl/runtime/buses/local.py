@@ -1,10 +1,12 @@
-"""The local bus: a Unix stream socket to the hub of a simulator, one record per frame, one call per batch.
+"""The local bus: a Unix stream socket to the hub of a simulator.
+
+Each frame is one record. A batch of frames needs one system call.
 
     can_id 32 | length 8 | flags 8 | dropped 16 | data 64 x 8
 
-A record has 72 bytes and the layout of ``struct canfd_frame`` of Linux. Its two reserved bytes count the
-frames that the hub has dropped for this receiver. The socket has no receive stamps. Frames carry the
-time at which they were read.
+A record has 72 bytes and the layout of ``struct canfd_frame`` of Linux. Its two reserved bytes
+count the frames that the hub has dropped for this receiver. The socket does not report reception
+times. Each frame carries the time at which the host read it.
 """
 
 import socket
@@ -26,7 +28,7 @@ RECORD = struct.Struct("<IBBH64s")
 BUFFER = 1 << 20
 """Size of the socket buffer requested for each direction [bytes]."""
 MAX_RECORDS = 4096
-"""Records per read at most."""
+"""Largest number of records per read."""
 SEND_RECORDS = 64
 """Initial size of the send buffer [records]."""
 QUEUE_REPORT = 0xE0000000
@@ -35,15 +37,15 @@ QUEUE_REPORT = 0xE0000000
 A hub without a wire sends no report, and its clients have no queue.
 """
 QUEUE = struct.Struct("<II")
-"""Payload of a queue report: frames of this client that have left the queue, modulo 2**32, and its capacity."""
+"""Payload of a queue report: number of this client's frames sent so far (modulo 2**32), queue capacity."""
 READS = 4
-"""Reads per drain. The limit keeps a flood of frames from making a tick long."""
+"""Largest number of reads per drain. The limit keeps a flood of frames from delaying a tick."""
 CONNECT_TIMEOUT_S = 2.0
 """Longest wait for the hub [s]."""
 
 
 def connect(name: str) -> socket.socket:
-    """Connect to the hub of ``local:NAME`` and return the socket.
+    """Connect to the hub of ``local:NAME``, and return the socket.
 
     Raises:
         BusError: no hub serves this bus, or the hub belongs to another user.
@@ -71,7 +73,7 @@ class LocalBus:
 
     Attributes:
         name: specification of the bus.
-        early: frames that were read during a ``send``. The next ``drain`` returns them first.
+        early: frames read during a ``send``. The next ``drain`` returns these first.
     """
 
     def __init__(self, channel: str, index: int, stamp: Stamp, max_records: int = MAX_RECORDS) -> None:
@@ -79,9 +81,10 @@ class LocalBus:
 
         Args:
             channel: name of the bus.
-            index: of the bus in the hand's list.
-            stamp: converts a CLOCK_MONOTONIC time to the run's time.
-            max_records: records per read at most. With 1 the socket stays readable while a frame waits.
+            index: index of the bus in the hand's list.
+            stamp: function from a CLOCK_MONOTONIC time to the run's time [ns].
+            max_records: largest number of records per read. With 1 the socket stays readable while
+                a frame waits.
 
         Raises:
             BusError: no hub of this name is running.
@@ -123,7 +126,7 @@ class LocalBus:
         return joined(parts)
 
     def _read(self, buffer: memoryview) -> int:
-        """Read into a buffer and return the number of bytes. 0 if nothing has arrived."""
+        """Read into a buffer, and return the number of bytes, 0 if no data have arrived."""
         if self._closed:
             return 0
         try:
@@ -137,12 +140,15 @@ class LocalBus:
         return size
 
     def _lose(self) -> None:
-        """Report from now on that the hub is gone."""
+        """Report from now on that the hub has ended."""
         self._closed = True
         self._events.lasting("enodev", True)
 
     def _take(self, filled: int) -> Frames:
-        """Convert the complete records in the first ``filled`` bytes. Keep the beginning of an incomplete one."""
+        """Return the complete records in the first ``filled`` bytes.
+
+        The beginning of an incomplete record is kept for the next read.
+        """
         count, self._partial = divmod(filled, SIZE)
         if not count:
             return EMPTY
@@ -159,7 +165,10 @@ class LocalBus:
         return frames
 
     def receive_one(self) -> Frame | None:
-        """Return the next frame as an object, for programs that take one message at a time. None if there is none."""
+        """Return the next frame as an object, or None if no frame has arrived.
+
+        For programs that process single messages.
+        """
         if self.early:
             frame = self.early[0]
             self.early = self.early[1:]
@@ -176,20 +185,20 @@ class LocalBus:
         return Frame(can_id, data[:length], flags, self._index, self._stamp(time.monotonic_ns()))
 
     def _count_dropped(self, lost: int) -> None:
-        """Count the frames that the hub has dropped since the last record, from its counter modulo 65536."""
+        """Count the frames dropped by the hub since the last record, from the hub's counter modulo 65536."""
         if lost != self._dropped:
             self._events.add("dropped", (lost - self._dropped) & 0xFFFF)
             self._dropped = lost
 
     def _take_control(self, can_id: int, data: bytes) -> None:
-        """Take a queue report of the hub, or count an error frame."""
+        """Process a queue report from the hub, or count an error frame."""
         if can_id == QUEUE_REPORT:
             self._left_queue, self._depth = QUEUE.unpack(data)
         else:
             self._events.error_frame(can_id, data)
 
     def _fitting(self, frames: Sequence[Frame]) -> Sequence[Frame]:
-        """Return as many of the frames as fit in the queue. The others are refused."""
+        """Return the leading frames that fit in the queue. The remaining frames are refused."""
         if len(frames) > self._free():
             self.early = self.drain()  # a queue report may have arrived meanwhile
         free = self._free()
@@ -226,7 +235,7 @@ class LocalBus:
         return accepted
 
     def _packed(self, frames: Sequence[Frame]) -> bytes | memoryview:
-        """Pack frames into records of the hub. Single objects of a tool are packed one by one."""
+        """Return the frames packed into records of the hub."""
         if not isinstance(frames, Frames):
             for frame in frames:
                 check_size(frame)
@@ -237,11 +246,11 @@ class LocalBus:
         return self._out[: SIZE * len(frames)]
 
     def _sent_partly(self, waiting: bytes | memoryview, sent: int, frames: int) -> int:
-        """Keep the rest of a partly sent record, drop the records behind it.
+        """Keep the unsent part of a partly sent record, and drop the records after it.
 
         Args:
-            waiting: rest of the batch before, and this batch.
-            sent: bytes that the socket has accepted.
+            waiting: unsent part of the batch before, and this batch.
+            sent: number of bytes accepted by the socket.
             frames: number of frames in this batch.
 
         Returns:

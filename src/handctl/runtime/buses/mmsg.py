@@ -1,4 +1,4 @@
-"""Many datagrams in one system call: ``sendmmsg`` and ``recvmmsg`` of Linux over buffers that are made once.
+"""Many datagrams in one system call: ``sendmmsg`` and ``recvmmsg`` of Linux on reused buffers.
 
 The ``socket`` module of Python has no such call. One call per frame costs more than everything else in
 the exchange of a tick. Source: man 2 recvmmsg, man 7 socket (SO_TIMESTAMPNS, SO_RXQ_OVFL), man 3 cmsg.
@@ -51,15 +51,18 @@ CONTROL = struct.Struct("@NiillNiiI12x")
     length | level | SO_TIMESTAMPNS | s | ns | length | level | SO_RXQ_OVFL | dropped 32 | padding 12
 """
 STAMP_AT = struct.calcsize("@Nii")
-"""Offset of the seconds in the control messages [bytes]. The nanoseconds follow."""
+"""Offset of the seconds in the control messages [bytes]. The nanoseconds come next."""
 STAMPED = struct.calcsize("@Niill")
-"""Length of the control messages with a stamp [bytes]. A counter alone is shorter."""
+"""Length of the control messages with a time stamp [bytes].
+
+With only a counter they are shorter.
+"""
 COUNTED = struct.calcsize("@NiillNiiI")
-"""Length of the control messages with stamp and counter [bytes]."""
+"""Length of the control messages with time stamp and counter [bytes]."""
 _TAIL = ctypes.sizeof(_Header) - _Header.size.offset - ctypes.sizeof(ctypes.c_uint)
 _GAP = _Header.size.offset - _Message.controllen.offset - ctypes.sizeof(ctypes.c_size_t)
 _HEADER = struct.Struct(f"@{_Message.controllen.offset}xN{_GAP}xI{_TAIL}x")
-"""Values that the kernel writes into a header: length of the control messages, length of the datagram."""
+"""Values written by the kernel into a header: length of the control messages, length of the datagram."""
 _libc = ctypes.CDLL(None, use_errno=True)
 for _call in ("sendmmsg", "recvmmsg"):
     getattr(_libc, _call).restype = ctypes.c_int
@@ -69,18 +72,18 @@ _libc.recvmmsg.argtypes = (ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.
 
 SECOND_NS = np.int64(1_000_000_000)
 Datagram = tuple[int, int, int]
-"""Size [bytes], CLOCK_REALTIME of reception [ns] (0 if missing), datagrams lost by the socket so far modulo 2**32.
+"""Received datagram: size [bytes], CLOCK_REALTIME [ns] (0 if missing), datagrams lost so far modulo 2**32.
 
-The kernel omits the counter until the first loss, and it counts as 0 then.
+The kernel omits the counter until the first loss. A missing counter counts as 0.
 """
 
 
 class Slots:
-    """Buffers of equal size, and the headers that point at them.
+    """Buffers of equal size, with the headers that point at these buffers.
 
     Attributes:
         count: number of slots.
-        size: of a slot [bytes].
+        size: size of a slot [bytes].
         data: memory of all slots.
         control: memory of all control messages.
         headers: address of the first header.
@@ -91,8 +94,8 @@ class Slots:
 
         Args:
             count: number of slots.
-            size: of a slot [bytes].
-            control: receive control messages, as for stamps.
+            size: size of a slot [bytes].
+            control: True to receive control messages, such as time stamps.
         """
         self.count = count
         self.size = size
@@ -121,10 +124,11 @@ class Slots:
         self._last_size: tuple[bytes, int] = (b"", 0)
 
     def common_size(self, count: int) -> int:
-        """Return the common size of the first datagrams [bytes], or 0 if they must be read one by one.
+        """Return the common size of the first datagrams [bytes], or 0 if each must be read separately.
 
-        They have a common size if all are equally long, with a stamp and without a counter. The kernel
-        writes the same bytes into the headers tick after tick. The result for the last bytes is cached.
+        A common size requires equal lengths, time stamps, and no loss counter. The kernel usually
+        writes the same bytes into the headers in every tick, so the result for the last bytes is
+        cached.
         """
         raw = bytes(self._view[: count * _HEADER.size])
         if raw != self._last_size[0]:
@@ -134,7 +138,7 @@ class Slots:
         return self._last_size[1]
 
     def datagrams(self, count: int) -> list[Datagram]:
-        """Return size, stamp and loss counter of each of the first datagrams."""
+        """Return size, time stamp, and loss counter for each of the first datagrams."""
         sizes = _HEADER.iter_unpack(self._view[: count * _HEADER.size])
         control = CONTROL.iter_unpack(self.control[: count * CONTROL.size])
         result = []
@@ -145,7 +149,7 @@ class Slots:
         return result
 
     def renew(self, count: int) -> None:
-        """Reset the first headers to the values before reception."""
+        """Reset the first headers for the next reception."""
         end = count * _HEADER.size
         self._view[:end] = self._fresh[:end]
 
@@ -156,17 +160,17 @@ class Slots:
         return times
 
     def set_lengths(self, lengths: NDArray[np.uint64]) -> None:
-        """Set the length to be sent of each of the first slots [bytes]."""
+        """Set the number of bytes to send from each of the first slots."""
         self._sizes[: len(lengths)] = lengths
 
 
 def receive(fd: int, slots: Slots) -> int:
-    """Receive the waiting datagrams, at most one per slot, and return their number.
+    """Receive the waiting datagrams, at most one per slot, and return the number received.
 
     Call ``Slots.renew`` before the next call.
 
     Raises:
-        OSError: as ``recvmmsg``, except ``BlockingIOError``.
+        OSError: ``recvmmsg`` failed, except with ``BlockingIOError``.
     """
     count: int = _libc.recvmmsg(fd, slots.headers, slots.count, socket.MSG_DONTWAIT, None)
     if count >= 0:
@@ -178,7 +182,7 @@ def receive(fd: int, slots: Slots) -> int:
 
 
 def send(fd: int, slots: Slots, first: int, end: int) -> tuple[int, int]:
-    """Send the slots from ``first`` to before ``end`` without blocking.
+    """Send the slots from ``first`` up to but not including ``end``, without blocking.
 
     Returns:
         the number of accepted datagrams, and the errno for the first refused one (0 if all were accepted).

@@ -7,24 +7,28 @@ from handctl.errors import ConfigError
 from handctl.runtime.buses.contract import Bus, Stamp
 
 SIMULATED = ("local:", "virtual:", "udp_multicast:", "socketcan:vcan", "socketcan:vxcan")
-"""Prefixes of buses without real motors. Time may be scaled there, and no confirmation is asked before motion."""
+"""Prefixes of buses without real motors.
+
+On such a bus time may be scaled, and motion needs no confirmation.
+"""
 
 
 def real_buses(specs: Sequence[str]) -> list[str]:
-    """Return the buses that may have real motors."""
+    """Return the specifications of buses that may have real motors."""
     return [spec for spec in specs if not spec.startswith(SIMULATED)]
 
 
 def _monotonic(t_ns: int) -> int:
-    """Return a CLOCK_MONOTONIC time unchanged."""
+    """Return a CLOCK_MONOTONIC time unchanged, as conversion to the run's time."""
     return t_ns
 
 
 def check_spec(spec: str) -> None:
-    """Refuse an invalid bus specification before anything is opened.
+    """Raise an error for an invalid bus specification, before any bus is opened.
 
     Raises:
-        ConfigError: the kind or the channel is missing, or the name of a local bus is no plain name.
+        ConfigError: the kind or the channel is missing, or the name of a local bus has characters
+            other than those of a plain name.
     """
     kind, _, channel = spec.partition(":")
     if not kind or not channel or "=" in kind:
@@ -40,14 +44,14 @@ def open_bus(spec: str, index: int, bitrate: int, data_bitrate: int | None = Non
     Args:
         spec: ``local:NAME`` (simulator on this machine), ``socketcan:NAME`` (Linux), or any other python-can
             ``INTERFACE:CHANNEL``.
-        index: of the bus in the hand's list. Every frame carries it.
-        bitrate: nominal [bit/s].
-        data_bitrate: of the data phase of CAN FD [bit/s]. None for a classical bus.
-        stamp: converts a CLOCK_MONOTONIC time to the run's time.
+        index: index of the bus in the hand's list, copied into every frame.
+        bitrate: nominal bit rate [bit/s].
+        data_bitrate: bit rate of the data phase of CAN FD [bit/s]. None for a classical bus.
+        stamp: function from a CLOCK_MONOTONIC time to the run's time [ns].
 
     Raises:
-        ConfigError: ``spec`` is no bus specification.
-        BusError: the bus cannot be opened. The message has the command that mends it.
+        ConfigError: ``spec`` is not a valid bus specification.
+        BusError: the bus cannot be opened. The message has the command to correct this.
     """
     check_spec(spec)
     kind, _, channel = spec.partition(":")

@@ -1,7 +1,8 @@
 """All other CAN interfaces, through python-can.
 
-Examples: ``virtual:x``, ``slcan:/dev/ttyACM0@115200``, ``pcan:PCAN_USBBUS1``. The stamps of python-can
-have a different origin with every interface. Frames therefore carry the time at which they were read.
+Examples: ``virtual:x``, ``slcan:/dev/ttyACM0@115200``, ``pcan:PCAN_USBBUS1``. The origin of
+python-can's time stamps differs between interfaces. Frames therefore carry the time at which the
+host read each frame.
 """
 
 import time
@@ -17,17 +18,17 @@ from handctl.runtime.buses.contract import Stamp, check_size
 from handctl.runtime.buses.events import BusEvents, Event
 
 MAX_FRAMES = 4096
-"""Frames per drain at most. The limit keeps a flood of frames from making a tick long."""
+"""Largest number of frames per drain. The limit keeps a flood of frames from delaying a tick."""
 IDENTIFIER = 0x1FFFFFFF
 """Mask of the 29 bits of an identifier, without flag bits."""
 
 
 def frame_of(message: can.Message, index: int, t_ns: int) -> Frame:
-    """Convert a python-can message to a frame.
+    """Return a python-can message as a frame.
 
     Args:
         message: classical or FD, data or remote.
-        index: of the bus.
+        index: index of the bus.
         t_ns: time of reception [ns].
     """
     can_id = message.arbitration_id | EXTENDED * message.is_extended_id | REMOTE * message.is_remote_frame
@@ -37,11 +38,11 @@ def frame_of(message: can.Message, index: int, t_ns: int) -> Frame:
 
 
 def message_of(frame: Frame, timestamp: float = 0.0) -> can.Message:
-    """Convert a frame to a python-can message.
+    """Return a frame as a python-can message.
 
     Args:
         frame: classical or FD, data or remote.
-        timestamp: for the message [s].
+        timestamp: time stamp of the message [s].
     """
     remote = bool(frame.can_id & REMOTE)
     return can.Message(
@@ -59,13 +60,13 @@ def message_of(frame: Frame, timestamp: float = 0.0) -> can.Message:
 
 
 def open_can(interface: str, channel: str, bitrate: int, data_bitrate: int | None = None) -> can.BusABC:
-    """Open an interface with python-can.
+    """Open a CAN interface with python-can.
 
     Args:
         interface: name of the interface in python-can.
         channel: name of the channel in python-can.
-        bitrate: nominal [bit/s].
-        data_bitrate: of the data phase of CAN FD [bit/s]. None for a classical bus.
+        bitrate: nominal bit rate [bit/s].
+        data_bitrate: bit rate of the data phase of CAN FD [bit/s]. None for a classical bus.
 
     Raises:
         BusError: python-can has no such interface, or cannot open it.
@@ -91,9 +92,9 @@ class PythonCanBus:
         Args:
             interface: name of the interface in python-can.
             channel: name of the channel in python-can.
-            index: of the bus in the hand's list.
-            bitrate: nominal [bit/s].
-            data_bitrate: of the data phase of CAN FD [bit/s]. None for a classical bus.
+            index: index of the bus in the hand's list.
+            bitrate: nominal bit rate [bit/s].
+            data_bitrate: bit rate of the data phase of CAN FD [bit/s]. None for a classical bus.
             stamp: converts a CLOCK_MONOTONIC time to the run's time.
 
         Raises:
@@ -123,7 +124,7 @@ class PythonCanBus:
         return frames_of(frames)
 
     def _take(self, frames: list[Frame], message: can.Message) -> None:
-        """Append a received message as a frame, or count it as an error frame."""
+        """Append a received message as a frame. An error frame is counted instead."""
         if message.is_error_frame:
             self._events.error_frame(message.arbitration_id, bytes(message.data))
         elif message.is_rx:  # gs_usb and cantact also return the sent frames
@@ -157,7 +158,10 @@ class PythonCanBus:
 
 
 def _code(error: Exception) -> int | None:
-    """Return the errno of an error, or None. python-can has it in ``error_code`` or in the cause of the error."""
+    """Return the errno of a python-can error, or None if it has none.
+
+    The number is in ``error_code`` or in the cause of the error.
+    """
     code = error.errno if isinstance(error, OSError) else getattr(error, "error_code", None)
     if code is None and isinstance(error.__cause__, OSError):
         code = error.__cause__.errno

@@ -1,4 +1,7 @@
-"""SocketCAN of Linux, classical and FD: raw socket, batches in one system call, receive stamps of the kernel."""
+"""SocketCAN of Linux, classical and FD, on a raw socket.
+
+A batch of frames needs one system call. The kernel stamps received frames.
+"""
 
 import fcntl
 import os
@@ -20,41 +23,41 @@ from handctl.runtime.buses.events import BusEvents, Event
 from handctl.runtime.buses.interface import wrong_rate
 
 SLOTS = 128
-"""Frames per system call."""
+"""Largest number of frames per system call."""
 READS = 64
-"""Reads per drain. The limit keeps a flood of frames from making a tick long."""
+"""Largest number of reads per drain. The limit keeps a flood of frames from delaying a tick."""
 RECEIVE_BUFFER = 4 << 20
 """Size of the receive buffer [bytes]."""
 SEND_BUFFER = 32 << 10
-"""Size of the send buffer [bytes]. Small on purpose: a command that cannot go out now must not go out late.
+"""Size of the send buffer [bytes]. The buffer is small, because a command must not be sent late.
 
-It holds about 80 frames.
+About 80 frames fit in the buffer.
 """
 AHEAD_NS = 20_000_000
-"""Largest step between two stamps that is accepted without reading the clock [ns].
+"""Largest step between two time stamps accepted without reading the clock [ns].
 
-A larger step is silence on the bus, or the wall clock was set. A smaller step of the wall clock is noticed
-at the next measurement of the clock offset.
+A larger step means silence on the bus, or a change of the wall clock. A smaller step of the wall
+clock is noticed at the next measurement of the clock offset.
 """
 CAN_RAW_ERR_FILTER, ALL_ERRORS = 2, 0x1FFFFFFF
 """Source: Linux ``can/raw.h``, ``can/error.h``."""
 SIOCGIFFLAGS, SIOCGIFMTU, SIOCGIFTXQLEN, IFF_UP = 0x8913, 0x8921, 0x8942, 1
 """Source: Linux ``sockios.h``, ``if.h``."""
 QUEUE = 32
-"""Smallest transmit queue that is accepted [frames]. 11 motors and SYNC go out at once, and the default is 10."""
+"""Shortest accepted transmit queue [frames]. 11 motors and SYNC are sent together, and the default length is 10."""
 
 
 class SocketCanBus:
-    """A raw CAN socket, see ``contract.Bus``."""
+    """Raw CAN socket, see ``contract.Bus``."""
 
     def __init__(self, link: socket.socket, name: str, index: int, fd_mode: bool, stamp: Stamp) -> None:
-        """Take over an open socket.
+        """Use an open socket.
 
         Args:
-            link: raw CAN socket, or any datagram socket that carries the same structs.
+            link: raw CAN socket, or any datagram socket with the same structs.
             name: specification of the bus.
-            index: of the bus in the hand's list.
-            fd_mode: the socket receives FD frames.
+            index: index of the bus in the hand's list.
+            fd_mode: True if the socket receives FD frames.
             stamp: converts a CLOCK_MONOTONIC time to the run's time.
         """
         _prepare(link)
@@ -89,10 +92,10 @@ class SocketCanBus:
         return joined(parts)
 
     def _take(self, count: int) -> Frames:
-        """Convert the received datagrams to frames.
+        """Return the received datagrams as frames.
 
-        Usually all datagrams are alike and their stamps follow the last stamps. Then they are converted
-        as one batch, otherwise one by one.
+        Usually all datagrams are of one kind, and each time stamp follows shortly after the last.
+        Such datagrams are converted as one batch, all others singly.
         """
         size = self._in.common_size(count)
         frames = self._take_batch(count, FDF if size == SIZE else 0) if size else None
@@ -102,7 +105,10 @@ class SocketCanBus:
         return frames
 
     def _take_batch(self, count: int, fd_flag: int) -> Frames | None:
-        """Convert stamped frames of one kind. None if one is an error frame or a stamp must be checked."""
+        """Return the frames of a batch of one kind, or None if the batch must be converted singly.
+
+        An error frame or a doubtful time stamp requires conversion one by one.
+        """
         heads = self._structs.converted_heads(count, self._index, 0xFF if fd_flag else 0, fd_flag)
         if heads.errors:
             return None
@@ -124,7 +130,10 @@ class SocketCanBus:
         return Frames(self._structs.read(count, heads, times))
 
     def _take_each(self, datagrams: list[mmsg.Datagram], now: int) -> Frames:
-        """Convert frames of any kind one by one. Count error frames and lost frames."""
+        """Return frames of any kind, converted one by one.
+
+        Error frames and lost frames are counted.
+        """
         stamp = self._stamp
         earliest = self._latest
         offset = self._offset.ns()
@@ -178,7 +187,7 @@ class SocketCanBus:
 
 
 def _prepare(link: socket.socket) -> None:
-    """Set buffer sizes, receive stamps and the counter of lost frames of a socket."""
+    """Set buffer sizes, receive time stamps, and the counter of lost frames of a socket."""
     link.setblocking(False)
     link.setsockopt(socket.SOL_SOCKET, mmsg.SO_TIMESTAMPNS, 1)
     link.setsockopt(socket.SOL_SOCKET, mmsg.SO_RXQ_OVFL, 1)
@@ -190,18 +199,18 @@ def _prepare(link: socket.socket) -> None:
 
 
 def open_socketcan(channel: str, index: int, bitrate: int, data_bitrate: int | None, stamp: Stamp) -> SocketCanBus:
-    """Open an interface of the kernel.
+    """Open a CAN interface of the kernel.
 
     Args:
-        channel: name of the interface, which must be up.
-        index: of the bus in the hand's list.
-        bitrate: required nominal rate [bit/s].
+        channel: name of the interface. The interface must be up.
+        index: index of the bus in the hand's list.
+        bitrate: required nominal bit rate [bit/s].
         data_bitrate: required rate of the data phase of CAN FD [bit/s]. None for a classical bus.
         stamp: converts a CLOCK_MONOTONIC time to the run's time.
 
     Raises:
-        BusError: the kernel has no SocketCAN. Or the interface is missing, down, not in the required FD
-            mode, set to another bit rate, or has too short a queue.
+        BusError: the kernel has no SocketCAN, or the interface is missing, is down, is not in the
+            required FD mode, is set to another bit rate, or has too short a queue.
     """
     name = f"socketcan:{channel}"
     fd_mode = data_bitrate is not None
@@ -226,7 +235,7 @@ def open_socketcan(channel: str, index: int, bitrate: int, data_bitrate: int | N
 
 
 def _interface_problem(link: socket.socket, channel: str, fd_mode: bool) -> str:
-    """Describe what is wrong with an existing interface. Empty if it can be used."""
+    """Return the problem of an existing interface in words, empty if the interface can be used."""
     if not _ask(link, channel, SIOCGIFFLAGS) & IFF_UP:
         return "the interface is down"
     if fd_mode and _ask(link, channel, SIOCGIFMTU) < SIZE:
@@ -237,7 +246,7 @@ def _interface_problem(link: socket.socket, channel: str, fd_mode: bool) -> str:
 
 
 def _ask(link: socket.socket, channel: str, request: int) -> int:
-    """Read a number of an interface from the kernel, in the network namespace of the socket."""
+    """Read a number of an interface from the kernel, in the socket's network namespace."""
     # struct ifreq: name 16 bytes | flags 16 bits, or mtu or queue length 32 bits | padding
     answer = fcntl.ioctl(link, request, struct.pack("=16sI20x", channel.encode(), 0))
     (number,) = struct.unpack_from("=H" if request == SIOCGIFFLAGS else "=i", answer, 16)
@@ -245,7 +254,7 @@ def _ask(link: socket.socket, channel: str, request: int) -> int:
 
 
 def advice(channel: str, bitrate: int, data_bitrate: int | None, exists: bool = False) -> str:
-    """Return the command that sets an interface up as the hand needs it. ``exists``: the interface exists."""
+    """Return the shell command that sets up the interface for the hand."""
     if channel.startswith("vcan"):
         steps = ["sudo ip link set {0} down" if exists else "sudo ip link add {0} type vcan"]
         steps += ["sudo ip link set {0} mtu 72"] * bool(data_bitrate) + ["sudo ip link set {0} up"]

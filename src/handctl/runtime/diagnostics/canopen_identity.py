@@ -1,7 +1,9 @@
-"""Identity of a CANopen drive, read object by object with the ``canopen`` library. Never used while a tick runs.
+"""Identity of a CANopen drive, read object by object with the ``canopen`` library.
 
-The library opens the bus through python-can and has threads of its own. Both have ended when ``identify``
-returns.
+Not used while a controller runs.
+
+The library opens the bus through python-can, and starts threads. Bus and threads are closed when
+``identify`` returns.
 """
 
 import logging
@@ -24,15 +26,18 @@ OBJECTS = {
     "rated_torque": (0x6076, 0),
     "counts": (0x608F, 1),
 }
-"""Index and subindex of the numbers that are read. Source: CiA 301, CiA 402-2."""
+"""Index and subindex of the numbers to read. Source: CiA 301, CiA 402-2."""
 TEXTS = {"name": (0x1008, 0), "software": (0x100A, 0)}
-"""Index and subindex of the texts that are read. Source: CiA 301."""
+"""Index and subindex of the texts to read. Source: CiA 301."""
 ANSWER_S = 0.3
 """Longest wait for the answer of a drive [s]."""
 
 
 class Identity(NamedTuple):
-    """Numbers and texts that a node has reported, by the names in ``OBJECTS`` and ``TEXTS``. Others are absent."""
+    """Numbers and texts reported by a node, by the names in ``OBJECTS`` and ``TEXTS``.
+
+    Missing values are absent.
+    """
 
     numbers: dict[str, int]
     texts: dict[str, str]
@@ -42,7 +47,7 @@ def identify(spec: str, bitrate: int, nodes: Sequence[int]) -> dict[int, Identit
     """Read the identity of nodes over SDO.
 
     Args:
-        spec: ``INTERFACE:CHANNEL`` of the bus, which this process must have closed.
+        spec: ``INTERFACE:CHANNEL`` of the bus. The bus must be closed in this process.
         bitrate: nominal [bit/s].
         nodes: node numbers.
 
@@ -78,7 +83,7 @@ def _identity(network: canopen.Network, number: int) -> Identity:
 
 
 def _upload(node: canopen.RemoteNode, index: int, sub: int) -> bytes:
-    """Read the bytes of an object. Empty if the drive refuses or does not answer."""
+    """Return the bytes of an object, empty if the drive refuses or does not answer."""
     try:
         return bytes(node.sdo.upload(index, sub))
     except SdoError:

@@ -1,7 +1,7 @@
-"""Conformance checks of a drive on the drive itself, one after the other, within a given torque limit.
+"""Conformance checks that run on a real drive, one after the other, within a given torque limit.
 
-The shaft may turn. A check raises the torque until the shaft has moved a little, or to the limit, and
-brakes it.
+The shaft may turn. A check raises the torque until the shaft has moved a little or the limit is
+reached, then brakes the shaft.
 """
 
 import math
@@ -16,15 +16,15 @@ from handctl.runtime.diagnostics.torque_step import MOVED_RAD, STILL_RAD_S, brak
 FRESH_NS = 50_000_000
 """Largest age of fresh feedback [ns]."""
 LATE_OF_100 = 5
-"""Ticks of 100 that may find older feedback, because this process shares its machine."""
+"""Number of ticks of 100 in which feedback may be older, because other processes share the machine."""
 SILENCE_S = 0.3
 """Shortest silence in the check of the watchdog [s]."""
 COUNTED_TICKS = 60
-"""Ticks in which answers are counted, and in which a disabled drive gets torque commands."""
+"""Number of ticks to count answers, and to send torque commands to a disabled drive."""
 SECOND_DRIVE = 1.5
-"""Answers per request that mean a second drive. One drive has 1, two have 2."""
+"""Answers per request that prove a second drive. A single drive sends 1, two drives send 2."""
 REPORTED_FRACTION = 0.3
-"""Reported torque that counts as obeyed, as a fraction of the command."""
+"""Reported torque above which a command counts as obeyed, as a fraction of the command."""
 
 
 class CheckVerdict(Enum):
@@ -36,12 +36,12 @@ class CheckVerdict(Enum):
 
 
 class ConformanceCheck(NamedTuple):
-    """A check that was done.
+    """Completed check with its result.
 
     Attributes:
-        name: what the drive promises.
+        name: name of the checked requirement.
         verdict: result of the check.
-        reason: in one line.
+        reason: reason of the result in one line.
     """
 
     name: str
@@ -50,15 +50,15 @@ class ConformanceCheck(NamedTuple):
 
 
 class Failed(Exception):  # noqa: N818 - a verdict, not an error; never leaves this module
-    """The drive broke the promise. The text describes the observation."""
+    """Error for a drive that does not meet the requirement. The text describes the observation."""
 
 
 class NotApplicable(Exception):  # noqa: N818
-    """The promise cannot be judged. The text has the reason."""
+    """Error for a requirement that cannot be checked. The text gives the reason."""
 
 
 class DeviceUnderTest(NamedTuple):
-    """The device under test.
+    """Drive under test, with the limits of the test.
 
     Attributes:
         rig: the drive on its bus.
@@ -72,14 +72,17 @@ class DeviceUnderTest(NamedTuple):
 
 
 Promise = Callable[[DeviceUnderTest], str]
-"""Function that checks one promise and returns the observation. Raises Failed or NotApplicable."""
+"""Function that checks a requirement and returns the observation.
+
+Raises Failed or NotApplicable.
+"""
 
 
 def checks(device: DeviceUnderTest) -> Iterator[ConformanceCheck]:
-    """Run all checks in order.
+    """Run all checks in order, and yield each result.
 
-    The rest is not run after a check that leaves the drive in a state in which it cannot go on. The second
-    check that turns the shaft is not run after the first has failed.
+    The remaining checks are not run if a check leaves the drive in an unusable state. If the first
+    check with motion of the shaft fails, the second is not run.
     """
     usable = True
     reversed_turn = False
@@ -95,14 +98,17 @@ def checks(device: DeviceUnderTest) -> Iterator[ConformanceCheck]:
 
 
 def _not_run(device: DeviceUnderTest, name: str, promise: Promise) -> ConformanceCheck:
-    """Report a check that cannot be run. A drive that stayed enabled between checks has failed to disable."""
+    """Return the result for a check that cannot be run.
+
+    A drive that stayed enabled after the check before has failed to disable.
+    """
     if promise is _disables and device.rig.state.phase == Phase.ENABLED:
         return ConformanceCheck(name, CheckVerdict.FAILED, "stays enabled after the disable command of another check")
     return ConformanceCheck(name, CheckVerdict.NOT_APPLICABLE, "not run, because of what failed before")
 
 
 def _run_check(device: DeviceUnderTest, name: str, promise: Promise) -> ConformanceCheck:
-    """Run one check."""
+    """Run a check, and return its result."""
     try:
         return ConformanceCheck(name, CheckVerdict.PASSED, promise(device))
     except Failed as failed:
@@ -112,7 +118,7 @@ def _run_check(device: DeviceUnderTest, name: str, promise: Promise) -> Conforma
 
 
 def _configured(device: DeviceUnderTest) -> str:
-    """Check that the drive takes its settings and becomes ready."""
+    """Check that the drive accepts its settings and becomes ready."""
     rig = device.rig
     if not rig.until(DriveTarget.POLL, lambda state: state.phase == Phase.READY, 5.0):
         raise Failed(rig.state.error_text or f"stays in {rig.state.phase.name}")
@@ -126,7 +132,10 @@ def _enabled(rig: DriveRig) -> None:
 
 
 def _alone(device: DeviceUnderTest) -> str:
-    """Check that each request has one answer. A second drive with the same number also answers."""
+    """Check that each request has one answer.
+
+    A second drive with the same number would also answer.
+    """
     rig = device.rig
     drive = rig.drive
     unasked = 0 if drive.one_reply_per_command else _feedback_frames(rig, DriveTarget.LISTEN)
@@ -152,7 +161,7 @@ def _feedback_frames(rig: DriveRig, target: DriveTarget) -> int:
 
 
 def _waits(device: DeviceUnderTest) -> str:
-    """Check that a ready drive makes no torque, without and with torque commands."""
+    """Check that a ready drive makes no torque, both without and with torque commands."""
     rig = device.rig
     before = rig.state.feedback_count
     rig.keep(DriveTarget.POLL, 0.3)
@@ -192,14 +201,14 @@ def _ignores_torque(device: DeviceUnderTest) -> str:
 
 
 def _enables(device: DeviceUnderTest) -> str:
-    """Check that the drive enables, and measure the time."""
+    """Check that the drive can be enabled, and measure the time."""
     start = device.rig.t_ns
     _enabled(device.rig)
     return f"after {(device.rig.t_ns - start) / 1e6:.0f} ms"
 
 
 def _feedback(device: DeviceUnderTest) -> str:
-    """Check that fresh feedback is there in nearly every tick."""
+    """Check that nearly every tick has fresh feedback."""
     rig = device.rig
     _enabled(rig)
     start = rig.state.feedback_count
@@ -214,7 +223,7 @@ def _feedback(device: DeviceUnderTest) -> str:
 
 
 def _turns(sign: int) -> Promise:
-    """Return the check that torque of a sign turns the shaft in this direction."""
+    """Return the check that torque with this sign turns the shaft in the same direction."""
 
     def turns(device: DeviceUnderTest) -> str:
         rig = device.rig
@@ -236,7 +245,7 @@ def _turns(sign: int) -> Promise:
 
 
 def _unmoved(device: DeviceUnderTest, sign: int, torque: float) -> Exception:
-    """Judge a shaft that did not turn at the torque limit, by the torque that the drive reported [N m]."""
+    """Explain why a shaft did not turn at the torque limit, from the torque reported by the drive [N m]."""
     reported = sign * torque
     limit = f"{sign * device.limit:+.3f} N m"
     if math.isfinite(reported) and reported < 0.3 * device.limit:
@@ -258,7 +267,7 @@ def _holds_limit(device: DeviceUnderTest) -> str:
 
 
 def _disables(device: DeviceUnderTest) -> str:
-    """Check that the drive disables within a second and reports it."""
+    """Check that the drive is disabled within a second after the command, and reports this."""
     rig = device.rig
     _enabled(rig)
     start = rig.t_ns
@@ -273,7 +282,7 @@ def _disables(device: DeviceUnderTest) -> str:
 
 
 def _watchdog_disables(device: DeviceUnderTest) -> str:
-    """Check that the watchdog of the drive disables it when the host falls silent, and that it stays off."""
+    """Check that the watchdog disables the drive when the host is silent, and that the drive stays off."""
     rig = device.rig
     _enabled(rig)
     silence = max(SILENCE_S, 3.0 * device.watchdog_s)
@@ -289,7 +298,7 @@ def _watchdog_disables(device: DeviceUnderTest) -> str:
 
 
 def _clears(device: DeviceUnderTest) -> str:
-    """Check that the cut takes the torque away, and that only a clear makes the drive ready again."""
+    """Check that the cut removes the torque, and that the drive becomes ready again only after a clear."""
     rig = device.rig
     _enabled(rig)
     rig.cut()
@@ -312,15 +321,18 @@ def _readable(device: DeviceUnderTest) -> str:
 
 
 def leave(rig: DriveRig, watchdog_s: float, restoring: Drive | None = None) -> bool:
-    """Disable the drive, clear its errors and leave it as after a run. Returns True if it reports that it is off.
+    """Disable the drive, clear its errors, and release the drive as after a run.
 
-    The next program finds a drive that is ready, and that does not take the end of this one for the death
-    of its host.
+    Returns True if the drive reports off.
+
+    The next program can then use the drive, and the drive does not report the end of this program
+    as a lost host.
 
     Args:
-        rig: of a drive in any state.
+        rig: rig with a drive in any state.
         watchdog_s: timeout of the drive's watchdog [s].
-        restoring: description with the settings that the drive shall get back, None for the present ones.
+        restoring: description with the settings to restore in the drive, None to keep the present
+            settings.
     """
     if not rig.confirm_off(watchdog_s):
         return False
@@ -346,4 +358,4 @@ PROMISES: tuple[tuple[str, Promise, bool], ...] = (
     ("is cut at once, and cleared on command only", _clears, False),
     ("sends only frames that can be decoded", _readable, False),
 )
-"""Promise of the drive, its check, and True if the check turns the shaft."""
+"""Each requirement with its check, and True if the check turns the shaft."""

@@ -1,4 +1,4 @@
-"""Test rig of one drive on a bus, ticked by a clock, for the conformance checks."""
+"""Test rig for the conformance checks: one drive on a bus, with ticks from a clock."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -12,18 +12,18 @@ from handctl.runtime.clock import Clock
 PERIOD_NS = 5_000_000
 """Period of a tick [ns]."""
 SPAN = 4
-"""Ticks over which the velocity is computed from positions."""
+"""Number of ticks for the computation of the velocity from positions."""
 
 
 class DriveRig:
-    """A drive, its bus and its clock.
+    """Drive with its bus and clock.
 
     Attributes:
         drive: immutable description of the drive.
-        state: of the drive.
-        k: next tick.
+        state: state of the drive.
+        k: number of the next tick.
         torque: last commanded torque [N m].
-        events: of the bus.
+        events: events of the bus.
         inertia: measured inertia of the shaft [kg m2]. NaN before the measurement.
     """
 
@@ -33,7 +33,7 @@ class DriveRig:
         Args:
             drive: description of the drive.
             bus: open bus of the drive.
-            clock: with PERIOD_NS, not started yet.
+            clock: clock with period PERIOD_NS, not started yet.
         """
         prepare()  # otherwise the first command compiles, and the watchdog of the drive expires meanwhile
         self.drive = drive
@@ -48,7 +48,7 @@ class DriveRig:
         clock.start()
 
     def take(self, drive: Drive) -> None:
-        """Continue with another description of the same drive, from its initial state."""
+        """Continue with another description of the same drive, from the initial state."""
         self.drive = drive
         self.state = drive.initial()
 
@@ -59,16 +59,16 @@ class DriveRig:
 
     @property
     def velocity(self) -> float:
-        """Return the velocity from the last positions [rad/s]. NaN before there are enough."""
+        """Return the velocity from the last positions [rad/s], NaN while there are too few positions."""
         return (self._positions[-1] - self._positions[0]) / (SPAN * PERIOD_NS * 1e-9)
 
     def tick(self, target: DriveTarget, torque: float = 0.0, extra: Sequence[Frame] = ()) -> DriveState:
         """Run one tick and return the state after it.
 
         Args:
-            target: requested phase of the drive.
+            target: requested state of the drive.
             torque: command, used while the drive is enabled [N m].
-            extra: frames to be sent in addition.
+            extra: further frames to send.
         """
         self._clock.wait(self.k)
         for frame in self._bus.drain():
@@ -82,11 +82,14 @@ class DriveRig:
         return self.state
 
     def until(self, target: DriveTarget, reached: Callable[[DriveState], bool], for_s: float) -> bool:
-        """Tick without torque until a condition holds. Returns False after the time limit [s]."""
+        """Run ticks without torque until a condition is true.
+
+        Returns False after the time limit [s].
+        """
         return any(reached(self.tick(target)) for _ in range(math.ceil(for_s * 1e9 / PERIOD_NS)))
 
     def keep(self, target: DriveTarget, for_s: float) -> None:
-        """Tick without torque for a time [s]."""
+        """Run ticks without torque for a time [s]."""
         self.until(target, lambda state: False, for_s)
 
     def clear(self) -> None:
@@ -95,24 +98,24 @@ class DriveRig:
         self.tick(DriveTarget.POLL, extra=frames)
 
     def cut(self) -> None:
-        """Send only the frames that take the torque away."""
+        """Send only the frames that remove the torque."""
         self.tick(DriveTarget.LISTEN, extra=self.drive.cut())
 
     def release(self) -> None:
-        """Send the frames of the regular end of a run."""
+        """Send the frames for the regular end of a run."""
         self.tick(DriveTarget.LISTEN, extra=self.drive.release_frames(self.state))
 
     def rest(self) -> bool:
-        """Bring the drive to READY from any phase. Returns True if it arrived there."""
+        """Bring the drive to READY from any phase. Returns True if the drive has reached READY."""
         self.until(DriveTarget.DISABLE, lambda state: state.phase != Phase.ENABLED, 1.0)
         if self.state.phase == Phase.FAULT:
             self.clear()
         return self.until(DriveTarget.POLL, lambda state: state.phase == Phase.READY, 3.0)
 
     def confirm_off(self, watchdog_s: float) -> bool:
-        """Disable the drive and return True if it reports that it is off.
+        """Disable the drive, and return True if the drive reports off.
 
-        A drive that does not obey gets a second chance after a silence in which its watchdog expires.
+        A drive that does not obey is disabled again after a silence that lets the watchdog expire.
         """
         for silence in (0.0, 3.0 * watchdog_s + 0.2):
             self.keep(DriveTarget.LISTEN, silence)

@@ -1,4 +1,4 @@
-"""Findings about a CAN interface, each with the command that mends it."""
+"""Findings about a CAN interface, each with the command to correct the problem."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -18,14 +18,14 @@ ERRORS = {
     "bus_off": "times bus-off", "arbitration_lost": "arbitrations lost", "restarts": "restarts",
     "rx_dropped": "received frames dropped", "tx_dropped": "frames to be sent dropped",
 }  # fmt: skip
-"""Text for each counter of ``Link.counts`` that is reported."""
+"""Text for each reported counter of ``Link.counts``."""
 FULL_SPEED_HZ = 333
-"""Control rate that a hand holds behind a full-speed USB adapter [Hz].
+"""Control rate at which a hand can run over a full-speed USB adapter [Hz].
 
 Source: docs/how-to/adapters.md.
 """
 HARMLESS = {"arbitration_lost"}
-"""Counters that also rise on a healthy bus."""
+"""Names of counters that also increase on a healthy bus."""
 
 
 class LinkFinding(NamedTuple):
@@ -33,9 +33,9 @@ class LinkFinding(NamedTuple):
 
     Attributes:
         what: observation.
-        good: the observation is as it should be.
-        fix: command or advice if it is not.
-        fatal: the bus cannot be used.
+        good: True if nothing needs to be corrected.
+        fix: command or advice to correct the problem.
+        fatal: True if the bus cannot be used.
     """
 
     what: str
@@ -53,13 +53,13 @@ def absent(name: str, bitrate: int, data_bitrate: int | None) -> LinkFinding:
 
 
 def findings(name: str, link: Link, bitrate: int, data_bitrate: int | None) -> list[LinkFinding]:
-    """Judge an interface.
+    """Return the findings about an interface.
 
     Args:
-        name: of the interface.
+        name: name of the interface.
         link: state of the interface.
-        bitrate: of the hand file [bit/s].
-        data_bitrate: of the hand file [bit/s]. None for a classical bus.
+        bitrate: bit rate in the hand file [bit/s].
+        data_bitrate: bit rate of the data phase in the hand file [bit/s]. None for a classical bus.
     """
     set_up = advice(name, bitrate, data_bitrate, exists=True)
     result = [LinkFinding(f"{name} is {'up' if link.up else 'down'}", link.up, set_up, fatal=not link.up)]
@@ -75,12 +75,12 @@ def findings(name: str, link: Link, bitrate: int, data_bitrate: int | None) -> l
 
 
 def adapter_findings(name: str, adapter: Adapter | None, kind: str, others: Sequence[str]) -> list[LinkFinding]:
-    """Judge the adapter of an interface.
+    """Return the findings about the adapter of an interface.
 
     Args:
         name: name of the interface.
         adapter: adapter of the interface, None for a virtual interface.
-        kind: kind of the interface, as ``slcan``.
+        kind: kind of the interface, such as ``slcan``.
         others: other CAN interfaces with a USB adapter.
     """
     if kind == "slcan":
@@ -108,12 +108,12 @@ def adapter_findings(name: str, adapter: Adapter | None, kind: str, others: Sequ
 
 
 def _rate(what: str, has: int | None, required: int, fix: str) -> LinkFinding:
-    """Judge a bit rate [bit/s]."""
+    """Return the finding about a bit rate [bit/s]."""
     return LinkFinding(f"{what} {has or 'not set'}, the hand needs {required}", has == required, fix)
 
 
 def _controller(name: str, link: Link) -> list[LinkFinding]:
-    """Judge state, error counters and restart of a real CAN controller."""
+    """Return the findings about state, error counters, and restart of a real CAN controller."""
     if not link.state:
         return []
     restart = f"sudo ip link set {name} type can restart; " if link.state == "BUS-OFF" else ""
@@ -127,7 +127,7 @@ def _controller(name: str, link: Link) -> list[LinkFinding]:
 
 
 def _counts(link: Link) -> list[LinkFinding]:
-    """Judge the event counters of an interface."""
+    """Return the findings about the event counters of an interface."""
     counted = [f"{number} {ERRORS[key]}" for key, number in link.counts.items() if number and key in ERRORS]
     bad = any(number for key, number in link.counts.items() if key in ERRORS and key not in HARMLESS)
     fix = f"since it was made; {WIRING}; look again after a run"

@@ -1,4 +1,4 @@
-"""Round-trip time of a node: from the call that sends a harmless request to the reception of the answer."""
+"""Round-trip time of a node, from sending a request without effect on the node to receiving the answer."""
 
 import math
 import time
@@ -21,10 +21,10 @@ class RoundTrip(NamedTuple):
 
     Attributes:
         answers: number of answers.
-        asked: number of requests.
-        shortest: round-trip time [s]. NaN without an answer, as the next two.
-        median: round-trip time [s].
-        longest: round-trip time [s].
+        asked: number of requests sent.
+        shortest: shortest round-trip time [s], NaN without an answer.
+        median: median round-trip time [s], NaN without an answer.
+        longest: longest round-trip time [s], NaN without an answer.
         twice: number of requests with more than one answer. A second drive with the same number answers too.
     """
 
@@ -37,7 +37,7 @@ class RoundTrip(NamedTuple):
 
     @property
     def twins(self) -> bool:
-        """Return True if most requests had more than one answer."""
+        """Return True if most requests had more than one answer, as from two drives with one number."""
         return self.twice > self.asked / 2
 
 
@@ -52,7 +52,10 @@ def round_trip(bus: Bus, node: DiscoveredNode, times: int = TIMES) -> RoundTrip:
 
 
 def _once(bus: Bus, node: DiscoveredNode) -> tuple[float | None, bool]:
-    """Return the time to the answer [s], None if no answer arrives, and True if a second answer follows."""
+    """Send a request, and return the time to the answer [s] and True if a second answer follows.
+
+    The time is None if no answer arrives.
+    """
     discovery = DISCOVERIES[node.protocol]
     bus.drain()  # a late reply to the request before must not count
     start = time.perf_counter()

@@ -1,6 +1,8 @@
-"""Scan of one bus for drives. It listens first, and asks only if no other host is active on the bus.
+"""Scan of a bus for drives.
 
-No frame that the scan sends is a command.
+The scan listens first, and sends requests only if no other host is active on the bus.
+
+No frame sent by the scan is a command.
 """
 
 import time
@@ -13,17 +15,20 @@ from handctl.drives.registry import DISCOVERIES
 from handctl.runtime.buses.contract import Bus
 
 BURST = 4
-"""Frames that are sent at once. An interface may queue as few as 10 frames."""
+"""Largest number of frames sent together. The queue of an interface may have only 10 frames."""
 PAUSE_S = 0.003
 """Pause after a burst [s]."""
 TRIES = 50
-"""Tries for a frame that the interface refuses."""
+"""Number of attempts to send a frame refused by the interface."""
 
 
 STRAY = 1
-"""Frames of another host that are ignored. They may be the last ones of a host that has just ended."""
+"""Number of frames from another host to ignore.
+
+A host that has just ended may have sent such frames.
+"""
 Listen = Callable[[Bus, float, list[Frame]], None]
-"""Function that collects the frames that arrive on a bus during a time [s]."""
+"""Function that collects the frames received on a bus during a time [s]."""
 
 
 class Scan(NamedTuple):
@@ -31,9 +36,9 @@ class Scan(NamedTuple):
 
     Attributes:
         found: drives, by protocol and number.
-        foreign: frames of another host. If there are any, the scan has sent no request.
-        omitted: requests that were omitted because a present drive would have taken them as commands.
-        events: of the bus during the scan.
+        foreign: received frames from another host. With such frames the scan has sent no request.
+        omitted: requests not sent, because a drive on the bus would have obeyed them as commands.
+        events: events of the bus during the scan.
         frames: number of received frames.
     """
 
@@ -45,7 +50,7 @@ class Scan(NamedTuple):
 
 
 def listen(bus: Bus, for_s: float, seen: list[Frame]) -> None:
-    """Append the frames that arrive during a time [s] to ``seen``."""
+    """Append the frames received during a time [s] to ``seen``."""
     end = time.monotonic() + for_s
     while True:
         seen += bus.drain()
@@ -58,13 +63,13 @@ def listen(bus: Bus, for_s: float, seen: list[Frame]) -> None:
 def scan(
     bus: Bus, force: bool = False, report: Callable[[str], None] = lambda text: None, listen: Listen = listen
 ) -> Scan:
-    """Scan a bus for drives, in some two seconds.
+    """Scan a bus for drives, in about two seconds.
 
     Args:
         bus: open bus.
         force: send requests although another host seems to be active.
-        report: called with a text about each step.
-        listen: lets time pass on the bus.
+        report: function to call with a text about each step.
+        listen: function to collect frames during a time, see ``Listen``.
     """
     seen: list[Frame] = []
     omitted: list[Frame] = []
@@ -86,15 +91,15 @@ def scan(
 
 
 def all_questions() -> tuple[Frame, ...]:
-    """Return the requests that a scan sends on a bus without any answer."""
+    """Return the requests sent by a scan on a bus without any answer."""
     return tuple(frame for turn in ROUNDS for frame in _requests(turn, [], []))
 
 
 def _requests(turn: int, seen: list[Frame], omitted: list[Frame]) -> list[Frame]:
-    """Return the requests of all protocols in a round.
+    """Return the requests of all protocols in a round of the scan.
 
-    Requests that a present drive of another protocol would take as commands are omitted. They are
-    appended to ``omitted``.
+    A request that a drive of another protocol on the bus would obey as a command is appended to
+    ``omitted`` instead.
     """
     requests: list[Frame] = []
     for name, discovery in DISCOVERIES.items():
@@ -105,15 +110,15 @@ def _requests(turn: int, seen: list[Frame], omitted: list[Frame]) -> list[Frame]
 
 
 def _commands_of_others(name: str, seen: list[Frame]) -> list[frozenset[int]]:
-    """Return the command identifiers of each present drive that has another protocol than ``name``."""
+    """Return the command identifiers of each discovered drive with another protocol than ``name``."""
     others = (discovery for other, discovery in DISCOVERIES.items() if other != name)
     return [discovery.command_ids(node) for discovery in others for node in discovery.nodes(seen)]
 
 
 def _foreign(seen: list[Frame]) -> tuple[Frame, ...]:
-    """Return the frames of another host.
+    """Return the received frames from another host.
 
-    An identifier that belongs to a present drive of another protocol does not count as foreign.
+    Identifiers of discovered drives with another protocol do not count as foreign.
     """
     foreign: list[Frame] = []
     for name, discovery in DISCOVERIES.items():
@@ -123,7 +128,10 @@ def _foreign(seen: list[Frame]) -> tuple[Frame, ...]:
 
 
 def _send(bus: Bus, frame: Frame, seen: list[Frame], listen: Listen) -> bool:
-    """Send a frame with pauses and listen meanwhile. Returns False if the interface refused it."""
+    """Send a frame, with pauses in which frames are received.
+
+    Returns False if the interface refused it.
+    """
     for _ in range(TRIES):
         if bus.send((frame,)):
             listen(bus, PAUSE_S / BURST, seen)

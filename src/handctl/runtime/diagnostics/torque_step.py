@@ -1,7 +1,8 @@
-"""Torque-step test of a shaft: turn it a little and bring it to rest, by torques below a limit.
+"""Torque-step test: turn a shaft a little and bring the shaft to rest, with torques below a limit.
 
-The test also measures the inertia of the shaft. A free shaft of 1e-4 kg m2 is fast. A brake with a gain
-that ignores the inertia would make it oscillate, because the measured velocity is some 30 ms old.
+The test also measures the inertia of the shaft. A free shaft with an inertia of 1e-4 kg m2
+accelerates fast. Braking with a gain independent of the inertia would make the shaft oscillate,
+because the measured velocity is about 30 ms old.
 """
 
 import math
@@ -13,11 +14,11 @@ from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 PERIOD_S = PERIOD_NS * 1e-9
 """Period of a tick [s]."""
 MOVED_RAD = 0.05
-"""Angle that counts as a motion [rad]."""
+"""Smallest angle that counts as a motion [rad]."""
 RAMP_S = 1.0
 """Duration of the ramp to the torque limit [s]."""
 COAST_TICKS = 12
-"""Ticks after a push until the measured velocity shows the whole effect of the push."""
+"""Number of ticks until the measured velocity shows the whole effect of a torque pulse."""
 STILL_RAD_S = 0.1
 """Largest velocity of a shaft at rest [rad/s]."""
 BRAKE_S = 4.0
@@ -30,10 +31,11 @@ class TorqueStep(NamedTuple):
     """Response of a shaft to a torque ramp.
 
     Attributes:
-        moved: angle in the direction of the torque, less the angle that the shaft would have coasted [rad].
-        torque: last command [N m].
-        reported: torque that the drive reported then [N m].
-        enabled: the drive was enabled to the end.
+        moved: angle in the direction of the torque, minus the angle of coasting without torque
+            [rad].
+        torque: last commanded torque [N m].
+        reported: torque reported by the drive at the end of the ramp [N m].
+        enabled: True if the drive was enabled until the end.
     """
 
     moved: float
@@ -43,11 +45,11 @@ class TorqueStep(NamedTuple):
 
 
 def torque_step(rig: DriveRig, sign: int, limit: float) -> TorqueStep:
-    """Raise the torque until the shaft has moved by MOVED_RAD in either direction, or to the limit. Then coast.
+    """Raise the torque until the shaft has moved by MOVED_RAD or the limit is reached. Then coast.
 
     Args:
-        rig: of an enabled drive.
-        sign: of the torque.
+        rig: rig with an enabled drive.
+        sign: sign of the torque.
         limit: largest torque [N m].
     """
     start = rig.state.position
@@ -75,12 +77,12 @@ def torque_step(rig: DriveRig, sign: int, limit: float) -> TorqueStep:
 
 
 def brake(rig: DriveRig, limit: float) -> bool:
-    """Bring the shaft to rest and return True if it rests.
+    """Brake the shaft, and return True if the shaft is at rest.
 
     Without a measured inertia the function waits until friction has stopped the shaft.
 
     Args:
-        rig: of an enabled drive.
+        rig: rig with an enabled drive.
         limit: largest torque [N m].
     """
     gain = rig.inertia / SLOWING_S if math.isfinite(rig.inertia) else 0.0
