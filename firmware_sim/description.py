@@ -3,7 +3,7 @@
 import importlib.util
 import re
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -90,6 +90,8 @@ class TendonSpec:
         knee_width: width of the transition [m].
         friction: capstan friction coefficient.
         wrap: wrap angle before the first joint [rad].
+        pretension: tension of both tendons of a spool pair at rest [N], 0 for a single tendon.
+        winding: 1 if a positive spool angle winds the tendon, -1 if it pays the tendon out.
     """
 
     name: str
@@ -102,6 +104,14 @@ class TendonSpec:
     knee_width: float
     friction: float
     wrap: float
+    pretension: float = 0.0
+    winding: int = 1
+
+    @property
+    def antagonist(self) -> "TendonSpec":
+        """Return the second tendon of a spool pair: opposite winding and opposite arms."""
+        arms = {joint: -arm for joint, arm in self.arms.items()}
+        return replace(self, name=f"{self.name}_antagonist", arms=arms, winding=-self.winding)
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,7 +203,7 @@ class Hand:
         bitrates: nominal bit rate and bit rate of the data phase of each bus [bit/s], 0 without CAN
             FD.
         digits: digits.
-        tendons: tendons.
+        tendons: tendons, the first one of each spool pair.
         motors: motors.
         sensors: sensor node, None without.
     """
@@ -210,6 +220,16 @@ class Hand:
     def carried_by(self, carrier: str) -> list[Digit]:
         """Return the digits on the last link of another digit, or on the palm for an empty name."""
         return [digit for digit in self.digits if digit.carrier == carrier]
+
+    @property
+    def pairs(self) -> list[TendonSpec]:
+        """Return the first tendon of each spool pair."""
+        return [tendon for tendon in self.tendons if tendon.pretension]
+
+    @property
+    def every_tendon(self) -> list[TendonSpec]:
+        """Return all tendons: after ``tendons`` the second one of each spool pair."""
+        return [*self.tendons, *(tendon.antagonist for tendon in self.pairs)]
 
     @property
     def closing(self) -> list[Digit]:
@@ -368,6 +388,7 @@ def _tendon(raw: dict[str, Any]) -> TendonSpec:
         knee_width=raw["knee_width_m"],
         friction=raw["friction_coefficient"],
         wrap=raw["wrap_angle_rad"],
+        pretension=raw.get("pretension_N", 0.0),
     )
 
 

@@ -56,6 +56,7 @@ def columns(plant: Plant) -> list[tuple[str, str]]:
         named += [("support", "m")]
     if plant.load:
         named += [("load", "N"), *[(f"normal/{digit.name}", "N") for digit in hand.digits]]
+    named += [(f"tension/{pair.name}/{part}", "N") for pair in hand.pairs for part in ("first", "second")]
     return named
 
 
@@ -112,6 +113,7 @@ class TruthWriter:
                 engine.object_speed(),
                 *((plant.table.depth,) if plant.can_sink and plant.table else ()),
                 *plant.measured_grip(),
+                *plant.pair_tensions(),
             )
         )
         if len(self._buffered) >= _ROWS_BUFFERED:

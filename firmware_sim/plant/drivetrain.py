@@ -107,7 +107,7 @@ def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> N
 def _apply_tendon(tendon: Any, joints: Any, arms: Any, rotor: Any, q: Any, dq: Any, torque: Any) -> None:
     """Add the joint torques of a tendon to ``torque`` [N m].
 
-    Sets tension, speed and slope of the tendon, and the load of its rotor.
+    Sets tension, speed and slope of the tendon, and adds to the load of its rotor.
     """
     stretch = tendon.radius * rotor.theta - tendon.extra_length
     speed = 0.0
@@ -125,7 +125,7 @@ def _apply_tendon(tendon: Any, joints: Any, arms: Any, rotor: Any, q: Any, dq: A
     if tension > 0.0:
         tendon.tension = tension
         _add_friction(tendon, joints, arms, q, torque)
-    rotor.load = tendon.radius * tendon.tension
+    rotor.load += tendon.radius * tendon.tension
 
 
 @inner
@@ -267,16 +267,20 @@ def step_drivetrain(
     """
     for i in range(len(torque)):
         torque[i] = 0.0
+    for i in range(len(rotors)):
+        rotors[i].load = 0.0
     for i in range(len(tendons)):
         tendon = tendons[i]
-        rotor = rotors[tendon.motor]
-        _apply_tendon(tendon, joints, arms, rotor, q, dq, torque)
+        # Two antagonistic tendons of one spool pull against each other: their loads have opposite signs.
+        _apply_tendon(tendon, joints, arms, rotors[tendon.motor], q, dq, torque)
+        _compensate_damping(tendon, joints, arms, torque)
+        damping[i] = tendon.slope
+    for i in range(len(rotors)):
+        rotor = rotors[i]
         if all_rotors or rotor.steps_alone == 0:
             measure_angle(rotor)
             compute_command(rotor)
             integrate(rotor)
-        _compensate_damping(tendon, joints, arms, torque)
-        damping[i] = tendon.slope
 
 
 @inner

@@ -62,7 +62,7 @@ def model_text(hand: Hand, scene: Scene) -> str:
     scene_bodies = (_grasp_object(scene.grasp_object) if scene.grasp_object else "") + (
         _table(scene.grasp_object, scene.support) if scene.grasp_object else ""
     )
-    tendons = "".join(_tendon(tendon) for tendon in hand.tendons)
+    tendons = "".join(_tendon(tendon) for tendon in hand.every_tendon)
     sensors = "".join(_contact(hand, digit) for digit in hand.digits)
     if scene.load:
         sensors += "".join(_normal(hand, digit) for digit in hand.digits)

@@ -37,7 +37,7 @@ class Plant:
         scene: object and support.
         engine: rigid bodies and contact.
         motors: rotors by motor name.
-        tendons: pairs of tendon and its rotor.
+        tendons: every tendon with its rotor, in the order of ``Hand.every_tendon``.
         table: table under the object, None without support.
         load: growing force on the object, None in most scenes.
         stages: events after the grasp, None in most scenes.
@@ -77,6 +77,9 @@ class Plant:
             self._rotors, rotors = motor_rows(hand.motors, STEP_S)
         else:
             self._rotors = rotors = [Motor(motor, STEP_S) for motor in hand.motors]
+        # Index of each spool pair's second tendon by that of the first.
+        firsts = [i for i, spec in enumerate(hand.tendons) if spec.pretension]
+        self._antagonist = {i: len(hand.tendons) + place for place, i in enumerate(firsts)}
         self.motors = {spec.name: motor for spec, motor in zip(hand.motors, self._rotors, strict=True)}
         routing = self._routing(compiled)
         self.tendons = [(tendon, self._rotors[tendon.motor]) for tendon in routing.tendons]
@@ -108,7 +111,7 @@ class Plant:
             if spec.motor not in motors or unknown:
                 wrong = ", ".join(sorted(unknown)) or spec.motor
                 raise SimulatorError(f"hand {hand.name}: {spec.name}: no such motor or joint: {wrong}")
-        return Routing(hand.tendons, hand.joints, motors, [motor.spool_radius for motor in hand.motors], compiled)
+        return Routing(hand.every_tendon, hand.joints, motors, [motor.spool_radius for motor in hand.motors], compiled)
 
     def _table(self, support: Support, compiled: bool) -> SupportTable:
         """Build the table. With compiled kernels it reads the contact forces in the engine's memory."""
@@ -123,9 +126,13 @@ class Plant:
     def _slacken(self, seed: int) -> None:
         """Unwind each spool by a random slack."""
         rng = random.Random(f"slack {seed}")
-        for tendon, motor in self.tendons:
-            # A negative angle is unwound.
-            motor.theta = -rng.uniform(*SLACK_M) / tendon.radius
+        for i, (spec, (tendon, motor)) in enumerate(zip(self.hand.tendons, self.tendons, strict=False)):
+            wound = -rng.uniform(*SLACK_M)  # A negative angle is unwound.
+            motor.theta = wound / tendon.radius
+            if spec.pretension:
+                # A spool pair is taut. It was mounted with the spool at this angle.
+                tendon.extra_length += wound
+                self.tendons[self._antagonist[i]][0].extra_length -= wound
 
     @property
     def can_sink(self) -> bool:
@@ -287,5 +294,14 @@ class Plant:
         return self._tensions
 
     def tensions(self) -> list[float]:
-        """Return the present tension of each tendon at its load cell [N]."""
-        return [float(tension) for tension in self.cells().tolist()]
+        """Return the present tension of each tendon at its load cell [N], the net tension of a spool pair."""
+        single = self.cells().tolist()
+        net = [float(tension) for tension in single[: len(self.hand.tendons)]]
+        for i, antagonist in self._antagonist.items():
+            net[i] -= single[antagonist]
+        return net
+
+    def pair_tensions(self) -> list[float]:
+        """Return the tensions of the first and the second tendon of each spool pair, one after the other [N]."""
+        single = self.cells().tolist()
+        return [float(single[i]) for pair in self._antagonist.items() for i in pair]

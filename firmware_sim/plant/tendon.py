@@ -19,7 +19,7 @@ class Tendon:
         speed: speed towards the spool in the last step, positive when the digit closes [m/s].
         slope: damping plus friction divided by speed, for the implicit integrator [N s/m].
         extra_length: length beyond the described length [m].
-        radius: radius of the spool [m].
+        radius: radius of the spool [m], negative if a positive spool angle pays the tendon out.
         stiffness: stiffness up to the knee [N/m].
         after_knee: stiffness far beyond the knee [N/m].
         knee: tension of the knee [N].
@@ -44,9 +44,11 @@ class Tendon:
             motor: row of its rotor.
             spool_radius: radius of the spool [m].
         """
-        self.tension = self.speed = self.slope = self.extra_length = 0.0
+        self.tension = self.speed = self.slope = 0.0
+        # The pretension of a spool pair is below the knee.
+        self.extra_length = -spec.pretension / spec.stiffness if spec.pretension else 0.0
         self.motor = motor
-        self.radius = spool_radius
+        self.radius = spec.winding * spool_radius
         self.stiffness = spec.stiffness
         self.damping = spec.damping
         self.after_knee = spec.stiffness * spec.after_knee_ratio

@@ -5,7 +5,8 @@ Therefore an envelope bounds the motor force of each tendon. No measurement can 
 
     e[k] = max(min(u[k-1], floor), u[k-1] - rate T)      0 <= u[k] <= e[k]
 
-with the commanded motor force u at the tendon [N]. T is the period. The envelope begins at the last
+with the commanded motor force u at the tendon [N]. T is the period. For a spool pair u is the size of
+the force, and the direction stays. The envelope begins at the last
 command, or at the present tension if the tension is smaller. The tension loop may only go below the
 envelope. After a fault of the loop (``Release.OPEN``) u[k] = e[k]. The command of a motor that
 brakes at the start of relaxing goes to zero.
@@ -49,22 +50,30 @@ def begin_relaxing(model: HandModel, state: State) -> None:
     table = state.tendon
     whole = state.tendon_int
     in_tension_loop = np.array([state.progress.goals[d].kind == Kind.TENSION for d in model.digit_of])
-    present = np.maximum(table[s.TENSION], model.relaxed) + SETPOINT_MARGIN_N
+    # A spool pair may pull either way: all sizes are in the direction of the last command.
+    sign = np.where(model.is_pair & (table[s.COMMANDED_FORCE] < 0.0), -1.0, 1.0)
+    present = np.maximum(sign * table[s.TENSION], model.relaxed) + SETPOINT_MARGIN_N
+    setpoint = sign * table[s.SETPOINT]
     # A tendon whose digit follows a position goal has no setpoint that leads its tension.
-    setpoint = np.where(in_tension_loop, np.minimum(table[s.SETPOINT], present), table[s.SETPOINT])
-    start = np.minimum(setpoint, np.maximum(table[s.FORCE], 0.0) + START_MARGIN_N)
+    setpoint = np.where(in_tension_loop, np.minimum(setpoint, present), setpoint)
+    start = np.minimum(setpoint, np.maximum(sign * table[s.FORCE], 0.0) + START_MARGIN_N)
     goals = tuple(
-        DigitGoal(Kind.TENSION, tension=np.minimum(start[tendons], model.relaxed[tendons]), rate=relax_rate(state))
+        DigitGoal(Kind.TENSION, tension=_relaxed_goal(model, start)[tendons], rate=relax_rate(state))
         for tendons in model.digit_tendons
     )
     state.decide(progress=replace(state.progress, goals=goals))
-    table[s.SETPOINT] = start
+    table[s.SETPOINT] = sign * start
     # COMMANDED_FORCE is the commanded motor force, which the envelope starts from in the next tick.
-    table[s.COMMANDED_FORCE] = _envelope_start(model, state, present)
+    table[s.COMMANDED_FORCE] = _envelope_start(model, state, sign, present)
     whole[s.GOAL_KIND] = int(Kind.TENSION)
 
 
-def _envelope_start(model: HandModel, state: State, present: Vector) -> Vector:
+def _relaxed_goal(model: HandModel, start: Vector) -> Vector:
+    """Return (N,) tensions of the relaxed hand [N], not above the setpoints (N,) at the start."""
+    return np.where(model.is_pair, 0.0, np.minimum(start, model.relaxed))
+
+
+def _envelope_start(model: HandModel, state: State, sign: Vector, present: Vector) -> Vector:
     """Return (N,) motor force at the start of the envelope [N]: the last command or a smaller force.
 
     An unstable loop may have commanded 100 N for a tendon with a tension of 10 N. The envelope then
@@ -73,22 +82,28 @@ def _envelope_start(model: HandModel, state: State, present: Vector) -> Vector:
     Args:
         model: the hand.
         state: state at the start of relaxing.
-        present: (N,) tension with a margin [N].
+        sign: (N,) direction of the commanded force.
+        present: (N,) tension in this direction with a margin [N].
     """
     commanded = np.nan_to_num(state.tendon[s.COMMANDED_FORCE], nan=0.0)
     if any(mark.id in LOAD_CELL_FAULTS for mark in state.latched):
         return np.asarray(commanded)
-    return np.minimum(commanded, present + model.space.coulomb)
+    return sign * np.minimum(sign * commanded, present + model.space.coulomb)
 
 
 def commands_relaxed(model: HandModel, state: State) -> bool:
     """Return True if every motor command is at most the tension of a relaxed tendon."""
-    return not np.any(state.tendon[s.COMMANDED_FORCE] > model.relaxed + RELAXED_WITHIN_N)
+    return not np.any(_sizes(model, state.tendon[s.COMMANDED_FORCE]) > model.relaxed + RELAXED_WITHIN_N)
 
 
 def tensions_relaxed(model: HandModel, state: State) -> bool:
     """Return True if every tendon is relaxed."""
-    return bool(np.all(state.tendon[s.TENSION] < model.relaxed + RELAXED_WITHIN_N))
+    return bool(np.all(_sizes(model, state.tendon[s.TENSION]) < model.relaxed + RELAXED_WITHIN_N))
+
+
+def _sizes(model: HandModel, values: Vector) -> Vector:
+    """Return (N,) tensions, without the sign of those of spool pairs."""
+    return np.where(model.is_pair, np.abs(values), values)
 
 
 def update_relax_rate(state: State) -> None:

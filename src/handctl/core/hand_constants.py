@@ -91,6 +91,8 @@ def _motors(model: HandModel) -> dict[str, object]:
         "relaxed": model.relaxed,
         "blind": model.blind_margin,
         "balance": model.redundancy.balance,
+        "pair": model.is_pair,
+        "pretension": model.hand.pretension,
         "sprung": model.redundancy.sprung,
         "redundant": model.redundancy.surplus,
         "absolute": ~model.redundancy.sprung & ~model.hand.covered,
@@ -114,7 +116,7 @@ def _law(model: HandModel) -> dict[str, object]:
     half = 0.5 * model.period / space.motor_mass
     return {
         "limit": limit,
-        "unwind": -UNWIND_FRACTION * limit,
+        "unwind": np.where(model.is_pair, -1.0, -UNWIND_FRACTION) * limit,
         "mass": space.motor_mass + space.load_mass,
         "inertia": motion.inertia_share * space.motor_mass,
         "error_gain": model.motion.stiffness,

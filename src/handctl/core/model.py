@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from handctl.core.estimation.filter_design import design_filter
@@ -46,8 +47,8 @@ class HandModel:
         pulley_weights: (N, J) fraction of each pulley in a tendon's moment arms.
         friction: (N,) capstan coefficient.
         wrap: (N,) wrap angle before the first joint pulley [rad].
-        floor: (N,) smallest tension at the load cell [N].
-        ceiling: (N,) largest tension at the load cell [N].
+        floor: (N,) smallest tension at the load cell [N], minus the ceiling for a spool pair.
+        ceiling: (N,) largest tension at the load cell [N], of the net tension for a spool pair.
         torque_limit: (N,) largest motor torque the host may command [N m].
         redundancy: directions of the tendons, and tensions that hold each other.
         tree: all links of the hand.
@@ -104,6 +105,7 @@ class HandModel:
         )
         floor = np.array([tendon.tension_floor_N for tendon in tendons]) + np.where(held, margin, 0.0)
         ceiling = np.array([tendon.tension_max_N for tendon in tendons]) - margin
+        floor = np.where(hand.is_pair, -ceiling, floor)
         return HandModel(
             hand=hand,
             gains=gains,
@@ -124,7 +126,7 @@ class HandModel:
             floor=floor,
             ceiling=ceiling,
             torque_limit=_torque_limit(hand, torque_gain),
-            redundancy=redundancy(digits, floor, ceiling),
+            redundancy=redundancy(digits, floor, ceiling, hand.is_pair),
             tree=HandTree.of(hand, digits),
             blind_margin=margin,
             torque_gain=torque_gain,
@@ -137,8 +139,17 @@ class HandModel:
 
     @property
     def relaxed(self) -> Vector:
-        """Return the tensions (N,) of a relaxed hand [N]. Tendons that hold each other keep their balance."""
-        return np.where(self.redundancy.balance > 0.0, self.redundancy.balance, RELAX_FLOOR_N)
+        """Return the tensions (N,) of a relaxed hand [N].
+
+        Tendons that hold each other keep their balance. A spool pair has no net tension.
+        """
+        single = np.where(self.redundancy.balance > 0.0, self.redundancy.balance, RELAX_FLOOR_N)
+        return np.where(self.is_pair, 0.0, single)
+
+    @property
+    def is_pair(self) -> NDArray[np.bool_]:
+        """Return True for each spool pair, (N,)."""
+        return self.hand.is_pair
 
     @property
     def coordinate_count(self) -> int:

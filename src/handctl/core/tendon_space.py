@@ -70,8 +70,9 @@ def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
         motor_mass=inertia / spool**2,
         motor_damping=np.array([motors[tendon.motor].viscous_N_m_s_per_rad for tendon in tendons]) / spool**2,
         coulomb=np.array([motors[tendon.motor].coulomb_N_m for tendon in tendons]) / spool,
-        stiffness=np.array([tendon.stiffness_N_per_m for tendon in tendons]),
-        damping=np.array([tendon.damping_N_s_per_m for tendon in tendons]),
+        # Both tendons of a spool pair resist a stretch while both are taut.
+        stiffness=np.array([tendon.stiffness_N_per_m for tendon in tendons]) * np.where(hand.is_pair, 2.0, 1.0),
+        damping=np.array([tendon.damping_N_s_per_m for tendon in tendons]) * np.where(hand.is_pair, 2.0, 1.0),
         load_mass=load[0],
         load_stiffness=load[1],
         load_damping=load[2],

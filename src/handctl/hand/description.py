@@ -16,7 +16,8 @@ from handctl.hand.file.toml_text import toml_text
 
 LATER_KEYS = ("joint_rated_torque_N_m", "joint_axis", "joint_rpy_deg", "mount_on")
 """Keys of a digit that came later. ``content`` has them only where the file has them."""
-
+LATER_TENDON_KEYS = ("pretension_N",)
+"""The same, of a tendon."""
 NO_SENSORS: dict[str, Any] = {
     "sync_id": 0x080, "base_id": 0x1A0, "tendons": (), "joints": (), "joint_decimation": 1,
     "tension_noise_N": 0.5, "tension_bias_drift_N": 0.0, "joint_noise_rad": 1e-3,
@@ -66,6 +67,16 @@ class Hand(Section):
     def has_cell(self) -> NDArray[np.bool_]:
         """Return True for each tendon with a load cell, (N,)."""
         return np.array([name in self.sensor_node.tendons for name in self.tendon_names])
+
+    @cached_property
+    def is_pair(self) -> NDArray[np.bool_]:
+        """Return True for each spool pair: two antagonistic tendons on one spool, (N,)."""
+        return np.array([tendon.pretension_N is not None for tendon in self.tendon])
+
+    @cached_property
+    def pretension(self) -> NDArray[np.float64]:
+        """Return the pretension of each spool pair, 0 for a single tendon, (N,) [N]."""
+        return np.array([tendon.pretension_N or 0.0 for tendon in self.tendon])
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
@@ -153,10 +164,11 @@ class Hand(Section):
     def content(self) -> dict[str, Any]:
         """Return the resolved content as plain values, with defaults, and with the keys of the file."""
         content = self.model_dump(by_alias=True, mode="python")
-        for digit in content["digit"]:
-            for key in LATER_KEYS:
-                if digit[key] is None:  # hands without the key keep their identity
-                    del digit[key]
+        for kind, keys in (("digit", LATER_KEYS), ("tendon", LATER_TENDON_KEYS)):
+            for section in content[kind]:
+                for key in keys:
+                    if section[key] is None:  # hands without the key keep their identity
+                        del section[key]
         if self.stream == StreamLimits():  # a section that came later, too
             del content["stream"]
         return content

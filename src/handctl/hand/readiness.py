@@ -75,6 +75,8 @@ def coordinate_range_deg(digit: Digit) -> tuple[Vector, Vector]:
 def _check_opening(hand: Hand, digit: Digit) -> Iterator[Mistake]:
     """Check that springs open each coordinate of a digit against the tension floor, or that antagonists do."""
     tendons = hand.digit_tendons[digit.name]
+    if hand.is_pair[tendons].any():
+        return  # a spool pair pulls both ways
     coupling = np.eye(len(digit.joints)) if digit.coupling is None else np.array(digit.coupling)
     arms = hand.moment_arms[tendons, hand.digit_joints[digit.name]] @ coupling
     floor = np.array([tendon.tension_floor_N for tendon in hand.tendon[tendons]])

@@ -381,7 +381,7 @@ def _hold_goals(model: HandModel, i: int, more: Vector) -> tuple[DigitGoal, ...]
     press = PRESS_FACTOR * PULL_N * np.maximum(arms, 0.0).max(axis=0)
     torque = digit.coupling.T @ np.asarray(static_torque(digit, digit.joint_min)) - press
     tension = allocate(arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
-    limit = float(tension.max()) + PULL_FORCE_LIMIT_N
+    limit = float(np.abs(tension).max()) + PULL_FORCE_LIMIT_N
     goal = DigitGoal(Kind.TENSION, tension=tension + more[tendons], rate=20.0, force_limit=limit)
     return tuple(goal if d == held else DigitGoal() for d in range(len(model.digits)))
 

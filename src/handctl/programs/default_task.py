@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from handctl.core.law.redundancy import SIDEWAYS
 from handctl.document import validated
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
@@ -18,8 +19,6 @@ CLOSED = 0.85
 """Angle of a closed coordinate per largest angle. A digit without an object stops before its joints do."""
 LARGEST_CLOSED_DEG = 120.0
 """Largest angle of a closed coordinate [deg]."""
-SIDEWAYS = 0.5
-"""Opening per closing range from which a coordinate counts as sideways motion, which stays at 0."""
 HOLD = 0.3
 """Tension of a hold per ``tension_max_N``, if as many digits close from one side as from the other."""
 LARGEST_HOLD = 0.7

@@ -262,8 +262,10 @@ class TaskProgram:
                 contact[d] = True
                 # A digit that pulls harder than the contact tension keeps its tension.
                 start = pull_tensions(model, d, phase.contact_tension_N)
-                closes = model.redundancy.side[tendons] > 0.0
-                start = np.where(closes, np.maximum(estimate.tension[tendons], start), start)
+                side = model.redundancy.side[tendons]
+                pulled = np.maximum(side * estimate.tension[tendons], side * start)
+                closes = np.where(model.is_pair[tendons], side != 0.0, side > 0.0)
+                start = np.where(closes, side * pulled, start)
                 goals[d] = DigitGoal(
                     Kind.TENSION, tension=start, rate=model.gains.tension.rate_N_per_s
                 )

@@ -133,7 +133,8 @@ def _answer(model: HandModel, grip: Grip, plan: GripPlan, opening: Vector, t: fl
     grip = grip._replace(ready=t + PAUSE_S)
     moved = f"{digit} is pushed open, {1e6 * opening[worst]:.0f} um of tendon"
     # The tendon with the most room decides, all tendons rise by the same factor.
-    room = np.where(model.redundancy.side > 0.0, plan.limit / grip.tension, np.nan)
+    closing = model.redundancy.side > 0.0
+    room = plan.limit[closing] / grip.tension[closing]
     max_factor = float(np.nanmax(np.append(room, 1.0)))
     if grip.raised < max_factor:
         grip = grip._replace(raised=min(grip.raised * STEP, max_factor))

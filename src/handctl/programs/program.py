@@ -109,26 +109,34 @@ def _tightened(model: HandModel, tendons: slice) -> Vector:
     """Return tensions (n_t,) of a digit that take up slack [N], without torque if the tendons hold each other."""
     balance = model.redundancy.balance[tendons]
     least = model.floor[tendons] + TIGHTEN_MARGIN_N
+    least = np.where(model.is_pair[tendons], 0.0, least)  # a spool pair is taut by its pretension
     return np.asarray(balance * (least / balance).max() if balance.all() else least)
 
 
 def pull_tensions(model: HandModel, d: int, tension: float | tuple[float, ...]) -> Vector:
     """Return tensions (n_t,) of digit d under tension control [N].
 
-    Tendons that close the digit have the given tension. Their antagonists have the balance. With a
+    Tendons that close the digit have the given tension. Their antagonists have the balance. A spool
+    pair pulls in the direction that closes, and not at all if it moves the digit sideways. With a
     tension for each tendon all have theirs.
     """
     if isinstance(tension, tuple):
         return np.array(tension)
     tendons = model.digit_tendons[d]
-    opens = model.redundancy.surplus[tendons] & (model.redundancy.side[tendons] < 0.0)
-    return np.where(opens, model.redundancy.balance[tendons], tension)
+    side = model.redundancy.side[tendons]
+    opens = model.redundancy.surplus[tendons] & (side < 0.0)
+    single = np.where(opens, model.redundancy.balance[tendons], tension)
+    return np.where(model.is_pair[tendons], side * tension, single)
 
 
 def released_tensions(model: HandModel, d: int, tension: float) -> Vector:
-    """Return tensions (n_t,) of a released digit d [N]: the given tension, or the balance of antagonists."""
-    balance = model.redundancy.balance[model.digit_tendons[d]]
-    return balance if balance.all() else np.full(len(balance), tension)
+    """Return tensions (n_t,) of a released digit d [N]: the given tension, or the balance of antagonists.
+
+    A spool pair has no net tension then.
+    """
+    tendons = model.digit_tendons[d]
+    balance = model.redundancy.balance[tendons]
+    return balance if balance.all() else np.where(model.is_pair[tendons], 0.0, tension)
 
 
 def slack_tendons(model: HandModel, estimate: Estimate) -> list[str]:

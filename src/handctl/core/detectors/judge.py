@@ -74,7 +74,7 @@ def remember(x: Tables, c: ConstantTables) -> None:
     tared = x.run_int[s.TARED] == 1
     slip.update(x, c, tared)
     residuals.update(x, c, missed, tared)
-    slack.update(x)
+    slack.update(x, c)
     stuck.update(x, c, tared)
     correlation.update(x, c, missed)
     replays.update(x, tared)

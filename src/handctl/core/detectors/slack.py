@@ -15,12 +15,16 @@ LATE_READING_S = 0.08
 
 
 @inner
-def update(x: Tables) -> None:
-    """Update the history under torque."""
+def update(x: Tables, c: ConstantTables) -> None:
+    """Update the history under torque. Tensions of a spool pair count in the direction of the command."""
     x.run_int[s.CUT_TICKS] = -1
     for n in range(x.tendon.shape[1]):
         tension = x.tendon[s.RESIDUAL + TENSION, n]
         commanded = x.tendon[s.COMMANDED_TENSION, n]
+        pair = c.tendon_int[h.PAIR, n] == 1
+        if pair and commanded < 0.0:
+            tension = -tension
+            commanded = -commanded
         # No tension is commanded: forget the history, no tendon may be called snapped.
         if math.isnan(commanded):
             x.tendon_int[s.TAUT_AGO, n] = -1
@@ -33,7 +37,7 @@ def update(x: Tables) -> None:
             loose = tension < SLACK_N and commanded > TAUT_N
             x.tendon_int[s.SLACK_TICKS, n] = x.tendon_int[s.SLACK_TICKS, n] + 1 if loose else 0
         is_taut = tension > TAUT_N or (x.tendon_int[s.IS_TAUT, n] == 1 and tension > SLACK_N)
-        x.tendon_int[s.IS_TAUT, n] = is_taut
+        x.tendon_int[s.IS_TAUT, n] = is_taut or pair  # one of the two is always taut
 
 
 @inner

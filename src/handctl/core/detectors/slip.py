@@ -27,7 +27,9 @@ def update(x: Tables, c: ConstantTables, tared: bool) -> None:
     read = x.run_int[s.JOINTS_READ] == 1
     for n in range(x.tendon.shape[1]):
         tension = monitored_tension(x, c, n, tared)
-        if tension < SLACK_N:
+        if c.tendon_int[h.PAIR, n]:
+            x.tendon[s.TAUT_S, n] += c.run[h.PERIOD]  # one of the two is always taut
+        elif tension < SLACK_N:
             x.tendon[s.TAUT_S, n] = 0.0
         elif tension > TAUT_N:
             x.tendon[s.TAUT_S, n] += c.run[h.PERIOD]

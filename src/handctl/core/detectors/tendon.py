@@ -54,6 +54,8 @@ def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> Non
     for n in range(x.tendon.shape[1]):
         # The load cell is read before its tare as well.
         tension = monitored_tension(x, c, n, True)
+        if c.tendon_int[h.PAIR, n]:
+            tension = abs(tension)  # of the tendon that pulls
         if c.tendon[h.TENSION_TRIP, n] < tension < rail:
             evidence[T03, n] = tension
         # An estimate is no proof that the drive exceeds its own limit.
@@ -103,6 +105,10 @@ def _slack(x: Tables, c: ConstantTables, n: int, evidence: Evidence) -> None:
     if since > SLACK_TRIP_S:
         evidence[T02B, n] = since
     tension = monitored_tension(x, c, n, x.run_int[s.TARED] == 1)
+    if c.tendon_int[h.PAIR, n] and commanded < 0.0:
+        commanded = -commanded
+        speed = -speed
+        tension = -tension
     was_taut = 0.0 <= x.tendon_int[s.TAUT_AGO, n] * period < SNAP_MEMORY_S
     if speed > SNAP_SPEED and commanded > SNAP_N and tension < SNAP_FRACTION * commanded and was_taut:
         evidence[T01, n] = speed

@@ -365,7 +365,11 @@ def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
             points = turning_blind(regime, points, tension, cell)
         else:
             points = turning(regime, points, tension, cell, x.tendon[s.CELL_ERROR, n], near)
-        if has_turned(regime, points, blind):
+        if c.tendon_int[h.PAIR, n]:
+            # The spool turns the joint both ways. One of the two tendons is always taut.
+            points = 0
+            regime = FREE
+        elif has_turned(regime, points, blind):
             points = 0
             if regime == SLACK:
                 take_up(x, c, n, cell)
@@ -444,8 +448,9 @@ def not_started(x: Tables) -> None:
 def conclude(x: Tables, c: ConstantTables) -> None:
     """Derive the estimate from the predicted states: tensions, standard deviations, angles of free digits."""
     for n in range(x.tendon.shape[1]):
-        # A tendon cannot push.
-        x.tendon[s.TENSION, n] = max(tension_of(x, c, n), 0.0)
+        tension = tension_of(x, c, n)
+        # A single tendon cannot push.
+        x.tendon[s.TENSION, n] = tension if c.tendon_int[h.PAIR, n] else max(tension, 0.0)
         x.tendon[s.SIGMA, n] = math.sqrt(c.design[n, x.tendon_int[s.KIND, n], h.VARIANCE_AT])
         if x.run_int[s.CARRIED]:
             x.tendon[s.SIGMA, n] = carried.sigma(x, c, n)

@@ -150,4 +150,6 @@ def start(x: Tables, c: ConstantTables) -> None:
         x.tendon[s.EXCURSION, n] = c.tendon[h.OPEN_EXCURSION, n]
         x.tendon_int[s.STOPPED, n] = c.tendon_int[h.SPRUNG, n]
         x.tendon[s.TRAVEL, n] = (x.tendon[s.POSITION, n] - c.tendon[h.ZERO, n]) * c.tendon[h.SPOOL, n]
+        if c.tendon_int[h.PAIR, n]:
+            x.tendon[s.EXCURSION, n] = x.tendon[s.TRAVEL, n]  # the spool holds the joint, without net tension
     x.run_int[s.STARTED] = 1

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from handctl.compiled import inner
 from handctl.core import constants as h
 from handctl.core.constants import ConstantTables
+from handctl.core.estimation.spool_pair import at_joint
 from handctl.hand import rigid_body
 
 Vector = NDArray[np.float64]
@@ -76,7 +77,11 @@ def pull(c: ConstantTables, q: Vector, tension: Vector, developed: Vector, resul
             arm = c.tendon_joint[h.MOMENT_ARMS, n, j]
             if arm != 0.0:
                 wrapped += q[j]
-                torque[j] += arm * tension[n] * math.exp(-c.tendon[h.CAPSTAN, n] * developed[n] * wrapped)
+                passed = math.exp(-c.tendon[h.CAPSTAN, n] * developed[n] * wrapped)
+                if c.tendon_int[h.PAIR, n]:
+                    torque[j] += arm * at_joint(tension[n], c.tendon[h.PRETENSION, n], passed)
+                else:
+                    torque[j] += arm * tension[n] * passed
     torque_to_tension(c, torque, result)
 
 

@@ -24,6 +24,7 @@ from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
+from handctl.core.estimation.spool_pair import at_spool
 from handctl.core.estimation.statics import explained, winding_efficiency
 from handctl.core.estimation.touch import PRESS_N
 from handctl.core.law.friction_band import look_ahead
@@ -75,7 +76,10 @@ def restrain(x: Tables, c: ConstantTables, hold: bool) -> None:
     """
     if hold and not x.run_int[s.HOLDING]:
         for n in range(x.tendon.shape[1]):
-            x.tendon[s.HOLD_LIMIT, n] = max(x.tendon[s.TENSION, n], c.tendon[h.FLOOR, n]) + HELD_MARGIN_N
+            held = max(x.tendon[s.TENSION, n], c.tendon[h.FLOOR, n])
+            if c.tendon_int[h.PAIR, n]:
+                held = abs(x.tendon[s.TENSION, n])
+            x.tendon[s.HOLD_LIMIT, n] = held + HELD_MARGIN_N
     x.run_int[s.HOLDING] = hold
 
 
@@ -85,7 +89,7 @@ def tension_limit(x: Tables, c: ConstantTables) -> Vector:
 
     A warm drive is derated: full limit up to the soft temperature, the floor at the hard
     temperature. A blocked digit may pull little more than the trajectory requires. During a hold no
-    tendon may pull more than before.
+    tendon may pull more than before. The limit of a spool pair holds for both directions.
     """
     limit = np.full(x.tendon.shape[1], math.inf)
     warm = False
@@ -95,6 +99,8 @@ def tension_limit(x: Tables, c: ConstantTables) -> Vector:
         if warm:
             limit[n] = _derated(x, c, n)
         planned = x.tendon[s.PLANNED, n]
+        if c.tendon_int[h.PAIR, n]:
+            planned = abs(planned)
         if x.digit_int[s.BLOCKED, c.tendon_int[h.DIGIT, n]] and planned > 0.0:
             limit[n] = min(limit[n], planned + PRESS_N)
         if x.run_int[s.HOLDING]:
@@ -111,7 +117,7 @@ def _derated(x: Tables, c: ConstantTables, n: int) -> float:
     if math.isnan(temperature):
         temperature = soft
     fraction = min(max((hard - temperature) / (hard - soft), 0.0), 1.0)
-    low = c.tendon[h.FLOOR, n]
+    low = 0.0 if c.tendon_int[h.PAIR, n] else c.tendon[h.FLOOR, n]
     high = c.tendon[h.CEILING, n]
     return low + fraction * (high - low)
 
@@ -153,10 +159,12 @@ def command(x: Tables, c: ConstantTables, way: Matrix, relax_rate: float, open_l
             force += x.tendon[s.TRIM, n]
         command_force = min(max(force, c.tendon[h.UNWIND, n]), c.tendon[h.LIMIT, n])
         # A tension limit bounds the motor force, plus the friction that the motor has to overcome.
-        command_force = min(command_force, limit[n] + c.tendon[h.COULOMB, n])
+        bound = limit[n] + c.tendon[h.COULOMB, n]
+        command_force = min(command_force, bound)
+        if c.tendon_int[h.PAIR, n]:
+            command_force = max(command_force, -bound)
         if relax_rate > 0.0:
-            ceiling = _envelope(x, c, n, relax_rate, ticks)
-            command_force = ceiling if open_loop else min(max(command_force, 0.0), ceiling)
+            command_force = _relaxed(x, c, n, command_force, _envelope(x, c, n, relax_rate, ticks), open_loop)
         x.tendon[s.FORCE, n] = command_force - _motor_friction(x, c, n, command_force)
         x.tendon[s.TORQUE, n] = command_force * c.tendon[h.SPOOL, n]
         x.tendon[s.SETPOINT, n] = setpoint
@@ -177,6 +185,16 @@ def command(x: Tables, c: ConstantTables, way: Matrix, relax_rate: float, open_l
             if x.tendon_int[s.GOAL_KIND, n] == MOTION:
                 x.joint[s.Q_GOAL, j] = way[0, j]
                 x.joint[s.DQ_GOAL, j] = way[1, j]
+
+
+@inner
+def _relaxed(x: Tables, c: ConstantTables, n: int, force: float, ceiling: float, open_loop: bool) -> float:
+    """Return the motor force of a relaxing hand [N], within the envelope, or the envelope itself in open loop."""
+    if c.tendon_int[h.PAIR, n]:
+        last = x.tendon[s.COMMANDED_FORCE, n]
+        sign = -1.0 if last < 0.0 else 1.0
+        return sign * ceiling if open_loop else sign * min(max(sign * force, 0.0), ceiling)
+    return ceiling if open_loop else min(max(force, 0.0), ceiling)
 
 
 @inner
@@ -212,7 +230,11 @@ def _motion_terms(x: Tables, c: ConstantTables, way: Matrix, limit: Vector) -> t
         # Fraction of the tension that passes the pulleys: efficiency winding, about 1 / efficiency paying out.
         passed = (1.0 - counted) + counted * math.pow(efficiency[n], math.tanh(rate / CAPSTAN_FRICTION_SPEED))
         ceiling = min(c.tendon[h.CEILING, n], limit[n])
-        terms[0, n] = min(max(x.tendon[s.LOAD, n] / passed, c.tendon[h.FLOOR, n]), ceiling)
+        if c.tendon_int[h.PAIR, n]:
+            required = at_spool(x.tendon[s.LOAD, n], c.tendon[h.PRETENSION, n], passed)
+            terms[0, n] = min(max(required, -ceiling), ceiling)
+        else:
+            terms[0, n] = min(max(x.tendon[s.LOAD, n] / passed, c.tendon[h.FLOOR, n]), ceiling)
         terms[1, n] = c.tendon[h.MASS, n] * feedback
     if surplus:
         hold_each_other(x, c, limit, terms, internal)
@@ -274,6 +296,8 @@ def _hold(x: Tables, c: ConstantTables, n: int, limit: float) -> tuple[float, fl
         limit: largest tension [N].
     """
     target = min(x.tendon[s.TARGET, n], limit)
+    if c.tendon_int[h.PAIR, n]:
+        target = max(target, -limit)
     step = x.tendon[s.TARGET_STEP, n]
     before = x.tendon[s.SETPOINT, n]
     setpoint = before + min(max(target - before, -step), step)
@@ -316,6 +340,8 @@ def _expected(x: Tables, c: ConstantTables, n: int) -> float:
 def _envelope(x: Tables, c: ConstantTables, n: int, rate: float, ticks: int) -> float:
     """Return the largest motor force of a relaxing hand [N], see ``controller.relaxing``."""
     last = x.tendon[s.COMMANDED_FORCE, n]
+    if c.tendon_int[h.PAIR, n]:
+        last = abs(last)
     last = 0.0 if math.isnan(last) else max(last, 0.0)
     falling = max(last - rate * c.run[h.PERIOD] * ticks, 0.0)
     return max(min(last, c.tendon[h.RELAXED, n]), falling) * ROUNDING

@@ -15,6 +15,7 @@ from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
+from handctl.core.estimation.spool_pair import at_spool
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 
 CREEP_SPEED = 1.3 * CAPSTAN_FRICTION_SPEED
@@ -43,8 +44,12 @@ def look_ahead(x: Tables, c: ConstantTables, n: int, rate: float, efficiency: fl
     accelerating = x.tendon[s.FORCE, n] + x.tendon[s.DISTURBANCE, n] - tension
     coming_speed = x.tendon[s.SPEED, n] + 0.5 * period / c.tendon[h.MOTOR_MASS, n] * accelerating
     coming = max(load + period * c.tendon[h.LOAD_STIFFNESS, n] * rate, c.tendon[h.FLOOR, n])
+    wound = period * coming_speed
+    if c.tendon_int[h.PAIR, n]:
+        _look_ahead_of_pair(x, c, n, coming, efficiency, wound)
+        return
     now = before if before > 0.0 else tension
-    planned = expected(now, coming, efficiency, period * coming_speed, c.tendon[h.STIFFNESS, n], CREEP_SPEED * period)
+    planned = expected(now, coming, efficiency, wound, c.tendon[h.STIFFNESS, n], CREEP_SPEED * period)
     x.tendon[s.PLANNED, n] = planned
     x.tendon[s.RATE, n] = 0.0
     x.tendon[s.FRICTION_STATE, n] = math.nan
@@ -71,3 +76,36 @@ def expected(now: float, load: float, efficiency: float, wound: float, stiffness
     # Implicit Euler step of the viscous slider: stable for any period.
     sticking = (now + stiffness * wound + creep * load) / (1.0 + creep)
     return min(max(sticking, load * efficiency), load / efficiency)
+
+
+@inner
+def _look_ahead_of_pair(
+    x: Tables, c: ConstantTables, n: int, coming: float, efficiency: float, wound: float
+) -> None:
+    """Write the same for a spool pair. The edges of the band are where one tendon winds and the other pays out.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        n: index of the spool pair.
+        coming: net tension required by the digit without friction a period from now [N].
+        efficiency: fraction of a tension at the joints while the tendon winds.
+        wound: length taken up by the spool in the period [m].
+    """
+    before = x.tendon[s.PLANNED, n]
+    pretension = c.tendon[h.PRETENSION, n]
+    period = c.run[h.PERIOD]
+    upper = at_spool(coming, pretension, efficiency)
+    lower = at_spool(coming, pretension, 1.0 / efficiency)
+    now = x.tendon[s.TENSION, n] if before == 0.0 else before  # 0 is what is not known
+    stiffness = c.tendon[h.STIFFNESS, n]
+    creep = stiffness * CREEP_SPEED * period / (0.5 * (upper - lower) + FRICTION_LEAST_N)
+    sticking = (now + stiffness * wound + creep * coming) / (1.0 + creep)
+    planned = min(max(sticking, lower), upper)
+    x.tendon[s.PLANNED, n] = planned
+    x.tendon[s.RATE, n] = 0.0
+    x.tendon[s.FRICTION_STATE, n] = math.nan
+    if before != 0.0:
+        x.tendon[s.RATE, n] = (planned - before) / period
+        developed = (2.0 * before - upper - lower) / (upper - lower + FRICTION_LEAST_N)
+        x.tendon[s.FRICTION_STATE, n] = min(max(developed, -1.0), 1.0)

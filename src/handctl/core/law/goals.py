@@ -29,7 +29,9 @@ def write_goals(model: HandModel, layout: Layout, block: Block, goals: tuple[Dig
     for d, (goal, tendons, places) in enumerate(zip(goals, model.digit_tendons, _coordinates(model), strict=True)):
         kinds[tendons] = int(_kind(goal))
         if goal.kind == Kind.TENSION and goal.tension is not None:
-            tendon[s.TARGET, tendons] = np.clip(goal.tension, 0.0, model.ceiling[tendons])
+            tendon[s.TARGET, tendons] = np.clip(
+                goal.tension, np.minimum(model.floor[tendons], 0.0), model.ceiling[tendons]
+            )
             tendon[s.TARGET_STEP, tendons] = goal.rate * model.period
             tendon[s.FORCE_LIMIT, tendons] = goal.force_limit
         ways[d] = NO_WAY if goal.trajectory is None else SAMPLED

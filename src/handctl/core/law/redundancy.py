@@ -25,7 +25,8 @@ class Redundancy:
     """Directions and balance of the N tendons of a hand, each (N,).
 
     Attributes:
-        side: 1 for a tendon that pays in while its digit closes, -1 for one that pays out.
+        side: 1 for a tendon that pays in while its digit closes, -1 for one that pays out, 0 for a
+            spool pair that moves its digit sideways.
         sprung: True if springs return the tendon's digit to its lower joint limits.
         surplus: True for a tendon of a digit with more tendons than coordinates.
         balance: smallest tensions, all above the floor, without torque. 0 without surplus [N].
@@ -41,13 +42,14 @@ class Redundancy:
     excursion_range: Vector
 
 
-def redundancy(digits: tuple[DigitModel, ...], floor: Vector, ceiling: Vector) -> Redundancy:
+def redundancy(digits: tuple[DigitModel, ...], floor: Vector, ceiling: Vector, is_pair: Flags) -> Redundancy:
     """Derive directions and balance of all tendons.
 
     Args:
         digits: digit models, in file order.
         floor: (N,) smallest tensions [N].
         ceiling: (N,) largest tensions [N].
+        is_pair: (N,) True for a spool pair.
     """
     counts = [len(digit.moment_arms) for digit in digits]
     surplus = [len(digit.moment_arms) > digit.coupling.shape[1] for digit in digits]
@@ -56,13 +58,28 @@ def redundancy(digits: tuple[DigitModel, ...], floor: Vector, ceiling: Vector) -
         for digit, more, count in zip(digits, surplus, counts, strict=True)
     ]
     return Redundancy(
-        side=np.concatenate([np.where(digit.reduced_moment_arms.sum(axis=1) < 0.0, -1.0, 1.0) for digit in digits]),
+        side=np.concatenate([_sides(digit, is_pair[digit.tendons]) for digit in digits]),
         sprung=np.repeat([is_sprung(digit) for digit in digits], counts),
         surplus=np.repeat(surplus, counts),
         balance=np.concatenate(balance),
         open_excursion=np.concatenate([digit.moment_arms @ digit.joint_min for digit in digits]),
         excursion_range=np.concatenate([_excursion_range(digit) for digit in digits], axis=1),
     )
+
+
+SIDEWAYS = 0.5
+"""Opening per closing range from which a coordinate counts as sideways motion."""
+
+
+def _sides(digit: DigitModel, is_pair: Flags) -> Vector:
+    """Return the direction of each tendon of a digit (n_t,), see ``Redundancy.side``."""
+    arms = digit.reduced_moment_arms
+    side = np.where(arms.sum(axis=1) < 0.0, -1.0, 1.0)
+    if not is_pair.any():
+        return side
+    low, high = digit.joints_to_coordinates @ digit.joint_min, digit.joints_to_coordinates @ digit.joint_max
+    closing = (np.abs(arms) * (-low <= SIDEWAYS * high)).sum(axis=1)
+    return np.where(closing > 0.0, side, 0.0)
 
 
 def _excursion_range(digit: DigitModel) -> Vector:

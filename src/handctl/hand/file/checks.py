@@ -76,6 +76,7 @@ def check_hand(hand: Hand) -> Mistakes:
         return
     for digit in hand.digit:
         yield from _check_routing(hand, digit)
+        yield from _check_pairs(hand, digit)
     for tendon in hand.tendon:
         yield from _check_drive(tendon, hand.motor_of(tendon.name))
     yield from _check_stream(hand.stream)
@@ -94,6 +95,7 @@ def check_sections(digits: Iterable[Digit], tendons: Iterable[Tendon]) -> Mistak
         yield from _check_digit(digit)
     for tendon in tendons:
         yield from _check_limits(tendon)
+        yield from _check_pretension(tendon)
 
 
 def _unique(names: Iterable[str], where: str) -> Mistakes:
@@ -191,7 +193,8 @@ def _check_motors(hand: Hand) -> Mistakes:
         wrong += _check_name(where, tendon.motor, hand.motor_names)
         if tendon.motor in driven:
             what = f'"{tendon.motor}" drives {driven[tendon.motor]} already'
-            wrong.append(Mistake(what, where, "a motor of its own"))
+            right = "a motor of its own, or one tendon with pretension_N for both tendons of its spool"
+            wrong.append(Mistake(what, where, right))
         driven[tendon.motor] = tendon.name
     yield from wrong
     for motor in hand.motor:
@@ -276,6 +279,47 @@ def _check_limits(tendon: Tendon) -> Mistakes:
         if too_high or too_low:
             breaks = f", and the tendon breaks at {strength:g} N" if value > strength else ""
             yield Mistake(f"{value:g}{breaks}", f"tendon[{tendon.name}].{key}", " and ".join(bounds))
+
+
+def _check_pretension(tendon: Tendon) -> Mistakes:
+    """Check that no tendon of a spool pair exceeds a limit of the net tension, and that the pair has no floor.
+
+    With the net tension u and the pretension p the pulling tendon bears the larger of p + u / 2 and u.
+    """
+    pretension = tendon.pretension_N
+    if pretension is None:
+        return
+    largest = 0.5 * tendon.tension_max_N
+    if pretension > largest:
+        right = f"at most tension_max_N / 2 = {largest:g} N, so that no tendon of the pair exceeds its limits"
+        yield Mistake(f"{pretension:g}", f"tendon[{tendon.name}].pretension_N", right)
+    if tendon.tension_floor_N != 0.0:
+        right = "0, or no such key: the net tension of a spool pair has both signs"
+        yield Mistake(f"{tendon.tension_floor_N:g}", f"tendon[{tendon.name}].tension_floor_N", right)
+
+
+def _check_pairs(hand: Hand, digit: Digit) -> Mistakes:
+    """Check the spool pairs of a digit: no single tendon beside them, one per coordinate, no load cell, no spring."""
+    tendons = hand.tendon[hand.digit_tendons[digit.name]]
+    pairs = [tendon for tendon in tendons if tendon.pretension_N is not None]
+    if not pairs:
+        return
+    where = f"digit[{digit.name}]"
+    coordinates = len(digit.joints) if digit.coupling is None else len(digit.coupling[0])
+    single = [tendon.name for tendon in tendons if tendon.pretension_N is None]
+    if single:
+        what = f"{pairs[0].name} is a spool pair, and {single[0]} is not"
+        yield Mistake(what, f"tendon[{single[0]}].pretension_N", f"pretension_N on all tendons of {digit.name}, or none")
+    elif len(pairs) != coordinates:
+        what = f"{len(pairs)} spool pairs for {coordinates} coordinates"
+        yield Mistake(what, f"{where}.tendon", "one spool pair per coordinate: a pair pulls both ways")
+    if any(digit.spring_stiffness_N_m_per_rad):
+        what = "springs beside spool pairs"
+        yield Mistake(what, f"{where}.spring_stiffness_N_m_per_rad", "no springs: a spool pair returns the joint")
+    for i, name in enumerate(hand.sensor_node.tendons):
+        if name in [tendon.name for tendon in pairs]:
+            right = "tendons with one load cell each: the net tension of a spool pair comes from its motor"
+            yield Mistake(f"{name} is a spool pair", f"sensor_node.tendons[{i}]", right)
 
 
 def _check_drive(tendon: Tendon, motor: Motor) -> Mistakes:

@@ -199,6 +199,20 @@ class Tendon(Section):
     """One sample above it relaxes the hand (T03)."""
     drive_limit_N: qty.PositiveForce
     """Limit in the drive: ``torque_max_N_m`` / ``spool_radius_m``. A sample above it cuts (T03b)."""
+    pretension_N: qty.PositiveForce | None = None
+    """Tension of both tendons of a spool pair at rest. Absent for a single tendon.
+
+    A spool pair is two antagonistic tendons on one spool with opposite winding. ``moment_arm_m`` is
+    that of the tendon that a positive motor torque winds, the arms of the other have the opposite sign.
+    """
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_floor(cls, given: Any) -> Any:
+        """Add a floor of 0 to a spool pair: its net tension has both signs."""
+        if not isinstance(given, dict) or given.get("pretension_N") is None or "tension_floor_N" in given:
+            return given
+        return given | {"tension_floor_N": 0.0}
 
 
 class Motor(Section):

@@ -1,0 +1,47 @@
+"""Net tension of a spool pair: two antagonistic tendons on one spool, wound in opposite directions.
+
+A spool that turns winds one tendon and pays out the other by the same length. With the pretension p
+and the stiffness k of each tendon, the tensions are p + k dl and p - k dl, never below 0, and the
+net tension u of the pair is their difference. While both are taut u = 2 k dl. Beyond |u| = 2 p the
+other tendon is slack, and the pulling one bears all of u.
+
+Friction lowers the tension of the tendon that winds, and raises that of the tendon that pays out.
+Both tendons lose, so a pair without net tension has friction by its pretension.
+"""
+
+from handctl.compiled import inner
+
+
+@inner
+def pull_of(net: float, pretension: float) -> float:
+    """Return the tension of the tendon that a positive net tension pulls [N].
+
+    The tension of the other tendon is that of the opposite net tension.
+    """
+    if abs(net) < 2.0 * pretension:
+        return pretension + 0.5 * net
+    return max(net, 0.0)
+
+
+@inner
+def at_joint(net: float, pretension: float, passed: float) -> float:
+    """Return the net tension at a joint behind friction [N].
+
+    Args:
+        net: net tension at the spool [N].
+        pretension: of both tendons [N].
+        passed: fraction of the first tendon's tension behind the pulleys. The other tendon moves the
+            other way, and has the reciprocal.
+
+    Source: capstan equation.
+    """
+    return pull_of(net, pretension) * passed - pull_of(-net, pretension) / passed
+
+
+@inner
+def at_spool(net: float, pretension: float, passed: float) -> float:
+    """Return the net tension at the spool for one at a joint behind friction [N], the inverse of ``at_joint``."""
+    both_taut = 2.0 * (net + pretension * (1.0 / passed - passed)) / (passed + 1.0 / passed)
+    if abs(both_taut) < 2.0 * pretension:
+        return both_taut
+    return net / passed if both_taut > 0.0 else net * passed
