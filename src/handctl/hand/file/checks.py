@@ -309,7 +309,8 @@ def _check_pairs(hand: Hand, digit: Digit) -> Mistakes:
     single = [tendon.name for tendon in tendons if tendon.pretension_N is None]
     if single:
         what = f"{pairs[0].name} is a spool pair, and {single[0]} is not"
-        yield Mistake(what, f"tendon[{single[0]}].pretension_N", f"pretension_N on all tendons of {digit.name}, or none")
+        right = f"pretension_N on all tendons of {digit.name}, or on none"
+        yield Mistake(what, f"tendon[{single[0]}].pretension_N", right)
     elif len(pairs) != coordinates:
         what = f"{len(pairs)} spool pairs for {coordinates} coordinates"
         yield Mistake(what, f"{where}.tendon", "one spool pair per coordinate: a pair pulls both ways")
