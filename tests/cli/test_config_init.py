@@ -38,8 +38,8 @@ def test_what_it_writes_passes_the_check(
 @pytest.mark.parametrize("protocol", ["mit", "odrive", "cia402"])
 @pytest.mark.parametrize("tension", ["20", "300"])
 def test_drives_and_tensions(place: Path, capsys: pytest.CaptureFixture[str], protocol: str, tension: str) -> None:
-    words = ["--protocol", protocol, "--tension", tension, "--strength", "900", "--output", "mine.toml"]
-    assert main(["config", "init", "--yes", *words]) == 0
+    words = ["--protocol", protocol, "--fingers", "3", "--tension", tension, "--strength", "900"]
+    assert main(["config", "init", "--yes", *words, "--output", "mine.toml"]) == 0
     code = main(["config", "check", "--hand", "mine.toml"])
     assert code == 0, capsys.readouterr().err
 

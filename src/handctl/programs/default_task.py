@@ -1,13 +1,17 @@
-"""The task for a hand that has none yet: open, close until contact, hold, release, open."""
+"""Default task and object of a hand without task file: open, close until contact, hold, release, open."""
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
+from handctl.core.estimation.tip import tip_lever
 from handctl.core.law.redundancy import SIDEWAYS
 from handctl.document import validated
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
+from handctl.hand.file.error_text import listed
+from handctl.hand.file.new_file import CLEARANCE_MM, OBJECT_PER_DIGIT, SMALLEST_OBJECT_MM
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.kinematics import rotations
 from handctl.hand.load import parse_toml
@@ -23,12 +27,22 @@ HOLD = 0.3
 """Tension of a hold per ``tension_max_N``, if as many digits close from one side as from the other."""
 LARGEST_HOLD = 0.7
 """Largest tension of a hold per ``tension_max_N``."""
+PRESS_N = 1.0
+"""Smallest force of a hold at the tip of a half-closed digit, against springs [N]."""
 CONTACT = 0.16
 """Tension of a digit in contact per ``tension_max_N``, until all digits hold."""
 RELEASE_N = 6.0
 """Tension of a release above the highest ``tension_floor_N`` of the hand [N]."""
 RESTING = 1.5
 """Tension of an extensor in a hold per ``tension_floor_N``."""
+SCENE = "cylinder"
+"""Scene with an object of 35 mm in front of the palm."""
+PALM_GAP_M = 0.002
+"""Gap between the palm and the object of the scene [m]. Source: ``firmware_sim/scenes/cylinder.toml``."""
+OBJECT_HALF_LENGTH_M = 0.0465
+"""Half length of the object along the hinges [m]. Source: as above."""
+SAMPLES = 9
+"""Points along a link for the distance to the object."""
 
 
 def default_task(hand: Hand) -> tuple[Task, str]:
@@ -83,12 +97,7 @@ def _shares(hand: Hand) -> dict[str, float]:
 
     The digits of both sides press alike. Two fingers would otherwise push a thumb open.
     """
-    # The side of flexion is y of the last link, in the palm frame at rest.
-    tree = HandTree.of(hand)
-    turned = rotations(tree.poses(np.zeros(len(hand.joints))))
-    sides = {digit.name: turned[digit.joints][-1, :, 1] for digit in tree.digits if digit.name not in hand.carriers}
-    first = next(iter(sides.values()))
-    opposed = {name: bool(direction @ first < 0.0) for name, direction in sides.items()}
+    opposed = _opposed(hand)
     count = len(opposed)
     behind = sum(opposed.values())
     if behind == 0:
@@ -96,11 +105,91 @@ def _shares(hand: Hand) -> dict[str, float]:
     return {name: count / 2 / (behind if is_opposed else count - behind) for name, is_opposed in opposed.items()}
 
 
+def _opposed(hand: Hand) -> dict[str, bool]:
+    """Return True for each closing digit opposed to the first."""
+    # The side of flexion is y of the last link, in the palm frame at rest.
+    tree = HandTree.of(hand)
+    turned = rotations(tree.poses(np.zeros(len(hand.joints))))
+    sides = {digit.name: turned[digit.joints][-1, :, 1] for digit in tree.digits if digit.name not in hand.carriers}
+    first = next(iter(sides.values()))
+    return {name: bool(direction @ first < 0.0) for name, direction in sides.items()}
+
+
 def _hold_tensions(hand: Hand, name: str, share: float) -> list[float]:
     """Return the tension of each tendon of a digit in a hold [N]. Extensors only stay taut."""
-    held = min(HOLD * share, LARGEST_HOLD)
+    pressing = _pressing_tension(hand, name)
     arms = DigitModel.of(hand, name).reduced_moment_arms
     rows = zip(hand.tendon[hand.digit_tendons[name]], arms.sum(axis=1), strict=True)
     return [
-        round(held * tendon.tension_max_N if arm > 0.0 else RESTING * tendon.tension_floor_N, 1) for tendon, arm in rows
+        round(
+            min(share * max(HOLD * tendon.tension_max_N, pressing), LARGEST_HOLD * tendon.tension_max_N)
+            if arm > 0.0
+            else RESTING * tendon.tension_floor_N,
+            1,
+        )
+        for tendon, arm in rows
     ]
+
+
+def _pressing_tension(hand: Hand, name: str) -> float:
+    """Return the tension of closing tendons for PRESS_N at the tip of a half-closed digit [N]."""
+    digit = DigitModel.of(hand, name)
+    half = np.radians(_closed_deg(hand, name)) / 2
+    q = digit.coupling @ half
+    springs = digit.coupling.T @ (np.array(digit.spring_stiffness) * (q + np.array(digit.spring_preload)))
+    torque = springs + PRESS_N * tip_lever(digit, q)
+    closing = digit.reduced_moment_arms[digit.reduced_moment_arms.sum(axis=1) > 0.0].sum(axis=0)
+    # A coordinate that keeps its angle, or that no tendon closes, sets no tension.
+    flexes = (half > 0.0) & (closing > 0.0)
+    return float((torque[flexes] / closing[flexes]).max(initial=0.0))
+
+
+def grasp_warnings(hand: Hand) -> tuple[str, ...]:
+    """Return warnings about a hand too weak or one-sided for the default task, one line per warning."""
+    warnings = []
+    opposed = _opposed(hand)
+    if len(set(opposed.values())) == 1:
+        warnings.append(
+            f"{listed(list(opposed))}: no digit closes against another: the default task lifts no object; "
+            "add a digit that is turned by 180 degrees about x in mount_rpy_deg"
+        )
+    for name in opposed:
+        tendons = hand.tendon[hand.digit_tendons[name]]
+        allowed = LARGEST_HOLD * min(tendon.tension_max_N for tendon in tendons)
+        if (tension := _pressing_tension(hand, name)) > allowed:
+            warnings.append(
+                f"{name}: pressing with {PRESS_N:g} N at its tip takes {tension:.0f} N of tension, and a hold allows "
+                f"{allowed:.0f} N; raise tension_max_N or moment_arm_m, or lower the springs"
+            )
+    return tuple(warnings)
+
+
+def default_scene(hand: Hand) -> str:
+    """Return the scene for the default task of a hand: a cylinder between the open digits.
+
+    The diameter is in proportion to the digits. The tips of opposed digits meet around thin objects.
+    """
+    longest = 1e3 * max(sum(hand.digit_named(name).link_length_m) for name in _opposed(hand))
+    free = 1e3 * _largest_object(hand)
+    diameter = max(SMALLEST_OBJECT_MM, min(OBJECT_PER_DIGIT * longest, free - CLEARANCE_MM))
+    if diameter > free:
+        diameter = free - CLEARANCE_MM
+    return SCENE if round(diameter) == SMALLEST_OBJECT_MM else f"{SCENE}:{max(diameter, 1.0):.0f}"
+
+
+def _largest_object(hand: Hand) -> float:
+    """Return the diameter of the largest cylinder between the open digits [m]."""
+    tree = HandTree.of(hand)
+    q = np.concatenate([np.maximum(digit.joint_min, 0.0) for digit in tree.digits])
+    largest = 1.0
+    along = np.linspace(0.0, 1.0, SAMPLES)[:, None]
+    for digit, points in zip(tree.digits, tree.points(q), strict=True):
+        for start, end in pairwise(points):
+            x, y, z = (start + along * (end - start)).T
+            # A circle that touches the line x = gap has its centre at gap + D/2. A point at distance D/2 + r from it:
+            # (x - gap)^2 + y^2 - r^2 = D (x - gap + r).
+            reach = x - PALM_GAP_M + digit.radius
+            beside = (np.abs(z) < OBJECT_HALF_LENGTH_M) & (reach > 0.0)
+            room = (x - PALM_GAP_M) ** 2 + y**2 - digit.radius**2
+            largest = min(largest, float((room[beside] / reach[beside]).min(initial=largest)))
+    return max(largest, 0.0)

@@ -1,11 +1,11 @@
-"""Tasks and trajectories, packaged with handctl or from files, checked against the hand."""
+"""Tasks, trajectories and scenes, packaged with handctl or from files, checked against the hand."""
 
 from contextlib import suppress
 from pathlib import Path
 
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.programs.default_task import default_task
+from handctl.programs.default_task import SCENE, default_scene, default_task
 from handctl.programs.task import Task, check_task, load_task, load_trajectory, shapes
 from handctl.programs.task_checks import check_joint_range, check_slip_limit, check_speed, check_tip_force
 
@@ -34,6 +34,16 @@ def find_task(name: Path | None, hand: Hand) -> tuple[Task, bytes]:
     task = load_task(path)
     check_suits(task, hand, str(name))
     return task, path.read_bytes()
+
+
+def find_scene(name: str | None, hand: Hand) -> str:
+    """Return the named scene of a simulated hand. The default is a cylinder for the size of the hand."""
+    if name is not None:
+        return name
+    with suppress(ConfigError):
+        find_task(GRASP, hand)
+        return SCENE
+    return default_scene(hand)
 
 
 def task_path(name: Path) -> Path:

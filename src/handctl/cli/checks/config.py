@@ -32,6 +32,7 @@ from handctl.hand.load import (
 )
 from handctl.hand.strength import strength_warnings
 from handctl.output import DRAWN, check_output, named_after, write_whole
+from handctl.programs.default_task import grasp_warnings
 from handctl.programs.task import load_task
 from handctl.safety.sensing import sensing_warnings
 from handctl.session.exit_codes import Exit
@@ -157,7 +158,7 @@ def _show(args: argparse.Namespace, hand: Hand) -> int:
                 "rate_hz": rate,
                 "bus_load": load,
                 "caveats": list(caveats(make_drives(hand))),
-                "warnings": [*strength_warnings(hand), *sensing_warnings(hand)],
+                "warnings": _warnings(hand),
                 "hand": hand.content,
                 "gains": layers.gains.model_dump(by_alias=True),
                 "gains_file": str(layers.file) if layers.file else "packaged",
@@ -173,11 +174,16 @@ def _show(args: argparse.Namespace, hand: Hand) -> int:
         print("\n".join(f"# {line}" for line in _calibration_lines(calibration)))
     for text in caveats(make_drives(hand)):
         print(f"# caution: {text}")
-    for text in (*strength_warnings(hand), *sensing_warnings(hand)):
+    for text in _warnings(hand):
         print(f"# warning: {text}")
     bus_loads_text = ", ".join(f"bus {name} {100 * fraction:.0f} %" for name, fraction in load.items())
     print(f"# default rate {rate:g} Hz: {bus_loads_text}; gains: {layers.file or 'packaged'}; all files are good")
     return 0
+
+
+def _warnings(hand: Hand) -> list[str]:
+    """Return all warnings about a hand, one line each."""
+    return [*strength_warnings(hand), *sensing_warnings(hand), *grasp_warnings(hand)]
 
 
 def _gains_with_sources(layers: LayeredGains) -> list[str]:

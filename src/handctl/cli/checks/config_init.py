@@ -9,9 +9,10 @@ from typing import Any, NamedTuple
 from handctl.cli.console.options import print_json, say
 from handctl.errors import ConfigError
 from handctl.hand.file.json_schema import hand_schema_text
-from handctl.hand.file.new_file import Answers, check_answers, new_hand_text
+from handctl.hand.file.new_file import Answers, check_answers, new_hand_text, palm_warnings
 from handctl.hand.load import inspect, parse_toml
 from handctl.output import write_whole
+from handctl.programs.default_task import grasp_warnings
 
 SCHEMA_FILE = "hand.schema.json"
 """Name of the JSON Schema beside a new hand file."""
@@ -59,6 +60,8 @@ QUESTIONS = (
     Question("strength_N", "Rated breaking force of the tendons [N]", float, "a number"),
 )
 """Questions in order. An option answers a question before it is asked."""
+IN_PROPORTION = {"palm_mm": "palm", "pulley_mm": "pulley"}
+"""Attribute with the default of a field in proportion to other answers."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -71,16 +74,19 @@ def run(args: argparse.Namespace) -> int:
     schema = args.output.parent / SCHEMA_FILE
     text = f"#:schema {SCHEMA_FILE}\n" + new_hand_text(answers)
     found = inspect(parse_toml(text, str(args.output)))
-    if found.mistakes:
+    if found.mistakes or found.hand is None:
         raise found.mistakes[0].error("the answers")
+    warnings = [*palm_warnings(answers), *grasp_warnings(found.hand)]
     write_whole(args.output, text, new=True)
     if not schema.exists():
         write_whole(schema, hand_schema_text(), new=True)
     assumed = sum("ASSUMED" in line for line in text.splitlines()) - 1
     if args.json:
-        print_json({"output": str(args.output), "schema": str(schema), "assumed": assumed})
+        print_json({"output": str(args.output), "schema": str(schema), "assumed": assumed, "warnings": warnings})
         return 0
     say(f"{args.output}: {answers.fingers + answers.opposed} digits; {assumed} lines are marked ASSUMED")
+    for text in warnings:
+        say(f"warning: {text}")
     say(f"next: handctl config check --hand {args.output}; handctl demo --lockstep --hand {args.output}")
     return 0
 
@@ -96,9 +102,10 @@ def _ask(args: argparse.Namespace, answers: Answers) -> Answers:
     for question in QUESTIONS:
         if getattr(args, question.field) is not None:
             continue
-        default = getattr(answers, question.field)
-        shown = ",".join(f"{one:g}" for one in default) if isinstance(default, tuple) else default
-        answers = replace(answers, **{question.field: _answer(question, str(shown), default)})
+        default = getattr(answers, IN_PROPORTION.get(question.field, question.field))
+        shown = ",".join(f"{one:g}" for one in default) if isinstance(default, tuple) else str(default)
+        shown = f"{default:.3g}" if isinstance(default, float) else shown
+        answers = replace(answers, **{question.field: _answer(question, shown, default)})
     return answers
 
 

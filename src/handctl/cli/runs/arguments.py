@@ -36,9 +36,8 @@ def demo(parser: argparse.ArgumentParser) -> None:
     dry_run_option(parser)
     text = "task (default: grasp.toml, or close, hold and open for a hand of other digits)"
     parser.add_argument("--task", type=Path, metavar="FILE", help=text)
-    parser.add_argument(
-        "--scene", default="cylinder", metavar="NAME|FILE", help="what the hand meets (default: cylinder)"
-    )
+    text = "what the hand meets (default: a cylinder of a size for the hand)"
+    parser.add_argument("--scene", metavar="NAME|FILE", help=text)
     parser.add_argument("--seed", type=int, default=0, help="of the simulator's noise")
     wire_option(parser)
     parser.add_argument(
@@ -102,7 +101,8 @@ def sim(parser: argparse.ArgumentParser) -> None:
     bus_option(parser)
     json_option(parser)
     parser.add_argument("--dry-run", action="store_true", help="check what is given, print the command and end")
-    parser.add_argument("--scene", default="cylinder", help="cylinder, sphere, box, none, or a scene file")
+    text = "cylinder, sphere, box, none, or a scene file (default: a cylinder of a size for the hand)"
+    parser.add_argument("--scene", help=text)
     parser.add_argument("--seed", type=int, default=0, help="of the simulator's noise")
     perturb_option(parser)
     text = "serial number of the simulated drives: each adds its number on the bus, or of one motor alone"

@@ -33,7 +33,7 @@ from handctl.session.pace import slower_time_scale
 from handctl.session.plan import Plan, commission_log, default_log
 from handctl.session.run import Outcome, Runner, make_controller, refuse_blind_view, run_live, run_lockstep
 from handctl.session.simulate import Simulator
-from handctl.session.tasks import find_task
+from handctl.session.tasks import find_scene, find_task
 from handctl.session.verdict import judge
 
 SIMULATOR = "firmware_sim"
@@ -56,6 +56,7 @@ def _run(args: argparse.Namespace) -> int:
     args.bus = _buses(load_hand(args.hand).bus_names)
     plan = make_plan(args, lockstep=args.lockstep)
     task, text = find_task(args.task, plan.hand)
+    args.scene = find_scene(args.scene, plan.hand)
     assignments(args.perturb, "--perturb")
     identified = identified_in(args.calibration, plan.hand)
     if args.dry_run:

@@ -13,16 +13,16 @@ from handctl.cli.console.options import (
 from handctl.cli.runs.other_protocol import in_protocol, path_in_protocol, write_in_protocol
 from handctl.hand.load import load_hand
 from handctl.session.gains import assignments
+from handctl.session.tasks import find_scene
 
 
 def run(args: argparse.Namespace) -> int:
     """Replace this process by the simulator."""
+    args.scene = find_scene(args.scene, load_hand(args.hand))
     if args.dry_run:
         return _check(args)
     if args.protocol:
         args.hand = str(write_in_protocol(args))
-    else:
-        load_hand(args.hand)
     return os.execv(sys.executable, _command(args, args.hand))
 
 

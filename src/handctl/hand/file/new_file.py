@@ -1,5 +1,6 @@
 """Text of a new hand file from a few answers, with a comment at each number that is only an assumption."""
 
+import math
 from dataclasses import dataclass
 
 from handctl.errors import ConfigError
@@ -17,8 +18,24 @@ TRIP = 1.2
 """Trip limit per largest tension."""
 DRIVE = 1.4
 """Limit within the drive per largest tension."""
-SPACING_M = 0.022
-"""Distance of neighbouring digits along the hinges [m]."""
+OBJECT_PER_DIGIT = 0.75
+"""Diameter of an object per length of the digits. The tips of opposed digits meet around thinner objects."""
+SMALLEST_OBJECT_MM = 35.0
+"""Smallest diameter with space in front of the palm [mm]."""
+STRAIGHT_OBJECT_MM = 26.0
+"""Smallest distance of two facing digits of one link, less the width of a link, for a grasp [mm]."""
+CLEARANCE_MM = 5.0
+"""Space between the open digits and an object [mm]."""
+DIGIT_PER_PULLEY = 14.0
+"""Length of a digit per moment arm at the joints. Digits of any length then press alike."""
+PASSING_MM = 2.0
+"""Space on each side of a digit [mm]."""
+ROW_MM = 80.0
+"""Largest width of a row with gaps for opposed digits [mm]."""
+MOTORS_PER_BUS = 8
+"""Largest number of motors on a bus. A classical bus of 1 Mbit/s carries 8 motors at 250 Hz."""
+SENSOR_IDS = {"mit": ("0x080", "0x1A0"), "odrive": ("0x700", "0x720")}
+"""Identifiers of SYNC and of the first sensor frame. ODrive n has the identifiers 32 n to 32 n + 31."""
 FINGERS = ("index", "middle", "ring", "little")
 """Names of the digits of one side. Further digits are numbered."""
 LARGEST_COUNT = 8
@@ -35,9 +52,9 @@ class Answers:
         opposed: number of equal digits that close against them.
         links_mm: length of each link of a digit, from the palm outwards [mm].
         width_mm: width of the links [mm].
-        palm_mm: distance between the two sides [mm].
+        palm_mm: distance between the two sides [mm], None for a value in proportion to the digits.
         tendons: ``one`` per digit, or one ``each`` joint.
-        pulley_mm: moment arm at the joints [mm].
+        pulley_mm: moment arm at the joints [mm], None for a value in proportion to the digits.
         spool_mm: radius of the spools [mm].
         tension_N: largest commanded tension [N].
         strength_N: rated breaking force of the tendons [N].
@@ -49,13 +66,33 @@ class Answers:
     opposed: int = 1
     links_mm: tuple[float, ...] = (40.0, 30.0)
     width_mm: float = 12.0
-    palm_mm: float = 52.0
+    palm_mm: float | None = None
     tendons: str = "one"
-    pulley_mm: float = 5.0
+    pulley_mm: float | None = None
     spool_mm: float = 8.0
     tension_N: float = 80.0
     strength_N: float = 600.0
     protocol: str = "mit"
+
+    @property
+    def digit_mm(self) -> float:
+        """Return the length of a digit [mm]."""
+        return sum(self.links_mm)
+
+    @property
+    def palm(self) -> float:
+        """Return the distance between the two sides [mm]. The default leaves space for a thick object."""
+        return self.spacious_palm if self.palm_mm is None else self.palm_mm
+
+    @property
+    def spacious_palm(self) -> float:
+        """Return the distance between the two sides for a thick object [mm]."""
+        return max(SMALLEST_OBJECT_MM, OBJECT_PER_DIGIT * self.digit_mm) + self.width_mm + CLEARANCE_MM
+
+    @property
+    def pulley(self) -> float:
+        """Return the moment arm at the joints [mm], by default in proportion to the digits."""
+        return self.digit_mm / DIGIT_PER_PULLEY if self.pulley_mm is None else self.pulley_mm
 
 
 def check_answers(answers: Answers) -> None:
@@ -71,36 +108,84 @@ def check_answers(answers: Answers) -> None:
             raise ConfigError(f"{count}", option, f"0 to {LARGEST_COUNT}")
     if answers.fingers + answers.opposed == 0:
         raise ConfigError("no digit", "--fingers", "a digit at least")
+    least = answers.width_mm + 2 * CLEARANCE_MM
+    if answers.opposed and answers.fingers and answers.palm < least:
+        raise ConfigError(f"{answers.palm:g}", "--palm", f"at least {least:g} mm, for an object between the digits")
     if not answers.links_mm:
         raise ConfigError("no link", "--links", "the length of each link in millimetres")
 
 
+def palm_warnings(answers: Answers) -> tuple[str, ...]:
+    """Return warnings about facing digits and a narrow palm, one line per warning."""
+    # Straight links touch a thinner object before their tips meet than digits that curl.
+    enough = answers.spacious_palm if len(answers.links_mm) > 1 else answers.width_mm + STRAIGHT_OBJECT_MM
+    if answers.fingers != answers.opposed or answers.palm >= enough:
+        return ()
+    return (
+        f"--palm {answers.palm:g}: tips of {answers.digit_mm:g} mm digits may meet around an object that fits, and not "
+        f"press on it; expected {enough:.0f} mm, shorter links, or a finger more on one side",
+    )
+
+
 def new_hand_text(answers: Answers) -> str:
     """Return the text of a hand file of schema 2."""
-    names = _names(answers)
     parts = [_head(answers), _digit_values(answers), _tendon_values(answers), _motor_values(answers)]
-    node = 0
-    for side, digits in enumerate(names):
-        for place, name in enumerate(digits):
-            y = (0.5 - side) * answers.palm_mm * 1e-3
-            z = SPACING_M * ((len(digits) - 1) / 2 - place)
-            motors = _motor_names(answers)
-            ids = ", ".join(f"{motor}.node_id = {node + i + 1}" for i, motor in enumerate(motors))
-            node += len(motors)
-            roll = 180.0 * (1 - side)
-            comment = "closes towards -y" if side == 0 else "closes towards +y, against the others"
-            parts.append(
-                f'[[digit]]\nname = "{name}"\nmount_position_m = [0.0, {_text(y)}, {_text(z)}]\n'
-                f"mount_rpy_deg = [{roll}, 0.0, 0.0]   # {comment}\nmotor = {{ {ids} }}"
-            )
+    motors = _motor_names(answers)
+    buses = _bus_names(answers)
+    per_bus = _digits_per_bus(answers)
+    digits = zip(_names(answers), _places(answers), strict=True)
+    for number, ((name, side), z) in enumerate(digits):
+        y = (0.5 - side) * answers.palm * 1e-3
+        bus = buses[number // per_bus]
+        # Node numbers begin at 1 on each bus.
+        first = number % per_bus * len(motors) + 1
+        on_bus = "" if bus == buses[0] else ', {}.bus = "' + bus + '"'
+        ids = ", ".join(f"{motor}.node_id = {first + i}{on_bus.format(motor)}" for i, motor in enumerate(motors))
+        roll = 180.0 * (1 - side)
+        comment = "closes towards -y" if side == 0 else "closes towards +y, against the others"
+        parts.append(
+            f'[[digit]]\nname = "{name}"\nmount_position_m = [0.0, {_text(y)}, {_text(z)}]\n'
+            f"mount_rpy_deg = [{roll}, 0.0, 0.0]   # {comment}\nmotor = {{ {ids} }}"
+        )
     return "\n\n".join(parts) + "\n"
 
 
-def _names(answers: Answers) -> tuple[list[str], list[str]]:
-    """Return the names of the digits of both sides."""
+def _names(answers: Answers) -> list[tuple[str, int]]:
+    """Return name and side of each digit. Opposed digits are on side 1."""
     fingers = [FINGERS[i] if i < len(FINGERS) else f"finger_{i + 1}" for i in range(answers.fingers)]
     opposed = ["thumb" if i == 0 else f"thumb_{i + 1}" for i in range(answers.opposed)]
-    return fingers, opposed
+    return [*((name, 0) for name in fingers), *((name, 1) for name in opposed)]
+
+
+def _places(answers: Answers) -> list[float]:
+    """Return the place of each digit along the hinges, the first side first [m].
+
+    Sides with different numbers of digits interleave. Otherwise tips meet before the digits press on
+    an object.
+    """
+    counts = (answers.fingers, answers.opposed)
+    passing = answers.width_mm * 2 + PASSING_MM
+    spacing = max(answers.width_mm + PASSING_MM, min(passing, ROW_MM / max(1, max(counts) - 1)))
+    # Rows that are both even or both odd face each other unless one is moved by half a gap.
+    moved = spacing / 2 if counts[0] != counts[1] and sum(counts) % 2 == 0 else 0.0
+    places = []
+    for count in counts:
+        offset = moved if count == min(counts) else 0.0
+        places += [1e-3 * (spacing * ((count - 1) / 2 - i) + offset) for i in range(count)]
+    return places
+
+
+def _bus_names(answers: Answers) -> list[str]:
+    """Return the names of the buses."""
+    count = math.ceil((answers.fingers + answers.opposed) / _digits_per_bus(answers))
+    return ["main", *(f"bus_{i + 1}" for i in range(1, count))]
+
+
+def _digits_per_bus(answers: Answers) -> int:
+    """Return the number of digits on a bus. All motors of a digit are on one bus."""
+    digits = answers.fingers + answers.opposed
+    buses = math.ceil(digits / max(1, MOTORS_PER_BUS // len(_motor_names(answers))))
+    return math.ceil(digits / buses)
 
 
 def _motor_names(answers: Answers) -> list[str]:
@@ -111,6 +196,8 @@ def _motor_names(answers: Answers) -> list[str]:
 def _head(answers: Answers) -> str:
     """Return the tables before the digits."""
     tendons = "one tendon per digit" if answers.tendons == "one" else "one tendon per joint"
+    sync, base = SENSOR_IDS.get(answers.protocol, SENSOR_IDS["mit"])
+    buses = "\n\n".join(f'[[bus]]\nname = "{name}"\nbitrate = 1_000_000' for name in _bus_names(answers))
     return f"""# Written by handctl config init. SI units, named in each key. Measure or look up what is marked ASSUMED.
 # handctl config check --hand FILE finds mistakes, handctl demo --lockstep --hand FILE is the first grasp.
 schema = 2
@@ -120,14 +207,12 @@ description = "{answers.fingers + answers.opposed} digits of {len(answers.links_
 [mount]
 gravity_m_s2 = [0.0, 0.0, -9.81]   # palm frame: x out of the palm, y from thumb to fingers, z along the hinges
 
-[[bus]]
-name = "main"
-bitrate = 1_000_000
+{buses}
 
 [sensor_node]
 bus = "main"
-sync_id = 0x080
-base_id = 0x1A0
+sync_id = {sync:s}
+base_id = {base:s}
 tendons = "all"                    # a load cell at every tendon
 joints = []                        # no joint encoders; "all" for one at every joint
 joint_decimation = 1
@@ -145,7 +230,7 @@ def _digit_values(answers: Answers) -> str:
     count = len(lengths)
     # The floor of all tendons that cross a joint closes it, and its spring opens it.
     crossing = [1] * count if answers.tendons == "one" else [count - i for i in range(count)]
-    stiffness = [OPENING * tendons * 1e-3 * answers.pulley_mm * FLOOR_N / PRELOAD_RAD for tendons in crossing]
+    stiffness = [OPENING * tendons * 1e-3 * answers.pulley * FLOOR_N / PRELOAD_RAD for tendons in crossing]
     lines = [
         "[default.digit]                    # one number holds for every link",
         f"link_length_m = {_list(lengths)}",
@@ -164,7 +249,7 @@ def _digit_values(answers: Answers) -> str:
         lines.append(f"coupling = {_list([[1.0]] * count)}   # springs equal on equal pulleys: all joints turn alike")
     for i, motor in enumerate(_motor_names(answers)):
         crossed = count if answers.tendons == "one" else i + 1
-        arms = ", ".join(f"j{j + 1} = {_text(1e-3 * answers.pulley_mm)}" for j in range(crossed))
+        arms = ", ".join(f"j{j + 1} = {_text(1e-3 * answers.pulley)}" for j in range(crossed))
         short = "tendon" if answers.tendons == "one" else f"t{i + 1}"
         lines.append(f'tendon.{short} = {{ motor = "{motor}", moment_arm_m = {{ {arms} }} }}')
     return "\n".join(lines)

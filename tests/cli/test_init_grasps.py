@@ -1,0 +1,92 @@
+"""A hand of `config init` grasps, holds and releases in lockstep. A sample in every run, all in the nightly one."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from handctl.cli.main import main
+from handctl.controller.bus_load import bus_loads
+from handctl.hand.load import load_hand
+from handctl.programs.default_task import default_scene
+from handctl.report.truth import read_truth
+from handctl.session.plan import fastest
+from tests.cli.refused import refused
+from tests.conftest import NIGHTLY
+
+LINKS = ("40", "60", "90", "120", "24,16", "40,30", "70,50", "18,12,10", "50,30,20", "55,40,25")
+CASES = [
+    (fingers, links, tendons, seed)
+    for seed in range(2)
+    for fingers in (1, 2, 3, 4)
+    for links in LINKS
+    for tendons in ("one", "each")
+    if tendons == "one" or "," in links
+]
+SAMPLE = [(1, "70,50", "one", 0), (2, "50,30,20", "each", 1)]
+"""Both dropped the cylinder when it was of one size for all hands, and tips met."""
+SLID_MM = 5.0
+
+
+def init(*words: str) -> None:
+    """Write mine.toml from options."""
+    assert main(["config", "init", "--yes", *words, "--output", "mine.toml"]) == 0
+
+
+@pytest.mark.parametrize(("fingers", "links", "tendons", "seed"), CASES if NIGHTLY else SAMPLE)
+def test_it_grasps_holds_and_releases(
+    place: Path, capsys: pytest.CaptureFixture[str], fingers: int, links: str, tendons: str, seed: int
+) -> None:
+    init("--fingers", str(fingers), "--opposed", "1", "--links", links, "--tendons", tendons)
+    assert "warning" not in capsys.readouterr().out
+    words = ["--hand", "mine.toml", "--log", "run.mcap", "--seed", str(seed), "--json"]
+    code = main(["demo", "--lockstep", *words])
+    out, err = capsys.readouterr()
+    assert code == 0, err
+    result = json.loads(out)
+    assert result["table_sunk_mm"] > 50.0
+    assert result["object_slid_mm"] < SLID_MM
+    truth = read_truth(place / "run.truth")
+    forces = [name for name in truth.columns if name.startswith("contact_force/")]
+    assert forces
+    # Nothing touches a digit at the end: the object lies on the table.
+    assert abs(truth.table(forces, truth.t_ns[-1:])).max() == 0.0
+
+
+def test_the_object_suits_the_digits(place: Path) -> None:
+    init("--links", "40,30")
+    assert default_scene(load_hand("mine.toml")) == "cylinder:52"
+
+
+def test_the_object_fits_between_the_digits(place: Path) -> None:
+    init("--links", "70,50", "--palm", "60")
+    assert default_scene(load_hand("mine.toml")) == "cylinder:43"
+
+
+@pytest.mark.parametrize(("fingers", "opposed", "links"), [(4, 1, "55,40,25"), (4, 4, "40,30"), (3, 0, "40,30")])
+def test_no_bus_is_slower_than_250_hz(place: Path, fingers: int, opposed: int, links: str) -> None:
+    init("--fingers", str(fingers), "--opposed", str(opposed), "--links", links, "--tendons", "each")
+    assert fastest(bus_loads(load_hand("mine.toml"))) >= 250.0
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (("--opposed", "0"), "no digit closes against another: the default task lifts no object"),
+        (("--tension", "15"), "pressing with 1 N at its tip takes"),
+        (("--fingers", "1", "--palm", "50"), "--palm 50: tips of 70 mm digits may meet around an object that fits"),
+    ],
+)
+def test_it_says_beforehand_why_it_cannot(
+    place: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], reason: str
+) -> None:
+    init(*words)
+    out = capsys.readouterr().out
+    assert "warning: " in out
+    assert reason in out
+    assert "next: handctl" in out
+
+
+def test_a_palm_without_room_is_refused(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    line = refused(capsys, "config", "init", "--yes", "--palm", "14", "--output", "mine.toml")
+    assert "--palm: 14; expected at least" in line
