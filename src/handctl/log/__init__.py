@@ -1,4 +1,4 @@
 """Recorder, topics, reader and recovery of MCAP logs.
 
-Common robotics tools open the logs as they are.
+Common robotics tools open these logs without conversion.
 """

@@ -29,13 +29,19 @@ FIXED_DTYPE = np.dtype(
         "itemsize": FIXED.size,
     }
 )
-"""Layout of the constant part of a Tick message. The hash is opaque bytes (V8)."""
+"""Layout of the part of a Tick message with constant length.
+
+The hash is stored as raw bytes (V8).
+"""
 _MAX_CACHED_TAILS = 256
-"""Maximum number of cached message tails. A log without events has one tail per phase."""
+"""Largest number of cached message ends.
+
+A log without events has a single message end per phase.
+"""
 
 
 class FrameBatch(NamedTuple):
-    """Frames of many ticks, in order.
+    """Frames of many ticks, in the order of the ticks.
 
     Attributes:
         frames: (m,) FRAME_DTYPE.
@@ -49,7 +55,7 @@ class FrameBatch(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """n ticks as arrays.
+    """Data of n ticks as arrays.
 
     Attributes:
         messages: the Tick message of each tick.
@@ -59,7 +65,7 @@ class Batch(NamedTuple):
         phases: grasp phase of each tick.
         numbers: (n, columns) telemetry in the order of Telemetry.packed.
         received, sent: the frames.
-        ticks_with_events: index -> decoded record of each tick with events, requests or io events.
+        ticks_with_events: decoded record of each tick with events, requests or io events, by index.
     """
 
     messages: list[bytes]
@@ -76,13 +82,13 @@ class Batch(NamedTuple):
 
 
 def row_fields(header: RunHeader, width: int) -> tuple[str, ...]:
-    """Return the fields of a telemetry row with `width` columns.
+    """Return the telemetry fields of a row with `width` columns.
 
-    Logs of earlier versions lack the last fields.
+    Logs from earlier versions lack the last fields.
 
     Args:
         header: header of the run.
-        width: columns of a row.
+        width: number of columns of a row.
     """
     earlier = TELEMETRY_FIELDS[:TELEMETRY_FIRST]
     return earlier if width == column_count(header, earlier) else TELEMETRY_FIELDS
@@ -94,7 +100,7 @@ def column_count(header: RunHeader, fields: tuple[str, ...]) -> int:
 
 
 def columns(header: RunHeader, fields: tuple[str, ...] = TELEMETRY_FIELDS) -> dict[str, slice]:
-    """Return the columns of each telemetry field in a row.
+    """Return the column numbers of each telemetry field in a row.
 
     Args:
         header: header of the run.
@@ -111,12 +117,12 @@ def columns(header: RunHeader, fields: tuple[str, ...] = TELEMETRY_FIELDS) -> di
 
 @dataclass(slots=True)
 class _FrameCollector:
-    """Frames of one direction, collected tick by tick.
+    """Collector for the frames of one direction, tick by tick.
 
     Attributes:
         parts: frames of each tick as FRAME_DTYPE bytes.
         counts: number of frames of each tick.
-        long_parts: bytes beyond the eighth.
+        long_parts: payload bytes after the eighth.
     """
 
     parts: list[bytes] = field(default_factory=list)
@@ -124,24 +130,24 @@ class _FrameCollector:
     long_parts: list[bytes] = field(default_factory=list)
 
     def frames(self) -> FrameBatch:
-        """Return the collected frames."""
+        """Return the collected frames of all ticks."""
         tick = np.repeat(np.arange(len(self.counts)), self.counts)
         return FrameBatch(np.frombuffer(b"".join(self.parts), FRAME_DTYPE), tick, b"".join(self.long_parts))
 
 
 class Batcher:
-    """Collects bodies of tick records until a batch is taken.
+    """Collector for tick records, until a batch is taken.
 
     Attributes:
-        misshapen: ticks whose telemetry had another shape than the header describes.
-        size: bytes of the records collected so far.
+        misshapen: number of ticks whose telemetry does not have the shape described in the header.
+        size: total length of the records collected so far [bytes].
     """
 
     def __init__(self, header: RunHeader) -> None:
         """Start with an empty batch.
 
         Args:
-            header: header of the run. Gives the number of telemetry columns.
+            header: header of the run, with the number of telemetry columns.
         """
         self._sizes = tuple(len(header.axis(name)) for name in ("joint", "tendon", "motor", "digit"))
         self._width = sum(len(header.axis(axis)) for axis in TELEMETRY_AXES.values())
@@ -183,7 +189,7 @@ class Batcher:
         return int(FIXED.unpack_from(message, 4)[1])
 
     def _add_frames(self, message: bytes) -> None:
-        """Append the frames of a Tick message to both directions, then its events."""
+        """Append the frames of a Tick message to both directions, and process the rest of the message."""
         parts = message_layout(message)
         for direction, part in ((self._received, parts.received), (self._sent, parts.sent)):
             direction.parts.append(message[part])
@@ -193,7 +199,7 @@ class Batcher:
         self._add_tail(message, parts.tail)
 
     def _add_long(self, data: bytes) -> None:
-        """Split the bytes beyond the eighth into those of received and of sent frames."""
+        """Distribute the payload bytes after the eighth to received and sent frames."""
         lengths = np.frombuffer(self._received.parts[-1], FRAME_DTYPE)["length"].astype(int)
         # The message has the bytes of all received frames first, then those of all sent frames.
         split = int(np.maximum(lengths - 8, 0).sum())
@@ -201,9 +207,9 @@ class Batcher:
         self._sent.long_parts.append(data[split:])
 
     def _add_tail(self, message: bytes, at: int) -> None:
-        """Append the phase of a Tick message.
+        """Append the grasp phase in a Tick message.
 
-        Keep the decoded tick if it has events, requests or io events.
+        A tick with events, requests or io events is decoded and kept.
 
         Args:
             message: the Tick message.
@@ -224,7 +230,7 @@ class Batcher:
         self._phases.append(phase)
 
     def take(self) -> Batch:
-        """Return the batch of all ticks since the last call, and begin a new one."""
+        """Return the batch of all ticks since the last call, and begin another batch."""
         # Four bytes of CDR encapsulation precede the constant part.
         fixed = np.frombuffer(b"".join([message[4 : 4 + FIXED.size] for message in self._messages]), FIXED_DTYPE)
         numbers = np.frombuffer(b"".join(self._numbers), "<f8").reshape(len(fixed), self._width)

@@ -1,4 +1,4 @@
-"""CDR, the encoding of ROS 2 messages: a writer, a reader, and templates of constant layout.
+"""CDR, the encoding of ROS 2 messages: writer, reader, and templates for messages of constant layout.
 
 Encapsulation (4 bytes: 0x00, 0x01 for little-endian plain CDR, two option bytes), then the fields
 in order. A number of n bytes is aligned to a multiple of n, counted from the byte after the
@@ -19,20 +19,20 @@ _I64 = struct.Struct("<q")
 
 
 class CdrWriter:
-    """Appends aligned values to `data`."""
+    """Writer of CDR values, which are aligned and appended to `data`."""
 
     def __init__(self, start: int = 0) -> None:
         """Start an empty message, or a part of one.
 
         Args:
-            start: offset of the first byte within the message body, for a part that is appended to
-                other parts.
+            start: offset of the first byte in the message body, for a part to be appended to other
+                parts.
         """
         self.data = bytearray()
         self._start = start
 
     def align(self, size: int) -> None:
-        """Put zeros up to a multiple of `size` bytes."""
+        """Append zeros up to a multiple of `size` bytes."""
         # In Python -n % size is the distance from n up to the next multiple of size.
         self.data += bytes(-(self._start + len(self.data)) % size)
 
@@ -68,14 +68,14 @@ class CdrWriter:
 
 
 class CdrReader:
-    """Reads aligned values and stops at the end of the message.
+    """Reader of aligned CDR values.
 
     Raises:
         ValueError: from every method, if the message ends before the value.
     """
 
     def __init__(self, message: bytes) -> None:
-        """Start after the encapsulation.
+        """Start after the encapsulation header.
 
         Raises:
             ValueError: the message is not little-endian plain CDR.
@@ -95,7 +95,7 @@ class CdrReader:
         return part
 
     def align(self, size: int) -> None:
-        """Move to a multiple of `size` bytes."""
+        """Move to the next multiple of `size` bytes."""
         self._at += -(self._at - 4) % size
 
     def count(self) -> int:
@@ -117,12 +117,12 @@ class CdrReader:
 
 @dataclass(frozen=True, slots=True)
 class Template:
-    """A message of constant layout in which only the listed fields change.
+    """Encoded message of constant layout in which only the listed fields change.
 
     Attributes:
         data: the message with zeros in all variable fields.
         stamps: offsets of the 8-byte time stamps.
-        places: name -> (offset, numpy format, number of values) of every other variable field.
+        places: (offset, numpy format, number of values) of every other variable field, by name.
     """
 
     data: bytes
@@ -131,7 +131,7 @@ class Template:
 
 
 class TemplateWriter(CdrWriter):
-    """Builds a template: like CdrWriter, with variable fields."""
+    """Builder of a template: a CdrWriter with variable fields."""
 
     def __init__(self) -> None:
         """Start with an empty message."""
@@ -140,7 +140,7 @@ class TemplateWriter(CdrWriter):
         self._places: dict[str, tuple[int, str, int]] = {}
 
     def stamp(self) -> None:
-        """Append a builtin_interfaces/Time that changes."""
+        """Append a variable builtin_interfaces/Time."""
         self.align(4)
         # Offsets count from the start of the message. The encapsulation is 4 bytes long.
         self._stamps.append(len(self.data) + 4)

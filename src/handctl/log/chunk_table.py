@@ -1,11 +1,12 @@
-"""Compact table of the chunks of a log that is being written.
+"""Compact table of the chunks in a log that is being written.
 
 A log of one day has about 350,000 chunks.
 
-MCAP requires an index of all chunks behind the last chunk. As records of the mcap package the index
-takes 2 KB per chunk, which is 30 MB per hour. Here a chunk takes 64 bytes, because few arrangements
-of message indexes occur and each is stored once. Full blocks are compressed to a third, because
-successive chunks have similar numbers.
+MCAP requires an index of all chunks behind the last chunk. With the records of the mcap package the
+index would need 2 KB of memory per chunk, or 30 MB per hour. This table needs 64 bytes per chunk,
+because only few different arrangements of message indexes occur, and each arrangement is stored
+once. Full blocks are compressed to a third of their size, because successive chunks have similar
+numbers.
 """
 
 import struct
@@ -16,21 +17,21 @@ from typing import NamedTuple
 from mcap.records import ChunkIndex
 
 _CHUNK = struct.Struct("<QQQQQQQQ")
-"""ChunkAt, then the number of the arrangement of message indexes."""
+"""Layout of a row: the fields of ChunkEntry, then the number of the arrangement of message indexes."""
 _CHANNEL = struct.Struct("<HQ")
-"""Channel id, offset of its message index behind the chunk's end."""
+"""Layout of an arrangement: channel id, offset of the channel's message index from the chunk's end."""
 BLOCK = 512
-"""Chunks per compressed block."""
+"""Number of chunks per compressed block."""
 
 
 class ChunkEntry(NamedTuple):
-    """One chunk.
+    """Position, size, and times of one chunk.
 
     Attributes:
-        start, length: position of its record in the file [bytes].
-        packed, size: size of its messages, compressed and uncompressed [bytes].
-        first, last: times of its messages [ns].
-        indexes: length of the message indexes behind the chunk [bytes].
+        start, length: start and length of the chunk's record in the file [bytes].
+        packed, size: compressed and uncompressed size of the messages [bytes].
+        first, last: times of the first and last message [ns].
+        indexes: length of the message indexes after the chunk [bytes].
     """
 
     start: int
@@ -43,7 +44,7 @@ class ChunkEntry(NamedTuple):
 
 
 class ChunkTable:
-    """All chunks written so far, in the order of the file."""
+    """Table of all chunks written so far, in the order of the file."""
 
     def __init__(self) -> None:
         """Start with an empty table."""
@@ -56,12 +57,12 @@ class ChunkTable:
         return BLOCK * len(self._packed) + len(self._latest) // _CHUNK.size
 
     def add(self, chunk: ChunkEntry, index_offsets: dict[int, int]) -> None:
-        """Append a chunk.
+        """Append a chunk to the table.
 
         Args:
             chunk: the chunk.
-            index_offsets: channel -> distance from the chunk's end to the message index of the
-                channel [bytes].
+            index_offsets: distance from the chunk's end to each channel's message index [bytes], by
+                channel.
         """
         layout = b"".join([_CHANNEL.pack(*item) for item in index_offsets.items()])
         # `setdefault` numbers the arrangements in the order of their first use.
@@ -71,7 +72,7 @@ class ChunkTable:
             self._latest.clear()
 
     def indexes(self) -> Iterator[ChunkIndex]:
-        """Yield the ChunkIndex record of each chunk."""
+        """Yield the ChunkIndex record for each chunk."""
         layouts = [tuple(_CHANNEL.iter_unpack(layout)) for layout in self._layouts]
         for *fields, layout in self._rows():
             chunk = ChunkEntry(*fields)

@@ -1,6 +1,6 @@
 """Identity of the control code.
 
-A version number names a release, the hash also a state between two releases.
+A version number identifies a release. The hash also identifies a state between two releases.
 """
 
 import functools
@@ -8,14 +8,14 @@ import hashlib
 from pathlib import Path
 
 CONTROL_PACKAGES = ("hand", "drives", "safety", "core", "programs", "controller")
-"""Packages that re-execution runs again."""
+"""Packages whose code runs in a re-execution of a log."""
 UNKNOWN = "?"
-"""Code identity in a log that states none."""
+"""Code identity for a log without such an entry."""
 
 
 @functools.cache
 def code_identity() -> str:
-    """Return twelve hexadecimal digits of a hash over the sources of the control packages."""
+    """Return the first twelve hexadecimal digits of a hash over the sources of the control packages."""
     package = Path(__file__).parents[1]
     digest = hashlib.sha256()
     # Sorted paths and NUL separators: the hash depends on names and contents only, not on the file

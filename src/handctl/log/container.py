@@ -2,8 +2,8 @@
 
 Messages are written in blocks, because one call per message is expensive in Python.
 
-The mcap package writes the rare records. Chunks and message indexes dominate the time and are
-written here:
+The mcap package writes the rare records. This module writes chunks and message indexes itself,
+because these dominate the time:
 
 Chunk: opcode u8, length u64, first time u64 [ns], last time u64 [ns], uncompressed size u64, CRC-32
 u32, compression as a text (u32 length), compressed size u64, compressed records. MessageIndex:
@@ -56,7 +56,7 @@ _INDEX_ENTRY = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
 
 
 class MessageBlock(NamedTuple):
-    """Consecutive Message records of one channel.
+    """Block of consecutive Message records of one channel.
 
     Attributes:
         channel: channel id.
@@ -94,13 +94,14 @@ class _Summary:
 
 
 class Container:
-    """An MCAP file being written, without a buffer.
+    """MCAP file that is being written, without a buffer.
 
     Attributes:
-        good: length of the file up to the last complete record [bytes].
+        good: length of the file up to the end of the last complete record [bytes].
 
     Raises:
-        OSError: from every method that writes. Afterwards only `cut_back` may follow.
+        OSError: from every method that writes, if the write fails. Only `cut_back` may be called
+            afterwards.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -122,7 +123,7 @@ class Container:
         return self._summary.counts.total()
 
     def _put(self, data: bytes) -> int:
-        """Write all bytes and return their offset in the file."""
+        """Write all bytes, and return the offset in the file at which they start."""
         start = self._at
         view = memoryview(data)
         while view:
@@ -136,7 +137,7 @@ class Container:
         return start
 
     def cut_back(self) -> None:
-        """Remove the remains of a failed write behind the last complete record."""
+        """Remove the remains of a failed write after the last complete record."""
         os.ftruncate(self._fd, self.good)
         os.lseek(self._fd, self.good, os.SEEK_SET)
         self._at = self.good
@@ -168,9 +169,9 @@ class Container:
         schemas: Sequence[Schema] = (),
         channels: Sequence[Channel] = (),
     ) -> None:
-        """Write one compressed chunk with its message indexes.
+        """Write one compressed chunk and its message indexes.
 
-        New schemas and channels come first in the chunk.
+        New schemas and channels are written at the start of the chunk.
         """
         head = serialised([*schemas, *channels])
         content = b"".join([head, *(block.data for block in blocks)])
@@ -191,7 +192,7 @@ class Container:
         self._summary.last = max(last, self._summary.last)
 
     def finish(self) -> None:
-        """Write the summary and the footer."""
+        """Write the summary and the footer of the file."""
         self._put(serialised([DataEnd(self._crc)]))
         body, offset_start = self._summary_section(self._at)
         # The CRC of the summary covers the footer up to its own field: opcode, length 20, and both
@@ -241,7 +242,7 @@ class Container:
 
 
 def _indexes(blocks: Sequence[MessageBlock], base: int) -> tuple[bytes, dict[int, int]]:
-    """Return the message indexes behind a chunk, and the offset of each channel's index within them.
+    """Return the message indexes to write after a chunk, and the offset of each channel's index.
 
     Args:
         blocks: the messages of the chunk.

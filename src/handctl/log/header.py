@@ -11,40 +11,44 @@ from handctl.hand.file.quantities import NAME_PATTERN
 from handctl.printing import encodable
 
 TRUTH_OFFSET = "truth_offset_ns"
-"""Metadata key of a lockstep run: t = 0 of the run on the simulator's clock [ns].
+"""Metadata key for the simulator's time at t = 0 of a lockstep run [ns].
 
-Commissioning advances this clock.
+Commissioning before the run advances the simulator's time.
 """
 PERIODS_NS = (10_000, 10_000_000_000)
-"""Shortest and longest period of a tick in a log [ns]."""
+"""Shortest and longest accepted tick period in a log [ns]."""
 LATEST_NS = 1 << 62
-"""Latest time in a log [ns].
+"""Latest accepted time in a log [ns].
 
-The sum of two such times, and UNIX time until 2116, fits into 64 bits.
+The sum of two such times fits into 64 bits, and so does UNIX time until the year 2116.
 """
 NAMES = ("joints", "tendons", "motors", "digits", "buses")
-"""Lists of names in a header."""
+"""Keys of a header whose value is a list of names."""
 MAX_NAMES = 1000
-"""Maximum length of a list of names."""
+"""Largest length of a list of names."""
 
 
 @dataclass(frozen=True, slots=True)
 class RunHeader:
-    """Header of a run. It is written first and survives whatever ends the run.
+    """Header of a run.
+
+    The header is written first, so every log has the header, however the run ends.
 
     Attributes:
         hand_toml: the resolved description of the hand.
         joints, tendons, motors, digits, buses: names in the order of the hand file.
         period_ns: period of the tick [ns].
         offset_ns: UNIX time at t = 0 [ns], one per run. 0 in a deterministic run.
-        metadata: version, bus, seed, operator's note ...: the metadata record `handctl`.
-        gains: name -> value at the start: the metadata record `handctl.gains` and the first
-            parameter event.
-        attachments: file name -> bytes, e.g. hand.urdf, gains.toml, calibration.toml, task.toml,
-            initial_state.
-        wall: facts of the machine and the wall clock: the metadata record `handctl.wall`.
-        deterministic: a lockstep run. No tick is dropped, no clock is read, equal runs give equal
-            streams.
+        metadata: content of the metadata record `handctl`: version, bus, seed, operator's note, and
+            others.
+        gains: gains at the start, by name. Content of the metadata record `handctl.gains` and of
+            the first parameter event.
+        attachments: content of attached files, by name, such as hand.urdf, gains.toml,
+            calibration.toml, task.toml, initial_state.
+        wall: data about the machine and the wall clock, content of the metadata record
+            `handctl.wall`.
+        deterministic: True for a lockstep run. No tick is dropped and no clock is read, so that
+            equal runs write equal logs.
     """
 
     hand_toml: str
@@ -63,12 +67,12 @@ class RunHeader:
 
     @classmethod
     def of_hand(cls, hand_toml: str, period_ns: int, **more: object) -> Self:
-        """Create a header with all names from the hand's description.
+        """Return a header with all names from the hand's description.
 
         Args:
             hand_toml: the description.
             period_ns: period of the tick [ns].
-            more: the other attributes.
+            more: values of the other attributes.
         """
         hand = tomllib.loads(hand_toml)
         joints = tuple(f"{d['name']}_j{i + 1}" for d in hand["digit"] for i in range(len(d["link_length_m"])))
@@ -91,7 +95,7 @@ class RunHeader:
         metadata: Mapping[str, dict[str, str]],
         attachments: dict[str, bytes],
     ) -> Self:
-        """Read a header from the records of a log, and check every value used in arithmetic.
+        """Return a header from the records of a log, after a check of every value used in arithmetic.
 
         Args:
             record: metadata record `handctl.run`, a JSON text by name.
@@ -99,7 +103,7 @@ class RunHeader:
             attachments: all attachments.
 
         Raises:
-            ValueError: a value has another type than in a header, or is out of its range.
+            ValueError: a value has the wrong type, or is out of range.
             KeyError: a value is missing.
         """
         run = {name: json.loads(text) for name, text in record.items()}
@@ -118,7 +122,7 @@ class RunHeader:
 
     @property
     def truth_offset_ns(self) -> int:
-        """Return the time of t = 0 on the simulator's clock [ns]. A run outside lockstep has 0.
+        """Return the simulator's time at t = 0 of the run [ns], 0 for a run outside lockstep.
 
         Raises:
             LogError: the value in the log is not such a time.
@@ -138,7 +142,7 @@ class RunHeader:
         }[name]
 
     def dump(self) -> bytes:
-        """Encode the header for the pipe: one line of JSON, then the attachments in order."""
+        """Encode the header for the pipe as one line of JSON, followed by the attachments in order."""
         sizes = {name: len(data) for name, data in self.attachments.items()}
         fields = asdict(self) | {"attachments": sizes}
         for table in ("metadata", "gains", "wall"):
@@ -147,7 +151,7 @@ class RunHeader:
 
     @classmethod
     def load(cls, data: bytes) -> Self:
-        """Decode a header, the inverse of `dump`."""
+        """Decode a header that `dump` has encoded."""
         line, _, rest = data.partition(b"\n")
         fields = json.loads(line)
         attachments = {}
@@ -160,7 +164,7 @@ class RunHeader:
 
 
 def _checked_integer(key: str, value: Any, low: int, high: int) -> int:
-    """Return a whole number of a log's header after a check.
+    """Return an integer of a log's header after a check of type and range.
 
     Raises:
         ValueError: the value is not a whole number from `low` to `high`.
@@ -172,7 +176,7 @@ def _checked_integer(key: str, value: Any, low: int, high: int) -> int:
 
 
 def _checked_names(key: str, value: Any) -> tuple[str, ...]:
-    """Return a list of names of a log's header after a check: valid in a hand file, and distinct.
+    """Return a list of names of a log's header after a check.
 
     Raises:
         ValueError: the value is not such a list.
@@ -188,6 +192,6 @@ def _checked_names(key: str, value: Any) -> tuple[str, ...]:
 
 
 def _brief_text(value: Any) -> str:
-    """Format a header value for a message, at most 40 characters."""
+    """Return a header value as text for a message, at most 40 characters long."""
     text = json.dumps(value)
     return text if len(text) <= 40 else text[:37] + "..."

@@ -1,4 +1,4 @@
-"""Message types of the log as ROS 2 interface text.
+"""Message types in the log, as ROS 2 interface definitions.
 
 The names and fields are part of the log format and must not change.
 
@@ -16,12 +16,12 @@ PHASES = {
         "silent", "inventory", "ready", "arming", "relax", "disarm", "cut", "done",
     ))
 }  # fmt: skip
-"""Numbers of the grasp phases. A phase with another name, from a task, is logged as OTHER_PHASE."""
+"""Number of each grasp phase. A phase with a different name in a task is logged as OTHER_PHASE."""
 OTHER_PHASE = 255
 
 
 def _constants(values: dict[str, int]) -> str:
-    """Return constants of a message type, one line each."""
+    """Return the definitions of constants in a message type, one line per constant."""
     return "".join(f"uint8 {name.upper()}={value}\n" for name, value in values.items())
 
 
@@ -93,16 +93,16 @@ DEFINITIONS = {
     "handctl_msgs/CanFrame[] received\nhandctl_msgs/CanFrame[] sent\nuint8[] long_data\nstring phase\n"
     "handctl_msgs/IoEvent[] io_events\nstring[] requests\nhandctl_msgs/Event[] events\n",
 }
-"""Message type -> its definition."""
+"""Definition of each message type, by name."""
 
 _SEPARATOR = "=" * 80 + "\n"
 
 
 def _dependencies(name: str, types: dict[str, None]) -> None:
-    """Collect the types used in a definition, depth first, each once.
+    """Collect the types used in a definition, depth first, without duplicates.
 
     Args:
-        name: message type.
+        name: name of the message type.
         types: the types so far, in order. Extended in place.
     """
     for line in DEFINITIONS[name].splitlines():
@@ -114,7 +114,7 @@ def _dependencies(name: str, types: dict[str, None]) -> None:
 
 
 def schema_text(name: str) -> str:
-    """Return the definition of a type and of all types in it, in the form of MCAP's ros2msg encoding.
+    """Return the definition of a type and of all types used in it, in MCAP's ros2msg encoding.
 
     Args:
         name: message type, for example "sensor_msgs/JointState".
@@ -125,6 +125,6 @@ def schema_text(name: str) -> str:
 
 
 def schema_name(name: str) -> str:
-    """Return the name in ROS 2 notation: "sensor_msgs/msg/JointState"."""
+    """Return the name of a type in ROS 2 notation, such as "sensor_msgs/msg/JointState"."""
     package, type_name = name.split("/")
     return f"{package}/msg/{type_name}"

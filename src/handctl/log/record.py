@@ -1,6 +1,7 @@
-"""Records of the pipe to the recorder.
+"""Records that the controller writes into the pipe to the recorder.
 
-A tick is a `handctl_msgs/Tick` ready for the log, then the telemetry.
+The record of a tick is a `handctl_msgs/Tick` message, encoded as in the log, followed by the
+telemetry.
 
 All numbers are little-endian.
 
@@ -46,59 +47,62 @@ from handctl.safety.action import Action
 
 FRAMING = struct.Struct("<II")
 HEADER = 1
-"""Kind of a record: the header of a run, `RunHeader.dump`."""
+"""Kind of the record with the header of a run, from `RunHeader.dump`."""
 TICK = 2
-"""Kind of a record: one tick."""
+"""Kind of the record of one tick."""
 END = 3
-"""Kind of a record: the reason of the end, as JSON."""
+"""Kind of the record with the reason of the end, as JSON."""
 SNAPSHOT = 4
-"""Kind of a record: the state after a tick."""
+"""Kind of the record with the state after a tick."""
 SNAPSHOT_HEAD = struct.Struct("<qq")
-"""Number and time [ns] of the tick after which the state was taken."""
+"""Layout of the start of a snapshot record: number and time [ns] of the tick before the state."""
 
 SIZES = struct.Struct("<IHHHH")
-"""Start of a tick's body: size of the Tick message, lengths of the telemetry axes."""
+"""Layout of the start of a tick's body: size of the Tick message, lengths of the telemetry axes."""
 FIXED = struct.Struct("<qqq8sBB2xI")
-"""Constant part of the Tick message: k, t_ns, late_ns, state hash, mode, action, number of received frames."""
+"""Layout of a Tick message's first part: k, t_ns, late_ns, state hash, mode, action, number of received frames."""
 FRAME_SIZE = SHORT
-"""Size of a frame in a Tick message: the beginning of its record, up to eight data bytes."""
+"""Size of a frame in a Tick message [bytes]: the first part of its record, with eight data bytes."""
 _BEGINNING = np.dtype(f"V{SHORT}")
-"""A frame as opaque bytes."""
+"""numpy type of a frame as raw bytes."""
 _LENGTH_AT = 15
 """Offset of the length byte in a frame."""
 _DATA_AT = 16
 """Offset of the data in a frame."""
 _DATA_WORD = np.dtype("<u8")
-"""The eight data bytes of a frame as one word."""
+"""numpy type of a frame with the eight data bytes as one word."""
 _SHORT_DATA = 8
-"""Data bytes in a frame."""
+"""Number of data bytes in a frame."""
 _LONGEST = 64
-"""Data bytes of the longest CAN FD frame."""
+"""Number of data bytes in the longest CAN FD frame."""
 _MASKS = np.array([(1 << 8 * length) - 1 for length in range(_SHORT_DATA + 1)], np.uint64)
-"""Bits of the data word within a payload of each length, 0 to 8 bytes."""
+"""Mask of the data word for each payload length from 0 to 8 bytes."""
 _LONG_INDEX = np.arange(_SHORT_DATA, _LONGEST)
 """Indexes of the data bytes beyond the eighth."""
 _FRAMES_AT = FIXED.size + 4
 """Offset of the received frames in a message [bytes]."""
 _Fixed = tuple[int, int, int, bytes, int, int, int]
-"""The constant part, unpacked."""
+"""Values of the first part of a Tick message."""
 _MODES = {mode.value: mode for mode in Mode}
 _ACTIONS = {action.value: action for action in Action}
-"""Enumeration members by value. A dictionary is four times as fast as a call of the enumeration."""
+"""Members of the enumeration by value.
+
+A dictionary is four times as fast as calling the enumeration.
+"""
 new_tuple = tuple.__new__
-"""Creates a named tuple without its constructor, for speed."""
+"""Function that creates a named tuple without its constructor, for speed."""
 _COUNT = struct.Struct("<I")
 _NO_LONG_DATA = _COUNT.pack(0)
 _FIELD_OF_EACH_AXIS = "q", "tension", "motor_torque", "contact"
-"""One telemetry field of each axis: joint, tendon, motor, digit."""
+"""One telemetry field for each axis: joint, tendon, motor, digit."""
 
 
 class TickRecord(NamedTuple):
-    """A tick in the log without its telemetry.
+    """Tick in the log, without its telemetry.
 
     Attributes:
         tick_in: all inputs of the tick.
-        frames: frames sent, in order.
+        frames: sent frames, in order.
         mode, phase, action, events, state_hash: as in TickOut.
     """
 
@@ -117,20 +121,20 @@ def record_bytes(kind: int, body: bytes) -> bytes:
 
 
 def _long_mask(records: Records) -> NDArray[np.bool_]:
-    """Return (n, 56) whether each byte beyond the eighth belongs to the payload."""
+    """Return a mask (n, 56): True for each byte after the eighth that belongs to the payload."""
     return np.asarray(records["length"][:, np.newaxis] > _LONG_INDEX)
 
 
 def _long_data(records: Records) -> bytes:
-    """Return the bytes beyond the eighth of all payloads."""
+    """Return the payload bytes after the eighth of all frames."""
     return bytes(records["data"][:, _SHORT_DATA:][_long_mask(records)].tobytes())
 
 
 @functools.lru_cache(maxsize=64)
 def _tail_without_events(phase: str) -> bytes:
-    """Return the end of a message without events: the phase and three empty sequences.
+    """Return the end of a Tick message without events: the phase and three empty sequences.
 
-    These bytes are equal at every offset divisible by four, therefore they are cached.
+    At every offset divisible by four these bytes are the same, so they are cached.
     """
     out = CdrWriter()
     out.text(phase)
@@ -140,7 +144,7 @@ def _tail_without_events(phase: str) -> bytes:
 
 
 def _tail(start: int, phase: str, tick_in: TickIn, events: tuple[Event, ...]) -> bytes:
-    """Return the end of a message: phase, io events, requests, events.
+    """Return the end of a Tick message: phase, io events, requests, events.
 
     Args:
         start: offset of the end in the message body, for alignment [bytes].
@@ -209,7 +213,7 @@ def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
 
 
 def pack(tick_in: TickIn, out: TickOut) -> bytes:
-    """Encode a tick as a record for the pipe. Raises as `pack_tick`."""
+    """Encode a tick as a record for the pipe. Raises the errors of `pack_tick`."""
     message = pack_tick(tick_in, out)
     values = out.telemetry.packed()
     sizes = SIZES.pack(len(message), *_axes(out.telemetry))
@@ -229,12 +233,12 @@ def _axes(numbers: Telemetry | PackedTelemetry) -> list[int]:
 
 
 class MessageLayout(NamedTuple):
-    """Positions of the parts of a Tick message.
+    """Positions of the parts in a Tick message.
 
     Attributes:
         received, sent: slice of the frames.
-        long_data: slice of the bytes beyond the eighth.
-        tail: start of the phase and the lists behind it.
+        long_data: slice of the payload bytes after the eighth.
+        tail: offset of the phase and the lists after the phase [bytes].
     """
 
     received: slice
@@ -244,7 +248,7 @@ class MessageLayout(NamedTuple):
 
 
 def message_layout(message: bytes) -> MessageLayout:
-    """Find the parts of a Tick message without decoding them.
+    """Return the positions of the parts in a Tick message, without decoding them.
 
     Raises:
         struct.error: the message ends early.
@@ -263,11 +267,11 @@ def message_layout(message: bytes) -> MessageLayout:
 
 
 def _decode_frames(beginnings: bytes, long_data: bytes) -> tuple[Frames, bytes]:
-    """Return the decoded frames and the rest of the bytes beyond the eighth.
+    """Return the decoded frames, and the long bytes that belong to later frames.
 
     Args:
-        beginnings: frames of the message, FRAME_SIZE bytes each.
-        long_data: bytes beyond the eighth of these frames and of later ones.
+        beginnings: first parts of the frames, FRAME_SIZE bytes each.
+        long_data: payload bytes after the eighth, of these frames and of later frames.
 
     Raises:
         ValueError: a payload is too long, or its bytes are missing.
@@ -307,10 +311,10 @@ def _phase_without_events(tail: bytes) -> str | None:
 
 
 def unpack_tick(message: bytes) -> TickRecord:
-    """Decode a Tick message, the inverse of `pack_tick`.
+    """Decode a Tick message that `pack_tick` has encoded.
 
     Raises:
-        ValueError: not a Tick message.
+        ValueError: the bytes are not a Tick message.
     """
     if message[:4] != ENCAPSULATION:
         raise ValueError("not little-endian CDR")
@@ -326,14 +330,14 @@ def unpack_tick(message: bytes) -> TickRecord:
 
 
 def _tick(fixed: _Fixed, received: Frames, sent: Frames, message: bytes, tail: int) -> TickRecord:
-    """Create a tick from its parts.
+    """Return a tick from the parts of its message.
 
     Args:
-        fixed: constant part of the message.
+        fixed: values of the first part of the message.
         received: received frames.
         sent: sent frames.
         message: the whole message.
-        tail: start of the phase.
+        tail: offset of the phase in the message [bytes].
     """
     phase = _phase_without_events(message[tail:])
     if phase is not None:
@@ -350,7 +354,7 @@ def _tick(fixed: _Fixed, received: Frames, sent: Frames, message: bytes, tail: i
 
 
 def _tick_without_events(fixed: _Fixed, received: Frames, sent: Frames, phase: str) -> TickRecord:
-    """Create a tick without io events, requests and events."""
+    """Return a tick without io events, requests, and events."""
     k, t_ns, late_ns, state_hash, mode, action, _ = fixed
     tick_in = new_tuple(TickIn, (k, t_ns, late_ns, received, (), ()))
     mode_member = _MODES.get(mode) or Mode(mode)
@@ -359,20 +363,21 @@ def _tick_without_events(fixed: _Fixed, received: Frames, sent: Frames, phase: s
 
 
 def unpack_ticks(messages: list[bytes]) -> list[TickRecord]:
-    """Decode the messages of a chunk. The frames of all ticks are parts of one array.
+    """Decode all Tick messages of a chunk. The frames of all ticks share one array.
 
     Raises:
-        ValueError: one of them is not a Tick message.
+        ValueError: an element is not a Tick message.
     """
     quick = _unpack_short(messages)
     return quick if quick is not None else [unpack_tick(message) for message in messages]
 
 
 def _unpack_short(messages: list[bytes]) -> list[TickRecord] | None:
-    """Decode messages without long payloads.
+    """Decode Tick messages that have no payload longer than eight bytes.
 
     Returns:
-        None if a message has a long payload or ends early. `unpack_tick` then decodes each message.
+        the ticks, or None if a message has a long payload or ends early. `unpack_tick` then decodes
+        each message.
     """
     parts = list[bytes]()
     ends = [0]
@@ -408,10 +413,10 @@ def _unpack_short(messages: list[bytes]) -> list[TickRecord] | None:
 
 
 def unpack(record: bytes) -> tuple[TickIn, TickOut]:
-    """Decode a record of the pipe, the inverse of `pack`.
+    """Decode a record of the pipe that `pack` has encoded.
 
     Raises:
-        ValueError: not a record of a tick.
+        ValueError: the bytes are not the record of a tick.
     """
     length, kind = FRAMING.unpack_from(record)
     if kind != TICK or length != len(record) - FRAMING.size:

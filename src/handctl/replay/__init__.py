@@ -1,1 +1,1 @@
-"""Replay of a recorded run: re-execution, driving again, judgement by other limits, comparison."""
+"""Use of a recorded run: re-execution, driving again, judgement by other limits, comparison."""

@@ -10,7 +10,7 @@ from handctl.replay.rebuild import logged_hand
 
 
 def check(log: RunLog) -> list[str]:
-    """Return one line per defect of a log. Every byte of the log is read.
+    """Return one line per defect of a log, after reading every byte of the log.
 
     Raises:
         LogError: a chunk is damaged.
@@ -61,7 +61,10 @@ def _clock(log: RunLog) -> Iterator[str]:
 
 
 def _frames(log: RunLog) -> Iterator[str]:
-    """Check for frames stamped after the tick that read them: their clock is not the controller's."""
+    """Check for frames stamped after the tick that read them.
+
+    Such frames were stamped by a clock other than the controller's.
+    """
     future = 0
     last = -1
     for tick in log.ticks():
@@ -75,7 +78,7 @@ def _frames(log: RunLog) -> Iterator[str]:
 
 
 def _hashes(log: RunLog) -> Iterator[str]:
-    """Check the identity of the hand, and that no state hash occurs twice."""
+    """Check the identity of the hand, and check that no state hash occurs twice."""
     logged = log.header.metadata.get("identity", "")
     computed = logged_hand(log).identity
     if logged != computed:
@@ -86,7 +89,7 @@ def _hashes(log: RunLog) -> Iterator[str]:
 
 
 def _chain(log: RunLog) -> Iterator[str]:
-    """Check the hash chain. The first tick with a wrong hash is named."""
+    """Check the hash chain, and name the first tick with a wrong hash."""
     before = seed_of(log.header)
     broken = list[int]()
     ticks = zip(log.k.tolist(), log.messages(), log.packed(), log.digests(), strict=False)

@@ -13,29 +13,29 @@ from handctl.log.read.reader import RunLog
 Array = NDArray[np.float64]
 
 MAX_DELAY_S = 0.2
-"""Maximum delay that is considered [s]."""
+"""Largest delay considered [s]."""
 MIN_MOTION = 0.05
-"""Minimum motion for a delay, as a fraction of the signal's largest value."""
+"""Smallest motion from which a delay is computed, as a fraction of the signal's largest value."""
 MAX_UNEXPLAINED = 0.1
-"""Maximum unexplained fraction of a signal's variance.
+"""Largest fraction of a signal's variance not explained by a delay.
 
-A delay that leaves more is chance or noise.
+A delay that leaves a larger fraction is a result of chance or noise.
 """
 IN_TIME_MS = 0.05
-"""Smaller delays are printed as "in time" [ms]."""
+"""Delay below which "in time" is printed [ms]."""
 
 SIGNALS = {"q": ("joint", 57.29577951308232, "deg"), "tension": ("tendon", 1.0, "N")}
-"""Telemetry field -> axis, factor to the printed unit, printed unit."""
+"""Axis, factor to the printed unit, and printed unit, by telemetry field."""
 
 
 def check_same_hand(a: RunLog, name: str, identity: str, where: str) -> None:
-    """Refuse a log of another hand.
+    """Raise an error for a log of another hand.
 
     Args:
         a: a log.
         name: name of the other hand.
         identity: identity of the other hand.
-        where: origin of the other hand, for the error.
+        where: file of the other hand, for the error message.
 
     Raises:
         IncomparableError: the identities differ.
@@ -73,7 +73,10 @@ def compare(names: tuple[str, ...], before: Array, after: Array, period: float) 
 
 
 def rms_and_peak(change: Array) -> dict[str, float]:
-    """Compute RMS and peak of a difference without its NaN. Without any number both are NaN."""
+    """Return RMS and peak of a difference, NaN values excluded.
+
+    Both are NaN if every value is NaN.
+    """
     finite = change[~np.isnan(change)]
     if not finite.size:
         return {"rms": float("nan"), "peak": float("nan")}
@@ -81,15 +84,14 @@ def rms_and_peak(change: Array) -> dict[str, float]:
 
 
 def delay(before: Array, after: Array, period: float) -> float:
-    """Compute the delay of `after` behind `before` [s].
+    """Return the delay of `after` relative to `before` [s].
 
-    The delay is the shift with the least remaining variance, refined by a parabola through three
-    shifts.
+    The delay is the time shift with the smallest remaining variance, refined by a parabola through
+    three shifts.
 
     Returns:
-        NaN if the signal moves no more than noise, if no delay within `MAX_DELAY_S` fits best, or
-        if a signal has
-            NaN.
+        NaN if the signal does not move more than noise, if the best shift exceeds `MAX_DELAY_S`, or
+        if a signal has a NaN.
     """
     if np.isnan(before).any() or np.isnan(after).any():
         return float("nan")
@@ -109,7 +111,7 @@ def delay(before: Array, after: Array, period: float) -> float:
 
 
 def resampled(log: RunLog, field: str, start: float, times: Array) -> Array:
-    """Interpolate a field of a log (times, n).
+    """Return a telemetry field interpolated at the given times (times, n).
 
     Args:
         log: the log.
@@ -141,7 +143,7 @@ def compare_runs(a: RunLog, start_a: float, b: RunLog, start_b: float, duration:
 
 
 def difference_lines(compared: dict[str, Any]) -> Iterator[str]:
-    """Yield a printed line for each joint and tendon known in both runs.
+    """Yield one line of text for each joint and tendon known in both runs.
 
     Args:
         compared: result of `compare_runs`.
@@ -156,5 +158,5 @@ def difference_lines(compared: dict[str, Any]) -> Iterator[str]:
 
 
 def _late(ms: float) -> str:
-    """Format a delay."""
+    """Return a delay as text."""
     return f"{abs(ms):.1f} ms {'behind' if ms > 0 else 'ahead'}"

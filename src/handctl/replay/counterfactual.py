@@ -1,4 +1,4 @@
-"""Commands of other gains on the inputs of a recorded run, as numbers and as a figure.
+"""Commands that other gains would have given in a recorded run, as numbers and as a figure.
 
 The measurements remain those of the log. The figure shows the command of each tick, not the further
 motion of the hand.
@@ -22,10 +22,10 @@ OTHER = "#d9822b"
 
 
 class Commands:
-    """Collects the commands of each tick. Pass `add` to `execute` as `watch`."""
+    """Collector for the commands of each tick. Pass `add` to `execute` as `observer`."""
 
     def __init__(self) -> None:
-        """Start without ticks."""
+        """Start with no ticks."""
         self._torque: list[Array] = []
         self._tension: list[Array] = []
 
@@ -46,7 +46,7 @@ class Commands:
 
 
 def summary(log: RunLog, commands: Commands) -> dict[str, dict[str, dict[str, float]]]:
-    """Compute RMS and peak of the change per motor [N m] and tendon [N]."""
+    """Return RMS and peak of the change in command, per motor [N m] and per tendon [N]."""
     torque = commands.torque - log.field("motor_torque_goal")
     tension = commands.tension - log.field("tension_goal")
     return {
@@ -56,7 +56,7 @@ def summary(log: RunLog, commands: Commands) -> dict[str, dict[str, dict[str, fl
 
 
 def draw(path: Path, log: RunLog, commands: Commands, title: str) -> None:
-    """Draw commanded tension and torque of each tendon as PNG, in the log and with the other gains.
+    """Draw commanded tension and torque of each tendon as PNG, both from the log and for the other gains.
 
     Args:
         path: file to write.

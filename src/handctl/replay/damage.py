@@ -1,4 +1,4 @@
-"""Location of a changed byte in a log that the reader refuses: the tick that contains the byte."""
+"""Location of damage in a log refused by the reader: the first tick with a changed byte."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,7 +14,7 @@ from handctl.log.topics.chain import SIZE, TOPIC, tick_hash
 from handctl.log.topics.topic_set import TICK_TOPIC, VALUES_TOPIC
 
 NO_CHANNEL = -1
-"""Channel of a topic missing from the log, for example in a version without the hash chain."""
+"""Channel number that stands for a topic missing from the log, for example in a version without the hash chain."""
 
 
 class _Tick(NamedTuple):
@@ -27,10 +27,10 @@ class _Tick(NamedTuple):
 
 
 def first_damage(path: Path) -> str:
-    """Describe the first damage of a log with its first wrong tick, or return an empty text.
+    """Return a description of the first damage of a log and its first wrong tick, or an empty text.
 
-    The hash chain names the tick, even if the checksums were adjusted. If the chain is intact, the
-    damage is in the derived topics, and the chunk is named by its ticks.
+    The hash chain identifies the tick, even if the checksums were adjusted. If the chain is intact,
+    the damage is in the derived topics, and the result names the ticks of the chunk.
 
     Raises:
         LogError: the file is not a log.
@@ -61,7 +61,7 @@ def first_damage(path: Path) -> str:
 
 
 def _content(file: LogFile, chunk: ChunkLocation) -> tuple[bytes, str]:
-    """Return a chunk as far as it can be decompressed, and its defect."""
+    """Return the part of a chunk that can be decompressed, and its defect in words."""
     try:
         return file.content(chunk), ""
     except LogError as error:
@@ -73,7 +73,7 @@ def _content(file: LogFile, chunk: ChunkLocation) -> tuple[bytes, str]:
 
 
 def _channels(content: bytes) -> tuple[int, ...]:
-    """Return the channels of ticks, telemetry and hashes."""
+    """Return the channel numbers of ticks, telemetry, and hashes."""
     channels = {topic: number for number, _, topic, _, _ in definitions(content).channels}
     return tuple(channels.get(topic, NO_CHANNEL) for topic in (TICK_TOPIC, VALUES_TOPIC, TOPIC))
 
@@ -99,10 +99,10 @@ def _ticks(content: bytes, chunk: ChunkLocation, channels: tuple[int, ...]) -> I
 
 
 def _after(before: bytes) -> str:
-    """Describe the position behind the latest intact tick."""
+    """Return a description of the position after the last intact tick."""
     return f"after tick {int.from_bytes(before[:8], 'little', signed=True)}" if before else "before the first tick"
 
 
 def _span(ticks: list[_Tick]) -> str:
-    """Describe the ticks of a chunk."""
+    """Return a description of the tick range of a chunk."""
     return f"ticks {ticks[0].k} to {ticks[-1].k}" if ticks else "before the first tick"

@@ -13,7 +13,7 @@ PASSIVE_PHASES = frozenset(mode.name.lower() for mode in Mode if mode != Mode.RE
 
 
 class PhaseSpan(NamedTuple):
-    """One phase of a run.
+    """Phase of a run, with its start and end.
 
     Attributes:
         name: name of the phase.
@@ -26,7 +26,10 @@ class PhaseSpan(NamedTuple):
 
 
 def phase_spans(log: RunLog) -> list[PhaseSpan]:
-    """Return all phases in order. Repeated phases are numbered: `hold`, `hold (2)`."""
+    """Return all phases of a run in order.
+
+    Repeated phases are numbered: `hold`, `hold (2)`.
+    """
     changes = log.phases
     spans = []
     counts = dict[str, int]()

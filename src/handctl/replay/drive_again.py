@@ -15,13 +15,15 @@ from handctl.replay.compare import compare_runs
 Array = NDArray[np.float64]
 
 PREPARATION = ("start", "tighten", "approach")
-"""Phases before the run proper."""
+"""Names of the phases before the actual run."""
 MAX_GAP_S = 0.05
-"""Longest gap in a recording that is bridged [s]. The targets within a longer gap are unknown."""
+"""Longest gap in a recording over which targets are interpolated [s]."""
 
 
 def active_interval(log: RunLog) -> tuple[float, float]:
-    """Return start and end of the active interval of a run, without the tightening of the tendons [s].
+    """Return start and end of the active interval of a run [s].
+
+    The tightening of the tendons at the start is excluded.
 
     Raises:
         LogError: the hand was never active, or never as a whole, or the ticks are out of order.
@@ -44,7 +46,7 @@ def active_interval(log: RunLog) -> tuple[float, float]:
 def count_missing_ticks(log: RunLog) -> int:
     """Count the missing ticks in the active interval.
 
-    Targets on both sides of a gap are joined by a line.
+    Targets are interpolated linearly over a gap.
 
     Raises:
         LogError: too many ticks are missing in a row, or the run has no active interval.
@@ -59,10 +61,10 @@ def count_missing_ticks(log: RunLog) -> int:
 
 
 def recording(log: RunLog, period: float) -> Recording:
-    """Return the targets of a run at another control period.
+    """Return the targets of a run, resampled to another control period.
 
-    A digit without joint targets in a neighbouring tick held its tension. Its joint targets are
-    NaN.
+    The joint targets of a digit are NaN if a neighbouring tick has no joint targets, because the
+    digit then held a tension.
 
     Args:
         log: the run.
@@ -84,14 +86,15 @@ def recording(log: RunLog, period: float) -> Recording:
 
 
 def _sampled(log: RunLog, name: str, times: Array) -> Array:
-    """Interpolate a field of a log."""
+    """Return a field of a log, interpolated at the given times."""
     return _at(log, log.field(name), times)
 
 
 def _at(log: RunLog, values: Array, times: Array) -> Array:
-    """Interpolate columns at times [s].
+    """Return columns interpolated at times [s].
 
-    A value is NaN if a neighbour is NaN. Beyond the borders the nearest tick is used.
+    A value is NaN if one of its neighbours is NaN. Before the first and after the last tick, the
+    nearest tick is used.
     """
     return np.column_stack([np.interp(times, log.times, column) for column in values.T])
 
@@ -102,13 +105,15 @@ def playback(log: RunLog, period: float, raw: bool) -> PlaybackProgram:
     Args:
         log: the run.
         period: the control period [s].
-        raw: follow the recorded tensions instead of the trajectories.
+        raw: True to follow the recorded tensions instead of the trajectories.
     """
     return PlaybackProgram(recording(log, period), raw)
 
 
 def compare_replay(before: RunLog, after: RunLog) -> dict[str, Any]:
-    """Compare a replay with its recording per joint [deg] and tendon [N], as far as it was driven.
+    """Compare a replay with its recording, per joint [deg] and tendon [N].
+
+    Only the driven part of the recording is compared.
 
     Returns:
         Empty if the replay never reached the recording.
@@ -122,7 +127,7 @@ def compare_replay(before: RunLog, after: RunLog) -> dict[str, Any]:
 
 
 def driven_time(before: RunLog, after: RunLog) -> float:
-    """Return the driven part of a recording [s]."""
+    """Return how much of a recording was driven [s]."""
     start, end = active_interval(before)
     replay_start = _playback_start(after)
     if replay_start is None:
@@ -132,5 +137,5 @@ def driven_time(before: RunLog, after: RunLog) -> float:
 
 
 def _playback_start(after: RunLog) -> float | None:
-    """Return the time at which a replay reached the recording [s]."""
+    """Return the time at which a replay began to follow the recording [s]."""
     return next((change.t_ns * 1e-9 for change in after.phases if change.name == "playback"), None)

@@ -25,14 +25,14 @@ class Execution:
     """Result of a re-execution.
 
     Attributes:
-        ticks: executed ticks.
-        differing: ticks with any different output byte.
-        undecided: ticks with a different decision: mode, phase, action or events.
+        ticks: number of executed ticks.
+        differing: number of ticks with any different output byte.
+        undecided: number of ticks with a different decision: mode, phase, action or events.
         first: the first difference, or None.
-        state: the first field that differs at the first snapshot with a difference, or None.
+        state: first different field in the first different snapshot, or None.
         largest: the largest numeric difference by `relative_error`, or None.
-        wall_s: elapsed time without the design of the gains [s].
-        cpu_s: processor time of all processes [s], the time on one idle core.
+        wall_s: elapsed time, excluding the design of the gains [s].
+        cpu_s: processor time of all processes [s], equal to the time on one idle core.
         logged_s: duration of the run [s].
     """
 
@@ -48,7 +48,7 @@ class Execution:
 
     @property
     def times_real_time(self) -> float:
-        """Return the speed of the re-execution as a multiple of the run."""
+        """Return the speed of the re-execution relative to real time."""
         return self.logged_s / self.wall_s if self.wall_s else math.inf
 
 
@@ -68,15 +68,15 @@ def execute(
     progress: ProgressCallback | None = None,
     workers: int = 1,
 ) -> Execution:
-    """Run the controller of a log on the log's inputs.
+    """Execute the controller of a log on the log's inputs.
 
     Args:
         log: a run.
-        gains: other gains than in the run.
-        observer: called with every tick.
-        progress: called now and then with the number of ticks so far.
-        workers: processes. Several are used only without other gains and without `observer`. The
-            result is equal.
+        gains: gains to use instead of those of the run.
+        observer: function called with every tick.
+        progress: function called at intervals with the number of ticks so far.
+        workers: number of processes. Several are used only without other gains and without
+            `observer`. The result does not depend on this number.
 
     Raises:
         LogError: the controller cannot be rebuilt, or the log is damaged.
@@ -115,9 +115,9 @@ def _cpu_seconds() -> float:
 
 @contextmanager
 def gc_disabled() -> Iterator[None]:
-    """Disable garbage collection, as in the loop, and overflow warnings from the numbers of a bad log.
+    """Disable garbage collection, as in the loop, and overflow warnings from numbers in a bad log.
 
-    A tick creates no reference cycles.
+    Ticks create no reference cycles, so no garbage accumulates.
     """
     gc.disable()
     try:

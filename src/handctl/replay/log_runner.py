@@ -26,14 +26,14 @@ from handctl.replay.tick_difference import (
 )
 
 PROGRESS_TICKS = 200
-"""Ticks between two reports of progress."""
+"""Number of ticks between two progress reports."""
 
 TickObserver = Callable[[TickIn, TickOut], None]
 ProgressCallback = Callable[[int], None]
 
 
 def relative_error(difference: TickDifference) -> float:
-    """Compute the size of a numeric difference: absolute below 1, relative above.
+    """Return the size of a numeric difference, absolute for numbers below 1, relative above.
 
     Returns:
         0 for texts, infinity if one of the numbers is NaN.
@@ -48,7 +48,7 @@ def relative_error(difference: TickDifference) -> float:
 
 @dataclass(slots=True)
 class Tally:
-    """Differences found so far, see Execution."""
+    """Counts of the differences found so far, see Execution."""
 
     ticks: int = 0
     differing: int = 0
@@ -92,7 +92,7 @@ class Tally:
 
 @dataclass(frozen=True, slots=True)
 class LogRunner:
-    """A log and its controller.
+    """Log and the controller to execute on its inputs.
 
     Attributes:
         log: a run.
@@ -108,7 +108,10 @@ class LogRunner:
 
     @staticmethod
     def of(log: RunLog, gains: Gains | None = None) -> "LogRunner":
-        """Create the controller of a log, with its own or other gains. Raises as `rebuild`."""
+        """Construct the controller of a log, with the gains of the log or others.
+
+        Raises the errors of `rebuild`.
+        """
         # With other gains the states differ from those of the log.
         snapshots: Mapping[int, bytes] = {} if gains else log.snapshots
         return LogRunner(log, rebuild(log, gains), Columns.of(log.header), snapshots)
@@ -125,10 +128,10 @@ class LogRunner:
 
         Args:
             start: index of the first tick.
-            stop: index behind the last tick.
+            stop: index after the last tick.
             state: state before the first tick.
-            observer: called with every tick.
-            progress: called now and then with the number of further ticks.
+            observer: function called with every tick.
+            progress: function called at intervals with the number of further ticks.
 
         Returns:
             State after the last tick, and the differences.
@@ -158,7 +161,7 @@ class LogRunner:
         return state, tally
 
     def _logged(self, start: int, stop: int) -> Iterator[tuple[TickRecord, bytes]]:
-        """Yield the ticks from one index to another, each with its telemetry."""
+        """Yield the logged ticks from index start up to stop, each with its telemetry."""
         firsts = self.log.first_of_chunk
         # Chunks are read as a whole. The surplus ticks at both ends are cut off below.
         chunk, last = np.searchsorted(firsts, (start, stop), side="right") - 1

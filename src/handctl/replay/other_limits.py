@@ -1,4 +1,8 @@
-"""Judgement of a recorded run by other limits: ticks that would have been stopped, and the readings behind them."""
+"""Judgement of a recorded run by other limits.
+
+The result lists the ticks in which the hand would have been stopped, each with the reading that
+causes the stop.
+"""
 
 from collections import Counter
 from collections.abc import Callable
@@ -24,11 +28,11 @@ Tension = Annotated[float, Field(gt=0, le=1000)]
 
 
 class NewLimits(Document):
-    """Limits file. A limit that is missing keeps its value from the run."""
+    """Content of a limits file. A missing limit keeps its value from the run."""
 
     schema_: int = Field(1, alias="schema", ge=1, le=1)
     tension_trip_N: Tension | dict[str, Tension] | None = None
-    """For all tendons, or by tendon [N]."""
+    """Tension limit for all tendons, or by tendon [N]."""
     silent_ms: float | None = Field(None, gt=0, le=10_000)
     stalled_ms: float | None = Field(None, gt=0, le=10_000)
     temperature_soft_degC: float | None = Field(None, gt=0, le=200)
@@ -36,13 +40,13 @@ class NewLimits(Document):
 
 
 class LimitStop(NamedTuple):
-    """A fault under the new limits with an action that stops the hand.
+    """Fault that stops the hand under the new limits.
 
     Attributes:
         k, t_s: number and time [s] of the tick.
-        fault, title: row of the fault table.
+        fault, title: id and title of the fault.
         instance: motor, tendon or bus.
-        value: the reading, in the unit of the limit.
+        value: reading that exceeds the limit, in the unit of the limit.
         action: the action of the fault.
         logged: True if the run's own limits raised the fault in the same tick.
     """
@@ -59,12 +63,13 @@ class LimitStop(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """Effect of other limits on a run.
+    """Effect of other limits on a recorded run.
 
     Attributes:
-        ticks: judged ticks.
-        stopped: ticks in which the new limits require HOLD or more.
-        stopped_logged: ticks in which the run's limits required HOLD or more.
+        ticks: number of judged ticks.
+        stopped: number of ticks in which the new limits demand HOLD or a more severe reaction.
+        stopped_logged: number of ticks in which the limits of the run demanded HOLD or a more
+            severe reaction.
         stops: start of each stop, in order.
         by_fault: number of stops by fault.
     """
@@ -77,7 +82,7 @@ class Judgement:
 
 
 def load_limits(path: Path, controller: Controller) -> Limits:
-    """Load a limits file and apply it to the limits of a controller.
+    """Return the limits of a controller, with the values of a limits file applied.
 
     Raises:
         ConfigError: the file cannot be read, or names a tendon that the hand lacks.
@@ -108,12 +113,12 @@ def load_limits(path: Path, controller: Controller) -> Limits:
 
 
 def judge_by_limits(log: RunLog, path: Path, progress: Callable[[int], None] | None = None) -> Judgement:
-    """Judge every tick of a run by other limits. The run itself remains as logged.
+    """Judge every tick of a run by other limits. The logged run itself is not changed.
 
     Args:
         log: a run.
         path: limits file.
-        progress: called now and then with the number of ticks so far.
+        progress: function called at intervals with the number of ticks so far.
 
     Raises:
         ConfigError: the limits file is wrong.
@@ -126,7 +131,7 @@ def judge_by_limits(log: RunLog, path: Path, progress: Callable[[int], None] | N
 
 
 def _judge(log: RunLog, controller: Controller, limits: Limits, progress: Callable[[int], None] | None) -> Judgement:
-    """Judge each tick from the run's own state, with debounce and latches of the other limits."""
+    """Judge each tick from the logged state, with debounce and latches of the other limits."""
     other = replace(controller, other_limits=limits)
     state = controller.initial()
     shadow = other.initial()

@@ -1,8 +1,8 @@
-"""Re-execution in several processes, each of which starts after a snapshot of the log.
+"""Re-execution of a log in several processes. Each process starts from a snapshot in the log.
 
-A part starts with a state whose hash is in the log. If the part before ends with an equal hash,
-then a serial run reaches this state too, and its result is the sum of the parts. If the hashes
-differ, the rest of the log is executed again in order. The result is therefore always that of a
+Each part starts from a state whose hash is in the log. If the previous part ends with the same
+hash, a serial run would reach the same state, and the results of the parts can be added. If the
+hashes differ, the rest of the log is executed serially. The result is therefore always that of a
 serial run.
 """
 
@@ -27,13 +27,13 @@ from handctl.replay.log_runner import LogRunner, Tally
 from handctl.replay.tick_difference import TickDifference
 
 MIN_TICKS = 200
-"""Minimum number of ticks per process."""
+"""Smallest number of ticks per process."""
 PROGRESS_S = 0.2
 """Interval between reports of progress while waiting [s]."""
 
 
 class LogPart(NamedTuple):
-    """Ticks `start` to `stop`, and the state before the first of them."""
+    """Part of a log: ticks `start` to `stop`, and the state before the first tick."""
 
     start: int
     stop: int
@@ -41,7 +41,7 @@ class LogPart(NamedTuple):
 
 
 class WorkerProcess(NamedTuple):
-    """A process, the read end of its pipe, and its part."""
+    """Worker process, with its part and the read end of its pipe."""
 
     process: int
     pipe: int
@@ -49,14 +49,14 @@ class WorkerProcess(NamedTuple):
 
 
 class ProgressCounts:
-    """Executed ticks of each process, in shared memory."""
+    """Number of executed ticks of each process, in shared memory."""
 
     def __init__(self, processes: int, progress: Callable[[int], None]) -> None:
         """Allocate the shared memory.
 
         Args:
             processes: number of processes.
-            progress: called with the number of executed ticks.
+            progress: function called with the number of executed ticks.
         """
         # An anonymous mapping is shared with forked processes.
         self._done: NDArray[np.int64] = np.frombuffer(mmap.mmap(-1, 8 * processes), np.int64)
@@ -65,7 +65,9 @@ class ProgressCounts:
     def of(self, process: int) -> Callable[[int], None]:
         """Return a function that counts further ticks of a process.
 
-        The first process, our own, also reports progress.
+        In the first process, which is the present one, the function also reports progress.
+
+        The function of the present process also reports progress.
         """
 
         def count(ticks: int) -> None:
@@ -81,12 +83,12 @@ class ProgressCounts:
 
 
 def run_parallel(runner: LogRunner, workers: int, progress: Callable[[int], None]) -> Tally:
-    """Execute a whole log in several processes. Raises as `LogRunner.run`.
+    """Execute a whole log in several processes. Raises the errors of `LogRunner.run`.
 
     Args:
         runner: the log and its controller.
-        workers: maximum number of processes.
-        progress: called now and then with the number of ticks so far.
+        workers: largest number of processes.
+        progress: function called at intervals with the number of ticks so far.
     """
     parts = split(runner, workers)
     counts = ProgressCounts(len(parts), progress)
@@ -108,9 +110,9 @@ def run_parallel(runner: LogRunner, workers: int, progress: Callable[[int], None
 
 
 def split(runner: LogRunner, workers: int) -> list[LogPart]:
-    """Return consecutive parts of about equal length.
+    """Return consecutive parts of a log, of about equal length.
 
-    Each starts at the start of the log or after a snapshot.
+    Each part begins at the start of the log or after a snapshot.
     """
     ticks = len(runner.log)
     k = runner.log.k
@@ -131,7 +133,7 @@ def split(runner: LogRunner, workers: int) -> list[LogPart]:
 
 
 def _state_after(runner: LogRunner, index: int) -> State | None:
-    """Return the state in the log after a tick.
+    """Return the state logged after a tick.
 
     Returns:
         None if this version cannot read the state, or its hash differs from the logged hash.
@@ -144,14 +146,14 @@ def _state_after(runner: LogRunner, index: int) -> State | None:
 
 
 def _start(runner: LogRunner, part: LogPart, count: Callable[[int], None]) -> WorkerProcess:
-    """Execute a part in a copy of this process."""
+    """Execute a part in a forked copy of this process."""
     return WorkerProcess(*in_copy(lambda: _result_json(runner, part, count)), part)
 
 
 def _result_json(runner: LogRunner, part: LogPart, count: Callable[[int], None]) -> str:
     """Execute a part and return the result as JSON. A damaged log gives an empty text.
 
-    The calling process then reaches the damage too, and reports the error.
+    The calling process then executes the part, finds the damage, and reports the error.
     """
     try:
         state, tally = runner.run(*part, None, count)
@@ -161,7 +163,7 @@ def _result_json(runner: LogRunner, part: LogPart, count: Callable[[int], None])
 
 
 def _wait_for_result(runner: LogRunner, worker: WorkerProcess, counts: ProgressCounts) -> tuple[State, Tally] | None:
-    """Wait for a process and return the state after its part and its tally.
+    """Wait for a process, and return its tally and the state after its part.
 
     Returns:
         None if the process did not finish its part.
@@ -186,7 +188,7 @@ def _wait_for_result(runner: LogRunner, worker: WorkerProcess, counts: ProgressC
 
 
 def _kill(worker: WorkerProcess) -> None:
-    """Kill a process and wait for its end."""
+    """Kill a worker process and wait until it has ended."""
     os.close(worker.pipe)
     os.kill(worker.process, signal.SIGKILL)
     os.waitpid(worker.process, 0)

@@ -47,7 +47,7 @@ def logged_setup(log: RunLog) -> Setup:
 
 
 def rebuild(log: RunLog, gains: Gains | None = None) -> Controller:
-    """Return the controller that wrote the log, with its own or other gains.
+    """Return the controller that wrote the log, with the gains of the log or others.
 
     Raises:
         LogError: a required record is missing from the log.
@@ -59,7 +59,7 @@ D = TypeVar("D", Gains, Setup)
 
 
 def _read(log: RunLog, name: str, model: type[D]) -> D:
-    """Decode an attachment.
+    """Return an attachment of a log, decoded.
 
     Raises:
         LogError: the attachment is missing or cannot be decoded.
@@ -76,7 +76,7 @@ def _read(log: RunLog, name: str, model: type[D]) -> D:
 
 
 def _versions(log: RunLog) -> tuple[str, str]:
-    """Return the versions of the writer and of this reader: location and expectation of an error."""
+    """Return the versions of writer and reader, as location and expectation in an error message."""
     metadata = log.header.metadata
     wrote = f"handctl {metadata.get('version', UNKNOWN)}, code {metadata.get('code', UNKNOWN)}"
     here = f"handctl {version('handctl')}, code {code_identity()}"

@@ -16,14 +16,14 @@ from handctl.log.record import TickRecord
 
 
 class TickDifference(NamedTuple):
-    """One field of one tick that differs.
+    """Difference of one field in one tick.
 
     Attributes:
         k: number of the tick.
         t_s: time of the tick [s].
         field: field of TickOut or of its telemetry, e.g. `frames[3]`, `mode`, `tension_goal`.
         name: joint, tendon, motor or digit, or an empty text.
-        logged, computed: both values, numbers in SI units or texts.
+        logged, computed: logged and computed value, as number in SI units or as text.
         ulps: distance of two numbers in units in the last place, None for texts.
     """
 
@@ -50,7 +50,7 @@ class Columns(NamedTuple):
 
 
 def ulps(a: float, b: float) -> int:
-    """Compute the distance of two numbers in units in the last place.
+    """Return the distance of two numbers in units in the last place.
 
     Neighbouring float64 have distance 1.
     """
@@ -66,7 +66,7 @@ def _ordinal(value: float) -> int:
 
 
 def differences(columns: Columns, logged: TickRecord, numbers: bytes, computed: TickOut) -> Iterator[TickDifference]:
-    """Yield every field that differs, decisions first, the state hash last.
+    """Yield every field that differs. Decisions come first and the state hash comes last.
 
     Args:
         columns: names of the telemetry columns.
@@ -100,9 +100,9 @@ def state_difference(header: RunHeader, logged: TickRecord, was: State, now: Sta
 
     Args:
         header: header of the log.
-        logged: the tick before the states.
-        was: the state in the log.
-        now: the computed state.
+        logged: last tick before the states.
+        was: state in the log.
+        now: computed state.
     """
     k = logged.tick_in.k
     t_s = logged.tick_in.t_ns / 1e9
@@ -131,7 +131,10 @@ def equal_outputs(logged: TickRecord, numbers: bytes, computed: TickOut) -> bool
 
 
 def equal_decisions(logged: TickRecord, computed: TickOut) -> bool:
-    """Return True if a tick decides equally: mode, action, phase, and the events without the numbers in their texts."""
+    """Return True if the decisions of a tick are equal.
+
+    Decisions are mode, action, phase, and the events without the numbers in their texts.
+    """
     was, now = ([event[:3] for event in events] for events in (logged.events, computed.events))
     return (logged.mode, logged.action, logged.phase, was) == (
         computed.mode,
@@ -142,21 +145,21 @@ def equal_decisions(logged: TickRecord, computed: TickOut) -> bool:
 
 
 def _events_text(events: tuple[Event, ...]) -> str:
-    """Format events for a comparison."""
+    """Return events as text for a comparison."""
     return "; ".join(" ".join(filter(None, event)) for event in events)
 
 
 def _frame_text(frame: Frame) -> str:
-    """Format a frame as candump does, with the flag bits of the identifier, and with the time if the frame has one."""
+    """Return a frame as text, as candump writes it, with the time if the frame has one."""
     flags = f"#{frame.flags:X}" if frame.flags else ""
     at = f" at {frame.t_ns} ns" if frame.t_ns else ""
     return f"bus {frame.bus} {frame.can_id:03X}#{flags}{frame.data.hex().upper()}{at}"
 
 
 def _changed(was: bytes, now: bytes) -> list[tuple[int, float, float]]:
-    """Return (column, old, new) of every float64 with other bits.
+    """Return (column, old, new) for every float64 whose bits have changed.
 
-    A number that became NaN counts.
+    A number replaced by NaN counts as changed.
     """
     old: NDArray[np.float64] = np.frombuffer(was, "<f8")
     new: NDArray[np.float64] = np.frombuffer(now, "<f8")

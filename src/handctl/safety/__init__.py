@@ -1,1 +1,1 @@
-"""Fault declarations, reactions, thresholds, and the judge: faults in, a reaction out."""
+"""Fault declarations, reactions, thresholds, and the judge, which chooses a reaction to the present faults."""

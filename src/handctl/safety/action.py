@@ -1,4 +1,4 @@
-"""Reactions of safety, in order of severity: the largest wins."""
+"""Reactions to faults, in order of severity. The most severe demanded reaction is executed."""
 
 import enum
 
@@ -10,19 +10,19 @@ class Action(enum.IntEnum):
     WARN = 1
     """Continue, and log a warning."""
     HOLD = 2
-    """Freeze the goals and limit the tension to the present value. Ends as soon as the fault is gone."""
+    """Keep the goals constant and limit the tension to the present value, until the fault has ended."""
     RELAX = 3
-    """Ramp every tension to the floor, disable the drives, stay silent until an operator clears the fault."""
+    """Lower every tension to the floor, disable the drives, and stay silent until an operator clears the fault."""
     CUT = 4
-    """Remove the torque at once, where commands cannot be trusted to arrive."""
+    """Remove the torque at once, for faults with unreliable transmission of commands."""
 
 
 class Release(enum.Enum):
     """Method of removing the torque in RELAX. No method raises a commanded torque (``relaxing``)."""
 
     LOOP = "RELAX"
-    """The tension loop, limited by an envelope falling by 500 N/s."""
+    """Use the tension loop, limited by an envelope that falls by 500 N/s."""
     FAST = "RELAX fast"
-    """The tension loop, limited by an envelope falling by 2,000 N/s, for an overloaded tendon."""
+    """Use the tension loop, limited by an envelope that falls by 2,000 N/s, for an overloaded tendon."""
     OPEN = "RELAX open loop"
-    """The envelope itself as the command, without feedback, for faults of the loop."""
+    """Command the envelope directly, without feedback, for faults of the tension loop."""

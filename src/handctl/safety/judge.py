@@ -1,7 +1,7 @@
-"""Latches, faults reported by buses and host, and the choice of a reaction in each tick.
+"""Judgement of each tick: latched faults, faults reported by buses and host, and choice of the reaction.
 
-Compiled code (``core.detectors.judge``) debounces the detected faults. This module names
-newly active faults, latches faults until an operator clears them, and counts the reports.
+Compiled code (``core.detectors.judge``) debounces the detected faults. This module names newly
+active faults, counts the reports, and latches faults until an operator clears the latch.
 """
 
 from collections.abc import Iterable, Sequence
@@ -18,18 +18,18 @@ from handctl.safety.faults.table import BY_ID, DEBOUNCE, DETECTOR_ROWS, REPORTS
 from handctl.safety.limits import Limits
 
 Report = tuple[str, str, float]
-"""Kind of event, location, and number."""
+"""Report of a bus or host event: kind, location, and number."""
 
 
 class Latched(NamedTuple):
-    """A fault that stays active until an operator clears it."""
+    """Fault that stays active until an operator clears it."""
 
     id: str
     instance: str
 
 
 class Counting(NamedTuple):
-    """A reported fault that is active, with its number of consecutive ticks."""
+    """Reported fault that is active, with the number of consecutive ticks."""
 
     id: str
     instance: str
@@ -37,7 +37,7 @@ class Counting(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """A fault that became active in this tick."""
+    """Fault that became active in this tick."""
 
     fault: Fault
     instance: str
@@ -45,10 +45,10 @@ class Finding(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """The judgement of a tick.
+    """Result of judging a tick.
 
     Attributes:
-        action: most severe action that a fault requires.
+        action: most severe reaction that a fault demands.
         findings: faults that became active in this tick.
         latched: faults latched after the tick.
         counting: reported faults that are active in this tick.
@@ -70,14 +70,14 @@ def judge(
     demanded: int,
     reports: Iterable[Report],
 ) -> Verdict:
-    """Judge a tick: add the reported faults, latch, and choose the largest action.
+    """Judge a tick: add the reported faults, latch faults, and choose the most severe reaction.
 
     Args:
         latched: latched faults of the last tick.
         counting: reported faults of the last tick.
-        detected: newly counting faults of the detectors, from ``newly_counting``.
-        demanded: largest action of all counting detected faults.
-        reports: of buses, host and recorder in the tick, for ``reported``.
+        detected: faults from the detectors that count since this tick, from ``newly_counting``.
+        demanded: most severe reaction to all detected faults that count.
+        reports: reports from buses, host and recorder in the tick, for ``reported``.
     """
     action = demanded
     findings = list(detected)
@@ -100,15 +100,15 @@ def judge(
 
 
 def _mark(finding: Finding) -> Latched:
-    """Return the latch of a finding."""
+    """Return the latched fault for a finding."""
     return Latched(finding.fault.id, finding.instance)
 
 
 def newly_counting(limits: Limits, evidence: NDArray[np.float64], ticks: NDArray[np.int64]) -> list[Finding]:
-    """Return the newly counting faults, in the order of the fault table.
+    """Return the faults that count since this tick, in the order of the fault table.
 
     Args:
-        limits: names of tendons, motors, joints and nodes.
+        limits: limits of the hand, with the names of tendons, motors, joints and nodes.
         evidence: (rows, instances) evidence of each fault, NaN where the fault is absent.
         ticks: (rows, instances) consecutive ticks with each fault.
     """
@@ -122,13 +122,16 @@ def newly_counting(limits: Limits, evidence: NDArray[np.float64], ticks: NDArray
 
 
 def _name(limits: Limits, fault: Fault, kind: str, i: int) -> str:
-    """Return the name of an instance."""
+    """Return the name of the motor, tendon, joint, or node with a fault."""
     names = {TENDON: limits.tendons, MOTOR: limits.motors, JOINT: limits.joints, NODE: limits.nodes}
     return names[kind][i] if kind in names else fault.name
 
 
 def reported(reports: Iterable[Report]) -> list[tuple[Fault, str, float]]:
-    """Return fault, location and value of each report. The last report of a fault at a location counts."""
+    """Return fault, location, and value for each report.
+
+    If a fault is reported repeatedly at a location, the last report is returned.
+    """
     faults: dict[tuple[str, str], tuple[Fault, str, float]] = {}
     for kind, where, value in reports:
         # The location of a recorder event is its kind ("disk_full"), so it is a part of the key.
@@ -147,8 +150,8 @@ def filter_error_frames(reports: Iterable[Report], heard: bool) -> list[Report]:
     """Drop error frames from the reports, except the first unacknowledged frame (B18).
 
     Args:
-        reports: of the tick.
-        heard: True if any node has ever answered, or torque may act. B18 is then impossible.
+        reports: reports of the tick.
+        heard: True if any node has ever answered, or if torque may act. B18 is then impossible.
     """
     kept, error = [], None
     for one in reports:

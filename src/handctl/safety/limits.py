@@ -1,4 +1,4 @@
-"""Thresholds of a hand, from drives, sensors and model."""
+"""Safety thresholds of a hand, from drives, sensors, and model."""
 
 import math
 from dataclasses import dataclass
@@ -8,44 +8,48 @@ LOAD_CELLS = "load cells"
 
 SILENT_S = 0.030
 STALLED_S = 0.025
-"""Longest silence of a node, and longest standstill of the host [s]. Both are below the drives' watchdog of 50 ms."""
+"""Longest silence of a node, and longest stall of the host [s].
+
+Both are below the drives' watchdog time of 50 ms.
+"""
 MIN_SILENT_TICKS = 4
 MIN_STALLED_TICKS = 3
-"""Minimum of these two times in ticks, for slow control rates."""
+"""Smallest number of ticks for these two times, at slow control rates."""
 MIN_FRAMES_LIMIT = 64
-"""Minimum of the flood threshold: more frames per tick than a small hand sends."""
+"""Smallest threshold for a flooded bus [frames per tick], above the number of frames of a small hand."""
 TEMPERATURE_SOFT_DEGC = 70.0
 TEMPERATURE_HARD_DEGC = 85.0
-"""Drive temperatures where derating of the tension limit begins, and where the limit reaches the floor [degC]."""
+"""Drive temperatures at which the tension limit begins to fall, and at which it reaches the floor [degC]."""
 
 
 def ticks_for(seconds: float, period: float, minimum: int) -> int:
-    """Return a time [s] as a number of ticks of a period [s], rounded up, at least ``minimum``."""
+    """Return the number of ticks for a time [s] at a period [s], rounded up, and at least ``minimum``."""
     # Rounded up: a limit must never be shorter than stated.
     return max(minimum, math.ceil(seconds / period))
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Thresholds of a hand.
+    """Safety thresholds of a hand.
 
     Attributes:
         tendons: names, (N,).
         motors: names, (N,).
         joints: names, (J,).
-        tension_trip: (N,) tension limit of each sample, above: RELAX [N].
-        drive_limit: (N,) tension at the drive's own torque limit, above: CUT
+        tension_trip: (N,) tension above which a single sample leads to RELAX [N].
+        drive_limit: (N,) tension at the drive's own torque limit, above which the reaction is CUT
             [N].
         tension_rail: reading of a saturated load cell [N].
-        tension_low: reading below the range of any tendon and tare: a broken wire or a sensor
-            without supply [N].
-        silent_ticks: consecutive missing replies of a silent node.
-        one_silent_ticks: the same for a motor while another motor answers.
-        stalled_ticks: consecutive missed ticks of a stalled host.
-        temperature_soft: drive temperature where derating begins [degC].
-        temperature_hard: drive temperature where derating ends at the floor [degC].
-        frames: frames per tick of a flooded bus: more than all nodes together can send.
-        noise: mean squared jerk of a motor's position in a noise burst [rad^2].
+        tension_low: reading below which a wire is broken or a sensor has no supply, for any tendon
+            and tare [N].
+        silent_ticks: number of consecutive missing replies after which a node counts as silent.
+        one_silent_ticks: number of consecutive missing replies after which a motor counts as silent
+            while another motor answers.
+        stalled_ticks: number of consecutive missed ticks after which the host counts as stalled.
+        temperature_soft: drive temperature at which derating begins [degC].
+        temperature_hard: drive temperature at which the tension limit reaches the floor [degC].
+        frames: frames per tick above which a bus counts as flooded.
+        noise: mean squared jerk of a motor's position above which there is a noise burst [rad^2].
     """
 
     tendons: tuple[str, ...]

@@ -1,20 +1,21 @@
-"""Faults that need a sensor which a hand file may leave out, for ``handctl config check``."""
+"""Faults that cannot be detected without optional sensors, for ``handctl config check``."""
 
 from handctl.hand.description import Hand
 from handctl.hand.file.error_text import listed
 
 NEED_LOAD_CELL = ("N02", "N14b", "N16", "T03b", "T04a", "T04b", "T05", "T05b", "T06", "T09")
-"""Faults that are not judged for a tendon without load cell.
+"""Faults not detected for a tendon without load cell.
 
-They compare a load cell with the motor, or judge the cell itself. T01, T02, T03, T08 and N06 use the
-estimated tension instead, with limits that are stricter by two standard deviations of it.
+These faults compare a load cell with the motor, or concern the load cell itself. T01, T02, T03, T08
+and N06 use the estimated tension instead. Their limits are then stricter by two standard deviations
+of the estimate.
 """
 NEED_ENCODERS = ("N06a", "N06b", "T08")
-"""Faults that are not judged for a tendon whose joints have no encoders."""
+"""Faults not detected for a tendon whose joints have no encoders."""
 
 
 def sensing_warnings(hand: Hand) -> tuple[str, ...]:
-    """Return one line per missing kind of sensor, with the faults that are not judged."""
+    """Return one line per missing kind of sensor, with the faults that cannot be detected."""
     lines = []
     tendons = hand.tendon_names
     if bare := [name for name, has in zip(tendons, hand.has_cell.tolist(), strict=True) if not has]:

@@ -1,1 +1,4 @@
-"""Runs of a hand, from checked files to log and verdict: the part common to all verbs and studies."""
+"""Runs of a hand, from checked files to log and verdict.
+
+This code is common to all verbs and studies.
+"""

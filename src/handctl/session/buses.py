@@ -1,4 +1,4 @@
-"""Bus specifications from the command line for verbs without a hand file."""
+"""Bus specifications from the command line, for verbs without a hand file."""
 
 from collections.abc import Sequence
 
@@ -8,9 +8,10 @@ from handctl.runtime.buses.open import check_spec
 
 
 def named_buses(arguments: Sequence[str]) -> dict[str, str]:
-    """Parse bus specifications without a hand file into a mapping from bus name to specification.
+    """Return the specification of each bus by name, from command-line words without a hand file.
 
-    A word is NAME=SPEC or a bare SPEC. Bare words get the names main, bus1, bus2 by their position.
+    A word is NAME=SPEC, or SPEC alone. Words without a name get the names main, bus1, bus2 by
+    position.
 
     Raises:
         ConfigError: a name is given twice or is not a valid bus name.

@@ -1,4 +1,4 @@
-"""Calibration of a run: read from a file, or made by commissioning the hand first."""
+"""Calibration for a run, read from a file or measured by commissioning the hand before the run."""
 
 import datetime
 import time
@@ -18,14 +18,14 @@ from handctl.session.plan import Plan
 from handctl.session.run import Outcome, Runner, make_controller
 
 FRESH_S = 24 * 3600.0
-"""Maximum age of a calibration for arming [s]. Load cells drift and tendons creep."""
+"""Largest age of a calibration for arming [s], because load cells drift and tendons creep."""
 VIRTUAL_DATE = datetime.datetime.fromtimestamp(0, datetime.UTC)
 IdentifiedByTendon = dict[str, Identified]
 """Identified parameters by tendon."""
 
 
 def find_calibration(path: Path, hand: Hand, named: bool) -> tuple[Calibration | None, str]:
-    """Read the hand's calibration file and check that it is valid for arming.
+    """Return the calibration from the hand's calibration file if it is valid for arming.
 
     Args:
         path: calibration file, which may not exist yet.
@@ -33,7 +33,7 @@ def find_calibration(path: Path, hand: Hand, named: bool) -> tuple[Calibration |
         named: True if the operator named the file. An invalid file is then an error.
 
     Returns:
-        The calibration, or None with the reason as text.
+        The calibration and an empty text, or None and the reason.
 
     Raises:
         ConfigError: the named file exists and cannot be used.
@@ -53,7 +53,7 @@ def find_calibration(path: Path, hand: Hand, named: bool) -> tuple[Calibration |
 
 
 def commission(plan: Plan, log: Path, runner: Runner) -> tuple[Calibration, Outcome]:
-    """Run the commissioning program and return the new calibration with the outcome.
+    """Run the commissioning program, and return the new calibration and the outcome of the run.
 
     Args:
         plan: checked plan of the run.
@@ -76,7 +76,7 @@ def commission(plan: Plan, log: Path, runner: Runner) -> tuple[Calibration, Outc
 
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
-    """Write a calibration to a TOML file with one table per tendon."""
+    """Write a calibration to a TOML file, with one table per tendon."""
     rows = calibration.model_dump(by_alias=True)
     tables = {f"tendon.{name}": row for name, row in rows.pop("tendon").items()}
     tables |= {f"identified.{name}": row for name, row in rows.pop("identified").items()}
@@ -89,14 +89,14 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
 def previous_identified(path: Path, hand: Hand, drives: Mapping[str, str], tell: Tell = silent) -> IdentifiedByTendon:
     """Return the identified parameters of the previous calibration, by tendon.
 
-    A new tare does not change identified parameters. The result is empty if the file is missing or unusable, or if
-    the drives have changed.
+    A new tare does not change identified parameters. The result is empty if the file is missing or
+    unusable, or if the drives have been replaced.
 
     Args:
         path: file of the previous calibration.
         hand: description of the hand.
         drives: identities of the present drives by motor, or empty if unknown.
-        tell: takes a notice for the operator.
+        tell: function that shows a notice to the operator.
     """
     try:
         before = load_calibration(path, hand) if path.exists() else None
@@ -112,9 +112,10 @@ def previous_identified(path: Path, hand: Hand, drives: Mapping[str, str], tell:
 
 
 def identified_in(path: Path | None, hand: Hand) -> IdentifiedByTendon:
-    """Read the identified parameters of a calibration file, by tendon. Without a file the result is empty.
+    """Return the identified parameters in a calibration file by tendon, empty without a file.
 
-    Tares and zeros of a simulated hand hold for one seed and one start. Identified parameters hold for all.
+    Tares and zeros of a simulated hand are valid for only one seed and one start. Identified
+    parameters are valid for all.
 
     Raises:
         ConfigError: the file cannot be read, is for another hand, or holds no identified parameters.
@@ -128,7 +129,7 @@ def identified_in(path: Path | None, hand: Hand) -> IdentifiedByTendon:
 
 
 def homed(hand: Hand, identified: IdentifiedByTendon) -> Calibration:
-    """Return the calibration of a simulated hand that starts taut with its encoders at zero [N, rad]."""
+    """Return the calibration for a simulated hand that starts taut with its encoders at zero [N, rad]."""
     zero = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=0.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, zero)
     made = VIRTUAL_DATE.isoformat(timespec="seconds")
@@ -136,7 +137,7 @@ def homed(hand: Hand, identified: IdentifiedByTendon) -> Calibration:
 
 
 def ensure_calibration(plan: Plan, path: Path, reason: str, runner: Runner, log: Path) -> Calibration:
-    """Commission a hand that has no valid calibration, notify the operator, and write the new calibration.
+    """Commission a hand without valid calibration, notify the operator, and write the new calibration.
 
     Args:
         plan: plan of the run that follows.

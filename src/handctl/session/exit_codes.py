@@ -20,6 +20,9 @@ class Exit(IntEnum):
     REMOVE_POWER = 71
     """A drive did not confirm that it is disabled: remove power."""
     INTERRUPTED = 130
-    """Ctrl-C while no hand runs. A running hand is relaxed and disarmed, and the exit code reports the result."""
+    """Ctrl-C while no hand was running.
+
+    A running hand is relaxed and disarmed, and the exit code reports the result.
+    """
     TERMINATED = 143
-    """SIGTERM or SIGHUP while no hand runs. A running hand is handled as for Ctrl-C."""
+    """SIGTERM or SIGHUP while no hand was running. A running hand is handled as for Ctrl-C."""

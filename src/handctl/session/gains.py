@@ -1,4 +1,7 @@
-"""Gains of a run and their origin: packaged, the hand's gains file, the command line. The later one wins."""
+"""Gains of a run and their origins.
+
+The hand's gains file overrides packaged gains, and the command line overrides both.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,13 +19,13 @@ COMMAND_LINE = "command line"
 
 @dataclass(frozen=True, slots=True)
 class LayeredGains:
-    """Gains with their origins.
+    """Gains with the origin of each value.
 
     Attributes:
         gains: gains that a run uses.
         file: gains file, or None for the packaged gains.
         provenance: provenance recorded in the file.
-        origins: origin of every key: "packaged", the file, or "command line".
+        origins: origin of each value by key: "packaged", the file, or "command line".
     """
 
     gains: Gains
@@ -54,7 +57,7 @@ def layered_gains(hand: Hand, file: Path | None, words: Sequence[str], tell: Tel
 
 
 def gains_for(hand: Hand, path: Path, tell: Tell = silent) -> GainsFile:
-    """Read a gains file and check that it is for this hand.
+    """Read a gains file, and check that the gains are for this hand.
 
     Gains for an earlier description of the same hand are accepted with a notice to the operator.
 
@@ -72,14 +75,14 @@ def gains_for(hand: Hand, path: Path, tell: Tell = silent) -> GainsFile:
 
 
 def _origin(gains: Gains, key: str, file: Path | None) -> str:
-    """Return the origin of a key before the command line is applied."""
+    """Return the origin of a gain before the command line is applied."""
     section, _, name = key.partition(".")
     in_file = section in gains.model_fields_set and name in getattr(gains, section).model_fields_set
     return str(file) if file and in_file else PACKAGED
 
 
 def assignments(words: Sequence[str], where: str) -> dict[str, float]:
-    """Parse KEY=VALUE words into numbers by key.
+    """Return the numbers assigned by KEY=VALUE words, by key.
 
     Raises:
         ConfigError: a word does not assign a number, or a key is assigned twice.

@@ -1,4 +1,4 @@
-"""Header of a run's log: the hand, the gains, the machine, and the command to repeat the run."""
+"""Header for the log of a run: hand, gains, machine, and the command that repeats the run."""
 
 import platform
 import sys
@@ -14,11 +14,14 @@ from handctl.runtime.clock import Priority
 from handctl.session.plan import Plan
 
 VIRTUAL_START_S = 0.0
-"""UNIX time at which every lockstep run starts [s]. With the wall clock no two logs would be equal."""
+"""UNIX time at which every lockstep run starts [s].
+
+It is constant, so that logs of equal runs are equal.
+"""
 
 
 def run_header(plan: Plan, controller: Controller, priority: Priority | None, lockstep: bool) -> RunHeader:
-    """Build the log header from all facts known before the first tick."""
+    """Return the log header with all data available before the first tick."""
     hand = plan.hand
     installed = sorted({f"{dist.name}=={dist.version}" for dist in distributions()})
     attachments = {

@@ -1,18 +1,24 @@
-"""Notices and progress from a run to its operator. The caller decides where they go."""
+"""Notices and progress reports from a run to the operator.
+
+The caller of the run supplies the functions.
+"""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 
 Tell = Callable[[str], None]
-"""Callback that takes one notice of one line."""
+"""Callback for a notice of one line."""
 Progress = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
-"""Context that shows the progress of a named step. Its callback takes the completed and the total count."""
+"""Context manager that shows the progress of a named step.
+
+It yields a callback for completed and total count.
+"""
 
 
 def silent(text: str) -> None:
-    """Discard a notice."""
+    """Ignore a notice."""
 
 
 def unseen(words: str) -> AbstractContextManager[Callable[[int, int], None]]:
-    """Discard progress reports."""
+    """Ignore progress reports."""
     return nullcontext(lambda done, total: None)

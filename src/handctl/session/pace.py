@@ -1,4 +1,4 @@
-"""Time scale at which a machine keeps up with a simulated hand."""
+"""Time scale at which this machine is fast enough for a simulated hand."""
 
 import math
 from contextlib import suppress
@@ -10,13 +10,13 @@ from handctl.session.plan import Plan
 from handctl.session.run import Outcome
 
 LOAD = 0.7
-"""Maximum load of a core at which a machine keeps up, as a fraction."""
+"""Largest load of a core at which the machine is fast enough, as a fraction."""
 FAILED_SCALE_FRACTION = 0.7
-"""Maximum advised time scale as a fraction of a time scale that failed."""
+"""Largest advised time scale, as a fraction of the time scale that failed."""
 
 
 def remedy(plan: Plan, outcome: Outcome) -> str:
-    """Return advice for a simulated run that failed because ticks or answers came too late, or an empty text."""
+    """Return advice for a simulated run that failed because ticks or answers were late, or an empty text."""
     if not (plan.simulated and outcome.late):
         return ""
     scale = slower_time_scale(plan, outcome)
@@ -24,9 +24,10 @@ def remedy(plan: Plan, outcome: Outcome) -> str:
 
 
 def slower_time_scale(plan: Plan, outcome: Outcome) -> float:
-    """Compute the time scale that this machine can hold, from the computing times of a run that was late.
+    """Return a time scale at which this machine is fast enough, from the computing times of a late run.
 
-    Simulator and controller have a core each, or share the only core. The simulator reports its own measurement.
+    Simulator and controller use one core each, or share the only core. The simulator reports its
+    own measurement.
 
     Args:
         plan: plan of the run.
@@ -47,6 +48,6 @@ def slower_time_scale(plan: Plan, outcome: Outcome) -> float:
 
 
 def round_down_to_one_digit(value: float) -> float:
-    """Round a positive number down to one significant digit: 0.37 becomes 0.3."""
+    """Round a positive number down to one significant digit, such as 0.37 to 0.3."""
     step = 10.0 ** math.floor(math.log10(value))
     return float(f"{math.floor(value / step + 1e-9) * step:.6g}")

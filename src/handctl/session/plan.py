@@ -21,11 +21,14 @@ from handctl.session.gains import layered_gains
 from handctl.session.notices import Progress, Tell, silent, unseen
 
 TICKS_IN_WATCHDOG = 2
-"""Minimum ticks per drive watchdog time. One lost frame must not disable a drive."""
+"""Smallest number of ticks per watchdog time of a drive.
+
+One lost frame must not disable a drive.
+"""
 
 
 class Display(Protocol):
-    """Display for the operator while a hand runs."""
+    """Display of a running hand for the operator."""
 
     def show(self, entry: TickIn, out: TickOut) -> None:
         """Show the state after a tick."""
@@ -44,14 +47,14 @@ class Plan:
         hand: description of the hand.
         gains: weights and noise assumptions.
         rate_hz: control rate [Hz].
-        load: worst-case load of each bus as a fraction, in the hand's order.
+        load: worst-case load of each bus as a fraction, in the order of the hand's buses.
         buses: specification of each bus, empty in lockstep.
-        attachments: files that go into the log.
-        time_scale: run time per wall time.
-        clear: True if the operator ordered to clear the latched errors of the drives.
-        display: starts the display of a run, or None for no display.
-        tell: takes a notice for the operator.
-        progress: shows the progress of a preparation.
+        attachments: files to store in the log.
+        time_scale: run time divided by wall time.
+        clear: True if the operator requested to clear the latched errors of the drives.
+        display: function that starts the display of a run, or None for no display.
+        tell: function that shows a notice to the operator.
+        progress: function that shows the progress of a preparation.
     """
 
     hand: Hand
@@ -73,26 +76,26 @@ class Plan:
 
     @property
     def simulated(self) -> bool:
-        """Return True if the plan has buses and none of them can have real motors."""
+        """Return True if the plan has buses and none of these can have real motors."""
         return bool(self.buses) and not real_buses(self.buses)
 
     def on(self, buses: tuple[str, ...]) -> "Plan":
-        """Return the same plan with other buses."""
+        """Return the plan with other bus specifications."""
         return replace(self, buses=buses)
 
 
 @dataclass(frozen=True)
 class Choice:
-    """Operator's choices for a run, not yet checked.
+    """Choices of the operator for a run, not yet checked.
 
     Attributes:
-        hand: packaged name or file.
+        hand: name of a packaged hand, or path of a hand file.
         hand_named: True if the operator named the hand.
-        bus: ``SPEC``, or ``NAME=SPEC`` for each bus, or None in lockstep.
+        bus: ``SPEC``, or one ``NAME=SPEC`` per bus, or None in lockstep.
         gains: gains file, or None for the hand's own gains.
         gain: KEY=VALUE words, which override every file.
         rate: control rate [Hz], or None for the highest usual rate.
-        time_scale: run time per wall time.
+        time_scale: run time divided by wall time.
         log: log file to write, or None.
         clear: True to clear the latched errors of the drives.
     """
@@ -113,8 +116,8 @@ def make_plan(choice: Choice, display: "Callable[[Plan], Display] | None" = None
 
     Args:
         choice: choices of the operator.
-        display: starts the display of a run, or None for no display.
-        tell: takes a notice for the operator.
+        display: function that starts the display of a run, or None for no display.
+        tell: function that shows a notice to the operator.
 
     Raises:
         ConfigError: a choice is wrong. The message has one line.
@@ -138,7 +141,9 @@ def make_plan(choice: Choice, display: "Callable[[Plan], Display] | None" = None
 
 
 def _refuse_unnamed(choice: Choice, hand: Hand, buses: Sequence[str]) -> None:
-    """Refuse the default hand on a real bus. Its limits are for other motors and tendons.
+    """Raise an error for the default hand on a real bus.
+
+    Its limits are for other motors and tendons.
 
     Raises:
         ConfigError: the operator named no hand, and the bus may have real motors.
@@ -149,14 +154,14 @@ def _refuse_unnamed(choice: Choice, hand: Hand, buses: Sequence[str]) -> None:
 
 
 def check_ready(hand: Hand, where: str) -> None:
-    """Refuse a hand that is valid and cannot run. See ``unready``.
+    """Raise an error for a hand whose file is valid but not ready to run. See ``unready``.
 
     Args:
         hand: description of the hand to run.
         where: name or file of the hand, for the message.
 
     Raises:
-        ConfigError: the first reason.
+        ConfigError: the hand is not ready. The message has the first reason.
     """
     for mistake in unready(hand):
         raise mistake.error(where)
@@ -182,18 +187,18 @@ def control_rate(requested: float | None, hand: Hand, loads: Sequence[BusLoad]) 
 
 
 def _check_log(log: Path | None) -> None:
-    """Refuse a log file that cannot be created, before a bus is opened."""
+    """Raise an error if the log file cannot be created, before a bus is opened."""
     if log is not None and (log.suffix != ".mcap" or os.path.lexists(log) or not log.parent.is_dir()):
         raise ConfigError(str(log), "--log", "a new file ending in .mcap in a folder that exists")
 
 
 def fastest(loads: Sequence[BusLoad]) -> float:
-    """Return the highest usual control rate that all buses can carry [Hz]."""
+    """Return the highest usual control rate that no bus is too slow for [Hz]."""
     return highest_rate((load.tick_s for load in loads), (load.timed_fraction for load in loads))
 
 
 def check_design(hand: Hand, gains: Gains, rate_hz: float | None = None) -> None:
-    """Refuse gains without a valid design, even if each gain is within its bounds.
+    """Raise an error for gains without a valid design, even if each gain is within its bounds.
 
     Args:
         hand: description of the hand.
@@ -221,7 +226,7 @@ def bus_specs(hand: Hand, arguments: Sequence[str]) -> tuple[str, ...]:
 
 
 def _specs(names: tuple[str, ...], arguments: Sequence[str]) -> tuple[str, ...]:
-    """Return the given specification for each bus name, in the order of the names."""
+    """Return the specification given for each bus name, in the order of the names."""
     if len(names) == 1 and len(arguments) == 1 and "=" not in arguments[0].partition(":")[0]:
         return (arguments[0],)
     specs: dict[str, str] = {}
@@ -237,10 +242,10 @@ def _specs(names: tuple[str, ...], arguments: Sequence[str]) -> tuple[str, ...]:
 
 
 def commission_log(log: Path) -> Path:
-    """Return a new name beside a run's log for the commissioning before it.
+    """Return a new log name for the commissioning before a run, next to the run's log.
 
-    A run that a fault ends during commissioning leaves only the commissioning log. When the same command is repeated,
-    it writes a new log beside the old one.
+    If a fault ends the run during commissioning, only the commissioning log exists. When the same
+    command is repeated, a new log is written next to the old log.
     """
     number = 1
     path = log.with_suffix(".commission.mcap")

@@ -1,4 +1,4 @@
-"""Wiring of a run from its plan to its log, in real time or in lockstep."""
+"""Execution of a run from its plan to its log, in real time or in lockstep."""
 
 import subprocess
 from collections.abc import Callable, Sequence
@@ -38,7 +38,7 @@ from handctl.session.header import run_header
 from handctl.session.plan import Display, Plan
 
 LATE = ("B02", "B03b", "B17", "N02", "N02b", "N08", "H03")
-"""Rows of the fault table that latch when answers or ticks are late."""
+"""Ids of faults that latch when answers or ticks are late."""
 
 
 @dataclass(frozen=True)
@@ -61,12 +61,12 @@ class Outcome:
 
     @property
     def late(self) -> bool:
-        """Return True if a fault latched that occurs when host or simulator does not keep up with real time."""
+        """Return True if a fault latched because host or simulator was slower than real time."""
         return any(mark.id in LATE for mark in self.state.latched)
 
     @property
     def exit(self) -> Exit:
-        """Return the exit code of a verb that consists of this run only."""
+        """Return the exit code of a verb that consists only of this run."""
         if self.state.unconfirmed:
             return Exit.REMOVE_POWER
         return Exit.FAILED if self.state.failure else Exit.DONE
@@ -76,7 +76,7 @@ class Outcome:
 
         Args:
             where: purpose of the run, for the message.
-            right: known remedy, for the message, or empty.
+            right: remedy for the message, empty if unknown.
 
         Raises:
             PowerError: a drive did not confirm that it is disabled.
@@ -93,21 +93,24 @@ Runner = Callable[["Plan", Controller, Path], Outcome]
 
 
 def make_controller(plan: Plan, program: Program, calibration: Calibration | None, arm_at_once: bool) -> Controller:
-    """Design the gains and build the controller. A progress bar is shown when the compilation takes long."""
+    """Design the gains, and construct the controller.
+
+    A progress bar is shown if the compilation takes long.
+    """
     with plan.progress("compiling the controller, once") as report_progress:
         prepare(report_progress)
     return setup.make_controller(plan.hand, plan.gains, plan.rate_hz, program, calibration, arm_at_once)
 
 
 class RunObserver(Protocol):
-    """Observer in this process that watches a run and sends requests like an operator."""
+    """Observer in the same process that watches a run and sends requests like an operator."""
 
     def poll_requests(self) -> tuple[str, ...]:
-        """Return the requests since the last call."""
+        """Return the requests made since the last call."""
         ...
 
     def on_tick(self, entry: TickIn, out: TickOut) -> None:
-        """Receive the input and output of a finished tick."""
+        """Receive the input and the output of a finished tick."""
         ...
 
 
@@ -118,7 +121,7 @@ def run_live(
     live_view: bool = False,
     observer: RunObserver | None = None,
 ) -> Outcome:
-    """Run on real time and real (or simulated) buses.
+    """Execute a run in real time, on real or simulated buses.
 
     Args:
         plan: checked plan of the run.
@@ -171,7 +174,10 @@ def run_lockstep(
     clock: LockstepClock,
     observer: RunObserver | None = None,
 ) -> Outcome:
-    """Run in virtual time against the clock's peer. Further calls with the same clock are allowed."""
+    """Execute a run in virtual time against the clock's simulator.
+
+    Further runs with the same clock are allowed.
+    """
     clock.restart()
     header = run_header(plan, controller, None, lockstep=True)
     start_offset = {TRUTH_OFFSET: str(clock.offset_ns)}
@@ -184,7 +190,7 @@ def run_lockstep(
 
 
 def refuse_blind_view(view_requested: bool) -> None:
-    """Refuse ``--view`` in a session without a screen, before a bus is opened.
+    """Raise an error for ``--view`` in a session without a screen, before a bus is opened.
 
     Raises:
         ConfigError: this session has no screen.
@@ -196,7 +202,10 @@ def refuse_blind_view(view_requested: bool) -> None:
 
 
 def _start_view(log: Path) -> Callable[[], None]:
-    """Start the live view and return a function that stops its feeding process. The viewer stays open."""
+    """Start the live view.
+
+    Returns a function that stops the process feeding the view. The viewer stays open.
+    """
     from handctl.view.live_view import start_live
 
     child: subprocess.Popen[bytes] = start_live(log)
@@ -204,7 +213,7 @@ def _start_view(log: Path) -> Callable[[], None]:
 
 
 def keeper(recorder: Recorder) -> Callable[[TickIn, State], None]:
-    """Return a function that records a snapshot of the state every second, after the tick of that state."""
+    """Return a function that records a snapshot of the state after a tick, once per second."""
     due_ns = PERIOD_NS
 
     def keep(entry: TickIn, state: State) -> None:
@@ -251,14 +260,17 @@ def _axes(hand: Hand) -> dict[str, int]:
 
 
 def _description(plan: Plan) -> dict[str, object]:
-    """Return the constants of a run for observing programs."""
+    """Return the constants of a run for observing programs, by name."""
     return {"hand_toml": plan.hand.to_toml(), "rate_Hz": plan.rate_hz, "time_scale": plan.time_scale}
 
 
 def _requests(
     plan: Plan, signals: StopSignals, mailbox: Mailbox, targets: TargetBox
 ) -> Callable[[], tuple[str, ...]]:
-    """Return a function that collects the requests of a tick. An order from the command line comes first."""
+    """Return a function that collects the requests of a tick.
+
+    A request from the command line is the first.
+    """
     orders = [CLEAR] if plan.clear else []
 
     def take() -> tuple[str, ...]:
@@ -290,11 +302,11 @@ def _merge_observers(observer: RunObserver | None, others: TickCallback) -> Tick
 
 
 WATCH_HZ = 50.0
-"""Rate of the status lines for watching programs [Hz]."""
+"""Rate of the status lines to watching programs [Hz]."""
 
 
 def _status_callback(display: Display | None, mailbox: Mailbox, rate_hz: float) -> TickCallback:
-    """Return a function that updates the display and the watching programs after each tick."""
+    """Return a function that updates display and watching programs after a tick."""
     every = max(1, round(rate_hz / WATCH_HZ))
 
     def show(entry: TickIn, out: TickOut) -> None:
@@ -318,7 +330,7 @@ def _finish(
     priority: Priority | None,
     offset_ns: Callable[[], int],
 ) -> Outcome:
-    """Run the loop, then close display and recorder, also after an error."""
+    """Run the loop, then close display and recorder, even after an error."""
     reason = "controller error"
     try:
         state = loop.run(controller.initial())

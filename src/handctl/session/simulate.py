@@ -1,4 +1,6 @@
-"""Lockstep simulation of a controller against the simulated hand. All such runs are built in this module.
+"""Lockstep simulation of a controller against the simulated hand.
+
+Every lockstep run is set up in this module.
 
 ``simulate`` runs to the end, ``Simulation`` runs tick by tick, and ``Simulator.clock`` is for runs with a log.
 """
@@ -25,14 +27,14 @@ from handctl.programs.program import Program
 from handctl.runtime.lockstep import SIMULATED_HAND, LockstepBus, LockstepClock, Peer, load_peer
 
 CHECK_NS = 2_000_000
-"""Control period of a simulated hand that is built only as a check [ns]."""
+"""Control period of a simulated hand constructed only to check its settings [ns]."""
 
 
 class SimulatedHand(Peer, Protocol):
-    """Simulated hand as an object: the other side of the wire, with fault injection.
+    """Simulated hand on the other side of the bus, with fault injection.
 
     Attributes:
-        world: plant and nodes, for direct access behind the wire.
+        world: plant and nodes, for direct access without the bus.
     """
 
     world: Any
@@ -42,26 +44,27 @@ class SimulatedHand(Peer, Protocol):
         ...
 
     def fault_states(self) -> list[dict[str, Any]]:
-        """Return every injected fault with its observed effect."""
+        """Return every injected fault with the effect observed so far."""
         ...
 
     def truth(self) -> dict[str, list[float]]:
-        """Return the present tensions [N] and the torques commanded to the motors [N m]."""
+        """Return the true tensions [N] and the torques commanded to the motors [N m] at present."""
         ...
 
 
 @dataclass(frozen=True)
 class Simulator:
-    """Settings of the simulated hand on the other side of the wire.
+    """Settings of the simulated hand on the other side of the bus.
 
     Attributes:
-        hand: packaged name, file, or description.
-        scene: packaged name, file or text of a scene, or None for a free hand.
+        hand: name of a packaged hand, path of a hand file, or description.
+        scene: name of a packaged scene, path or text of a scene, or None for a hand without
+            objects.
         seed: random seed of noise, slack and encoder offsets.
-        perturb: factors on the plant's parameters.
+        perturb: factors for the parameters of the simulated plant.
         homed: True if the hand starts taut with its encoders at zero.
         truth: truth file to write, or None.
-        wire: KEY=VALUE words of a simulated wire, or None for answers that are never late.
+        wire: KEY=VALUE words of a simulated wire with delays, or None for answers without delay.
         serials: serial numbers of the drives.
     """
 
@@ -76,13 +79,15 @@ class Simulator:
 
     @contextmanager
     def peer(self, period_ns: int) -> Iterator[SimulatedHand]:
-        """Build the simulated hand, and close it with its truth file at the end of the context.
+        """Construct the simulated hand.
+
+        At the end of the context, close the hand and its truth file.
 
         Args:
             period_ns: control period [ns].
 
         Raises:
-            ConfigError: the simulated hand cannot be built.
+            ConfigError: the simulated hand cannot be constructed.
         """
         with tempfile.TemporaryDirectory(prefix="handctl-simulated-") as folder:
             peer = load_peer(
@@ -103,19 +108,22 @@ class Simulator:
             peer.close()
 
     def check(self) -> None:
-        """Check that the simulated hand can be built. See ``peer``."""
+        """Check that the simulated hand can be constructed. See ``peer``."""
         with self.peer(CHECK_NS):
             pass
 
     @contextmanager
     def clock(self, period_ns: int) -> Iterator[LockstepClock]:
-        """Build the simulated hand and its clock, for one run or several consecutive runs. See ``peer``."""
+        """Construct the simulated hand and its clock, for one run or several consecutive runs.
+
+        See ``peer``.
+        """
         with self.peer(period_ns) as peer:
             yield LockstepClock(peer, period_ns)
 
     @contextmanager
     def against(self, controller: Controller) -> Iterator["Simulation"]:
-        """Begin a run of a controller against the simulated hand. See ``peer``."""
+        """Begin a run of a controller with the simulated hand. See ``peer``."""
         with self.peer(round(1e9 * controller.model.period)) as peer:
             yield Simulation.of(controller, peer)
 
@@ -139,7 +147,7 @@ class Simulation:
     """Run of a controller against a simulated hand, tick by tick.
 
     Attributes:
-        controller, peer: both sides of the wire.
+        controller, peer: controller and simulated hand, the two sides of the bus.
         period_ns: control period [ns].
         state: state of the controller.
         k: number of the next tick.
@@ -159,7 +167,7 @@ class Simulation:
 
     @staticmethod
     def of(controller: Controller, peer: SimulatedHand) -> "Simulation":
-        """Begin a run of a controller against a peer."""
+        """Begin a run of a controller with a simulated hand."""
         return Simulation(controller, peer, round(1e9 * controller.model.period), controller.initial())
 
     def __post_init__(self) -> None:
@@ -197,7 +205,10 @@ class Simulation:
             self._step()
 
     def until(self, reached: Callable[[TickOut], bool], timeout_s: float) -> bool:
-        """Run until a condition on the output is true, at most ``timeout_s`` [s]. Return True if it was reached."""
+        """Run until a condition on the output is true, at most ``timeout_s`` [s].
+
+        Returns True if it was.
+        """
         for _ in range(round(timeout_s * 1e9 / self.period_ns)):
             out = self.tick()
             if reached(out):
@@ -222,10 +233,10 @@ class Simulation:
 
 
 def homed_controller(model: HandModel, program: Program, hand: Hand | None = None) -> Controller:
-    """Build the controller of a homed hand, which needs no tare.
+    """Construct the controller for a homed hand, which needs no tare.
 
     Args:
-        model: hand model with its gains designed.
+        model: model of the hand with designed gains.
         program: program to run.
         hand: hand with the actual drives and sensors. The default is the hand of the model.
     """
@@ -240,12 +251,12 @@ def simulate(
     see: Callable[[TickIn, TickOut], None] = lambda entry, out: None,
     limit_s: float = math.inf,
 ) -> State:
-    """Run a controller to its end against a simulated hand.
+    """Run a controller to its end with a simulated hand.
 
     Args:
         controller: controller with its program.
         simulator: settings of the simulated hand.
-        see: takes the input and output of each tick.
+        see: function called with input and output of each tick.
         limit_s: maximum run time [s].
 
     Returns:

@@ -1,4 +1,4 @@
-"""Tasks, trajectories and scenes, packaged with handctl or from files, checked against the hand."""
+"""Loading of tasks, trajectories and scenes, packaged or from files, with a check against the hand."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -13,13 +13,13 @@ TASKS = Path(__file__).parents[1] / "tasks"
 
 
 GRASP = Path("grasp.toml")
-"""Packaged task of the hands that have its digits."""
+"""Name of the packaged task for hands with the digits of this task."""
 
 
 def find_task(name: Path | None, hand: Hand) -> tuple[Task, bytes]:
-    """Load a task from a path or from the packaged tasks, and check it against the hand.
+    """Load a task by path or packaged name, and check that the task suits the hand.
 
-    Without a name the task is the packaged grasp, or for a hand of other digits the default task.
+    Without a name the packaged grasp is used, or the default task if the hand has other digits.
 
     Raises:
         ConfigError: the task does not exist, or its content is wrong.
@@ -47,7 +47,7 @@ def find_scene(name: str | None, hand: Hand) -> str:
 
 
 def task_path(name: Path) -> Path:
-    """Return the path of a task file, by path or by packaged name.
+    """Return the path of a task file, given as path or packaged name.
 
     Raises:
         ConfigError: the task does not exist.
@@ -60,7 +60,7 @@ def task_path(name: Path) -> Path:
 
 
 def find_trajectory(path: Path, hand: Hand) -> Task:
-    """Load a trajectory file as a task, and check it against the hand.
+    """Load a trajectory file as a task, and check that the task suits the hand.
 
     Raises:
         ConfigError: the file does not exist, or its content is wrong.
@@ -71,7 +71,7 @@ def find_trajectory(path: Path, hand: Hand) -> Task:
 
 
 def check_suits(task: Task, hand: Hand, where: str) -> None:
-    """Refuse a task that does not suit the hand.
+    """Raise an error for a task that does not suit the hand.
 
     Raises:
         ConfigError: the hand does not have a digit, a number of angles, a tension or an angle of the task, a move is

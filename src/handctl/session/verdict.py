@@ -1,4 +1,4 @@
-"""Verdict on a finished run: numbers and picture."""
+"""Verdict on a finished run: performance numbers and a picture."""
 
 import shutil
 from contextlib import suppress
@@ -27,9 +27,9 @@ def judge(
     picture: bool = True,
     task: Task | None = None,
 ) -> dict[str, Any]:
-    """Compute the numbers of a run and draw its picture beside the log.
+    """Compute the performance numbers of a run, and draw its picture next to the log.
 
-    If the disk is full, only the picture is left out, with a notice of one line.
+    If the disk is full, the picture is omitted with a notice of one line.
 
     Args:
         plan: plan of the run.
@@ -37,7 +37,8 @@ def judge(
         log: log file of the run.
         truth_file: truth file of the simulator, copied beside the log, or None on hardware.
         picture: True to draw the picture.
-        task: executed task, if its grasp is to be judged. A grasp that did not carry its object is a failure.
+        task: executed task, if its grasp is to be judged. A grasp that did not hold its object is a
+            failure.
     """
     truth_file = _beside(log, truth_file, plan.tell) if truth_file else None
     truth = read_truth(truth_file) if truth_file else None
@@ -68,12 +69,15 @@ def judge(
 
 
 def _holds(task: Task | None) -> set[str]:
-    """Return the names of the phases in which a task holds an object."""
+    """Return the names of the task phases with an object in the hand."""
     return {phase.name for phase in task.phase if isinstance(phase, Hold)} if task else set()
 
 
 def _beside(log: Path, truth: Path, tell: Tell) -> Path:
-    """Copy the truth file beside the log and return its path. If the copy fails, return the original path."""
+    """Copy the truth file to the folder of the log, and return the path.
+
+    If the copy fails, the original path is returned.
+    """
     beside = log.with_suffix(".truth")
     if truth == beside:
         return beside
@@ -86,7 +90,7 @@ def _beside(log: Path, truth: Path, tell: Tell) -> Path:
 
 
 def _picture(plan: Plan, outcome: Outcome, record: RunLog, truth: TruthRecord | None, log: Path) -> Path | None:
-    """Draw the picture of the run and return its path, or None if the file cannot be written."""
+    """Draw the picture of the run, and return its path, or None if the file cannot be written."""
     path = log.with_suffix(".png")
     try:
         draw_run(path, record, plan.hand, truth, outcome.offset_ns, f"{plan.hand.name}: {log.name}")
@@ -97,12 +101,15 @@ def _picture(plan: Plan, outcome: Outcome, record: RunLog, truth: TruthRecord | 
 
 
 def _left_out(path: Path, error: OSError, tell: Tell) -> None:
-    """Delete a partly written file beside the log and notify the operator."""
+    """Delete a partly written file next to the log, and notify the operator."""
     with suppress(OSError):
         path.unlink()
     tell(f"handctl: {path} is left out: {error.strerror or error}")
 
 
 def lost_frames(plan: Plan, outcome: Outcome) -> int:
-    """Count the frames that a bus refused or the sensor node never sent. A reply after the next SYNC is late."""
+    """Return the number of frames refused by a bus or never received from the sensor node.
+
+    A reply after the next SYNC counts as late.
+    """
     return outcome.stats.refused + make_sensors(plan.hand).lost(*outcome.state.sensor_counts)

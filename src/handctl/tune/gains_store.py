@@ -1,8 +1,8 @@
-"""Gains of a hand on disk: the present ones and a numbered history, so every change can be undone.
+"""Gains of a hand on disk: present gains and a numbered history, so that every change can be undone.
 
-Runs use `HAND.gains.toml`. Every set of gains that was ever applied is in `HAND.gains/0001.toml`
-and so on. Both are written to a temporary file and renamed, so a reader finds either the old or the
-new file.
+Runs use `HAND.gains.toml`. Every set of gains applied so far is in `HAND.gains/0001.toml` and
+following. Each file is written under a temporary name and then renamed, so that a reader gets
+either the old or the new file.
 """
 
 import datetime
@@ -16,15 +16,15 @@ from handctl.errors import ConfigError
 from handctl.output import write_whole
 
 BY_HAND = "edited by hand"
-"""Note of gains that a user edited."""
+"""Note in the provenance of gains edited by a user."""
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """Gains of the history.
+    """Entry of the history.
 
     Attributes:
-        path: file in the history.
+        path: path of the file in the history.
         file: gains and provenance. The number is `file.provenance.number`.
     """
 
@@ -38,10 +38,10 @@ class Entry:
 
 
 class GainsStore:
-    """Present and former gains of a hand.
+    """Store of the present and former gains of a hand.
 
     Attributes:
-        path: file of the present gains.
+        path: path of the file with the present gains.
         history: folder of all gains.
     """
 
@@ -51,7 +51,7 @@ class GainsStore:
         Args:
             hand: name of the hand.
             identity: hash of the description.
-            folder: folder of its files.
+            folder: folder for the files.
         """
         self.hand = hand
         self.identity = identity
@@ -59,7 +59,7 @@ class GainsStore:
         self.history = folder / f"{hand}.gains"
 
     def present(self) -> GainsFile | None:
-        """Return the present gains, None for the packaged gains.
+        """Return the present gains, or None if the packaged gains are used.
 
         Raises:
             ConfigError: The file cannot be used.
@@ -67,7 +67,7 @@ class GainsStore:
         return load_gains_file(self.path) if self.path.exists() else None
 
     def entries(self) -> list[Entry]:
-        """Return all gains that were ever applied, oldest first.
+        """Return all gains applied so far, oldest first.
 
         Raises:
             ConfigError: A file of the history cannot be used.
@@ -76,9 +76,9 @@ class GainsStore:
         return [Entry(path, load_gains_file(path)) for path in paths]
 
     def set_aside(self) -> Path | None:
-        """Rename a present file that cannot be used, and return its new path.
+        """Rename the file of the present gains if it cannot be used, and return the new path.
 
-        None means that the file can be used. Afterwards rollback works again.
+        If the file can be used, None is returned. After the renaming, rollback works again.
 
         Raises:
             ConfigError: The file cannot be renamed.
@@ -96,7 +96,9 @@ class GainsStore:
         return None
 
     def apply(self, gains: Gains, provenance: Provenance) -> GainsFile:
-        """Make gains the present ones. Gains that a user edited are first kept in the history.
+        """Make the given gains the present gains.
+
+        Present gains edited by a user are first added to the history.
 
         Raises:
             ConfigError: The files cannot be written, or the present file cannot be read, see
@@ -106,7 +108,9 @@ class GainsStore:
         return self._put(gains, provenance)
 
     def rollback(self, to: int | None = None) -> GainsFile:
-        """Restore the gains before the present ones, or gains by number. 0 is the packaged gains.
+        """Restore the gains before the present gains, or the gains with a given number.
+
+        Number 0 stands for the packaged gains.
 
         Raises:
             ConfigError: There are no earlier gains, or the number does not exist.
@@ -134,7 +138,7 @@ class GainsStore:
             self._put(present.gains, present.provenance.model_copy(update={"note": BY_HAND}))
 
     def _put(self, gains: Gains, provenance: Provenance, restores: int | None = None) -> GainsFile:
-        """Write the next number of the history, then the present gains.
+        """Write gains under the next number of the history, then as present gains.
 
         A present file that is not in the history, e.g. a copy, counts as newer than the newest
         entry.
@@ -169,9 +173,9 @@ class GainsStore:
 
 
 def _before(entries: dict[int, Entry], present: GainsFile) -> int:
-    """Return the number of the gains before the present ones.
+    """Return the number of the gains that were present before the present gains.
 
-    A rollback does not count as a step: its provenance names the restored number.
+    After a rollback the restored number counts as the present number.
 
     Raises:
         ConfigError: The present gains are the packaged ones again, or the history has a gap.

@@ -1,4 +1,4 @@
-"""Figures of a tuning: loops before and after, the Pareto front, the verification."""
+"""Figures for tuning: loops before and after, Pareto front, verification."""
 
 from pathlib import Path
 from typing import Any
@@ -90,7 +90,7 @@ def _frame(row: Any, kind: LoopKind) -> None:
 
 
 def draw_search(path: Path, result: SearchResult, title: str) -> None:
-    """Draw the trials of a search with their Pareto front, and the cost of the best one.
+    """Draw the trials of a search with their Pareto front, and the cost of the best trial.
 
     Args:
         path: PNG file to write.
@@ -168,7 +168,7 @@ def draw_verify(
         hand: hand of the run.
         truth: ground truth of the simulator, None on hardware.
         offset_ns: time of the run's t = 0 on the simulator's clock [ns].
-        rollback: return to the old gains, if any.
+        rollback: return to the old gains, or None.
     """
     figure = _figure(12, 7.5)
     figure.suptitle(f"{hand.name}: {hand.digit_names[0]}, old gains first, new ones shaded")

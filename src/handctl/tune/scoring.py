@@ -1,4 +1,7 @@
-"""Scores of gains: the whole controller runs the exercise on simulated plants, and the ground truth scores it."""
+"""Scores of gains, from runs of the whole controller on simulated plants.
+
+The score compares each run of the exercise with the ground truth of the simulator.
+"""
 
 import tempfile
 import tomllib
@@ -25,12 +28,12 @@ from handctl.tune.loops.design import linear_factors, worst_of
 Array = NDArray[np.float64]
 
 FAILED = 1e3
-"""Objective of gains that did not finish the exercise."""
+"""Objective value for gains with which the exercise did not finish."""
 
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """Score of gains, the root mean square over the plants.
+    """Score of gains: root mean square over the plants.
 
     Attributes:
         tracking_deg: error of the mean joint angle while moving, against the ground truth
@@ -39,9 +42,9 @@ class Score:
         effort_Nm_per_s: rate of the commanded motor torque, a measure of wear and noise [N
             m/s].
         peak_tension_N: largest true tension on any plant [N].
-        shortfall: missing margin on the worst plant as a fraction, 0 or less if the margins
-            suffice.
-        failure: reason of an early end, empty otherwise.
+        shortfall: missing part of a margin on the worst plant as a fraction, 0 or less if all
+            margins are large enough.
+        failure: reason of an early end, else empty.
     """
 
     tracking_deg: float
@@ -53,11 +56,11 @@ class Score:
 
     @property
     def objectives(self) -> tuple[float, float, float]:
-        """Return the objectives that a search minimises."""
+        """Return the objectives to minimise in a search."""
         return self.tracking_deg, self.tension_N, self.effort_Nm_per_s
 
     def cost(self, scale: "Score") -> float:
-        """Return one number: each objective as a multiple of another score's, the effort at a tenth.
+        """Return the cost of the score as one number, relative to another score.
 
         Tracking and tension decide. The effort decides between gains that are alike in both.
         """
@@ -69,12 +72,12 @@ class Score:
 
 
 def evaluate(job: Mapping[str, Any]) -> dict[str, Any]:
-    """Score gains. Input and output are plain values, so any process can evaluate a job.
+    """Score gains. Input and output are plain values, so that any process can do this.
 
     Args:
         job: hand (text of its file), rate_hz, gains (table), plants (tables of factors), seed,
-            and optionally must_keep_margins: gains that fall short of the margins are not
-            simulated.
+            and optionally must_keep_margins: True to skip the simulation of gains without
+                sufficient margins.
 
     Returns:
         A `Score` as a table.
@@ -101,12 +104,12 @@ def _table(score: Score) -> dict[str, Any]:
 
 
 def exercise(hand: Hand, model: HandModel, factors: Mapping[str, float], seed: int) -> Score:
-    """Score a run of the exercise on a plant, without the margins.
+    """Score one run of the exercise on a plant, without the margins.
 
     Args:
         hand: description of the hand.
         model: model with the gains.
-        factors: factors of the plant on the description.
+        factors: factors of the plant relative to the description.
         seed: seed of the noise.
     """
     return judge(hand, *simulated(hand, model, Exercise(), factors, seed))
@@ -124,11 +127,11 @@ def simulated(
         hand: description of the hand.
         model: model with the gains.
         program: program to run.
-        factors: factors of the plant on the description.
+        factors: factors of the plant relative to the description.
         seed: seed of the noise.
 
     Returns:
-        The ticks, the simulator's ground truth, and the reason of an early end, empty otherwise.
+        The ticks, the ground truth of the simulator, and the reason of an early end (else empty).
     """
     ticks: Ticks = []
     with tempfile.TemporaryDirectory(prefix="handctl-") as folder:
@@ -143,7 +146,7 @@ def simulated(
 
 
 def judge(hand: Hand, ticks: Sequence[tuple[TickIn, TickOut]], truth: TruthRecord, failure: str) -> Score:
-    """Score a run by the simulator's ground truth.
+    """Return the score of a run from the ground truth of the simulator.
 
     Args:
         hand: hand of the run.
@@ -167,7 +170,7 @@ def judge(hand: Hand, ticks: Sequence[tuple[TickIn, TickOut]], truth: TruthRecor
 
 
 class GroundTruth(NamedTuple):
-    """Reference of a score: the simulator's ground truth, or on hardware the estimates.
+    """Reference for a score: ground truth of the simulator, or estimates on hardware.
 
     Attributes:
         angle: (ticks, D) mean joint angle [rad].
@@ -194,7 +197,7 @@ def score(
     torque: Array,
     truth: GroundTruth,
 ) -> Score:
-    """Score ticks of an exercise, without the margins.
+    """Return the score of ticks of an exercise, without the margins.
 
     Args:
         t_ns: (ticks,) times [ns].

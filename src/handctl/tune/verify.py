@@ -1,7 +1,8 @@
-"""Verification of new gains on the hand: the old gains first, then the new ones at rising amplitude.
+"""Verification of new gains on the hand: old gains first, then new gains at increasing amplitude.
 
-At a violated limit the observer requests the old gains again. The observer uses the controller's
-request socket like any client, so the log contains all requests and can be re-executed.
+If a limit is violated, the observer requests the old gains again. The observer uses the
+controller's request socket like any client, so the log contains all requests and can be
+re-executed.
 """
 
 import json
@@ -23,26 +24,27 @@ from handctl.safety.action import Action
 from handctl.tune.scoring import GroundTruth, Score, score
 
 OLD_ROUNDS = 2
-"""Rounds with the old gains. The last of them is compared."""
+"""Number of rounds with the old gains. The last round is used for the comparison."""
 AMPLITUDES = (0.3, 1.0, 0.3, 0.6, 1.0)
-"""Amplitudes of the rounds: those of the old gains, then rising ones of the new gains.
+"""Amplitudes of the rounds: first with the old gains, then increasing with the new gains.
 
-Both sets have a round before the compared round.
+Old and new gains each have a round before the compared round.
 """
 WINDOW_S = 0.1
-"""Window of the ringing measure [s], two periods of a drive on a blocked tendon."""
+"""Time window in which ringing is measured [s], two oscillation periods of a drive on a blocked tendon."""
 
 
 @dataclass(frozen=True, slots=True)
 class VerifyLimits:
-    """Limits of the new gains.
+    """Limits that a run with the new gains must stay within.
 
     Attributes:
-        tracking_rad: error of any joint's estimate while moving [rad].
-        trip_fraction: tension as a fraction of the tendon's trip tension.
-        ringing_factor: rate of the motor torques, rms over a window, as a multiple of the old
-            gains' largest.
-        ringing_floor_Nm_per_s: rate below which nothing counts as ringing [N m/s].
+        tracking_rad: largest tracking error of any joint's estimate while moving [rad].
+        trip_fraction: largest tension, as a fraction of the tendon's trip tension.
+        ringing_factor: largest rate of change of the motor torques (RMS over a window), as a
+            multiple of the largest with the old gains.
+        ringing_floor_Nm_per_s: rate of change below which the torques do not count as ringing [N
+            m/s].
     """
 
     tracking_rad: float = 0.35
@@ -59,7 +61,7 @@ class Rollback:
         t_s: time of the request [s].
         k: tick of the request.
         amplitude: amplitude of the exercise at that time.
-        why: violated limit, with value and bound.
+        why: violated limit, with measured value and limit.
     """
 
     t_s: float
@@ -70,16 +72,17 @@ class Rollback:
 
 @dataclass
 class VerifyObserver:
-    """Observer that requests the new gains, supervises them, and requests the old ones at a violated limit.
+    """Observer that requests the new gains, supervises the run, and requests the old gains if a limit is violated.
 
     Attributes:
-        hand: hand that runs.
+        hand: description of the running hand.
         old: gains before the change.
-        new: gains to verify. They differ in gains that a running controller accepts.
+        new: gains to verify. Only gains that a running controller accepts may differ from the old
+            gains.
         limits: limits of the new gains.
         amplitudes: amplitudes of the rounds of the exercise.
         old_rounds: number of rounds with the old gains.
-        returned: return to the old gains, None if there was none.
+        returned: return to the old gains, or None if it was not necessary.
     """
 
     hand: Hand
@@ -124,7 +127,7 @@ class VerifyObserver:
         self._requests.append(json.dumps({"do": "gains", "set": values}))
 
     def _ringing(self, entry: TickIn, out: TickOut) -> float:
-        """Return the rate of the motor torques, rms over a window [N m/s]."""
+        """Return the rate of change of the motor torques, RMS over a window [N m/s]."""
         torque = out.telemetry.motor_torque_goal
         before = self._torque
         self._torque = torque
@@ -138,7 +141,7 @@ class VerifyObserver:
         return float(np.sqrt(sum(self._rates) / len(self._rates)))
 
     def _violated_limit(self, out: TickOut, ringing: float) -> str:
-        """Return the violated limit as text, empty otherwise."""
+        """Return the violated limit as text, else empty."""
         if out.action >= Action.HOLD:
             return f"safety: {out.action.name}"
         if out.mode != Mode.ACTIVE:
@@ -163,16 +166,16 @@ COLUMNS = {
     "effort_Nm_per_s": ("effort", "N m/s"),
     "peak_tension_N": ("peak tension", "N"),
 }
-"""Name and unit of each measure by its field of `Score`."""
+"""Name and unit of each measure, by its field in `Score`."""
 ONE_RUN_SPREAD = 0.1
-"""Assumed spread of a measure with a single run, as a fraction of the value."""
+"""Spread assumed for a measure if there is only one run, as a fraction of the value."""
 MIN_DIFFERENCE = 0.02
-"""Least difference that counts, as a fraction of the old value."""
+"""Smallest difference that is not judged "same", as a fraction of the old value."""
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One measure at full amplitude, old gains against new.
+    """Comparison of old and new gains in one measure, at full amplitude.
 
     Attributes:
         name: name of the measure.

@@ -1,1 +1,1 @@
-"""Viewer of logs and running hands in Rerun. Only this package imports Rerun."""
+"""Display of logs and running hands in Rerun. Only this package imports Rerun."""

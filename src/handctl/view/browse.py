@@ -14,9 +14,12 @@ if TYPE_CHECKING:
     from rerun.chunk import Chunk
 
 FIRST_NS = 2_000_000_000
-"""Part of the run that is sent first [ns]. It shows the hand at once."""
+"""Length of the first part of the run to send [ns].
+
+The part is short, so that the hand appears at once.
+"""
 FLUSH_S = 5.0
-"""Maximum wait for the viewer to receive the last data [s]."""
+"""Longest wait for the viewer to receive the last data [s]."""
 
 
 @contextmanager
@@ -27,10 +30,12 @@ def browse(
     environment: dict[str, str],
     scan: RecordScan | None = None,
 ) -> Iterator[Viewer]:
-    """Open a viewer and send a whole log. The viewer closes with the context.
+    """Open a viewer and send a whole log to the viewer.
+
+    The viewer closes at the end of the context.
 
     Args:
-        path: a log.
+        path: path of the log.
         run: run and hand of the log.
         arguments: further arguments of the viewer.
         environment: environment variables for the viewer.

@@ -26,7 +26,7 @@ from handctl.view.time_slices import SPAN_NS, time_slices
 DISK_SPACE_FACTOR = 2
 """Required free space for a recording, as a multiple of the log's size.
 
-On a full disk Rerun's writer never returns.
+On a full disk, Rerun's writer would block forever.
 """
 DECODERS = ("ros2msg", "ros2_reflection", "urdf")
 """Rerun's decoders for the messages of a log."""
@@ -34,7 +34,7 @@ DECODERS = ("ros2msg", "ros2_reflection", "urdf")
 
 @contextmanager
 def rerun_errors(name: str) -> Iterator[None]:
-    """Convert errors of Rerun about a bad file to a LogError."""
+    """Convert Rerun's errors about a bad file to a LogError."""
     try:
         yield
     except (RuntimeError, ValueError, OSError) as error:
@@ -52,7 +52,7 @@ def run_parts(
     """Yield all chunks of a log in parts: static chunks first, then the run in the order of time.
 
     Args:
-        path: a log, complete or ending early.
+        path: path of the log, complete or with an early end.
         run: run and hand of the log.
         first_ns: length of the run in the first part [ns].
         scan: outer records of the log if already scanned.
@@ -69,9 +69,9 @@ def run_parts(
 
 
 def complete_log(path: Path, folder: Path, scan: RecordScan) -> tuple[Path, RecordScan]:
-    """Return the log, or a repaired copy of a log that ends early.
+    """Return the path of a complete log: the log itself, or a repaired copy if it ends early.
 
-    Rerun would leave out parts of the last chunk.
+    Rerun would omit parts of the last chunk of an incomplete log.
 
     Raises:
         LogError: the log has no complete chunk.
@@ -85,13 +85,13 @@ def complete_log(path: Path, folder: Path, scan: RecordScan) -> tuple[Path, Reco
 
 
 def log_chunks(path: Path, converters: TopicConverters, name: str, since_ns: int = 0) -> Iterator[Chunk]:
-    """Yield the chunks of all topics that change.
+    """Yield the chunks of all topics that change during a run.
 
     Args:
-        path: a log, complete or ending early.
+        path: path of the log, complete or with an early end.
         converters: converters of the topics.
         name: name of the log in messages.
-        since_ns: first log time [ns].
+        since_ns: log time from which on chunks are returned [ns].
 
     Raises:
         LogError: the log is damaged.
@@ -110,7 +110,7 @@ def _start_time(chunk: Chunk) -> int:
 
 
 def recording(run: RunInfo) -> rr.RecordingStream:
-    """Create a recording without a sink."""
+    """Return a new Rerun recording without a sink."""
     stream = rr.RecordingStream(run.application, recording_id=run.name, send_properties=False)
     stream.send_recording_name(run.name)
     if run.header.offset_ns:
@@ -122,7 +122,7 @@ def write_rrd(path: Path, run: RunInfo, out: Path) -> int:
     """Write a log as a Rerun recording with its layout.
 
     Args:
-        path: the log.
+        path: path of the log.
         run: run and hand of the log.
         out: file to write.
 

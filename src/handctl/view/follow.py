@@ -1,4 +1,4 @@
-"""Live display of a run: reads the growing log and sends new chunks to a viewer."""
+"""Live display of a run. Reads the growing log and sends new chunks to a viewer."""
 
 import tempfile
 import time
@@ -20,23 +20,23 @@ from handctl.view.tail import Tail
 from handctl.view.viewer import Viewer, check_screen, software_vulkan, start_viewer
 
 PERIOD_S = 0.2
-"""Interval between looks at the log [s]."""
+"""Interval between checks for new data in the log [s]."""
 FLUSH_S = 5.0
-"""Maximum wait for the viewer [s]."""
+"""Longest wait for the viewer [s]."""
 APPEAR_S = 30.0
-"""Maximum wait for the log to appear [s]."""
+"""Longest wait until the log file exists [s]."""
 QUIET_S = 15.0
 """Time without growth after which the recorder counts as dead [s]."""
 
 
 class Follower:
-    """Sends a growing log to a viewer, step by step."""
+    """Sender of a growing log to a viewer, step by step."""
 
     def __init__(self, log: Path, run: RunInfo, url: str) -> None:
         """Connect to a viewer and send the static chunks.
 
         Args:
-            log: the log with its header.
+            log: path of the log. The log must have its header.
             run: run and hand of the log.
             url: address of the viewer.
         """
@@ -64,13 +64,13 @@ class Follower:
         return True
 
     def _flush(self) -> None:
-        """Wait for the viewer unless it was closed."""
+        """Wait until the viewer has received all data, unless the viewer was closed."""
         with suppress(RuntimeError):
             self._stream.flush(timeout_sec=FLUSH_S)
 
     @property
     def ended(self) -> bool:
-        """Return True after the end of a closed log was sent."""
+        """Return True if the end of a complete log has been sent."""
         return self._tail.ended
 
     def close(self) -> None:
@@ -84,9 +84,9 @@ def follow(log: Path, arguments: Sequence[str] = (), stop: TerminationFlag | Non
     """Open a viewer and show a log until its end.
 
     Args:
-        log: the log, which may appear later.
+        log: path of the log. The file may be created later.
         arguments: further arguments of the viewer.
-        stop: request to end earlier.
+        stop: event that requests an earlier end.
 
     Raises:
         LogError: the log does not appear, or is damaged.
@@ -125,7 +125,7 @@ def _until_end(follower: Follower, running: Viewer, stop: TerminationFlag) -> No
 
 
 def _appeared(log: Path, stop: TerminationFlag) -> RunInfo | None:
-    """Wait for the header of a log. Return None after a stop request."""
+    """Wait for the header of a log, and return the reader, or None after a stop request."""
     end = time.monotonic() + APPEAR_S
     while not stop.asked:
         try:

@@ -27,7 +27,7 @@ def start_live(log_path: Path, *arguments: str) -> "subprocess.Popen[bytes]":
     only light packages, because the controller's process imports it.
 
     Args:
-        log_path: the log, which may appear later.
+        log_path: path of the log. The file may be created later.
         arguments: further arguments of the viewer, such as --headless.
     """
     command = [sys.executable, "-m", "handctl.view.live_view", str(log_path), *arguments]

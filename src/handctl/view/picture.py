@@ -15,22 +15,22 @@ if TYPE_CHECKING:
 SIZE = "1600x900"
 """Width and height of the picture [pixels]."""
 LOAD_S = 60.0
-"""Maximum wait for the viewer [s]."""
+"""Longest wait for the viewer [s]."""
 SETTLE_S = 1.0
 """Pause between two pictures [s]."""
 TOAST_S = 5.0
 """Time after the start during which the viewer shows notices over the picture [s]."""
 STILL_S = 10.0
-"""Maximum wait for a picture that no longer changes [s]."""
+"""Longest wait until the picture no longer changes [s]."""
 
 
 def draw(rrd: Path, at_s: float, out: Path) -> list[str]:
     """Draw a recording as PNG.
 
     Args:
-        rrd: recording with its layout.
+        rrd: path of the recording, which includes its layout.
         at_s: time since the start of the run [s].
-        out: the PNG.
+        out: path of the PNG file to write.
 
     Returns:
         Problems that the views report, or an empty list.
@@ -54,7 +54,7 @@ def draw(rrd: Path, at_s: float, out: Path) -> list[str]:
 
 
 def settled_screenshot(client: "ViewerClient") -> bytes:
-    """Return the picture after it stopped changing.
+    """Return the picture once it no longer changes.
 
     On a busy machine the views are drawn one after the other.
     """
@@ -69,7 +69,7 @@ def settled_screenshot(client: "ViewerClient") -> bytes:
 
 
 def connect_client(running: Viewer) -> "ViewerClient":
-    """Return a client of a viewer that is starting."""
+    """Return a client connected to a viewer that is starting."""
     from rerun.experimental import ViewerClient
 
     end = time.monotonic() + LOAD_S
@@ -86,7 +86,7 @@ def connect_client(running: Viewer) -> "ViewerClient":
 
 
 def timeline_end(state: "ViewerState", timeline: str) -> int:
-    """Return the end of a timeline over all recordings of a viewer, in its unit, or -1 without data."""
+    """Return the end of a timeline over all recordings of a viewer, in the timeline's unit, or -1 without data."""
     lines = [line for recording in state.recordings for line in recording.timelines if line.name == timeline]
     return max((line.end for line in lines if line.end is not None), default=-1)
 
@@ -94,8 +94,8 @@ def timeline_end(state: "ViewerState", timeline: str) -> int:
 def wait_loaded(client: "ViewerClient", timeline: str, until: int = 0) -> None:
     """Wait until the views exist and a recording is loaded up to some time.
 
-    A viewer knows a recording and its layout before the first data arrives. It reports already then
-    that loading is done.
+    A viewer gets a recording and its layout before the first data, and already then reports that
+    loading is done.
 
     Args:
         client: client of the viewer.

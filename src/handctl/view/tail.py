@@ -1,4 +1,4 @@
-"""New chunks of a log that is being written, as small logs."""
+"""Reading of new chunks from a log that is being written, in the form of small logs."""
 
 from pathlib import Path
 
@@ -7,17 +7,17 @@ from handctl.log.read.record_scan import RecordScan, scan_records
 
 
 class Tail:
-    """Reads a growing log from its start to its end.
+    """Reader of a growing log, from its start to its end.
 
     Attributes:
-        ended: True after the end mark of the log was read.
+        ended: True if the end mark of the log was read.
     """
 
     def __init__(self, path: Path) -> None:
         """Start before the first chunk.
 
         Args:
-            path: the log.
+            path: path of the log.
         """
         self._path = path
         self._sent_chunks = 0

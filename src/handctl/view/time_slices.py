@@ -1,4 +1,7 @@
-"""Division of a log into small logs by time. The first can be shown before the last is read."""
+"""Division of a log into small logs by time.
+
+The first part can be shown before the last part is read.
+"""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,24 +12,24 @@ from handctl.log.read.record_scan import RecordScan
 SPAN_NS = 20_000_000_000
 """Length of the run per part [ns].
 
-Parts of this length have few chunks, and memory stays bounded.
+Parts of this length have few chunks, so that memory use stays bounded.
 """
 
 
 def time_slices(path: Path, scan: RecordScan, folder: Path, first_ns: int) -> Iterator[tuple[Path, int]]:
     """Yield parts of a complete log in the order of time.
 
-    Each part is a log that exists until the next is requested.
+    Each part is a log file. The file is deleted when the next part is requested.
 
     Args:
-        path: a log with an end.
+        path: path of a complete log.
         scan: outer records of the log.
         folder: folder for the parts.
         first_ns: length of the run in the first part [ns].
 
     Yields:
-        The part, and its first new log time [ns]. The definitions of topics at the start of every
-        part are older.
+        The part, and its first new log time [ns]. Each part starts with the definitions of all
+        topics, whose log times are older.
 
     Raises:
         LogError: the log is damaged.
@@ -57,7 +60,7 @@ def time_slices(path: Path, scan: RecordScan, folder: Path, first_ns: int) -> It
 
 
 def _groups(start_ns: int, chunks: list[ChunkLocation], first_ns: int) -> list[list[ChunkLocation]]:
-    """Group chunks by the part in which they begin."""
+    """Return the chunks grouped by the part in which each chunk begins."""
     groups: dict[int, list[ChunkLocation]] = {}
     for chunk in chunks:
         groups.setdefault(max(-1, (chunk.first - start_ns - first_ns) // SPAN_NS), []).append(chunk)

@@ -1,4 +1,7 @@
-"""Rerun viewer as a separate process: located in the installed package, bound to this machine only."""
+"""Rerun viewer as a separate process, from the installed package.
+
+It accepts connections only from this machine.
+"""
 
 import ctypes
 import os
@@ -16,22 +19,25 @@ from handctl.errors import ConfigError, HandctlError
 from handctl.runtime.paths import run_dir
 
 LOOPBACK = "127.0.0.1"
-"""The viewer accepts connections from this machine only."""
+"""Address on which the viewer listens. Only this machine can connect."""
 ICD_FOLDERS = ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/share/vulkan/icd.d")
-"""Folders with the descriptions of Vulkan drivers."""
+"""Folders with description files of Vulkan drivers."""
 SOFTWARE_ICD = "lvp_icd*.json"
-"""Mesa's lavapipe: Vulkan on the processor. Pictures then do not depend on a graphics card."""
+"""File pattern of Mesa's lavapipe, Vulkan on the processor.
+
+Pictures then do not depend on a graphics card.
+"""
 PACKAGES = "libvulkan1 mesa-vulkan-drivers"
 START_S = 30.0
-"""Maximum wait for the start of a viewer [s]."""
+"""Longest wait for the start of a viewer [s]."""
 END_S = 5.0
-"""Maximum wait for the end of a viewer [s]."""
+"""Longest wait for the end of a viewer [s]."""
 _LISTENS = re.compile(rb"rerun\+http://[0-9.]+:\d+/proxy")
-"""Line in the viewer's output with its address."""
+"""Pattern for the line with the address in the viewer's output."""
 
 
 def binary() -> Path:
-    """Return the viewer of the rerun-sdk package.
+    """Return the path of the viewer in the rerun-sdk package.
 
     Raises:
         ConfigError: the package has no viewer.
@@ -46,7 +52,7 @@ def binary() -> Path:
 
 
 def software_vulkan() -> dict[str, str]:
-    """Return environment variables for drawing without a screen.
+    """Return the environment variables for drawing without a screen.
 
     Returns:
         Empty if the defaults suffice.
@@ -64,7 +70,7 @@ def software_vulkan() -> dict[str, str]:
 
 
 def _drivers(pattern: str) -> list[Path]:
-    """Return the descriptions of installed drivers."""
+    """Return the description files of installed Vulkan drivers."""
     return [path for folder in ICD_FOLDERS for path in sorted(Path(folder).glob(pattern))]
 
 
@@ -78,7 +84,7 @@ def _loader() -> bool:
 
 
 def check_screen() -> None:
-    """Refuse to open a window without a screen.
+    """Raise an error if a window cannot be opened because the session has no screen.
 
     Raises:
         ConfigError: the session has no screen.
@@ -89,7 +95,7 @@ def check_screen() -> None:
 
 @dataclass(frozen=True, slots=True)
 class Viewer:
-    """A running viewer.
+    """Running viewer process.
 
     Attributes:
         process: process of the viewer.
@@ -111,18 +117,18 @@ class Viewer:
 
 @dataclass(frozen=True, slots=True)
 class Launch:
-    """A viewer that is starting.
+    """Viewer process that is starting.
 
     Attributes:
         process: process of the viewer.
-        notes: output of the viewer.
+        notes: text output of the viewer.
     """
 
     process: "subprocess.Popen[bytes]"
     notes: IO[bytes]
 
     def ready(self) -> Viewer:
-        """Wait for the viewer to listen, or kill it.
+        """Wait until the viewer listens, or kill it.
 
         Raises:
             HandctlError: the viewer does not start.
@@ -139,10 +145,12 @@ class Launch:
 
 
 def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Launch:
-    """Start a viewer on a free port of this machine, with its telemetry disabled. Return at once.
+    """Start a viewer on a free port of this machine, with its telemetry disabled.
+
+    The function does not wait for the viewer.
 
     The system chooses the port. Rerun's default port is 9876. A viewer on this port would also
-    receive streams of other programs, and data meant for a viewer that was closed before.
+    receive streams from other programs, and data for a viewer closed earlier.
 
     Args:
         arguments: further arguments of the viewer.
@@ -169,7 +177,7 @@ def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Laun
 
 
 def start_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Viewer:
-    """Start a viewer as `launch_viewer` does, and wait until it listens.
+    """Start a viewer with `launch_viewer`, and wait until the viewer listens.
 
     Raises:
         HandctlError: the viewer does not start.
@@ -179,9 +187,9 @@ def start_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Viewe
 
 @contextmanager
 def launched(arguments: Sequence[str], environment: dict[str, str]) -> Iterator[Launch]:
-    """Start a viewer as `launch_viewer` does.
+    """Start a viewer with `launch_viewer`, for the duration of a context.
 
-    The viewer and its temporary files end with the context.
+    At the end of the context, the viewer is closed and its temporary files are deleted.
     """
     with tempfile.TemporaryDirectory(prefix="handctl-viewer-", ignore_cleanup_errors=True) as scratch:
         launch = launch_viewer(arguments, {"TMPDIR": scratch} | environment)
@@ -193,13 +201,13 @@ def launched(arguments: Sequence[str], environment: dict[str, str]) -> Iterator[
 
 @contextmanager
 def viewer(arguments: Sequence[str], environment: dict[str, str]) -> Iterator[Viewer]:
-    """Start a viewer as `start_viewer` does. It ends with the context."""
+    """Start a viewer with `start_viewer`, for the duration of a context."""
     with launched(arguments, environment) as launch:
         yield launch.ready()
 
 
 def _url(process: "subprocess.Popen[bytes]", notes: IO[bytes]) -> str:
-    """Wait for the viewer's address in its output.
+    """Wait for the viewer's address in its output, and return the address.
 
     Raises:
         HandctlError: the viewer ended, or does not listen after `START_S`.

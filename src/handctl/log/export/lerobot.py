@@ -1,14 +1,14 @@
 """Export of a log as a LeRobot dataset of one episode: the active part of the run, on an exact time grid.
 
 Layout: codebase version 3.0, without video. `observation.state` holds joint angles [rad] and
-estimated tensions [N]. `action` holds the commands of both. For a digit under tension control the
-commanded angle is the estimated angle.
+estimated tensions [N]. `action` holds commanded joint angles and tensions. For a digit under
+tension control, the commanded angle is set to the estimated angle.
 
 Names of vector elements end in their unit: `index_j1.pos_rad`, `index_tendon.tension_N`.
 
 Statistics of the whole dataset are in `meta/stats.json`, those of each episode in columns of
-`meta/episodes`. LeRobot computes the statistics of a part from the latter when it splits a dataset
-or deletes episodes.
+`meta/episodes`. LeRobot uses the statistics per episode when splitting a dataset or deleting
+episodes.
 
 Source: LeRobot 0.4 and 0.6, `datasets/utils.py` and `dataset_metadata.py`: paths and fields.
 """
@@ -35,15 +35,18 @@ QUANTILES = (1, 10, 50, 90, 99)
 """Percentiles in the statistics."""
 
 SIGMA = ("q_sigma", "tension_sigma")
-"""Standard deviations of `observation.state`. Logs of version 0.1 lack `q_sigma`."""
+"""Telemetry fields with the standard deviations of `observation.state`.
+
+Logs of version 0.1 lack `q_sigma`.
+"""
 
 Array = NDArray[np.float64]
 Statistics = dict[str, dict[str, list[float]]]
-"""Feature -> name of the statistic -> values."""
+"""Values of each statistic, by feature and by name of the statistic."""
 
 
 def export_lerobot(log: RunLog, path: Path) -> int:
-    """Write the dataset into a new folder and return the number of frames.
+    """Write the dataset into a new folder, and return the number of frames.
 
     Raises:
         LogError: the hand was never active.
@@ -67,9 +70,9 @@ def export_lerobot(log: RunLog, path: Path) -> int:
 
 
 def _rows(log: RunLog, fps: int) -> NDArray[np.intp]:
-    """Return the index of the tick at each frame of the time grid.
+    """Return the index of the tick for each frame of the time grid.
 
-    A frame has the latest tick before it, also where ticks were missed.
+    Each frame gets the latest tick before the frame's time, also where ticks are missing.
 
     Raises:
         LogError: the hand was never active, or the ticks are out of order.
@@ -87,7 +90,7 @@ def _rows(log: RunLog, fps: int) -> NDArray[np.intp]:
 
 
 def _vectors(log: RunLog, rows: NDArray[np.intp]) -> dict[str, tuple[list[str], Array]]:
-    """Return names and values (frames, n) of each vector feature."""
+    """Return names and values (frames, n) of each vector-valued feature."""
     header = log.header
     q = _without_nan(log, "q", rows)
     tension = _without_nan(log, "tension", rows)
@@ -122,10 +125,10 @@ def _sigma_name(name: str) -> str:
 
 
 def _without_nan(log: RunLog, name: str, rows: NDArray[np.intp]) -> Array:
-    """Return a field (frames, n) without NaN.
+    """Return a telemetry field (frames, n) with every NaN replaced.
 
-    A NaN becomes the value before, or the first known value. A column without known values becomes
-    zero.
+    A NaN is replaced by the last value before, or else by the first value after. A column of NaN
+    only becomes zero.
     """
     values = log.field(name)[rows]
     for column in values.T:
@@ -136,7 +139,7 @@ def _without_nan(log: RunLog, name: str, rows: NDArray[np.intp]) -> Array:
 
 
 def _scalars(frames: int, fps: int) -> dict[str, NDArray[Any]]:
-    """Return the scalar features that LeRobot requires for every frame."""
+    """Return the scalar features that LeRobot requires in every frame."""
     index = np.arange(frames)
     none = np.zeros(frames, np.int64)
     return {
@@ -150,7 +153,7 @@ def _scalars(frames: int, fps: int) -> dict[str, NDArray[Any]]:
 
 
 def _task(log: RunLog) -> str:
-    """Return a description of the task."""
+    """Return the description of the task as text."""
     try:
         task = parse_toml(log.header.attachments.get("task.toml", b"").decode(), "task.toml in the log")
     except (ConfigError, UnicodeDecodeError):
@@ -160,7 +163,7 @@ def _task(log: RunLog) -> str:
 
 
 def _frames(vectors: dict[str, tuple[list[str], Array]], scalars: dict[str, NDArray[Any]]) -> pa.Table:
-    """Build the table of the frames."""
+    """Return the table of the frames."""
     columns = {}
     for name, (names, table) in vectors.items():
         flat = pa.array(np.ascontiguousarray(table, np.float32).ravel())
@@ -169,7 +172,7 @@ def _frames(vectors: dict[str, tuple[list[str], Array]], scalars: dict[str, NDAr
 
 
 def _episodes(frames: int, task: str, statistics: Statistics) -> pa.Table:
-    """Build the table of the episode: position of its frames, and a column `stats/FEATURE/NAME` per statistic."""
+    """Return the table with the episode: position of the frames, and a column `stats/FEATURE/NAME` per statistic."""
     positions = {
         f"{table}/{number}": [0] for table in ("data", "meta/episodes") for number in ("chunk_index", "file_index")
     }
@@ -183,9 +186,9 @@ def _episodes(frames: int, task: str, statistics: Statistics) -> pa.Table:
 
 
 def _tasks(task: str) -> pa.Table:
-    """Build the table of the tasks.
+    """Return the table with the task.
 
-    The text is the index, which pandas reads from the schema's metadata.
+    The text is the index of the table. pandas reads this from the schema's metadata.
     """
     table = pa.table({"task_index": pa.array([0], pa.int64()), "task": [task]})
     columns = [
@@ -240,7 +243,7 @@ def _info(
 
 
 def _statistics(values: NDArray[Any]) -> dict[str, list[float]]:
-    """Compute the statistics of a feature over all frames, for normalisation."""
+    """Return the statistics of a feature over all frames, for normalisation."""
     table = np.asarray(values, np.float64).reshape(len(values), -1)
     statistics = {
         "min": table.min(axis=0),
@@ -259,5 +262,5 @@ def _write(path: Path, table: pa.Table) -> None:
 
 
 def _json(path: Path, content: dict[str, Any]) -> None:
-    """Write a JSON file."""
+    """Write content as a JSON file."""
     path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")

@@ -1,6 +1,6 @@
 """Export of a log as a Parquet table: one row per tick, one column per number, texts as dictionaries.
 
-The metadata of each numeric column has the unit of the column under `unit`.
+The metadata of each numeric column has its unit under the key `unit`.
 """
 
 from pathlib import Path
@@ -13,7 +13,7 @@ from handctl.log.read.reader import RunLog
 
 
 def export_parquet(log: RunLog, path: Path) -> int:
-    """Write the table with the run's metadata in its schema, and return the number of rows.
+    """Write the table, with the run's metadata in the schema, and return the number of rows.
 
     Raises:
         OSError: the file exists already or cannot be written.

@@ -17,13 +17,13 @@ from handctl.log.read.reader import RunLog
 from handctl.safety.action import Action
 
 BLOCK = 4096
-"""Ticks in memory at a time."""
+"""Number of ticks held in memory at a time."""
 
 TEXT_COLUMNS = ("mode", "phase", "action")
-"""Text columns."""
+"""Names of the text columns."""
 
 INTEGER_COLUMNS = {"k": "1", "t_ns": "ns", "late_ns": "ns"}
-"""Integer columns and their units."""
+"""Integer columns with their units."""
 
 UNITS = {
     "q": "rad", "dq": "rad/s", "joint_torque": "N m", "joint_encoder": "rad",
@@ -33,18 +33,18 @@ UNITS = {
     "motor_age": "s", "drive_phase": "1",
     "tip_force": "N", "contact": "1",
 }  # fmt: skip
-"""Unit of each telemetry quantity. 1 is a plain number."""
+"""Unit of each telemetry quantity. 1 stands for a plain number."""
 
 VARIANT = re.compile("_(goal|raw|sigma)$")
 """Suffixes of field names that do not change the unit."""
 
 
 class TableBlock(NamedTuple):
-    """Some ticks of a log.
+    """Table with some consecutive ticks of a log.
 
     Attributes:
         k, t_ns, late_ns: (rows,) as in TickIn [ns].
-        mode, phase, action: names, one per row.
+        mode, phase, action: names for each row.
         numbers: (rows, columns) telemetry.
     """
 
@@ -58,9 +58,9 @@ class TableBlock(NamedTuple):
 
 
 def columns(log: RunLog) -> tuple[str, ...]:
-    """Return the names of the telemetry columns: `q/index_j1`, `tension/index_tendon`.
+    """Return the names of the telemetry columns, such as `q/index_j1` and `tension/index_tendon`.
 
-    For units see `unit`.
+    The function `unit` returns the units.
     """
     return tuple(f"{field}/{name}" for field in log.fields for name in log.header.axis(TELEMETRY_AXES[field]))
 
@@ -76,7 +76,7 @@ def column_title(column: str) -> str:
 
 
 def table_blocks(log: RunLog) -> Iterator[TableBlock]:
-    """Yield all ticks of a log as tables of at most `BLOCK` rows."""
+    """Yield the ticks of a log as tables of at most `BLOCK` rows."""
     changes = log.phases
     starts = np.array([change.k for change in changes], np.int64)
     names = [change.name for change in changes]
@@ -92,10 +92,10 @@ def table_blocks(log: RunLog) -> Iterator[TableBlock]:
 
 
 def export_csv(log: RunLog, path: Path) -> int:
-    """Write one row per tick and return the number of rows.
+    """Write one row per tick as CSV, and return the number of rows.
 
-    Numbers read back to the same bits. NaN is an empty field. The first row has titles with units:
-    `tension/index_tendon [N]`.
+    Numbers are written so that reading them returns the same bits. NaN is an empty field. The first
+    row has titles with units: `tension/index_tendon [N]`.
 
     Raises:
         OSError: the file exists already or cannot be written.
@@ -113,9 +113,9 @@ def export_csv(log: RunLog, path: Path) -> int:
 
 
 def export_candump(log: RunLog, path: Path) -> int:
-    """Write all frames in the log format of can-utils and return the number of frames.
+    """Write all frames in the log format of can-utils, and return the number of frames.
 
-    R and T mark the direction.
+    R marks a received frame, T a sent frame.
 
     Raises:
         OSError: the file exists already or cannot be written.
@@ -131,10 +131,11 @@ def export_candump(log: RunLog, path: Path) -> int:
 
 
 def _frames_by_time(log: RunLog) -> Iterator[tuple[int, str, Frame]]:
-    """Yield time [ns], direction, and frame of all frames, in the order of time.
+    """Yield time [ns], direction, and frame of all frames in the order of time.
 
-    A received frame has its time of arrival. A sent frame has the start of its tick, or the latest
-    arrival before it: on a local bus a frame arrives when the tick reads it, after the start.
+    The time of a received frame is its arrival. The time of a sent frame is the start of its tick,
+    or the latest arrival in this tick if that is later. On a local bus frames arrive when the tick
+    reads them, after the start of the tick.
     """
     waiting: list[tuple[int, str, Frame]] = []
     complete_ns = 0
@@ -155,7 +156,7 @@ def _frames_by_time(log: RunLog) -> Iterator[tuple[int, str, Frame]]:
 
 
 def _candump(frame: Frame, t_ns: int, buses: tuple[str, ...], direction: str) -> str:
-    """Format one frame as a line.
+    """Return a frame as a line of text.
 
     Source: can-utils `lib.c`, `snprintf_canframe`.
     """

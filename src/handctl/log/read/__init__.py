@@ -1,1 +1,1 @@
-"""Reader of logs, complete and broken."""
+"""Reader for complete and for broken logs."""

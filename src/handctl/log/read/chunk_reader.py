@@ -1,4 +1,4 @@
-"""Messages of an uncompressed chunk, read in blocks of equal length.
+"""Reading of the messages in an uncompressed chunk, in blocks of messages of equal length.
 
 Message record: opcode u8 = 5, length u64, channel u16, sequence u32, log time u64 [ns], publish
 time u64 [ns], data.
@@ -13,13 +13,13 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 MAX_CHANNELS = 1000
-"""Maximum number of schemas, and of channels, in a chunk."""
+"""Largest number of schemas in a chunk, and largest number of channels."""
 MIN_BLOCKS = 128
-"""Blocks that every chunk may have."""
+"""Number of blocks allowed in every chunk."""
 BYTES_PER_BLOCK = 16
-"""Compressed bytes of a chunk per further block."""
+"""Compressed bytes of a chunk that allow one further block."""
 LINEAR_SEARCH_LIMIT = 4
-"""Equal records that are counted one by one. For longer blocks numpy finds the end."""
+"""Number of equal records to count one by one. The end of a longer block is found with numpy."""
 _RECORD = struct.Struct("<BQ")
 """Start of every record: opcode, length."""
 _CHANNEL = struct.Struct("<H")
@@ -32,11 +32,11 @@ _BODY = 31
 
 
 class MessageRows(NamedTuple):
-    """Consecutive messages with equal channel and length.
+    """Consecutive messages of equal channel and length.
 
     Attributes:
         channel: channel id.
-        start: offset of the first record in the chunk.
+        start: offset of the first record in the chunk [bytes].
         records: (n, size of a record) bytes.
     """
 
@@ -45,13 +45,13 @@ class MessageRows(NamedTuple):
     records: NDArray[np.uint8]
 
     def messages(self) -> list[bytes]:
-        """Return the messages in order."""
+        """Return each message as bytes, in order."""
         size = self.records.shape[1]
         content = self.records.tobytes()
         return [content[at + _BODY : at + size] for at in range(0, len(content), size)]
 
     def data(self) -> NDArray[np.uint8]:
-        """Return the messages (n, size of a message)."""
+        """Return the messages as an array (n, size of a message)."""
         return self.records[:, _BODY:]
 
     def sequence(self) -> NDArray[np.uint32]:
@@ -76,12 +76,13 @@ class Definitions(NamedTuple):
 
 
 def iter_messages(content: bytes, packed: int, channels: frozenset[int] | None = None) -> Iterator[MessageRows]:
-    """Yield the messages of a chunk, of all channels or of some.
+    """Yield the messages of a chunk in blocks, from all channels or from the given channels.
 
     Args:
         content: the uncompressed chunk.
-        packed: size of the chunk in the file. It limits the work that a small file can cause.
-        channels: ids of channels.
+        packed: compressed size of the chunk [bytes]. The size limits the work that a small file can
+            cause.
+        channels: ids of the channels to read.
 
     Raises:
         ValueError: the chunk is damaged.
@@ -117,12 +118,12 @@ def iter_messages(content: bytes, packed: int, channels: frozenset[int] | None =
 
 
 def _count_equal(content: bytes, at: int, size: int) -> int:
-    """Count the records in a row that have the size and channel of the first record.
+    """Count the consecutive records with the size and channel of the first record.
 
     Args:
         content: the chunk.
-        at: start of the first record in the chunk.
-        size: size of a record.
+        at: offset of the first record in the chunk [bytes].
+        size: size of a record [bytes].
     """
     max_count = (len(content) - at) // size
     count = 1
@@ -148,7 +149,7 @@ def _count_equal(content: bytes, at: int, size: int) -> int:
 
 
 def _count_equal_heads(heads: bytes, head: bytes, number: int) -> int:
-    """Return the number of leading `heads` equal to `head`. At least one of them differs."""
+    """Count the leading elements of `heads` that equal `head`. At least one element must differ."""
     low = 0
     while number - low > 1:
         middle = (low + number) // 2
@@ -160,7 +161,10 @@ def _count_equal_heads(heads: bytes, head: bytes, number: int) -> int:
 
 
 def definitions(content: bytes) -> Definitions:
-    """Return the schemas and channels at the start of a chunk. Raises as `iter_messages`."""
+    """Return the schemas and channels at the start of a chunk.
+
+    Raises the errors of `iter_messages`.
+    """
     result = Definitions([], [])
     at = 0
     while at < len(content):
@@ -179,13 +183,13 @@ def definitions(content: bytes) -> Definitions:
 
 
 def _text(body: bytes, at: int) -> tuple[str, int]:
-    """Read a string and return the offset behind it."""
+    """Read a string, and return the string and the offset after it."""
     raw, at = _bytes(body, at)
     return raw.decode(), at
 
 
 def _bytes(body: bytes, at: int) -> tuple[bytes, int]:
-    """Read a byte array and return the offset behind it."""
+    """Read a byte array, and return the array and the offset after it."""
     (size,) = struct.unpack_from("<I", body, at)
     if at + 4 + size > len(body):
         raise ValueError("a text ends behind its record")

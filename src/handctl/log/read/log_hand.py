@@ -1,4 +1,4 @@
-"""The hand described in a log."""
+"""Description of the hand in a log."""
 
 from handctl.errors import LogError
 from handctl.hand.description import Hand
@@ -7,15 +7,15 @@ from handctl.log.header import RunHeader
 
 
 def described_hand(header: RunHeader, where: str) -> Hand:
-    """Read the hand of a log, and check its names against the columns of the log.
+    """Return the hand described in a log, after a check of its names against the columns of the log.
 
     Args:
         header: header of the log.
         where: name of the description in messages.
 
     Raises:
-        ConfigError: the description is not a hand.
-        LogError: the description has other joints, tendons, motors or digits than the header.
+        ConfigError: the description is not a valid hand.
+        LogError: joints, tendons, motors or digits in the description and in the header differ.
     """
     hand = hand_from(parse_toml(header.hand_toml, where), where)
     described = (hand.joints, hand.tendon_names, hand.motor_names, hand.digit_names)

@@ -1,4 +1,4 @@
-"""Access to a file that may be cut, damaged or hostile.
+"""Access to a log file that may be truncated, damaged, or malicious.
 
 Every size is checked before memory is allocated.
 
@@ -20,29 +20,30 @@ from handctl.errors import LogError
 from handctl.printing import printable
 
 MAX_CHUNK = 32 << 20
-"""Maximum uncompressed size of a chunk [bytes]. Chunks from the recorder stay below 8 MiB."""
+"""Largest accepted uncompressed size of a chunk [bytes]. The recorder writes chunks below 8 MiB."""
 
 
 DAMAGE = (
     ValueError, struct.error, LookupError, TypeError, ArithmeticError, RuntimeError, MemoryError, zstandard.ZstdError,
 )  # fmt: skip
-"""Exceptions that a bad file causes in the code that reads it."""
+"""Exceptions raised in the reading code by a bad file."""
 
 
 class Reading:
-    """Context `with Reading(where)`: an error from a bad file becomes one LogError with its position.
+    """Context `with Reading(where)` that converts an error from a bad file to a LogError with the position.
 
-    A class is faster than a generator here. A log is read in thousands of pieces.
+    This is a class for speed, because a log is read in thousands of pieces. A generator would be
+    slower.
     """
 
     __slots__ = ("where",)
 
     def __init__(self, where: str) -> None:
-        """Remember the position for the error."""
+        """Store the position for the error."""
         self.where = where
 
     def __enter__(self) -> None:
-        """Begin the piece. No value is given."""
+        """Begin to read a piece of the file."""
 
     def __exit__(
         self,
@@ -50,7 +51,7 @@ class Reading:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Raise a LogError in place of an error from a bad file."""
+        """Raise a LogError in place of an exception caused by a bad file."""
         if error is None or isinstance(error, LogError) or not isinstance(error, DAMAGE):
             return
         missing = isinstance(error, KeyError)
@@ -59,12 +60,12 @@ class Reading:
 
 
 class ChunkLocation(NamedTuple):
-    """A chunk in the file.
+    """Location and checksum of a chunk in the file.
 
     Attributes:
-        offset, end: start and end of its record [bytes].
+        offset, end: start and end of the chunk's record [bytes].
         data: offset of the compressed bytes.
-        first, last: times of its messages [ns].
+        first, last: times of the first and last message [ns].
         size: uncompressed size [bytes].
         crc: CRC-32 of the uncompressed bytes, or 0 without a checksum.
         compression: "", "lz4" or "zstd".
@@ -84,7 +85,7 @@ class LogFile:
     """An MCAP file open for reading.
 
     Attributes:
-        name: printable path.
+        name: path of the file for messages.
         size: size of the file [bytes].
     """
 
@@ -112,7 +113,7 @@ class LogFile:
         os.close(self._fd)
 
     def at(self, offset: int) -> str:
-        """Return a position in the file as a text for errors."""
+        """Return a position in the file as text for errors."""
         return f"{self.name}, byte {offset}"
 
     def read(self, offset: int, size: int) -> bytes:
@@ -141,11 +142,11 @@ class LogFile:
         return value
 
     def content(self, chunk: ChunkLocation, checked: bool = True) -> bytes:
-        """Return the uncompressed bytes of a chunk, never more than its declared size.
+        """Return the uncompressed bytes of a chunk. The declared size is never exceeded.
 
         Args:
             chunk: the chunk.
-            checked: compare the checksum.
+            checked: True to compare the checksum.
 
         Raises:
             LogError: size or checksum differs from the declared value.
@@ -165,7 +166,7 @@ class LogFile:
 
 
 def _decompressed(packed: bytes, chunk: ChunkLocation) -> bytes:
-    """Return a decompressed chunk, at most one byte longer than its declared size."""
+    """Return the decompressed bytes of a chunk, at most one byte more than the declared size."""
     # The extra byte shows a chunk that is longer than declared, without decompressing all of it.
     if chunk.compression == "lz4":
         return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=chunk.size + 1))

@@ -1,4 +1,4 @@
-"""A recorded run as data: arrays, ticks and events, from complete and from broken files."""
+"""Reader that returns a recorded run as arrays, ticks, and events, from complete or broken files."""
 
 import functools
 import json
@@ -32,13 +32,13 @@ from handctl.printing import printable
 Array = NDArray[np.float64]
 
 _MAX_PHASES = 1000
-"""Maximum number of cached message ends without events."""
+"""Largest number of cached message ends without events."""
 VALUES_START = 4 + 8 + 8 + 8
-"""Start of the values in a StatisticsValues: encapsulation, stamp, empty frame_id and length, both with padding."""
+"""Offset of the values in a StatisticsValues: after encapsulation, stamp, empty frame_id, and length."""
 VALUES_END = -4
-"""End of the values, before the version of the names."""
+"""Bytes after the values: the version of the names."""
 _CACHE_BYTES = 64 << 20
-"""Maximum size of the telemetry that is held in memory [bytes]."""
+"""Largest size of the telemetry held in memory [bytes]."""
 
 
 def _header(scan: RecordScan) -> RunHeader:
@@ -51,17 +51,17 @@ def _header(scan: RecordScan) -> RunHeader:
 
 
 _SEQUENCE = 0xFFFF_FFFF
-"""Mask of the tick number's bits in the sequence number of a message."""
+"""Mask of the tick number bits that the sequence number of a message holds."""
 
 
 class _Index(NamedTuple):
-    """Index of all chunks.
+    """Index of the chunks of a log.
 
     Attributes:
-        fixed: (ticks,) constant parts of all ticks.
-        first_of_chunk: (chunks + 1,) index of the first tick of each chunk, then the number of
-            ticks.
-        snapshots: sequence number of a snapshot -> chunk.
+        fixed: (ticks,) parts with constant length of all Tick messages.
+        first_of_chunk: (chunks + 1,) index of the first tick in each chunk, followed by the number
+            of ticks.
+        snapshots: chunk of each snapshot, by sequence number.
     """
 
     fixed: NDArray[np.void]
@@ -70,19 +70,22 @@ class _Index(NamedTuple):
 
 
 class _Snapshots(Mapping[int, bytes]):
-    """Snapshots by tick, read on demand. The snapshots of a day do not fit into memory."""
+    """Mapping from tick number to snapshot.
+
+    Each snapshot is read when requested, because the snapshots of a day do not fit into memory.
+    """
 
     def __init__(self, chunks: dict[int, int], read: Callable[[int, int], bytes]) -> None:
-        """Set the chunk of each snapshot and the function that reads a snapshot."""
+        """Set the chunk of each snapshot, and the function that reads a snapshot."""
         self._chunks = chunks
         self._read = read
 
     def __getitem__(self, k: int) -> bytes:
-        """Read the snapshot after tick k."""
+        """Read the snapshot of the state after tick k."""
         return self._read(k, self._chunks[k])
 
     def __iter__(self) -> Iterator[int]:
-        """Yield the ticks with a snapshot."""
+        """Yield the number of each tick that has a snapshot."""
         return iter(self._chunks)
 
     def __len__(self) -> int:
@@ -91,13 +94,15 @@ class _Snapshots(Mapping[int, bytes]):
 
 
 class RunLog:
-    """One run. Use as a context manager, or call `close`.
+    """Log of one run. Use as a context manager, or call `close`.
 
     Attributes:
         header: names, period, offset, gains, attachments.
         metadata: all metadata records.
-        end: reason, ticks, messages, missed, dropped of a closed run, else empty.
-        warning: defect of the file, else empty. The data before the defect is complete.
+        end: data from the end of the run (reason, ticks, messages, missed, dropped), empty for an
+            unfinished log.
+        warning: description of a defect of the file, else empty. The data before the defect are
+            complete.
         scan: positions of all records in the file.
     """
 
@@ -106,12 +111,12 @@ class RunLog:
 
         Args:
             path: path of the file.
-            checked: read the whole file for its checksum. Otherwise only the checksum of each chunk
-                is compared, when the chunk is read.
+            checked: True to read the whole file and compare its checksum. Otherwise only the
+                checksum of each chunk is compared, when the chunk is read.
 
         Raises:
             LogError: the file is not a log of handctl, is damaged, or exceeds a limit. An early end
-                is no error.
+                of the file is not an error.
         """
         self._file = LogFile(path)
         self._latest: tuple[ChunkLocation, dict[int, list[MessageRows]]] | None = None
@@ -150,21 +155,21 @@ class RunLog:
         self._file.close()
 
     def _channels(self) -> tuple[int, int, dict[str, int]]:
-        """Return the channel of the ticks, the channel of the telemetry, and the channels of all topics."""
+        """Return the channel ids of the ticks, of the telemetry, and of all topics."""
         with Reading(self._file.at(self._chunks[0].offset)):
             definitions_of_log: Definitions = definitions(self._file.content(self._chunks[0]))
             topics = {topic: number for number, _, topic, _, _ in definitions_of_log.channels}
             return topics[TICK_TOPIC], topics[VALUES_TOPIC], topics
 
     def _rows(self, channel: int, chunks: slice = slice(None)) -> Iterator[tuple[ChunkLocation, MessageRows]]:
-        """Yield the messages of a channel with their chunk."""
+        """Yield the message blocks of a channel, each with its chunk."""
         for chunk in self._chunks[chunks]:
             yield from ((chunk, rows) for rows in self._rows_of(chunk, channel))
 
     def _rows_of(self, chunk: ChunkLocation, channel: int) -> list[MessageRows]:
-        """Return the messages of a channel in a chunk.
+        """Return the message blocks of a channel in a chunk.
 
-        The latest chunk is cached for callers that read several channels side by side.
+        The latest chunk is cached for callers that read several channels in parallel.
         """
         if self._latest is None or self._latest[0] is not chunk:
             content = self._file.content(chunk)
@@ -177,7 +182,7 @@ class RunLog:
 
     @functools.cached_property
     def _index(self) -> _Index:
-        """Return the index of all chunks, made in one pass over the file."""
+        """Return the index of all chunks, built in one pass over the file."""
         parts = [np.empty(0, FIXED_DTYPE)]
         counts = [0]
         snapshots = dict[int, int]()
@@ -197,7 +202,7 @@ class RunLog:
 
     @property
     def _fixed(self) -> NDArray[np.void]:
-        """Return the constant parts of all ticks (ticks,)."""
+        """Return the parts with constant length of all Tick messages (ticks,)."""
         return self._index.fixed
 
     def __len__(self) -> int:
@@ -206,17 +211,17 @@ class RunLog:
 
     @property
     def k(self) -> NDArray[np.int64]:
-        """Return the tick numbers (ticks,)."""
+        """Return the number of each tick (ticks,)."""
         return self._fixed["k"]
 
     @property
     def t_ns(self) -> NDArray[np.int64]:
-        """Return the time since the start of the run (ticks,) [ns]."""
+        """Return the time of each tick since the start of the run (ticks,) [ns]."""
         return self._fixed["t_ns"]
 
     @property
     def times(self) -> Array:
-        """Return the time since the start of the run (ticks,) [s]."""
+        """Return the time of each tick since the start of the run (ticks,) [s]."""
         return np.asarray(self.t_ns * 1e-9, np.float64)
 
     @property
@@ -241,14 +246,14 @@ class RunLog:
 
     @property
     def gaps(self) -> list[Gap]:
-        """Return the gaps: where ticks are missing."""
+        """Return the places where ticks are missing."""
         at = np.flatnonzero(np.diff(self.k) != 1)
         return [Gap(int(self.k[i]), int(self.k[i + 1])) for i in at]
 
     def field(self, name: str) -> Array:
-        """Return a field of the telemetry (ticks, n).
+        """Return a telemetry field (ticks, n).
 
-        NaN marks unknown values and a field missing from the log.
+        Unknown values are NaN. A field missing from the log is NaN throughout.
 
         Args:
             name: one of `core.types.TELEMETRY_FIELDS`.
@@ -271,7 +276,7 @@ class RunLog:
 
     @functools.cached_property
     def fields(self) -> tuple[str, ...]:
-        """Return the telemetry fields in the file.
+        """Return the names of the telemetry fields in the file.
 
         Logs of earlier versions lack the last of TELEMETRY_FIELDS.
         """
@@ -287,11 +292,11 @@ class RunLog:
 
     @functools.cached_property
     def _numbers(self) -> Array:
-        """Return the whole telemetry (ticks, columns)."""
+        """Return all telemetry columns (ticks, columns)."""
         return self._columns(slice(0, self._width))
 
     def _columns(self, columns: slice) -> Array:
-        """Read columns of the telemetry (ticks, columns).
+        """Read the given columns of the telemetry (ticks, columns).
 
         Raises:
             LogError: the sequence numbers differ from those of the ticks.
@@ -308,7 +313,7 @@ class RunLog:
         return np.concatenate(parts)
 
     def _values_parts(self, chunks: slice = slice(None)) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint32]]]:
-        """Yield the telemetry as (rows, bytes) with the sequence numbers of the rows, in parts."""
+        """Yield blocks of the telemetry as (rows, bytes), each with the sequence numbers of the rows."""
         size = VALUES_START + 8 * self._width + 4
         for chunk, rows in self._rows(self._values, chunks):
             data = rows.data()
@@ -318,7 +323,7 @@ class RunLog:
             yield data[:, VALUES_START:VALUES_END], rows.sequence()
 
     def packed(self, chunks: slice = slice(None)) -> Iterator[bytes]:
-        """Yield the telemetry of each tick in the form of `Telemetry.packed`.
+        """Yield the telemetry of each tick in the layout of `Telemetry.packed`.
 
         Only a part of the file is in memory.
 
@@ -329,18 +334,18 @@ class RunLog:
             yield from (row.tobytes() for row in data)
 
     def messages(self) -> Iterator[bytes]:
-        """Yield the Tick message of each tick as in the file."""
+        """Yield the Tick message of each tick as stored in the file."""
         yield from (message for _, message in self._messages())
 
     def digests(self) -> Iterator[bytes]:
-        """Yield the chain hash of each tick. Logs of earlier versions have none."""
+        """Yield the chain hash of each tick. Logs of earlier versions have no chain hashes."""
         if CHAIN_TOPIC in self._others:
             for _, rows in self._rows(self._others[CHAIN_TOPIC]):
                 yield from (row[-SIZE:].tobytes() for row in rows.data())
 
     @functools.cached_property
     def clock_pairs(self) -> list[ClockPair]:
-        """Return the pairs of wall and monotonic clock, ten seconds apart.
+        """Return the pairs of wall and monotonic clock, recorded every ten seconds.
 
         A lockstep run has none.
         """
@@ -353,7 +358,9 @@ class RunLog:
 
     @functools.cached_property
     def snapshots(self) -> Mapping[int, bytes]:
-        """Return the states of the controller by the tick before them, one per second, read on demand.
+        """Return the snapshots of the controller's state, one per second, as a mapping from tick number.
+
+        Each snapshot is read when requested.
 
         Logs of earlier versions have no snapshots.
         """
@@ -362,7 +369,7 @@ class RunLog:
         return _Snapshots({k: chunks[k & _SEQUENCE] for k in ticks}, self._snapshot)
 
     def _snapshot(self, k: int, chunk: int) -> bytes:
-        """Read the snapshot after a tick from its chunk.
+        """Read the snapshot of the state after a tick from its chunk.
 
         Raises:
             LogError: the snapshot is damaged.
@@ -378,20 +385,20 @@ class RunLog:
         return self.header.axis(TELEMETRY_AXES[field])
 
     def _messages(self) -> Iterator[tuple[ChunkLocation, bytes]]:
-        """Yield each Tick message with its chunk."""
+        """Yield each Tick message, with its chunk."""
         for chunk, rows in self._rows(self._tick):
             yield from ((chunk, message) for message in rows.messages())
 
     @property
     def first_of_chunk(self) -> NDArray[np.intp]:
-        """Return the index of the first tick of each chunk (chunks + 1,).
+        """Return the index of the first tick in each chunk (chunks + 1,).
 
-        The last is the number of ticks.
+        The last element is the number of ticks.
         """
         return self._index.first_of_chunk
 
     def ticks(self, chunks: slice = slice(None)) -> Iterator[TickRecord]:
-        """Yield the ticks in order, of all chunks or of some."""
+        """Yield the ticks in order, from all chunks or from the given chunks."""
         for chunk in self._chunks[chunks]:
             with Reading(self._file.at(chunk.offset)):
                 messages = [message for rows in self._rows_of(chunk, self._tick) for message in rows.messages()]
@@ -400,7 +407,10 @@ class RunLog:
 
     @functools.cached_property
     def _events_and_phases(self) -> tuple[list[LoggedEvent], list[PhaseChange]]:
-        """Return events and phases. A message end seen before is not decoded again."""
+        """Return the events, and the starts of the grasp phases.
+
+        A message end that occurs repeatedly is decoded only once.
+        """
         events: list[LoggedEvent] = []
         phases: list[PhaseChange] = []
         phase_of_tail: dict[bytes, str] = {}
@@ -422,7 +432,7 @@ class RunLog:
 
     @property
     def events(self) -> list[LoggedEvent]:
-        """Return the events of the controller in order."""
+        """Return the controller's events in order."""
         return self._events_and_phases[0]
 
     @property

@@ -1,6 +1,6 @@
 """Scan of the outer records of an MCAP file.
 
-The index of the file is not trusted, and every checksum is compared.
+The scan does not rely on the index in the file, and compares every checksum.
 
 Record: opcode u8, length u64, content. The data section ends with DataEnd (CRC-32 of all bytes
 before). The summary and the footer follow. Footer, 29 bytes: opcode u8, length u64, two offsets
@@ -21,17 +21,17 @@ from handctl.log.container import MAGIC
 from handctl.log.read.logfile import MAX_CHUNK, ChunkLocation, LogFile, Reading
 
 MAX_ATTACHMENT = 16 << 20
-"""Maximum size of one attachment [bytes]."""
+"""Largest accepted size of one attachment [bytes]."""
 MAX_ATTACHMENTS = 64 << 20
-"""Maximum size of all attachments [bytes]."""
+"""Largest accepted total size of the attachments [bytes]."""
 MAX_METADATA = 1 << 20
-"""Maximum size of a metadata record [bytes]."""
+"""Largest accepted size of a metadata record [bytes]."""
 MAX_RECORDS = 1000
-"""Maximum number of attachments, of metadata records, of unknown records, and of damaged records."""
+"""Largest accepted number of records of each kind: attachments, metadata, unknown, damaged."""
 MAX_RATIO = 64
-"""Maximum ratio of the size of all uncompressed chunks to the file.
+"""Largest accepted ratio of the uncompressed size of all chunks to the size of the file.
 
-A hand at rest compresses to a fifteenth.
+The log of a hand at rest compresses to a fifteenth.
 """
 
 _RECORD = struct.Struct("<BQ")
@@ -44,22 +44,22 @@ _LENGTHS: dict[int, int] = {
     Opcode.SCHEMA: 14,
     Opcode.CHANNEL: 16,
 }
-"""Minimum length of a record by opcode."""
+"""Smallest length of a record [bytes], by opcode."""
 
 
 @dataclass(slots=True)
 class RecordScan:
-    """Contents of a file.
+    """Result of the scan of a file.
 
     Attributes:
         chunks: all complete chunks.
-        attachments: name -> (media type, time, bytes).
-        metadata: name -> values.
-        end: offset behind the last complete record of the data section.
+        attachments: (media type, time, bytes) of each attachment, by name.
+        metadata: values of each metadata record, by name.
+        end: offset after the last complete record of the data section.
         size: size of the file [bytes].
-        complete: True if the data section has its end and the right checksum.
-        problem: defect of the file, else empty.
-        skipped: (start, end) of every damaged record that was left out.
+        complete: True if the data section has an end record and the correct checksum.
+        problem: description of a defect of the file, else empty.
+        skipped: (start, end) of every skipped damaged record.
     """
 
     chunks: list[ChunkLocation] = field(default_factory=list)
@@ -73,7 +73,7 @@ class RecordScan:
 
 
 class _Fields:
-    """Reads the fields of one record in order."""
+    """Reader for the fields of one record, in order."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
@@ -97,21 +97,21 @@ class _Fields:
         return self.take(self.number("I")).decode()
 
     def rest(self) -> int:
-        """Return the number of bytes left."""
+        """Return the number of unread bytes."""
         return len(self._data) - self._at
 
 
 def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bool = False) -> None:
-    """Read the outer records.
+    """Read the outer records of a file into a scan.
 
-    An early end of the file is no error. `problem` then describes the end, and all complete records
-    are in `scan`.
+    An early end of the file is not an error: `problem` describes the end, and `scan` has all
+    complete records.
 
     Args:
         file: the file.
-        scan: an empty scan. After an error it has the records before the damage.
-        checked: compare the checksum of the whole data section, which reads the whole file.
-        skip: leave out a damaged record with a known end instead of raising.
+        scan: empty scan to be filled. After an error, `scan` has the records before the damage.
+        checked: True to compare the checksum of the data section, for which the whole file is read.
+        skip: True to skip a damaged record with a known end instead of raising an error.
 
     Raises:
         LogError: the file is not an MCAP file, is damaged inside, or exceeds a limit.
@@ -154,9 +154,9 @@ def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bo
 
 
 def scan_path(path: Path) -> RecordScan:
-    """Return the outer records of a file without the checksum of the data section.
+    """Return the scan of a file. The checksum of the data section is not compared.
 
-    Raises as `scan_records`.
+    Raises the errors of `scan_records`.
     """
     file = LogFile(path)
     scan = RecordScan()
@@ -168,7 +168,7 @@ def scan_path(path: Path) -> RecordScan:
 
 
 def _check_limits(scan: RecordScan, unpacked: int, unknown: int) -> None:
-    """Refuse a file with too many records or too much uncompressed data."""
+    """Raise an error for a file with too many records or too much uncompressed data."""
     if unpacked > MAX_RATIO * scan.size + MAX_CHUNK:
         raise ValueError(f"chunks of more than {unpacked} bytes")
     if max(unknown, len(scan.attachments), len(scan.metadata), len(scan.skipped)) > MAX_RECORDS:
@@ -178,7 +178,7 @@ def _check_limits(scan: RecordScan, unpacked: int, unknown: int) -> None:
 
 
 def _add_record(file: LogFile, scan: RecordScan, code: int, at: int, end: int) -> int:
-    """Add one record to a scan. Return its uncompressed size if it is a chunk, else 0."""
+    """Add one record to a scan. Returns the uncompressed size of a chunk, 0 for other records."""
     start = at + _RECORD.size
     length = end - at - _RECORD.size
     if length < _LENGTHS.get(code, 0):
@@ -198,14 +198,14 @@ def _add_record(file: LogFile, scan: RecordScan, code: int, at: int, end: int) -
 
 
 def _bounded(size: int, limit: int) -> int:
-    """Return a size after a check against its limit."""
+    """Return a size after a check that the size is within its limit."""
     if size > limit:
         raise ValueError(f"a record of {size} bytes; at most {limit} are allowed")
     return size
 
 
 def _chunk(file: LogFile, at: int, end: int) -> ChunkLocation:
-    """Decode the head of a Chunk record, without its data."""
+    """Decode the head of a Chunk record. The data are not read."""
     # 80 bytes hold the fixed fields (41 bytes), the compression's name (at most 8) and the size of
     # the records (8).
     head = file.read(at, min(end - at, 80))
@@ -238,7 +238,7 @@ def _attachment(scan: RecordScan, data: bytes) -> None:
 
 
 def _text_map(fields: _Fields) -> dict[str, str]:
-    """Decode a map of texts."""
+    """Decode a map from text to text."""
     inner = _Fields(fields.take(fields.number("I")))
     values = {}
     while inner.rest():

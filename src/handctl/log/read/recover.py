@@ -1,4 +1,4 @@
-"""Recovery: a new, complete file from the intact parts of a broken file."""
+"""Recovery of a log: a new, complete file is written from the intact parts of a broken file."""
 
 import enum
 import os
@@ -20,22 +20,22 @@ class RecoveryStatus(enum.IntEnum):
     """Result of a recovery. The numbers are exit codes."""
 
     WHOLE = 0
-    """The file was complete. The new file is equivalent."""
+    """The file was complete. The new file has the same content."""
     NOTHING = 1
     """The file has no complete chunk."""
     LOSSY = 3
-    """The new file has the complete chunks of the old file."""
+    """The file was broken. The new file has the complete chunks of the old file."""
 
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """Report on a recovery.
+    """Report about a recovery.
 
     Attributes:
-        status: see Status.
+        status: result of the recovery.
         chunks, messages: number of copied chunks and messages.
-        lost: (start, end) of each range of the old file that was not copied [bytes].
-        problem: defect of the old file, else empty.
+        lost: (start, end) of each range of the old file not copied [bytes].
+        problem: description of a defect of the old file, else empty.
     """
 
     status: RecoveryStatus
@@ -49,8 +49,8 @@ def recover(path: Path, out: Path) -> Recovery:
     """Copy all intact chunks, attachments and metadata into a new file.
 
     Args:
-        path: a log, complete or broken.
-        out: a new file. It is not written if the log has no intact chunk.
+        path: path of a complete or broken log.
+        out: path of the new file. No file is written if the log has no intact chunk.
 
     Raises:
         LogError: path cannot be opened or is not an MCAP file.
@@ -79,7 +79,7 @@ def recover(path: Path, out: Path) -> Recovery:
 def scan_damaged(file: LogFile, scan: RecordScan) -> str:
     """Scan a file as `scan_records` does, and return its defect instead of raising.
 
-    The intact records before and behind a damaged one are in `scan`.
+    The intact records before and after a damaged record are in `scan`.
     """
     try:
         scan_records(file, scan, skip=True)
@@ -91,7 +91,7 @@ def scan_damaged(file: LogFile, scan: RecordScan) -> str:
 
 
 def _copy(file: LogFile, scan: RecordScan, problem: str, new: Container) -> Recovery:
-    """Copy the intact parts of a file and write the end of the new file."""
+    """Copy the intact parts of a file, and write the end of the new file."""
     for name, (media, time_ns, data) in scan.attachments.items():
         new.attach(name, media, data, time_ns)
     for name, values in scan.metadata.items():
@@ -128,7 +128,7 @@ def _end(scan: RecordScan, problem: str) -> dict[str, str]:
 
 
 def _copy_chunk(file: LogFile, chunk: ChunkLocation, new: Container) -> None:
-    """Copy one chunk. Its messages are written unchanged.
+    """Copy the messages of one chunk without change.
 
     Raises:
         LogError: the chunk is damaged.
@@ -149,5 +149,5 @@ def _copy_chunk(file: LogFile, chunk: ChunkLocation, new: Container) -> None:
 
 
 def _offsets(shape: tuple[int, ...]) -> "np.ndarray[tuple[int], np.dtype[np.uint64]]":
-    """Return the start of each message in a block (n,) [bytes]."""
+    """Return the offset of each message in a block (n,) [bytes]."""
     return np.arange(shape[0], dtype=np.uint64) * np.uint64(shape[1])

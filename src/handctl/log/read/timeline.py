@@ -10,13 +10,13 @@ from handctl.core.types import Event
 from handctl.errors import LogError
 
 MAX_PERIODS = 1_000_000
-"""Periods that every run may last."""
+"""Number of tick periods that every run may last."""
 MAX_PERIODS_PER_TICK = 10
-"""Further periods that a run may last per tick in its log."""
+"""Further tick periods that a run may last, per tick in its log."""
 
 
 class LoggedEvent(NamedTuple):
-    """An event with its tick number and time [ns]."""
+    """Event with its tick number and time [ns]."""
 
     k: int
     t_ns: int
@@ -24,14 +24,14 @@ class LoggedEvent(NamedTuple):
 
 
 class Gap(NamedTuple):
-    """Ticks missing from the log: the last tick before the gap and the first tick after it."""
+    """Ticks missing from the log: number of the last tick before the gap and of the first tick after it."""
 
     before: int
     after: int
 
 
 class PhaseChange(NamedTuple):
-    """The start of a grasp phase: tick number, time [ns], name."""
+    """Start of a grasp phase: tick number, time [ns], name of the phase."""
 
     k: int
     t_ns: int
@@ -39,7 +39,7 @@ class PhaseChange(NamedTuple):
 
 
 def phase_of_each(changes: Sequence[PhaseChange], k: NDArray[np.int64]) -> NDArray[np.str_]:
-    """Return the name of the phase of every tick (ticks,).
+    """Return the name of the grasp phase in every tick (ticks,).
 
     Args:
         changes: phase changes, from the first tick on.
@@ -51,9 +51,9 @@ def phase_of_each(changes: Sequence[PhaseChange], k: NDArray[np.int64]) -> NDArr
 
 
 def check_order(t_ns: NDArray[np.int64], period_ns: int) -> None:
-    """Refuse ticks that do not fit a regular time grid.
+    """Raise an error for ticks that do not fit a regular time grid.
 
-    The grid of a log with a wrong clock could need any amount of memory.
+    With a wrong clock in the log, the time grid could need too much memory.
 
     Args:
         t_ns: (ticks,) times of the ticks [ns].

@@ -1,1 +1,1 @@
-"""Topics of a log. They turn a batch of ticks into blocks of messages."""
+"""Topics of a log: conversion of batches of ticks to blocks of messages."""

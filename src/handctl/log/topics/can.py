@@ -1,4 +1,4 @@
-"""Frames as can_msgs/Frame and ros2_socketcan_msgs/FdFrame."""
+"""Topics with the CAN frames, as can_msgs/Frame and ros2_socketcan_msgs/FdFrame."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ _ID_MASK = 0x1FFF_FFFF
 
 
 def can_frame(bus: str) -> Template:
-    """Create the template of a can_msgs/Frame from one bus."""
+    """Return the template of a can_msgs/Frame from one bus."""
     out = TemplateWriter()
     out.header(bus)
     out.place("id", "<u4")
@@ -26,7 +26,7 @@ def can_frame(bus: str) -> Template:
 
 
 def fd_frame(bus: str, t_ns: int, can_id: int, data: bytes) -> bytes:
-    """Encode a ros2_socketcan_msgs/FdFrame."""
+    """Encode a CAN FD frame as ros2_socketcan_msgs/FdFrame."""
     out = CdrWriter()
     out.put("I", t_ns // 10**9)
     out.put("I", t_ns % 10**9)
@@ -39,7 +39,7 @@ def fd_frame(bus: str, t_ns: int, can_id: int, data: bytes) -> bytes:
 
 
 class _DirectionTopics:
-    """Channels of one direction, rx or tx."""
+    """Topics of one direction, rx or tx."""
 
     def __init__(self, buses: tuple[str, ...], registry: Registry, direction: str) -> None:
         self._buses = (*buses, "unknown")
@@ -48,7 +48,7 @@ class _DirectionTopics:
         self._streams = [Stream(self._channel, can_frame(bus)) for bus in self._buses]
 
     def blocks(self, frames: FrameBatch, stamps: Stamps, measured: Times) -> list[MessageBlock]:
-        """Return the messages of frames.
+        """Return the messages of frames as blocks.
 
         Args:
             frames: frames of many ticks.
@@ -114,13 +114,13 @@ class _DirectionTopics:
 
 
 def _joined(channel: int, log_times: Times, records: list[bytes]) -> MessageBlock:
-    """Return Message records joined into one block."""
+    """Return Message records joined to one block."""
     ends = np.cumsum([0, *map(len, records)], dtype=np.uint64)
     return MessageBlock(channel, b"".join(records), log_times, ends[:-1])
 
 
 def _values(frames: NDArray[np.void]) -> dict[str, NDArray[np.generic]]:
-    """Return the variable fields of can_msgs/Frame messages."""
+    """Return the values of the variable fields of can_msgs/Frame messages."""
     can_id = frames["can_id"]
     small = {
         "id": can_id & _ID_MASK,
@@ -133,9 +133,10 @@ def _values(frames: NDArray[np.void]) -> dict[str, NDArray[np.generic]]:
 
 
 class CanTopics:
-    """/can/rx and /can/tx.
+    """Topics /can/rx and /can/tx.
 
-    Log time is the time of the tick, header stamp and publish time are those of the frame.
+    The log time of a message is the time of the tick. Header stamp and publish time are the time of
+    the frame.
     """
 
     def __init__(self, header: RunHeader, registry: Registry) -> None:
@@ -146,7 +147,7 @@ class CanTopics:
     def blocks(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
         """Return the messages of all frames of a batch.
 
-        A sent frame has the time at which its tick began.
+        The time of a sent frame is the start of its tick.
         """
         sent_at = (batch.t_ns + batch.late_ns)[batch.sent.tick]
         blocks = []

@@ -1,8 +1,8 @@
-"""Hash chain over the ticks. One changed byte breaks the chain at its tick.
+"""Hash chain over the ticks. A changed byte breaks the chain at the tick of this byte.
 
-The chain shows damage and mixed-up files. It is no signature, because an attacker can compute all
-later hashes again. The last hash is in the end record of the log. A copy of this hash in another
-place protects the whole log.
+The chain detects damage and exchanged files. The chain is not a signature, because an attacker can
+compute all later hashes again. The last hash is in the end record of the log. A copy of this hash
+in another place protects the whole log.
 """
 
 import hashlib
@@ -23,7 +23,7 @@ SIZE = 8
 
 
 def seed(metadata: Mapping[str, str], gains: Mapping[str, str], attachments: Mapping[str, bytes]) -> bytes:
-    """Compute the hash before the first tick, over all facts of a run except those of the machine and the day."""
+    """Compute the hash before the first tick, over all data of a run except those of machine and date."""
     digest = hashlib.blake2b(digest_size=SIZE)
     texts = {
         f"{group}.{name}": text.encode("utf-8", "backslashreplace")
@@ -38,7 +38,7 @@ def seed(metadata: Mapping[str, str], gains: Mapping[str, str], attachments: Map
 
 
 def seed_of(header: RunHeader) -> bytes:
-    """Return the seed of a run."""
+    """Return the hash before the first tick of a run."""
     return seed(
         header.metadata,
         header.gains,
@@ -50,7 +50,7 @@ def tick_hash(before: bytes, message: bytes, numbers: bytes) -> bytes:
     """Compute the hash of a tick.
 
     Args:
-        before: hash of the tick before, or the seed.
+        before: hash of the previous tick, or the seed.
         message: the Tick message.
         numbers: packed telemetry of the tick.
     """
@@ -61,7 +61,7 @@ def tick_hashes(before: bytes, ticks: Iterable[tuple[bytes, bytes]]) -> Iterator
     """Yield the hashes of consecutive ticks.
 
     Args:
-        before: hash of the tick before, or the seed.
+        before: hash of the previous tick, or the seed.
         ticks: message and packed telemetry of each tick.
     """
     for message, numbers in ticks:
@@ -70,7 +70,7 @@ def tick_hashes(before: bytes, ticks: Iterable[tuple[bytes, bytes]]) -> Iterator
 
 
 def chain_message() -> Template:
-    """Create the template of a handctl_msgs/Chain."""
+    """Return the template of a handctl_msgs/Chain."""
     out = TemplateWriter()
     out.header()
     out.place("digest", "|u1", SIZE)

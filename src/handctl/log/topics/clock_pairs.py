@@ -1,9 +1,7 @@
-"""Pairs of wall and monotonic clock, every ten seconds.
+"""Topic with pairs of wall and monotonic clock, every ten seconds.
 
-They show steps of the wall clock afterwards.
-
-Only the recorder reads these clocks. A lockstep run has no pairs, because its messages depend only
-on the ticks.
+The pairs show steps of the wall clock during the run. Only the recorder reads these clocks. A
+lockstep run has no pairs, because its messages depend only on the ticks.
 """
 
 import struct
@@ -18,19 +16,20 @@ TOPIC = "/clock_pairs"
 PERIOD_NS = 10_000_000_000
 """Interval between pairs [ns]."""
 STEP_NS = 50_000_000
-"""Minimum step of the wall clock [ns].
+"""Smallest reported step of the wall clock [ns].
 
-Slewing gains at most 5 ms in ten seconds (adjtimex: 500 ppm).
+Gradual adjustment (slewing) changes the wall clock by at most 5 ms in ten seconds (adjtimex: 500
+ppm).
 """
 _BODY = struct.Struct("<4xII8xqq")
 """Encapsulation, stamp, empty frame_id with padding, both clocks."""
 
 
 class ClockPair(NamedTuple):
-    """Both clocks at the same time.
+    """Readings of both clocks at the same time.
 
     Attributes:
-        t_ns: time of the tick before the pair, since the start of the run [ns].
+        t_ns: time of the last tick before the pair, since the start of the run [ns].
         wall_ns: UNIX time [ns].
         monotonic_ns: CLOCK_MONOTONIC [ns].
     """
@@ -41,7 +40,7 @@ class ClockPair(NamedTuple):
 
 
 class ClockStep(NamedTuple):
-    """A step of the wall clock between two pairs.
+    """Step of the wall clock between two pairs.
 
     Attributes:
         t_s: time of the pair after the step [s].
@@ -53,7 +52,7 @@ class ClockStep(NamedTuple):
 
 
 class ClockTopic:
-    """Topic of the pairs."""
+    """Topic with the pairs of clock readings."""
 
     def __init__(self, registry: Registry) -> None:
         """Register the topic."""
@@ -72,7 +71,7 @@ class ClockTopic:
 
 
 def pair_of(message: bytes, offset_ns: int) -> ClockPair:
-    """Decode a pair.
+    """Decode a message with a pair of clock readings.
 
     Raises:
         struct.error: the message is too short.

@@ -25,7 +25,7 @@ _STRING = 4
 
 
 def _stamped(t_ns: int) -> CdrWriter:
-    """Start a message with a time stamp."""
+    """Return a CDR writer that begins with a time stamp."""
     out = CdrWriter()
     out.put("I", t_ns // 10**9)
     out.put("I", t_ns % 10**9)
@@ -33,7 +33,7 @@ def _stamped(t_ns: int) -> CdrWriter:
 
 
 def rosout(t_ns: int, level: str, name: str, text: str) -> bytes:
-    """Encode a rcl_interfaces/Log."""
+    """Encode a log line as rcl_interfaces/Log."""
     out = _stamped(t_ns)
     out.put("B", LEVELS.get(level, LEVELS["error"]))
     out.text(name)
@@ -45,7 +45,7 @@ def rosout(t_ns: int, level: str, name: str, text: str) -> bytes:
 
 
 def _parameter(out: CdrWriter, name: str, value: str) -> None:
-    """Append a rcl_interfaces/Parameter. A text that is a number becomes a double."""
+    """Append a gain as rcl_interfaces/Parameter. A text with a number is written as a double."""
     try:
         number = float(value)
     except ValueError:
@@ -63,7 +63,10 @@ def _parameter(out: CdrWriter, name: str, value: str) -> None:
 
 
 def parameter_event(t_ns: int, new: dict[str, str], changed: dict[str, str]) -> bytes:
-    """Encode a rcl_interfaces/ParameterEvent. A text that is a number becomes a double."""
+    """Encode gains as rcl_interfaces/ParameterEvent.
+
+    A text with a number is written as a double.
+    """
     out = _stamped(t_ns)
     out.text("/handctl")
     for group in (new, changed):
@@ -75,7 +78,7 @@ def parameter_event(t_ns: int, new: dict[str, str], changed: dict[str, str]) -> 
 
 
 def labelled(t_ns: int, number: int, name: str) -> bytes:
-    """Encode a handctl_msgs/GraspPhase, Mode or Action: header, number, name."""
+    """Encode a handctl_msgs/GraspPhase, Mode, or Action: header, number, name."""
     out = _stamped(t_ns)
     out.text("")
     out.put("B", number)
@@ -84,13 +87,13 @@ def labelled(t_ns: int, number: int, name: str) -> bytes:
 
 
 def _changes(values: list[tuple[int, str]], last: tuple[int, str] | None) -> list[int]:
-    """Return the indexes of values that differ from the value before."""
+    """Return the indexes of values that differ from the previous value."""
     before = [last, *values[:-1]]
     return [index for index, value in enumerate(values) if value != before[index]]
 
 
 class EventTopics:
-    """Events as text lines, and states with a label."""
+    """Topics for events as log lines, and for changes of phase, mode, action, and gains."""
 
     def __init__(self, header: RunHeader, registry: Registry) -> None:
         """Register the topics."""
@@ -103,7 +106,7 @@ class EventTopics:
         self._last: dict[int, tuple[int, str]] = {}
 
     def latched(self, stamps: Stamps) -> list[MessageBlock]:
-        """Return the gains at the start."""
+        """Return the messages with the gains at the start."""
         message = parameter_event(int(stamps.log[0]), self._gains, {})
         return [variable_length_block(self._parameters, stamps, [message])] if self._gains else []
 
@@ -125,7 +128,7 @@ class EventTopics:
         return [block for block in [*blocks, *self._lines(batch, stamps)] if block.data]
 
     def _lines(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
-        """Return the log lines and the changes of gains."""
+        """Return the messages with log lines and with changes of gains."""
         at: list[int] = []
         lines: list[bytes] = []
         gains_at = []
@@ -146,7 +149,7 @@ class EventTopics:
 
 
 def _index(values: list[int]) -> NDArray[np.intp]:
-    """Convert a list of indexes to an array."""
+    """Return a list of indexes as an array."""
     return np.array(values, np.intp)
 
 

@@ -1,4 +1,4 @@
-"""Diagnostics and temperatures."""
+"""Topics for diagnostics and temperatures."""
 
 from dataclasses import dataclass, field
 
@@ -16,9 +16,9 @@ from handctl.log.topics.transforms import ROOT
 from handctl.safety.action import Action
 
 TEMPERATURE_PERIOD_NS = 200_000_000
-"""Interval between temperatures [ns]."""
+"""Interval between temperature messages [ns]."""
 DIAGNOSTICS_PERIOD_NS = 1_000_000_000
-"""Interval between diagnostics [ns]."""
+"""Interval between diagnostics messages [ns]."""
 OK = 0
 WARN = 1
 ERROR = 2
@@ -29,7 +29,7 @@ _DRIVE_LEVEL = {Phase.READY: OK, Phase.ENABLED: OK, Phase.FAULT: ERROR}
 
 @dataclass(frozen=True, slots=True)
 class DiagnosticStatus:
-    """One diagnostic_msgs/DiagnosticStatus."""
+    """Content of a diagnostic_msgs/DiagnosticStatus."""
 
     level: int
     name: str
@@ -58,10 +58,10 @@ def diagnostic_array(t_ns: int, statuses: list[DiagnosticStatus]) -> bytes:
 
 
 def temperature() -> Template:
-    """Create the template of a sensor_msgs/Temperature of unknown variance.
+    """Return the template of a sensor_msgs/Temperature with unknown variance.
 
-    The frame is the palm, behind which the motors are mounted. With a frame outside /tf, Rerun
-    finds more than one root and shows no hand.
+    The frame is the palm, because the motors are mounted behind the palm. If the frame were not in
+    /tf, Rerun would find several root frames and show no hand.
     """
     out = TemplateWriter()
     out.header(ROOT)
@@ -71,7 +71,10 @@ def temperature() -> Template:
 
 
 class HealthTopics:
-    """Status of each motor, each bus and the controller, at 1 Hz and at each change of mode, action or drive."""
+    """Topics with the status of motors, buses, and controller.
+
+    Messages are written every second, and at each change of mode, action, or drive.
+    """
 
     def __init__(self, header: RunHeader, registry: Registry) -> None:
         """Register the topics."""
@@ -106,7 +109,7 @@ class HealthTopics:
         return blocks
 
     def _temperature_runs(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
-        """Return the temperatures of the first tick in each period."""
+        """Return the temperature messages of the first tick in each interval."""
         periods = batch.t_ns // TEMPERATURE_PERIOD_NS
         selected = np.flatnonzero(np.diff(periods, prepend=self._last_temperature))
         self._last_temperature = int(periods[-1])
@@ -119,7 +122,7 @@ class HealthTopics:
         ]
 
     def _selected(self, batch: Batch) -> NDArray[np.intp]:
-        """Return the indexes of the ticks with a status message."""
+        """Return the indexes of the ticks that get a status message."""
         # NaN differs from itself and would count as a change in every tick.
         phases = np.nan_to_num(batch.numbers[:, self._columns["drive_phase"]], nan=-1.0)
         state = np.column_stack([batch.mode, batch.action, phases])
@@ -131,7 +134,7 @@ class HealthTopics:
         return np.flatnonzero(changed | (np.diff(periods, prepend=last_period) != 0))
 
     def _count(self, batch: Batch, start: int, end: int) -> None:
-        """Count frames and io events of ticks start to end."""
+        """Count the frames and io events from tick index start up to end."""
         for direction, frames in enumerate((batch.received, batch.sent)):
             first, last = np.searchsorted(frames.tick, (start, end))
             bus = np.bincount(frames.frames["bus"][first:last], minlength=len(self._frames))
@@ -143,7 +146,7 @@ class HealthTopics:
                 self._io_events[key] = self._io_events.get(key, 0) + event.number
 
     def _statuses(self, batch: Batch, index: int) -> list[DiagnosticStatus]:
-        """Return the statuses at a tick."""
+        """Return all statuses at a tick."""
         action = Action(int(batch.action[index]))
         level = OK if action == Action.PASS else WARN if action < Action.RELAX else ERROR
         mode = Mode(int(batch.mode[index])).name.lower()
@@ -156,7 +159,7 @@ class HealthTopics:
         return [controller, *self._buses(), *self._motors(batch.numbers[index])]
 
     def _counted(self) -> dict[str, str]:
-        """Return the counts of io events as texts."""
+        """Return the counts of io events as text."""
         return {f"io {name}": str(number) for name, number in self._io_events.items()}
 
     def _buses(self) -> list[DiagnosticStatus]:

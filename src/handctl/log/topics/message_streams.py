@@ -1,4 +1,4 @@
-"""Channels of the log, and the encoding of many messages at once."""
+"""Channels of the log, and encoding of many messages at once."""
 
 from dataclasses import dataclass, field
 
@@ -23,7 +23,7 @@ _QOS = (
 
 @dataclass(slots=True)
 class Registry:
-    """Assigns numbers to schemas and channels in the order of registration."""
+    """Registry that assigns numbers to schemas and channels, in the order of registration."""
 
     schemas: dict[str, Schema] = field(default_factory=dict)
     channels: dict[str, Channel] = field(default_factory=dict)
@@ -56,7 +56,7 @@ class Stamps:
     """Times of n messages.
 
     Attributes:
-        log: (n,) uint64 [ns], offset included.
+        log: (n,) uint64 log times, including the offset to UNIX time [ns].
         sequence: (n,) uint32, low bits of the tick number.
     """
 
@@ -64,7 +64,7 @@ class Stamps:
     sequence: NDArray[np.uint32]
 
     def at(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "Stamps":
-        """Select the times of some messages."""
+        """Return the times of the selected messages."""
         return Stamps(self.log[index], self.sequence[index])
 
 
@@ -84,10 +84,10 @@ def ros_time(t_ns: Times) -> NDArray[np.uint32]:
 
 
 class Stream:
-    """One channel with messages of constant layout."""
+    """Channel with messages of constant layout."""
 
     def __init__(self, channel: int, template: Template) -> None:
-        """Create the layout of a Message record, 31 bytes of header and the template."""
+        """Build the layout of a Message record: 31 bytes of header, and the template."""
         self._channel = channel
         self._stamps = len(template.stamps)
         # Opcode 5 is Message. Its length excludes opcode and length field: 22 bytes of header and the
@@ -104,7 +104,7 @@ class Stream:
     def block(
         self, stamps: Stamps, values: dict[str, NDArray[np.generic]], measured: Times | None = None
     ) -> MessageBlock:
-        """Encode messages.
+        """Return a block with the encoded messages.
 
         Args:
             stamps: log times of the messages.
@@ -129,7 +129,7 @@ class Stream:
 
 
 def variable_length_block(channel: int, stamps: Stamps, messages: list[bytes]) -> MessageBlock:
-    """Encode messages of variable length."""
+    """Return a block with messages of variable length."""
     parts = []
     for sequence, t_ns, message in zip(stamps.sequence.tolist(), stamps.log.tolist(), messages, strict=True):
         parts.append(MESSAGE.pack(5, 22 + len(message), channel, sequence, t_ns, t_ns) + message)

@@ -1,4 +1,7 @@
-"""Snapshots of the controller's state, every second. A re-execution may start after any of them."""
+"""Topic with a snapshot of the controller's state every second.
+
+A re-execution of the log can start at any snapshot.
+"""
 
 import struct
 from typing import NamedTuple
@@ -54,7 +57,7 @@ def snapshot_of(message: bytes) -> Snapshot:
 
     Raises:
         struct.error: the message is too short.
-        ValueError: the data ends early.
+        ValueError: the data end early.
     """
     _, _, k, length = _BODY.unpack_from(message)
     data = message[_BODY.size : _BODY.size + length]

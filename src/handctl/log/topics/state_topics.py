@@ -1,4 +1,4 @@
-"""Topics at the rate of the loop, with messages of constant layout."""
+"""Topics with one message per tick, of constant layout."""
 
 import tomllib
 
@@ -22,9 +22,9 @@ JOINT_STATES = {
     "/actuator_states": ("motor", "motor_position", "motor_velocity", "motor_torque"),
     "/actuator_commands": ("motor", "", "", "motor_torque_goal"),
 }
-"""Topic -> axis, and the fields for position, velocity, effort.
+"""Axis of each topic, and telemetry fields for position, velocity, and effort, by topic.
 
-Without a field the array is empty, as ROS 2 permits.
+If no field is given, the array is empty, as ROS 2 permits.
 """
 
 ESTIMATES = {
@@ -32,7 +32,7 @@ ESTIMATES = {
     "/joint_estimate": ("q", "rad"),
     "/tip_force_estimate": ("tip_force", "N"),
 }
-"""Topic -> telemetry field with a standard deviation, and its unit."""
+"""Telemetry field with a standard deviation for each topic, and the unit of the field."""
 
 _NOTES = {
     "/joint_estimate": "joint angles and their variance, large where a digit in contact has fewer tendons than joints",
@@ -46,13 +46,13 @@ _NOTES = {
 
 
 def moment_arms(header: RunHeader) -> Numbers:
-    """Return the moment arms R (N, J) of s = R q, with excursion s [m] and joint angles q [rad]."""
+    """Return the moment arms R (N, J), for excursions s = R q [m] at joint angles q [rad]."""
     tendons = tomllib.loads(header.hand_toml)["tendon"]
     return np.array([[tendon["moment_arm_m"].get(joint, 0.0) for joint in header.joints] for tendon in tendons])
 
 
 def joint_state(names: tuple[str, ...], position: bool, velocity: bool, effort: bool) -> Template:
-    """Create the template of a sensor_msgs/JointState."""
+    """Return the template of a sensor_msgs/JointState."""
     out = TemplateWriter()
     out.header()
     out.texts(names)
@@ -62,7 +62,7 @@ def joint_state(names: tuple[str, ...], position: bool, velocity: bool, effort: 
 
 
 def wrench(frame_id: str) -> Template:
-    """Create the template of a geometry_msgs/WrenchStamped."""
+    """Return the template of a geometry_msgs/WrenchStamped."""
     out = TemplateWriter()
     out.header(frame_id)
     out.place("force", "<f8", 3)
@@ -71,7 +71,7 @@ def wrench(frame_id: str) -> Template:
 
 
 def statistics_values(number: int) -> Template:
-    """Create the template of a pal_statistics_msgs/StatisticsValues with version 1 of the names."""
+    """Return the template of a pal_statistics_msgs/StatisticsValues, with version 1 of the names."""
     out = TemplateWriter()
     out.header()
     out.floats("values", number)
@@ -80,7 +80,7 @@ def statistics_values(number: int) -> Template:
 
 
 def cycle(motors: int) -> Template:
-    """Create the template of a handctl_msgs/CycleStats."""
+    """Return the template of a handctl_msgs/CycleStats."""
     out = TemplateWriter()
     out.header()
     out.place("cycle", "<f8", 3)
@@ -92,7 +92,7 @@ def cycle(motors: int) -> Template:
 
 
 def estimate(names: tuple[str, ...], unit: str) -> Template:
-    """Create the template of a handctl_msgs/Estimate."""
+    """Return the template of a handctl_msgs/Estimate."""
     out = TemplateWriter()
     out.header()
     out.texts(names)
@@ -103,7 +103,7 @@ def estimate(names: tuple[str, ...], unit: str) -> Template:
 
 
 def names_message(header: RunHeader, seconds: int, nanoseconds: int) -> bytes:
-    """Encode a pal_statistics_msgs/StatisticsNames: `field/name` for each telemetry column."""
+    """Encode the telemetry column names, `field/name`, as pal_statistics_msgs/StatisticsNames."""
     out = CdrWriter()
     out.put("I", seconds)
     out.put("I", nanoseconds)
@@ -165,9 +165,10 @@ class StateTopics:
         return blocks
 
     def _tendon_torque(self, tension: Numbers) -> Numbers:
-        """Return the joint torque of the tendons R^T f (n, J) [N m].
+        """Return the joint torques R^T f (n, J) from the tensions f [N m].
 
-        The order of the additions is fixed. The order within a matrix product may depend on n.
+        The additions are done in a fixed order, because the order within a matrix product may
+        depend on n.
         """
         torque = np.zeros((len(tension), self._arms.shape[1]))
         for tendon, joint in zip(*np.nonzero(self._arms), strict=True):
@@ -175,7 +176,7 @@ class StateTopics:
         return torque
 
     def _joint_state_values(self, topic: str, part: dict[str, Numbers]) -> dict[str, NDArray[np.generic]]:
-        """Return position, velocity and effort of a topic."""
+        """Return the values of position, velocity, and effort for a topic."""
         _, *fields = JOINT_STATES[topic]
         return {
             part_name: part[name]
@@ -184,7 +185,7 @@ class StateTopics:
         }
 
     def _cycle_values(self, batch: Batch) -> dict[str, NDArray[np.generic]]:
-        """Return the timing of each tick: period, lateness and time from the tick before to the last reply [s]."""
+        """Return the timing of each tick [s]: period, lateness, and time from the previous tick to the last reply."""
         start = batch.t_ns + batch.late_ns
         first_k, first_start = self._last or (int(batch.k[0]) - 1, -1)
         before = np.concatenate([[first_start], start[:-1]])

@@ -1,4 +1,4 @@
-"""Topic of the targets that a client streams, as they arrived in a tick."""
+"""Topic with the streamed targets of clients, in the order of arrival."""
 
 from collections.abc import Iterator
 
@@ -13,7 +13,7 @@ from handctl.programs.requests import OpenStream, Target, is_target, parse_reque
 
 
 class TargetTopic:
-    """Streamed targets, one message per target. Malformed targets are in `/tick` only."""
+    """Topic with one message per streamed target. Malformed targets are only in `/tick`."""
 
     def __init__(self, header: RunHeader, registry: Registry) -> None:
         """Register the topic."""
@@ -34,7 +34,7 @@ class TargetTopic:
         return [variable_length_block(self._channel, stamps.at(np.array(at, np.intp)), messages)]
 
     def _targets(self, requests: tuple[str, ...]) -> Iterator[Target]:
-        """Yield the targets among requests. Keep the names of a stream that is opened."""
+        """Yield the targets among requests. The names of an opened stream are stored."""
         for text in requests:
             if not is_target(text):
                 request = parse_request(text)

@@ -27,7 +27,7 @@ All other topics are derived from these two and from the header.
 
 
 class Topics:
-    """Turns ticks into messages.
+    """Converter from ticks to messages of all topics.
 
     The messages do not depend on the division of the ticks into batches.
     """
@@ -60,7 +60,7 @@ class Topics:
         return list(self._registry.channels.values())
 
     def latched(self) -> list[MessageBlock]:
-        """Return the messages that are written once, at t = 0."""
+        """Return the messages written once, at t = 0."""
         stamps = Stamps(np.array([self._header.offset_ns], np.uint64), np.zeros(1, np.uint32))
         names = names_message(self._header, *divmod(self._header.offset_ns, 10**9))
         blocks = [
@@ -81,7 +81,7 @@ class Topics:
         return self._chain.last
 
     def clock_pair(self, t_ns: int, k: int, wall_ns: int, monotonic_ns: int) -> MessageBlock:
-        """Return a message with both clocks.
+        """Return a message with a reading of both clocks.
 
         Args:
             t_ns: time of the tick since the start of the run [ns].
@@ -92,11 +92,11 @@ class Topics:
         return self._clocks.block(stamps_at(self._log_ns(t_ns), k), wall_ns, monotonic_ns)
 
     def snapshot(self, t_ns: int, snapshot: Snapshot) -> MessageBlock:
-        """Return a message with the state after a tick at `t_ns`."""
+        """Return a message with the state after the tick at `t_ns`."""
         return self._snapshots.block(self._log_ns(t_ns), snapshot)
 
     def _log_ns(self, t_ns: int) -> int:
-        """Convert a time since the start of the run to a log time [ns]."""
+        """Return a time since the start of the run as a log time [ns]."""
         return max(t_ns + self._header.offset_ns, 0)
 
     def blocks(self, batch: Batch) -> list[MessageBlock]:

@@ -1,4 +1,4 @@
-"""Transforms of the links. With them a viewer needs no kinematics of the hand."""
+"""Topics with the transforms of the links, so that a viewer needs no kinematics of the hand."""
 
 import math
 import tomllib
@@ -16,19 +16,19 @@ from handctl.log.topics.message_streams import Registry, Stamps, Stream
 PERIOD_NS = 20_000_000
 """Interval between transforms [ns]. 50 Hz is enough for a viewer."""
 ROOT = "palm"
-"""Root frame."""
+"""Name of the root frame."""
 Z_AXIS = (0.0, 0.0, 1.0)
-"""Axis of a hinge without ``joint_axis``."""
+"""Default axis of a hinge without ``joint_axis``."""
 
 
 class LinkFrame(NamedTuple):
-    """A frame with its parent.
+    """Frame of a link, relative to its parent.
 
     Attributes:
         parent, child: names of the frames.
         position: (3,) origin of the child in the parent [m].
-        rotation: (4,) x, y, z, w of the child with its joint at zero.
-        axis: (3,) unit vector in the child about which its joint turns it.
+        rotation: (4,) quaternion x, y, z, w of the child when its joint is at zero.
+        axis: (3,) joint axis as a unit vector in the child frame.
         joint: index of the joint, -1 if the link is fixed.
     """
 
@@ -41,7 +41,7 @@ class LinkFrame(NamedTuple):
 
 
 def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, ...]:
-    """Compute the quaternion x, y, z, w of extrinsic rotations about x, y, z [rad]."""
+    """Return the quaternion x, y, z, w for extrinsic rotations about x, y, z [rad]."""
     (sr, cr), (sp, cp), (sy, cy) = ((math.sin(a / 2), math.cos(a / 2)) for a in (roll, pitch, yaw))
     return (
         sr * cp * cy - cr * sp * sy,
@@ -80,7 +80,7 @@ def link_frames(hand_toml: str) -> list[LinkFrame]:
 
 
 def product(left: tuple[Any, ...], right: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Compute the product of two quaternions x, y, z, w, of numbers or of arrays."""
+    """Return the product of two quaternions x, y, z, w, given as numbers or arrays."""
     a, b, c, d = left
     x, y, z, w = right
     return (
@@ -92,14 +92,14 @@ def product(left: tuple[Any, ...], right: tuple[Any, ...]) -> tuple[Any, ...]:
 
 
 def rotated(link: LinkFrame, q: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Compute the rotations x, y, z, w (n, 4) of a link at joint angles (n,) [rad]."""
+    """Return the quaternions x, y, z, w (n, 4) of a link at joint angles (n,) [rad]."""
     sine = np.sin(q / 2)
     turn = (*(component * sine for component in link.axis), np.cos(q / 2))
     return np.stack(product(link.rotation, turn), axis=1)
 
 
 def _stream(channel: int, some: list[LinkFrame]) -> Stream:
-    """Create the stream of a tf2_msgs/TFMessage."""
+    """Return the stream of a tf2_msgs/TFMessage for some links."""
     out = TemplateWriter()
     out.count(len(some))
     for index, link in enumerate(some):
@@ -111,7 +111,7 @@ def _stream(channel: int, some: list[LinkFrame]) -> Stream:
 
 
 class TfTopics:
-    """/tf_static once and /tf at 50 Hz. An unknown joint angle gives NaN."""
+    """Topics /tf_static, written once, and /tf at 50 Hz. An unknown joint angle gives NaN."""
 
     def __init__(self, header: RunHeader, registry: Registry) -> None:
         """Register the topics."""
@@ -131,7 +131,7 @@ class TfTopics:
         return self._static.block(stamps, values)
 
     def blocks(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
-        """Return /tf of the first tick in each 50 Hz period."""
+        """Return the /tf messages, one for the first tick in each 50 Hz period."""
         periods = batch.t_ns // PERIOD_NS
         selected = np.flatnonzero(np.diff(periods, prepend=self._last))
         self._last = int(periods[-1])

@@ -1,1 +1,1 @@
-"""Writer of logs: the controller's end of the pipe, and the recorder process that owns the file."""
+"""Writing of logs: the controller's end of the pipe, and the recorder process that writes the file."""

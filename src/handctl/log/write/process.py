@@ -1,11 +1,11 @@
-"""Recorder process: records on stdin, notes as JSON lines on stdout.
+"""Recorder process. Reads records from stdin and writes notes as JSON lines to stdout.
 
-The process ends at the end of its input.
+The process ends when its input ends.
 
 Command: `python -m handctl.log.write.process PATH FLOOR_BYTES`.
 
 The recorder ignores SIGINT and SIGTERM because the controller decides the end of a run. If the
-controller dies, the pipe ends.
+controller dies, the pipe is closed.
 """
 
 import json
@@ -24,30 +24,33 @@ from handctl.log.write.syncer import Syncer
 from handctl.log.write.writer import LogWriter
 
 READ_BYTES = 1 << 20
-"""Maximum size of one read [bytes]."""
+"""Largest size of one read [bytes]."""
 NAP_S = 0.01
-"""Pause between reads of few bytes [s].
+"""Pause after a read of few bytes [s].
 
-One wake-up serves several ticks, and the pipe stays far from full.
+After the pause one read gets the records of several ticks. The pipe stays far from full.
 """
 NAP_BELOW_BYTES = 64 << 10
 """Reads below this size are followed by a pause [bytes]."""
 FLUSH_S = 0.15
-"""Maximum wait of a tick in real time before it is written [s].
+"""Longest time before a tick is written to the file, in real time [s].
 
-With the pause, the write and a busy machine, a killed recorder loses less than 0.25 s.
+Including the pause, the write, and a busy machine, a killed recorder loses less than 0.25 s.
 """
 SYNC_S = 1.0
-"""Interval between transfers to the disk [s]."""
+"""Interval between syncs of the file to disk [s]."""
 NICE = -10
-"""Scheduling priority, above other programs where permitted.
+"""Scheduling priority of the recorder, above that of other programs where permitted.
 
-The loop has real-time priority, which is higher.
+The control loop has real-time priority, and precedes the recorder.
 """
 
 
 def send_note(note: dict[str, object]) -> None:
-    """Send a note to the controller. A full pipe loses the note, and the recorder never waits."""
+    """Send a note to the controller.
+
+    If the pipe is full, the note is lost, because the recorder must not wait.
+    """
     with suppress(BlockingIOError, BrokenPipeError):
         os.write(1, json.dumps(note).encode() + b"\n")
 
@@ -58,10 +61,13 @@ def report_event(event: str, number: int) -> None:
 
 
 class Splitter:
-    """Splits a stream of bytes into records. An incomplete record waits for its rest."""
+    """Splitter of a byte stream into records.
+
+    An incomplete record is kept until its rest arrives.
+    """
 
     def __init__(self) -> None:
-        """Start at a record boundary."""
+        """Start at the boundary of a record."""
         self._rest = b""
 
     def split(self, data: bytes) -> Iterator[tuple[int, bytes]]:
@@ -79,10 +85,10 @@ class Splitter:
 
 
 class RecorderSession:
-    """One run, from the first record to the end of the input."""
+    """Session of the recorder for one run, from the first record to the end of the input."""
 
     def __init__(self, path: Path, floor_bytes: int) -> None:
-        """Set the file and the free space at which the log is finished early [bytes]."""
+        """Set the path of the log, and the free space at which the log is finished early [bytes]."""
         self._path = path
         self._floor = floor_bytes
         self._splitter = Splitter()

@@ -1,4 +1,4 @@
-"""The controller's end of the recorder. Records go to a separate process without waiting."""
+"""The controller's end of the pipe to the recorder process. Sending a record does not wait."""
 
 import fcntl
 import json
@@ -19,19 +19,22 @@ from handctl.log.header import RunHeader
 from handctl.log.record import END, HEADER, record_bytes
 
 PIPE_BYTES = (8 << 20, 1 << 20)
-"""Requested sizes of the pipe, in order of preference [bytes].
+"""Sizes to request for the pipe, in order of preference [bytes].
 
-The second size is permitted without privileges on Linux. It holds more than 250 ticks of the
-largest hand.
+The second size is permitted without privileges on Linux. More than 250 ticks of the largest hand
+fit into a pipe of this size.
 """
 FLOOR_BYTES = 64 << 20
-"""Free space at which a log is finished early [bytes]. Four times this value gives a warning."""
+"""Free disk space at which a log is finished early [bytes].
+
+Below four times this value a warning is given.
+"""
 START_S = 20.0
-"""Maximum wait for the recorder at the start of a run [s]."""
+"""Longest wait for the recorder at the start of a run [s]."""
 CLOSE_S = 20.0
-"""Maximum wait for the recorder at the end of a run [s]."""
+"""Longest wait for the recorder at the end of a run [s]."""
 LOCKSTEP_WAIT_S = 60.0
-"""Maximum wait for the recorder per record in a lockstep run [s]."""
+"""Longest wait for the recorder per record in a lockstep run [s]."""
 
 
 def _grow(descriptor: int) -> int:
@@ -43,21 +46,20 @@ def _grow(descriptor: int) -> int:
 
 
 class Recorder:
-    """A running recorder, see `start`.
+    """Connection to a running recorder process, see `start`.
 
     Attributes:
-        dropped: number of records that were lost because the pipe was full or the recorder had
-            ended.
+        dropped: number of records lost because the pipe was full or the recorder had ended.
     """
 
     def __init__(self, path: Path, child: subprocess.Popen[bytes], pipe: int, lossless: bool) -> None:
         """Connect to a recorder process.
 
         Args:
-            path: the file.
-            child: the process.
-            pipe: descriptor for the records.
-            lossless: wait for the recorder instead of dropping records.
+            path: path of the log file.
+            child: recorder process.
+            pipe: file descriptor for the records.
+            lossless: True to wait for the recorder instead of dropping records.
         """
         assert child.stdout is not None
         self._path = path
@@ -77,10 +79,10 @@ class Recorder:
 
     @classmethod
     def start(cls, path: Path, header: RunHeader, floor_bytes: int = FLOOR_BYTES) -> Self:
-        """Start the recorder process and wait until the file has its header.
+        """Start the recorder process, and wait until it has written the header into the file.
 
         Args:
-            path: a new file.
+            path: path of the new log file.
             header: header of the run.
             floor_bytes: free space at which the log is finished early [bytes].
 
@@ -106,7 +108,7 @@ class Recorder:
         return recorder
 
     def _open(self, header: bytes) -> None:
-        """Send the header and wait for the answer."""
+        """Send the header, and wait for the recorder's answer."""
         os.set_blocking(self._pipe, False)
         try:
             if not self._send(header, START_S):
@@ -124,7 +126,7 @@ class Recorder:
             raise
 
     def _abandon(self) -> None:
-        """End a recorder that did not start."""
+        """End a recorder process that did not start properly."""
         self._ended = True
         os.close(self._pipe)
         self._child.kill()
@@ -132,16 +134,16 @@ class Recorder:
         self._close_notes()
 
     def _close_notes(self) -> None:
-        """Close the pipe of the notes."""
+        """Close the pipe for the notes."""
         assert self._child.stdout is not None
         self._child.stdout.close()
 
     def _send(self, data: bytes, timeout_s: float) -> bool:
-        """Write all of data, and wait for at most `timeout_s` [s].
+        """Write all bytes to the pipe, and wait at most `timeout_s` [s].
 
         Returns:
-            False after a failure. Further records must not be sent then, because the record is
-            incomplete.
+            True if all bytes were written. After False no further record may be sent, because this
+            record is incomplete.
         """
         end = time.monotonic() + timeout_s
         view = memoryview(data)
@@ -161,7 +163,7 @@ class Recorder:
         """Send one record without waiting. A deterministic run waits instead.
 
         Args:
-            data: a record from `record.pack`.
+            data: record from `record.pack`.
 
         Returns:
             False if the record was dropped.
@@ -192,13 +194,13 @@ class Recorder:
         """Return the events of the recorder since the last call, of kind "recorder".
 
         `where` is one of:
-            dropped: number of records.
+            dropped: records were dropped. Value: their number.
             gone: the recorder has ended.
-            filling: number of bytes in the pipe.
-            disk_low: number of free bytes.
-            disk_full: number of free bytes, or errno.
-            error: errno.
-            misshapen: telemetry with another shape than in the header.
+            filling: the pipe is more than half full. Value: number of bytes in the pipe.
+            disk_low: the disk is nearly full. Value: number of free bytes.
+            disk_full: the log was finished early. Value: number of free bytes, or errno.
+            error: a write has failed. Value: errno.
+            misshapen: telemetry does not have the shape described in the header.
         """
         events = []
         if not self._ended:
@@ -218,9 +220,10 @@ class Recorder:
         return tuple(events)
 
     def _filling_event(self) -> list[IoEvent]:
-        """Return an event each time the pipe becomes more than half full.
+        """Return an event whenever the pipe becomes more than half full.
 
-        A deterministic run waits for a full pipe and gets no event, because the fill depends on the machine.
+        A deterministic run waits while the pipe is full. No event is reported, because filling
+        depends on the machine.
         """
         if self._lossless:
             return []
@@ -231,10 +234,10 @@ class Recorder:
         return [IoEvent("recorder", "filling", waiting)] if self._filling and not was else []
 
     def _read_notes(self, timeout_s: float) -> None:
-        """Read the notes of the process.
+        """Read the notes from the recorder process.
 
         Args:
-            timeout_s: maximum wait for the first note [s].
+            timeout_s: longest wait for the first note [s].
         """
         if timeout_s and not select.select([self._notes], [], [], timeout_s)[0]:
             return
@@ -250,14 +253,14 @@ class Recorder:
             self._messages += [json.loads(line) for line in lines]
 
     def close(self, reason: str) -> dict[str, object]:
-        """End the run and wait for the file.
+        """End the run, and wait until the file is complete.
 
         Args:
             reason: reason of the end, for the log.
 
         Returns:
-            path, bytes, complete, dropped. If the recorder finished, also ticks, messages, lost,
-            reason.
+            summary with path, bytes, complete, dropped, and if the recorder has finished, ticks,
+            messages, lost, reason.
         """
         body = json.dumps({"reason": reason, "dropped": self.dropped}).encode()
         if not self._ended and self._send(self._rest, CLOSE_S):

@@ -1,9 +1,9 @@
-"""Transfer of a file to the disk without waiting.
+"""Sync of a file to disk without waiting.
 
-Under load the disk needs longer than the pipe can buffer.
+Under load, a sync takes longer than the pipe can buffer records.
 
-A process forked from the recorder calls fdatasync. It holds only the file, and ends with the
-recorder.
+A process forked from the recorder calls fdatasync. This process has only the file open, and ends
+with the recorder.
 """
 
 import itertools
@@ -11,34 +11,34 @@ import os
 from contextlib import suppress
 
 _READ_BYTES = 1 << 10
-"""Waiting requests read at once [bytes], one byte per request."""
+"""Largest number of waiting requests read at once. Each request is one byte."""
 _MAX_DESCRIPTORS = 1 << 16
-"""Upper bound of the descriptors to close."""
+"""Upper limit of the file descriptors to close."""
 
 
 def sync_now(descriptor: int) -> None:
-    """Write a file to the disk and wait.
+    """Sync a file to disk, and wait until this is done.
 
     Raises:
-        OSError: the transfer failed.
+        OSError: the sync failed.
     """
     getattr(os, "fdatasync", os.fsync)(descriptor)
 
 
 class Syncer:
-    """Transfers one file to the disk, once per call. An error appears at a later call."""
+    """Function object that starts a sync of a file to disk. An error is raised at a later call."""
 
     def __init__(self) -> None:
-        """Start without a process."""
+        """Start without a sync process."""
         self._request_pipe = self._error_pipe = -1
 
     def __call__(self, descriptor: int) -> None:
-        """Request a transfer of the file.
+        """Request a sync of the file to disk.
 
-        Requests during a transfer are served by one further transfer.
+        All requests during a sync are served by one further sync.
 
         Raises:
-            OSError: an earlier transfer failed.
+            OSError: an earlier sync failed.
         """
         if self._request_pipe < 0:
             self._start(descriptor)
@@ -50,7 +50,7 @@ class Syncer:
             os.write(self._request_pipe, b"\0")
 
     def _start(self, descriptor: int) -> None:
-        """Fork the process that transfers the file."""
+        """Fork the process that syncs the file."""
         requests, self._request_pipe = os.pipe()
         self._error_pipe, errors = os.pipe()
         if os.fork() == 0:
@@ -66,10 +66,10 @@ class Syncer:
 
 
 def _close_all_but(*descriptors: int) -> None:
-    """Close all other descriptors in the forked process.
+    """Close all other file descriptors in the forked process.
 
-    Otherwise the controller would not notice the death of the recorder, and a full disk would not
-    get its reserve back.
+    With these descriptors open, the controller would not notice a dead recorder, and the disk space
+    reserved by the recorder could not be freed.
     """
     edges = [-1, *sorted(descriptors), _MAX_DESCRIPTORS]
     for low, high in itertools.pairwise(edges):
@@ -77,9 +77,9 @@ def _close_all_but(*descriptors: int) -> None:
 
 
 def _serve(descriptor: int, requests: int, errors: int) -> None:
-    """Wait for requests until the other end is closed.
+    """Serve sync requests until the other end of the pipe is closed.
 
-    Several waiting requests need one transfer.
+    One sync to disk serves all waiting requests.
     """
     while os.read(requests, _READ_BYTES):
         try:

@@ -1,4 +1,4 @@
-"""Writer of the file of a run, with the reactions to a full disk and a failed write."""
+"""Writer of the log file of a run. Handles a full disk and failed writes."""
 
 import errno
 import json
@@ -19,13 +19,13 @@ from handctl.log.topics.topic_set import Topics
 from handctl.log.write.syncer import sync_now
 
 CHUNK_SPAN_NS = 250_000_000
-"""Maximum time span of a chunk [ns]: the maximum loss if the recorder is killed."""
+"""Longest time span of a chunk [ns]. A killed recorder loses at most this time."""
 CHUNK_BYTES = 1 << 20
-"""Size of the collected records at which a chunk ends [bytes]."""
+"""Total size of collected records at which a chunk is written [bytes]."""
 RESERVED_BYTES = 512 << 10
 """Disk space reserved for the summary and footer of a file on a full disk [bytes]."""
 SCHEMA = 1
-"""Version of topics and records. A reader refuses other versions."""
+"""Version of topics and records in the log. A reader refuses logs of other versions."""
 
 _MEDIA = {
     ".toml": "application/toml",
@@ -40,19 +40,19 @@ Clocks = Callable[[], tuple[int, int]]
 
 
 def _both_clocks() -> tuple[int, int]:
-    """Read the wall clock and the monotonic clock [ns]."""
+    """Return the readings of wall clock and monotonic clock [ns]."""
     return time.time_ns(), time.monotonic_ns()
 
 
 def _create(path: Path) -> int:
-    """Create a new file and return its descriptor."""
+    """Create a new file, and return its descriptor."""
     return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_CLOEXEC", 0), 0o644)
 
 
 class _ReservedSpace:
-    """Reserved space on the disk of a log, in a file without a name.
+    """Disk space reserved for the end of a log, in a file without a name.
 
-    A kill leaves no file behind.
+    If the process is killed, the file disappears.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -68,21 +68,21 @@ class _ReservedSpace:
                 os.write(self._fd, bytes(RESERVED_BYTES))
 
     def release(self) -> None:
-        """Release the space."""
+        """Free the reserved space."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
 
 
 class LogWriter:
-    """Writes one run into one file.
+    """Writer of one run into one file.
 
     After the first failed write the file is closed, and further ticks are only counted.
 
     Attributes:
-        ticks: ticks written or waiting for the next chunk.
-        lost: ticks that came after the file was closed or were lost by a failed write.
-        dead: True after the file was closed.
+        ticks: number of ticks written or waiting for the next chunk.
+        lost: number of ticks lost by a failed write, or received after the file was closed.
+        dead: True if the file is closed.
     """
 
     def __init__(
@@ -97,16 +97,17 @@ class LogWriter:
         """Create the file and write its header.
 
         Args:
-            path: a new file.
+            path: path of the new file.
             header: header of the run.
-            report: called with disk_low, disk_full, error or misshapen and a number (free bytes,
-                errno, 1).
+            report: function to call with disk_low, disk_full, error or misshapen, and a number
+                (free bytes, errno, 1).
             floor_bytes: free space at which the file is finished early [bytes].
-            clocks: reads the wall and the monotonic clock [ns]. Not used in a deterministic run.
-            to_disk: transfers the file of a descriptor to the disk.
+            clocks: function that reads wall and monotonic clock [ns]. Not used in a deterministic
+                run.
+            to_disk: function that syncs the file of a descriptor to disk.
 
         Raises:
-            OSError: the file cannot be created. Later failures are reported.
+            OSError: the file cannot be created. Later failures go to `report`.
         """
         self._clocks = clocks
         self._next_pair_ns = 0
@@ -129,7 +130,7 @@ class LogWriter:
         self._write_head()
 
     def _write_head(self) -> None:
-        """Write attachments, metadata, schemas and channels."""
+        """Write attachments, metadata, schemas, and channels."""
         header = self._header
         container = self._container
         for name, data in ({"hand.toml": header.hand_toml.encode()} | header.attachments).items():
@@ -155,7 +156,7 @@ class LogWriter:
         return len(self._batcher) > 0
 
     def add(self, body: bytes) -> None:
-        """Add the body of one tick's record."""
+        """Add a tick, given as the body of its record."""
         if self.dead:
             self.lost += 1
             return
@@ -169,13 +170,16 @@ class LogWriter:
             self.flush()
 
     def add_snapshot(self, body: bytes) -> None:
-        """Add the body of a snapshot's record. The snapshot is written with the next chunk."""
+        """Add a snapshot, given as the body of its record.
+
+        The snapshot is written with the next chunk.
+        """
         if not self.dead:
             k, t_ns = SNAPSHOT_HEAD.unpack_from(body)
             self._snapshots.append(self._topics.snapshot(t_ns, Snapshot(k, body[SNAPSHOT_HEAD.size :])))
 
     def _spans(self, t_ns: int, begins: bool) -> bool:
-        """Return True if the chunk ends with this tick.
+        """Return True if the chunk must end with this tick.
 
         In a deterministic run chunks end on a fixed time grid, otherwise after CHUNK_SPAN_NS.
         """
@@ -213,7 +217,7 @@ class LogWriter:
         return [self._topics.clock_pair(t_ns, self._last_k, *self._clocks())]
 
     def sync(self) -> None:
-        """Request a transfer to the disk, and check the free space."""
+        """Request a sync to disk, and check the free space."""
         if self.dead:
             return
         try:
@@ -248,7 +252,7 @@ class LogWriter:
     def _end(self, reason: str, dropped: int) -> None:
         """Write the end of the file.
 
-        If this fails, cut the file back to its last complete record.
+        If this fails, the file is truncated after its last complete record.
         """
         self.dead = True
         self._reserved.release()

@@ -1,3 +1,6 @@
-"""Fault declarations, imported in the order of the catalogue, by which faults are indexed."""
+"""Fault declarations.
+
+The modules are imported in the order of the catalogue, because this order numbers the faults.
+"""
 
 from handctl.safety.faults import bus, node, tendon, host  # noqa: F401, I001 - their order is that of the catalogue

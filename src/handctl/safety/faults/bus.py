@@ -18,16 +18,16 @@ from handctl.safety.limits import LOAD_CELLS, MIN_SILENT_TICKS, SILENT_S
 
 WINDOW = 100
 SHORT = 20
-"""Windows for the count of losses, and of malformed frames [ticks]."""
+"""Windows in which lost frames and malformed frames are counted [ticks]."""
 HOLD_LOSSES = 20
 RELAX_LOSSES = 40
-"""Losses within ``WINDOW`` ticks: above the first HOLD, above the second RELAX."""
+"""Lost frames within ``WINDOW`` ticks above which the reaction is HOLD, and above which RELAX."""
 MALFORMED_LIMIT = 3
-"""Malformed frames of a node within ``SHORT`` ticks."""
+"""Number of malformed frames from a node within ``SHORT`` ticks for a fault."""
 UNKNOWN_LIMIT = 50.0
-"""Frames with unknown identifiers per second."""
+"""Number of frames with unknown identifiers per second for a fault."""
 UNANSWERED = ("no acknowledge", "bus error", "protocol")
-"""Texts of error frames without a receiver on the bus."""
+"""Texts of the error frames sent when no node on the bus acknowledges."""
 
 # Texts of the catalogue's columns for protocols without a direct sign.
 _COUNTER = f"{REPLACED}: load cells by their counter, drives by N14, because their replies have no counter"

@@ -1,13 +1,13 @@
 """Faults and rows of the catalogue, and their declaration.
 
-A row of the catalogue is a possible failure. A fault is a row, or a stage of a row, judged in every
-tick. Each row and each fault is declared once, in the module of its kind: ``bus``,
-``node``, ``tendon``, ``host``. The tables in the documents, the campaign's deadlines, the text of
-an event and the reaction follow from the declaration.
+A row of the catalogue describes a possible failure. A fault is a row, or a stage of a row, checked
+in every tick. Each row and each fault is declared once, in the module of its kind: ``bus``,
+``node``, ``tendon``, ``host``. The tables in the documents, the deadlines in the campaign, the
+event texts, and the reactions are derived from the declaration.
 
-A compiled detector in ``core.detectors`` finds a fault with ``per``. The declaration returns
-the index of the fault for the detector: ``evidence[N07, motor]``. A bus, the host or the
-recorder reports a fault with ``reports``.
+A fault with ``per`` is detected by compiled code in ``core.detectors``. The declaration returns the
+index for the detector's result: ``evidence[N07, motor]``. A fault with ``reports`` is reported by a
+bus, the host, or the recorder.
 """
 
 from dataclasses import dataclass
@@ -17,44 +17,51 @@ from handctl.safety.action import Action, Release
 
 OPERATOR = "by the operator"
 ITSELF = "by itself"
-"""How a fault ends: the operator clears a latched fault, any other fault ends with its cause."""
+"""End of a fault: the operator clears a latched fault.
+
+Any other fault ends by itself with its cause.
+"""
 
 TENDON = "tendon"
 MOTOR = "motor"
 JOINT = "joint"
 NODE = "node"
 HAND = "hand"
-"""Kinds of instances of a fault. ``NODE``: the motors, then the load cells. ``HAND``: a single instance."""
+"""Kinds of fault instances.
+
+``NODE`` includes motors and load cells. ``HAND`` means a single instance.
+"""
 
 DETECTED = "detected"
 REPLACED = "replaced"
 LOST = "lost"
-"""Visibility of a fault in a protocol: visible, replaced by a weaker sign, or invisible."""
+"""Visibility of a fault with a protocol: detected, replaced by a weaker sign, or lost."""
 TICK = "fault table"
 ARMING = "before arming"
 DRIVE = "the drive itself"
 LOOP = "loop and recorder"
 FILES = "files"
-"""Places where a row is judged."""
+"""Places where a row of the catalogue is checked."""
 
 
 class Row(NamedTuple):
-    """A row of the catalogue.
+    """Row of the catalogue of failures.
 
     Attributes:
-        id: of the row.
-        title: the failure.
-        where: place where the row is judged.
+        id: identifier of the row.
+        title: name of the failure.
+        where: place where the row is checked.
         mit: visibility with the MIT protocol: detected, "replaced: SIGN" or "lost: REASON".
         odrive: visibility with ODrive.
         cia402: visibility with CiA 402.
-        ticks: latest reaction in ticks, plus ``ms``.
-        ms: time in addition to ``ticks`` [ms].
-        odrive_ms: additional time of an ODrive, with a heartbeat every 100 ms [ms].
-        required: ticks of 5 ms for an ideal drive in the project's fault catalogue. 0: no time is
-            given, as before torque.
-        why: reason for more ticks than ``required``, else empty.
-        tested: ``campaign``, or the test with the fault.
+        ticks: longest reaction time in ticks, in addition to ``ms``.
+        ms: longest reaction time in addition to ``ticks`` [ms].
+        odrive_ms: additional reaction time with an ODrive, whose heartbeat has a period of 100 ms
+            [ms].
+        required: reaction time for an ideal drive in the project's fault catalogue [ticks of 5 ms].
+            0 if the catalogue gives no time, for example before torque.
+        why: reason if ``ticks`` is larger than ``required``, else empty.
+        tested: ``campaign``, or the name of the test that covers the fault.
     """
 
     id: str
@@ -71,28 +78,31 @@ class Row(NamedTuple):
     tested: str = "campaign"
 
     def latest_ms(self, rate_hz: float) -> float:
-        """Return the latest reaction at a control rate [ms]. An ODrive may take ``odrive_ms`` more."""
+        """Return the longest reaction time at a control rate [ms].
+
+        With an ODrive, ``odrive_ms`` is added.
+        """
         return self.ticks * 1e3 / rate_hz + self.ms
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """A row judged in every tick, or a stage of the row.
+    """Row of the catalogue, or stage of a row, checked in every tick.
 
     Attributes:
-        id: row of the catalogue, followed by a letter if the row has stages.
+        id: identifier of the row, followed by a letter if the row has stages.
         title: name for an operator.
         detection: condition of the fault.
         action: reaction.
         clears: how the fault ends, ``OPERATOR`` or ``ITSELF``.
         cause: usual causes, for the operator, in whole sentences.
-        remedy: what to do about it, one line for the operator, in whole sentences.
-        debounce: consecutive ticks before the fault counts.
+        remedy: instruction for the operator in one line, in whole sentences.
+        debounce: number of consecutive ticks with the fault after which it counts.
         release: method of removing the torque in RELAX.
         per: kinds of instances, empty for a reported fault.
-        name: of the single instance of ``HAND``.
-        reports: kinds of bus and host events of the fault. Kinds of recorder events
-            begin with ``recorder:``.
+        name: name of the single instance of ``HAND``.
+        reports: kinds of bus and host events that report the fault. Kinds of recorder events begin
+            with ``recorder:``.
     """
 
     id: str
@@ -110,7 +120,7 @@ class Fault:
 
     @property
     def reaction(self) -> str:
-        """Return the action as in the tables, with the method of relaxing."""
+        """Return the text for the reaction in tables, including the method of relaxing."""
         return self.release.value if self.action == Action.RELAX else self.action.name
 
     @property
@@ -130,11 +140,14 @@ CATALOGUE: list[Row] = []
 TABLE: list[Fault] = []
 """All faults, in the order of their declaration."""
 DETECTOR_ROWS: list[tuple[Fault, str]] = []
-"""Fault and kind of instance of each row of the detectors' result table. The kinds of a fault follow each other."""
+"""Fault and kind of instance for each row of the detectors' result table.
+
+Kinds of one fault have adjacent rows.
+"""
 
 
 def row(*args: object, **details: object) -> None:
-    """Declare a row of the catalogue. Arguments: see ``Row``."""
+    """Declare a row of the catalogue. For the arguments see ``Row``."""
     CATALOGUE.append(Row(*args, **details))  # type: ignore[arg-type]
 
 
@@ -152,11 +165,10 @@ def fault(
     name: str = "",
     reports: tuple[str, ...] = (),
 ) -> int:
-    """Declare a fault. Arguments: see ``Fault``.
+    """Declare a fault. For the arguments see ``Fault``.
 
     Returns:
-        Row index of the fault's first kind of instance in the detectors' result table. -1 for a
-            reported fault.
+        First row of the fault in the detectors' result table, -1 for a reported fault.
     """
     declared = Fault(id_, title, detection, action, clears, cause, remedy, debounce, release, per, name, reports)
     TABLE.append(declared)

@@ -16,11 +16,11 @@ from handctl.safety.faults.fault import (
 from handctl.safety.limits import MIN_STALLED_TICKS, STALLED_S
 
 LATE_FRACTION = 0.25
-"""Delay of a late tick, as a fraction of the period."""
+"""Delay from which a tick counts as late, as a fraction of the period."""
 REFUSED_LIMIT = 3
-"""Malformed requests within a second."""
+"""Number of malformed requests within a second for a fault."""
 FOREIGN = "foreign"
-"""Kind of report of a second controller."""
+"""Kind of the event that reports a second controller."""
 
 _NO_CLOCK = f"{DETECTED}: nothing uses the wall clock"
 _APART = f"{DETECTED}: not connected to the loop"
@@ -152,4 +152,7 @@ ON_HARDWARE: tuple[tuple[str, str], ...] = (
     ("T01", "cut a tendon in a grasp, from behind a screen"),
     ("H05", "kill -9 in a grasp, and time the drives with a current probe"),
 )
-"""Tests on hardware. ``docs/evidence/faults.md`` has them as a checklist with dates."""
+"""Tests to do on hardware.
+
+``docs/evidence/faults.md`` contains these tests as a checklist with dates.
+"""

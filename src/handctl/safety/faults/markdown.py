@@ -1,24 +1,24 @@
-"""Tables and sections of the documents in Markdown, generated from the fault declarations."""
+"""Generation of Markdown tables and sections for the documents, from the fault declarations."""
 
 from handctl.safety.faults.fault import TICK, Fault, Row
 from handctl.safety.faults.host import ON_HARDWARE
 from handctl.safety.faults.table import CATALOGUE, TABLE
 
 REQUIRED_MS = 5.0
-"""Tick of the ideal drive in the project's fault catalogue [ms]."""
+"""Tick period assumed in the project's fault catalogue [ms]."""
 RATE_HZ = 500.0
-"""Control rate of the catalogue's times [Hz], as of the packaged hand with a motor per digit."""
+"""Control rate for the times in the catalogue [Hz], that of the packaged hand with one motor per digit."""
 
 
 def fault_table(table: tuple[Fault, ...] = TABLE) -> str:
-    """Return the fault table in Markdown, a row per fault."""
+    """Return the fault table as Markdown, with one row per fault."""
     head = ["| id | fault | detected by | action | cleared |", "|---|---|---|---|---|"]
     rows = [f"| {f.id} | {f.title} | {f.detection} | {f.reaction} | {f.clears} |" for f in table]
     return "\n".join([*head, *rows])
 
 
 def fault_sections(table: tuple[Fault, ...] = TABLE) -> str:
-    """Return a section per fault in Markdown: what happened, why, what happens now, what to do."""
+    """Return one Markdown section per fault: observation, causes, reaction, remedy."""
     return "\n\n".join(
         f"### {f.id}: {f.title}\n\n"
         f"- **What happened:** {f.detection}.\n"
@@ -30,7 +30,7 @@ def fault_sections(table: tuple[Fault, ...] = TABLE) -> str:
 
 
 def catalogue(entries: tuple[Row, ...] = CATALOGUE) -> str:
-    """Return the catalogue in Markdown, with the visibility of each row in each protocol."""
+    """Return the catalogue as Markdown, with the visibility of each row for each protocol."""
     head = "| id | fault | judged by | MIT | ODrive | CiA 402 | latest reaction | tested by |"
     return "\n".join([head, "|---|---|---|---|---|---|---|---|", *map(_row, entries)])
 
@@ -52,15 +52,15 @@ def _ticks(entry: Row) -> int:
 
 
 def late(entry: Row) -> bool:
-    """Return True if a row takes more ticks than the project's fault catalogue allows.
+    """Return True if the reaction to a row takes more ticks than the project's fault catalogue allows.
 
-    A row without a time in the catalogue is never late.
+    If the catalogue gives no time, the result is False.
     """
     return 0 < entry.required < _ticks(entry)
 
 
 def later(entries: tuple[Row, ...] = CATALOGUE) -> str:
-    """Return the rows with a later reaction than in the project's fault catalogue, with reasons, in Markdown."""
+    """Return the rows with a later reaction than in the project's fault catalogue, with reasons, as Markdown."""
     rows = [
         f"| {e.id} | {e.title} | {e.required} | {_ticks(e)} | {e.required * REQUIRED_MS:g} ms "
         f"| {e.latest_ms(RATE_HZ):g} ms | {e.why} |"
@@ -72,6 +72,6 @@ def later(entries: tuple[Row, ...] = CATALOGUE) -> str:
 
 
 def checklist() -> str:
-    """Return the tests on hardware, in Markdown."""
+    """Return the list of tests on hardware as Markdown."""
     rows = [f"| {id_} | {text} |" for id_, text in ON_HARDWARE]
     return "\n".join(["| id | what to do |", "|---|---|", *rows])

@@ -1,4 +1,7 @@
-"""Rows N01 to N17: faults of drives and sensors. The inventory judges N03, and N12 before arming."""
+"""Rows N01 to N17: faults of drives and sensors.
+
+The inventory before arming checks N03 and N12.
+"""
 
 from handctl.safety.action import Action, Release
 from handctl.safety.faults.bus import SHORT, SILENT_WHY
@@ -23,44 +26,43 @@ STUCK_S = 0.1
 STUCK_GOAL_M = 0.5e-3
 STUCK_TENSION_N = 8.0
 STUCK_JOINT_DEG = 10.0
-"""Longest time of a constant reading while a reference moves, and the motion of each reference.
+"""Longest time with a constant sensor reading while a reference moves, and smallest motion of each reference.
 
-For a motor: 0.5 mm of goal, or 8 N of tension (a stretch of 80 um). For a joint: 10 degrees
-as turned by the spools.
+For a motor the goal moves by 0.5 mm, or the tension changes by 8 N (80 um of tendon stretch). For a
+joint the spools turn the joint by 10 degrees.
 """
 SLIP_WARN_DEG = 3.0
 SLIP_TRIP_DEG = 6.0
-"""Difference of joint encoder and spool [deg]: above the first WARN, above the second RELAX."""
+"""Difference between joint encoder and spool above which the reaction is WARN, and above which RELAX [deg]."""
 NOISE_FACTOR = 9.0
-"""Variance of a noise burst, as a multiple of the variance from drive torque on the bare rotor and encoder rounding."""
+"""Variance of a noise burst, as a multiple of the variance expected from drive torque and encoder rounding."""
 WARM_TICKS = 20
-"""Consecutive ticks of a high temperature."""
+"""Number of consecutive ticks with a high temperature for a fault."""
 DISOBEYED_N = 15.0
-"""Difference of commanded and reported torque, as tension [N]."""
+"""Difference between commanded and reported torque for a fault, converted to tension [N]."""
 SWING_N = 8.0
 SWING_S = 0.25
 SWING_HZ = 8.0
-"""RMS of a swing of tension [N] (an amplitude of 11 N), duration until the hand relaxes [s], and lowest
-frequency [Hz].
+"""Tension oscillation: RMS [N] (for an amplitude of 11 N), duration before RELAX [s], lowest frequency [Hz].
 
-A command step of 75 N at 5000 N/s exceeds the RMS for 0.15 s.
+A command step of 75 N at 5000 N/s exceeds this RMS for only 0.15 s.
 """
 HALF_RATE_MISSES = 7
-"""Misses within ``SHORT`` ticks of a node at half rate.
+"""Missing replies within ``SHORT`` ticks from a node that replies at half the control rate.
 
-Two misses in a row occur where the phase shifts.
+Two missing replies in a row occur when the phase between ticks and replies shifts.
 """
 PULLED_AFTER_S = 0.1
 PULLED_FRACTION = 0.5
 PULLED_N = 10.0
-"""Time after a cut of the torque [s], and least fraction and tension [N] of a tendon still pulled then.
+"""Tendon still pulled after a cut: time after the cut [s], smallest fraction of the tension before, tension [N].
 
-In a released grasp, the packaged hands' tendons bear at most a third after this time. With a motor
-still pulling, at least 0.74.
+After this time, tendons of the packaged hands have at most a third of their tension if the motor is
+off, and at least 0.74 of their tension if the motor still pulls.
 """
 REPORTED_FRACTION = 0.4
 REPORTED_S = 0.25
-"""Least reported fraction of the command's changes, and time constant of the comparison [s]."""
+"""Smallest ratio of reported to commanded torque change, and time constant of the comparison [s]."""
 
 # Texts of the catalogue's columns for protocols without a direct sign.
 _BEAT = f"{DETECTED}: by the heartbeat, every 100 ms"

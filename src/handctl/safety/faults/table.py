@@ -1,4 +1,4 @@
-"""The fault table and the catalogue as declared, and arrays for the compiled judge."""
+"""Fault table and catalogue with all declarations, and arrays for the compiled judge."""
 
 import numpy as np
 
@@ -12,20 +12,20 @@ CATALOGUE: tuple[Row, ...] = tuple(declared.CATALOGUE)
 """All rows of the catalogue."""
 
 DETECTOR_ROWS: tuple[tuple[Fault, str], ...] = tuple(declared.DETECTOR_ROWS)
-"""Fault and kind of instance of each row of the detectors' result table."""
+"""Fault and kind of instance for each row of the detectors' result table."""
 DEBOUNCE = np.array([fault.debounce for fault, _ in DETECTOR_ROWS], dtype=np.int64)
-"""(rows,) consecutive ticks before a fault counts."""
+"""(rows,) number of consecutive ticks after which a fault counts."""
 ACTIONS = np.array([int(fault.action) for fault, _ in DETECTOR_ROWS], dtype=np.int64)
-"""(rows,) action of the fault."""
+"""(rows,) reaction to the fault."""
 
 REPORTS: dict[str, tuple[Fault, ...]] = {
     kind: tuple(fault for fault in TABLE if kind in fault.reports)
     for kind in dict.fromkeys(kind for fault in TABLE for kind in fault.reports)
 }
-"""Faults of each kind of report from a bus, the host or the recorder."""
+"""Faults reported by each kind of event from a bus, the host, or the recorder."""
 
 
 def remedy(text: str) -> str:
-    """Return what to do about the fault of an event's text, which begins with the id. Empty for other texts."""
+    """Return the remedy for the fault in an event text, empty if the text does not begin with a fault id."""
     fault = BY_ID.get(text.partition(" ")[0])
     return fault.remedy if fault else ""

@@ -1,45 +1,46 @@
-"""Rows T01 to T09: faults of tendons and their load cells. Commissioning judges T07."""
+"""Rows T01 to T09: faults of tendons and their load cells. Commissioning checks T07."""
 
 from handctl.safety.action import Action, Release
 from handctl.safety.faults.fault import ARMING, DETECTED, ITSELF, OPERATOR, REPLACED, TENDON, TICK, fault, row
 
 TAUT_N = 2.5
 SLACK_N = 2.0
-"""Filtered tension of a taut tendon (above the first), and of a slack tendon (below the second) [N]."""
+"""Filtered tension above which a tendon counts as taut, and below which it counts as slack [N]."""
 SNAP_FRACTION = 0.2
 SNAP_N = 8.0
 SNAP_SPEED = 0.03
 SNAP_MEMORY_S = 0.1
-"""Thresholds of a snapped tendon: tension fraction, least tension before [N], spool speed [m/s], memory [s].
+"""Thresholds for a snapped tendon: tension fraction, lowest tension before [N], spool speed [m/s], memory [s].
 
-A tendon has snapped if the tension is less than the fraction of at least ``SNAP_N``, the spool
-winds at least at ``SNAP_SPEED``, and the tendon was taut within the last ``SNAP_MEMORY_S``. A
-tendon in take-up was not taut before. A tendon without load is still taut.
+A tendon counts as snapped if its tension was at least ``SNAP_N`` and has dropped below the given
+fraction, the spool winds with at least ``SNAP_SPEED``, and the tendon was taut within the last
+``SNAP_MEMORY_S``. During take-up a tendon was not taut before, so no fault is raised. A tendon
+without load stays taut.
 """
 SLACK_WARN_S = 0.05
 SLACK_TRIP_S = 0.5
-"""Duration of slack [s]: above the first WARN, above the second RELAX."""
+"""Duration of slack above which the reaction is WARN, and above which RELAX [s]."""
 RELAXED_S = 0.1
-"""Time from the start of relaxing until every tendon of an obeying motor is below the trip limit [s]."""
+"""Time from the start of relaxing after which a tendon must be below the trip limit if its motor obeys [s]."""
 RESIDUAL_WARN_N = 5.0
 RESIDUAL_TRIP_N = 10.0
-"""Unexplained tension [N]: above the first WARN, above the second RELAX."""
+"""Unexplained tension above which the reaction is WARN, and above which RELAX [N]."""
 FRICTION_WARN_N = 3.0
-"""Friction above the hand file's [N]."""
+"""Friction in excess of that in the hand file for a fault [N]."""
 CELL_TICKS = 40
 CELL_FORCE_N = 5.0
-"""Equal counts in a row of a stuck load cell, and motion of the motor's force meanwhile [N].
+"""Stuck load cell: number of equal readings in a row, and change of the motor force meanwhile [N].
 
-The noise of a healthy cell is eight counts.
+The noise of a healthy load cell is eight counts.
 """
 MIN_REPEATS = 8
 REPEAT_WINDOW = 16
-"""Repeated readings in a row before the test for chance, and number of readings in the estimate of chance."""
+"""Number of equal readings in a row before the probability test, and number of readings for its estimate."""
 SATURATED_TICKS = 3
-"""Consecutive ticks of a saturated load cell."""
+"""Number of consecutive ticks with a saturated load cell for a fault."""
 DERAILED_DEG = 15.0
 DERAILED_READINGS = 3
-"""Difference of joint and spool, unfiltered, beyond any stretch of a tendon [deg], and consecutive readings."""
+"""Unfiltered difference between joint and spool, beyond any tendon stretch [deg], and number of readings in a row."""
 
 _SLACK = f"{REPLACED}: only with joint encoders, by three readings, else by slack (T02)"
 _ODRIVE = f"{DETECTED}: against the commanded torque"

@@ -1,15 +1,14 @@
-"""Detection of contact in the sweeps of a digit, by the unexplained part of the fit.
+"""Detection of a contact during the sweeps of a digit, from the residuals of the fit.
 
-A contact adds tension from some angle on, and more the further the digit closes. A fit hides most
-of it in the springs, but no parameter has a kink. Therefore a ramp that begins at some angle is
-added to the linearised fit. The score is the ramp's size in standard deviations, after all
-parameters have taken a share.
+A contact adds tension from a certain angle on, and the added tension grows as the digit closes. The
+fit attributes most of this tension to the springs, but no parameter can reproduce the kink.
+Therefore a ramp that begins at some angle is added to the linearised fit. The score is the size of
+the ramp in standard deviations, fitted together with all parameters.
 Source: score test (Rao 1948).
 
-A contact that lasts from the open stop on has no kink. A digit of n joints, one of which cannot
-move, looks like one with springs n / (n - 1) times as stiff and (n - 1) / n of their preload. Its
-travel tells the two apart: all joints move if the digit closes farther than all but one of them
-can.
+A contact from the open stop on causes no kink. A digit with n joints and one immobile joint behaves
+like a digit with springs n / (n - 1) times as stiff and (n - 1) / n of the preload. The travel
+distinguishes the two cases: if the digit closes farther than n - 1 joints can, all joints move.
 """
 
 from collections.abc import Sequence
@@ -20,42 +19,43 @@ import numpy as np
 from handctl.tune.identify.data import Array
 
 KINK = 4.5
-"""Least score of a contact, for a digit with one tendon."""
+"""Smallest score that counts as a contact, for a digit with one tendon."""
 KINK_OF_SEVERAL = 6.0
-"""Least score of a contact, for a digit with several tendons.
+"""Smallest score that counts as a contact, for a digit with several tendons.
 
-Undisturbed hands of 20 seeds, off by up to 30 %, have scores up to 3.1 with one tendon and 3.9 with
-several. With several tendons a ramp is tried at every joint, and errors of joint encoders are left
-out. A jamia finger that meets the thumb between 14 and 25 degrees has scores from 4.7 to 17.
+Hands without contact (20 seeds, parameters wrong by up to 30 %) have scores up to 3.1 with one
+tendon and 3.9 with several. With several tendons a ramp is tried at every joint, and errors of
+joint encoders are neglected. A jamia finger that touches the thumb between 14 and 25 degrees has
+scores from 4.7 to 17.
 """
 CLEAR = 3.0
-"""Score below which a fit clears a blocked digit."""
+"""Score below which a fit proves that a digit was not blocked."""
 CLEAR_ROWS = 80
-"""Least number of rows of such a fit."""
+"""Smallest number of rows in a fit that proves this."""
 CLEAR_SQUARE = 1.5
-"""Largest mean square of such a fit's residuals."""
+"""Largest mean square of the residuals in a fit that proves this."""
 CLEAR_OUTLIERS = 0.005
-"""Largest fraction of outliers of such a fit's rows."""
+"""Largest fraction of outliers among the rows of a fit that proves this."""
 RAMP_STARTS = 40
-"""Number of angles at which a ramp is tried."""
+"""Number of start angles tried for a ramp."""
 END_FRACTION = 0.04
-"""Fraction of the sweep at either end where no ramp is tried, because it would rest on a few rows."""
+"""Fraction of the sweep at each end without tried ramps, because only few rows would determine such a ramp."""
 MIN_OWN_FRACTION = 1e-6
-"""Least part of a ramp (squared) that the parameters do not explain."""
+"""Smallest fraction of a ramp (squared) not explained by the parameters."""
 
 
 class Ramp(NamedTuple):
-    """The ramp with the largest score in the residuals of a fit.
+    """Ramp with the largest score in the residuals of a fit.
 
     Attributes:
-        score: size in standard deviations, positive if it adds to the tension.
-        begin: angle at the beginning, mean of the joints [rad].
+        score: size in standard deviations, positive if the ramp adds tension.
+        begin: mean joint angle at which the ramp begins [rad].
         end: largest angle of the sweep [rad].
-        rise: tension [N] or joint torque [N m] at that angle.
-        rows: rows of the sweep.
-        outliers: fraction of rows that the fit has left out.
-        square: mean square of the other residuals.
-        kink: score from which the digit.
+        rise: tension [N] or joint torque [N m] of the ramp at angle ``end``.
+        rows: number of rows in the sweep.
+        outliers: fraction of rows excluded by the fit.
+        square: mean square of the residuals without outliers.
+        kink: smallest score that counts as a contact of this digit.
     """
 
     score: float
@@ -69,7 +69,7 @@ class Ramp(NamedTuple):
 
     @property
     def met(self) -> bool:
-        """Return True if the digit has touched something."""
+        """Return True if the digit has touched an obstacle."""
         return abs(self.score) >= self.kink
 
     @property
@@ -80,15 +80,15 @@ class Ramp(NamedTuple):
 
 
 def steepest(jacobian: Array, residual: Array, first: int, angle: Array, units: Sequence[Array]) -> Ramp | None:
-    """Return the ramp with the largest score, None if the fit has no sweep.
+    """Return the ramp with the largest score, or None if the fit has no sweep.
 
     Args:
         jacobian: (rows, parameters) of the fit, with rows of zeros for outliers.
-        residual: (rows,) measured less expected, in standard deviations.
+        residual: (rows,) measured minus expected values, in standard deviations.
         first: row at which the sweep begins.
         angle: (m,) mean joint angle of the sweep's bins [rad].
-        units: (m k,) residuals of a tension of 1 N or a torque of 1 N m, k rows for each bin,
-            for every kind of ramp.
+        units: residuals (m k,) caused by a tension of 1 N or a torque of 1 N m, k rows per bin, for
+            every kind of ramp.
     """
     if not len(angle) or not units:
         return None
@@ -125,8 +125,8 @@ def joints_moving(joint_count: int, preload: float, half_width: float, travel: f
 
     Args:
         joint_count: number of joints.
-        preload: preload of its springs as identified, over the hand file's.
-        half_width: half width of the interval.
+        preload: identified preload of the springs, divided by that of the hand file.
+        half_width: half width of the interval of the preload.
         travel: largest excursion of the digit [m].
         full: excursion with all joints at their closed ends [m].
     """

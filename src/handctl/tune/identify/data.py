@@ -1,4 +1,4 @@
-"""Data of a tendon from a log: travel, tension and torque at the same instants, and their use in the fit."""
+"""Data of a tendon from a log: travel, tension, and torque at the same times, and their use in the fit."""
 
 import json
 from dataclasses import dataclass, replace
@@ -17,26 +17,28 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SLACK_STEPS = ("tare",)
-"""Steps in which the tendon is slack."""
+"""Names of steps in which the tendon is slack."""
 STOP_STEPS = ("stretch",)
-"""Steps in which the tendon is taut and the digit on its open stop."""
+"""Names of steps in which the tendon is taut and the digit is at its open stop."""
 FREE_STEPS = ("sweep",)
-"""Steps in which the digit moves freely."""
+"""Names of steps in which the digit moves freely."""
 CONTACT_STEPS = ("close", "open")
-"""Steps in which a contact begins or ends. The motor's force may jump within a sample."""
+"""Names of steps in which a contact begins or ends, so that the motor force may jump within a sample."""
 SETTLE_S = 0.02
-"""Time left out at the beginning of a step [s]."""
+"""Time excluded at the beginning of a step [s]."""
 TRANSIENT_S = 0.35
-"""Time until the digit has fallen open or the tendon is slack [s]."""
+"""Time until the digit has opened by its springs or the tendon is slack [s]."""
 STOP_DEG = 2.0
-"""Distance from a stop with an unknown share of the load [deg]."""
+"""Distance from a stop within which the stop may carry part of the load [deg]."""
 MIN_TENSION_N = 2.0
 """Tension above which a tendon counts as taut [N]."""
 
 
 @dataclass(frozen=True, slots=True)
 class TendonData:
-    """Data of a tendon while its digit is excited. Row j of every array is the instant t = j periods.
+    """Data of a tendon while its digit is excited.
+
+    Row j of every array belongs to the time t = j periods.
 
     Attributes:
         tendon: name of the tendon.
@@ -45,12 +47,12 @@ class TendonData:
         t: (n,) time on the log's clock [s].
         travel: (n,) travel at the spool [m], NaN where missing.
         tension: (n,) load cell without its tare [N], NaN where missing.
-        command: (n,) motor force at the tendon, commanded from this instant on [N].
+        command: (n,) motor force at the tendon, commanded from this time on [N].
         joints: (n, joints) joint encoders of the digit [rad], NaN where missing.
-        slack: tendon slack, so the load cell shows its offset.
-        stop: tendon taut, digit on the open stop.
-        free: tendon taut, digit moving freely.
-        acting: the motor equation holds.
+        slack: (n,) True if the tendon is slack. The load cell then shows its offset.
+        stop: (n,) True if the tendon is taut and the digit is at its open stop.
+        free: (n,) True if the tendon is taut and the digit moves freely.
+        acting: (n,) True if the motor equation is valid.
     """
 
     tendon: str
@@ -70,8 +72,8 @@ class TendonData:
 def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
     """Return the data of every excited tendon, or of all tendons if the log has no excitation.
 
-    A tick's measurements were taken at the instant of the tick before, so measurements are shifted
-    by one tick.
+    The measurements received in a tick were taken at the time of the previous tick. Therefore
+    measurements are shifted by one tick.
 
     Args:
         log: log of any run.
@@ -117,7 +119,7 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
 
 
 def _logged_gain(log: RunLog, tendons: int) -> list[float]:
-    """Return the torque gains (N,) that the run's controller already compensated."""
+    """Return the torque gains (N,) with which the controller of the run already compensated."""
     text = log.header.attachments.get(ATTACHMENT, b"{}")
     with Reading(f"{ATTACHMENT} in the log"):
         setup = json.loads(text)
@@ -136,7 +138,7 @@ def _digit_has_tendon(hand: Hand, digit: str, tendon: int) -> bool:
 
 
 def _free_motion(log: RunLog, hand: Hand, digit: str) -> Mask:
-    """Return the ticks in which a digit has followed a trajectory away from its stops for a while."""
+    """Return a mask of the ticks in which a digit has followed a trajectory for a while, away from its stops."""
     joints = hand.digit_joints[digit]
     (digit_file,) = (candidate for candidate in hand.digit if candidate.name == digit)
     # A stop carries a part of the load near the ends of a joint's range.
@@ -148,14 +150,14 @@ def _free_motion(log: RunLog, hand: Hand, digit: str) -> Mask:
 
 
 def _lasting(mask: Mask, late: int) -> Mask:
-    """Return where a mask has been True for more than `late` ticks."""
+    """Return a mask that is True where `mask` has been True for more than `late` ticks."""
     # Index of the latest False up to each tick, -1 before the first.
     last = np.maximum.accumulate(np.where(mask, -1, np.arange(len(mask))))
     return np.asarray(np.arange(len(mask)) - last > late)
 
 
 def _during(phases: NDArray[np.str_], digit: str, steps: tuple[str, ...], settle: int) -> Mask:
-    """Return the ticks of some steps of a digit, each without its first `settle` ticks."""
+    """Return a mask of the ticks in some steps of a digit, without the first `settle` ticks of each step."""
     inside = np.isin(phases, [f"{digit} {step}" for step in steps])
     settled = inside.copy()
     for shift in range(1, settle):
@@ -164,7 +166,7 @@ def _during(phases: NDArray[np.str_], digit: str, steps: tuple[str, ...], settle
 
 
 def _cut(data: TendonData, phases: NDArray[np.str_], digit: str) -> TendonData:
-    """Return the data of the time in which the digit was excited."""
+    """Return the data restricted to the time in which the digit was excited."""
     ticks = np.flatnonzero(np.char.startswith(phases[:-1], f"{digit} "))
     rows = slice(int(ticks[0]), int(ticks[-1]) + 1)
     parts = {

@@ -1,4 +1,4 @@
-"""Excitation of a digit for identification, within the limits and in about twenty seconds."""
+"""Excitation of a digit for identification, within its limits. Takes about twenty seconds."""
 
 import math
 
@@ -9,36 +9,39 @@ from handctl.programs.excite import ExciteStep
 LOW_DEG = 6.0
 """Margin of free sweeps to the open stop and the closed ends [deg]."""
 HIGH_DEG = 32.0
-"""Upper end of free sweeps above the open stop [deg].
+"""Upper end of free sweeps, measured from the open stop [deg].
 
-The fingers of the packaged hands meet thumb or palm beyond it.
+Beyond this angle the fingers of the packaged hands touch thumb or palm.
 """
 SWING_DEG = 9.0
-"""Amplitude of the swing [deg]."""
+"""Amplitude of the sinusoidal swing [deg]."""
 SWING_LOW_HZ = 0.7
 """Lowest frequency of the swing [Hz]."""
 SWING_HIGH_HZ = 6.0
 """Highest frequency of the swing [Hz]."""
 PRESS_FRACTIONS = (0.08, 0.15, 0.5)
-"""Tension at the end of a press and the two tensions of the press, as fractions of the maximum.
+"""Tension at the end of a press, and the two tensions of the press, as fractions of the largest tension.
 
-A motor 30 % weaker than its file lacks a third of the commanded tension. At higher tensions it
-would look like a wrong load cell (T04b).
+A motor 30 % weaker than in the hand file reaches only two thirds of the commanded tension. At
+higher tensions the monitor would report a wrong load cell (T04b).
 """
 MIN_TENSION_N = 1.1
-"""Lower tension of a stretch on the open stop, above the slack limit [N]."""
+"""Lower tension of a stretch at the open stop, relative to the slack limit [N]."""
 LIFT_FRACTION = 0.6
-"""Upper tension of a stretch, as a fraction of the tension that lifts the digit off its stop.
+"""Upper tension of a stretch, as a fraction of the tension at which the digit leaves its open stop.
 
-The springs are those of the hand file.
+This tension is computed with the springs of the hand file.
 """
 MIN_STRETCH_RANGE_N = 0.5
-"""Least range of a stretch [N]. Less is lost in the load cell's noise."""
+"""Smallest tension range of a stretch [N].
+
+A smaller range would be hidden in the noise of the load cell.
+"""
 STRETCH_S = 0.9
 """Duration of a stretch [s].
 
-The motor's own friction exceeds the tension, and gains may be weak. On quicker ramps the tension
-makes a third of its way.
+The friction of the motor exceeds the tension, and the gains may be low. On faster ramps the tension
+would change by only a third of its range.
 """
 STRETCHES = 4
 """Number of stretches up and down."""
@@ -47,7 +50,7 @@ SWEEP_S = (0.8, 0.3, 0.55, 0.8)
 
 
 def excitation(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, ...]:
-    """Return the steps of the named digits, one digit after the other.
+    """Return the steps for the named digits, one digit after the other.
 
     Raises:
         ConfigError: A digit does not exist, or its springs are too weak to stretch its tendon
@@ -68,7 +71,7 @@ def excitation(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, ...]:
 
 
 def _steps(hand: Hand, digit: str) -> list[ExciteStep]:
-    """Return a digit's steps: tare, stretches, slow and fast sweeps, a swing, presses against an obstacle."""
+    """Return a digit's steps: tare, stretches, slow and fast sweeps, a swing, and presses against an obstacle."""
     tendons = hand.tendon[hand.digit_tendons[digit]]
     max_tension = min(tendon.tension_max_N for tendon in tendons)
     floor = max(tendon.tension_floor_N for tendon in tendons)
@@ -118,7 +121,7 @@ def _steps(hand: Hand, digit: str) -> list[ExciteStep]:
 
 
 def _range(hand: Hand, digit: str) -> tuple[float, float]:
-    """Return the range of free sweeps of a digit's joints [deg]."""
+    """Return the angle range for free sweeps of a digit's joints [deg]."""
     digit_file = hand.digit_named(digit)
     lower = max(digit_file.joint_min_deg)
     upper = min(digit_file.joint_max_deg)
@@ -126,7 +129,7 @@ def _range(hand: Hand, digit: str) -> tuple[float, float]:
 
 
 def lift_off(hand: Hand, digit: str) -> float:
-    """Return the tension that lifts a joint of the digit off its open stop, without friction and weight [N]."""
+    """Return the tension at which a joint leaves its open stop, without friction and weight [N]."""
     digit_file = hand.digit_named(digit)
     joints = hand.digit_joints[digit]
     arms = abs(hand.moment_arms[hand.digit_tendons[digit], joints]).sum(axis=0)

@@ -1,4 +1,4 @@
-"""Figure of an identification: measurements, model, and deviation from the hand file."""
+"""Figure of an identification: measurements, model, and difference from the hand file."""
 
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,10 @@ WARN = "#999999"
 
 
 def draw(path: Path, result: TendonResult, title: str) -> None:
-    """Draw the identification of a tendon as PNG.
+    """Draw the identification result of a tendon as PNG.
 
     Args:
-        path: file to write.
+        path: path of the file to write.
         result: result of the tendon.
         title: title of the figure.
     """
@@ -136,7 +136,7 @@ def _coherence(axis: Any, result: TendonResult) -> None:
 
 
 def _parameters(axis: Any, result: TendonResult) -> None:
-    """Draw every identified parameter relative to the hand file, with its interval."""
+    """Draw every identified parameter relative to the hand file, with its confidence interval."""
     names = [name for name in UNITS if name != "delay"]
     values = result.fit.values
     widths = result.fit.half_widths

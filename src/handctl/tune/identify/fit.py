@@ -1,7 +1,9 @@
-"""Fit of a tendon: all equations at once, with the load cell's slow drift among the unknowns.
+"""Fit of a tendon's parameters to all equations at once.
 
-Parameters are scaled by the hand file to the order of 1. Residuals are in standard deviations of
-the load cell.
+The slow drift of the load cell is fitted too.
+
+Parameters are divided by the values of the hand file, so that they are of order 1. Residuals are
+divided by the standard deviation of the load cell.
 """
 
 from dataclasses import dataclass
@@ -23,46 +25,49 @@ NAMES = (
     "rope_stiffness", "spring_stiffness", "spring_preload", "capstan", "joint_damping", "link_mass",
     "stretch_offset", "stop_softness",
 )  # fmt: skip
-"""Parameters of a tendon in the order of the fit. The load cell's drift follows."""
+"""Names of a tendon's parameters in the order of the fit.
+
+The drift of the load cell comes after these.
+"""
 SCALE_DELAY_S = 1e-3
 """Scale of the delay [s]."""
 SCALE_OFFSET_M = 1e-4
 """Scale of the stretch offset [m]."""
 PRIOR = {"link_mass": 0.3, "stop_softness": 0.5, "stretch_offset": 1000.0}
-"""Prior spread of parameters that are known beforehand, in scales.
+"""Prior standard deviation of parameters with prior knowledge, divided by the scale of the parameter.
 
-Masses are weighed. The stretch offset is as good as unknown.
+Masses are weighed, so they are well known. The stretch offset is practically unknown.
 """
 SOFTNESS = 0.04
-"""Compliance of the open stop, as a fraction of the hand file's tendon, within half of it.
+"""Compliance of the open stop, as a fraction of the tendon's in the hand file, with an uncertainty of half.
 
-This is an assumption: at the load cell tendon and stop are springs in series, and no measurement
-tells them apart. The stops of the packaged simulator yield by 3.8e-7 m/N at the tendon, which is
-0.038.
+This is an assumption, because for the load cell tendon and stop are springs in series, and no
+measurement separates the two. In the packaged simulator the compliance of the stops at the tendon
+is 3.8e-7 m/N, or 0.038 of the tendon's.
 """
 VAGUE = 3.0
-"""Prior relative spread of all other parameters.
+"""Prior relative standard deviation of all other parameters.
 
-This prior keeps a fit finite without data for a parameter.
+This prior keeps a fit finite if the data do not determine a parameter.
 """
 OFFSET_N = 1.0
-"""Prior spread of a tared load cell without tension [N]."""
+"""Prior standard deviation of the offset of a tared load cell [N]."""
 KNOT_S = 1.0
-"""Distance of the drift's knots [s]."""
+"""Time between the knots of the drift [s]."""
 STOP_BIN_S = 0.05
-"""Length of bins on the stop [s].
+"""Length of bins at the open stop [s].
 
-The tendon creeps there, and only this long crosses enough encoder counts for their steps to average
-out.
+At the stop the travel changes slowly. Only in a bin of this length does it pass enough encoder
+counts for the quantisation to average out.
 """
 MIN_SCALE = 0.02
 """Lower bound of scaled parameters."""
 MAX_SCALE = 20.0
 """Upper bound of scaled parameters."""
 CONFIDENCE = 0.95
-"""Confidence of all intervals."""
+"""Confidence level of all intervals."""
 INFORMED = 0.5
-"""Largest half width of an identified parameter, as a fraction of the value."""
+"""Largest half width of the interval of an identified parameter, as a fraction of the value."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +76,7 @@ class Problem:
 
     Attributes:
         spool: radius of the spool [m].
-        nominal: (13,) scale of each parameter.
+        nominal: (13,) scale of each parameter, from the hand file.
         load: model of the digit, None if it has several tendons.
         motor: windows of the motor equation.
         free: bins in free motion.
@@ -95,7 +100,7 @@ class Problem:
 
     @staticmethod
     def of(data: TendonData, hand: Hand) -> "Problem":
-        """Make the problem of a tendon.
+        """Return the problem for the data of a tendon.
 
         Raises:
             LogError: The tendon does not move in the log.
@@ -142,14 +147,14 @@ class Problem:
         )
 
     def start(self) -> Array:
-        """Return the initial scaled parameters (13 + k,), those of the hand file."""
+        """Return the initial scaled parameters (13 + k,), taken from the hand file."""
         first = np.ones(len(NAMES))
         first[NAMES.index("delay")] = 1.0
         first[NAMES.index("stretch_offset")] = self._first_offset() / SCALE_OFFSET_M
         return np.append(first, np.zeros(len(self.knots)))
 
     def bounds(self) -> tuple[Array, Array]:
-        """Return lower and upper bounds of the scaled parameters. Sizes stay positive."""
+        """Return lower and upper bounds of the scaled parameters. Physical sizes stay positive."""
         free = np.full(len(NAMES) + len(self.knots), np.inf)
         low = -free
         high = free
@@ -159,7 +164,7 @@ class Problem:
         return low, high
 
     def _first_offset(self) -> float:
-        """Return the stretch offset by the data on the stop [m], or the least travel in free motion."""
+        """Return the stretch offset from data at the stop [m], or from the smallest travel in free motion."""
         stiffness = self.nominal[NAMES.index("rope_stiffness")]
         if len(self.stop.t):
             return float(np.mean(self.stop.travel - self.stop.tension / stiffness))
@@ -172,7 +177,7 @@ class Problem:
         return np.concatenate([*self._data(p, drift), *self._prior(z, drift)])
 
     def _data(self, p: Array, drift: Array) -> list[Array]:
-        """Return the residuals of the data."""
+        """Return the residuals of the measured data."""
         gain, inertia, viscous, coulomb, delay, stiffness = p[:6].tolist()
         m = self.motor
         r = self.spool
@@ -188,7 +193,7 @@ class Problem:
         return rows
 
     def _expected(self, p: Array, stiffness: float) -> list[tuple[Bins, Array]]:
-        """Return the bins and their expected tensions."""
+        """Return the bins with their expected tensions."""
         rows = [
             (
                 self.stop,
@@ -201,11 +206,11 @@ class Problem:
         return rows
 
     def _offset(self, t: Array, drift: Array) -> Array:
-        """Return the drift of the load cell at times [N]."""
+        """Return the offset of the load cell at the given times [N]."""
         return np.asarray(np.interp(t, self.knots, drift))
 
     def _prior(self, z: Array, drift: Array) -> list[Array]:
-        """Return the residuals of drift and priors."""
+        """Return the residuals of drift and prior knowledge."""
         spread = np.array([PRIOR.get(name, VAGUE) for name in NAMES])
         return [np.diff(drift) / self.step, drift[:1] / OFFSET_N, (z[: len(NAMES)] - 1.0) / spread]
 
@@ -223,11 +228,11 @@ class Fit:
     Attributes:
         problem: input of the fit.
         z: scaled parameters, drift included.
-        covariance: their covariance.
-        freedom: degrees of freedom of each parameter's spread.
-        sensitivity: (rows, 13) weighted Jacobian of the data's rows.
+        covariance: covariance of the scaled parameters.
+        freedom: degrees of freedom of each parameter's variance.
+        sensitivity: (rows, 13) weighted Jacobian of the data rows.
         residual: (rows,) residuals, priors included.
-        ramp: ramp of tension that the free sweeps leave unexplained, None if the fit has none.
+        ramp: ramp of tension in the residuals of the free sweeps, None without free sweeps.
     """
 
     problem: Problem
@@ -245,11 +250,11 @@ class Fit:
 
     @property
     def half_widths(self) -> dict[str, float]:
-        """Return half of each 95 % interval, in the parameter's unit."""
+        """Return half the width of each 95 % interval, in the unit of the parameter."""
         return self.half_widths_of(1)
 
     def half_widths_of(self, count: int) -> dict[str, float]:
-        """Return half of the intervals that cover `count` parameters at once with 95 %, in their units.
+        """Return half the widths of intervals that cover `count` parameters simultaneously with 95 %.
 
         Source: Sidak (1967), conservative for parameters that are not independent.
         """
@@ -276,7 +281,7 @@ def fit_tendon(problem: Problem) -> Fit:
 
 
 def _ramp(problem: Problem, solution: Solution) -> Ramp | None:
-    """Return the ramp of tension that the free sweeps leave unexplained."""
+    """Return the ramp of tension in the residuals of the free sweeps."""
     free = problem.free
     load = problem.load
     if load is None or not len(free.t):
@@ -300,7 +305,7 @@ def _times(problem: Problem) -> Array:
 def _noise(data: TendonData, stated: float) -> float:
     """Return the standard deviation of a load-cell sample [N].
 
-    At rest and in slow stretches neighbouring samples differ by noise only.
+    At rest and in slow stretches, neighbouring samples differ only by noise.
     """
     quiet = data.tension[data.slack | data.stop]
     quiet = quiet[np.isfinite(quiet)]

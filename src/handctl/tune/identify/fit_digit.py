@@ -1,12 +1,12 @@
-"""Springs and friction of a digit with several tendons: balance of the joints, by load cells and joint encoders.
+"""Fit of springs and friction of a digit with several tendons, from load cells and joint encoders.
 
     sum_j R_ji f_j exp(-mu_j sgn(w_j) (phi_j + q_1 + .. + q_i)) = S k_i (q_i + P p_i) + b_i q_i' + m (M q'' + g)_i
 
-This is the balance of joint i in free motion. The exponent has the wrap and the angles that tendon
-j has passed by joint i. The load cells' drift comes from the fits of the tendons. Every load cell
-counts once: rows are balances in units of the noise that the load cells cause.
-Source: as in `fit_load`. Errors of joint encoders are a tenth of those of load cells here and are
-left out.
+This is the balance of joint i in free motion. The exponent contains the wrap angle and the joint
+angles passed by tendon j up to joint i. The drift of the load cells comes from the fits of the
+tendons. The rows of the fit are torque balances, divided by their noise, which the load cells
+cause. Source: as in `fit_load`. Errors of joint encoders have a tenth of the effect of load-cell
+errors here, and are neglected.
 """
 
 from collections.abc import Sequence
@@ -24,18 +24,24 @@ from handctl.tune.identify.fit_load import MAX_FRICTION_EXPONENT
 from handctl.tune.identify.solve import Solution, solve
 
 SHARED_PARAMETERS = ("spring_stiffness", "spring_preload", "joint_damping", "link_mass")
-"""Factors on the hand file for the whole digit. A capstan coefficient for every tendon follows."""
+"""Names of the factors for the whole digit, relative to the hand file.
+
+The capstan coefficients of the tendons come after these.
+"""
 HALF_S = 0.01
-"""Time over which signals are averaged to either side of a joint reading [s]."""
+"""Time before and after a joint reading over which signals are averaged [s]."""
 MIN_SPEED_M_S = 2.5e-3
-"""Least speed of every tendon [m/s]. Below it the direction of friction is not known at every pulley."""
+"""Smallest speed required of every tendon [m/s].
+
+At lower speeds the direction of friction is not known at every pulley.
+"""
 MIN_ROWS = 20
-"""Least number of moments of a fit."""
+"""Smallest number of sample times for a fit."""
 
 
 @dataclass(frozen=True, slots=True)
 class Balance:
-    """Moments of free motion with joint readings.
+    """Sample times of free motion with joint readings.
 
     Attributes:
         digit: model of the digit.
@@ -43,8 +49,8 @@ class Balance:
         q: (m, joints) joint angles [rad].
         dq: (m, joints) joint rates [rad/s].
         rigid: (m, joints) torque of inertia and weight [N m].
-        tension: (m, tendons) tension without drift [N].
-        side: (m, tendons) direction of the tendons.
+        tension: (m, tendons) load-cell tension, corrected for drift [N].
+        side: (m, tendons) sign of the tendon speeds.
         noise: (tendons,) noise of the averaged load cells [N].
         doubt: (tendons,) standard deviation of the load cells' remaining drift [N].
     """
@@ -61,7 +67,7 @@ class Balance:
 
     @staticmethod
     def of(digit: DigitModel, data: Sequence[TendonData], fits: Sequence[Fit]) -> "Balance | None":
-        """Make the balance of a digit from data and fits of the tendons, None if there is too little.
+        """Return the balance of a digit from data and fits of its tendons, or None with too few sample times.
 
         Args:
             digit: model of the digit.
@@ -122,9 +128,9 @@ class Balance:
 
     @property
     def whiten(self) -> Array:
-        """Return the whitening matrix (joints, joints) of the torques.
+        """Return the whitening matrix (joints, joints) for the joint torques.
 
-        Whitened torques of a moment are independent, in standard deviations.
+        Whitened torques of one sample time are independent, with a standard deviation of 1.
         """
         arms = self.digit.moment_arms
         return np.asarray(np.linalg.inv(np.linalg.cholesky(arms.T @ np.diag(self.noise**2) @ arms)).T)
@@ -137,9 +143,9 @@ class Balance:
 
 
 def fit_digit(balance: Balance) -> Solution:
-    """Fit shared factors, capstan coefficients and the load cells' offsets.
+    """Fit shared factors, capstan coefficients, and the offsets of the load cells.
 
-    Factors and coefficients are scaled by the hand file.
+    Factors and coefficients are relative to the hand file.
     """
     n = len(SHARED_PARAMETERS)
     tendons = len(balance.noise)
@@ -179,13 +185,13 @@ def joined(fits: Sequence[Fit], solution: Solution, balance: Balance) -> list[Fi
 
 
 def _ramp(solution: Solution, balance: Balance) -> Ramp | None:
-    """Return the ramp of one joint's torque that the sweeps leave unexplained."""
+    """Return the ramp of torque at one joint in the residuals of the sweeps."""
     units = [np.tile(row, len(balance.t)) for row in balance.whiten]
     return steepest(solution.jacobian, solution.residual, 0, np.asarray(balance.q.mean(axis=1)), units)
 
 
 def _joined(fit: Fit, solution: Solution, rows: int, shared: tuple[str, ...], capstan: int) -> Fit:
-    """Return one tendon's fit with some parameters replaced by the digit's."""
+    """Return the fit of one tendon with some parameters replaced by those of the digit."""
     names = (*shared, "capstan")
     target = [NAMES.index(name) for name in names]
     source = [*range(len(shared)), capstan]
@@ -209,12 +215,12 @@ def _joined(fit: Fit, solution: Solution, rows: int, shared: tuple[str, ...], ca
 
 
 def _friction(digit: DigitModel) -> Array:
-    """Return the scale of each capstan coefficient (tendons,), the same as in the tendons' fits."""
+    """Return the scale of each capstan coefficient (tendons,), equal to that in the tendon fits."""
     return np.where(digit.friction > 0.0, digit.friction, 1e-3)
 
 
 def _apart(indices: NDArray[np.intp], spacing: int) -> NDArray[np.intp]:
-    """Return the indices that are at least `spacing` apart, so no sample counts twice."""
+    """Return those indices that are at least `spacing` apart, so that no sample is used twice."""
     selected: list[int] = []
     for index in indices.tolist():
         if not selected or index - selected[-1] >= spacing:
@@ -223,7 +229,7 @@ def _apart(indices: NDArray[np.intp], spacing: int) -> NDArray[np.intp]:
 
 
 def _averaged(values: Array, reach: int) -> Array:
-    """Return means over `reach` samples to either side, NaN at the ends."""
+    """Return means over `reach` samples on each side, NaN at the ends."""
     means = np.full(len(values), np.nan)
     width = 2 * reach + 1
     if len(values) >= width:
@@ -246,12 +252,12 @@ def _rates(data: TendonData, reach: int) -> tuple[Array, Array]:
 
 
 def _drift(data: TendonData, fit: Fit) -> Array:
-    """Return the drift of a tendon's load cell at its samples [N]."""
+    """Return the drift of a tendon's load cell at each sample [N]."""
     return np.asarray(np.interp(data.t, fit.problem.knots, fit.z[len(NAMES) :]))
 
 
 def _drift_deviation(fit: Fit, t: Array) -> float:
-    """Return the standard deviation of a tendon's drift while the digit moves freely [N]."""
+    """Return the standard deviation of a tendon's load-cell drift while the digit moves freely [N]."""
     knots = fit.problem.knots
     used = np.flatnonzero((knots >= t.min() - 1.0) & (knots <= t.max() + 1.0)) + len(NAMES)
     return max(float(np.sqrt(np.diag(fit.covariance)[used].mean())), 1e-3)

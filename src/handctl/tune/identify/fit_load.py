@@ -1,6 +1,8 @@
-"""Load model of a tendon: the expected load-cell tension at a motor position, on the open stop and in free motion.
+"""Load model of a tendon: expected load-cell tension from the motor position.
 
-On the stop the tendon alone decides: f = k (x - o). In free motion each joint is in balance,
+The model covers the open stop and free motion.
+
+At the open stop only the tendon stretches: f = k (x - o). In free motion each joint is in balance,
 
     S k_i (q_i + P p_i) + b_i q_i' + m (a_i q'' + g_i) = r_i f exp(-mu sgn(w) (phi_0 + q_1 + .. + q_i)),
 
@@ -20,19 +22,28 @@ from handctl.hand.dynamics import gravity_torque, mass_matrix
 from handctl.tune.identify.data import Array, Mask, TendonData
 
 BIN_S = 0.01
-"""Length of a bin [s]. Motion is slow beside it, and a fit has a fifth of the rows."""
+"""Length of a bin [s].
+
+The motion within a bin is small, and binning reduces the rows of a fit to a fifth.
+"""
 MIN_SPEED_M_S = 4e-3
-"""Least speed of a tendon [m/s]. Below it the direction of friction is not known at every pulley."""
+"""Smallest speed of a tendon [m/s].
+
+At lower speeds the direction of friction is not known at every pulley.
+"""
 GRID = np.radians(np.linspace(0.0, 110.0, 23))
-"""Mean joint angles at which inertia and weight are tabulated [rad]."""
+"""Mean joint angles for the table of inertia and weight [rad]."""
 STEPS = 14
-"""Newton steps of the tension."""
+"""Number of Newton steps to solve for the tension."""
 MAX_FRICTION_EXPONENT = 3.0
-"""Bound of the capstan equation's exponent. No tendon reaches it, but a solver's first steps might."""
+"""Bound for the exponent of the capstan equation.
+
+Only the first steps of a solver can reach this bound.
+"""
 
 
 class LoadParameters(NamedTuple):
-    """Fitted parameters: SI units, or factors on the hand file.
+    """Fitted parameters, in SI units or as factors relative to the hand file.
 
     Attributes:
         stiffness: stiffness of the tendon [N/m].
@@ -55,7 +66,7 @@ class LoadParameters(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Bins:
-    """Averages over short times, (m,) each.
+    """Averages of a tendon's signals over short times, (m,) each.
 
     Attributes:
         t: time [s].
@@ -63,7 +74,7 @@ class Bins:
         tension: load-cell tension [N].
         speed: speed of the tendon [m/s].
         acceleration: acceleration of the tendon [m/s^2].
-        count: samples per bin.
+        count: number of samples per bin.
     """
 
     t: Array
@@ -75,10 +86,10 @@ class Bins:
 
 
 def bins(data: TendonData, mask: Mask, moving: bool, bin_s: float = BIN_S) -> Bins:
-    """Average the samples of a mask.
+    """Return averages over bins of the samples selected by a mask.
 
-    A bin counts if the mask covers it, all its samples were read, and, with `moving`, the tendon
-    moves in one direction.
+    A bin is used if the mask is True throughout, all its samples were read, and, with `moving`, the
+    tendon moves in one direction.
     """
     count = max(1, round(bin_s / data.period))
     n = len(data.t) // count
@@ -115,7 +126,7 @@ def _rates(travel: Array, period: float, reach: int) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, slots=True)
 class DigitLoad:
-    """Constants of a digit with one tendon, (n,) for its joints.
+    """Constants of a digit with one tendon, with n joints.
 
     Attributes:
         arms: moment arms [m].
@@ -137,7 +148,7 @@ class DigitLoad:
 
     @staticmethod
     def of(digit: DigitModel) -> "DigitLoad":
-        """Make the constants of a digit."""
+        """Return the constants of a digit."""
         n = digit.joint_count
         return DigitLoad(
             arms=np.asarray(digit.moment_arms[0]),
@@ -150,7 +161,7 @@ class DigitLoad:
         )
 
     def tension(self, p: LoadParameters, means: Bins) -> Array:
-        """Return the load-cell tension (m,) of a freely moving digit [N]."""
+        """Return the load-cell tension (m,) expected for a freely moving digit [N]."""
         total = self.arms.sum()
         mean = np.clip((means.travel - p.offset) / total, 0.0, GRID[-1])
         rate = means.speed / total

@@ -1,11 +1,10 @@
-"""Motor equation in its weak form: averaged with a smooth window, so that no measurement is differentiated.
+"""Motor equation in weak form: integrated with a smooth window, so that no measurement is differentiated.
 
     K u(t - d) = J/r w' + b/r w + tau_c/r sgn w + r f      per window: all terms times a window, integrated by parts
 
 u is the commanded force at the tendon, w the speed of the spool, f the load cell. All terms are in
-newtons at the tendon.
-Source: modulating functions (Shinbrot 1954). The derivatives move to the window, which is known
-exactly.
+newtons at the tendon. Source: modulating functions (Shinbrot 1954). Integration by parts moves the
+derivatives to the window, which is known exactly.
 """
 
 from dataclasses import dataclass
@@ -17,23 +16,24 @@ from handctl.tune.identify.data import Array, TendonData
 HALF_S = 0.022
 """Half the length of a window [s].
 
-It passes the motion of a hand's motor and has ten load-cell samples at 500 Hz.
+A window of this length passes the motion of a hand's motor, and contains ten load-cell samples at
+500 Hz.
 """
 MIN_HALF_SAMPLES = 6
-"""Least half length of a window in samples.
+"""Smallest half length of a window in samples.
 
-The half length is a whole number of samples. Otherwise the sums would not be the integrals that
-they replace.
+The half length is a whole number of samples. Otherwise the sums would not be equal to the
+integrals.
 """
 SPACING_FRACTION = 0.4
 """Distance of windows, as a fraction of their half length."""
 MIN_SPEED_RAD_S = 0.25
-"""Least speed of the spool [rad/s]. Below it the sign of the friction is not known."""
+"""Smallest speed of the spool [rad/s]. At lower speeds the sign of the friction is not known."""
 
 
 @dataclass(frozen=True, slots=True)
 class MotorWindows:
-    """Windowed signals, (m,) each. Forces are at the tendon.
+    """Windowed signals of a motor, (m,) each. Forces are at the tendon.
 
     Attributes:
         t: centre of the window [s].
@@ -44,7 +44,7 @@ class MotorWindows:
         commands: (m, taps) commands around each window [N].
         offsets: (taps + 1,) edges of the commands' intervals from the centre [s].
         half_s: half the length of a window [s].
-        spread: factor of a window on the standard deviation of the tension's noise [1].
+        spread: factor by which a window changes the standard deviation of the tension noise [1].
     """
 
     t: Array
@@ -58,15 +58,15 @@ class MotorWindows:
     spread: float
 
     def command(self, delay: float) -> Array:
-        """Return the windowed command (m,) that acts `delay` [s] late [N]."""
+        """Return the windowed command (m,) with a delay of `delay` [s], in newtons."""
         weights = np.diff(_cumulative((self.offsets + delay) / self.half_s))
         return np.asarray(self.commands @ weights)
 
 
 def motor_windows(data: TendonData, spool: float) -> MotorWindows:
-    """Window the signals of a tendon.
+    """Return the windowed signals of a tendon.
 
-    Windows in which the tendon is too slow or a sample is missing are left out.
+    Windows with too low a tendon speed or a missing sample are omitted.
     """
     period = data.period
     half = max(MIN_HALF_SAMPLES, round(HALF_S / period))
@@ -101,14 +101,14 @@ def motor_windows(data: TendonData, spool: float) -> MotorWindows:
 
 
 def _quick_speed(travel: Array, period: float, reach: int = 3) -> Array:
-    """Return the speed over a few periods [m/s], zero at the ends."""
+    """Return the speed from differences over a few periods [m/s], zero at the ends."""
     speed = np.full(len(travel), np.nan)
     speed[reach:-reach] = (travel[2 * reach :] - travel[: -2 * reach]) / (2 * reach * period)
     return np.asarray(np.nan_to_num(speed))
 
 
 def _window(s: Array) -> Array:
-    """Return cos^4 over [-1, 1], of area 1, and 0 outside."""
+    """Return the window cos^4 over [-1, 1], with area 1, and 0 outside."""
     # Its first three derivatives vanish at the ends, so integration by parts leaves no boundary
     # terms.
     return np.asarray(np.where(np.abs(s) < 1.0, 4.0 / 3.0 * np.cos(0.5 * np.pi * s) ** 4, 0.0))

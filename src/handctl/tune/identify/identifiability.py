@@ -1,8 +1,8 @@
-"""Identifiability of a fit: parameters without information, directions in which parameters trade off.
+"""Identifiability of parameters in a fit: parameters without information, and combinations that trade off.
 
-It rests on the Jacobian of the data alone, in units of the hand file's values and of the load
-cell's noise. A column or a combination of columns without effect on the residuals is not in the
-data, whatever a solver returns.
+The analysis uses only the Jacobian of the data, scaled by the values of the hand file and by the
+noise of the load cell. If a parameter, or a combination of parameters, has no effect on the
+residuals, then the data do not determine its value, even though the solver returns one.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,10 @@ from handctl.tune.identify.fit import INFORMED, NAMES, SCALE_DELAY_S, Fit
 CORRELATED = 0.95
 """Correlation above which two parameters are reported as trading off."""
 SEGMENTS = 6
-"""Parts of the excitation over which coherence is averaged. One part alone is coherent with anything."""
+"""Number of parts of the excitation over which coherence is averaged.
+
+With a single part, coherence is always 1.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,11 +30,11 @@ class Identifiability:
 
     Attributes:
         names: identified parameters.
-        missing: other parameters, each with the reason.
-        rank: rank of the data's Jacobian without the drift.
-        columns: number of the columns.
+        missing: parameters not identified, each with the reason.
+        rank: rank of the Jacobian of the data, drift excluded.
+        columns: number of columns of this Jacobian.
         condition: ratio of the largest to the smallest singular value.
-        weakest: combination with the least information, as text.
+        weakest: combination of parameters with the least information, as text.
         correlated: pairs of identified parameters that trade off, with their correlation.
     """
 
@@ -45,11 +48,11 @@ class Identifiability:
 
 
 def identifiability(fit: Fit, tendon: Tendon) -> Identifiability:
-    """Judge a fit.
+    """Return the identifiability of the parameters in a fit.
 
     Args:
         fit: fit of a tendon.
-        tendon: that tendon in the hand file.
+        tendon: description of this tendon in the hand file.
     """
     jacobian = fit.sensitivity
     # The right singular vectors are combinations of parameters, the singular values their
@@ -83,12 +86,12 @@ def _is_narrow(name: str, value: float, width: float) -> bool:
 
 
 def _excited(jacobian: Array, name: str) -> bool:
-    """Return True if the parameter acts on any row of data."""
+    """Return True if the parameter affects any data row."""
     return bool(np.linalg.norm(jacobian[:, NAMES.index(name)]) > 1e-6)
 
 
 def _reason(jacobian: Array, name: str) -> str:
-    """Return why a parameter is not identified."""
+    """Return the reason why a parameter is not identified."""
     if not _excited(jacobian, name):
         return "no data depend on this parameter"
     if name == "delay":
@@ -97,7 +100,7 @@ def _reason(jacobian: Array, name: str) -> str:
 
 
 def _never_identifiable(fit: Fit, tendon: Tendon) -> list[str]:
-    """Return the parameters beyond this excitation, of any duration."""
+    """Return the parameters that this kind of excitation never identifies, at any duration."""
     problem = fit.problem
     tension = np.concatenate([problem.motor.tension, problem.stop.tension, problem.free.tension])
     reasons = [
@@ -120,16 +123,16 @@ def _never_identifiable(fit: Fit, tendon: Tendon) -> list[str]:
 
 
 def _combination(direction: Array) -> str:
-    """Return the largest parts of a direction as text."""
+    """Return the largest components of a direction as text."""
     order = np.argsort(-np.abs(direction))[:3]
     return ", ".join(f"{direction[i]:+.2f} {NAMES[i]}" for i in order if abs(direction[i]) > 0.1)
 
 
 def excitation_coherence(data: TendonData) -> tuple[Array, Array]:
-    """Return the coherence of motor force and tendon speed: frequencies [Hz] and values from 0 to 1.
+    """Return the coherence of motor force and tendon speed: frequencies [Hz], values from 0 to 1.
 
-    At 1 the speed follows from the force by a linear system. Noise, friction or other causes of
-    motion lower it.
+    At a coherence of 1, a linear system gives the speed from the force. Noise, friction, or other
+    causes of motion lower the coherence.
     """
     use = data.acting & np.isfinite(data.travel)
     force = data.command[use]

@@ -1,4 +1,4 @@
-"""Identification: every tendon of a log is fitted, judged and stored in the form of a calibration."""
+"""Identification of every tendon in a log: fit, check of identifiability, and entry for the calibration file."""
 
 import datetime
 from collections.abc import Callable
@@ -25,17 +25,17 @@ from handctl.tune.identify.identifiability import (
 )
 
 BAND_HZ = (0.7, 6.0)
-"""Frequency band of the mean coherence, that of the swing [Hz]."""
+"""Frequency band for the mean coherence [Hz], equal to that of the swing."""
 SWEEP_PARAMETERS = (*DIGIT_KEYS, "capstan")
-"""Parameters that a contact in the sweeps spoils.
+"""Parameters made invalid by a contact during the sweeps.
 
-Motor and tendon do not depend on the digit's balance.
+Parameters of motor and tendon remain valid, because they do not depend on the balance of the digit.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class TendonResult:
-    """Identification of a tendon from a log.
+    """Result of the identification of a tendon from a log.
 
     Attributes:
         data: data from the log.
@@ -43,10 +43,11 @@ class TendonResult:
         judged: identifiability of the parameters.
         coherence: mean coherence over the swing's band.
         spectrum: frequencies [Hz] and coherence.
-        balance: balance of the digit, if it has several tendons and joint encoders.
-        blocked: event in which the controller found the digit blocked during its excitation,
-            empty otherwise.
-        met: evidence of a contact in the sweeps, empty otherwise.
+        balance: balance of the digit if the digit has several tendons and joint encoders, else
+            None.
+        blocked: text of the controller's event about a blocked digit during the excitation, else
+            empty.
+        met: evidence of a contact during the sweeps as text, else empty.
     """
 
     data: TendonData
@@ -60,13 +61,13 @@ class TendonResult:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the parameters that are identified and not spoilt."""
+        """Return the names of the identified parameters that are valid."""
         if self.blocked:
             return ()
         return tuple(name for name in self.judged.names if not (self.met and name in SWEEP_PARAMETERS))
 
     def identified(self, log: Path, made: str) -> Identified | None:
-        """Return the entry of the calibration file, None if no parameter is identified or all are spoilt."""
+        """Return the entry for the calibration file, or None without a valid identified parameter."""
         names = self.names
         if not names:
             return None
@@ -122,15 +123,17 @@ class TendonResult:
 
 
 def identify(log: RunLog, hand: Hand, progress: Callable[[str], None] = lambda text: None) -> dict[str, TendonResult]:
-    """Fit every tendon of a log, and return the results by name. Tendons that hardly move are left out.
+    """Fit every tendon of a log, and return the results by tendon.
+
+    Tendons that hardly move are omitted.
 
     Args:
         log: log of any run.
         hand: hand of the run, as in its file.
-        progress: called with a description of each step.
+        progress: function called with a description of each step.
 
     Raises:
-        LogError: Nothing in the log moves.
+        LogError: No tendon in the log moves.
     """
     solved = []
     failure = LogError("no tendon of this hand in it", "the log", "a run in which digits move")
@@ -155,10 +158,10 @@ def identify(log: RunLog, hand: Hand, progress: Callable[[str], None] = lambda t
 
 
 def _spoilt(hand: Hand, result: TendonResult, event: str) -> TendonResult:
-    """Return a result with the contacts that spoil it.
+    """Return a result with information about contacts that make parameters invalid.
 
-    The controller judges by the hand file's springs, and takes springs that are a third stiffer for
-    an obstacle. Therefore its event does not count if the fit explains the whole sweep.
+    The controller uses the springs of the hand file, and mistakes springs a third stiffer for an
+    obstacle. Therefore its event is ignored if the fit explains the whole sweep.
     """
     met = contact_text(hand, result)
     ramp = result.fit.ramp
@@ -167,7 +170,7 @@ def _spoilt(hand: Hand, result: TendonResult, event: str) -> TendonResult:
 
 
 def contact_text(hand: Hand, result: TendonResult) -> str:
-    """Return the evidence of a contact in the sweeps as text, empty otherwise."""
+    """Return the evidence of a contact during the sweeps as text, else empty."""
     ramp = result.fit.ramp
     if ramp is not None and ramp.met:
         several = len(hand.tendon[hand.digit_tendons[result.data.digit]]) > 1
@@ -182,7 +185,7 @@ def contact_text(hand: Hand, result: TendonResult) -> str:
 
 
 def _blocked_joint_text(hand: Hand, result: TendonResult) -> str:
-    """Return the evidence that a joint of a digit with one tendon does not move, empty if all move."""
+    """Return the evidence of an immobile joint in a digit with one tendon, empty if all joints move."""
     load = result.fit.problem.load
     data = result.data
     values = result.fit.values
@@ -202,10 +205,12 @@ def _blocked_joint_text(hand: Hand, result: TendonResult) -> str:
 
 
 def blocked(log: RunLog) -> dict[str, str]:
-    """Return the first event in which each excited digit was blocked, by digit.
+    """Return, for each blocked excited digit, the first event about this.
 
-    Digits without such an event are left out. If two digits touch each other, the excited one is
-    spoilt, whichever of them was found blocked.
+    The result has digit names as keys.
+
+    If two digits touch each other, the event is assigned to the excited digit, even if the
+    controller reports the other digit as blocked.
     """
     events = [
         event_entry
@@ -224,7 +229,10 @@ def blocked(log: RunLog) -> dict[str, str]:
 
 
 def _of_digit(hand: Hand, name: str, fitted: list[tuple[TendonData, Fit]]) -> tuple[Balance | None, list[Fit]]:
-    """Return the fits of a digit's tendons, with the joint fit if there are several tendons."""
+    """Return the fits of a digit's tendons.
+
+    With several tendons, the fit of the digit is included.
+    """
     fits = [fit for _, fit in fitted]
     if len(fitted) < 2 or len(fitted) < len(hand.tendon[hand.digit_tendons[name]]):
         return None, fits
@@ -233,7 +241,7 @@ def _of_digit(hand: Hand, name: str, fitted: list[tuple[TendonData, Fit]]) -> tu
 
 
 def _tendon_result(hand: Hand, data: TendonData, fit: Fit, balance: Balance | None) -> TendonResult:
-    """Return the result of a tendon without contacts."""
+    """Return the result for a tendon, before contacts are considered."""
     spectrum = excitation_coherence(data)
     inside = (spectrum[0] >= BAND_HZ[0]) & (spectrum[0] <= BAND_HZ[1])
     mean = float(spectrum[1][inside].mean()) if inside.any() else float("nan")
@@ -242,12 +250,12 @@ def _tendon_result(hand: Hand, data: TendonData, fit: Fit, balance: Balance | No
 
 
 def now() -> str:
-    """Return the present time, ISO 8601, UTC."""
+    """Return the present time in UTC as ISO 8601 text."""
     return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
 
 
 def table(results: dict[str, TendonResult]) -> list[str]:
-    """Return lines for a terminal: every parameter with its interval and the value of the hand file."""
+    """Return lines for a terminal: each parameter with its interval and its value in the hand file."""
     lines = []
     for name, result in results.items():
         lines.append(f"{name}: coherence {result.coherence:.2f}, load cell {result.fit.problem.sigma:.2f} N rms")

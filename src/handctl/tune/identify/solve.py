@@ -1,7 +1,7 @@
-"""Solution of a fit and its uncertainty.
+"""Solution of a least-squares fit, with its uncertainty.
 
-Intervals come from the spread of the residuals' scores in blocks of time, so errors of the model
-widen them. Rows need not be independent measurements.
+Intervals are computed from the variation of the residuals between blocks of time, so model errors
+widen the intervals. Rows need not be independent measurements.
 """
 
 from collections.abc import Callable, Iterator
@@ -15,32 +15,36 @@ from scipy.optimize import least_squares
 Array = NDArray[np.float64]
 
 MIN_FREEDOM = 3.0
-"""Least degrees of freedom of an interval."""
+"""Smallest degrees of freedom of an interval."""
 MIN_VARIANCE_FRACTION = 1e-9
-"""Part of the data in a parameter's variance, squared, below which only the prior determines the parameter."""
+"""Squared contribution of the data to a parameter below which only the prior determines the parameter."""
 STEPS = 40
-"""Largest number of steps of the solver. Data that need more do not determine the parameters."""
-OUTLIER = 2.5
-"""Residual from which a row counts less and less [standard deviations], e.g. in an unexpected contact."""
-BLOCK_S = 0.25
-"""Length of blocks of time whose residuals are taken as independent of one another [s]."""
-MAX_BLOCK_ROWS = 500
-"""Largest number of rows of one block, whose cost grows with the third power of the rows.
+"""Largest number of steps of the solver.
 
-A run at 500 Hz has up to 375. A damaged log whose times stand still has all its rows in one block.
+If more are needed, the data do not determine the parameters.
+"""
+OUTLIER = 2.5
+"""Residual above which a row gets less weight [standard deviations], for example in an unexpected contact."""
+BLOCK_S = 0.25
+"""Length of the blocks of time [s]. Residuals of different blocks count as independent."""
+MAX_BLOCK_ROWS = 500
+"""Largest number of rows in a block. The computing time grows with the third power of this number.
+
+A block of a run at 500 Hz has up to 375 rows. In a damaged log with constant time, all rows would
+be in one block.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """Scaled parameters and their uncertainty.
+    """Scaled parameters with their uncertainty.
 
     Attributes:
         z: (n,) parameters.
         covariance: (n, n) covariance.
         jacobian: (rows, n) weighted Jacobian.
         residual: (rows,) residuals.
-        freedom: (n,) degrees of freedom of each spread.
+        freedom: (n,) degrees of freedom of each variance.
     """
 
     z: Array
@@ -51,7 +55,7 @@ class Solution:
 
 
 def solve(residuals: Callable[[Array], Array], start: Array, bounds: tuple[Array, Array], times: Array) -> Solution:
-    """Solve least squares in two rounds: a robust round finds the outliers, the second round leaves the outliers out.
+    """Solve least squares in two rounds: a robust round to find outliers, then a round without the outliers.
 
     Args:
         residuals: function from parameters (n,) to residuals in standard deviations, rows of
@@ -76,7 +80,7 @@ def solve(residuals: Callable[[Array], Array], start: Array, bounds: tuple[Array
 
 
 def _blocks(times: Array) -> Iterator[NDArray[np.intp]]:
-    """Yield the rows of each block of time, in parts of at most `MAX_BLOCK_ROWS`."""
+    """Yield the row indices of each block of time, in parts of at most `MAX_BLOCK_ROWS`."""
     order = np.floor((times - times.min()) / BLOCK_S).astype(int)
     for block in np.unique(order):
         rows = np.flatnonzero(order == block)
@@ -84,14 +88,14 @@ def _blocks(times: Array) -> Iterator[NDArray[np.intp]]:
 
 
 def _covariance(jacobian: Array, residual: Array, times: Array) -> tuple[Array, Array]:
-    """Return the covariance of the parameters and its degrees of freedom, from blocks of time and the priors.
+    """Return the covariance of the parameters and its degrees of freedom, from blocks of time and priors.
 
-    Each block is judged by a fit without it. The covariance is never smaller than with independent
-    noise.
+    The residuals of each block are corrected as if the fit had excluded the block. The covariance
+    is never smaller than with independent noise.
 
-    The degrees of freedom are those of the design: the contribution of each block under independent
-    noise of one standard deviation. Taken from the residuals, one unlucky block of the fastest
-    sweep would leave fewer than three degrees to the friction.
+    The degrees of freedom are computed for independent noise with a standard deviation of 1, not
+    from the residuals. With the residuals, a single block with large residuals could reduce the
+    degrees of freedom of the friction to less than three.
     Source: the jackknife over clusters in its linear form (Bell & McCaffrey 2002, CR3),
     Satterthwaite's degrees of freedom with their working model.
     """

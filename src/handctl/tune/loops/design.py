@@ -1,14 +1,15 @@
-"""Design of gains: as much authority as the margins allow on every plant, or poles at given frequencies.
+"""Design of gains: largest authority that keeps the margins on every plant, or poles at given frequencies.
 
-Authority is the one parameter of LQR: the force that counts like the errors of Bryson's rule. More
-authority makes a loop faster and its margins smaller, so authority rises from below as long as the
-margins are kept. Reported margins are confirmed by the closed loop's eigenvalues. Designed gains
-are confirmed by a proof of the caller, e.g. a simulation.
+Authority is the parameter of LQR that this design varies: the force that has the same weight as the
+errors of Bryson's rule. More authority makes a loop faster and its margins smaller. Therefore
+authority is increased until a margin would become too small. Reported margins are confirmed by the
+closed loop's eigenvalues. Designed gains are confirmed by a function of the caller, such as a
+simulation.
 
 Poles: for a plant with one input and weights on position and speed, the closed loop's
 characteristic polynomial d satisfies d(s) d(-s) = p(s) p(-s) + (q1 |g1(s)|^2 + q2 |g2(s)|^2) / r.
-There are two poles and two ratios of weights, so each pole pair with a damping above 1/sqrt(2) has
-weights in closed form.
+There are two poles and two ratios of weights. Therefore the weights for each pole pair with a
+damping above 1/sqrt(2) can be computed in closed form.
 Source: Kalman's symmetric root locus.
 """
 
@@ -26,19 +27,19 @@ from handctl.tune.loops.linear import LoopKind, PlantFactors, System, controller
 from handctl.tune.loops.margins import Margins, all_margins, confirmed, margins, unproven, worse
 
 MIN_FORCE_N = 0.2
-"""Least authority of the search [N]."""
+"""Smallest authority of the search [N]."""
 MAX_FORCE_N = 400.0
 """Largest authority of the search [N]."""
 STRIDE = math.log(1.7)
-"""Step of the search in the logarithm of the force."""
+"""Step of the search, in the natural logarithm of the force."""
 STEPS = 5
-"""Bisections of the last step, which lead to within two per cent."""
+"""Number of bisections of the last step, for an accuracy of two per cent."""
 RETREATS = 3
-"""Steps of both forces back down, if the margins are kept but the proof fails."""
+"""Number of steps by which both forces are reduced if the margins are kept but the proof fails."""
 REJECTION = (1.0, 0.7, 0.5, 0.35, 0.25, 0.1, 0.0)
-"""Fractions of disturbance rejection to try, from the largest.
+"""Fractions of disturbance rejection to try, largest first.
 
-The filter of a hand may leave no margin for the larger ones.
+With the filter of some hands, large fractions leave no margin.
 """
 
 
@@ -50,8 +51,8 @@ class Design:
         gains: designed gains.
         before: margins of the old gains by tendon and loop, on the nominal plant.
         after: margins of the designed gains by tendon and loop, on the nominal plant.
-        worst_before: least value of each margin of the old gains over the ensemble.
-        worst_after: least value of each margin of the designed gains over the ensemble.
+        worst_before: smallest value of each margin over the ensemble, with the old gains.
+        worst_after: smallest value of each margin over the ensemble, with the designed gains.
     """
 
     gains: Gains
@@ -61,14 +62,14 @@ class Design:
     worst_after: Margins
 
     def with_unproven_before(self) -> "Design":
-        """Return the design without margins before: the old gains did not come to rest in simulation."""
+        """Return the design with zero margins before, for old gains that did not come to rest in simulation."""
         before = {loop: unproven(margin) for loop, margin in self.before.items()}
         return replace(self, before=before, worst_before=unproven(self.worst_before))
 
     def as_weights(self) -> Gains:
-        """Return the gains with the force of each loop moved into its weights.
+        """Return the gains with the authority of each loop converted into its weights.
 
-        Only ratios of weights count in LQR, so the controller is the same.
+        The controller stays the same, because LQR depends only on ratios of weights.
         """
         defaults = Gains()
         gains = self.gains
@@ -100,19 +101,19 @@ class Design:
 
 
 def linear_factors(factors: Mapping[str, float]) -> PlantFactors:
-    """Return the linear part of an ensemble's factors. Friction is not linear."""
+    """Return those factors of an ensemble that act on linear parameters. Friction is not linear."""
     names = PlantFactors.__dataclass_fields__
     return PlantFactors(**{key: value for key, value in factors.items() if key in names})
 
 
 def with_poles(model: HandModel, kind: LoopKind, hz: float, damping: float) -> Gains:
-    """Return gains whose weights place a loop's poles at a natural frequency.
+    """Return gains whose weights place the poles of a loop at a natural frequency.
 
     Args:
         model: model of the hand with the initial gains.
         kind: kind of the loop.
         hz: natural frequency of the pole pair [Hz].
-        damping: damping, at least 1/sqrt(2). Smaller values have no weights.
+        damping: damping ratio, at least 1/sqrt(2). No weights exist for smaller values.
 
     Raises:
         ValueError: No weights have these poles.
@@ -131,7 +132,7 @@ def with_poles(model: HandModel, kind: LoopKind, hz: float, damping: float) -> G
 
 
 def _checked(gains: Gains, **sections: dict[str, float]) -> Gains:
-    """Return gains with other sections.
+    """Return gains with some sections replaced, after a check of their bounds.
 
     Raises:
         ValueError: A value is out of its bounds.
@@ -143,16 +144,16 @@ def _checked(gains: Gains, **sections: dict[str, float]) -> Gains:
 
 
 def _motion_weights(model: HandModel, w: float, damping: float) -> tuple[float, float]:
-    """Return force / error and force / speed error of one mass: d(s) = s^2 + 2 z w s + w^2."""
+    """Return force / error and force / speed error for a single mass: d(s) = s^2 + 2 z w s + w^2."""
     # A free digit moves with its rotor as one mass at low frequency.
     mass = float((model.space.motor_mass + model.space.load_mass).mean())
     return mass * w**2, mass * w * _root(4.0 * damping**2 - 2.0, MIN_DAMPING_TEXT)
 
 
 def _tension_weights(model: HandModel, w: float, damping: float) -> tuple[float, float]:
-    """Return the weights of a rotor on its tendon.
+    """Return the weights for a rotor on its tendon.
 
-    The frequency of the free rotor on the tendon is the lowest possible frequency.
+    Poles below the natural frequency of the free rotor on the tendon are impossible.
     """
     space = model.space
     m = float(space.motor_mass.mean())
@@ -167,7 +168,7 @@ def _tension_weights(model: HandModel, w: float, damping: float) -> tuple[float,
 
 
 MIN_DAMPING_TEXT = "a damping of more than 0.71"
-"""Expectation in messages about the damping."""
+"""Text for error messages: allowed damping."""
 
 
 def _root(square: float, expected: str) -> float:
@@ -182,23 +183,29 @@ def _root(square: float, expected: str) -> float:
 
 
 def redesigned(model: HandModel, gains: Gains) -> HandModel:
-    """Return the model with other gains of motion and tension, and the same filter."""
+    """Return the model with other gains for motion and tension, and the same filter."""
     return replace(model, gains=gains, motion=design_motion(model.space, gains, model.period))
 
 
 def worst_of(model: HandModel, plants: tuple[PlantFactors, ...], kinds: Iterable[LoopKind] = LoopKind) -> Margins:
-    """Return the least value of each margin over plants, loops and unlike tendons, confirmed by eigenvalues."""
+    """Return the smallest value of each margin over plants, loops, and different tendons.
+
+    The margins are confirmed by eigenvalues.
+    """
     return reduce(worse, _each(model, plants, kinds, confirmed))
 
 
 def weakest(model: HandModel, plants: tuple[PlantFactors, ...]) -> int:
-    """Return the index of the plant with the smallest disk margin of any loop."""
+    """Return the index of the plant with the smallest disk margin in any loop."""
     disks = [min(margin.disk for margin in _each(model, (factors,), LoopKind)) for factors in plants]
     return disks.index(min(disks))
 
 
 def keeps(model: HandModel, plants: tuple[PlantFactors, ...], kinds: Iterable[LoopKind] = LoopKind) -> bool:
-    """Return True if every loop keeps its margins on every plant. The check ends at the first failure."""
+    """Return True if every loop keeps its margins on every plant.
+
+    The check ends at the first failure.
+    """
     return all(margin.enough for margin in _each(model, plants, kinds))
 
 
@@ -208,7 +215,7 @@ def _each(
     kinds: Iterable[LoopKind],
     judge: Callable[[System], Margins] = margins,
 ) -> Iterator[Margins]:
-    """Yield the margins of each loop, unlike tendon and plant."""
+    """Yield the margins of each loop, different tendon, and plant."""
     for kind in kinds:
         for i in unlike_tendons(model):
             loop_controller = controller(model, i, kind)
@@ -216,7 +223,7 @@ def _each(
 
 
 def unlike_tendons(model: HandModel) -> tuple[int, ...]:
-    """Return a tendon of each kind, so equal tendons are judged once."""
+    """Return the index of one tendon of each kind, so that equal tendons are checked only once."""
     space = model.space
     seen = dict[tuple[str, ...], int]()
     for i in range(model.tendon_count):
@@ -236,17 +243,17 @@ def design(
     plants: tuple[PlantFactors, ...],
     proves: Callable[[HandModel], bool] = lambda _: True,
 ) -> Design:
-    """Design the most authority of each loop, and the most disturbance rejection, within the margins.
+    """Design the largest authority of each loop, and the largest disturbance rejection, within the margins.
 
     Args:
         model: model of the hand with its present gains. Its filter is kept.
-        plants: ensemble on which the margins are kept.
-        proves: function that returns True if a model's gains also hold elsewhere, e.g. in
+        plants: ensemble of plants on which the margins must be kept.
+        proves: function that returns True if the gains of a model pass another test, such as a
             simulation.
 
     Raises:
-        ValueError: The margins are not kept even without authority, or none of the gains is
-            proven.
+        ValueError: The margins are not kept even with the smallest authority, or no gains pass the
+            test.
     """
     unproven = False
     for rejection in REJECTION:
@@ -276,7 +283,7 @@ def design(
 
 
 def _retreating(model: HandModel, plants: tuple[PlantFactors, ...]) -> Iterator[HandModel]:
-    """Yield the gains, then gains with less and less authority that keep the margins."""
+    """Yield the gains, then gains with decreasing authority that keep the margins."""
     yield model
     for step in range(1, RETREATS + 1):
         force = math.exp(-step * STRIDE)
@@ -287,17 +294,18 @@ def _retreating(model: HandModel, plants: tuple[PlantFactors, ...]) -> Iterator[
 
 
 def _with_motion(model: HandModel, **values: float) -> HandModel:
-    """Return the model with other values of the motion gains."""
+    """Return the model with some motion gains replaced."""
     gains = _checked(model.gains, motion={**model.gains.motion.model_dump(), **values})
     return redesigned(model, gains)
 
 
 def _most_authority(model: HandModel, kind: LoopKind, plants: tuple[PlantFactors, ...]) -> HandModel | None:
-    """Return the model with the most authority of a loop that keeps the margins, None otherwise.
+    """Return the model with the largest authority of a loop that keeps the margins, else None.
 
-    The search begins at the bottom. The least force may violate the margins, because an integral
-    alone makes a tendon oscillate. From the first force with the margins the search continues up to
-    the last one, then bisects the last step. Forces above a gap are not searched.
+    The search starts at the smallest force. This force may violate the margins, because an
+    integrator alone makes a tendon oscillate. From the first force that keeps the margins, the
+    force is increased until a margin is violated, and the last step is bisected. Larger forces are
+    not tried.
     """
     best = None
     low = math.log(MIN_FORCE_N)
@@ -320,7 +328,7 @@ def _bisected(
     high: float,
     best: HandModel,
 ) -> HandModel:
-    """Return the model at the largest force between `low` and `high` that keeps the margins."""
+    """Return the model with the largest force between `low` and `high` that keeps the margins."""
     for _ in range(STEPS):
         middle = (low + high) / 2.0
         tried = _with_force(model, kind, math.exp(middle))
@@ -333,7 +341,7 @@ def _bisected(
 
 
 def _with_force(model: HandModel, kind: LoopKind, force: float) -> HandModel:
-    """Return the model with another authority of a loop."""
+    """Return the model with another authority for a loop."""
     if kind == LoopKind.MOTION:
         return _with_motion(model, force_N=force)
     table = {**model.gains.tension.model_dump(), "force_N": force}
@@ -347,7 +355,7 @@ def placed(
     tension_hz: float,
     damping: float,
 ) -> Design:
-    """Return the design with the poles of both loops at given frequencies, and its margins.
+    """Return the design with the poles of both loops at given frequencies, including its margins.
 
     Raises:
         ValueError: No weights have these poles.

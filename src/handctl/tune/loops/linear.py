@@ -1,13 +1,16 @@
-"""Linear models of both loops: the controller by finite differences of its own code, the plant by the hand file.
+"""Linear models of both loops.
 
-The controller's matrices are finite differences of the stages that a tick calls, so they follow
-every change of filter or control law. Each tendon is taken by itself, as the gains are designed.
-Friction is left out: in motion it is saturated and has no slope. The delay is that of the bus: a
-tick acts on samples of the tick before.
+The controller is linearised by finite differences of its own code. The plant is computed from the
+hand file.
 
-The control law is differentiated without its limits. A force at its limit has no slope, so a
-saturated loop would seem to have no gain and every margin. Therefore the motors have no limits
-here. The goals are at the estimate of the operating point, where every feedback error is zero.
+The finite differences call the same stages as a tick, so the matrices follow every change of filter
+or control law. Each tendon is treated alone, as in the design of the gains. Friction is neglected,
+because during motion it is constant. A tick acts on samples of the previous tick, which gives the
+delay of the bus.
+
+The control law is linearised without its limits, because a saturated loop would seem to have zero
+gain and unlimited margins. The goals equal the estimate at the operating point, so every feedback
+error is zero.
 """
 
 import enum
@@ -39,7 +42,7 @@ from handctl.hand.digit import DigitModel
 Matrix = NDArray[np.float64]
 
 CURRENT_LAG_S = 0.3e-3
-"""First-order lag of a drive's torque [s].
+"""Time constant of the first-order lag of a drive's torque [s].
 
 Source: current loops of some 500 Hz in all three protocols' drives.
 """
@@ -50,27 +53,27 @@ SPEED_M_S = 0.015
 ANGLE_RAD = 0.6
 """Joint angle of the operating point, between the stops [rad]."""
 STEP = {"travel": 1e-7, "tension": 1e-2, "state": 2.0**-14}
-"""Steps of the differences: travel [m], tension [N], and states as a fraction of their size."""
+"""Steps of the finite differences: travel [m], tension [N], and states as a fraction of their size."""
 UNLIMITED = 1e12
-"""Motor torque [N m] and force [N] beyond all gains."""
+"""Motor torque limit [N m] and force limit [N] so large that no gain reaches these limits."""
 DEVELOPED_N = 1e4
-"""Expected tension of a moving digit, far beyond its friction band [N].
+"""Expected tension of a moving digit, chosen far beyond its friction band [N].
 
-The expectation is then at the band's edge.
+The expectation is then at the edge of the band.
 """
 INSIDE = 0.1
-"""Least distance of the operating point from a joint's limits, as a fraction of the range."""
+"""Smallest distance of the operating point from the limits of a joint, as a fraction of the range."""
 CONSTANT_TOLERANCE = 1e-9
-"""Largest coefficient of anything else on a state that counts as constant."""
+"""Largest coefficient with which other states may act on a state that counts as constant."""
 
 
 class LoopKind(enum.StrEnum):
     """Feedback loop of a tendon."""
 
     MOTION = "motion"
-    """The digit moves freely along a trajectory."""
+    """Motion loop: the digit moves freely along a trajectory."""
     TENSION = "tension"
-    """The digit is blocked and the tendon holds a tension."""
+    """Tension loop: the digit is blocked and the tendon holds a tension."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +104,7 @@ class System:
 
 @dataclass(frozen=True, slots=True)
 class PlantFactors:
-    """Factors of a real plant on the linear parameters of its hand file."""
+    """Factors of a real plant relative to the linear parameters in its hand file."""
 
     stiffness: float = 1.0
     damping: float = 1.0
@@ -112,17 +115,19 @@ class PlantFactors:
 
 
 NOMINAL = PlantFactors()
-"""Plant of the hand file."""
+"""Factors for a plant equal to the hand file."""
 
 
 def plant(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = NOMINAL) -> System:
-    """Return rotor, tendon and digit, sampled: motor force [N] to travel [m], tension [N], excursion [m].
+    """Return the sampled system of rotor, tendon, and digit.
+
+    Input is the motor force [N]. Outputs are travel [m], tension [N], and excursion [m].
 
     Args:
         model: model of the hand.
         tendon: index of the tendon.
         kind: kind of the loop. With TENSION the digit is blocked.
-        factors: factors on the hand file.
+        factors: factors relative to the hand file.
 
     Returns:
         The system with the states travel, travel rate, excursion, excursion rate, motor force. The
@@ -171,7 +176,9 @@ def plant(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors =
 
 
 def controller(model: HandModel, tendon: int, kind: LoopKind) -> System:
-    """Return filter and control law of a tendon, from the measurements of the tick before to motor force [N].
+    """Return the system of filter and control law of a tendon.
+
+    Inputs are the measurements of the previous tick. Output is the motor force [N].
 
     The measurements are travel [m], tension [N] and excursion [m].
 
@@ -193,15 +200,15 @@ def controller(model: HandModel, tendon: int, kind: LoopKind) -> System:
 
 
 def loop(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = NOMINAL) -> System:
-    """Return the loop of a tendon, see `joined`."""
+    """Return the open loop of a tendon, see `joined`."""
     return joined(plant(model, tendon, kind, factors), controller(model, tendon, kind))
 
 
 def joined(P: System, K: System) -> System:
-    """Return the loop of a plant and a controller, broken at the motor force.
+    """Return the open loop of a plant and a controller, broken at the motor force.
 
-    The output is the returned force with the sign reversed. So negative feedback is taken out, and
-    margins follow from 1 + L.
+    The output is the returned force with reversed sign. Therefore the margins are computed from 1 +
+    L.
     """
     K = _without_constants(K)
     p = len(P.A)
@@ -218,9 +225,9 @@ def joined(P: System, K: System) -> System:
 
 
 def _without_constants(K: System) -> System:
-    """Return a system without its constant states, such as a setpoint.
+    """Return a system without constant states, such as a setpoint.
 
-    The deviation of these states is always zero, and poles at 1 are no evidence on stability.
+    The deviation of these states is always zero, and their poles at 1 do not affect stability.
     """
     A = K.A - np.eye(len(K.A))
     B = K.B
@@ -231,45 +238,44 @@ def _without_constants(K: System) -> System:
 
 
 _Tick = Callable[[Matrix, Matrix], Matrix]
-"""One tick of a tendon as a function of flat vectors: (state, reading) to (next state, force)."""
+"""Function of one tick of a tendon on flat vectors: (state, reading) to (next state, force)."""
 
 
 def _slope(function: Callable[[float], Matrix], step: float) -> Matrix:
-    """Return the central difference."""
+    """Return the central difference of a function."""
     return np.asarray((function(step) - function(-step)) / (2.0 * step))
 
 
 def _at(tick: _Tick, state: Matrix, reading: Matrix, j: int, step: float) -> Matrix:
-    """Return the tick's result with state j moved by a step."""
+    """Return the result of the tick with state j changed by a step."""
     moved = state.copy()
     moved[j] += step
     return tick(moved, reading)
 
 
 def _with(tick: _Tick, state: Matrix, reading: Matrix, j: int, step: float) -> Matrix:
-    """Return the tick's result with reading j moved by a step."""
+    """Return the result of the tick with reading j changed by a step."""
     moved = reading.copy()
     moved[j] += step
     return tick(state, moved)
 
 
 ROWS = [*range(s.TRAVEL, s.STRETCH_OFFSET + 1), s.SETPOINT, s.INTEGRAL, s.FORCE, s.PLANNED, s.RATE]
-"""Rows of a tendon that take part in the feedback: the state of the filter, then that of the control law."""
+"""State rows of a tendon in the feedback: first those of the filter, then those of the control law."""
 READ = [s.MEASURED_TRAVEL, s.MEASURED_TENSION, s.MEASURED_EXCURSION]
-"""Rows of the tendon's measurements."""
+"""State rows with the tendon's measurements."""
 _STATE_SIZE = 2.0 ** np.array([-17, -7, -17, -7, 0, 0, -17, 0, 0, 0, 0, 0])
-"""Sizes of the states in `ROWS`, which scale the differences.
+"""Typical sizes of the states in `ROWS`, to scale the finite differences.
 
-They are powers of two. So the difference of a state that is only copied is exactly one.
+The sizes are powers of two, so that the difference of a copied state is exactly one.
 """
 
 
 class _Bench:
-    """Filter and linear control law of a hand on a block of its state.
+    """Filter and linear control law of a hand, applied to a block of state.
 
     Attributes:
-        model: model of the hand. The control law has its gains, without limits and motor
-            friction.
+        model: model of the hand with its gains, but without limits and motor friction.
         layout: layout of the block.
     """
 
@@ -283,21 +289,24 @@ class _Bench:
         self._constant_args = self._constants.block, self._constants.layout.places
 
     def estimate(self, block: Block) -> None:
-        """Correct and predict the filter. No torque acts yet, so no contact is detected."""
+        """Run the correction and prediction of the filter.
+
+        No torque acts yet, so no contact is detected.
+        """
         self.layout.view(block, "mode")[...] = Mode.ARMING
         stages.correct(block, self.layout.places, *self._constant_args)
         predict(self.model, self.layout, block)
         stages.conclude(block, self.layout.places, *self._constant_args)
 
     def act(self, block: Block) -> None:
-        """Command the torques for the goals and the estimate."""
+        """Compute the torque commands from the goals and the estimate."""
         self.layout.view(block, "mode")[...] = Mode.ACTIVE
         write_loads(self.model, self.layout, self._constants, block)
         stages.act(block, self.layout.places, *self._constant_args, 0.0, 0, 1)
 
 
 def _operating_point(model: HandModel, tendon: int, kind: LoopKind) -> tuple[_Tick, Matrix, Matrix, Matrix]:
-    """Return the tick of a tendon, the state and reading of the operating point, and the states' steps."""
+    """Return the tick function of a tendon, state and reading at the operating point, and state steps."""
     bench = _Bench(model)
     point = _point(bench, tendon, kind)
 
@@ -315,10 +324,10 @@ def _operating_point(model: HandModel, tendon: int, kind: LoopKind) -> tuple[_Ti
 
 
 def _point(bench: _Bench, tendon: int, kind: LoopKind) -> Block:
-    """Return the block of the operating point.
+    """Return the state block at the operating point.
 
-    Every digit is half closed and every tendon taut. One tendon winds (motion) or is at rest
-    (tension), without error.
+    Every digit is half closed and every tendon is taut. The tendon winds (motion) or is at rest
+    (tension), with zero error.
     """
     model = bench.model
     layout = bench.layout
@@ -364,10 +373,10 @@ def _point(bench: _Bench, tendon: int, kind: LoopKind) -> Block:
 
 
 def _half_closed(digit: DigitModel) -> Matrix:
-    """Return the coordinates (n_c,) of a digit at which all its joints are inside their ranges [rad].
+    """Return the coordinates (n_c,) of a digit with all joints inside their ranges [rad].
 
-    All joints are at `ANGLE_RAD` where the coupling has such a point. Otherwise it is the point
-    farthest from all limits.
+    All joints are at `ANGLE_RAD` if the coupling allows this. Otherwise the point farthest from all
+    limits is used.
     """
     low = digit.joint_min
     high = digit.joint_max
@@ -388,7 +397,7 @@ def _half_closed(digit: DigitModel) -> Matrix:
 
 
 def _winding(model: HandModel, d: int, tendon: int, speed: float) -> Matrix:
-    """Return the coordinate rates (n_c,) of a digit whose tendons wind, the given one at a speed [m/s]."""
+    """Return the coordinate rates (n_c,) of a digit whose given tendon winds at a speed [m/s]."""
     digit = model.digits[d]
     arms = digit.reduced_moment_arms
     i = tendon - digit.tendons.start
@@ -398,7 +407,7 @@ def _winding(model: HandModel, d: int, tendon: int, speed: float) -> Matrix:
 
 
 def _joint_gain(model: HandModel) -> Matrix:
-    """Return 1 where joint encoders measure a tendon's excursion, NaN elsewhere (N,)."""
+    """Return (N,) 1 where joint encoders measure the excursion of a tendon, else NaN."""
     seen = [bool(np.any(blocks[Regime.FREE].K[:, 2])) for blocks in model.filter.blocks]
     return np.where(seen, 1.0, math.nan)
 
@@ -410,7 +419,7 @@ def _hold_goal(tendons: slice) -> DigitGoal:
 
 
 def _move_goal(digit: DigitModel, position: Matrix, rate: Matrix, reached: Matrix, speed: Matrix, i: int) -> DigitGoal:
-    """Return a motion goal at the estimate of the digit's tendon i: excursion [m] and speed [m/s]."""
+    """Return a motion goal equal to the estimate of the digit's tendon i: excursion [m], speed [m/s]."""
     arms = digit.reduced_moment_arms
     if 0 <= i < len(arms):
         direction = arms[i] / (arms[i] @ arms[i])

@@ -1,8 +1,9 @@
-"""Margins of a loop: gain, phase and disk margin, delay, bandwidth, and the step response.
+"""Margins of a loop: gain, phase, disk, and delay margin, bandwidth, and step response.
 
-A search needs thousands of margins, so each is read from a frequency response. The margins of the
-package `control` are the reference in the tests. Reported margins are confirmed by the closed
-loop's eigenvalues: within them no change of gain, phase or delay moves a pole to the unit circle.
+A search needs thousands of margins, so each margin is computed from a frequency response. The
+margins of the package `control` are the reference in the tests. Reported margins are confirmed by
+the eigenvalues of the closed loop: no change of gain, phase, or delay within its margin moves a
+pole to the unit circle.
 Source: balanced disk margin 1 / max |S - 1/2| (Seiler, Packard, Gahinet, 2020).
 """
 
@@ -17,25 +18,25 @@ from handctl.core.model import HandModel
 from handctl.tune.loops.linear import NOMINAL, LoopKind, Matrix, PlantFactors, System, loop, plant
 
 GAIN_MARGIN_DB = 6.0
-"""Least gain margin of tuned gains on every plant of an ensemble [dB]."""
+"""Smallest gain margin allowed for tuned gains on any plant of an ensemble [dB]."""
 PHASE_MARGIN_DEG = 45.0
-"""Least phase margin of tuned gains on every plant of an ensemble [deg]."""
+"""Smallest phase margin allowed for tuned gains on any plant of an ensemble [deg]."""
 LOWEST_HZ = 0.3
-"""Lowest frequency of a response [Hz]."""
+"""Lowest frequency of a frequency response [Hz]."""
 POINTS = 300
-"""Frequencies of a response in a search."""
+"""Number of frequencies of a response in a search."""
 FINE_POINTS = 3000
-"""Frequencies of a response for reported margins."""
+"""Number of frequencies of a response for reported margins."""
 NO_GAIN = 1e-6
-"""Gain below which a loop feeds nothing back and has no margin."""
+"""Loop gain below which a loop counts as open and has no margin."""
 MAX_GAIN_DB = 60.0
-"""Largest reported gain margin [dB]. Larger ones are not confirmed."""
+"""Largest reported gain margin [dB]. Larger margins are not confirmed."""
 MAX_DELAY_S = 0.1
-"""Largest reported delay margin [s]. Larger ones are not confirmed."""
+"""Largest reported delay margin [s]. Larger margins are not confirmed."""
 SIZES = 10
-"""Fractions of a margin at which eigenvalues are computed."""
+"""Fractions of a margin at which the eigenvalues are computed."""
 DIRECTIONS = 6
-"""Directions of a disk at which eigenvalues are computed."""
+"""Number of directions on the disk in which the eigenvalues are computed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,12 +46,13 @@ class Margins:
     Attributes:
         gain_db: factor by which the loop's gain may rise or fall, the smaller of both [dB].
             Zero if the loop is unstable.
-        phase_deg: smallest distance of the phase from -180 degrees where the gain is one [deg].
+        phase_deg: smallest difference of the phase from -180 degrees where the gain is one [deg].
         disk: balanced disk margin, 0 for an unstable loop, 2 at most.
-        delay_s: additional delay that the loop tolerates [s].
-        crossover_hz: highest frequency at which the loop's gain is one [Hz], NaN otherwise.
-        peak: largest sensitivity [1].
-        stable: stability of the closed loop.
+        delay_s: largest additional delay for a stable loop [s].
+        crossover_hz: highest frequency at which the loop gain is one [Hz], NaN if the gain is never
+            one.
+        peak: largest value of the sensitivity function [1].
+        stable: True if the closed loop is stable.
     """
 
     gain_db: float
@@ -63,24 +65,27 @@ class Margins:
 
     @property
     def enough(self) -> bool:
-        """Return True if the margins suffice for tuned gains."""
+        """Return True if the margins are large enough for tuned gains."""
         return self.stable and self.gain_db >= GAIN_MARGIN_DB and self.phase_deg >= PHASE_MARGIN_DEG
 
     @property
     def shortfall(self) -> float:
-        """Return the missing margin as a fraction of the required one, 0 or less if nothing is missing."""
+        """Return the missing part of a margin, as a fraction of the required margin.
+
+        The value is 0 or less if every margin is large enough.
+        """
         if not self.stable:
             return 1.0 + min(self.peak, 100.0)
         return max(1.0 - self.gain_db / GAIN_MARGIN_DB, 1.0 - self.phase_deg / PHASE_MARGIN_DEG)
 
 
 def unproven(linear_margins: Margins) -> Margins:
-    """Return zero margins, for linear margins that a simulation contradicts."""
+    """Return zero margins, for linear margins contradicted by a simulation."""
     return _none(linear_margins.crossover_hz, linear_margins.peak, stable=False)
 
 
 def worse(first: Margins, second: Margins) -> Margins:
-    """Return the smaller of each margin, and the larger crossover and peak."""
+    """Return the smaller value of each margin, and the larger crossover and peak."""
     return Margins(
         gain_db=min(first.gain_db, second.gain_db),
         phase_deg=min(first.phase_deg, second.phase_deg),
@@ -93,14 +98,14 @@ def worse(first: Margins, second: Margins) -> Margins:
 
 
 def grid(period: float, points: int = POINTS) -> Matrix:
-    """Return angular frequencies from a third of a hertz to just below half the sampling rate (points,) [rad/s]."""
+    """Return angular frequencies (points,) from a third of a hertz to just below half the sampling rate [rad/s]."""
     return np.geomspace(2.0 * math.pi * LOWEST_HZ, 0.999 * math.pi / period, points)
 
 
 def margins(system: System, points: int = POINTS) -> Margins:
-    """Compute the margins of a loop L with 1 + L in the denominator.
+    """Return the margins of a loop L with 1 + L in the denominator.
 
-    An unstable loop and a loop without gain have no margins.
+    The margins of an unstable loop and of a loop without gain are zero.
     """
     omega = grid(system.period, points)
     if not (np.isfinite(system.A).all() and np.isfinite(system.C).all()):
@@ -132,8 +137,8 @@ def is_stable(system: System, factor: complex = 1.0, delay: int = 0) -> bool:
 
     Args:
         system: loop.
-        factor: factor on its gain, complex for a change of phase.
-        delay: additional ticks of delay.
+        factor: factor on the loop gain, complex for a change of phase.
+        delay: additional delay [ticks].
     """
     n = len(system.A)
     A = np.zeros((n + delay, n + delay), dtype=complex)
@@ -148,10 +153,10 @@ def is_stable(system: System, factor: complex = 1.0, delay: int = 0) -> bool:
 
 
 def confirmed(system: System) -> Margins:
-    """Compute margins that the closed loop's eigenvalues confirm.
+    """Return margins that are confirmed by the eigenvalues of the closed loop.
 
-    A margin is reduced to the point where an eigenvalue leaves the unit circle. The frequency
-    response alone misses a resonance between two of its points.
+    A margin is reduced to the value at which an eigenvalue reaches the unit circle. The frequency
+    response alone would miss a resonance between two of its frequencies.
     """
     result = margins(system, FINE_POINTS)
     if not result.stable or result.phase_deg == 0.0:
@@ -181,7 +186,10 @@ def _stable_with_all(system: System, factors: Sequence[complex] | NDArray[np.com
 
 
 def _disk(size: float) -> NDArray[np.complex128]:
-    """Return factors on the rim of a balanced disk. Those of its mirror image have the same eigenvalues."""
+    """Return factors on the edge of a balanced disk.
+
+    The mirror image of a factor gives the same eigenvalues, so only half of the edge is returned.
+    """
     delta = size * np.exp(1j * np.linspace(0.0, np.pi, DIRECTIONS))
     return np.asarray((2.0 + delta) / (2.0 - delta))
 
@@ -189,7 +197,8 @@ def _disk(size: float) -> NDArray[np.complex128]:
 def _largest_confirmed(margin: float, is_confirmed: Callable[[float], bool], sizes: int = SIZES) -> float:
     """Return the largest part of a margin up to which all tested fractions are confirmed.
 
-    The last hundredth is interpolation of the frequency response, and is not tested.
+    The last hundredth of a margin is not tested, because of the interpolation of the frequency
+    response.
     """
     tried = margin * np.linspace(0.0, 0.99, sizes + 1)[1:]
     for before, at in zip([0.0, *tried[:-1]], tried, strict=True):
@@ -207,7 +216,7 @@ def _gain_factors(L: NDArray[np.complex128]) -> list[float]:
 
 
 def _phase_angles(L: NDArray[np.complex128], omega: Matrix) -> list[tuple[float, float]]:
-    """Return (angle from -180 degrees [rad], frequency [rad/s]) where the gain crosses one, interpolated."""
+    """Return (angle from -180 degrees [rad], frequency [rad/s]) where the gain is one, interpolated."""
     size = np.log(np.maximum(np.abs(L), NO_GAIN))
     i = np.flatnonzero(np.diff(np.sign(size)) != 0.0)
     fraction = size[i] / (size[i] - size[i + 1])
@@ -225,7 +234,7 @@ def all_margins(model: HandModel, factors: PlantFactors = NOMINAL) -> dict[tuple
 def worst(
     margins_by_loop: dict[tuple[str, LoopKind], Margins],
 ) -> tuple[tuple[str, LoopKind], Margins]:
-    """Return the loop with the largest shortfall, and its name."""
+    """Return the loop with the largest shortfall of a margin, and its name."""
     return max(margins_by_loop.items(), key=lambda item: item[1].shortfall)
 
 

@@ -1,8 +1,8 @@
-"""Steps of both loops in lockstep: does the whole controller come to rest as the linear loops predict?
+"""Step tests of both loops in lockstep, to check that the whole controller comes to rest.
 
-The linear loops leave out friction, limits, quantisation, the drives and the other digits.
-Therefore gains are accepted only after a test on the simulated plant. The running controller must
-answer a step of the angle and a step of the tension, and come to rest after each of them.
+The linear loops neglect friction, limits, quantisation, the drives, and the other digits. Therefore
+gains are accepted only after a test on the simulated plant. The running controller must come to
+rest after a step of the angle and after a step of the tension.
 """
 
 from collections.abc import Mapping
@@ -24,25 +24,25 @@ from handctl.tune.search.ensemble import MIN_SPREAD
 STEP_RAD = 0.15
 """Step of the angle [rad]."""
 HOLD_TENSION_N = 30.0
-"""Tension before its step [N]."""
+"""Tension before the tension step [N]."""
 STEP_N = 10.0
 """Step of the tension [N]."""
 OSCILLATING = 1e-3
-"""Least angle of an oscillating eigenvalue [rad per tick], 0.08 Hz at 500 Hz."""
+"""Smallest angle of an eigenvalue that counts as oscillating [rad per tick], 0.08 Hz at 500 Hz."""
 REST_S = 0.5
-"""Duration of a step's rest [s]."""
+"""Duration of the rest after a step [s]."""
 EVALUATED_S = 0.25
-"""Part at the end of the rest in which swings are measured [s]."""
+"""Time at the end of the rest in which oscillations are measured [s]."""
 MAX_ANGLE_SWING_RAD = 0.01
-"""Largest swing of the angle at rest [rad]."""
+"""Largest oscillation of the angle that counts as rest, peak to peak [rad]."""
 MAX_FREE_SWING_N = 1.0
-"""Largest swing of the tension at rest in free motion [N]."""
+"""Largest oscillation of the tension after a motion step that counts as rest, peak to peak [N]."""
 MAX_HOLD_SWING_N = 2.0
-"""Largest swing of a held tension at rest [N].
+"""Largest oscillation of a held tension that counts as rest, peak to peak [N].
 
-Gains with 6 dB and 45 degrees swing by up to 0.0004 rad, 0.1 N and 1.2 N (quantisation, noise and
-stick-slip). Gains with 2 dB or less, and unstable ones, swing by 2.9 N and more, or end with a
-fault.
+With margins of 6 dB and 45 degrees, the hand oscillates by up to 0.0004 rad, 0.1 N, and 1.2 N
+(quantisation, noise, and stick-slip). With a gain margin of 2 dB or less, or an unstable loop, it
+oscillates by 2.9 N or more, or the run ends with a fault.
 """
 
 
@@ -62,7 +62,7 @@ class Steps(Exercise):
 
 @dataclass(frozen=True, slots=True)
 class Swing:
-    """Largest swing of any digit or tendon after the steps.
+    """Largest oscillation of any digit or tendon after the steps.
 
     Attributes:
         angle_rad: peak to peak of the mean joint angle after the motion step [rad].
@@ -79,12 +79,12 @@ class Swing:
 
     @property
     def largest_hold_swing(self) -> float:
-        """Return the largest swing of a held tension [N]."""
+        """Return the largest oscillation of a held tension [N]."""
         return max(self.hold_swings_N)
 
     @property
     def at_rest(self) -> bool:
-        """Return True if all swings are those of a loop at rest."""
+        """Return True if all oscillations are as small as those of a loop at rest."""
         small = (
             self.angle_rad <= MAX_ANGLE_SWING_RAD
             and self.free_N <= MAX_FREE_SWING_N
@@ -93,7 +93,7 @@ class Swing:
         return small and not self.failure
 
     def beside(self, plant_swings_N: tuple[float, ...]) -> "Swing":
-        """Return the swing beyond that of the plant itself in the held tensions [N]."""
+        """Return the oscillation of the held tensions in excess of that of the plant itself [N]."""
         remaining = (
             max(0.0, swing - plant_swing) for swing, plant_swing in zip(self.hold_swings_N, plant_swings_N, strict=True)
         )
@@ -108,12 +108,12 @@ class Swing:
 
 
 def swing(hand: Hand, model: HandModel, factors: Mapping[str, float], seed: int) -> Swing:
-    """Step both loops on a simulated plant.
+    """Run both steps on a simulated plant, and return the largest oscillations.
 
     Args:
         hand: description of the plant.
         model: model with the gains.
-        factors: factors of the plant on the description.
+        factors: factors of the plant relative to the description.
         seed: seed of the noise.
     """
     ticks, truth, failure = simulated(hand, model, Steps(), factors, seed)
@@ -127,14 +127,17 @@ def swing(hand: Hand, model: HandModel, factors: Mapping[str, float], seed: int)
 
 
 def _swing(hand: Hand, truth: TruthRecord, model: HandModel, end_ns: int) -> tuple[Matrix, Matrix]:
-    """Return the swings of angles and tensions in the evaluated time before `end_ns`."""
+    """Return the oscillations of angles and tensions in the evaluated time before `end_ns`."""
     times = np.arange(end_ns - round(EVALUATED_S * 1e9), end_ns, round(model.period * 1e9), dtype=np.int64)
     real = GroundTruth.of(truth, hand, times)
     return _ripple(real.angle), _ripple(real.tension)
 
 
 def _ripple(values: Matrix) -> Matrix:
-    """Return the peak to peak of each column about its own parabola, because slow creep is no swing."""
+    """Return the peak to peak value of each column after subtracting a parabola.
+
+    The parabola removes slow creep, which is not an oscillation.
+    """
     t = np.linspace(-1.0, 1.0, len(values))
     # Columns t^2, t and 1.
     powers = np.vander(t, 3)
@@ -145,9 +148,9 @@ def _ripple(values: Matrix) -> Matrix:
 def rings(model: HandModel, factors: PlantFactors) -> bool:
     """Return True if the linear loop of a held tension still oscillates when a step is evaluated.
 
-    Its oscillating eigenvalues are the same at every tension below the knee of the tendon. A step
-    is evaluated after `REST_S - EVALUATED_S`. The remaining oscillation must be below the largest
-    swing of a loop at rest.
+    The oscillating eigenvalues are equal at every tension below the knee of the tendon. A step is
+    evaluated after `REST_S - EVALUATED_S`. By then the oscillation must be below the largest
+    oscillation of a loop at rest.
 
     Args:
         model: model with the gains.
@@ -172,33 +175,36 @@ WITHOUT_FEEDBACK = {
         "integral_per_s": 0.0,
     },
 }
-"""Gains with almost no feedback while a tension is held."""
+"""Gains with almost zero feedback while a tension is held."""
 CHATTER_SEEDS = 3
-"""Runs whose largest swing counts. Chatter differs by a factor of two between seeds of the noise."""
+"""Number of runs over which the largest oscillation is taken.
+
+Chatter varies by a factor of two between noise seeds.
+"""
 MIN_FRICTION = {"friction": 1.0 - MIN_SPREAD["friction"]}
-"""Factors of the hand's own plant with the least friction of any ensemble."""
+"""Factors of the hand's own plant with the lowest friction of any ensemble."""
 
 
 @dataclass
 class Proof:
-    """Proof in lockstep that gains come to rest.
+    """Test in lockstep that gains let the hand come to rest.
 
-    Four plants are simulated: the hand's own, the same with the least friction of any ensemble, the
-    one with the smallest margins, and the one with the most friction. The linear loops leave
-    friction out.
+    Four plants are simulated: the hand's own plant, the same plant with the lowest friction of any
+    ensemble, the plant with the smallest margins, and the plant with the highest friction. The
+    linear loops neglect friction.
 
-    Links of a digit that presses on something may chatter, also under a constant motor torque. Such
-    a swing belongs to the plant. It is measured on the same plant with gains without feedback, and
-    subtracted for each tendon. If the linear loop oscillates at the tension, no swing is
-    subtracted. All tendons have the same gains, so an oscillating loop also shows on tendons
-    without chatter, and in its eigenvalues.
+    Links of a digit that presses on an object may chatter, even with constant motor torque. Such an
+    oscillation is a property of the plant. The oscillation is measured on the same plant without
+    feedback, and subtracted for each tendon. If the linear loop oscillates at the tension, no
+    oscillation is subtracted. All tendons have the same gains, so an oscillating loop is also
+    visible on tendons without chatter, and in its eigenvalues.
 
     Attributes:
         hand: hand of the plants.
         factors: factors of the ensemble's plants, the hand's own first.
-        plants: their linear parts.
+        plants: linear factors of the plants.
         seed: seed of the noise.
-        reason: why the last gains did not come to rest, empty if they did.
+        reason: reason why the hand did not come to rest with the last gains, empty if it did.
     """
 
     hand: Hand
@@ -210,7 +216,7 @@ class Proof:
     _chatter: dict[str, tuple[float, ...]] = field(default_factory=dict)
 
     def __call__(self, model: HandModel) -> bool:
-        """Return True if the gains of a model come to rest."""
+        """Return True if the hand comes to rest with the gains of a model."""
         gains = model.gains.model_dump_json()
         if gains not in self._results:
             self._results[gains] = self._simulate(model)
@@ -218,7 +224,7 @@ class Proof:
         return not self.reason
 
     def _simulate(self, model: HandModel) -> str:
-        """Return why gains do not come to rest, empty if they do."""
+        """Return the reason why the hand does not come to rest, empty if it does."""
         friction = [factors.get("friction", 1.0) for factors in self.factors]
         indices = sorted({0, weakest(model, self.plants), friction.index(max(friction))})
         cases = {f"plant {i + 1} of {len(self.plants)}": (self.factors[i], self.seed + i) for i in indices}
@@ -237,7 +243,10 @@ class Proof:
         return ""
 
     def _plant_swing(self, model: HandModel, name: str, factors: Mapping[str, float], seed: int) -> tuple[float, ...]:
-        """Return the largest swing of each held tension without feedback [N]. A failed run counts as zero."""
+        """Return the largest oscillation of each held tension without feedback [N].
+
+        A failed run counts as zero.
+        """
         if name not in self._chatter:
             still = HandModel.of(model.hand, Gains.model_validate(WITHOUT_FEEDBACK), 1.0 / model.period)
             runs = [swing(self.hand, still, factors, seed + i) for i in range(CHATTER_SEEDS)]

@@ -1,4 +1,7 @@
-"""Ensembles of plants: drawn around the identified hand, as wide as its uncertainty."""
+"""Random ensembles of plants around the identified hand.
+
+The spread is the uncertainty of the identification.
+"""
 
 from collections.abc import Mapping
 
@@ -15,20 +18,21 @@ MIN_SPREAD = {
     "motor_inertia": 0.1,
     "damping": 0.5,
 }
-"""Least half width of each factor, whatever an identification says.
+"""Smallest half width of each factor, even if an identification is more precise.
 
-A tendon changes stiffness and friction in service. Keys are those of the simulator's `perturb`.
+The stiffness and friction of a tendon change during use. The keys are those of the simulator's
+`perturb`.
 """
 
 MAX_SPREAD = 0.9
-"""Largest half width. A factor near zero has no plant."""
+"""Largest half width, because no real plant has a factor near zero."""
 
 
 def ensemble(count: int, seed: int, spread: Mapping[str, float] | None = None) -> tuple[dict[str, float], ...]:
-    """Draw factors on plant parameters: the nominal plant first, then a scrambled Sobol sequence.
+    """Return random factors for plant parameters: the nominal plant, then a scrambled Sobol sequence.
 
     Args:
-        count: number of plants, the nominal one included.
+        count: number of plants, including the nominal plant.
         seed: seed of the sequence.
         spread: half width of each factor by key, e.g. from an identification, never less than
             `MIN_SPREAD`.
@@ -59,7 +63,7 @@ KINDS = {
 
 
 def widths(identified: Mapping[str, Identified]) -> dict[str, float]:
-    """Return the half width of each factor that covers all 95 % intervals of an identification.
+    """Return the half width of each factor, so that all 95 % intervals of an identification are covered.
 
     Args:
         identified: identified parameters by tendon.

@@ -1,9 +1,9 @@
 """Search for gains in simulation with Optuna. The result depends only on the seed.
 
-Trials are asked in fixed batches and reported in order. Each batch has its own sampler, seeded by
-the study's seed and the batch's number. So one process, several and a cluster find the same result,
-and an interrupted study resumes where it stopped: a complete batch resumes with its open trials, an
-incomplete one is asked again.
+Optuna is asked for trials in fixed batches, and their scores are reported in order. Each batch has
+its own sampler, seeded by the study's seed and the batch's number. Therefore the result does not
+depend on the number of processes, and an interrupted study can be resumed. A complete batch resumes
+with its open trials. An incomplete batch is asked for again.
 """
 
 import fcntl
@@ -22,9 +22,9 @@ from handctl.tune.search.space import SPACE, clamped
 from handctl.tune.search.workers import Workers
 
 BATCH = 8
-"""Trials per batch. Further workers would be idle."""
+"""Number of trials per batch. More workers than this would be idle."""
 RANDOM_BATCHES = 2
-"""Batches of random trials before the sampler learns."""
+"""Number of batches with random trials, before the sampler uses results."""
 NAME = "handctl"
 """Name of the study in the journal."""
 
@@ -34,13 +34,13 @@ class SearchPlan:
     """Plan of a search.
 
     Attributes:
-        hand: text of the hand file, which a worker on another machine need not have.
+        hand: text of the hand file, because a worker on another machine may not have the file.
         rate_hz: control rate [Hz].
         gains: gains of the first trial.
         plants: factors of the ensemble.
         seed: seed of the sampler and of the plants' noise.
         trials: number of trials.
-        others: further gains to try first, e.g. those of a design.
+        others: further gains to try first, such as those of a design.
     """
 
     hand: str
@@ -52,13 +52,16 @@ class SearchPlan:
     others: tuple[Gains, ...] = ()
 
     def gains_of(self, number: int, values: Mapping[str, float]) -> Gains:
-        """Return the gains of a trial. Those of the first trial may lie outside of the search space."""
+        """Return the gains of a trial.
+
+        The gains of the first trial may be outside of the search space.
+        """
         return with_values(self.gains, values, "study") if number else self.gains
 
     def job(self, number: int, values: Mapping[str, float]) -> dict[str, Any]:
         """Return a trial as a job for a worker.
 
-        The first trial is simulated whatever its margins, as the reference.
+        The first trial is the reference, and is simulated with any margins.
         """
         return {
             "hand": self.hand,
@@ -71,7 +74,7 @@ class SearchPlan:
 
     @property
     def identity(self) -> str:
-        """Return the part of the plan that must be equal to resume a study."""
+        """Return the part of the plan that must be unchanged to resume a study."""
         plain = {
             "hand": self.hand,
             "rate_hz": self.rate_hz,
@@ -83,7 +86,7 @@ class SearchPlan:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """A finished trial."""
+    """Finished trial of a search."""
 
     number: int
     values: dict[str, float]
@@ -100,7 +103,7 @@ class SearchResult:
     """Result of a search.
 
     Attributes:
-        trials: finished trials in order. The first has the gains of the plan.
+        trials: finished trials in order. The first trial has the gains of the plan.
         best: feasible trial with the smallest cost, None if no trial is feasible.
         front: numbers of the Pareto-optimal feasible trials.
     """
@@ -111,7 +114,7 @@ class SearchResult:
 
     @staticmethod
     def of(trials: tuple[Trial, ...]) -> "SearchResult":
-        """Evaluate trials."""
+        """Return the result for finished trials."""
         feasible = [trial for trial in trials if trial.feasible]
         best = min(feasible, key=lambda trial: (trial.score.cost(_scale(trials)), trial.number)) if feasible else None
         front = [
@@ -120,19 +123,22 @@ class SearchResult:
         return SearchResult(trials, best, tuple(front))
 
     def cost(self, trial: Trial) -> float:
-        """Return the cost of a trial relative to the first trial, or to the first feasible one if that failed."""
+        """Return the cost of a trial relative to the first trial.
+
+        If the first trial failed, the first feasible trial is the reference.
+        """
         return trial.score.cost(_scale(self.trials))
 
 
 def _scale(trials: tuple[Trial, ...]) -> Score:
-    """Return the score that costs are relative to."""
+    """Return the score that serves as reference for costs."""
     first = trials[0].score
     feasible = (trial.score for trial in trials if trial.feasible)
     return next(feasible, first) if first.failure else first
 
 
 def _dominates(score: Score, other_score: Score) -> bool:
-    """Return True if a score is nowhere worse and somewhere better than another one."""
+    """Return True if no objective of a score is worse and at least one is better than in another score."""
     pairs = list(zip(score.objectives, other_score.objectives, strict=True))
     return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)
 
@@ -142,9 +148,9 @@ def search(plan: SearchPlan, storage: Path, workers: Workers, show: Callable[[Se
 
     Args:
         plan: plan of the search.
-        storage: journal of Optuna, a new file or one of the same plan.
+        storage: path of an Optuna journal, either a new file or a journal of the same plan.
         workers: workers that compute the trials.
-        show: called after each trial.
+        show: function called after each trial.
 
     Raises:
         ConfigError: The storage holds another search, or another process uses it.
@@ -211,11 +217,13 @@ def _study(plan: SearchPlan, path: Path) -> Any:
 
 
 def _truncate_partial_line(path: Path) -> None:
-    """Remove an incomplete last line, e.g. after a power failure. Optuna would append to it.
+    """Remove an incomplete last line of a journal, for example after a power failure.
+
+    Optuna would append to this line.
 
     Raises:
         OSError: The file cannot be read or written.
-        ValueError: The file is no journal. It stays unchanged.
+        ValueError: The file is not a journal. The file is not changed.
     """
     if not path.is_file():
         return
@@ -242,10 +250,10 @@ def _batch(study: Any, plan: SearchPlan, workers: Workers, show: Callable[[Searc
 
 
 def _open_trials(study: Any, plan: SearchPlan, finished_count: int) -> list[Any]:
-    """Return the open trials of the present batch.
+    """Return the trials of the present batch that have no result yet.
 
-    A whole batch is asked before its first score is reported, whatever the number of trials. So a
-    longer or a resumed search asks for the same trials as a single run.
+    A whole batch is asked for before its first score is reported. Therefore a longer or a resumed
+    search asks for the same trials as a single run.
     """
     from optuna.trial import Trial as OptunaTrial
     from optuna.trial import TrialState
@@ -264,7 +272,7 @@ def _open_trials(study: Any, plan: SearchPlan, finished_count: int) -> list[Any]
 
 
 def _close_open_trials(study: Any) -> None:
-    """Close the queued and the open trials."""
+    """Mark the queued trials and the trials without result as failed."""
     from optuna.trial import TrialState
 
     while study.get_trials(deepcopy=False, states=(TrialState.WAITING,)):
@@ -294,7 +302,7 @@ def _sampler(seed: int, batch: int) -> Any:
 
 
 def _distributions() -> dict[str, Any]:
-    """Return Optuna's distributions of the search space."""
+    """Return the search space as Optuna distributions."""
     from optuna.distributions import FloatDistribution
 
     return {

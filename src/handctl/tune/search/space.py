@@ -7,7 +7,7 @@ from handctl.core.gains.gains import Gains
 
 
 class Range(NamedTuple):
-    """Range of a gain. With `log` the search is uniform in the logarithm."""
+    """Range of a gain. With `log` the search is uniform in the logarithm of the gain."""
 
     low: float
     high: float
@@ -25,13 +25,13 @@ SPACE = {
     "filter.motor_disturbance_N": Range(0.03, 3.0, True),
     "filter.free_rate_N_per_s": Range(5.0, 400.0, True),
 }
-"""Ranges of weights, rejection and filter.
+"""Ranges of weights, disturbance rejection, and filter parameters.
 
-The force of Bryson's rule is fixed, because only ratios of weights count.
+The force of Bryson's rule is fixed, because only the ratios of weights matter.
 """
 
 
 def clamped(gains: Gains) -> dict[str, float]:
-    """Return gains as a point of the search space, clamped to its ranges."""
+    """Return gains as a point of the search space, limited to its ranges."""
     values = flat(gains)
     return {key: min(max(values[key], gain_range.low), gain_range.high) for key, gain_range in SPACE.items()}

@@ -9,7 +9,7 @@ from handctl.tune.scoring import evaluate
 
 
 def main() -> int:
-    """Evaluate jobs until the input ends. The search handles Ctrl-C."""
+    """Evaluate jobs until the input ends. Ctrl-C is ignored here and handled by the search."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for line in sys.stdin:
         try:

@@ -1,4 +1,7 @@
-"""Workers of a search: this process, a pool of processes, or a Dask cluster, all with the same scores."""
+"""Workers of a search: this process, a pool of processes, or a Dask cluster.
+
+The scores do not depend on the kind.
+"""
 
 import json
 import os
@@ -17,26 +20,29 @@ Job = dict[str, Any]
 Result = dict[str, Any]
 
 ATTEMPTS = 3
-"""Attempts at a job. If a worker dies in each of them, the job counts as the cause."""
+"""Number of attempts at a job.
+
+If a worker dies in every attempt, the search reports the job as the cause.
+"""
 
 
 class Workers(Protocol):
     """Interface of workers that compute scores."""
 
     def scores(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Result]]:
-        """Yield (index, score) of each job in the order of completion."""
+        """Yield the (index, score) pair of each job, in the order of completion."""
         ...
 
     def close(self) -> None:
-        """Release the workers."""
+        """Release the resources of the workers."""
         ...
 
 
 class InProcessWorkers:
-    """Worker in this process, one job after the other."""
+    """Worker in this process that computes one job after the other."""
 
     def scores(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Result]]:
-        """Yield (index, score) of each job. See `Workers`."""
+        """Yield the (index, score) pair of each job. See `Workers`."""
         for i, job in enumerate(jobs):
             yield i, evaluate(job)
 
@@ -45,7 +51,7 @@ class InProcessWorkers:
 
 
 class ProcessPool:
-    """Processes of this machine. A dead process is replaced, and the job is repeated."""
+    """Pool of processes on this machine. A dead process is replaced, and its job is repeated."""
 
     def __init__(self, count: int) -> None:
         """Start the processes."""
@@ -71,10 +77,10 @@ class ProcessPool:
         )
 
     def scores(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Result]]:
-        """Yield (index, score) of each job. See `Workers`.
+        """Yield the (index, score) pair of each job. See `Workers`.
 
         Raises:
-            ConfigError: A job is invalid, or no worker survives it.
+            ConfigError: A job is invalid, or every worker that computes a job dies.
         """
         waiting = deque(range(len(jobs)))
         attempts = [0] * len(jobs)
@@ -98,7 +104,7 @@ class ProcessPool:
                 waiting.appendleft(i)
 
     def _readable(self, busy: Iterable[int]) -> list[int]:
-        """Wait until a worker has written a line or ended, and return the indices of all such workers."""
+        """Wait until a worker has written a line or has ended, and return the indices of all such workers."""
         outputs = {_output(self._processes[slot]): slot for slot in busy}
         ready, _, _ = select.select(list(outputs), [], [])
         return [outputs[output] for output in ready]
@@ -122,20 +128,20 @@ class ProcessPool:
         self._processes[slot] = self._start()
 
     def close(self) -> None:
-        """End the workers, also in the middle of a job."""
+        """End the workers, even during a job."""
         for worker in self._processes:
             worker.kill()
             worker.communicate()
 
 
 class Cluster:
-    """An existing Dask cluster."""
+    """Connection to an existing Dask cluster."""
 
     def __init__(self, address: str) -> None:
         """Connect to a cluster.
 
         Args:
-            address: address of its scheduler.
+            address: address of the scheduler.
 
         Raises:
             ConfigError: distributed is not installed, or the scheduler does not answer.
@@ -158,7 +164,7 @@ class Cluster:
             yield indices[future.key], result
 
     def close(self) -> None:
-        """Disconnect. The cluster stays as it is."""
+        """Disconnect from the cluster. The cluster keeps running."""
         self._client.close()
 
 
@@ -174,7 +180,7 @@ def _checked(result: Result) -> Result:
 
 
 def workers(count: int, scheduler: str | None) -> Workers:
-    """Return the workers for a count of processes, or of a Dask scheduler."""
+    """Return the workers for a number of processes, or for a Dask scheduler."""
     if scheduler:
         return Cluster(scheduler)
     return InProcessWorkers() if count == 1 else ProcessPool(count)

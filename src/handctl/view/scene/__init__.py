@@ -1,1 +1,1 @@
-"""Content of the dashboard, and its derivation from the topics of a run."""
+"""Content of the dashboard, computed from the topics of a run."""

@@ -65,7 +65,7 @@ def retimed(chunk: Chunk, offset_ns: int) -> Chunk:
 
 
 def message(chunk: Chunk) -> pa.StructArray | None:
-    """Return the decoded messages of a chunk, one per row, or None for another content."""
+    """Return the decoded messages of a chunk, one per row, or None if the chunk has other content."""
     batch = chunk.to_record_batch()
     for field, column in zip(batch.schema, batch.columns, strict=True):
         if field.name.endswith(":message"):
@@ -74,5 +74,5 @@ def message(chunk: Chunk) -> pa.StructArray | None:
 
 
 def numbers(column: pa.ListArray) -> Floats:
-    """Convert a column of lists of equal length to an array (n, width)."""
+    """Return a column of lists of equal length as an array (n, width)."""
     return np.asarray(column.flatten(), np.float64).reshape(len(column), -1)

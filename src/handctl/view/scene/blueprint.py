@@ -23,15 +23,18 @@ Window = list[rrb.VisibleTimeRange] | None
 BACKGROUND = (17, 21, 27)
 """Background colour of the hand view: red, green, blue, 0 to 255."""
 EYE = (1.5, -0.75, 1.0)
-"""Position of the eye in hand lengths: in front of the palm, on the side of the thumb and above."""
+"""Position of the camera in hand lengths: in front of the palm, on the thumb side, and above."""
 
 
 def dashboard(run: RunInfo, live: bool = False) -> rrb.Blueprint:
-    """Build the layout: hand, timing and log left, tensions, angles and states right, all plots on one time axis.
+    """Return the layout of the dashboard.
+
+    Hand, timing and log are on the left. Tensions, angles and states are on the right. All plots
+    share one time axis.
 
     Args:
         run: run and hand.
-        live: show the last seconds and follow the run.
+        live: True to show the last seconds and follow the run.
     """
     window = [LAST_SECONDS] if live else None
     left = rrb.Vertical(_hand(run), _timing(run, window), _log(), row_shares=[0.56, 0.18, 0.26])
@@ -48,7 +51,7 @@ def dashboard(run: RunInfo, live: bool = False) -> rrb.Blueprint:
 
 
 def _hand(run: RunInfo) -> rrb.Spatial3DView:
-    """Build the view of the hand."""
+    """Return the view of the hand."""
     mounts = np.array([digit.mount_position_m for digit in run.hand.digit])
     middle = mounts.mean(axis=0) * (1, 0, 1) + run.reach * np.array([0.4, -0.05, -0.06])
     shown = "object and table as in the simulator" if run.truth else "forces of the object on the fingertips"
@@ -65,7 +68,7 @@ def _hand(run: RunInfo) -> rrb.Spatial3DView:
 
 
 def _forces(run: RunInfo, window: Window) -> rrb.Horizontal:
-    """Build the plots of tensions and fingertip forces."""
+    """Return the plots of tensions and fingertip forces."""
     tensions = rrb.TimeSeriesView(
         name="Tendon tension [N], 1-sigma band",
         contents="/tension/**",
@@ -85,7 +88,7 @@ def _forces(run: RunInfo, window: Window) -> rrb.Horizontal:
 
 
 def _angles(run: RunInfo, window: Window) -> rrb.Grid:
-    """Build one plot per digit."""
+    """Return one plot of joint angles per digit."""
     views = [
         rrb.TimeSeriesView(
             name=f"{digit.name} joint angles [deg], 1-sigma band, grey: command",
@@ -100,7 +103,7 @@ def _angles(run: RunInfo, window: Window) -> rrb.Grid:
 
 
 def _states(window: Window) -> rrb.StateTimelineView:
-    """Build the lanes of phase, mode and action."""
+    """Return the lanes of phase, mode, and action."""
     return rrb.StateTimelineView(
         name="Grasp phase, mode of the hand, safety",
         contents="/state/**",
@@ -110,7 +113,7 @@ def _states(window: Window) -> rrb.StateTimelineView:
 
 
 def _timing(run: RunInfo, window: Window) -> rrb.Horizontal:
-    """Build the plots of lateness and bus load."""
+    """Return the plots of lateness and bus load."""
     late = "Tick late: never, in virtual time" if run.header.deterministic else "Tick late [us]"
     return rrb.Horizontal(
         rrb.TimeSeriesView(
@@ -131,7 +134,7 @@ def _timing(run: RunInfo, window: Window) -> rrb.Horizontal:
 
 
 def _log() -> rrb.TextLogView:
-    """Build the view of the log lines."""
+    """Return the view of the log lines."""
     return rrb.TextLogView(
         name="Log",
         contents="/rosout",

@@ -1,4 +1,4 @@
-"""Load of each bus by the frames of the ticks."""
+"""Load of each bus, computed from the frames of the ticks."""
 
 import numpy as np
 import pyarrow as pa  # type: ignore[import-untyped]
@@ -10,22 +10,22 @@ from handctl.view.scene.arrow import Floats
 from handctl.view.scene.run_info import RunInfo
 
 LONGEST = 64
-"""Maximum payload of a frame [bytes]."""
+"""Largest payload of a frame [bytes]."""
 SPAN_NS = 100_000_000
 """Window of the load [ns].
 
-The reply to a tick may be read in the next tick, so that a single tick says little.
+The reply to a tick may be read in the next tick, so the load of a single tick is not meaningful.
 """
 
 
 class FrameLoad:
-    """Worst-case time of the frames on each bus as a fraction of the last `SPAN_NS`.
+    """Load of each bus: worst-case time of the frames as a fraction of the last `SPAN_NS`.
 
-    Ticks must come in order.
+    Ticks must be passed in order.
     """
 
     def __init__(self, run: RunInfo) -> None:
-        """Tabulate the time of each frame length on each bus.
+        """Compute a table with the time of each frame length on each bus.
 
         Args:
             run: run and hand, with buses and period.
@@ -46,7 +46,7 @@ class FrameLoad:
         self._spent = np.empty((0, len(self._times)), np.int64)
 
     def of(self, ticks: pa.StructArray) -> Floats:
-        """Return the load at the next n ticks (n, buses), 0 to 1."""
+        """Return the load of each bus at the next n ticks (n, buses), 0 to 1."""
         now = np.asarray(ticks.field("t_ns"))
         t = np.concatenate([self._t, now])
         spent = np.concatenate(
@@ -64,9 +64,9 @@ class FrameLoad:
         return np.asarray((total[len(t) - len(now) + 1 :] - total[first]) / span[:, None], np.float64)
 
     def _spent_on(self, frames: pa.ListArray) -> NDArray[np.int64]:
-        """Return the time of the frames of each tick (n, buses) [ns].
+        """Return the time that the frames of each tick occupy each bus (n, buses) [ns].
 
-        Whole numbers have equal sums in any grouping.
+        Integers are used, so that sums do not depend on the order.
         """
         counts: NDArray[np.int64] = np.diff(np.asarray(frames.offsets))
         tick = np.repeat(np.arange(len(frames)), counts)

@@ -1,4 +1,4 @@
-"""Shapes of the hand, solid and in the colours of their digits."""
+"""Shapes of the hand, drawn solid and in the colours of their digits."""
 
 from collections.abc import Iterator
 
@@ -18,7 +18,7 @@ _SHAPES: dict[str, type[rr.Boxes3D] | type[rr.Cylinders3D] | type[rr.Ellipsoids3
 
 
 def entity(path: str) -> str:
-    """Return /hand/<link>/<part> for /<robot>/visual_geometries/<link>/<part>."""
+    """Return the entity path /hand/<link>/<part> for /<robot>/visual_geometries/<link>/<part>."""
     return "/hand/" + path.split("/visual_geometries/", 1)[1]
 
 
@@ -38,7 +38,7 @@ def solid(chunk: Chunk, run: RunInfo) -> Iterator[Chunk]:
 
 
 def colour(link: str, run: RunInfo) -> palette.Colour:
-    """Return the colour of a link: that of its digit, lighter towards the tip."""
+    """Return the colour of a link: the colour of its digit, lighter towards the tip."""
     colours = {
         f"{digit.name}_link{i + 1}": shade
         for index, digit in enumerate(run.hand.digit)

@@ -4,14 +4,14 @@ from typing import NamedTuple
 
 
 class Colour(NamedTuple):
-    """Red, green, blue, 0 to 255."""
+    """Colour as red, green, blue, 0 to 255."""
 
     red: int
     green: int
     blue: int
 
     def mixed(self, other: "Colour", fraction: float) -> "Colour":
-        """Return the colour at a fraction, 0 to 1, of the way to another colour."""
+        """Return the mix of two colours. Fraction 0 gives this colour, 1 the other colour."""
         return Colour(*(round(a + fraction * (b - a)) for a, b in zip(self, other, strict=True)))
 
 
@@ -70,10 +70,10 @@ def digit(index: int) -> Colour:
 
 
 def shades(index: int, number: int) -> list[Colour]:
-    """Return the colour of each joint of a digit, lighter towards the tip."""
+    """Return a colour for each joint of a digit, lighter towards the tip."""
     return [digit(index).mixed(WHITE, 0.4 * i / max(number - 1, 1)) for i in range(number)]
 
 
 def dimmed(colour: Colour) -> Colour:
-    """Return the dimmed colour for a command beside its measured value."""
+    """Return the dimmed colour for a command, drawn next to its measured value."""
     return colour.mixed(BLACK, 0.45)

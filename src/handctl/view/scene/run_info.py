@@ -1,4 +1,4 @@
-"""Run and hand of a log, in the form that converters and layout use."""
+"""Run and hand of a log, as used by converters and layout."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RunInfo:
-    """One run of one hand.
+    """Data about one run of one hand.
 
     Attributes:
         header: names, period and offset of the run.
@@ -34,28 +34,28 @@ class RunInfo:
 
     @classmethod
     def of(cls, header: RunHeader, name: str) -> "RunInfo":
-        """Create the subject of a log.
+        """Return the data about the run in a log.
 
         Raises:
             LogError: the names of the description differ from those of the header.
-            ConfigError: the description in the log is not a hand.
+            ConfigError: the description in the log is not a valid hand.
         """
         where = f"{name}, attachment hand.toml"
         return cls(header, described_hand(header, where), printable(name))
 
     @property
     def application(self) -> str:
-        """Return the application id. Rerun stores one layout per id."""
+        """Return the application id for Rerun, which stores one layout per id."""
         return f"handctl_{self.hand.name}"
 
     def fields(self, table: Floats) -> dict[str, Floats]:
-        """Split the rows of /controller/values into fields.
+        """Return the rows of /controller/values, split into fields.
 
         Args:
             table: (n, columns).
 
         Returns:
-            (n, names) of each field, NaN for fields that an earlier version did not log.
+            Array (n, names) for each field, NaN for fields not logged by earlier versions.
         """
         slices = columns(self.header, row_fields(self.header, table.shape[1]))
         missing = {

@@ -43,7 +43,7 @@ def _lines(entity: str, names: Sequence[str], colours: Sequence[Colour], width: 
 
 
 def _measured(entity: str, names: Sequence[str], colours: Sequence[Colour], unit: str) -> Chunk:
-    """Return the style of plot lines with a band."""
+    """Return the style of plot lines with a band for the standard deviation."""
     style = rr.Measurements.columns(
         names=list(names),
         colors=list(colours),

@@ -22,21 +22,21 @@ FORCE_SCALE = 0.008
 ARROW_RADIUS = 0.0013
 """Radius of a force arrow [m]."""
 MIN_FORCE = 0.05
-"""Smallest force with an arrow [N]."""
+"""Smallest force drawn as an arrow [N]."""
 
 Converter = Callable[[Chunk], Iterator[Chunk]]
-"""Converts a chunk of one topic to new chunks."""
+"""Function that converts a chunk of one topic to new chunks."""
 
 STATE_TOPICS = {
     "/grasp/phase": "/state/phase",
     "/controller/mode": "/state/mode",
     "/safety/action": "/state/safety",
 }
-"""Topic of a named state -> entity."""
+"""Entity of each topic with a named state."""
 
 
 class TopicConverters:
-    """Converts each chunk according to its topic."""
+    """Converter of chunks, according to their topics."""
 
     def __init__(self, run: RunInfo) -> None:
         """Set the converter of each topic.
@@ -57,7 +57,7 @@ class TopicConverters:
 
     @property
     def topics(self) -> list[str]:
-        """Return regular expressions of the topics that are converted."""
+        """Return regular expressions for the topics to convert."""
         exact = [*self._converters, "/tf", "/tf_static", "/rosout", "/robot_description"]
         return [f"^{topic}$" for topic in exact] + ["^/actuator/.*/temperature$"]
 
@@ -74,7 +74,7 @@ class TopicConverters:
             yield retimed(chunk, self._offset)
 
     def _values(self, chunk: Chunk) -> Iterator[Chunk]:
-        """Convert the numbers of the controller."""
+        """Convert the telemetry of the controller."""
         messages = message(chunk)
         if messages is None:
             return
@@ -113,7 +113,7 @@ class TopicConverters:
             yield timed("/bus/load", run_times(chunk, self._offset), scalars(load))
 
     def _state(self, chunk: Chunk) -> Iterator[Chunk]:
-        """Convert a named state to a lane."""
+        """Convert a named state to a lane of the dashboard."""
         messages = message(chunk)
         if messages is not None:
             names = messages.field("name").to_pylist()
@@ -124,19 +124,19 @@ class TopicConverters:
 def band(values: Floats, sigma: Floats) -> rr.ComponentColumnList:
     """Return plot lines (n, lines) with a band of one standard deviation.
 
-    An unknown deviation gives no band.
+    If the deviation is unknown, there is no band.
     """
     measured = rr.Measurements.columns(values=values.ravel(), variances=np.nan_to_num(sigma**2).ravel())
     return measured.partition([values.shape[1]] * len(values))
 
 
 def scalars(values: Floats) -> rr.ComponentColumnList:
-    """Return plot lines (n, lines)."""
+    """Return the values as plot lines (n, lines)."""
     return rr.Scalars.columns(scalars=values.ravel()).partition([values.shape[1]] * len(values))
 
 
 def arrows(force: Floats) -> rr.ComponentColumnList:
-    """Return the force of the object on a fingertip (n,) [N] as arrows in the tip's frame."""
+    """Return the force of the object on a fingertip (n,) [N] as arrows in the frame of the tip."""
     shown = np.where(force >= MIN_FORCE, force, 0.0)
     vectors = np.zeros((len(force), 3))
     # The tip closes towards +y of its frame, and the object pushes back.

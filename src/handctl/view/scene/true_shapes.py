@@ -1,4 +1,4 @@
-"""Object and table of a simulated run, where the simulator's truth has them."""
+"""Object and table of a simulated run, at their poses in the simulator's truth file."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -14,17 +14,17 @@ from handctl.view.scene.palette import Colour
 from handctl.view.scene.run_info import RunInfo
 
 PERIOD_NS = 20_000_000
-"""Interval between poses [ns], as of the links' transforms."""
+"""Interval between poses [ns], equal to that of the link transforms."""
 COLOURS = {"object": Colour(216, 206, 186), "table": Colour(112, 122, 134)}
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 """Columns of the object's pose, in Rerun's order of a quaternion."""
 
 
 def true_shapes(run: RunInfo) -> Iterator[Chunk]:
-    """Yield shapes and poses of object and table. A run without truth, or a truth without shapes, has none.
+    """Yield shapes and poses of object and table, none if the run has no truth with shapes.
 
     Raises:
-        LogError: the truth describes a shape that it does not know, or lacks a column.
+        LogError: the truth file names an unknown shape, or lacks a column.
     """
     if run.truth is None:
         return
@@ -48,7 +48,7 @@ def true_shapes(run: RunInfo) -> Iterator[Chunk]:
 
 
 def _solid(shape: Mapping[str, Any], colour: Colour) -> Any:
-    """Return a shape as a solid.
+    """Return a shape drawn as a solid.
 
     Raises:
         LogError: the kind of shape is unknown.
@@ -66,13 +66,13 @@ def _solid(shape: Mapping[str, Any], colour: Colour) -> Any:
 
 
 def _object_pose(truth: TruthRecord, shape: Mapping[str, Any], times: Any) -> tuple[Any, Any]:
-    """Return position [m] and quaternion x, y, z, w of the object, a row per time."""
+    """Return position [m] and quaternion x, y, z, w of the object, one row per time."""
     pose = truth.table([f"object/{part}" for part in POSE], times)
     return pose[:, :3], pose[:, 3:]
 
 
 def _table_pose(truth: TruthRecord, shape: Mapping[str, Any], times: Any) -> tuple[Any, Any]:
-    """Return position [m] and quaternion of the table, which only sinks."""
+    """Return position [m] and quaternion of the table. The table only moves down."""
     position = np.tile(np.array(shape["position_m"], np.float64), (len(times), 1))
     if truth.has("support"):
         position[:, 2] -= truth.at("support", times)
