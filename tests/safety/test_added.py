@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from textwrap import dedent, indent
 
 import pytest
 
@@ -35,12 +36,12 @@ def added(package: Path) -> None:
     declaration, detector = re.findall(r"```python\n(.*?) *```", PAGE, re.DOTALL)
     kind = package / "safety" / "faults" / "tendon.py"
     with kind.open("a", encoding="utf-8") as file:
-        file.write("\n" + re.sub("^   ", "", declaration, flags=re.MULTILINE))
+        file.write("\n" + dedent(" " * 4 + declaration.lstrip()))
     path = package / "core" / "detectors" / "tendon.py"
     source = path.read_text(encoding="utf-8")
     place = "        tension = monitored_tension(x, c, n, True)\n"
     assert place in source
-    lines = re.sub("^   ", " " * 8, detector, flags=re.MULTILINE)
+    lines = indent(dedent(" " * 4 + detector.lstrip()), " " * 8)
     source = source.replace(place, place + lines, 1)
     source = source.replace(
         "from handctl.safety.faults.tendon import (\n",
