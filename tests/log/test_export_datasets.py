@@ -10,7 +10,9 @@ import pytest
 from rerun.chunk import RrdReader
 from rerun.experimental import LeRobotReader
 
+from handctl.cli.main import main
 from handctl.core.types import TELEMETRY_FIELDS, Mode
+from handctl.errors import LogError
 from handctl.log.export.lerobot import export_lerobot
 from handctl.log.export.parquet import export_parquet
 from handctl.log.export.tables import column_title, columns, export_csv
@@ -33,7 +35,7 @@ def table_of(log: RunLog) -> np.ndarray:
 
 @pytest.fixture
 def dataset(log: RunLog, tmp_path: Path) -> Path:
-    frames = export_lerobot(log, tmp_path / "x.lerobot")
+    frames = export_lerobot([log], tmp_path / "x.lerobot")
     assert frames == int((log.mode == int(Mode.ACTIVE)).sum())
     return tmp_path / "x.lerobot"
 
@@ -106,6 +108,44 @@ def test_the_episode_has_its_statistics(dataset: Path) -> None:
         assert table[column].dtype == polars.List(polars.Int64 if name == "count" else polars.Float64)
 
 
+def test_several_logs_become_episodes_of_one_dataset(log: RunLog, dataset: Path, tmp_path: Path) -> None:
+    with RunLog(GOLDEN.parent / "jamia-grasp.mcap") as other:
+        frames = export_lerobot([other, log, other], tmp_path / "y")
+    table = polars.read_parquet(tmp_path / "y" / "data" / "chunk-000" / "file-000.parquet")
+    episodes = polars.read_parquet(tmp_path / "y" / "meta" / "episodes" / "chunk-000" / "file-000.parquet").to_dicts()
+    info = json.loads((tmp_path / "y" / "meta" / "info.json").read_text())
+    tasks = polars.read_parquet(tmp_path / "y" / "meta" / "tasks.parquet").to_dicts()
+    assert (info["total_episodes"], info["total_frames"], info["splits"]) == (3, frames, {"train": "0:3"})
+    assert table["index"].to_list() == list(range(frames))
+    assert len(tasks) == info["total_tasks"] == len({episode["tasks"][0] for episode in episodes})
+    alone = polars.read_parquet(dataset / "data" / "chunk-000" / "file-000.parquet")
+    for episode in episodes:
+        part = table[episode["dataset_from_index"] : episode["dataset_to_index"]]
+        assert set(part["episode_index"]) == {episode["episode_index"]}
+        assert part["frame_index"].to_list() == list(range(episode["length"]))
+        assert {tasks[i]["task"] for i in part["task_index"]} == set(episode["tasks"])
+        assert episode["stats/action/mean"] == pytest.approx(part["action"].to_numpy().mean(axis=0), abs=1e-4)
+    middle = table.filter(polars.col("episode_index") == 1)
+    for name in ("observation.state", "action", "timestamp", "next.done"):
+        assert middle[name].to_list() == alone[name].to_list()
+
+
+def test_a_log_of_another_hand_is_no_episode(log: RunLog, tmp_path: Path) -> None:
+    with (
+        RunLog(GOLDEN.parent / "jamia11-grasp.mcap") as other,
+        pytest.raises(LogError, match="log 2: a run of hand jamia11; expected one of hand jamia, as the first"),
+    ):
+        export_lerobot([log, other], tmp_path / "y")
+    assert not (tmp_path / "y").exists()
+
+
+def test_only_a_dataset_takes_several_logs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["log", "export", str(GOLDEN), str(GOLDEN), "--csv", "--output", str(tmp_path / "x")]) == 2
+    assert "a second log" in capsys.readouterr().err
+    assert main(["log", "export", str(GOLDEN), str(GOLDEN), "--lerobot", "--output", str(tmp_path / "x")]) == 0
+    assert json.loads((tmp_path / "x" / "meta" / "info.json").read_text())["total_episodes"] == 2
+
+
 def test_names_of_elements_have_their_unit(dataset: Path) -> None:
     features = json.loads((dataset / "meta" / "info.json").read_text())["features"]
     units = {
@@ -149,5 +189,5 @@ def test_rerun_reads_the_recording(log: RunLog, tmp_path: Path) -> None:
 def test_a_folder_that_is_there_is_left_alone(log: RunLog, tmp_path: Path) -> None:
     (tmp_path / "x").mkdir()
     with pytest.raises(FileExistsError, match="x"):
-        export_lerobot(log, tmp_path / "x")
+        export_lerobot([log], tmp_path / "x")
     assert list((tmp_path / "x").iterdir()) == []

@@ -32,7 +32,7 @@ FORMATS = {
     "csv": "the same as text",
     "candump": "all frames as can-utils' log text",
     "rrd": "for the Rerun viewer",
-    "lerobot": "a LeRobot dataset (3.0) of one episode, in a folder",
+    "lerobot": "a LeRobot dataset (3.0) in a folder, an episode for each log",
 }
 """Formats of ``log export``, each with its description."""
 
@@ -110,6 +110,7 @@ def log(parser: Parser) -> None:
     rescue = kind("recover", "write a whole log from a broken one")
     output_option(rescue, "the whole log (default: LOG.recovered.mcap)")
     out = kind("export", "write it in a format that other tools read")
+    out.add_argument("more", type=Path, nargs="*", metavar="LOG", help="further logs of the hand, with --lerobot")
     group = out.add_mutually_exclusive_group(required=True)
     for name, text in FORMATS.items():
         group.add_argument(f"--{name}", dest="format", action="store_const", const=name, help=text)

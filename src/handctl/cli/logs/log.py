@@ -3,11 +3,12 @@
 import argparse
 import os
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 from handctl.cli.console.options import print_json, say, warn_if_lossy
 from handctl.cli.console.progress import progress
-from handctl.errors import LogError
+from handctl.errors import ConfigError, LogError
 from handctl.log.read.reader import RunLog
 from handctl.output import named_after, whole
 from handctl.session.exit_codes import Exit
@@ -128,11 +129,14 @@ def _diff(args: argparse.Namespace) -> int:
 
 def _export(args: argparse.Namespace) -> int:
     os.environ.setdefault("RUST_LOG", "error")  # hide Rerun's own log lines: handctl reports the errors itself
-    with RunLog(args.log) as log:
+    if args.more and args.format != "lerobot":
+        raise ConfigError(f"{args.more[0]}: a second log", f"log export --{args.format}", "one log, or --lerobot")
+    with ExitStack() as stack:
+        logs = [stack.enter_context(RunLog(path)) for path in (args.log, *args.more)]
         out = args.output or named_after(args.log, f".{args.format}")
         with whole(out, new=True) as part, progress("writing", quiet=args.json):
-            count = _write(args, log, part)
-        code = warn_if_lossy(args.log, log.warning)
+            count = _write(args, logs, part)
+        code = max(warn_if_lossy(path, log.warning) for path, log in zip((args.log, *args.more), logs, strict=True))
     if args.json:
         print_json({"log": str(args.log), "output": str(out), "count": count})
     else:
@@ -140,8 +144,9 @@ def _export(args: argparse.Namespace) -> int:
     return code
 
 
-def _write(args: argparse.Namespace, log: RunLog, out: Path) -> int:
+def _write(args: argparse.Namespace, logs: list[RunLog], out: Path) -> int:
     form = args.format
+    log = logs[0]
     if form == "rrd":
         from handctl.view.feed import write_rrd
         from handctl.view.scene.run_info import RunInfo
@@ -154,7 +159,7 @@ def _write(args: argparse.Namespace, log: RunLog, out: Path) -> int:
     if form == "lerobot":
         from handctl.log.export.lerobot import export_lerobot
 
-        return export_lerobot(log, out)
+        return export_lerobot(logs, out)
     from handctl.log.export.tables import export_candump, export_csv
 
     return export_csv(log, out) if form == "csv" else export_candump(log, out)

@@ -1,8 +1,8 @@
-"""Export of a log as a LeRobot dataset of one episode: the active part of the run, on an exact time grid.
+"""Export of logs as a LeRobot dataset: an episode for each log, the active part of the run on an exact time grid.
 
-Layout: codebase version 3.0, without video. `observation.state` holds joint angles [rad] and
-estimated tensions [N]. `action` holds commanded joint angles and tensions. For a digit under
-tension control, the commanded angle is set to the estimated angle.
+Layout: codebase version 3.0, without video, all frames in one file. `observation.state` holds joint angles [rad] and
+estimated tensions [N]. `action` holds commanded joint angles and tensions. For a
+digit under tension control, the commanded angle is set to the estimated angle.
 
 Names of vector elements end in their unit: `index_j1.pos_rad`, `index_tendon.tension_N`.
 
@@ -14,8 +14,9 @@ Source: LeRobot 0.4 and 0.6, `datasets/utils.py` and `dataset_metadata.py`: path
 """
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa  # type: ignore[import-untyped]
@@ -45,28 +46,76 @@ Statistics = dict[str, dict[str, list[float]]]
 """Values of each statistic, by feature and by name of the statistic."""
 
 
-def export_lerobot(log: RunLog, path: Path) -> int:
+class _Episode(NamedTuple):
+    """Frames of one log.
+
+    Attributes:
+        vectors: names and values (frames, n) of each vector feature.
+        task: description of its task.
+        frames: number of frames.
+    """
+
+    vectors: dict[str, tuple[list[str], Array]]
+    task: str
+    frames: int
+
+    @property
+    def names(self) -> dict[str, list[str]]:
+        """Return the names of each vector feature."""
+        return {name: names for name, (names, _) in self.vectors.items()}
+
+
+def export_lerobot(logs: Sequence[RunLog], path: Path) -> int:
     """Write the dataset into a new folder, and return the number of frames.
 
+    Args:
+        logs: at least one log. All are of one hand at one control rate.
+        path: folder to make.
+
     Raises:
-        LogError: the hand was never active.
+        LogError: the hand was never active in a log, or the logs are of different hands or rates.
         OSError: the folder exists already or cannot be written.
     """
-    fps = round(1e9 / log.header.period_ns)
-    rows = _rows(log, fps)
-    vectors = _vectors(log, rows)
-    scalars = _scalars(len(rows), fps)
-    task = _task(log)
+    first = logs[0]
+    fps = round(1e9 / first.header.period_ns)
+    episodes = [_episode(log, fps) for log in logs]
+    for i, (log, episode) in enumerate(zip(logs, episodes, strict=True)):
+        _check_alike(first, log, episodes[0].names == episode.names, f"log {i + 1}")
+    tasks = list(dict.fromkeys(episode.task for episode in episodes))
+    scalars = [_scalars(episodes, i, tasks, fps) for i in range(len(episodes))]
+    parts = [
+        {name: values for name, (_, values) in episode.vectors.items()} | scalars[i]
+        for i, episode in enumerate(episodes)
+    ]
+    whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     path.mkdir()
-    _write(path / DATA.format(chunk_index=0, file_index=0), _frames(vectors, scalars))
-    values = {name: table for name, (_, table) in vectors.items()} | scalars
-    statistics = {name: _statistics(table) for name, table in values.items()}
-    _write(path / EPISODES.format(chunk_index=0, file_index=0), _episodes(len(rows), task, statistics))
-    _write(path / "meta" / "tasks.parquet", _tasks(task))
-    named = {name: names for name, (names, _) in vectors.items()}
-    _json(path / "meta" / "info.json", _info(log, fps, len(rows), named, scalars))
-    _json(path / "meta" / "stats.json", statistics)
-    return len(rows)
+    _write(path / DATA.format(chunk_index=0, file_index=0), _frames(episodes[0].names, whole))
+    statistics = [{name: _statistics(table) for name, table in part.items()} for part in parts]
+    _write(path / EPISODES.format(chunk_index=0, file_index=0), _episodes(episodes, statistics))
+    _write(path / "meta" / "tasks.parquet", _tasks(tasks))
+    _json(path / "meta" / "info.json", _info(first, fps, episodes, len(tasks), scalars[0]))
+    _json(path / "meta" / "stats.json", {name: _statistics(table) for name, table in whole.items()})
+    return sum(episode.frames for episode in episodes)
+
+
+def _episode(log: RunLog, fps: int) -> _Episode:
+    """Return the frames of a log."""
+    rows = _rows(log, fps)
+    return _Episode(_vectors(log, rows), _task(log), len(rows))
+
+
+def _check_alike(first: RunLog, log: RunLog, same_names: bool, where: str) -> None:
+    """Refuse a log that does not belong into the dataset of the first log.
+
+    Raises:
+        LogError: it has another hand, or another rate.
+    """
+    hands = [printable(str(one.header.metadata.get("hand"))) for one in (first, log)]
+    if hands[0] != hands[1] or not same_names:
+        raise LogError(f"a run of hand {hands[1]}", where, f"one of hand {hands[0]}, as the first")
+    if first.header.period_ns != log.header.period_ns:
+        rates = [1e9 / one.header.period_ns for one in (first, log)]
+        raise LogError(f"a run at {rates[1]:g} Hz", where, f"one at {rates[0]:g} Hz, as the first")
 
 
 def _rows(log: RunLog, fps: int) -> NDArray[np.intp]:
@@ -138,16 +187,17 @@ def _without_nan(log: RunLog, name: str, rows: NDArray[np.intp]) -> Array:
     return np.nan_to_num(values)
 
 
-def _scalars(frames: int, fps: int) -> dict[str, NDArray[Any]]:
-    """Return the scalar features that LeRobot requires in every frame."""
+def _scalars(episodes: Sequence[_Episode], number: int, tasks: list[str], fps: int) -> dict[str, NDArray[Any]]:
+    """Return the scalar features that LeRobot requires in every frame of an episode."""
+    before = sum(episode.frames for episode in episodes[:number])
+    frames = episodes[number].frames
     index = np.arange(frames)
-    none = np.zeros(frames, np.int64)
     return {
         "timestamp": (index / fps).astype(np.float32),
         "frame_index": index,
-        "episode_index": none,
-        "index": index,
-        "task_index": none,
+        "episode_index": np.full(frames, number, np.int64),
+        "index": before + index,
+        "task_index": np.full(frames, tasks.index(episodes[number].task), np.int64),
         "next.done": index == frames - 1,
     }
 
@@ -162,35 +212,42 @@ def _task(log: RunLog) -> str:
     return printable(str(task.get("description") or task.get("name") or otherwise))
 
 
-def _frames(vectors: dict[str, tuple[list[str], Array]], scalars: dict[str, NDArray[Any]]) -> pa.Table:
-    """Return the table of the frames."""
+def _frames(names: dict[str, list[str]], values: dict[str, NDArray[Any]]) -> pa.Table:
+    """Return the table of the frames. Vector features have names."""
     columns = {}
-    for name, (names, table) in vectors.items():
-        flat = pa.array(np.ascontiguousarray(table, np.float32).ravel())
-        columns[name] = flat if len(names) == 1 else pa.FixedSizeListArray.from_arrays(flat, len(names))
-    return pa.table(columns | {name: pa.array(values) for name, values in scalars.items()})
+    for name, table in values.items():
+        flat = pa.array(np.ascontiguousarray(table, np.float32 if name in names else None).ravel())
+        width = len(names.get(name, ()))
+        columns[name] = pa.FixedSizeListArray.from_arrays(flat, width) if width > 1 else flat
+    return pa.table(columns)
 
 
-def _episodes(frames: int, task: str, statistics: Statistics) -> pa.Table:
-    """Return the table with the episode: position of the frames, and a column `stats/FEATURE/NAME` per statistic."""
-    positions = {
-        f"{table}/{number}": [0] for table in ("data", "meta/episodes") for number in ("chunk_index", "file_index")
+def _episodes(episodes: Sequence[_Episode], statistics: Sequence[Statistics]) -> pa.Table:
+    """Return the table of the episodes: positions of the frames, and a column `stats/FEATURE/NAME` per statistic."""
+    count = len(episodes)
+    ends = np.cumsum([episode.frames for episode in episodes]).tolist()
+    fields = {
+        "episode_index": list(range(count)),
+        "tasks": [[episode.task] for episode in episodes],
+        "length": [episode.frames for episode in episodes],
+        "dataset_from_index": [0, *ends[:-1]],
+        "dataset_to_index": ends,
     }
-    fields = {"episode_index": [0], "tasks": [[task]], "length": [frames]}
     columns = {
-        f"stats/{feature}/{name}": [values]
-        for feature, values_of in statistics.items()
-        for name, values in values_of.items()
+        f"stats/{feature}/{name}": [one[feature][name] for one in statistics]
+        for feature, values_of in statistics[0].items()
+        for name in values_of
     }
-    return pa.table(fields | {"dataset_from_index": [0], "dataset_to_index": [frames]} | columns | positions)
+    files = [f"{table}/{number}" for table in ("data", "meta/episodes") for number in ("chunk_index", "file_index")]
+    return pa.table(fields | columns | {name: [0] * count for name in files})
 
 
-def _tasks(task: str) -> pa.Table:
-    """Return the table with the task.
+def _tasks(tasks: list[str]) -> pa.Table:
+    """Build the table of the tasks.
 
     The text is the index of the table. pandas reads this from the schema's metadata.
     """
-    table = pa.table({"task_index": pa.array([0], pa.int64()), "task": [task]})
+    table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": tasks})
     columns = [
         {
             "name": name,
@@ -216,26 +273,26 @@ def _tasks(task: str) -> pa.Table:
 def _info(
     log: RunLog,
     fps: int,
-    frames: int,
-    names: dict[str, list[str]],
+    episodes: Sequence[_Episode],
+    tasks: int,
     scalars: dict[str, NDArray[Any]],
 ) -> dict[str, Any]:
     """Return the content of `meta/info.json`."""
     features: dict[str, Any] = {
-        name: {"dtype": "float32", "shape": [len(inner)], "names": inner} for name, inner in names.items()
+        name: {"dtype": "float32", "shape": [len(inner)], "names": inner} for name, inner in episodes[0].names.items()
     }
     features |= {name: {"dtype": str(values.dtype), "shape": [1], "names": None} for name, values in scalars.items()}
     return {
         "codebase_version": "v3.0",
         "robot_type": log.header.metadata.get("hand"),
-        "total_episodes": 1,
-        "total_frames": frames,
-        "total_tasks": 1,
+        "total_episodes": len(episodes),
+        "total_frames": sum(episode.frames for episode in episodes),
+        "total_tasks": tasks,
         "chunks_size": 1000,
         "data_files_size_in_mb": 100,
         "video_files_size_in_mb": 200,
         "fps": fps,
-        "splits": {"train": "0:1"},
+        "splits": {"train": f"0:{len(episodes)}"},
         "data_path": DATA,
         "video_path": None,
         "features": features,
