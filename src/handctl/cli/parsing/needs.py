@@ -17,6 +17,8 @@ def optional_packages(verb: str, args: argparse.Namespace) -> tuple[str, ...]:
         packages.append("mujoco")
     if verb == "tune" and args.kind == "search":
         packages += ["optuna", *["distributed"] * bool(args.scheduler)]
+    if getattr(args, "dataset", None) is not None:
+        packages.append("pyarrow")
     if verb == "log" and args.what == "export":
         packages += {"rrd": ["rerun"], "parquet": ["pyarrow"], "lerobot": ["pyarrow"]}.get(args.format, [])
     return tuple(packages)

@@ -58,6 +58,10 @@ def run(parser: argparse.ArgumentParser) -> None:
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--trajectory", type=Path, metavar="FILE", help="trajectory file: angles over time")
     what.add_argument("--task", type=Path, metavar="FILE", help="task file; without one the hand waits for requests")
+    what.add_argument("--dataset", type=Path, metavar="DIR", help="LeRobot dataset (3.0): follow its joint angles")
+    parser.add_argument("--episode", type=int, metavar="N", help="episode of --dataset (default: 0)")
+    text = "limit the joint speed of --dataset: jumps become ramps (default: a jump is refused)"
+    parser.add_argument("--speed", type=float, metavar="DEG_S", help=text)
     parser.add_argument(
         "--truth", type=Path, metavar="FILE", help="truth file of a simulator (default: found by the bus)"
     )

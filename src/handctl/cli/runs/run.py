@@ -11,10 +11,11 @@ from handctl.cli.console.options import print_json
 from handctl.cli.console.plan import find_calibration, make_plan
 from handctl.cli.console.verdict import print_summary
 from handctl.cli.runs.owner import StdinWatch
-from handctl.errors import DriveError
+from handctl.errors import ConfigError, DriveError
 from handctl.hand.file.toml_text import toml_text
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.live import LiveProgram
+from handctl.programs.playback import PlaybackProgram
 from handctl.programs.program import Program
 from handctl.runtime.paths import truth_path
 from handctl.session.calibration import ensure_calibration
@@ -50,7 +51,19 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _program(args: argparse.Namespace, plan: Plan) -> tuple[Program, dict[str, bytes]]:
-    """Return the program of the task with its attachments, or a program that waits for requests."""
+    """Return the program of the task or the dataset with its attachments, or a program that waits for requests.
+
+    Raises:
+        ConfigError: wrong content of a file, or an episode without a dataset.
+    """
+    if args.dataset is not None:
+        from handctl.replay.dataset_episode import find_episode
+
+        period = plan.period_ns * 1e-9
+        return PlaybackProgram(find_episode(args.dataset, args.episode or 0, plan.hand, period, args.speed)), {}
+    for name in ("episode", "speed"):
+        if getattr(args, name) is not None:
+            raise ConfigError(f"{getattr(args, name):g}", f"--{name}", "only with --dataset")
     if args.trajectory is not None:
         task = find_trajectory(args.trajectory, plan.hand)
         return TaskProgram(task), {"task.toml": toml_text(task.model_dump(by_alias=True)).encode()}

@@ -1,0 +1,543 @@
+"""Streams of targets to a simulated hand in real time, judged by the plant's truth: bad clients, tracking, latency.
+
+``python benchmarks/streaming.py [clients|tracking|latency ...] [--only CLIENT ...] [--time-scale X] [--bus BUS]``.
+Clients, controller and simulated hand are processes of their own. The latency is measured in unscaled time.
+"""
+
+import argparse
+import json
+import math
+import os
+import random
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import handctl
+from handctl.client import HandClient, TargetStream
+from handctl.core.types import Mode
+from handctl.hand.file.toml_text import toml_text
+from handctl.hand.load import load_hand
+from handctl.log.read.reader import RunLog
+from handctl.report.truth import TruthRecord, read_truth
+
+DIGIT = "index"
+RATE_HZ = 100.0
+MIDDLE_DEG, SWING_DEG = 30.0, 20.0
+READY_S = 120.0
+HEALTHY_S, BAD_S = 0.5, 0.4
+"""Time of a good stream before and after the misbehaviour, and of the misbehaviour itself, in the time of the hand."""
+TRACKED_S = 4.0
+"""Length of the streamed and of the known motion. The first second does not count."""
+KNOT_S = 0.04
+"""Time between two angles of the known motion. A spline between them misses the sine by less than 0.001 deg."""
+LOST_S = 2.0
+"""Time in which a hand relaxes after its client was killed, in the time of the hand."""
+STACKED = 5
+"""Copies of a target from a client that repeats."""
+LATENCY_S, QUICK_LATENCY_S = 10.0, 2.0
+PARTS = ("clients", "tracking", "latency")
+Homed = tuple[Path, tuple[str, ...]]
+"""Calibration and options of a simulated hand that is commissioned already."""
+
+
+def sine(t: float) -> float:
+    """Return the angle of the motion, 1 Hz [deg]."""
+    return MIDDLE_DEG + SWING_DEG * math.sin(2.0 * math.pi * t)
+
+
+class BadClient:
+    """A stream of one digit whose targets the caller falsifies. The checks of ``TargetStream.send`` are left out."""
+
+    def __init__(self, hand: HandClient, stream: TargetStream, scale: float) -> None:
+        """Begin a stream.
+
+        Args:
+            hand: client of the hand.
+            stream: its open stream.
+            scale: time of the hand per wall time.
+        """
+        self.hand, self.stream, self.scale = hand, stream, scale
+        self.began_s = time.monotonic()
+        self.number = 0
+
+    @property
+    def t_s(self) -> float:
+        """Return the time of the hand since the beginning [s]."""
+        return (time.monotonic() - self.began_s) * self.scale
+
+    def send(self, value: float, number: int | None = None, age_s: float = 0.0, space: int = 1) -> None:
+        """Send a value with any number and any age in the time of the hand [s]."""
+        self.number += number is None
+        sent_ns = time.monotonic_ns() - round(1e9 * age_s / self.scale)
+        values = np.full(space, value)
+        self.stream._sender.send(self.number if number is None else number, sent_ns, values)
+
+    def good(self, seconds: float) -> None:
+        """Stream the sine."""
+        for _ in self.periods(seconds):
+            self.send(sine(self.t_s + self.stream.horizon_s))
+
+    def periods(self, seconds: float) -> Iterator[int]:
+        """Yield the number of each period of the stream."""
+        for i in range(round(seconds * RATE_HZ)):
+            yield i
+            self.stream.sleep()
+
+
+def paused(client: BadClient) -> None:
+    """Stream on while the parent stops this process. The pause comes from outside."""
+    print("pause", flush=True)
+    client.good(2.0 * BAD_S)
+
+
+def flooding(client: BadClient) -> None:
+    """Send 10,000 targets a second, of the same motion."""
+    end = client.t_s + BAD_S
+    while client.t_s < end:
+        began = time.monotonic_ns()
+        client.send(sine(client.t_s + client.stream.horizon_s))
+        while time.monotonic_ns() < began + 100_000 / client.scale:
+            pass
+
+
+def constant(value: float) -> Any:
+    """Return a misbehaviour: one value in place of all targets."""
+
+    def misbehave(client: BadClient) -> None:
+        for _ in client.periods(BAD_S):
+            client.send(value)
+
+    return misbehave
+
+
+def late(seconds: float) -> Any:
+    """Return a misbehaviour: targets that were sent long ago."""
+
+    def misbehave(client: BadClient) -> None:
+        for _ in client.periods(BAD_S):
+            client.send(sine(client.t_s + client.stream.horizon_s - seconds), age_s=seconds)
+
+    return misbehave
+
+
+def repeating(client: BadClient) -> None:
+    """Send each target five times."""
+    for _ in client.periods(BAD_S):
+        value = sine(client.t_s + client.stream.horizon_s)
+        client.send(value)
+        for _ in range(STACKED - 1):
+            client.send(value, number=client.number)
+
+
+def overtaking(client: BadClient) -> None:
+    """Send the two targets of every two periods in the wrong order."""
+    for i in client.periods(BAD_S):
+        if i % 2:
+            client.number += 2
+            value = sine(client.t_s + client.stream.horizon_s)
+            client.send(value, number=client.number)
+            client.send(value, number=client.number - 1, age_s=1.0 / RATE_HZ)
+
+
+def jumping(client: BadClient) -> None:
+    """Send random angles, also beyond the range of the joints: a policy that has gone wild."""
+    draw = random.Random(0)
+    for _ in client.periods(BAD_S):
+        client.send(draw.uniform(-30.0, 130.0))
+
+
+def straining(client: BadClient) -> None:
+    """Ask for a tension far beyond the limit."""
+    for _ in client.periods(BAD_S):
+        client.send(1000.0)
+
+
+CLIENTS: dict[str, tuple[str, Any]] = {
+    "good": ("no misbehaviour", lambda client: client.good(BAD_S)),
+    "paused-50": ("stopped for 50 ms", paused),
+    "paused-500": ("stopped for 500 ms", paused),
+    "flooding": ("10,000 targets a second", flooding),
+    "nan": ("NaN in place of targets", constant(math.nan)),
+    "1e308": ("1e308 in place of targets", constant(1e308)),
+    "late-30": ("each target 30 ms late", late(0.03)),
+    "late-150": ("each target 150 ms late", late(0.15)),
+    "repeating": ("each target five times", repeating),
+    "overtaking": ("targets in pairs, in the wrong order", overtaking),
+    "jumping": ("random angles from -30 to 130 deg", jumping),
+    "straining": ("1000 N, in a stream of tensions", straining),
+    "killed": ("killed", paused),
+    "killed-owner": ("killed, had started the controller", paused),
+}
+"""Name -> what the client does wrong, and the function that does it. A kill ends the run, so it is the last."""
+
+
+def run_client(name: str, bus: str, scale: float, words: list[str]) -> None:
+    """Stream as one of the clients. Print the ticks of its misbehaviour."""
+    with handctl.connect("jamia", bus, *words) as hand:
+        hand.move({DIGIT: MIDDLE_DEG}, duration_s=0.5)
+        space = "tension" if name == "straining" else "digit"
+        names = [hand.description.tendon_names[0]] if name == "straining" else [DIGIT]
+        with hand.stream(RATE_HZ, space, names, interpolation="linear") as stream:
+            client = BadClient(hand, stream, scale)
+            if name != "straining":
+                client.good(HEALTHY_S)
+            start = hand.observe().k
+            CLIENTS[name][1](client)
+            seen = hand.observe()
+            print(json.dumps({"from": start, "to": seen.k, **seen.stream._asdict()}), flush=True)
+            if name != "straining":
+                client.good(HEALTHY_S)
+
+
+class Stage:
+    """Simulated hand in a process of its own, with files in a folder.
+
+    Attributes:
+        folder: folder of the files.
+        log, truth: paths of the log and of the plant's truth.
+        words: options of ``handctl run``.
+    """
+
+    def __init__(self, folder: Path, bus: str, scale: float, homed: Homed | None) -> None:
+        """Start the hand, see ``stage``."""
+        self.bus, self.scale, self.folder = bus, scale, folder
+        self.log, self.truth = folder / "run.mcap", folder / "hand.truth"
+        scaled = ["--time-scale", f"{scale:g}"]
+        self.words = ["--calibration", str(homed[0] if homed else folder / "c.toml"), "--log", str(self.log), *scaled]
+        command = ["-m", "firmware_sim", "--hand", "jamia", "--bus", bus, "--scene", "none", *scaled]
+        command += homed[1] if homed else ()
+        self._process = subprocess.Popen(
+            [sys.executable, *command, "--truth", str(self.truth)], stdout=subprocess.PIPE, text=True
+        )
+        assert self._process.stdout
+        assert select.select([self._process.stdout], [], [], READY_S)[0], "no simulated hand"
+
+    def connect(self) -> HandClient:
+        """Return a client that starts the controller. It is not open yet."""
+        return handctl.connect("jamia", self.bus, *self.words)
+
+    def close(self) -> None:
+        """End the hand, which completes its truth."""
+        if self._process.poll() is None:
+            self._process.terminate()
+        self._process.communicate(timeout=READY_S)
+
+
+@contextmanager
+def stage(bus: str, scale: float, homed: Homed | None = None) -> Iterator[Stage]:
+    """Run a simulated hand in a block.
+
+    Args:
+        bus: bus of the hand.
+        scale: time of the hand per wall time.
+        homed: calibration and options of a hand that needs no commissioning, None for one that is commissioned first.
+    """
+    with tempfile.TemporaryDirectory(prefix="h-") as folder:
+        one = Stage(Path(folder), bus, scale, homed)
+        try:
+            yield one
+        finally:
+            one.close()
+
+
+# Bad clients
+
+
+def measure_clients(names: list[str], bus: str, scale: float, homed: Homed | None = None) -> dict[str, Any]:
+    """Let clients stream to a hand, one after another. Return for each client what the hand did.
+
+    The client that has started its controller gets a hand of its own. A killed client ends the run, so it is the last.
+    """
+    shared = sorted((name for name in names if name != "killed-owner"), key=lambda name: name == "killed")
+    groups = [shared, [name for name in names if name == "killed-owner"]]
+    rows: dict[str, Any] = {}
+    for group in filter(None, groups):
+        with stage(bus, scale, homed) as place:
+            windows, start_ns = _windows(place, group)
+            place.close()
+            truth = read_truth(place.truth)
+            with RunLog(place.log) as log:
+                rows |= {name: _row(log, truth, window, start_ns) for name, window in windows.items()}
+    return rows
+
+
+def _windows(place: Stage, names: list[str]) -> tuple[dict[str, Any], int]:
+    """Run clients. Return the ticks and counts of each misbehaviour, and the start of the run on the hand's clock."""
+    if names == ["killed-owner"]:
+        window, start_ns = _one(place, names[0], None)
+        return {names[0]: window}, start_ns
+    windows: dict[str, Any] = {}
+    hand = place.connect().open()
+    try:
+        for name in names:
+            windows[name], start_ns = _one(place, name, hand)
+    finally:
+        try:
+            hand.close()
+        except handctl.DriveError:  # the stale stream of a killed client is a fault that ends the run
+            if "killed" not in windows:
+                raise
+    return windows, start_ns
+
+
+def _one(place: Stage, name: str, owner: HandClient | None) -> tuple[dict[str, Any], int]:
+    """Run one client in a process of its own, and pause or kill it."""
+    words = place.words if owner is None else []
+    command = [sys.executable, __file__, "--client", name, place.bus, f"{place.scale:g}", *words]
+    child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert child.stdout
+    try:
+        if CLIENTS[name][1] is not paused:
+            out = child.communicate(timeout=READY_S)[0]
+            assert child.returncode == 0, f"{name}: the client failed"
+            return json.loads(out), start_of(owner, place.scale)
+        assert child.stdout.readline() == "pause\n", f"{name}: no stream"
+        watcher = owner or handctl.connect("jamia", place.bus).open()
+        time.sleep(0.1 / place.scale)
+        window = {"from": watcher.observe().k, "to": None}
+        start_ns = start_of(watcher, place.scale)
+        if name.startswith("killed"):
+            child.kill()
+            time.sleep(LOST_S / place.scale)
+            if owner is None:
+                watcher.close()
+            return window, start_ns
+        child.send_signal(signal.SIGSTOP)
+        time.sleep(float(name.partition("-")[2]) / 1e3 / place.scale)
+        child.send_signal(signal.SIGCONT)
+        out = child.communicate(timeout=READY_S)[0]
+        assert child.returncode == 0, f"{name}: the client failed"
+        return json.loads(out), start_ns
+    finally:
+        child.kill()
+        child.wait()
+
+
+def start_of(hand: HandClient | None, scale: float) -> int:
+    """Return the time of t = 0 of the run on the clock of the simulated hand [ns].
+
+    A tick publishes its observation at its end. The shortest of many ticks counts, some 0.1 ms.
+    """
+    assert hand is not None
+    seen = [hand.observe(wait=True) for _ in range(50)]
+    return min(round(one.published_ns * scale) - one.t_ns - one.late_ns for one in seen)
+
+
+def _row(log: RunLog, truth: TruthRecord, window: dict[str, Any], start_ns: int) -> dict[str, Any]:
+    """Return one row of the table: what the hand did from the first to the last tick of a misbehaviour."""
+    last = int(log.k[-1]) if window["to"] is None else window["to"]
+    inside = (log.k >= window["from"]) & (log.k <= last)
+    first_ns, last_ns = log.t_ns[inside][[0, -1]]
+    rows = truth.values[(truth.t_ns >= first_ns + start_ns) & (truth.t_ns <= last_ns + start_ns)]
+    tensions = [i for i, name in enumerate(truth.columns) if name.startswith("tension/")]
+    rates = [i for i, name in enumerate(truth.columns) if name.startswith(f"dq/{DIGIT}")]
+    events = [one.event for one in log.events if first_ns <= one.t_ns <= last_ns]
+    return {
+        "mode": Mode(int(log.mode[inside][-1])).name,
+        "faults": [event.text for event in events if event.name == "fault" and event.level != "info"],
+        "modes": [event.text for event in events if event.name == "mode"],
+        "told": [event.text for event in events if event.name == "stream"],
+        "tension_N": float(rows[:, tensions].max()),
+        "speed_deg_s": float(np.degrees(np.abs(rows[:, rates].mean(axis=1)).max())),
+        "joint_speed_deg_s": float(np.degrees(np.abs(rows[:, rates]).max())),
+        **{name: window.get(name) for name in ("sent", "accepted", "clipped", "late", "refused")},
+    }
+
+
+# Tracking
+
+
+def measure_tracking(bus: str, scale: float) -> dict[str, Any]:
+    """Compare a streamed sine with the same motion as a task, by the true angle of the digit. Errors are RMS [deg]."""
+    began_ns: dict[str, int] = {}
+    with stage(bus, scale) as place:
+        task = place.folder / "sine.toml"
+        task.write_text(_task(), "utf-8")
+        with place.connect() as hand:
+            for interpolation in ("linear", "minimum_jerk"):
+                hand.move({DIGIT: MIDDLE_DEG}, duration_s=0.5)
+                with hand.stream(RATE_HZ, "digit", [DIGIT], interpolation) as stream:
+                    client = BadClient(hand, stream, scale)
+                    client.good(TRACKED_S)
+                began_ns[interpolation] = round(client.began_s * 1e9 * scale)
+            start_ns = start_of(hand, scale)
+            hand.grasp(task)
+        place.close()
+        truth = read_truth(place.truth)
+        with RunLog(place.log) as log:
+            began_ns["trajectory"] = start_ns + next(one.t_ns for one in log.phases if one.name == "follow")
+    errors = {name: _tracking_error(truth, began) for name, began in began_ns.items()}
+    return errors | {f"{name}_ratio": errors[name] / errors["trajectory"] for name in ("linear", "minimum_jerk")}
+
+
+def _task() -> str:
+    """Return the task of the same motion as the stream."""
+    times = np.arange(0.0, TRACKED_S + 1e-9, KNOT_S).round(3).tolist()
+    stay = {"kind": "move", "name": "stay", "angle_deg": {DIGIT: MIDDLE_DEG}, "duration_s": 0.5}
+    angles = {DIGIT: [round(sine(t), 4) for t in times]}
+    follow = {"kind": "follow", "name": "follow", "time_s": times, "angle_deg": angles}
+    return toml_text({"schema": 1, "name": "sine", "phase": [stay, follow]})
+
+
+def _tracking_error(truth: TruthRecord, began_ns: int) -> float:
+    """Return the RMS of true minus intended angle without the first second [deg]."""
+    t = (truth.t_ns - began_ns) / 1e9
+    counted = (t > 1.0) & (t < TRACKED_S - 0.05)
+    joints = [i for i, name in enumerate(truth.columns) if name.startswith(f"q/{DIGIT}")]
+    true = np.degrees(truth.values[counted][:, joints]).mean(axis=1)
+    return float(np.sqrt(np.mean((true - MIDDLE_DEG - SWING_DEG * np.sin(2.0 * math.pi * t[counted])) ** 2)))
+
+
+# Latency
+
+
+def measure_latency(bus: str, seconds: float) -> dict[str, Any]:
+    """Measure delays in unscaled time [ms], as p50 and p99."""
+    with stage(bus, 1.0) as place, place.connect() as hand:
+        rows = {
+            "tick to client, observations": _observed(hand, seconds),
+            "tick to client, status socket": _states(hand, seconds),
+            "goal to wire, stream of targets": _targets(hand, seconds),
+            "goal to confirmation, request socket": _moves(hand, seconds),
+        }
+    return {
+        name: {"count": len(delays), **{f"p{p}_ms": float(np.percentile(delays, p)) for p in (50, 99)}}
+        for name, delays in rows.items()
+    }
+
+
+def _observed(hand: HandClient, seconds: float) -> list[float]:
+    """Return the ages of all observations when the client has them [ms]."""
+    ages: list[float] = []
+    end = time.monotonic() + seconds
+    for seen in hand.observations():
+        ages.append(seen.age_s * 1e3)
+        if time.monotonic() > end:
+            return ages
+    return ages
+
+
+def _states(hand: HandClient, seconds: float) -> list[float]:
+    """Return the ages of status lines when the client has them [ms]. The controller sends 50 a second."""
+    ages: list[float] = []
+    end = time.monotonic() + seconds
+    last = -1
+    while time.monotonic() < end:
+        line = hand.state()
+        now_ns = time.monotonic_ns()
+        seen = hand.observe()
+        reader = hand._reader()
+        record = reader.read(reader.seen - 1 - (seen.k - line["k"]))
+        if record is not None and line["k"] != last and int(record["k"]) == line["k"]:
+            ages.append((now_ns - int(record["published_ns"])) / 1e6)
+        last = line["k"]
+    return ages
+
+
+def _targets(hand: HandClient, seconds: float) -> list[float]:
+    """Return the times from the sending of targets until the tick that obeys them has sent its frames [ms]."""
+    delays: list[float] = []
+    draw = random.Random(0)
+    hand.move({DIGIT: MIDDLE_DEG}, duration_s=0.5)
+    with hand.stream(RATE_HZ, "digit", [DIGIT]) as stream:
+        began = time.monotonic()
+        while (t := time.monotonic() - began) < seconds:
+            sent_ns = time.monotonic_ns()
+            number = stream.sent
+            stream.send([sine(t + stream.horizon_s)])
+            seen = hand.observe()
+            while seen.stream.number < number:
+                seen = hand.observe(wait=True)
+            delays.append((seen.published_ns - sent_ns) / 1e6)
+            time.sleep(draw.uniform(0.7, 1.3) / RATE_HZ)
+    return delays
+
+
+def _moves(hand: HandClient, seconds: float) -> list[float]:
+    """Return the times that a move over the request socket takes until it is confirmed [ms]."""
+    delays: list[float] = []
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        began = time.monotonic()
+        hand.move({DIGIT: MIDDLE_DEG + len(delays) % 2}, duration_s=0.2, wait=False)
+        delays.append((time.monotonic() - began) * 1e3)
+        time.sleep(0.02)
+    return delays
+
+
+# Output
+
+
+def show(result: dict[str, Any]) -> None:
+    """Print the tables as Markdown."""
+    if "clients" in result:
+        limit = f"true tension, trip limit {result['tension_trip_N']:g} N"
+        counts = "targets accepted, clipped, late, refused"
+        print(f"| client | {counts} | faults | mode | {limit} | true speed of the digit | of a joint |")
+        print("|---|---|---|---|---|---|---|")
+        for name, row in result["clients"].items():
+            numbers = [row[key] for key in ("accepted", "clipped", "late", "refused")]
+            told = "-" if numbers[0] is None else ", ".join(map(str, numbers))
+            faults = ", ".join(sorted({text.split()[0] for text in row["faults"]})) or "none"
+            print(
+                f"| {CLIENTS[name][0]} | {told} | {faults} | {row['mode']} | {row['tension_N']:.1f} N "
+                f"| {row['speed_deg_s']:.0f} deg/s | {row['joint_speed_deg_s']:.0f} deg/s |"
+            )
+        print()
+    if "tracking" in result:
+        rows = result["tracking"]
+        print("| motion | RMS of true minus intended angle | ratio |\n|---|---|---|")
+        print(f"| trajectory | {rows['trajectory']:.3f} deg | 1 |")
+        for name in ("linear", "minimum_jerk"):
+            print(f"| stream, {name} | {rows[name]:.3f} deg | {rows[f'{name}_ratio']:.2f} |")
+        print()
+    if "latency" in result:
+        print("| way | number | p50 | p99 |\n|---|---|---|---|")
+        for name, row in result["latency"].items():
+            print(f"| {name} | {row['count']} | {row['p50_ms']:.2f} ms | {row['p99_ms']:.2f} ms |")
+
+
+def main() -> None:
+    """Measure, print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("part", nargs="*", help=f"some of {', '.join(PARTS)} (all)")
+    parser.add_argument("--only", nargs="+", choices=CLIENTS, default=list(CLIENTS), help="some of the clients")
+    parser.add_argument(
+        "--time-scale", type=float, default=1.0, help="plant time per wall time, not for the latency (1)"
+    )
+    parser.add_argument("--bus", default="local:streaming", help="local:NAME or socketcan:INTERFACE")
+    parser.add_argument("--quick", action="store_true", help="a short measurement of the latency")
+    parser.add_argument("--json", action="store_true", help="numbers for programs")
+    parser.add_argument("--client", nargs=argparse.REMAINDER, help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.client:
+        name, bus, scale, *words = args.client
+        run_client(name, bus, float(scale), words)
+        return
+    if wrong := set(args.part) - set(PARTS):
+        parser.error(f"no part {min(wrong)!r}; expected some of {', '.join(PARTS)}")
+    parts = args.part or PARTS
+    with tempfile.TemporaryDirectory(prefix="h-") as short:
+        os.environ["HANDCTL_RUN_DIR"] = short
+        result: dict[str, Any] = {"tension_trip_N": min(one.tension_trip_N for one in load_hand("jamia").tendon)}
+        if "clients" in parts:
+            result["clients"] = measure_clients(args.only, args.bus, args.time_scale)
+        if "tracking" in parts:
+            result["tracking"] = measure_tracking(args.bus, args.time_scale)
+        if "latency" in parts:
+            result["latency"] = measure_latency(args.bus, QUICK_LATENCY_S if args.quick else LATENCY_S)
+    print(json.dumps(result, indent=2)) if args.json else show(result)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,217 @@
+"""An episode of a LeRobot dataset as a program: joint angles of its actions, checked like a trajectory file.
+
+Layout: codebase version 3.0. An action has `index_j1.pos_rad` for every joint of the hand, as the plug-in
+`lerobot_robot_handctl` records it and `log export --lerobot` writes it. Other elements, such as tensions, are ignored.
+"""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa  # type: ignore[import-untyped]
+import pyarrow.parquet as pq  # type: ignore[import-untyped]
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from handctl.errors import ConfigError
+from handctl.hand.description import Hand
+from handctl.printing import printable
+from handctl.programs.playback import Recording
+from handctl.programs.task import FOLLOW_SPEED_DEG_S
+
+Array = NDArray[np.float64]
+
+VERSION = "v3."
+"""Beginning of the codebase version of a dataset."""
+POSITION = ".pos_rad"
+"""End of the name of a joint angle in an action."""
+OUTSIDE_DEG = 3.0
+"""Angle beyond the range of a joint that is clipped [deg]. An estimated angle at a stop may be that far beyond."""
+RATES_HZ = (1.0, 1000.0)
+"""Lowest and highest frame rate."""
+LONGEST_S = 3600.0
+"""Longest episode, as the longest trajectory [s]."""
+LARGEST_INFO = 1 << 24
+"""Largest `info.json` [bytes]."""
+
+
+def find_episode(dataset: Path, episode: int, hand: Hand, period: float, speed_deg_s: float | None = None) -> Recording:
+    """Return the joint angles of an episode at a control period.
+
+    Args:
+        dataset: folder of the dataset, with `meta` and `data`.
+        episode: number of the episode, from 0.
+        hand: hand that shall follow.
+        period: control period [s].
+        speed_deg_s: limit on the steps from frame to frame [deg/s]. None: a joint that is too fast is refused.
+
+    Raises:
+        ConfigError: no such dataset or episode, it does not suit the hand, or an angle or a speed is out of range.
+    """
+    info = _info(dataset)
+    rate = info.get("fps")
+    if not isinstance(rate, int | float) or not RATES_HZ[0] <= rate <= RATES_HZ[1]:
+        raise ConfigError(_short(rate), f"{_info_path(dataset)}: fps", f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz")
+    where = f"{dataset}: episode {episode}"
+    actions = _actions(dataset, info, episode)
+    if not 2 <= len(actions) <= LONGEST_S * rate:
+        raise ConfigError(f"{len(actions)} frames", where, f"2 to {LONGEST_S * rate:.0f}")
+    angles = _within_range(_joint_angles(actions, info, hand, dataset), hand, where)
+    if speed_deg_s is not None:
+        if not 0.0 < speed_deg_s <= FOLLOW_SPEED_DEG_S:
+            raise ConfigError(f"{speed_deg_s:g} deg/s", "--speed", f"above 0, at most {FOLLOW_SPEED_DEG_S:g}")
+        angles = _slowed(angles, np.radians(speed_deg_s) / rate)
+    return _sampled(angles, float(rate), hand, period, where)
+
+
+def _info_path(dataset: Path) -> Path:
+    """Return the path of the description of a dataset."""
+    return dataset / "meta" / "info.json"
+
+
+def _info(dataset: Path) -> Mapping[str, Any]:
+    """Read the description of a dataset.
+
+    Raises:
+        ConfigError: it is no description of a dataset of this version.
+    """
+    path = _info_path(dataset)
+    right = "a LeRobot dataset (3.0)"
+    try:
+        if path.stat().st_size > LARGEST_INFO:
+            raise ConfigError("too large", str(path), right)
+        info = json.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise ConfigError(f"cannot be read: {error.strerror}", str(path), right) from None
+    except (ValueError, RecursionError):
+        raise ConfigError("is no JSON", str(path), right) from None
+    version = info.get("codebase_version") if isinstance(info, dict) else None
+    if not isinstance(version, str) or not version.startswith(VERSION):
+        raise ConfigError(f"version {_short(version)}", str(path), right)
+    return dict(info)
+
+
+def _actions(dataset: Path, info: Mapping[str, Any], episode: int) -> Array:
+    """Return the actions (frames, n) of an episode, in order.
+
+    Raises:
+        ConfigError: there is no such episode, or a file is damaged.
+    """
+    rows = _episodes(dataset)
+    numbers = rows["episode_index"].to_pylist()
+    if episode not in numbers:
+        present = f"{min(numbers)} to {max(numbers)}" if numbers else "a recorded episode"
+        raise ConfigError(f"no episode {episode}", str(dataset), present)
+    at = numbers.index(episode)
+    numbers = {name: rows[f"data/{name}"][at].as_py() for name in ("chunk_index", "file_index")}
+    try:
+        path = dataset / str(info["data_path"]).format(**numbers)
+    except (KeyError, ValueError, IndexError, AttributeError):
+        raise ConfigError(_short(info.get("data_path")), f"{_info_path(dataset)}: data_path", "a path") from None
+    table = _table(path, ["episode_index", "frame_index", "action"])
+    table = table.filter(pa.compute.equal(table["episode_index"], episode)).sort_by("frame_index")
+    length = len(table)
+    if table["frame_index"].to_pylist() != list(range(length)):
+        raise ConfigError(f"frames of episode {episode} are missing", str(path), "frames 0, 1, 2 ...")
+    try:
+        values = np.array(table["action"].to_pylist(), np.float64)
+    except (ValueError, TypeError):
+        raise ConfigError(f"actions of episode {episode}", str(path), "vectors of one length") from None
+    return values.reshape(length, -1)
+
+
+def _episodes(dataset: Path) -> pa.Table:
+    """Return the table of all episodes.
+
+    Raises:
+        ConfigError: it is missing or damaged.
+    """
+    paths = sorted((dataset / "meta" / "episodes").glob("*/*.parquet"))
+    if not paths:
+        raise ConfigError("no table of episodes", str(dataset / "meta" / "episodes"), "chunk-000/file-000.parquet")
+    columns = ["episode_index", "data/chunk_index", "data/file_index"]
+    return pa.concat_tables([_table(path, columns) for path in paths])
+
+
+def _table(path: Path, columns: list[str]) -> pa.Table:
+    """Read columns of a Parquet file.
+
+    Raises:
+        ConfigError: it is missing or damaged, or has no such column.
+    """
+    try:
+        table = pq.read_table(path, columns=columns)
+    except (OSError, pa.ArrowException, ValueError) as error:
+        reason = printable(str(error).splitlines()[0]) if str(error) else type(error).__name__
+        raise ConfigError(f"cannot be read: {reason}", str(path), "a table of a LeRobot dataset") from None
+    if missing := [name for name in columns if name not in table.column_names]:
+        raise ConfigError(f"no column {missing[0]}", str(path), "a table of a LeRobot dataset")
+    return table
+
+
+def _joint_angles(actions: Array, info: Mapping[str, Any], hand: Hand, dataset: Path) -> Array:
+    """Return the joint angles (frames, J) of actions, in the order of the hand [rad].
+
+    Raises:
+        ConfigError: the actions lack a joint of the hand.
+    """
+    where = f"{_info_path(dataset)}: features.action.names"
+    try:
+        names = list(info["features"]["action"]["names"])
+    except (KeyError, TypeError):
+        raise ConfigError("no names", where, f"{hand.joints[0]}{POSITION} and so on") from None
+    if len(names) != actions.shape[1]:
+        raise ConfigError(f"{len(names)} names for {actions.shape[1]} values", where, "a name for each value")
+    wanted = [f"{joint}{POSITION}" for joint in hand.joints]
+    if missing := [name for name in wanted if name not in names]:
+        raise ConfigError(f"no {missing[0]}", where, f"an angle for each joint of {hand.name}")
+    return actions[:, [names.index(name) for name in wanted]]
+
+
+def _within_range(angles: Array, hand: Hand, where: str) -> Array:
+    """Return the angles, with small excursions beyond the range of the joints clipped.
+
+    Raises:
+        ConfigError: an angle is not finite or far beyond the range.
+    """
+    low = np.radians([angle for digit in hand.digit for angle in digit.joint_min_deg])
+    high = np.radians([angle for digit in hand.digit for angle in digit.joint_max_deg])
+    beyond = np.degrees(np.maximum(low - angles, angles - high))
+    wrong = ~(beyond <= OUTSIDE_DEG)  # the negation also finds NaN
+    if wrong.any():
+        frame, joint = (int(index) for index in np.argwhere(wrong)[0])
+        problem = f"{np.degrees(angles[frame, joint]):.6g} deg for {hand.joints[joint]} in frame {frame}"
+        raise ConfigError(problem, where, f"{np.degrees(low[joint]):g} to {np.degrees(high[joint]):g} deg")
+    return np.clip(angles, low, high)
+
+
+def _slowed(angles: Array, step: float) -> Array:
+    """Return angles (frames, J) that follow the given ones by at most a step from frame to frame [rad]."""
+    slowed = angles.copy()
+    for i in range(1, len(slowed)):
+        slowed[i] = slowed[i - 1] + np.clip(angles[i] - slowed[i - 1], -step, step)
+    return slowed
+
+
+def _sampled(angles: Array, rate: float, hand: Hand, period: float, where: str) -> Recording:
+    """Return a smooth curve through angles, from rest to rest, at every control period.
+
+    Raises:
+        ConfigError: a joint is too fast.
+    """
+    times = np.arange(len(angles)) / rate
+    curve = CubicSpline(times, angles, bc_type="clamped")
+    at = np.arange(round(times[-1] / period) + 1) * period
+    rates = np.degrees(np.abs(curve(at, 1)))
+    if rates.max() > FOLLOW_SPEED_DEG_S:
+        tick, joint = np.unravel_index(int(rates.argmax()), rates.shape)
+        problem = f"{hand.joints[joint]} with {rates.max():.0f} deg/s after {at[tick]:.2f} s"
+        raise ConfigError(problem, where, f"at most {FOLLOW_SPEED_DEG_S:g} deg/s, or a limit by --speed")
+    return Recording(curve(at), curve(at, 1), curve(at, 2), np.zeros((len(at), len(hand.tendon))))
+
+
+def _short(value: object) -> str:
+    """Return the text of a wrong value."""
+    return printable(repr(value))[:40]

@@ -1,0 +1,176 @@
+"""An episode of a LeRobot dataset as a program: followed in lockstep, and refused where it does not suit the hand."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from handctl.cli.main import main
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
+from handctl.core.types import Mode
+from handctl.errors import ConfigError
+from handctl.hand.load import load_hand
+from handctl.log.export.lerobot import export_lerobot
+from handctl.log.read.reader import RunLog
+from handctl.programs.playback import PlaybackProgram
+from handctl.replay.dataset_episode import find_episode
+from handctl.session.simulate import Simulator, homed_controller
+
+LOGS = Path(__file__).parents[2] / "logs" / "golden"
+PERIOD = 0.002
+HAND = load_hand("jamia")
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> Path:
+    """Return a dataset of two episodes, that of a fault and that of a grasp."""
+    with RunLog(LOGS / "jamia-fault.mcap") as one, RunLog(LOGS / "jamia-grasp.mcap") as two:
+        export_lerobot([one, two], tmp_path / "data")
+    return tmp_path / "data"
+
+
+def actions(dataset: Path, episode: int) -> np.ndarray:
+    """Return the joint angles (frames, J) of an episode [rad]."""
+    table = pq.read_table(dataset / "data" / "chunk-000" / "file-000.parquet").to_pylist()
+    return np.array([row["action"][: len(HAND.joints)] for row in table if row["episode_index"] == episode])
+
+
+def change(dataset: Path, frame: int, joint: int, value: float) -> None:
+    """Change one angle of an action of the first episode."""
+    path = dataset / "data" / "chunk-000" / "file-000.parquet"
+    table = pq.read_table(path)
+    rows = table["action"].to_pylist()
+    rows[frame][joint] = value
+    at = table.column_names.index("action")
+    pq.write_table(table.set_column(at, "action", pa.array(rows, pa.list_(pa.float32(), len(rows[0])))), path)
+
+
+def sine_dataset(dataset: Path) -> np.ndarray:
+    """Write a smooth motion into the first episode. Return its angles (frames, J) [rad]."""
+    path = dataset / "data" / "chunk-000" / "file-000.parquet"
+    table = pq.read_table(path)
+    rows = np.array(table["action"].to_pylist())
+    frames = table["episode_index"].to_pylist().count(0)
+    joints = len(HAND.joints)
+    rows[:frames, :joints] = np.radians(30.0 - 20.0 * np.cos(np.arange(frames) / 200.0 * np.pi))[:, None]
+    at = table.column_names.index("action")
+    pq.write_table(
+        table.set_column(at, "action", pa.array(rows.tolist(), pa.list_(pa.float32(), rows.shape[1]))), path
+    )
+    return rows[:frames, :joints]
+
+
+def test_the_curve_passes_through_the_actions(dataset: Path) -> None:
+    wanted = sine_dataset(dataset)
+    recording = find_episode(dataset, 0, HAND, PERIOD)
+    rows = np.rint(np.arange(len(wanted)) / 200.0 / PERIOD).astype(int)
+    exact = np.abs(rows * PERIOD - np.arange(len(wanted)) / 200.0) < 1e-9
+    np.testing.assert_allclose(recording.q[rows[exact]], wanted[exact], atol=1e-6)
+    np.testing.assert_allclose(recording.dq[0], 0.0, atol=1e-9)
+    slope = np.diff(recording.q, axis=0) / PERIOD
+    np.testing.assert_allclose(slope[:-10], recording.dq[1:-10], atol=0.3)  # the end comes to rest
+
+
+def test_a_hand_follows_an_episode_in_lockstep(dataset: Path) -> None:
+    jamia = HandModel.of(HAND, Gains(), 1.0 / PERIOD)
+    program = PlaybackProgram(find_episode(dataset, 1, HAND, jamia.period, 200.0))
+    controller = homed_controller(jamia, program)
+    errors, faults = [], set()
+    with Simulator("jamia", homed=True).against(controller) as run:
+        for _, out in run.ticks(40.0):
+            faults |= {event.text for event in out.events if event.name == "fault"}
+            if out.phase == "playback":
+                true = run.peer.world.plant.engine.q
+                errors.append(np.degrees(true[:9] - out.telemetry.q_goal[:9]).reshape(3, 3).mean(axis=1))
+        assert run.out is not None
+        assert run.out.mode == Mode.DONE
+    assert faults == set()
+    assert run.state.progress.finished
+    assert len(errors) * jamia.period == pytest.approx(len(actions(dataset, 1)) / 200.0, abs=0.1)
+    assert np.sqrt(np.mean(np.square(errors))) < 1.0
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (2.5, "143.239 deg for index_j1 in frame 7; expected 0 to 100 deg"),
+        (float("nan"), "nan deg for index_j1 in frame 7"),
+        (float("inf"), "inf deg for index_j1 in frame 7"),
+        (1.5, "index_j1 with .* deg/s after .* s; expected at most 700 deg/s"),
+    ],
+)
+def test_an_angle_or_a_speed_out_of_range_is_refused(dataset: Path, value: float, text: str) -> None:
+    sine_dataset(dataset)
+    change(dataset, 7, 0, value)
+    with pytest.raises(ConfigError, match=text):
+        find_episode(dataset, 0, HAND, PERIOD)
+
+
+def test_an_estimate_just_beyond_the_range_is_clipped(dataset: Path) -> None:
+    sine_dataset(dataset)
+    change(dataset, 0, 0, -0.01)
+    assert find_episode(dataset, 0, HAND, PERIOD, 100.0).q[0, 0] == 0.0
+
+
+def test_jumps_become_ramps_by_a_speed(dataset: Path) -> None:
+    with pytest.raises(ConfigError, match="at most 700 deg/s, or a limit by --speed"):
+        find_episode(dataset, 1, HAND, PERIOD)
+    slow = np.degrees(find_episode(dataset, 1, HAND, PERIOD, 100.0).dq)
+    assert 90.0 < np.abs(slow).max() < 140.0, "a spline rounds the corners"
+    with pytest.raises(ConfigError, match="--speed: 900 deg/s; expected above 0, at most 700"):
+        find_episode(dataset, 1, HAND, PERIOD, 900.0)
+
+
+def edit(dataset: Path, **fields: object) -> None:
+    """Change fields of the description."""
+    path = dataset / "meta" / "info.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | fields))
+
+
+@pytest.mark.parametrize(
+    ("fields", "text"),
+    [
+        ({"codebase_version": "v2.1"}, r"version 'v2.1'; expected a LeRobot dataset \(3.0\)"),
+        ({"fps": 0}, "fps: 0; expected 1 to 1000 Hz"),
+        ({"fps": "50"}, "fps: '50'; expected 1 to 1000 Hz"),
+        ({"features": {}}, "features.action.names: no names"),
+        ({"features": {"action": {"names": ["a"]}}}, "1 names for 15 values"),
+        ({"data_path": "../{x}.parquet"}, "data_path"),
+        ({"data_path": None}, "cannot be read"),
+    ],
+)
+def test_a_wrong_description_is_refused(dataset: Path, fields: dict[str, object], text: str) -> None:
+    edit(dataset, **fields)
+    with pytest.raises(ConfigError, match=text):
+        find_episode(dataset, 0, HAND, PERIOD)
+
+
+def test_a_damaged_dataset_is_refused(dataset: Path) -> None:
+    with pytest.raises(ConfigError, match="no episode 2; expected 0 to 1"):
+        find_episode(dataset, 2, HAND, PERIOD)
+    with pytest.raises(ConfigError, match=r"no thumb_j1.pos_rad|no .*pos_rad; expected an angle for each joint of"):
+        find_episode(dataset, 0, load_hand("t42"), PERIOD)
+    data = dataset / "data" / "chunk-000" / "file-000.parquet"
+    whole = data.read_bytes()
+    for content in (b"", whole[:-100], b"PAR1" + whole[4:100] + b"PAR1"):
+        data.write_bytes(content)
+        with pytest.raises(ConfigError, match=r"file-000.parquet: cannot be read"):
+            find_episode(dataset, 0, HAND, PERIOD)
+    (dataset / "meta" / "info.json").write_text("{")
+    with pytest.raises(ConfigError, match=r"info.json: is no JSON"):
+        find_episode(dataset, 0, HAND, PERIOD)
+    with pytest.raises(ConfigError, match="No such file or directory"):
+        find_episode(dataset / "x", 0, HAND, PERIOD)
+
+
+def test_run_checks_the_dataset_before_it_opens_a_bus(dataset: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["run", "--hand", "jamia", "--bus", "local:no", "--dry-run"]
+    assert main([*words, "--dataset", str(dataset), "--episode", "1", "--speed", "200"]) == 0
+    assert main([*words, "--episode", "1"]) == 2
+    assert "only with --dataset" in capsys.readouterr().err
+    assert main([*words, "--dataset", str(dataset), "--episode", "5"]) == 2
+    assert "no episode 5; expected 0 to 1" in capsys.readouterr().err

@@ -1,0 +1,52 @@
+"""Bad clients of a hand in real time, judged by the plant's truth. In lockstep: tests/controller/test_stream.py."""
+
+import os
+
+import pytest
+
+from benchmarks.streaming import CLIENTS, Homed, measure_clients
+from handctl.hand.load import load_hand
+from tests.runtime.processes import BUS, HOMED, write_homed
+
+NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
+SCALE = 0.6
+SAMPLE = list(CLIENTS) if NIGHTLY else ["flooding", "killed"]
+HELD = "I11a"
+"""Fault of a stream that stays away for 100 ms. The hand holds."""
+RELAXED = "I11b"
+"""Fault of a stream that stays away for a second. The hand relaxes."""
+FAULTS = {
+    "paused-500": {HELD}, "nan": {HELD}, "1e308": {HELD}, "late-150": {HELD},
+    "killed": {HELD, RELAXED}, "killed-owner": set(),
+}  # fmt: skip
+"""Faults that a client must cause. Without an entry: none."""
+
+
+@pytest.fixture
+def homed(place) -> Homed:
+    """Return the calibration and the options of a hand that is commissioned."""
+    write_homed(place / "c.toml", load_hand("jamia"))
+    return place / "c.toml", HOMED
+
+
+@pytest.mark.realtime
+def test_bad_clients_do_no_harm(homed, slower):
+    rows = measure_clients(SAMPLE, BUS, SCALE * slower, homed)
+    hand = load_hand("jamia")
+    assert list(rows) == SAMPLE
+    for name, row in rows.items():
+        assert row["tension_N"] < min(tendon.tension_trip_N for tendon in hand.tendon), name
+        if name != "straining":
+            assert row["tension_N"] < min(tendon.tension_max_N for tendon in hand.tendon), name
+        faults = {text.split()[0] for text in row["faults"]}
+        assert {fault for fault in faults if fault.startswith("I11")} == FAULTS.get(name, set()), (name, row)
+        assert (row["mode"] == "ACTIVE") == (not name.startswith("killed")), (name, row)
+    assert rows["flooding"]["refused"] == rows["flooding"]["late"] == 0
+    assert rows["flooding"]["accepted"] > 200
+    if NIGHTLY:
+        assert rows["nan"]["refused"] == rows["1e308"]["refused"] > 30
+        assert rows["late-150"]["late"] > 30
+        assert rows["repeating"]["late"] > 3 * 30
+        assert rows["overtaking"]["late"] > 15
+        assert rows["jumping"]["clipped"] > 5
+        assert rows["straining"]["clipped"] > 30
