@@ -18,7 +18,10 @@ from handctl.extras import EXTRAS, MissingExtraError, missing_extra, require
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-HOMES = ("src/handctl/gym/", "src/handctl/view/", "src/handctl/log/export/", "src/handctl/replay/dataset_episode.py", "src/handctl/tune/search/")
+HOMES = (
+    "src/handctl/gym/", "src/handctl/view/", "src/handctl/log/export/", "src/handctl/replay/dataset_episode.py",
+    "src/handctl/tune/search/",
+)  # fmt: skip
 """Where optional packages are imported."""
 PARTS = {"pydantic_core"}
 """Packages that another dependency pins to one version."""
