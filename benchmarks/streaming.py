@@ -1,7 +1,7 @@
 """Streams of targets to a simulated hand in real time, judged by the plant's truth: bad clients, tracking, latency.
 
 ``python benchmarks/streaming.py [clients|tracking|latency ...] [--only CLIENT ...] [--time-scale X] [--bus BUS]``.
-Clients, controller and simulated hand are processes of their own. The latency is measured in unscaled time.
+Clients, controller and simulated hand run as separate processes. The latency is measured in unscaled time.
 """
 
 import argparse
@@ -32,10 +32,13 @@ from handctl.report.truth import TruthRecord, read_truth
 
 DIGIT = "index"
 RATE_HZ = 100.0
-MIDDLE_DEG, SWING_DEG = 30.0, 20.0
+MIDDLE_DEG = 30.0
+SWING_DEG = 20.0
 READY_S = 120.0
-HEALTHY_S, BAD_S = 0.5, 0.4
-"""Time of a good stream before and after the misbehaviour, and of the misbehaviour itself, in the time of the hand."""
+HEALTHY_S = 0.5
+"""Duration of a good stream before and after a misbehaviour, in the time of the hand."""
+BAD_S = 0.4
+"""Duration of a misbehaviour, in the time of the hand."""
 TRACKED_S = 4.0
 """Length of the streamed and of the known motion. The first second does not count."""
 KNOT_S = 0.04
@@ -44,7 +47,9 @@ LOST_S = 2.0
 """Time in which a hand relaxes after its client was killed, in the time of the hand."""
 STACKED = 5
 """Copies of a target from a client that repeats."""
-LATENCY_S, QUICK_LATENCY_S = 10.0, 2.0
+LATENCY_S = 10.0
+QUICK_LATENCY_S = 2.0
+"""Duration of each measurement of the latency, and of a quick one."""
 PARTS = ("clients", "tracking", "latency")
 Homed = tuple[Path, tuple[str, ...]]
 """Calibration and options of a simulated hand that is commissioned already."""
@@ -66,7 +71,9 @@ class BadClient:
             stream: its open stream.
             scale: time of the hand per wall time.
         """
-        self.hand, self.stream, self.scale = hand, stream, scale
+        self.hand = hand
+        self.stream = stream
+        self.scale = scale
         self.began_s = time.monotonic()
         self.number = 0
 
@@ -178,7 +185,7 @@ CLIENTS: dict[str, tuple[str, Any]] = {
     "killed": ("killed", paused),
     "killed-owner": ("killed, had started the controller", paused),
 }
-"""Name -> what the client does wrong, and the function that does it. A kill ends the run, so it is the last."""
+"""Name -> description of the misbehaviour, and its function. A kill ends the run and is the last."""
 
 
 def run_client(name: str, bus: str, scale: float, words: list[str]) -> None:
@@ -200,7 +207,7 @@ def run_client(name: str, bus: str, scale: float, words: list[str]) -> None:
 
 
 class Stage:
-    """Simulated hand in a process of its own, with files in a folder.
+    """Simulated hand in a separate process, with files in a folder.
 
     Attributes:
         folder: folder of the files.
@@ -210,8 +217,11 @@ class Stage:
 
     def __init__(self, folder: Path, bus: str, scale: float, homed: Homed | None) -> None:
         """Start the hand, see ``stage``."""
-        self.bus, self.scale, self.folder = bus, scale, folder
-        self.log, self.truth = folder / "run.mcap", folder / "hand.truth"
+        self.bus = bus
+        self.scale = scale
+        self.folder = folder
+        self.log = folder / "run.mcap"
+        self.truth = folder / "hand.truth"
         scaled = ["--time-scale", f"{scale:g}"]
         self.words = ["--calibration", str(homed[0] if homed else folder / "c.toml"), "--log", str(self.log), *scaled]
         command = ["-m", "firmware_sim", "--hand", "jamia", "--bus", bus, "--scene", "none", *scaled]
@@ -254,9 +264,9 @@ def stage(bus: str, scale: float, homed: Homed | None = None) -> Iterator[Stage]
 
 
 def measure_clients(names: list[str], bus: str, scale: float, homed: Homed | None = None) -> dict[str, Any]:
-    """Let clients stream to a hand, one after another. Return for each client what the hand did.
+    """Let clients stream to a hand, one after another. Return a row of the table for each client.
 
-    The client that has started its controller gets a hand of its own. A killed client ends the run, so it is the last.
+    The client that has started its controller gets a separate hand. A killed client ends the run and is the last.
     """
     shared = sorted((name for name in names if name != "killed-owner"), key=lambda name: name == "killed")
     groups = [shared, [name for name in names if name == "killed-owner"]]
@@ -291,7 +301,7 @@ def _windows(place: Stage, names: list[str]) -> tuple[dict[str, Any], int]:
 
 
 def _one(place: Stage, name: str, owner: HandClient | None) -> tuple[dict[str, Any], int]:
-    """Run one client in a process of its own, and pause or kill it."""
+    """Run one client in a separate process, and pause or kill it."""
     words = place.words if owner is None else []
     command = [sys.executable, __file__, "--client", name, place.bus, f"{place.scale:g}", *words]
     child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
@@ -334,7 +344,7 @@ def start_of(hand: HandClient | None, scale: float) -> int:
 
 
 def _row(log: RunLog, truth: TruthRecord, window: dict[str, Any], start_ns: int) -> dict[str, Any]:
-    """Return one row of the table: what the hand did from the first to the last tick of a misbehaviour."""
+    """Return one row of the table: mode, faults, true tension and speed during a misbehaviour."""
     last = int(log.k[-1]) if window["to"] is None else window["to"]
     inside = (log.k >= window["from"]) & (log.k <= last)
     first_ns, last_ns = log.t_ns[inside][[0, -1]]
