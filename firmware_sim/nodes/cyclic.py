@@ -171,9 +171,9 @@ def _get_float(data: Any) -> float:
 
 
 @inner
-def _odrive_needs_python(rotor: Any, frame: Any) -> bool:
+def _odrive_needs_python(node: Any, rotor: Any, frame: Any) -> bool:
     """Return True if an ODrive must process a torque setpoint or an encoder request in Python."""
-    if frame.flags & FDF or rotor.faulty != 0:
+    if frame.flags & FDF or rotor.faulty != 0 or node.motion_due_ns > 0:
         return True
     return bool(frame.can_id & REMOTE == 0 and (frame.length < 4 or not math.isfinite(_get_float(frame.data))))
 
@@ -363,7 +363,9 @@ def _drive_needs_python(
     if receiver_row.kind == MIT:
         return _mit_needs_python(mit[receiver_row.number], rotors[mit[receiver_row.number].motor_number], frame, t_ns)
     if receiver_row.kind == ODRIVE:
-        return _odrive_needs_python(rotors[odrive[receiver_row.number].motor_number], frame)
+        return _odrive_needs_python(
+            odrive[receiver_row.number], rotors[odrive[receiver_row.number].motor_number], frame
+        )
     return _cia402_needs_python(cia402[receiver_row.number], rotors[cia402[receiver_row.number].motor_number], frame)
 
 
@@ -532,10 +534,10 @@ def answer(frames: Any, answers: Any, at: Any, t_ns: int, last_ns: int, max_answ
 def _odrive_needs_wake(node: Any, rotor: Any, now_ns: int) -> bool:
     """Return True if an ODrive has more to do than to send messages.
 
-    Such are thermal updates, the watchdog, the end of a calibration, and the messages of firmware
-    0.5.
+    Such are thermal updates, the watchdog, the end of a calibration, the modes of ``odrive.motion``,
+    and the messages of firmware 0.5.
     """
-    busy = node.busy_until_ns > 0
+    busy = node.busy_until_ns > 0 or node.motion_due_ns > 0
     thermal_due = node.thermal_ns < 0 or now_ns - node.thermal_ns >= THERMAL_PERIOD_NS
     watchdog_due = watchdog_expired(node, now_ns)
     return thermal_due or busy or watchdog_due or node.legacy != 0 or rotor.faulty != 0
@@ -545,6 +547,8 @@ def _odrive_needs_wake(node: Any, rotor: Any, now_ns: int) -> bool:
 def _cia402_needs_wake(node: Any, now_ns: int) -> bool:
     """Return True if a CiA 402 drive has more to do than to send its heartbeat."""
     thermal_due = node.thermal_ns < 0 or now_ns - node.thermal_ns >= CIA402_THERMAL_PERIOD_NS
+    if node.motion_due_ns > 0:
+        return True
     return thermal_due or cia402_watchdog_expired(node, now_ns) or node.frame_pending != 0
 
 

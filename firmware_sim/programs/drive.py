@@ -17,6 +17,7 @@ from firmware_sim.nodes import PROTOCOLS
 from firmware_sim.nodes.cia402.dictionary import EDS
 from firmware_sim.nodes.mit.node import CLEAR_ANSWERS, COMMANDS, EACH, WATCHDOGS
 from firmware_sim.nodes.odrive import bench as odrive_bench
+from firmware_sim.nodes.odrive.motion import MOTION_ENDPOINTS
 from firmware_sim.nodes.protocol_spec import Node
 from firmware_sim.paths import faults_path
 from firmware_sim.plant.motor import Motor
@@ -39,8 +40,11 @@ examples:
 """Examples of the help text."""
 ENDPOINTS = "\n".join(
     f"  {number}  {key.removeprefix('endpoint_')}"
-    for key, number in odrive_bench.ENDPOINTS.items()
-)  # fmt: skip
+    for key, number in [
+        *odrive_bench.ENDPOINTS.items(),
+        *((key, number) for number, (key, _) in MOTION_ENDPOINTS.items()),
+    ]
+)
 """Endpoints in the help text."""
 EPILOG = f"""{EXAMPLES}
 endpoints of an ODrive with firmware 0.6, for SDO (real numbers are in its flat_endpoints.json):

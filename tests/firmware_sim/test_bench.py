@@ -168,7 +168,7 @@ def test_a_trajectory_of_an_odrive_has_a_velocity_limit_of_its_own() -> None:
     for _ in range(300):
         bench.advance(bench.t_ns + 50 * MS)
         fastest = max(fastest, bench.motors[0].omega)
-    assert 0.8 * math.tau < fastest <= 1.0 * math.tau
+    assert 0.8 * math.tau < fastest <= 1.02 * math.tau
     assert bench.motors[0].theta == pytest.approx(10.0 * math.tau, abs=0.2)
 
 
@@ -316,8 +316,8 @@ def test_a_damiao_motor_moves_to_a_position_within_a_speed() -> None:
     for _ in range(60):
         bench.advance(bench.t_ns + 50 * MS)
         fastest = max(fastest, bench.motors[0].omega)
-    assert 1.7 < fastest <= 2.0, "friction takes a part, there is no integrator"
-    assert bench.motors[0].theta == pytest.approx(3.0, abs=0.1)
+    assert 1.7 < fastest <= 2.2, "without a ramp the integrator overshoots"
+    assert bench.motors[0].theta == pytest.approx(3.0, abs=0.01)
 
 
 def test_a_damiao_motor_moves_with_a_limited_torque() -> None:

@@ -23,7 +23,10 @@ LENGTH = 0x06070010
 RANGE = 0x06090030
 """SDO abort code: the value is out of range. Source: CiA 301."""
 
-COMMANDS = {(0x6040, 0), (0x6060, 0), (0x6071, 0), (0x60B2, 0), (0x1010, 1)}
+COMMANDS = {
+    (0x6040, 0), (0x6060, 0), (0x6071, 0), (0x607A, 0), (0x60B0, 0), (0x60B1, 0), (0x60B2, 0), (0x60FF, 0),
+    (0x1010, 1),
+}  # fmt: skip
 """Objects that are commands, not settings."""
 TEXT = 0x0009
 """Data type of a text in an EDS file (VISIBLE_STRING). Source: CiA 306."""

@@ -14,7 +14,7 @@ from firmware_sim.nodes.cia402.power import ENABLED, PowerStruct, status
 OPERATIONAL = 0x05
 """NMT state: operational."""
 CST = 10
-"""Mode of operation: cyclic synchronous torque."""
+"""Mode of operation: cyclic synchronous torque. The other modes are in ``motion``."""
 THERMAL_PERIOD_NS = 100_000_000
 """Period of the thermal update [ns]."""
 TURN = 6.283185307179586
@@ -27,7 +27,7 @@ CYCLIC_OBJECTS = (
 (CONTROL_WORD, STATUS_WORD, MODE_SHOWN, POSITION, VELOCITY, TARGET_TORQUE, MAX_TORQUE, TORQUE, CURRENT,
  TORQUE_OFFSET, MASTER, HEARTBEAT_MS, MAX_SPEED) = range(len(CYCLIC_OBJECTS))  # fmt: skip
 """Indices of the objects above among the values of a dictionary."""
-VALUE_CAPACITY = 128
+VALUE_CAPACITY = 192
 """Maximum number of values in a row."""
 SPEED_BAND = 0.1
 """Fraction of the speed limit over which the torque falls to zero, an assumption."""
@@ -48,6 +48,7 @@ class Cia402Struct(ctypes.Structure):
         *((name, ctypes.c_int64) for name in ("nmt", "node_id", "motor_number", "bus", "syncs", "frame_pending")),
         *((name, ctypes.c_int64) for name in ("watchdog_fed_ns", "heartbeat_ns", "wake_ns", "thermal_ns")),
         *((name, ctypes.c_int64) for name in ("sync_id", "master_id", "rpdo_id", "tpdo_id", "tpdo_kind")),
+        *((name, ctypes.c_int64) for name in ("motion_due_ns", "mode_bits")),
         ("power_stage", PowerStruct),
         ("values", ctypes.c_int64 * VALUE_CAPACITY),
     ]
@@ -74,7 +75,11 @@ def measure(node: Any, power: Any, angle: float, velocity: float, torque: float)
     sign = node.direction
     gear = node.gear
     shaft = sign * gear * angle + node.offset
-    values[STATUS_WORD] = status(power)
+    word = status(power)
+    if node.mode_bits >= 0:
+        # Bits 10 to 13 depend on the mode of operation.
+        word = word & ~0x3C00 | node.mode_bits
+    values[STATUS_WORD] = word
     # Counts of the encoder at the shaft.
     values[POSITION] = _saturated(round(shaft / TURN * node.counts), _INT32)
     # 0x606C is in revolutions per minute here.
@@ -130,7 +135,7 @@ def watchdog_expired(node: Any, t_ns: int) -> bool:
 
 @inner
 def schedule(node: Any, t_ns: int, frame_pending: bool) -> None:
-    """Schedule the next wake of a drive: thermal update, heartbeat, timeout of the master.
+    """Schedule the next wake of a drive: thermal update, heartbeat, timeout of the master, motion.
 
     Args:
         node: drive, a row or an object.
@@ -143,5 +148,7 @@ def schedule(node: Any, t_ns: int, frame_pending: bool) -> None:
         wake_ns = min(wake_ns, node.heartbeat_ns + period_ns)
     if node.watchdog_fed_ns >= 0 and heartbeat_timeout_ns(node) > 0:
         wake_ns = min(wake_ns, node.watchdog_fed_ns + heartbeat_timeout_ns(node))
+    if node.motion_due_ns > 0:
+        wake_ns = min(wake_ns, node.motion_due_ns)
     node.wake_ns = wake_ns
     node.frame_pending = frame_pending

@@ -1,4 +1,6 @@
-"""A motor with the firmware of a CiA 402 drive in cyclic synchronous torque mode. Source: facts, cia402.
+"""A motor with the firmware of a CiA 402 drive. Source: facts, cia402.
+
+Cyclic synchronous torque is here and in ``kernels``, all other modes are in ``motion``.
 
 Frames (COB-ID, payload little-endian):
 
@@ -40,6 +42,7 @@ from firmware_sim.nodes.cia402.kernels import (
     schedule,
     watchdog_expired,
 )
+from firmware_sim.nodes.cia402.motion import MODES, MotionModes, check_write
 from firmware_sim.nodes.cia402.pdo import Pdos
 from firmware_sim.nodes.cia402.power import ENABLED, FAULT, OFF, Power, PowerStruct
 from firmware_sim.nodes.thermal import Thermal
@@ -88,6 +91,9 @@ class Cia402Node:
         accepted_ids: identifiers that it may answer.
         values: values of the object dictionary.
         frame_pending: True if a frame waits to be sent.
+        motion: position, velocity and homing modes.
+        motion_due_ns: time of its next update [ns], 0 in torque mode.
+        mode_bits: bits of the mode in the status word, -1 in torque mode.
     """
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
@@ -113,6 +119,10 @@ class Cia402Node:
         self.wake_ns = 0
         self.thermal_ns = -1
         self.frame_pending = False
+        self._now_ns = 0
+        self.motion_due_ns = 0
+        self.mode_bits = -1
+        self.motion = MotionModes(self)
         self._unsolicited: list[Frame] = []
         self._stored: dict[Key, int] = {}
         self._segments: list[bytes] = []
@@ -125,6 +135,7 @@ class Cia402Node:
             announce: True to send the boot-up message.
         """
         self.motor.servo.release()
+        self.motion.end()
         self.objects, self.power, self.nmt = *self._initial_objects(), PRE_OPERATIONAL
         self.objects[0x608F, 1] = int(self.counts)
         for key, value in self._stored.items():
@@ -166,6 +177,7 @@ class Cia402Node:
         """
         can_id = frame.can_id
         data = frame.data
+        self._now_ns = t_ns
         if frame.flags & FDF or can_id & REMOTE:
             return None
         if can_id == 0x000:
@@ -308,6 +320,7 @@ class Cia402Node:
                 raise Abort(WRONG_STATE)
             self.pdos.write(key, raw)
         else:
+            check_write(key[0], int.from_bytes(raw, "little", signed=True))
             self.objects.write(key, raw)
         if key[0] < 0x2000:
             self._update_derived()
@@ -326,7 +339,9 @@ class Cia402Node:
         if key == (0x6040, 0):
             self._control(self.objects[key])
         elif key == (0x6060, 0):
-            self.objects[0x6061, 0] = CST if self.objects[key] == CST else 0
+            mode = self.objects[key]
+            self.objects[0x6061, 0] = mode if mode in (CST, *MODES) else 0
+        self.motion.take(key[0])
         self._apply_torque()
 
     def _control(self, word: int) -> None:
@@ -383,7 +398,16 @@ class Cia402Node:
         measure(self, self.power, self.motor.encoder(), self.motor.velocity, self.motor.torque)
 
     def _apply_torque(self) -> None:
-        """Apply the target torque if power stage and mode of operation allow torque."""
+        """Follow target torque or motion if power stage and mode of operation allow it."""
+        mode = self.objects[0x6061, 0]
+        if self.power.state == ENABLED and mode in MODES:
+            if not self.motion.running:
+                self.motor.servo.release()
+            self.motion.start(mode, self._now_ns)
+            return
+        if self.motion.running:
+            self.motor.servo.release()
+        self.motion.end()
         if follows_torque(self, self.power):
             apply_torque(self, self.motor.servo)
         else:
@@ -395,8 +419,10 @@ class Cia402Node:
         Returns:
             Frames that are due.
         """
+        self._now_ns = t_ns
         if self.thermal_ns < 0 or t_ns - self.thermal_ns >= THERMAL_PERIOD_NS:
             self._update_thermal(t_ns)
+        self.motion.advance(t_ns)
         if heartbeat_due(self, t_ns):
             self._unsolicited.append(Frame(0x700 + self.node_id, bytes((self.nmt,))))
             self.heartbeat_ns = t_ns

@@ -30,6 +30,7 @@ from firmware_sim.bus.frame import Frame
 from firmware_sim.description import MotorSpec
 from firmware_sim.nodes.mit import registers as reg
 from firmware_sim.nodes.mit.codec import THERMAL_PERIOD_NS, WORD, MitStruct, apply_command, feedback_word, schedule
+from firmware_sim.nodes.mit.motion import MotionModes
 from firmware_sim.nodes.thermal import Thermal, ThermalStruct
 from firmware_sim.plant.motor import Motor
 
@@ -40,10 +41,8 @@ WATCHDOG_UNIT_NS = 50_000
 _SPECIAL = b"\xff" * 7
 _MOTION = {1: struct.Struct("<ff"), 2: struct.Struct("<f"), 3: struct.Struct("<fHH")}
 """Layouts of commands to 0x100, 0x200 and 0x300 + ESC_ID."""
-POSITION_GAIN = 10.0
-"""Position gain [1/s], an assumption."""
-VELOCITY_BANDWIDTH = 50.0
-"""Bandwidth of the velocity loop [1/s], an assumption."""
+FULL_CODE = 10_000
+"""Largest code of speed (100 rad/s) and of current (all of it) in force-position mode."""
 _ENABLE = 0xFC
 _DISABLE = 0xFD
 _ZERO = 0xFE
@@ -128,11 +127,12 @@ class MitNode:
         self.wake_ns = 0
         self.direction = spec.direction
         self.mode = reg.MODE_MIT
-        self._torque_peak = spec.torque_peak
+        self.torque_peak = spec.torque_peak
         self._clear_answers = str(spec.options.get("clear_answers", EACH))
         self._watchdog = str(spec.options.get("watchdog", COMMANDS))
         self.watchdog_fed_ns = 0
         self.thermal_ns = -1
+        self._motion_modes = MotionModes(self)
         self._update_derived()
 
     def _temperatures(self, torque_constant: float) -> Thermal:
@@ -152,12 +152,12 @@ class MitNode:
         self.ids = frozenset((self.node_id, REGISTER_ID, *self._mode_ids))
         ranges = self.registers[reg.PMAX], self.registers[reg.VMAX], self.registers[reg.TMAX]
         self.position_range, self.velocity_range, self.torque_range = ranges
-        self.motor.servo.limit = min(self._torque_peak, self.torque_range)
+        self.motor.servo.limit = min(self.torque_peak, self.torque_range)
         self.timeout_ns = int(self.registers[reg.TIMEOUT]) * WATCHDOG_UNIT_NS
         mode = int(self.registers[reg.CTRL_MODE])
         if mode != self.mode:
             # A setpoint of another mode ends with the mode.
-            self.motor.servo.release()
+            self._release()
         self.mode = mode
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
@@ -185,7 +185,7 @@ class MitNode:
             answer = self._special(data, t_ns) if is_special else self._motion(can_id - self.node_id >> 8, data, t_ns)
         else:
             return None
-        schedule(self)
+        self._schedule()
         if answer is None:
             self.malformed += 1
         if not answer:
@@ -221,32 +221,16 @@ class MitNode:
         if not all(map(math.isfinite, values)):
             return None
         if kind == 2:
-            self._follow(0.0, values[0], self.velocity_range, 0.0, 1.0)
+            self._motion_modes.follow_velocity(values[0])
         elif kind == 1:
-            self._follow(values[0], 0.0, abs(values[1]), POSITION_GAIN, 1.0)
+            self._motion_modes.follow_position(values[0], abs(values[1]))
         else:
-            # Speed in 1/100 rad/s, current in 1/10000 of the largest.
-            self._follow(values[0], 0.0, values[1] / 100.0, POSITION_GAIN, values[2] / 10_000.0)
+            speed, current = values[1:]
+            if speed > FULL_CODE or current > FULL_CODE:
+                return None
+            self._motion_modes.follow_force_position(values[0], speed / 100.0, current / FULL_CODE)
+        self._motion_modes.start(t_ns)
         return self.feedback()
-
-    def _follow(self, position: float, velocity: float, speed: float, gain: float, fraction: float) -> None:
-        """Regulate position and velocity by a cascade.
-
-        Args:
-            position: position setpoint [rad].
-            velocity: velocity setpoint [rad/s].
-            speed: largest speed [rad/s].
-            gain: position gain [1/s], 0 in velocity mode.
-            fraction: torque limit as a fraction of the motor's.
-        """
-        servo = self.motor.servo
-        servo.kd = servo.speed_gain = VELOCITY_BANDWIDTH * self.motor.inertia
-        servo.kp = gain * servo.kd
-        servo.position = self.direction * (position - self.offset)
-        servo.velocity = self.direction * velocity
-        servo.torque = 0.0
-        servo.speed_limit = min(speed, self.velocity_range)
-        servo.limit = min(1.0, fraction) * min(self._torque_peak, self.torque_range)
 
     def _special(self, data: bytes, t_ns: int) -> bytes | None:
         """Execute a special command, None if it is malformed."""
@@ -270,13 +254,18 @@ class MitNode:
             return None
         return self.feedback()
 
+    def _release(self) -> None:
+        """Coast until the next command."""
+        self._motion_modes.end()
+        self.motor.servo.release()
+
     def _enable(self) -> None:
         if self.state == FeedbackState.DISABLED:
-            self.motor.servo.release()
+            self._release()
             self.state = FeedbackState.ENABLED
 
     def _disable(self) -> None:
-        self.motor.servo.release()
+        self._release()
         if self.state == FeedbackState.ENABLED:
             self.state = FeedbackState.DISABLED
 
@@ -286,7 +275,7 @@ class MitNode:
 
     def trip(self, state: FeedbackState) -> None:
         """Enter an error state. Torque returns after the error is cleared and the motor enabled."""
-        self.motor.servo.release()
+        self._release()
         self.state = state
 
     def feedback(self) -> bytes:
@@ -326,7 +315,7 @@ class MitNode:
     def power_cycle(self) -> None:
         """Restore the saved registers and start disabled."""
         self.registers.power_cycle()
-        self.motor.servo.release()
+        self._release()
         self.state = FeedbackState.DISABLED
         self._update_derived()
 
@@ -349,7 +338,13 @@ class MitNode:
         silence_ns = t_ns - self.watchdog_fed_ns
         if self.state in watched and self.timeout_ns and silence_ns >= self.timeout_ns:
             self.trip(FeedbackState.COMMUNICATION_LOST)
+        self._motion_modes.advance(t_ns)
+        self._schedule()
+
+    def _schedule(self) -> None:
+        """Schedule the next wake. Compiled code never handles a drive in a motion mode."""
         schedule(self)
+        self.wake_ns = min(self.wake_ns, self._motion_modes.due_ns)
 
     def _update_thermal(self, t_ns: int) -> None:
         """Integrate the temperatures and trip on over-temperature."""

@@ -11,6 +11,12 @@ OVER_TEMPERATURE = 2
 """Register: temperature limit of the winding [degC]."""
 OVER_CURRENT = 3
 """Register: current limit as a fraction."""
+ACCELERATION = 4
+"""Register: acceleration of the ramps in position-velocity and velocity mode [rad/s2], 0 for no ramp."""
+DECELERATION = 5
+"""Register: deceleration of these ramps, negative [rad/s2], 0 for no ramp."""
+MAX_SPEED = 6
+"""Register: largest speed in all modes but MIT [rad/s]."""
 MST_ID = 7
 """Register: identifier of answers."""
 ESC_ID = 8
@@ -39,7 +45,7 @@ OUTPUT_POSITION = 81
 _UINT = {7, 8, 9, 10, 13, 14, 15, 16, 35, 36}
 """Registers of type uint32. All others are float32."""
 _READ_ONLY = {11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 36, *range(50, 56), 60, 61, 62, 80, 81}
-_POSITIVE = {KT, OVER_TEMPERATURE, PMAX, VMAX, TMAX}
+_POSITIVE = {KT, OVER_TEMPERATURE, ACCELERATION, MAX_SPEED, PMAX, VMAX, TMAX}
 """Registers that accept only positive values."""
 MODE_MIT, MODE_POSITION, MODE_VELOCITY, MODE_FORCE = range(1, 5)
 """Values of CTRL_MODE: MIT, position-velocity, velocity, force-position."""
@@ -91,6 +97,8 @@ def _possible(register: int, value: float) -> bool:
         return MODE_MIT <= value <= MODE_FORCE
     if register in (MST_ID, ESC_ID):
         return 0 <= value < 0x7FF
+    if register == DECELERATION:
+        return -math.inf < value < 0.0
     # Register 35 is the code of the bit rate.
     if register == 35:
         return value <= 11
@@ -101,7 +109,8 @@ def _factory(spec: MotorSpec) -> dict[int, float]:
     """Return the register values of a commissioned motor."""
     # ASCII "SIM" and the node number.
     serial = 0x5349_4D00 + spec.node_id if spec.serial is None else spec.serial
-    values: dict[int, float] = dict.fromkeys((*range(24, 29), *range(31, 35), *range(50, 56), 4, 5, 6, 18, 19), 0.0)
+    values: dict[int, float] = dict.fromkeys((*range(24, 29), *range(31, 35), *range(50, 56), 4, 5, 18, 19), 0.0)
+    values[MAX_SPEED] = spec.velocity_range
     values.update({0: 15.0, KT: spec.torque_constant, OVER_TEMPERATURE: 100.0, OVER_CURRENT: 0.98})
     values.update({MST_ID: spec.options.get("reply_id", spec.node_id + 0x10), ESC_ID: spec.node_id})
     values.update({TIMEOUT: 0, CTRL_MODE: MODE_MIT, 11: spec.viscous, 12: spec.inertia})

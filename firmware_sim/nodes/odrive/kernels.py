@@ -15,7 +15,7 @@ TORQUE_CONTROL = 1
 PASSTHROUGH = 1
 """Input mode: setpoint unchanged."""
 TORQUE_RAMP = 6
-"""Input mode: torque ramp, simulated as pass-through."""
+"""Input mode: torque ramp."""
 THERMAL_PERIOD_NS = 100_000_000
 """Period of the thermal update [ns]."""
 TURN = 2.0 * math.pi
@@ -41,22 +41,28 @@ class OdriveStruct(ctypes.Structure):
             for name in ("legacy", "node_id", "motor_number", "bus", "watchdog_fed_ns", "wake_ns", "thermal_ns")
         ),
         *((name, ctypes.c_int64) for name in ("timeout_ns", "heartbeat_due_ns", "encoder_due_ns")),
-        ("busy_until_ns", ctypes.c_int64),
+        *((name, ctypes.c_int64) for name in ("busy_until_ns", "motion_due_ns")),
         *((name, ctypes.c_int64) for name in ("heartbeat_period_ns", "encoder_period_ns")),
     ]
 
 
 @inner
 def set_torque(node: Any, servo: Any, torque: float, t_ns: int) -> None:
-    """Set a finite torque setpoint [N m at the shaft], and follow it in torque control.
+    """Set a finite torque setpoint [N m at the shaft], and follow it in torque control without a ramp.
 
     The setpoint feeds the watchdog in every mode.
     """
     node.watchdog_fed_ns = t_ns
     node.setpoint = torque
-    torque_mode = node.input_mode == PASSTHROUGH or node.input_mode == TORQUE_RAMP
-    if node.state != CLOSED_LOOP or node.control_mode != TORQUE_CONTROL or not torque_mode:
+    # Every other mode follows the setpoint at its next update, see ``motion``.
+    if node.state != CLOSED_LOOP or node.control_mode != TORQUE_CONTROL or node.input_mode != PASSTHROUGH:
         return
+    follow_torque(node, servo, torque)
+
+
+@inner
+def follow_torque(node: Any, servo: Any, torque: float) -> None:
+    """Follow a torque [N m at the shaft] within the limits."""
     limit = node.current_limit * node.torque_constant
     servo.limit = limit if limit < node.peak else node.peak
     # The comparisons are those of Python's min(high, max(low, torque)), because limits may be NaN.
@@ -104,6 +110,8 @@ def schedule(node: Any) -> None:
         wake_ns = min(wake_ns, node.watchdog_fed_ns + node.timeout_ns)
     if node.busy_until_ns > 0:
         wake_ns = min(wake_ns, node.busy_until_ns)
+    if node.motion_due_ns > 0:
+        wake_ns = min(wake_ns, node.motion_due_ns)
     node.wake_ns = wake_ns
 
 

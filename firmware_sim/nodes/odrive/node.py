@@ -2,7 +2,7 @@
 
 Identifier: node number in bits 10..5, command in bits 4..0. Payloads are little-endian:
 
-    0x01  Heartbeat              u32 errors, u8 state, u8 result, u8, u8, cyclic
+    0x01  Heartbeat              u32 errors, u8 state, u8 result, u8 trajectory done, u8, cyclic
     0x02  Estop                  -
     0x03  Get_Error              u32 active errors, u32 disarm reason
     0x04  RxSdo                  u8 operation (0 read, 1 write), u16 endpoint, u8, value
@@ -16,6 +16,8 @@ Identifier: node number in bits 10..5, command in bits 4..0. Payloads are little
     0x0E  Set_Input_Torque       f32 torque [N m]
     0x0F  Set_Limits             f32 velocity [turn/s], f32 current [A]
     0x11  Set_Traj_Vel_Limit     f32 velocity [turn/s]
+    0x12  Set_Traj_Accel_Limits  f32 acceleration, f32 deceleration [turn/s2]
+    0x13  Set_Traj_Inertia       f32 torque per acceleration [N m s2/turn]
     0x16  Reboot                 u8 action: 0 none, 1 save settings, 2 erase settings
     0x18  Clear_Errors           u8
     0x19  Set_Absolute_Position  f32 position [turn], firmware 0.5: i32 position [count]
@@ -34,8 +36,7 @@ Choices where the fact sheet has an "assumption":
 - Endpoints have the numbers of the hand file.
 - A calibration takes ``CALIBRATION_NS`` and moves nothing. With the option ``uncalibrated`` closed
   loop is refused until then.
-- Position and velocity control are one proportional cascade without integrator and ramps in every
-  input mode. Trapezoidal input (5) has the velocity limit of trajectories, without accelerations.
+- Position and velocity control, and their input modes, are in ``motion``.
 """
 
 import math
@@ -51,7 +52,6 @@ from firmware_sim.nodes.odrive.kernels import (
     THERMAL_PERIOD_NS,
     TURN,
     OdriveStruct,
-    limit_speed,
     next_due,
     schedule,
     set_torque,
@@ -59,6 +59,7 @@ from firmware_sim.nodes.odrive.kernels import (
     turns_per_s,
     watchdog_expired,
 )
+from firmware_sim.nodes.odrive.motion import MOTION_ENDPOINTS, POSITION_CONTROL, MotionModes, MotionSettings
 from firmware_sim.nodes.thermal import Thermal
 from firmware_sim.plant.motor import Motor
 
@@ -88,18 +89,6 @@ COUNTS_PER_TURN = 8192
 """Encoder counts of one turn, vendor's default of firmware 0.5."""
 BROADCAST = 0x3F
 """Node number of messages to all nodes."""
-VELOCITY_CONTROL = 2
-"""Control mode: velocity."""
-POSITION_CONTROL = 3
-"""Control mode: position."""
-POSITION_GAIN = 20.0
-"""Vendor's default position gain [1/s]."""
-VELOCITY_GAIN = 0.167
-"""Vendor's default velocity gain [N m s/turn]."""
-TRAPEZOID = 5
-"""Input mode: trapezoidal trajectory."""
-TRAJECTORY_LIMIT = 2.0
-"""Vendor's default velocity limit of trajectories [turn/s]."""
 HEARTBEAT_MS = 100
 """Vendor's default period of the heartbeat [ms]."""
 ENCODER_MS = 10
@@ -109,8 +98,8 @@ SERIAL = 0x0D_5A_11_00_00_00
 HOT_C = 120.0
 """Winding temperature at which the axis disarms [degC]."""
 _SIZES = {
-    0x02: 0, 0x04: 4, 0x07: 4, 0x0B: 8, 0x0C: 8, 0x0D: 8, 0x0E: 4, 0x0F: 8, 0x11: 4, 0x16: 0,
-    0x18: 0, 0x19: 4, 0x1A: 4, 0x1B: 8,
+    0x02: 0, 0x04: 4, 0x07: 4, 0x0B: 8, 0x0C: 8, 0x0D: 8, 0x0E: 4, 0x0F: 8, 0x11: 4, 0x12: 8,
+    0x13: 4, 0x16: 0, 0x18: 0, 0x19: 4, 0x1A: 4, 0x1B: 8,
 }  # fmt: skip
 """Minimum payload of each accepted message [bytes]."""
 _LEGACY_ANSWERS = {0x09, 0x14, 0x17}
@@ -131,14 +120,14 @@ class OdriveNode:
             endpoint number.
         control_mode: controlled quantity.
         input_mode: input filter.
-        setpoint: torque setpoint [N m].
+        setpoint: torque setpoint or feedforward torque [N m].
+        motion: position and velocity control.
+        motion_due_ns: time of its next update [ns], 0 in torque control without a ramp.
         torque_min: lower torque limit of the endpoints [N m].
         torque_max: upper torque limit of the endpoints [N m].
         timeout_ns: watchdog timeout of the endpoints [ns], 0 if off.
         velocity_limit: velocity limit [turn/s].
-        trajectory_limit: velocity limit of trajectories [turn/s].
         current_limit: current limit [A].
-        position_gain: position gain [1/s].
         velocity_gain: velocity gain [N m s/turn].
         thermal: temperatures.
         ids: None, because it takes many identifiers.
@@ -177,9 +166,9 @@ class OdriveNode:
         self.disarm_reason = 0
         self.result = SUCCESS
         self._set_modes(POSITION_CONTROL, PASSTHROUGH)
-        self.position_gain = POSITION_GAIN
-        self.velocity_gain = VELOCITY_GAIN
-        self.trajectory_limit = TRAJECTORY_LIMIT
+        self.velocity_gain = MotionSettings().velocity_gain
+        self.motion_due_ns = 0
+        self.motion = MotionModes(self)
         self.velocity_limit = 50.0
         self.current_limit = 20.0
         self._numbers = {
@@ -193,6 +182,9 @@ class OdriveNode:
             self._numbers["torque_min"]: struct.pack("<f", -math.inf),
         }
         self.endpoints.pop(0, None)
+        # Numbers of the hand file come first.
+        defaults = {number: struct.pack("<f", value) for number, (_, value) in MOTION_ENDPOINTS.items()}
+        self.endpoints = defaults | self.endpoints
         self.legacy = options.get("firmware") == "0.5"
         if usb := options.get("usb_watchdog_s"):  # set over USB: no frame reaches it
             self._numbers |= {"enable_watchdog": -1, "watchdog_timeout": -2}
@@ -294,20 +286,14 @@ class OdriveNode:
             self._set_state(int.from_bytes(data[:4], "little"), t_ns)
         elif command == 0x0B:
             self._set_mode(*struct.unpack("<II", data))
-        elif command == 0x0C:
-            position, velocity, torque = struct.unpack("<fhh", data)
-            self._set_motion(POSITION_CONTROL, position, velocity * 1e-3, torque * 1e-3, t_ns)
-        elif command == 0x0D:
-            velocity, torque = struct.unpack("<ff", data)
-            self._set_motion(VELOCITY_CONTROL, 0.0, velocity, torque, t_ns)
+        elif command in (0x0C, 0x0D):
+            self._set_input(command, data, t_ns)
         elif command == 0x0E:
             self._set_torque(struct.unpack_from("<f", data)[0], t_ns)
-        elif command in (0x1A, 0x1B):
-            self._set_gain(command, struct.unpack_from("<f", data)[0])
         elif command == 0x0F:
             self._set_limits(*struct.unpack("<ff", data))
-        elif command == 0x11:
-            self._set_trajectory_limit(struct.unpack_from("<f", data)[0])
+        elif command in (0x11, 0x12, 0x13, 0x1A, 0x1B):
+            self._set_motion(command, data)
         elif command == 0x16:
             self._reboot(data[0] if data else 0)
         elif command == 0x19:
@@ -334,8 +320,7 @@ class OdriveNode:
             self.state = CLOSED_LOOP
             self.result = SUCCESS
             self.watchdog_fed_ns = t_ns
-            # In position control the axis holds its present position.
-            self._set_motion(POSITION_CONTROL, turns(self, self.motor.encoder()), 0.0, 0.0, t_ns)
+            self.motion.start(t_ns)
 
     def _can_calibrate(self, state: int) -> bool:
         """Return True if a state is a calibration that may start."""
@@ -347,17 +332,11 @@ class OdriveNode:
         if self.state == IDLE:
             self._set_modes(control, input_mode)
 
-    def _set_trajectory_limit(self, velocity: float) -> None:
-        """Set the velocity limit of trajectories [turn/s], if it is positive."""
-        if velocity > 0.0:
-            self.trajectory_limit = velocity
-
-    def _set_gain(self, command: int, gain: float) -> None:
-        """Set position gain [1/s] or velocity gain [N m s/turn], if it is positive."""
-        if command == 0x1A:
-            self.position_gain = max(0.0, gain)
-        else:
-            self.velocity_gain = max(0.0, gain)
+    def _set_motion(self, command: int, data: bytes) -> None:
+        """Set a limit of trajectories or a gain."""
+        values = struct.unpack_from("<ff" if command in (0x12, 0x1B) else "<f", data)
+        self.motion.set(command, values)
+        self.velocity_gain = self.motion.settings.velocity_gain
 
     def _set_limits(self, velocity: float, current: float) -> None:
         """Set velocity limit [turn/s] and current limit [A], if both are positive."""
@@ -371,41 +350,33 @@ class OdriveNode:
             self.disarm(MISSING_INPUT)
             return
         set_torque(self, self.motor.servo, torque, t_ns)
+        self.motion.advance(t_ns, now=True)
 
-    def _set_motion(self, control_mode: int, position: float, velocity: float, torque: float, t_ns: int) -> None:
-        """Follow a position or velocity with feedforward torque at the shaft.
-
-        Args:
-            control_mode: control mode in which the setpoint acts.
-            position: position setpoint [turn].
-            velocity: velocity setpoint [turn/s].
-            torque: feedforward torque [N m].
-            t_ns: present time [ns].
-        """
-        if not math.isfinite(position + velocity + torque):
+    def _set_input(self, command: int, data: bytes, t_ns: int) -> None:
+        """Set position (0x0C) or velocity (0x0D) with feedforward. The values wait for a mode that uses them."""
+        if command == 0x0C:
+            position, velocity, torque = struct.unpack("<fhh", data)
+            values = position, velocity * 1e-3, torque * 1e-3
+        else:
+            values = (self.motion.input_position, *struct.unpack("<ff", data))
+        if not all(map(math.isfinite, values)):
             self.disarm(MISSING_INPUT)
             return
-        self.watchdog_fed_ns = t_ns
-        servo = self.motor.servo
-        if self.state != CLOSED_LOOP or self.control_mode != control_mode:
-            return
-        velocity_gain = self.velocity_gain / TURN * self.gear**2
-        servo.kd = velocity_gain
-        servo.kp = self.position_gain * velocity_gain if control_mode == POSITION_CONTROL else 0.0
-        limit_speed(self, servo)
-        if self.input_mode == TRAPEZOID and control_mode == POSITION_CONTROL:
-            servo.speed_limit = min(servo.speed_limit, self.trajectory_limit * TURN / self.gear)
-        # From turns at the shaft to radians at the spool: subtract the offset, apply direction and
-        # gear ratio.
-        servo.position = self.direction * (position * TURN - self.offset) / self.gear
-        servo.velocity = self.direction * velocity * TURN / self.gear
-        servo.torque = self.direction * self.gear * torque
-        servo.limit = min(self.peak, self.current_limit * self.torque_constant)
+        self.motion.take(command == 0x0C, *values[:2])
+        set_torque(self, self.motor.servo, values[2], t_ns)
+        self.motion.advance(t_ns, now=True)
 
     def _limit(self, name: str, default: float) -> float:
         """Return the float of an endpoint, or the default without this endpoint."""
         raw = self.endpoints.get(self._numbers[name])
         return float(struct.unpack("<f", raw)[0]) if raw else default
+
+    def endpoint_float(self, number: int) -> float:
+        """Return a setting of ``MOTION_ENDPOINTS``, its default if the hand file has given its number away."""
+        if number in self._numbers.values():
+            return MOTION_ENDPOINTS[number][1]
+        (value,) = struct.unpack("<f", self.endpoints[number])
+        return max(0.0, float(value)) if math.isfinite(value) else 0.0
 
     def _sdo(self, data: bytes) -> list[Frame]:
         """Answer a read of an endpoint. A write has no answer, as in firmware before 0.6.11."""
@@ -434,10 +405,8 @@ class OdriveNode:
             "endpoints": dict(self.endpoints),
             "modes": (self.control_mode, self.input_mode),
             "velocity_limit": self.velocity_limit,
-            "trajectory_limit": self.trajectory_limit,
             "current_limit": self.current_limit,
-            "position_gain": self.position_gain,
-            "velocity_gain": self.velocity_gain,
+            "motion": self.motion.settings,
             "calibrated": self.calibrated,
         }
 
@@ -453,10 +422,9 @@ class OdriveNode:
         """Restore the saved settings without a change of state."""
         saved = self._saved
         self.velocity_limit = saved["velocity_limit"]
-        self.trajectory_limit = saved["trajectory_limit"]
         self.current_limit = saved["current_limit"]
-        self.position_gain = saved["position_gain"]
-        self.velocity_gain = saved["velocity_gain"]
+        self.motion.settings = saved["motion"]
+        self.velocity_gain = self.motion.settings.velocity_gain
         self.calibrated = saved["calibrated"]
         self.endpoints = dict(saved["endpoints"])
         self._update_derived()
@@ -464,6 +432,7 @@ class OdriveNode:
     def _release(self, result: int) -> None:
         """Enter idle with a procedure result. The motor coasts."""
         self.motor.servo.release()
+        self.motion_due_ns = 0
         self.state = IDLE
         self.busy_until_ns = 0
         self.result = result
@@ -487,6 +456,7 @@ class OdriveNode:
         if 0 < self.busy_until_ns <= t_ns:
             self.calibrated = True
             self._release(SUCCESS)
+        self.motion.advance(t_ns)
         frames = []
         if t_ns >= self.heartbeat_due_ns:
             frames.append(Frame(self.node_id << 5 | 0x01, self._heartbeat()))
@@ -503,8 +473,10 @@ class OdriveNode:
             errors = sum(
                 legacy for new, legacy in _LEGACY_ERRORS.items() if (self.active_errors | self.disarm_reason) & new
             )
-            return struct.pack("<IBBBB", errors, self.state, errors == _LEGACY_ERRORS[MOTOR_HOT], 0, 0)
-        return struct.pack("<IBBBB", self.active_errors | self.disarm_reason, self.state, self.result, 0, 0)
+            done = self.motion.done << 7
+            return struct.pack("<IBBBB", errors, self.state, errors == _LEGACY_ERRORS[MOTOR_HOT], 0, done)
+        errors = self.active_errors | self.disarm_reason
+        return struct.pack("<IBBBB", errors, self.state, self.result, self.motion.done, 0)
 
     def _update_thermal(self, t_ns: int) -> None:
         """Integrate the temperatures and disarm on over-temperature."""

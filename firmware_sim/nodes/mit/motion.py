@@ -1,0 +1,106 @@
+"""Position-velocity, velocity and force-position mode of a Damiao motor.
+
+Frames (little-endian), each followed only in its own mode (register 10):
+
+    0x100 + ESC_ID  float32 position [rad], float32 largest speed [rad/s]
+    0x200 + ESC_ID  float32 velocity [rad/s]
+    0x300 + ESC_ID  float32 position [rad], uint16 speed [0.01 rad/s], uint16 current [1/10000 of the largest]
+
+Source: facts, mit_damiao, and the manual of DM-J4310-2EC: ramps of registers ACC and DEC act in
+position-velocity and velocity mode, the codes of force-position mode end at 10000. Assumptions: the
+gains, and that ACC or DEC 0 (as delivered here) means no ramp.
+"""
+
+import math
+from typing import Any
+
+from firmware_sim.nodes.mit import registers as reg
+from firmware_sim.nodes.motion import PERIOD_NS, Cascade, LoopGains, Setpoint, assumed_gains
+
+NEVER_NS = (1 << 63) - 1
+"""Due time of a motor without a setpoint [ns]."""
+
+
+class MotionModes:
+    """Setpoint and cascade of one motor.
+
+    Attributes:
+        due_ns: time of the next update [ns].
+    """
+
+    def __init__(self, node: Any) -> None:
+        """Use the registers and the rotor of a ``node.MitNode``."""
+        self._node = node
+        self._setpoint = Setpoint()
+        self._cascade = Cascade(node.motor)
+        self._running = False
+        self._target = self._speed = 0.0
+        self._fraction = 1.0
+        self._gains = assumed_gains(node.motor.inertia)
+        self._updated_ns = 0
+        self.due_ns = NEVER_NS
+
+    def follow_velocity(self, velocity: float) -> None:
+        """Take a velocity on the wire [rad/s]."""
+        self._take(assumed_gains(self._node.motor.inertia, 0.0), self._node.direction * velocity, math.inf, 1.0)
+
+    def follow_position(self, position: float, speed: float) -> None:
+        """Take a position on the wire [rad] and the largest speed [rad/s]."""
+        self._take(assumed_gains(self._node.motor.inertia), self._at_spool(position), speed, 1.0)
+
+    def follow_force_position(self, position: float, speed: float, fraction: float) -> None:
+        """Take a position on the wire [rad], the largest speed [rad/s] and the fraction of the largest current."""
+        self._take(assumed_gains(self._node.motor.inertia), self._at_spool(position), speed, fraction)
+
+    def _at_spool(self, position: float) -> float:
+        return float(self._node.direction * (position - self._node.offset))
+
+    def _take(self, gains: LoopGains, target: float, speed: float, fraction: float) -> None:
+        """Take a target. The ramps start from the present motion after a mode change or while disabled."""
+        self._gains = gains
+        self._target = target
+        self._speed = speed
+        self._fraction = fraction
+
+    def start(self, t_ns: int) -> None:
+        """Follow the target from a time [ns] on."""
+        if not self._running:
+            self._running = True
+            self._updated_ns = t_ns
+            self._setpoint.jump(self._node.motor.encoder(), self._node.motor.velocity)
+            self._cascade.integral = 0.0
+            self.due_ns = t_ns
+        self.advance(t_ns)
+
+    def end(self) -> None:
+        """Forget the target."""
+        self._running = False
+        self.due_ns = NEVER_NS
+
+    def advance(self, t_ns: int) -> None:
+        """Update setpoint and servo if it is time [ns]."""
+        if not self._running or t_ns < self.due_ns:
+            return
+        step_s = (t_ns - self._updated_ns) * 1e-9
+        self._updated_ns = t_ns
+        self.due_ns = t_ns + PERIOD_NS
+        node = self._node
+        registers = node.registers
+        largest = min(registers[reg.MAX_SPEED], node.velocity_range)
+        speed = min(self._speed, largest)
+        rise = registers[reg.ACCELERATION] or math.inf
+        fall = -registers[reg.DECELERATION] or math.inf
+        if self._gains.position == 0.0:
+            self._setpoint.position = node.motor.encoder()
+            target = min(largest, max(-largest, self._target))
+            if rise == fall == math.inf:
+                self._setpoint.velocity = target
+            elif step_s:
+                self._setpoint.ramp(target, rise, fall, step_s)
+        elif node.mode == reg.MODE_FORCE or rise == fall == math.inf:
+            # The cascade limits the speed.
+            self._setpoint.jump(self._target)
+        elif step_s:
+            self._setpoint.trapezoid(self._target, speed, rise, fall, step_s)
+        limit = min(1.0, self._fraction) * min(node.torque_peak, node.torque_range)
+        self._cascade.regulate(self._setpoint, self._gains, speed, limit, step_s)

@@ -1,0 +1,170 @@
+"""Setpoint generators and cascade of a drive's own position and velocity modes.
+
+A drive's loop runs at 10 to 20 kHz. Here it runs once per millisecond, and the velocity loop inside
+the servo (``plant.motor``) is implicit. All protocols share the cascade:
+
+    velocity demand = position gain (position - angle) + velocity, within +-speed
+    torque          = velocity gain (velocity demand - omega) + integral + feedforward, within +-limit
+
+Position, velocity and torque are those of the spool, in the hand's sign.
+"""
+
+import math
+from typing import NamedTuple
+
+from firmware_sim.plant.motor import Motor
+
+PERIOD_NS = 1_000_000
+"""Period of generators and position loops [ns]."""
+VELOCITY_BANDWIDTH = 200.0
+"""Bandwidth of a velocity loop whose gain is not documented [1/s], an assumption."""
+INTEGRAL_RATE = 20.0
+"""Integral gain divided by velocity gain of such a loop [1/s], an assumption."""
+POSITION_GAIN = 10.0
+"""Position gain of such a loop [1/s], an assumption."""
+DECAY = 0.99**8
+"""Factor of the integral in a period while the torque is limited.
+
+Source: ODrive firmware, controller.cpp, 0.99 in each of eight loops per millisecond.
+"""
+
+
+class LoopGains(NamedTuple):
+    """Gains of a cascade at the spool.
+
+    Attributes:
+        position: position gain [1/s], 0 in velocity mode.
+        velocity: velocity gain [N m s/rad].
+        integral: integral gain of the velocity loop [N m/rad].
+    """
+
+    position: float
+    velocity: float
+    integral: float
+
+
+def assumed_gains(inertia: float, position: float = POSITION_GAIN) -> LoopGains:
+    """Return the gains of a drive that documents none, for an inertia [kg m2] and a position gain [1/s]."""
+    velocity = VELOCITY_BANDWIDTH * inertia
+    return LoopGains(position, velocity, INTEGRAL_RATE * velocity)
+
+
+class Setpoint:
+    """Position, velocity and acceleration of a generator.
+
+    Attributes:
+        position: position [rad].
+        velocity: velocity [rad/s].
+        acceleration: acceleration in the last step [rad/s2].
+    """
+
+    def __init__(self, position: float = 0.0, velocity: float = 0.0) -> None:
+        """Start at a position [rad] with a velocity [rad/s]."""
+        self.jump(position, velocity)
+
+    def jump(self, position: float, velocity: float = 0.0) -> None:
+        """Set the setpoint without a ramp."""
+        self.position = position
+        self.velocity = velocity
+        self.acceleration = 0.0
+
+    def ramp(self, velocity: float, rise: float, fall: float, step_s: float) -> None:
+        """Approach a velocity [rad/s] and integrate it.
+
+        Args:
+            velocity: target [rad/s].
+            rise: largest acceleration while the speed grows [rad/s2].
+            fall: largest deceleration while the speed falls [rad/s2].
+            step_s: step [s].
+        """
+        slows = self.velocity * (velocity - self.velocity) < 0.0
+        largest = (fall if slows else rise) * step_s
+        change = min(largest, max(-largest, velocity - self.velocity))
+        if slows and abs(change) > abs(self.velocity):
+            # A reversal passes through standstill, because the two slopes may differ.
+            change = -self.velocity
+        self.velocity += change
+        self.acceleration = change / step_s
+        self.position += step_s * self.velocity
+
+    def trapezoid(self, target: float, speed: float, rise: float, fall: float, step_s: float) -> bool:
+        """Approach a position with a trapezoidal velocity, replanned at each step.
+
+        Args:
+            target: target [rad].
+            speed: largest speed [rad/s].
+            rise: largest acceleration [rad/s2].
+            fall: largest deceleration [rad/s2].
+            step_s: step [s].
+
+        Returns:
+            True at the target.
+        """
+        rest = target - self.position
+        if math.isinf(fall):
+            stoppable = abs(rest) / step_s
+        else:
+            # Largest speed from which steps of fall * step_s stop within the rest.
+            half = 0.5 * fall * step_s
+            stoppable = math.sqrt(half * half + 2.0 * fall * abs(rest)) - half
+        # The last step ends at the target, from at most one step more than the slope.
+        slowest = fall * step_s
+        if abs(rest) <= min(slowest, speed) * step_s and abs(self.velocity) <= 2.0 * slowest:
+            self.jump(target)
+            return True
+        self.ramp(math.copysign(min(speed, stoppable, abs(rest) / step_s), rest), rise, fall, step_s)
+        return False
+
+    def filter(self, position: float, velocity: float, bandwidth: float, step_s: float) -> None:
+        """Approach a position [rad] by a critically damped filter of second order.
+
+        Source: ODrive firmware, controller.cpp, INPUT_MODE_POS_FILTER.
+        """
+        damping = 2.0 * bandwidth
+        change = 0.25 * damping * damping * (position - self.position) + damping * (velocity - self.velocity)
+        self.acceleration = change
+        self.velocity += step_s * change
+        self.position += step_s * self.velocity
+
+
+class Cascade:
+    """Position loop and velocity loop with integrator, on the servo of a motor.
+
+    Attributes:
+        integral: torque of the integrator [N m].
+    """
+
+    def __init__(self, motor: Motor) -> None:
+        """Use a motor."""
+        self._motor = motor
+        self.integral = 0.0
+
+    def regulate(
+        self, setpoint: Setpoint, gains: LoopGains, speed: float, limit: float, step_s: float, torque: float = 0.0
+    ) -> None:
+        """Set the servo for the next step.
+
+        Args:
+            setpoint: setpoint of the generator.
+            gains: gains.
+            speed: largest velocity demand [rad/s].
+            limit: torque limit [N m].
+            step_s: time since the last call [s], 0 to leave the integrator as it is.
+            torque: feedforward torque [N m].
+        """
+        motor = self._motor
+        servo = motor.servo
+        demand = setpoint.velocity
+        if gains.position:
+            demand += gains.position * (setpoint.position - motor.encoder())
+        demand = min(speed, max(-speed, demand))
+        error = demand - motor.velocity
+        if abs(gains.velocity * error + self.integral + torque) > limit:
+            self.integral *= DECAY if step_s else 1.0
+        else:
+            self.integral += gains.integral * error * step_s
+        servo.kp = servo.speed_gain = 0.0
+        servo.kd = gains.velocity
+        servo.velocity = demand
+        servo.torque = self.integral + torque
+        servo.limit = limit

@@ -1,0 +1,208 @@
+"""Position control, velocity control and the input modes of an ODrive.
+
+    control mode 1 torque, 2 velocity, 3 position
+    input mode   1 setpoint unchanged, 2 velocity ramp, 3 position filter, 5 trapezoid, 6 torque ramp
+
+Inputs are those of Set_Input_Pos, Set_Input_Vel and Set_Input_Torque. Each message sets its inputs in
+every mode, and the modes use them. Gains, filter, ramps and the integrator that decays while the
+torque is limited are those of the ODrive firmware (MIT licence), controller.cpp. The trapezoid is
+replanned in each step, which differs from trapTraj.cpp only if the target changes on the way.
+
+Differences: an overspeed is not an error, because the cascade limits the velocity demand. Input mode 0
+(inactive) keeps the last setpoint. Modes without an entry above are refused by the firmware, and
+ignored here.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+from firmware_sim.nodes.motion import PERIOD_NS, Cascade, LoopGains, Setpoint
+from firmware_sim.nodes.odrive.kernels import (
+    CLOSED_LOOP,
+    PASSTHROUGH,
+    TORQUE_CONTROL,
+    TORQUE_RAMP,
+    TURN,
+    follow_torque,
+    turns,
+)
+
+VELOCITY_CONTROL = 2
+"""Control mode: velocity."""
+POSITION_CONTROL = 3
+"""Control mode: position."""
+VELOCITY_RAMP = 2
+"""Input mode: velocity ramp."""
+POSITION_FILTER = 3
+"""Input mode: filter of second order."""
+TRAPEZOID = 5
+"""Input mode: trapezoidal trajectory."""
+MOTION_ENDPOINTS = {
+    205: ("vel_ramp_rate", 1.0),
+    206: ("torque_ramp_rate", 0.01),
+    207: ("input_filter_bandwidth", 2.0),
+}
+"""Name and vendor's default of settings that no message sets, by endpoint: [turn/s2], [N m/s], [1/s].
+
+The numbers are assumed, as those of ``bench.ENDPOINTS``. Source of the defaults: ODrive 0.5.6.
+"""
+VELOCITY_RAMP_RATE, TORQUE_RAMP_RATE, FILTER_BANDWIDTH = MOTION_ENDPOINTS
+
+
+class MotionSettings(NamedTuple):
+    """Settings of messages 0x11 to 0x1B with the vendor's defaults.
+
+    Attributes:
+        velocity_limit: velocity limit of trajectories [turn/s].
+        acceleration: acceleration of trajectories [turn/s2].
+        deceleration: deceleration of trajectories [turn/s2].
+        inertia: torque per acceleration [N m s2/turn].
+        position_gain: position gain [1/s].
+        velocity_gain: velocity gain [N m s/turn].
+        integral_gain: integrator gain of the velocity loop [N m/turn].
+    """
+
+    velocity_limit: float = 2.0
+    acceleration: float = 0.5
+    deceleration: float = 0.5
+    inertia: float = 0.0
+    position_gain: float = 20.0
+    velocity_gain: float = 0.167
+    integral_gain: float = 0.333
+
+
+_FIELDS = {
+    0x11: ("velocity_limit",),
+    0x12: ("acceleration", "deceleration"),
+    0x13: ("inertia",),
+    0x1A: ("position_gain",),
+    0x1B: ("velocity_gain", "integral_gain"),
+}
+"""Settings by message."""
+_MAY_BE_ZERO = {0x13, 0x1A, 0x1B}
+"""Messages whose values may be 0."""
+
+
+class MotionModes:
+    """Inputs, setpoints and cascade of one axis. Setpoints are in turns of the shaft.
+
+    Attributes:
+        input_position: position of Set_Input_Pos [turn].
+        input_velocity: velocity of Set_Input_Pos or Set_Input_Vel [turn/s].
+        settings: settings of the messages.
+        done: True at the end of a trajectory in closed loop.
+    """
+
+    def __init__(self, node: Any) -> None:
+        """Use the settings and the rotor of a ``node.OdriveNode``."""
+        self._node = node
+        self.settings = MotionSettings()
+        self.input_position = self.input_velocity = 0.0
+        self.done = False
+        self._setpoint = Setpoint()
+        self._at_spool = Setpoint()
+        self._torque = 0.0
+        self._cascade = Cascade(node.motor)
+        self._updated_ns = 0
+
+    def set(self, command: int, values: tuple[float, ...]) -> None:
+        """Set the settings of a message, if all its values are possible."""
+        lowest = 0.0 if command in _MAY_BE_ZERO else math.ulp(0.0)
+        if all(lowest <= value < math.inf for value in values):
+            self.settings = self.settings._replace(**dict(zip(_FIELDS[command], values, strict=True)))
+
+    def take(self, with_position: bool, position: float, velocity: float) -> None:
+        """Set the inputs.
+
+        Args:
+            with_position: True if the message has a position: a new trajectory begins.
+            position: position [turn].
+            velocity: velocity [turn/s].
+        """
+        self.input_position = position
+        self.input_velocity = velocity
+        self.done = self.done and not with_position
+
+    def start(self, t_ns: int) -> None:
+        """Enter closed loop: hold the present position, at rest, without torque."""
+        node = self._node
+        self.input_position = turns(node, node.motor.encoder())
+        self.input_velocity = 0.0
+        node.setpoint = self._torque = 0.0
+        self._setpoint.jump(self.input_position)
+        self._cascade.integral = 0.0
+        self.done = False
+        self._updated_ns = t_ns
+        plain = node.control_mode == TORQUE_CONTROL and node.input_mode == PASSTHROUGH
+        node.motion_due_ns = 0 if plain else max(1, t_ns)
+        self.advance(t_ns)
+
+    def advance(self, t_ns: int, now: bool = False) -> None:
+        """Update setpoint and servo.
+
+        Args:
+            t_ns: present time [ns].
+            now: True to use new inputs before the next update is due.
+        """
+        node = self._node
+        if node.motion_due_ns == 0 or node.state != CLOSED_LOOP or (t_ns < node.motion_due_ns and not now):
+            return
+        step_s = (t_ns - self._updated_ns) * 1e-9
+        self._updated_ns = t_ns
+        node.motion_due_ns = t_ns + PERIOD_NS
+        if node.control_mode == TORQUE_CONTROL:
+            self._ramp_torque(step_s)
+            follow_torque(node, node.motor.servo, self._torque)
+            return
+        if step_s or node.input_mode == PASSTHROUGH:
+            self._generate(step_s)
+        self._regulate(step_s)
+
+    def _ramp_torque(self, step_s: float) -> None:
+        """Approach the torque input, if the input mode is the torque ramp."""
+        node = self._node
+        if node.input_mode == TORQUE_RAMP:
+            largest = node.endpoint_float(TORQUE_RAMP_RATE) * step_s
+            self._torque += min(largest, max(-largest, node.setpoint - self._torque))
+
+    def _generate(self, step_s: float) -> None:
+        """Compute the setpoint of the input mode."""
+        node = self._node
+        setpoint = self._setpoint
+        settings = self.settings
+        mode = node.input_mode
+        if mode == PASSTHROUGH:
+            setpoint.jump(self.input_position, self.input_velocity)
+            self._torque = node.setpoint
+        elif mode == VELOCITY_RAMP:
+            rate = node.endpoint_float(VELOCITY_RAMP_RATE)
+            position = setpoint.position
+            setpoint.ramp(self.input_velocity, rate, rate, step_s)
+            setpoint.position = position
+        elif mode == POSITION_FILTER:
+            bandwidth = node.endpoint_float(FILTER_BANDWIDTH)
+            setpoint.filter(self.input_position, self.input_velocity, bandwidth, step_s)
+        elif mode == TRAPEZOID:
+            limits = settings.velocity_limit, settings.acceleration, settings.deceleration
+            self.done = setpoint.trapezoid(self.input_position, *limits, step_s)
+        if mode in (VELOCITY_RAMP, POSITION_FILTER, TRAPEZOID):
+            self._torque = setpoint.acceleration * settings.inertia
+
+    def _regulate(self, step_s: float) -> None:
+        """Regulate position or velocity, from turns at the shaft to radians at the spool."""
+        node = self._node
+        settings = self.settings
+        scale = node.direction * TURN / node.gear
+        self._at_spool.jump(
+            node.direction * (self._setpoint.position * TURN - node.offset) / node.gear,
+            self._setpoint.velocity * scale,
+        )
+        position_gain = settings.position_gain if node.control_mode == POSITION_CONTROL else 0.0
+        to_spool = node.gear**2 / TURN
+        gains = LoopGains(position_gain, settings.velocity_gain * to_spool, settings.integral_gain * to_spool)
+        # Torque limits of the shaft. The servo has one limit for both directions: the smaller one.
+        torque_limit = max(0.0, min(node.torque_max, -node.torque_min)) * node.gear
+        limit = min(node.peak, node.current_limit * node.torque_constant, torque_limit)
+        speed = node.velocity_limit * TURN / node.gear
+        torque = node.direction * node.gear * self._torque
+        self._cascade.regulate(self._at_spool, gains, speed, limit, step_s, torque)
