@@ -69,7 +69,7 @@ class Setpoint:
         self.acceleration = 0.0
 
     def ramp(self, velocity: float, rise: float, fall: float, step_s: float) -> None:
-        """Approach a velocity [rad/s] and integrate it.
+        """Move towards a velocity [rad/s] and integrate it.
 
         Args:
             velocity: target [rad/s].
@@ -88,7 +88,7 @@ class Setpoint:
         self.position += step_s * self.velocity
 
     def trapezoid(self, target: float, speed: float, rise: float, fall: float, step_s: float) -> bool:
-        """Approach a position with a trapezoidal velocity, replanned at each step.
+        """Move towards a position with a trapezoidal velocity, replanned at each step.
 
         Args:
             target: target [rad].
@@ -116,7 +116,7 @@ class Setpoint:
         return False
 
     def filter(self, position: float, velocity: float, bandwidth: float, step_s: float) -> None:
-        """Approach a position [rad] by a critically damped filter of second order.
+        """Move towards a position [rad] by a critically damped filter of second order.
 
         Source: ODrive firmware, controller.cpp, INPUT_MODE_POS_FILTER.
         """

@@ -29,14 +29,23 @@ from firmware_sim.nodes.cia402.dictionary import RANGE, Abort
 from firmware_sim.nodes.cia402.kernels import TURN
 from firmware_sim.nodes.motion import PERIOD_NS, Cascade, Setpoint, assumed_gains
 
-PROFILE_POSITION, HOMING, CYCLIC_POSITION, CYCLIC_VELOCITY = 1, 6, 8, 9
+PROFILE_POSITION = 1
+HOMING = 6
+CYCLIC_POSITION = 8
+CYCLIC_VELOCITY = 9
 """Modes of operation."""
 MODES = (PROFILE_POSITION, HOMING, CYCLIC_POSITION, CYCLIC_VELOCITY)
 FOLLOWING_ERROR = 0x8611
 """Emergency code: following error."""
-REACHED, LIMITED, FOLLOWS, DEVIATES = 1 << 10, 1 << 11, 1 << 12, 1 << 13
+REACHED = 1 << 10
+LIMITED = 1 << 11
+FOLLOWS = 1 << 12
+DEVIATES = 1 << 13
 """Bits of the status word. FOLLOWS is also set-point acknowledged and homing attained."""
-NEW_SETPOINT, IMMEDIATELY, RELATIVE, HALT = 1 << 4, 1 << 5, 1 << 6, 1 << 8
+NEW_SETPOINT = 1 << 4
+IMMEDIATELY = 1 << 5
+RELATIVE = 1 << 6
+HALT = 1 << 8
 """Bits of the control word. NEW_SETPOINT is also the start of homing."""
 INDEX_NEGATIVE, INDEX_POSITIVE = 33, 34
 """Homing methods: next index pulse in a direction."""
@@ -198,7 +207,7 @@ class MotionModes:
                 self._next = None
 
     def _approach(self, step_s: float, speed: int, sub: int, rise: int, fall: int) -> bool:
-        """Approach the target within the speed and the ramps of objects. Return True at the target."""
+        """Move the demand towards the target, within the speed and the ramps of objects. Return True at the target."""
         slope = max(1.0, self._counts(self._node.objects[fall, 0]))
         if self._control & HALT:
             self._demand.ramp(0.0, slope, slope, step_s)
@@ -209,7 +218,7 @@ class MotionModes:
         )
 
     def _interpolate(self, step_s: float) -> None:
-        """Approach the cyclic target linearly, to arrive at the end of the interpolation period."""
+        """Move the demand linearly to the cyclic target, to arrive at the end of the interpolation period."""
         objects = self._node.objects
         self._target = self._limited(float(objects[0x607A, 0] + objects[0x60B0, 0]))
         part = step_s / self._rest_s if self._rest_s > step_s else 1.0
@@ -219,14 +228,14 @@ class MotionModes:
 
     def _limited(self, target: float) -> float:
         """Return a target within 0x607D."""
-        low, high = self._node.objects[0x607D, 1], self._node.objects[0x607D, 2]
-        inside = min(float(high), max(float(low), target))
+        objects = self._node.objects
+        inside = min(float(objects[0x607D, 2]), max(float(objects[0x607D, 1]), target))
         if inside != target:
             self._bits |= LIMITED
         return inside
 
     def _watch_error(self, t_ns: int) -> bool:
-        """Trip on a following error. Return True after it."""
+        """Check the following error. Return True after a fault."""
         node = self._node
         error = self._demand.position - self._position()
         node.objects[0x60F4, 0] = round(error)
@@ -264,7 +273,7 @@ class MotionModes:
         return self._bits
 
     def _regulate(self, step_s: float) -> None:
-        """Regulate the demand, from counts at the shaft to radians at the spool."""
+        """Set the servo to the demand, from counts at the shaft to radians at the spool."""
         node = self._node
         objects = node.objects
         scale = node.direction * TURN / node.counts / node.gear

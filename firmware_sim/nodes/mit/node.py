@@ -255,7 +255,7 @@ class MitNode:
         return self.feedback()
 
     def _release(self) -> None:
-        """Coast until the next command."""
+        """Let the motor coast until the next command."""
         self._motion_modes.end()
         self.motor.servo.release()
 

@@ -159,7 +159,7 @@ class MotionModes:
         self._regulate(step_s)
 
     def _ramp_torque(self, step_s: float) -> None:
-        """Approach the torque input, if the input mode is the torque ramp."""
+        """Move towards the torque input, if the input mode is the torque ramp."""
         node = self._node
         if node.input_mode == TORQUE_RAMP:
             largest = node.endpoint_float(TORQUE_RAMP_RATE) * step_s
@@ -189,7 +189,7 @@ class MotionModes:
             self._torque = setpoint.acceleration * settings.inertia
 
     def _regulate(self, step_s: float) -> None:
-        """Regulate position or velocity, from turns at the shaft to radians at the spool."""
+        """Set the servo for position or velocity, from turns at the shaft to radians at the spool."""
         node = self._node
         settings = self.settings
         scale = node.direction * TURN / node.gear
