@@ -1,1 +1,1 @@
-"""Fault campaign: the whole fault matrix against a simulated hand in lockstep."""
+"""Fault campaign: the fault matrix is run on a simulated hand in lockstep."""

@@ -1,4 +1,4 @@
-"""Fault campaign: the whole matrix for one hand and some protocols, and the run without faults."""
+"""Fault campaign for one hand and some protocols: all scenarios of the matrix, and a run without faults."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -14,9 +14,9 @@ from handctl.safety.action import Action
 from handctl.session.simulate import Simulation
 
 QUICK_EVERY = 7
-"""A quick campaign runs every seventh scenario."""
+"""Step between scenarios in a quick campaign: every seventh scenario is run."""
 NOISE_FACTOR = 3.0
-"""Factor on the specified sensor noise in the run without faults."""
+"""Factor for the specified sensor noise in the run without faults."""
 FRAME_LOSS = 0.001
 """Probability that a frame is lost in the run without faults."""
 RUN_NS = 8_000_000_000
@@ -33,8 +33,9 @@ class Report:
         hand: name of the hand.
         rates: control rate by protocol [Hz].
         results: results by protocol.
-        alarms: faults with action HOLD or more that the run without faults raised, by protocol.
-        simulated_s: simulated time without faults, over all protocols [s].
+        alarms: false alarms by protocol: faults with reaction HOLD or more in the run without
+            faults.
+        simulated_s: simulated time without faults, sum over all protocols [s].
     """
 
     hand: str
@@ -49,7 +50,7 @@ class Report:
         return [result for results in self.results.values() for result in results]
 
     def plain(self) -> dict[str, Any]:
-        """Return the report as plain values, the figures first."""
+        """Return the report as plain values, totals first."""
         results = self.all_results
         return {
             "hand": self.hand,
@@ -68,7 +69,7 @@ class Report:
 
 
 ProgressCallback = Callable[[str, int, int], None]
-"""Called with the protocol, the number of finished scenarios and the number of scenarios."""
+"""Function called with the protocol, the number of finished scenarios, and the total number of scenarios."""
 
 
 def plan(
@@ -79,9 +80,10 @@ def plan(
     row_ids: Sequence[str] = (),
     seed: int = 0,
 ) -> list[Scenario]:
-    """Select the scenarios: all of them, a sample of every seventh, or some rows.
+    """Return the scenarios to run: all, a sample of every seventh, or those of some rows.
 
-    The seed decides where the sample begins, so the next seed takes other scenarios.
+    The seed determines the first scenario of the sample, so that the next seed selects other
+    scenarios.
     """
     period_ms = 1e3 / rate_hz
     selected = scenarios(hand, protocol, period_ms)
@@ -105,19 +107,19 @@ def run(
     fault_free_only: bool = False,
     seed: int = 1,
 ) -> Report:
-    """Run a campaign.
+    """Run a campaign and return its report.
 
     Args:
         name: name of the hand.
         protocols: protocols of the drives, one after the other.
         rate_of: function from a hand to its control rate [Hz].
-        jobs: number of processes at a time.
-        quick: take a sample of the scenarios.
+        jobs: number of simultaneous processes.
+        quick: True to run only a sample of the scenarios.
         fault_free_s: duration of the run without faults, for each protocol [s].
-        on_progress: called after each scenario.
-        on_failure: called with the simulation of a failed scenario and its result.
+        on_progress: function called after each scenario.
+        on_failure: function called with the simulation of a failed scenario and its result.
         row_ids: rows of the matrix to run, all if empty.
-        fault_free_only: leave the scenarios out.
+        fault_free_only: True to run no scenarios.
         seed: seed of the disturbed runs and of the first run without faults. Later runs count
             up.
     """
@@ -148,9 +150,9 @@ def run(
 
 
 def run_fault_free(hand: Hand, rate_hz: float, seconds: float, seed: int = 1) -> list[str]:
-    """Return the faults with HOLD or more of a hand without faults, at raised noise and frame loss.
+    """Return the false alarms in a run without faults, with increased noise and frame loss.
 
-    The hand moves and grasps again and again. A run without a grasp is no test and counts as an
+    The hand moves and grasps repeatedly. A run without any grasp tests too little, and counts as an
     alarm.
     """
     alarms: list[str] = []
@@ -175,5 +177,5 @@ def run_fault_free(hand: Hand, rate_hz: float, seconds: float, seed: int = 1) ->
 
 
 def _holds(event: Event) -> bool:
-    """Return whether the action at the end of a fault's event text is HOLD or stronger."""
+    """Return True if the reaction at the end of a fault event's text is HOLD or more severe."""
     return Action[event.text.rpartition(" ")[2]] >= Action.HOLD

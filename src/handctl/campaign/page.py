@@ -1,4 +1,4 @@
-"""Campaign report as a self-contained HTML page, and as lines for a terminal."""
+"""Output of a campaign report as a self-contained HTML page, and as lines for a terminal."""
 
 import html
 from collections import Counter
@@ -72,7 +72,7 @@ def write_page(path: Path, report: Report) -> None:
 
 
 def _slowest(results: Iterable[ScenarioResult]) -> list[ScenarioResult]:
-    """Return the scenario of each row with the largest fraction of the bound."""
+    """Return, for each row, the scenario with the largest reaction time relative to its bound."""
     slowest: dict[str, ScenarioResult] = {}
     for result in results:
         current = slowest.get(result.id)
@@ -83,7 +83,7 @@ def _slowest(results: Iterable[ScenarioResult]) -> list[ScenarioResult]:
 
 
 def bound_fraction(result: ScenarioResult) -> float:
-    """Return the reaction time as a fraction of the bound, 9.9 without a reaction."""
+    """Return the reaction time as a fraction of its bound, 9.9 without a reaction."""
     return result.ticks / max(result.bound, 1) if result.ticks >= 0 else 9.9
 
 

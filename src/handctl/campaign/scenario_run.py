@@ -1,4 +1,4 @@
-"""One scenario on a running simulation: inject the fault, then measure detection and reaction."""
+"""Run of one scenario on a simulation: inject the fault, then measure detection and reaction."""
 
 import math
 from collections.abc import Sequence
@@ -16,15 +16,15 @@ from handctl.safety.action import Action
 from handctl.session.simulate import Simulation
 
 OBSERVE_S = 1.3
-"""Observation time beyond the bound, until no torque remains [s]."""
+"""Time to observe after the bound, until no torque remains [s]."""
 RUNAWAY = "runaway"
-"""Fault of a drive that pulls with its own limit against any command."""
+"""Name of the fault in which a drive pulls with its own torque limit, regardless of commands."""
 SHUT_DOWN_MODES = (Mode.DISARM, Mode.DONE)
-"""Modes after the reaction."""
+"""Modes of the hand after the reaction."""
 SECOND_AT_TICKS = 5
-"""Ticks between the two faults of a pair."""
+"""Number of ticks between the two faults of a pair."""
 PAIR_TICKS = 2
-"""Delay that the second fault of a pair may add: a missed tick and its neighbour [ticks]."""
+"""Additional delay allowed for a pair of faults, for a missed tick and the next tick [ticks]."""
 
 
 @dataclass
@@ -35,15 +35,17 @@ class ScenarioResult:
         scenario: description of the scenario.
         id: row of the matrix.
         stage: stage of the run.
-        effects: number of times the disturbance took effect, the positive control.
-        ticks: ticks from the physical event to the frames that carry the reaction, -1 without a
+        effects: number of times the injected fault took effect. At least one proves a valid test.
+        ticks: number of ticks from the physical event to the frames with the reaction, -1 without a
             reaction.
-        bound: largest number of ticks that is allowed.
-        detected_by: row of the detection, as id and instance, empty otherwise.
-        safe_ticks: ticks from the event until no motor is commanded a torque, -1 otherwise.
-        tension: largest true tension from the event on [N].
-        tension_bound: largest tension that is explained [N], see the function `tension_bound`.
-        ok: the fault took effect, was detected by one of the rows, and was answered in time.
+        bound: largest allowed number of ticks.
+        detected_by: id and instance of the detected fault, empty without a detection.
+        safe_ticks: number of ticks from the event until all torque commands are zero, -1 if this
+            never happens.
+        tension: largest true tension after the event [N].
+        tension_bound: largest expected tension [N], see the function `tension_bound`.
+        ok: True if the fault took effect, was detected as one of the allowed rows, and the reaction
+            was in time.
         problem: reason why the result is not ok.
     """
 
@@ -76,7 +78,7 @@ def run_scenario(simulation: Simulation, scenario: Scenario, protocol: str) -> S
     """Run a scenario to the end.
 
     Args:
-        simulation: simulation at the stage of the scenario. The run uses the simulation up.
+        simulation: simulation at the stage of the scenario. It cannot be used after the run.
         scenario: scenario to run.
         protocol: protocol of the drives.
     """
@@ -130,7 +132,7 @@ def tension_bound(
     speed: list[float],
     seconds: float,
 ) -> float:
-    """Return the largest tension that the drives and their momentum explain [N].
+    """Return the largest tension expected from the drives and their momentum [N].
 
     Only the fault `runaway` makes a drive pull harder than commanded. With all other faults the
     tension must stay below the trip limit, at which one sample relaxes the hand.
@@ -139,8 +141,8 @@ def tension_bound(
         simulation: simulation of the run.
         scenario: scenario that was run.
         start_tension: tension of each tendon at the time of the fault [N].
-        speed: speed of each tendon at that time [m/s].
-        seconds: time until no motor is commanded a torque [s].
+        speed: speed of each tendon at the time of the fault [m/s].
+        seconds: time until all torque commands are zero [s].
     """
     if RUNAWAY not in (scenario.fault.split()[0], *scenario.second.split()[:1]):
         return max(*simulation.controller.limits.tension_trip, *start_tension)
@@ -153,16 +155,16 @@ def tension_bound(
 
 
 def overshoot(model: HandModel, start_tension: Sequence[float], speed: Sequence[float], seconds: float) -> float:
-    """Return the largest tension that a runaway drive explains [N].
+    """Return the largest tension that a runaway drive can cause [N].
 
-    The drive pushes the rotor, of mass m at the tendon, with the limit F against the tendon's
-    stiffness k. From the tension T the rotor overshoots to F + sqrt((F - T)^2 + k m v^2). v is the
-    speed of the rotor, plus the speed that F adds while the finger is free.
+    The drive accelerates the rotor (mass m at the tendon) with its force limit F against the tendon
+    (stiffness k). From the tension T the rotor overshoots to F + sqrt((F - T)^2 + k m v^2). v is
+    the speed of the rotor, plus the speed that F adds while the finger is free.
 
     Args:
         model: model of the hand.
         start_tension: tension of each tendon at the time of the fault [N].
-        speed: speed of each tendon at that time [m/s].
+        speed: speed of each tendon at the time of the fault [m/s].
         seconds: time for which the finger moves freely [s].
     """
     space = model.space
@@ -176,7 +178,7 @@ def overshoot(model: HandModel, start_tension: Sequence[float], speed: Sequence[
 
 
 def _first_effect_ns(simulation: Simulation, host: "Host | None", start_ns: int) -> int:
-    """Return the time at which the disturbance first took effect [ns], -1 before that."""
+    """Return the time at which the fault first took effect [ns], -1 if not yet."""
     if host is not None:
         return start_ns
     return int(simulation.peer.fault_states()[0]["first_ns"])
@@ -190,7 +192,7 @@ def _observe(
     first_effect_ns: int,
     t_ns: int,
 ) -> None:
-    """Update a result from a tick."""
+    """Update a result from the output of a tick."""
     row = scenario.row
     truth = simulation.peer.truth()
     result.tension = max(result.tension, *truth["tension"])
@@ -217,7 +219,7 @@ def _observe(
 
 
 def _judge(result: ScenarioResult, row: MatrixRow) -> ScenarioResult:
-    """Set the verdict of a result, and list the problems."""
+    """Set the verdict of a result and list its problems."""
     problems = []
     if not result.effects:
         problems.append("the disturbance had no effect")
@@ -237,7 +239,7 @@ def _judge(result: ScenarioResult, row: MatrixRow) -> ScenarioResult:
 
 
 class Host:
-    """A fault of the host.
+    """Fault of the host.
 
     Forms: `io KIND [WHERE] [lasting]`, `skip N`, `late FRACTION`, `ask REQUEST [TIMES]`.
     """
@@ -247,7 +249,7 @@ class Host:
         self.verb, *self.words = text.split()
 
     def at(self, i: int, simulation: Simulation) -> dict[str, Any]:
-        """Return the arguments of the i-th tick after the fault began."""
+        """Return the arguments for the i-th tick after the start of the fault."""
         first = i == 0
         if self.verb == "io":
             if not first and "lasting" not in self.words:

@@ -1,7 +1,7 @@
-"""Fault matrix: the faults, their targets, their stages and the required reactions, as data.
+"""Fault matrix as data: the faults, the parts they affect, stages of the run, and required reactions.
 
-The time limit of a row runs from the physical event to the frames that carry the reaction. The
-limit is a number of ticks, plus milliseconds where a row or a drive needs time. An ODrive reports
+The time limit of a row counts from the physical event to the frames with the reaction. The limit is
+a number of ticks, plus milliseconds if the fault or a drive needs more time. An ODrive reports
 state every 100 ms and temperature every 200 ms.
 """
 
@@ -25,29 +25,29 @@ EVERYWHERE = (ARMING, FREE, GRASP)
 MOVING = (FREE, GRASP)
 """Stages in which the hand moves."""
 REPORT_DELAY_MS = {ODRIVE: 100.0}
-"""Delay until a drive reports its state by itself, by protocol [ms]."""
+"""Longest delay until a drive reports its state, by protocol [ms]."""
 RESTART_TICKS = {CIA402: 2}
-"""Silent ticks of a drive during a restart, by protocol."""
+"""Number of ticks in which a drive is silent during a restart, by protocol."""
 LATE_MS = 7.0
-"""Delay that is late at every control rate [ms]."""
+"""Delay with which a frame is late at every control rate [ms]."""
 LATE_TICKS = 1.5
-"""Least such delay in control periods."""
+"""Smallest such delay, in control periods."""
 JUMP_RAD = 1.0
-"""Position step that no drive makes within two periods [rad]."""
+"""Position step impossible for any drive within two periods [rad]."""
 JUMP_MS = 5.0
-"""Control period beyond which the step grows in proportion to the period [ms]."""
+"""Control period above which this step grows in proportion to the period [ms]."""
 NOISE_RAD = 0.04
-"""Position noise that no drive makes within a period [rad]."""
+"""Position noise impossible for any drive within a period [rad]."""
 NOISE_MS = 5.0
-"""Control period beyond which the noise grows with the square of the period [ms]."""
+"""Control period above which this noise grows with the square of the period [ms]."""
 READABLE_N = 0.9 * TENSION_RAIL_N
-"""Largest trip tension that is distinguishable from a saturated load cell (T06) [N]."""
+"""Largest trip tension that can be distinguished from a saturated load cell (T06) [N]."""
 HOST = "host "
 """Prefix of faults of the host: I/O events, missed ticks, requests."""
 
 
 class MatrixRow(NamedTuple):
-    """One row of the fault matrix.
+    """Row of the fault matrix.
 
     Attributes:
         id: row of the fault catalogue.
@@ -56,14 +56,14 @@ class MatrixRow(NamedTuple):
             Place holders for sizes: {trip} and {limit} for a tendon's tension_trip_N and
             drive_limit_N, {late} for a delay that is late at the control rate [ms], {jump} and
             {rough} for a step and for noise that no drive makes at the control rate [rad].
-        action: least action that is required.
+        action: weakest reaction that is sufficient.
         ticks: time limit, part in control periods.
-        ms: time limit, part in milliseconds. The parts add up.
-        rows: prefixes of the faults with which a detection counts, the row's own fault first.
+        ms: time limit, part in milliseconds. The limit is the sum of both parts.
+        rows: prefixes of fault ids accepted as a detection, the row's own fault first.
         stages: stages of the runs.
         protocols: protocols of the runs.
         extra_ms: further time that a protocol needs [ms].
-        extra_ticks: further ticks that a protocol needs. Both add up.
+        extra_ticks: further ticks that a protocol needs, in addition to ``extra_ms``.
     """
 
     id: str
@@ -78,17 +78,17 @@ class MatrixRow(NamedTuple):
     extra_ticks: dict[str, int] = {}  # noqa: RUF012 - read only
 
     def bound(self, protocol: str, period_ms: float) -> int:
-        """Return the time limit with the drives of a protocol [ticks]."""
+        """Return the time limit for the drives of a protocol [ticks]."""
         extra = self.extra_ticks.get(protocol, 0)
         return self.ticks + extra + math.ceil((self.ms + self.extra_ms.get(protocol, 0.0)) / period_ms)
 
 
 class Scenario(NamedTuple):
-    """One row of the matrix on one instance in one stage.
+    """Row of the matrix with a fault instance and a stage.
 
     Attributes:
         row: row of the matrix.
-        fault: its text with the instance filled in.
+        fault: fault text of the row, with the instance filled in.
         stage: stage of the run.
         second: second fault of a pair, empty for single faults.
     """
@@ -114,10 +114,10 @@ HOLD = Action.HOLD
 RELAX = Action.RELAX
 CUT = Action.CUT
 ONCE = (MIT, CIA402)
-"""Drives with exactly one answer to a command."""
+"""Protocols whose drives send exactly one answer per command."""
 
 _EXCHANGED = ("N14", "N05", "N06", "T04", "T02", "N04", "T03")
-"""Rows that may detect exchanged drives before N17 does, in motion or at unequal tensions."""
+"""Rows that may detect exchanged drives earlier than N17, in motion or at unequal tensions."""
 
 MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("B01", "drop node={node} for=2500us", WARN, 2, rows=("B01", "N02"), stages=EVERYWHERE),
@@ -219,10 +219,10 @@ MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("H13", "foreign node={node}", RELAX, 2, rows=("H13",), stages=EVERYWHERE),
     MatrixRow("I07", HOST + "ask nonsense 3", RELAX, 1, rows=("I07b",)),
 )  # fmt: skip
-"""All rows that a simulator or the control loop can produce while the hand is armed."""
+"""All rows that the simulator or the control loop can inject while the hand is armed."""
 
 PAIRED_ROWS = ("B01", "B02", "B03", "B17", "N01", "N02", "N08", "N11", "T01", "T04", "T06", "H02")
-"""Faults that are also run in pairs: cables, connectors, supply, tendons, a busy host."""
+"""Faults that are also run in pairs: wires, connectors, supply, tendons, busy host."""
 LEFT_OUT = {
     "B18": "before arming: unit tests with error frames", "N03": "before arming: tests of the modes",
     "T07": "commissioning: its own tests",
@@ -231,11 +231,11 @@ LEFT_OUT = {
     "H12": "real processes",
     "H14": "real processes", "H15": "the soak",
 }  # fmt: skip
-"""Rows of the sections 2.1 to 2.4 outside of the matrix, with the place of their tests."""
+"""Catalogue rows of sections 2.1 to 2.4 that are not in the matrix, with the place of their tests."""
 
 
 def scenarios(hand: Hand, protocol: str, period_ms: float) -> list[Scenario]:
-    """List every row on the first and the last instance, in all stages of the row.
+    """Return the scenarios of every row on the first and last instance, in all stages of the row.
 
     Args:
         hand: hand that is simulated.
@@ -252,10 +252,10 @@ def scenarios(hand: Hand, protocol: str, period_ms: float) -> list[Scenario]:
 
 
 def pairs(hand: Hand, protocol: str, period_ms: float) -> list[Scenario]:
-    """List all pairs of the paired rows, in a grasp.
+    """Return all pairs of the rows for pairs, in a grasp.
 
-    The fault with the stronger action comes first, the other one a few ticks later on another
-    instance. The control period is in ms.
+    The fault with the more severe reaction comes first. The other fault comes a few ticks later on
+    another instance. The control period is in ms.
     """
     rows = [next(row for row in MATRIX if row.id == id_ and protocol in row.protocols) for id_ in PAIRED_ROWS]
     selected = []
@@ -270,7 +270,7 @@ def pairs(hand: Hand, protocol: str, period_ms: float) -> list[Scenario]:
 
 
 def texts(hand: Hand, fault: str, period_ms: float) -> list[str]:
-    """Return a fault's text for each instance of the hand, empty where the hand has no such instance."""
+    """Return the text of a fault for each instance of the hand, empty if the hand has no such instance."""
     if fault.startswith(HOST):
         return [fault]
     sizes = {
@@ -283,7 +283,7 @@ def texts(hand: Hand, fault: str, period_ms: float) -> list[str]:
 
 
 def _instances(hand: Hand, fault: str) -> list[dict[str, str]]:
-    """Return the values of the place holders for each instance.
+    """Return the values of the place holders for each instance of a fault.
 
     A fault without a place holder has one instance.
     """

@@ -1,18 +1,15 @@
-"""Random sequences of faults, and the rules that hold in every order of faults.
+"""Random sequences of faults, and rules that must be kept for any order of faults.
 
-The matrix asks whether each fault is detected in time. A sequence has several faults one after the
-other, for a while or permanent, on any instance and in any stage, with requests in between.
+The matrix tests that each fault is detected in time. A sequence has several temporary or permanent
+faults one after the other, on any instance and in any stage, with requests in between.
 
 Rules:
 
-- No tick raises an exception.
-- The mode never goes back.
-- A latched fault stays latched until a clear request.
-- No setpoint rises while the hand relaxes.
-- No tendon exceeds its trip tension. After a runaway drive the limit is the tension that the drive
-and its momentum explain.
-- A stop ends the run without torque, or asks the operator to remove the power.
-- The same inputs lead to the same states.
+- No tick raises an exception. - The mode never goes back. - A latched fault stays latched until a
+clear request. - No setpoint rises while the hand relaxes. - No tendon exceeds its trip tension.
+After a runaway drive the limit is the tension expected from the drive and its momentum. - A stop
+ends the run without torque, or asks the operator to remove the power. - The same inputs lead to the
+same states.
 """
 
 import random
@@ -41,9 +38,9 @@ BRIEF_MS = (5, 200)
 PERMANENT = ("snap", "slack")
 """Faults that never end by themselves."""
 BETWEEN_FRACTION = 0.2
-"""Fraction of steps that are requests or host faults."""
+"""Fraction of the steps that are requests or faults of the host."""
 BRIEF_FRACTION = 0.6
-"""Fraction of the other faults that end by themselves."""
+"""Fraction of the other faults with an end."""
 BETWEEN = (
     f"{HOST}ask stop",
     f"{HOST}ask clear",
@@ -53,7 +50,7 @@ BETWEEN = (
 )
 """Requests and host faults between the faults of the simulator."""
 SHUTDOWN_S = 2.5
-"""Time after the stop: relaxing and disarming with their timeouts, and an ODrive's heartbeat [s]."""
+"""Time to observe after the stop, for relaxing, disarming, their timeouts, and an ODrive's heartbeat [s]."""
 WATCHDOG_S = 0.05
 """Time without a command after which a drive disables itself [s]."""
 REACTION_TICKS = 10
@@ -63,7 +60,7 @@ FORWARD = (Mode.ARMING, Mode.ACTIVE, Mode.RELAX, Mode.CUT, Mode.DISARM, Mode.DON
 
 
 class FaultStep(NamedTuple):
-    """One fault of a sequence.
+    """Fault in a sequence.
 
     Attributes:
         tick: tick of the fault, counted from the stage.
@@ -75,11 +72,11 @@ class FaultStep(NamedTuple):
 
 
 class Sequence(NamedTuple):
-    """A random sequence of faults.
+    """Random sequence of faults.
 
     Attributes:
-        seed: seed of the draw.
-        stage: stage of the beginning.
+        seed: seed from which the sequence was drawn.
+        stage: stage of the run at which the sequence begins.
         steps: faults in the order of their ticks.
     """
 
@@ -89,7 +86,7 @@ class Sequence(NamedTuple):
 
     @property
     def id(self) -> str:
-        """Return the id in reports. A sequence belongs to no row of the matrix."""
+        """Return the id for reports. A sequence does not belong to a row of the matrix."""
         return "sequence"
 
     @property
@@ -128,16 +125,17 @@ def run(
     on_progress: Callable[[int], None],
     on_failure: Callable[[Simulation, ScenarioResult], None],
 ) -> list[ScenarioResult]:
-    """Run sequences, which branch off from a run at its stages.
+    """Run sequences. Each branches off from a run at its stage.
 
     Args:
         hand: hand with its drives in `protocol`.
         protocol: protocol of the drives.
         rate_hz: control rate [Hz].
         seeds: seeds of the sequences.
-        jobs: number of processes at a time.
-        on_progress: called with the number of finished sequences.
-        on_failure: called with the simulation in which a rule was violated, and the result.
+        jobs: number of simultaneous processes.
+        on_progress: function called with the number of finished sequences.
+        on_failure: function called with the simulation in which a rule was violated, and the
+            result.
     """
     sequences = [draw(hand, protocol, 1e3 / rate_hz, seed) for seed in seeds]
     results = list[ScenarioResult]()
@@ -151,10 +149,10 @@ def run(
 
 
 def run_sequence(simulation: Simulation, sequence: Sequence) -> ScenarioResult:
-    """Run a sequence, stop the hand, and list the violated rules.
+    """Run a sequence, stop the hand, and return the violated rules.
 
     Args:
-        simulation: simulation at the stage of the sequence. The run uses the simulation up.
+        simulation: simulation at the stage of the sequence. It cannot be used after the run.
         sequence: faults to inject.
     """
     start = (simulation.state, len(simulation.recorded))
@@ -187,7 +185,7 @@ def run_sequence(simulation: Simulation, sequence: Sequence) -> ScenarioResult:
 
 
 def _ticks(simulation: Simulation, sequence: Sequence) -> Iterator[dict[str, Any]]:
-    """Yield the inputs of each tick, and inject the simulator's faults on the way.
+    """Yield the inputs of each tick, and inject the faults of the simulator when due.
 
     The stop request comes at the end of the sequence.
     """
@@ -222,7 +220,7 @@ def violations_in_tick(before: State, after: State, cleared: bool) -> list[str]:
 
 
 def _tension_bound(simulation: Simulation, sequence: Sequence, start_tension: list[float]) -> float:
-    """Return the largest tension that is explained [N].
+    """Return the largest expected tension [N].
 
     A runaway drive acts on a slack tendon until its watchdog has fired.
     """
@@ -246,7 +244,7 @@ def violations_at_end(simulation: Simulation) -> list[str]:
 
 
 def violations_on_replay(simulation: Simulation, state: State, first: int) -> list[str]:
-    """Return the first tick whose state, frames and events differ with the same inputs."""
+    """Return the first tick whose state, frames, or events differ when the inputs are executed again."""
     for entry, out in simulation.recorded[first:]:
         state, replayed = simulation.controller.tick(state, entry)
         if (replayed.state_hash, replayed.frames, replayed.events) != (

@@ -1,4 +1,7 @@
-"""Hands in each protocol, and runs at each stage from which scenarios branch off as processes."""
+"""Hands with each protocol, and runs at each stage.
+
+Scenarios branch off from these runs as processes.
+"""
 
 import json
 import os
@@ -22,7 +25,7 @@ from handctl.programs.task import Task
 from handctl.session.simulate import Simulation, Simulator
 
 FIRST_NODE = 0x10
-"""Node id of the first motor in protocols other than the hand file's."""
+"""Node id of the first motor, for protocols other than that of the hand file."""
 OPTIONS: dict[str, dict[str, Any]] = {
     MIT: {},
     ODRIVE: {
@@ -43,15 +46,15 @@ TASK: dict[str, Any] = {
 }
 """Task of all runs: a free motion, then a grasp that lasts."""
 STAGES = (ARMING, FREE, GRASP)
-"""Stages in order of time."""
+"""Stages of a run in order of time."""
 FREE_S = 0.2
-"""Time into the free motion at which faults begin [s]."""
+"""Time after the start of the free motion at which faults begin [s]."""
 STAGE_TIMEOUT_S = 12.0
 """Longest time to the next stage [s]."""
 
 
 def hand_in(name: str, protocol: str) -> Hand:
-    """Return a hand with all drives in one protocol."""
+    """Return a hand whose drives all use one protocol."""
     hand = load_hand(name)
     if protocol == MIT and all(motor.protocol == MIT for motor in hand.motor):
         return hand
@@ -76,7 +79,7 @@ def started(
         hand: hand to simulate.
         rate_hz: control rate [Hz].
         seed: seed of the simulator's noise.
-        perturb: factors on the plant's parameters.
+        perturb: factors for the parameters of the simulated plant.
         task: task whose first phase is a move.
     """
     angles = dict.fromkeys(hand.digit_names, 25.0)
@@ -116,7 +119,7 @@ def advance_to(simulation: Simulation, stage: str) -> None:
 
 
 class Experiment(Protocol):
-    """What branches off from a stage: a scenario of the matrix or a sequence."""
+    """Scenario of the matrix or sequence that branches off from a stage."""
 
     @property
     def name(self) -> str:
@@ -130,7 +133,7 @@ class Experiment(Protocol):
 
     @property
     def stage(self) -> str:
-        """Return the stage of the beginning."""
+        """Return the stage at which the experiment begins."""
         ...
 
 
@@ -147,7 +150,10 @@ def try_all(
     on_failure: Callable[[Simulation, ScenarioResult], None],
     seed: int = 0,
 ) -> None:
-    """Advance a run to each stage, and branch the experiments of the stage off. See `branch`."""
+    """Advance a run to each stage, and run the experiments of this stage in branches.
+
+    See `branch`.
+    """
     with started(hand, rate_hz, seed) as simulation:
         for stage in STAGES:
             experiments_at_stage = [experiment for experiment in todo if experiment.stage == stage]
@@ -166,16 +172,17 @@ def branch(
 ) -> None:
     """Run experiments, each in a copy of this process.
 
-    A copy begins with the present state of the simulation. So the way to the stage is simulated
-    once for all experiments.
+    A copy begins with the present state of the simulation, so that the run up to the stage is
+    simulated only once for all experiments.
 
     Args:
-        simulation: simulation at their stage. The simulation stays unchanged.
+        simulation: simulation at the stage of the experiments. The simulation stays unchanged.
         todo: experiments to run.
         jobs: number of processes at a time.
-        attempt: runs an experiment in the copy.
-        on_result: called with each result.
-        on_failure: called in the copy of a failed experiment with its simulation and result.
+        attempt: function that runs an experiment in the copy.
+        on_result: function called with each result.
+        on_failure: function called in the copy of a failed experiment, with its simulation and
+            result.
     """
     running: dict[int, tuple[int, T]] = {}
     waiting = list(todo)

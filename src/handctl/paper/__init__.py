@@ -1,1 +1,1 @@
-"""The source paper reproduced: every equation, number and figure, with its errors."""
+"""Reproduction of the source paper: every equation, number, and figure, with the errors in the print."""

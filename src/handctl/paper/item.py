@@ -1,4 +1,4 @@
-"""Item of the errata: a statement of the paper, and the correct one."""
+"""Items of the errata: each compares a statement of the paper with the correct statement."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -10,20 +10,20 @@ class ErrataVerdict(StrEnum):
     EQUAL = "equal"
     """Correct as printed. A statement is true."""
     ROUNDED = "rounded"
-    """The exact value, correctly rounded to the printed digits, or computed from such a value."""
+    """Printed value is the exact value correctly rounded to the printed digits, or computed from such a value."""
     TRUNCATED = "truncated"
-    """The exact value with further digits cut off, or computed from such a value."""
+    """Printed value is the exact value with further digits cut off, or computed from such a value."""
     BOUND = "bound"
-    """A true bound: the exact or measured value is beyond the bound."""
+    """Printed value is a bound, and the exact or measured value is beyond this bound."""
     WRONG = "wrong"
-    """None of the above. A statement is false."""
+    """None of the above, or a false statement."""
     UNDECIDABLE = "undecidable"
-    """The paper contradicts itself or is ambiguous, and prints nothing that decides."""
+    """The paper contradicts itself or is ambiguous, and offers no way to decide."""
 
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """One row of the errata.
+    """Row of the errata.
 
     Attributes:
         id: unique id of words joined by dots, e.g. `eq10.gravity`.
@@ -32,7 +32,7 @@ class Item:
         computed: value in full precision, or the corrected expression. None if nothing can be
             computed.
         unit: unit of the computed value, empty for expressions and counts.
-        verdict: verdict, derived from the two.
+        verdict: verdict, derived from printed and computed value.
         why: explanation for a reader of the paper.
         evidence: kinds of evidence, e.g. `arithmetic`, `Euler-Lagrange`, `dimensions`.
         deviation: largest relative difference of an expression at random states, None for

@@ -1,4 +1,4 @@
-"""Page about the paper: as Markdown, as a self-contained HTML file, and as plain values for JSON."""
+"""Page about the paper, as Markdown, as a self-contained HTML file, and as plain values for JSON."""
 
 import base64
 import html
@@ -12,13 +12,13 @@ from handctl.paper.item import Item
 from handctl.paper.sections import INTRODUCTION, REFERENCE, TITLE, PageSection, tally
 
 FIGURES = "../figures"
-"""Folder of figures beside the Markdown page."""
+"""Folder of the figures, next to the Markdown page."""
 PREFIX = "paper-"
 """Prefix of the figures' file names."""
 REGENERATE = "handctl paper --markdown --figures docs/figures --results docs/evidence/paper-results.json"
 """Command that regenerates the page."""
 MEASURED_MARK = "<!-- measured in the simulator: differs in its last digits from machine to machine -->"
-"""Mark of the sections that differ between machines."""
+"""Mark of sections whose content differs between machines."""
 CAPTIONS = {
     "fig1-hand": "Fig. 1: the hand from its description, half closed.",
     "fig2-model": "Fig. 2: kinematic model of a finger, with relative angles q and absolute angles θ.",
@@ -33,12 +33,15 @@ CAPTIONS = {
 
 
 def plain(items: Sequence[Item]) -> list[dict[str, Any]]:
-    """Return items as plain values for JSON."""
+    """Return the items as plain values for JSON."""
     return [{**asdict(item), "verdict": item.verdict.value, "evidence": list(item.evidence)} for item in items]
 
 
 def value(item: Item) -> str:
-    """Return the correct value as text: a number to seven digits with its unit, or an expression."""
+    """Return the correct value of an item as text.
+
+    The text is a number to seven digits with its unit, or an expression.
+    """
     if item.computed is None:
         return "—"
     text = item.computed if isinstance(item.computed, str) else f"{item.computed:.7g}"
@@ -46,7 +49,7 @@ def value(item: Item) -> str:
 
 
 def markdown(parts: Sequence[PageSection]) -> str:
-    """Return the page as Markdown. Figures are in the folder `figures` beside its own."""
+    """Return the page as Markdown. The figures must be in the folder `figures` next to the page."""
     rows = [item for part in parts for item in part.items]
     lines = [
         f"# {TITLE}",
@@ -78,7 +81,7 @@ def markdown(parts: Sequence[PageSection]) -> str:
 
 
 def _rows(table: Sequence[Sequence[str]]) -> list[str]:
-    """Return a table of numbers, titles first, empty if the table is."""
+    """Return a table of numbers as Markdown, titles first, empty for an empty table."""
     if not table:
         return []
     titles, *rows = ("| " + " | ".join(row) + " |" for row in table)
@@ -86,7 +89,7 @@ def _rows(table: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _summary(rows: list[Item]) -> str:
-    """Return the counts of verdicts, and how to regenerate the page."""
+    """Return the number of items per verdict, and the command that regenerates the page."""
     counts = ", ".join(f"{count} {verdict}" for verdict, count in tally(rows).items())
     return (
         f"Of {len(rows)} items: {counts}. `bound` is a lower bound that holds: more was reached than is claimed. "
@@ -95,7 +98,7 @@ def _summary(rows: list[Item]) -> str:
 
 
 def _row(item: Item) -> tuple[str, ...]:
-    """Return the cells of an item."""
+    """Return the table cells of an item."""
     off = f" (deviation {item.deviation:.2g})" if item.deviation is not None and item.verdict != "equal" else ""
     return (
         item.id,
@@ -133,7 +136,7 @@ figcaption { font-size: .88rem; opacity: .75 }
 
 
 def report(parts: Sequence[PageSection], figures: Mapping[str, Path]) -> str:
-    """Return the page as one HTML file with the figures inside.
+    """Return the page as one HTML file that includes the figures.
 
     Args:
         parts: sections of the page.
@@ -159,7 +162,7 @@ def _badge(verdict: str) -> str:
 
 
 def _inline(paragraph: str) -> str:
-    """Return a paragraph as HTML with its code marked."""
+    """Return a paragraph as HTML, with marked code."""
     # Text and code alternate between the backquotes.
     pieces = html.escape(paragraph).split("`")
     return "".join(f"<code>{piece}</code>" if i % 2 else piece for i, piece in enumerate(pieces))

@@ -24,14 +24,14 @@ INTRODUCTION = (
 
 @dataclass(frozen=True, slots=True)
 class PageSection:
-    """Section of the page.
+    """Section of the page about the paper.
 
     Attributes:
         title: heading.
         text: paragraphs.
         figures: names of figures.
-        items: rows of the table of items.
-        measured: True if the section uses results of experiments.
+        items: items of the section, one table row each.
+        measured: True if the section shows results of experiments.
         table: a table of numbers shown before the items. Its first row has the column titles.
     """
 
@@ -44,7 +44,7 @@ class PageSection:
 
 
 def sections(measured: Mapping[str, Any] | None) -> tuple[PageSection, ...]:
-    """Return all sections. Without experiments the measured ones are left out.
+    """Return all sections. Without results of experiments, sections of measurements are omitted.
 
     Args:
         measured: results of `experiments.measure`.
@@ -59,7 +59,7 @@ def items(measured: Mapping[str, Any] | None) -> list[Item]:
 
 
 def tally(rows: list[Item]) -> dict[str, int]:
-    """Return the number of items by verdict."""
+    """Return the number of items for each verdict."""
     return {verdict.value: sum(item.verdict == verdict for item in rows) for verdict in ErrataVerdict}
 
 

@@ -1,4 +1,4 @@
-"""Numbers of the paper from which all others follow, as exact fractions, and its hand."""
+"""Numbers in the paper from which all others follow, as exact fractions, and the paper's hand."""
 
 import math
 from fractions import Fraction
@@ -11,7 +11,7 @@ from handctl.hand.load import load_hand
 PULLEY_MM = Fraction(3)
 """Radius of the joint pulleys [mm]. Source: section 5."""
 SPOOL_MM = Fraction(5)
-"""Radius of the actuator [mm]. Source: sections 5 and 6."""
+"""Radius of the actuator pulley [mm]. Source: sections 5 and 6."""
 GRIP_FINGER_N = Fraction(6)
 """Force of each finger [N]."""
 GRIP_THUMB_N = Fraction(10)
@@ -25,50 +25,50 @@ GRAVITY = Fraction(981, 100)
 STRESS_MPA = Fraction(190)
 """Allowable stress of the wire [MPa]. Source: section 5."""
 KNEES_N = (Fraction(200), Fraction(250))
-"""Knees of the force-displacement curve: section 5, abstract [N]."""
+"""Knees of the force-displacement curve in section 5 and in the abstract [N]."""
 PAYLOAD_KG = "0.915"
 """Payload as printed [kg]."""
 
 
 @cache
 def hand() -> Hand:
-    """Return the packaged hand, whose lengths and radii are the paper's."""
+    """Return the packaged hand with the lengths and radii of the paper."""
     return load_hand("jamia")
 
 
 def finger() -> Digit:
-    """Return a finger."""
+    """Return a finger of this hand."""
     return hand().digit_named("index")
 
 
 def thumb() -> Digit:
-    """Return the thumb."""
+    """Return the thumb of this hand."""
     return hand().digit_named("thumb")
 
 
 def millimetres(lengths_m: tuple[float, ...]) -> tuple[Fraction, ...]:
-    """Return the lengths of a hand file, which are decimal numbers, exactly [mm]."""
+    """Return lengths from a hand file as exact numbers [mm]. The file has decimal numbers."""
     return tuple(1000 * Fraction(str(length)) for length in lengths_m)
 
 
 def levers(digit: Digit) -> tuple[Fraction, ...]:
-    """Return the distance of the tip from each joint of the straight digit [mm], the moment per newton."""
+    """Return the distance of the tip from each joint of the straight digit [mm], equal to the moment per newton."""
     lengths = millimetres(digit.link_length_m)
     return tuple(sum(lengths[i:], Fraction(0)) for i in range(len(lengths)))
 
 
 def tension_per_newton(digit: Digit) -> Fraction:
-    """Return the tension that balances joint 1 of the straight digit, per newton at the tip [N/N]."""
+    """Return the tension that balances joint 1 of the straight digit, per newton of tip force [N/N]."""
     return levers(digit)[0] / PULLEY_MM
 
 
 def tension_for_kg(mass: int) -> Fraction:
-    """Return the tension of each finger's tendon [N] at which the friction of three fingers carries a mass [kg]."""
+    """Return the tension of each finger's tendon at which friction of three fingers holds a mass [N]."""
     return mass * GRAVITY / (FINGERS * FRICTION) * tension_per_newton(finger())
 
 
 def wire_diameter_mm(tension_n: Fraction | float) -> float:
-    """Return the least diameter of a wire at the allowable stress [mm]."""
+    """Return the smallest diameter of a wire at the allowable stress [mm]."""
     return math.sqrt(4.0 * float(tension_n) / (math.pi * float(STRESS_MPA)))
 
 
@@ -78,5 +78,5 @@ def wire_stress_mpa(tension_n: Fraction | float, diameter_mm: float) -> float:
 
 
 def payload_kg(normal_n: Fraction) -> Fraction:
-    """Return the mass that the friction of a contact carries [kg]."""
+    """Return the mass that the friction of a contact holds [kg]."""
     return FRICTION * normal_n / GRAVITY

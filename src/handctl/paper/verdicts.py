@@ -1,4 +1,4 @@
-"""Verdicts, derived from the printed digits and the exact value."""
+"""Rules that derive a verdict from the printed digits and the exact value."""
 
 from collections.abc import Sequence
 from fractions import Fraction
@@ -6,11 +6,13 @@ from fractions import Fraction
 from handctl.paper.item import ErrataVerdict
 
 EXACT = Fraction(1, 10**12)
-"""Relative difference that counts as rounding of the floats that some values come from."""
+"""Largest relative difference that counts as floating-point rounding, in values computed with floats."""
 
 
 def of_number(printed: str, exact: Fraction | float) -> ErrataVerdict:
-    """Compare printed digits with an exact value: equal, else rounded, else truncated, else wrong.
+    """Return the verdict on printed digits with an exact value.
+
+    The verdict is equal, else rounded, else truncated, else wrong.
 
     Args:
         printed: decimal number, e.g. `18.33`.
@@ -30,14 +32,14 @@ def of_number(printed: str, exact: Fraction | float) -> ErrataVerdict:
 
 
 def of_carried(printed: str, exact: Fraction | float, carried: Fraction, source: ErrataVerdict) -> ErrataVerdict:
-    """Compare digits that were computed from digits printed before.
+    """Return the verdict on digits that were computed from digits printed earlier.
 
     Args:
         printed: decimal number.
         exact: exact value.
-        carried: value that follows from the digits printed before.
-        source: verdict on those digits. This verdict is passed on if the carried value explains
-            the print.
+        carried: value computed from the digits printed earlier.
+        source: verdict on the digits printed earlier. This verdict is returned if the carried value
+            explains the print.
     """
     verdict = of_number(printed, exact)
     explained = of_number(printed, carried) == ErrataVerdict.EQUAL
@@ -45,25 +47,28 @@ def of_carried(printed: str, exact: Fraction | float, carried: Fraction, source:
 
 
 def of_statement(holds: bool) -> ErrataVerdict:
-    """Return the verdict of a statement that is true or false."""
+    """Return the verdict on a statement, from its truth value."""
     return ErrataVerdict.EQUAL if holds else ErrataVerdict.WRONG
 
 
 def of_lower_bound(printed: str, value: float) -> ErrataVerdict:
-    """Compare a claimed number with the reached one: equal as a number, else a bound or wrong."""
+    """Return the verdict on a claimed lower bound with the reached value.
+
+    The verdict is equal (as a number), else bound, else wrong.
+    """
     verdict = of_number(printed, value)
     return ErrataVerdict.BOUND if verdict == ErrataVerdict.WRONG and value > float(printed) else verdict
 
 
 def of_readings(right: Sequence[bool]) -> ErrataVerdict:
-    """Return the verdict of several readings: right or wrong in all of them, or undecidable."""
+    """Return the verdict on several readings: right in all, wrong in all, or undecidable."""
     return of_statement(all(right)) if len(set(right)) == 1 else ErrataVerdict.UNDECIDABLE
 
 
 def of_contradiction(printed: Sequence[str], exact: Fraction | float | None) -> ErrataVerdict:
-    """Return the verdict of several values for one quantity.
+    """Return the verdict on several printed values for one quantity.
 
-    Without an exact value different ones cannot be decided.
+    If the printed values differ and there is no exact value, the verdict is undecidable.
     """
     if exact is None:
         return of_readings([value == printed[0] for value in printed])
@@ -78,6 +83,6 @@ def last_digit(printed: str) -> Fraction:
 
 
 def interval(printed: str) -> tuple[Fraction, Fraction]:
-    """Return the interval of values that a correctly rounded number may stand for."""
+    """Return the interval of values that round to a printed number."""
     half = last_digit(printed) / 2
     return Fraction(printed) - half, Fraction(printed) + half

@@ -36,29 +36,29 @@ class BenchRecording:
     travel: list[Vector] = field(default_factory=list)
 
     def record(self, entry: TickIn, out: TickOut) -> None:
-        """Record a tick."""
+        """Record the input and output of a tick."""
         self.t_ns.append(entry.t_ns)
         self.phase.append(out.phase)
         self.tension.append(out.telemetry.tension_raw)
         self.travel.append(out.telemetry.motor_position)
 
     def in_phase(self, name: str) -> Vector:
-        """Return for each tick whether it belongs to a phase (ticks,)."""
+        """Return a mask (ticks,) that is True for the ticks of a phase."""
         return np.array([phase == name for phase in self.phase])
 
 
 def run(hand_file: str, scene: str | None, task: Task, truth: Path | None = None, seed: int = 0) -> BenchRecording:
-    """Run a task with a homed hand in the simulator.
+    """Run a task on the simulator with a homed hand.
 
     Args:
-        hand_file: name of a packaged hand, or a file.
+        hand_file: name of a packaged hand, or path of a hand file.
         scene: scene of the simulator.
         task: task of the controller.
-        truth: file for the simulator's ground truth.
+        truth: path of the file for the simulator's ground truth.
         seed: seed of the noise.
 
     Raises:
-        DriveError: The controller gave up, or safety ended the run.
+        DriveError: The run ended early, by the controller or by the safety monitor.
     """
     model = _model(hand_file)
     recording = BenchRecording()
@@ -71,5 +71,5 @@ def run(hand_file: str, scene: str | None, task: Task, truth: Path | None = None
 
 @cache
 def _model(hand_file: str) -> HandModel:
-    """Return the model of a hand. The gains are designed once in about a second."""
+    """Return the model of a hand. The gains are designed only once, which takes about a second."""
     return HandModel.of(load_hand(hand_file), Gains(), RATE_HZ)

@@ -1,4 +1,7 @@
-"""Experiments of the paper as jobs: plain input, plain output, so another process can run them."""
+"""Experiments of the paper as jobs.
+
+Input and output are plain values, so that another process can run a job.
+"""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -18,8 +21,8 @@ def do(job: Job, folder: Path) -> Result:
     """Run a job.
 
     Args:
-        job: `do` and arguments, see `measure`.
-        folder: folder for its files.
+        job: name of the experiment under `do`, and its arguments, see `measure`.
+        folder: folder for the files of the job.
     """
     match job["do"]:
         case "pull":
@@ -42,15 +45,16 @@ def name(job: Job) -> str:
 
 
 def count() -> int:
-    """Return the number of jobs."""
+    """Return the number of experiment jobs."""
     return 1 + len(payload.DIAMETERS_MM) * (1 + len(payload.AXES))
 
 
 def measure(workers: Workers) -> dict[str, Any]:
-    """Run all experiments.
+    """Run all experiments, and return the results.
 
     Returns:
-        `force_displacement`, see there, and `payload`, one result for each diameter and axis.
+        `force_displacement` (see that module), and `payload` with one result for each diameter and
+        axis.
     """
     searches = [{"do": "search", "diameter_mm": diameter} for diameter in payload.DIAMETERS_MM]
     # The searches come first, because the loads need their tensions.
@@ -64,7 +68,7 @@ def measure(workers: Workers) -> dict[str, Any]:
 
 
 DIGITS = 6
-"""Significant digits of results in a file."""
+"""Number of significant digits of results in a file."""
 
 
 def shortened(results: Any) -> Any:

@@ -1,4 +1,7 @@
-"""Figure 5, measured: a blocked finger is pulled over the bus, its encoder and load cell give the tendon's curve."""
+"""Measurement for Figure 5: force over displacement of a tendon that pulls a blocked finger.
+
+The encoder of the motor and the load cell give the curve.
+"""
 
 import copy
 from collections.abc import Mapping
@@ -20,17 +23,23 @@ from handctl.paper.verdicts import of_contradiction
 from handctl.programs.task import Task
 
 HAND = "jamia_bench"
-"""Packaged hand of the bench."""
+"""Name of the packaged hand for the bench."""
 BLOCKED_DEG = 0.01
-"""Range that a clamp leaves a joint [deg], 1.6 um of tendon over three pulleys."""
+"""Range of motion left to a clamped joint [deg], equal to 1.6 um of tendon over three pulleys."""
 PULL_N = 238.0
-"""Tension of the pull [N], below 244 N, where the bench hand's load cells count as saturated, less overshoot."""
+"""Tension of the pull [N].
+
+The margin for overshoot keeps it below 244 N, where the load cells count as saturated.
+"""
 RATE_N_PER_S = 60.0
 """Rate of the pull [N/s]."""
 LINEAR_N = (30.0, 150.0)
-"""Range in which every tendon is linear [N]. The curve's origin is extrapolated from it."""
+"""Tension range in which every tendon is linear [N].
+
+The origin of the curve is extrapolated from this range.
+"""
 STRAIGHT = 1.2
-"""Largest residual that still counts as noise [standard deviations of the load cell]."""
+"""Largest residual that counts as noise [standard deviations of the load cell]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +53,7 @@ class TendonCurve:
         force: (samples,) load cell [N].
         stiffness: stiffness of the linear part [N/m].
         knee: knee in the data [N], None if the curve is linear to the end.
-        knee_sigma: standard deviation of that knee [N].
+        knee_sigma: standard deviation of the knee in the data [N].
     """
 
     knee_nominal: float
@@ -56,7 +65,7 @@ class TendonCurve:
 
 
 def blocked_hand(knees: tuple[float, ...]) -> Hand:
-    """Return the bench hand with clamped joints, and with the given knees from the first finger on."""
+    """Return the bench hand with clamped joints, and with the given knees, first finger first."""
     content = copy.deepcopy(load_hand(HAND).content)
     for digit in content["digit"]:
         digit["joint_max_deg"] = [low + BLOCKED_DEG for low in digit["joint_min_deg"]]
@@ -66,7 +75,7 @@ def blocked_hand(knees: tuple[float, ...]) -> Hand:
 
 
 def measure(folder: Path) -> dict[str, Any]:
-    """Pull index and middle finger, and return plain values.
+    """Pull index and middle finger, and return the measurements as plain values.
 
     Args:
         folder: folder for the files of the experiment.
@@ -94,7 +103,7 @@ def measure(folder: Path) -> dict[str, Any]:
 
 
 def _task(tension: dict[str, float]) -> Task:
-    """Return the task that pulls digits to a tension."""
+    """Return the task that pulls the digits to a tension."""
     phases = (
         {
             "kind": "close",
@@ -115,10 +124,10 @@ def _task(tension: dict[str, float]) -> Task:
 
 
 def curve(measured: Mapping[str, Any], noise: float) -> TendonCurve:
-    """Find the linear part and the knee of a measurement.
+    """Return the curve of a measurement, with its linear part and its knee.
 
     Args:
-        measured: one tendon of `measure`.
+        measured: result of `measure` for one tendon.
         noise: standard deviation of the load cell [N].
     """
     travel = np.array(measured["travel_m"])
@@ -136,7 +145,7 @@ def curve(measured: Mapping[str, Any], noise: float) -> TendonCurve:
 
 
 def _knee(displacement: Array, force: Array, slope: float) -> tuple[float, float]:
-    """Return the knee by least squares, and its standard deviation [N]."""
+    """Return the knee from a least-squares fit, and its standard deviation [N]."""
 
     def law(x: Array, knee: float, ratio: float, width: float) -> Array:
         tendon = TendonElasticity(slope, ratio * slope, knee, width, 0.0)
@@ -155,7 +164,7 @@ def curves(measured: Mapping[str, Any]) -> list[TendonCurve]:
 
 
 def items(measured: Mapping[str, Any]) -> list[Item]:
-    """Return the measured knees beside those of the paper."""
+    """Return items that compare the measured knees with those of the paper."""
     rows = []
     verdict = of_contradiction([str(knee) for knee in src.KNEES_N], None)
     for place, tendon in zip(("Sec. 5", "Abstract"), curves(measured), strict=True):

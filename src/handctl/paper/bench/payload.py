@@ -1,4 +1,7 @@
-"""Payload, measured: grip with 6 N per finger in the simulator, and load the object along each axis until it slips."""
+"""Measurement of the payload in the simulator.
+
+The hand grips an object with 6 N per finger. The object is loaded along each axis until it slips.
+"""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,7 +18,7 @@ from handctl.programs.task import Task
 from handctl.report.truth import TruthRecord, read_truth
 
 HAND = "jamia"
-"""Packaged hand that grips."""
+"""Name of the packaged hand for this measurement."""
 DIAMETERS_MM = (30.0, 35.0, 40.0)
 """Diameters of the cylinders [mm]."""
 AXES: dict[str, tuple[int, int, int]] = {"x": (1, 0, 0), "y": (0, -1, 0), "z": (0, 0, -1)}
@@ -25,9 +28,9 @@ AXIS_NAMES = {"x": "out of the palm", "y": "towards the thumb", "z": "down, alon
 MASS_KG = 0.05
 """Mass of the cylinder [kg]."""
 STAIRS_N = (20.0, 26.0, 32.0, 38.0, 44.0)
-"""Tensions of the stairs, between which the tension for 6 N is interpolated [N]."""
+"""Tension steps of the search [N]. The tension for 6 N is interpolated between two steps."""
 STAIR_S = 0.5
-"""Duration of one stair [s]."""
+"""Duration of one tension step [s]."""
 SETTLE_S = 0.8
 """Time before the load begins [s]."""
 LOAD_RATE_N_PER_S = 4.0
@@ -35,13 +38,13 @@ LOAD_RATE_N_PER_S = 4.0
 LOAD_S = 5.5
 """Duration of the load [s]."""
 CREEP_M_PER_S = 1e-3
-"""Least speed of a slip [m/s]."""
+"""Smallest speed that counts as a slip [m/s]."""
 MOVED_M = 2e-3
-"""Least distance of a slip [m]."""
+"""Smallest distance that counts as a slip [m]."""
 WINDOW_S = 0.1
 """Window of the creep speed [s]."""
 AVERAGE_ROWS = 100
-"""Rows of ground truth, of a millisecond each, that a steady value averages."""
+"""Number of ground-truth rows (one per millisecond) averaged for a steady value."""
 SCENE = """name = "payload"
 [object]
 shape = "cylinder"
@@ -62,11 +65,12 @@ rate_N_per_s = {rate}
 
 
 def search_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
-    """Return the tension of each digit at which the fingers press with 6 N, and the time of the grip.
+    """Return the tension of each digit at which the fingers press with 6 N, and the start time of the grip.
 
-    The tension is interpolated between stairs, then corrected once with a direct grip, because
-    friction makes a grip depend on its history. The thumb balances the fingers, so the thumb gets
-    the mean tension. The grip begins at the same time in every run on this diameter.
+    The tension is interpolated between tension steps, then corrected once with a direct grip,
+    because friction makes the normal force depend on the history of the grip. The thumb balances
+    the fingers, so the thumb gets the mean tension. The grip begins at the same time in every run
+    on this diameter.
     """
     names = src.hand().digit_names
     phases = [_hold(f"stair {tension:g}", dict.fromkeys(names, tension), STAIR_S) for tension in STAIRS_N]
@@ -83,7 +87,10 @@ def search_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
 
 
 def _for_normals(stairs: Array, target_normals: Array) -> dict[str, float]:
-    """Return the tension of each digit for normal forces [N], by the stairs' normal forces (steps, digits)."""
+    """Return the tension of each digit for given normal forces [N].
+
+    The normal forces at each tension step (steps, digits) are interpolated.
+    """
     names = src.hand().digit_names
     tension = {name: float(np.interp(target_normals[i], stairs[:, i], STAIRS_N)) for i, name in enumerate(names)}
     tension["thumb"] = float(np.mean([tension[name] for name in names if name != "thumb"]))
@@ -91,7 +98,7 @@ def _for_normals(stairs: Array, target_normals: Array) -> dict[str, float]:
 
 
 def load_until_slip(folder: Path, diameter_mm: float, axis: str, grip: Mapping[str, Any]) -> dict[str, Any]:
-    """Grip with the given tensions, load the object until it slips, and return plain values."""
+    """Grip the object, load it until it slips, and return the result as plain values."""
     tension = grip["tension_N"]
     hold = _hold("load", tension, SETTLE_S + LOAD_S)
     start = grip["began_s"] + SETTLE_S
@@ -116,7 +123,7 @@ def load_until_slip(folder: Path, diameter_mm: float, axis: str, grip: Mapping[s
 
 
 def _hold(name: str, tension: Mapping[str, float], duration: float) -> dict[str, Any]:
-    """Return a hold phase."""
+    """Return a hold phase of a task."""
     return {
         "kind": "hold",
         "name": name,
@@ -129,7 +136,7 @@ def _hold(name: str, tension: Mapping[str, float], duration: float) -> dict[str,
 def _grip(
     folder: Path, diameter_mm: float, axis: str, start: float, holds: Sequence[Mapping[str, Any]]
 ) -> tuple[BenchRecording, TruthRecord]:
-    """Close on a cylinder and hold it."""
+    """Close the hand on a cylinder and hold the cylinder."""
     scene = folder / "payload.toml"
     truth = folder / "payload.truth"
     diameter = diameter_mm / 1000.0
@@ -171,7 +178,7 @@ def _positions(truth: TruthRecord, times: Any) -> Array:
 
 
 def _slip(truth: TruthRecord, first: int, end: int) -> tuple[int, str]:
-    """Return the row at which the object slips, and the criterion."""
+    """Return the row at which the object slips, and the criterion that was met."""
     positions = _positions(truth, truth.t_ns[first:end])
     window = round(WINDOW_S * 1000)
     moved = np.linalg.norm(positions - positions[0], axis=1)
@@ -187,13 +194,13 @@ def _slip(truth: TruthRecord, first: int, end: int) -> tuple[int, str]:
 
 
 def bound_kg(result: Mapping[str, Any]) -> float:
-    """Return Coulomb's bound by the measured normal forces of all digits and the palm [kg]."""
+    """Return the payload limit by Coulomb friction, from the measured normal forces of digits and palm [kg]."""
     normal = sum(result["normal_N"].values()) + result["palm_N"]
     return float(src.FRICTION) * float(normal) / float(src.GRAVITY)
 
 
 def items(results: Sequence[Mapping[str, Any]]) -> list[Item]:
-    """Return an item per load case."""
+    """Return one item per load case."""
     rows = []
     for result in results:
         axis = result["axis"]
@@ -215,7 +222,10 @@ def items(results: Sequence[Mapping[str, Any]]) -> list[Item]:
 
 
 def table(results: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, ...], ...]:
-    """Return the measured payload beside the paper's formula and the bounds of friction, titles first."""
+    """Return a table that compares the measured payload with the paper's formula and the friction limits.
+
+    The first row has the titles.
+    """
     formula = float(src.payload_kg(src.FINGERS * src.GRIP_FINGER_N))
     titles = (
         "cylinder",
@@ -246,4 +256,4 @@ ENDS = {
     "creep": "it crept faster than 1 mm/s",
     "held": "it still held at the end",
 }
-"""Description of each criterion."""
+"""Description of each slip criterion."""

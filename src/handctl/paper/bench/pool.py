@@ -14,16 +14,16 @@ from handctl.paper.bench.experiments import Job, Result, Workers
 WORKER = "handctl.paper.bench.worker"
 Child = subprocess.Popen[str]
 Report = Callable[[Job, bool], None]
-"""Called with each job at the beginning (False) and at the end (True)."""
+"""Function called with each job at its start (False) and at its end (True)."""
 
 
 @contextmanager
 def pool(size: int, report: Report) -> Iterator[Workers]:
-    """Start workers, and end them with the body in any case.
+    """Start worker processes, and end them at the end of the context, also after an error.
 
     Args:
         size: number of processes.
-        report: called with the state of each job.
+        report: function called at the start and end of each job.
     """
     command = [sys.executable, "-m", WORKER]
     # A session of its own keeps the terminal's Ctrl-C from the workers.
@@ -47,7 +47,7 @@ def pool(size: int, report: Report) -> Iterator[Workers]:
 
 
 def _distribute(children: Sequence[Child], jobs: Sequence[Job], report: Report) -> list[Result]:
-    """Send each worker a job, and another one after each answer."""
+    """Send each worker a job, and the next job after each result."""
     results: dict[int, Result] = {}
     waiting = iter(enumerate(jobs))
     busy: dict[Child, int] = {}
@@ -66,7 +66,7 @@ def _distribute(children: Sequence[Child], jobs: Sequence[Job], report: Report) 
 
 
 def _next(child: Child, waiting: Iterator[tuple[int, Job]], busy: dict[Child, int], report: Report) -> None:
-    """Send a worker the next job, if any."""
+    """Send the next job to a worker, if a job is left."""
     for index, job in waiting:
         busy[child] = index
         report(job, False)
@@ -77,7 +77,7 @@ def _next(child: Child, waiting: Iterator[tuple[int, Job]], busy: dict[Child, in
 
 
 def _answer(child: Child) -> Result:
-    """Read an answer of a worker.
+    """Return the result that a worker has sent.
 
     Raises:
         HandctlError: The experiment failed, or the worker ended.
@@ -93,6 +93,6 @@ def _answer(child: Child) -> Result:
 
 
 def _pipe(pipe: IO[str] | None) -> IO[str]:
-    """Return a pipe that is known to exist."""
+    """Return a pipe after a check that it exists."""
     assert pipe is not None
     return pipe

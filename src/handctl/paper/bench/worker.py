@@ -1,4 +1,7 @@
-"""Worker process for experiments: a job per line of its standard input, one result per line of its output."""
+"""Worker process for experiments.
+
+Each line of standard input is a job, each line of standard output a result.
+"""
 
 import json
 import signal
@@ -11,7 +14,7 @@ from handctl.paper.bench.experiments import do
 
 
 def main() -> None:
-    """Run jobs until the input ends. A failed experiment answers with its error.
+    """Run jobs until the input ends. If an experiment fails, the result is its error.
 
     Ctrl-C is handled by the process that sends the jobs. SIGTERM from that process ends the worker
     and removes the folder.

@@ -19,7 +19,7 @@ LABEL_MM = {"index": (4, 0, 8), "middle": (4, 0, 8), "ring": (-8, -4, -14), "thu
 """Offset of each digit's label [mm]."""
 AROUND = 24
 ALONG = 6
-"""Faces around a bar, and along its round end."""
+"""Number of faces around a bar, and along its round end."""
 LIGHT = np.array([0.35, -0.45, 0.82])
 """Direction of the light."""
 VIEW = (24.0, -58.0)
@@ -27,7 +27,7 @@ VIEW = (24.0, -58.0)
 
 
 def hand(figure: Any) -> None:
-    """Draw the palm, then all digits in one collection, so near faces hide far ones."""
+    """Draw the palm, then all digits in one collection, so that near faces hide far faces."""
     from matplotlib.patheffects import withStroke
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped,unused-ignore]
 
@@ -122,7 +122,7 @@ def _capsule(start: Array, end: Array, radius: float) -> list[Array]:
 
 
 def _shaded(face: Array, colour: str) -> tuple[float, float, float]:
-    """Return a face's colour under a fixed light, the same on both sides."""
+    """Return the colour of a face under a fixed light. Both sides of the face have this colour."""
     from matplotlib.colors import to_rgb
 
     normal = np.cross(face[2] - face[0], face[3] - face[1])

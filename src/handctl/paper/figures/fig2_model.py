@@ -11,11 +11,11 @@ from handctl.paper.model import kinematics
 SIZE = (9.6, 5.0)
 POSE_DEG = (25.0, 30.0, 35.0)
 ARC_MM = (9.0, 6.0, 5.0)
-"""Radius of the arc of each relative angle [mm]."""
+"""Radius of the arc that marks each relative angle [mm]."""
 
 
 def model(figure: Any) -> None:
-    """Draw the finger in one pose, with the angles of sections 4 and 7 at each joint."""
+    """Draw the finger in a pose, with the angles of the paper's sections 4 and 7 at each joint."""
     axes = figure.add_subplot()
     q = np.radians(POSE_DEG)
     theta = np.cumsum(q)
@@ -56,7 +56,7 @@ def _ray(axes: Any, start: Any, angle: float, length: float, colour: str) -> Non
 
 
 def _arc(axes: Any, centre: Any, between: tuple[float, float], radius: float, colour: str, label: str) -> None:
-    """Draw an angle with its name outside of the arc's middle."""
+    """Draw the arc of an angle, with the name of the angle outside the middle of the arc."""
     angles = np.linspace(*between, 40)
     axes.plot(
         *(centre[:, None] + radius * np.array([np.cos(angles), np.sin(angles)])),

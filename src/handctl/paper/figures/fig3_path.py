@@ -12,15 +12,15 @@ from handctl.paper.model import kinematics
 
 SIZE = (9.6, 4.5)
 CELL_MM = 0.25
-"""Size of the cells of the area [mm]."""
+"""Size of the cells in the drawn area [mm]."""
 SAMPLES = {"index": 161, "thumb": 900}
-"""Samples per joint of each digit."""
+"""Number of samples per joint of each digit."""
 HEIGHT_MM = (-12.0, 60.0)
 POSES_DEG = (0.0, 30.0, 60.0, 90.0)
 
 
 def path(figure: Any) -> None:
-    """Draw finger and thumb side by side on the same scale."""
+    """Draw finger and thumb next to each other, on the same scale."""
     left, right = figure.subplots(1, 2, width_ratios=(110, 58), sharey=True)
     _digit(left, "index", "Finger: Eq. 1-2", (-46, 64))
     _digit(right, "thumb", "Thumb: the same with 15 and 10 mm", (-24, 34))
@@ -69,7 +69,7 @@ def _digit(axes: Any, name: str, title: str, x: tuple[float, float]) -> None:
 
 
 def _area(axes: Any, tips: Array, x: tuple[float, float], y: tuple[float, float]) -> None:
-    """Draw the cells that contain a sampled tip, with gaps between samples closed."""
+    """Draw the cells that contain a sampled tip, and the gaps between the samples."""
     bins = [np.arange(low, high + CELL_MM, CELL_MM) for low, high in (x, y)]
     # Cells between samples would look like holes in the workspace.
     hit = binary_closing(np.histogram2d(tips[:, 0], tips[:, 1], bins=bins)[0] > 0, iterations=3)

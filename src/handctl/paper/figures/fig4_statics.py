@@ -1,4 +1,4 @@
-"""Fig. 4 and 6: the moment of a tip force along a straight digit, and the moment of a tendon."""
+"""Fig. 4 and 6: moment of a tip force along a straight digit, compared with the moment of a tendon."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ SIZE = (9.6, 4.2)
 
 
 def statics(figure: Any) -> None:
-    """Draw finger and thumb, moments per newton at the tip."""
+    """Draw finger and thumb, with moments per newton at the tip."""
     left, right = figure.subplots(1, 2, width_ratios=(1.0, 0.62), sharey=True)
     _digit(left, src.finger(), "Finger: M₁ = 55F, M₂ = 25F, M₃ = 10F", "T = 18.33F")
     _digit(right, src.thumb(), "Thumb: M₁ = 25F, M₂ = 10F", "T = 8.33F")
@@ -19,7 +19,7 @@ def statics(figure: Any) -> None:
 
 
 def _digit(axes: Any, digit: Digit, title: str, tension: str) -> None:
-    """Draw a digit's required and available moments."""
+    """Draw the required and the available moments of a digit."""
     levers = [float(lever) for lever in src.levers(digit)]
     positions = [levers[0] - lever for lever in levers]
     constant = levers[0]

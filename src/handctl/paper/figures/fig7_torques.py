@@ -1,4 +1,4 @@
-"""Fig. 7: parts of the torque of a closing digit, and Eq. 10 as printed and corrected."""
+"""Fig. 7: components of the torque of a closing digit, and Eq. 10 as printed and corrected."""
 
 from typing import Any
 
@@ -11,11 +11,11 @@ SIZE = (9.6, 9.0)
 SIZE_EQ10 = (9.0, 3.6)
 COLOURS = dict(zip(PARTS, (BLUE, RED, GREEN, ORANGE, PURPLE), strict=True))
 LINKS = PARTS[:3]
-"""Parts that Eq. 3 to 12 describe."""
+"""Torque components that Eq. 3 to 12 describe."""
 
 
 def torques(figure: Any) -> None:
-    """Draw finger and thumb at three speeds, and below each the links' own part, enlarged."""
+    """Draw finger and thumb at three speeds. Below each, the component of the links is enlarged."""
     rows = figure.subplots(4, len(DURATIONS_S), sharey="row", height_ratios=(1.15, 1, 1.15, 1))
     for pair, (name, title) in enumerate((("index", "finger"), ("thumb", "thumb"))):
         for column, duration in enumerate(DURATIONS_S):
@@ -51,7 +51,7 @@ def torques(figure: Any) -> None:
 
 
 def _tension(axes: Any, lever: float, labelled: bool) -> None:
-    """Add an axis with the tension of the tendon."""
+    """Add an axis for the tension of the tendon."""
     # From mN m to N m, then by the lever to N.
     factor = 1e-3 / lever
     side = axes.secondary_yaxis("right", functions=(lambda torque: torque * factor, lambda force: force / factor))
@@ -62,7 +62,7 @@ def _tension(axes: Any, lever: float, labelled: bool) -> None:
 
 
 def eq10(figure: Any) -> None:
-    """Draw T_1 as printed and corrected, on the print's scale and on its own."""
+    """Draw T_1 as printed and as corrected, both on the scale of the print and on a suitable scale."""
     times, printed, right = first_torque(DURATIONS_S[1])
     wide, close = figure.subplots(1, 2)
     for axes in (wide, close):

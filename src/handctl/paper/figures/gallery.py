@@ -13,7 +13,10 @@ Content = Callable[[Any], None]
 
 
 def contents(results: Mapping[str, Any] | None) -> dict[str, tuple[tuple[float, float], Content]]:
-    """Return size [inch] and content of each figure. Without results the measured figures are left out."""
+    """Return size [inch] and content of each figure.
+
+    Without results, figures of measurements are omitted.
+    """
     drawn: dict[str, tuple[tuple[float, float], Content]] = {
         "fig1-hand": (fig1_hand.SIZE, fig1_hand.hand),
         "fig2-model": (fig2_model.SIZE, fig2_model.model),
@@ -40,10 +43,10 @@ def draw_all(folder: Path, results: Mapping[str, Any] | None) -> dict[str, Path]
 
     Args:
         folder: folder to write to, created if it does not exist.
-        results: results of `experiments.measure`, None to leave the measured figures out.
+        results: results of `experiments.measure`, None to omit the figures of measurements.
 
     Returns:
-        SVG file of each figure.
+        Path of the SVG file of each figure.
     """
     folder.mkdir(parents=True, exist_ok=True)
     return {name: draw(folder, name, size, content) for name, (size, content) in contents(results).items()}

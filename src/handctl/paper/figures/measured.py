@@ -1,4 +1,4 @@
-"""Fig. 5 and the payload: measurements on the simulated bench, with the paper's values marked."""
+"""Fig. 5 and payload: measurements on the simulated bench, with the values of the paper marked."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -16,7 +16,7 @@ SHADES = (BLUE, ORANGE, GREEN)
 
 
 def force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
-    """Draw both tendons, both printed knees, and the stress limit of section 5."""
+    """Draw the curves of both tendons, both printed knees, and the stress limit of section 5."""
     axes = figure.subplots()
     allowed = float(src.GRIP_FINGER_N * src.tension_per_newton(src.finger()))
     top = 1.12 * float(max(src.KNEES_N))
@@ -80,7 +80,7 @@ def force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
 
 
 def payloads(figure: Any, results: Sequence[Mapping[str, Any]]) -> None:
-    """Draw bars for each axis and diameter, and the object's motion under the growing load."""
+    """Draw a bar per axis and diameter, and the motion of the object under the increasing load."""
     grid = figure.add_gridspec(2, len(payload.AXES), height_ratios=(1.25, 1.0))
     _bars(figure.add_subplot(grid[0, :]), results)
     first = None
@@ -121,7 +121,7 @@ def _bars(axes: Any, results: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _lines(axes: Any) -> None:
-    """Draw the paper's value, and the payload with friction on both sides."""
+    """Draw the paper's value, and the payload with friction on both sides of the object."""
     both = 2.0 * float(src.payload_kg(src.FINGERS * src.GRIP_FINGER_N))
     edge = len(payload.AXES) - 0.6
     for value, colour, text in (
@@ -133,7 +133,7 @@ def _lines(axes: Any) -> None:
 
 
 def _traces(axes: Any, axis: str, results: Sequence[Mapping[str, Any]]) -> None:
-    """Draw the object's motion for an axis."""
+    """Draw the motion of the object for loads along an axis."""
     gravity = float(src.GRAVITY)
     for result, colour in zip(results, SHADES, strict=True):
         axes.plot(result["trace_mm"], np.array(result["trace_N"]) / gravity, color=colour, linewidth=1.3)

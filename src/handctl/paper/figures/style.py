@@ -13,7 +13,7 @@ GREEN = "#009e73"
 RED = "#d55e00"
 PURPLE = "#8e5ba6"
 GREY = "#6b6b6b"
-"""Source of the colours: Okabe & Ito, Color Universal Design."""
+"""Colours of all figures. Source: Okabe & Ito, Color Universal Design."""
 SETTINGS: Any = {
     "font.size": 9.5,
     "axes.titlesize": 10.5,
@@ -41,7 +41,7 @@ def draw(folder: Path, name: str, size: tuple[float, float], content: Callable[[
         content: function that draws on the figure.
 
     Returns:
-        The SVG file.
+        The path of the SVG file.
     """
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg

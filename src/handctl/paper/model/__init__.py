@@ -1,1 +1,1 @@
-"""The paper's equations and numbers, each checked against the correct ones."""
+"""The paper's equations and numbers, each compared with the correct equation or number."""

@@ -1,4 +1,4 @@
-"""Unstated assumptions of the paper's model, each with a number."""
+"""Unstated assumptions of the paper's model, each with its numerical effect."""
 
 from fractions import Fraction
 
@@ -12,24 +12,24 @@ from handctl.paper.verdicts import of_number, of_statement
 
 STATICS = ("statics",)
 BEND_RATIO = 18.0
-"""Least ratio of pulley to rope diameter in rope practice.
+"""Smallest ratio of pulley to rope diameter in engineering practice.
 
 Source: ISO 4308-1, factor h2 of mechanism class M4.
 """
 WRAP_DEG = (15.0, 30.0, 45.0)
-"""Joint angles of a finger around an object, with contact at the middle of each link [deg].
+"""Joint angles of a finger that wraps an object, with contact at the middle of each link [deg].
 
 Source: Birglen, Laliberte & Gosselin (2008).
 """
 
 
 def items() -> list[Item]:
-    """Return an item per number."""
+    """Return one item per assumption."""
     return [*_one_tendon(), *_coupling(), *_balance(), *_both_sides(), _bending(), _lift_off()]
 
 
 def _one_tendon() -> list[Item]:
-    """Check T r_p = M at every joint of the straight finger."""
+    """Check if T r_p = M can be true at every joint of the straight finger."""
     levers = src.levers(src.finger())
     given = src.tension_per_newton(src.finger()) * src.PULLEY_MM
     rows = []
@@ -50,7 +50,7 @@ def _one_tendon() -> list[Item]:
 
 
 def _coupling() -> list[Item]:
-    """Check equal angles by a mechanism: the tendon's work equals the tip's."""
+    """Check if a mechanism with equal joint angles fits: the work of the tendon equals the work at the tip."""
     levers = src.levers(src.finger())
     # Virtual work at equal angles: T times 3 r_p is F times the sum of the levers.
     tension = sum(levers, Fraction(0)) / (len(levers) * src.PULLEY_MM)
@@ -74,7 +74,7 @@ def _coupling() -> list[Item]:
 
 
 def _balance() -> list[Item]:
-    """Check the balance of three fingers with 6 N each and the thumb with 10 N."""
+    """Check the force balance of three fingers with 6 N each and the thumb with 10 N."""
     fingers = src.FINGERS * src.GRIP_FINGER_N
     tension = fingers * src.tension_per_newton(src.thumb())
     torque = tension * src.SPOOL_MM / 1000
@@ -89,7 +89,7 @@ def _balance() -> list[Item]:
 
 
 def _both_sides() -> list[Item]:
-    """Compute the payload with friction on the thumb's side as well."""
+    """Compute the payload with friction on the thumb's side of the object as well."""
     fingers = src.FINGERS * src.GRIP_FINGER_N
     both = 2 * src.payload_kg(fingers)
     limited = 2 * src.payload_kg(src.GRIP_THUMB_N)
@@ -107,7 +107,7 @@ def _both_sides() -> list[Item]:
 
 
 def _bending() -> Item:
-    """Check the bending ratio of the wire."""
+    """Check the bending ratio of the wire: pulley diameter to wire diameter."""
     diameter = src.wire_diameter_mm(src.GRIP_FINGER_N * src.tension_per_newton(src.finger()))
     ratio = float(2 * src.PULLEY_MM) / diameter
     return Item(
@@ -118,7 +118,7 @@ def _bending() -> Item:
 
 
 def contact_forces(tension: float, angles_deg: tuple[float, ...] = WRAP_DEG) -> Array:
-    """Return the normal forces at the middle of each link that balance a tendon on equal pulleys (3,) [N]."""
+    """Return the normal forces at the middle of each link that balance a tendon over equal pulleys (3,) [N]."""
     lengths = np.array(digit("index").lengths)
     absolute = np.cumsum(np.radians(angles_deg))
     levers = np.zeros((3, 3))
@@ -131,7 +131,7 @@ def contact_forces(tension: float, angles_deg: tuple[float, ...] = WRAP_DEG) -> 
 
 
 def _lift_off() -> Item:
-    """Check whether all links of a wrapped finger press on the object."""
+    """Check if all links of a finger that wraps an object press on the object."""
     forces = contact_forces(110.0)
     return Item(
         "grip.middle_link", "Sec. 5", "one tendon, equal pulleys, three phalanges on the object", float(forces[1]), "N",

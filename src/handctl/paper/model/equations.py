@@ -1,7 +1,8 @@
-"""The paper's equations 1 to 12, term by term: their readings, and the correct terms.
+"""The paper's equations 1 to 12, term by term: printed term, possible readings, and correct term.
 
-Each `right` follows from Lagrange's equations. The tests derive them with sympy. `readings` has
-more than one entry where the print is ambiguous: an operator is missing, or a bracket never closes.
+Each `right` follows from Lagrange's equations. The tests derive these terms with sympy. `readings`
+has more than one entry where the print is ambiguous: an operator is missing, or a bracket never
+closes.
 """
 
 from dataclasses import dataclass
@@ -11,16 +12,17 @@ from handctl.paper.model.expression import Expression
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """One term, or a group of terms that belong together.
+    """Term of an equation, or a group of terms that belong together.
 
     Attributes:
         id: id of the item.
         where: equation.
         printed: term as in the paper.
-        readings: possible meanings. An undefined symbol is read as the only possible one.
+        readings: possible meanings of the print. An undefined symbol is read as the only possible
+            symbol.
         right: correct term.
         why: explanation of the error.
-        mirror: id of the term with the same coefficient, because the mass matrix is symmetric.
+        mirror: id of the term with the same coefficient, as the symmetric mass matrix requires.
     """
 
     id: str
@@ -40,7 +42,7 @@ def _term(
     why: str = "",
     mirror: str = "",
 ) -> Term:
-    """Return a term, with the equation taken from the id."""
+    """Return a term. The equation is taken from the id."""
     texts = (readings,) if isinstance(readings, str) else readings
     number = id.removeprefix("eq").partition(".")[0]
     reason = why or "As derived."

@@ -1,6 +1,6 @@
-"""Formulas as text: evaluated on numbers or arrays, checked for dimensions, and typeset.
+"""Formulas given as text: evaluation on numbers or arrays, dimension check, and typesetting.
 
-The tests give the same text to sympy, so the proven formula is the printed one.
+The tests give the same text to sympy, so that the proven formula is the printed formula.
 """
 
 import ast
@@ -18,12 +18,12 @@ NONE: Dimension = (0, 0, 0)
 
 
 class DimensionError(Exception):
-    """Dimensions do not allow a sum, or the argument of a function is no angle."""
+    """Error for a sum of different dimensions, or for a function argument that is not an angle."""
 
 
 @dataclass(frozen=True, slots=True)
 class Expression:
-    """A formula of names, numbers, `+ - * / **`, `sin`, `cos` and `pi`.
+    """Formula of names, numbers, `+ - * / **`, `sin`, `cos` and `pi`.
 
     Attributes:
         text: formula in Python's notation. `th1`, `dth1`, `ddth1` are an angle and its
@@ -39,12 +39,12 @@ class Expression:
 
     @property
     def names(self) -> frozenset[str]:
-        """Return the names in the formula, without functions."""
+        """Return the names in the formula, except functions."""
         names = {node.id for node in ast.walk(self.tree) if isinstance(node, ast.Name)}
         return frozenset(names - FUNCTIONS.keys() - {"pi"})
 
     def value(self, values: Mapping[str, Any]) -> Any:
-        """Return the value, element by element for arrays.
+        """Return the value of the formula, element by element for arrays.
 
         Raises:
             KeyError: A name has no value.
@@ -52,7 +52,7 @@ class Expression:
         return _value(self.tree, values)
 
     def dimension(self, dimensions: Mapping[str, Dimension]) -> Dimension:
-        """Return the dimension.
+        """Return the dimension of the formula.
 
         Raises:
             DimensionError: The formula has no consistent dimension.
@@ -60,7 +60,7 @@ class Expression:
         return _dimension(self.tree, dimensions)
 
     def pretty(self) -> str:
-        """Return the formula as typeset text: θ̇₁², products without signs."""
+        """Return the formula as typeset text, for example θ̇₁², without product signs."""
         return _pretty(self.tree)[0]
 
 
@@ -69,7 +69,7 @@ FUNCTIONS: dict[str, Callable[[Any], Any]] = {"sin": np.sin, "cos": np.cos}
 
 
 def _value(node: ast.expr, values: Mapping[str, Any]) -> Any:
-    """Evaluate a node of the syntax tree."""
+    """Return the value of a node of the syntax tree."""
     match node:
         case ast.Constant(value=int() | float() as number):
             return number
@@ -143,7 +143,7 @@ _POWER = 3
 
 
 def _pretty(node: ast.expr) -> tuple[str, int]:
-    """Return a node as text, and how strongly it binds."""
+    """Return a node as text, and the precedence of its operator."""
     match node:
         case ast.Constant(value=value):
             return f"{value:g}" if isinstance(value, int | float) else str(value), _POWER
@@ -173,7 +173,7 @@ def _pretty(node: ast.expr) -> tuple[str, int]:
 
 
 def _without_minus(node: ast.expr) -> ast.expr:
-    """Return a product without the minus of its first factor, or the node itself otherwise."""
+    """Return a product without the minus sign of its first factor, or an unchanged node without such a sign."""
     match node:
         case ast.UnaryOp(op=ast.USub(), operand=inner):
             return inner
@@ -184,7 +184,7 @@ def _without_minus(node: ast.expr) -> ast.expr:
 
 
 def _bracketed(node: ast.expr, min_strength: int) -> str:
-    """Return a node as text, in brackets if it binds less strongly than required."""
+    """Return a node as text, in brackets if its precedence is lower than required."""
     text, strength = _pretty(node)
     return text if strength >= min_strength else f"({text})"
 

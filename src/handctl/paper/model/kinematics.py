@@ -1,4 +1,4 @@
-"""Section 4: Eq. 1 and 2 against the hand's kinematics, the meaning of their angles, and a digit's workspace."""
+"""Section 4: check of Eq. 1 and 2 with the hand's kinematics, meaning of their angles, workspace of a digit."""
 
 from collections.abc import Callable
 
@@ -25,12 +25,12 @@ def digit(name: str) -> DigitModel:
 
 
 def planar(model: DigitModel, q: Array) -> Array:
-    """Return the joints and the tip in the digit's plane, (n + 1, 2) [m]."""
+    """Return joints and tip in the plane of the digit, (n + 1, 2) [m]."""
     return from_palm(model, points(model, q))[:, :2]
 
 
 def items() -> list[Item]:
-    """Return Eq. 1-2, the meaning of their angles, and inverse kinematics."""
+    """Return the items about Eq. 1-2, the meaning of their angles, and inverse kinematics."""
     return [_hinges(), *_general(), *_paths(), _meaning(), _absolute(), _inverse()]
 
 
@@ -51,7 +51,7 @@ def workspace(name: str, per_joint: int) -> Array:
 
 
 def _paths() -> list[Item]:
-    """Check Eq. 1 and 2 on the path of the tip."""
+    """Check Eq. 1 and 2 along the path of the tip."""
     tips = path("index", ANGLES)
     thumb = " + ".join(f"{length} cos {'' if i == 0 else i + 1}θ" for i, length in enumerate(_lengths("thumb")))
     reason = (
@@ -84,7 +84,7 @@ def _lengths(name: str) -> list[str]:
 
 
 def _general() -> list[Item]:
-    """Check section 4's tip position, L1 cos q1 + L2 cos(q1 + q2) + .. and sines, at random angles."""
+    """Check the tip position in section 4, L1 cos q1 + L2 cos(q1 + q2) + .. and sines, at random angles."""
     model = digit("index")
     random = np.random.default_rng(1)
     rows = random.uniform(-2.0, 2.0, (100, 3))
@@ -107,7 +107,7 @@ def _general() -> list[Item]:
 
 
 def _hinges() -> Item:
-    """Check that Fig. 2's chain of three hinges about z stays in one plane, at the links' lengths."""
+    """Check that Fig. 2's chain of three hinges about z stays in a plane and keeps the link lengths."""
     model = digit("index")
     random = np.random.default_rng(3)
     worst = 0.0
@@ -123,10 +123,10 @@ def _hinges() -> Item:
 
 
 def _meaning() -> Item:
-    """Check that one kind of angle fits both Eq. 6 and Eq. 1-2.
+    """Check if angles of one kind fit both Eq. 6 and Eq. 1-2.
 
     Eq. 6 is the potential energy only with absolute angles. Eq. 1-2 are true only with relative
-    ones.
+    angles.
     """
     model = digit("index")
     q = np.array([0.3, 0.5, 0.7])
@@ -145,7 +145,7 @@ def _meaning() -> Item:
 
 
 def _absolute() -> Item:
-    """Check section 7's statement on its angles: the heights of Eq. 6 are correct with absolute ones."""
+    """Check the statement on angles in section 7: the heights in Eq. 6 are correct with absolute angles."""
     model = digit("index")
     q = np.array([0.3, 0.5, 0.7])
     height = 1000.0 * float(np.array(model.lengths) @ np.sin(np.cumsum(q)))
@@ -158,7 +158,7 @@ def _absolute() -> Item:
 
 
 def _inverse() -> Item:
-    """Check inverse kinematics, which the paper does not have: forward after inverse."""
+    """Check inverse kinematics, which the paper lacks: forward kinematics of the result must return the tip."""
     model = digit("index")
     random = np.random.default_rng(2)
     worst = 0.0

@@ -1,6 +1,9 @@
-"""Equations 3 to 12 at random states: each printed term against the correct one, which Lagrange's equations give.
+"""Equations 3 to 12 at random states: each printed term is compared with the correct term.
 
-Every derivative is taken by complex steps, exact to rounding, so no manual algebra is trusted.
+The correct terms follow from Lagrange's equations.
+
+Every derivative is computed by complex steps, exact to rounding, so that no manual algebra is
+needed.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,11 +26,11 @@ from handctl.paper.verdicts import of_readings, of_statement
 STATES = 200
 """Number of random states."""
 TOLERANCE = 1e-9
-"""Largest relative difference that counts as rounding. The smallest misprint makes about 0.1."""
+"""Largest relative difference that counts as rounding. The smallest misprint causes about 0.1."""
 STEP = 1e-30
-"""Complex step.
+"""Size of the complex step.
 
-No subtraction occurs, so the step may be arbitrarily small. Source: Squire & Trapp (1998).
+The method has no subtraction, so the step may be arbitrarily small. Source: Squire & Trapp (1998).
 """
 JOULE: Dimension = (1, 2, -2)
 """Dimension of energy, and of torque."""
@@ -44,9 +47,9 @@ States = Mapping[str, Any]
 
 @cache
 def random_states() -> States:
-    """Return parameters of the order of one, angles, rates and accelerations, (STATES,) each.
+    """Return random parameters, angles, rates, and accelerations of order 1, (STATES,) each.
 
-    They are the same in every run.
+    The states are the same in every run.
     """
     random = np.random.default_rng(7)
     values: dict[str, Array] = {}
@@ -57,7 +60,7 @@ def random_states() -> States:
 
 
 def finger_states(digit: DigitModel) -> States:
-    """Return random motions of a finger with its own lengths and masses."""
+    """Return random motions of a finger with the lengths and masses of the given digit."""
     states = dict(random_states())
     for i in range(3):
         states |= {f"I{i + 1}": digit.inertias[i, 2, 2], f"m{i + 1}": digit.masses[i]}
@@ -66,7 +69,7 @@ def finger_states(digit: DigitModel) -> States:
 
 
 def deviation(value: Any, correct: Any) -> float:
-    """Return the largest difference relative to the largest value of the second argument, the correct one."""
+    """Return the largest difference of two values, relative to the largest correct value."""
     return float(np.max(np.abs(value - correct)) / np.max(np.abs(correct)))
 
 
@@ -76,12 +79,15 @@ def lagrange_torques(states: States) -> list[Array]:
 
 
 def _energy(terms: Sequence[Term], states: States) -> Any:
-    """Return the sum of correct terms."""
+    """Return the energy as the sum of its correct terms."""
     return sum(term.right.value(states) for term in terms)
 
 
 def _momentum_rate(states: States, i: int) -> Array:
-    """Return d/dt of ∂K/∂θ̇_i. K is quadratic in the rates, so a difference over a whole unit is exact."""
+    """Return d/dt of ∂K/∂θ̇_i.
+
+    K is quadratic in the rates, so a difference over a whole unit is exact.
+    """
     moved = dict(states)
     for j in (1, 2, 3):
         # The total derivative by time: angles move with their rates, rates with their
@@ -102,7 +108,7 @@ def _slope(states: States, i: int) -> Array:
 
 
 def term_items() -> list[Item]:
-    """Return an item for each term of Eq. 3 to 6 and 10 to 12."""
+    """Return one item for each term of Eq. 3 to 6 and 10 to 12."""
     return [_item(term) for term in (*equations.KINETIC, *equations.POTENTIAL, *sum(equations.TORQUES, ()))]
 
 
@@ -121,7 +127,7 @@ def _item(term: Term) -> Item:
 
 
 def _dimensions(term: Term) -> str:
-    """Return "dimensions" if a reading of the print has wrong dimensions, empty otherwise."""
+    """Return the evidence "dimensions" if a reading has wrong dimensions, else an empty tuple."""
     for reading in term.readings:
         try:
             if reading.dimension(DIMENSIONS) != JOULE:
@@ -132,7 +138,7 @@ def _dimensions(term: Term) -> str:
 
 
 def _symmetry(term: Term) -> str:
-    """Return evidence if a printed coefficient differs from its mirror term's, empty otherwise."""
+    """Return evidence if a printed coefficient differs from that of its mirror term, else an empty tuple."""
     if not term.mirror:
         return ""
     mirror = next(other for terms in equations.TORQUES for other in terms if other.id == term.mirror)
@@ -142,7 +148,10 @@ def _symmetry(term: Term) -> str:
 
 
 def equation_items() -> list[Item]:
-    """Return Eq. 7 to 9, and Eq. 10 to 12 as a whole against this project's equations of motion."""
+    """Return the items for Eq. 7 to 9, and for Eq. 10 to 12 as a whole.
+
+    The equations are compared with this project's equations of motion.
+    """
     digit = paper_finger()
     states = finger_states(digit)
     model = model_torques(digit, states)
@@ -174,7 +183,7 @@ def equation_items() -> list[Item]:
 
 
 def _joint_torque(digit: DigitModel, states: States, model: Sequence[Array]) -> Item:
-    """Check whether T_i is the torque at a joint. A motor at the joint must make tau = S^T T."""
+    """Check if T_i is the torque at a joint. A motor at the joint must make tau = S^T T."""
     joints = joint_torques(digit, states)
     is_equal = deviation(model[0], joints[:, 0]) < TOLERANCE
     summed = deviation(model[0] + model[1] + model[2], joints[:, 0])
@@ -188,7 +197,7 @@ def _joint_torque(digit: DigitModel, states: States, model: Sequence[Array]) -> 
 
 
 def _agreement(off: float) -> str:
-    """Return how well two values agree, without digits that differ between machines."""
+    """Return how well two values agree as text, without digits that differ between machines."""
     return "to rounding" if off < TOLERANCE else f"to {off:.1g}"
 
 
@@ -210,16 +219,16 @@ def joint_torques(digit: DigitModel, states: States) -> Array:
 
 
 def model_torques(digit: DigitModel, states: States) -> list[Array]:
-    """Return the torques of absolute angles, T = S^-T tau."""
+    """Return the torques for absolute angles, T = S^-T tau."""
     tau = joint_torques(digit, states)
     return [tau[:, 0] - tau[:, 1], tau[:, 1] - tau[:, 2], tau[:, 2]]
 
 
 def _relative(states: States, name: str) -> Array:
-    """Return joint angles, or their derivatives, of absolute ones (STATES, 3)."""
+    """Return relative joint angles (STATES, 3), or their derivatives, converted from absolute angles."""
     return np.diff(np.column_stack([states[f"{name}{i}"] for i in (1, 2, 3)]), axis=1, prepend=0.0)
 
 
 def printed_sum(terms: Sequence[Term], states: States) -> Any:
-    """Return an equation as printed, each term in its first reading."""
+    """Return the value of an equation as printed, with each term in its first reading."""
     return sum(term.readings[0].value(states) for term in terms)

@@ -1,4 +1,4 @@
-"""Section 7 in motion: the torque of a closing digit, split by its causes."""
+"""Dynamics of section 7 in a motion: torque of a closing digit, split by cause."""
 
 from dataclasses import dataclass
 
@@ -19,21 +19,21 @@ CLOSED_DEG = 60.0
 DURATIONS_S = (0.6, 0.3, 0.15)
 """Durations of the motion [s]."""
 SAMPLES = 301
-"""Samples of a motion."""
+"""Number of samples of a motion."""
 PARTS = ("inertia", "Coriolis", "gravity", "springs", "motor inertia")
-"""Causes of the torque. The first three are the links'."""
+"""Causes of the torque. The first three are effects of the links."""
 
 
 @dataclass(frozen=True, slots=True)
 class Closing:
-    """Torques of a digit that closes along a minimum-jerk path, all joints alike.
+    """Torques of a digit that closes along a minimum-jerk path, with equal joint angles.
 
     Attributes:
         digit: name of the digit.
         duration: duration [s].
         times: (samples,) time [s].
-        parts: torque in the digit's one coordinate by cause, (samples,) each [N m].
-        lever: lever of the tendon on that coordinate, the sum of the pulleys' radii [m].
+        parts: torque at the digit's single coordinate by cause, (samples,) each [N m].
+        lever: moment arm of the tendon on this coordinate, the sum of the pulley radii [m].
     """
 
     digit: str
@@ -54,7 +54,7 @@ def upright(name: str) -> DigitModel:
 
 
 def closing(name: str, duration: float) -> Closing:
-    """Compute the torques of closing a digit from straight to 60 degrees per joint.
+    """Return the torques for closing a digit from straight to 60 degrees per joint.
 
     Args:
         name: name of the digit.
@@ -82,7 +82,7 @@ def closing(name: str, duration: float) -> Closing:
 
 
 def first_torque(duration: float) -> tuple[Array, Array, Array]:
-    """Return T_1 of a closing finger: times [s], as printed in Eq. 10, and corrected [N m]."""
+    """Return T_1 of a closing finger: times [s], values from Eq. 10 as printed, and corrected values [N m]."""
     digit = upright("index")
     times = np.linspace(0.0, duration, SAMPLES)
     path = MinimumJerk(np.zeros(1), np.radians([CLOSED_DEG]), duration)
@@ -101,7 +101,10 @@ def items() -> list[Item]:
 
 
 def _static() -> Item:
-    """Check the torque at joint 1 that holds the straight finger: the sum of Eq. 10 to 12, not Eq. 10 alone."""
+    """Check the torque at joint 1 that holds the straight finger.
+
+    This torque is the sum of Eq. 10 to 12, not Eq. 10 alone.
+    """
     _, printed, right = first_torque(DURATIONS_S[1])
     digit = upright("index")
     joint = float(dynamics.gravity_torque(digit, np.zeros(digit.joint_count))[0])
@@ -114,7 +117,10 @@ def _static() -> Item:
 
 
 def _complete() -> Item:
-    """Check whether Eq. 3 to 12 are the whole torque. The paper has no springs and no actuator inertia."""
+    """Check if Eq. 3 to 12 give the complete torque.
+
+    The paper has no springs and no actuator inertia.
+    """
     fast = closing("index", DURATIONS_S[-1])
     links = sum(fast.parts[part] for part in PARTS[:3])
     driven = links + fast.parts["motor inertia"]
@@ -129,7 +135,7 @@ def _complete() -> Item:
 
 
 def _approximate() -> Item:
-    """Check section 8's value of the torque. Eq. 10 to 12 contain symbols only."""
+    """Check section 8's claim of a torque value. Eq. 10 to 12 contain symbols only."""
     fast = closing("index", DURATIONS_S[-1])
     peak = 1000.0 * float(np.abs(sum(fast.parts[part] for part in PARTS[:3])).max())
     terms = [term for terms in equations.TORQUES for term in terms if not term.printed.startswith("(")]

@@ -1,4 +1,4 @@
-"""Sections 5 and 6: moments, tension, torque, payload and wire, each from the paper's own numbers."""
+"""Sections 5 and 6: moments, tension, torque, payload, and wire, computed from the paper's own numbers."""
 
 import math
 from fractions import Fraction
@@ -35,13 +35,16 @@ def number(
     reason: str,
     symbol: str = "",
 ) -> Item:
-    """Return an item whose verdict follows from its digits. The symbol stands behind them in print."""
+    """Return an item whose verdict follows from its digits.
+
+    The printed symbol comes after the number.
+    """
     verdict = of_number(printed, exact)
     return Item(id, where, printed + symbol, float(exact), unit, verdict, reason, ARITHMETIC)
 
 
 def _moments() -> list[Item]:
-    """Check the moments of section 5 and 6."""
+    """Check the moments in sections 5 and 6."""
     rows = [
         ("sec5.M", "Sec. 5", src.finger(), ("55", "25", "10"), "F"),
         ("sec6.MT", "Sec. 6", src.thumb(), ("25", "10"), "Fₜ"),
@@ -68,11 +71,14 @@ LABELS = (
     ("sec6.MT1_label", "Sec. 6", "M_T1: moment at each joint from the end", src.thumb, 0, (0, 1)),
     ("sec6.MT2_label", "Sec. 6", "M_T2: moment at end joint link2", src.thumb, 1, (1,)),
 )
-"""Label of each moment: its joint, and the joints that the label names, from the palm on."""
+"""Label of each moment: joint of the moment, and joints named in the label, counted from the palm."""
 
 
 def _labels() -> list[Item]:
-    """Check the labels of the moments. A label that names several joints states that their moments are equal."""
+    """Check the labels of the moments.
+
+    A label with several joints states that their moments are equal.
+    """
     rows = []
     for id, where, printed, digit, joint, named in LABELS:
         levers = src.levers(digit())
@@ -100,7 +106,7 @@ DIMENSIONS: dict[str, Dimension] = {
 
 
 def _formulas() -> list[Item]:
-    """Check section 5's formulas by their dimensions and against the hand's statics."""
+    """Check the formulas in section 5 by dimensions, and by comparison with the hand's statics."""
     hand = src.hand()
     tendons = src.hand().digit_tendons["index"]
     arms = hand.moment_arms[tendons, hand.digit_joints["index"]][0].tolist()
@@ -208,7 +214,10 @@ def _wire() -> list[Item]:
 
 
 def _area() -> Item:
-    """Check the formula of the area, A = pi d2/4. It is an area only if the 2 is an exponent."""
+    """Check the formula for the area, A = pi d2/4.
+
+    The result is an area only if the 2 is an exponent.
+    """
     printed = Expression("pi*d2/4")
     right = Expression("pi*d**2/4")
     lengths = {"d": (0, 1, 0), "d2": (0, 1, 0)}
@@ -273,7 +282,7 @@ def _thumb() -> list[Item]:
 
 
 def _pulley() -> Item:
-    """Compute the radius that is missing in print from the printed 8.33 F."""
+    """Compute the radius missing in print from the printed 8.33 F."""
     printed = "r_p = mm"
     # The interval of 8.33 gives an interval of radii, and one whole millimetre is in it.
     low, high = sorted(src.levers(src.thumb())[0] / edge for edge in interval("8.33"))

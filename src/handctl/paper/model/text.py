@@ -1,4 +1,4 @@
-"""Statements of the paper in words, where they can be counted or computed."""
+"""Verbal statements of the paper that can be checked by counting or computing."""
 
 import re
 from collections.abc import Sequence
@@ -14,9 +14,9 @@ from handctl.paper.verdicts import of_number, of_readings, of_statement
 
 COUNT = ("count",)
 SYMBOL = re.compile(r"(?<![A-Za-z])[A-Za-z](?:_[A-Za-z]|[₀-₉])?(?![A-Za-z])")
-"""A letter with or without an index in a printed equation."""
+"""Pattern for a letter with or without an index in a printed equation."""
 CONTROL_WORDS = ("desired", "error", "gain", "measured", "reference", "feedback")
-"""Meanings of the symbols of a control law."""
+"""Meanings of symbols that a control law needs."""
 SYMBOL_WORDS = {
     "I": "moment of inertia", "m": "mass", "L": "length", "d": "distance of the centre of mass", "g": "gravity",
 }  # fmt: skip
@@ -24,7 +24,7 @@ SYMBOL_WORDS = {
 
 
 def items() -> list[Item]:
-    """Return counts and statements."""
+    """Return the items about counts and verbal statements."""
     return [
         *_freedom(),
         _palm(),
@@ -38,7 +38,7 @@ def items() -> list[Item]:
 
 
 def _freedom() -> list[Item]:
-    """Check the degrees of freedom."""
+    """Check the number of degrees of freedom."""
     hand = src.hand()
     joints = [len(digit.joints) for digit in hand.digit]
     each = max(joints)
@@ -63,7 +63,7 @@ def _freedom() -> list[Item]:
 
 
 def _palm() -> Item:
-    """Check section 3's fixed joint in the palm link: the finger's first joint, or the palm itself."""
+    """Check the joint in the palm link that section 3 calls fixed: the finger's first joint, or the palm itself."""
     joints = len(src.finger().joints)
     angles = {name for term in equations.KINETIC for name in term.right.names if name.startswith("dth")}
     readings = [joints - 1 == len(angles), joints == len(angles)]
@@ -83,7 +83,7 @@ def _fingers() -> Item:
 
 
 def _depends(term: Sequence[Term], name: str) -> bool:
-    """Return True if an energy changes with a rate."""
+    """Return True if an energy term depends on the rate with this name."""
     states = random_states()
     moved = {**states, name: states[name] + 1.0}
     change = sum(np.abs(each.right.value(moved) - each.right.value(states)) for each in term)
@@ -91,7 +91,7 @@ def _depends(term: Sequence[Term], name: str) -> bool:
 
 
 def _phalanges() -> Item:
-    """Check that links of one finger move each other. Separate fingers do not."""
+    """Check that the links of a finger move each other. Links of separate fingers do not."""
     # The energy of link 2 depends on the rate of link 1, that of link 3 on the rate of link 2.
     apart = not _depends(equations.KINETIC_2, "dth1") and not _depends(equations.KINETIC_3, "dth2")
     return Item(
@@ -102,7 +102,7 @@ def _phalanges() -> Item:
 
 
 def _undefined() -> Item:
-    """Find symbols in the equations that the paper never defines."""
+    """Find symbols in the equations that the paper does not define."""
     defined = {name[0] + "₀₁₂₃"[int(name[1])] for name in DIMENSIONS if len(name) == 2} | {"g"}
     undefined = sorted(_symbols() - defined)
     return Item(
@@ -118,7 +118,7 @@ def _symbols() -> set[str]:
 
 
 def _lengths() -> Item:
-    """Check section 7's list of lengths."""
+    """Check the list of lengths in section 7."""
     listed = {"L₁", "L₂", "L₃", "p₃"}
     needed = {f"L{'₀₁₂₃'[i]}" for i in (1, 2, 3)}
     return Item(
@@ -128,7 +128,7 @@ def _lengths() -> Item:
 
 
 def _axis() -> Item:
-    """Compare the kinetic energy of a bar that turns in its x-y plane with both moments of inertia."""
+    """Compare the kinetic energy of a bar turning in its x-y plane, with both moments of inertia."""
     length = 30.0
     height = 8.0
     width = 10.0
@@ -147,7 +147,7 @@ def _axis() -> Item:
 
 
 def _control() -> Item:
-    """Check for symbols of a control law."""
+    """Check if the equations contain symbols of a control law."""
     meanings = {SYMBOL_WORDS.get(symbol[0], "") for symbol in _symbols()} | {"angle", "torque"}
     control = [meaning for meaning in meanings if any(word in meaning for word in CONTROL_WORDS)]
     return Item(
