@@ -16,8 +16,8 @@ from lockstep import SCENES, repeated, shortest, written_down
 from stack import RATES, Stack
 
 from handctl.campaign.stage import hand_in
+from handctl.drives.motor_description import GUARDED
 
-PROTOCOLS = ("mit", "odrive", "cia402")
 SECONDS = 3.0
 QUICK_SECONDS = 1.2
 PASSES = 4
@@ -33,7 +33,7 @@ def main() -> None:
     seconds = QUICK_SECONDS if args.quick else SECONDS
     rows = []
     for hand in RATES:
-        for protocol in PROTOCOLS:
+        for protocol in GUARDED:
             for scene in SCENES:
                 rows.append(measure(hand, protocol, scene, seconds))
                 if not args.json:

@@ -18,6 +18,7 @@ from typing import Any
 from handctl.campaign.stage import TASK, hand_in, started
 from handctl.controller.bus_load import bus_loads
 from handctl.core.types import Mode
+from handctl.drives.motor_description import GUARDED
 from handctl.safety.action import Action
 from handctl.session.plan import fastest
 from handctl.session.simulate import Simulation
@@ -154,7 +155,7 @@ def main() -> None:
     """Measure, print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--hand", default="jamia")
-    parser.add_argument("--protocol", default="mit", choices=["mit", "odrive", "cia402"])
+    parser.add_argument("--protocol", default="mit", choices=GUARDED)
     parser.add_argument("--seeds", type=int, default=1, help="runs (1)")
     parser.add_argument("--only", default="", help="faults whose name has this")
     parser.add_argument("--json", action="store_true", help="numbers for programs")

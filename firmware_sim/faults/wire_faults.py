@@ -157,10 +157,10 @@ def _shorten(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]
 
 
 def _extend(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Mark the identifier as one of 29 bits."""
+    """Mark an identifier of 11 bits as one of 29 bits. The fault has no effect on other identifiers."""
     sent = []
     for frame in frames:
-        if active.hits():
+        if not frame.can_id & EXTENDED and active.hits():
             frame = frame._replace(can_id=frame.can_id | EXTENDED)
             active.note_effect(t_ns)
         sent.append(frame)

@@ -5,6 +5,7 @@ import json
 import pytest
 
 from handctl.cli.main import main
+from handctl.drives.motor_description import GUARDED
 from tests.drives.bench_process import drives
 
 
@@ -41,7 +42,7 @@ def test_an_odrive_of_firmware_05_is_there(capsys):
     assert "odrive 3 answers 20 of 20" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("protocol", ["mit", "odrive", "cia402"])
+@pytest.mark.parametrize("protocol", GUARDED)
 def test_two_drives_with_one_number_are_found(capsys, protocol):
     with drives("local:d", protocol, "--ids", "33", "--broken", "twin"):
         assert main(["bus", "doctor", "--bus", "local:d"]) == 1

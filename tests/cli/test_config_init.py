@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from handctl.cli.main import main
+from handctl.drives.motor_description import GUARDED
 from handctl.hand.load import load_hand
 from tests.cli.refused import refused
 
@@ -35,7 +36,7 @@ def test_what_it_writes_passes_the_check(
     assert (place / "mine.toml").read_text().startswith("#:schema hand.schema.json\n")
 
 
-@pytest.mark.parametrize("protocol", ["mit", "odrive", "cia402"])
+@pytest.mark.parametrize("protocol", GUARDED)
 @pytest.mark.parametrize("tension", ["20", "300"])
 def test_drives_and_tensions(place: Path, capsys: pytest.CaptureFixture[str], protocol: str, tension: str) -> None:
     words = ["--protocol", protocol, "--fingers", "3", "--tension", tension, "--strength", "900"]

@@ -11,6 +11,7 @@ import pytest
 from handctl.cli.console.options import print_json, say
 from handctl.cli.console.screen import screen
 from handctl.cli.main import VERBS, main
+from handctl.drives.motor_description import PROTOCOLS
 from handctl.errors import ConfigError
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.load import HANDS, parse_toml
@@ -212,7 +213,7 @@ def test_a_log_whose_name_is_a_folder(place, capsys, verb, name):
 
 
 @pytest.mark.parametrize("number", ["9" * 50, "9" * 5000, "-1", "0.5", "1e99", "\x1b[2J"])
-@pytest.mark.parametrize("drive", ["mit", "odrive", "cia402", "cubemars"])
+@pytest.mark.parametrize("drive", PROTOCOLS)
 def test_a_node_that_no_bus_has(capsys, drive, number):
     words = ("conformance", "--protocol", drive, f"--node={number}", "--bus", "local:nobody")
     assert exit_code([*words, "--torque-limit-Nm", "0.1", "--dry-run"]) == 2

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.cli.console.options import DRIVE_PROTOCOLS
 from handctl.cli.main import VERBS, main
 from handctl.drives import registry
+from handctl.drives.motor_description import PROTOCOLS
 from handctl.log.read.reader import RunLog
 
 BUS = ("--bus", "local:does-not-exist")
@@ -38,7 +38,7 @@ for words in {words!r}:
 
 
 def test_the_protocols_to_choose_are_those_that_there_are():
-    assert sorted(DRIVE_PROTOCOLS) == sorted(registry.PROTOCOLS)
+    assert sorted(PROTOCOLS) == sorted(registry.PROTOCOLS)
 
 
 def spoken(capsys, *words):

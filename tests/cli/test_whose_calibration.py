@@ -9,6 +9,7 @@ from handctl.cli.console.begin import announce
 from handctl.cli.console.plan import make_plan
 from handctl.cli.main import main
 from handctl.core.types import Mode
+from handctl.drives.motor_description import GUARDED
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.calibration import load_calibration
@@ -56,7 +57,7 @@ def modes(log):
         return [event.event.text for event in run.events if event.event.name == "mode"]
 
 
-@pytest.mark.parametrize("protocols", [["mit"], ["odrive"], ["cia402"]], ids="+".join)
+@pytest.mark.parametrize("protocols", [[name] for name in GUARDED], ids="+".join)
 def test_the_second_hand_of_a_design_is_not_armed_with_the_first_one_s_calibration(place, protocols):
     """Two hands in one folder: the second was armed with the first one's tares and zeros, without a word."""
     hand = hand_file(place, protocols)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from handctl.campaign.stage import FIRST_NODE, OPTIONS
+from handctl.campaign.stage import FIRST_NODE, with_drives
 from handctl.controller.setup import make_controller
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
@@ -21,6 +21,8 @@ from handctl.drives.cia402 import codec as cia402
 from handctl.drives.contract import DriveState, Phase
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec as mit
+from handctl.drives.moteus import codec as moteus
+from handctl.drives.motor_description import GUARDED
 from handctl.drives.signals import Message, Quantity, Table
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_content, hand_from
@@ -73,14 +75,9 @@ def random_hand(tendons: int, random: Random) -> Hand:
         "sensor_node": node,
     }
     hand = hand_from(made, "random.toml")
-    protocol = str(random.choice(["mit", "odrive", "cia402"]))
-    changed = [
-        one.model_copy(
-            update={"protocol": protocol, "node_id": FIRST_NODE + n % ON_A_BUS, "options": OPTIONS[protocol]}
-        )
-        for n, one in enumerate(hand.motor)
-    ]
-    return hand.model_copy(update={"motor": tuple(changed)})
+    hand = with_drives(hand, str(random.choice(GUARDED)))
+    motors = [one.model_copy(update={"node_id": FIRST_NODE + n % ON_A_BUS}) for n, one in enumerate(hand.motor)]
+    return hand.model_copy(update={"motor": tuple(motors)})
 
 
 def _arms(joints: list[str], radii: np.ndarray) -> Iterator[list[dict[str, float]]]:
@@ -200,6 +197,8 @@ def _status(drive: Any, protocol: str) -> int:
     """Return the status that a drive reports while it is enabled."""
     if protocol == "mit":
         return int(mit.ENABLED << 4 | drive.node_id & 0xF)
+    if protocol == "moteus":
+        return int(moteus.status(moteus.POSITION, 0))
     return int(cia402.ENABLED_STATUS) if protocol == "cia402" else 0
 
 
@@ -209,7 +208,7 @@ def _enabled(drive: Any, protocol: str) -> DriveState:
     private: Any = state.private
     if protocol != "odrive":
         private = private._replace(enable_sent=True, check=readback.first_recheck(drive.node_id, 0))
-    if protocol == "mit":
+    if protocol in ("mit", "moteus", "robstride"):
         private = private._replace(configured=True)
     if protocol == "cia402":
         cursor = private.cursor._replace(step=len(drive.steps))

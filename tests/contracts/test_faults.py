@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from handctl.campaign.scenarios import LEFT_OUT, MATRIX
+from handctl.drives.motor_description import GUARDED
 from handctl.safety.faults.fault import DETECTED, LOST, REPLACED, TICK
 from handctl.safety.faults.host import ON_HARDWARE
 from handctl.safety.faults.markdown import catalogue, checklist, fault_sections, fault_table, late, later
@@ -51,7 +52,7 @@ def test_table_and_catalogue_agree_on_what_a_tick_can_judge() -> None:
 
 def test_every_row_has_its_visibility_in_each_protocol() -> None:
     for entry in CATALOGUE:
-        for visibility in (entry.mit, entry.odrive, entry.cia402):
+        for visibility in map(entry.visibility, GUARDED):
             verdict, _, why = visibility.partition(": ")
             assert verdict in (DETECTED, REPLACED, LOST), entry.id
             assert why or verdict == DETECTED, f"{entry.id}: replaced by what, or lost why?"

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.campaign.stage import OPTIONS
 from handctl.controller.setup import make_controller
 from handctl.core.gains.gains import Gains
 from handctl.core.model import BLIND_SIGMAS, HandModel
 from handctl.core.types import Event, Mode
+from handctl.drives.motor_description import PROTOCOLS
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_content, hand_from
 from handctl.programs.commission import CommissionProgram, result
@@ -152,7 +152,9 @@ def test_a_hand_without_sensors_sends_no_sync() -> None:
 def test_cia402_drives_have_their_sync_without_sensors() -> None:
     content: dict[str, Any] = hand_content("jamia")
     del content["sensor_node"]
-    content["motor"] = [motor | {"protocol": "cia402", "options": OPTIONS["cia402"]} for motor in content["motor"]]
+    content["motor"] = [
+        motor | {"protocol": "cia402", "options": PROTOCOLS["cia402"].options} for motor in content["motor"]
+    ]
     hand = hand_from(content, "cia402")
     model = HandModel.of(hand, Gains(), 250.0)
     with Simulator(hand, None, 0, homed=True).against(homed_controller(model, TaskProgram(TASK))) as run:

@@ -1,5 +1,6 @@
 """Hand file in any protocol, and its drives run tick by tick against the simulated firmware."""
 
+import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,27 +10,21 @@ import pytest
 from firmware_sim.rig import Rig
 from handctl.drives.contract import Drive, DriveState, DriveTarget, Phase
 from handctl.drives.frame import Frame
-from handctl.drives.registry import PROTOCOLS, make_drive
+from handctl.drives.motor_description import PROTOCOLS
+from handctl.drives.registry import make_drive
 from handctl.drives.sensors.node import SensorNode
 from handctl.hand.file.sections import Motor
 from handctl.hand.load import load_hand
 
 PERIOD_NS = 2_000_000
 FIRST_NODE = 0x10
-ENDPOINTS = "endpoint_enable_watchdog = 201\nendpoint_watchdog_timeout = 202\n"
-ENDPOINTS += "endpoint_torque_max = 203\nendpoint_torque_min = 204\n"
 OPTIONS = {
-    "mit": "",
-    "odrive": "[motor.options]\n" + ENDPOINTS,
-    "cia402": "[motor.options]\nrated_torque_N_m = 0.4\ncounts_per_turn = 65536\n",
-    "moteus": "",
-    "robstride": '[motor.options]\nmotor_type = "rs05"\n',
-    "cubemars": '[motor.options]\nmotor_type = "ak80-6"\n',
+    name: "[motor.options]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in traits.options.items())
+    if traits.options
+    else ""
+    for name, traits in PROTOCOLS.items()
 }
-FD_ONLY = {"moteus"}
-"""Protocols that need a bus with CAN FD."""
-GUARDED = tuple(sorted(PROTOCOLS.keys() - {"cubemars"}))
-"""Protocols that keep every promise; what CubeMars motors cannot keep is in test_cubemars."""
+"""Options of a motor in each protocol as a section of the hand file."""
 
 
 def hand_file(folder: Path, protocols: Sequence[str], extra: str = "") -> Path:
@@ -46,7 +41,7 @@ def hand_file(folder: Path, protocols: Sequence[str], extra: str = "") -> Path:
         text = text.replace('"mit"', f'"{protocol}"')
         text = re.sub(r"node_id = \d+", f"node_id = {FIRST_NODE + i}", text)
         options = OPTIONS[protocol] + extra
-        if protocol in FD_ONLY and "data_bitrate" not in head:
+        if PROTOCOLS[protocol].can_fd and "data_bitrate" not in head:
             head = head.replace("bitrate = 1000000\n", "bitrate = 1000000\ndata_bitrate = 5000000\n")
         motors[i] = text.rstrip() + "\n" + options + "\n" if options else text
     path = folder / "hand.toml"

@@ -11,7 +11,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from handctl.drives.contract import DriveState, DriveTarget, Phase
-from handctl.drives.frame import BRS, FDF, Frame
+from handctl.drives.frame import BRS, EXTENDED, FDF, Frame
 from handctl.drives.registry import PROTOCOLS
 from handctl.runtime.diagnostics.drive_rig import DriveRig
 from tests.drives.protocol_bench import Bench, hand_file
@@ -19,7 +19,9 @@ from tests.drives.virtual_bench import VirtualBench, rig_on
 from tests.drives.wired import Wired
 
 LIMIT = 0.8
-IDENTIFIERS, LENGTHS = range(0x800), range(65)
+STANDARD_IDS, LENGTHS = range(0x800), range(65)
+RANDOM_IDS = 200
+"""Random 29-bit identifiers for each bench."""
 
 
 @pytest.fixture(params=sorted(PROTOCOLS), scope="module")
@@ -31,10 +33,18 @@ def bench(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     made.rig.close()
 
 
-def every_frame(seed: int, t_ns: int) -> Iterator[Frame]:
-    """Each identifier with each length, classical where it can be and FD elsewhere."""
+def extended_ids(bench: Bench, chance: random.Random) -> set[int]:
+    """Return 29-bit identifiers: random ones, some of drive and host, and each of these with one bit changed."""
+    ours = sorted(one for one in bench.drives[0].node_ids | bench.drives[0].host_ids if one & EXTENDED)
+    near = chance.sample(ours, min(len(ours), 4))
+    changed = {one ^ 1 << bit for one in near for bit in range(29)}
+    return {*near, *changed, *(EXTENDED | chance.getrandbits(29) for _ in range(RANDOM_IDS))}
+
+
+def every_frame(bench: Bench, seed: int, t_ns: int) -> Iterator[Frame]:
+    """Each 11-bit identifier and many of 29 bits with each length, classical where it can be and FD elsewhere."""
     chance = random.Random(seed)
-    for can_id in IDENTIFIERS:
+    for can_id in [*STANDARD_IDS, *sorted(extended_ids(bench, chance))]:
         data = chance.randbytes(64)
         for length in LENGTHS:
             yield Frame(can_id, data[:length], FDF | BRS if length > 8 else 0, 0, t_ns)
@@ -50,7 +60,7 @@ def states_of(bench: Bench) -> list[DriveState]:
 def test_a_frame_of_somebody_else_changes_nothing_and_no_frame_raises(bench: Bench, number: int) -> None:
     drive, before = bench.drives[0], states_of(bench)[number]
     receive, ours, t_ns = drive.receive, drive.node_ids, bench.k * 2_000_000
-    for frame in every_frame(number, t_ns):
+    for frame in every_frame(bench, number, t_ns):
         after = receive(before, frame)
         if frame.can_id not in ours:
             assert after is before, frame
@@ -62,7 +72,7 @@ def test_a_frame_of_somebody_else_changes_nothing_and_no_frame_raises(bench: Ben
 def test_the_sensor_node_s_decoder_takes_its_own_frames_only(bench: Bench) -> None:
     wired, ours = Wired((), bench.node), bench.node.node_ids | bench.node.host_ids
     wired.sync(0)
-    frames = list(every_frame(9, bench.k * 2_000_000))
+    frames = list(every_frame(bench, 9, bench.k * 2_000_000))
     others, before = [frame for frame in frames if frame.can_id not in ours], wired.block.copy()
     assert wired.receive(others).number("strange") == len(others)
     wired.view("strange")[...] = 0
@@ -72,7 +82,7 @@ def test_the_sensor_node_s_decoder_takes_its_own_frames_only(bench: Bench) -> No
 
 def test_simulated_drives_survive_every_frame(bench: Bench) -> None:
     node, t_ns = bench.rig.world.nodes[0][0], bench.rig.world.t_ns
-    for frame in every_frame(10, t_ns):
+    for frame in every_frame(bench, 10, t_ns):
         node.receive(frame, t_ns)  # type: ignore[arg-type]
 
 

@@ -4,9 +4,12 @@ import pytest
 
 from firmware_sim.nodes.cia402.node import Cia402Node
 from firmware_sim.nodes.mit.node import MitNode
+from firmware_sim.nodes.moteus.node import MoteusNode
 from firmware_sim.nodes.odrive.node import OdriveNode
+from firmware_sim.nodes.robstride.node import RobstrideNode
 from handctl.cli.main import main
 from handctl.drives.contract import DriveTarget, Phase
+from handctl.drives.motor_description import GUARDED
 from tests.drives.protocol_bench import OPTIONS, hand_file
 from tests.drives.virtual_bench import VirtualBench, rig_on
 
@@ -14,7 +17,14 @@ GUARDS = {
     "mit": {9: "TIMEOUT", 23: "TMAX", 10: "CTRL_MODE"},
     "odrive": {201: "enable_watchdog", 202: "watchdog_timeout", 203: "torque_max", 204: "torque_min"},
     "cia402": {(0x1016, 1): "0x1016:1", (0x1017, 0): "0x1017:0", (0x6007, 0): "0x6007:0", (0x6072, 0): "0x6072:0"},
-}
+    "moteus": {
+        0x025: "torque limit", 0x027: "watchdog", "servo.timeout_mode": "servo.timeout_mode",
+        "servo.fixed_voltage_mode": "servo.fixed_voltage_mode", "servopos.position_min": "servopos.position_min",
+        "servopos.position_max": "servopos.position_max",
+    },
+    "robstride": {0x7005: "run_mode", 0x700B: "limit_torque", 0x7028: "canTimeout"},
+}  # fmt: skip
+"""Settings of each guarded protocol, with the name in the refusal."""
 CASES = [(protocol, guard, name) for protocol, guards in GUARDS.items() for guard, name in guards.items()]
 
 
@@ -26,6 +36,15 @@ def hold(place: VirtualBench, guard) -> None:
         node.registers.write = lambda register, raw: None if register == guard else write(register, raw)
     elif isinstance(node, OdriveNode):
         node.endpoints = _Stubborn(node.endpoints, guard)
+    elif isinstance(node, MoteusNode):
+        node.channel.items = _Stubborn(node.channel.items, guard)
+        write_one = node._write
+        node._write = lambda number, kind, raw: 0 if number == guard else write_one(number, kind, raw)
+    elif isinstance(node, RobstrideNode):
+        write_parameter = node._write
+        node._write = lambda data, t_ns: (
+            None if int.from_bytes(data[:2], "little") == guard else write_parameter(data, t_ns)
+        )
     else:
         assert isinstance(node, Cia402Node)
         write_object = node.objects.write
@@ -49,6 +68,10 @@ def test_a_guard_that_does_not_read_back_keeps_the_drive_off(protocol, guard, na
         place.bench.nodes[0].registers.show(10, 2.0)
     if guard == (0x6007, 0):
         place.bench.nodes[0].objects[guard] = 0
+    if guard == "servo.fixed_voltage_mode":
+        place.bench.nodes[0].channel.items[guard] = 1.0
+    if guard == 0x7005:
+        place.bench.nodes[0].parameters[guard] = b"\x03\0\0\0"
     rig = rig_on(place, protocol, 0.5)
     hold(place, guard)
     seen = set()
@@ -62,6 +85,10 @@ def test_a_guard_that_does_not_read_back_keeps_the_drive_off(protocol, guard, na
     assert Phase.ENABLED not in seen
     assert name in rig.state.error_text
     assert place.top == 0.0
+
+
+def test_every_guarded_protocol_is_tried():
+    assert sorted(GUARDS) == sorted(GUARDED)
 
 
 @pytest.mark.parametrize("protocol", sorted(GUARDS))

@@ -10,6 +10,7 @@ from handctl.controller.setup import make_sensors
 from handctl.drives.contract import DriveTarget, Phase
 from handctl.drives.frame_time import bus_time_s
 from handctl.drives.identifiers import check_identifiers
+from handctl.drives.motor_description import GUARDED
 from handctl.drives.odrive.discovery import FREE_NUMBERS
 from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
@@ -69,10 +70,11 @@ def test_a_mirrored_geared_motor_winds_too(tmp_path: Path) -> None:
         bench.rig.close()
 
 
-@pytest.mark.parametrize("protocol", ["mit", "odrive", "cia402"])
+@pytest.mark.parametrize("protocol", GUARDED)
 def test_a_zero_of_a_motor_is_an_angle_at_its_shaft(protocol: str, tmp_path: Path) -> None:
-    gear = 1.0 if protocol == "mit" else 4.0
-    path = hand_file(tmp_path, [protocol], "" if protocol == "mit" else f"gear_ratio = {gear}\n")
+    geared = protocol in ("odrive", "cia402")
+    gear = 4.0 if geared else 1.0
+    path = hand_file(tmp_path, [protocol], f"gear_ratio = {gear}\n" if geared else "")
     text = path.read_text()
     assert "zero_rad" in text
     path.write_text(re.sub(r"\nzero_rad = [^ \n#]+", "\nzero_rad = 0.7", text))

@@ -6,14 +6,20 @@ from pathlib import Path
 import pytest
 
 from handctl.cli.main import main
+from handctl.drives.motor_description import PROTOCOLS
 from tests.drives.protocol_bench import hand_file
 
 
 @pytest.mark.parametrize(
     "protocols",
     [
-        *[pytest.param([name], id=name, marks=pytest.mark.nightly) for name in ("odrive", "cia402", "cubemars")],
+        *[pytest.param([name], id=name, marks=pytest.mark.nightly) for name in PROTOCOLS if name != "mit"],
         pytest.param(["mit", "odrive", "cubemars", "cia402"], id="unlike drives in one hand"),
+        pytest.param(
+            ["moteus", "robstride", "mit", "cia402"],
+            id="29-bit identifiers beside 11-bit ones",
+            marks=pytest.mark.nightly,
+        ),
     ],
 )
 def test_a_hand_grasps(protocols: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,7 +9,8 @@ import pytest
 
 from handctl.drives.contract import DriveTarget, Phase
 from handctl.drives.frame import EXTENDED, FDF, REMOTE, Frame
-from tests.drives.protocol_bench import GUARDED, Bench, hand_file, servo_torques
+from handctl.drives.motor_description import GUARDED
+from tests.drives.protocol_bench import Bench, hand_file, servo_torques
 
 
 @pytest.fixture(params=GUARDED)

@@ -357,13 +357,15 @@ def test_a_change_of_the_mode_ends_the_setpoint() -> None:
     assert (bench.motors[0].servo.kd, bench.motors[0].servo.speed_gain) == (0.0, 0.0)
 
 
-@pytest.mark.parametrize("protocol", ["mit", "odrive", "cia402"])
+@pytest.mark.parametrize("protocol", ["mit", "odrive", "cia402", "moteus", "robstride"])
 def test_faults_act_on_bench_drives(protocol: str) -> None:
     bench = Bench([drive_spec(protocol, 2), drive_spec(protocol, 3)])
     requests = {
         "mit": Frame(0x7FF, b"\2\0\xcc\0" + bytes(4)),
         "odrive": Frame(2 << 5 | 0x09 | REMOTE, b""),
         "cia402": Frame(0x602, b"\x40\0\x10\0" + bytes(4)),
+        "moteus": Frame(EXTENDED | 0x8002, b"\x11\0\x50\x50", FDF),
+        "robstride": Frame(EXTENDED | 0xFD02, bytes(8)),
     }
     bench.advance(10 * MS)
     assert bench.receive(requests[protocol])

@@ -14,6 +14,7 @@ from handctl.controller.state import State
 from handctl.controller.tick import Controller
 from handctl.core.plain import plain_bytes
 from handctl.core.types import Mode, TickIn, TickOut
+from handctl.drives.motor_description import GUARDED
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
 from handctl.replay import log_runner as courses
@@ -74,7 +75,7 @@ def test_a_state_comes_out_of_its_snapshot_as_it_went_in(fresh: Path) -> None:
             assert (same.state_hash, other.digest()) == (out.state_hash, logged.state_hash)
 
 
-@pytest.mark.parametrize("protocol", ["mit", "odrive", "cia402"])
+@pytest.mark.parametrize("protocol", GUARDED)
 def test_a_state_of_every_protocol_comes_out_of_its_snapshot(protocol: str) -> None:
     with started(hand_in("jamia", protocol), 250.0, 0) as simulation:
         seen = set()

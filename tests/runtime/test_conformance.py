@@ -5,9 +5,9 @@ import pytest
 from firmware_sim.faults.faulty_drive import FAULTS
 from firmware_sim.nodes import PROTOCOLS as SIMULATED
 from handctl.drives.contract import DriveTarget
+from handctl.drives.motor_description import GUARDED
 from handctl.runtime.diagnostics.conformance import CheckVerdict, ConformanceCheck, DeviceUnderTest, checks, leave
 from handctl.runtime.diagnostics.drive_rig import DriveRig
-from tests.drives.protocol_bench import GUARDED
 from tests.drives.virtual_bench import VirtualBench, rig_on
 
 LIMIT = 0.1

@@ -6,6 +6,7 @@ import pytest
 
 from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.gains import Gains
+from handctl.drives.motor_description import GUARDED
 from handctl.drives.registry import PROTOCOLS
 from handctl.hand.load import load_hand
 from handctl.programs.grasp import TaskProgram
@@ -13,7 +14,7 @@ from handctl.programs.task import load_task
 from handctl.session.plan import Plan, fastest
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.simulate import Simulator
-from tests.drives.protocol_bench import GUARDED, hand_file
+from tests.drives.protocol_bench import hand_file
 from tests.runtime.processes import GO, MOVE
 
 RUNS = 2

@@ -59,6 +59,10 @@ REPORTED = {
     UNDER_VOLTAGE: 1 << 2, OVER_CURRENT: 1 << 4, HOT: 1 << 0, ENCODER: 1 << 9, OVERLOAD: 1 << 14, UNCALIBRATED: 1 << 7,
 }  # fmt: skip
 """Faults in the fault report, by the fault in the feedback."""
+FEEDBACK_FAULTS = 0x3F
+"""Faults that the feedback can carry. Bits from 8 on are bits 0 and above of the fault report alone."""
+REPORT_SHIFT = 8
+"""Bit of a fault for bit 0 of the fault report."""
 HOT_C = 135.0
 """Winding temperature of the fault [degC]."""
 THERMAL_PERIOD_NS = 100_000_000
@@ -285,7 +289,7 @@ class RobstrideNode:
         velocity = to_code(sign * motor.velocity, self._velocity)
         torque = to_code(sign * motor.torque, self._torque)
         data = struct.pack(">HHHh", position, velocity, torque, int(10 * self.thermal.winding))
-        status = self.mode << 6 | self.fault
+        status = self.mode << 6 | self.fault & FEEDBACK_FAULTS
         return Frame(EXTENDED | 2 << 24 | status << 16 | self.node_id << 8 | self._host, data, 0, frame.bus)
 
     def trip(self, fault: int) -> None:
@@ -295,7 +299,7 @@ class RobstrideNode:
         self.fault |= fault
         if fault:
             self._reports.append(fault)
-            self.wake_ns = 0
+        self._schedule()
 
     def power_cycle(self) -> None:
         """Restart in reset mode, with the saved parameters."""
@@ -312,6 +316,8 @@ class RobstrideNode:
         self.wake_ns = self._thermal_ns + THERMAL_PERIOD_NS
         if self.mode == RUN and self.timeout_ns:
             self.wake_ns = min(self.wake_ns, self.watchdog_fed_ns + self.timeout_ns + 1)
+        if self._reports:
+            self.wake_ns = 0
 
     def wake(self, t_ns: int) -> list[Frame]:
         """Check watchdog and temperature, and send the reports of new faults.
@@ -335,6 +341,6 @@ class RobstrideNode:
 
     def _report(self, fault: int) -> Frame:
         """Return the fault report of faults."""
-        bits = sum(reported for bit, reported in REPORTED.items() if fault & bit)
+        bits = sum(reported for bit, reported in REPORTED.items() if fault & bit) | fault >> REPORT_SHIFT
         warning = int(self.thermal.winding > HOT_C)
         return Frame(EXTENDED | 0x15 << 24 | self.node_id << 8 | self._host, struct.pack("<II", bits, warning))

@@ -9,6 +9,7 @@ import math
 from itertools import pairwise
 from typing import NamedTuple
 
+from handctl.drives.motor_description import GUARDED
 from handctl.drives.sensors.node import TENSION_RAIL_N
 from handctl.hand.description import Hand
 from handctl.safety.action import Action
@@ -19,7 +20,9 @@ GRASP = "grasp"
 MIT = "mit"
 ODRIVE = "odrive"
 CIA402 = "cia402"
-ALL = (MIT, ODRIVE, CIA402)
+MOTEUS = "moteus"
+ROBSTRIDE = "robstride"
+ALL = GUARDED
 """Protocols that the matrix covers."""
 EVERYWHERE = (ARMING, FREE, GRASP)
 MOVING = (FREE, GRASP)
@@ -113,8 +116,12 @@ WARN = Action.WARN
 HOLD = Action.HOLD
 RELAX = Action.RELAX
 CUT = Action.CUT
-ONCE = (MIT, CIA402)
+ONCE = (MIT, CIA402, MOTEUS, ROBSTRIDE)
 """Protocols whose drives send exactly one answer per command."""
+CONFIRMED = (MIT, ODRIVE, MOTEUS, ROBSTRIDE)
+"""Protocols in which a host detects a deaf drive, and reads its temperature."""
+SHORT_IDS = (MIT, ODRIVE, CIA402)
+"""Protocols whose drives answer with 11-bit identifiers."""
 
 _EXCHANGED = ("N14", "N05", "N06", "T04", "T02", "N04", "T03")
 """Rows that may detect exchanged drives earlier than N17, in motion or at unequal tensions."""
@@ -135,7 +142,7 @@ MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("B07", "reorder node=sensors", WARN, 2, rows=("B07",)),
     MatrixRow("B08", "shorten node={node}", RELAX, 4, rows=("B08", "B17")),
     MatrixRow("B09", "shorten node={node} for=3ms", WARN, 2, rows=("B09",)),
-    MatrixRow("B09", "extend node={node} for=3ms", WARN, 2, rows=("B09",)),
+    MatrixRow("B09", "extend node={node} for=3ms", WARN, 2, rows=("B09",), protocols=SHORT_IDS),
     MatrixRow("B10", "unknown bus={bus}", WARN, 2, 51.0, ("B10",), EVERYWHERE),
     MatrixRow("B11", "flood bus={bus} size=100", RELAX, 3, rows=("B11",)),
     MatrixRow("B11", "flood bus={bus} size=101", CUT, 11, rows=("B11b", "B11a")),
@@ -146,13 +153,13 @@ MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("B15", HOST + "io enobufs lasting", RELAX, 3, rows=("B15",)),
     MatrixRow("B16", HOST + "io enodev", CUT, 1, rows=("B16",), stages=EVERYWHERE),
     MatrixRow("B17", "deaf node={node}", RELAX, 4, rows=("B17", "N08", "B02", "B03"),
-        protocols=(MIT, ODRIVE),
+        protocols=CONFIRMED,
         extra_ms={ODRIVE: 160.0}),
     MatrixRow("B17", "drop node={node}", RELAX, 4, rows=("B17",)),
     MatrixRow("N01", "reset node={node}", RELAX, 2, rows=("N01", "N11", "B17"),
         extra_ms=REPORT_DELAY_MS, extra_ticks=RESTART_TICKS),
     MatrixRow("N01", "reset node={node}", RELAX, 2, rows=("N01", "N11", "B17"), stages=(ARMING,),
-        protocols=ONCE,
+        protocols=(MIT, CIA402, ROBSTRIDE),
         extra_ticks=RESTART_TICKS),
     MatrixRow("N02", "drop node=sensors", RELAX, 1, 30.0, ("N02",), EVERYWHERE),
     MatrixRow("N02", "off node={node}", RELAX, 5, rows=("B17", "B02", "N01"), stages=EVERYWHERE),
@@ -162,10 +169,13 @@ MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("N06", "drift joint={joint} size=0.8", RELAX, 4, 900.0, ("N06", "T08")),
     MatrixRow("N07", "noise encoder={node} size={rough}", HOLD, 4, 60.0, ("N07", "N05")),
     MatrixRow("N08", "watchdog node={node}", RELAX, 2, rows=("N08",), stages=EVERYWHERE,
+        protocols=(MIT, ODRIVE, CIA402, MOTEUS),
         extra_ms=REPORT_DELAY_MS),
-    MatrixRow("N09", "hot node={node} size=95", RELAX, 22, rows=("N09b",), protocols=(MIT, ODRIVE),
+    MatrixRow("N08", "watchdog node={node}", RELAX, 2, rows=("N08", "N01"), stages=EVERYWHERE,
+        protocols=(ROBSTRIDE,)),
+    MatrixRow("N09", "hot node={node} size=95", RELAX, 22, rows=("N09b",), protocols=CONFIRMED,
         extra_ms={ODRIVE: 200.0}),
-    MatrixRow("N09", "hot node={node} size=80", WARN, 22, rows=("N09a",), protocols=(MIT, ODRIVE),
+    MatrixRow("N09", "hot node={node} size=80", WARN, 22, rows=("N09a",), protocols=CONFIRMED,
         extra_ms={ODRIVE: 200.0}),
     MatrixRow("N10", "voltage node={node}", RELAX, 2, rows=("N10",), stages=EVERYWHERE,
         extra_ms=REPORT_DELAY_MS),
@@ -175,7 +185,11 @@ MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("N11", "error node={node} size=0xff01", CUT, 2, rows=("N11b",), protocols=(CIA402,)),
     MatrixRow("N11", "error node={node} size=0x20000000", CUT, 2, rows=("N11b",), protocols=(ODRIVE,),
         extra_ms=REPORT_DELAY_MS),
+    MatrixRow("N11", "error node={node} size=60", CUT, 2, rows=("N11b",), protocols=(MOTEUS,)),
+    MatrixRow("N11", "error node={node} size=0x4000", CUT, 2, rows=("N11b",), protocols=(ROBSTRIDE,)),
     MatrixRow("N12", "forget node={node}", CUT, 4, 1000.0, ("N12",)),
+    # A restart before the first answer to the enable command looks like a lost command. Lost settings show it.
+    MatrixRow("N12", "reset node={node}", RELAX, 4, 1000.0, ("N12", "N01"), (ARMING,), (MOTEUS,)),
     MatrixRow("N13", "twin node={node} seed=1", RELAX, 2, rows=("B06", "N13"), protocols=ONCE),
     MatrixRow("N13", "duplicate node={node} seed=1", RELAX, 4, rows=("N13", "B06"), protocols=ONCE),
     MatrixRow("N14", "disobey node={node} size=0", RELAX, 22, rows=("N14", "T02", "T04"),

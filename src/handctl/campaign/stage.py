@@ -12,10 +12,11 @@ from functools import partial
 from typing import Any, Protocol, TypeVar, cast
 
 from handctl.campaign.scenario_run import ScenarioResult
-from handctl.campaign.scenarios import ARMING, CIA402, FREE, GRASP, MIT, ODRIVE
+from handctl.campaign.scenarios import ARMING, FREE, GRASP, MIT
 from handctl.controller.setup import make_controller
 from handctl.core.gains.gains import Gains
 from handctl.core.types import Mode
+from handctl.drives.motor_description import PROTOCOLS
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
@@ -26,15 +27,8 @@ from handctl.session.simulate import Simulation, Simulator
 
 FIRST_NODE = 0x10
 """Node id of the first motor, for protocols other than that of the hand file."""
-OPTIONS: dict[str, dict[str, Any]] = {
-    MIT: {},
-    ODRIVE: {
-        "endpoint_enable_watchdog": 201, "endpoint_watchdog_timeout": 202,
-        "endpoint_torque_max": 203, "endpoint_torque_min": 204,
-    },
-    CIA402: {"rated_torque_N_m": 0.4, "counts_per_turn": 65536},
-}  # fmt: skip
-"""Drive options of each protocol."""
+DATA_BITRATE = 5_000_000
+"""Data bit rate of the buses of a hand with drives that need CAN FD [bit/s]."""
 TASK: dict[str, Any] = {
     "schema": 1,
     "name": "campaign",
@@ -58,11 +52,21 @@ def hand_in(name: str, protocol: str) -> Hand:
     hand = load_hand(name)
     if protocol == MIT and all(motor.protocol == MIT for motor in hand.motor):
         return hand
-    changed = [
-        motor.model_copy(update={"protocol": protocol, "node_id": FIRST_NODE + i, "options": OPTIONS[protocol]})
+    return with_drives(hand, protocol)
+
+
+def with_drives(hand: Hand, protocol: str) -> Hand:
+    """Return a hand with the drives of its motors replaced, and with CAN FD on each bus if the protocol needs it."""
+    traits = PROTOCOLS[protocol]
+    motors = tuple(
+        motor.model_copy(update={"protocol": protocol, "node_id": FIRST_NODE + i, "options": dict(traits.options)})
         for i, motor in enumerate(hand.motor)
-    ]
-    return hand.model_copy(update={"motor": tuple(changed)})
+    )
+    buses = tuple(
+        bus.model_copy(update={"data_bitrate": DATA_BITRATE}) if traits.can_fd and bus.data_bitrate is None else bus
+        for bus in hand.bus
+    )
+    return hand.model_copy(update={"motor": motors, "bus": buses})
 
 
 @contextmanager

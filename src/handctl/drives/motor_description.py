@@ -1,7 +1,44 @@
-"""Keys of a ``[[motor]]`` section in the hand file that the drives use."""
+"""List of protocols, and the keys of a ``[[motor]]`` section in the hand file that the drives use.
+
+``PROTOCOLS`` is the list of protocols. ``registry`` adds the code of each, whose import takes longer than a
+help text may take.
+"""
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
+
+
+class ProtocolTraits(NamedTuple):
+    """Properties of a protocol that need none of its code.
+
+    Attributes:
+        title: name in documents.
+        guarded: True if the drives have a watchdog and limits that are read back. The fault campaign
+            and the option ``--protocol`` of a simulated hand take guarded protocols only.
+        can_fd: True if the bus needs CAN FD.
+        options: drive options of a simulated hand.
+    """
+
+    title: str
+    guarded: bool = True
+    can_fd: bool = False
+    options: Mapping[str, Any] = {}
+
+
+PROTOCOLS: dict[str, ProtocolTraits] = {
+    "mit": ProtocolTraits("MIT"),
+    "odrive": ProtocolTraits("ODrive", options={
+        "endpoint_enable_watchdog": 201, "endpoint_watchdog_timeout": 202,
+        "endpoint_torque_max": 203, "endpoint_torque_min": 204,
+    }),
+    "cia402": ProtocolTraits("CiA 402", options={"rated_torque_N_m": 0.4, "counts_per_turn": 65536}),
+    "moteus": ProtocolTraits("moteus", can_fd=True),
+    "robstride": ProtocolTraits("RobStride", options={"motor_type": "rs05"}),
+    "cubemars": ProtocolTraits("CubeMars", guarded=False, options={"motor_type": "ak80-6"}),
+}  # fmt: skip
+"""Protocols by their name in the hand file."""
+GUARDED = tuple(name for name, traits in PROTOCOLS.items() if traits.guarded)
+"""Names of the guarded protocols."""
 
 
 class MotorDescription(Protocol):

@@ -1,4 +1,4 @@
-"""Registry of the drive protocols, one line per protocol."""
+"""Registry of the drive protocols: the code of each protocol of ``motor_description.PROTOCOLS``."""
 
 from collections.abc import Callable
 from typing import NamedTuple

@@ -4,8 +4,6 @@ import argparse
 from pathlib import Path
 
 from handctl.cli.console.options import (
-    DRIVE_PROTOCOLS,
-    PROTOCOLS,
     bitrate_options,
     bus_option,
     gains_options,
@@ -15,6 +13,7 @@ from handctl.cli.console.options import (
 )
 from handctl.cli.parsing.completion import hand_names
 from handctl.cli.parsing.parser import SIMULATED_HAND, Example, Parser, add_sub_verb
+from handctl.drives.motor_description import GUARDED, PROTOCOLS
 
 EXAMPLES = {
     "config": Example("handctl config show --hand jamia"),
@@ -88,7 +87,7 @@ def _init(parser: argparse.ArgumentParser) -> None:
     add("--spool", type=float, dest="spool_mm", metavar="MM", help="radius of the spools (default: 8)")
     add("--tension", type=float, dest="tension_N", metavar="N", help="largest commanded tension (default: 80)")
     add("--strength", type=float, dest="strength_N", metavar="N", help="breaking force of the tendons (default: 600)")
-    add("--protocol", choices=PROTOCOLS, help="protocol of the drives (default: mit)")
+    add("--protocol", choices=GUARDED, help="protocol of the drives (default: mit)")
 
 
 def _lengths(text: str) -> tuple[float, ...]:
@@ -137,7 +136,7 @@ def scan(parser: argparse.ArgumentParser) -> None:
 def conformance(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``conformance``."""
     add = parser.add_argument
-    add("--protocol", required=True, choices=sorted(DRIVE_PROTOCOLS), help="of the drive")
+    add("--protocol", required=True, choices=sorted(PROTOCOLS), help="of the drive")
     add("--node", required=True, type=lambda word: int(word, 0), metavar="N", help="its number on the bus")
     add("--bus", required=True, metavar="SPEC", help="local:NAME, socketcan:can0 or any python-can interface:channel")
     add("--torque-limit-Nm", required=True, type=float, metavar="X", dest="limit",

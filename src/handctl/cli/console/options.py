@@ -7,16 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.parsing.completion import hand_names
+from handctl.drives.motor_description import GUARDED
 from handctl.errors import ConfigError
 from handctl.hand.file.quantities import FASTEST_BUS, SLOWEST_BUS
 from handctl.printing import encodable, message
 from handctl.session.defaults import DEFAULT_HAND
 from handctl.session.exit_codes import Exit
-
-PROTOCOLS = ("mit", "odrive", "cia402")
-"""Protocols of simulated drives."""
-DRIVE_PROTOCOLS = (*PROTOCOLS, "cubemars", "moteus", "robstride")
-"""Protocols of all drives: the names of ``drives.registry``. Its import takes longer than a help may take."""
 
 
 class _Named(argparse.Action):
@@ -59,7 +55,7 @@ def checked_count(number: int, option: str, maximum: int) -> int:
 def protocol_option(parser: argparse.ArgumentParser, more: str = "") -> None:
     """Declare --protocol: drives of another protocol for the same hand."""
     text = "drives of the simulated hand (default: as in its file)" + more
-    parser.add_argument("--protocol", choices=PROTOCOLS, help=text)
+    parser.add_argument("--protocol", choices=GUARDED, help=text)
 
 
 def bus_option(parser: argparse.ArgumentParser, required: bool = True) -> None:

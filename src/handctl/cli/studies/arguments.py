@@ -3,8 +3,9 @@
 import argparse
 from pathlib import Path
 
-from handctl.cli.console.options import PROTOCOLS, hand_option, jobs_option, json_option, output_option
+from handctl.cli.console.options import hand_option, jobs_option, json_option, output_option
 from handctl.cli.parsing.parser import SIMULATED_HAND, Example, Parser, add_sub_verb
+from handctl.drives.motor_description import GUARDED
 
 EXAMPLES = {
     "fault": Example("handctl fault campaign --row N04 --calm 0"),
@@ -60,7 +61,7 @@ def paper(parser: argparse.ArgumentParser) -> None:
 def _campaign(parser: argparse.ArgumentParser) -> None:
     hand_option(parser)
     json_option(parser)
-    parser.add_argument("--protocol", default="mit", choices=[*PROTOCOLS, "all"], help="of the drives (default: mit)")
+    parser.add_argument("--protocol", default="mit", choices=[*GUARDED, "all"], help="of the drives (default: mit)")
     jobs_option(parser, 2, "scenarios at a time")
     parser.add_argument("--quick", action="store_true", help="a sample that takes less than a minute")
     parser.add_argument("--row", action="append", default=[], metavar="ID", help="only this row; may be repeated")
@@ -75,7 +76,7 @@ def _campaign(parser: argparse.ArgumentParser) -> None:
 def _sequences(parser: argparse.ArgumentParser) -> None:
     hand_option(parser)
     json_option(parser)
-    parser.add_argument("--protocol", default="mit", choices=PROTOCOLS, help="of the drives (default: mit)")
+    parser.add_argument("--protocol", default="mit", choices=GUARDED, help="of the drives (default: mit)")
     parser.add_argument("--count", type=int, default=30, metavar="N", help="how many (default: 30)")
     parser.add_argument("--seed", type=int, default=1, help="of the first; the next ones count on (default: 1)")
     jobs_option(parser, 2, "sequences at a time")

@@ -210,7 +210,7 @@ class MoteusDrive:
         if state.phase == CONFIGURING and progress.cursor.waiting and progress.cursor.step < len(self.required):
             return self.required[progress.cursor.step]
         if state.phase == ENABLED and progress.check.waiting:
-            return self.required[progress.check.step]
+            return items.CONFIGURATION[progress.check.step]
         return None
 
     def _on_text(self, state: DriveState, progress: MoteusProgress, text: bytes) -> DriveState:
@@ -239,7 +239,7 @@ class MoteusDrive:
         expected = f"{setting.value:g}"
         if state.phase == ENABLED:
             check, problem = readback.on_recheck_reply(
-                progress.check, len(self.required), same, setting.name, f"reads {shown}", expected
+                progress.check, len(items.CONFIGURATION), same, setting.name, f"reads {shown}", expected
             )
             updated = state._replace(private=progress._replace(check=check))
             return to_fault(updated, MISMATCH, problem) if problem else updated
@@ -306,7 +306,7 @@ class MoteusDrive:
 
     def _recheck(self, state: DriveState, progress: MoteusProgress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the request that reads a setting of the enabled drive, or the next part of its answer, if due."""
-        setting = self.required[progress.check.step]
+        setting = items.CONFIGURATION[progress.check.step]
         channel = progress.channel
         data = b""
         problem = ""
@@ -318,7 +318,7 @@ class MoteusDrive:
             check, problem = readback.next_recheck(progress.check, setting.name, self.node_id, t_ns)
             progress = progress._replace(check=check)
             channel, data = self._request(channel, setting, False, t_ns)
-        elif not setting.register and channel.empty and channel.asked_ns < 0:
+        elif channel.empty and channel.asked_ns < 0:
             channel, data = self._request(channel, setting, False, t_ns)
         state = state._replace(private=progress._replace(channel=channel))
         if problem:

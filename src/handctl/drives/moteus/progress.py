@@ -76,11 +76,12 @@ def apply_mode(state: DriveState, mode: int, fault: int) -> DriveState:
     The given state already has the values of the same feedback.
     """
     progress = progress_of(state)
+    was_preparing = progress.mode in codec.PREPARING
     if progress.mode != mode:
         progress = progress._replace(mode=mode)
         state = state._replace(private=progress)
     if mode == codec.STOPPED:
-        return _is_stopped(state, progress)
+        return _is_stopped(state, progress, was_preparing)
     if mode in (codec.IN_FAULT, codec.TIMED_OUT):
         return _is_in_error(state, progress, fault if mode == codec.IN_FAULT and fault else mode)
     if mode == codec.POSITION:
@@ -90,15 +91,15 @@ def apply_mode(state: DriveState, mode: int, fault: int) -> DriveState:
     return _is_in_other_mode(state, progress)
 
 
-def _is_stopped(state: DriveState, progress: MoteusProgress) -> DriveState:
-    """Return the state after the drive reported stopped."""
+def _is_stopped(state: DriveState, progress: MoteusProgress, was_preparing: bool) -> DriveState:
+    """Return the state after the drive reported stopped. If it was preparing or enabled, it has restarted."""
     off = progress._replace(enable_sent=False, enabled_by_other=False, clearing=0)
     if progress.disabling:
         # Feedback from before the stop command proves nothing.
         if state.feedback_t_ns < progress.disabling_ns:
             return state
         return state._replace(phase=FAULT if state.error else READY, private=off)
-    if state.phase == ENABLED:
+    if state.phase == ENABLED or (was_preparing and progress.enable_sent):
         return to_fault(state._replace(private=off), DROPPED_OUT, "stopped by itself")
     off = off._replace(enable_sent=progress.enable_sent)
     return state._replace(phase=CONFIGURING if state.phase == SILENT else state.phase, private=off)

@@ -42,6 +42,22 @@ class MoteusSetting(NamedTuple):
         return value == self.value or (math.isnan(value) and math.isnan(self.value))
 
 
+CONFIGURATION = (
+    # Beyond these positions the drive would reduce the torque. The default is 0.01 turns.
+    MoteusSetting("servopos.position_min", math.nan),
+    # Torque limits do not act in this mode.
+    MoteusSetting("servo.fixed_voltage_mode", 0.0),
+    # After the watchdog: stopped. By default the drive would damp, or hold its position.
+    MoteusSetting("servo.timeout_mode", 0.0),
+    MoteusSetting("servopos.position_max", math.nan),
+)
+"""Configuration items, read again while the drive is enabled.
+
+Torque limit and watchdog need no repeated read-back, because every command carries both. A restart
+is found by the first item whose default is wrong. Of two items in a row one has a wrong default.
+"""
+
+
 def required(torque: float, timeout_s: float) -> tuple[MoteusSetting, ...]:
     """Return the settings required before arming.
 
@@ -52,13 +68,7 @@ def required(torque: float, timeout_s: float) -> tuple[MoteusSetting, ...]:
     return (
         MoteusSetting("torque limit", single(torque), codec.MAX_TORQUE),
         MoteusSetting("watchdog", single(timeout_s), codec.TIMEOUT),
-        # After the watchdog: stopped. By default the drive would damp, or hold its position.
-        MoteusSetting("servo.timeout_mode", 0.0),
-        # Torque limits do not act in this mode.
-        MoteusSetting("servo.fixed_voltage_mode", 0.0),
-        # Beyond these positions the drive would reduce the torque. The default is 0.01 turns.
-        MoteusSetting("servopos.position_min", math.nan),
-        MoteusSetting("servopos.position_max", math.nan),
+        *CONFIGURATION,
     )
 
 

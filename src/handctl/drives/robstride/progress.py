@@ -9,8 +9,10 @@ from handctl.drives.robstride import codec
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 
-# Error codes of the host, above the 32 bits of the motor's faults.
-DROPPED_OUT, MISMATCH, ENABLED_BY_OTHERS = (1 << 32 | number for number in range(3))
+# Error codes of the host, of the two bits between the faults of the feedback and those of the fault report.
+DROPPED_OUT = 1 << 6
+MISMATCH = 1 << 7
+ENABLED_BY_OTHERS = 3 << 6
 CAUSES = {DROPPED_OUT: Cause.DROPPED_OUT, MISMATCH: Cause.MISMATCH, ENABLED_BY_OTHERS: Cause.MISMATCH}
 """Cause of each error code added by handctl."""
 CAUSES_OF_BITS = {0: Cause.VOLTAGE, 10: Cause.VOLTAGE, 11: Cause.VOLTAGE, 2: Cause.HOT, 8: Cause.HOT}

@@ -62,6 +62,8 @@ class Row(NamedTuple):
             0 if the catalogue gives no time, for example before torque.
         why: reason if ``ticks`` is larger than ``required``, else empty.
         tested: ``campaign``, or the name of the test that covers the fault.
+        moteus: visibility with moteus, empty if as with MIT, whose drives also answer each command once.
+        robstride: visibility with RobStride, empty if as with MIT.
     """
 
     id: str
@@ -76,6 +78,13 @@ class Row(NamedTuple):
     required: int = 0
     why: str = ""
     tested: str = "campaign"
+    moteus: str = ""
+    robstride: str = ""
+
+    def visibility(self, protocol: str) -> str:
+        """Return the visibility with a guarded protocol."""
+        visibility: str = getattr(self, protocol)
+        return visibility or self.mit
 
     def latest_ms(self, rate_hz: float) -> float:
         """Return the longest reaction time at a control rate [ms].

@@ -1,5 +1,6 @@
 """Generation of Markdown tables and sections for the documents, from the fault declarations."""
 
+from handctl.drives.motor_description import GUARDED, PROTOCOLS
 from handctl.safety.faults.fault import TICK, Fault, Row
 from handctl.safety.faults.host import ON_HARDWARE
 from handctl.safety.faults.table import CATALOGUE, TABLE
@@ -31,8 +32,9 @@ def fault_sections(table: tuple[Fault, ...] = TABLE) -> str:
 
 def catalogue(entries: tuple[Row, ...] = CATALOGUE) -> str:
     """Return the catalogue as Markdown, with the visibility of each row for each protocol."""
-    head = "| id | fault | judged by | MIT | ODrive | CiA 402 | latest reaction | tested by |"
-    return "\n".join([head, "|---|---|---|---|---|---|---|---|", *map(_row, entries)])
+    names = [PROTOCOLS[protocol].title for protocol in GUARDED]
+    columns = ["id", "fault", "judged by", *names, "latest reaction", "tested by"]
+    return "\n".join([f"| {' | '.join(columns)} |", "|---" * len(columns) + "|", *map(_row, entries)])
 
 
 def _row(entry: Row) -> str:
@@ -42,7 +44,7 @@ def _row(entry: Row) -> str:
     latest += f", ODrive {entry.odrive_ms:g} ms more" if entry.odrive_ms else ""
     latest = latest if entry.ticks or entry.ms else "before torque" if entry.where != TICK else "1 tick"
     return (
-        f"| {entry.id} | {entry.title} | {judged} | {entry.mit} | {entry.odrive} | {entry.cia402} | {latest} "
+        f"| {entry.id} | {entry.title} | {judged} | {' | '.join(map(entry.visibility, GUARDED))} | {latest} "
         f"| {entry.tested} |"
     )
 

@@ -145,7 +145,8 @@ N07 = fault(
     remedy="Check shield and cable of the encoder, and the distance of its magnet.",
 )  # fmt: skip
 
-row("N08", "the drive's watchdog fired", odrive=_BEAT, ticks=2, odrive_ms=100, required=2)
+row("N08", "the drive's watchdog fired", odrive=_BEAT, ticks=2, odrive_ms=100, required=2,
+    robstride=f"{REPLACED}: the drive reports to be disabled, without a reason (N01)")  # fmt: skip
 N08 = fault(
     "N08", "a drive's watchdog fired", "the drive reports it", Action.RELAX, OPERATOR, MOTOR,
     cause="The drive received no command in time: this host was too slow, or commands were lost.",
@@ -191,7 +192,8 @@ N11B = fault(
 
 row("N12", "wrong firmware or settings", TICK, f"{REPLACED}: registers, no serial number, {_AGAIN}",
     f"{REPLACED}: protocol version and endpoints, no serial number, {_AGAIN}",
-    f"{REPLACED}: objects, no serial number, {_AGAIN}", ticks=4, ms=1000)  # fmt: skip
+    f"{REPLACED}: objects, no serial number, {_AGAIN}", ticks=4, ms=1000,
+    moteus=f"{REPLACED}: settings, {_AGAIN}", robstride=f"{REPLACED}: parameters, {_AGAIN}")  # fmt: skip
 N12 = fault(
     "N12", "a drive is not as configured", "a read-back differs, or another host has enabled the drive",
     Action.CUT, OPERATOR, MOTOR, release=Release.OPEN,
