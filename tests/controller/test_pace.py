@@ -5,10 +5,11 @@ from typing import Any
 import pytest
 
 from handctl.errors import ConfigError
+from handctl.hand.load import load_hand
 from handctl.programs.task import Task
 from handctl.programs.task_checks import check_speed
 
-DIGITS = ("index", "thumb")
+ELEVEN = load_hand("jamia11")
 
 
 def move(angle: object, seconds: float) -> dict[str, Any]:
@@ -31,17 +32,20 @@ FOLLOW = {"kind": "follow", "time_s": (0.0, 1.0), "angle_deg": {"index": (0.0, 6
         ((move({"index": (0.0, 10.0, 60.0)}, 1.0), move({"index": (0.0, 10.0, 0.0)}, 0.16)), "index may have 60 deg"),
         ((CLOSE, move(0.0, 0.2)), r"phase\[1\].*at least 0\.22 s: index may have 80 deg"),
         ((FOLLOW, move(0.0, 0.1)), "index may have 60 deg"),
+        ((move({"index_j2": 70.0}, 0.1),), "index may have 70 deg"),
+        ((move({"index_j2": 70.0}, 1.0), move({"index_j1": 10.0}, 1.0), move(0.0, 0.1)), "index may have 70 deg"),
     ],
-    ids=["from rest", "backwards", "by joint", "from somewhere in a close", "after a curve"],
+    ids=["from rest", "backwards", "by joint", "from somewhere in a close", "after a curve",
+         "of one joint", "of a joint that stayed"],
 )  # fmt: skip
 def test_a_move_without_time_is_refused(phases: tuple[dict[str, Any], ...], line: str) -> None:
     with pytest.raises(ConfigError, match=line):
-        check_speed(task(*phases), DIGITS, "t")
+        check_speed(task(*phases), ELEVEN, "t")
 
 
 def test_the_time_that_is_named_is_enough() -> None:
     short_ways = ({"kind": "release"}, move(60.0, 0.05), CLOSE | {"angle_deg": 70.0}, move(65.0, 0.05))
-    check_speed(task(move(70.0, 0.19), move(70.0, 0.05), *short_ways), DIGITS, "t")
+    check_speed(task(move(70.0, 0.19), move(70.0, 0.05), *short_ways), ELEVEN, "t")
 
 
 def test_a_close_is_no_faster_either() -> None:

@@ -75,7 +75,7 @@ def test_a_list_needs_a_digit_with_as_many_tendons(tmp_path: Path) -> None:
 def test_a_digit_with_a_tendon_more_than_joints_takes_an_angle_per_joint(tmp_path: Path) -> None:
     """A finger of n joints and n + 1 tendons: n angles, n + 1 tensions."""
     hand = hand_with_an_extensor()
-    assert shapes(hand)["thumb"] == Shape(2, 3)
+    assert shapes(hand)["thumb"] == Shape(2, 3, ("thumb_j1", "thumb_j2"))
     for angles, tensions, wrong in (
         ("[10.0, 20.0]", "[20.0, 20.0, 9.0]", ""),
         ("[10.0, 20.0, 5.0]", "[20.0, 20.0, 9.0]", r"phase\[0\]\.angle_deg: 3 numbers.*or 2: it has 2 coordinates"),

@@ -1,6 +1,6 @@
 """Model of one digit: all numbers of kinematics, dynamics and statics, built from the description."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -145,6 +145,18 @@ class DigitModel:
     def joint_count(self) -> int:
         """Return n, the number of joints."""
         return len(self.lengths)
+
+    def with_joint_angles(self, angles: Mapping[int, float], now: Values) -> Array:
+        """Return the coordinates (n_c,) nearest to ``now`` with given joint angles, in the unit of the arguments.
+
+        The result is a least-squares solution if coupled joints cannot have the angles together.
+
+        Args:
+            angles: angle by index of the joint.
+            now: (n_c,) coordinates from which all other joints move as little as possible.
+        """
+        rows = self.coupling[list(angles)]
+        return np.asarray(now + np.linalg.pinv(rows) @ (np.array(list(angles.values())) - rows @ np.asarray(now)))
 
     def with_gravity(self, gravity: Values) -> "DigitModel":
         """Return the digit under another gravity, (3,) in the palm frame [m/s2]."""

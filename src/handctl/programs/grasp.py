@@ -12,6 +12,7 @@ from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.law.trajectory import Curve, duration_for
 from handctl.core.model import HandModel
 from handctl.core.types import Event, Vector
+from handctl.hand.digit import DigitModel
 from handctl.programs.grip import Grip, GripPlan, hold
 from handctl.programs.program import (
     TIGHTEN_S,
@@ -33,7 +34,9 @@ from handctl.programs.task import (
     Move,
     Release,
     Task,
+    end_angles,
     for_digit,
+    joint_values,
 )
 
 FOLLOW_START_DEG = 4.0
@@ -166,22 +169,17 @@ class TaskProgram:
         previous = progress.goals[d]
         digit = model.digits[d]
         if isinstance(phase, Move):
-            angle = for_digit(phase.angle_deg, name)
+            angle = end_angles(phase.angle_deg, digit, np.degrees(coordinates(digit, estimate)))
             return (
                 previous
                 if angle is None
                 else motion_to(digit, estimate, np.radians(angle), phase.duration_s, t)
             )
         if isinstance(phase, Follow):
-            angles = phase.angle_deg.get(name)
-            if angles is None:
-                return previous
-            curve = Curve.through(
-                phase.time_s, tuple(map(math.radians, angles)), digit.coupling.shape[1]
-            )
-            return DigitGoal(Kind.MOTION, curve, since=t)
+            curve = _curve(phase, digit, estimate)
+            return previous if curve is None else DigitGoal(Kind.MOTION, curve, since=t)
         if isinstance(phase, Close):
-            angle = for_digit(phase.angle_deg, name)
+            angle = end_angles(phase.angle_deg, digit, np.degrees(coordinates(digit, estimate)))
             if angle is None or progress.contact[d]:
                 return previous
             travel = float(np.abs(np.radians(angle) - coordinates(digit, estimate)).max())
@@ -357,14 +355,32 @@ def _plan(model: HandModel, phase: Hold) -> GripPlan:
 
 def _distance_error(model: HandModel, phase: Follow, estimate: Estimate) -> str:
     """Return a message for a digit away from the start of the curve, empty otherwise."""
-    for digit, name in zip(model.digits, model.hand.digit_names, strict=True):
-        if name not in phase.angle_deg:
-            continue
-        first = phase.angle_deg[name][0]
+    for digit in model.digits:
         angle = np.degrees(coordinates(digit, estimate))
-        if np.abs(angle - first).max() > FOLLOW_START_DEG:
-            return f"{name} is at {angle.mean():.1f} deg, but the trajectory begins at {first:g} deg: move there first"
+        joints = digit.coupling @ angle
+        places = {digit.joint_names[j]: joints[j : j + 1] for j in joint_values(phase.angle_deg, digit)}
+        if digit.name in phase.angle_deg:
+            places[digit.name] = angle
+        for name, present in places.items():
+            first = phase.angle_deg[name][0]
+            if np.abs(present - first).max() > FOLLOW_START_DEG:
+                start = f"the trajectory begins at {first:g} deg: move there first"
+                return f"{name} is at {present.mean():.1f} deg, but {start}"
     return ""
+
+
+def _curve(phase: Follow, digit: DigitModel, estimate: Estimate) -> Curve | None:
+    """Return the curve of a digit, None without an angle. Joints without angles stay where they are."""
+    count = digit.coupling.shape[1]
+    if digit.name in phase.angle_deg:
+        return Curve.through(phase.time_s, tuple(map(math.radians, phase.angle_deg[digit.name])), count)
+    given = joint_values(phase.angle_deg, digit)
+    if not given:
+        return None
+    now = coordinates(digit, estimate)
+    rows = zip(*given.values(), strict=True)
+    points = [digit.with_joint_angles(dict(zip(given, np.radians(row), strict=True)), now) for row in rows]
+    return Curve.through(phase.time_s, np.array(points), count)
 
 
 def blind_tip_force(model: HandModel, d: int) -> float:

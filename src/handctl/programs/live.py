@@ -30,10 +30,12 @@ from handctl.programs.task import (
     Move,
     Task,
     check_task,
-    for_digit,
+    end_angles,
+    joint_values,
     shapes,
 )
 from handctl.programs.task_checks import (
+    COUPLED_DEG,
     ROUNDING_DEG,
     check_joint_range,
     check_speed,
@@ -107,13 +109,15 @@ def begin_task(
         check_task(task, model.hand.digit_names, ceiling, "task", shapes(model.hand))
         check_tip_force(task, model.hand, "task")
         check_joint_range(task, model.hand, "task")
-        check_speed(task, model.hand.digit_names, "task")
+        check_speed(task, model.hand, "task")
     except ConfigError as error:
         return progress, (Event("warn", "request", "", f"refused: {error}"),)
     first = task.phase[0]
     for d, name in enumerate(model.hand.digit_names):
-        angle = for_digit(first.angle_deg, name) if isinstance(first, Move) else None
-        if angle is None or not isinstance(first, Move):
+        if not isinstance(first, Move):
+            continue
+        angle = end_angles(first.angle_deg, model.digits[d], np.degrees(coordinates(model.digits[d], estimate)))
+        if angle is None:
             continue
         end = np.broadcast_to(np.array(angle, dtype=float), (model.digits[d].coupling.shape[1],))
         if reason := _out_of_reach(model, d, estimate, end, first.duration_s):
@@ -236,10 +240,6 @@ def apply_goal(
     )
 
 
-COUPLED_DEG = 0.5
-"""Largest difference of an angle from the coupled joints of its digit [deg]."""
-
-
 def _end_of_move(
     model: HandModel, d: int, angles: Mapping[str, float], start: Estimate | Vector
 ) -> Vector | str | None:
@@ -257,7 +257,7 @@ def _end_of_move(
     digit, name = model.digits[d], model.hand.digit_names[d]
     count = digit.coupling.shape[1]
     joints = model.hand.joints[digit.joints]
-    given = {j: angles[joint] for j, joint in enumerate(joints) if joint in angles}
+    given = joint_values(angles, digit)
     if not given:
         return np.full(count, angles[name]) if name in angles else None
     if name in angles:
@@ -265,10 +265,8 @@ def _end_of_move(
     now = np.degrees(
         np.clip(start if isinstance(start, np.ndarray) else coordinates(digit, start), *digit.reach)
     )
-    rows = digit.coupling[list(given)]
-    wanted = np.array(list(given.values()))
-    end = np.asarray(now + np.linalg.pinv(rows) @ (wanted - rows @ now))
-    if np.abs(rows @ end - wanted).max() > COUPLED_DEG:
+    end = digit.with_joint_angles(given, now)
+    if np.abs((digit.coupling @ end)[list(given)] - list(given.values())).max() > COUPLED_DEG:
         return f"{', '.join(joints[j] for j in given)} are coupled, expected {name}, one angle for all of them"
     return end
 

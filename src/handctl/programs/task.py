@@ -10,9 +10,11 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from handctl.core.law.trajectory import Curve
+from handctl.core.types import Vector
 from handctl.document import Document, load_document, validated
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
+from handctl.hand.digit import DigitModel
 from handctl.hand.load import read_toml
 
 Angle = Annotated[float, Field(ge=-30, le=150)]
@@ -42,10 +44,10 @@ class Move(Document):
     kind: Literal["move"]
     name: str = "move"
     angle_deg: Angle | dict[str, Angles]
-    """One angle for all joints, or one per digit.
+    """One angle for all joints, or one per digit or joint (``index``, ``index_j1``).
 
     A one-tendon digit takes the mean joint angle. A digit with a tendon for each joint also takes a
-    list, from the palm outwards.
+    list, from the palm outwards. Joints without an angle stay where they are.
     """
     duration_s: float = Field(1.0, ge=SHORTEST_MOVE_S, le=3600)
 
@@ -56,7 +58,7 @@ class Close(Document):
     kind: Literal["close"]
     name: str = "close"
     angle_deg: Angle | dict[str, Angles] = 90.0
-    """Angle at which a digit without contact stops."""
+    """Angle at which a digit or joint without contact stops."""
     speed_deg_s: float = Field(60.0, gt=0, le=FOLLOW_SPEED_DEG_S)
     contact_tension_N: Tension = 8.0
     """Least tension of a digit in contact."""
@@ -103,7 +105,7 @@ class Follow(Document):
     time_s: tuple[Annotated[float, Field(ge=0, le=3600)], ...] = Field(min_length=2, max_length=100_000)
     """Times, rising from 0."""
     angle_deg: dict[str, tuple[Angle, ...]] = Field(min_length=1)
-    """Angles of each digit, one for each time. Digits without angles stay where they are."""
+    """Angles of each digit or joint, one for each time. Digits and joints without angles stay where they are."""
 
     @model_validator(mode="after")
     def _rising(self) -> "Follow":
@@ -198,17 +200,21 @@ class Shape(NamedTuple):
     Attributes:
         coordinates: number of reduced coordinates, each with an angle.
         tendons: number of tendons, each with a tension. A finger of n joints may have n + 1.
+        joints: names of the joints.
     """
 
     coordinates: int
     tendons: int
+    joints: tuple[str, ...] = ()
 
 
 def shapes(hand: Hand) -> dict[str, Shape]:
     """Return the shape of each digit by its name."""
     counts = {name: part.stop - part.start for name, part in hand.digit_tendons.items()}
     return {
-        digit.name: Shape(len(digit.coupling[0]) if digit.coupling else len(digit.joints), counts[digit.name])
+        digit.name: Shape(
+            len(digit.coupling[0]) if digit.coupling else len(digit.joints), counts[digit.name], digit.joints
+        )
         for digit in hand.digit
     }
 
@@ -238,8 +244,13 @@ def check_task(
             value = getattr(phase, key, None)
             key_path = f"{where}: phase[{i}].{key}"
             per_digit = value if isinstance(value, dict) else {}
-            for digit in per_digit.keys() - set(digits):
-                raise ConfigError(f"no digit {digit!r}", key_path, "one of " + ", ".join(digits))
+            joints = _joints(digit_shapes) if key == "angle_deg" else {}
+            for name in sorted(per_digit.keys() - {*digits, *joints}):
+                joint = f", or a joint such as {next(iter(joints))}" if joints else ""
+                raise ConfigError(f"no digit {name!r}", key_path, "one of " + ", ".join(digits) + joint)
+            for name in sorted(per_digit.keys() & joints.keys()):
+                if joints[name] in per_digit:
+                    raise ConfigError(f"{joints[name]} and {name}", key_path, "either the digit or its joints")
             if key.endswith("deg") and isinstance(phase, Follow):
                 continue
             for digit, setting in per_digit.items():
@@ -255,6 +266,8 @@ def _count(digit: str, value: object, digit_shapes: Mapping[str, Shape] | None, 
     """Refuse a list of the wrong length: an angle per coordinate, a tension per tendon."""
     if digit_shapes is None or not isinstance(value, tuple):
         return
+    if digit not in digit_shapes:
+        raise ConfigError(f"{len(value)} numbers for {digit}", key_path, "one number: it is one joint")
     shape = digit_shapes[digit]
     count = shape.coordinates if key_path.endswith("deg") else shape.tendons
     if len(value) == count:
@@ -264,9 +277,35 @@ def _count(digit: str, value: object, digit_shapes: Mapping[str, Shape] | None, 
     raise ConfigError(f"{len(value)} numbers for {digit}", key_path, expected)
 
 
+def _joints(digit_shapes: Mapping[str, Shape] | None) -> dict[str, str]:
+    """Return the digit of each joint."""
+    return {joint: name for name, shape in (digit_shapes or {}).items() for joint in shape.joints}
+
+
 Value = TypeVar("Value")
 
 
 def for_digit(value: float | dict[str, Value], digit: str) -> float | Value | None:
     """Return the value of a phase for a digit, None if the phase names other digits only."""
     return value.get(digit) if isinstance(value, dict) else float(value)
+
+
+def joint_values(value: float | Mapping[str, Value], digit: DigitModel) -> dict[int, Value]:
+    """Return the values of a phase for joints of a digit, by the index of the joint."""
+    if not isinstance(value, Mapping):
+        return {}
+    return {j: value[name] for j, name in enumerate(digit.joint_names) if name in value}
+
+
+def end_angles(value: float | dict[str, Angles], digit: DigitModel, now: Vector) -> Angles | Vector | None:
+    """Return the coordinates of a digit at the end of a phase [deg], None without an angle.
+
+    Args:
+        value: angles of the phase, by digit or joint [deg].
+        digit: the digit.
+        now: (n_c,) coordinates at the beginning [deg]. Joints without an angle stay there.
+    """
+    given = joint_values(value, digit)
+    if not given:
+        return for_digit(value, digit.name)
+    return digit.with_joint_angles({j: float(np.mean(angle)) for j, angle in given.items()}, now)

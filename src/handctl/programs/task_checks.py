@@ -10,6 +10,8 @@ from handctl.core.types import Vector
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
+from handctl.hand.file.sections import Digit
+from handctl.hand.readiness import coordinate_range_deg
 from handctl.programs.task import (
     FOLLOW_SPEED_DEG_S,
     Close,
@@ -18,49 +20,62 @@ from handctl.programs.task import (
     Move,
     Phase,
     Task,
+    end_angles,
     for_digit,
+    joint_values,
 )
 
 Span = tuple[Vector, Vector]
 """Lowest and highest value of the coordinates of a digit [deg]."""
 
 
-def check_speed(task: Task, digits: tuple[str, ...], where: str) -> None:
+def check_speed(task: Task, hand: Hand, where: str) -> None:
     """Refuse a move above the largest joint speed, from any possible end of the phases before.
 
     Args:
         task: task whose numbers fit the digits.
-        digits: names of the hand's digits.
+        hand: hand with the digits.
         where: name of the file, for messages.
 
     Raises:
         ConfigError: A move has too little time.
     """
-    spans: dict[str, Span] = dict.fromkeys(digits, (np.zeros(1), np.zeros(1)))  # the hand arms with open digits
+    digits = {name: DigitModel.of(hand, name) for name in hand.digit_names}
+    zeros = {name: np.zeros(model.coupling.shape[1]) for name, model in digits.items()}
+    spans: dict[str, Span] = {name: (zero, zero) for name, zero in zeros.items()}  # the hand arms with open digits
     for i, phase in enumerate(task.phase):
         for digit, span in spans.items():
-            if (goal := _target(phase, digit)) is None:
-                continue
             low, high = span
+            from_low = _target(phase, digits[digit], low)
+            from_high = _target(phase, digits[digit], high)
+            if from_low is None or from_high is None:
+                continue
             if isinstance(phase, Move):
-                travel = float(np.maximum(np.abs(goal - low), np.abs(high - goal)).max())
+                travel = float(np.maximum(np.abs(from_low - low), np.abs(high - from_high)).max())
                 min_duration = math.ceil(100.0 * duration_for(travel, FOLLOW_SPEED_DEG_S, 0.0)) / 100.0
                 if phase.duration_s < min_duration:
                     distance = f"{digit} may have {travel:g} deg to go, at {FOLLOW_SPEED_DEG_S:g} deg/s"
                     expected = f"at least {min_duration:g} s: {distance}"
                     raise ConfigError(f"{phase.duration_s:g}", f"{where}: phase[{i}].duration_s", expected)
             touches = isinstance(phase, Close)  # it may stop anywhere on the way
-            spans[digit] = (np.minimum(low, goal), np.maximum(high, goal)) if touches else (goal, goal)
+            ends = (np.minimum(low, from_low), np.maximum(high, from_high)) if touches else (from_low, from_high)
+            spans[digit] = ends
 
 
-def _target(phase: Phase, digit: str) -> Vector | None:
-    """Return the angles of a digit after a phase [deg], None without a motion."""
+def _target(phase: Phase, digit: DigitModel, now: Vector) -> Vector | None:
+    """Return the coordinates of a digit after a phase that begins at ``now`` [deg], None without a motion."""
     if isinstance(phase, Follow):
-        return np.array(phase.angle_deg[digit][-1:]) if digit in phase.angle_deg else None
-    if not isinstance(phase, (Move, Close)):
+        last = {name: angles[-1] for name, angles in phase.angle_deg.items()}
+        given = end_angles(last, digit, now)  # type: ignore[arg-type]  # a dict of numbers
+    elif isinstance(phase, Move | Close):
+        given = end_angles(phase.angle_deg, digit, now)
+    else:
         return None
-    given = for_digit(phase.angle_deg, digit)
-    return None if given is None else np.atleast_1d(np.array(given, dtype=float))
+    return None if given is None else np.broadcast_to(np.array(given, dtype=float), now.shape)
+
+
+COUPLED_DEG = 0.5
+"""Largest difference of an angle from the coupled joints of its digit [deg]."""
 
 
 ROUNDING_DEG = 1e-6
@@ -78,16 +93,40 @@ def check_joint_range(task: Task, hand: Hand, where: str) -> None:
     Raises:
         ConfigError: The joints of a digit cannot reach an angle together.
     """
-    reaches = {name: np.degrees(DigitModel.of(hand, name).reach) for name in hand.digit_names}
+    digits = [DigitModel.of(hand, name) for name in hand.digit_names]
+    reaches = {digit.name: np.degrees(digit.reach) for digit in digits}
     for i, phase in enumerate(task.phase):
         if not isinstance(phase, Move | Close | Follow):
             continue
+        for digit in digits:
+            _check_joints(phase, digit, hand.digit_named(digit.name), f"{where}: phase[{i}].angle_deg")
         for name, (low, high) in reaches.items():
             for row in _extremes(phase, name):
                 for angle, lower, upper in np.broadcast(row, low, high):
                     if not lower - ROUNDING_DEG <= angle <= upper + ROUNDING_DEG:
                         place = f"{where}: phase[{i}].angle_deg"
                         raise ConfigError(f"{angle:g} deg for {name}", place, f"{lower:g} to {upper:g} deg")
+
+
+def _check_joints(phase: Move | Close | Follow, digit: DigitModel, described: Digit, place: str) -> None:
+    """Refuse joint angles beyond the limits, and angles that coupled joints cannot have together."""
+    given = joint_values(phase.angle_deg, digit)
+    if not given:
+        return
+    low, high = np.degrees(digit.joint_min), np.degrees(digit.joint_max)
+    if digit.coupling.shape[1] == 1:
+        # The joints of a one-tendon digit turn together, until the first is at its limit.
+        ends = np.sort(digit.coupling @ np.array(coordinate_range_deg(described)).T, axis=1)
+        low, high = np.maximum(low, ends[:, 0]), np.minimum(high, ends[:, 1])
+    # One row per time of a curve.
+    for row in np.atleast_2d(np.array(list(given.values()), dtype=float).T):
+        for j, angle in zip(given, row, strict=True):
+            if not low[j] - ROUNDING_DEG <= angle <= high[j] + ROUNDING_DEG:
+                raise ConfigError(f"{angle:g} deg for {digit.joint_names[j]}", place, f"{low[j]:g} to {high[j]:g} deg")
+        end = digit.with_joint_angles(dict(zip(given, row.tolist(), strict=True)), np.zeros(digit.coupling.shape[1]))
+        if np.abs((digit.coupling @ end)[list(given)] - row).max() > COUPLED_DEG:
+            names = ", ".join(digit.joint_names[j] for j in given)
+            raise ConfigError(f"{names} are coupled", place, f"{digit.name}, one angle for all of them")
 
 
 def check_tip_force(task: Task, hand: Hand, where: str) -> None:

@@ -81,4 +81,4 @@ def check_suits(task: Task, hand: Hand, where: str) -> None:
     check_tip_force(task, hand, where)
     check_slip_limit(task, hand, where)
     check_joint_range(task, hand, where)
-    check_speed(task, hand.digit_names, where)
+    check_speed(task, hand, where)

@@ -91,7 +91,7 @@ def commission(parser: argparse.ArgumentParser) -> None:
 def jog(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``jog``."""
     run_options(parser)
-    parser.add_argument("digit", help="the digit to move")
+    parser.add_argument("digit", help="the digit to move, or with --angle a joint such as index_j1")
     goal = parser.add_mutually_exclusive_group(required=True)
     goal.add_argument("--tension", type=float, metavar="N", help="hold this tension in each tendon of the digit")
     goal.add_argument("--angle", type=float, metavar="DEG", help="move to this joint angle")

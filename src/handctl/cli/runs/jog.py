@@ -1,4 +1,4 @@
-"""``handctl jog``: move one digit to a tension or an angle for some seconds."""
+"""``handctl jog``: move one digit to a tension or an angle, or one joint to an angle, for some seconds."""
 
 import argparse
 
@@ -18,7 +18,8 @@ from handctl.session.run import make_controller, run_live
 def run(args: argparse.Namespace) -> int:
     """Arm the hand, move the digit, relax and disarm. Return the exit code."""
     plan = make_plan(args)
-    program = _program(args, plan.hand.digit_names, min(tendon.tension_max_N for tendon in plan.hand.tendon))
+    names = plan.hand.digit_names if args.angle is None else (*plan.hand.digit_names, *plan.hand.joints)
+    program = _program(args, names, min(tendon.tension_max_N for tendon in plan.hand.tendon))
     path, calibration, reason = find_calibration(args, plan.hand)
     if args.dry_run:
         line = f"{plan.hand.name}: would jog {args.digit}" + (f", after commissioning: {reason}" if reason else "")
@@ -35,14 +36,14 @@ def run(args: argparse.Namespace) -> int:
     return outcome.exit
 
 
-def _program(args: argparse.Namespace, digits: tuple[str, ...], ceiling: float) -> JogProgram:
-    """Return the program, with its goal checked before the hand moves.
+def _program(args: argparse.Namespace, names: tuple[str, ...], ceiling: float) -> JogProgram:
+    """Return the program, with its goal checked before the hand moves. An angle may be for one joint.
 
     Raises:
         ConfigError: the digit, the duration, the tension or the angle is invalid.
     """
-    if args.digit not in digits:
-        raise ConfigError(repr(args.digit), "digit", "one of " + ", ".join(digits))
+    if args.digit not in names:
+        raise ConfigError(repr(args.digit), "digit", "one of " + ", ".join(names))
     if not 0 < args.duration <= 600:
         raise ConfigError(f"{args.duration:g}", "--for", "more than 0, at most 600 s")
     if args.tension is None:

@@ -100,11 +100,12 @@ class Streamed:
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """A cubic spline through points, at rest at both ends, equal for all coordinates of the digit.
+    """A cubic spline through points, at rest at both ends: one for all coordinates of the digit, or one for each.
 
     Attributes:
         times: (k,) of the points, rising from 0 [s].
-        coefficients: (4, k - 1) of the cubic in each piece, highest power first [rad/s^3 .. rad].
+        coefficients: (4, k - 1) of the cubic in each piece, highest power first [rad/s^3 .. rad], or
+            (4, k - 1, n) with a cubic for each coordinate.
         coordinates: number of the digit's coordinates.
     """
 
@@ -113,8 +114,8 @@ class Curve:
     coordinates: int
 
     @staticmethod
-    def through(times: tuple[float, ...], angles: tuple[float, ...], coordinates: int) -> "Curve":
-        """Return the curve through angles [rad] at times [s]."""
+    def through(times: tuple[float, ...], angles: tuple[float, ...] | Vector, coordinates: int) -> "Curve":
+        """Return the curve through angles (k,) or (k, n) [rad] at times [s]."""
         from scipy.interpolate import CubicSpline
 
         spline = CubicSpline(times, angles, bc_type="clamped")
@@ -130,16 +131,20 @@ class Curve:
         held = min(max(t, 0.0), self.duration)
         piece = min(int(np.searchsorted(self.times, held, side="right")) - 1, len(self.times) - 2)
         s = held - float(self.times[piece])
-        a, b, c, d = self.coefficients[:, piece].tolist()
         # Before the start and after the end the digit rests.
         moving = 1.0 if held == t else 0.0
+        if self.coefficients.ndim == 3:
+            a, b, c, d = self.coefficients[:, piece]
+            rate = moving * (c + s * (2 * b + s * 3 * a))
+            return np.array((d + s * (c + s * (b + s * a)), rate, moving * (2 * b + 6 * a * s)))
+        a, b, c, d = self.coefficients[:, piece].tolist()
         values = (d + s * (c + s * (b + s * a)), moving * (c + s * (2 * b + s * 3 * a)), moving * (2 * b + 6 * a * s))
         return _alike(values, self.coordinates)
 
     def peak_speed(self) -> float:
         """Return the peak speed [rad/s], at the ends of a piece or at zero acceleration."""
         a, b, c, _ = self.coefficients
-        length = np.diff(self.times)
+        length = np.diff(self.times).reshape(-1, *(1,) * (a.ndim - 1))
         with np.errstate(divide="ignore", invalid="ignore"):
             turning = np.clip(np.nan_to_num(-b / (3 * a)), 0.0, length)
         candidates = [c + s * (2 * b + s * 3 * a) for s in (np.zeros_like(length), turning, length)]

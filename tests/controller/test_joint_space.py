@@ -1,0 +1,104 @@
+"""Tasks and trajectories by joint: other joints stay where they are, and coupled joints need one angle."""
+
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handctl.core.law.trajectory import Curve
+from handctl.document import validated
+from handctl.errors import ConfigError
+from handctl.hand.digit import DigitModel
+from handctl.hand.load import load_hand
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.task import Task, trajectory_from
+from handctl.session.simulate import Simulator, homed_controller
+from handctl.session.tasks import check_suits
+from tests.controller.plant_run import model_of
+
+SETTLED_DEG = 2.0
+
+
+def task(*phases: dict[str, Any]) -> Task:
+    return validated({"schema": 1, "name": "t", "phase": list(phases)}, Task, "t")
+
+
+def move(angles: dict[str, Any], seconds: float = 0.4) -> dict[str, Any]:
+    return {"kind": "move", "angle_deg": angles, "duration_s": seconds}
+
+
+def end_of(hand: str, program: Task, seconds: float) -> dict[str, float]:
+    """Return the true joint angles of a homed hand after a task [deg]."""
+    check_suits(program, load_hand(hand), "t")
+    with Simulator(hand, None, 0, homed=True).against(homed_controller(model_of(hand), TaskProgram(program))) as run:
+        run.record = False
+        for _entry, out in run.ticks(seconds):
+            angles = np.degrees(run.peer.world.plant.engine.q)
+            if out.events and any(event.text == "task complete" for event in out.events):
+                break
+        assert not run.state.failure
+        assert run.state.progress.finished
+        return dict(zip(load_hand(hand).joints, angles.tolist(), strict=True))
+
+
+def test_a_move_of_one_joint_leaves_the_others() -> None:
+    wait = move({"thumb_j2": 10.0})
+    angles = end_of("jamia11", task(move({"index": 20.0}), move({"index_j2": 30.0, "thumb_j2": 10.0}), wait, wait), 6.0)
+    wanted = {"index_j1": 20.0, "index_j2": 30.0, "index_j3": 20.0, "thumb_j1": 0.0, "thumb_j2": 10.0, "ring_j1": 0.0}
+    assert {name: angles[name] for name in wanted} == pytest.approx(wanted, abs=SETTLED_DEG)
+
+
+def test_a_trajectory_by_joint() -> None:
+    content = {
+        "schema": 1,
+        "name": "wave",
+        "time_s": [0.0, 0.5, 1.0],
+        "angle_deg": {"index_j1": [5.0, 40.0, 30.0], "index_j2": [5.0, 5.0, 20.0], "thumb": [0.0, 10.0, 20.0]},
+    }
+    program = trajectory_from(content, "t")
+    wait = {**program.phase[0].model_dump(), "angle_deg": {"index_j1": 30.0, "index_j2": 20.0}, "duration_s": 0.5}
+    angles = end_of("jamia11", task(*[phase.model_dump() for phase in program.phase], wait), 8.0)
+    wanted = {"index_j1": 30.0, "index_j2": 20.0, "index_j3": 0.0, "thumb_j1": 20.0, "thumb_j2": 20.0}
+    assert {name: angles[name] for name in wanted} == pytest.approx(wanted, abs=SETTLED_DEG)
+
+
+def test_a_joint_of_a_one_tendon_digit_stands_for_all() -> None:
+    by_joint = DigitModel.of(load_hand("t42"), "left").with_joint_angles({1: 10.0}, [0.0])
+    assert by_joint.tolist() == pytest.approx([40.0])
+
+
+def test_a_curve_for_each_coordinate_is_that_of_each() -> None:
+    times = (0.0, 0.4, 1.0, 1.7)
+    points = np.array([[0.0, 0.1], [0.5, 0.0], [0.2, 0.7], [0.9, 0.3]])
+    both = Curve.through(times, points, 2)
+    ones = [Curve.through(times, tuple(column), 1) for column in points.T]
+    for t in (-0.1, 0.0, 0.3, 0.4, 1.2, 1.7, 2.0):
+        assert both.at(t) == pytest.approx(np.hstack([one.at(t) for one in ones]), abs=1e-12)
+    assert both.peak_speed() == pytest.approx(max(one.peak_speed() for one in ones))
+    assert both.duration == 1.7
+
+
+@pytest.mark.parametrize(
+    ("hand", "angles", "line"),
+    [
+        ("jamia11", {"index_j4": 10.0}, "no digit 'index_j4'; expected one of index, middle, ring, thumb, or a joint"),
+        ("jamia11", {"index": 10.0, "index_j1": 20.0}, "index and index_j1; expected either the digit or its joints"),
+        ("jamia11", {"index_j1": [10.0, 20.0]}, "2 numbers for index_j1; expected one number"),
+        ("jamia11", {"index_j1": 120.0}, "120 deg for index_j1; expected 0 to 100 deg"),
+        ("t42", {"left_j2": 60.0}, "60 deg for left_j2; expected 0 to 37.5 deg"),
+        ("t42", {"left_j1": 60.0, "left_j2": 60.0}, "expected"),
+        ("jamia", {"index_j1": 30.0, "index_j2": 10.0}, "index_j1, index_j2 are coupled; expected index, one angle"),
+    ],
+)
+def test_joint_angles_that_a_hand_cannot_have(hand: str, angles: dict[str, Any], line: str) -> None:
+    with pytest.raises(ConfigError, match=rf"t: phase\[0\]\.angle_deg: .*{line}"):
+        check_suits(task(move(angles)), load_hand(hand), "t")
+
+
+def test_a_curve_of_a_joint_is_checked_at_every_time() -> None:
+    follow = {"kind": "follow", "time_s": (0.0, 1.0, 2.0), "angle_deg": {"index_j1": (0.0, 110.0, 0.0)}}
+    with pytest.raises(ConfigError, match="110 deg for index_j1; expected 0 to 100 deg"):
+        check_suits(task(follow), load_hand("jamia11"), "t")
+
+
