@@ -69,8 +69,9 @@ class Wired:
         self.seen, self.foreign = [], []
         while True:
             at = wire.receive(
-                self.block, self.layout.places, frames.rows, known.keys, known.entries, known.wholes, known.reals, at
-            )
+                self.block, self.layout.places, *self._constants, frames.rows, known.keys, known.entries, known.wholes,
+                known.reals, at,
+            )  # fmt: skip
             if at >= len(frames):
                 return self
             frame = frames[at]

@@ -209,8 +209,9 @@ class Controller:
         rows = frames.rows
         while True:
             at = wire.receive(
-                state.block, self.layout.places, rows, tables.keys, tables.entries, tables.wholes, tables.reals, at
-            )
+                state.block, self.layout.places, *self._constants, rows, tables.keys, tables.entries, tables.wholes,
+                tables.reals, at,
+            )  # fmt: skip
             if at >= len(rows):
                 return tuple(dict.fromkeys(signs))
             frame = frames[at]

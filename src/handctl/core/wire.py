@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from handctl.compiled import borrow, inner, kernel
 from handctl.core import block as s
+from handctl.core import constants as h
 from handctl.core.block import Tables, tables
+from handctl.core.constants import ConstantTables, constant_tables
 from handctl.core.schema import Block, Places
 from handctl.drives.contract import Drive
 from handctl.drives.frame import ERROR, EXTENDED, REMOTE, Frame
@@ -50,8 +52,9 @@ from handctl.drives.signals import LENGTH as LENGTH_BITS
 Whole = NDArray[np.int64]
 Real = NDArray[np.float64]
 
-OWNER, KIND, FIRST, END, LENGTH, GROUP = range(6)
-"""Columns of an entry: drive index or NODE, kind of frame, first and end signal, payload length [bytes], group."""
+OWNER, KIND, FIRST, END, LENGTH, GROUP, NEAREST = range(7)
+"""Columns of an entry: drive index or NODE, kind of frame, first and end signal, payload length [bytes], group,
+1 if the frame nearest to the expected position counts."""
 NODE = -1
 """Owner of the sensor node's frames."""
 LOOK, FEEDBACK, VALUES, SENSORS, HOST = range(5)
@@ -115,15 +118,26 @@ def begin(block: Block, at: Places, k: int, t_ns: int, late_ns: int, missed: int
     x.run_int[s.STALE_NOW] = x.run_int[s.UNKNOWN_FRAMES] = x.run_int[s.REFUSED_NOW] = x.run_int[s.CHANGED] = 0
 
 
-@kernel("block", "layout", "words", "keys", "table_int", "table_int", "table", "count")
+@kernel("block", "layout", "constants", "layout", "words", "keys", "table_int", "table_int", "table", "count")
 def receive(
-    block: Block, at: Places, rows: Rows, keys: Whole, entries: Whole, wholes: Whole, reals: Real, first: int
+    block: Block,
+    at: Places,
+    constants: Block,
+    constants_at: Places,
+    rows: Rows,
+    keys: Whole,
+    entries: Whole,
+    wholes: Whole,
+    reals: Real,
+    first: int,
 ) -> int:
     """Take in frames from index ``first`` on.
 
     Args:
         block: the state.
         at: ``Layout.places``.
+        constants: of the hand.
+        constants_at: ``Layout.places`` of the constants.
         rows: (n, WORDS) records of frames.
         keys: see ``Wire``.
         entries: see ``Wire``.
@@ -136,6 +150,7 @@ def receive(
             without such a frame.
     """
     x = tables(block, at)
+    c = constant_tables(constants, constants_at)
     rows = borrow(rows, 0, rows.shape)
     keys = borrow(keys, 0, keys.shape)
     entries = borrow(entries, 0, entries.shape)
@@ -160,7 +175,12 @@ def receive(
         fits = length == entries[entry, LENGTH]
         if kind == SENSORS:
             _sensors(x, t_ns, payload, fits, entries, entry, wholes, reals)
-        elif kind == LOOK or kind == HOST or not fits or not _values(x, t_ns, rows[r], entries, entry, wholes, reals):
+        elif (
+            kind == LOOK
+            or kind == HOST
+            or not fits
+            or not _values(x, c, t_ns, rows[r], entries, entry, wholes, reals)
+        ):
             return r
     return len(rows)
 
@@ -222,11 +242,24 @@ def _sensors(
 
 
 @inner
-def _values(x: Tables, t_ns: Any, row: Any, entries: Whole, entry: int, wholes: Whole, reals: Real) -> bool:
+def _is_nearer(x: Tables, c: ConstantTables, n: Any, position: float) -> bool:
+    """Return True if a position is nearer to the filter's expectation than the position received before in the tick.
+
+    The expectation is for the time of the request. Without a filter the later position counts.
+    """
+    expected = x.tendon[s.TRAVEL, n] / c.tendon[h.SPOOL, n] + c.tendon[h.ZERO, n]
+    return not abs(position - expected) > abs(x.tendon[s.POSITION, n] - expected)
+
+
+@inner
+def _values(
+    x: Tables, c: ConstantTables, t_ns: Any, row: Any, entries: Whole, entry: int, wholes: Whole, reals: Real
+) -> bool:
     """Take in a drive's frame. Return False without any change if the state machine must handle the frame.
 
     Args:
         x: state tables.
+        c: constants of the hand.
         t_ns: reception [ns].
         row: (WORDS,) record of the frame.
         entries: see ``Wire``.
@@ -266,6 +299,10 @@ def _values(x: Tables, t_ns: Any, row: Any, entries: Whole, entry: int, wholes: 
     feedback = entries[entry, KIND] == FEEDBACK
     if feedback and status != expected:
         return False
+    if entries[entry, NEAREST] and x.tendon_int[s.ANSWERED, n] > 0 and not _is_nearer(x, c, n, position):
+        x.tendon_int[s.FEEDBACKS, n] += 1
+        x.tendon_int[s.ANSWERED, n] += 1
+        return True
     _put(x, s.POSITION, n, position)
     _put(x, s.VELOCITY, n, velocity)
     _put(x, s.REPORTED, n, torque)
@@ -344,7 +381,7 @@ class Wire:
 
     Attributes:
         keys: (e,) bus << 32 | identifier, sorted.
-        entries: (e, 6) with the columns above.
+        entries: (e, 7) with the columns above.
         wholes: (s, COLUMNS) integers of the received signals.
         reals: (s, 2) real numbers of the received signals.
         commands: (f, 3) drive, row of the torque in ``sent_wholes`` or -1, and feedback timeout
@@ -365,15 +402,16 @@ class Wire:
         self._signals: list[Table] = []
         found: dict[int, list[int]] = {}
         for drive in drives:
-            found |= {_key(drive.bus, can_id): [0, HOST, 0, 0, 0, 0] for can_id in drive.host_ids}
-        found |= {_key(sensors.bus, can_id): [NODE, HOST, 0, 0, 0, 0] for can_id in sensors.host_ids}
+            found |= {_key(drive.bus, can_id): [0, HOST, 0, 0, 0, 0, 0] for can_id in drive.host_ids}
+        found |= {_key(sensors.bus, can_id): [NODE, HOST, 0, 0, 0, 0, 0] for can_id in sensors.host_ids}
         for n, drive in enumerate(drives):
-            found |= {_key(drive.bus, can_id): [n, LOOK, 0, 0, 0, 0] for can_id in drive.node_ids}
+            found |= {_key(drive.bus, can_id): [n, LOOK, 0, 0, 0, 0, 0] for can_id in drive.node_ids}
             for message in drive.cyclic.feedback:
                 kind = FEEDBACK if message.answers else VALUES
-                found[_key(drive.bus, message.can_id)] = [n, kind, *self._added(message), message.length, 0]
+                signals = self._added(message)
+                found[_key(drive.bus, message.can_id)] = [n, kind, *signals, message.length, 0, message.nearest]
         for group, message in enumerate(sensors.messages):
-            found[_key(sensors.bus, message.can_id)] = [NODE, SENSORS, *self._added(message), message.length, group]
+            found[_key(sensors.bus, message.can_id)] = [NODE, SENSORS, *self._added(message), message.length, group, 0]
         keys = sorted(found)
         self.keys: Whole = np.array(keys, dtype=np.int64)
         self.entries: Whole = np.array([found[key] for key in keys], dtype=np.int64)

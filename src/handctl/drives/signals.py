@@ -94,6 +94,8 @@ class Message(NamedTuple):
         base: payload of a command with all signals 0.
         answers: True for feedback that answers a command.
         limit: largest absolute torque of a command [N m].
+        nearest: True for a requested message that the drive also sends by itself, sampled at another
+            time. Of several frames in a tick the one nearest to the expected position counts.
     """
 
     name: str
@@ -104,6 +106,7 @@ class Message(NamedTuple):
     base: bytes = b""
     answers: bool = True
     limit: float = math.inf
+    nearest: bool = False
 
 
 class Cyclic(NamedTuple):

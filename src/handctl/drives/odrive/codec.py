@@ -118,20 +118,21 @@ def _float(name: str, quantity: Quantity, first: int, scale: float, offset: floa
     return Signal(name, quantity, 8 * first, 32, False, Coding.FLOAT, scale, offset, unit)
 
 
-def encoder_message(node_id: int, ratio: float, zero: float) -> Message:
+def encoder_message(node_id: int, ratio: float, zero: float, requested: bool) -> Message:
     """Return the signal table of Get_Encoder_Estimates: position [turn] and velocity [turn/s] of the shaft.
 
     Args:
         node_id: node number of the drive.
         ratio: turns of the shaft per turn of the spool, with the sign of the hand.
         zero: angle at the shaft of the spool's zero [rad].
+        requested: True if every tick requests the message. The drive also sends it by itself, every 10 ms by default.
     """
     # A shaft turn is tau / ratio at the spool. A negative ratio reverses the sign.
     turn = math.tau / ratio
     return Message("encoder_estimates", can_id(node_id, ENCODER), 8, (
         _float("position", Quantity.POSITION, 0, turn, -zero / ratio, "rad"),
         _float("velocity", Quantity.VELOCITY, 4, turn, 0.0, "rad/s"),
-    ))  # fmt: skip
+    ), nearest=requested)  # fmt: skip
 
 
 def torques_message(node_id: int, ratio: float) -> Message:

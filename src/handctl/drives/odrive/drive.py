@@ -84,7 +84,8 @@ class OdriveDrive:
     def __post_init__(self) -> None:
         """Build the signal tables of the cyclic frames."""
         object.__setattr__(self, "command", Table(codec.torque_message(self.node_id, self.ratio, self.torque_limit)))
-        object.__setattr__(self, "encoder", Table(codec.encoder_message(self.node_id, self.ratio, self.zero)))
+        encoder = codec.encoder_message(self.node_id, self.ratio, self.zero, requested=not self.cyclic_s)
+        object.__setattr__(self, "encoder", Table(encoder))
         object.__setattr__(self, "torques", Table(codec.torques_message(self.node_id, self.ratio)))
 
     @staticmethod
