@@ -38,9 +38,9 @@ def scaled(scale: float) -> tuple[str, str]:
     return "--time-scale", f"{scale:g}"
 
 
-def start_hand(truth: Path, *words: str) -> "subprocess.Popen[str]":
-    """Start a simulated hand that serves ``local:t``."""
-    command = [sys.executable, "-m", "firmware_sim", "--bus", BUS, *HOMED, "--truth", str(truth), *words]
+def start_hand(truth: Path, *words: str, bus: str = BUS) -> "subprocess.Popen[str]":
+    """Start a simulated hand that serves a bus."""
+    command = [sys.executable, "-m", "firmware_sim", "--bus", bus, *HOMED, "--truth", str(truth), *words]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     assert process.stdout
     assert select.select([process.stdout], [], [], READY_S)[0], "no ready line"

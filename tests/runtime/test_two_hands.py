@@ -1,0 +1,51 @@
+"""Two hands on one machine: two controllers and two simulators run side by side without interference."""
+
+import pytest
+
+from handctl.hand.load import load_hand
+from handctl.runtime.mailbox import Watcher
+from tests.runtime.processes import (
+    handctl,
+    modes_of_complete,
+    result_of,
+    start_hand,
+    start_handctl,
+    wait_for,
+    write_homed,
+)
+
+pytestmark = [pytest.mark.realtime, pytest.mark.alone]
+SIDES = ("left", "right")
+RATE = ("--rate", "100")
+"""Low rate: four processes with a deadline share the processors."""
+SCALE = 0.15
+
+
+def test_a_stop_of_one_hand_leaves_the_other_moving(place, processes, scale):
+    write_homed(place / "c.toml", load_hand("jamia"))
+    buses = [f"local:{side}" for side in SIDES]
+    runs = []
+    for side, bus in zip(SIDES, buses, strict=True):
+        processes.append(start_hand(place / f"{side}.truth", "--hand", "jamia", *scale, bus=bus))
+        words = ("--calibration", "c.toml", "--task", "long.toml", "--json", "--log", f"{side}.mcap", *RATE, *scale)
+        runs.append(start_handctl("run", "--hand", "jamia", "--bus", bus, *words))
+        processes.append(runs[-1])
+    watchers = [Watcher(bus) for bus in buses]
+    try:
+        for watcher, run in zip(watchers, runs, strict=True):
+            wait_for("stay", watcher, run)
+        stopped = handctl("stop", "--bus", buses[0])
+        assert stopped.returncode == 0, stopped.stderr
+        code, result, err = result_of(runs[0])
+        assert (code, result["failure"]) == (0, ""), err
+        # The second hand still holds its goal, and its own stop ends it.
+        assert runs[1].poll() is None
+        wait_for("stay", watchers[1], runs[1])
+    finally:
+        for watcher in watchers:
+            watcher.close()
+    assert handctl("stop", "--bus", buses[1]).returncode == 0
+    code, result, err = result_of(runs[1])
+    assert (code, result["failure"]) == (0, ""), err
+    for side in SIDES:
+        assert modes_of_complete(place / f"{side}.mcap")[-1] == "DISARM -> DONE"
