@@ -15,7 +15,7 @@ NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 CALM = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 """No time limit per example. The cores are shared, and property tests judge no time."""
 
-settings.register_profile("every run", CALM, derandomize=True, database=None, max_examples=100)
+settings.register_profile("every run", CALM, derandomize=True, database=None, max_examples=40)
 settings.register_profile("nightly", CALM, max_examples=2000, print_blob=True)
 settings.load_profile("nightly" if NIGHTLY else "every run")
 

@@ -4,7 +4,7 @@ import random
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from handctl.core import block as s
@@ -200,7 +200,6 @@ frames = st.builds(
 )
 
 
-@settings(max_examples=150)
 @given(burst=st.lists(st.lists(frames, max_size=12), min_size=1, max_size=6))
 def test_no_frame_can_stop_the_tick(active: Bench, burst: list[list[Frame]]) -> None:
     """Whatever comes, in action: no exception, every torque within the limit, every number finite."""
@@ -213,7 +212,6 @@ def test_no_frame_can_stop_the_tick(active: Bench, burst: list[list[Frame]]) -> 
         k += 1
 
 
-@settings(max_examples=50)
 @given(
     texts=st.lists(st.text(max_size=60) | st.sampled_from(['{"do": "clear"}', '{"do": "arm"}', "[" * 900]), max_size=4),
     kinds=st.lists(st.sampled_from(["enobufs", "dropped", "recorder", "error_frame", "signal", "?"]), max_size=4),

@@ -131,7 +131,7 @@ def test_a_changed_bit_is_detected_or_harmless(small_log: Path, tmp_path: Path, 
     assert all("bad.mcap, byte " in one for one in errors)
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_a_changed_file_without_an_end_never_does_worse_than_log_error(
     small_log: Path, tmp_path: Path, data: st.DataObject

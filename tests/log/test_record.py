@@ -51,7 +51,7 @@ TICK_OUT = st.builds(
 )
 
 
-@settings(max_examples=300, deadline=None)
+@settings(deadline=None)
 @given(TICK_IN, TICK_OUT)
 def test_a_tick_comes_back_bit_for_bit(tick_in: TickIn, out: TickOut) -> None:
     again_in, again = unpack(pack(tick_in, out))
@@ -68,7 +68,7 @@ def test_a_lone_surrogate_is_escaped_since_no_other_reader_could_decode_it(tick_
     assert (again_in.requests, again.phase) == (("\\ud800",), "\\udcff")
 
 
-@settings(max_examples=200, deadline=None)
+@settings(deadline=None)
 @given(TICK_IN, TICK_OUT)
 def test_the_layout_agrees_with_the_decoder(tick_in: TickIn, out: TickOut) -> None:
     message = pack_tick(tick_in, out)
@@ -81,7 +81,7 @@ def test_the_layout_agrees_with_the_decoder(tick_in: TickIn, out: TickOut) -> No
     assert message[places.tail + 4 : places.tail + 4 + len(phase)] == phase
 
 
-@settings(max_examples=200, deadline=None)
+@settings(deadline=None)
 @given(st.lists(st.tuples(TICK_IN, TICK_OUT), max_size=5))
 def test_ticks_decoded_together_are_those_decoded_one_by_one(ticks: list[tuple[TickIn, TickOut]]) -> None:
     messages = [pack_tick(*tick) for tick in ticks]
@@ -92,7 +92,7 @@ def test_ticks_decoded_together_are_those_decoded_one_by_one(ticks: list[tuple[T
         assert again.frames.records.tobytes() == frames_of(out.frames).records.tobytes()
 
 
-@settings(max_examples=50, deadline=None)
+@settings(deadline=None)
 @given(TICK_IN, TICK_OUT)
 def test_records_are_packed_as_frames_are(tick_in: TickIn, out: TickOut) -> None:
     as_records = tick_in._replace(frames=frames_of(tick_in.frames)), out._replace(frames=frames_of(out.frames))
@@ -125,7 +125,7 @@ def test_a_payload_longer_than_any_frames_is_refused() -> None:
             decode(bytes(message))
 
 
-@settings(max_examples=300, deadline=None)
+@settings(deadline=None)
 @given(TICK_IN, TICK_OUT, st.data())
 def test_a_cut_or_changed_message_never_does_worse_than_value_error(
     tick_in: TickIn, out: TickOut, data: st.DataObject

@@ -37,7 +37,7 @@ def touching(hand: str, thumb_mm: int, seed: int, folder: Path) -> dict[str, Ten
 
 NEAR_THUMBS = [("jamia", mm, seed) for seed in range(5) for mm in (25, 29, 33, 37, 40)]
 NEAR_THUMBS += [("jamia11", mm, seed) for seed in range(5) for mm in (29, 37)]
-SAMPLE = {("jamia", 37, 1), ("jamia11", 29, 3)}
+SAMPLE = {("jamia", 37, 1)}
 UNDISTURBED = [(hand, seed) for seed in range(20) for hand in ("jamia", "jamia11")]
 UNDISTURBED_SAMPLE = {("jamia", 5)}
 
