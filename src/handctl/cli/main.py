@@ -1,7 +1,11 @@
 # PYTHON_ARGCOMPLETE_OK: a shell with global completion asks this program
-"""Entry point and table of verbs. The arguments of a verb are in ``arguments`` of its folder, its code in its module.
+"""Entry point and table of verbs.
 
-Help and errors in the arguments import only the arguments, so that they appear at once.
+The arguments of a verb are declared in ``arguments`` of its folder. The code is in the module with
+the name of the verb.
+
+Help texts and errors in the arguments need only the import of ``arguments``, so that they appear
+fast.
 """
 
 import errno
@@ -26,7 +30,7 @@ from handctl.session.exit_codes import Exit
 
 
 class Group(NamedTuple):
-    """Verbs for one purpose.
+    """Verbs for a common purpose.
 
     Attributes:
         title: purpose, as a heading in the help.
@@ -106,11 +110,17 @@ example:
 WRONG_NAME = {
     errno.ENOENT, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.ENOTEMPTY, errno.ENAMETOOLONG, errno.ELOOP,
 }  # fmt: skip
-"""Error numbers of a wrong file name from the user. Every other failure of a file has its cause in the machine."""
+"""Error numbers caused by a wrong file name from the user.
+
+Other failures of a file are caused by the machine.
+"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run ``handctl`` with a command line. An error becomes one line and an exit code."""
+    """Run ``handctl`` with a command line.
+
+    An exception becomes one line of text and an exit code.
+    """
     words = list(sys.argv[1:] if argv is None else argv)
     if argv is None:
         if is_completing():
@@ -122,7 +132,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _exit_code(words: list[str]) -> int:
-    """Run a command line and return its exit code. An error is printed and gives its exit code."""
+    """Run a command line, and return its exit code. Errors are printed."""
     try:
         with terminate_on_signals():
             check_words(words)
@@ -154,7 +164,7 @@ def _exit_code(words: list[str]) -> int:
 
 
 def _run(words: list[str]) -> int:
-    """Run a command line and return its exit code. Errors are raised."""
+    """Run a command line, and return its exit code. Errors are raised."""
     while words[1:] and words[0] in VOLUME and words[1] in VERBS.keys() | VOLUME:
         words = [words[1], words[0], *words[2:]] if words[1] in VERBS else words[1:]
     if words and words[0] in VERBS:
@@ -194,7 +204,7 @@ def _version() -> str:
 
 
 def _folder(name: str) -> str:
-    """Return the folder of a verb's module."""
+    """Return the folder of the module of a verb."""
     return next(folder for folder, verbs in FOLDERS.items() if name in verbs)
 
 
@@ -213,7 +223,7 @@ def verb_parser(name: str) -> Parser:
 
 
 def whole_parser() -> Parser:
-    """Return one parser of all verbs, for completion in a shell."""
+    """Return one parser for all verbs, for shell completion."""
     parser = Parser(prog="handctl")
     parser.add_argument("--version", action="store_true")
     verbs = parser.add_subparsers()

@@ -1,4 +1,4 @@
-"""Python client of a running hand, see ``docs/how-to/python.md``."""
+"""Python client for a running hand, see ``docs/how-to/python.md``."""
 
 from handctl.client.hand import HandClient, connect
 from handctl.client.observation import Observation

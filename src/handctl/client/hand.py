@@ -1,4 +1,4 @@
-"""Client of a running hand: motions, streams, observations.
+"""Client for a running hand: motions, streams, observations.
 
 The controller is a separate process. The client sends the same requests as the command line. The controller checks,
 limits and logs requests of programs and of operators alike.
@@ -41,21 +41,23 @@ from handctl.session.exit_codes import Exit
 from handctl.session.tasks import find_task
 
 START_S = 300.0
-"""Timeout of the start of a controller, commissioning on a slow machine included [s]. A controller that cannot start
-ends much earlier."""
+"""Longest time for the start of a controller, including commissioning on a slow machine [s].
+
+A controller that cannot start ends much earlier.
+"""
 ATTACH_S = 60.0
-"""Timeout until a controller started by another process accepts goals [s]."""
+"""Longest time until a controller started by another process accepts goals [s]."""
 POLL_OBSERVATION_S = 50e-6
-"""Pause between two looks at the shared memory [s]."""
+"""Pause between two reads of the shared memory [s]."""
 POLL_S = 0.2
-"""Timeout of one read of the state before the controller process is checked [s]."""
+"""Longest wait for the state before the controller process is checked [s]."""
 SENDER_NAME_BYTES = 64
-"""Bytes that the sender's name may add to a request."""
+"""Largest number of bytes that the name of the sender adds to a request."""
 SHUTTING_DOWN = {mode.name for mode in LETTING_GO}
-"""Modes in which goals have no effect."""
+"""Modes of the hand in which goals have no effect."""
 A_RUN = "a running handctl run"
 _numbers = itertools.count(1)
-"""Numbers of the clients and streams of this process."""
+"""Counter that numbers the clients and streams of this process."""
 
 
 def connect(
@@ -63,13 +65,15 @@ def connect(
     bus: str | Sequence[str] = "local:demo",
     *arguments: str,
 ) -> "HandClient":
-    """Connect to the controller of a bus. Start a controller if none runs there.
+    """Return a client of the controller on a bus. If no controller runs there, one is started.
 
-    A controller started here ends with this program, also after a crash. It relaxes and disarms the hand first.
+    A controller started here ends when this program ends or crashes, after relaxing and disarming
+    the hand.
 
     Args:
         hand: packaged hand or hand file of a new controller. Required on a real bus, otherwise ``"jamia"``.
-        bus: as ``--bus``. For a hand on several buses: all buses, the first bus of the hand first.
+        bus: bus specification as for ``--bus``. For a hand on several buses: all buses, the first
+            bus of the hand first.
         arguments: further arguments of ``handctl run``, e.g. ``"--log", "run.mcap"``. On a real bus ``"--yes"``
             confirms that the hand may move.
 
@@ -102,15 +106,16 @@ def connect(
 class HandClient:
     """Client of one hand. Use it as a context manager. Several threads may use it.
 
-    One client commands, any number of clients observe. The first client that moves the hand commands until it
-    closes. ``take_over`` gives the command to another client.
+    Only one client at a time may move the hand. Any number of clients may observe. The first client
+    that moves the hand keeps this right until it closes, or until another client calls
+    ``take_over``.
 
-    Closing relaxes and disarms the hand if the client started its controller. Otherwise the hand comes to rest if
-    the client commanded, and stays armed.
+    If the client has started the controller, closing relaxes and disarms the hand. Otherwise the
+    hand stays armed, and comes to rest if this client was moving the hand.
 
     Attributes:
         bus: bus of the controller.
-        name: name of this client, which other clients read in a refusal.
+        name: name of this client, shown to other clients when their commands are refused.
         child: controller process, None if another process started it.
         result: output of ``handctl run --json`` after the end of a run started here, e.g. ``log`` and ``failure``.
     """
@@ -136,15 +141,19 @@ class HandClient:
             )  # Ctrl-C is for this program, which then ends the controller
 
     def __enter__(self) -> Self:
-        """Wait until the hand accepts goals. Commissioning may come first.
+        """Wait until the hand accepts goals. If commissioning comes first, this takes longer.
 
         Raises:
-            DriveError: the controller does not start, or accepts no goals. The message is the controller's.
+            DriveError: the controller does not start, or accepts no goals. The message comes from
+                the controller.
         """
         return self.open()
 
     def open(self) -> Self:
-        """Wait as the ``with`` statement does, for notebooks. Close with ``close``. Raises as ``with``."""
+        """Wait until the hand accepts goals, as the ``with`` statement does. For notebooks.
+
+        Raises the errors of ``with``. Call ``close`` at the end.
+        """
         with ExitStack() as undo:
             undo.callback(self._end, False)
             self.wait(phase="live", timeout_s=START_S if self.child else ATTACH_S)
@@ -165,12 +174,13 @@ class HandClient:
     ) -> None:  # fmt: skip
         """Move digits or joints to angles, e.g. ``hand.move(index=30, thumb_j1=10)`` [deg].
 
-        A moving digit goes on from its present speed.
+        A digit in motion continues smoothly from its present speed.
 
         Args:
-            goals: goals as a mapping, e.g. ``hand.move({"index": 30})``. Keywords are added to it.
+            goals: goals as a mapping, e.g. ``hand.move({"index": 30})``. Keywords add further
+                goals.
             duration_s: duration of the motion in the time of the hand [s].
-            wait: return at the end of the motion instead of at its start.
+            wait: True to return at the end of the motion instead of at its start.
             angle_deg: angle by digit, for all its joints, or by joint [deg].
 
         Raises:
@@ -196,13 +206,16 @@ class HandClient:
         rate_N_per_s: float = 100.0,
         **tension_N: float,
     ) -> None:
-        """Hold tensions, one value for all tendons of a digit, e.g. ``hand.hold(index=12)`` [N]. Return immediately.
+        """Hold a tension for all tendons of a digit [N], as in ``hand.hold(index=12)``.
 
-        Without goals all moving digits come to rest where they are.
+        The method returns immediately.
+
+        Without goals all moving digits stop at their present position.
 
         Args:
-            goals: goals as a mapping, e.g. ``hand.hold({"index": 12})``. Keywords are added to it.
-            rate_N_per_s: rate of the tension [N/s].
+            goals: goals as a mapping, e.g. ``hand.hold({"index": 12})``. Keywords add further
+                goals.
+            rate_N_per_s: rate of change of the tension [N/s].
             tension_N: tension by digit [N].
 
         Raises:
@@ -230,7 +243,7 @@ class HandClient:
         stiffness_N_m_per_rad: float | None = None,
         damping_ratio: float = 1.0,
     ) -> TargetStream:
-        """Open a stream of targets. Use it as a context manager, see ``TargetStream``.
+        """Open a stream of targets. Use the result as a context manager, see ``TargetStream``.
 
         Args:
             rate_Hz: rate of the targets in the time of the hand [Hz], 20 up to the control rate.
@@ -273,16 +286,20 @@ class HandClient:
     def grasp(
         self, task: str | os.PathLike[str], wait: bool = True, timeout_s: float = 30.0
     ) -> Observation:
-        """Carry out a task up to its first hold, which lasts until ``release``. Return the observation of the hold.
+        """Execute a task up to its first hold phase, and return the observation there.
+
+        The hold lasts until ``release``.
 
         Args:
             task: packaged task, e.g. ``"grasp"``, or a task file.
-            wait: return in the hold instead of at once. A task without a hold is waited for to its end.
-            timeout_s: maximum wait [s].
+            wait: True to return in the hold phase instead of at once. For a task without hold
+                phase, True waits for its end.
+            timeout_s: longest wait [s].
 
         Raises:
             ConfigError: the task does not exist or does not suit the hand, or another client commands.
-            DriveError: the task has ended without a hold, the time is over, or the run has ended.
+            DriveError: the task has ended without a hold phase, the timeout has passed, or the run
+                has ended.
         """
         found, _ = find_task(Path(task), self.description)
         hold = next((phase.name for phase in found.phase if isinstance(phase, Hold)), "live")
@@ -301,15 +318,15 @@ class HandClient:
         return seen
 
     def release(self, wait: bool = True, timeout_s: float = 30.0) -> None:
-        """End the hold of ``grasp``, and carry out the phases after it.
+        """End the hold phase of ``grasp``, and execute the following phases.
 
         Args:
-            wait: return at the end of the task instead of at once.
-            timeout_s: maximum wait [s].
+            wait: True to return at the end of the task instead of at once.
+            timeout_s: longest wait [s].
 
         Raises:
             ConfigError: the hand holds no grasp, or another client commands.
-            DriveError: the time is over, or the run has ended.
+            DriveError: the timeout has passed, or the run has ended.
         """
         self._set_goal({"do": "release"})
         if wait:
@@ -320,7 +337,9 @@ class HandClient:
         self._set_goal({"do": "stream_end", "stream": name})
 
     def take_over(self) -> None:
-        """Take the command over from another client. All digits come to rest, and a stream of that client ends.
+        """Take the right to move the hand from another client.
+
+        All digits come to rest, and a stream of that client ends.
 
         Raises:
             DriveError, BusError: see ``move``.
@@ -344,8 +363,8 @@ class HandClient:
         """Return the observation of the latest tick, from shared memory.
 
         Args:
-            wait: wait for a tick that this client has not observed yet.
-            timeout_s: maximum wait [s].
+            wait: True to wait for a tick that this client has not observed yet.
+            timeout_s: longest wait [s].
 
         Raises:
             DriveError: the run has ended. The message has the reason.
@@ -363,10 +382,10 @@ class HandClient:
     def observations(self, timeout_s: float = ANSWER_S) -> Iterator[Observation]:
         """Yield the observation of every tick from now on, in order, until the run ends.
 
-        A program that is more than a second late misses ticks: ``k`` jumps.
+        A program more than a second late misses ticks, and ``k`` jumps.
 
         Args:
-            timeout_s: maximum wait for the next tick [s].
+            timeout_s: longest wait for the next tick [s].
 
         Raises:
             BusError: the controller is silent.
@@ -390,16 +409,18 @@ class HandClient:
         phase: str | None = None,
         timeout_s: float = 10.0,
     ) -> Observation:
-        """Wait until digits are in contact, or until the hand is in a phase. Return the observation.
+        """Wait until digits are in contact, or until the hand is in a phase.
+
+        Return the observation.
 
         Args:
             contact: a digit, or several digits that must all be in contact.
             phase: name of the phase.
-            timeout_s: maximum wait [s].
+            timeout_s: longest wait [s].
 
         Raises:
             ConfigError: no such digit, or no condition.
-            DriveError: the run has ended, or the time is over.
+            DriveError: the run has ended, or the timeout has passed.
         """
         digits = [contact] if isinstance(contact, str) else list(contact or ())
         names = self.description.digit_names
@@ -419,7 +440,10 @@ class HandClient:
                 )
 
     def _reader(self) -> ObservationReader:
-        """Return the reader of the observations. It is opened at the first use, while the run is alive."""
+        """Return the reader of the observations.
+
+        At first use, the reader is opened while the run is alive.
+        """
         if self._observations is not None:
             if not self._observations.ended:
                 return self._observations
@@ -430,7 +454,7 @@ class HandClient:
         return self._observations
 
     def _check_silence(self, reader: ObservationReader, end: float) -> None:
-        """Raise an error if the run has ended, or if the time of a wait is over."""
+        """Raise an error if the run has ended, or if the timeout of a wait has passed."""
         if reader.ended:
             self._collect()
             self._refuse_ended()
@@ -440,10 +464,12 @@ class HandClient:
             raise BusError("the controller is silent", f"bus {self.bus}", A_RUN)
 
     def state(self, timeout_s: float = ANSWER_S) -> dict[str, Any]:
-        """Return the present state, at most 20 ms old, as plain values. ``observe`` is faster and has more.
+        """Return the present state, at most 20 ms old, as plain values.
+
+        ``observe`` is faster and has more.
 
         Args:
-            timeout_s: maximum wait [s].
+            timeout_s: longest wait [s].
 
         Returns:
             Lists in the order of the hand file, with None for unknown values: ``q_rad`` by joint [rad]
@@ -472,10 +498,10 @@ class HandClient:
 
         Args:
             phase: name of the phase. In ``"live"`` the hand accepts goals.
-            timeout_s: maximum wait [s].
+            timeout_s: longest wait [s].
 
         Raises:
-            DriveError: the run has ended, or the time is over.
+            DriveError: the run has ended, or the timeout has passed.
         """
         end = time.monotonic() + timeout_s
         last_phase = "no state received"
@@ -492,7 +518,7 @@ class HandClient:
         )
 
     def stop(self) -> None:
-        """Relax and disarm the hand, whoever started its controller, and end the run.
+        """Relax and disarm the hand and end the run, even if another process has started the controller.
 
         Raises:
             UnconfirmedError: the controller has not taken the request.
@@ -504,7 +530,9 @@ class HandClient:
             self._off = True
 
     def close(self) -> None:
-        """Close as the ``with`` statement does. Afterwards ``result`` is available.
+        """Close the client, as the end of the ``with`` statement does.
+
+        Afterwards ``result`` is available.
 
         Raises:
             DriveError: a fault ended the run.
@@ -513,7 +541,7 @@ class HandClient:
         self._end(raise_error=True)
 
     def _set_goal(self, goal: dict[str, Any]) -> float:
-        """Send a goal and wait for its confirmation. Return the time of the confirming tick [s]."""
+        """Send a goal, wait for its confirmation, and return the time of the confirming tick [s]."""
         self._acting(ANSWER_S)
         if (size := len(json.dumps(goal).encode()) + SENDER_NAME_BYTES) > LARGEST:
             raise ConfigError(f"{size} bytes", goal["do"], f"a request of at most {LARGEST}")
@@ -529,7 +557,7 @@ class HandClient:
         return float(line["t_s"])
 
     def _acting(self, timeout_s: float) -> dict[str, Any]:
-        """Return the state of a hand that follows goals."""
+        """Return the state of the hand once the hand follows goals."""
         line = self.state(timeout_s)
         if line["mode"] in SHUTTING_DOWN:
             self._collect()
@@ -538,7 +566,10 @@ class HandClient:
         return line
 
     def _refuse_ended(self) -> None:
-        """Raise an error if the controller or this client has ended. Wait for the result of the run first."""
+        """Raise an error if the controller or this client has ended.
+
+        Waits for the result of the run first.
+        """
         self._pass_on()
         if self.child is not None and (
             self.child.poll() is not None or (self._live and not is_running(self.bus))
@@ -550,11 +581,13 @@ class HandClient:
             raise BusError("this client is closed", f"bus {self.bus}", "another handctl.connect")
 
     def _end(self, raise_error: bool) -> None:
-        """Stop the hand that this client started, give back the command of another. Later calls have no effect.
+        """Stop the hand if this client has started the controller, else end the right to move the hand.
+
+        Later calls have no effect.
 
         Args:
-            raise_error: raise the error that ended the run. False during another exception: then only a drive that
-                may still have torque is an error.
+            raise_error: True to raise the error that ended the run. False while another exception
+                is handled: then only a drive that may still have torque raises an error.
         """
         if self._closed:
             return
@@ -574,7 +607,7 @@ class HandClient:
             raise self._error()
 
     def _collect(self) -> None:
-        """Close the standard input of the controller, which ends it, and read its result."""
+        """Close the standard input of the controller, which ends the controller, and read its result."""
         if self.child is not None and self.child.stdout and not self.child.stdout.closed:
             out, _ = self.child.communicate()
             self._pass_on()
@@ -582,7 +615,7 @@ class HandClient:
                 self.result = json.loads(out)
 
     def _error(self) -> DriveError:
-        """Return the error that ended the run."""
+        """Return the exception for the error that ended the run."""
         code = self.child.returncode if self.child else 0
         killed = f"killed by signal {-code}" if code < 0 else ""
         reason = self.result.get("failure") or killed or self._last_message or "it was stopped"
@@ -591,7 +624,7 @@ class HandClient:
         return DriveError(f"the controller ended: {reason}", f"bus {self.bus}")
 
     def _pass_on(self) -> None:
-        """Print the new messages of the controller on the standard error of this program."""
+        """Print new messages of the controller on the standard error of this program."""
         if self._stderr.closed:
             return
         new = os.pread(self._stderr.fileno(), 1 << 16, self._shown)
@@ -604,7 +637,7 @@ class HandClient:
 
 
 def _digits(do: str, goals: object, named: Mapping[str, Any]) -> dict[str, Any]:
-    """Return values by digit from a mapping and from keywords.
+    """Return the values by digit from a mapping and from keywords.
 
     Raises:
         ConfigError: the goals are not a mapping, name no digit, or name a digit twice.
@@ -620,7 +653,10 @@ def _digits(do: str, goals: object, named: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _numbers_of(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert numbers of any type, such as numpy's, to float. Other values stay, so that the check can name them."""
+    """Return numbers of any type, such as numpy's, converted to float.
+
+    Other values are not converted, so that the check can name these values in its message.
+    """
     converted = dict(values)
     for key, value in values.items():
         if isinstance(value, Real) and not isinstance(value, bool):

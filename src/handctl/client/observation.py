@@ -1,4 +1,4 @@
-"""Observation of a hand at one tick: a numpy record with names, units and ages."""
+"""Observation of a hand in one tick: numpy record with names, units, and ages."""
 
 import time
 from typing import Any
@@ -12,7 +12,7 @@ from handctl.programs.streams import StreamStatus
 from handctl.runtime.observations import NAMES
 
 AXIS_OF = {NAMES[name]: axis for name, axis in TELEMETRY_AXES.items()}
-"""Axis of each array of an observation: joint, tendon, motor or digit."""
+"""Axis of each array in an observation: joint, tendon, motor or digit."""
 
 
 class Observation:
@@ -26,21 +26,21 @@ class Observation:
         k: number of the tick.
         t_ns: time of the tick since the start of the run [ns].
         late_ns: lateness of the tick [ns].
-        published_ns: CLOCK_MONOTONIC at which the tick had sent its commands [ns].
+        published_ns: CLOCK_MONOTONIC after the commands of the tick were sent [ns].
         q_rad: (J,) estimated joint angle.
-        q_sigma_rad: (J,) its standard deviation.
+        q_sigma_rad: (J,) standard deviation of the joint angle.
         dq_rad_s: (J,) estimated joint rate.
         q_goal_rad: (J,) commanded joint angle, NaN for a digit that holds a tension.
         tension_N: (N,) estimated tension.
-        tension_sigma_N: (N,) its standard deviation.
+        tension_sigma_N: (N,) standard deviation of the tension.
         tension_goal_N: (N,) commanded tension.
         tip_force_N: (D,) contact force at the tip, normal to the last link.
-        tip_force_sigma_N: (D,) its standard deviation.
-        contact: (D,) 1 in contact, 0 not.
+        tip_force_sigma_N: (D,) standard deviation of the contact force.
+        contact: (D,) 1 if the digit is in contact, else 0.
         motor_position_rad: (M,) measured position at the spool, NaN if the motor did not reply in this tick.
         motor_velocity_rad_s: (M,) measured velocity.
         motor_torque_N_m: (M,) measured torque.
-        motor_temperature_degC: (M,) hottest sensor of the drive.
+        motor_temperature_degC: (M,) highest temperature of the drive.
         motor_age_s: (M,) age of the latest feedback.
     """
 
@@ -68,7 +68,7 @@ class Observation:
     motor_age_s: Vector
 
     def __init__(self, record: NDArray[np.void], hand: Hand) -> None:
-        """Wrap a record.
+        """Make an observation of a record.
 
         Args:
             record: array of shape (), see ``runtime.observations.record_type``.
@@ -92,7 +92,7 @@ class Observation:
 
     @property
     def age_s(self) -> float:
-        """Return the time since the tick sent its commands, on the wall clock [s]."""
+        """Return the time since the commands of the tick were sent, on the wall clock [s]."""
         return (time.monotonic_ns() - int(self.record["published_ns"])) / 1e9
 
     @property
@@ -112,12 +112,12 @@ class Observation:
 
     @property
     def stream(self) -> StreamStatus:
-        """Return what the controller has made of the stream of targets."""
+        """Return the controller's status of the stream of targets."""
         fields = ("number", "age_s", "accepted", "clipped", "late", "refused", "limited")
         return StreamStatus(*[self.record[f"stream_{field}"].item() for field in fields])
 
     def names(self, field: str) -> tuple[str, ...]:
-        """Return the names of a field's values, e.g. the joints for ``"q_rad"``.
+        """Return the names that belong to the values of a field, e.g. the joints for ``"q_rad"``.
 
         Raises:
             KeyError: no array has this name.
@@ -128,7 +128,7 @@ class Observation:
         return axes[AXIS_OF[field]]
 
     def named(self, field: str) -> dict[str, float]:
-        """Return a field by names, e.g. ``observation.named("q_rad")["index_j1"]``."""
+        """Return the values of a field by name, e.g. ``observation.named("q_rad")["index_j1"]``."""
         return dict(zip(self.names(field), self.record[field].tolist(), strict=True))
 
     def __repr__(self) -> str:

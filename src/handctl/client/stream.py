@@ -15,11 +15,14 @@ from handctl.programs.streams import UNITS, StreamStatus
 from handctl.runtime.targets import TargetSender
 
 Values = Mapping[str, float] | Sequence[float] | NDArray[np.floating[Any]]
-"""Values of a target: in the order of the names, or by name. Names that are left out keep their value."""
+"""Values of a target in the order of the names, or by name.
+
+The value of an omitted name is kept.
+"""
 
 
 class StreamOwner(Protocol):
-    """The part of a ``HandClient`` that a stream needs."""
+    """Methods of a ``HandClient`` that a stream needs."""
 
     bus: str
 
@@ -33,7 +36,7 @@ class StreamOwner(Protocol):
         ...
 
     def state(self) -> dict[str, Any]:
-        """Return the present state, or raise the reason why the run has ended."""
+        """Return the present state. Raises the reason if the run has ended."""
         ...
 
     def end_stream(self, name: str) -> None:
@@ -44,11 +47,13 @@ class StreamOwner(Protocol):
 class TargetStream:
     """Open stream of targets. Use it as a context manager.
 
-    The hand reaches a target ``horizon_s`` after the target was sent, and passes on to the next one. A program that
-    knows the future sends the target for that moment, so that the hand follows without delay. If no target comes,
-    the hand stays at the last one, then holds, then relaxes (``[stream]`` in the hand file).
+    The hand reaches a target ``horizon_s`` after the target was sent, and continues to the next
+    target. A program with a known trajectory sends the point of the trajectory ``horizon_s`` ahead,
+    so that the hand follows without delay. If targets stop, the hand stays at the last target, then
+    holds, then relaxes (``[stream]`` in the hand file).
 
-    A target beyond the range of a joint is clipped. Speed and acceleration are limited. ``status`` tells so.
+    A target beyond the range of a joint is clipped. Speed and acceleration are limited. ``status``
+    reports this.
 
     Attributes:
         name: name of the stream.
@@ -57,14 +62,14 @@ class TargetStream:
         rate_Hz: rate of the targets in the time of the hand [Hz].
         horizon_s: time from the sending of a target until the hand shall reach it [s].
         sent: number of targets sent.
-        skipped: number of targets that were not sent because the controller had not read the ones before.
+        skipped: number of targets not sent because the controller had not yet read earlier targets.
     """
 
     def __init__(
         self, hand: StreamOwner, sender: TargetSender, goal: Mapping[str, Any], unit: str, horizon_s: float,
         time_scale: float,
     ) -> None:  # fmt: skip
-        """Create the sending end. Use ``HandClient.stream`` instead."""
+        """Create the sender of a stream. Use ``HandClient.stream`` instead."""
         self._hand = hand
         self._sender = sender
         self.space: str = goal["space"]
@@ -112,7 +117,10 @@ class TargetStream:
         self.skipped += not accepted
 
     def sleep(self) -> None:
-        """Sleep until the next target is due. A late program goes on from now, without a burst."""
+        """Sleep until the next target is due.
+
+        A late program continues from the present time, without a burst.
+        """
         now = time.monotonic_ns()
         self._next_ns += self._period_ns
         if self._next_ns <= now:
@@ -122,7 +130,7 @@ class TargetStream:
 
     @property
     def status(self) -> StreamStatus:
-        """Return what the controller has made of the targets: accepted, clipped, late, refused."""
+        """Return how the controller has treated the targets: accepted, clipped, late, refused."""
         return self._hand.observe().stream
 
     def close(self) -> None:
@@ -134,7 +142,7 @@ class TargetStream:
         self._hand.end_stream(self.name)
 
     def _target(self, values: Values) -> NDArray[np.float64]:
-        """Return the values in order, in the unit of the program.
+        """Return the values in the order of the names, in the unit of the program.
 
         Raises:
             ConfigError: see ``send``.
@@ -155,7 +163,7 @@ class TargetStream:
         return target
 
     def _present(self) -> NDArray[np.float64]:
-        """Return the present values, as the first target of names that a mapping leaves out."""
+        """Return the present values. Names omitted in the first target start from these."""
         seen = self._hand.observe()
         if UNITS[self.space] != "deg":
             present = seen.named("tension_N" if self.space == "tension" else "tip_force_N")

@@ -1,7 +1,7 @@
 """Gymnasium environments of a simulated hand, see ``docs/how-to/gym.md``.
 
-``import handctl.gym`` registers ``handctl/Track-v0`` and ``handctl/Grasp-v0``. ``gymnasium.make`` also imports it
-itself: ``gymnasium.make("handctl.gym:handctl/Track-v0")``.
+``import handctl.gym`` registers ``handctl/Track-v0`` and ``handctl/Grasp-v0``.
+``gymnasium.make("handctl.gym:handctl/Track-v0")`` needs no import.
 """
 
 from handctl.extras import require

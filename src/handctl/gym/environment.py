@@ -1,7 +1,8 @@
-"""Base of the environments: a homed simulated hand in lockstep, commanded by a stream of targets.
+"""Base class of the environments: a homed simulated hand in lockstep, commanded by a stream of targets.
 
-An action takes the path of a client's target: it is text in ``TickIn``, so that the controller checks, clips and
-limits it, and safety acts as on a hand. Only ``Track`` and ``Grasp`` know what an action is good for.
+An action is processed like a client's target: as text in ``TickIn``. Therefore the controller
+checks, clips, and limits the action, and the safety monitor reacts as on a real hand. Only
+``Track`` and ``Grasp`` define rewards.
 """
 
 import json
@@ -33,15 +34,21 @@ from handctl.session.plan import check_ready, fastest
 from handctl.session.simulate import Simulation, Simulator, homed_controller
 
 RATE_HZ = 50.0
-"""Rate of the actions [Hz]. The stream of targets has the nearest rate with a whole number of ticks."""
+"""Rate of the actions [Hz].
+
+The stream of targets has the nearest rate whose period is a whole number of ticks.
+"""
 SPEED_DEG_S = 60.0
-"""Default of the largest rate of a target [deg/s]. Random actions at the full rate of a stream would trip tensions."""
+"""Default for the largest rate of change of a target [deg/s].
+
+Random actions at the full rate of a stream would exceed the trip tensions.
+"""
 READY_S = 5.0
-"""Longest time from power-up until the hand takes targets [s]."""
+"""Longest time from power-up until the hand accepts targets [s]."""
 STREAM = "gym"
 """Name of the stream."""
 TargetSpace = Literal["joint", "digit"]
-"""Meaning of an action: a target for each joint, or one for all joints of a digit."""
+"""Meaning of an action: one target per joint, or one target for all joints of a digit."""
 
 
 class HandEnv(gymnasium.Env[Numbers, Numbers]):
@@ -49,17 +56,17 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
 
     Attributes:
         hand: description of the hand.
-        names: joints or digits of an action, in order.
+        names: names of the joints or digits in an action, in order.
         layout: names, units and bounds of an observation.
-        low_deg, high_deg: (V,) angles of the actions -1 and 1 [deg].
-        ticks: control ticks of a step.
+        low_deg, high_deg: (V,) angles for the action values -1 and 1 [deg].
+        ticks: number of control ticks per step.
         step_s: duration of a step [s].
-        horizon_s: time from an action until the hand shall reach its target [s].
-        longest: steps of an episode without fault and success.
+        horizon_s: time from an action until the hand should reach its target [s].
+        longest: largest number of steps in an episode.
     """
 
     has_tensions: ClassVar = False
-    """True if an action has a tension for each digit after the targets."""
+    """True if an action includes one tension per digit after the targets."""
     metadata: dict[str, Any] = {"render_modes": [], "render_fps": round(RATE_HZ)}  # noqa: RUF012
 
     def __init__(
@@ -70,17 +77,17 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         perturb: Mapping[str, float] | None,
         speed_deg_s: float = SPEED_DEG_S,
     ) -> None:
-        """Design the controller, once for each hand.
+        """Create the environment. The controller is designed only once for each hand.
 
         Args:
-            hand: packaged name or file of a hand.
+            hand: name of a packaged hand, or path of a hand file.
             space: meaning of an action.
-            duration_s: longest time of an episode [s].
-            perturb: factors on the plant's parameters, see ``handctl sim --help``.
-            speed_deg_s: largest rate of the targets [deg/s]. A target approaches that of the action at this rate.
+            duration_s: longest duration of an episode [s].
+            perturb: factors for the parameters of the simulated plant, see ``handctl sim --help``.
+            speed_deg_s: largest rate of change of the targets [deg/s].
 
         Raises:
-            ConfigError: hand, space, duration or speed are wrong.
+            ConfigError: hand, space, duration or speed is invalid.
         """
         if space not in ("joint", "digit"):
             raise ConfigError(repr(space), "space", "joint or digit")
@@ -119,18 +126,21 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
 
     @abstractmethod
     def extra_values(self, name: str) -> Any:
-        """Return the values of a part of the observation that is not telemetry."""
+        """Return the values of a part of the observation that the telemetry does not contain."""
 
     @abstractmethod
     def begin(self) -> None:
-        """Begin an episode, after the simulated hand has begun to take targets."""
+        """Begin an episode, after the simulated hand has started to accept targets."""
 
     @abstractmethod
     def judge(self) -> tuple[float, bool, dict[str, Any]]:
-        """Return the reward of the step, whether the episode has ended by success or failure, and information."""
+        """Return the reward of the step, True if the episode has ended by success or failure, and information."""
 
     def scene(self) -> str | None:
-        """Return the scene of the next episode, None for a free hand. Random choices use ``np_random``."""
+        """Return the scene of the next episode, or None for a hand without objects.
+
+        Random choices use ``np_random``.
+        """
         return None
 
     def requests(self, action: Vector) -> list[str]:
@@ -138,7 +148,7 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         return []
 
     def streamed(self, action: Vector) -> tuple[str, ...]:
-        """Return the names that follow the stream in this step."""
+        """Return the names of the action that are streamed in this step."""
         return self.names
 
     @property
@@ -171,17 +181,17 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
 
     @property
     def world(self) -> Any:
-        """Return the plant behind the wire, for rewards."""
+        """Return the simulated plant, for rewards."""
         return self.run.peer.world
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Numbers, dict[str, Any]]:
-        """Power up a homed hand, and wait until it takes targets. See ``gymnasium.Env``.
+        """Power up a homed hand, and wait until it accepts targets. See ``gymnasium.Env``.
 
         Args:
             seed: seed of this episode and the following ones: noise, scene and reference.
-            options: none are known.
+            options: no options are supported.
         """
         super().reset(seed=seed)
         self._open.close()
@@ -220,28 +230,28 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         return self._observation(), float(reward), ended or failed, truncated, self._information() | information
 
     def close(self) -> None:
-        """Remove the simulated hand."""
+        """Delete the simulated hand."""
         self._open.close()
         self._run = None
 
     def angles_deg(self, action: Vector | Numbers) -> Vector:
-        """Return the targets of an action (V,) [deg]."""
+        """Return the target angles of an action (V,) [deg]."""
         part = np.asarray(action[: len(self.names)], np.float64)
         return self.low_deg + 0.5 * (part + 1.0) * (self.high_deg - self.low_deg)
 
     def action_for(self, angles_deg: Vector) -> Numbers:
-        """Return the action with targets (V,) [deg], without extra actions."""
+        """Return the action whose targets are the given angles (V,) [deg], without extra actions."""
         scaled = 2.0 * (np.asarray(angles_deg) - self.low_deg) / (self.high_deg - self.low_deg) - 1.0
         return np.clip(scaled, -1.0, 1.0).astype(np.float32)
 
     def values_of(self, q: Vector) -> Vector:
-        """Return the value of each name of an action (V,) at joint angles (J,), in their unit."""
+        """Return the value for each name of an action (V,) at joint angles (J,), in the unit of these angles."""
         if self._space == "joint":
             return np.asarray(q)
         return np.array([(digit.joints_to_coordinates @ q[digit.joints]).mean() for digit in self.model.digits])
 
     def _requests(self, action: Vector) -> list[str]:
-        """Return the requests of a step. A stream of other names than before is opened."""
+        """Return the requests of a step. If the streamed names change, a new stream is opened."""
         requests = self.requests(action)
         names = self.streamed(action)
         if names and names != self._streamed:
@@ -254,7 +264,7 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         return [*requests, self._target(action)] if names else requests
 
     def _target(self, action: Vector) -> str:
-        """Return the request of the next target. Every target approaches its action at the largest rate."""
+        """Return the request of the next target, which approaches the action at the largest rate."""
         change = self.angles_deg(action) - self._target_deg
         self._target_deg = self._target_deg + np.clip(change, -self._largest_step_deg, self._largest_step_deg)
         angles = dict(zip(self.names, self._target_deg.tolist(), strict=True))
@@ -269,7 +279,7 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         )
 
     def _information(self) -> dict[str, Any]:
-        """Return information about the hand besides the observation."""
+        """Return further information about the hand, in addition to the observation."""
         state = self.run.state
         stream = stream_status(state)
         return {
@@ -283,7 +293,10 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
 
 @lru_cache(maxsize=8)
 def _controller(path: str) -> Controller:
-    """Design the controller of a homed hand. A controller is constant, so that environments share it."""
+    """Return the controller of a homed hand.
+
+    A controller is constant, so that environments can share the object.
+    """
     hand = load_hand(path)
     check_ready(hand, path)
     model = HandModel.of(hand, Gains(), fastest(bus_loads(hand)))
@@ -291,9 +304,9 @@ def _controller(path: str) -> Controller:
 
 
 def _range_deg(model: HandModel, space: TargetSpace) -> tuple[Vector, Vector]:
-    """Return the lowest and highest target of each name (V,) [deg].
+    """Return the lowest and the highest target of each name (V,) [deg].
 
-    The range of a digit is that of its narrowest coordinate.
+    The range of a digit is that of its coordinate with the smallest range.
     """
     if space == "joint":
         digits = model.hand.digit

@@ -1,4 +1,4 @@
-"""Environment ``handctl/Grasp-v0``: grasp a cylinder and hold it when its table sinks."""
+"""Environment ``handctl/Grasp-v0``: grasp a cylinder, and hold the cylinder when the table sinks."""
 
 import json
 import math
@@ -14,25 +14,26 @@ from handctl.gym.environment import SPEED_DEG_S, HandEnv, TargetSpace
 from handctl.gym.observed import Part, telemetry_part
 
 PRESS_N = 1.0
-"""Force on the object at which a digit counts as pressing [N]."""
+"""Force on the object from which a digit counts as pressing [N]."""
 HELD_S = 1.0
-"""Time after the table begins to sink for which the object must stay [s]."""
+"""Time for which the object must stay in the hand after the table begins to sink [s]."""
 FALL_M = 0.015
-"""Fall of the object at which it counts as dropped [m]."""
+"""Fall from which the object counts as dropped [m]."""
 RATE_N_PER_S = 40.0
-"""Rate of a tension towards that of an action [N/s]."""
+"""Rate at which a tension approaches that of the action [N/s]."""
 SUCCESS = 10.0
 FAILURE = -1.0
-"""Rewards of an object that is held, and of a dropped object or a fault."""
+"""Reward for a held object, and reward for a dropped object or a fault."""
 
 
 class GraspEnv(HandEnv):
-    """Close the digits on a cylinder of random diameter until the table sinks, and hold it.
+    """Environment for a grasp: close the digits on a cylinder of random diameter, and hold it when the table sinks.
 
-    The table sinks after three digits, the thumb among them, have pressed with 1 N for 1.5 s. An action has targets,
-    then a tension for each digit: a positive value t lets the digit hold t times its largest tension instead of the
-    target. The reward of a step is the change of the mean of min(force / 1 N, 1) over the digits, 10 on success and
-    -1 on a drop or a fault. Forces and the object's height are the plant's truth.
+    The table sinks after three digits, the thumb among them, have pressed with 1 N for 1.5 s. An
+    action consists of targets, followed by a tension for each digit. With a positive value t the
+    digit holds t times its largest tension instead of the target. The reward of a step is the
+    change of the mean of min(force / 1 N, 1) over the digits, 10 on success and -1 on a drop or a
+    fault. The reward uses the true forces and the true height of the object.
     """
 
     has_tensions = True
@@ -46,7 +47,7 @@ class GraspEnv(HandEnv):
         speed_deg_s: float = SPEED_DEG_S,
         diameter_mm: tuple[float, float] = (30.0, 35.0),
     ) -> None:
-        """Make the environment. See ``HandEnv``.
+        """Create the environment. See ``HandEnv``.
 
         Args:
             hand, space, duration_s, perturb, speed_deg_s: see ``HandEnv``.
@@ -70,7 +71,7 @@ class GraspEnv(HandEnv):
         return f"cylinder:{self.np_random.uniform(*self._diameter_mm):.2f}"
 
     def parts(self) -> list[Part]:
-        """Return the parts: joint angles and rates, tensions, tip forces and contacts."""
+        """Return the parts of an observation: joint angles and rates, tensions, tip forces, and contacts."""
         largest = 2.0 * max(tendon.tension_max_N for tendon in self.hand.tendon)
         return [
             telemetry_part(self.hand, "q_rad", -math.pi, math.pi),
@@ -81,14 +82,14 @@ class GraspEnv(HandEnv):
         ]
 
     def extra_values(self, name: str) -> Any:
-        """Return nothing: all values are telemetry."""
+        """Return nothing, because the telemetry contains all values."""
         raise KeyError(name)
 
     def begin(self) -> None:
-        """Note the initial height of the object.
+        """Store the initial height of the object.
 
         Raises:
-            ConfigError: the object does not fit into the open hand.
+            ConfigError: the object is too large for the open hand.
         """
         engine = self.world.plant.engine
         self._forces = engine.forces_on("contact", list(self.hand.digit_names))
@@ -100,7 +101,7 @@ class GraspEnv(HandEnv):
         self._held: dict[str, float] = {}
 
     def requests(self, action: Vector) -> list[str]:
-        """Return the request of new tensions of digits that hold."""
+        """Return the requests for new tensions of the holding digits."""
         tension = np.round(action[len(self.names) :] * self._largest_N, 3).tolist()
         held = {name: value for name, value in zip(self.hand.digit_names, tension, strict=True) if value > 0.0}
         new = {name: value for name, value in held.items() if value != self._held.get(name)}
@@ -108,12 +109,12 @@ class GraspEnv(HandEnv):
         return [json.dumps({"do": "hold", "tension_N": new, "rate_N_per_s": RATE_N_PER_S})] if new else []
 
     def streamed(self, action: Vector) -> tuple[str, ...]:
-        """Return the joints or digits whose digit holds no tension."""
+        """Return the joints or digits of those digits that hold no tension."""
         moves = np.round(action[len(self.names) :] * self._largest_N, 3) <= 0.0
         return tuple(name for name, d in zip(self.names, self._digit_of, strict=True) if moves[d])
 
     def judge(self) -> tuple[float, bool, dict[str, Any]]:
-        """Return the reward, whether the object is held or dropped, and information about the object."""
+        """Return the reward, True if the object is held or dropped, and information about the object."""
         forces = np.linalg.norm(np.reshape(self._forces(), (-1, 3)), axis=1)
         pressing = float(np.minimum(forces / PRESS_N, 1.0).mean())
         reward = pressing - self._pressing

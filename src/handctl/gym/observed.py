@@ -1,4 +1,4 @@
-"""Observation vector of an environment: named values of the telemetry within fixed bounds."""
+"""Observation vector of an environment: named telemetry values within fixed bounds."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -12,9 +12,9 @@ from handctl.hand.description import Hand
 from handctl.runtime.observations import NAMES
 
 Numbers = NDArray[np.float32]
-"""Observation or action."""
+"""Type of an observation or action."""
 FIELDS = {name: field for field, name in NAMES.items()}
-"""Field of the telemetry by its name in an observation."""
+"""Telemetry field for each name in an observation."""
 
 
 class Part(NamedTuple):
@@ -42,7 +42,7 @@ class ObservationLayout:
     """
 
     def __init__(self, parts: Sequence[Part]) -> None:
-        """Lay out the parts one after the other."""
+        """Arrange the parts one after the other."""
         self.parts = tuple(parts)
         self.names = tuple([f"{part.name}[{name}]" for part in parts for name in part.axis])
         sizes = [len(part.axis) for part in parts]
@@ -51,10 +51,10 @@ class ObservationLayout:
         self.space = Box(low, high, dtype=np.float32)
 
     def vector(self, values: Callable[[str], Any]) -> Numbers:
-        """Return the vector of an observation.
+        """Return the observation as a vector.
 
         Args:
-            values: returns the values of a part by its name. A NaN, an unknown value, becomes 0.
+            values: function that returns the values of a part by its name. NaN (unknown) becomes 0.
         """
         row = np.concatenate([np.asarray(values(part.name), np.float64) for part in self.parts])
         inside = np.clip(np.nan_to_num(row, nan=0.0).astype(np.float32), self.space.low, self.space.high)
@@ -62,7 +62,7 @@ class ObservationLayout:
 
 
 def telemetry_part(hand: Hand, name: str, low: float, high: float) -> Part:
-    """Return a part of the telemetry by its name in an observation, e.g. ``q_rad``."""
+    """Return the part of an observation for a telemetry value, by its name, e.g. ``q_rad``."""
     axis: Mapping[str, tuple[str, ...]] = {
         "joint": hand.joints,
         "tendon": hand.tendon_names,
@@ -70,4 +70,3 @@ def telemetry_part(hand: Hand, name: str, low: float, high: float) -> Part:
         "digit": hand.digit_names,
     }
     return Part(name, axis[TELEMETRY_AXES[FIELDS[name]]], low, high)
-

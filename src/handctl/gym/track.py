@@ -13,22 +13,22 @@ from handctl.gym.environment import SPEED_DEG_S, HandEnv, TargetSpace
 from handctl.gym.observed import Part, telemetry_part
 
 SCALE_DEG = 5.0
-"""Error at which the reward is half of the largest [deg]."""
+"""Tracking error at which the reward is half the largest reward [deg]."""
 SPAN = (0.15, 0.55)
-"""Lowest and highest reference, as fractions of the range."""
+"""Lowest and highest reference angle, as fractions of the range."""
 PERIODS_S = (1.5, 4.0)
-"""Range of the periods of its two sines [s]."""
+"""Range for the periods of the two sines in the reference [s]."""
 FASTEST_DEG_S = 45.0
-"""Largest rate of the reference after its start [deg/s]."""
+"""Largest rate of change of the reference after the start [deg/s]."""
 START_S = 1.0
-"""Time in which the reference leaves the initial posture [s]."""
+"""Time in which the reference changes from the initial posture to the sines [s]."""
 
 
 class TrackEnv(HandEnv):
-    """Follow a reference: two sines for each joint or digit, with random periods and phases.
+    """Environment with a reference to follow: two sines per joint or digit, with random periods and phases.
 
-    The reward of a step is 1 / (1 + (e / 5 deg)^2) with the RMS e of the true error over all joints or digits. An
-    episode ends early by a fault only.
+    The reward of a step is 1 / (1 + (e / 5 deg)^2) with the RMS e of the true error over all joints
+    or digits. An episode ends early only after a fault.
     """
 
     def __init__(
@@ -40,12 +40,12 @@ class TrackEnv(HandEnv):
         speed_deg_s: float = SPEED_DEG_S,
         span: tuple[float, float] = SPAN,
     ) -> None:
-        """Make the environment. See ``HandEnv``.
+        """Create the environment. See ``HandEnv``.
 
         Args:
             hand, space, duration_s, perturb, speed_deg_s: see ``HandEnv``.
-            span: lowest and highest reference, as fractions of the range of each joint or digit. Digits that meet
-                in their range need a smaller one.
+            span: lowest and highest reference, as fractions of the range of each joint or digit.
+                Digits that touch each other within their range need a smaller span.
 
         Raises:
             ConfigError: see ``HandEnv``, or the span is empty.
@@ -56,7 +56,7 @@ class TrackEnv(HandEnv):
         super().__init__(hand, space, duration_s, perturb, speed_deg_s)
 
     def parts(self) -> list[Part]:
-        """Return the parts: joint angles and rates, tensions, and the reference now and after the horizon."""
+        """Return the parts of an observation: angles and rates, tensions, references now and after the horizon."""
         largest = 2.0 * max(tendon.tension_max_N for tendon in self.hand.tendon)
         return [
             telemetry_part(self.hand, "q_rad", -math.pi, math.pi),
@@ -67,7 +67,7 @@ class TrackEnv(HandEnv):
         ]
 
     def begin(self) -> None:
-        """Choose the reference."""
+        """Choose the random reference of the episode."""
         low, high = self._limits_deg()
         shape = (2, len(low))
         period = self.np_random.uniform(*PERIODS_S, shape)
@@ -87,18 +87,18 @@ class TrackEnv(HandEnv):
         return angles if self._space == "digit" else self._joints(angles)
 
     def extra_values(self, name: str) -> Any:
-        """Return the reference now, or after the horizon [rad]."""
+        """Return the reference at present, or after the horizon [rad]."""
         ahead = self.horizon_s if name == "reference_ahead_rad" else 0.0
         return np.radians(self.reference_deg(self.t_s + ahead))
 
     def judge(self) -> tuple[float, bool, dict[str, Any]]:
-        """Return the reward of the true error, and the error."""
+        """Return the reward from the true tracking error, and the error itself."""
         error = np.degrees(self.values_of(self.true_q)) - self.reference_deg(self.t_s)
         rms = float(np.sqrt(np.mean(error**2)))
         return 1.0 / (1.0 + (rms / SCALE_DEG) ** 2), False, {"error_deg": rms}
 
     def _limits_deg(self) -> tuple[Vector, Vector]:
-        """Return the range of each value of the reference: of the digits, or of the coordinates of joints [deg]."""
+        """Return the range of each reference value [deg], for digits or for the coordinates of joints."""
         if self._space == "digit":
             return self.low_deg, self.high_deg
         reach = [np.degrees(digit.reach) for digit in self.model.digits]
@@ -106,13 +106,16 @@ class TrackEnv(HandEnv):
         return low, high
 
     def _coordinates(self, q: Vector) -> Vector:
-        """Return the values of the reference at joint angles, in their unit."""
+        """Return the reference values that correspond to joint angles, in the same unit."""
         if self._space == "digit":
             return self.values_of(q)
         return np.concatenate([digit.joints_to_coordinates @ q[digit.joints] for digit in self.model.digits])
 
     def _joints(self, coordinates: Vector) -> Vector:
-        """Return the joint angles of coordinates, in their unit. Coupled joints turn together."""
+        """Return the joint angles that correspond to coordinates, in the same unit.
+
+        Coupled joints turn together.
+        """
         parts = list[Vector]()
         first = 0
         for digit in self.model.digits:

@@ -65,9 +65,7 @@ class ProgressCounts:
     def of(self, process: int) -> Callable[[int], None]:
         """Return a function that counts further ticks of a process.
 
-        In the first process, which is the present one, the function also reports progress.
-
-        The function of the present process also reports progress.
+        In the first process, which is the present process, the function also reports progress.
         """
 
         def count(ticks: int) -> None:

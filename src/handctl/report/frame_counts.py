@@ -1,4 +1,4 @@
-"""Counts of late and lost frames of a run, and of silent ticks, from its log."""
+"""Counts of late frames, lost frames, and silent ticks of a run, from its log."""
 
 from typing import NamedTuple
 
@@ -8,13 +8,13 @@ from handctl.log.read.reader import RunLog
 
 
 class FrameCounts(NamedTuple):
-    """Late and lost frames of a run, and the pauses that explain them.
+    """Number of late and lost frames of a run, and of silent ticks that may explain these.
 
     Attributes:
-        late: replies of the load cells to an older SYNC.
-        lost: tension frames that never arrived, and frames that a bus refused.
-        silent: ticks after a SYNC in which no node of the bus sent a frame. The other side of the
-            wire, or the host, stood still. Its replies arrive late in the next tick.
+        late: number of load-cell replies to an older SYNC.
+        lost: number of tension frames that never arrived, and of frames refused by a bus.
+        silent: number of ticks after a SYNC without a frame from any node. The nodes or the host
+            had paused, and the replies arrive late in the next tick.
     """
 
     late: int
@@ -23,7 +23,7 @@ class FrameCounts(NamedTuple):
 
 
 def frame_counts(log: RunLog, hand: Hand) -> FrameCounts:
-    """Count late and lost frames, and silent ticks.
+    """Return the number of late frames, lost frames, and silent ticks.
 
     Each frame of the load cells is compared with the SYNC before it.
     """

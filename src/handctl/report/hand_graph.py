@@ -1,7 +1,7 @@
-"""Picture of how a hand is put together: buses, motors with spools, load cells, tendons, joints with encoders.
+"""Picture of the structure of a hand: buses, motors with spools, load cells, tendons, joints with encoders.
 
-Each digit is a chain of links. Below the chain each tendon has a row: from its bus through motor, spool
-and load cell to the joints that it crosses, with the moment arm at each.
+Each digit is drawn as a chain of links. Below the chain, each tendon has a row: from its bus
+through motor, spool, and load cell to the joints it crosses, with the moment arm at each joint.
 """
 
 from collections.abc import Iterator
@@ -32,10 +32,10 @@ INCHES = 0.42
 
 
 def draw_hand(path: Path, hand: Hand) -> None:
-    """Draw the picture. The suffix selects PNG, SVG or PDF.
+    """Draw the picture of a hand. The file suffix selects PNG, SVG or PDF.
 
     Args:
-        path: file to write.
+        path: path of the file to write.
         hand: hand to draw.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -62,7 +62,7 @@ def draw_hand(path: Path, hand: Hand) -> None:
 
 
 def text_graph(hand: Hand) -> str:
-    """Return the same as text, with one line per tendon."""
+    """Return the structure of a hand as text, with one line per tendon."""
     node = hand.sensor_node
     lines = []
     for bus in hand.bus:
@@ -106,7 +106,7 @@ def _joint_xs(digit: Digit) -> Iterator[tuple[str, float]]:
 
 
 def _sensor_node(axes: Any, hand: Hand) -> float:
-    """Draw the legend line of the sensor node, and return its height in rows."""
+    """Draw the legend line for the sensor node, and return the height of the line in rows."""
     node = hand.sensor_node
     text = f"sensor node on {node.bus}, SYNC 0x{node.sync_id:X}: {len(node.tendons)} load cells"
     axes.plot(JOINTS_X, -0.1, "s", color=CELL, markersize=7)
@@ -117,7 +117,7 @@ def _sensor_node(axes: Any, hand: Hand) -> float:
 
 
 def _draw_digit(axes: Any, hand: Hand, digit: Digit, y: float, ends: dict[str, list[float]]) -> float:
-    """Draw a digit with its tendons below ``y``, and return the last row."""
+    """Draw a digit with its tendons below ``y``, and return the row of the last tendon."""
     columns = dict(_joint_xs(digit))
     axes.text(JOINTS_X - 0.35, y, digit.name, ha="right", va="center", fontsize=9, weight="bold")
     for (joint, x), length in zip(columns.items(), digit.link_length_m, strict=True):
@@ -136,7 +136,7 @@ def _draw_digit(axes: Any, hand: Hand, digit: Digit, y: float, ends: dict[str, l
 
 
 def _draw_tendon(axes: Any, hand: Hand, tendon: Tendon, columns: dict[str, float], y: float) -> None:
-    """Draw a tendon in its row, from the bus of its motor to the last joint that it crosses."""
+    """Draw a tendon in its row, from the bus of its motor to the last joint crossed."""
     motor = hand.motor_of(tendon.name)
     bus = hand.bus_names.index(motor.bus)
     colour = BUS_COLOURS[bus % len(BUS_COLOURS)]
@@ -168,7 +168,7 @@ def _bus_x(bus: int) -> float:
 
 
 def _draw_buses(axes: Any, hand: Hand, ends: dict[str, list[float]]) -> None:
-    """Draw each bus as a line past its motors, with its bit rates."""
+    """Draw each bus as a line that connects its motors, with its bit rates."""
     for i, bus in enumerate(hand.bus):
         x = _bus_x(i)
         top, bottom = ends[bus.name]

@@ -1,4 +1,4 @@
-"""Judgement of a lift: the table under the object sinks, and the object must stay in the hand."""
+"""Judgement of a grasp whose table sinks: the object must stay in the hand."""
 
 from collections.abc import Collection
 from typing import Any
@@ -9,21 +9,24 @@ from handctl.log.read.reader import RunLog
 from handctl.report.truth import TruthRecord
 
 SUPPORT = "support"
-"""Column of the truth: how far the table has sunk [m]. Only scenes with a sinking table have it."""
+"""Column of the truth file with the distance the table has sunk [m].
+
+Only scenes with a sinking table have this column.
+"""
 SLID_MM = 10.0
-"""Maximum motion of a held object in the hand [mm].
+"""Largest motion of an object in the hand that counts as held [mm].
 
 In the demo, held objects move by 3 mm at most.
 """
 
 
 def judge_lift(log: RunLog, truth: TruthRecord | None, offset_ns: int, holds: Collection[str]) -> dict[str, Any]:
-    """Measure how far the table sank during a hold, and how far the object then moved in the hand.
+    """Return how far the table sank during a hold, and how far the object then moved in the hand.
 
     Args:
         log: log of the run.
         truth: truth of the simulator, None on hardware.
-        offset_ns: t = 0 of the run on the simulator's clock [ns].
+        offset_ns: time of the simulator at t = 0 of the run [ns].
         holds: names of the task's hold phases.
 
     Returns:
@@ -46,7 +49,7 @@ def judge_lift(log: RunLog, truth: TruthRecord | None, offset_ns: int, holds: Co
 
 
 def _hold_times(log: RunLog, holds: Collection[str]) -> Any:
-    """Return the times of the ticks from the first hold to the last [ns]."""
+    """Return the times of the ticks from the first hold phase to the last [ns]."""
     changes = log.phases
     ends = [*[change.k for change in changes[1:]], int(log.k[-1]) + 1] if changes else []
     both = zip(changes, ends, strict=True)
@@ -57,9 +60,9 @@ def _hold_times(log: RunLog, holds: Collection[str]) -> Any:
 
 
 def lift_failure(lift: dict[str, Any]) -> str:
-    """Return the reason of a failed grasp, or an empty text.
+    """Return the reason why a grasp failed, or an empty text.
 
-    The text is empty if the grasp carried its object or had no object to carry.
+    The text is empty if the object was held, or if there was no object.
 
     Args:
         lift: result of `judge_lift`.

@@ -1,4 +1,4 @@
-"""Small pictures of a run as SVG texts: poses, lateness of the ticks, load of the buses."""
+"""Small pictures of a run as SVG text: poses, lateness of the ticks, bus load."""
 
 import io
 from typing import Any
@@ -18,22 +18,22 @@ from handctl.report.run_figure import COLOURS, PASSIVE_PHASES
 Array = NDArray[np.float64]
 
 LOAD_WINDOW_S = 0.1
-"""Window of the bus load [s]."""
+"""Time window in which the bus load is averaged [s]."""
 PER_ROW = 4
-"""Pictures of the hand per row."""
+"""Number of hand pictures per row."""
 SLANT = (0.55, 0.3)
-"""Oblique projection: drawn distance to the right and up per distance along the hinges.
+"""Oblique projection: drawn distance to the right and upwards, per distance along the hinge axes.
 
-The projection separates digits on one hinge line.
+This projection separates digits on the same hinge line.
 """
 MIN_ARROW_N = 0.2
-"""Smallest force with an arrow [N]."""
+"""Smallest force drawn as an arrow [N]."""
 ARROW_M_PER_N = 0.004
 """Length of an arrow [m/N]."""
 
 
 def poses(log: RunLog, hand: Hand) -> str:
-    """Draw the hand in the middle of each phase in which it acts.
+    """Draw the hand in the middle of each phase with motion or contact.
 
     Arrows are the forces of the object on the fingertips.
     """
@@ -66,15 +66,15 @@ def poses(log: RunLog, hand: Hand) -> str:
 
 
 def _projected(points_m: Array) -> Array:
-    """Project points (.., 3) of the palm frame [m] to the picture (.., 2) [mm].
+    """Return points (.., 3) of the palm frame [m] projected to the picture (.., 2) [mm].
 
-    The view is along the hinges and slanted.
+    The view is along the hinge axes, at an oblique angle.
     """
     return np.asarray(1e3 * (points_m[..., :2] + points_m[..., 2:] * np.array(SLANT)), np.float64)
 
 
 def _limits(tree: HandTree) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the limits of the picture, which contains the palm and every digit at rest."""
+    """Return the limits of the picture, which includes the palm and every digit at rest."""
     corners = _projected(np.concatenate(tree.points(np.zeros(len(tree.parent)))))
     low = corners.min(axis=0) - 20.0
     high = corners.max(axis=0) + 10.0
@@ -82,7 +82,7 @@ def _limits(tree: HandTree) -> tuple[tuple[float, float], tuple[float, float]]:
 
 
 def _palm(axes: Any, hand: Hand) -> None:
-    """Draw the plate that carries the digits on the palm."""
+    """Draw the palm plate, to which the digits are attached."""
     mounts = np.array([digit.mount_position_m for digit in hand.digit if digit.mount_on is None])
     (y0, z0) = mounts[:, 1:].min(axis=0) - 0.009
     (y1, z1) = mounts[:, 1:].max(axis=0) + 0.009
@@ -94,10 +94,10 @@ def _digit(axes: Any, joints: Array, push: Array, colour: str) -> None:
     """Draw the links from the palm to the tip, and the estimated force on the tip [N] as an arrow.
 
     Args:
-        axes: of the picture.
+        axes: axes of the picture.
         joints: (n + 1, 3) joints and tip in the palm frame [m].
         push: (3,) force of the object [N].
-        colour: of the links.
+        colour: colour of the links.
     """
     path = _projected(joints)
     axes.plot(
@@ -118,7 +118,10 @@ def _digit(axes: Any, joints: Array, push: Array, colour: str) -> None:
 
 
 def _forces(axes: Any, force: Array) -> None:
-    """Write the forces [N] in the corner. At the tips of the arrows the texts would overlap."""
+    """Write the values of the forces [N] in the corner.
+
+    Next to the arrows the texts would overlap.
+    """
     for d, value in enumerate(force.tolist()):
         if value >= MIN_ARROW_N:
             style = {
@@ -139,7 +142,7 @@ def _bar(axes: Any, limits: tuple[tuple[float, float], tuple[float, float]]) -> 
 
 
 def _moments(log: RunLog) -> list[tuple[str, int]]:
-    """Return name and tick index of the middle of each phase in which the hand acts."""
+    """Return, for each phase with motion or contact, the name and the tick index of the middle."""
     changes = log.phases
     ends = [change.k for change in changes[1:]] + log.k[-1:].tolist()
     middles = [(c.name, int(np.searchsorted(log.k, (c.k + end) // 2))) for c, end in zip(changes, ends, strict=True)]
@@ -150,9 +153,9 @@ def _moments(log: RunLog) -> list[tuple[str, int]]:
 
 
 def lateness(log: RunLog) -> str:
-    """Draw a histogram of the lateness with a mark at a quarter of the period.
+    """Draw a histogram of the lateness of ticks, with a line at a quarter of the period.
 
-    Beyond the mark a tick counts as late.
+    Beyond this line a tick counts as late.
     """
     late = log.late_ns / 1e3
     if not late.any():
@@ -182,8 +185,7 @@ def loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
     """Draw the load of each bus over time, from the worst-case times of the frames.
 
     Returns:
-        Picture, and (buses,) largest load in a window of `LOAD_WINDOW_S`, or of the run if the run
-        is shorter.
+        Picture, and the largest load (buses,) in a window of `LOAD_WINDOW_S` or in a shorter run.
     """
     busy = np.zeros((len(log), len(hand.bus)))
     for i, tick in enumerate(log.ticks()):

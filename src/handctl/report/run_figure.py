@@ -1,4 +1,4 @@
-"""Figure of a run: angle, tensions and contact force of each digit, and lateness of the loop."""
+"""Figure of a run: angle, tensions, and contact force of each digit, and lateness of the loop."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,7 +25,7 @@ FAULT = "#d01c1c"
 SHADES = (1.0, 0.65, 0.4)
 """Opacity of the first, second and third tendon of a digit."""
 PASSIVE_PHASES = frozenset(mode.name.lower() for mode in Mode)
-"""Names of phases before and after the hand acts."""
+"""Names of phases before and after the hand is active."""
 ROWS = ("mean joint angle [deg]", "tendon tension [N]", "contact force [N]")
 """Labels of the rows."""
 
@@ -33,14 +33,14 @@ Array = NDArray[np.float64]
 
 
 def draw_run(path: Path, log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int, title: str) -> None:
-    """Draw the figure as PNG.
+    """Draw the figure of a run as PNG.
 
     Args:
-        path: file to write.
+        path: path of the file to write.
         log: log of the run.
         hand: hand of the run.
         truth: truth of the simulator, or None.
-        offset_ns: t = 0 of the run on the simulator's clock [ns].
+        offset_ns: time of the simulator at t = 0 of the run [ns].
         title: title of the figure.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -67,7 +67,7 @@ def draw_run(path: Path, log: RunLog, hand: Hand, truth: TruthRecord | None, off
 
 
 def _dress(grid: Any, late: list[Any], log: RunLog, hand: Hand) -> None:
-    """Add titles, grids and phases, and limit the time axis to the active interval."""
+    """Add titles, grids, and phases, and limit the time axis to the active interval."""
     for column, name in zip(grid.T, hand.digit_names, strict=True):
         column[0].set_title(name, fontsize=11, fontweight="bold")
         column[-1].set_xlabel("time [s]", fontsize=8)
@@ -89,7 +89,10 @@ def _dress(grid: Any, late: list[Any], log: RunLog, hand: Hand) -> None:
 
 
 def _fit(row: Sequence[Any], start: float, end: float) -> None:
-    """Limit the height of a row to the visible values. A released hand falls far, later."""
+    """Limit the height of a row to the values in the active interval.
+
+    A released hand may move far afterwards.
+    """
     lines = [line.get_data() for axes in row for line in axes.lines]
     visible = np.concatenate([y[(x >= start) & (x <= end)] for x, y in lines])
     low = np.fmin.reduce(visible, initial=np.inf)
@@ -99,7 +102,7 @@ def _fit(row: Sequence[Any], start: float, end: float) -> None:
 
 
 def _key(truth: bool) -> tuple[list[Any], list[str]]:
-    """Return the legend: lines and their meaning."""
+    """Return the lines of the legend, with their meaning."""
     from matplotlib.lines import Line2D
 
     marks = [
@@ -127,7 +130,7 @@ def _angles(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | No
 
 
 def _beside(axes: Any, log: RunLog, goal: Array | None, real: Array | None) -> None:
-    """Draw the command and the truth of the plant."""
+    """Draw the command and the true value of the plant next to the estimate."""
     if real is not None:
         axes.plot(log.times, real, color=PLANT, linewidth=0.7)
     if goal is not None:
@@ -172,7 +175,7 @@ def _forces(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | No
 
 
 def _phases(grid: Any, log: RunLog) -> None:
-    """Mark the start of each phase, and the first fault. Their names are in the first row."""
+    """Mark the start of each phase, and the first fault. The first row shows their names."""
     for change in log.phases:
         if change.name not in PASSIVE_PHASES:
             _mark(grid, change.t_ns / 1e9, change.name, GRID)
@@ -183,7 +186,7 @@ def _phases(grid: Any, log: RunLog) -> None:
 
 
 def _mark(grid: Any, t_s: float, name: str, colour: str) -> None:
-    """Draw a vertical line with its name."""
+    """Draw a vertical line with a name."""
     for axes in grid.flat:
         axes.axvline(t_s, color=colour, linewidth=0.6)
     for axes in grid[0]:

@@ -23,9 +23,9 @@ from handctl.report.summary import angle_rows, summarise
 from handctl.report.truth import TruthRecord
 
 MAX_EVENTS = 500
-"""Maximum number of events on the page. The first are shown."""
+"""Largest number of events on the page. Only the first events are shown."""
 MAX_CONTACTS = 20
-"""Maximum number of contacts on the page. The first are shown."""
+"""Largest number of contacts on the page. Only the first contacts are shown."""
 
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; color: #222; background: #fff; max-width: 1100px; margin: 2em auto;
@@ -41,14 +41,14 @@ code { font-size: .85em; word-break: break-all; }
 
 
 def write_page(path: Path, log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int, name: str) -> int:
-    """Write the page.
+    """Write the HTML page of a run.
 
     Args:
-        path: file to write.
+        path: path of the file to write.
         log: log of the run.
         hand: hand of the run.
         truth: truth of the simulator, or None.
-        offset_ns: t = 0 of the run on the simulator's clock [ns].
+        offset_ns: time of the simulator at t = 0 of the run [ns].
         name: name of the log for the reader.
 
     Returns:
@@ -84,7 +84,7 @@ def _text(text: object) -> str:
 
 
 def _section(title: str, body: str) -> str:
-    """Return a section."""
+    """Return a section of the page."""
     return f"<section><h2>{title}</h2>{body}</section>"
 
 
@@ -106,7 +106,7 @@ def _numbers(
     offset_ns: int,
     load: "np.ndarray[tuple[int], np.dtype[np.float64]]",
 ) -> str:
-    """Return the table of numbers."""
+    """Return the table with the numbers of the run."""
     summary = summarise(log, hand, truth, offset_ns)
     late = summary["late_us"]
     frames = frame_counts(log, hand)
@@ -144,7 +144,7 @@ def _numbers(
 
 
 def _unit(value: float, unit: str) -> str:
-    """Format a number with its unit, or return an empty text for NaN."""
+    """Return a number as text with its unit, empty for NaN."""
     return "" if value != value else f"{value:.2f} {unit}"
 
 
@@ -171,7 +171,7 @@ def _run(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> 
 
 
 def _faults(log: RunLog) -> str:
-    """Return the number of reports of each fault, and the time of the first."""
+    """Return the number of reports of each fault, and the time of the first report."""
     first: dict[str, float] = {}
     counts: Counter[str] = Counter()
     for event in _named(log, "fault"):
@@ -183,13 +183,13 @@ def _faults(log: RunLog) -> str:
 
 
 def _contacts(log: RunLog) -> str:
-    """Return the contacts and their times."""
+    """Return the contacts with their times."""
     lines = (f"{_text(event.event.text)} at {event.t_ns / 1e9:.3f} s" for event in _named(log, "contact"))
     return "<br>".join(islice(lines, MAX_CONTACTS))
 
 
 def _named(log: RunLog, name: str) -> Iterator[LoggedEvent]:
-    """Return the events of one name."""
+    """Return the events with a given name."""
     return (event for event in log.events if event.event.name == name)
 
 

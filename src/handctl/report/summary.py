@@ -17,23 +17,23 @@ from handctl.report.truth import TruthRecord
 Array = NDArray[np.float64]
 
 SETTLED_S = 0.5
-"""Time from the last motion of the targets in a hold to its judgement [s]."""
+"""Time after the last change of the targets in a hold, from which on the hold is judged [s]."""
 STEADY_N = 1.0
-"""Tolerance of constant tension targets [N].
+"""Largest change of tension targets that count as constant [N].
 
 In a hold with stiffness the targets follow the noise of the encoders.
 """
 
 
 def summarise(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> dict[str, Any]:
-    """Compute all numbers of a run.
+    """Return all numbers of a run.
 
     Args:
         log: log of the run.
         hand: hand of the run.
         truth: truth of the simulator. On hardware it is None, and the numbers that need a truth are
-            NaN. A truth of another time, from an earlier simulator, counts as None.
-        offset_ns: t = 0 of the run on the simulator's clock [ns].
+            NaN. A truth file of an earlier simulator, whose times do not match, counts as None.
+        offset_ns: time of the simulator at t = 0 of the run [ns].
 
     Returns:
         Plain numbers and names.
@@ -60,18 +60,21 @@ def summarise(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int
 
 
 def _percentile(values: NDArray[Any], percent: float) -> float:
-    """Compute a percentile, NaN without values."""
+    """Return a percentile, NaN if there are no values."""
     return float(np.percentile(values, percent)) if len(values) else float("nan")
 
 
 def rms(values: Array) -> float:
-    """Compute the root mean square without NaN. Without any number the result is NaN."""
+    """Return the root mean square of the values that are not NaN.
+
+    Without any number the result is NaN.
+    """
     finite = values[~np.isnan(values)]
     return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
 
 
 def hold_windows(log: RunLog) -> list[NDArray[np.bool_]]:
-    """Return for each hold where it is settled (ticks,).
+    """Return one mask (ticks,) per hold, True where the hold is settled.
 
     A hold is settled while a digit is in contact and the targets are constant.
     """
@@ -94,14 +97,14 @@ def hold_windows(log: RunLog) -> list[NDArray[np.bool_]]:
 
 
 def _after(moving: NDArray[np.bool_], inside: NDArray[np.bool_], log: RunLog) -> NDArray[np.bool_]:
-    """Return where the targets of a hold have been constant for SETTLED_S (ticks,)."""
+    """Return a mask (ticks,), True where the targets of a hold have been constant for SETTLED_S."""
     last = np.flatnonzero(moving)
     settled: NDArray[np.bool_] = log.times >= log.times[last[-1] if len(last) else np.argmax(inside)] + SETTLED_S
     return settled
 
 
 def mean_angles(hand: Hand, q: Array) -> Array:
-    """Compute the mean joint angle of each digit (ticks, D) [rad].
+    """Return the mean joint angle of each digit (ticks, D) [rad].
 
     The weights are the moment arms: sum(r q) / sum(r).
     """
@@ -116,7 +119,7 @@ def mean_angles(hand: Hand, q: Array) -> Array:
 def judge_tracking(
     log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int, active: NDArray[np.bool_]
 ) -> dict[str, Any]:
-    """Compute the tracking error in free motion from target and truth.
+    """Return the tracking error in free motion, from target and truth.
 
     The error is that of the mean joint angle of each digit.
 
@@ -124,8 +127,8 @@ def judge_tracking(
         log: log of the run.
         hand: hand of the run.
         truth: truth of the simulator, or None.
-        offset_ns: t = 0 of the run on the simulator's clock [ns].
-        active: (ticks,) True where the hand is active.
+        offset_ns: time of the simulator at t = 0 of the run [ns].
+        active: mask (ticks,), True where the hand is active.
     """
     goal = mean_angles(hand, log.field("q_goal"))
     free = active[:, None] & ~np.isnan(goal) & (log.field("contact") == 0.0)
@@ -140,7 +143,7 @@ def judge_tracking(
 
 
 def _touched(truth: TruthRecord, hand: Hand, log: RunLog, offset_ns: int) -> NDArray[np.bool_]:
-    """Return whether the plant has a contact on each digit (ticks, D)."""
+    """Return a mask (ticks, D), True where the plant has a contact on the digit."""
     t_ns = log.t_ns + offset_ns
     force = [
         np.sqrt(sum(truth.at(f"contact_force/{name}/{axis}", t_ns) ** 2 for axis in "xyz")) for name in hand.digit_names
@@ -156,15 +159,17 @@ def judge_tension(
     active: NDArray[np.bool_],
     holds: list[NDArray[np.bool_]],
 ) -> dict[str, Any]:
-    """Compare estimate and load cells with the true tension, and the truth with the command in holds.
+    """Return the errors of estimated and measured tension, and in holds the error of the true tension.
+
+    Estimate and load cells are compared with the truth, and the truth with the command.
 
     Args:
         log: log of the run.
         hand: hand of the run.
         truth: truth of the simulator, or None.
-        offset_ns: t = 0 of the run on the simulator's clock [ns].
-        active: (ticks,) True where the hand is active.
-        holds: (ticks,) of each hold, True where it is settled.
+        offset_ns: time of the simulator at t = 0 of the run [ns].
+        active: mask (ticks,), True where the hand is active.
+        holds: mask (ticks,) for each hold, True where the hold is settled.
     """
     if truth is None:
         return dict.fromkeys(("tension_rmse_n", "tension_raw_rmse_n", "tension_hold_error_n"), float("nan"))
@@ -185,7 +190,7 @@ def judge_tension(
 
 
 def _holding(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
-    """Return whether the digit of each tendon is in contact (ticks, N)."""
+    """Return a mask (ticks, N), True where the digit of the tendon is in contact."""
     slices = [hand.digit_tendons[name] for name in hand.digit_names]
     digit_of = np.repeat(np.arange(len(slices)), [tendons.stop - tendons.start for tendons in slices])
     return (log.field("contact") > 0.0)[:, digit_of]
@@ -198,7 +203,7 @@ def judge_grasp(
     offset_ns: int,
     holds: list[NDArray[np.bool_]],
 ) -> dict[str, Any]:
-    """Measure the motion of the object in a hold, and the fingertip forces, estimated and true.
+    """Return the motion of the object in a hold, and the estimated and true fingertip forces.
 
     The motion is NaN if the table under the object never sank, because the object then rests on the
     table.
@@ -207,8 +212,8 @@ def judge_grasp(
         log: log of the run.
         hand: hand of the run.
         truth: truth of the simulator, or None.
-        offset_ns: t = 0 of the run on the simulator's clock [ns].
-        holds: (ticks,) of each hold, True where it is settled.
+        offset_ns: time of the simulator at t = 0 of the run [ns].
+        holds: mask (ticks,) for each hold, True where the hold is settled.
     """
     settled = np.any(holds, axis=0) if holds else np.zeros(len(log), dtype=bool)
     estimated = log.field("tip_force")[settled]
@@ -239,17 +244,17 @@ def judge_angles(
     active: NDArray[np.bool_],
     holds: list[NDArray[np.bool_]],
 ) -> dict[str, dict[str, Any]]:
-    """Judge the estimated joint angles of each digit during holds.
+    """Return the errors of the estimated joint angles of each digit during holds.
 
-    In a run without holds, the ticks with an active hand are judged.
+    In a run without holds, all ticks with an active hand are used.
 
     Args:
         log: log of the run.
         hand: hand of the run.
         truth: truth of the simulator, or None.
-        offset_ns: t = 0 of the run on the simulator's clock [ns].
-        active: (ticks,) True where the hand is active.
-        holds: (ticks,) of each hold, True where it is settled.
+        offset_ns: time of the simulator at t = 0 of the run [ns].
+        active: mask (ticks,), True where the hand is active.
+        holds: mask (ticks,) for each hold, True where the hold is settled.
 
     Returns:
         For each digit `source` (see `angle_source`), `sigma_deg` (root mean square over joints and
@@ -276,7 +281,7 @@ def judge_angles(
 
 
 def angle_source(hand: Hand, name: str) -> str:
-    """Return the basis of a digit's joint angles: "excursion", "encoders", or "assumed"."""
+    """Return the source of a digit's joint angles: "excursion", "encoders", or "assumed"."""
     digit = DigitModel.of(hand, name)
     # With as many independent tendons as joints the excursions determine the angles.
     if np.linalg.matrix_rank(digit.moment_arms) == digit.joint_count:
@@ -293,7 +298,7 @@ SOURCES = {
 
 
 def angle_rows(angles: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
-    """Return a title and a text for the joint angles of each digit with a known deviation."""
+    """Return one row (title and text) per digit whose joint angles have a known deviation."""
     rows = []
     for name, angle in angles.items():
         if angle["sigma_deg"] != angle["sigma_deg"]:
@@ -307,13 +312,13 @@ def angle_rows(angles: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
 
 
 def measured_load(log: RunLog, bitrate: int, data_bitrate: int | None, sent: Sequence[tuple[int, bool]]) -> float:
-    """Compute the fraction of a bus's time that the frames of a run take at worst.
+    """Return the fraction of a bus's time that the frames of a run occupy in the worst case.
 
     Args:
         log: log of the run, for its duration.
         bitrate: bit rate of the bus [bit/s].
         data_bitrate: bit rate of the data phase [bit/s], or None.
-        sent: (payload bytes, CAN FD?) of every frame in both directions.
+        sent: (payload bytes, CAN FD?) of every frame, in both directions.
     """
     duration = float(log.times[-1] - log.times[0]) or 1.0
     return sum(frame_time_s(size, fd, bitrate, data_bitrate) for size, fd in sent) / duration

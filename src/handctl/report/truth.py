@@ -1,6 +1,6 @@
-"""Truth of the simulator, for the judgement of a finished run.
+"""Reader of the simulator's truth file, for the judgement of a finished run.
 
-The running controller never opens it.
+The running controller never opens this file.
 """
 
 import json
@@ -21,7 +21,7 @@ class TruthRecord:
         header: first line of the file.
         t_ns: (rows,) time on the simulator's clock [ns].
         values: (rows, columns) float64.
-        columns: names, e.g. `tension/index_tendon`, `q/index_j1`, `object/x`.
+        columns: names of the columns, e.g. `tension/index_tendon`, `q/index_j1`, `object/x`.
     """
 
     header: dict[str, object]
@@ -34,11 +34,11 @@ class TruthRecord:
         return name in self.columns
 
     def covers(self, t_ns: NDArray[np.int64]) -> bool:
-        """Return True if any of the times is in the record."""
+        """Return True if the record includes any of the times."""
         return bool(((t_ns >= self.t_ns[0]) & (t_ns <= self.t_ns[-1])).any())
 
     def at(self, name: str, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Interpolate a column at times on the simulator's clock [ns].
+        """Return a column interpolated at times on the simulator's clock [ns].
 
         Outside of the record the result is NaN.
 
@@ -64,7 +64,7 @@ class TruthRecord:
 
 
 def read_truth(path: Path) -> TruthRecord:
-    """Read a truth file: one line of JSON, then rows of int64 time [ns] and float64 columns.
+    """Read a truth file: a line of JSON, then rows of int64 time [ns] and float64 columns.
 
     Raises:
         LogError: the file is missing or is not a truth file.
@@ -89,6 +89,6 @@ def read_truth(path: Path) -> TruthRecord:
 
 
 def _complete_rows(data: bytes, columns: int) -> bytes:
-    """Cut off an incomplete last row, which a killed simulator may leave."""
+    """Return the data without an incomplete last row, which a killed simulator may leave."""
     size = 8 * (columns + 1)
     return data[: len(data) // size * size]

@@ -1,12 +1,9 @@
 """Virtual time for lockstep: the loop advances the simulator tick by tick, without sleeping.
 
-frames``. It is loaded by name, because handctl never imports a simulator. A peer with
-``exchange(t_ns, records) -> records`` gets this call instead, and no frame becomes an object. ->
-The simulator is called the peer: an object with ``step(t_ns, frames) -> frames``. The peer is
-loaded by name, because handctl never imports a simulator. If the peer has ``exchange(t_ns, records)
--> records``, the loop calls this method instead, which avoids an object per frame. -> frames``. It
-is loaded by name, because handctl never imports a simulator. A peer with ``exchange(t_ns, records)
--> records`` gets this call instead, and no frame becomes an object.
+The simulator is called the peer: an object with ``step(t_ns, frames) -> frames``. The peer is loaded
+by name, because handctl never imports a simulator. If the peer has
+``exchange(t_ns, records) -> records``, the loop calls this method instead, which avoids an object
+per frame.
 """
 
 import importlib

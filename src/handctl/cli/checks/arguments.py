@@ -1,4 +1,7 @@
-"""Arguments of the verbs. The code of a verb and its imports are loaded only when the verb runs."""
+"""Declaration of the arguments of these verbs.
+
+The code of a verb is imported only when the verb runs, so that the help appears fast.
+"""
 
 import argparse
 from pathlib import Path
@@ -36,7 +39,7 @@ EXAMPLES = {
     ),
     "doctor": Example("handctl doctor"),
 }
-"""Example of each verb and sub-verb."""
+"""Example command for each verb and sub-verb."""
 
 
 def config(parser: Parser) -> None:
@@ -72,7 +75,7 @@ def config(parser: Parser) -> None:
 
 
 def _init(parser: argparse.ArgumentParser) -> None:
-    """Declare the answers about a new hand. What no option answers is asked."""
+    """Declare the options of ``config init``. Each option answers a question about the new hand."""
     output_option(parser, "a new hand file", required=True)
     add = parser.add_argument
     add("--yes", action="store_true", help="ask nothing: take the defaults where no option answers")
@@ -91,12 +94,12 @@ def _init(parser: argparse.ArgumentParser) -> None:
 
 
 def _lengths(text: str) -> tuple[float, ...]:
-    """Return the lengths of a list such as ``40,30`` [mm]."""
+    """Return the lengths [mm] in a list such as ``40,30``."""
     return tuple(float(part) for part in text.split(","))
 
 
 def _files(parser: argparse.ArgumentParser) -> None:
-    """Declare the files that belong to a hand."""
+    """Declare the options for the files of a hand."""
     parser.add_argument("--task", type=Path, metavar="FILE", help="task file to check with the hand")
     gains_options(parser)
     text = "calibration file to check (default: HAND.calibration.toml)"

@@ -1,4 +1,4 @@
-"""``handctl bus``: plan the load of a hand's buses, or check the buses of this machine.
+"""``handctl bus``: plan the bus load of a hand, or check the buses of this machine.
 
 The module of a sub-verb is imported only when that sub-verb runs, because only ``plan`` needs the controller.
 """

@@ -31,14 +31,14 @@ from handctl.session.buses import named_buses
 from handctl.session.exit_codes import Exit
 
 NO_USB = Adapter()
-"""Adapter of an interface without USB."""
+"""Value that stands for an interface without USB adapter."""
 BUSY = "is the machine busy, or the adapter's latency timer long? handctl doctor tells priorities"
 SLOW_S = 0.005
-"""Maximum median round-trip time [s]: the period of 200 Hz."""
+"""Largest acceptable median round-trip time [s], equal to the period of 200 Hz."""
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check the buses of the command line. Return 1 if a finding needs a repair.
+    """Check the buses of the command line. Returns 1 if a finding needs a repair.
 
     Args:
         args: arguments with hand (expected bit rates and motors, None for any), bus, bitrate, data_bitrate, json.
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _expected_buses(args: argparse.Namespace, hand: Hand | None) -> Sequence[tuple[str, BusSection]]:
-    """Return the specification of each bus with its expected name and bit rates."""
+    """Return the specification of each bus, with the name and bit rates expected there."""
     if hand is not None:
         from handctl.session.plan import bus_specs
 
@@ -66,7 +66,7 @@ def _expected_buses(args: argparse.Namespace, hand: Hand | None) -> Sequence[tup
 
 
 def _examine(spec: str, expected: BusSection, hand: Hand | None) -> dict[str, Any]:
-    """Check the interface of a bus, then its nodes if the interface works. Return the fields of the JSON result."""
+    """Return the JSON result of one bus: findings about the interface, and about the nodes if the interface works."""
     note(f"{spec}: looking")
     kind, _, channel = spec.partition(":")
     rows = _interface(channel, expected) if kind == "socketcan" else []
@@ -105,7 +105,7 @@ def _interface(channel: str, expected: BusSection) -> list[LinkFinding]:
 def _nodes(
     spec: str, expected: BusSection, hand: Hand | None
 ) -> tuple[list[LinkFinding], list[tuple[DiscoveredNode, RoundTrip]]]:
-    """Open the bus, scan for drives, and measure their round-trip times."""
+    """Open the bus, scan for nodes, and measure their round-trip times."""
     try:
         bus = open_bus(spec, 0, expected.bitrate, expected.data_bitrate)
     except BusError as error:
@@ -133,7 +133,7 @@ def _nodes(
 
 
 def _twins(result: Scan, trips: list[tuple[DiscoveredNode, RoundTrip]]) -> list[DiscoveredNode]:
-    """Nodes whose number more than one drive has."""
+    """Return the nodes whose number is used by more than one drive."""
     twice = [node for node, trip in trips if trip.twins]
     return [node for node in result.found if node.twins or node in twice]
 
@@ -143,7 +143,7 @@ def _timed(bus: Bus, result: Scan) -> list[tuple[DiscoveredNode, RoundTrip]]:
 
 
 def _events(result: Scan) -> list[LinkFinding]:
-    """Return a finding for each bus event during the scan."""
+    """Return one finding per kind of bus event during the scan."""
     return [LinkFinding(f"while asking: {kind}, {number} times", False, WIRING) for kind, _, number in result.events]
 
 
@@ -159,7 +159,7 @@ def _answers(timed: tuple[DiscoveredNode, RoundTrip]) -> LinkFinding:
 
 
 def _missing(hand: Hand, bus: str, result: Scan) -> list[LinkFinding]:
-    """Return a finding for each motor of the hand file that did not answer."""
+    """Return one finding per motor of the hand file that did not answer."""
     there = {(node.protocol, node.node_id) for node in result.found}
     motors = [motor for motor in hand.motor if motor.bus == bus and (motor.protocol, motor.node_id) not in there]
     names = [(f"{motor.name} ({motor.protocol} {motor.node_id})", motor.protocol in DISCOVERIES) for motor in motors]

@@ -17,7 +17,10 @@ from handctl.session.plan import bus_specs, fastest
 
 
 def run(args: argparse.Namespace) -> int:
-    """Compute and print the load. Return 1 if a bus is overloaded or an interface has another bit rate."""
+    """Compute and print the bus load.
+
+    Returns 1 if a bus is overloaded or an interface has a wrong bit rate.
+    """
     if args.table:
         _print_table() if not args.json else print_json({"rows": [row.numbers() for row in TABLE]})
         return Exit.DONE
@@ -36,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def plan(hand: Hand, loads: tuple[BusLoad, ...], rate: float) -> dict[str, Any]:
-    """Return the load of each bus, and a split of the motors if a bus is overloaded.
+    """Return the load of each bus, and if a bus is overloaded, a split of the motors over more buses.
 
     Args:
         hand: description of the hand.
@@ -50,7 +53,10 @@ def plan(hand: Hand, loads: tuple[BusLoad, ...], rate: float) -> dict[str, Any]:
 
 
 def wrong_rates(hand: Hand, specs: tuple[str, ...]) -> list[str]:
-    """Return a line with a command for each interface whose bit rate differs from the hand file."""
+    """Return one line for each interface whose bit rate differs from the hand file.
+
+    Each line includes the command to correct this.
+    """
     from handctl.runtime.buses.interface import wrong_rate
 
     lines = [

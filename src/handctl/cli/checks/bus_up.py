@@ -1,4 +1,4 @@
-"""``handctl bus up``: the commands that set the interfaces of a hand up, printed or run."""
+"""``handctl bus up``: print or run the commands that set up the interfaces of a hand."""
 
 import argparse
 import os
@@ -14,7 +14,7 @@ from handctl.session.buses import named_buses
 from handctl.session.exit_codes import Exit
 
 TIMEOUT_S = 10.0
-"""Longest duration of a command [s]."""
+"""Longest time for a command [s]."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -50,7 +50,7 @@ def _commands(spec: str, section: BusSection) -> tuple[Command, ...]:
     """Return the commands of one bus.
 
     Raises:
-        BusError: not an interface of SocketCAN, or a real interface that does not exist.
+        BusError: the bus is not a SocketCAN interface, or a real interface does not exist.
     """
     kind, _, channel = spec.partition(":")
     if kind != "socketcan":
@@ -67,7 +67,7 @@ def _commands(spec: str, section: BusSection) -> tuple[Command, ...]:
 
 
 def _check_root(commands: list[Command]) -> None:
-    """Refuse --yes without the rights to set up an interface.
+    """Raise an error for --yes without the permission to set up an interface.
 
     Raises:
         BusError: the user is not root.
@@ -85,7 +85,7 @@ def _run(command: Command) -> None:
     """Run one command.
 
     Raises:
-        BusError: it fails.
+        BusError: the command fails.
     """
     text = shlex.join(command)
     try:

@@ -91,18 +91,18 @@ def _checks(args: argparse.Namespace, hand: Hand) -> list[Callable[[], object]]:
     buses = hand.bus_names
 
     def task() -> None:
-        """Check the task, if there is one."""
+        """Check the task, if one was given."""
         if args.task:
             find_task(args.task, hand)
 
     def calibration() -> None:
-        """Check the calibration that the user named."""
+        """Check the calibration file named by the user."""
         if args.calibration and not args.calibration.exists():
             raise ConfigError("no such file", str(args.calibration), "a calibration to check")
         find_calibration(args, hand)
 
     def design() -> None:
-        """Check that the gains have a design at the rate of a run."""
+        """Check that the gains lead to a valid design at the control rate."""
         check_design(hand, layered_gains(args, hand).gains, control_rate(None, hand, bus_loads(hand)))
 
     drives = [partial(make_drive, motor, buses.index(motor.bus)) for motor in hand.motor]
@@ -119,7 +119,7 @@ def _report_errors(args: argparse.Namespace, errors: list[str]) -> int:
 
 
 def _graph(args: argparse.Namespace, hand: Hand) -> int:
-    """Print how a hand is put together, or draw it."""
+    """Print or draw the structure of a hand."""
     from handctl.report.hand_graph import draw_hand, text_graph
 
     if not args.graph:
@@ -187,13 +187,13 @@ def _warnings(hand: Hand) -> list[str]:
 
 
 def _gains_with_sources(layers: LayeredGains) -> list[str]:
-    """Return every gain with its origin, as comments, because gains belong to a separate file."""
+    """Return every gain with its origin as TOML comments, because gains belong in a separate file."""
     values = flat(layers.gains)
     return ["", "# gains", *(f"# {key} = {value}  ({layers.origins[key]})" for key, value in values.items())]
 
 
 def _calibration(args: argparse.Namespace, hand: Hand) -> dict[str, Any]:
-    """Return the calibration that a run would use, or the reason for none, and its identified parameters."""
+    """Return the calibration that a run would use (or the reason for none), with its identified parameters."""
     path, calibration, reason = find_calibration(args, hand)
     if calibration is None:
         return {"file": str(path), "problem": reason, "made": None, "identified": {}}
@@ -220,7 +220,7 @@ def _calibration_lines(calibration: dict[str, Any]) -> list[str]:
 
 
 def _export(args: argparse.Namespace, hand: Hand) -> int:
-    """Write a hand in a format of other tools."""
+    """Write a hand in a format for other tools."""
     if args.dbc:
         return _export_buses(args, hand)
     if not (args.urdf or args.mjcf):
@@ -268,7 +268,7 @@ def _schema(args: argparse.Namespace) -> int:
 
 
 def _convert(args: argparse.Namespace) -> int:
-    """Write a hand file of schema 1 as schema 2."""
+    """Convert a hand file of schema 1 to schema 2, and write the result."""
     from handctl.hand.file.convert import converted  # tomlkit is for this verb alone
 
     hand = load_hand(args.old)

@@ -15,7 +15,7 @@ from handctl.output import write_whole
 from handctl.programs.default_task import grasp_warnings
 
 SCHEMA_FILE = "hand.schema.json"
-"""Name of the JSON Schema beside a new hand file."""
+"""Name of the JSON Schema file, next to a new hand file."""
 
 
 class Question(NamedTuple):
@@ -24,8 +24,8 @@ class Question(NamedTuple):
     Attributes:
         field: field of ``Answers``.
         text: the question, without its default.
-        read: returns the answer of a text, or raises ValueError.
-        right: the expected answer.
+        read: function that returns the answer from a text, or raises ValueError.
+        right: description of a valid answer, for error messages.
     """
 
     field: str
@@ -35,12 +35,12 @@ class Question(NamedTuple):
 
 
 def lengths(text: str) -> tuple[float, ...]:
-    """Return the lengths of a list such as ``40,30`` [mm]."""
+    """Return the lengths [mm] in a list such as ``40,30``."""
     return tuple(float(part) for part in text.replace(",", " ").split())
 
 
 def one_or_each(text: str) -> str:
-    """Return ``one`` or ``each``."""
+    """Return the text if it is ``one`` or ``each``."""
     if text not in ("one", "each"):
         raise ValueError(text)
     return text
@@ -59,13 +59,13 @@ QUESTIONS = (
     Question("tension_N", "Largest tension that a tendon may be commanded [N]", float, "a number"),
     Question("strength_N", "Rated breaking force of the tendons [N]", float, "a number"),
 )
-"""Questions in order. An option answers a question before it is asked."""
+"""All questions, in order. A question is skipped if an option answers it."""
 IN_PROPORTION = {"palm_mm": "palm", "pulley_mm": "pulley"}
 """Attribute with the default of a field in proportion to other answers."""
 
 
 def run(args: argparse.Namespace) -> int:
-    """Ask what no option answers, and write the file and the schema beside it."""
+    """Ask the questions not answered by options, and write the hand file and its schema."""
     given = {one.name: getattr(args, one.name) for one in fields(Answers)}
     answers = replace(Answers(), **{name: value for name, value in given.items() if value is not None})
     if not args.yes:
@@ -92,10 +92,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _ask(args: argparse.Namespace, answers: Answers) -> Answers:
-    """Ask the questions that no option answers. An empty answer takes the default.
+    """Ask the questions not answered by options. An empty answer selects the default.
 
     Raises:
-        ConfigError: nobody is there to answer.
+        ConfigError: standard input is not a terminal, so no operator can answer.
     """
     if not (sys.stdin and sys.stdin.isatty()):
         raise ConfigError("nobody can answer the questions: no terminal", "config init", "--yes, and options")
@@ -110,7 +110,7 @@ def _ask(args: argparse.Namespace, answers: Answers) -> Answers:
 
 
 def _answer(question: Question, shown: str, default: Any) -> Any:
-    """Ask one question until the answer can be read."""
+    """Repeat a question until the answer is valid, and return the answer."""
     while True:
         text = input(f"{question.text} [{shown}]: ").strip()
         if not text:

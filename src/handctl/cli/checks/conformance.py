@@ -1,4 +1,4 @@
-"""``handctl conformance``: check the contract of a drive on the drive itself, below a given torque."""
+"""``handctl conformance``: check that a real drive behaves as handctl requires, below a given torque."""
 
 import argparse
 import dataclasses
@@ -39,23 +39,29 @@ from handctl.runtime.mailbox import bus_lock
 from handctl.session.exit_codes import Exit
 
 WATCHDOG_MS = 100
-"""Watchdog time of the drive [ms]. Longer than the delays of a desktop without real-time priority."""
+"""Watchdog time of the drive [ms], longer than the delays of a desktop without real-time priority."""
 TORQUE_TOP = 50.0
-"""Maximum torque in a hand file [N m]."""
+"""Largest torque allowed in a hand file [N m]."""
 DEFAULTS: dict[str, dict[str, Any]] = {"odrive": {"torque_feedback": True}, "cia402": {"sync": True}}
-"""Options of a single drive on a bench, where no other host sends SYNC."""
+"""Options for a single drive on a bench, because no other host sends SYNC there."""
 TEXT_OPTIONS = ("firmware", "motor_type")
-"""Options whose value is a text even if it looks like a number, as in firmware=0.5."""
+"""Options whose value is text even if the text looks like a number, such as firmware=0.5."""
 BARE_TEXT = re.compile(r"[A-Za-z0-9][\w.-]*")
-"""Text whose quotes may be left out."""
+"""Pattern for text that needs no quotes."""
 NEEDED = {"rated_torque_N_m": 1.0, "counts_per_turn": 65536}
-"""Defaults of options that a CiA 402 drive may not report. The read-back refuses a wrong rated torque."""
+"""Defaults for options that a CiA 402 drive may not report.
+
+The read-back refuses a wrong rated torque.
+"""
 LEFT_ON = "the drive does not say that it is off: REMOVE ITS POWER"
 MARKS = {CheckVerdict.PASSED: "passed", CheckVerdict.FAILED: "FAILED", CheckVerdict.NOT_APPLICABLE: "n/a   "}
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the checks. Return 1 if a check failed, 71 if the drive does not confirm that it is disabled."""
+    """Run the checks.
+
+    Returns 1 if a check failed, 71 if the drive does not confirm that it is disabled.
+    """
     options = _options(args.option)
     if not (math.isfinite(args.limit) and 1e-3 <= args.limit <= TORQUE_TOP):
         raise ConfigError(f"{args.limit:g}", "--torque-limit-Nm", f"0.001 to {TORQUE_TOP:g}")
@@ -84,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _options(words: list[str]) -> dict[str, Any]:
-    """Parse options from KEY=VALUE words, with values as in TOML. The quotes of a text may be left out.
+    """Return the options in KEY=VALUE words, whose values are TOML. Quotes of a text may be omitted.
 
     Raises:
         ConfigError: a word is not TOML.
@@ -110,10 +116,10 @@ def _option(word: str) -> dict[str, Any]:
 
 
 def _drive(args: argparse.Namespace, options: dict[str, Any], node: DiscoveredNode | None) -> Drive:
-    """Return the drive with the values that it reported. Values of the command line take precedence.
+    """Return the drive with the values that it reported. Values on the command line override these.
 
     Raises:
-        ConfigError: the protocol has no such option, or its node cannot have this number.
+        ConfigError: the protocol does not have an option, or does not allow this node number.
     """
     reported: dict[str, Any] = dict(node.options) if node else {}
     if args.protocol == "cia402":
@@ -139,7 +145,10 @@ def _drive(args: argparse.Namespace, options: dict[str, Any], node: DiscoveredNo
 
 
 def _defaults(protocol: str, options: dict[str, Any]) -> dict[str, Any]:
-    """Return the options of a single drive on a bench. Firmware 0.5 of an ODrive does not report torque."""
+    """Return the options for a single drive on a bench.
+
+    ODrive firmware 0.5 does not report torque.
+    """
     return {} if options.get("firmware") == "0.5" else DEFAULTS.get(protocol, {})
 
 
@@ -154,7 +163,7 @@ def _dry_run(args: argparse.Namespace) -> int:
 
 
 def _find_drive(args: argparse.Namespace) -> DiscoveredNode:
-    """Return the drive as found by a scan.
+    """Return the drive found by a scan.
 
     Raises:
         BusError: another host controls the bus.
@@ -179,7 +188,9 @@ def _find_drive(args: argparse.Namespace) -> DiscoveredNode:
 
 
 def _listened(args: argparse.Namespace, bus: Bus) -> Scan:
-    """Return a scan result for a drive that answers commands only. A frame with its identifier comes from another host.
+    """Return a scan result for a drive that answers only commands.
+
+    A received frame with its identifier comes from another host.
 
     The first check shows whether the drive is present.
     """
@@ -190,7 +201,10 @@ def _listened(args: argparse.Namespace, bus: Bus) -> Scan:
 
 
 def _restoring(drive: Drive, node: DiscoveredNode) -> Drive:
-    """Return the drive with its original torque range. For an MIT motor, the limit is the scale of every torque."""
+    """Return the drive with its original torque range.
+
+    For an MIT motor, this range scales every torque.
+    """
     if isinstance(drive, MitDrive) and "torque_max_N_m" in node.settings:
         ranges = drive.ranges._replace(torque=node.settings["torque_max_N_m"])
         return dataclasses.replace(drive, ranges=ranges)
@@ -198,7 +212,10 @@ def _restoring(drive: Drive, node: DiscoveredNode) -> Drive:
 
 
 def _checked(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tuple[list[ConformanceCheck], bool]:
-    """Run the checks, disable the drive, restore its torque range. Return the checks, and True if it is disabled."""
+    """Run the checks, disable the drive, and restore its torque range.
+
+    Returns the checks, and True if the drive is disabled.
+    """
     clock = RealClock(PERIOD_NS)
     bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate, clock.of)
     results: list[ConformanceCheck] = []

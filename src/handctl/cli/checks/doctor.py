@@ -19,7 +19,7 @@ from handctl.session.exit_codes import Exit
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check priority, CAN, viewer and space. Return 1 if something needs a repair, as ``handctl bus doctor`` does."""
+    """Check priority, CAN, viewer, and disk space. Returns 1 if a finding needs a repair."""
     findings = [_priority(), _memory(), _socketcan(), _interfaces(), _vulkan(), _extras(), _space()]
     if args.json:
         rows = [{"what": what, "good": good, "fix": fix} for what, good, fix in findings]
@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _print(findings: Sequence["Finding"]) -> None:
-    """Print the findings. A quiet verb leaves out the good ones, a verbose verb adds the versions."""
+    """Print the findings. ``--quiet`` omits good findings, ``--verbose`` adds versions."""
     for what, good, fix in findings:
         if not (good and is_quiet()):
             print(f"{'ok ' if good else '-- '} {what}" + ("" if good else f"\n      {fix}"))
@@ -43,7 +43,7 @@ Finding = tuple[str, bool, str]
 
 
 def _versions() -> dict[str, object]:
-    """Return the facts for an error report: versions, system, installed extras."""
+    """Return data for a bug report: versions, system, installed extras."""
     return {
         "version": version("handctl"),
         "python": platform.python_version(),
@@ -58,7 +58,7 @@ def _extras() -> Finding:
 
 
 def _granted() -> Priority:
-    """Return the priority that the system grants. It is acquired and released."""
+    """Return the priority granted by the system. The priority is requested and then released."""
     granted = take_priority()
     give_back_priority()
     return granted

@@ -1,4 +1,4 @@
-"""Fragment of a hand file for scanned drives: values that the drives reported, and values for the user to measure."""
+"""Fragment of a hand file for scanned drives: reported values, and values that the user must measure."""
 
 from collections.abc import Mapping, Sequence
 
@@ -9,7 +9,7 @@ Entry = tuple[str, object, str]
 """Key, value and comment of a line in TOML."""
 TO_FILL_IN = "yours: "
 TORQUE_TOP = 50.0
-"""Maximum torque in a hand file [N m]."""
+"""Largest torque allowed in a hand file [N m]."""
 RATED_N_M = 0.1
 COUNTS = 65536
 

@@ -17,12 +17,12 @@ from handctl.session.buses import named_buses
 from handctl.session.exit_codes import Exit
 
 SHOWN = 8
-"""Maximum number of frames of another host in the output."""
+"""Largest number of another host's frames in the output."""
 MILLI = 1e-3
 
 
 def run(args: argparse.Namespace) -> int:
-    """Scan each bus. Return 1 if no node was found."""
+    """Scan each bus. Returns 1 if no node was found."""
     buses = named_buses(args.bus)
     if args.dry_run:
         return _show_questions(args.json)
@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def identified(nodes: tuple[DiscoveredNode, ...], spec: str, bitrate: int) -> tuple[DiscoveredNode, ...]:
-    """Return the nodes with the identity that CANopen nodes report over SDO."""
+    """Return the nodes. CANopen nodes include the identity that they report over SDO."""
     canopen_ids = [drive.node_id for drive in nodes if drive.protocol == "cia402"]
     if not canopen_ids:
         return nodes
@@ -99,7 +99,7 @@ def _plain(name: str, spec: str, result: Scan) -> dict[str, Any]:
 
 
 def _text(frame: Frame) -> str:
-    """Return a frame in the notation of candump."""
+    """Return a frame as text in candump notation."""
     return f"{frame.can_id & 0x1FFFFFFF:03X}#" + ("R" if frame.can_id & REMOTE else frame.data.hex().upper())
 
 
@@ -121,7 +121,7 @@ def _print(buses: dict[str, str], scans: dict[str, Scan], piece: str) -> None:
 
 
 def not_looked_for() -> str:
-    """Return the line on protocols whose drives a scan cannot find."""
+    """Return a line about protocols whose drives a scan cannot find."""
     return f"not looked for: {', '.join(UNDISCOVERED)}, whose drives answer commands only"
 
 

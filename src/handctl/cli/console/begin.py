@@ -1,4 +1,4 @@
-"""Notices and the question before a hand moves: the files in use, and whether the hand may move."""
+"""Notice about the files in use, and confirmation by the operator before a hand moves."""
 
 import argparse
 import datetime
@@ -22,7 +22,7 @@ DAY_S = 86400.0
 
 
 def announce(args: argparse.Namespace, plan: Plan, path: Path, calibration: Calibration | None) -> None:
-    """Name the files from the working folder, then ask once before a hand moves on a real bus.
+    """Print the files in use, then on a real bus ask the operator once if the hand may move.
 
     Args:
         args: arguments with ``yes``, ``gains`` and ``calibration``.
@@ -50,7 +50,10 @@ def announce(args: argparse.Namespace, plan: Plan, path: Path, calibration: Cali
 
 
 def _described(what: str, path: Path, made: str) -> str:
-    """Return the kind, path and age of a file. Without a date in the file, its change time counts."""
+    """Return kind, path, and age of a file as text.
+
+    If the file contains no date, its modification time is used.
+    """
     then = path.stat().st_mtime
     with suppress(ValueError):
         then = datetime.datetime.fromisoformat(made).timestamp()
@@ -66,10 +69,10 @@ def age(seconds: float) -> str:
 
 
 def ask(warning: str, yes: bool) -> None:
-    """Ask the operator to confirm, unless the command line already does.
+    """Ask the operator to confirm, unless the command line includes ``--yes``.
 
     Args:
-        warning: consequence of the confirmation, one line.
+        warning: consequence of a confirmation, in one line.
         yes: True if ``--yes`` was given.
 
     Raises:

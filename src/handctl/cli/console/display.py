@@ -1,4 +1,4 @@
-"""Display of a running hand. A separate process draws it, from lines of JSON.
+"""Display of a running hand, drawn by a separate process from lines of JSON.
 
 The controller writes a short line every tenth of a second to a pipe that never blocks. If the display process is slow,
 lines are lost and the control is not disturbed. In a terminal the state is drawn in place. Otherwise the display prints
@@ -21,7 +21,7 @@ from handctl.safety.faults.table import remedy
 
 EVERY_S = 0.1
 STDERR = 2
-"""File descriptor of the display. Standard output is for results."""
+"""File descriptor for the display, because standard output is for results."""
 ONE_SECOND_NS = 1_000_000_000
 
 
@@ -29,10 +29,10 @@ class DisplayProcess:
     """Controller's end of the pipe to the display process.
 
     Attributes:
-        every: ticks between two lines.
+        every: number of ticks between two lines.
         child: display process.
         pipe: file descriptor of the pipe.
-        worst_late_ns: maximum lateness since the last line [ns].
+        worst_late_ns: largest lateness since the last line [ns].
         last_warning_ns: time of the last printed warning of each fault id [ns].
         shown: remedies already printed.
     """
@@ -64,11 +64,11 @@ class DisplayProcess:
 
     @staticmethod
     def start(hand: Hand, rate_hz: float, load: float) -> "DisplayProcess":
-        """Start the display of a run."""
+        """Return the started display of a run."""
         return DisplayProcess(hand.tendon_names, tuple(tendon.tension_max_N for tendon in hand.tendon), rate_hz, load)
 
     def show(self, entry: TickIn, out: TickOut) -> None:
-        """Send a line every ``EVERY_S``, and at once after an event."""
+        """Send a line every ``EVERY_S``, and immediately after an event."""
         self.worst_late_ns = max(self.worst_late_ns, entry.late_ns)
         if entry.k % self.every and not out.events:
             return
@@ -87,7 +87,10 @@ class DisplayProcess:
         self._write(line)
 
     def _is_due(self, t_ns: int, event: Event) -> bool:
-        """Return True if an event is to be printed. A repeated warning is printed once per second. The log has all."""
+        """Return True if an event is to be printed.
+
+        A repeated warning is printed once per second. The log contains every event.
+        """
         if event.level == "error" or event.name != "fault":
             return True
         fault_id = event.text[:3]
@@ -97,7 +100,10 @@ class DisplayProcess:
         return news
 
     def _advised(self, event: Event) -> str:
-        """Return the text of an event. The first event of a fault has its remedy in a second line."""
+        """Return the text of an event.
+
+        At the first event of a fault, a second line has the remedy.
+        """
         advice = remedy(event.text) if event.name == "fault" else ""
         if not advice or advice in self.shown:
             return event.text
@@ -140,7 +146,7 @@ def _print_lines(head: dict[str, Any]) -> None:
 
 
 def _drawn(head: dict[str, Any]) -> None:
-    """Draw the state in place, with rich."""
+    """Draw the state in place in the terminal, with rich."""
     from rich.live import Live
 
     console = screen()

@@ -1,4 +1,4 @@
-"""Report of a dry run, the same in every verb that runs a controller."""
+"""Report of a dry run, equal for every verb that runs a controller."""
 
 import argparse
 from typing import Any
@@ -9,7 +9,7 @@ from handctl.session.plan import Plan, check_design
 
 
 def report_dry_run(args: argparse.Namespace, plan: Plan, *lines: str, **fields: Any) -> int:
-    """Check the design of the gains, and report the run that would follow.
+    """Check the design of the gains, and report the run that would be executed.
 
     Args:
         args: arguments with ``json``.

@@ -1,4 +1,4 @@
-"""End of a verb by a signal or by a bug.
+"""Orderly end of a verb after a signal or a bug.
 
 While no hand runs, a signal raises an exception in the verb, so that files, child processes and sockets are closed.
 While a hand runs, the loop handles the signals. See ``runtime.loop.StopSignals``.
@@ -18,7 +18,7 @@ from handctl.session.exit_codes import Exit
 
 
 class Terminated(KeyboardInterrupt):
-    """SIGTERM, or SIGHUP of a closed terminal."""
+    """Exception for SIGTERM, or for SIGHUP from a closed terminal."""
 
 
 def _end(number: int, frame: FrameType | None) -> None:
@@ -27,14 +27,14 @@ def _end(number: int, frame: FrameType | None) -> None:
 
 @contextmanager
 def terminate_on_signals() -> Iterator[None]:
-    """Handle SIGTERM and SIGHUP like Ctrl-C. A signal that ``nohup`` ignores stays ignored."""
+    """Handle SIGTERM and SIGHUP like Ctrl-C. A signal ignored through ``nohup`` stays ignored."""
     ending = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) == signal.SIG_DFL]
     with handling(_end, *ending):
         yield
 
 
 def install_excepthook() -> None:
-    """End this process with a traceback and ``Exit.INTERNAL`` after an unexpected exception.
+    """End the process with a traceback and ``Exit.INTERNAL`` after an unexpected exception.
 
     The exit code is set last, after all other exit handlers have run, so that every resource is closed as usual.
     """

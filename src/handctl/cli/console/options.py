@@ -16,7 +16,7 @@ from handctl.session.exit_codes import Exit
 
 
 class _Named(argparse.Action):
-    """Action that stores a hand and marks it as named by the operator."""
+    """Argparse action that stores a hand and marks it as named by the operator."""
 
     def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None) -> None:
         namespace.hand = values
@@ -32,7 +32,7 @@ def hand_option(parser: argparse.ArgumentParser) -> None:
 
 
 def check_seed(seed: int) -> None:
-    """Refuse a seed that no generator takes.
+    """Raise an error for a seed that random generators do not accept.
 
     Raises:
         ConfigError: the seed is negative.
@@ -53,13 +53,13 @@ def checked_count(number: int, option: str, maximum: int) -> int:
 
 
 def protocol_option(parser: argparse.ArgumentParser, more: str = "") -> None:
-    """Declare --protocol: drives of another protocol for the same hand."""
+    """Declare --protocol: the same hand, but with drives of another protocol."""
     text = "drives of the simulated hand (default: as in its file)" + more
     parser.add_argument("--protocol", choices=GUARDED, help=text)
 
 
 def bus_option(parser: argparse.ArgumentParser, required: bool = True) -> None:
-    """Declare --bus: one specification, or NAME=SPEC repeated for a hand on several buses."""
+    """Declare --bus: one specification, or several NAME=SPEC for a hand on several buses."""
     parser.add_argument(
         "--bus",
         action="append",
@@ -77,7 +77,7 @@ def bitrate_options(parser: argparse.ArgumentParser, nominal: str, data: str) ->
 
 
 def _bit_rate(word: str) -> int:
-    """Parse a bit rate within the limits of a hand file [bit/s]."""
+    """Return a bit rate [bit/s] after a check against the limits of a hand file."""
     rate = int(word)
     if not SLOWEST_BUS <= rate <= FASTEST_BUS:
         raise argparse.ArgumentTypeError(f"{word}; expected {SLOWEST_BUS} to {FASTEST_BUS} bit/s")
@@ -133,23 +133,23 @@ def output_option(parser: argparse.ArgumentParser, text: str, metavar: str = "FI
 
 
 def perturb_option(parser: argparse.ArgumentParser) -> None:
-    """Declare --perturb: factors between the simulated hand and its file."""
+    """Declare --perturb: factors between parameters of the simulated hand and of its file."""
     text = "make the simulated hand unlike its file, e.g. stiffness=0.8 friction=1.3 (python -m firmware_sim --help)"
     parser.add_argument("--perturb", nargs="+", action="extend", default=[], metavar="KEY=FACTOR", help=text)
 
 
 def perturb_words(args: argparse.Namespace) -> list[str]:
-    """Return the option --perturb for the command line of the simulator."""
+    """Return the words for --perturb on the command line of the simulator."""
     return ["--perturb", *args.perturb] if args.perturb else []
 
 
 def yes_option(parser: argparse.ArgumentParser) -> None:
-    """Declare --yes: confirm the motion without a question."""
+    """Declare --yes: allow the motion without a question."""
     parser.add_argument("--yes", action="store_true", help="on a real bus: move at once, do not ask")
 
 
 def time_scale_option(parser: argparse.ArgumentParser, more: str = "") -> None:
-    """Declare --time-scale: simulated time per wall time, the same on both sides of the bus."""
+    """Declare --time-scale: simulated time per wall time, used by controller and simulator."""
     text = "simulated time per wall time" + more
     parser.add_argument("--time-scale", type=float, default=1.0, metavar="X", help=text)
 
@@ -170,20 +170,20 @@ def say(text: str, error: bool = False) -> None:
 
 
 def warn_if_lossy(path: Path, warning: str) -> Exit:
-    """Warn if a log is incomplete. Return the exit code of a verb that used the readable part."""
+    """Warn if a log is incomplete. Returns the exit code for a verb that used the readable part."""
     if warning:
         say(f"handctl: {path}: {warning}", error=True)
     return Exit.LOSSY_LOG if warning else Exit.DONE
 
 
 def wire_option(parser: argparse.ArgumentParser) -> None:
-    """Declare --wire: simulated frames take the time of a real bus."""
+    """Declare --wire: simulated frames need the same time as on a real bus."""
     text = "the simulated bus has a bit rate, queues and errors; e.g. --wire queue=10 (python -m firmware_sim --help)"
     parser.add_argument("--wire", nargs="*", metavar="KEY=VALUE", help=text)
 
 
 def wire_words(args: argparse.Namespace) -> list[str]:
-    """Return the option --wire for the command line of the simulator."""
+    """Return the words for --wire on the command line of the simulator."""
     return [] if args.wire is None else ["--wire", *args.wire]
 
 

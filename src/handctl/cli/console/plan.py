@@ -51,7 +51,10 @@ def _describe(args: argparse.Namespace, run_plan: plan.Plan) -> None:
 
 
 def notice(text: str) -> None:
-    """Print a notice of a session on standard error. A caution begins with ``handctl:`` and is always printed."""
+    """Print a notice on standard error.
+
+    A caution begins with ``handctl:`` and is always printed.
+    """
     if text.startswith("handctl:"):
         say(text, error=True)
     else:
@@ -59,7 +62,7 @@ def notice(text: str) -> None:
 
 
 def _display(of: plan.Plan) -> plan.Display:
-    """Start the display of a run."""
+    """Return a function that starts the display of a run."""
     from handctl.cli.console.display import DisplayProcess
 
     return DisplayProcess.start(of.hand, of.rate_hz, max(of.load, default=0.0))
@@ -82,7 +85,7 @@ def calibration_path(args: argparse.Namespace, hand: Hand) -> Path:
     """Return the path of the calibration file, which may not exist yet.
 
     Raises:
-        ConfigError: the file could not be written. The check comes before a hand moves.
+        ConfigError: the file cannot be written. This is checked before a hand moves.
     """
     path: Path = args.calibration or Path(f"{hand.name}.calibration.toml")
     check_output(path, "--calibration", Path(args.hand), getattr(args, "gains", None), getattr(args, "task", None))
@@ -90,13 +93,13 @@ def calibration_path(args: argparse.Namespace, hand: Hand) -> Path:
 
 
 def find_calibration(args: argparse.Namespace, hand: Hand) -> tuple[Path, Calibration | None, str]:
-    """Read the hand's calibration file and check that it is valid for arming.
+    """Return the hand's calibration file, and its content if valid for arming.
 
     Returns:
         The path, the calibration or None, and the reason for None.
 
     Raises:
-        ConfigError: the named file exists and cannot be used, or the file could not be written.
+        ConfigError: the named file exists and cannot be used, or the file cannot be written.
     """
     path = calibration_path(args, hand)
     loaded, reason = calibration.find_calibration(path, hand, named=bool(args.calibration))
@@ -112,7 +115,8 @@ def check_perturb(args: argparse.Namespace, simulated: bool) -> dict[str, float]
         simulated: True if this verb simulates the hand.
 
     Raises:
-        ConfigError: a word is no KEY=NUMBER, a key or a factor is invalid, or this verb does not simulate the hand.
+        ConfigError: a word is not KEY=NUMBER, a key or a factor is invalid, or this verb does not
+            simulate the hand.
     """
     factors = gains.assignments(args.perturb, "--perturb")
     if factors and not simulated:
@@ -123,7 +127,7 @@ def check_perturb(args: argparse.Namespace, simulated: bool) -> dict[str, float]
 
 
 def refuse_bus_options(args: argparse.Namespace) -> None:
-    """Refuse options that have an effect only in a run on a bus.
+    """Raise an error for options that have an effect only in a run on a bus.
 
     Raises:
         ConfigError: such an option is given.

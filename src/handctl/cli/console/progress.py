@@ -1,4 +1,4 @@
-"""Progress bar on the terminal. It disappears when the work is done."""
+"""Progress bar on the terminal, which disappears when the work is done."""
 
 import sys
 from collections.abc import Iterator

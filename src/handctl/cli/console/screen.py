@@ -1,4 +1,8 @@
-"""Console of rich for the verbs. It escapes text from files, and ends a verb whose reader closed the pipe."""
+"""Rich console for the verbs.
+
+The console escapes text from files, and ends a verb if the reader of its output has closed the
+pipe.
+"""
 
 from collections.abc import Iterable
 from typing import Any
@@ -7,11 +11,13 @@ from handctl.printing import escaped
 
 
 def screen(error: bool = False, min_width: int = 1) -> Any:
-    """Create a console of rich.
+    """Return a rich console.
 
     Args:
-        error: True to print on standard error. A closed standard error is not an error.
-        min_width: minimum width [columns]. A narrower terminal breaks the lines of a table, but cuts no number.
+        error: True to print on standard error. If standard error is closed, the output is dropped
+            without an error.
+        min_width: smallest width [columns]. A narrower terminal wraps the lines of a table, but
+            cuts no number.
     """
     from rich.console import Console, ConsoleOptions, RenderableType
     from rich.segment import Segment
@@ -28,7 +34,10 @@ def screen(error: bool = False, min_width: int = 1) -> Any:
             return super().render_str(escaped(text, "\n\t"), **keywords)
 
         def on_broken_pipe(self) -> None:
-            """Raise the error for ``main``, as for verbs without rich. Continue without progress."""
+            """Raise the error that ``main`` handles, as for verbs without rich.
+
+            Progress output continues silently.
+            """
             if not error:
                 raise BrokenPipeError
             self.quiet = True

@@ -1,4 +1,4 @@
-"""Standard input, output and error in a state that every verb can use."""
+"""Preparation of standard input, output, and error for all verbs."""
 
 import os
 import sys
@@ -8,7 +8,7 @@ from io import TextIOWrapper
 def make_usable() -> None:
     """Open closed standard streams, and escape characters that a terminal cannot show.
 
-    Without this step, the next opened file would get the number of a closed stream.
+    Without this, the next opened file would get the file descriptor of a closed stream.
     """
     for number in range(3):
         try:
@@ -36,5 +36,8 @@ def flush() -> None:
 
 
 def give_up_output() -> None:
-    """Discard output that cannot be written. Otherwise the same error would occur at the end of the process."""
+    """Discard output that cannot be written.
+
+    Otherwise the same error would occur again at the end of the process.
+    """
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

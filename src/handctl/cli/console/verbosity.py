@@ -1,4 +1,4 @@
-"""Amount of output on standard error: ``--quiet``, the default, or ``--verbose``.
+"""Verbosity on standard error: ``--quiet``, default, or ``--verbose``.
 
 Results, errors and cautions are always printed.
 """
@@ -14,7 +14,7 @@ from handctl.printing import message
 
 
 class Verbosity(IntEnum):
-    """Amount of output of a verb beside its result."""
+    """Verbosity of a verb, in addition to its result."""
 
     QUIET = 0
     NORMAL = 1
@@ -26,7 +26,7 @@ _verbosity: ContextVar[Verbosity] = ContextVar("verbosity", default=Verbosity.NO
 
 @contextmanager
 def use_verbosity(args: argparse.Namespace) -> Iterator[None]:
-    """Use the verbosity of a command line while its verb runs."""
+    """Apply the verbosity options of a command line while its verb runs."""
     quiet = getattr(args, "quiet", False)
     verbose = getattr(args, "verbose", False)
     level = Verbosity.QUIET if quiet else Verbosity.VERBOSE if verbose else Verbosity.NORMAL

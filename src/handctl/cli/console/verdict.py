@@ -1,4 +1,4 @@
-"""Table at the end of a run."""
+"""Table with the results at the end of a run."""
 
 from typing import Any
 
@@ -41,7 +41,7 @@ def print_summary(result: dict[str, Any], plan: Plan) -> None:
 
 
 def _pauses(silent: int) -> str:
-    """Return the reason of late frames: ticks in which no node of the bus answered."""
+    """Return the explanation of late frames: number of ticks without an answer from any node."""
     return f", bus silent for {silent} tick{'s' if silent > 1 else ''}" if silent else ""
 
 
@@ -54,7 +54,7 @@ def _with(value: float, scale: float, unit: str, digits: int) -> str:
 
 
 def _lift(result: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return how far the table sank and how far the object then moved in the hand. Empty without such a table."""
+    """Return how far the table sank and how far the object then moved, empty without a sinking table."""
     sunk = result["table_sunk_mm"]
     slid = result["object_slid_mm"]
     if sunk != sunk:
@@ -63,7 +63,7 @@ def _lift(result: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _forces(result: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return the estimated tip force of each digit beside the contact force of the plant."""
+    """Return the estimated tip force of each digit, next to the true contact force."""
     estimated = result["tip_equivalent_force_n"]
     real = result["contact_force_n"]
     rows = []

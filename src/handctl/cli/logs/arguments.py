@@ -1,4 +1,7 @@
-"""Arguments of the verbs. The code of a verb and its imports are loaded only when the verb runs."""
+"""Declaration of the arguments of these verbs.
+
+The code of a verb is imported only when the verb runs, so that the help appears fast.
+"""
 
 import argparse
 from pathlib import Path
@@ -8,7 +11,7 @@ from handctl.cli.parsing.parser import Example, Parser, add_sub_verb
 
 
 def _of_a_log(command: str) -> Example:
-    """Return an example that records ``run.mcap`` first, unless the file exists."""
+    """Return an example that first records ``run.mcap``, unless the file exists."""
     return Example(f"[ -e run.mcap ] || handctl demo --lockstep --log run.mcap; {command}")
 
 
@@ -34,7 +37,7 @@ FORMATS = {
     "rrd": "for the Rerun viewer",
     "lerobot": "a LeRobot dataset (3.0) in a folder, an episode for each log",
 }
-"""Formats of ``log export``, each with its description."""
+"""Formats of ``log export`` with their descriptions."""
 
 
 def view(parser: argparse.ArgumentParser) -> None:

@@ -14,7 +14,7 @@ from handctl.output import named_after, whole
 from handctl.session.exit_codes import Exit
 
 UNITS = {"candump": "frames", "rrd": "bytes", "lerobot": "frames"}
-"""Unit of the exported count for each format. Formats not listed count rows."""
+"""Unit in which exported data are counted, by format. Formats not listed are counted in rows."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -65,7 +65,7 @@ def _info(args: argparse.Namespace) -> int:
 
 
 def _shown(value: object) -> str:
-    """Return the text of a value: yes or no, 9 significant digits, or ``-`` if empty."""
+    """Return a value as text: yes or no, 9 significant digits, or ``-`` if empty."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     return f"{value:.9g}" if isinstance(value, float) else str(value) or "-"

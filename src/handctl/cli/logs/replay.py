@@ -1,6 +1,6 @@
 """``handctl replay``: execute a recorded run again, drive it on the hand, or judge it by other limits.
 
-This verb imports the module of a kind only when that kind is requested, because only ``drive`` uses buses.
+Only the module of the requested kind is imported, because only ``drive`` uses buses.
 """
 
 import argparse

@@ -82,21 +82,21 @@ def _same(args: argparse.Namespace, log: Any) -> bool:
 
 
 def _writer(log: Any) -> tuple[str, str]:
-    """Return the version and the code identity of the handctl that wrote a log."""
+    """Return version and code identity of the handctl that wrote a log."""
     from handctl.log.code_identity import UNKNOWN
 
     return log.header.metadata.get("version", UNKNOWN), log.header.metadata.get("code", UNKNOWN)
 
 
 def _sentence(one: Any) -> str:
-    """Return one line of text for a difference: tick, time [s], field, logged and computed value."""
+    """Return a difference as one line of text: tick, time [s], field, logged and computed value."""
     place = f"{one.field} of {one.name}" if one.name else one.field
     apart = f", {one.ulps} units in the last place" if one.ulps is not None else ""
     return f"tick {one.k} ({one.t_s:.3f} s), {place}: logged {one.logged!r}, now {one.computed!r}{apart}"
 
 
 def _other_gains(args: argparse.Namespace, log: Any) -> bool:
-    """Execute the log with other gains and draw their commands. Always return True."""
+    """Execute the log with other gains, and draw their commands. Always returns True."""
     from handctl.core.gains.gains import load_gains
     from handctl.replay.counterfactual import Commands, draw, summary
     from handctl.replay.execute import execute

@@ -1,4 +1,4 @@
-"""``handctl report``: one self-contained HTML page of a run."""
+"""``handctl report``: write one self-contained HTML page about a run."""
 
 import argparse
 
@@ -9,7 +9,7 @@ from handctl.output import check_output, named_after
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the HTML page of a run and return the exit code."""
+    """Write the HTML page about a run, and return the exit code."""
     from handctl.log.read.reader import RunLog
     from handctl.replay.rebuild import logged_hand
     from handctl.report.run_page import write_page

@@ -15,7 +15,7 @@ from handctl.session.exit_codes import Exit
 
 
 def run(args: argparse.Namespace) -> int:
-    """Show the log, or write the requested recording and picture. Return the exit code."""
+    """Show the log, or write the requested recording and picture. Returns the exit code."""
     os.environ.setdefault("RUST_LOG", "error")  # hide Rerun's own log lines: handctl reports the errors itself
     _check(args)
     if args.follow:
@@ -44,10 +44,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _truth(args: argparse.Namespace, log: Any) -> Any:
-    """Return the truth of a run in lockstep, or None if there is none beside the log.
+    """Return the truth of a run in lockstep, or None if there is no truth file next to the log.
 
     Raises:
-        LogError: the file that ``--truth`` names is no truth of this run.
+        LogError: the file given by ``--truth`` does not belong to this run.
     """
     from handctl.report.truth import read_truth
 
@@ -63,10 +63,10 @@ def _truth(args: argparse.Namespace, log: Any) -> Any:
 
 
 def _moment(args: argparse.Namespace, log: Any) -> float:
-    """Return the time of the picture in the run [s].
+    """Return the time in the run for the picture [s].
 
     Raises:
-        ConfigError: ``--at`` is outside the run.
+        ConfigError: ``--at`` is outside of the run.
     """
     from handctl.view.picture_time import picture_time
 
@@ -79,7 +79,7 @@ def _moment(args: argparse.Namespace, log: Any) -> float:
 
 
 def _check(args: argparse.Namespace) -> None:
-    """Refuse impossible options before the log is read."""
+    """Raise an error for contradicting options, before the log is read."""
     from handctl.view.viewer import check_screen, software_vulkan
 
     if args.follow and (args.save or args.picture):
@@ -98,7 +98,7 @@ def _check(args: argparse.Namespace) -> None:
 
 
 def _write(args: argparse.Namespace, run_info: Any, at_s: float) -> dict[str, Any]:
-    """Write the recording and the picture. Return the fields of the JSON result."""
+    """Write the recording and the picture. Returns the fields of the JSON result."""
     from handctl.view.feed import write_rrd
 
     result: dict[str, Any] = {}
@@ -126,7 +126,7 @@ def _picture(args: argparse.Namespace, rrd: Path, at_s: float) -> dict[str, Any]
 
 
 def _window(log: Path, run_info: Any, scan: Any) -> None:
-    """Open the viewer, send the log to it, and wait until the user closes the viewer."""
+    """Open the viewer, send the log, and wait until the user closes the viewer."""
     from handctl.view.browse import browse
 
     with browse(log, run_info, [], {}, scan) as running:

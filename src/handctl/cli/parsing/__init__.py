@@ -1,1 +1,1 @@
-"""The command line as text: parser, renamed options, completion in a shell, optional packages of a verb."""
+"""Parsing of the command line: parser, renamed options, shell completion, optional packages of a verb."""

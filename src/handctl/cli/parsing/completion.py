@@ -1,7 +1,7 @@
-"""Completion of verbs and options in a shell, by argcomplete.
+"""Shell completion of verbs and options, with argcomplete.
 
-``eval "$(register-python-argcomplete handctl)"`` in a bash or zsh makes the shell call ``handctl`` with
-``_ARGCOMPLETE`` in its environment, each time that the user presses the tabulator key.
+``eval "$(register-python-argcomplete handctl)"`` in a bash or zsh makes the shell call ``handctl``
+with ``_ARGCOMPLETE`` in its environment, each time the user presses the Tab key.
 """
 
 import os
@@ -11,16 +11,19 @@ from typing import Any
 from handctl.cli.parsing.parser import Parser
 
 HANDS = Path(__file__).parents[2] / "hand" / "hands"
-"""Packaged hands, as ``hand.load`` finds them. Its import would take longer than a user waits for a completion."""
+"""Folder of the packaged hands, as in ``hand.load``.
+
+Importing ``hand.load`` would delay the completion.
+"""
 
 
 def is_completing() -> bool:
-    """Return whether a shell asks for completions."""
+    """Return True if a shell asks for completions."""
     return "_ARGCOMPLETE" in os.environ
 
 
 def complete(parser: Parser) -> None:
-    """Answer the shell, and end this process."""
+    """Print the completions for the shell, and end this process."""
     import argcomplete
 
     argcomplete.autocomplete(parser)

@@ -1,4 +1,4 @@
-"""Optional packages of each verb, so that a missing one is reported before the verb begins."""
+"""Optional packages needed by each verb, so that a missing package is reported before the verb begins."""
 
 import argparse
 
@@ -8,7 +8,7 @@ def optional_packages(verb: str, args: argparse.Namespace) -> tuple[str, ...]:
 
     Args:
         verb: name of the verb.
-        args: its parsed arguments.
+        args: parsed arguments of the verb.
     """
     packages: list[str] = []
     if verb == "view" or getattr(args, "view", False):
@@ -25,7 +25,7 @@ def optional_packages(verb: str, args: argparse.Namespace) -> tuple[str, ...]:
 
 
 def _needs_simulator(verb: str, args: argparse.Namespace) -> bool:
-    """Return whether a command line starts a simulated hand."""
+    """Return True if a command line starts a simulated hand."""
     if verb in ("demo", "sim") or getattr(args, "lockstep", False):
         return True
     if verb == "paper":  # results of earlier experiments are read from their file

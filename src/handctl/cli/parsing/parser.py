@@ -1,6 +1,7 @@
-"""The parser of command lines: one-line errors with a suggestion, and help that ends with an example.
+"""Parser of command lines, with one-line errors that suggest a correction, and help that ends with an example.
 
-Messages of argparse quote the words of a user. They are escaped and cut before they are printed.
+Messages of argparse quote words from the user. These words are escaped and shortened before
+printing.
 """
 
 import argparse
@@ -15,35 +16,35 @@ from handctl.errors import ConfigError
 from handctl.printing import printable
 
 END_AS_VALUE = re.compile(r"(--?[^=]+)=--")
-"""An option whose value is the word that ends the options. argparse removes it and fails without a message."""
+"""Pattern for an option with the value ``--``. argparse would remove this value and fail without a message."""
 INVALID_CHOICE = re.compile(r"invalid choice: '(?P<word>.*)' \(choose from (?P<choices>.*)\)", re.DOTALL)
-"""Message of argparse about a word that is not one of the choices."""
+"""Pattern for argparse's message about a word that is not an allowed choice."""
 LONGEST_WORD = 60
-"""Characters of a word in a message."""
+"""Largest number of characters of a word in a message."""
 
 SIMULATED_HAND = "handctl sim --hand jamia --bus local:demo"
 RUNNING_HAND = "handctl run --hand jamia --bus local:demo"
 
 
 class Example(NamedTuple):
-    """A command line that works when it is pasted into a shell.
+    """Example command line for the help, which works when pasted into a shell.
 
     Attributes:
         line: the command.
-        beside: commands that must run in other terminals meanwhile.
+        beside: commands that must run in other terminals at the same time.
     """
 
     line: str
     beside: tuple[str, ...] = ()
 
     def epilog(self) -> str:
-        """Return the end of a help text. Its last line is the command."""
+        """Return the end of a help text. The last line is the command."""
         beside = ["in other terminals:", *(f"  {command}" for command in self.beside)] if self.beside else []
         return "\n".join([*beside, "example:", f"  {self.line}"])
 
 
 class HelpFormatter(argparse.HelpFormatter):
-    """Wraps paragraphs to the width of the terminal, and leaves indented lines as they are."""
+    """Help formatter that wraps paragraphs to the terminal's width and keeps indented lines."""
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
         lines = (line if line.startswith(" ") else textwrap.fill(line, width) for line in text.splitlines())
@@ -51,7 +52,7 @@ class HelpFormatter(argparse.HelpFormatter):
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser with the options of every verb. Subparsers are of this class as well."""
+    """Argument parser with the options common to every verb. Subparsers have the same class."""
 
     def __init__(self, **keywords: Any) -> None:
         """Create a parser with ``--verbose`` and ``--quiet``. ``keywords`` are those of ``ArgumentParser``."""
@@ -65,12 +66,12 @@ class Parser(argparse.ArgumentParser):
         self._has_sub_verbs = False
 
     def add_subparsers(self, **keywords: Any) -> Any:
-        """Add sub-verbs, whose options are unknown to this parser."""
+        """Add sub-verbs. This parser does not know their options."""
         self._has_sub_verbs = True
         return super().add_subparsers(**keywords)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse a command line, and refuse old spellings and unknown options with a suggestion.
+        """Parse a command line. Old spellings and unknown options are refused with a suggestion.
 
         Raises:
             ConfigError: an option is unknown, or was renamed.
@@ -87,14 +88,14 @@ class Parser(argparse.ArgumentParser):
         return parsed, rest
 
     def _refuse(self, word: str) -> NoReturn:
-        """Refuse a word that no argument takes."""
+        """Raise an error for a word that no argument accepts."""
         option = word.partition("=")[0]
         kind = "option" if word.startswith("-") else "argument"
         suggestion = did_you_mean(option, self._option_string_actions) if kind == "option" else ""
         raise ConfigError(f"unknown {kind} {_quoted(option)}{suggestion}", self._where(), self._listed())
 
     def error(self, message: str) -> NoReturn:
-        """Refuse the command line in one line.
+        """Raise the error for the command line as one line.
 
         Raises:
             ConfigError: always.
@@ -106,7 +107,7 @@ class Parser(argparse.ArgumentParser):
         raise ConfigError(message, self._where(), "" if complete else f"the arguments that {self.prog} --help lists")
 
     def _verb(self) -> str:
-        """Return verb and sub-verb."""
+        """Return the names of verb and sub-verb."""
         return self.prog.removeprefix("handctl").strip()
 
     def _where(self) -> str:
@@ -117,7 +118,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def _options(words: Iterable[str]) -> Iterable[str]:
-    """Yield the options among words, without their values, until ``--`` ends them."""
+    """Yield the option names among words, up to the word ``--``."""
     for word in words:
         if word == "--":
             return
@@ -130,7 +131,7 @@ def _quoted(word: str) -> str:
 
 
 def did_you_mean(word: str, names: Iterable[str]) -> str:
-    """Return a question that names the nearest of some names, empty if none is near."""
+    """Return a question that suggests the most similar name, empty if no name is similar."""
     near = get_close_matches(word[:LONGEST_WORD], list(names), n=1)
     return f", did you mean {near[0]}?" if near else ""
 
@@ -139,17 +140,17 @@ def add_sub_verb(sub_verbs: "argparse._SubParsersAction[Parser]", name: str, tex
     """Add the parser of a sub-verb.
 
     Args:
-        sub_verbs: of the verb.
-        name: of the sub-verb.
-        text: one line of help, without a capital letter and a full stop.
-        example: for the end of its help.
+        sub_verbs: sub-parsers of the verb.
+        name: name of the sub-verb.
+        text: one line of help that starts with a small letter and has no full stop.
+        example: example for the end of the help.
     """
     description = f"{text[0].upper()}{text[1:]}."
     return sub_verbs.add_parser(name, help=text, description=description, epilog=example.epilog())
 
 
 def check_words(words: Sequence[str]) -> None:
-    """Refuse words that no verb can use.
+    """Raise an error for words that no verb can use.
 
     Raises:
         ConfigError: a word contains NUL or a line end, or the value of an option is ``--``.

@@ -1,4 +1,4 @@
-"""Options that were renamed: the old spelling is refused with one line that names the new one.
+"""Renamed options. An old spelling is refused with one line that gives the new spelling.
 
 The table in docs/reference/command-line.md has the same rows.
 """
@@ -16,7 +16,7 @@ RENAMED = {
     "tune search": {"--fit": "--calibration", "--out": "--output", "--workers": "--jobs"},
     "view": {"--png": "--picture"},
 }
-"""Verb and sub-verb, to the new spelling of each old option."""
+"""New spelling of each old option, by verb and sub-verb."""
 
 
 def new_spelling(verb: str, option: str) -> str:
@@ -24,7 +24,7 @@ def new_spelling(verb: str, option: str) -> str:
 
     Args:
         verb: verb and sub-verb, for example ``tune design``.
-        option: as a user wrote it.
+        option: option as the user wrote it.
 
     Returns:
         The new spelling, empty if the option was not renamed.

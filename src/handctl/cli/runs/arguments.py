@@ -1,4 +1,7 @@
-"""Arguments of the verbs. The code of a verb and its imports are loaded only when the verb runs."""
+"""Declaration of the arguments of these verbs.
+
+The code of a verb is imported only when the verb runs, so that the help appears fast.
+"""
 
 import argparse
 from pathlib import Path

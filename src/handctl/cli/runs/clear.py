@@ -1,6 +1,7 @@
 """``handctl clear``: clear the latched faults of a running controller. The verb never arms a hand.
 
-Faults that a drive latched after a controller crashed are cleared by ``handctl run --clear``, before arming.
+After the crash of a controller, ``handctl run --clear`` clears the latched faults of the drives
+before arming.
 """
 
 import argparse
@@ -11,7 +12,7 @@ from handctl.runtime.confirm import request_action
 
 
 def run(args: argparse.Namespace) -> int:
-    """Request the controller of the bus to clear its faults. Return 0 after the confirmation."""
+    """Request the controller of the bus to clear its faults. Returns 0 after the confirmation."""
     bus = controller_bus(args)
     line = request_action(bus, "clear")
     if args.json:

@@ -39,18 +39,21 @@ from handctl.session.verdict import judge
 SIMULATOR = "firmware_sim"
 START_S = 20.0
 SLOWEST = 0.1
-"""Minimum time scale of a machine that cannot keep up with its simulated hand."""
+"""Smallest time scale for a machine that is too slow for its simulated hand."""
 
 
 def run(args: argparse.Namespace) -> int:
-    """Simulate a hand, commission it, run the task and report the result. Return the exit code."""
+    """Simulate a hand, commission it, run the task, and report the result.
+
+    Returns the exit code.
+    """
     refuse_blind_view(args.view and not args.lockstep)
     with in_protocol(args):
         return _run(args)
 
 
 def _run(args: argparse.Namespace) -> int:
-    """Run with one hand file for the simulator and the controller."""
+    """Run the demo with one hand file for simulator and controller."""
     if args.lockstep and args.time_scale != 1:
         raise ConfigError(f"{args.time_scale:g}", "--time-scale", "no --lockstep with it: that has a time of its own")
     args.bus = _buses(load_hand(args.hand).bus_names)
@@ -82,16 +85,16 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _buses(names: tuple[str, ...]) -> list[str]:
-    """Return ``--bus`` for every bus of a hand: a local bus of this process for each."""
+    """Return the ``--bus`` words for a hand: one local bus of this process per bus name."""
     spec = f"local:demo-{os.getpid()}"
     return [spec] if len(names) == 1 else [f"{name}={spec}-{name}" for name in names]
 
 
 class _LateError(Exception):
-    """The simulated hand and its controller did not keep up with each other on this machine.
+    """Error for a run in which this machine was too slow for the simulated hand and its controller.
 
     Attributes:
-        scale: time scale that the machine can hold.
+        scale: time scale at which the machine is fast enough.
     """
 
     def __init__(self, failure: str, scale: float) -> None:
@@ -102,7 +105,10 @@ class _LateError(Exception):
 def _in_real_time(
     args: argparse.Namespace, plan: Plan, program: TaskProgram, log: Path, identified: IdentifiedByTendon
 ) -> tuple[Outcome, Plan]:
-    """Run on real clocks, with a smaller time scale if the machine is too slow. Return the outcome and its plan."""
+    """Run in real time, with a smaller time scale if the machine is too slow.
+
+    Returns the outcome and its plan.
+    """
     retry = plan.time_scale > SLOWEST and not wire_words(args)  # a simulated wire can be slower than the machine
     runners = (_live(view=False, refuse_late=retry), _live(args.view, refuse_late=retry))
     commissioning = commission_log(log)
@@ -118,7 +124,7 @@ def _in_real_time(
 
 
 def _set_aside(log: Path, commissioning: Path, scale: float) -> None:
-    """Rename the logs of a run that was too late, so that the names are free for the next attempt.
+    """Rename the logs of a late run, so that the next attempt can use their names.
 
     Args:
         log: log of the run.
@@ -136,7 +142,7 @@ def _set_aside(log: Path, commissioning: Path, scale: float) -> None:
 
 
 def _names(log: Path, stem: str) -> tuple[Path, Path]:
-    """Return the log of a run and of its commissioning, with another stem."""
+    """Return the log names of a run and of its commissioning, with another stem."""
     run_log = log.with_name(f"{stem}.mcap")
     return run_log, log.with_name(f"{stem}.commission.mcap")
 
@@ -155,7 +161,7 @@ def _live(view: bool, refuse_late: bool) -> Runner:
 def _commission_and_run(
     plan: Plan, program: TaskProgram, log: Path, runners: tuple[Runner, Runner], identified: IdentifiedByTendon
 ) -> Outcome:
-    """Commission the hand, then run the program with the parameters that were identified before."""
+    """Commission the hand, then run the program with the parameters identified earlier."""
     first, then = runners
     note(f"commissioning {plan.hand.name}: tare, zero, and a 3 N pull of each tendon")
     calibration, _ = commission(plan, commission_log(log), first)
@@ -169,7 +175,7 @@ def _commission_and_run(
 def _in_lockstep(
     args: argparse.Namespace, plan: Plan, program: TaskProgram, log: Path, identified: IdentifiedByTendon
 ) -> tuple[Outcome, Path]:
-    """Run in virtual time against the simulated hand. Return the outcome and the truth file."""
+    """Run in virtual time with the simulated hand. Returns the outcome and the truth file."""
     truth = log.with_suffix(".truth")
     with _simulator(args, truth).clock(plan.period_ns) as clock:
         runner = partial(run_lockstep, clock=clock)
@@ -183,7 +189,7 @@ def _simulator(args: argparse.Namespace, truth: Path | None) -> Simulator:
 
 
 def _speed(outcome: Outcome, plan: Plan, wall: float) -> dict[str, Any]:
-    """Return the ratio of simulated time to wall time, commissioning included."""
+    """Return simulated time divided by wall time, including commissioning."""
     simulated = (outcome.offset_ns + outcome.state.k * plan.period_ns) / 1e9
     return {"lockstep": True, "simulated_s": simulated, "wall_s": wall, "times_real_time": simulated / wall}
 

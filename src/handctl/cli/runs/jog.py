@@ -16,7 +16,7 @@ from handctl.session.run import make_controller, run_live
 
 
 def run(args: argparse.Namespace) -> int:
-    """Arm the hand, move the digit, relax and disarm. Return the exit code."""
+    """Arm the hand, move the digit, relax, and disarm. Returns the exit code."""
     plan = make_plan(args)
     names = plan.hand.digit_names if args.angle is None else (*plan.hand.digit_names, *plan.hand.joints)
     program = _program(args, names, min(tendon.tension_max_N for tendon in plan.hand.tendon))

@@ -1,4 +1,4 @@
-"""Hand file of a simulated hand with drives of another protocol, as in the fault campaign."""
+"""Hand file for a simulated hand with drives of another protocol, as in the fault campaign."""
 
 import argparse
 import tempfile

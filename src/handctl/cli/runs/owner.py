@@ -1,4 +1,7 @@
-"""Watch of standard input for ``--until-eof``. Its end means that the program that started the run has ended."""
+"""Watch of standard input for ``--until-eof``.
+
+Standard input ends when the program that started the run has ended.
+"""
 
 import os
 import select
@@ -8,7 +11,7 @@ from handctl.runtime.mailbox import STOP
 
 STDIN = 0
 READ_BYTES = 4096
-"""Maximum number of bytes of standard input that one read discards."""
+"""Largest number of bytes that one read of standard input discards."""
 
 
 class StdinWatch:

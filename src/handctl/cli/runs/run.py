@@ -27,7 +27,7 @@ from handctl.session.verdict import judge
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the task and return the exit code."""
+    """Run the task, and return the exit code."""
     refuse_blind_view(args.view)
     plan = make_plan(args)
     program, attached = _program(args, plan)
@@ -74,7 +74,7 @@ def _program(args: argparse.Namespace, plan: Plan) -> tuple[Program, dict[str, b
 
 
 def report(result: dict[str, Any], outcome: Outcome, plan: Plan, as_json: bool) -> int:
-    """Print the result of a run and return its exit code."""
+    """Print the result of a run, and return its exit code."""
     if as_json:
         print_json(result)
     else:

@@ -8,7 +8,10 @@ from handctl.runtime.confirm import request_action
 
 
 def run(args: argparse.Namespace) -> int:
-    """Request the controller of the bus to stop. Return 0 after all drives have confirmed that they are disabled."""
+    """Request the controller of the bus to stop.
+
+    Returns 0 after all drives have confirmed that they are disabled.
+    """
     word = "cut" if args.cut else "stop"
     bus = controller_bus(args)
     line = request_action(bus, word)

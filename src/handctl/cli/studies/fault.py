@@ -6,7 +6,7 @@ from handctl.cli.console.options import print_json
 from handctl.runtime.simulator import ask_simulator, find_simulator
 
 MAX_NAMES = 8
-"""Maximum number of instance names in one line."""
+"""Largest number of instance names in one line."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -33,7 +33,7 @@ def _ask(args: argparse.Namespace, question: dict[str, object]) -> int:
 
 
 def _kinds(args: argparse.Namespace) -> int:
-    """Print the kinds of fault and the instances that accept them."""
+    """Print the kinds of fault with the instances that accept each kind."""
     kinds = ask_simulator(find_simulator(args.bus), {"kinds": True})["kinds"]
     if args.json:
         print_json({"kinds": kinds})

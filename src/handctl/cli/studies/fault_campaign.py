@@ -36,7 +36,10 @@ MAX_FAULT_FREE_S = 86_400.0
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the campaign and write its reports. Fail if a detection is late or an alarm is false."""
+    """Run the campaign, and write its reports.
+
+    Fails if a detection is late or an alarm is false.
+    """
     check_seed(args.seed)
     if not 1 <= args.jobs <= MAX_JOBS:
         raise ConfigError(f"{args.jobs}", "--jobs", f"1 to {MAX_JOBS}")

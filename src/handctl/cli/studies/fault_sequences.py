@@ -15,7 +15,7 @@ MAX_COUNT = 1_000_000
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the sequences and report the broken rules. Return the exit code."""
+    """Run the sequences, and report the violated rules. Returns the exit code."""
     for name, value, maximum in (("--jobs", args.jobs, MAX_JOBS), ("--count", args.count, MAX_COUNT)):
         if not 1 <= value <= maximum:
             raise ConfigError(f"{value}", name, f"1 to {maximum}")

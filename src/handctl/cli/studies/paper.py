@@ -54,7 +54,7 @@ def _results(path: Path | None, jobs: int) -> dict[str, Any]:
     """Read the results of the experiments, or run the experiments and save their results.
 
     Raises:
-        ConfigError: the file holds no results, or results cannot be written to it.
+        ConfigError: the file contains no results, or results cannot be written to the file.
     """
     if path is None:
         return _measured(jobs)
@@ -66,7 +66,7 @@ def _results(path: Path | None, jobs: int) -> dict[str, Any]:
 
 
 def _writable(report_file: Path | None, *folders: Path | None) -> None:
-    """Check before the experiments that the report and the folders can be written."""
+    """Check, before the experiments, that report and folders can be written."""
     if report_file:
         check_output(report_file, "--output")
     for folder in filter(None, folders):
@@ -94,7 +94,7 @@ def _print(args: argparse.Namespace, parts: tuple[PageSection, ...]) -> None:
 
 
 def _measured(jobs: int) -> dict[str, Any]:
-    """Run all experiments and show the progress on standard error. Return their results."""
+    """Run all experiments with a progress display, and return their results."""
     done = 0
     with progress("starting the simulator", count()) as update_progress:
 

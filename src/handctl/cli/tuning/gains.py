@@ -21,7 +21,7 @@ from handctl.session.plan import check_design
 from handctl.tune.gains_store import Entry, GainsStore
 
 TAKEN_OVER_S = 3.0
-"""Maximum time for a running controller to design and take over gains [s]."""
+"""Longest time for a running controller to design gains and switch to them [s]."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -60,12 +60,12 @@ def _show(args: argparse.Namespace, hand: Hand) -> int:
 
 
 def meaning(gain: Bound) -> str:
-    """Return the meaning of a gain with its unit, the first line of its description."""
+    """Return the meaning of a gain with its unit, from the first line of its description."""
     return gain.why.partition("\n")[0]
 
 
 def _provenance_text(provenance: Provenance) -> str:
-    """Return the provenance in one phrase: number, time and sources."""
+    """Return the provenance of gains as one phrase: number, time, and sources."""
     sources = [*provenance.log, *filter(None, (provenance.fit, provenance.study, provenance.note))]
     number = f", number {provenance.number}" if provenance.number else ""
     made = f", made {provenance.made}" if provenance.made else ""
@@ -73,7 +73,7 @@ def _provenance_text(provenance: Provenance) -> str:
 
 
 def _diff(args: argparse.Namespace, hand: Hand) -> int:
-    """Print the gains that differ between two sides.
+    """Print the differences between two sets of gains.
 
     Raises:
         ConfigError: more than two sides.
@@ -93,7 +93,7 @@ def _diff(args: argparse.Namespace, hand: Hand) -> int:
 
 
 def _side(word: str, hand: Hand) -> Gains:
-    """Return the gains that ``word`` names: packaged, present, a history number, a log or a gains file.
+    """Return the gains named by ``word``: packaged, present, a history number, a log, or a gains file.
 
     Raises:
         ConfigError: the history has no such number.
@@ -130,7 +130,10 @@ def _apply(args: argparse.Namespace, hand: Hand) -> int:
 
 
 def _rollback(args: argparse.Namespace, hand: Hand) -> int:
-    """Restore earlier gains. Default to the newest entry if the present file cannot be used."""
+    """Restore earlier gains.
+
+    If the present file cannot be used, the newest entry is the default.
+    """
     store = GainsStore(hand.name, hand.identity)
     entries = store.entries()
     newest = entries[-1].number if entries else 0
@@ -139,7 +142,10 @@ def _rollback(args: argparse.Namespace, hand: Hand) -> int:
 
 
 def _set_aside(store: GainsStore) -> bool:
-    """Move an unusable present file aside and report it. Return True if a file was moved."""
+    """Rename an unusable file of present gains, and report this.
+
+    Returns True if a file was renamed.
+    """
     aside = store.set_aside()
     if aside:
         say(f"handctl: {store.path} cannot be used, and is {aside} now", error=True)
@@ -178,7 +184,7 @@ def _number(present: Any) -> int:
 
 
 def _line(entry: Entry, entries: list[Entry]) -> str:
-    """Return one line of text for an entry: time, sources, and the first three changed gains."""
+    """Return an entry of the history as one line: time, sources, and the first three changed gains."""
     before = {one.number: one.file.gains for one in entries}.get(entry.file.provenance.replaces, Gains())
     old = flat(before)
     new = flat(entry.file.gains)
@@ -189,7 +195,10 @@ def _line(entry: Entry, entries: list[Entry]) -> str:
 
 
 def _set(args: argparse.Namespace) -> int:
-    """Change gains of a running controller. Refuse invalid values before any request is sent."""
+    """Change gains of a running controller.
+
+    Invalid values are refused before any request is sent.
+    """
     from handctl.runtime.confirm import open_watcher, send_confirmed
 
     values = assignments(args.values, "gains set")
@@ -212,7 +221,7 @@ def _set(args: argparse.Namespace) -> int:
 
 
 def _answers(watcher: Any, values: dict[str, float], taken: dict[str, Any]) -> dict[str, str]:
-    """Return the text of each changed gain that was requested in the tick ``taken``.
+    """Return the event text for each changed gain whose request was received in tick ``taken``.
 
     Raises:
         ConfigError: the controller refuses the gains.
@@ -230,7 +239,7 @@ def _answers(watcher: Any, values: dict[str, float], taken: dict[str, Any]) -> d
 
 
 def _heed(text: str) -> None:
-    """Raise the refusal that ``text`` contains.
+    """Raise an error if ``text`` contains a refusal.
 
     Raises:
         ConfigError: the controller refused the request.

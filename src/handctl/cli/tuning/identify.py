@@ -42,7 +42,7 @@ BLOCKED_HINT = "expected a digit that touches nothing: move away what it meets, 
 
 
 def run(args: argparse.Namespace) -> int:
-    """Excite the hand or read logs, fit, report and save. Return the exit code."""
+    """Excite the hand or read logs, then fit, report, and save. Returns the exit code."""
     given = sum(map(bool, (args.bus, args.lockstep, args.logs)))
     if given != 1:
         raise ConfigError(f"{given or 'none'} of them", "--bus, --lockstep, --from-log", "one of them")
@@ -94,7 +94,7 @@ def _in_lockstep(
 def _commission_and_excite(
     plan: Plan, program: ExciteProgram, log: Path, runner: Runner
 ) -> tuple[Calibration, Outcome]:
-    """Commission the hand, then excite it. Return the calibration and the outcome."""
+    """Commission the hand, then excite it. Returns the calibration and the outcome."""
     started = time.monotonic()
     calibration, _ = commission(plan, commission_log(log), runner)
     outcome = runner(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
@@ -104,7 +104,10 @@ def _commission_and_excite(
 
 
 def _from_logs(args: argparse.Namespace) -> int:
-    """Identify from recorded runs without motion. The last log with a result for a tendon counts."""
+    """Identify from recorded runs without motion.
+
+    If several logs have a result for a tendon, the last log is used.
+    """
     hand = load_hand(args.hand)
     path = calibration_path(args, hand)
     if _simulated(args.logs) and not args.calibration:
@@ -127,15 +130,18 @@ def _from_logs(args: argparse.Namespace) -> int:
 
 
 def _of_simulated(hand: Hand) -> Path:
-    """Return the calibration file of a simulated hand. The real hand is never armed with this file."""
+    """Return the path of the calibration file for a simulated hand.
+
+    A real hand is never armed with this file.
+    """
     return Path(f"{hand.name}.lockstep.calibration.toml")
 
 
 def _simulated(logs: list[Path]) -> bool:
-    """Return True if the logs are of a simulated hand in lockstep.
+    """Return True if the logs were recorded with a simulated hand in lockstep.
 
     Raises:
-        ConfigError: only some of the logs are of a simulated hand.
+        ConfigError: some of the logs, but not all, were recorded with a simulated hand.
     """
     kinds = {}
     for log in logs:
@@ -153,7 +159,7 @@ def _report(
     path: Path,
     calibration: Calibration | None,
 ) -> int:
-    """Write the calibration, draw the pictures, and print the results. Return the exit code."""
+    """Write the calibration, draw the pictures, and print the results. Returns the exit code."""
     made = now()
     identified = previous_identified(path, hand, calibration.drive if calibration else {}, notice)
     every = [one for tendons in results.values() for one in tendons.values()]
@@ -188,7 +194,7 @@ def _report(
 
 
 def _search_command(args: argparse.Namespace, path: Path) -> str:
-    """Return the command that tunes the hand as identified, with the options that the same hand needs."""
+    """Return the command that tunes the identified hand, with the options for the same hand."""
     words = ["handctl", "tune", "search", "--hand", str(args.hand), "--calibration", str(path)]
     return shlex.join(words + same_hand_words(args))
 

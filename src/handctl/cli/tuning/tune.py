@@ -1,6 +1,6 @@
-"""``handctl tune``: design gains, search gains on the twin, and verify gains on the hand.
+"""``handctl tune``: design gains, search gains on the identified twin, and verify gains on the hand.
 
-This verb imports the module of a kind only when that kind is requested.
+Only the module of the requested kind is imported.
 """
 
 import argparse

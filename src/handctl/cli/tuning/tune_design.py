@@ -22,7 +22,10 @@ MAX_DAMPING = 100.0
 
 
 def run(args: argparse.Namespace) -> int:
-    """Design the gains, draw the loops, and write both files. Fail if the margins are too small."""
+    """Design the gains, draw the loops, and write both files.
+
+    Fails if the margins are too small.
+    """
     from handctl.tune.loops.design import Design, design, linear_factors, redesigned
     from handctl.tune.loops.steps import Proof
     from handctl.tune.plots import draw_loops
@@ -63,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _report_failure(args: argparse.Namespace, reason: str) -> int:
-    """Report the reason why no gains are written and return the exit code of a failure."""
+    """Report the reason why gains are not written, and return the exit code."""
     if args.json:
         print_json({"gains": None, "picture": None, "enough": False, "why": reason})
     say(f"handctl: tune design: {reason}; nothing is written", error=True)
@@ -71,10 +74,10 @@ def _report_failure(args: argparse.Namespace, reason: str) -> int:
 
 
 def _placed(args: argparse.Namespace, model: HandModel, plants: Any, rate: float) -> Any:
-    """Return the design with the poles of ``--poles-Hz`` [Hz] and the damping ratio of ``--damping``.
+    """Return the design with poles at ``--poles-Hz`` [Hz] and the damping ratio ``--damping``.
 
     Raises:
-        ConfigError: a pole or the damping is not a number in its limits.
+        ConfigError: a pole or the damping is not a number within its limits.
     """
     from handctl.tune.loops.design import placed
 

@@ -1,4 +1,4 @@
-"""Files that all kinds of ``handctl tune`` read and write."""
+"""Input and output files common to all kinds of ``handctl tune``."""
 
 import argparse
 import shlex
@@ -35,10 +35,10 @@ def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, 
 
 
 def plants_of(args: argparse.Namespace, spread: dict[str, float], maximum: int) -> tuple[dict[str, float], ...]:
-    """Return the factors of the plants to tune on: an ensemble around the best estimate of the hand.
+    """Return the factors of the plants for tuning: an ensemble around the best estimate of the hand.
 
-    Without a calibration, the center of the ensemble is the hand file times the factors of ``--perturb``. With a
-    calibration, the identification already contains these factors. They are not applied again.
+    Without a calibration, the center of the ensemble is the hand file times the factors of
+    ``--perturb``. A calibration already contains these factors, so they are not applied again.
 
     Raises:
         ConfigError: too few or too many plants, or ``--perturb`` is wrong.
@@ -51,14 +51,14 @@ def plants_of(args: argparse.Namespace, spread: dict[str, float], maximum: int) 
 
 
 def verify_command(args: argparse.Namespace, out: Path) -> str:
-    """Return the command that verifies new gains in simulation, with the options that the same hand needs."""
+    """Return the command that verifies new gains in simulation, with the options for the same hand."""
     words = ["handctl", "tune", "verify", str(out), "--lockstep", "--hand", str(args.hand)]
     words += ["--calibration", str(args.fit)] if args.fit else []
     return shlex.join(words + same_hand_words(args))
 
 
 def same_hand_words(args: argparse.Namespace) -> list[str]:
-    """Return the options of a verb that a verb after it needs for the same hand: gains, rate, simulated plant."""
+    """Return the options with which a later verb uses the same hand: gains, rate, simulated plant."""
     words = ["--gains", str(args.gains)] if args.gains else []
     words += [word for gain in args.gain or () for word in ("--gain", gain)]
     words += ["--rate", f"{args.rate:g}"] if args.rate else []
@@ -75,9 +75,9 @@ class TunedHand(NamedTuple):
     """Hand to tune, its identified twin, and the spread of the ensemble.
 
     Attributes:
-        hand: the hand as in its file. The gains carry its name and identity.
-        twin: the hand with the identified parameters in place of those in the file. The twin is the controller's
-            model, as in a run with this calibration, and the center of the ensemble.
+        hand: hand as in its file. Gains files record its name and identity.
+        twin: hand with the identified parameters instead of those in the file. The twin is the
+            controller's model, as in a run with this calibration, and the center of the ensemble.
         spread: half widths of the ensemble from the identification. See ``ensemble``.
     """
 
@@ -94,7 +94,8 @@ def load_tuned_hand(name: str, fit: Path | None) -> TunedHand:
         fit: calibration file with identified parameters, or None.
 
     Raises:
-        ConfigError: a file cannot be read, is of another hand, or holds nothing identified.
+        ConfigError: a file cannot be read, belongs to another hand, or contains no identified
+            parameters.
     """
     hand = load_hand(name)
     if fit is None:

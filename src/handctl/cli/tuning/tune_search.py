@@ -21,7 +21,10 @@ from handctl.session.plan import control_rate
 
 
 def run(args: argparse.Namespace) -> int:
-    """Search the gains, draw the trials, and write both files. Fail if no trial keeps the margins."""
+    """Search the gains, draw the trials, and write both files.
+
+    Fails if no trial keeps the margins.
+    """
     from handctl.tune.plots import draw_search
     from handctl.tune.search.search import SearchPlan, search
     from handctl.tune.search.workers import workers
@@ -59,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _report_infeasible(args: argparse.Namespace, result: Any, storage: Path, picture: Path, trials: int) -> int:
-    """Report that no trial keeps the margins and return the exit code of a failure."""
+    """Report that no trial keeps the margins, and return the exit code."""
     if args.json:
         print_json(_report_fields(result, storage, None, picture))
     else:
@@ -68,7 +71,7 @@ def _report_infeasible(args: argparse.Namespace, result: Any, storage: Path, pic
 
 
 def _designed(hand: Hand, gains: Gains, rate: float, plants: tuple[dict[str, float], ...]) -> tuple[Gains, ...]:
-    """Return the design for the same plants as a second start point, or nothing if the design fails."""
+    """Return the gains of a design for the same plants, as second start point, or none if the design fails."""
     from handctl.tune.loops.design import design, linear_factors
 
     try:
@@ -107,7 +110,10 @@ class _Progress:
         self._bar.stop()
 
     def show(self, result: Any) -> None:
-        """Update the display after a trial. Without a terminal, print at most one line per 5 s."""
+        """Update the display after a trial.
+
+        Without a terminal, at most one line per 5 s is printed.
+        """
         text = (
             f"best {result.cost(result.best):.3f}, trial {result.best.number}" if result.best else "none feasible yet"
         )

@@ -22,7 +22,7 @@ from handctl.session.simulate import Simulator
 
 
 def run(args: argparse.Namespace) -> int:
-    """Verify the new gains. Return 0 only if the new gains pass at full amplitude."""
+    """Verify the new gains. Returns 0 only if the new gains pass at full amplitude."""
     from handctl.programs.exercise import Exercise
     from handctl.tune.verify import AMPLITUDES, VerifyObserver
 
@@ -79,7 +79,7 @@ def _run(args: argparse.Namespace, plan: Plan, program: Any, observer: Any, log:
 
 
 def _judged(plan: Plan, outcome: Outcome, observer: Any, log: Path, truth_file: Path | None) -> dict[str, Any]:
-    """Score one run and draw its picture. Return the fields of the JSON result."""
+    """Score one run, and draw its picture. Returns the fields of the JSON result."""
     from handctl.log.read.reader import RunLog
     from handctl.report.truth import read_truth
     from handctl.tune.plots import draw_verify
@@ -102,7 +102,7 @@ def _judged(plan: Plan, outcome: Outcome, observer: Any, log: Path, truth_file: 
 
 
 def _report(args: argparse.Namespace, runs: list[dict[str, Any]], outcome: Outcome) -> int:
-    """Print the result of all runs with the table of the last run. Return the exit code."""
+    """Print the result of all runs, with the table of the last run. Returns the exit code."""
     from handctl.tune.verify import compare
 
     last = runs[-1]
@@ -165,7 +165,7 @@ def _print(result: dict[str, Any], rounds: Iterable[Any], args: argparse.Namespa
 
 
 def _who(number: int, back: dict[str, Any] | None) -> str:
-    """Return the label of the gains in a round: old, new, or back to the old gains."""
+    """Return the label of a round's gains: old, new, or back to the old gains."""
     from handctl.tune.verify import AMPLITUDES, OLD_ROUNDS
 
     if number < OLD_ROUNDS:

@@ -96,7 +96,7 @@ def first_torque(duration: float) -> tuple[Array, Array, Array]:
 
 
 def items() -> list[Item]:
-    """Judge Eq. 10 for a straight finger, the scope of Eq. 3 to 12, and section 8's statement on them."""
+    """Return items about Eq. 10 for a straight finger, the scope of Eq. 3 to 12, and their mention in section 8."""
     return [_static(), _complete(), _approximate()]
 
 
