@@ -115,6 +115,18 @@ class Engine:
 
         return release
 
+    def overlaps(self) -> dict[str, float]:
+        """Return the depth by which the object overlaps each other body that it touches, except the table [m]."""
+        model = self._model
+        depths: dict[str, float] = {}
+        for contact in self._data.contact:
+            names = [model.body(model.geom_bodyid[geom]).name for geom in contact.geom]
+            if "object" in names and "table" not in names:
+                # The palm is a part of the world body.
+                name = names[1 - names.index("object")].replace("world", "palm")
+                depths[name] = max(depths.get(name, 0.0), -float(contact.dist))
+        return depths
+
     def lower_table(self, distance: float) -> None:
         """Move the table down by a distance [m]."""
         self._table[0, 2] -= distance

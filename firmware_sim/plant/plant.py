@@ -25,6 +25,8 @@ STEP_NS = round(STEP_S * 1e9)
 """Step of the plant [ns]."""
 SLACK_M = (1e-3, 3e-3)
 """Range of the tendons' slack at power-up [m]. The motors were off before."""
+LARGEST_OVERLAP_M = 3e-3
+"""Largest depth at which an object may be inside a link or the palm at power-up [m]."""
 TABLE_STEPS = 4
 """Number of steps between two updates of the table."""
 
@@ -60,8 +62,8 @@ class Plant:
                 step slower.
 
         Raises:
-            SimulatorError: the engine does not accept the hand, or a tendon names an unknown motor
-                or joint.
+            SimulatorError: the engine does not accept the hand, a tendon names an unknown motor or joint, or the
+                object is inside the hand.
         """
         self.hand = hand
         self.scene = scene
@@ -71,6 +73,7 @@ class Plant:
             self.engine = Engine(model_text(hand, scene), len(hand.joints))
         except ValueError as error:
             raise SimulatorError(f"hand {hand.name}: {str(error).splitlines()[0]}") from error
+        self._check_overlaps()
         self._kernels: Any = machine_code(drivetrain) if compiled else drivetrain
         rotors: Any
         if compiled:
@@ -101,6 +104,17 @@ class Plant:
         self.normal_forces = self.engine.normal_forces([digit.name for digit in hand.digits]) if scene.load else list
         if not homed:
             self._slacken(seed)
+
+    def _check_overlaps(self) -> None:
+        """Refuse an object that is inside the open hand. Contact forces would throw both apart."""
+        overlaps = {name: depth for name, depth in self.engine.overlaps().items() if depth > LARGEST_OVERLAP_M}
+        if overlaps:
+            name = max(overlaps, key=lambda name: overlaps[name])
+            depth = f"{1e3 * overlaps[name]:.0f} mm"
+            raise SimulatorError(
+                f"scene {self.scene.name}: the object is {depth} inside {name} of the open hand {self.hand.name}; "
+                "expected a smaller object, or another position_m"
+            )
 
     def _routing(self, compiled: bool) -> Routing:
         """Build the tendons."""

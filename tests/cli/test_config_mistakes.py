@@ -1,6 +1,7 @@
 """Typical mistakes in a hand file of schema 2: each is one line that names the key as the file has it."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -89,6 +90,14 @@ MISTAKES = {
         "spring_stiffness_N_m_per_rad = [0.09, 0.06, 0.03]\ncoupling = [[-1.0], [-1.0], [-1.0]]",
         "digit_template.finger.coupling: column 0 opens the digit; expected the opposite sign: a positive coordinate",
     ),
+    "a load cell at no tendon": (
+        'tendons = "all"', 'tendons = ["index_t1", "index_t9"]',
+        'sensor_node.tendons[1]: "index_t9" is not in this file; expected one of index_t1,',
+    ),
+    "a joint that opens as far as it closes": (
+        "joint_min_deg = 0.0", "joint_min_deg = 100.0",
+        "default.digit.joint_max_deg: 100; expected more than joint_min_deg",
+    ),
     "8 Mbit/s without CAN FD": (
         "bitrate = 1_000_000", "bitrate = 8_000_000", "bus[main].bitrate: 8000000; expected at most 1000000; the",
     ),
@@ -150,6 +159,20 @@ def test_what_several_sections_have_in_common_is_one_line(place: Path, capsys: p
     numbers = "[0.015, 0.010]"
     spoilt(place, (f"link_length_m = {numbers}", ""), ("m1.node_id = 10,", "m1 = { node_id = 10, direction = 0 },"))
     assert lines(capsys)[0] == "digit[thumb].link_length_m: missing; expected a value"
+
+
+def test_an_object_inside_the_hand_comes_with_the_others(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    spoilt(place, ("bitrate = 1_000_000", "bitrate = 8_000_000"))
+    found = lines(capsys, "--scene", "cylinder:900")
+    assert found[0].startswith("bus[main].bitrate: 8000000")
+    assert re.match(r"the simulated hand: scene cylinder:900: the object is \d\d mm inside \w+_link\d of", found[1])
+    assert found[1].endswith("expected a smaller object, or another position_m")
+    assert len(found) == 2
+
+
+def test_a_demo_refuses_such_an_object_too(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["demo", "--lockstep", "--dry-run", "--scene", "cylinder:900"]) == 2
+    assert "scene cylinder:900: the object is" in capsys.readouterr().err
 
 
 def test_json_has_the_same_lines(place: Path, capsys: pytest.CaptureFixture[str]) -> None:

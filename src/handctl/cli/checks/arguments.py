@@ -21,7 +21,7 @@ from handctl.drives.motor_description import GUARDED, PROTOCOLS
 EXAMPLES = {
     "config": Example("handctl config show --hand jamia"),
     "config show": Example("handctl config show --hand jamia"),
-    "config check": Example("handctl config check --hand jamia --task grasp.toml"),
+    "config check": Example("handctl config check --hand jamia --task grasp.toml --scene cylinder:35"),
     "config list": Example("handctl config list"),
     "config schema": Example("handctl config schema | tee hand.schema.json"),
     "config init": Example("handctl config init --yes --fingers 2 --opposed 1 --output mine.toml"),
@@ -59,7 +59,10 @@ def config(parser: Parser) -> None:
     show.add_argument("--graph", action="store_true", help=text)
     output_option(show, "picture of --graph: a new .svg, .png or .pdf")
     _files(show)
-    _files(kind("check", "check a hand with its files"))
+    check = kind("check", "check a hand with its files")
+    _files(check)
+    text = "scene to check with the simulated hand, as in demo: cylinder:40, or a scene file"
+    check.add_argument("--scene", metavar="NAME|FILE", help=text)
     kind("list", "list the packaged hands and tasks")
     schema = kind("schema", "print the JSON Schema of hand files, for completion in an editor")
     output_option(schema, "a new file (default: standard output)")

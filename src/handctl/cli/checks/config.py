@@ -91,9 +91,8 @@ def _checks(args: argparse.Namespace, hand: Hand) -> list[Callable[[], object]]:
     buses = hand.bus_names
 
     def task() -> None:
-        """Check the task, if one was given."""
-        if args.task:
-            find_task(args.task, hand)
+        """Check the task, or the one of a demo without a task."""
+        find_task(args.task, hand)
 
     def calibration() -> None:
         """Check the calibration file named by the user."""
@@ -105,8 +104,16 @@ def _checks(args: argparse.Namespace, hand: Hand) -> list[Callable[[], object]]:
         """Check that the gains lead to a valid design at the control rate."""
         check_design(hand, layered_gains(args, hand).gains, control_rate(None, hand, bus_loads(hand)))
 
+    def scene() -> None:
+        """Check that the simulated hand can be built with the scene, if there is one."""
+        if args.scene:
+            # No other check needs the simulated hand.
+            from handctl.session.simulate import Simulator
+
+            Simulator(hand, args.scene).check()
+
     drives = [partial(make_drive, motor, buses.index(motor.bus)) for motor in hand.motor]
-    return [*drives, lambda: make_drives(hand), lambda: layered_gains(args, hand), design, task, calibration]
+    return [*drives, lambda: make_drives(hand), lambda: layered_gains(args, hand), design, task, calibration, scene]
 
 
 def _report_errors(args: argparse.Namespace, errors: list[str]) -> int:
