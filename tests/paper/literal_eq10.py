@@ -10,7 +10,7 @@ from handctl.hand import dynamics
 from handctl.paper.model import equations
 
 TERMS = [term.readings[0] if os.environ["HANDCTL_EQ10"] == "printed" else term.right for term in equations.TORQUE_1]
-PRESENT = dynamics._rigid
+PRESENT = dynamics._rigid_body_torque
 
 
 def eq10(digit, gravity, q, dq, ddq):
@@ -38,4 +38,4 @@ def eq10(digit, gravity, q, dq, ddq):
     return (float(first), tau2, tau3)[: digit.joint_count]
 
 
-dynamics._rigid = eq10
+dynamics._rigid_body_torque = eq10

@@ -114,31 +114,31 @@ class DigitModel:
             joints=joints,
             tendons=tendons,
             lengths=digit.link_length_m,
-            coms=_constant([centre_of_mass(digit, i) for i in links]),
+            coms=_read_only([centre_of_mass(digit, i) for i in links]),
             masses=digit.link_mass_kg,
-            inertias=_constant([inertia(digit, i) for i in links]),
-            axes=_constant(joint_axes(digit)),
+            inertias=_read_only([inertia(digit, i) for i in links]),
+            axes=_read_only(joint_axes(digit)),
             radius=digit.link_radius_m,
-            joint_min=_constant(np.radians(digit.joint_min_deg)),
-            joint_max=_constant(np.radians(digit.joint_max_deg)),
+            joint_min=_read_only(np.radians(digit.joint_min_deg)),
+            joint_max=_read_only(np.radians(digit.joint_max_deg)),
             joint_damping=digit.joint_damping_N_m_s_per_rad,
             armature=digit.joint_armature_kg_m2,
             spring_stiffness=digit.spring_stiffness_N_m_per_rad,
             spring_preload=digit.spring_preload_rad,
-            mount_rotation=_constant(rotation_rpy(*np.radians(digit.mount_rpy_deg))),
-            mount_position=_constant(digit.mount_position_m),
-            gravity=_constant(base_rotation(hand, digit).T @ hand.mount.gravity_m_s2),
-            table=_constant(link_table(digit)),
+            mount_rotation=_read_only(rotation_rpy(*np.radians(digit.mount_rpy_deg))),
+            mount_position=_read_only(digit.mount_position_m),
+            gravity=_read_only(base_rotation(hand, digit).T @ hand.mount.gravity_m_s2),
+            table=_read_only(link_table(digit)),
             parent=np.arange(-1, len(links) - 1),
-            moment_arms=_constant(arms),
-            coupling=_constant(coupling),
-            reduced_moment_arms=_constant(arms @ coupling),
-            excursion_to_joints=_constant(coupling @ to_coordinates),
-            torque_to_tension=_constant(to_coordinates.T @ coupling.T),
-            joints_to_coordinates=_constant(np.linalg.pinv(coupling)),
-            friction=_constant([tendon.friction_coefficient for tendon in hand.tendon[tendons]]),
-            wrap=_constant([tendon.wrap_angle_rad for tendon in hand.tendon[tendons]]),
-            motor_mass=_constant([motor.inertia_kg_m2 / motor.spool_radius_m**2 for motor in motors]),
+            moment_arms=_read_only(arms),
+            coupling=_read_only(coupling),
+            reduced_moment_arms=_read_only(arms @ coupling),
+            excursion_to_joints=_read_only(coupling @ to_coordinates),
+            torque_to_tension=_read_only(to_coordinates.T @ coupling.T),
+            joints_to_coordinates=_read_only(np.linalg.pinv(coupling)),
+            friction=_read_only([tendon.friction_coefficient for tendon in hand.tendon[tendons]]),
+            wrap=_read_only([tendon.wrap_angle_rad for tendon in hand.tendon[tendons]]),
+            motor_mass=_read_only([motor.inertia_kg_m2 / motor.spool_radius_m**2 for motor in motors]),
         )
 
     @property
@@ -160,7 +160,7 @@ class DigitModel:
 
     def with_gravity(self, gravity: Values) -> "DigitModel":
         """Return the digit under another gravity, (3,) in the palm frame [m/s2]."""
-        return replace(self, gravity=_constant(gravity))
+        return replace(self, gravity=_read_only(gravity))
 
 
 def link_table(digit: Digit) -> Array:
@@ -199,7 +199,7 @@ def base_rotation(hand: Hand, digit: Digit) -> Array:
     return rotation
 
 
-def _constant(values: ArrayLike) -> Array:
+def _read_only(values: ArrayLike) -> Array:
     """Return a read-only copy."""
     array = np.array(values, dtype=float)
     array.setflags(write=False)

@@ -45,12 +45,12 @@ def inverse_dynamics(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> T
     Returns:
         (n,) [N m].
     """
-    return _rigid(digit, digit.gravity, q, dq, ddq)
+    return _rigid_body_torque(digit, digit.gravity, q, dq, ddq)
 
 
 def required_torque(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> Torque:
     """Return the joint torque of tendons for a motion: inverse dynamics, springs, damping, (n,) [N m]."""
-    rigid = _rigid(digit, digit.gravity, q, dq, ddq)
+    rigid = _rigid_body_torque(digit, digit.gravity, q, dq, ddq)
     passive = zip(digit.spring_stiffness, digit.spring_preload, digit.joint_damping, strict=True)
     return tuple(
         [
@@ -64,12 +64,12 @@ def required_torque(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> To
 
 def bias_torque(digit: DigitModel, q: Values, dq: Values) -> Torque:
     """Return the Coriolis and centrifugal torque C q', (n,) [N m]."""
-    return _rigid(digit, NO_GRAVITY, q, dq, np.zeros(digit.joint_count))
+    return _rigid_body_torque(digit, NO_GRAVITY, q, dq, np.zeros(digit.joint_count))
 
 
 def gravity_torque(digit: DigitModel, q: Values) -> Torque:
     """Return the joint torque that balances the weight of the links, (n,) [N m]."""
-    return tuple(rigid_body.weight_torque(digit.table, digit.parent, digit.gravity, _array(q)).tolist())
+    return tuple(rigid_body.weight_torque(digit.table, digit.parent, digit.gravity, _as_array(q)).tolist())
 
 
 def spring_torque(digit: DigitModel, q: Values) -> Torque:
@@ -97,7 +97,7 @@ def static_torque(digit: DigitModel, q: Values) -> Torque:
 
 def mass_matrix(digit: DigitModel, q: Values) -> Array:
     """Return M in joint angles with armature, (n, n) [kg m2]."""
-    return rigid_body.inertia_matrix(digit.table, digit.parent, _array(q))
+    return rigid_body.inertia_matrix(digit.table, digit.parent, _as_array(q))
 
 
 def forward_dynamics(digit: DigitModel, q: Values, dq: Values, tau: Values) -> Array:
@@ -144,7 +144,7 @@ def potential_energy(digit: DigitModel, q: Values) -> float:
 
     Zero is the energy of all mass at the digit's mount.
     """
-    first = rigid_body.poses(digit.table, digit.parent, _array(q))[0]
+    first = rigid_body.poses(digit.table, digit.parent, _as_array(q))[0]
     moment = first[rigid_body.CARRIED_MOMENT : rigid_body.CARRIED_MOMENT + 3]
     return -float(digit.gravity @ (moment - first[rigid_body.CARRIED_MASS] * digit.mount_position))
 
@@ -155,13 +155,13 @@ def spring_energy(digit: DigitModel, q: Values) -> float:
     return float(0.5 * np.asarray(digit.spring_stiffness) @ stretched**2)
 
 
-def _rigid(digit: DigitModel, gravity: Array, q: Values, dq: Values, ddq: Values) -> Torque:
+def _rigid_body_torque(digit: DigitModel, gravity: Array, q: Values, dq: Values, ddq: Values) -> Torque:
     """Return the joint torque of inertia and weight under a gravity, (n,) [N m]."""
-    torque = rigid_body.rigid_torque(digit.table, digit.parent, gravity, _array(q), _array(dq), _array(ddq))
+    torque = rigid_body.rigid_torque(digit.table, digit.parent, gravity, _as_array(q), _as_array(dq), _as_array(ddq))
     return tuple(torque.tolist())
 
 
-def _array(values: Values) -> Array:
+def _as_array(values: Values) -> Array:
     """Return the values as an array for compiled code."""
     return np.asarray(values, dtype=np.float64)
 

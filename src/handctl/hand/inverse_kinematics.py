@@ -42,7 +42,7 @@ def inverse(digit: DigitModel, x: float, y: float, angle: float | None = None) -
         raise ValueError(f"{digit.name} has {digit.joint_count} joints; needed: two, or three and a direction")
     l1, l2, l3 = digit.lengths
     wrist = _two_links(l1, l2, x - l3 * math.cos(angle), y - l3 * math.sin(angle))
-    return tuple((q1, q2, _wrapped(angle - q1 - q2)) for q1, q2 in wrist)
+    return tuple((q1, q2, _wrapped_angle(angle - q1 - q2)) for q1, q2 in wrist)
 
 
 def inverse_coupled(digit: DigitModel, position: Values) -> tuple[float, float]:
@@ -122,10 +122,10 @@ def _two_links(l1: float, l2: float, x: float, y: float) -> tuple[tuple[float, f
     solutions = []
     for q2 in (bend, -bend) if outer > 0.0 and inner > 0.0 else (bend,):
         q1 = math.atan2(y, x) - math.atan2(l2 * math.sin(q2), l1 + l2 * math.cos(q2))
-        solutions.append((_wrapped(q1), q2))
+        solutions.append((_wrapped_angle(q1), q2))
     return tuple(solutions)
 
 
-def _wrapped(angle: float) -> float:
+def _wrapped_angle(angle: float) -> float:
     """Return an equivalent angle within -pi .. pi."""
     return math.remainder(angle, 2.0 * math.pi)

@@ -55,7 +55,7 @@ def hand_path(name_or_path: str | Path) -> Path:
     path = Path(name_or_path)
     if not path.is_file():
         near = get_close_matches(str(name_or_path), names, n=1)
-        raise ConfigError("no such hand or file", str(path), (f"{near[0]}? or " if near else "") + _choice(names))
+        raise ConfigError("no such hand or file", str(path), (f"{near[0]}? or " if near else "") + _valid_names(names))
     return path
 
 
@@ -152,7 +152,8 @@ def examined(content: Mapping[str, Any]) -> tuple[Hand | None, list[Mistake]]:
         found = validation_mistakes(error, Hand, resolved.content)
         if content.get("schema") == WRITTEN:
             found = of_default(found, resolved.content)
-        found += check_sections(_valid(resolved.content, "digit", Digit), _valid(resolved.content, "tendon", Tendon))
+        digits = _valid_sections(resolved.content, "digit", Digit)
+        found += check_sections(digits, _valid_sections(resolved.content, "tendon", Tendon))
     else:
         # What a mistaken template leaves out has consequences for the whole hand.
         found = [] if mistakes else list(check_hand(hand))
@@ -183,7 +184,7 @@ def inspect(content: Mapping[str, Any]) -> Inspected:
     return Inspected(hand, grouped(mistakes), origins)
 
 
-def _valid(content: Mapping[str, Any], kind: str, model: type[Validated]) -> Iterator[Validated]:
+def _valid_sections(content: Mapping[str, Any], kind: str, model: type[Validated]) -> Iterator[Validated]:
     """Yield the sections of a kind that are valid by themselves."""
     sections = content.get(kind)
     for section in sections if isinstance(sections, list | tuple) else ():
@@ -191,6 +192,6 @@ def _valid(content: Mapping[str, Any], kind: str, model: type[Validated]) -> Ite
             yield model.model_validate(section)
 
 
-def _choice(names: tuple[str, ...]) -> str:
+def _valid_names(names: tuple[str, ...]) -> str:
     """Return the valid hand names, for messages."""
     return "one of " + ", ".join(names) + ", or the path of a hand file"

@@ -92,17 +92,17 @@ class CommissionProgram:
                 Event("info", "phase", "", "tare: all motors limp"),
             )
         if progress.step == 0:
-            return self._tare(model, progress, measured, t)
+            return self._tare_cells(model, progress, measured, t)
         if progress.touching[0] == RESTING:
             return self._rest(model, progress, measured, t)
         if progress.phase == _hold_phase(model, progress.step - 1):
             return self._hold(model, progress, estimate, measured, t)
         return self._pull(model, progress, estimate, measured, t)
 
-    def _tare(
+    def _tare_cells(
         self, model: HandModel, progress: Progress, measured: Measured, t: float
     ) -> ProgressAndEvents:
-        table = _table(progress)
+        table = _table_of(progress)
         tension = _tensions(model, measured)
         if not np.isnan(tension).any():
             table[:, TARE_SUM] += tension
@@ -114,7 +114,7 @@ class CommissionProgram:
 
     def _check_tare(self, model: HandModel, progress: Progress) -> ProgressAndEvents | None:
         """Refuse a tare near an end of the load cell's range, and return None if all tares are usable."""
-        tare = _tare(_table(progress))
+        tare = _tares_of(_table_of(progress))
         worst = int(np.maximum(tare - TARE_MAX_N, TARE_MIN_N - tare).argmax())
         if TARE_MIN_N <= tare[worst] <= TARE_MAX_N:
             return None
@@ -136,7 +136,7 @@ class CommissionProgram:
         if t - progress.since < REST_SETTLE_S or np.isnan(tension).any():
             return progress, ()
         i = progress.step - 1
-        table = _table(progress)
+        table = _table_of(progress)
         table[:, REST_SUM] += tension
         table[:, REST_SAMPLES] += 1.0
         samples = table[i, REST_SAMPLES]
@@ -177,7 +177,7 @@ class CommissionProgram:
         i = progress.step - 1
         goals = _hold_goals(model, i, np.zeros(model.tendon_count))
         phase = _hold_phase(model, i)
-        table = _table(progress)
+        table = _table_of(progress)
         table[:, [PULL_SUM, REST_SUM, REST_SAMPLES]] = 0.0
         holding = replace(
             _with_table(progress, table),
@@ -216,7 +216,7 @@ class CommissionProgram:
         missing = np.isnan(tension).any() or np.isnan(measured.travel[own] + excursion).any()
         if t - progress.since < HOLD_SETTLE_S or missing:
             return progress, ()
-        table = _table(progress)
+        table = _table_of(progress)
         table[:, REST_SUM] += tension
         table[:, REST_SAMPLES] += 1.0
         first = i == own.start
@@ -262,7 +262,7 @@ class CommissionProgram:
         tension = _tensions(model, measured, estimate)
         if t - progress.since < SETTLE_S or np.isnan(tension).any() or np.isnan(measured.travel[i]):
             return progress, ()
-        table = _table(progress)
+        table = _table_of(progress)
         table[:, PULL_SUM] += tension
         if model.redundancy.sprung[i]:
             # The spool's radius makes travel [m] to motor angle [rad].
@@ -278,7 +278,7 @@ class CommissionProgram:
 
     def _judge(self, model: HandModel, progress: Progress, i: int, t: float) -> ProgressAndEvents:
         """Accept the measured response of tendon i, or refuse the hand."""
-        answer, crosstalk = _table(progress)[i, [ANSWER, CROSSTALK]]
+        answer, crosstalk = _table_of(progress)[i, [ANSWER, CROSSTALK]]
         if answer < MIN_ANSWER_FRACTION * PULL_N:
             return self._refuse(
                 model, progress, i, f"load cell answers {answer:.2f} N to a pull of {PULL_N:g} N"
@@ -386,7 +386,7 @@ def _hold_goals(model: HandModel, i: int, more: Vector) -> tuple[DigitGoal, ...]
     return tuple(goal if d == held else DigitGoal() for d in range(len(model.digits)))
 
 
-def _table(progress: Progress) -> Vector:
+def _table_of(progress: Progress) -> Vector:
     """Return the table of a progress (N, COLUMNS)."""
     return np.array(progress.record).reshape(-1, COLUMNS)
 
@@ -396,14 +396,14 @@ def _with_table(progress: Progress, table: Vector) -> Progress:
     return replace(progress, record=tuple(table.ravel().tolist()))
 
 
-def _tare(table: Vector) -> Vector:
+def _tares_of(table: Vector) -> Vector:
     """Return the tares (N,) of a table [N]."""
     return np.asarray(table[:, TARE_SUM] / np.maximum(table[:, TARE_SAMPLES], 1.0))
 
 
 def _with_new_tare(progress: Progress) -> Progress:
     """Return a progress whose table's tares are subtracted from the next reading on."""
-    return replace(progress, tare=tuple(_tare(_table(progress)).tolist()))
+    return replace(progress, tare=tuple(_tares_of(_table_of(progress)).tolist()))
 
 
 def _with_results(model: HandModel, table: Vector, i: int, samples: int) -> Vector:
@@ -432,8 +432,8 @@ def result(model: HandModel, progress: Progress, made: str) -> Calibration:
         progress: finished progress without failure.
         made: date and time, ISO 8601, UTC.
     """
-    table = _table(progress)
-    tare = _tare(table)
+    table = _table_of(progress)
+    tare = _tares_of(table)
     rows = {
         name: TendonCalibration(
             tare_N=float(tare[i]),

@@ -159,7 +159,7 @@ class TaskProgram:
         )
         untouched = (0,) * len(names)
         progress = replace(progress, goals=goals, touching=untouched, grip=grip)
-        return replace(progress, closing=_closing(phase, progress)), tuple(events)
+        return replace(progress, closing=_closing_digits(phase, progress)), tuple(events)
 
     def _goal(
         self, model: HandModel, progress: Progress, d: int, name: str, estimate: Estimate, t: float
@@ -176,7 +176,7 @@ class TaskProgram:
                 else motion_to(digit, estimate, np.radians(angle), phase.duration_s, t)
             )
         if isinstance(phase, Follow):
-            curve = _curve(phase, digit, estimate)
+            curve = _curve_of_digit(phase, digit, estimate)
             return previous if curve is None else DigitGoal(Kind.MOTION, curve, since=t)
         if isinstance(phase, Close):
             angle = end_angles(phase.angle_deg, digit, np.degrees(coordinates(digit, estimate)))
@@ -230,7 +230,7 @@ class TaskProgram:
         if progress.grip is None or not isinstance(phase, Hold):
             return progress, ()
         grip, goals, events = hold(
-            model, progress.grip, _plan(model, phase), progress.goals, estimate, t
+            model, progress.grip, _grip_plan(model, phase), progress.goals, estimate, t
         )
         if grip is progress.grip and goals is progress.goals:
             return progress, events
@@ -276,7 +276,7 @@ class TaskProgram:
         changed = replace(
             progress, goals=tuple(goals), contact=tuple(contact), touching=tuple(touching)
         )
-        return replace(changed, closing=_closing(phase, changed)), tuple(events)
+        return replace(changed, closing=_closing_digits(phase, changed)), tuple(events)
 
     def _phase_over(
         self, model: HandModel, progress: Progress, estimate: Estimate, t: float
@@ -322,7 +322,7 @@ class TaskProgram:
         )
 
 
-def _closing(phase: Move | Follow | Close | Hold | Release, progress: Progress) -> tuple[bool, ...]:
+def _closing_digits(phase: Move | Follow | Close | Hold | Release, progress: Progress) -> tuple[bool, ...]:
     """Return for each digit whether it closes until contact, empty in other phases."""
     if not isinstance(phase, Close):
         return ()
@@ -343,7 +343,7 @@ def _still_tensioned(
     ]
 
 
-def _plan(model: HandModel, phase: Hold) -> GripPlan:
+def _grip_plan(model: HandModel, phase: Hold) -> GripPlan:
     """Return the grip that a hold asks for, per tendon."""
     limit = np.full(model.tendon_count, np.nan)
     if phase.slip_limit_N is not None:
@@ -369,7 +369,7 @@ def _distance_error(model: HandModel, phase: Follow, estimate: Estimate) -> str:
     return ""
 
 
-def _curve(phase: Follow, digit: DigitModel, estimate: Estimate) -> Curve | None:
+def _curve_of_digit(phase: Follow, digit: DigitModel, estimate: Estimate) -> Curve | None:
     """Return the curve of a digit, None without an angle. Joints without angles stay where they are."""
     count = digit.coupling.shape[1]
     if digit.name in phase.angle_deg:

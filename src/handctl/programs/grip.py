@@ -116,13 +116,15 @@ def hold(
         # A tendon that opens its digit pays out while the digit closes.
         opening = np.where(np.isnan(grip.tension), 0.0, model.redundancy.side * estimate.opening)
         if opening.max() > OPENING_M:
-            grip, events = _answer(model, grip, plan, opening, t)
+            grip, events = _answer_slip(model, grip, plan, opening, t)
     if not (judged or settled) or not (events or plan.stiffness):
         return grip, goals, events
-    return grip, _goals(model, grip, plan, goals, excursion(model, estimate)), events
+    return grip, _held_goals(model, grip, plan, goals, excursion(model, estimate)), events
 
 
-def _answer(model: HandModel, grip: Grip, plan: GripPlan, opening: Vector, t: float) -> tuple[Grip, tuple[Event, ...]]:
+def _answer_slip(
+    model: HandModel, grip: Grip, plan: GripPlan, opening: Vector, t: float
+) -> tuple[Grip, tuple[Event, ...]]:
     """Raise the tensions, as far as the task allows."""
     worst = int(np.argmax(opening))
     digit = next(
@@ -143,7 +145,7 @@ def _answer(model: HandModel, grip: Grip, plan: GripPlan, opening: Vector, t: fl
     return grip._replace(limited=True), () if grip.limited else (refused,)
 
 
-def _goals(
+def _held_goals(
     model: HandModel, grip: Grip, plan: GripPlan, goals: tuple[DigitGoal, ...], excursion: Vector
 ) -> tuple[DigitGoal, ...]:
     """Return the goals with the tensions of slip and stiffness, never below the floor."""

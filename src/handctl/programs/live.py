@@ -56,7 +56,7 @@ class LiveProgram:
     ) -> ProgressAndEvents:
         """Advance by one tick. See `Program`."""
         if progress.task is not None:
-            return _carry_out(model, progress, progress.task, estimate, measured, t)
+            return _carry_out_task(model, progress, progress.task, estimate, measured, t)
         if progress.phase == "start":
             progress = replace(progress, since=t, phase="tighten", goals=tighten(model))
             return progress, (Event("info", "phase", "", "tighten: taking up slack"),)
@@ -76,7 +76,7 @@ LONGEST_HOLD_S = 3600.0
 """Duration of a task's hold that waits for ``release`` [s], the longest of a task."""
 
 
-def _carry_out(
+def _carry_out_task(
     model: HandModel,
     progress: Progress,
     task: Task,

@@ -244,7 +244,7 @@ def check_task(
             value = getattr(phase, key, None)
             key_path = f"{where}: phase[{i}].{key}"
             per_digit = value if isinstance(value, dict) else {}
-            joints = _joints(digit_shapes) if key == "angle_deg" else {}
+            joints = _digit_of_joint(digit_shapes) if key == "angle_deg" else {}
             for name in sorted(per_digit.keys() - {*digits, *joints}):
                 joint = f", or a joint such as {next(iter(joints))}" if joints else ""
                 raise ConfigError(f"no digit {name!r}", key_path, "one of " + ", ".join(digits) + joint)
@@ -254,7 +254,7 @@ def check_task(
             if key.endswith("deg") and isinstance(phase, Follow):
                 continue
             for digit, setting in per_digit.items():
-                _count(digit, setting, digit_shapes, key_path)
+                _check_count(digit, setting, digit_shapes, key_path)
             values = per_digit.values() if isinstance(value, dict) else [value]
             numbers = [n for v in values for n in (v if isinstance(v, tuple) else (v,))]
             largest = max((n for n in numbers if n is not None), default=0.0)
@@ -262,7 +262,7 @@ def check_task(
                 raise ConfigError(f"{largest:g} N", key_path, f"at most tension_max_N = {ceiling:g} N")
 
 
-def _count(digit: str, value: object, digit_shapes: Mapping[str, Shape] | None, key_path: str) -> None:
+def _check_count(digit: str, value: object, digit_shapes: Mapping[str, Shape] | None, key_path: str) -> None:
     """Refuse a list of the wrong length: an angle per coordinate, a tension per tendon."""
     if digit_shapes is None or not isinstance(value, tuple):
         return
@@ -277,7 +277,7 @@ def _count(digit: str, value: object, digit_shapes: Mapping[str, Shape] | None, 
     raise ConfigError(f"{len(value)} numbers for {digit}", key_path, expected)
 
 
-def _joints(digit_shapes: Mapping[str, Shape] | None) -> dict[str, str]:
+def _digit_of_joint(digit_shapes: Mapping[str, Shape] | None) -> dict[str, str]:
     """Return the digit of each joint."""
     return {joint: name for name, shape in (digit_shapes or {}).items() for joint in shape.joints}
 

@@ -46,8 +46,8 @@ def check_speed(task: Task, hand: Hand, where: str) -> None:
     for i, phase in enumerate(task.phase):
         for digit, span in spans.items():
             low, high = span
-            from_low = _target(phase, digits[digit], low)
-            from_high = _target(phase, digits[digit], high)
+            from_low = _coordinates_after(phase, digits[digit], low)
+            from_high = _coordinates_after(phase, digits[digit], high)
             if from_low is None or from_high is None:
                 continue
             if isinstance(phase, Move):
@@ -62,7 +62,7 @@ def check_speed(task: Task, hand: Hand, where: str) -> None:
             spans[digit] = ends
 
 
-def _target(phase: Phase, digit: DigitModel, now: Vector) -> Vector | None:
+def _coordinates_after(phase: Phase, digit: DigitModel, now: Vector) -> Vector | None:
     """Return the coordinates of a digit after a phase that begins at ``now`` [deg], None without a motion."""
     if isinstance(phase, Follow):
         last = {name: angles[-1] for name, angles in phase.angle_deg.items()}
@@ -101,7 +101,7 @@ def check_joint_range(task: Task, hand: Hand, where: str) -> None:
         for digit in digits:
             _check_joints(phase, digit, hand.digit_named(digit.name), f"{where}: phase[{i}].angle_deg")
         for name, (low, high) in reaches.items():
-            for row in _extremes(phase, name):
+            for row in _reached_angles(phase, name):
                 for angle, lower, upper in np.broadcast(row, low, high):
                     if not lower - ROUNDING_DEG <= angle <= upper + ROUNDING_DEG:
                         place = f"{where}: phase[{i}].angle_deg"
@@ -180,7 +180,7 @@ def check_slip_limit(task: Task, hand: Hand, where: str) -> None:
                 raise ConfigError(f"{np.max(limit):g}", f"{where}: phase[{i}].slip_limit_N", expected)
 
 
-def _extremes(phase: Move | Close | Follow, name: str) -> Iterable[float | tuple[float, ...]]:
+def _reached_angles(phase: Move | Close | Follow, name: str) -> Iterable[float | tuple[float, ...]]:
     """Return the angles of a phase that a digit must reach: one for all its coordinates, or one for each."""
     if isinstance(phase, Follow):
         angles = phase.angle_deg.get(name)

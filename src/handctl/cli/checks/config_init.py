@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 from typing import Any, NamedTuple
 
 from handctl.cli.console.options import print_json, say
+from handctl.drives.motor_description import PROTOCOLS
 from handctl.errors import ConfigError
 from handctl.hand.file.json_schema import hand_schema_text
 from handctl.hand.file.new_file import Answers, check_answers, new_hand_text, palm_warnings
@@ -72,7 +73,8 @@ def run(args: argparse.Namespace) -> int:
         answers = _ask(args, answers)
     check_answers(answers)
     schema = args.output.parent / SCHEMA_FILE
-    text = f"#:schema {SCHEMA_FILE}\n" + new_hand_text(answers)
+    traits = PROTOCOLS[answers.protocol]
+    text = f"#:schema {SCHEMA_FILE}\n" + new_hand_text(answers, traits.options, traits.can_fd)
     found = inspect(parse_toml(text, str(args.output)))
     if found.mistakes or found.hand is None:
         raise found.mistakes[0].error("the answers")

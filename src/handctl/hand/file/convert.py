@@ -89,45 +89,46 @@ def converted(text: str, source: str) -> str:
         document = tomlkit.parse(text)
     except (TOMLKitError, ValueError, RecursionError) as error:
         raise ConfigError(f"not TOML: {error}", source, "valid TOML") from None
-    root, tables = _blocks(document)
+    root, tables = _parse_blocks(document)
     for entry in root.entries:
         if entry.key == "schema":
             entry.text = str(WRITTEN)
     sections = {kind: [block for name, block in tables if name == kind] for kind in KINDS}
     others = [(name, block) for name, block in tables if name not in KINDS]
     _shorten_sensor_node(others, sections)
-    defaults = {kind: _common(kind, sections[kind]) for kind in KINDS}
+    defaults = {kind: _take_common_values(kind, sections[kind]) for kind in KINDS}
     for kind in DIGIT_KINDS:
-        _hold(kind, sections)
-    templates = _templates(sections["digit"])
-    lines = _lines(root, "")
+        _move_into_digits(kind, sections)
+    templates = _take_templates(sections["digit"])
+    lines = _table_lines(root, "")
     for name, block in others:
         array = isinstance(document[name], AoT)
-        lines += ["", *block.before, f"[[{name}]]" if array else f"[{name}]" + _behind(block), *_lines(block, name)]
+        header = f"[[{name}]]" if array else f"[{name}]" + _header_comment(block)
+        lines += ["", *block.before, header, *_table_lines(block, name)]
     for kind in KINDS:
         lines += _kind_lines(kind, defaults[kind], templates if kind == "digit" else {}, sections[kind])
     return re.sub(r"\n{3,}", "\n\n", "\n".join(lines).strip("\n")) + "\n"
 
 
-def _blocks(document: tomlkit.TOMLDocument) -> tuple[Block, list[tuple[str, Block]]]:
+def _parse_blocks(document: tomlkit.TOMLDocument) -> tuple[Block, list[tuple[str, Block]]]:
     """Return the root and the tables of a document in order, each with the comments before its header."""
     root = Block([])
     tables: list[tuple[str, Block]] = []
     last = root
     for key, item in document.body:
         if key is None or not isinstance(item, Table | AoT):
-            last.entries += _entry(key.key if key else "", item)
+            last.entries += _parse_entry(key.key if key else "", item)
             continue
         for table in item.body if isinstance(item, AoT) else [item]:
             block = Block([], _trailing_comments(last), table.trivia.comment)
             for name, value in table.value.body:
-                block.entries += _entry(name.key if name else "", value)
+                block.entries += _parse_entry(name.key if name else "", value)
             tables.append((key.key, block))
             last = block
     return root, tables
 
 
-def _entry(key: str, item: Item) -> list[Entry]:
+def _parse_entry(key: str, item: Item) -> list[Entry]:
     """Return the entries of a key, a comment line or blank lines."""
     if isinstance(item, Whitespace):
         return []
@@ -135,7 +136,7 @@ def _entry(key: str, item: Item) -> list[Entry]:
         return [Entry("", item.trivia.comment)]
     if isinstance(item, Table):
         comments = [Entry("", value.trivia.comment) for name, value in item.value.body if isinstance(value, Comment)]
-        return [*comments, Entry(key, _inline(item.unwrap()), item.unwrap())]
+        return [*comments, Entry(key, _inline_table(item.unwrap()), item.unwrap())]
     return [Entry(key, item.as_string().strip(), item.unwrap(), item.trivia.comment)]
 
 
@@ -147,24 +148,25 @@ def _trailing_comments(block: Block) -> list[str]:
     return trailing
 
 
-def _common(kind: str, blocks: Sequence[Block]) -> list[Entry]:
+def _take_common_values(kind: str, blocks: Sequence[Block]) -> list[Entry]:
     """Remove the values that all sections of a kind have in common, and return them."""
     if kind == "digit":
         for block in blocks:
             _one_for_all_links(block)
     if len(blocks) < SHARED_FROM:
         return []
-    return _shared(blocks, lambda key, value: key not in PERSONAL[kind] and key not in ("motor", "moment_arm_m"))
+    kept = (*PERSONAL[kind], "motor", "moment_arm_m")
+    return _take_shared_values(blocks, lambda key, value: key not in kept)
 
 
-def _shared(blocks: Sequence[Block], can_be: Callable[[str, Any], bool]) -> list[Entry]:
+def _take_shared_values(blocks: Sequence[Block], can_be: Callable[[str, Any], bool]) -> list[Entry]:
     """Remove the values that all blocks have in common, and return them with all their comments."""
     first = blocks[0].values()
     others = [block.values() for block in blocks[1:]]
     keys = [
         key
         for key, value in first.items()
-        if can_be(key, value) and all(key in other and _same(other[key], value) for other in others)
+        if can_be(key, value) and all(key in other and _are_equal(other[key], value) for other in others)
     ]
     entries = {entry.key: entry for entry in blocks[0].take(keys)}
     for block in blocks[1:]:
@@ -175,7 +177,7 @@ def _shared(blocks: Sequence[Block], can_be: Callable[[str, Any], bool]) -> list
     return list(entries.values())
 
 
-def _same(one: Any, other: Any) -> bool:
+def _are_equal(one: Any, other: Any) -> bool:
     """Return True for equal values of one type: true is not 1."""
     return bool(one == other) and isinstance(one, bool) == isinstance(other, bool)
 
@@ -205,7 +207,7 @@ def _shorten_sensor_node(others: Sequence[tuple[str, Block]], sections: dict[str
                 entry.text = f'"{ALL}"'
 
 
-def _hold(kind: str, sections: dict[str, list[Block]]) -> None:
+def _move_into_digits(kind: str, sections: dict[str, list[Block]]) -> None:
     """Move the tendons or motors into the digits whose names they have, if all of them can."""
     moved: list[tuple[Block, str, Block]] = []
     digits = {block.values()["name"]: block for block in sections["digit"]}
@@ -239,7 +241,7 @@ def _hold(kind: str, sections: dict[str, list[Block]]) -> None:
         sections[kind].append(Block([], comments))
 
 
-def _templates(digits: Sequence[Block]) -> dict[str, Block]:
+def _take_templates(digits: Sequence[Block]) -> dict[str, Block]:
     """Remove the values that digits of the same links have in common, and return them as templates."""
     groups: dict[str, list[Block]] = {}
     for block in digits:
@@ -248,13 +250,13 @@ def _templates(digits: Sequence[Block]) -> dict[str, Block]:
     for group in groups.values():
         if len(group) < SHARED_FROM or "link_length_m" not in group[0].values():
             continue
-        template = Block(_shared(group, lambda key, value: key not in PERSONAL["digit"]))
+        template = Block(_take_shared_values(group, lambda key, value: key not in PERSONAL["digit"]))
         for kind in DIGIT_KINDS:
             for short in group[0].held[kind]:
                 if not all(short in block.held[kind] for block in group):
                     continue
                 held = [block.held[kind][short] for block in group]
-                common = _shared(held, lambda key, value: key != "node_id")
+                common = _take_shared_values(held, lambda key, value: key != "node_id")
                 if common:
                     template.held[kind][short] = Block(common)
         name = "finger" if not templates else f"finger_{len(templates) + 1}"
@@ -273,19 +275,20 @@ def _kind_lines(
     if default:
         lines += [f"[default.{kind}]", *(entry.line() for entry in default), ""]
     for name, template in templates.items():
-        lines += [f"[{kind}_template.{name}]", *_lines(template, f"{kind}_template.{name}"), ""]
+        lines += [f"[{kind}_template.{name}]", *_table_lines(template, f"{kind}_template.{name}"), ""]
     for i, block in enumerate(sections):
         if block.entries or any(block.held.values()):
-            lines += [*(block.before if i else []), f"[[{kind}]]" + _behind(block), *_lines(block, kind), ""]
+            header = f"[[{kind}]]" + _header_comment(block)
+            lines += [*(block.before if i else []), header, *_table_lines(block, kind), ""]
     return lines
 
 
-def _behind(block: Block) -> str:
+def _header_comment(block: Block) -> str:
     """Return the comment behind a header."""
     return f"   {block.comment}" if block.comment else ""
 
 
-def _lines(block: Block, header: str) -> list[str]:
+def _table_lines(block: Block, header: str) -> list[str]:
     """Return the lines of a table, and of the tendons and motors that it holds."""
     lines = [entry.line() for entry in block.entries]
     tables: list[str] = []
@@ -307,6 +310,6 @@ def _lines(block: Block, header: str) -> list[str]:
     return lines + tables
 
 
-def _inline(table: dict[str, Any]) -> str:
+def _inline_table(table: dict[str, Any]) -> str:
     """Return a table within a line."""
     return toml_text({"x": [{"x": table}]}).split("x = ", 1)[1].strip()

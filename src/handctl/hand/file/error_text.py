@@ -55,7 +55,7 @@ def validation_mistakes(error: ValidationError, model: type[BaseModel], content:
     # A list whose entries are refused is also too short for pydantic.
     details = [detail for detail in details if detail["type"] != "too_short" or detail["loc"] not in within]
     unknown = [detail for detail in details if detail["type"] == "extra_forbidden"]
-    found = [_unknown_key(detail["loc"], model, content) for detail in unknown]
+    found = [_unknown_key_mistake(detail["loc"], model, content) for detail in unknown]
     misspelt = {(detail["loc"][:-1], mistake.right) for detail, mistake in zip(unknown, found, strict=True)}
     for detail in details:
         location = detail["loc"]
@@ -70,9 +70,10 @@ def validation_mistakes(error: ValidationError, model: type[BaseModel], content:
     return found
 
 
-def _unknown_key(location: Sequence[str | int], model: type[BaseModel], content: Mapping[str, Any]) -> Mistake:
+def _unknown_key_mistake(location: Sequence[str | int], model: type[BaseModel], content: Mapping[str, Any]) -> Mistake:
     """Return the mistake of an unknown key, with the most similar valid key."""
-    return Mistake("unknown key", key_path(content, location), nearest(str(location[-1]), _keys(model, location[:-1])))
+    valid = nearest(str(location[-1]), _valid_keys_at(model, location[:-1]))
+    return Mistake("unknown key", key_path(content, location), valid)
 
 
 def in_file(mistakes: Iterable[Mistake], origins: Mapping[str, str]) -> list[Mistake]:
@@ -86,7 +87,7 @@ def in_file(mistakes: Iterable[Mistake], origins: Mapping[str, str]) -> list[Mis
     """
     found: dict[Mistake | str, Mistake] = {}
     for mistake in mistakes:
-        where = _origin(mistake.where, origins)
+        where = _path_in_file(mistake.where, origins)
         shared = where != mistake.where and mistake.what != "missing"
         placed = mistake._replace(where=where)
         found.setdefault(where if shared else placed, placed)
@@ -111,7 +112,7 @@ def listed(names: Sequence[str]) -> str:
     return ", ".join(names) if len(names) <= 3 else f"{', '.join(names[:2])} and {len(names) - 2} more"
 
 
-def _origin(path: str, origins: Mapping[str, str]) -> str:
+def _path_in_file(path: str, origins: Mapping[str, str]) -> str:
     """Return the key path in the file of the longest known part of a path, with the rest of the path."""
     part = path
     while part:
@@ -143,19 +144,19 @@ def shown(value: Any) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _keys(model: type[BaseModel], location: Sequence[str | int]) -> list[str]:
+def _valid_keys_at(model: type[BaseModel], location: Sequence[str | int]) -> list[str]:
     """Return the valid keys of the table at a location."""
     for part in location:
         if isinstance(part, str):
-            model = next(m for m in _models(model.model_fields[part].annotation))
+            model = next(m for m in _models_in(model.model_fields[part].annotation))
     return [field.alias or name for name, field in model.model_fields.items()]
 
 
-def _models(annotation: Any) -> list[type[BaseModel]]:
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
     """Return the models inside an annotation such as ``tuple[Digit, ...]``."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
-    return [model for part in getattr(annotation, "__args__", ()) for model in _models(part)]
+    return [model for part in getattr(annotation, "__args__", ()) for model in _models_in(part)]
 
 
 def nearest(key: str, valid: list[str]) -> str:

@@ -44,14 +44,14 @@ def hand_schema() -> dict[str, Any]:
     properties["default"] = {
         "type": "object",
         "description": "Values of all digits, tendons or motors that do not have their own.",
-        "properties": {kind: _reference(VALUES[kind]) for kind in KINDS},
+        "properties": {kind: _reference_to(VALUES[kind]) for kind in KINDS},
         "additionalProperties": False,
     }
     for kind, key in TEMPLATES.items():
-        properties[key] = _tables(kind, f"Values of each {kind} that names the template.")
+        properties[key] = _table_array_schema(kind, f"Values of each {kind} that names the template.")
     optional = (*DIGIT_KINDS, "sensor_node")
     schema["required"] = [key for key in schema["required"] if key not in optional]
-    return {"$schema": DRAFT, **_for_draft(schema), "title": "Hand file of handctl"}
+    return {"$schema": DRAFT, **_in_draft_vocabulary(schema), "title": "Hand file of handctl"}
 
 
 def hand_schema_text() -> str:
@@ -63,27 +63,27 @@ def _extend_digit(definition: dict[str, Any]) -> None:
     """Add the forms that a digit has only in schema 2."""
     properties = definition["properties"]
     for kind in DIGIT_KINDS:
-        properties[kind] = _tables(kind, f"Each {kind} of this digit, named DIGIT_NAME.")
+        properties[kind] = _table_array_schema(kind, f"Each {kind} of this digit, named DIGIT_NAME.")
     for key in ONE_FOR_ALL_LINKS:
         lists = properties[key]
         items = next(one["items"] for one in (lists, *lists.get("anyOf", ())) if "items" in one)
         properties[key] = {"anyOf": [items, {"type": "array", "items": items}], "description": lists["description"]}
 
 
-def _tables(kind: str, description: str) -> dict[str, Any]:
+def _table_array_schema(kind: str, description: str) -> dict[str, Any]:
     """Return the schema of a table of tables of a kind."""
-    return {"type": "object", "description": description, "additionalProperties": _reference(VALUES[kind])}
+    return {"type": "object", "description": description, "additionalProperties": _reference_to(VALUES[kind])}
 
 
-def _reference(name: str) -> dict[str, Any]:
+def _reference_to(name: str) -> dict[str, Any]:
     """Return a reference to a definition."""
     return {"$ref": f"#/definitions/{name}"}
 
 
-def _for_draft(node: Any) -> Any:
+def _in_draft_vocabulary(node: Any) -> Any:
     """Return a schema in the words of the draft, without the titles that only repeat a key."""
     if isinstance(node, list):
-        return [_for_draft(entry) for entry in node]
+        return [_in_draft_vocabulary(entry) for entry in node]
     if not isinstance(node, dict):
         return node
     if "prefixItems" in node:
@@ -93,7 +93,9 @@ def _for_draft(node: Any) -> Any:
         # Draft 7 ignores what stands beside a reference.
         node = {"$ref": node["$ref"].replace("#/$defs/", "#/definitions/")}
     return {
-        key: value.replace("``", "`") if key == "description" and isinstance(value, str) else _for_draft(value)
+        key: value.replace("``", "`")
+        if key == "description" and isinstance(value, str)
+        else _in_draft_vocabulary(value)
         for key, value in node.items()
         if key != "title" or not isinstance(value, str) or value.endswith("Values")
     }

@@ -1,7 +1,10 @@
 """Text of a new hand file from a few answers, with a comment at each number that is only an assumption."""
 
+import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from handctl.errors import ConfigError
 from handctl.hand.file.quantities import NAME_PATTERN
@@ -127,13 +130,20 @@ def palm_warnings(answers: Answers) -> tuple[str, ...]:
     )
 
 
-def new_hand_text(answers: Answers) -> str:
-    """Return the text of a hand file of schema 2."""
-    parts = [_head(answers), _digit_values(answers), _tendon_values(answers), _motor_values(answers)]
+def new_hand_text(answers: Answers, options: Mapping[str, Any], can_fd: bool) -> str:
+    """Return the text of a hand file of schema 2.
+
+    Args:
+        answers: checked answers.
+        options: options of a drive of the protocol.
+        can_fd: True if the protocol needs a bus with CAN FD.
+    """
+    parts = [_head_tables(answers, can_fd), _digit_values(answers)]
+    parts += [_tendon_values(answers), _motor_values(answers, options)]
     motors = _motor_names(answers)
     buses = _bus_names(answers)
     per_bus = _digits_per_bus(answers)
-    digits = zip(_names(answers), _places(answers), strict=True)
+    digits = zip(_names(answers), _mount_places(answers), strict=True)
     for number, ((name, side), z) in enumerate(digits):
         y = (0.5 - side) * answers.palm * 1e-3
         bus = buses[number // per_bus]
@@ -144,7 +154,7 @@ def new_hand_text(answers: Answers) -> str:
         roll = 180.0 * (1 - side)
         comment = "closes towards -y" if side == 0 else "closes towards +y, against the others"
         parts.append(
-            f'[[digit]]\nname = "{name}"\nmount_position_m = [0.0, {_text(y)}, {_text(z)}]\n'
+            f'[[digit]]\nname = "{name}"\nmount_position_m = [0.0, {_number_text(y)}, {_number_text(z)}]\n'
             f"mount_rpy_deg = [{roll}, 0.0, 0.0]   # {comment}\nmotor = {{ {ids} }}"
         )
     return "\n\n".join(parts) + "\n"
@@ -157,7 +167,7 @@ def _names(answers: Answers) -> list[tuple[str, int]]:
     return [*((name, 0) for name in fingers), *((name, 1) for name in opposed)]
 
 
-def _places(answers: Answers) -> list[float]:
+def _mount_places(answers: Answers) -> list[float]:
     """Return the place of each digit along the hinges, the first side first [m].
 
     Sides with different numbers of digits interleave. Otherwise tips meet before the digits press on
@@ -193,11 +203,14 @@ def _motor_names(answers: Answers) -> list[str]:
     return ["motor"] if answers.tendons == "one" else [f"m{i + 1}" for i in range(len(answers.links_mm))]
 
 
-def _head(answers: Answers) -> str:
+def _head_tables(answers: Answers, can_fd: bool) -> str:
     """Return the tables before the digits."""
     tendons = "one tendon per digit" if answers.tendons == "one" else "one tendon per joint"
     sync, base = SENSOR_IDS.get(answers.protocol, SENSOR_IDS["mit"])
-    buses = "\n\n".join(f'[[bus]]\nname = "{name}"\nbitrate = 1_000_000' for name in _bus_names(answers))
+    bitrate = "bitrate = 1_000_000"
+    if can_fd:
+        bitrate += "\ndata_bitrate = 5_000_000         # ASSUMED: as set in the drives"
+    buses = "\n\n".join(f'[[bus]]\nname = "{name}"\n{bitrate}' for name in _bus_names(answers))
     return f"""# Written by handctl config init. SI units, named in each key. Measure or look up what is marked ASSUMED.
 # handctl config check --hand FILE finds mistakes, handctl demo --lockstep --hand FILE is the first grasp.
 schema = 2
@@ -216,8 +229,8 @@ base_id = {base:s}
 tendons = "all"                    # a load cell at every tendon
 joints = []                        # no joint encoders; "all" for one at every joint
 joint_decimation = 1
-tension_noise_N = {_text(answers.tension_N * 0.005)}              # ASSUMED standard deviation of a sample
-tension_bias_drift_N = {_text(answers.tension_N * 0.01)}         # ASSUMED, per 100 s
+tension_noise_N = {_number_text(answers.tension_N * 0.005)}              # ASSUMED standard deviation of a sample
+tension_bias_drift_N = {_number_text(answers.tension_N * 0.01)}         # ASSUMED, per 100 s
 joint_noise_rad = 0.001"""
 
 
@@ -233,23 +246,24 @@ def _digit_values(answers: Answers) -> str:
     stiffness = [OPENING * tendons * 1e-3 * answers.pulley * FLOOR_N / PRELOAD_RAD for tendons in crossing]
     lines = [
         "[default.digit]                    # one number holds for every link",
-        f"link_length_m = {_list(lengths)}",
-        f"link_com_m = {_list([length / 2 for length in lengths])}          # ASSUMED: the middle",
-        f"link_mass_kg = {_list(masses)}        # ASSUMED: a bar of {DENSITY_KG_M3:g} kg/m3",
-        f"link_inertia_kg_m2 = {_list(inertias)}   # ASSUMED: m (L^2 + h^2) / 12",
-        f"link_radius_m = {_text(width / 2)}",
+        f"link_length_m = {_list_text(lengths)}",
+        f"link_com_m = {_list_text([length / 2 for length in lengths])}          # ASSUMED: the middle",
+        f"link_mass_kg = {_list_text(masses)}        # ASSUMED: a bar of {DENSITY_KG_M3:g} kg/m3",
+        f"link_inertia_kg_m2 = {_list_text(inertias)}   # ASSUMED: m (L^2 + h^2) / 12",
+        f"link_radius_m = {_number_text(width / 2)}",
         "joint_min_deg = 0.0",
         "joint_max_deg = 95.0",
         "joint_damping_N_m_s_per_rad = 5e-4 # ASSUMED",
         "joint_armature_kg_m2 = 1e-6        # ASSUMED: pulley and pin",
-        f"spring_stiffness_N_m_per_rad = {_list(stiffness)}   # ASSUMED: opens against the tension floor",
+        f"spring_stiffness_N_m_per_rad = {_list_text(stiffness)}   # ASSUMED: opens against the tension floor",
         f"spring_preload_rad = {PRELOAD_RAD}           # ASSUMED",
     ]
     if answers.tendons == "one" and count > 1:
-        lines.append(f"coupling = {_list([[1.0]] * count)}   # springs equal on equal pulleys: all joints turn alike")
+        coupling = _list_text([[1.0]] * count)
+        lines.append(f"coupling = {coupling}   # springs equal on equal pulleys: all joints turn alike")
     for i, motor in enumerate(_motor_names(answers)):
         crossed = count if answers.tendons == "one" else i + 1
-        arms = ", ".join(f"j{j + 1} = {_text(1e-3 * answers.pulley)}" for j in range(crossed))
+        arms = ", ".join(f"j{j + 1} = {_number_text(1e-3 * answers.pulley)}" for j in range(crossed))
         short = "tendon" if answers.tendons == "one" else f"t{i + 1}"
         lines.append(f'tendon.{short} = {{ motor = "{motor}", moment_arm_m = {{ {arms} }} }}')
     return "\n".join(lines)
@@ -260,49 +274,54 @@ def _tendon_values(answers: Answers) -> str:
     return f"""[default.tendon]
 stiffness_N_per_m = 1.0e5          # ASSUMED: handctl identify measures it
 damping_N_s_per_m = 30.0           # ASSUMED
-knee_N = {_text(answers.strength_N / 3)}                     # ASSUMED: linear up to here
+knee_N = {_number_text(answers.strength_N / 3)}                     # ASSUMED: linear up to here
 stiffness_beyond_ratio = 0.5       # ASSUMED
 knee_width_m = 0.3e-3              # ASSUMED
 friction_coefficient = 0.08        # ASSUMED: 0.05 lined, 0.15 dry
 wrap_angle_rad = 1.5708            # ASSUMED: before the first joint pulley
-rated_breaking_force_N = {_text(answers.strength_N)}
+rated_breaking_force_N = {_number_text(answers.strength_N)}
 tension_floor_N = {FLOOR_N}
-tension_max_N = {_text(answers.tension_N)}
-tension_trip_N = {_text(TRIP * answers.tension_N)}              # above this one valid sample relaxes the hand
-drive_limit_N = {_text(DRIVE * answers.tension_N)}              # torque_max_N_m / spool_radius_m"""
+tension_max_N = {_number_text(answers.tension_N)}
+tension_trip_N = {_number_text(TRIP * answers.tension_N)}              # above this one valid sample relaxes the hand
+drive_limit_N = {_number_text(DRIVE * answers.tension_N)}              # torque_max_N_m / spool_radius_m"""
 
 
-def _motor_values(answers: Answers) -> str:
+def _motor_values(answers: Answers, options: Mapping[str, Any]) -> str:
     """Return the values that all motors have in common."""
     torque = DRIVE * answers.tension_N * 1e-3 * answers.spool_mm
-    options = {
-        "mit": "",
-        "odrive": "\n# options: the endpoints of your firmware, from its flat_endpoints.json; config check names them",
-        "cia402": "\noptions = { rated_torque_N_m = 0.4, counts_per_turn = 65536 }   # ASSUMED: of your drive",
-    }
     return f"""[default.motor]                    # quantities at the spool, after the gear
 protocol = "{answers.protocol}"
 bus = "main"
-spool_radius_m = {_text(1e-3 * answers.spool_mm)}
+spool_radius_m = {_number_text(1e-3 * answers.spool_mm)}
 inertia_kg_m2 = 1.3e-4             # ASSUMED: rotor and gear
 viscous_N_m_s_per_rad = 1e-3       # ASSUMED
 coulomb_N_m = 0.015                # ASSUMED
 torque_constant_N_m_per_A = 0.26   # ASSUMED
-torque_max_N_m = {_text(torque)}              # the limit that is set in the drive
-torque_peak_N_m = {_text(1.1 * torque)}             # ASSUMED: what the motor can make
+torque_max_N_m = {_number_text(torque)}              # the limit that is set in the drive
+torque_peak_N_m = {_number_text(1.1 * torque)}             # ASSUMED: what the motor can make
 position_range_rad = 12.5          # as in the drive's registers
 velocity_range_rad_s = 50.0        # as in the drive's registers
 direction = 1                      # 1 if positive torque winds; handctl commission checks it
 zero_rad = 0.0
-watchdog_ms = 50{options[answers.protocol]}"""
+watchdog_ms = 50{_options_line(answers.protocol, options)}"""
 
 
-def _text(value: float) -> str:
+def _options_line(protocol: str, options: Mapping[str, Any]) -> str:
+    """Return the line of the drive options, empty for a protocol without options."""
+    if protocol == "odrive":
+        return "\n# options: the endpoints of your firmware, from its flat_endpoints.json; config check names them"
+    if not options:
+        return ""
+    values = ", ".join(f"{key} = {json.dumps(value)}" for key, value in options.items())
+    return f"\noptions = {{ {values} }}   # ASSUMED: of your drive"
+
+
+def _number_text(value: float) -> str:
     """Return a number with four digits."""
     return repr(float(f"{value:.4g}"))
 
 
-def _list(values: list[float] | list[list[float]]) -> str:
+def _list_text(values: list[float] | list[list[float]]) -> str:
     """Return a list, or one number if all are equal."""
-    texts = [_list(value) if isinstance(value, list) else _text(value) for value in values]
+    texts = [_list_text(value) if isinstance(value, list) else _number_text(value) for value in values]
     return "[" + ", ".join(texts) + "]"

@@ -92,28 +92,28 @@ def whole(low: int, high: int) -> Checked:
     return Checked(check, {"type": "integer", "minimum": low, "maximum": high})
 
 
-def _direction(value: Any) -> int:
+def _check_direction(value: Any) -> int:
     """Validate 1 or -1."""
     if isinstance(value, bool) or not isinstance(value, int) or value not in (1, -1):
         raise wrong("1 or -1")
     return value
 
 
-def _identifier(value: Any) -> str:
+def _check_name(value: Any) -> str:
     """Validate a name."""
     if not isinstance(value, str) or not NAME_PATTERN.fullmatch(value):
         raise wrong("a name of letters, digits and _ that begins with a letter")
     return value
 
 
-def _text(value: Any) -> str:
+def _check_text(value: Any) -> str:
     """Validate a string."""
     if not isinstance(value, str):
         raise wrong("a string")
     return value
 
 
-def _options(value: Any) -> dict[str, bool | int | float | str]:
+def _check_options(value: Any) -> dict[str, bool | int | float | str]:
     """Validate a table of finite numbers, strings, and booleans."""
     if not isinstance(value, dict):
         raise wrong("a table")
@@ -162,19 +162,19 @@ ARM = Range(-0.05, 0.05, "m", "in metres?")
 """Moment arms of tendons at joints."""
 
 
-def _moment_arm(value: Any) -> float:
+def _check_moment_arm(value: Any) -> float:
     """Validate a moment arm. A polynomial or a table is refused by a line of its own."""
     if isinstance(value, list | tuple | dict):
         raise wrong("one number: a moment arm is constant over the joint's angle")
     return ARM(value)
 
 
-Name = Annotated[str, Checked(_identifier, {"type": "string", "pattern": f"^{NAME_PATTERN.pattern}$"})]
-Text = Annotated[str, Checked(_text, {"type": "string"})]
-Direction = Annotated[int, Checked(_direction, {"enum": [1, -1]})]
+Name = Annotated[str, Checked(_check_name, {"type": "string", "pattern": f"^{NAME_PATTERN.pattern}$"})]
+Text = Annotated[str, Checked(_check_text, {"type": "string"})]
+Direction = Annotated[int, Checked(_check_direction, {"enum": [1, -1]})]
 Options = Annotated[
     dict[str, bool | int | float | str],
-    Checked(_options, {"type": "object", "additionalProperties": {"type": ["boolean", "number", "string"]}}),
+    Checked(_check_options, {"type": "object", "additionalProperties": {"type": ["boolean", "number", "string"]}}),
 ]
 
 Length = Annotated[float, band_or_zero(1e-3, 0.2, "m", "in metres?")]
@@ -185,7 +185,7 @@ CentreOfMass = Annotated[
 ]
 Direction3 = Annotated[float, band(-1.0, 1.0)]
 Radius = Annotated[float, band(5e-4, 0.05, "m", "in metres?")]
-MomentArm = Annotated[float, Checked(_moment_arm, ARM.schema)]
+MomentArm = Annotated[float, Checked(_check_moment_arm, ARM.schema)]
 Position = Annotated[float, band(-0.5, 0.5, "m", "in metres?")]
 Mass = Annotated[float, band(1e-5, 0.5, "kg", "in kilograms?")]
 LinkInertia = Annotated[

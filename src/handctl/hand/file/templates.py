@@ -86,7 +86,7 @@ def resolve(content: Table) -> Resolved:
             sections[kind] = entries
             continue
         for position, entry in enumerate(entries):
-            sections[kind].append(resolver.entry(kind, [Layer(entry, f"{kind}[{_label(entry, position)}]")]))
+            sections[kind].append(resolver.entry(kind, [Layer(entry, f"{kind}[{_section_label(entry, position)}]")]))
     for kind in DIGIT_KINDS:
         if isinstance(sections[kind], list):
             sections[kind] = resolver.of_digits[kind] + sections[kind]
@@ -94,7 +94,7 @@ def resolve(content: Table) -> Resolved:
     resolved |= {kind: section for kind, section in sections.items() if section or kind in content}
     node = content.get("sensor_node")
     if isinstance(node, Mapping):
-        resolved["sensor_node"] = _with_all(node, sections)
+        resolved["sensor_node"] = _expand_all(node, sections)
     return Resolved(resolved, resolver.origins, resolver.mistakes)
 
 
@@ -140,7 +140,7 @@ class _Resolver:
             name: name of the section, or None if its layers have it.
         """
         layers = [*self.shared(kind, own), *own]
-        values, origins = _merged(layers, DEPTH)
+        values, origins = _merge_layers(layers, DEPTH)
         values.pop("template", None)
         label = name or values.get("name")
         if name:
@@ -159,7 +159,7 @@ class _Resolver:
             # A misspelt kind has its values nevertheless: they would otherwise be reported as missing.
             misspelt = key not in KINDS and kind not in default and nearest(key, [*KINDS]) == kind
             if isinstance(values, Mapping) and (key == kind or misspelt):
-                yield Layer(_without_names(values), f"default.{key}")
+                yield Layer(_without_entry_keys(values), f"default.{key}")
         named = [layer for layer in own if "template" in layer.values]
         if not named:
             return
@@ -173,12 +173,12 @@ class _Resolver:
             # The most similar template instead: its values would otherwise be reported as missing.
             name = right if right in valid else next(iter(valid), None)
         if isinstance(templates, Mapping) and isinstance(templates.get(name), Mapping):
-            yield Layer(_without_names(templates[name]), f"{key}.{name}")
+            yield Layer(_without_entry_keys(templates[name]), f"{key}.{name}")
 
     def _resolve_digit(self, layers: Sequence[Layer], values: dict[str, Any], path: str) -> None:
         """Take tendons and motors out of a digit, and extend single numbers to lists per link."""
         digit = values.get("name")
-        inner = {kind: _tables_of(layers, kind) for kind in DIGIT_KINDS}
+        inner = {kind: _layers_within_digit(layers, kind) for kind in DIGIT_KINDS}
         for kind in DIGIT_KINDS:
             held = values.get(kind)
             if not isinstance(held, Mapping):
@@ -241,13 +241,13 @@ def of_default(mistakes: Iterable[Mistake], content: Table) -> list[Mistake]:
     counts = Counter(match.groups() for match in missing if match)
     joined: dict[Mistake, None] = {}
     for mistake, match in zip(found, missing, strict=True):
-        if match and counts[match.groups()] == len(_tables(content.get(match[1]))) > 1:
+        if match and counts[match.groups()] == len(_list_of_tables(content.get(match[1]))) > 1:
             mistake = Mistake("missing", f"default.{match[1]}.{match[2]}", f"a value, there or in each {match[1]}")
         joined[mistake] = None
     return list(joined)
 
 
-def _merged(layers: Sequence[Layer], depth: int) -> tuple[dict[str, Any], Origins]:
+def _merge_layers(layers: Sequence[Layer], depth: int) -> tuple[dict[str, Any], Origins]:
     """Merge layers. Later layers win, and tables are merged key by key.
 
     Returns:
@@ -260,18 +260,18 @@ def _merged(layers: Sequence[Layer], depth: int) -> tuple[dict[str, Any], Origin
         value, path = given[-1]
         origins[key] = path
         if isinstance(value, Mapping) and depth > 0:
-            value, inner = _merged([layer for layer in given if isinstance(layer.values, Mapping)], depth - 1)
+            value, inner = _merge_layers([layer for layer in given if isinstance(layer.values, Mapping)], depth - 1)
             origins |= {f"{key}.{below}": origin for below, origin in inner.items()}
-        values[key] = _copied(value)
+        values[key] = _copy_list(value)
     return values, origins
 
 
-def _copied(value: Any) -> Any:
+def _copy_list(value: Any) -> Any:
     """Return a copy of a list, so that no two sections share it."""
-    return [_copied(entry) for entry in value] if isinstance(value, list) else value
+    return [_copy_list(entry) for entry in value] if isinstance(value, list) else value
 
 
-def _tables_of(layers: Sequence[Layer], kind: str) -> dict[str, list[Layer]]:
+def _layers_within_digit(layers: Sequence[Layer], kind: str) -> dict[str, list[Layer]]:
     """Return the layers of each tendon or motor that a digit holds, by its short name."""
     held: dict[str, list[Layer]] = {}
     for layer in layers:
@@ -282,13 +282,13 @@ def _tables_of(layers: Sequence[Layer], kind: str) -> dict[str, list[Layer]]:
     return held
 
 
-def _with_all(node: Table, sections: Table) -> dict[str, Any]:
+def _expand_all(node: Table, sections: Table) -> dict[str, Any]:
     """Return the sensor node with the names that ``"all"`` stands for."""
     names = {
-        "tendons": [tendon.get("name") for tendon in _tables(sections["tendon"])],
+        "tendons": [tendon.get("name") for tendon in _list_of_tables(sections["tendon"])],
         "joints": [
             f"{digit.get('name')}_j{i + 1}"
-            for digit in _tables(sections["digit"])
+            for digit in _list_of_tables(sections["digit"])
             if isinstance(digit.get("link_length_m"), list | tuple)
             for i in range(len(digit["link_length_m"]))
         ],
@@ -296,7 +296,7 @@ def _with_all(node: Table, sections: Table) -> dict[str, Any]:
     return dict(node) | {key: names[key] for key in names if node.get(key) == ALL}
 
 
-def _without_names(values: Table) -> dict[str, Any]:
+def _without_entry_keys(values: Table) -> dict[str, Any]:
     """Return the values of a default or template, without the keys that belong to an entry."""
     return {key: value for key, value in values.items() if key not in ("name", "template")}
 
@@ -306,12 +306,12 @@ def _is_list_of_tables(value: Any) -> bool:
     return isinstance(value, list | tuple) and all(isinstance(entry, Mapping) for entry in value)
 
 
-def _tables(value: Any) -> list[Table]:
+def _list_of_tables(value: Any) -> list[Table]:
     """Return a list of tables, empty for anything else."""
     return list(value) if _is_list_of_tables(value) else []
 
 
-def _label(entry: Table, position: int) -> str:
+def _section_label(entry: Table, position: int) -> str:
     """Return the name of a section for key paths, or its position."""
     name = entry.get("name")
     return name if isinstance(name, str) and name else str(position)

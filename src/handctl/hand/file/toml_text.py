@@ -12,24 +12,24 @@ def toml_text(content: Mapping[str, Any]) -> str:
 
     None and empty tables are left out.
     """
-    lines = _entries(content)
+    lines = _value_lines(content)
     for key, value in content.items():
         if isinstance(value, Mapping):
-            lines += ["", f"[{key}]", *_entries(value)]
+            lines += ["", f"[{key}]", *_value_lines(value)]
         elif _is_table_array(value):
             for table in value:
-                lines += ["", f"[[{key}]]", *_entries(table, inline_tables=True)]
+                lines += ["", f"[[{key}]]", *_value_lines(table, inline_tables=True)]
     return "\n".join(lines) + "\n"
 
 
-def _entries(table: Mapping[str, Any], inline_tables: bool = False) -> list[str]:
+def _value_lines(table: Mapping[str, Any], inline_tables: bool = False) -> list[str]:
     """Return the lines of a table's plain values."""
 
     def is_entry(value: Any) -> bool:
         """Return True for a value of this table's own lines."""
         return bool(inline_tables and value) if isinstance(value, Mapping) else not _is_table_array(value)
 
-    return [f"{key} = {_value(value)}" for key, value in table.items() if value is not None and is_entry(value)]
+    return [f"{key} = {_value_text(value)}" for key, value in table.items() if value is not None and is_entry(value)]
 
 
 def _is_table_array(value: Any) -> bool:
@@ -37,16 +37,16 @@ def _is_table_array(value: Any) -> bool:
     return isinstance(value, list | tuple) and len(value) > 0 and all(isinstance(entry, Mapping) for entry in value)
 
 
-def _value(value: Any) -> str:
+def _value_text(value: Any) -> str:
     """Return one value. Python's repr of a float is the shortest exact text, and valid TOML."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
         return _quoted(value)
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_key(key)} = {_value(entry)}" for key, entry in value.items()) + " }"
+        return "{ " + ", ".join(f"{_key_text(key)} = {_value_text(entry)}" for key, entry in value.items()) + " }"
     if isinstance(value, list | tuple):
-        return "[" + ", ".join(_value(entry) for entry in value) + "]"
+        return "[" + ", ".join(_value_text(entry) for entry in value) + "]"
     return repr(value)
 
 
@@ -58,6 +58,6 @@ def _quoted(text: str) -> str:
     return json.dumps(encodable(text), ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def _key(key: str) -> str:
+def _key_text(key: str) -> str:
     """Return a key, quoted if necessary."""
     return key if key.isascii() and key.replace("_", "").replace("-", "").isalnum() else _quoted(key)
