@@ -1,7 +1,7 @@
 """Move a hand, hold a tension, read the observation.
 
-In another terminal: handctl sim --hand jamia --bus local:lab --scene none
-Then: python connect_and_move.py [options of handctl run, e.g. --time-scale 0.3]
+Start in another terminal: handctl sim --hand jamia --bus local:lab --scene none
+Then start: python connect_and_move.py [options of handctl run, e.g. --time-scale 0.3]
 """
 
 import sys
@@ -9,7 +9,7 @@ import sys
 import handctl
 
 with handctl.connect("jamia", "local:lab", *sys.argv[1:]) as hand:  # starts a controller, commissions, arms
-    hand.move(index=30, middle=30, ring=30, duration_s=0.8)  # digits, all joints of a digit alike [deg]
+    hand.move(index=30, middle=30, ring=30, duration_s=0.8)  # angle of all joints of these digits [deg]
     hand.hold(thumb=10)  # tension of the tendons of a digit [N]
     seen = hand.observe()
     for name, angle in zip(hand.description.joints, seen.q_deg, strict=True):

@@ -1,6 +1,7 @@
-"""Break a tendon of the simulated hand in a motion, and see what the controller does.
+"""Break a tendon of a simulated hand while it moves, and print the reaction of the controller.
 
-python inject_fault.py runs in lockstep. For a hand in real time: handctl fault inject "snap tendon=index_tendon".
+python inject_fault.py runs in lockstep. To break the tendon of a simulated hand in real time, use
+handctl fault inject "snap tendon=index_tendon".
 """
 
 import json

@@ -1,4 +1,4 @@
-"""Describe a hand of your own, see a mistake named, and grasp with it in simulation.
+"""Describe your own hand, print the message about a mistake, and grasp with the hand in simulation.
 
 python own_hand.py writes mine.toml.
 """

@@ -1,7 +1,7 @@
 """Plot the angles, tensions and tip forces of a grasp, with its phases.
 
 handctl demo --lockstep --log grasp.mcap
-python plot_grasp.py grasp.mcap writes grasp.png. `handctl report grasp.mcap` makes a page with more.
+python plot_grasp.py grasp.mcap writes grasp.png. `handctl report grasp.mcap` writes a page with more plots.
 """
 
 import sys

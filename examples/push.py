@@ -1,4 +1,4 @@
-"""Push a held object, and compare the force for two stiffnesses of the grip. Simulation in lockstep.
+"""Push a held object in simulation, and compare the forces for two stiffnesses of the grip.
 
 python push.py writes push.png.
 """
@@ -36,7 +36,7 @@ START_S, RATE_N_PER_S, LARGEST_N, SHOWN_MM = 3.5, 8.0, 8.0, 3.0
 
 
 def task(stiffness_N_per_mm):
-    """Return a grasp whose tendons pull harder when they are pulled out."""
+    """Return a task whose tensions rise when the object pulls the tendons out."""
     hold = {"kind": "hold", "tension_N": 12.0, "stiffness_N_per_mm": stiffness_N_per_mm, "duration_s": 8.0}
     close = {"kind": "close", "angle_deg": 85.0, "speed_deg_s": 100.0, "contact_tension_N": 12.0}
     return Task.model_validate({"schema": 1, "name": "push", "description": "push", "phase": (close, hold)})

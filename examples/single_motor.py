@@ -1,9 +1,9 @@
-"""Turn one motor by a radian with a proportional-derivative loop. It needs no hand and no tendon.
+"""Turn one motor by one radian with a proportional-derivative loop, without a hand and a tendon.
 
-In another terminal: python -m firmware_sim drive mit --ids 1 --bus local:bench
-Then: python single_motor.py
+Start in another terminal: python -m firmware_sim drive mit --ids 1 --bus local:bench
+Then start: python single_motor.py
 
-A real shaft must be free. Set the limit of the torque below, and the bus, e.g. socketcan:can0.
+The shaft of a real motor must be free. Set its torque limit and its bus in the lines below.
 """
 
 from handctl.drives.contract import DriveTarget, Phase

@@ -1,7 +1,7 @@
-"""Stream a sine of 1 Hz to a digit at 100 Hz, and plot how it is followed.
+"""Stream a sine of 1 Hz to a digit at 100 Hz, and plot the motion of the digit beside the sine.
 
-In another terminal: handctl sim --hand jamia --bus local:lab --scene none
-Then: python stream_sine.py [options of handctl run] writes sine.png.
+Start in another terminal: handctl sim --hand jamia --bus local:lab --scene none
+Then start: python stream_sine.py [options of handctl run] writes sine.png.
 """
 
 import math
@@ -9,7 +9,7 @@ import sys
 
 import matplotlib
 
-matplotlib.use("Agg")  # writes files, needs no screen
+matplotlib.use("Agg")  # writes pictures to files and needs no screen
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -23,14 +23,14 @@ with handctl.connect("jamia", "local:lab", *sys.argv[1:]) as hand:
     first = hand.observe().k
     with hand.stream(rate_Hz=100, space="digit", names=["index"]) as stream:
         for tick in range(round(SECONDS * stream.rate_Hz)):
-            t = tick / stream.rate_Hz + stream.horizon_s  # the moment at which the hand shall be there
+            t = tick / stream.rate_Hz + stream.horizon_s  # time at which the hand reaches the target
             stream.send([MIDDLE_DEG + SWING_DEG * math.sin(2.0 * math.pi * t)])
             stream.sleep()
         print(stream.status)
         last = hand.observe().k
     hand.move(index=0)
 
-with RunLog(hand.result["log"]) as log:  # every tick, also those that this program has not seen
+with RunLog(hand.result["log"]) as log:  # the log has every tick, also ticks that this program did not observe
     streamed = (log.k > first) & (log.k < last)
     joints = [name.startswith("index") for name in log.names("q")]
     t = log.times[streamed]

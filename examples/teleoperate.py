@@ -1,10 +1,11 @@
-"""Teleoperate a hand: lines on the standard input, such as "index=30 thumb=10" [deg], are its targets.
+"""Teleoperate a hand with lines from the standard input, such as "index=30 thumb=10" [deg].
 
-In another terminal: handctl sim --hand jamia --bus local:lab --scene none
-Then: python teleoperate.py [options of handctl run]
+Start in another terminal: handctl sim --hand jamia --bus local:lab --scene none
+Then start: python teleoperate.py [options of handctl run]
 
-Any leader that can print works: a data glove, a camera, another program. The latest line counts. The targets approach
-it at a bounded speed. The program ends with its input: printf 'index=40\\nindex=0\\n' | python teleoperate.py
+Any program that prints such lines can lead the hand, for example a data glove or a camera. The latest line is the goal,
+and the targets approach this goal with a limited speed. The program ends when its input ends:
+printf 'index=40\\nindex=0\\n' | python teleoperate.py
 """
 
 import os
@@ -19,7 +20,7 @@ SPEED_DEG_S = 60.0
 
 
 def lines():
-    """Yield, without waiting, the lines that have come since the last call. Stop at the end of the input."""
+    """Yield the lines that have arrived since the last call, without waiting. Stop at the end of the input."""
     rest = b""
     while True:
         if select.select([0], [], [], 0.0)[0]:

@@ -1,7 +1,7 @@
-"""Train a linear policy to follow a reference, by augmented random search. Two minutes on one core.
+"""Train a linear policy to follow a reference, by augmented random search. This takes two minutes on one core.
 
-All digits share the policy: the action of a digit is a weighted sum of its reference after the horizon, its reference
-now, its angle and 1, each in the scale of an action.
+All digits use the same policy. The action of a digit is a weighted sum of four values: its reference after the horizon,
+its present reference, its angle, and 1. The first three are scaled like an action.
 
 pip install 'handctl[gym]'
 python train_policy.py [iterations] writes policy.npy and training.png.
@@ -32,7 +32,7 @@ names = np.array([name.partition("[")[0] for name in env.layout.names])
 
 
 def act(policy, seen):
-    """Return the action of a policy (inputs + 1,), the last weight is constant."""
+    """Return the action of a policy with weights (inputs + 1,). The last weight belongs to the constant 1."""
     parts = [np.degrees(seen[names == name]) for name in INPUTS]
     parts[-1] = env.values_of(parts[-1])  # angles of the digits from those of the joints
     scaled = [2.0 * (part - env.low_deg) / (env.high_deg - env.low_deg) - 1.0 for part in parts]
