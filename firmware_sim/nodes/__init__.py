@@ -7,6 +7,7 @@ from firmware_sim.nodes.moteus import bench as moteus_bench
 from firmware_sim.nodes.odrive import bench as odrive_bench
 from firmware_sim.nodes.protocol_spec import ProtocolSpec
 from firmware_sim.nodes.robstride import bench as robstride_bench
+from firmware_sim.nodes.robstride import mit_mode
 
 PROTOCOLS: dict[str, ProtocolSpec] = {
     "cia402": cia402_bench.SPEC,
@@ -15,5 +16,6 @@ PROTOCOLS: dict[str, ProtocolSpec] = {
     "moteus": moteus_bench.SPEC,
     "odrive": odrive_bench.SPEC,
     "robstride": robstride_bench.SPEC,
+    "robstride_mit": mit_mode.SPEC,
 }
 """Protocol specifications by the name in the hand file."""

@@ -10,6 +10,8 @@ from firmware_sim.nodes.robstride.node import FULL_SCALE
 
 MIT_TYPES = {**dict.fromkeys(mit_bench.TYPES, "mit"), **dict.fromkeys(cubemars.FULL_SCALE, "cubemars")}
 """Motor types that speak MIT mode, each with its protocol in handctl."""
+ROBSTRIDE = ("robstride", "robstride_mit")
+"""Protocols of RobStride motors."""
 ROBSTRIDE_TYPES = tuple(FULL_SCALE)
 """Models of RobStride motors."""
 FRICTION_FRACTION = 2e-3
@@ -64,7 +66,7 @@ def _check_type(protocol: str, motor_type: str) -> None:
     Raises:
         SimulatorError: the type does not exist, or has another protocol.
     """
-    types = ROBSTRIDE_TYPES if protocol == "robstride" else tuple(MIT_TYPES)
+    types = ROBSTRIDE_TYPES if protocol in ROBSTRIDE else tuple(MIT_TYPES)
     if motor_type and MIT_TYPES.get(motor_type, protocol) != protocol != "mit":
         raise SimulatorError(f"--motor-type {motor_type}: {protocol} has no such motor")
     if motor_type and motor_type not in types:
@@ -75,8 +77,9 @@ def _shaft(protocol: str, motor_type: str, fd: bool, firmware: str) -> Shaft:
     """Build the shaft of the requested motor."""
     if protocol == "odrive":
         return odrive_bench.shaft(firmware)
-    if protocol == "robstride" and motor_type:
-        return robstride_bench.shaft(motor_type)
+    if protocol in ROBSTRIDE and motor_type:
+        shaft = robstride_bench.shaft(motor_type)
+        return shaft._replace(options=PROTOCOLS[protocol].shaft.options | shaft.options)
     if protocol == "cubemars":
         return cubemars.shaft(motor_type or cubemars.DEFAULT_TYPE)
     if protocol == "mit":

@@ -28,7 +28,7 @@ def test_the_code_that_needs_a_hand_is_named() -> None:
 def test_every_protocol_is_named() -> None:
     names = {
         "mit": "MIT", "odrive": "ODrive", "cia402": "CiA 402", "cubemars": "CubeMars", "moteus": "moteus (CAN FD)",
-        "robstride": "RobStride",
+        "robstride": "RobStride", "robstride_mit": "RobStride (private protocol and MIT mode)",
     }  # fmt: skip
     assert [protocol for protocol in PROTOCOLS if names.get(protocol, protocol) not in README] == []
 

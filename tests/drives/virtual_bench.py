@@ -17,6 +17,7 @@ OPTIONS = {
     "odrive": {**ENDPOINTS, "torque_feedback": True},
     "moteus": {},
     "robstride": {"motor_type": "rs05"},
+    "robstride_mit": {"motor_type": "rs05", "host_id": 0},
     "cubemars": {"motor_type": "ak80-9"},
     "cia402": {"rated_torque_N_m": 1.0, "counts_per_turn": 65536, "sync": True},
 }

@@ -5,7 +5,7 @@ import pytest
 from firmware_sim.faults.faulty_drive import FAULTS
 from firmware_sim.nodes import PROTOCOLS as SIMULATED
 from handctl.drives.contract import DriveTarget
-from handctl.drives.motor_description import GUARDED
+from handctl.drives.motor_description import GUARDED, PROTOCOLS
 from handctl.runtime.diagnostics.conformance import CheckVerdict, ConformanceCheck, DeviceUnderTest, checks, leave
 from handctl.runtime.diagnostics.drive_rig import DriveRig
 from tests.drives.virtual_bench import VirtualBench, rig_on
@@ -83,10 +83,11 @@ def test_a_broken_drive_fails_its_check(protocol, fault):
 
 
 @pytest.mark.parametrize("fault", ["deaf", "eager", "mute", "sign", "twin"])
-def test_a_broken_cubemars_motor_fails_its_check(fault):
-    """A deaf one passed like a good one, because its feedback does not report whether it is enabled."""
-    good, _, _ = judged("cubemars")
-    broken, place, _ = judged("cubemars", fault)
+@pytest.mark.parametrize("protocol", sorted(PROTOCOLS.keys() - set(GUARDED)))
+def test_a_broken_motor_without_guards_fails_its_check(protocol, fault):
+    """A deaf CubeMars passed like a good one, because its feedback does not report whether it is enabled."""
+    good, _, _ = judged(protocol)
+    broken, place, _ = judged(protocol, fault)
     assert BROKEN_PROMISE[fault] not in failed(good)
     assert BROKEN_PROMISE[fault] in failed(broken)
     assert place.top <= LIMIT * 1.05

@@ -187,9 +187,11 @@ MATRIX: tuple[MatrixRow, ...] = (
         extra_ms=REPORT_DELAY_MS),
     MatrixRow("N11", "error node={node} size=60", CUT, 2, rows=("N11b",), protocols=(MOTEUS,)),
     MatrixRow("N11", "error node={node} size=0x4000", CUT, 2, rows=("N11b",), protocols=(ROBSTRIDE,)),
-    MatrixRow("N12", "forget node={node}", CUT, 4, 1000.0, ("N12",)),
+    MatrixRow("N12", "forget node={node}", CUT, 4, 1000.0, ("N12",), protocols=(MIT, ODRIVE, CIA402, ROBSTRIDE)),
+    # Torque limit and watchdog are in every command. The lost position limits remove torque, which N14 finds.
+    MatrixRow("N12", "forget node={node}", RELAX, 4, 1000.0, ("N12", "N14"), protocols=(MOTEUS,)),
     # A restart before the first answer to the enable command looks like a lost command. Lost settings show it.
-    MatrixRow("N12", "reset node={node}", RELAX, 4, 1000.0, ("N12", "N01"), (ARMING,), (MOTEUS,)),
+    MatrixRow("N12", "reset node={node}", RELAX, 4, 1000.0, ("N12", "N01", "N14"), (ARMING,), (MOTEUS,)),
     MatrixRow("N13", "twin node={node} seed=1", RELAX, 2, rows=("B06", "N13"), protocols=ONCE),
     MatrixRow("N13", "duplicate node={node} seed=1", RELAX, 4, rows=("N13", "B06"), protocols=ONCE),
     MatrixRow("N14", "disobey node={node} size=0", RELAX, 22, rows=("N14", "T02", "T04"),

@@ -35,6 +35,7 @@ PROTOCOLS: dict[str, ProtocolTraits] = {
     "moteus": ProtocolTraits("moteus", can_fd=True),
     "robstride": ProtocolTraits("RobStride", options={"motor_type": "rs05"}),
     "cubemars": ProtocolTraits("CubeMars", guarded=False, options={"motor_type": "ak80-6"}),
+    "robstride_mit": ProtocolTraits("RobStride in MIT mode", guarded=False, options={"motor_type": "rs05"}),
 }  # fmt: skip
 """Protocols by their name in the hand file."""
 GUARDED = tuple(name for name, traits in PROTOCOLS.items() if traits.guarded)

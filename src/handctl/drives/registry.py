@@ -17,6 +17,7 @@ from handctl.drives.odrive import discovery as odrive_discovery
 from handctl.drives.odrive.drive import OdriveDrive
 from handctl.drives.robstride import discovery as robstride_discovery
 from handctl.drives.robstride.drive import RobstrideDrive
+from handctl.drives.robstride.mit import RobstrideMitDrive
 from handctl.drives.sensors import discovery as sensor_discovery
 from handctl.errors import ConfigError
 
@@ -40,6 +41,7 @@ PROTOCOLS: dict[str, ProtocolEntry] = {
     "moteus": ProtocolEntry(MoteusDrive.of, moteus_discovery.DISCOVERY),
     "robstride": ProtocolEntry(RobstrideDrive.of, robstride_discovery.DISCOVERY),
     "cubemars": ProtocolEntry(CubemarsDrive.of, None),
+    "robstride_mit": ProtocolEntry(RobstrideMitDrive.of, None),
 }
 """Protocols by their name in the hand file."""
 DISCOVERIES: dict[str, Discovery] = {

@@ -221,7 +221,8 @@ class Motor(Section):
     name: qty.Name
     """Name of the motor."""
     protocol: qty.Name
-    """Protocol of the drive: ``mit``, ``odrive``, ``cia402``, ``moteus``, ``robstride`` or ``cubemars``."""
+    """Protocol of the drive: ``mit``, ``odrive``, ``cia402``, ``moteus``, ``robstride``,
+    ``robstride_mit`` or ``cubemars``."""
     bus: qty.Name
     """Bus of the drive."""
     node_id: qty.NodeId

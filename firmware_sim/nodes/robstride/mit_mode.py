@@ -1,0 +1,201 @@
+"""A RobStride motor in its MIT mode, with 11-bit identifiers. Source: facts, robstride, section MIT mode.
+
+    identifier          payload                          effect, and answer
+    motor               FF FF FF FF FF FF FF FC          enable, feedback
+    motor               FF FF FF FF FF FF mode FC        mode of operation 0, 1 or 2, feedback
+    motor               FF FF FF FF FF FF FF FD          stop, feedback
+    motor               FF FF FF FF FF FF protocol FD    protocol from the next power-up on, identity
+    motor               FF FF FF FF FF FF FF FE          present position is zero, feedback
+    motor               FF FF FF FF FF FF FF FB          clear faults, feedback
+    motor               FF FF FF FF FF FF xx FB          faults in bytes 1 to 4, low byte first
+    motor               FF FF FF FF FF FF number FA      number of the motor, identity
+    motor               FF FF FF FF FF FF FD host        number of the host, identity
+    motor               all others                       position 16, velocity 12, kp 12, kd 12, torque 12 bit, feedback
+    0x100 + motor       target position, largest speed   feedback
+    0x200 + motor       target speed, current limit      feedback
+
+Feedback has the identifier of the host: number of the motor, position 16 bit, velocity 12, torque
+12, 10 x degC 16 bit. The identity has the identifier of the motor.
+
+Choices where the fact sheet has an "assumption":
+
+- Frames with 29-bit identifiers are ignored.
+- Position and velocity mode are answered, and not followed.
+- There are no fault reports.
+"""
+
+import struct
+
+from firmware_sim.bus.frame import EXTENDED, FDF, REMOTE, Frame
+from firmware_sim.description import MotorSpec
+from firmware_sim.nodes.mit.codec import KD_MAX, KP_MAX, Ranges, decode_command, to_code
+from firmware_sim.nodes.protocol_spec import ProtocolSpec
+from firmware_sim.nodes.robstride import bench
+from firmware_sim.nodes.robstride.node import (
+    DEFAULT_TYPE,
+    REPORT_SHIFT,
+    REPORTED,
+    RUN,
+    RobstrideNode,
+)
+from firmware_sim.plant.motor import Motor
+
+POSITION_RANGE = 12.57
+"""Position range in MIT mode [rad]."""
+FACTORY_HOST = 0
+"""Number of the host as delivered."""
+HOST_OFFSET = 0x10
+"""Distance of the host's number from the motor's number in a hand file without ``host_id``."""
+_SPECIAL = b"\xff" * 6
+"""First six bytes of a special command."""
+
+
+class RobstrideMitNode(RobstrideNode):
+    """One motor in MIT mode.
+
+    Attributes:
+        host_id: identifier of the feedback.
+        next_protocol: protocol from the next power-up on: 0 private, 1 CANopen, 2 MIT.
+    """
+
+    def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
+        """Set up the node after power-up.
+
+        Args:
+            spec: description of the motor.
+            motor: rotor of the motor.
+            offset: angle on the wire at theta = 0 [rad].
+        """
+        super().__init__(spec, motor, offset)
+        self.host_id = int(spec.options.get("host_id", spec.node_id + HOST_OFFSET))
+        self.next_protocol = 2
+        counts = int(spec.options.get("can_timeout", 0))
+        self._saved[0x7028] = struct.pack("<I", counts)
+        self.parameters = dict(self._saved)
+        self._ranges = Ranges(POSITION_RANGE, self._velocity, self._torque)
+
+    def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
+        """Execute a frame.
+
+        Returns:
+            The answers, None if the frame is not for this motor.
+        """
+        wrong = frame.can_id & (EXTENDED | REMOTE) or frame.flags & FDF
+        if wrong or frame.can_id & 0xFF != self.node_id or frame.can_id >> 8 > 2:
+            return None
+        data = frame.data
+        if len(data) != 8:
+            self.malformed += 1
+            return []
+        if frame.can_id >> 8:
+            return [self._answer(frame)]
+        if data[:6] == _SPECIAL and data[6:] != b"\xff\xff":
+            return self._special(data[6], data[7], frame, t_ns)
+        self.watchdog_fed_ns = t_ns
+        if self.mode == RUN:
+            self.follow_command(data)
+        self._schedule()
+        return [self._answer(frame)]
+
+    def _special(self, area: int, code: int, frame: Frame, t_ns: int) -> list[Frame]:
+        """Execute a special command. Byte 6 is FF, or a value of the command."""
+        plain = area == 0xFF
+        if code == 0xFB and not plain:
+            return [Frame(self.host_id, bytes((self.node_id,)) + struct.pack("<I", self._fault_word) + bytes(3))]
+        if code == 0xFC and plain:
+            self._enable(b"", t_ns)
+        elif code == 0xFC and area <= 2:
+            self._set_run_mode(area)
+        elif code == 0xFD and plain:
+            self._stop(clear=False)
+        elif code == 0xFB:
+            # LeRobot polls running motors with this command, hence it does not stop them.
+            self.fault = 0
+        elif code == 0xFE and plain:
+            self.offset = -self._direction * self.motor.encoder()
+        else:
+            return self._set_up(area, code)
+        return [self._answer(frame)]
+
+    def _set_run_mode(self, mode: int) -> None:
+        """Set the mode of operation, unless the motor runs."""
+        if self.mode != RUN:
+            self.parameters[0x7005] = bytes(((0, 5, 2)[mode], 0, 0, 0))
+
+    def _set_up(self, area: int, code: int) -> list[Frame]:
+        """Change protocol or numbers. The answer is the identity."""
+        node_id = self.node_id
+        if code == 0xFD and area <= 2:
+            self.next_protocol = area
+        elif code == 0xFA and 0 < area < 0x80:
+            self.node_id = area
+        elif area == 0xFD and code < 0x80:
+            self.host_id = code
+        else:
+            self.malformed += 1
+            return []
+        return [Frame(node_id, self._serial.to_bytes(8, "big"))]
+
+    @property
+    def _fault_word(self) -> int:
+        """Return the faults with the bits of a fault report."""
+        return sum(reported for bit, reported in REPORTED.items() if self.fault & bit) | self.fault >> REPORT_SHIFT
+
+    def follow_command(self, data: bytes) -> None:
+        """Set the servo from the payload of a control command."""
+        command = decode_command(data, self._ranges)
+        servo = self.motor.servo
+        sign = self._direction
+        limit = self.torque_limit
+        servo.kp = command.kp * self._kp / KP_MAX
+        servo.kd = command.kd * self._kd / KD_MAX
+        servo.position = sign * (command.position - self.offset)
+        servo.velocity = sign * command.velocity
+        servo.torque = sign * max(-limit, min(limit, command.torque))
+        servo.limit = limit
+
+    def _answer(self, frame: Frame) -> Frame:
+        """Return the feedback."""
+        motor = self.motor
+        sign = self._direction
+        position = to_code(sign * motor.encoder() + self.offset, POSITION_RANGE, 16)
+        velocity = to_code(sign * motor.velocity, self._velocity, 12)
+        torque = to_code(sign * motor.torque, self._torque, 12)
+        word = self.node_id << 40 | position << 24 | velocity << 12 | torque
+        data = word.to_bytes(6, "big") + struct.pack(">h", int(10 * self.thermal.winding))
+        return Frame(self.host_id, data, 0, frame.bus)
+
+    def wake(self, t_ns: int) -> list[Frame]:
+        """Check watchdog and temperature. There are no fault reports.
+
+        Returns:
+            No frame.
+        """
+        super().wake(t_ns)
+        return []
+
+
+def _host_frame(node_id: int) -> tuple[int, bytes]:
+    """Return a stop command."""
+    return node_id, b"\xff" * 7 + b"\xfd"
+
+
+def _corrupt_command(frame: Frame) -> Frame:
+    """Replace a stop command by a command without torque, which keeps the motor enabled."""
+    stop = frame.can_id < 0x80 and frame.data == b"\xff" * 7 + b"\xfd"
+    return frame._replace(data=b"\x7f\xff\x7f\xf0\0\0\x07\xff") if stop else frame
+
+
+def _force_command(node: RobstrideMitNode, frame: Frame) -> None:
+    """Follow a control command in any state."""
+    if frame.can_id == node.node_id and len(frame.data) == 8 and frame.data[:6] != _SPECIAL:
+        node.follow_command(frame.data)
+
+
+_SHAFT = bench.shaft(DEFAULT_TYPE)
+SPEC = ProtocolSpec(
+    RobstrideMitNode, range(1, 0x80),
+    _SHAFT._replace(position=POSITION_RANGE, options={**_SHAFT.options, "host_id": FACTORY_HOST}),
+    _host_frame, _corrupt_command, force_command=_force_command,
+)  # fmt: skip
+"""RobStride motors in MIT mode."""

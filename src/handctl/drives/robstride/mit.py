@@ -1,0 +1,190 @@
+"""RobStride motor in its MIT mode: 11-bit identifiers, the command frame of MIT motors, and no registers.
+
+Command and special commands: identifier is the motor's number, layout as in ``mit.codec``. A
+special command has a second code in byte 6, FF in the commands used here, except the read of faults:
+
+    bytes 0..5          byte 6   byte 7   effect
+    FF FF FF FF FF FF   FF       FC       enable
+    FF FF FF FF FF FF   FF       FD       stop, also the request for feedback here
+    FF FF FF FF FF FF   FF       FB       clear the faults
+    FF FF FF FF FF FF   00       FB       read the faults
+
+Feedback, identifier is the host's number, 8 bytes, big-endian. The answer to the read of faults has
+the same identifier:
+
+    byte    0         1, 2            3, 4 high     4 low, 5      6, 7
+    field   motor 8   position 16     velocity 12   torque 12     winding 16
+    range             +-12.57 rad     see MODELS    see MODELS    0.1 degC/count
+    faults  motor 8   bits 0..7, 8..15, 16..23 in bytes 1..3      0 in bytes 4..7
+
+As with CubeMars motors, the feedback does not report enabled or disabled. Watchdog and torque limit
+can be set and read in the private protocol only. A read of faults is a motion command to another
+make of MIT motor, hence it is sent to disabled motors only, and no discovery uses it.
+
+Source: docs/facts/robstride.md, section MIT mode.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+from handctl.drives.causes import Cause
+from handctl.drives.contract import DriveState, DriveTarget, Phase
+from handctl.drives.frame import Frame
+from handctl.drives.mit import codec as mit
+from handctl.drives.mit.cubemars import ANSWERS, QUIET, CubemarsDrive, CubemarsProgress
+from handctl.drives.motor_description import MotorDescription
+from handctl.drives.option_checks import whole_number
+from handctl.drives.robstride import codec
+from handctl.drives.robstride.progress import cause_of, fault_text
+from handctl.drives.signals import Coding, Quantity, Signal, Table
+from handctl.errors import ConfigError
+
+POSITION_RANGE = 12.57
+"""Full scale of the position in MIT mode [rad]."""
+MODELS = {
+    name: mit.Ranges(POSITION_RANGE, codec.MODELS[name].velocity, codec.MODELS[name].torque)
+    for name in ("rs00", "rs01", "rs05")
+}
+"""Full scale of the models on whose ranges in MIT mode the sources agree."""
+HOST_OFFSET = 0x10
+"""Usual distance of the host's number from the motor's number on a bus with several motors."""
+FACTORY_HOST = 0
+"""Number of the host as delivered."""
+READ_FAULTS = b"\xff" * 6 + b"\x00\xfb"
+"""Payload that reads the faults."""
+FAULT_PERIOD = 8
+"""Answers of a disabled motor between two reads of its faults."""
+CONTROL_MODES = range(3)
+"""Bits 10..8 of a command's identifier: MIT, position, and velocity mode."""
+UNVERIFIED_GUARDS = (
+    "watchdog: canTimeout cannot be read in MIT mode; set and save it in the private protocol, its default is off",
+    "torque limit: limit_torque cannot be read in MIT mode; torque_max_N_m is this host's alone",
+    "does not report whether it is enabled; "
+    f"an answer to stop with at most {QUIET:.0%} of full-scale torque counts as disabled",
+    "ranges cannot be read back; motor_type must be right",
+)
+"""Guards that handctl cannot verify, one line each."""
+
+
+@dataclass(frozen=True, slots=True)
+class RobstrideMitDrive(CubemarsDrive):
+    """RobStride motor in MIT mode. Implements ``contract.Drive``.
+
+    Attributes:
+        host_id: number of the host, the identifier of the feedback.
+    """
+
+    host_id: int
+
+    def __post_init__(self) -> None:
+        """Build the signal tables of the cyclic frames."""
+        command = mit.command_message(self.node_id, self.ranges, self.direction)
+        feedback = mit.feedback_message(self.host_id, self.ranges, self.direction, self.zero)
+        state, position, velocity, torque, _, _ = feedback.signals
+        winding = Signal("winding", Quantity.TEMPERATURE, 55, 16, True, Coding.SIGNED, 0.1, unit="degC")
+        # Byte 0 is the whole number of the motor.
+        signals = (state._replace(name="node"), position, velocity, torque, winding)
+        object.__setattr__(self, "command", Table(command._replace(limit=self.torque_limit)))
+        object.__setattr__(self, "feedback", Table(feedback._replace(signals=signals)))
+
+    @staticmethod
+    def of(motor: MotorDescription, bus: int) -> "RobstrideMitDrive":
+        """Return the drive of a motor description.
+
+        Raises:
+            ConfigError: an unknown model or option, a wrong number, or too large a torque.
+        """
+        options = dict(motor.options)
+        where = f"motor[{motor.name}]"
+        model: Any = options.pop("motor_type", None)
+        if model not in MODELS:
+            problem = "missing" if model is None else repr(model)
+            raise ConfigError(problem, f"{where}.options.motor_type", "one of " + ", ".join(MODELS))
+        if not 0 < motor.node_id <= codec.LAST_NODE:
+            raise ConfigError(str(motor.node_id), f"{where}.node_id", f"1 to {codec.LAST_NODE}")
+        host = options.pop("host_id", motor.node_id + HOST_OFFSET)
+        if host != FACTORY_HOST:
+            host = whole_number(host, f"{where}.options.host_id", codec.LAST_NODE)
+        if options:
+            raise ConfigError("unknown key", f"{where}.options.{next(iter(options))}", "motor_type or host_id")
+        if host == motor.node_id:
+            raise ConfigError(str(host), f"{where}.options.host_id", "another number than node_id")
+        ranges = MODELS[model]
+        if motor.torque_max_N_m > ranges.torque:
+            raise ConfigError(f"{motor.torque_max_N_m:g}", f"{where}.torque_max_N_m", f"at most {ranges.torque:g}")
+        return RobstrideMitDrive(
+            name=motor.name,
+            bus=bus,
+            node_id=motor.node_id,
+            ranges=ranges,
+            torque_limit=motor.torque_max_N_m,
+            direction=motor.direction,
+            zero=motor.zero_rad,
+            temperature_offset=0.0,
+            host_id=host,
+        )
+
+    @property
+    def host_ids(self) -> frozenset[int]:
+        """Return the commands of the three control modes."""
+        return frozenset(mode << 8 | self.node_id for mode in CONTROL_MODES)
+
+    @property
+    def node_ids(self) -> frozenset[int]:
+        """Return the identifier of the feedback."""
+        return frozenset((self.host_id,))
+
+    @property
+    def unverified_guards(self) -> tuple[str, ...]:
+        """Return the guards that handctl cannot verify, one line each."""
+        return UNVERIFIED_GUARDS
+
+    def steady_status(self, state: DriveState) -> int:
+        """Return the status of the feedback of an enabled motor: its number."""
+        status = CubemarsDrive.steady_status(self, state)
+        return status if status < 0 else self.node_id
+
+    def receive(self, state: DriveState, frame: Frame) -> DriveState:
+        """Return the state after one received frame, see ``contract.Drive``."""
+        can_id, data, _, bus, t_ns = frame
+        if can_id != self.host_id or bus != self.bus:
+            return state
+        if len(data) != 8 or data[0] != self.node_id:
+            return state._replace(misread=state.misread + 1)
+        updated = state._replace(feedback_t_ns=t_ns, feedback_count=state.feedback_count + 1)
+        # Feedback with 0 in bytes 4 to 7 would have a torque near the negative full scale.
+        if not any(data[4:]) and state.phase != Phase.ENABLED:
+            return self._on_faults(updated, int.from_bytes(data[1:4], "little"))
+        _, position, velocity, torque, winding = self.feedback.unpack(data)
+        updated = updated._replace(position=position, velocity=velocity, torque=torque, temperature=winding)
+        return self._on_answer(updated, state.private)
+
+    def _on_faults(self, state: DriveState, faults: int) -> DriveState:
+        """Return the state after an answer to the read of faults."""
+        if not faults:
+            return state
+        error = faults << codec.REPORT_SHIFT
+        return state._replace(phase=Phase.FAULT, error=error, error_text=fault_text(error))
+
+    def advance(
+        self, state: DriveState, t_ns: int, target: DriveTarget, torque: float
+    ) -> tuple[DriveState, tuple[Frame, ...]]:
+        """Return the next state and the frames to send, see ``contract.Drive``.
+
+        A disabled motor is asked for its faults in place of every eighth stop command.
+        """
+        updated, frames = CubemarsDrive.advance(self, state, t_ns, target, torque)
+        progress: CubemarsProgress = updated.private
+        disabled = updated.phase in (Phase.READY, Phase.FAULT) and not progress.enable_sent
+        if target == DriveTarget.POLL and disabled and updated.feedback_count % FAULT_PERIOD == ANSWERS:
+            return updated, (self._frame(READ_FAULTS),)
+        return updated, frames
+
+    def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
+        """Clear the faults, and start again with the stop command."""
+        fresh, stop = CubemarsDrive.clear(self, state)
+        return fresh, (self._frame(mit.special_command(mit.CLEAR)), *stop)
+
+    def cause(self, error: int) -> Cause:
+        """Return the cause of an error code, see ``contract.Drive``."""
+        return cause_of(error)

@@ -1,0 +1,61 @@
+"""LeRobot's bus of RobStride motors, against ``python -m firmware_sim drive robstride_mit`` on any bus."""
+
+import time
+from collections.abc import Callable
+
+import pytest
+from lerobot.motors import Motor, MotorNormMode
+from lerobot.motors.robstride import RobstrideMotorsBus
+
+ANSWER_S = 0.5
+"""Time for an answer. The client waits 1 ms, less than a process needs on a busy machine."""
+WAIT_S = 20.0
+
+
+def use_lerobot_robstride(interface: str, channel: str, patch: pytest.MonkeyPatch, nodes: tuple[int, ...]) -> None:
+    """Connect, enable, turn by a torque, hold a position, read all motors, disable."""
+    patch.setattr(RobstrideMotorsBus._recv_motor_response, "__defaults__", (None, ANSWER_S))
+    patch.setattr(RobstrideMotorsBus._recv_status_via_clear_fault, "__defaults__", (None, ANSWER_S))
+    motors = {f"m{node}": _motor(node) for node in nodes}
+    bus = RobstrideMotorsBus(channel, motors, can_interface=interface, use_can_fd=False)
+    bus.connect()
+    try:
+        bus.configure_motors()
+        _turn(bus, f"m{nodes[0]}")
+        goal = float(bus.read("Present_Position", f"m{nodes[0]}")) - 20.0
+        _until(lambda: abs(_held(bus, f"m{nodes[0]}", goal) - goal) < 2.0, "held at a position")
+        bus.disable_torque()
+        assert set(bus.sync_read("Present_Position")) == set(motors)
+        assert bus.read("Temperature_MOS", f"m{nodes[-1]}") == pytest.approx(25.0, abs=5.0)
+    finally:
+        bus.disconnect()
+
+
+def _motor(node: int) -> Motor:
+    motor = Motor(id=node, model="robstride", norm_mode=MotorNormMode.DEGREES)
+    motor.motor_type_str = "O5"
+    motor.recv_id = node
+    return motor
+
+
+def _turn(bus: RobstrideMotorsBus, name: str) -> None:
+    start = float(bus.read("Present_Position", name))
+
+    def turned() -> bool:
+        bus._mit_control(name, 0.0, 0.0, 0.0, 0.0, 0.1)
+        return float(bus.read("Present_Position", name)) > start + 20.0
+
+    _until(turned, "turned by a torque")
+    bus._mit_control(name, 0.0, 1.0, 0.0, 0.0, 0.0)
+
+
+def _held(bus: RobstrideMotorsBus, name: str, goal: float) -> float:
+    bus._mit_control(name, 10.0, 1.0, goal, 0.0, 0.0)
+    return float(bus.read("Present_Position", name))
+
+
+def _until(reached: Callable[[], bool], what: str) -> None:
+    end = time.monotonic() + WAIT_S
+    while not reached():
+        assert time.monotonic() < end, f"never: {what}"
+        time.sleep(0.005)

@@ -1,0 +1,16 @@
+"""LeRobot's RobStride bus drives the simulated motors in MIT mode. It needs lerobot, in an environment of its own."""
+
+import pytest
+
+from tests.drives.bench_process import drives
+
+pytest.importorskip("lerobot", reason="needs an environment of its own: lerobot_robot_handctl/README.md")
+pytestmark = pytest.mark.realtime
+BUS = "lerobot"
+
+
+def test_lerobot_robstride(monkeypatch: pytest.MonkeyPatch) -> None:
+    from tests.drives.lerobot_client import use_lerobot_robstride
+
+    with drives(f"local:{BUS}", "robstride_mit", "--ids", "1,2"):
+        use_lerobot_robstride("local", BUS, monkeypatch, (1, 2))

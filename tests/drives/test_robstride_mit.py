@@ -1,0 +1,153 @@
+"""RobStride motors in MIT mode, against their simulated firmware: faults, numbers, and what cannot be verified."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from firmware_sim.bus.frame import Frame as SimFrame
+from firmware_sim.nodes.robstride import node as simulated
+from firmware_sim.nodes.robstride.mit_mode import RobstrideMitNode
+from handctl.drives.causes import Cause
+from handctl.drives.contract import DriveTarget, Phase
+from handctl.drives.frame import Frame
+from handctl.drives.registry import make_drive
+from handctl.drives.robstride.mit import READ_FAULTS, RobstrideMitDrive
+from handctl.errors import ConfigError
+from tests.drives.protocol_bench import Bench, described, hand_file, servo_torques
+from tests.drives.virtual_bench import VirtualBench, rig_on
+
+STEP_N_M = 11.0 / 4095
+MS = 1_000_000
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    made = Bench(hand_file(tmp_path, ["robstride_mit"]))
+    yield made
+    made.rig.close()
+
+
+def first(bench: Bench) -> RobstrideMitNode:
+    node = bench.rig.world.nodes[0][0]
+    assert isinstance(node, RobstrideMitNode)
+    return node
+
+
+def drive_of(**options: object) -> RobstrideMitDrive:
+    drive = make_drive(described("robstride_mit", 5, 0.8, {"motor_type": "rs05", **options}), 0)
+    assert isinstance(drive, RobstrideMitDrive)
+    return drive
+
+
+def test_from_silence_to_torque_and_a_confirmed_standstill(bench: Bench) -> None:
+    bench.until(DriveTarget.POLL, Phase.READY)
+    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
+    for _ in range(200):
+        bench.tick(DriveTarget.ENABLE, 0.05)
+    world = bench.rig.world
+    for drive, state in zip(bench.drives, bench.states, strict=True):
+        truth = world.plant.motors[drive.name].theta + world.encoder_offset[drive.name]
+        assert state.position == pytest.approx(truth, abs=0.01)
+        assert state.torque == pytest.approx(0.05, abs=2 * STEP_N_M)
+        assert state.temperature == pytest.approx(25.0, abs=0.5)
+    assert servo_torques(bench) == pytest.approx([0.05] * 4, abs=STEP_N_M)
+    bench.until(DriveTarget.DISABLE, Phase.READY, ticks=100)
+    assert servo_torques(bench) == [0.0] * 4
+    assert [state.misread for state in bench.states] == [0] * 4
+    assert world.malformed == 0
+
+
+@pytest.mark.parametrize(
+    ("fault", "words", "cause"),
+    [
+        (simulated.HOT, "over-temperature", Cause.HOT),
+        (simulated.UNDER_VOLTAGE, "under-voltage", Cause.VOLTAGE),
+        (simulated.OVERLOAD, "overload: the shaft is blocked", Cause.OTHER),
+        (1 << simulated.REPORT_SHIFT + 6, "unknown fault bit 14", Cause.UNKNOWN),
+    ],
+)
+def test_faults_are_read_before_torque_and_go_by_order_only(bench: Bench, fault: int, words: str, cause: Cause) -> None:
+    bench.until(DriveTarget.POLL, Phase.READY)
+    first(bench).trip(fault)
+    for _ in range(20):
+        bench.tick(DriveTarget.POLL)
+    drive, state = bench.drives[0], bench.states[0]
+    assert (state.phase, state.error_text) == (Phase.FAULT, words)
+    assert drive.cause(state.error) == cause
+    for _ in range(20):
+        bench.tick(DriveTarget.ENABLE)
+    assert bench.states[0].phase == Phase.FAULT
+    bench.clear()
+    bench.until(DriveTarget.POLL, Phase.READY)
+
+
+def test_only_a_disabled_motor_is_asked_for_its_faults(bench: Bench) -> None:
+    """To another make of MIT motor the read of faults is a motion command."""
+    seen = []
+    for target, phase in ((DriveTarget.ENABLE, Phase.ENABLED), (DriveTarget.DISABLE, Phase.READY)):
+        for _ in range(100):
+            before = [state.phase for state in bench.states]
+            bench.tick(target)
+            reads = [frame for frame in bench.sent if frame.data == READ_FAULTS]
+            seen += reads
+            assert not reads or Phase.ENABLED not in before
+        assert {state.phase for state in bench.states} == {phase}
+    for _ in range(20):
+        bench.tick(DriveTarget.POLL)
+        seen += [frame for frame in bench.sent if frame.data == READ_FAULTS]
+    assert seen
+
+
+def test_feedback_at_the_freezing_point_is_no_fault() -> None:
+    drive = drive_of()
+    state = drive.initial()
+    frozen = bytes((5, 0x80, 0, 0x80, 0x08, 0, 0, 0))
+    for k in range(5):
+        state, _ = drive.advance(state, k * MS, DriveTarget.POLL, 0.0)
+        state = drive.receive(state, Frame(0x15, frozen, 0, 0, k * MS + 1))
+    assert (state.phase, state.error, state.temperature) == (Phase.READY, 0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "wrong"),
+    [
+        ({"motor_type": "rs02"}, "motor_type"),
+        ({"host_id": 5}, "host_id"),
+        ({"host_id": 0x80}, "host_id"),
+        ({"host_id": True}, "host_id"),
+        ({"watchdog": 1}, "watchdog"),
+    ],
+)
+def test_a_wrong_option_is_refused_by_its_path(options: dict[str, object], wrong: str) -> None:
+    with pytest.raises(ConfigError, match=rf"motor\[m\].options.{wrong}"):
+        drive_of(**options)
+
+
+def test_no_numbers_share_an_identifier() -> None:
+    """Motors as delivered all answer on 0."""
+    assert drive_of(host_id=0).node_ids == {0}
+    drive = drive_of()
+    assert (drive.node_ids, drive.host_ids) == ({0x15}, {0x05, 0x105, 0x205})
+    assert len(drive.unverified_guards) == 4
+
+
+def test_a_watchdog_set_before_in_the_private_protocol_removes_the_torque() -> None:
+    place = VirtualBench("robstride_mit", motor_type="rs05", host_id=0, can_timeout=2000)
+    rig = rig_on(place, "robstride_mit", 0.5)
+    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.ENABLED, 3.0)
+    rig.tick(DriveTarget.ENABLE, 0.1)
+    assert place.bench.motors[0].servo.torque != 0.0
+    place.pass_time(0.2)
+    assert place.bench.motors[0].servo.torque == 0.0
+
+
+def test_numbers_and_protocol_change_by_special_commands() -> None:
+    """Every one of them is answered by the identity. handctl sends none of them."""
+    place = VirtualBench("robstride_mit")
+    node = place.bench.nodes[0]
+    assert isinstance(node, RobstrideMitNode)
+    for area, code in ((0x33, 0xFA), (0xFD, 0x44), (0x00, 0xFD)):
+        (answer,) = node.receive(SimFrame(node.node_id, b"\xff" * 6 + bytes((area, code))), 0) or []
+        assert len(answer.data) == 8
+    assert (node.node_id, node.host_id, node.next_protocol) == (0x33, 0x44, 0)
