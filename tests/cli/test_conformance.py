@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from handctl.cli.checks.conformance import _options
+from handctl.cli.console.bench import parse_options
 from handctl.cli.main import main
 from handctl.drives.frame import Frame
 from handctl.drives.mit.codec import Ranges, command_message
@@ -75,7 +75,7 @@ def test_two_drives_with_one_number_are_refused(capsys):
     ],
 )
 def test_a_text_option_needs_no_quotes(words, options):
-    assert _options(words) == options
+    assert parse_options(words) == options
 
 
 def test_an_odrive_of_firmware_05_needs_no_option(capsys):

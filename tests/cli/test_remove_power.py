@@ -64,7 +64,7 @@ def test_a_check_that_is_interrupted_says_whether_the_drive_is_off(monkeypatch, 
 
     monkeypatch.setattr(conformance, "checks", interrupted)
     monkeypatch.setattr(conformance, "open_bus", lambda *what: Bus())
-    monkeypatch.setattr(conformance, "_find_drive", lambda args: DiscoveredNode("mit", 1))
+    monkeypatch.setattr(conformance, "find_drive", lambda args: DiscoveredNode("mit", 1))
     monkeypatch.setattr(DriveRig, "confirm_off", lambda rig, watchdog_s: off)
     words = ("--protocol", "mit", "--node", "1", "--bus", "local:nobody", "--torque-limit-Nm", "0.1", "--yes")
     assert main(["conformance", *words]) == code

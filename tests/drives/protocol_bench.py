@@ -108,7 +108,7 @@ class Bench:
         self.tick(DriveTarget.POLL, extra=frames)
 
 
-def described(protocol: str, node: int, torque: float, options: dict[str, object]) -> Motor:
+def described(protocol: str, node: int, torque: float, options: dict[str, object], **changes: object) -> Motor:
     """A motor section for a drive alone on a bench, with a Damiao motor's ranges."""
     return Motor.model_validate(
         {
@@ -116,7 +116,7 @@ def described(protocol: str, node: int, torque: float, options: dict[str, object
             "inertia_kg_m2": 1e-4, "viscous_N_m_s_per_rad": 1e-3, "coulomb_N_m": 0.0,
             "torque_constant_N_m_per_A": 0.26, "torque_max_N_m": torque, "torque_peak_N_m": torque,
             "position_range_rad": 12.5, "velocity_range_rad_s": 30.0, "direction": 1, "zero_rad": 0.0,
-            "watchdog_ms": 50, "options": options,
+            "watchdog_ms": 50, "options": options, **changes,
         }
     )  # fmt: skip
 

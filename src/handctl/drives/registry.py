@@ -4,16 +4,20 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from handctl.drives.cia402 import discovery as cia402_discovery
+from handctl.drives.cia402 import modes as cia402_modes
 from handctl.drives.cia402.drive import Cia402Drive
 from handctl.drives.contract import Drive
 from handctl.drives.discovery import Discovery
 from handctl.drives.mit import discovery as mit_discovery
+from handctl.drives.mit import modes as mit_modes
 from handctl.drives.mit.cubemars import CubemarsDrive
 from handctl.drives.mit.drive import MitDrive
+from handctl.drives.modes import DriveMode, MotionLimits, check_limits
 from handctl.drives.moteus import discovery as moteus_discovery
 from handctl.drives.moteus.drive import MoteusDrive
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.odrive import discovery as odrive_discovery
+from handctl.drives.odrive import modes as odrive_modes
 from handctl.drives.odrive.drive import OdriveDrive
 from handctl.drives.robstride import discovery as robstride_discovery
 from handctl.drives.robstride.drive import RobstrideDrive
@@ -28,16 +32,18 @@ class ProtocolEntry(NamedTuple):
     Attributes:
         make: constructor of a drive from a motor description and a bus index.
         discovery: discovery functions of the protocol, None if its drives answer only commands.
+        make_mode: constructor of a drive in a mode of its own, None if only torque is supported.
     """
 
     make: Callable[[MotorDescription, int], Drive]
     discovery: Discovery | None
+    make_mode: Callable[[MotorDescription, int, DriveMode, MotionLimits], Drive] | None = None
 
 
 PROTOCOLS: dict[str, ProtocolEntry] = {
-    "odrive": ProtocolEntry(OdriveDrive.of, odrive_discovery.DISCOVERY),
-    "mit": ProtocolEntry(MitDrive.of, mit_discovery.DISCOVERY),
-    "cia402": ProtocolEntry(Cia402Drive.of, cia402_discovery.DISCOVERY),
+    "odrive": ProtocolEntry(OdriveDrive.of, odrive_discovery.DISCOVERY, odrive_modes.make),
+    "mit": ProtocolEntry(MitDrive.of, mit_discovery.DISCOVERY, mit_modes.make),
+    "cia402": ProtocolEntry(Cia402Drive.of, cia402_discovery.DISCOVERY, cia402_modes.make),
     "moteus": ProtocolEntry(MoteusDrive.of, moteus_discovery.DISCOVERY),
     "robstride": ProtocolEntry(RobstrideDrive.of, robstride_discovery.DISCOVERY),
     "cubemars": ProtocolEntry(CubemarsDrive.of, None),
@@ -67,3 +73,25 @@ def make_drive(motor: MotorDescription, bus: int) -> Drive:
         where = f"motor[{motor.name}].protocol"
         raise ConfigError(repr(motor.protocol), where, "one of " + ", ".join(sorted(PROTOCOLS)))
     return PROTOCOLS[motor.protocol].make(motor, bus)
+
+
+def make_mode_drive(motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits) -> Drive:
+    """Return the drive of a motor in a mode.
+
+    Args:
+        motor: description of the motor.
+        bus: index of the bus.
+        mode: quantity that the drive controls.
+        limits: largest speed and acceleration, not used in torque mode.
+
+    Raises:
+        ConfigError: an unknown protocol or option, or a mode that the protocol does not have here.
+    """
+    if mode == DriveMode.TORQUE:
+        return make_drive(motor, bus)
+    check_limits(limits)
+    make = PROTOCOLS[motor.protocol].make_mode if motor.protocol in PROTOCOLS else None
+    if make is None:
+        able = ", ".join(sorted(name for name, entry in PROTOCOLS.items() if entry.make_mode))
+        raise ConfigError(f"mode {mode.value} of {motor.protocol}", "mode", f"torque, or one of {able}")
+    return make(motor, bus, mode, limits)

@@ -93,7 +93,7 @@ class Message(NamedTuple):
         flags: flags of the frame, see ``frame``.
         base: payload of a command with all signals 0.
         answers: True for feedback that answers a command.
-        limit: largest absolute torque of a command [N m].
+        limit: largest absolute value of a command, in the unit of its signal.
         nearest: True for a requested message that the drive also sends by itself, sampled at another
             time. Of several frames in a tick the one nearest to the expected position counts.
     """
@@ -278,6 +278,7 @@ class Table:
         self.wholes: Whole = np.array([whole_columns(signal) for signal in signals], dtype=np.int64).reshape(
             -1, COLUMNS
         )
+        self._names = [(one.name, one.unit) for one in signals]
         self.reals: Real = np.array([(one.scale, one.offset) for one in signals], dtype=np.float64).reshape(-1, 2)
 
     def unpack(self, data: bytes) -> list[float]:
@@ -289,7 +290,7 @@ class Table:
         """Return the payload that contains one value per signal.
 
         Raises:
-            ValueError: a value is not finite, or its torque is beyond the limit.
+            ValueError: a value is not finite, or beyond the limit.
         """
         return self.pack_frame(*values)[1]
 
@@ -297,12 +298,12 @@ class Table:
         """Return the identifier and the payload that contain one value per signal.
 
         Raises:
-            ValueError: a value is not finite, or its torque is beyond the limit.
+            ValueError: a value is not finite, or beyond the limit.
         """
-        for value in values:
+        for value, (name, unit) in zip(values, self._names, strict=True):
             # Negated, so that NaN is refused.
             if not abs(value) <= self.message.limit:
-                raise ValueError(f"torque {value} N m, expected at most {self.message.limit:g}")
+                raise ValueError(f"{name} {value} {unit}, expected at most {self.message.limit:g}")
         data = self._words(self.message.base)
         pack_rows(data, self.wholes, self.reals, np.array(values, dtype=np.float64))
         return int(data[0, 0]), data[0, 1:].tobytes()[: self.message.length]

@@ -1,28 +1,24 @@
 """``handctl conformance``: check that a real drive behaves as handctl requires, below a given torque."""
 
 import argparse
-import dataclasses
 import math
-import re
 import sys
 from typing import Any
 
-from pydantic import ValidationError
-
-from handctl.cli.checks.scan import identified
 from handctl.cli.console.begin import ask
+from handctl.cli.console.bench import (
+    LEFT_ON,
+    TORQUE_TOP,
+    WATCHDOG_MS,
+    described_drive,
+    find_drive,
+    parse_options,
+    restored,
+)
 from handctl.cli.console.options import print_json
-from handctl.cli.console.verbosity import note
 from handctl.drives.contract import Drive
-from handctl.drives.discovery import LISTEN_S, DiscoveredNode
-from handctl.drives.frame import Frame
-from handctl.drives.mit.drive import MitDrive
-from handctl.drives.registry import PROTOCOLS, make_drive
-from handctl.errors import BusError, ConfigError, DriveError, PowerError
-from handctl.hand.file.error_text import shown
-from handctl.hand.file.sections import Motor
-from handctl.hand.load import parse_toml
-from handctl.runtime.buses.contract import Bus
+from handctl.drives.discovery import DiscoveredNode
+from handctl.errors import ConfigError, PowerError
 from handctl.runtime.buses.open import check_spec, open_bus
 from handctl.runtime.clock import RealClock, give_back_priority, take_priority
 from handctl.runtime.diagnostics.conformance import (
@@ -34,26 +30,9 @@ from handctl.runtime.diagnostics.conformance import (
     leave,
 )
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
-from handctl.runtime.diagnostics.scan import Scan, listen, scan
 from handctl.runtime.mailbox import bus_lock
 from handctl.session.exit_codes import Exit
 
-WATCHDOG_MS = 100
-"""Watchdog time of the drive [ms], longer than the delays of a desktop without real-time priority."""
-TORQUE_TOP = 50.0
-"""Largest torque allowed in a hand file [N m]."""
-DEFAULTS: dict[str, dict[str, Any]] = {"odrive": {"torque_feedback": True}, "cia402": {"sync": True}}
-"""Options for a single drive on a bench, because no other host sends SYNC there."""
-TEXT_OPTIONS = ("firmware", "motor_type")
-"""Options whose value is text even if the text looks like a number, such as firmware=0.5."""
-BARE_TEXT = re.compile(r"[A-Za-z0-9][\w.-]*")
-"""Pattern for text that needs no quotes."""
-NEEDED = {"rated_torque_N_m": 1.0, "counts_per_turn": 65536}
-"""Defaults for options that a CiA 402 drive may not report.
-
-The read-back refuses a wrong rated torque.
-"""
-LEFT_ON = "the drive does not say that it is off: REMOVE ITS POWER"
 MARKS = {CheckVerdict.PASSED: "passed", CheckVerdict.FAILED: "FAILED", CheckVerdict.NOT_APPLICABLE: "n/a   "}
 
 
@@ -62,20 +41,20 @@ def run(args: argparse.Namespace) -> int:
 
     Returns 1 if a check failed, 71 if the drive does not confirm that it is disabled.
     """
-    options = _options(args.option)
+    options = parse_options(args.option)
     if not (math.isfinite(args.limit) and 1e-3 <= args.limit <= TORQUE_TOP):
         raise ConfigError(f"{args.limit:g}", "--torque-limit-Nm", f"0.001 to {TORQUE_TOP:g}")
     check_spec(args.bus)
-    _drive(args, options, None)
+    described_drive(args, options, None)
     if args.dry_run:
         return _dry_run(args)
     warning = f"the shaft of {args.protocol} {args.node} on {args.bus} turns, with at most {args.limit:g} N m"
     ask(warning, args.yes)
     _print_error(f"{warning}. Ctrl-C lets go.")
     with bus_lock(args.bus):
-        node = _find_drive(args)
-        drive = _drive(args, options, node)
-        results, off = _checked(args, drive, _restoring(drive, node))
+        node = find_drive(args)
+        drive = described_drive(args, options, node)
+        results, off = _checked(args, drive, restored(drive, node))
     failed = sum(check.verdict is CheckVerdict.FAILED for check in results)
     if args.json:
         print_json(_plain(args, node, results, off))
@@ -89,69 +68,6 @@ def run(args: argparse.Namespace) -> int:
     return Exit.FAILED if failed else Exit.DONE
 
 
-def _options(words: list[str]) -> dict[str, Any]:
-    """Return the options in KEY=VALUE words, whose values are TOML. Quotes of a text may be omitted.
-
-    Raises:
-        ConfigError: a word is not TOML.
-    """
-    options: dict[str, Any] = {}
-    for word in words:
-        options |= _option(word)
-    return options
-
-
-def _option(word: str) -> dict[str, Any]:
-    key, _, value = word.partition("=")
-    quoted = f'{key}="{value}"'
-    if key.strip() in TEXT_OPTIONS and value[:1] not in ('"', "'"):
-        word = quoted
-    try:
-        return parse_toml(word, "--option")
-    except ConfigError as error:
-        if BARE_TEXT.fullmatch(value) and not value.isdecimal():  # digits that TOML refuses are too many
-            return parse_toml(quoted, "--option")
-        right = "KEY=VALUE, as in gear_ratio=6.0 or motor_type=ak80-9"
-        raise ConfigError(f"{word}: {error.what}", "--option", right) from None
-
-
-def _drive(args: argparse.Namespace, options: dict[str, Any], node: DiscoveredNode | None) -> Drive:
-    """Return the drive with the values that it reported. Values on the command line override these.
-
-    Raises:
-        ConfigError: the protocol does not have an option, or does not allow this node number.
-    """
-    reported: dict[str, Any] = dict(node.options) if node else {}
-    if args.protocol == "cia402":
-        reported = NEEDED | reported
-    reported = _defaults(args.protocol, reported | options) | reported
-    settings = {"position_range_rad": 12.5, "velocity_range_rad_s": 30.0, **(node.settings if node else {})}
-    motor = {
-        "name": f"{args.protocol}_{args.node}", "protocol": args.protocol, "bus": "bench", "node_id": args.node,
-        "spool_radius_m": 0.005, "inertia_kg_m2": 1e-4, "viscous_N_m_s_per_rad": 0.0, "coulomb_N_m": 0.0,
-        "torque_constant_N_m_per_A": 0.1, "direction": 1, "zero_rad": 0.0, "watchdog_ms": WATCHDOG_MS,
-        **settings, "torque_max_N_m": args.limit, "torque_peak_N_m": args.limit, "options": reported | options,
-    }  # fmt: skip
-    try:
-        return make_drive(Motor.model_validate(motor), 0)
-    except ValidationError as error:
-        wrong = error.errors(include_url=False)[-1]
-        key = str(wrong["loc"][-1]) if wrong["loc"] else args.protocol
-        right = wrong["msg"].removeprefix("Value error, ").removeprefix("Input should be ").removeprefix("expected ")
-        raise ConfigError(shown(wrong["input"]), "--node" if key == "node_id" else key, right) from None
-    except ValueError as error:
-        text = str(error).splitlines()[-1]
-        raise ConfigError(text, shown(args.node), "a number of that protocol") from None
-
-
-def _defaults(protocol: str, options: dict[str, Any]) -> dict[str, Any]:
-    """Return the options for a single drive on a bench.
-
-    ODrive firmware 0.5 does not report torque.
-    """
-    return {} if options.get("firmware") == "0.5" else DEFAULTS.get(protocol, {})
-
-
 def _dry_run(args: argparse.Namespace) -> int:
     if args.json:
         print_json({"checks": [name for name, _, _ in PROMISES], "torque_limit_N_m": args.limit})
@@ -160,55 +76,6 @@ def _dry_run(args: argparse.Namespace) -> int:
     for name, _, turns in PROMISES:
         print(f"  {name}" + (" (the shaft turns)" if turns else ""))
     return Exit.DONE
-
-
-def _find_drive(args: argparse.Namespace) -> DiscoveredNode:
-    """Return the drive found by a scan.
-
-    Raises:
-        BusError: another host controls the bus.
-        DriveError: the drive does not answer.
-    """
-    note(f"{args.bus}: looking for it")
-    bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate)
-    try:
-        result = scan(bus) if PROTOCOLS[args.protocol].discovery else _listened(args, bus)
-    finally:
-        bus.close()
-    if result.foreign:
-        raise BusError("another host is at work on this bus", args.bus, "this host alone: end the other one")
-    for node in identified(result.found, args.bus, args.bitrate):
-        if (node.protocol, node.node_id) == (args.protocol, args.node):
-            if node.twins:
-                raise DriveError(f"two drives answer as {args.protocol} {args.node}", args.bus, "a number of its own")
-            return node
-    there = ", ".join(f"{node.protocol} {node.node_id}" for node in result.found) or "nothing"
-    right = "its power, bit rate and number to be right"
-    raise DriveError(f"no {args.protocol} {args.node}; there is {there}", args.bus, right)
-
-
-def _listened(args: argparse.Namespace, bus: Bus) -> Scan:
-    """Return a scan result for a drive that answers only commands.
-
-    A received frame with its identifier comes from another host.
-
-    The first check shows whether the drive is present.
-    """
-    seen: list[Frame] = []
-    listen(bus, LISTEN_S, seen)
-    foreign = tuple(frame for frame in seen if frame.can_id == args.node)
-    return Scan((DiscoveredNode(args.protocol, args.node),), foreign, (), (), len(seen))
-
-
-def _restoring(drive: Drive, node: DiscoveredNode) -> Drive:
-    """Return the drive with its original torque range.
-
-    For an MIT motor, this range scales every torque.
-    """
-    if isinstance(drive, MitDrive) and "torque_max_N_m" in node.settings:
-        ranges = drive.ranges._replace(torque=node.settings["torque_max_N_m"])
-        return dataclasses.replace(drive, ranges=ranges)
-    return drive
 
 
 def _checked(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tuple[list[ConformanceCheck], bool]:

@@ -7,6 +7,7 @@ import argparse
 from pathlib import Path
 
 from handctl.cli.console.options import (
+    bitrate_options,
     bus_option,
     dry_run_option,
     hand_option,
@@ -18,6 +19,8 @@ from handctl.cli.console.options import (
     wire_option,
 )
 from handctl.cli.parsing.parser import RUNNING_HAND, SIMULATED_HAND, Example
+from handctl.drives.modes import DriveMode
+from handctl.drives.motor_description import PROTOCOLS
 
 EXAMPLES = {
     "demo": Example("handctl demo --lockstep"),
@@ -29,6 +32,11 @@ EXAMPLES = {
     "sim": Example("handctl sim --hand jamia --bus local:demo --scene cylinder --dry-run"),
 }
 """Example of each verb."""
+DRIVE_EXAMPLE = (
+    "One drive on a bench, as in: handctl jog --mode velocity --setpoint 2 --protocol mit --node 1"
+    " --torque-limit-Nm 0.5 --bus socketcan:can0"
+)
+"""Description of the options of one drive."""
 
 
 def demo(parser: argparse.ArgumentParser) -> None:
@@ -94,11 +102,33 @@ def commission(parser: argparse.ArgumentParser) -> None:
 def jog(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``jog``."""
     run_options(parser)
-    parser.add_argument("digit", help="the digit to move, or with --angle a joint such as index_j1")
+    parser.add_argument("digit", nargs="?", help="the digit to move, or with --angle a joint such as index_j1")
     goal = parser.add_mutually_exclusive_group(required=True)
     goal.add_argument("--tension", type=float, metavar="N", help="hold this tension in each tendon of the digit")
     goal.add_argument("--angle", type=float, metavar="DEG", help="move to this joint angle")
+    text = "one drive on a bench, without a hand file, instead of a digit: quantity that the drive controls"
+    goal.add_argument("--mode", choices=[mode.value for mode in DriveMode], help=text)
     parser.add_argument("--for", dest="duration", type=float, default=2.0, metavar="S", help="how long (default: 2)")
+    _drive_options(parser.add_argument_group("with --mode", DRIVE_EXAMPLE))
+    bitrate_options(parser, "with --mode: bit rate of the bus", "of CAN FD's data phase")
+
+
+def _drive_options(group: argparse._ArgumentGroup) -> None:
+    """Declare the options of one drive on a bench."""
+    add = group.add_argument
+    add("--protocol", choices=sorted(PROTOCOLS), help="of the drive")
+    add("--node", type=lambda word: int(word, 0), metavar="N", help="its number on the bus")
+    text = "torque [N m], velocity [rad/s], or position from where the shaft is [rad]"
+    add("--setpoint", type=float, metavar="X", help=text)
+    text = "largest torque [N m]; it becomes the drive's own limit too"
+    add("--torque-limit-Nm", type=float, metavar="X", dest="limit", help=text)
+    text = "largest speed [rad/s]; the drive's own limit too, if it has the mode (default: 5)"
+    add("--speed-limit", type=float, default=5.0, metavar="X", help=text)
+    text = "largest acceleration [rad/s2] of the ramps (default: 10)"
+    add("--acceleration-limit", type=float, default=10.0, metavar="X", help=text)
+    text = "largest distance from the start [rad]; beyond it the drive is stopped (default: 20)"
+    add("--travel", type=float, default=20.0, metavar="X", help=text)
+    add("--option", action="append", default=[], metavar="KEY=VALUE", help="as in [motor.options] of a hand file")
 
 
 def sim(parser: argparse.ArgumentParser) -> None:

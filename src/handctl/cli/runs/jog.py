@@ -1,4 +1,4 @@
-"""``handctl jog``: move one digit to a tension or an angle, or one joint to an angle, for some seconds."""
+"""``handctl jog``: move one digit to a tension or an angle, one joint to an angle, or one drive on a bench."""
 
 import argparse
 
@@ -6,6 +6,7 @@ from handctl.cli.console.begin import announce
 from handctl.cli.console.dry_run import report_dry_run
 from handctl.cli.console.options import print_json
 from handctl.cli.console.plan import find_calibration, make_plan
+from handctl.cli.runs import jog_drive
 from handctl.document import validated
 from handctl.errors import ConfigError
 from handctl.programs.live import JogProgram
@@ -17,6 +18,10 @@ from handctl.session.run import make_controller, run_live
 
 def run(args: argparse.Namespace) -> int:
     """Arm the hand, move the digit, relax, and disarm. Returns the exit code."""
+    if args.mode:
+        return jog_drive.run(args)
+    if args.protocol or args.node is not None or args.setpoint is not None or args.limit is not None:
+        raise ConfigError("an option of one drive", "jog", "--mode with --protocol, --node, --setpoint")
     plan = make_plan(args)
     names = plan.hand.digit_names if args.angle is None else (*plan.hand.digit_names, *plan.hand.joints)
     program = _program(args, names, min(tendon.tension_max_N for tendon in plan.hand.tendon))

@@ -7,6 +7,8 @@ All fields are little-endian. Identifiers are the service base plus the node num
     SYNC       0x080       all    -
     EMCY       0x080 + n   host   0..1 error code | 2 error register | 3..7 of the maker
     RPDO1      0x200 + n   drive  0..1 control word | 2..3 target torque int16 [1/1000 of rated]
+               in mode 8           0..1 control word | 2..5 target position int32 [count]
+               in mode 9           0..1 control word | 2..5 target velocity int32 [1/min or count/s]
     TPDO1      0x180 + n   host   0..1 status word | 2..5 position int32 [count] | 6..7 torque int16
                                   [1/1000 of rated]
     SDO        0x600 + n   drive  0 specifier | 1..2 index | 3 sub-index | 4..7 value
@@ -47,6 +49,8 @@ DISABLE_VOLTAGE = 0x00
 FAULT_RESET = 0x80
 TORQUE_TOP = 0x7FFF
 """Largest target torque [1/1000 of rated]."""
+TARGET_TOP = 0x7FFFFFFF
+"""Largest target position or velocity [count]."""
 ABSENT = 0x06020000
 """SDO abort code of a missing object."""
 
@@ -142,6 +146,48 @@ def command_message(node_id: int, ratio: float, rated: float, limit: float) -> M
     control = Signal("control", Quantity.UNUSED, 0, 16)
     base = struct.pack("<Hh", ENABLE_OPERATION, 0)
     return Message("rpdo1", RPDO + node_id, 4, (control, torque), 0, base, False, limit)
+
+
+def position_message(node_id: int, counts: int, ratio: float, zero: float, limit: float) -> Message:
+    """Return RPDO1 while enabled: control word, target position [count].
+
+    Args:
+        node_id: node number of the drive.
+        counts: position counts per turn of the shaft.
+        ratio: turns of the shaft per turn of the spool, with the sign of the hand.
+        zero: angle at the shaft of the spool's zero [rad].
+        limit: largest position [rad at the spool].
+
+    Raises:
+        ValueError: the largest position does not fit into the object.
+    """
+    count = math.tau / counts / ratio
+    signal = Signal("position", Quantity.POSITION, 16, 32, False, Coding.SIGNED, count, -zero / ratio, "rad")
+    return _motion_message(node_id, signal, limit, limit + abs(zero / ratio))
+
+
+def velocity_message(node_id: int, unit: float, limit: float) -> Message:
+    """Return RPDO1 while enabled: control word, target velocity.
+
+    Args:
+        node_id: node number of the drive.
+        unit: one count of 0x60FF [rad/s at the spool], with the sign of the hand.
+        limit: largest speed [rad/s at the spool].
+
+    Raises:
+        ValueError: the largest speed does not fit into the object.
+    """
+    signal = Signal("velocity", Quantity.VELOCITY, 16, 32, False, Coding.SIGNED, unit, 0.0, "rad/s")
+    return _motion_message(node_id, signal, limit, limit)
+
+
+def _motion_message(node_id: int, signal: Signal, limit: float, largest: float) -> Message:
+    """Return RPDO1 with a target of four bytes, whose largest value is given."""
+    if not largest / abs(signal.scale) < TARGET_TOP:
+        raise ValueError(f"{signal.name} {limit:g} {signal.unit} does not fit into the object of the drive")
+    control = Signal("control", Quantity.UNUSED, 0, 16)
+    base = struct.pack("<Hi", ENABLE_OPERATION, 0)
+    return Message("rpdo1", RPDO + node_id, 6, (control, signal), 0, base, False, limit)
 
 
 def error_text(code: int) -> str:

@@ -9,7 +9,9 @@ proves that the drive is enabled or disabled.
 
 import math
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from handctl.drives import readback
 from handctl.drives.causes import Cause
@@ -88,13 +90,21 @@ class Cia402Drive:
         object.__setattr__(self, "feedback", Table(feedback))
 
     @staticmethod
-    def of(motor: MotorDescription, bus: int) -> "Cia402Drive":
+    def of(
+        motor: MotorDescription, bus: int, given: Mapping[str, Any] | None = None, mode: int = setup.TORQUE_MODE
+    ) -> "Cia402Drive":
         """Return the drive of a motor description.
+
+        Args:
+            motor: description of the motor.
+            bus: index of the bus.
+            given: options instead of those of the description.
+            mode: mode of operation.
 
         Raises:
             ConfigError: an option unknown to CiA 402, the node number of this host, or too large a torque.
         """
-        options = dict(motor.options)
+        options = dict(motor.options if given is None else given)
         where = f"motor[{motor.name}].options"
         if not 0 < motor.node_id < setup.MASTER:
             raise ConfigError(str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {setup.MASTER - 1}")
@@ -124,7 +134,7 @@ class Cia402Drive:
             zero=motor.zero_rad,
             rated=rated,
             counts=counts,
-            steps=setup.steps(motor.node_id, round(rated * UNITS[unit]), max_torque, watchdog, heartbeat),
+            steps=setup.steps(motor.node_id, round(rated * UNITS[unit]), max_torque, watchdog, heartbeat, mode),
             sync=sync,
             # Three heartbeats per watchdog time: two may be lost.
             heartbeat_period_ns=watchdog * 1_000_000 // 3,
@@ -307,7 +317,7 @@ class Cia402Drive:
             control_word = codec.NEXT.get(progress.power, codec.DISABLE_VOLTAGE)
             check = progress.check if progress.enable_sent else readback.first_recheck(self.node_id, t_ns)
             return state._replace(private=progress._replace(enable_sent=True, check=check)), (
-                self._rpdo(control_word, 0.0),
+                self._rpdo(control_word, self._rest(state)),
             )
         return state._replace(private=progress), ()
 
@@ -377,6 +387,10 @@ class Cia402Drive:
         except ValueError as error:
             raise ValueError(f"{self.name}: {error}") from None
         return Frame(codec.RPDO + self.node_id, data, 0, self.bus)
+
+    def _rest(self, state: DriveState) -> float:
+        """Return the command of a drive that is being enabled: no torque."""
+        return 0.0
 
     def _nmt(self, order: int) -> Frame:
         """Return the frame of an NMT command to the node."""

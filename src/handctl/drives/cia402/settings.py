@@ -14,8 +14,14 @@ from handctl.drives.readback import Cursor
 
 UNLIMITED = 1 << 62
 """Unlimited number of requests, for an object requested until the drive answers."""
+POSITION_MODE = 8
+"""Mode of operation: cyclic synchronous position."""
+VELOCITY_MODE = 9
+"""Mode of operation: cyclic synchronous velocity."""
 TORQUE_MODE = 10
 """Mode of operation: cyclic synchronous torque."""
+TARGETS = {POSITION_MODE: (0x607A, 4), VELOCITY_MODE: (0x60FF, 4), TORQUE_MODE: (0x6071, 2)}
+"""Object of the target, and its size in bytes, by mode of operation."""
 PDO_OFF = 1 << 31
 """Bit of a COB-ID that disables the PDO."""
 MASTER = 0x7F
@@ -68,11 +74,16 @@ class Step(NamedTuple):
         return f"object {self.number:#06x}:{self.sub}"
 
 
-GUARDS = ((0x1016, 1), (0x6072, 0))
-"""Objects with the drive's own protections: supervision of the host's heartbeat, and maximum torque."""
+GUARDS = ((0x1016, 1), (0x6072, 0), (0x6080, 0))
+"""Objects with the drive's own protections: supervision of the host's heartbeat, maximum torque, maximum speed.
+
+The maximum speed is required only in the position and velocity modes.
+"""
 
 
-def steps(node_id: int, rated: int, max_torque: int, watchdog_ms: int, heartbeat_ms: int) -> tuple[Step, ...]:
+def steps(
+    node_id: int, rated: int, max_torque: int, watchdog_ms: int, heartbeat_ms: int, mode: int = TORQUE_MODE
+) -> tuple[Step, ...]:
     """Return all objects to write and read back, in the order of the requests.
 
     Args:
@@ -81,7 +92,9 @@ def steps(node_id: int, rated: int, max_torque: int, watchdog_ms: int, heartbeat
         max_torque: maximum torque [1/1000 of rated].
         watchdog_ms: longest time without this host's heartbeat [ms].
         heartbeat_ms: period of the drive's heartbeat [ms].
+        mode: mode of operation, key of ``TARGETS``.
     """
+    target, size = TARGETS[mode]
     same, bits, write, write_optional, read = Check
     bases = ((0x1400, codec.RPDO), (0x1800, codec.TPDO))
     # PDO 2 to 4 are switched off: records follow each other, and their default COB-IDs are 0x100 apart.
@@ -96,7 +109,7 @@ def steps(node_id: int, rated: int, max_torque: int, watchdog_ms: int, heartbeat
         Step(read, *SERIAL, 0, 4),
         Step(write, 0x6040, 0, codec.DISABLE_VOLTAGE, 2),
         # Supported modes: bit 9 is mode 10, cyclic synchronous torque.
-        Step(bits, 0x6502, 0, 1 << TORQUE_MODE - 1, 4),
+        Step(bits, 0x6502, 0, 1 << mode - 1, 4),
         Step(same, 0x6076, 0, rated, 4),
         Step(write, 0x6072, 0, max_torque, 2),
         Step(write, 0x6071, 0, 0, 2),
@@ -104,10 +117,10 @@ def steps(node_id: int, rated: int, max_torque: int, watchdog_ms: int, heartbeat
         Step(write, 0x6007, 0, 1, 2),
         Step(write, 0x1016, 1, MASTER << 16 | watchdog_ms, 4),
         Step(write, 0x1017, 0, heartbeat_ms, 2),
-        Step(write, 0x6060, 0, TORQUE_MODE, 1),
-        Step(same, 0x6061, 0, TORQUE_MODE, 1),
+        Step(write, 0x6060, 0, mode, 1),
+        Step(same, 0x6061, 0, mode, 1),
         *others,
-        *_pdo(0x1400, 0x1600, codec.RPDO + node_id, 255, (0x6040_00_10, 0x6071_00_10)),
+        *_pdo(0x1400, 0x1600, codec.RPDO + node_id, 255, (0x6040_00_10, target << 16 | 8 * size)),
         *_pdo(0x1800, 0x1A00, codec.TPDO + node_id, 1, (0x6041_00_10, 0x6064_00_20, 0x6077_00_10)),
     )
 

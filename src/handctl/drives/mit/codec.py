@@ -9,6 +9,14 @@ Command, identifier ESC_ID, 8 bytes, big-endian, the first field in the highest 
 Special command, identifier ESC_ID, 8 bytes: FF FF FF FF FF FF FF, then FC enable, FD disable,
 FB clear error.
 
+Commands of the motor's own modes, each followed only in its mode, little-endian:
+
+    identifier       mode                 bytes and fields
+    0x100 + ESC_ID   position-velocity    0..3 position float32 [rad] | 4..7 speed limit float32 [rad/s]
+    0x200 + ESC_ID   velocity             0..3 velocity float32 [rad/s]
+    0x300 + ESC_ID   force-position       0..3 position float32 [rad] | 4..5 speed limit [0.01 rad/s]
+                                          | 6..7 current limit [1/10000 of the largest]
+
 Feedback, identifier MST_ID, 8 bytes, big-endian:
 
     byte    0                  1, 2          3, 4 high     4 low, 5      6              7
@@ -28,6 +36,7 @@ Source: Damiao DM-J4310-2EC manual. Details missing in the manual are from publi
 i2rt, openarm_can).
 """
 
+import math
 import struct
 from typing import NamedTuple
 
@@ -45,13 +54,19 @@ WRITE = 0x55
 SAVE = 0xAA
 REFRESH = 0xCC
 # Register numbers: watchdog, mode, serial number, and full scale of position, velocity, torque.
+ACCELERATION = 4
+DECELERATION = 5
+MAX_SPEED = 6
 TIMEOUT = 9
 CTRL_MODE = 10
 SERIAL = 15
 PMAX = 21
 VMAX = 22
 TMAX = 23
-REGISTER_NAMES = {TIMEOUT: "TIMEOUT", CTRL_MODE: "CTRL_MODE", PMAX: "PMAX", VMAX: "VMAX", TMAX: "TMAX"}
+REGISTER_NAMES = {
+    ACCELERATION: "ACC", DECELERATION: "DEC", MAX_SPEED: "MAX_SPD",
+    TIMEOUT: "TIMEOUT", CTRL_MODE: "CTRL_MODE", PMAX: "PMAX", VMAX: "VMAX", TMAX: "TMAX",
+}  # fmt: skip
 """Register names in messages."""
 _INTEGER = struct.Struct("<I")
 _FLOAT = struct.Struct("<f")
@@ -59,6 +74,16 @@ _FORMATS = {TIMEOUT: _INTEGER, CTRL_MODE: _INTEGER, SERIAL: _INTEGER}
 """Registers with an unsigned integer. All others are float32."""
 MIT_MODE = 1
 """Value of CTRL_MODE for MIT mode."""
+POSITION_MODE = 2
+"""Value of CTRL_MODE for position-velocity mode."""
+VELOCITY_MODE = 3
+"""Value of CTRL_MODE for velocity mode."""
+FORCE_MODE = 4
+"""Value of CTRL_MODE for force-position mode."""
+SPEED_CODES = 100.0
+"""Codes per rad/s of the speed limit in force-position mode."""
+FULL_CODE = 10_000
+"""Largest code of speed and current limit in force-position mode."""
 TIMEOUT_UNITS_PER_MS = 20
 """Watchdog counts per millisecond: one count is 50 us."""
 
@@ -128,6 +153,72 @@ def command_message(can_id: int, ranges: Ranges, sign: int = 1, flags: int = 0) 
         _spanning("torque", Quantity.TORQUE, 51, 12, ranges.torque, "N m", sign),
     )
     return Message("command", can_id, 8, signals, flags, _NO_MOTION.to_bytes(8, "big"), False, ranges.torque)
+
+
+def position_message(can_id: int, ranges: Ranges, speed: float, sign: int, zero: float, flags: int) -> Message:
+    """Return the command of position-velocity mode, with a constant speed limit.
+
+    Args:
+        can_id: identifier of the motor, ESC_ID.
+        ranges: full scale of the motor. PMAX is the largest position.
+        speed: speed limit [rad/s].
+        sign: sign of the position, 1 if a positive position winds.
+        zero: motor angle of the spool's zero [rad].
+        flags: flags of the frame.
+    """
+    signals = (
+        _float("position", Quantity.POSITION, 0, "rad", sign, -sign * zero),
+        _float("speed", Quantity.UNUSED, 4, "rad/s"),
+    )
+    base = struct.pack("<ff", 0.0, speed)
+    return Message("position_velocity", 0x100 + can_id, 8, signals, flags, base, limit=ranges.position)
+
+
+def velocity_message(can_id: int, limit: float, sign: int, flags: int) -> Message:
+    """Return the command of velocity mode.
+
+    Args:
+        can_id: identifier of the motor, ESC_ID.
+        limit: largest speed [rad/s].
+        sign: sign of the velocity, 1 if a positive velocity winds.
+        flags: flags of the frame.
+    """
+    signal = _float("velocity", Quantity.VELOCITY, 0, "rad/s", sign)
+    return Message("velocity", 0x200 + can_id, 4, (signal,), flags, bytes(4), limit=limit)
+
+
+def force_position_message(
+    can_id: int, ranges: Ranges, limits: tuple[float, float], sign: int, zero: float, flags: int
+) -> Message:
+    """Return the command of force-position mode, with constant limits.
+
+    Args:
+        can_id: identifier of the motor, ESC_ID.
+        ranges: full scale of the motor. PMAX is the largest position.
+        limits: speed limit [rad/s], and current limit as a fraction of the largest current.
+        sign: sign of the position, 1 if a positive position winds.
+        zero: motor angle of the spool's zero [rad].
+        flags: flags of the frame.
+
+    Raises:
+        ValueError: a limit has no code.
+    """
+    speed, fraction = limits
+    codes = math.floor(speed * SPEED_CODES), math.floor(fraction * FULL_CODE)
+    if not all(0 < code <= FULL_CODE for code in codes):
+        raise ValueError(f"no code for speed {speed:g} rad/s and current {fraction:g}, expected at most 100 and 1")
+    signals = (
+        _float("position", Quantity.POSITION, 0, "rad", sign, -sign * zero),
+        Signal("speed", Quantity.UNUSED, 32, 16, scale=1.0 / SPEED_CODES, unit="rad/s"),
+        Signal("current", Quantity.UNUSED, 48, 16, scale=1.0 / FULL_CODE),
+    )
+    base = struct.pack("<fHH", 0.0, *codes)
+    return Message("force_position", 0x300 + can_id, 8, signals, flags, base, limit=ranges.position)
+
+
+def _float(name: str, quantity: Quantity, first: int, unit: str, scale: float = 1.0, offset: float = 0.0) -> Signal:
+    """Return a float32 signal that begins at a byte."""
+    return Signal(name, quantity, 8 * first, 32, False, Coding.FLOAT, scale, offset, unit)
 
 
 def feedback_message(can_id: int, ranges: Ranges, sign: int = 1, zero: float = 0.0) -> Message:

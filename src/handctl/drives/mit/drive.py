@@ -7,7 +7,9 @@ Only feedback with state 0 or with an error proves that the motor is disabled.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from handctl.drives import readback
 from handctl.drives.causes import Cause
@@ -77,13 +79,18 @@ class MitDrive:
         object.__setattr__(self, "feedback", Table(feedback))
 
     @staticmethod
-    def of(motor: MotorDescription, bus: int) -> "MitDrive":
+    def of(motor: MotorDescription, bus: int, given: Mapping[str, Any] | None = None) -> "MitDrive":
         """Return the drive of a motor description.
+
+        Args:
+            motor: description of the motor.
+            bus: index of the bus.
+            given: options instead of those of the description.
 
         Raises:
             ConfigError: an option unknown to MIT mode.
         """
-        options = dict(motor.options)
+        options = dict(motor.options if given is None else given)
         where = f"motor[{motor.name}].options"
         reply = options.pop("reply_id", motor.node_id + 0x10)
         fd = boolean(options.pop("fd", False), f"{where}.fd")
@@ -157,7 +164,12 @@ class MitDrive:
     def required(self) -> tuple[tuple[int, float], ...]:
         """Return the registers to verify before arming, as (register, value) pairs."""
         ranges = zip((codec.PMAX, codec.VMAX, codec.TMAX), self.ranges, strict=True)
-        return ((codec.CTRL_MODE, codec.MIT_MODE), *ranges, (codec.TIMEOUT, self.timeout))
+        return (*self._mode_registers, *ranges, (codec.TIMEOUT, self.timeout))
+
+    @property
+    def _mode_registers(self) -> tuple[tuple[int, float], ...]:
+        """Return the (register, value) pairs of the mode."""
+        return ((codec.CTRL_MODE, codec.MIT_MODE),)
 
     @property
     def guards(self) -> tuple[tuple[int, float], ...]:
@@ -255,7 +267,7 @@ class MitDrive:
         """Return the next state and the frames to send, see ``contract.Drive``."""
         progress: MitProgress = state.private
         if target == ENABLE and state.phase == ENABLED and not progress.disabling:
-            command = self._frame(self._torque(torque))
+            command = self._command(torque)
             # The usual path of a running hand: one command, no other state change.
             if t_ns < progress.check.due_ns:
                 return state, (command,)
@@ -335,7 +347,11 @@ class MitDrive:
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
         """Return the frame of a torque command [N m at the spool]. It does not enable the motor."""
-        return (self._frame(self._torque(torque)),)
+        return (self._command(torque),)
+
+    def _command(self, torque: float) -> Frame:
+        """Return the torque command [N m at the spool]."""
+        return self._frame(self._torque(torque))
 
     def cut(self) -> tuple[Frame, ...]:
         """Return the frame of the disable command."""

@@ -12,6 +12,8 @@ Identifier, 11 bits: node number in bits 10..5, command in bits 4..0. Payloads a
     0x07      Set_Axis_State           drive  state 32                     -
     0x09      Get_Encoder_Estimates    host   position float32 [turn]      velocity float32 [turn/s]
     0x0B      Set_Controller_Mode      drive  control mode 32              input mode 32
+    0x0C      Set_Input_Pos            drive  position float32 [turn]      velocity int16, torque int16 [1/1000]
+    0x0D      Set_Input_Vel            drive  velocity float32 [turn/s]    torque float32 [N m]
     0x0E      Set_Input_Torque         drive  torque float32 [N m]         -
     0x0F      Set_Limits               drive  velocity float32 [turn/s]    current float32 [A]
     0x15      Get_Temperature          host   power stage float32 [degC]   motor float32 [degC]
@@ -40,12 +42,16 @@ ADDRESS = 0x06
 SET_AXIS_STATE = 0x07
 ENCODER = 0x09
 SET_MODE = 0x0B
+SET_POSITION = 0x0C
+SET_VELOCITY = 0x0D
 SET_TORQUE = 0x0E
 SET_LIMITS = 0x0F
 TEMPERATURE = 0x15
 CLEAR_ERRORS = 0x18
 TORQUES = 0x1C
-COMMANDS = frozenset((ESTOP, RX_SDO, SET_AXIS_STATE, SET_MODE, 0x0C, 0x0D, SET_TORQUE, SET_LIMITS, 0x16, CLEAR_ERRORS))
+COMMANDS = frozenset(
+    (ESTOP, RX_SDO, SET_AXIS_STATE, SET_MODE, SET_POSITION, SET_VELOCITY, SET_TORQUE, SET_LIMITS, 0x16, CLEAR_ERRORS)
+)
 """Numbers of commands sent only by hosts. 0x0C and 0x0D set position and velocity, 0x16 reboots."""
 REQUESTABLE = frozenset((GET_VERSION, ADDRESS, ENCODER, TEMPERATURE, TORQUES))
 """Messages requested by a remote frame."""
@@ -62,6 +68,8 @@ IDLE = 1
 CLOSED_LOOP = 8
 # Control mode and input mode of Set_Controller_Mode.
 TORQUE_MODE = 1
+VELOCITY_MODE = 2
+POSITION_MODE = 3
 PASSTHROUGH = 1
 # Results of the last procedure.
 SUCCESS = 0
@@ -161,6 +169,38 @@ def torque_message(node_id: int, ratio: float, limit: float) -> Message:
     # Torque at the spool = ratio * torque at the shaft.
     signal = _float("torque", Quantity.TORQUE, 0, ratio, 0.0, "N m")
     return Message("input_torque", can_id(node_id, SET_TORQUE), 4, (signal,), limit=limit)
+
+
+def position_message(node_id: int, ratio: float, zero: float, limit: float) -> Message:
+    """Return Set_Input_Pos without feedforward.
+
+    Args:
+        node_id: node number of the drive.
+        ratio: turns of the shaft per turn of the spool, with the sign of the hand.
+        zero: angle at the shaft of the spool's zero [rad].
+        limit: largest position [rad at the spool].
+    """
+    signals = (
+        _float("position", Quantity.POSITION, 0, math.tau / ratio, -zero / ratio, "rad"),
+        Signal("velocity", Quantity.UNUSED, 32, 16, False, Coding.SIGNED, 1e-3 * math.tau / ratio, 0.0, "rad/s"),
+        Signal("torque", Quantity.UNUSED, 48, 16, False, Coding.SIGNED, 1e-3 * ratio, 0.0, "N m"),
+    )
+    return Message("input_position", can_id(node_id, SET_POSITION), 8, signals, limit=limit)
+
+
+def velocity_message(node_id: int, ratio: float, limit: float) -> Message:
+    """Return Set_Input_Vel without feedforward.
+
+    Args:
+        node_id: node number of the drive.
+        ratio: turns of the shaft per turn of the spool, with the sign of the hand.
+        limit: largest speed [rad/s at the spool].
+    """
+    signals = (
+        _float("velocity", Quantity.VELOCITY, 0, math.tau / ratio, 0.0, "rad/s"),
+        _float("torque", Quantity.UNUSED, 4, ratio, 0.0, "N m"),
+    )
+    return Message("input_velocity", can_id(node_id, SET_VELOCITY), 8, signals, limit=limit)
 
 
 def request_message(node_id: int, command: int) -> Message:

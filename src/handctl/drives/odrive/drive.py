@@ -320,7 +320,7 @@ class OdriveDrive:
         if target != ENABLE:
             return state._replace(private=progress._replace(just_verified=False)), requests
         if progress.enable_sent_ns >= 0:
-            return state, (self._torque(0.0), *requests)
+            return state, (self._torque(self._rest(state)), *requests)
         if not progress.just_verified:
             recheck = progress._replace(cursor=Cursor(), configured=False)
             return state._replace(phase=CONFIGURING, private=recheck), requests
@@ -328,7 +328,9 @@ class OdriveDrive:
         parsed = state._replace(
             private=progress._replace(enable_sent_ns=t_ns, enable_commands=progress.enable_commands + 1, check=check)
         )
-        return parsed, (*self._setup(), self._torque(0.0), self._state(codec.CLOSED_LOOP), *requests)
+        return parsed, (
+            *self._setup(), self._torque(self._rest(state)), self._state(codec.CLOSED_LOOP), *requests,
+        )  # fmt: skip
 
     def _configure(self, state: DriveState, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
         """Do one step of the configuration: idle, version, serial number, endpoints, mode and limits."""
@@ -419,6 +421,10 @@ class OdriveDrive:
             return self._frame(codec.SET_TORQUE, self.command.pack(torque))
         except ValueError as error:
             raise ValueError(f"{self.name}: {error}") from None
+
+    def _rest(self, state: DriveState) -> float:
+        """Return the command of a drive that is being enabled: no torque."""
+        return 0.0
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
         """Return no frame, because the watchdog of a disabled drive is inactive."""

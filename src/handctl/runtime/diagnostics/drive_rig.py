@@ -15,6 +15,11 @@ SPAN = 4
 """Number of ticks for the computation of the velocity from positions."""
 
 
+def _no_torque(state: DriveState) -> float:
+    """Return the command of a drive at rest that controls its torque."""
+    return 0.0
+
+
 class DriveRig:
     """Drive with its bus and clock.
 
@@ -25,6 +30,7 @@ class DriveRig:
         torque: last commanded torque [N m].
         events: events of the bus.
         inertia: measured inertia of the shaft [kg m2]. NaN before the measurement.
+        rest: command that moves nothing. A drive that controls its position needs its position.
     """
 
     def __init__(self, drive: Drive, bus: Bus, clock: Clock) -> None:
@@ -44,6 +50,7 @@ class DriveRig:
         self.torque = 0.0
         self.inertia = math.nan
         self.events: list[tuple[str, str, int]] = []
+        self.rest: Callable[[DriveState], float] = _no_torque
         self._positions = [math.nan] * (SPAN + 1)
         clock.start()
 
@@ -62,17 +69,19 @@ class DriveRig:
         """Return the velocity from the last positions [rad/s], NaN while there are too few positions."""
         return (self._positions[-1] - self._positions[0]) / (SPAN * PERIOD_NS * 1e-9)
 
-    def tick(self, target: DriveTarget, torque: float = 0.0, extra: Sequence[Frame] = ()) -> DriveState:
+    def tick(self, target: DriveTarget, torque: float | None = None, extra: Sequence[Frame] = ()) -> DriveState:
         """Run one tick and return the state after it.
 
         Args:
             target: requested state of the drive.
-            torque: command, used while the drive is enabled [N m].
+            torque: command, used while the drive is enabled [N m], None for ``rest``.
             extra: further frames to send.
         """
         self._clock.wait(self.k)
         for frame in self._bus.drain():
             self.state = self.drive.receive(self.state, frame)
+        if torque is None:
+            torque = self.rest(self.state)
         self.state, frames = self.drive.advance(self.state, self.t_ns, target, torque)
         self.torque = torque
         self._bus.send((*frames, *extra))

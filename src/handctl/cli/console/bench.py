@@ -1,0 +1,170 @@
+"""One drive on a bench, without a hand file: its options, its look-up by a scan, and its description."""
+
+import argparse
+import dataclasses
+import re
+from collections.abc import Callable
+from typing import Any
+
+from pydantic import ValidationError
+
+from handctl.cli.checks.scan import identified
+from handctl.cli.console.verbosity import note
+from handctl.drives.contract import Drive
+from handctl.drives.discovery import LISTEN_S, DiscoveredNode
+from handctl.drives.frame import Frame
+from handctl.drives.mit.drive import MitDrive
+from handctl.drives.registry import PROTOCOLS, make_drive
+from handctl.errors import BusError, ConfigError, DriveError
+from handctl.hand.file.error_text import shown
+from handctl.hand.file.sections import Motor
+from handctl.hand.load import parse_toml
+from handctl.runtime.buses.contract import Bus
+from handctl.runtime.buses.open import open_bus
+from handctl.runtime.diagnostics.scan import Scan, listen, scan
+
+LEFT_ON = "the drive does not say that it is off: REMOVE ITS POWER"
+"""Message for a drive that may still make torque."""
+WATCHDOG_MS = 100
+"""Watchdog time of the drive [ms], longer than the delays of a desktop without real-time priority."""
+TORQUE_TOP = 50.0
+"""Largest torque allowed in a hand file [N m]."""
+DEFAULTS: dict[str, dict[str, Any]] = {"odrive": {"torque_feedback": True}, "cia402": {"sync": True}}
+"""Options for a single drive on a bench, because no other host sends SYNC there."""
+TEXT_OPTIONS = ("firmware", "motor_type")
+"""Options whose value is text even if the text looks like a number, such as firmware=0.5."""
+BARE_TEXT = re.compile(r"[A-Za-z0-9][\w.-]*")
+"""Pattern for text that needs no quotes."""
+NEEDED = {"rated_torque_N_m": 1.0, "counts_per_turn": 65536}
+"""Defaults for options that a CiA 402 drive may not report.
+
+The read-back refuses a wrong rated torque.
+"""
+
+
+def parse_options(words: list[str]) -> dict[str, Any]:
+    """Return the options in KEY=VALUE words, whose values are TOML. Quotes of a text may be omitted.
+
+    Raises:
+        ConfigError: a word is not TOML.
+    """
+    options: dict[str, Any] = {}
+    for word in words:
+        options |= _option(word)
+    return options
+
+
+def _option(word: str) -> dict[str, Any]:
+    key, _, value = word.partition("=")
+    quoted = f'{key}="{value}"'
+    if key.strip() in TEXT_OPTIONS and value[:1] not in ('"', "'"):
+        word = quoted
+    try:
+        return parse_toml(word, "--option")
+    except ConfigError as error:
+        if BARE_TEXT.fullmatch(value) and not value.isdecimal():  # digits that TOML refuses are too many
+            return parse_toml(quoted, "--option")
+        right = "KEY=VALUE, as in gear_ratio=6.0 or motor_type=ak80-9"
+        raise ConfigError(f"{word}: {error.what}", "--option", right) from None
+
+
+def _torque_drive(motor: Motor) -> Drive:
+    """Return the drive of a motor in torque mode."""
+    return make_drive(motor, 0)
+
+
+def described_drive(
+    args: argparse.Namespace,
+    options: dict[str, Any],
+    node: DiscoveredNode | None,
+    make: Callable[[Motor], Drive] = _torque_drive,
+) -> Drive:
+    """Return the drive with the values that it reported. Values on the command line override these.
+
+    Args:
+        args: arguments with ``protocol``, ``node`` and ``limit`` [N m].
+        options: options of the command line.
+        node: the drive as found by a scan, None before.
+        make: constructor of the drive.
+
+    Raises:
+        ConfigError: the protocol has no such option, or its node cannot have this number.
+    """
+    reported: dict[str, Any] = dict(node.options) if node else {}
+    if args.protocol == "cia402":
+        reported = NEEDED | reported
+    reported = _defaults(args.protocol, reported | options) | reported
+    settings = {"position_range_rad": 12.5, "velocity_range_rad_s": 30.0, **(node.settings if node else {})}
+    motor = {
+        "name": f"{args.protocol}_{args.node}", "protocol": args.protocol, "bus": "bench", "node_id": args.node,
+        "spool_radius_m": 0.005, "inertia_kg_m2": 1e-4, "viscous_N_m_s_per_rad": 0.0, "coulomb_N_m": 0.0,
+        "torque_constant_N_m_per_A": 0.1, "direction": 1, "zero_rad": 0.0, "watchdog_ms": WATCHDOG_MS,
+        **settings, "torque_max_N_m": args.limit, "torque_peak_N_m": args.limit, "options": reported | options,
+    }  # fmt: skip
+    try:
+        return make(Motor.model_validate(motor))
+    except ValidationError as error:
+        wrong = error.errors(include_url=False)[-1]
+        key = str(wrong["loc"][-1]) if wrong["loc"] else args.protocol
+        right = wrong["msg"].removeprefix("Value error, ").removeprefix("Input should be ").removeprefix("expected ")
+        raise ConfigError(shown(wrong["input"]), "--node" if key == "node_id" else key, right) from None
+    except ValueError as error:
+        text = str(error).splitlines()[-1]
+        raise ConfigError(text, shown(args.node), "a number of that protocol") from None
+
+
+def _defaults(protocol: str, options: dict[str, Any]) -> dict[str, Any]:
+    """Return the options for a single drive on a bench.
+
+    ODrive firmware 0.5 does not report torque.
+    """
+    return {} if options.get("firmware") == "0.5" else DEFAULTS.get(protocol, {})
+
+
+def find_drive(args: argparse.Namespace) -> DiscoveredNode:
+    """Return the drive found by a scan.
+
+    Raises:
+        BusError: another host controls the bus.
+        DriveError: the drive does not answer.
+    """
+    note(f"{args.bus}: looking for it")
+    bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate)
+    try:
+        result = scan(bus) if PROTOCOLS[args.protocol].discovery else _listened(args, bus)
+    finally:
+        bus.close()
+    if result.foreign:
+        raise BusError("another host is at work on this bus", args.bus, "this host alone: end the other one")
+    for node in identified(result.found, args.bus, args.bitrate):
+        if (node.protocol, node.node_id) == (args.protocol, args.node):
+            if node.twins:
+                raise DriveError(f"two drives answer as {args.protocol} {args.node}", args.bus, "a number of its own")
+            return node
+    there = ", ".join(f"{node.protocol} {node.node_id}" for node in result.found) or "nothing"
+    right = "its power, bit rate and number to be right"
+    raise DriveError(f"no {args.protocol} {args.node}; there is {there}", args.bus, right)
+
+
+def _listened(args: argparse.Namespace, bus: Bus) -> Scan:
+    """Return a scan result for a drive that answers only commands.
+
+    A received frame with its identifier comes from another host.
+
+    The first check shows whether the drive is present.
+    """
+    seen: list[Frame] = []
+    listen(bus, LISTEN_S, seen)
+    foreign = tuple(frame for frame in seen if frame.can_id == args.node)
+    return Scan((DiscoveredNode(args.protocol, args.node),), foreign, (), (), len(seen))
+
+
+def restored(drive: Drive, node: DiscoveredNode) -> Drive:
+    """Return the drive with its original torque range.
+
+    For an MIT motor, this range scales every torque.
+    """
+    if isinstance(drive, MitDrive) and "torque_max_N_m" in node.settings:
+        ranges = drive.ranges._replace(torque=node.settings["torque_max_N_m"])
+        return dataclasses.replace(drive, ranges=ranges)
+    return drive

@@ -1,0 +1,176 @@
+"""``handctl jog --mode``: move one drive on a bench in torque, position or velocity mode, within limits."""
+
+import argparse
+import math
+import sys
+from typing import Any
+
+from handctl.cli.console.begin import ask
+from handctl.cli.console.bench import (
+    LEFT_ON,
+    TORQUE_TOP,
+    WATCHDOG_MS,
+    described_drive,
+    find_drive,
+    parse_options,
+    restored,
+)
+from handctl.cli.console.options import print_json
+from handctl.drives.contract import Drive, Phase
+from handctl.drives.discovery import DiscoveredNode
+from handctl.drives.modes import COMMAND_UNITS, DriveMode, MotionLimits
+from handctl.drives.registry import make_mode_drive
+from handctl.errors import ConfigError, PowerError
+from handctl.hand.file.sections import Motor
+from handctl.runtime.buses.open import check_spec, open_bus
+from handctl.runtime.clock import RealClock, give_back_priority, take_priority
+from handctl.runtime.diagnostics.conformance import leave
+from handctl.runtime.diagnostics.drive_jog import JogGoal, JogResult, jog
+from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
+from handctl.runtime.mailbox import bus_lock
+from handctl.session.exit_codes import Exit
+
+LONGEST_S = 600.0
+"""Longest jog [s]."""
+RANGE_RAD = 1000.0
+"""Position range of a drive that reports none and counts turns [rad], the largest of a hand file."""
+ANGLE = "rad"
+
+
+def run(args: argparse.Namespace) -> int:
+    """Move the drive. Return 1 if it stopped early, 71 if it does not confirm that it is disabled."""
+    goal = _goal(args)
+    options = parse_options(args.option)
+    args.bus = args.bus[0]
+    _described(args, options, None, goal)
+    line = f"{args.protocol} {args.node} on {args.bus} is moved: {_text(goal)}, at most {goal.torque:g} N m"
+    if args.dry_run:
+        if args.json:
+            print_json({"mode": goal.mode.value, "setpoint": goal.target, "torque_limit_N_m": goal.torque})
+        else:
+            print(f"would jog: {line}")
+        return Exit.DONE
+    ask(line, args.yes)
+    print(f"{line}. Ctrl-C lets go.", file=sys.stderr, flush=True)
+    with bus_lock(args.bus):
+        node = find_drive(args)
+        drive = _described(args, options, node, goal)
+        torque_drive = _described(args, _torque_options(options), node, goal._replace(mode=DriveMode.TORQUE))
+        result, off = _move(args, goal, drive, restored(torque_drive, node))
+    _print_result(args, goal, result, off)
+    if not off:
+        print(LEFT_ON, file=sys.stderr, flush=True)
+        return Exit.REMOVE_POWER
+    return Exit.FAILED if result.failure else Exit.DONE
+
+
+def _goal(args: argparse.Namespace) -> JogGoal:
+    """Return the motion, with every number checked before a bus is opened.
+
+    Raises:
+        ConfigError: an argument is missing or out of range.
+    """
+    if args.digit is not None:
+        raise ConfigError(repr(args.digit), "digit", "no digit with --mode: one drive, by --protocol and --node")
+    if len(args.bus) != 1:
+        raise ConfigError(", ".join(args.bus), "--bus", "one bus")
+    check_spec(args.bus[0])
+    needed = {"--protocol": args.protocol, "--node": args.node, "--setpoint": args.setpoint,
+              "--torque-limit-Nm": args.limit}  # fmt: skip
+    missing = [name for name, value in needed.items() if value is None]
+    if missing:
+        raise ConfigError("nothing", missing[0], "a value with --mode")
+    _check_number(args.limit, "--torque-limit-Nm", 1e-3, TORQUE_TOP)
+    _check_number(args.speed_limit, "--speed-limit", 1e-2, 1000.0)
+    _check_number(args.acceleration_limit, "--acceleration-limit", 1e-2, 1e5)
+    _check_number(args.travel, "--travel", 1e-2, RANGE_RAD)
+    _check_number(args.duration, "--for", 1e-2, LONGEST_S)
+    mode = DriveMode(args.mode)
+    largest = {"N m": args.limit, "rad/s": args.speed_limit, ANGLE: args.travel}[COMMAND_UNITS[mode]]
+    _check_number(args.setpoint, "--setpoint", -largest, largest)
+    limits = MotionLimits(args.speed_limit, args.acceleration_limit)
+    return JogGoal(mode, args.setpoint, args.duration, limits, args.limit, args.travel)
+
+
+def _check_number(value: float, name: str, low: float, high: float) -> None:
+    """Check the range of an argument. NaN is outside of every range.
+
+    Raises:
+        ConfigError: the value is outside.
+    """
+    if not low <= value <= high:
+        raise ConfigError(f"{value:g}", name, f"{low:g} to {high:g}")
+
+
+def _described(args: argparse.Namespace, options: dict[str, Any], node: DiscoveredNode | None, goal: JogGoal) -> Drive:
+    """Return the drive in the mode of the goal.
+
+    Raises:
+        ConfigError: the protocol has no such mode or option.
+    """
+
+    def make(motor: Motor) -> Drive:
+        if motor.protocol in ("odrive", "cia402"):
+            motor = motor.model_copy(update={"position_range_rad": RANGE_RAD})
+        return make_mode_drive(motor, 0, goal.mode, goal.limits)
+
+    return described_drive(args, options, node, make)
+
+
+def _torque_options(options: dict[str, Any]) -> dict[str, Any]:
+    """Return the options without those of the motion modes."""
+    return {key: value for key, value in options.items() if key not in ("current_fraction", "velocity_unit")}
+
+
+def _text(goal: JogGoal) -> str:
+    """Return the motion in words."""
+    motion = f"{goal.mode.value} {goal.target:+g} {COMMAND_UNITS[goal.mode]} for {goal.duration_s:g} s"
+    return f"{motion}, at most {goal.limits.speed:g} rad/s and {goal.travel:g} rad from here"
+
+
+def _move(args: argparse.Namespace, goal: JogGoal, drive: Drive, torque_drive: Drive) -> tuple[JogResult, bool]:
+    """Move the drive and disable it. Return the result, and True if the drive reports that it is off.
+
+    A stop for a fault or a limit leaves the drive latched, in its mode. Otherwise it is left in torque mode.
+    """
+    clock = RealClock(PERIOD_NS)
+    bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate, clock.of)
+    result: JogResult | None = None
+    clock.spin = take_priority().realtime
+    try:
+        rig = DriveRig(drive, bus, clock)
+        try:
+            if args.clear:
+                rig.clear()
+            result = jog(rig, goal)
+        finally:
+            if result is None:
+                bus.send(drive.cut())
+            rig.rest = lambda state: 0.0
+            complete = result is not None and not result.failure and rig.state.phase != Phase.FAULT
+            watchdog_s = WATCHDOG_MS / 1e3
+            off = leave(rig, watchdog_s, torque_drive) if complete else rig.confirm_off(watchdog_s)
+            if not off and result is None:  # ended by Ctrl-C or a bug: report it here
+                raise PowerError(LEFT_ON)
+    finally:
+        give_back_priority()
+        bus.close()
+    return result, off
+
+
+def _print_result(args: argparse.Namespace, goal: JogGoal, result: JogResult, off: bool) -> None:
+    """Print what the drive reported."""
+    if args.json:
+        values = {
+            "moved_rad": result.moved, "fastest_rad_s": result.fastest, "strongest_N_m": result.strongest,
+            "final_rad_s": result.final_speed,
+        }  # fmt: skip
+        finite = {key: value if math.isfinite(value) else None for key, value in values.items()}
+        done = {"drive": args.protocol, "node": args.node, "mode": goal.mode.value, "setpoint": goal.target}
+        print_json({**done, **finite, "confirmed_off": off, "failure": result.failure})
+        return
+    strongest = "no torque reported" if math.isnan(result.strongest) else f"{result.strongest:.3g} N m"
+    print(f"moved {result.moved:+.3f} rad, at most {result.fastest:.2f} rad/s, {strongest}")
+    if result.failure:
+        print(f"stopped: {result.failure}", file=sys.stderr, flush=True)
+    print("off, by its own report" if off else "NOT confirmed off")

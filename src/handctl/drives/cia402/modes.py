@@ -1,0 +1,120 @@
+"""CiA 402 drive in cyclic synchronous position or velocity mode.
+
+RPDO1 carries the target position (0x607A) or the target velocity (0x60FF). The maximum speed (0x6080) is
+read back before arming and while enabled, besides the objects of torque mode. In position mode the
+following error window (0x6065, 0x6066) makes a blocked shaft a fault of the drive.
+
+The unit of 0x60FF differs between makers. Option ``velocity_unit`` is rev_min (default, as on EPOS4) or
+count_s. 0x6080 is in 1/min. Source: CiA 402-2.
+"""
+
+import math
+from dataclasses import dataclass
+
+from handctl.drives.cia402 import codec
+from handctl.drives.cia402 import settings as setup
+from handctl.drives.cia402.drive import Cia402Drive
+from handctl.drives.contract import DriveState
+from handctl.drives.frame import Frame
+from handctl.drives.modes import DriveMode, MotionLimits, init_fields
+from handctl.drives.motor_description import MotorDescription
+from handctl.drives.signals import Table
+from handctl.errors import ConfigError
+
+_MODES = {DriveMode.POSITION: setup.POSITION_MODE, DriveMode.VELOCITY: setup.VELOCITY_MODE}
+"""Mode of operation."""
+VELOCITY_UNITS = ("rev_min", "count_s")
+"""Values of the option ``velocity_unit``, the default first."""
+INTERPOLATION_MS = 5
+"""Interpolation period of the target position [ms], the period of the commands on a bench."""
+FOLLOWING_RAD = 0.5
+"""Following error that is a fault [rad at the spool]."""
+FOLLOWING_MS = 200
+"""Longest duration of a larger following error [ms]."""
+RPM = math.tau / 60.0
+"""One revolution per minute [rad/s]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cia402ModeDrive(Cia402Drive):
+    """One motor whose command is a position [rad] or a velocity [rad/s] at the spool.
+
+    ``torque_limit`` is the largest command.
+
+    Attributes:
+        mode: quantity that the drive controls.
+        velocity_unit: one count of 0x60FF [rad/s at the spool], with the sign of the hand.
+    """
+
+    mode: DriveMode
+    velocity_unit: float
+
+    def __post_init__(self) -> None:
+        """Build the signal tables of the cyclic frames."""
+        Cia402Drive.__post_init__(self)
+        if self.mode == DriveMode.VELOCITY:
+            message = codec.velocity_message(self.node_id, self.velocity_unit, self.torque_limit)
+        else:
+            message = codec.position_message(self.node_id, self.counts, self.ratio, self.zero, self.torque_limit)
+        object.__setattr__(self, "command", Table(message))
+
+    @property
+    def exchange(self) -> tuple[tuple[int, bool], ...]:
+        """Return RPDO, TPDO, and SYNC if sent here."""
+        return ((6, False), (8, False), *(((0, False),) if self.sync else ()))
+
+    def _rest(self, state: DriveState) -> float:
+        """Return the command that moves nothing: the present position, or no velocity."""
+        return state.position if self.mode == DriveMode.POSITION else 0.0
+
+    def torque_frames(self, torque: float) -> tuple[Frame, ...]:
+        """Return no frame: the RPDO has no torque in this mode."""
+        return ()
+
+
+def make(motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits) -> Cia402ModeDrive:
+    """Return the drive of a motor description in a mode.
+
+    Raises:
+        ConfigError: an option unknown to CiA 402, a mode that is not supported, or a limit beyond an object.
+    """
+    if mode not in _MODES:
+        raise ConfigError(mode.value, "mode", "position, velocity or torque for a CiA 402 drive")
+    options = dict(motor.options)
+    unit = options.pop("velocity_unit", VELOCITY_UNITS[0])
+    where = f"motor[{motor.name}]"
+    if unit not in VELOCITY_UNITS:
+        raise ConfigError(repr(unit), f"{where}.options.velocity_unit", " or ".join(VELOCITY_UNITS))
+    fields = init_fields(Cia402Drive.of(motor, bus, options, _MODES[mode]))
+    ratio = abs(fields["ratio"])
+    speed = math.ceil(limits.speed * ratio / RPM)
+    window = math.ceil(FOLLOWING_RAD * ratio / math.tau * fields["counts"])
+    fields["steps"] = (*_motion_steps(mode, speed, window), *fields["steps"])
+    fields["torque_limit"] = limits.speed if mode == DriveMode.VELOCITY else motor.position_range_rad
+    one = (RPM if unit == "rev_min" else math.tau / fields["counts"]) / fields["ratio"]
+    try:
+        return Cia402ModeDrive(**fields, mode=mode, velocity_unit=one)
+    except ValueError as error:
+        raise ConfigError(str(error), where, "a smaller limit or range") from None
+
+
+def _motion_steps(mode: DriveMode, speed: int, window: int) -> tuple[setup.Step, ...]:
+    """Return the objects of a mode.
+
+    Args:
+        mode: quantity that the drive controls.
+        speed: maximum speed [1/min].
+        window: following error window [count].
+    """
+    write = setup.Check.WRITE
+    maximum = setup.Step(write, 0x6080, 0, speed, 4)
+    if mode == DriveMode.VELOCITY:
+        return (maximum,)
+    return (
+        maximum,
+        setup.Step(write, 0x6065, 0, window, 4),
+        setup.Step(write, 0x6066, 0, FOLLOWING_MS, 2),
+        # Value times ten to the power of the index, in seconds: milliseconds.
+        setup.Step(write, 0x60C2, 1, INTERPOLATION_MS, 1),
+        setup.Step(write, 0x60C2, 2, 0xFD, 1),
+    )

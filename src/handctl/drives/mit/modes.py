@@ -1,0 +1,103 @@
+"""Damiao motor in position-velocity, velocity or force-position mode.
+
+Register CTRL_MODE selects the mode. Ramps (ACC, DEC) and largest speed (MAX_SPD) are written and read
+back before arming, MAX_SPD again while enabled. They stay until the motor loses its power. Source: Damiao
+DM-J4310-2EC manual.
+
+TMAX is required as in MIT mode. Whether it bounds the torque of the other modes is not documented: in
+force-position mode each command carries a current limit.
+"""
+
+from dataclasses import dataclass
+
+from handctl.drives.frame import Frame
+from handctl.drives.mit import codec
+from handctl.drives.mit.drive import MitDrive
+from handctl.drives.modes import DriveMode, MotionLimits, init_fields
+from handctl.drives.motor_description import MotorDescription
+from handctl.drives.option_checks import positive_number
+from handctl.drives.signals import Message, Table
+from handctl.errors import ConfigError
+
+_REGISTER = {
+    DriveMode.POSITION: codec.POSITION_MODE,
+    DriveMode.VELOCITY: codec.VELOCITY_MODE,
+    DriveMode.FORCE_POSITION: codec.FORCE_MODE,
+}
+"""Value of CTRL_MODE."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MitModeDrive(MitDrive):
+    """One motor whose command is a position [rad] or a velocity [rad/s] at the spool.
+
+    Attributes:
+        mode: quantity that the motor controls.
+        limits: largest speed and acceleration.
+        fraction: current limit of force-position mode as a fraction of the largest current.
+    """
+
+    mode: DriveMode
+    limits: MotionLimits
+    fraction: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Build the signal tables of the cyclic frames."""
+        MitDrive.__post_init__(self)
+        object.__setattr__(self, "command", Table(self._message()))
+
+    def _message(self) -> Message:
+        """Return the command of the mode."""
+        if self.mode == DriveMode.VELOCITY:
+            return codec.velocity_message(self.node_id, self.limits.speed, self.direction, self.flags)
+        last = self.direction, self.zero, self.flags
+        if self.mode == DriveMode.POSITION:
+            return codec.position_message(self.node_id, self.ranges, self.limits.speed, *last)
+        limits = self.limits.speed, self.fraction
+        return codec.force_position_message(self.node_id, self.ranges, limits, *last)
+
+    @property
+    def torque_limit(self) -> float:
+        """Return the largest command [rad or rad/s at the spool]."""
+        return self.command.message.limit
+
+    @property
+    def _mode_registers(self) -> tuple[tuple[int, float], ...]:
+        """Return the (register, value) pairs of the mode."""
+        slope = self.limits.acceleration
+        ramps = ((codec.ACCELERATION, slope), (codec.DECELERATION, -slope), (codec.MAX_SPEED, self.limits.speed))
+        return ((codec.CTRL_MODE, _REGISTER[self.mode]), *ramps)
+
+    @property
+    def guards(self) -> tuple[tuple[int, float], ...]:
+        """Return (register, value) pairs of the drive's own guards, read again while enabled."""
+        return (
+            (codec.TIMEOUT, self.timeout),
+            (codec.TMAX, self.ranges.torque),
+            (codec.MAX_SPEED, self.limits.speed),
+        )
+
+    def torque_frames(self, torque: float) -> tuple[Frame, ...]:
+        """Return no frame: the motor takes no torque commands in this mode."""
+        return ()
+
+    def _command(self, torque: float) -> Frame:
+        """Return the command [rad or rad/s at the spool]."""
+        message = self.command.message
+        return Frame(message.can_id, self._torque(torque), self.flags, self.bus)
+
+
+def make(motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits) -> MitModeDrive:
+    """Return the drive of a motor description in a mode.
+
+    Raises:
+        ConfigError: an option unknown to MIT mode, or a limit without a code.
+    """
+    options = dict(motor.options)
+    where = f"motor[{motor.name}].options.current_fraction"
+    fraction = positive_number(options.pop("current_fraction", 1.0), where, 1.0)
+    base = MitDrive.of(motor, bus, options)
+    try:
+        return MitModeDrive(**init_fields(base), mode=mode, limits=limits, fraction=fraction)
+    except ValueError as error:
+        raise ConfigError(str(error), f"motor[{motor.name}]", "a limit that the command can carry") from None

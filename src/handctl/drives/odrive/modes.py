@@ -1,0 +1,78 @@
+"""ODrive in position or velocity control, inputs passed through.
+
+The host sends a ramp, hence the drive needs no trajectory of its own. Set_Limits carries the largest speed.
+No answer of CANSimple confirms mode and limits, so both precede each enable command. The endpoints of
+watchdog and torque limit are read back as in torque control.
+"""
+
+import math
+from dataclasses import dataclass
+
+from handctl.drives.contract import DriveState
+from handctl.drives.frame import Frame
+from handctl.drives.modes import DriveMode, MotionLimits, init_fields
+from handctl.drives.motor_description import MotorDescription
+from handctl.drives.odrive import codec
+from handctl.drives.odrive.drive import OdriveDrive
+from handctl.drives.signals import Table
+from handctl.errors import ConfigError
+
+_CONTROL = {DriveMode.POSITION: codec.POSITION_MODE, DriveMode.VELOCITY: codec.VELOCITY_MODE}
+"""Control mode of Set_Controller_Mode."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OdriveModeDrive(OdriveDrive):
+    """One motor whose command is a position [rad] or a velocity [rad/s] at the spool.
+
+    ``torque_limit`` is the largest command.
+
+    Attributes:
+        mode: quantity that the drive controls.
+    """
+
+    mode: DriveMode
+
+    def __post_init__(self) -> None:
+        """Build the signal tables of the cyclic frames."""
+        OdriveDrive.__post_init__(self)
+        if self.mode == DriveMode.VELOCITY:
+            message = codec.velocity_message(self.node_id, self.ratio, self.torque_limit)
+        else:
+            message = codec.position_message(self.node_id, self.ratio, self.zero, self.torque_limit)
+        object.__setattr__(self, "command", Table(message))
+
+    def _setup(self) -> tuple[Frame, ...]:
+        """Return mode and limits, unconfirmed as in torque control."""
+        mode = self._frame(codec.SET_MODE, codec.integers(_CONTROL[self.mode], codec.PASSTHROUGH))
+        return mode, self._frame(codec.SET_LIMITS, self.limits)
+
+    def _torque(self, torque: float) -> Frame:
+        """Return the command [rad or rad/s at the spool]."""
+        try:
+            return Frame(self.command.message.can_id, self.command.pack(torque), 0, self.bus)
+        except ValueError as error:
+            raise ValueError(f"{self.name}: {error}") from None
+
+    def _rest(self, state: DriveState) -> float:
+        """Return the command that moves nothing: the present position, or no velocity."""
+        return state.position if self.mode == DriveMode.POSITION else 0.0
+
+    def torque_frames(self, torque: float) -> tuple[Frame, ...]:
+        """Return no frame: a torque is a feedforward in this mode."""
+        return ()
+
+
+def make(motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits) -> OdriveModeDrive:
+    """Return the drive of a motor description in a mode.
+
+    Raises:
+        ConfigError: an option unknown to CANSimple, or a mode that an ODrive does not have.
+    """
+    if mode not in _CONTROL:
+        raise ConfigError(mode.value, "mode", "position, velocity or torque for an ODrive")
+    fields = init_fields(OdriveDrive.of(motor, bus))
+    _, current = codec.pair(fields["limits"]) or (0.0, 0.0)
+    fields["limits"] = codec.floats(limits.speed * abs(fields["ratio"]) / math.tau, current)
+    fields["torque_limit"] = limits.speed if mode == DriveMode.VELOCITY else motor.position_range_rad
+    return OdriveModeDrive(**fields, mode=mode)

@@ -1,0 +1,223 @@
+"""Jog of one drive on a bench in torque, position or velocity mode, within limits of host and drive.
+
+The host ramps the command. It stops the drive as soon as the shaft turns too fast, leaves its travel, makes
+more torque than allowed, or is not heard. Nothing is enabled again after a stop.
+"""
+
+import math
+from typing import NamedTuple
+
+from handctl.drives.contract import DriveState, DriveTarget, Phase
+from handctl.drives.modes import COMMAND_UNITS, DriveMode, MotionLimits
+from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
+
+PERIOD_S = PERIOD_NS * 1e-9
+"""Period of a tick [s]."""
+HOST_FRACTION = 0.8
+"""Speed and acceleration of the host's ramps as fractions of the limits, so that the drive's limits stay idle."""
+TORQUE_RAMP_S = 0.2
+"""Duration of a ramp of the torque command from zero to the limit [s]."""
+OVERSPEED_FACTOR = 1.5
+"""Measured speed that stops the jog, as a factor of the speed limit."""
+OVERSPEED_MARGIN_RAD_S = 0.5
+"""Measured speed beyond that factor, for the noise of a slow shaft [rad/s]."""
+OVERTORQUE_FACTOR = 1.5
+"""Reported torque that stops the jog, as a factor of the torque limit."""
+TICKS_BEYOND = 4
+"""Ticks in a row with too much speed or torque before the stop."""
+SILENCE_NS = 100_000_000
+"""Age of the feedback that stops the jog [ns]."""
+HOLD_S = 0.2
+"""Time at the end in which the drive holds its position or standstill [s]."""
+
+
+class JogGoal(NamedTuple):
+    """A motion of one drive.
+
+    Attributes:
+        mode: controlled quantity.
+        target: torque [N m], velocity [rad/s], or position relative to the start [rad].
+        duration_s: time of the motion [s].
+        limits: largest speed and acceleration.
+        torque: torque limit [N m].
+        travel: largest distance from the start [rad].
+    """
+
+    mode: DriveMode
+    target: float
+    duration_s: float
+    limits: MotionLimits
+    torque: float
+    travel: float
+
+
+class JogResult(NamedTuple):
+    """What the drive reported.
+
+    Attributes:
+        failure: reason of an early stop in one line, empty for a complete motion.
+        moved: distance from the start [rad].
+        fastest: largest measured speed [rad/s].
+        strongest: largest reported torque [N m], NaN if the drive reports none.
+        final_speed: speed before the drive was disabled [rad/s].
+    """
+
+    failure: str
+    moved: float = 0.0
+    fastest: float = 0.0
+    strongest: float = math.nan
+    final_speed: float = math.nan
+
+
+def distance_at(t_s: float, distance: float, speed: float, acceleration: float) -> float:
+    """Return the position of a trapezoidal motion from rest to rest.
+
+    Args:
+        t_s: time since the start [s].
+        distance: distance, with its sign [rad].
+        speed: largest speed [rad/s].
+        acceleration: acceleration and deceleration [rad/s2].
+    """
+    length = abs(distance)
+    top = min(speed, math.sqrt(length * acceleration))
+    ramp_s = top / acceleration
+    total_s = ramp_s + (length / top if top > 0.0 else 0.0)
+    if t_s >= total_s:
+        return distance
+    if t_s < ramp_s:
+        done = 0.5 * acceleration * t_s * t_s
+    elif t_s < total_s - ramp_s:
+        done = top * (t_s - 0.5 * ramp_s)
+    else:
+        done = length - 0.5 * acceleration * (total_s - t_s) ** 2
+    return math.copysign(done, distance)
+
+
+class _Jog:
+    """Commands, guards and record of one motion."""
+
+    def __init__(self, rig: DriveRig, goal: JogGoal) -> None:
+        self._rig = rig
+        self._goal = goal
+        self._start = 0.0
+        self._command = 0.0
+        self._beyond = 0
+        self.fastest = 0.0
+        self.strongest = math.nan
+
+    @property
+    def moved(self) -> float:
+        """Return the distance from the start [rad]."""
+        return self._rig.state.position - self._start
+
+    @property
+    def _position_mode(self) -> bool:
+        return COMMAND_UNITS[self._goal.mode] == "rad"
+
+    def hold(self, state: DriveState) -> float:
+        """Return the command that moves nothing: the last one of a position, zero of a velocity or torque."""
+        if not self._position_mode:
+            return 0.0
+        return self._command if state.phase == Phase.ENABLED else state.position
+
+    def begin(self) -> str:
+        """Enable the drive at rest. Returns the problem, empty without one."""
+        rig = self._rig
+        if not rig.until(DriveTarget.POLL, lambda state: state.phase == Phase.READY, 5.0):
+            return rig.state.error_text or f"stays in {rig.state.phase.name}"
+        # Feedback of the ready drive: a position from before the settings may have another scale.
+        rig.keep(DriveTarget.POLL, HOLD_S)
+        self._start = rig.state.position
+        if not math.isfinite(self._start):
+            return "reports no position"
+        furthest = abs(self._start) + abs(self._goal.target)
+        if self._position_mode and furthest > rig.drive.torque_limit:
+            return f"is at {self._start:+.2f} rad, the target is beyond its range of {rig.drive.torque_limit:g} rad"
+        self._command = self._start if self._position_mode else 0.0
+        if not rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.ENABLED, 2.0):
+            return rig.state.error_text or "does not report that it is enabled within 2 s of the command"
+        return ""
+
+    def move(self) -> str:
+        """Move for the duration of the goal. Returns the reason of an early stop, empty without one."""
+        for i in range(round(self._goal.duration_s / PERIOD_S)):
+            if problem := self._tick(self._next((i + 1) * PERIOD_S)):
+                return problem
+        return ""
+
+    def settle(self) -> str:
+        """Ramp velocity or torque to zero, or hold the position, then measure. Returns a problem, empty without one."""
+        ramp_s = 0.0
+        if self._goal.mode == DriveMode.VELOCITY:
+            ramp_s = abs(self._command) / (HOST_FRACTION * self._goal.limits.acceleration)
+        elif self._goal.mode == DriveMode.TORQUE:
+            ramp_s = TORQUE_RAMP_S
+        for _ in range(math.ceil((ramp_s + HOLD_S) / PERIOD_S)):
+            if problem := self._tick(self._command if self._position_mode else self._towards(0.0)):
+                return problem
+        return ""
+
+    def _next(self, t_s: float) -> float:
+        """Return the command at a time since the start of the motion [s]."""
+        goal = self._goal
+        if not self._position_mode:
+            return self._towards(goal.target)
+        speed = HOST_FRACTION * goal.limits.speed
+        return self._start + distance_at(t_s, goal.target, speed, HOST_FRACTION * goal.limits.acceleration)
+
+    def _towards(self, target: float) -> float:
+        """Return the command one step closer to a velocity or a torque."""
+        goal = self._goal
+        rate = goal.torque / TORQUE_RAMP_S
+        if goal.mode == DriveMode.VELOCITY:
+            rate = HOST_FRACTION * goal.limits.acceleration
+        step = rate * PERIOD_S
+        return self._command + min(step, max(-step, target - self._command))
+
+    def _tick(self, command: float) -> str:
+        """Send a command and judge the answer. Returns the reason to stop, empty without one."""
+        self._command = command
+        state = self._rig.tick(DriveTarget.ENABLE, command)
+        if state.phase != Phase.ENABLED:
+            return state.error_text or f"went to {state.phase.name}"
+        # The state is that before this tick, whose time has passed.
+        if self._rig.t_ns - state.feedback_t_ns > SILENCE_NS:
+            return f"no feedback for {SILENCE_NS / 1e6:.0f} ms"
+        return self._judge(state)
+
+    def _judge(self, state: DriveState) -> str:
+        """Compare speed, torque and travel with their limits."""
+        goal = self._goal
+        speed = abs(self._rig.velocity)
+        torque = abs(state.torque)
+        self.fastest = max(self.fastest, speed) if math.isfinite(speed) else self.fastest
+        if math.isfinite(torque):
+            self.strongest = torque if math.isnan(self.strongest) else max(self.strongest, torque)
+        if abs(self.moved) > goal.travel:
+            return f"moved {self.moved:+.2f} rad, expected at most {goal.travel:g}"
+        too_fast = speed > OVERSPEED_FACTOR * goal.limits.speed + OVERSPEED_MARGIN_RAD_S
+        too_strong = torque > OVERTORQUE_FACTOR * goal.torque
+        self._beyond = self._beyond + 1 if too_fast or too_strong else 0
+        if self._beyond < TICKS_BEYOND:
+            return ""
+        if too_fast:
+            return f"turns at {speed:.2f} rad/s, expected at most {goal.limits.speed:g}"
+        return f"reports {torque:.3g} N m, expected at most {goal.torque:g}"
+
+
+def jog(rig: DriveRig, goal: JogGoal) -> JogResult:
+    """Enable the drive, move it, and bring it to rest. The caller disables it.
+
+    Args:
+        rig: of the drive in the mode of the goal.
+        goal: motion.
+    """
+    motion = _Jog(rig, goal)
+    rig.rest = motion.hold
+    failure = motion.begin()
+    if failure:
+        return JogResult(failure)
+    failure = motion.move() or motion.settle()
+    if failure:
+        rig.cut()
+    return JogResult(failure, motion.moved, motion.fastest, motion.strongest, abs(rig.velocity))
