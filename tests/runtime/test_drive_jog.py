@@ -77,7 +77,7 @@ def test_force_position_is_a_mode_of_damiao_motors(protocol):
 def test_no_command_beyond_its_range_is_encoded(protocol, mode, value):
     _, rig, _ = bench_of(protocol, mode)
     assert rig.until(DriveTarget.POLL, lambda state: state.phase == Phase.READY, 5.0)
-    rig.rest = lambda state: state.position if "position" in mode.value else 0.0
+    rig.idle_command = lambda state: state.position if "position" in mode.value else 0.0
     assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.ENABLED, 5.0)
     with pytest.raises(ValueError, match="expected at most"):
         rig.drive.advance(rig.state, rig.t_ns, DriveTarget.ENABLE, value)

@@ -146,7 +146,7 @@ def _move(args: argparse.Namespace, goal: JogGoal, drive: Drive, torque_drive: D
         finally:
             if result is None:
                 bus.send(drive.cut())
-            rig.rest = lambda state: 0.0
+            rig.idle_command = lambda state: 0.0
             complete = result is not None and not result.failure and rig.state.phase != Phase.FAULT
             watchdog_s = WATCHDOG_MS / 1e3
             off = leave(rig, watchdog_s, torque_drive) if complete else rig.confirm_off(watchdog_s)

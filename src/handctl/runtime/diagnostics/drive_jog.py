@@ -213,7 +213,7 @@ def jog(rig: DriveRig, goal: JogGoal) -> JogResult:
         goal: motion.
     """
     motion = _Jog(rig, goal)
-    rig.rest = motion.hold
+    rig.idle_command = motion.hold
     failure = motion.begin()
     if failure:
         return JogResult(failure)

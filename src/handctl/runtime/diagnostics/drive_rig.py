@@ -30,7 +30,7 @@ class DriveRig:
         torque: last commanded torque [N m].
         events: events of the bus.
         inertia: measured inertia of the shaft [kg m2]. NaN before the measurement.
-        rest: command that moves nothing. A drive that controls its position needs its position.
+        idle_command: command that moves nothing. A drive that controls its position needs its position.
     """
 
     def __init__(self, drive: Drive, bus: Bus, clock: Clock) -> None:
@@ -50,7 +50,7 @@ class DriveRig:
         self.torque = 0.0
         self.inertia = math.nan
         self.events: list[tuple[str, str, int]] = []
-        self.rest: Callable[[DriveState], float] = _no_torque
+        self.idle_command: Callable[[DriveState], float] = _no_torque
         self._positions = [math.nan] * (SPAN + 1)
         clock.start()
 
@@ -74,14 +74,14 @@ class DriveRig:
 
         Args:
             target: requested state of the drive.
-            torque: command, used while the drive is enabled [N m], None for ``rest``.
+            torque: command, used while the drive is enabled [N m], None for ``idle_command``.
             extra: further frames to send.
         """
         self._clock.wait(self.k)
         for frame in self._bus.drain():
             self.state = self.drive.receive(self.state, frame)
         if torque is None:
-            torque = self.rest(self.state)
+            torque = self.idle_command(self.state)
         self.state, frames = self.drive.advance(self.state, self.t_ns, target, torque)
         self.torque = torque
         self._bus.send((*frames, *extra))
