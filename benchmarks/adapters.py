@@ -1,7 +1,8 @@
-"""Control rates that a simulated hand holds behind each class of CAN adapter, in virtual time.
+"""Control rates that are possible with each class of CAN adapter, measured with a simulated hand in simulated time.
 
-Each run is the demo: commission, grasp, hold, release. A rate is held if the run ends without a fault. Virtual time
-makes the result independent of this machine, but the machine computes each run in 20 s to several minutes.
+Each run is the demo: commission, grasp, hold, release. A rate is possible if the run ends without a
+fault. The result does not depend on the machine, because the time is simulated. Computing a run
+takes 20 s to several minutes.
 
     python benchmarks/adapters.py --hand jamia --adapters usb-fs --rates 250 333 500 --seeds 1
 """
@@ -20,7 +21,7 @@ from handctl.cli.runs import demo
 
 
 class Outcome(NamedTuple):
-    """Outcome of a run: whether the rate was held, tracking error [deg], error of the held tension [N], and the end."""
+    """Outcome of a run: whether the rate is possible, tracking error [deg], tension error [N], and the end."""
 
     held: bool
     tracking_deg: float
@@ -33,7 +34,7 @@ def outcome(hand: str, adapter: str, rate: float, seed: int) -> Outcome:
     run = demo.run
 
     def at_rate(args: argparse.Namespace) -> int:
-        args.rate = rate  # the demo has no such option
+        args.rate = rate  # The demo has no option for the adapter.
         return run(args)
 
     output, errors = io.StringIO(), io.StringIO()

@@ -1,9 +1,9 @@
-"""Cost of the simulated far side in lockstep beside a bare ``mj_step``: drives, sensors, codec, tendons, rotors.
+"""CPU time of the simulated drives, sensors, codec, tendons and rotors in lockstep, without MuJoCo's ``mj_step``.
 
-``python benchmarks/behind.py [--quick] [--json]``. The whole stack runs, because the controller evicts code
-and data of the simulator from the caches. The benchmark measures the CPU time of ``Rig.exchange`` in each
-tick and subtracts the bare rollout of the same motion. Every run is the same to the bit. The shortest time
-of each tick counts.
+``python benchmarks/behind.py [--quick] [--json]``. The whole stack runs, because the controller
+evicts the code and data of the simulator from the caches of the processor. The benchmark measures
+the CPU time of ``Rig.exchange`` in each tick, and subtracts the CPU time of ``mj_step`` alone for
+the same motion. Every run is the same to the bit, and the shortest time of each tick is used.
 """
 
 import argparse
@@ -25,7 +25,7 @@ CLOCK_READS = 10_000
 
 
 def main() -> None:
-    """Measure, print."""
+    """Measure all cases and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="shorter runs")
     parser.add_argument("--json", action="store_true", help="numbers for programs")

@@ -1,13 +1,14 @@
-"""Exchange of one tick, a command to each motor and its reply: CPU and wall time of handctl and of alternatives.
+"""CPU time and wall time of exchanging the commands and replies of one tick, for handctl and for alternatives.
 
-``python benchmarks/bus.py [--quick] [--json]``. Four and eleven MIT motors, on the local bus and on vcan (in
-user-mode Linux where the kernel has no vcan). The motors are in the same process and are not timed. An
-exchange is: torques to payloads, sending, receiving, payloads to values. handctl also updates the state of
-each drive, as in a tick. Compare ratios within one run only.
+``python benchmarks/bus.py [--quick] [--json]``. The benchmark uses four and eleven MIT motors, on
+the local bus and on vcan (in user-mode Linux if the kernel has no vcan). The simulated motors run
+in the same process, and their time is not counted. An exchange converts torques to payloads, sends
+the frames, receives the replies, and converts payloads to values. handctl also updates the state of
+each drive, as in a tick. Compare only ratios within one run.
 
-The lower bound is a C program with the same system calls and codec. On the local bus handctl sends the frames
-of a tick in one piece, and this bound hardly grows with the motors. A second C program sends one packet per
-frame (sendmmsg, recvmmsg), as a CAN socket does.
+The lower bound is the time of a C program with the same system calls and codec. On the local bus,
+handctl sends all frames of a tick in one packet, so that this bound hardly grows with the number of
+motors. A second C program sends one packet per frame (sendmmsg, recvmmsg), as a CAN socket does.
 """
 
 import argparse
@@ -32,7 +33,7 @@ REFERENCE = "python-can, scalar codec"
 
 
 def main() -> None:
-    """Measure, print."""
+    """Measure all alternatives and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="fewer ticks")
     parser.add_argument("--json", action="store_true", help="numbers for programs")
@@ -47,9 +48,10 @@ def main() -> None:
 
 
 def undisturbed() -> str:
-    """Take one core, and real-time priority if granted, for all alternatives. Return a description of both.
+    """Run all alternatives on one core, with real-time priority if allowed. Return a description of both.
 
-    The kernel and the programs of a guest are processes of the host. On two cores they would wait for each other.
+    In user-mode Linux, the kernel and the programs are processes of the host. On two cores they
+    would wait for each other.
     """
     if sys.platform != "linux":
         return "as any other process"
@@ -63,7 +65,7 @@ def undisturbed() -> str:
 
 
 def everything(ticks: int) -> dict:
-    """Measure both buses. A bus that is not available has a reason instead of numbers."""
+    """Measure both buses. For a bus that is not available, the result has the reason instead of numbers."""
     with tempfile.TemporaryDirectory(prefix="h-") as short:
         os.environ["HANDCTL_RUN_DIR"] = short
         floor = build(Path(short))
@@ -72,7 +74,7 @@ def everything(ticks: int) -> dict:
 
 
 def build(folder: Path) -> str:
-    """Compile the C program and return its path. Empty without a compiler."""
+    """Compile the C program and return its path. Return an empty string without a compiler."""
     compiler = shutil.which("cc")
     if compiler is None:
         return ""
@@ -96,11 +98,11 @@ def in_guest(floor: str, ticks: int) -> dict:
 
 
 def measure(medium: str, floor: str, ticks: int) -> dict:
-    """Measure wall and CPU time of each alternative [us], by number of motors. A missing one has a reason.
+    """Measure wall and CPU time of each alternative [us], by number of motors. A missing alternative has a reason.
 
-    Each round measures all alternatives, because other work on the machine hits one round more than another. The
-    wall time of the fastest round counts. CPU time is the mean of all rounds, because user-mode Linux counts it
-    in steps of 10 ms.
+    Each round measures all alternatives, because other work on the machine disturbs some rounds more than others. The
+result is the wall time of the fastest round. The CPU time is the mean of all rounds, because user-mode Linux counts
+CPU time in steps of 10 ms.
     """
     result: dict = {}
     for motors in MOTORS:
@@ -154,9 +156,9 @@ def timed(client, peer, motors: int, ticks: int) -> dict:
     torques = [0.01 * i for i in range(motors)]
 
     def spans(clock, count: int) -> list[int]:
-        """Measure a number of ticks with one clock, without the time of reading the clock.
+        """Measure the times of a number of ticks, and subtract the time of reading the clock.
 
-        In user-mode Linux a reading takes as long as a frame.
+        In user-mode Linux, reading the clock takes as long as sending a frame.
         """
         times = []
         looking = statistics.median(-clock() + clock() for _ in range(100))

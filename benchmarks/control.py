@@ -1,6 +1,7 @@
-"""Ablation of the controller: tracking at three speeds and a force step, with one part more at a time.
+"""Ablation of the controller: tracking at three speeds and a force step, adding one part of the control law at a time.
 
-``python benchmarks/control.py [--quick] [--json] [--seeds N] [--tune] [--page]``, see ``trials.tracking``.
+``python benchmarks/control.py [--quick] [--json] [--seeds N] [--tune] [--page]``, see
+``trials.tracking``.
 """
 
 import sys
@@ -12,7 +13,7 @@ if __name__ == "__main__":
 
     main()
 else:
-    # The folder of a benchmark comes first on its path. ``import control`` finds this file instead of python-control.
+    # Python searches the folder of this file first, so that ``import control`` would find this file.
     sys.path = [place for place in sys.path if Path(place).resolve() != Path(__file__).parent] + [
         str(Path(__file__).parent)
     ]

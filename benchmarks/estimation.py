@@ -1,12 +1,15 @@
-"""Error of the tension estimate beside the raw load cell, simpler filters, and a reference filter.
+"""Error of the tension estimate, compared with the raw load cell, simpler filters, and a reference filter.
 
-``python benchmarks/estimation.py [--quick] [--json] [--seeds N] [--keep FOLDER] [--page]``. Both hands move
-freely, grasp a cylinder and go slack in lockstep over the simulated bus. A bench hand pulls beyond the knee of
-its tendons. The plant has the effects of the hand files and of firmware_sim: capstan and motor friction, tendon
-damping, current loop, encoder and load-cell resolution, noise, drift, one period of bus delay. The factors below
-make its parameters wrong, and the controller does not know them. A sample is one control period old when the
-filter gets it. Filter and raw load cell are judged twice against the plant's truth: at the time of the sample
-and at present. The control loop uses the estimate for the present.
+``python benchmarks/estimation.py [--quick] [--json] [--seeds N] [--keep FOLDER] [--page]``. Two
+hands move freely, grasp a cylinder and let their tendons go slack, in lockstep over the simulated
+bus. A bench hand pulls beyond the knee of its tendons. The plant has the effects of the hand files
+and of firmware_sim: capstan and motor friction, tendon damping, current loop, encoder and load-cell
+resolution, noise, drift, one period of bus delay. The factors below change the parameters of the
+plant, and the controller does not know these factors.
+
+A sample is one control period old when the filter receives it. Filter and raw load cell are
+compared with the true tension at two instants: at the time of the sample, and at present. The
+control loop uses the estimate for the present.
 """
 
 import argparse
@@ -90,7 +93,7 @@ def _task(content: dict) -> TaskProgram:
 
 
 def judge(job: tuple[str, str, int]) -> dict[str, dict[str, list[float]]]:
-    """Sum one seed: for each regime, samples and squared errors of each estimator, and the reference."""
+    """Sum over one seed, for each regime, the samples and squared errors of each estimator and of the reference."""
     sums: dict[str, dict[str, list[float]]] = {}
     for trial in trials(*job):
         record = run(trial)
@@ -182,7 +185,7 @@ def measure(seeds: int, wrong_seeds: int, plants: list[str], plan: Plan) -> dict
     cases = [(hand, plant) for plant in plants for hand in HANDS]
     cases.insert(len(HANDS), ("jamia_bench", "as known"))
     counts = [seeds if case[1] == "as known" else wrong_seeds for case in cases]
-    # seed by seed, so that a run that is stopped has as many of each case
+    # Seed by seed, so that a run that was stopped has the same number of results of each case.
     jobs = [(*case, k) for k in range(max(counts)) for case, n in zip(cases, counts, strict=True) if k < n]
     results = collect(judge, jobs, plan)
     tables: dict = {"seeds": {}, "hands": {}, "ended": []}
@@ -217,7 +220,7 @@ def show(result: dict) -> None:
 
 
 def main() -> None:
-    """Measure, print."""
+    """Measure all cases and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="under a minute: one seed, wrong stiffness only")
     parser.add_argument("--json", action="store_true", help="numbers for programs")

@@ -1,9 +1,9 @@
-"""Success of grasps: objects turned and pushed, payload at 6 N per finger, contact detection, reaction to slip.
+"""Results of grasps: success with turned and pushed objects, payload at 6 N per finger, contact detection, slip.
 
-``python benchmarks/grasp.py [--quick | --full] [--json] [--seeds N] [--keep FOLDER] [--page]``. All parts run
-over frames and the simulator in lockstep, and are judged by the plant's truth. Objects and disturbances are in
-``grasps/objects.py``, fixed before any tuning. ``--full`` tries every object. ``--page`` writes
-docs/evidence/control-grasps.md with its picture.
+``python benchmarks/grasp.py [--quick | --full] [--json] [--seeds N] [--keep FOLDER] [--page]``. The
+controller exchanges frames with the simulated hand in lockstep, and the results are true values of
+the plant. Objects and disturbances are in ``grasps/objects.py``. They were fixed before any tuning.
+``--full`` tries every object. ``--page`` writes docs/evidence/control-grasps.md with its picture.
 """
 
 import argparse
@@ -18,13 +18,13 @@ from trials.jobs import Plan, add_options, collect, plan_of
 HANDS = ("jamia", "jamia11")
 QUICK = (1,)
 DEFAULT = (1, 6, 8, 11, 16)
-"""Objects by number: of the quick and of the usual run."""
+"""Numbers of the objects in a quick run and in a usual run."""
 STRETCH_S = 30.0
-"""Of free motion in one run."""
+"""Time of free motion in one run [s]."""
 
 
 def main() -> None:
-    """Measure, print."""
+    """Measure all parts and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="under a minute: one object, 0.1 minutes of free motion")
     parser.add_argument("--full", action="store_true", help="every object; an hour at ten seeds")
@@ -71,7 +71,7 @@ def measure(args: argparse.Namespace, plan: Plan) -> dict[str, Any]:
 
 
 def _contacts(hands: tuple[str, ...], walls: int, minutes: float, plan: Plan) -> list[dict[str, Any]]:
-    """Measure contacts with walls and false contacts in free motion, by hand. The runs in free motion also rest."""
+    """Measure contacts with walls and false contacts in free motion, for each hand. The free hand also rests."""
     results = collect(contact.find_contacts, [(hand, seed) for seed in range(walls) for hand in hands], plan)
     stretch = min(STRETCH_S, 60.0 * minutes)
     count = max(1, round(60.0 * minutes / stretch / contact.MOVING_FRACTION))

@@ -1,8 +1,9 @@
 """Benefit of gravity compensation on a hand that lies on its side, where gravity acts on the joints.
 
-``python benchmarks/gravity.py [--json] [--seeds N] [--page]``. The packaged hands stand upright: gravity points
-along the hinges and has no torque about them. Here the hands lie on their side, with fingertips ten times as
-heavy. Two pairs of laws that differ in gravity only move every digit as in the tracking benchmark, with the same
+``python benchmarks/gravity.py [--json] [--seeds N] [--page]``. The packaged hands stand upright:
+gravity points along the hinges and has no torque about them. In this benchmark the hands lie on
+their side, and their fingertips are ten times as heavy. Two pairs of control laws, which differ
+only in gravity compensation, move every digit as in the tracking benchmark and with the same
 weights.
 """
 
@@ -18,7 +19,7 @@ from trials.laws import GRAVITY_LAWS
 from trials.lockstep import RATES_HZ, Trial, run
 
 WEIGHTS_OF = dict(zip(GRAVITY_LAWS, ("+ gravity and springs",) * 2 + ("+ full computed torque",) * 2, strict=True))
-"""Law of the ablation whose weights, of those that keep their margins, a law has."""
+"""Control law of the tracking benchmark whose weights (with margins) each control law of this benchmark uses."""
 SPEEDS = ("slow", "fast")
 FIGURES = {"rmse_deg": "RMSE", "steady_deg": "steady"}
 
@@ -35,7 +36,7 @@ def work(job: tuple) -> dict[str, dict[str, float]]:
 
 
 def measure(seeds: int, plan: Plan) -> dict:
-    """Measure mean and spread over the seeds, by hand, law, speed and figure."""
+    """Measure mean and spread over the seeds for each hand, control law, speed and figure."""
     jobs = [(hand, law, k) for hand in tracking.HANDS for law in GRAVITY_LAWS for k in range(seeds)]
     results = collect(work, jobs, plan)
     result: dict = {}
@@ -110,7 +111,7 @@ def _gain(without: dict, compensated: dict) -> str:
 
 
 def main() -> None:
-    """Measure, print, write the page."""
+    """Measure all cases, print the results, and write the page."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", action="store_true", help="numbers for programs")
     parser.add_argument("--seeds", type=int, default=10, help="of noise and drift (default 10)")

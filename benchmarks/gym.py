@@ -1,8 +1,9 @@
-"""Environments of ``handctl.gym`` beside a bare MuJoCo environment of the same model: steps a second, time of a reset.
+"""Steps per second and time of a reset of ``handctl.gym``, compared with a MuJoCo environment of the same rigid bodies.
 
-``python benchmarks/gym.py [--quick] [--json]``. The bare environment has the same rigid bodies, step and rate of
-actions. Its actions are joint torques: it has no tendons, no drives, no bus and no controller. Actions are random,
-slow enough that the hand has no fault. CPU time counts, for vectors of environments wall time.
+``python benchmarks/gym.py [--quick] [--json]``. The MuJoCo environment has the same rigid bodies,
+time step and rate of actions. Its actions are joint torques. It has no tendons, drives, bus or
+controller. The actions are random, and so slow that the hand has no fault. The benchmark measures
+CPU time. For vectors of environments it measures wall time.
 """
 
 import argparse
@@ -31,7 +32,7 @@ PROCESSES = 2
 
 
 class BareEnv(gymnasium.Env[np.ndarray, np.ndarray]):
-    """The rigid bodies alone: an action is a torque for each joint, an observation has angles and rates."""
+    """Environment with the rigid bodies only. An action has joint torques, an observation has angles and rates."""
 
     def __init__(self, hand: str, scene: str | None, step_s: float) -> None:
         """Build the model."""
@@ -59,7 +60,7 @@ class BareEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
 
 def main() -> None:
-    """Measure, print."""
+    """Measure all environments and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="under half a minute")
     parser.add_argument("--json", action="store_true", help="numbers for programs")

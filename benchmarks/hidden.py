@@ -1,8 +1,8 @@
-"""Faults that are hard to detect: the rows that detect them, the delay, and the largest true tension.
+"""Faults that are hard to detect: the reported faults, the delay of the detection, and the largest true tension.
 
-Each fault hits the first finger of a hand in lockstep: in free motion, in a hold at 24 N, during a rise of the
-tension, or in a hold at 90 N. After 2 s without a reaction the run is stopped, as an operator would. The truth is
-that of the plant.
+Each fault is injected into the first finger of a hand in lockstep: in free motion, in a hold at 24
+N, while the tension rises, or in a hold at 90 N. If the controller does not react within 2 s, the
+benchmark stops the run, as an operator would.
 
     python benchmarks/hidden.py --hand jamia --protocol mit --seeds 20
 """
@@ -106,7 +106,7 @@ def strike(simulation: Simulation, text: str) -> dict[str, Any]:
 
 
 def rows(hand_name: str, protocol: str, seed: int, selected_fault: str) -> Iterator[dict[str, Any]]:
-    """Yield a row for every fault in every stage of one run, each in a copy of this process."""
+    """Yield a row for every fault in every stage of one run. Each fault is injected in a copy of this process."""
     hand = hand_in(hand_name, protocol)
     rate = fastest(bus_loads(hand))
     motor = hand.motor[0]
@@ -135,7 +135,7 @@ def rows(hand_name: str, protocol: str, seed: int, selected_fault: str) -> Itera
 
 
 def table(results: list[dict[str, Any]]) -> str:
-    """Tabulate fault and stage: number of relaxed runs, rows, latest reaction, and the largest true tension."""
+    """Tabulate relaxed runs, reported faults, latest reaction and largest true tension by fault and stage."""
     lines = ["| fault | stage | relaxed or cut | by (runs) | at the latest, ms | true tension, N | after a stop, N |",
              "|---|---|---|---|---|---|---|"]  # fmt: skip
     for name, stage in dict.fromkeys((one["fault"], one["stage"]) for one in results):
@@ -152,7 +152,7 @@ def table(results: list[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    """Measure, print."""
+    """Measure all faults and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--hand", default="jamia")
     parser.add_argument("--protocol", default="mit", choices=GUARDED)

@@ -1,10 +1,11 @@
 """Accuracy of ``handctl identify`` on simulated hands that differ from their file: error and coverage.
 
-Each seed draws plant parameters that are wrong by up to 30 % and gains that are wrong by up to a factor of 3. It
-excites one digit in lockstep and fits its log. The truth of the simulator is used for judging only.
+Each seed gives a random hand. Its parameters differ by up to 30 % from the hand file, and its gains
+are wrong by up to a factor of 3. One digit of the hand is moved in lockstep, and its parameters are
+fitted to the log. The true parameters are used only to calculate the errors.
 
     python benchmarks/identify.py                                  # four seeds
-    python benchmarks/identify.py --seeds 100 --into rows.jsonl    # goes on where it was interrupted
+    python benchmarks/identify.py --seeds 100 --into rows.jsonl    # continues an interrupted run
 """
 
 import argparse
@@ -40,7 +41,7 @@ WITHIN = {
     "rope_stiffness": 0.05, "spring_stiffness": 0.05, "motor_inertia": 0.05,
     "motor_coulomb": 0.15, "motor_viscous": 0.15, "capstan": 0.15, "torque_gain": 0.05,
 }  # fmt: skip
-"""What is judged, and how near it is to come."""
+"""Parameters whose error is calculated, and the required accuracy of each."""
 DETUNABLE = ("motion.position_error_m", "motion.speed_error_m_s", "motion.force_N", "tension.tension_error_N",
              "tension.speed_error_m_s", "tension.force_N", "tension.integral_per_s")  # fmt: skip
 
@@ -80,15 +81,15 @@ def truth(hand: Hand, tendon: str, factors: dict[str, float]) -> dict[str, float
 def excited(
     hand_name: str, digit: str, seed: int, factors: dict[str, float], gains: Gains, folder: Path
 ) -> tuple[dict[str, TendonResult], Row]:
-    """Excite and fit one digit of one simulated hand. Return the fit, and its cost or the reason of a failure.
+    """Move one digit of a simulated hand and fit its parameters. Return the fit, and its cost or its failure.
 
     Args:
-        hand_name: packaged hand or path of a hand file, of controller and plant.
-        digit: to excite.
-        seed: of the plant's noise, slack and offsets.
-        factors: on the plant's parameters.
-        gains: of the controller.
-        folder: for its log.
+        hand_name: name of a packaged hand or path of a hand file, for controller and plant.
+        digit: name of the digit.
+        seed: seed of noise, slack and offsets of the plant.
+        factors: factors on the parameters of the plant.
+        gains: gains of the controller.
+        folder: folder for the log.
     """
     hand = load_hand(hand_name)
     plan = Plan(hand, gains, fastest(bus_loads(hand)), ())
@@ -109,7 +110,7 @@ def excited(
 
 
 def one(seed: int, digit: str, folder: Path, hand_name: str = "jamia") -> Row:
-    """Excite and fit one digit of one hand. Return error and coverage of every parameter, or why it failed."""
+    """Move and fit one digit of one hand. Return error and coverage of every parameter, or the reason of a failure."""
     hand = load_hand(hand_name)
     factors = plant(seed)
     result, row = excited(hand_name, digit, seed, factors, detuned(seed), folder)
@@ -145,7 +146,7 @@ def judged(name: str, tendon: str, real: float, result: TendonResult) -> Row:
 
 
 def summary(rows: list[Row]) -> Row:
-    """Summarise every parameter: runs within its limit, covered runs, errors, and runs with all covered at once."""
+    """Summarise every parameter: accurate runs, runs whose interval has the true value, and errors."""
     good = [row["parameters"] for row in rows if "failure" not in row]
     result: Row = {"seeds": len(rows), "failed": [row for row in rows if "failure" in row], "parameters": {}}
     result["refused"] = [row["seed"] for row in rows if row.get("refused")]
@@ -170,7 +171,7 @@ def summary(rows: list[Row]) -> Row:
 
 
 def gathered(args: argparse.Namespace) -> list[Row]:
-    """Return the rows of all requested seeds. Rows in the file are not computed again."""
+    """Return the rows of all requested seeds. Rows that are already in the file are not computed again."""
     rows = [json.loads(line) for line in args.into.read_text().splitlines()] if args.into and args.into.exists() else []
     done = {row["seed"] for row in rows}
     digits = load_hand(args.hand).digit_names

@@ -1,9 +1,10 @@
-"""The whole stack in lockstep beside a bare ``mj_step`` of the same motion: simulated seconds per second, profile.
+"""Speed of the whole stack in lockstep, compared with ``mj_step`` alone for the same motion, and a profile.
 
-``python benchmarks/lockstep.py [--quick] [--json]``. A first run records the forces on the joints in each step.
-The bare rollout repeats them and must end at the same positions, to the bit. Several runs are timed, and one runs
-under the profiler. Every run is the same to the bit. The shortest time of each tick, and of each step of the bare
-rollout, counts: the time without other load on the core and its caches.
+``python benchmarks/lockstep.py [--quick] [--json]``. A first run records the forces on the joints
+in each step. ``mj_step`` alone then repeats these forces, and must end at the same positions, to
+the bit. Several runs are timed, and one runs under the profiler. Every run is the same to the bit.
+The benchmark uses the shortest time of each tick and of each step, which is the time without other
+load on the core and its caches.
 """
 
 import argparse
@@ -22,7 +23,7 @@ PASSES = 4
 
 
 class Rollout(NamedTuple):
-    """Forces on the bodies in each step, and their end positions.
+    """Forces on the bodies in each step, and the positions at the end.
 
     Attributes:
         torque: (steps, joints) [N m]. damping: (steps, tendons) [N s/m]. table: (steps, bodies, 3) [m].
@@ -38,7 +39,7 @@ class Rollout(NamedTuple):
 
 
 def main() -> None:
-    """Measure, print."""
+    """Measure all cases and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="under half a minute")
     parser.add_argument("--json", action="store_true", help="numbers for programs")
@@ -76,7 +77,7 @@ def measure(hand: str, rate_hz: float, scene: str, seconds: float) -> dict:
 
 
 def shortest(runs: Iterable[list[float]]) -> float:
-    """Return the sum over all pieces of the shortest time among the runs [s]."""
+    """Return the sum of the shortest time of each piece among the runs [s]."""
     return sum(map(min, zip(*runs, strict=True)))
 
 
@@ -102,10 +103,10 @@ def written_down(stack: Stack, seconds: float) -> Rollout:
 
 
 def repeated(stack: Stack, rollout: Rollout) -> list[float]:
-    """Repeat the motion with the engine alone. Return the CPU time of each step [s].
+    """Repeat the motion with MuJoCo alone. Return the CPU time of each step [s].
 
     Raises:
-        RuntimeError: it is not the same motion.
+        RuntimeError: the repeated motion differs from the recorded motion.
     """
     engine = stack.engine
     step = engine.step

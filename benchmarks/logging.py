@@ -1,15 +1,15 @@
-"""The log writer of handctl beside mcap-ros2-support, rosbags, JSON and the Foxglove SDK: the same messages.
+"""Comparison of the log writer of handctl with mcap-ros2-support, rosbags, JSON and the Foxglove SDK.
 
-``python benchmarks/logging.py [--quick] [--json]``. Each writes the messages of a run of hand jamia11 at 1 kHz,
-raw frames included. Compare ratios within one run only. The cost for the loop differs in kind: handctl hands a
-record to another process, the others write in the loop.
+``python benchmarks/logging.py [--quick] [--json]``. Each library writes the same messages of a run
+of the hand jamia11 at 1 kHz, including the raw frames. Compare only ratios within one run. handctl
+passes a record to another process, and the other libraries write in the control loop.
 """
 
 import sys
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-if __name__ == "logging":  # a script beside this one wants Python's own module, which this file hides from it
+if __name__ == "logging":  # Other scripts in this folder need Python's own ``logging``, which this file would hide.
     import importlib.machinery
     import importlib.util
 

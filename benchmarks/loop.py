@@ -1,7 +1,7 @@
-"""The loop beside a hand-written one: lateness against a bare sleep, highest rate with 4 and 11 motors.
+"""Comparison of the control loop with a hand-written loop: lateness, and highest rate with 4 and 11 motors.
 
-``python benchmarks/loop.py [--quick] [--json]``. Both loops run on the same bus against the same peer process
-without a plant. Compare ratios within one run only.
+``python benchmarks/loop.py [--quick] [--json]``. Both loops run on the same bus with the same
+process of simulated drives, which has no plant. Compare only ratios within one run.
 """
 
 import argparse
@@ -19,11 +19,11 @@ import numpy as np
 LATENESS_HZ = 500.0
 MAX_MISSED = 0.01
 STEP = 0.85
-"""From one rate that is not held to the next."""
+"""Factor from a rate that is too high to the next lower rate."""
 
 
 def main() -> None:
-    """Measure, print."""
+    """Measure all cases and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="under half a minute")
     parser.add_argument("--json", action="store_true", help="numbers for programs")
@@ -73,7 +73,7 @@ def free_and_highest_rate(which: str, hand: str, bus: str, seconds: float, quick
 
 
 def ratio(rates: dict, name: str) -> float | None:
-    """Return the ratio of handctl to the usual loop. None if a loop held none of the rates."""
+    """Return the ratio of handctl to the hand-written loop. None if all rates were too high for one of the loops."""
     ours = rates["ours"][name]
     baseline = rates["usual"][name]
     return ours / baseline if ours and baseline else None
@@ -100,7 +100,7 @@ def one(which: str, hand: str, bus: str, seconds: str, rate: str) -> dict:
         run = __import__(f"loops.{which}", fromlist=["run"]).run
         try:
             outcome = run(hand, bus, float(seconds), float(rate) or None, log)
-        except RuntimeError:  # a rate at which the drives cannot even be set up
+        except RuntimeError:  # At this rate the drives cannot even be set up.
             outcome = 0.0, 1.0, []
     hz, missed, late, *more = outcome
     result = {"hz": hz, "missed": missed, "late_us": marks(late)}
@@ -117,7 +117,7 @@ def marks(times_ns: list[int]) -> dict:
 
 
 def bare_spin(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]:
-    """Measure the clock of the loop without work. It sleeps, and spins if it has real-time priority."""
+    """Measure the lateness of the clock of the loop. It sleeps, and spins with real-time priority."""
     from handctl.runtime.clock import RealClock, take_priority
 
     clock = RealClock(round(1e9 / rate_hz))
@@ -144,7 +144,7 @@ def both_cores_loaded():
 
 
 def bare_sleep(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]:
-    """Measure absolute deadlines without work, with the priority of the loop."""
+    """Measure the lateness of a sleep until absolute deadlines, without work and with the priority of the loop."""
     from handctl.runtime.clock import take_priority
 
     take_priority()

@@ -1,7 +1,8 @@
-"""Re-execution of logs, tick by tick: time of reading, ticking and comparing, and a profile.
+"""Re-execution of logs, tick by tick: time of reading, computing and comparing a tick, and a profile.
 
-``python benchmarks/reexecute.py [LOG ...] [--quick] [--json]``, by default the logs in ``logs/golden``. Each log
-is executed several times. The shortest time of each tick counts: the time without other load on the core.
+``python benchmarks/reexecute.py [LOG ...] [--quick] [--json]``, by default the logs in
+``logs/golden``. Each log is executed several times. The benchmark uses the shortest time of each
+tick, without other load on the core.
 """
 
 import argparse
@@ -21,7 +22,7 @@ GOLDEN = Path(__file__).resolve().parent.parent / "logs" / "golden"
 
 
 def main() -> None:
-    """Measure, print."""
+    """Measure all logs and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("logs", nargs="*", type=Path, metavar="LOG", help="default: those of logs/golden")
     parser.add_argument("--quick", action="store_true", help="two passes")
@@ -36,7 +37,7 @@ def measure(path: Path, passes: int) -> dict:
     """Measure one log."""
     with RunLog(path) as log:
         controller = rebuild(log)
-        gc.disable()  # as while a log is executed, and in the loop
+        gc.disable()  # The loop of a run also disables the garbage collector.
         runs = [once(log, controller) for _ in range(passes)]
         gc.enable()
         ticks = len(log)
@@ -57,7 +58,7 @@ def once(log: RunLog, controller: Controller) -> dict:
     cpu = time.process_time
     began = cpu()
     for _ in zip(log.ticks(), log.packed(), strict=True):
-        pass  # as in re-execution, nothing is kept
+        pass  # As in a re-execution, the outputs are not kept.
     read = cpu() - began
     logged = list(zip(log.ticks(), log.packed(), strict=True))
     state = controller.initial()

@@ -2,7 +2,8 @@
 
     nice -n 5 python benchmarks/seeds.py --results seeds.jsonl --table docs/evidence/seeds.md
 
-Each result is a line of the file of results. A sweep that was stopped goes on from there.
+Each result is one line in the file of results. If the benchmark was stopped, it continues after the
+last result.
 """
 
 import argparse
@@ -18,7 +19,7 @@ from handctl.cli.main import main as handctl
 from handctl.hand.load import packaged_hands
 
 LIMITS = {"tracking_deg": 1.0, "tension_error_N": 2.0, "object_motion_mm": 1.0}
-"""A run has passed if it ended well, missed and lost nothing, and each worst figure is below its limit."""
+"""A run has passed if it had no failure, missed tick or lost frame, and its figures are below these limits."""
 Case = tuple[str, str, int]
 """Hand, protocol, seed."""
 
@@ -45,7 +46,7 @@ def demo(hand: str, protocol: str, seed: int) -> dict[str, Any]:
 
 
 def failure_reason(figures: dict[str, Any], run_result: dict[str, Any]) -> str:
-    """Describe why a run has not passed. Empty if it has passed."""
+    """Describe why a run has not passed. Return an empty string if it has passed."""
     if run_result["failure"] or run_result["missed"] or run_result["frames_lost"]:
         return run_result["failure"] or f"{run_result['missed']} ticks missed, {run_result['frames_lost']} frames lost"
     if min(run_result["contact_force_n"].values()) <= 0.5:
@@ -54,7 +55,7 @@ def failure_reason(figures: dict[str, Any], run_result: dict[str, Any]) -> str:
 
 
 def table(results: list[dict[str, Any]]) -> str:
-    """Make a Markdown table, a row per hand and protocol, and a line for each run that has not passed."""
+    """Make a Markdown table with a row per hand and protocol, and add a line for each run that has not passed."""
     rows = [
         "| hand | protocol | seeds passed | tracking error [deg] | tension error [N] | object motion [mm] |",
         "|---|---|---|---|---|---|",
@@ -71,7 +72,7 @@ def table(results: list[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    """Run what is missing, and write the table."""
+    """Run the cases that have no result yet, and write the table."""
     parser = argparse.ArgumentParser(description="the demo over many seeds")
     parser.add_argument("--seeds", type=int, default=20, metavar="N", help="0 to N - 1 (default: 20)")
     parser.add_argument("--results", type=Path, required=True, metavar="FILE", help="a line of JSON per run")

@@ -1,8 +1,9 @@
-"""What is lost without load cells and joint encoders: estimate against truth, contact delay, faults that are found.
+"""Loss of accuracy without load cells and joint encoders: errors of the estimates, contact delay, detected faults.
 
-``python benchmarks/sensing.py [--json] [--seeds N] [--page]``. Each run is the demonstration's grasp of a cylinder in
-lockstep against the simulated hand: move, close until contact, hold while the table sinks, release, open. The sensors
-are left out of the hand file, the plant is the same. ``--page`` writes docs/evidence/control-sensing.md.
+``python benchmarks/sensing.py [--json] [--seeds N] [--page]``. Each run is the grasp of a cylinder
+in the demo, in lockstep with the simulated hand: move, close until contact, hold while the table
+sinks, release, open. The sensors are removed from the hand file of the controller, and the plant is
+the same. ``--page`` writes docs/evidence/control-sensing.md.
 """
 
 import argparse
@@ -26,7 +27,7 @@ PAGE = Path(__file__).parents[1] / "docs" / "evidence" / "control-sensing.md"
 RATE_HZ = {"jamia": 500.0, "n_plus_1": 250.0}
 DIAMETER_M = {"jamia": 0.035, "n_plus_1": 0.042}
 PRESHAPE_DEG = {"jamia": (8.0, 0.0), "n_plus_1": (4.0, 0.0)}
-"""Angle of the fingers and of the thumb before closing [deg], short of the object."""
+"""Angles of the fingers and of the thumb before closing [deg], at which the digits do not touch the object yet."""
 SENSORS = {
     "load cells and joint encoders": (True, True),
     "load cells": (True, False),
@@ -34,12 +35,12 @@ SENSORS = {
     "neither": (False, False),
 }
 CASES = [("jamia", "load cells"), ("jamia", "neither"), *(("n_plus_1", sensors) for sensors in SENSORS)]
-"""Hands and sensors. Jamia has no joint encoders."""
+"""Hands with their sensors. jamia has no joint encoders."""
 CONTACT_N = 0.3
-"""True contact force of a digit on the object that counts as contact [N]."""
+"""True force of a digit on the object above which the digit is in contact [N]."""
 MOVING = ("home", "preshape", "open")
 SETTLED_S = 1.0
-"""Time of a hold until the tensions are settled [s]."""
+"""Time from the start of a hold until the tensions have settled [s]."""
 FAULTS = {
     "a tendon tears": "snap tendon={tendon} at=4s",
     "an encoder is stuck": "stuck encoder={motor} at=1.6s",
@@ -51,11 +52,11 @@ FAULTS = {
     "two drives are exchanged": "swap node={motor} with={other} at=1.6s",
     "a drive keeps its torque after the cut": "hold_on node={motor} at=4s",
 }
-"""Faults that do not act on a sensor which one of the hands lacks."""
+"""Injected faults. None of them acts on a sensor that one of the hands does not have."""
 
 
 def hand_with(name: str, sensors: str) -> Hand:
-    """Return a packaged hand with a part of its sensors."""
+    """Return a packaged hand with some of its sensors."""
     cells, encoders = SENSORS[sensors]
     content: dict[str, Any] = hand_content(name)
     if not cells and not encoders:
@@ -82,7 +83,7 @@ def task_of(hand: Hand) -> Task:
 
 
 def scene_of(name: str) -> str:
-    """Return a cylinder in front of the palm, on a table that sinks once it is held."""
+    """Return a scene with a cylinder in front of the palm, on a table that sinks when the hand holds the cylinder."""
     diameter = DIAMETER_M[name]
     return (
         f'name = "cylinder"\n[object]\nshape = "cylinder"\ndiameter_m = {diameter}\nlength_m = 0.093\nmass_kg = 0.15\n'
@@ -93,7 +94,7 @@ def scene_of(name: str) -> str:
 
 @dataclass
 class SensingRun:
-    """Rows of a run, a row per tick, and what was found."""
+    """Record of a run with one row per tick, and the reported faults."""
 
     phase: list[str] = field(default_factory=list)
     error: list[np.ndarray] = field(default_factory=list)
@@ -250,7 +251,7 @@ def page(result: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Measure, and print or write the result."""
+    """Measure all cases, and print or write the result."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n", 1)[0])
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--json", action="store_true", help="print the figures as JSON")

@@ -23,7 +23,7 @@ HEAD = 'schema = 1\nname = "benchmark"\ndescription = "for lockstep.py"\n'
 
 @dataclass(frozen=True)
 class Free:
-    """A program that moves the fingers in the air."""
+    """Program that moves the fingers without an object."""
 
     scene: ClassVar[str | None] = None
     task: ClassVar[str] = (
@@ -35,7 +35,7 @@ class Free:
 
 @dataclass(frozen=True)
 class Grasp:
-    """A program that grasps a cylinder on a table and holds it."""
+    """Program that grasps a cylinder on a table and holds it."""
 
     scene: ClassVar[str | None] = "cylinder"
     task: ClassVar[str] = (
@@ -52,8 +52,8 @@ class Stack:
 
     Attributes:
         engine: rigid bodies and contact.
-        simulation: the run.
-        peer: the other side of the wire.
+        simulation: state of the simulated run.
+        peer: simulated nodes on the bus.
     """
 
     def __init__(self, hand: str, rate_hz: float, scene: type[Free | Grasp]) -> None:
@@ -80,7 +80,7 @@ class Stack:
         return took
 
     def behind_the_wire(self, seconds: float) -> list[float]:
-        """Run for a simulated time [s]. Return the CPU time of the simulator in each tick, including the plant [s]."""
+        """Run for a simulated time [s]. Return the CPU time of the simulator with its plant in each tick [s]."""
         clock = self.simulation._clock
         took = []
         now = time.process_time

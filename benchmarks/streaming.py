@@ -1,7 +1,8 @@
 """Streams of targets to a simulated hand in real time, judged by the plant's truth: bad clients, tracking, latency.
 
-``python benchmarks/streaming.py [clients|tracking|latency ...] [--only CLIENT ...] [--time-scale X] [--bus BUS]``.
-Clients, controller and simulated hand run as separate processes. The latency is measured in unscaled time.
+``python benchmarks/streaming.py [clients|tracking|latency ...] [--only CLIENT ...] [--time-scale X]
+[--bus BUS]``. Clients, controller and simulated hand run as separate processes. The latency is
+measured in unscaled time.
 """
 
 import argparse
@@ -266,7 +267,8 @@ def stage(bus: str, scale: float, homed: Homed | None = None) -> Iterator[Stage]
 def measure_clients(names: list[str], bus: str, scale: float, homed: Homed | None = None) -> dict[str, Any]:
     """Let clients stream to a hand, one after another. Return a row of the table for each client.
 
-    The client that has started its controller gets a separate hand. A killed client ends the run and is the last.
+    The client that has started its controller gets a separate hand. A killed client ends the run
+    and is the last.
     """
     shared = sorted((name for name in names if name != "killed-owner"), key=lambda name: name == "killed")
     groups = [shared, [name for name in names if name == "killed-owner"]]

@@ -1,12 +1,12 @@
-"""Benefit of tuning: detuned gains on a plant that differs from the hand file, and a search on the true plant.
+"""Benefit of tuning on a plant that differs from the hand file, compared with a search that knows the true plant.
 
-The real plant differs from the hand file by up to 30 %, and the initial gains are wrong by a factor of 3. One
-search uses an ensemble around the hand file, the other the real plant, and with ``--fit`` a third one the
-identified plant. All gains are then judged on the real plant by the simulator's truth. The ratio is the cost of an
-unknown plant.
+The true plant differs from the hand file by up to 30 %, and the initial gains are wrong by a factor
+of 3. One search uses an ensemble around the hand file, and another search uses the true plant. With
+``--fit``, a third search uses the identified plant. All gains are then tried on the true plant. The
+ratio of their costs is the price of an unknown plant.
 
     python benchmarks/tuning.py [--quick] [--json] [--trials N] [--plants N] [--workers N]
-    python benchmarks/tuning.py --trials 96 --into studies    # goes on where it was interrupted, or with more trials
+    python benchmarks/tuning.py --trials 96 --into studies    # continues an interrupted run, or adds trials
     handctl identify --lockstep --perturb stiffness=0.7 friction=1.3 mass=1.3 spring=1.1 motor_inertia=0.7 damping=1.3
     python benchmarks/tuning.py --fit jamia.calibration.toml
 """
@@ -34,7 +34,7 @@ from handctl.tune.search.search import SearchPlan, SearchResult, search
 from handctl.tune.search.workers import Workers, workers
 
 PLANT = {"stiffness": 0.7, "friction": 1.3, "mass": 1.3, "spring": 1.1, "motor_inertia": 0.7, "damping": 1.3}
-"""The real plant, fixed before anything was tuned."""
+"""Factors of the true plant, fixed before anything was tuned."""
 DETUNED = {
     "motion.position_error_m": 3.0,
     "motion.speed_error_m_s": 1.0 / 3.0,
@@ -43,9 +43,9 @@ DETUNED = {
     "tension.integral_per_s": 3.0,
     "filter.motor_disturbance_N": 3.0,
 }
-"""Factors on the packaged gains to begin from, fixed before anything was tuned."""
+"""Factors on the packaged gains that give the initial gains, fixed before anything was tuned."""
 JUDGE_SEED = 1000
-"""Of noise that no search has seen."""
+"""Seed of the noise for the comparison, which no search has used."""
 
 
 def main() -> int:
@@ -78,7 +78,7 @@ def detuned_gains() -> Gains:
 def compare(
     hand_name: str, trials: int, plants: int, count: int, into: Path | None, fit: Path | None
 ) -> dict[str, Any]:
-    """Run the searches and judge their gains on the real plant. Studies are stored in a folder if one is given."""
+    """Run the searches and compare their gains on the true plant. Store the studies in a folder if one is given."""
     hand, twin, spread = load_tuned_hand(hand_name, fit)
     packaged = Gains()
     detuned = detuned_gains()
@@ -139,13 +139,13 @@ def _best(base: Gains, result: SearchResult) -> Gains:
 
 
 def _judged(plan: SearchPlan, gains: Gains) -> dict[str, Any]:
-    """Judge a job on the real plant, with noise that no search has used, without regard to margins."""
+    """Score a job on the true plant, with noise that no search has used. The margins do not matter."""
     table = {"gains": gains.model_dump(by_alias=True), "seed": JUDGE_SEED, "must_keep_margins": False}
     return plan.job(0, {}) | table
 
 
 def _with_model(hand: Hand, model: HandModel) -> Score:
-    """Judge a job on the real plant with a controller of the identified hand, whose margins are judged as well."""
+    """Score a job on the true plant with a controller of the identified hand, and compute its margins."""
     margins = worst_of(model, (linear_factors(dict.fromkeys(PLANT, 1.0)),))
     return replace(exercise(hand, model, PLANT, JUDGE_SEED), shortfall=margins.shortfall)
 

@@ -1,7 +1,7 @@
 """Speed-up of a search by two workers, in wall time and CPU time, on the same trials.
 
-Wall time includes other load on the machine. The CPU time of the busiest worker is the time that the trials would
-take on free cores. Both include the start of a worker.
+Wall time depends on other load on the machine. The CPU time of the busiest worker is the time that
+the trials would take on free cores. Both times include the start of a worker.
 
     python benchmarks/tuning_workers.py [--quick] [--json] [--trials N] [--workers N]
 """
@@ -26,7 +26,7 @@ RATE_HZ = 500.0
 
 
 def jobs(count: int) -> list[Row]:
-    """Return trials with slightly different gains. Equal trials would be computed once."""
+    """Return trials with slightly different gains, because equal trials would be computed only once."""
     changed = [with_values(Gains(), {"tension.integral_per_s": 2.0 + 0.1 * i}, "benchmark") for i in range(count)]
     plain = {"hand": load_hand("jamia").to_toml(), "rate_hz": RATE_HZ, "plants": list(ensemble(1, 0)), "seed": 1}
     return [plain | {"gains": gains.model_dump(by_alias=True)} for gains in changed]
@@ -39,7 +39,7 @@ def cpu_s(pid: int) -> float:
 
 
 def timed(count: int, work: list[Row]) -> tuple[Row, list[Row]]:
-    """Measure the time of some workers. Return it with the scores in order."""
+    """Measure the time of a search with some workers. Return the time, and the scores in order."""
     began = time.monotonic()
     crew = ProcessPool(count)
     try:
@@ -52,7 +52,7 @@ def timed(count: int, work: list[Row]) -> tuple[Row, list[Row]]:
 
 
 def main() -> int:
-    """Time one worker and several."""
+    """Measure the search with one worker and with several workers."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument("--quick", action="store_true", help="four trials")

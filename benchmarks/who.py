@@ -1,4 +1,4 @@
-"""Profile of a run by parts of the program. Time in libraries counts for the part that called them."""
+"""Profile of a run by parts of the program. Time in a library belongs to the part that called the library."""
 
 import cProfile
 import pstats
@@ -21,17 +21,18 @@ PARTS = {
     "reading a log": ("handctl/log/", "handctl/replay/"),
     "lockstep clock and bus, this script": ("handctl/runtime/", "benchmarks/"),
 }  # fmt: skip
-"""Name of a part to pieces of the paths (or names) of its functions; the first that fits counts.
+"""Parts of the program, each with pieces of the paths (or names) of its functions. The first part that fits is used.
 
-Compiled code is no function to the profiler: its time is that of the Python function that calls it. So each stage of
-the tick is told by the method that runs it. ``mj_step``, which the compiled step calls, has tendons and rotors with it.
+The profiler does not see compiled functions: their time belongs to the Python function that calls
+them. Each stage of the tick is therefore recognised by the method that runs it. The compiled step
+calls ``mj_step``, so that the time of ``mj_step`` includes tendons and rotors.
 """
 
 Function = tuple[str, int, str]
 
 
 def spent(work: Callable[[], None]) -> dict[str, float]:
-    """Return the fraction of each part. Python's profiler makes calls slower, which understates compiled code."""
+    """Return the fraction of time of each part. The profiler slows down calls, so that compiled code seems faster."""
     profile = cProfile.Profile()
     profile.runcall(work)
     stats = pstats.Stats(profile).stats
@@ -44,7 +45,7 @@ def spent(work: Callable[[], None]) -> dict[str, float]:
 
 
 def _owners(stats: dict, function: Function, depth: int) -> Iterator[tuple[str, float]]:
-    """Return the parts that a function belongs to, with fractions: its own part, or those of its callers by time."""
+    """Return the parts of a function, with fractions: its own part, or the parts of its callers by their time."""
     name = f"{function[0]}/{function[2]}"
     part = next((part for part, marks in PARTS.items() if any(mark in name for mark in marks)), None)
     callers = stats[function][4]

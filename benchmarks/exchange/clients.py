@@ -1,7 +1,8 @@
-"""Clients from the package index as alternatives, each with its own motors and payloads.
+"""Client libraries from the package index as alternatives, each with its own motors and payloads.
 
-The threads of the clients are stopped and their work is done here, because all must be timed alike. A client that
-needs its own event loop (moteus: asyncio) runs in it.
+The threads of the clients are stopped, and this module does the work of the threads, so that all
+clients are measured in the same way. A client that needs its own event loop (moteus: asyncio) runs
+in this event loop.
 """
 
 import asyncio
@@ -44,7 +45,7 @@ class Odrive:
     """odrive-can: encoding of a torque by its DBC, and decoding of a position by its reader."""
 
     AXES = 8
-    """Of its DBC."""
+    """Number of axes in the DBC of odrive-can."""
 
     def __init__(self, interface, channel, motors):
         from odrive_can import odrive
@@ -68,14 +69,15 @@ class Odrive:
 
     def close(self):
         for drive in self.drives:
-            del drive._bus  # it would shut it down
+            del drive._bus  # The object would shut down the bus.
         self.bus.shutdown()
 
 
 class TMotor:
     """TMotorCANControl for a CubeMars AK80-9. The thread of its notifier is replaced by calls here.
 
-    The ``sudo ip link set can0`` of its manager is left out, since the manager supports no other bus.
+    The ``sudo ip link set can0`` of its manager is left out, since the manager supports no other
+    bus.
     """
 
     def __init__(self, interface, channel, motors):

@@ -1,4 +1,4 @@
-"""The two buses of the exchange benchmark, and the motors at the other end, which are not timed."""
+"""The two buses of the exchange benchmark, and simulated motors whose time is not counted."""
 
 import os
 import socket
@@ -12,11 +12,11 @@ FD = struct.Struct("=IBB2x64s")
 RECORD = struct.Struct("<IBBH64s")
 FDF = 4
 Answer = Callable[[int], tuple[int, bytes, int]]
-"""Identifier, payload and flags of what a motor, 1 and up, says to its command."""
+"""Function that returns identifier, payload and flags of the reply of a motor. Motors are numbered from 1."""
 
 
 class LocalMotors:
-    """Motors that answer on a Unix stream socket, as the hub of a local bus does."""
+    """Simulated motors that reply on a Unix socket, as the hub of a local bus does."""
 
     def __init__(self, name: str) -> None:
         self.path = Path(os.environ["HANDCTL_RUN_DIR"]) / f"{name}.bus"
@@ -42,7 +42,7 @@ class LocalMotors:
 
 
 class VcanMotors:
-    """Motors that answer on a raw CAN socket."""
+    """Simulated motors that reply on a raw CAN socket."""
 
     def __init__(self, name: str) -> None:
         self.link = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)

@@ -60,7 +60,7 @@ def enabled(motors):
 
 
 class Ours:
-    """Bus and compiled codec of handctl with the state of each drive, as in a tick."""
+    """Bus and compiled codec of handctl, with the state of each drive as in a tick."""
 
     answer = staticmethod(feedback)
 
@@ -86,7 +86,7 @@ class Ours:
         state = self.state
         out = np.zeros(self.shape, dtype=np.uint64)
         frames = self.controller._send(state, out, self.want, np.array(torques), self.t_ns)
-        self.bus.send(frames[1:])  # without SYNC
+        self.bus.send(frames[1:])  # The benchmark sends no SYNC.
 
     def receive(self):
         frames = self.bus.drain()
@@ -100,7 +100,7 @@ class Ours:
 
 
 class Scalar:
-    """python-can with one message at a time, and a usual scalar codec."""
+    """python-can with one message at a time, and a typical hand-written codec."""
 
     answer = staticmethod(feedback)
 

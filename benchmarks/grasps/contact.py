@@ -1,4 +1,4 @@
-"""Contact detection at a fingertip against the plant's truth: latency and false alarms."""
+"""Detection of contacts at a fingertip, compared with the true contact force: latency and false alarms."""
 
 import json
 import random
@@ -13,10 +13,10 @@ from handctl.programs.task import Task
 CONTACT_N = 1.0
 WITHIN_S = 0.020
 SPEED_DEG_S = (20.0, 100.0)
-"""Of closing; that of the packaged tasks is 40 to 50."""
+"""Speed of closing [deg/s]. The packaged tasks close with 40 to 50 deg/s."""
 TOUCHED_N = 0.01
 MOVING_FRACTION = 0.85
-"""Of a run of free motion in which the digits are moving."""
+"""Fraction of a run of free motion in which the digits are moving."""
 WALL = """name = "wall"
 [object]
 shape = "box"
@@ -27,7 +27,7 @@ position_m = [{x:.5f}, {y:.5f}, 0.0]
 [support]
 drop_when = "never"
 """
-"""Heavy, and where only the last link of each digit can meet it."""
+"""A heavy wall at a position where only the last link of each digit can touch it."""
 
 
 def task_of(phases: list[dict[str, Any]]) -> TaskProgram:
@@ -38,7 +38,8 @@ def task_of(phases: list[dict[str, Any]]) -> TaskProgram:
 def find_contacts(job: tuple[str, int]) -> list[float]:
     """Measure for a hand and a seed the time from 1 N on a digit to its contact event, one per digit [s].
 
-    Times count from the instant at which the force reaches 1 N: negative before, inf without an event.
+    Times count from the instant at which the force reaches 1 N. A time is negative before this
+    instant, and inf without an event.
     """
     hand, seed = job
     chance = random.Random(f"wall {seed}")
@@ -78,7 +79,7 @@ def free_motion(job: tuple[str, float, int]) -> dict[str, float]:
         limits = {"index": 15, "middle": 8, "ring": 15, "thumb": 3}
         home = {name: chance.uniform(0, limit) for name, limit in limits.items()}
         goal = {"index": chance.uniform(25, 50)}
-        # the middle finger and the thumb would meet each other
+        # Otherwise the middle finger and the thumb would touch each other.
         if chance.random() < 0.6:
             goal |= {"middle": chance.uniform(12, 25), "ring": chance.uniform(25, 50)}
         else:

@@ -1,7 +1,8 @@
-"""The object set with positions and disturbances, fixed before any grasp was tuned.
+"""Objects of the grasp benchmark with their positions and disturbances, fixed before any grasp was tuned.
 
-Sizes follow from the hand: 42 mm fit between straight fingers and thumb, and a fingertip meets the thumb at about
-25 mm from the palm. The seed of the noise also moves each object, by up to 1 mm along x and 2 mm along y.
+The sizes follow from the hand. An object of 42 mm fits between straight fingers and thumb, and a
+fingertip touches the thumb at about 25 mm from the palm. The seed of the noise also moves each
+object by up to 1 mm along x and 2 mm along y.
 """
 
 import random
@@ -13,13 +14,13 @@ PUSH_N = 1.0
 PUSH_AT_S = 2.0
 PUSH_S = 1.0
 MAX_MOTION_M = 2e-3
-"""An object that has moved further within a stage is lost."""
+"""Largest motion of a held object within a stage [m]. An object that moves further counts as lost."""
 DOWN = {
     "power": ((0, 0, -1), (1, 0, 0), (0, -1, 0)),
     "pinch": ((0, 0, -1), (1, 0, 0), (0, -1, 0)),
     "hook": ((1, 0, 0), (0, -1, 0), (0, 1, 0)),
 }
-"""Along the hinges, out of the palm, towards the thumb. A hook carries across its bar; along it nothing is asked."""
+"""Directions of gravity: along the hinges, out of the palm, towards the thumb. For a hook they are across its bar."""
 SHAKE_M = (1e-3, 2e-3)
 
 
@@ -40,7 +41,7 @@ class Case:
         return f"{self.shape} {1e3 * self.width:g} mm, friction {self.friction:g}"
 
     def scene(self, seed: int, stages: bool = True) -> str:
-        """Return the text of the scene file. Seed 0 is the nominal place."""
+        """Return the text of the scene file. With seed 0 the object is at its nominal position."""
         chance = random.Random(f"{self} {seed}")
         x, y = (v + (chance.uniform(-s, s) if seed else 0.0) for v, s in zip(self.place, SHAKE_M, strict=True))
         digits, opposed = (2, "false") if self.grasp == "hook" else (2 if self.grasp == "pinch" else 3, "true")

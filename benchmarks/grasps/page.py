@@ -141,11 +141,11 @@ def _range(values: list[float], digits: int) -> str:
 
 
 PARTS = {"success": _success, "payload": _payload, "contact": _contact, "tip": _tip, "slip": _slip}
-"""Tables by what was measured."""
+"""Function that writes the table of each part of the benchmark."""
 
 
 def write(result: dict[str, Any]) -> None:
-    """Write the existing tables into the page, between their marks. Draw the picture if there are grasps."""
+    """Write the tables that were measured into the page, between their marks. Draw the picture if there are grasps."""
     page = PAGE.read_text("utf-8")
     for key, table in PARTS.items():
         if result.get(key):

@@ -10,9 +10,9 @@ from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Hold
 
 PAPER_KG = 0.915
-"""Source: the paper's section 5: 18 N at friction 0.5."""
+"""Payload in the source paper [kg], from 18 N and friction 0.5. Source: section 5 of the paper."""
 TENSION_N = {"jamia": 33.0, "jamia11": 28.0}
-"""Of every tendon, such that the fingers press with about 6 N each."""
+"""Tension of every tendon [N], at which each finger presses with about 6 N."""
 ALONG = {
     "along the hinges": (0.0, 0.0, -1.0),
     "out of the palm": (1.0, 0.0, 0.0),
@@ -25,7 +25,7 @@ LAST_S = 20.0
 
 
 def try_load(job: tuple[str, str, int]) -> dict[str, Any]:
-    """Measure for a hand, a direction and a seed the payload of the grasp [kg], with the object where it counts."""
+    """Measure the payload of a hand for a direction and a seed [kg]. The load along the hinges includes the object."""
     hand, direction, seed = job
     case = CASES[1]
     load = f"[load]\ndirection = {list(ALONG[direction])}\nstart_s = {START_S}\nrate_N_per_s = {RATE_N_PER_S}\n"

@@ -13,14 +13,14 @@ START_S = 6.0
 RATE_N_PER_S = 2.0
 LAST_S = 14.0
 SLIPPERY = {"jamia": 0.3, "jamia11": 0.2}
-"""Friction at which a grasp of 20 N a tendon loses the cylinder within the load's range."""
+"""Friction at which a grasp with 20 N per tendon loses the cylinder within the range of the load."""
 TENSION_N = 20.0
 LIMIT_N = 60.0
 LOST_M = 10e-3
 
 
 def pull(job: tuple[str, bool, int]) -> dict[str, Any]:
-    """Measure for a hand, with or without reaction, and a seed: load [N] over motion [mm], and the load at the loss."""
+    """Measure the load [N] over the motion [mm], and the load at the loss, with or without reaction to slip."""
     hand, answered, seed = job
     scene = CASES[1].scene(seed, stages=False).replace("friction = 0.5", f"friction = {SLIPPERY[hand]}")
     scene += f"[load]\ndirection = [1.0, 0.0, 0.0]\nstart_s = {START_S}\nrate_N_per_s = {RATE_N_PER_S}\n"

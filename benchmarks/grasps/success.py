@@ -1,4 +1,4 @@
-"""Success of grasps: every object of the set, both hands, turned three ways and pushed."""
+"""Success of grasps with every object and both hands, while the hand is turned three times and the object is pushed."""
 
 from typing import Any
 
@@ -16,13 +16,13 @@ TASKS = {
     ("jamia11", "hook"): "hook",
 }
 PALM_GAP_M = 0.5e-3
-"""A pinched object that is nearer to the palm leans on it."""
+"""Smallest gap to the palm [m]. A pinched object that is nearer touches the palm."""
 GIVE_UP_S = 10.0
-"""A grasp that has not lifted its object by now does not."""
+"""Time after which a grasp that does not hold its object has failed [s]."""
 
 
 def try_case(job: tuple[str, int, int]) -> dict[str, Any]:
-    """Measure for a hand, an object number and a seed the largest motion in each stage [mm], or why it failed."""
+    """Measure the largest motion of an object in each stage [mm]. Return the reason instead if the grasp failed."""
     hand, number, seed = job
     case = CASES[number]
     program = task_program(TASKS[hand, case.grasp], hand, hold_s=60.0)

@@ -1,8 +1,9 @@
-"""Fingertip force: command, controller's estimate, and the plant's truth.
+"""Force at the tip of a digit: commanded, estimated by the controller, and true.
 
-The fingers press on a wall that only the last links can reach, in a hold by ``tip_force_N``. The controller maps the
-force through the Jacobian (`jamia11`, which measures joint angles) or through the one-tendon approximation (`jamia`).
-Task files must not command a tip force for `jamia`, and this benchmark shows the reason.
+In a hold with ``tip_force_N``, the digits press on a wall that only their last links can reach. The
+controller computes the tensions from the Jacobian (`jamia11`, which measures joint angles) or from
+the one-tendon approximation (`jamia`). A task file must not command a tip force for `jamia`, and
+this benchmark shows the reason.
 """
 
 import random
@@ -19,7 +20,7 @@ JUDGED_S = 0.4
 
 
 def press(job: tuple[str, int]) -> list[dict[str, Any]]:
-    """Measure for a hand and a seed, per digit and force: command, estimate and true force, means [N]."""
+    """Measure for a hand and a seed the mean commanded, estimated and true force of each digit and command [N]."""
     hand, seed = job
     chance = random.Random(f"tip {seed}")
     wall = WALL.format(x=0.045 + chance.uniform(-3e-3, 3e-3), y=chance.uniform(-4e-3, 2e-3))

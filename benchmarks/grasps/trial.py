@@ -28,7 +28,7 @@ DEFAULT = Gains()
 
 @cache
 def hand_model(hand: str, gains: Gains = DEFAULT) -> tuple[HandModel, float]:
-    """Return the model of a hand at its default rate. It is designed once per process."""
+    """Return the model of a hand at its default rate. A process designs each model once."""
     described = load_hand(hand)
     rate = fastest(bus_loads(described))
     return HandModel.of(described, gains, rate), rate
@@ -51,8 +51,8 @@ class Run:
         travel: (ticks, N) tendon travel [m].
         q: (ticks, J) true joint angles [rad].
         events: tick and event.
-        failure: of the controller.
-        dropped_at: start of the sinking of the table [s].
+        failure: reason why the controller ended the run.
+        dropped_at: time at which the table begins to sink [s].
     """
 
     t: np.ndarray
@@ -99,14 +99,14 @@ def simulate(
     """Run a program on a homed hand.
 
     Args:
-        hand: packaged name.
-        program: of the controller.
-        scene: text of a scene file, or a packaged name, or None.
-        seed: of the simulator.
-        perturb: factors on the plant.
-        until: phase whose start ends the run.
-        timeout: time that ends the run [s].
-        give_up: time that ends the run if the table still stands [s].
+        hand: name of a packaged hand.
+        program: program of the controller.
+        scene: text of a scene file, name of a packaged scene, or None.
+        seed: seed of the simulator.
+        perturb: factors on the parameters of the plant.
+        until: the run ends when this phase begins.
+        timeout: the run ends at this time [s].
+        give_up: the run ends at this time if the table has not begun to sink [s].
     """
     model, rate = hand_model(hand, gains)
     controller = homed_controller(model, program)

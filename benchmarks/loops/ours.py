@@ -1,4 +1,4 @@
-"""The complete loop of handctl: bus, filter, law, safety, encoding, log. Only the deadlines are chosen here."""
+"""The complete loop of handctl: bus, filter, control law, safety, encoding, log. Only the clock is replaced."""
 
 import select
 import time
@@ -24,7 +24,7 @@ DESIGN_HZ = 1000.0
 
 
 class Stay:
-    """A program that holds every digit where it is."""
+    """Program that holds every digit at its present position."""
 
     def initial(self, model):
         return Progress.initial(len(model.digits), "start")
@@ -38,7 +38,7 @@ class Stay:
 
 @dataclass
 class FreeClock:
-    """A clock without deadlines. The next tick begins when the replies to the last one have arrived."""
+    """Clock without deadlines. The next tick begins when the replies to the last tick have arrived."""
 
     fd: int
 
@@ -54,14 +54,14 @@ class FreeClock:
 
 
 def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, log: Path):
-    """Run for a time after the hand has become active.
+    """Run for some time after the hand has become active.
 
     Args:
-        hand_name: packaged hand.
-        bus_name: of the local bus.
-        seconds: of the hand being active.
-        rate_hz: control rate; None for one tick after the other.
-        log: file, new.
+        hand_name: name of a packaged hand.
+        bus_name: name of the local bus.
+        seconds: time with the hand active [s].
+        rate_hz: control rate [Hz]. None runs one tick after the other.
+        log: path of a new file for the log.
 
     Returns:
         ticks per second while active, fraction of missed deadlines, lateness of every active tick [ns], wall time

@@ -1,6 +1,7 @@
-"""The far side of the wire without a plant: simulated drives and load cells at rest, with cached replies.
+"""Simulated drives and load cells at rest, without a plant and with cached replies.
 
-``python benchmarks/loops/peer.py HAND NAME`` serves ``local:NAME`` and prints a line when it is ready.
+``python benchmarks/loops/peer.py HAND NAME`` serves ``local:NAME`` and prints a line when it is
+ready.
 """
 
 import select
@@ -16,7 +17,7 @@ ENABLED = 1
 
 
 class Echo:
-    """Replies of the simulated nodes, cached after the first time."""
+    """Replies of the simulated nodes, each computed once and then cached."""
 
     def __init__(self, hand: str) -> None:
         self.rig = Rig(hand, homed=True)
@@ -24,7 +25,7 @@ class Echo:
         self.sync = self.rig.world.hand.sensors.sync_id
 
     def answer(self, frame: Frame) -> bytes:
-        """Return the records that answer a frame."""
+        """Return the replies to a frame as records."""
         if frame.can_id != self.sync and (frame.can_id > 0xFF or frame.data.startswith(SPECIAL)):
             self.replies.clear()
             return b"".join(map(pack_record, self.rig.world.receive(frame)))
@@ -39,7 +40,7 @@ class Echo:
 
 
 def main(hand: str, name: str) -> None:
-    """Serve until killed."""
+    """Serve until the process is killed."""
     echo = Echo(hand)
     port = HubPort(name, 0)
     take_priority()

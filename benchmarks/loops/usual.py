@@ -1,4 +1,4 @@
-"""The usual hand-written loop: python-can with one frame at a time, a filter per tendon, pinocchio, JSON."""
+"""Typical hand-written loop: python-can with one frame at a time, one filter per tendon, pinocchio, JSON."""
 
 import json
 import struct
@@ -35,7 +35,7 @@ def command(torque: float) -> bytes:
 
 
 class BaselineLoop:
-    """A loop on a python-can bus, tick by tick."""
+    """Control loop on a python-can bus, tick by tick."""
 
     def __init__(self, hand_name: str, bus_name: str, log: Path) -> None:
         self.hand = load_hand(hand_name)
@@ -102,7 +102,7 @@ class BaselineLoop:
 
 
 def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, log: Path):
-    """Run for a time, with the results of ``ours.run``."""
+    """Run for some time, and return the same results as ``ours.run``."""
     loop = BaselineLoop(hand_name, bus_name, log)
     take_priority()
     loop.send_all(ENABLE)

@@ -6,9 +6,9 @@ from scipy.linalg import solve_discrete_are
 from trials.lockstep import Array
 
 WEIGHTS = np.concatenate((np.arange(0.05, 0.5, 0.05), np.arange(0.5, 1.01, 0.1)))
-"""Of the newest sample, to choose the best from with hindsight."""
+"""Weights of the newest sample. The best one is chosen afterwards."""
 RATES = np.array([30.0, 100.0, 300.0, 1000.0, 3000.0])
-"""Spectral density of the tension's rate [N/s^1.5], to choose the best from with hindsight."""
+"""Spectral densities of the rate of the tension [N/s^1.5]. The best one is chosen afterwards."""
 
 
 def averaged(raw: Array, weight: float) -> Array:
@@ -26,9 +26,9 @@ def cell_alone(raw: Array, period: float, noise: float, rate: float) -> Array:
 
     Args:
         raw: (ticks, N) samples, one period old [N].
-        period: [s].
-        noise: of a sample [N].
-        rate: square root of the density of the rate's noise.
+        period: control period [s].
+        noise: standard deviation of a sample [N].
+        rate: square root of the spectral density of the noise of the rate.
     """
     F = np.array([[1.0, period], [0.0, 1.0]])
     Q = rate**2 * np.array([[period**3 / 3, period**2 / 2], [period**2 / 2, period]])

@@ -1,7 +1,8 @@
 """A force step on a held object with three inputs of the force loop: none, the raw sensor, the estimate.
 
-The digits close on a cylinder, hold 15 N per tendon, step to 40 N (5000 N/s), and step back to 15 N. The true tension
-at the load cell of every tendon with a digit in contact is judged.
+The digits close on a cylinder, hold 15 N per tendon, step to 40 N (5000 N/s), and step back to 15
+N. The results are those of the true tension at the load cells, for every tendon whose digit is in
+contact.
 """
 
 from dataclasses import dataclass, field
@@ -24,7 +25,7 @@ HIGH_N = 40.0
 RATE_N_PER_S = 5000.0
 HOLD_S = 0.6
 STEADY_S, BAND_N = 0.2, 2.0
-"""At the end of a hold, over which the steady error is averaged; within which the force counts as settled."""
+"""Time at the end of a hold for the mean steady error [s], and band within which the force has settled [N]."""
 TASK = {
     "schema": 1,
     "name": "force",
@@ -36,14 +37,14 @@ TASK = {
     ],
 }  # fmt: skip
 PLANTS = {plant: wrong for plant, wrong in plants.PLANTS.items() if "mass" not in wrong}
-"""Of a hand that hardly moves."""
+"""Plants with wrong parameters. A wrong mass is left out, because the hand hardly moves."""
 WEIGHT_N, FORCE_N, INTEGRAL_PER_S = 4.0, 15.0, 3.0
-"""Of both loops alike: tension error that counts like that motor force, and the integral; none of them is tuned."""
+"""Gains of both loops: tension error and motor force of equal cost, and the integral gain. They were not tuned."""
 
 
 @dataclass(frozen=True)
 class Loop:
-    """Configuration of the loop: motion and tension gains that differ from the defaults, raw sensor or estimate."""
+    """Configuration of the loop: gains that differ from the defaults, and the raw sensor or the estimate as input."""
 
     motion: dict[str, float] = field(default_factory=dict)
     tension: dict[str, float] = field(default_factory=dict)
@@ -77,7 +78,7 @@ def trial(hand: str, law: str, seed: int, plant: str) -> Trial:
 
 
 def judge(record: TrialRecord) -> dict[str, float]:
-    """Judge both steps: overshoot [N], settling time [s], steady error [N], ripple [N] and RMSE [N], worst or mean."""
+    """Return mean overshoot [N], settling time [s], steady error [N], ripple [N] and RMSE [N] of both steps."""
     tension = record.tension()
     in_contact = record.of_tendons(record.numbers["contact"] > 0)
     rows: dict[str, list[float]] = {name: [] for name in ("overshoot_N", "settling_s", "steady_N", "ripple_N", "mse")}
@@ -103,7 +104,7 @@ def work(job: tuple) -> dict[str, Any]:
 
 
 def measure(hands: tuple[str, ...], seeds: int, wrong_seeds: int, plan: Plan) -> dict[str, Any]:
-    """Measure by hand, plant and law: mean over the seeds (fewer for wrong plants), and the spread of the RMSE."""
+    """Measure means over the seeds and the spread of the RMSE by hand, plant and law."""
     cases = [(hand, law, plant) for plant in PLANTS for hand in hands for law in LOOPS]
     counts = [seeds if plant == "as known" else wrong_seeds for _, _, plant in cases]
     jobs = [

@@ -1,7 +1,8 @@
-"""Hands of the benchmarks: the packaged ones, and the same with digits that touch neither the palm nor each other.
+"""Hands of the benchmarks: the packaged hands, and the same hands with more distance between their digits.
 
-With all joints of a packaged hand at 60 degrees the fingertips touch the palm and the middle finger touches the thumb.
-A motion that is judged as free must be free. These hands have the digits moved apart and are otherwise the same.
+When all joints of a packaged hand are at 60 degrees, the fingertips touch the palm, and the middle
+finger touches the thumb. In the benchmarks of free motion the digits must touch nothing. The digits
+of these hands are therefore moved apart. Everything else is the same.
 """
 
 from functools import cache
@@ -11,15 +12,15 @@ from handctl.hand.description import Hand
 from handctl.hand.load import hand_content, hand_from, hand_path, load_hand
 
 CLEAR = ".clear"
-"""Suffix of a packaged hand's name for its twin with room around every digit."""
+"""Suffix of the name of a packaged hand for its variant with free space around every digit."""
 SIDE = ".side"
-"""Suffix of its twin that lies on its side: gravity acts in the plane in which the digits flex. Also with room."""
+"""Suffix for the variant that also lies on its side: gravity acts in the plane in which the digits flex."""
 SIDE_GRAVITY_M_S2 = [0.0, -9.81, 0.0]
-"""In the palm's frame, from the fingers to the thumb: fingers are pulled closed, the thumb is pulled open."""
+"""Gravity in the frame of the palm, from the fingers to the thumb. It closes the fingers and opens the thumb."""
 FINGERTIP_LOAD = 10.0
-"""Factor on mass and inertia of the last link of each digit lying on its side: a fingertip of 21 g."""
+"""Factor on mass and inertia of the last link of each digit of a hand on its side. A fingertip then has 21 g."""
 FORWARD_M, APART_M = 0.04, 0.1
-"""How far the digits stand in front of the palm, and from one to the next."""
+"""Distance of the digits from the palm, and from each digit to the next [m]."""
 
 
 @cache
@@ -40,7 +41,7 @@ def hand_by_name(name: str) -> Hand:
 
 
 def packaged(name: str) -> str:
-    """Return the name of the packaged hand that a hand of the benchmarks is made of."""
+    """Return the name of the packaged hand from which a hand of the benchmarks is derived."""
     return name.removesuffix(CLEAR).removesuffix(SIDE)
 
 

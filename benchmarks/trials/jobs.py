@@ -19,9 +19,9 @@ class Plan:
     """Options for running jobs.
 
     Attributes:
-        keep: folder where the result of each job is kept (JSON) and looked for; None: nowhere.
-        minutes: after which no further job is begun; what is missing then is left out.
-        workers: processes; 0: one a core.
+        keep: folder in which the result of each job is stored (JSON) and looked up. None stores no result.
+        minutes: time after which no further job starts. The results of the other jobs are left out.
+        workers: number of processes. 0 starts one process per core.
     """
 
     keep: Path | None = None
@@ -30,10 +30,10 @@ class Plan:
 
 
 def collect(work: Work, jobs: list[Any], plan: Plan) -> dict[Any, Any]:
-    """Return the results by job, as many as are stored or fit in the time. A result must survive JSON.
+    """Return the results by job that are stored or that can be computed in the time. A result must survive JSON.
 
     Args:
-        work: top-level function of one job. jobs: tuples. plan: see there.
+        work: top-level function that computes one job. jobs: arguments of each job, as tuples. plan: see ``Plan``.
     """
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
     done = {job: stored for job in jobs if (stored := _stored(work, job, plan)) is not None}

@@ -1,4 +1,4 @@
-"""The steps of the ablation: the controller's knowledge of the hand, one part more at each step."""
+"""Control laws of the ablation. Each control law adds one part of the model of the hand to the law before."""
 
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -44,8 +44,8 @@ def weightless(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[f
 def misprinted(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[float, ...]:
     """Return the torque of Eq. 10 to 12 as printed in the paper, instead of the dynamics of the links.
 
-    The torques belong to absolute angles and are mapped to the joints, which the paper does not describe. Springs and
-    damping are added, which the paper lacks. A digit without a link has no terms of this link.
+    The torques belong to absolute angles. This function maps them to the joints, which the paper does not describe, and
+adds springs and damping, which the paper does not have. If a digit does not have a link, its terms are left out.
     """
     names = {}
     for order, values in (("", q), ("d", dq), ("dd", ddq)):
@@ -67,16 +67,16 @@ def misprinted(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[f
 
 
 FORCE_N = 20.0
-"""Motor force that counts like the errors of the weights."""
+"""Motor force of the same cost as the errors in the weights [N]."""
 
 
 def force_scale(rate_hz: float) -> float:
-    """Return the factor on a force weight by which it counts in full at a control rate."""
+    """Return the factor on a force weight that cancels its reduction at low control rates."""
     return 1.0 / bearable(1.0, 1.0 / rate_hz)
 
 
 class RawTension(Controller):
-    """A controller whose law gets the newest load-cell sample, one period old, as the tension."""
+    """Controller whose control law uses the newest sample of the load cell, one period old, as the tension."""
 
     __slots__ = ()
 
@@ -94,12 +94,12 @@ def on_raw_tension(controller: Controller) -> Controller:
 
 @dataclass(frozen=True)
 class Law:
-    """One step of the ablation.
+    """One control law of the ablation.
 
     Attributes:
-        inverse: joint torque that is fed forward.
+        inverse: function that returns the feedforward joint torque.
         motion: gains that differ from the defaults.
-        raw: whether the force loop has the raw sensor.
+        raw: True if the input of the force loop is the raw sensor.
     """
 
     inverse: Inverse
@@ -107,14 +107,14 @@ class Law:
     raw: bool = False
 
     def gains(self, position_error_m: float, speed_error_m_s: float, rate_hz: float) -> Gains:
-        """Return gains with the two tuned weights. The others are fixed here, independent of the packaged gains."""
+        """Return gains with the two tuned weights. The other gains are fixed here, whatever the packaged gains are."""
         weights = {"position_error_m": position_error_m, "speed_error_m_s": speed_error_m_s}
         fixed = {"force_N": FORCE_N * force_scale(rate_hz), "disturbance_rejection": 1.0, "tension_feedback": 0.3}
         return Gains(motion=MotionGains(**{**fixed, **weights, **self.motion}))
 
     @property
     def change(self) -> partial[Controller]:
-        """Return the change of the controller."""
+        """Return the function that changes the controller."""
         return partial(_changed, inverse=self.inverse, raw=self.raw)
 
 
@@ -131,7 +131,7 @@ GRAVITY_LAWS = {
     "computed torque without gravity": Law(weightless, NO_FORCE_LOOP),
     "computed torque": Law(required_torque, NO_FORCE_LOOP),
 }
-"""Two pairs of laws that differ in gravity alone, for a hand that lies on its side."""
+"""Two pairs of control laws that differ only in gravity compensation, for a hand that lies on its side."""
 LAWS = {
     "PD alone": Law(zero_torque, SPRINGS),
     "+ gravity and springs": Law(statics, SPRINGS),

@@ -1,10 +1,12 @@
 """Error of a reference filter that is optimal for a fixed noise model.
 
-The result is no bound on the error. A filter for a plant with less noise, or with more inputs, can be better.
+The result is no lower bound of the error. A filter for a plant with less noise, or a filter with
+more inputs, can have a smaller error.
 
-The state per tendon is tendon travel and speed, excursion and its rate, Gauss-Markov forces on motor and joint, and
-the stretch offset. Load cell and encoder are measured. The disturbances are fixed here. The digit is free on its
-springs, or presses on a stiff object. ``scipy`` solves the filter, independent of the controller's own design.
+The state of each tendon has tendon travel and speed, excursion and its rate, Gauss-Markov forces on
+motor and joint, and the stretch offset. The measurements are load cell and encoder. The
+disturbances are constants of this module. The digit moves freely against its springs, or presses on
+a stiff object. ``scipy`` computes the filter, independent of the design in the controller.
 """
 
 import numpy as np
@@ -19,22 +21,23 @@ JOINT_S = 0.02
 OFFSET_M = 0.2e-3
 OFFSET_S = 60.0
 CONTACT_N_M_PER_RAD = 40.0
-"""Stiffness of what is held, all of a digit's joints together. Source of all: MODEL, section 5."""
+"""Stiffness of the held object, for all joints of a digit [N m/rad]. Source of all constants: MODEL, section 5."""
 DRIFT_N2_PER_S = 1.0 / 100.0
-"""Of the load cells: 1 N in 100 s, a random walk. No filter can see it while the rope is taut."""
+"""Drift of the load cells, a random walk: 1 N in 100 s. No filter can measure it while a tendon is taut."""
 SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 1.0, 1e-5])
 
 
 def limit(model: HandModel, i: int, is_held: bool, encoder: bool = True) -> tuple[float, float]:
-    """Return the reference's standard deviation of tendon i's tension at the last sample's instant, and now [N].
+    """Return the standard deviation of the tension of tendon i at the last sample and at present [N].
 
-    The controller's estimate is for the present, one period later; it is judged by the first all the same.
+    The estimate of the controller is for the present, one period after the sample. It is compared
+    with both values.
 
     Args:
-        model: hand and rate.
-        i: tendon.
-        held: whether the digit presses on an object.
-        encoder: whether the motor's encoder is used beside the load cell.
+        model: hand and control rate.
+        i: index of the tendon.
+        held: True if the digit presses on an object.
+        encoder: True if the filter uses the encoder of the motor and the load cell.
     """
     space = model.space
     arm = float(np.abs(model.hand.moment_arms[i]).sum())

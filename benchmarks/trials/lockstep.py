@@ -1,4 +1,4 @@
-"""A trial: the real controller over the simulated bus in lockstep, tick by tick, with the plant's truth."""
+"""Trials: the real controller runs over the simulated bus in lockstep, with a record of the true values."""
 
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
@@ -23,12 +23,12 @@ from handctl.session.simulate import Simulator
 from trials.hands import file_of, hand_by_name, packaged
 
 RATES_HZ = {"jamia": 500.0, "jamia_bench": 500.0, "jamia11": 200.0}
-"""Default control rates: what one classical CAN bus carries."""
+"""Default control rates [Hz], which one classical CAN bus can carry."""
 DEFAULTS = Gains()
 Array = NDArray[np.float64]
 Change = Callable[[Controller], Controller]
 Row = tuple[TickIn, TickOut, Array, State]
-"""A tick: what came in and went out, the filter's inputs (N, 2) and the state after it."""
+"""Record of one tick: its input and output, the inputs of the filter (N, 2), and the state after the tick."""
 
 
 def unchanged(controller: Controller) -> Controller:
@@ -41,15 +41,15 @@ class Trial:
     """Configuration of a trial.
 
     Attributes:
-        hand: name of ``hands.known``.
-        program: the controller's.
-        seed: of noise, drift and encoder offsets.
-        scene: of the simulator; None for a free hand.
-        perturb: factors on the plant's parameters that the controller does not know.
-        gains: of the controller.
-        rate_hz: control rate; 0 for the hand's default.
-        limit_s: end of the trial if the program does not end before.
-        change: made to the controller before the run; a top-level function or partial of one.
+        hand: name for ``hands.hand_by_name``.
+        program: program of the controller.
+        seed: seed of noise, drift and encoder offsets.
+        scene: scene of the simulator. None for a hand without an object.
+        perturb: factors on the parameters of the plant, which the controller does not know.
+        gains: gains of the controller.
+        rate_hz: control rate [Hz]. 0 selects the default of the hand.
+        limit_s: longest time of the trial [s].
+        change: function that changes the controller before the run. It is a top-level function, or a partial of one.
     """
 
     hand: str
@@ -68,16 +68,16 @@ class TrialRecord:
     """Record of a trial, one row per tick with an active hand.
 
     Attributes:
-        hand: description.
-        controller: that ran.
-        t_ns: (ticks,) of each tick [ns].
-        phase: (ticks,) name.
-        numbers: telemetry by field, (ticks, ..) each.
-        force: (ticks, N) motor force that acted before each tick, the filter's input [N].
-        filtered: (ticks, N) tension that the filter holds for the instant of the tick's samples, a period ago [N].
-        real: the plant's truth.
-        failure: why the run ended early.
-        events: (t [s], name, where, text).
+        hand: description of the hand.
+        controller: controller of the run.
+        t_ns: (ticks,) time of each tick [ns].
+        phase: (ticks,) name of the phase.
+        numbers: telemetry by field, each (ticks, ..).
+        force: (ticks, N) motor force before each tick, an input of the filter [N].
+        filtered: (ticks, N) estimated tension at the instant of the samples, one period before the tick [N].
+        real: true values of the plant.
+        failure: reason why the run ended early.
+        events: events as (t [s], name, where, text).
     """
 
     hand: Hand
@@ -97,7 +97,7 @@ class TrialRecord:
         return self.t_ns / 1e9
 
     def truth(self, names: Iterable[str], delay_ns: int = 0) -> Array:
-        """Return columns of the truth at each tick, or some time before it (ticks, names)."""
+        """Return columns of the true values at each tick, or some time before each tick (ticks, names)."""
         return self.real.table(list(names), self.t_ns - delay_ns)
 
     def tension(self, delay_ns: int = 0) -> Array:
@@ -121,7 +121,7 @@ class TrialRecord:
 
 
 def run(trial: Trial) -> TrialRecord:
-    """Run a trial. The same trial gives the same record, bit for bit."""
+    """Run a trial. Equal trials give equal records, to the bit."""
     hand = hand_by_name(trial.hand)
     rate = trial.rate_hz or RATES_HZ[packaged(trial.hand)]
     controller = trial.change(make_controller(hand, trial.gains, rate, trial.program, None, arm_at_once=True))
@@ -142,7 +142,7 @@ def _filtered(design: FilterDesign, inputs: Array, after: State) -> list[float]:
     """Return the tensions before the prediction to the present (N,) [N], by undoing the prediction.
 
     Args:
-        design: of the filter. inputs: (N, 2) of the tick. after: the state after it.
+        design: design of the filter. inputs: (N, 2) inputs in the tick. after: state after the tick.
     """
     result = []
     states = after.tendon[s.TRAVEL : s.STRETCH_OFFSET + 1].T

@@ -15,10 +15,10 @@ FURTHER_OFF: dict[str, dict[str, float]] = {
     "stiffness -50 %": {"stiffness": 0.5},
     "friction +100 %": {"friction": 2.0},
 }
-"""Plants that only the estimate is tried on."""
+"""Further plants, which are used only for the tension estimate."""
 TO_CONTACT = (
     {"kind": "move", "name": "preshape", "angle_deg": {"index": 18.0, "middle": 18.0, "ring": 18.0, "thumb": 3.0},
      "duration_s": 0.4},
     {"kind": "close", "name": "close", "angle_deg": 85.0, "speed_deg_s": 60.0, "contact_tension_N": 14.0},
 )  # fmt: skip
-"""Phases of a task before it holds."""
+"""Phases of a task before its hold."""

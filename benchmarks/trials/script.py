@@ -18,12 +18,12 @@ class Step:
     """One step of all digits.
 
     Attributes:
-        name: of the phase in the log.
-        lasts_s: time until the next step.
-        angle_deg: move there in ``move_s``; None not to move.
-        move_s: duration of the move.
-        tension_N: hold it instead; None not to.
-        rate_N_per_s: of the tension.
+        name: name of the phase in the log.
+        lasts_s: time until the next step [s].
+        angle_deg: target angle of a move in ``move_s`` [deg]. None does not move.
+        move_s: duration of the move [s].
+        tension_N: tension of a hold instead of a move [N]. None does not hold.
+        rate_N_per_s: rate of the tension [N/s].
     """
 
     name: str
@@ -36,7 +36,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Script:
-    """A program that takes up the slack and then runs its steps."""
+    """Program that takes up the slack of the tendons and then runs its steps."""
 
     steps: tuple[Step, ...]
 

@@ -1,13 +1,17 @@
-"""Ablation of the controller: tracking at three speeds and a force step, with one part more at a time.
+"""Ablation of the controller: tracking at three speeds and a force step, adding one part of the control law at a time.
 
-``python benchmarks/control.py [--quick] [--json] [--seeds N] [--tune] [--keep FOLDER] [--page]``. The digits move from
-0 to 60 degrees. The true mean joint angle of each digit is judged, since one tendon can set no more. The plant has the
-effects of the hand files and of firmware_sim: capstan and motor friction, tendon elasticity and damping, current loop,
-encoder and load-cell resolution, noise, drift, one period of bus delay. They are the same for all laws. The two weights
-of a law, PD included, are the best of the same ``WEIGHTS``, by the fast motion of the plant as known, on a seed that is
-not among the judged ones. ``--tune`` searches them again. The best weights leave a loop hardly any margin. The laws are
-therefore compared a second time with the best weights that have the margins of packaged gains: 6 dB and 45 degrees on
-plants drawn around the hand file.
+``python benchmarks/control.py [--quick] [--json] [--seeds N] [--tune] [--keep FOLDER] [--page]``.
+The digits move from 0 to 60 degrees. The error is that of the true mean joint angle of each digit,
+because one tendon can control only the mean angle. The plant has the effects of the hand files and
+of firmware_sim: capstan and motor friction, tendon elasticity and damping, current loop, encoder
+and load-cell resolution, noise, drift, one period of bus delay. These effects are the same for all
+control laws.
+
+Each control law, PD included, has two weights. They are the best pair of ``WEIGHTS`` in the fast
+motion of the plant as known, on a seed that is not used for the results. ``--tune`` searches the
+weights again. The best weights have hardly any stability margin. Therefore the control laws are
+compared a second time, with the best weights that have the margins of packaged gains: 6 dB and 45
+degrees on random plants around the hand file.
 """
 
 import argparse
@@ -40,25 +44,26 @@ WEIGHTS = tuple(
     for p, v in ((0.2, 1), (0.3, 1.5), (0.5, 2), (0.8, 2), (0.8, 3), (1.2, 3), (1.5, 2), (1.5, 3), (1.5, 6), (2.2, 3),
                  (3, 3), (3, 6), (6, 6), (8, 6), (10, 10), (14, 10))
 )  # fmt: skip
-"""Position [m] and speed [m/s] errors that count alike, to choose from: the same for every law."""
+"""Candidates of the weights: position error [m] and speed error [m/s] of equal cost, for every law."""
 TUNING_SEED = 1000
 TUNED = Path(__file__).with_name("tuned.json")
 """With each of ``WEIGHTS``, by hand and law: RMSE [deg] of the fast motion, null where a motion did not get to its end,
 and whether the motion loop keeps its margins.
 
-Slow, medium and fast in one run, as it is judged: what is best in one motion from rest may not bear three.
+Slow, medium and fast in one run, as it is judged: what is best in one motion from rest may not bear
+three.
 """
 PLAIN, SPRINGS_LAW, BEST, MISPRINTED = [list(LAWS)[i] for i in (0, 1, -2, -1)]
 COMPARED = (PLAIN, SPRINGS_LAW, BEST)
-"""Laws that are also tried where the plant is wrong."""
+"""Control laws that are also tried on plants with wrong parameters."""
 CAREFUL = (PLAIN, SPRINGS_LAW, list(LAWS)[-4], BEST)
-"""Laws that are also tried with weights that keep their margins."""
+"""Control laws that are also tried with the weights that keep their margins."""
 PLANTS_DRAWN = 8
-"""On which margins must be kept."""
+"""Number of random plants on which the margins must be kept."""
 
 
 def moves(speeds: tuple[str, ...]) -> Script:
-    """Return the motions: out and back at each speed."""
+    """Return the motions: to the target angle and back, at each speed."""
     steps = []
     for speed in speeds:
         steps.append(Step(f"home {speed}", BACK_S + REST_S, angle_deg=0.0, move_s=BACK_S))
@@ -81,7 +86,7 @@ def trial(hand: str, law: str, weights: tuple[float, float], seed: int, plant: s
 
 
 def judge(record: TrialRecord, speeds: tuple[str, ...]) -> dict[str, dict[str, float]]:
-    """Judge each speed: RMSE, peak and steady tracking error [deg], settling time [s], for the worst digit."""
+    """Return for each speed RMSE, peak and steady tracking error [deg] and settling time [s] of the worst digit."""
     goal = mean_angles(record.hand, record.numbers["q_goal"])
     error = np.degrees(goal - mean_angles(record.hand, record.q()))
     result = {}
@@ -106,7 +111,7 @@ def judge(record: TrialRecord, speeds: tuple[str, ...]) -> dict[str, dict[str, f
 
 
 def work(job: tuple) -> dict[str, dict[str, float | str]]:
-    """Run one trial and return its figures. A motion that did not end has infinite error and a reason."""
+    """Run one trial and return its figures. A motion that did not end has an infinite error, and the reason."""
     record = run(trial(*job))
     result: dict = judge(record, job[-1])
     for speed in job[-1] if record.failure else ():
@@ -212,7 +217,7 @@ def show(result: dict) -> None:
 
 
 def main() -> None:
-    """Measure, print, write the page."""
+    """Measure all cases, print the results, and write the page."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="under a minute: one seed, fast motion, one hand")
     parser.add_argument("--json", action="store_true", help="numbers for programs")

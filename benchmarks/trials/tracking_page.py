@@ -13,7 +13,7 @@ FAULT_TEXTS = {
 }
 """Cause of each fault that ended runs."""
 MIN_DEG = 0.03
-"""Left end of the picture."""
+"""Smallest error on the axis of the picture [deg]."""
 
 
 def section(result: dict, named: tuple[str, str, str, str]) -> str:

@@ -1,4 +1,4 @@
-"""Regime of each tendon at each tick by the plant's truth: free, reversal, impact, hold, slack, beyond."""
+"""Regime of each tendon at each tick, from true values: free, reversal, impact, hold, slack, beyond."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,15 +6,15 @@ from numpy.typing import NDArray
 from trials.lockstep import Array, TrialRecord
 
 REVERSAL_S = 0.05
-"""Half width of the window around a change of the direction of winding."""
+"""Half width of the window around a reversal of the winding direction [s]."""
 IMPACT_S = 0.1
 SETTLED_S = 0.3
-"""After the first touch."""
+"""Time from the first contact until the tension has settled [s]."""
 TAUT_N = 0.5
 TOUCH_N = 0.05
 SLACK_S = 0.05
 TURNING_RAD_S = 0.2
-"""Spool speed below which there is no direction to change."""
+"""Speed of the spool below which it has no direction [rad/s]."""
 KNEE_N = 200.0
 REGIMES = ("free", "reversal", "impact", "hold", "beyond 200 N", "slack")
 Mask = NDArray[np.bool_]
@@ -41,7 +41,7 @@ def windows(record: TrialRecord) -> dict[str, Mask]:
 
 
 def _since_rise(on: Mask, t: Array) -> Array:
-    """Return the time since each signal has last become true after a while of being false (ticks, N) [s]."""
+    """Return the time since each signal has become true after it was false for a while (ticks, N) [s]."""
     since = np.full(on.shape, np.inf)
     for i in range(on.shape[1]):
         rise = -np.inf

@@ -23,7 +23,7 @@ RATE_HZ = 1000
 
 
 def main(about: str) -> None:
-    """Measure, print."""
+    """Measure all libraries and print the results."""
     parser = argparse.ArgumentParser(description=about.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="a fifth of a second of the run instead of two")
     parser.add_argument("--json", action="store_true", help="numbers for programs")
@@ -63,7 +63,7 @@ def _spent(work: Callable[[], object]) -> float:
 
 
 def ours(path: Path, run: Any, ticks: list[Any]) -> dict[str, float]:
-    """Measure handctl: packing and handing over in the loop, and the recorder beside it, without its process."""
+    """Measure handctl: packing and passing on a record in the loop, and the recorder in the same process."""
     records: list[bytes] = []
     packing = _spent(lambda: records.extend(pack(*tick) for tick in ticks))
     recorder = Recorder.start(path.with_suffix(".pipe.mcap"), run)
@@ -86,7 +86,7 @@ def ours(path: Path, run: Any, ticks: list[Any]) -> dict[str, float]:
 
 
 def other(path: Path, make: Any, messages: list[Message], ticks: int) -> dict[str, float]:
-    """Measure another writer. It writes in the loop and reads all messages, handctl reads ticks and telemetry."""
+    """Measure another library. It writes in the loop, and reads all messages."""
     writer = make(path)
 
     def write() -> None:

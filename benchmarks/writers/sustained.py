@@ -1,7 +1,8 @@
-"""The recorder with eleven motors at 1 kHz in real time, frames included: dropped ticks, and effect on the loop.
+"""Recorder with eleven motors and their frames at 1 kHz in real time: dropped ticks, and effect on the loop.
 
-The loop of the controller runs with a prepared tick, so that only the recorder affects it. Loop and recorder have a
-core each. The same loop runs without a recorder before and after, because other load on the machine must be in both.
+The loop of the controller runs with prepared ticks, so that only the recorder affects its timing.
+Loop and recorder run on different cores. The same loop runs without a recorder before and after, to
+show the effect of other load.
 """
 
 import os
@@ -34,7 +35,7 @@ Tick = tuple[TickIn, TickOut]
 
 
 def sustained(path: Path, seconds: float) -> dict[str, Any]:
-    """Run for a time with the recorder, and half as long before and after without it.
+    """Run for some time with the recorder, and half as long before and after without the recorder.
 
     Args:
         path: of the new log file.
@@ -146,7 +147,7 @@ def _processor_s(pid: int) -> float:
 
 
 def _marks(*parts: LoopStats) -> dict[str, float]:
-    """Return the lateness [us] and the fraction of missed deadlines."""
+    """Return percentiles of the lateness [us] and the fraction of missed deadlines."""
     us = np.concatenate([np.array(part.late_ns) for part in parts]) / 1e3
     missed = sum(part.missed for part in parts) / sum(part.ticks + part.missed for part in parts)
     return {name: float(np.percentile(us, mark)) for name, mark in MARKS.items()} | {"missed_share": missed}
