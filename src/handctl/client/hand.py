@@ -19,6 +19,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self
 
+from handctl.client.fingertips import Fingertips, FingertipStream
 from handctl.client.observation import Observation
 from handctl.client.stream import TargetStream
 from handctl.core.types import LETTING_GO
@@ -236,7 +237,7 @@ class HandClient:
     def stream(
         self,
         rate_Hz: float,
-        space: Literal["joint", "digit", "tension", "tip_force"] = "joint",
+        space: Literal["joint", "digit", "tension", "tip_force", "fingertip"] = "joint",
         names: Sequence[str] | None = None,
         interpolation: Literal["linear", "minimum_jerk"] = "minimum_jerk",
         unit: Literal["deg", "rad"] = "deg",
@@ -248,7 +249,8 @@ class HandClient:
         Args:
             rate_Hz: rate of the targets in the time of the hand [Hz], 20 up to the control rate.
             space: a target has an angle for each ``"joint"``, one for all joints of a ``"digit"``, a ``"tension"`` for
-                each tendon [N], or a ``"tip_force"`` for each digit [N].
+                each tendon [N], a ``"tip_force"`` for each digit [N], or the position of each
+                ``"fingertip"`` in the palm frame, (D, 3) [m], see ``FingertipStream``.
             names: joints, digits or tendons of a target, in order. None: all of the hand.
             interpolation: motion between angles. ``"linear"`` has a constant speed, ``"minimum_jerk"`` is smooth.
             unit: unit of angles.
@@ -264,12 +266,16 @@ class HandClient:
         everything = {"joint": hand.joints, "tension": hand.tendon_names}.get(
             space, hand.digit_names
         )
+        tips = Fingertips(hand, names) if space == "fingertip" else None
+        if tips is not None:
+            names = tips.joints
         number = next(_numbers)
         numbers = {"rate_Hz": rate_Hz, "damping_ratio": damping_ratio}
         if stiffness_N_m_per_rad is not None:
             numbers["stiffness_N_m_per_rad"] = stiffness_N_m_per_rad
         goal = {
-            "do": "stream", "stream": stream_name(os.getpid(), number), "space": space,
+            "do": "stream", "stream": stream_name(os.getpid(), number),
+            "space": "joint" if tips else space,
             "names": list(everything if names is None else names), "interpolation": interpolation,
             **_numbers_of(numbers),
         }  # fmt: skip
@@ -281,6 +287,8 @@ class HandClient:
             undo.pop_all()
         constants = self._reader().description
         horizon = horizon_s(goal["rate_Hz"], 1.0 / constants["rate_Hz"])
+        if tips is not None:
+            return FingertipStream(self, sender, goal, tips, horizon, constants["time_scale"])
         return TargetStream(self, sender, goal, unit, horizon, constants["time_scale"])
 
     def grasp(

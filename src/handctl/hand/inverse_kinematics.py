@@ -1,17 +1,40 @@
 """Inverse kinematics: joint angles for a tip position."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from handctl.hand import rigid_body as body
-from handctl.hand.digit import DigitModel, Values
+from handctl.hand.digit import Array, DigitModel, Values
 from handctl.hand.kinematics import points, tip_jacobian
 
 SCAN = 64
 """Intervals of the scan that brackets the closest point of a coupled digit's path."""
 REACH_TOLERANCE = 1e-12
 """Relative square of the distance beyond the reach that counts as rounding."""
+STEPS = 60
+"""Most steps of the search for the closest tip."""
+CONVERGED = 1e-10
+"""Step of a coordinate at which the search ends [rad]."""
+STEADY_M = 1e-5
+"""Weight of the distance to the start [m/rad]. It picks one of many postures with the same tip, the nearest one."""
+DAMPING = (1e-8, 1e8)
+"""Smallest and largest damping of a step, relative to the largest curvature."""
+STARTS = (0.5, 0.15, 0.85)
+"""Starts of a search without a known posture, as fractions of the range."""
+
+
+class ClosestTip(NamedTuple):
+    """Posture of a digit whose tip is as close to a point as the joint limits allow.
+
+    Attributes:
+        coordinates: (n_c,) reduced coordinates within the limits [rad].
+        distance: distance from the tip to the point [m].
+    """
+
+    coordinates: Array
+    distance: float
 
 
 def inverse(digit: DigitModel, x: float, y: float, angle: float | None = None) -> tuple[tuple[float, ...], ...]:
@@ -129,3 +152,61 @@ def _two_links(l1: float, l2: float, x: float, y: float) -> tuple[tuple[float, f
 def _wrapped_angle(angle: float) -> float:
     """Return an equivalent angle within -pi .. pi."""
     return math.remainder(angle, 2.0 * math.pi)
+
+
+def closest_tip(digit: DigitModel, position: Values, start: Values | None = None) -> ClosestTip:
+    """Return coordinates within the joint limits that bring the tip of a digit closest to a point.
+
+    Levenberg-Marquardt steps of the coordinates that are not at a limit (projected Gauss-Newton). The minimum is
+    local: from the previous posture of a motion it goes on without a jump. Any number and direction of hinges,
+    coupled or not.
+
+    Args:
+        digit: model of a digit that is mounted on the palm.
+        position: (3,) point in the palm frame [m].
+        start: (n_c,) coordinates to begin with [rad]. None: the best of several.
+
+    Source: Nocedal & Wright (2006), Numerical Optimization, 10.3 and 16.7.
+    """
+    target = np.asarray(position, dtype=np.float64)
+    low, high = digit.reach
+    if start is None:
+        found = [_descend(digit, target, low + part * (high - low)) for part in STARTS]
+        return min(found, key=lambda one: one.distance)
+    return _descend(digit, target, np.clip(np.asarray(start, dtype=np.float64), low, high))
+
+
+def _descend(digit: DigitModel, target: Array, start: Array) -> ClosestTip:
+    """Return the local minimum from a start within the limits."""
+    low, high = digit.reach
+    theta = start.copy()
+    gap = points(digit, digit.coupling @ theta)[-1] - target
+    cost = float(gap @ gap)
+    damping = 1e-3
+    for _ in range(STEPS):
+        jacobian = tip_jacobian(digit, digit.coupling @ theta) @ digit.coupling
+        slope = jacobian.T @ gap + STEADY_M**2 * (theta - start)
+        free = ~(((theta <= low) & (slope > 0.0)) | ((theta >= high) & (slope < 0.0)))
+        if not free.any():
+            break
+        curvature = jacobian[:, free].T @ jacobian[:, free] + STEADY_M**2 * np.eye(int(free.sum()))
+        scale = float(curvature.diagonal().max())
+        moved = theta
+        while damping < DAMPING[1]:
+            trial = theta.copy()
+            trial[free] -= np.linalg.solve(curvature + damping * scale * np.eye(len(curvature)), slope[free])
+            trial = np.clip(trial, low, high)
+            ahead = points(digit, digit.coupling @ trial)[-1] - target
+            steady = (STEADY_M * (trial - start)) @ (STEADY_M * (trial - start))
+            if (now := float(ahead @ ahead + steady)) < cost:
+                moved = trial
+                gap = ahead
+                cost = now
+                damping = max(0.1 * damping, DAMPING[0])
+                break
+            damping *= 10.0
+        step = float(np.abs(moved - theta).max())
+        theta = moved
+        if step < CONVERGED:
+            break
+    return ClosestTip(theta, float(np.linalg.norm(gap)))

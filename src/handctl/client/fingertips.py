@@ -1,0 +1,136 @@
+"""Fingertip positions in the palm frame as goals, by inverse kinematics within the joint limits."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.client.stream import StreamOwner, TargetStream
+from handctl.errors import ConfigError
+from handctl.hand.description import Hand
+from handctl.hand.digit import DigitModel
+from handctl.hand.inverse_kinematics import closest_tip
+from handctl.hand.kinematics import points
+from handctl.runtime.targets import TargetSender
+
+Positions = Mapping[str, Sequence[float] | NDArray[np.floating[Any]]] | NDArray[np.floating[Any]]
+"""Positions of fingertips in the palm frame [m]: (D, 3) in the order of the digits, or (3,) by digit."""
+
+
+class Fingertips:
+    """Joint angles for positions of fingertips.
+
+    A tip that cannot be at its position, such as that of a digit with one tendon for three joints, comes as close as
+    the limits allow. The posture goes on from the one before, so that a continuous motion has no jumps.
+
+    Attributes:
+        digits: names of the digits.
+        joints: names of their joints, in order.
+        distances_m: (D,) distance from each tip to its position in the latest posture, NaN before the first.
+    """
+
+    def __init__(self, hand: Hand, digits: Sequence[str] | None = None) -> None:
+        """Build the models of digits.
+
+        Args:
+            hand: description of the hand.
+            digits: names of the digits. None: all digits on the palm.
+
+        Raises:
+            ConfigError: no such digit, a name twice, or a digit on another digit, whose tip moves with it.
+        """
+        on_palm = [digit.name for digit in hand.digit if digit.mount_on is None]
+        self.digits = tuple(on_palm if digits is None else digits)
+        for name in self.digits:
+            if name not in on_palm or self.digits.count(name) > 1:
+                right = f"some of {', '.join(on_palm)}, each once"
+                raise ConfigError(f"{name!r}: no digit on the palm, or twice", "fingertips", right)
+        self._models = [DigitModel.of(hand, name) for name in self.digits]
+        self.joints = tuple(joint for model in self._models for joint in model.joint_names)
+        self.distances_m = np.full(len(self.digits), np.nan)
+        self._coordinates: list[NDArray[np.float64] | None] = [None] * len(self.digits)
+
+    def tips(self, angles_rad: Mapping[str, float]) -> NDArray[np.float64]:
+        """Return the (D, 3) positions of the tips at joint angles by name, e.g. ``seen.named("q_rad")`` [m]."""
+        return np.array(
+            [points(model, [angles_rad[joint] for joint in model.joint_names])[-1] for model in self._models]
+        )
+
+    def angles_deg(self, positions: Positions) -> dict[str, float]:
+        """Return joint angles by name, e.g. for ``hand.move`` [deg].
+
+        Args:
+            positions: positions of the tips. A mapping may leave digits out, which then have no angles.
+
+        Raises:
+            ConfigError: a wrong shape, an unknown digit, or a position that is not finite.
+        """
+        angles: dict[str, float] = {}
+        for d, target in self._targets(positions).items():
+            model = self._models[d]
+            found = closest_tip(model, target, self._coordinates[d])
+            self._coordinates[d] = found.coordinates
+            self.distances_m[d] = found.distance
+            joints = np.degrees(model.coupling @ found.coordinates).tolist()
+            angles |= dict(zip(model.joint_names, joints, strict=True))
+        return angles
+
+    def _targets(self, positions: Positions) -> dict[int, NDArray[np.float64]]:
+        """Return the positions by the index of the digit, checked."""
+        if isinstance(positions, Mapping):
+            if unknown := [str(name) for name in positions if name not in self.digits]:
+                raise ConfigError(f"no {unknown[0]!r}", "fingertips", f"some of {', '.join(self.digits)}")
+            given = {self.digits.index(name): np.asarray(one, np.float64) for name, one in positions.items()}
+        else:
+            table = np.asarray(positions, np.float64)
+            if table.shape != (len(self.digits), 3):
+                raise ConfigError(f"positions of shape {table.shape}", "fingertips", f"({len(self.digits)}, 3)")
+            given = dict(enumerate(table))
+        for d, target in given.items():
+            if target.shape != (3,) or not np.isfinite(target).all():
+                raise ConfigError(f"{target.tolist()} for {self.digits[d]}", "fingertips", "x, y, z [m]")
+        return given
+
+
+class FingertipStream(TargetStream):
+    """Open stream of fingertip positions, see ``TargetStream``. ``HandClient.stream`` opens it.
+
+    The client computes joint angles, and the controller gets a stream of joint angles with its usual limits.
+
+    Attributes:
+        fingertips: inverse kinematics, with the distance that is left between each tip and its latest position.
+    """
+
+    def __init__(
+        self, hand: StreamOwner, sender: TargetSender, goal: Mapping[str, Any], fingertips: Fingertips,
+        horizon_s: float, time_scale: float,
+    ) -> None:  # fmt: skip
+        """Create the sending end.
+
+        Args:
+            hand: client of the hand.
+            sender: sending end of the stream.
+            goal: request that has opened the stream of the joints of ``fingertips``.
+            fingertips: inverse kinematics.
+            horizon_s: time from the sending of a target until the hand shall reach it [s].
+            time_scale: time of the hand per wall time.
+        """
+        super().__init__(hand, sender, goal, "deg", horizon_s, time_scale)
+        self.fingertips = fingertips
+        self.space = "fingertip"
+        self.joints = self.names
+        self.names = fingertips.digits
+
+    def _target(self, values: Any) -> NDArray[np.float64]:
+        """Return joint angles for positions [deg]. Digits that a mapping leaves out keep their angles."""
+        angles = self.fingertips.angles_deg(values)
+        target = self._present() if self._last is None else self._last.copy()
+        for name, angle in angles.items():
+            target[self.joints.index(name)] = angle
+        return target
+
+    def _present(self) -> NDArray[np.float64]:
+        """Return the present joint angles [deg]."""
+        present = self._hand.observe().named("q_rad")
+        return np.degrees([present[joint] for joint in self.joints])

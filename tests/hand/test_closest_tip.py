@@ -1,0 +1,105 @@
+"""Postures that bring a tip closest to a point, within the joint limits, for packaged and random hands."""
+
+import time
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from handctl.hand.digit import DigitModel
+from handctl.hand.inverse_kinematics import closest_tip, inverse_coupled
+from handctl.hand.kinematics import points
+from handctl.hand.load import load_hand
+from tests.hand.chains import random_hand
+
+HANDS = ("jamia", "jamia11", "t42", "n_plus_1")
+SEEDS = 20
+
+
+def digits(hand: str) -> list[DigitModel]:
+    """Return the digits of a hand that are mounted on its palm."""
+    description = load_hand(hand)
+    return [DigitModel.of(description, digit.name) for digit in description.digit if digit.mount_on is None]
+
+
+def tip(digit: DigitModel, theta: np.ndarray) -> np.ndarray:
+    """Return the tip at coordinates [m]."""
+    return points(digit, digit.coupling @ theta)[-1]
+
+
+@pytest.mark.parametrize("hand", HANDS)
+def test_a_point_in_reach_is_reached_within_the_limits(hand: str) -> None:
+    for digit in digits(hand):
+        low, high = digit.reach
+        for seed in range(SEEDS):
+            theta = np.random.default_rng(seed).uniform(low, high)
+            found = closest_tip(digit, tip(digit, theta), 0.5 * (theta + 0.5 * (low + high)))
+            assert found.distance < 1e-6, (digit.name, seed)
+            assert (found.coordinates >= low).all()
+            assert (found.coordinates <= high).all()
+
+
+@pytest.mark.parametrize("hand", HANDS)
+def test_a_point_anywhere_is_met_as_closely_as_by_scipy(hand: str) -> None:
+    """Oracle: bounded least squares of scipy from the middle of the range."""
+    worse = 0
+    for digit in digits(hand):
+        low, high = digit.reach
+        for seed in range(SEEDS):
+            random = np.random.default_rng(seed)
+            target = tip(digit, random.uniform(low, high)) + random.normal(scale=0.03, size=3)
+            start = 0.5 * (low + high)
+            found = closest_tip(digit, target)
+            oracle = least_squares(lambda theta, d=digit, x=target: tip(d, theta) - x, start, bounds=(low, high))
+            assert found.distance == pytest.approx(np.linalg.norm(tip(digit, found.coordinates) - target), abs=1e-12)
+            assert (found.coordinates >= low).all()
+            assert (found.coordinates <= high).all()
+            worse += found.distance > np.linalg.norm(oracle.fun) + 1e-5
+    assert worse <= 1, "another local minimum, at most once"
+
+
+def test_a_coupled_digit_meets_the_global_minimum() -> None:
+    for digit in digits("jamia"):
+        for seed in range(SEEDS):
+            random = np.random.default_rng(seed)
+            target = tip(digit, random.uniform(*digit.reach)) + random.normal(scale=0.01, size=3)
+            if digit.coupling.shape[1] == 1:
+                assert closest_tip(digit, target).distance <= inverse_coupled(digit, target)[1] + 1e-6
+
+
+def test_a_path_of_points_gives_postures_without_jumps() -> None:
+    digit = digits("jamia11")[0]
+    low, high = digit.reach
+    rows = np.linspace(low, 0.9 * high, 200)
+    theta = closest_tip(digit, tip(digit, rows[0])).coordinates
+    way = [theta]
+    for row in rows[1:]:
+        way.append(closest_tip(digit, tip(digit, row), way[-1]).coordinates)
+    assert np.degrees(np.abs(np.diff(way, axis=0))).max() < 3.0
+
+
+@pytest.mark.parametrize("seed", range(SEEDS))
+def test_random_chains(seed: int) -> None:
+    """Hinges in any direction, one to eight links."""
+    random = np.random.default_rng(seed)
+    description = random_hand(seed)
+    digit = DigitModel.of(description, description.digit_names[0])
+    low, high = digit.reach
+    theta = random.uniform(low, high)
+    found = closest_tip(digit, tip(digit, theta), theta + random.normal(scale=0.05, size=len(theta)))
+    assert found.distance < 1e-6
+    assert ((found.coordinates >= low) & (found.coordinates <= high)).all()
+
+
+def test_a_digit_takes_less_than_a_millisecond_per_target() -> None:
+    digit = digits("jamia11")[0]
+    low, high = digit.reach
+    theta = 0.5 * (low + high)
+    took = []
+    for i in range(100):
+        target = tip(digit, 0.5 * (low + high) + 0.2 * np.sin(0.1 * i))
+        began = time.process_time()
+        theta = closest_tip(digit, target, theta).coordinates
+        took.append(time.process_time() - began)
+    print(f"{1e3 * np.median(took):.2f} ms")
+    assert np.median(took) < 5e-3

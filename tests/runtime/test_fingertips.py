@@ -1,0 +1,89 @@
+"""Checks of fingertip positions in a client, without a running hand."""
+
+import numpy as np
+import pytest
+
+from handctl import ConfigError
+from handctl.client import Fingertips, FingertipStream
+from handctl.hand.load import load_hand
+
+HAND = load_hand("jamia11")
+START = np.radians(20.0)
+
+
+def test_tips_and_angles_are_inverse_to_each_other():
+    tips = Fingertips(HAND)
+    assert tips.digits == HAND.digit_names
+    assert tips.joints == HAND.joints
+    angles = {joint: START + 0.1 * (i % 3) for i, joint in enumerate(HAND.joints)}
+    positions = tips.tips(angles)
+    found = tips.angles_deg(positions)
+    reached = tips.tips({name: np.radians(angle) for name, angle in found.items()})
+    np.testing.assert_allclose(reached, positions, atol=1e-6)
+    assert tips.distances_m.max() < 1e-6
+    one = tips.angles_deg({"index": positions[0]})
+    assert set(one) == {"index_j1", "index_j2", "index_j3"}
+
+
+@pytest.mark.parametrize(
+    ("positions", "text"),
+    [
+        (np.zeros((2, 3)), r"positions of shape \(2, 3\); expected \(4, 3\)"),
+        ({"pinky": (0.0, 0.0, 0.0)}, "no 'pinky'; expected some of index, middle, ring, thumb|no 'pinky'"),
+        ({"index": (0.0, np.nan, 0.0)}, r"for index; expected x, y, z \[m\]|nan.* for index"),
+        ({"index": (0.0, 0.0)}, "for index"),
+        ({"index": 3.0}, "for index"),
+    ],
+)
+def test_wrong_positions_are_refused(positions, text):
+    with pytest.raises(ConfigError, match=text):
+        Fingertips(HAND).angles_deg(positions)
+
+
+@pytest.mark.parametrize("digits", [["pinky"], ["index", "index"]])
+def test_wrong_digits_are_refused(digits):
+    with pytest.raises(ConfigError, match="no digit on the palm, or twice"):
+        Fingertips(HAND, digits)
+
+
+class Owner:
+    """Owner of a stream: a hand at rest."""
+
+    def observe(self):
+        """Return an observation whose angles are 20 deg."""
+        return self
+
+    def named(self, field):
+        """Return the angles."""
+        assert field == "q_rad"
+        return dict.fromkeys(HAND.joints, START)
+
+
+class Sender:
+    """Sender that keeps the targets."""
+
+    def __init__(self):
+        self.sent = []
+
+    def send(self, index, sent_ns, values):
+        """Keep a target."""
+        self.sent.append(values.tolist())
+        return True
+
+
+def test_a_stream_of_positions_sends_joint_angles():
+    tips = Fingertips(HAND, ["index", "thumb"])
+    sender = Sender()
+    goal = {"stream": "1-1", "space": "joint", "names": list(tips.joints), "rate_Hz": 50.0}
+    stream = FingertipStream(Owner(), sender, goal, tips, 0.03, 1.0)
+    assert stream.names == ("index", "thumb")
+    positions = Fingertips(HAND, ["index", "thumb"]).tips(dict.fromkeys(tips.joints, np.radians(30.0)))
+    stream.send(positions)
+    stream.send({"thumb": positions[1]})
+    first, second = np.array(sender.sent)
+    reached = tips.tips(dict(zip(tips.joints, np.radians(first), strict=True)))
+    np.testing.assert_allclose(reached, positions, atol=1e-6)
+    np.testing.assert_allclose(first[:3], second[:3])
+    with pytest.raises(ConfigError, match="positions of shape"):
+        stream.send([1.0, 2.0])
+    assert len(sender.sent) == 2
