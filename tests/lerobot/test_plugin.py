@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-import tempfile
 import time
 import tomllib
 from importlib.metadata import version
@@ -15,34 +14,13 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.core.types import Mode
-from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
-from tests.runtime.processes import HOMED, end, scaled, start_hand, write_homed
+from tests.lerobot.conftest import SCALE
+from tests.runtime.processes import BUS, HOMED
 
 FOLDER = Path(__file__).parents[2] / "lerobot_robot_handctl"
 MISSING = "needs lerobot and lerobot_robot_handctl in an environment of its own, see lerobot_robot_handctl/README.md"
 LEROBOT = pytest.mark.skipif(find_spec("lerobot") is None, reason=MISSING)
-SCALE, BUS = 0.5, "local:t"
-
-
-@pytest.fixture
-def place(tmp_path, monkeypatch):
-    """Change to an empty folder, with sockets in a folder that has a short path."""
-    with tempfile.TemporaryDirectory(prefix="h-") as short:
-        monkeypatch.setenv("HANDCTL_RUN_DIR", short)
-        monkeypatch.setenv("HF_HUB_OFFLINE", "1")
-        monkeypatch.chdir(tmp_path)
-        write_homed(tmp_path / "c.toml", load_hand("jamia"))
-        yield tmp_path
-
-
-@pytest.fixture
-def options(place):
-    """Start a slowed simulated hand. Return the options of its controller."""
-    scale = scaled(SCALE)
-    process = start_hand(place / "hand.truth", "--hand", "jamia", "--scene", "none", *scale)
-    yield ["--calibration", "c.toml", "--log", "run.mcap", *scale]
-    end(process)
 
 
 def test_the_distribution_has_the_name_and_version_that_lerobot_and_users_look_for() -> None:

@@ -1,0 +1,31 @@
+"""A slowed simulated hand for LeRobot's robots and scripts."""
+
+import tempfile
+
+import pytest
+
+from handctl.hand.load import load_hand
+from tests.runtime.processes import end, scaled, start_hand, write_homed
+
+SCALE = 0.5
+"""Time of the hand per wall time."""
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """Change to an empty folder, with sockets in a folder that has a short path."""
+    with tempfile.TemporaryDirectory(prefix="h-") as short:
+        monkeypatch.setenv("HANDCTL_RUN_DIR", short)
+        monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+        monkeypatch.chdir(tmp_path)
+        write_homed(tmp_path / "c.toml", load_hand("jamia"))
+        yield tmp_path
+
+
+@pytest.fixture
+def options(place):
+    """Start a slowed simulated hand. Return the options of its controller."""
+    scale = scaled(SCALE)
+    process = start_hand(place / "hand.truth", "--hand", "jamia", "--scene", "none", *scale)
+    yield ["--calibration", "c.toml", "--log", "run.mcap", *scale]
+    end(process)

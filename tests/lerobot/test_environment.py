@@ -1,0 +1,54 @@
+"""The tests of this folder with the real LeRobot, in an environment that this test makes. Nightly: 6 GB of packages."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+LEROBOT = "lerobot==0.4.4"
+PYTHON = os.environ.get("HANDCTL_LEROBOT_PYTHON", "")
+"""Python of an environment that exists already. Empty: the test makes one."""
+INSTALL_S = 3600.0
+TESTS_S = 1800.0
+TESTS = 9
+"""Fewest tests that must pass, so that none is skipped in silence."""
+
+
+def pip(python: str, *words: str) -> None:
+    """Install packages into the environment."""
+    command = [python, "-m", "pip", "--disable-pip-version-check", "install", "--quiet", *words]
+    ran = subprocess.run(command, capture_output=True, text=True, timeout=INSTALL_S, check=False)
+    assert ran.returncode == 0, ran.stderr[-2000:]
+
+
+@pytest.fixture
+def python(tmp_path: Path) -> str:
+    """Return the Python of an environment with LeRobot, handctl and the plug-in."""
+    if PYTHON:
+        return PYTHON
+    folder = tmp_path / "env"
+    subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True)
+    made = str(folder / "bin" / "python")
+    pip(made, "--requirement", str(Path(__file__).parent / "requirements.txt"))
+    pip(made, "--no-deps", LEROBOT)
+    pip(made, "--editable", f"{ROOT}[sim,export]")
+    pip(made, "--no-deps", "--no-build-isolation", "--editable", str(ROOT / "lerobot_robot_handctl"))
+    return made
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(INSTALL_S + TESTS_S)
+def test_everything_passes_with_the_real_lerobot(python: str) -> None:
+    environment = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "HANDCTL_NIGHTLY")}
+    command = [python, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests/lerobot"]
+    ran = subprocess.run(
+        command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=TESTS_S, check=False
+    )
+    assert ran.returncode == 0, ran.stdout[-3000:]
+    count = re.search(r"(\d+) passed", ran.stdout)
+    assert count is not None
+    assert int(count[1]) >= TESTS, ran.stdout[-500:]

@@ -1,0 +1,132 @@
+"""LeRobot's own scripts and its loader of datasets. Skipped where LeRobot is not installed."""
+
+import json
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handctl.cli.main import main
+from handctl.core.types import Mode
+from handctl.log.export.lerobot import export_lerobot
+from handctl.log.read.reader import RunLog
+from tests.lerobot.conftest import SCALE
+from tests.runtime.processes import BUS, handctl
+
+pytestmark = pytest.mark.skipif(
+    find_spec("lerobot") is None, reason="needs LeRobot, see tests/lerobot/test_environment.py"
+)
+GOLDEN = Path(__file__).parents[2] / "logs" / "golden"
+FPS = round(50 * SCALE)
+EPISODE_S = 4.0
+EPISODES = 2
+
+
+def script(name: str, *words: str) -> "subprocess.CompletedProcess[str]":
+    """Run a script of LeRobot."""
+    command = [sys.executable, "-m", f"lerobot.scripts.lerobot_{name}", *words]
+    ran = subprocess.run(command, capture_output=True, text=True, timeout=400, check=False)
+    assert ran.returncode == 0, ran.stderr[-3000:]
+    return ran
+
+
+def faults(log: RunLog) -> list[str]:
+    """Return the faults of a run, without the hold in a pause of the actions and missed deadlines."""
+    events = [row.event for row in log.events if row.event.name == "fault" and row.event.level != "info"]
+    return [event.text for event in events if not event.text.startswith(("I11a", "H01"))]
+
+
+@pytest.mark.realtime
+def test_scripts_record_episodes_which_load_replay_and_run(options, place) -> None:
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    assert main(["-q", "demo", "--lockstep", "--log", "leader.mcap"]) == 0
+    robot = ["--robot.type=handctl", f"--robot.bus={BUS}"]
+    option = "--robot.options=" + json.dumps(options)
+    data = ["--dataset.repo_id=me/hand", "--dataset.root=data"]
+    script(
+        "record", *robot, option, "--teleop.type=handctl_log", "--teleop.log=leader.mcap", *data,
+        "--dataset.single_task=close the hand", f"--dataset.num_episodes={EPISODES}", f"--dataset.fps={FPS}",
+        f"--dataset.episode_time_s={EPISODE_S}", "--dataset.reset_time_s=1", "--dataset.video=false",
+        "--dataset.push_to_hub=false", "--play_sounds=false",
+    )  # fmt: skip
+    with RunLog(Path("run.mcap")) as log:
+        assert not faults(log)
+    dataset = LeRobotDataset("me/hand", root=place / "data")
+    assert (dataset.num_episodes, dataset.fps) == (EPISODES, FPS)
+    assert dataset.num_frames > 0.8 * EPISODES * EPISODE_S * FPS
+    assert dataset.features["action"]["names"][0] == "index_j1.pos_rad"
+    frame = dataset[0]
+    assert frame["task"] == "close the hand"
+    assert frame["observation.state"].shape == (15,)
+    actions = np.array([dataset[i]["action"].numpy() for i in range(dataset.num_frames)])
+    assert np.ptp(np.degrees(actions[:, 0])) > 10.0
+
+    replay = json.dumps([word.replace("run.mcap", "replay.mcap") for word in options])
+    script("replay", *robot, f"--robot.options={replay}", *data, "--dataset.episode=0", "--play_sounds=false")
+    with RunLog(Path("replay.mcap")) as log:
+        assert not faults(log)
+        active = log.mode == Mode.ACTIVE
+        highest = np.degrees(np.nanmax(log.field("q_goal")[active][:, 0]))
+    first = actions[: int(dataset.meta.episodes[0]["length"])]
+    assert highest == pytest.approx(np.degrees(first[:, 0].max()), abs=2.0)
+
+    words = [word.replace("run.mcap", "again.mcap") for word in options]
+    ran = handctl("run", "--hand", "jamia", "--bus", BUS, "--dataset", "data", "--speed", "200", *words)
+    assert ran.returncode == 0, ran.stderr
+    with RunLog(Path("again.mcap")) as log:
+        assert not faults(log)
+        playback = np.array([change.name for change in log.phases])
+        assert "playback" in playback
+        followed = np.degrees(np.nanmax(log.field("q")[log.mode == Mode.ACTIVE][:, 0]))
+    assert followed == pytest.approx(np.degrees(first[:, 0].max()), abs=4.0)
+
+
+def test_the_loader_reads_exported_episodes_with_statistics(tmp_path) -> None:
+    import torch
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    with RunLog(GOLDEN / "jamia-fault.mcap") as one, RunLog(GOLDEN / "jamia-grasp.mcap") as two:
+        frames = export_lerobot([one, two, one], tmp_path / "data")
+    dataset = LeRobotDataset("me/exported", root=tmp_path / "data")
+    assert (dataset.num_frames, dataset.num_episodes, dataset.fps) == (frames, 3, 200)
+    for i in (0, frames // 2, frames - 1):
+        frame = dataset[i]
+        assert torch.isfinite(frame["observation.state"]).all()
+        assert frame["action"].shape == (15,)
+        assert int(frame["index"]) == i
+        assert frame["task"]
+    assert bool(dataset[frames - 1]["next.done"])
+    stats = dataset.meta.stats["action"]
+    whole = np.array(dataset.hf_dataset["action"])
+    np.testing.assert_allclose(stats["mean"], whole.mean(axis=0), atol=1e-4)
+    np.testing.assert_allclose(stats["std"], whole.std(axis=0), atol=1e-4)
+
+
+def test_the_loader_takes_a_part_and_windows_of_time(tmp_path) -> None:
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    with RunLog(GOLDEN / "jamia-fault.mcap") as one, RunLog(GOLDEN / "jamia-grasp.mcap") as two:
+        export_lerobot([one, two], tmp_path / "data")
+    steps = [0.0, 0.005, 0.01]
+    dataset = LeRobotDataset("me/exported", root=tmp_path / "data", episodes=[1], delta_timestamps={"action": steps})
+    assert dataset.num_episodes == 1
+    assert {int(dataset[i]["episode_index"]) for i in (0, len(dataset) - 1)} == {1}
+    assert dataset[0]["action"].shape == (3, 15)
+
+
+def test_episodes_split_by_lerobot(tmp_path) -> None:
+    from lerobot.datasets.dataset_tools import split_dataset
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    with RunLog(GOLDEN / "jamia-fault.mcap") as one, RunLog(GOLDEN / "jamia-grasp.mcap") as two:
+        export_lerobot([one, two], tmp_path / "data")
+    dataset = LeRobotDataset("me/exported", root=tmp_path / "data")
+    parts = split_dataset(dataset, {"train": [0], "val": [1]}, output_dir=tmp_path / "parts")
+    assert {name: part.num_episodes for name, part in parts.items()} == {"train": 1, "val": 1}
+    episode = dataset.meta.episodes[1]
+    own = np.array(dataset.hf_dataset["action"])[episode["dataset_from_index"] : episode["dataset_to_index"]]
+    np.testing.assert_allclose(parts["val"].meta.stats["action"]["mean"], own.mean(axis=0), atol=1e-4)
