@@ -46,15 +46,16 @@ def section(result: dict) -> str:
         "- *at present*: errors at the instant at which the control loop needs the tension. The filter predicts the "
         "tension at this instant. The reading of the load cell, which is one period old, is used as it is.",
         "- *average*: the best exponential average of the load cell, at present. *cell alone*: the best filter that "
-        "uses only the load cell, at present. Both were chosen afterwards, for each regime, as those with the "
+        "uses only the load cell, at present. The average and the filter were "
+        "chosen afterwards, for each regime, as those with the "
         "smallest error.",
         "- *reference*: the error of a filter that is optimal for a fixed noise model (motor 10 mN m, joint 5 mN m, "
         "unknown offset, drift of the load cell). The reference is no lower bound. Where a digit moves freely the "
         "simulated hand has less noise than this model, and the filter of the controller also knows the "
         "planned change "
         "of tension. The error of the filter can therefore be smaller than the reference.",
-        "- *NIS*: normalized innovation squared per degree of freedom. It is 1 if the noise model is right.",
-        "- *whiteness*: correlation of consecutive innovations. It is 0 if the model is right.",
+        "- *NIS*: normalized innovation squared per degree of freedom. NIS is 1 if the noise model is right.",
+        "- *whiteness*: correlation of consecutive innovations. The correlation is 0 if the model is right.",
     ]
     for hand, plants in result["hands"].items():
         rows = [[regime, *(f"{row[c]:.2f}" for c in COLUMNS.values())] for regime, row in plants["as known"].items()]
@@ -111,7 +112,8 @@ def _conclusion(result: dict) -> str:
 EXPLANATION = (
     "The prediction of the filter and the reading of the load cell come from the same sample, which is one "
     "period old. "
-    "Both are compared with the true tension at present, because a control loop without a filter would use the old "
+    "Prediction and reading are compared with the true tension at present, because a control loop without a filter "
+    "would use the old "
     "reading as it is. While NIS shows that the model does not fit, the filter gives its model less weight "
     "(`innovation.py`, `caution`).",
     "When a tendon reverses its motion, the friction changes sign and the tension changes by twice the friction. The "

@@ -56,10 +56,14 @@ def _conclusion(result: dict[str, Any]) -> str:
         spread = max(raw["rmse_spread_N"], estimate["rmse_spread_N"])
         word = "better than" if margin > 2 * spread else "worse than" if margin < -2 * spread else "no better than"
         texts.append(
-            f"{hand}: the loop on the estimate is {word} the loop on the raw sensor (RMSE {estimate['rmse_N']:.2f} and "
-            f"{raw['rmse_N']:.2f} N, spread {spread:.2f} N). Its error is {none['rmse_N'] / estimate['rmse_N']:.1f} "
-            f"times smaller than without a loop. It overshoots the step of 25 N by {estimate['overshoot_N']:.1f} N, "
-            f"and its steady error is {estimate['steady_N']:.2f} N. Its ripple is {estimate['ripple_N']:.2f} N, "
+            f"{hand}: the loop on the estimate is {word} the loop on the raw sensor (RMSE "
+            f"{estimate['rmse_N']:.2f} and "
+            f"{raw['rmse_N']:.2f} N, spread {spread:.2f} N). The error of the loop on the estimate is "
+            f"{none['rmse_N'] / estimate['rmse_N']:.1f} "
+            f"times smaller than without a loop. The loop on the estimate overshoots the step of 25 N by "
+            f"{estimate['overshoot_N']:.1f} N, "
+            f"and its steady error is {estimate['steady_N']:.2f} N. The ripple of this loop is "
+            f"{estimate['ripple_N']:.2f} N, "
             f"compared with {raw['ripple_N']:.2f} N of the loop on the raw sensor."
         )
     whys = sorted(

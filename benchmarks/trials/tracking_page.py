@@ -36,8 +36,8 @@ def section(result: dict, named: tuple[str, str, str, str]) -> str:
         " of the motion. *ended* counts the runs that a fault or the controller ended early. The numbers are "
         "those of the remaining runs.",
         "",
-        "Every control law, PD included, has two feedback weights. They were chosen for each law from the "
-        "same sixteen pairs of weights, as the pair with the smallest error of the fast motion on the nominal"
+        "Every control law, PD included, has two feedback weights. The weights were chosen for each law from the "
+        "same sixteen pairs, as the pair with the smallest error of the fast motion on the nominal"
         " plant, with another seed (`--tune`, results in `benchmarks/trials/tuned.json`).",
         "",
         "The best weights "
@@ -46,8 +46,9 @@ def section(result: dict, named: tuple[str, str, str, str]) -> str:
         "tolerates such small margins and a real hand does not. With such stiff weights, feedback alone "
         "removes most of the error.",
         "",
-        "Therefore a second table for each hand compares the control laws with other weights. These are the "
-        "best of the sixteen pairs that keep margins of 6 dB and 45 degrees on random plants around the hand "
+        "Therefore a second table for each hand compares the control laws with other weights. The other "
+        "weights are the best of the sixteen pairs that keep margins of 6 dB and 45 degrees on random plants "
+        "around the hand "
         "file, as the packaged gains must. The plants with wrong parameters in the third table are run with "
         "these weights, too.",
     ]
@@ -105,7 +106,10 @@ def _compared(laws: dict, named: tuple[str, str, str, str]) -> str:
     ratio = plain["rmse_deg"] / best["rmse_deg"]
     gain = springs["rmse_deg"] - best["rmse_deg"]
     spread = max(best["rmse_spread_deg"], springs["rmse_spread_deg"])
-    gained = f"It is {gain:.3f} deg smaller than with springs and gravity alone" + _times(gain, spread, best["seeds"])
+    gained = (
+        f"The error of the whole control law is {gain:.3f} deg smaller than with springs and gravity alone"
+        + _times(gain, spread, best["seeds"])
+    )
     if not np.isfinite(gain):
         gained = "With springs and gravity alone, no run completes the motions"
     return f"{_against(ratio)}. {gained}"
