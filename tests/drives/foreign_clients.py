@@ -57,6 +57,34 @@ def _asked(motor: object) -> dict[str, float]:
     return dict(motor.get_states())  # type: ignore[attr-defined]
 
 
+def use_damiao_modes(interface: str, channel: str, node: int = 2) -> None:
+    """damiao-motor: velocity, position-velocity and force-position mode, changed while the motor is enabled."""
+    controller = DaMiaoController(channel=channel, bustype=interface)
+    try:
+        motor = controller.add_motor(motor_id=node, feedback_id=node + 0x10, motor_type="4310")
+        motor.write_register(10, 3)
+        motor.write_register(4, 20.0)
+        motor.write_register(5, -20.0)
+        motor.enable()
+        wait_for(lambda: motor.state.get("status") == "ENABLED", "enabled")
+        motor.send_cmd_vel(target_velocity=3.0)
+        wait_for(lambda: abs(_asked(motor)["vel"] - 3.0) < 0.05, "at a velocity")
+        motor.send_cmd_vel(target_velocity=0.0)
+        wait_for(lambda: abs(_asked(motor)["vel"]) < 0.05, "at rest")
+        motor.write_register(10, 2)
+        goal = _asked(motor)["pos"] - 1.0
+        motor.send_cmd_pos_vel(target_position=goal, velocity_limit=4.0)
+        wait_for(lambda: abs(_asked(motor)["pos"] - goal) < 0.01, "at a position")
+        motor.write_register(10, 4)
+        motor.send_cmd_force_pos(target_position=goal + 1.0, velocity_limit=4.0, torque_limit_ratio=0.05)
+        wait_for(lambda: abs(_asked(motor)["pos"] - goal - 1.0) < 0.01, "back with little torque")
+        motor.disable()
+        wait_for(lambda: motor.state.get("status") == "DISABLED", "disabled")
+        motor.write_register(10, 1)
+    finally:
+        controller.shutdown()
+
+
 def use_odrive_can(bus: can.BusABC, node: int = 1) -> None:
     """odrive-can: heartbeat, closed loop, torque, position, estop shown as an error, clear, idle."""
     asyncio.run(_odrive(bus, node))
@@ -85,11 +113,38 @@ async def _odrive(bus: can.BusABC, node: int) -> None:
     drive.stop()
 
 
-async def _set(drive: ODriveCAN, mode: str, state: str) -> None:
+def use_odrive_can_modes(bus: can.BusABC, node: int = 1) -> None:
+    """odrive-can: a velocity, and a trapezoidal trajectory with the client's limits."""
+    asyncio.run(_odrive_modes(bus, node))
+
+
+async def _odrive_modes(bus: can.BusABC, node: int) -> None:
+    drive = ODriveCAN(axis_id=node, can_bus=bus)
+    seen = [(0.0, 0.0)]
+    drive.feedback_callback = lambda message, _: seen.append(
+        (message.data["Pos_Estimate"], message.data["Vel_Estimate"])
+    )
+    await asyncio.wait_for(drive.start(), WAIT_S)
+    await _set(drive, "VELOCITY_CONTROL", "CLOSED_LOOP_CONTROL")
+    drive.set_input_vel(2.0)
+    await _for(lambda: abs(seen[-1][1] - 2.0) < 0.05, "two turns per second")
+    await _set(drive, "POSITION_CONTROL", "CLOSED_LOOP_CONTROL", "TRAP_TRAJ")
+    start = seen[-1][0]
+    drive.set_traj_vel_limit(1.0)
+    drive.set_traj_accel_limits(2.0, 2.0)
+    first = len(seen)
+    drive.set_input_pos(start + 2.0)
+    await _for(lambda: abs(seen[-1][0] - start - 2.0) < 0.01, "at the end of the trajectory")
+    assert 0.9 < max(velocity for _, velocity in seen[first:]) < 1.1
+    await _set(drive, "TORQUE_CONTROL", "IDLE")
+    drive.stop()
+
+
+async def _set(drive: ODriveCAN, mode: str, state: str, input_mode: str = "PASSTHROUGH") -> None:
     """Idle, a control mode, and another state; the client's own waiting gives up after a second."""
     drive.set_axis_state_no_wait("IDLE")
     await _for(lambda: drive.axis_state == "IDLE", "idle")
-    drive.set_controller_mode(mode, "PASSTHROUGH")
+    drive.set_controller_mode(mode, input_mode)
     drive.set_axis_state_no_wait(state)
     await _for(lambda: drive.axis_state == state, state)
 
@@ -140,6 +195,39 @@ def use_canopen(interface: str, channel: str, node_id: int = 33) -> None:
         _turn_by_pdo(node)
         node.state = "SWITCH ON DISABLED"
         assert node.state == "SWITCH ON DISABLED"
+
+
+def use_canopen_modes(interface: str, channel: str, node_id: int = 33) -> None:
+    """Home a drive with BaseNode402, then profile position and cyclic velocity by its mode names."""
+    with _network(interface, channel) as network:
+        node = BaseNode402(node_id, str(EDS))
+        network.add_node(node)
+        node.nmt.state = "RESET COMMUNICATION"
+        wait_for(lambda: node.nmt.state == "PRE-OPERATIONAL", "boot-up")
+        node.setup_402_state_machine()
+        node.tpdo[1].trans_type = 1
+        node.tpdo[1].save()
+        network.sync.start(0.01)
+        node.nmt.state = "OPERATIONAL"
+        node.sdo["Home offset"].raw = 1000
+        assert node.homing(timeout=10)
+        assert abs(node.sdo["Position actual value"].raw - 1000) < 10
+        node.op_mode = "PROFILED POSITION"
+        assert node.op_mode == "PROFILED POSITION"
+        node.controlword = 0x0F  # homing left bit 4 set
+        node.state = "OPERATION ENABLED"
+        node.sdo["Target position"].raw = 30_000
+        wait_for(lambda: node.statusword & 1 << 12 == 0, "a status word of this mode")
+        node.controlword = 0x1F
+        wait_for(lambda: node.statusword & 1 << 12 != 0, "set-point acknowledged")
+        node.controlword = 0x0F
+        wait_for(lambda: node.statusword & 1 << 10 != 0, "target reached")
+        assert abs(node.sdo["Position actual value"].raw - 30_000) < 200
+        node.sdo["Target velocity"].raw = 0
+        node.op_mode = "CYCLIC SYNCHRONOUS VELOCITY"
+        node.sdo["Target velocity"].raw = -30
+        wait_for(lambda: abs(node.sdo["Velocity actual value"].raw + 30) <= 1, "30 turns a minute")
+        node.state = "SWITCH ON DISABLED"
 
 
 def _turn_by_pdo(node: BaseNode402) -> None:

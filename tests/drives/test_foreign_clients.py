@@ -38,3 +38,21 @@ def test_odrive_can() -> None:
 @pytest.mark.usefixtures("bench")
 def test_canopen() -> None:
     foreign_clients.use_canopen("local", BUS)
+
+
+@pytest.mark.parametrize("bench", [["mit", "--ids", "1,2"]], indirect=True, ids=["mit"])
+@pytest.mark.usefixtures("bench")
+def test_damiao_motor_in_its_other_modes() -> None:
+    foreign_clients.use_damiao_modes("local", BUS)
+
+
+@pytest.mark.parametrize("bench", [["odrive", "--ids", "0,1"]], indirect=True, ids=["odrive"])
+@pytest.mark.usefixtures("bench")
+def test_odrive_can_in_its_other_modes() -> None:
+    foreign_clients.use_odrive_can_modes(can.Bus(interface="local", channel=BUS))
+
+
+@pytest.mark.parametrize("bench", [["cia402", "--ids", "32,33"]], indirect=True, ids=["cia402"])
+@pytest.mark.usefixtures("bench")
+def test_canopen_in_its_other_modes() -> None:
+    foreign_clients.use_canopen_modes("local", BUS)

@@ -470,6 +470,16 @@ def test_a_relative_set_point_and_halt() -> None:
     assert motor.theta == pytest.approx(0.0, abs=0.02), "halt off: the target is still there"
 
 
+def test_a_set_point_bit_left_by_homing_is_no_edge() -> None:
+    bench = cia402(6)
+    assert control(bench, 0x1F) & 1 << 12
+    write_object(bench, 0x6060, 0, 1, 1)
+    write_object(bench, 0x607A, 0, COUNTS, 4)
+    assert not control(bench, 0x1F) & 1 << 12, "nothing is acknowledged"
+    control(bench, 0x0F)
+    assert control(bench, 0x1F) & 1 << 12
+
+
 def test_the_position_limits_of_a_cia402_drive_act() -> None:
     bench = cia402(8, (0x607D, 1, -COUNTS // 4, 4), (0x607D, 2, COUNTS // 2, 4))
     for target, end in ((2 * COUNTS, COUNTS // 2), (-2 * COUNTS, -COUNTS // 4)):

@@ -85,6 +85,7 @@ class MotionModes:
         self._bits = 0
         self._attained = False
         self._homing = False
+        self._acknowledged = False
 
     @property
     def running(self) -> bool:
@@ -101,7 +102,7 @@ class MotionModes:
         self._control = node.objects[0x6040, 0]
         self._cascade.integral = 0.0
         self._next = None
-        self._attained = self._homing = False
+        self._attained = self._homing = self._acknowledged = False
         self._rest_s = 0.0
         self._bits = 0
         self._demand.jump(self._position(), self._velocity() if mode == CYCLIC_VELOCITY else 0.0)
@@ -146,6 +147,7 @@ class MotionModes:
             self._next = None
         elif self._next is None:
             self._next = target
+        self._acknowledged = True
         # The reached target is the old one.
         self._bits &= ~REACHED
 
@@ -267,8 +269,8 @@ class MotionModes:
         reached = self._attained if self._mode == HOMING else self._is_reached()
         self._bits = self._bits | REACHED if reached else self._bits & ~REACHED
         # Profile position: acknowledged until the host clears the bit and the buffer is free.
-        acknowledged = bool(self._control & NEW_SETPOINT) or self._next is not None
-        follows = self._attained if self._mode == HOMING else acknowledged
+        self._acknowledged = self._next is not None or (self._acknowledged and bool(self._control & NEW_SETPOINT))
+        follows = self._attained if self._mode == HOMING else self._acknowledged
         self._bits = self._bits | FOLLOWS if follows else self._bits & ~FOLLOWS
         return self._bits
 

@@ -112,9 +112,24 @@ def _described(args: argparse.Namespace, options: dict[str, Any], node: Discover
     def make(motor: Motor) -> Drive:
         if motor.protocol in ("odrive", "cia402"):
             motor = motor.model_copy(update={"position_range_rad": RANGE_RAD})
+        if goal.mode == DriveMode.FORCE_POSITION and node and "torque_max_N_m" in node.settings:
+            motor = _with_current_limit(motor, node.settings["torque_max_N_m"], goal.torque)
         return make_mode_drive(motor, 0, goal.mode, goal.limits)
 
     return described_drive(args, options, node, make)
+
+
+def _with_current_limit(motor: Motor, full_scale: float, torque: float) -> Motor:
+    """Return a Damiao motor whose commands carry a torque limit as a fraction of its full scale.
+
+    Args:
+        motor: description of the motor.
+        full_scale: TMAX as found [N m]. It stays.
+        torque: torque limit [N m].
+    """
+    options = {"current_fraction": min(1.0, torque / full_scale), **motor.options}
+    changes = {"torque_max_N_m": full_scale, "torque_peak_N_m": full_scale, "options": options}
+    return motor.model_copy(update=changes)
 
 
 def _torque_options(options: dict[str, Any]) -> dict[str, Any]:
