@@ -1,5 +1,6 @@
 """Model of one digit: all numbers of kinematics, dynamics and statics, built from the description."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -14,6 +15,10 @@ from handctl.hand.link_bodies import centre_of_mass, inertia, joint_axes, mounte
 Array = NDArray[np.float64]
 Values = Sequence[float] | Array
 """One number per joint. Lists and tuples are fastest."""
+SIDEWAYS_DEG = 45.0
+"""Angle between the axes of a joint and of the last joint above which the joint moves the digit sideways [deg]."""
+SIDEWAYS_RANGE = 0.5
+"""Opening per closing range from which a coordinate of a digit with parallel axes counts as sideways motion."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,6 +99,27 @@ class DigitModel:
         low = self.joints_to_coordinates * self.joint_min
         high = self.joints_to_coordinates * self.joint_max
         return np.minimum(low, high).sum(axis=1), np.maximum(low, high).sum(axis=1)
+
+    @property
+    def sideways(self) -> NDArray[np.bool_]:
+        """Return True for each coordinate that moves the digit sideways, (n_c,), such as abduction.
+
+        A joint with an axis far from that of the last joint moves the links sideways. In a digit with
+        parallel axes a coordinate does so if it opens at least half as far as it closes.
+        """
+        turned = np.eye(3)
+        axes = []
+        for i in range(self.joint_count):
+            # The rotation of a link at angle zero: both parts of Rodrigues' formula.
+            step = self.table[body.FIXED : body.FIXED + 9, i] + self.table[body.COSINE : body.COSINE + 9, i]
+            turned = turned @ step.reshape(3, 3)
+            axes.append(turned @ self.axes[i])
+        away = np.abs(np.array(axes) @ axes[-1]) < math.cos(math.radians(SIDEWAYS_DEG))
+        if away.any():
+            # A coordinate that moves any other joint flexes the digit.
+            return np.asarray(~(self.coupling[~away] != 0.0).any(axis=0))
+        low, high = self.reach
+        return np.asarray(-low > SIDEWAYS_RANGE * high)
 
     @staticmethod
     def of(hand: Hand, name: str) -> "DigitModel":

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from handctl.core.estimation.tip import tip_lever
-from handctl.core.law.redundancy import SIDEWAYS
 from handctl.document import validated
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
@@ -86,8 +85,8 @@ def default_task(hand: Hand) -> tuple[Task, str]:
 
 def _closed_deg(hand: Hand, name: str) -> np.ndarray:
     """Return the angle of each coordinate of a closed digit (n_c,) [deg]."""
-    low, high = coordinate_range_deg(hand.digit_named(name))
-    sideways = -low > SIDEWAYS * high
+    _, high = coordinate_range_deg(hand.digit_named(name))
+    sideways = DigitModel.of(hand, name).sideways
     closed = np.where(sideways, 0.0, np.minimum(CLOSED * high, LARGEST_CLOSED_DEG))
     return np.asarray(np.round(closed, 1))
 
@@ -115,8 +114,14 @@ def _opposed(hand: Hand) -> dict[str, bool]:
     return {name: bool(direction @ first < 0.0) for name, direction in sides.items()}
 
 
-def _hold_tensions(hand: Hand, name: str, share: float) -> list[float]:
-    """Return the tension of each tendon of a digit in a hold [N]. Extensors only stay taut."""
+def _hold_tensions(hand: Hand, name: str, share: float) -> float | list[float]:
+    """Return the tension of each tendon of a digit in a hold [N]. Extensors only stay taut.
+
+    One number is the largest net tension of a digit of spool pairs that presses with its tip.
+    """
+    if hand.is_pair[hand.digit_tendons[name]].any():
+        largest = min(tendon.tension_max_N for tendon in hand.tendon[hand.digit_tendons[name]])
+        return round(min(HOLD * share, LARGEST_HOLD) * largest, 1)
     pressing = _pressing_tension(hand, name)
     arms = DigitModel.of(hand, name).reduced_moment_arms
     rows = zip(hand.tendon[hand.digit_tendons[name]], arms.sum(axis=1), strict=True)

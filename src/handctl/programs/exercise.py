@@ -4,11 +4,11 @@ import math
 from dataclasses import dataclass, replace
 
 from handctl.core.estimate import Estimate, Measured
-from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.law.goal import DigitGoal
 from handctl.core.model import HandModel
 from handctl.core.types import Event
 from handctl.programs.live import LiveProgram
-from handctl.programs.program import Progress, ProgressAndEvents, motion_to, pull_tensions
+from handctl.programs.program import Progress, ProgressAndEvents, motion_to, pull_tensions, tension_goal
 
 REST_S = 0.15
 """Time at the end of every move, in which the digit may still oscillate [s]."""
@@ -108,5 +108,5 @@ def _goal(model: HandModel, d: int, stage: ExerciseStage, estimate: Estimate, t:
     """Return the goal of digit d in a stage."""
     if not math.isnan(stage.angle):
         return motion_to(model.digits[d], estimate, stage.angle, stage.duration - stage.rest, t)
-    tension = pull_tensions(model, d, stage.tension)
-    return DigitGoal(Kind.TENSION, tension=tension, rate=model.gains.tension.rate_N_per_s)
+    tension = pull_tensions(model, d, stage.tension, estimate)
+    return tension_goal(model, d, tension, model.gains.tension.rate_N_per_s, estimate)

@@ -24,6 +24,7 @@ from handctl.programs.program import (
     pull_tensions,
     released_tensions,
     slack_tendons,
+    tension_goal,
     tighten,
 )
 from handctl.programs.task import (
@@ -189,12 +190,12 @@ class TaskProgram:
             return previous
         if isinstance(phase, Release):
             target = released_tensions(model, d, phase.tension_N)
-            return DigitGoal(Kind.TENSION, tension=target, rate=phase.rate_N_per_s)
+            return tension_goal(model, d, target, phase.rate_N_per_s, estimate)
         tension = self._hold_tension(model, phase, d, name, estimate)
         return (
             previous
             if tension is None
-            else DigitGoal(Kind.TENSION, tension=tension, rate=phase.rate_N_per_s)
+            else tension_goal(model, d, tension, phase.rate_N_per_s, estimate)
         )
 
     def _hold_tension(
@@ -208,7 +209,7 @@ class TaskProgram:
         tendons = model.digit_tendons[d]
         if phase.tension_N is not None:
             tension = for_digit(phase.tension_N, name)
-            return None if tension is None else pull_tensions(model, d, tension)
+            return None if tension is None else pull_tensions(model, d, tension, estimate)
         assert phase.tip_force_N is not None
         force = for_digit(phase.tip_force_N, name)
         if force is None:
@@ -259,13 +260,13 @@ class TaskProgram:
             if touching[d] >= gains.ticks:
                 contact[d] = True
                 # A digit that pulls harder than the contact tension keeps its tension.
-                start = pull_tensions(model, d, phase.contact_tension_N)
+                start = pull_tensions(model, d, phase.contact_tension_N, estimate)
                 side = model.redundancy.side[tendons]
                 pulled = np.maximum(side * estimate.tension[tendons], side * start)
                 closes = np.where(model.is_pair[tendons], side != 0.0, side > 0.0)
                 start = np.where(closes, side * pulled, start)
-                goals[d] = DigitGoal(
-                    Kind.TENSION, tension=start, rate=model.gains.tension.rate_N_per_s
+                goals[d] = tension_goal(
+                    model, d, start, model.gains.tension.rate_N_per_s, estimate
                 )
                 name = model.hand.digit_names[d]
                 events.append(

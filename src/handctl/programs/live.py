@@ -20,6 +20,7 @@ from handctl.programs.program import (
     motion_to,
     pull_tensions,
     slack_tendons,
+    tension_goal,
     tighten,
 )
 from handctl.programs.requests import HoldTension, MoveDigits
@@ -232,8 +233,8 @@ def apply_goal(
             if value > limit:
                 text = f"refused: {value:g} N on {name}, expected at most {limit:g} N"
                 return progress, (Event("warn", "request", name, text),)
-            target = pull_tensions(model, d, value)
-            goals[d] = DigitGoal(Kind.TENSION, tension=target, rate=request.rate_N_per_s)
+            target = pull_tensions(model, d, value, estimate)
+            goals[d] = tension_goal(model, d, target, request.rate_N_per_s, estimate)
     text = f"{request.do} " + ", ".join(f"{name} {value:g}" for name, value in values.items())
     return replace(progress, goals=tuple(goals), contact=tuple(contact)), (
         Event("info", "request", "", text),

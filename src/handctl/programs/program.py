@@ -6,6 +6,7 @@ from typing import Protocol
 import numpy as np
 
 from handctl.core.estimate import Estimate, Measured
+from handctl.core.estimation.tip import joint_lever
 from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.law.trajectory import MinimumJerk
 from handctl.core.model import HandModel
@@ -113,20 +114,35 @@ def _tightened(model: HandModel, tendons: slice) -> Vector:
     return np.asarray(balance * (least / balance).max() if balance.all() else least)
 
 
-def pull_tensions(model: HandModel, d: int, tension: float | tuple[float, ...]) -> Vector:
+def pull_tensions(
+    model: HandModel, d: int, tension: float | tuple[float, ...], estimate: Estimate
+) -> Vector:
     """Return tensions (n_t,) of digit d under tension control [N].
 
-    Tendons that close the digit have the given tension. Their antagonists have the balance. A spool
-    pair pulls in the direction that closes, and not at all if it moves the digit sideways. With a
-    tension for each tendon all have theirs.
+    Tendons that close the digit have the given tension. Their antagonists have the balance. A digit of
+    spool pairs presses with its tip, and its largest net tension is the given one. With a tension for
+    each tendon all have theirs.
     """
     if isinstance(tension, tuple):
         return np.array(tension)
     tendons = model.digit_tendons[d]
-    side = model.redundancy.side[tendons]
-    opens = model.redundancy.surplus[tendons] & (side < 0.0)
-    single = np.where(opens, model.redundancy.balance[tendons], tension)
-    return np.where(model.is_pair[tendons], side * tension, single)
+    if model.is_pair[tendons].any():
+        digit = model.digits[d]
+        load = digit.torque_to_tension @ joint_lever(digit, estimate.q[digit.joints])
+        return np.asarray(tension / np.abs(load).max() * load)
+    opens = model.redundancy.surplus[tendons] & (model.redundancy.side[tendons] < 0.0)
+    return np.where(opens, model.redundancy.balance[tendons], tension)
+
+
+def tension_goal(model: HandModel, d: int, tension: Vector, rate: float, estimate: Estimate) -> DigitGoal:
+    """Return the goal of digit d at tensions (n_t,) [N], approached at a rate [N/s].
+
+    Spool pairs that move the digit sideways hold their position.
+    """
+    if model.redundancy.side[model.digit_tendons[d]].all():
+        return DigitGoal(Kind.TENSION, tension=tension, rate=rate)
+    here = coordinates(model.digits[d], estimate)
+    return DigitGoal(Kind.TENSION, MinimumJerk(here, here, HOLD_STILL_S), tension=tension, rate=rate)
 
 
 def released_tensions(model: HandModel, d: int, tension: float) -> Vector:
@@ -137,6 +153,10 @@ def released_tensions(model: HandModel, d: int, tension: float) -> Vector:
     tendons = model.digit_tendons[d]
     balance = model.redundancy.balance[tendons]
     return balance if balance.all() else np.where(model.is_pair[tendons], 0.0, tension)
+
+
+HOLD_STILL_S = 1.0
+"""Duration of the trajectory that holds sideways joints where they are [s]. Any time will do: nothing moves."""
 
 
 def slack_tendons(model: HandModel, estimate: Estimate) -> list[str]:

@@ -182,7 +182,7 @@ def command(x: Tables, c: ConstantTables, way: Matrix, relax_rate: float, open_l
         d = c.tendon_int[h.DIGIT, n]
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
             x.joint[s.JOINT_TORQUE, j] += load[n] * c.tendon_joint[h.MOMENT_ARMS, n, j]
-            if x.tendon_int[s.GOAL_KIND, n] == MOTION:
+            if x.tendon_int[s.GOAL_KIND, n] == MOTION and c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
                 x.joint[s.Q_GOAL, j] = way[0, j]
                 x.joint[s.DQ_GOAL, j] = way[1, j]
 

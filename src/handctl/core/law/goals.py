@@ -28,6 +28,9 @@ def write_goals(model: HandModel, layout: Layout, block: Block, goals: tuple[Dig
     way = layout.table(block, "coordinate")
     for d, (goal, tendons, places) in enumerate(zip(goals, model.digit_tendons, _coordinates(model), strict=True)):
         kinds[tendons] = int(_kind(goal))
+        if goal.kind == Kind.TENSION and goal.trajectory is not None:
+            # Sideways spool pairs hold their position while the others pull.
+            kinds[tendons][model.redundancy.side[tendons] == 0.0] = int(Kind.MOTION)
         if goal.kind == Kind.TENSION and goal.tension is not None:
             tendon[s.TARGET, tendons] = np.clip(
                 goal.tension, np.minimum(model.floor[tendons], 0.0), model.ceiling[tendons]

@@ -67,19 +67,13 @@ def redundancy(digits: tuple[DigitModel, ...], floor: Vector, ceiling: Vector, i
     )
 
 
-SIDEWAYS = 0.5
-"""Opening per closing range from which a coordinate counts as sideways motion."""
-
-
 def _sides(digit: DigitModel, is_pair: Flags) -> Vector:
     """Return the direction of each tendon of a digit (n_t,), see ``Redundancy.side``."""
     arms = digit.reduced_moment_arms
     side = np.where(arms.sum(axis=1) < 0.0, -1.0, 1.0)
     if not is_pair.any():
         return side
-    low, high = digit.joints_to_coordinates @ digit.joint_min, digit.joints_to_coordinates @ digit.joint_max
-    closing = (np.abs(arms) * (-low <= SIDEWAYS * high)).sum(axis=1)
-    return np.where(closing > 0.0, side, 0.0)
+    return np.where((arms[:, ~digit.sideways] != 0.0).any(axis=1), side, 0.0)
 
 
 def _excursion_range(digit: DigitModel) -> Vector:

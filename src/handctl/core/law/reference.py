@@ -99,8 +99,11 @@ def on_joints(x: Tables, c: ConstantTables) -> Matrix:
 
 @inner
 def moves(x: Tables, c: ConstantTables, d: int) -> bool:
-    """Return True if a digit moves along a trajectory."""
-    return x.tendon_int[s.GOAL_KIND, c.digit_int[h.TENDONS_FIRST, d]] == MOTION
+    """Return True if a digit moves along a trajectory, or a spool pair of it holds its position."""
+    for n in range(c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]):
+        if x.tendon_int[s.GOAL_KIND, n] == MOTION:
+            return True
+    return False
 
 
 @inner
