@@ -142,7 +142,7 @@ def _start_slack(world: Any, active: ActiveFault) -> Undo:
 
 def _start_friction(world: Any, active: ActiveFault) -> Undo:
     """Add Coulomb friction to a motor, ``size`` newtons at its tendon."""
-    tendon = next(spec for spec in world.hand.tendons if spec.name == active.fault.instance)
+    tendon = next(spec for spec in world.hand.every_tendon if spec.name == active.fault.instance)
     motor = world.plant.motors[tendon.motor]
     before = motor.coulomb
     motor.coulomb += active.fault.size * _tendon_of(world, active.fault).radius
@@ -152,7 +152,7 @@ def _start_friction(world: Any, active: ActiveFault) -> Undo:
 
 def _tendon_of(world: Any, fault: Fault) -> Any:
     """Return the tendon of a fault."""
-    names = [spec.name for spec in world.hand.tendons]
+    names = [spec.name for spec in world.hand.every_tendon]
     return world.plant.tendons[names.index(fault.instance)][0]
 
 

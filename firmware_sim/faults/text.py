@@ -210,7 +210,7 @@ def instances(component: str, hand: Hand, kind: str = "") -> list[str]:
         ENCODER: motors,
         JOINT: hand.sensors.joints if hand.sensors else [],
         CELL: hand.sensors.tendons if hand.sensors else [],
-        TENDON: [tendon.name for tendon in hand.tendons],
+        TENDON: [tendon.name for tendon in hand.every_tendon],
         DIGIT: [digit.name for digit in hand.digits],
     }[component]
 

@@ -23,11 +23,11 @@ def changed(content, path, value):
     return content
 
 
-PACKAGED = "jamia, jamia11, jamia_bench, n_plus_1, t42"
+PACKAGED = "jamia, jamia11, jamia_bench, n_plus_1, orca_like, t42"
 
 
 def test_packaged_hands_are_there():
-    assert packaged_hands() == ("jamia", "jamia11", "jamia_bench", "n_plus_1", "t42")
+    assert packaged_hands() == ("jamia", "jamia11", "jamia_bench", "n_plus_1", "orca_like", "t42")
 
 
 def test_resolved_text_reads_back_as_the_same_hand(hand, tmp_path):

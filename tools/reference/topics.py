@@ -1,4 +1,4 @@
-"""Blocks about the topics of a log, generated from the topics that a run of the packaged hand registers."""
+"""Blocks about the topics of a log, generated from the topics that runs of packaged hands register."""
 
 from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS, Telemetry
 from handctl.hand.load import load_hand
@@ -10,6 +10,8 @@ from handctl.log.topics.topic_set import Topics
 from tools.reference.markdown import attribute_docstrings, code, table
 
 TICK = "every tick"
+HANDS = ("jamia", "orca_like")
+"""Packaged hands that have all topics together."""
 CONTENT = {
     "/robot_description": ("at the start", "URDF of the hand"),
     "/controller/names": ("at the start", "names of the columns of `/controller/values`: `field/name`"),
@@ -33,6 +35,7 @@ CONTENT = {
     "/diagnostics": ("1 Hz and at a change", "state of motors, buses and controller"),
     "/clock_pairs": ("every 10 s", "wall clock and monotonic clock [ns]"),
     "/fingertip/DIGIT/wrench": (TICK, "tip-equivalent force of the object on the digit [N], in the frame of the tip"),
+    "/spool_pairs": (TICK, "of a hand with spool pairs: estimated tension of both tendons of each pair [N]"),
     "/actuator/MOTOR/temperature": ("5 Hz", "temperature of the drive [degC]"),
 }
 """Rate and content of each topic whose fields are not telemetry."""
@@ -41,15 +44,16 @@ SHOWN = ("handctl_msgs/", "sensor_msgs/JointState", "pal_statistics_msgs/Statist
 
 
 def registered() -> dict[str, tuple[str, str]]:
-    """Return message type and note of each topic of the packaged hand, with a placeholder for its names."""
-    hand = load_hand("jamia")
-    header = RunHeader.of_hand(hand.to_toml(), 2_000_000)
-    made = Topics(header)
-    types = {schema.id: schema.name for schema in made.schemas}
-    return {
-        _placeholder(channel.topic, header): (types[channel.schema_id], channel.metadata.get("note", ""))
-        for channel in made.channels
-    }
+    """Return message type and note of each topic of the packaged hands, with a placeholder for its names."""
+    found = {}
+    for name in HANDS:
+        header = RunHeader.of_hand(load_hand(name).to_toml(), 2_000_000)
+        made = Topics(header)
+        types = {schema.id: schema.name for schema in made.schemas}
+        for channel in made.channels:
+            topic = _placeholder(channel.topic, header)
+            found[topic] = (types[channel.schema_id], channel.metadata.get("note", ""))
+    return found
 
 
 def _placeholder(topic: str, header: RunHeader) -> str:

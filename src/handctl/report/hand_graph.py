@@ -88,7 +88,7 @@ def text_graph(hand: Hand) -> str:
             drive = (
                 f"{motor.bus}:{motor.node_id} {motor.protocol} {motor.name} (spool {1e3 * motor.spool_radius_m:g} mm)"
             )
-            lines.append(f"  {drive}{cell}- {tendon.name}: {arms}")
+            lines.append(f"  {drive}{cell}- {_label(tendon)}: {arms}")
     if any(joint in node.joints for joint in hand.joints):
         lines += ["", "(j1): a joint with an encoder"]
     return "\n".join(lines)
@@ -97,6 +97,13 @@ def text_graph(hand: Hand) -> str:
 def _tendons(hand: Hand, digit: Digit) -> list[Tendon]:
     """Return the tendons that cross a joint of a digit."""
     return [tendon for tendon in hand.tendon if not tendon.moment_arm_m.keys().isdisjoint(digit.joints)]
+
+
+def _label(tendon: Tendon) -> str:
+    """Return the name of a tendon, for a spool pair with its pretension."""
+    if tendon.pretension_N is None:
+        return tendon.name
+    return f"{tendon.name} and its antagonist, {tendon.pretension_N:g} N"
 
 
 def _joint_xs(digit: Digit) -> Iterator[tuple[str, float]]:
@@ -151,7 +158,7 @@ def _draw_tendon(axes: Any, hand: Hand, tendon: Tendon, columns: dict[str, float
     axes.text(MOTOR_X + 0.2, y + 0.25, spool, ha="left", va="center", fontsize=6.5)
     if tendon.name in hand.sensor_node.tendons:
         axes.plot(CELL_X, y, "s", color=CELL, markersize=7, zorder=2)
-    axes.text(CELL_X + 0.15, y - 0.27, tendon.name, ha="left", va="center", fontsize=6.5)
+    axes.text(CELL_X + 0.15, y - 0.27, _label(tendon), ha="left", va="center", fontsize=6.5)
     for joint, arm in crossed.items():
         # A flexor pulls below the joint, an extensor above.
         side = -1.0 if arm > 0.0 else 1.0

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from handctl.core.law.redundancy import sides
 from handctl.core.types import Mode
 from handctl.drives.frame_time import frame_time_s
 from handctl.hand.description import Hand
@@ -177,7 +178,8 @@ def judge_tension(
     real = truth.table(names, log.t_ns + offset_ns)
     # A load cell reading is one period old when the tick reads it.
     before = truth.table(names, log.t_ns - log.header.period_ns + offset_ns)
-    taut = active[:, None] & (real > 0.5)
+    # One of the two tendons of a spool pair is always taut.
+    taut = active[:, None] & ((real > 0.5) | hand.is_pair)
     error = np.where(_holding(log, hand), log.field("tension_goal") - real, np.nan)
     columns = [column[~np.isnan(column)] for hold in holds for column in error[hold].T]
     columns = [column for column in columns if len(column)]
@@ -190,10 +192,14 @@ def judge_tension(
 
 
 def _holding(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
-    """Return a mask (ticks, N), True where the digit of the tendon is in contact."""
+    """Return a mask (ticks, N), True where the tendon pulls at a tension because its digit is in contact.
+
+    A spool pair that moves a digit sideways holds its position instead.
+    """
     slices = [hand.digit_tendons[name] for name in hand.digit_names]
     digit_of = np.repeat(np.arange(len(slices)), [tendons.stop - tendons.start for tendons in slices])
-    return (log.field("contact") > 0.0)[:, digit_of]
+    side = [sides(DigitModel.of(hand, name), hand.is_pair[hand.digit_tendons[name]]) for name in hand.digit_names]
+    return (log.field("contact") > 0.0)[:, digit_of] & (np.concatenate(side) != 0.0)
 
 
 def judge_grasp(

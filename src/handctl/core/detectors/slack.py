@@ -34,7 +34,8 @@ def update(x: Tables, c: ConstantTables) -> None:
             x.tendon_int[s.SLACK_TICKS, n] = 0
         elif x.tendon_int[s.TAUT_AGO, n] >= 0:
             x.tendon_int[s.TAUT_AGO, n] += 1
-            loose = tension < SLACK_N and commanded > TAUT_N
+            # Below twice the pretension both tendons of a pair are taut, whatever the net tension is.
+            loose = tension < SLACK_N and commanded > max(TAUT_N, 2.0 * c.tendon[h.PRETENSION, n])
             x.tendon_int[s.SLACK_TICKS, n] = x.tendon_int[s.SLACK_TICKS, n] + 1 if loose else 0
         is_taut = tension > TAUT_N or (x.tendon_int[s.IS_TAUT, n] == 1 and tension > SLACK_N)
         x.tendon_int[s.IS_TAUT, n] = is_taut or pair  # one of the two is always taut

@@ -3,24 +3,14 @@
 A spool that turns winds one tendon and pays out the other by the same length. With the pretension p
 and the stiffness k of each tendon, the tensions are p + k dl and p - k dl, never below 0, and the
 net tension u of the pair is their difference. While both are taut u = 2 k dl. Beyond |u| = 2 p the
-other tendon is slack, and the pulling one bears all of u.
+other tendon is slack, and the pulling one bears all of u. In one formula the first tendon has
+max(p + u / 2, u, 0), and the second the same of -u.
 
 Friction lowers the tension of the tendon that winds, and raises that of the tendon that pays out.
 Both tendons lose, so a pair without net tension has friction by its pretension.
 """
 
 from handctl.compiled import inner
-
-
-@inner
-def pull_of(net: float, pretension: float) -> float:
-    """Return the tension of the tendon that a positive net tension pulls [N].
-
-    The tension of the other tendon is that of the opposite net tension.
-    """
-    if abs(net) < 2.0 * pretension:
-        return pretension + 0.5 * net
-    return max(net, 0.0)
 
 
 @inner
@@ -35,7 +25,9 @@ def at_joint(net: float, pretension: float, passed: float) -> float:
 
     Source: capstan equation.
     """
-    return pull_of(net, pretension) * passed - pull_of(-net, pretension) / passed
+    first = max(pretension + 0.5 * net, net, 0.0)
+    second = max(pretension - 0.5 * net, -net, 0.0)
+    return first * passed - second / passed
 
 
 @inner

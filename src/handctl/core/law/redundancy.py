@@ -58,7 +58,7 @@ def redundancy(digits: tuple[DigitModel, ...], floor: Vector, ceiling: Vector, i
         for digit, more, count in zip(digits, surplus, counts, strict=True)
     ]
     return Redundancy(
-        side=np.concatenate([_sides(digit, is_pair[digit.tendons]) for digit in digits]),
+        side=np.concatenate([sides(digit, is_pair[digit.tendons]) for digit in digits]),
         sprung=np.repeat([is_sprung(digit) for digit in digits], counts),
         surplus=np.repeat(surplus, counts),
         balance=np.concatenate(balance),
@@ -67,7 +67,7 @@ def redundancy(digits: tuple[DigitModel, ...], floor: Vector, ceiling: Vector, i
     )
 
 
-def _sides(digit: DigitModel, is_pair: Flags) -> Vector:
+def sides(digit: DigitModel, is_pair: Flags) -> Vector:
     """Return the direction of each tendon of a digit (n_t,), see ``Redundancy.side``."""
     arms = digit.reduced_moment_arms
     side = np.where(arms.sum(axis=1) < 0.0, -1.0, 1.0)

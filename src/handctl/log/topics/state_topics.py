@@ -34,13 +34,17 @@ ESTIMATES = {
 }
 """Telemetry field with a standard deviation for each topic, and the unit of the field."""
 
+SPOOL_PAIRS = "/spool_pairs"
+"""Topic of the estimated tensions of both tendons of each spool pair, in logs of hands with spool pairs."""
+
 _NOTES = {
     "/joint_estimate": "joint angles and their variance, large where a digit in contact has fewer tendons than joints",
     "/tip_force_estimate": "tip-equivalent force and its variance",
     "/joint_states": "effort: torque of the tendons at the estimated tension, R^T f without friction [N m]",
-    "/tendon_states": "position: excursion [m]; effort: estimated tension at the load cell [N]",
+    "/tendon_states": "position: excursion [m]; effort: estimated tension at the load cell, net of a spool pair [N]",
     "/tendon_commands": "effort: commanded tension at the load cell [N]",
     "/actuator_states": "at the spool, positive winds",
+    SPOOL_PAIRS: "effort: estimated tension of the first tendon, which a positive torque winds, and of the second [N]",
 }
 """Notes in the channels' metadata."""
 
@@ -49,6 +53,12 @@ def moment_arms(header: RunHeader) -> Numbers:
     """Return the moment arms R (N, J), for excursions s = R q [m] at joint angles q [rad]."""
     tendons = tomllib.loads(header.hand_toml)["tendon"]
     return np.array([[tendon["moment_arm_m"].get(joint, 0.0) for joint in header.joints] for tendon in tendons])
+
+
+def pretensions(header: RunHeader) -> dict[str, float]:
+    """Return the pretension of each spool pair of the hand by name [N]."""
+    tendons = tomllib.loads(header.hand_toml)["tendon"]
+    return {tendon["name"]: tendon["pretension_N"] for tendon in tendons if "pretension_N" in tendon}
 
 
 def joint_state(names: tuple[str, ...], position: bool, velocity: bool, effort: bool) -> Template:
@@ -127,6 +137,12 @@ class StateTopics:
             template = joint_state(header.axis(axis), *map(bool, parts))
             channel = registry.add(topic, "sensor_msgs/JointState", note=_NOTES.get(topic, ""))
             self._joint_states[topic] = Stream(channel, template)
+        self._pretension = pretensions(header)
+        self._pairs = None
+        if self._pretension:
+            names = tuple(f"{name}/{part}" for name in self._pretension for part in ("first", "second"))
+            channel = registry.add(SPOOL_PAIRS, "sensor_msgs/JointState", note=_NOTES[SPOOL_PAIRS])
+            self._pairs = Stream(channel, joint_state(names, position=False, velocity=False, effort=True))
         self._wrenches = [self._wrench(registry, digit) for digit in header.digits]
         width = sum(part.stop - part.start for part in self._columns.values())
         channel = registry.add("/controller/values", "pal_statistics_msgs/StatisticsValues")
@@ -150,6 +166,8 @@ class StateTopics:
         blocks = [
             stream.block(stamps, self._joint_state_values(topic, part)) for topic, stream in self._joint_states.items()
         ]
+        if self._pairs is not None:
+            blocks.append(self._pairs.block(stamps, {"effort": self._pair_tensions(part["tension"])}))
         for index, stream in enumerate(self._wrenches):
             force = np.zeros((len(batch.k), 3))
             # The object pushes against the closing direction +y. `0.0 -` gives 0.0 where a minus
@@ -174,6 +192,14 @@ class StateTopics:
         for tendon, joint in zip(*np.nonzero(self._arms), strict=True):
             torque[:, joint] += self._arms[tendon, joint] * tension[:, tendon]
         return torque
+
+    def _pair_tensions(self, tension: Numbers) -> Numbers:
+        """Return the tensions of both tendons of each spool pair (n, 2 P) [N], see ``estimation.spool_pair``."""
+        names = list(self._header.tendons)
+        net = tension[:, [names.index(name) for name in self._pretension]]
+        both = np.stack([net, -net], axis=2)
+        taut = np.array(list(self._pretension.values()))[:, None] + 0.5 * both
+        return np.maximum(np.maximum(taut, both), 0.0).reshape(len(net), -1)
 
     def _joint_state_values(self, topic: str, part: dict[str, Numbers]) -> dict[str, NDArray[np.generic]]:
         """Return the values of position, velocity, and effort for a topic."""

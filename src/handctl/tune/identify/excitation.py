@@ -59,6 +59,9 @@ def excitation(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, ...]:
     for name in digits:
         if name not in hand.digit_names:
             raise ConfigError(repr(name), "--digits", "some of " + ", ".join(hand.digit_names))
+        if hand.is_pair[hand.digit_tendons[name]].any():
+            right = "digits of single tendons: a spool pair cannot become slack"
+            raise ConfigError("its tendons are spool pairs", f"digit {name}", right)
         if LIFT_FRACTION * (tension := lift_off(hand, name)) < MIN_TENSION_N + MIN_STRETCH_RANGE_N:
             min_preload = (MIN_TENSION_N + MIN_STRETCH_RANGE_N) / LIFT_FRACTION
             problem = f"{tension:.2f} N lifts it off its open stop, too little to stretch its tendon there"

@@ -1,0 +1,297 @@
+"""Spool pairs: two antagonistic tendons on one motor, from the hand file to the simulator."""
+
+import os
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handctl.controller.setup import make_controller
+from handctl.core import block as s
+from handctl.core.estimate import Estimate, Measured
+from handctl.core.estimation.spool_pair import at_joint, at_spool
+from handctl.core.gains.gains import Gains
+from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.law.redundancy import sides
+from handctl.core.model import HandModel
+from handctl.core.types import Mode
+from handctl.hand.description import Hand
+from handctl.hand.digit import DigitModel
+from handctl.hand.load import examined, hand_content, hand_from, load_hand
+from handctl.hand.readiness import unready
+from handctl.log.header import RunHeader
+from handctl.log.topics.message_streams import Registry
+from handctl.log.topics.state_topics import SPOOL_PAIRS, StateTopics
+from handctl.log.topics.topic_set import Topics
+from handctl.programs.calibration import Calibration
+from handctl.programs.commission import PULL_N, CommissionProgram, result
+from handctl.programs.default_task import default_task
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.program import Program, Progress, ProgressAndEvents
+from handctl.programs.task import Close, Hold, Task
+from handctl.session.calibration import homed
+from handctl.session.simulate import SimulatedHand, Simulation, Simulator
+from tests.controller.synthetic import interpreted
+
+RATE_HZ = 500.0
+FILE = Path(__file__).with_name("spool_finger.toml")
+SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 2)
+
+
+@cache
+def finger() -> Hand:
+    """A finger of two joints, each with a spool pair."""
+    return load_hand(FILE)
+
+
+# --- net tension and tendons --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_net_tension_is_the_difference_of_two_tensions_that_only_pull(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    net, pretension = random.uniform(-60.0, 60.0), random.uniform(0.0, 20.0)
+    assert interpreted(at_joint)(net, pretension, 1.0) == pytest.approx(net)
+    # With half of the first and twice of the second tendon's tension both are determined.
+    halved = interpreted(at_joint)(net, pretension, 0.5)
+    first = (2.0 * net - halved) / 1.5
+    second = first - net
+    assert min(first, second) >= -1e-9
+    assert (min(first, second) < 1e-9) == (abs(net) >= 2.0 * pretension)
+    assert max(first, second) == pytest.approx(max(pretension + abs(net) / 2.0, abs(net)))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_friction_of_both_tendons_is_subtracted_and_added_back(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    net, pretension, passed = random.uniform(-60.0, 60.0), random.uniform(0.0, 20.0), np.exp(random.uniform(-0.3, 0.3))
+    behind = interpreted(at_joint)(net, pretension, passed)
+    assert interpreted(at_spool)(behind, pretension, passed) == pytest.approx(net, abs=1e-9)
+    # A pair at rest has friction by its pretension alone: the winding tendon loses, the other gains.
+    lost = net - interpreted(at_joint)(net, pretension, min(passed, 1.0 / passed))
+    assert lost >= 0.0
+
+
+def test_a_single_tendon_is_the_limit_of_a_pair_without_pretension() -> None:
+    assert interpreted(at_joint)(10.0, 0.0, 0.8) == pytest.approx(8.0)
+    assert interpreted(at_joint)(-10.0, 0.0, 0.8) == pytest.approx(-12.5)
+
+
+@pytest.mark.parametrize("stretch_mm", [0.0, 0.1, -0.1, 0.16, 0.4, -0.4])
+def test_the_simulated_spool_pulls_one_tendon_and_slackens_the_other(stretch_mm: float) -> None:
+    """Up to 2 p both are taut and the stiffness is that of both, beyond it that of one."""
+    tendon, motor = finger().tendon[0], finger().motor[0]
+    pretension = tendon.pretension_N
+    assert pretension is not None
+    with Simulator(finger(), None, 0, homed=True).peer(2_000_000) as peer:
+        plant = peer.world.plant
+        plant.engine.set_joints([0.0, 0.0], [0.0, 0.0])
+        plant.motors[motor.name].theta = stretch_mm * 1e-3 / motor.spool_radius_m
+        first, second = plant.pair_tensions()[:2]
+        one = tendon.stiffness_N_per_m * stretch_mm * 1e-3
+        assert first == pytest.approx(max(pretension + one, 0.0), abs=1e-9)
+        assert second == pytest.approx(max(pretension - one, 0.0), abs=1e-9)
+        assert plant.tensions()[0] == pytest.approx(first - second)
+
+
+# --- control ------------------------------------------------------------------------------------------------------
+
+
+def run_of(
+    peer: SimulatedHand, hand: Hand, program: Program, calibration: Calibration | None, first: int
+) -> Simulation:
+    """Begin a run of a program at a tick, on a hand that may have run before."""
+    controller = make_controller(hand, Gains(), RATE_HZ, program, calibration, arm_at_once=True)
+    run = Simulation.of(controller, peer)
+    run.k = first
+    run.record = False
+    run.state.set_whole(s.K, first - 1)
+    return run
+
+
+MOVES = Task.model_validate(
+    {
+        "schema": 1,
+        "name": "moves",
+        "description": "moves",
+        "phase": tuple(
+            {"kind": "move", "name": f"move {i}", "angle_deg": angle, "duration_s": duration}
+            for i, (angle, duration) in enumerate([(0.0, 0.6), (50.0, 0.6), (-5.0, 0.6), (50.0, 0.25)])
+        ),
+    }
+)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_it_commissions_tracks_and_relaxes_from_a_cold_start(seed: int) -> None:
+    """The zeros are those of the simulator, the joints follow within a degree, and no tendon exceeds its limit."""
+    hand = finger()
+    with Simulator(hand, None, seed).peer(round(1e9 / RATE_HZ)) as peer:
+        plant = peer.world.plant
+        run = run_of(peer, hand, CommissionProgram(), None, 0)
+        for _, out in run.ticks(60.0):
+            assert not [event for event in out.events if event.level == "error"]
+        assert not run.state.progress.failure
+        calibration = result(run.controller.model, run.state.progress, "2026-01-01T00:00:00+00:00")
+        assert all(row.answer_N == pytest.approx(PULL_N, abs=0.8) for row in calibration.tendon.values())
+        # Without load cell and joint encoders, friction leaves the zero uncertain by 0.1 mm, a half degree.
+        offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
+        wound = [tendon.extra_length + hand.tendon[i].pretension_N / hand.tendon[i].stiffness_N_per_m
+                 for i, (tendon, _) in enumerate(plant.tendons[: len(hand.tendon)])]  # fmt: skip
+        found = (calibration.zero(hand) - offset) * run.controller.model.space.spool - wound
+        np.testing.assert_allclose(found, 0.0, atol=1e-4)
+
+        run = run_of(peer, hand, TaskProgram(MOVES), calibration, run.k)
+        errors = list[np.ndarray]()
+        largest = 0.0
+        for _, out in run.ticks(run.k / RATE_HZ + 30.0):
+            assert not [event for event in out.events if event.level == "error"]
+            largest = max(largest, *plant.pair_tensions())
+            if run.state.mode == Mode.ACTIVE and run.state.progress.phase.startswith("move"):
+                errors.append(np.degrees(run.state.view("q_goal") - plant.engine.q))
+        assert np.sqrt(np.mean(np.square(errors))) < 1.0
+        assert largest < hand.tendon[0].tension_max_N
+        assert run.state.mode == Mode.DONE
+        assert np.abs(plant.tensions()).max() < 6.0, "friction alone holds the joints"
+
+
+@dataclass(frozen=True)
+class Pull:
+    """Program that pulls both pairs of the finger with the same net tension."""
+
+    tension: float
+
+    def initial(self, model: HandModel) -> Progress:
+        return Progress.initial(len(model.digits), "pull")
+
+    def advance(
+        self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
+    ) -> ProgressAndEvents:
+        if progress.step:
+            return progress, ()
+        goal = DigitGoal(Kind.TENSION, tension=np.full(2, self.tension), rate=60.0)
+        return replace(progress, step=1, goals=(goal,), contact=(True,)), ()
+
+
+@pytest.mark.parametrize("tension", [-200.0, -40.0, 12.0, 40.0, 200.0])
+def test_it_pulls_both_ways_and_never_above_the_limit(tension: float) -> None:
+    """Against either stop the tendons have the goal, or the limit less the sigma of an estimated tension."""
+    hand = finger()
+    limit = hand.tendon[0].tension_max_N
+    with Simulator(hand, None, 0, homed=True).peer(round(1e9 / RATE_HZ)) as peer:
+        run = run_of(peer, hand, Pull(tension), homed(hand, {}), 0)
+        model = run.controller.model
+        goal = np.clip(tension, model.floor, model.ceiling)
+        for _, out in run.ticks(4.5):
+            assert not [event for event in out.events if event.level == "error"]
+            assert max(peer.world.plant.pair_tensions()) < limit
+        np.testing.assert_allclose(run.state.view("tension"), goal, atol=0.5)
+        np.testing.assert_allclose(peer.world.plant.tensions(), goal, atol=1.0)
+
+
+@pytest.mark.parametrize(("tension", "tendon"), [(40.0, "finger_mcp"), (-40.0, "finger_mcp_antagonist")])
+def test_a_tendon_that_snaps_under_load_is_found(tension: float, tendon: str) -> None:
+    hand = finger()
+    with Simulator(hand, None, 0, homed=True).peer(round(1e9 / RATE_HZ)) as peer:
+        run = run_of(peer, hand, Pull(tension), homed(hand, {}), 0)
+        peer.inject(f"snap tendon={tendon} at=2s")
+        faults = [event.text for _, out in run.ticks(4.5) for event in out.events if event.level == "error"]
+        assert faults
+        assert "finger_mcp" in faults[0]
+        assert run.state.mode in (Mode.RELAX, Mode.DISARM, Mode.DONE)
+
+
+# --- hand files ---------------------------------------------------------------------------------------------------
+
+
+def with_tendon(**values: object) -> dict[str, object]:
+    """Return the finger's content with other values of its first tendon."""
+    content = hand_content(FILE)
+    return content | {"tendon": [content["tendon"][0] | values, *content["tendon"][1:]]}
+
+
+def with_digit(**values: object) -> dict[str, object]:
+    """Return the finger's content with other values of its digit."""
+    content = hand_content(FILE)
+    return content | {"digit": [content["digit"][0] | values]}
+
+
+def without_pretension() -> dict[str, object]:
+    content = with_tendon(tension_floor_N=2.0)
+    del content["tendon"][0]["pretension_N"]  # type: ignore[index]
+    return content
+
+
+MISTAKES = {
+    "half the limit": (with_tendon(pretension_N=31.0), "pretension_N", "at most tension_max_N / 2 = 30 N"),
+    "a floor": (with_tendon(tension_floor_N=2.0), "tension_floor_N", "0, or no such key"),
+    "one single": (without_pretension(), "finger_mcp", "pretension_N on all tendons of finger, or on none"),
+    "one motor": (with_tendon(motor="finger_pip"), "finger_pip", "one tendon with pretension_N for both tendons"),
+    "coupling": (with_digit(coupling=[[1.0], [1.0]]), "digit[finger].tendon", "one spool pair per coordinate"),
+    "springs": (
+        with_digit(spring_stiffness_N_m_per_rad=[0.1, 0.1], spring_preload_rad=[0.1, 0.1]),
+        "spring_stiffness_N_m_per_rad",
+        "no springs",
+    ),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_one_line_that_names_the_key(mistake: str) -> None:
+    content, where, right = MISTAKES[mistake]
+    hand, mistakes = examined(content)
+    assert hand is None
+    text = str(mistakes[0].error("x.toml"))
+    assert where in text
+    assert right in text
+    assert "\n" not in text
+
+
+def test_a_load_cell_on_a_pair_is_refused() -> None:
+    node = hand_content("t42")["sensor_node"] | {"tendons": ["finger_mcp"]}
+    _, mistakes = examined(hand_content(FILE) | {"sensor_node": node})
+    assert "finger_mcp is a spool pair" in str(mistakes[0].error("x.toml"))
+
+
+def test_a_hand_with_pairs_is_ready_and_reads_back_as_itself() -> None:
+    hand = finger()
+    assert not list(unready(hand))
+    assert [tendon.tension_floor_N for tendon in hand.tendon] == [0.0, 0.0]
+    again = hand_from(hand.content, "again")
+    assert again.identity == hand.identity
+    assert "pretension_N" not in load_hand("jamia").to_toml(), "hands without pairs keep their identity"
+
+
+# --- orca_like ----------------------------------------------------------------------------------------------------
+
+
+def test_orca_like_closes_its_fingers_and_does_not_spread_them() -> None:
+    hand = load_hand("orca_like")
+    assert len(hand.joints) == len(hand.motor) == 17
+    assert hand.is_pair.all()
+    close, hold = default_task(hand)[0].phase[1:3]
+    assert isinstance(close, Close)
+    assert isinstance(hold, Hold)
+    assert isinstance(close.angle_deg, dict)
+    assert set(close.angle_deg) == {"index", "middle", "ring", "pinky", "thumb"}
+    for name in ("index", "middle", "ring", "pinky"):
+        digit = DigitModel.of(hand, name)
+        assert sides(digit, hand.is_pair[digit.tendons]).tolist() == [0.0, 1.0, 1.0]
+        assert close.angle_deg[name] == (0.0, 85.0, 91.0)
+    thumb = DigitModel.of(hand, "thumb")
+    assert sides(thumb, hand.is_pair[thumb.tendons]).tolist() == [1.0, 0.0, 1.0, 1.0]
+
+
+def test_the_log_has_both_tensions_of_each_pair() -> None:
+    header = RunHeader.of_hand(load_hand("orca_like").to_toml(), 2_500_000)
+    assert SPOOL_PAIRS in {channel.topic for channel in Topics(header).channels}
+    assert SPOOL_PAIRS not in {
+        channel.topic for channel in Topics(RunHeader.of_hand(load_hand("jamia").to_toml(), 2_500_000)).channels
+    }
+    state = StateTopics(header, Registry())
+    net = np.zeros((1, 17))
+    net[0, :3] = 4.0, -30.0, 30.0
+    both = state._pair_tensions(net).reshape(17, 2)
+    np.testing.assert_allclose(both[:4], [[12.0, 8.0], [0.0, 30.0], [30.0, 0.0], [10.0, 10.0]])
