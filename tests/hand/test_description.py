@@ -65,17 +65,21 @@ def tweakable(content):
     for key in ("stiffness_N_per_m", "damping_N_s_per_m", "friction_coefficient", "tension_max_N"):
         yield ("tendon", 0, key), content["tendon"][0][key]
     for i in range(2):
-        yield ("digit", 0, "link_mass_kg", i), content["digit"][0]["link_mass_kg"][i]
+        yield ("digit", 1, "link_mass_kg", i), content["digit"][1]["link_mass_kg"][i]
 
 
-PLACES = {"t42": (("left", "right"), 4), "n_plus_1": (("index", "middle", "thumb"), 8)}
+PLACES = {
+    "t42": (("left", "right"), 4),
+    "n_plus_1": (("index", "middle", "thumb"), 8),
+    "orca_like": (("wrist", "index", "middle", "ring", "pinky", "thumb"), 17),
+}
 """Digits and number of joints of hands other than jamia."""
 
 
 def test_names_and_places(hand):
     first, last = hand.digit[0], hand.digit[-1]
-    assert hand.joints[:2] == (f"{first.name}_j1", f"{first.name}_j2")
-    assert hand.joints[-2:] == (f"{last.name}_j1", f"{last.name}_j2")
+    assert hand.joints[0] == f"{first.name}_j1"
+    assert hand.joints[-1] == f"{last.name}_j{len(last.link_length_m)}"
     digits, joints = PLACES.get(hand.name, (("index", "middle", "ring", "thumb"), 11))
     assert hand.digit_names == digits
     assert hand.moment_arms.shape == (len(hand.tendon_names), joints)
@@ -99,8 +103,13 @@ def test_a_hand_cannot_be_changed(hand):
 
 def test_sensor_frames(hand):
     eleven = hand.name in ("jamia11", "n_plus_1")
-    encoders = {"jamia11": (0x1B0, 0x1B1, 0x1B2), "n_plus_1": (0x1B0, 0x1B1)}
-    assert hand.sensor_node.tension_ids == ((0x1A0, 0x1A1, 0x1A2) if eleven else (0x1A0,))
+    encoders = {
+        "jamia11": (0x1B0, 0x1B1, 0x1B2),
+        "n_plus_1": (0x1B0, 0x1B1),
+        "orca_like": (0x1B0, 0x1B1, 0x1B2, 0x1B3),
+    }
+    cells = () if hand.name == "orca_like" else (0x1A0, 0x1A1, 0x1A2) if eleven else (0x1A0,)
+    assert hand.sensor_node.tension_ids == cells
     assert hand.sensor_node.joint_ids == encoders.get(hand.name, ())
 
 

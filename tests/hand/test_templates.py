@@ -18,6 +18,8 @@ IDENTITIES = {
 """Identities of the packaged hands when their files were of schema 1. Calibrations and logs refer to them."""
 LINES = 120
 """Lines of a packaged hand file at most."""
+LONG = {"orca_like": 175}
+"""The same of a file for 17 joints whose digits are of three kinds."""
 
 
 def jamia() -> dict[str, Any]:
@@ -40,7 +42,7 @@ def test_the_packaged_hands_keep_their_identity(name: str) -> None:
 
 @pytest.mark.parametrize("name", packaged_hands())
 def test_a_packaged_file_is_short(name: str) -> None:
-    assert len((HANDS / f"{name}.toml").read_text("utf-8").splitlines()) < LINES
+    assert len((HANDS / f"{name}.toml").read_text("utf-8").splitlines()) < LONG.get(name, LINES)
 
 
 @pytest.mark.parametrize("name", packaged_hands())

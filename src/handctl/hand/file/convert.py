@@ -252,13 +252,16 @@ def _take_templates(digits: Sequence[Block]) -> dict[str, Block]:
             continue
         template = Block(_take_shared_values(group, lambda key, value: key not in PERSONAL["digit"]))
         for kind in DIGIT_KINDS:
+            # Entries of a template come before those of its digits. After the first that the digits do not share,
+            # a further one would change the order.
             for short in group[0].held[kind]:
                 if not all(short in block.held[kind] for block in group):
-                    continue
+                    break
                 held = [block.held[kind][short] for block in group]
                 common = _take_shared_values(held, lambda key, value: key != "node_id")
-                if common:
-                    template.held[kind][short] = Block(common)
+                if not common:
+                    break
+                template.held[kind][short] = Block(common)
         name = "finger" if not templates else f"finger_{len(templates) + 1}"
         templates[name] = template
         for block in group:
