@@ -151,10 +151,10 @@ def test_jacobians_and_levers_are_derivatives(chains, rng):
             assert np.allclose(lever, normal @ middle, atol=1e-14)
 
 
-@pytest.fixture(params=SEEDS)
+@pytest.fixture(params=[*SEEDS, "orca_like"])
 def tree(request: pytest.FixtureRequest) -> tuple[Hand, HandTree]:
-    """Return every random tree of digits."""
-    hand = random_tree(request.param)
+    """Return every random tree of digits, and the packaged one."""
+    hand = load_hand(request.param) if isinstance(request.param, str) else random_tree(request.param)
     return hand, HandTree.of(hand)
 
 

@@ -13,6 +13,12 @@ from handctl.hand.load import HANDS, hand_content, hand_from, load_hand, package
 CONTENT = {name: hand_content(name) for name in packaged_hands()}
 
 
+@pytest.fixture(params=packaged_hands())
+def hand(request):
+    """Every packaged hand."""
+    return load_hand(request.param)
+
+
 def changed(content, path, value):
     """A copy of the content with one value replaced."""
     content = copy.deepcopy(content)

@@ -18,6 +18,8 @@ from tests.conftest import NIGHTLY
 
 HANDS = packaged_hands()
 SEEDS = range(20) if NIGHTLY else range(2)
+QUICK = tuple(name for name in HANDS if NIGHTLY or name != "orca_like")
+"""A proof of 17 joints takes more than five minutes."""
 RATES = {"jamia": 500.0, "n_plus_1": 250.0, "t42": 500.0}
 SATURATED = {"tension": {"tension_error_N": 0.5, "speed_error_m_s": 0.1}}
 """Weights with 390 N of authority command more torque than the motor has at the operating point."""
@@ -161,7 +163,7 @@ def proof_of(model: HandModel) -> Proof:
     return Proof(model.hand, factors, tuple(linear_factors(one) for one in factors), 0)
 
 
-@pytest.mark.parametrize("hand", HANDS)
+@pytest.mark.parametrize("hand", QUICK)
 def test_packaged_gains_come_to_rest_on_the_plant_with_the_least_friction(hand: str) -> None:
     """Chatter of the plant without feedback does not count as the loop's."""
     model = HandModel.of(load_hand(hand), Gains(), RATES.get(hand, 200.0))
