@@ -16,6 +16,7 @@ from handctl.hand.formats.mjcf import mjcf
 from handctl.hand.formats.urdf import urdf
 from handctl.hand.kinematics import forward, point_jacobian, points, tip_jacobian
 from handctl.hand.link_frames import link_transforms
+from handctl.hand.load import load_hand
 from handctl.hand.tree import HandTree
 from handctl.log.topics.transforms import link_frames, product, rotated
 from tests.hand.chains import SEEDS, random_hand, random_tree
