@@ -199,7 +199,7 @@ def _holding(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
     slices = [hand.digit_tendons[name] for name in hand.digit_names]
     digit_of = np.repeat(np.arange(len(slices)), [tendons.stop - tendons.start for tendons in slices])
     side = [sides(DigitModel.of(hand, name), hand.is_pair[hand.digit_tendons[name]]) for name in hand.digit_names]
-    return (log.field("contact") > 0.0)[:, digit_of] & (np.concatenate(side) != 0.0)
+    return np.asarray((log.field("contact") > 0.0)[:, digit_of] & (np.concatenate(side) != 0.0))
 
 
 def judge_grasp(
