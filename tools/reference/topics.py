@@ -45,15 +45,15 @@ SHOWN = ("handctl_msgs/", "sensor_msgs/JointState", "pal_statistics_msgs/Statist
 
 def registered() -> dict[str, tuple[str, str]]:
     """Return message type and note of each topic of the packaged hands, with a placeholder for its names."""
-    found = {}
+    registered_topics = {}
     for name in HANDS:
         header = RunHeader.of_hand(load_hand(name).to_toml(), 2_000_000)
         made = Topics(header)
         types = {schema.id: schema.name for schema in made.schemas}
         for channel in made.channels:
             topic = _placeholder(channel.topic, header)
-            found[topic] = (types[channel.schema_id], channel.metadata.get("note", ""))
-    return found
+            registered_topics[topic] = (types[channel.schema_id], channel.metadata.get("note", ""))
+    return registered_topics
 
 
 def _placeholder(topic: str, header: RunHeader) -> str:
