@@ -1,1 +1,1 @@
-"""The far side of the wire: simulated drives, sensor node and plant of a tendon-driven hand."""
+"""Simulated drives, sensor node and mechanics of a tendon-driven hand, on the other side of the CAN bus."""

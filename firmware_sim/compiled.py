@@ -93,7 +93,7 @@ def machine_code(module: ModuleType) -> Any:
         names[name] = getattr(machine_code(owner), vars(module)[name].__name__)
     digest = _digest(set(imported.values()))
     for name, arguments in _KERNELS[module.__name__].items():
-        kernel = FunctionType(vars(module)[name].__code__, names, name)  # calls compiled kernels, not Python ones
+        kernel = FunctionType(vars(module)[name].__code__, names, name)  # calls compiled kernels, not Python functions
         # The name is a part of numba's cache key: a change in an imported kernel gives another
         # name.
         kernel.__qualname__ = f"{name}{digest}"
@@ -133,7 +133,7 @@ def _compile(arguments: tuple[Any, ...], kernel: FunctionType) -> Any:
 
     try:
         return njit(arguments, cache=True, error_model="numpy")(kernel)
-    except RuntimeError:  # no writable cache folder, beside the source or in the user's home
+    except RuntimeError:  # Neither the source folder nor the home of the user has a writable cache folder.
         return njit(arguments, error_model="numpy")(kernel)
 
 

@@ -273,7 +273,7 @@ def load_hand(name_or_path: str) -> Hand:
         return _hand(_resolved(tomllib.loads(path.read_text("utf-8"))))
     except OSError as error:
         raise SimulatorError(f"{path}: cannot be read: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:  # also an endless number, or text that is not UTF-8
+    except (ValueError, RecursionError) as error:  # The file has an endless number, or is not UTF-8.
         raise SimulatorError(f"{path}: not TOML: {error}") from error
     except (KeyError, TypeError, AttributeError) as error:
         raise SimulatorError(f"{path}: not a complete hand: missing or wrong key {error}") from error

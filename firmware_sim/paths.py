@@ -35,7 +35,7 @@ def run_dir() -> Path:
     try:
         for path in [*reversed(folder.parents), folder][
             1:
-        ]:  # downwards: below a safe directory no other user can swap one
+        ]:  # From the top down: in a safe directory no other user can replace an entry.
             _check(path, mine=len(folder.parts) - len(path.parts) < own_parts)
     except OSError as error:
         raise SimulatorError(f"run directory {folder}: {error.strerror}; HANDCTL_RUN_DIR names another") from error

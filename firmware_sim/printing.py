@@ -16,9 +16,10 @@ def printable(text: str) -> str:
 def one_line(text: str) -> str:
     """Convert a text to a message of one line.
 
-    The start names the problem and the end the remedy, so only the middle of a long text is cut.
+    The start of a message names the problem, and the end names the remedy. Therefore only the middle of a
+    long text is removed.
     """
-    if len(text) > 4 * LONGEST:  # escaping makes a text longer, never shorter
+    if len(text) > 4 * LONGEST:  # Escapes make a text longer, never shorter.
         text = text[: 2 * LONGEST] + text[-2 * LONGEST :]
     line = printable(text)
     if len(line) <= LONGEST:

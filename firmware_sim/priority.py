@@ -74,7 +74,7 @@ class RealTimePriority:
         """Take the priority because frames of a host arrived."""
         if not self.active and self._now_s() >= self._not_before_s:
             self.active = self._take()
-            self._not_before_s = self._now_s() + ORDINARY_S  # after a refusal, do not retry in every turn
+            self._not_before_s = self._now_s() + ORDINARY_S  # Do not retry in every turn after a refusal.
 
     def note_slip(self) -> None:
         """Count a slip of the plant, and give the priority back after several."""

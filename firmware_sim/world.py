@@ -31,7 +31,7 @@ MAX_ENCODER_OFFSET_RAD = 0.5
 
 
 class World:
-    """The far side of the wire: plant and nodes of one hand.
+    """Plant and simulated nodes of one hand.
 
     Power-up, unless homed: each tendon is slack by 1 to 3 mm, because the motors were off. Each
     encoder reads an angle within 0.5 rad of its ``zero_rad`` at the point where the tendon is just
@@ -191,7 +191,7 @@ class World:
         t_ns = self.t_ns
         bus = frame[3]
         faults = self.faults
-        wire_faulty = faults.wire_faults_of  # a fault may react to frames for other nodes
+        wire_faulty = faults.wire_faults_of  # A fault may react to frames for other nodes.
         receivers = (
             self._nodes_of_bus[bus] if wire_faulty else self._by_id[bus].get(frame[0]) or self._receivers(bus, frame[0])
         )

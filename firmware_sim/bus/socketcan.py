@@ -70,7 +70,7 @@ class SocketCanPort:
         except OSError as error:
             if error.errno != errno.ENETDOWN:
                 raise
-            self.lost += 1  # interface down: reads work again once it is up
+            self.lost += 1  # The interface is down. Reads work again when it is up.
         return frames
 
     def _frame(self, raw: bytes) -> Frame:
@@ -92,7 +92,7 @@ class SocketCanPort:
             )
             try:
                 self._socket.send(raw)
-            except OSError:  # queue full (ENOBUFS), interface down or without FD: the frame is lost
+            except OSError:  # The queue is full (ENOBUFS), or the interface is down or has no FD. The frame is lost.
                 self.lost += 1
 
     def close(self) -> None:

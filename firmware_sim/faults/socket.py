@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from firmware_sim.description import SimulatorError
 
-if TYPE_CHECKING:  # program ``bus`` has a server without faults and plant
+if TYPE_CHECKING:  # Not imported at run time: the program ``bus`` has no faults and no plant.
     from firmware_sim.faults.active import Faults
     from firmware_sim.pace import Pace
 
@@ -73,7 +73,7 @@ class FaultSocket:
                 try:
                     self._socket.sendto(answer, client)
                 except OSError:
-                    continue  # the client has gone, or its queue is full
+                    continue  # The client has gone, or its queue is full.
 
     def _answer(self, request_bytes: bytes, pace: "Pace | None") -> dict[str, object]:
         """Return the answer to one request."""

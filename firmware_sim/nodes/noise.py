@@ -57,7 +57,7 @@ class Noise:
         """Draw the next block."""
         uniform = self._uniform.random_sample(BLOCK)
         block = np.empty(BLOCK)
-        if isinstance(_normal, FunctionType):  # in Python lists are faster than arrays
+        if isinstance(_normal, FunctionType):  # Without compilation, lists are faster than arrays.
             plain = [0.0] * BLOCK
             _normal(uniform.tolist(), plain)
             return plain

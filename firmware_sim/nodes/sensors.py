@@ -59,7 +59,7 @@ class SensorStruct(ctypes.Structure):
 @compiled("real", "real", "real", "count")
 def _code(value: float, low: float, step: float, offset: int) -> int:
     """Return the 12-bit code of a value. 0 and 4095 mean saturated."""
-    # round() ties to even, in Python as in compiled code.
+    # round() rounds halves to even numbers, in Python and in compiled code.
     return min(_MAX_CODE, max(0, round((value - low) / step) + offset))
 
 

@@ -315,7 +315,7 @@ def _steps(
         speeds = 0.0
         for speed in dq:
             speeds += speed
-        if not abs(speeds) < DIVERGED_RAD_S:  # also true for NaN
+        if not abs(speeds) < DIVERGED_RAD_S:  # This condition is also true for NaN.
             return done
         step_drivetrain(tendons, joints, arms, rotors, q, dq, torque, damping, True)
         # mj_step of the engine reads and writes q, dq, torque and damping in place.

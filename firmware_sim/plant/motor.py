@@ -1,8 +1,8 @@
 """One motor: the rotor at the spool and the servo inside its drive, integrated with the plant's step.
 
-The drive's control loop (10 to 20 kHz in reality) is faster than the plant's step. The loop is
-integrated implicitly:
-gains that are stable in the drive are stable in the simulation, without sub-steps.
+The control loop of a real drive (10 to 20 kHz) is faster than the step of the plant. The simulation
+integrates the loop implicitly, so that gains that are stable in the drive are also stable in the
+simulation, without sub-steps.
 """
 
 import math

@@ -254,7 +254,7 @@ class Plant:
         """Run one step in which the given motors are stepped by Python."""
         engine = self.engine
         q, dq, torque, damping = self._bodies or self._joint_lists()
-        if not abs(sum(engine.dq.tolist())) < drivetrain.DIVERGED_RAD_S:  # also true for NaN
+        if not abs(sum(engine.dq.tolist())) < drivetrain.DIVERGED_RAD_S:  # This condition is also true for NaN.
             raise self._diverged()
         if faulty_motors:
             for motor in self._rotors:

@@ -134,7 +134,7 @@ def _serve(server: Server, world: World, path: Path, header: dict[str, Any], rea
 
     until_signal(stop)
     gc.collect()
-    gc.freeze()  # loaded modules live on: the collector need not scan them in the loop
+    gc.freeze()  # Loaded modules stay, so that the garbage collector need not scan them in the loop.
     print(ready, flush=True)
     try:
         server.run()

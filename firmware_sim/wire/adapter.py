@@ -1,8 +1,8 @@
 """Latency of a CAN adapter between a host and its controller on the wire.
 
-A USB host moves frames at the start of a USB frame only: each millisecond for a full-speed device,
-each 125 us for a high-speed device. A frame waits for the next start in either direction. A serial
-bus inside the adapter moves one frame after the other. Source of the USB times: USB 2.0
+A USB host transfers data only at the start of a USB frame: once per millisecond for a full-speed
+device, once per 125 us for a high-speed device. In both directions, a CAN frame waits for the next
+start. A serial bus inside the adapter transfers one CAN frame after the other. Source of the USB times: USB 2.0
 specification, 5.3.3 (frames and microframes).
 """
 

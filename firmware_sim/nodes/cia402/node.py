@@ -256,7 +256,7 @@ class Cia402Node:
             self.malformed += 1
             return
         if data[0] == 0x80:
-            return  # abort by the client
+            return  # The client aborts the transfer.
         key = (int.from_bytes(data[1:3], "little"), data[3])
         try:
             reply = self._access(data, key)

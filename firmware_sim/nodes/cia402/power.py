@@ -49,7 +49,7 @@ class Power:
             self.state = OFF if edge else FAULT
             return
         if not word & 0x02 or not word & 0x04:
-            self.state = OFF  # disable voltage, or quick stop
+            self.state = OFF  # The command is disable voltage or quick stop.
         elif word & 0x07 == 0x06:
             self.state = READY
         elif self.state != OFF and word & 0x0F == 0x0F:

@@ -186,7 +186,7 @@ class OdriveNode:
         defaults = {number: struct.pack("<f", value) for number, (_, value) in MOTION_ENDPOINTS.items()}
         self.endpoints = defaults | self.endpoints
         self.legacy = options.get("firmware") == "0.5"
-        if usb := options.get("usb_watchdog_s"):  # set over USB: no frame reaches it
+        if usb := options.get("usb_watchdog_s"):  # This setting is made over USB, and no frame can change it.
             self._numbers |= {"enable_watchdog": -1, "watchdog_timeout": -2}
             self.endpoints |= {-1: b"\1", -2: struct.pack("<f", usb)}
         self.calibrated = not options.get("uncalibrated", False)
