@@ -150,3 +150,35 @@ def test_an_error_is_cleared_whether_the_clear_command_is_answered_or_not(answer
     assert rig.until(DriveTarget.POLL, lambda state: state.phase.name == "FAULT", 1.0)
     rig.clear()
     assert rig.until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0), rig.state.error_text
+
+
+@pytest.mark.parametrize("watchdog", ["commands", "frames", "always"])
+def test_a_disabled_motor_is_ready_whenever_its_watchdog_fires(watchdog):
+    """Register requests do not feed it. A motor whose watchdog fires while disabled was in fault before arming."""
+    place = VirtualBench("mit", watchdog=watchdog)
+    rig = rig_on(place, "mit", LIMIT)
+    assert rig.until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0)
+    seen = set()
+
+    def note(state):
+        seen.add(state.phase.name)
+        return False
+
+    rig.until(DriveTarget.POLL, note, 1.0)
+    assert seen == {"READY"}
+    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase.name == "ENABLED", 0.1)
+    rig.keep(DriveTarget.ENABLE, 0.2)
+    place.pass_time(0.3)
+    rig.tick(DriveTarget.ENABLE)
+    rig.tick(DriveTarget.ENABLE)
+    assert (rig.state.phase.name, rig.state.error_text) == ("FAULT", "communication lost: the drive's watchdog fired")
+
+
+def test_a_motor_whose_watchdog_also_fires_while_disabled_passes_three_times():
+    place = VirtualBench("mit", watchdog="always")
+    for _ in range(3):
+        rig = rig_on(place, "mit", LIMIT)
+        rig.clear()
+        found = {check.name: check for check in checks(DeviceUnderTest(rig, LIMIT, 0.05))}
+        assert failed(found) == [], {name: check.reason for name, check in found.items()}
+        assert leave(rig, 0.05)

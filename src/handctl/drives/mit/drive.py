@@ -20,6 +20,7 @@ from handctl.drives.mit import settings as registers
 from handctl.drives.mit.progress import (
     CAUSES,
     CLEAR_TRIES,
+    FIRES_DISABLED,
     MISMATCH,
     SILENCE_NS,
     MitProgress,
@@ -286,14 +287,19 @@ class MitDrive:
             and t_ns - max(state.feedback_t_ns, progress.ready_ns) > SILENCE_NS
         ):
             return state._replace(phase=SILENT, private=MitProgress()), (self._refresh(),)
+        # The watchdog of this motor is fed by commands, also while disabled.
+        fed = state.error_text == FIRES_DISABLED
+        clear = (self._frame(codec.special_command(codec.CLEAR)),) if progress.clearing else ()
         if state.phase == CONFIGURING or (state.phase == READY and not progress.configured):
-            return self._configure(state._replace(phase=CONFIGURING), progress, t_ns)
-        if state.phase == READY and target == ENABLE:
+            updated, requests = self._configure(state._replace(phase=CONFIGURING), progress, t_ns)
+            return updated, (*(clear or self.cut()), *requests) if fed else requests
+        if state.phase == READY and target == ENABLE and not (fed and progress.clearing):
             check = progress.check if progress.enable_sent else readback.first_recheck(self.node_id, t_ns)
             enabling = state._replace(private=progress._replace(enable_sent=True, check=check))
             return enabling, (self._frame(codec.special_command(codec.ENABLE)),)
+        if fed and not clear:
+            return state._replace(private=progress), self.cut()
         # Whether the clear command has an answer is not documented, hence feedback is requested as well.
-        clear = (self._frame(codec.special_command(codec.CLEAR)),) if progress.clearing else ()
         return state._replace(private=progress), (*clear, self._refresh())
 
     def _disable(self, state: DriveState, progress: MitProgress, t_ns: int) -> DriveState:
@@ -328,7 +334,8 @@ class MitDrive:
         cursor, data, problem = registers.next_request(progress.cursor, self.required, self.node_id, t_ns)
         if problem:
             return to_fault(state._replace(private=progress), MISMATCH, problem), ()
-        updated = state._replace(error_text="", private=progress._replace(cursor=cursor))
+        text = FIRES_DISABLED if state.error_text == FIRES_DISABLED else ""
+        updated = state._replace(error_text=text, private=progress._replace(cursor=cursor))
         return updated, (self._broadcast(data),) if data else ()
 
     def _torque(self, torque: float) -> bytes:

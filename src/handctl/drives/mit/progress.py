@@ -22,6 +22,10 @@ CAUSES = {
     DROPPED_OUT: Cause.DROPPED_OUT, MISMATCH: Cause.MISMATCH, ENABLED_BY_OTHERS: Cause.MISMATCH,
 } | dict.fromkeys(codec.ERRORS.keys() - {0x8, 0x9, 0xB, 0xC, 0xD}, Cause.OTHER)  # fmt: skip
 """Cause of each state nibble and of each error code added by handctl."""
+WATCHDOG_FIRED = 0xD
+"""State nibble of a motor whose watchdog has fired."""
+FIRES_DISABLED = "its watchdog also fires while it is disabled"
+"""Text of a disabled motor that reported WATCHDOG_FIRED. The motor has no error, and gets clear commands."""
 CLEAR_TRIES = 6
 """Number of feedback frames that may still show an error after the command to clear it.
 
@@ -115,6 +119,10 @@ def _is_in_error(state: DriveState, progress: MitProgress, nibble: int) -> Drive
     """
     if nibble in codec.ERRORS and progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
+    idle = not (progress.enable_sent or progress.enabled_by_other or progress.disabling)
+    if nibble == WATCHDOG_FIRED and idle and state.phase in (CONFIGURING, READY):
+        # Register requests do not feed the watchdog. The motor makes no torque, and needs no operator.
+        return state._replace(error_text=FIRES_DISABLED, private=progress._replace(clearing=CLEAR_TRIES))
     if nibble in codec.ERRORS:
         off = state._replace(private=progress._replace(enable_sent=False, enabled_by_other=False))
         return to_fault(off, nibble, codec.ERRORS[nibble])

@@ -1,0 +1,34 @@
+"""The client ``robstride`` of the package index reads and sets up the simulated motor in its private protocol.
+
+The client has no operation control: it reads, writes and enables. It masks one of the two bits of the mode, hence its
+``mode`` is not compared.
+"""
+
+import can
+import pytest
+
+from tests.drives.bench_process import drives
+
+robstride = pytest.importorskip("robstride", reason="not in the group extra: pip install robstride==0.1.0")
+pytestmark = pytest.mark.realtime
+BUS = "robstride"
+WAIT_S = 20.0
+
+
+def test_robstride() -> None:
+    with drives(f"local:{BUS}", "robstride", "--ids", "5"), can.Bus(interface="local", channel=BUS) as bus:
+        client = robstride.Client(bus, recv_timeout=WAIT_S)
+        assert client.read_param(5, "run_mode") == robstride.RunMode.Operation
+        assert client.read_param(5, "limit_torque") == 5.5
+        client.write_param(5, "limit_torque", 0.25)
+        assert client.read_param(5, "limit_torque") == 0.25
+        client.write_param(5, "run_mode", robstride.RunMode.Speed)
+        assert client.read_param(5, "run_mode") == robstride.RunMode.Speed
+        client.write_param(5, "run_mode", robstride.RunMode.Operation)
+        feedback = client.enable(5)
+        assert (feedback.servo_id, feedback.errors) == (5, [])
+        assert feedback.torque == pytest.approx(0.0, abs=0.01)
+        assert feedback.angle == pytest.approx(client.read_param(5, "mechpos"), abs=0.01)
+        assert client.read_param(5, "vbus") == pytest.approx(48.0)
+        assert client.disable(5).errors == []
+        assert client.error_rate() == 0.0
