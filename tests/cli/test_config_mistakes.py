@@ -158,7 +158,25 @@ def test_mistakes_of_the_files_beside_the_hand_come_too(place: Path, capsys: pyt
 def test_what_several_sections_have_in_common_is_one_line(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     numbers = "[0.015, 0.010]"
     spoilt(place, (f"link_length_m = {numbers}", ""), ("m1.node_id = 10,", "m1 = { node_id = 10, direction = 0 },"))
-    assert lines(capsys)[0] == "digit[thumb].link_length_m: missing; expected a value"
+    line = lines(capsys)[0]
+    assert line.startswith("digit[thumb].link_length_m: missing; expected a value: Distance from a link's joint")
+
+
+def test_an_empty_file_names_the_way_on(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (place / "mine.toml").write_text("# nothing yet\n")
+    assert lines(capsys) == [
+        "schema: the file is empty; expected schema = 2 and the sections of a hand; "
+        "handctl config init writes them from a few answers"
+    ]
+
+
+def test_a_missing_section_is_named_with_its_forms(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (place / "mine.toml").write_text('schema = 2\nname = "mine"\n[[digit]]\nname = "left"\n')
+    found = {line.partition(":")[0]: line for line in lines(capsys)}
+    assert found["tendon"].startswith("tendon: missing; expected [[tendon]] sections, or tendon.NAME in each digit: ")
+    assert found["mount"].startswith("mount: missing; expected a section [mount]: ")
+    assert "sensor_node" not in found, "a hand may be without"
+    assert found["digit[left].link_radius_m"].endswith("expected a value: Radius of the links, as a capsule")
 
 
 def test_an_object_inside_the_hand_comes_with_the_others(place: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -5,10 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.load import hand_content, hand_from, load_hand, packaged_hands
 from handctl.hand.readiness import coordinate_range_deg
-from handctl.programs.default_task import default_task
+from handctl.programs.default_task import default_scene, default_task, grasp_warnings
 from handctl.programs.task import Close, Hold, load_task
 from handctl.session.tasks import check_suits, find_task
 from tests.hand.chains import SEEDS, random_tree
@@ -71,3 +72,32 @@ def test_a_digit_that_carries_others_keeps_its_angle() -> None:
         closing = set(hand.digit_names) - hand.carriers
         assert set(close.angle_deg) == set(hold.tension_N) == closing  # type: ignore[union-attr, arg-type]
         assert set(opened.angle_deg) == set(hand.digit_names)  # type: ignore[union-attr, arg-type]
+
+
+def around_a_circle() -> Hand:
+    """Return jamia's fingers as three equal fingers around a circle, and no thumb."""
+    content = hand_content("jamia")
+    for part in ("digit", "tendon", "motor"):
+        content[part] = content[part][:3]
+    content["sensor_node"]["tendons"] = content["sensor_node"]["tendons"][:3]
+    for number, digit in enumerate(content["digit"]):
+        angle = 2.0 * np.pi * number / 3.0
+        digit["mount_position_m"] = [0.0, 0.04 * np.cos(angle), 0.04 * np.sin(angle)]
+        digit["mount_rpy_deg"] = [180.0 + np.degrees(angle) - 360.0 * (number > 1), 0.0, 0.0]
+    return hand_from(content, "around a circle")
+
+
+def test_fingers_around_a_circle_press_alike_and_take_a_ball() -> None:
+    hand = around_a_circle()
+    hold = default_task(hand)[0].phase[2]
+    assert isinstance(hold, Hold)
+    assert isinstance(hold.tension_N, dict)
+    assert len(set(hold.tension_N.values())) == 1
+    assert grasp_warnings(hand) == ()
+    assert default_scene(hand) == "sphere:41"
+
+
+def test_digits_of_one_side_are_said_to_lift_nothing() -> None:
+    content = hand_content("t42")
+    content["digit"][1]["mount_rpy_deg"] = [180.0, 0.0, 0.0]
+    assert "no digit closes against another" in grasp_warnings(hand_from(content, "one-sided"))[0]

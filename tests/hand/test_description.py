@@ -146,7 +146,7 @@ def test_a_hand_that_is_not_there(name, message):
         (b"schema = 1\nschema = 1", "not TOML: "),
         (b"\xff\xfe", "byte 0 is not UTF-8"),
         (b"a = " + b"[" * 100_000, "not TOML: "),
-        (b"", "schema: missing"),
+        (b"", "schema: the file is empty; expected schema = 2 and the sections of a hand"),
     ],
 )
 def test_a_file_that_is_not_a_hand(tmp_path, data, message):

@@ -60,7 +60,8 @@ class Hand(Section):
             return given
         buses = given.get("bus")
         if not isinstance(buses, list | tuple) or not buses or not isinstance(buses[0], dict) or "name" not in buses[0]:
-            return given  # the bus is what is wrong
+            # The mistake is that of the bus. Any name stands for it.
+            return given | {"sensor_node": NO_SENSORS | {"bus": "main"}}
         return given | {"sensor_node": NO_SENSORS | {"bus": buses[0]["name"]}}
 
     @cached_property

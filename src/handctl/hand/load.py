@@ -140,6 +140,9 @@ def examined(content: Mapping[str, Any]) -> tuple[Hand | None, list[Mistake]]:
     Returns:
         The hand and no mistakes, or None and at least one mistake.
     """
+    if not content:
+        right = f"schema = {WRITTEN} and the sections of a hand; handctl config init writes them from a few answers"
+        return None, [Mistake("the file is empty", "schema", right)]
     version = content.get("schema", RESOLVED)
     if isinstance(version, bool) or version not in SCHEMAS:
         return None, [Mistake(shown(version), "schema", f"{RESOLVED} or {WRITTEN}, versions that this handctl reads")]

@@ -8,7 +8,7 @@ import numpy as np
 from handctl.core.estimation.tip import tip_lever
 from handctl.document import validated
 from handctl.hand.description import Hand
-from handctl.hand.digit import DigitModel
+from handctl.hand.digit import Array, DigitModel
 from handctl.hand.file.error_text import listed
 from handctl.hand.file.new_file import CLEARANCE_MM, OBJECT_PER_DIGIT, SMALLEST_OBJECT_MM
 from handctl.hand.file.toml_text import toml_text
@@ -26,6 +26,8 @@ HOLD = 0.3
 """Tension of a hold per ``tension_max_N``, if as many digits close from one side as from the other."""
 LARGEST_HOLD = 0.7
 """Largest tension of a hold per ``tension_max_N``."""
+SMALLEST_SHARE = 0.1
+"""Smallest factor of a digit for a balance of forces. Hands with smaller ones have no such balance."""
 PRESS_N = 1.0
 """Smallest force of a hold at the tip of a half-closed digit, against springs [N]."""
 CONTACT = 0.16
@@ -35,7 +37,11 @@ RELEASE_N = 6.0
 RESTING = 1.5
 """Tension of an extensor in a hold per ``tension_floor_N``."""
 SCENE = "cylinder"
-"""Scene with an object of 35 mm in front of the palm."""
+"""Scene with an object of 35 mm in front of the palm, for digits that flex in parallel planes."""
+BALL = "sphere"
+"""Scene for digits that flex in other planes."""
+PARALLEL = 0.1
+"""Largest component of a direction of flexion along the cylinder."""
 PALM_GAP_M = 0.002
 """Gap between the palm and the object of the scene [m]. Source: ``firmware_sim/scenes/cylinder.toml``."""
 OBJECT_HALF_LENGTH_M = 0.0465
@@ -92,26 +98,32 @@ def _closed_deg(hand: Hand, name: str) -> np.ndarray:
 
 
 def _shares(hand: Hand) -> dict[str, float]:
-    """Return the factor of each digit's tension in a hold.
+    """Return the factor of each digit's tension in a hold, 1 on average.
 
-    The digits of both sides press alike. Two fingers would otherwise push a thumb open.
+    The forces on an object are in balance: two fingers would otherwise push a thumb open, and three
+    fingers around a circle press alike.
     """
-    opposed = _opposed(hand)
-    count = len(opposed)
-    behind = sum(opposed.values())
-    if behind == 0:
-        return dict.fromkeys(opposed, 1.0)
-    return {name: count / 2 / (behind if is_opposed else count - behind) for name, is_opposed in opposed.items()}
+    directions = _directions(hand)
+    rows = np.array(list(directions.values()))
+    # The factors nearest to 1 whose sum of directions is zero.
+    factors = 1.0 - rows @ np.linalg.pinv(rows.T @ rows) @ rows.sum(axis=0)
+    if factors.min() < SMALLEST_SHARE:
+        return dict.fromkeys(directions, 1.0)
+    return dict(zip(directions, (factors / factors.mean()).tolist(), strict=True))
+
+
+def _directions(hand: Hand) -> dict[str, Array]:
+    """Return the direction of flexion of each closing digit: y of the last link at rest, (3,) in the palm frame."""
+    tree = HandTree.of(hand)
+    turned = rotations(tree.poses(np.zeros(len(hand.joints))))
+    return {digit.name: turned[digit.joints][-1, :, 1] for digit in tree.digits if digit.name not in hand.carriers}
 
 
 def _opposed(hand: Hand) -> dict[str, bool]:
     """Return True for each closing digit opposed to the first."""
-    # The side of flexion is y of the last link, in the palm frame at rest.
-    tree = HandTree.of(hand)
-    turned = rotations(tree.poses(np.zeros(len(hand.joints))))
-    sides = {digit.name: turned[digit.joints][-1, :, 1] for digit in tree.digits if digit.name not in hand.carriers}
-    first = next(iter(sides.values()))
-    return {name: bool(direction @ first < 0.0) for name, direction in sides.items()}
+    directions = _directions(hand)
+    first = next(iter(directions.values()))
+    return {name: bool(direction @ first < 0.0) for name, direction in directions.items()}
 
 
 def _hold_tensions(hand: Hand, name: str, share: float) -> float | list[float]:
@@ -170,20 +182,22 @@ def grasp_warnings(hand: Hand) -> tuple[str, ...]:
 
 
 def default_scene(hand: Hand) -> str:
-    """Return the scene for the default task of a hand: a cylinder between the open digits.
+    """Return the scene for the default task of a hand: a cylinder or a ball between the open digits.
 
     The diameter is in proportion to the digits. The tips of opposed digits meet around thin objects.
     """
-    longest = 1e3 * max(sum(hand.digit_named(name).link_length_m) for name in _opposed(hand))
-    free = 1e3 * _largest_object(hand)
+    directions = _directions(hand)
+    shape = SCENE if all(abs(direction[2]) < PARALLEL for direction in directions.values()) else BALL
+    longest = 1e3 * max(sum(hand.digit_named(name).link_length_m) for name in directions)
+    free = 1e3 * _largest_object(hand, ball=shape == BALL)
     diameter = max(SMALLEST_OBJECT_MM, min(OBJECT_PER_DIGIT * longest, free - CLEARANCE_MM))
     if diameter > free:
         diameter = free - CLEARANCE_MM
-    return SCENE if round(diameter) == SMALLEST_OBJECT_MM else f"{SCENE}:{max(diameter, 1.0):.0f}"
+    return SCENE if (shape, round(diameter)) == (SCENE, SMALLEST_OBJECT_MM) else f"{shape}:{max(diameter, 1.0):.0f}"
 
 
-def _largest_object(hand: Hand) -> float:
-    """Return the diameter of the largest cylinder between the open digits [m]."""
+def _largest_object(hand: Hand, ball: bool) -> float:
+    """Return the diameter of the largest cylinder or ball between the open digits [m]."""
     tree = HandTree.of(hand)
     q = np.concatenate([np.maximum(digit.joint_min, 0.0) for digit in tree.digits])
     largest = 1.0
@@ -192,9 +206,9 @@ def _largest_object(hand: Hand) -> float:
         for start, end in pairwise(points):
             x, y, z = (start + along * (end - start)).T
             # A circle that touches the line x = gap has its centre at gap + D/2. A point at distance D/2 + r from it:
-            # (x - gap)^2 + y^2 - r^2 = D (x - gap + r).
+            # (x - gap)^2 + y^2 - r^2 = D (x - gap + r). A ball has y^2 + z^2 in place of y^2.
             reach = x - PALM_GAP_M + digit.radius
-            beside = (np.abs(z) < OBJECT_HALF_LENGTH_M) & (reach > 0.0)
-            room = (x - PALM_GAP_M) ** 2 + y**2 - digit.radius**2
+            beside = (reach > 0.0) & (ball | (np.abs(z) < OBJECT_HALF_LENGTH_M))
+            room = (x - PALM_GAP_M) ** 2 + y**2 + ball * z**2 - digit.radius**2
             largest = min(largest, float((room[beside] / reach[beside]).min(initial=largest)))
     return max(largest, 0.0)

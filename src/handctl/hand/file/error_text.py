@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
 
 from handctl.errors import ConfigError
 
@@ -62,12 +63,43 @@ def validation_mistakes(error: ValidationError, model: type[BaseModel], content:
         where = key_path(content, location)
         if detail["type"] == "missing":
             if (location[:-1], location[-1]) not in misspelt:
-                found.append(Mistake("missing", where, "a value"))
+                found.append(Mistake("missing", where, _missing(location, model)))
         elif detail["type"] != "extra_forbidden":
             context = {"right": detail["msg"], **detail.get("ctx", {})}
             right = EXPECTED.get(detail["type"], "{right}").format(**context)
             found.append(Mistake(shown(detail["input"]), where, right))
     return found
+
+
+WITHIN_DIGITS = ("tendon", "motor")
+"""Sections of a hand that can also be tables of a digit."""
+
+
+def _missing(location: Sequence[str | int], model: type[BaseModel]) -> str:
+    """Return what a missing key stands for: the form of a section, and the first sentence of the description."""
+    field = _field(location, model)
+    if field is None:
+        return "a value"
+    form = "a value"
+    if len(location) == 1 and _models_in(field.annotation):
+        name = location[0]
+        is_list = not isinstance(field.annotation, type)
+        form = f"[[{name}]] sections" if is_list else f"a section [{name}]"
+        form += f", or {name}.NAME in each digit" if name in WITHIN_DIGITS else ""
+    text = (field.description or "").partition(". ")[0].rstrip(".").replace("\n", " ")
+    return f"{form}: {text}" if text else form
+
+
+def _field(location: Sequence[str | int], model: type[BaseModel]) -> FieldInfo | None:
+    """Return the field of a key, None for a key without one, such as an entry of a list."""
+    *tables, key = location
+    for part in tables:
+        if isinstance(part, str):
+            models = _models_in(model.model_fields[part].annotation) if part in model.model_fields else []
+            if not models:
+                return None
+            model = models[0]
+    return next((field for name, field in model.model_fields.items() if key in (name, field.alias)), None)
 
 
 def _unknown_key_mistake(location: Sequence[str | int], model: type[BaseModel], content: Mapping[str, Any]) -> Mistake:

@@ -242,7 +242,8 @@ def of_default(mistakes: Iterable[Mistake], content: Table) -> list[Mistake]:
     joined: dict[Mistake, None] = {}
     for mistake, match in zip(found, missing, strict=True):
         if match and counts[match.groups()] == len(_list_of_tables(content.get(match[1]))) > 1:
-            mistake = Mistake("missing", f"default.{match[1]}.{match[2]}", f"a value, there or in each {match[1]}")
+            right = f"a value, there or in each {match[1]}" + mistake.right.removeprefix("a value")
+            mistake = Mistake("missing", f"default.{match[1]}.{match[2]}", right)
         joined[mistake] = None
     return list(joined)
 
