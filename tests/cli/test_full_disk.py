@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 from handctl.cli.main import main
-from handctl.session.verdict import _beside
+from handctl.session.verdict import _copy_truth
 
 GOLDEN = Path(__file__).parents[2] / "logs" / "golden"
 FULL = Path("/dev/full")
@@ -37,7 +37,7 @@ def test_a_truth_that_cannot_be_copied_is_read_where_it_is(place):
     truth.write_bytes(bytes(100))
     (place / "run.truth").symlink_to(FULL)
     told: list[str] = []
-    assert _beside(place / "run.mcap", truth, told.append) == truth
+    assert _copy_truth(place / "run.mcap", truth, told.append) == truth
     assert told == [f"handctl: {place / 'run.truth'} is left out: No space left on device"]
 
 

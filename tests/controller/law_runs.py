@@ -74,7 +74,7 @@ def commanded(model: HandModel, state: State, goals: tuple[DigitGoal, ...], t: f
     write_goals(model, state.layout, state.block, goals)
     state.decide(progress=replace(state.progress, goals=goals))
     state.goal_time = t
-    controller_of(model)._command(state, action, 1)
+    controller_of(model)._compute_torques(state, action, 1)
 
 
 def step(

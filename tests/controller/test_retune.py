@@ -113,14 +113,14 @@ Call = tuple[Controller, State, State, Action, int]
 
 def recorded(monkeypatch: pytest.MonkeyPatch) -> list[Call]:
     """Calls of the law from now on: whose, the state before and after it, what safety demanded, and ticks."""
-    calls, real = list[Call](), Controller._command
+    calls, real = list[Call](), Controller._compute_torques
 
     def command(self: Controller, state: State, action: Action, ticks: int) -> None:
         before = state.copy()
         real(self, state, action, ticks)
         calls.append((self, before, state.copy(), action, ticks))
 
-    monkeypatch.setattr(Controller, "_command", command)
+    monkeypatch.setattr(Controller, "_compute_torques", command)
     return calls
 
 
@@ -151,7 +151,7 @@ def test_a_change_makes_no_step_in_torque(
     with_trim = before.copy()
     with_trim.view("trim")[...] = desk.state.view("trim")
     with_trim.set_whole(s.TRIMMED, 1)
-    other._command(with_trim, action, ticks)
+    other._compute_torques(with_trim, action, ticks)
     np.testing.assert_allclose(with_trim.view("torque"), out.telemetry.motor_torque_goal, atol=1e-12)
     assert np.abs(without.view("torque") - with_trim.view("torque")).max() > 1e-4
 

@@ -18,7 +18,7 @@ from handctl.log.export.parquet import export_parquet
 from handctl.log.export.tables import (
     INTEGER_COLUMNS,
     TEXT_COLUMNS,
-    _candump,
+    _candump_line,
     column_title,
     columns,
     export_candump,
@@ -151,7 +151,7 @@ def test_time_stamps_of_the_candump_rise(log: RunLog, tmp_path: Path, monkeypatc
 )
 def test_python_can_reads_every_kind_of_frame(frame: Frame, tmp_path: Path) -> None:
     path = tmp_path / "x.log"
-    path.write_text(_candump(frame, 1_234_567_890_123_456_789, ("b",), "R"))
+    path.write_text(_candump_line(frame, 1_234_567_890_123_456_789, ("b",), "R"))
     (message,) = can.CanutilsLogReader(path)
     assert message.is_fd == bool(frame.flags & FDF)
     assert message.bitrate_switch == bool(frame.flags & BRS)

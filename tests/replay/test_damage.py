@@ -8,7 +8,7 @@ import lz4.frame
 import pytest
 
 from handctl.cli.main import main
-from handctl.log.read.chunk_reader import definitions, iter_messages
+from handctl.log.read.chunk_reader import iter_messages, schemas_and_channels
 from handctl.log.read.logfile import ChunkLocation, LogFile
 from handctl.log.read.reader import RunLog
 from handctl.log.read.record_scan import RecordScan, scan_records
@@ -33,7 +33,7 @@ def _chunks(path: Path) -> tuple[LogFile, RecordScan]:
 def _changed(path: Path, topic: str, k: int, at: int, fitting: bool) -> None:
     """Change a byte of a message. With `fitting`, all checksums are adjusted, as a forger would do."""
     file, scan = _chunks(path)
-    names = {name: number for number, _, name, _, _ in definitions(file.content(scan.chunks[0])).channels}
+    names = {name: number for number, _, name, _, _ in schemas_and_channels(file.content(scan.chunks[0])).channels}
     for chunk in scan.chunks:
         content = file.content(chunk)
         for one in iter_messages(content, chunk.end - chunk.data, frozenset([names[topic]])):

@@ -241,6 +241,6 @@ def test_the_kernels_stamps_become_the_runs_time(udp: tuple[SocketCanBus, socket
 
 def test_a_flood_of_new_batches_fills_no_memory() -> None:
     structs = canfd.Structs(bytearray(4096 * canfd.SIZE))
-    before = canfd._received.cache_info().currsize
+    before = canfd._convert_received.cache_info().currsize
     assert len(structs.read(4096, structs.converted_heads(4096, 0), 0)) == 4096
-    assert canfd._received.cache_info().currsize == before
+    assert canfd._convert_received.cache_info().currsize == before

@@ -79,7 +79,7 @@ def apply_requests(
         elif isinstance(request, SetGains):
             events += _set_gains(model, program, state, request)
         elif isinstance(request, CommandBase):
-            events += _command(model, program, state, request)
+            events += _apply_command(model, program, state, request)
     return operator, tuple(events)
 
 
@@ -93,7 +93,7 @@ def _set_gains(model: HandModel, program: Program, state: State, request: SetGai
     return refused
 
 
-def _command(model: HandModel, program: Program, state: State, request: CommandBase) -> tuple[Event, ...]:
+def _apply_command(model: HandModel, program: Program, state: State, request: CommandBase) -> tuple[Event, ...]:
     """Execute a motion command if the run accepts commands from this client."""
     if refusal := _refusal(program, state, request):
         return (refusal,)
@@ -101,7 +101,7 @@ def _command(model: HandModel, program: Program, state: State, request: CommandB
         close_stream(model, state)
     state.decide(commander=request.client)
     if isinstance(request, Grasp | ReleaseGrasp):
-        return _grasp(model, state, request)
+        return _apply_grasp(model, state, request)
     if state.progress.task is not None and not isinstance(request, CloseStream):
         state.decide(progress=end_task(state.progress))
     if isinstance(request, MoveDigits | HoldTension):
@@ -119,7 +119,7 @@ def _command(model: HandModel, program: Program, state: State, request: CommandB
     return ()
 
 
-def _grasp(model: HandModel, state: State, request: Grasp | ReleaseGrasp) -> tuple[Event, ...]:
+def _apply_grasp(model: HandModel, state: State, request: Grasp | ReleaseGrasp) -> tuple[Event, ...]:
     """Begin a grasp task, or end the hold of a running one."""
     if isinstance(request, ReleaseGrasp):
         progress, events = release_task(state.progress)

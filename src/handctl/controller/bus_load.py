@@ -73,7 +73,7 @@ def bus_loads(hand: Hand) -> tuple[BusLoad, ...]:
         ConfigError: if a motor is set to CAN FD and the bus has no data bit rate.
     """
     drives = make_drives(hand)
-    return tuple(_load(hand, index, bus, drives) for index, bus in enumerate(hand.bus))
+    return tuple(_load_of_bus(hand, index, bus, drives) for index, bus in enumerate(hand.bus))
 
 
 def drive_rows(drive: Drive, bus: Bus) -> tuple[FrameRow, ...]:
@@ -111,7 +111,7 @@ def sensor_rows(hand: Hand, bus: Bus) -> tuple[FrameRow, ...]:
     )
 
 
-def _load(hand: Hand, index: int, bus: Bus, drives: tuple[Drive, ...]) -> BusLoad:
+def _load_of_bus(hand: Hand, index: int, bus: Bus, drives: tuple[Drive, ...]) -> BusLoad:
     bus_drives = [drive for drive in drives if drive.bus == index]
     rows = [row for drive in bus_drives for row in drive_rows(drive, bus)]
     if hand.sensor_node.bus == bus.name and make_sensors(hand).ids:

@@ -145,7 +145,7 @@ def next_mode(
     failure = failure or ("" if state.failure else _latched_faults(state))  # of a fault on the way home, too
     names = inputs.names
     level = "error" if failure else "info"
-    unconfirmed = _possibly_energized(model, state, names) if mode == Mode.DONE else ()
+    unconfirmed = _motors_possibly_on(model, state, names) if mode == Mode.DONE else ()
     text = f"{before.name} -> {mode.name}" + (f": {failure}" if failure else "")
     if unconfirmed and REMOVE_POWER not in text:  # whoever has ordered the stop reads nothing but this line
         text += f"; {REMOVE_POWER}: not confirmed disabled: {', '.join(unconfirmed)}"
@@ -194,11 +194,11 @@ def _latched_faults(state: State) -> str:
     return "fault " + ", ".join(f"{mark.id} {mark.instance}" for mark in state.latched)
 
 
-def _silent(state: State, inputs: ModeInputs) -> Next:
+def _after_silent(state: State, inputs: ModeInputs) -> Next:
     return (Mode.INVENTORY if inputs.elapsed >= LISTEN_S else Mode.SILENT), ""
 
 
-def _inventory(state: State, inputs: ModeInputs) -> Next:
+def _after_inventory(state: State, inputs: ModeInputs) -> Next:
     named = tuple(_named_drives(state, inputs))
     wrong = [f"{name}: {drive.error_text}" for name, drive in named if drive.phase == Phase.FAULT]
     if wrong and not (state.clearing and inputs.elapsed < INVENTORY_TIMEOUT_S):
@@ -223,7 +223,7 @@ def _missing_inputs(state: State, inputs: ModeInputs) -> list[str]:
     return [f"no position from {', '.join(blind)}"] if blind else []
 
 
-def _ready(state: State, inputs: ModeInputs) -> Next:
+def _after_ready(state: State, inputs: ModeInputs) -> Next:
     if strange := _other_drives(state, inputs):
         return Mode.DONE, f"{strange}: the calibration is another hand's, name this one's or commission it"
     return (Mode.ARMING if state.armed and inputs.elapsed >= READY_S else Mode.READY), ""
@@ -241,7 +241,7 @@ def _other_drives(state: State, inputs: ModeInputs) -> str:
     return ", ".join(f"{name} is drive {now}, calibrated was {then}" for name, now, then in others)
 
 
-def _arming(state: State, inputs: ModeInputs) -> Next:
+def _after_arming(state: State, inputs: ModeInputs) -> Next:
     if all(phase == Phase.ENABLED for phase in state.phases):
         return Mode.ACTIVE, ""
     if inputs.elapsed < ARMING_TIMEOUT_S:
@@ -250,21 +250,21 @@ def _arming(state: State, inputs: ModeInputs) -> Next:
     return Mode.DISARM, f"not enabled: {', '.join(late)}"
 
 
-def _active(state: State, inputs: ModeInputs) -> Next:
+def _after_active(state: State, inputs: ModeInputs) -> Next:
     return (Mode.RELAX if state.progress.finished else Mode.ACTIVE), state.progress.failure
 
 
-def _relax(state: State, inputs: ModeInputs) -> Next:
+def _after_relax(state: State, inputs: ModeInputs) -> Next:
     # A load cell that reads too little must not cut a taut tendon: the command has to have fallen, too.
     relaxed = tensions_relaxed(inputs.model, state) and commands_relaxed(inputs.model, state)
     return (Mode.DISARM if relaxed or inputs.elapsed >= RELAX_TIMEOUT_S else Mode.RELAX), ""
 
 
-def _disarm(state: State, inputs: ModeInputs) -> Next:
-    pulling = _pulling(inputs.model, state, inputs.names)
+def _after_disarm(state: State, inputs: ModeInputs) -> Next:
+    pulling = _pulling_motors(inputs.model, state, inputs.names)
     if pulling:
         return Mode.DONE, f"{REMOVE_POWER}: still pulling after the cut: {', '.join(pulling)}"
-    enabled = _enabled(state, inputs.names)
+    enabled = _enabled_motors(state, inputs.names)
     if not enabled:
         return Mode.DONE, ""
     if inputs.elapsed < DISARM_TIMEOUT_S:
@@ -272,24 +272,24 @@ def _disarm(state: State, inputs: ModeInputs) -> Next:
     return Mode.DONE, f"{REMOVE_POWER}: not confirmed disabled: {', '.join(enabled)}"
 
 
-def _cut(state: State, inputs: ModeInputs) -> Next:
+def _after_cut(state: State, inputs: ModeInputs) -> Next:
     return (Mode.DISARM if inputs.elapsed >= CUT_S else Mode.CUT), ""
 
 
-def _done(state: State, inputs: ModeInputs) -> Next:
+def _after_done(state: State, inputs: ModeInputs) -> Next:
     return Mode.DONE, ""
 
 
 _MODES: dict[Mode, Callable[[State, ModeInputs], Next]] = {
-    Mode.SILENT: _silent,
-    Mode.INVENTORY: _inventory,
-    Mode.READY: _ready,
-    Mode.ARMING: _arming,
-    Mode.ACTIVE: _active,
-    Mode.RELAX: _relax,
-    Mode.DISARM: _disarm,
-    Mode.CUT: _cut,
-    Mode.DONE: _done,
+    Mode.SILENT: _after_silent,
+    Mode.INVENTORY: _after_inventory,
+    Mode.READY: _after_ready,
+    Mode.ARMING: _after_arming,
+    Mode.ACTIVE: _after_active,
+    Mode.RELAX: _after_relax,
+    Mode.DISARM: _after_disarm,
+    Mode.CUT: _after_cut,
+    Mode.DONE: _after_done,
 }
 
 
@@ -297,24 +297,24 @@ def _named_drives(state: State, inputs: ModeInputs) -> Iterator[tuple[str, Drive
     return zip(inputs.names, state.drives, strict=True)
 
 
-def _enabled(state: State, names: tuple[str, ...]) -> tuple[str, ...]:
+def _enabled_motors(state: State, names: tuple[str, ...]) -> tuple[str, ...]:
     """Return the names of motors not confirmed as disabled."""
     disabled = (Phase.READY, Phase.FAULT)
     return tuple(name for name, drive in zip(names, state.drives, strict=True) if drive.phase not in disabled)
 
 
-def _pulling(model: HandModel, state: State, names: tuple[str, ...]) -> tuple[str, ...]:
+def _pulling_motors(model: HandModel, state: State, names: tuple[str, ...]) -> tuple[str, ...]:
     """Return the names of motors whose tendon still has tension after the torque was cut (N16)."""
     tendons = {mark.instance for mark in state.latched if mark.id == "N16"}
     return tuple(name for name, tendon in zip(names, model.hand.tendon_names, strict=True) if tendon in tendons)
 
 
-def _possibly_energized(model: HandModel, state: State, names: tuple[str, ...]) -> tuple[str, ...]:
+def _motors_possibly_on(model: HandModel, state: State, names: tuple[str, ...]) -> tuple[str, ...]:
     """Return the names of motors that may make torque at the end of a run.
 
     If the run ends before arming, no motor was enabled by handctl, and only a motor that reports
     enabled is returned.
     """
     if state.mode not in BEFORE_ARMING:
-        return tuple(dict.fromkeys((*_enabled(state, names), *_pulling(model, state, names))))
+        return tuple(dict.fromkeys((*_enabled_motors(state, names), *_pulling_motors(model, state, names))))
     return tuple(name for name, drive in zip(names, state.drives, strict=True) if drive.phase == Phase.ENABLED)

@@ -118,7 +118,7 @@ class Setup(Document):
             tare_N=tuple(controller.tare.tolist()),
             zero_rad=tuple(controller.zero.tolist()),
             identities=controller.identities,
-            program=_described(controller.program),
+            program=_setup_of_program(controller.program),
             identified_hand="" if controller.model.torque_gain is None else controller.model.hand.to_toml(),
             torque_gain=() if controller.model.torque_gain is None else tuple(controller.model.torque_gain.tolist()),
         )
@@ -132,7 +132,9 @@ class Setup(Document):
         zero = np.array(self.zero_rad)
         drives = make_drives(hand)
         sensors = make_sensors(hand)
-        controller = Controller(model, drives, sensors, _made(self.program, hand), tare, zero, self.arm_at_once)
+        controller = Controller(
+            model, drives, sensors, _program_of_setup(self.program, hand), tare, zero, self.arm_at_once
+        )
         return replace(controller, identities=self.identities)
 
 
@@ -205,7 +207,7 @@ def make_controller(
     return replace(controller, identities=tuple(known.get(drive.name, "") for drive in drives) if known else ())
 
 
-def _described(program: Program) -> AnySetup:
+def _setup_of_program(program: Program) -> AnySetup:
     """Return the setup of a program."""
     match program:
         case TaskProgram(task):
@@ -225,7 +227,7 @@ def _described(program: Program) -> AnySetup:
     raise TypeError(f"{type(program).__name__} cannot be written into a log")
 
 
-def _made(setup: AnySetup, hand: Hand) -> Program:
+def _program_of_setup(setup: AnySetup, hand: Hand) -> Program:
     """Return the program constructed from a setup."""
     match setup:
         case TaskSetup():

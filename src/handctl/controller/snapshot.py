@@ -42,11 +42,11 @@ HEAD = 8
 
 def snapshot(state: State) -> bytes:
     """Return the snapshot of a state as bytes."""
-    decisions = json.dumps(plain(state.decisions), separators=(",", ":"), default=_marked)
+    decisions = json.dumps(plain(state.decisions), separators=(",", ":"), default=_mark_bytes)
     return state.layout.identity + state.block.tobytes() + decisions.encode()
 
 
-def _marked(value: object) -> tuple[str, str]:
+def _mark_bytes(value: object) -> tuple[str, str]:
     """Return a bytes value as a JSON object with a mark, because JSON has no bytes."""
     assert isinstance(value, bytes)
     return BYTES, value.hex()

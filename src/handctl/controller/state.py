@@ -58,7 +58,7 @@ class Decisions(NamedTuple):
 _parts = Kept[Any](plain_bytes)
 
 
-def _decided(decisions: Decisions) -> bytes:
+def _hash_decisions(decisions: Decisions) -> bytes:
     """Return an 8-byte hash of the decisions. An unchanged object is not serialized again."""
     drives = b"".join([_parts(drive) for drive in decisions.drives])
     goals = b"".join([_parts(goal) for goal in decisions.progress.goals])
@@ -66,7 +66,7 @@ def _decided(decisions: Decisions) -> bytes:
     return xxhash.xxh3_64_digest(b"".join([drives, goals, *rest]))
 
 
-_decisions = Kept[Decisions](_decided)
+_decisions = Kept[Decisions](_hash_decisions)
 
 
 def layout_of(model: HandModel, groups: int) -> Layout:

@@ -141,7 +141,7 @@ def apply_target(
         return ()  # of a stream that has ended, or of another client
     if target is None or not is_plausible(stream, target.values):
         right = f"{len(stream.names)} finite numbers of {UNITS[stream.space]}"
-        return _count(
+        return _count_target(
             state, s.STREAM_REFUSED, f"refused: a target that is no target, expected {right}"
         )
     sent_ns = min(target.sent_ns, t_ns)
@@ -150,7 +150,7 @@ def apply_target(
         s.STREAM_SENT_NS
     )
     if (running and overtaken) or t_ns - sent_ns > 1e9 * OLDEST_S:
-        return _count(
+        return _count_target(
             state, s.STREAM_LATE, "ignored: a target that is repeated, overtaken or too old"
         )
     begin = _begin_segment if stream.moves else _begin_ramp
@@ -158,13 +158,13 @@ def apply_target(
     state.set_whole(s.STREAM_SENT_NS, sent_ns)
     state.set_whole(s.STREAM_SEQUENCE, target.number)
     state.set_whole(s.STREAMING, RUNNING)
-    _count(state, s.STREAM_ACCEPTED)
+    _count_target(state, s.STREAM_ACCEPTED)
     limit = (
         "the range of a joint, or one that taut tendons cannot hold"
         if stream.moves
         else "the tension limits"
     )
-    return _count(state, s.STREAM_CLIPPED, f"clipped: a target beyond {limit}") if clipped else ()
+    return _count_target(state, s.STREAM_CLIPPED, f"clipped: a target beyond {limit}") if clipped else ()
 
 
 def _begin_ramp(
@@ -239,7 +239,7 @@ def _begin_segment(
     return bool((np.abs(inside - aim) > CLIPPED).any())
 
 
-def _count(state: State, row: int, text: str = "") -> tuple[Event, ...]:
+def _count_target(state: State, row: int, text: str = "") -> tuple[Event, ...]:
     """Count a target in a row of the state.
 
     Returns an event with the text for the first such target of a stream.

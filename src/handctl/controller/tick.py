@@ -166,10 +166,10 @@ class Controller:
         action, findings = self._judge(before, state, entry, signs)
         t = entry.t_ns / 1e9
         mode_events = modes.next_mode(self.model, self.drives, state, action, operator, signs, t, self.identities)
-        program_events = self._program(state, action)
+        program_events = self._advance_program(state, action)
         self._write_progress(state, before)
         unchanged = state.copy() if state.decisions.pending else None
-        self._command(state, action, entry.k - before.k)
+        self._compute_torques(state, action, entry.k - before.k)
         sent = self._encode(state, entry.t_ns)
         retuned = self._retune(unchanged, state, action, entry.k - before.k) if unchanged else ()
         stages.remember(state.block, self.layout.places, *self._constants)
@@ -286,7 +286,7 @@ class Controller:
         heard = any(phase != Phase.SILENT for phase in state.phases) or bool(state.view("group_frames").any())
         return heard or Mode.ARMING <= state.mode <= RELAX
 
-    def _program(self, state: State, action: Action) -> tuple[Event, ...]:
+    def _advance_program(self, state: State, action: Action) -> tuple[Event, ...]:
         """Advance the program while the hand is active.
 
         The program's time stops while the safety monitor holds the hand.
@@ -317,7 +317,7 @@ class Controller:
 
     # command
 
-    def _command(self, state: State, action: Action, ticks: int) -> None:
+    def _compute_torques(self, state: State, action: Action, ticks: int) -> None:
         """Compute the motor torques of the tick.
 
         The torques are 0 unless the hand is active or relaxing.
@@ -350,7 +350,7 @@ class Controller:
             return unfinished.events
         if state.mode in (ACTIVE, RELAX):
             other = self.designs.controller(self, pending.gains)
-            other._command(unchanged, action, ticks)
+            other._compute_torques(unchanged, action, ticks)
             step = (state.tendon[s.TORQUE] - unchanged.tendon[s.TORQUE]) / self.model.space.spool
             state.tendon[s.TRIM] += step
             state.set_whole(s.TRIMMED, 1)

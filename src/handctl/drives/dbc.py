@@ -46,12 +46,12 @@ def of_bus(
     if sensors.bus == bus and sensors.ids:
         counter = Signal("counter", Quantity.COUNTER, 0, 8)
         sent.append(Sent(Message("sync", sensors.sync_id, 1, (counter,)), HOST, SENSORS))
-        sent += [Sent(_channels(message, tendons, joints), SENSORS, HOST) for message in sensors.messages]
+        sent += [Sent(_with_channel_names(message, tendons, joints), SENSORS, HOST) for message in sensors.messages]
     for drive in drives:
         if drive.bus == bus:
             name = drive.name
-            sent += [Sent(_named(message, name), name, HOST) for message in drive.cyclic.feedback]
-            sent += [Sent(_named(message, name), HOST, name) for message in drive.cyclic.commands]
+            sent += [Sent(_with_drive_name(message, name), name, HOST) for message in drive.cyclic.feedback]
+            sent += [Sent(_with_drive_name(message, name), HOST, name) for message in drive.cyclic.commands]
     return dbc(sent)
 
 
@@ -69,7 +69,7 @@ def dbc(sent: Iterable[Sent]) -> str:
     for message, sender, receiver in by_identifier.values():
         frame_id = message.can_id & ~EXTENDED | (EXTENDED_BIT if message.can_id & EXTENDED else 0)
         lines.append(f"BO_ {frame_id} {message.name}: {message.length} {sender}")
-        lines += [*(_signal(signal, receiver) for signal in message.signals), ""]
+        lines += [*(_signal_line(signal, receiver) for signal in message.signals), ""]
         real = [signal.name for signal in message.signals if signal.coding == Coding.FLOAT]
         # SIG_VALTYPE_ 1 is an IEEE 754 float32.
         floats += [f"SIG_VALTYPE_ {frame_id} {name} : 1;" for name in real]
@@ -93,7 +93,7 @@ Source: the attribute as Vector's tools write it and cantools reads it.
 """
 
 
-def _signal(signal: Signal, receiver: str) -> str:
+def _signal_line(signal: Signal, receiver: str) -> str:
     """Return the DBC line of a signal."""
     # In a DBC, @0 is big-endian and @1 little-endian. + is unsigned, - is signed or float.
     order = 0 if signal.big_endian else 1
@@ -102,12 +102,12 @@ def _signal(signal: Signal, receiver: str) -> str:
     return f' SG_ {signal.name} : {layout} ({signal.scale!r},{signal.offset!r}) [0|0] "{signal.unit}" {receiver}'
 
 
-def _named(message: Message, drive: str) -> Message:
+def _with_drive_name(message: Message, drive: str) -> Message:
     """Return the message with the name of its drive put before its own name."""
     return message._replace(name=f"{drive}_{message.name}")
 
 
-def _channels(message: Message, tendons: Sequence[str], joints: Sequence[str]) -> Message:
+def _with_channel_names(message: Message, tendons: Sequence[str], joints: Sequence[str]) -> Message:
     """Return the message of the sensor node with tendon or joint names on its channels."""
     names = {Quantity.TENSION: tendons, Quantity.ANGLE: joints}
     signals = [

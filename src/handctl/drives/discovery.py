@@ -86,7 +86,7 @@ class Discovery(NamedTuple):
         command_ids: identifiers that a node obeys as commands, from any sender.
         other_host_frames: those received frames that only another host can have sent.
         ping: request to one node that causes no motion.
-        is_pong: True if a frame answers ``ping``.
+        is_ping_reply: True if a frame answers ``ping``.
         unasked: the node for a scan that only listened. No conclusion is drawn from a missing
             answer.
     """
@@ -96,7 +96,7 @@ class Discovery(NamedTuple):
     command_ids: Callable[[DiscoveredNode], frozenset[int]]
     other_host_frames: Callable[[ReceivedFrames], tuple[Frame, ...]]
     ping: Callable[[DiscoveredNode], Frame]
-    is_pong: Callable[[DiscoveredNode, Frame], bool]
+    is_ping_reply: Callable[[DiscoveredNode, Frame], bool]
     unasked: Callable[[DiscoveredNode], DiscoveredNode] = same
 
 

@@ -74,7 +74,7 @@ class ChunkTable:
     def indexes(self) -> Iterator[ChunkIndex]:
         """Yield the ChunkIndex record for each chunk."""
         layouts = [tuple(_CHANNEL.iter_unpack(layout)) for layout in self._layouts]
-        for *fields, layout in self._rows():
+        for *fields, layout in self._stored_rows():
             chunk = ChunkEntry(*fields)
             end = chunk.start + chunk.length
             yield ChunkIndex(
@@ -89,7 +89,7 @@ class ChunkTable:
                 uncompressed_size=chunk.size,
             )
 
-    def _rows(self) -> Iterator[tuple[int, ...]]:
+    def _stored_rows(self) -> Iterator[tuple[int, ...]]:
         """Yield the stored numbers of each chunk."""
         for block in (*map(zlib.decompress, self._packed), bytes(self._latest)):
             yield from _CHUNK.iter_unpack(block)

@@ -115,14 +115,14 @@ class Container:
         self._at = 0
         self.good = 0
         self._summary = _Summary()
-        self._put(MAGIC + serialised([Header("ros2", "handctl")]))
+        self._write_bytes(MAGIC + serialised([Header("ros2", "handctl")]))
 
     @property
     def messages(self) -> int:
         """Return the number of messages written so far."""
         return self._summary.counts.total()
 
-    def _put(self, data: bytes) -> int:
+    def _write_bytes(self, data: bytes) -> int:
         """Write all bytes, and return the offset in the file at which they start."""
         start = self._at
         view = memoryview(data)
@@ -145,7 +145,7 @@ class Container:
     def attach(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
         """Write an attachment."""
         raw = serialised([Attachment(time_ns, time_ns, name, media_type, data)])
-        start = self._put(raw)
+        start = self._write_bytes(raw)
         self._summary.attachments.append(
             AttachmentIndex(
                 offset=start,
@@ -161,7 +161,7 @@ class Container:
     def metadata(self, name: str, values: dict[str, str]) -> None:
         """Write a metadata record."""
         raw = serialised([Metadata(name=name, metadata=values)])
-        self._summary.metadata.append(MetadataIndex(offset=self._put(raw), length=len(raw), name=name))
+        self._summary.metadata.append(MetadataIndex(offset=self._write_bytes(raw), length=len(raw), name=name))
 
     def chunk(
         self,
@@ -180,8 +180,8 @@ class Container:
         last = max((int(block.log_times.max()) for block in blocks), default=0)
         fields = _CHUNK.pack(first, last, len(content), zlib.crc32(content), 3, b"lz4", len(packed))
         chunk = _RECORD.pack(Opcode.CHUNK, len(fields) + len(packed)) + fields + packed
-        indexes, index_offsets = _indexes(blocks, len(head))
-        start = self._put(chunk + indexes)
+        indexes, index_offsets = _message_indexes(blocks, len(head))
+        start = self._write_bytes(chunk + indexes)
         at = ChunkEntry(start, len(chunk), len(packed), len(content), first, last, len(indexes))
         self._summary.chunks.add(at, index_offsets)
         self._summary.schemas += schemas
@@ -193,13 +193,13 @@ class Container:
 
     def finish(self) -> None:
         """Write the summary and the footer of the file."""
-        self._put(serialised([DataEnd(self._crc)]))
+        self._write_bytes(serialised([DataEnd(self._crc)]))
         body, offset_start = self._summary_section(self._at)
         # The CRC of the summary covers the footer up to its own field: opcode, length 20, and both
         # offsets.
         fields = struct.pack("<BQQQ", Opcode.FOOTER, 20, self._at, offset_start)
         footer = serialised([Footer(self._at, offset_start, zlib.crc32(fields, zlib.crc32(body)))])
-        self._put(body + footer + MAGIC)
+        self._write_bytes(body + footer + MAGIC)
 
     def _statistics(self) -> Statistics:
         """Return the Statistics record."""
@@ -241,7 +241,7 @@ class Container:
         return body + serialised(offsets), start + len(body)
 
 
-def _indexes(blocks: Sequence[MessageBlock], base: int) -> tuple[bytes, dict[int, int]]:
+def _message_indexes(blocks: Sequence[MessageBlock], base: int) -> tuple[bytes, dict[int, int]]:
     """Return the message indexes to write after a chunk, and the offset of each channel's index.
 
     Args:

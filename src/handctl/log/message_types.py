@@ -20,7 +20,7 @@ PHASES = {
 OTHER_PHASE = 255
 
 
-def _constants(values: dict[str, int]) -> str:
+def _constant_lines(values: dict[str, int]) -> str:
     """Return the definitions of constants in a message type, one line per constant."""
     return "".join(f"uint8 {name.upper()}={value}\n" for name, value in values.items())
 
@@ -58,9 +58,13 @@ DEFINITIONS = {
     "rcl_interfaces/ParameterEvent": "builtin_interfaces/Time stamp\nstring node\n"
     "rcl_interfaces/Parameter[] new_parameters\nrcl_interfaces/Parameter[] changed_parameters\n"
     "rcl_interfaces/Parameter[] deleted_parameters\n",
-    "handctl_msgs/GraspPhase": _constants(PHASES | {"other": OTHER_PHASE}) + _HEADER + "uint8 phase\nstring name\n",
-    "handctl_msgs/Mode": _constants({mode.name: mode.value for mode in Mode}) + _HEADER + "uint8 mode\nstring name\n",
-    "handctl_msgs/Action": _constants({one.name: one.value for one in Action})
+    "handctl_msgs/GraspPhase": _constant_lines(PHASES | {"other": OTHER_PHASE})
+    + _HEADER
+    + "uint8 phase\nstring name\n",
+    "handctl_msgs/Mode": _constant_lines({mode.name: mode.value for mode in Mode})
+    + _HEADER
+    + "uint8 mode\nstring name\n",
+    "handctl_msgs/Action": _constant_lines({one.name: one.value for one in Action})
     + _HEADER
     + "uint8 action\nstring name\n",
     "handctl_msgs/CycleStats": "# period: start of this tick since the start of the last one [s]; late: start\n"
@@ -98,7 +102,7 @@ DEFINITIONS = {
 _SEPARATOR = "=" * 80 + "\n"
 
 
-def _dependencies(name: str, types: dict[str, None]) -> None:
+def _collect_dependencies(name: str, types: dict[str, None]) -> None:
     """Collect the types used in a definition, depth first, without duplicates.
 
     Args:
@@ -110,7 +114,7 @@ def _dependencies(name: str, types: dict[str, None]) -> None:
         field_type = line.split(" ")[0].split("[")[0]
         if field_type in DEFINITIONS and field_type not in types:
             types[field_type] = None
-            _dependencies(field_type, types)
+            _collect_dependencies(field_type, types)
 
 
 def schema_text(name: str) -> str:
@@ -120,7 +124,7 @@ def schema_text(name: str) -> str:
         name: message type, for example "sensor_msgs/JointState".
     """
     types: dict[str, None] = {}
-    _dependencies(name, types)
+    _collect_dependencies(name, types)
     return DEFINITIONS[name] + "".join(f"{_SEPARATOR}MSG: {other}\n{DEFINITIONS[other]}" for other in types)
 
 

@@ -143,7 +143,7 @@ def _tail_without_events(phase: str) -> bytes:
     return bytes(out.data)
 
 
-def _tail(start: int, phase: str, tick_in: TickIn, events: tuple[Event, ...]) -> bytes:
+def _message_end(start: int, phase: str, tick_in: TickIn, events: tuple[Event, ...]) -> bytes:
     """Return the end of a Tick message: phase, io events, requests, events.
 
     Args:
@@ -206,7 +206,7 @@ def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
         long_part,
     ]
     if tick_in.io_events or tick_in.requests or out.events:
-        parts.append(_tail(sum(map(len, parts)) - 4, out.phase, tick_in, out.events))
+        parts.append(_message_end(sum(map(len, parts)) - 4, out.phase, tick_in, out.events))
     else:
         parts.append(_tail_without_events(out.phase))
     return b"".join(parts)
@@ -216,7 +216,7 @@ def pack(tick_in: TickIn, out: TickOut) -> bytes:
     """Encode a tick as a record for the pipe. Raises the errors of `pack_tick`."""
     message = pack_tick(tick_in, out)
     values = out.telemetry.packed()
-    sizes = SIZES.pack(len(message), *_axes(out.telemetry))
+    sizes = SIZES.pack(len(message), *_axis_lengths(out.telemetry))
     return b"".join((FRAMING.pack(12 + len(message) + len(values), TICK), sizes, message, values))
 
 
@@ -225,7 +225,7 @@ def pack_snapshot(tick_in: TickIn, data: bytes) -> bytes:
     return record_bytes(SNAPSHOT, SNAPSHOT_HEAD.pack(tick_in.k, tick_in.t_ns) + data)
 
 
-def _axes(numbers: Telemetry | PackedTelemetry) -> list[int]:
+def _axis_lengths(numbers: Telemetry | PackedTelemetry) -> list[int]:
     """Return the numbers of joints, tendons, motors and digits."""
     if isinstance(numbers, PackedTelemetry):
         return [columns.stop - columns.start for columns in map(numbers.places.__getitem__, _FIELD_OF_EACH_AXIS)]
@@ -324,12 +324,12 @@ def unpack_tick(message: bytes) -> TickRecord:
         frames_out, rest = _decode_frames(message[parts.sent], rest)
         if rest:
             raise ValueError("more data than frames")
-        return _tick(FIXED.unpack_from(message, 4), frames_in, frames_out, message, parts.tail)
+        return _build_tick(FIXED.unpack_from(message, 4), frames_in, frames_out, message, parts.tail)
     except struct.error as error:
         raise ValueError(f"the message ends early: {error}") from None
 
 
-def _tick(fixed: _Fixed, received: Frames, sent: Frames, message: bytes, tail: int) -> TickRecord:
+def _build_tick(fixed: _Fixed, received: Frames, sent: Frames, message: bytes, tail: int) -> TickRecord:
     """Return a tick from the parts of its message.
 
     Args:
@@ -409,7 +409,7 @@ def _unpack_short(messages: list[bytes]) -> list[TickRecord] | None:
         return None
     records = _decode_frames(beginnings, b"")[0].records
     frames = [Frames(records[first:last]) for first, last in pairwise(ends)]
-    return list(map(_tick, fixed, frames[::2], frames[1::2], messages, tails))
+    return list(map(_build_tick, fixed, frames[::2], frames[1::2], messages, tails))
 
 
 def unpack(record: bytes) -> tuple[TickIn, TickOut]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from handctl.paper.item import Item
-from handctl.paper.sections import INTRODUCTION, REFERENCE, TITLE, PageSection, tally
+from handctl.paper.sections import INTRODUCTION, REFERENCE, TITLE, PageSection, count_by_verdict
 
 FIGURES = "../figures"
 """Folder of the figures, next to the Markdown page."""
@@ -90,7 +90,7 @@ def _rows(table: Sequence[Sequence[str]]) -> list[str]:
 
 def _summary(rows: list[Item]) -> str:
     """Return the number of items per verdict, and the command that regenerates the page."""
-    counts = ", ".join(f"{count} {verdict}" for verdict, count in tally(rows).items())
+    counts = ", ".join(f"{count} {verdict}" for verdict, count in count_by_verdict(rows).items())
     return (
         f"Of {len(rows)} items: {counts}. `bound` is a lower bound that holds: more was reached than is claimed. "
         f"Regenerate this page with `{REGENERATE}`. Without the file of results the experiments run again."
@@ -143,7 +143,7 @@ def report(parts: Sequence[PageSection], figures: Mapping[str, Path]) -> str:
         figures: SVG file of each figure.
     """
     rows = [item for part in parts for item in part.items]
-    counts = " ".join(f"{_badge(verdict)} {count}" for verdict, count in tally(rows).items())
+    counts = " ".join(f"{_badge(verdict)} {count}" for verdict, count in count_by_verdict(rows).items())
     body = [f"<h1>{TITLE}</h1><p>{html.escape(REFERENCE)}</p><p>{html.escape(INTRODUCTION)}</p><p>{counts}</p>"]
     for part in parts:
         body.append(f"<h2>{html.escape(part.title)}</h2>")

@@ -58,7 +58,7 @@ def items(measured: Mapping[str, Any] | None) -> list[Item]:
     return [item for section in sections(measured) for item in section.items]
 
 
-def tally(rows: list[Item]) -> dict[str, int]:
+def count_by_verdict(rows: list[Item]) -> dict[str, int]:
     """Return the number of items for each verdict."""
     return {verdict.value: sum(item.verdict == verdict for item in rows) for verdict in ErrataVerdict}
 

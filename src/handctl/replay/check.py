@@ -16,16 +16,16 @@ def check(log: RunLog) -> list[str]:
         LogError: a chunk is damaged.
     """
     return [
-        *_end_of_log(log),
-        *_counters(log),
-        *_clock(log),
-        *_frames(log),
-        *_hashes(log),
-        *_chain(log),
+        *_check_end(log),
+        *_check_counters(log),
+        *_check_clock(log),
+        *_check_frames(log),
+        *_check_hashes(log),
+        *_check_chain(log),
     ]
 
 
-def _end_of_log(log: RunLog) -> Iterator[str]:
+def _check_end(log: RunLog) -> Iterator[str]:
     """Check the end of the log and the number of ticks."""
     if log.warning:
         yield f"incomplete: {log.warning}"
@@ -38,7 +38,7 @@ def _end_of_log(log: RunLog) -> Iterator[str]:
         yield f"{len(log)} ticks, but telemetry of {rows} ticks"
 
 
-def _counters(log: RunLog) -> Iterator[str]:
+def _check_counters(log: RunLog) -> Iterator[str]:
     """Check the tick numbers."""
     steps = np.diff(log.k)
     if (steps < 1).any():
@@ -49,7 +49,7 @@ def _counters(log: RunLog) -> Iterator[str]:
         yield f"gap: {gap.after - gap.before - 1} ticks are missing between {gap.before} and {gap.after}"
 
 
-def _clock(log: RunLog) -> Iterator[str]:
+def _check_clock(log: RunLog) -> Iterator[str]:
     """Check times and lateness of the ticks."""
     off = log.t_ns != log.k * log.header.period_ns
     if off.any():
@@ -60,7 +60,7 @@ def _clock(log: RunLog) -> Iterator[str]:
         yield f"{lateness}; expected 0 to less than a period, {log.header.period_ns} ns"
 
 
-def _frames(log: RunLog) -> Iterator[str]:
+def _check_frames(log: RunLog) -> Iterator[str]:
     """Check for frames stamped after the tick that read them.
 
     Such frames were stamped by a clock other than the controller's.
@@ -77,7 +77,7 @@ def _frames(log: RunLog) -> Iterator[str]:
         yield f"{future} frames are stamped later than the tick that read them, first in tick {last}"
 
 
-def _hashes(log: RunLog) -> Iterator[str]:
+def _check_hashes(log: RunLog) -> Iterator[str]:
     """Check the identity of the hand, and check that no state hash occurs twice."""
     logged = log.header.metadata.get("identity", "")
     computed = logged_hand(log).identity
@@ -88,7 +88,7 @@ def _hashes(log: RunLog) -> Iterator[str]:
         yield f"{len(log) - len(hashes)} state hashes are duplicates"
 
 
-def _chain(log: RunLog) -> Iterator[str]:
+def _check_chain(log: RunLog) -> Iterator[str]:
     """Check the hash chain, and name the first tick with a wrong hash."""
     before = seed_of(log.header)
     broken = list[int]()

@@ -152,11 +152,11 @@ def difference_lines(compared: dict[str, Any]) -> Iterator[str]:
         unit = signal.partition("_")[2]
         for name, row in rows.items():
             ms = 1e3 * row["delay_s"]
-            late = "" if math.isnan(ms) else ", in time" if abs(ms) < IN_TIME_MS else f", {_late(ms)}"
+            late = "" if math.isnan(ms) else ", in time" if abs(ms) < IN_TIME_MS else f", {_delay_text(ms)}"
             if not math.isnan(row["rms"]):
                 yield f"{name:<16} rms {row['rms']:.3f} {unit}, peak {row['peak']:.3f} {unit}{late}"
 
 
-def _late(ms: float) -> str:
+def _delay_text(ms: float) -> str:
     """Return a delay as text."""
     return f"{abs(ms):.1f} ms {'behind' if ms > 0 else 'ahead'}"

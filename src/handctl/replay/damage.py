@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from handctl.errors import LogError
-from handctl.log.read.chunk_reader import definitions, iter_messages
+from handctl.log.read.chunk_reader import iter_messages, schemas_and_channels
 from handctl.log.read.logfile import ChunkLocation, LogFile, Reading
 from handctl.log.read.reader import VALUES_END, VALUES_START
 from handctl.log.read.record_scan import RecordScan
@@ -42,25 +42,26 @@ def first_damage(path: Path) -> str:
         channels: tuple[int, ...] = ()
         before = b""
         for chunk in scan.chunks:
-            content, defect = _content(file, chunk)
+            content, defect = _intact_content(file, chunk)
             try:
                 with Reading(file.at(chunk.offset)):
-                    channels = channels or _channels(content)
-                    ticks = list(_ticks(content, chunk, channels))
+                    channels = channels or _channel_ids(content)
+                    ticks = list(_chunk_ticks(content, chunk, channels))
             except LogError as error:
-                return f"{error}; its chunk begins {_after(before)}"
+                return f"{error}; its chunk begins {_position_text(before)}"
             for tick in ticks:
                 if before and tick.digest and tick_hash(before[-SIZE:], tick.message, tick.numbers) != tick.digest:
                     return f"tick {tick.k} was changed after it was written" + (f": {defect}" if defect else "")
                 before = tick.k.to_bytes(8, "little") + tick.digest
             if defect:
-                return f"{defect}; its ticks are intact, the topics derived from them are damaged: {_span(ticks)}"
+                where = _tick_range_text(ticks)
+                return f"{defect}; its ticks are intact, the topics derived from them are damaged: {where}"
         return ""
     finally:
         file.close()
 
 
-def _content(file: LogFile, chunk: ChunkLocation) -> tuple[bytes, str]:
+def _intact_content(file: LogFile, chunk: ChunkLocation) -> tuple[bytes, str]:
     """Return the part of a chunk that can be decompressed, and its defect in words."""
     try:
         return file.content(chunk), ""
@@ -72,13 +73,13 @@ def _content(file: LogFile, chunk: ChunkLocation) -> tuple[bytes, str]:
         return b"", defect
 
 
-def _channels(content: bytes) -> tuple[int, ...]:
+def _channel_ids(content: bytes) -> tuple[int, ...]:
     """Return the channel numbers of ticks, telemetry, and hashes."""
-    channels = {topic: number for number, _, topic, _, _ in definitions(content).channels}
+    channels = {topic: number for number, _, topic, _, _ in schemas_and_channels(content).channels}
     return tuple(channels.get(topic, NO_CHANNEL) for topic in (TICK_TOPIC, VALUES_TOPIC, TOPIC))
 
 
-def _ticks(content: bytes, chunk: ChunkLocation, channels: tuple[int, ...]) -> Iterator[_Tick]:
+def _chunk_ticks(content: bytes, chunk: ChunkLocation, channels: tuple[int, ...]) -> Iterator[_Tick]:
     """Yield the ticks of a chunk.
 
     Raises:
@@ -98,11 +99,11 @@ def _ticks(content: bytes, chunk: ChunkLocation, channels: tuple[int, ...]) -> I
         yield _Tick(k, message, values[VALUES_START:VALUES_END], digest[-SIZE:])
 
 
-def _after(before: bytes) -> str:
+def _position_text(before: bytes) -> str:
     """Return a description of the position after the last intact tick."""
     return f"after tick {int.from_bytes(before[:8], 'little', signed=True)}" if before else "before the first tick"
 
 
-def _span(ticks: list[_Tick]) -> str:
+def _tick_range_text(ticks: list[_Tick]) -> str:
     """Return a description of the tick range of a chunk."""
     return f"ticks {ticks[0].k} to {ticks[-1].k}" if ticks else "before the first tick"

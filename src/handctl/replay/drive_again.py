@@ -79,18 +79,18 @@ def recording(log: RunLog, period: float) -> Recording:
     # The times are computed as in `log.times`, to the bit, so that equal periods need no
     # interpolation.
     times = np.asarray((round(start * 1e9) + steps.astype(np.int64)) * 1e-9, np.float64)
-    q, dq, tension = (_sampled(log, name, times) for name in ("q_goal", "dq_goal", "tension_goal"))
+    q, dq, tension = (_interpolate_field(log, name, times) for name in ("q_goal", "dq_goal", "tension_goal"))
     ddq = np.gradient(log.field("dq_goal"), log.times, axis=0)
-    rate = _at(log, ddq, times)
+    rate = _interpolate(log, ddq, times)
     return Recording(q, dq, np.where(np.isnan(q), np.nan, np.nan_to_num(rate)), tension)
 
 
-def _sampled(log: RunLog, name: str, times: Array) -> Array:
+def _interpolate_field(log: RunLog, name: str, times: Array) -> Array:
     """Return a field of a log, interpolated at the given times."""
-    return _at(log, log.field(name), times)
+    return _interpolate(log, log.field(name), times)
 
 
-def _at(log: RunLog, values: Array, times: Array) -> Array:
+def _interpolate(log: RunLog, values: Array, times: Array) -> Array:
     """Return columns interpolated at times [s].
 
     A value is NaN if one of its neighbours is NaN. Before the first and after the last tick, the

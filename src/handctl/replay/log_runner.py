@@ -141,7 +141,7 @@ class LogRunner:
         """
         tally = Tally()
         tick = self.controller.tick
-        for logged, numbers in self._logged(start, stop):
+        for logged, numbers in self._logged_ticks(start, stop):
             try:
                 state, out = tick(state, logged.tick_in)
             except ValueError as error:
@@ -160,7 +160,7 @@ class LogRunner:
                     tally.state = self._state_difference(logged, state)
         return state, tally
 
-    def _logged(self, start: int, stop: int) -> Iterator[tuple[TickRecord, bytes]]:
+    def _logged_ticks(self, start: int, stop: int) -> Iterator[tuple[TickRecord, bytes]]:
         """Yield the logged ticks from index start up to stop, each with its telemetry."""
         firsts = self.log.first_of_chunk
         # Chunks are read as a whole. The surplus ticks at both ends are cut off below.

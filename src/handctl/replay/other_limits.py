@@ -127,10 +127,12 @@ def judge_by_limits(log: RunLog, path: Path, progress: Callable[[int], None] | N
     controller = rebuild(log)
     limits = load_limits(path, controller)
     with gc_disabled():
-        return _judge(log, controller, limits, progress)
+        return _judge_ticks(log, controller, limits, progress)
 
 
-def _judge(log: RunLog, controller: Controller, limits: Limits, progress: Callable[[int], None] | None) -> Judgement:
+def _judge_ticks(
+    log: RunLog, controller: Controller, limits: Limits, progress: Callable[[int], None] | None
+) -> Judgement:
     """Judge each tick from the logged state, with debounce and latches of the other limits."""
     other = replace(controller, other_limits=limits)
     state = controller.initial()
@@ -149,15 +151,15 @@ def _judge(log: RunLog, controller: Controller, limits: Limits, progress: Callab
             state, out = controller.tick(state, entry)
         except ValueError as error:
             raise refusal_error(error, entry.k) from None
-        logged_faults = {_fault(event) + event.where for event in out.events if event.name == "fault"}
+        logged_faults = {_fault_id(event) + event.where for event in out.events if event.name == "fault"}
         ticks += 1
         if progress and ticks % PROGRESS_TICKS == 0:
             progress(ticks)
         stopped += verdict.action >= Action.HOLD
         stopped_logged += out.action >= Action.HOLD
         for event in verdict.events:
-            if event.name == "fault" and BY_ID[_fault(event)].action >= Action.HOLD:
-                fault = BY_ID[_fault(event)]
+            if event.name == "fault" and BY_ID[_fault_id(event)].action >= Action.HOLD:
+                fault = BY_ID[_fault_id(event)]
                 t_s = entry.t_ns / 1e9
                 # A fault event ends with its reading in brackets.
                 value = float(event.text.rpartition("(")[2].partition(")")[0])
@@ -178,6 +180,6 @@ def _judge(log: RunLog, controller: Controller, limits: Limits, progress: Callab
     return Judgement(ticks, stopped, stopped_logged, tuple(stops), dict(counts))
 
 
-def _fault(event: Event) -> str:
+def _fault_id(event: Event) -> str:
     """Return the fault id of an event."""
     return event.text.partition(" ")[0]

@@ -90,7 +90,7 @@ def run_parallel(runner: LogRunner, workers: int, progress: Callable[[int], None
     """
     parts = split(runner, workers)
     counts = ProgressCounts(len(parts), progress)
-    running = [_start(runner, part, counts.of(i)) for i, part in enumerate(parts) if i]
+    running = [_start_worker(runner, part, counts.of(i)) for i, part in enumerate(parts) if i]
     try:
         state, total = runner.run(parts[0].start, parts[0].stop, parts[0].state, None, counts.of(0))
         for worker in running:
@@ -104,7 +104,7 @@ def run_parallel(runner: LogRunner, workers: int, progress: Callable[[int], None
         return total
     finally:
         for worker in running:
-            _kill(worker)
+            _kill_worker(worker)
 
 
 def split(runner: LogRunner, workers: int) -> list[LogPart]:
@@ -143,7 +143,7 @@ def _state_after(runner: LogRunner, index: int) -> State | None:
     return state if state.digest() == runner.log.state_hash[index].tobytes() else None
 
 
-def _start(runner: LogRunner, part: LogPart, count: Callable[[int], None]) -> WorkerProcess:
+def _start_worker(runner: LogRunner, part: LogPart, count: Callable[[int], None]) -> WorkerProcess:
     """Execute a part in a forked copy of this process."""
     return WorkerProcess(*in_copy(lambda: _result_json(runner, part, count)), part)
 
@@ -185,7 +185,7 @@ def _wait_for_result(runner: LogRunner, worker: WorkerProcess, counts: ProgressC
     return restore(runner.controller.layout, bytes.fromhex(result["state"])), tally
 
 
-def _kill(worker: WorkerProcess) -> None:
+def _kill_worker(worker: WorkerProcess) -> None:
     """Kill a worker process and wait until it has ended."""
     os.close(worker.pipe)
     os.kill(worker.process, signal.SIGKILL)

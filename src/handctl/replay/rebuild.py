@@ -34,7 +34,7 @@ def logged_gains(log: RunLog) -> Gains:
     Raises:
         LogError: the log has no gains that this version can read.
     """
-    return _read(log, "gains.json", Gains)
+    return _read_attachment(log, "gains.json", Gains)
 
 
 def logged_setup(log: RunLog) -> Setup:
@@ -43,7 +43,7 @@ def logged_setup(log: RunLog) -> Setup:
     Raises:
         LogError: the log was written by a version without this record.
     """
-    return _read(log, ATTACHMENT, Setup)
+    return _read_attachment(log, ATTACHMENT, Setup)
 
 
 def rebuild(log: RunLog, gains: Gains | None = None) -> Controller:
@@ -58,7 +58,7 @@ def rebuild(log: RunLog, gains: Gains | None = None) -> Controller:
 D = TypeVar("D", Gains, Setup)
 
 
-def _read(log: RunLog, name: str, model: type[D]) -> D:
+def _read_attachment(log: RunLog, name: str, model: type[D]) -> D:
     """Return an attachment of a log, decoded.
 
     Raises:
@@ -66,16 +66,16 @@ def _read(log: RunLog, name: str, model: type[D]) -> D:
     """
     data = log.header.attachments.get(name)
     if data is None:
-        raise LogError(f"no {name} in it", *_versions(log))
+        raise LogError(f"no {name} in it", *_versions_text(log))
     try:
         return model.model_validate_json(data)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         place = "".join(f" {part}" for part in first["loc"])
-        raise LogError(printable(f"{name} cannot be read:{place}: {first['msg']}"), *_versions(log)) from None
+        raise LogError(printable(f"{name} cannot be read:{place}: {first['msg']}"), *_versions_text(log)) from None
 
 
-def _versions(log: RunLog) -> tuple[str, str]:
+def _versions_text(log: RunLog) -> tuple[str, str]:
     """Return the versions of writer and reader, as location and expectation in an error message."""
     metadata = log.header.metadata
     wrote = f"handctl {metadata.get('version', UNKNOWN)}, code {metadata.get('code', UNKNOWN)}"

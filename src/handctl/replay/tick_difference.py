@@ -87,7 +87,7 @@ def differences(columns: Columns, logged: TickRecord, numbers: bytes, computed: 
     yield from text("events", _events_text(logged.events), _events_text(computed.events))
     packed = computed.telemetry.packed()[: len(numbers)]  # an earlier version lacks the last fields
     if packed != numbers:
-        for column, was, now in _changed(numbers, packed):
+        for column, was, now in _changed_numbers(numbers, packed):
             yield TickDifference(k, t_s, columns.field[column], columns.name[column], was, now, ulps(was, now))
     yield from text("number of frames", len(logged.frames), len(computed.frames))
     for i, (old, new) in enumerate(zip(logged.frames, computed.frames, strict=False)):
@@ -156,7 +156,7 @@ def _frame_text(frame: Frame) -> str:
     return f"bus {frame.bus} {frame.can_id:03X}#{flags}{frame.data.hex().upper()}{at}"
 
 
-def _changed(was: bytes, now: bytes) -> list[tuple[int, float, float]]:
+def _changed_numbers(was: bytes, now: bytes) -> list[tuple[int, float, float]]:
     """Return (column, old, new) for every float64 whose bits have changed.
 
     A number replaced by NaN counts as changed.

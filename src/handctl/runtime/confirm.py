@@ -151,7 +151,7 @@ def follow_until_off(watcher: Watcher, word: str, line: Line) -> Line:
         while new is None:
             if time.monotonic() > last_line + ANSWER_S:
                 raise UnconfirmedError(watcher.name, word, f"taken, and then {SILENT} in mode {line['mode']}")
-            new = watcher.next_line(0.0) or _resubscribed(watcher)
+            new = watcher.next_line(0.0) or _resubscribe(watcher)
         line = new
 
 
@@ -165,7 +165,7 @@ def _mode_texts(line: Line) -> list[str]:
     return [event["text"] for event in line["events"] if event["name"] == "mode"]
 
 
-def _resubscribed(watcher: Watcher) -> Line | None:
+def _resubscribe(watcher: Watcher) -> Line | None:
     """Subscribe to status lines again, and return the next status line."""
     _try_send(watcher, WATCH, REPEAT_S)
     return watcher.next_line(REPEAT_S)

@@ -181,13 +181,13 @@ class Loop(Generic[S]):
                 self.clock.start()
                 for bus in self.buses:  # frames from before the run belong to no tick
                     bus.drain()
-                return self._guarded(state)
+                return self._run_guarded(state)
         finally:
             gc.enable()
             gc.unfreeze()
             self.stats.cpu_s = time.process_time() - cpu_s
 
-    def _guarded(self, state: S) -> S:
+    def _run_guarded(self, state: S) -> S:
         """Run the ticks. After any error disable the drives, then raise the error again.
 
         Raises:
@@ -200,13 +200,13 @@ class Loop(Generic[S]):
             left: tuple[str, ...] = ("nobody knows which, asking failed as well",)
             try:
                 self._send_cut()
-                left = self._still_on(last[0])
+                left = self._poll_until_off(last[0])
             finally:
                 if left:
                     raise PowerError(f"{REMOVE_POWER}: not confirmed disabled: {', '.join(left)}") from error
             raise
 
-    def _still_on(self, state: S) -> tuple[str, ...]:
+    def _poll_until_off(self, state: S) -> tuple[str, ...]:
         """Disable and poll the drives after an error.
 
         Returns the drives without a report of off.
@@ -231,12 +231,12 @@ class Loop(Generic[S]):
         alone = len(self.buses) == 1
         left = [(bus, [f for f in self.cut if f.bus == index or alone]) for index, bus in enumerate(self.buses)]
         for _ in range(CUT_TRIES):
-            self._cut(left)
+            self._send_cut_once(left)
             if not any(frames for _, frames in left):
                 return
             time.sleep(CUT_PAUSE_S)
 
-    def _cut(self, left: list[tuple[LoopBus, list[Frame]]]) -> None:
+    def _send_cut_once(self, left: list[tuple[LoopBus, list[Frame]]]) -> None:
         """Send the given frames on every bus, and remove the accepted frames from ``left``.
 
         An exception from one bus does not prevent the cut on the others.
@@ -248,7 +248,7 @@ class Loop(Generic[S]):
             if frames:
                 del frames[: bus.send(frames)]
         finally:
-            self._cut(others)
+            self._send_cut_once(others)
 
     def _warm_up(self, state: S) -> None:
         """Run a tick and discard its result.
@@ -275,7 +275,7 @@ class Loop(Generic[S]):
             self.observe(entry, out, last[0])
             self.record(entry, out)
             self.keep(entry, last[0])
-            self._count(entry, skipped, late)
+            self._count_tick(entry, skipped, late)
             self.show(entry, out)
             mode = out.mode
             k += 1
@@ -303,7 +303,7 @@ class Loop(Generic[S]):
         self.stats.frames_tx += accepted
         self.stats.refused += len(frames) - accepted
 
-    def _count(self, entry: TickIn, skipped: int, late: int) -> None:
+    def _count_tick(self, entry: TickIn, skipped: int, late: int) -> None:
         """Count a tick and record its lateness."""
         stats = self.stats
         if stats.ticks < LATENESS_RING:

@@ -42,13 +42,13 @@ def run_dir() -> Path:
             is writable by others, or is a symbolic link.
     """
     if override := os.environ.get("HANDCTL_RUN_DIR"):
-        return _private(Path(override), 1)
+        return _private_folder(Path(override), 1)
     if base := os.environ.get("XDG_RUNTIME_DIR"):
-        return _private(Path(base) / "handctl", 1)
-    return _private(Path(tempfile.gettempdir()) / f"handctl-{os.geteuid()}" / "handctl", 2)
+        return _private_folder(Path(base) / "handctl", 1)
+    return _private_folder(Path(tempfile.gettempdir()) / f"handctl-{os.geteuid()}" / "handctl", 2)
 
 
-def _private(path: Path, private_parts: int, links: int = 0) -> Path:
+def _private_folder(path: Path, private_parts: int, links: int = 0) -> Path:
     """Walk from the root to a folder, check each folder on the way, and create missing folders.
 
     Args:
@@ -71,7 +71,7 @@ def _private(path: Path, private_parts: int, links: int = 0) -> Path:
                 if private or state.st_uid != 0 or links == MAX_LINKS:  # only links of root pass, as /tmp on macOS
                     raise BusError("is a link", str(here), RIGHT_FOLDER)
                 target = here.parent / os.readlink(part, dir_fd=at)
-                return _private(target.joinpath(*parts[number + 1 :]), private_parts, links + 1)
+                return _private_folder(target.joinpath(*parts[number + 1 :]), private_parts, links + 1)
             flags = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC if private else OPEN_FLAGS
             below = os.open(part, flags | os.O_NOFOLLOW, dir_fd=at)  # relative: a renamed parent changes nothing
             os.close(at)

@@ -19,17 +19,17 @@ def status(entry: TickIn, out: TickOut) -> dict[str, Any]:
         "mode": out.mode.name,
         "phase": out.phase,
         "late_us": entry.late_ns / 1e3,
-        "q_rad": _plain(numbers.q.tolist()),
-        "q_sigma_rad": _plain(numbers.q_sigma.tolist()),
-        "tension_N": _plain(numbers.tension.tolist()),
-        "tension_goal_N": _plain(numbers.tension_goal.tolist()),
-        "tip_force_N": _plain(numbers.tip_force.tolist()),
-        "tip_force_sigma_N": _plain(numbers.tip_force_sigma.tolist()),
+        "q_rad": _json_values(numbers.q.tolist()),
+        "q_sigma_rad": _json_values(numbers.q_sigma.tolist()),
+        "tension_N": _json_values(numbers.tension.tolist()),
+        "tension_goal_N": _json_values(numbers.tension_goal.tolist()),
+        "tip_force_N": _json_values(numbers.tip_force.tolist()),
+        "tip_force_sigma_N": _json_values(numbers.tip_force_sigma.tolist()),
         "events": [{"name": event.name, "where": event.where, "text": event.text} for event in out.events],
         "contact": [touches > 0.5 for touches in numbers.contact.tolist()],
     }
 
 
-def _plain(values: list[float]) -> list[float | None]:
+def _json_values(values: list[float]) -> list[float | None]:
     """Return the values rounded to four digits, with None instead of NaN, because JSON has no NaN."""
     return [round(value, 4) if value == value else None for value in values]

@@ -38,9 +38,9 @@ class SuspendWatch:
         """
         self._boot = boot
         self._monotonic = monotonic
-        self._difference_ns = self._difference()
+        self._difference_ns = self._clock_difference()
 
-    def _difference(self) -> int | None:
+    def _clock_difference(self) -> int | None:
         """Return the difference of the clocks [ns], or None if the reading was interrupted."""
         before = self._monotonic()
         boot = self._boot()
@@ -48,7 +48,7 @@ class SuspendWatch:
 
     def events(self) -> list[IoEvent]:
         """Return an event if the machine was suspended since the last call, with the duration [ms]."""
-        difference_ns = self._difference()
+        difference_ns = self._clock_difference()
         if difference_ns is None:
             return []
         suspend_ns = 0 if self._difference_ns is None else difference_ns - self._difference_ns

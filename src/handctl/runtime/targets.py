@@ -80,11 +80,11 @@ class TargetBox:
                 data, _, ours = receive(self.socket, LARGEST + 1)
             except BlockingIOError:
                 break
-            if ours and (text := self._decoded(data)):
+            if ours and (text := self._decode(data)):
                 texts.append(text)
         return tuple(texts[-KEPT_PER_TICK:])
 
-    def _decoded(self, data: bytes) -> str:
+    def _decode(self, data: bytes) -> str:
         """Return a datagram as a request, empty for a malformed datagram."""
         if len(data) < HEAD.size:
             return ""

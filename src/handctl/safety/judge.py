@@ -92,14 +92,14 @@ def judge(
         if ticks == fault.debounce:
             findings.append(Finding(fault, where, value))
     # A latched fault is found again in every tick while present. It is logged once only.
-    new = [finding for finding in findings if _mark(finding) not in latched]
-    latched += tuple(dict.fromkeys(_mark(finding) for finding in new if finding.fault.latched))
+    new = [finding for finding in findings if _latch_of(finding) not in latched]
+    latched += tuple(dict.fromkeys(_latch_of(finding) for finding in new if finding.fault.latched))
     action = max([action, *(BY_ID[mark.id].action for mark in latched)])
     new.sort(key=lambda finding: _ORDER[finding.fault.id])
     return Verdict(_ACTIONS[action], tuple(new), latched, tuple(present))
 
 
-def _mark(finding: Finding) -> Latched:
+def _latch_of(finding: Finding) -> Latched:
     """Return the latched fault for a finding."""
     return Latched(finding.fault.id, finding.instance)
 
@@ -117,11 +117,11 @@ def newly_counting(limits: Limits, evidence: NDArray[np.float64], ticks: NDArray
     findings = []
     for row, i in zip(rows.tolist(), instances.tolist(), strict=True):
         fault, kind = DETECTOR_ROWS[row]
-        findings.append(Finding(fault, _name(limits, fault, kind, i), float(evidence[row, i])))
+        findings.append(Finding(fault, _instance_name(limits, fault, kind, i), float(evidence[row, i])))
     return findings
 
 
-def _name(limits: Limits, fault: Fault, kind: str, i: int) -> str:
+def _instance_name(limits: Limits, fault: Fault, kind: str, i: int) -> str:
     """Return the name of the motor, tendon, joint, or node with a fault."""
     names = {TENDON: limits.tendons, MOTOR: limits.motors, JOINT: limits.joints, NODE: limits.nodes}
     return names[kind][i] if kind in names else fault.name

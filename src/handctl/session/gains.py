@@ -52,7 +52,7 @@ def layered_gains(hand: Hand, file: Path | None, words: Sequence[str], tell: Tel
     base = loaded.gains
     values = assignments(words, "--gain")
     gains = with_values(base, values, "--gain") if values else base
-    origins = {key: _origin(base, key, file) for key in flat(base)} | dict.fromkeys(values, COMMAND_LINE)
+    origins = {key: _origin_of(base, key, file) for key in flat(base)} | dict.fromkeys(values, COMMAND_LINE)
     return LayeredGains(gains, file, loaded.provenance, origins)
 
 
@@ -74,7 +74,7 @@ def gains_for(hand: Hand, path: Path, tell: Tell = silent) -> GainsFile:
     return file
 
 
-def _origin(gains: Gains, key: str, file: Path | None) -> str:
+def _origin_of(gains: Gains, key: str, file: Path | None) -> str:
     """Return the origin of a gain before the command line is applied."""
     section, _, name = key.partition(".")
     in_file = section in gains.model_fields_set and name in getattr(gains, section).model_fields_set

@@ -55,15 +55,15 @@ def run_header(plan: Plan, controller: Controller, priority: Priority | None, lo
         plan.period_ns,
         offset_ns=0 if lockstep else time.time_ns(),
         metadata=metadata,
-        gains=_flat(plan.gains.model_dump(by_alias=True)),
+        gains=_flatten(plan.gains.model_dump(by_alias=True)),
         attachments=attachments,
         wall=wall,
         deterministic=lockstep,
     )
 
 
-def _flat(table: dict[str, object], prefix: str = "") -> dict[str, str]:
+def _flatten(table: dict[str, object], prefix: str = "") -> dict[str, str]:
     flat: dict[str, str] = {}
     for key, value in table.items():
-        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": str(value)}
+        flat |= _flatten(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": str(value)}
     return flat

@@ -219,13 +219,13 @@ def bus_specs(hand: Hand, arguments: Sequence[str]) -> tuple[str, ...]:
     Raises:
         ConfigError: a bus is missing, given twice, or unknown to the hand, or a specification is invalid.
     """
-    specs = _specs(hand.bus_names, arguments)
+    specs = _specs_by_name(hand.bus_names, arguments)
     for spec in specs:
         check_spec(spec)
     return specs
 
 
-def _specs(names: tuple[str, ...], arguments: Sequence[str]) -> tuple[str, ...]:
+def _specs_by_name(names: tuple[str, ...], arguments: Sequence[str]) -> tuple[str, ...]:
     """Return the specification given for each bus name, in the order of the names."""
     if len(names) == 1 and len(arguments) == 1 and "=" not in arguments[0].partition(":")[0]:
         return (arguments[0],)

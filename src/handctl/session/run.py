@@ -142,7 +142,7 @@ def run_live(
         stack.callback(mailbox.close)
         targets = TargetBox(plan.buses[0], clock.of)
         stack.callback(targets.close)
-        observations = ObservationWriter(plan.buses[0], _axes(plan.hand), _description(plan))
+        observations = ObservationWriter(plan.buses[0], _axis_lengths(plan.hand), _describe_run(plan))
         stack.callback(observations.close)
         for spec in sorted({*plan.buses} - {plan.buses[0]}):
             stack.enter_context(bus_lock(spec))
@@ -161,10 +161,10 @@ def run_live(
         signals = StopSignals()
         stack.enter_context(signals.installed())
         show = _merge_observers(observer, _status_callback(display, mailbox, plan.rate_hz))
-        request_source = _merge_requests(observer, _requests(plan, signals, mailbox, targets))
-        loop = _loop(plan, controller, clock, buses, recorder, request_source, show)
+        request_source = _merge_requests(observer, _request_source(plan, signals, mailbox, targets))
+        loop = _build_loop(plan, controller, clock, buses, recorder, request_source, show)
         loop.observe = lambda entry, out, state: observations.publish(entry, out, stream_status(state))
-        return _finish(loop, controller, recorder, display, priority, lambda: int(clock.start_ns * clock.scale))
+        return _run_to_end(loop, controller, recorder, display, priority, lambda: int(clock.start_ns * clock.scale))
 
 
 def run_lockstep(
@@ -185,8 +185,8 @@ def run_lockstep(
     display = plan.display(plan) if plan.display else None
     request_source = _merge_requests(observer, lambda: ())
     show = _merge_observers(observer, display.show if display else _ignore_tick)
-    loop = _loop(plan, controller, clock, [LockstepBus(clock)], recorder, request_source, show)
-    return _finish(loop, controller, recorder, display, None, lambda: clock.offset_ns)
+    loop = _build_loop(plan, controller, clock, [LockstepBus(clock)], recorder, request_source, show)
+    return _run_to_end(loop, controller, recorder, display, None, lambda: clock.offset_ns)
 
 
 def refuse_blind_view(view_requested: bool) -> None:
@@ -225,7 +225,7 @@ def keeper(recorder: Recorder) -> Callable[[TickIn, State], None]:
     return keep
 
 
-def _loop(
+def _build_loop(
     plan: Plan,
     controller: Controller,
     clock: Clock,
@@ -254,17 +254,17 @@ def _loop(
     )
 
 
-def _axes(hand: Hand) -> dict[str, int]:
+def _axis_lengths(hand: Hand) -> dict[str, int]:
     """Return the number of joints, tendons, motors and digits."""
     return {"joint": len(hand.joints), "tendon": len(hand.tendon), "motor": len(hand.motor), "digit": len(hand.digit)}
 
 
-def _description(plan: Plan) -> dict[str, object]:
+def _describe_run(plan: Plan) -> dict[str, object]:
     """Return the constants of a run for observing programs, by name."""
     return {"hand_toml": plan.hand.to_toml(), "rate_Hz": plan.rate_hz, "time_scale": plan.time_scale}
 
 
-def _requests(
+def _request_source(
     plan: Plan, signals: StopSignals, mailbox: Mailbox, targets: TargetBox
 ) -> Callable[[], tuple[str, ...]]:
     """Return a function that collects the requests of a tick.
@@ -322,7 +322,7 @@ def _ignore_tick(entry: TickIn, out: TickOut) -> None:
     return
 
 
-def _finish(
+def _run_to_end(
     loop: Loop[State],
     controller: Controller,
     recorder: Recorder,

@@ -40,13 +40,13 @@ def judge(
         task: executed task, if its grasp is to be judged. A grasp that did not hold its object is a
             failure.
     """
-    truth_file = _beside(log, truth_file, plan.tell) if truth_file else None
+    truth_file = _copy_truth(log, truth_file, plan.tell) if truth_file else None
     truth = read_truth(truth_file) if truth_file else None
     with RunLog(log) as record:
         result = summarise(record, plan.hand, truth, outcome.offset_ns)
-        result |= judge_lift(record, truth, outcome.offset_ns, _holds(task))
+        result |= judge_lift(record, truth, outcome.offset_ns, _hold_phases(task))
         silent = frame_counts(record, plan.hand).silent
-        drawn = _picture(plan, outcome, record, truth, log) if picture else None
+        drawn = _draw_picture(plan, outcome, record, truth, log) if picture else None
     stats = outcome.stats
     result |= {
         "missed": stats.missed,
@@ -68,12 +68,12 @@ def judge(
     return result
 
 
-def _holds(task: Task | None) -> set[str]:
+def _hold_phases(task: Task | None) -> set[str]:
     """Return the names of the task phases with an object in the hand."""
     return {phase.name for phase in task.phase if isinstance(phase, Hold)} if task else set()
 
 
-def _beside(log: Path, truth: Path, tell: Tell) -> Path:
+def _copy_truth(log: Path, truth: Path, tell: Tell) -> Path:
     """Copy the truth file to the folder of the log, and return the path.
 
     If the copy fails, the original path is returned.
@@ -84,23 +84,23 @@ def _beside(log: Path, truth: Path, tell: Tell) -> Path:
     try:
         shutil.copyfile(truth, beside)
     except OSError as error:
-        _left_out(beside, error, tell)
+        _report_omitted(beside, error, tell)
         return truth
     return beside
 
 
-def _picture(plan: Plan, outcome: Outcome, record: RunLog, truth: TruthRecord | None, log: Path) -> Path | None:
+def _draw_picture(plan: Plan, outcome: Outcome, record: RunLog, truth: TruthRecord | None, log: Path) -> Path | None:
     """Draw the picture of the run, and return its path, or None if the file cannot be written."""
     path = log.with_suffix(".png")
     try:
         draw_run(path, record, plan.hand, truth, outcome.offset_ns, f"{plan.hand.name}: {log.name}")
     except OSError as error:
-        _left_out(path, error, plan.tell)
+        _report_omitted(path, error, plan.tell)
         return None
     return path
 
 
-def _left_out(path: Path, error: OSError, tell: Tell) -> None:
+def _report_omitted(path: Path, error: OSError, tell: Tell) -> None:
     """Delete a partly written file next to the log, and notify the operator."""
     with suppress(OSError):
         path.unlink()

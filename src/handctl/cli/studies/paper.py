@@ -19,7 +19,7 @@ from handctl.paper.bench.pool import pool
 from handctl.paper.figures.gallery import draw_all
 from handctl.paper.item import ErrataVerdict
 from handctl.paper.page import markdown, plain, report, value
-from handctl.paper.sections import PageSection, sections, tally
+from handctl.paper.sections import PageSection, count_by_verdict, sections
 from handctl.session.exit_codes import Exit
 
 COLOURS = {
@@ -128,5 +128,5 @@ def _table(parts: tuple[PageSection, ...]) -> None:
             cell = Text.assemble(item.printed, (" → ", "bold"), value(item), "\n", (item.why, "dim"))
             table.add_row(item.id, verdict, cell)
         console.print(table)
-    counts = tally([item for part in parts for item in part.items])
+    counts = count_by_verdict([item for part in parts for item in part.items])
     console.print(", ".join(f"{number} {verdict}" for verdict, number in counts.items()))

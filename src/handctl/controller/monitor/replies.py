@@ -41,7 +41,7 @@ def unsolicited(
         if count == 1:
             signs.append(f"{drives[n].name} answering it")
         elif count:
-            duplicates[n] = _differ(_answers(drives[n], before, n, frames), count - 1)
+            duplicates[n] = _duplicate_kind(_accepted_payloads(drives[n], before, n, frames), count - 1)
     for group, count in enumerate(state.view("group_answered").tolist()):
         if count > 1:
             counter = before.whole(s.SYNC_COUNTER)
@@ -52,16 +52,16 @@ def unsolicited(
                 for frame in frames
                 if (frame.bus, frame.can_id) == (sensors.bus, can_id) and frame.data and frame.data[0] & 0xF == counter
             ]
-            duplicates[-1] = max(duplicates[-1], _differ(fresh, 1))
+            duplicates[-1] = max(duplicates[-1], _duplicate_kind(fresh, 1))
     return tuple(signs)
 
 
-def _differ(payloads: list[bytes], due: int) -> int:
+def _duplicate_kind(payloads: list[bytes], due: int) -> int:
     """Return 2 if an excess reply differs from the last expected reply, else 1."""
     return 2 if len(set(payloads[due - 1 :])) > 1 else 1
 
 
-def _answers(drive: Drive, before: State, n: int, frames: Sequence[Frame]) -> list[bytes]:
+def _accepted_payloads(drive: Drive, before: State, n: int, frames: Sequence[Frame]) -> list[bytes]:
     """Return the payloads that the drive's state machine accepts as replies, in order."""
     drive_state = before.drive(n)
     payloads = []

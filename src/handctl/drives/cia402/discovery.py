@@ -50,12 +50,12 @@ def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
         elif frame.can_id - codec.HEARTBEAT in NUMBERS and len(frame.data) == 1:
             states[frame.can_id - codec.HEARTBEAT] = frame.data[0]
     return tuple(
-        _node(number, types.get(number), states.get(number), have_twins(answers.get(number, {}), SERIAL[0]))
+        _describe_node(number, types.get(number), states.get(number), have_twins(answers.get(number, {}), SERIAL[0]))
         for number in sorted(types | states)
     )
 
 
-def _node(number: int, device_type: int | None, nmt: int | None, twins: bool) -> DiscoveredNode:
+def _describe_node(number: int, device_type: int | None, nmt: int | None, twins: bool) -> DiscoveredNode:
     """Return the discovered node with its data."""
     state = NMT_STATES.get(nmt, f"NMT state {nmt:#x}") if nmt is not None else ""
     if device_type is None:
@@ -85,9 +85,9 @@ def ping(node: DiscoveredNode) -> Frame:
     return Frame(codec.SDO_REQUEST + node.node_id, codec.upload(DEVICE_TYPE, 0))
 
 
-def is_pong(node: DiscoveredNode, frame: Frame) -> bool:
+def is_ping_reply(node: DiscoveredNode, frame: Frame) -> bool:
     """Return True if the frame is an SDO reply of the node."""
     return frame.can_id == codec.SDO_REPLY + node.node_id and len(frame.data) == 8
 
 
-DISCOVERY = Discovery(probe_frames, nodes, command_ids, other_host_frames, ping, is_pong)
+DISCOVERY = Discovery(probe_frames, nodes, command_ids, other_host_frames, ping, is_ping_reply)

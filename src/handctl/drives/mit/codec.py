@@ -146,11 +146,11 @@ def command_message(can_id: int, ranges: Ranges, sign: int = 1, flags: int = 0) 
     """
     unused = Quantity.UNUSED
     signals = (
-        _spanning("position", unused, 7, 16, ranges.position, "rad"),
-        _spanning("velocity", unused, 23, 12, ranges.velocity, "rad/s"),
+        _signal_over_range("position", unused, 7, 16, ranges.position, "rad"),
+        _signal_over_range("velocity", unused, 23, 12, ranges.velocity, "rad/s"),
         Signal("kp", unused, 27, 12, True, scale=500.0 / TOP, unit="N m/rad"),
         Signal("kd", unused, 47, 12, True, scale=5.0 / TOP, unit="N m s/rad"),
-        _spanning("torque", Quantity.TORQUE, 51, 12, ranges.torque, "N m", sign),
+        _signal_over_range("torque", Quantity.TORQUE, 51, 12, ranges.torque, "N m", sign),
     )
     return Message("command", can_id, 8, signals, flags, _NO_MOTION.to_bytes(8, "big"), False, ranges.torque)
 
@@ -230,20 +230,20 @@ def feedback_message(can_id: int, ranges: Ranges, sign: int = 1, zero: float = 0
         sign: sign of position, velocity, and torque, 1 if positive torque winds.
         zero: motor angle of the spool's zero [rad].
     """
-    position = _spanning("position", Quantity.POSITION, 15, 16, ranges.position, "rad", sign)
+    position = _signal_over_range("position", Quantity.POSITION, 15, 16, ranges.position, "rad", sign)
     return Message("feedback", can_id, 8, (
         # State and node nibbles as one status byte: one comparison checks both.
         Signal("state", Quantity.STATUS, 7, 8, True),
         # Spool angle = sign * (motor angle - zero).
         position._replace(offset=position.offset - sign * zero),
-        _spanning("velocity", Quantity.VELOCITY, 31, 12, ranges.velocity, "rad/s", sign),
-        _spanning("torque", Quantity.TORQUE, 35, 12, ranges.torque, "N m", sign),
+        _signal_over_range("velocity", Quantity.VELOCITY, 31, 12, ranges.velocity, "rad/s", sign),
+        _signal_over_range("torque", Quantity.TORQUE, 35, 12, ranges.torque, "N m", sign),
         Signal("mosfet", Quantity.TEMPERATURE, 55, 8, True, unit="degC"),
         Signal("winding", Quantity.TEMPERATURE, 63, 8, True, unit="degC"),
     ))  # fmt: skip
 
 
-def _spanning(
+def _signal_over_range(
     name: str, quantity: Quantity, start: int, length: int, largest: float, unit: str, sign: int = 1
 ) -> Signal:
     """Return a signal whose range of codes covers the values from -largest to largest."""

@@ -299,13 +299,15 @@ class CubemarsDrive:
         """Return the next state and the frames to send, see ``contract.Drive``."""
         progress: CubemarsProgress = state.private
         if state.phase == ENABLED and target == ENABLE and progress.command_sent == ENABLE:
-            return state, (self._frame(self._torque(torque)),)
+            return state, (self._frame_to_motor(self._torque_payload(torque)),)
         if target == LISTEN:
             return state, ()
         if state.phase == READY and t_ns - state.feedback_t_ns > SILENCE_NS and not progress.enable_sent:
             state = state._replace(phase=SILENT)
         if target == ENABLE and state.phase == READY:
-            return self._after_command(state, ENABLE, t_ns), (self._frame(codec.special_command(codec.ENABLE)),)
+            return self._after_command(state, ENABLE, t_ns), (
+                self._frame_to_motor(codec.special_command(codec.ENABLE)),
+            )
         phase = ENABLED if progress.enable_sent and (target == DISABLE or state.phase != FAULT) else state.phase
         return self._after_command(state._replace(phase=phase), DISABLE, t_ns), self.cut()
 
@@ -317,7 +319,7 @@ class CubemarsDrive:
         enable_sent = progress.enable_sent or command_sent == ENABLE
         return state._replace(private=CubemarsProgress(command_sent, t_ns, 0, enable_sent))
 
-    def _torque(self, torque: float) -> bytes:
+    def _torque_payload(self, torque: float) -> bytes:
         """Return the payload of a command that contains a torque only.
 
         Args:
@@ -333,11 +335,11 @@ class CubemarsDrive:
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
         """Return the frame of a torque command [N m at the spool]. It does not enable the motor."""
-        return (self._frame(self._torque(torque)),)
+        return (self._frame_to_motor(self._torque_payload(torque)),)
 
     def cut(self) -> tuple[Frame, ...]:
         """Return the frame of the disable command."""
-        return (self._frame(codec.special_command(codec.DISABLE)),)
+        return (self._frame_to_motor(codec.special_command(codec.DISABLE)),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the state without the error.
@@ -362,6 +364,6 @@ class CubemarsDrive:
         """Return the cause of an error code, see ``contract.Drive``."""
         return CAUSES.get(error, Cause.UNKNOWN)
 
-    def _frame(self, data: bytes) -> Frame:
+    def _frame_to_motor(self, data: bytes) -> Frame:
         """Return a frame to the motor with this payload."""
         return Frame(self.node_id, data, 0, self.bus)

@@ -35,12 +35,12 @@ def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     discovered motors.
     """
     if turn == 2:
-        return tuple(_read(number, MST_ID) for number in NUMBERS)
+        return tuple(_read_request(number, MST_ID) for number in NUMBERS)
     if turn != 3:
         return ()
     frames = []
     for motor in nodes(received):
-        frames += [_read(motor.node_id, register) for register in _DETAILS]
+        frames += [_read_request(motor.node_id, register) for register in _DETAILS]
         frames.append(Frame(codec.BROADCAST_ID, codec.register_request(motor.node_id, codec.REFRESH)))
     return tuple(frames)
 
@@ -52,19 +52,19 @@ def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
         if len(frame.data) == 8 and frame.data[2] == codec.READ and int.from_bytes(frame.data[:2], "little") in NUMBERS:
             answers = replies.setdefault(int.from_bytes(frame.data[:2], "little"), {})
             answers.setdefault(frame.data[3], []).append(frame.data[4:])
-    reply_ids = {number: _integer(raw[MST_ID][-1]) for number, raw in replies.items() if MST_ID in raw}
+    reply_ids = {number: _decode_integer(raw[MST_ID][-1]) for number, raw in replies.items() if MST_ID in raw}
     identifiers = {frame.can_id for frame in received}
     present = sorted(number for number, reply_id in reply_ids.items() if reply_id in identifiers)
-    return tuple(_motor(number, reply_ids, replies[number], received) for number in present)
+    return tuple(_describe_motor(number, reply_ids, replies[number], received) for number in present)
 
 
-def _motor(
+def _describe_motor(
     number: int, reply_ids: dict[int, int], answers: dict[int, list[bytes]], received: ReceivedFrames
 ) -> DiscoveredNode:
     """Return the discovered motor with its data from the register values."""
     reply_id = reply_ids[number]
     raw = {register: payloads[-1] for register, payloads in answers.items()}
-    values = {register: _integer(data) for register, data in raw.items() if register in _INTEGERS}
+    values = {register: _decode_integer(data) for register, data in raw.items() if register in _INTEGERS}
     settings = {key: struct.unpack("<f", raw[register])[0] for key, register in _RANGES if register in raw}
     # Without reply_id the hand file assumes MST_ID = ESC_ID + 0x10.
     options: dict[str, bool | int | float | str] = {} if reply_id == number + 0x10 else {"reply_id": reply_id}
@@ -78,13 +78,13 @@ def _motor(
         notes.append("its watchdog is off; handctl sets it before arming")
     if values.get(codec.CTRL_MODE, codec.MIT_MODE) != codec.MIT_MODE:
         notes.append("not in MIT mode; handctl sets it before arming")
-    state, error = _state(number, reply_id, received)
+    state, error = _state_and_error(number, reply_id, received)
     firmware = f"{values[SOFTWARE]:#x}" if SOFTWARE in values else ""
     serial = f"{values[SERIAL]:#x}" if SERIAL in values else ""
     return DiscoveredNode("mit", number, firmware, serial, state, error, settings, options, tuple(notes), {}, twins)
 
 
-def _state(number: int, reply_id: int, received: ReceivedFrames) -> tuple[str, str]:
+def _state_and_error(number: int, reply_id: int, received: ReceivedFrames) -> tuple[str, str]:
     """Return the texts of state and error from the latest feedback, both empty without feedback."""
     for frame in reversed(received):
         matches = frame.can_id == reply_id and len(frame.data) == 8 and frame.data[0] & 0xF == number & 0xF
@@ -112,25 +112,25 @@ def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
     )
 
 
-def _read(number: int, register: int) -> Frame:
+def _read_request(number: int, register: int) -> Frame:
     """Return the frame that reads a register."""
     return Frame(codec.BROADCAST_ID, codec.register_request(number, codec.READ, register))
 
 
-def _integer(raw: bytes) -> int:
+def _decode_integer(raw: bytes) -> int:
     """Return the integer in little-endian bytes."""
     return int.from_bytes(raw, "little")
 
 
 def ping(motor: DiscoveredNode) -> Frame:
     """Return the frame that reads register MST_ID."""
-    return _read(motor.node_id, MST_ID)
+    return _read_request(motor.node_id, MST_ID)
 
 
-def is_pong(motor: DiscoveredNode, frame: Frame) -> bool:
+def is_ping_reply(motor: DiscoveredNode, frame: Frame) -> bool:
     """Return True if the frame is a reply with register MST_ID."""
     answer = frame.can_id != codec.BROADCAST_ID and len(frame.data) == 8
     return answer and frame.data[:4] == codec.register_request(motor.node_id, codec.READ, MST_ID)[:4]
 
 
-DISCOVERY = Discovery(probe_frames, nodes, command_ids, other_host_frames, ping, is_pong)
+DISCOVERY = Discovery(probe_frames, nodes, command_ids, other_host_frames, ping, is_ping_reply)

@@ -204,9 +204,9 @@ def command_message(node_id: int, torque: float, timeout_s: float, sign: int = 1
     no_motion = small(0x020, -128, 0) + small(0x023, 0, 0) + small(INTEGRATOR_SCALE, 0)
     base = small(MODE, POSITION) + floats(0x022, 0.0) + no_motion + limits(torque, timeout_s) + QUERY
     signals = (
-        _float("torque", Quantity.TORQUE, 5, float(sign), "N m"),
-        _float("torque_limit", Quantity.UNUSED, 22, 1.0, "N m"),
-        _float("watchdog", Quantity.UNUSED, 28, 1.0, "s"),
+        _float_signal("torque", Quantity.TORQUE, 5, float(sign), "N m"),
+        _float_signal("torque_limit", Quantity.UNUSED, 22, 1.0, "N m"),
+        _float_signal("watchdog", Quantity.UNUSED, 28, 1.0, "s"),
     )
     base = padded(base)
     return Message("command", request_id(node_id), len(base), signals, FLAGS, base, False, torque)
@@ -221,7 +221,7 @@ def feedback_message(node_id: int, sign: int = 1, zero: float = 0.0) -> Message:
         zero: motor angle of the spool's zero [rad].
     """
     turns = sign * math.tau
-    position = _float("position", Quantity.POSITION, 9, turns, "rad")
+    position = _float_signal("position", Quantity.POSITION, 9, turns, "rad")
     return Message("feedback", reply_id(node_id), FEEDBACK_LENGTH, (
         Signal("mode_head", Quantity.STATUS, 0, 8),
         Signal("mode", Quantity.STATUS, 16, 8),
@@ -231,15 +231,15 @@ def feedback_message(node_id: int, sign: int = 1, zero: float = 0.0) -> Message:
         Signal("motor_head", Quantity.STATUS, 168, 16),
         # Spool angle = sign * (motor angle - zero).
         position._replace(offset=-sign * zero),
-        _float("velocity", Quantity.VELOCITY, 13, turns, "rad/s"),
-        _float("torque", Quantity.TORQUE, 17, float(sign), "N m"),
+        _float_signal("velocity", Quantity.VELOCITY, 13, turns, "rad/s"),
+        _float_signal("torque", Quantity.TORQUE, 17, float(sign), "N m"),
         Signal("board", Quantity.TEMPERATURE, 40, 8, coding=Coding.SIGNED, unit="degC"),
         # Without a thermistor the count is -128, and the board is the hottest.
         Signal("motor", Quantity.TEMPERATURE, 184, 8, coding=Coding.SIGNED, unit="degC"),
     ), FLAGS)  # fmt: skip
 
 
-def _float(name: str, quantity: Quantity, byte: int, scale: float, unit: str) -> Signal:
+def _float_signal(name: str, quantity: Quantity, byte: int, scale: float, unit: str) -> Signal:
     """Return a float32 signal that begins at a byte."""
     return Signal(name, quantity, 8 * byte, 32, coding=Coding.FLOAT, scale=scale, unit=unit)
 

@@ -47,10 +47,12 @@ def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
         # Each request of a scan reads one register. Longer replies belong to another host.
         if number is not None and reply is not None and len(reply.values) == 1:
             answers.setdefault(number, {}).setdefault(next(iter(reply.values)), []).append(frame.data)
-    return tuple(_drive(number, answers[number]) for number in sorted(answers) if codec.MODE in answers[number])
+    return tuple(
+        _describe_drive(number, answers[number]) for number in sorted(answers) if codec.MODE in answers[number]
+    )
 
 
-def _drive(number: int, answers: dict[int, list[bytes]]) -> DiscoveredNode:
+def _describe_drive(number: int, answers: dict[int, list[bytes]]) -> DiscoveredNode:
     """Return the discovered drive with its data, from its answers by register."""
     values: dict[int, int] = {}
     for register, payloads in answers.items():
@@ -99,9 +101,9 @@ def ping(drive: DiscoveredNode) -> Frame:
     return Frame(codec.request_id(drive.node_id), MODE_REQUEST)
 
 
-def is_pong(drive: DiscoveredNode, frame: Frame) -> bool:
+def is_ping_reply(drive: DiscoveredNode, frame: Frame) -> bool:
     """Return True if the frame is a reply with the mode."""
     return frame.can_id == codec.reply_id(drive.node_id) and frame.data[:2] == MODE_REPLY
 
 
-DISCOVERY = Discovery(probe_frames, nodes, command_ids, other_host_frames, ping, is_pong)
+DISCOVERY = Discovery(probe_frames, nodes, command_ids, other_host_frames, ping, is_ping_reply)

@@ -259,7 +259,7 @@ class MoteusDrive:
         if state.phase != CONFIGURING or progress.cursor.step < len(self.required):
             return state
         words = [int(values.get(codec.SERIAL + i, 0)) & 0xFFFFFFFF for i in range(3)]
-        return _ready(state, progress, t_ns, words[2] << 64 | words[1] << 32 | words[0])
+        return _ready_state(state, progress, t_ns, words[2] << 64 | words[1] << 32 | words[0])
 
     def advance(
         self, state: DriveState, t_ns: int, target: DriveTarget, torque: float
@@ -267,11 +267,11 @@ class MoteusDrive:
         """Return the next state and the frames to send, see ``contract.Drive``."""
         progress: MoteusProgress = state.private
         if target == ENABLE and state.phase == ENABLED and not progress.disabling:
-            command = self._frame(self._torque(torque))
+            command = self._frame_to_drive(self._torque_payload(torque))
             # The usual path of a running hand: one command, no other state change.
             if t_ns < progress.check.due_ns and not progress.check.waiting:
                 return state, (command,)
-            state, requests = self._recheck(state, progress, t_ns)
+            state, requests = self._next_recheck(state, progress, t_ns)
             return state, (command, *requests)
         if target == LISTEN:
             return state, ()
@@ -285,14 +285,14 @@ class MoteusDrive:
             and not progress.enable_sent
             and t_ns - max(state.feedback_t_ns, progress.ready_ns) > SILENCE_NS
         ):
-            return state._replace(phase=SILENT, private=MoteusProgress()), (self._frame(codec.QUERY),)
+            return state._replace(phase=SILENT, private=MoteusProgress()), (self._frame_to_drive(codec.QUERY),)
         if state.phase == CONFIGURING or (state.phase == READY and not progress.configured):
             return self._configure(state._replace(phase=CONFIGURING), progress, t_ns)
         if state.phase == READY and target == ENABLE:
             check = progress.check if progress.enable_sent else readback.first_recheck(self.node_id, t_ns)
             enabling = state._replace(private=progress._replace(enable_sent=True, check=check))
-            return enabling, (self._frame(self._torque(0.0)),)
-        question = self.cut()[0] if progress.clearing else self._frame(codec.QUERY)
+            return enabling, (self._frame_to_drive(self._torque_payload(0.0)),)
+        question = self.cut()[0] if progress.clearing else self._frame_to_drive(codec.QUERY)
         return state._replace(private=progress), (question,)
 
     def _disable(self, state: DriveState, progress: MoteusProgress, t_ns: int) -> DriveState:
@@ -304,7 +304,9 @@ class MoteusDrive:
         since = progress.disabling_ns if progress.disabling else t_ns
         return state._replace(phase=phase, private=progress._replace(disabling=True, disabling_ns=since))
 
-    def _recheck(self, state: DriveState, progress: MoteusProgress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
+    def _next_recheck(
+        self, state: DriveState, progress: MoteusProgress, t_ns: int
+    ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the request that reads a setting of the enabled drive, or the next part of its answer, if due."""
         setting = items.CONFIGURATION[progress.check.step]
         channel = progress.channel
@@ -317,13 +319,13 @@ class MoteusDrive:
             channel = items.Channel() if progress.check.waiting else channel
             check, problem = readback.next_recheck(progress.check, setting.name, self.node_id, t_ns)
             progress = progress._replace(check=check)
-            channel, data = self._request(channel, setting, False, t_ns)
+            channel, data = self._setting_request(channel, setting, False, t_ns)
         elif channel.empty and channel.asked_ns < 0:
-            channel, data = self._request(channel, setting, False, t_ns)
+            channel, data = self._setting_request(channel, setting, False, t_ns)
         state = state._replace(private=progress._replace(channel=channel))
         if problem:
             state = to_fault(state, MISMATCH, problem)
-        return state, (self._frame(data),) if data else ()
+        return state, (self._frame_to_drive(data),) if data else ()
 
     def _configure(
         self, state: DriveState, progress: MoteusProgress, t_ns: int
@@ -333,14 +335,14 @@ class MoteusDrive:
             text = f"in mode {progress.mode} without a command, and does not stop"
             return state._replace(error_text=text, private=progress), self.cut()
         if progress.cursor.step >= len(self.required):
-            return self._ask_serial(state, progress, t_ns)
+            return self._request_serial(state, progress, t_ns)
         setting = self.required[progress.cursor.step]
         if setting.register and progress.cursor.writing:  # has no answer of its own
-            limits = self._frame(codec.limits_request(self.torque_limit, self.timeout_s))
+            limits = self._frame_to_drive(codec.limits_request(self.torque_limit, self.timeout_s))
             return state._replace(private=progress._replace(cursor=progress.cursor.after_write())), (limits,)
         if progress.channel.awaits(t_ns):
             channel, data = progress.channel.poll()
-            return state._replace(private=progress._replace(channel=channel)), (self._frame(data),)
+            return state._replace(private=progress._replace(channel=channel)), (self._frame_to_drive(data),)
         cursor, send, problem = readback.next_request(progress.cursor, setting.name, t_ns)
         if problem:
             return to_fault(state._replace(private=progress), MISMATCH, problem), ()
@@ -349,11 +351,11 @@ class MoteusDrive:
         if send:
             # A request without an answer may have left its text on the way.
             channel = items.Channel() if progress.cursor.waiting else channel
-            channel, data = self._request(channel, setting, cursor.writing, t_ns)
+            channel, data = self._setting_request(channel, setting, cursor.writing, t_ns)
         updated = state._replace(error_text="", private=progress._replace(cursor=cursor, channel=channel))
-        return updated, (self._frame(data),) if data else ()
+        return updated, (self._frame_to_drive(data),) if data else ()
 
-    def _request(
+    def _setting_request(
         self, channel: items.Channel, setting: items.MoteusSetting, writing: bool, t_ns: int
     ) -> tuple[items.Channel, bytes]:
         """Return the text channel and the payload that reads or writes a setting."""
@@ -362,17 +364,17 @@ class MoteusDrive:
         command = items.write_request(setting) if writing else items.read_request(setting)
         return channel.ask(command, t_ns)
 
-    def _ask_serial(
+    def _request_serial(
         self, state: DriveState, progress: MoteusProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Request the serial number a few times, then continue without it."""
         cursor, send, unanswered = readback.next_request(progress.cursor, "serial number", t_ns, SERIAL_TRIES)
         updated = state._replace(private=progress._replace(cursor=cursor))
         if unanswered:
-            return _ready(updated, progress, t_ns, 0), ()
-        return updated, (self._frame(SERIAL_REQUEST),) if send else ()
+            return _ready_state(updated, progress, t_ns, 0), ()
+        return updated, (self._frame_to_drive(SERIAL_REQUEST),) if send else ()
 
-    def _torque(self, torque: float) -> bytes:
+    def _torque_payload(self, torque: float) -> bytes:
         """Return the payload of a torque command.
 
         Args:
@@ -392,7 +394,7 @@ class MoteusDrive:
 
     def cut(self) -> tuple[Frame, ...]:
         """Return the frame of the stop command."""
-        return (self._frame(codec.STOP),)
+        return (self._frame_to_drive(codec.STOP),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the state that clears the latched error by the stop command and repeats the read-back."""
@@ -411,12 +413,12 @@ class MoteusDrive:
         """Return the cause of an error code, see ``contract.Drive``."""
         return CAUSES.get(error, Cause.UNKNOWN)
 
-    def _frame(self, data: bytes) -> Frame:
+    def _frame_to_drive(self, data: bytes) -> Frame:
         """Return a frame to the drive with this payload."""
         return Frame(self.command.message.can_id, data, codec.FLAGS, self.bus)
 
 
-def _ready(state: DriveState, progress: MoteusProgress, t_ns: int, serial: int) -> DriveState:
+def _ready_state(state: DriveState, progress: MoteusProgress, t_ns: int, serial: int) -> DriveState:
     """Return the state in phase READY, after all settings were verified.
 
     Serial number 0 means unknown.

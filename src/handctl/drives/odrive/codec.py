@@ -121,7 +121,9 @@ def result_text(result: int) -> str:
     return RESULTS.get(result, f"unknown result {result}")
 
 
-def _float(name: str, quantity: Quantity, first: int, scale: float, offset: float = 0.0, unit: str = "") -> Signal:
+def _float_signal(
+    name: str, quantity: Quantity, first: int, scale: float, offset: float = 0.0, unit: str = ""
+) -> Signal:
     """Return a float32 signal that begins at a byte."""
     return Signal(name, quantity, 8 * first, 32, False, Coding.FLOAT, scale, offset, unit)
 
@@ -138,8 +140,8 @@ def encoder_message(node_id: int, ratio: float, zero: float, requested: bool) ->
     # A shaft turn is tau / ratio at the spool. A negative ratio reverses the sign.
     turn = math.tau / ratio
     return Message("encoder_estimates", can_id(node_id, ENCODER), 8, (
-        _float("position", Quantity.POSITION, 0, turn, -zero / ratio, "rad"),
-        _float("velocity", Quantity.VELOCITY, 4, turn, 0.0, "rad/s"),
+        _float_signal("position", Quantity.POSITION, 0, turn, -zero / ratio, "rad"),
+        _float_signal("velocity", Quantity.VELOCITY, 4, turn, 0.0, "rad/s"),
     ), nearest=requested)  # fmt: skip
 
 
@@ -153,8 +155,8 @@ def torques_message(node_id: int, ratio: float) -> Message:
         ratio: turns of the shaft per turn of the spool, with the sign of the hand.
     """
     return Message("torques", can_id(node_id, TORQUES), 8, (
-        _float("target", Quantity.UNUSED, 0, ratio, 0.0, "N m"),
-        _float("torque", Quantity.TORQUE, 4, ratio, 0.0, "N m"),
+        _float_signal("target", Quantity.UNUSED, 0, ratio, 0.0, "N m"),
+        _float_signal("torque", Quantity.TORQUE, 4, ratio, 0.0, "N m"),
     ), answers=False)  # fmt: skip
 
 
@@ -167,7 +169,7 @@ def torque_message(node_id: int, ratio: float, limit: float) -> Message:
         limit: largest torque [N m at the spool].
     """
     # Torque at the spool = ratio * torque at the shaft.
-    signal = _float("torque", Quantity.TORQUE, 0, ratio, 0.0, "N m")
+    signal = _float_signal("torque", Quantity.TORQUE, 0, ratio, 0.0, "N m")
     return Message("input_torque", can_id(node_id, SET_TORQUE), 4, (signal,), limit=limit)
 
 

@@ -49,30 +49,34 @@ def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     if turn == 1:
         return (Frame(codec.can_id(BROADCAST, ADDRESS) | REMOTE, b""),)
     if turn == 2:
-        return tuple(_request(drive, codec.GET_VERSION) for drive in nodes(received))
+        return tuple(_remote_request(drive, codec.GET_VERSION) for drive in nodes(received))
     if turn == 3:
         silent = [drive for drive in nodes(received) if not drive.firmware]
-        return tuple(_request(drive, command) for drive in silent for command in (codec.GET_VERSION, *_OLD_ANSWERS))
+        return tuple(
+            _remote_request(drive, command) for drive in silent for command in (codec.GET_VERSION, *_OLD_ANSWERS)
+        )
     return ()
 
 
-def _request(drive: DiscoveredNode, command: int) -> Frame:
+def _remote_request(drive: DiscoveredNode, command: int) -> Frame:
     """Return a remote frame that requests a message from a drive."""
     return Frame(codec.can_id(drive.node_id, command) | REMOTE, b"")
 
 
 def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the senders of ODrive heartbeats and of answers to Address."""
-    messages = {command: _sorted(received, command) for command in (codec.HEARTBEAT, *_ANSWERS_ONCE)}
-    present = {node for node, data in messages[codec.HEARTBEAT].items() if len(data) >= BEATS and all(map(_beat, data))}
+    messages = {command: _payloads_by_node(received, command) for command in (codec.HEARTBEAT, *_ANSWERS_ONCE)}
+    present = {
+        node for node, data in messages[codec.HEARTBEAT].items() if len(data) >= BEATS and all(map(_is_heartbeat, data))
+    }
     present |= {node for node, data in messages[ADDRESS].items() if data[-1][0] == node}
     return tuple(
-        _drive(node, {command: sent[node] for command, sent in messages.items() if node in sent})
+        _describe_drive(node, {command: sent[node] for command, sent in messages.items() if node in sent})
         for node in sorted(present)
     )
 
 
-def _drive(node: int, messages: dict[int, list[bytes]]) -> DiscoveredNode:
+def _describe_drive(node: int, messages: dict[int, list[bytes]]) -> DiscoveredNode:
     """Return the discovered drive with its data, from its messages by command number."""
     latest = {command: payloads[-1] for command, payloads in messages.items()}
     beat = codec.heartbeat(latest[codec.HEARTBEAT]) if codec.HEARTBEAT in latest else None
@@ -83,7 +87,7 @@ def _drive(node: int, messages: dict[int, list[bytes]]) -> DiscoveredNode:
     options: dict[str, bool | int | float | str] = {}
     origins: dict[str, str] = {}
     if version or serial:
-        notes += _notes_06(serial, version)
+        notes += _warnings_06(serial, version)
     else:
         options["firmware"] = "0.5"
         origins["firmware"] = "concluded: no answer to Get_Version"
@@ -99,7 +103,7 @@ def _drive(node: int, messages: dict[int, list[bytes]]) -> DiscoveredNode:
     return DiscoveredNode("odrive", node, firmware, serial, state, error, {}, options, tuple(notes), origins, twins)
 
 
-def _notes_06(serial: str, version: bytes) -> list[str]:
+def _warnings_06(serial: str, version: bytes) -> list[str]:
     """Return the warnings for a drive of firmware 0.6."""
     notes = ["watchdog and torque limit: give endpoint_... keys in the hand file, or set them over USB and trust that"]
     if not version:
@@ -119,7 +123,7 @@ def unasked(drive: DiscoveredNode) -> DiscoveredNode:
     return dataclasses.replace(drive, options={}, origins={}, error="", notes=notes)
 
 
-def _sorted(received: ReceivedFrames, command: int) -> dict[int, list[bytes]]:
+def _payloads_by_node(received: ReceivedFrames, command: int) -> dict[int, list[bytes]]:
     """Return the payloads of one message by node number. Address of older firmware has 7 bytes."""
     by_node: dict[int, list[bytes]] = {}
     for frame in received:
@@ -133,7 +137,7 @@ def _sorted(received: ReceivedFrames, command: int) -> dict[int, list[bytes]]:
     return by_node
 
 
-def _beat(data: bytes) -> bool:
+def _is_heartbeat(data: bytes) -> bool:
     """Return True if 8 bytes have the layout of a heartbeat.
 
     State and result must be documented values. In byte 7 only the two flags of firmware 0.5 may be
@@ -161,10 +165,10 @@ def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
 
 def ping(drive: DiscoveredNode) -> Frame:
     """Return the remote frame that requests a message, one the drive rarely sends on its own."""
-    return _request(drive, _ping_command(drive))
+    return _remote_request(drive, _ping_command(drive))
 
 
-def is_pong(drive: DiscoveredNode, frame: Frame) -> bool:
+def is_ping_reply(drive: DiscoveredNode, frame: Frame) -> bool:
     """Return True if the frame is the message that ``ping`` requests."""
     return frame.can_id == codec.can_id(drive.node_id, _ping_command(drive)) and len(frame.data) == 8
 
@@ -178,4 +182,4 @@ def _ping_command(drive: DiscoveredNode) -> int:
     return BUS_VOLTAGE if drive.options.get("firmware") == "0.5" else codec.GET_VERSION
 
 
-DISCOVERY = Discovery(probe_frames, nodes, command_ids, other_host_frames, ping, is_pong, unasked)
+DISCOVERY = Discovery(probe_frames, nodes, command_ids, other_host_frames, ping, is_ping_reply, unasked)

@@ -183,17 +183,17 @@ def feedback_message(node_id: int, host: int, ranges: ModelRanges, sign: int = 1
         sign: sign of position, velocity, and torque, 1 if positive torque winds.
         zero: motor angle of the spool's zero [rad].
     """
-    position = _spanning("position", Quantity.POSITION, 7, TURNS, "rad", sign)
+    position = _signal_over_range("position", Quantity.POSITION, 7, TURNS, "rad", sign)
     return Message("feedback", reply_id(FEEDBACK, node_id, host, status(RUNNING, 0)), 8, (
         # Spool angle = sign * (motor angle - zero).
         position._replace(offset=position.offset - sign * zero),
-        _spanning("velocity", Quantity.VELOCITY, 23, ranges.velocity, "rad/s", sign),
-        _spanning("torque", Quantity.TORQUE, 39, ranges.torque, "N m", sign),
+        _signal_over_range("velocity", Quantity.VELOCITY, 23, ranges.velocity, "rad/s", sign),
+        _signal_over_range("torque", Quantity.TORQUE, 39, ranges.torque, "N m", sign),
         Signal("winding", Quantity.TEMPERATURE, 55, 16, True, Coding.SIGNED, 0.1, unit="degC"),
     ))  # fmt: skip
 
 
-def _spanning(name: str, quantity: Quantity, start: int, largest: float, unit: str, sign: int) -> Signal:
+def _signal_over_range(name: str, quantity: Quantity, start: int, largest: float, unit: str, sign: int) -> Signal:
     """Return a signal of 16 bits that covers the values from -largest to largest."""
     scale = sign * 2 * largest / TOP
     return Signal(name, quantity, start, 16, True, Coding.UNSIGNED, scale, -sign * largest, unit)

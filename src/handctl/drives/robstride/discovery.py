@@ -41,10 +41,10 @@ def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
         number = by_reply.get(frame.can_id)
         if number is not None and len(frame.data) == 8:
             serials.setdefault(number, set()).add(frame.data)
-    return tuple(_motor(number, serials[number]) for number in sorted(serials))
+    return tuple(_describe_motor(number, serials[number]) for number in sorted(serials))
 
 
-def _motor(number: int, serials: set[bytes]) -> DiscoveredNode:
+def _describe_motor(number: int, serials: set[bytes]) -> DiscoveredNode:
     """Return the discovered motor with its data."""
     twins = len(serials) > 1
     notes = (TWINS,) * twins + ("does not report its model: give motor_type in the hand file",)
@@ -74,9 +74,9 @@ def ping(motor: DiscoveredNode) -> Frame:
     return _identity_request(motor.node_id)
 
 
-def is_pong(motor: DiscoveredNode, frame: Frame) -> bool:
+def is_ping_reply(motor: DiscoveredNode, frame: Frame) -> bool:
     """Return True if the frame reports the identity."""
     return frame.can_id == codec.reply_id(codec.GET_ID, motor.node_id, codec.BROADCAST)
 
 
-DISCOVERY = Discovery(probe_frames, nodes, command_ids, other_host_frames, ping, is_pong)
+DISCOVERY = Discovery(probe_frames, nodes, command_ids, other_host_frames, ping, is_ping_reply)

@@ -263,11 +263,11 @@ class RobstrideDrive:
         """Return the next state and the frames to send, see ``contract.Drive``."""
         progress: RobstrideProgress = state.private
         if target == ENABLE and state.phase == ENABLED and not progress.disabling:
-            command = self._torque(torque)
+            command = self._torque_frame(torque)
             # The usual path of a running hand: one command, no other state change.
             if t_ns < progress.check.due_ns:
                 return state, (command,)
-            state, question = self._recheck(state, progress, t_ns)
+            state, question = self._next_recheck(state, progress, t_ns)
             return state, (command, question)
         if target == LISTEN:
             return state, ()
@@ -281,20 +281,20 @@ class RobstrideDrive:
             and not progress.enable_sent
             and t_ns - max(state.feedback_t_ns, progress.ready_ns) > SILENCE_NS
         ):
-            return state._replace(phase=SILENT, private=RobstrideProgress()), (self._request(codec.GET_ID),)
+            return state._replace(phase=SILENT, private=RobstrideProgress()), (self._request_frame(codec.GET_ID),)
         if state.phase == CONFIGURING or (state.phase == READY and not progress.configured):
             return self._configure(state._replace(phase=CONFIGURING), progress, t_ns)
         if state.phase == READY and target == ENABLE:
             check = progress.check if progress.enable_sent else readback.first_recheck(self.node_id, t_ns)
             enabling = state._replace(private=progress._replace(enable_sent=True, check=check))
-            return enabling, (self._request(codec.ENABLE),)
-        return state._replace(private=progress), (self._question(state, progress),)
+            return enabling, (self._request_frame(codec.ENABLE),)
+        return state._replace(private=progress), (self._idle_request(state, progress),)
 
-    def _question(self, state: DriveState, progress: RobstrideProgress) -> Frame:
+    def _idle_request(self, state: DriveState, progress: RobstrideProgress) -> Frame:
         """Return the request to a motor without torque: for feedback, to clear faults, or for its identity."""
         if state.phase == READY:
-            return self._request(codec.STOP)
-        return self._request(codec.STOP, codec.CLEAR) if progress.clearing else self._request(codec.GET_ID)
+            return self._request_frame(codec.STOP)
+        return self._request_frame(codec.STOP, codec.CLEAR) if progress.clearing else self._request_frame(codec.GET_ID)
 
     def _disable(self, state: DriveState, progress: RobstrideProgress, t_ns: int) -> DriveState:
         """Return the state while the motor is being stopped.
@@ -305,14 +305,14 @@ class RobstrideDrive:
         since = progress.disabling_ns if progress.disabling else t_ns
         return state._replace(phase=phase, private=progress._replace(disabling=True, disabling_ns=since))
 
-    def _recheck(self, state: DriveState, progress: RobstrideProgress, t_ns: int) -> tuple[DriveState, Frame]:
+    def _next_recheck(self, state: DriveState, progress: RobstrideProgress, t_ns: int) -> tuple[DriveState, Frame]:
         """Return the request that reads a parameter of the enabled motor, if its time has come."""
         one = self.required[progress.check.step]
         check, problem = readback.next_recheck(progress.check, one.name, self.node_id, t_ns)
         state = state._replace(private=progress._replace(check=check))
         if problem:
             state = to_fault(state, MISMATCH, problem)
-        return state, self._request(codec.READ, codec.parameter(one.number))
+        return state, self._request_frame(codec.READ, codec.parameter(one.number))
 
     def _configure(
         self, state: DriveState, progress: RobstrideProgress, t_ns: int
@@ -331,14 +331,14 @@ class RobstrideDrive:
         one = self.required[cursor.step]
         if cursor.writing:
             updated = state._replace(private=progress._replace(cursor=cursor.after_write()))
-            return updated, (self._request(codec.WRITE, codec.parameter(one.number, one.raw)),)
+            return updated, (self._request_frame(codec.WRITE, codec.parameter(one.number, one.raw)),)
         cursor, send, problem = readback.next_request(cursor, one.name, t_ns)
         if problem:
             return to_fault(state._replace(private=progress), MISMATCH, problem), ()
         updated = state._replace(error_text="", private=progress._replace(cursor=cursor))
-        return updated, (self._request(codec.READ, codec.parameter(one.number)),) if send else ()
+        return updated, (self._request_frame(codec.READ, codec.parameter(one.number)),) if send else ()
 
-    def _torque(self, torque: float) -> Frame:
+    def _torque_frame(self, torque: float) -> Frame:
         """Return the frame of a torque command.
 
         Args:
@@ -355,16 +355,16 @@ class RobstrideDrive:
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
         """Return the frame of a torque command. It does not enable the motor."""
-        return (self._torque(torque),)
+        return (self._torque_frame(torque),)
 
     def cut(self) -> tuple[Frame, ...]:
         """Return the frame of the stop command."""
-        return (self._request(codec.STOP),)
+        return (self._request_frame(codec.STOP),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the state that clears the latched faults by a stop command and repeats the read-back."""
         fresh = state._replace(phase=SILENT, error=0, error_text="", private=RobstrideProgress(clearing=CLEAR_TRIES))
-        return fresh, (self._request(codec.STOP, codec.CLEAR),)
+        return fresh, (self._request_frame(codec.STOP, codec.CLEAR),)
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
         """Return no frame, because the watchdog of a stopped motor is inactive."""
@@ -378,6 +378,6 @@ class RobstrideDrive:
         """Return the cause of an error code, see ``contract.Drive``."""
         return cause_of(error)
 
-    def _request(self, kind: int, data: bytes = codec.EMPTY) -> Frame:
+    def _request_frame(self, kind: int, data: bytes = codec.EMPTY) -> Frame:
         """Return a request to the motor."""
         return Frame(codec.request_id(kind, self.node_id, self.host), data, 0, self.bus)

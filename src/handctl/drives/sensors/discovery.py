@@ -29,18 +29,18 @@ def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
 
     Consecutive identifiers are one node.
     """
-    ids = sorted({frame.can_id for frame in received if _answered(received, frame.can_id)})
+    ids = sorted({frame.can_id for frame in received if _answers_both_syncs(received, frame.can_id)})
     first = [can_id for can_id in ids if can_id - 1 not in ids]
-    return tuple(_node(can_id, received) for can_id in first)
+    return tuple(_describe_node(can_id, received) for can_id in first)
 
 
-def _answered(received: ReceivedFrames, can_id: int) -> bool:
+def _answers_both_syncs(received: ReceivedFrames, can_id: int) -> bool:
     """Return True if all frames of an identifier contain the SYNC counters, in the order sent."""
     counters = [frame.data[0] & 0xF for frame in received if frame.can_id == can_id and 2 <= len(frame.data) <= LONGEST]
     return can_id < SYNC << 3 and counters == [counter & 0xF for counter in COUNTERS]
 
 
-def _node(can_id: int, received: ReceivedFrames) -> DiscoveredNode:
+def _describe_node(can_id: int, received: ReceivedFrames) -> DiscoveredNode:
     """Return the discovered sensor node with its data."""
     size = next(len(frame.data) for frame in received if frame.can_id == can_id)
     channels = (8 * size - BITS_HEAD) // BITS_CHANNEL
@@ -68,9 +68,9 @@ def ping(node: DiscoveredNode) -> Frame:
     return ping_with(COUNTERS[0])
 
 
-def is_pong(node: DiscoveredNode, frame: Frame) -> bool:
+def is_ping_reply(node: DiscoveredNode, frame: Frame) -> bool:
     """Return True if the frame is an answer with the counter of ``ping``."""
     return frame.can_id == node.node_id and len(frame.data) >= 2 and frame.data[0] & 0xF == COUNTERS[0] & 0xF
 
 
-DISCOVERY = Discovery(probe_frames, nodes, command_ids, other_host_frames, ping, is_pong)
+DISCOVERY = Discovery(probe_frames, nodes, command_ids, other_host_frames, ping, is_ping_reply)

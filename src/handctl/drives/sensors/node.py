@@ -130,8 +130,8 @@ class SensorNode:
             tendons: all tendon names of the hand, in order.
             joints: all joint names of the hand, in order.
         """
-        tension = _groups([tendons.index(name) for name in node.tendons])
-        angle = _groups([joints.index(name) for name in node.joints])
+        tension = _channel_groups([tendons.index(name) for name in node.tendons])
+        angle = _channel_groups([joints.index(name) for name in node.joints])
         frame = {index: g for g, group in enumerate(tension) for index in group}
         ids = [node.base_id + g for g in range(len(tension))]
         ids += [node.base_id + JOINT_FRAMES + g for g in range(len(angle))]
@@ -140,7 +140,7 @@ class SensorNode:
             sync_id=node.sync_id,
             ids=tuple(ids),
             channels=(*tension, *angle),
-            lengths=tuple(_length(len(group)) for group in tension + angle),
+            lengths=tuple(_payload_length(len(group)) for group in tension + angle),
             tension_frames=len(tension),
             frame_of=tuple(frame.get(index, -1) for index in range(len(tendons))),
             decimation=node.joint_decimation,
@@ -188,7 +188,7 @@ class SensorNode:
         for g, (can_id, channels, length) in enumerate(zip(self.ids, self.channels, self.lengths, strict=True)):
             tensions = g < self.tension_frames
             signals = [Signal("counter", Quantity.COUNTER, 0, COUNTER_BITS)]
-            signals += [_channel(slot, index, tensions) for slot, index in enumerate(channels)]
+            signals += [_channel_signal(slot, index, tensions) for slot, index in enumerate(channels)]
             name = f"tensions_{g}" if tensions else f"joints_{g - self.tension_frames}"
             messages.append(Message(name, can_id, length, tuple(signals)))
         return tuple(messages)
@@ -223,7 +223,7 @@ class SensorNode:
         return next((g for g in groups if index in self.channels[g]), -1)
 
 
-def _channel(slot: int, index: int, tension: bool) -> Signal:
+def _channel_signal(slot: int, index: int, tension: bool) -> Signal:
     """Return the signal of one channel of a frame, at its position after the counter."""
     if tension:
         return Signal(f"tension_{slot}", Quantity.TENSION, SHIFTS[slot], CHANNEL_BITS, scale=TENSION_STEP_N,
@@ -261,11 +261,11 @@ def counters(decimation: int) -> bytes:
     return bytes(result)
 
 
-def _groups(channels: list[int]) -> list[tuple[int, ...]]:
+def _channel_groups(channels: list[int]) -> list[tuple[int, ...]]:
     """Return the channels grouped by frame."""
     return [tuple(channels[first : first + CHANNELS]) for first in range(0, len(channels), CHANNELS)]
 
 
-def _length(channels: int) -> int:
+def _payload_length(channels: int) -> int:
     """Return the payload length of a frame [bytes]."""
     return math.ceil((COUNTER_BITS + CHANNEL_BITS * channels) / 8)

@@ -125,7 +125,7 @@ def export_candump(log: RunLog, path: Path) -> int:
     offset = log.header.offset_ns
     with path.open("x", encoding="ascii") as file:
         for t_ns, direction, frame in _frames_by_time(log):
-            file.write(_candump(frame, offset + t_ns, buses, direction))
+            file.write(_candump_line(frame, offset + t_ns, buses, direction))
             count += 1
     return count
 
@@ -155,7 +155,7 @@ def _frames_by_time(log: RunLog) -> Iterator[tuple[int, str, Frame]]:
     yield from waiting
 
 
-def _candump(frame: Frame, t_ns: int, buses: tuple[str, ...], direction: str) -> str:
+def _candump_line(frame: Frame, t_ns: int, buses: tuple[str, ...], direction: str) -> str:
     """Return a frame as a line of text.
 
     Source: can-utils `lib.c`, `snprintf_canframe`.

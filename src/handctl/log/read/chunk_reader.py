@@ -160,7 +160,7 @@ def _count_equal_heads(heads: bytes, head: bytes, number: int) -> int:
     return low
 
 
-def definitions(content: bytes) -> Definitions:
+def schemas_and_channels(content: bytes) -> Definitions:
     """Return the schemas and channels at the start of a chunk.
 
     Raises the errors of `iter_messages`.
@@ -171,9 +171,9 @@ def definitions(content: bytes) -> Definitions:
         code, length = _RECORD.unpack_from(content, at)
         body = content[at + _RECORD.size : at + _RECORD.size + length]
         if code == Opcode.SCHEMA:
-            result.schemas.append(_schema(body))
+            result.schemas.append(_decode_schema(body))
         elif code == Opcode.CHANNEL:
-            result.channels.append(_channel(body))
+            result.channels.append(_decode_channel(body))
         else:
             break
         if max(len(result.schemas), len(result.channels)) > MAX_CHANNELS:
@@ -182,13 +182,13 @@ def definitions(content: bytes) -> Definitions:
     return result
 
 
-def _text(body: bytes, at: int) -> tuple[str, int]:
+def _read_text(body: bytes, at: int) -> tuple[str, int]:
     """Read a string, and return the string and the offset after it."""
-    raw, at = _bytes(body, at)
+    raw, at = _read_bytes(body, at)
     return raw.decode(), at
 
 
-def _bytes(body: bytes, at: int) -> tuple[bytes, int]:
+def _read_bytes(body: bytes, at: int) -> tuple[bytes, int]:
     """Read a byte array, and return the array and the offset after it."""
     (size,) = struct.unpack_from("<I", body, at)
     if at + 4 + size > len(body):
@@ -196,23 +196,23 @@ def _bytes(body: bytes, at: int) -> tuple[bytes, int]:
     return body[at + 4 : at + 4 + size], at + 4 + size
 
 
-def _schema(body: bytes) -> tuple[int, str, str, bytes]:
+def _decode_schema(body: bytes) -> tuple[int, str, str, bytes]:
     """Decode a Schema record: id u16, name, encoding, data."""
     (number,) = struct.unpack_from("<H", body)
-    name, at = _text(body, 2)
-    encoding, at = _text(body, at)
-    return number, name, encoding, _bytes(body, at)[0]
+    name, at = _read_text(body, 2)
+    encoding, at = _read_text(body, at)
+    return number, name, encoding, _read_bytes(body, at)[0]
 
 
-def _channel(body: bytes) -> tuple[int, int, str, str, dict[str, str]]:
+def _decode_channel(body: bytes) -> tuple[int, int, str, str, dict[str, str]]:
     """Decode a Channel record: id u16, schema id u16, topic, encoding, metadata as key and value texts."""
     number, schema = struct.unpack_from("<HH", body)
-    topic, at = _text(body, 4)
-    encoding, at = _text(body, at)
-    raw, _ = _bytes(body, at)
+    topic, at = _read_text(body, 4)
+    encoding, at = _read_text(body, at)
+    raw, _ = _read_bytes(body, at)
     metadata = {}
     at = 0
     while at < len(raw):
-        key, at = _text(raw, at)
-        metadata[key], at = _text(raw, at)
+        key, at = _read_text(raw, at)
+        metadata[key], at = _read_text(raw, at)
     return number, schema, topic, encoding, metadata

@@ -155,7 +155,7 @@ class LogFile:
             return self._latest[1]
         with Reading(self.at(chunk.offset)):
             packed = self.read(chunk.data, chunk.end - chunk.data)
-            content = _decompressed(packed, chunk)
+            content = _decompress(packed, chunk)
             if len(content) != chunk.size:
                 raise ValueError(f"chunk of {len(content)} bytes or more; declared are {chunk.size}")
             if checked and chunk.crc and zlib.crc32(content) != chunk.crc:
@@ -165,7 +165,7 @@ class LogFile:
         return content
 
 
-def _decompressed(packed: bytes, chunk: ChunkLocation) -> bytes:
+def _decompress(packed: bytes, chunk: ChunkLocation) -> bytes:
     """Return the decompressed bytes of a chunk, at most one byte more than the declared size."""
     # The extra byte shows a chunk that is longer than declared, without decompressing all of it.
     if chunk.compression == "lz4":

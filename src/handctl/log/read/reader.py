@@ -14,7 +14,7 @@ from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.errors import LogError
 from handctl.log.batch import FIXED_DTYPE, column_count, columns, row_fields
 from handctl.log.header import RunHeader
-from handctl.log.read.chunk_reader import Definitions, MessageRows, definitions, iter_messages
+from handctl.log.read.chunk_reader import Definitions, MessageRows, iter_messages, schemas_and_channels
 from handctl.log.read.logfile import ChunkLocation, LogFile, Reading
 from handctl.log.read.record_scan import RecordScan, scan_records
 from handctl.log.read.timeline import Gap, LoggedEvent, PhaseChange
@@ -41,7 +41,7 @@ _CACHE_BYTES = 64 << 20
 """Largest size of the telemetry held in memory [bytes]."""
 
 
-def _header(scan: RecordScan) -> RunHeader:
+def _read_header(scan: RecordScan) -> RunHeader:
     """Read the header of a run."""
     record = scan.metadata["handctl.run"]
     if (schema := json.loads(record["schema"])) != SCHEMA:
@@ -130,7 +130,7 @@ class RunLog:
             if "handctl.run" not in scan.metadata or not scan.chunks:
                 raise LogError("no run of handctl in the file", self._file.name, "a log that handctl wrote")
             with Reading(self._file.name):
-                self.header = _header(scan)
+                self.header = _read_header(scan)
             self.end = scan.metadata.get("handctl.end", {})
             self._tick, self._values, self._others = self._channels()
         except LogError:
@@ -157,7 +157,7 @@ class RunLog:
     def _channels(self) -> tuple[int, int, dict[str, int]]:
         """Return the channel ids of the ticks, of the telemetry, and of all topics."""
         with Reading(self._file.at(self._chunks[0].offset)):
-            definitions_of_log: Definitions = definitions(self._file.content(self._chunks[0]))
+            definitions_of_log: Definitions = schemas_and_channels(self._file.content(self._chunks[0]))
             topics = {topic: number for number, _, topic, _, _ in definitions_of_log.channels}
             return topics[TICK_TOPIC], topics[VALUES_TOPIC], topics
 

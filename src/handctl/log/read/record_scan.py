@@ -184,12 +184,12 @@ def _add_record(file: LogFile, scan: RecordScan, code: int, at: int, end: int) -
     if length < _LENGTHS.get(code, 0):
         raise ValueError("a record that is too short")
     if code == Opcode.CHUNK:
-        scan.chunks.append(_chunk(file, at, end))
+        scan.chunks.append(_decode_chunk_head(file, at, end))
         return scan.chunks[-1].size
     if code == Opcode.ATTACHMENT:
-        _attachment(scan, file.read(start, _bounded(length, MAX_ATTACHMENT)))
+        _decode_attachment(scan, file.read(start, _checked_size(length, MAX_ATTACHMENT)))
     elif code == Opcode.METADATA:
-        fields = _Fields(file.read(start, _bounded(length, MAX_METADATA)))
+        fields = _Fields(file.read(start, _checked_size(length, MAX_METADATA)))
         name = fields.text()
         scan.metadata[name] = _text_map(fields)
     elif code == Opcode.MESSAGE:
@@ -197,32 +197,32 @@ def _add_record(file: LogFile, scan: RecordScan, code: int, at: int, end: int) -
     return 0
 
 
-def _bounded(size: int, limit: int) -> int:
+def _checked_size(size: int, limit: int) -> int:
     """Return a size after a check that the size is within its limit."""
     if size > limit:
         raise ValueError(f"a record of {size} bytes; at most {limit} are allowed")
     return size
 
 
-def _chunk(file: LogFile, at: int, end: int) -> ChunkLocation:
+def _decode_chunk_head(file: LogFile, at: int, end: int) -> ChunkLocation:
     """Decode the head of a Chunk record. The data are not read."""
     # 80 bytes hold the fixed fields (41 bytes), the compression's name (at most 8) and the size of
     # the records (8).
     head = file.read(at, min(end - at, 80))
     first, last, size, crc, name = _CHUNK.unpack_from(head, _RECORD.size)
-    _bounded(size, MAX_CHUNK)
+    _checked_size(size, MAX_CHUNK)
     start = _RECORD.size + _CHUNK.size
-    compression = head[start : start + _bounded(name, 8)].decode()
+    compression = head[start : start + _checked_size(name, 8)].decode()
     if compression not in ("", "lz4", "zstd"):
         raise ValueError(f"unknown compression {compression!r}")
     (packed,) = struct.unpack_from("<Q", head, start + name)
     data = at + start + name + 8
-    if data + _bounded(packed, MAX_CHUNK) != end:
+    if data + _checked_size(packed, MAX_CHUNK) != end:
         raise ValueError("the length of a chunk contradicts itself")
     return ChunkLocation(at, end, data, first, last, size, crc, compression)
 
 
-def _attachment(scan: RecordScan, data: bytes) -> None:
+def _decode_attachment(scan: RecordScan, data: bytes) -> None:
     """Decode an attachment and compare its checksum."""
     fields = _Fields(data)
     time_ns = fields.number("Q")

@@ -10,7 +10,7 @@ from mcap.records import Channel, Schema
 
 from handctl.errors import LogError
 from handctl.log.container import Container, MessageBlock
-from handctl.log.read.chunk_reader import definitions, iter_messages
+from handctl.log.read.chunk_reader import iter_messages, schemas_and_channels
 from handctl.log.read.logfile import ChunkLocation, LogFile, Reading
 from handctl.log.read.record_scan import RecordScan, scan_records
 from handctl.output import whole
@@ -66,7 +66,7 @@ def recover(path: Path, out: Path) -> Recovery:
         with whole(out, new=True) as part:
             descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
             try:
-                recovery = _copy(file, scan, problem, Container(descriptor))
+                recovery = _copy_intact_parts(file, scan, problem, Container(descriptor))
             finally:
                 os.close(descriptor)
             if recovery.status == RecoveryStatus.NOTHING:
@@ -90,7 +90,7 @@ def scan_damaged(file: LogFile, scan: RecordScan) -> str:
     return scan.problem
 
 
-def _copy(file: LogFile, scan: RecordScan, problem: str, new: Container) -> Recovery:
+def _copy_intact_parts(file: LogFile, scan: RecordScan, problem: str, new: Container) -> Recovery:
     """Copy the intact parts of a file, and write the end of the new file."""
     for name, (media, time_ns, data) in scan.attachments.items():
         new.attach(name, media, data, time_ns)
@@ -109,7 +109,7 @@ def _copy(file: LogFile, scan: RecordScan, problem: str, new: Container) -> Reco
             lost.append((chunk.offset, chunk.end))
     if not scan.complete and scan.end < file.size:
         lost.append((scan.end, file.size))
-    new.metadata("handctl.end", _end(scan, problem))
+    new.metadata("handctl.end", _end_record(scan, problem))
     new.finish()
     status = (
         RecoveryStatus.NOTHING
@@ -121,7 +121,7 @@ def _copy(file: LogFile, scan: RecordScan, problem: str, new: Container) -> Reco
     return Recovery(status, copied, new.messages, tuple(sorted(lost)), problem)
 
 
-def _end(scan: RecordScan, problem: str) -> dict[str, str]:
+def _end_record(scan: RecordScan, problem: str) -> dict[str, str]:
     """Return the end record of the new file, with the defect of the old file."""
     end = scan.metadata.get("handctl.end", {"reason": "not closed"})
     return end | {"recovered": problem} if problem else end
@@ -135,19 +135,19 @@ def _copy_chunk(file: LogFile, chunk: ChunkLocation, new: Container) -> None:
     """
     content = file.content(chunk)
     with Reading(file.at(chunk.offset)):
-        chunk_definitions = definitions(content)
+        chunk_definitions = schemas_and_channels(content)
         schemas = [Schema(number, data, encoding, name) for number, name, encoding, data in chunk_definitions.schemas]
         channels = [
             Channel(number, topic, encoding, metadata, schema)
             for number, schema, topic, encoding, metadata in chunk_definitions.channels
         ]
         blocks = [
-            MessageBlock(rows.channel, rows.records.tobytes(), rows.log_times(), _offsets(rows.records.shape))
+            MessageBlock(rows.channel, rows.records.tobytes(), rows.log_times(), _message_offsets(rows.records.shape))
             for rows in iter_messages(content, chunk.end - chunk.data)
         ]
     new.chunk(blocks, schemas, channels)
 
 
-def _offsets(shape: tuple[int, ...]) -> "np.ndarray[tuple[int], np.dtype[np.uint64]]":
+def _message_offsets(shape: tuple[int, ...]) -> "np.ndarray[tuple[int], np.dtype[np.uint64]]":
     """Return the offset of each message in a block (n,) [bytes]."""
     return np.arange(shape[0], dtype=np.uint64) * np.uint64(shape[1])

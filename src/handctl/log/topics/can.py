@@ -61,30 +61,32 @@ class _DirectionTopics:
         bus = np.minimum(frames.frames["bus"], len(self._buses) - 1).astype(np.intp)
         blocks = []
         if not fd.all():
-            blocks.append(self._classical(frames.frames[~fd], bus[~fd], stamps.at(~fd), measured[~fd]))
+            blocks.append(self._classical_messages(frames.frames[~fd], bus[~fd], stamps.at(~fd), measured[~fd]))
         if fd.any():
-            blocks.append(self._long(frames, bus, fd, stamps, measured))
+            blocks.append(self._long_messages(frames, bus, fd, stamps, measured))
         return blocks
 
-    def _classical(
+    def _classical_messages(
         self, frames: NDArray[np.void], bus: NDArray[np.intp], stamps: Stamps, measured: Times
     ) -> MessageBlock:
         """Return the messages of classical frames, in the order of the frames."""
         used = np.unique(bus)
         if len(used) == 1:
-            return self._streams[int(used[0])].block(stamps, _values(frames), measured)
+            return self._streams[int(used[0])].block(stamps, _frame_values(frames), measured)
         records: list[bytes] = [b""] * len(frames)
         # The bus name is part of the template. Frames of several buses are made bus by bus and put
         # back in order.
         for bus_index in used.tolist():
             indexes = np.flatnonzero(bus == bus_index)
-            block = self._streams[bus_index].block(stamps.at(indexes), _values(frames[indexes]), measured[indexes])
+            block = self._streams[bus_index].block(
+                stamps.at(indexes), _frame_values(frames[indexes]), measured[indexes]
+            )
             size = len(block.data) // len(indexes)
             for index, start in zip(indexes.tolist(), range(0, len(block.data), size), strict=True):
                 records[index] = block.data[start : start + size]
-        return _joined(self._channel, stamps.log, records)
+        return _join_records(self._channel, stamps.log, records)
 
-    def _long(
+    def _long_messages(
         self,
         frames: FrameBatch,
         bus: NDArray[np.intp],
@@ -110,16 +112,16 @@ class _DirectionTopics:
                 size = 22 + len(message)
                 channel = self._fd_channel
                 records.append(MESSAGE.pack(5, size, channel, sequence[index], log[index], times[index]) + message)
-        return _joined(self._fd_channel, stamps.log[fd], records)
+        return _join_records(self._fd_channel, stamps.log[fd], records)
 
 
-def _joined(channel: int, log_times: Times, records: list[bytes]) -> MessageBlock:
+def _join_records(channel: int, log_times: Times, records: list[bytes]) -> MessageBlock:
     """Return Message records joined to one block."""
     ends = np.cumsum([0, *map(len, records)], dtype=np.uint64)
     return MessageBlock(channel, b"".join(records), log_times, ends[:-1])
 
 
-def _values(frames: NDArray[np.void]) -> dict[str, NDArray[np.generic]]:
+def _frame_values(frames: NDArray[np.void]) -> dict[str, NDArray[np.generic]]:
     """Return the values of the variable fields of can_msgs/Frame messages."""
     can_id = frames["can_id"]
     small = {

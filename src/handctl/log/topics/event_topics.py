@@ -24,7 +24,7 @@ _STRING = 4
 """Values of rcl_interfaces/ParameterType."""
 
 
-def _stamped(t_ns: int) -> CdrWriter:
+def _stamped_writer(t_ns: int) -> CdrWriter:
     """Return a CDR writer that begins with a time stamp."""
     out = CdrWriter()
     out.put("I", t_ns // 10**9)
@@ -34,7 +34,7 @@ def _stamped(t_ns: int) -> CdrWriter:
 
 def rosout(t_ns: int, level: str, name: str, text: str) -> bytes:
     """Encode a log line as rcl_interfaces/Log."""
-    out = _stamped(t_ns)
+    out = _stamped_writer(t_ns)
     out.put("B", LEVELS.get(level, LEVELS["error"]))
     out.text(name)
     out.text(text)
@@ -44,7 +44,7 @@ def rosout(t_ns: int, level: str, name: str, text: str) -> bytes:
     return out.message()
 
 
-def _parameter(out: CdrWriter, name: str, value: str) -> None:
+def _append_parameter(out: CdrWriter, name: str, value: str) -> None:
     """Append a gain as rcl_interfaces/Parameter. A text with a number is written as a double."""
     try:
         number = float(value)
@@ -67,26 +67,26 @@ def parameter_event(t_ns: int, new: dict[str, str], changed: dict[str, str]) -> 
 
     A text with a number is written as a double.
     """
-    out = _stamped(t_ns)
+    out = _stamped_writer(t_ns)
     out.text("/handctl")
     for group in (new, changed):
         out.count(len(group))
         for name, value in group.items():
-            _parameter(out, name, value)
+            _append_parameter(out, name, value)
     out.count(0)
     return out.message()
 
 
 def labelled(t_ns: int, number: int, name: str) -> bytes:
     """Encode a handctl_msgs/GraspPhase, Mode, or Action: header, number, name."""
-    out = _stamped(t_ns)
+    out = _stamped_writer(t_ns)
     out.text("")
     out.put("B", number)
     out.text(name)
     return out.message()
 
 
-def _changes(values: list[tuple[int, str]], last: tuple[int, str] | None) -> list[int]:
+def _changed_indexes(values: list[tuple[int, str]], last: tuple[int, str] | None) -> list[int]:
     """Return the indexes of values that differ from the previous value."""
     before = [last, *values[:-1]]
     return [index for index, value in enumerate(values) if value != before[index]]
@@ -121,13 +121,13 @@ class EventTopics:
         ]
         blocks = []
         for channel, states in lanes:
-            indexes = _changes(states, self._last.get(channel))
+            indexes = _changed_indexes(states, self._last.get(channel))
             messages = [labelled(int(stamps.log[index]), *states[index]) for index in indexes]
-            blocks.append(variable_length_block(channel, stamps.at(_index(indexes)), messages))
+            blocks.append(variable_length_block(channel, stamps.at(_index_array(indexes)), messages))
             self._last[channel] = states[-1]
-        return [block for block in [*blocks, *self._lines(batch, stamps)] if block.data]
+        return [block for block in [*blocks, *self._line_messages(batch, stamps)] if block.data]
 
-    def _lines(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
+    def _line_messages(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
         """Return the messages with log lines and with changes of gains."""
         at: list[int] = []
         lines: list[bytes] = []
@@ -135,7 +135,7 @@ class EventTopics:
         gains = []
         for index, tick in batch.ticks_with_events.items():
             t_ns = int(stamps.log[index])
-            for level, name, text in _texts(tick):
+            for level, name, text in _log_lines(tick):
                 at.append(index)
                 lines.append(rosout(t_ns, level, f"handctl.{name}", text))
             changed = {event.where: event.text for event in tick.events if event.name == GAIN_EVENT}
@@ -143,17 +143,17 @@ class EventTopics:
                 gains_at.append(index)
                 gains.append(parameter_event(t_ns, {}, changed))
         return [
-            variable_length_block(self._rosout, stamps.at(_index(at)), lines),
-            variable_length_block(self._parameters, stamps.at(_index(gains_at)), gains),
+            variable_length_block(self._rosout, stamps.at(_index_array(at)), lines),
+            variable_length_block(self._parameters, stamps.at(_index_array(gains_at)), gains),
         ]
 
 
-def _index(values: list[int]) -> NDArray[np.intp]:
+def _index_array(values: list[int]) -> NDArray[np.intp]:
     """Return a list of indexes as an array."""
     return np.array(values, np.intp)
 
 
-def _texts(tick: TickRecord) -> Iterator[tuple[str, str, str]]:
+def _log_lines(tick: TickRecord) -> Iterator[tuple[str, str, str]]:
     """Yield level, name and text of each log line of a tick."""
     for io_event in tick.tick_in.io_events:
         number = f" ({io_event.number})" if io_event.number != 1 else ""

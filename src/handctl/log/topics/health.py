@@ -96,11 +96,11 @@ class HealthTopics:
     def blocks(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
         """Return the messages of a batch."""
         blocks = self._temperature_runs(batch, stamps)
-        selected = self._selected(batch)
+        selected = self._status_ticks(batch)
         messages: list[bytes] = []
         start = 0
         for index in [*selected.tolist(), len(batch.k) - 1]:
-            self._count(batch, start, index + 1)
+            self._count_frames(batch, start, index + 1)
             if len(messages) < len(selected):
                 messages.append(diagnostic_array(int(stamps.log[index]), self._statuses(batch, index)))
             start = index + 1
@@ -121,7 +121,7 @@ class HealthTopics:
             stream.block(at, {"temperature": values[:, [index]]}) for index, stream in enumerate(self._temperatures)
         ]
 
-    def _selected(self, batch: Batch) -> NDArray[np.intp]:
+    def _status_ticks(self, batch: Batch) -> NDArray[np.intp]:
         """Return the indexes of the ticks that get a status message."""
         # NaN differs from itself and would count as a change in every tick.
         phases = np.nan_to_num(batch.numbers[:, self._columns["drive_phase"]], nan=-1.0)
@@ -133,7 +133,7 @@ class HealthTopics:
         self._last = state[-1], int(periods[-1])
         return np.flatnonzero(changed | (np.diff(periods, prepend=last_period) != 0))
 
-    def _count(self, batch: Batch, start: int, end: int) -> None:
+    def _count_frames(self, batch: Batch, start: int, end: int) -> None:
         """Count the frames and io events from tick index start up to end."""
         for direction, frames in enumerate((batch.received, batch.sent)):
             first, last = np.searchsorted(frames.tick, (start, end))
@@ -155,14 +155,14 @@ class HealthTopics:
             "phase": batch.phases[index],
             "cycle": str(int(batch.k[index])),
         }
-        controller = DiagnosticStatus(level, "handctl: controller", mode, "handctl", values | self._counted())
-        return [controller, *self._buses(), *self._motors(batch.numbers[index])]
+        controller = DiagnosticStatus(level, "handctl: controller", mode, "handctl", values | self._count_texts())
+        return [controller, *self._bus_statuses(), *self._motor_statuses(batch.numbers[index])]
 
-    def _counted(self) -> dict[str, str]:
+    def _count_texts(self) -> dict[str, str]:
         """Return the counts of io events as text."""
         return {f"io {name}": str(number) for name, number in self._io_events.items()}
 
-    def _buses(self) -> list[DiagnosticStatus]:
+    def _bus_statuses(self) -> list[DiagnosticStatus]:
         """Return the status of each bus."""
         return [
             DiagnosticStatus(
@@ -175,7 +175,7 @@ class HealthTopics:
             for bus, (received, sent) in zip(self._header.buses, self._frames.tolist(), strict=True)
         ]
 
-    def _motors(self, numbers: NDArray[np.float64]) -> list[DiagnosticStatus]:
+    def _motor_statuses(self, numbers: NDArray[np.float64]) -> list[DiagnosticStatus]:
         """Return the status of each motor."""
         statuses = []
         fields = (

@@ -143,7 +143,7 @@ class StateTopics:
             names = tuple(f"{name}/{part}" for name in self._pretension for part in ("first", "second"))
             channel = registry.add(SPOOL_PAIRS, "sensor_msgs/JointState", note=_NOTES[SPOOL_PAIRS])
             self._pairs = Stream(channel, joint_state(names, position=False, velocity=False, effort=True))
-        self._wrenches = [self._wrench(registry, digit) for digit in header.digits]
+        self._wrenches = [self._add_wrench_topic(registry, digit) for digit in header.digits]
         width = sum(part.stop - part.start for part in self._columns.values())
         channel = registry.add("/controller/values", "pal_statistics_msgs/StatisticsValues")
         self._values = Stream(channel, statistics_values(width))
@@ -153,7 +153,7 @@ class StateTopics:
             channel = registry.add(topic, "handctl_msgs/Estimate", note=_NOTES.get(topic, ""))
             self._estimates[field] = Stream(channel, estimate(header.axis(TELEMETRY_AXES[field]), unit))
 
-    def _wrench(self, registry: Registry, digit: str) -> Stream:
+    def _add_wrench_topic(self, registry: Registry, digit: str) -> Stream:
         """Register the wrench topic of a digit."""
         note = "force of the object on the digit; the tip closes towards +y of its frame"
         channel = registry.add(f"/fingertip/{digit}/wrench", "geometry_msgs/WrenchStamped", note=note)

@@ -26,14 +26,14 @@ class TargetTopic:
         at = list[int]()
         messages = list[bytes]()
         for index, tick in batch.ticks_with_events.items():
-            for target in self._targets(tick.tick_in.requests):
+            for target in self._targets_among(tick.tick_in.requests):
                 at.append(index)
-                messages.append(self._message(int(stamps.log[index]), target))
+                messages.append(self._target_message(int(stamps.log[index]), target))
         if not messages:
             return []
         return [variable_length_block(self._channel, stamps.at(np.array(at, np.intp)), messages)]
 
-    def _targets(self, requests: tuple[str, ...]) -> Iterator[Target]:
+    def _targets_among(self, requests: tuple[str, ...]) -> Iterator[Target]:
         """Yield the targets among requests. The names of an opened stream are stored."""
         for text in requests:
             if not is_target(text):
@@ -43,7 +43,7 @@ class TargetTopic:
             elif (target := parse_target(text)) is not None:
                 yield target
 
-    def _message(self, log_ns: int, target: Target) -> bytes:
+    def _target_message(self, log_ns: int, target: Target) -> bytes:
         """Encode a handctl_msgs/StreamTarget."""
         names = self._names.get(target.stream, ())
         age_s = (log_ns - self._offset_ns - target.sent_ns) / 1e9

@@ -106,7 +106,7 @@ class RecorderSession:
                 if not data:
                     break
                 for kind, body in self._splitter.split(data):
-                    self._take(kind, body)
+                    self._take_record(kind, body)
                 if len(data) < NAP_BELOW_BYTES:
                     time.sleep(NAP_S)
             now = time.monotonic()
@@ -123,7 +123,7 @@ class RecorderSession:
         if self._writer:
             send_note({"summary": self._writer.finish(self._reason, self._dropped)})
 
-    def _take(self, kind: int, body: bytes) -> None:
+    def _take_record(self, kind: int, body: bytes) -> None:
         """Process one record."""
         if kind == TICK and self._writer:
             self._writer.add(body)

@@ -37,7 +37,7 @@ LOCKSTEP_WAIT_S = 60.0
 """Longest wait for the recorder per record in a lockstep run [s]."""
 
 
-def _grow(descriptor: int) -> int:
+def _enlarge_pipe(descriptor: int) -> int:
     """Request a larger pipe and return its size [bytes]."""
     for size in PIPE_BYTES if hasattr(fcntl, "F_SETPIPE_SZ") else ():
         with suppress(OSError):
@@ -67,7 +67,7 @@ class Recorder:
         self._pipe = pipe
         self._notes = child.stdout.fileno()
         self._lossless = lossless
-        self._size = _grow(pipe)
+        self._size = _enlarge_pipe(pipe)
         self._rest = b""
         self._line = b""
         self._ended = self._end_reported = self._filling = False
@@ -104,10 +104,10 @@ class Recorder:
         finally:
             os.close(reading)
         recorder = cls(path, child, writing, header.deterministic)
-        recorder._open(record_bytes(HEADER, header.dump()))
+        recorder._send_header(record_bytes(HEADER, header.dump()))
         return recorder
 
-    def _open(self, header: bytes) -> None:
+    def _send_header(self, header: bytes) -> None:
         """Send the header, and wait for the recorder's answer."""
         os.set_blocking(self._pipe, False)
         try:
@@ -122,10 +122,10 @@ class Recorder:
                     "a new file in a writable directory",
                 )
         except LogError:
-            self._abandon()
+            self._abandon_process()
             raise
 
-    def _abandon(self) -> None:
+    def _abandon_process(self) -> None:
         """End a recorder process that did not start properly."""
         self._ended = True
         os.close(self._pipe)

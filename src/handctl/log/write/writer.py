@@ -44,7 +44,7 @@ def _both_clocks() -> tuple[int, int]:
     return time.time_ns(), time.monotonic_ns()
 
 
-def _create(path: Path) -> int:
+def _create_file(path: Path) -> int:
     """Create a new file, and return its descriptor."""
     return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_CLOEXEC", 0), 0o644)
 
@@ -118,7 +118,7 @@ class LogWriter:
         self._floor = floor_bytes
         self._topics = Topics(header)
         self._batcher = Batcher(header)
-        self._fd = _create(path)
+        self._fd = _create_file(path)
         self._reserved = _ReservedSpace(path.parent)
         self._warned = self.dead = False
         self._mark = -1
@@ -166,7 +166,7 @@ class LogWriter:
         self.ticks += 1
         if self._batcher.misshapen > misshapen == 0:
             self._report("misshapen", 1)
-        if self._spans(t_ns, begins) or self._batcher.size > CHUNK_BYTES:
+        if self._ends_chunk(t_ns, begins) or self._batcher.size > CHUNK_BYTES:
             self.flush()
 
     def add_snapshot(self, body: bytes) -> None:
@@ -178,7 +178,7 @@ class LogWriter:
             k, t_ns = SNAPSHOT_HEAD.unpack_from(body)
             self._snapshots.append(self._topics.snapshot(t_ns, Snapshot(k, body[SNAPSHOT_HEAD.size :])))
 
-    def _spans(self, t_ns: int, begins: bool) -> bool:
+    def _ends_chunk(self, t_ns: int, begins: bool) -> bool:
         """Return True if the chunk must end with this tick.
 
         In a deterministic run chunks end on a fixed time grid, otherwise after CHUNK_SPAN_NS.
@@ -207,7 +207,7 @@ class LogWriter:
         except OSError as error:
             self.lost += len(batch.k)
             self.ticks -= len(batch.k)
-            self._fail(error)
+            self._close_after_failure(error)
 
     def _clock_pair(self, t_ns: int) -> list[MessageBlock]:
         """Return a message with both clocks, at most every PERIOD_NS."""
@@ -223,7 +223,7 @@ class LogWriter:
         try:
             self._to_disk(self._fd)
         except OSError as error:
-            self._fail(error)
+            self._close_after_failure(error)
             return
         disk = os.statvfs(self._path)
         free = disk.f_bavail * disk.f_frsize
@@ -239,17 +239,17 @@ class LogWriter:
         if not self.dead:
             self._report("disk_full", free)
             with suppress(OSError):
-                self._end("disk full", 0)
+                self._write_end("disk full", 0)
 
-    def _fail(self, error: OSError) -> None:
+    def _close_after_failure(self, error: OSError) -> None:
         """Close the file after a failed write."""
         self.dead = True
         self._report("disk_full" if error.errno in _FULL else "error", error.errno or 0)
         with suppress(OSError):
             self._container.cut_back()
-            self._end(f"write failed: {error.strerror}", 0)
+            self._write_end(f"write failed: {error.strerror}", 0)
 
-    def _end(self, reason: str, dropped: int) -> None:
+    def _write_end(self, reason: str, dropped: int) -> None:
         """Write the end of the file.
 
         If this fails, the file is truncated after its last complete record.
@@ -281,7 +281,7 @@ class LogWriter:
         self.flush()
         if not self.dead:
             try:
-                self._end(reason, dropped)
+                self._write_end(reason, dropped)
             except OSError as error:
                 self._report("disk_full" if error.errno in _FULL else "error", error.errno or 0)
         os.close(self._fd)

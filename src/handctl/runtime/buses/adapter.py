@@ -44,15 +44,15 @@ def read_adapter(name: str, network: Path = NETWORK) -> Adapter | None:
     driver = device / "driver"
     # The interface of a USB device is a folder in the folder of the device.
     usb = device.resolve().parent
-    speed = _text(usb / "speed")
+    speed = _read_text(usb / "speed")
     return Adapter(
         driver=driver.resolve().name if driver.exists() else "",
         usb_speed=float(speed) if speed.replace(".", "", 1).isdigit() else 0.0,
-        serial=_text(usb / "serial") if speed else "",
+        serial=_read_text(usb / "serial") if speed else "",
     )
 
 
-def _text(path: Path) -> str:
+def _read_text(path: Path) -> str:
     """Return the content of a text file without the line end, empty if the file cannot be read."""
     try:
         return path.read_text(encoding="utf-8", errors="replace").strip()

@@ -41,7 +41,7 @@ T_NS_AT, HEAD_AT, DATA_AT = (RECORD.fields[name][1] for name in ("t_ns", "can_id
 Words = NDArray[np.uint64]
 
 
-def _masks() -> Words:
+def _payload_masks() -> Words:
     """Return an array (LONGEST + 1, 8) of masks that select the payload of each length."""
     masks = np.zeros((LONGEST + 1, LONGEST), np.uint8)
     for length in range(LONGEST + 1):
@@ -49,7 +49,7 @@ def _masks() -> Words:
     return masks.view(np.uint64)
 
 
-MASKS = _masks()
+MASKS = _payload_masks()
 _LENGTHS = bytes(min(length, LONGEST) for length in range(256))
 """Table for ``bytes.translate``: length byte of a struct to payload length, at most LONGEST."""
 _ERRORS = bytes((highest << 24 & ERROR) != 0 for highest in range(256))
@@ -73,13 +73,13 @@ class Received(NamedTuple):
 
 
 @functools.lru_cache
-def _flags(mask: int, added: int) -> bytes:
+def _flag_table(mask: int, added: int) -> bytes:
     """Return a table for ``bytes.translate`` from the flags of a struct to the flags of a record."""
     return bytes(flags & mask | added for flags in range(256))
 
 
 @functools.lru_cache(maxsize=CACHED_BATCHES)
-def _received(raw: bytes, bus: int, flag_mask: int, added_flags: int) -> Received:
+def _convert_received(raw: bytes, bus: int, flag_mask: int, added_flags: int) -> Received:
     """Convert heads of structs to heads of records.
 
     The conversion works on columns of bytes, which is faster than numpy for a batch that is not cached.
@@ -91,7 +91,7 @@ def _received(raw: bytes, bus: int, flag_mask: int, added_flags: int) -> Receive
     heads = bytearray(len(raw))
     for i in range(4):
         heads[i::8] = raw[i::8]
-    heads[4::8] = raw[5::8].translate(_flags(flag_mask, added_flags))
+    heads[4::8] = raw[5::8].translate(_flag_table(flag_mask, added_flags))
     heads[6::8] = bytes((bus,)) * count
     heads[7::8] = lengths
     words = max(1, -(-max(lengths, default=0) // 8))  # rounded up
@@ -117,7 +117,7 @@ class Sent(NamedTuple):
 
 
 @functools.lru_cache(maxsize=CACHED_BATCHES)
-def _sent(raw: bytes) -> Sent:
+def _convert_sent(raw: bytes) -> Sent:
     """Convert heads of records to heads of structs.
 
     Raises:
@@ -163,7 +163,7 @@ class Structs:
             flag_mask: mask of the flags to copy from the structs.
             added_flags: flags to set in every frame.
         """
-        convert = _received if count <= LONGEST_CACHED else _received.__wrapped__
+        convert = _convert_received if count <= LONGEST_CACHED else _convert_received.__wrapped__
         return convert(self._heads[:count].tobytes(), bus, flag_mask, added_flags)
 
     def reserved(self, at: int) -> int:
@@ -198,7 +198,7 @@ class Structs:
         """
         records = frames.records
         count = len(records)
-        convert = _sent if count <= LONGEST_CACHED else _sent.__wrapped__
+        convert = _convert_sent if count <= LONGEST_CACHED else _convert_sent.__wrapped__
         sent = convert(records.getfield(WORD, HEAD_AT).tobytes())
         self._heads[:count] = sent.heads
         if sent.words < self._written:  # longer payloads of the batch before would show behind these

@@ -44,11 +44,11 @@ class ClockOffset:
         The fastest of several readings is used, because a reading may be interrupted.
         """
         readings = [(time.monotonic_ns(), time.time_ns(), time.monotonic_ns()) for _ in range(TRIES)]
-        before, wall, after = min(readings, key=_width)
+        before, wall, after = min(readings, key=_reading_duration)
         self._offset_ns = (before + after) // 2 - wall
         self._uses_left = LIFE
 
 
-def _width(reading: tuple[int, int, int]) -> int:
+def _reading_duration(reading: tuple[int, int, int]) -> int:
     """Return the duration of a reading (before, wall clock, after) [ns]."""
     return reading[2] - reading[0]

@@ -112,9 +112,9 @@ class BusEvents:
         if can_id & BUS_OFF:
             self.lasting("bus_off", True)
         if can_id & CONTROLLER and len(data) > 1:
-            self._controller(data[1])
+            self._count_controller_status(data[1])
 
-    def _controller(self, status: int) -> None:
+    def _count_controller_status(self, status: int) -> None:
         """Count the events in data[1] of a CONTROLLER error frame."""
         if status & OVERFLOW:
             self.add("error_frame", 1, "controller overflow")

@@ -83,10 +83,10 @@ def parse_link(text: str) -> Link | None:
         sending=int(counters.get("tx", 0)),
         receiving=int(counters.get("rx", 0)),
         restart_ms=data.get("restart_ms") if data else None,
-        counts={**info.get("info_xstats", {}), **_dropped(link.get("stats64", {}))},
+        counts={**info.get("info_xstats", {}), **_count_dropped(link.get("stats64", {}))},
     )
 
 
-def _dropped(stats: dict[str, Any]) -> dict[str, int]:
+def _count_dropped(stats: dict[str, Any]) -> dict[str, int]:
     """Return the number of dropped frames in both directions."""
     return {f"{side}_dropped": int(stats.get(side, {}).get("dropped", 0)) for side in ("rx", "tx")}

@@ -120,7 +120,7 @@ class LocalBus:
             partial = self._partial
             size = self._read(self._buffer[partial:] if partial else self._buffer)
             if size:
-                parts.append(self._take(partial + size))
+                parts.append(self._complete_records(partial + size))
             if size < len(self._buffer) - partial:
                 break
         return joined(parts)
@@ -136,15 +136,15 @@ class LocalBus:
         except OSError:
             size = 0
         if size == 0:  # end of the stream: the hub has closed it
-            self._lose()
+            self._report_lost_hub()
         return size
 
-    def _lose(self) -> None:
+    def _report_lost_hub(self) -> None:
         """Report from now on that the hub has ended."""
         self._closed = True
         self._events.lasting("enodev", True)
 
-    def _take(self, filled: int) -> Frames:
+    def _complete_records(self, filled: int) -> Frames:
         """Return the complete records in the first ``filled`` bytes.
 
         The beginning of an incomplete record is kept for the next read.
@@ -197,16 +197,16 @@ class LocalBus:
         else:
             self._events.error_frame(can_id, data)
 
-    def _fitting(self, frames: Sequence[Frame]) -> Sequence[Frame]:
+    def _frames_that_fit(self, frames: Sequence[Frame]) -> Sequence[Frame]:
         """Return the leading frames that fit in the queue. The remaining frames are refused."""
-        if len(frames) > self._free():
+        if len(frames) > self._free_queue_places():
             self.early = self.drain()  # a queue report may have arrived meanwhile
-        free = self._free()
+        free = self._free_queue_places()
         if len(frames) > free:
             self._events.add("enobufs", len(frames) - free)
         return frames[:free]
 
-    def _free(self) -> int:
+    def _free_queue_places(self) -> int:
         """Return the number of frames that fit in the queue of the simulated wire."""
         waiting = self._sent - self._left_queue & 0xFFFFFFFF  # the hub counts modulo 2**32
         return max(0, self._depth - waiting)
@@ -214,8 +214,8 @@ class LocalBus:
     def send(self, frames: Sequence[Frame]) -> int:
         """Send a batch and return the number of accepted frames, see ``contract.Bus``."""
         if self._depth:
-            frames = self._fitting(frames)
-        records = self._packed(frames)
+            frames = self._frames_that_fit(frames)
+        records = self._pack_records(frames)
         waiting = self._rest + records if self._rest else records
         if self._closed or not waiting:
             return 0
@@ -224,17 +224,17 @@ class LocalBus:
         except BlockingIOError:
             sent = 0
         except OSError:
-            self._lose()
+            self._report_lost_hub()
             return 0
         if sent == len(waiting):
             self._rest = b""
             accepted = len(frames)
         else:
-            accepted = self._sent_partly(waiting, sent, len(frames))
+            accepted = self._keep_partial_record(waiting, sent, len(frames))
         self._sent += accepted
         return accepted
 
-    def _packed(self, frames: Sequence[Frame]) -> bytes | memoryview:
+    def _pack_records(self, frames: Sequence[Frame]) -> bytes | memoryview:
         """Return the frames packed into records of the hub."""
         if not isinstance(frames, Frames):
             for frame in frames:
@@ -245,7 +245,7 @@ class LocalBus:
         self._out_structs.write(frames)
         return self._out[: SIZE * len(frames)]
 
-    def _sent_partly(self, waiting: bytes | memoryview, sent: int, frames: int) -> int:
+    def _keep_partial_record(self, waiting: bytes | memoryview, sent: int, frames: int) -> int:
         """Keep the unsent part of a partly sent record, and drop the records after it.
 
         Args:

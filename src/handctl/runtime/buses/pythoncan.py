@@ -113,17 +113,17 @@ class PythonCanBus:
             try:
                 message = self._bus.recv(0)
             except (can.CanError, OSError) as error:
-                self._events.failed(_code(error), "enodev")
+                self._events.failed(_errno_of(error), "enodev")
                 break
             except (ValueError, IndexError):  # slcan raises these for characters that are no frame
                 self._events.add("error_frame", 1, "garbled")
                 continue
             if message is None:
                 break
-            self._take(frames, message)
+            self._take_message(frames, message)
         return frames_of(frames)
 
-    def _take(self, frames: list[Frame], message: can.Message) -> None:
+    def _take_message(self, frames: list[Frame], message: can.Message) -> None:
         """Append a received message as a frame. An error frame is counted instead."""
         if message.is_error_frame:
             self._events.error_frame(message.arbitration_id, bytes(message.data))
@@ -137,7 +137,7 @@ class PythonCanBus:
             try:
                 self._bus.send(message_of(frame), 0)
             except (can.CanError, OSError) as error:
-                self._events.failed(_code(error), "enobufs", len(frames) - number)
+                self._events.failed(_errno_of(error), "enobufs", len(frames) - number)
                 return number
         return len(frames)
 
@@ -157,7 +157,7 @@ class PythonCanBus:
         self._bus.shutdown()
 
 
-def _code(error: Exception) -> int | None:
+def _errno_of(error: Exception) -> int | None:
     """Return the errno of a python-can error, or None if it has none.
 
     The number is in ``error_code`` or in the cause of the error.

@@ -85,13 +85,13 @@ class SocketCanBus:
                 self._events.failed(error.errno, "enodev")
                 break
             if count:
-                parts.append(self._take(count))
+                parts.append(self._convert_datagrams(count))
                 self._in.renew(count)
             if count < SLOTS:
                 break
         return joined(parts)
 
-    def _take(self, count: int) -> Frames:
+    def _convert_datagrams(self, count: int) -> Frames:
         """Return the received datagrams as frames.
 
         Usually all datagrams are of one kind, and each time stamp follows shortly after the last.
@@ -236,16 +236,16 @@ def open_socketcan(channel: str, index: int, bitrate: int, data_bitrate: int | N
 
 def _interface_problem(link: socket.socket, channel: str, fd_mode: bool) -> str:
     """Return the problem of an existing interface in words, empty if the interface can be used."""
-    if not _ask(link, channel, SIOCGIFFLAGS) & IFF_UP:
+    if not _read_interface_number(link, channel, SIOCGIFFLAGS) & IFF_UP:
         return "the interface is down"
-    if fd_mode and _ask(link, channel, SIOCGIFMTU) < SIZE:
+    if fd_mode and _read_interface_number(link, channel, SIOCGIFMTU) < SIZE:
         return "the interface is not in CAN FD mode"
-    if 0 < (length := _ask(link, channel, SIOCGIFTXQLEN)) < QUEUE:
+    if 0 < (length := _read_interface_number(link, channel, SIOCGIFTXQLEN)) < QUEUE:
         return f"its transmit queue holds {length} frames, less than a tick may send at once"
     return ""
 
 
-def _ask(link: socket.socket, channel: str, request: int) -> int:
+def _read_interface_number(link: socket.socket, channel: str, request: int) -> int:
     """Read a number of an interface from the kernel, in the socket's network namespace."""
     # struct ifreq: name 16 bytes | flags 16 bits, or mtu or queue length 32 bits | padding
     answer = fcntl.ioctl(link, request, struct.pack("=16sI20x", channel.encode(), 0))

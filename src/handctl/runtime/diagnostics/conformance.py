@@ -94,7 +94,7 @@ def checks(device: DeviceUnderTest) -> Iterator[ConformanceCheck]:
         yield check
         failed = check.verdict is CheckVerdict.FAILED
         reversed_turn |= turns and failed
-        usable = device.rig.rest() and not (failed and promise is _alone)
+        usable = device.rig.rest() and not (failed and promise is _check_alone)
 
 
 def _not_run(device: DeviceUnderTest, name: str, promise: Promise) -> ConformanceCheck:
@@ -102,7 +102,7 @@ def _not_run(device: DeviceUnderTest, name: str, promise: Promise) -> Conformanc
 
     A drive that stayed enabled after the check before has failed to disable.
     """
-    if promise is _disables and device.rig.state.phase == Phase.ENABLED:
+    if promise is _check_disables and device.rig.state.phase == Phase.ENABLED:
         return ConformanceCheck(name, CheckVerdict.FAILED, "stays enabled after the disable command of another check")
     return ConformanceCheck(name, CheckVerdict.NOT_APPLICABLE, "not run, because of what failed before")
 
@@ -117,7 +117,7 @@ def _run_check(device: DeviceUnderTest, name: str, promise: Promise) -> Conforma
         return ConformanceCheck(name, CheckVerdict.NOT_APPLICABLE, str(not_applicable))
 
 
-def _configured(device: DeviceUnderTest) -> str:
+def _check_configures(device: DeviceUnderTest) -> str:
     """Check that the drive accepts its settings and becomes ready."""
     rig = device.rig
     if not rig.until(DriveTarget.POLL, lambda state: state.phase == Phase.READY, 5.0):
@@ -125,13 +125,13 @@ def _configured(device: DeviceUnderTest) -> str:
     return "; ".join(rig.drive.unverified_guards or ("settings read back",))
 
 
-def _enabled(rig: DriveRig) -> None:
+def _enable(rig: DriveRig) -> None:
     """Enable the drive. Raises Failed if the drive does not report that it is enabled."""
     if not rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.ENABLED, 2.0):
         raise Failed(rig.state.error_text or "does not report that it is enabled within 2 s of the command")
 
 
-def _alone(device: DeviceUnderTest) -> str:
+def _check_alone(device: DeviceUnderTest) -> str:
     """Check that each request has one answer.
 
     A second drive with the same number would also answer.
@@ -160,7 +160,7 @@ def _feedback_frames(rig: DriveRig, target: DriveTarget) -> int:
     return rig.state.feedback_count - before
 
 
-def _waits(device: DeviceUnderTest) -> str:
+def _check_no_torque_when_ready(device: DeviceUnderTest) -> str:
     """Check that a ready drive makes no torque, both without and with torque commands."""
     rig = device.rig
     before = rig.state.feedback_count
@@ -169,13 +169,13 @@ def _waits(device: DeviceUnderTest) -> str:
         raise Failed(rig.state.error_text or f"went to {rig.state.phase.name}")
     if math.isfinite(rig.velocity) and abs(rig.velocity) > STILL_RAD_S:
         raise NotApplicable(f"the shaft turns by itself, {rig.velocity:.2g} rad/s")
-    seen = _ignores_torque(device)
+    seen = _check_ignores_torque(device)
     if rig.state.phase != Phase.READY:
         raise Failed(rig.state.error_text or f"went to {rig.state.phase.name} at a torque command")
     return f"{seen}; {rig.state.feedback_count - before} feedback frames meanwhile"
 
 
-def _ignores_torque(device: DeviceUnderTest) -> str:
+def _check_ignores_torque(device: DeviceUnderTest) -> str:
     """Send a disabled drive torque commands up to the limit. Raises Failed if it follows them."""
     rig = device.rig
     if not rig.drive.torque_frames(0.0):
@@ -200,17 +200,17 @@ def _ignores_torque(device: DeviceUnderTest) -> str:
     return f"ignores torque commands up to {device.limit:+.3f} N m"
 
 
-def _enables(device: DeviceUnderTest) -> str:
+def _check_enables(device: DeviceUnderTest) -> str:
     """Check that the drive can be enabled, and measure the time."""
     start = device.rig.t_ns
-    _enabled(device.rig)
+    _enable(device.rig)
     return f"after {(device.rig.t_ns - start) / 1e6:.0f} ms"
 
 
-def _feedback(device: DeviceUnderTest) -> str:
+def _check_feedback(device: DeviceUnderTest) -> str:
     """Check that nearly every tick has fresh feedback."""
     rig = device.rig
-    _enabled(rig)
+    _enable(rig)
     start = rig.state.feedback_count
     ticks = 100
     ages = sorted(rig.t_ns - rig.tick(DriveTarget.ENABLE).feedback_t_ns for _ in range(ticks))
@@ -222,12 +222,12 @@ def _feedback(device: DeviceUnderTest) -> str:
     return seen
 
 
-def _turns(sign: int) -> Promise:
+def _turn_check(sign: int) -> Promise:
     """Return the check that torque with this sign turns the shaft in the same direction."""
 
     def turns(device: DeviceUnderTest) -> str:
         rig = device.rig
-        _enabled(rig)
+        _enable(rig)
         if not brake(rig, device.limit):
             raise NotApplicable(f"the shaft turns by itself, {rig.velocity:.2g} rad/s")
         step = torque_step(rig, sign, device.limit)
@@ -239,12 +239,12 @@ def _turns(sign: int) -> Promise:
             brake(rig, device.limit)
             reported = "no torque" if math.isnan(step.reported) else f"{step.reported:+.3f} N m"
             return f"at {step.torque:+.3f} N m; the drive reports {reported}"
-        raise _unmoved(device, sign, step.reported)
+        raise _explain_no_motion(device, sign, step.reported)
 
     return turns
 
 
-def _unmoved(device: DeviceUnderTest, sign: int, torque: float) -> Exception:
+def _explain_no_motion(device: DeviceUnderTest, sign: int, torque: float) -> Exception:
     """Explain why a shaft did not turn at the torque limit, from the torque reported by the drive [N m]."""
     reported = sign * torque
     limit = f"{sign * device.limit:+.3f} N m"
@@ -253,10 +253,10 @@ def _unmoved(device: DeviceUnderTest, sign: int, torque: float) -> Exception:
     return NotApplicable(f"did not turn at {limit}: held, or friction is larger")
 
 
-def _holds_limit(device: DeviceUnderTest) -> str:
+def _check_torque_limit(device: DeviceUnderTest) -> str:
     """Check that a torque above the limit and a non-finite torque are refused before they are sent."""
     rig = device.rig
-    _enabled(rig)
+    _enable(rig)
     for torque in (1.01 * device.limit, -1.01 * device.limit, math.nan, math.inf):
         try:
             rig.drive.advance(rig.state, rig.t_ns, DriveTarget.ENABLE, torque)
@@ -266,10 +266,10 @@ def _holds_limit(device: DeviceUnderTest) -> str:
     return f"more than {device.limit:g} N m, NaN and infinity are refused before they are sent"
 
 
-def _disables(device: DeviceUnderTest) -> str:
+def _check_disables(device: DeviceUnderTest) -> str:
     """Check that the drive is disabled within a second after the command, and reports this."""
     rig = device.rig
-    _enabled(rig)
+    _enable(rig)
     start = rig.t_ns
     if not rig.until(DriveTarget.DISABLE, lambda state: state.phase != Phase.ENABLED, 1.0):
         raise Failed("does not report within 1 s of the command that it is disabled")
@@ -278,13 +278,13 @@ def _disables(device: DeviceUnderTest) -> str:
     took = f"after {(rig.t_ns - start) / 1e6:.0f} ms"
     # A drive that does not report whether it is enabled may have ignored the command.
     rig.keep(DriveTarget.DISABLE, 0.05)
-    return f"{took}; {_ignores_torque(device)}"
+    return f"{took}; {_check_ignores_torque(device)}"
 
 
-def _watchdog_disables(device: DeviceUnderTest) -> str:
+def _check_watchdog(device: DeviceUnderTest) -> str:
     """Check that the watchdog disables the drive when the host is silent, and that the drive stays off."""
     rig = device.rig
-    _enabled(rig)
+    _enable(rig)
     silence = max(SILENCE_S, 3.0 * device.watchdog_s)
     rig.keep(DriveTarget.LISTEN, silence)
     if not rig.until(DriveTarget.ENABLE, lambda state: state.phase != Phase.ENABLED, 0.5):
@@ -297,10 +297,10 @@ def _watchdog_disables(device: DeviceUnderTest) -> str:
     return text
 
 
-def _clears(device: DeviceUnderTest) -> str:
+def _check_clears(device: DeviceUnderTest) -> str:
     """Check that the cut removes the torque, and that the drive becomes ready again only after a clear."""
     rig = device.rig
-    _enabled(rig)
+    _enable(rig)
     rig.cut()
     rig.keep(DriveTarget.LISTEN, 0.3)
     if not rig.until(DriveTarget.ENABLE, lambda state: state.phase != Phase.ENABLED, 0.5):
@@ -312,7 +312,7 @@ def _clears(device: DeviceUnderTest) -> str:
     return f"{text or 'off'}, and ready again after a clear"
 
 
-def _readable(device: DeviceUnderTest) -> str:
+def _check_readable(device: DeviceUnderTest) -> str:
     """Check that every frame of the drive could be decoded."""
     state = device.rig.state
     if state.misread:
@@ -345,17 +345,17 @@ def leave(rig: DriveRig, watchdog_s: float, restoring: Drive | None = None) -> b
 
 
 PROMISES: tuple[tuple[str, Promise, bool], ...] = (
-    ("identifies itself, takes its settings and reads them back", _configured, False),
-    ("is the only drive with its number", _alone, False),
-    ("makes no torque until it is enabled", _waits, False),
-    ("enables on command, and reports it", _enables, False),
-    ("gives feedback in every tick", _feedback, False),
-    ("turns the positive way by positive torque", _turns(1), True),
-    ("turns the negative way by negative torque", _turns(-1), True),
-    ("refuses commands above its limit", _holds_limit, False),
-    ("disables on command, and reports it", _disables, False),
-    ("disables itself when the host falls silent, and stays off", _watchdog_disables, False),
-    ("is cut at once, and cleared on command only", _clears, False),
-    ("sends only frames that can be decoded", _readable, False),
+    ("identifies itself, takes its settings and reads them back", _check_configures, False),
+    ("is the only drive with its number", _check_alone, False),
+    ("makes no torque until it is enabled", _check_no_torque_when_ready, False),
+    ("enables on command, and reports it", _check_enables, False),
+    ("gives feedback in every tick", _check_feedback, False),
+    ("turns the positive way by positive torque", _turn_check(1), True),
+    ("turns the negative way by negative torque", _turn_check(-1), True),
+    ("refuses commands above its limit", _check_torque_limit, False),
+    ("disables on command, and reports it", _check_disables, False),
+    ("disables itself when the host falls silent, and stays off", _check_watchdog, False),
+    ("is cut at once, and cleared on command only", _check_clears, False),
+    ("sends only frames that can be decoded", _check_readable, False),
 )
 """Each requirement with its check, and True if the check turns the shaft."""

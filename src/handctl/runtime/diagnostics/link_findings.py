@@ -64,14 +64,14 @@ def findings(name: str, link: Link, bitrate: int, data_bitrate: int | None) -> l
     set_up = advice(name, bitrate, data_bitrate, exists=True)
     result = [LinkFinding(f"{name} is {'up' if link.up else 'down'}", link.up, set_up, fatal=not link.up)]
     if link.bitrate is not None or link.kind == "can":
-        result.append(_rate("bit rate", link.bitrate, bitrate, set_up))
+        result.append(_rate_finding("bit rate", link.bitrate, bitrate, set_up))
     if data_bitrate is not None:
         result.append(LinkFinding("carries CAN FD" if link.fd else "does not carry CAN FD", link.fd, set_up))
         if link.kind == "can":
-            result.append(_rate("bit rate of the data phase", link.data_bitrate, data_bitrate, set_up))
+            result.append(_rate_finding("bit rate of the data phase", link.data_bitrate, data_bitrate, set_up))
     queue = f"sudo ip link set {name} txqueuelen 128; for good, in {UDEV_FILE}: {UDEV_QUEUE.format(name)}"
     result.append(LinkFinding(f"transmit queue of {link.queue} frames", link.queue >= QUEUE, queue))
-    return [*result, *_controller(name, link), *_counts(link)]
+    return [*result, *_controller_findings(name, link), *_counter_findings(link)]
 
 
 def adapter_findings(name: str, adapter: Adapter | None, kind: str, others: Sequence[str]) -> list[LinkFinding]:
@@ -107,12 +107,12 @@ def adapter_findings(name: str, adapter: Adapter | None, kind: str, others: Sequ
     return rows
 
 
-def _rate(what: str, has: int | None, required: int, fix: str) -> LinkFinding:
+def _rate_finding(what: str, has: int | None, required: int, fix: str) -> LinkFinding:
     """Return the finding about a bit rate [bit/s]."""
     return LinkFinding(f"{what} {has or 'not set'}, the hand needs {required}", has == required, fix)
 
 
-def _controller(name: str, link: Link) -> list[LinkFinding]:
+def _controller_findings(name: str, link: Link) -> list[LinkFinding]:
     """Return the findings about state, error counters, and restart of a real CAN controller."""
     if not link.state:
         return []
@@ -126,7 +126,7 @@ def _controller(name: str, link: Link) -> list[LinkFinding]:
     return result
 
 
-def _counts(link: Link) -> list[LinkFinding]:
+def _counter_findings(link: Link) -> list[LinkFinding]:
     """Return the findings about the event counters of an interface."""
     counted = [f"{number} {ERRORS[key]}" for key, number in link.counts.items() if number and key in ERRORS]
     bad = any(number for key, number in link.counts.items() if key in ERRORS and key not in HARMLESS)

@@ -43,7 +43,7 @@ class RoundTrip(NamedTuple):
 
 def round_trip(bus: Bus, node: DiscoveredNode, times: int = TIMES) -> RoundTrip:
     """Measure the round-trip time of a node with one request at a time."""
-    trips = [_once(bus, node) for _ in range(times)]
+    trips = [_measure_once(bus, node) for _ in range(times)]
     took = sorted(first for first, _ in trips if first is not None)
     twice = sum(more for _, more in trips)
     if not took:
@@ -51,7 +51,7 @@ def round_trip(bus: Bus, node: DiscoveredNode, times: int = TIMES) -> RoundTrip:
     return RoundTrip(len(took), times, took[0], took[len(took) // 2], took[-1], twice)
 
 
-def _once(bus: Bus, node: DiscoveredNode) -> tuple[float | None, bool]:
+def _measure_once(bus: Bus, node: DiscoveredNode) -> tuple[float | None, bool]:
     """Send a request, and return the time to the answer [s] and True if a second answer follows.
 
     The time is None if no answer arrives.
@@ -63,7 +63,7 @@ def _once(bus: Bus, node: DiscoveredNode) -> tuple[float | None, bool]:
     first = None
     answers = 0
     while (passed := time.perf_counter() - start) < (ANSWER_S if first is None else first + SECOND_S):
-        answers += sum(discovery.is_pong(node, frame) for frame in bus.drain())
+        answers += sum(discovery.is_ping_reply(node, frame) for frame in bus.drain())
         if answers and first is None:
             first = time.perf_counter() - start
         if answers > 1:

@@ -76,11 +76,11 @@ def scan(
     foreign: tuple[Frame, ...] = ()
     for turn in ROUNDS:
         report("listening" if turn == 0 else f"asking, round {turn} of {ROUNDS[-1]}")
-        for frame in _requests(turn, seen, omitted):
+        for frame in _round_requests(turn, seen, omitted):
             if not _send(bus, frame, seen, listen):
                 break
         listen(bus, LISTEN_S if turn == 0 else ANSWER_S, seen)
-        if turn == 0 and not force and (foreign := _foreign(seen)):
+        if turn == 0 and not force and (foreign := _foreign_frames(seen)):
             break
     drives = tuple(
         discovery.unasked(node) if foreign else node
@@ -92,10 +92,10 @@ def scan(
 
 def all_questions() -> tuple[Frame, ...]:
     """Return the requests sent by a scan on a bus without any answer."""
-    return tuple(frame for turn in ROUNDS for frame in _requests(turn, [], []))
+    return tuple(frame for turn in ROUNDS for frame in _round_requests(turn, [], []))
 
 
-def _requests(turn: int, seen: list[Frame], omitted: list[Frame]) -> list[Frame]:
+def _round_requests(turn: int, seen: list[Frame], omitted: list[Frame]) -> list[Frame]:
     """Return the requests of all protocols in a round of the scan.
 
     A request that a drive of another protocol on the bus would obey as a command is appended to
@@ -115,7 +115,7 @@ def _commands_of_others(name: str, seen: list[Frame]) -> list[frozenset[int]]:
     return [discovery.command_ids(node) for discovery in others for node in discovery.nodes(seen)]
 
 
-def _foreign(seen: list[Frame]) -> tuple[Frame, ...]:
+def _foreign_frames(seen: list[Frame]) -> tuple[Frame, ...]:
     """Return the received frames from another host.
 
     Identifiers of discovered drives with another protocol do not count as foreign.

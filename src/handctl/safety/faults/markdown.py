@@ -34,13 +34,13 @@ def catalogue(entries: tuple[Row, ...] = CATALOGUE) -> str:
     """Return the catalogue as Markdown, with the visibility of each row for each protocol."""
     names = [PROTOCOLS[protocol].title for protocol in GUARDED]
     columns = ["id", "fault", "judged by", *names, "latest reaction", "tested by"]
-    return "\n".join([f"| {' | '.join(columns)} |", "|---" * len(columns) + "|", *map(_row, entries)])
+    return "\n".join([f"| {' | '.join(columns)} |", "|---" * len(columns) + "|", *map(_catalogue_row, entries)])
 
 
-def _row(entry: Row) -> str:
+def _catalogue_row(entry: Row) -> str:
     # A row may have several faults (its stages), or none if it is judged outside of ticks.
     judged = ", ".join(f"{f.id} {f.action.name}" for f in TABLE if f.row == entry.id) or entry.where
-    latest = f"{entry.latest_ms(RATE_HZ):g} ms, {_ticks(entry)} ticks"
+    latest = f"{entry.latest_ms(RATE_HZ):g} ms, {_ticks_text(entry)} ticks"
     latest += f", ODrive {entry.odrive_ms:g} ms more" if entry.odrive_ms else ""
     latest = latest if entry.ticks or entry.ms else "before torque" if entry.where != TICK else "1 tick"
     return (
@@ -49,7 +49,7 @@ def _row(entry: Row) -> str:
     )
 
 
-def _ticks(entry: Row) -> int:
+def _ticks_text(entry: Row) -> int:
     return round(entry.latest_ms(RATE_HZ) * RATE_HZ / 1e3)
 
 
@@ -58,13 +58,13 @@ def late(entry: Row) -> bool:
 
     If the catalogue gives no time, the result is False.
     """
-    return 0 < entry.required < _ticks(entry)
+    return 0 < entry.required < _ticks_text(entry)
 
 
 def later(entries: tuple[Row, ...] = CATALOGUE) -> str:
     """Return the rows with a later reaction than in the project's fault catalogue, with reasons, as Markdown."""
     rows = [
-        f"| {e.id} | {e.title} | {e.required} | {_ticks(e)} | {e.required * REQUIRED_MS:g} ms "
+        f"| {e.id} | {e.title} | {e.required} | {_ticks_text(e)} | {e.required * REQUIRED_MS:g} ms "
         f"| {e.latest_ms(RATE_HZ):g} ms | {e.why} |"
         for e in entries
         if late(e)
