@@ -172,9 +172,17 @@ def test_quiet_hides_notices_and_shows_cautions(capsys):
 def test_the_doctor_fails_if_something_needs_a_repair(monkeypatch, capsys, good):
     from handctl.cli.checks import doctor
 
-    for name in ("_priority", "_memory", "_socketcan", "_interfaces", "_vulkan", "_extras", "_space"):
+    for name in (
+        "_check_priority",
+        "_check_memory",
+        "_check_socketcan",
+        "_check_interfaces",
+        "_check_vulkan",
+        "_extras",
+        "_check_space",
+    ):
         monkeypatch.setattr(doctor, name, lambda: ("a part", True, ""))
-    monkeypatch.setattr(doctor, "_memory", lambda: ("locked memory", good, "allow it"))
+    monkeypatch.setattr(doctor, "_check_memory", lambda: ("locked memory", good, "allow it"))
     assert main(["doctor"]) == (0 if good else 1)
     assert main(["doctor", "--json"]) == (0 if good else 1)
 

@@ -153,9 +153,9 @@ def test_the_report_is_one_page_that_loads_nothing(tmp_path: Path) -> None:
 
 
 def test_text_of_a_log_cannot_become_markup() -> None:
-    from handctl.report.run_page import _text
+    from handctl.report.run_page import _escaped_text
 
-    assert _text("<script>\x1b[31m&") == "&lt;script&gt;\\x1b[31m&amp;"
+    assert _escaped_text("<script>\x1b[31m&") == "&lt;script&gt;\\x1b[31m&amp;"
 
 
 def test_a_report_tells_its_faults_and_contacts_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

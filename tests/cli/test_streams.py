@@ -131,7 +131,7 @@ def test_a_search_that_is_interrupted_says_how_it_goes_on(monkeypatch, capsys):
         os.kill(os.getpid(), signal.SIGTERM)
 
     monkeypatch.setattr("handctl.tune.search.search.search", interrupted)
-    monkeypatch.setattr("handctl.cli.tuning.tune_search._designed", lambda *words: ())
+    monkeypatch.setattr("handctl.cli.tuning.tune_search._design_start", lambda *words: ())
     assert main(["tune", "search", "--plants", "1", "--json"]) == 143
     assert capsys.readouterr() == ("", "handctl: interrupted; the same command goes on with jamia.study\n")
 

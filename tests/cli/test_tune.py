@@ -32,7 +32,7 @@ def searched(monkeypatch):
     """A search that is over at once, with the trials that are put into it."""
     trials = []
     monkeypatch.setattr("handctl.tune.search.search.search", lambda *words: SearchResult.of(tuple(trials)))
-    monkeypatch.setattr("handctl.cli.tuning.tune_search._designed", lambda *words: ())
+    monkeypatch.setattr("handctl.cli.tuning.tune_search._design_start", lambda *words: ())
     return trials
 
 

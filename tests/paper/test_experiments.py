@@ -61,7 +61,7 @@ def fall(speed: float, after: float) -> TruthRecord:
     ],
 )
 def test_slip_is_creep_or_a_way(speed: float, ended: str, time_s: float) -> None:
-    row, how = payload._slip(fall(speed, 1.0), 100, 3900)
+    row, how = payload._find_slip(fall(speed, 1.0), 100, 3900)
     assert how == ended
     assert row / 1000.0 == pytest.approx(time_s, abs=0.003)
 

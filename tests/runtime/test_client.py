@@ -59,7 +59,7 @@ def test_replies_to_other_programs_are_ignored(alone, monkeypatch, theirs):
     """Regression: one of two programs on one hand took the refusals of the other as its own."""
     sent = []
     monkeypatch.setattr(alone._watcher, "send", lambda data, timeout: sent.append(json.loads(data)))
-    monkeypatch.setattr(alone, "_acting", lambda timeout: said())
+    monkeypatch.setattr(alone, "_wait_until_following", lambda timeout: said())
 
     def heard(timeout):
         yield said("asked: move by somebody", theirs)

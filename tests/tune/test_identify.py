@@ -16,11 +16,11 @@ from handctl.hand.load import load_hand
 from handctl.programs.calibration import Calibration, TendonCalibration, load_calibration
 from handctl.session.calibration import write_calibration
 from handctl.tune.identify.excitation import excitation, lift_off
-from handctl.tune.identify.figure import _parameters
+from handctl.tune.identify.figure import _draw_parameters
 from handctl.tune.identify.fit import NAMES
 from handctl.tune.identify.fit_load import Bins, DigitLoad, LoadParameters
-from handctl.tune.identify.fit_motor import HALF_S, _bend, _cumulative, _slope, _window
-from handctl.tune.identify.identifiability import _reason
+from handctl.tune.identify.fit_motor import HALF_S, _cumulative, _window, _window_curvature, _window_slope
+from handctl.tune.identify.identifiability import _reason_not_identified
 
 SEEDS = 100
 COVERED = 90
@@ -72,8 +72,8 @@ def test_the_window_is_smooth_and_its_derivatives_are_its_derivatives() -> None:
     s = np.linspace(-1.2, 1.2, 24001)
     h = s[1] - s[0]
     assert np.trapezoid(_window(s), s) == pytest.approx(1.0, abs=1e-9)
-    np.testing.assert_allclose(np.gradient(_window(s), h), _slope(s), atol=1e-6)
-    np.testing.assert_allclose(np.gradient(_slope(s), h), _bend(s), atol=1e-2)
+    np.testing.assert_allclose(np.gradient(_window(s), h), _window_slope(s), atol=1e-6)
+    np.testing.assert_allclose(np.gradient(_window_slope(s), h), _window_curvature(s), atol=1e-2)
     np.testing.assert_allclose(np.gradient(_cumulative(s), h), _window(s), atol=1e-6)
     assert HALF_S > 0
 
@@ -165,9 +165,9 @@ def test_what_is_tuned_is_the_hand_as_identified(tmp_path: Path) -> None:
 def test_a_delay_is_missed_by_its_own_measure() -> None:
     """A delay of zero is identified by an absolute limit, not by a fraction of its value."""
     rows = np.ones((3, len(NAMES)))
-    assert _reason(rows, "delay") == "the 95 % interval is wider than 0.5 ms to either side"
-    assert "50 % of the value" in _reason(rows, "capstan")
-    assert "no data depend" in _reason(0.0 * rows, "delay")
+    assert _reason_not_identified(rows, "delay") == "the 95 % interval is wider than 0.5 ms to either side"
+    assert "50 % of the value" in _reason_not_identified(rows, "capstan")
+    assert "no data depend" in _reason_not_identified(0.0 * rows, "delay")
 
 
 def test_a_picture_shows_what_is_far_from_the_hand_file() -> None:
@@ -175,7 +175,7 @@ def test_a_picture_shows_what_is_far_from_the_hand_file() -> None:
     known = dict.fromkeys(NAMES, 1.0) | {"capstan": 2.5, "torque_gain": 0.3}
     fit = SimpleNamespace(values=known, half_widths=dict.fromkeys(NAMES, 0.1), problem=SimpleNamespace(nominal=nominal))
     axis = Figure().subplots()
-    _parameters(axis, SimpleNamespace(fit=fit, judged=SimpleNamespace(names=("capstan", "torque_gain"))))
+    _draw_parameters(axis, SimpleNamespace(fit=fit, judged=SimpleNamespace(names=("capstan", "torque_gain"))))
     assert axis.get_xlim() == pytest.approx((0.2, 2.6))
     rows = [*axis.get_yticks()]
     assert min(rows) > min(axis.get_ylim())

@@ -15,7 +15,7 @@ from handctl.errors import ConfigError
 from handctl.hand.load import load_hand
 from handctl.tune.scoring import Score, evaluate
 from handctl.tune.search.ensemble import ensemble
-from handctl.tune.search.search import RANDOM_BATCHES, SearchPlan, SearchResult, Trial, _sampler, _study, search
+from handctl.tune.search.search import RANDOM_BATCHES, SearchPlan, SearchResult, Trial, _open_study, _sampler, search
 from handctl.tune.search.space import SPACE, clamped
 from handctl.tune.search.workers import Cluster, InProcessWorkers, ProcessPool, Workers
 
@@ -53,7 +53,7 @@ def test_the_sampler_knows_which_trials_keep_their_margins(
 ) -> None:
     """Random trials have constraints as well, and Optuna raises no warning."""
     search(plan, tmp_path / "study", RecordedWorkers(found), _nothing)
-    finished = [one for one in _study(plan, tmp_path / "study").trials if one.state.is_finished()]
+    finished = [one for one in _open_study(plan, tmp_path / "study").trials if one.state.is_finished()]
     assert [one.constraints for one in finished] == [{"margins": one.score.shortfall} for one in found.trials]
     with warnings.catch_warnings():
         warnings.simplefilter("error", FutureWarning)

@@ -5,14 +5,14 @@ import time
 import numpy as np
 import pytest
 
-from handctl.tune.identify.solve import BLOCK_S, MAX_BLOCK_ROWS, _blocks, _covariance
+from handctl.tune.identify.solve import BLOCK_S, MAX_BLOCK_ROWS, _block_rows, _covariance
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_rows_are_in_one_block_each(seed: int) -> None:
     random = np.random.default_rng(seed)
     times = np.sort(random.uniform(0.0, random.choice([0.01, 1.0, 20.0]), 3000))
-    blocks = list(_blocks(times))
+    blocks = list(_block_rows(times))
     assert sorted(np.concatenate(blocks).tolist()) == list(range(3000))
     assert max(map(len, blocks)) <= MAX_BLOCK_ROWS
     assert all(np.ptp(times[rows]) <= BLOCK_S for rows in blocks)

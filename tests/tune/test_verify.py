@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from handctl.cli.tuning.tune_verify import _who
+from handctl.cli.tuning.tune_verify import _gains_label
 from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.gains import Gains, MotionGains, TensionGains
 from handctl.hand.load import load_hand
@@ -46,5 +46,11 @@ def test_gains_that_ring_are_sent_back(new: Gains, goes_back: bool, tmp_path: Pa
 
 
 def test_a_report_says_whose_gains_each_round_was_done_with() -> None:
-    assert [_who(i, None) for i in range(5)] == ["old", "old", "new", "new", "new"]
-    assert [_who(i, {"amplitude": 0.6}) for i in range(5)] == ["old", "old", "new", "new, then old", "old again"]
+    assert [_gains_label(i, None) for i in range(5)] == ["old", "old", "new", "new", "new"]
+    assert [_gains_label(i, {"amplitude": 0.6}) for i in range(5)] == [
+        "old",
+        "old",
+        "new",
+        "new, then old",
+        "old again",
+    ]

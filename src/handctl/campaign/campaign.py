@@ -168,7 +168,7 @@ def run_fault_free(hand: Hand, rate_hz: float, seconds: float, seed: int = 1) ->
             while remaining_s > 0.0 and not ended:
                 out = simulation.tick()
                 remaining_s -= simulation.period_ns * 1e-9
-                alarms += [event.text for event in out.events if event.name == "fault" and _holds(event)]
+                alarms += [event.text for event in out.events if event.name == "fault" and _is_hold_or_more(event)]
                 ended = out.mode == Mode.DONE or simulation.k * simulation.period_ns >= RUN_NS
             if ended and len(alarms) == alarms_before and simulation.out and simulation.out.phase != GRASPED:
                 alarms.append(f"seed {seed} came to no grasp: {simulation.state.failure or simulation.out.phase}")
@@ -176,6 +176,6 @@ def run_fault_free(hand: Hand, rate_hz: float, seconds: float, seed: int = 1) ->
     return alarms
 
 
-def _holds(event: Event) -> bool:
+def _is_hold_or_more(event: Event) -> bool:
     """Return True if the reaction at the end of a fault event's text is HOLD or more severe."""
     return Action[event.text.rpartition(" ")[2]] >= Action.HOLD

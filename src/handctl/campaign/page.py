@@ -61,17 +61,17 @@ def write_page(path: Path, report: Report) -> None:
         rate = report.rates[protocol]
         number = Counter(result.id for result in results)
         title_ = f"{protocol}, {rate:g} Hz: each row by its slowest scenario"
-        parts.append(f"<h2>{title_}</h2>{_table(_slowest(results), rate, number)}")
+        parts.append(f"<h2>{title_}</h2>{_html_table(_slowest_of_rows(results), rate, number)}")
         bad = [result for result in results if not result.ok]
         if bad:
-            parts.append(f"<h2 class=bad>{protocol}: failed</h2>{_table(bad, rate, number)}")
+            parts.append(f"<h2 class=bad>{protocol}: failed</h2>{_html_table(bad, rate, number)}")
     rows = "".join(f"<tr><td>{id_}</td><td>{html.escape(reason)}</td></tr>" for id_, reason in LEFT_OUT.items())
     parts.append(f"<h2>Rows that are tested elsewhere</h2><table>{rows}</table>")
     page = f"<!doctype html><html lang=en><meta charset=utf-8><title>{title}</title><style>{STYLE}</style>"
     write_whole(path, page + "\n".join(parts) + "</html>\n")
 
 
-def _slowest(results: Iterable[ScenarioResult]) -> list[ScenarioResult]:
+def _slowest_of_rows(results: Iterable[ScenarioResult]) -> list[ScenarioResult]:
     """Return, for each row, the scenario with the largest reaction time relative to its bound."""
     slowest: dict[str, ScenarioResult] = {}
     for result in results:
@@ -87,13 +87,13 @@ def bound_fraction(result: ScenarioResult) -> float:
     return result.ticks / max(result.bound, 1) if result.ticks >= 0 else 9.9
 
 
-def _table(results: Iterable[ScenarioResult], rate: float, number: Counter[str]) -> str:
+def _html_table(results: Iterable[ScenarioResult], rate: float, number: Counter[str]) -> str:
     head = "".join(f"<th>{name}" for name in HEAD)
-    rows = "".join(_row(result, rate, number[result.id]) for result in results)
+    rows = "".join(_html_row(result, rate, number[result.id]) for result in results)
     return f"<table><tr>{head}</tr>{rows}</table>"
 
 
-def _row(result: ScenarioResult, rate: float, number: int) -> str:
+def _html_row(result: ScenarioResult, rate: float, number: int) -> str:
     bad = "" if result.ok else " bad"
     width = BAR_EM * min(bound_fraction(result), 1.0)
     scenario = result.scenario.removeprefix(result.id).strip()

@@ -87,7 +87,7 @@ def run_scenario(simulation: Simulation, scenario: Scenario, protocol: str) -> S
     result = ScenarioResult(scenario.name, row.id, scenario.stage, bound=bound)
     start_ns = simulation.k * simulation.period_ns
     start_tension = simulation.peer.truth()["tension"]
-    speed = _speeds(simulation)
+    speed = _tendon_speeds(simulation)
     host = Host(scenario.fault.removeprefix(HOST)) if scenario.fault.startswith(HOST) else None
     if host is None:
         simulation.peer.inject(scenario.fault)
@@ -103,7 +103,7 @@ def run_scenario(simulation: Simulation, scenario: Scenario, protocol: str) -> S
         # A host that stood still is judged from the tick in which it wakes up.
         start_ns = t_ns if host and i == 0 else start_ns
         out = simulation.tick(**inputs)
-        _observe(result, simulation, scenario, out, _first_effect_ns(simulation, host, start_ns), t_ns)
+        _observe_tick(result, simulation, scenario, out, _first_effect_ns(simulation, host, start_ns), t_ns)
         if out.mode == Mode.DONE:
             break
     result.effects = 1 if host else int(simulation.peer.fault_states()[0]["felt"])
@@ -117,7 +117,7 @@ def run_scenario(simulation: Simulation, scenario: Scenario, protocol: str) -> S
     return _judge(result, row)
 
 
-def _speeds(simulation: Simulation) -> list[float]:
+def _tendon_speeds(simulation: Simulation) -> list[float]:
     """Return the measured speed of each tendon [m/s], zero before the first tick."""
     if simulation.out is None:
         return [0.0] * simulation.controller.model.tendon_count
@@ -184,7 +184,7 @@ def _first_effect_ns(simulation: Simulation, host: "Host | None", start_ns: int)
     return int(simulation.peer.fault_states()[0]["first_ns"])
 
 
-def _observe(
+def _observe_tick(
     result: ScenarioResult,
     simulation: Simulation,
     scenario: Scenario,

@@ -295,10 +295,10 @@ def texts(hand: Hand, fault: str, period_ms: float) -> list[str]:
         "rough": NOISE_RAD * max(1.0, (period_ms / NOISE_MS) ** 2),
     }
     words = {name: f"{size:g}" for name, size in sizes.items()}
-    return [fault.format(**words, **instance) for instance in _instances(hand, fault)]
+    return [fault.format(**words, **instance) for instance in _instance_values(hand, fault)]
 
 
-def _instances(hand: Hand, fault: str) -> list[dict[str, str]]:
+def _instance_values(hand: Hand, fault: str) -> list[dict[str, str]]:
     """Return the values of the place holders for each instance of a fault.
 
     A fault without a place holder has one instance.

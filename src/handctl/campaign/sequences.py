@@ -159,7 +159,7 @@ def run_sequence(simulation: Simulation, sequence: Sequence) -> ScenarioResult:
     start_tension = simulation.peer.truth()["tension"]
     violations: list[str] = []
     tension = 0.0
-    for inputs in _ticks(simulation, sequence):
+    for inputs in _sequence_ticks(simulation, sequence):
         before = simulation.state
         simulation.tick(**inputs)
         tension = max(tension, *simulation.peer.truth()["tension"])
@@ -184,7 +184,7 @@ def run_sequence(simulation: Simulation, sequence: Sequence) -> ScenarioResult:
     )
 
 
-def _ticks(simulation: Simulation, sequence: Sequence) -> Iterator[dict[str, Any]]:
+def _sequence_ticks(simulation: Simulation, sequence: Sequence) -> Iterator[dict[str, Any]]:
     """Yield the inputs of each tick, and inject the faults of the simulator when due.
 
     The stop request comes at the end of the sequence.

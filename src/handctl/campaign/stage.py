@@ -204,7 +204,7 @@ def branch(
         child, status = os.wait()
         if child in running:
             reading, experiment = running.pop(child)
-            on_result(_result(reading, experiment, status))
+            on_result(_read_result(reading, experiment, status))
 
 
 def _run_one(attempt: Callable[[], ScenarioResult], on_failure: Callable[[ScenarioResult], None]) -> str:
@@ -215,7 +215,7 @@ def _run_one(attempt: Callable[[], ScenarioResult], on_failure: Callable[[Scenar
     return json.dumps(asdict(result))
 
 
-def _result(reading: int, experiment: Experiment, status: int) -> ScenarioResult:
+def _read_result(reading: int, experiment: Experiment, status: int) -> ScenarioResult:
     """Read the result from the pipe of a finished copy."""
     with os.fdopen(reading) as pipe:
         text = pipe.read()

@@ -189,7 +189,7 @@ class HandClient:
             DriveError: the run has ended or ends during the motion, e.g. by a fault. The message has the reason.
             BusError: the controller does not answer.
         """
-        angles = _digits("move", goals, angle_deg)
+        angles = _values_by_digit("move", goals, angle_deg)
         goal = {
             "do": "move",
             "angle_deg": _numbers_of(angles),
@@ -197,7 +197,7 @@ class HandClient:
         }
         validated(goal, MoveDigits, "move")
         start_s = self._set_goal(goal)
-        while wait and self._acting(ANSWER_S)["t_s"] < start_s + goal["duration_s"]:
+        while wait and self._wait_until_following(ANSWER_S)["t_s"] < start_s + goal["duration_s"]:
             pass
 
     def hold(
@@ -225,7 +225,7 @@ class HandClient:
         if not goals and not tension_N and (goals is None or isinstance(goals, Mapping)):
             self._set_goal({"do": "stay"})
             return
-        tensions = _digits("hold", goals, tension_N)
+        tensions = _values_by_digit("hold", goals, tension_N)
         goal = {
             "do": "hold",
             "tension_N": _numbers_of(tensions),
@@ -455,7 +455,7 @@ class HandClient:
         if self._observations is not None:
             if not self._observations.ended:
                 return self._observations
-            self._collect()
+            self._collect_result()
         self._refuse_ended()
         if self._observations is None or self._observations.ended:
             self._observations = ObservationReader(self.bus)
@@ -464,7 +464,7 @@ class HandClient:
     def _check_silence(self, reader: ObservationReader, end: float) -> None:
         """Raise an error if the run has ended, or if the timeout of a wait has passed."""
         if reader.ended:
-            self._collect()
+            self._collect_result()
             self._refuse_ended()
             raise DriveError("the run has ended", f"bus {self.bus}")
         if time.monotonic() >= end:
@@ -550,7 +550,7 @@ class HandClient:
 
     def _set_goal(self, goal: dict[str, Any]) -> float:
         """Send a goal, wait for its confirmation, and return the time of the confirming tick [s]."""
-        self._acting(ANSWER_S)
+        self._wait_until_following(ANSWER_S)
         if (size := len(json.dumps(goal).encode()) + SENDER_NAME_BYTES) > LARGEST:
             raise ConfigError(f"{size} bytes", goal["do"], f"a request of at most {LARGEST}")
         try:
@@ -564,11 +564,11 @@ class HandClient:
         self._commands = True
         return float(line["t_s"])
 
-    def _acting(self, timeout_s: float) -> dict[str, Any]:
+    def _wait_until_following(self, timeout_s: float) -> dict[str, Any]:
         """Return the state of the hand once the hand follows goals."""
         line = self.state(timeout_s)
         if line["mode"] in SHUTTING_DOWN:
-            self._collect()
+            self._collect_result()
             self._refuse_ended()
             raise DriveError(f"the hand takes no goals any more: {line['mode']}", f"bus {self.bus}")
         return line
@@ -582,9 +582,9 @@ class HandClient:
         if self.child is not None and (
             self.child.poll() is not None or (self._live and not is_running(self.bus))
         ):
-            self._collect()
+            self._collect_result()
             self._error_raised = True
-            raise self._error()
+            raise self._run_error()
         if self._closed:
             raise BusError("this client is closed", f"bus {self.bus}", "another handctl.connect")
 
@@ -608,13 +608,13 @@ class HandClient:
             if self._observations is not None:
                 self._observations.close()
             self._watcher.close()
-            self._collect()
+            self._collect_result()
             self._stderr.close()
         code = self.child.returncode if self.child else 0
         if code and not self._error_raised and (raise_error or code == Exit.REMOVE_POWER):
-            raise self._error()
+            raise self._run_error()
 
-    def _collect(self) -> None:
+    def _collect_result(self) -> None:
         """Close the standard input of the controller, which ends the controller, and read its result."""
         if self.child is not None and self.child.stdout and not self.child.stdout.closed:
             out, _ = self.child.communicate()
@@ -622,7 +622,7 @@ class HandClient:
             with suppress(ValueError):  # a killed process leaves no output, or a part of it
                 self.result = json.loads(out)
 
-    def _error(self) -> DriveError:
+    def _run_error(self) -> DriveError:
         """Return the exception for the error that ended the run."""
         code = self.child.returncode if self.child else 0
         killed = f"killed by signal {-code}" if code < 0 else ""
@@ -644,7 +644,7 @@ class HandClient:
             print(escaped(text, "\n\t"), end="", file=sys.stderr, flush=True)
 
 
-def _digits(do: str, goals: object, named: Mapping[str, Any]) -> dict[str, Any]:
+def _values_by_digit(do: str, goals: object, named: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values by digit from a mapping and from keywords.
 
     Raises:

@@ -100,7 +100,7 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         self.model = self._controller.model
         self.hand = self.model.hand
         self.names = self.hand.joints if space == "joint" else self.hand.digit_names
-        self.low_deg, self.high_deg = _range_deg(self.model, space)
+        self.low_deg, self.high_deg = _target_range_deg(self.model, space)
         rate = 1.0 / self.model.period
         self.ticks = max(1, round(rate / RATE_HZ))
         self.step_s = self.ticks * self.model.period
@@ -215,7 +215,7 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         clipped = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
         if clipped.shape != self.action_space.shape or not np.isfinite(clipped).all():
             raise ConfigError(f"{action!r}", "action", f"{math.prod(self.action_space.shape or ())} finite values")
-        out = run.tick(requests=tuple(self._requests(clipped)))
+        out = run.tick(requests=tuple(self._step_requests(clipped)))
         refused = [event.text for event in out.events if event.text.startswith(REFUSED)]
         if refused and out.mode == Mode.ACTIVE:
             raise ConfigError(refused[0], f"the controller of {self.hand.name}", "targets that the hand takes")
@@ -250,7 +250,7 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
             return np.asarray(q)
         return np.array([(digit.joints_to_coordinates @ q[digit.joints]).mean() for digit in self.model.digits])
 
-    def _requests(self, action: Vector) -> list[str]:
+    def _step_requests(self, action: Vector) -> list[str]:
         """Return the requests of a step. If the streamed names change, a new stream is opened."""
         requests = self.requests(action)
         names = self.streamed(action)
@@ -261,9 +261,9 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
             }  # fmt: skip
             requests.append(json.dumps(opening))
         self._streamed = names
-        return [*requests, self._target(action)] if names else requests
+        return [*requests, self._target_request(action)] if names else requests
 
-    def _target(self, action: Vector) -> str:
+    def _target_request(self, action: Vector) -> str:
         """Return the request of the next target, which approaches the action at the largest rate."""
         change = self.angles_deg(action) - self._target_deg
         self._target_deg = self._target_deg + np.clip(change, -self._largest_step_deg, self._largest_step_deg)
@@ -303,7 +303,7 @@ def _controller(path: str) -> Controller:
     return homed_controller(model, LiveProgram())
 
 
-def _range_deg(model: HandModel, space: TargetSpace) -> tuple[Vector, Vector]:
+def _target_range_deg(model: HandModel, space: TargetSpace) -> tuple[Vector, Vector]:
     """Return the lowest and the highest target of each name (V,) [deg].
 
     The range of a digit is that of its coordinate with the smallest range.

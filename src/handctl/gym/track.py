@@ -76,7 +76,7 @@ class TrackEnv(HandEnv):
         self._middle = low + sum(self._span) / 2.0 * (high - low)
         swing = (self._span[1] - self._span[0]) / 2.0 * (high - low) * np.array([[0.6], [0.4]])
         self._swing = np.minimum(swing, 0.5 * FASTEST_DEG_S / self._rate)
-        self._start = self._coordinates(self.out.telemetry.q)
+        self._start = self._coordinates_of(self.out.telemetry.q)
 
     def reference_deg(self, t_s: float) -> Vector:
         """Return the reference of each joint or digit (V,) at a time of the episode [deg]."""
@@ -84,7 +84,7 @@ class TrackEnv(HandEnv):
         s = min(t_s / START_S, 1.0)
         blend = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
         angles = np.degrees(self._start) * (1.0 - blend) + course * blend
-        return angles if self._space == "digit" else self._joints(angles)
+        return angles if self._space == "digit" else self._joints_of(angles)
 
     def extra_values(self, name: str) -> Any:
         """Return the reference at present, or after the horizon [rad]."""
@@ -105,13 +105,13 @@ class TrackEnv(HandEnv):
         low, high = np.concatenate(reach, axis=1)
         return low, high
 
-    def _coordinates(self, q: Vector) -> Vector:
+    def _coordinates_of(self, q: Vector) -> Vector:
         """Return the reference values that correspond to joint angles, in the same unit."""
         if self._space == "digit":
             return self.values_of(q)
         return np.concatenate([digit.joints_to_coordinates @ q[digit.joints] for digit in self.model.digits])
 
-    def _joints(self, coordinates: Vector) -> Vector:
+    def _joints_of(self, coordinates: Vector) -> Vector:
         """Return the joint angles that correspond to coordinates, in the same unit.
 
         Coupled joints turn together.

@@ -54,18 +54,18 @@ def markdown(parts: Sequence[PageSection]) -> str:
     lines = [
         f"# {TITLE}",
         "",
-        _fill(REFERENCE),
+        _wrap_paragraph(REFERENCE),
         "",
-        _fill(INTRODUCTION),
+        _wrap_paragraph(INTRODUCTION),
         "",
-        _fill(_summary(rows)),
+        _wrap_paragraph(_summary_text(rows)),
         "",
     ]
     for part in parts:
         lines += [MEASURED_MARK] if part.measured else []
         lines += [f"## {part.title}", ""]
         for paragraph in part.text:
-            lines += [_fill(paragraph), ""]
+            lines += [_wrap_paragraph(paragraph), ""]
         for name in part.figures:
             lines += [
                 f"![{CAPTIONS[name]}]({FIGURES}/{PREFIX}{name}.png)",
@@ -73,14 +73,14 @@ def markdown(parts: Sequence[PageSection]) -> str:
                 f"*{CAPTIONS[name]}*",
                 "",
             ]
-        lines += _rows(part.table)
+        lines += _markdown_table(part.table)
         lines += ["| id | where | printed | right | verdict | why |", "|---|---|---|---|---|---|"]
-        lines += ["| " + " | ".join(map(_cell, _row(item))) + " |" for item in part.items]
+        lines += ["| " + " | ".join(map(_escape_cell, _item_cells(item))) + " |" for item in part.items]
         lines += [""]
     return "\n".join(lines)
 
 
-def _rows(table: Sequence[Sequence[str]]) -> list[str]:
+def _markdown_table(table: Sequence[Sequence[str]]) -> list[str]:
     """Return a table of numbers as Markdown, titles first, empty for an empty table."""
     if not table:
         return []
@@ -88,7 +88,7 @@ def _rows(table: Sequence[Sequence[str]]) -> list[str]:
     return [titles, "|" + "---|" * len(table[0]), *rows, ""]
 
 
-def _summary(rows: list[Item]) -> str:
+def _summary_text(rows: list[Item]) -> str:
     """Return the number of items per verdict, and the command that regenerates the page."""
     counts = ", ".join(f"{count} {verdict}" for verdict, count in count_by_verdict(rows).items())
     return (
@@ -97,7 +97,7 @@ def _summary(rows: list[Item]) -> str:
     )
 
 
-def _row(item: Item) -> tuple[str, ...]:
+def _item_cells(item: Item) -> tuple[str, ...]:
     """Return the table cells of an item."""
     off = f" (deviation {item.deviation:.2g})" if item.deviation is not None and item.verdict != "equal" else ""
     return (
@@ -110,12 +110,12 @@ def _row(item: Item) -> tuple[str, ...]:
     )
 
 
-def _cell(text: str) -> str:
+def _escape_cell(text: str) -> str:
     """Return a cell with Markdown's special characters escaped."""
     return text.replace("|", "\\|").replace("*", "\\*") if not text.startswith("**") else text
 
 
-def _fill(paragraph: str) -> str:
+def _wrap_paragraph(paragraph: str) -> str:
     """Return a paragraph wrapped to 118 characters."""
     return textwrap.fill(paragraph, 118, break_long_words=False, break_on_hyphens=False)
 
@@ -143,32 +143,32 @@ def report(parts: Sequence[PageSection], figures: Mapping[str, Path]) -> str:
         figures: SVG file of each figure.
     """
     rows = [item for part in parts for item in part.items]
-    counts = " ".join(f"{_badge(verdict)} {count}" for verdict, count in count_by_verdict(rows).items())
+    counts = " ".join(f"{_html_badge(verdict)} {count}" for verdict, count in count_by_verdict(rows).items())
     body = [f"<h1>{TITLE}</h1><p>{html.escape(REFERENCE)}</p><p>{html.escape(INTRODUCTION)}</p><p>{counts}</p>"]
     for part in parts:
         body.append(f"<h2>{html.escape(part.title)}</h2>")
-        body += [f"<p>{_inline(paragraph)}</p>" for paragraph in part.text]
-        body += [_figure(name, figures[name]) for name in part.figures]
-        body += [_numbers(part.table)] if part.table else []
-        body.append(_table(part.items))
+        body += [f"<p>{_html_paragraph(paragraph)}</p>" for paragraph in part.text]
+        body += [_html_figure(name, figures[name]) for name in part.figures]
+        body += [_html_numbers(part.table)] if part.table else []
+        body.append(_html_items(part.items))
     head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{TITLE}</title>'
     head = f'<!doctype html>\n<html lang="en"><head>{head}<style>{STYLE}</style></head>'
     return f"{head}<body>{''.join(body)}</body></html>\n"
 
 
-def _badge(verdict: str) -> str:
+def _html_badge(verdict: str) -> str:
     """Return a verdict as an HTML badge."""
     return f'<span class="verdict {verdict}">{verdict}</span>'
 
 
-def _inline(paragraph: str) -> str:
+def _html_paragraph(paragraph: str) -> str:
     """Return a paragraph as HTML, with marked code."""
     # Text and code alternate between the backquotes.
     pieces = html.escape(paragraph).split("`")
     return "".join(f"<code>{piece}</code>" if i % 2 else piece for i, piece in enumerate(pieces))
 
 
-def _figure(name: str, path: Path) -> str:
+def _html_figure(name: str, path: Path) -> str:
     """Return a figure as HTML."""
     data = base64.b64encode(path.read_bytes()).decode()
     caption = html.escape(CAPTIONS[name])
@@ -176,7 +176,7 @@ def _figure(name: str, path: Path) -> str:
     return f"<figure>{image}<figcaption>{caption}</figcaption></figure>"
 
 
-def _numbers(table: Sequence[Sequence[str]]) -> str:
+def _html_numbers(table: Sequence[Sequence[str]]) -> str:
     """Return a table of numbers as HTML, titles first."""
     # The first row has the titles, whose cells become headers below.
     titles, *rows = ("".join(f"<td>{html.escape(cell)}</td>" for cell in row) for row in table)
@@ -185,12 +185,12 @@ def _numbers(table: Sequence[Sequence[str]]) -> str:
     return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
-def _table(items: Sequence[Item]) -> str:
+def _html_items(items: Sequence[Item]) -> str:
     """Return a table of items as HTML."""
     titles = "".join(f"<th>{name}</th>" for name in ("id", "where", "printed", "right", "verdict", "why"))
     rows = []
     for item in items:
-        id, where, printed, right, _, reason = map(html.escape, _row(item))
-        cells = (id, where, printed, right, _badge(item.verdict.value), reason)
+        id, where, printed, right, _, reason = map(html.escape, _item_cells(item))
+        cells = (id, where, printed, right, _html_badge(item.verdict.value), reason)
         rows.append("<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
     return f'<div class="wide"><table><thead><tr>{titles}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'

@@ -49,8 +49,8 @@ def sections(measured: Mapping[str, Any] | None) -> tuple[PageSection, ...]:
     Args:
         measured: results of `experiments.measure`.
     """
-    fixed = (_hand(), _kinematics(), _statics(), _dynamics(), _assumptions())
-    return fixed if measured is None else (*fixed, _bench(measured), _payload(measured))
+    fixed = (_hand_section(), _kinematics_section(), _statics_section(), _dynamics_section(), _assumptions_section())
+    return fixed if measured is None else (*fixed, _bench_section(measured), _payload_section(measured))
 
 
 def items(measured: Mapping[str, Any] | None) -> list[Item]:
@@ -63,7 +63,7 @@ def count_by_verdict(rows: list[Item]) -> dict[str, int]:
     return {verdict.value: sum(item.verdict == verdict for item in rows) for verdict in ErrataVerdict}
 
 
-def _hand() -> PageSection:
+def _hand_section() -> PageSection:
     return PageSection(
         "The hand (sections 1, 3 and 8, Fig. 1)",
         (
@@ -75,7 +75,7 @@ def _hand() -> PageSection:
     )
 
 
-def _kinematics() -> PageSection:
+def _kinematics_section() -> PageSection:
     return PageSection(
         "Kinematics (section 4, Eq. 1-2, Fig. 2 and 3)",
         (
@@ -92,7 +92,7 @@ def _kinematics() -> PageSection:
     )
 
 
-def _statics() -> PageSection:
+def _statics_section() -> PageSection:
     return PageSection(
         "Statics (sections 5 and 6, Fig. 4 and 6)",
         (
@@ -105,7 +105,7 @@ def _statics() -> PageSection:
     )
 
 
-def _dynamics() -> PageSection:
+def _dynamics_section() -> PageSection:
     rows = (*lagrange.term_items(), *lagrange.equation_items(), *motion.items())
     return PageSection(
         "Dynamics (section 7, Eq. 3-12, Fig. 7)",
@@ -123,7 +123,7 @@ def _dynamics() -> PageSection:
     )
 
 
-def _assumptions() -> PageSection:
+def _assumptions_section() -> PageSection:
     return PageSection(
         "Assumptions that the model does not state",
         ("Not misprints: places where the paper's parts contradict each other or mechanics.",),
@@ -132,7 +132,7 @@ def _assumptions() -> PageSection:
     )
 
 
-def _bench(measured: Mapping[str, Any]) -> PageSection:
+def _bench_section(measured: Mapping[str, Any]) -> PageSection:
     return PageSection(
         "Force and displacement, measured (section 5, Fig. 5)",
         (
@@ -147,7 +147,7 @@ def _bench(measured: Mapping[str, Any]) -> PageSection:
     )
 
 
-def _payload(measured: Mapping[str, Any]) -> PageSection:
+def _payload_section(measured: Mapping[str, Any]) -> PageSection:
     return PageSection(
         "Payload, measured (section 5)",
         (

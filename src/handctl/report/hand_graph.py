@@ -41,7 +41,7 @@ def draw_hand(path: Path, hand: Hand) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    rows = sum(1.6 + len(_tendons(hand, digit)) for digit in hand.digit) + 1.0
+    rows = sum(1.6 + len(_digit_tendons(hand, digit)) for digit in hand.digit) + 1.0
     joints = max(len(digit.joints) for digit in hand.digit)
     left = MOTOR_X - 1.6 - BUS_STEP * len(hand.bus)
     right = JOINTS_X + JOINT_STEP * joints + 0.6
@@ -78,7 +78,7 @@ def text_graph(hand: Hand) -> str:
             for i, (joint, length) in enumerate(zip(digit.joints, digit.link_length_m, strict=True))
         )
         lines += ["", f"{digit.name}: {joints}"]
-        for tendon in _tendons(hand, digit):
+        for tendon in _digit_tendons(hand, digit):
             motor = hand.motor_of(tendon.name)
             cell = " -[load cell]" if tendon.name in node.tendons else ""
             arms = "  ".join(
@@ -94,7 +94,7 @@ def text_graph(hand: Hand) -> str:
     return "\n".join(lines)
 
 
-def _tendons(hand: Hand, digit: Digit) -> list[Tendon]:
+def _digit_tendons(hand: Hand, digit: Digit) -> list[Tendon]:
     """Return the tendons that cross a joint of a digit."""
     return [tendon for tendon in hand.tendon if not tendon.moment_arm_m.keys().isdisjoint(digit.joints)]
 
@@ -133,7 +133,7 @@ def _draw_digit(axes: Any, hand: Hand, digit: Digit, y: float, ends: dict[str, l
         edge, width = (ENCODER, 2.0) if joint in hand.sensor_node.joints else ("#555555", 1.0)
         axes.plot(x, y, "o", color="white", markeredgecolor=edge, markeredgewidth=width, markersize=9, zorder=3)
         axes.text(x, y + 0.35, joint.removeprefix(f"{digit.name}_"), ha="center", va="center", fontsize=7)
-    for tendon in _tendons(hand, digit):
+    for tendon in _digit_tendons(hand, digit):
         y -= 1.0
         _draw_tendon(axes, hand, tendon, columns, y)
         motor = hand.motor_of(tendon.name)

@@ -37,7 +37,7 @@ def poses(log: RunLog, hand: Hand) -> str:
 
     Arrows are the forces of the object on the fingertips.
     """
-    moments = _moments(log)
+    moments = _phase_middles(log)
     if not moments:
         return "<p>The hand acts in no phase of this run.</p>"
     figure, grid = _figure(min(len(moments), PER_ROW), 2.6, 2.9, -(-len(moments) // PER_ROW))
@@ -45,27 +45,27 @@ def poses(log: RunLog, hand: Hand) -> str:
     digits = tree.digits
     q = log.field("q")
     force = log.field("tip_force")
-    limits = _limits(tree)
+    limits = _picture_limits(tree)
     for axes in grid:
         axes.set_axis_off()
     for axes, (name, index) in zip(grid, moments, strict=False):
-        _palm(axes, hand)
+        _draw_palm(axes, hand)
         paths = tree.points(q[index])
         turned = rotations(tree.poses(q[index]))
         # Digits with a large z lie behind the others in this projection and are drawn first.
         for d in sorted(range(len(digits)), key=lambda d: -float(digits[d].mount_position[2])):
             # The object pushes against the closing direction of the fingertip, y of the last link.
             push = -max(float(force[index, d]), 0.0) * turned[digits[d].joints][-1, :, 1]
-            _digit(axes, paths[d], push, COLOURS[d % len(COLOURS)])
-        _forces(axes, force[index])
+            _draw_digit(axes, paths[d], push, COLOURS[d % len(COLOURS)])
+        _write_forces(axes, force[index])
         axes.set_title(f"{name}, {log.times[index]:.2f} s", fontsize=11)
         axes.set_aspect("equal")
         axes.set(xlim=limits[0], ylim=limits[1])
-    _bar(grid[0], limits)
-    return _svg(figure)
+    _draw_scale_bar(grid[0], limits)
+    return _to_svg(figure)
 
 
-def _projected(points_m: Array) -> Array:
+def _project(points_m: Array) -> Array:
     """Return points (.., 3) of the palm frame [m] projected to the picture (.., 2) [mm].
 
     The view is along the hinge axes, at an oblique angle.
@@ -73,24 +73,24 @@ def _projected(points_m: Array) -> Array:
     return np.asarray(1e3 * (points_m[..., :2] + points_m[..., 2:] * np.array(SLANT)), np.float64)
 
 
-def _limits(tree: HandTree) -> tuple[tuple[float, float], tuple[float, float]]:
+def _picture_limits(tree: HandTree) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the limits of the picture, which includes the palm and every digit at rest."""
-    corners = _projected(np.concatenate(tree.points(np.zeros(len(tree.parent)))))
+    corners = _project(np.concatenate(tree.points(np.zeros(len(tree.parent)))))
     low = corners.min(axis=0) - 20.0
     high = corners.max(axis=0) + 10.0
     return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
 
 
-def _palm(axes: Any, hand: Hand) -> None:
+def _draw_palm(axes: Any, hand: Hand) -> None:
     """Draw the palm plate, to which the digits are attached."""
     mounts = np.array([digit.mount_position_m for digit in hand.digit if digit.mount_on is None])
     (y0, z0) = mounts[:, 1:].min(axis=0) - 0.009
     (y1, z1) = mounts[:, 1:].max(axis=0) + 0.009
     corners = np.array([[0.0, y, z] for y, z in ((y0, z0), (y1, z0), (y1, z1), (y0, z1))])
-    axes.fill(*_projected(corners).T, color="#e3e6ea", zorder=0)
+    axes.fill(*_project(corners).T, color="#e3e6ea", zorder=0)
 
 
-def _digit(axes: Any, joints: Array, push: Array, colour: str) -> None:
+def _draw_digit(axes: Any, joints: Array, push: Array, colour: str) -> None:
     """Draw the links from the palm to the tip, and the estimated force on the tip [N] as an arrow.
 
     Args:
@@ -99,7 +99,7 @@ def _digit(axes: Any, joints: Array, push: Array, colour: str) -> None:
         push: (3,) force of the object [N].
         colour: colour of the links.
     """
-    path = _projected(joints)
+    path = _project(joints)
     axes.plot(
         *path.T,
         color=colour,
@@ -112,12 +112,12 @@ def _digit(axes: Any, joints: Array, push: Array, colour: str) -> None:
     # A negative comparison: an unknown force or angle has no arrow.
     if not np.linalg.norm(push) >= MIN_ARROW_N:
         return
-    start, end = _projected(np.array([joints[-1], joints[-1] + ARROW_M_PER_N * push]))
+    start, end = _project(np.array([joints[-1], joints[-1] + ARROW_M_PER_N * push]))
     style = {"arrowstyle": "-|>", "color": "#222222", "linewidth": 1.2, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", xy=end, xytext=start, arrowprops=style, zorder=10)
 
 
-def _forces(axes: Any, force: Array) -> None:
+def _write_forces(axes: Any, force: Array) -> None:
     """Write the values of the forces [N] in the corner.
 
     Next to the arrows the texts would overlap.
@@ -133,7 +133,7 @@ def _forces(axes: Any, force: Array) -> None:
             axes.text(0.98, 0.3 - 0.09 * d, f"{value:.1f} N", ha="right", **style)
 
 
-def _bar(axes: Any, limits: tuple[tuple[float, float], tuple[float, float]]) -> None:
+def _draw_scale_bar(axes: Any, limits: tuple[tuple[float, float], tuple[float, float]]) -> None:
     """Draw a scale bar of 20 mm."""
     x = limits[0][1] - 22.0
     y = limits[1][0] + 3.0
@@ -141,7 +141,7 @@ def _bar(axes: Any, limits: tuple[tuple[float, float], tuple[float, float]]) -> 
     axes.text(x + 10.0, y + 1.5, "20 mm", ha="center", fontsize=8, color="#222222")
 
 
-def _moments(log: RunLog) -> list[tuple[str, int]]:
+def _phase_middles(log: RunLog) -> list[tuple[str, int]]:
     """Return, for each phase with motion or contact, the name and the tick index of the middle."""
     changes = log.phases
     ends = [change.k for change in changes[1:]] + log.k[-1:].tolist()
@@ -178,7 +178,7 @@ def lateness(log: RunLog) -> str:
     )
     axes.set_yscale("symlog", linthresh=1)
     axes.set(xlabel="lateness [us]", ylabel="ticks")
-    return _svg(figure)
+    return _to_svg(figure)
 
 
 def loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
@@ -212,7 +212,7 @@ def loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
         )
     axes.set(xlabel="time [s]", ylabel="bus load [%]", ylim=(0, None))
     axes.legend(fontsize=7, loc="lower right")
-    return _svg(figure), load.max(axis=0, initial=0.0)
+    return _to_svg(figure), load.max(axis=0, initial=0.0)
 
 
 def _figure(columns: int, width: float, height: float, rows: int = 1) -> tuple[Any, list[Any]]:
@@ -226,7 +226,7 @@ def _figure(columns: int, width: float, height: float, rows: int = 1) -> tuple[A
     return figure, list(figure.subplots(rows, columns, squeeze=False, sharey=True).flat)
 
 
-def _svg(figure: Any) -> str:
+def _to_svg(figure: Any) -> str:
     """Return the figure as an SVG element for a page."""
     text = io.StringIO()
     figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})

@@ -54,19 +54,19 @@ def draw_run(path: Path, log: RunLog, hand: Hand, truth: TruthRecord | None, off
     halves = figure.add_gridspec(1 + timed, 1, height_ratios=[8, 1.2][: 1 + timed])
     grid = halves[0].subgridspec(3, n).subplots(sharex=True, sharey="row", squeeze=False)
     figure.suptitle(title)
-    _angles(grid[0], log, hand, truth, offset_ns)
-    _tensions(grid[1], log, hand, truth, offset_ns)
-    _forces(grid[2], log, hand, truth, offset_ns)
+    _draw_angles(grid[0], log, hand, truth, offset_ns)
+    _draw_tensions(grid[1], log, hand, truth, offset_ns)
+    _draw_forces(grid[2], log, hand, truth, offset_ns)
     late = [figure.add_subplot(halves[1])] if timed else []
     for axes in late:
         axes.plot(log.times, log.late_ns / 1e3, color="#666666", linewidth=0.6)
         axes.set(ylabel="lateness\nof a tick [us]", xlabel="time [s]")
-    _dress(grid, late, log, hand)
-    figure.legend(*_key(truth is not None), loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+    _add_titles_and_phases(grid, late, log, hand)
+    figure.legend(*_legend_entries(truth is not None), loc="outside lower center", ncols=4, fontsize=8, frameon=False)
     save_figure(figure, path)
 
 
-def _dress(grid: Any, late: list[Any], log: RunLog, hand: Hand) -> None:
+def _add_titles_and_phases(grid: Any, late: list[Any], log: RunLog, hand: Hand) -> None:
     """Add titles, grids, and phases, and limit the time axis to the active interval."""
     for column, name in zip(grid.T, hand.digit_names, strict=True):
         column[0].set_title(name, fontsize=11, fontweight="bold")
@@ -84,11 +84,11 @@ def _dress(grid: Any, late: list[Any], log: RunLog, hand: Hand) -> None:
         for axes in (grid[0, 0], *late):
             axes.set_xlim(start, end)
         for row in (grid[0], grid[2]):
-            _fit(row, start, end)
-    _phases(grid, log)
+            _fit_height(row, start, end)
+    _mark_phases(grid, log)
 
 
-def _fit(row: Sequence[Any], start: float, end: float) -> None:
+def _fit_height(row: Sequence[Any], start: float, end: float) -> None:
     """Limit the height of a row to the values in the active interval.
 
     A released hand may move far afterwards.
@@ -101,7 +101,7 @@ def _fit(row: Sequence[Any], start: float, end: float) -> None:
         row[0].set_ylim(low - 0.05 * (high - low), high + 0.05 * (high - low))
 
 
-def _key(truth: bool) -> tuple[list[Any], list[str]]:
+def _legend_entries(truth: bool) -> tuple[list[Any], list[str]]:
     """Return the lines of the legend, with their meaning."""
     from matplotlib.lines import Line2D
 
@@ -117,7 +117,7 @@ def _key(truth: bool) -> tuple[list[Any], list[str]]:
     return [mark for mark, _ in marks], [text for _, text in marks]
 
 
-def _angles(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> None:
+def _draw_angles(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> None:
     """Draw the mean joint angle of each digit."""
     goal, estimate = (np.degrees(mean_angles(hand, log.field(name))) for name in ("q_goal", "q"))
     real = None
@@ -126,10 +126,10 @@ def _angles(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | No
         real = np.degrees(mean_angles(hand, table))
     for d, axes in enumerate(row):
         axes.plot(log.times, estimate[:, d], color=COLOURS[d % len(COLOURS)], linewidth=1.8)
-        _beside(axes, log, goal[:, d], None if real is None else real[:, d])
+        _draw_command_and_truth(axes, log, goal[:, d], None if real is None else real[:, d])
 
 
-def _beside(axes: Any, log: RunLog, goal: Array | None, real: Array | None) -> None:
+def _draw_command_and_truth(axes: Any, log: RunLog, goal: Array | None, real: Array | None) -> None:
     """Draw the command and the true value of the plant next to the estimate."""
     if real is not None:
         axes.plot(log.times, real, color=PLANT, linewidth=0.7)
@@ -137,7 +137,7 @@ def _beside(axes: Any, log: RunLog, goal: Array | None, real: Array | None) -> N
         axes.plot(log.times, goal, color=COMMAND, linewidth=1.0, linestyle="--")
 
 
-def _tensions(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> None:
+def _draw_tensions(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> None:
     """Draw the tensions of each digit."""
     estimate = log.field("tension")
     sigma = log.field("tension_sigma")
@@ -152,13 +152,13 @@ def _tensions(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | 
             high = estimate[:, i] + sigma[:, i]
             axes.fill_between(log.times, low, high, color=colour, alpha=0.25, linewidth=0)
             real = None if truth is None else truth.at(f"tension/{name}", log.t_ns + offset_ns)
-            _beside(axes, log, goal[:, i], real)
+            _draw_command_and_truth(axes, log, goal[:, i], real)
         if len(names) > 1:
             axes.legend(loc="upper left", fontsize=6, frameon=False)
     row[0].set_ylim(-2, float(np.fmax.reduce(estimate, axis=None, initial=9.0)) * 1.15)
 
 
-def _forces(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> None:
+def _draw_forces(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> None:
     """Draw the contact force of each digit."""
     estimate = log.field("tip_force")
     sigma = log.field("tip_force_sigma")
@@ -171,21 +171,21 @@ def _forces(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | No
         if truth is not None:
             # The truth has the components of the force, the estimate its size.
             parts = [truth.at(f"contact_force/{name}/{axis}", log.t_ns + offset_ns) for axis in "xyz"]
-            _beside(axes, log, None, np.asarray(np.sqrt(sum(part**2 for part in parts)), np.float64))
+            _draw_command_and_truth(axes, log, None, np.asarray(np.sqrt(sum(part**2 for part in parts)), np.float64))
 
 
-def _phases(grid: Any, log: RunLog) -> None:
+def _mark_phases(grid: Any, log: RunLog) -> None:
     """Mark the start of each phase, and the first fault. The first row shows their names."""
     for change in log.phases:
         if change.name not in PASSIVE_PHASES:
-            _mark(grid, change.t_ns / 1e9, change.name, GRID)
+            _draw_mark(grid, change.t_ns / 1e9, change.name, GRID)
     error = ("error", "fault")
     faults = [event for event in log.events if (event.event.level, event.event.name) == error]
     for event in faults[:1]:
-        _mark(grid, event.t_ns / 1e9, event.event.text.partition(" ")[0], FAULT)
+        _draw_mark(grid, event.t_ns / 1e9, event.event.text.partition(" ")[0], FAULT)
 
 
-def _mark(grid: Any, t_s: float, name: str, colour: str) -> None:
+def _draw_mark(grid: Any, t_s: float, name: str, colour: str) -> None:
     """Draw a vertical line with a name."""
     for axes in grid.flat:
         axes.axvline(t_s, color=colour, linewidth=0.6)

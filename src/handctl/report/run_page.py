@@ -56,20 +56,20 @@ def write_page(path: Path, log: RunLog, hand: Hand, truth: TruthRecord | None, o
     """
     load_picture, load = loads(log, hand)
     metadata = log.header.metadata
-    title = f"{hand.name}: {_text(name)}"
+    title = f"{hand.name}: {_escaped_text(name)}"
     sections = [
-        f"<h1>{title}</h1><p class=sub>{_text(hand.description)}</p>",
-        f"<p class=error>{_text(log.warning)}</p>" if log.warning else "",
-        _section("In numbers", _numbers(log, hand, truth, offset_ns, load)),
+        f"<h1>{title}</h1><p class=sub>{_escaped_text(hand.description)}</p>",
+        f"<p class=error>{_escaped_text(log.warning)}</p>" if log.warning else "",
+        _section("In numbers", _number_table(log, hand, truth, offset_ns, load)),
         _section("The hand in each phase", poses(log, hand) + _legend(hand)),
         _section(
             "Angles, tensions with their 1-sigma band, contact forces",
-            _run(log, hand, truth, offset_ns),
+            _run_image(log, hand, truth, offset_ns),
         ),
-        _section("Events and faults", _events(log)),
+        _section("Events and faults", _event_table(log)),
         _section("Loop and bus", f'<div class="two">{lateness(log)}{load_picture}</div>'),
-        _section("Origin of this run", _pairs({**metadata, **log.header.wall, **log.end})),
-        _section("Gains", _pairs(log.header.gains)),
+        _section("Origin of this run", _text_table({**metadata, **log.header.wall, **log.end})),
+        _section("Gains", _text_table(log.header.gains)),
     ]
     page = f"<!doctype html><html lang=en><meta charset=utf-8><title>{title}</title><style>{STYLE}</style>"
     data = (page + "\n".join(sections) + "</html>\n").encode()
@@ -78,7 +78,7 @@ def write_page(path: Path, log: RunLog, hand: Hand, truth: TruthRecord | None, o
     return len(data)
 
 
-def _text(text: object) -> str:
+def _escaped_text(text: object) -> str:
     """Return a text from a log, escaped for a page."""
     return html.escape(printable(str(text), 2000))
 
@@ -94,12 +94,12 @@ def _table(rows: Iterable[tuple[str, str]]) -> str:
     return "<table>" + "".join(lines) + "</table>"
 
 
-def _pairs(values: Mapping[str, object]) -> str:
+def _text_table(values: Mapping[str, object]) -> str:
     """Return a table of texts from a log."""
-    return _table((_text(key), f"<code>{_text(value)}</code>") for key, value in values.items())
+    return _table((_escaped_text(key), f"<code>{_escaped_text(value)}</code>") for key, value in values.items())
 
 
-def _numbers(
+def _number_table(
     log: RunLog,
     hand: Hand,
     truth: TruthRecord | None,
@@ -120,8 +120,8 @@ def _numbers(
         ("frames lost", f"{frames.lost}"),
         ("ticks with a silent bus", f"{frames.silent}"),
         ("gaps in the log", f"{len(log.gaps)}"),
-        ("faults", _faults(log)),
-        ("contacts", _contacts(log)),
+        ("faults", _fault_counts(log)),
+        ("contacts", _contact_times(log)),
         (
             "steps of the wall clock",
             ", ".join(f"{s.step_s:+.1f} s at {s.t_s:.0f} s" for s in steps(log.clock_pairs)),
@@ -132,18 +132,18 @@ def _numbers(
         ),
         (
             "tracking error in free motion, against the plant",
-            _unit(np.degrees(summary["tracking_rmse_rad"]), "deg rms"),
+            _number_text(np.degrees(summary["tracking_rmse_rad"]), "deg rms"),
         ),
-        ("tension estimate, against the plant", _unit(summary["tension_rmse_n"], "N rms")),
-        ("object moved while held", _unit(summary["object_motion_mm"], "mm")),
+        ("tension estimate, against the plant", _number_text(summary["tension_rmse_n"], "N rms")),
+        ("object moved while held", _number_text(summary["object_motion_mm"], "mm")),
     ]
-    rows += [(_text(name), text) for name, text in angle_rows(summary["joint_angles"])]
+    rows += [(_escaped_text(name), text) for name, text in angle_rows(summary["joint_angles"])]
     forces = summary["tip_equivalent_force_n"]
-    rows += [(f"{name}: tip-equivalent force", _unit(force, "N")) for name, force in forces.items()]
+    rows += [(f"{name}: tip-equivalent force", _number_text(force, "N")) for name, force in forces.items()]
     return _table((name, text) for name, text in rows if text)
 
 
-def _unit(value: float, unit: str) -> str:
+def _number_text(value: float, unit: str) -> str:
     """Return a number as text with its unit, empty for NaN."""
     return "" if value != value else f"{value:.2f} {unit}"
 
@@ -153,14 +153,14 @@ def _legend(hand: Hand) -> str:
     from handctl.report.run_figure import COLOURS
 
     marks = (
-        f'<span style="color:{COLOURS[d % len(COLOURS)]}">&#9679;</span> {_text(n)}'
+        f'<span style="color:{COLOURS[d % len(COLOURS)]}">&#9679;</span> {_escaped_text(n)}'
         for d, n in enumerate(hand.digit_names)
     )
     note = "by the estimated joint angles; arrows are the estimated force of the object on a fingertip"
     return "<p>" + " &nbsp; ".join(marks) + f"; {note}</p>"
 
 
-def _run(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> str:
+def _run_image(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> str:
     """Return the figure of the run as an embedded image."""
     with tempfile.TemporaryDirectory() as folder:
         picture = Path(folder) / "run.png"
@@ -170,36 +170,39 @@ def _run(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> 
     return f'<img alt="{alt}" src="data:image/png;base64,{data}">'
 
 
-def _faults(log: RunLog) -> str:
+def _fault_counts(log: RunLog) -> str:
     """Return the number of reports of each fault, and the time of the first report."""
     first: dict[str, float] = {}
     counts: Counter[str] = Counter()
-    for event in _named(log, "fault"):
+    for event in _events_named(log, "fault"):
         fault = event.event.text.partition(":")[0]
         first.setdefault(fault, event.t_ns / 1e9)
         counts[fault] += 1
-    lines = (f"{_text(fault)}: {counts[fault]}, first at {t:.3f} s" for fault, t in first.items())
+    lines = (f"{_escaped_text(fault)}: {counts[fault]}, first at {t:.3f} s" for fault, t in first.items())
     return "<br>".join(lines) or "none"
 
 
-def _contacts(log: RunLog) -> str:
+def _contact_times(log: RunLog) -> str:
     """Return the contacts with their times."""
-    lines = (f"{_text(event.event.text)} at {event.t_ns / 1e9:.3f} s" for event in _named(log, "contact"))
+    lines = (
+        f"{_escaped_text(event.event.text)} at {event.t_ns / 1e9:.3f} s" for event in _events_named(log, "contact")
+    )
     return "<br>".join(islice(lines, MAX_CONTACTS))
 
 
-def _named(log: RunLog, name: str) -> Iterator[LoggedEvent]:
+def _events_named(log: RunLog, name: str) -> Iterator[LoggedEvent]:
     """Return the events with a given name."""
     return (event for event in log.events if event.event.name == name)
 
 
-def _events(log: RunLog) -> str:
+def _event_table(log: RunLog) -> str:
     """Return the table of events."""
     hidden = len(log.events) - MAX_EVENTS
     more = f"<p>and {hidden} more: handctl log info</p>" if hidden > 0 else ""
     rows = (
-        f'<tr class="{_text(event.level)}"><td class=n>{t_ns / 1e9:.3f} s</td><td>{_text(event.level)}</td>'
-        f"<td>{_text(event.name)}</td><td>{_text(event.text)}</td></tr>"
+        f'<tr class="{_escaped_text(event.level)}"><td class=n>{t_ns / 1e9:.3f} s</td>'
+        f"<td>{_escaped_text(event.level)}</td>"
+        f"<td>{_escaped_text(event.name)}</td><td>{_escaped_text(event.text)}</td></tr>"
         for _, t_ns, event in log.events[:MAX_EVENTS]
     )
     return "<table>" + "".join(rows) + "</table>" + more

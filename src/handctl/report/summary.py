@@ -89,15 +89,15 @@ def hold_windows(log: RunLog) -> list[NDArray[np.bool_]]:
             continue
         end = changes[i + 1].k if i + 1 < len(changes) else log.k[-1] + 1
         inside = (log.k >= change.k) & (log.k < end)
-        window = inside & in_contact & _after(inside & moving, inside, log)
+        window = inside & in_contact & _settled_mask(inside & moving, inside, log)
         if not window.any() and inside.any():
             far = np.abs(goal - goal[inside][-1]).max(axis=1) > STEADY_N
-            window = inside & in_contact & _after(inside & far, inside, log)
+            window = inside & in_contact & _settled_mask(inside & far, inside, log)
         windows.append(window)
     return windows
 
 
-def _after(moving: NDArray[np.bool_], inside: NDArray[np.bool_], log: RunLog) -> NDArray[np.bool_]:
+def _settled_mask(moving: NDArray[np.bool_], inside: NDArray[np.bool_], log: RunLog) -> NDArray[np.bool_]:
     """Return a mask (ticks,), True where the targets of a hold have been constant for SETTLED_S."""
     last = np.flatnonzero(moving)
     settled: NDArray[np.bool_] = log.times >= log.times[last[-1] if len(last) else np.argmax(inside)] + SETTLED_S
@@ -137,13 +137,13 @@ def judge_tracking(
     if truth is None:
         return unknown
     real = mean_angles(hand, truth.table([f"q/{joint}" for joint in hand.joints], log.t_ns + offset_ns))
-    touched = _touched(truth, hand, log, offset_ns)
+    touched = _touch_mask(truth, hand, log, offset_ns)
     error = np.where(free & ~touched, goal - real, np.nan)
     per_digit = {name: np.degrees(rms(error[:, d])) for d, name in enumerate(hand.digit_names)}
     return {"tracking_rmse_rad": rms(error), "tracking_rmse_deg": per_digit}
 
 
-def _touched(truth: TruthRecord, hand: Hand, log: RunLog, offset_ns: int) -> NDArray[np.bool_]:
+def _touch_mask(truth: TruthRecord, hand: Hand, log: RunLog, offset_ns: int) -> NDArray[np.bool_]:
     """Return a mask (ticks, D), True where the plant has a contact on the digit."""
     t_ns = log.t_ns + offset_ns
     force = [
@@ -180,7 +180,7 @@ def judge_tension(
     before = truth.table(names, log.t_ns - log.header.period_ns + offset_ns)
     # One of the two tendons of a spool pair is always taut.
     taut = active[:, None] & ((real > 0.5) | hand.is_pair)
-    error = np.where(_holding(log, hand), log.field("tension_goal") - real, np.nan)
+    error = np.where(_holding_mask(log, hand), log.field("tension_goal") - real, np.nan)
     columns = [column[~np.isnan(column)] for hold in holds for column in error[hold].T]
     columns = [column for column in columns if len(column)]
     return {
@@ -191,7 +191,7 @@ def judge_tension(
     }
 
 
-def _holding(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
+def _holding_mask(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
     """Return a mask (ticks, N), True where the tendon pulls at a tension because its digit is in contact.
 
     A spool pair that moves a digit sideways holds its position instead.

@@ -105,7 +105,7 @@ class GainsStore:
                 `set_aside`.
         """
         self._keep_edited()
-        return self._put(gains, provenance)
+        return self._write_gains(gains, provenance)
 
     def rollback(self, to: int | None = None) -> GainsFile:
         """Restore the gains before the present gains, or the gains with a given number.
@@ -120,13 +120,13 @@ class GainsStore:
         present = self.present()
         if to is None and (present is None or present.provenance.number not in entries):
             raise ConfigError("nothing was applied before", str(self.history), "handctl gains apply first")
-        number = _before(entries, present) if to is None and present is not None else to or 0
+        number = _previous_number(entries, present) if to is None and present is not None else to or 0
         if number and number not in entries:
             numbers = ", ".join(map(str, [0, *entries]))
             raise ConfigError(f"no gains number {number}", str(self.history), f"one of {numbers}")
         old = entries[number].file if number else GainsFile()
         note = f"rollback to {number}" if number else "rollback to the packaged gains"
-        return self._put(old.gains, old.provenance.model_copy(update={"note": note}), restores=number)
+        return self._write_gains(old.gains, old.provenance.model_copy(update={"note": note}), restores=number)
 
     def _keep_edited(self) -> None:
         """Add present gains that are not in the history to the history."""
@@ -135,9 +135,9 @@ class GainsStore:
             return
         gains_by_number = {entry.number: entry.file.gains for entry in self.entries()}
         if gains_by_number.get(present.provenance.number) != present.gains:
-            self._put(present.gains, present.provenance.model_copy(update={"note": BY_HAND}))
+            self._write_gains(present.gains, present.provenance.model_copy(update={"note": BY_HAND}))
 
-    def _put(self, gains: Gains, provenance: Provenance, restores: int | None = None) -> GainsFile:
+    def _write_gains(self, gains: Gains, provenance: Provenance, restores: int | None = None) -> GainsFile:
         """Write gains under the next number of the history, then as present gains.
 
         A present file that is not in the history, e.g. a copy, counts as newer than the newest
@@ -172,7 +172,7 @@ class GainsStore:
         return load_gains_file(self.path)
 
 
-def _before(entries: dict[int, Entry], present: GainsFile) -> int:
+def _previous_number(entries: dict[int, Entry], present: GainsFile) -> int:
     """Return the number of the gains that were present before the present gains.
 
     After a rollback the restored number counts as the present number.

@@ -48,12 +48,12 @@ def draw_loops(path: Path, before: HandModel, after: HandModel, title: str) -> N
     figure.suptitle(f"{title}: {before.hand.tendon_names[0]}")
     for row, kind in zip(figure.subplots(2, 4), LoopKind, strict=True):
         for model, colour, name in ((before, BEFORE, "before"), (after, AFTER, "after")):
-            _loop(row, model, kind, colour, name)
+            _draw_loop(row, model, kind, colour, name)
         _frame(row, kind)
     save_figure(figure, path)
 
 
-def _loop(row: Any, model: HandModel, kind: LoopKind, colour: str, name: str) -> None:
+def _draw_loop(row: Any, model: HandModel, kind: LoopKind, colour: str, name: str) -> None:
     system = loop(model, 0, kind)
     omega = grid(system.period)
     L = system.response(omega)[:, 0, 0]

@@ -88,18 +88,18 @@ def evaluate(job: Mapping[str, Any]) -> dict[str, Any]:
     plants = job["plants"]
     shortfall = worst_of(model, tuple(linear_factors(factors) for factors in plants)).shortfall
     if shortfall > 0.0 and job.get("must_keep_margins", False):
-        return _table(Score(FAILED, FAILED, FAILED, 0.0, shortfall, "margins"))
+        return _score_table(Score(FAILED, FAILED, FAILED, 0.0, shortfall, "margins"))
     runs = []
     for i, factors in enumerate(plants):
         runs.append(exercise(hand, model, factors, int(job["seed"]) + i))
         if runs[-1].failure:
-            return _table(Score(FAILED, FAILED, FAILED, runs[-1].peak_tension_N, shortfall, runs[-1].failure))
+            return _score_table(Score(FAILED, FAILED, FAILED, runs[-1].peak_tension_N, shortfall, runs[-1].failure))
     # Root mean square over the plants, so the worst plants weigh most.
     tracking, tension, effort = np.sqrt(np.mean([np.square(run.objectives) for run in runs], axis=0)).tolist()
-    return _table(Score(tracking, tension, effort, max(run.peak_tension_N for run in runs), shortfall))
+    return _score_table(Score(tracking, tension, effort, max(run.peak_tension_N for run in runs), shortfall))
 
 
-def _table(score: Score) -> dict[str, Any]:
+def _score_table(score: Score) -> dict[str, Any]:
     return {name: getattr(score, name) for name in Score.__dataclass_fields__}
 
 

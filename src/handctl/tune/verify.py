@@ -113,7 +113,7 @@ class VerifyObserver:
             if self._round == self.old_rounds + 1:
                 self._request_gains(self.new)
         self._phase = out.phase
-        ringing = self._ringing(entry, out)
+        ringing = self._torque_rate(entry, out)
         if self._round <= self.old_rounds:
             self._max_ringing = max(self._max_ringing, ringing)
         elif self.returned is None and (reason := self._violated_limit(out, ringing)):
@@ -126,7 +126,7 @@ class VerifyObserver:
         values = {key: value for key, value in flat(gains).items() if key.partition(".")[0] in LIVE}
         self._requests.append(json.dumps({"do": "gains", "set": values}))
 
-    def _ringing(self, entry: TickIn, out: TickOut) -> float:
+    def _torque_rate(self, entry: TickIn, out: TickOut) -> float:
         """Return the rate of change of the motor torques, RMS over a window [N m/s]."""
         torque = out.telemetry.motor_torque_goal
         before = self._torque

@@ -58,11 +58,11 @@ def browse(
         parts = run_parts(path, run, FIRST_NS, scan)
         first = list(islice(parts, 2))
         running = launch.ready()
-        _send(running, run, chain.from_iterable(chain(first, parts)))
+        _send_chunks(running, run, chain.from_iterable(chain(first, parts)))
         yield running
 
 
-def _send(running: Viewer, run: RunInfo, chunks: "Iterator[Chunk]") -> None:
+def _send_chunks(running: Viewer, run: RunInfo, chunks: "Iterator[Chunk]") -> None:
     """Send all chunks until the end or until the viewer is closed."""
     import rerun as rr
 

@@ -97,7 +97,7 @@ def follow(log: Path, arguments: Sequence[str] = (), stop: TerminationFlag | Non
     if not headless:
         check_screen()
     stop = stop or TerminationFlag()
-    run = _appeared(log, stop)
+    run = _wait_for_header(log, stop)
     if run is None:
         return
     running = start_viewer(["--expect-data-soon", *arguments], software_vulkan() if headless else {})
@@ -124,7 +124,7 @@ def _until_end(follower: Follower, running: Viewer, stop: TerminationFlag) -> No
         time.sleep(max(PERIOD_S - (time.monotonic() - start), PERIOD_S / 4))
 
 
-def _appeared(log: Path, stop: TerminationFlag) -> RunInfo | None:
+def _wait_for_header(log: Path, stop: TerminationFlag) -> RunInfo | None:
     """Wait for the header of a log, and return the reader, or None after a stop request."""
     end = time.monotonic() + APPEAR_S
     while not stop.asked:

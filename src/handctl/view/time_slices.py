@@ -40,7 +40,7 @@ def time_slices(path: Path, scan: RecordScan, folder: Path, first_ns: int) -> It
         rest = scan.chunks[1:]
         starts = [chunk.offset for chunk in rest] + [scan.end]
         part = folder / "part.mcap"
-        for group in _groups(head.first, rest, first_ns) or [[]]:
+        for group in _group_chunks(head.first, rest, first_ns) or [[]]:
             first = rest.index(group[0]) if group else 0
             for chunk in group:
                 file.content(chunk)  # its checksum: Rerun would show what is damaged
@@ -59,7 +59,7 @@ def time_slices(path: Path, scan: RecordScan, folder: Path, first_ns: int) -> It
         file.close()
 
 
-def _groups(start_ns: int, chunks: list[ChunkLocation], first_ns: int) -> list[list[ChunkLocation]]:
+def _group_chunks(start_ns: int, chunks: list[ChunkLocation], first_ns: int) -> list[list[ChunkLocation]]:
     """Return the chunks grouped by the part in which each chunk begins."""
     groups: dict[int, list[ChunkLocation]] = {}
     for chunk in chunks:

@@ -62,19 +62,19 @@ def software_vulkan() -> dict[str, str]:
     """
     if not sys.platform.startswith("linux"):
         return {}
-    drivers = _drivers(SOFTWARE_ICD) or _drivers("*.json")
+    drivers = _driver_files(SOFTWARE_ICD) or _driver_files("*.json")
     configured = any(os.environ.get(name) for name in ("VK_ICD_FILENAMES", "VK_DRIVER_FILES"))
-    if not _loader() or not (drivers or configured):
+    if not _has_loader() or not (drivers or configured):
         raise ConfigError("no Vulkan driver to draw with", "", f"the Debian packages {PACKAGES}")
     return {} if configured else {"VK_ICD_FILENAMES": str(drivers[0])}
 
 
-def _drivers(pattern: str) -> list[Path]:
+def _driver_files(pattern: str) -> list[Path]:
     """Return the description files of installed Vulkan drivers."""
     return [path for folder in ICD_FOLDERS for path in sorted(Path(folder).glob(pattern))]
 
 
-def _loader() -> bool:
+def _has_loader() -> bool:
     """Return True if the Vulkan loader is installed."""
     try:
         ctypes.CDLL("libvulkan.so.1")
@@ -135,7 +135,7 @@ class Launch:
         """
         url = ""
         try:
-            url = _url(self.process, self.notes)
+            url = _wait_for_url(self.process, self.notes)
         finally:
             self.notes.close()
             if not url:
@@ -206,7 +206,7 @@ def viewer(arguments: Sequence[str], environment: dict[str, str]) -> Iterator[Vi
         yield launch.ready()
 
 
-def _url(process: "subprocess.Popen[bytes]", notes: IO[bytes]) -> str:
+def _wait_for_url(process: "subprocess.Popen[bytes]", notes: IO[bytes]) -> str:
     """Wait for the viewer's address in its output, and return the address.
 
     Raises:

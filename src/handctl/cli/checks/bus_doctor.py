@@ -69,10 +69,10 @@ def _examine(spec: str, expected: BusSection, hand: Hand | None) -> dict[str, An
     """Return the JSON result of one bus: findings about the interface, and about the nodes if the interface works."""
     note(f"{spec}: looking")
     kind, _, channel = spec.partition(":")
-    rows = _interface(channel, expected) if kind == "socketcan" else []
+    rows = _check_interface(channel, expected) if kind == "socketcan" else []
     trips: list[tuple[DiscoveredNode, RoundTrip]] = []
     if not any(finding.fatal for finding in rows):
-        more, trips = _nodes(spec, expected, hand)
+        more, trips = _check_nodes(spec, expected, hand)
         rows += more
     return {
         "bus": spec,
@@ -82,7 +82,7 @@ def _examine(spec: str, expected: BusSection, hand: Hand | None) -> dict[str, An
     }
 
 
-def _interface(channel: str, expected: BusSection) -> list[LinkFinding]:
+def _check_interface(channel: str, expected: BusSection) -> list[LinkFinding]:
     try:
         link = read_link(channel)
     except MissingTool:
@@ -102,7 +102,7 @@ def _interface(channel: str, expected: BusSection) -> list[LinkFinding]:
     return rows + adapter_findings(channel, adapter, link.kind, others)
 
 
-def _nodes(
+def _check_nodes(
     spec: str, expected: BusSection, hand: Hand | None
 ) -> tuple[list[LinkFinding], list[tuple[DiscoveredNode, RoundTrip]]]:
     """Open the bus, scan for nodes, and measure their round-trip times."""
@@ -115,16 +115,16 @@ def _nodes(
         trips = [] if result.foreign else _timed(bus, result)
     finally:
         bus.close()
-    rows = [LinkFinding("can be opened", True), *_events(result), *map(_answers, trips)]
+    rows = [LinkFinding("can be opened", True), *_event_findings(result), *map(_answers, trips)]
     rows += [
         LinkFinding(f"{node.protocol} {node.node_id}: two drives answer", False, TWINS)
-        for node in _twins(result, trips)
+        for node in _nodes_with_twins(result, trips)
     ]
     if result.foreign:
         what = "another host is at work: nodes were not asked"
         rows.append(LinkFinding(what, False, "end it, and look again"))
     elif hand is not None:
-        rows += _missing(hand, expected.name, result)
+        rows += _missing_motors(hand, expected.name, result)
     elif not result.found:
         rows.append(LinkFinding("no drive answers", False, f"{WIRING}; {not_looked_for()}"))
     else:
@@ -132,7 +132,7 @@ def _nodes(
     return rows, trips
 
 
-def _twins(result: Scan, trips: list[tuple[DiscoveredNode, RoundTrip]]) -> list[DiscoveredNode]:
+def _nodes_with_twins(result: Scan, trips: list[tuple[DiscoveredNode, RoundTrip]]) -> list[DiscoveredNode]:
     """Return the nodes whose number is used by more than one drive."""
     twice = [node for node, trip in trips if trip.twins]
     return [node for node in result.found if node.twins or node in twice]
@@ -142,7 +142,7 @@ def _timed(bus: Bus, result: Scan) -> list[tuple[DiscoveredNode, RoundTrip]]:
     return [(node, round_trip(bus, node)) for node in result.found if node.protocol in DISCOVERIES]
 
 
-def _events(result: Scan) -> list[LinkFinding]:
+def _event_findings(result: Scan) -> list[LinkFinding]:
     """Return one finding per kind of bus event during the scan."""
     return [LinkFinding(f"while asking: {kind}, {number} times", False, WIRING) for kind, _, number in result.events]
 
@@ -158,7 +158,7 @@ def _answers(timed: tuple[DiscoveredNode, RoundTrip]) -> LinkFinding:
     return LinkFinding(what, good, BUSY)
 
 
-def _missing(hand: Hand, bus: str, result: Scan) -> list[LinkFinding]:
+def _missing_motors(hand: Hand, bus: str, result: Scan) -> list[LinkFinding]:
     """Return one finding per motor of the hand file that did not answer."""
     there = {(node.protocol, node.node_id) for node in result.found}
     motors = [motor for motor in hand.motor if motor.bus == bus and (motor.protocol, motor.node_id) not in there]

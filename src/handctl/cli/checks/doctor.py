@@ -20,7 +20,15 @@ from handctl.session.exit_codes import Exit
 
 def run(args: argparse.Namespace) -> int:
     """Check priority, CAN, viewer, and disk space. Returns 1 if a finding needs a repair."""
-    findings = [_priority(), _memory(), _socketcan(), _interfaces(), _vulkan(), _extras(), _space()]
+    findings = [
+        _check_priority(),
+        _check_memory(),
+        _check_socketcan(),
+        _check_interfaces(),
+        _check_vulkan(),
+        _extras(),
+        _check_space(),
+    ]
     if args.json:
         rows = [{"what": what, "good": good, "fix": fix} for what, good, fix in findings]
         print_json({"findings": rows} | _versions())
@@ -57,15 +65,15 @@ def _extras() -> Finding:
     return f"optional packages; not installed: {', '.join(missing) or 'none'}", True, ""  # a controller needs none
 
 
-def _granted() -> Priority:
+def _granted_priority() -> Priority:
     """Return the priority granted by the system. The priority is requested and then released."""
     granted = take_priority()
     give_back_priority()
     return granted
 
 
-def _priority() -> Finding:
-    granted = _granted().realtime
+def _check_priority() -> Finding:
+    granted = _granted_priority().realtime
     return (
         "real-time priority (SCHED_FIFO)",
         granted,
@@ -73,8 +81,8 @@ def _priority() -> Finding:
     )
 
 
-def _memory() -> Finding:
-    granted = _granted().locked
+def _check_memory() -> Finding:
+    granted = _granted_priority().locked
     return (
         "locked memory",
         granted,
@@ -82,7 +90,7 @@ def _memory() -> Finding:
     )
 
 
-def _socketcan() -> Finding:
+def _check_socketcan() -> Finding:
     fix = "the kernel has no CAN: use local:NAME, or load it with 'modprobe can can_raw vcan'"
     if not hasattr(socket, "AF_CAN"):
         return "SocketCAN", False, "only Linux has it: use local:NAME or a python-can interface"
@@ -93,7 +101,7 @@ def _socketcan() -> Finding:
     return "SocketCAN", True, ""
 
 
-def _interfaces() -> Finding:
+def _check_interfaces() -> Finding:
     net = Path("/sys/class/net")
     names = [
         path.name for path in net.glob("*") if (path / "type").exists() and (path / "type").read_text().strip() == "280"
@@ -102,12 +110,12 @@ def _interfaces() -> Finding:
     return f"CAN interfaces: {', '.join(sorted(names)) or 'none'}", bool(names), fix
 
 
-def _vulkan() -> Finding:
+def _check_vulkan() -> Finding:
     has_driver = bool(list(Path("/usr/share/vulkan/icd.d").glob("*.json"))) or sys.platform != "linux"
     return "Vulkan driver for pictures of the viewer", has_driver, "install libvulkan1 and mesa-vulkan-drivers"
 
 
-def _space() -> Finding:
+def _check_space() -> Finding:
     try:
         folder = run_dir()
     except BusError as error:

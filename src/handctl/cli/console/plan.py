@@ -32,7 +32,7 @@ def make_plan(args: argparse.Namespace, lockstep: bool = False) -> plan.Plan:
         log=args.log,
         clear=args.clear,
     )
-    display = None if args.json or is_quiet() else _display
+    display = None if args.json or is_quiet() else _display_starter
     run_plan = replace(plan.make_plan(choice, display, notice), progress=progress)
     if is_verbose():
         _describe(args, run_plan)
@@ -61,7 +61,7 @@ def notice(text: str) -> None:
         note(text)
 
 
-def _display(of: plan.Plan) -> plan.Display:
+def _display_starter(of: plan.Plan) -> plan.Display:
     """Return a function that starts the display of a run."""
     from handctl.cli.console.display import DisplayProcess
 

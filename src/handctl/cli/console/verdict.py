@@ -21,12 +21,15 @@ def print_summary(result: dict[str, Any], plan: Plan) -> None:
         ("raw load cell against truth", _with(result["tension_raw_rmse_n"], 1.0, "N rms", 2)),
         ("tension while holding, error", _with(result["tension_hold_error_n"], 1.0, "N", 2)),
         ("object moved while held", _with(result["object_motion_mm"], 1.0, "mm", 3)),
-        *_lift(result),
+        *_lift_text(result),
         *angle_rows(result["joint_angles"]),
-        *_forces(result),
+        *_forces_text(result),
         ("bus load, worst case", f"{100 * result['bus_load']:.0f} %"),
         ("frames sent / received", f"{result['frames_tx']} / {result['frames_rx']}"),
-        ("frames late / lost", f"{result['frames_late']} / {result['frames_lost']}{_pauses(result['silent_ticks'])}"),
+        (
+            "frames late / lost",
+            f"{result['frames_late']} / {result['frames_lost']}{_pauses_text(result['silent_ticks'])}",
+        ),
         ("log", f"{result['log']} ({result['log_bytes'] / 1e6:.1f} MB)"),
         ("priority", result["priority"]),
     ]
@@ -40,7 +43,7 @@ def print_summary(result: dict[str, Any], plan: Plan) -> None:
     console.print(f"look at it: handctl view {result['log']}", soft_wrap=True)
 
 
-def _pauses(silent: int) -> str:
+def _pauses_text(silent: int) -> str:
     """Return the explanation of late frames: number of ticks without an answer from any node."""
     return f", bus silent for {silent} tick{'s' if silent > 1 else ''}" if silent else ""
 
@@ -53,7 +56,7 @@ def _with(value: float, scale: float, unit: str, digits: int) -> str:
     return "-" if value != value else f"{value * scale:.{digits}f} {unit}"
 
 
-def _lift(result: dict[str, Any]) -> list[tuple[str, str]]:
+def _lift_text(result: dict[str, Any]) -> list[tuple[str, str]]:
     """Return how far the table sank and how far the object then moved, empty without a sinking table."""
     sunk = result["table_sunk_mm"]
     slid = result["object_slid_mm"]
@@ -62,7 +65,7 @@ def _lift(result: dict[str, Any]) -> list[tuple[str, str]]:
     return [("table sank / object moved then", f"{sunk:.0f} mm / {_with(slid, 1.0, 'mm', 3)}")]
 
 
-def _forces(result: dict[str, Any]) -> list[tuple[str, str]]:
+def _forces_text(result: dict[str, Any]) -> list[tuple[str, str]]:
     """Return the estimated tip force of each digit, next to the true contact force."""
     estimated = result["tip_equivalent_force_n"]
     real = result["contact_force_n"]

@@ -56,15 +56,15 @@ def _info(args: argparse.Namespace) -> int:
         print_json(result)
         return Exit.DONE if result["whole"] else Exit.LOSSY_LOG
     for key, value in result.items():
-        table = [f"{name}: {_shown(one)}" for name, one in value.items()] if isinstance(value, dict) else [value]
+        table = [f"{name}: {_value_text(one)}" for name, one in value.items()] if isinstance(value, dict) else [value]
         first, *more = (value if isinstance(value, list) else table) or [""]
-        say(f"{key:<12} {_shown(first)}")
+        say(f"{key:<12} {_value_text(first)}")
         for line in more:
-            say(f"{'':<12} {_shown(line)}")
+            say(f"{'':<12} {_value_text(line)}")
     return Exit.DONE if result["whole"] else Exit.LOSSY_LOG
 
 
-def _shown(value: object) -> str:
+def _value_text(value: object) -> str:
     """Return a value as text: yes or no, 9 significant digits, or ``-`` if empty."""
     if isinstance(value, bool):
         return "yes" if value else "no"

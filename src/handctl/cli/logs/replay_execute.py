@@ -27,11 +27,11 @@ def run(args: argparse.Namespace) -> int:
 
     with RunLog(args.recorded) as log:
         lossy = warn_if_lossy(args.recorded, log.warning)
-        passed = _other_gains(args, log) if args.gains else _same(args, log)
+        passed = _other_gains(args, log) if args.gains else _execute_unchanged(args, log)
     return lossy if passed else Exit.FAILED
 
 
-def _same(args: argparse.Namespace, log: Any) -> bool:
+def _execute_unchanged(args: argparse.Namespace, log: Any) -> bool:
     """Execute the log with its own gains. Return True if all ticks are equal or within tolerance."""
     from importlib.metadata import version
 
@@ -43,7 +43,7 @@ def _same(args: argparse.Namespace, log: Any) -> bool:
         execution = execute(log, progress=update_progress, workers=workers)
     passed = not execution.differing if args.within is None else within_tolerance(execution, args.within)
     here = (version("handctl"), code_identity())
-    logged_by = _writer(log)
+    logged_by = _writer_text(log)
     result = {
         "log": str(args.recorded),
         "ticks": execution.ticks,
@@ -69,7 +69,7 @@ def _same(args: argparse.Namespace, log: Any) -> bool:
         say(f"{execution.ticks} ticks, {execution.differing} differ, {execution.undecided} decide something else")
         for word, one in (("first", execution.first), ("state", execution.state), ("largest", execution.largest)):
             if one:
-                say(f"{word}: {_sentence(one)}")
+                say(f"{word}: {_difference_line(one)}")
         say(f"{execution.wall_s:.2f} s, {execution.times_real_time:.1f} times real time")
         if execution.differing and log.gaps:
             gap = log.gaps[0]
@@ -81,14 +81,14 @@ def _same(args: argparse.Namespace, log: Any) -> bool:
     return passed
 
 
-def _writer(log: Any) -> tuple[str, str]:
+def _writer_text(log: Any) -> tuple[str, str]:
     """Return version and code identity of the handctl that wrote a log."""
     from handctl.log.code_identity import UNKNOWN
 
     return log.header.metadata.get("version", UNKNOWN), log.header.metadata.get("code", UNKNOWN)
 
 
-def _sentence(one: Any) -> str:
+def _difference_line(one: Any) -> str:
     """Return a difference as one line of text: tick, time [s], field, logged and computed value."""
     place = f"{one.field} of {one.name}" if one.name else one.field
     apart = f", {one.ulps} units in the last place" if one.ulps is not None else ""
@@ -118,7 +118,7 @@ def _other_gains(args: argparse.Namespace, log: Any) -> bool:
         return True
     say(f"{execution.ticks} ticks, {execution.differing} commanded or estimated otherwise")
     if execution.first:
-        say(f"first: {_sentence(execution.first)}")
+        say(f"first: {_difference_line(execution.first)}")
     for unit, rows in change.items():
         for name, size in rows.items():
             say(f"{name:<18} {unit:<18} rms {size['rms']:.4g}, peak {size['peak']:.4g}")

@@ -17,7 +17,7 @@ from handctl.session.exit_codes import Exit
 def run(args: argparse.Namespace) -> int:
     """Show the log, or write the requested recording and picture. Returns the exit code."""
     os.environ.setdefault("RUST_LOG", "error")  # hide Rerun's own log lines: handctl reports the errors itself
-    _check(args)
+    _check_options(args)
     if args.follow:
         from handctl.view.follow import follow
 
@@ -27,8 +27,8 @@ def run(args: argparse.Namespace) -> int:
     from handctl.view.scene.run_info import RunInfo
 
     with RunLog(args.log, checked=False) as log:
-        run_info = replace(RunInfo.of(log.header, args.log.stem), truth=_truth(args, log))
-        at_s = _moment(args, log) if args.picture else 0.0
+        run_info = replace(RunInfo.of(log.header, args.log.stem), truth=_find_truth(args, log))
+        at_s = _picture_moment_s(args, log) if args.picture else 0.0
         warning = log.warning
         scan = log.scan
     code = warn_if_lossy(args.log, warning)
@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     return code
 
 
-def _truth(args: argparse.Namespace, log: Any) -> Any:
+def _find_truth(args: argparse.Namespace, log: Any) -> Any:
     """Return the truth of a run in lockstep, or None if there is no truth file next to the log.
 
     Raises:
@@ -62,7 +62,7 @@ def _truth(args: argparse.Namespace, log: Any) -> Any:
     raise LogError("is of another time than the log", str(args.truth), "the truth of this run, in lockstep")
 
 
-def _moment(args: argparse.Namespace, log: Any) -> float:
+def _picture_moment_s(args: argparse.Namespace, log: Any) -> float:
     """Return the time in the run for the picture [s].
 
     Raises:
@@ -78,7 +78,7 @@ def _moment(args: argparse.Namespace, log: Any) -> float:
     return float(args.at)
 
 
-def _check(args: argparse.Namespace) -> None:
+def _check_options(args: argparse.Namespace) -> None:
     """Raise an error for contradicting options, before the log is read."""
     from handctl.view.viewer import check_screen, software_vulkan
 
@@ -112,10 +112,10 @@ def _write(args: argparse.Namespace, run_info: Any, at_s: float) -> dict[str, An
         rrd = args.save or Path(folder) / f"{args.log.stem}.rrd"
         if not args.save:
             write_rrd(args.log, run_info, rrd)
-        return _picture(args, rrd, at_s) | result
+        return _draw_picture(args, rrd, at_s) | result
 
 
-def _picture(args: argparse.Namespace, rrd: Path, at_s: float) -> dict[str, Any]:
+def _draw_picture(args: argparse.Namespace, rrd: Path, at_s: float) -> dict[str, Any]:
     from handctl.view.picture import draw
 
     reports = draw(rrd, at_s, args.picture)

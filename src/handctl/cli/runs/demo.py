@@ -56,7 +56,7 @@ def _run(args: argparse.Namespace) -> int:
     """Run the demo with one hand file for simulator and controller."""
     if args.lockstep and args.time_scale != 1:
         raise ConfigError(f"{args.time_scale:g}", "--time-scale", "no --lockstep with it: that has a time of its own")
-    args.bus = _buses(load_hand(args.hand).bus_names)
+    args.bus = _bus_words(load_hand(args.hand).bus_names)
     plan = make_plan(args, lockstep=args.lockstep)
     task, text = find_task(args.task, plan.hand)
     args.scene = find_scene(args.scene, plan.hand)
@@ -76,7 +76,7 @@ def _run(args: argparse.Namespace) -> int:
         truth = truth_path(plan.buses[0])
     wall = time.monotonic() - started
     result = judge(plan, outcome, log, truth, task=task)
-    result |= _speed(outcome, plan, wall) if args.lockstep else {}
+    result |= _speed_ratio(outcome, plan, wall) if args.lockstep else {}
     code = report(result, outcome, plan, args.json)
     if code == Exit.DONE and result["failure"]:
         print(f"handctl: {DriveError(result['failure'], f'{task.name} on {args.scene}')}", file=sys.stderr)
@@ -84,7 +84,7 @@ def _run(args: argparse.Namespace) -> int:
     return code
 
 
-def _buses(names: tuple[str, ...]) -> list[str]:
+def _bus_words(names: tuple[str, ...]) -> list[str]:
     """Return the ``--bus`` words for a hand: one local bus of this process per bus name."""
     spec = f"local:demo-{os.getpid()}"
     return [spec] if len(names) == 1 else [f"{name}={spec}-{name}" for name in names]
@@ -110,7 +110,7 @@ def _in_real_time(
     Returns the outcome and its plan.
     """
     retry = plan.time_scale > SLOWEST and not wire_words(args)  # a simulated wire can be slower than the machine
-    runners = (_live(view=False, refuse_late=retry), _live(args.view, refuse_late=retry))
+    runners = (_live_runner(view=False, refuse_late=retry), _live_runner(args.view, refuse_late=retry))
     commissioning = commission_log(log)
     try:
         with simulator(args, plan):
@@ -133,21 +133,21 @@ def _set_aside(log: Path, commissioning: Path, scale: float) -> None:
     """
     number = 1
     stem = f"{log.stem}-at-{scale:g}"
-    while any(map(os.path.lexists, _names(log, stem))):
+    while any(map(os.path.lexists, _log_names(log, stem))):
         number += 1
         stem = f"{log.stem}-at-{scale:g}-{number}"
-    for before, after in zip((log, commissioning), _names(log, stem), strict=True):
+    for before, after in zip((log, commissioning), _log_names(log, stem), strict=True):
         if before.exists():
             before.rename(after)
 
 
-def _names(log: Path, stem: str) -> tuple[Path, Path]:
+def _log_names(log: Path, stem: str) -> tuple[Path, Path]:
     """Return the log names of a run and of its commissioning, with another stem."""
     run_log = log.with_name(f"{stem}.mcap")
     return run_log, log.with_name(f"{stem}.commission.mcap")
 
 
-def _live(view: bool, refuse_late: bool) -> Runner:
+def _live_runner(view: bool, refuse_late: bool) -> Runner:
     def runner(plan: Plan, controller: Controller, log: Path) -> Outcome:
         outcome = run_live(plan, controller, log, live_view=view)
         state = outcome.state
@@ -188,7 +188,7 @@ def _simulator(args: argparse.Namespace, truth: Path | None) -> Simulator:
     return Simulator(args.hand, args.scene, args.seed, perturb, truth=truth, wire=args.wire)
 
 
-def _speed(outcome: Outcome, plan: Plan, wall: float) -> dict[str, Any]:
+def _speed_ratio(outcome: Outcome, plan: Plan, wall: float) -> dict[str, Any]:
     """Return simulated time divided by wall time, including commissioning."""
     simulated = (outcome.offset_ns + outcome.state.k * plan.period_ns) / 1e9
     return {"lockstep": True, "simulated_s": simulated, "wall_s": wall, "times_real_time": simulated / wall}

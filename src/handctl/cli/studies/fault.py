@@ -16,11 +16,11 @@ def run(args: argparse.Namespace) -> int:
 
         return fault_campaign.run(args) if args.action == "campaign" else fault_sequences.run(args)
     if args.action == "kinds":
-        return _kinds(args)
-    return _ask(args, {"inject": args.text} if args.action == "inject" else {"list": True})
+        return _print_kinds(args)
+    return _send_request(args, {"inject": args.text} if args.action == "inject" else {"list": True})
 
 
-def _ask(args: argparse.Namespace, question: dict[str, object]) -> int:
+def _send_request(args: argparse.Namespace, question: dict[str, object]) -> int:
     """Send a request to a running simulator and print its faults."""
     faults = ask_simulator(find_simulator(args.bus), question)["faults"]
     if args.json:
@@ -32,7 +32,7 @@ def _ask(args: argparse.Namespace, question: dict[str, object]) -> int:
     return 0
 
 
-def _kinds(args: argparse.Namespace) -> int:
+def _print_kinds(args: argparse.Namespace) -> int:
     """Print the kinds of fault with the instances that accept each kind."""
     kinds = ask_simulator(find_simulator(args.bus), {"kinds": True})["kinds"]
     if args.json:

@@ -36,8 +36,8 @@ def run(args: argparse.Namespace) -> int:
     """Compute all items, run the requested experiments, and print the items. Return the exit code."""
     if not 1 <= args.jobs <= 64:
         raise ConfigError(f"{args.jobs}", "--jobs", "1 to 64")
-    _writable(args.output, args.figures, args.export)
-    results = None if args.quick else _results(args.results, args.jobs)
+    _check_writable(args.output, args.figures, args.export)
+    results = None if args.quick else _load_or_measure(args.results, args.jobs)
     parts = sections(results)
     if args.export:
         _export(args.export)
@@ -50,22 +50,22 @@ def run(args: argparse.Namespace) -> int:
     return Exit.DONE
 
 
-def _results(path: Path | None, jobs: int) -> dict[str, Any]:
+def _load_or_measure(path: Path | None, jobs: int) -> dict[str, Any]:
     """Read the results of the experiments, or run the experiments and save their results.
 
     Raises:
         ConfigError: the file contains no results, or results cannot be written to the file.
     """
     if path is None:
-        return _measured(jobs)
+        return _measure_all(jobs)
     if path.exists():
         return load_results(path)
     check_output(path, "--results")
-    write_whole(path, json.dumps(shortened(_measured(jobs))) + "\n")
+    write_whole(path, json.dumps(shortened(_measure_all(jobs))) + "\n")
     return load_results(path)
 
 
-def _writable(report_file: Path | None, *folders: Path | None) -> None:
+def _check_writable(report_file: Path | None, *folders: Path | None) -> None:
     """Check, before the experiments, that report and folders can be written."""
     if report_file:
         check_output(report_file, "--output")
@@ -93,7 +93,7 @@ def _print(args: argparse.Namespace, parts: tuple[PageSection, ...]) -> None:
             print(f"written: {path}")
 
 
-def _measured(jobs: int) -> dict[str, Any]:
+def _measure_all(jobs: int) -> dict[str, Any]:
     """Run all experiments with a progress display, and return their results."""
     done = 0
     with progress("starting the simulator", count()) as update_progress:

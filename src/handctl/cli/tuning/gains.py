@@ -81,7 +81,7 @@ def _diff(args: argparse.Namespace, hand: Hand) -> int:
     sides = {0: ["packaged", "present"], 1: ["present", *args.sides], 2: args.sides}.get(len(args.sides))
     if sides is None:
         raise ConfigError(f"{len(args.sides)} sides", "gains diff", "at most two")
-    one, other = (flat(_side(word, hand)) for word in sides)
+    one, other = (flat(_gains_side(word, hand)) for word in sides)
     changed = {key: (one[key], other[key]) for key in one if one[key] != other[key]}
     if args.json:
         print_json({"sides": sides, "changed": changed})
@@ -92,7 +92,7 @@ def _diff(args: argparse.Namespace, hand: Hand) -> int:
     return Exit.DONE
 
 
-def _side(word: str, hand: Hand) -> Gains:
+def _gains_side(word: str, hand: Hand) -> Gains:
     """Return the gains named by ``word``: packaged, present, a history number, a log, or a gains file.
 
     Raises:
@@ -126,7 +126,7 @@ def _apply(args: argparse.Namespace, hand: Hand) -> int:
     provenance = file.provenance.model_copy(update={key: value for key, value in options.items() if value})
     store = GainsStore(hand.name, hand.identity)
     _set_aside(store)
-    return _done(args, store, store.apply(file.gains, provenance).provenance)
+    return _report_done(args, store, store.apply(file.gains, provenance).provenance)
 
 
 def _rollback(args: argparse.Namespace, hand: Hand) -> int:
@@ -138,7 +138,7 @@ def _rollback(args: argparse.Namespace, hand: Hand) -> int:
     entries = store.entries()
     newest = entries[-1].number if entries else 0
     to = newest if _set_aside(store) and args.to is None else args.to
-    return _done(args, store, store.rollback(to).provenance)
+    return _report_done(args, store, store.rollback(to).provenance)
 
 
 def _set_aside(store: GainsStore) -> bool:
@@ -152,7 +152,7 @@ def _set_aside(store: GainsStore) -> bool:
     return bool(aside)
 
 
-def _done(args: argparse.Namespace, store: GainsStore, provenance: Provenance) -> int:
+def _report_done(args: argparse.Namespace, store: GainsStore, provenance: Provenance) -> int:
     if args.json:
         print_json({"file": str(store.path), "provenance": provenance.model_dump()})
     else:
@@ -174,7 +174,7 @@ def _log(args: argparse.Namespace, hand: Hand) -> int:
         return Exit.DONE
     for entry in entries:
         mark = "*" if entry.number == _number(present) else " "
-        say(f"{mark} {entry.number:>4}  {_line(entry, entries)}")
+        say(f"{mark} {entry.number:>4}  {_entry_line(entry, entries)}")
     print(f"{len(entries)} applied; present: {_number(present) or 'packaged' if present is None else store.path}")
     return Exit.DONE
 
@@ -183,7 +183,7 @@ def _number(present: Any) -> int:
     return present.provenance.number if present else 0
 
 
-def _line(entry: Entry, entries: list[Entry]) -> str:
+def _entry_line(entry: Entry, entries: list[Entry]) -> str:
     """Return an entry of the history as one line: time, sources, and the first three changed gains."""
     before = {one.number: one.file.gains for one in entries}.get(entry.file.provenance.replaces, Gains())
     old = flat(before)
@@ -209,8 +209,8 @@ def _set(args: argparse.Namespace) -> int:
         watcher.fresh_line(TAKEN_OVER_S)
         line, texts = send_confirmed(watcher, {"do": "gains", "set": values})
         for text in texts:
-            _heed(text)
-        applied = _answers(watcher, values, line)
+            _raise_refusal(text)
+        applied = _wait_for_answers(watcher, values, line)
     finally:
         watcher.close()
     if args.json:
@@ -220,7 +220,7 @@ def _set(args: argparse.Namespace) -> int:
     return Exit.DONE
 
 
-def _answers(watcher: Any, values: dict[str, float], taken: dict[str, Any]) -> dict[str, str]:
+def _wait_for_answers(watcher: Any, values: dict[str, float], taken: dict[str, Any]) -> dict[str, str]:
     """Return the event text for each changed gain whose request was received in tick ``taken``.
 
     Raises:
@@ -233,12 +233,12 @@ def _answers(watcher: Any, values: dict[str, float], taken: dict[str, Any]) -> d
             if event["name"] == "gain" and event["where"] in values:
                 texts[event["where"]] = event["text"]
             if event["name"] == "gains":
-                _heed(event["text"])
+                _raise_refusal(event["text"])
                 return texts
     raise UnconfirmedError(watcher.name, "gains", "taken, but not taken over")
 
 
-def _heed(text: str) -> None:
+def _raise_refusal(text: str) -> None:
     """Raise an error if ``text`` contains a refusal.
 
     Raises:

@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     with console.status(f"keeping margins on {len(plants)} plants"):
         try:
             result: Design = (
-                _placed(args, model, plants, rate) if args.poles is not None else design(model, plants, proof)
+                _place_poles(args, model, plants, rate) if args.poles is not None else design(model, plants, proof)
             )
         except ValueError as error:
             return _report_failure(args, str(error))
@@ -73,7 +73,7 @@ def _report_failure(args: argparse.Namespace, reason: str) -> int:
     return Exit.FAILED
 
 
-def _placed(args: argparse.Namespace, model: HandModel, plants: Any, rate: float) -> Any:
+def _place_poles(args: argparse.Namespace, model: HandModel, plants: Any, rate: float) -> Any:
     """Return the design with poles at ``--poles-Hz`` [Hz] and the damping ratio ``--damping``.
 
     Raises:

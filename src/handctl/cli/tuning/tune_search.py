@@ -38,7 +38,9 @@ def run(args: argparse.Namespace) -> int:
     crew_size = checked_count(args.jobs, "--jobs", 64)
     storage = args.study or Path(f"{hand.name}.study")
     with _Progress(trials, args.json or is_quiet()) as progress:
-        plan = SearchPlan(twin.to_toml(), rate, gains, plants, args.seed, trials, _designed(twin, gains, rate, plants))
+        plan = SearchPlan(
+            twin.to_toml(), rate, gains, plants, args.seed, trials, _design_start(twin, gains, rate, plants)
+        )
         crew = workers(crew_size, args.scheduler)
         try:
             result = search(plan, storage, crew, progress.show)
@@ -70,7 +72,7 @@ def _report_infeasible(args: argparse.Namespace, result: Any, storage: Path, pic
     return Exit.FAILED
 
 
-def _designed(hand: Hand, gains: Gains, rate: float, plants: tuple[dict[str, float], ...]) -> tuple[Gains, ...]:
+def _design_start(hand: Hand, gains: Gains, rate: float, plants: tuple[dict[str, float], ...]) -> tuple[Gains, ...]:
     """Return the gains of a design for the same plants, as second start point, or none if the design fails."""
     from handctl.tune.loops.design import design, linear_factors
 

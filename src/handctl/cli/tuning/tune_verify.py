@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
         run_log = log if seed == first else log.with_stem(f"{log.stem}-seed{seed}")
         observer = VerifyObserver(plan.hand, base, new.gains)
         outcome, truth = _run(args, plan, Exercise(AMPLITUDES), observer, run_log)
-        runs.append(_judged(plan, outcome, observer, run_log, truth))
+        runs.append(_judge_run(plan, outcome, observer, run_log, truth))
         if not runs[-1]["through"]:
             break
     args.seed = first
@@ -78,7 +78,7 @@ def _run(args: argparse.Namespace, plan: Plan, program: Any, observer: Any, log:
         return run_lockstep(plan, make_controller(plan, program, calibration, True), log, clock, observer), truth
 
 
-def _judged(plan: Plan, outcome: Outcome, observer: Any, log: Path, truth_file: Path | None) -> dict[str, Any]:
+def _judge_run(plan: Plan, outcome: Outcome, observer: Any, log: Path, truth_file: Path | None) -> dict[str, Any]:
     """Score one run, and draw its picture. Returns the fields of the JSON result."""
     from handctl.log.read.reader import RunLog
     from handctl.report.truth import read_truth
@@ -144,7 +144,7 @@ def _print(result: dict[str, Any], rounds: Iterable[Any], args: argparse.Namespa
         table.add_column(heading)
     for i, (one, amplitude) in enumerate(zip(rounds, AMPLITUDES, strict=False)):
         numbers = (one.tracking_deg, one.tension_N, one.effort_Nm_per_s, one.peak_tension_N)
-        table.add_row(_who(i, result["returned"]), f"{amplitude:g}", *(f"{number:.2f}" for number in numbers))
+        table.add_row(_gains_label(i, result["returned"]), f"{amplitude:g}", *(f"{number:.2f}" for number in numbers))
     console = screen()
     console.print(table)
     back = result["returned"]
@@ -164,7 +164,7 @@ def _print(result: dict[str, Any], rounds: Iterable[Any], args: argparse.Namespa
     console.print(f"log: {result['log']}\npicture: {result['picture']}", soft_wrap=True)
 
 
-def _who(number: int, back: dict[str, Any] | None) -> str:
+def _gains_label(number: int, back: dict[str, Any] | None) -> str:
     """Return the label of a round's gains: old, new, or back to the old gains."""
     from handctl.tune.verify import AMPLITUDES, OLD_ROUNDS
 

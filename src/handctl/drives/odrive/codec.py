@@ -183,7 +183,7 @@ def position_message(node_id: int, ratio: float, zero: float, limit: float) -> M
         limit: largest position [rad at the spool].
     """
     signals = (
-        _float("position", Quantity.POSITION, 0, math.tau / ratio, -zero / ratio, "rad"),
+        _float_signal("position", Quantity.POSITION, 0, math.tau / ratio, -zero / ratio, "rad"),
         Signal("velocity", Quantity.UNUSED, 32, 16, False, Coding.SIGNED, 1e-3 * math.tau / ratio, 0.0, "rad/s"),
         Signal("torque", Quantity.UNUSED, 48, 16, False, Coding.SIGNED, 1e-3 * ratio, 0.0, "N m"),
     )
@@ -199,8 +199,8 @@ def velocity_message(node_id: int, ratio: float, limit: float) -> Message:
         limit: largest speed [rad/s at the spool].
     """
     signals = (
-        _float("velocity", Quantity.VELOCITY, 0, math.tau / ratio, 0.0, "rad/s"),
-        _float("torque", Quantity.UNUSED, 4, ratio, 0.0, "N m"),
+        _float_signal("velocity", Quantity.VELOCITY, 0, math.tau / ratio, 0.0, "rad/s"),
+        _float_signal("torque", Quantity.UNUSED, 4, ratio, 0.0, "N m"),
     )
     return Message("input_velocity", can_id(node_id, SET_VELOCITY), 8, signals, limit=limit)
 

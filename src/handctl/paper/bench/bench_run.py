@@ -60,7 +60,7 @@ def run(hand_file: str, scene: str | None, task: Task, truth: Path | None = None
     Raises:
         DriveError: The run ended early, by the controller or by the safety monitor.
     """
-    model = _model(hand_file)
+    model = _hand_model(hand_file)
     recording = BenchRecording()
     bench = Simulator(hand_file, scene, seed, homed=True, truth=truth)
     state = simulate(homed_controller(model, TaskProgram(task)), bench, recording.record)
@@ -70,6 +70,6 @@ def run(hand_file: str, scene: str | None, task: Task, truth: Path | None = None
 
 
 @cache
-def _model(hand_file: str) -> HandModel:
+def _hand_model(hand_file: str) -> HandModel:
     """Return the model of a hand. The gains are designed only once, which takes about a second."""
     return HandModel.of(load_hand(hand_file), Gains(), RATE_HZ)

@@ -85,7 +85,7 @@ def measure(folder: Path) -> dict[str, Any]:
     path = folder / "blocked.toml"
     path.write_text(hand.to_toml(), encoding="utf-8")
     pulled = dict.fromkeys(hand.digit_names[: len(knees)], PULL_N)
-    recording = run(str(path), None, _task(pulled))
+    recording = run(str(path), None, _pull_task(pulled))
     rows = recording.in_phase("pull")
     force = np.array(recording.tension)[rows]
     travel = np.array(recording.travel)[rows]
@@ -102,7 +102,7 @@ def measure(folder: Path) -> dict[str, Any]:
     }
 
 
-def _task(tension: dict[str, float]) -> Task:
+def _pull_task(tension: dict[str, float]) -> Task:
     """Return the task that pulls the digits to a tension."""
     phases = (
         {
@@ -140,11 +140,11 @@ def curve(measured: Mapping[str, Any], noise: float) -> TendonCurve:
     # The linear part meets the axis at -offset / slope.
     displacement = travel + offset / slope
     residual = float(np.sqrt(np.mean((force - slope * displacement) ** 2)))
-    knee, sigma = (None, 0.0) if residual <= STRAIGHT * noise else _knee(displacement, force, float(slope))
+    knee, sigma = (None, 0.0) if residual <= STRAIGHT * noise else _fit_knee(displacement, force, float(slope))
     return TendonCurve(float(measured["knee_N"]), 1000.0 * displacement, force, float(slope), knee, sigma)
 
 
-def _knee(displacement: Array, force: Array, slope: float) -> tuple[float, float]:
+def _fit_knee(displacement: Array, force: Array, slope: float) -> tuple[float, float]:
     """Return the knee from a least-squares fit, and its standard deviation [N]."""
 
     def law(x: Array, knee: float, ratio: float, width: float) -> Array:

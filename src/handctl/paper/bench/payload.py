@@ -73,16 +73,16 @@ def search_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
     on this diameter.
     """
     names = src.hand().digit_names
-    phases = [_hold(f"stair {tension:g}", dict.fromkeys(names, tension), STAIR_S) for tension in STAIRS_N]
-    recording, truth = _grip(folder, diameter_mm, "z", 1e3, phases)
-    normals = np.array([_normals(truth, _end(recording, phase["name"])) for phase in phases])
+    phases = [_hold_phase(f"stair {tension:g}", dict.fromkeys(names, tension), STAIR_S) for tension in STAIRS_N]
+    recording, truth = _grip_cylinder(folder, diameter_mm, "z", 1e3, phases)
+    normals = np.array([_mean_normals(truth, _phase_end_ns(recording, phase["name"])) for phase in phases])
     # Interpolation needs rising values, and 1e-6 N makes equal ones rise.
     normals = np.maximum.accumulate(normals + 1e-6 * np.arange(len(phases))[:, None])
     start_s = recording.t_ns[recording.phase.index(phases[0]["name"])] / 1e9
     target_normals = np.full(len(names), float(src.GRIP_FINGER_N))
     tension = _for_normals(normals, target_normals)
-    recording, truth = _grip(folder, diameter_mm, "z", 1e3, [_hold("try", tension, SETTLE_S)])
-    shortfall = target_normals - _normals(truth, _end(recording, "try"))
+    recording, truth = _grip_cylinder(folder, diameter_mm, "z", 1e3, [_hold_phase("try", tension, SETTLE_S)])
+    shortfall = target_normals - _mean_normals(truth, _phase_end_ns(recording, "try"))
     return {"tension_N": _for_normals(normals, target_normals + shortfall), "began_s": start_s}
 
 
@@ -100,13 +100,13 @@ def _for_normals(stairs: Array, target_normals: Array) -> dict[str, float]:
 def load_until_slip(folder: Path, diameter_mm: float, axis: str, grip: Mapping[str, Any]) -> dict[str, Any]:
     """Grip the object, load it until it slips, and return the result as plain values."""
     tension = grip["tension_N"]
-    hold = _hold("load", tension, SETTLE_S + LOAD_S)
+    hold = _hold_phase("load", tension, SETTLE_S + LOAD_S)
     start = grip["began_s"] + SETTLE_S
-    recording, truth = _grip(folder, diameter_mm, axis, start, [hold])
+    recording, truth = _grip_cylinder(folder, diameter_mm, axis, start, [hold])
     first = int(np.searchsorted(truth.t_ns, round(start * 1e9)))
-    end = int(np.searchsorted(truth.t_ns, _end(recording, "load")))
-    normals = _normals(truth, int(truth.t_ns[first]))
-    slip, ended = _slip(truth, first, end)
+    end = int(np.searchsorted(truth.t_ns, _phase_end_ns(recording, "load")))
+    normals = _mean_normals(truth, int(truth.t_ns[first]))
+    slip, ended = _find_slip(truth, first, end)
     # Along z the object's own weight acts in the direction of the load.
     weight = MASS_KG * float(src.GRAVITY) if axis == "z" else 0.0
     load = float(truth.at("load", truth.t_ns[slip : slip + 1])[0]) + weight
@@ -122,7 +122,7 @@ def load_until_slip(folder: Path, diameter_mm: float, axis: str, grip: Mapping[s
     }  # fmt: skip
 
 
-def _hold(name: str, tension: Mapping[str, float], duration: float) -> dict[str, Any]:
+def _hold_phase(name: str, tension: Mapping[str, float], duration: float) -> dict[str, Any]:
     """Return a hold phase of a task."""
     return {
         "kind": "hold",
@@ -133,7 +133,7 @@ def _hold(name: str, tension: Mapping[str, float], duration: float) -> dict[str,
     }
 
 
-def _grip(
+def _grip_cylinder(
     folder: Path, diameter_mm: float, axis: str, start: float, holds: Sequence[Mapping[str, Any]]
 ) -> tuple[BenchRecording, TruthRecord]:
     """Close the hand on a cylinder and hold the cylinder."""
@@ -160,12 +160,12 @@ def _grip(
     return run(HAND, str(scene), task, truth), read_truth(truth)
 
 
-def _end(recording: BenchRecording, phase: str) -> int:
+def _phase_end_ns(recording: BenchRecording, phase: str) -> int:
     """Return the time of a phase's last tick [ns]."""
     return recording.t_ns[int(np.flatnonzero(recording.in_phase(phase))[-1])]
 
 
-def _normals(truth: TruthRecord, until_ns: int) -> list[float]:
+def _mean_normals(truth: TruthRecord, until_ns: int) -> list[float]:
     """Return the sum of normal forces of each digit before a time, averaged [N]."""
     end = int(np.searchsorted(truth.t_ns, until_ns))
     times = truth.t_ns[end - AVERAGE_ROWS : end]
@@ -177,7 +177,7 @@ def _positions(truth: TruthRecord, times: Any) -> Array:
     return truth.table([f"object/{axis}" for axis in "xyz"], times)
 
 
-def _slip(truth: TruthRecord, first: int, end: int) -> tuple[int, str]:
+def _find_slip(truth: TruthRecord, first: int, end: int) -> tuple[int, str]:
     """Return the row at which the object slips, and the criterion that was met."""
     positions = _positions(truth, truth.t_ns[first:end])
     window = round(WINDOW_S * 1000)

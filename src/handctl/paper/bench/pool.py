@@ -53,36 +53,36 @@ def _distribute(children: Sequence[Child], jobs: Sequence[Job], report: Report) 
     busy: dict[Child, int] = {}
     with selectors.DefaultSelector() as answers:
         for child in children:
-            answers.register(_pipe(child.stdout), selectors.EVENT_READ, child)
-            _next(child, waiting, busy, report)
+            answers.register(_checked_pipe(child.stdout), selectors.EVENT_READ, child)
+            _send_next_job(child, waiting, busy, report)
         while busy:
             for key, _ in answers.select():
                 child = key.data
                 index = busy.pop(child)
-                results[index] = _answer(child)
+                results[index] = _read_result(child)
                 report(jobs[index], True)
-                _next(child, waiting, busy, report)
+                _send_next_job(child, waiting, busy, report)
     return [results[index] for index in range(len(jobs))]
 
 
-def _next(child: Child, waiting: Iterator[tuple[int, Job]], busy: dict[Child, int], report: Report) -> None:
+def _send_next_job(child: Child, waiting: Iterator[tuple[int, Job]], busy: dict[Child, int], report: Report) -> None:
     """Send the next job to a worker, if a job is left."""
     for index, job in waiting:
         busy[child] = index
         report(job, False)
-        pipe = _pipe(child.stdin)
+        pipe = _checked_pipe(child.stdin)
         pipe.write(json.dumps(job) + "\n")
         pipe.flush()
         return
 
 
-def _answer(child: Child) -> Result:
+def _read_result(child: Child) -> Result:
     """Return the result that a worker has sent.
 
     Raises:
         HandctlError: The experiment failed, or the worker ended.
     """
-    line = _pipe(child.stdout).readline()
+    line = _checked_pipe(child.stdout).readline()
     if not line:
         raise HandctlError("a worker ended before its experiment did", WORKER, "a result; see the lines above")
     answer = json.loads(line)
@@ -92,7 +92,7 @@ def _answer(child: Child) -> Result:
     return result
 
 
-def _pipe(pipe: IO[str] | None) -> IO[str]:
+def _checked_pipe(pipe: IO[str] | None) -> IO[str]:
     """Return a pipe after a check that it exists."""
     assert pipe is not None
     return pipe

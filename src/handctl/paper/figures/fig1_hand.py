@@ -32,17 +32,19 @@ def hand(figure: Any) -> None:
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped,unused-ignore]
 
     axes = figure.add_subplot(projection="3d", computed_zorder=False)
-    palm = _palm()
-    axes.add_collection3d(Poly3DCollection(palm, facecolors=[_shaded(face, "#b9bec6") for face in palm], zorder=1))
+    palm = _palm_faces()
+    axes.add_collection3d(
+        Poly3DCollection(palm, facecolors=[_shaded_colour(face, "#b9bec6") for face in palm], zorder=1)
+    )
     faces: list[Array] = []
     colours: list[Any] = []
     for name, colour in zip(src.hand().digit_names, COLOURS, strict=True):
         model = DigitModel.of(src.hand(), name)
         nodes = 1000.0 * points(model, np.radians(np.full(model.joint_count, POSE_DEG[name])))
         for start, end in pairwise(nodes):
-            capsule = _capsule(start, end, 1000.0 * model.radius)
+            capsule = _capsule_faces(start, end, 1000.0 * model.radius)
             faces += capsule
-            colours += [_shaded(face, colour) for face in capsule]
+            colours += [_shaded_colour(face, colour) for face in capsule]
         label_position = (nodes[0] + nodes[1]) / 2.0 + np.array(LABEL_MM[name])
         outline = [withStroke(linewidth=2.5, foreground="white")]
         axes.text(
@@ -84,7 +86,7 @@ def _finger_and_thumb() -> tuple[Any, Any]:
     return src.finger(), src.thumb()
 
 
-def _palm() -> list[Array]:
+def _palm_faces() -> list[Array]:
     """Return the six sides of the palm's box."""
     mounts = np.array([digit.mount_position_m for digit in src.hand().digit])
     low = 1000.0 * (mounts.min(axis=0) - PALM_MARGIN)
@@ -105,7 +107,7 @@ def _palm() -> list[Array]:
     return faces
 
 
-def _capsule(start: Array, end: Array, radius: float) -> list[Array]:
+def _capsule_faces(start: Array, end: Array, radius: float) -> list[Array]:
     """Return the faces of a bar with a round far end."""
     along = (end - start) / np.linalg.norm(end - start)
     side = np.cross(along, (0.0, 0.0, 1.0))
@@ -121,7 +123,7 @@ def _capsule(start: Array, end: Array, radius: float) -> list[Array]:
     return [np.array([a[i], a[i + 1], b[i + 1], b[i]]) for a, b in pairwise(shells) for i in range(AROUND)]
 
 
-def _shaded(face: Array, colour: str) -> tuple[float, float, float]:
+def _shaded_colour(face: Array, colour: str) -> tuple[float, float, float]:
     """Return the colour of a face under a fixed light. Both sides of the face have this colour."""
     from matplotlib.colors import to_rgb
 

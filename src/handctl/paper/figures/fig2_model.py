@@ -25,10 +25,10 @@ def model(figure: Any) -> None:
     axes.plot(*nodes[:-1].T, "o", color="white", markeredgecolor="black", markersize=9, zorder=5)
     for i, radius in enumerate(ARC_MM):
         before = theta[i] - q[i]
-        _ray(axes, nodes[i], before, 1.7 * radius, BLUE)
-        _ray(axes, nodes[i], 0.0, 2.2 * radius, ORANGE)
-        _arc(axes, nodes[i], (before, theta[i]), radius, BLUE, f"q{'₁₂₃'[i]}")
-        _arc(axes, nodes[i], (0.0, theta[i]), 1.45 * radius, ORANGE, f"θ{'₁₂₃'[i]}")
+        _draw_ray(axes, nodes[i], before, 1.7 * radius, BLUE)
+        _draw_ray(axes, nodes[i], 0.0, 2.2 * radius, ORANGE)
+        _draw_arc(axes, nodes[i], (before, theta[i]), radius, BLUE, f"q{'₁₂₃'[i]}")
+        _draw_arc(axes, nodes[i], (0.0, theta[i]), 1.45 * radius, ORANGE, f"θ{'₁₂₃'[i]}")
         middle = (nodes[i] + nodes[i + 1]) / 2.0
         across = 3.4 * np.array([-np.sin(theta[i]), np.cos(theta[i])])
         axes.text(
@@ -49,13 +49,13 @@ def model(figure: Any) -> None:
     axes.set_title("three hinges about z, in series: θ₁ = q₁, θ₂ = q₁ + q₂, θ₃ = q₁ + q₂ + q₃", fontsize=10)
 
 
-def _ray(axes: Any, start: Any, angle: float, length: float, colour: str) -> None:
+def _draw_ray(axes: Any, start: Any, angle: float, length: float, colour: str) -> None:
     """Draw the dashed line from which an angle is measured."""
     end = start + length * np.array([np.cos(angle), np.sin(angle)])
     axes.plot(*np.column_stack((start, end)), "--", color=colour, linewidth=1.0, zorder=2)
 
 
-def _arc(axes: Any, centre: Any, between: tuple[float, float], radius: float, colour: str, label: str) -> None:
+def _draw_arc(axes: Any, centre: Any, between: tuple[float, float], radius: float, colour: str, label: str) -> None:
     """Draw the arc of an angle, with the name of the angle outside the middle of the arc."""
     angles = np.linspace(*between, 40)
     axes.plot(

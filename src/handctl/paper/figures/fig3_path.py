@@ -22,16 +22,16 @@ POSES_DEG = (0.0, 30.0, 60.0, 90.0)
 def path(figure: Any) -> None:
     """Draw finger and thumb next to each other, on the same scale."""
     left, right = figure.subplots(1, 2, width_ratios=(110, 58), sharey=True)
-    _digit(left, "index", "Finger: Eq. 1-2", (-46, 64))
-    _digit(right, "thumb", "Thumb: the same with 15 and 10 mm", (-24, 34))
+    _draw_digit(left, "index", "Finger: Eq. 1-2", (-46, 64))
+    _draw_digit(right, "thumb", "Thumb: the same with 15 and 10 mm", (-24, 34))
     left.set(ylabel="Y [mm]")
     right.legend(loc="upper left", fontsize=8.5)
 
 
-def _digit(axes: Any, name: str, title: str, x: tuple[float, float]) -> None:
+def _draw_digit(axes: Any, name: str, title: str, x: tuple[float, float]) -> None:
     """Draw a digit: area, curve, poses."""
     model = kinematics.digit(name)
-    _area(axes, kinematics.workspace(name, SAMPLES[name]), x, HEIGHT_MM)
+    _draw_area(axes, kinematics.workspace(name, SAMPLES[name]), x, HEIGHT_MM)
     low, high = coordinate_limits(model)
     full_path = kinematics.path(name, np.linspace(low, high, 400))
     axes.plot(*full_path.T, color=BLUE, linewidth=2.2, label="tip, θ₁ = θ₂ = θ₃ = θ", zorder=4)
@@ -68,7 +68,7 @@ def _digit(axes: Any, name: str, title: str, x: tuple[float, float]) -> None:
     axes.set(xlabel="X [mm]", title=title, xlim=x, ylim=HEIGHT_MM, aspect="equal")
 
 
-def _area(axes: Any, tips: Array, x: tuple[float, float], y: tuple[float, float]) -> None:
+def _draw_area(axes: Any, tips: Array, x: tuple[float, float], y: tuple[float, float]) -> None:
     """Draw the cells that contain a sampled tip, and the gaps between the samples."""
     bins = [np.arange(low, high + CELL_MM, CELL_MM) for low, high in (x, y)]
     # Cells between samples would look like holes in the workspace.

@@ -12,13 +12,13 @@ SIZE = (9.6, 4.2)
 def statics(figure: Any) -> None:
     """Draw finger and thumb, with moments per newton at the tip."""
     left, right = figure.subplots(1, 2, width_ratios=(1.0, 0.62), sharey=True)
-    _digit(left, src.finger(), "Finger: M₁ = 55F, M₂ = 25F, M₃ = 10F", "T = 18.33F")
-    _digit(right, src.thumb(), "Thumb: M₁ = 25F, M₂ = 10F", "T = 8.33F")
+    _draw_digit(left, src.finger(), "Finger: M₁ = 55F, M₂ = 25F, M₃ = 10F", "T = 18.33F")
+    _draw_digit(right, src.thumb(), "Thumb: M₁ = 25F, M₂ = 10F", "T = 8.33F")
     left.set(ylabel="moment per newton at the tip [N mm/N]")
     right.legend(*left.get_legend_handles_labels(), loc="upper right", fontsize=8.5)
 
 
-def _digit(axes: Any, digit: Digit, title: str, tension: str) -> None:
+def _draw_digit(axes: Any, digit: Digit, title: str, tension: str) -> None:
     """Draw the required and the available moments of a digit."""
     levers = [float(lever) for lever in src.levers(digit)]
     positions = [levers[0] - lever for lever in levers]
@@ -57,11 +57,11 @@ def _digit(axes: Any, digit: Digit, title: str, tension: str) -> None:
             )
         axes.text(position, -7.8, f"joint {i + 1}", ha="center", fontsize=8.5, color=GREY)
     axes.text(0.3 * constant, constant + 1.2, tension, color="#a87400", fontsize=9)
-    _drawing(axes, [*positions, levers[0]])
+    _draw_outline(axes, [*positions, levers[0]])
     axes.set(xlabel="along the digit [mm]", title=title, xlim=(-4, levers[0] + 6), ylim=(-17, 64))
 
 
-def _drawing(axes: Any, nodes: list[float]) -> None:
+def _draw_outline(axes: Any, nodes: list[float]) -> None:
     """Draw the digit below the axis, with the force at its tip."""
     axes.plot(nodes, [-12.5] * len(nodes), color=GREY, linewidth=6, solid_capstyle="round", alpha=0.45)
     axes.plot(

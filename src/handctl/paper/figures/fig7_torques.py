@@ -40,7 +40,7 @@ def torques(figure: Any) -> None:
             for axes in (total_axes, link_axes):
                 axes.margins(x=0)
                 axes.axhline(0.0, color=GREY, linewidth=0.7)
-                _tension(axes, motion.lever, column == len(DURATIONS_S) - 1)
+                _add_tension_axis(axes, motion.lever, column == len(DURATIONS_S) - 1)
             if column == 0:
                 total_axes.set(ylabel="torque [mN m]")
                 link_axes.set(ylabel="torque [mN m]")
@@ -50,7 +50,7 @@ def torques(figure: Any) -> None:
     figure.legend(handles, labels, loc="outside upper center", ncols=6, fontsize=9)
 
 
-def _tension(axes: Any, lever: float, labelled: bool) -> None:
+def _add_tension_axis(axes: Any, lever: float, labelled: bool) -> None:
     """Add an axis for the tension of the tendon."""
     # From mN m to N m, then by the lever to N.
     factor = 1e-3 / lever

@@ -82,17 +82,17 @@ def force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
 def payloads(figure: Any, results: Sequence[Mapping[str, Any]]) -> None:
     """Draw a bar per axis and diameter, and the motion of the object under the increasing load."""
     grid = figure.add_gridspec(2, len(payload.AXES), height_ratios=(1.25, 1.0))
-    _bars(figure.add_subplot(grid[0, :]), results)
+    _draw_bars(figure.add_subplot(grid[0, :]), results)
     first = None
     for column, axis in enumerate(payload.AXES):
         axes = figure.add_subplot(grid[1, column], sharey=first)
         first = first or axes
-        _traces(axes, axis, [result for result in results if result["axis"] == axis])
+        _draw_traces(axes, axis, [result for result in results if result["axis"] == axis])
         if column == 0:
             axes.set(ylabel="load [kg]")
 
 
-def _bars(axes: Any, results: Sequence[Mapping[str, Any]]) -> None:
+def _draw_bars(axes: Any, results: Sequence[Mapping[str, Any]]) -> None:
     """Draw the payload of each load case."""
     width = 0.26
     for k, diameter in enumerate(payload.DIAMETERS_MM):
@@ -110,7 +110,7 @@ def _bars(axes: Any, results: Sequence[Mapping[str, Any]]) -> None:
         axes.plot(
             positions, bounds, "_", color="black", markersize=20, markeredgewidth=1.6, zorder=4,
             label="Coulomb's bound, all normal forces before loading" if k == 2 else None)  # fmt: skip
-    _lines(axes)
+    _draw_lines(axes)
     labels = [f"{axis}: {payload.AXIS_NAMES[axis]}" for axis in payload.AXES]
     axes.set_xticks(range(len(payload.AXES)), labels)
     axes.tick_params(axis="x", length=0)
@@ -120,7 +120,7 @@ def _bars(axes: Any, results: Sequence[Mapping[str, Any]]) -> None:
     axes.legend(loc="upper left", ncols=4, fontsize=8.5)
 
 
-def _lines(axes: Any) -> None:
+def _draw_lines(axes: Any) -> None:
     """Draw the paper's value, and the payload with friction on both sides of the object."""
     both = 2.0 * float(src.payload_kg(src.FINGERS * src.GRIP_FINGER_N))
     edge = len(payload.AXES) - 0.6
@@ -132,7 +132,7 @@ def _lines(axes: Any) -> None:
         axes.text(edge + 0.03, value, text, color=colour, fontsize=8.5, va="center")
 
 
-def _traces(axes: Any, axis: str, results: Sequence[Mapping[str, Any]]) -> None:
+def _draw_traces(axes: Any, axis: str, results: Sequence[Mapping[str, Any]]) -> None:
     """Draw the motion of the object for loads along an axis."""
     gravity = float(src.GRAVITY)
     for result, colour in zip(results, SHADES, strict=True):

@@ -25,10 +25,17 @@ Source: Birglen, Laliberte & Gosselin (2008).
 
 def items() -> list[Item]:
     """Return one item per assumption."""
-    return [*_one_tendon(), *_coupling(), *_balance(), *_both_sides(), _bending(), _lift_off()]
+    return [
+        *_check_one_tendon(),
+        *_check_coupling(),
+        *_check_balance(),
+        *_payload_of_both_sides(),
+        _check_bending(),
+        _check_lift_off(),
+    ]
 
 
-def _one_tendon() -> list[Item]:
+def _check_one_tendon() -> list[Item]:
     """Check if T r_p = M can be true at every joint of the straight finger."""
     levers = src.levers(src.finger())
     given = src.tension_per_newton(src.finger()) * src.PULLEY_MM
@@ -49,7 +56,7 @@ def _one_tendon() -> list[Item]:
     return rows
 
 
-def _coupling() -> list[Item]:
+def _check_coupling() -> list[Item]:
     """Check if a mechanism with equal joint angles fits: the work of the tendon equals the work at the tip."""
     levers = src.levers(src.finger())
     # Virtual work at equal angles: T times 3 r_p is F times the sum of the levers.
@@ -73,7 +80,7 @@ def _coupling() -> list[Item]:
     ]  # fmt: skip
 
 
-def _balance() -> list[Item]:
+def _check_balance() -> list[Item]:
     """Check the force balance of three fingers with 6 N each and the thumb with 10 N."""
     fingers = src.FINGERS * src.GRIP_FINGER_N
     tension = fingers * src.tension_per_newton(src.thumb())
@@ -88,7 +95,7 @@ def _balance() -> list[Item]:
     ]  # fmt: skip
 
 
-def _both_sides() -> list[Item]:
+def _payload_of_both_sides() -> list[Item]:
     """Compute the payload with friction on the thumb's side of the object as well."""
     fingers = src.FINGERS * src.GRIP_FINGER_N
     both = 2 * src.payload_kg(fingers)
@@ -106,7 +113,7 @@ def _both_sides() -> list[Item]:
     ]  # fmt: skip
 
 
-def _bending() -> Item:
+def _check_bending() -> Item:
     """Check the bending ratio of the wire: pulley diameter to wire diameter."""
     diameter = src.wire_diameter_mm(src.GRIP_FINGER_N * src.tension_per_newton(src.finger()))
     ratio = float(2 * src.PULLEY_MM) / diameter
@@ -130,7 +137,7 @@ def contact_forces(tension: float, angles_deg: tuple[float, ...] = WRAP_DEG) -> 
     return np.linalg.solve(levers, np.full(3, tension * float(src.PULLEY_MM) / 1000.0))
 
 
-def _lift_off() -> Item:
+def _check_lift_off() -> Item:
     """Check if all links of a finger that wraps an object press on the object."""
     forces = contact_forces(110.0)
     return Item(

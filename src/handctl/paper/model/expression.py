@@ -49,7 +49,7 @@ class Expression:
         Raises:
             KeyError: A name has no value.
         """
-        return _value(self.tree, values)
+        return _value_of(self.tree, values)
 
     def dimension(self, dimensions: Mapping[str, Dimension]) -> Dimension:
         """Return the dimension of the formula.
@@ -57,18 +57,18 @@ class Expression:
         Raises:
             DimensionError: The formula has no consistent dimension.
         """
-        return _dimension(self.tree, dimensions)
+        return _dimension_of(self.tree, dimensions)
 
     def pretty(self) -> str:
         """Return the formula as typeset text, for example θ̇₁², without product signs."""
-        return _pretty(self.tree)[0]
+        return _pretty_text(self.tree)[0]
 
 
 FUNCTIONS: dict[str, Callable[[Any], Any]] = {"sin": np.sin, "cos": np.cos}
 """Functions that a formula may use."""
 
 
-def _value(node: ast.expr, values: Mapping[str, Any]) -> Any:
+def _value_of(node: ast.expr, values: Mapping[str, Any]) -> Any:
     """Return the value of a node of the syntax tree."""
     match node:
         case ast.Constant(value=int() | float() as number):
@@ -78,11 +78,11 @@ def _value(node: ast.expr, values: Mapping[str, Any]) -> Any:
         case ast.Name(id=name):
             return values[name]
         case ast.UnaryOp(op=ast.USub(), operand=inner):
-            return -_value(inner, values)
+            return -_value_of(inner, values)
         case ast.BinOp(left=left, op=op, right=right):
-            return _OPERATIONS[type(op)](_value(left, values), _value(right, values))
+            return _OPERATIONS[type(op)](_value_of(left, values), _value_of(right, values))
         case ast.Call(func=ast.Name(id=name), args=[inner]):
-            return FUNCTIONS[name](_value(inner, values))
+            return FUNCTIONS[name](_value_of(inner, values))
     raise ValueError(f"not a formula: {ast.unparse(node)}")
 
 
@@ -95,7 +95,7 @@ _OPERATIONS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
 }
 
 
-def _dimension(node: ast.expr, dimensions: Mapping[str, Dimension]) -> Dimension:
+def _dimension_of(node: ast.expr, dimensions: Mapping[str, Dimension]) -> Dimension:
     """Return the dimension of a node."""
     match node:
         case ast.Constant() | ast.Name(id="pi"):
@@ -103,21 +103,21 @@ def _dimension(node: ast.expr, dimensions: Mapping[str, Dimension]) -> Dimension
         case ast.Name(id=name):
             return dimensions[name]
         case ast.UnaryOp(operand=inner):
-            return _dimension(inner, dimensions)
+            return _dimension_of(inner, dimensions)
         case ast.Call(args=[inner]):
-            if _dimension(inner, dimensions) != NONE:
+            if _dimension_of(inner, dimensions) != NONE:
                 raise DimensionError(f"{ast.unparse(node)}: not an angle")
             return NONE
         case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=int() as power)):
             # A power multiplies the exponents of the units.
-            kg, m, s = _dimension(left, dimensions)
+            kg, m, s = _dimension_of(left, dimensions)
             return (kg * power, m * power, s * power)
         case ast.BinOp(left=left, op=op, right=right):
-            return _combined(node, op, _dimension(left, dimensions), _dimension(right, dimensions))
+            return _combined_dimension(node, op, _dimension_of(left, dimensions), _dimension_of(right, dimensions))
     raise ValueError(f"not a formula: {ast.unparse(node)}")
 
 
-def _combined(node: ast.expr, op: ast.operator, first: Dimension, second: Dimension) -> Dimension:
+def _combined_dimension(node: ast.expr, op: ast.operator, first: Dimension, second: Dimension) -> Dimension:
     """Return the dimension of a sum, product or quotient."""
     if isinstance(op, ast.Add | ast.Sub):
         if first != second:
@@ -142,7 +142,7 @@ _PRODUCT = 2
 _POWER = 3
 
 
-def _pretty(node: ast.expr) -> tuple[str, int]:
+def _pretty_text(node: ast.expr) -> tuple[str, int]:
     """Return a node as text, and the precedence of its operator."""
     match node:
         case ast.Constant(value=value):
@@ -150,23 +150,23 @@ def _pretty(node: ast.expr) -> tuple[str, int]:
         case ast.Name(id=name):
             return pretty_name(name), _POWER
         case ast.UnaryOp(operand=inner):
-            return "−" + _bracketed(inner, _PRODUCT), _SUM
+            return "−" + _in_brackets(inner, _PRODUCT), _SUM
         case ast.Call(func=ast.Name(id=name), args=[inner]):
-            text, strength = _pretty(inner)
+            text, strength = _pretty_text(inner)
             return (f"{name} {text}" if strength == _POWER else f"{name}({text})"), _PRODUCT
         case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=power)):
-            return _bracketed(left, _POWER) + str(power).translate(_RAISED), _POWER
+            return _in_brackets(left, _POWER) + str(power).translate(_RAISED), _POWER
         # A leading minus moves to the front of the whole product.
         case ast.BinOp(op=ast.Mult() | ast.Div()) if (positive := _without_minus(node)) is not node:
-            return "−" + _pretty(positive)[0], _SUM
+            return "−" + _pretty_text(positive)[0], _SUM
         case ast.BinOp(left=left, op=ast.Div(), right=right):
-            return f"{_bracketed(left, _PRODUCT)}/{_bracketed(right, _POWER)}", _PRODUCT
+            return f"{_in_brackets(left, _PRODUCT)}/{_in_brackets(right, _POWER)}", _PRODUCT
         case ast.BinOp(left=left, op=ast.Mult(), right=right):
-            return f"{_bracketed(left, _PRODUCT)} {_bracketed(right, _PRODUCT)}", _PRODUCT
+            return f"{_in_brackets(left, _PRODUCT)} {_in_brackets(right, _PRODUCT)}", _PRODUCT
         case ast.BinOp(left=left, op=op, right=right):
             sign = "+" if isinstance(op, ast.Add) else "−"
             return (
-                f"{_bracketed(left, _SUM)} {sign} {_bracketed(right, _SUM if sign == '+' else _PRODUCT)}",
+                f"{_in_brackets(left, _SUM)} {sign} {_in_brackets(right, _SUM if sign == '+' else _PRODUCT)}",
                 _SUM,
             )
     raise ValueError(f"not a formula: {ast.unparse(node)}")
@@ -183,9 +183,9 @@ def _without_minus(node: ast.expr) -> ast.expr:
     return node
 
 
-def _bracketed(node: ast.expr, min_strength: int) -> str:
+def _in_brackets(node: ast.expr, min_strength: int) -> str:
     """Return a node as text, in brackets if its precedence is lower than required."""
-    text, strength = _pretty(node)
+    text, strength = _pretty_text(node)
     return text if strength >= min_strength else f"({text})"
 
 

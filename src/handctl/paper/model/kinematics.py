@@ -31,7 +31,14 @@ def planar(model: DigitModel, q: Array) -> Array:
 
 def items() -> list[Item]:
     """Return the items about Eq. 1-2, the meaning of their angles, and inverse kinematics."""
-    return [_hinges(), *_general(), *_paths(), _meaning(), _absolute(), _inverse()]
+    return [
+        _check_hinges(),
+        *_check_general_position(),
+        *_check_paths(),
+        _check_kind_of_angle(),
+        _check_absolute_angles(),
+        _check_inverse(),
+    ]
 
 
 def path(name: str, angles: Array) -> Array:
@@ -50,10 +57,10 @@ def workspace(name: str, per_joint: int) -> Array:
     return np.column_stack((np.cos(absolute) @ lengths, np.sin(absolute) @ lengths))
 
 
-def _paths() -> list[Item]:
+def _check_paths() -> list[Item]:
     """Check Eq. 1 and 2 along the path of the tip."""
     tips = path("index", ANGLES)
-    thumb = " + ".join(f"{length} cos {'' if i == 0 else i + 1}θ" for i, length in enumerate(_lengths("thumb")))
+    thumb = " + ".join(f"{length} cos {'' if i == 0 else i + 1}θ" for i, length in enumerate(_lengths_text("thumb")))
     reason = (
         f"With equal joint angles q₁ = q₂ = q₃ = θ. The thumb's, not printed, are X = {thumb} and the same with sines."
     )
@@ -78,12 +85,12 @@ def _paths() -> list[Item]:
     return items_of_path
 
 
-def _lengths(name: str) -> list[str]:
+def _lengths_text(name: str) -> list[str]:
     """Return the link lengths of a digit as text [mm]."""
     return [str(length) for length in src.millimetres(src.hand().digit_named(name).link_length_m)]
 
 
-def _general() -> list[Item]:
+def _check_general_position() -> list[Item]:
     """Check the tip position in section 4, L1 cos q1 + L2 cos(q1 + q2) + .. and sines, at random angles."""
     model = digit("index")
     random = np.random.default_rng(1)
@@ -106,7 +113,7 @@ def _general() -> list[Item]:
     return items_of_components
 
 
-def _hinges() -> Item:
+def _check_hinges() -> Item:
     """Check that Fig. 2's chain of three hinges about z stays in a plane and keeps the link lengths."""
     model = digit("index")
     random = np.random.default_rng(3)
@@ -122,7 +129,7 @@ def _hinges() -> Item:
         "The figure below is drawn from the hand's description.", ("forward kinematics",))  # fmt: skip
 
 
-def _meaning() -> Item:
+def _check_kind_of_angle() -> Item:
     """Check if angles of one kind fit both Eq. 6 and Eq. 1-2.
 
     Eq. 6 is the potential energy only with absolute angles. Eq. 1-2 are true only with relative
@@ -144,7 +151,7 @@ def _meaning() -> Item:
         ("forward kinematics",))  # fmt: skip
 
 
-def _absolute() -> Item:
+def _check_absolute_angles() -> Item:
     """Check the statement on angles in section 7: the heights in Eq. 6 are correct with absolute angles."""
     model = digit("index")
     q = np.array([0.3, 0.5, 0.7])
@@ -157,7 +164,7 @@ def _absolute() -> Item:
         "forward kinematics has it.", ("forward kinematics",))  # fmt: skip
 
 
-def _inverse() -> Item:
+def _check_inverse() -> Item:
     """Check inverse kinematics, which the paper lacks: forward kinematics of the result must return the tip."""
     model = digit("index")
     random = np.random.default_rng(2)

@@ -75,7 +75,7 @@ def deviation(value: Any, correct: Any) -> float:
 
 def lagrange_torques(states: States) -> list[Array]:
     """Return T_i = d/dt(∂L/∂θ̇_i) − ∂L/∂θ_i of the correct energies, Eq. 7 to 9, (3, STATES) [N m]."""
-    return [_momentum_rate(states, i) - _slope(states, i) for i in (1, 2, 3)]
+    return [_momentum_rate(states, i) - _lagrangian_slope(states, i) for i in (1, 2, 3)]
 
 
 def _energy(terms: Sequence[Term], states: States) -> Any:
@@ -100,7 +100,7 @@ def _momentum_rate(states: States, i: int) -> Array:
     return np.asarray(np.imag((above - below) / 2.0) / STEP)
 
 
-def _slope(states: States, i: int) -> Array:
+def _lagrangian_slope(states: States, i: int) -> Array:
     """Return ∂L/∂θ_i."""
     moved = {**states, f"th{i}": states[f"th{i}"] + 1j * STEP}
     lagrangian = _energy(equations.KINETIC, moved) - _energy(equations.POTENTIAL, moved)
@@ -109,24 +109,24 @@ def _slope(states: States, i: int) -> Array:
 
 def term_items() -> list[Item]:
     """Return one item for each term of Eq. 3 to 6 and 10 to 12."""
-    return [_item(term) for term in (*equations.KINETIC, *equations.POTENTIAL, *sum(equations.TORQUES, ()))]
+    return [_term_item(term) for term in (*equations.KINETIC, *equations.POTENTIAL, *sum(equations.TORQUES, ()))]
 
 
-def _item(term: Term) -> Item:
+def _term_item(term: Term) -> Item:
     """Return the item of a term."""
     states = random_states()
     correct = term.right.value(random_states())
     deviations = [deviation(reading.value(states), correct) for reading in term.readings]
     verdict = of_readings([value < TOLERANCE for value in deviations])
     # Dimensions and symmetry are evidence that a reader can check by hand.
-    faults = [] if verdict == ErrataVerdict.EQUAL else [_dimensions(term), _symmetry(term)]
+    faults = [] if verdict == ErrataVerdict.EQUAL else [_dimension_evidence(term), _symmetry_evidence(term)]
     return Item(
         term.id, term.where, term.printed, term.right.pretty(), "", verdict, term.why,
         (*filter(None, faults), "Lagrange"), min(deviations),
     )  # fmt: skip
 
 
-def _dimensions(term: Term) -> str:
+def _dimension_evidence(term: Term) -> str:
     """Return the evidence "dimensions" if a reading has wrong dimensions, else an empty tuple."""
     for reading in term.readings:
         try:
@@ -137,7 +137,7 @@ def _dimensions(term: Term) -> str:
     return ""
 
 
-def _symmetry(term: Term) -> str:
+def _symmetry_evidence(term: Term) -> str:
     """Return evidence if a printed coefficient differs from that of its mirror term, else an empty tuple."""
     if not term.mirror:
         return ""
@@ -163,26 +163,26 @@ def equation_items() -> list[Item]:
             "Lagrange's equations in absolute angles. The corrected energies, derived numerically, give the torques "
             "that the control loop of this project computes.", ("Lagrange", "this project's dynamics"), by_lagrange,
         ),
-        _joint_torque(digit, states, model),
+        _check_joint_torque(digit, states, model),
     ]  # fmt: skip
     for i, terms in enumerate(equations.TORQUES):
         off = deviation(printed_sum(terms, states), model[i])
         rest = deviation(sum(term.right.value(states) for term in terms), model[i])
-        wrong = [item.id for item in map(_item, terms) if item.verdict != ErrataVerdict.EQUAL]
+        wrong = [item.id for item in map(_term_item, terms) if item.verdict != ErrataVerdict.EQUAL]
         items.append(
             Item(
                 f"eq{10 + i}.sum", f"Eq. {10 + i}", f"T{'₁₂₃'[i]} = sum of {len(terms)} terms",
                 " + ".join(term.right.pretty() for term in terms).replace("+ −", "− "), "",
                 of_statement(off < TOLERANCE),
                 f"Not right as printed: {', '.join(wrong)}. Corrected, it is what the control loop of this project "
-                f"computes, {_agreement(rest)} at {STATES} random states.",
+                f"computes, {_agreement_text(rest)} at {STATES} random states.",
                 ("Lagrange", "this project's dynamics"), off,
             )
         )  # fmt: skip
     return items
 
 
-def _joint_torque(digit: DigitModel, states: States, model: Sequence[Array]) -> Item:
+def _check_joint_torque(digit: DigitModel, states: States, model: Sequence[Array]) -> Item:
     """Check if T_i is the torque at a joint. A motor at the joint must make tau = S^T T."""
     joints = joint_torques(digit, states)
     is_equal = deviation(model[0], joints[:, 0]) < TOLERANCE
@@ -191,12 +191,12 @@ def _joint_torque(digit: DigitModel, states: States, model: Sequence[Array]) -> 
         "eq7-9.joint_torque", "Sec. 7", "T₁, T₂ and T₃ at each joint E₁, E₂ and E₃",
         "τ₁ = T₁ + T₂ + T₃, τ₂ = T₂ + T₃, τ₃ = T₃", "", of_statement(is_equal),
         "Tᵢ belongs to an absolute link angle. The torque at a joint follows by virtual work from θ = S q with S lower "
-        f"triangular of ones: τ = Sᵀ T (at random states {_agreement(summed)}).", ("virtual work",),
+        f"triangular of ones: τ = Sᵀ T (at random states {_agreement_text(summed)}).", ("virtual work",),
         deviation(model[0], joints[:, 0]),
     )  # fmt: skip
 
 
-def _agreement(off: float) -> str:
+def _agreement_text(off: float) -> str:
     """Return how well two values agree as text, without digits that differ between machines."""
     return "to rounding" if off < TOLERANCE else f"to {off:.1g}"
 
@@ -213,7 +213,7 @@ def paper_finger() -> DigitModel:
 
 def joint_torques(digit: DigitModel, states: States) -> Array:
     """Return joint torques of this project's inverse dynamics (STATES, 3) [N m]."""
-    q, dq, ddq = (_relative(states, "d" * order + "th") for order in (0, 1, 2))
+    q, dq, ddq = (_relative_from_absolute(states, "d" * order + "th") for order in (0, 1, 2))
     rows = zip(q.tolist(), dq.tolist(), ddq.tolist(), strict=True)
     return np.array([inverse_dynamics(digit, *row) for row in rows])
 
@@ -224,7 +224,7 @@ def model_torques(digit: DigitModel, states: States) -> list[Array]:
     return [tau[:, 0] - tau[:, 1], tau[:, 1] - tau[:, 2], tau[:, 2]]
 
 
-def _relative(states: States, name: str) -> Array:
+def _relative_from_absolute(states: States, name: str) -> Array:
     """Return relative joint angles (STATES, 3), or their derivatives, converted from absolute angles."""
     return np.diff(np.column_stack([states[f"{name}{i}"] for i in (1, 2, 3)]), axis=1, prepend=0.0)
 

@@ -97,10 +97,10 @@ def first_torque(duration: float) -> tuple[Array, Array, Array]:
 
 def items() -> list[Item]:
     """Return items about Eq. 10 for a straight finger, the scope of Eq. 3 to 12, and their mention in section 8."""
-    return [_static(), _complete(), _approximate()]
+    return [_check_static_torque(), _check_completeness(), _check_torque_value()]
 
 
-def _static() -> Item:
+def _check_static_torque() -> Item:
     """Check the torque at joint 1 that holds the straight finger.
 
     This torque is the sum of Eq. 10 to 12, not Eq. 10 alone.
@@ -116,7 +116,7 @@ def _static() -> Item:
         f"τ₁ = T₁ + T₂ + T₃ = {1000 * joint:.4g} mN m.", ("statics", "virtual work"))  # fmt: skip
 
 
-def _complete() -> Item:
+def _check_completeness() -> Item:
     """Check if Eq. 3 to 12 give the complete torque.
 
     The paper has no springs and no actuator inertia.
@@ -134,7 +134,7 @@ def _complete() -> Item:
         f"{fast.tension('springs'):.1f} N) are no part of the paper's hand.", ("this project's dynamics",))  # fmt: skip
 
 
-def _approximate() -> Item:
+def _check_torque_value() -> Item:
     """Check section 8's claim of a torque value. Eq. 10 to 12 contain symbols only."""
     fast = closing("index", DURATIONS_S[-1])
     peak = 1000.0 * float(np.abs(sum(fast.parts[part] for part in PARTS[:3])).max())

@@ -15,14 +15,14 @@ STATICS = ("statics",)
 def items() -> list[Item]:
     """Return every number of the statics."""
     return [
-        *_moments(),
-        *_labels(),
-        *_formulas(),
-        *_finger(),
-        *_payload(),
-        *_wire(),
-        *_knee(),
-        *_thumb(),
+        *_check_moments(),
+        *_check_labels(),
+        *_check_formulas(),
+        *_check_finger(),
+        *_check_payload(),
+        *_check_wire(),
+        *_check_knee(),
+        *_check_thumb(),
     ]
 
 
@@ -43,7 +43,7 @@ def number(
     return Item(id, where, printed + symbol, float(exact), unit, verdict, reason, ARITHMETIC)
 
 
-def _moments() -> list[Item]:
+def _check_moments() -> list[Item]:
     """Check the moments in sections 5 and 6."""
     rows = [
         ("sec5.M", "Sec. 5", src.finger(), ("55", "25", "10"), "F"),
@@ -74,7 +74,7 @@ LABELS = (
 """Label of each moment: joint of the moment, and joints named in the label, counted from the palm."""
 
 
-def _labels() -> list[Item]:
+def _check_labels() -> list[Item]:
     """Check the labels of the moments.
 
     A label with several joints states that their moments are equal.
@@ -105,7 +105,7 @@ DIMENSIONS: dict[str, Dimension] = {
 """Dimension of each symbol."""
 
 
-def _formulas() -> list[Item]:
+def _check_formulas() -> list[Item]:
     """Check the formulas in section 5 by dimensions, and by comparison with the hand's statics."""
     hand = src.hand()
     tendons = src.hand().digit_tendons["index"]
@@ -155,7 +155,7 @@ def _formulas() -> list[Item]:
     return formula_items
 
 
-def _finger() -> list[Item]:
+def _check_finger() -> list[Item]:
     """Check tension and torque of the finger."""
     tension = src.tension_per_newton(src.finger())
     torque = tension * src.SPOOL_MM / 1000
@@ -171,7 +171,7 @@ def _finger() -> list[Item]:
     return [tension_item, torque_item]
 
 
-def _payload() -> list[Item]:
+def _check_payload() -> list[Item]:
     """Check the payloads."""
     one = src.payload_kg(src.GRIP_FINGER_N)
     three = src.payload_kg(src.FINGERS * src.GRIP_FINGER_N)
@@ -196,7 +196,7 @@ def _payload() -> list[Item]:
     ]  # fmt: skip
 
 
-def _wire() -> list[Item]:
+def _check_wire() -> list[Item]:
     """Check the wire diameters."""
     tension = src.GRIP_FINGER_N * src.tension_per_newton(src.finger())
     diameter = src.wire_diameter_mm(tension)
@@ -209,11 +209,11 @@ def _wire() -> list[Item]:
             "abstract.wire", "Abstract", "0.86", diameter, "mm",
             "The wire of that load: 0.917 kg, which the abstract rounds to 1 kg. Here the digits are right, unlike in "
             f"section 5. A whole kilogram would need {src.wire_diameter_mm(src.tension_for_kg(1)):.4g} mm."),
-        _area(),
+        _check_area(),
     ]  # fmt: skip
 
 
-def _area() -> Item:
+def _check_area() -> Item:
     """Check the formula for the area, A = pi d2/4.
 
     The result is an area only if the 2 is an exponent.
@@ -230,7 +230,7 @@ def _area() -> Item:
         "The exponent is on the base line: as printed it is a length.", ("dimensions",))  # fmt: skip
 
 
-def _knee() -> list[Item]:
+def _check_knee() -> list[Item]:
     """Check the knees of the force-displacement curve."""
     diameter = src.wire_diameter_mm(src.GRIP_FINGER_N * src.tension_per_newton(src.finger()))
     knee, knee_abstract = src.KNEES_N
@@ -253,7 +253,7 @@ def _knee() -> list[Item]:
     ]  # fmt: skip
 
 
-def _thumb() -> list[Item]:
+def _check_thumb() -> list[Item]:
     """Check tension and torque of the thumb."""
     tension = src.tension_per_newton(src.thumb())
     torque = tension * src.SPOOL_MM / 1000
@@ -270,7 +270,7 @@ def _thumb() -> list[Item]:
     verdict = of_carried("0.04165", torque, carried, first.verdict)
     wire = src.wire_diameter_mm(src.GRIP_THUMB_N * tension)
     return [
-        _pulley(),
+        _missing_radius(),
         first,
         Item(
             "sec6.torque", "Sec. 6", "0.04165 Fₜ", float(torque), "N m per N", verdict,
@@ -281,7 +281,7 @@ def _thumb() -> list[Item]:
     ]  # fmt: skip
 
 
-def _pulley() -> Item:
+def _missing_radius() -> Item:
     """Compute the radius missing in print from the printed 8.33 F."""
     printed = "r_p = mm"
     # The interval of 8.33 gives an interval of radii, and one whole millimetre is in it.

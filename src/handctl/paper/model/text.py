@@ -26,18 +26,18 @@ SYMBOL_WORDS = {
 def items() -> list[Item]:
     """Return the items about counts and verbal statements."""
     return [
-        *_freedom(),
-        _palm(),
-        _fingers(),
-        _phalanges(),
-        _undefined(),
-        _lengths(),
-        _axis(),
-        _control(),
+        *_check_degrees_of_freedom(),
+        _check_palm_joint(),
+        _check_number_of_fingers(),
+        _check_phalanges(),
+        _find_undefined_symbols(),
+        _check_lengths(),
+        _check_axis_of_inertia(),
+        _check_control_law(),
     ]
 
 
-def _freedom() -> list[Item]:
+def _check_degrees_of_freedom() -> list[Item]:
     """Check the number of degrees of freedom."""
     hand = src.hand()
     joints = [len(digit.joints) for digit in hand.digit]
@@ -62,7 +62,7 @@ def _freedom() -> list[Item]:
     ]  # fmt: skip
 
 
-def _palm() -> Item:
+def _check_palm_joint() -> Item:
     """Check the joint in the palm link that section 3 calls fixed: the finger's first joint, or the palm itself."""
     joints = len(src.finger().joints)
     angles = {name for term in equations.KINETIC for name in term.right.names if name.startswith("dth")}
@@ -75,14 +75,14 @@ def _palm() -> Item:
         f"it is right, and the first of {joints} joints is not mentioned.", COUNT)  # fmt: skip
 
 
-def _fingers() -> Item:
+def _check_number_of_fingers() -> Item:
     """Check the number of fingers."""
     digits = len(src.hand().digit)
     return Item("sec8.fingers", "Sec. 8", "it is designed with two fingers", digits, "", of_number("2", digits),
                 "The hand has three fingers and a thumb. The sentence belongs to another gripper.", COUNT)  # fmt: skip
 
 
-def _depends(term: Sequence[Term], name: str) -> bool:
+def _depends_on(term: Sequence[Term], name: str) -> bool:
     """Return True if an energy term depends on the rate with this name."""
     states = random_states()
     moved = {**states, name: states[name] + 1.0}
@@ -90,10 +90,10 @@ def _depends(term: Sequence[Term], name: str) -> bool:
     return bool(np.max(change) > TOLERANCE)
 
 
-def _phalanges() -> Item:
+def _check_phalanges() -> Item:
     """Check that the links of a finger move each other. Links of separate fingers do not."""
     # The energy of link 2 depends on the rate of link 1, that of link 3 on the rate of link 2.
-    apart = not _depends(equations.KINETIC_2, "dth1") and not _depends(equations.KINETIC_3, "dth2")
+    apart = not _depends_on(equations.KINETIC_2, "dth1") and not _depends_on(equations.KINETIC_3, "dth2")
     return Item(
         "sec1.fingers", "Sec. 1", "three fingers: the first is proximal, the second middle, the third distal",
         "the three phalanges of one finger", "", of_statement(apart),
@@ -101,33 +101,33 @@ def _phalanges() -> Item:
         "first's rate.", ("Eq. 4", "Eq. 5"))  # fmt: skip
 
 
-def _undefined() -> Item:
+def _find_undefined_symbols() -> Item:
     """Find symbols in the equations that the paper does not define."""
     defined = {name[0] + "₀₁₂₃"[int(name[1])] for name in DIMENSIONS if len(name) == 2} | {"g"}
-    undefined = sorted(_symbols() - defined)
+    undefined = sorted(_printed_symbols() - defined)
     return Item(
         "eq10.symbols", "Eq. 10", ", ".join(undefined), "L₁, m₁", "", of_statement(not undefined),
         "Symbols in Eq. 3 to 12 that the paper never defines. Both are in Eq. 10.", COUNT)  # fmt: skip
 
 
-def _symbols() -> set[str]:
+def _printed_symbols() -> set[str]:
     """Return the symbols of the printed equations 3 to 12, without angles."""
     torques = (term for terms in equations.TORQUES for term in terms)
     terms = (*equations.KINETIC, *equations.POTENTIAL, *torques)
     return {symbol for term in terms if not term.printed.startswith("(") for symbol in SYMBOL.findall(term.printed)}
 
 
-def _lengths() -> Item:
+def _check_lengths() -> Item:
     """Check the list of lengths in section 7."""
     listed = {"L₁", "L₂", "L₃", "p₃"}
     needed = {f"L{'₀₁₂₃'[i]}" for i in (1, 2, 3)}
     return Item(
         "sec7.lengths", "Sec. 7", "the phalanges L₁, L₂ are L₃, and p₃",
         "lengths L₁, L₂, L₃; d₁, d₂, d₃ to the centres of mass", "", of_statement(listed == needed),
-        f"{', '.join(sorted(listed - _symbols()))} occurs in no equation.", COUNT)  # fmt: skip
+        f"{', '.join(sorted(listed - _printed_symbols()))} occurs in no equation.", COUNT)  # fmt: skip
 
 
-def _axis() -> Item:
+def _check_axis_of_inertia() -> Item:
     """Compare the kinetic energy of a bar turning in its x-y plane, with both moments of inertia."""
     length = 30.0
     height = 8.0
@@ -146,9 +146,9 @@ def _axis() -> Item:
         ("mechanics",))  # fmt: skip
 
 
-def _control() -> Item:
+def _check_control_law() -> Item:
     """Check if the equations contain symbols of a control law."""
-    meanings = {SYMBOL_WORDS.get(symbol[0], "") for symbol in _symbols()} | {"angle", "torque"}
+    meanings = {SYMBOL_WORDS.get(symbol[0], "") for symbol in _printed_symbols()} | {"angle", "torque"}
     control = [meaning for meaning in meanings if any(word in meaning for word in CONTROL_WORDS)]
     return Item(
         "sec8.control", "Sec. 8", "the force controlling is calculated", float(len(control)), "",

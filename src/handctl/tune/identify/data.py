@@ -104,13 +104,13 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
             tension=log.field("tension_raw")[1:, i],
             command=log.field("motor_torque_goal")[:-1, i] / spool / gain[i],
             joints=log.field("joint_encoder")[1:, hand.digit_joints[digit]],
-            slack=_during(phases, digit, SLACK_STEPS, transient)[:-1],
-            stop=_during(phases, digit, STOP_STEPS, settle)[:-1] & active,
-            free=_during(phases, digit, FREE_STEPS, settle)[:-1] & active,
-            acting=active & consecutive & ~_during(phases, digit, CONTACT_STEPS, 0)[:-1],
+            slack=_step_mask(phases, digit, SLACK_STEPS, transient)[:-1],
+            stop=_step_mask(phases, digit, STOP_STEPS, settle)[:-1] & active,
+            free=_step_mask(phases, digit, FREE_STEPS, settle)[:-1] & active,
+            acting=active & consecutive & ~_step_mask(phases, digit, CONTACT_STEPS, 0)[:-1],
         )
         if excited:
-            result += [_cut(data, phases, digit)] if digit in excited else []
+            result += [_restrict_to_excitation(data, phases, digit)] if digit in excited else []
         else:
             taut = (log.field("tension_goal")[:-1, i] > MIN_TENSION_N) & (data.tension > MIN_TENSION_N)
             free = active & taut & (contact[:, d] < 0.5) & _free_motion(log, hand, digit)[:-1]
@@ -146,17 +146,17 @@ def _free_motion(log: RunLog, hand: Hand, digit: str) -> Mask:
     margin = STOP_DEG
     inside = (q > np.array(digit_file.joint_min_deg) + margin) & (q < np.array(digit_file.joint_max_deg) - margin)
     moving = ~np.isnan(log.field("q_goal")[:, joints]).any(axis=1)
-    return _lasting(np.asarray(moving & inside.all(axis=1)), round(TRANSIENT_S * 1e9 / log.header.period_ns))
+    return _lasting_mask(np.asarray(moving & inside.all(axis=1)), round(TRANSIENT_S * 1e9 / log.header.period_ns))
 
 
-def _lasting(mask: Mask, late: int) -> Mask:
+def _lasting_mask(mask: Mask, late: int) -> Mask:
     """Return a mask that is True where `mask` has been True for more than `late` ticks."""
     # Index of the latest False up to each tick, -1 before the first.
     last = np.maximum.accumulate(np.where(mask, -1, np.arange(len(mask))))
     return np.asarray(np.arange(len(mask)) - last > late)
 
 
-def _during(phases: NDArray[np.str_], digit: str, steps: tuple[str, ...], settle: int) -> Mask:
+def _step_mask(phases: NDArray[np.str_], digit: str, steps: tuple[str, ...], settle: int) -> Mask:
     """Return a mask of the ticks in some steps of a digit, without the first `settle` ticks of each step."""
     inside = np.isin(phases, [f"{digit} {step}" for step in steps])
     settled = inside.copy()
@@ -165,7 +165,7 @@ def _during(phases: NDArray[np.str_], digit: str, steps: tuple[str, ...], settle
     return np.asarray(settled)
 
 
-def _cut(data: TendonData, phases: NDArray[np.str_], digit: str) -> TendonData:
+def _restrict_to_excitation(data: TendonData, phases: NDArray[np.str_], digit: str) -> TendonData:
     """Return the data restricted to the time in which the digit was excited."""
     ticks = np.flatnonzero(np.char.startswith(phases[:-1], f"{digit} "))
     rows = slice(int(ticks[0]), int(ticks[-1]) + 1)

@@ -70,15 +70,15 @@ def excitation(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, ...]:
                 f"digit {name}",
                 f"springs with a preload of {min_preload:.2f} N or more, or other --digits",
             )
-    return tuple(step for name in digits for step in _steps(hand, name))
+    return tuple(step for name in digits for step in _digit_steps(hand, name))
 
 
-def _steps(hand: Hand, digit: str) -> list[ExciteStep]:
+def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
     """Return a digit's steps: tare, stretches, slow and fast sweeps, a swing, and presses against an obstacle."""
     tendons = hand.tendon[hand.digit_tendons[digit]]
     max_tension = min(tendon.tension_max_N for tendon in tendons)
     floor = max(tendon.tension_floor_N for tendon in tendons)
-    low, high = (math.radians(angle) for angle in _range(hand, digit))
+    low, high = (math.radians(angle) for angle in _sweep_range(hand, digit))
     middle = 0.5 * (low + high)
     swing = math.radians(SWING_DEG)
     lift = LIFT_FRACTION * lift_off(hand, digit)
@@ -123,7 +123,7 @@ def _steps(hand: Hand, digit: str) -> list[ExciteStep]:
     ]
 
 
-def _range(hand: Hand, digit: str) -> tuple[float, float]:
+def _sweep_range(hand: Hand, digit: str) -> tuple[float, float]:
     """Return the angle range for free sweeps of a digit's joints [deg]."""
     digit_file = hand.digit_named(digit)
     lower = max(digit_file.joint_min_deg)

@@ -31,17 +31,17 @@ def draw(path: Path, result: TendonResult, title: str) -> None:
 
     figure, axes = plt.subplots(2, 3, figsize=(15.0, 8.5), layout="constrained")
     figure.suptitle(title)
-    _time(axes[0, 0], result)
-    _stop(axes[0, 1], result)
-    _free(axes[0, 2], result)
-    _motor(axes[1, 0], result)
-    _coherence(axes[1, 1], result)
-    _parameters(axes[1, 2], result)
+    _draw_time(axes[0, 0], result)
+    _draw_stop(axes[0, 1], result)
+    _draw_free(axes[0, 2], result)
+    _draw_motor(axes[1, 0], result)
+    _draw_coherence(axes[1, 1], result)
+    _draw_parameters(axes[1, 2], result)
     save_figure(figure, path)
     plt.close(figure)
 
 
-def _time(axis: Any, result: TendonResult) -> None:
+def _draw_time(axis: Any, result: TendonResult) -> None:
     data = result.data
     axis.plot(data.t, data.command, color=MODEL, lw=0.6, label="motor force")
     axis.plot(data.t, data.tension, color=MEASURED, lw=0.6, label="load cell")
@@ -49,11 +49,11 @@ def _time(axis: Any, result: TendonResult) -> None:
     axis.legend(loc="upper left")
 
 
-def _drift(result: TendonResult, t: Any) -> Any:
+def _drift_at(result: TendonResult, t: Any) -> Any:
     return np.interp(t, result.fit.problem.knots, result.fit.z[len(NAMES) :])
 
 
-def _stop(axis: Any, result: TendonResult) -> None:
+def _draw_stop(axis: Any, result: TendonResult) -> None:
     bins = result.fit.problem.stop
     values = result.fit.values
     axis.set(title="tendon, on the open stop", xlabel="tendon travel [um]", ylabel="tension [N]")
@@ -65,7 +65,7 @@ def _stop(axis: Any, result: TendonResult) -> None:
     slope = stop_stiffness(values["rope_stiffness"], values["stop_softness"], result.fit.problem.nominal)
     axis.plot(
         1e6 * bins.travel,
-        bins.tension - _drift(result, bins.t),
+        bins.tension - _drift_at(result, bins.t),
         ".",
         color=MEASURED,
         label="50 ms means",
@@ -76,7 +76,7 @@ def _stop(axis: Any, result: TendonResult) -> None:
     axis.legend()
 
 
-def _free(axis: Any, result: TendonResult) -> None:
+def _draw_free(axis: Any, result: TendonResult) -> None:
     problem = result.fit.problem
     bins = problem.free
     axis.set(
@@ -91,7 +91,7 @@ def _free(axis: Any, result: TendonResult) -> None:
     model = problem.load.tension(LoadParameters(*p[5:-1].tolist()), bins)
     axis.plot(
         1e3 * bins.travel,
-        bins.tension - _drift(result, bins.t),
+        bins.tension - _drift_at(result, bins.t),
         ".",
         ms=4,
         color=MEASURED,
@@ -101,11 +101,11 @@ def _free(axis: Any, result: TendonResult) -> None:
     axis.legend()
 
 
-def _motor(axis: Any, result: TendonResult) -> None:
+def _draw_motor(axis: Any, result: TendonResult) -> None:
     windows = result.fit.problem.motor
     values = result.fit.values
     r = result.fit.problem.spool
-    drive = values["torque_gain"] * windows.command(values["delay"]) - (windows.tension - _drift(result, windows.t))
+    drive = values["torque_gain"] * windows.command(values["delay"]) - (windows.tension - _drift_at(result, windows.t))
     friction = (values["motor_viscous"] / r * windows.speed + values["motor_coulomb"] * windows.sign) / r
     axis.plot(
         windows.acceleration,
@@ -122,7 +122,7 @@ def _motor(axis: Any, result: TendonResult) -> None:
     axis.legend()
 
 
-def _coherence(axis: Any, result: TendonResult) -> None:
+def _draw_coherence(axis: Any, result: TendonResult) -> None:
     f, c = result.spectrum
     axis.plot(f, c, color=MEASURED)
     axis.axvspan(*BAND_HZ, color=MODEL, alpha=0.15, label="swing")
@@ -135,7 +135,7 @@ def _coherence(axis: Any, result: TendonResult) -> None:
     axis.legend()
 
 
-def _parameters(axis: Any, result: TendonResult) -> None:
+def _draw_parameters(axis: Any, result: TendonResult) -> None:
     """Draw every identified parameter relative to the hand file, with its confidence interval."""
     names = [name for name in UNITS if name != "delay"]
     values = result.fit.values

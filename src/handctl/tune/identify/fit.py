@@ -140,7 +140,7 @@ class Problem:
             stop=bins(data, data.stop, moving=False, bin_s=STOP_BIN_S),
             slack=bins(data, data.slack, moving=False, bin_s=STOP_BIN_S),
             knots=np.linspace(data.t[0], data.t[-1], max(2, round(span / KNOT_S) + 1)),
-            sigma=_noise(data, hand.sensor_node.tension_noise_N),
+            sigma=_cell_noise(data, hand.sensor_node.tension_noise_N),
             # A random walk: its standard deviation grows with the root of time, and the file states
             # it for 100 s.
             step=max(hand.sensor_node.tension_bias_drift_N, 1e-3) * (KNOT_S / 100.0) ** 0.5,
@@ -174,9 +174,9 @@ class Problem:
         """Return the residuals (rows,) in standard deviations: motor, stop, slack, free, drift, priors."""
         p = z[: len(NAMES)] * self.nominal
         drift = z[len(NAMES) :]
-        return np.concatenate([*self._data(p, drift), *self._prior(z, drift)])
+        return np.concatenate([*self._data_residuals(p, drift), *self._prior_residuals(z, drift)])
 
-    def _data(self, p: Array, drift: Array) -> list[Array]:
+    def _data_residuals(self, p: Array, drift: Array) -> list[Array]:
         """Return the residuals of the measured data."""
         gain, inertia, viscous, coulomb, delay, stiffness = p[:6].tolist()
         m = self.motor
@@ -184,15 +184,16 @@ class Problem:
         # The motor equation: driving force less inertia and friction is the tension.
         driven = gain * m.command(delay)
         losses = (inertia / r * m.acceleration + viscous / r * m.speed) / r + coulomb / r * m.sign
-        rows = [(driven - losses - (m.tension - self._offset(m.t, drift))) / (self.sigma * m.spread)]
-        for bin_means, model in self._expected(p, stiffness):
+        rows = [(driven - losses - (m.tension - self._cell_offset(m.t, drift))) / (self.sigma * m.spread)]
+        for bin_means, model in self._expected_tensions(p, stiffness):
             rows.append(
                 # The mean of n samples has 1/sqrt(n) of their standard deviation.
-                (bin_means.tension - self._offset(bin_means.t, drift) - model) / (self.sigma / bin_means.count**0.5)
+                (bin_means.tension - self._cell_offset(bin_means.t, drift) - model)
+                / (self.sigma / bin_means.count**0.5)
             )
         return rows
 
-    def _expected(self, p: Array, stiffness: float) -> list[tuple[Bins, Array]]:
+    def _expected_tensions(self, p: Array, stiffness: float) -> list[tuple[Bins, Array]]:
         """Return the bins with their expected tensions."""
         rows = [
             (
@@ -205,11 +206,11 @@ class Problem:
             rows.append((self.free, self.load.tension(LoadParameters(*p[5:-1].tolist()), self.free)))
         return rows
 
-    def _offset(self, t: Array, drift: Array) -> Array:
+    def _cell_offset(self, t: Array, drift: Array) -> Array:
         """Return the offset of the load cell at the given times [N]."""
         return np.asarray(np.interp(t, self.knots, drift))
 
-    def _prior(self, z: Array, drift: Array) -> list[Array]:
+    def _prior_residuals(self, z: Array, drift: Array) -> list[Array]:
         """Return the residuals of drift and prior knowledge."""
         spread = np.array([PRIOR.get(name, VAGUE) for name in NAMES])
         return [np.diff(drift) / self.step, drift[:1] / OFFSET_N, (z[: len(NAMES)] - 1.0) / spread]
@@ -265,10 +266,10 @@ class Fit:
 
 def fit_tendon(problem: Problem) -> Fit:
     """Fit all parameters of a tendon."""
-    times = _times(problem)
+    times = _row_times(problem)
     solution = solve(problem.residuals, problem.start(), problem.bounds(), times)
     sensitivity = solution.jacobian[: len(times), : len(NAMES)]
-    ramp = _ramp(problem, solution)
+    ramp = _unexplained_ramp(problem, solution)
     return Fit(
         problem,
         solution.z,
@@ -280,7 +281,7 @@ def fit_tendon(problem: Problem) -> Fit:
     )
 
 
-def _ramp(problem: Problem, solution: Solution) -> Ramp | None:
+def _unexplained_ramp(problem: Problem, solution: Solution) -> Ramp | None:
     """Return the ramp of tension in the residuals of the free sweeps."""
     free = problem.free
     load = problem.load
@@ -294,7 +295,7 @@ def _ramp(problem: Problem, solution: Solution) -> Ramp | None:
     return steepest(solution.jacobian, solution.residual, first, np.asarray(angle), (unit,))
 
 
-def _times(problem: Problem) -> Array:
+def _row_times(problem: Problem) -> Array:
     """Return the time of every data row, in the order of the residuals."""
     parts = [problem.motor.t, problem.stop.t, problem.slack.t]
     if problem.load is not None and len(problem.free.t):
@@ -302,7 +303,7 @@ def _times(problem: Problem) -> Array:
     return np.concatenate(parts)
 
 
-def _noise(data: TendonData, stated: float) -> float:
+def _cell_noise(data: TendonData, stated: float) -> float:
     """Return the standard deviation of a load-cell sample [N].
 
     At rest and in slow stretches, neighbouring samples differ only by noise.

@@ -76,16 +76,19 @@ class Balance:
         """
         first_tendon = data[0]
         reach = max(1, round(HALF_S / data[0].period))
-        free = np.all([_averaged(tendon.free.astype(float), reach) > 0.999 for tendon in data], axis=0)
-        cells = [_averaged(tendon.tension - _drift(tendon, fit), reach) for tendon, fit in zip(data, fits, strict=True)]
+        free = np.all([_average_samples(tendon.free.astype(float), reach) > 0.999 for tendon in data], axis=0)
+        cells = [
+            _average_samples(tendon.tension - _cell_drift(tendon, fit), reach)
+            for tendon, fit in zip(data, fits, strict=True)
+        ]
         tension = np.column_stack(cells)
         speed, acceleration = (
-            np.column_stack(values) for values in zip(*(_rates(tendon, reach) for tendon in data), strict=True)
+            np.column_stack(values) for values in zip(*(_tendon_rates(tendon, reach) for tendon in data), strict=True)
         )
         to_joints = digit.excursion_to_joints.T
         fast = (np.abs(speed) > MIN_SPEED_M_S).all(axis=1)
         complete = np.isfinite(np.hstack([first_tendon.joints, tension, speed])).all(axis=1)
-        selected = _apart(np.flatnonzero(free & fast & complete), 2 * reach)
+        selected = _spaced_indices(np.flatnonzero(free & fast & complete), 2 * reach)
         if len(selected) < MIN_ROWS:
             return None
         q = first_tendon.joints[selected]
@@ -152,7 +155,7 @@ def fit_digit(balance: Balance) -> Solution:
     arms = balance.digit.moment_arms
     whiten = balance.whiten
     spread = np.array([*(PRIOR.get(name, VAGUE) for name in SHARED_PARAMETERS), *[VAGUE] * tendons])
-    friction = _friction(balance.digit)
+    friction = _friction_scales(balance.digit)
 
     def residuals(z: Array) -> Array:
         offset = z[n + tendons :]
@@ -177,20 +180,20 @@ def joined(fits: Sequence[Fit], solution: Solution, balance: Balance) -> list[Fi
     Each tendon gets its capstan coefficient, the first tendon also the shared factors.
     """
     rows = len(balance.t) * balance.q.shape[1]
-    fits = [replace(fit, ramp=_ramp(solution, balance)) for fit in fits]
+    fits = [replace(fit, ramp=_unexplained_ramp(solution, balance)) for fit in fits]
     return [
-        _joined(fit, solution, rows, SHARED_PARAMETERS if j == 0 else (), len(SHARED_PARAMETERS) + j)
+        _merge_fit(fit, solution, rows, SHARED_PARAMETERS if j == 0 else (), len(SHARED_PARAMETERS) + j)
         for j, fit in enumerate(fits)
     ]
 
 
-def _ramp(solution: Solution, balance: Balance) -> Ramp | None:
+def _unexplained_ramp(solution: Solution, balance: Balance) -> Ramp | None:
     """Return the ramp of torque at one joint in the residuals of the sweeps."""
     units = [np.tile(row, len(balance.t)) for row in balance.whiten]
     return steepest(solution.jacobian, solution.residual, 0, np.asarray(balance.q.mean(axis=1)), units)
 
 
-def _joined(fit: Fit, solution: Solution, rows: int, shared: tuple[str, ...], capstan: int) -> Fit:
+def _merge_fit(fit: Fit, solution: Solution, rows: int, shared: tuple[str, ...], capstan: int) -> Fit:
     """Return the fit of one tendon with some parameters replaced by those of the digit."""
     names = (*shared, "capstan")
     target = [NAMES.index(name) for name in names]
@@ -214,12 +217,12 @@ def _joined(fit: Fit, solution: Solution, rows: int, shared: tuple[str, ...], ca
     )
 
 
-def _friction(digit: DigitModel) -> Array:
+def _friction_scales(digit: DigitModel) -> Array:
     """Return the scale of each capstan coefficient (tendons,), equal to that in the tendon fits."""
     return np.where(digit.friction > 0.0, digit.friction, 1e-3)
 
 
-def _apart(indices: NDArray[np.intp], spacing: int) -> NDArray[np.intp]:
+def _spaced_indices(indices: NDArray[np.intp], spacing: int) -> NDArray[np.intp]:
     """Return those indices that are at least `spacing` apart, so that no sample is used twice."""
     selected: list[int] = []
     for index in indices.tolist():
@@ -228,7 +231,7 @@ def _apart(indices: NDArray[np.intp], spacing: int) -> NDArray[np.intp]:
     return np.array(selected, dtype=np.intp)
 
 
-def _averaged(values: Array, reach: int) -> Array:
+def _average_samples(values: Array, reach: int) -> Array:
     """Return means over `reach` samples on each side, NaN at the ends."""
     means = np.full(len(values), np.nan)
     width = 2 * reach + 1
@@ -237,7 +240,7 @@ def _averaged(values: Array, reach: int) -> Array:
     return means
 
 
-def _rates(data: TendonData, reach: int) -> tuple[Array, Array]:
+def _tendon_rates(data: TendonData, reach: int) -> tuple[Array, Array]:
     """Return speed [m/s] and acceleration [m/s^2] of a tendon over twice the averaging time, NaN at the ends."""
     x = data.travel
     step = 2 * reach
@@ -251,7 +254,7 @@ def _rates(data: TendonData, reach: int) -> tuple[Array, Array]:
     return speed, acceleration
 
 
-def _drift(data: TendonData, fit: Fit) -> Array:
+def _cell_drift(data: TendonData, fit: Fit) -> Array:
     """Return the drift of a tendon's load cell at each sample [N]."""
     return np.asarray(np.interp(data.t, fit.problem.knots, fit.z[len(NAMES) :]))
 

@@ -94,7 +94,7 @@ def bins(data: TendonData, mask: Mask, moving: bool, bin_s: float = BIN_S) -> Bi
     count = max(1, round(bin_s / data.period))
     n = len(data.t) // count
     reach = max(2, round(BIN_S / data.period))
-    speed, acceleration = _rates(data.travel, data.period, reach)
+    speed, acceleration = _central_rates(data.travel, data.period, reach)
 
     def table(values: Array) -> Array:
         return values[: n * count].reshape(n, count)
@@ -112,7 +112,7 @@ def bins(data: TendonData, mask: Mask, moving: bool, bin_s: float = BIN_S) -> Bi
     return Bins(mean(data.t), mean(data.travel), mean(data.tension), mean(speed), mean(acceleration), count)
 
 
-def _rates(travel: Array, period: float, reach: int) -> tuple[Array, Array]:
+def _central_rates(travel: Array, period: float, reach: int) -> tuple[Array, Array]:
     """Return speed and acceleration by central differences over `reach` periods, zero at the ends."""
     speed = np.zeros_like(travel)
     acceleration = np.zeros_like(travel)

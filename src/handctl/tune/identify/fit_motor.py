@@ -74,8 +74,8 @@ def motor_windows(data: TendonData, spool: float) -> MotorWindows:
     samples = np.arange(-half, half + 1)
     s = np.asarray(samples / half, np.float64)
     weight = _window(s) / half
-    first = _slope(s) / half_s / half
-    second = _bend(s) / half_s**2 / half
+    first = _window_slope(s) / half_s / half
+    second = _window_curvature(s) / half_s**2 / half
     centres = np.arange(half + 3, len(data.t) - half - 3, max(1, round(SPACING_FRACTION * half)))
     rows = centres[:, None] + samples
     travel = data.travel[rows]
@@ -114,13 +114,13 @@ def _window(s: Array) -> Array:
     return np.asarray(np.where(np.abs(s) < 1.0, 4.0 / 3.0 * np.cos(0.5 * np.pi * s) ** 4, 0.0))
 
 
-def _slope(s: Array) -> Array:
+def _window_slope(s: Array) -> Array:
     """Return the first derivative of the window."""
     inside = -8.0 / 3.0 * np.pi * np.cos(0.5 * np.pi * s) ** 3 * np.sin(0.5 * np.pi * s)
     return np.asarray(np.where(np.abs(s) < 1.0, inside, 0.0))
 
 
-def _bend(s: Array) -> Array:
+def _window_curvature(s: Array) -> Array:
     """Return the second derivative of the window."""
     c2 = np.cos(0.5 * np.pi * s) ** 2
     inside = 4.0 / 3.0 * np.pi**2 * c2 * (3.0 - 4.0 * c2)

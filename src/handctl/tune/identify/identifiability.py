@@ -60,21 +60,23 @@ def identifiability(fit: Fit, tendon: Tendon) -> Identifiability:
     _, sizes, directions = np.linalg.svd(jacobian, full_matrices=False)
     widths = fit.half_widths
     values = fit.values
-    names = tuple(name for name in UNITS if _is_narrow(name, values[name], widths[name]) and _excited(jacobian, name))
+    names = tuple(
+        name for name in UNITS if _is_narrow(name, values[name], widths[name]) and _is_excited(jacobian, name)
+    )
     spread = np.sqrt(np.diag(fit.covariance))
     correlation = fit.covariance / np.outer(spread, spread)
     pairs = [(a, b, float(correlation[NAMES.index(a), NAMES.index(b)])) for a in names for b in names if a < b]
     return Identifiability(
         names=names,
         missing=(
-            *(f"{name}: {_reason(jacobian, name)}" for name in UNITS if name not in names),
+            *(f"{name}: {_reason_not_identified(jacobian, name)}" for name in UNITS if name not in names),
             *_never_identifiable(fit, tendon),
         ),
         # A singular direction counts if its own 95 % interval would count as identified.
         rank=int((1.96 / np.maximum(sizes, 1e-12) < INFORMED).sum()),
         columns=len(NAMES),
         condition=float(sizes[0] / max(sizes[-1], 1e-12)),
-        weakest=_combination(directions[-1]),
+        weakest=_combination_text(directions[-1]),
         correlated=tuple(pair for pair in pairs if abs(pair[2]) > CORRELATED),
     )
 
@@ -85,14 +87,14 @@ def _is_narrow(name: str, value: float, width: float) -> bool:
     return bool(width < INFORMED * scale)
 
 
-def _excited(jacobian: Array, name: str) -> bool:
+def _is_excited(jacobian: Array, name: str) -> bool:
     """Return True if the parameter affects any data row."""
     return bool(np.linalg.norm(jacobian[:, NAMES.index(name)]) > 1e-6)
 
 
-def _reason(jacobian: Array, name: str) -> str:
+def _reason_not_identified(jacobian: Array, name: str) -> str:
     """Return the reason why a parameter is not identified."""
-    if not _excited(jacobian, name):
+    if not _is_excited(jacobian, name):
         return "no data depend on this parameter"
     if name == "delay":
         return f"the 95 % interval is wider than {1e3 * INFORMED * SCALE_DELAY_S:g} ms to either side"
@@ -122,7 +124,7 @@ def _never_identifiable(fit: Fit, tendon: Tendon) -> list[str]:
     return reasons
 
 
-def _combination(direction: Array) -> str:
+def _combination_text(direction: Array) -> str:
     """Return the largest components of a direction as text."""
     order = np.argsort(-np.abs(direction))[:3]
     return ", ".join(f"{direction[i]:+.2f} {NAMES[i]}" for i in order if abs(direction[i]) > 0.1)

@@ -154,10 +154,10 @@ def identify(log: RunLog, hand: Hand, progress: Callable[[str], None] = lambda t
             for (data, _), fit in zip(fits_of_digit, fits, strict=True)
         }
     events = blocked(log)
-    return {name: _spoilt(hand, fit, events.get(fit.data.digit, "")) for name, fit in results.items()}
+    return {name: _with_contacts(hand, fit, events.get(fit.data.digit, "")) for name, fit in results.items()}
 
 
-def _spoilt(hand: Hand, result: TendonResult, event: str) -> TendonResult:
+def _with_contacts(hand: Hand, result: TendonResult, event: str) -> TendonResult:
     """Return a result with information about contacts that make parameters invalid.
 
     The controller uses the springs of the hand file, and mistakes springs a third stiffer for an

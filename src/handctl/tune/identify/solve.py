@@ -79,7 +79,7 @@ def solve(residuals: Callable[[Array], Array], start: Array, bounds: tuple[Array
     return Solution(result.x, covariance, jacobian, result.fun, freedom)
 
 
-def _blocks(times: Array) -> Iterator[NDArray[np.intp]]:
+def _block_rows(times: Array) -> Iterator[NDArray[np.intp]]:
     """Yield the row indices of each block of time, in parts of at most `MAX_BLOCK_ROWS`."""
     order = np.floor((times - times.min()) / BLOCK_S).astype(int)
     for block in np.unique(order):
@@ -103,7 +103,7 @@ def _covariance(jacobian: Array, residual: Array, times: Array) -> tuple[Array, 
     # The priors are exact by definition, so they enter the middle of the sandwich as they are.
     middle = jacobian[len(times) :].T @ jacobian[len(times) :]
     expected = [np.diag(plain @ middle @ plain)]
-    for rows in _blocks(times):
+    for rows in _block_rows(times):
         part = jacobian[rows]
         left = np.eye(len(rows)) - part @ plain @ part.T
         # (I - H) is singular if a block alone determines a parameter, hence the pseudo-inverse.

@@ -85,7 +85,7 @@ class Design:
             "tension_error_N": tension_gains.tension_error_N * tension,
             "speed_error_m_s": tension_gains.speed_error_m_s * tension,
         }
-        return _checked(
+        return _checked_gains(
             gains,
             motion={
                 **motion_gains.model_dump(),
@@ -124,14 +124,14 @@ def with_poles(model: HandModel, kind: LoopKind, hz: float, damping: float) -> G
         motion = model.gains.motion
         force = bearable(motion.force_N, model.period)
         table = {"position_error_m": force / position, "speed_error_m_s": force / speed}
-        return _checked(model.gains, motion={**motion.model_dump(), **table})
+        return _checked_gains(model.gains, motion={**motion.model_dump(), **table})
     tension = model.gains.tension
     force = bearable(tension.force_N, model.period)
     table = {"tension_error_N": force / position, "speed_error_m_s": force / speed}
-    return _checked(model.gains, tension={**tension.model_dump(), **table})
+    return _checked_gains(model.gains, tension={**tension.model_dump(), **table})
 
 
-def _checked(gains: Gains, **sections: dict[str, float]) -> Gains:
+def _checked_gains(gains: Gains, **sections: dict[str, float]) -> Gains:
     """Return gains with some sections replaced, after a check of their bounds.
 
     Raises:
@@ -147,7 +147,7 @@ def _motion_weights(model: HandModel, w: float, damping: float) -> tuple[float, 
     """Return force / error and force / speed error for a single mass: d(s) = s^2 + 2 z w s + w^2."""
     # A free digit moves with its rotor as one mass at low frequency.
     mass = float((model.space.motor_mass + model.space.load_mass).mean())
-    return mass * w**2, mass * w * _root(4.0 * damping**2 - 2.0, MIN_DAMPING_TEXT)
+    return mass * w**2, mass * w * _positive_root(4.0 * damping**2 - 2.0, MIN_DAMPING_TEXT)
 
 
 def _tension_weights(model: HandModel, w: float, damping: float) -> tuple[float, float]:
@@ -164,14 +164,14 @@ def _tension_weights(model: HandModel, w: float, damping: float) -> tuple[float,
         f"the tension loop's above {math.sqrt(a0) / (2.0 * math.pi):.1f} Hz, that of the free rotor on its tendon"
     )
     speed = 2.0 * a0 - a1**2 - 2.0 * w**2 * (1.0 - 2.0 * damping**2)
-    return _root(w**4 - a0**2, expected) * m / k, m * _root(speed, MIN_DAMPING_TEXT)
+    return _positive_root(w**4 - a0**2, expected) * m / k, m * _positive_root(speed, MIN_DAMPING_TEXT)
 
 
 MIN_DAMPING_TEXT = "a damping of more than 0.71"
 """Text for error messages: allowed damping."""
 
 
-def _root(square: float, expected: str) -> float:
+def _positive_root(square: float, expected: str) -> float:
     """Return a square root.
 
     Raises:
@@ -192,12 +192,12 @@ def worst_of(model: HandModel, plants: tuple[PlantFactors, ...], kinds: Iterable
 
     The margins are confirmed by eigenvalues.
     """
-    return reduce(worse, _each(model, plants, kinds, confirmed))
+    return reduce(worse, _each_margin(model, plants, kinds, confirmed))
 
 
 def weakest(model: HandModel, plants: tuple[PlantFactors, ...]) -> int:
     """Return the index of the plant with the smallest disk margin in any loop."""
-    disks = [min(margin.disk for margin in _each(model, (factors,), LoopKind)) for factors in plants]
+    disks = [min(margin.disk for margin in _each_margin(model, (factors,), LoopKind)) for factors in plants]
     return disks.index(min(disks))
 
 
@@ -206,10 +206,10 @@ def keeps(model: HandModel, plants: tuple[PlantFactors, ...], kinds: Iterable[Lo
 
     The check ends at the first failure.
     """
-    return all(margin.enough for margin in _each(model, plants, kinds))
+    return all(margin.enough for margin in _each_margin(model, plants, kinds))
 
 
-def _each(
+def _each_margin(
     model: HandModel,
     plants: tuple[PlantFactors, ...],
     kinds: Iterable[LoopKind],
@@ -263,7 +263,7 @@ def design(
         candidate = candidate and _most_authority(candidate, LoopKind.TENSION, plants)
         if not candidate:
             continue
-        for tried in _retreating(candidate, plants):
+        for tried in _with_less_and_less_authority(candidate, plants):
             after = worst_of(tried, plants)
             if after.enough and proves(tried):
                 return Design(
@@ -282,7 +282,7 @@ def design(
     raise ValueError("no authority keeps the margins with this filter; expected a filter that trusts its sensors less")
 
 
-def _retreating(model: HandModel, plants: tuple[PlantFactors, ...]) -> Iterator[HandModel]:
+def _with_less_and_less_authority(model: HandModel, plants: tuple[PlantFactors, ...]) -> Iterator[HandModel]:
     """Yield the gains, then gains with decreasing authority that keep the margins."""
     yield model
     for step in range(1, RETREATS + 1):
@@ -295,7 +295,7 @@ def _retreating(model: HandModel, plants: tuple[PlantFactors, ...]) -> Iterator[
 
 def _with_motion(model: HandModel, **values: float) -> HandModel:
     """Return the model with some motion gains replaced."""
-    gains = _checked(model.gains, motion={**model.gains.motion.model_dump(), **values})
+    gains = _checked_gains(model.gains, motion={**model.gains.motion.model_dump(), **values})
     return redesigned(model, gains)
 
 
@@ -315,12 +315,12 @@ def _most_authority(model: HandModel, kind: LoopKind, plants: tuple[PlantFactors
         if keeps(tried, plants, (kind,)):
             best = tried
         elif best is not None:
-            return _bisected(model, kind, plants, low - STRIDE, low, best)
+            return _bisect_force(model, kind, plants, low - STRIDE, low, best)
         low += STRIDE
     return best
 
 
-def _bisected(
+def _bisect_force(
     model: HandModel,
     kind: LoopKind,
     plants: tuple[PlantFactors, ...],
@@ -345,7 +345,7 @@ def _with_force(model: HandModel, kind: LoopKind, force: float) -> HandModel:
     if kind == LoopKind.MOTION:
         return _with_motion(model, force_N=force)
     table = {**model.gains.tension.model_dump(), "force_N": force}
-    return redesigned(model, _checked(model.gains, tension=table))
+    return redesigned(model, _checked_gains(model.gains, tension=table))
 
 
 def placed(

@@ -190,9 +190,9 @@ def controller(model: HandModel, tendon: int, kind: LoopKind) -> System:
     tick, state, reading, scale = _operating_point(model, tendon, kind)
     n = len(state)
     centre = tick(state, reading)
-    columns = [_slope(partial(_at, tick, state, reading, j), scale[j]) for j in range(n)]
+    columns = [_central_difference(partial(_tick_with_state, tick, state, reading, j), scale[j]) for j in range(n)]
     steps = (STEP["travel"], STEP["tension"], STEP["travel"])
-    entries = [_slope(partial(_with, tick, state, reading, j), steps[j]) for j in range(3)]
+    entries = [_central_difference(partial(_tick_with_reading, tick, state, reading, j), steps[j]) for j in range(3)]
     J = np.column_stack(columns)
     E = np.column_stack(entries)
     assert len(centre) == n + 1
@@ -241,19 +241,19 @@ _Tick = Callable[[Matrix, Matrix], Matrix]
 """Function of one tick of a tendon on flat vectors: (state, reading) to (next state, force)."""
 
 
-def _slope(function: Callable[[float], Matrix], step: float) -> Matrix:
+def _central_difference(function: Callable[[float], Matrix], step: float) -> Matrix:
     """Return the central difference of a function."""
     return np.asarray((function(step) - function(-step)) / (2.0 * step))
 
 
-def _at(tick: _Tick, state: Matrix, reading: Matrix, j: int, step: float) -> Matrix:
+def _tick_with_state(tick: _Tick, state: Matrix, reading: Matrix, j: int, step: float) -> Matrix:
     """Return the result of the tick with state j changed by a step."""
     moved = state.copy()
     moved[j] += step
     return tick(moved, reading)
 
 
-def _with(tick: _Tick, state: Matrix, reading: Matrix, j: int, step: float) -> Matrix:
+def _tick_with_reading(tick: _Tick, state: Matrix, reading: Matrix, j: int, step: float) -> Matrix:
     """Return the result of the tick with reading j changed by a step."""
     moved = reading.copy()
     moved[j] += step
@@ -308,7 +308,7 @@ class _Bench:
 def _operating_point(model: HandModel, tendon: int, kind: LoopKind) -> tuple[_Tick, Matrix, Matrix, Matrix]:
     """Return the tick function of a tendon, state and reading at the operating point, and state steps."""
     bench = _Bench(model)
-    point = _point(bench, tendon, kind)
+    point = _operating_block(bench, tendon, kind)
 
     def tick(values: Matrix, reading: Matrix) -> Matrix:
         block = point.copy()
@@ -323,7 +323,7 @@ def _operating_point(model: HandModel, tendon: int, kind: LoopKind) -> tuple[_Ti
     return tick, table[ROWS, tendon].copy(), table[READ, tendon].copy(), _STATE_SIZE * STEP["state"]
 
 
-def _point(bench: _Bench, tendon: int, kind: LoopKind) -> Block:
+def _operating_block(bench: _Bench, tendon: int, kind: LoopKind) -> Block:
     """Return the state block at the operating point.
 
     Every digit is half closed and every tendon is taut. The tendon winds (motion) or is at rest
@@ -333,7 +333,7 @@ def _point(bench: _Bench, tendon: int, kind: LoopKind) -> Block:
     layout = bench.layout
     moving = kind == LoopKind.MOTION
     coordinates = [_half_closed(digit) for digit in model.digits]
-    rates = [_winding(model, d, tendon, SPEED_M_S if moving else 0.0) for d in range(len(model.digits))]
+    rates = [_winding_rates(model, d, tendon, SPEED_M_S if moving else 0.0) for d in range(len(model.digits))]
     q = np.concatenate([digit.coupling @ position for digit, position in zip(model.digits, coordinates, strict=True)])
     dq = np.concatenate([digit.coupling @ position for digit, position in zip(model.digits, rates, strict=True)])
     block = layout.initial.copy()
@@ -396,7 +396,7 @@ def _half_closed(digit: DigitModel) -> Matrix:
     return position if solution.x is None else np.asarray(solution.x[:count])
 
 
-def _winding(model: HandModel, d: int, tendon: int, speed: float) -> Matrix:
+def _winding_rates(model: HandModel, d: int, tendon: int, speed: float) -> Matrix:
     """Return the coordinate rates (n_c,) of a digit whose given tendon winds at a speed [m/s]."""
     digit = model.digits[d]
     arms = digit.reduced_moment_arms

@@ -81,7 +81,7 @@ class Margins:
 
 def unproven(linear_margins: Margins) -> Margins:
     """Return zero margins, for linear margins contradicted by a simulation."""
-    return _none(linear_margins.crossover_hz, linear_margins.peak, stable=False)
+    return _zero_margins(linear_margins.crossover_hz, linear_margins.peak, stable=False)
 
 
 def worse(first: Margins, second: Margins) -> Margins:
@@ -109,10 +109,10 @@ def margins(system: System, points: int = POINTS) -> Margins:
     """
     omega = grid(system.period, points)
     if not (np.isfinite(system.A).all() and np.isfinite(system.C).all()):
-        return _none(math.nan, math.inf, stable=False)
+        return _zero_margins(math.nan, math.inf, stable=False)
     L: NDArray[np.complex128] = system.response(omega)[:, 0, 0]
     if not (stable := is_stable(system)) or float(np.abs(L).max()) <= NO_GAIN:
-        return _none(math.nan, float(np.abs(1.0 / (1.0 + L)).max()), stable)
+        return _zero_margins(math.nan, float(np.abs(1.0 / (1.0 + L)).max()), stable)
     sensitivity = 1.0 / (1.0 + L)
     factors = _gain_factors(L)
     angles = _phase_angles(L, omega)
@@ -127,7 +127,7 @@ def margins(system: System, points: int = POINTS) -> Margins:
     )
 
 
-def _none(crossover_hz: float, peak: float, stable: bool) -> Margins:
+def _zero_margins(crossover_hz: float, peak: float, stable: bool) -> Margins:
     """Return zero margins."""
     return Margins(0.0, 0.0, 0.0, 0.0, crossover_hz, peak, stable)
 
@@ -173,7 +173,7 @@ def confirmed(system: System) -> Margins:
         phase_deg=_largest_confirmed(
             result.phase_deg, lambda x: _stable_with_all(system, (np.exp(1j * math.radians(x)),))
         ),
-        disk=_largest_confirmed(result.disk, lambda x: _stable_with_all(system, _disk(x)), SIZES // 3),
+        disk=_largest_confirmed(result.disk, lambda x: _stable_with_all(system, _disk_factors(x)), SIZES // 3),
         delay_s=min(result.delay_s, MAX_DELAY_S)
         if first_unstable is None
         else [0, *delays][first_unstable] * system.period,
@@ -185,7 +185,7 @@ def _stable_with_all(system: System, factors: Sequence[complex] | NDArray[np.com
     return all(is_stable(system, complex(factor)) for factor in factors)
 
 
-def _disk(size: float) -> NDArray[np.complex128]:
+def _disk_factors(size: float) -> NDArray[np.complex128]:
     """Return factors on the edge of a balanced disk.
 
     The mirror image of a factor gives the same eigenvalues, so only half of the edge is returned.

@@ -121,19 +121,19 @@ def swing(hand: Hand, model: HandModel, factors: Mapping[str, float], seed: int)
     ends = {name: max((t for t, phase in active if phase == name), default=None) for name in ("move", "hold")}
     if failure or ends["hold"] is None or ends["move"] is None:
         return Swing(np.inf, np.inf, (np.inf,) * model.tendon_count, failure or "never active")
-    angle, free = _swing(hand, truth, model, ends["move"])
-    _, hold = _swing(hand, truth, model, ends["hold"])
+    angle, free = _measure_swing(hand, truth, model, ends["move"])
+    _, hold = _measure_swing(hand, truth, model, ends["hold"])
     return Swing(float(angle.max()), float(free.max()), tuple(hold.tolist()))
 
 
-def _swing(hand: Hand, truth: TruthRecord, model: HandModel, end_ns: int) -> tuple[Matrix, Matrix]:
+def _measure_swing(hand: Hand, truth: TruthRecord, model: HandModel, end_ns: int) -> tuple[Matrix, Matrix]:
     """Return the oscillations of angles and tensions in the evaluated time before `end_ns`."""
     times = np.arange(end_ns - round(EVALUATED_S * 1e9), end_ns, round(model.period * 1e9), dtype=np.int64)
     real = GroundTruth.of(truth, hand, times)
-    return _ripple(real.angle), _ripple(real.tension)
+    return _peak_to_peak(real.angle), _peak_to_peak(real.tension)
 
 
-def _ripple(values: Matrix) -> Matrix:
+def _peak_to_peak(values: Matrix) -> Matrix:
     """Return the peak to peak value of each column after subtracting a parabola.
 
     The parabola removes slow creep, which is not an oscillation.

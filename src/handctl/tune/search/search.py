@@ -116,7 +116,11 @@ class SearchResult:
     def of(trials: tuple[Trial, ...]) -> "SearchResult":
         """Return the result for finished trials."""
         feasible = [trial for trial in trials if trial.feasible]
-        best = min(feasible, key=lambda trial: (trial.score.cost(_scale(trials)), trial.number)) if feasible else None
+        best = (
+            min(feasible, key=lambda trial: (trial.score.cost(_cost_reference(trials)), trial.number))
+            if feasible
+            else None
+        )
         front = [
             trial.number for trial in feasible if not any(_dominates(other.score, trial.score) for other in feasible)
         ]
@@ -127,10 +131,10 @@ class SearchResult:
 
         If the first trial failed, the first feasible trial is the reference.
         """
-        return trial.score.cost(_scale(self.trials))
+        return trial.score.cost(_cost_reference(self.trials))
 
 
-def _scale(trials: tuple[Trial, ...]) -> Score:
+def _cost_reference(trials: tuple[Trial, ...]) -> Score:
     """Return the score that serves as reference for costs."""
     first = trials[0].score
     feasible = (trial.score for trial in trials if trial.feasible)
@@ -156,10 +160,10 @@ def search(plan: SearchPlan, storage: Path, workers: Workers, show: Callable[[Se
         ConfigError: The storage holds another search, or another process uses it.
     """
     with _exclusive_lock(storage):
-        study = _study(plan, storage)
-        while len(_finished(study)) < plan.trials:
-            _batch(study, plan, workers, show)
-        return SearchResult.of(_finished(study))
+        study = _open_study(plan, storage)
+        while len(_finished_trials(study)) < plan.trials:
+            _run_batch(study, plan, workers, show)
+        return SearchResult.of(_finished_trials(study))
 
 
 @contextmanager
@@ -182,7 +186,7 @@ def _exclusive_lock(path: Path) -> Iterator[None]:
         raise ConfigError(f"cannot be used: {error.strerror}", str(path), expected) from None
 
 
-def _study(plan: SearchPlan, path: Path) -> Any:
+def _open_study(plan: SearchPlan, path: Path) -> Any:
     """Open the study of a plan in a journal.
 
     Raises:
@@ -197,7 +201,7 @@ def _study(plan: SearchPlan, path: Path) -> Any:
         _truncate_partial_line(path)
         backend = JournalStorage(JournalFileBackend(str(path)))
         study = optuna.create_study(storage=backend, study_name=NAME, directions=["minimize"] * 3, load_if_exists=True)
-        _finished(study)
+        _finished_trials(study)
     except (
         OSError,
         ValueError,
@@ -234,9 +238,9 @@ def _truncate_partial_line(path: Path) -> None:
         file.truncate(content.rfind(b"\n") + 1)
 
 
-def _batch(study: Any, plan: SearchPlan, workers: Workers, show: Callable[[SearchResult], None]) -> None:
+def _run_batch(study: Any, plan: SearchPlan, workers: Workers, show: Callable[[SearchResult], None]) -> None:
     """Compute the missing trials of the present batch, and report them in the order of asking."""
-    finished_count = len(_finished(study))
+    finished_count = len(_finished_trials(study))
     trials = _open_trials(study, plan, finished_count)[: plan.trials - finished_count]
     jobs = [plan.job(finished_count + i, trial.params) for i, trial in enumerate(trials)]
     scores: dict[int, dict[str, Any]] = {}
@@ -246,7 +250,7 @@ def _batch(study: Any, plan: SearchPlan, workers: Workers, show: Callable[[Searc
         while reported in scores:
             _report_score(study, trials[reported], Score(**scores[reported]))
             reported += 1
-            show(SearchResult.of(_finished(study)))
+            show(SearchResult.of(_finished_trials(study)))
 
 
 def _open_trials(study: Any, plan: SearchPlan, finished_count: int) -> list[Any]:
@@ -310,7 +314,7 @@ def _distributions() -> dict[str, Any]:
     }
 
 
-def _finished(study: Any) -> tuple[Trial, ...]:
+def _finished_trials(study: Any) -> tuple[Trial, ...]:
     """Return the finished trials in order."""
     from optuna.trial import TrialState
 

@@ -90,7 +90,7 @@ class ProcessPool:
                 if slot not in busy and waiting:
                     busy[slot] = waiting.popleft()
                     self._send_job(slot, jobs[busy[slot]])
-            for slot in self._readable(busy):
+            for slot in self._wait_for_readable(busy):
                 i = busy.pop(slot)
                 line = _output(self._processes[slot]).readline()
                 if line.endswith(b"\n"):
@@ -103,7 +103,7 @@ class ProcessPool:
                 # The job of a dead worker comes next, so the order of results changes little.
                 waiting.appendleft(i)
 
-    def _readable(self, busy: Iterable[int]) -> list[int]:
+    def _wait_for_readable(self, busy: Iterable[int]) -> list[int]:
         """Wait until a worker has written a line or has ended, and return the indices of all such workers."""
         outputs = {_output(self._processes[slot]): slot for slot in busy}
         ready, _, _ = select.select(list(outputs), [], [])

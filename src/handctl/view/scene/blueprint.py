@@ -37,8 +37,8 @@ def dashboard(run: RunInfo, live: bool = False) -> rrb.Blueprint:
         live: True to show the last seconds and follow the run.
     """
     window = [LAST_SECONDS] if live else None
-    left = rrb.Vertical(_hand(run), _timing(run, window), _log(), row_shares=[0.56, 0.18, 0.26])
-    right = rrb.Vertical(_forces(run, window), _angles(run, window), _states(window), row_shares=ROWS)
+    left = rrb.Vertical(_hand_view(run), _timing_plots(run, window), _log_view(), row_shares=[0.56, 0.18, 0.26])
+    right = rrb.Vertical(_force_plots(run, window), _angle_plots(run, window), _state_lanes(window), row_shares=ROWS)
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[0.40, 0.60]),
         rrb.TopPanel(state=PanelState.Hidden),
@@ -50,7 +50,7 @@ def dashboard(run: RunInfo, live: bool = False) -> rrb.Blueprint:
     )
 
 
-def _hand(run: RunInfo) -> rrb.Spatial3DView:
+def _hand_view(run: RunInfo) -> rrb.Spatial3DView:
     """Return the view of the hand."""
     mounts = np.array([digit.mount_position_m for digit in run.hand.digit])
     middle = mounts.mean(axis=0) * (1, 0, 1) + run.reach * np.array([0.4, -0.05, -0.06])
@@ -67,7 +67,7 @@ def _hand(run: RunInfo) -> rrb.Spatial3DView:
     )
 
 
-def _forces(run: RunInfo, window: Window) -> rrb.Horizontal:
+def _force_plots(run: RunInfo, window: Window) -> rrb.Horizontal:
     """Return the plots of tensions and fingertip forces."""
     tensions = rrb.TimeSeriesView(
         name="Tendon tension [N], 1-sigma band",
@@ -87,7 +87,7 @@ def _forces(run: RunInfo, window: Window) -> rrb.Horizontal:
     return rrb.Horizontal(tensions, tips, column_shares=[0.6, 0.4])
 
 
-def _angles(run: RunInfo, window: Window) -> rrb.Grid:
+def _angle_plots(run: RunInfo, window: Window) -> rrb.Grid:
     """Return one plot of joint angles per digit."""
     views = [
         rrb.TimeSeriesView(
@@ -102,7 +102,7 @@ def _angles(run: RunInfo, window: Window) -> rrb.Grid:
     return rrb.Grid(*views, grid_columns=2)
 
 
-def _states(window: Window) -> rrb.StateTimelineView:
+def _state_lanes(window: Window) -> rrb.StateTimelineView:
     """Return the lanes of phase, mode, and action."""
     return rrb.StateTimelineView(
         name="Grasp phase, mode of the hand, safety",
@@ -112,7 +112,7 @@ def _states(window: Window) -> rrb.StateTimelineView:
     )
 
 
-def _timing(run: RunInfo, window: Window) -> rrb.Horizontal:
+def _timing_plots(run: RunInfo, window: Window) -> rrb.Horizontal:
     """Return the plots of lateness and bus load."""
     late = "Tick late: never, in virtual time" if run.header.deterministic else "Tick late [us]"
     return rrb.Horizontal(
@@ -133,7 +133,7 @@ def _timing(run: RunInfo, window: Window) -> rrb.Horizontal:
     )
 
 
-def _log() -> rrb.TextLogView:
+def _log_view() -> rrb.TextLogView:
     """Return the view of the log lines."""
     return rrb.TextLogView(
         name="Log",

@@ -19,13 +19,13 @@ LIMIT_WIDTH = 2.2
 
 def styles(run: RunInfo) -> Iterator[Chunk]:
     """Yield all static chunks of a run."""
-    yield from _tensions(run)
-    yield from _angles(run)
-    yield from _forces(run)
-    yield from _states()
-    yield _lines("/loop/late", ["late"], [palette.NEUTRAL], 1.2)
+    yield from _tension_styles(run)
+    yield from _angle_styles(run)
+    yield from _force_styles(run)
+    yield from _state_styles()
+    yield _line_style("/loop/late", ["late"], [palette.NEUTRAL], 1.2)
     buses = run.hand.bus_names
-    yield _lines(
+    yield _line_style(
         "/bus/load",
         buses,
         [palette.digit(i).mixed(palette.NEUTRAL, 0.4) for i in range(len(buses))],
@@ -33,16 +33,16 @@ def styles(run: RunInfo) -> Iterator[Chunk]:
     )
     for name, axis in TELEMETRY_AXES.items():
         names = run.header.axis(axis)
-        yield _lines(f"/controller/{name}", names, [palette.digit(i) for i in range(len(names))], 1.2)
+        yield _line_style(f"/controller/{name}", names, [palette.digit(i) for i in range(len(names))], 1.2)
 
 
-def _lines(entity: str, names: Sequence[str], colours: Sequence[Colour], width: float) -> Chunk:
+def _line_style(entity: str, names: Sequence[str], colours: Sequence[Colour], width: float) -> Chunk:
     """Return the style of plot lines."""
     style = rr.SeriesLines.columns(names=list(names), colors=list(colours), widths=[width] * len(names))
     return static(entity, style.partition([len(names)]))
 
 
-def _measured(entity: str, names: Sequence[str], colours: Sequence[Colour], unit: str) -> Chunk:
+def _band_style(entity: str, names: Sequence[str], colours: Sequence[Colour], unit: str) -> Chunk:
     """Return the style of plot lines with a band for the standard deviation."""
     style = rr.Measurements.columns(
         names=list(names),
@@ -53,7 +53,7 @@ def _measured(entity: str, names: Sequence[str], colours: Sequence[Colour], unit
     return static(entity, style.partition([len(names)]))
 
 
-def _tensions(run: RunInfo) -> Iterator[Chunk]:
+def _tension_styles(run: RunInfo) -> Iterator[Chunk]:
     """Yield styles of the tensions: estimates in the colours of the digits, commands dimmed, limits red."""
     names = run.hand.tendon_names
     # One slice of tendons per digit. Each digit has its own colour, and each of its tendons a
@@ -62,25 +62,25 @@ def _tensions(run: RunInfo) -> Iterator[Chunk]:
     colours = [
         shade for i, tendons in enumerate(tendon_slices) for shade in palette.shades(i, tendons.stop - tendons.start)
     ]
-    yield _measured("/tension/estimate", names, colours, "N")
-    yield _lines(
+    yield _band_style("/tension/estimate", names, colours, "N")
+    yield _line_style(
         "/tension/command",
         ["command"] * len(names),
         [palette.dimmed(colour) for colour in colours],
         COMMAND_WIDTH,
     )
     limits = [f"limit {limit:g} N" for limit in run.limits]
-    yield _lines("/tension/limit", limits, [palette.LIMIT] * len(limits), LIMIT_WIDTH)
+    yield _line_style("/tension/limit", limits, [palette.LIMIT] * len(limits), LIMIT_WIDTH)
 
 
-def _angles(run: RunInfo) -> Iterator[Chunk]:
+def _angle_styles(run: RunInfo) -> Iterator[Chunk]:
     """Yield styles of the joint angles."""
     for index, digit in enumerate(run.hand.digit):
         names = [name.removeprefix(f"{digit.name}_") for name in digit.joints]
         colours = palette.shades(index, len(names))
-        yield _measured(f"/angle/{digit.name}/estimate", names, colours, "deg")
+        yield _band_style(f"/angle/{digit.name}/estimate", names, colours, "deg")
         command_names = [f"{name} command" for name in names]
-        yield _lines(
+        yield _line_style(
             f"/angle/{digit.name}/command",
             command_names,
             [palette.NEUTRAL] * len(names),
@@ -88,7 +88,7 @@ def _angles(run: RunInfo) -> Iterator[Chunk]:
         )
 
 
-def _forces(run: RunInfo) -> Iterator[Chunk]:
+def _force_styles(run: RunInfo) -> Iterator[Chunk]:
     """Yield frames and colours of the force arrows. Each arrow starts at its fingertip."""
     for index, digit in enumerate(run.hand.digit_names):
         colour = palette.digit(index).mixed(palette.WHITE, 0.3)
@@ -96,7 +96,7 @@ def _forces(run: RunInfo) -> Iterator[Chunk]:
         yield static(f"/force/{digit}", rr.Arrows3D.columns(colors=[colour]))
 
 
-def _states() -> Iterator[Chunk]:
+def _state_styles() -> Iterator[Chunk]:
     """Yield names and colours of the states."""
     for lane, colours in (
         ("phase", palette.STATES),

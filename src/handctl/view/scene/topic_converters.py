@@ -48,10 +48,10 @@ class TopicConverters:
         self._offset = run.header.offset_ns
         self._load = FrameLoad(run)
         self._converters: dict[str, Converter] = {
-            "/controller/values": self._values,
-            "/cycle": self._cycle,
-            "/tick": self._tick,
-            **dict.fromkeys(STATE_TOPICS, self._state),
+            "/controller/values": self._convert_values,
+            "/cycle": self._convert_cycle,
+            "/tick": self._convert_tick,
+            **dict.fromkeys(STATE_TOPICS, self._convert_state),
         }
         self._native = ("/tf", "/tf_static", "/rosout", "/actuator/")
 
@@ -73,7 +73,7 @@ class TopicConverters:
         elif entity.startswith(self._native):
             yield retimed(chunk, self._offset)
 
-    def _values(self, chunk: Chunk) -> Iterator[Chunk]:
+    def _convert_values(self, chunk: Chunk) -> Iterator[Chunk]:
         """Convert the telemetry of the controller."""
         messages = message(chunk)
         if messages is None:
@@ -98,21 +98,21 @@ class TopicConverters:
         for name in TELEMETRY_AXES:
             yield timed(f"/controller/{name}", times, scalars(part[name]))
 
-    def _cycle(self, chunk: Chunk) -> Iterator[Chunk]:
+    def _convert_cycle(self, chunk: Chunk) -> Iterator[Chunk]:
         """Convert the lateness of each tick to [us]."""
         messages = message(chunk)
         if messages is not None:
             late = np.asarray(messages.field("late"), np.float64) * 1e6
             yield timed("/loop/late", run_times(chunk, self._offset), scalars(late[:, None]))
 
-    def _tick(self, chunk: Chunk) -> Iterator[Chunk]:
+    def _convert_tick(self, chunk: Chunk) -> Iterator[Chunk]:
         """Convert the frames of each tick to the load of each bus [%]."""
         messages = message(chunk)
         if messages is not None:
             load = 100 * self._load.of(messages)
             yield timed("/bus/load", run_times(chunk, self._offset), scalars(load))
 
-    def _state(self, chunk: Chunk) -> Iterator[Chunk]:
+    def _convert_state(self, chunk: Chunk) -> Iterator[Chunk]:
         """Convert a named state to a lane of the dashboard."""
         messages = message(chunk)
         if messages is not None:

@@ -34,7 +34,7 @@ def true_shapes(run: RunInfo) -> Iterator[Chunk]:
     times = np.arange(int(run.truth.t_ns[0]), int(run.truth.t_ns[-1]), PERIOD_NS)
     times = times[times >= offset]
     for name in COLOURS.keys() & shapes.keys():
-        yield static(f"/true/{name}", _solid(shapes[name], COLOURS[name]))
+        yield static(f"/true/{name}", _solid_shape(shapes[name], COLOURS[name]))
         yield static(f"/true/{name}", rr.CoordinateFrame.columns(frame=[f"true_{name}"]))
         place = _object_pose if name == "object" else _table_pose
         translation, rotation = place(run.truth, shapes[name], times)
@@ -47,7 +47,7 @@ def true_shapes(run: RunInfo) -> Iterator[Chunk]:
         yield timed(f"/true/{name}_pose", times - offset, pose)
 
 
-def _solid(shape: Mapping[str, Any], colour: Colour) -> Any:
+def _solid_shape(shape: Mapping[str, Any], colour: Colour) -> Any:
     """Return a shape drawn as a solid.
 
     Raises:
