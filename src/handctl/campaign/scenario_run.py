@@ -78,7 +78,8 @@ def run_scenario(simulation: Simulation, scenario: Scenario, protocol: str) -> S
     """Run a scenario to the end.
 
     Args:
-        simulation: simulation at the stage of the scenario. It cannot be used after the run.
+        simulation: simulation at the stage of the scenario. The simulation cannot be used after the
+            run.
         scenario: scenario to run.
         protocol: protocol of the drives.
     """

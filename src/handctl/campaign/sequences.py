@@ -152,7 +152,8 @@ def run_sequence(simulation: Simulation, sequence: Sequence) -> ScenarioResult:
     """Run a sequence, stop the hand, and return the violated rules.
 
     Args:
-        simulation: simulation at the stage of the sequence. It cannot be used after the run.
+        simulation: simulation at the stage of the sequence. The simulation cannot be used after the
+            run.
         sequence: faults to inject.
     """
     start = (simulation.state, len(simulation.recorded))

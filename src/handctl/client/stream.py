@@ -138,7 +138,7 @@ class TargetStream:
         return self._hand.observe().stream
 
     def close(self) -> None:
-        """End the stream. Its digits come to rest."""
+        """End the stream. The streamed digits come to rest."""
         if self._closed:
             return
         self._closed = True

@@ -55,7 +55,7 @@ def setpoints_of(model: HandModel, state: State) -> tuple[Vector, ...]:
 
 
 def open_stream(model: HandModel, state: State, request: OpenStream) -> Event:
-    """Open a stream. Its digits keep their present reference until the first target."""
+    """Open a stream. The streamed digits keep their present reference until the first target."""
     stream = opened(model, request)
     if isinstance(stream, str):
         return Event("info", "request", "", f"refused: {stream}")
@@ -100,7 +100,7 @@ def _prepare_motion(model: HandModel, state: State, digits: tuple[int, ...]) -> 
 
 
 def close_stream(model: HandModel, state: State) -> None:
-    """Close the open stream, if any. Its digits come to rest."""
+    """Close the open stream, if any. The streamed digits come to rest."""
     if state.decisions.stream is None:
         return
     state.decide(stream=None, progress=stay(model, state, only_streamed=True))
@@ -124,7 +124,7 @@ def apply_target(
 
     Args:
         model: the hand.
-        state: of the tick, modified in place.
+        state: state of the tick, modified in place.
         target: parsed target, None for a malformed target.
         t_ns: time of the tick [ns].
 
@@ -200,7 +200,7 @@ def _begin_segment(
 
     Args:
         model: the hand.
-        state: of the tick, modified in place.
+        state: state of the tick, modified in place.
         stream: stream of the target.
         values: (V,) values of the target.
         sent_ns: time at which the client sent it [ns].

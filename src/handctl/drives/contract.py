@@ -230,7 +230,7 @@ class Drive(Protocol):
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
         """Return the frames of a torque command [N m at the spool] without an enable command.
 
-        They test that a disabled drive ignores torque commands.
+        The frames serve to test that a disabled drive ignores torque commands.
 
         The result is empty if every torque command of the protocol also enables the drive.
         """

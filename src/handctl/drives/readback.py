@@ -5,9 +5,10 @@ payload of each request, and recognises the reply to the open request.
 
 The torque limit and the watchdog in the drive protect the hand even if the host fails. Therefore
 both are read again while the drive is enabled. A drive may restart within a few milliseconds and be
-enabled again. It then has its saved settings, but not the settings that the host wrote before
-arming. Feedback does not show the restart. Every half second one setting of each drive is read, in
-turn. Each drive has its own time offset, so that no tick contains the requests of several drives.
+enabled again. The drive then has its saved settings, but not the settings written by the host
+before arming. Feedback does not show the restart. Every half second one setting of each drive is
+read, in turn. Each drive has its own time offset, so that no tick contains the requests of several
+drives.
 """
 
 from typing import NamedTuple
@@ -63,7 +64,7 @@ class Cursor(NamedTuple):
         return Cursor(self.step + 1)
 
     def after_write(self) -> "Cursor":
-        """Return the cursor after a write. The next request reads the setting."""
+        """Return the cursor after a write request. The next request reads the setting back."""
         return Cursor(self.step, written=self.written + 1)
 
 

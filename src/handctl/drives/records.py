@@ -40,7 +40,7 @@ LENGTH_BIT = 56
 
 
 class Frames(Sequence[Frame]):
-    """Sequence of frames stored as records. It equals any sequence with equal frames.
+    """Sequence of frames stored as records. Any sequence with equal frames compares equal.
 
     Attributes:
         records: (n,) of ``RECORD``.

@@ -71,7 +71,7 @@ class CdrReader:
     """Reader of aligned CDR values.
 
     Raises:
-        ValueError: from every method, if the message ends before the value.
+        ValueError: the message ends before the value (from every method).
     """
 
     def __init__(self, message: bytes) -> None:

@@ -100,7 +100,7 @@ class Container:
         good: length of the file up to the end of the last complete record [bytes].
 
     Raises:
-        OSError: from every method that writes, if the write fails. Only `cut_back` may be called
+        OSError: a write fails (from every writing method). Only `cut_back` may be called
             afterwards.
     """
 

@@ -103,7 +103,7 @@ class TickRecord(NamedTuple):
     Attributes:
         tick_in: all inputs of the tick.
         frames: sent frames, in order.
-        mode, phase, action, events, state_hash: as in TickOut.
+        mode, phase, action, events, state_hash: outputs of the tick, as in TickOut.
     """
 
     tick_in: TickIn

@@ -32,7 +32,7 @@ class PageSection:
         figures: names of figures.
         items: items of the section, one table row each.
         measured: True if the section shows results of experiments.
-        table: a table of numbers shown before the items. Its first row has the column titles.
+        table: a table of numbers shown before the items. The first row has the column titles.
     """
 
     title: str

@@ -21,7 +21,7 @@ from handctl.runtime.paths import targets_path
 from handctl.runtime.peers import name_senders, receive
 
 MAGIC = b"HCT1"
-"""First bytes of a target datagram. They include the version of the format."""
+"""First bytes of a target datagram. The bytes include the version of the format."""
 HEAD = struct.Struct("<4sIIIqq")
 LARGEST = HEAD.size + 8 * MOST_VALUES
 """Longest datagram of a target [bytes]."""

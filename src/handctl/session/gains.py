@@ -41,7 +41,7 @@ def layered_gains(hand: Hand, file: Path | None, words: Sequence[str], tell: Tel
         hand: description of the hand.
         file: gains file, or None for ``HAND.gains.toml`` if that file exists.
         words: KEY=VALUE words, which override every file.
-        tell: takes a notice for the operator.
+        tell: function that shows a notice to the operator.
 
     Raises:
         ConfigError: a file or a value cannot be used, or the gains are for another hand.

@@ -16,7 +16,7 @@ from handctl.session.plan import Plan
 VIRTUAL_START_S = 0.0
 """UNIX time at which every lockstep run starts [s].
 
-It is constant, so that logs of equal runs are equal.
+The time is constant, so that logs of equal runs are equal.
 """
 
 

@@ -11,7 +11,7 @@ Tell = Callable[[str], None]
 Progress = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
 """Context manager that shows the progress of a named step.
 
-It yields a callback for completed and total count.
+The context yields a callback for completed and total count.
 """
 
 

@@ -143,7 +143,7 @@ def make_plan(choice: Choice, display: "Callable[[Plan], Display] | None" = None
 def _refuse_unnamed(choice: Choice, hand: Hand, buses: Sequence[str]) -> None:
     """Raise an error for the default hand on a real bus.
 
-    Its limits are for other motors and tendons.
+    The limits of the default hand are for other motors and tendons.
 
     Raises:
         ConfigError: the operator named no hand, and the bus may have real motors.
@@ -193,7 +193,7 @@ def _check_log(log: Path | None) -> None:
 
 
 def fastest(loads: Sequence[BusLoad]) -> float:
-    """Return the highest usual control rate that no bus is too slow for [Hz]."""
+    """Return the highest usual control rate at which no bus is overloaded [Hz]."""
     return highest_rate((load.tick_s for load in loads), (load.timed_fraction for load in loads))
 
 

@@ -2,8 +2,8 @@
 
 Command: `python -m handctl.view.live_view LOG [ARGUMENT OF THE VIEWER ...]`.
 
-The process only reads the log and is independent of the controller. It ends with the log, when its
-viewer is closed, or on SIGTERM. The viewer remains open.
+The process only reads the log and is independent of the controller. The process ends when the log
+ends, when the viewer is closed, or on SIGTERM. The viewer remains open.
 """
 
 import os

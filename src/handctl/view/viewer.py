@@ -1,6 +1,6 @@
 """Rerun viewer as a separate process, from the installed package.
 
-It accepts connections only from this machine.
+The viewer accepts connections only from this machine.
 """
 
 import ctypes

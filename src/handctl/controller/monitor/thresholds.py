@@ -60,8 +60,8 @@ def constants_of(
 
     Args:
         model: the hand.
-        drives: of the hand.
-        sensors: of the hand.
+        drives: drives of the hand.
+        sensors: sensor node of the hand.
         limits: safety thresholds.
         tare: (N,) load-cell tare [N].
         zero: (N,) motor zero [rad].

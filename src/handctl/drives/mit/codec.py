@@ -269,7 +269,7 @@ def special_command(code: int) -> bytes:
 
 
 def register_request(node_id: int, operation: int, register: int = 0, value: float = 0.0) -> bytes:
-    """Return the payload of a register request. It is sent on the identifier BROADCAST_ID.
+    """Return the payload of a register request. Register requests use the identifier BROADCAST_ID.
 
     Args:
         node_id: ESC_ID.

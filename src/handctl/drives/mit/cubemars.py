@@ -334,7 +334,10 @@ class CubemarsDrive:
             raise ValueError(f"{self.name}: {error}") from None
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
-        """Return the frame of a torque command [N m at the spool]. It does not enable the motor."""
+        """Return the frame of a torque command [N m at the spool].
+
+        A torque command alone does not enable the motor.
+        """
         return (self._frame_to_motor(self._torque_payload(torque)),)
 
     def cut(self) -> tuple[Frame, ...]:

@@ -79,7 +79,7 @@ POSITION = 10
 TIMED_OUT = 11
 """Mode after the watchdog. Only the stop command leaves it."""
 LIMITING = range(96, 128)
-"""Fault codes in position mode that name the limit in effect. They are no errors."""
+"""Fault codes in position mode that name the limit in effect. These codes are not errors."""
 FAULTS = {
     32: "calibration fault",
     33: "motor driver fault",
@@ -177,8 +177,8 @@ STOP = padded(small(MODE, STOPPED) + QUERY)
 def limits_request(torque: float, timeout_s: float) -> bytes:
     """Return the payload that stores torque limit and watchdog in the command registers.
 
-    They have no effect until a command sets the mode. A firmware without the integrator's register
-    refuses the write here, before the first torque.
+    The stored limits have no effect until a command sets the mode. A firmware without the
+    integrator's register refuses the write here, before the first torque.
     """
     return padded(limits(torque, timeout_s) + small(INTEGRATOR_SCALE, 0) + QUERY)
 

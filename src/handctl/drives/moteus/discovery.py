@@ -83,7 +83,7 @@ def command_ids(drive: DiscoveredNode) -> frozenset[int]:
 def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the received frames that are requests to a drive.
 
-    They have the reply bit and a 29-bit identifier without a prefix.
+    Requests have the reply bit and a 29-bit identifier without a prefix.
     """
     return tuple(
         frame

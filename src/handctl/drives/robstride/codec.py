@@ -143,7 +143,8 @@ def reply_id(kind: int, node_id: int, host: int, data: int = 0) -> int:
 def motor_ids(node_id: int, host: int) -> frozenset[int]:
     """Return the identifiers of all frames from a motor to a host.
 
-    They are identity, feedback with every mode and fault, replies to reads, and the fault report.
+    The frames are identity, feedback with every mode and fault, replies to reads, and the fault
+    report.
     """
     feedback = {reply_id(FEEDBACK, node_id, host, data) for data in range(0x100)}
     reads = {reply_id(READ, node_id, host, failed) for failed in (0, 1)}
@@ -159,7 +160,7 @@ def status(mode: int, fault: int) -> int:
 def command_message(node_id: int, ranges: ModelRanges, limit: float, sign: int = 1) -> Message:
     """Return the signal table of the torque command. The identifier contains the torque.
 
-    No code stands for exactly 0 N m. It is sent as the nearest code, half a step away.
+    No code stands for exactly 0 N m. 0 N m is sent as the nearest code, half a step away.
 
     Args:
         node_id: number of the motor.

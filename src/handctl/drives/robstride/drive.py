@@ -3,8 +3,8 @@
 A motor answers requests and sends fault reports on its own. Mode and faults are in the identifier
 of the feedback. Therefore feedback of a running motor without a fault has one identifier. Feedback
 with any other identifier is processed by the state machine here. A stop command without data stops
-and does not clear faults. It also requests feedback while the motor is disabled, because no other
-request is answered by feedback.
+and does not clear faults. The stop command also requests feedback while the motor is disabled,
+because no other request is answered by feedback.
 """
 
 from dataclasses import dataclass, field
@@ -354,7 +354,10 @@ class RobstrideDrive:
         return Frame(can_id, data, 0, self.bus)
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
-        """Return the frame of a torque command. It does not enable the motor."""
+        """Return the frame of a torque command.
+
+        A torque command alone does not enable the motor.
+        """
         return (self._torque_frame(torque),)
 
     def cut(self) -> tuple[Frame, ...]:

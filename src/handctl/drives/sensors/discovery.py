@@ -11,7 +11,10 @@ from handctl.drives.frame import Frame
 SYNC = 0x080
 """Identifier of SYNC, as in CANopen."""
 COUNTERS = (0x35, 0x3A)
-"""Counters of the two SYNCs. They differ, so that a foreign frame is not mistaken for two answers."""
+"""Counters of the two SYNCs.
+
+The counters differ, so that a foreign frame is not mistaken for two answers.
+"""
 # Bits of the counter and of a channel.
 BITS_HEAD = 4
 BITS_CHANNEL = 12

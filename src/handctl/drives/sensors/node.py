@@ -37,7 +37,10 @@ FULL = (1 << CHANNEL_BITS) - 1
 TENSION_STEP_N = 0.0625
 """Tension of one count [N]."""
 TENSION_ZERO_N = -6.0
-"""Tension of count 0 [N]. It is negative, so that noise and bias of a slack tendon are in the range."""
+"""Tension of count 0 [N].
+
+The value is negative, so that noise and bias of a slack tendon are in the range.
+"""
 TENSION_TOP_N = TENSION_ZERO_N + FULL * TENSION_STEP_N
 """Tension at the largest count [N]. At count 0 and at the largest count the load cell is saturated."""
 LOW_MARGIN_N = 2.0

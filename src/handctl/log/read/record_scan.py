@@ -238,7 +238,7 @@ def _decode_attachment(scan: RecordScan, data: bytes) -> None:
 
 
 def _text_map(fields: _Fields) -> dict[str, str]:
-    """Decode a map from text to text."""
+    """Decode a map whose keys and values are text."""
     inner = _Fields(fields.take(fields.number("I")))
     values = {}
     while inner.rest():

@@ -95,7 +95,7 @@ class PythonCanBus:
             index: index of the bus in the hand's list.
             bitrate: nominal bit rate [bit/s].
             data_bitrate: bit rate of the data phase of CAN FD [bit/s]. None for a classical bus.
-            stamp: converts a CLOCK_MONOTONIC time to the run's time.
+            stamp: function from a CLOCK_MONOTONIC time to the run's time [ns].
 
         Raises:
             BusError: python-can has no such interface, or cannot open it.

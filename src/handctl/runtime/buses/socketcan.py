@@ -58,7 +58,7 @@ class SocketCanBus:
             name: specification of the bus.
             index: index of the bus in the hand's list.
             fd_mode: True if the socket receives FD frames.
-            stamp: converts a CLOCK_MONOTONIC time to the run's time.
+            stamp: function from a CLOCK_MONOTONIC time to the run's time [ns].
         """
         _prepare(link)
         self.name = name
@@ -206,7 +206,7 @@ def open_socketcan(channel: str, index: int, bitrate: int, data_bitrate: int | N
         index: index of the bus in the hand's list.
         bitrate: required nominal bit rate [bit/s].
         data_bitrate: required rate of the data phase of CAN FD [bit/s]. None for a classical bus.
-        stamp: converts a CLOCK_MONOTONIC time to the run's time.
+        stamp: function from a CLOCK_MONOTONIC time to the run's time [ns].
 
     Raises:
         BusError: the kernel has no SocketCAN, or the interface is missing, is down, is not in the
