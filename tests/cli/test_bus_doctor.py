@@ -9,7 +9,7 @@ from handctl.drives.motor_description import GUARDED
 from tests.drives.bench_process import drives
 
 
-def test_a_local_bus_and_its_nodes(capsys):
+def test_bus_doctor_measures_the_nodes_of_a_local_bus(capsys):
     with drives("local:d", "mit", "--ids", "1,2"):
         main(["bus", "doctor", "--bus", "local:d", "--json"])
         (bus,) = json.loads(capsys.readouterr().out)["buses"]

@@ -76,7 +76,7 @@ for this project before it began."""
 
 
 @pytest.mark.parametrize(("protocol", "fd", "motors", "tick_us", "loads", "most"), VCAN_TABLE)
-def test_the_table_of_bare_protocols(
+def test_load_table_has_the_expected_times_and_rates(
     protocol: str, fd: bool, motors: int, tick_us: float, loads: tuple[float, ...], most: float,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip

@@ -38,7 +38,9 @@ def test_what_it_writes_passes_the_check(
 
 @pytest.mark.parametrize("protocol", GUARDED)
 @pytest.mark.parametrize("tension", ["20", "300"])
-def test_drives_and_tensions(place: Path, capsys: pytest.CaptureFixture[str], protocol: str, tension: str) -> None:
+def test_a_new_hand_file_is_valid_for_every_drive_and_tension(
+    place: Path, capsys: pytest.CaptureFixture[str], protocol: str, tension: str
+) -> None:
     words = ["--protocol", protocol, "--fingers", "3", "--tension", tension, "--strength", "900"]
     assert main(["config", "init", "--yes", *words, "--output", "mine.toml"]) == 0
     code = main(["config", "check", "--hand", "mine.toml"])
@@ -61,7 +63,7 @@ def test_questions_are_asked_until_they_are_answered(
     assert hand.tendon[0].tension_max_N == 50.0
 
 
-def test_nobody_to_answer(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_questions_without_a_terminal_are_refused(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     line = refused(capsys, "config", "init", "--output", "mine.toml")
     assert line.endswith("config init: nobody can answer the questions: no terminal; expected --yes, and options\n")
 

@@ -223,7 +223,7 @@ def test_a_node_that_no_bus_has(capsys, drive, number):
     assert len(err.splitlines()[-1]) < LONGEST_MESSAGE + 60
 
 
-def test_a_pipe_that_nobody_reads_is_not_waited_for(place, capsys):
+def test_a_pipe_without_a_reader_is_not_waited_for(place, capsys):
     os.mkfifo(place / "pipe")
     golden = HANDS.parents[3] / "logs" / "golden" / "jamia-fault.mcap"
     assert "nobody reads" in refused(capsys, "report", str(golden), "--output", "pipe")
@@ -256,7 +256,7 @@ def test_a_folder_whose_name_is_no_text(place):
     assert b"l\\udcf6g/x\\x1b.toml" in done.stderr
 
 
-def test_what_the_simulator_refuses_is_told_without_its_class(place, capsys):
+def test_a_refusal_of_the_simulator_is_reported_without_its_class(place, capsys):
     (place / "odd.toml").write_text('name = "x"\n[object]\nshape = "\\u001b[2J\\n"\n')
     for words in (("demo", "--lockstep", "--scene", "odd.toml"), ("demo", "--lockstep", "--scene", ESCAPES)):
         line = refused(capsys, *words)

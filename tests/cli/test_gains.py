@@ -39,7 +39,7 @@ def told(capsys, *words):
     return json.loads(capsys.readouterr().out)
 
 
-def test_layers_and_their_origins(applied, capsys):
+def test_gains_show_tells_the_origin_of_each_value(applied, capsys):
     shown = told(capsys, "gains", "show", "--gain", "tension.force_N=12")
     rows = shown["gains"]
     assert (rows["motion.force_N"]["value"], rows["motion.force_N"]["origin"]) == (30.0, "jamia.gains.toml")
@@ -86,7 +86,7 @@ def test_packaged_gains_say_so(capsys):
     assert told(capsys, "gains", "show")["gains"]["motion.force_N"]["origin"] == "packaged"
 
 
-def test_diff_rollback_and_log(applied, capsys):
+def test_rollback_changes_diff_and_log(applied, capsys):
     assert told(capsys, "gains", "diff")["changed"] == {"motion.force_N": [PACKAGED_N, 30.0]}
     assert told(capsys, "gains", "diff", "1", "2")["changed"] == {"motion.force_N": [25.0, 30.0]}
     assert told(capsys, "gains", "rollback")["provenance"]["restores"] == 1

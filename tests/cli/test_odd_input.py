@@ -75,7 +75,7 @@ def test_a_name_that_cannot_be(place, capsys, what, name):
     refused(capsys, *(word.replace("odd", name) for word in READS[what]))
 
 
-def test_a_nul_in_a_name(capsys):
+def test_a_name_with_nul_is_refused(capsys):
     for words in READS.values():
         assert "NUL" in refused(capsys, *(word.replace("odd", "o\0d") for word in words))
 
@@ -128,7 +128,7 @@ def test_a_bit_rate_that_no_bus_has(capsys, verb, option, rate):
     assert "expected 10000 to 8000000" in refused(capsys, *verb, *BUS, f"{option}={rate}")
 
 
-def test_what_the_simulator_cannot_perturb_is_told_before_anything_is_begun(capsys):
+def test_an_unknown_perturbation_is_refused_before_the_run(capsys):
     refused(capsys, "identify", "--lockstep", "--digits", "thumb", "--perturb", "luck=2")
 
 

@@ -48,5 +48,5 @@ def test_a_simulator_leaves_the_file_that_its_controller_needs(
     assert Path("jamia-odrive.toml").read_text() == "mine"
 
 
-def test_a_protocol_that_nobody_speaks_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_protocol_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert "argument --protocol: invalid choice: 'none'" in refused(capsys, "demo", "--lockstep", "--protocol", "none")

@@ -63,7 +63,7 @@ HAND_FILES = {
 
 @pytest.mark.parametrize("verb", ["config", "demo", "sim", *RUNS])
 @pytest.mark.parametrize("spoil", HAND_FILES, ids=lambda spoil: spoil.__name__)
-def test_a_wrong_hand_file(place, capsys, spoil, verb):
+def test_a_wrong_hand_file_is_refused(place, capsys, spoil, verb):
     content = jamia()
     spoil(content)
     (place / "hand.toml").write_text(toml_text(content))
@@ -92,13 +92,13 @@ def test_a_rate_that_the_bus_or_the_drives_cannot_stand(capsys, verb, rate):
 @pytest.mark.parametrize(
     "words", [("--time-scale", "0"), ("--time-scale", "1e-300"), ("--time-scale", "nan"), ("--time-scale", "101")]
 )
-def test_a_time_scale_out_of_range(capsys, verb, words):
+def test_a_time_scale_out_of_range_is_refused(capsys, verb, words):
     assert "--time-scale" in refused(capsys, verb, *BUS, *RUNS[verb], *words)
 
 
 @pytest.mark.parametrize("verb", RUNS)
 @pytest.mark.parametrize("text", ["schema = 1\n[motion]\nforce_N = -1\n", "[motion]\nforce = 1\n", "a = = b", None])
-def test_bad_gains(place, capsys, verb, text):
+def test_bad_gains_are_refused(place, capsys, verb, text):
     if text is not None:
         (place / "gains.toml").write_text(text)
     assert "gains.toml" in refused(capsys, verb, *BUS, *RUNS[verb], "--gains", "gains.toml")
@@ -123,7 +123,7 @@ TASKS = {
 
 @pytest.mark.parametrize("verb", ["run", "demo", "config"])
 @pytest.mark.parametrize(("text", "named"), TASKS.items())
-def test_a_bad_task(place, capsys, verb, text, named):
+def test_a_bad_task_is_refused(place, capsys, verb, text, named):
     (place / "task.toml").write_text(text)
     words = {"run": BUS, "demo": (), "config": ("check",)}[verb]
     line = refused(capsys, verb, *words, "--task", "task.toml")
@@ -202,7 +202,7 @@ JOGS = [
 
 
 @pytest.mark.parametrize("words", JOGS, ids=" ".join)
-def test_a_bad_jog(capsys, words):
+def test_a_bad_jog_is_refused(capsys, words):
     refused(capsys, "jog", *words, *BUS)
 
 
@@ -262,7 +262,7 @@ def test_a_verb_that_is_none(capsys):
 
 
 @pytest.mark.parametrize("verb", ["stop", "clear"])
-def test_what_nobody_confirms_is_not_done(capsys, verb):
+def test_an_unconfirmed_request_is_reported_as_failed(capsys, verb):
     """It exited 0 as soon as a datagram was sent, to whomever."""
     assert main([verb, *BUS]) == 71
     out, err = capsys.readouterr()

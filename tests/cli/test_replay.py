@@ -23,7 +23,7 @@ def test_execute_tells_programs_what_it_found(capsys: pytest.CaptureFixture[str]
     assert {"differing", "first", "times_real_time", "version_logged"} <= found.keys()
 
 
-def test_numbers_of_another_machine_are_told_apart(
+def test_rounding_of_another_machine_is_distinguished(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("handctl.replay.log_runner.equal_outputs", lambda logged, numbers, out: logged.tick_in.k != 100)
@@ -93,7 +93,7 @@ def test_export_writes_beside_the_log(name: str, tmp_path: Path, capsys: pytest.
     assert (tmp_path / f"run.{name}").stat().st_size > 100_000
 
 
-def test_check_and_a_cut_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_truncated_log_is_checked_and_executed_in_part(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["log", "check", GRASP]) == 0
     cut = tmp_path / "cut.mcap"
     whole = Path(GRASP).read_bytes()

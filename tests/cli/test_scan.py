@@ -188,7 +188,7 @@ def test_two_motors_that_answer_on_one_identifier_are_found():
     assert ["answers on 0x11 as motor" in node.notes[0] for node in result.found] == [True, True]
 
 
-def test_a_torque_beyond_a_hand_file_is_not_told_by_the_drive():
+def test_a_torque_too_large_for_a_hand_file_is_not_taken_from_the_drive():
     """A DM-J8009 reports 54 N m. The fragment has the largest torque of a hand file, and says why."""
     result, _, _ = scanned(("mit", 1, "dm8009"))
     text = fragment({"a": result.found}, 1_000_000, None)

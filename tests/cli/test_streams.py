@@ -37,7 +37,7 @@ def test_no_room_for_the_output_is_one_line(unbuffered):
 
 
 @pytest.mark.parametrize("verb", [("config", "list"), ("paper", "--quick")])  # with print, and a table of rich
-def test_nobody_who_reads_is_no_error(verb):
+def test_output_without_a_reader_is_no_error(verb):
     read, write = os.pipe()
     os.close(read)
     command = (sys.executable, "-m", "handctl.cli", *verb)
@@ -46,7 +46,7 @@ def test_nobody_who_reads_is_no_error(verb):
     assert (ran.returncode, ran.stderr) == (0, b"")
 
 
-def test_progress_that_nobody_reads_ends_nothing(monkeypatch):
+def test_progress_without_a_reader_does_not_end_the_verb(monkeypatch):
     def gone(text):
         raise BrokenPipeError
 

@@ -197,7 +197,7 @@ def _identifies(monkeypatch, made, found):
     monkeypatch.setattr("handctl.cli.tuning.identify.table", lambda tendons: [])
 
 
-def test_of_a_digit_that_touches_something_only_motor_and_rope_are_written(place, capsys, monkeypatch):
+def test_for_a_digit_in_contact_only_motor_and_tendon_are_written(place, capsys, monkeypatch):
     """One line says which digit, what of it, why, and what to do."""
     hand, path = load_hand("jamia"), place / "own.toml"
     nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)

@@ -128,7 +128,7 @@ def log(tmp_path_factory):
     return path
 
 
-def test_a_whole_log(log, capsys):
+def test_log_info_counts_the_ticks_of_a_complete_log(log, capsys):
     code, said = spoken(capsys, "log", "info", str(log))
     assert (code, said["whole"], said["ticks"]) == (0, True, 3000)
     assert main(["log", "info", str(log)]) == 0

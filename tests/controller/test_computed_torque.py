@@ -111,7 +111,7 @@ def test_a_pull_never_uses_more_force_than_its_limit(model: HandModel) -> None:
     np.testing.assert_allclose(command.torque, 12.0 * model.space.spool)
 
 
-def test_no_integral_while_the_rope_is_slack(model: HandModel) -> None:
+def test_no_integral_while_the_tendon_is_slack(model: HandModel) -> None:
     law = LawState.initial(model.tendon_count)
     slack = known(model, np.zeros((model.tendon_count, STATES)))._replace(slack=np.ones(model.tendon_count, dtype=bool))
     for k in range(50):
@@ -121,7 +121,7 @@ def test_no_integral_while_the_rope_is_slack(model: HandModel) -> None:
     assert (law.integral > 0).all()
 
 
-def test_a_slack_rope_is_wound_against_the_friction_of_its_motor(model: HandModel) -> None:
+def test_a_slack_tendon_is_wound_against_the_friction_of_its_motor(model: HandModel) -> None:
     """However soft the loop is: a pull of 3 N must end in a taut rope."""
     law = LawState.idle(np.zeros(model.tendon_count))
     loose = known(model, np.zeros((model.tendon_count, STATES)))._replace(slack=np.ones(model.tendon_count, dtype=bool))
@@ -257,7 +257,7 @@ def test_a_goal_without_its_numbers_is_limp(jamia: HandModel, kind: Kind) -> Non
     assert not state.view("torque").any(), "whatever was there before"
 
 
-def test_what_is_not_made_up_for_leaves_feedback_on_a_taut_rope(model: HandModel) -> None:
+def test_what_is_not_made_up_for_leaves_feedback_on_a_taut_tendon(model: HandModel) -> None:
     """The steps of an ablation: no torque of the digits, no inertia, no friction, no force loop."""
     none = {"inertia_share": 0.0, "friction_share": 0.0, "disturbance_rejection": 0.0, "tension_feedback": 0.0}
     gains = Gains(motion=MotionGains(**none))
@@ -274,7 +274,7 @@ def test_what_is_not_made_up_for_leaves_feedback_on_a_taut_rope(model: HandModel
     np.testing.assert_allclose(command.torque / model.space.spool, np.clip(asked, -UNWIND_FRACTION * limit, limit))
 
 
-def test_the_filter_is_told_how_the_tension_is_going_to_change(model: HandModel) -> None:
+def test_the_filter_gets_the_planned_change_of_tension(model: HandModel) -> None:
     """Winding with developed friction, the tension changes as the plan's; the cable's speed decides, not the plan's."""
     x = at_rest(model, 0.5)
     x[:, V] = x[:, W] = 0.1
@@ -289,7 +289,7 @@ def test_the_filter_is_told_how_the_tension_is_going_to_change(model: HandModel)
     assert not law.planned.any()
 
 
-def test_a_plan_that_turns_before_the_cable_does_changes_nothing_yet(model: HandModel) -> None:
+def test_a_plan_that_turns_before_the_tendon_does_changes_nothing_yet(model: HandModel) -> None:
     x = at_rest(model, 0.5)
     x[:, V] = x[:, W] = 0.1
     estimate, law = known(model, x), LawState.initial(model.tendon_count)

@@ -265,7 +265,7 @@ def test_friction_whose_direction_is_known_is_no_contact(model: HandModel) -> No
     assert (found[2] > found[0] + 0.5).all()
 
 
-def test_what_spoke_for_slack_is_forgotten_once_a_rope_is_taut(model: HandModel) -> None:
+def test_evidence_of_slack_is_cleared_once_a_tendon_is_taut(model: HandModel) -> None:
     x, force = resting(model, 25.0, 0.6)
     state = all_in(model, Regime.FREE, x)._replace(turning=(1,) * model.tendon_count)
     after, _ = step(model, state, readings(model, x, force), force, nowhere(model))

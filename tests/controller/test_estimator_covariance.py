@@ -106,7 +106,7 @@ def monte_carlo(model: HandModel, regime: Regime, ticks: int, seed: int, missing
 
 
 @pytest.mark.parametrize("regime", [Regime.FREE, Regime.HELD])
-def test_consistent_with_its_own_model(plain: HandModel, regime: Regime) -> None:
+def test_estimator_is_consistent_with_its_own_model(plain: HandModel, regime: Regime) -> None:
     course = monte_carlo(plain, regime, 2500, seed=5)
     assert course.regimes == {(int(regime),) * plain.tendon_count}, "the run stayed in its regime"
     gains = plain.gains.filter

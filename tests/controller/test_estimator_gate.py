@@ -94,7 +94,7 @@ def rest(hand: Held, error: float, loose: float, seconds: float) -> Estimate:
     return estimate
 
 
-def test_a_loose_rope_tells_the_error_of_its_load_cell(model: HandModel) -> None:
+def test_a_slack_tendon_reveals_the_error_of_its_load_cell(model: HandModel) -> None:
     hand = Held(model)
     told = rest(hand, 0.8, 2 * LOOSE_M, 2.0)
     np.testing.assert_allclose(told.cell_error, [0.8] + [0.0] * (model.tendon_count - 1), atol=0.02)
@@ -102,11 +102,11 @@ def test_a_loose_rope_tells_the_error_of_its_load_cell(model: HandModel) -> None
     assert hand.state.regimes == (Regime.SLACK,) * model.tendon_count
 
 
-def test_a_rope_that_is_hardly_loose_tells_nothing(model: HandModel) -> None:
+def test_a_hardly_slack_tendon_does_not_update_the_cell_error(model: HandModel) -> None:
     assert not rest(Held(model), 0.8, 0.5 * LOOSE_M, 1.0).cell_error.any()
 
 
-def test_the_error_stays_as_it_is_while_the_rope_is_taut(model: HandModel) -> None:
+def test_the_error_stays_as_it_is_while_the_tendon_is_taut(model: HandModel) -> None:
     hand = Held(model)
     x = hand.state.x.copy()
     x[E] = 0.7
@@ -117,7 +117,7 @@ def test_the_error_stays_as_it_is_while_the_rope_is_taut(model: HandModel) -> No
     np.testing.assert_allclose(estimate.tension, TENSION, atol=0.1)
 
 
-def test_a_model_that_does_not_fit_is_told_once(model: HandModel) -> None:
+def test_a_model_that_does_not_fit_is_reported_once(model: HandModel) -> None:
     hand = Held(model).settled()
     names, told = model.hand.tendon_names, list[Event]()
     for k in range(round(3 * DOUBT_S / model.period)):

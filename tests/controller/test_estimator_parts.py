@@ -64,7 +64,7 @@ def test_what_a_moving_digit_s_damping_takes_is_no_contact(model: HandModel) -> 
     assert still.all(), "20 N are more than springs ask here"
 
 
-def test_a_slack_rope_bears_no_contact_wherever_its_digit_is(model: HandModel) -> None:
+def test_a_slack_tendon_bears_no_contact_wherever_its_digit_is(model: HandModel) -> None:
     assert not unexplained(model, Regime.SLACK, 0.0).any()
 
 
@@ -76,7 +76,7 @@ def used(model: HandModel, state: FilterState, measured: Readings) -> np.ndarray
 
 
 @pytest.mark.parametrize(("x", "s", "o"), [(-3e-4, 0.0, 0.0), (-1e-4, 3e-4, 0.0), (-1e-4, 0.0, 3e-4)])
-def test_a_rope_hangs_loose_by_what_its_spool_is_short_of_its_digit(
+def test_a_tendon_hangs_loose_by_what_its_spool_is_short_of_its_digit(
     model: HandModel, x: float, s: float, o: float
 ) -> None:
     """Its load cell then shows its error; of a rope that is nearly taut nobody knows."""
@@ -97,7 +97,7 @@ def judged(model: HandModel, state: FilterState, cell: float) -> FilterState:
 @pytest.mark.parametrize(
     ("hangs_m", "known", "turns"), [(0.0, True, True), (2 * NEAR_M, True, False), (0.0, False, False)]
 )
-def test_a_rope_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
+def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
     model: HandModel, hangs_m: float, known: bool, turns: bool
 ) -> None:
     """If its length is known from a take-up; the count then begins anew."""
@@ -110,7 +110,7 @@ def test_a_rope_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
     assert after.measured == (known,) * n
 
 
-def test_a_rope_that_became_taut_has_a_known_length(model: HandModel) -> None:
+def test_a_tendon_that_became_taut_has_a_known_length(model: HandModel) -> None:
     n = model.tendon_count
     state = filtered(model, Regime.SLACK, S=2e-3)
     for _ in range(TAUT_POINTS):
@@ -118,7 +118,7 @@ def test_a_rope_that_became_taut_has_a_known_length(model: HandModel) -> None:
     assert (state.regimes, state.measured) == ((Regime.FREE,) * n, (True,) * n)
 
 
-def test_a_digit_on_its_stop_is_at_zero_when_its_rope_becomes_taut(model: HandModel) -> None:
+def test_a_digit_on_its_stop_is_at_zero_when_its_tendon_becomes_taut(model: HandModel) -> None:
     state = filtered(model, Regime.SLACK, S=1e-4)._replace(stopped=(True,) * model.tendon_count)
     after = judged(model, state, EVIDENCE[0][0] + 1e-6)
     assert after.stopped == state.stopped

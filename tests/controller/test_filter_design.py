@@ -57,7 +57,7 @@ def test_discrete_model_and_gains_agree_with_the_differential_equations(model: H
 
 
 @pytest.mark.parametrize("regime", Regime)
-def test_rows_of_the_measurements(model: HandModel, regime: Regime) -> None:
+def test_measurement_rows_predict_the_measurements(model: HandModel, regime: Regime) -> None:
     for i, blocks in enumerate(model.filter.blocks):
         H, row = blocks[regime].H, blocks[regime].tension_row
         state = np.array([3e-4, 0.01, 1e-4, 0.002, 5.0, 7.0, 4e-5])

@@ -38,7 +38,7 @@ def test_winding_and_paying_out_are_the_edges_of_the_band(model: HandModel) -> N
     np.testing.assert_allclose(follow(model, [-0.1] * 50, 12.0)[-1], 12.0 * 0.8)
 
 
-def test_a_turn_takes_the_way_that_the_rope_needs(model: HandModel) -> None:
+def test_a_turn_takes_the_way_that_the_tendon_needs(model: HandModel) -> None:
     """From 15 to 9.6 N at 100 N a millimetre and 5 mm/s: eleven milliseconds, creep a little less."""
     turned = follow(model, [-5e-3] * 40, 15.0)
     ticks = int(np.argmax(turned[:, 0] <= 9.6 + 1e-9)) + 1
@@ -52,7 +52,7 @@ def test_at_rest_friction_bears_nothing_in_the_end(model: HandModel) -> None:
     np.testing.assert_allclose(rest[-1], 12.0, atol=0.01)
 
 
-def test_a_rope_of_which_next_to_nothing_was_expected_pays_out(model: HandModel) -> None:
+def test_a_tendon_with_almost_no_expected_tension_pays_out(model: HandModel) -> None:
     n = model.tendon_count
     before = LawState.initial(n)._replace(planned=np.full(n, 5e-324))
     law, _ = step(model, before, under(model, 1.0), moving(model, 0.6, 0.7, 1.0), 0.5)

@@ -228,7 +228,7 @@ def test_the_tip_is_felt_as_it_is(model: HandModel) -> None:
     np.testing.assert_allclose(felt(model, known(model, x)._replace(external=balance)), forces)
 
 
-def test_two_digits_and_a_third_later(model: HandModel, taut: Estimate) -> None:
+def test_a_digit_that_touches_later_joins_the_grasp(model: HandModel, taut: Estimate) -> None:
     run = closing(model, taut)
     run.touch(touching(model, {"index": 12.0, "thumb": 12.0}, tension=5.0))
     held = [model.hand.digit_names.index(name) for name in ("index", "thumb")]
@@ -295,7 +295,7 @@ def released(model: HandModel, taut: Estimate, tension: float, **release: float)
     (9.0, 12.0, 12.0, False),                  # the time to settle counts, though it is longer
     (50.0, 12.0, 12.0, True),
 ])  # fmt: skip
-def test_a_release_that_does_not_let_go_is_told(model, taut, tension, settle, took, told) -> None:
+def test_a_release_that_does_not_let_go_is_reported(model, taut, tension, settle, took, told) -> None:
     run, lasted = released(model, taut, tension, settle_s=settle)
     assert lasted == pytest.approx(took, abs=0.1)
     warnings = [(event.where, event.text) for event in run.events if event.level == "warn"]

@@ -49,7 +49,7 @@ def test_a_move_of_one_joint_leaves_the_others() -> None:
     assert {name: angles[name] for name in wanted} == pytest.approx(wanted, abs=SETTLED_DEG)
 
 
-def test_a_trajectory_by_joint() -> None:
+def test_a_trajectory_can_name_single_joints() -> None:
     content = {
         "schema": 1,
         "name": "wave",

@@ -140,7 +140,7 @@ def test_held_tendons_that_are_expected_on_a_way_get_what_their_rotors_need_for_
     assert not np.delete(change, first).any(), "nobody else is on a way"
 
 
-def test_a_slack_rope_of_which_little_is_wanted_is_still_helped_over_friction(model: HandModel) -> None:
+def test_a_slack_tendon_with_a_small_setpoint_still_gets_friction_compensation(model: HandModel) -> None:
     there = slack(model)
     state = LawState.idle(np.full(model.tendon_count, 0.5))
     goals = holding(model, 0.5)

@@ -171,14 +171,14 @@ def test_a_second_controller_in_action_means_relax(hand: Bench) -> None:
     assert disabled(hand)
 
 
-def test_the_sync_of_somebody_else_is_foreign_too(hand: Bench) -> None:
+def test_the_sync_of_another_host_is_foreign_too(hand: Bench) -> None:
     hand.run(0.1)
     hand.tick(extra=(Frame(0x080, b"\0"),))
     hand.until(Mode.DONE, 1.0)
     assert "0x080" in hand.state.failure
 
 
-def test_strange_identifiers_are_nobodys_business(hand: Bench) -> None:
+def test_unknown_identifiers_are_not_signs_of_a_second_controller(hand: Bench) -> None:
     hand.run(0.1)
     for can_id in (0x555, 0x1A0 | 1 << 31, 0x001 | 1 << 31):
         hand.tick(extra=(Frame(can_id, bytes(8)),))
@@ -244,7 +244,7 @@ def test_a_motor_that_does_not_confirm_means_remove_power(hand: Bench) -> None:
     assert lasted(hand, Mode.DISARM) == pytest.approx(DISARM_TIMEOUT_S, abs=0.05)
 
 
-def test_a_motor_that_falls_silent_relaxes_the_others_and_both_troubles_are_told(hand: Bench) -> None:
+def test_a_silent_motor_relaxes_the_others_and_both_faults_are_reported(hand: Bench) -> None:
     hand.until(Mode.ACTIVE)
     hand.run(1.0)
     hand.peer.motors[0].silent = True
@@ -336,7 +336,7 @@ def test_clear_drops_latches_but_arms_nothing(hand: Bench) -> None:
     assert hand.modes == HAPPY + HOME
 
 
-def test_every_mode_change_is_told_once(hand: Bench) -> None:
+def test_every_mode_change_is_reported_once(hand: Bench) -> None:
     hand.until(Mode.ACTIVE)
     hand.tick(STOP)
     hand.until(Mode.DONE)

@@ -43,7 +43,7 @@ def test_a_motor_that_answers_before_it_was_asked_was_asked_by_another_controlle
     assert all(out.frames == () for _, _, out in silent.history)
 
 
-def test_a_question_of_somebody_else_and_its_answer_in_one_tick_are_both_told(silent: Bench) -> None:
+def test_a_request_of_another_host_and_its_answer_in_one_tick_are_both_reported(silent: Bench) -> None:
     out = silent.tick(extra=(Frame(0x01, bytes(8)), UNASKED))
     assert faults(out) == ["H13", "H13"]
     assert "(heard: 0x001, " in silent.state.failure

@@ -21,7 +21,7 @@ GOOD = [
 
 
 @pytest.mark.parametrize(("text", "kind"), GOOD)
-def test_good_requests(text: str, kind: type) -> None:
+def test_valid_requests_are_parsed(text: str, kind: type) -> None:
     assert isinstance(parse_request(text), kind)
 
 

@@ -54,7 +54,7 @@ def holding(jamia: HandModel) -> Bench:
     return desk
 
 
-def test_designs_that_nobody_uses_are_forgotten_and_those_of_the_run_are_not(jamia: HandModel) -> None:
+def test_unused_designs_are_dropped_and_designs_of_the_run_are_kept(jamia: HandModel) -> None:
     run, designs = controller(jamia, LiveProgram()), Designs()
     used = Gains().model_copy(update={"tension": TensionGains(force_N=11.0)})
     whole = designs.controller(run, used)

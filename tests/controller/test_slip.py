@@ -77,7 +77,7 @@ def test_the_limit_is_kept_and_said_once(model: HandModel) -> None:
     assert [("no more" in event.text) for event in held.events] == [False, False, True]
 
 
-def test_without_a_limit_slip_is_told_and_not_answered(model: HandModel) -> None:
+def test_without_a_limit_slip_is_reported_without_a_reaction(model: HandModel) -> None:
     held = Held(model)
     held.tick(held.quiet, 1.0)
     held.tick(held.moved(-3 * OPENING_M), 0.5)

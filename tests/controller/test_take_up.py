@@ -12,7 +12,7 @@ SLACK = int(Regime.SLACK)
 
 
 @pytest.mark.parametrize(("length_is_known", "samples"), [(True, 1), (False, 3)])
-def test_a_rope_whose_length_is_known_is_taut_at_the_first_clear_sample(length_is_known: bool, samples: int) -> None:
+def test_a_tendon_whose_length_is_known_is_taut_at_the_first_clear_sample(length_is_known: bool, samples: int) -> None:
     """At 200 Hz a rope gains 1 N from one sample to the next, so that each of them counts."""
     points, taken = 0, 0
     while not interpreted(has_turned)(SLACK, points, False):
@@ -21,7 +21,7 @@ def test_a_rope_whose_length_is_known_is_taut_at_the_first_clear_sample(length_i
     assert taken == samples
 
 
-def test_a_rope_is_near_from_a_small_length_of_loose_rope_on(model: HandModel) -> None:
+def test_a_tendon_is_near_when_little_slack_length_remains(model: HandModel) -> None:
     state = blank(model)
     state.view("stretch_offset")[...] = 1e-3
     for hangs, is_near in ((0.9 * NEAR_M, True), (1.1 * NEAR_M, False)):

@@ -152,7 +152,7 @@ def test_a_contact_tension_or_a_release_above_the_ceiling_is_refused(refusal) ->
         assert "110" in line
 
 
-def test_values_for_one_or_all_digits() -> None:
+def test_a_value_applies_to_one_digit_or_to_all_digits() -> None:
     assert for_digit(3, "index") == 3.0
     assert for_digit({"index": 4.0}, "index") == 4.0
     assert for_digit({"index": 4.0}, "thumb") is None

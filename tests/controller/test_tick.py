@@ -80,7 +80,7 @@ def test_the_order_of_frames_within_a_tick_does_not_matter(session: Bench) -> No
     assert checked > 50
 
 
-def test_identifiers_of_nobody_change_nothing(session: Bench) -> None:
+def test_frames_with_unknown_identifiers_change_no_decision(session: Bench) -> None:
     """But what is counted of them, and that a known identifier with a flag is a frame of a wrong shape."""
     noise = (Frame(0x666, bytes(8)), Frame(0x1A0, bytes(8), bus=3))
     misshapen = Frame(0x011 | 1 << 31, bytes(8))
@@ -151,7 +151,7 @@ def test_nothing_old_has_a_fresh_stamp() -> None:
     np.testing.assert_allclose(np.diff(ages, axis=0), run.controller.model.period)
 
 
-def test_missed_ticks_are_told_and_many_of_them_relax() -> None:
+def test_missed_ticks_are_reported_and_many_of_them_relax() -> None:
     run = bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
     run.until(Mode.ACTIVE)
     run.run(0.5)

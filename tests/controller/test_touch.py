@@ -50,7 +50,7 @@ def pressed(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     return request.param, run_on_plant(request.param, move, None, tmp_path_factory.mktemp("pressed"), 4.0)
 
 
-def test_a_motion_into_a_stop_is_told_and_presses_gently(pressed: tuple[str, PlantRun]) -> None:
+def test_a_motion_into_a_stop_is_reported_and_presses_gently(pressed: tuple[str, PlantRun]) -> None:
     hand, run = pressed
     assert [where for _, where in run.told("blocked")][:1] == ["index"]
     assert not run.told("fault"), "no safety fault: before, the loop wound the rope up to the trip at 140 N"

@@ -27,7 +27,7 @@ def test_a_tpdo_is_a_status_word_a_position_and_a_torque() -> None:
 
 
 @pytest.mark.parametrize("status", STATUS)
-def test_states_are_told_apart_whatever_the_other_bits(status: int) -> None:
+def test_states_are_distinguished_for_any_other_bits(status: int) -> None:
     assert cia402.state_of(status) == cia402.state_of(status | 0x8600) == STATUS[status]
 
 
@@ -47,7 +47,7 @@ def test_a_command_is_a_control_word_and_a_torque() -> None:
             command.pack(wrong)
 
 
-def test_sdo_requests() -> None:
+def test_sdo_requests_have_the_bytes_of_cia_301() -> None:
     assert cia402.upload(0x6041, 2).hex(" ") == "40 41 60 02 00 00 00 00"
     assert cia402.upload(0x9041, 0xFE).hex(" ") == "40 41 90 fe 00 00 00 00"
     assert cia402.download(0x9041, 0xFE, b"\1").hex(" ") == "2f 41 90 fe 01 00 00 00"
@@ -67,7 +67,7 @@ SDO_REPLIES = {
 
 
 @pytest.mark.parametrize("data", SDO_REPLIES)
-def test_sdo_replies(data: str) -> None:
+def test_sdo_replies_are_decoded(data: str) -> None:
     assert cia402.sdo_reply(bytes.fromhex(data)) == SDO_REPLIES[data]
 
 
@@ -76,7 +76,7 @@ def test_no_other_specifier_is_a_reply(specifier: int) -> None:
     assert cia402.sdo_reply(bytes([specifier]) + bytes.fromhex("41 60 02 00 00 00 00")) is None
 
 
-def test_codes_in_words() -> None:
+def test_error_codes_have_texts() -> None:
     assert cia402.error_text(0x8130).startswith("heartbeat of the master lost")
     assert cia402.error_text(0x12) == "error 0x0012"
     assert cia402.abort_text(0x06010002) == "read-only"
@@ -89,7 +89,7 @@ def test_codes_in_words() -> None:
     assert odrive.result_text(99) == "unknown result 99"
 
 
-def test_odrive_payloads() -> None:
+def test_odrive_payloads_match_the_vendors_layout() -> None:
     assert odrive.heartbeat(bytes.fromhex("00000001 08 02 01 00")) == (1 << 24, 8, 2)
     assert odrive.heartbeat(bytes.fromhex("00000080 fe ff 01 00")) == (1 << 31, 0xFE, 0xFF)
     assert odrive.can_id(3, 0x0E) == 0x6E
@@ -125,7 +125,7 @@ def test_registers_of_a_damiao_drive() -> None:
     assert mit.register_reply(bytes((4, 0, mit.READ, mit.TIMEOUT)) + bytes(4), 3) is None
 
 
-def test_requests_for_registers() -> None:
+def test_register_requests_have_the_bytes_of_the_manual() -> None:
     assert mit.register_request(3, mit.READ, mit.TIMEOUT, 9.0) == bytes((3, 0, mit.READ, mit.TIMEOUT)) + bytes(4)
     assert mit.register_request(0x103, mit.REFRESH) == bytes((3, 1, mit.REFRESH, 0)) + bytes(4)
     written = mit.register_request(3, mit.WRITE, mit.PMAX, 12.5)

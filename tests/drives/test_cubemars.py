@@ -74,7 +74,7 @@ def test_neither_silence_nor_an_answer_with_torque_in_it_confirms_that_it_is_off
     [(Error.HOT, "over-temperature", Cause.HOT), (Error.UNDER_VOLTAGE, "under-voltage", Cause.VOLTAGE),
      (Error.ENCODER, "encoder error", Cause.OTHER)],
 )  # fmt: skip
-def test_an_error_is_told_in_words_and_goes_by_order_only(bench: Bench, error: Error, words: str, cause: Cause) -> None:
+def test_an_error_has_a_text_and_ends_only_by_a_clear(bench: Bench, error: Error, words: str, cause: Cause) -> None:
     bench.until(DriveTarget.ENABLE, Phase.ENABLED)
     first(bench).trip(error)
     for _ in range(5):

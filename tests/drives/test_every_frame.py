@@ -57,7 +57,7 @@ def states_of(bench: Bench) -> list[DriveState]:
 
 
 @pytest.mark.parametrize("number", range(3), ids=["silent", "ready", "enabled"])
-def test_a_frame_of_somebody_else_changes_nothing_and_no_frame_raises(bench: Bench, number: int) -> None:
+def test_a_frame_of_another_host_changes_nothing_and_no_frame_raises(bench: Bench, number: int) -> None:
     drive, before = bench.drives[0], states_of(bench)[number]
     receive, ours, t_ns = drive.receive, drive.node_ids, bench.k * 2_000_000
     for frame in every_frame(bench, number, t_ns):

@@ -24,7 +24,7 @@ def bench(request: pytest.FixtureRequest) -> Iterator["subprocess.Popen[str]"]:
 
 @pytest.mark.parametrize("bench", [["mit", "--ids", "1,2"]], indirect=True, ids=["mit"])
 @pytest.mark.usefixtures("bench")
-def test_damiao_motor() -> None:
+def test_damiao_motor_library_controls_the_simulated_motor() -> None:
     foreign_clients.use_damiao_motor("local", BUS)
 
 
@@ -36,7 +36,7 @@ def test_odrive_can() -> None:
 
 @pytest.mark.parametrize("bench", [["cia402", "--ids", "32,33"]], indirect=True, ids=["cia402"])
 @pytest.mark.usefixtures("bench")
-def test_canopen() -> None:
+def test_canopen_library_reads_the_simulated_drive() -> None:
     foreign_clients.use_canopen("local", BUS)
 
 

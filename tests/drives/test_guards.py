@@ -97,7 +97,7 @@ def test_the_same_drive_is_armed_when_all_read_back(protocol):
     assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.ENABLED, 3.0)
 
 
-def test_a_guard_that_nobody_can_verify_is_shown(tmp_path, capsys):
+def test_an_unverifiable_guard_is_shown(tmp_path, capsys):
     path = hand_file(tmp_path, ["odrive"])
     assert main(["config", "check", "--hand", str(path)]) == 0
     assert "caution" not in capsys.readouterr().out

@@ -10,12 +10,12 @@ NOMINAL, DATA = 1_000_000, 5_000_000
 
 
 @pytest.mark.parametrize(("size", "microseconds"), [(0, 55), (4, 95), (8, 135)])
-def test_classical_frames(size: int, microseconds: float) -> None:
+def test_classical_frame_times_match_reference_values(size: int, microseconds: float) -> None:
     assert frame_time_s(size, False, NOMINAL) * 1e6 == pytest.approx(microseconds)
 
 
 @pytest.mark.parametrize(("size", "microseconds"), [(4, 48.6), (8, 56.6), (16, 72.6), (32, 105.6), (64, 169.6)])
-def test_fd_frames(size: int, microseconds: float) -> None:
+def test_fd_frame_times_match_reference_values(size: int, microseconds: float) -> None:
     assert frame_time_s(size, True, NOMINAL, DATA) * 1e6 == pytest.approx(microseconds, rel=0.001)
 
 
@@ -23,7 +23,7 @@ def test_fd_frames(size: int, microseconds: float) -> None:
     ("fd", "motors", "tensions", "microseconds"),
     [(False, 4, [8], 1215), (False, 11, [8, 8, 8], 3375), (True, 4, [12], 517), (True, 11, [32], 1351)],
 )
-def test_a_tick_of_mit_motors_and_their_load_cells(
+def test_tick_time_of_mit_motors_and_load_cells_matches_reference_values(
     fd: bool, motors: int, tensions: list[int], microseconds: float
 ) -> None:
     frames = [(8, fd, 2.0 * motors), *((size, fd, 1.0) for size in tensions)]

@@ -48,7 +48,7 @@ def test_golden_commands(torque: float, payload: str) -> None:
         ("018000800bff2020", (0, 12.5 / 65535, 50 / 4095, 0.8 * (2 * 3071 / 4095 - 1), 32.0)),
     ],
 )
-def test_golden_feedback(payload: str, values: tuple[float, ...]) -> None:
+def test_feedback_is_decoded_to_known_values(payload: str, values: tuple[float, ...]) -> None:
     assert codec.decode_feedback(bytes.fromhex(payload), FEEDBACK) == pytest.approx(values, abs=1e-12)
 
 
@@ -65,11 +65,11 @@ def test_golden_feedback(payload: str, values: tuple[float, ...]) -> None:
         (codec.special_command(codec.CLEAR), "fffffffffffffffb"),
     ],
 )
-def test_golden_requests(request_: bytes, payload: str) -> None:
+def test_requests_have_the_known_bytes(request_: bytes, payload: str) -> None:
     assert request_ == bytes.fromhex(payload)
 
 
-def test_golden_register_replies() -> None:
+def test_register_replies_are_decoded_to_known_values() -> None:
     told = codec.register_reply(bytes.fromhex("0100330900040000"), 1)
     assert told is not None
     assert (told.operation, told.register, told.value) == (0x33, 9, 1024)
@@ -195,7 +195,7 @@ def test_every_identifier_and_length() -> None:
             assert (after is state) == (can_id != 0x11), (can_id, length)
 
 
-def test_options() -> None:
+def test_options_set_reply_identifier_and_can_fd() -> None:
     drive = drive_of(options={"reply_id": 0x55, "fd": True})
     assert drive.node_ids == {0x55}
     assert drive.cut()[0].flags & FDF

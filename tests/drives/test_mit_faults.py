@@ -42,7 +42,7 @@ def test_a_motor_that_disables_itself_is_at_fault_and_is_not_enabled_again(rig: 
     assert rig.motor.nibble == 0
 
 
-def test_a_motor_that_somebody_else_enables_is_at_fault(rig: MotorRig) -> None:
+def test_a_motor_enabled_by_another_host_is_in_fault(rig: MotorRig) -> None:
     rig.until(DriveTarget.POLL, Phase.READY)
     rig.motor.nibble = 1
     state = rig.until(DriveTarget.POLL, Phase.FAULT)
@@ -54,7 +54,7 @@ def test_a_motor_that_somebody_else_enables_is_at_fault(rig: MotorRig) -> None:
         assert rig.state.phase == Phase.FAULT
 
 
-def test_a_motor_that_somebody_else_enables_does_not_count_as_disabled(rig: MotorRig) -> None:
+def test_a_motor_enabled_by_another_host_does_not_count_as_disabled(rig: MotorRig) -> None:
     rig.until(DriveTarget.POLL, Phase.READY)
     rig.motor.nibble = 1
     rig.motor.deaf.add(0xFD)
@@ -70,7 +70,7 @@ def test_a_motor_that_somebody_else_enables_does_not_count_as_disabled(rig: Moto
     ("nibble", "text"),
     [(0x8, "over-voltage"), (0xD, "communication lost: the drive's watchdog fired"), (0xE, "overload")],
 )
-def test_an_error_of_the_motor_is_told_and_stays(rig: MotorRig, nibble: int, text: str) -> None:
+def test_an_error_of_the_motor_is_reported_and_stays(rig: MotorRig, nibble: int, text: str) -> None:
     rig.until(DriveTarget.ENABLE, Phase.ENABLED)
     rig.motor.nibble = nibble
     state = rig.until(DriveTarget.ENABLE, Phase.FAULT)
@@ -82,7 +82,7 @@ def test_an_error_of_the_motor_is_told_and_stays(rig: MotorRig, nibble: int, tex
 
 
 @pytest.mark.parametrize("nibble", [2, 3, 4, 7, 15])
-def test_a_state_that_nobody_knows_is_a_fault_that_never_counts_as_disabled(rig: MotorRig, nibble: int) -> None:
+def test_an_unknown_state_is_a_fault_and_never_counts_as_disabled(rig: MotorRig, nibble: int) -> None:
     rig.until(DriveTarget.ENABLE, Phase.ENABLED)
     rig.motor.nibble = nibble
     state = rig.until(DriveTarget.ENABLE, Phase.FAULT)
@@ -124,7 +124,7 @@ def test_a_motor_that_was_without_power_is_configured_again(rig: MotorRig) -> No
     assert rig.motor.registers[23] == pytest.approx(0.8)
 
 
-def test_a_register_reply_that_nobody_asked_for_changes_nothing(rig: MotorRig) -> None:
+def test_an_unrequested_register_reply_changes_nothing(rig: MotorRig) -> None:
     right = Frame(0x11, bytes([1, 0, 0x33, 10, 1, 0, 0, 0]), 0, 0, rig.t_ns)
     feedback = Frame(0x11, rig.motor.feedback(), 0, 0, rig.t_ns)
     rig.state = rig.drive.receive(rig.state, feedback)
@@ -132,7 +132,7 @@ def test_a_register_reply_that_nobody_asked_for_changes_nothing(rig: MotorRig) -
     assert rig.drive.receive(rig.state, right).private == rig.state.private
 
 
-def test_a_motor_that_was_told_to_enable_and_falls_silent_is_not_forgotten(rig: MotorRig) -> None:
+def test_a_motor_that_is_silent_after_the_enable_command_counts_as_enabled(rig: MotorRig) -> None:
     rig.until(DriveTarget.POLL, Phase.READY)
     rig.motor.silent = True
     for _ in range(2 * SILENCE_NS // PERIOD_NS):
@@ -149,7 +149,7 @@ def test_an_old_answer_after_enable_does_not_take_the_order_back(rig: MotorRig) 
     assert rig.tick(DriveTarget.DISABLE).phase == Phase.ENABLED
 
 
-def test_an_error_soon_after_clearing_is_told_at_once(rig: MotorRig) -> None:
+def test_an_error_soon_after_clearing_is_reported_at_once(rig: MotorRig) -> None:
     rig.state, _ = rig.drive.clear(rig.state)
     rig.until(DriveTarget.ENABLE, Phase.ENABLED)
     rig.motor.nibble = 0xA

@@ -15,7 +15,7 @@ HALF_TORQUE = 3071
 """Code of 0.4 N m when TMAX is 0.8: (0.4 + 0.8) * 4095 / 1.6 = 3071.25."""
 
 
-def test_the_whole_way(rig: MotorRig) -> None:
+def test_motor_goes_from_silent_to_enabled_and_back_to_disabled(rig: MotorRig) -> None:
     assert rig.tick(DriveTarget.LISTEN).phase == Phase.SILENT
     assert rig.sent == []
     rig.until(DriveTarget.POLL, Phase.READY)
@@ -162,7 +162,7 @@ def test_a_motor_may_be_enabled_again_and_is_watched_again(rig: MotorRig) -> Non
     assert rig.until(DriveTarget.ENABLE, Phase.FAULT).error == DROPPED_OUT
 
 
-def test_once_told_to_disable_a_motor_gets_no_torque_before_it_has_confirmed(rig: MotorRig) -> None:
+def test_after_the_disable_command_a_motor_gets_no_torque_before_it_confirms(rig: MotorRig) -> None:
     rig.until(DriveTarget.ENABLE, Phase.ENABLED)
     rig.motor.silent = True
     rig.tick(DriveTarget.POLL)

@@ -10,7 +10,7 @@ BUS = "moteus"
 
 
 @pytest.mark.parametrize("node", [2, 17], ids=["reply of 11 bits", "reply of 29 bits"])
-def test_moteus(node: int) -> None:
+def test_moteus_library_controls_the_simulated_drive(node: int) -> None:
     from tests.drives.moteus_client import use_moteus
 
     with drives(f"local:{BUS}", "moteus", "--ids", f"{node}"):

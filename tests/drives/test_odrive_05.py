@@ -36,7 +36,7 @@ def test_without_its_watchdog_it_fails_by_that():
 
 
 @pytest.mark.parametrize(("error", "words"), [(1 << 25, "emergency stop"), (1 << 13, "motor failed")])
-def test_its_errors_are_told_in_words(error, words):
+def test_errors_have_texts(error, words):
     place = VirtualBench("odrive", **OLD)
     rig = rig_on(place, "odrive", 0.1, OLD)
     assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.ENABLED, 3.0)

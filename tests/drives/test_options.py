@@ -44,7 +44,7 @@ def test_a_whole_number_may_be_written_with_a_point(heartbeat: float) -> None:
         assert drive.background[0][2] > 999.0 / heartbeat, "as often at least as it is told"
 
 
-def test_how_fine_a_position_is_told() -> None:
+def test_position_step_is_reported() -> None:
     """An encoder of a thousand counts is coarser than 16 bit over the range, and the filter must know."""
     coarse = CIA402 | {"counts_per_turn": 1000, "gear_ratio": 2.0}
     assert make_drive(described("cia402", 1, 0.01, coarse), 0).position_step == pytest.approx(math.pi / 1000)

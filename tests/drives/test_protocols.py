@@ -86,7 +86,7 @@ def test_a_cut_takes_the_torque_away_in_the_same_tick_and_disarms(bench: Bench) 
     assert {state.phase for state in bench.states} <= {Phase.READY, Phase.FAULT}
 
 
-def test_a_node_is_told_to_lose_its_torque_before_it_reads_no_more(bench: Bench) -> None:
+def test_a_cut_removes_the_torque_before_the_node_leaves_operational(bench: Bench) -> None:
     """CiA 301: no PDO is read outside of operational; CiA 402-2 asks for no reaction to pre-operational."""
     for drive in bench.drives:
         orders = [frame.can_id for frame in drive.cut()]
@@ -137,7 +137,7 @@ def test_simulated_nodes_survive_any_bytes(bench: Bench) -> None:
     bench.rig.world.advance(bench.rig.world.t_ns + 100_000_000)
 
 
-def test_what_the_host_sends_and_what_the_node_sends_are_told_apart(bench: Bench) -> None:
+def test_frames_of_host_and_node_have_distinct_identifiers(bench: Bench) -> None:
     drive = bench.drives[0]
     assert not drive.host_ids & drive.node_ids
     bench.until(DriveTarget.ENABLE, Phase.ENABLED)

@@ -109,7 +109,7 @@ def test_every_value_reads_as_the_dbc_says(tensions: list[int], joints: list[int
     assert (wired.number("stale"), wired.misread) == (0, False)
 
 
-def test_golden_frames() -> None:
+def test_sensor_frames_are_decoded_to_known_values() -> None:
     """By hand: 0 N is raw 96 = 0x060, 10 N raw 256 = 0x100, rail 0xFFF; 0 rad is raw 0x800; counter 7."""
     node = SensorNode.of(Section(tendons=TENDONS[:3], joints=("j4",)), 0, TENDONS, JOINTS)
     sync = node.sync(tick_of(node, 7))
@@ -132,7 +132,7 @@ def test_only_the_answer_to_the_last_sync_counts(k: int, counter: int) -> None:
 
 
 @pytest.mark.parametrize(("base", "prefix"), [(0x1A0, "tension"), (0x1B0, "joint")])
-def test_a_stale_frame_that_comes_after_the_fresh_one_is_told(node: SensorNode, base: int, prefix: str) -> None:
+def test_a_stale_frame_that_comes_after_the_fresh_one_is_reported(node: SensorNode, base: int, prefix: str) -> None:
     """It has been on its way for a tick and was overtaken, or somebody sends it again."""
     (fresh, *_), (stale, *_) = (encoded(base, prefix, nibble, [7] * CHANNELS) for nibble in (3, 2))
     for frames, told in (([stale], 1), ([stale, fresh], 1), ([fresh, stale], 2), ([fresh, stale, stale], 2)):

@@ -45,7 +45,7 @@ def test_the_report_has_its_sections(report):
     assert 0 < figures["worst_ticks"] <= 6
 
 
-def test_the_undisturbed_hand_alone():
+def test_fault_free_run_alone_continues_its_seeds():
     """Seeds continue from run to run, and long runs can be done in pieces."""
     seeds = []
 
@@ -255,7 +255,7 @@ def test_the_quick_sample_whatever_the_seed(hand: str, seed: int):
 @pytest.mark.timeout(7200)
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 @pytest.mark.parametrize("protocol", ALL)
-def test_the_whole_matrix(hand: str, protocol: str):
+def test_every_scenario_of_the_matrix_is_detected_in_time(hand: str, protocol: str):
     wrong: list[ScenarioResult] = []
     report = campaign.run(
         hand, [protocol], rate_of, jobs=2, quick=False, fault_free_s=600.0,

@@ -120,7 +120,7 @@ def test_a_tick_with_another_result_is_found(arming):
 @pytest.mark.timeout(7200)
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 @pytest.mark.parametrize("protocol", ALL)
-def test_two_thousand(hand, protocol):
+def test_random_sequences_violate_no_rule(hand, protocol):
     """Run a third of a thousand of each kind."""
     described = hand_in(hand, protocol)
     results = run(described, protocol, rate_of(described), range(334), jobs=2, **NOBODY)

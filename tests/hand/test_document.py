@@ -97,7 +97,7 @@ def test_a_mistake_is_a_line(content: dict[str, Any], line: str) -> None:
     assert str(caught.value) == f"plan.toml: {line}"
 
 
-def test_what_is_no_table_at_all_is_told_of_the_file() -> None:
+def test_what_is_no_table_at_all_is_reported_of_the_file() -> None:
     with pytest.raises(ConfigError) as caught:
         validated([], Plan, "plan.toml")  # type: ignore[arg-type]
     assert str(caught.value).startswith("plan.toml: []; expected ")

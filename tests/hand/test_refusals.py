@@ -126,7 +126,7 @@ def test_an_unknown_key(refusal, name):
 
 
 @pytest.mark.parametrize("name", packaged_hands())
-def test_a_misspelt_key_is_told_with_the_right_one(refusal, name):
+def test_a_misspelt_key_is_reported_with_the_right_one(refusal, name):
     for path, table in tables(CONTENT[name]):
         for key in table:
             if key == "schema" and path == ():

@@ -48,7 +48,7 @@ def test_the_bound_is_exact(name):
             assert any("torque_peak_N_m" in line for line in strength_warnings(other)) == warned
 
 
-def test_a_drive_limit_too_high_is_told_with_the_right_one():
+def test_a_drive_limit_too_high_is_reported_with_the_right_one():
     hand = changed(load_hand("jamia"), strength=470.0)
     (line,) = [line for line in strength_warnings(hand) if "drive_limit_N" in line]
     assert line.startswith("index_tendon, middle_tendon and 2 more: drive_limit_N (160 N at the tendon) makes 320 N")
@@ -56,7 +56,7 @@ def test_a_drive_limit_too_high_is_told_with_the_right_one():
     assert line.endswith("157 N = 0.783 N m for 1.5")
 
 
-def test_joints_without_rating_are_told_and_weak_ones_by_name():
+def test_joints_without_rating_are_reported_and_weak_ones_by_name():
     hand = load_hand("jamia")
     assert any("joint_rated_torque_N_m is missing" in line for line in strength_warnings(hand))
     strong, weak = changed(hand, rated=2.26), changed(hand, rated=2.24)  # 500 N at 3 mm, times 1.5, make 2.25 N m

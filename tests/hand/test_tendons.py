@@ -61,7 +61,7 @@ def test_tension_rises_with_stretch(law):
 
 
 @law_of_each_kind
-def test_a_slack_or_slackening_rope_never_pushes(law, rng):
+def test_a_slack_or_slackening_tendon_never_pushes(law, rng):
     for stretch, rate in zip(rng.normal(size=2000) * 2e-3, rng.normal(size=2000) * 5.0, strict=True):
         tension = law.tension(stretch, rate)
         assert tension >= 0.0
@@ -73,7 +73,7 @@ def test_a_slack_or_slackening_rope_never_pushes(law, rng):
             assert law.damping * rate <= -law.elastic(stretch)
 
 
-def test_known_numbers_of_the_packaged_rope():
+def test_known_numbers_of_the_packaged_tendon():
     law = LAWS[0]
     assert math.isclose(law.stretch(110.0), 1.1e-3, rel_tol=1e-12)
     assert math.isclose(law.knee / law.stiffness, 2.0e-3, rel_tol=1e-12)

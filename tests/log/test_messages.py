@@ -134,7 +134,7 @@ LABEL = {"header": {"stamp": STAMP, "frame_id": ""}, "name": "hold"}
         ),
     ],
 )
-def test_a_message_from_its_values(kind: str, ours: bytes, values: dict[str, object]) -> None:
+def test_message_equals_the_reference_encoding(kind: str, ours: bytes, values: dict[str, object]) -> None:
     assert ours == _built(kind, values)
 
 

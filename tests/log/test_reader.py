@@ -73,7 +73,7 @@ def test_a_log_without_the_latest_fields_is_read(lively_log: Path, monkeypatch: 
         assert log.field("q_sigma").tobytes() == expected.tobytes()
 
 
-def test_times_gaps_events_and_phases(lively_log: Path) -> None:
+def test_reader_returns_times_gaps_events_and_phases_as_written(lively_log: Path) -> None:
     ticks = list(lively.ticks(lively.header()))
     with RunLog(lively_log) as log:
         assert log.k.tolist() == [tick_in.k for tick_in, _ in ticks]

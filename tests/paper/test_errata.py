@@ -175,7 +175,7 @@ def test_ids_are_unique_and_reasons_given() -> None:
         ("abstract.joints", 11),
     ],
 )
-def test_known_values(id: str, value: float) -> None:
+def test_items_have_the_known_values(id: str, value: float) -> None:
     found = {item.id: item.computed for item in sections.items(None)}
     assert found[id] == pytest.approx(value, rel=1e-4)
 
@@ -211,7 +211,7 @@ def test_no_row_says_that_the_paper_is_silent_of_what_it_says() -> None:
     assert "Section 7 states that its own are absolute" in found["sec4-7.angles"].why
 
 
-def test_relative_and_absolute_angles() -> None:
+def test_torques_convert_between_relative_and_absolute_angles() -> None:
     """Check tau = S^T T and M_q = S^T M_theta S, as the page states."""
     digit = lagrange.paper_finger()
     states = lagrange.finger_states(digit)

@@ -31,7 +31,7 @@ def test_the_bench_hand_reaches_what_its_sensors_can_tell_apart() -> None:
         assert hand.motor_of(tendon.name).torque_max_N_m == pytest.approx(tendon.drive_limit_N * 0.005)
 
 
-def test_a_blocked_finger_shows_the_knee_of_its_rope(tmp_path: Path) -> None:
+def test_a_blocked_finger_shows_the_knee_of_its_tendon(tmp_path: Path) -> None:
     measured = json.loads(json.dumps(experiments.do({"do": "pull"}, tmp_path)))
     bent, straight = force_displacement.curves(measured)
     for found in (bent, straight):
@@ -87,7 +87,7 @@ def test_workers_do_not_outlive_their_owner() -> None:
 
 @pytest.mark.nightly
 @pytest.mark.timeout(600)
-def test_everything_in_less_than_three_minutes(tmp_path: Path) -> None:
+def test_all_experiments_finish_within_three_minutes(tmp_path: Path) -> None:
     report, figures = tmp_path / "out.html", tmp_path / "figures"
     words = ["paper", "--json", "--output", str(report), "--figures", str(figures)]
     begun = time.monotonic()

@@ -48,7 +48,7 @@ def test_dimensions_multiply_and_divide() -> None:
         ("-a", "−a"),
     ],
 )
-def test_looks(text: str, looks: str) -> None:
+def test_expression_is_typeset_as_expected(text: str, looks: str) -> None:
     assert Expression(text).pretty() == looks
 
 

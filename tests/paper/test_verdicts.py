@@ -44,7 +44,7 @@ def digits(value: Fraction, places: int, rounding: str) -> str:
         ("2.4", Fraction(255, 100), ErrataVerdict.WRONG),
     ],
 )
-def test_numbers(printed: str, exact: Fraction | float, verdict: ErrataVerdict) -> None:
+def test_verdict_of_a_number(printed: str, exact: Fraction | float, verdict: ErrataVerdict) -> None:
     assert of_number(printed, exact) == verdict
 
 
@@ -77,7 +77,7 @@ def test_an_error_that_is_carried_on_has_the_verdict_of_its_source() -> None:
     assert of_carried("0.09167", torque, Fraction("18.33") * 5 / 1000, ErrataVerdict.TRUNCATED) == ErrataVerdict.ROUNDED
 
 
-def test_readings_and_contradictions() -> None:
+def test_verdict_of_readings_and_contradictions() -> None:
     assert of_readings([True]) == of_statement(True) == ErrataVerdict.EQUAL
     assert of_readings([False, False]) == of_statement(False) == ErrataVerdict.WRONG
     assert of_readings([True, False]) == ErrataVerdict.UNDECIDABLE

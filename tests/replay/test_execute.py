@@ -96,7 +96,7 @@ def test_ulps_count_neighbours(value: float) -> None:
     assert ulps(value, math.nextafter(above, math.inf)) == 2
 
 
-def test_ulps_of_zeros() -> None:
+def test_both_zeros_have_distance_0_in_ulps() -> None:
     assert ulps(0.0, -0.0) == 0
     assert ulps(5e-324, -5e-324) == 2
 

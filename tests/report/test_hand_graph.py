@@ -30,7 +30,7 @@ def test_the_drawing_is_whole(name: str, tmp_path: Path) -> None:
     assert (tmp_path / "hand.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_two_buses_an_extensor_and_an_awkward_name(tmp_path: Path) -> None:
+def test_graph_shows_both_buses_an_extensor_and_an_escaped_name(tmp_path: Path) -> None:
     content = hand_content("jamia11")
     content["description"] = "a $hand$ with \x1b"
     content["bus"].append({"name": "second", "bitrate": 1_000_000, "data_bitrate": 5_000_000})
@@ -42,7 +42,9 @@ def test_two_buses_an_extensor_and_an_awkward_name(tmp_path: Path) -> None:
     draw_hand(tmp_path / "hand.svg", hand)
 
 
-def test_the_verb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_config_show_graph_prints_or_draws_the_hand(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["config", "show", "--graph", "--hand", "t42"]) == 0
     assert "left_flexor: j1 +10 mm  j2 +5 mm" in capsys.readouterr().out

@@ -91,7 +91,7 @@ def test_tracking_is_goal_against_plant_in_free_motion_only() -> None:
     assert math.isnan(result["tracking_rmse_deg"]["thumb"]), "it had no goal"
 
 
-def test_tension_errors_of_estimate_and_of_the_raw_load_cell() -> None:
+def test_tension_errors_are_computed_for_estimate_and_raw_load_cell() -> None:
     """The estimate belongs to the tick itself, the sample was taken one period before."""
     log, truth = quiet(), truth_of(JAMIA, 200)
     real = 20.0 + np.arange(200) * 0.1
@@ -175,12 +175,12 @@ def test_object_motion_is_the_largest_distance_from_the_start_of_a_hold() -> Non
     assert summarise(two, JAMIA, truth, 0)["object_motion_mm"] == pytest.approx(0.0), "moved between two holds"
 
 
-def test_rms() -> None:
+def test_rms_ignores_nan() -> None:
     assert rms(np.array([3.0, np.nan, -4.0])) == pytest.approx(math.sqrt(12.5))
     assert math.isnan(rms(np.array([np.nan])))
 
 
-def test_measured_load_of_frames_by_hand() -> None:
+def test_measured_load_equals_a_hand_calculation() -> None:
     """In a classical frame of 8 bytes, 34 + 64 bits are stuffed at most once in four, 13 bits are not."""
     log = quiet()
     one = (98 + 97 // 4 + 13) / 1e6

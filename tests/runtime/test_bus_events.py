@@ -28,7 +28,7 @@ def kinds(events: BusEvents) -> set[str]:
         (0x044, 0x30, {"error_frame", "bus_off", "error_passive"}),
     ],
 )
-def test_classes_of_error_frames(can_id: int, status: int, expected: set[str]) -> None:
+def test_error_frame_gives_the_events_of_its_class(can_id: int, status: int, expected: set[str]) -> None:
     """Numbers from Linux ``can/error.h``: CAN_ERR_* and CAN_ERR_CRTL_*."""
     events = BusEvents("can0")
     events.error_frame(ERROR | can_id, bytes((0, status, 0, 0, 0, 0, 0, 0)))

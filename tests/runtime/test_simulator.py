@@ -22,7 +22,7 @@ def simulator(tmp_path, monkeypatch):
     assert not list(run_dir().glob("*.faults")), "it takes its socket away"
 
 
-def test_inject_and_list(simulator, capsys):
+def test_injected_faults_are_listed(simulator, capsys):
     assert main(["fault", "inject", "hot node=1 size=95", "--json"]) == 0
     listed = json.loads(capsys.readouterr().out)["faults"]
     assert [(fault["fault"], fault["state"], fault["felt"]) for fault in listed] == [

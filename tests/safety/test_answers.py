@@ -50,7 +50,7 @@ class Questions(Monitor):
     (((7 - WINDOW, 6), (8 - WINDOW, 6)), (True, True), ((6, 7), (8 - WINDOW, 6, 7))),    # too old: given up
     (((-WINDOW, 7 - WINDOW), (-WINDOW,)), (True, True), ((7 - WINDOW, 7), (-WINDOW, 7))),    # but the last one
 ])  # fmt: skip
-def test_one_question_more(owed, able, after):
+def test_a_request_increases_the_number_of_owed_replies(owed, able, after):
     questions = Questions(owed)
     questions.ask(7, able)
     assert questions.owed == after

@@ -26,7 +26,7 @@ def test_causes_of_a_drive_s_error() -> None:
     assert rows[Cause.UNKNOWN] == "N11b"
 
 
-def test_above_a_limit() -> None:
+def test_a_tension_above_its_limit_is_detected() -> None:
     nan = float("nan")
     assert rested().tick(tensions(t0=140.0, t1=50.5).rows)["T03"] == {"t1": 50.5}
     assert "T03" not in rested().tick(tensions(t0=140.0, t1=50.0).rows)
@@ -52,7 +52,7 @@ def test_a_row_knows_its_catalogue_row_and_whether_it_latches() -> None:
     (Row("B12", "t", "files", tested="x.py"), "before torque | x.py |"),
     (Row("B12", "t", "files", ms=4), "4 ms, 2 ticks | campaign |"),
 ])  # fmt: skip
-def test_a_row_of_the_page(entry: Row, last: str) -> None:
+def test_catalogue_row_has_all_columns(entry: Row, last: str) -> None:
     head, line, row = catalogue((entry,)).splitlines()
     assert head == "| id | fault | judged by | MIT | ODrive | CiA 402 | latest reaction | tested by |"
     assert line == "|---|---|---|---|---|---|---|---|"
@@ -64,7 +64,7 @@ def test_a_row_that_no_tick_judges_says_where_it_is() -> None:
     assert "| B11a RELAX, B11b CUT |".strip("| ") in catalogue((Row("B11", "t", "fault table", ticks=3),))
 
 
-def test_rows_that_take_longer_than_required() -> None:
+def test_rows_later_than_required_are_listed_with_reasons() -> None:
     soon, just = Row("A", "t", "fault table", ticks=2, required=3), Row("B", "t", "fault table", ticks=3, required=3)
     longer = Row("C", "u", "fault table", ticks=1, ms=30, required=5, why="because")
     free = Row("D", "t", "fault table", ticks=9)  # no time is given: it cannot be late
@@ -77,7 +77,7 @@ def test_rows_that_take_longer_than_required() -> None:
     assert longer.latest_ms(200.0) == 35.0
 
 
-def test_the_list_for_hardware() -> None:
+def test_hardware_checklist_lists_the_tests_in_order() -> None:
     lines = checklist().splitlines()
     assert lines[:3] == ["| id | what to do |", "|---|---|", "| B12 | short CANH to CANL in motion |"]
     assert lines[-1].startswith("| H05 | kill -9 in a grasp")

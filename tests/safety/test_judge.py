@@ -27,7 +27,7 @@ def test_all_but_those_of_other_modes_are_paired() -> None:
 
 
 @pytest.mark.parametrize(("first", "second"), PAIRS)
-def test_of_two_faults_at_once_the_larger_action_wins_and_both_are_told(first: str, second: str) -> None:
+def test_of_two_simultaneous_faults_the_more_severe_action_wins_and_both_are_reported(first: str, second: str) -> None:
     a, b = CASES[first], CASES[second]
     both = merged(a.present, b.present)
     monitor, verdicts = course(*[both] * max(a.debounce, b.debounce))

@@ -21,13 +21,13 @@ def test_a_cell_at_a_rail_relaxes_the_hand_at_the_third_tick(rail: float) -> Non
 
 
 @pytest.mark.parametrize("tension", [-2.0, 0.0, 100.0, math.nan])
-def test_what_a_rope_can_do_is_no_fault(tension: float) -> None:
+def test_tensions_possible_for_a_tendon_are_no_fault(tension: float) -> None:
     monitor = Monitor(LIMITS)
     for _ in range(10):
         assert monitor.judge(tensions(t0=5.0, t1=tension).rows).action == Action.PASS
 
 
-def test_what_is_at_a_rail_is_told_once_with_what_it_reads_whatever_the_tare() -> None:
+def test_a_saturated_load_cell_is_reported_once_with_its_reading_for_any_tare() -> None:
     """Of a tare of -3 N a broken wire reads -3 N, which a tendon may for a moment."""
     shown = merged(tensions(t1=-3.0), rows(saturated={1: 1}))
     assert Monitor(LIMITS).tick(shown.rows)["T06"] == {"t1": -3.0}

@@ -60,7 +60,7 @@ def filtered(
 
 
 @pytest.mark.parametrize("held", [0.0, 20.0, 100.0])
-def test_a_rope_at_rest_leaves_nothing(held):
+def test_a_tendon_at_rest_leaves_no_residual(held):
     state = filtered(2.0, lambda t: held, lambda t: held)
     assert state.unexplained == 0.0
 
@@ -157,7 +157,7 @@ def test_unknown_frames_are_forgotten_after_a_second():
     assert monitor.view("unknown").item() == pytest.approx(100.0 / np.e, rel=0.01)
 
 
-def test_a_rope_that_was_never_taut_is_not_slack():
+def test_a_tendon_that_was_never_taut_is_not_slack():
     monitor = Monitor(made_up(2), residual_fraction=0.0)
 
     def step(tension, wanted):
@@ -171,7 +171,7 @@ def test_a_rope_that_was_never_taut_is_not_slack():
     assert step([0.0, 0.0], [5.0, np.nan]) == {}, "a limp tendon may hang"
 
 
-def test_a_rope_snaps_if_it_was_taut_a_moment_ago():
+def test_a_tendon_snaps_if_it_was_taut_a_moment_ago():
     def after(ticks, cell=0.5, speed=0.05):
         monitor = Monitor(made_up(1), residual_fraction=0.0)
         monitor.tick(wanted=24.0)
@@ -185,7 +185,7 @@ def test_a_rope_snaps_if_it_was_taut_a_moment_ago():
     assert after(61) == {}, "taking up a tendon that has long been slack"
 
 
-def test_a_rope_that_is_still_pulled_after_the_cut():
+def test_a_tendon_still_pulled_after_the_cut_is_detected():
     monitor = Monitor(made_up(2))
     monitor.tick(measured_tension=30.0)
     assert "N16" not in monitor.tick(mode=int(Mode.CUT), measured_tension=[30.0, 30.0])
@@ -204,7 +204,7 @@ def test_a_tick_takes_its_share_of_the_balance_to_the_last_digits(speed):
 
 
 @pytest.mark.parametrize(("speed", "counts"), [(RUB_SPEED, False), (np.nextafter(RUB_SPEED, 1.0), True)])
-def test_friction_is_told_from_beyond_the_speed_at_which_it_is_developed(speed, counts):
+def test_friction_is_judged_above_the_speed_of_full_friction(speed, counts):
     rotor = Rotor(last_speed=speed)
     rotor.step(20.0, 30.0, speed)
     assert bool(rotor.low(RUB)) == counts

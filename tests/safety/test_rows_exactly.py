@@ -36,7 +36,7 @@ def test_a_finding_says_how_large_it_was() -> None:
     assert [(f.id, name, value) for f, name, value in reported(reports)] == [("H13", "0x123", 1.0)]
 
 
-def test_nobody_answers_in_ticks_that_the_host_missed() -> None:
+def test_no_replies_are_expected_in_ticks_missed_by_the_host() -> None:
     everybody = motors(**dict.fromkeys(LIMITS.motors, 3))
     assert readings("B01", merged(everybody, rows(missed=3))) == []
     assert readings("B01", merged(everybody, rows(missed=3), motors(m1=4))) == [("m1", 4)]
@@ -49,12 +49,12 @@ def test_a_node_that_does_not_hear_misses_as_many_ticks_as_the_row_says() -> Non
     assert readings("B17", motors(m1=most)) == [("m1", float(most))]
 
 
-def test_losses_of_a_hundred_ticks_are_told_by_their_number() -> None:
+def test_losses_of_a_hundred_ticks_are_reported_with_their_number() -> None:
     assert readings("B03a", lost(m1=21)) == [("m1", 21.0)]
     assert readings("B03b", merged(lost(m1=20), Shown({"lost": {(1, 1): (1 << 21) - 1}}))) == [("m1", 41.0)]
 
 
-def test_a_tension_at_the_rail_is_the_load_cell_s_and_below_it_the_rope_s() -> None:
+def test_a_tension_at_the_rail_is_a_load_cell_fault_and_below_it_a_tendon_fault() -> None:
     rail = LIMITS.tension_rail
     for row in ("T03", "T03b"):
         found = readings(row, tensions(t0=math.nextafter(rail, 0.0), t1=0.0))

@@ -48,18 +48,18 @@ class Tendons(Monitor):
     (30.0, NAN, (3, 4), (-1, 0)),
     (NAN, 20.0, (3, 4), (4, 0)),      # no sample: neither slack nor taut
 ])  # fmt: skip
-def test_one_tick_of_a_rope(cell, goal, before, after):
+def test_slack_detector_updates_its_counts_in_each_tick(cell, goal, before, after):
     tendons = Tendons(1, taut_ago=before[0], slack_ticks=before[1])
     assert tendons.step([cell], [goal]) == [after]
 
 
-def test_ropes_count_apart_and_begin_as_never_taut():
+def test_tendons_count_separately_and_begin_as_never_taut():
     tendons = Tendons(3)
     assert tendons.step([20.0, 0.0, 1.0], [24.0, 24.0, NAN]) == [(0, 0), (-1, 0), (-1, 0)]
     assert tendons.step([0.0, 20.0, 1.0], [24.0, 24.0, 24.0]) == [(1, 1), (0, 0), (-1, 0)]
 
 
-def test_slack_is_told_by_name_and_in_seconds():
+def test_slack_is_reported_by_name_and_in_seconds():
     tendons = Tendons(3, taut_ago=[0, 8, 1], slack_ticks=[0, 25, 24])
     tendons.step([20.0, 0.0, 0.0], [20.0] * 3)
     assert tendons.told["T02a"] == {"t1": 26 * T}
@@ -89,7 +89,7 @@ def test_slack_is_told_by_name_and_in_seconds():
     (0, 0.0, NAN, 0.05, False),
     (0, 0.0, 24.0, NAN, False),
 ])  # fmt: skip
-def test_a_snapped_rope(ago, cell, goal, speed, found):
+def test_a_snapped_tendon_is_detected(ago, cell, goal, speed, found):
     """The filtered tension lies between slack and taut, so that the tick counts on; the other one runs, and is taut."""
     tendons = Tendons(2, taut_ago=[0, ago - 1 if ago > 0 else ago])
     taut = 20.0 if ago == 0 else 2.2
@@ -122,7 +122,7 @@ def test_a_sample_that_is_missing_at_the_cut_counts_as_the_last_one_before():
     assert tendons.get("cut_from") == [31.0, 20.0]
 
 
-def test_a_rope_of_which_nothing_was_known_at_the_cut_counts_from_its_first_reading():
+def test_a_tendon_of_which_nothing_was_known_at_the_cut_counts_from_its_first_reading():
     tendons = Tendons(2)
     tendons.cut([NAN, 20.0])
     assert math.isnan(tendons.get("cut_from")[0])
@@ -147,7 +147,7 @@ def test_a_rope_of_which_nothing_was_known_at_the_cut_counts_from_its_first_read
     (50, 30.0, NAN, False),
     (50, NAN, 30.0, False),           # read for the first time in this tick, or never
 ])  # fmt: skip
-def test_a_rope_that_somebody_still_pulls(ticks, before, now, found):
+def test_a_tendon_still_pulled_by_its_motor_is_detected(ticks, before, now, found):
     """Of what was never read before, this tick's reading becomes the one to compare with, and is not below it."""
     tendons = Tendons(2, cut_ticks=ticks - 1, cut_from=[0.0, before], cut_bears=NAN)
     told = tendons.cut([0.0, now])
@@ -158,7 +158,7 @@ def test_a_rope_that_somebody_still_pulls(ticks, before, now, found):
         assert told == ({"t1": now} if found else {})
 
 
-def test_what_a_rope_bore_last_counts_where_the_latest_sample_is_missing():
+def test_the_last_tension_counts_if_the_latest_sample_is_missing():
     """From 80 ms after the cut on: what it bore before that says nothing of whether it was let go."""
     tendons = Tendons(2)
     for k in range(50):

@@ -64,7 +64,7 @@ def test_nothing_is_wrong_with_a_calm_hand() -> None:
 
 
 @pytest.mark.parametrize("id_", CASES)
-def test_it_counts_at_its_tick_and_is_told_once(id_: str) -> None:
+def test_a_fault_counts_after_its_ticks_and_is_reported_once(id_: str) -> None:
     case = CASES[id_]
     _, actions, told = alone(id_, *[case.present] * (case.debounce - 1))
     assert (actions, told) == ([Action.PASS] * (case.debounce - 1), [])

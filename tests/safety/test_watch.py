@@ -59,14 +59,14 @@ def ticks(number: int, monitor: Monitor | None = None, **given: Any) -> tuple[Mo
     return monitor, found
 
 
-def test_at_rest_nothing_is_told():
+def test_at_rest_nothing_is_reported():
     monitor, found = ticks(600)
     assert found == {}
     assert monitor.view("taut_s") == pytest.approx([1.2, 1.2])
     assert (monitor.get("taut_ago"), monitor.get("slack_ticks")) == ([0, 0], [0, 0])
 
 
-def test_a_hand_that_is_armed_while_its_ropes_are_taut_is_not_stuck():
+def test_a_hand_that_is_armed_while_its_tendons_are_taut_is_not_stuck():
     """What is filtered begins at what is there: tension and force have not moved, so that nothing needs to."""
     _, found = ticks(200, wanting(wanted=N, followed=N, asked=N))
     assert found == {}
@@ -91,7 +91,7 @@ def test_without_torque_everything_but_the_counts_begins_anew():
     assert monitor.get("misshapen") == [6, 6, 6]
 
 
-def test_after_the_cut_a_rope_that_does_not_let_go_is_told():
+def test_after_the_cut_a_tendon_that_does_not_let_go_is_reported():
     monitor = ticks(3)[0]
     monitor.set({"mode": int(Mode.CUT)})
     for _ in range(50):
@@ -100,7 +100,7 @@ def test_after_the_cut_a_rope_that_does_not_let_go_is_told():
     assert monitor.get("cut_from") == [30.0, 8.0]
 
 
-def test_a_rope_that_does_not_let_go_is_told_though_its_sample_was_lost_at_the_cut():
+def test_a_tendon_that_does_not_let_go_is_reported_though_its_sample_was_lost_at_the_cut():
     monitor = ticks(3, tension=[30.0, 25.0])[0]
     ticks(2, monitor, tension=N)
     monitor.set({"mode": int(Mode.CUT)})
@@ -140,14 +140,14 @@ def test_friction_beyond_the_file_s(rub, told):
     assert found.get("T09", {}) == (dict(zip("ab", grown, strict=True)) if told else {})
 
 
-def test_a_noisy_encoder():
+def test_a_noisy_encoder_is_detected():
     """Mean squared jerk of a position that goes to and fro by d each tick: 16 d^2."""
     for size, told in ((2.4e-3, {}), (2.6e-3, dict.fromkeys(("ma", "mb"), pytest.approx(1.08e-4, rel=0.02)))):
         _, found = ticks(600, position=lambda k, size=size: size * (-1.0) ** k)
         assert found.get("N07", {}) == told
 
 
-def test_a_slack_rope_and_a_torn_one():
+def test_a_slack_tendon_and_a_torn_tendon_are_distinguished():
     monitor, _ = ticks(100)
     _, found = ticks(90, monitor, tension=[0.0, 20.0])
     assert list(found["T02a"]) == ["a"]
@@ -157,7 +157,7 @@ def test_a_slack_rope_and_a_torn_one():
     assert found["T01"] == {"a": 0.05}
 
 
-def test_joint_and_spool_are_compared_from_when_the_rope_is_taut():
+def test_joint_and_spool_are_compared_from_when_the_tendon_is_taut():
     """Tendon a: 20 mm of arms; 3 deg are 1.05 mm at the joints, filtered over 0.3 s; unfiltered 15 deg are told."""
 
     def slipped(deg):
@@ -173,7 +173,7 @@ def test_joint_and_spool_are_compared_from_when_the_rope_is_taut():
     assert slipped(-15.1)["T08"] == {"a": pytest.approx(15.1, abs=1e-6)}
 
 
-def test_joint_and_spool_say_nothing_of_a_slack_rope_or_just_after_it():
+def test_joint_and_spool_are_not_compared_during_slack_or_shortly_after():
     monitor, _ = ticks(100, excursion=0.0, read=True)
     ticks(1, monitor, tension=[1.9, 20.0], excursion=0.0, read=True)
     assert (monitor.get("taut_s")[0], np.isnan(monitor.get("slip_from")[0])) == (0.0, True)
@@ -202,7 +202,7 @@ def sparse(number: int, monitor: Monitor, **given: Any) -> list[Evidence]:
     return told
 
 
-def test_a_rope_that_left_its_pulley_shows_in_three_readings_however_seldom_joints_are_read():
+def test_a_tendon_that_left_its_pulley_shows_in_three_readings_however_seldom_joints_are_read():
     monitor = wanting(made(joint_period=EVERY * T))
     sparse(100, monitor, excursion=0.0, joints=0.0)
     off = {"excursion": [-0.02 * np.radians(15.1), 0.0], "joints": 0.0}
@@ -235,7 +235,7 @@ def test_joint_against_spool_is_filtered_over_the_same_time_however_seldom_joint
         assert begun == pytest.approx(0.584, abs=0.01)
 
 
-def test_a_joint_or_a_motor_that_stands_is_told_after_the_same_time_however_seldom_it_is_read():
+def test_a_joint_or_a_motor_that_stands_is_reported_after_the_same_time_however_seldom_it_is_read():
     monitor = wanting(made(motor_period=(EVERY * T, T), joint_period=EVERY * T))
     sparse(100, monitor, travel=0.0, excursion=0.0, joints=0.2)
     sparse(4, monitor, travel=0.0, excursion=0.0, joints=0.3)
@@ -267,7 +267,7 @@ def test_a_motor_that_stands_while_its_goal_moves(number, goal, told):
     assert found.get("N04", {}) == ({"ma": pytest.approx(0.51)} if told else {})
 
 
-def test_a_motor_that_stands_while_its_rope_s_tension_moves():
+def test_a_motor_reading_that_stands_while_the_tension_moves_is_stuck():
     for tension, told in ((27.9, []), (28.2, ["mb"]), (11.8, ["mb"])):
         _, found = ticks(200, just_moved(), travel=1e-5, tension=[20.0, tension], force=[20.0, tension])
         assert list(found.get("N04", {})) == told
@@ -405,7 +405,7 @@ def test_what_counts_as_lost(rows, lost):
     assert monitor.get("lost") == [lost, [0, 0, 0]]
 
 
-def test_misshapen_frames_are_told_of_who_sent_one_now_and_how_many_there_were_of_late():
+def test_malformed_frames_are_reported_with_sender_and_recent_number():
     monitor = made()
     for k in range(3):
         found = monitor.tick(misread_now=[1, k == 0, 0])
@@ -420,7 +420,7 @@ def test_a_node_that_answers_every_second_tick():
         assert list(found.get("N15", {})) == (["mb"] if k >= 13 else []), k
 
 
-def test_strange_frames():
+def test_count_of_unknown_frames_decays():
     monitor = made()
     monitor.tick(strange=5)
     assert monitor.view("unknown").item() == 5.0
@@ -428,7 +428,7 @@ def test_strange_frames():
     assert monitor.view("unknown").item() == pytest.approx(5.0 * (1.0 - T))
 
 
-def test_refused_goals_are_told_where_one_comes():
+def test_refused_goals_are_reported_in_their_tick():
     monitor = made()
     assert monitor.tick(refused=2, refused_now=2)["I07a"] == {"goal": 2.0}
     assert monitor.tick(refused=3, refused_now=1)["I07b"] == {"goal": 3.0}

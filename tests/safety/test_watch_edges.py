@@ -34,7 +34,7 @@ def turned(monitor: Monitor, **given: Any) -> list[float]:
     return [interpreted(stuck.turned, monitor.state_tables, monitor.hand_tables, j) for j in (0, 1)]
 
 
-def test_what_a_rope_stretches_turns_no_joint(monitor: Monitor) -> None:
+def test_tendon_stretch_is_not_counted_as_joint_motion(monitor: Monitor) -> None:
     """The spool winds as far as the tendon gives way under a tension that has grown."""
     np.testing.assert_allclose(turned(monitor, travel=20.0 / SOFT, **READ), 0.0, atol=1e-12)
     wound = turned(monitor, travel=[20.0 / SOFT + 1e-3, 20.0 / SOFT], **READ)
@@ -50,7 +50,7 @@ def test_between_slack_and_taut_time_stands(monitor: Monitor, tension: float, ta
     assert monitor.get("taut_s") == [taut, taut]
 
 
-def test_joint_and_spool_are_not_compared_before_the_rope_has_settled(monitor: Monitor) -> None:
+def test_joint_and_spool_are_not_compared_before_the_tendon_has_settled(monitor: Monitor) -> None:
     for since, settled in ((SETTLE_S, False), (np.nextafter(SETTLE_S, 1.0), True)):
         now = seen(**READ | {"tension": 2.2, "excursion": [0.0, 1e-3]})
         monitor.tick(now, taut_s=[float(since), 1.0], slip_from=0.0)
@@ -77,7 +77,7 @@ def names(monitor: Monitor, before: int, value: float, away: dict[str, list[floa
     }  # fmt: skip
 
 
-def test_what_stands_is_told_beyond_its_limits_and_not_at_them(monitor: Monitor) -> None:
+def test_a_stuck_sensor_is_reported_above_its_limits_and_not_at_them(monitor: Monitor) -> None:
     long = int(STUCK_S / T)
     assert not any(names(monitor, 9999, 20.0, {}).values())
     at = {"goal": [STUCK_GOAL_M, 0.0], "tension": [0.0, STUCK_TENSION_N], "pushed": [CELL_FORCE_N, 9.0],
@@ -96,7 +96,7 @@ def test_a_cell_may_repeat_itself_one_tick_less_than_the_row_says(monitor: Monit
     assert names(monitor, CELL_TICKS - 1, TAUT_N, pushed)["cell"] == [], "a slack tendon's cell may rest"
 
 
-def test_a_cell_that_repeats_itself_is_told_in_the_very_tick() -> None:
+def test_a_repeating_load_cell_is_reported_in_the_same_tick() -> None:
     monitor = made(SOFT)
     monitor.set({"asked": 20.0, "wanted": 20.0, "followed": 0.0})
     for k in range(CELL_TICKS + 2):

@@ -42,7 +42,7 @@ def test_a_file_without_provenance_is_gains_too(tmp_path: Path) -> None:
     assert gains.motion.model_fields_set == {"force_N"}
 
 
-def test_back_and_back_again(store: GainsStore) -> None:
+def test_repeated_rollbacks_go_back_to_the_packaged_gains(store: GainsStore) -> None:
     assert store.present() is None
     for newtons in (21.0, 22.0, 23.0):
         store.apply(force(newtons), Provenance())
@@ -57,7 +57,7 @@ def test_back_and_back_again(store: GainsStore) -> None:
     assert [entry.number for entry in store.entries()] == list(range(1, 8))
 
 
-def test_a_rollback_after_a_rollback_and_another_step(store: GainsStore) -> None:
+def test_a_rollback_after_a_rollback_and_a_change_skips_the_undone_gains(store: GainsStore) -> None:
     for newtons in (21.0, 22.0):
         store.apply(force(newtons), Provenance())
     store.rollback()
@@ -120,7 +120,7 @@ def test_provenance_says_who_when_and_for_which_hand(store: GainsStore) -> None:
     assert provenance.version
 
 
-def test_nothing_to_go_back_to(store: GainsStore) -> None:
+def test_a_rollback_without_history_is_refused(store: GainsStore) -> None:
     with pytest.raises(ConfigError, match="nothing was applied"):
         store.rollback()
     with pytest.raises(ConfigError, match="no gains number 9"):

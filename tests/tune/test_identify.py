@@ -36,7 +36,9 @@ WEAK_MOTOR, STIFF_MOTOR = (23, "thumb"), (39, "thumb")
         *(pytest.param(*hand, marks=pytest.mark.nightly) for hand in (STIFF_MOTOR, (60, "index"), (4, "index"))),
     ],
 )
-def test_a_hand_off_by_thirty_percent_with_detuned_gains(tmp_path: Path, seed: int, digit: str) -> None:
+def test_parameters_wrong_by_thirty_percent_are_identified_with_detuned_gains(
+    tmp_path: Path, seed: int, digit: str
+) -> None:
     """A motor without 29 % of its torque is no wrong load cell. A motor with high friction still moves its tendon."""
     row = one(seed, digit, tmp_path)
     assert "failure" not in row
@@ -59,7 +61,7 @@ def test_springs_behind_several_tendons_are_found_by_the_joint_encoders(tmp_path
 
 @pytest.mark.nightly
 @pytest.mark.timeout(7200)
-def test_a_hundred_hands(tmp_path: Path) -> None:
+def test_intervals_cover_the_parameters_of_a_hundred_hands(tmp_path: Path) -> None:
     digits = load_hand("jamia").digit_names
     figures = summary([one(seed, digits[seed % 4], tmp_path) for seed in range(1, SEEDS + 1)])
     assert figures["failed"] == []
