@@ -11,7 +11,7 @@ from fuzz import files
 from fuzz.mutate import Source
 from handctl.core.types import TELEMETRY_FIELDS
 from handctl.errors import LogError
-from handctl.log.read.chunk_reader import definitions
+from handctl.log.read.chunk_reader import schemas_and_channels
 from handctl.log.read.logfile import LogFile
 from handctl.log.read.reader import RunLog
 from handctl.log.read.record_scan import RecordScan, scan_records
@@ -87,7 +87,8 @@ def _parts(path: Path) -> list[list[bytes]]:
     raw = path.read_bytes()
     contents = [bytes(file.content(place)) for place in result.chunks]
     file.close()
-    schemas = {number: schema for number, schema, topic, _, _ in definitions(contents[0]).channels if topic in TOPICS}
+    channels = schemas_and_channels(contents[0]).channels
+    schemas = {number: schema for number, schema, topic, _, _ in channels if topic in TOPICS}
     chunks = [[record for record in _records(content) if _matters(record, schemas)] for content in contents]
     head = list(_records(raw[8 : result.chunks[0].offset]))
     tail = list(_records(raw[result.chunks[-1].end : -8]))

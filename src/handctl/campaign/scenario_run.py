@@ -115,7 +115,7 @@ def run_scenario(simulation: Simulation, scenario: Scenario, protocol: str) -> S
         speed,
         max(result.safe_ticks, bound) * simulation.period_ns * 1e-9,
     )
-    return _judge(result, row)
+    return _judge_result(result, row)
 
 
 def _tendon_speeds(simulation: Simulation) -> list[float]:
@@ -219,7 +219,7 @@ def _observe_tick(
         result.safe_ticks = max(0, since)
 
 
-def _judge(result: ScenarioResult, row: MatrixRow) -> ScenarioResult:
+def _judge_result(result: ScenarioResult, row: MatrixRow) -> ScenarioResult:
     """Set the verdict of a result and list its problems."""
     problems = []
     if not result.effects:

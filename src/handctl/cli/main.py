@@ -181,7 +181,7 @@ def _run(words: list[str]) -> int:
         raise ConfigError(what, "the command line", "one that handctl --help lists")
     args = parser.parse_args(words)
     if args.version:
-        print(_version())
+        print(_version_text())
         return Exit.DONE
     parser.print_help()
     return Exit.DONE
@@ -196,29 +196,29 @@ def _verb_table() -> str:
     return "\n".join([*lines, ""])
 
 
-def _version() -> str:
+def _version_text() -> str:
     """Return the version of handctl."""
     from importlib.metadata import version
 
     return version("handctl")
 
 
-def _folder(name: str) -> str:
+def _folder_of(name: str) -> str:
     """Return the folder of the module of a verb."""
     return next(folder for folder, verbs in FOLDERS.items() if name in verbs)
 
 
-def _arguments(name: str) -> Any:
+def _import_arguments(name: str) -> Any:
     """Import the module that declares the arguments of a verb."""
-    return importlib.import_module(f"handctl.cli.{_folder(name)}.arguments")
+    return importlib.import_module(f"handctl.cli.{_folder_of(name)}.arguments")
 
 
 def verb_parser(name: str) -> Parser:
     """Return the parser of a verb."""
     text = VERBS[name]
-    example = _arguments(name).EXAMPLES[name]
+    example = _import_arguments(name).EXAMPLES[name]
     parser = Parser(prog=f"handctl {name}", description=f"{text[0].upper()}{text[1:]}.", epilog=example.epilog())
-    getattr(_arguments(name), name)(parser)
+    getattr(_import_arguments(name), name)(parser)
     return parser
 
 
@@ -228,7 +228,7 @@ def whole_parser() -> Parser:
     parser.add_argument("--version", action="store_true")
     verbs = parser.add_subparsers()
     for name, text in VERBS.items():
-        getattr(_arguments(name), name)(verbs.add_parser(name, help=text))
+        getattr(_import_arguments(name), name)(verbs.add_parser(name, help=text))
     return parser
 
 
@@ -240,9 +240,9 @@ def _run_verb(name: str, words: list[str]) -> int:
         start_s = time.monotonic()
         if is_verbose():
             options = ", ".join(f"{key} = {value}" for key, value in sorted(vars(args).items()) if key != "verbose")
-            detail(f"handctl {_version()} {name}: {options}")
+            detail(f"handctl {_version_text()} {name}: {options}")
         try:
-            code: int = importlib.import_module(f"handctl.cli.{_folder(name)}.{name}").run(args)
+            code: int = importlib.import_module(f"handctl.cli.{_folder_of(name)}.{name}").run(args)
         except ModuleNotFoundError as error:
             if (missing := missing_extra(name, error)) is None:
                 raise

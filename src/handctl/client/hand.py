@@ -156,7 +156,7 @@ class HandClient:
         Raises the errors of ``with``. Call ``close`` at the end.
         """
         with ExitStack() as undo:
-            undo.callback(self._end, False)
+            undo.callback(self._end_command, False)
             self.wait(phase="live", timeout_s=START_S if self.child else ATTACH_S)
             undo.pop_all()
         return self
@@ -167,7 +167,7 @@ class HandClient:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._end(raise_error=kind is None)
+        self._end_command(raise_error=kind is None)
 
     def move(
         self, goals: Mapping[str, float] | None = None, /, duration_s: float = 1.0, wait: bool = True,
@@ -285,7 +285,7 @@ class HandClient:
             undo.callback(sender.close)
             self._set_goal(goal)
             undo.pop_all()
-        constants = self._reader().description
+        constants = self._open_reader().description
         horizon = horizon_s(goal["rate_Hz"], 1.0 / constants["rate_Hz"])
         if tips is not None:
             return FingertipStream(self, sender, goal, tips, horizon, constants["time_scale"])
@@ -363,7 +363,7 @@ class HandClient:
         """
         if self._description is None:
             self._description = hand_from(
-                parse_toml(self._reader().description["hand_toml"], self.bus), self.bus
+                parse_toml(self._open_reader().description["hand_toml"], self.bus), self.bus
             )
         return self._description
 
@@ -378,7 +378,7 @@ class HandClient:
             DriveError: the run has ended. The message has the reason.
             BusError: the controller is silent.
         """
-        reader = self._reader()
+        reader = self._open_reader()
         end = time.monotonic() + timeout_s
         while True:
             record = reader.latest() if not wait or reader.written > reader.seen else None
@@ -398,7 +398,7 @@ class HandClient:
         Raises:
             BusError: the controller is silent.
         """
-        reader = self._reader()
+        reader = self._open_reader()
         reader.seen = reader.written
         end = time.monotonic() + timeout_s
         while True:
@@ -447,7 +447,7 @@ class HandClient:
                     f"not so after {timeout_s:g} s: {seen.phase}", f"bus {self.bus}: wait_for"
                 )
 
-    def _reader(self) -> ObservationReader:
+    def _open_reader(self) -> ObservationReader:
         """Return the reader of the observations.
 
         At first use, the reader is opened while the run is alive.
@@ -546,7 +546,7 @@ class HandClient:
             DriveError: a fault ended the run.
             PowerError: a drive did not confirm that it is disabled. Remove its power.
         """
-        self._end(raise_error=True)
+        self._end_command(raise_error=True)
 
     def _set_goal(self, goal: dict[str, Any]) -> float:
         """Send a goal, wait for its confirmation, and return the time of the confirming tick [s]."""
@@ -588,7 +588,7 @@ class HandClient:
         if self._closed:
             raise BusError("this client is closed", f"bus {self.bus}", "another handctl.connect")
 
-    def _end(self, raise_error: bool) -> None:
+    def _end_command(self, raise_error: bool) -> None:
         """Stop the hand if this client has started the controller, else end the right to move the hand.
 
         Later calls have no effect.

@@ -93,15 +93,15 @@ def _envelope_start(model: HandModel, state: State, sign: Vector, present: Vecto
 
 def commands_relaxed(model: HandModel, state: State) -> bool:
     """Return True if every motor command is at most the tension of a relaxed tendon."""
-    return not np.any(_sizes(model, state.tendon[s.COMMANDED_FORCE]) > model.relaxed + RELAXED_WITHIN_N)
+    return not np.any(_force_sizes(model, state.tendon[s.COMMANDED_FORCE]) > model.relaxed + RELAXED_WITHIN_N)
 
 
 def tensions_relaxed(model: HandModel, state: State) -> bool:
     """Return True if every tendon is relaxed."""
-    return bool(np.all(_sizes(model, state.tendon[s.TENSION]) < model.relaxed + RELAXED_WITHIN_N))
+    return bool(np.all(_force_sizes(model, state.tendon[s.TENSION]) < model.relaxed + RELAXED_WITHIN_N))
 
 
-def _sizes(model: HandModel, values: Vector) -> Vector:
+def _force_sizes(model: HandModel, values: Vector) -> Vector:
     """Return (N,) tensions, without the sign of those of spool pairs."""
     return np.where(model.is_pair, np.abs(values), values)
 

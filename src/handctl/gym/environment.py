@@ -207,7 +207,7 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         self._streamed = ()
         self._target_deg = np.clip(np.degrees(self.values_of(self.out.telemetry.q)), self.low_deg, self.high_deg)
         self.begin()
-        return self._observation(), self._information()
+        return self._observation(), self._extra_information()
 
     def step(self, action: Numbers) -> tuple[Numbers, float, bool, bool, dict[str, Any]]:
         """Send the targets of an action, and run the ticks until the next action. See ``gymnasium.Env``."""
@@ -227,7 +227,7 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         reward, ended, information = self.judge()
         failed = out.mode != Mode.ACTIVE
         truncated = self.steps >= self.longest and not (ended or failed)
-        return self._observation(), float(reward), ended or failed, truncated, self._information() | information
+        return self._observation(), float(reward), ended or failed, truncated, self._extra_information() | information
 
     def close(self) -> None:
         """Delete the simulated hand."""
@@ -278,7 +278,7 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
             lambda name: getattr(telemetry, FIELDS[name]) if name in FIELDS else self.extra_values(name)
         )
 
-    def _information(self) -> dict[str, Any]:
+    def _extra_information(self) -> dict[str, Any]:
         """Return further information about the hand, in addition to the observation."""
         state = self.run.state
         stream = stream_status(state)

@@ -40,7 +40,7 @@ def poses(log: RunLog, hand: Hand) -> str:
     moments = _phase_middles(log)
     if not moments:
         return "<p>The hand acts in no phase of this run.</p>"
-    figure, grid = _figure(min(len(moments), PER_ROW), 2.6, 2.9, -(-len(moments) // PER_ROW))
+    figure, grid = _new_figure(min(len(moments), PER_ROW), 2.6, 2.9, -(-len(moments) // PER_ROW))
     tree = HandTree.of(hand)
     digits = tree.digits
     q = log.field("q")
@@ -160,7 +160,7 @@ def lateness(log: RunLog) -> str:
     late = log.late_ns / 1e3
     if not late.any():
         return "<p>No tick began late: this run was in virtual time.</p>"
-    figure, (axes,) = _figure(1, 6.0, 2.2)
+    figure, (axes,) = _new_figure(1, 6.0, 2.2)
     quarter = log.header.period_ns / 4e3
     axes.hist(
         late,
@@ -201,7 +201,7 @@ def loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
     load = busy
     if len(log):
         load = np.column_stack([np.convolve(column, kernel, "same") for column in busy.T])
-    figure, (axes,) = _figure(1, 6.0, 2.2)
+    figure, (axes,) = _new_figure(1, 6.0, 2.2)
     for index, name in enumerate(hand.bus_names):
         axes.plot(
             log.times,
@@ -215,7 +215,7 @@ def loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
     return _to_svg(figure), load.max(axis=0, initial=0.0)
 
 
-def _figure(columns: int, width: float, height: float, rows: int = 1) -> tuple[Any, list[Any]]:
+def _new_figure(columns: int, width: float, height: float, rows: int = 1) -> tuple[Any, list[Any]]:
     """Create a figure with a grid of axes."""
     # Imported here: Matplotlib is slow to import, and few commands draw.
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -60,16 +60,16 @@ def write_page(path: Path, log: RunLog, hand: Hand, truth: TruthRecord | None, o
     sections = [
         f"<h1>{title}</h1><p class=sub>{_escaped_text(hand.description)}</p>",
         f"<p class=error>{_escaped_text(log.warning)}</p>" if log.warning else "",
-        _section("In numbers", _number_table(log, hand, truth, offset_ns, load)),
-        _section("The hand in each phase", poses(log, hand) + _legend(hand)),
-        _section(
+        _html_section("In numbers", _number_table(log, hand, truth, offset_ns, load)),
+        _html_section("The hand in each phase", poses(log, hand) + _colour_legend(hand)),
+        _html_section(
             "Angles, tensions with their 1-sigma band, contact forces",
             _run_image(log, hand, truth, offset_ns),
         ),
-        _section("Events and faults", _event_table(log)),
-        _section("Loop and bus", f'<div class="two">{lateness(log)}{load_picture}</div>'),
-        _section("Origin of this run", _text_table({**metadata, **log.header.wall, **log.end})),
-        _section("Gains", _text_table(log.header.gains)),
+        _html_section("Events and faults", _event_table(log)),
+        _html_section("Loop and bus", f'<div class="two">{lateness(log)}{load_picture}</div>'),
+        _html_section("Origin of this run", _text_table({**metadata, **log.header.wall, **log.end})),
+        _html_section("Gains", _text_table(log.header.gains)),
     ]
     page = f"<!doctype html><html lang=en><meta charset=utf-8><title>{title}</title><style>{STYLE}</style>"
     data = (page + "\n".join(sections) + "</html>\n").encode()
@@ -83,12 +83,12 @@ def _escaped_text(text: object) -> str:
     return html.escape(printable(str(text), 2000))
 
 
-def _section(title: str, body: str) -> str:
+def _html_section(title: str, body: str) -> str:
     """Return a section of the page."""
     return f"<section><h2>{title}</h2>{body}</section>"
 
 
-def _table(rows: Iterable[tuple[str, str]]) -> str:
+def _html_table(rows: Iterable[tuple[str, str]]) -> str:
     """Return a table with two columns."""
     lines = (f"<tr><th>{title}</th><td>{content}</td></tr>" for title, content in rows)
     return "<table>" + "".join(lines) + "</table>"
@@ -96,7 +96,7 @@ def _table(rows: Iterable[tuple[str, str]]) -> str:
 
 def _text_table(values: Mapping[str, object]) -> str:
     """Return a table of texts from a log."""
-    return _table((_escaped_text(key), f"<code>{_escaped_text(value)}</code>") for key, value in values.items())
+    return _html_table((_escaped_text(key), f"<code>{_escaped_text(value)}</code>") for key, value in values.items())
 
 
 def _number_table(
@@ -140,7 +140,7 @@ def _number_table(
     rows += [(_escaped_text(name), text) for name, text in angle_rows(summary["joint_angles"])]
     forces = summary["tip_equivalent_force_n"]
     rows += [(f"{name}: tip-equivalent force", _number_text(force, "N")) for name, force in forces.items()]
-    return _table((name, text) for name, text in rows if text)
+    return _html_table((name, text) for name, text in rows if text)
 
 
 def _number_text(value: float, unit: str) -> str:
@@ -148,7 +148,7 @@ def _number_text(value: float, unit: str) -> str:
     return "" if value != value else f"{value:.2f} {unit}"
 
 
-def _legend(hand: Hand) -> str:
+def _colour_legend(hand: Hand) -> str:
     """Return the legend of the hand pictures."""
     from handctl.report.run_figure import COLOURS
 

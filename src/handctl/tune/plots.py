@@ -25,7 +25,7 @@ STEP_UNIT = {LoopKind.MOTION: (1e6, "travel [um]"), LoopKind.TENSION: (1.0, "ten
 """Scale and label of the step's response by loop."""
 
 
-def _figure(width: float, height: float) -> Any:
+def _new_figure(width: float, height: float) -> Any:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -44,12 +44,12 @@ def draw_loops(path: Path, before: HandModel, after: HandModel, title: str) -> N
         after: model with the new gains.
         title: title of the figure.
     """
-    figure = _figure(13, 8)
+    figure = _new_figure(13, 8)
     figure.suptitle(f"{title}: {before.hand.tendon_names[0]}")
     for row, kind in zip(figure.subplots(2, 4), LoopKind, strict=True):
         for model, colour, name in ((before, BEFORE, "before"), (after, AFTER, "after")):
             _draw_loop(row, model, kind, colour, name)
-        _frame(row, kind)
+        _style_axes(row, kind)
     save_figure(figure, path)
 
 
@@ -65,7 +65,7 @@ def _draw_loop(row: Any, model: HandModel, kind: LoopKind, colour: str, name: st
     step.plot(times, values * STEP_UNIT[kind][0], color=colour)
 
 
-def _frame(row: Any, kind: LoopKind) -> None:
+def _style_axes(row: Any, kind: LoopKind) -> None:
     gain, phase, plane, step = row
     gain.axhline(1.0, color=GREY, linewidth=0.8)
     gain.set(title=f"{kind} loop: gain", xlabel="frequency [Hz]")
@@ -97,7 +97,7 @@ def draw_search(path: Path, result: SearchResult, title: str) -> None:
         result: finished trials.
         title: title of the figure.
     """
-    figure = _figure(11, 4.8)
+    figure = _new_figure(11, 4.8)
     figure.suptitle(title)
     left, right = figure.subplots(1, 2)
     feasible = [trial for trial in result.trials if trial.feasible]
@@ -170,7 +170,7 @@ def draw_verify(
         offset_ns: time of the run's t = 0 on the simulator's clock [ns].
         rollback: return to the old gains, or None.
     """
-    figure = _figure(12, 7.5)
+    figure = _new_figure(12, 7.5)
     figure.suptitle(f"{hand.name}: {hand.digit_names[0]}, old gains first, new ones shaded")
     angle, tension, torque = figure.subplots(3, 1, sharex=True)
     goal, estimate = (np.degrees(mean_angles(hand, log.field(name)))[:, 0] for name in ("q_goal", "q"))

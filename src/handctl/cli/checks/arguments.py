@@ -53,14 +53,14 @@ def config(parser: Parser) -> None:
             hand_option(one)
         return one
 
-    _init(kind("init", "write a new hand file from a few answers"))
+    _declare_init(kind("init", "write a new hand file from a few answers"))
     show = kind("show", "show a hand, and the source of each value")
     text = "draw digits, tendons, spools, sensors and buses instead: as text, or as a picture with --output"
     show.add_argument("--graph", action="store_true", help=text)
     output_option(show, "picture of --graph: a new .svg, .png or .pdf")
-    _files(show)
+    _declare_files(show)
     check = kind("check", "check a hand with its files")
-    _files(check)
+    _declare_files(check)
     text = "scene to check with the simulated hand, as in demo: cylinder:40, or a scene file"
     check.add_argument("--scene", metavar="NAME|FILE", help=text)
     kind("list", "list the packaged hands and tasks")
@@ -77,7 +77,7 @@ def config(parser: Parser) -> None:
     output_option(export, "a new file (default: HAND.dbc, HAND.urdf, HAND.xml)")
 
 
-def _init(parser: argparse.ArgumentParser) -> None:
+def _declare_init(parser: argparse.ArgumentParser) -> None:
     """Declare the options of ``config init``. Each option answers a question about the new hand."""
     output_option(parser, "a new hand file", required=True)
     add = parser.add_argument
@@ -101,7 +101,7 @@ def _lengths(text: str) -> tuple[float, ...]:
     return tuple(float(part) for part in text.split(","))
 
 
-def _files(parser: argparse.ArgumentParser) -> None:
+def _declare_files(parser: argparse.ArgumentParser) -> None:
     """Declare the options for the files of a hand."""
     parser.add_argument("--task", type=Path, metavar="FILE", help="task file to check with the hand")
     gains_options(parser)

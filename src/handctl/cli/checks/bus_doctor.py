@@ -46,12 +46,12 @@ def run(args: argparse.Namespace) -> int:
     hand = load_hand(args.hand) if args.hand else None
     if not args.bus:
         raise ConfigError("missing", "--bus", "the buses to look at, such as --bus socketcan:can0")
-    results = [_examine(spec, section, hand) for spec, section in _expected_buses(args, hand)]
+    results = [_examine_bus(spec, section, hand) for spec, section in _expected_buses(args, hand)]
     if args.json:
         print_json({"buses": results})
     good = all(finding["good"] for bus in results for finding in bus["findings"])
     if not args.json:
-        _print(results)
+        _print_findings(results)
     return Exit.DONE if good else Exit.FAILED
 
 
@@ -65,7 +65,7 @@ def _expected_buses(args: argparse.Namespace, hand: Hand | None) -> Sequence[tup
     return tuple((spec, BusSection(name=name, **rates)) for name, spec in named_buses(args.bus).items())
 
 
-def _examine(spec: str, expected: BusSection, hand: Hand | None) -> dict[str, Any]:
+def _examine_bus(spec: str, expected: BusSection, hand: Hand | None) -> dict[str, Any]:
     """Return the JSON result of one bus: findings about the interface, and about the nodes if the interface works."""
     note(f"{spec}: looking")
     kind, _, channel = spec.partition(":")
@@ -112,10 +112,10 @@ def _check_nodes(
         return [LinkFinding(f"cannot be opened: {error}", False, error.right or WIRING)], []
     try:
         result = scan(bus)
-        trips = [] if result.foreign else _timed(bus, result)
+        trips = [] if result.foreign else _measure_round_trips(bus, result)
     finally:
         bus.close()
-    rows = [LinkFinding("can be opened", True), *_event_findings(result), *map(_answers, trips)]
+    rows = [LinkFinding("can be opened", True), *_event_findings(result), *map(_answers_text, trips)]
     rows += [
         LinkFinding(f"{node.protocol} {node.node_id}: two drives answer", False, TWINS)
         for node in _nodes_with_twins(result, trips)
@@ -138,7 +138,7 @@ def _nodes_with_twins(result: Scan, trips: list[tuple[DiscoveredNode, RoundTrip]
     return [node for node in result.found if node.twins or node in twice]
 
 
-def _timed(bus: Bus, result: Scan) -> list[tuple[DiscoveredNode, RoundTrip]]:
+def _measure_round_trips(bus: Bus, result: Scan) -> list[tuple[DiscoveredNode, RoundTrip]]:
     return [(node, round_trip(bus, node)) for node in result.found if node.protocol in DISCOVERIES]
 
 
@@ -147,7 +147,7 @@ def _event_findings(result: Scan) -> list[LinkFinding]:
     return [LinkFinding(f"while asking: {kind}, {number} times", False, WIRING) for kind, _, number in result.events]
 
 
-def _answers(timed: tuple[DiscoveredNode, RoundTrip]) -> LinkFinding:
+def _answers_text(timed: tuple[DiscoveredNode, RoundTrip]) -> LinkFinding:
     node, trip = timed
     name = f"{node.protocol} {node.node_id}"
     if not trip.answers:
@@ -171,7 +171,7 @@ def _missing_motors(hand: Hand, bus: str, result: Scan) -> list[LinkFinding]:
     ]
 
 
-def _print(buses: list[dict[str, Any]]) -> None:
+def _print_findings(buses: list[dict[str, Any]]) -> None:
     for bus in buses:
         findings_shown = [one for one in bus["findings"] if not (one["good"] and is_quiet())]
         if findings_shown or not is_quiet():

@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json(result)
     else:
-        _print(result, is_verbose())
+        _print_loads(result, is_verbose())
     return Exit.DONE if result["fits"] and not wrong else Exit.FAILED
 
 
@@ -47,7 +47,7 @@ def plan(hand: Hand, loads: tuple[BusLoad, ...], rate: float) -> dict[str, Any]:
         rate: control rate [Hz].
     """
     fits = all(load.at(rate) <= MAX_BUS_LOAD for load in loads)
-    buses = [_bus(load, rate) for load in loads]
+    buses = [_bus_fields(load, rate) for load in loads]
     return {"hand": hand.name, "rate_hz": rate, "most": MAX_BUS_LOAD, "fits": fits, "buses": buses,
             "split": [] if fits else split(hand, rate)}  # fmt: skip
 
@@ -67,7 +67,7 @@ def wrong_rates(hand: Hand, specs: tuple[str, ...]) -> list[str]:
     return [line for line in lines if line]
 
 
-def _bus(load: BusLoad, rate: float) -> dict[str, Any]:
+def _bus_fields(load: BusLoad, rate: float) -> dict[str, Any]:
     max_rate = load.highest(MAX_BUS_LOAD)
     return {
         "name": load.name,
@@ -76,16 +76,16 @@ def _bus(load: BusLoad, rate: float) -> dict[str, Any]:
         "by_time": load.timed_fraction,
         "load": load.at(rate),
         "max_hz": max_rate if math.isfinite(max_rate) else None,
-        "frames": [_row(row) for row in load.rows],
+        "frames": [_row_fields(row) for row in load.rows],
     }
 
 
-def _row(row: FrameRow) -> dict[str, Any]:
+def _row_fields(row: FrameRow) -> dict[str, Any]:
     return {"what": row.what, "bytes": row.size, "fd": row.fd, "per_tick": row.per_tick,
             "per_second": row.per_second, "frame_us": row.frame_s * 1e6}  # fmt: skip
 
 
-def _print(result: dict[str, Any], detail: bool) -> None:
+def _print_loads(result: dict[str, Any], detail: bool) -> None:
     print(f"{result['hand']} at {result['rate_hz']:g} Hz, at most {result['most']:.0%} of a bus:")
     for bus in result["buses"]:
         limit = "nothing on it" if bus["max_hz"] is None else f"{bus['max_hz']:.0f} Hz at most"

@@ -21,11 +21,11 @@ def run(args: argparse.Namespace) -> int:
     """Print the commands of each interface, or run them as root."""
     if not args.bus:
         raise ConfigError("missing", "--bus", "the interfaces, such as --bus socketcan:can0")
-    commands = [command for spec, section in _buses(args) for command in _commands(spec, section)]
+    commands = [command for spec, section in _bus_rates(args) for command in _commands_of_bus(spec, section)]
     if args.yes:
         _check_root(commands)
         for command in commands:
-            _run(command)
+            _run_command(command)
     lines = [("" if args.yes else "sudo ") + shlex.join(command) for command in commands]
     if args.json:
         print_json({"commands": [list(command) for command in commands], "done": args.yes})
@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
     return Exit.DONE
 
 
-def _buses(args: argparse.Namespace) -> tuple[tuple[str, BusSection], ...]:
+def _bus_rates(args: argparse.Namespace) -> tuple[tuple[str, BusSection], ...]:
     """Return each bus specification with its bit rates, from the hand file or the options."""
     if args.hand:
         from handctl.session.plan import bus_specs
@@ -46,7 +46,7 @@ def _buses(args: argparse.Namespace) -> tuple[tuple[str, BusSection], ...]:
     return tuple((spec, BusSection(name=name, **rates)) for name, spec in named.items())
 
 
-def _commands(spec: str, section: BusSection) -> tuple[Command, ...]:
+def _commands_of_bus(spec: str, section: BusSection) -> tuple[Command, ...]:
     """Return the commands of one bus.
 
     Raises:
@@ -81,7 +81,7 @@ def _check_root(commands: list[Command]) -> None:
         )
 
 
-def _run(command: Command) -> None:
+def _run_command(command: Command) -> None:
     """Run one command.
 
     Raises:

@@ -44,26 +44,26 @@ from handctl.session.tasks import TASKS, find_task, task_path
 def run(args: argparse.Namespace) -> int:
     """Run the selected sub-verb and return its exit code."""
     if args.what == "list":
-        return _list(args.json)
+        return _list_packaged(args.json)
     if args.what == "init":
         from handctl.cli.checks.config_init import run as init
 
         return init(args)
     if args.what == "schema":
-        return _schema(args)
+        return _write_schema(args)
     if args.what == "convert":
-        return _convert(args)
-    if args.what == "check" and (errors := _errors(args)):
+        return _convert_file(args)
+    if args.what == "check" and (errors := _all_errors(args)):
         return _report_errors(args, errors)
     hand = load_hand(args.hand)
     if args.what == "export":
-        return _export(args, hand)
+        return _export_hand(args, hand)
     if args.what == "show" and (args.graph or args.output):
-        return _graph(args, hand)
-    return _show(args, hand)
+        return _show_graph(args, hand)
+    return _show_or_check(args, hand)
 
 
-def _errors(args: argparse.Namespace) -> list[str]:
+def _all_errors(args: argparse.Namespace) -> list[str]:
     """Return all errors of a hand and its files, one line each."""
     path = hand_path(args.hand)
     hand, mistakes, origins = inspect(read_toml(path))
@@ -125,7 +125,7 @@ def _report_errors(args: argparse.Namespace, errors: list[str]) -> int:
     return Exit.BAD_INPUT
 
 
-def _graph(args: argparse.Namespace, hand: Hand) -> int:
+def _show_graph(args: argparse.Namespace, hand: Hand) -> int:
     """Print or draw the structure of a hand."""
     from handctl.report.hand_graph import draw_hand, text_graph
 
@@ -145,14 +145,14 @@ def _graph(args: argparse.Namespace, hand: Hand) -> int:
     return 0
 
 
-def _show(args: argparse.Namespace, hand: Hand) -> int:
+def _show_or_check(args: argparse.Namespace, hand: Hand) -> int:
     """Show or check a hand with its files."""
     layers = layered_gains(args, hand)
     if args.task:
         find_task(args.task, hand)
     if args.calibration and not args.calibration.exists():
         raise ConfigError("no such file", str(args.calibration), "a calibration to check")
-    calibration = _calibration(args, hand)
+    calibration = _calibration_fields(args, hand)
     loads = bus_loads(hand)
     rate = fastest(loads)
     load = {one.name: one.at(rate) for one in loads}
@@ -199,7 +199,7 @@ def _gains_with_sources(layers: LayeredGains) -> list[str]:
     return ["", "# gains", *(f"# {key} = {value}  ({layers.origins[key]})" for key, value in values.items())]
 
 
-def _calibration(args: argparse.Namespace, hand: Hand) -> dict[str, Any]:
+def _calibration_fields(args: argparse.Namespace, hand: Hand) -> dict[str, Any]:
     """Return the calibration that a run would use (or the reason for none), with its identified parameters."""
     path, calibration, reason = find_calibration(args, hand)
     if calibration is None:
@@ -215,7 +215,7 @@ def _calibration(args: argparse.Namespace, hand: Hand) -> dict[str, Any]:
 
 
 def _calibration_lines(calibration: dict[str, Any]) -> list[str]:
-    """Return the fields of ``_calibration`` as lines of text."""
+    """Return the fields of ``_calibration_fields`` as lines of text."""
     if calibration["problem"]:
         return [f"calibration: {calibration['problem']}"]
     return [f"calibration: {calibration['file']}, made {calibration['made']}"] + [
@@ -226,7 +226,7 @@ def _calibration_lines(calibration: dict[str, Any]) -> list[str]:
     ]
 
 
-def _export(args: argparse.Namespace, hand: Hand) -> int:
+def _export_hand(args: argparse.Namespace, hand: Hand) -> int:
     """Write a hand in a format for other tools."""
     if args.dbc:
         return _export_buses(args, hand)
@@ -260,7 +260,7 @@ def _export_buses(args: argparse.Namespace, hand: Hand) -> int:
     return 0
 
 
-def _schema(args: argparse.Namespace) -> int:
+def _write_schema(args: argparse.Namespace) -> int:
     """Print or write the JSON Schema of hand files."""
     text = hand_schema_text()
     if args.output is None:
@@ -274,7 +274,7 @@ def _schema(args: argparse.Namespace) -> int:
     return 0
 
 
-def _convert(args: argparse.Namespace) -> int:
+def _convert_file(args: argparse.Namespace) -> int:
     """Convert a hand file of schema 1 to schema 2, and write the result."""
     from handctl.hand.file.convert import converted  # tomlkit is for this verb alone
 
@@ -295,7 +295,7 @@ def _convert(args: argparse.Namespace) -> int:
     return 0
 
 
-def _list(as_json: bool) -> int:
+def _list_packaged(as_json: bool) -> int:
     """Print the packaged hands and tasks."""
     tasks = sorted(path.name for path in TASKS.glob("*.toml"))
     if as_json:

@@ -31,26 +31,26 @@ def run(args: argparse.Namespace) -> int:
     ]
     if args.json:
         rows = [{"what": what, "good": good, "fix": fix} for what, good, fix in findings]
-        print_json({"findings": rows} | _versions())
+        print_json({"findings": rows} | _version_fields())
     else:
-        _print(findings)
+        _print_findings(findings)
     return Exit.DONE if all(good for _, good, _ in findings) else Exit.FAILED
 
 
-def _print(findings: Sequence["Finding"]) -> None:
+def _print_findings(findings: Sequence["Finding"]) -> None:
     """Print the findings. ``--quiet`` omits good findings, ``--verbose`` adds versions."""
     for what, good, fix in findings:
         if not (good and is_quiet()):
             print(f"{'ok ' if good else '-- '} {what}" + ("" if good else f"\n      {fix}"))
     if is_verbose():
-        for name, value in _versions().items():
+        for name, value in _version_fields().items():
             detail(f"{name}: {value}")
 
 
 Finding = tuple[str, bool, str]
 
 
-def _versions() -> dict[str, object]:
+def _version_fields() -> dict[str, object]:
     """Return data for a bug report: versions, system, installed extras."""
     return {
         "version": version("handctl"),

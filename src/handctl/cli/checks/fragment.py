@@ -27,15 +27,15 @@ def fragment(buses: Mapping[str, Sequence[DiscoveredNode]], bitrate: int, data_b
         rates: list[Entry] = [("name", name, ""), ("bitrate", bitrate, "")]
         if data_bitrate:
             rates.append(("data_bitrate", data_bitrate, ""))
-        lines += ["", "[[bus]]", *map(_line, rates)]
+        lines += ["", "[[bus]]", *map(_toml_line, rates)]
     for bus, nodes in buses.items():
         for drive in nodes:
             if drive.protocol in PROTOCOLS and 0 < drive.node_id <= 0x7F:
-                lines += ["", *_motor(bus, drive)]
+                lines += ["", *_motor_section(bus, drive)]
     return "\n".join(lines) + "\n"
 
 
-def _motor(bus: str, drive: DiscoveredNode) -> list[str]:
+def _motor_section(bus: str, drive: DiscoveredNode) -> list[str]:
     reported = "told by the drive"
     settings = drive.settings
     torque = min(settings.get("torque_max_N_m", 0.1), TORQUE_TOP)
@@ -51,19 +51,25 @@ def _motor(bus: str, drive: DiscoveredNode) -> list[str]:
         ("torque_constant_N_m_per_A", 0.26, TO_FILL_IN + "data sheet, at the spool"),
         ("torque_max_N_m", torque, _torque_source(settings)),
         ("torque_peak_N_m", torque, TO_FILL_IN + "what the motor itself can do"),
-        ("position_range_rad", settings.get("position_range_rad", 12.5), _source("position_range_rad", settings, "")),
+        ("position_range_rad", settings.get("position_range_rad", 12.5),
+         _source_comment("position_range_rad", settings, "")),
         ("velocity_range_rad_s", settings.get("velocity_range_rad_s", 30.0),
-         _source("velocity_range_rad_s", settings, "limit of the drive")),
+         _source_comment("velocity_range_rad_s", settings, "limit of the drive")),
         ("direction", 1, TO_FILL_IN + "-1 if positive torque unwinds"),
         ("zero_rad", 0.0, ""),
         ("watchdog_ms", 50, ""),
     ]  # fmt: skip
-    options = _options(drive)
+    options = _option_lines(drive)
     notes = [f"# {note}" for note in drive.notes]
-    return ["[[motor]]", *notes, *map(_line, entries), *(["[motor.options]", *map(_line, options)] if options else [])]
+    return [
+        "[[motor]]",
+        *notes,
+        *map(_toml_line, entries),
+        *(["[motor.options]", *map(_toml_line, options)] if options else []),
+    ]
 
 
-def _source(key: str, settings: Mapping[str, float], hint: str) -> str:
+def _source_comment(key: str, settings: Mapping[str, float], hint: str) -> str:
     return "told by the drive" if key in settings else TO_FILL_IN + hint if hint else ""
 
 
@@ -71,10 +77,10 @@ def _torque_source(settings: Mapping[str, float]) -> str:
     reported = settings.get("torque_max_N_m", 0.0)
     if reported > TORQUE_TOP:
         return f"the drive reports {reported:g}, a hand file takes at most {TORQUE_TOP:g}"
-    return _source("torque_max_N_m", settings, "begin small")
+    return _source_comment("torque_max_N_m", settings, "begin small")
 
 
-def _options(drive: DiscoveredNode) -> list[Entry]:
+def _option_lines(drive: DiscoveredNode) -> list[Entry]:
     entries: list[Entry] = [
         (key, value, drive.origins.get(key, "told by the drive")) for key, value in drive.options.items()
     ]
@@ -85,7 +91,7 @@ def _options(drive: DiscoveredNode) -> list[Entry]:
     return entries
 
 
-def _line(entry: Entry) -> str:
+def _toml_line(entry: Entry) -> str:
     key, value, comment = entry
     text = str(value).lower() if isinstance(value, bool) else f'"{value}"' if isinstance(value, str) else repr(value)
     return f"{key} = {text}" + (f"    # {comment}" if comment else "")

@@ -37,10 +37,10 @@ def run(args: argparse.Namespace) -> int:
             scans[name] = scans[name]._replace(found=identified(scans[name].found, spec, args.bitrate))
     piece = fragment({name: result.found for name, result in scans.items()}, args.bitrate, args.data_bitrate)
     if args.json:
-        listed = [_plain(name, buses[name], result) for name, result in scans.items()]
+        listed = [_scan_fields(name, buses[name], result) for name, result in scans.items()]
         print_json({"buses": listed, "fragment": piece, "not_looked_for": list(UNDISCOVERED)})
     else:
-        _print(buses, scans, piece)
+        _print_scans(buses, scans, piece)
     return Exit.DONE if any(result.found for result in scans.values()) else Exit.FAILED
 
 
@@ -86,28 +86,28 @@ def _with_identity(drive: DiscoveredNode, numbers: dict[str, int], texts: dict[s
     )
 
 
-def _plain(name: str, spec: str, result: Scan) -> dict[str, Any]:
+def _scan_fields(name: str, spec: str, result: Scan) -> dict[str, Any]:
     return {
         "name": name,
         "bus": spec,
         "frames_heard": result.frames,
-        "another_host": [_text(frame) for frame in result.foreign],
-        "not_asked": sorted({_text(frame) for frame in result.omitted}),
+        "another_host": [_frame_text(frame) for frame in result.foreign],
+        "not_asked": sorted({_frame_text(frame) for frame in result.omitted}),
         "events": [list(event) for event in result.events],
         "nodes": [dataclasses.asdict(drive) for drive in result.found],
     }
 
 
-def _text(frame: Frame) -> str:
+def _frame_text(frame: Frame) -> str:
     """Return a frame as text in candump notation."""
     return f"{frame.can_id & 0x1FFFFFFF:03X}#" + ("R" if frame.can_id & REMOTE else frame.data.hex().upper())
 
 
-def _print(buses: dict[str, str], scans: dict[str, Scan], piece: str) -> None:
+def _print_scans(buses: dict[str, str], scans: dict[str, Scan], piece: str) -> None:
     for name, result in scans.items():
         print(f"{name} ({buses[name]}): {len(result.found)} nodes, {result.frames} frames heard")
         if result.foreign:
-            frames_text = ", ".join(_text(frame) for frame in result.foreign[:SHOWN])
+            frames_text = ", ".join(_frame_text(frame) for frame in result.foreign[:SHOWN])
             print(f"  another host is at work here ({frames_text}): only listened; end it, or --force")
         if result.omitted:
             kinds = sorted({f"{frame.can_id:#05x}" for frame in result.omitted})
@@ -135,7 +135,7 @@ def _print_drive(drive: DiscoveredNode) -> None:
 
 
 def _show_questions(as_json: bool) -> int:
-    questions = [_text(frame) for frame in all_questions()]
+    questions = [_frame_text(frame) for frame in all_questions()]
     if as_json:
         print_json({"questions": questions})
         return Exit.DONE

@@ -36,9 +36,9 @@ def announce(args: argparse.Namespace, plan: Plan, path: Path, calibration: Cali
     files = []
     gains = Path(f"{plan.hand.name}.gains.toml")
     if not args.gains and "gains.toml" in plan.attachments:
-        files.append(_described("gains", gains, load_gains_file(gains).provenance.made))
+        files.append(_file_text("gains", gains, load_gains_file(gains).provenance.made))
     if not args.calibration and calibration:
-        files.append(_described("calibration", path, calibration.made))
+        files.append(_file_text("calibration", path, calibration.made))
     if files:
         note(f"handctl: found in this folder: {'; '.join(files)}")
     if calibration and not calibration.drive:
@@ -49,7 +49,7 @@ def announce(args: argparse.Namespace, plan: Plan, path: Path, calibration: Cali
         ask(f"{plan.hand.name} on {', '.join(real)} is armed and moves {joints}", args.yes)
 
 
-def _described(what: str, path: Path, made: str) -> str:
+def _file_text(what: str, path: Path, made: str) -> str:
     """Return kind, path, and age of a file as text.
 
     If the file contains no date, its modification time is used.

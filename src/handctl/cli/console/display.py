@@ -59,7 +59,7 @@ class DisplayProcess:
         self.worst_late_ns = 0
         self.last_warning_ns: dict[str, int] = {}
         self.shown: set[str] = set()
-        self._write(head)
+        self._write_line(head)
         os.set_blocking(self.pipe, False)
 
     @staticmethod
@@ -84,7 +84,7 @@ class DisplayProcess:
             "events": [[event.level, self._advised(event)] for event in out.events if self._is_due(entry.t_ns, event)],
         }
         self.worst_late_ns = 0
-        self._write(line)
+        self._write_line(line)
 
     def _is_due(self, t_ns: int, event: Event) -> bool:
         """Return True if an event is to be printed.
@@ -110,7 +110,7 @@ class DisplayProcess:
         self.shown.add(advice)
         return f"{event.text}\n{'':19}what to do: {advice}"
 
-    def _write(self, line: dict[str, Any]) -> None:
+    def _write_line(self, line: dict[str, Any]) -> None:
         try:
             os.write(self.pipe, json.dumps(line).encode() + b"\n")
         except OSError:
@@ -145,7 +145,7 @@ def _print_lines(head: dict[str, Any]) -> None:
             print(f"{line['t']:8.3f} s  {line['mode']:<9} {line['phase']:<10} tension [N]  {tension}", flush=True)
 
 
-def _drawn(head: dict[str, Any]) -> None:
+def _draw_in_place(head: dict[str, Any]) -> None:
     """Draw the state in place in the terminal, with rich."""
     from rich.live import Live
 
@@ -155,10 +155,10 @@ def _drawn(head: dict[str, Any]) -> None:
             line = json.loads(text)
             for level, event in line["events"]:
                 live.console.print(f"{line['t']:8.3f} s  {level:<5}  {event}")
-            live.update(_panel(head, line))
+            live.update(_state_panel(head, line))
 
 
-def _panel(head: dict[str, Any], line: dict[str, Any]) -> Any:
+def _state_panel(head: dict[str, Any], line: dict[str, Any]) -> Any:
     from rich.console import Group
     from rich.progress_bar import ProgressBar
     from rich.table import Table
@@ -180,7 +180,7 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     head = json.loads(sys.stdin.readline())
     with escaped_streams():
-        (_drawn if sys.stdout.isatty() else _print_lines)(head)
+        (_draw_in_place if sys.stdout.isatty() else _print_lines)(head)
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ class Terminated(KeyboardInterrupt):
     """Exception for SIGTERM, or for SIGHUP from a closed terminal."""
 
 
-def _end(number: int, frame: FrameType | None) -> None:
+def _raise_terminated(number: int, frame: FrameType | None) -> None:
     raise Terminated
 
 
@@ -29,7 +29,7 @@ def _end(number: int, frame: FrameType | None) -> None:
 def terminate_on_signals() -> Iterator[None]:
     """Handle SIGTERM and SIGHUP like Ctrl-C. A signal ignored through ``nohup`` stays ignored."""
     ending = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) == signal.SIG_DFL]
-    with handling(_end, *ending):
+    with handling(_raise_terminated, *ending):
         yield
 
 

@@ -13,14 +13,14 @@ def print_summary(result: dict[str, Any], plan: Plan) -> None:
 
     late = result["late_us"]
     rows = [
-        ("ticks", f"{result['ticks']} at {result['rate_hz']:g} Hz{_slowed(result['time_scale'])}"),
+        ("ticks", f"{result['ticks']} at {result['rate_hz']:g} Hz{_time_scale_text(result['time_scale'])}"),
         ("missed ticks", f"{result['missed']}"),
         ("lateness p50 / p99.9 / max", f"{late['p50']:.0f} / {late['p99_9']:.0f} / {late['max']:.0f} us"),
-        ("tracking error, free motion", _with(result["tracking_rmse_rad"], 57.29578, "deg rms", 2)),
-        ("tension estimate against truth", _with(result["tension_rmse_n"], 1.0, "N rms", 2)),
-        ("raw load cell against truth", _with(result["tension_raw_rmse_n"], 1.0, "N rms", 2)),
-        ("tension while holding, error", _with(result["tension_hold_error_n"], 1.0, "N", 2)),
-        ("object moved while held", _with(result["object_motion_mm"], 1.0, "mm", 3)),
+        ("tracking error, free motion", _value_with_unit(result["tracking_rmse_rad"], 57.29578, "deg rms", 2)),
+        ("tension estimate against truth", _value_with_unit(result["tension_rmse_n"], 1.0, "N rms", 2)),
+        ("raw load cell against truth", _value_with_unit(result["tension_raw_rmse_n"], 1.0, "N rms", 2)),
+        ("tension while holding, error", _value_with_unit(result["tension_hold_error_n"], 1.0, "N", 2)),
+        ("object moved while held", _value_with_unit(result["object_motion_mm"], 1.0, "mm", 3)),
         *_lift_text(result),
         *angle_rows(result["joint_angles"]),
         *_forces_text(result),
@@ -48,11 +48,11 @@ def _pauses_text(silent: int) -> str:
     return f", bus silent for {silent} tick{'s' if silent > 1 else ''}" if silent else ""
 
 
-def _slowed(scale: float) -> str:
+def _time_scale_text(scale: float) -> str:
     return "" if scale == 1 else f", at {scale:g} of real time"
 
 
-def _with(value: float, scale: float, unit: str, digits: int) -> str:
+def _value_with_unit(value: float, scale: float, unit: str, digits: int) -> str:
     return "-" if value != value else f"{value * scale:.{digits}f} {unit}"
 
 
@@ -62,7 +62,7 @@ def _lift_text(result: dict[str, Any]) -> list[tuple[str, str]]:
     slid = result["object_slid_mm"]
     if sunk != sunk:
         return []
-    return [("table sank / object moved then", f"{sunk:.0f} mm / {_with(slid, 1.0, 'mm', 3)}")]
+    return [("table sank / object moved then", f"{sunk:.0f} mm / {_value_with_unit(slid, 1.0, 'mm', 3)}")]
 
 
 def _forces_text(result: dict[str, Any]) -> list[tuple[str, str]]:

@@ -60,18 +60,20 @@ def view(parser: argparse.ArgumentParser) -> None:
 def replay(parser: Parser) -> None:
     """Declare the arguments of ``replay``."""
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="KIND")
-    _execute(_kind(kinds, "execute", "run the controller on the log's inputs, compare every output byte; no bus"))
-    _drive(_kind(kinds, "drive", "drive the recorded run on the hand again and say how the two differ"))
-    _safety(_kind(kinds, "safety", "judge the recorded run by other limits; no bus"))
+    _declare_execute(
+        _add_kind(kinds, "execute", "run the controller on the log's inputs, compare every output byte; no bus")
+    )
+    _declare_drive(_add_kind(kinds, "drive", "drive the recorded run on the hand again and say how the two differ"))
+    _declare_safety(_add_kind(kinds, "safety", "judge the recorded run by other limits; no bus"))
 
 
-def _kind(kinds: "argparse._SubParsersAction[Parser]", name: str, text: str) -> Parser:
+def _add_kind(kinds: "argparse._SubParsersAction[Parser]", name: str, text: str) -> Parser:
     parser = add_sub_verb(kinds, name, text, EXAMPLES[f"replay {name}"])
     parser.add_argument("recorded", type=Path, metavar="LOG", help="the log")
     return parser
 
 
-def _execute(parser: argparse.ArgumentParser) -> None:
+def _declare_execute(parser: argparse.ArgumentParser) -> None:
     json_option(parser)
     parser.add_argument("--gains", type=Path, metavar="FILE", help="what would these gains have commanded here?")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="of --gains (default: LOG.gains.png)")
@@ -84,12 +86,12 @@ def _execute(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _drive(parser: argparse.ArgumentParser) -> None:
+def _declare_drive(parser: argparse.ArgumentParser) -> None:
     run_options(parser)
     parser.add_argument("--raw", action="store_true", help="follow its tensions; no angle is corrected on the way")
 
 
-def _safety(parser: argparse.ArgumentParser) -> None:
+def _declare_safety(parser: argparse.ArgumentParser) -> None:
     json_option(parser)
     parser.add_argument(
         "--limits", type=Path, required=True, metavar="FILE", help="TOML file, e.g. tension_trip_N = 60"

@@ -20,16 +20,16 @@ UNITS = {"candump": "frames", "rrd": "bytes", "lerobot": "frames"}
 def run(args: argparse.Namespace) -> int:
     """Run the selected sub-verb and return its exit code."""
     done: dict[str, Callable[[argparse.Namespace], int]] = {
-        "info": _info,
-        "check": _check,
-        "diff": _diff,
-        "recover": _recover,
-        "export": _export,
+        "info": _print_info,
+        "check": _check_log,
+        "diff": _compare_logs,
+        "recover": _recover_log,
+        "export": _export_log,
     }
     return done[args.what](args)
 
 
-def _info(args: argparse.Namespace) -> int:
+def _print_info(args: argparse.Namespace) -> int:
     from handctl.log.topics.clock_pairs import steps
 
     with RunLog(args.log) as log:
@@ -40,7 +40,7 @@ def _info(args: argparse.Namespace) -> int:
             "problem": log.warning,
             "ticks": len(log),
             "seconds": float(log.times[-1]) if len(log) else 0.0,
-            "late_us": _lateness(log),
+            "late_us": _lateness_us(log),
             "clock_steps": [step._asdict() for step in steps(log.clock_pairs)],
             "missing": sum(gap.after - gap.before - 1 for gap in log.gaps),
             "gaps": [[gap.before, gap.after] for gap in log.gaps],
@@ -71,7 +71,7 @@ def _value_text(value: object) -> str:
     return f"{value:.9g}" if isinstance(value, float) else str(value) or "-"
 
 
-def _lateness(log: RunLog) -> dict[str, float]:
+def _lateness_us(log: RunLog) -> dict[str, float]:
     """Return the median, 99.9th percentile and maximum of the tick lateness [us]."""
     import numpy as np
 
@@ -81,7 +81,7 @@ def _lateness(log: RunLog) -> dict[str, float]:
     return {"p50": float(np.percentile(late, 50)), "p99_9": float(np.percentile(late, 99.9)), "max": float(late.max())}
 
 
-def _check(args: argparse.Namespace) -> int:
+def _check_log(args: argparse.Namespace) -> int:
     from handctl.replay.check import check
     from handctl.replay.damage import first_damage
 
@@ -102,7 +102,7 @@ def _check(args: argparse.Namespace) -> int:
     return Exit.LOSSY_LOG if lossy else Exit.FAILED if problems else Exit.DONE
 
 
-def _diff(args: argparse.Namespace) -> int:
+def _compare_logs(args: argparse.Namespace) -> int:
     from handctl.replay.compare import difference_lines
     from handctl.replay.diff import diff
 
@@ -127,7 +127,7 @@ def _diff(args: argparse.Namespace) -> int:
     return code
 
 
-def _export(args: argparse.Namespace) -> int:
+def _export_log(args: argparse.Namespace) -> int:
     os.environ.setdefault("RUST_LOG", "error")  # hide Rerun's own log lines: handctl reports the errors itself
     if args.more and args.format != "lerobot":
         raise ConfigError(f"{args.more[0]}: a second log", f"log export --{args.format}", "one log, or --lerobot")
@@ -135,7 +135,7 @@ def _export(args: argparse.Namespace) -> int:
         logs = [stack.enter_context(RunLog(path)) for path in (args.log, *args.more)]
         out = args.output or named_after(args.log, f".{args.format}")
         with whole(out, new=True) as part, progress("writing", quiet=args.json):
-            count = _write(args, logs, part)
+            count = _write_export(args, logs, part)
         code = max(warn_if_lossy(path, log.warning) for path, log in zip((args.log, *args.more), logs, strict=True))
     if args.json:
         print_json({"log": str(args.log), "output": str(out), "count": count})
@@ -144,7 +144,7 @@ def _export(args: argparse.Namespace) -> int:
     return code
 
 
-def _write(args: argparse.Namespace, logs: list[RunLog], out: Path) -> int:
+def _write_export(args: argparse.Namespace, logs: list[RunLog], out: Path) -> int:
     form = args.format
     log = logs[0]
     if form == "rrd":
@@ -165,7 +165,7 @@ def _write(args: argparse.Namespace, logs: list[RunLog], out: Path) -> int:
     return export_csv(log, out) if form == "csv" else export_candump(log, out)
 
 
-def _recover(args: argparse.Namespace) -> int:
+def _recover_log(args: argparse.Namespace) -> int:
     from handctl.log.read.recover import recover
 
     output = args.output or Path(str(args.log).removesuffix(".mcap") + ".recovered.mcap")

@@ -34,10 +34,10 @@ def run(args: argparse.Namespace) -> int:
     code = warn_if_lossy(args.log, warning)
     if args.save or args.picture:
         with progress("drawing" if args.picture else "writing", quiet=args.json):
-            result = _write(args, run_info, at_s)
+            result = _write_files(args, run_info, at_s)
     else:
         result = {}
-        _window(args.log, run_info, scan)
+        _show_in_viewer(args.log, run_info, scan)
     if args.json:
         print_json(result | {"log": args.log, "warning": warning})
     return code
@@ -97,7 +97,7 @@ def _check_options(args: argparse.Namespace) -> None:
         check_screen()
 
 
-def _write(args: argparse.Namespace, run_info: Any, at_s: float) -> dict[str, Any]:
+def _write_files(args: argparse.Namespace, run_info: Any, at_s: float) -> dict[str, Any]:
     """Write the recording and the picture. Returns the fields of the JSON result."""
     from handctl.view.feed import write_rrd
 
@@ -105,7 +105,7 @@ def _write(args: argparse.Namespace, run_info: Any, at_s: float) -> dict[str, An
     if args.save:
         with whole(args.save) as part:
             result = {"rrd": args.save, "bytes": write_rrd(args.log, run_info, part)}
-        _say(args, f"wrote {args.save}, {result['bytes'] / 1e6:.1f} MB; open it with: rerun {args.save}")
+        _print_note(args, f"wrote {args.save}, {result['bytes'] / 1e6:.1f} MB; open it with: rerun {args.save}")
     if not args.picture:
         return result
     with tempfile.TemporaryDirectory(prefix="handctl-view-") as folder:
@@ -121,11 +121,11 @@ def _draw_picture(args: argparse.Namespace, rrd: Path, at_s: float) -> dict[str,
     reports = draw(rrd, at_s, args.picture)
     for report in reports:
         say(f"handctl: {report}", error=True)
-    _say(args, f"wrote {args.picture}: the hand at {at_s:.3f} s")
+    _print_note(args, f"wrote {args.picture}: the hand at {at_s:.3f} s")
     return {"png": args.picture, "at_s": at_s, "reports": reports}
 
 
-def _window(log: Path, run_info: Any, scan: Any) -> None:
+def _show_in_viewer(log: Path, run_info: Any, scan: Any) -> None:
     """Open the viewer, send the log, and wait until the user closes the viewer."""
     from handctl.view.browse import browse
 
@@ -136,6 +136,6 @@ def _window(log: Path, run_info: Any, scan: Any) -> None:
             return
 
 
-def _say(args: argparse.Namespace, text: str) -> None:
+def _print_note(args: argparse.Namespace, text: str) -> None:
     if not args.json:
         say(text)

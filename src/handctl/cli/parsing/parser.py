@@ -76,9 +76,9 @@ class Parser(argparse.ArgumentParser):
         Raises:
             ConfigError: an option is unknown, or was renamed.
         """
-        for word in _options(args or ()):
-            if new := new_spelling(self._verb(), word):
-                raise ConfigError(f"{word} has been renamed", self._verb(), new)
+        for word in _option_names(args or ()):
+            if new := new_spelling(self._verb_names(), word):
+                raise ConfigError(f"{word} has been renamed", self._verb_names(), new)
             # Before argparse complains about a missing argument, whose name may be the misspelt one.
             if not (self._has_sub_verbs or any(option.startswith(word) for option in self._option_string_actions)):
                 self._refuse(word)
@@ -92,7 +92,9 @@ class Parser(argparse.ArgumentParser):
         option = word.partition("=")[0]
         kind = "option" if word.startswith("-") else "argument"
         suggestion = did_you_mean(option, self._option_string_actions) if kind == "option" else ""
-        raise ConfigError(f"unknown {kind} {_quoted(option)}{suggestion}", self._where(), self._listed())
+        raise ConfigError(
+            f"unknown {kind} {_quote_word(option)}{suggestion}", self._error_location(), self._list_choices()
+        )
 
     def error(self, message: str) -> NoReturn:
         """Raise the error for the command line as one line.
@@ -102,22 +104,24 @@ class Parser(argparse.ArgumentParser):
         """
         if match := INVALID_CHOICE.search(message):
             suggestion = did_you_mean(match["word"], re.findall(r"[\w.-]+", match["choices"]))
-            raise ConfigError(message + suggestion, self._where())
+            raise ConfigError(message + suggestion, self._error_location())
         complete = "expected" in message
-        raise ConfigError(message, self._where(), "" if complete else f"the arguments that {self.prog} --help lists")
+        raise ConfigError(
+            message, self._error_location(), "" if complete else f"the arguments that {self.prog} --help lists"
+        )
 
-    def _verb(self) -> str:
+    def _verb_names(self) -> str:
         """Return the names of verb and sub-verb."""
         return self.prog.removeprefix("handctl").strip()
 
-    def _where(self) -> str:
-        return self._verb() or "the command line"
+    def _error_location(self) -> str:
+        return self._verb_names() or "the command line"
 
-    def _listed(self) -> str:
+    def _list_choices(self) -> str:
         return f"one that {self.prog} --help lists"
 
 
-def _options(words: Iterable[str]) -> Iterable[str]:
+def _option_names(words: Iterable[str]) -> Iterable[str]:
     """Yield the option names among words, up to the word ``--``."""
     for word in words:
         if word == "--":
@@ -126,7 +130,7 @@ def _options(words: Iterable[str]) -> Iterable[str]:
             yield word.partition("=")[0]
 
 
-def _quoted(word: str) -> str:
+def _quote_word(word: str) -> str:
     return repr(printable(word, LONGEST_WORD))
 
 

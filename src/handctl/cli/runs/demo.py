@@ -49,10 +49,10 @@ def run(args: argparse.Namespace) -> int:
     """
     refuse_blind_view(args.view and not args.lockstep)
     with in_protocol(args):
-        return _run(args)
+        return _run_demo(args)
 
 
-def _run(args: argparse.Namespace) -> int:
+def _run_demo(args: argparse.Namespace) -> int:
     """Run the demo with one hand file for simulator and controller."""
     if args.lockstep and args.time_scale != 1:
         raise ConfigError(f"{args.time_scale:g}", "--time-scale", "no --lockstep with it: that has a time of its own")
@@ -63,7 +63,7 @@ def _run(args: argparse.Namespace) -> int:
     assignments(args.perturb, "--perturb")
     identified = identified_in(args.calibration, plan.hand)
     if args.dry_run:
-        _simulator(args, None).check()
+        _simulator_of(args, None).check()
         line = f"{plan.hand.name}: {task.name} on {args.scene}, {plan.rate_hz:g} Hz"
         return report_dry_run(args, plan, line, task=task.name, scene=args.scene)
     log = args.log or default_log(plan.hand, "demo")
@@ -177,12 +177,12 @@ def _in_lockstep(
 ) -> tuple[Outcome, Path]:
     """Run in virtual time with the simulated hand. Returns the outcome and the truth file."""
     truth = log.with_suffix(".truth")
-    with _simulator(args, truth).clock(plan.period_ns) as clock:
+    with _simulator_of(args, truth).clock(plan.period_ns) as clock:
         runner = partial(run_lockstep, clock=clock)
         return _commission_and_run(plan, program, log, (runner, runner), identified), truth
 
 
-def _simulator(args: argparse.Namespace, truth: Path | None) -> Simulator:
+def _simulator_of(args: argparse.Namespace, truth: Path | None) -> Simulator:
     """Return the simulated hand of a run in lockstep."""
     perturb = assignments(args.perturb, "--perturb")
     return Simulator(args.hand, args.scene, args.seed, perturb, truth=truth, wire=args.wire)

@@ -24,7 +24,7 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError("an option of one drive", "jog", "--mode with --protocol, --node, --setpoint")
     plan = make_plan(args)
     names = plan.hand.digit_names if args.angle is None else (*plan.hand.digit_names, *plan.hand.joints)
-    program = _program(args, names, min(tendon.tension_max_N for tendon in plan.hand.tendon))
+    program = _jog_program(args, names, min(tendon.tension_max_N for tendon in plan.hand.tendon))
     path, calibration, reason = find_calibration(args, plan.hand)
     if args.dry_run:
         line = f"{plan.hand.name}: would jog {args.digit}" + (f", after commissioning: {reason}" if reason else "")
@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     return outcome.exit
 
 
-def _program(args: argparse.Namespace, names: tuple[str, ...], ceiling: float) -> JogProgram:
+def _jog_program(args: argparse.Namespace, names: tuple[str, ...], ceiling: float) -> JogProgram:
     """Return the program, with its goal checked before the hand moves. An angle may be for one joint.
 
     Raises:

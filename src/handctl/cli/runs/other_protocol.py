@@ -21,7 +21,7 @@ def in_protocol(args: argparse.Namespace) -> Iterator[None]:
         yield
         return
     original_hand = args.hand
-    text = _text(args)
+    text = _hand_text(args)
     with tempfile.TemporaryDirectory(prefix="handctl-") as folder:
         path = Path(folder) / "hand.toml"
         path.write_text(text, encoding="utf-8")
@@ -39,7 +39,7 @@ def path_in_protocol(args: argparse.Namespace) -> Path:
         ConfigError: a different file has this name.
     """
     path = Path(f"{Path(args.hand).stem}-{args.protocol}.toml")
-    if path.exists() and path.read_bytes() != _text(args).encode():
+    if path.exists() and path.read_bytes() != _hand_text(args).encode():
         raise ConfigError(f"{path} is there and is another hand", "--protocol", "a folder without it")
     return path
 
@@ -47,11 +47,11 @@ def path_in_protocol(args: argparse.Namespace) -> Path:
 def write_in_protocol(args: argparse.Namespace) -> Path:
     """Write the hand file of ``path_in_protocol`` and return its path."""
     path = path_in_protocol(args)
-    write_whole(path, _text(args))
+    write_whole(path, _hand_text(args))
     return path
 
 
-def _text(args: argparse.Namespace) -> str:
+def _hand_text(args: argparse.Namespace) -> str:
     """Return the text of the hand file with drives of the protocol."""
     from handctl.campaign.stage import hand_in  # a slow import: the whole controller
 

@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
     """Run the task, and return the exit code."""
     refuse_blind_view(args.view)
     plan = make_plan(args)
-    program, attached = _program(args, plan)
+    program, attached = _program_of_task(args, plan)
     path, calibration, reason = find_calibration(args, plan.hand)
     if args.dry_run:
         summary = f"{plan.hand.name}: all files are good; {plan.rate_hz:g} Hz, bus load {100 * max(plan.load):.0f} %"
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     return report(result, outcome, plan, args.json)
 
 
-def _program(args: argparse.Namespace, plan: Plan) -> tuple[Program, dict[str, bytes]]:
+def _program_of_task(args: argparse.Namespace, plan: Plan) -> tuple[Program, dict[str, bytes]]:
     """Return the program of the task or the dataset with its attachments, or a program that waits for requests.
 
     Raises:

@@ -20,13 +20,13 @@ def run(args: argparse.Namespace) -> int:
     """Replace this process by the simulator."""
     args.scene = find_scene(args.scene, load_hand(args.hand))
     if args.dry_run:
-        return _check(args)
+        return _check_and_print(args)
     if args.protocol:
         args.hand = str(write_in_protocol(args))
-    return os.execv(sys.executable, _command(args, args.hand))
+    return os.execv(sys.executable, _simulator_command(args, args.hand))
 
 
-def _command(args: argparse.Namespace, hand: str) -> list[str]:
+def _simulator_command(args: argparse.Namespace, hand: str) -> list[str]:
     """Return the command that starts the simulator with a hand file."""
     command = [sys.executable, "-m", "firmware_sim", "--hand", hand, "--scene", args.scene]
     command += ["--seed", str(args.seed), "--time-scale", str(args.time_scale)]
@@ -37,14 +37,16 @@ def _command(args: argparse.Namespace, hand: str) -> list[str]:
     return command + wire_words(args) + perturb_words(args) + ["--json"] * args.json
 
 
-def _check(args: argparse.Namespace) -> int:
+def _check_and_print(args: argparse.Namespace) -> int:
     """Check the arguments and print the command. Return the exit code."""
     from handctl.session.plan import bus_specs
 
-    command = _command(args, str(path_in_protocol(args)) if args.protocol else args.hand)
+    command = _simulator_command(args, str(path_in_protocol(args)) if args.protocol else args.hand)
     with in_protocol(args):
         bus_specs(load_hand(args.hand), args.bus)
-        checked = subprocess.run([*_command(args, args.hand), "--dry-run"], stdin=subprocess.DEVNULL, check=False)
+        checked = subprocess.run(
+            [*_simulator_command(args, args.hand), "--dry-run"], stdin=subprocess.DEVNULL, check=False
+        )
     if checked.returncode:
         return checked.returncode
     if args.json:

@@ -42,8 +42,8 @@ def fault(parser: Parser) -> None:
     for sub in (inject, listed, kinds):
         sub.add_argument("--bus", metavar="SPEC", help="of the simulator (default: the only one that runs)")
         json_option(sub)
-    _campaign(action("campaign", "try the whole fault matrix in lockstep"))
-    _sequences(action("sequences", "try random sequences of faults in lockstep, and check the rules in each"))
+    _declare_campaign(action("campaign", "try the whole fault matrix in lockstep"))
+    _declare_sequences(action("sequences", "try random sequences of faults in lockstep, and check the rules in each"))
 
 
 def paper(parser: argparse.ArgumentParser) -> None:
@@ -61,7 +61,7 @@ def paper(parser: argparse.ArgumentParser) -> None:
     jobs_option(parser, 2, "experiments at a time")
 
 
-def _campaign(parser: argparse.ArgumentParser) -> None:
+def _declare_campaign(parser: argparse.ArgumentParser) -> None:
     hand_option(parser)
     json_option(parser)
     parser.add_argument("--protocol", default="mit", choices=[*GUARDED, "all"], help="of the drives (default: mit)")
@@ -76,7 +76,7 @@ def _campaign(parser: argparse.ArgumentParser) -> None:
     output_option(parser, "folder of report.html, report.json and the logs of failures (logs/campaign)", "DIR")
 
 
-def _sequences(parser: argparse.ArgumentParser) -> None:
+def _declare_sequences(parser: argparse.ArgumentParser) -> None:
     hand_option(parser)
     json_option(parser)
     parser.add_argument("--protocol", default="mit", choices=GUARDED, help="of the drives (default: mit)")

@@ -40,13 +40,13 @@ def run(args: argparse.Namespace) -> int:
     results = None if args.quick else _load_or_measure(args.results, args.jobs)
     parts = sections(results)
     if args.export:
-        _export(args.export)
+        _export_files(args.export)
     if args.figures or args.output:
         with tempfile.TemporaryDirectory() as folder:
             figures = draw_all(args.figures or Path(folder), results)
             if args.output:
                 write_whole(args.output, report(parts, figures))
-    _print(args, parts)
+    _print_items(args, parts)
     return Exit.DONE
 
 
@@ -75,20 +75,20 @@ def _check_writable(report_file: Path | None, *folders: Path | None) -> None:
         folder.mkdir(parents=True, exist_ok=True)
 
 
-def _export(folder: Path) -> None:
+def _export_files(folder: Path) -> None:
     hand = load_hand("jamia")
     write_whole(folder / f"{hand.name}.urdf", urdf(hand))
     write_whole(folder / f"{hand.name}.xml", mjcf(hand))
 
 
-def _print(args: argparse.Namespace, parts: tuple[PageSection, ...]) -> None:
+def _print_items(args: argparse.Namespace, parts: tuple[PageSection, ...]) -> None:
     if args.json:
         json.dump(plain([item for part in parts for item in part.items]), sys.stdout, indent=2)
         sys.stdout.write("\n")
     elif args.markdown:
         sys.stdout.write(markdown(parts))
     else:
-        _table(parts)
+        _print_table(parts)
         for path in filter(None, (args.figures, args.output, args.export)):
             print(f"written: {path}")
 
@@ -107,7 +107,7 @@ def _measure_all(jobs: int) -> dict[str, Any]:
             return measure(workers)
 
 
-def _table(parts: tuple[PageSection, ...]) -> None:
+def _print_table(parts: tuple[PageSection, ...]) -> None:
     """Print the tables of the items on a terminal, then the count of each verdict."""
     from rich.table import Table
     from rich.text import Text

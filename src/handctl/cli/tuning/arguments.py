@@ -101,13 +101,15 @@ def gains(parser: Parser) -> None:
 def tune(parser: Parser) -> None:
     """Declare the arguments of ``tune``."""
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="design|search|verify")
-    _design(_kind(kinds, "design", "design gains with margins on every plant of an ensemble, from linear models"))
-    _search(_kind(kinds, "search", "search the best gains on an ensemble of simulated plants"))
+    _declare_design(
+        _add_kind(kinds, "design", "design gains with margins on every plant of an ensemble, from linear models")
+    )
+    _declare_search(_add_kind(kinds, "search", "search the best gains on an ensemble of simulated plants"))
     text = "try new gains on the hand at rising amplitude, and return to the old ones at a limit"
-    _verify(_kind(kinds, "verify", text))
+    _declare_verify(_add_kind(kinds, "verify", text))
 
 
-def _kind(kinds: "argparse._SubParsersAction[Parser]", name: str, text: str) -> Parser:
+def _add_kind(kinds: "argparse._SubParsersAction[Parser]", name: str, text: str) -> Parser:
     parser = add_sub_verb(kinds, name, text, EXAMPLES[f"tune {name}"])
     hand_option(parser)
     json_option(parser)
@@ -117,7 +119,7 @@ def _kind(kinds: "argparse._SubParsersAction[Parser]", name: str, text: str) -> 
     return parser
 
 
-def _plants(parser: argparse.ArgumentParser, default: int) -> None:
+def _declare_plants(parser: argparse.ArgumentParser, default: int) -> None:
     text = f"plants to keep the margins on, the hand's own first (default: {default})"
     parser.add_argument("--plants", type=int, default=default, metavar="N", help=text)
     text = "tune the hand as it was identified (default: as in its file)"
@@ -126,8 +128,8 @@ def _plants(parser: argparse.ArgumentParser, default: int) -> None:
     output_option(parser, "gains file to write (default: HAND.design.toml or HAND.search.toml)")
 
 
-def _design(parser: argparse.ArgumentParser) -> None:
-    _plants(parser, 8)
+def _declare_design(parser: argparse.ArgumentParser) -> None:
+    _declare_plants(parser, 8)
     parser.add_argument(
         "--poles-Hz", dest="poles", metavar="MOTION,TENSION", help="place the poles here; nothing is sought then"
     )
@@ -135,8 +137,8 @@ def _design(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--picture", type=Path, metavar="FILE", help="default: beside --output")
 
 
-def _search(parser: argparse.ArgumentParser) -> None:
-    _plants(parser, 3)
+def _declare_search(parser: argparse.ArgumentParser) -> None:
+    _declare_plants(parser, 3)
     parser.add_argument("--trials", type=int, default=64, metavar="N", help="in all, a resumed study's included")
     parser.add_argument(
         "--study", type=Path, metavar="FILE", help="journal to write or go on with (default: HAND.study)"
@@ -146,7 +148,7 @@ def _search(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--picture", type=Path, metavar="FILE", help="default: beside --output")
 
 
-def _verify(parser: argparse.ArgumentParser) -> None:
+def _declare_verify(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("candidate", type=Path, metavar="NEW.toml", help="gains to verify")
     bus_option(parser, required=False)
     dry_run_option(parser)

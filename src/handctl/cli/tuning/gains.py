@@ -27,12 +27,18 @@ TAKEN_OVER_S = 3.0
 def run(args: argparse.Namespace) -> int:
     """Run the selected sub-verb and return its exit code."""
     if args.what == "set":
-        return _set(args)
-    does = {"show": _show, "diff": _diff, "apply": _apply, "rollback": _rollback, "log": _log}
+        return _set_live(args)
+    does = {
+        "show": _show_gains,
+        "diff": _print_diff,
+        "apply": _apply_file,
+        "rollback": _roll_back,
+        "log": _print_history,
+    }
     return does[args.what](args, load_hand(args.hand))
 
 
-def _show(args: argparse.Namespace, hand: Hand) -> int:
+def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
     """Print every gain with its value, origin, meaning and bounds."""
     layers = layered_gains(args, hand)
     gain_bounds = bounds()
@@ -72,7 +78,7 @@ def _provenance_text(provenance: Provenance) -> str:
     return number + made + (f", from {', '.join(sources)}" if sources else "")
 
 
-def _diff(args: argparse.Namespace, hand: Hand) -> int:
+def _print_diff(args: argparse.Namespace, hand: Hand) -> int:
     """Print the differences between two sets of gains.
 
     Raises:
@@ -118,7 +124,7 @@ def _gains_side(word: str, hand: Hand) -> Gains:
     return load_gains_file(Path(word)).gains
 
 
-def _apply(args: argparse.Namespace, hand: Hand) -> int:
+def _apply_file(args: argparse.Namespace, hand: Hand) -> int:
     """Apply a gains file as the present gains of the hand."""
     file = gains_for(hand, args.file, notice)
     check_design(hand, file.gains)
@@ -129,7 +135,7 @@ def _apply(args: argparse.Namespace, hand: Hand) -> int:
     return _report_done(args, store, store.apply(file.gains, provenance).provenance)
 
 
-def _rollback(args: argparse.Namespace, hand: Hand) -> int:
+def _roll_back(args: argparse.Namespace, hand: Hand) -> int:
     """Restore earlier gains.
 
     If the present file cannot be used, the newest entry is the default.
@@ -160,7 +166,7 @@ def _report_done(args: argparse.Namespace, store: GainsStore, provenance: Proven
     return Exit.DONE
 
 
-def _log(args: argparse.Namespace, hand: Hand) -> int:
+def _print_history(args: argparse.Namespace, hand: Hand) -> int:
     """Print the history of applied gains and mark the present entry."""
     store = GainsStore(hand.name)
     entries = store.entries()
@@ -170,16 +176,18 @@ def _log(args: argparse.Namespace, hand: Hand) -> int:
         say(f"handctl: {error}; handctl gains rollback brings back number {entries[-1].number if entries else 0}", True)
         present = None
     if args.json:
-        print_json({"present": _number(present), "entries": [entry.file.provenance.model_dump() for entry in entries]})
+        print_json(
+            {"present": _number_text(present), "entries": [entry.file.provenance.model_dump() for entry in entries]}
+        )
         return Exit.DONE
     for entry in entries:
-        mark = "*" if entry.number == _number(present) else " "
+        mark = "*" if entry.number == _number_text(present) else " "
         say(f"{mark} {entry.number:>4}  {_entry_line(entry, entries)}")
-    print(f"{len(entries)} applied; present: {_number(present) or 'packaged' if present is None else store.path}")
+    print(f"{len(entries)} applied; present: {_number_text(present) or 'packaged' if present is None else store.path}")
     return Exit.DONE
 
 
-def _number(present: Any) -> int:
+def _number_text(present: Any) -> int:
     return present.provenance.number if present else 0
 
 
@@ -194,7 +202,7 @@ def _entry_line(entry: Entry, entries: list[Entry]) -> str:
     return made_and_sources + (f"; changes {few}" if few else "; changes nothing")
 
 
-def _set(args: argparse.Namespace) -> int:
+def _set_live(args: argparse.Namespace) -> int:
     """Change gains of a running controller.
 
     Invalid values are refused before any request is sent.

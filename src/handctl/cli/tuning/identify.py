@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     outcome.refuse_unfinished(f"identifying {plan.hand.name}, log {log}")
     with RunLog(log) as record:
         results = identify(record, plan.hand, note)
-    return _report(args, plan.hand, {log: results}, path, calibration)
+    return _report_results(args, plan.hand, {log: results}, path, calibration)
 
 
 def _in_lockstep(
@@ -110,7 +110,7 @@ def _from_logs(args: argparse.Namespace) -> int:
     """
     hand = load_hand(args.hand)
     path = calibration_path(args, hand)
-    if _simulated(args.logs) and not args.calibration:
+    if _are_simulated(args.logs) and not args.calibration:
         path = _of_simulated(hand)
     calibration = load_calibration(path, hand) if path.exists() else None
     results: dict[Path, dict[str, TendonResult]] = {}
@@ -126,7 +126,7 @@ def _from_logs(args: argparse.Namespace) -> int:
         else:
             say(f"{hand.name}: would identify from {', '.join(map(str, results))}, and write {path}")
         return Exit.DONE
-    return _report(args, hand, results, path, calibration)
+    return _report_results(args, hand, results, path, calibration)
 
 
 def _of_simulated(hand: Hand) -> Path:
@@ -137,7 +137,7 @@ def _of_simulated(hand: Hand) -> Path:
     return Path(f"{hand.name}.lockstep.calibration.toml")
 
 
-def _simulated(logs: list[Path]) -> bool:
+def _are_simulated(logs: list[Path]) -> bool:
     """Return True if the logs were recorded with a simulated hand in lockstep.
 
     Raises:
@@ -152,7 +152,7 @@ def _simulated(logs: list[Path]) -> bool:
     return kinds.get(True) is not None
 
 
-def _report(
+def _report_results(
     args: argparse.Namespace,
     hand: Hand,
     results: dict[Path, dict[str, TendonResult]],

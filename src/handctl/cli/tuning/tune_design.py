@@ -58,9 +58,9 @@ def run(args: argparse.Namespace) -> int:
     draw_loops(picture, model, after, f"{hand.name} at {rate:g} Hz")
     good = result.worst_after.enough
     if args.json:
-        print_json(_plain(result, out, picture, rate, len(plants)))
+        print_json(_result_fields(result, out, picture, rate, len(plants)))
     else:
-        _print(result, rate, len(plants))
+        _print_design(result, rate, len(plants))
         print(f"gains: {out}\npicture: {picture}\nnext: {verify_command(args, out)}")
     return Exit.DONE if good else Exit.FAILED
 
@@ -92,7 +92,7 @@ def _place_poles(args: argparse.Namespace, model: HandModel, plants: Any, rate: 
     return placed(model, plants, motion, tension, args.damping)
 
 
-def _plain(result: Any, out: Path, picture: Path, rate: float, plants: int) -> dict[str, Any]:
+def _result_fields(result: Any, out: Path, picture: Path, rate: float, plants: int) -> dict[str, Any]:
     return {
         "gains": str(out),
         "picture": str(picture),
@@ -106,7 +106,7 @@ def _plain(result: Any, out: Path, picture: Path, rate: float, plants: int) -> d
     }
 
 
-def _print(result: Any, rate: float, plants: int) -> None:
+def _print_design(result: Any, rate: float, plants: int) -> None:
     from rich import box
     from rich.table import Table
 
@@ -116,16 +116,16 @@ def _print(result: Any, rate: float, plants: int) -> None:
         table.add_column(heading, no_wrap=True)
     alike: dict[tuple[str, ...], list[str]] = {}
     for (name, kind), after in result.after.items():
-        alike.setdefault((str(kind), *_cells(result.before[name, kind], after)), []).append(name)
+        alike.setdefault((str(kind), *_margin_cells(result.before[name, kind], after)), []).append(name)
     for (kind, *cells), names in alike.items():
         more = f" + {len(names) - 1}" if len(names) > 1 else ""
         table.add_row(names[0].removesuffix("_tendon") + more, kind, *cells)
     table.add_section()
-    table.add_row("worst", "", *_cells(result.worst_before, result.worst_after))
+    table.add_row("worst", "", *_margin_cells(result.worst_before, result.worst_after))
     screen(min_width=80).print(table)
 
 
-def _cells(before: Any, after: Any) -> list[str]:
+def _margin_cells(before: Any, after: Any) -> list[str]:
     from handctl.tune.loops.margins import MAX_DELAY_S, MAX_GAIN_DB
 
     def one(margins: Any, name: str, scale: float, digits: int) -> str:

@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json(report)
     else:
-        _print(result, report)
+        _print_search(result, report)
         print(f"next: {verify_command(args, out)}")
     return Exit.DONE
 
@@ -141,7 +141,7 @@ def _report_fields(result: Any, storage: Path, out: Path | None, picture: Path) 
     }
 
 
-def _print(result: Any, report: dict[str, Any]) -> None:
+def _print_search(result: Any, report: dict[str, Any]) -> None:
     from rich.table import Table
 
     table = Table(title=f"{report['trials']} trials, {report['good']} good, {len(report['front'])} on the Pareto front")

@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
         args.seed = seed
         run_log = log if seed == first else log.with_stem(f"{log.stem}-seed{seed}")
         observer = VerifyObserver(plan.hand, base, new.gains)
-        outcome, truth = _run(args, plan, Exercise(AMPLITUDES), observer, run_log)
+        outcome, truth = _run_once(args, plan, Exercise(AMPLITUDES), observer, run_log)
         runs.append(_judge_run(plan, outcome, observer, run_log, truth))
         if not runs[-1]["through"]:
             break
@@ -63,7 +63,9 @@ def _with_gains(plan: Plan, gains: Any, candidate: Path) -> Plan:
     return replace(plan, gains=gains, attachments=plan.attachments | {"candidate.toml": candidate.read_bytes()})
 
 
-def _run(args: argparse.Namespace, plan: Plan, program: Any, observer: Any, log: Path) -> tuple[Outcome, Path | None]:
+def _run_once(
+    args: argparse.Namespace, plan: Plan, program: Any, observer: Any, log: Path
+) -> tuple[Outcome, Path | None]:
     if not args.lockstep:
         path, calibration, reason = find_calibration(args, plan.hand)
         announce(args, plan, path, calibration)

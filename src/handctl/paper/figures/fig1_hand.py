@@ -58,10 +58,10 @@ def hand(figure: Any) -> None:
         )
     links = Poly3DCollection(faces, facecolors=colours, edgecolors=colours, linewidths=0.25, zorder=3)
     axes.add_collection3d(links)
-    _axes(axes)
+    _set_axes(axes)
 
 
-def _axes(axes: Any) -> None:
+def _set_axes(axes: Any) -> None:
     """Set limits, labels and title of the axes."""
     axes.set(
         xlabel="x, out of the palm [mm]",

@@ -92,9 +92,9 @@ class ProcessPool:
                     self._send_job(slot, jobs[busy[slot]])
             for slot in self._wait_for_readable(busy):
                 i = busy.pop(slot)
-                line = _output(self._processes[slot]).readline()
+                line = _read_output(self._processes[slot]).readline()
                 if line.endswith(b"\n"):
-                    yield i, _checked(json.loads(line))
+                    yield i, _check_result(json.loads(line))
                     continue
                 self._replace(slot)
                 attempts[i] += 1
@@ -105,7 +105,7 @@ class ProcessPool:
 
     def _wait_for_readable(self, busy: Iterable[int]) -> list[int]:
         """Wait until a worker has written a line or has ended, and return the indices of all such workers."""
-        outputs = {_output(self._processes[slot]): slot for slot in busy}
+        outputs = {_read_output(self._processes[slot]): slot for slot in busy}
         ready, _, _ = select.select(list(outputs), [], [])
         return [outputs[output] for output in ready]
 
@@ -168,12 +168,12 @@ class Cluster:
         self._client.close()
 
 
-def _output(worker: "subprocess.Popen[bytes]") -> IO[bytes]:
+def _read_output(worker: "subprocess.Popen[bytes]") -> IO[bytes]:
     assert worker.stdout is not None
     return worker.stdout
 
 
-def _checked(result: Result) -> Result:
+def _check_result(result: Result) -> Result:
     if "error" in result:
         raise ConfigError(str(result["error"]), "tune search")
     return result
