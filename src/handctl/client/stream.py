@@ -110,7 +110,7 @@ class TargetStream:
         """
         if self._closed:
             raise DriveError("this stream is closed", self.name, "another hand.stream")
-        target = self._ordered_values(values)
+        target = self._target(values)
         try:
             accepted = self._sender.send(self.sent, time.monotonic_ns(), target * self._factor)
         except OSError:
@@ -145,7 +145,7 @@ class TargetStream:
         self._sender.close()
         self._hand.end_stream(self.name)
 
-    def _ordered_values(self, values: Values) -> NDArray[np.float64]:
+    def _target(self, values: Values) -> NDArray[np.float64]:
         """Return the values in the order of the names, in the unit of the program.
 
         Raises:
@@ -154,7 +154,7 @@ class TargetStream:
         if isinstance(values, Mapping):
             if unknown := [str(name) for name in values if name not in self.names]:
                 raise ConfigError(f"no {unknown[0]!r} in this stream", "send", f"some of {', '.join(self.names)}")
-            target = self._present_values() if self._last is None else self._last.copy()
+            target = self._present() if self._last is None else self._last.copy()
             for name, value in values.items():
                 target[self.names.index(name)] = value
         else:
@@ -166,7 +166,7 @@ class TargetStream:
             raise ConfigError(f"{name} is not finite", "send", "a finite number")
         return target
 
-    def _present_values(self) -> NDArray[np.float64]:
+    def _present(self) -> NDArray[np.float64]:
         """Return the present values. Names omitted in the first target start from these."""
         seen = self._hand.observe()
         if UNITS[self.space] != "deg":

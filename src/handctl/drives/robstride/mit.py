@@ -177,13 +177,13 @@ class RobstrideMitDrive(CubemarsDrive):
         progress: CubemarsProgress = updated.private
         disabled = updated.phase in (Phase.READY, Phase.FAULT) and not progress.enable_sent
         if target == DriveTarget.POLL and disabled and updated.feedback_count % FAULT_PERIOD == ANSWERS:
-            return updated, (self._frame(READ_FAULTS),)
+            return updated, (self._frame_to_motor(READ_FAULTS),)
         return updated, frames
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
         """Clear the faults, and start again with the stop command."""
         fresh, stop = CubemarsDrive.clear(self, state)
-        return fresh, (self._frame(mit.special_command(mit.CLEAR)), *stop)
+        return fresh, (self._frame_to_motor(mit.special_command(mit.CLEAR)), *stop)
 
     def cause(self, error: int) -> Cause:
         """Return the cause of an error code, see ``contract.Drive``."""
