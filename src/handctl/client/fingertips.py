@@ -21,12 +21,13 @@ Positions = Mapping[str, Sequence[float] | NDArray[np.floating[Any]]] | NDArray[
 class Fingertips:
     """Joint angles for positions of fingertips.
 
-    A tip that cannot be at its position, such as that of a digit with one tendon for three joints, comes as close as
-    the limits allow. The posture goes on from the one before, so that a continuous motion has no jumps.
+    A tip that cannot reach its position (as in a digit with one tendon for three joints) comes as
+    close as the limits allow. The posture starts from the previous posture, so that a continuous
+    motion has no jumps.
 
     Attributes:
         digits: names of the digits.
-        joints: names of their joints, in order.
+        joints: names of the joints of these digits, in order.
         distances_m: (D,) distance from each tip to its position in the latest posture, NaN before the first.
     """
 
@@ -52,7 +53,10 @@ class Fingertips:
         self._coordinates: list[NDArray[np.float64] | None] = [None] * len(self.digits)
 
     def tips(self, angles_rad: Mapping[str, float]) -> NDArray[np.float64]:
-        """Return the (D, 3) positions of the tips at joint angles by name, e.g. ``seen.named("q_rad")`` [m]."""
+        """Return the positions of the tips (D, 3) at joint angles by name, e.g.
+
+        ``seen.named("q_rad")`` [m].
+        """
         return np.array(
             [points(model, [angles_rad[joint] for joint in model.joint_names])[-1] for model in self._models]
         )
@@ -77,7 +81,7 @@ class Fingertips:
         return angles
 
     def _targets(self, positions: Positions) -> dict[int, NDArray[np.float64]]:
-        """Return the positions by the index of the digit, checked."""
+        """Return the checked positions, by the index of the digit."""
         if isinstance(positions, Mapping):
             if unknown := [str(name) for name in positions if name not in self.digits]:
                 raise ConfigError(f"no {unknown[0]!r}", "fingertips", f"some of {', '.join(self.digits)}")

@@ -22,15 +22,15 @@ from handctl.drives.signals import Table
 from handctl.errors import ConfigError
 
 _MODES = {DriveMode.POSITION: setup.POSITION_MODE, DriveMode.VELOCITY: setup.VELOCITY_MODE}
-"""Mode of operation."""
+"""Value of the object mode of operation, for each mode."""
 VELOCITY_UNITS = ("rev_min", "count_s")
 """Values of the option ``velocity_unit``, the default first."""
 INTERPOLATION_MS = 5
 """Interpolation period of the target position [ms], the period of the commands on a bench."""
 FOLLOWING_RAD = 0.5
-"""Following error that is a fault [rad at the spool]."""
+"""Following error from which the drive reports a fault [rad at the spool]."""
 FOLLOWING_MS = 200
-"""Longest duration of a larger following error [ms]."""
+"""Longest duration of a larger following error without a fault [ms]."""
 RPM = math.tau / 60.0
 """One revolution per minute [rad/s]."""
 
@@ -60,15 +60,15 @@ class Cia402ModeDrive(Cia402Drive):
 
     @property
     def exchange(self) -> tuple[tuple[int, bool], ...]:
-        """Return RPDO, TPDO, and SYNC if sent here."""
+        """Return the frames of a tick: RPDO, TPDO, and SYNC with the option ``sync``."""
         return ((6, False), (8, False), *(((0, False),) if self.sync else ()))
 
     def _rest(self, state: DriveState) -> float:
-        """Return the command that moves nothing: the present position, or no velocity."""
+        """Return the command that causes no motion: the present position, or zero velocity."""
         return state.position if self.mode == DriveMode.POSITION else 0.0
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
-        """Return no frame: the RPDO has no torque in this mode."""
+        """Return no frame, because the RPDO has no torque in this mode."""
         return ()
 
 
@@ -99,7 +99,7 @@ def make(motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimit
 
 
 def _motion_steps(mode: DriveMode, speed: int, window: int) -> tuple[setup.Step, ...]:
-    """Return the objects of a mode.
+    """Return the objects that a mode needs, with their required values.
 
     Args:
         mode: quantity that the drive controls.

@@ -1,11 +1,11 @@
 """Damiao motor in position-velocity, velocity or force-position mode.
 
-Register CTRL_MODE selects the mode. Ramps (ACC, DEC) and largest speed (MAX_SPD) are written and read
-back before arming, MAX_SPD again while enabled. They stay until the motor loses its power. Source: Damiao
-DM-J4310-2EC manual.
+Register CTRL_MODE selects the mode. Ramps (ACC, DEC) and largest speed (MAX_SPD) are written and
+read back before arming, MAX_SPD again while enabled. These values stay until the motor loses power.
+Source: Damiao DM-J4310-2EC manual.
 
-TMAX is required as in MIT mode. Whether it bounds the torque of the other modes is not documented: in
-force-position mode each command carries a current limit.
+TMAX is required as in MIT mode. The manual does not state if TMAX limits the torque in the other
+modes. In force-position mode each command has a current limit.
 """
 
 from dataclasses import dataclass
@@ -24,17 +24,17 @@ _REGISTER = {
     DriveMode.VELOCITY: codec.VELOCITY_MODE,
     DriveMode.FORCE_POSITION: codec.FORCE_MODE,
 }
-"""Value of CTRL_MODE."""
+"""Value of CTRL_MODE for each mode."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MitModeDrive(MitDrive):
-    """One motor whose command is a position [rad] or a velocity [rad/s] at the spool.
+    """Damiao motor whose command is a position [rad] or a velocity [rad/s] at the spool.
 
     Attributes:
         mode: quantity that the motor controls.
         limits: largest speed and acceleration.
-        fraction: current limit of force-position mode as a fraction of the largest current.
+        fraction: current limit in force-position mode, as a fraction of the largest current.
     """
 
     mode: DriveMode
@@ -47,7 +47,7 @@ class MitModeDrive(MitDrive):
         object.__setattr__(self, "command", Table(self._message()))
 
     def _message(self) -> Message:
-        """Return the command of the mode."""
+        """Return the signal table of the command in this mode."""
         if self.mode == DriveMode.VELOCITY:
             return codec.velocity_message(self.node_id, self.limits.speed, self.direction, self.flags)
         last = self.direction, self.zero, self.flags
@@ -63,14 +63,17 @@ class MitModeDrive(MitDrive):
 
     @property
     def _mode_registers(self) -> tuple[tuple[int, float], ...]:
-        """Return the (register, value) pairs of the mode."""
+        """Return the registers that a mode needs, as (register, value) pairs."""
         slope = self.limits.acceleration
         ramps = ((codec.ACCELERATION, slope), (codec.DECELERATION, -slope), (codec.MAX_SPEED, self.limits.speed))
         return ((codec.CTRL_MODE, _REGISTER[self.mode]), *ramps)
 
     @property
     def guards(self) -> tuple[tuple[int, float], ...]:
-        """Return (register, value) pairs of the drive's own guards, read again while enabled."""
+        """Return the registers of the drive's own protections, as (register, value) pairs.
+
+        They are read back again while the motor is enabled.
+        """
         return (
             (codec.TIMEOUT, self.timeout),
             (codec.TMAX, self.ranges.torque),
@@ -78,11 +81,11 @@ class MitModeDrive(MitDrive):
         )
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
-        """Return no frame: the motor takes no torque commands in this mode."""
+        """Return no frame, because the motor takes no torque commands in this mode."""
         return ()
 
     def _command(self, torque: float) -> Frame:
-        """Return the command [rad or rad/s at the spool]."""
+        """Return the frame of a command [rad or rad/s at the spool]."""
         message = self.command.message
         return Frame(message.can_id, self._torque(torque), self.flags, self.bus)
 

@@ -1,8 +1,8 @@
 """ODrive in position or velocity control, inputs passed through.
 
-The host sends a ramp, hence the drive needs no trajectory of its own. Set_Limits carries the largest speed.
-No answer of CANSimple confirms mode and limits, so both precede each enable command. The endpoints of
-watchdog and torque limit are read back as in torque control.
+The host sends a ramp, so the drive needs no trajectory of its own. Set_Limits contains the largest
+speed. No answer of CANSimple confirms mode and limits, so both precede each enable command. The
+endpoints of watchdog and torque limit are read back as in torque control.
 """
 
 import math
@@ -18,7 +18,7 @@ from handctl.drives.signals import Table
 from handctl.errors import ConfigError
 
 _CONTROL = {DriveMode.POSITION: codec.POSITION_MODE, DriveMode.VELOCITY: codec.VELOCITY_MODE}
-"""Control mode of Set_Controller_Mode."""
+"""Control mode in Set_Controller_Mode for each mode."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,23 +43,26 @@ class OdriveModeDrive(OdriveDrive):
         object.__setattr__(self, "command", Table(message))
 
     def _setup(self) -> tuple[Frame, ...]:
-        """Return mode and limits, unconfirmed as in torque control."""
+        """Return the frames that set mode and limits.
+
+        No answer confirms these frames, as in torque control.
+        """
         mode = self._frame(codec.SET_MODE, codec.integers(_CONTROL[self.mode], codec.PASSTHROUGH))
         return mode, self._frame(codec.SET_LIMITS, self.limits)
 
     def _torque(self, torque: float) -> Frame:
-        """Return the command [rad or rad/s at the spool]."""
+        """Return the frame of a command [rad or rad/s at the spool]."""
         try:
             return Frame(self.command.message.can_id, self.command.pack(torque), 0, self.bus)
         except ValueError as error:
             raise ValueError(f"{self.name}: {error}") from None
 
     def _rest(self, state: DriveState) -> float:
-        """Return the command that moves nothing: the present position, or no velocity."""
+        """Return the command that causes no motion: the present position, or zero velocity."""
         return state.position if self.mode == DriveMode.POSITION else 0.0
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
-        """Return no frame: a torque is a feedforward in this mode."""
+        """Return no frame, because a torque is only a feedforward in this mode."""
         return ()
 
 

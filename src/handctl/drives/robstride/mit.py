@@ -45,15 +45,15 @@ MODELS = {
     name: mit.Ranges(POSITION_RANGE, codec.MODELS[name].velocity, codec.MODELS[name].torque)
     for name in ("rs00", "rs01", "rs05")
 }
-"""Full scale of the models on whose ranges in MIT mode the sources agree."""
+"""Full scale of those models for which all sources state the same ranges in MIT mode."""
 HOST_OFFSET = 0x10
-"""Usual distance of the host's number from the motor's number on a bus with several motors."""
+"""Default difference between the host's number and the motor's number on a bus with several motors."""
 FACTORY_HOST = 0
-"""Number of the host as delivered."""
+"""Factory setting of the host's number."""
 READ_FAULTS = b"\xff" * 6 + b"\x00\xfb"
 """Payload that reads the faults."""
 FAULT_PERIOD = 8
-"""Answers of a disabled motor between two reads of its faults."""
+"""Number of answers from a disabled motor between two reads of its faults."""
 CONTROL_MODES = range(3)
 """Bits 10..8 of a command's identifier: MIT, position, and velocity mode."""
 UNVERIFIED_GUARDS = (
@@ -126,7 +126,7 @@ class RobstrideMitDrive(CubemarsDrive):
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Return the commands of the three control modes."""
+        """Return the identifiers of commands in the three control modes."""
         return frozenset(mode << 8 | self.node_id for mode in CONTROL_MODES)
 
     @property
@@ -171,7 +171,7 @@ class RobstrideMitDrive(CubemarsDrive):
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state and the frames to send, see ``contract.Drive``.
 
-        A disabled motor is asked for its faults in place of every eighth stop command.
+        For a disabled motor, every eighth stop command is replaced by a read of the faults.
         """
         updated, frames = CubemarsDrive.advance(self, state, t_ns, target, torque)
         progress: CubemarsProgress = updated.private
@@ -181,7 +181,7 @@ class RobstrideMitDrive(CubemarsDrive):
         return updated, frames
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Clear the faults, and start again with the stop command."""
+        """Return the state that clears the faults and begins again with the stop command."""
         fresh, stop = CubemarsDrive.clear(self, state)
         return fresh, (self._frame_to_motor(mit.special_command(mit.CLEAR)), *stop)
 
