@@ -75,11 +75,11 @@ def check_picture(name):
 
 
 @contextmanager
-def hand(slower, *words):
+def hand(slower, *words, name="jamia"):
     """Serve the simulated hand of the examples, homed and slowed. Yield the options of its controller."""
     scale = scaled(SCALE * slower)
-    write_homed(Path("c.toml"), load_hand("jamia"))
-    with serving("-m", "firmware_sim", "--hand", "jamia", "--bus", "local:lab", *HOMED, *words, *scale):
+    write_homed(Path("c.toml"), load_hand(name))
+    with serving("-m", "firmware_sim", "--hand", name, "--bus", "local:lab", *HOMED, *words, *scale):
         yield ("--calibration", "c.toml", *scale)
 
 
@@ -100,6 +100,15 @@ def test_stream_sine(slower):
     assert "accepted=300, clipped=0" in out
     assert numbers(out.splitlines()[-1])[0] < 1.5
     check_picture("sine.png")
+
+
+@REALTIME
+def test_retarget(slower):
+    with hand(slower, "--scene", "none", name="jamia11") as options:
+        out = example("retarget.py", *options)
+    assert "accepted=300" in out
+    assert numbers(out.splitlines()[-1])[0] < 6.0
+    check_picture("retarget.png")
 
 
 @REALTIME

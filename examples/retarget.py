@@ -1,0 +1,92 @@
+"""Follow the fingertips of a human hand: positions scaled to the robot's fingers, by inverse kinematics.
+
+In another terminal: handctl sim --hand jamia11 --bus local:lab --scene none
+Then: python retarget.py [options of handctl run] writes retarget.png.
+
+The human motion is made here: index, middle, ring and thumb close one after another, and open. The lengths of the
+segments are fractions of the hand's length (Buchholz, Armstrong and Goldstein 1992, Ergonomics 35(3), 261-273). The
+last joint of a finger turns by 2/3 of the middle one (Rijpkema and Girard 1991).
+"""
+
+import sys
+
+import matplotlib
+
+matplotlib.use("Agg")  # writes files, needs no screen
+import matplotlib.pyplot as plt
+import numpy as np
+
+import handctl
+from handctl.client import Fingertips
+from handctl.hand.digit import DigitModel
+from handctl.hand.kinematics import to_palm
+from handctl.log.read.reader import RunLog
+
+RATE_HZ = 50.0
+SECONDS = 6.0
+HAND_LENGTH_M = 0.189
+SEGMENTS = {  # proximal, middle and distal segment as fractions of the hand's length
+    "index": (0.245, 0.143, 0.097),
+    "middle": (0.266, 0.170, 0.108),
+    "ring": (0.244, 0.165, 0.107),
+    "thumb": (0.196, 0.158),
+}
+CLOSED_DEG = {"index": 36.0, "middle": 30.0, "ring": 30.0, "thumb": 8.0}  # further on, fingers and thumb touch
+
+
+def human_tip(name, t):
+    """Return the tip of a human finger from its knuckle [m]: x along the straight finger, y to the palm."""
+    delay = 0.4 * list(SEGMENTS).index(name)
+    phase = np.clip((t - 0.5 - delay) / 3.5, 0.0, 1.0)
+    knuckle = np.radians(CLOSED_DEG[name]) * 0.5 * (1.0 - np.cos(2.0 * np.pi * phase))  # closes and opens
+    turns = [knuckle, 1.1 * knuckle, 2.0 / 3.0 * 1.1 * knuckle][: len(SEGMENTS[name])]
+    angles = np.cumsum(turns)
+    lengths = HAND_LENGTH_M * np.array(SEGMENTS[name])
+    return np.array([lengths @ np.cos(angles), lengths @ np.sin(angles), 0.0])
+
+
+def retarget(digit, name, t):
+    """Return the human tip in the palm frame of the robot, scaled by the lengths of both fingers [m]."""
+    scale = sum(digit.lengths) / (HAND_LENGTH_M * sum(SEGMENTS[name]))
+    return to_palm(digit, scale * human_tip(name, t))
+
+
+with handctl.connect("jamia11", "local:lab", *sys.argv[1:]) as hand:
+    digits = {name: DigitModel.of(hand.description, name) for name in SEGMENTS}
+    tips = Fingertips(hand.description, list(SEGMENTS))
+    hand.move(tips.angles_deg({name: retarget(digits[name], name, 0.0) for name in SEGMENTS}))
+    first = hand.observe().k
+    left = []
+    with hand.stream(RATE_HZ, "fingertip", list(SEGMENTS)) as stream:
+        began_s = hand.observe().t_s
+        for tick in range(round(SECONDS * RATE_HZ)):
+            t = tick / RATE_HZ + stream.horizon_s  # the moment at which the hand shall be there
+            stream.send(np.array([retarget(digits[name], name, t) for name in SEGMENTS]))
+            left.append(stream.fingertips.distances_m.copy())
+            stream.sleep()
+        print(stream.status)
+        last = hand.observe().k
+print(f"left by the inverse kinematics: {1e3 * np.mean(left):.2f} mm on average, {1e3 * np.max(left):.2f} mm at most")
+
+with RunLog(hand.result["log"]) as log:  # every tick, also those that this program has not seen
+    streamed = (log.k > first) & (log.k < last)
+    names = log.names("q")
+    times = log.times[streamed]
+    q = log.field("q")[streamed]
+reached = np.array([tips.tips(dict(zip(names, row, strict=True))) for row in q])  # (ticks, digits, 3)
+
+figure, axes = plt.subplots(1, len(SEGMENTS), figsize=(11, 3.4), layout="constrained")
+errors = []
+for d, (name, ax) in enumerate(zip(SEGMENTS, axes, strict=True)):
+    digit = digits[name]
+    human = np.array([retarget(digit, name, t) for t in times - began_s])
+    path = [(points - digit.mount_position) @ digit.mount_rotation * 1e3 for points in (human, reached[:, d])]
+    errors.append(np.sqrt(np.mean(np.sum((path[0] - path[1]) ** 2, axis=1))))
+    ax.plot(path[0][:, 0], path[0][:, 1], "k--", label="human, scaled")
+    ax.plot(path[1][:, 0], path[1][:, 1], label="robot")
+    ax.plot(0.0, 0.0, "o", color="0.6")
+    ax.set(title=f"{name}: {errors[-1]:.1f} mm rms", xlabel="along the finger [mm]", aspect="equal")
+axes[0].set_ylabel("to the palm [mm]")
+axes[0].legend(loc="lower left")
+figure.savefig("retarget.png", dpi=120)
+print(f"RMS distance of robot and human tips: {max(errors):.1f} mm in the worst finger")
