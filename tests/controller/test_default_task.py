@@ -101,3 +101,12 @@ def test_digits_of_one_side_are_said_to_lift_nothing() -> None:
     content = hand_content("t42")
     content["digit"][1]["mount_rpy_deg"] = [180.0, 0.0, 0.0]
     assert "no digit closes against another" in grasp_warnings(hand_from(content, "one-sided"))[0]
+
+
+def test_a_hand_that_holds_with_its_palm_takes_the_small_cylinder() -> None:
+    hand = load_hand("orca_like")
+    assert default_scene(hand) == "cylinder"
+    hold = default_task(hand)[0].phase[2]
+    assert isinstance(hold, Hold)
+    assert isinstance(hold.tension_N, dict)
+    assert hold.tension_N["thumb"] > hold.tension_N["index"]

@@ -103,12 +103,25 @@ def _shares(hand: Hand) -> dict[str, float]:
     The forces on an object are in balance: two fingers would otherwise push a thumb open, and three
     fingers around a circle press alike.
     """
+    balance = _balance(hand)
+    if balance is not None:
+        return balance
+    # The palm or friction closes the balance. The digits of both sides press alike.
+    opposed = _opposed(hand)
+    count = len(opposed)
+    behind = sum(opposed.values())
+    if behind == 0:
+        return dict.fromkeys(opposed, 1.0)
+    return {name: count / 2 / (behind if is_opposed else count - behind) for name, is_opposed in opposed.items()}
+
+
+def _balance(hand: Hand) -> dict[str, float] | None:
+    """Return the factors nearest to 1, 1 on average, for which the digits' directions sum to zero, or None."""
     directions = _directions(hand)
     rows = np.array(list(directions.values()))
-    # The factors nearest to 1 whose sum of directions is zero.
     factors = 1.0 - rows @ np.linalg.pinv(rows.T @ rows) @ rows.sum(axis=0)
     if factors.min() < SMALLEST_SHARE:
-        return dict.fromkeys(directions, 1.0)
+        return None
     return dict(zip(directions, (factors / factors.mean()).tolist(), strict=True))
 
 
@@ -184,10 +197,14 @@ def grasp_warnings(hand: Hand) -> tuple[str, ...]:
 def default_scene(hand: Hand) -> str:
     """Return the scene for the default task of a hand: a cylinder or a ball between the open digits.
 
-    The diameter is in proportion to the digits. The tips of opposed digits meet around thin objects.
+    The diameter is in proportion to the digits. The tips of opposed digits meet around thin objects. A
+    hand whose digits alone are in no balance, such as an anthropomorphic hand, takes the scene of 35 mm.
     """
     directions = _directions(hand)
-    shape = SCENE if all(abs(direction[2]) < PARALLEL for direction in directions.values()) else BALL
+    parallel = all(abs(direction[2]) < PARALLEL for direction in directions.values())
+    if not parallel and _balance(hand) is None:
+        return SCENE
+    shape = SCENE if parallel else BALL
     longest = 1e3 * max(sum(hand.digit_named(name).link_length_m) for name in directions)
     free = 1e3 * _largest_object(hand, ball=shape == BALL)
     diameter = max(SMALLEST_OBJECT_MM, min(OBJECT_PER_DIGIT * longest, free - CLEARANCE_MM))
