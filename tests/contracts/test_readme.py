@@ -16,7 +16,8 @@ def test_it_is_short() -> None:
 
 def test_the_limits_come_before_the_commands() -> None:
     assert README.index("**Simulated only.**") < README.index("make demo")
-    for word in ("Nobody has run handctl on a real hand", "To be the first", "reference firmware with schematic"):
+    firmware = "reference firmware with a schematic"
+    for word in ("Nobody has run handctl on a real hand", "first to try a real hand", firmware):
         assert word in README, word
 
 

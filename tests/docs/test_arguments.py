@@ -41,6 +41,6 @@ def refusal(words: list[str]) -> str:
 
 
 def test_a_wrong_argument_is_unknown() -> None:
-    ((verb, *words),) = commands("`handctl log export --candump move.log move.mcap`")
+    ((verb, *words),) = commands("`handctl log info move.mcap move.log`")
     with pytest.raises(ConfigError, match="unknown argument"):
         verb_parser(verb).parse_args(words)

@@ -146,7 +146,7 @@ def test_the_load_is_that_of_the_table(tmp_path: Path, protocol: str, extra: str
 def test_the_numbers_that_the_page_recommends_for_odrives_are_free_beside_canopen() -> None:
     """The page recommended 0x10, which takes the RPDO1 of CANopen nodes 1 to 31."""
     page = (Path(__file__).parents[2] / "docs" / "how-to" / "adding-a-drive.md").read_text(encoding="utf-8")
-    text = re.search(r"The numbers (.*?) are outside of CANopen", page, re.DOTALL)
+    text = re.search(r"With the node\s+numbers (.*?), these\s+identifiers", page, re.DOTALL)
     assert text
     pairs = re.findall(r"0x(\w\w) to\s+0x(\w\w)", text[1])
     assert [(int(first, 16), int(last, 16)) for first, last in pairs] == [(a[0], a[-1]) for a in FREE_NUMBERS]
