@@ -33,6 +33,13 @@ CLIPPED = 1e-9
 """Smallest difference from the requested value that counts as clipping [rad, N]."""
 STEADY_PERIODS = 2.5
 """Longest time between two targets from which a speed is computed [periods of the stream]."""
+LEAD_N = 6.0
+"""Largest setpoint above the estimated tension that a target leads to [N].
+
+The tendon of a free digit bears no more than the digit's springs and friction. A setpoint that ran ahead
+would spin the motor, and look like a snapped tendon (T01) or an oscillation (N14b). The same margin below
+the largest tension is for the overshoot.
+"""
 OPEN, RUNNING = 1, 2
 """Values of ``block.STREAMING``."""
 
@@ -179,13 +186,15 @@ def _begin_ramp(
     setpoint = state.tendon[s.SETPOINT]
     aim = tensions_of(model, stream, values, setpoint, state.estimate.q)
     inside = np.clip(aim, model.floor, model.ceiling)
+    reached = np.minimum(inside, np.maximum(state.tendon[s.TENSION], model.floor) + LEAD_N)
+    reached = np.maximum(np.minimum(reached, model.ceiling - LEAD_N), model.floor)
     step = model.hand.stream.tension_rate_N_per_s * model.period
     ticks = max((sent_ns - t_ns) / 1e9 + stream.horizon, model.period) / model.period
     for d in digits_of(model, stream):
         tendons = model.digit_tendons[d]
-        state.tendon[s.TARGET, tendons] = inside[tendons]
+        state.tendon[s.TARGET, tendons] = reached[tendons]
         state.tendon[s.TARGET_STEP, tendons] = np.minimum(
-            np.abs(inside - setpoint)[tendons] / ticks, step
+            np.abs(reached - setpoint)[tendons] / ticks, step
         )
     named = np.array([name in stream.names for name in model.hand.tendon_names])
     return stream.space == "tension" and bool((np.abs(inside - aim) > CLIPPED)[named].any())

@@ -1,0 +1,98 @@
+"""Random streamed targets on one digit of each packaged hand with springs: no fault that stops the hand.
+
+Targets are legal, up to both ends of the range, and change as fast as a client likes. Digits that meet
+each other, and T02a (a warning of a slack tendon), are outside of these tests.
+"""
+
+import os
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from handctl.controller.bus_load import bus_loads
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
+from handctl.core.types import Mode
+from handctl.hand.load import load_hand
+from handctl.programs.live import LiveProgram
+from handctl.session.plan import fastest
+from handctl.session.simulate import Simulator, homed_controller
+from tests.controller.test_stream import Client
+
+Array = NDArray[np.float64]
+NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
+SECONDS = 3.0
+STREAM_HZ = 100.0
+"""Rate of the streams, or that of the control loop if it is lower [Hz]."""
+
+
+@cache
+def model_of(name: str) -> HandModel:
+    """Return the model of a packaged hand at its own rate."""
+    hand = load_hand(name)
+    return HandModel.of(hand, Gains(), min(fastest(bus_loads(hand)), 500.0))
+
+
+def noise(rng: np.random.Generator, low: Array, high: Array, t: Array) -> Array:
+    """Return white noise that also exceeds the limits."""
+    beyond = 0.1 * (high - low)
+    return rng.uniform(low - beyond, high + beyond, (len(t), len(low)))
+
+
+def steps(rng: np.random.Generator, low: Array, high: Array, t: Array) -> Array:
+    """Return steps from limit to limit."""
+    hold = int(rng.integers(5, 40))
+    levels = rng.integers(0, 2, (len(t), len(low)))[np.arange(len(t)) // hold]
+    return np.where(levels, high, low)
+
+
+def sine(rng: np.random.Generator, low: Array, high: Array, t: Array) -> Array:
+    """Return sines from limit to limit, of 0.3 to 6 Hz."""
+    angle = 2.0 * np.pi * rng.uniform(0.3, 6.0, len(low)) * t[:, None] + rng.uniform(0.0, 6.28, len(low))
+    return (low + high) / 2 + (high - low) / 2 * np.sin(angle)
+
+
+def limits(name: str, space: str, digit: str) -> tuple[tuple[str, ...], Array, Array]:
+    """Return the names of a digit's values, and their lowest and highest targets [deg, N]."""
+    hand = load_hand(name)
+    if space == "tension":
+        tendons = hand.tendon[hand.digit_tendons[digit]]
+        low = np.array([tendon.tension_floor_N for tendon in tendons])
+        return tuple(tendon.name for tendon in tendons), low, np.array([tendon.tension_max_N for tendon in tendons])
+    joints = hand.digit_named(digit).joints
+    ones = np.ones(len(joints))
+    low = np.array(hand.digit_named(digit).joint_min_deg) * ones
+    return joints, low, np.array(hand.digit_named(digit).joint_max_deg) * ones
+
+
+CASES = [
+    *(("tension", hand, kind) for hand in ("jamia", "jamia_bench", "t42", "n_plus_1") for kind in (noise, steps, sine)),
+    ("tension", "jamia11", noise),
+    ("tension", "jamia11", sine),
+]
+SAMPLE = CASES[1::4]
+
+
+@pytest.mark.parametrize("seed", range(20 if NIGHTLY else 1))
+@pytest.mark.parametrize(("space", "hand", "kind"), CASES if NIGHTLY else SAMPLE)
+def test_random_targets_cause_no_fault(space: str, hand: str, kind: Callable[..., Array], seed: int) -> None:
+    """Random tensions ended within 45 ms with T01: the setpoint ran ahead of a free digit."""
+    model = model_of(hand)
+    digit = model.hand.digit_names[0]
+    names, low, high = limits(hand, space, digit)
+    every = max(1, round(1.0 / STREAM_HZ / model.period))
+    rate = 1.0 / every / model.period
+    times = np.arange(round(SECONDS * rate)) / rate
+    targets = kind(np.random.default_rng(seed), low, high, times)
+    trip = np.array([tendon.tension_trip_N for tendon in model.hand.tendon])
+    with Simulator(hand, None, seed, homed=True).against(homed_controller(model, LiveProgram())) as run:
+        run.record = False
+        client = Client(run, model)
+        assert client.open(space, names, rate_Hz=rate).startswith("stream")
+        for i in range(len(times) * every):
+            client.tick(*([client.target(*targets[i // every].tolist())] if i % every == 0 else []))
+            assert run.state.mode == Mode.ACTIVE, client.faults
+            assert (np.array(list(run.peer.world.plant.tensions())) < trip).all()
