@@ -53,15 +53,11 @@ def excitation(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, ...]:
     """Return the steps for the named digits, one digit after the other.
 
     Raises:
-        ConfigError: A digit does not exist, or its springs are too weak to stretch its tendon
-            on the open stop.
+        ConfigError: A digit does not exist, has no load cells or no springs, or its springs are too weak
+            to stretch its tendon on the open stop.
     """
+    check_identifiable(hand, digits)
     for name in digits:
-        if name not in hand.digit_names:
-            raise ConfigError(repr(name), "--digits", "some of " + ", ".join(hand.digit_names))
-        if hand.is_pair[hand.digit_tendons[name]].any():
-            right = "digits of single tendons: a spool pair cannot become slack"
-            raise ConfigError("its tendons are spool pairs", f"digit {name}", right)
         if LIFT_FRACTION * (tension := lift_off(hand, name)) < MIN_TENSION_N + MIN_STRETCH_RANGE_N:
             min_preload = (MIN_TENSION_N + MIN_STRETCH_RANGE_N) / LIFT_FRACTION
             problem = f"{tension:.2f} N lifts it off its open stop, too little to stretch its tendon there"
@@ -71,6 +67,27 @@ def excitation(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, ...]:
                 f"springs with a preload of {min_preload:.2f} N or more, or other --digits",
             )
     return tuple(step for name in digits for step in _digit_steps(hand, name))
+
+
+def check_identifiable(hand: Hand, digits: tuple[str, ...]) -> None:
+    """Check that digits have what the fits need: a load cell on every tendon, and return springs.
+
+    Raises:
+        ConfigError: A digit does not exist, has spool pairs, or has no load cells or no springs.
+    """
+    for name in digits:
+        if name not in hand.digit_names:
+            raise ConfigError(repr(name), "--digits", "some of " + ", ".join(hand.digit_names))
+        tendons = hand.digit_tendons[name]
+        if hand.is_pair[tendons].any():
+            right = "digits of single tendons: a spool pair cannot become slack"
+            raise ConfigError("its tendons are spool pairs", f"digit {name}", right)
+        cells = zip(hand.tendon[tendons], hand.has_cell[tendons], strict=True)
+        bare = [tendon.name for tendon, has_cell in cells if not has_cell]
+        if bare:
+            raise ConfigError(f"no load cell on {', '.join(bare)}", f"digit {name}", "a load cell on every tendon")
+        if not any(hand.digit_named(name).spring_stiffness_N_m_per_rad):
+            raise ConfigError("no springs", f"digit {name}", "return springs: they load the tendons of a free digit")
 
 
 def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
