@@ -21,6 +21,10 @@ MISTAKES = {
         "watchdog_ms = 50", "watchdog_ms = 50\nknee_N = 200.0",
         "default.motor.knee_N: unknown key; expected one of name, protocol,",
     ),
+    "a mode of the drive": (
+        "watchdog_ms = 50", 'watchdog_ms = 50\nmode = "position"',
+        "default.motor.mode: a hand commands torques; expected no mode; one drive: handctl jog --mode",
+    ),
     "a key that no section has": (
         "wrap_angle_rad = 1.5708", "# wrap_angle_rad = 1.5708",
         "default.tendon.wrap_angle_rad: missing; expected a value, there or in each tendon",

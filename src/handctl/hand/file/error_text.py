@@ -104,6 +104,8 @@ def _field(location: Sequence[str | int], model: type[BaseModel]) -> FieldInfo |
 
 def _unknown_key_mistake(location: Sequence[str | int], model: type[BaseModel], content: Mapping[str, Any]) -> Mistake:
     """Return the mistake of an unknown key, with the most similar valid key."""
+    if location[0] == "motor" and location[-1] == "mode":
+        return Mistake("a hand commands torques", key_path(content, location), "no mode; one drive: handctl jog --mode")
     valid = nearest(str(location[-1]), _valid_keys_at(model, location[:-1]))
     return Mistake("unknown key", key_path(content, location), valid)
 
