@@ -89,6 +89,9 @@ def test_tracking_is_goal_against_plant_in_free_motion_only() -> None:
     assert result["tracking_rmse_rad"] == pytest.approx(0.01)
     assert result["tracking_rmse_deg"]["index"] == pytest.approx(math.degrees(0.01))
     assert math.isnan(result["tracking_rmse_deg"]["thumb"]), "it had no goal"
+    by_joint = result["tracking_rmse_joint_deg"]
+    assert [by_joint[joint] for joint in JAMIA.joints[joints]] == pytest.approx([math.degrees(0.01)] * 3)
+    assert math.isnan(by_joint["thumb_j1"])
 
 
 def test_tension_errors_are_computed_for_estimate_and_raw_load_cell() -> None:

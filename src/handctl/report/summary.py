@@ -122,7 +122,7 @@ def judge_tracking(
 ) -> dict[str, Any]:
     """Return the tracking error in free motion, from target and truth.
 
-    The error is that of the mean joint angle of each digit.
+    The error is that of the mean joint angle of each digit, and that of each joint.
 
     Args:
         log: log of the run.
@@ -133,14 +133,20 @@ def judge_tracking(
     """
     goal = mean_angles(hand, log.field("q_goal"))
     free = active[:, None] & ~np.isnan(goal) & (log.field("contact") == 0.0)
-    unknown = {"tracking_rmse_rad": float("nan"), "tracking_rmse_deg": {}}
+    unknown = {"tracking_rmse_rad": float("nan"), "tracking_rmse_deg": {}, "tracking_rmse_joint_deg": {}}
     if truth is None:
         return unknown
-    real = mean_angles(hand, truth.table([f"q/{joint}" for joint in hand.joints], log.t_ns + offset_ns))
+    joint_angles = truth.table([f"q/{joint}" for joint in hand.joints], log.t_ns + offset_ns)
+    real = mean_angles(hand, joint_angles)
     touched = _touch_mask(truth, hand, log, offset_ns)
     error = np.where(free & ~touched, goal - real, np.nan)
     per_digit = {name: np.degrees(rms(error[:, d])) for d, name in enumerate(hand.digit_names)}
-    return {"tracking_rmse_rad": rms(error), "tracking_rmse_deg": per_digit}
+    digit_of = np.repeat(np.arange(len(hand.digit)), [len(digit.joints) for digit in hand.digit])
+    joints = np.where((free & ~touched)[:, digit_of], log.field("q_goal") - joint_angles, np.nan)
+    per_joint = {name: np.degrees(rms(joints[:, j])) for j, name in enumerate(hand.joints)}
+    return {
+        "tracking_rmse_rad": rms(error), "tracking_rmse_deg": per_digit, "tracking_rmse_joint_deg": per_joint
+    }  # fmt: skip
 
 
 def _touch_mask(truth: TruthRecord, hand: Hand, log: RunLog, offset_ns: int) -> NDArray[np.bool_]:
