@@ -62,9 +62,8 @@ def test_a_fault_is_declared_once_and_found_by_one_detector(tmp_path: Path, inte
     assert done.returncode == 0, done.stderr[-2000:]
     told = json.loads(done.stdout)
     assert told["table"] == ["| T10 | a heavy load | above 100 N | WARN | by itself |"]
-    assert told["page"] == [
-        "| T10 | heavy load | T10 WARN | detected | detected | detected | 4 ms, 2 ticks | campaign |"
-    ]
+    protocols = " | ".join(["detected"] * 5)
+    assert told["page"] == [f"| T10 | heavy load | T10 WARN | {protocols} | 4 ms, 2 ticks | campaign |"]
     assert told["actions"] == [0, 1, 1]
     text = "T10 a heavy load: t1 (100.5): WARN"
     assert told["events"] == [[], [["warn", "fault", "t1", text]], []]
