@@ -22,7 +22,7 @@ from typing import Any
 
 from handctl.cli.tuning.tune_files import load_tuned_hand
 from handctl.controller.bus_load import bus_loads
-from handctl.core.gains.bounds import flat, with_values
+from handctl.core.gains.bounds import values_by_key, with_values
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.hand.description import Hand
@@ -71,7 +71,7 @@ def main() -> int:
 
 def detuned_gains() -> Gains:
     """Return the initial gains."""
-    packaged = flat(Gains())
+    packaged = values_by_key(Gains())
     return with_values(Gains(), {key: factor * packaged[key] for key, factor in DETUNED.items()}, "benchmark")
 
 

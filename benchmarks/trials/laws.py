@@ -9,7 +9,7 @@ from handctl.controller.state import State
 from handctl.controller.tick import Controller
 from handctl.core import block as s
 from handctl.core.gains.gains import Gains, MotionGains
-from handctl.core.gains.motion_design import bearable
+from handctl.core.gains.motion_design import force_weight
 from handctl.core.model import Inverse
 from handctl.core.types import TickIn
 from handctl.drives.records import Frames
@@ -72,7 +72,7 @@ FORCE_N = 20.0
 
 def force_scale(rate_hz: float) -> float:
     """Return the factor on a force weight that cancels its reduction at low control rates."""
-    return 1.0 / bearable(1.0, 1.0 / rate_hz)
+    return 1.0 / force_weight(1.0, 1.0 / rate_hz)
 
 
 class RawTension(Controller):

@@ -4,7 +4,7 @@ import pytest
 
 from handctl.core.block import tables
 from handctl.core.estimation.filter_stack import Regime
-from handctl.core.estimation.take_up import NEAR_M, has_turned, near_taut, turning
+from handctl.core.estimation.take_up import NEAR_M, ends_regime, near_taut, regime_evidence
 from handctl.core.model import HandModel
 from tests.controller.synthetic import blank, interpreted
 
@@ -15,8 +15,8 @@ SLACK = int(Regime.SLACK)
 def test_a_tendon_whose_length_is_known_is_taut_at_the_first_clear_sample(length_is_known: bool, samples: int) -> None:
     """At 200 Hz a rope gains 1 N from one sample to the next, so that each of them counts."""
     points, taken = 0, 0
-    while not interpreted(has_turned)(SLACK, points, False):
-        points = interpreted(turning)(SLACK, points, 0.0, 1.6, 0.0, length_is_known)
+    while not interpreted(ends_regime)(SLACK, points, False):
+        points = interpreted(regime_evidence)(SLACK, points, 0.0, 1.6, 0.0, length_is_known)
         taken += 1
     assert taken == samples
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from handctl.core.detectors.answers import QUESTIONS, answered, ask
+from handctl.core.detectors.answers import QUESTIONS, add_requests, close_answered_requests
 from handctl.drives.contract import Phase
 from handctl.safety.faults.bus import WINDOW
 from tests.safety.monitor import Monitor, interpreted, made_up
@@ -30,12 +30,12 @@ class Questions(Monitor):
         """Ask every motor one question more; those that are not able do not answer all."""
         if able:
             self.set({"phase_before": [int(Phase.READY if one else Phase.READY - 1) for one in able]})
-        interpreted(ask, self.state_tables, k)
+        interpreted(add_requests, self.state_tables, k)
 
     def answer(self, came: list[int]) -> list[int]:
         """Take in so many answers of each motor; return the motors that answered too often."""
         self.set({"answered": came})
-        some = interpreted(answered, self.state_tables, self.hand_tables)
+        some = interpreted(close_answered_requests, self.state_tables, self.hand_tables)
         surplus = self.view("surplus")
         assert some == bool(surplus.any())
         return [n for n, count in enumerate(surplus.tolist()) if count]
@@ -117,4 +117,4 @@ def test_a_node_whose_messages_come_by_themselves_owes_nothing() -> None:
 def test_a_load_cell_s_second_frame_is_one_too_many() -> None:
     questions = Questions(((),))
     questions.set({"answered": 0, "group_answered": {0: 2}})
-    assert interpreted(answered, questions.state_tables, questions.hand_tables)
+    assert interpreted(close_answered_requests, questions.state_tables, questions.hand_tables)

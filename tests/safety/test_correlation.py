@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from handctl.core.detectors.correlation import part
+from handctl.core.detectors.correlation import reported_fraction
 from tests.safety.monitor import Monitor, interpreted, made_up
 
 TICKS = 1000
@@ -25,7 +25,7 @@ class Motors(Monitor):
     @property
     def parts(self) -> list[float]:
         """What part of the changes of each command is reported."""
-        return [interpreted(part, self.state_tables, n) for n in range(2)]
+        return [interpreted(reported_fraction, self.state_tables, n) for n in range(2)]
 
 
 def after(commanded: np.ndarray, reported: np.ndarray, torque_step: float = 0.078) -> Motors:

@@ -64,9 +64,9 @@ def test_a_window_moves_on_by_a_tick(before, now, after):
 
 def test_how_many_of_the_window_and_of_late():
     window = Window(0b1011, (1 << WINDOW) - 1)
-    assert [interpreted(losses.lost, window.state_tables, node) for node in (0, 1)] == [3, WINDOW]
+    assert [interpreted(losses.lost_replies, window.state_tables, node) for node in (0, 1)] == [3, WINDOW]
     for number, ones in ((0b1011, 3), (0, 0), (1 << (SHORT - 1), 1), ((1 << 62) - 1, 62)):
-        assert interpreted(losses.ones, number) == ones
+        assert interpreted(losses.bit_count, number) == ones
     window.set({"misshapen": 1 << (SHORT - 1) | 0b1})
     window.tick({"misread_now": 1})
     assert window.get("misshapen") == [0b11, 0b11], "so many of the last ticks, and no longer"
@@ -80,7 +80,7 @@ def test_how_many_of_the_window_and_of_late():
     ("11" + "01" * 8 + "0000", True), ("01010010101010010101", True),
 ])  # fmt: skip
 def test_every_second_tick(pattern, half):
-    assert interpreted(losses.halved, Window(bits(pattern)).state_tables, 0) is half
+    assert interpreted(losses.misses_every_second, Window(bits(pattern)).state_tables, 0) is half
 
 
 def test_unknown_frames_leak_away_in_a_second():
@@ -215,7 +215,7 @@ def stand(monitor: Monitor, value: float, goal: float, tension: float) -> tuple[
     rows: Rows = {"measured_travel": value, "followed": goal, "residual": {TENSION: tension}}
     monitor.tick(rows)
     anchor = monitor.view("motor_anchor")[:, 0].tolist()
-    away = [interpreted(stuck.away, *pair) for pair in zip((goal, tension), anchor, strict=True)]
+    away = [interpreted(stuck.motion_since, *pair) for pair in zip((goal, tension), anchor, strict=True)]
     return int(monitor.view("motor_stuck")[0]), *away
 
 

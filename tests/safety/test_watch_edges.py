@@ -31,7 +31,7 @@ def monitor() -> Monitor:
 
 def turned(monitor: Monitor, **given: Any) -> list[float]:
     monitor.set(seen(**given) | {"bears": 1})
-    return [interpreted(stuck.turned, monitor.state_tables, monitor.hand_tables, j) for j in (0, 1)]
+    return [interpreted(stuck.angle_by_spools, monitor.state_tables, monitor.hand_tables, j) for j in (0, 1)]
 
 
 def test_tendon_stretch_is_not_counted_as_joint_motion(monitor: Monitor) -> None:
@@ -40,7 +40,8 @@ def test_tendon_stretch_is_not_counted_as_joint_motion(monitor: Monitor) -> None
     wound = turned(monitor, travel=[20.0 / SOFT + 1e-3, 20.0 / SOFT], **READ)
     np.testing.assert_allclose(wound, [0.05, 0.0], atol=1e-12)
     monitor.set({"bears": [0, 1]})
-    assert math.isnan(interpreted(stuck.turned, monitor.state_tables, monitor.hand_tables, 0)), "it says nothing"
+    angle = interpreted(stuck.angle_by_spools, monitor.state_tables, monitor.hand_tables, 0)
+    assert math.isnan(angle), "it says nothing"
 
 
 @pytest.mark.parametrize(("tension", "taut"), [(SLACK_N, 1.0), (SLACK_N - 1e-9, 0.0), (TAUT_N, 1.0),

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TypeVar
 
 from handctl.controller.pending_gains import PendingGains
-from handctl.core.gains.bounds import flat, with_values
+from handctl.core.gains.bounds import values_by_key, with_values
 from handctl.core.gains.gains import Gains
-from handctl.core.gains.motion_design import assembled, design_piece, pieces
+from handctl.core.gains.motion_design import design_from_pieces, design_piece, piece_count
 from handctl.core.model import HandModel
 from handctl.core.types import GAIN_EVENT, Event, Vector
 from handctl.errors import ConfigError
@@ -57,7 +57,9 @@ class Designs:
             done = self._up_to(model, pending.gains, pending.step + 1)
         except ConfigError as error:
             return DesignProgress(None, (Event("warn", "gains", "", f"{REFUSED}{error}"),))
-        return None if len(done) >= pieces(model.space) else DesignProgress(replace(pending, step=pending.step + 1))
+        if len(done) >= piece_count(model.space):
+            return None
+        return DesignProgress(replace(pending, step=pending.step + 1))
 
     def controller(self, controller: Controller, gains: Gains) -> Controller:
         """Return the controller with the given gains, and keep this design in the cache."""
@@ -65,8 +67,8 @@ class Designs:
         if gains not in self.controllers:
             old: Any = controller
             model = old.model
-            designed_pieces = self._up_to(model, gains, pieces(model.space))
-            designed = replace(model, gains=gains, motion=assembled(model.space, designed_pieces))
+            designed_pieces = self._up_to(model, gains, piece_count(model.space))
+            designed = replace(model, gains=gains, motion=design_from_pieces(model.space, designed_pieces))
             self.controllers[gains] = replace(old, model=designed)
         made: Controller = self.controllers[gains]
         return made
@@ -102,7 +104,7 @@ def begin_design(present: Gains, values: dict[str, float]) -> tuple[PendingGains
 
 def changes(before: Gains, after: Gains) -> tuple[Event, ...]:
     """Return an event for each changed gain, then an event for the takeover."""
-    old = flat(before)
-    new = flat(after)
+    old = values_by_key(before)
+    new = values_by_key(after)
     changed = tuple(Event("info", GAIN_EVENT, key, repr(value)) for key, value in new.items() if value != old[key])
     return *changed, Event("info", "gains", "", f"taken over: {len(changed)} changed")

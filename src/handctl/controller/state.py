@@ -11,7 +11,7 @@ from handctl.core import block as s
 from handctl.core.block import STATE
 from handctl.core.estimate import Estimate, Measured
 from handctl.core.gains.gains import Gains
-from handctl.core.kept import Kept
+from handctl.core.kept import IdentityCache
 from handctl.core.model import HandModel
 from handctl.core.plain import plain_bytes
 from handctl.core.schema import Block, Layout
@@ -55,7 +55,7 @@ class Decisions(NamedTuple):
 
 
 # Serialized parts by identity: most decisions are the same objects from tick to tick.
-_parts = Kept[Any](plain_bytes)
+_parts = IdentityCache[Any](plain_bytes)
 
 
 def _hash_decisions(decisions: Decisions) -> bytes:
@@ -66,7 +66,7 @@ def _hash_decisions(decisions: Decisions) -> bytes:
     return xxhash.xxh3_64_digest(b"".join([drives, goals, *rest]))
 
 
-_decisions = Kept[Decisions](_hash_decisions)
+_decisions = IdentityCache[Decisions](_hash_decisions)
 
 
 def layout_of(model: HandModel, groups: int) -> Layout:

@@ -326,7 +326,7 @@ RUN_INT_FIRST, RUN_INT_END = _MONITOR_FIRST["run_int"], _MONITOR_END["run_int"]
 
 @inner
 def reset_monitor(x: Tables, initial: Tables) -> None:
-    """Reset the monitor's memory of an armed hand."""
+    """Reset what the fault detectors remember of a hand under torque."""
     for n in range(x.tendon.shape[1]):
         for row in range(TENDON_FIRST, TENDON_END):
             x.tendon[row, n] = initial.tendon[row, n]

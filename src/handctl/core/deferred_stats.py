@@ -14,7 +14,7 @@ STATS = "scipy.stats"
 
 
 class _Deferred:
-    """A function or distribution of ``scipy.stats`` that is imported when it is used."""
+    """A function or distribution of ``scipy.stats``, imported at its first use."""
 
     def __init__(self, name: str) -> None:
         self._name = name

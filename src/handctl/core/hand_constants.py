@@ -139,7 +139,7 @@ def _law(model: HandModel) -> dict[str, object]:
 
 
 def _exact(digit: DigitModel) -> list[bool]:
-    """Return True for each tendon of a digit with as many tendons as coordinates.
+    """Return True for each tendon of a digit that has as many tendons as coordinates.
 
     A joint torque then determines the tensions.
     """

@@ -70,9 +70,9 @@ class Identified(Document):
         return self.values[self.names.index(name)] if name in self.names else otherwise
 
     def beside(self, older: "Identified | None") -> "Identified":
-        """Return these parameters, with the others of an older identification added.
+        """Return these parameters, and those of an older identification that are missing here.
 
-        A run with little excitation must not remove parameters. Parameters of different runs are
+        A run that excites few parameters must not remove the others. Parameters of different runs are
         uncorrelated.
         """
         others = [i for i, name in enumerate(older.names) if name not in self.names] if older else []

@@ -8,14 +8,14 @@ MOST = 256
 """Largest number of cached values."""
 
 
-class Kept(Generic[T]):
-    """Function of an immutable object, computed once per object identity.
+class IdentityCache(Generic[T]):
+    """Cache of a function of immutable objects. Each object is looked up by its identity.
 
     Equality would not suffice: 1, 1.0 and True are equal, but serialized differently.
     """
 
     def __init__(self, function: Callable[[T], bytes]) -> None:
-        """Begin with an empty cache.
+        """Create an empty cache.
 
         Args:
             function: of the object.

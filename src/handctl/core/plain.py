@@ -76,7 +76,7 @@ def plain_bytes(value: Any) -> bytes:
 
 
 def restored(value: Any) -> Any:
-    """Return the objects of a plain value. JSON may have replaced tuples by lists.
+    """Return the objects that a plain value stands for. Lists are accepted in place of tuples, as JSON has them.
 
     Raises:
         ValueError: if a type is not registered, or the value does not fit the type.

@@ -61,7 +61,7 @@ class Schema:
     """
 
     def __init__(self, *tables: str) -> None:
-        """Begin a schema without fields.
+        """Create a schema without fields.
 
         Args:
             tables: names of the tables in memory order.

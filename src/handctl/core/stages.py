@@ -43,7 +43,7 @@ def observe(block: Block, at: Places, constants: Block, constants_at: Places) ->
     if ARMING <= x.run_int[s.MODE] <= RELAX:
         measure.screen(x, c, x.run_int[s.MISSED])
     else:
-        measure.unscreened(x)
+        measure.mark_unscreened(x)
     measure.convert(x, c)
     if not x.run_int[s.STARTED]:
         measure.start(x, c)
@@ -67,16 +67,16 @@ def conclude(block: Block, at: Places, constants: Block, constants_at: Places) -
     c = constant_tables(constants, constants_at)
     kalman.conclude(x, c)
     if x.run_int[s.MODE] == ACTIVE or x.run_int[s.MODE] == RELAX:
-        touch.feel(x, c)
+        touch.update_blocked(x, c)
     else:
-        touch.forget(x)
+        touch.reset_blocked(x)
     for j in range(x.joint.shape[1]):
         x.joint[s.Q_SIGMA, j] = math.nan
     if x.run_int[s.STARTED]:
         posture.joint_angles(x, c, x.run_int[s.K], x.run_int[s.T_NS])
-    contact.feel(x, c)
+    contact.update_tip_forces(x, c)
     contact.watch_grip(x, c)
-    return answers.answered(x, c)
+    return answers.close_answered_requests(x, c)
 
 
 @kernel("block", "layout", "constants", "layout", "constants")
@@ -92,7 +92,7 @@ def refer(block: Block, at: Places, constants: Block, constants_at: Places, acti
     """Evaluate the goals. Return a bit for each digit with a bounded least-squares problem to solve."""
     x = tables(block, at)
     c = constant_tables(constants, constants_at)
-    computed_torque.restrain(x, c, action == HOLD and x.run_int[s.MODE] == ACTIVE)
+    computed_torque.update_hold_limits(x, c, action == HOLD and x.run_int[s.MODE] == ACTIVE)
     reference.follow(x, c, x.run_int[s.HOLDING] == 1)
     reference.require(x, c, reference.on_joints(x, c))
     return reference.load(x, c)
@@ -126,7 +126,7 @@ def act(
     if x.run_int[s.MODE] == ACTIVE or x.run_int[s.MODE] == RELAX:
         computed_torque.command(x, c, reference.on_joints(x, c), relax_rate, open_loop == 1, ticks)
     else:
-        computed_torque.idle(x)
+        computed_torque.command_no_torque(x)
 
 
 @kernel("block", "layout", "constants", "layout")
@@ -142,12 +142,12 @@ def remember(block: Block, at: Places, constants: Block, constants_at: Places) -
         if mode == ACTIVE:
             x.tendon[s.COMMANDED_TENSION, n] = x.tendon[s.TENSION_GOAL, n]
     if mode == ACTIVE:
-        stuck.follow(x, c)
+        stuck.filter_goals(x, c)
     else:
         for n in range(x.tendon.shape[1]):
             x.tendon[s.FOLLOWED, n] = math.nan
     if mode != SILENT and mode != DONE:
-        answers.ask(x, x.run_int[s.K])
+        answers.add_requests(x, x.run_int[s.K])
     posture.tip_forces(x, c)
     for d in range(x.digit.shape[1]):
         touches = x.digit_int[s.PLANNED_CONTACT, d] == 1 or x.digit_int[s.BLOCKED, d] == 1

@@ -86,7 +86,7 @@ def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
 def _position_step(motor: Motor) -> float:
     """Return the resolution of a motor's reported position [rad].
 
-    A resolution beyond 16 bit over the range counts as noise.
+    A step smaller than 1/65536 of the range is below the noise, so the larger of both is returned.
     """
     return max(2 * motor.position_range_rad / 0xFFFF, make_drive(motor, 0).position_step)
 

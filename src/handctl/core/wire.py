@@ -131,7 +131,7 @@ def receive(
     reals: Real,
     first: int,
 ) -> int:
-    """Take in frames from index ``first`` on.
+    """Decode frames from index ``first`` on.
 
     Args:
         block: the state.
@@ -203,7 +203,7 @@ def _strange(x: Tables, keys: Whole, entries: Whole, bus: Any, can_id: Any) -> N
 def _sensors(
     x: Tables, t_ns: Any, payload: Any, fits: bool, entries: Whole, entry: int, wholes: Whole, reals: Real
 ) -> None:
-    """Take in a frame of load cells or joint encoders. A frame with another counter than the SYNC is stale.
+    """Decode a frame of load cells or joint encoders. A frame whose counter differs from that of the SYNC is stale.
 
     Args:
         x: state tables.
@@ -255,7 +255,7 @@ def _is_nearer(x: Tables, c: ConstantTables, n: Any, position: float) -> bool:
 def _values(
     x: Tables, c: ConstantTables, t_ns: Any, row: Any, entries: Whole, entry: int, wholes: Whole, reals: Real
 ) -> bool:
-    """Take in a drive's frame. Return False without any change if the state machine must handle the frame.
+    """Decode a frame of a drive. Return False, and change nothing, if the state machine must handle the frame.
 
     Args:
         x: state tables.
@@ -316,7 +316,7 @@ def _values(
 
 @inner
 def _put(x: Tables, row: int, n: int, value: float) -> None:
-    """Write a value unless it is NaN, the mark of a missing signal."""
+    """Write a value into the table, unless it is NaN. NaN stands for a missing signal."""
     if not math.isnan(value):
         x.tendon[row, n] = value
 
@@ -334,7 +334,7 @@ def send(
     first: int,
     count: int,
 ) -> tuple[int, int]:
-    """Write the commands of steady drives.
+    """Encode the commands of steady drives.
 
     Args:
         block: the state.

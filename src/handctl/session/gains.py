@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from handctl.core.gains.bounds import flat, with_values
+from handctl.core.gains.bounds import values_by_key, with_values
 from handctl.core.gains.gains import Gains, GainsFile, Provenance, load_gains_file
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
@@ -52,7 +52,7 @@ def layered_gains(hand: Hand, file: Path | None, words: Sequence[str], tell: Tel
     base = loaded.gains
     values = assignments(words, "--gain")
     gains = with_values(base, values, "--gain") if values else base
-    origins = {key: _origin_of(base, key, file) for key in flat(base)} | dict.fromkeys(values, COMMAND_LINE)
+    origins = {key: _origin_of(base, key, file) for key in values_by_key(base)} | dict.fromkeys(values, COMMAND_LINE)
     return LayeredGains(gains, file, loaded.provenance, origins)
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.stats import t as student
 
-from handctl.core.gains.bounds import LIVE, flat
+from handctl.core.gains.bounds import LIVE, values_by_key
 from handctl.core.gains.gains import Gains
 from handctl.core.types import Mode, TickIn, TickOut
 from handctl.hand.description import Hand
@@ -123,7 +123,7 @@ class VerifyObserver:
 
     def _request_gains(self, gains: Gains) -> None:
         """Queue a request for the gains that a running controller accepts."""
-        values = {key: value for key, value in flat(gains).items() if key.partition(".")[0] in LIVE}
+        values = {key: value for key, value in values_by_key(gains).items() if key.partition(".")[0] in LIVE}
         self._requests.append(json.dumps({"do": "gains", "set": values}))
 
     def _torque_rate(self, entry: TickIn, out: TickOut) -> float:

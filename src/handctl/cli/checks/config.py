@@ -10,7 +10,7 @@ from handctl.cli.console.options import print_json, say
 from handctl.cli.console.plan import find_calibration, layered_gains
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.setup import caveats, make_drives, make_sensors
-from handctl.core.gains.bounds import flat
+from handctl.core.gains.bounds import values_by_key
 from handctl.core.identified import UNITS
 from handctl.drives.dbc import of_bus
 from handctl.drives.registry import make_drive
@@ -195,7 +195,7 @@ def _warnings(hand: Hand) -> list[str]:
 
 def _gains_with_sources(layers: LayeredGains) -> list[str]:
     """Return every gain with its origin as TOML comments, because gains belong in a separate file."""
-    values = flat(layers.gains)
+    values = values_by_key(layers.gains)
     return ["", "# gains", *(f"# {key} = {value}  ({layers.origins[key]})" for key, value in values.items())]
 
 

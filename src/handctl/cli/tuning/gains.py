@@ -9,7 +9,7 @@ from handctl.cli.console.buses import controller_bus
 from handctl.cli.console.options import print_json, say
 from handctl.cli.console.plan import layered_gains, notice
 from handctl.cli.console.verbosity import is_quiet
-from handctl.core.gains.bounds import Bound, bounds, flat, with_values
+from handctl.core.gains.bounds import Bound, bounds, values_by_key, with_values
 from handctl.core.gains.gains import Gains, Provenance, load_gains_file
 from handctl.errors import ConfigError, UnconfirmedError
 from handctl.hand.description import Hand
@@ -52,12 +52,12 @@ def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
                 "live": gain_bounds[key].live,
                 "meaning": meaning(gain_bounds[key]),
             }
-            for key, value in flat(layers.gains).items()
+            for key, value in values_by_key(layers.gains).items()
         }
         print_json({"hand": hand.name, "gains": rows, "provenance": provenance.model_dump()})
         return Exit.DONE
     say(f"# gains of {hand.name}: {layers.file or 'packaged'}" + _provenance_text(provenance))
-    for key, value in flat(layers.gains).items():
+    for key, value in values_by_key(layers.gains).items():
         when = "changes at any time" if gain_bounds[key].live else "changes before arming"
         say(f"{key:<38} {value:<10g} {layers.origins[key]}")
         if not is_quiet():
@@ -87,7 +87,7 @@ def _print_diff(args: argparse.Namespace, hand: Hand) -> int:
     sides = {0: ["packaged", "present"], 1: ["present", *args.sides], 2: args.sides}.get(len(args.sides))
     if sides is None:
         raise ConfigError(f"{len(args.sides)} sides", "gains diff", "at most two")
-    one, other = (flat(_gains_side(word, hand)) for word in sides)
+    one, other = (values_by_key(_gains_side(word, hand)) for word in sides)
     changed = {key: (one[key], other[key]) for key in one if one[key] != other[key]}
     if args.json:
         print_json({"sides": sides, "changed": changed})
@@ -194,8 +194,8 @@ def _number_text(present: Any) -> int:
 def _entry_line(entry: Entry, entries: list[Entry]) -> str:
     """Return an entry of the history as one line: time, sources, and the first three changed gains."""
     before = {one.number: one.file.gains for one in entries}.get(entry.file.provenance.replaces, Gains())
-    old = flat(before)
-    new = flat(entry.file.gains)
+    old = values_by_key(before)
+    new = values_by_key(entry.file.gains)
     changed = [key for key in new if new[key] != old[key]]
     few = ", ".join(changed[:3]) + (" .." if len(changed) > 3 else "")
     made_and_sources = _provenance_text(entry.file.provenance).partition(", made ")[2]

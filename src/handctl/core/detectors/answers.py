@@ -20,8 +20,8 @@ READY = 2
 
 
 @inner
-def answered(x: Tables, c: ConstantTables) -> bool:
-    """Close the newest outstanding request for each reply of the tick, so a lost request grows old.
+def close_answered_requests(x: Tables, c: ConstantTables) -> bool:
+    """Close the newest outstanding request for each reply of the tick. A lost request stays open and grows old.
 
     Returns:
         True if a node sent more replies than requests. ``EXCESS_REPLIES`` is then the number of
@@ -42,7 +42,7 @@ def answered(x: Tables, c: ConstantTables) -> bool:
 
 
 @inner
-def ask(x: Tables, k: int) -> None:
+def add_requests(x: Tables, k: int) -> None:
     """Add an outstanding request for every motor in tick k.
 
     A motor that was not ready may have left older requests without a reply. Only the new request is

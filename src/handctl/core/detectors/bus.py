@@ -8,7 +8,7 @@ from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
-from handctl.core.detectors.losses import lost, motor_age, ones
+from handctl.core.detectors.losses import bit_count, lost_replies, motor_age
 from handctl.safety.faults.bus import (
     B01,
     B02,
@@ -73,7 +73,7 @@ def _answers(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
 def _losses(x: Tables, evidence: Evidence) -> None:
     """Find lost and halved replies."""
     for node in range(x.node_int.shape[1]):
-        number = lost(x, node)
+        number = lost_replies(x, node)
         if number > HOLD_LOSSES:
             evidence[B03A, node] = number
         if number > RELAX_LOSSES:
@@ -82,10 +82,10 @@ def _losses(x: Tables, evidence: Evidence) -> None:
 
 @inner
 def _shapes(x: Tables, evidence: Evidence) -> None:
-    """Find malformed frames, duplicate and stale replies."""
+    """Find malformed frames, duplicate replies and stale replies."""
     for node in range(x.node_int.shape[1]):
         if x.node_int[s.MALFORMED, node] & 1:
-            number = ones(x.node_int[s.MALFORMED, node])
+            number = bit_count(x.node_int[s.MALFORMED, node])
             evidence[B09, node] = number
             if number >= MALFORMED_LIMIT:
                 evidence[B08, node] = number

@@ -101,7 +101,7 @@ def unfollowed(x: Tables, c: ConstantTables, n: int) -> bool:
 
 
 @inner
-def part(x: Tables, n: int) -> float:
+def reported_fraction(x: Tables, n: int) -> float:
     """Return the reported fraction of the command's changes, 1 for an obeying drive."""
     ab = max(x.tendon[s.REPORT_MOMENTS + AB, n], x.tendon[s.REPORT_MOMENTS + AB_LATE, n])
     # The lower bound only prevents a division by 0.

@@ -50,7 +50,7 @@ def judge(x: Tables, c: ConstantTables, initial: Tables) -> tuple[int, Evidence]
     armed = ARMING <= mode <= RELAX
     cut = mode == CUT or mode == DISARM
     evidence = np.full((ROWS, x.instance_int.shape[1]), math.nan)
-    losses.count(x, c, x.run_int[s.T_NS], x.run_int[s.UNKNOWN_FRAMES], armed and x.run_int[s.MISSED] == 0)
+    losses.update_counts(x, c, x.run_int[s.T_NS], x.run_int[s.UNKNOWN_FRAMES], armed and x.run_int[s.MISSED] == 0)
     bus.detect(x, c, armed, evidence)
     node.detect(x, c, armed, evidence)
     tendon.detect(x, c, armed, evidence)

@@ -18,7 +18,7 @@ SHORT_MASK = (1 << SHORT) - 1
 
 @inner
 def ticks_late(now_ns: int, heard_ns: int, cyclic_ns: int, period_ns: int) -> int:
-    """Return the number of whole ticks a reading is overdue. A reading within the last period is in time.
+    """Return by how many whole ticks a reading is overdue. A reading within the last period is in time.
 
     Args:
         now_ns: time of the tick [ns].
@@ -33,13 +33,13 @@ def ticks_late(now_ns: int, heard_ns: int, cyclic_ns: int, period_ns: int) -> in
 
 @inner
 def motor_age(x: Tables, c: ConstantTables, n: int, now_ns: int) -> int:
-    """Return the number of ticks a motor's feedback is overdue."""
+    """Return by how many ticks the feedback of a motor is overdue."""
     return ticks_late(now_ns, x.tendon_int[s.FEEDBACK_NS, n], c.tendon_int[h.CYCLIC_NS, n], c.run_int[h.PERIOD_NS])
 
 
 @inner
 def cell_age(x: Tables, c: ConstantTables, n: int, now_ns: int) -> int:
-    """Return the number of ticks a load cell is overdue.
+    """Return by how many ticks the reading of a load cell is overdue.
 
     A tendon without a cell has the age of the node's latest frame, 0 in a hand without load cells.
     """
@@ -54,7 +54,7 @@ def cell_age(x: Tables, c: ConstantTables, n: int, now_ns: int) -> int:
 
 
 @inner
-def count(x: Tables, c: ConstantTables, now_ns: int, unknown: int, judged: bool) -> None:
+def update_counts(x: Tables, c: ConstantTables, now_ns: int, unknown: int, judged: bool) -> None:
     """Update the counts.
 
     Args:
@@ -85,7 +85,7 @@ def count(x: Tables, c: ConstantTables, now_ns: int, unknown: int, judged: bool)
 
 
 @inner
-def ones(bits: int) -> int:
+def bit_count(bits: int) -> int:
     """Return the number of set bits."""
     number = 0
     while bits:
@@ -96,14 +96,14 @@ def ones(bits: int) -> int:
 
 
 @inner
-def lost(x: Tables, node: int) -> int:
-    """Return the number of the last ``WINDOW`` ticks without a reply."""
-    return ones(x.node_int[s.LOST, node]) + ones(x.node_int[s.LOST + 1, node])
+def lost_replies(x: Tables, node: int) -> int:
+    """Return how many of the last ``WINDOW`` ticks had no reply."""
+    return bit_count(x.node_int[s.LOST, node]) + bit_count(x.node_int[s.LOST + 1, node])
 
 
 @inner
-def halved(x: Tables, node: int) -> bool:
+def misses_every_second(x: Tables, node: int) -> bool:
     """Return True if a node misses about every second of the last ``SHORT`` ticks, at most once two in a row."""
     recent = x.node_int[s.LOST, node] & SHORT_MASK
     # Bits of two misses in a row: the word ANDed with itself shifted by one.
-    return ones(recent) >= HALF_RATE_MISSES and ones(recent & recent >> 1) <= 1
+    return bit_count(recent) >= HALF_RATE_MISSES and bit_count(recent & recent >> 1) <= 1

@@ -9,7 +9,7 @@ from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.detectors import correlation, residuals, stuck
 from handctl.core.detectors.bus import Evidence
-from handctl.core.detectors.losses import cell_age, halved
+from handctl.core.detectors.losses import cell_age, misses_every_second
 from handctl.core.detectors.slip import DEG
 from handctl.safety.faults.node import (
     DISOBEYED_N,
@@ -67,7 +67,7 @@ def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> Non
     _errors(x, evidence)
     _silence(x, c, evidence)
     for node in range(x.node_int.shape[1]):
-        if halved(x, node):
+        if misses_every_second(x, node):
             evidence[N15, node] = 0.5
         if x.node_int[s.DUPLICATES, node]:
             evidence[N13, node] = x.node_int[s.DUPLICATES, node] - 1.0
@@ -75,7 +75,7 @@ def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> Non
 
 @inner
 def _errors(x: Tables, evidence: Evidence) -> None:
-    """Find errors reported by drives, by cause."""
+    """Find the errors that drives report, one row per cause."""
     for n in range(x.tendon.shape[1]):
         if x.tendon_int[s.PHASE, n] == FAULT:
             evidence[ROW_OF_CAUSE[x.tendon_int[s.FAULT_CAUSE, n]], n] = x.tendon_int[s.FAULT_CODE, n]
@@ -101,7 +101,7 @@ def _silence(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
 
 @inner
 def _jumps(x: Tables, evidence: Evidence) -> None:
-    """Find rejected positions: of motors in a row, of joints in the next."""
+    """Find rejected positions. The row of motors is followed by the row of joints."""
     for n in range(x.tendon.shape[1]):
         if x.tendon[s.JUMP, n] > 0.0:
             evidence[N05A, n] = x.tendon[s.JUMP, n]
@@ -133,29 +133,29 @@ def detect_under_torque(x: Tables, c: ConstantTables, evidence: Evidence) -> Non
         if x.tendon[s.SWING_S, n] > SWING_S:
             evidence[N14B, n] = math.sqrt(x.tendon[s.SWING_SQUARE, n])
         if correlation.unfollowed(x, c, n):
-            evidence[N17, n] = correlation.part(x, n)
+            evidence[N17, n] = correlation.reported_fraction(x, n)
     _stuck(x, c, evidence)
 
 
 @inner
 def _stuck(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
-    """Find encoders with constant readings despite motion: motors in a row, joints in the next."""
+    """Find encoders with constant readings despite motion. The row of motors is followed by the row of joints."""
     for n in range(x.tendon.shape[1]):
         if x.tendon_int[s.MOTOR_STUCK, n] * c.tendon[h.MOTOR_PERIOD, n] > STUCK_S:
-            goal = stuck.away(x.tendon[s.FOLLOWED, n], x.tendon[s.MOTOR_ANCHOR, n])
-            tension = stuck.away(stuck.stretching(x, c, n), x.tendon[s.MOTOR_ANCHOR + 1, n])
+            goal = stuck.motion_since(x.tendon[s.FOLLOWED, n], x.tendon[s.MOTOR_ANCHOR, n])
+            tension = stuck.motion_since(stuck.stretching_tension(x, c, n), x.tendon[s.MOTOR_ANCHOR + 1, n])
             if goal > STUCK_GOAL_M or tension > STUCK_TENSION_N:
                 evidence[N04, n] = max(goal * 1e3, tension)
     for j in range(x.joint.shape[1]):
         if x.joint_int[s.JOINT_STUCK, j] * c.run[h.JOINT_PERIOD] > STUCK_S:
-            turned = stuck.away(stuck.turned(x, c, j), x.joint[s.JOINT_ANCHOR, j]) * DEG
+            turned = stuck.motion_since(stuck.angle_by_spools(x, c, j), x.joint[s.JOINT_ANCHOR, j]) * DEG
             if turned > STUCK_JOINT_DEG:
                 evidence[N04 + 1, j] = turned
 
 
 @inner
 def detect_after_cut(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
-    """Find tendons still pulled after the torque was cut."""
+    """Find tendons that are still under tension after the torque was cut."""
     if x.run_int[s.CUT_TICKS] * c.run[h.PERIOD] < PULLED_AFTER_S:
         return
     for n in range(x.tendon.shape[1]):

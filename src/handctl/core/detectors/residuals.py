@@ -83,5 +83,5 @@ def unexplained(x: Tables, c: ConstantTables, n: int) -> float:
 
 @inner
 def friction(x: Tables, n: int) -> float:
-    """Return the friction of a moving rotor beyond the model [N]."""
+    """Return by how much the friction of a moving rotor exceeds the model [N]."""
     return max(x.tendon[s.RESIDUAL + RUB, n] - GAIN_FRACTION * abs(x.tendon[s.RESIDUAL + MADE, n]), 0.0)

@@ -38,7 +38,7 @@ def update(x: Tables, c: ConstantTables, tared: bool) -> None:
         last = x.tendon[s.MOTOR_VALUE, n]
         moved = not math.isnan(value) and value != last
         goal = x.tendon[s.FOLLOWED, n]
-        tension = stretching(x, c, n)
+        tension = stretching_tension(x, c, n)
         if moved or math.isnan(x.tendon[s.MOTOR_ANCHOR, n]):
             x.tendon[s.MOTOR_ANCHOR, n] = goal
         if moved or math.isnan(x.tendon[s.MOTOR_ANCHOR + 1, n]):
@@ -58,8 +58,8 @@ def update(x: Tables, c: ConstantTables, tared: bool) -> None:
         value = x.joint[s.MEASURED_JOINT, j]
         last = x.joint[s.JOINT_VALUE, j]
         moved = not math.isnan(value) and value != last
-        reference = turned(x, c, j)
-        if not bears(x, c, j):
+        reference = angle_by_spools(x, c, j)
+        if not all_tendons_taut(x, c, j):
             x.joint[s.JOINT_ANCHOR, j] = math.nan
         if moved or math.isnan(x.joint[s.JOINT_ANCHOR, j]):
             x.joint[s.JOINT_ANCHOR, j] = reference
@@ -69,8 +69,8 @@ def update(x: Tables, c: ConstantTables, tared: bool) -> None:
 
 
 @inner
-def stretching(x: Tables, c: ConstantTables, n: int) -> float:
-    """Return the tension that only a motion of the tendon's own spool changes [N], NaN if there is none.
+def stretching_tension(x: Tables, c: ConstantTables, n: int) -> float:
+    """Return a tension that changes only if the tendon's own spool moves [N], NaN if there is no such tension.
 
     An antagonist stretches a tendon whose own motor rests.
     """
@@ -78,7 +78,7 @@ def stretching(x: Tables, c: ConstantTables, n: int) -> float:
 
 
 @inner
-def bears(x: Tables, c: ConstantTables, j: int) -> bool:
+def all_tendons_taut(x: Tables, c: ConstantTables, j: int) -> bool:
     """Return True if all tendons of a joint are taut. The spool of a slack tendon turns without the joint."""
     for n in range(x.tendon.shape[1]):
         if c.joint_tendon[h.MOVES, j, n] != 0.0 and not x.tendon_int[s.IS_TAUT, n]:
@@ -87,9 +87,9 @@ def bears(x: Tables, c: ConstantTables, j: int) -> bool:
 
 
 @inner
-def turned(x: Tables, c: ConstantTables, j: int) -> float:
+def angle_by_spools(x: Tables, c: ConstantTables, j: int) -> float:
     """Return the joint angle as turned by the spools [rad], NaN if unknown."""
-    if not bears(x, c, j):
+    if not all_tendons_taut(x, c, j):
         return math.nan
     angle = 0.0
     for n in range(x.tendon.shape[1]):
@@ -100,14 +100,14 @@ def turned(x: Tables, c: ConstantTables, j: int) -> float:
 
 
 @inner
-def away(reference: float, anchor: float) -> float:
-    """Return the motion of a reference since the reading became constant, 0 if unknown."""
+def motion_since(reference: float, anchor: float) -> float:
+    """Return how far a reference has moved since the reading became constant, 0 if unknown."""
     apart = abs(reference - anchor)
     return 0.0 if math.isnan(apart) else apart
 
 
 @inner
-def follow(x: Tables, c: ConstantTables) -> None:
+def filter_goals(x: Tables, c: ConstantTables) -> None:
     """Filter each motor's goal to the speed of a motor. A motor at rest is not stuck where the goal jumps.
 
     While a reading moves the filtered goal is the goal itself. The goal's motion since the reading

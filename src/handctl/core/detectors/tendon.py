@@ -81,7 +81,7 @@ def detect_under_torque(x: Tables, c: ConstantTables, evidence: Evidence) -> Non
             evidence[T04B, n] = unexplained
         if rubs > FRICTION_WARN_N:
             evidence[T09, n] = rubs
-        pushed = stuck.away(x.tendon[s.RESIDUAL + residuals.QUICK_FORCE, n], x.tendon[s.CELL_ANCHOR, n])
+        pushed = stuck.motion_since(x.tendon[s.RESIDUAL + residuals.QUICK_FORCE, n], x.tendon[s.CELL_ANCHOR, n])
         same = x.tendon_int[s.CELL_STUCK, n] >= CELL_TICKS
         if same and pushed > CELL_FORCE_N and x.tendon[s.CELL_VALUE, n] > TAUT_N:
             evidence[T05, n] = pushed

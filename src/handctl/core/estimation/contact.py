@@ -40,8 +40,8 @@ SLOW_S = 0.2
 
 
 @inner
-def feel(x: Tables, c: ConstantTables) -> None:
-    """Update the tip forces of closing digits. Reset all other digits, except for the drift."""
+def update_tip_forces(x: Tables, c: ConstantTables) -> None:
+    """Update the tip forces of closing digits. The values of all other digits are reset, except for the drift."""
     closing = False
     for d in range(x.digit.shape[1]):
         if x.digit_int[s.CLOSING, d]:

@@ -117,7 +117,7 @@ def predict(x: Tables, c: ConstantTables, after: Matrix, missed: int) -> None:
 
 @inner
 def skipped(c: ConstantTables, missed: int) -> int:
-    """Return the number of missed ticks with a prediction for each."""
+    """Return for how many missed ticks the covariance is predicted."""
     return min(missed, round(HELD_TORQUE_S / c.run[h.PERIOD]))
 
 

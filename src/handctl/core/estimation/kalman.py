@@ -18,8 +18,14 @@ from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation import covariance as carried
-from handctl.core.estimation.statics import by_others, pull, static_torque, torque_to_tension
-from handctl.core.estimation.take_up import has_turned, near_taut, take_up, turning, turning_blind
+from handctl.core.estimation.statics import pull, static_torque, torque_to_tension, value_from_other_tendons
+from handctl.core.estimation.take_up import (
+    ends_regime,
+    near_taut,
+    regime_evidence,
+    regime_evidence_without_cell,
+    take_up,
+)
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 
 Vector = NDArray[np.float64]
@@ -80,7 +86,7 @@ NIS_LIMIT = 100.0
 
 @inner
 def kind_of(x: Tables, n: int) -> int:
-    """Return the design block of a tendon: the regime, plus 3 while the filter doubts the model."""
+    """Return the index of a tendon's filter design: the regime, plus 3 while the filter doubts the model."""
     regime = x.tendon_int[s.REGIME, n]
     return regime + 3 if x.tendon[s.WARY, n] > 0.0 else regime
 
@@ -89,7 +95,7 @@ def kind_of(x: Tables, n: int) -> int:
 def correct(x: Tables, c: ConstantTables, missed: int) -> None:
     """Correct the filter by the measurements of a tick, and judge slack, stops and contact.
 
-    A digit counts as held by ``PLANNED_CONTACT`` or ``BLOCKED``, see ``held``.
+    A digit counts as held by ``PLANNED_CONTACT`` or ``BLOCKED``, see ``in_contact``.
 
     Args:
         x: state tables.
@@ -221,8 +227,8 @@ def _follow_taut(x: Tables, c: ConstantTables) -> None:
     """
     for n in range(x.tendon.shape[1]):
         if c.tendon_int[h.REDUNDANT, n] and x.tendon_int[s.REGIME, n] == SLACK:
-            excursion = by_others(c, n, x.tendon[s.EXCURSION])
-            rate = by_others(c, n, x.tendon[s.EXCURSION_RATE])
+            excursion = value_from_other_tendons(c, n, x.tendon[s.EXCURSION])
+            rate = value_from_other_tendons(c, n, x.tendon[s.EXCURSION_RATE])
             if not math.isnan(excursion):
                 x.tendon[s.EXCURSION, n] = excursion
                 x.tendon[s.EXCURSION_RATE, n] = rate
@@ -297,7 +303,7 @@ def _judge_noise(x: Tables, c: ConstantTables) -> None:
 
 @inner
 def tension_of(x: Tables, c: ConstantTables, n: int) -> float:
-    """Return the tension of a tendon's filter state at the load cell [N], which may be negative."""
+    """Return the tension at the load cell by the state of the filter [N]. It may be negative."""
     tension = 0.0
     kind = x.tendon_int[s.KIND, n]
     for i in range(STATES):
@@ -362,14 +368,14 @@ def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
         if blind:
             # The force that a slack tendon's motor lacks is the tension of a tendon that has become taut.
             cell = -x.tendon[s.DISTURBANCE, n]
-            points = turning_blind(regime, points, tension, cell)
+            points = regime_evidence_without_cell(regime, points, tension, cell)
         else:
-            points = turning(regime, points, tension, cell, x.tendon[s.CELL_ERROR, n], near)
+            points = regime_evidence(regime, points, tension, cell, x.tendon[s.CELL_ERROR, n], near)
         if c.tendon_int[h.PAIR, n]:
             # The spool turns the joint both ways. One of the two tendons is always taut.
             points = 0
             regime = FREE
-        elif has_turned(regime, points, blind):
+        elif ends_regime(regime, points, blind):
             points = 0
             if regime == SLACK:
                 take_up(x, c, n, cell)
@@ -392,7 +398,7 @@ def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
                 x.tendon[s.EXCURSION, n] = opened
                 x.tendon[s.EXCURSION_RATE, n] = 0.0
                 changed = True
-            regime = HELD if stopped or held(x, c.tendon_int[h.DIGIT, n]) else FREE
+            regime = HELD if stopped or in_contact(x, c.tendon_int[h.DIGIT, n]) else FREE
         changed |= regime != x.tendon_int[s.REGIME, n]
         x.tendon_int[s.REGIME, n] = regime
     if changed:
@@ -403,7 +409,7 @@ def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
 
 
 @inner
-def held(x: Tables, d: int) -> bool:
+def in_contact(x: Tables, d: int) -> bool:
     """Return True if a digit is in contact: by the program under torque, or blocked."""
     acting = 3 <= x.run_int[s.MODE] <= 5  # ARMING, ACTIVE, RELAX
     return (acting and x.digit_int[s.PLANNED_CONTACT, d] == 1) or x.digit_int[s.BLOCKED, d] == 1
@@ -437,7 +443,7 @@ def _unexplained(x: Tables, c: ConstantTables, force: Matrix) -> None:
 
 @inner
 def not_started(x: Tables) -> None:
-    """Write the estimate before all sensors were read: no information."""
+    """Write an estimate without information, for the ticks before all sensors were read."""
     for n in range(x.tendon.shape[1]):
         x.tendon[s.EXTERNAL, n] = 0.0
         x.tendon[s.INNOVATION, n] = x.tendon[s.NIS, n] = math.nan

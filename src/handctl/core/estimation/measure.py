@@ -36,7 +36,7 @@ def measure(x: Tables, c: ConstantTables) -> None:
 
 @inner
 def screen(x: Tables, c: ConstantTables, missed: int) -> None:
-    """Reject positions out of reach for rotor or joint since the last accepted position.
+    """Reject positions that rotor or joint cannot have reached since the last accepted position.
 
     Args:
         x: state tables.
@@ -98,8 +98,8 @@ def _screened(
 
 
 @inner
-def unscreened(x: Tables) -> None:
-    """Mark all positions as unjudged, because no torque acts."""
+def mark_unscreened(x: Tables) -> None:
+    """Mark all positions as not judged, because no torque acts."""
     for n in range(x.tendon.shape[1]):
         x.tendon[s.JUMP, n] = 0.0
     for j in range(x.joint.shape[1]):

@@ -86,8 +86,8 @@ def pull(c: ConstantTables, q: Vector, tension: Vector, developed: Vector, resul
 
 
 @inner
-def explained(c: ConstantTables, n: int, values: Vector) -> float:
-    """Return the part of tendon n's value that a motion of the digit's coordinates explains, of values R R^+ v.
+def part_explained_by_motion(c: ConstantTables, n: int, values: Vector) -> float:
+    """Return the part of tendon n's value that a motion of the digit explains: element n of R R^+ v.
 
     Args:
         c: constants of the hand.
@@ -105,8 +105,8 @@ def explained(c: ConstantTables, n: int, values: Vector) -> float:
 
 
 @inner
-def by_others(c: ConstantTables, n: int, values: Vector) -> float:
-    """Return tendon n's value as the other tendons of a digit tell it, NaN if they do not.
+def value_from_other_tendons(c: ConstantTables, n: int, values: Vector) -> float:
+    """Return the value of tendon n that follows from the other tendons of the digit, NaN if none follows.
 
     The values of a digit are R q. The equation for one tendon is solved with the values of the
     others, which are enough in a digit with more tendons than coordinates.
@@ -122,7 +122,7 @@ def by_others(c: ConstantTables, n: int, values: Vector) -> float:
         own += c.tendon_joint[h.MOMENT_ARMS, n, j] * c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n]
     if own > OWN_MOST:
         return math.nan
-    return (explained(c, n, values) - own * values[n]) / (1.0 - own)
+    return (part_explained_by_motion(c, n, values) - own * values[n]) / (1.0 - own)
 
 
 @inner

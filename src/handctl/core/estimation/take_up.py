@@ -40,8 +40,8 @@ RANGE_MARGIN_M = 1e-3
 
 
 @inner
-def turning(regime: int, points: int, tension: float, cell: float, error: float, near: bool) -> int:
-    """Return the evidence for becoming taut (in slack: points) or slack (taut: consecutive ticks).
+def regime_evidence(regime: int, points: int, tension: float, cell: float, error: float, near: bool) -> int:
+    """Return the evidence that a slack tendon becomes taut (in points), or a taut one slack (in consecutive ticks).
 
     A missing sample resets the ticks, and keeps the points.
 
@@ -51,7 +51,7 @@ def turning(regime: int, points: int, tension: float, cell: float, error: float,
         tension: estimated [N].
         cell: load cell [N].
         error: known error of the load cell [N].
-        near: True if the spool has wound in the slack length.
+        near: True if the spool has wound up the slack length.
     """
     if regime != SLACK:
         return points + 1 if tension < SLACK_BELOW_N and cell < SLACK_BELOW_N else 0
@@ -76,8 +76,8 @@ BLIND_SLACK_TICKS = 12
 
 
 @inner
-def turning_blind(regime: int, points: int, tension: float, missing: float) -> int:
-    """Return the evidence of a tendon without load cell, see ``turning``.
+def regime_evidence_without_cell(regime: int, points: int, tension: float, missing: float) -> int:
+    """Return the evidence of a tendon without load cell, see ``regime_evidence``.
 
     The motor of a slack tendon runs alone. Once the tendon is taut the motor lacks its tension.
 
@@ -99,7 +99,7 @@ def near_taut(x: Tables, n: int) -> bool:
 
 
 @inner
-def has_turned(regime: int, points: int, blind: bool) -> bool:
+def ends_regime(regime: int, points: int, blind: bool) -> bool:
     """Return True if the evidence ends a regime. A tendon without load cell (``blind``) becomes slack later."""
     slack_ticks = BLIND_SLACK_TICKS if blind else SLACK_TICKS
     return points >= (TAUT_POINTS if regime == SLACK else slack_ticks)

@@ -23,7 +23,7 @@ def joint_lever(digit: DigitModel, q: Vector) -> Vector:
 
 
 def tip_lever(digit: DigitModel, q: Vector) -> Vector:
-    """Return the same lever in the digit's coordinates: B^T J^T n, (n_c,) [m]."""
+    """Return the lever of ``joint_lever`` in the digit's coordinates: B^T J^T n, (n_c,) [m]."""
     return np.asarray(digit.coupling.T @ joint_lever(digit, q))
 
 

@@ -31,7 +31,7 @@ The loop at a blocked digit is stiff enough to wind the tendon up to the limits 
 
 
 @inner
-def feel(x: Tables, c: ConstantTables) -> None:
+def update_blocked(x: Tables, c: ConstantTables) -> None:
     """Update the blocked state of each digit."""
     for d in range(x.digit.shape[1]):
         first = c.digit_int[h.TENDONS_FIRST, d]
@@ -51,7 +51,7 @@ def feel(x: Tables, c: ConstantTables) -> None:
 
 
 @inner
-def forget(x: Tables) -> None:
+def reset_blocked(x: Tables) -> None:
     """Reset the blocked states: without torque no contact is observable."""
     for d in range(x.digit.shape[1]):
         x.digit[s.TOUCH, d] = 0.0

@@ -78,13 +78,13 @@ def _limits(metadata: list[Any]) -> tuple[float, float, bool]:
     return low, high, open_low
 
 
-def flat(gains: Gains) -> dict[str, float]:
+def values_by_key(gains: Gains) -> dict[str, float]:
     """Return the value of every key."""
     return {key: getattr(getattr(gains, key.partition(".")[0]), key.partition(".")[2]) for key in bounds()}
 
 
 def with_values(gains: Gains, values: Mapping[str, float], source: str, live: bool = False) -> Gains:
-    """Return gains with some values changed. All values are checked first.
+    """Return gains with some values replaced. All values are checked first.
 
     Args:
         gains: to be changed.

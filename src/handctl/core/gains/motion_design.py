@@ -41,8 +41,8 @@ FULL_S = 2e-3
 """Longest control period with full force weights [s]."""
 
 
-def bearable(force: float, period: float) -> float:
-    """Return the force weight [N] at a control period [s].
+def force_weight(force: float, period: float) -> float:
+    """Return the largest force weight [N] that a control period [s] permits.
 
     A loop's stiffness is proportional to the weight, the bandwidth to the square root.
     """
@@ -60,10 +60,10 @@ def design_motion(space: TendonSpace, gains: Gains, period: float) -> MotionDesi
     Raises:
         ConfigError: if the weights lead to no gains.
     """
-    return assembled(space, [design_piece(space, gains, period, piece) for piece in range(pieces(space))])
+    return design_from_pieces(space, [design_piece(space, gains, period, piece) for piece in range(piece_count(space))])
 
 
-def pieces(space: TendonSpace) -> int:
+def piece_count(space: TendonSpace) -> int:
     """Return the number of pieces of the design, each short enough for a tick of a running controller."""
     return 2 * len(space.spool)
 
@@ -82,7 +82,7 @@ def design_piece(space: TendonSpace, gains: Gains, period: float, piece: int) ->
         return _tension(space, piece - n, gains, period)
 
 
-def assembled(space: TendonSpace, designed: list[Vector]) -> MotionDesign:
+def design_from_pieces(space: TendonSpace, designed: list[Vector]) -> MotionDesign:
     """Return the design from all pieces."""
     n = len(space.spool)
     mass = space.motor_mass + space.load_mass
@@ -117,7 +117,8 @@ def _motion(mass: float, gains: Gains, period: float) -> Vector:
     weights = gains.motion
     A = np.array([[0.0, 1.0], [0.0, 0.0]])
     B = np.array([[0.0], [1.0 / mass]])
-    return _dlqr(A, B, [weights.position_error_m, weights.speed_error_m_s], bearable(weights.force_N, period), period)
+    force = force_weight(weights.force_N, period)
+    return _dlqr(A, B, [weights.position_error_m, weights.speed_error_m_s], force, period)
 
 
 def _tension(space: TendonSpace, i: int, gains: Gains, period: float) -> Vector:
@@ -131,4 +132,5 @@ def _tension(space: TendonSpace, i: int, gains: Gains, period: float) -> Vector:
     b = space.motor_damping[i] + space.damping[i]
     A = np.array([[0.0, k], [-1.0 / mass, -b / mass]])
     B = np.array([[0.0], [1.0 / mass]])
-    return _dlqr(A, B, [weights.tension_error_N, weights.speed_error_m_s], bearable(weights.force_N, period), period)
+    force = force_weight(weights.force_N, period)
+    return _dlqr(A, B, [weights.tension_error_N, weights.speed_error_m_s], force, period)

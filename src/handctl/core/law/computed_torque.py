@@ -25,7 +25,7 @@ from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation.spool_pair import at_spool
-from handctl.core.estimation.statics import explained, winding_efficiency
+from handctl.core.estimation.statics import part_explained_by_motion, winding_efficiency
 from handctl.core.estimation.touch import PRESS_N
 from handctl.core.law.friction_band import look_ahead
 from handctl.core.law.null_space import INTEGRAL_LIMIT_N, hold_each_other
@@ -52,7 +52,7 @@ RELAX_FLOOR_N = 5.0
 
 
 @inner
-def idle(x: Tables) -> None:
+def command_no_torque(x: Tables) -> None:
     """Command no torque. The setpoint of a tension loop will begin at the present tension."""
     for n in range(x.tendon.shape[1]):
         x.tendon[s.SETPOINT, n] = x.tendon[s.TENSION, n]
@@ -66,8 +66,8 @@ def idle(x: Tables) -> None:
 
 
 @inner
-def restrain(x: Tables, c: ConstantTables, hold: bool) -> None:
-    """Begin or end the hold of safety, with the tension at the beginning as limit.
+def update_hold_limits(x: Tables, c: ConstantTables, hold: bool) -> None:
+    """Begin or end a hold demanded by safety. The tension at its beginning is the limit.
 
     Args:
         x: state tables.
@@ -141,19 +141,19 @@ def command(x: Tables, c: ConstantTables, way: Matrix, relax_rate: float, open_l
     winding, terms, internal = _motion_terms(x, c, way, limit)
     for n in range(count):
         kind = x.tendon_int[s.GOAL_KIND, n]
-        _, rate, acceleration = _along(c, n, way)
+        _, rate, acceleration = _goal_along_tendon(c, n, way)
         force = 0.0
         x.tendon[s.TENSION_GOAL, n] = math.nan
         setpoint = x.tendon[s.TENSION, n]
         integral = 0.0
         if kind == MOTION:
-            force = _move(x, c, n, terms[0, n], terms[1, n], rate, acceleration)
+            force = _motion_force(x, c, n, terms[0, n], terms[1, n], rate, acceleration)
             if c.tendon_int[h.REDUNDANT, n]:
                 integral = internal[1, n]
                 force += internal[0, n] + integral
             load[n] = x.tendon[s.LOAD, n]
         if kind == TENSION:
-            force, setpoint, integral = _hold(x, c, n, limit[n])
+            force, setpoint, integral = _tension_force(x, c, n, limit[n])
             load[n] = x.tendon[s.TENSION_GOAL, n] = setpoint
         if kind != LIMP:
             force += x.tendon[s.TRIM, n]
@@ -174,7 +174,7 @@ def command(x: Tables, c: ConstantTables, way: Matrix, relax_rate: float, open_l
         else:
             x.tendon[s.PLANNED, n] = x.tendon[s.RATE, n] = 0.0
             x.tendon[s.FRICTION_STATE, n] = math.nan
-    _fade(x, c)
+    _fade_trim(x, c)
     for j in range(joints):
         x.joint[s.JOINT_TORQUE, j] = 0.0
         x.joint[s.Q_GOAL, j] = x.joint[s.DQ_GOAL, j] = math.nan
@@ -218,12 +218,12 @@ def _motion_terms(x: Tables, c: ConstantTables, way: Matrix, limit: Vector) -> t
         if x.tendon_int[s.GOAL_KIND, n] != MOTION:
             continue
         efficiency[n] = winding_efficiency(c, n, way[0])
-        excursion, rate, _ = _along(c, n, way)
+        excursion, rate, _ = _goal_along_tendon(c, n, way)
         place = x.tendon[s.EXCURSION, n]
         if c.tendon_int[h.REDUNDANT, n]:
             surplus = True
             # Excursions that no motion of the digit explains are errors of length: no feedback acts on them.
-            place = explained(c, n, x.tendon[s.EXCURSION])
+            place = part_explained_by_motion(c, n, x.tendon[s.EXCURSION])
         feedback = x.tendon[s.STIFFNESS_FRACTION, n] * c.tendon[h.ERROR_GAIN, n] * (excursion - place)
         feedback += x.tendon[s.DAMPING_FRACTION, n] * c.tendon[h.SPEED_GAIN, n] * (rate - x.tendon[s.SPEED, n])
         counted = c.run[h.FRICTION_FRACTION]
@@ -242,7 +242,7 @@ def _motion_terms(x: Tables, c: ConstantTables, way: Matrix, limit: Vector) -> t
 
 
 @inner
-def _along(c: ConstantTables, n: int, way: Matrix) -> tuple[float, float, float]:
+def _goal_along_tendon(c: ConstantTables, n: int, way: Matrix) -> tuple[float, float, float]:
     """Return excursion [m], rate [m/s] and acceleration [m/s2] of a tendon on the joints' trajectories."""
     excursion = 0.0
     rate = 0.0
@@ -257,7 +257,7 @@ def _along(c: ConstantTables, n: int, way: Matrix) -> tuple[float, float, float]
 
 
 @inner
-def _move(
+def _motion_force(
     x: Tables, c: ConstantTables, n: int, tension: float, feedback: float, rate: float, acceleration: float
 ) -> float:
     """Return the motor force of computed torque [N], and write the tension goal.
@@ -286,7 +286,7 @@ def _move(
 
 
 @inner
-def _hold(x: Tables, c: ConstantTables, n: int, limit: float) -> tuple[float, float, float]:
+def _tension_force(x: Tables, c: ConstantTables, n: int, limit: float) -> tuple[float, float, float]:
     """Return motor force, setpoint and integral of the tension loop [N].
 
     Args:
@@ -318,13 +318,13 @@ def _hold(x: Tables, c: ConstantTables, n: int, limit: float) -> tuple[float, fl
         # No tension feeds back yet, and a small one does not turn a rotor at rest.
         force += c.tendon[h.COULOMB, n]
     if x.digit_int[s.TRAJECTORY_KIND, c.tendon_int[h.DIGIT, n]] != NO_WAY:
-        force += _expected(x, c, n)
+        force += _feedforward_force(x, c, n)
     max_force = x.tendon[s.FORCE_LIMIT, n]
     return min(max(force, -max_force), max_force), setpoint, integral
 
 
 @inner
-def _expected(x: Tables, c: ConstantTables, n: int) -> float:
+def _feedforward_force(x: Tables, c: ConstantTables, n: int) -> float:
     """Return the feedforward motor force of a tension-controlled tendon on an expected trajectory [N]."""
     speed = 0.0
     acceleration = 0.0
@@ -358,7 +358,7 @@ def _motor_friction(x: Tables, c: ConstantTables, n: int, command_force: float) 
 
 
 @inner
-def _fade(x: Tables, c: ConstantTables) -> None:
+def _fade_trim(x: Tables, c: ConstantTables) -> None:
     """Fade the trim. The whole trim ends when the largest is negligible."""
     if not x.run_int[s.TRIMMED]:
         return

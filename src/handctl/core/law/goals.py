@@ -53,7 +53,7 @@ def write_goals(model: HandModel, layout: Layout, block: Block, goals: tuple[Dig
 
 
 def _kind(goal: DigitGoal) -> Kind:
-    """Return the kind of a goal. A goal without trajectory or tension is limp."""
+    """Return the kind of control of a goal. A goal without trajectory and tension commands no torque."""
     if (goal.kind == Kind.MOTION and goal.trajectory is None) or (goal.kind == Kind.TENSION and goal.tension is None):
         return Kind.LIMP
     return goal.kind

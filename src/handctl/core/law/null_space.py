@@ -13,7 +13,7 @@ from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
-from handctl.core.estimation.statics import explained
+from handctl.core.estimation.statics import part_explained_by_motion
 from handctl.core.law.reference import MOTION
 
 Vector = NDArray[np.float64]
@@ -51,8 +51,8 @@ def hold_each_other(x: Tables, c: ConstantTables, limit: Vector, terms: Matrix, 
             error[n] = terms[0, n] - x.tendon[s.TENSION, n]
             total[n] = x.tendon[s.INTEGRAL, n] + c.run[h.INTEGRAL_GAIN] * error[n]
         for n in range(first, end):
-            internal[0, n] = c.tendon[h.TENSION_GAIN, n] * (error[n] - explained(c, n, error))
-            integral = total[n] - explained(c, n, total)
+            internal[0, n] = c.tendon[h.TENSION_GAIN, n] * (error[n] - part_explained_by_motion(c, n, error))
+            integral = total[n] - part_explained_by_motion(c, n, total)
             internal[1, n] = min(max(integral, -INTEGRAL_LIMIT_N), INTEGRAL_LIMIT_N)
 
 
@@ -64,7 +64,7 @@ def _more_balance(c: ConstantTables, first: int, end: int, limit: Vector, terms:
     for n in range(first, end):
         balance = c.tendon[h.BALANCE, n]
         # The null-space part of the feedback damps the rotors. It must not raise the goal against itself.
-        feedback = explained(c, n, terms[1])
+        feedback = part_explained_by_motion(c, n, terms[1])
         required = max(required, (c.tendon[h.FLOOR, n] - terms[0, n] - feedback) / balance)
         room = min(room, (min(c.tendon[h.CEILING, n], limit[n]) - terms[0, n]) / balance)
     return min(required, max(room, 0.0))

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from functools import reduce
 
 from handctl.core.gains.gains import Gains
-from handctl.core.gains.motion_design import bearable, design_motion
+from handctl.core.gains.motion_design import design_motion, force_weight
 from handctl.core.model import HandModel
 from handctl.document import validated
 from handctl.errors import ConfigError
@@ -122,11 +122,11 @@ def with_poles(model: HandModel, kind: LoopKind, hz: float, damping: float) -> G
     position, speed = (_motion_weights if kind == LoopKind.MOTION else _tension_weights)(model, w, damping)
     if kind == LoopKind.MOTION:
         motion = model.gains.motion
-        force = bearable(motion.force_N, model.period)
+        force = force_weight(motion.force_N, model.period)
         table = {"position_error_m": force / position, "speed_error_m_s": force / speed}
         return _checked_gains(model.gains, motion={**motion.model_dump(), **table})
     tension = model.gains.tension
-    force = bearable(tension.force_N, model.period)
+    force = force_weight(tension.force_N, model.period)
     table = {"tension_error_N": force / position, "speed_error_m_s": force / speed}
     return _checked_gains(model.gains, tension={**tension.model_dump(), **table})
 

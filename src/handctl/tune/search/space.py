@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from handctl.core.gains.bounds import flat
+from handctl.core.gains.bounds import values_by_key
 from handctl.core.gains.gains import Gains
 
 
@@ -33,5 +33,5 @@ The force of Bryson's rule is fixed, because only the ratios of weights matter.
 
 def clamped(gains: Gains) -> dict[str, float]:
     """Return gains as a point of the search space, limited to its ranges."""
-    values = flat(gains)
+    values = values_by_key(gains)
     return {key: min(max(values[key], gain_range.low), gain_range.high) for key, gain_range in SPACE.items()}
