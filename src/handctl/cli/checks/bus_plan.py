@@ -8,10 +8,10 @@ from handctl.cli.console.options import print_json
 from handctl.cli.console.verbosity import is_verbose
 from handctl.controller.bus_load import BusLoad, FrameRow, bus_loads, split
 from handctl.drives.frame_time import MAX_BUS_LOAD
-from handctl.drives.load_table import TABLE, TABLE_RATES_HZ
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
+from handctl.report.load_table import TABLE, TABLE_RATES_HZ
 from handctl.session.exit_codes import Exit
 from handctl.session.plan import bus_specs, fastest
 
