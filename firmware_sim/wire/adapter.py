@@ -42,7 +42,7 @@ NONE = "none"
 
 
 class Latency:
-    """Latency of one adapter. Times passed to a method must not fall."""
+    """Latency of one adapter. Each call of a method needs a time that is not earlier than that of the call before."""
 
     def __init__(self, kind: str, seed: int = 0) -> None:
         """Make an adapter with a random phase of its USB frames.

@@ -123,7 +123,7 @@ class RobstrideMitNode(RobstrideNode):
             self.parameters[0x7005] = bytes(((0, 5, 2)[mode], 0, 0, 0))
 
     def _set_up(self, area: int, code: int) -> list[Frame]:
-        """Change protocol or numbers. The answer is the identity."""
+        """Change the protocol or the numbers. The motor replies with its identity."""
         node_id = self.node_id
         if code == 0xFD and area <= 2:
             self.next_protocol = area

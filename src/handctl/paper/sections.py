@@ -14,9 +14,10 @@ REFERENCE = (
     "Engineering, Jamia Millia Islamia, New Delhi."
 )
 INTRODUCTION = (
-    "This project's hand comes from this paper. Its model is sound in the main, but its print has many errors. Each "
-    "item below is one printed statement: a term of an equation, a number, a claim. The correct value beside it is "
-    "computed from the paper's own lengths, radii and forces. The verdict is derived from the two: by exact arithmetic "
+    "This project's hand comes from this paper. The model of the paper is mostly right, but the printed formulas and "
+    "numbers have many errors. Each item below is one printed statement: a term of an equation, a number, a claim. "
+    "The correct value beside it is computed from the paper's own lengths, radii and forces. "
+    "The verdict is derived from the two: by exact arithmetic "
     "for numbers, by Lagrange's equations at random states for formulas (and by sympy in the tests), and by experiment "
     "in the simulator for claims about the hand."
 )

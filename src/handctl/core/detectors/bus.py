@@ -36,7 +36,7 @@ Evidence = NDArray[np.float64]
 
 @inner
 def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
-    """Write the findings of the module's rows."""
+    """Run the detectors of this module, and write their results."""
     if x.run[s.UNKNOWN] > UNKNOWN_LIMIT:
         evidence[B10, 0] = x.run[s.UNKNOWN]
     if not armed:

@@ -11,7 +11,7 @@ from handctl.safety.faults.host import H01, H02, H03, I07A, I07B, I11A, I11B, LA
 
 @inner
 def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
-    """Write the findings of the module's rows."""
+    """Run the detectors of this module, and write their results."""
     # Lateness as a fraction of the period.
     late = x.run_int[s.LATE_NS] / c.run_int[h.PERIOD_NS]
     missed = x.run_int[s.MISSED]

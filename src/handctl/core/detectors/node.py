@@ -55,7 +55,7 @@ FAULT = 4
 
 @inner
 def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
-    """Write the findings of the module's rows, with or without torque."""
+    """Run the detectors of this module that need no torque, and write their results."""
     for n in range(x.tendon.shape[1]):
         if x.tendon[s.TEMPERATURE, n] > c.run[h.TEMPERATURE_SOFT]:
             evidence[N09A, n] = x.tendon[s.TEMPERATURE, n]
@@ -117,7 +117,7 @@ def _jumps(x: Tables, evidence: Evidence) -> None:
 
 @inner
 def detect_under_torque(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
-    """Write the findings of rows for a hand under torque."""
+    """Run the detectors that need a hand under torque, and write their results."""
     for n in range(x.tendon.shape[1]):
         slip = abs(x.tendon[s.RESIDUAL + residuals.SLIP, n])
         if slip > SLIP_WARN_DEG:

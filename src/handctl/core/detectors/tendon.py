@@ -46,7 +46,7 @@ RELAX = 5
 
 @inner
 def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
-    """Write the findings of the module's rows, with or without torque."""
+    """Run the detectors of this module that need no torque, and write their results."""
     rail = c.run[h.TENSION_RAIL]
     low = c.run[h.TENSION_LOW]
     relaxing_s = x.run_int[s.T_NS] * 1e-9 - x.run[s.MODE_SINCE]
@@ -70,7 +70,7 @@ def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> Non
 
 @inner
 def detect_under_torque(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
-    """Write the findings of rows for a hand under torque."""
+    """Run the detectors that need a hand under torque, and write their results."""
     for n in range(x.tendon.shape[1]):
         _slack(x, c, n, evidence)
         unexplained = residuals.unexplained(x, c, n)

@@ -168,7 +168,7 @@ class SensorNode:
     def tension_low(self) -> float:
         """Return the tared tension below which a load cell or its wire counts as broken [N].
 
-        The threshold is near the lower end of the range, beyond the reach of noise.
+        The threshold is near the lower end of the range of the load cell, so far below zero that noise cannot reach it.
         """
         return TENSION_ZERO_N + LOW_MARGIN_N
 

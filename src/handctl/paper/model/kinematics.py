@@ -42,7 +42,7 @@ def items() -> list[Item]:
 
 
 def path(name: str, angles: Array) -> Array:
-    """Return the tip of a digit whose joints all have the same angle (angles, 2) [mm]."""
+    """Return the path of a fingertip, (angles, 2) [mm]: its position for each angle that all joints have."""
     model = digit(name)
     return 1000.0 * np.array([planar(model, np.full(model.joint_count, angle))[-1] for angle in angles])
 

@@ -126,9 +126,9 @@ class Slots:
     def common_size(self, count: int) -> int:
         """Return the common size of the first datagrams [bytes], or 0 if each must be read separately.
 
-        A common size requires equal lengths, time stamps, and no loss counter. The kernel usually
-        writes the same bytes into the headers in every tick, so the result for the last bytes is
-        cached.
+        The messages have a common size if all of them have the same length and a time stamp, and
+        none has a loss counter. The kernel usually writes the same bytes into the headers in every
+        tick, so the result for the last bytes is cached.
         """
         raw = bytes(self._view[: count * _HEADER.size])
         if raw != self._last_size[0]:

@@ -115,7 +115,7 @@ class _Jog:
         return COMMAND_UNITS[self._goal.mode] == "rad"
 
     def hold(self, state: DriveState) -> float:
-        """Return the command that moves nothing: the last one of a position, zero of a velocity or torque."""
+        """Return the command that keeps the motor still: the last position, or a velocity or torque of zero."""
         if not self._position_mode:
             return 0.0
         return self._command if state.phase == Phase.ENABLED else state.position

@@ -177,7 +177,8 @@ def fault(
     """Declare a fault. For the arguments see ``Fault``.
 
     Returns:
-        First row of the fault in the detectors' result table, -1 for a reported fault.
+        First row of the fault in the table of the detectors' results. -1 for a fault without a
+        detector, which a drive or a bus reports.
     """
     declared = Fault(id_, title, detection, action, clears, cause, remedy, debounce, release, per, name, reports)
     TABLE.append(declared)
