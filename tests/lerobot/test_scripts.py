@@ -34,9 +34,8 @@ def script(name: str, *words: str) -> "subprocess.CompletedProcess[str]":
 
 
 def faults(log: RunLog) -> list[str]:
-    """Return the faults of a run, without the hold in a pause of the actions and missed deadlines."""
-    events = [row.event for row in log.events if row.event.name == "fault" and row.event.level != "info"]
-    return [event.text for event in events if not event.text.startswith(("I11a", "H01"))]
+    """Return the faults of a run that made it relax. A busy machine delays frames and actions."""
+    return [row.event.text for row in log.events if row.event.name == "fault" and row.event.level == "error"]
 
 
 @pytest.mark.realtime
