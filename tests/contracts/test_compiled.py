@@ -119,7 +119,7 @@ from handctl.core import block as s
 
 @kernel("block", "layout")
 def misses(block, at):
-    return losses.halved(tables(block, at), 0)
+    return losses.misses_every_second(tables(block, at), 0)
 """
 """A kernel with a function of another file, which takes a constant from a third file."""
 ASK_SCRIPT = """

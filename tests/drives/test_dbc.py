@@ -88,6 +88,10 @@ def commanded(dbc: Database, frame: Frame, bench: Bench, torque: float) -> bool:
         for message in drive.cyclic.commands:
             signals = [signal for signal in message.signals if signal.quantity == Quantity.TORQUE]
             same = message.can_id == frame.can_id and message.length == len(frame.data)
+            # A write of settings may have identifier and length of a command, but not its first bytes.
+            first = min((signal.start for signal in message.signals), default=0) // 8
+            big = any(signal.big_endian for signal in message.signals)
+            same = same and (big or frame.data[:first] == message.base[:first])
             if same and signals and message.can_id not in drive.node_ids:
                 told = dbc.decode_message(frame.can_id, frame.data)
                 step = abs(signals[0].scale) if signals[0].length < 32 else 1e-7

@@ -6,13 +6,14 @@ from typing import Any
 
 import pytest
 
-from handctl.campaign.stage import OPTIONS, hand_in
+from handctl.campaign.stage import hand_in
 from handctl.controller.bus_load import bus_loads, split
 from handctl.controller.setup import make_drives
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.drives.frame_time import MAX_BUS_LOAD, frame_time_s
+from handctl.drives.motor_description import PROTOCOLS
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_content, hand_from, load_hand
 from handctl.programs.live import LiveProgram
@@ -31,7 +32,8 @@ def without_sensors() -> Hand:
     """Return jamia with CiA 402 drives and without a sensor node."""
     content: dict[str, Any] = hand_content("jamia")
     del content["sensor_node"]
-    content["motor"] = [motor | {"protocol": "cia402", "options": OPTIONS["cia402"]} for motor in content["motor"]]
+    drive = {"protocol": "cia402", "options": dict(PROTOCOLS["cia402"].options)}
+    content["motor"] = [motor | drive for motor in content["motor"]]
     return hand_from(content, "without sensors")
 
 

@@ -5,6 +5,7 @@ import pytest
 from handctl.core.detectors.node import FAULT, ROW_OF_CAUSE
 from handctl.drives.causes import Cause
 from handctl.drives.contract import Phase
+from handctl.drives.motor_description import GUARDED, PROTOCOLS
 from handctl.safety.action import Action
 from handctl.safety.faults.fault import Fault, Row
 from handctl.safety.faults.markdown import catalogue, checklist, fault_table, late, later
@@ -54,9 +55,10 @@ def test_a_row_knows_its_catalogue_row_and_whether_it_latches() -> None:
 ])  # fmt: skip
 def test_catalogue_row_has_all_columns(entry: Row, last: str) -> None:
     head, line, row = catalogue((entry,)).splitlines()
-    assert head == "| id | fault | judged by | MIT | ODrive | CiA 402 | latest reaction | tested by |"
-    assert line == "|---|---|---|---|---|---|---|---|"
-    assert row == f"| B12 | t | B12 CUT | detected | detected | detected | {last}"
+    protocols = [PROTOCOLS[name].title for name in GUARDED]
+    assert head == f"| id | fault | judged by | {' | '.join(protocols)} | latest reaction | tested by |"
+    assert line == "|---|---|---" + "|---" * len(protocols) + "|---|---|"
+    assert row == f"| B12 | t | B12 CUT | {'detected | ' * len(protocols)}{last}"
 
 
 def test_a_row_that_no_tick_judges_says_where_it_is() -> None:
