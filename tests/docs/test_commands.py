@@ -45,6 +45,8 @@ RUN = {
     for page, parts in BLOCKS.items()
 }
 """Blocks of each page that are executed, or written to the file that their title names."""
+LONG = ("start/first-hand.md", "tutorials/policy.md")
+"""Pages of the nightly run. Each takes a minute, with commands that other pages have as well."""
 
 
 def cases() -> Iterator[Any]:
@@ -52,7 +54,10 @@ def cases() -> Iterator[Any]:
     for page, parts in RUN.items():
         live = any("stays open" in block.title for block in parts)
         if any(block.language == "sh" for block in parts):
-            yield pytest.param(page, marks=[pytest.mark.realtime, pytest.mark.alone] if live else [])
+            marks = [pytest.mark.realtime, pytest.mark.alone] if live else []
+            if page in LONG:
+                marks.append(pytest.mark.nightly)
+            yield pytest.param(page, marks=marks)
 
 
 @pytest.mark.parametrize("page", list(cases()))

@@ -14,7 +14,7 @@ from tests.runtime.processes import (
     write_homed,
 )
 
-pytestmark = [pytest.mark.realtime, pytest.mark.alone]
+pytestmark = [pytest.mark.realtime, pytest.mark.alone, pytest.mark.nightly]
 SIDES = ("left", "right")
 RATE = ("--rate", "100")
 """Low rate: four processes with a deadline share the processors."""

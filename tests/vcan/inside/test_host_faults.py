@@ -121,6 +121,7 @@ def clock() -> Iterator[None]:
     time.clock_settime(time.CLOCK_REALTIME, wall + time.monotonic() - mono)
 
 
+@pytest.mark.nightly
 @pytest.mark.timeout(600)
 @pytest.mark.usefixtures("clock")
 def test_steps_of_the_wall_clock_have_no_effect(tmp_path: Path) -> None:
