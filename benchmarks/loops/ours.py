@@ -54,7 +54,7 @@ class FreeClock:
 
 
 def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, log: Path):
-    """Run for some time after the hand has become active.
+    """Run the controller until some time has passed since the hand became active.
 
     Args:
         hand_name: name of a packaged hand.

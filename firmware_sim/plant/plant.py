@@ -294,7 +294,9 @@ class Plant:
                 self.engine.set_friction(now.friction)
 
     def measured_grip(self) -> list[float]:
-        """Return the load and the sum of the normal forces of each digit [N], empty in a scene without load."""
+        """Return the load on the object, and the sum of the normal forces of each digit [N].
+
+        Both are empty in a scene without a load."""
         return [self.load.at(self.steps * STEP_S), *self.normal_forces()] if self.load else []
 
     def cells(self) -> Any:

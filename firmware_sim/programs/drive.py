@@ -221,7 +221,7 @@ def run(words: list[str]) -> None:
     """Serve drives until SIGTERM or SIGINT.
 
     Raises:
-        SimulatorError: the arguments cannot be served.
+        SimulatorError: the simulator does not support the arguments.
     """
     args = _parser().parse_args(words)
     specs = _specs(args)

@@ -88,7 +88,7 @@ def run(words: list[str]) -> None:
     """Serve a hand until SIGTERM or SIGINT.
 
     Raises:
-        SimulatorError: the arguments cannot be served.
+        SimulatorError: the simulator does not support the arguments.
     """
     args = _parser().parse_args(words)
     check_time_scale(args.time_scale)

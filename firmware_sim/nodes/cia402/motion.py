@@ -229,7 +229,7 @@ class MotionModes:
         self._demand.jump(self._demand.position + change, change / step_s + self._rate_of(0x60B1))
 
     def _limited(self, target: float) -> float:
-        """Return a target within 0x607D."""
+        """Return the target, clamped to the software position limits (object 0x607D)."""
         objects = self._node.objects
         inside = min(float(objects[0x607D, 2]), max(float(objects[0x607D, 1]), target))
         if inside != target:

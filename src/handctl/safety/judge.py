@@ -163,5 +163,5 @@ def filter_error_frames(reports: Iterable[Report], heard: bool) -> list[Report]:
 
 
 def second_controller_reports(signs: Iterable[str]) -> list[Report]:
-    """Return a report of a second controller (H13) for each sign."""
+    """Return a fault report (H13) for each indication that a second controller uses the bus."""
     return [(FOREIGN, sign, 1.0) for sign in signs]

@@ -103,7 +103,7 @@ def lost_replies(x: Tables, node: int) -> int:
 
 @inner
 def misses_every_second(x: Tables, node: int) -> bool:
-    """Return True if a node misses about every second of the last ``SHORT`` ticks, at most once two in a row."""
+    """Return True if a node missed about every other one of the last ``SHORT`` ticks, and two in a row at most once."""
     recent = x.node_int[s.LOST, node] & SHORT_MASK
     # Bits of two misses in a row: the word ANDed with itself shifted by one.
     return bit_count(recent) >= HALF_RATE_MISSES and bit_count(recent & recent >> 1) <= 1

@@ -77,7 +77,7 @@ def apply_power_state(state: DriveState, progress: Cia402Progress) -> DriveState
     power = progress.power
     updated = state._replace(private=progress)
     if power == codec.FAULT:
-        return _has_fault(updated, progress)
+        return _state_when_fault(updated, progress)
     if progress.disabling_ns >= 0:
         off = power in codec.WITHOUT_TORQUE and state.feedback_t_ns >= progress.disabling_ns
         if not off:
@@ -99,7 +99,7 @@ def apply_power_state(state: DriveState, progress: Cia402Progress) -> DriveState
     return updated
 
 
-def _has_fault(state: DriveState, progress: Cia402Progress) -> DriveState:
+def _state_when_fault(state: DriveState, progress: Cia402Progress) -> DriveState:
     """Return the state after the drive reported a fault: no torque, and the code of the last emergency."""
     if progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))

@@ -79,13 +79,13 @@ def apply_status(state: DriveState, nibble: int) -> DriveState:
     """Return the state after a state nibble. The given state already has the values of the same feedback."""
     progress = progress_of(state)
     if nibble == codec.ENABLED:
-        return _is_enabled(state, progress)
+        return _state_when_enabled(state, progress)
     if nibble == codec.DISABLED:
-        return _is_disabled(state, progress)
-    return _is_in_error(state, progress, nibble)
+        return _state_when_disabled(state, progress)
+    return _state_when_in_error(state, progress, nibble)
 
 
-def _is_disabled(state: DriveState, progress: MitProgress) -> DriveState:
+def _state_when_disabled(state: DriveState, progress: MitProgress) -> DriveState:
     """Return the state after the motor reported disabled."""
     off = progress._replace(enable_sent=False, enabled_by_other=False, clearing=0)
     if progress.disabling:
@@ -99,7 +99,7 @@ def _is_disabled(state: DriveState, progress: MitProgress) -> DriveState:
     return state._replace(phase=CONFIGURING if state.phase == SILENT else state.phase, private=off)
 
 
-def _is_enabled(state: DriveState, progress: MitProgress) -> DriveState:
+def _state_when_enabled(state: DriveState, progress: MitProgress) -> DriveState:
     """Return the state after the motor reported enabled."""
     if progress.enable_sent and state.phase != FAULT:
         return state if state.phase == ENABLED else state._replace(phase=ENABLED)
@@ -111,7 +111,7 @@ def _is_enabled(state: DriveState, progress: MitProgress) -> DriveState:
     return enabled._replace(phase=CONFIGURING) if state.phase == SILENT else enabled
 
 
-def _is_in_error(state: DriveState, progress: MitProgress, nibble: int) -> DriveState:
+def _state_when_in_error(state: DriveState, progress: MitProgress, nibble: int) -> DriveState:
     """Return the state after the motor reported an error.
 
     A known error has removed the torque. With an unknown state nibble the motor may still make

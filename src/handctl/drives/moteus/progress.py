@@ -81,17 +81,17 @@ def apply_mode(state: DriveState, mode: int, fault: int) -> DriveState:
         progress = progress._replace(mode=mode)
         state = state._replace(private=progress)
     if mode == codec.STOPPED:
-        return _is_stopped(state, progress, was_preparing)
+        return _state_when_stopped(state, progress, was_preparing)
     if mode in (codec.IN_FAULT, codec.TIMED_OUT):
-        return _is_in_error(state, progress, fault if mode == codec.IN_FAULT and fault else mode)
+        return _state_when_in_error(state, progress, fault if mode == codec.IN_FAULT and fault else mode)
     if mode == codec.POSITION:
-        return _is_enabled(state, progress)
+        return _state_when_enabled(state, progress)
     if mode in codec.PREPARING and progress.enable_sent and state.phase == READY:
         return state
-    return _is_in_other_mode(state, progress)
+    return _state_when_in_other_mode(state, progress)
 
 
-def _is_stopped(state: DriveState, progress: MoteusProgress, was_preparing: bool) -> DriveState:
+def _state_when_stopped(state: DriveState, progress: MoteusProgress, was_preparing: bool) -> DriveState:
     """Return the state after the drive reported stopped. If it was preparing or enabled, it has restarted."""
     off = progress._replace(enable_sent=False, enabled_by_other=False, clearing=0)
     if progress.disabling:
@@ -105,22 +105,22 @@ def _is_stopped(state: DriveState, progress: MoteusProgress, was_preparing: bool
     return state._replace(phase=CONFIGURING if state.phase == SILENT else state.phase, private=off)
 
 
-def _is_enabled(state: DriveState, progress: MoteusProgress) -> DriveState:
+def _state_when_enabled(state: DriveState, progress: MoteusProgress) -> DriveState:
     """Return the state after the drive reported position mode."""
     if progress.enable_sent and state.phase != FAULT:
         return state if state.phase == ENABLED else state._replace(phase=ENABLED)
-    return _is_enabled_by_other(state, progress, "enabled, but not by this host")
+    return _state_when_enabled_by_other(state, progress, "enabled, but not by this host")
 
 
-def _is_in_other_mode(state: DriveState, progress: MoteusProgress) -> DriveState:
+def _state_when_in_other_mode(state: DriveState, progress: MoteusProgress) -> DriveState:
     """Return the state after a mode not used by this host. The drive may make torque."""
     if state.phase == ENABLED and progress.enable_sent and not progress.disabling:
         enabled = state._replace(private=progress._replace(enabled_by_other=True))
         return to_fault(enabled, DROPPED_OUT, f"went to mode {progress.mode} by itself")
-    return _is_enabled_by_other(state, progress, f"in mode {progress.mode}, but not by this host")
+    return _state_when_enabled_by_other(state, progress, f"in mode {progress.mode}, but not by this host")
 
 
-def _is_enabled_by_other(state: DriveState, progress: MoteusProgress, text: str) -> DriveState:
+def _state_when_enabled_by_other(state: DriveState, progress: MoteusProgress, text: str) -> DriveState:
     """Return the state after a mode caused by another host or a restart."""
     enabled = state._replace(private=progress._replace(enabled_by_other=True))
     if progress.disabling:
@@ -130,7 +130,7 @@ def _is_enabled_by_other(state: DriveState, progress: MoteusProgress, text: str)
     return enabled._replace(phase=CONFIGURING) if state.phase == SILENT else enabled
 
 
-def _is_in_error(state: DriveState, progress: MoteusProgress, error: int) -> DriveState:
+def _state_when_in_error(state: DriveState, progress: MoteusProgress, error: int) -> DriveState:
     """Return the state after an error. The error has removed the torque."""
     if progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))

@@ -107,13 +107,17 @@ def on_heartbeat(state: DriveState, frame: Frame, firmware_05: bool) -> DriveSta
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
     updated = state._replace(private=progress._replace(clearing=0))
     if beat.errors:
-        return _is_in_error(updated, progress, beat, firmware_05)
+        return _state_when_in_error(updated, progress, beat, firmware_05)
     if beat.state == codec.CLOSED_LOOP:
-        return _is_enabled(updated, progress)
-    return _is_disabled(updated, progress, beat) if beat.state == codec.IDLE else _is_in_other_state(updated, progress)
+        return _state_when_enabled(updated, progress)
+    if beat.state == codec.IDLE:
+        return _state_when_disabled(updated, progress, beat)
+    return _state_when_in_other_axis_state(updated, progress)
 
 
-def _is_in_error(state: DriveState, progress: OdriveProgress, beat: codec.Heartbeat, firmware_05: bool) -> DriveState:
+def _state_when_in_error(
+    state: DriveState, progress: OdriveProgress, beat: codec.Heartbeat, firmware_05: bool
+) -> DriveState:
     """Return the state after a heartbeat with an error.
 
     An error disarms the drive. A drive in any state other than idle may still make torque.
@@ -125,7 +129,7 @@ def _is_in_error(state: DriveState, progress: OdriveProgress, beat: codec.Heartb
     return in_error._replace(phase=ENABLED) if progress.disabling_ns >= 0 else in_error
 
 
-def _is_enabled(state: DriveState, progress: OdriveProgress) -> DriveState:
+def _state_when_enabled(state: DriveState, progress: OdriveProgress) -> DriveState:
     """Return the state after a heartbeat with closed loop control."""
     if progress.disabling_ns >= 0 or (progress.enable_sent_ns >= 0 and state.phase != FAULT):
         return state._replace(phase=ENABLED, private=progress._replace(enable_commands=0, clearing=0))
@@ -134,7 +138,7 @@ def _is_enabled(state: DriveState, progress: OdriveProgress) -> DriveState:
     return state
 
 
-def _is_in_other_state(state: DriveState, progress: OdriveProgress) -> DriveState:
+def _state_when_in_other_axis_state(state: DriveState, progress: OdriveProgress) -> DriveState:
     """Return the state after a heartbeat with another axis state, such as a calibration.
 
     The drive may then make torque that the host does not control.
@@ -146,8 +150,8 @@ def _is_in_other_state(state: DriveState, progress: OdriveProgress) -> DriveStat
     return state
 
 
-def _is_disabled(state: DriveState, progress: OdriveProgress, beat: codec.Heartbeat) -> DriveState:
-    """Return the state after a heartbeat with idle.
+def _state_when_disabled(state: DriveState, progress: OdriveProgress, beat: codec.Heartbeat) -> DriveState:
+    """Return the state of the drive after a heartbeat that reports the axis state IDLE.
 
     Shortly after a command the heartbeat may be older than it.
     """
@@ -165,7 +169,7 @@ def _is_disabled(state: DriveState, progress: OdriveProgress, beat: codec.Heartb
 
 
 def _did_not_enable(state: DriveState, progress: OdriveProgress, beat: codec.Heartbeat) -> DriveState:
-    """Return the state after a heartbeat with idle that follows an enable command.
+    """Return the state of the drive after a heartbeat that reports IDLE although an enable command was sent.
 
     The drive refused the command, the command was lost, or the drive restarted.
 

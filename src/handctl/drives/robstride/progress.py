@@ -70,10 +70,10 @@ def apply_status(state: DriveState, mode: int, fault: int) -> DriveState:
     if fault:
         return apply_fault(state, mode, fault)
     if mode == codec.RESET:
-        return _is_stopped(state, progress)
+        return _state_when_stopped(state, progress)
     if mode == codec.RUNNING:
-        return _is_running(state, progress)
-    return _is_enabled_by_other(state, progress, "calibrating, but not by this host")
+        return _state_when_running(state, progress)
+    return _state_when_enabled_by_other(state, progress, "calibrating, but not by this host")
 
 
 def apply_fault(state: DriveState, mode: int, fault: int) -> DriveState:
@@ -87,7 +87,7 @@ def apply_fault(state: DriveState, mode: int, fault: int) -> DriveState:
     return in_error._replace(phase=ENABLED) if progress.disabling and not off else in_error
 
 
-def _is_stopped(state: DriveState, progress: RobstrideProgress) -> DriveState:
+def _state_when_stopped(state: DriveState, progress: RobstrideProgress) -> DriveState:
     """Return the state after the motor reported reset mode without a fault."""
     off = progress._replace(enable_sent=False, enabled_by_other=False, clearing=0)
     if progress.disabling:
@@ -101,14 +101,14 @@ def _is_stopped(state: DriveState, progress: RobstrideProgress) -> DriveState:
     return state._replace(phase=CONFIGURING if state.phase == SILENT else state.phase, private=off)
 
 
-def _is_running(state: DriveState, progress: RobstrideProgress) -> DriveState:
+def _state_when_running(state: DriveState, progress: RobstrideProgress) -> DriveState:
     """Return the state after the motor reported running mode."""
     if progress.enable_sent and state.phase != FAULT:
         return state if state.phase == ENABLED else state._replace(phase=ENABLED)
-    return _is_enabled_by_other(state, progress, "enabled, but not by this host")
+    return _state_when_enabled_by_other(state, progress, "enabled, but not by this host")
 
 
-def _is_enabled_by_other(state: DriveState, progress: RobstrideProgress, text: str) -> DriveState:
+def _state_when_enabled_by_other(state: DriveState, progress: RobstrideProgress, text: str) -> DriveState:
     """Return the state after a mode caused by another host."""
     enabled = state._replace(private=progress._replace(enabled_by_other=True))
     if progress.disabling:

@@ -22,7 +22,7 @@ class Mount(Section):
 
 
 class Bus(Section):
-    """CAN bus. The command line names its interface."""
+    """CAN bus. Its interface, for example can0, is named on the command line and not in the file."""
 
     name: qty.Name
     """Name of the bus."""

@@ -81,7 +81,7 @@ def wrench(frame_id: str) -> Template:
 
 
 def statistics_values(number: int) -> Template:
-    """Return the template of a pal_statistics_msgs/StatisticsValues, with version 1 of the names."""
+    """Return the bytes of a pal_statistics_msgs/StatisticsValues without values. Its names_version is 1."""
     out = TemplateWriter()
     out.header()
     out.floats("values", number)

@@ -119,7 +119,7 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
 
 
 def _logged_gain(log: RunLog, tendons: int) -> list[float]:
-    """Return the torque gains (N,) with which the controller of the run already compensated."""
+    """Return the torque gains (N,) that the controller of the logged run applied."""
     text = log.header.attachments.get(ATTACHMENT, b"{}")
     with Reading(f"{ATTACHMENT} in the log"):
         setup = json.loads(text)
