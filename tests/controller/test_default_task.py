@@ -11,7 +11,8 @@ from handctl.hand.load import hand_content, hand_from, load_hand, packaged_hands
 from handctl.hand.readiness import coordinate_range_deg
 from handctl.programs.default_task import default_scene, default_task, grasp_warnings
 from handctl.programs.task import Close, Hold, load_task
-from handctl.session.tasks import check_suits, find_task
+from handctl.programs.task_checks import check_suits
+from handctl.session.tasks import find_task
 from tests.hand.chains import SEEDS, random_tree
 
 

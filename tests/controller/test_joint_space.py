@@ -13,8 +13,8 @@ from handctl.hand.digit import DigitModel
 from handctl.hand.load import load_hand
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task, trajectory_from
+from handctl.programs.task_checks import check_suits
 from handctl.session.simulate import Simulator, homed_controller
-from handctl.session.tasks import check_suits
 from tests.controller.plant_run import model_of
 
 SETTLED_DEG = 2.0

@@ -610,6 +610,8 @@ def test_a_task_within_a_session_holds_until_it_is_released(jamia: HandModel) ->
         assert client.ask("grasp", task=wrong).startswith("refused: task: phase[0]")
         fast = task | {"phase": [{"kind": "move", "angle_deg": 100.0, "duration_s": 0.2}]}
         assert client.ask("grasp", task=fast).startswith("refused: ")
+        slips = task | {"phase": [{"kind": "hold", "tension_N": 12.0, "slip_limit_N": 10.0}]}
+        assert client.ask("grasp", task=slips).startswith("refused: "), "as a run refuses it"
         assert client.outs[-1].phase == "live"
 
 

@@ -9,7 +9,7 @@ from handctl.hand.description import Hand
 from handctl.hand.load import hand_content, hand_from, load_hand, packaged_hands
 from handctl.programs.program import TARE_PHASE
 from handctl.programs.task import Close, Hold, Move, Release, Shape, check_task, for_digit, load_task, shapes
-from handctl.session.tasks import check_suits
+from handctl.programs.task_checks import check_suits
 
 GOOD = """schema = 1
 name = "t"

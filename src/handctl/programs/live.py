@@ -30,17 +30,13 @@ from handctl.programs.task import (
     Hold,
     Move,
     Task,
-    check_task,
     end_angles,
     joint_values,
-    shapes,
 )
 from handctl.programs.task_checks import (
     COUPLED_DEG,
     ROUNDING_DEG,
-    check_joint_range,
-    check_speed,
-    check_tip_force,
+    check_suits,
 )
 
 
@@ -105,24 +101,13 @@ def begin_task(
 
     A task that does not suit the hand, or that begins with a move that is too fast, changes nothing.
     """
-    ceiling = min(tendon.tension_max_N for tendon in model.hand.tendon)
     try:
-        check_task(task, model.hand.digit_names, ceiling, "task", shapes(model.hand))
-        check_tip_force(task, model.hand, "task")
-        check_joint_range(task, model.hand, "task")
-        check_speed(task, model.hand, "task")
+        check_suits(task, model.hand, "task")
     except ConfigError as error:
         return progress, (Event("warn", "request", "", f"refused: {error}"),)
     first = task.phase[0]
-    for d, name in enumerate(model.hand.digit_names):
-        if not isinstance(first, Move):
-            continue
-        angle = end_angles(first.angle_deg, model.digits[d], np.degrees(coordinates(model.digits[d], estimate)))
-        if angle is None:
-            continue
-        end = np.broadcast_to(np.array(angle, dtype=float), (model.digits[d].coupling.shape[1],))
-        if reason := _out_of_reach(model, d, estimate, end, first.duration_s):
-            return progress, (Event("warn", "request", name, f"refused: {name} {reason}"),)
+    if isinstance(first, Move) and (refusal := _start_refusal(model, first, estimate)):
+        return progress, (refusal,)
     at = next((i for i, phase in enumerate(task.phase) if isinstance(phase, Hold)), None)
     if at is not None:
         held = task.phase[at].model_copy(update={"duration_s": LONGEST_HOLD_S})
@@ -131,6 +116,19 @@ def begin_task(
     if progress.finished:
         progress = end_task(progress)
     return progress, (Event("info", "request", "", f"grasp {task.name}"), *events)
+
+
+def _start_refusal(model: HandModel, first: Move, estimate: Estimate) -> Event | None:
+    """Return the event of a first move that is too fast from where the digits are, None if it is not."""
+    for d, name in enumerate(model.hand.digit_names):
+        digit = model.digits[d]
+        angle = end_angles(first.angle_deg, digit, np.degrees(coordinates(digit, estimate)))
+        if angle is None:
+            continue
+        end = np.broadcast_to(np.array(angle, dtype=float), (digit.coupling.shape[1],))
+        if reason := _out_of_reach(model, d, estimate, end, first.duration_s):
+            return Event("warn", "request", name, f"refused: {name} {reason}")
+    return None
 
 
 def release_task(progress: Progress) -> ProgressAndEvents:

@@ -1,4 +1,4 @@
-"""Checks of a task against a hand: speed of the moves, joint ranges, tip forces."""
+"""Checks of a task against a hand: speed of the moves, joint ranges, tip forces, slip limits."""
 
 import math
 from collections.abc import Iterable
@@ -20,13 +20,29 @@ from handctl.programs.task import (
     Move,
     Phase,
     Task,
+    check_task,
     end_angles,
     for_digit,
     joint_values,
+    shapes,
 )
 
 Span = tuple[Vector, Vector]
 """Lowest and highest value of the coordinates of a digit [deg]."""
+
+
+def check_suits(task: Task, hand: Hand, where: str) -> None:
+    """Raise an error for a task that does not suit the hand.
+
+    Raises:
+        ConfigError: the hand does not have a digit, a number of angles, a tension or an angle of the task, a move is
+            too fast, a tip force is for an underactuated digit, or a slip limit is below the tension.
+    """
+    check_task(task, hand.digit_names, min(tendon.tension_max_N for tendon in hand.tendon), where, shapes(hand))
+    check_tip_force(task, hand, where)
+    check_slip_limit(task, hand, where)
+    check_joint_range(task, hand, where)
+    check_speed(task, hand, where)
 
 
 def check_speed(task: Task, hand: Hand, where: str) -> None:

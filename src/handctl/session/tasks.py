@@ -6,8 +6,8 @@ from pathlib import Path
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.programs.default_task import SCENE, default_scene, default_task
-from handctl.programs.task import Task, check_task, load_task, load_trajectory, shapes
-from handctl.programs.task_checks import check_joint_range, check_slip_limit, check_speed, check_tip_force
+from handctl.programs.task import Task, load_task, load_trajectory
+from handctl.programs.task_checks import check_suits
 
 TASKS = Path(__file__).parents[1] / "tasks"
 
@@ -68,17 +68,3 @@ def find_trajectory(path: Path, hand: Hand) -> Task:
     task = load_trajectory(path)
     check_suits(task, hand, str(path))
     return task
-
-
-def check_suits(task: Task, hand: Hand, where: str) -> None:
-    """Raise an error for a task that does not suit the hand.
-
-    Raises:
-        ConfigError: the hand does not have a digit, a number of angles, a tension or an angle of the task, a move is
-            too fast, a tip force is for an underactuated digit, or a slip limit is below the tension.
-    """
-    check_task(task, hand.digit_names, min(tendon.tension_max_N for tendon in hand.tendon), where, shapes(hand))
-    check_tip_force(task, hand, where)
-    check_slip_limit(task, hand, where)
-    check_joint_range(task, hand, where)
-    check_speed(task, hand, where)
