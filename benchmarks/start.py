@@ -15,6 +15,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 LONGEST_S = 600.0
@@ -48,7 +49,7 @@ def measure(repeats: int, folder: Path) -> dict[str, list[float]]:
         "handctl run --help": lambda: until_end([sys.executable, "-m", "handctl.cli", "run", "--help"]),
     }
     for name, hand in RUNS.items():
-        measures[name] = lambda hand=hand: until_first_frame(hand, folder)  # type: ignore[misc]
+        measures[name] = partial(until_first_frame, hand, folder)
     try:
         for one in measures.values():
             one()  # compiles, and fills the cache of the disk

@@ -72,7 +72,6 @@ def test_a_limit_stops_a_drive_in_another_process(capsys):
     ],
 )
 def test_wrong_input_is_one_line_and_opens_no_bus(words, expected, capsys, monkeypatch):
-    monkeypatch.setattr("handctl.cli.runs.jog_drive.open_bus", None)
     monkeypatch.setattr("handctl.cli.console.bench.open_bus", None)
     assert main([*WORDS, *words.split(), "--yes"]) == 2
     text = capsys.readouterr().err

@@ -3,6 +3,7 @@
 import pytest
 
 from handctl.cli.checks import conformance
+from handctl.cli.console import bench
 from handctl.cli.main import main
 from handctl.cli.runs import commission
 from handctl.cli.tuning import identify
@@ -63,7 +64,7 @@ def test_a_check_that_is_interrupted_says_whether_the_drive_is_off(monkeypatch, 
         yield
 
     monkeypatch.setattr(conformance, "checks", interrupted)
-    monkeypatch.setattr(conformance, "open_bus", lambda *what: Bus())
+    monkeypatch.setattr(bench, "open_bus", lambda *what: Bus())
     monkeypatch.setattr(conformance, "find_drive", lambda args: DiscoveredNode("mit", 1))
     monkeypatch.setattr(DriveRig, "confirm_off", lambda rig, watchdog_s: off)
     words = ("--protocol", "mit", "--node", "1", "--bus", "local:nobody", "--torque-limit-Nm", "0.1", "--yes")

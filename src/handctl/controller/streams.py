@@ -47,13 +47,7 @@ OPEN, RUNNING = 1, 2
 def reference_of(model: HandModel, state: State) -> tuple[Vector, ...]:
     """Return the present reference of each digit: (3, n) position, rate, and acceleration."""
     rows = state.layout.table(state.block, "coordinate")[s.TRAJECTORY : s.TRAJECTORY + 3]
-    parts = list[Vector]()
-    first = 0
-    for digit in model.digits:
-        end = first + digit.coupling.shape[1]
-        parts.append(rows[:, first:end])
-        first = end
-    return tuple(parts)
+    return tuple(rows[:, places] for places in model.digit_coordinates)
 
 
 def setpoints_of(model: HandModel, state: State) -> tuple[Vector, ...]:
@@ -93,14 +87,12 @@ def _prepare_motion(model: HandModel, state: State, digits: tuple[int, ...]) -> 
     rows = state.layout.table(state.block, "coordinate")
     reference = reference_of(model, state)
     for d in digits:
-        if (
-            state.progress.goals[d].kind != Kind.MOTION
-        ):  # no reference yet: begin where the digit is, at rest
+        if state.progress.goals[d].kind != Kind.MOTION:
+            # There is no reference yet: begin where the digit is, at rest.
             reference[d][0] = coordinates(model.digits[d], state.estimate)
             reference[d][1:] = 0.0
-    reach = np.concatenate([np.array(digit.reach) for digit in model.digits], axis=1)
-    rows[s.STREAM_TARGET] = np.clip(rows[s.TRAJECTORY], *reach)
-    rows[s.STREAM_RANGE : s.STREAM_RANGE + 2] = reach
+    rows[s.STREAM_TARGET] = np.clip(rows[s.TRAJECTORY], *model.reach)
+    rows[s.STREAM_RANGE : s.STREAM_RANGE + 2] = model.reach
     rows[s.STREAM_SEGMENT : s.STREAM_SEGMENT + 6] = 0.0
     state.set_number(s.STREAM_SINCE, 0.0)
     state.set_number(s.STREAM_DURATION, 0.0)
@@ -218,14 +210,12 @@ def _begin_segment(
     rows = state.layout.table(state.block, "coordinate")
     where = mapping(model, stream.space, stream.names)
     aim = np.where(where.driven, where.matrix @ values, rows[s.STREAM_TARGET])
-    inside = np.clip(aim, *where.reach)
-    first = 0
-    for d, digit in enumerate(model.digits):
-        places = slice(first, first + digit.coupling.shape[1])
-        first = places.stop
-        if d in where.digits:
-            inside[places] = holdable(digit, inside[places], model.floor[digit.tendons])
-    inside = np.clip(inside, *where.reach)
+    inside = np.clip(aim, *model.reach)
+    for d in where.digits:
+        digit = model.digits[d]
+        places = model.digit_coordinates[d]
+        inside[places] = holdable(digit, inside[places], model.floor[digit.tendons])
+    inside = np.clip(inside, *model.reach)
     apart_s = (sent_ns - state.whole(s.STREAM_SENT_NS)) / 1e9
     steady = state.whole(s.STREAMING) == RUNNING and apart_s <= STEADY_PERIODS * stream.period
     speed = (

@@ -149,7 +149,7 @@ def _exact(digit: DigitModel) -> list[bool]:
 
 def _links(model: HandModel) -> dict[str, object]:
     digits = model.digits
-    coordinates = np.cumsum([0, *(digit.coupling.shape[1] for digit in model.digits)])
+    coordinates = np.array([0, *(places.stop for places in model.digit_coordinates)])
     span = np.concatenate([digit.joint_max - digit.joint_min for digit in digits])
     return {
         "spring": np.concatenate([digit.spring_stiffness for digit in digits]),

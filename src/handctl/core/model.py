@@ -37,6 +37,8 @@ class HandModel:
         digits: digit models, in file order.
         coupling: (J, C) joint angles per coordinate of the digits.
         digit_tendons: for each digit, the slice of tendons in the hand's order.
+        digit_coordinates: for each digit, the slice of its coordinates among those of all digits.
+        reach: (2, C) lowest and highest value of each coordinate [rad].
         space: the hand along the tendons.
         filter: steady-state filter of each tendon.
         motion: feedback gains of each tendon.
@@ -63,6 +65,8 @@ class HandModel:
     digits: tuple[DigitModel, ...]
     coupling: Vector
     digit_tendons: tuple[slice, ...]
+    digit_coordinates: tuple[slice, ...]
+    reach: Vector
     digit_of: tuple[int, ...]
     space: TendonSpace
     filter: FilterDesign
@@ -113,6 +117,8 @@ class HandModel:
             digits=digits,
             coupling=block_diag(*(digit.coupling for digit in digits)),
             digit_tendons=tuple(digit.tendons for digit in digits),
+            digit_coordinates=_coordinate_slices(digits),
+            reach=np.concatenate([digit.reach for digit in digits], axis=1),
             digit_of=tuple(d for d, one in enumerate(digits) for _ in range(one.tendons.start, one.tendons.stop)),
             space=space,
             filter=filters,
@@ -155,6 +161,13 @@ class HandModel:
     def coordinate_count(self) -> int:
         """Return C, the number of reduced coordinates of all digits."""
         return int(self.coupling.shape[1])
+
+
+def _coordinate_slices(digits: tuple[DigitModel, ...]) -> tuple[slice, ...]:
+    """Return the slice of each digit's coordinates among those of all digits."""
+    counts = [digit.coupling.shape[1] for digit in digits]
+    ends = np.cumsum(counts).tolist()
+    return tuple(slice(end - count, end) for end, count in zip(ends, counts, strict=True))
 
 
 def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:

@@ -22,6 +22,10 @@ class DriveMode(enum.Enum):
     FORCE_POSITION = "force-position"
     """Position with a current limit in each command (Damiao)."""
 
+    def rest(self, position: float) -> float:
+        """Return the command that causes no motion at a position: the position itself, or zero otherwise."""
+        return position if self in (DriveMode.POSITION, DriveMode.FORCE_POSITION) else 0.0
+
 
 COMMAND_UNITS = {
     DriveMode.TORQUE: "N m",

@@ -1,6 +1,22 @@
 """Validators of motor options, shared by the protocols."""
 
+from collections.abc import Mapping
+from typing import Any, Protocol, TypeVar
+
+from handctl.drives.motor_description import MotorDescription
 from handctl.errors import ConfigError
+
+
+class FullScale(Protocol):
+    """Ranges of a motor model."""
+
+    @property
+    def torque(self) -> float:
+        """Return the full scale of the torque [N m]."""
+        ...
+
+
+Ranges = TypeVar("Ranges", bound=FullScale)
 
 
 def positive_number(value: object, where: str, largest: float) -> float:
@@ -50,3 +66,48 @@ def boolean(value: object, where: str) -> bool:
     if type(value) is not bool:
         raise ConfigError(repr(value), where, "true or false")
     return value
+
+
+def take_model(options: dict[str, Any], where: str, models: Mapping[str, Ranges]) -> Ranges:
+    """Remove the option ``motor_type``, and return the ranges of this model.
+
+    Args:
+        options: options of the motor, modified in place.
+        where: key path of the motor.
+        models: ranges by the name of the model.
+
+    Raises:
+        ConfigError: the model is missing or unknown.
+    """
+    model = options.pop("motor_type", None)
+    if model not in models:
+        problem = "missing" if model is None else repr(model)
+        raise ConfigError(problem, f"{where}.options.motor_type", "one of " + ", ".join(models))
+    return models[model]
+
+
+def refuse_others(options: Mapping[str, Any], where: str, right: str) -> None:
+    """Refuse the options that a drive has not used.
+
+    Args:
+        options: options that are left.
+        where: key path of the options.
+        right: keys that the drive accepts, for the message.
+
+    Raises:
+        ConfigError: an option is left.
+    """
+    if options:
+        raise ConfigError("unknown key", f"{where}.{next(iter(options))}", right)
+
+
+def check_full_scale(motor: MotorDescription, ranges: FullScale) -> None:
+    """Check that the torque limit of a motor is within the full scale of the model.
+
+    Raises:
+        ConfigError: the limit is larger.
+    """
+    if motor.torque_max_N_m > ranges.torque:
+        raise ConfigError(
+            f"{motor.torque_max_N_m:g}", f"motor[{motor.name}].torque_max_N_m", f"at most {ranges.torque:g}"
+        )

@@ -25,7 +25,7 @@ from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.core.types import Mode, TickOut, Vector
 from handctl.errors import ConfigError
-from handctl.gym.observed import FIELDS, Numbers, ObservationLayout, Part
+from handctl.gym.observed import FIELDS, Numbers, ObservationLayout, Part, telemetry_part
 from handctl.hand.load import load_hand
 from handctl.programs.live import LiveProgram
 from handctl.programs.requests import REFUSED, target_text
@@ -123,6 +123,15 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
     @abstractmethod
     def parts(self) -> list[Part]:
         """Return the parts of an observation."""
+
+    def body_parts(self) -> list[Part]:
+        """Return the parts that all environments have: joint angles and rates, and tensions."""
+        largest = 2.0 * max(tendon.tension_max_N for tendon in self.hand.tendon)
+        return [
+            telemetry_part(self.hand, "q_rad", -math.pi, math.pi),
+            telemetry_part(self.hand, "dq_rad_s", -30.0, 30.0),
+            telemetry_part(self.hand, "tension_N", -largest, largest),
+        ]
 
     @abstractmethod
     def extra_values(self, name: str) -> Any:

@@ -1,7 +1,6 @@
 """Environment ``handctl/Grasp-v0``: grasp a cylinder, and hold the cylinder when the table sinks."""
 
 import json
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -72,11 +71,8 @@ class GraspEnv(HandEnv):
 
     def parts(self) -> list[Part]:
         """Return the parts of an observation: joint angles and rates, tensions, tip forces, and contacts."""
-        largest = 2.0 * max(tendon.tension_max_N for tendon in self.hand.tendon)
         return [
-            telemetry_part(self.hand, "q_rad", -math.pi, math.pi),
-            telemetry_part(self.hand, "dq_rad_s", -30.0, 30.0),
-            telemetry_part(self.hand, "tension_N", -largest, largest),
+            *self.body_parts(),
             telemetry_part(self.hand, "tip_force_N", -50.0, 50.0),
             telemetry_part(self.hand, "contact", 0.0, 1.0),
         ]
@@ -102,7 +98,7 @@ class GraspEnv(HandEnv):
 
     def requests(self, action: Vector) -> list[str]:
         """Return the requests for new tensions of the holding digits."""
-        tension = np.round(action[len(self.names) :] * self._largest_N, 3).tolist()
+        tension = self._tensions(action).tolist()
         held = {name: value for name, value in zip(self.hand.digit_names, tension, strict=True) if value > 0.0}
         new = {name: value for name, value in held.items() if value != self._held.get(name)}
         self._held = held
@@ -110,8 +106,13 @@ class GraspEnv(HandEnv):
 
     def streamed(self, action: Vector) -> tuple[str, ...]:
         """Return the joints or digits of those digits that hold no tension."""
-        moves = np.round(action[len(self.names) :] * self._largest_N, 3) <= 0.0
+        moves = self._tensions(action) <= 0.0
         return tuple(name for name, d in zip(self.names, self._digit_of, strict=True) if moves[d])
+
+    def _tensions(self, action: Vector) -> Vector:
+        """Return the tension of each digit in an action (D,) [N], 0 or less for a digit that moves."""
+        tensions: Vector = np.round(action[len(self.names) :] * self._largest_N, 3)
+        return tensions
 
     def judge(self) -> tuple[float, bool, dict[str, Any]]:
         """Return the reward, True if the object is held or dropped, and information about the object."""

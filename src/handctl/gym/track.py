@@ -10,7 +10,7 @@ import numpy as np
 from handctl.core.types import Vector
 from handctl.errors import ConfigError
 from handctl.gym.environment import SPEED_DEG_S, HandEnv, TargetSpace
-from handctl.gym.observed import Part, telemetry_part
+from handctl.gym.observed import Part
 
 SCALE_DEG = 5.0
 """Tracking error at which the reward is half the largest reward [deg]."""
@@ -57,11 +57,8 @@ class TrackEnv(HandEnv):
 
     def parts(self) -> list[Part]:
         """Return the parts of an observation: angles and rates, tensions, references now and after the horizon."""
-        largest = 2.0 * max(tendon.tension_max_N for tendon in self.hand.tendon)
         return [
-            telemetry_part(self.hand, "q_rad", -math.pi, math.pi),
-            telemetry_part(self.hand, "dq_rad_s", -30.0, 30.0),
-            telemetry_part(self.hand, "tension_N", -largest, largest),
+            *self.body_parts(),
             Part("reference_rad", self.names, -math.pi, math.pi),
             Part("reference_ahead_rad", self.names, -math.pi, math.pi),
         ]
@@ -101,8 +98,7 @@ class TrackEnv(HandEnv):
         """Return the range of each reference value [deg], for digits or for the coordinates of joints."""
         if self._space == "digit":
             return self.low_deg, self.high_deg
-        reach = [np.degrees(digit.reach) for digit in self.model.digits]
-        low, high = np.concatenate(reach, axis=1)
+        low, high = np.degrees(self.model.reach)
         return low, high
 
     def _coordinates_of(self, q: Vector) -> Vector:
@@ -116,10 +112,5 @@ class TrackEnv(HandEnv):
 
         Coupled joints turn together.
         """
-        parts = list[Vector]()
-        first = 0
-        for digit in self.model.digits:
-            end = first + digit.coupling.shape[1]
-            parts.append(digit.coupling @ coordinates[first:end])
-            first = end
-        return np.concatenate(parts)
+        rows = zip(self.model.digits, self.model.digit_coordinates, strict=True)
+        return np.concatenate([digit.coupling @ coordinates[places] for digit, places in rows])

@@ -189,6 +189,24 @@ class DigitModel:
         return replace(self, gravity=_read_only(gravity))
 
 
+def coordinate_range(coupling: Array, limits: Array) -> Array:
+    """Return the range of each coordinate (2, n_c) that keeps all joints within their limits.
+
+    Each coordinate is alone: the others are zero. A joint that a coordinate does not move sets no limit.
+
+    Args:
+        coupling: B, (n, n_c).
+        limits: (2, n) smallest and largest joint angles, in the unit of the result.
+    """
+    ranges = []
+    for column in coupling.T:
+        moved = column != 0.0
+        each = limits[:, moved] / column[moved]
+        # A negative entry swaps the limits of its joint.
+        ranges.append((each.min(axis=0).max(initial=-np.inf), each.max(axis=0).min(initial=np.inf)))
+    return np.array(ranges).T
+
+
 def link_table(digit: Digit) -> Array:
     """Return frames and bodies of a digit's links for ``rigid_body``, (rigid_body.ROWS, n)."""
     table = np.zeros((body.ROWS, len(digit.joints)))

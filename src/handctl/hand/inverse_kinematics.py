@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handctl.hand import rigid_body as body
-from handctl.hand.digit import Array, DigitModel, Values
+from handctl.hand.digit import Array, DigitModel, Values, coordinate_range
 from handctl.hand.kinematics import points, tip_jacobian
 
 SCAN = 64
@@ -111,14 +111,7 @@ def inverse_coupled(digit: DigitModel, position: Values) -> tuple[float, float]:
 
 def coordinate_limits(digit: DigitModel) -> tuple[float, float]:
     """Return the range of a coupled digit's single coordinate within all joint limits [rad]."""
-    low = -math.inf
-    high = math.inf
-    for ratio, lower, upper in zip(digit.coupling[:, 0], digit.joint_min, digit.joint_max, strict=True):
-        # A joint with ratio 0 does not move, and sets no limit.
-        if ratio != 0.0:
-            first, last = sorted((lower / ratio, upper / ratio))
-            low = max(low, first)
-            high = min(high, last)
+    low, high = coordinate_range(digit.coupling, np.array([digit.joint_min, digit.joint_max]))[:, 0].tolist()
     return low, high
 
 

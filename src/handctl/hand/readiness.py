@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from handctl.hand.description import Hand
+from handctl.hand.digit import coordinate_range
 from handctl.hand.file.error_text import Mistake
 from handctl.hand.file.sections import Bus, Digit
 
@@ -63,13 +64,8 @@ def coordinate_range_deg(digit: Digit) -> tuple[Vector, Vector]:
     limits = np.array([digit.joint_min_deg, digit.joint_max_deg])
     if digit.coupling is None:
         return limits[0], limits[1]
-    ranges = []
-    for column in np.array(digit.coupling).T:
-        moved = column != 0.0
-        each = limits[:, moved] / column[moved]
-        # A negative entry swaps the limits of its joint.
-        ranges.append((each.min(axis=0).max(initial=-np.inf), each.max(axis=0).min(initial=np.inf)))
-    return np.array(ranges)[:, 0], np.array(ranges)[:, 1]
+    low, high = coordinate_range(np.array(digit.coupling), limits)
+    return low, high
 
 
 def _check_opening(hand: Hand, digit: Digit) -> Iterator[Mistake]:

@@ -106,13 +106,11 @@ class Mapping(NamedTuple):
         matrix: (C, V) coordinates [rad] per value [deg].
         driven: (C,) True where the stream sets the coordinate.
         digits: indices of the digits with such a coordinate.
-        reach: (2, C) lowest and highest value of each coordinate [rad].
     """
 
     matrix: Vector
     driven: NDArray[np.bool_]
     digits: tuple[int, ...]
-    reach: Vector
 
 
 @functools.lru_cache(maxsize=16)
@@ -121,10 +119,8 @@ def mapping(model: HandModel, space: str, names: tuple[str, ...]) -> Mapping:
     hand = model.hand
     values = np.zeros((model.coordinate_count, len(names)))
     digits = list[int]()
-    first = 0
-    for d, (name, digit) in enumerate(zip(hand.digit_names, model.digits, strict=True)):
-        places = slice(first, first + digit.coupling.shape[1])
-        first = places.stop
+    rows = zip(hand.digit_names, model.digits, model.digit_coordinates, strict=True)
+    for d, (name, digit, places) in enumerate(rows):
         if space == "digit" and name in names:
             values[places, names.index(name)] = 1.0
             digits.append(d)
@@ -139,8 +135,7 @@ def mapping(model: HandModel, space: str, names: tuple[str, ...]) -> Mapping:
             values[places, columns] = np.linalg.pinv(digit.coupling[given])
             digits.append(d)
     driven = np.abs(values).max(axis=1) > 1e-12
-    reach = np.concatenate([np.array(digit.reach) for digit in model.digits], axis=1)
-    return Mapping(np.radians(values), driven, tuple(digits), reach)
+    return Mapping(np.radians(values), driven, tuple(digits))
 
 
 def unsuitable(model: HandModel, request: OpenStream) -> str:

@@ -12,6 +12,7 @@ from handctl.cli.console.bench import (
     WATCHDOG_MS,
     described_drive,
     find_drive,
+    opened_rig,
     parse_options,
     restored,
 )
@@ -19,8 +20,7 @@ from handctl.cli.console.options import print_json
 from handctl.drives.contract import Drive
 from handctl.drives.discovery import DiscoveredNode
 from handctl.errors import ConfigError, PowerError
-from handctl.runtime.buses.open import check_spec, open_bus
-from handctl.runtime.clock import RealClock, give_back_priority, take_priority
+from handctl.runtime.buses.open import check_spec
 from handctl.runtime.diagnostics.conformance import (
     PROMISES,
     CheckVerdict,
@@ -29,7 +29,6 @@ from handctl.runtime.diagnostics.conformance import (
     checks,
     leave,
 )
-from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 from handctl.runtime.mailbox import bus_lock
 from handctl.session.exit_codes import Exit
 
@@ -83,12 +82,8 @@ def _checked(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tuple[
 
     Returns the checks, and True if the drive is disabled.
     """
-    clock = RealClock(PERIOD_NS)
-    bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate, clock.of)
     results: list[ConformanceCheck] = []
-    clock.spin = take_priority().realtime
-    try:
-        rig = DriveRig(drive, bus, clock)
+    with opened_rig(args, drive) as (rig, bus):
         try:
             for check in checks(DeviceUnderTest(rig, args.limit, WATCHDOG_MS / 1e3)):
                 results.append(check)
@@ -100,9 +95,6 @@ def _checked(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tuple[
             off = leave(rig, WATCHDOG_MS / 1e3, restoring if restoring is not drive else None)
             if not off and len(results) < len(PROMISES):  # ended by Ctrl-C or a bug: report it here
                 raise PowerError(LEFT_ON)
-    finally:
-        give_back_priority()
-        bus.close()
     return results, off
 
 

@@ -1,9 +1,10 @@
-"""One drive on a bench, without a hand file: its options, its look-up by a scan, and its description."""
+"""One drive on a bench, without a hand file: its options, its look-up by a scan, its description, and its ticks."""
 
 import argparse
 import dataclasses
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from pydantic import ValidationError
@@ -21,6 +22,8 @@ from handctl.hand.file.sections import Motor
 from handctl.hand.load import parse_toml
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import open_bus
+from handctl.runtime.clock import RealClock, give_back_priority, take_priority
+from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 from handctl.runtime.diagnostics.scan import Scan, listen, scan
 
 LEFT_ON = "the drive does not say that it is off: REMOVE ITS POWER"
@@ -168,3 +171,21 @@ def restored(drive: Drive, node: DiscoveredNode) -> Drive:
         ranges = drive.ranges._replace(torque=node.settings["torque_max_N_m"])
         return dataclasses.replace(drive, ranges=ranges)
     return drive
+
+
+@contextmanager
+def opened_rig(args: argparse.Namespace, drive: Drive) -> Iterator[tuple[DriveRig, Bus]]:
+    """Open the bus, and yield the drive on it, and the bus. Ticks have real-time priority where that is allowed.
+
+    Args:
+        args: arguments with ``bus`` and its bit rates.
+        drive: the drive.
+    """
+    clock = RealClock(PERIOD_NS)
+    bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate, clock.of)
+    clock.spin = take_priority().realtime
+    try:
+        yield DriveRig(drive, bus, clock), bus
+    finally:
+        give_back_priority()
+        bus.close()

@@ -12,6 +12,7 @@ from handctl.cli.console.bench import (
     WATCHDOG_MS,
     described_drive,
     find_drive,
+    opened_rig,
     parse_options,
     restored,
 )
@@ -22,11 +23,9 @@ from handctl.drives.modes import COMMAND_UNITS, DriveMode, MotionLimits
 from handctl.drives.registry import make_mode_drive
 from handctl.errors import ConfigError, PowerError
 from handctl.hand.file.sections import Motor
-from handctl.runtime.buses.open import check_spec, open_bus
-from handctl.runtime.clock import RealClock, give_back_priority, take_priority
+from handctl.runtime.buses.open import check_spec
 from handctl.runtime.diagnostics.conformance import leave
 from handctl.runtime.diagnostics.drive_jog import JogGoal, JogResult, jog
-from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 from handctl.runtime.mailbox import bus_lock
 from handctl.session.exit_codes import Exit
 
@@ -148,12 +147,8 @@ def _move(args: argparse.Namespace, goal: JogGoal, drive: Drive, torque_drive: D
 
     A stop for a fault or a limit leaves the drive latched, in its mode. Otherwise it is left in torque mode.
     """
-    clock = RealClock(PERIOD_NS)
-    bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate, clock.of)
     result: JogResult | None = None
-    clock.spin = take_priority().realtime
-    try:
-        rig = DriveRig(drive, bus, clock)
+    with opened_rig(args, drive) as (rig, bus):
         try:
             if args.clear:
                 rig.clear()
@@ -167,9 +162,6 @@ def _move(args: argparse.Namespace, goal: JogGoal, drive: Drive, torque_drive: D
             off = leave(rig, watchdog_s, torque_drive) if complete else rig.confirm_off(watchdog_s)
             if not off and result is None:  # ended by Ctrl-C or a bug: report it here
                 raise PowerError(LEFT_ON)
-    finally:
-        give_back_priority()
-        bus.close()
     return result, off
 
 

@@ -26,7 +26,7 @@ def write_goals(model: HandModel, layout: Layout, block: Block, goals: tuple[Dig
     kinds = layout.table(block, "tendon_int")[s.GOAL_KIND]
     ways = layout.table(block, "digit_int")[s.TRAJECTORY_KIND]
     way = layout.table(block, "coordinate")
-    for d, (goal, tendons, places) in enumerate(zip(goals, model.digit_tendons, _coordinates(model), strict=True)):
+    for d, (goal, tendons, places) in enumerate(zip(goals, model.digit_tendons, model.digit_coordinates, strict=True)):
         kinds[tendons] = int(_kind(goal))
         if goal.kind == Kind.TENSION and goal.trajectory is not None:
             # Sideways spool pairs hold their position while the others pull.
@@ -68,16 +68,9 @@ def sample(model: HandModel, layout: Layout, block: Block, goals: tuple[DigitGoa
 @functools.lru_cache(maxsize=16)
 def sampled(model: HandModel, goals: tuple[DigitGoal, ...]) -> tuple[tuple[Trajectory, float, slice], ...]:
     """Return trajectory, start [s] and coordinates of the sampled goals."""
-    rows = zip(goals, _coordinates(model), strict=True)
+    rows = zip(goals, model.digit_coordinates, strict=True)
     return tuple(
         (goal.trajectory, goal.since, places)
         for goal, places in rows
         if goal.trajectory is not None and not isinstance(goal.trajectory, MinimumJerk | Streamed)
     )
-
-
-@functools.lru_cache(maxsize=16)
-def _coordinates(model: HandModel) -> tuple[slice, ...]:
-    """Return the slice of each digit's coordinates among those of all digits."""
-    ends = np.cumsum([digit.coupling.shape[1] for digit in model.digits]).tolist()
-    return tuple(slice(end - digit.coupling.shape[1], end) for end, digit in zip(ends, model.digits, strict=True))

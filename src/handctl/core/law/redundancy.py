@@ -94,15 +94,3 @@ def _balance(digit: DigitModel, floor: Vector, ceiling: Vector) -> Vector:
     tension, missing = allocate(arms, np.zeros(arms.shape[1]), floor, ceiling)
     bearable = MISSING_FRACTION * float(tension.max() * np.abs(arms).mean())
     return tension if np.abs(missing).max() <= bearable else floor
-
-
-def co_contraction(digit: DigitModel, balance: Vector, least: float) -> Vector:
-    """Return the balance of a digit, scaled to a smallest tension [N].
-
-    Args:
-        digit: the digit.
-        balance: (N,) of the hand.
-        least: smallest tension of the result [N].
-    """
-    own = balance[digit.tendons]
-    return np.asarray(own * (least / own.min()))

@@ -32,7 +32,7 @@ from handctl.drives.cia402.progress import (
 from handctl.drives.contract import UNSTEADY, DriveState, DriveTarget, Phase
 from handctl.drives.frame import Frame
 from handctl.drives.motor_description import MotorDescription
-from handctl.drives.option_checks import boolean, positive_number, whole_number
+from handctl.drives.option_checks import boolean, positive_number, refuse_others, whole_number
 from handctl.drives.signals import Cyclic, Message, Table
 from handctl.errors import ConfigError
 
@@ -116,9 +116,8 @@ class Cia402Drive:
         sync = boolean(options.pop("sync", False), f"{where}.sync")
         if unit not in UNITS:
             raise ConfigError(repr(unit), f"{where}.rated_torque_unit", " or ".join(UNITS))
-        if options:
-            updated = "rated_torque_N_m, rated_torque_unit, counts_per_turn, gear_ratio, heartbeat_ms or sync"
-            raise ConfigError("unknown key", f"{where}.{next(iter(options))}", updated)
+        right = "rated_torque_N_m, rated_torque_unit, counts_per_turn, gear_ratio, heartbeat_ms or sync"
+        refuse_others(options, where, right)
         max_torque = math.ceil(motor.torque_max_N_m / ratio / rated * 1000)
         if max_torque > codec.TORQUE_TOP:
             raise ConfigError(f"{motor.torque_max_N_m:g}", f"motor[{motor.name}].torque_max_N_m", "32 x rated at most")

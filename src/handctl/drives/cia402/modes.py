@@ -65,7 +65,7 @@ class Cia402ModeDrive(Cia402Drive):
 
     def _rest(self, state: DriveState) -> float:
         """Return the command that causes no motion: the present position, or zero velocity."""
-        return state.position if self.mode == DriveMode.POSITION else 0.0
+        return self.mode.rest(state.position)
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
         """Return no frame, because the RPDO has no torque in this mode."""

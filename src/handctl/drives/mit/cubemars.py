@@ -17,13 +17,14 @@ section 5.3.
 
 import math
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from handctl.drives.causes import Cause
 from handctl.drives.contract import NEVER_NS, UNSTEADY, DriveState, DriveTarget, Phase
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
 from handctl.drives.motor_description import MotorDescription
+from handctl.drives.option_checks import check_full_scale, refuse_others, take_model
 from handctl.drives.signals import Cyclic, Quantity, Signal, Table
 from handctl.errors import ConfigError
 
@@ -160,19 +161,12 @@ class CubemarsDrive:
         """
         options = dict(motor.options)
         where = f"motor[{motor.name}]"
-        model: Any = options.pop("motor_type", None)
-        if model not in MODELS:
-            problem = "missing" if model is None else repr(model)
-            raise ConfigError(problem, f"{where}.options.motor_type", "one of " + ", ".join(MODELS))
+        ranges = take_model(options, where, MODELS)
         temperature_offset = options.pop("temperature_offset_C", COLDEST_C)
         if isinstance(temperature_offset, bool) or temperature_offset not in (COLDEST_C, 0.0):
             raise ConfigError(repr(temperature_offset), f"{where}.options.temperature_offset_C", f"{COLDEST_C:g} or 0")
-        if options:
-            updated = "motor_type or temperature_offset_C"
-            raise ConfigError("unknown key", f"{where}.options.{next(iter(options))}", updated)
-        ranges = MODELS[model]
-        if motor.torque_max_N_m > ranges.torque:
-            raise ConfigError(f"{motor.torque_max_N_m:g}", f"{where}.torque_max_N_m", f"at most {ranges.torque:g}")
+        refuse_others(options, f"{where}.options", "motor_type or temperature_offset_C")
+        check_full_scale(motor, ranges)
         torque_limit = motor.torque_max_N_m
         zero = motor.zero_rad
         return CubemarsDrive(

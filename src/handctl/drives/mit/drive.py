@@ -29,7 +29,7 @@ from handctl.drives.mit.progress import (
     to_fault,
 )
 from handctl.drives.motor_description import MotorDescription
-from handctl.drives.option_checks import boolean
+from handctl.drives.option_checks import boolean, refuse_others
 from handctl.drives.readback import Cursor
 from handctl.drives.signals import Cyclic, Table
 from handctl.errors import ConfigError
@@ -95,8 +95,7 @@ class MitDrive:
         where = f"motor[{motor.name}].options"
         reply = options.pop("reply_id", motor.node_id + 0x10)
         fd = boolean(options.pop("fd", False), f"{where}.fd")
-        if options:
-            raise ConfigError("unknown key", f"{where}.{next(iter(options))}", "reply_id or fd")
+        refuse_others(options, where, "reply_id or fd")
         if type(reply) is not int or not 0 < reply < codec.BROADCAST_ID:
             raise ConfigError(repr(reply), f"{where}.reply_id", "an identifier from 1 to 0x7fe")
         return MitDrive(

@@ -28,6 +28,7 @@ from handctl.drives.moteus.progress import (
     to_fault,
 )
 from handctl.drives.motor_description import MotorDescription
+from handctl.drives.option_checks import refuse_others
 from handctl.drives.readback import Cursor
 from handctl.drives.signals import Cyclic, Table
 from handctl.errors import ConfigError
@@ -86,9 +87,7 @@ class MoteusDrive:
         """
         if not 0 < motor.node_id <= codec.LAST_NODE:
             raise ConfigError(str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {codec.LAST_NODE}")
-        if motor.options:
-            where = f"motor[{motor.name}].options.{next(iter(motor.options))}"
-            raise ConfigError("unknown key", where, "no such key: moteus has no options")
+        refuse_others(motor.options, f"motor[{motor.name}].options", "no such key: moteus has no options")
         return MoteusDrive(
             name=motor.name,
             bus=bus,

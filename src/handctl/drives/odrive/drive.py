@@ -34,6 +34,7 @@ from handctl.drives.odrive.progress import (
     start_disabling,
     to_fault,
 )
+from handctl.drives.option_checks import refuse_others
 from handctl.drives.readback import Cursor
 from handctl.drives.signals import Cyclic, Table
 from handctl.errors import ConfigError
@@ -101,8 +102,7 @@ class OdriveDrive:
             raise ConfigError(str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {codec.LAST_NODE}")
         parsed = pop_options(options, where)
         settings = endpoints.pop_settings(options, where, motor.watchdog_ms / 1e3, motor.torque_max_N_m / parsed.ratio)
-        if options:
-            raise ConfigError("unknown key", f"{where}.{next(iter(options))}", OPTION_NAMES)
+        refuse_others(options, where, OPTION_NAMES)
         return OdriveDrive(
             name=motor.name,
             bus=bus,

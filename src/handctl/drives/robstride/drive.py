@@ -8,14 +8,13 @@ because no other request is answered by feedback.
 """
 
 from dataclasses import dataclass, field
-from typing import Any
 
 from handctl.drives import readback
 from handctl.drives.causes import Cause
 from handctl.drives.contract import UNSTEADY, DriveState, DriveTarget, Phase
 from handctl.drives.frame import EXTENDED, Frame
 from handctl.drives.motor_description import MotorDescription
-from handctl.drives.option_checks import whole_number
+from handctl.drives.option_checks import check_full_scale, refuse_others, take_model, whole_number
 from handctl.drives.readback import Cursor
 from handctl.drives.robstride import codec
 from handctl.drives.robstride import settings as parameters
@@ -95,18 +94,12 @@ class RobstrideDrive:
         """
         options = dict(motor.options)
         where = f"motor[{motor.name}]"
-        model: Any = options.pop("motor_type", None)
-        if model not in codec.MODELS:
-            problem = "missing" if model is None else repr(model)
-            raise ConfigError(problem, f"{where}.options.motor_type", "one of " + ", ".join(codec.MODELS))
+        ranges = take_model(options, where, codec.MODELS)
         host = whole_number(options.pop("host_id", codec.HOST), f"{where}.options.host_id", codec.HOST)
-        if options:
-            raise ConfigError("unknown key", f"{where}.options.{next(iter(options))}", "motor_type or host_id")
+        refuse_others(options, f"{where}.options", "motor_type or host_id")
         if host <= codec.LAST_NODE:
             raise ConfigError(str(host), f"{where}.options.host_id", "128 to 253, no number of a motor")
-        ranges = codec.MODELS[model]
-        if motor.torque_max_N_m > ranges.torque:
-            raise ConfigError(f"{motor.torque_max_N_m:g}", f"{where}.torque_max_N_m", f"at most {ranges.torque:g}")
+        check_full_scale(motor, ranges)
         return RobstrideDrive(
             name=motor.name,
             bus=bus,

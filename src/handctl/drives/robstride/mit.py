@@ -25,7 +25,6 @@ Source: docs/facts/robstride.md, section MIT mode.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 from handctl.drives.causes import Cause
 from handctl.drives.contract import DriveState, DriveTarget, Phase
@@ -33,7 +32,7 @@ from handctl.drives.frame import Frame
 from handctl.drives.mit import codec as mit
 from handctl.drives.mit.cubemars import ANSWERS, QUIET, CubemarsDrive, CubemarsProgress
 from handctl.drives.motor_description import MotorDescription
-from handctl.drives.option_checks import whole_number
+from handctl.drives.option_checks import check_full_scale, refuse_others, take_model, whole_number
 from handctl.drives.robstride import codec
 from handctl.drives.robstride.progress import cause_of, fault_text
 from handctl.drives.signals import Coding, Quantity, Signal, Table
@@ -96,22 +95,16 @@ class RobstrideMitDrive(CubemarsDrive):
         """
         options = dict(motor.options)
         where = f"motor[{motor.name}]"
-        model: Any = options.pop("motor_type", None)
-        if model not in MODELS:
-            problem = "missing" if model is None else repr(model)
-            raise ConfigError(problem, f"{where}.options.motor_type", "one of " + ", ".join(MODELS))
+        ranges = take_model(options, where, MODELS)
         if not 0 < motor.node_id <= codec.LAST_NODE:
             raise ConfigError(str(motor.node_id), f"{where}.node_id", f"1 to {codec.LAST_NODE}")
         host = options.pop("host_id", motor.node_id + HOST_OFFSET)
         if host != FACTORY_HOST:
             host = whole_number(host, f"{where}.options.host_id", codec.LAST_NODE)
-        if options:
-            raise ConfigError("unknown key", f"{where}.options.{next(iter(options))}", "motor_type or host_id")
+        refuse_others(options, f"{where}.options", "motor_type or host_id")
         if host == motor.node_id:
             raise ConfigError(str(host), f"{where}.options.host_id", "another number than node_id")
-        ranges = MODELS[model]
-        if motor.torque_max_N_m > ranges.torque:
-            raise ConfigError(f"{motor.torque_max_N_m:g}", f"{where}.torque_max_N_m", f"at most {ranges.torque:g}")
+        check_full_scale(motor, ranges)
         return RobstrideMitDrive(
             name=motor.name,
             bus=bus,
