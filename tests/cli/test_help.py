@@ -217,3 +217,9 @@ def test_a_line_of_a_run_names_the_tendons(capsys, monkeypatch):
     monkeypatch.setattr(sys, "stdin", io.StringIO(json.dumps(line) + "\n"))
     display._print_lines(head)
     assert capsys.readouterr().out.endswith("tension [N]  thumb 3.0  index 12.2\n")
+
+
+def test_the_package_runs_as_a_module() -> None:
+    done = subprocess.run([sys.executable, "-m", "handctl", "--version"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.count(".") == 2
