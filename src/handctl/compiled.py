@@ -36,8 +36,13 @@ arrayobj: Any = _arrayobj
 """Code generation of numba. It has no type information."""
 F = TypeVar("F", bound=Callable[..., Any])
 
-SOURCES = ("compiled.py", "core", "drives", "hand", "safety")
-"""Files and folders of this package whose functions and constants kernels are made of."""
+SOURCES = (
+    "compiled.py", "core", "safety",
+    "drives/frame.py", "drives/records.py", "drives/sensors/node.py", "drives/signals.py",
+    "hand/rigid_body.py", "hand/tendons.py",
+)  # fmt: skip
+"""Files and folders of this package whose functions and constants kernels are made of. A test follows each kernel to
+the modules of its constants. A change of any other file compiles nothing anew."""
 MAX_FOLDERS = 16
 """Maximum number of versions whose code is stored. Older versions are deleted."""
 MAX_WORKERS = 8

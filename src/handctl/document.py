@@ -3,7 +3,6 @@
 Every mistake becomes one line with file, key path, value, and expected value.
 """
 
-import difflib
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from handctl.errors import ConfigError
 from handctl.hand.file.error_text import key_path, shown
 from handctl.hand.load import read_toml
+from handctl.printing import similar_name
 
 
 class Document(BaseModel):
@@ -99,8 +99,8 @@ def _without_tags(content: Any, location: Sequence[str | int], kind: str) -> tup
 
 def _nearest(key: str, model: type[BaseModel]) -> str:
     valid = sorted(_all_keys(model))
-    near = difflib.get_close_matches(key, valid, n=1)
-    return f"{near[0]}?" if near else "one of the documented keys"
+    near = similar_name(key, valid)
+    return f"{near}?" if near else "one of the documented keys"
 
 
 def _all_keys(annotation: Any) -> set[str]:

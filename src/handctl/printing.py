@@ -4,6 +4,7 @@ Characters that are not printable are escaped as in Python source: control chara
 direction, and lone surrogates.
 """
 
+import difflib
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -11,6 +12,8 @@ from typing import Any, cast
 
 LONGEST_MESSAGE = 500
 """Maximum length of a message [characters]."""
+LONGEST_WORD = 60
+"""Maximum length of a word that is compared with names or quoted [characters]."""
 LEFT_OUT = " [...] "
 """Replaces the middle of a longer message."""
 
@@ -35,6 +38,18 @@ def _escape(character: str) -> str:
 def printable(text: str, most: int = 200) -> str:
     """Escape text and cut it after ``most`` characters."""
     return escaped(text[:most]) + ("..." if len(text) > most else "")
+
+
+def similar_name(word: str, names: Iterable[str], cutoff: float = 0.6) -> str:
+    """Return the name that is most similar to a word, empty if no name is similar.
+
+    Args:
+        word: a word that was typed or read, of any length.
+        names: the valid names.
+        cutoff: lowest similarity, from 0 (none) to 1 (equal).
+    """
+    near = difflib.get_close_matches(word[:LONGEST_WORD], list(names), n=1, cutoff=cutoff)
+    return near[0] if near else ""
 
 
 def message(text: str, most: int = LONGEST_MESSAGE) -> str:

@@ -3,7 +3,6 @@
 import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -16,6 +15,7 @@ from handctl.hand.file.error_text import Mistake, grouped, in_file, shown, valid
 from handctl.hand.file.sections import Digit, Section, Tendon
 from handctl.hand.file.templates import RESOLVED, WRITTEN, Origins, of_default, resolve
 from handctl.hand.readiness import unready
+from handctl.printing import similar_name
 
 SCHEMAS = (RESOLVED, WRITTEN)
 """Supported versions of the hand file's format."""
@@ -54,8 +54,8 @@ def hand_path(name_or_path: str | Path) -> Path:
         return HANDS / f"{name_or_path}.toml"
     path = Path(name_or_path)
     if not path.is_file():
-        near = get_close_matches(str(name_or_path), names, n=1)
-        raise ConfigError("no such hand or file", str(path), (f"{near[0]}? or " if near else "") + _valid_names(names))
+        near = similar_name(str(name_or_path), names)
+        raise ConfigError("no such hand or file", str(path), (f"{near}? or " if near else "") + _valid_names(names))
     return path
 
 

@@ -8,19 +8,16 @@ import argparse
 import re
 import textwrap
 from collections.abc import Iterable, Sequence
-from difflib import get_close_matches
 from typing import Any, NamedTuple, NoReturn
 
 from handctl.cli.parsing.renamed import new_spelling
 from handctl.errors import ConfigError
-from handctl.printing import printable
+from handctl.printing import LONGEST_WORD, printable, similar_name
 
 END_AS_VALUE = re.compile(r"(--?[^=]+)=--")
 """Pattern for an option with the value ``--``. argparse would remove this value and fail without a message."""
 INVALID_CHOICE = re.compile(r"invalid choice: '(?P<word>.*)' \(choose from (?P<choices>.*)\)", re.DOTALL)
 """Pattern for argparse's message about a word that is not an allowed choice."""
-LONGEST_WORD = 60
-"""Largest number of characters of a word in a message."""
 
 SIMULATED_HAND = "handctl sim --hand jamia --bus local:demo"
 RUNNING_HAND = "handctl run --hand jamia --bus local:demo"
@@ -136,8 +133,8 @@ def _quote_word(word: str) -> str:
 
 def did_you_mean(word: str, names: Iterable[str]) -> str:
     """Return a question that suggests the most similar name, empty if no name is similar."""
-    near = get_close_matches(word[:LONGEST_WORD], list(names), n=1)
-    return f", did you mean {near[0]}?" if near else ""
+    near = similar_name(word, names)
+    return f", did you mean {near}?" if near else ""
 
 
 def add_sub_verb(sub_verbs: "argparse._SubParsersAction[Parser]", name: str, text: str, example: Example) -> "Parser":

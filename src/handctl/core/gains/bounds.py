@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import cache
 from typing import Any, cast
 
@@ -11,6 +10,7 @@ from annotated_types import Ge, Gt, Le
 from handctl.core.gains.gains import Gains
 from handctl.document import Document, validated
 from handctl.errors import ConfigError
+from handctl.printing import similar_name
 
 SECTIONS = ("filter", "motion", "tension", "contact")
 LIVE = ("motion", "tension", "contact")
@@ -115,8 +115,8 @@ def checked(key: str, value: float, source: str) -> Bound:
     """
     known = bounds().get(key)
     if known is None:
-        near = get_close_matches(key, bounds(), n=1, cutoff=0.5)
-        right = f"{near[0]}?" if near else "one of those that handctl gains show lists"
+        near = similar_name(key, bounds(), cutoff=0.5)
+        right = f"{near}?" if near else "one of those that handctl gains show lists"
         raise ConfigError("no such gain", f"{source}: {key}", right)
     inside = known.low < value if known.open_low else known.low <= value
     if not (inside and value <= known.high) or (known.whole and value != int(value)):

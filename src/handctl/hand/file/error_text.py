@@ -1,6 +1,5 @@
 """Mistakes in a file, each with key path, invalid value, and a valid value."""
 
-import difflib
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -9,6 +8,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from handctl.errors import ConfigError
+from handctl.printing import similar_name
 
 
 class Mistake(NamedTuple):
@@ -195,5 +195,4 @@ def _models_in(annotation: Any) -> list[type[BaseModel]]:
 
 def nearest(key: str, valid: list[str]) -> str:
     """Return the most similar valid key, or all valid keys."""
-    near = difflib.get_close_matches(key, valid, n=1)
-    return near[0] if near else "one of " + ", ".join(valid)
+    return similar_name(key, valid) or "one of " + ", ".join(valid)
