@@ -41,18 +41,32 @@ def _exchange_objects(peer: Peer, t_ns: int, records: Records) -> Records:
     return frames_of(Frame(*reply) for reply in peer.step(t_ns, list(Frames(records)))).records
 
 
+def load_entry(entry: str, user: str) -> Callable[..., Any]:
+    """Return a class or function of the simulator by its name ``module:name``.
+
+    Args:
+        entry: its name.
+        user: what needs it, for the message.
+
+    Raises:
+        ConfigError: it does not exist, or its optional package is not installed.
+    """
+    module, _, name = entry.partition(":")
+    try:
+        loaded: Callable[..., Any] = getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError) as error:
+        missing = missing_extra(user, error) if isinstance(error, ImportError) else None
+        raise missing or ConfigError(f"cannot load the lockstep peer: {error}", entry, "module:Class") from None
+    return loaded
+
+
 def load_peer(entry: str, **options: object) -> Peer:
     """Load a simulator class from ``module:Class``, and return an object of the class.
 
     Raises:
         ConfigError: the module or class does not exist, or the class refuses the options.
     """
-    module, _, name = entry.partition(":")
-    try:
-        factory = getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError) as error:
-        missing = missing_extra("the simulated hand", error) if isinstance(error, ImportError) else None
-        raise missing or ConfigError(f"cannot load the lockstep peer: {error}", entry, "module:Class") from None
+    factory = load_entry(entry, "the simulated hand")
     try:
         peer: Peer = factory(**options)
     except (ValueError, OSError) as error:

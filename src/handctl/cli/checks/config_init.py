@@ -4,6 +4,7 @@ import argparse
 import sys
 from collections.abc import Callable
 from dataclasses import fields, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from handctl.cli.console.options import print_json, say
@@ -61,27 +62,33 @@ QUESTIONS = (
     Question("strength_N", "Rated breaking force of the tendons [N]", float, "a number"),
 )
 """All questions, in order. A question is skipped if an option answers it."""
+ONLY_IMPORTED = ("cells", "encoders", "springs", "first_node")
+"""Options for a hand that is imported from a robot description."""
 IN_PROPORTION = {"palm_mm": "palm", "pulley_mm": "pulley"}
 """Attribute with the default of a field in proportion to other answers."""
 
 
 def run(args: argparse.Namespace) -> int:
     """Ask the questions not answered by options, and write the hand file and its schema."""
+    if args.urdf or args.mjcf:
+        from handctl.cli.checks.config_import import run as from_description
+
+        return from_description(args)
+    for option in ONLY_IMPORTED:
+        if getattr(args, option) is not None:
+            raise ConfigError("only for an imported hand", f"--{option.replace('_', '-')}", "--urdf or --mjcf with it")
     given = {one.name: getattr(args, one.name) for one in fields(Answers)}
     answers = replace(Answers(), **{name: value for name, value in given.items() if value is not None})
     if not args.yes:
         answers = _ask(args, answers)
     check_answers(answers)
-    schema = args.output.parent / SCHEMA_FILE
     traits = PROTOCOLS[answers.protocol]
     text = f"#:schema {SCHEMA_FILE}\n" + new_hand_text(answers, traits.options, traits.can_fd)
     found = inspect(parse_toml(text, str(args.output)))
     if found.mistakes or found.hand is None:
         raise found.mistakes[0].error("the answers")
     warnings = [*palm_warnings(answers), *grasp_warnings(found.hand)]
-    write_whole(args.output, text, new=True)
-    if not schema.exists():
-        write_whole(schema, hand_schema_text(), new=True)
+    schema = write_with_schema(args.output, text)
     assumed = sum("ASSUMED" in line for line in text.splitlines()) - 1
     if args.json:
         print_json({"output": str(args.output), "schema": str(schema), "assumed": assumed, "warnings": warnings})
@@ -93,25 +100,43 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def write_with_schema(output: Path, text: str) -> Path:
+    """Write a new hand file, and the JSON Schema beside it if there is none. Return the path of the schema."""
+    schema = output.parent / SCHEMA_FILE
+    write_whole(output, text, new=True)
+    if not schema.exists():
+        write_whole(schema, hand_schema_text(), new=True)
+    return schema
+
+
+def check_terminal() -> None:
+    """Check that an operator can answer questions.
+
+    Raises:
+        ConfigError: standard input is not a terminal.
+    """
+    if not (sys.stdin and sys.stdin.isatty()):
+        raise ConfigError("nobody can answer the questions: no terminal", "config init", "--yes, and options")
+
+
 def _ask(args: argparse.Namespace, answers: Answers) -> Answers:
     """Ask the questions not answered by options. An empty answer selects the default.
 
     Raises:
         ConfigError: standard input is not a terminal, so no operator can answer.
     """
-    if not (sys.stdin and sys.stdin.isatty()):
-        raise ConfigError("nobody can answer the questions: no terminal", "config init", "--yes, and options")
+    check_terminal()
     for question in QUESTIONS:
         if getattr(args, question.field) is not None:
             continue
         default = getattr(answers, IN_PROPORTION.get(question.field, question.field))
         shown = ",".join(f"{one:g}" for one in default) if isinstance(default, tuple) else str(default)
         shown = f"{default:.3g}" if isinstance(default, float) else shown
-        answers = replace(answers, **{question.field: _answer(question, shown, default)})
+        answers = replace(answers, **{question.field: answer(question, shown, default)})
     return answers
 
 
-def _answer(question: Question, shown: str, default: Any) -> Any:
+def answer(question: Question, shown: str, default: Any) -> Any:
     """Repeat a question until the answer is valid, and return the answer."""
     while True:
         text = input(f"{question.text} [{shown}]: ").strip()

@@ -28,6 +28,8 @@ def _needs_simulator(verb: str, args: argparse.Namespace) -> bool:
     """Return True if a command line starts a simulated hand."""
     if verb in ("demo", "sim") or getattr(args, "lockstep", False):
         return True
+    if verb == "config":
+        return bool(args.what == "init" and (args.urdf or args.mjcf))
     if verb == "paper":  # results of earlier experiments are read from their file
         return not (args.quick or (args.results and args.results.exists()))
     return (verb == "fault" and args.action in ("campaign", "sequences")) or (verb == "tune" and args.kind == "search")

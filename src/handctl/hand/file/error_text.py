@@ -8,6 +8,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from handctl.errors import ConfigError
+from handctl.hand.file.quantities import TODO
 from handctl.printing import similar_name
 
 
@@ -67,6 +68,8 @@ def validation_mistakes(error: ValidationError, model: type[BaseModel], content:
         elif detail["type"] != "extra_forbidden":
             context = {"right": detail["msg"], **detail.get("ctx", {})}
             right = EXPECTED.get(detail["type"], "{right}").format(**context)
+            if detail["input"] == TODO:
+                right += _meaning(_field(location, model))
             found.append(Mistake(shown(detail["input"]), where, right))
     return found
 
@@ -86,8 +89,18 @@ def _missing(location: Sequence[str | int], model: type[BaseModel]) -> str:
         is_list = not isinstance(field.annotation, type)
         form = f"[[{name}]] sections" if is_list else f"a section [{name}]"
         form += f", or {name}.NAME in each digit" if name in WITHIN_DIGITS else ""
-    text = (field.description or "").partition(". ")[0].rstrip(".").replace("\n", " ")
-    return f"{form}: {text}" if text else form
+    return form + _meaning(field)
+
+
+def _meaning(field: FieldInfo | None) -> str:
+    """Return the first sentence of the description of a key after a colon, empty without a description."""
+    text = first_sentence((field.description if field else None) or "")
+    return f": {text}" if text else ""
+
+
+def first_sentence(description: str) -> str:
+    """Return the first sentence of the description of a key, in one line without its full stop."""
+    return " ".join(re.split(r"\.\s", description, maxsplit=1)[0].rstrip(".").replace("``", "").split())
 
 
 def _field(location: Sequence[str | int], model: type[BaseModel]) -> FieldInfo | None:

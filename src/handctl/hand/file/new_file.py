@@ -303,10 +303,10 @@ position_range_rad = 12.5          # as in the drive's registers
 velocity_range_rad_s = 50.0        # as in the drive's registers
 direction = 1                      # 1 if positive torque winds; handctl commission checks it
 zero_rad = 0.0
-watchdog_ms = 50{_options_line(answers.protocol, options)}"""
+watchdog_ms = 50{options_line(answers.protocol, options)}"""
 
 
-def _options_line(protocol: str, options: Mapping[str, Any]) -> str:
+def options_line(protocol: str, options: Mapping[str, Any]) -> str:
     """Return the line of the drive options, empty for a protocol without options."""
     if protocol == "odrive":
         return "\n# options: the endpoints of your firmware, from its flat_endpoints.json; config check names them"

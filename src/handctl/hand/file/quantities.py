@@ -14,6 +14,8 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 NAME_PATTERN = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 """Valid names of digits, tendons, motors, and buses."""
+TODO = "TODO"
+"""Value that stands for one that has to be measured or chosen yet. No key accepts it."""
 
 
 def wrong(right: str) -> PydanticCustomError:
@@ -101,7 +103,7 @@ def _check_direction(value: Any) -> int:
 
 def _check_name(value: Any) -> str:
     """Validate a name."""
-    if not isinstance(value, str) or not NAME_PATTERN.fullmatch(value):
+    if not isinstance(value, str) or not NAME_PATTERN.fullmatch(value) or value == TODO:
         raise wrong("a name of letters, digits and _ that begins with a letter")
     return value
 

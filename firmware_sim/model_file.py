@@ -1,0 +1,337 @@
+"""Tree of links in a robot description, URDF or MJCF, read by MuJoCo. The result has plain values only."""
+
+import warnings
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import mujoco  # type: ignore[import-untyped,unused-ignore]
+import numpy as np
+
+from firmware_sim.description import SimulatorError
+from firmware_sim.printing import one_line
+
+ROOTS = {"urdf": "robot", "mjcf": "mujoco"}
+"""First element of each format."""
+NAMED = (".urdf", ".xml")
+"""Endings of the files that MuJoCo reads."""
+URDF_JOINTS = ("revolute", "continuous", "fixed")
+"""Joint types of URDF that a hand can have."""
+OTHER_JOINTS = {
+    mujoco.mjtJoint.mjJNT_FREE: "a floating joint",
+    mujoco.mjtJoint.mjJNT_BALL: "a ball joint",
+    mujoco.mjtJoint.mjJNT_SLIDE: "a prismatic joint",
+}
+"""Joint types of MuJoCo that a hand cannot have."""
+ROUND = (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_SPHERE)
+"""Shapes with a radius. The first of them that a link has gives the radius of the link."""
+CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+"""Corners of a box with the half extents 1."""
+
+
+def read_model_file(path: str, kind: str) -> dict[str, Any]:
+    """Read the tree of links of a hand.
+
+    All poses are those with the joints at angle zero, which is the pose in the file. Bodies that are
+    fixed to each other are one link. The frame of a link has its origin in the joint.
+
+    Args:
+        path: the file.
+        kind: ``urdf`` or ``mjcf``.
+
+    Returns:
+        Plain values:
+
+        - ``name``: name of the model.
+        - ``gravity``: (3,) in the root frame [m/s2], None if the format has none.
+        - ``palm``: named frames on the root, by name (3,) [m].
+        - ``links``: one table per joint, see ``_link``, parents first.
+        - ``tendons``: name, arms by joint [m], motor or None, and largest tension or None [N].
+        - ``notes``: one line for each part of the file that was not read.
+
+    Raises:
+        SimulatorError: the file is not readable, or describes no tree of hinges with inertia.
+    """
+    root = _root(path, kind)
+    if kind == "urdf":
+        _check_joint_types(root, path)
+    notes: list[str] = []
+    model = _compiled(path, kind, notes)
+    _check_structure(model, path)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    roots = [body for body in range(1, model.nbody) if model.body_jntnum[body]]
+    links = [_link(model, data, roots, body, path) for body in roots]
+    return {
+        "name": root.get("name") or root.get("model") or Path(path).stem,
+        "gravity": model.opt.gravity.tolist() if kind == "mjcf" else None,
+        "palm": _frames(model, data, 0, np.zeros(3), np.eye(3)),
+        "links": links,
+        "tendons": _tendons(model, notes),
+        "notes": notes,
+    }
+
+
+def _root(path: str, kind: str) -> ET.Element:
+    """Parse the XML and check its first element."""
+    try:
+        root = ET.parse(path).getroot()
+    except OSError as error:
+        raise SimulatorError(f"{path}: cannot be read: {error.strerror}; expected a readable file") from None
+    except (ET.ParseError, UnicodeError, ValueError) as error:
+        raise SimulatorError(f"{path}: not XML: {error}; expected {_form(kind)}") from None
+    if any("xacro" in str(part.tag) for part in root.iter()):
+        raise SimulatorError(f"{path}: xacro; expected the URDF that the command xacro makes of it")
+    if root.tag != ROOTS[kind]:
+        other = next((f": give it with --{name}" for name, tag in ROOTS.items() if tag == root.tag), "")
+        raise SimulatorError(f"{path}: its first element is <{root.tag}>; expected {_form(kind)}{other}")
+    return root
+
+
+def _form(kind: str) -> str:
+    return f"{kind.upper()}, with the first element <{ROOTS[kind]}>"
+
+
+def _check_joint_types(root: ET.Element, path: str) -> None:
+    """Refuse joints of an URDF that a hand cannot have. MuJoCo would take some of them for others."""
+    for joint in root.iter("joint"):
+        kind = joint.get("type")
+        if kind is not None and kind not in URDF_JOINTS:
+            what = f"joint {joint.get('name')} is {kind}"
+            raise SimulatorError(f"{path}: {what}; expected {', '.join(URDF_JOINTS)}")
+        if joint.find("mimic") is not None:
+            what = f"joint {joint.get('name')} mimics another"
+            right = "independent joints; the hand file couples them by the key coupling"
+            raise SimulatorError(f"{path}: {what}; expected {right}")
+
+
+def _compiled(path: str, kind: str, notes: list[str]) -> Any:
+    """Compile the file without merging fixed bodies. Shapes of unreadable meshes are left out."""
+    try:
+        spec = _parsed(path)
+        spec.compiler.fusestatic = False
+        spec.compiler.discardvisual = False
+        if kind == "urdf":
+            # Shapes of an URDF are not its inertia.
+            spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
+        try:
+            return _model(spec)
+        except ValueError as error:
+            if not _remove_meshes(spec):
+                raise
+            model = _model(spec)
+            notes.append(f"meshes are not read: {_first_line(error)}")
+            return model
+    except (UnicodeError, ValueError) as error:
+        raise SimulatorError(f"{path}: {_first_line(error)}") from None
+
+
+def _model(spec: Any) -> Any:
+    """Compile without warnings. They are about the dynamics, and one of them spoils the line of an error."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return spec.compile()
+
+
+def _parsed(path: str) -> Any:
+    """Parse the file. MuJoCo reads files of other names only as a text."""
+    if Path(path).suffix in NAMED:
+        return mujoco.MjSpec.from_file(path)
+    spec = mujoco.MjSpec.from_string(Path(path).read_text(encoding="utf-8"))
+    spec.modelfiledir = str(Path(path).parent)
+    return spec
+
+
+def _remove_meshes(spec: Any) -> bool:
+    """Remove all shapes of meshes, and all images. Return False if there are none."""
+    shapes = [geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH]
+    parts = [*shapes, *spec.meshes, *spec.textures]
+    for geom in spec.geoms:
+        geom.material = ""
+    for part in [*parts, *spec.materials]:
+        spec.delete(part)
+    return bool(parts)
+
+
+def _first_line(error: Exception) -> str:
+    """Return an error of MuJoCo in one line."""
+    text = " ".join(str(error).split()).removeprefix("Error: ")
+    if "moving bodies" in text:
+        text += "; expected a mass and an inertia for each link that moves"
+    return one_line(text)
+
+
+def _check_structure(model: Any, path: str) -> None:
+    """Check for a tree of hinges, one for each body that moves."""
+    if model.njnt == 0:
+        raise SimulatorError(f"{path}: no joints; expected a hand with hinges")
+    for joint in range(model.njnt):
+        other = OTHER_JOINTS.get(mujoco.mjtJoint(int(model.jnt_type[joint])))
+        if other:
+            raise SimulatorError(f"{path}: {_joint_name(model, joint)} is {other}; expected hinges")
+    for body in range(model.nbody):
+        if model.body_jntnum[body] > 1:
+            what = f"body {model.body(body).name} has {model.body_jntnum[body]} joints"
+            raise SimulatorError(f"{path}: {what}; expected one hinge for each body, with a body of some mass between")
+    if model.neq:
+        what = f"the equality {model.equality(0).name or '0'} closes a loop or couples joints"
+        raise SimulatorError(f"{path}: {what}; expected a tree; the hand file couples joints by the key coupling")
+
+
+def _joint_name(model: Any, joint: int) -> str:
+    return model.joint(joint).name or f"joint_{joint + 1}"
+
+
+def _members(model: Any, root: int) -> list[int]:
+    """Return the bodies that are fixed to a body, with itself."""
+    return [body for body in range(model.nbody) if model.body_weldid[body] == root]
+
+
+def _link(model: Any, data: Any, roots: list[int], body: int, path: str) -> dict[str, Any]:
+    """Return one link.
+
+    Returns:
+        Plain values:
+
+        - ``name`` of the body and ``joint``: name of its joint.
+        - ``parent``: position of the parent among the links, -1 for the root.
+        - ``position`` (3,) [m] and ``rotation`` (3, 3) in the frame of the parent.
+        - ``axis``: (3,) in the frame of the link.
+        - ``range``: (2,) [rad], None without limits.
+        - ``damping``, ``armature``, ``stiffness`` of the joint, and ``rest``: angle of the free spring [rad].
+        - ``mass`` [kg], ``com`` (3,) [m], ``inertia`` (3, 3) about the centre of mass [kg m2].
+        - ``frames``: named frames by name, (3,) [m].
+        - ``points``: corners of the boxes around its shapes, (n, 3) [m].
+        - ``radius``: half width of its shapes [m], None without shapes.
+    """
+    joint = int(model.body_jntadr[body])
+    dof = int(model.jnt_dofadr[joint])
+    origin = data.xanchor[joint].copy()
+    turn = data.xmat[body].reshape(3, 3).copy()
+    above = int(model.body_weldid[model.body_parentid[body]])
+    parent_origin, parent_turn = np.zeros(3), np.eye(3)
+    if above:
+        parent_origin = data.xanchor[model.body_jntadr[above]]
+        parent_turn = data.xmat[above].reshape(3, 3)
+    zero = float(model.qpos0[model.jnt_qposadr[joint]])
+    mass, com, inertia = _inertia(model, data, _members(model, body), origin, turn)
+    if mass <= 0.0:
+        raise SimulatorError(f"{path}: link {model.body(body).name} has no mass; expected its mass and its inertia")
+    points, radius = _shapes(model, data, _members(model, body), origin, turn)
+    return {
+        "name": model.body(body).name,
+        "joint": _joint_name(model, joint),
+        "parent": roots.index(above) if above else -1,
+        "position": (parent_turn.T @ (origin - parent_origin)).tolist(),
+        "rotation": (parent_turn.T @ turn).tolist(),
+        "axis": (turn.T @ data.xaxis[joint]).tolist(),
+        "range": (model.jnt_range[joint] - zero).tolist() if model.jnt_limited[joint] else None,
+        "damping": float(np.ravel(model.dof_damping[dof])[0]),
+        "armature": float(model.dof_armature[dof]),
+        "stiffness": float(np.ravel(model.jnt_stiffness[joint])[0]),
+        "rest": float(model.qpos_spring[model.jnt_qposadr[joint]]) - zero,
+        "mass": mass,
+        "com": com,
+        "inertia": inertia,
+        "frames": _frames(model, data, body, origin, turn),
+        "points": points,
+        "radius": radius,
+    }
+
+
+def _inertia(
+    model: Any, data: Any, members: list[int], origin: Any, turn: Any
+) -> tuple[float, list[float], list[list[float]]]:
+    """Return mass, centre of mass and inertia about it, in a link's frame, of bodies fixed to each other."""
+    masses = model.body_mass[members]
+    mass = float(masses.sum())
+    if mass <= 0.0:
+        return 0.0, [], []
+    centre = masses @ data.xipos[members] / mass
+    total = np.zeros((3, 3))
+    for body in members:
+        axes = data.ximat[body].reshape(3, 3)
+        away = data.xipos[body] - centre
+        # Steiner's theorem.
+        total += axes @ np.diag(model.body_inertia[body]) @ axes.T
+        total += model.body_mass[body] * (away @ away * np.eye(3) - np.outer(away, away))
+    return mass, (turn.T @ (centre - origin)).tolist(), (turn.T @ total @ turn).tolist()
+
+
+def _frames(model: Any, data: Any, root: int, origin: Any, turn: Any) -> dict[str, list[float]]:
+    """Return the named frames on a link: bodies fixed to it, and sites. (3,) each in the link's frame [m]."""
+    members = _members(model, root)
+    places = {model.body(body).name: data.xpos[body] for body in members if body != root}
+    # Sites are not placed by the kinematics of MuJoCo before the first step.
+    for site in range(model.nsite):
+        body = int(model.site_bodyid[site])
+        if body in members:
+            places[model.site(site).name] = data.xpos[body] + data.xmat[body].reshape(3, 3) @ model.site_pos[site]
+    return {name: (turn.T @ (place - origin)).tolist() for name, place in places.items() if name}
+
+
+def _shapes(
+    model: Any, data: Any, members: list[int], origin: Any, turn: Any
+) -> tuple[list[list[float]], float | None]:
+    """Return the corners of the shapes of a link, (n, 3) [m], and the half width of the link or None [m]."""
+    corners: list[Any] = []
+    radii: dict[int, float] = {}
+    for geom in range(model.ngeom):
+        body = int(model.geom_bodyid[geom])
+        kind = mujoco.mjtGeom(int(model.geom_type[geom]))
+        if body not in members or kind in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD):
+            continue
+        centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+        axes = data.xmat[body].reshape(3, 3) @ _rotation(model.geom_quat[geom])
+        place = data.xpos[body] + data.xmat[body].reshape(3, 3) @ model.geom_pos[geom]
+        corners.append((place + (centre + CORNERS * half) @ axes.T - origin) @ turn)
+        rank = ROUND.index(kind) if kind in ROUND else len(ROUND)
+        width = float(model.geom_size[geom, 0]) if kind in ROUND else float(np.sort(half)[:2].mean())
+        radii[rank] = max(radii.get(rank, 0.0), width)
+    if not corners:
+        return [], None
+    return np.vstack(corners).tolist(), radii[min(radii)]
+
+
+def _rotation(quaternion: Any) -> Any:
+    """Return the rotation of a quaternion, (3, 3)."""
+    matrix = np.zeros(9)
+    mujoco.mju_quat2Mat(matrix, quaternion)
+    return matrix.reshape(3, 3)
+
+
+def _tendons(model: Any, notes: list[str]) -> list[dict[str, Any]]:
+    """Return the fixed tendons with their moment arms, and the motors that pull them."""
+    found = []
+    for tendon in range(model.ntendon):
+        name = model.tendon(tendon).name or f"tendon_{tendon + 1}"
+        first = int(model.tendon_adr[tendon])
+        parts = range(first, first + int(model.tendon_num[tendon]))
+        if any(model.wrap_type[part] != mujoco.mjtWrap.mjWRAP_JOINT for part in parts):
+            notes.append(f"tendon {name} is not read: its path is given by points, and its moment arms change")
+            continue
+        arms = {_joint_name(model, int(model.wrap_objid[part])): float(model.wrap_prm[part]) for part in parts}
+        motors = [
+            actuator
+            for actuator in range(model.nu)
+            if model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_TENDON
+            and model.actuator_trnid[actuator, 0] == tendon
+        ]
+        found.append({"name": name, "arms": arms, **_pull(model, motors)})
+    return found
+
+
+def _pull(model: Any, motors: list[int]) -> dict[str, Any]:
+    """Return the name of a tendon's only actuator, and its largest tension if its control is a tension [N]."""
+    if len(motors) != 1:
+        return {"motor": None, "tension_max": None}
+    motor = motors[0]
+    by_force = (
+        model.actuator_gaintype[motor] == mujoco.mjtGain.mjGAIN_FIXED
+        and model.actuator_biastype[motor] == mujoco.mjtBias.mjBIAS_NONE
+        and model.actuator_ctrllimited[motor]
+    )
+    scale = float(model.actuator_gainprm[motor, 0] * model.actuator_gear[motor, 0])
+    largest = scale * float(model.actuator_ctrlrange[motor, 1])
+    return {"motor": model.actuator(motor).name or None, "tension_max": largest if by_force else None}

@@ -1,0 +1,141 @@
+"""``handctl config init --urdf`` and ``--mjcf``: write a new hand file from a robot description."""
+
+import argparse
+import re
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from handctl.cli.checks.config_init import Question, answer, check_terminal, one_or_each, write_with_schema
+from handctl.cli.console.options import print_json, say
+from handctl.drives.motor_description import GUARDED, PROTOCOLS
+from handctl.errors import ConfigError
+from handctl.hand.file.error_text import Mistake
+from handctl.hand.file.imported_file import ANSWERS, Described, TendonAnswers, described_text, usable_tendons
+from handctl.hand.file.new_file import options_line
+from handctl.hand.file.quantities import NAME_PATTERN, TODO
+from handctl.hand.formats.model_tree import ModelLink, digits_of
+from handctl.hand.load import inspect, parse_toml
+from handctl.session.model_file import read_model_file
+
+ONLY_ASKED = ("fingers", "opposed", "links_mm", "width_mm", "palm_mm")
+"""Options whose answer a robot description has."""
+NODES = range(1, 128)
+"""Valid node numbers."""
+
+
+def all_or_none(text: str) -> str:
+    """Return the text if it is ``all`` or ``none``."""
+    if text not in ("all", "none"):
+        raise ValueError(text)
+    return text
+
+
+def protocol(text: str) -> str:
+    """Return the text if it is the name of a protocol."""
+    if text not in GUARDED:
+        raise ValueError(text)
+    return text
+
+
+QUESTIONS = (
+    Question("tendons", "Tendons of a digit: one, or one for each joint (one, each)", one_or_each, "one or each"),
+    Question("pulley_mm", "Moment arm of the tendons at the joints [mm]", float, "a number"),
+    Question("spool_mm", "Radius of the spools, to the middle of the tendon [mm]", float, "a number"),
+    Question("tension_N", "Largest tension that a tendon may be commanded [N]", float, "a number"),
+    Question("strength_N", "Rated breaking force of the tendons [N]", float, "a number"),
+    Question("cells", "Load cells at the tendons (all, none)", all_or_none, "all or none"),
+    Question("encoders", "Encoders at the joints (all, none)", all_or_none, "all or none"),
+    Question("springs", "Return springs at the joints (all, none)", all_or_none, "all or none"),
+    Question("protocol", f"Protocol of the drives ({', '.join(GUARDED)})", protocol, ", ".join(GUARDED)),
+    Question("first_node", "Node number of the first drive of a bus", int, "a whole number"),
+)
+"""All questions, in order. An empty answer leaves the value marked as missing."""
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read the description, ask what it lacks, and write the hand file and its schema."""
+    kind = "urdf" if args.urdf else "mjcf"
+    for option in ONLY_ASKED:
+        if getattr(args, option) is not None:
+            name = option.removesuffix("_mm")
+            raise ConfigError(f"given, and so is --{kind}", f"--{name}", "one of them")
+    described, notes = read_described(args.urdf or args.mjcf, kind)
+    tendons, unread = usable_tendons(described)
+    answers = TendonAnswers(**{name: getattr(args, name) for name in ANSWERS})
+    if not args.yes:
+        answers = _ask(answers, {"tendons", "pulley_mm"} if tendons else set())
+    _check(answers)
+    traits = PROTOCOLS[answers.protocol] if answers.protocol else None
+    options = options_line(answers.protocol, traits.options) if answers.protocol and traits else ""
+    text = described_text(described, answers, options, traits is not None and traits.can_fd)
+    mistakes = inspect(parse_toml(text, str(args.output))).mistakes
+    missing = [mistake for mistake in mistakes if TODO in mistake.what]
+    schema = write_with_schema(args.output, text)
+    warnings = [*notes, *unread, *_other(mistakes, missing, args.output)]
+    joints = sum(len(digit.joints) for digit in described.digits)
+    if args.json:
+        found = {"digits": len(described.digits), "joints": joints, "missing": [one.where for one in missing]}
+        print_json({"output": str(args.output), "schema": str(schema), **found, "warnings": warnings})
+        return 0
+    say(f"{args.output}: {len(described.digits)} digits, {joints} joints; {len(missing)} values are still {TODO}")
+    for warning in warnings:
+        say(f"warning: {warning}")
+    say(f"next: handctl config check --hand {args.output}, which lists what is missing")
+    return 0
+
+
+def read_described(path: Path, kind: str) -> tuple[Described, list[str]]:
+    """Read a robot description.
+
+    Args:
+        path: the file.
+        kind: ``urdf`` or ``mjcf``.
+
+    Returns:
+        The hand, and one line for each part of the file that was not read.
+
+    Raises:
+        ConfigError: the file is unreadable, or describes no tree of hinges with inertia.
+    """
+    model = read_model_file(path, kind)
+    digits, palm = digits_of([ModelLink.of(link) for link in model["links"]], str(path))
+    gravity = model["gravity"]
+    name = re.sub(r"\W+", "_", model["name"])
+    described = Described(
+        source=path.name,
+        name=name if NAME_PATTERN.fullmatch(name) and name != TODO else "mine",
+        gravity=None if gravity is None else (palm.T @ np.array(gravity)).tolist(),
+        palm=palm,
+        digits=digits,
+        tendons=model["tendons"],
+    )
+    return described, list(model["notes"])
+
+
+def _ask(answers: TendonAnswers, known: set[str]) -> TendonAnswers:
+    """Ask the questions not answered by options or by the description."""
+    check_terminal()
+    for question in QUESTIONS:
+        if getattr(answers, question.field) is None and question.field not in known:
+            answers = replace(answers, **{question.field: answer(question, TODO, None)})
+    return answers
+
+
+def _check(answers: TendonAnswers) -> None:
+    """Refuse answers that make no hand file. All further limits are those of a hand file.
+
+    Raises:
+        ConfigError: a name or a node number is wrong.
+    """
+    if answers.name is not None and not NAME_PATTERN.fullmatch(answers.name):
+        raise ConfigError(repr(answers.name), "--name", "letters, digits and _, first a letter")
+    if answers.first_node is not None and answers.first_node not in NODES:
+        raise ConfigError(f"{answers.first_node}", "--first-node", f"{NODES[0]} to {NODES[-1]}")
+
+
+def _other(mistakes: Iterable[Mistake], missing: list[Mistake], output: Path) -> list[str]:
+    """Return the mistakes in the new file that are no missing values, one line each."""
+    return [str(mistake.error(str(output))) for mistake in mistakes if mistake not in missing]

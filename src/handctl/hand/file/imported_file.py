@@ -1,0 +1,433 @@
+"""Text of a new hand file from the digits of a robot description, with ``"TODO"`` for each value that it lacks."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from handctl.hand.digit import Array
+from handctl.hand.file.error_text import first_sentence
+from handctl.hand.file.new_file import DRIVE, FLOOR_N, MOTORS_PER_BUS, SENSOR_IDS, TRIP
+from handctl.hand.file.quantities import TODO
+from handctl.hand.file.sections import Digit, Motor, Mount, Section, SensorNode, Tendon
+from handctl.hand.formats.model_tree import ModelDigit
+from handctl.hand.link_bodies import rpy_of
+
+SMALLEST_ARM_M = 1e-4
+"""Smallest moment arm of a tendon [m]."""
+LARGEST_ARM_M = 0.05
+"""Largest moment arm. The coefficients of other fixed tendons of MJCF are no lengths [m]."""
+ROUNDING = 1e-9
+"""Largest deviation by rounding of an axis or a rotation."""
+DECIMALS = 12
+"""Decimals of a length, a mass or an inertia in SI units."""
+CHOSEN = {
+    "protocol",
+    "tendons",
+    "joints",
+    "tension_floor_N",
+    "tension_max_N",
+    "tension_trip_N",
+    "drive_limit_N",
+    "torque_max_N_m",
+    "position_range_rad",
+    "velocity_range_rad_s",
+}
+"""Keys whose value is chosen and set, not measured."""
+ARMS = f"{TODO} measure: the moment arm at each joint that it passes, as in {{ j1 = 0.010, j2 = 0.008 }}"
+"""Comment of a tendon without moment arms."""
+SKELETON = "# The tendons below only stand for those of the hand: one for each {}. Add, remove and rename them.\n"
+"""Comment if the description has no tendons."""
+Z_AXIS = (0.0, 0.0, 1.0)
+"""Axis of a hinge without ``joint_axis``."""
+
+
+@dataclass(frozen=True)
+class TendonAnswers:
+    """Answers about what a robot description lacks. None marks a value as missing in the file.
+
+    Attributes:
+        name: name of the hand.
+        tendons: ``one`` per digit, or one ``each`` joint. Without an answer the file has one for each joint.
+        pulley_mm: moment arm of the tendons at the joints [mm].
+        spool_mm: radius of the spools [mm].
+        tension_N: largest commanded tension [N].
+        strength_N: rated breaking force of the tendons [N].
+        protocol: protocol of the drives.
+        first_node: node number of the first drive on each bus. The others follow.
+        cells: ``all`` or ``none`` of the tendons have a load cell.
+        encoders: ``all`` or ``none`` of the joints have an encoder.
+        springs: ``none`` if antagonists return the digits, ``all`` if springs do.
+    """
+
+    name: str | None = None
+    tendons: str | None = None
+    pulley_mm: float | None = None
+    spool_mm: float | None = None
+    tension_N: float | None = None
+    strength_N: float | None = None
+    protocol: str | None = None
+    first_node: int | None = None
+    cells: str | None = None
+    encoders: str | None = None
+    springs: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Described:
+    """Hand of a robot description.
+
+    Attributes:
+        source: name of the file.
+        name: name of the hand.
+        gravity: (3,) in the palm frame [m/s2], None if the description has none.
+        palm: rotation of the palm frame in the root frame (3, 3).
+        digits: digits, each after the digit that carries it.
+        tendons: tables with ``name``, ``arms``, ``motor`` and ``tension_max``.
+    """
+
+    source: str
+    name: str
+    gravity: Sequence[float] | None
+    palm: Array
+    digits: tuple[ModelDigit, ...]
+    tendons: Sequence[Mapping[str, Any]]
+
+
+@dataclass(frozen=True)
+class _Line:
+    """Line of a section: a key, the text of its value, and a comment."""
+
+    key: str
+    value: str
+    comment: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.key} = {self.value}" + (f"   # {self.comment}" if self.comment else "")
+
+
+def usable_tendons(described: Described) -> tuple[list[dict[str, Any]], list[str]]:
+    """Return the tendons of a description that a hand file can have, and a note for each other one.
+
+    Each has ``digit``, ``name``, ``motor``, ``arms`` by the short names of the joints, and ``tension_max``.
+    """
+    places = {joint: (digit.name, f"j{i + 1}") for digit in described.digits for i, joint in enumerate(digit.joints)}
+    usable: list[dict[str, Any]] = []
+    notes = []
+    for tendon in described.tendons:
+        name = tendon["name"]
+        arms = {places[joint]: arm for joint, arm in tendon["arms"].items() if arm}
+        digits = {digit for digit, _ in arms}
+        if len(digits) != 1:
+            notes.append(f"tendon {name} is not read: it moves joints of {len(digits)} digits")
+        elif not all(SMALLEST_ARM_M <= abs(arm) <= LARGEST_ARM_M for arm in arms.values()):
+            right = f"{SMALLEST_ARM_M:g} to {LARGEST_ARM_M:g} m"
+            notes.append(f"tendon {name} is not read: its coefficients are no moment arms of {right}")
+        else:
+            (digit,) = digits
+            own: dict[str, Any] = {
+                "digit": digit,
+                "name": _short(name, digit),
+                "motor": _short(tendon["motor"] or name, digit),
+            }
+            own |= {"arms": {joint: arm for (_, joint), arm in arms.items()}, "tension_max": tendon["tension_max"]}
+            usable.append(own)
+    # A hand needs a way to move every joint: some tendons alone are a mechanism of the model, not its drive.
+    moved = {(tendon["digit"], joint) for tendon in usable for joint in tendon["arms"]}
+    if usable and moved != set(places.values()):
+        notes.append("the tendons of the file are not read: they do not move every joint")
+        return [], notes
+    return usable, notes
+
+
+def described_text(described: Described, answers: TendonAnswers, options: str, can_fd: bool) -> str:
+    """Return the text of a hand file of schema 2.
+
+    Args:
+        described: hand of a description.
+        answers: answers about its tendons.
+        options: line with the options of the drives, empty without.
+        can_fd: True if the protocol needs a bus with CAN FD.
+    """
+    tendons, _ = usable_tendons(described)
+    skeleton = not tendons
+    tendons = tendons or [one for digit in described.digits for one in _skeleton(digit, answers)]
+    buses = _buses(described, tendons)
+    parts = [_head(described, answers, max(buses.values(), default=0) + 1, can_fd)]
+    if skeleton:
+        parts[0] = SKELETON.format("digit" if answers.tendons == "one" else "joint") + parts[0]
+    common = _common_lines(described, answers)
+    parts += [_section("default.digit", common)] if common else []
+    largest = {tendon["tension_max"] for tendon in tendons}
+    if answers.tension_N is None and len(largest) == 1:
+        answers = replace(answers, tension_N=largest.pop())
+    parts.append(_section("default.tendon", _tendon_lines(answers)))
+    parts.append(_section("default.motor", _motor_lines(answers)) + options)
+    nodes: dict[int, int | None] = dict.fromkeys(buses.values(), answers.first_node)
+    for digit in described.digits:
+        own = [tendon for tendon in tendons if tendon["digit"] == digit.name]
+        lines = [*_digit_lines(digit, answers), *_drive_lines(own, buses[digit.name], nodes)]
+        if len(own) < len(digit.joints):
+            lines.append(_todo(Digit, "coupling"))
+        parts.append(f"# joints in {described.source}: {', '.join(digit.joints)}\n" + _section("[digit]", lines))
+    return "\n\n".join(parts) + "\n"
+
+
+def _skeleton(digit: ModelDigit, answers: TendonAnswers) -> Iterable[dict[str, Any]]:
+    """Yield tendons of a digit, with arms if they are known."""
+    joints = [f"j{i + 1}" for i in range(len(digit.joints))]
+    arm = None if answers.pulley_mm is None else 1e-3 * answers.pulley_mm
+    crossed = [joints] if answers.tendons == "one" else [joints[: i + 1] for i in range(len(joints))]
+    for i, names in enumerate(crossed):
+        yield {
+            "digit": digit.name,
+            "name": f"t{i + 1}",
+            "motor": f"m{i + 1}",
+            "arms": None if arm is None else dict.fromkeys(names, arm),
+            "tension_max": None,
+        }
+
+
+def _buses(described: Described, tendons: Sequence[Mapping[str, Any]]) -> dict[str, int]:
+    """Return the bus of each digit. The motors of a digit are on one bus."""
+    buses = {}
+    bus = used = 0
+    for digit in described.digits:
+        count = sum(tendon["digit"] == digit.name for tendon in tendons)
+        if used and used + count > MOTORS_PER_BUS:
+            bus, used = bus + 1, 0
+        used += count
+        buses[digit.name] = bus
+    return buses
+
+
+def _bus_name(bus: int) -> str:
+    return "main" if bus == 0 else f"bus_{bus + 1}"
+
+
+def _head(described: Described, answers: TendonAnswers, buses: int, can_fd: bool) -> str:
+    """Return the tables before the digits."""
+    joints = sum(len(digit.joints) for digit in described.digits)
+    turned = (
+        ""
+        if np.array_equal(described.palm, np.eye(3))
+        else (
+            f"# The palm frame is the root frame of {described.source} turned by roll, pitch, yaw of "
+            f"{_numbers(np.round(np.degrees(rpy_of(described.palm)), 6))} degrees.\n"
+        )
+    )
+    gravity = described.gravity
+    mount = _todo(Mount, "gravity_m_s2") if gravity is None else _Line("gravity_m_s2", _numbers(gravity))
+    rate = "bitrate = 1_000_000" + ("\ndata_bitrate = 5_000_000" if can_fd else "")
+    lines = "\n\n".join(f'[[bus]]\nname = "{_bus_name(bus)}"\n{rate}' for bus in range(buses))
+    return (
+        f"# From {described.source} by handctl config init. Each value {TODO!r} must be measured or\n"
+        f"# chosen before the hand can run: handctl config check --hand FILE lists them.\n{turned}"
+        f'schema = 2\nname = "{answers.name or described.name}"\n'
+        f'description = "{len(described.digits)} digits, {joints} joints, from {described.source}"\n\n'
+        f"[mount]\n{mount}\n\n{lines}{_sensor_node(answers)}"
+    )
+
+
+def _sensor_node(answers: TendonAnswers) -> str:
+    """Return the section of the sensors, empty for a hand without."""
+    if answers.cells == answers.encoders == "none":
+        return ""
+    sync, base = SENSOR_IDS.get(answers.protocol or "", SENSOR_IDS["mit"])
+    lines = [_Line("bus", '"main"'), _Line("sync_id", sync), _Line("base_id", base)]
+    for key, answer in (("tendons", answers.cells), ("joints", answers.encoders)):
+        known = {"all": '"all"', "none": "[]"}.get(answer or "")
+        lines.append(_todo(SensorNode, key) if known is None else _Line(key, known))
+    lines.append(_Line("joint_decimation", "1"))
+    for key, answer in (
+        ("tension_noise_N", answers.cells),
+        ("tension_bias_drift_N", answers.cells),
+        ("joint_noise_rad", answers.encoders),
+    ):
+        unused = "0.001" if key == "joint_noise_rad" else "0.0"
+        lines.append(_Line(key, unused, "no such sensor") if answer == "none" else _todo(SensorNode, key))
+    return "\n\n" + _section("sensor_node", lines)
+
+
+def _common_lines(described: Described, answers: TendonAnswers) -> list[_Line]:
+    """Return the values of all digits that no digit has in the description."""
+    links = [link for digit in described.digits for link in digit.links]
+    known = {
+        "link_radius_m": any(link.radius for link in links),
+        "joint_damping_N_m_s_per_rad": any(link.damping for link in links),
+        "joint_armature_kg_m2": any(link.armature for link in links),
+        "spring_stiffness_N_m_per_rad": any(link.stiffness for link in links) or answers.springs == "none",
+        "spring_preload_rad": any(link.stiffness for link in links) or answers.springs == "none",
+    }
+    return [_todo(Digit, key) for key, is_known in known.items() if not is_known]
+
+
+def _digit_lines(digit: ModelDigit, answers: TendonAnswers) -> list[_Line]:
+    """Return the values of a digit that the description has."""
+    links = digit.links
+    lines = [_Line("name", f'"{digit.name}"')]
+    if digit.carrier is not None:
+        lines.append(_Line("mount_on", f'"{digit.carrier}"'))
+    lines += [
+        _Line("mount_position_m", _numbers(digit.position)),
+        _Line("mount_rpy_deg", _degrees(digit.rotation)),
+        _Line("link_length_m", _numbers(digit.lengths)),
+    ]
+    if np.abs(digit.axes - Z_AXIS).max() > ROUNDING:
+        lines.append(_Line("joint_axis", _rows(digit.axes)))
+    if len(digit.turns) and np.abs(digit.turns - np.eye(3)).max() > ROUNDING:
+        turned = ", ".join(["[0.0, 0.0, 0.0]", *(_degrees(turn) for turn in digit.turns)])
+        lines.append(_Line("joint_rpy_deg", f"[{turned}]"))
+    lines += [
+        _Line("link_com_m", _rows(digit.coms)),
+        _Line("link_mass_kg", _numbers([link.mass for link in links])),
+        _Line("link_inertia_kg_m2", _rows([_moments(inertia) for inertia in digit.inertias])),
+    ]
+    radii = [link.radius for link in links if link.radius]
+    if radii:
+        lines.append(_Line("link_radius_m", _number(float(np.median(radii)))))
+    for key, side in (("joint_min_deg", 0), ("joint_max_deg", 1)):
+        limits = [link.range[side] for link in links if link.range is not None]
+        whole = len(limits) == len(links)
+        lines.append(_Line(key, _numbers(np.degrees(limits))) if whole else _todo(Digit, key))
+    return [*lines, *_joint_lines(digit, answers)]
+
+
+def _joint_lines(digit: ModelDigit, answers: TendonAnswers) -> Iterable[_Line]:
+    """Yield damping, armature and springs of a digit. A value of 0 was not given."""
+    links = digit.links
+    values = {
+        "joint_damping_N_m_s_per_rad": [link.damping for link in links],
+        "joint_armature_kg_m2": [link.armature for link in links],
+    }
+    if answers.springs != "none" and any(link.stiffness for link in links):
+        values["spring_stiffness_N_m_per_rad"] = [link.stiffness for link in links]
+        values["spring_preload_rad"] = [-link.rest if link.stiffness else 0.0 for link in links]
+    for key, given in values.items():
+        if any(given):
+            yield _Line(key, _numbers(given))
+
+
+def _drive_lines(tendons: Sequence[Mapping[str, Any]], bus: int, nodes: dict[int, int | None]) -> Iterable[_Line]:
+    """Yield tendons and motors of a digit. The node numbers of each bus follow each other."""
+    for tendon in tendons:
+        arms = tendon["arms"]
+        words = [f'motor = "{tendon["motor"]}"']
+        words.append(f'moment_arm_m = "{TODO}"' if arms is None else f"moment_arm_m = {{ {_table(arms)} }}")
+        comment = ARMS if arms is None else ""
+        yield _Line(f"tendon.{tendon['name']}", f"{{ {', '.join(words)} }}", comment)
+    for motor in dict.fromkeys(tendon["motor"] for tendon in tendons):
+        node = nodes[bus]
+        words = [f'bus = "{_bus_name(bus)}"'] if bus else []
+        words.append(f'node_id = "{TODO}"' if node is None else f"node_id = {node}")
+        comment = f"{TODO} set: {_meaning(Motor, 'node_id')}" if node is None else ""
+        yield _Line(f"motor.{motor}", f"{{ {', '.join(words)} }}", comment)
+        if node is not None:
+            nodes[bus] = node + 1
+
+
+def _tendon_lines(answers: TendonAnswers) -> Iterable[_Line]:
+    """Yield the values of all tendons."""
+    tension = answers.tension_N
+    given: dict[str, float | None] = {
+        "stiffness_N_per_m": None,
+        "damping_N_s_per_m": None,
+        "knee_N": None,
+        "stiffness_beyond_ratio": None,
+        "knee_width_m": None,
+        "friction_coefficient": None,
+        "wrap_angle_rad": None,
+        "rated_breaking_force_N": answers.strength_N,
+        "tension_floor_N": None if tension is None else FLOOR_N,
+        "tension_max_N": tension,
+        "tension_trip_N": None if tension is None else TRIP * tension,
+        "drive_limit_N": None if tension is None else DRIVE * tension,
+    }
+    for key, value in given.items():
+        yield _todo(Tendon, key) if value is None else _Line(key, _number(value))
+
+
+def _motor_lines(answers: TendonAnswers) -> Iterable[_Line]:
+    """Yield the values of all motors."""
+    torque = None
+    if answers.tension_N is not None and answers.spool_mm is not None:
+        torque = DRIVE * answers.tension_N * 1e-3 * answers.spool_mm
+    given: dict[str, str | None] = {
+        "protocol": None if answers.protocol is None else f'"{answers.protocol}"',
+        "bus": '"main"',
+        "spool_radius_m": None if answers.spool_mm is None else _number(1e-3 * answers.spool_mm),
+        "inertia_kg_m2": None,
+        "viscous_N_m_s_per_rad": None,
+        "coulomb_N_m": None,
+        "torque_constant_N_m_per_A": None,
+        "torque_max_N_m": None if torque is None else _number(torque),
+        "torque_peak_N_m": None,
+        "position_range_rad": None,
+        "velocity_range_rad_s": None,
+        "direction": "1",
+        "zero_rad": "0.0",
+        "watchdog_ms": "50",
+    }
+    found = {"direction": "commission finds it", "zero_rad": "commission measures it"}
+    for key, value in given.items():
+        yield _todo(Motor, key) if value is None else _Line(key, value, found.get(key, ""))
+
+
+def _todo(section: type[Section], key: str) -> _Line:
+    """Return the line of a missing value."""
+    verb = "set" if key in CHOSEN else "measure"
+    return _Line(key, f'"{TODO}"', f"{TODO} {verb}: {_meaning(section, key)}")
+
+
+def _meaning(section: type[Section], key: str) -> str:
+    """Return the first sentence of the description of a key."""
+    return first_sentence(section.model_fields[key].description or "")
+
+
+def _section(name: str, lines: Iterable[_Line]) -> str:
+    """Return a section, empty without lines."""
+    return "\n".join([f"[{name}]", *map(str, lines)])
+
+
+def _short(name: str, digit: str) -> str:
+    """Return the name of a tendon or motor within its digit."""
+    short = name.removeprefix(f"{digit}_")
+    return "".join(c if c.isascii() and c.isalnum() else "_" for c in short)
+
+
+def _moments(inertia: Array) -> Array:
+    """Return the three or six values of an inertia, (3, 3) [kg m2]."""
+    mixed = np.array([inertia[0, 1], inertia[0, 2], inertia[1, 2]])
+    principal = np.diag(inertia)
+    return principal if np.abs(mixed).max() < 1e-9 * principal.max() else np.concatenate((principal, mixed))
+
+
+def _degrees(rotation: Array) -> str:
+    """Return roll, pitch and yaw of a rotation (3, 3) [deg]."""
+    return _numbers(np.degrees(rpy_of(rotation)))
+
+
+def _number(value: float) -> str:
+    """Return a number with ten digits."""
+    number = float(f"{value:.10g}")
+    return repr(0.0 if abs(number) < 10.0**-DECIMALS else number)
+
+
+def _numbers(values: Iterable[float]) -> str:
+    """Return a list of numbers."""
+    return "[" + ", ".join(_number(float(value)) for value in values) + "]"
+
+
+def _rows(rows: Iterable[Iterable[float]]) -> str:
+    """Return a list of lists of numbers."""
+    return "[" + ", ".join(_numbers(row) for row in rows) + "]"
+
+
+def _table(values: Mapping[str, float]) -> str:
+    """Return an inline table of numbers, without its braces."""
+    return ", ".join(f"{key} = {_number(value)}" for key, value in values.items())
+
+
+ANSWERS = tuple(one.name for one in fields(TendonAnswers))
+"""Names of all answers."""

@@ -1,0 +1,329 @@
+"""Digits of a hand from a tree of links in any frames, as a robot description has them.
+
+A digit of a hand file is a chain. The frame of a link has x along the link, and the next joint lies on
+x. Links of a description have any frames, so most are turned here. A frame that fits already stays as
+it is.
+"""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import permutations, product
+from typing import Any
+
+import numpy as np
+
+from handctl.errors import ConfigError
+from handctl.hand.digit import Array
+from handctl.hand.file.quantities import NAME_PATTERN
+from handctl.hand.file.sections import MAX_LINKS
+
+ALONG = 1e-6
+"""Largest angle between x and the next joint for a frame that stays as it is [rad]."""
+MEETING_M = 1e-7
+"""Largest distance of two joints whose axes meet [m]."""
+FLEXING = 0.7
+"""Smallest component along y of the motion of the tip, for a last frame that stays as it is."""
+CLOSED_BELOW = 0.1
+"""Largest upper limit, as a fraction of the lower one, of a joint that flexes towards negative angles."""
+FACING = 0.7
+"""Smallest component along x of the digits of a palm frame that stays as it is."""
+BEHIND_M = 0.005
+"""Largest distance of the foremost mount from the plane x = 0, for a palm frame that stays there [m]."""
+PARALLEL = 0.1
+"""Largest sine of the angle between a joint's axis and its link that counts as a joint about the link."""
+TIP = re.compile(r"tip|end", re.IGNORECASE)
+"""Names of the frame at the end of a digit."""
+NUMBERED = re.compile(r"[\W_]*(joint|link|j|l)?[\W_]*[0-9]*[\W_]*$", re.IGNORECASE)
+"""End of the name of a joint after the name of its digit."""
+
+
+@dataclass(frozen=True, eq=False)
+class ModelLink:
+    """Link of a robot description with the joint before it. Its frame has its origin in the joint.
+
+    Attributes:
+        name: name of the link.
+        joint: name of the joint.
+        parent: position of the parent among the links, -1 for the root.
+        position: (3,) in the frame of the parent [m].
+        rotation: (3, 3) to the frame of the parent, at angle zero.
+        axis: (3,) in the frame of the link.
+        range: smallest and largest angle [rad], None without limits.
+        damping: of the joint [N m s/rad].
+        armature: additional inertia of the joint [kg m2].
+        stiffness: of the joint's spring [N m/rad].
+        rest: angle of the free spring [rad].
+        mass: [kg].
+        com: centre of mass (3,) [m].
+        inertia: (3, 3) about the centre of mass [kg m2].
+        frames: named frames on the link, (3,) each [m].
+        points: corners of boxes around its shapes, (n, 3) [m].
+        radius: half width of its shapes [m], None without shapes.
+    """
+
+    name: str
+    joint: str
+    parent: int
+    position: Array
+    rotation: Array
+    axis: Array
+    range: tuple[float, float] | None
+    damping: float
+    armature: float
+    stiffness: float
+    rest: float
+    mass: float
+    com: Array
+    inertia: Array
+    frames: Mapping[str, Array]
+    points: Array
+    radius: float | None
+
+    @staticmethod
+    def of(values: Mapping[str, Any]) -> "ModelLink":
+        """Build a link from plain values. A joint that flexes towards negative angles is turned around."""
+        axis = np.array(values["axis"], dtype=float)
+        rest = float(values["rest"])
+        limits = None if values["range"] is None else (float(values["range"][0]), float(values["range"][1]))
+        if limits is not None and limits[0] < 0.0 and limits[1] <= CLOSED_BELOW * -limits[0]:
+            limits = (-limits[1], -limits[0])
+            axis = -axis
+            rest = -rest
+        return ModelLink(
+            name=values["name"],
+            joint=values["joint"],
+            parent=values["parent"],
+            position=np.array(values["position"], dtype=float),
+            rotation=np.array(values["rotation"], dtype=float),
+            axis=axis,
+            range=limits,
+            damping=float(values["damping"]),
+            armature=float(values["armature"]),
+            stiffness=float(values["stiffness"]),
+            rest=rest,
+            mass=float(values["mass"]),
+            com=np.array(values["com"], dtype=float),
+            inertia=np.array(values["inertia"], dtype=float),
+            frames={name: np.array(place, dtype=float) for name, place in values["frames"].items()},
+            points=np.array(values["points"], dtype=float).reshape(-1, 3),
+            radius=values["radius"],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ModelDigit:
+    """Chain of links of a robot description, in the frames of a hand file.
+
+    Attributes:
+        name: name of the digit.
+        carrier: digit whose last link carries this one, None for the palm.
+        joints: names of its joints in the description.
+        position: of the first joint in the frame of the carrier (3,) [m].
+        rotation: of the first frame in the frame of the carrier (3, 3).
+        turns: rotation of each further frame in the frame before (n - 1, 3, 3).
+        lengths: length of each link (n,) [m].
+        axes: axis of each joint (n, 3).
+        links: the links of the description.
+        coms: centre of mass of each link (n, 3) [m].
+        inertias: about the centre of mass (n, 3, 3) [kg m2].
+    """
+
+    name: str
+    carrier: str | None
+    joints: tuple[str, ...]
+    position: Array
+    rotation: Array
+    turns: Array
+    lengths: Array
+    axes: Array
+    links: tuple[ModelLink, ...]
+    coms: Array
+    inertias: Array
+
+
+@dataclass(frozen=True)
+class _Chain:
+    """Chain of links, by position, with its name and the chain that carries it."""
+
+    name: str
+    carrier: int | None
+    members: tuple[int, ...]
+
+
+def digits_of(links: Sequence[ModelLink], source: str) -> tuple[tuple[ModelDigit, ...], Array]:
+    """Return the digits of a tree of links, each after the digit that carries it, and the rotation of the palm.
+
+    The palm frame of the hand is the root frame, turned by right angles if the digits do not point along
+    its x axis. The root frame is then shifted as well, so that no mount is before the plane x = 0.
+
+    Args:
+        links: all links, parents first.
+        source: name of the description in messages.
+
+    Returns:
+        The digits, and the rotation (3, 3) of the palm frame in the root frame.
+
+    Raises:
+        ConfigError: nothing tells where a digit ends.
+    """
+    chains = list(_chains(links))
+    frames = _frames(links, chains, source)
+    palm, origin = _palm_frame(links, chains, frames)
+    digits = []
+    for chain in chains:
+        first, *rest = chain.members
+        base = palm if chain.carrier is None else frames[chains[chain.carrier].members[-1]][0]
+        place = links[first].position - (origin if chain.carrier is None else 0.0)
+        turns = [frames[links[i].parent][0].T @ links[i].rotation @ frames[i][0] for i in rest]
+        own = [frames[i][0] for i in chain.members]
+        bodies = [links[i] for i in chain.members]
+        digits.append(
+            ModelDigit(
+                name=chain.name,
+                carrier=None if chain.carrier is None else chains[chain.carrier].name,
+                joints=tuple(link.joint for link in bodies),
+                position=base.T @ place,
+                rotation=base.T @ links[first].rotation @ frames[first][0],
+                turns=np.array(turns).reshape(-1, 3, 3),
+                lengths=np.array([frames[i][1] for i in chain.members]),
+                axes=np.array([turn.T @ link.axis for turn, link in zip(own, bodies, strict=True)]),
+                links=tuple(bodies),
+                coms=np.array([turn.T @ link.com for turn, link in zip(own, bodies, strict=True)]),
+                inertias=np.array([turn.T @ link.inertia @ turn for turn, link in zip(own, bodies, strict=True)]),
+            )
+        )
+    return tuple(digits), palm
+
+
+def _chains(links: Sequence[ModelLink]) -> Iterator[_Chain]:
+    """Yield the chains of a tree. A chain ends where the tree branches, and after ``MAX_LINKS`` links."""
+    children = {i: [j for j, link in enumerate(links) if link.parent == i] for i in range(-1, len(links))}
+    names: set[str] = set()
+    count = 0
+    waiting: list[tuple[int, int | None]] = [(i, None) for i in reversed(children[-1])]
+    while waiting:
+        first, carrier = waiting.pop()
+        members = [first]
+        while len(children[members[-1]]) == 1 and len(members) < MAX_LINKS:
+            members += children[members[-1]]
+        name = _digit_name([links[i] for i in members], names, count)
+        names.add(name)
+        yield _Chain(name, carrier, tuple(members))
+        waiting += [(i, count) for i in reversed(children[members[-1]])]
+        count += 1
+
+
+def _digit_name(links: Sequence[ModelLink], taken: set[str], count: int) -> str:
+    """Return a name for a digit: what the names of its joints have in common, or of its links, or a number."""
+    for names in ([link.joint for link in links], [link.name for link in links]):
+        common = names[0]
+        for name in names[1:]:
+            common = common[: next((i for i, (a, b) in enumerate(zip(common, name, strict=False)) if a != b), None)]
+            common = common[: len(name)]
+        common = re.sub(r"\W", "_", NUMBERED.sub("", common))
+        if NAME_PATTERN.fullmatch(common) and common not in taken:
+            return common
+    return next(name for i in range(len(taken) + 1) if (name := f"digit_{count + 1 + i}") not in taken)
+
+
+def _frames(links: Sequence[ModelLink], chains: Sequence[_Chain], source: str) -> dict[int, tuple[Array, float]]:
+    """Return for each link its frame, (3, 3) in the frame of the description, and its length [m]."""
+    frames = {}
+    for chain in chains:
+        for i, following in zip(chain.members, chain.members[1:], strict=False):
+            frames[i] = _frame(links[i], links[following].position, last=False)
+        last = chain.members[-1]
+        frames[last] = _frame(links[last], _end(links, last, f"{source}: digit {chain.name}"), last=True)
+    return frames
+
+
+def _frame(link: ModelLink, end: Array, last: bool) -> tuple[Array, float]:
+    """Return the frame of a link with x towards its end, and its length [m]."""
+    length = float(np.linalg.norm(end))
+    if length < MEETING_M:
+        return np.eye(3), 0.0
+    x = end / length
+    motion = np.cross(link.axis, x)
+    if np.linalg.norm(x[1:]) < ALONG and x[0] > 0.0 and not (last and motion[1] < FLEXING):
+        return np.eye(3), length
+    z = link.axis - (link.axis @ x) * x
+    if np.linalg.norm(z) < PARALLEL:
+        # The joint turns about the link. Any direction across the link will do.
+        z = np.eye(3)[int(np.argmin(np.abs(x)))]
+        z = z - (z @ x) * x
+    z = z / np.linalg.norm(z)
+    return np.column_stack((x, np.cross(z, x), z)), length
+
+
+def _end(links: Sequence[ModelLink], i: int, where: str) -> Array:
+    """Return the end of the last link of a digit, (3,) in its frame [m].
+
+    Raises:
+        ConfigError: neither a frame nor a shape tells where it is.
+    """
+    link = links[i]
+    away = {name: place for name, place in link.frames.items() if np.linalg.norm(place) > MEETING_M}
+    named = [place for name, place in away.items() if TIP.search(name)]
+    if named:
+        return named[0]
+    carried = [other.position for other in links if other.parent == i]
+    if carried:
+        # The end of a link that carries digits has no meaning. It must only be away from the joint.
+        return np.mean(carried, axis=0) if np.linalg.norm(np.mean(carried, axis=0)) > MEETING_M else carried[0]
+    if not len(link.points) and away:
+        return next(iter(away.values()))
+    if not len(link.points):
+        what = f"neither a frame nor a shape tells where its last link {link.name} ends"
+        raise ConfigError(what, where, f"a fixed link or site {link.name}_tip")
+    # Along the line from the joint to the middle of the shapes, up to the farthest corner.
+    middle = (link.points.min(axis=0) + link.points.max(axis=0)) / 2
+    across = middle - (middle @ link.axis) * link.axis
+    direction = across if np.linalg.norm(across) > MEETING_M else middle
+    direction = direction / np.linalg.norm(direction)
+    return np.asarray(direction * (link.points @ direction).max())
+
+
+def _palm_frame(
+    links: Sequence[ModelLink], chains: Sequence[_Chain], frames: Mapping[int, tuple[Array, float]]
+) -> tuple[Array, Array]:
+    """Return rotation (3, 3) and origin (3,) [m] of the palm frame in the root frame.
+
+    x is out of the palm: along the digits. y is from thumb to fingers: the first digit closes towards -y.
+    """
+    places: list[tuple[Array, Array]] = []
+    for link in links:
+        position, rotation = (np.zeros(3), np.eye(3)) if link.parent < 0 else places[link.parent]
+        places.append((position + rotation @ link.position, rotation @ link.rotation))
+    carriers = {chain.carrier for chain in chains}
+    fingers = [chain for i, chain in enumerate(chains) if i not in carriers]
+    mounts = np.array([places[chain.members[0]][0] for chain in fingers])
+    pointing = np.zeros(3)
+    for chain, mount in zip(fingers, mounts, strict=True):
+        last = chain.members[-1]
+        position, rotation = places[last]
+        along = position + rotation @ frames[last][0][:, 0] * frames[last][1] - mount
+        pointing += along / np.linalg.norm(along) / len(fingers)
+    last = fingers[0].members[-1]
+    closing = places[last][1] @ frames[last][0][:, 1]
+    palm = np.eye(3)
+    if pointing[0] < FACING * np.linalg.norm(pointing):
+        palm = max(_right_angles(), key=lambda turn: float(2 * turn[:, 0] @ pointing - turn[:, 1] @ closing))
+    elif carriers != {None}:
+        return palm, np.zeros(3)
+    depth = mounts @ palm[:, 0]
+    origin = palm[:, 0] * depth.max() if abs(depth.max()) > BEHIND_M else np.zeros(3)
+    if not np.array_equal(palm, np.eye(3)):
+        # The middle of the mounts is in front of the object.
+        origin = origin + (np.eye(3) - np.outer(palm[:, 0], palm[:, 0])) @ mounts.mean(axis=0)
+    return palm, origin
+
+
+def _right_angles() -> Iterator[Array]:
+    """Yield the 24 rotations by right angles, (3, 3) each."""
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            turn = np.zeros((3, 3))
+            turn[order, range(3)] = signs
+            if np.linalg.det(turn) > 0.0:
+                yield turn

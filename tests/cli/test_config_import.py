@@ -1,0 +1,267 @@
+"""``handctl config init --urdf`` and ``--mjcf``: links are kept, and missing values are refused."""
+
+import itertools
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pinocchio
+import pytest
+
+from handctl.cli.main import main
+from handctl.hand.description import Hand
+from handctl.hand.file.toml_text import toml_text
+from handctl.hand.link_bodies import centre_of_mass, inertia, joint_axes, mounted
+from handctl.hand.load import hand_content, hand_from, inspect, load_hand, packaged_hands
+from handctl.hand.tree import HandTree
+from tests.cli.refused import refused, refused_lines
+from tests.conftest import NIGHTLY
+
+TRIPOD = Path(__file__).with_name("tripod.urdf")
+"""Hand of a stranger: other frames, missing meshes, joints that flex towards negative angles."""
+ANSWERS = ["--tendons", "one", "--pulley", "6", "--spool", "8", "--tension", "80", "--strength", "600"]
+ANSWERS += ["--cells", "all", "--encoders", "none", "--protocol", "mit", "--first-node", "1"]
+MEASURED = {
+    "gravity_m_s2": "[0.0, 0.0, -9.81]",
+    "tension_noise_N": "0.4",
+    "tension_bias_drift_N": "0.8",
+    "joint_damping_N_m_s_per_rad": "5e-4",
+    "joint_armature_kg_m2": "1e-6",
+    "spring_stiffness_N_m_per_rad": "0.06",
+    "spring_preload_rad": "0.6",
+    "coupling": "[[1.0], [1.0]]",
+    "stiffness_N_per_m": "1e5",
+    "damping_N_s_per_m": "30.0",
+    "knee_N": "200.0",
+    "stiffness_beyond_ratio": "0.5",
+    "knee_width_m": "0.3e-3",
+    "friction_coefficient": "0.08",
+    "wrap_angle_rad": "1.57",
+    "inertia_kg_m2": "1.3e-4",
+    "viscous_N_m_s_per_rad": "1e-3",
+    "coulomb_N_m": "0.015",
+    "torque_constant_N_m_per_A": "0.26",
+    "torque_peak_N_m": "1.0",
+    "position_range_rad": "12.5",
+    "velocity_range_rad_s": "50.0",
+}
+"""What a person measures of the tripod. The description lacks it, and no option answers it."""
+JOINT_KEYS = ("joint_armature_kg_m2", "spring_stiffness_N_m_per_rad", "spring_preload_rad")
+"""Keys of a digit that an exported URDF lacks."""
+FORMS = {"--urdf": "hand.urdf", "--mjcf": "hand.xml"}
+
+
+def measured(text: str) -> str:
+    """Return the text of a file with every value that was missing."""
+    return re.sub(r'^(\w+) = "TODO".*$', lambda line: f"{line[1]} = {MEASURED[line[1]]}", text, flags=re.MULTILINE)
+
+
+def imported(form: str, path: Path | str, *words: str) -> str:
+    """Return the text of mine.toml, made from a description."""
+    Path("mine.toml").unlink(missing_ok=True)
+    assert main(["config", "init", "--yes", form, str(path), *words, "--output", "mine.toml"]) == 0
+    return Path("mine.toml").read_text()
+
+
+def completed(form: str, name: str) -> Hand:
+    """Export a packaged hand, import it, and give it the tendons, springs and buses of the packaged hand."""
+    exported = Path(FORMS[form])
+    exported.unlink(missing_ok=True)
+    assert main(["config", "export", form, "--hand", name, "--output", str(exported)]) == 0
+    imported(form, exported)
+    original = load_hand(name).content
+    digits = []
+    for digit, known in zip(hand_content("mine.toml")["digit"], original["digit"], strict=True):
+        lacks = {key for key, value in digit.items() if value == "TODO"}
+        assert lacks <= {*JOINT_KEYS, "coupling"}
+        digits.append(digit | {key: known[key] for key in (*JOINT_KEYS, "coupling") if key in known})
+    content = original | {"digit": digits}
+    Path("mine.toml").write_text(toml_text(content))
+    return hand_from(content, "mine.toml")
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("name", packaged_hands())
+def test_an_exported_hand_comes_back(place: Path, name: str, form: str) -> None:
+    hand, original = completed(form, name), load_hand(name)
+    assert hand.digit_names == original.digit_names
+    for digit, known in zip(hand.digit, original.digit, strict=True):
+        assert digit.mount_on == known.mount_on
+        assert digit.link_length_m == pytest.approx(known.link_length_m, abs=1e-9)
+        assert digit.link_radius_m == pytest.approx(known.link_radius_m)
+        assert digit.joint_min_deg == pytest.approx(known.joint_min_deg, abs=1e-6)
+        assert digit.joint_max_deg == pytest.approx(known.joint_max_deg, abs=1e-6)
+        assert digit.joint_damping_N_m_s_per_rad == pytest.approx(known.joint_damping_N_m_s_per_rad)
+        assert joint_axes(digit) == pytest.approx(joint_axes(known), abs=1e-9)
+        for i in range(len(digit.joints)):
+            assert np.hstack([np.ravel(part) for part in mounted(digit, i)]) == pytest.approx(
+                np.hstack([np.ravel(part) for part in mounted(known, i)]), abs=1e-8
+            )
+            assert digit.link_mass_kg[i] == pytest.approx(known.link_mass_kg[i], rel=1e-6)
+            assert centre_of_mass(digit, i) == pytest.approx(centre_of_mass(known, i), abs=1e-9)
+            assert inertia(digit, i) == pytest.approx(inertia(known, i), abs=1e-6 * np.trace(inertia(known, i)))
+    assert not inspect(hand.content).mistakes
+    if NIGHTLY or name in ("t42", "orca_like"):
+        assert main(["config", "check", "--hand", "mine.toml"]) == 0
+
+
+def test_moment_arms_and_springs_of_a_model_come_with_it(place: Path) -> None:
+    assert main(["config", "export", "--mjcf", "--hand", "n_plus_1", "--output", "hand.xml"]) == 0
+    imported("--mjcf", "hand.xml")
+    content = hand_content("mine.toml")
+    known = load_hand("n_plus_1")
+    assert [tendon["name"] for tendon in content["tendon"]] == list(known.tendon_names)
+    assert [tendon["motor"] for tendon in content["tendon"]] == list(known.motor_names)
+    assert [tendon["moment_arm_m"] for tendon in content["tendon"]] == [tendon.moment_arm_m for tendon in known.tendon]
+    assert content["tendon"][0]["tension_max_N"] == known.tendon[0].tension_max_N
+    assert content["mount"]["gravity_m_s2"] == list(known.mount.gravity_m_s2)
+
+
+def test_links_in_any_frames_have_the_dynamics_of_pinocchio(place: Path) -> None:
+    Path("full.toml").write_text(measured(imported("--urdf", TRIPOD, *ANSWERS)))
+    tree = HandTree.of(load_hand("full.toml"))
+    model = pinocchio.buildModelFromUrdf(str(TRIPOD))
+    data = model.createData()
+    # The first finger of the file flexes towards negative angles.
+    signs = np.array([-1.0, -1.0, 1.0, 1.0, 1.0, 1.0])
+    assert [name for name in model.names if name != "universe"][:2] == ["finger_a_joint_1", "finger_a_joint_2"]
+    rng = np.random.default_rng(0)
+    turned = pinocchio.rpy.rpyToMatrix(*np.radians([-90.0, -90.0, 0.0]))
+    for q in rng.uniform(0.0, 1.5, (10, 6)):
+        expected = pinocchio.crba(model, data, signs * q)
+        expected = np.triu(expected) + np.triu(expected, 1).T
+        armature = 1e-6 * np.eye(6)
+        assert tree.mass_matrix(q) == pytest.approx(signs[:, None] * expected * signs + armature, abs=1e-12)
+        model.gravity.linear = turned @ np.array([0.0, 0.0, -9.81])
+        torque = signs * pinocchio.computeGeneralizedGravity(model, data, signs * q)
+        still = tree.inverse_dynamics(q, np.zeros(6), np.zeros(6))
+        assert still == pytest.approx(torque, abs=1e-9)
+
+
+def test_each_missing_value_is_refused_until_it_is_given(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = imported("--urdf", TRIPOD, *ANSWERS)
+    capsys.readouterr()
+    lines = refused_lines(capsys, "config", "check", "--hand", "mine.toml")
+    keys = [re.search(r'([a-z]\w+): "TODO"; expected', line) for line in lines]
+    assert all(keys)
+    assert sorted(key[1] for key in keys if key) == sorted(MEASURED), "one line for each value"
+    assert all("# TODO" in line for line in text.splitlines() if '"TODO"' in line)
+    full = measured(text)
+    for key, value in MEASURED.items():
+        Path("mine.toml").write_text(full.replace(f"{key} = {value}\n", f'{key} = "TODO"\n'))
+        assert all(f"{key}: " in line for line in refused_lines(capsys, "config", "check", "--hand", "mine.toml"))
+    Path("mine.toml").write_text(full)
+    assert main(["config", "check", "--hand", "mine.toml"]) == 0
+
+
+def test_no_run_begins_with_a_missing_value(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    imported("--urdf", TRIPOD)
+    capsys.readouterr()
+    assert '"TODO"; expected' in refused(capsys, "demo", "--lockstep", "--hand", "mine.toml")
+
+
+def test_what_a_description_lacks_is_asked(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    answers = itertools.chain(["each", "7", "some", "8", "90"], itertools.repeat(""))
+    asked: list[str] = []
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", lambda text: asked.append(text) or next(answers))
+    assert main(["config", "init", "--urdf", str(TRIPOD), "--cells", "none", "--output", "mine.toml"]) == 0
+    content = hand_content("mine.toml")
+    assert not any("Load cells" in text for text in asked), "an option has answered it"
+    assert len(content["tendon"]) == 6
+    assert content["tendon"][1]["moment_arm_m"] == {"finger_a_j1": 0.007, "finger_a_j2": 0.007}
+    assert content["motor"][0]["torque_max_N_m"] == pytest.approx(1.4 * 90.0 * 0.008)
+    assert content["motor"][0]["node_id"] == "TODO"
+    assert content["sensor_node"]["tendons"] == []
+
+
+MASS = '<inertial><mass value="0.01"/><inertia ixx="1e-6" iyy="1e-6" izz="1e-6" ixy="0" ixz="0" iyz="0"/></inertial>'
+
+
+def urdf_of(joint: str, link: str = MASS, more: str = "") -> str:
+    """Return an URDF of one joint and one link with a tip."""
+    return (
+        f'<robot name="r"><link name="base"/><link name="a">{link}</link><joint name="j" {joint}>'
+        f'<parent link="base"/><child link="a"/><axis xyz="0 0 1"/>'
+        f'<limit lower="0" upper="1" effort="1" velocity="1"/></joint>{more}</robot>'
+    )
+
+
+def mjcf_of(body: str, more: str = "") -> str:
+    """Return an MJCF of one body."""
+    return f'<mujoco><worldbody><body name="a">{body}</body></worldbody>{more}</mujoco>'
+
+
+HINGE = '<joint name="j" range="0 90"/><inertial pos="0 0 0" mass="0.01" diaginertia="1e-6 1e-6 1e-6"/>'
+SECOND = (
+    '<joint name="k" type="revolute"><parent link="a"/><child link="b"/><mimic joint="j"/></joint>'
+    f'<link name="b">{MASS}</link>'
+)
+BAD = [
+    ("--urdf", "a hand", "not XML: "),
+    ("--urdf", mjcf_of(HINGE), "expected URDF, with the first element <robot>: give it with --mjcf"),
+    ("--mjcf", urdf_of('type="revolute"'), "its first element is <robot>; expected MJCF"),
+    ("--urdf", '<robot xmlns:xacro="http://x/xacro"><xacro:include filename="a"/></robot>', "xacro; expected the URDF"),
+    ("--urdf", '<robot name="r"><link name="base"/></robot>', "no joints; expected a hand with hinges"),
+    ("--urdf", urdf_of('type="floating"'), "joint j is floating; expected revolute, continuous, fixed"),
+    ("--urdf", urdf_of('type="prismatic"'), "joint j is prismatic; expected revolute"),
+    ("--urdf", urdf_of('type="revolute"', ""), "expected a mass and an inertia for each link that moves"),
+    ("--urdf", urdf_of('type="revolute"', MASS, SECOND), "joint k mimics another; expected independent joints"),
+    ("--urdf", urdf_of('type="revolute"'), "neither a frame nor a shape tells where its last link a ends"),
+    ("--mjcf", mjcf_of('<freejoint/><geom size="0.01"/>'), "is a floating joint; expected hinges"),
+    ("--mjcf", mjcf_of('<joint type="ball"/><geom size="0.01"/>'), "joint_1 is a ball joint; expected hinges"),
+    ("--mjcf", mjcf_of('<joint name="j"/>'), "expected a mass and an inertia for each link that moves"),
+    ("--mjcf", mjcf_of(HINGE, '<equality><joint name="e" joint1="j"/></equality>'), "the equality e closes"),
+    ("--mjcf", mjcf_of(f'<joint name="k"/>{HINGE}'), "body a has 2 joints; expected one hinge for each body"),
+]  # fmt: skip
+"""Descriptions that are no hand, and what the line says."""
+
+
+@pytest.mark.parametrize(("form", "text", "said"), BAD)
+def test_a_bad_description_is_one_line(
+    place: Path, capsys: pytest.CaptureFixture[str], form: str, text: str, said: str
+) -> None:
+    Path("bad.xml").write_text(text)
+    line = refused(capsys, "config", "init", "--yes", form, "bad.xml", "--output", "mine.toml")
+    assert "bad.xml: " in line
+    assert said in line
+    assert not Path("mine.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--urdf", "none.urdf"], "none.urdf: cannot be read: No such file or directory"),
+        (["--urdf", str(TRIPOD), "--fingers", "3"], "--fingers: given, and so is --urdf; expected one of them"),
+        (["--urdf", str(TRIPOD), "--first-node", "0"], "--first-node: 0; expected 1 to 127"),
+        (["--urdf", str(TRIPOD), "--mjcf", "a.xml"], "not allowed with"),
+        (["--cells", "all"], "--cells: only for an imported hand; expected --urdf or --mjcf with it"),
+    ],
+)
+def test_options_that_do_not_fit(place: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str) -> None:
+    assert said in refused(capsys, "config", "init", "--yes", *words, "--output", "mine.toml")
+
+
+def test_without_mujoco_the_extra_is_named(
+    place: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "mujoco", None)
+    line = refused(capsys, "config", "init", "--yes", "--urdf", str(TRIPOD), "--output", "mine.toml")
+    assert "needs mujoco: pip install 'handctl[sim]'" in line
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(("form", "name"), [("--mjcf", "t42"), ("--urdf", "jamia"), ("--mjcf", "orca_like"), ("", "")])
+def test_an_imported_hand_grasps(place: Path, capsys: pytest.CaptureFixture[str], form: str, name: str) -> None:
+    if name:
+        completed(form, name)
+    else:
+        Path("mine.toml").write_text(measured(imported("--urdf", TRIPOD, *ANSWERS)))
+    capsys.readouterr()
+    code = main(["demo", "--lockstep", "--hand", "mine.toml", "--log", "run.mcap", "--json"])
+    out, err = capsys.readouterr()
+    assert code == 0, err
+    result = json.loads(out)
+    assert result["table_sunk_mm"] > 50.0
+    assert result["object_slid_mm"] < 5.0
