@@ -20,6 +20,10 @@ MEANINGS = {
     "hold.rate_N_per_s": "Rate of the tension [N/s].",
 }
 """Meaning of each key whose model has none."""
+VALUES = {"hand.schema": "1 or 2"}
+"""Valid values of keys whose model describes a file after defaults and templates were applied."""
+MAY_BE_ABSENT = ("hand.sensor_node",)
+"""Keys that a file may leave out, although the model has them always."""
 SHORTER = {"a name of letters, digits and _ that begins with a letter": "a name", "a whole number from 1 to 1": "1"}
 """Shorter forms of the messages of validators. The page defines a name."""
 
@@ -48,9 +52,9 @@ def _row(field: FieldInfo, key: str) -> tuple[str, str, str]:
     Raises:
         KeyError: the key has no meaning here and in its model.
     """
-    required = "yes" if field.is_required() else "no"
+    required = "yes" if field.is_required() and key not in MAY_BE_ABSENT else "no"
     annotation = Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation
-    return value_text(annotation), required, prose(field.description) or MEANINGS[key]
+    return VALUES.get(key) or value_text(annotation), required, prose(field.description) or MEANINGS[key]
 
 
 def _parts(annotation: Any) -> Iterator[Any]:

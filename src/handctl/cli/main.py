@@ -67,7 +67,7 @@ GROUPS = {
         "check a hand, its buses and this machine",
         {
             "config": "show or check a hand and its files",
-            "bus": "plan the load of the buses of a hand, or check buses",
+            "bus": "plan the load of the buses of a hand, check buses, or watch the readings on them",
             "scan": "find the drives on a bus without motion",
             "conformance": "check the contract of one drive on the drive itself",
             "doctor": "check this machine: priority, buses, viewer, space",

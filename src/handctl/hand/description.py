@@ -31,7 +31,7 @@ class Hand(Section):
     model_config = ConfigDict(extra="forbid", frozen=True, validate_by_name=False)
 
     schema_: qty.SchemaNumber = Field(alias="schema")
-    """Version of the format."""
+    """Version of the format, 2 for a new file. A file of version 1 has neither defaults nor templates."""
     name: qty.Name
     """Name of the hand. It names the files of calibration and gains."""
     description: qty.Text
@@ -41,8 +41,10 @@ class Hand(Section):
     bus: tuple[Bus, ...] = Field(min_length=1)
     """CAN buses."""
     sensor_node: SensorNode
-    """A node without load cells and joint encoders in a hand without sensors. SYNC is not sent then."""
-    """Sensor node with load cells and joint encoders."""
+    """Sensor node with load cells and joint encoders.
+
+    Absent in a hand without sensors. The controller then sends no SYNC.
+    """
     stream: StreamLimits = StreamLimits()
     """Limits of targets that a client streams."""
     digit: tuple[Digit, ...] = Field(min_length=1)

@@ -13,6 +13,7 @@ from handctl.cli.console.options import (
     hand_option,
     json_option,
     output_option,
+    time_scale_option,
 )
 from handctl.cli.parsing.completion import hand_names
 from handctl.cli.parsing.parser import SIMULATED_HAND, Example, Parser, add_sub_verb
@@ -33,6 +34,7 @@ EXAMPLES = {
     "bus plan": Example("handctl bus plan --hand jamia11 --rate 200"),
     "bus up": Example("handctl bus up --hand jamia --bus socketcan:vcan0"),
     "bus doctor": Example("handctl bus doctor --hand jamia --bus local:demo", (SIMULATED_HAND,)),
+    "bus watch": Example("handctl bus watch --hand jamia --bus local:demo --for 2", (SIMULATED_HAND,)),
     "scan": Example("handctl scan --bus socketcan:can0 --dry-run"),
     "conformance": Example(
         "handctl conformance --protocol odrive --node 3 --bus socketcan:can0 --torque-limit-Nm 0.1 --dry-run"
@@ -119,15 +121,18 @@ def _declare_files(parser: argparse.ArgumentParser) -> None:
 
 
 def bus(parser: Parser) -> None:
-    """Declare the arguments of ``bus``."""
-    kinds = parser.add_subparsers(dest="what", required=True, metavar="plan|doctor|up")
+    """Declare the arguments of ``bus``. ``watch`` polls the drives, and enables none."""
+    kinds = parser.add_subparsers(dest="what", required=True, metavar="plan|doctor|up|watch")
     text = "compute the worst-case load of each bus of a hand, stuff bits included"
     plan = add_sub_verb(kinds, "plan", text, EXAMPLES["bus plan"])
     text = "check buses from the interface to the drives, and name the command that repairs each finding"
     doctor = add_sub_verb(kinds, "doctor", text, EXAMPLES["bus doctor"])
     text = "print the commands that set up the interfaces of a hand, or run them (--yes, as root)"
     up = add_sub_verb(kinds, "up", text, EXAMPLES["bus up"])
-    for one, default in ((plan, "jamia"), (doctor, "none"), (up, "none")):
+    text = "show angle, velocity, temperature and tension of every drive and load cell live, without torque"
+    watch = add_sub_verb(kinds, "watch", text, EXAMPLES["bus watch"])
+    defaults = ((plan, "jamia"), (doctor, "none"), (up, "none"), (watch, "jamia on a simulated bus"))
+    for one, default in defaults:
         named = one.add_argument("--hand", metavar="NAME|FILE", help=f"packaged hand or file (default: {default})")
         named.completer = hand_names  # type: ignore[attr-defined]  # an attribute that argcomplete reads
         bus_option(one, required=False)
@@ -137,6 +142,9 @@ def bus(parser: Parser) -> None:
     for one in (doctor, up):
         bitrate_options(one, "without a hand", "without a hand: of CAN FD's data phase")
     up.add_argument("--yes", action="store_true", help="run the commands now; needs root")
+    text = "end after this time (default: Ctrl-C)"
+    watch.add_argument("--for", dest="duration", type=float, metavar="S", help=text)
+    time_scale_option(watch)
 
 
 def scan(parser: argparse.ArgumentParser) -> None:

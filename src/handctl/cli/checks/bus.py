@@ -1,6 +1,6 @@
-"""``handctl bus``: plan the bus load of a hand, or check the buses of this machine.
+"""``handctl bus``: plan the bus load of a hand, check buses, or watch the readings on them.
 
-The module of a sub-verb is imported only when that sub-verb runs, because only ``plan`` needs the controller.
+Only the module of the sub-verb that runs is imported, because ``plan`` and ``watch`` need the controller.
 """
 
 import argparse

@@ -193,6 +193,13 @@ def print_json(result: dict[str, Any]) -> None:
     sys.stdout.write(text.replace("\x7f", "\\u007f") + "\n")  # JSON leaves this control character as it is
 
 
+def print_json_line(result: dict[str, Any]) -> None:
+    """Print a result as one line of JSON at once, for a verb that reports while it runs. NaN becomes null."""
+    text = json.dumps(_json_value(result), allow_nan=False)
+    sys.stdout.write(text.replace("\x7f", "\\u007f") + "\n")
+    sys.stdout.flush()
+
+
 def _json_value(value: Any) -> Any:
     if isinstance(value, dict):
         return {encodable(str(key)): _json_value(item) for key, item in value.items()}

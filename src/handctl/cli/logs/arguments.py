@@ -108,7 +108,7 @@ def log(parser: Parser) -> None:
         one.add_argument("log", type=Path, help="the log")
         return one
 
-    kind("info", "what is in it: when, which hand, gains, versions, loop, gaps")
+    kind("info", "what is in it: events with times, how the run ended, phases, which hand, gains, versions, gaps")
     kind("check", "counters, gaps, clock, hashes, every byte")
     other = kind("diff", "compare it with another run of the same hand, phase by phase")
     other.add_argument("other", type=Path, help="the other log")

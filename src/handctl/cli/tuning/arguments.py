@@ -154,7 +154,7 @@ def _declare_verify(parser: argparse.ArgumentParser) -> None:
     dry_run_option(parser)
     parser.add_argument("--lockstep", action="store_true", help="on a simulated hand in this process, in virtual time")
     perturb_option(parser)
-    text = "default: HAND.calibration.toml; with --lockstep only what it says was identified counts (default: nothing)"
+    text = "calibration (default: HAND.calibration.toml, none with --lockstep, which uses the identified values)"
     parser.add_argument("--calibration", type=Path, metavar="FILE", help=text)
     text = "with --lockstep: so many runs, each with another seed, whose spread decides (default: 3)"
     parser.add_argument("--seeds", type=int, default=3, metavar="N", help=text)

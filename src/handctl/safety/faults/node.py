@@ -104,8 +104,9 @@ row("N04", "encoder stuck", ticks=2, ms=500, required=22,
 N04 = fault(
     "N04", "an encoder is stuck", f"constant for {STUCK_S * 1e3:g} ms while goal, tension or spool moves",
     Action.RELAX, OPERATOR, MOTOR, JOINT, release=Release.OPEN,
-    cause="The encoder or its magnet has failed, or the drive repeats old values.",
-    remedy="Turn the shaft or joint by hand and watch its angle in handctl view. Replace the encoder if it stays.",
+    cause="The encoder or its magnet has failed, the drive repeats old values, or a tendon without load cell has torn.",
+    remedy="Turn the shaft or joint by hand while handctl bus watch runs. Replace the encoder if its angle stays. "
+    "Inspect a tendon without load cell.",
 )  # fmt: skip
 
 row("N05", "encoder jump", ticks=3, required=3)
@@ -119,7 +120,7 @@ N05B = fault(
     "N05b", "an encoder jumps", "such a step in two readings in a row",
     Action.RELAX, OPERATOR, MOTOR, JOINT, release=Release.OPEN,
     cause="The encoder or its magnet is loose, or the drive has lost its reference.",
-    remedy="Check magnet and cable of the encoder, then commission the hand again (handctl commission).",
+    remedy="Check magnet and cable of the encoder with handctl bus watch, then commission again (handctl commission).",
 )  # fmt: skip
 
 row("N06", "encoder drift or slip", TICK, _JOINTS, _JOINTS, _JOINTS, ticks=4, ms=900, required=200,

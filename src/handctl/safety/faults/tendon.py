@@ -103,7 +103,7 @@ T04B = fault(
     "T04b", "a load cell is wrong", f"{RESIDUAL_TRIP_N:g} N that torque, inertia and friction do not explain",
     Action.RELAX, OPERATOR, TENDON, release=Release.OPEN,
     cause="The load cell or its amplifier has failed, or the motor's torque constant is wrong.",
-    remedy="Check the load cell with a known weight, then commission the hand (handctl commission).",
+    remedy="Check the load cell with a known weight with handctl bus watch, then commission (handctl commission).",
 )  # fmt: skip
 
 row("T05", "load cell stuck", ticks=42, ms=300, required=42,
@@ -127,7 +127,7 @@ T06 = fault(
     "T06", "a load cell is saturated", f"at the end of its range, or a broken wire, for {SATURATED_TICKS} ticks",
     Action.RELAX, OPERATOR, TENDON, debounce=SATURATED_TICKS, release=Release.FAST,
     cause="A broken wire, an unplugged load cell, or a tension beyond the cell's range.",
-    remedy="Check wire and plug of the load cell, then commission the hand (handctl commission).",
+    remedy="Check wire and plug of the load cell with handctl bus watch, then commission (handctl commission).",
 )  # fmt: skip
 
 row("T07", "load cells swapped or inverted", ARMING, tested="tests/controller/test_commission.py")

@@ -1,0 +1,174 @@
+"""``handctl bus watch``: show the readings of all drives and load cells of a hand, without torque."""
+
+import argparse
+import math
+import signal
+import sys
+import time
+from contextlib import ExitStack
+from typing import Any
+
+from handctl.cli.console.options import print_json_line
+from handctl.cli.console.screen import screen
+from handctl.cli.console.verbosity import note
+from handctl.controller.bus_load import bus_loads
+from handctl.controller.setup import make_drives, make_sensors
+from handctl.drives.contract import Drive, DriveState
+from handctl.errors import BusError, ConfigError
+from handctl.hand.description import Hand
+from handctl.hand.load import load_hand
+from handctl.handlers import TerminationFlag, handling
+from handctl.runtime.buses.open import open_bus, real_buses
+from handctl.runtime.clock import RealClock
+from handctl.runtime.diagnostics.watch import STALE_S, BusWatch, is_saturated
+from handctl.runtime.mailbox import bus_lock, is_running
+from handctl.session.defaults import DEFAULT_HAND
+from handctl.session.exit_codes import Exit
+from handctl.session.plan import bus_specs, fastest
+
+HIGHEST_HZ = 100.0
+"""Rate of the requests [Hz], if the bus load allows it."""
+EVERY_S = 0.1
+"""Time between two lines of JSON, or two pictures in a terminal [s]."""
+EVERY_LINE_S = 1.0
+"""Time between two tables in a pipe or file [s]."""
+LONGEST_S = 86400.0
+
+
+def run(args: argparse.Namespace) -> int:
+    """Show the readings until Ctrl-C, or for a time. Returns 1 if a drive does not reply at the end."""
+    specs, hand = _choices(args)
+    drives = make_drives(hand)
+    clock = RealClock(round(1e9 / min(HIGHEST_HZ, fastest(bus_loads(hand)))), args.time_scale)
+    for spec in specs:
+        if is_running(spec):
+            right = "no running controller: its own display and handctl run --view show the readings"
+            raise BusError("a controller runs here", f"bus {spec}", right)
+    with ExitStack() as stack:
+        for spec in specs:
+            stack.enter_context(bus_lock(spec))
+        opened = [
+            open_bus(spec, index, section.bitrate, section.data_bitrate, clock.of)
+            for index, (spec, section) in enumerate(zip(specs, hand.bus, strict=True))
+        ]
+        for bus in opened:
+            stack.callback(bus.close)
+        watch = BusWatch(drives, make_sensors(hand), opened, clock)
+        note(f"handctl: {hand.name} on {', '.join(specs)}: no drive is enabled. Ctrl-C ends the watch.")
+        if foreign := watch.other_host():
+            raise BusError(f"another host is at work (heard: {foreign})", f"bus {', '.join(specs)}", "this host alone")
+        ended = TerminationFlag()
+        stack.enter_context(handling(ended, signal.SIGINT, signal.SIGTERM))
+        stack.callback(watch.release)
+        clock.start()
+        _show(args, hand, watch, ended)
+    if silent := watch.silent():
+        print(f"handctl: without a reply at the end: {', '.join(silent)}", file=sys.stderr)
+    return Exit.FAILED if silent else Exit.DONE
+
+
+def _choices(args: argparse.Namespace) -> tuple[tuple[str, ...], Hand]:
+    """Return the specification of each bus, and the hand.
+
+    Raises:
+        ConfigError: an argument is missing or out of range, or no hand is named on a real bus.
+    """
+    if not args.bus:
+        raise ConfigError("missing", "--bus", "the bus of the hand, such as --bus socketcan:can0")
+    if args.duration is not None and not 0.0 < args.duration <= LONGEST_S:
+        raise ConfigError(f"{args.duration:g}", "--for", f"more than 0, at most {LONGEST_S:g}")
+    if not 0.001 <= args.time_scale <= 100:
+        raise ConfigError(f"{args.time_scale:g}", "--time-scale", "0.001 to 100")
+    real = real_buses([text.rpartition("=")[2] for text in args.bus])
+    if real and args.time_scale != 1:
+        right = "1, or a bus of simulated ones: local:NAME, socketcan:vcan0"
+        raise ConfigError(f"{args.time_scale:g}, and {real[0]} may have real motors", "--time-scale", right)
+    if real and args.hand is None:
+        raise ConfigError(f"no hand is named, and {real[0]} may have real motors", "--hand", "the file of that hand")
+    hand = load_hand(args.hand or DEFAULT_HAND)
+    return bus_specs(hand, args.bus), hand
+
+
+def _show(args: argparse.Namespace, hand: Hand, watch: BusWatch, ended: TerminationFlag) -> None:
+    """Run the ticks, and show the readings at intervals and at the end."""
+    begin = time.monotonic()
+    end = begin + (math.inf if args.duration is None else args.duration)
+    in_place = sys.stdout.isatty() and not args.json
+    every = EVERY_S if args.json or in_place else EVERY_LINE_S
+    due = begin + every
+    with ExitStack() as stack:
+        live = None
+        if in_place:
+            from rich.live import Live
+
+            live = stack.enter_context(Live(console=screen(), auto_refresh=False))
+        while not ended.asked and (now := time.monotonic()) < end:
+            watch.tick()
+            if now < due:
+                continue
+            due = max(due + every, now)
+            readings = readings_of(hand, watch)
+            if live is not None:
+                live.update(_table(readings), refresh=True)
+            elif args.json:
+                print_json_line(readings)
+            else:
+                screen(min_width=100).print(_table(readings))
+                sys.stdout.flush()
+
+
+def readings_of(hand: Hand, watch: BusWatch) -> dict[str, Any]:
+    """Return all readings of the present moment. A reading older than ``STALE_S`` is NaN."""
+    now = watch.clock.now_ns()
+    rows = zip(hand.tendon_names, watch.drives, watch.states, watch.ages_s(now), strict=True)
+    tensions = {hand.tendon_names[index]: reading.at(now) for index, reading in watch.tensions.items()}
+    return {
+        "t_s": now * 1e-9,
+        "drives": [_drive_fields(hand, tendon, drive, state, age) for tendon, drive, state, age in rows],
+        "load_cells": [
+            {"tendon": name, "tension_N": value, "saturated": is_saturated(value)} for name, value in tensions.items()
+        ],
+        "joint_encoders": [
+            {"joint": hand.joints[index], "angle_rad": reading.at(now)} for index, reading in watch.angles.items()
+        ],
+    }
+
+
+def _drive_fields(hand: Hand, tendon: str, drive: Drive, state: DriveState, age_s: float) -> dict[str, Any]:
+    """Return the readings of a drive. Position and velocity are at the spool, and positive winds."""
+    motor = hand.motor_of(tendon)
+    values = (state.position, state.velocity, state.torque, state.temperature)
+    shown = values if age_s <= STALE_S else (math.nan,) * len(values)
+    names = ("angle_rad", "velocity_rad_s", "torque_N_m", "temperature_degC")
+    return {
+        "motor": drive.name, "tendon": tendon, "protocol": motor.protocol, "node_id": motor.node_id,
+        "phase": state.phase.name.lower(), **dict(zip(names, shown, strict=True)), "age_s": age_s,
+        "error": state.error_text,
+    }  # fmt: skip
+
+
+def _table(readings: dict[str, Any]) -> Any:
+    """Return the readings as a table with one row for each drive."""
+    from rich.table import Table
+
+    cells = {row["tendon"]: row for row in readings["load_cells"]}
+    table = Table(box=None, pad_edge=False)
+    titles = ("motor", "node", "phase", "angle [deg]", "velocity [deg/s]", "torque [N m]", "temp. [C]", "load cell [N]")
+    for title in titles:
+        table.add_column(title, justify="left" if title in ("motor", "phase") else "right")
+    for row in readings["drives"]:
+        cell = cells.get(row["tendon"], {"tension_N": math.nan, "saturated": False})
+        table.add_row(
+            row["motor"], str(row["node_id"]), row["error"] or row["phase"],
+            _number(math.degrees(row["angle_rad"]), 1), _number(math.degrees(row["velocity_rad_s"]), 1),
+            _number(row["torque_N_m"], 3), _number(row["temperature_degC"], 0),
+            _number(cell["tension_N"], 2) + (" end of range" if cell["saturated"] else ""),
+        )  # fmt: skip
+    for row in readings["joint_encoders"]:
+        table.add_row(row["joint"], "", "joint encoder", _number(math.degrees(row["angle_rad"]), 1))
+    return table
+
+
+def _number(value: float, digits: int) -> str:
+    """Return a number as text, ``-`` without a reading."""
+    return "-" if math.isnan(value) else f"{value + 0.0:.{digits}f}"

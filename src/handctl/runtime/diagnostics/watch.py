@@ -1,0 +1,137 @@
+"""Watch of the drives, load cells and joint encoders of a hand: readings without torque.
+
+Every drive is polled as in the mode READY of a run: it is configured, its settings are read back, and its feedback
+is requested. No function here requests ENABLE, and ``DriveTarget.POLL`` disables a drive that is enabled.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from handctl.drives.contract import Drive, DriveState, DriveTarget
+from handctl.drives.frame import Frame
+from handctl.drives.sensors.node import TENSION_TOP_N, TENSION_ZERO_N, SensorNode
+from handctl.drives.signals import Table
+from handctl.runtime.buses.contract import Bus
+from handctl.runtime.clock import Clock
+from handctl.runtime.diagnostics.scan import listen
+
+LISTEN_S = 0.5
+"""Time of listening before the first frame is sent, to detect another host [s]."""
+STALE_S = 0.5
+"""Age after which a reading is no longer shown [s]."""
+
+
+class Reading(NamedTuple):
+    """Reading of a load cell [N] or of a joint encoder [rad].
+
+    Attributes:
+        value: latest value as the node sends it, without tare. NaN before the first frame.
+        t_ns: time of reception [ns], -1 before the first frame.
+    """
+
+    value: float = math.nan
+    t_ns: int = -1
+
+    def at(self, t_ns: int) -> float:
+        """Return the value, NaN if it is older than ``STALE_S`` at a time [ns]."""
+        return self.value if self.t_ns >= 0 and t_ns - self.t_ns <= STALE_S * 1e9 else math.nan
+
+
+def is_saturated(tension: float) -> bool:
+    """Return True if a load cell reading [N] is at an end of the range, as with a broken wire."""
+    return not TENSION_ZERO_N < tension < TENSION_TOP_N and not math.isnan(tension)
+
+
+@dataclass
+class BusWatch:
+    """Poll of all nodes of a hand. No drive makes torque.
+
+    Attributes:
+        drives: drives of the hand.
+        sensors: the sensor node. It may have no frames.
+        buses: open buses, in the order of the hand.
+        clock: clock that was started. Its period is the period of the requests.
+        states: state of each drive.
+        tensions: reading of each load cell, by index of the tendon.
+        angles: reading of each joint encoder, by index of the joint.
+        k: number of the next tick.
+    """
+
+    drives: Sequence[Drive]
+    sensors: SensorNode
+    buses: Sequence[Bus]
+    clock: Clock
+    states: list[DriveState] = field(init=False)
+    tensions: dict[int, Reading] = field(init=False)
+    angles: dict[int, Reading] = field(init=False)
+    k: int = 0
+
+    def __post_init__(self) -> None:
+        """Begin without a reading."""
+        self.states = [drive.initial() for drive in self.drives]
+        node = self.sensors
+        self._tables = [Table(message) for message in node.messages]
+        self._group = {can_id: group for group, can_id in enumerate(node.ids)}
+        cells, encoders = node.channels[: node.tension_frames], node.channels[node.tension_frames :]
+        self.tensions = {index: Reading() for channels in cells for index in channels}
+        self.angles = {index: Reading() for channels in encoders for index in channels}
+
+    def other_host(self, for_s: float = LISTEN_S, listen: Callable[[Bus, float, list[Frame]], None] = listen) -> str:
+        """Listen for a time [s], and return the first frame that only a host sends as text. Empty without one."""
+        own = {(drive.bus, can_id) for drive in self.drives for can_id in drive.host_ids}
+        own |= {(self.sensors.bus, can_id) for can_id in self.sensors.host_ids}
+        seen: list[Frame] = []
+        for bus in self.buses:
+            listen(bus, for_s / len(self.buses), seen)
+        return next((f"{frame.can_id:#x}" for frame in seen if (frame.bus, frame.can_id) in own), "")
+
+    def tick(self) -> None:
+        """Wait for the next tick, receive all frames, and send the requests of the tick."""
+        self.clock.wait(self.k)
+        for bus in self.buses:
+            for frame in bus.drain():
+                self._receive(frame)
+        now = self.clock.now_ns()
+        out = [self.sensors.sync(self.k)] if self.sensors.ids else []
+        for n, drive in enumerate(self.drives):
+            self.states[n], frames = drive.advance(self.states[n], now, DriveTarget.POLL, 0.0)
+            out += frames
+        self._send(out)
+        self.k += 1
+
+    def release(self) -> None:
+        """Send the frames after which the drives tolerate a silent host."""
+        pairs = zip(self.drives, self.states, strict=True)
+        self._send([frame for drive, state in pairs for frame in drive.release_frames(state)])
+
+    def silent(self) -> list[str]:
+        """Return the names of the motors without feedback for ``STALE_S``."""
+        now = self.clock.now_ns()
+        return [drive.name for drive, age in zip(self.drives, self.ages_s(now), strict=True) if not age <= STALE_S]
+
+    def ages_s(self, now_ns: int) -> list[float]:
+        """Return the age of the latest feedback of each drive [s], infinity before the first."""
+        times = [state.feedback_t_ns for state in self.states]
+        return [(now_ns - t_ns) * 1e-9 if t_ns >= 0 else math.inf for t_ns in times]
+
+    def _receive(self, frame: Frame) -> None:
+        """Give a received frame to the sensors or to the drives."""
+        group = self._group.get(frame.can_id, -1) if frame.bus == self.sensors.bus else -1
+        if group < 0:
+            for n, drive in enumerate(self.drives):
+                self.states[n] = drive.receive(self.states[n], frame)
+            return
+        if len(frame.data) != self.sensors.lengths[group]:
+            return
+        _, *values = self._tables[group].unpack(frame.data)
+        into = self.tensions if group < self.sensors.tension_frames else self.angles
+        for index, value in zip(self.sensors.channels[group], values, strict=True):
+            into[index] = Reading(value, frame.t_ns)
+
+    def _send(self, frames: Sequence[Frame]) -> None:
+        """Send each frame on its bus."""
+        for index, bus in enumerate(self.buses):
+            bus.send([frame for frame in frames if frame.bus == index])
+            bus.take_events()

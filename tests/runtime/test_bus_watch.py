@@ -1,0 +1,180 @@
+"""``handctl bus watch`` reads every drive and load cell of a hand, and no motor makes torque."""
+
+import json
+import math
+
+import pytest
+
+from firmware_sim.rig import Rig
+from handctl.cli.main import main
+from handctl.controller.setup import make_drives, make_sensors
+from handctl.drives.contract import Phase
+from handctl.drives.frame import Frame
+from handctl.drives.motor_description import PROTOCOLS
+from handctl.hand.load import load_hand
+from handctl.runtime.diagnostics.watch import BusWatch, Reading, is_saturated
+from handctl.runtime.mailbox import Mailbox
+from tests.drives.bench_process import drives
+from tests.drives.protocol_bench import hand_file, on_two_buses
+
+PERIOD_NS = 10_000_000
+TURNED_RAD = -0.5
+"""Angle to which the first spool is turned by hand. Negative makes its tendon slack."""
+
+
+class SimulatedBuses:
+    """Buses and clock of a simulated hand in virtual time."""
+
+    def __init__(self, path):
+        self.hand = load_hand(str(path))
+        self.rig = Rig(str(path), seed=3, period_ns=PERIOD_NS, homed=True)
+        self.motors = list(self.rig.world.plant.motors.values())
+        self.t_ns = 0
+        self.outgoing, self.incoming = [], []
+        self.top = 0.0
+
+    def wait(self, k):
+        """Let the drives answer the frames of the last tick."""
+        self.t_ns = k * PERIOD_NS
+        self.incoming = [Frame(*frame) for frame in self.rig.step(max(0, k - 1) * PERIOD_NS, self.outgoing)]
+        self.outgoing = []
+        self.top = max(self.top, *(abs(motor.servo.torque) for motor in self.motors))
+        return 0
+
+    def now_ns(self):
+        return self.t_ns
+
+    def buses(self):
+        return [Port(self, index) for index in range(len(self.hand.bus))]
+
+
+class Port:
+    """One bus of the hand."""
+
+    def __init__(self, place, index):
+        self.place, self.index = place, index
+
+    def drain(self):
+        return [frame for frame in self.place.incoming if frame.bus == self.index]
+
+    def send(self, frames):
+        self.place.outgoing += frames
+
+    def take_events(self):
+        return []
+
+
+def watched(path):
+    place = SimulatedBuses(path)
+    return place, BusWatch(make_drives(place.hand), make_sensors(place.hand), place.buses(), place)
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_every_protocol_is_read_without_torque(protocol, tmp_path):
+    place, watch = watched(hand_file(tmp_path, [protocol]))
+    for _ in range(120):
+        watch.tick()
+    place.motors[0].theta = TURNED_RAD
+    for _ in range(30):
+        watch.tick()
+    assert watch.silent() == []
+    assert {state.phase for state in watch.states} == {Phase.READY}
+    assert [state.position for state in watch.states] == pytest.approx([m.theta for m in place.motors], abs=0.01)
+    assert watch.states[0].position == pytest.approx(TURNED_RAD, abs=0.01)
+    assert (
+        all(not math.isnan(state.temperature) for state in watch.states) or protocol == "cia402"
+    )  # has no object of it
+    tensions = [reading.at(place.t_ns) for reading in watch.tensions.values()]
+    assert len(tensions) == len(place.motors)
+    assert all(abs(tension) < 8.0 for tension in tensions)
+    assert place.top == 0.0, "no motor ever made torque"
+    watch.release()
+
+
+def test_two_buses_and_joint_encoders_are_read(tmp_path):
+    _, watch = watched(on_two_buses(hand_file(tmp_path, ["mit"])))
+    for _ in range(120):
+        watch.tick()
+    assert watch.silent() == []
+    _, watch = watched("jamia11")
+    for _ in range(120):
+        watch.tick()
+    assert watch.angles
+    assert all(abs(reading.value) < 0.1 for reading in watch.angles.values())
+
+
+def test_a_drive_that_falls_silent_is_named_and_its_readings_end():
+    place, watch = watched("jamia")
+    for _ in range(120):
+        watch.tick()
+    lost = watch.drives[1].node_ids
+    place.rig.step = lambda t_ns, frames, step=place.rig.step: [f for f in step(t_ns, frames) if f[0] not in lost]
+    for _ in range(80):
+        watch.tick()
+    assert watch.silent() == [watch.drives[1].name]
+    assert math.isnan(Reading(3.0, 0).at(10**9))
+    assert math.isnan(Reading().at(0))
+
+
+def test_another_host_is_noticed():
+    _, watch = watched("jamia")
+    assert watch.other_host(0.0, lambda bus, for_s, seen: None) == ""
+    foreign = Frame(min(watch.drives[0].host_ids), bytes(8))
+    assert watch.other_host(0.0, lambda bus, for_s, seen: seen.append(foreign)) == f"{foreign.can_id:#x}"
+
+
+def test_a_load_cell_at_an_end_of_its_range_is_marked():
+    assert [is_saturated(tension) for tension in (-6.0, -5.9, 249.8, 250.0, math.nan)] == [
+        True,
+        False,
+        False,
+        True,
+        False,
+    ]
+
+
+def test_lines_of_json_are_printed_and_silent_motors_named(capsys):
+    with drives("local:d", "mit", "--ids", "1,2"):
+        assert main(["bus", "watch", "--bus", "local:d", "--for", "2", "--json"]) == 1
+    out, err = capsys.readouterr()
+    lines = [json.loads(line) for line in out.splitlines()]
+    assert len(lines) > 5
+    names = {row["motor"]: row["phase"] for row in lines[-1]["drives"]}
+    assert names["index_motor"] == names["middle_motor"] == "ready"
+    assert names["ring_motor"] == "silent"
+    assert lines[-1]["drives"][0]["angle_rad"] is not None
+    assert lines[-1]["drives"][2]["angle_rad"] is None
+    assert "without a reply at the end: ring_motor, thumb_motor" in err
+
+
+def test_a_table_is_printed_into_a_pipe(capsys):
+    with drives("local:d", "mit", "--ids", "1,2,3,4"):
+        assert main(["bus", "watch", "--bus", "local:d", "--for", "2"]) == 0
+    assert "angle [deg]" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([], "--bus: missing"),
+        (["--bus", "socketcan:can0"], "no hand is named"),
+        (["--bus", "main=socketcan:can0", "--time-scale", "0.5", "--hand", "jamia"], "may have real motors"),
+        (["--bus", "local:d", "--for", "-1"], "--for"),
+        (["--bus", "local:d", "--for", "nan"], "--for"),
+        (["--bus", "local:d", "--time-scale", "0"], "--time-scale"),
+    ],
+)
+def test_a_bad_argument_is_one_line(words, said, capsys):
+    assert main(["bus", "watch", *words]) == 2
+    err = capsys.readouterr().err
+    assert said in err
+    assert err.count("\n") == 1
+
+
+def test_a_running_controller_keeps_its_bus(capsys):
+    box = Mailbox("local:d")
+    try:
+        assert main(["bus", "watch", "--bus", "local:d", "--for", "1"]) == 1
+    finally:
+        box.close()
+    assert "a controller runs here" in capsys.readouterr().err
