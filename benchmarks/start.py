@@ -1,13 +1,14 @@
 """Start of a run: time from the command to the first frame on the bus, and the time of the help of a verb.
 
 ``python benchmarks/start.py [--repeats N] [--json]``. The bus is the local bus, with nobody else on it. The kernels
-are compiled before the first measurement. The start of Python with numpy is measured in between, as a reference of
-the same machine: compare ratios.
+and the byte code of Python are compiled before the first measurement. The start of Python with numpy is measured in
+between, as a reference of the same machine: compare ratios. The CPU time depends less on other programs.
 """
 
 import argparse
 import json
 import os
+import resource
 import select
 import statistics
 import subprocess
@@ -17,6 +18,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 LONGEST_S = 600.0
 """Longest time to wait for a frame, with compilation [s]."""
@@ -24,6 +26,13 @@ BUS = "start"
 """Name of the local bus."""
 RUNS = {"handctl run": "jamia", "handctl run, 11 motors": "jamia11"}
 """Packaged hand of each measured run."""
+
+
+class Start(NamedTuple):
+    """Time of a start [s], and CPU time of its process until then [s]."""
+
+    wall: float
+    cpu: float
 
 
 def main() -> None:
@@ -34,17 +43,19 @@ def main() -> None:
     args = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="h-") as folder:
         os.environ["HANDCTL_RUN_DIR"] = folder
+        os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # without byte code each start compiles 300 modules
+        os.environ["PYTHONPYCACHEPREFIX"] = folder
         result = measure(args.repeats, Path(folder))
     print(json.dumps(result, indent=2)) if args.json else show(result)
 
 
-def measure(repeats: int, folder: Path) -> dict[str, list[float]]:
-    """Return the times of each program [s]. The programs take turns."""
+def measure(repeats: int, folder: Path) -> dict[str, list[Start]]:
+    """Return the times of each program. The programs take turns."""
     command = [sys.executable, "-m", "firmware_sim", "bus", BUS]
     hub = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[1])
     assert hub.stdout
     hub.stdout.readline()
-    measures: dict[str, Callable[[], float]] = {
+    measures: dict[str, Callable[[], Start]] = {
         "python -c 'import numpy'": lambda: until_end([sys.executable, "-c", "import numpy"]),
         "handctl run --help": lambda: until_end([sys.executable, "-m", "handctl.cli", "run", "--help"]),
     }
@@ -53,7 +64,7 @@ def measure(repeats: int, folder: Path) -> dict[str, list[float]]:
     try:
         for one in measures.values():
             one()  # compiles, and fills the cache of the disk
-        times: dict[str, list[float]] = {name: [] for name in measures}
+        times: dict[str, list[Start]] = {name: [] for name in measures}
         for _ in range(repeats):
             for name, one in measures.items():
                 times[name].append(one())
@@ -63,15 +74,28 @@ def measure(repeats: int, folder: Path) -> dict[str, list[float]]:
         hub.wait()
 
 
-def until_end(command: list[str]) -> float:
-    """Return the time of a command [s]."""
+def until_end(command: list[str]) -> Start:
+    """Return the times of a command."""
+    before = cpu_of_children()
     begin = time.monotonic()
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-    return time.monotonic() - begin
+    return Start(time.monotonic() - begin, cpu_of_children() - before)
 
 
-def until_first_frame(hand: str, folder: Path) -> float:
-    """Return the time from the start of ``handctl run`` to its first frame [s]."""
+def cpu_of_children() -> float:
+    """Return the CPU time of all ended child processes [s]."""
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
+
+
+def cpu_of(pid: int) -> float:
+    """Return the CPU time of a running process [s]."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def until_first_frame(hand: str, folder: Path) -> Start:
+    """Return the times from the start of ``handctl run`` to its first frame."""
     from handctl.runtime.buses.local import connect
 
     listener = connect(BUS)
@@ -83,7 +107,7 @@ def until_first_frame(hand: str, folder: Path) -> float:
     try:
         if not select.select([listener], [], [], LONGEST_S)[0]:
             raise SystemExit(f"handctl {' '.join(words)} has sent no frame within {LONGEST_S:g} s")
-        return time.monotonic() - begin
+        return Start(time.monotonic() - begin, cpu_of(run.pid))
     finally:
         run.terminate()
         run.wait()
@@ -91,11 +115,13 @@ def until_first_frame(hand: str, folder: Path) -> float:
         (folder / "run.mcap").unlink(missing_ok=True)
 
 
-def show(result: dict[str, list[float]]) -> None:
+def show(result: dict[str, list[Start]]) -> None:
     """Print a table."""
-    print(f"{'program':28} {'median [s]':>11} {'smallest':>9} {'largest':>8}")
-    for name, times in result.items():
-        print(f"{name:28} {statistics.median(times):11.2f} {min(times):9.2f} {max(times):8.2f}")
+    print(f"{'program':28} {'median [s]':>11} {'smallest':>9} {'largest':>8} {'CPU [s]':>8}")
+    for name, starts in result.items():
+        times = [start.wall for start in starts]
+        cpu = statistics.median(start.cpu for start in starts)
+        print(f"{name:28} {statistics.median(times):11.2f} {min(times):9.2f} {max(times):8.2f} {cpu:8.2f}")
 
 
 if __name__ == "__main__":

@@ -26,13 +26,13 @@ from numba.core import cgutils as _cgutils
 from numba.core import config as _config
 from numba.core.errors import TypingError
 from numba.extending import intrinsic, overload
-from numba.np import arrayobj as _arrayobj
 from numpy.typing import NDArray
+
+from handctl.kernel_loading import load_kernel
 
 config: Any = _config
 """Settings of numba. They have no type information."""
 cgutils: Any = _cgutils
-arrayobj: Any = _arrayobj
 """Code generation of numba. It has no type information."""
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -171,6 +171,9 @@ def _without_owner(typing_context: Any, flat: Any, first: Any, shape: Any) -> An
     result = types.Array(flat.dtype, shape.count, "C")
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        from numba.np import arrayobj as _arrayobj  # only a program that compiles needs it
+
+        arrayobj: Any = _arrayobj
         source = arrayobj.make_array(signature.args[0])(context, builder, arguments[0])
         sizes = cgutils.unpack_tuple(builder, arguments[2], shape.count)
         itemsize = context.get_abi_sizeof(context.get_data_type(flat.dtype))
@@ -231,7 +234,9 @@ def prepare(progress: Callable[[int, int], None] | None = None) -> None:
         _compile_together(_FOLDER, waiting, report)
     for done, one in enumerate(waiting):
         report(done, len(waiting))
-        one.code.compile(one.types)
+        if _FOLDER:
+            load_kernel(one.code, one.types)
+        one.code.compile(one.types)  # nothing, if its code was loaded
         one.code.disable_compile()
 
 

@@ -9,12 +9,13 @@ fast.
 """
 
 import errno
+import gc
 import importlib
 import sys
 import time
 import traceback
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from typing import Any, NamedTuple
 
 from handctl.cli.console.ended import Terminated, install_excepthook, terminate_on_signals
@@ -242,13 +243,27 @@ def _run_verb(name: str, words: list[str]) -> int:
             options = ", ".join(f"{key} = {value}" for key, value in sorted(vars(args).items()) if key != "verbose")
             detail(f"handctl {_version_text()} {name}: {options}")
         try:
-            code: int = importlib.import_module(f"handctl.cli.{_folder_of(name)}.{name}").run(args)
+            with _without_collections():
+                module = importlib.import_module(f"handctl.cli.{_folder_of(name)}.{name}")
+            code: int = module.run(args)
         except ModuleNotFoundError as error:
             if (missing := missing_extra(name, error)) is None:
                 raise
             raise missing from None
         detail(f"handctl {name}: exit code {int(code)} after {time.monotonic() - start_s:.2f} s")
     return code
+
+
+@contextmanager
+def _without_collections() -> Iterator[None]:
+    """Collect no garbage during imports, which make many objects that stay."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 def _report_error(error: HandctlError | str, code: Exit) -> int:

@@ -88,7 +88,7 @@ class HandModel:
 
     @staticmethod
     def of(hand: Hand, gains: Gains, rate_hz: float, torque_gain: Vector | None = None) -> "HandModel":
-        """Derive the model, and design all gains. The design takes a second and imports ``control``.
+        """Derive the model, and design all gains. The design takes about 0.1 s.
 
         Args:
             hand: description.

@@ -8,7 +8,6 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
 from handctl.hand.description import Hand
 from handctl.hand.digit import coordinate_range
@@ -104,6 +103,11 @@ def hold_each_other(arms: Vector) -> bool:
     Args:
         arms: reduced moment arms R B, (n_t, n_c) [m].
     """
+    largest = np.abs(arms).max()
+    if ((arms.min(axis=0) >= 0.0) & (arms.max(axis=0) > CONDITION * largest)).any():
+        return False  # tensions of at least 1 make at least the torque of this column's largest arm
+    from scipy.optimize import nnls  # takes as long as the whole check of a hand
+
     # Tensions 1 + w with w >= 0 without torque: the non-negative least-squares problem has no residual.
     _, residual = nnls(arms.T, -arms.sum(axis=0))
-    return bool(residual <= CONDITION * np.abs(arms).max())
+    return bool(residual <= CONDITION * largest)

@@ -1,9 +1,10 @@
 """Header for the log of a run: hand, gains, machine, and the command that repeats the run."""
 
+import functools
 import platform
 import sys
 import time
-from importlib.metadata import distributions, version
+from importlib.metadata import Distribution, distributions, version
 
 from handctl.controller import setup
 from handctl.controller.tick import Controller
@@ -23,13 +24,12 @@ The time is constant, so that logs of equal runs are equal.
 def run_header(plan: Plan, controller: Controller, priority: Priority | None, lockstep: bool) -> RunHeader:
     """Return the log header with all data available before the first tick."""
     hand = plan.hand
-    installed = sorted({f"{dist.name}=={dist.version}" for dist in distributions()})
     attachments = {
         "hand.toml": hand.to_toml().encode(),
         "hand.urdf": urdf(hand).encode(),
         setup.ATTACHMENT: setup.Setup.of(controller, plan.rate_hz).model_dump_json(by_alias=True, indent=2).encode(),
         "gains.json": plan.gains.model_dump_json(by_alias=True, indent=2).encode(),
-        "pip-freeze.txt": "\n".join(installed).encode(),
+        "pip-freeze.txt": "\n".join(installed_packages()).encode(),
         **plan.attachments,
     }
     wall = {
@@ -60,6 +60,23 @@ def run_header(plan: Plan, controller: Controller, priority: Priority | None, lo
         wall=wall,
         deterministic=lockstep,
     )
+
+
+@functools.cache
+def installed_packages() -> tuple[str, ...]:
+    """Return NAME==VERSION of every installed package, in order."""
+    return tuple(sorted({_name_and_version(dist) for dist in distributions()}))
+
+
+def _name_and_version(dist: Distribution) -> str:
+    """Return NAME==VERSION of a package.
+
+    ``importlib.metadata`` parses the whole metadata of a package as an e-mail. The two lines alone take a tenth of
+    the time.
+    """
+    lines = (dist.read_text("METADATA") or dist.read_text("PKG-INFO") or "").splitlines()
+    values = [next((line[len(key) :] for line in lines if line.startswith(key)), "") for key in ("Name: ", "Version: ")]
+    return "==".join(values) if all(values) else f"{dist.name}=={dist.version}"
 
 
 def _flatten(table: dict[str, object], prefix: str = "") -> dict[str, str]:

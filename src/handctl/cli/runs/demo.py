@@ -34,7 +34,6 @@ from handctl.session.plan import Plan, commission_log, default_log
 from handctl.session.run import Outcome, Runner, make_controller, refuse_blind_view, run_live, run_lockstep
 from handctl.session.simulate import Simulator
 from handctl.session.tasks import find_scene, find_task
-from handctl.session.verdict import judge
 
 SIMULATOR = "firmware_sim"
 START_S = 20.0
@@ -75,6 +74,8 @@ def _run_demo(args: argparse.Namespace) -> int:
         outcome, plan = _in_real_time(args, plan, TaskProgram(task), log, identified)
         truth = truth_path(plan.buses[0])
     wall = time.monotonic() - started
+    from handctl.session.verdict import judge  # reads the log, so that a run starts without it
+
     result = judge(plan, outcome, log, truth, task=task)
     result |= _speed_ratio(outcome, plan, wall) if args.lockstep else {}
     code = report(result, outcome, plan, args.json)

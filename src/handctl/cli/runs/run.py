@@ -9,7 +9,6 @@ from handctl.cli.console.begin import announce
 from handctl.cli.console.dry_run import report_dry_run
 from handctl.cli.console.options import print_json
 from handctl.cli.console.plan import find_calibration, make_plan
-from handctl.cli.console.verdict import print_summary
 from handctl.cli.runs.owner import StdinWatch
 from handctl.errors import ConfigError, DriveError
 from handctl.hand.file.toml_text import toml_text
@@ -23,7 +22,6 @@ from handctl.session.pace import remedy
 from handctl.session.plan import Plan, commission_log, default_log
 from handctl.session.run import Outcome, make_controller, refuse_blind_view, run_live
 from handctl.session.tasks import find_task, find_trajectory
-from handctl.session.verdict import judge
 
 
 def run(args: argparse.Namespace) -> int:
@@ -45,6 +43,8 @@ def run(args: argparse.Namespace) -> int:
     controller = make_controller(plan, program, calibration, arm_at_once=True)
     stdin_watch = StdinWatch() if args.until_eof else None
     outcome = run_live(plan, controller, log, live_view=args.view, observer=stdin_watch)
+    from handctl.session.verdict import judge  # reads the log, so that a run starts without it
+
     truth = args.truth or truth_path(plan.buses[0])
     result = judge(plan, outcome, log, truth if truth.exists() else None)
     return report(result, outcome, plan, args.json)
@@ -78,6 +78,8 @@ def report(result: dict[str, Any], outcome: Outcome, plan: Plan, as_json: bool) 
     if as_json:
         print_json(result)
     else:
+        from handctl.cli.console.verdict import print_summary
+
         print_summary(result, plan)
     if outcome.state.failure:
         print(f"handctl: {DriveError(outcome.state.failure, right=remedy(plan, outcome))}", file=sys.stderr)

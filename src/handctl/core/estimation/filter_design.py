@@ -21,7 +21,6 @@ from dataclasses import fields
 import numpy as np
 from scipy.linalg import expm
 
-from handctl.core.deferred_stats import deferred_stats
 from handctl.core.estimation.filter_stack import (
     INPUTS,
     MEASUREMENTS,
@@ -39,6 +38,7 @@ from handctl.core.estimation.filter_stack import (
     X,
 )
 from handctl.core.gains.gains import FilterGains
+from handctl.core.gains.riccati import solve_covariance
 from handctl.core.gains.solvable import check_finite, solvable
 from handctl.core.tendon_space import TendonSpace
 
@@ -226,17 +226,9 @@ def _block(
 
 def _riccati(F: Matrix, H: Matrix, Q: Matrix, R: Matrix) -> Matrix:
     """Return the steady-state covariance of the prediction, solved in units with states of the order of one."""
-    with deferred_stats():
-        from control import dlqe
-
     scale = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 0.1, 1e-5])
     rows = 1.0 / np.sqrt(np.diag(R))
-    _, P, _ = dlqe(
-        F * scale / scale[:, None],
-        np.eye(STATES),
-        H * scale * rows[:, None],
-        Q / np.outer(scale, scale),
-        np.eye(len(rows)),
-        method="scipy",
+    P = solve_covariance(
+        F * scale / scale[:, None], H * scale * rows[:, None], Q / np.outer(scale, scale), np.eye(len(rows))
     )
-    return np.asarray(P) * np.outer(scale, scale)
+    return P * np.outer(scale, scale)

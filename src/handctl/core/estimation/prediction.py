@@ -3,12 +3,12 @@
 import numpy as np
 
 from handctl.core import block as s
-from handctl.core.deferred_stats import deferred_stats
+from handctl.core.deferred_imports import deferred_imports
 from handctl.core.estimation.covariance import HELD_TORQUE_S
 from handctl.core.model import HandModel
 from handctl.core.schema import Block, Layout
 
-with deferred_stats():
+with deferred_imports():
     from filterpy.kalman import predict_steadystate
 
 

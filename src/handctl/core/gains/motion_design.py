@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from handctl.core.deferred_stats import deferred_stats
 from handctl.core.gains.gains import Gains
+from handctl.core.gains.riccati import solve_lqr
 from handctl.core.gains.solvable import check_finite, solvable
 from handctl.core.tendon_space import TendonSpace
 from handctl.core.types import Vector
@@ -98,18 +98,15 @@ def design_from_pieces(space: TendonSpace, designed: list[Vector]) -> MotionDesi
 
 def _dlqr(A: NDArray[np.float64], B: NDArray[np.float64], state: list[float], force: float, period: float) -> Vector:
     """Return the gain (2,) of x' = A x + B u sampled at the period, with Bryson weights."""
-    with deferred_stats():
-        from control import dlqr
-
     # Zero-order hold: exp([[A, B], [0, 0]] T) = [[F, G], [0, I]].
     sampled = expm(period * np.block([[A, B], [np.zeros((1, 3))]]))
     F = sampled[:2, :2]
     G = sampled[:2, 2:]
-    K, *_ = dlqr(F, G, np.diag([1.0 / x**2 for x in state]), np.array([[1.0 / force**2]]), method="scipy")
+    K = solve_lqr(F, G, np.diag([1.0 / x**2 for x in state]), np.array([[1.0 / force**2]]))
     check_finite(K)
     if not np.abs(np.linalg.eigvals(F - G @ K)).max() < 1.0:
         raise ValueError("not stable")
-    return np.asarray(np.asarray(K)[0], dtype=np.float64)
+    return np.asarray(K[0], dtype=np.float64)
 
 
 def _motion(mass: float, gains: Gains, period: float) -> Vector:

@@ -1,0 +1,85 @@
+"""Import of filterpy and control without those of their packages' imports that handctl never uses.
+
+``scipy.stats``, ``scipy.ndimage`` and the plots of control take longer than all other imports of a run. Each is put
+off until a function of it is used.
+"""
+
+import importlib
+import importlib.util
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import ModuleType
+from typing import Any
+
+UNUSED = ("scipy.stats", "scipy.ndimage")
+"""Modules that filterpy imports for functions that handctl does not call."""
+
+
+class _Deferred:
+    """A function or distribution of a module, imported at its first use."""
+
+    def __init__(self, module: str, name: str) -> None:
+        self._module = module
+        self._name = name
+
+    def __getattr__(self, method: str) -> Callable[..., Any]:
+        return lambda *given, **named: self._use(lambda real: getattr(real, method)(*given, **named))
+
+    def __call__(self, *given: Any, **named: Any) -> Any:
+        """Call the real function."""
+        return self._use(lambda real: real(*given, **named))
+
+    def _use(self, use: Callable[[Any], Any]) -> Any:
+        """Use the real object; compute nothing during the import of filterpy, which tries one call."""
+        module: Any = importlib.import_module(self._module)
+        real = getattr(module, self._name)
+        return None if isinstance(real, _Deferred) else use(real)
+
+
+class _StandIn(ModuleType):
+    """A module of which every public name is deferred."""
+
+    def __getattr__(self, name: str) -> _Deferred:
+        if name.startswith("__"):  # the import system asks for __path__ and the like
+            raise AttributeError(name)
+        return _Deferred(self.__name__, name)
+
+
+@contextmanager
+def deferred_imports() -> Iterator[None]:
+    """Stand in for the modules of ``UNUSED`` during an import."""
+    replaced = [name for name in UNUSED if name not in sys.modules]
+    sys.modules.update({name: _StandIn(name) for name in replaced})
+    try:
+        yield
+    finally:
+        for name in replaced:
+            del sys.modules[name]
+
+
+def import_without_package(name: str) -> ModuleType:
+    """Import a module of a package without the package's own ``__init__``.
+
+    A later import of the package is not affected.
+
+    Args:
+        name: the package, a dot, and the module.
+
+    Raises:
+        ModuleNotFoundError: the package is not installed.
+    """
+    package = name.partition(".")[0]
+    if package in sys.modules:
+        return importlib.import_module(name)
+    spec = importlib.util.find_spec(package)
+    if spec is None or spec.submodule_search_locations is None:
+        raise ModuleNotFoundError(f"No module named {package!r}", name=package)
+    stand_in = ModuleType(package)
+    stand_in.__path__ = list(spec.submodule_search_locations)
+    sys.modules[package] = stand_in
+    try:
+        return importlib.import_module(name)
+    finally:
+        for loaded in [one for one in sys.modules if one == package or one.startswith(f"{package}.")]:
+            del sys.modules[loaded]

@@ -1,0 +1,44 @@
+"""Riccati solutions of the LQR and the steady-state Kalman filter, by ``control``."""
+
+from typing import Any
+
+import numpy as np
+
+from handctl.core.deferred_imports import import_without_package
+from handctl.core.types import Vector
+
+# control.dlqr and control.dlqe end in this solver. The package around it imports matplotlib and scipy.signal, which
+# takes longer than the design.
+_mateqn: Any = import_without_package("control.mateqn")
+
+
+def solve_lqr(F: Vector, G: Vector, Q: Vector, R: Vector) -> Vector:
+    """Return the gain (m, n) of the state feedback u = -K x that minimises the sum of x' Q x + u' R u.
+
+    Args:
+        F: (n, n) transition over a period.
+        G: (n, m) input over a period.
+        Q: (n, n) weights of the states.
+        R: (m, m) weights of the inputs.
+
+    Raises:
+        ValueError: no stabilising solution exists, or a number is not finite.
+    """
+    _, _, K = _mateqn.dare(F, G, Q, R, np.zeros((len(Q), len(R))), method="scipy", _Ss="N")
+    return np.asarray(K)
+
+
+def solve_covariance(F: Vector, H: Vector, Q: Vector, R: Vector) -> Vector:
+    """Return the covariance (n, n) of the prediction of a Kalman filter in steady state.
+
+    Args:
+        F: (n, n) transition over a period.
+        H: (m, n) measurements.
+        Q: (n, n) covariance of the process noise of a period.
+        R: (m, m) covariance of the measurements.
+
+    Raises:
+        ValueError: no solution exists, or a number is not finite.
+    """
+    P, _, _ = _mateqn.dare(F.T, H.T, Q, R, method="scipy", _Bs="C", _Qs="QN", _Rs="RN", _Ss="NN")
+    return np.asarray(P)

@@ -1,0 +1,89 @@
+"""Loads the stored code of kernels without the parts of numba that only compilation needs.
+
+numba loads a stored function by two steps that take most of the time. It registers the types and functions that it
+can compile, and it parses the intermediate code (bitcode) from which other functions can inline this one. A program
+that finds all kernels in the folder compiles nothing, and needs neither. numba registers its types if it compiles
+later, and the bitcode of a kernel is parsed if another kernel calls it.
+
+These steps are internal to numba. They are left out for the versions in ``KNOWN`` alone.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+
+import numba
+from llvmlite import binding  # type: ignore[import-untyped, unused-ignore]  # some releases come without types
+from numba.core import codegen as _codegen
+from numba.core import runtime as _runtime
+
+KNOWN = ((0, 68),)
+"""Versions of numba for which these steps were left out in a test."""
+
+codegen: Any = _codegen
+runtime: Any = _runtime
+"""Internal modules of numba. They have no type information."""
+
+
+def load_kernel(dispatcher: Any, types: tuple[Any, ...]) -> None:
+    """Load the stored code of a kernel into its dispatcher. Without stored code nothing happens.
+
+    Args:
+        dispatcher: dispatcher of the kernel, with a cache.
+        types: numba types of the arguments.
+    """
+    version: Any = numba.version_info
+    if version.short not in KNOWN:
+        return
+    context = dispatcher.targetctx
+    with _without_compiler(context):
+        found = dispatcher._cache.load_overload(types, context)
+    if found is not None:
+        context.insert_user_function(found.entry_point, found.fndesc, [found.library])
+        dispatcher.add_overload(found)
+
+
+@contextmanager
+def _without_compiler(context: Any) -> Iterator[None]:
+    """Let numba load stored code without registering types and without parsing bitcode, inside this context."""
+    runtime.rtsys.initialize(context)  # counts references to arrays. Otherwise the registration does this
+    library: Any = codegen.CPUCodeLibrary
+    before = library.__dict__["_unserialize"]
+    library._unserialize = classmethod(_load_object_code)
+    rebuild = context.get_executable
+    context.refresh = _do_nothing
+    context.get_executable = partial(_get_executable, rebuild)
+    try:
+        yield
+    finally:
+        del context.refresh, context.get_executable  # the methods of the class are visible again
+        library._unserialize = before
+
+
+def _do_nothing() -> None:
+    """Stand in for the registration of types."""
+
+
+def _load_object_code(cls: Any, generator: Any, state: tuple[str, str, tuple[bytes, bytes]]) -> Any:
+    """Return a library from its object code. Its bitcode is parsed when another library links it."""
+    name, _, (object_code, bitcode) = state
+    library = generator.create_library(name)
+    library.enable_object_caching()
+    library._set_compiled_object(object_code)
+    library._get_module_for_linking = partial(_parsed, library, bitcode)
+    library._finalize_final_module()
+    return library
+
+
+def _parsed(library: Any, bitcode: bytes) -> Any:
+    """Return the module for linking, parsed at the first call."""
+    if library._shared_module is None:
+        library._shared_module = binding.parse_bitcode(bitcode)
+    return library._shared_module
+
+
+def _get_executable(rebuild: Any, library: Any, function: Any, environment: Any) -> Any:
+    """Return the Python function of a library. numba looks its name up among those of the parsed bitcode."""
+    library.codegen._engine._defined_symbols.add(function.llvm_cpython_wrapper_name)
+    return rebuild(library, function, environment)

@@ -1,0 +1,45 @@
+"""Stored code of kernels is loaded without numba's compiler, and can be compiled into other functions."""
+
+import subprocess
+import sys
+
+import numba
+import pytest
+
+from handctl import compiled, kernel_loading
+
+CHECKS = """
+import sys
+from handctl import compiled, kernel_loading
+compiled.prepare()
+print("registered", "numba.np.arraymath" in sys.modules)
+print("loaded", compiled.square.stats.cache_hits != {}, compiled.square(3.0))
+from numba import njit
+square = compiled.square
+print("linked", njit(lambda value: square(value) + 1.0)(3.0))
+"""
+UNKNOWN = "from handctl import kernel_loading\nkernel_loading.KNOWN = ()\n"
+
+pytestmark = pytest.mark.skipif(compiled._FOLDER is None, reason="no folder for compiled code")
+
+
+def lines(code: str) -> list[str]:
+    """Return the lines that a program prints."""
+    ran = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    return ran.stdout.splitlines()
+
+
+def test_stored_code_is_loaded_without_the_compiler_and_linked_later() -> None:
+    compiled.prepare()
+    assert lines(CHECKS) == ["registered False", "loaded False 9.0", "linked 10.0"]
+
+
+def test_other_versions_of_numba_load_in_their_own_way() -> None:
+    compiled.prepare()
+    assert lines(UNKNOWN + CHECKS) == ["registered True", "loaded True 9.0", "linked 10.0"]
+
+
+def test_the_installed_version_is_known() -> None:
+    """A new version of numba needs a look at the steps in ``kernel_loading``."""
+    version: object = numba.version_info
+    assert getattr(version, "short", None) in kernel_loading.KNOWN
