@@ -1,6 +1,8 @@
 """A hand of `config init` grasps, holds and releases in lockstep. A sample in every run, all in the nightly one."""
 
+import itertools
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -67,6 +69,21 @@ def test_the_object_fits_between_the_digits(place: Path) -> None:
 def test_no_bus_is_slower_than_250_hz(place: Path, fingers: int, opposed: int, links: str) -> None:
     init("--fingers", str(fingers), "--opposed", str(opposed), "--links", links, "--tendons", "each")
     assert fastest(bus_loads(load_hand("mine.toml"))) >= 250.0
+
+
+def test_a_rate_that_leaves_no_margin_is_a_warning(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    init("--fingers", "3", "--opposed", "1", "--links", "50,30,20", "--tendons", "each")
+    assert main(["config", "check", "--hand", "mine.toml"]) == 0
+    assert "gain margin" not in capsys.readouterr().out, "two buses allow 250 Hz"
+    text = re.sub(r', m[1-3]\.bus = "bus_2"', "", Path("mine.toml").read_text())
+    text = text.replace('[[bus]]\nname = "bus_2"\nbitrate = 1_000_000\n\n', "")
+    numbers = itertools.count(1)
+    Path("mine.toml").write_text(re.sub(r"node_id = \d+", lambda _: f"node_id = {next(numbers)}", text))
+    assert main(["config", "check", "--hand", "mine.toml"]) == 0
+    line = next(line for line in capsys.readouterr().out.splitlines() if "gain margin" in line)
+    assert float(re.search(r"gain margin of ([0-9.]+) dB", line)[1]) < 6.0
+    assert "at 100 Hz, which the buses allow" in line
+    assert line.endswith("; 2 buses allow 250 Hz (bus plan --rate 250)")
 
 
 @pytest.mark.parametrize(

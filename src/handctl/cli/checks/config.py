@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from handctl.cli.checks.rate_margin import rate_warnings
 from handctl.cli.console.options import print_json, say
 from handctl.cli.console.plan import find_calibration, layered_gains
 from handctl.controller.bus_load import bus_loads
@@ -157,6 +158,9 @@ def _show_or_check(args: argparse.Namespace, hand: Hand) -> int:
     rate = fastest(loads)
     load = {one.name: one.at(rate) for one in loads}
     source = str(hand_path(args.hand).name)
+    warnings = _warnings(hand)
+    if args.what == "check":
+        warnings += rate_warnings(hand, layers.gains, rate)
     if args.json:
         print_json(
             {
@@ -165,7 +169,7 @@ def _show_or_check(args: argparse.Namespace, hand: Hand) -> int:
                 "rate_hz": rate,
                 "bus_load": load,
                 "caveats": list(caveats(make_drives(hand))),
-                "warnings": _warnings(hand),
+                "warnings": warnings,
                 "hand": hand.content,
                 "gains": layers.gains.model_dump(by_alias=True),
                 "gains_file": str(layers.file) if layers.file else "packaged",
@@ -181,7 +185,7 @@ def _show_or_check(args: argparse.Namespace, hand: Hand) -> int:
         print("\n".join(f"# {line}" for line in _calibration_lines(calibration)))
     for text in caveats(make_drives(hand)):
         print(f"# caution: {text}")
-    for text in _warnings(hand):
+    for text in warnings:
         print(f"# warning: {text}")
     bus_loads_text = ", ".join(f"bus {name} {100 * fraction:.0f} %" for name, fraction in load.items())
     print(f"# default rate {rate:g} Hz: {bus_loads_text}; gains: {layers.file or 'packaged'}; all files are good")

@@ -1,0 +1,40 @@
+"""Warning about a control rate at which a hand may oscillate, although its buses carry the frames."""
+
+from handctl.controller.bus_load import split
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
+from handctl.hand.description import Hand
+
+SAFE_HZ = 250.0
+"""Control rate from which margins are not computed. All packaged hands and those of ``config init`` run at it."""
+
+
+def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
+    """Return a warning if the gain margin of a motion loop is too small at a control rate.
+
+    The buses decide about the rate. At low rates, tensions of fingers with light links oscillate, and a run ends
+    with N14b or T03.
+
+    Args:
+        hand: description of the hand.
+        gains: gains of a run.
+        rate_hz: control rate of a run [Hz].
+    """
+    if rate_hz >= SAFE_HZ:
+        return []
+    # The loops are those of the compiled core. No other check needs the core.
+    from handctl.tune.loops.linear import LoopKind, loop
+    from handctl.tune.loops.margins import GAIN_MARGIN_DB, margins
+
+    model = HandModel.of(hand, gains, rate_hz)
+    found = {name: margins(loop(model, i, LoopKind.MOTION)) for i, name in enumerate(hand.tendon_names)}
+    name, worst = min(found.items(), key=lambda item: item[1].gain_db)
+    if worst.gain_db >= GAIN_MARGIN_DB:
+        return []
+    buses = split(hand, SAFE_HZ)
+    remedy = f"{len(buses)} buses allow {SAFE_HZ:g} Hz (bus plan --rate {SAFE_HZ:g})" if buses else "a faster bus"
+    return [
+        f"{name}: at {rate_hz:g} Hz, which the buses allow, its motion loop has a gain margin of "
+        f"{worst.gain_db:.1f} dB instead of {GAIN_MARGIN_DB:g} dB, and a run may oscillate and "
+        f"end with N14b or T03; {remedy}"
+    ]
