@@ -66,6 +66,18 @@ def test_identity_is_of_the_content_and_not_of_its_spelling(hand):
     assert len(identities | {hand.identity}) == 1 + len(list(tweakable(plain)))
 
 
+def test_limits_of_streams_do_not_change_the_identity(hand, tmp_path):
+    """Regression: a hand with other limits lost its calibration, and a log with the default limits had none."""
+    slow = hand_from(CONTENT[hand.name] | {"stream": {"speed_deg_s": 200.0}}, "x")
+    assert slow.stream != hand.stream
+    assert slow.identity == hand.identity
+    for one in (slow, hand):
+        path = tmp_path / "copy.toml"
+        path.write_text(one.to_toml())
+        assert "speed_deg_s" in one.to_toml()
+        assert load_hand(path).stream == one.stream
+
+
 def tweakable(content):
     """Values that may change a little without anything else having to."""
     for key in ("stiffness_N_per_m", "damping_N_s_per_m", "friction_coefficient", "tension_max_N"):

@@ -31,7 +31,7 @@ class Hand(Section):
     model_config = ConfigDict(extra="forbid", frozen=True, validate_by_name=False)
 
     schema_: qty.SchemaNumber = Field(alias="schema")
-    """Version of the format, 2 for a new file. A file of version 1 has neither defaults nor templates."""
+    """Version of the format."""
     name: qty.Name
     """Name of the hand. It names the files of calibration and gains."""
     description: qty.Text
@@ -41,10 +41,8 @@ class Hand(Section):
     bus: tuple[Bus, ...] = Field(min_length=1)
     """CAN buses."""
     sensor_node: SensorNode
-    """Sensor node with load cells and joint encoders.
-
-    Absent in a hand without sensors. The controller then sends no SYNC.
-    """
+    """A node without load cells and joint encoders in a hand without sensors. SYNC is not sent then."""
+    """Sensor node with load cells and joint encoders."""
     stream: StreamLimits = StreamLimits()
     """Limits of targets that a client streams."""
     digit: tuple[Digit, ...] = Field(min_length=1)
@@ -172,8 +170,6 @@ class Hand(Section):
                 for key in keys:
                     if section[key] is None:  # hands without the key keep their identity
                         del section[key]
-        if self.stream == StreamLimits():  # a section that came later, too
-            del content["stream"]
         return content
 
     def to_toml(self) -> str:
@@ -184,10 +180,12 @@ class Hand(Section):
     def identity(self) -> str:
         """Return SHA-256 of the resolved content in hexadecimal.
 
-        Comments, spelling of numbers, and order of keys in the file have no effect.
+        Comments, spelling of numbers, and order of keys in the file have no effect. Neither have the limits of
+        streams: no calibration and no gains depend on them.
         """
+        content = {key: value for key, value in self.content.items() if key != "stream"}
         # Sorted keys and fixed separators: equal content gives equal bytes.
-        canonical = json.dumps(self.content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+        canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(canonical.encode()).hexdigest()
 
 
