@@ -4,14 +4,17 @@ import os
 import signal
 import tempfile
 import time
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
 
+from tests.slow import Durations, slow_tests
 from tests.stalls import StallMeter
 
 pytest_plugins = ("pytester",)
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
+SAMPLE = os.environ.get("HANDCTL_SAMPLE") == "1" and not NIGHTLY
 CALM = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 """No time limit per example. The cores are shared, and property tests judge no time."""
 
@@ -110,16 +113,26 @@ def slower(request: pytest.FixtureRequest) -> float:
     return float(SLOWER ** (getattr(request.node, "execution_count", 1) - 1))
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option that measures the tests."""
+    parser.addoption("--durations-file", type=Path, help="append the processor time of each test to this file")
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Register the repetition, except in a guest: with its one core every process waits for the others."""
     if "HANDCTL_VCAN_REPORTS" not in os.environ:
         config.pluginmanager.register(Repeats(), "repeats")
+    if path := config.getoption("--durations-file"):
+        config.pluginmanager.register(Durations(path), "durations_file")
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip the nightly tests in other runs."""
-    if NIGHTLY:
-        return
-    for item in items:
-        if item.get_closest_marker("nightly"):
-            item.add_marker(pytest.mark.skip(reason="runs with HANDCTL_NIGHTLY=1 (make nightly)"))
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Skip the nightly tests in other runs, and leave the slow tests out of a sample."""
+    if not NIGHTLY:
+        for item in items:
+            if item.get_closest_marker("nightly"):
+                item.add_marker(pytest.mark.skip(reason="runs with HANDCTL_NIGHTLY=1 (make nightly)"))
+    slow = slow_tests() if SAMPLE else frozenset()
+    if left_out := [item for item in items if item.nodeid in slow]:
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if item.nodeid not in slow]

@@ -1,0 +1,47 @@
+"""The choice of the tests that a sample leaves out."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+from tests.slow import CLOCK_S, FUNCTION_S, choose
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_a_function_keeps_its_first_cases_up_to_the_budget() -> None:
+    rows = [(f"a.py::one[{i}]", 0.4 * FUNCTION_S, 0.0) for i in range(4)]
+    assert set(choose(rows)) == {"a.py::one[2]", "a.py::one[3]"}
+
+
+def test_a_file_keeps_its_cheapest_test() -> None:
+    rows = [("a.py::one", 3 * FUNCTION_S, 0.0), ("a.py::two", 2 * FUNCTION_S, 0.0), ("b.py::one", 0.1, 0.0)]
+    assert set(choose(rows)) == {"a.py::one"}
+
+
+def test_a_test_that_waits_long_is_slow() -> None:
+    rows = [("a.py::one", 0.0, 0.9 * CLOCK_S), ("a.py::two", 0.0, 1.1 * CLOCK_S)]
+    assert set(choose(rows)) == {"a.py::two"}
+
+
+def test_parameters_with_brackets_and_lines_belong_to_one_function() -> None:
+    rows = [(f"a.py::one[x[{i}]\n]", 0.6 * FUNCTION_S, 0.0) for i in range(2)]
+    assert set(choose(rows)) == {"a.py::one[x[1]\n]"}
+
+
+def test_only_a_sample_leaves_slow_tests_out(tmp_path: Path, monkeypatch) -> None:
+    """Collect this file with a list that has one of its tests."""
+    code = "import sys, pathlib, pytest, tests.slow; tests.slow.SLOW_TESTS = pathlib.Path(sys.argv[1]); " + (
+        "sys.exit(pytest.main(['--collect-only', '-q', '-p', 'no:cacheprovider', sys.argv[2]]))"
+    )
+    name = "tests/contracts/test_slow.py::test_a_file_keeps_its_cheapest_test"
+    (tmp_path / "slow.txt").write_text(f"# head\n2.0 {name}\n")
+    found = {}
+    for sample in ("0", "1"):
+        monkeypatch.setenv("HANDCTL_SAMPLE", sample)
+        monkeypatch.delenv("HANDCTL_NIGHTLY", raising=False)
+        words = [sys.executable, "-c", code, str(tmp_path / "slow.txt"), __file__]
+        found[sample] = subprocess.run(words, capture_output=True, text=True, check=True, cwd=ROOT).stdout
+    assert name in found["0"]
+    assert name not in found["1"]
+    assert "test_a_test_that_waits_long_is_slow" in found["1"]
