@@ -45,7 +45,7 @@ RUN = {
     for page, parts in BLOCKS.items()
 }
 """Blocks of each page that are executed, or written to the file that their title names."""
-LONG = ("start/first-hand.md", "tutorials/policy.md")
+LONG = ("start/first-hand.md", "tutorials/policy.md", "tutorials/tune-gains.md")
 """Pages of the nightly run. Each takes a minute, with commands that other pages have as well."""
 
 

@@ -1,5 +1,7 @@
 """Blocks about the topics of a log, generated from the topics that runs of packaged hands register."""
 
+import re
+
 from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS, Telemetry
 from handctl.hand.load import load_hand
 from handctl.log.export.tables import unit
@@ -39,6 +41,13 @@ CONTENT = {
     "/actuator/MOTOR/temperature": ("5 Hz", "temperature of the drive [degC]"),
 }
 """Rate and content of each topic whose fields are not telemetry."""
+REMARKS = {
+    "/joint_states": "The effort is the torque of the tendons at the estimated tension, R^T f without friction.",
+    "/tendon_states": "The effort is the estimated tension at the load cell, the net tension of a spool pair.",
+    "/tendon_commands": "The effort is the commanded tension at the load cell.",
+    "/actuator_states": "At the spool. Positive values wind the tendon.",
+}
+"""Remark on each JointState topic whose fields need one."""
 SHOWN = ("handctl_msgs/", "sensor_msgs/JointState", "pal_statistics_msgs/StatisticsValues")
 """Message types whose definition the page prints."""
 
@@ -64,8 +73,17 @@ def _placeholder(topic: str, header: RunHeader) -> str:
 
 def topics() -> str:
     """Return a table of all topics: message type, rate, content with units."""
-    rows = ((code(topic), code(kind), *content(topic, note)) for topic, (kind, note) in sorted(registered().items()))
+    topic_types = sorted(registered().items())
+    rows = ((code(topic), _linked_type(kind), *content(topic, note)) for topic, (kind, note) in topic_types)
     return table(("topic", "message type", "rate", "content"), rows)
+
+
+def _linked_type(kind: str) -> str:
+    """Return a message type, with a link to its definition if the page prints it."""
+    name = kind.replace("/msg/", "/")
+    if name not in DEFINITIONS or not name.startswith(SHOWN):
+        return code(kind)
+    return f"[{code(kind)}](#{re.sub('[^a-z_]', '', name.lower())})"
 
 
 def content(topic: str, note: str) -> tuple[str, str]:
@@ -82,7 +100,8 @@ def content(topic: str, note: str) -> tuple[str, str]:
             if field
         ]
         text = f"per {axis}, {', '.join(parts)}"
-        return TICK, f"{text}. {note[0].upper()}{note[1:]}" if note else text
+        more = REMARKS.get(topic, "")
+        return TICK, f"{text}. {more}" if more else text
     if topic in ESTIMATES:
         field, unit = ESTIMATES[topic]
         return TICK, f"`{field}` per {TELEMETRY_AXES[field]} with its variance [{unit}, {unit}²]"
