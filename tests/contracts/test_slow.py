@@ -4,6 +4,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.slow import CLOCK_S, FUNCTION_S, choose
 
 ROOT = Path(__file__).parents[2]
@@ -29,7 +31,7 @@ def test_parameters_with_brackets_and_lines_belong_to_one_function() -> None:
     assert set(choose(rows)) == {"a.py::one[x[1]\n]"}
 
 
-def test_only_a_sample_leaves_slow_tests_out(tmp_path: Path, monkeypatch) -> None:
+def test_only_a_sample_leaves_slow_tests_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Collect this file with a list that has one of its tests."""
     code = "import sys, pathlib, pytest, tests.slow; tests.slow.SLOW_TESTS = pathlib.Path(sys.argv[1]); " + (
         "sys.exit(pytest.main(['--collect-only', '-q', '-p', 'no:cacheprovider', sys.argv[2]]))"
