@@ -1,9 +1,10 @@
 """The description of a hand as the simulator needs it, read from its TOML file with the standard library only."""
 
 import importlib.util
+import math
 import re
 import tomllib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,12 @@ PER_LINK = (
     "spring_preload_rad",
 )
 """Keys of a digit with one value per link. In schema 2 one number may stand for the list."""
+
+
+POWERS = 6
+"""Number of coefficients of a moment arm that depends on the angle."""
+TABLE_POWERS = 4
+"""Largest number of coefficients for a table of moment arms."""
 
 
 class SimulatorError(ValueError):
@@ -76,13 +83,44 @@ class Digit:
 
 
 @dataclass(frozen=True, slots=True)
+class ArmCurve:
+    """Moment arm of a tendon at a joint by the joint angle.
+
+    Beyond the limits of the joint the arm stays what it is there.
+
+    Attributes:
+        low: smallest joint angle [rad].
+        high: largest joint angle [rad].
+        powers: coefficients of the polynomial by the angle in rad, constant first, ``POWERS`` of them.
+    """
+
+    low: float
+    high: float
+    powers: tuple[float, ...]
+
+    @property
+    def opposite(self) -> "ArmCurve":
+        """Return the arm of a tendon on the other side of the joint."""
+        return replace(self, powers=tuple(-power for power in self.powers))
+
+    @property
+    def mean(self) -> float:
+        """Return the mean over the joint's range [m]."""
+        terms = (
+            power * (self.high ** (i + 1) - self.low ** (i + 1)) / (i + 1) for i, power in enumerate(self.powers)
+        )
+        return sum(terms) / (self.high - self.low)
+
+
+@dataclass(frozen=True, slots=True)
 class TendonSpec:
     """One tendon: routing, elasticity and friction.
 
     Attributes:
         name: name.
         motor: name of its motor.
-        arms: moment arm by joint name [m].
+        arms: moment arm by joint name [m], the mean over the joint's range for one that depends on the angle.
+        curves: moment arms that depend on the angle, by joint name.
         stiffness: stiffness up to the knee [N/m].
         damping: damping [N s/m].
         knee: maximum tension of the linear range [N].
@@ -106,12 +144,15 @@ class TendonSpec:
     wrap: float
     pretension: float = 0.0
     winding: int = 1
+    curves: dict[str, ArmCurve] = field(default_factory=dict)
 
     @property
     def antagonist(self) -> "TendonSpec":
         """Return the second tendon of a spool pair: opposite winding and opposite arms."""
         arms = {joint: -arm for joint, arm in self.arms.items()}
-        return replace(self, name=f"{self.name}_antagonist", arms=arms, winding=-self.winding)
+        curves = {joint: curve.opposite for joint, curve in self.curves.items()}
+        name = f"{self.name}_antagonist"
+        return replace(self, name=name, arms=arms, curves=curves, winding=-self.winding)
 
 
 @dataclass(frozen=True, slots=True)
@@ -332,7 +373,7 @@ def _hand(raw: dict[str, Any]) -> Hand:
         buses=[bus["name"] for bus in raw["bus"]],
         bitrates=[(bus["bitrate"], bus.get("data_bitrate") or 0) for bus in raw["bus"]],
         digits=[_digit(digit) for digit in raw["digit"]],
-        tendons=[_tendon(tendon) for tendon in raw["tendon"]],
+        tendons=[_tendon(tendon, _joint_ranges(raw)) for tendon in raw["tendon"]],
         motors=[_motor(motor) for motor in raw["motor"]],
         sensors=_sensors(sensors) if sensors and (sensors["tendons"] or sensors["joints"]) else None,
     )
@@ -376,11 +417,55 @@ def _inertia(raw: dict[str, Any], i: int) -> tuple[float, ...]:
     return tuple(value) if len(value) == 6 else (*value, 0.0, 0.0, 0.0)
 
 
-def _tendon(raw: dict[str, Any]) -> TendonSpec:
+def _joint_ranges(raw: dict[str, Any]) -> dict[str, tuple[float, float]]:
+    """Return the limits of each joint [rad]."""
+    return {
+        f"{digit['name']}_j{i + 1}": (math.radians(low), math.radians(high))
+        for digit in raw["digit"]
+        for i, (low, high) in enumerate(zip(digit["joint_min_deg"], digit["joint_max_deg"], strict=True))
+    }
+
+
+def _curve(raw: dict[str, list[float]], limits: tuple[float, float]) -> ArmCurve:
+    """Return a moment arm that depends on the angle. A table becomes a polynomial of least squares.
+
+    Args:
+        raw: ``polynomial_m``, or ``angle_deg`` and ``arm_m``.
+        limits: of the joint [rad].
+    """
+    powers = raw.get("polynomial_m")
+    if powers is None:
+        powers = _fitted([math.radians(angle) for angle in raw["angle_deg"]], raw["arm_m"])
+    return ArmCurve(*limits, (*powers, *(0.0,) * (POWERS - len(powers))))
+
+
+def _fitted(angles: list[float], arms: list[float]) -> list[float]:
+    """Return the coefficients of the least-squares polynomial through a table, by the normal equations."""
+    count = min(TABLE_POWERS, len(angles))
+    rows = [
+        [math.fsum(angle ** (i + j) for angle in angles) for j in range(count)]
+        + [math.fsum(arm * angle**i for angle, arm in zip(angles, arms, strict=True))]
+        for i in range(count)
+    ]
+    for k in range(count):
+        # The matrix is symmetric and positive definite: elimination needs no other pivot.
+        rows[k] = [value / rows[k][k] for value in rows[k]]
+        for i in range(count):
+            if i != k:
+                rows[i] = [value - rows[i][k] * above for value, above in zip(rows[i], rows[k], strict=True)]
+    return [row[count] for row in rows]
+
+
+def _tendon(raw: dict[str, Any], ranges: dict[str, tuple[float, float]]) -> TendonSpec:
+    given = raw["moment_arm_m"]
+    curves = {
+        joint: _curve(arm, ranges.get(joint, (0.0, 1.0))) for joint, arm in given.items() if isinstance(arm, dict)
+    }
     return TendonSpec(
         name=raw["name"],
         motor=raw["motor"],
-        arms=dict(raw["moment_arm_m"]),
+        arms={joint: curves[joint].mean if joint in curves else arm for joint, arm in given.items()},
+        curves=curves,
         stiffness=raw["stiffness_N_per_m"],
         damping=raw["damping_N_s_per_m"],
         knee=raw["knee_N"],

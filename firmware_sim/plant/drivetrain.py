@@ -25,8 +25,42 @@ ENCODER_STEP = 2.0 * math.pi / (1 << 14)
 DIVERGED_RAD_S = 1e5
 """Sum of joint speeds above which the plant counts as diverged [rad/s]."""
 
+PULLEY = 10
+"""Numbers of a pulley in ``arms``, see ``tendon.PULLEY``."""
+
 DRIVETRAIN = (TendonStruct, "counts", "vector", RotorStruct)
-"""Argument types: tendons, joint index and moment arm [m] of each pulley in the order of the tendons, rotors."""
+"""Argument types: tendons, joint index and numbers of each pulley in the order of the tendons, rotors."""
+
+
+@inner
+def _arm_at(arms: Any, i: int, q: float) -> float:
+    """Return the moment arm of pulley i at a joint angle [m]."""
+    at = PULLEY * i
+    if arms[at + 1] == 0.0:
+        return float(arms[at])
+    angle = min(max(q, arms[at + 2]), arms[at + 3])
+    arm = 0.0
+    power = 1.0
+    for k in range(4, PULLEY):
+        arm += arms[at + k] * power
+        power *= angle
+    return arm
+
+
+@inner
+def _taken_up(arms: Any, i: int, q: float) -> float:
+    """Return the length of tendon that pulley i takes up from angle 0 to a joint angle [m], negative for paid out."""
+    at = PULLEY * i
+    if arms[at + 1] == 0.0:
+        return float(arms[at] * q)
+    angle = min(max(q, arms[at + 2]), arms[at + 3])
+    length = 0.0
+    power = angle
+    for k in range(4, PULLEY):
+        length += arms[at + k] * power / (k - 3.0)
+        power *= angle
+    # The arm is constant beyond the limits.
+    return length + _arm_at(arms, i, q) * (q - angle)
 
 
 @inner
@@ -70,8 +104,8 @@ def _cell_tension(tendon: Any, joints: Any, arms: Any, rotor: Any, q: Any, dq: A
     stretch = tendon.radius * rotor.theta - tendon.extra_length
     rate = tendon.radius * rotor.omega
     for i in range(tendon.first, tendon.end):
-        stretch -= arms[i] * q[joints[i]]
-        rate -= arms[i] * dq[joints[i]]
+        stretch -= _taken_up(arms, i, q[joints[i]])
+        rate -= _arm_at(arms, i, q[joints[i]]) * dq[joints[i]]
     if stretch <= 0.0:
         return 0.0
     return max(0.0, float(_elastic(tendon, stretch) + tendon.damping * rate))
@@ -94,7 +128,7 @@ def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> N
         # Capstan equation. A positive speed means motion towards the spool: friction lowers the
         # tension behind a pulley.
         local = tension * math.exp(-rate * angle)
-        torque[joints[i]] += arms[i] * local
+        torque[joints[i]] += _arm_at(arms, i, q[joints[i]]) * local
         if local < lowest:
             lowest = local
         elif local > highest:
@@ -112,10 +146,10 @@ def _apply_tendon(tendon: Any, joints: Any, arms: Any, rotor: Any, q: Any, dq: A
     stretch = tendon.radius * rotor.theta - tendon.extra_length
     speed = 0.0
     for i in range(tendon.first, tendon.end):
-        stretch -= arms[i] * q[joints[i]]
+        stretch -= _taken_up(arms, i, q[joints[i]])
         # Stretch is the excursion of the spool minus those of the joints. A positive spool angle
         # winds the tendon, a positive joint angle closes the digit.
-        speed += arms[i] * dq[joints[i]]
+        speed += _arm_at(arms, i, q[joints[i]]) * dq[joints[i]]
     tension = 0.0
     if stretch > 0.0:
         tension = _elastic(tendon, stretch) + tendon.damping * (tendon.radius * rotor.omega - speed)
@@ -129,11 +163,14 @@ def _apply_tendon(tendon: Any, joints: Any, arms: Any, rotor: Any, q: Any, dq: A
 
 
 @inner
-def _compensate_damping(tendon: Any, joints: Any, arms: Any, torque: Any) -> None:
-    """Add the torque of the engine's tendon damping back to ``torque`` [N m]."""
-    push = tendon.slope * tendon.speed
+def _compensate_damping(tendon: Any, joints: Any, arms: Any, dq: Any, torque: Any) -> None:
+    """Add the torque of the engine's tendon damping back to ``torque`` [N m]. The engine has the mean arms."""
+    speed = 0.0
     for i in range(tendon.first, tendon.end):
-        torque[joints[i]] += arms[i] * push
+        speed += arms[PULLEY * i] * dq[joints[i]]
+    push = tendon.slope * speed
+    for i in range(tendon.first, tendon.end):
+        torque[joints[i]] += arms[PULLEY * i] * push
 
 
 @inner
@@ -238,7 +275,7 @@ def tensions(tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any,
     Args:
         tendons: tendons.
         joints: joint index of each pulley.
-        arms: moment arm of each pulley [m].
+        arms: numbers of each pulley.
         rotors: rotors.
         q: joint angles [rad].
         dq: joint velocities [rad/s].
@@ -257,7 +294,7 @@ def step_drivetrain(
     Args:
         tendons: tendons.
         joints: joint index of each pulley.
-        arms: moment arm of each pulley [m].
+        arms: numbers of each pulley.
         rotors: rotors.
         q: joint angles [rad].
         dq: joint velocities [rad/s].
@@ -273,7 +310,7 @@ def step_drivetrain(
         tendon = tendons[i]
         # Two antagonistic tendons of one spool pull against each other: their loads have opposite signs.
         _apply_tendon(tendon, joints, arms, rotors[tendon.motor], q, dq, torque)
-        _compensate_damping(tendon, joints, arms, torque)
+        _compensate_damping(tendon, joints, arms, dq, torque)
         damping[i] = tendon.slope
     for i in range(len(rotors)):
         rotor = rotors[i]
@@ -294,7 +331,7 @@ def _steps(
         count: number of steps.
         tendons: tendons.
         joints: joint index of each pulley.
-        arms: moment arm of each pulley [m].
+        arms: numbers of each pulley.
         rotors: rotors.
         q: joint angles, memory of the engine [rad].
         dq: joint velocities, memory of the engine [rad/s].

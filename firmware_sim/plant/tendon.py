@@ -7,8 +7,19 @@ from typing import Any
 import numpy as np
 
 from firmware_sim.compiled import array_of
-from firmware_sim.description import TendonSpec
+from firmware_sim.description import POWERS, TendonSpec
 from firmware_sim.plant.structs import TendonStruct
+
+PULLEY = 4 + POWERS
+"""Numbers of a pulley: mean arm [m], 1 if the arm depends on the angle, limits of the joint [rad], and the powers."""
+
+
+def _pulley(spec: TendonSpec, joint: str) -> tuple[float, ...]:
+    """Return the numbers of a tendon's pulley at a joint."""
+    if joint not in spec.curves:
+        return (spec.arms[joint], *(0.0,) * (PULLEY - 1))
+    curve = spec.curves[joint]
+    return (spec.arms[joint], 1.0, curve.low, curve.high, *curve.powers)
 
 
 class Tendon:
@@ -86,7 +97,7 @@ class Routing:
         tendons: the tendons.
         rows: array of the tendons for compiled kernels, otherwise the same list.
         joints: joint index of each pulley, in the order of the tendons, an array or a list.
-        arms: moment arm of each pulley [m], an array or a list.
+        arms: ``PULLEY`` numbers of each pulley, an array or a list.
     """
 
     def __init__(
@@ -103,17 +114,17 @@ class Routing:
         """
         memory = (TendonRow * len(specs))() if compiled else [Tendon() for _ in specs]
         self.tendons: list[Tendon] = list(memory)
-        path: list[tuple[int, float]] = []
+        path: list[tuple[int, tuple[float, ...]]] = []
         for tendon, spec in zip(self.tendons, specs, strict=True):
             motor = motors.index(spec.motor)
             tendon.describe(spec, motor, radii[motor])
             tendon.first = len(path)
             # A joint with moment arm 0 is passed at its axis: no pulley.
-            path += [(joints.index(name), arm) for name, arm in spec.arms.items() if arm]
+            path += [(joints.index(name), _pulley(spec, name)) for name, arm in spec.arms.items() if arm]
             tendon.end = len(path)
         self.rows: Any = array_of(memory, TendonStruct) if compiled else self.tendons
         self.joints: Any = [joint for joint, _ in path]
-        self.arms: Any = [arm for _, arm in path]
+        self.arms: Any = [number for _, pulley in path for number in pulley]
         if compiled:
             self.joints = np.array(self.joints, np.int64)
             self.arms = np.array(self.arms, np.float64)

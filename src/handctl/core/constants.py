@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from handctl.compiled import borrow, inner
 from handctl.core.schema import Block, Places, Schema
 from handctl.hand import rigid_body
+from handctl.hand.moment_arms import COEFFICIENTS
 
 AXES = ("tendon", "joint", "digit", "coordinate", "kind", "element", "place", "run")
 TABLES = (
@@ -104,6 +105,16 @@ TORQUE_TO_TENSION = _real("torque_to_tension", "tendon*joint", "1/m", "smallest 
 PULLEY_WEIGHT = _real("pulley_weight", "tendon*joint", "", "fraction of each pulley in a tendon's moment arms")
 COUPLING = _real("coupling", "joint*coordinate", "", "joint angles of coordinates")
 REDUCED_ARMS = _real("reduced_arms", "tendon*coordinate", "m", "moment arms about coordinates")
+
+# Moment arms by joint angle. The tables of ``structure`` that depend on R are then those at the present angles.
+VARYING = _whole("varying", "tendon", "", "a moment arm of the tendon depends on the joint angle")
+DIGIT_VARYING = _whole("digit_varying", "digit", "", "a tendon of the digit has such a moment arm")
+HAND_VARYING = _whole("hand_varying", "run", "", "a tendon of the hand has such a moment arm")
+ARM_POLYNOMIAL = _real("arm_polynomial", "tendon*joint", "m", "coefficients of the arm by the angle in rad",
+                       rows=COEFFICIENTS)  # fmt: skip
+ANGLE_OFFSET = _real("angle_offset", "joint", "rad", "free joint angle at zero excursion, of the linear relations")
+EXPLAINED_OFFSET = _real("explained_offset", "tendon", "m", "excursion beyond R q, of the linear relations")
+MEAN_BALANCE = _real("mean_balance", "tendon", "N", "balance with mean moment arms")
 
 # Posture in the null space.
 COMPLIANCE = _real("compliance", "joint*joint", "rad/(N m)", "joint angles per torque at constant excursion")

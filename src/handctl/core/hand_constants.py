@@ -13,6 +13,7 @@ from handctl.core.constants import ELEMENTS, HAND, KINDS
 from handctl.core.detectors.residuals import TIMES_S
 from handctl.core.estimation import contact, posture, touch
 from handctl.core.estimation.filter_stack import Block as FilterBlock
+from handctl.core.estimation.structure import SPRING_LEAST
 from handctl.core.law.computed_torque import MOTOR_FRICTION_SPEED, TRIM_TIME_S, UNWIND_FRACTION
 from handctl.core.model import HandModel
 from handctl.core.schema import Block, Layout
@@ -20,8 +21,6 @@ from handctl.core.types import Vector
 from handctl.drives.sensors.node import JOINT_STEP_RAD
 from handctl.hand.digit import DigitModel
 
-SPRING_LEAST = 1e-3
-"""Smallest spring stiffness in the null space [N m/rad]. Softer deviations are limited by the joints' ranges."""
 MOVES_LEAST = 1e-9
 """Smallest relevant entry of the excursion matrix, as a fraction of the largest.
 
@@ -48,7 +47,7 @@ class HandConstants:
 
     Attributes:
         layout: of the block.
-        block: read-only.
+        block: read-only, except for the tables at the present angles of a hand with varying moment arms.
     """
 
     def __init__(self, model: HandModel, more: Mapping[str, object]) -> None:
@@ -65,7 +64,7 @@ class HandConstants:
             for name, value in part.items():
                 self.layout.view(self.block, name)[...] = value
         self.layout.view(self.block, "design")[...] = design_of(model)
-        self.block.flags.writeable = False
+        self.block.flags.writeable = bool(model.hand.has_varying_arm.any())
 
 
 def _motors(model: HandModel) -> dict[str, object]:
@@ -177,6 +176,11 @@ def _structure(model: HandModel) -> dict[str, object]:
         "excursion_to_joints": model.excursion_to_joints,
         "moves": size > MOVES_LEAST * size.max(initial=0.0),
         "moment_arms": model.hand.moment_arms,
+        "varying": model.hand.has_varying_arm,
+        "digit_varying": [digit.has_varying_arm for digit in digits],
+        "hand_varying": bool(model.hand.has_varying_arm.any()),
+        "arm_polynomial": np.moveaxis(model.hand.arm_polynomials, 2, 0),
+        "mean_balance": model.redundancy.balance,
         "torque_to_tension": model.torque_to_tension,
         "pulley_weight": model.pulley_weights,
         "coupling": model.coupling,

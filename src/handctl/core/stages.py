@@ -24,7 +24,7 @@ from handctl.core.block import tables
 from handctl.core.constants import constant_tables
 from handctl.core.detectors import answers, judge, stuck
 from handctl.core.detectors.bus import Evidence
-from handctl.core.estimation import contact, kalman, measure, posture, touch
+from handctl.core.estimation import contact, kalman, measure, posture, structure, touch
 from handctl.core.law import computed_torque, reference
 from handctl.core.schema import Block, Places
 
@@ -54,6 +54,8 @@ def correct(block: Block, at: Places, constants: Block, constants_at: Places) ->
     """Correct the filter by the measurements, and judge slack, stops and contact."""
     x = tables(block, at)
     c = constant_tables(constants, constants_at)
+    if c.run_int[h.HAND_VARYING]:
+        structure.update_structure(x, c)
     if x.run_int[s.STARTED]:
         kalman.correct(x, c, x.run_int[s.MISSED])
     else:
@@ -65,6 +67,8 @@ def conclude(block: Block, at: Places, constants: Block, constants_at: Places) -
     """Derive the estimate from the predicted filter. Return True if a node sent excess replies."""
     x = tables(block, at)
     c = constant_tables(constants, constants_at)
+    if c.run_int[h.HAND_VARYING]:
+        structure.update_structure(x, c)
     kalman.conclude(x, c)
     if x.run_int[s.MODE] == ACTIVE or x.run_int[s.MODE] == RELAX:
         touch.update_blocked(x, c)

@@ -13,6 +13,7 @@ from pydantic import ConfigDict, Field, model_validator
 from handctl.hand.file import quantities as qty
 from handctl.hand.file.sections import Bus, Digit, Motor, Mount, Section, SensorNode, StreamLimits, Tendon
 from handctl.hand.file.toml_text import toml_text
+from handctl.hand.moment_arms import is_varying, mean_arm, polynomial_of
 
 LATER_KEYS = ("joint_rated_torque_N_m", "joint_axis", "joint_rpy_deg", "mount_on")
 """Keys of a digit that came later. ``content`` has them only where the file has them."""
@@ -106,10 +107,36 @@ class Hand(Section):
 
     @cached_property
     def moment_arms(self) -> NDArray[np.float64]:
-        """Return the moment arms R, (N, J) [m], read-only. Excursion is R q, joint torque R^T f."""
-        arms = np.array([[tendon.moment_arm_m.get(joint, 0.0) for joint in self.joints] for tendon in self.tendon])
+        """Return the moment arms R, (N, J) [m], read-only. Excursion is R q, joint torque R^T f.
+
+        An arm that depends on the angle counts with the mean over its joint's range.
+        """
+        limits = self.joint_limits.T.tolist()
+        arms = np.array([
+            [mean_arm(tendon.moment_arm_m.get(joint, 0.0), *limits[j]) for j, joint in enumerate(self.joints)]
+            for tendon in self.tendon
+        ])  # fmt: skip
         arms.setflags(write=False)
         return arms
+
+    @cached_property
+    def arm_polynomials(self) -> NDArray[np.float64]:
+        """Return the moment arms as polynomials, (N, J, moment_arms.COEFFICIENTS), read-only."""
+        rows = [[polynomial_of(tendon.moment_arm_m.get(joint, 0.0)) for joint in self.joints] for tendon in self.tendon]
+        polynomials = np.array(rows)
+        polynomials.setflags(write=False)
+        return polynomials
+
+    @cached_property
+    def has_varying_arm(self) -> NDArray[np.bool_]:
+        """Return True for each tendon with a moment arm that depends on the joint angle, (N,)."""
+        return np.array([any(map(is_varying, tendon.moment_arm_m.values())) for tendon in self.tendon])
+
+    @cached_property
+    def joint_limits(self) -> NDArray[np.float64]:
+        """Return the smallest and the largest angle of each joint, (2, J) [rad]."""
+        keys = ("joint_min_deg", "joint_max_deg")
+        return np.radians([[angle for digit in self.digit for angle in getattr(digit, key)] for key in keys])
 
     @cached_property
     def covered(self) -> NDArray[np.bool_]:

@@ -11,12 +11,17 @@ from handctl.hand import rigid_body as body
 from handctl.hand.description import Hand
 from handctl.hand.file.sections import Digit
 from handctl.hand.link_bodies import centre_of_mass, inertia, joint_axes, mounted, rotation_rpy
+from handctl.hand.moment_arms import arms_at, excursions_at
 
 Array = NDArray[np.float64]
 Values = Sequence[float] | Array
 """One number per joint. Lists and tuples are fastest."""
 SIDEWAYS_DEG = 45.0
 """Angle between the axes of a joint and of the last joint above which the joint moves the digit sideways [deg]."""
+NEWTON_STEPS = 20
+"""Largest number of Newton steps from an excursion to joint angles. About five are used."""
+NEWTON_ENOUGH_RAD = 1e-10
+"""Size of the last Newton step [rad]."""
 SIDEWAYS_RANGE = 0.5
 """Opening per closing range from which a coordinate of a digit with parallel axes counts as sideways motion."""
 
@@ -49,7 +54,7 @@ class DigitModel:
             carries it, at rest.
         table: (rigid_body.ROWS, n) frames and bodies of the links.
         parent: (n,) column of the link before each link, -1 for the palm.
-        moment_arms: R, (n_t, n) [m].
+        moment_arms: R, (n_t, n) [m]. An arm that depends on the angle counts with its mean, see ``at``.
         coupling: B, (n, n_c), the identity for independent joints.
         reduced_moment_arms: R B, (n_t, n_c) [m].
         excursion_to_joints: B (R B)^+, (n, n_t) [rad/m], joint angles of an excursion.
@@ -58,6 +63,8 @@ class DigitModel:
         friction: (n_t,) capstan coefficient.
         wrap: (n_t,) wrap angle before the first joint pulley [rad].
         motor_mass: (n_t,) rotor inertia as a mass at the tendon, J_m / r_a^2 [kg].
+        arm_polynomials: (n_t, n, moment_arms.COEFFICIENTS) moment arms by joint angle.
+        has_varying_arm: True if a moment arm depends on the joint angle.
     """
 
     name: str
@@ -91,6 +98,8 @@ class DigitModel:
     friction: Array
     wrap: Array
     motor_mass: Array
+    arm_polynomials: Array
+    has_varying_arm: bool
 
     @property
     def reach(self) -> tuple[Array, Array]:
@@ -165,7 +174,56 @@ class DigitModel:
             friction=_read_only([tendon.friction_coefficient for tendon in hand.tendon[tendons]]),
             wrap=_read_only([tendon.wrap_angle_rad for tendon in hand.tendon[tendons]]),
             motor_mass=_read_only([motor.inertia_kg_m2 / motor.spool_radius_m**2 for motor in motors]),
+            arm_polynomials=_read_only(hand.arm_polynomials[tendons, joints]),
+            has_varying_arm=bool(hand.has_varying_arm[tendons].any()),
         )
+
+    @property
+    def joint_limits(self) -> Array:
+        """Return the smallest and the largest angle of each joint, (2, n) [rad]."""
+        return np.stack((self.joint_min, self.joint_max))
+
+    def arms_at(self, q: ArrayLike) -> Array:
+        """Return the moment arms R at joint angles (..., n) [rad], (..., n_t, n) [m]."""
+        if not self.has_varying_arm:
+            return self.moment_arms
+        return arms_at(self.arm_polynomials, self.joint_limits, q)
+
+    def excursion_at(self, q: ArrayLike) -> Array:
+        """Return the excursion of each tendon at joint angles (n,) [rad], (n_t,) [m]."""
+        if not self.has_varying_arm:
+            return np.asarray(self.moment_arms @ np.asarray(q))
+        return np.asarray(excursions_at(self.arm_polynomials, self.joint_limits, q).sum(axis=-1))
+
+    def at(self, q: ArrayLike) -> "DigitModel":
+        """Return the digit with the moment arms at joint angles (n,) [rad], itself if all arms are constant."""
+        if not self.has_varying_arm:
+            return self
+        arms = self.arms_at(q)
+        to_coordinates = np.linalg.pinv(arms @ self.coupling)
+        return replace(
+            self,
+            moment_arms=arms,
+            reduced_moment_arms=arms @ self.coupling,
+            excursion_to_joints=self.coupling @ to_coordinates,
+            torque_to_tension=to_coordinates.T @ self.coupling.T,
+        )
+
+    def coordinates_of(self, excursion: Array) -> Array:
+        """Return the coordinates (n_c,) of the free digit with an excursion (n_t,) [m], in least squares [rad].
+
+        Varying arms need Gauss-Newton steps, which begin in the middle of the joints' ranges.
+        """
+        if not self.has_varying_arm:
+            return np.asarray(self.joints_to_coordinates @ self.excursion_to_joints @ excursion)
+        theta = self.joints_to_coordinates @ self.joint_limits.mean(axis=0)
+        for _ in range(NEWTON_STEPS):
+            q = self.coupling @ theta
+            step = np.linalg.pinv(self.arms_at(q) @ self.coupling) @ (excursion - self.excursion_at(q))
+            theta = theta + step
+            if np.abs(step).max() < NEWTON_ENOUGH_RAD:
+                break
+        return np.asarray(theta)
 
     @property
     def joint_count(self) -> int:

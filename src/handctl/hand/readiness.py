@@ -13,12 +13,15 @@ from handctl.hand.description import Hand
 from handctl.hand.digit import coordinate_range
 from handctl.hand.file.error_text import Mistake
 from handctl.hand.file.sections import Bus, Digit
+from handctl.hand.moment_arms import arms_at
 
 Vector = NDArray[np.float64]
 FASTEST_ARBITRATION = 1_000_000
 """Largest bit rate of classical CAN and of the arbitration phase of CAN FD [bit/s]. Source: ISO 11898-2."""
 CONDITION = 1e-6
 """Largest residual of a torque that counts as 0, as a fraction of the largest moment arm at 1 N."""
+POSTURES = 11
+"""Number of postures at which a digit with moment arms that depend on the angle is checked."""
 SMALLEST_RANGE_DEG = 1.0
 """Smallest range of a coordinate that counts as a motion [deg]."""
 
@@ -73,13 +76,18 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[Mistake]:
     if hand.is_pair[tendons].any():
         return  # a spool pair pulls both ways
     coupling = np.eye(len(digit.joints)) if digit.coupling is None else np.array(digit.coupling)
-    arms = hand.moment_arms[tendons, hand.digit_joints[digit.name]] @ coupling
+    postures = [hand.moment_arms[tendons, hand.digit_joints[digit.name]] @ coupling]
+    if hand.has_varying_arm[tendons].any():
+        limits = hand.joint_limits[:, hand.digit_joints[digit.name]]
+        polynomials = hand.arm_polynomials[tendons, hand.digit_joints[digit.name]]
+        postures = list(arms_at(polynomials, limits, np.linspace(*limits, POSTURES)) @ coupling)
+    arms = postures[0]  # of the open digit
     floor = np.array([tendon.tension_floor_N for tendon in hand.tendon[tendons]])
     stiffness = np.array(digit.spring_stiffness_N_m_per_rad)
     opened = np.radians(digit.joint_min_deg) + np.array(digit.spring_preload_rad)
     springs = coupling.T @ (stiffness * opened)
     closing = arms.T @ floor
-    if hold_each_other(arms):
+    if all(map(hold_each_other, postures)):
         return
     if (arms.min(axis=0) < 0.0).any() and not stiffness.any():
         right = "tensions above 0 that make no torque together: one more tendon than coordinates, or other arms"

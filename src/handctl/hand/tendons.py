@@ -132,12 +132,12 @@ def effective_moment_arms(digit: DigitModel, q: Values, speed: Values) -> Array:
 
     Joint torque is its transpose times the tension at the load cells.
     """
-    return digit.moment_arms * pulley_factors(digit, q, speed)
+    return digit.arms_at(q) * pulley_factors(digit, q, speed)
 
 
 def excursion(digit: DigitModel, q: Values) -> Array:
-    """Return the excursion of each tendon at joint angles, R q, (n_t,) [m]."""
-    return np.asarray(digit.moment_arms @ np.asarray(q))
+    """Return the excursion of each tendon at joint angles, the integral of R, (n_t,) [m]."""
+    return digit.excursion_at(q)
 
 
 def reflected_inertia(digit: DigitModel) -> Array:

@@ -376,7 +376,7 @@ def _hold_goals(model: HandModel, i: int, more: Vector) -> tuple[DigitGoal, ...]
     held = model.digit_of[i]
     digit = model.digits[held]
     tendons = model.digit_tendons[held]
-    arms = digit.reduced_moment_arms
+    arms = digit.at(digit.joint_min).reduced_moment_arms
     # One more pull must not lift the digit off: its torque is at most that of the largest closing arm.
     press = PRESS_FACTOR * PULL_N * np.maximum(arms, 0.0).max(axis=0)
     torque = digit.coupling.T @ np.asarray(static_torque(digit, digit.joint_min)) - press

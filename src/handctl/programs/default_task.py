@@ -168,7 +168,8 @@ def _pressing_tension(hand: Hand, name: str) -> float:
     q = digit.coupling @ half
     springs = digit.coupling.T @ (np.array(digit.spring_stiffness) * (q + np.array(digit.spring_preload)))
     torque = springs + PRESS_N * tip_lever(digit, q)
-    closing = digit.reduced_moment_arms[digit.reduced_moment_arms.sum(axis=1) > 0.0].sum(axis=0)
+    arms = digit.at(q).reduced_moment_arms
+    closing = arms[arms.sum(axis=1) > 0.0].sum(axis=0)
     # A coordinate that keeps its angle, or that no tendon closes, sets no tension.
     flexes = (half > 0.0) & (closing > 0.0)
     return float((torque[flexes] / closing[flexes]).max(initial=0.0))

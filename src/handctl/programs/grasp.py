@@ -219,9 +219,8 @@ class TaskProgram:
         torque = digit.coupling.T @ model.tree.static_torque(estimate.q)[
             digit.joints
         ] + force * tip_lever(digit, q)
-        return allocate(
-            digit.reduced_moment_arms, torque, model.floor[tendons], model.ceiling[tendons]
-        )[0]
+        arms = digit.at(q).reduced_moment_arms
+        return allocate(arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
 
     def _hold_on(
         self, model: HandModel, progress: Progress, estimate: Estimate, t: float

@@ -170,7 +170,7 @@ def coordinates(digit: DigitModel, estimate: Estimate) -> Vector:
 
     Contact may turn the joints further than the excursions show.
     """
-    return np.asarray(digit.joints_to_coordinates @ digit.excursion_to_joints @ estimate.excursion[digit.tendons])
+    return digit.coordinates_of(estimate.excursion[digit.tendons])
 
 
 def motion_to(digit: DigitModel, estimate: Estimate, angle: float | Vector, duration: float, t: float) -> DigitGoal:

@@ -197,12 +197,11 @@ def holdable(digit: DigitModel, coordinates: Vector, floor: Vector) -> Vector:
         tendons != count or count == 1
     ):  # the tensions are not determined by the posture, or rise with the angle
         return coordinates
-    slope = digit.torque_to_tension @ np.diag(digit.spring_stiffness) @ digit.coupling
     angles = coordinates.copy()
     for _ in range(HELD_STEPS):
-        tension = digit.torque_to_tension @ np.asarray(
-            static_torque(digit, digit.coupling @ angles)
-        )
+        to_tension = digit.at(digit.coupling @ angles).torque_to_tension
+        slope = to_tension @ np.diag(digit.spring_stiffness) @ digit.coupling
+        tension = to_tension @ np.asarray(static_torque(digit, digit.coupling @ angles))
         missing = floor + HELD_MARGIN_N - tension
         short = missing > 1e-6
         if not short.any():
@@ -266,9 +265,8 @@ def tensions_of(
         # Springs and gravity, plus the tip force by its lever, in the digit's coordinates.
         torque = digit.coupling.T @ np.asarray(static_torque(digit, angles))
         torque += max(force, 0.0) * tip_lever(digit, angles)
-        tension[tendons] = allocate(
-            digit.reduced_moment_arms, torque, model.floor[tendons], model.ceiling[tendons]
-        )[0]
+        arms = digit.at(angles).reduced_moment_arms
+        tension[tendons] = allocate(arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
     return tension
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from handctl.hand.description import Hand
 from handctl.hand.file.sections import Digit, Tendon
+from handctl.hand.moment_arms import arms_at, polynomial_of
 from handctl.output import save_figure
 from handctl.printing import printable
 
@@ -82,8 +83,8 @@ def text_graph(hand: Hand) -> str:
             motor = hand.motor_of(tendon.name)
             cell = " -[load cell]" if tendon.name in node.tendons else ""
             arms = "  ".join(
-                f"{joint.removeprefix(f'{digit.name}_')} {1e3 * arm:+g} mm"
-                for joint, arm in tendon.moment_arm_m.items()
+                f"{joint.removeprefix(f'{digit.name}_')} {_arm_text(hand, tendon, joint, '+')}"
+                for joint in tendon.moment_arm_m
             )
             drive = (
                 f"{motor.bus}:{motor.node_id} {motor.protocol} {motor.name} (spool {1e3 * motor.spool_radius_m:g} mm)"
@@ -92,6 +93,16 @@ def text_graph(hand: Hand) -> str:
     if any(joint in node.joints for joint in hand.joints):
         lines += ["", "(j1): a joint with an encoder"]
     return "\n".join(lines)
+
+
+def _arm_text(hand: Hand, tendon: Tendon, joint: str, sign: str = "") -> str:
+    """Return a moment arm in mm, with ``sign`` + before a positive one. A varying arm has those at both limits."""
+    arm = tendon.moment_arm_m[joint]
+    if not isinstance(arm, dict):
+        return f"{1e3 * arm:{sign}g} mm"
+    limits = hand.joint_limits[:, [hand.joints.index(joint)]]
+    ends = arms_at(polynomial_of(arm)[None, None], limits, limits).ravel()
+    return f"{1e3 * ends[0]:{sign}.3g}..{1e3 * ends[1]:.3g} mm"
 
 
 def _digit_tendons(hand: Hand, digit: Digit) -> list[Tendon]:
@@ -147,7 +158,8 @@ def _draw_tendon(axes: Any, hand: Hand, tendon: Tendon, columns: dict[str, float
     motor = hand.motor_of(tendon.name)
     bus = hand.bus_names.index(motor.bus)
     colour = BUS_COLOURS[bus % len(BUS_COLOURS)]
-    crossed = {joint: arm for joint, arm in tendon.moment_arm_m.items() if joint in columns}
+    means = hand.moment_arms[hand.tendon.index(tendon)]
+    crossed = {joint: means[hand.joints.index(joint)] for joint in tendon.moment_arm_m if joint in columns}
     last = max(columns[joint] for joint in crossed)
     axes.plot([_bus_x(bus), MOTOR_X], [y, y], color=colour, linewidth=1.2, zorder=1)
     axes.plot([MOTOR_X, last + 0.45], [y, y], color=FLEX, linewidth=1.0, zorder=1)
@@ -165,8 +177,9 @@ def _draw_tendon(axes: Any, hand: Hand, tendon: Tendon, columns: dict[str, float
         shade = FLEX if arm > 0.0 else EXTEND
         axes.plot(columns[joint], y, "o", color=shade, markersize=4.5, zorder=2)
         axes.text(
-            columns[joint], y + 0.3 * side, f"{1e3 * arm:g} mm", ha="center", va="center", fontsize=7, color=shade
-        )
+            columns[joint], y + 0.3 * side, _arm_text(hand, tendon, joint), ha="center", va="center", fontsize=7,
+            color=shade,
+        )  # fmt: skip
 
 
 def _bus_x(bus: int) -> float:

@@ -13,6 +13,7 @@ from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.detectors.residuals import QUICK_FORCE, TENSION
+from handctl.core.estimation.structure import joint_excursion
 
 FOLLOW_S = 0.1
 """Time constant of a motor following a jump of the goal, with a large margin [s]."""
@@ -91,7 +92,7 @@ def angle_by_spools(x: Tables, c: ConstantTables, j: int) -> float:
     """Return the joint angle as turned by the spools [rad], NaN if unknown."""
     if not all_tendons_taut(x, c, j):
         return math.nan
-    angle = 0.0
+    angle = c.joint[h.ANGLE_OFFSET, j]
     for n in range(x.tendon.shape[1]):
         if c.joint_tendon[h.MOVES, j, n] != 0.0:
             stretch = x.tendon[s.RESIDUAL + TENSION, n] / c.tendon[h.STIFFNESS, n]
@@ -122,7 +123,7 @@ def filter_goals(x: Tables, c: ConstantTables) -> None:
         d = c.tendon_int[h.DIGIT, n]
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
             if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
-                goal += c.tendon_joint[h.MOMENT_ARMS, n, j] * x.joint[s.Q_GOAL, j]
+                goal += joint_excursion(c, n, j, x.joint[s.Q_GOAL, j])
         before = x.tendon[s.FOLLOWED, n]
         present = x.tendon[s.EXCURSION, n]
         x.tendon[s.FOLLOWED, n] = goal

@@ -227,8 +227,8 @@ def _follow_taut(x: Tables, c: ConstantTables) -> None:
     """
     for n in range(x.tendon.shape[1]):
         if c.tendon_int[h.REDUNDANT, n] and x.tendon_int[s.REGIME, n] == SLACK:
-            excursion = value_from_other_tendons(c, n, x.tendon[s.EXCURSION])
-            rate = value_from_other_tendons(c, n, x.tendon[s.EXCURSION_RATE])
+            excursion = value_from_other_tendons(c, n, x.tendon[s.EXCURSION], c.tendon[h.EXPLAINED_OFFSET, n])
+            rate = value_from_other_tendons(c, n, x.tendon[s.EXCURSION_RATE], 0.0)
             if not math.isnan(excursion):
                 x.tendon[s.EXCURSION, n] = excursion
                 x.tendon[s.EXCURSION_RATE, n] = rate
@@ -313,9 +313,12 @@ def tension_of(x: Tables, c: ConstantTables, n: int) -> float:
 
 @inner
 def free_angles(x: Tables, c: ConstantTables, row: int, result: Vector) -> None:
-    """Write the joint angles (or rates) (J,) of excursions (or their rates) in a row, q = B R_r^+ s."""
+    """Write the joint angles (or rates) (J,) of excursions (or their rates) in a row, q = B R_r^+ s.
+
+    With varying moment arms this is the linear relation of ``structure``, which has an offset.
+    """
     for j in range(len(result)):
-        result[j] = 0.0
+        result[j] = c.joint[h.ANGLE_OFFSET, j] if row == s.EXCURSION else 0.0
         for n in range(x.tendon.shape[1]):
             result[j] += c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n] * x.tendon[row, n]
 

@@ -10,6 +10,7 @@ from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
+from handctl.core.estimation.structure import joint_excursion
 from handctl.drives.sensors.node import TENSION_TOP_N, TENSION_ZERO_N
 
 
@@ -118,7 +119,7 @@ def convert(x: Tables, c: ConstantTables) -> None:
         excursion = 0.0
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
             if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
-                excursion += c.tendon_joint[h.MOMENT_ARMS, n, j] * x.joint[s.MEASURED_JOINT, j]
+                excursion += joint_excursion(c, n, j, x.joint[s.MEASURED_JOINT, j])
         x.tendon[s.MEASURED_EXCURSION, n] = excursion
 
 

@@ -27,6 +27,7 @@ from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation.statics import hand_pose, static_torque, tip_levers
+from handctl.core.estimation.structure import keep_excursion
 from handctl.hand.rigid_body import LENGTH, levers, turned_levers
 
 Vector = NDArray[np.float64]
@@ -82,6 +83,8 @@ def joint_angles(x: Tables, c: ConstantTables, k: int, t_ns: int) -> None:
         sigma = math.sqrt(square(x.joint[s.TURN_SIGMA, j]) + variance[j])
         x.joint[s.Q, j] += x.joint[s.TURN, j]
         x.joint[s.Q_SIGMA, j] = min(sigma, c.joint[h.RANGE_SIGMA, j])
+    if c.run_int[h.HAND_VARYING]:
+        keep_excursion(x, c)
     if update and c.run_int[h.JOINTS_FUSED]:
         _fuse(x, c, columns, spread, t_ns)
 

@@ -92,7 +92,7 @@ def part_explained_by_motion(c: ConstantTables, n: int, values: Vector) -> float
     Args:
         c: constants of the hand.
         n: index of the tendon.
-        values: (N,) values along all tendons, for example excursions [m].
+        values: (N,) values along all tendons. Excursions with varying moment arms have an offset.
     """
     d = c.tendon_int[h.DIGIT, n]
     total = 0.0
@@ -105,7 +105,7 @@ def part_explained_by_motion(c: ConstantTables, n: int, values: Vector) -> float
 
 
 @inner
-def value_from_other_tendons(c: ConstantTables, n: int, values: Vector) -> float:
+def value_from_other_tendons(c: ConstantTables, n: int, values: Vector, offset: float) -> float:
     """Return the value of tendon n that follows from the other tendons of the digit, NaN if none follows.
 
     The values of a digit are R q. The equation for one tendon is solved with the values of the
@@ -115,6 +115,7 @@ def value_from_other_tendons(c: ConstantTables, n: int, values: Vector) -> float
         c: constants of the hand.
         n: index of the tendon.
         values: (N,) values along all tendons, for example excursions [m].
+        offset: value of the tendon beyond R q: ``EXPLAINED_OFFSET`` for excursions, 0 for their rates.
     """
     d = c.tendon_int[h.DIGIT, n]
     own = 0.0
@@ -122,7 +123,7 @@ def value_from_other_tendons(c: ConstantTables, n: int, values: Vector) -> float
         own += c.tendon_joint[h.MOMENT_ARMS, n, j] * c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n]
     if own > OWN_MOST:
         return math.nan
-    return (part_explained_by_motion(c, n, values) - own * values[n]) / (1.0 - own)
+    return (part_explained_by_motion(c, n, values) + offset - own * values[n]) / (1.0 - own)
 
 
 @inner

@@ -7,8 +7,8 @@ the motor adds the force for its own inertia and friction, and the feedback:
     u = f_0 + (m_m + m_l) (k (s_d - s) + d (s_d' - v)) + c_i m_m s_d'' + c_f (b_m v + friction(s_d'))
         - c_d disturbance + K_f (f_0 - f_hat)
 
-with excursions s = R_r theta, the tendon's speed v at the spool, which damps the rotor and not the
-digit behind the tendon, and fractions c of the gains. The rotor is some twenty times heavier than
+with excursions s = R_r theta (with varying arms e(q), and s'' = R q'' + R' q'^2), the tendon's speed
+v at the spool, which damps the rotor and not the digit behind the tendon, and fractions c of the gains. The rotor is some twenty times heavier than
 the finger m_l. The feedback accelerates both. Hold: state feedback on tension error and tendon
 speed, with a slow integral. The speed and the rotor's inertia of an expected trajectory are fed
 forward. Source: LQR of ``motion_design``.
@@ -26,6 +26,7 @@ from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation.spool_pair import at_spool
 from handctl.core.estimation.statics import part_explained_by_motion, winding_efficiency
+from handctl.core.estimation.structure import arm_slope, joint_excursion, moment_arm
 from handctl.core.estimation.touch import PRESS_N
 from handctl.core.law.friction_band import look_ahead
 from handctl.core.law.null_space import INTEGRAL_LIMIT_N, hold_each_other
@@ -223,7 +224,7 @@ def _motion_terms(x: Tables, c: ConstantTables, way: Matrix, limit: Vector) -> t
         if c.tendon_int[h.REDUNDANT, n]:
             surplus = True
             # Excursions that no motion of the digit explains are errors of length: no feedback acts on them.
-            place = part_explained_by_motion(c, n, x.tendon[s.EXCURSION])
+            place = part_explained_by_motion(c, n, x.tendon[s.EXCURSION]) + c.tendon[h.EXPLAINED_OFFSET, n]
         feedback = x.tendon[s.STIFFNESS_FRACTION, n] * c.tendon[h.ERROR_GAIN, n] * (excursion - place)
         feedback += x.tendon[s.DAMPING_FRACTION, n] * c.tendon[h.SPEED_GAIN, n] * (rate - x.tendon[s.SPEED, n])
         counted = c.run[h.FRICTION_FRACTION]
@@ -247,12 +248,15 @@ def _goal_along_tendon(c: ConstantTables, n: int, way: Matrix) -> tuple[float, f
     excursion = 0.0
     rate = 0.0
     acceleration = 0.0
+    varying = c.tendon_int[h.VARYING, n] == 1
     d = c.tendon_int[h.DIGIT, n]
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
-        arm = c.tendon_joint[h.MOMENT_ARMS, n, j]
-        excursion += arm * way[0, j]
+        arm = moment_arm(c, n, j, way[0, j])
+        excursion += joint_excursion(c, n, j, way[0, j])
         rate += arm * way[1, j]
         acceleration += arm * way[2, j]
+        if varying:
+            acceleration += arm_slope(c, n, j, way[0, j]) * way[1, j] * way[1, j]
     return excursion, rate, acceleration
 
 

@@ -1,5 +1,7 @@
 """Tensions at the joints required by the goals: the compiled reference, and the decisions of Python."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from handctl.core import stages
@@ -32,15 +34,19 @@ def write_loads(model: HandModel, layout: Layout, constants: HandConstants, bloc
             required[digit.joints] = model.inverse(digit, *(row[digit.joints].tolist() for row in way))
         undecided = stages.load(block, layout.places, *constants_in)
     if undecided:
-        allocate(model, layout, block, undecided, stages.on_joints(block, layout.places, *constants_in))
+        way = stages.on_joints(block, layout.places, *constants_in)
+        allocate(model, layout, constants, block, undecided, way)
 
 
-def allocate(model: HandModel, layout: Layout, block: Block, undecided: int, way: Vector) -> None:
+def allocate(
+    model: HandModel, layout: Layout, constants: HandConstants, block: Block, undecided: int, way: Vector
+) -> None:
     """Solve the bounded least-squares problem of digits with tensions out of bounds or not unique.
 
     Args:
         model: the hand.
         layout: of the block.
+        constants: of the hand, with the moment arms at the present angles.
         block: the state, modified in place.
         undecided: a bit for each of these digits.
         way: (3, J) angles, rates and accelerations of the joints on the trajectories.
@@ -50,6 +56,8 @@ def allocate(model: HandModel, layout: Layout, block: Block, undecided: int, way
     for d, digit in enumerate(model.digits):
         if undecided >> d & 1:
             tendons = digit.tendons
+            if digit.has_varying_arm:
+                digit = _with_present_arms(digit, constants)
             if model.redundancy.surplus[tendons.start]:
                 load[tendons] = _with_friction(model, digit, required[digit.joints], way[:2, digit.joints])
                 continue
@@ -57,6 +65,12 @@ def allocate(model: HandModel, layout: Layout, block: Block, undecided: int, way
             low = model.floor[tendons]
             high = model.ceiling[tendons]
             load[tendons] = bounded(digit.reduced_moment_arms, required_torque, low, high, load[tendons])
+
+
+def _with_present_arms(digit: DigitModel, constants: HandConstants) -> DigitModel:
+    """Return a digit with varying moment arms as they are at the present angles."""
+    arms = constants.layout.view(constants.block, "moment_arms")[digit.tendons, digit.joints]
+    return replace(digit, moment_arms=arms, reduced_moment_arms=arms @ digit.coupling)
 
 
 def _with_friction(model: HandModel, digit: DigitModel, required: Vector, way: Vector) -> Vector:
@@ -83,5 +97,8 @@ def _with_friction(model: HandModel, digit: DigitModel, required: Vector, way: V
     reduced = (arms * factors) @ digit.coupling
     tension, _ = allocate_tension(reduced, required @ digit.coupling, low, high)
     # The control law divides by this mean over the pulleys.
-    efficiency = (model.pulley_weights[tendons, digit.joints] * np.exp(-lost)).sum(axis=1)
+    weights = model.pulley_weights[tendons, digit.joints]
+    if digit.has_varying_arm:
+        weights = np.abs(arms) / np.abs(arms).sum(axis=1, keepdims=True)
+    efficiency = (weights * np.exp(-lost)).sum(axis=1)
     return np.asarray(tension * (1.0 - counted + counted * efficiency**winding))

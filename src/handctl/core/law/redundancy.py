@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from handctl.core.law.allocation import allocate
 from handctl.core.types import Vector
 from handctl.hand.digit import DigitModel
+from handctl.hand.moment_arms import excursions_at
 
 Flags = NDArray[np.bool_]
 MISSING_FRACTION = 1e-3
@@ -62,7 +63,7 @@ def redundancy(digits: tuple[DigitModel, ...], floor: Vector, ceiling: Vector, i
         sprung=np.repeat([is_sprung(digit) for digit in digits], counts),
         surplus=np.repeat(surplus, counts),
         balance=np.concatenate(balance),
-        open_excursion=np.concatenate([digit.moment_arms @ digit.joint_min for digit in digits]),
+        open_excursion=np.concatenate([digit.excursion_at(digit.joint_min) for digit in digits]),
         excursion_range=np.concatenate([_excursion_range(digit) for digit in digits], axis=1),
     )
 
@@ -78,7 +79,10 @@ def sides(digit: DigitModel, is_pair: Flags) -> Vector:
 
 def _excursion_range(digit: DigitModel) -> Vector:
     """Return the smallest and the largest excursions of a digit within the joint limits, (2, n_t) [m]."""
-    ends = np.stack((digit.moment_arms * digit.joint_min, digit.moment_arms * digit.joint_max))
+    if digit.has_varying_arm:
+        ends = excursions_at(digit.arm_polynomials, digit.joint_limits, digit.joint_limits)
+    else:
+        ends = np.stack((digit.moment_arms * digit.joint_min, digit.moment_arms * digit.joint_max))
     return np.stack((ends.min(axis=0).sum(axis=1), ends.max(axis=0).sum(axis=1)))
 
 

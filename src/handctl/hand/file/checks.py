@@ -6,14 +6,28 @@ from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from handctl.hand.file.error_text import Mistake
 from handctl.hand.file.sections import Digit, Motor, StreamLimits, Tendon
 from handctl.hand.link_bodies import inertia
+from handctl.hand.moment_arms import TABLE_DEGREE, arms_at, polynomial_of, table_residual
 
 if TYPE_CHECKING:
     from handctl.hand.description import Hand
 
+SMALLEST_ARM_M = 1e-4
+"""Smallest moment arm [m]."""
+LARGEST_ARM_M = 0.05
+"""Largest moment arm [m]."""
+ARM_SAMPLES = 181
+"""Number of angles at which an arm that depends on the angle is checked."""
+LARGEST_RESIDUAL = 0.1
+"""Largest difference of a table of arms from its polynomial, as a fraction of the largest arm."""
+ROUTING_SAMPLES = 11
+"""Number of postures at which the routing of a digit with arms that depend on the angle is checked."""
+ROUNDING_DEG = 1e-6
+"""Rounding of angles converted from rad [deg]."""
 PER_LINK = (
     "link_com_m",
     "link_mass_kg",
@@ -229,9 +243,8 @@ def _check_order(hand: Hand) -> Mistakes:
     latest = 0
     for tendon in hand.tendon:
         where = f"tendon[{tendon.name}].moment_arm_m"
-        for joint, arm in tendon.moment_arm_m.items():
-            if abs(arm) < 1e-4:
-                yield Mistake(f"{arm:g}", f"{where}.{joint}", "0.0001 to 0.05 m either way, or no such key")
+        for joint in tendon.moment_arm_m:
+            yield from _check_arm(hand, tendon, joint)
         crossed = {i for i, digit in enumerate(hand.digit) if not tendon.moment_arm_m.keys().isdisjoint(digit.joints)}
         if len(crossed) != 1:
             yield Mistake(f"moves {len(crossed)} digits", where, "joints of one digit")
@@ -243,13 +256,49 @@ def _check_order(hand: Hand) -> Mistakes:
         latest = max(latest, digit)
 
 
+def _check_arm(hand: Hand, tendon: Tendon, joint: str) -> Mistakes:
+    """Check size and sign of a moment arm over the joint's range, and that a table covers the range and is smooth."""
+    arm = tendon.moment_arm_m[joint]
+    where = f"tendon[{tendon.name}].moment_arm_m.{joint}"
+    if not isinstance(arm, dict):
+        if abs(arm) < SMALLEST_ARM_M:
+            yield Mistake(f"{arm:g}", where, "0.0001 to 0.05 m either way, or no such key")
+        return
+    low, high = np.degrees(hand.joint_limits[:, hand.joints.index(joint)]).tolist()
+    range_text = f"the joint's range, {low:g} to {high:g} deg"
+    first, *_, last = arm.get("angle_deg", (low, high))
+    if first > low + ROUNDING_DEG or last < high - ROUNDING_DEG:
+        yield Mistake(f"angle_deg from {first:g} to {last:g}", where, f"a table over {range_text}")
+        return
+    angle = np.linspace(low, high, ARM_SAMPLES)
+    values = np.polynomial.polynomial.polyval(np.radians(angle), polynomial_of(arm))
+    least = int(np.argmin(np.abs(values)))
+    size = float(np.abs(values).max())
+    if values.min() < 0.0 < values.max():
+        turned = int(np.argmax(values * values[0] < 0.0))
+        what = f"the arm changes its sign at {angle[turned]:.0f} deg"
+        yield Mistake(what, where, f"one sign over {range_text}: a tendon either closes or opens a joint")
+    elif abs(values[least]) < SMALLEST_ARM_M or size > LARGEST_ARM_M:
+        worst = values[least] if abs(values[least]) < SMALLEST_ARM_M else values[np.argmax(np.abs(values))]
+        place = angle[np.argmin(np.abs(values - worst))]
+        yield Mistake(f"an arm of {worst:g} m at {place:.0f} deg", where, f"0.0001 to 0.05 m over {range_text}")
+    elif (residual := table_residual(arm)) > LARGEST_RESIDUAL * size:
+        what = f"the polynomial of degree {TABLE_DEGREE} differs by {1e3 * residual:.2g} mm from the table"
+        yield Mistake(what, where, f"a smoother table, within {1e2 * LARGEST_RESIDUAL:g} % of the arm, or polynomial_m")
+
+
 def _check_routing(hand: Hand, digit: Digit) -> Mistakes:
     """Check that tendons move every coordinate (R B has full column rank) and cross every joint."""
-    arms = hand.moment_arms[hand.digit_tendons[digit.name], hand.digit_joints[digit.name]]
+    tendons = hand.digit_tendons[digit.name]
+    joints = hand.digit_joints[digit.name]
+    arms = hand.moment_arms[tendons, joints]
     coupling = np.eye(len(digit.joints)) if digit.coupling is None else np.array(digit.coupling)
     columns = coupling.shape[1]
-    values = np.linalg.svd(arms @ coupling, compute_uv=False)
-    rank = int((values > CONDITION * values.max(initial=0.0)).sum()) if values.size else 0
+    rank = _rank(arms @ coupling)
+    if hand.has_varying_arm[tendons].any():
+        limits = hand.joint_limits[:, joints]
+        postures = np.linspace(*limits, ROUTING_SAMPLES)
+        rank = min(_rank(one @ coupling) for one in arms_at(hand.arm_polynomials[tendons, joints], limits, postures))
     if rank < columns:
         where = f"digit[{digit.name}].coupling"
         right = f"a tendon for every coordinate, or a coupling that leaves {max(rank, 1)}"
@@ -257,6 +306,12 @@ def _check_routing(hand: Hand, digit: Digit) -> Mistakes:
     for joint, column in zip(digit.joints, arms.T, strict=True):
         if not column.any():
             yield Mistake(f"no tendon crosses {joint}", f"digit[{digit.name}]", f"a tendon with moment_arm_m.{joint}")
+
+
+def _rank(arms: NDArray[np.float64]) -> int:
+    """Return the rank of reduced moment arms."""
+    values = np.linalg.svd(arms, compute_uv=False)
+    return int((values > CONDITION * values.max(initial=0.0)).sum()) if values.size else 0
 
 
 def _check_limits(tendon: Tendon) -> Mistakes:

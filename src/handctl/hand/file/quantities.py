@@ -7,10 +7,13 @@ wrong by a factor of 1000.
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Annotated, Any
 
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+
+from handctl.hand.moment_arms import COEFFICIENTS
 
 NAME_PATTERN = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 """Valid names of digits, tendons, motors, and buses."""
@@ -164,11 +167,58 @@ ARM = Range(-0.05, 0.05, "m", "in metres?")
 """Moment arms of tendons at joints."""
 
 
-def _check_moment_arm(value: Any) -> float:
-    """Validate a moment arm. A polynomial or a table is refused by a line of its own."""
-    if isinstance(value, list | tuple | dict):
-        raise wrong("one number: a moment arm is constant over the joint's angle")
-    return ARM(value)
+ARM_FORMS = "{ polynomial_m = [r0, r1, ..] } of the joint angle in rad, or { angle_deg = [..], arm_m = [..] }"
+"""Forms of a moment arm that depends on the joint angle."""
+MAX_TABLE = 1000
+"""Largest number of entries of a table of moment arms."""
+
+
+def _check_moment_arm(value: Any) -> float | dict[str, tuple[float, ...]]:
+    """Validate a moment arm: a number, a polynomial, or a table."""
+    if isinstance(value, list | tuple):
+        raise wrong(f"a number from {ARM.low:g} to {ARM.high:g} m, {ARM_FORMS}")
+    if not isinstance(value, Mapping):
+        return ARM(value)
+    if set(value) == {"polynomial_m"}:
+        return {"polynomial_m": _numbers(value["polynomial_m"], "polynomial_m", 1, COEFFICIENTS, 1.0)}
+    if set(value) != {"angle_deg", "arm_m"}:
+        raise wrong(ARM_FORMS)
+    angle = _numbers(value["angle_deg"], "angle_deg", 2, MAX_TABLE, 360.0)
+    arm = _numbers(value["arm_m"], "arm_m", 2, MAX_TABLE, ARM.high)
+    if len(angle) != len(arm):
+        raise wrong(f"an arm_m for each angle_deg, and there are {len(arm)} for {len(angle)}")
+    if any(after <= before for before, after in pairwise(angle)):
+        raise wrong("rising values of angle_deg")
+    return {"angle_deg": angle, "arm_m": arm}
+
+
+def _numbers(values: Any, key: str, least: int, most: int, largest: float) -> tuple[float, ...]:
+    """Return a list of ``least`` to ``most`` numbers from ``-largest`` to ``largest``."""
+    right = f"{least} to {most} numbers from {-largest:g} to {largest:g} in {key}"
+    if not isinstance(values, list | tuple) or not least <= len(values) <= most:
+        raise wrong(right)
+    # Negated comparison: NaN is refused.
+    if any(isinstance(one, bool) or not isinstance(one, int | float) or not abs(one) <= largest for one in values):
+        raise wrong(right)
+    return tuple(float(one) for one in values)
+
+
+def _list_schema(least: int, most: int, largest: float) -> dict[str, Any]:
+    """Return the JSON Schema of ``_numbers``."""
+    entry = {"type": "number", "minimum": -largest, "maximum": largest}
+    return {"type": "array", "items": entry, "minItems": least, "maxItems": most}
+
+
+def _table_schema(**lists: dict[str, Any]) -> dict[str, Any]:
+    """Return the JSON Schema of a table with exactly these lists."""
+    return {"type": "object", "properties": lists, "required": list(lists), "additionalProperties": False}
+
+
+ARM_SCHEMA = {"anyOf": [
+    ARM.schema,
+    _table_schema(polynomial_m=_list_schema(1, COEFFICIENTS, 1.0)),
+    _table_schema(angle_deg=_list_schema(2, MAX_TABLE, 360.0), arm_m=_list_schema(2, MAX_TABLE, ARM.high)),
+]}  # fmt: skip
 
 
 Name = Annotated[str, Checked(_check_name, {"type": "string", "pattern": f"^{NAME_PATTERN.pattern}$"})]
@@ -187,7 +237,7 @@ CentreOfMass = Annotated[
 ]
 Direction3 = Annotated[float, band(-1.0, 1.0)]
 Radius = Annotated[float, band(5e-4, 0.05, "m", "in metres?")]
-MomentArm = Annotated[float, Checked(_check_moment_arm, ARM.schema)]
+MomentArm = Annotated[float | dict[str, tuple[float, ...]], Checked(_check_moment_arm, ARM_SCHEMA)]
 Position = Annotated[float, band(-0.5, 0.5, "m", "in metres?")]
 Mass = Annotated[float, band(1e-5, 0.5, "kg", "in kilograms?")]
 LinkInertia = Annotated[

@@ -174,7 +174,12 @@ class Tendon(Section):
     motor: qty.Name
     """Motor that winds the tendon."""
     moment_arm_m: dict[str, qty.MomentArm]
-    """Row of R, by joint. The tendon does not cross absent joints. Positive arms flex."""
+    """Row of R, by joint. The tendon does not cross absent joints. Positive arms flex.
+
+    An arm that depends on the joint's own angle is ``{ polynomial_m = [r0, r1, ..] }`` with at most six
+    coefficients for an angle in rad, or a table ``{ angle_deg = [..], arm_m = [..] }`` over the range of
+    the joint, which becomes a least-squares polynomial of degree 3.
+    """
     stiffness_N_per_m: qty.TendonStiffness
     """Stiffness of the whole path, below the knee."""
     damping_N_s_per_m: qty.TendonDamping

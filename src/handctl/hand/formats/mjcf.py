@@ -101,13 +101,16 @@ def _bar(link: ET.Element, digit: Digit, i: int, length: float) -> None:
 
 
 def _tendons(root: ET.Element, hand: Hand) -> None:
-    """Add fixed tendons by their moment arms, each with a motor that pulls only."""
+    """Add fixed tendons by their moment arms, each with a motor that pulls only.
+
+    The arms of a fixed tendon are constant. An arm that depends on the angle counts with its mean.
+    """
     tendons = ET.SubElement(root, "tendon")
     actuators = ET.SubElement(root, "actuator")
-    for tendon in hand.tendon:
+    for tendon, arms in zip(hand.tendon, hand.moment_arms, strict=True):
         fixed = ET.SubElement(tendons, "fixed", name=tendon.name)
-        for joint, arm in tendon.moment_arm_m.items():
-            ET.SubElement(fixed, "joint", joint=joint, coef=_number(arm))
+        for joint in tendon.moment_arm_m:
+            ET.SubElement(fixed, "joint", joint=joint, coef=_number(arms[hand.joints.index(joint)]))
         limits = _numbers((0.0, tendon.tension_max_N))
         ET.SubElement(actuators, "motor", name=tendon.motor, tendon=tendon.name, ctrlrange=limits)
 

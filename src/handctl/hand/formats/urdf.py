@@ -84,8 +84,9 @@ def _joint(robot: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
     ET.SubElement(joint, "origin", xyz=_numbers(position), rpy=_numbers(np.add(rpy_of(rotation), 0.0)))
     ET.SubElement(joint, "axis", xyz=_numbers(joint_axes(digit)[i]))
     crossing = [tendon for tendon in hand.tendon if name in tendon.moment_arm_m]
-    effort = sum(abs(tendon.moment_arm_m[name]) * tendon.tension_max_N for tendon in crossing)
-    motors = [(hand.motor_of(tendon.name), abs(tendon.moment_arm_m[name])) for tendon in crossing]
+    arms = [abs(float(hand.moment_arms[hand.tendon.index(tendon), hand.joints.index(name)])) for tendon in crossing]
+    effort = sum(arm * tendon.tension_max_N for arm, tendon in zip(arms, crossing, strict=True))
+    motors = [(hand.motor_of(tendon.name), arm) for arm, tendon in zip(arms, crossing, strict=True)]
     # Joint speed = spool speed * spool radius / moment arm. The slowest tendon limits the joint.
     speed = min(motor.velocity_range_rad_s * motor.spool_radius_m / arm for motor, arm in motors)
     ET.SubElement(

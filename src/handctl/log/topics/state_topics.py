@@ -6,6 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS
+from handctl.hand.description import Hand
+from handctl.hand.load import hand_from, parse_toml
+from handctl.hand.moment_arms import arms_at
 from handctl.log.batch import Batch, columns
 from handctl.log.cdr import CdrWriter, Template, TemplateWriter
 from handctl.log.container import MessageBlock
@@ -50,9 +53,13 @@ _NOTES = {
 
 
 def moment_arms(header: RunHeader) -> Numbers:
-    """Return the moment arms R (N, J), for excursions s = R q [m] at joint angles q [rad]."""
-    tendons = tomllib.loads(header.hand_toml)["tendon"]
-    return np.array([[tendon["moment_arm_m"].get(joint, 0.0) for joint in header.joints] for tendon in tendons])
+    """Return the moment arms R (N, J) [m]. An arm that depends on the angle counts with the mean over its range."""
+    return _hand_of(header).moment_arms
+
+
+def _hand_of(header: RunHeader) -> Hand:
+    """Return the hand that a header describes."""
+    return hand_from(parse_toml(header.hand_toml, "hand"), "hand")
 
 
 def pretensions(header: RunHeader) -> dict[str, float]:
@@ -130,7 +137,10 @@ class StateTopics:
         """Register the topics."""
         self._header = header
         self._columns = columns(header)
-        self._arms = moment_arms(header)
+        hand = _hand_of(header)
+        self._arms = hand.moment_arms
+        self._limits = hand.joint_limits
+        self._polynomials = hand.arm_polynomials if hand.has_varying_arm.any() else None
         self._last: tuple[int, int] | None = None
         self._joint_states = {}
         for topic, (axis, *parts) in JOINT_STATES.items():
@@ -162,7 +172,7 @@ class StateTopics:
     def blocks(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
         """Return the messages of all ticks of a batch."""
         part = {name: batch.numbers[:, columns_of_field] for name, columns_of_field in self._columns.items()}
-        part["tendon_torque"] = self._tendon_torque(part["tension"])
+        part["tendon_torque"] = self._tendon_torque(part["tension"], part["q"])
         blocks = [
             stream.block(stamps, self._joint_state_values(topic, part)) for topic, stream in self._joint_states.items()
         ]
@@ -182,15 +192,16 @@ class StateTopics:
             blocks.append(stream.block(stamps, {"value": part[field], "variance": variance}))
         return blocks
 
-    def _tendon_torque(self, tension: Numbers) -> Numbers:
-        """Return the joint torques R^T f (n, J) from the tensions f [N m].
+    def _tendon_torque(self, tension: Numbers, q: Numbers) -> Numbers:
+        """Return the joint torques R^T f (n, J) from the tensions f at joint angles q [N m].
 
         The additions are done in a fixed order, because the order within a matrix product may
         depend on n.
         """
         torque = np.zeros((len(tension), self._arms.shape[1]))
+        arms = self._arms if self._polynomials is None else arms_at(self._polynomials, self._limits, q)
         for tendon, joint in zip(*np.nonzero(self._arms), strict=True):
-            torque[:, joint] += self._arms[tendon, joint] * tension[:, tendon]
+            torque[:, joint] += arms[..., tendon, joint] * tension[:, tendon]
         return torque
 
     def _pair_tensions(self, tension: Numbers) -> Numbers:

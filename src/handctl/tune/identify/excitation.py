@@ -4,6 +4,7 @@ import math
 
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
+from handctl.hand.digit import DigitModel
 from handctl.programs.excite import ExciteStep
 
 LOW_DEG = 6.0
@@ -151,8 +152,8 @@ def _sweep_range(hand: Hand, digit: str) -> tuple[float, float]:
 def lift_off(hand: Hand, digit: str) -> float:
     """Return the tension at which a joint leaves its open stop, without friction and weight [N]."""
     digit_file = hand.digit_named(digit)
-    joints = hand.digit_joints[digit]
-    arms = abs(hand.moment_arms[hand.digit_tendons[digit], joints]).sum(axis=0)
+    model = DigitModel.of(hand, digit)
+    arms = abs(model.arms_at(model.joint_min)).sum(axis=0)
     preload = zip(
         digit_file.spring_stiffness_N_m_per_rad,
         digit_file.spring_preload_rad,

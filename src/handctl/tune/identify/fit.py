@@ -290,7 +290,7 @@ def _unexplained_ramp(problem: Problem, solution: Solution) -> Ramp | None:
     first = len(problem.motor.t) + len(problem.stop.t) + len(problem.slack.t)
     offset = float(solution.z[NAMES.index("stretch_offset")]) * SCALE_OFFSET_M
     stiffness = float(solution.z[NAMES.index("rope_stiffness")] * problem.nominal[NAMES.index("rope_stiffness")])
-    angle = (free.travel - offset - free.tension / stiffness) / load.arms.sum()
+    angle = load.mean_angle(free.travel - offset - free.tension / stiffness)
     unit = np.full(len(free.t), free.count**0.5 / problem.sigma)
     return steepest(solution.jacobian, solution.residual, first, np.asarray(angle), (unit,))
 

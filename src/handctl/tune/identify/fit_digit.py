@@ -35,6 +35,8 @@ MIN_SPEED_M_S = 2.5e-3
 
 At lower speeds the direction of friction is not known at every pulley.
 """
+STEP_S = 1e-4
+"""Step of the numerical derivative of moment arms along the joint rates, per rad/s [s]."""
 MIN_ROWS = 20
 """Smallest number of sample times for a fit."""
 
@@ -85,15 +87,13 @@ class Balance:
         speed, acceleration = (
             np.column_stack(values) for values in zip(*(_tendon_rates(tendon, reach) for tendon in data), strict=True)
         )
-        to_joints = digit.excursion_to_joints.T
         fast = (np.abs(speed) > MIN_SPEED_M_S).all(axis=1)
         complete = np.isfinite(np.hstack([first_tendon.joints, tension, speed])).all(axis=1)
         selected = _spaced_indices(np.flatnonzero(free & fast & complete), 2 * reach)
         if len(selected) < MIN_ROWS:
             return None
         q = first_tendon.joints[selected]
-        dq = speed[selected] @ to_joints
-        ddq = acceleration[selected] @ to_joints
+        dq, ddq = _joint_rates(digit, q, speed[selected], acceleration[selected])
         rigid = [inverse_dynamics(digit, *row) for row in zip(q.tolist(), dq.tolist(), ddq.tolist(), strict=True)]
         return Balance(
             digit=digit,
@@ -115,11 +115,13 @@ class Balance:
             offset: (tendons,) offsets of the load cells [N].
         """
         torque = np.zeros_like(self.q)
+        present = self.digit.arms_at(self.q)
         for j, arms in enumerate(self.digit.moment_arms):
             angle = np.full(len(self.t), self.digit.wrap[j])
-            for i, arm in enumerate(arms.tolist()):
+            for i, mean_arm in enumerate(arms.tolist()):
+                arm = present[..., j, i]
                 # A joint without this tendon adds no wrap.
-                angle = angle + self.q[:, i] * (arm != 0.0)
+                angle = angle + self.q[:, i] * (mean_arm != 0.0)
                 # The sign of the friction follows the direction of the tendon.
                 lost = np.clip(
                     -friction[j] * self.side[:, j] * angle,
@@ -143,6 +145,20 @@ class Balance:
         digit = self.digit
         springs = spring * np.array(digit.spring_stiffness) * (self.q + preload * np.array(digit.spring_preload))
         return np.asarray(springs + damping * np.array(digit.joint_damping) * self.dq + mass * self.rigid)
+
+
+def _joint_rates(digit: DigitModel, q: Array, speed: Array, acceleration: Array) -> tuple[Array, Array]:
+    """Return joint rates [rad/s] and accelerations [rad/s^2], (m, joints), of speeds along the tendons, (m, tendons).
+
+    The acceleration of a tendon with varying moment arms has the additional part R' q'^2.
+    """
+    if not digit.has_varying_arm:
+        to_joints = digit.excursion_to_joints.T
+        return speed @ to_joints, acceleration @ to_joints
+    to_rates = np.array([digit.at(row).excursion_to_joints for row in q])
+    dq = np.einsum("mjn,mn->mj", to_rates, speed)
+    bend = np.einsum("mnj,mj->mn", digit.arms_at(q + STEP_S * dq) - digit.arms_at(q - STEP_S * dq), dq)
+    return dq, np.einsum("mjn,mn->mj", to_rates, acceleration - bend / (2.0 * STEP_S))
 
 
 def fit_digit(balance: Balance) -> Solution:

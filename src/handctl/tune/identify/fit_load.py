@@ -7,8 +7,9 @@ At the open stop only the tendon stretches: f = k (x - o). In free motion each j
     S k_i (q_i + P p_i) + b_i q_i' + m (a_i q'' + g_i) = r_i f exp(-mu sgn(w) (phi_0 + q_1 + .. + q_i)),
 
 and the joints' excursions and the tendon's stretch add up to the travel: sum r_i q_i + f / k = x -
-o. The equations are solved for f, because the encoder's noise is negligible beside the load cell's.
-S, P, m scale springs, preloads and masses of the hand file.
+o. An arm that depends on the joint angle has its integral in place of r_i q_i. The equations are
+solved for f, because the encoder's noise is negligible beside the load cell's. S, P, m scale
+springs, preloads and masses of the hand file.
 Source: capstan equation, virtual work, equations of motion of `hand.dynamics`.
 """
 
@@ -19,6 +20,7 @@ import numpy as np
 
 from handctl.hand.digit import DigitModel
 from handctl.hand.dynamics import gravity_torque, mass_matrix
+from handctl.hand.moment_arms import arms_at, excursions_at
 from handctl.tune.identify.data import Array, Mask, TendonData
 
 BIN_S = 0.01
@@ -35,6 +37,10 @@ GRID = np.radians(np.linspace(0.0, 110.0, 23))
 """Mean joint angles for the table of inertia and weight [rad]."""
 STEPS = 14
 """Number of Newton steps to solve for the tension."""
+STEP_RAD = 1e-4
+"""Step of the numerical derivative of a moment arm [rad]."""
+SOFTEST = 0.2
+"""Smallest stiffness of a joint less that of its growing moment arm, as a fraction of its spring."""
 MAX_FRICTION_EXPONENT = 3.0
 """Bound for the exponent of the capstan equation.
 
@@ -129,13 +135,14 @@ class DigitLoad:
     """Constants of a digit with one tendon, with n joints.
 
     Attributes:
-        arms: moment arms [m].
+        arms: moment arms [m], the mean of one that depends on the angle.
         spring: spring stiffness [N m/rad].
         preload: preload of the springs [rad].
         damping: joint damping [N m s/rad].
         wrap: wrap angle before the first pulley [rad].
         inertia: (grid, n) torque per mean joint acceleration.
         weight: (grid, n) torque of the weight [N m].
+        varying: digit with moment arms that depend on the angle, else None.
     """
 
     arms: Array
@@ -145,6 +152,7 @@ class DigitLoad:
     wrap: float
     inertia: Array
     weight: Array
+    varying: DigitModel | None = None
 
     @staticmethod
     def of(digit: DigitModel) -> "DigitLoad":
@@ -158,12 +166,32 @@ class DigitLoad:
             wrap=float(digit.wrap[0]),
             inertia=np.array([mass_matrix(digit, [q] * n).sum(axis=1) for q in GRID.tolist()]),
             weight=np.array([gravity_torque(digit, [q] * n) for q in GRID.tolist()]),
+            varying=digit if digit.has_varying_arm else None,
         )
+
+    def mean_angle(self, excursion: Array) -> Array:
+        """Return the common angle of all joints (m,) with an excursion (m,) [rad]."""
+        if self.varying is None:
+            return np.asarray(excursion / self.arms.sum())
+        grid = [float(self.varying.excursion_at(np.full(len(self.arms), angle))[0]) for angle in GRID.tolist()]
+        return np.interp(excursion, grid, GRID)
+
+    def _joint(self, i: int, q: Array) -> tuple[Array | float, Array | float, Array]:
+        """Return moment arm [m], its derivative [m/rad] and excursion [m] of joint i at angles (m,) [rad]."""
+        if self.varying is None:
+            arm = float(self.arms[i])
+            return arm, 0.0, arm * q
+        polynomial = self.varying.arm_polynomials[:1, i : i + 1]
+        limits = self.varying.joint_limits[:, i : i + 1]
+        angle = q[:, None]
+        here = arms_at(polynomial, limits, angle)[:, 0, 0]
+        ahead = arms_at(polynomial, limits, angle + STEP_RAD)[:, 0, 0]
+        return here, (ahead - here) / STEP_RAD, excursions_at(polynomial, limits, angle)[:, 0, 0]
 
     def tension(self, p: LoadParameters, means: Bins) -> Array:
         """Return the load-cell tension (m,) expected for a freely moving digit [N]."""
         total = self.arms.sum()
-        mean = np.clip((means.travel - p.offset) / total, 0.0, GRID[-1])
+        mean = np.clip(self.mean_angle(means.travel - p.offset), 0.0, GRID[-1])
         rate = means.speed / total
         acceleration = means.acceleration / total
         extra = [
@@ -182,7 +210,7 @@ class DigitLoad:
             angle = np.full_like(mean, self.wrap)
             excursion = f / p.stiffness
             slope = np.full_like(mean, 1.0 / p.stiffness)
-            for i, arm in enumerate(self.arms.tolist()):
+            for i in range(len(self.arms)):
                 friction_factor = np.exp(
                     np.clip(
                         friction_exponent * (angle + q[i]),
@@ -190,10 +218,15 @@ class DigitLoad:
                         MAX_FRICTION_EXPONENT,
                     )
                 )
-                q[i] = (arm * f * friction_factor - extra[i]) / stiffness[i] - p.preload * self.preload[i]
+                arm, bend, _ = self._joint(i, q[i])
+                rest = (arm - bend * q[i]) * f * friction_factor - extra[i] - stiffness[i] * p.preload * self.preload[i]
+                # An arm that grows with the angle acts against the spring.
+                held = np.maximum(stiffness[i] - bend * f * friction_factor, SOFTEST * stiffness[i])
+                q[i] = rest / held
                 angle = angle + q[i]
-                excursion = excursion + arm * q[i]
+                arm, _, taken_up = self._joint(i, q[i])
+                excursion = excursion + taken_up
                 # Derivative of the excursion by the tension.
-                slope = slope + arm * arm * friction_factor / stiffness[i]
+                slope = slope + arm * arm * friction_factor / held
             f = np.maximum(f + (means.travel - p.offset - excursion) / slope, 0.1)
         return np.asarray(f)

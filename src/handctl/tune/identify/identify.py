@@ -193,7 +193,10 @@ def _blocked_joint_text(hand: Hand, result: TendonResult) -> str:
         return ""
     stretch = data.tension / values["rope_stiffness"] + values["stretch_offset"]
     travel = float(np.nanmax(np.where(data.acting, data.travel - stretch, np.nan)))
-    full = float(abs(load.arms) @ np.radians(hand.digit_named(data.digit).joint_max_deg))
+    closed = np.radians(hand.digit_named(data.digit).joint_max_deg)
+    full = float(abs(load.arms) @ closed)
+    if load.varying is not None:
+        full = float(abs(load.varying.excursion_at(closed)[0]))
     preload = values["spring_preload"]
     width = result.fit.half_widths["spring_preload"]
     if joints_moving(len(load.arms), preload, width, travel, full):

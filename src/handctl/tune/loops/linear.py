@@ -21,7 +21,7 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
+from scipy.linalg import block_diag, expm
 from scipy.optimize import linprog
 
 from handctl.controller.state import layout_of
@@ -338,13 +338,14 @@ def _operating_block(bench: _Bench, tendon: int, kind: LoopKind) -> Block:
     dq = np.concatenate([digit.coupling @ position for digit, position in zip(model.digits, rates, strict=True)])
     block = layout.initial.copy()
     table = layout.table(block, "tendon")
-    table[s.EXCURSION] = model.hand.moment_arms @ q
+    digits = [digit.at(q[digit.joints]) for digit in model.digits]
+    table[s.EXCURSION] = np.concatenate([digit.excursion_at(q[digit.joints]) for digit in digits])
     table[s.TRAVEL] = table[s.EXCURSION] + TENSION_N / model.space.stiffness
-    table[s.SPEED] = table[s.EXCURSION_RATE] = model.hand.moment_arms @ dq
+    table[s.SPEED] = table[s.EXCURSION_RATE] = block_diag(*(digit.moment_arms for digit in digits)) @ dq
     table[s.FORCE] = table[s.MEASURED_TENSION] = TENSION_N
     table[s.MEASURED_TRAVEL] = table[s.TRAVEL]
     seen = np.isfinite(_joint_gain(model))
-    table[s.MEASURED_EXCURSION] = np.where(seen, model.hand.moment_arms @ q, math.nan)
+    table[s.MEASURED_EXCURSION] = np.where(seen, table[s.EXCURSION], math.nan)
     layout.view(block, "regime")[...] = Regime.FREE if moving else Regime.HELD
     layout.view(block, "stopped")[...] = 0
     layout.view(block, "planned_contact")[...] = not moving
@@ -399,7 +400,7 @@ def _half_closed(digit: DigitModel) -> Matrix:
 def _winding_rates(model: HandModel, d: int, tendon: int, speed: float) -> Matrix:
     """Return the coordinate rates (n_c,) of a digit whose given tendon winds at a speed [m/s]."""
     digit = model.digits[d]
-    arms = digit.reduced_moment_arms
+    arms = digit.at(digit.coupling @ _half_closed(digit)).reduced_moment_arms
     i = tendon - digit.tendons.start
     if 0 <= i < len(arms):
         return np.asarray(arms[i] * speed / (arms[i] @ arms[i]))
@@ -420,9 +421,10 @@ def _hold_goal(tendons: slice) -> DigitGoal:
 
 def _move_goal(digit: DigitModel, position: Matrix, rate: Matrix, reached: Matrix, speed: Matrix, i: int) -> DigitGoal:
     """Return a motion goal equal to the estimate of the digit's tendon i: excursion [m], speed [m/s]."""
-    arms = digit.reduced_moment_arms
+    q = digit.coupling @ position
+    arms = digit.at(q).reduced_moment_arms
     if 0 <= i < len(arms):
         direction = arms[i] / (arms[i] @ arms[i])
-        position = position + direction * (reached[i] - arms[i] @ position)
+        position = position + direction * (reached[i] - digit.excursion_at(q)[i])
         rate = rate + direction * (speed[i] - arms[i] @ rate)
     return DigitGoal(Kind.MOTION, Sample(position, rate, np.zeros_like(position)))

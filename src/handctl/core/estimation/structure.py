@@ -1,0 +1,223 @@
+"""Moment arms that depend on the joint angles, and the structure tables at the present angles.
+
+Filter, law and allocation are linear in the excursions: q = B (R B)^+ s. For a digit with varying arms
+the tables of ``constants`` that depend on R are those at the angles of the free digit, q0 = B theta with
+e(q0) = s. Around q0 the excursion is e(q0) + R (q - q0), so that linear relations have an offset. With
+constant arms the offsets are 0 and the tables stay as they are. The tables follow from the state alone:
+they are evaluated before each use in a tick, so that a tick from a stored state gives the same result.
+
+Source: Tsai, Robot Analysis (1999), structure matrix; Gauss-Newton method.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.compiled import inner
+from handctl.core import block as s
+from handctl.core import constants as h
+from handctl.core.block import Tables
+from handctl.core.constants import ConstantTables
+from handctl.core.estimation.statics import part_explained_by_motion
+from handctl.hand.moment_arms import COEFFICIENTS
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+NEWTON_STEPS = 8
+"""Largest number of Newton steps in a tick. One or two are used."""
+NEWTON_ENOUGH_RAD = 1e-6
+"""Size of the last Newton step [rad]. The error of the linear relations is of the order of its square."""
+SPRING_LEAST = 1e-3
+"""Smallest spring stiffness in the null space [N m/rad]. Softer deviations are limited by the joints' ranges."""
+SINGULAR = 1e-9
+"""Regularisation of dependent rows of R, as a fraction of the mean diagonal element."""
+BALANCE_LEAST = 0.05
+"""Smallest balance of a tendon, as a fraction of the balance with mean arms."""
+
+
+@inner
+def moment_arm(c: ConstantTables, n: int, j: int, q: float) -> float:
+    """Return the moment arm of tendon n at an angle of joint j [m]."""
+    if not c.tendon_int[h.VARYING, n]:
+        return c.tendon_joint[h.MOMENT_ARMS, n, j]
+    held = min(max(q, c.joint[h.LOW, j]), c.joint[h.HIGH, j])
+    value = 0.0
+    for order in range(COEFFICIENTS - 1, -1, -1):
+        value = value * held + c.tendon_joint[h.ARM_POLYNOMIAL + order, n, j]
+    return value
+
+
+@inner
+def joint_excursion(c: ConstantTables, n: int, j: int, q: float) -> float:
+    """Return the excursion of tendon n by an angle of joint j: the integral of the moment arm [m]."""
+    if not c.tendon_int[h.VARYING, n]:
+        return c.tendon_joint[h.MOMENT_ARMS, n, j] * q
+    held = min(max(q, c.joint[h.LOW, j]), c.joint[h.HIGH, j])
+    value = 0.0
+    for order in range(COEFFICIENTS - 1, -1, -1):
+        value = value * held + c.tendon_joint[h.ARM_POLYNOMIAL + order, n, j] / (order + 1.0)
+    return value * held + moment_arm(c, n, j, held) * (q - held)
+
+
+@inner
+def arm_slope(c: ConstantTables, n: int, j: int, q: float) -> float:
+    """Return the derivative of the moment arm of tendon n by an angle of joint j [m/rad]."""
+    if not c.tendon_int[h.VARYING, n] or q < c.joint[h.LOW, j] or q > c.joint[h.HIGH, j]:
+        return 0.0
+    value = 0.0
+    for order in range(COEFFICIENTS - 1, 0, -1):
+        value = value * q + c.tendon_joint[h.ARM_POLYNOMIAL + order, n, j] * order
+    return value
+
+
+@inner
+def update_structure(x: Tables, c: ConstantTables) -> None:
+    """Write the structure tables of all digits with varying arms at the angles of the free digits."""
+    q = np.empty(x.joint.shape[1])
+    for d in range(x.digit.shape[1]):
+        if not c.digit_int[h.DIGIT_VARYING, d]:
+            continue
+        first = c.digit_int[h.JOINTS_FIRST, d]
+        end = c.digit_int[h.JOINTS_END, d]
+        for j in range(first, end):
+            q[j] = c.joint[h.LOW, j] if math.isnan(x.joint[s.Q, j]) else x.joint[s.Q, j]
+        for _ in range(NEWTON_STEPS):
+            _write_structure(c, d, q)
+            change = 0.0
+            for j in range(first, end):
+                angle = c.joint[h.ANGLE_OFFSET, j]
+                for n in range(c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]):
+                    angle += c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n] * x.tendon[s.EXCURSION, n]
+                change = max(change, abs(angle - q[j]))
+                q[j] = angle
+            if change < NEWTON_ENOUGH_RAD:
+                break
+        _write_weights(c, d)
+        if c.joint_joint[h.COMPLIANCE, first, first] > 0.0:
+            _write_compliance(c, d)
+
+
+@inner
+def keep_excursion(x: Tables, c: ConstantTables) -> None:
+    """Correct the joint angles of digits with varying arms: a turn in the null space of R keeps the excursion."""
+    for d in range(x.digit.shape[1]):
+        if not c.digit_int[h.DIGIT_VARYING, d]:
+            continue
+        first = c.digit_int[h.TENDONS_FIRST, d]
+        missing = np.empty(c.digit_int[h.TENDONS_END, d] - first)
+        for i in range(len(missing)):
+            missing[i] = x.tendon[s.EXCURSION, first + i]
+            for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+                missing[i] -= joint_excursion(c, first + i, j, x.joint[s.Q, j])
+        for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+            for i in range(len(missing)):
+                x.joint[s.Q, j] += c.joint_tendon[h.EXCURSION_TO_JOINTS, j, first + i] * missing[i]
+
+
+@inner
+def _write_structure(c: ConstantTables, d: int, q: Vector) -> None:
+    """Write R, R B, B (R B)^+ and the offsets of a digit at joint angles q (J,) [rad]."""
+    joints = (c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d])
+    tendons = (c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d])
+    first = c.digit_int[h.COORDINATES_FIRST, d]
+    count = c.digit_int[h.COORDINATES_END, d] - first
+    gram = np.zeros((count, count))
+    rest = np.zeros(tendons[1] - tendons[0])  # excursion less R q
+    for n in range(tendons[0], tendons[1]):
+        for j in range(joints[0], joints[1]):
+            arm = moment_arm(c, n, j, q[j])
+            rest[n - tendons[0]] += joint_excursion(c, n, j, q[j]) - arm * q[j]
+            c.tendon_joint[h.MOMENT_ARMS, n, j] = arm
+        for k in range(count):
+            reduced = 0.0
+            for j in range(joints[0], joints[1]):
+                reduced += c.tendon_joint[h.MOMENT_ARMS, n, j] * c.joint_coordinate[h.COUPLING, j, first + k]
+            c.tendon_coordinate[h.REDUCED_ARMS, n, first + k] = reduced
+        for k in range(count):
+            for other in range(count):
+                product = c.tendon_coordinate[h.REDUCED_ARMS, n, first + k]
+                gram[k, other] += product * c.tendon_coordinate[h.REDUCED_ARMS, n, first + other]
+    _invert(gram)
+    for j in range(joints[0], joints[1]):
+        c.joint[h.ANGLE_OFFSET, j] = 0.0
+        for n in range(tendons[0], tendons[1]):
+            angle = 0.0
+            for k in range(count):
+                for other in range(count):
+                    product = c.joint_coordinate[h.COUPLING, j, first + k] * gram[k, other]
+                    angle += product * c.tendon_coordinate[h.REDUCED_ARMS, n, first + other]
+            c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n] = c.tendon_joint[h.TORQUE_TO_TENSION, n, j] = angle
+            c.joint[h.ANGLE_OFFSET, j] -= angle * rest[n - tendons[0]]
+    for n in range(tendons[0], tendons[1]):
+        c.tendon[h.EXPLAINED_OFFSET, n] = rest[n - tendons[0]]
+        for j in range(joints[0], joints[1]):
+            c.tendon[h.EXPLAINED_OFFSET, n] += c.tendon_joint[h.MOMENT_ARMS, n, j] * c.joint[h.ANGLE_OFFSET, j]
+
+
+@inner
+def _write_weights(c: ConstantTables, d: int) -> None:
+    """Write pulley weights, torques of the posture, and balance of a digit from its R."""
+    for n in range(c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]):
+        total = 0.0
+        for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+            total += abs(c.tendon_joint[h.MOMENT_ARMS, n, j])
+        for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+            c.tendon_joint[h.PULLEY_WEIGHT, n, j] = abs(c.tendon_joint[h.MOMENT_ARMS, n, j]) / total
+            torque = 0.0
+            for i in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+                torque += c.joint_joint[h.SPREAD, j, i] * c.tendon_joint[h.MOMENT_ARMS, n, i]
+            c.joint_tendon[h.POSTURE_TORQUE, j, n] = torque
+        mean = c.tendon[h.MEAN_BALANCE, n]
+        if c.tendon_int[h.REDUNDANT, n] and mean > 0.0:
+            # The part of the balance that makes no torque with the present arms.
+            balance = mean - part_explained_by_motion(c, n, c.tendon[h.MEAN_BALANCE])
+            c.tendon[h.BALANCE, n] = c.tendon[h.RELAXED, n] = max(balance, BALANCE_LEAST * mean)
+
+
+@inner
+def _write_compliance(c: ConstantTables, d: int) -> None:
+    """Write the joint angles per torque at constant excursion: K^-1 - K^-1 R^T (R K^-1 R^T)^-1 R K^-1."""
+    joints = (c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d])
+    tendons = (c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d])
+    count = tendons[1] - tendons[0]
+    stiff = np.zeros((count, count))
+    soft = np.empty(joints[1])
+    for j in range(joints[0], joints[1]):
+        soft[j] = 1.0 / max(c.joint[h.SPRING, j], SPRING_LEAST)
+        for a in range(count):
+            for b in range(count):
+                product = c.tendon_joint[h.MOMENT_ARMS, tendons[0] + a, j] * soft[j]
+                stiff[a, b] += product * c.tendon_joint[h.MOMENT_ARMS, tendons[0] + b, j]
+    trace = 0.0
+    for a in range(count):
+        trace += stiff[a, a]
+    for a in range(count):
+        stiff[a, a] += SINGULAR * trace / count
+    _invert(stiff)
+    for i in range(joints[0], joints[1]):
+        for j in range(joints[0], joints[1]):
+            value = soft[i] if i == j else 0.0
+            for a in range(count):
+                for b in range(count):
+                    product = soft[i] * c.tendon_joint[h.MOMENT_ARMS, tendons[0] + a, i] * stiff[a, b]
+                    value -= product * c.tendon_joint[h.MOMENT_ARMS, tendons[0] + b, j] * soft[j]
+            c.joint_joint[h.COMPLIANCE, i, j] = value
+
+
+@inner
+def _invert(matrix: Matrix) -> None:
+    """Invert a symmetric positive definite matrix in place, by Gauss-Jordan elimination."""
+    count = len(matrix)
+    for k in range(count):
+        pivot = 1.0 / matrix[k, k]
+        matrix[k, k] = 1.0
+        for j in range(count):
+            matrix[k, j] *= pivot
+        for i in range(count):
+            if i != k:
+                factor = matrix[i, k]
+                matrix[i, k] = 0.0
+                for j in range(count):
+                    matrix[i, j] -= factor * matrix[k, j]

@@ -1,0 +1,110 @@
+"""Moment arms of tendons at joints: constant, or a polynomial of the joint angle.
+
+All arms are polynomials r(q) of one fixed degree. The excursion of a tendon at a joint is the exact
+integral of r from 0 to q. Outside of the joint's range the arm is that at the nearer limit, so that
+no polynomial is evaluated where nobody described it, and the excursion rises or falls everywhere.
+A table of measured arms becomes the least-squares polynomial of ``TABLE_DEGREE``.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+Arm = float | Mapping[str, Sequence[float]]
+"""Arm in a hand file: a number, ``{"polynomial_m": ...}``, or ``{"angle_deg": ..., "arm_m": ...}``."""
+
+DEGREE = 5
+"""Largest degree of an arm's polynomial."""
+COEFFICIENTS = DEGREE + 1
+"""Number of coefficients of each arm: [m], [m/rad], [m/rad^2] and so on."""
+TABLE_DEGREE = 3
+"""Largest degree of the polynomial of a table."""
+
+
+def polynomial_of(arm: Arm) -> Array:
+    """Return the coefficients (COEFFICIENTS,) of an arm, constant term first, for a joint angle in rad.
+
+    Args:
+        arm: valid arm of a hand file.
+    """
+    result = np.zeros(COEFFICIENTS)
+    if not isinstance(arm, Mapping):
+        result[0] = arm
+        return result
+    if "polynomial_m" in arm:
+        coefficients = np.asarray(arm["polynomial_m"])
+    else:
+        angle, values = table_of(arm)
+        coefficients = np.polynomial.polynomial.polyfit(angle, values, min(TABLE_DEGREE, len(angle) - 1))
+    result[: len(coefficients)] = coefficients
+    return result
+
+
+def table_of(arm: Arm) -> tuple[Array, Array]:
+    """Return angles [rad] and arms [m] of a table, (k,) each, k = 0 for an arm without one."""
+    if not isinstance(arm, Mapping) or "angle_deg" not in arm:
+        return np.zeros(0), np.zeros(0)
+    return np.radians(arm["angle_deg"]), np.asarray(arm["arm_m"], dtype=np.float64)
+
+
+def table_residual(arm: Arm) -> float:
+    """Return the largest difference between a table and its polynomial [m], 0 for an arm without table."""
+    angle, values = table_of(arm)
+    fitted = np.polynomial.polynomial.polyval(angle, polynomial_of(arm))
+    return float(np.abs(fitted - values).max(initial=0.0))
+
+
+def is_varying(arm: Arm) -> bool:
+    """Return True if an arm is written as a polynomial or as a table."""
+    return isinstance(arm, Mapping)
+
+
+def arms_at(polynomials: Array, limits: Array, q: ArrayLike) -> Array:
+    """Return the moment arms R at joint angles, (..., n_t, n) [m].
+
+    Args:
+        polynomials: (n_t, n, COEFFICIENTS).
+        limits: (2, n) smallest and largest joint angles [rad].
+        q: (..., n) joint angles [rad].
+    """
+    held = np.clip(np.asarray(q, dtype=np.float64), limits[0], limits[1])[..., None, :]
+    return _horner(polynomials, held)
+
+
+def excursions_at(polynomials: Array, limits: Array, q: ArrayLike) -> Array:
+    """Return the excursion of each tendon at each joint, the integral of the arm, (..., n_t, n) [m].
+
+    Args:
+        polynomials: (n_t, n, COEFFICIENTS).
+        limits: (2, n) smallest and largest joint angles [rad].
+        q: (..., n) joint angles [rad].
+    """
+    angles = np.asarray(q, dtype=np.float64)[..., None, :]
+    held = np.clip(angles, limits[0], limits[1])
+    integral = held * _horner(polynomials / np.arange(1.0, COEFFICIENTS + 1.0), held)
+    return cast(Array, integral + (angles - held) * _horner(polynomials, held))
+
+
+def mean_arm(arm: Arm, low: float, high: float) -> float:
+    """Return the mean of an arm over the joint's range [m]. That of a constant arm is the arm itself.
+
+    Args:
+        arm: valid arm of a hand file.
+        low: smallest joint angle [rad].
+        high: largest joint angle [rad].
+    """
+    if not isinstance(arm, Mapping):
+        return arm
+    ends = excursions_at(polynomial_of(arm)[None, None], np.array([[low], [high]]), [[low], [high]])
+    return float(ends[1, 0, 0] - ends[0, 0, 0]) / (high - low)
+
+
+def _horner(polynomials: Array, q: Array) -> Array:
+    """Return the values of polynomials (n_t, n, COEFFICIENTS) at angles (..., 1, n) by Horner's method."""
+    value = np.zeros(np.broadcast_shapes(polynomials.shape[:2], q.shape))
+    for order in range(COEFFICIENTS - 1, -1, -1):
+        value = value * q + polynomials[..., order]
+    return value
