@@ -44,7 +44,7 @@ def _arm_at(arms: Any, i: int, q: float) -> float:
     for k in range(4, PULLEY):
         arm += arms[at + k] * power
         power *= angle
-    return arm
+    return float(arm)
 
 
 @inner

@@ -254,7 +254,8 @@ CASES = {
     "tendon of no digit": (tension(moment_arm_m={}), "tendon[index_tendon].moment_arm_m: moves 0 digits"),
     "moment arm as a polynomial": (
         tension(moment_arm_m={"index_j1": [0.003, 1e-4]}),
-        "tendon[index_tendon].moment_arm_m.index_j1: [0.003, 0.0001]; expected one number: a moment arm is constant",
+        "tendon[index_tendon].moment_arm_m.index_j1: [0.003, 0.0001]; expected a number from -0.05 to 0.05 m, "
+        "{ polynomial_m = [r0, r1, ..] } of the joint angle in rad, or { angle_deg = [..], arm_m = [..] }",
     ),
     "tendon without lever": (
         tension(moment_arm_m={"index_j1": 0.003, "index_j2": 0.0}),

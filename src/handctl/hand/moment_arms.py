@@ -7,7 +7,6 @@ A table of measured arms becomes the least-squares polynomial of ``TABLE_DEGREE`
 """
 
 from collections.abc import Mapping, Sequence
-from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -85,7 +84,7 @@ def excursions_at(polynomials: Array, limits: Array, q: ArrayLike) -> Array:
     angles = np.asarray(q, dtype=np.float64)[..., None, :]
     held = np.clip(angles, limits[0], limits[1])
     integral = held * _horner(polynomials / np.arange(1.0, COEFFICIENTS + 1.0), held)
-    return cast(Array, integral + (angles - held) * _horner(polynomials, held))
+    return integral + (angles - held) * _horner(polynomials, held)
 
 
 def mean_arm(arm: Arm, low: float, high: float) -> float:

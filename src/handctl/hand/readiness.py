@@ -13,7 +13,7 @@ from handctl.hand.description import Hand
 from handctl.hand.digit import coordinate_range
 from handctl.hand.file.error_text import Mistake
 from handctl.hand.file.sections import Bus, Digit
-from handctl.hand.moment_arms import arms_at
+from handctl.hand.moment_arms import arms_at, table_of, table_residual
 
 Vector = NDArray[np.float64]
 FASTEST_ARBITRATION = 1_000_000
@@ -80,7 +80,7 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[Mistake]:
     if hand.has_varying_arm[tendons].any():
         limits = hand.joint_limits[:, hand.digit_joints[digit.name]]
         polynomials = hand.arm_polynomials[tendons, hand.digit_joints[digit.name]]
-        postures = list(arms_at(polynomials, limits, np.linspace(*limits, POSTURES)) @ coupling)
+        postures = list(arms_at(polynomials, limits, np.linspace(limits[0], limits[1], POSTURES)) @ coupling)
     arms = postures[0]  # of the open digit
     floor = np.array([tendon.tension_floor_N for tendon in hand.tendon[tendons]])
     stiffness = np.array(digit.spring_stiffness_N_m_per_rad)
@@ -103,6 +103,17 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[Mistake]:
     what = f"the springs open {joint} with {springs[worst]:.3g} N m at joint_min_deg"
     right = f"more than the {closing[worst]:.3g} N m with which tension_floor_N closes"
     yield Mistake(what, f"digit[{digit.name}].{key}", right)
+
+
+def table_fits(hand: Hand) -> tuple[str, ...]:
+    """Return how far the polynomials differ from the tables of moment arms, one line per tendon with a table."""
+    lines = []
+    for tendon in hand.tendon:
+        tables = {joint: arm for joint, arm in tendon.moment_arm_m.items() if len(table_of(arm)[0])}
+        if tables:
+            left = ", ".join(f"{1e3 * table_residual(arm):.2g} mm at {joint}" for joint, arm in tables.items())
+            lines.append(f"{tendon.name}: the polynomial of its table of moment arms differs by at most {left}")
+    return tuple(lines)
 
 
 def hold_each_other(arms: Vector) -> bool:

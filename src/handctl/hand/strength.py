@@ -11,9 +11,12 @@ import numpy as np
 
 from handctl.hand.description import Hand
 from handctl.hand.file.error_text import listed
+from handctl.hand.moment_arms import arms_at
 
 MARGIN = 1.5
 """Required ratio of ``rated_breaking_force_N`` to the peak tension of a runaway."""
+POSTURES = 11
+"""Number of postures in which the largest moment arms are looked for."""
 OVERSHOOT = 2.0
 """Ratio of peak tension to constant force, for a rotor at rest against a slack, elastic tendon without damping."""
 
@@ -70,5 +73,10 @@ def _joint_loads(hand: Hand, digit: str) -> Iterable[tuple[str, float, float]]:
     joints = hand.digit_joints[digit]
     motors = [hand.motor_of(tendon.name) for tendon in hand.tendon[tendons]]
     peaks = np.array([runaway_tension(motor.torque_peak_N_m / motor.spool_radius_m) for motor in motors])
-    torques = np.abs(hand.moment_arms[tendons, joints]).T @ peaks
+    limits = hand.joint_limits[:, joints]
+    arms = hand.moment_arms[tendons, joints]
+    if hand.has_varying_arm[tendons].any():
+        postures = np.linspace(limits[0], limits[1], POSTURES)
+        arms = np.abs(arms_at(hand.arm_polynomials[tendons, joints], limits, postures)).max(axis=0)
+    torques = np.abs(arms).T @ peaks
     yield from zip(described.joints, torques.tolist(), described.joint_rated_torque_N_m, strict=True)

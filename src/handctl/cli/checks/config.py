@@ -31,6 +31,7 @@ from handctl.hand.load import (
     parse_toml,
     read_toml,
 )
+from handctl.hand.readiness import table_fits
 from handctl.hand.strength import strength_warnings
 from handctl.output import DRAWN, check_output, named_after, write_whole
 from handctl.programs.default_task import grasp_warnings
@@ -170,6 +171,7 @@ def _show_or_check(args: argparse.Namespace, hand: Hand) -> int:
                 "bus_load": load,
                 "caveats": list(caveats(make_drives(hand))),
                 "warnings": warnings,
+                "moment_arm_tables": list(table_fits(hand)),
                 "hand": hand.content,
                 "gains": layers.gains.model_dump(by_alias=True),
                 "gains_file": str(layers.file) if layers.file else "packaged",
@@ -187,6 +189,8 @@ def _show_or_check(args: argparse.Namespace, hand: Hand) -> int:
         print(f"# caution: {text}")
     for text in warnings:
         print(f"# warning: {text}")
+    for text in table_fits(hand):
+        print(f"# {text}")
     bus_loads_text = ", ".join(f"bus {name} {100 * fraction:.0f} %" for name, fraction in load.items())
     print(f"# default rate {rate:g} Hz: {bus_loads_text}; gains: {layers.file or 'packaged'}; all files are good")
     return 0

@@ -7,11 +7,11 @@ the motor adds the force for its own inertia and friction, and the feedback:
     u = f_0 + (m_m + m_l) (k (s_d - s) + d (s_d' - v)) + c_i m_m s_d'' + c_f (b_m v + friction(s_d'))
         - c_d disturbance + K_f (f_0 - f_hat)
 
-with excursions s = R_r theta (with varying arms e(q), and s'' = R q'' + R' q'^2), the tendon's speed
-v at the spool, which damps the rotor and not the digit behind the tendon, and fractions c of the gains. The rotor is some twenty times heavier than
-the finger m_l. The feedback accelerates both. Hold: state feedback on tension error and tendon
-speed, with a slow integral. The speed and the rotor's inertia of an expected trajectory are fed
-forward. Source: LQR of ``motion_design``.
+with excursions s = R_r theta (with varying arms e(q), and s'' = R q'' + R' q'^2), the tendon's
+speed v at the spool, which damps the rotor and not the digit behind the tendon, and fractions c of
+the gains. The rotor is some twenty times heavier than the finger m_l. The feedback accelerates
+both. Hold: state feedback on tension error and tendon speed, with a slow integral. The speed and
+the rotor's inertia of an expected trajectory are fed forward. Source: LQR of ``motion_design``.
 """
 
 import math

@@ -281,7 +281,7 @@ def _check_arm(hand: Hand, tendon: Tendon, joint: str) -> Mistakes:
     elif abs(values[least]) < SMALLEST_ARM_M or size > LARGEST_ARM_M:
         worst = values[least] if abs(values[least]) < SMALLEST_ARM_M else values[np.argmax(np.abs(values))]
         place = angle[np.argmin(np.abs(values - worst))]
-        yield Mistake(f"an arm of {worst:g} m at {place:.0f} deg", where, f"0.0001 to 0.05 m over {range_text}")
+        yield Mistake(f"an arm of {worst:.3g} m at {place:.0f} deg", where, f"0.0001 to 0.05 m over {range_text}")
     elif (residual := table_residual(arm)) > LARGEST_RESIDUAL * size:
         what = f"the polynomial of degree {TABLE_DEGREE} differs by {1e3 * residual:.2g} mm from the table"
         yield Mistake(what, where, f"a smoother table, within {1e2 * LARGEST_RESIDUAL:g} % of the arm, or polynomial_m")
@@ -297,7 +297,7 @@ def _check_routing(hand: Hand, digit: Digit) -> Mistakes:
     rank = _rank(arms @ coupling)
     if hand.has_varying_arm[tendons].any():
         limits = hand.joint_limits[:, joints]
-        postures = np.linspace(*limits, ROUTING_SAMPLES)
+        postures = np.linspace(limits[0], limits[1], ROUTING_SAMPLES)
         rank = min(_rank(one @ coupling) for one in arms_at(hand.arm_polynomials[tendons, joints], limits, postures))
     if rank < columns:
         where = f"digit[{digit.name}].coupling"

@@ -1,0 +1,131 @@
+"""Control of hands whose moment arms depend on the joint angle."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from handctl.compiled import kernel
+from handctl.core.block import tables
+from handctl.core.constants import constant_tables
+from handctl.core.estimation import structure
+from handctl.core.gains.gains import Gains
+from handctl.core.hand_constants import HandConstants, _compliance
+from handctl.core.model import HandModel
+from handctl.core.schema import Block, Places
+from handctl.core.types import Mode
+from handctl.hand.description import Hand
+from handctl.hand.load import packaged_hands
+from handctl.hand.tendons import excursion
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.task import Task
+from handctl.session.simulate import Simulator, homed_controller
+from tests.conftest import NIGHTLY
+from tests.controller.synthetic import blank
+from tests.hand.varied import varied
+
+HANDS = packaged_hands()
+RATE_HZ = 400.0
+SEEDS = range(20) if NIGHTLY else range(2)
+
+
+@kernel("block", "layout", "block", "layout")
+def _update(block: Block, at: Places, constants: Block, constants_at: Places) -> None:
+    structure.update_structure(tables(block, at), constant_tables(constants, constants_at))
+
+
+@kernel("block", "layout", "constants", "layout", "count", "count", "real")
+def _arm(block: Block, at: Places, constants: Block, constants_at: Places, n: int, j: int, q: float) -> np.ndarray:
+    c = constant_tables(constants, constants_at)
+    return np.array([
+        structure.joint_excursion(c, n, j, q), structure.moment_arm(c, n, j, q), structure.arm_slope(c, n, j, q),
+    ])  # fmt: skip
+
+
+@cache
+def model_of(name: str, fraction: float = 0.3) -> HandModel:
+    return HandModel.of(varied(name, fraction), Gains(), RATE_HZ)
+
+
+@pytest.mark.parametrize("name", HANDS)
+def test_the_structure_tables_are_those_at_the_present_angles(name: str) -> None:
+    model = model_of(name)
+    constants = HandConstants(model, {})
+    for seed in SEEDS:
+        chance = np.random.default_rng(seed)
+        state = blank(model)
+        q = np.zeros(len(model.hand.joints))
+        for digit in model.digits:
+            low, high = digit.reach
+            q[digit.joints] = digit.coupling @ chance.uniform(0.7 * low + 0.3 * high, high)
+            q[digit.joints] = np.clip(q[digit.joints], digit.joint_min, digit.joint_max)
+            q[digit.joints] = digit.coupling @ (digit.joints_to_coordinates @ q[digit.joints])
+            state.view("excursion")[digit.tendons] = excursion(digit, q[digit.joints])
+        state.view("q")[...] = np.nan if seed == 0 else chance.uniform(0.0, 1.0, len(q))
+        _update(state.block, state.layout.places, constants.block, constants.layout.places)
+        view = {field: constants.layout.view(constants.block, field) for field in FIELDS}
+        free = view["excursion_to_joints"] @ state.view("excursion") + view["angle_offset"]
+        np.testing.assert_allclose(free, q, atol=1e-9)
+        for digit in model.digits:
+            here = digit.at(q[digit.joints])
+            block = np.ix_(range(*digit.joints.indices(len(q))), range(*digit.tendons.indices(model.tendon_count)))
+            np.testing.assert_allclose(view["moment_arms"].T[block], here.moment_arms.T, atol=1e-8)
+            for field in ("excursion_to_joints", "torque_to_tension"):
+                found = view[field] if field == "excursion_to_joints" else view[field].T
+                np.testing.assert_allclose(found[block], here.excursion_to_joints, rtol=1e-4, atol=1e-3)
+            square = np.ix_(*[range(*digit.joints.indices(len(q)))] * 2)
+            np.testing.assert_allclose(view["compliance"][square], _compliance(here), rtol=1e-4, atol=1e-4)
+            balance = view["balance"][digit.tendons]
+            if model.redundancy.surplus[digit.tendons.start]:
+                assert (balance > 0.0).all()
+                arms = here.reduced_moment_arms
+                np.testing.assert_allclose(arms.T @ balance, 0.0, atol=2e-3 * np.abs(arms).max() * balance.max())
+
+
+FIELDS = ("excursion_to_joints", "angle_offset", "moment_arms", "torque_to_tension", "compliance", "balance")
+
+
+def test_arm_and_slope_are_derivatives_of_the_excursion() -> None:
+    model = model_of("jamia11")
+    constants = HandConstants(model, {})
+    state = blank(model)
+    places = (state.block, state.layout.places, constants.block, constants.layout.places)
+    for q in np.random.default_rng(3).uniform(-0.2, 2.0, 20).tolist():
+        step = 1e-5
+        here, before, after = (_arm(*places, 2, 1, angle) for angle in (q, q - step, q + step))
+        np.testing.assert_allclose((after - before)[:2] / (2 * step), here[1:], atol=1e-8)
+
+
+def moves(*angles: tuple[float, float]) -> Task:
+    """Return a task of moves: angle of all joints [deg] and duration [s]."""
+    phases = [
+        {"kind": "move", "name": f"move {i}", "angle_deg": angle, "duration_s": duration}
+        for i, (angle, duration) in enumerate(angles)
+    ]
+    return Task.model_validate({"schema": 1, "name": "moves", "description": "moves", "phase": tuple(phases)})
+
+
+def tracking_error_deg(model: HandModel, hand: Hand, seed: int) -> float:
+    """Return the RMSE of true against commanded joint angles while a simulated hand moves [deg]."""
+    task = TaskProgram(moves((5.0, 0.5), (42.0, 0.7), (15.0, 0.6), (45.0, 0.6), (10.0, 0.6)))
+    errors = list[np.ndarray]()
+    with Simulator(hand, None, seed, homed=True).against(homed_controller(model, task, hand)) as run:
+        run.record = False
+        for _, out in run.ticks(10.0):
+            assert not [event for event in out.events if event.level == "error"]
+            if run.state.mode == Mode.ACTIVE and run.state.progress.phase.startswith("move"):
+                errors.append(np.degrees(run.state.view("q_goal") - run.peer.world.plant.engine.q))
+        assert run.state.mode == Mode.DONE
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("name", ["jamia11", "n_plus_1"])
+def test_arms_by_angle_track_better_than_constant_arms(name: str, seed: int) -> None:
+    """The simulated arms vary by 30 % either way. With mean arms the controller takes the excursion for that of R q."""
+    hand = varied(name, 0.3, encoders=False)
+    constant = varied(name, 0.0, encoders=False)
+    with_arms = tracking_error_deg(HandModel.of(hand, Gains(), RATE_HZ), hand, seed)
+    with_mean = tracking_error_deg(HandModel.of(constant, Gains(), RATE_HZ), hand, seed)
+    assert with_arms < 1.0
+    assert with_mean > 3.0 * with_arms

@@ -1,0 +1,133 @@
+"""Moment arms that depend on the joint angle: excursion as the integral of R, and mistakes in a hand file."""
+
+import numpy as np
+import pytest
+
+from firmware_sim.description import load_hand as load_simulated
+from firmware_sim.plant.drivetrain import _arm_at, _taken_up
+from firmware_sim.plant.tendon import Routing
+from handctl.errors import ConfigError
+from handctl.hand.description import Hand
+from handctl.hand.digit import DigitModel
+from handctl.hand.load import hand_from, load_hand, packaged_hands, parse_toml
+from handctl.hand.moment_arms import polynomial_of, table_residual
+from handctl.hand.tendons import excursion
+from handctl.programs.default_task import grasp_warnings
+from handctl.report.hand_graph import text_graph
+from tests.hand.varied import varied
+
+HANDS = packaged_hands()
+SEEDS = range(3)
+
+
+@pytest.mark.parametrize("name", HANDS)
+@pytest.mark.parametrize("kind", ["polynomial", "table"])
+def test_moment_arms_are_the_derivative_of_the_excursion(name: str, kind: str) -> None:
+    hand = varied(name, 0.3, kind)
+    for digit in (DigitModel.of(hand, one) for one in hand.digit_names):
+        for seed in SEEDS:
+            # Beyond the limits, too: there the arm is constant.
+            q = np.random.default_rng(seed).uniform(digit.joint_min - 0.2, digit.joint_max + 0.2)
+            step = 1e-6
+            slope = [
+                (excursion(digit, q + one) - excursion(digit, q - one)) / (2 * step)
+                for one in step * np.eye(digit.joint_count)
+            ]
+            np.testing.assert_allclose(np.transpose(slope), digit.arms_at(q), atol=1e-9)
+            assert digit.at(q).has_varying_arm
+            theta = digit.joints_to_coordinates @ q
+            found = digit.coordinates_of(excursion(digit, digit.coupling @ theta))
+            np.testing.assert_allclose(found, theta, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", HANDS)
+def test_a_polynomial_of_one_coefficient_is_a_constant_arm(name: str) -> None:
+    constant = load_hand(name)
+    hand = varied(name, 0.0)
+    np.testing.assert_allclose(hand.moment_arms, constant.moment_arms, rtol=1e-12)
+    q = np.random.default_rng(1).uniform(-1.0, 2.0, len(hand.joints))
+    for one in hand.digit_names:
+        digit = DigitModel.of(hand, one)
+        same = DigitModel.of(constant, one)
+        np.testing.assert_allclose(excursion(digit, q[digit.joints]), excursion(same, q[digit.joints]), rtol=1e-12)
+        np.testing.assert_allclose(digit.at(q[digit.joints]).torque_to_tension, same.torque_to_tension, rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", HANDS)
+@pytest.mark.parametrize("kind", ["polynomial", "table"])
+def test_the_simulator_has_the_same_arms_from_its_own_polynomials(name: str, kind: str, tmp_path) -> None:  # type: ignore[no-untyped-def]
+    hand = varied(name, 0.3, kind)
+    path = tmp_path / "hand.toml"
+    path.write_text(hand.to_toml())
+    described = load_simulated(str(path))
+    motors = [motor.name for motor in described.motors]
+    routing = Routing(described.tendons, described.joints, motors, [0.005] * len(motors), compiled=False)
+    for seed in SEEDS:
+        q = np.random.default_rng(seed).uniform(hand.joint_limits[0] - 0.1, hand.joint_limits[1] + 0.1)
+        for one in hand.digit_names:
+            digit = DigitModel.of(hand, one)
+            angles = q[digit.joints]
+            arms = np.zeros_like(digit.moment_arms)
+            lengths = np.zeros(len(arms))
+            for n, tendon in enumerate(routing.tendons[digit.tendons]):
+                for i in range(tendon.first, tendon.end):
+                    joint = routing.joints[i]
+                    arms[n, joint - digit.joints.start] = _arm_at(routing.arms, i, float(q[joint]))
+                    lengths[n] += _taken_up(routing.arms, i, float(q[joint]))
+            np.testing.assert_allclose(arms, digit.arms_at(angles), atol=1e-12)
+            np.testing.assert_allclose(lengths, excursion(digit, angles), atol=1e-12)
+
+
+def test_a_table_becomes_a_polynomial_of_degree_three_with_its_residual() -> None:
+    angle = np.linspace(0.0, 90.0, 10)
+    cubic = np.array([0.003, 1e-3, -4e-4, 1e-4])
+    arm = {"angle_deg": angle.tolist(), "arm_m": np.polynomial.polynomial.polyval(np.radians(angle), cubic).tolist()}
+    np.testing.assert_allclose(polynomial_of(arm), [*cubic, 0.0, 0.0], atol=1e-12)
+    assert table_residual(arm) < 1e-12
+    arm["arm_m"][4] += 1e-4
+    assert 2e-5 < table_residual(arm) < 1e-4
+    assert polynomial_of({"angle_deg": [0.0, 90.0], "arm_m": [0.002, 0.004]})[2:].tolist() == [0.0] * 4
+
+
+MISTAKES = {
+    "sign": ({"polynomial_m": [0.001, -0.002]}, "the arm changes its sign at 29 deg; expected one sign over"),
+    "small": ({"polynomial_m": [0.0001, 0.0, -3e-5]}, "an arm of 8.61e-06 m at 100 deg; expected 0.0001 to 0.05 m"),
+    "large": ({"polynomial_m": [0.003, 0.05]}, "an arm of 0.0903 m at 100 deg; expected 0.0001 to 0.05 m"),
+    "short table": ({"angle_deg": [0, 60], "arm_m": [0.003, 0.004]}, "angle_deg from 0 to 60; expected a table over"),
+    "falling": ({"angle_deg": [0, 100, 60], "arm_m": [0.003] * 3}, "expected rising values of angle_deg"),
+    "lengths": ({"angle_deg": [0, 100], "arm_m": [0.003] * 3}, "expected an arm_m for each angle_deg, and there are 3"),
+    "rough": (
+        {"angle_deg": [0, 20, 40, 60, 80, 100], "arm_m": [0.003, 0.004, 0.003, 0.004, 0.003, 0.004]},
+        "from the table; expected a smoother table, within 10 % of the arm",
+    ),
+    "degree": ({"polynomial_m": [0.003] * 7}, "expected 1 to 6 numbers from -1 to 1 in polynomial_m"),
+    "not a number": ({"polynomial_m": [0.003, float("nan")]}, "expected 1 to 6 numbers from -1 to 1 in polynomial_m"),
+    "both": ({"polynomial_m": [0.003], "arm_m": [0.003]}, "expected { polynomial_m = [r0, r1, ..] }"),
+    "unit": ({"polynomial_mm": [3.0]}, "expected { polynomial_m = [r0, r1, ..] }"),
+}
+
+
+@pytest.mark.parametrize("case", MISTAKES)
+def test_a_mistake_in_a_moment_arm_is_one_line(case: str) -> None:
+    arm, text = MISTAKES[case]
+    content = varied("jamia", 0.0, "content")
+    content["tendon"][0]["moment_arm_m"]["index_j1"] = arm
+    with pytest.raises(ConfigError) as caught:
+        hand_from(content, "hand.toml")
+    line = str(caught.value)
+    assert line.startswith("hand.toml: tendon[index_tendon].moment_arm_m.index_j1: ")
+    assert text in line
+    assert "\n" not in line
+
+
+def test_a_hand_with_varying_arms_is_written_and_read_back() -> None:
+    hand: Hand = varied("jamia11", 0.3, "table")
+    again = hand_from(parse_toml(hand.to_toml(), "again"), "again")
+    assert again.identity == hand.identity
+    assert again.content == hand.content
+
+
+def test_graph_and_warnings_know_varying_arms() -> None:
+    hand = varied("jamia11", 0.3)
+    assert "index_t1: j1 +2.1..3.9 mm" in text_graph(hand)
+    assert not [text for text in grasp_warnings(hand) if "no digit" in text]

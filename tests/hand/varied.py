@@ -1,0 +1,39 @@
+"""Packaged hands whose moment arms vary with the joint angle."""
+
+import json
+from typing import Any
+
+import numpy as np
+
+from handctl.hand.load import hand_from, load_hand
+
+
+def varied(name: str, fraction: float, kind: str = "polynomial", encoders: bool = True) -> Any:
+    """Return a hand with arms from ``1 - fraction`` at the lower to ``1 + fraction`` at the upper limits of the joints.
+
+    Args:
+        name: of a packaged hand.
+        fraction: variation of each arm.
+        kind: polynomial (a straight line), table (a quarter of a sine either way), or content for the file's content
+            with constant arms.
+        encoders: False for a hand without joint encoders.
+    """
+    hand = load_hand(name)
+    content = json.loads(json.dumps(hand.content))
+    if kind == "content":
+        return content
+    if not encoders:
+        content["sensor_node"]["joints"] = []
+    for tendon in content["tendon"]:
+        for joint, arm in tendon["moment_arm_m"].items():
+            low, high = hand.joint_limits[:, hand.joints.index(joint)].tolist()
+            middle = (low + high) / 2.0
+            half = (high - low) / 2.0
+            if kind == "polynomial":
+                slope = arm * fraction / half
+                tendon["moment_arm_m"][joint] = {"polynomial_m": [arm - slope * middle, slope]}
+            else:
+                angle = np.linspace(low, high, 13)
+                values = arm * (1.0 + fraction * np.sin(0.5 * np.pi * (angle - middle) / half))
+                tendon["moment_arm_m"][joint] = {"angle_deg": np.degrees(angle).tolist(), "arm_m": values.tolist()}
+    return hand_from(content | {"name": f"{name}_varied"}, name)
