@@ -86,7 +86,7 @@ class Digit:
 class ArmCurve:
     """Moment arm of a tendon at a joint by the joint angle.
 
-    Beyond the limits of the joint the arm stays what it is there.
+    Beyond the limits of the joint the arm is that at the limit.
 
     Attributes:
         low: smallest joint angle [rad].

@@ -60,7 +60,7 @@ def _taken_up(arms: Any, i: int, q: float) -> float:
         length += arms[at + k] * power / (k - 3.0)
         power *= angle
     # The arm is constant beyond the limits.
-    return length + _arm_at(arms, i, q) * (q - angle)
+    return float(length + _arm_at(arms, i, q) * (q - angle))
 
 
 @inner
