@@ -91,7 +91,7 @@ class ArmCurve:
     Attributes:
         low: smallest joint angle [rad].
         high: largest joint angle [rad].
-        powers: coefficients of the polynomial by the angle in rad, constant first, ``POWERS`` of them.
+        powers: ``POWERS`` coefficients of the polynomial by the angle in rad, constant first.
     """
 
     low: float
@@ -106,10 +106,10 @@ class ArmCurve:
     @property
     def mean(self) -> float:
         """Return the mean over the joint's range [m]."""
-        terms = (
-            power * (self.high ** (i + 1) - self.low ** (i + 1)) / (i + 1) for i, power in enumerate(self.powers)
-        )
-        return sum(terms) / (self.high - self.low)
+        area = 0.0
+        for i, power in enumerate(self.powers, 1):
+            area += power * (self.high**i - self.low**i) / i
+        return area / (self.high - self.low)
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +119,7 @@ class TendonSpec:
     Attributes:
         name: name.
         motor: name of its motor.
-        arms: moment arm by joint name [m], the mean over the joint's range for one that depends on the angle.
+        arms: moment arm by joint name [m], the mean of one that depends on the angle.
         curves: moment arms that depend on the angle, by joint name.
         stiffness: stiffness up to the knee [N/m].
         damping: damping [N s/m].
@@ -422,7 +422,8 @@ def _joint_ranges(raw: dict[str, Any]) -> dict[str, tuple[float, float]]:
     return {
         f"{digit['name']}_j{i + 1}": (math.radians(low), math.radians(high))
         for digit in raw["digit"]
-        for i, (low, high) in enumerate(zip(digit["joint_min_deg"], digit["joint_max_deg"], strict=True))
+        for i, low in enumerate(digit["joint_min_deg"])
+        for high in digit["joint_max_deg"][i : i + 1]
     }
 
 
@@ -440,7 +441,7 @@ def _curve(raw: dict[str, list[float]], limits: tuple[float, float]) -> ArmCurve
 
 
 def _fitted(angles: list[float], arms: list[float]) -> list[float]:
-    """Return the coefficients of the least-squares polynomial through a table, by the normal equations."""
+    """Return the least-squares polynomial of a table, by the normal equations."""
     count = min(TABLE_POWERS, len(angles))
     rows = [
         [math.fsum(angle ** (i + j) for angle in angles) for j in range(count)]
@@ -452,19 +453,22 @@ def _fitted(angles: list[float], arms: list[float]) -> list[float]:
         rows[k] = [value / rows[k][k] for value in rows[k]]
         for i in range(count):
             if i != k:
-                rows[i] = [value - rows[i][k] * above for value, above in zip(rows[i], rows[k], strict=True)]
+                factor = rows[i][k]
+                rows[i] = [value - factor * above for value, above in zip(rows[i], rows[k], strict=True)]
     return [row[count] for row in rows]
 
 
 def _tendon(raw: dict[str, Any], ranges: dict[str, tuple[float, float]]) -> TendonSpec:
     given = raw["moment_arm_m"]
     curves = {
-        joint: _curve(arm, ranges.get(joint, (0.0, 1.0))) for joint, arm in given.items() if isinstance(arm, dict)
+        joint: _curve(arm, ranges.get(joint, (0.0, 1.0)))
+        for joint, arm in given.items()
+        if isinstance(arm, dict)
     }
     return TendonSpec(
         name=raw["name"],
         motor=raw["motor"],
-        arms={joint: curves[joint].mean if joint in curves else arm for joint, arm in given.items()},
+        arms=given | {joint: curve.mean for joint, curve in curves.items()},
         curves=curves,
         stiffness=raw["stiffness_N_per_m"],
         damping=raw["damping_N_s_per_m"],

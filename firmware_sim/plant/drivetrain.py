@@ -29,7 +29,7 @@ PULLEY = 10
 """Numbers of a pulley in ``arms``, see ``tendon.PULLEY``."""
 
 DRIVETRAIN = (TendonStruct, "counts", "vector", RotorStruct)
-"""Argument types: tendons, joint index and numbers of each pulley in the order of the tendons, rotors."""
+"""Argument types: tendons, joint index and numbers of each pulley tendon by tendon, rotors."""
 
 
 @inner
@@ -49,7 +49,7 @@ def _arm_at(arms: Any, i: int, q: float) -> float:
 
 @inner
 def _taken_up(arms: Any, i: int, q: float) -> float:
-    """Return the length of tendon that pulley i takes up from angle 0 to a joint angle [m], negative for paid out."""
+    """Return the length that pulley i takes up from angle 0 to a joint angle [m]."""
     at = PULLEY * i
     if arms[at + 1] == 0.0:
         return float(arms[at] * q)
@@ -164,7 +164,10 @@ def _apply_tendon(tendon: Any, joints: Any, arms: Any, rotor: Any, q: Any, dq: A
 
 @inner
 def _compensate_damping(tendon: Any, joints: Any, arms: Any, dq: Any, torque: Any) -> None:
-    """Add the torque of the engine's tendon damping back to ``torque`` [N m]. The engine has the mean arms."""
+    """Add the torque of the engine's tendon damping back to ``torque`` [N m].
+
+    The engine has the mean arms.
+    """
     speed = 0.0
     for i in range(tendon.first, tendon.end):
         speed += arms[PULLEY * i] * dq[joints[i]]

@@ -11,7 +11,7 @@ from firmware_sim.description import POWERS, TendonSpec
 from firmware_sim.plant.structs import TendonStruct
 
 PULLEY = 4 + POWERS
-"""Numbers of a pulley: mean arm [m], 1 if the arm depends on the angle, limits of the joint [rad], and the powers."""
+"""Numbers of a pulley: mean arm [m], 1 if it depends on the angle, joint limits [rad], and the powers."""
 
 
 def _pulley(spec: TendonSpec, joint: str) -> tuple[float, ...]:
@@ -120,7 +120,8 @@ class Routing:
             tendon.describe(spec, motor, radii[motor])
             tendon.first = len(path)
             # A joint with moment arm 0 is passed at its axis: no pulley.
-            path += [(joints.index(name), _pulley(spec, name)) for name, arm in spec.arms.items() if arm]
+            passed = [name for name, arm in spec.arms.items() if arm]
+            path += [(joints.index(name), _pulley(spec, name)) for name in passed]
             tendon.end = len(path)
         self.rows: Any = array_of(memory, TendonStruct) if compiled else self.tendons
         self.joints: Any = [joint for joint, _ in path]
