@@ -15,7 +15,7 @@ from pathlib import Path
 from lockstep import SCENES, repeated, shortest, written_down
 from stack import RATES, Stack
 
-from handctl.campaign.stage import hand_in
+from handctl.campaign.stage import hand_with_protocol
 from handctl.drives.motor_description import GUARDED
 
 SECONDS = 3.0
@@ -46,7 +46,7 @@ def measure(hand: str, protocol: str, scene: str, seconds: float) -> dict:
     """Measure one hand with drives of one protocol in one scene."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "hand.toml"
-        path.write_text(hand_in(hand, protocol).to_toml())
+        path.write_text(hand_with_protocol(hand, protocol).to_toml())
 
         def stack() -> Stack:
             return Stack(str(path), RATES[hand], SCENES[scene])

@@ -101,8 +101,8 @@ def measure(medium: str, floor: str, ticks: int) -> dict:
     """Measure wall and CPU time of each alternative [us], by number of motors. A missing alternative has a reason.
 
     Each round measures all alternatives, because other work on the machine disturbs some rounds more than others. The
-result is the wall time of the fastest round. The CPU time is the mean of all rounds, because user-mode Linux counts
-CPU time in steps of 10 ms.
+    result is the wall time of the fastest round. The CPU time is the mean of all rounds, because user-mode Linux counts
+    CPU time in steps of 10 ms.
     """
     result: dict = {}
     for motors in MOTORS:

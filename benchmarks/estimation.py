@@ -30,7 +30,7 @@ from trials.windows import REGIMES, windows
 
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
-from handctl.document import validated
+from handctl.document import validate_content
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
 
@@ -89,7 +89,7 @@ def trials(hand: str, plant: str, seed: int) -> list[Trial]:
 
 
 def _task(content: dict) -> TaskProgram:
-    return TaskProgram(validated(content, Task, "benchmark"))
+    return TaskProgram(validate_content(content, Task, "benchmark"))
 
 
 def judge(job: tuple[str, str, int]) -> dict[str, dict[str, list[float]]]:

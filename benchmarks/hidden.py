@@ -15,12 +15,12 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Any
 
-from handctl.campaign.stage import TASK, hand_in, started
+from handctl.campaign.stage import TASK, hand_with_protocol, homed_run
 from handctl.controller.bus_load import bus_loads
 from handctl.core.types import Mode
 from handctl.drives.motor_description import GUARDED
 from handctl.safety.action import Action
-from handctl.session.plan import fastest
+from handctl.session.plan import highest_rate_of_buses
 from handctl.session.simulate import Simulation
 
 FAULT_S = 2.0
@@ -107,12 +107,12 @@ def strike(simulation: Simulation, text: str) -> dict[str, Any]:
 
 def rows(hand_name: str, protocol: str, seed: int, selected_fault: str) -> Iterator[dict[str, Any]]:
     """Yield a row for every fault in every stage of one run. Each fault is injected in a copy of this process."""
-    hand = hand_in(hand_name, protocol)
-    rate = fastest(bus_loads(hand))
+    hand = hand_with_protocol(hand_name, protocol)
+    rate = highest_rate_of_buses(bus_loads(hand))
     motor = hand.motor[0]
     tendon = hand.tendon[0]
     words = {"motor": motor.name, "tendon": tendon.name, "peak": f"{motor.torque_peak_N_m / motor.torque_max_N_m:.6g}"}
-    with started(hand, rate, seed, task=task()) as simulation:
+    with homed_run(hand, rate, seed, task=task()) as simulation:
         for stage in STAGES:
             first = 0
             for _ in range(round(15.0 * rate)):

@@ -26,11 +26,11 @@ from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.excite import ExciteProgram
-from handctl.session.plan import Plan, fastest
+from handctl.session.plan import Plan, highest_rate_of_buses
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.simulate import Simulator
 from handctl.tune.identify.excitation import excitation
-from handctl.tune.identify.identify import TendonResult, identify
+from handctl.tune.identify.identify import TendonResult, identify_tendons
 
 Row = dict[str, Any]
 
@@ -92,7 +92,7 @@ def excited(
         folder: folder for the log.
     """
     hand = load_hand(hand_name)
-    plan = Plan(hand, gains, fastest(bus_loads(hand)), ())
+    plan = Plan(hand, gains, highest_rate_of_buses(bus_loads(hand)), ())
     log = folder / f"{seed}.mcap"
     controller = make_controller(plan, ExciteProgram(excitation(hand, (digit,))), None, arm_at_once=True)
     began = time.process_time()
@@ -103,7 +103,7 @@ def excited(
     if outcome.state.failure:
         return {}, row | {"failure": outcome.state.failure}
     with RunLog(log) as record:
-        result = identify(record, hand)
+        result = identify_tendons(record, hand)
     log.unlink()
     row["fit_cpu_s"] = time.process_time() - began - row["excite_cpu_s"]
     return result, row

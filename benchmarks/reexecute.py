@@ -15,8 +15,8 @@ from who import spent
 
 from handctl.controller.tick import Controller
 from handctl.log.read.reader import RunLog
-from handctl.replay.rebuild import rebuild
-from handctl.replay.tick_difference import equal_outputs
+from handctl.replay.rebuild import rebuild_controller
+from handctl.replay.tick_difference import are_outputs_equal
 
 GOLDEN = Path(__file__).resolve().parent.parent / "logs" / "golden"
 
@@ -36,7 +36,7 @@ def main() -> None:
 def measure(path: Path, passes: int) -> dict:
     """Measure one log."""
     with RunLog(path) as log:
-        controller = rebuild(log)
+        controller = rebuild_controller(log)
         gc.disable()  # The loop of a run also disables the garbage collector.
         runs = [once(log, controller) for _ in range(passes)]
         gc.enable()
@@ -70,7 +70,7 @@ def once(log: RunLog, controller: Controller) -> dict:
         took.append(cpu() - before)
         outs.append(out)
     began = cpu()
-    equal = sum(equal_outputs(one, numbers, out) for (one, numbers), out in zip(logged, outs, strict=True))
+    equal = sum(are_outputs_equal(one, numbers, out) for (one, numbers), out in zip(logged, outs, strict=True))
     return {"read": read, "tick": took, "compare": cpu() - began, "equal": equal}
 
 
@@ -78,9 +78,7 @@ def show(result: dict) -> None:
     """Print one result as text."""
     for name, row in result.items():
         parts = ", ".join(f"{stage} {us:.1f}" for stage, us in row["us_a_tick"].items())
-        print(
-            f"{name}: {row['times_real_time']:.1f} times real time, {row['equal']} of {row['ticks']} ticks equal"
-        )
+        print(f"{name}: {row['times_real_time']:.1f} times real time, {row['equal']} of {row['ticks']} ticks equal")
         print(f"  us a tick: {parts}")
         for who, fraction in sorted(row["spent"].items(), key=lambda item: -item[1]):
             print(f"    {100 * fraction:5.1f} %  {who}")

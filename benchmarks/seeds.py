@@ -14,7 +14,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from handctl.campaign.scenarios import ALL
+from handctl.campaign.scenarios import ALL_PROTOCOLS
 from handctl.cli.main import main as handctl
 from handctl.hand.load import packaged_hands
 
@@ -81,7 +81,7 @@ def main() -> None:
     lines = args.results.read_text().splitlines() if args.results.exists() else []
     results = [json.loads(line) for line in lines]
     done = {(one["hand"], one["protocol"], one["seed"]) for one in results}
-    cases: list[Case] = [(h, p, seed) for seed in range(args.seeds) for h in packaged_hands() for p in ALL]
+    cases: list[Case] = [(h, p, seed) for seed in range(args.seeds) for h in packaged_hands() for p in ALL_PROTOCOLS]
     for case in cases:
         if case not in done:
             results.append(demo(*case))

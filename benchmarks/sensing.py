@@ -18,7 +18,7 @@ from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_content, hand_from
+from handctl.hand.load import hand_content, hand_from_content
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
 from handctl.session.simulate import Simulator, homed_controller
@@ -61,10 +61,10 @@ def hand_with(name: str, sensors: str) -> Hand:
     content: dict[str, Any] = hand_content(name)
     if not cells and not encoders:
         del content["sensor_node"]
-        return hand_from(content, name)
+        return hand_from_content(content, name)
     node = content["sensor_node"]
     content["sensor_node"] = node | ({} if cells else {"tendons": []}) | ({} if encoders else {"joints": []})
-    return hand_from(content, name)
+    return hand_from_content(content, name)
 
 
 def task_of(hand: Hand) -> Task:

@@ -26,12 +26,12 @@ from handctl.core.gains.bounds import values_by_key, with_values
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.hand.description import Hand
-from handctl.session.plan import fastest
-from handctl.tune.loops.design import linear_factors, worst_of
-from handctl.tune.scoring import Score, exercise
-from handctl.tune.search.ensemble import ensemble
-from handctl.tune.search.search import SearchPlan, SearchResult, search
-from handctl.tune.search.workers import Workers, workers
+from handctl.session.plan import highest_rate_of_buses
+from handctl.tune.loops.design import linear_factors, worst_margins
+from handctl.tune.scoring import Score, score_exercise
+from handctl.tune.search.ensemble import draw_ensemble
+from handctl.tune.search.search import SearchPlan, SearchResult, run_search
+from handctl.tune.search.workers import Workers, make_workers
 
 PLANT = {"stiffness": 0.7, "friction": 1.3, "mass": 1.3, "spring": 1.1, "motor_inertia": 0.7, "damping": 1.3}
 """Factors of the true plant, fixed before anything was tuned."""
@@ -82,17 +82,17 @@ def compare(
     hand, twin, spread = load_tuned_hand(hand_name, fit)
     packaged = Gains()
     detuned = detuned_gains()
-    rate = fastest(bus_loads(hand))
-    crew = workers(count, None)
+    rate = highest_rate_of_buses(bus_loads(hand))
+    crew = make_workers(count, None)
     try:
         with tempfile.TemporaryDirectory() as passing:
             folder = into or Path(passing)
             folder.mkdir(parents=True, exist_ok=True)
-            blind = SearchPlan(hand.to_toml(), rate, detuned, ensemble(plants, 0), 1, trials, (packaged,))
+            blind = SearchPlan(hand.to_toml(), rate, detuned, draw_ensemble(plants, 0), 1, trials, (packaged,))
             knowing = SearchPlan(blind.hand, rate, detuned, (PLANT,), 1, trials, (packaged,))
             searches, spent = _searched(blind, folder / "blind", crew)
             informed, _ = _searched(knowing, folder / "knowing", crew)
-            around = SearchPlan(twin.to_toml(), rate, detuned, ensemble(plants, 0, spread), 1, trials, (packaged,))
+            around = SearchPlan(twin.to_toml(), rate, detuned, draw_ensemble(plants, 0, spread), 1, trials, (packaged,))
             fitted = _searched(around, folder / "identified", crew)[0] if fit else None
         jobs = [
             _judged(knowing, gains) for gains in (detuned, packaged, _best(detuned, searches), _best(detuned, informed))
@@ -127,7 +127,7 @@ def _searched(plan: SearchPlan, storage: Path, crew: Workers) -> tuple[SearchRes
         best = f"{result.cost(result.best):.3f}" if result.best else "none good yet"
         print(f"\r{storage.name}: trial {len(result.trials)} of {plan.trials}, best {best}   ", end="", file=sys.stderr)
 
-    result = search(plan, storage, crew, show)
+    result = run_search(plan, storage, crew, show)
     print(file=sys.stderr)
     return result, time.monotonic() - began
 
@@ -146,8 +146,8 @@ def _judged(plan: SearchPlan, gains: Gains) -> dict[str, Any]:
 
 def _with_model(hand: Hand, model: HandModel) -> Score:
     """Score a job on the true plant with a controller of the identified hand, and compute its margins."""
-    margins = worst_of(model, (linear_factors(dict.fromkeys(PLANT, 1.0)),))
-    return replace(exercise(hand, model, PLANT, JUDGE_SEED), shortfall=margins.shortfall)
+    margins = worst_margins(model, (linear_factors(dict.fromkeys(PLANT, 1.0)),))
+    return replace(score_exercise(hand, model, PLANT, JUDGE_SEED), shortfall=margins.shortfall)
 
 
 def _print(result: dict[str, Any]) -> None:

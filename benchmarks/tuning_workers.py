@@ -17,7 +17,7 @@ from typing import Any
 from handctl.core.gains.bounds import with_values
 from handctl.core.gains.gains import Gains
 from handctl.hand.load import load_hand
-from handctl.tune.search.ensemble import ensemble
+from handctl.tune.search.ensemble import draw_ensemble
 from handctl.tune.search.workers import ProcessPool
 
 Row = dict[str, Any]
@@ -28,7 +28,7 @@ RATE_HZ = 500.0
 def jobs(count: int) -> list[Row]:
     """Return trials with slightly different gains, because equal trials would be computed only once."""
     changed = [with_values(Gains(), {"tension.integral_per_s": 2.0 + 0.1 * i}, "benchmark") for i in range(count)]
-    plain = {"hand": load_hand("jamia").to_toml(), "rate_hz": RATE_HZ, "plants": list(ensemble(1, 0)), "seed": 1}
+    plain = {"hand": load_hand("jamia").to_toml(), "rate_hz": RATE_HZ, "plants": list(draw_ensemble(1, 0)), "seed": 1}
     return [plain | {"gains": gains.model_dump(by_alias=True)} for gains in changed]
 
 

@@ -10,20 +10,27 @@ from fuzz.mutate import Source, mutated, places
 from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.gains import Gains, GainsFile, Provenance
 from handctl.core.identified import identified_hand
-from handctl.document import validated
+from handctl.document import validate_content
 from handctl.drives.registry import make_drive
 from handctl.errors import HandctlError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.file.toml_text import toml_text
-from handctl.hand.load import HANDS, hand_content, hand_from, load_hand, packaged_hands, read_toml
+from handctl.hand.load import (
+    PACKAGED_HANDS_FOLDER,
+    hand_content,
+    hand_from_content,
+    load_hand,
+    packaged_hands,
+    read_toml,
+)
 from handctl.programs.calibration import calibration_from
 from handctl.programs.task import Task, trajectory_from
 from handctl.session.tasks import check_suits
 
 Target = Callable[[bytes], bool]
 Content = Mapping[str, Any]
-TASKS = HANDS.parents[1] / "tasks"
+TASKS = PACKAGED_HANDS_FOLDER.parents[1] / "tasks"
 
 
 def used(hand: Hand) -> None:
@@ -44,7 +51,7 @@ def hand(folder: Path) -> Target:
         source = Source(data)
         i = source.number(len(contents))
         content = mutated(contents[i], paths[i], source)
-        return _taken(lambda: used(hand_from(content, "fuzzed")))
+        return _taken(lambda: used(hand_from_content(content, "fuzzed")))
 
     return target
 
@@ -108,7 +115,7 @@ def task(folder: Path) -> Target:
     return _document(
         folder / "task.toml",
         list(contents),
-        lambda content: check_suits(validated(content, Task, "fuzzed"), jamia, "fuzzed"),
+        lambda content: check_suits(validate_content(content, Task, "fuzzed"), jamia, "fuzzed"),
     )
 
 
@@ -129,8 +136,10 @@ def gains(folder: Path) -> Target:
     packaged = Gains().model_dump(by_alias=True)
     content = packaged | {"provenance": Provenance(hand="jamia", number=3, log=("a.mcap",)).model_dump()}
     del content["provenance"]["restores"]
-    validated(content, GainsFile, "packaged")
-    return _document(folder / "gains.toml", [content], lambda content: validated(content, GainsFile, "fuzzed").gains)
+    validate_content(content, GainsFile, "packaged")
+    return _document(
+        folder / "gains.toml", [content], lambda content: validate_content(content, GainsFile, "fuzzed").gains
+    )
 
 
 def calibration(folder: Path) -> Target:

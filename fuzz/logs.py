@@ -15,7 +15,7 @@ from handctl.log.read.chunk_reader import schemas_and_channels
 from handctl.log.read.logfile import LogFile
 from handctl.log.read.reader import RunLog
 from handctl.log.read.record_scan import RecordScan, scan_records
-from handctl.log.read.recover import recover
+from handctl.log.read.recover import recover_log
 from handctl.log.topics.chain import TOPIC as CHAIN_TOPIC
 from handctl.log.topics.clock_pairs import TOPIC as CLOCK_TOPIC
 from handctl.log.topics.topic_set import TICK_TOPIC, VALUES_TOPIC
@@ -153,7 +153,7 @@ def log_bytes(folder: Path) -> Target:
         path.write_bytes(data)
         out.unlink(missing_ok=True)
         with contextlib.suppress(LogError):
-            recover(path, out)
+            recover_log(path, out)
         return _read(path)
 
     return target

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from fuzz import files, logs, texts, wire
 from fuzz.drives import DRIVES
-from handctl.hand.load import HANDS
+from handctl.hand.load import PACKAGED_HANDS_FOLDER
 
 Target = Callable[[bytes], bool]
 TARGETS: dict[str, Callable[[Path], Target]] = {
@@ -29,7 +29,7 @@ def seeds(name: str, folder: Path) -> list[bytes]:
     if name in DRIVES:
         return wire.answers(name, folder)
     if name == "hand-text":
-        return [path.read_bytes() for path in HANDS.glob("*.toml")]
+        return [path.read_bytes() for path in PACKAGED_HANDS_FOLDER.glob("*.toml")]
     if name == "log-bytes":
         return [logs.small(folder).read_bytes()]
     if name == "request":

@@ -75,7 +75,7 @@ class Ours:
         self.controller, state = enabled(motors)
         self.state = state.copy()
         self.want = DriveTarget.ENABLE
-        self.start = wire.begin
+        self.start = wire.begin_tick
         self.np = np
         self.shape = 1 + motors, WORDS
         self.bus = open_bus(f"{interface}:{channel}", 0, 1_000_000)

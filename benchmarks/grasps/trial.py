@@ -17,7 +17,7 @@ from handctl.hand.load import load_hand
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.program import Program
 from handctl.programs.task import Hold
-from handctl.session.plan import fastest
+from handctl.session.plan import highest_rate_of_buses
 from handctl.session.simulate import Simulator, homed_controller
 from handctl.session.tasks import find_task
 
@@ -30,7 +30,7 @@ DEFAULT = Gains()
 def hand_model(hand: str, gains: Gains = DEFAULT) -> tuple[HandModel, float]:
     """Return the model of a hand at its default rate. A process designs each model once."""
     described = load_hand(hand)
-    rate = fastest(bus_loads(described))
+    rate = highest_rate_of_buses(bus_loads(described))
     return HandModel.of(described, gains, rate), rate
 
 

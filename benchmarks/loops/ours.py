@@ -7,10 +7,10 @@ from pathlib import Path
 
 from handctl.core.gains.gains import Gains
 from handctl.core.types import Mode
-from handctl.hand.formats.urdf import urdf
+from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.load import load_hand
 from handctl.log.header import RunHeader
-from handctl.log.record import pack
+from handctl.log.record import pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.programs.program import Progress, motion_to
 from handctl.runtime.buses.open import open_bus
@@ -76,13 +76,13 @@ def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, lo
     priority = take_priority()
     if rate_hz:
         clock.spin = priority.realtime
-    described = {"hand.toml": hand.to_toml().encode(), "hand.urdf": urdf(hand).encode()}
+    described = {"hand.toml": hand.to_toml().encode(), "hand.urdf": urdf_text(hand).encode()}
     recorder = Recorder.start(log, RunHeader.of_hand(hand.to_toml(), plan.period_ns, attachments=described))
     counter = Counter(seconds)
     cut = controller.cut_frames()
 
     def record(entry, out):
-        recorder.record(pack(entry, out))
+        recorder.record(pack_tick_record(entry, out))
 
     took = []
 

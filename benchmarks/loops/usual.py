@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio
 from filterpy.kalman import KalmanFilter
 
-from handctl.hand.formats.urdf import urdf
+from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.load import load_hand
 from handctl.runtime.clock import take_priority
 
@@ -40,7 +40,7 @@ class BaselineLoop:
     def __init__(self, hand_name: str, bus_name: str, log: Path) -> None:
         self.hand = load_hand(hand_name)
         self.bus = can.Bus(interface="local", channel=bus_name)
-        self.model = pinocchio.buildModelFromXML(urdf(self.hand))
+        self.model = pinocchio.buildModelFromXML(urdf_text(self.hand))
         self.data = self.model.createData()
         self.nodes = [motor.node_id for motor in self.hand.motor]
         self.filters = [tendon_filter(1e-3) for _ in self.nodes]

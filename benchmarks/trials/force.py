@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from handctl.core.gains.gains import Gains, MotionGains, TensionGains
-from handctl.document import validated
+from handctl.document import validate_content
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
 from trials import plants
@@ -71,7 +71,7 @@ def trial(hand: str, law: str, seed: int, plant: str) -> Trial:
     }
     motion = {"disturbance_rejection": 1.0} | loop.motion
     gains = Gains(motion=MotionGains(**motion), tension=TensionGains(**(fixed | loop.tension)))
-    program = TaskProgram(validated(TASK, Task, "benchmark"))
+    program = TaskProgram(validate_content(TASK, Task, "benchmark"))
     return Trial(
         hand, program, seed, "cylinder", PLANTS[plant], gains, change=on_raw_tension if loop.raw else unchanged
     )

@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_content, hand_from, hand_path, load_hand
+from handctl.hand.load import hand_content, hand_from_content, hand_path, load_hand
 
 CLEAR = ".clear"
 """Suffix of the name of a packaged hand for its variant with free space around every digit."""
@@ -37,7 +37,7 @@ def hand_by_name(name: str) -> Hand:
                 digit[key][-1] *= FINGERTIP_LOAD
     if name.endswith(SIDE):
         content["mount"]["gravity_m_s2"] = SIDE_GRAVITY_M_S2
-    return hand_from(content, name)
+    return hand_from_content(content, name)
 
 
 def packaged(name: str) -> str:

@@ -9,7 +9,7 @@ from handctl.controller.state import State
 from handctl.controller.tick import Controller
 from handctl.core import block as s
 from handctl.core.gains.gains import Gains, MotionGains
-from handctl.core.gains.motion_design import force_weight
+from handctl.core.gains.motion_design import largest_force_weight
 from handctl.core.model import Inverse
 from handctl.core.types import TickIn
 from handctl.drives.records import Frames
@@ -45,7 +45,7 @@ def misprinted(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[f
     """Return the torque of Eq. 10 to 12 as printed in the paper, instead of the dynamics of the links.
 
     The torques belong to absolute angles. This function maps them to the joints, which the paper does not describe, and
-adds springs and damping, which the paper does not have. If a digit does not have a link, its terms are left out.
+    adds springs and damping, which the paper does not have. If a digit does not have a link, its terms are left out.
     """
     names = {}
     for order, values in (("", q), ("d", dq), ("dd", ddq)):
@@ -72,7 +72,7 @@ FORCE_N = 20.0
 
 def force_scale(rate_hz: float) -> float:
     """Return the factor on a force weight that cancels its reduction at low control rates."""
-    return 1.0 / force_weight(1.0, 1.0 / rate_hz)
+    return 1.0 / largest_force_weight(1.0, 1.0 / rate_hz)
 
 
 class RawTension(Controller):

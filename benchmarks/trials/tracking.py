@@ -23,9 +23,9 @@ import numpy as np
 
 from handctl.core.model import HandModel
 from handctl.report.summary import mean_angles
-from handctl.tune.loops.design import keeps, linear_factors
+from handctl.tune.loops.design import keeps_required_margins, linear_factors
 from handctl.tune.loops.linear import LoopKind
-from handctl.tune.search.ensemble import ensemble
+from handctl.tune.search.ensemble import draw_ensemble
 from trials import force, force_page, page, tracking_page
 from trials.hands import CLEAR, hand_by_name
 from trials.jobs import Plan, add_options, collect, plan_of
@@ -142,8 +142,8 @@ def tune(plan: Plan) -> None:
 def keeps_margins(hand: str, law: str, weights: tuple[float, float]) -> bool:
     """Return True if the motion loop of every tendon has 6 dB and 45 degrees on plants around the hand file."""
     model = HandModel.of(hand_by_name(hand), LAWS[law].gains(*weights, RATES_HZ[hand]), RATES_HZ[hand])
-    plants = tuple(linear_factors(one) for one in ensemble(PLANTS_DRAWN, 0))
-    return keeps(model, plants, (LoopKind.MOTION,))
+    plants = tuple(linear_factors(one) for one in draw_ensemble(PLANTS_DRAWN, 0))
+    return keeps_required_margins(model, plants, (LoopKind.MOTION,))
 
 
 def tuned(hand: str, law: str, careful: bool = False) -> tuple[float, float]:

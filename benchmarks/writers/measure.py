@@ -15,7 +15,7 @@ from mcap_ros2.decoder import DecoderFactory
 from benchmarks.writers.others import OTHERS, Message
 from benchmarks.writers.sustained import as_in_the_loop, sustained
 from handctl.log.read.reader import RunLog
-from handctl.log.record import FRAMING, pack
+from handctl.log.record import FRAMING, pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.log.write.writer import LogWriter
 
@@ -65,7 +65,7 @@ def _spent(work: Callable[[], object]) -> float:
 def ours(path: Path, run: Any, ticks: list[Any]) -> dict[str, float]:
     """Measure handctl: packing and passing on a record in the loop, and the recorder in the same process."""
     records: list[bytes] = []
-    packing = _spent(lambda: records.extend(pack(*tick) for tick in ticks))
+    packing = _spent(lambda: records.extend(pack_tick_record(*tick) for tick in ticks))
     recorder = Recorder.start(path.with_suffix(".pipe.mcap"), run)
     handing = _spent(lambda: [(recorder.record(record), recorder.events()) for record in records])
     recorder.close("finished")

@@ -18,9 +18,9 @@ import synthetic
 
 from handctl.core.types import TELEMETRY_FIELDS, IoEvent, Mode, PackedTelemetry, TickIn, TickOut
 from handctl.drives.frame import Frame
-from handctl.drives.records import Frames, frames_of
+from handctl.drives.records import Frames, frames_as_records
 from handctl.log.read.reader import RunLog
-from handctl.log.record import pack
+from handctl.log.record import pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.runtime.clock import RealClock, give_back_priority, take_priority
 from handctl.runtime.loop import Loop, LoopStats
@@ -70,8 +70,8 @@ def as_in_the_loop(tick_in: TickIn, out: TickOut) -> Tick:
         places[name] = slice(at, at + len(values))
         at += len(values)
     telemetry = PackedTelemetry(np.concatenate(tuple(out.telemetry)), places)
-    return tick_in._replace(frames=frames_of(tick_in.frames)), out._replace(
-        frames=frames_of(out.frames), telemetry=telemetry
+    return tick_in._replace(frames=frames_as_records(tick_in.frames)), out._replace(
+        frames=frames_as_records(out.frames), telemetry=telemetry
     )
 
 
@@ -100,7 +100,7 @@ class _Ready:
     def drain(self) -> Frames:
         """Return the frames of the next tick."""
         self._at += 1
-        return frames_of(self._ticks[self._at % len(self._ticks)][0].frames)
+        return frames_as_records(self._ticks[self._at % len(self._ticks)][0].frames)
 
     def send(self, frames: Sequence[Frame]) -> int:
         """Accept all frames."""
@@ -135,7 +135,7 @@ def _into(recorder: Recorder) -> Callable[[TickIn, TickOut], None]:
     """Return the function that logs a tick."""
 
     def record(entry: TickIn, out: TickOut) -> None:
-        recorder.record(pack(entry, out))
+        recorder.record(pack_tick_record(entry, out))
 
     return record
 

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from handctl.errors import ConfigError
-from handctl.hand.file.error_text import key_path, shown
+from handctl.hand.file.error_text import key_path, toml_spelling
 from handctl.hand.load import read_toml
 from handctl.printing import similar_name
 
@@ -39,10 +39,10 @@ def load_document(path: Path, model: type[D]) -> D:
     Raises:
         ConfigError: the file cannot be read, is not TOML, or has a wrong key or value.
     """
-    return validated(read_toml(path), model, str(path))
+    return validate_content(read_toml(path), model, str(path))
 
 
-def validated(content: Mapping[str, Any], model: type[D], source: str) -> D:
+def validate_content(content: Mapping[str, Any], model: type[D], source: str) -> D:
     """Validate content parsed from TOML.
 
     The content goes through JSON. Strict JSON validation accepts a list as tuple and 1 as float, but refuses true.
@@ -53,10 +53,10 @@ def validated(content: Mapping[str, Any], model: type[D], source: str) -> D:
     try:
         return model.model_validate_json(json.dumps(content, default=str))
     except ValidationError as error:
-        raise _line(error, model, content, source) from None
+        raise _error_line(error, model, content, source) from None
 
 
-def _line(error: ValidationError, model: type[BaseModel], content: Mapping[str, Any], source: str) -> ConfigError:
+def _error_line(error: ValidationError, model: type[BaseModel], content: Mapping[str, Any], source: str) -> ConfigError:
     """Return the most specific error of pydantic. An unknown key comes before the key that is missing because of it.
 
     Otherwise the deepest error is returned. Among the alternatives of a union it belongs to the intended one.
@@ -73,8 +73,8 @@ def _line(error: ValidationError, model: type[BaseModel], content: Mapping[str, 
     value = detail["input"]
     if detail["type"] == "union_tag_invalid":
         key = detail["ctx"]["discriminator"].strip("'")
-        return ConfigError(shown(value[key]), f"{where}.{key}", "one of " + detail["ctx"]["expected_tags"])
-    what = "a table" if isinstance(value, Mapping) else shown(value)
+        return ConfigError(toml_spelling(value[key]), f"{where}.{key}", "one of " + detail["ctx"]["expected_tags"])
+    what = "a table" if isinstance(value, Mapping) else toml_spelling(value)
     return ConfigError(what, where, detail["msg"].removeprefix("Input should be ").removeprefix("Value error, "))
 
 

@@ -1,6 +1,6 @@
 """Errors that reach the user. Each is one line: the mistake, its place, and the expected value."""
 
-from handctl.printing import message
+from handctl.printing import one_line_message
 
 REMOVE_POWER = "REMOVE POWER"
 """Marks a failure after which a motor may still have torque. Only the operator can end it."""
@@ -22,7 +22,7 @@ class HandctlError(Exception):
         parts = [f"{where}: {what}" if where else what]
         if right:
             parts.append(f"expected {right}")
-        super().__init__(message("; ".join(parts)))
+        super().__init__(one_line_message("; ".join(parts)))
 
 
 class ConfigError(HandctlError):

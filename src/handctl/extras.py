@@ -32,7 +32,7 @@ class MissingExtraError(ConfigError):
         super().__init__(f"{user} needs {package}: pip install 'handctl[{EXTRAS[package]}]'")
 
 
-def require(user: str, *packages: str) -> None:
+def require_extra(user: str, *packages: str) -> None:
     """Check that optional packages are installed, without importing them.
 
     Args:

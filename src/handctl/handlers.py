@@ -7,7 +7,7 @@ from types import FrameType
 
 
 @contextmanager
-def handling(handler: Callable[[int, FrameType | None], None], *numbers: signal.Signals) -> Iterator[None]:
+def installed_handler(handler: Callable[[int, FrameType | None], None], *numbers: signal.Signals) -> Iterator[None]:
     """Install a signal handler for a block and restore the previous handlers.
 
     Args:

@@ -12,14 +12,14 @@ from handctl.errors import ConfigError
 
 NO_LINKS = {errno.EPERM, errno.ENOTSUP, errno.ENOSYS}
 """Errors of file systems without links, such as FAT on a memory stick."""
-LOG, LOG_BEGINS = ".mcap", b"\x89MCAP0\r\n"
+LOG_SUFFIX, LOG_MAGIC = ".mcap", b"\x89MCAP0\r\n"
 """Suffix and first bytes of a log. Outputs never overwrite a log."""
-DRAWN = {".png", ".svg", ".pdf"}
+FIGURE_SUFFIXES = {".png", ".svg", ".pdf"}
 """Suffixes that select the format of a figure. Every other suffix gives PNG."""
 
 
 @contextmanager
-def whole(path: Path, new: bool = False) -> Iterator[Path]:
+def atomic_path(path: Path, new: bool = False) -> Iterator[Path]:
     """Yield a temporary path, and move it to ``path`` when its content is on the disk.
 
     A reader finds the old file or the new file, also after a power cut. A failed output leaves no file. Links are
@@ -33,19 +33,19 @@ def whole(path: Path, new: bool = False) -> Iterator[Path]:
         ConfigError: the path cannot be written.
         OSError: writing failed. The error names ``path``.
     """
-    target = _target(path, new)
+    target = _resolve_target(path, new)
     if target.exists() and not target.is_file():
-        with _named(path, target), _read_pipe(target, path):
+        with _with_user_path(path, target), _check_pipe_reader(target, path):
             yield target
         return
     beside = target.with_name(f".{os.getpid()}{target.suffix}")
     try:
-        with _named(path, beside):
+        with _with_user_path(path, beside):
             yield beside
             if beside.exists():
-                _settle(beside)
-                _move(beside, target, new)
-                _settle(target.parent)
+                _fsync(beside)
+                _move_into_place(beside, target, new)
+                _fsync(target.parent)
     finally:
         if beside.is_dir():
             shutil.rmtree(beside, ignore_errors=True)
@@ -53,7 +53,7 @@ def whole(path: Path, new: bool = False) -> Iterator[Path]:
             beside.unlink(missing_ok=True)
 
 
-def named_after(path: Path, suffix: str) -> Path:
+def path_with_suffix(path: Path, suffix: str) -> Path:
     """Return the path of an output beside its source: the same path with another suffix.
 
     Raises:
@@ -64,20 +64,20 @@ def named_after(path: Path, suffix: str) -> Path:
     return path.with_suffix(suffix)
 
 
-def write_whole(path: Path, text: str, new: bool = False) -> None:
-    """Write text atomically, see ``whole``."""
-    with whole(path, new) as part:
+def write_text_atomically(path: Path, text: str, new: bool = False) -> None:
+    """Write text atomically, see ``atomic_path``."""
+    with atomic_path(path, new) as part:
         part.write_text(text, encoding="utf-8")
 
 
 def save_figure(figure: Any, path: Path, dpi: int = 110) -> None:
-    """Write a figure of matplotlib atomically, see ``whole``."""
-    with whole(path) as part:
-        figure.savefig(part, dpi=dpi, format=path.suffix[1:] if path.suffix in DRAWN else "png")
+    """Write a figure of matplotlib atomically, see ``atomic_path``."""
+    with atomic_path(path) as part:
+        figure.savefig(part, dpi=dpi, format=path.suffix[1:] if path.suffix in FIGURE_SUFFIXES else "png")
 
 
 def check_output(path: Path, what: str, *read: Path | None) -> None:
-    """Refuse an output path before the work begins, by the rules of ``whole``.
+    """Refuse an output path before the work begins, by the rules of ``atomic_path``.
 
     Args:
         path: path of the output.
@@ -88,20 +88,20 @@ def check_output(path: Path, what: str, *read: Path | None) -> None:
         ConfigError: the path cannot be written, or is an input.
     """
     try:
-        target = _target(path, False)
+        target = _resolve_target(path, False)
     except ConfigError as error:
         raise ConfigError(error.what, f"{what} {path}", error.right) from None
-    if any(one and _same(target, one) for one in read):
+    if any(one and _is_same_file(target, one) for one in read):
         raise ConfigError("is what is read", f"{what} {path}", "another name")
 
 
-def _same(target: Path, other: Path) -> bool:
+def _is_same_file(target: Path, other: Path) -> bool:
     """Return True if two paths lead to one file. The file need not exist."""
     there = target.exists() and other.exists()
     return target.samefile(other) if there else str(target) == os.path.realpath(other)
 
 
-def _target(path: Path, new: bool) -> Path:
+def _resolve_target(path: Path, new: bool) -> Path:
     """Return the target of a path, links followed."""
     target = Path(os.path.realpath(path))
     if not target.parent.is_dir():
@@ -110,13 +110,13 @@ def _target(path: Path, new: bool) -> Path:
         raise ConfigError("is there already", str(path), "a new name")
     if target.is_dir():
         raise ConfigError("is a folder", str(path), "a file")
-    if target.is_file() and (target.suffix == LOG or _is_log(target)):
+    if target.is_file() and (target.suffix == LOG_SUFFIX or _is_log(target)):
         raise ConfigError("is a log", str(path), "another name: nothing is written over a log")
     return target
 
 
 @contextmanager
-def _read_pipe(target: Path, path: Path) -> Iterator[None]:
+def _check_pipe_reader(target: Path, path: Path) -> Iterator[None]:
     """Refuse a named pipe without a reader, because opening it would wait forever.
 
     The pipe stays open during the block, because its reader ends when the last writer closes it.
@@ -139,12 +139,12 @@ def _read_pipe(target: Path, path: Path) -> Iterator[None]:
 def _is_log(path: Path) -> bool:
     """Return True if a file begins with the first bytes of a log. Its name does not matter."""
     with suppress(PermissionError), path.open("rb") as file:
-        return file.read(len(LOG_BEGINS)) == LOG_BEGINS
+        return file.read(len(LOG_MAGIC)) == LOG_MAGIC
     return False
 
 
 @contextmanager
-def _named(path: Path, written: Path) -> Iterator[None]:
+def _with_user_path(path: Path, written: Path) -> Iterator[None]:
     """Replace the temporary path in errors by the path that the user gave."""
     try:
         yield
@@ -155,7 +155,7 @@ def _named(path: Path, written: Path) -> Iterator[None]:
         raise OSError(error.errno, text, str(path)) from None
 
 
-def _move(beside: Path, target: Path, new: bool) -> None:
+def _move_into_place(beside: Path, target: Path, new: bool) -> None:
     """Move a file to its path. A new file never replaces a file of another process."""
     if new and beside.is_file():
         try:
@@ -168,7 +168,7 @@ def _move(beside: Path, target: Path, new: bool) -> None:
     os.replace(beside, target)
 
 
-def _settle(path: Path) -> None:
+def _fsync(path: Path) -> None:
     """Write the content of a file, or the entries of a folder, to the disk (fsync)."""
     with suppress(PermissionError):  # of a folder that may be written to, but not read
         descriptor = os.open(path, os.O_RDONLY)

@@ -14,11 +14,11 @@ LONGEST_MESSAGE = 500
 """Maximum length of a message [characters]."""
 LONGEST_WORD = 60
 """Maximum length of a word that is compared with names or quoted [characters]."""
-LEFT_OUT = " [...] "
+OMISSION_MARK = " [...] "
 """Replaces the middle of a longer message."""
 
 
-def escaped(text: str, kept: str = "") -> str:
+def escape_text(text: str, kept: str = "") -> str:
     """Escape the characters that are not printable.
 
     Args:
@@ -35,9 +35,9 @@ def _escape(character: str) -> str:
     return character.encode("unicode_escape", "replace").decode()
 
 
-def printable(text: str, most: int = 200) -> str:
+def printable_text(text: str, most: int = 200) -> str:
     """Escape text and cut it after ``most`` characters."""
-    return escaped(text[:most]) + ("..." if len(text) > most else "")
+    return escape_text(text[:most]) + ("..." if len(text) > most else "")
 
 
 def similar_name(word: str, names: Iterable[str], cutoff: float = 0.6) -> str:
@@ -52,21 +52,21 @@ def similar_name(word: str, names: Iterable[str], cutoff: float = 0.6) -> str:
     return near[0] if near else ""
 
 
-def message(text: str, most: int = LONGEST_MESSAGE) -> str:
+def one_line_message(text: str, most: int = LONGEST_MESSAGE) -> str:
     """Return one line of bounded length. Line ends become spaces. A long text loses its middle.
 
     The mistake is at the beginning of a message, the expected value at its end.
     """
     if len(text) > 4 * most:  # escaping makes a text longer, never shorter
         text = text[: 2 * most] + text[-2 * most :]
-    line = escaped(text.replace("\n", " "))
+    line = escape_text(text.replace("\n", " "))
     if len(line) <= most:
         return line
     end = most // 3
-    return line[: most - end - len(LEFT_OUT)] + LEFT_OUT + line[-end:]
+    return line[: most - end - len(OMISSION_MARK)] + OMISSION_MARK + line[-end:]
 
 
-def encodable(text: str) -> str:
+def escape_surrogates(text: str) -> str:
     """Escape lone surrogates, which stand for the bytes of a name that is not UTF-8 and have no encoding."""
     return text.encode("utf-8", "backslashreplace").decode()
 
@@ -80,7 +80,7 @@ class EscapedStream:
 
     def write(self, text: str) -> int:
         """Write escaped text."""
-        self.rich_proxied_file.write(escaped(text, "\n\t"))
+        self.rich_proxied_file.write(escape_text(text, "\n\t"))
         return len(text)
 
     def writelines(self, lines: Iterable[str]) -> None:

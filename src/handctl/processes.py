@@ -6,12 +6,12 @@ import traceback
 from collections.abc import Callable
 
 
-def cores() -> int:
+def usable_cores() -> int:
     """Return the number of cores on which this process may run."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def in_copy(work: Callable[[], str]) -> tuple[int, int]:
+def run_in_copy(work: Callable[[], str]) -> tuple[int, int]:
     """Run a function in a copy of this process. The copy ends without the exit handlers of the original.
 
     Args:

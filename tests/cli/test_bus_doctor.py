@@ -30,7 +30,7 @@ def test_motors_of_the_hand_that_do_not_answer_are_named(capsys):
     ("words", "said"),
     [(["--bus", "local:nobody"], "type: python -m firmware_sim"), (["--bus", "virtual:x"], "120 ohm")],
 )
-def test_what_is_not_there_comes_with_what_to_type(capsys, words, said):
+def test_missing_interface_finding_has_the_set_up_command(capsys, words, said):
     assert main(["bus", "doctor", *words]) == 1
     assert said in capsys.readouterr().out
 
@@ -59,6 +59,6 @@ def test_a_fault_can_be_injected_into_running_drives(capsys):
     assert [node["node_id"] for node in bus["nodes"]] == [1]
 
 
-def test_no_bus_is_bad_input(capsys):
+def test_bus_doctor_without_a_bus_is_bad_input(capsys):
     assert main(["bus", "doctor"]) == 2
     assert "--bus" in capsys.readouterr().err

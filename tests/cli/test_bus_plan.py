@@ -7,7 +7,7 @@ import pytest
 
 from handctl.cli.checks.bus_plan import plan
 from handctl.cli.main import main
-from handctl.controller.bus_load import bus_loads, split
+from handctl.controller.bus_load import bus_loads, split_motors_over_buses
 from handctl.controller.setup import make_drives
 from handctl.drives.frame_time import MAX_BUS_LOAD, bus_time_s
 from handctl.hand.load import hand_path, load_hand
@@ -23,7 +23,7 @@ def test_the_packaged_hand_fits_at_its_rate(capsys: pytest.CaptureFixture[str]) 
     assert bus["load"] == pytest.approx(bus["tick_us"] * 500e-6 + read_again)
 
 
-def test_what_does_not_fit_is_said_and_split(capsys: pytest.CaptureFixture[str]) -> None:
+def test_overloaded_bus_is_reported_and_split(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bus", "plan", "--hand", "jamia11", "--rate", "500"]) == 1
     assert "3 buses of this kind would hold it" in capsys.readouterr().out
 
@@ -32,24 +32,24 @@ def test_what_does_not_fit_is_said_and_split(capsys: pytest.CaptureFixture[str])
 def test_every_bus_of_a_split_fits(rate: float) -> None:
     hand = load_hand("jamia11")
     drives = {drive.name: drive for drive in make_drives(hand)}
-    buses = split(hand, rate)
+    buses = split_motors_over_buses(hand, rate)
     assert sorted(name for names in buses for name in names) == sorted(drives)
     for names in buses:
         frames = [(size, fd, 1.0) for name in names for size, fd in drives[name].exchange]
         assert rate * bus_time_s(frames, 1e6) <= MAX_BUS_LOAD
 
 
-def test_a_rate_that_no_split_reaches_is_said() -> None:
+def test_rate_above_every_split_is_reported() -> None:
     hand = load_hand("jamia")
     assert plan(hand, bus_loads(hand), 5000.0)["split"] == []
 
 
-def test_a_rate_that_is_none_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+def test_invalid_rate_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bus", "plan", "--rate", "nan"]) == 2
     assert "--rate" in capsys.readouterr().err
 
 
-def test_what_is_counted_is_shown_and_adds_up(capsys: pytest.CaptureFixture[str]) -> None:
+def test_bus_load_rows_add_up_to_the_total(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bus", "plan", "--hand", "jamia11", "--rate", "200", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     for bus in result["buses"]:
@@ -90,14 +90,14 @@ def test_load_table_has_the_expected_times_and_rates(
     assert [100 * row["load"][rate] for rate in ("250", "500", "1000")] == pytest.approx(loads, rel=0.02)
 
 
-def test_the_table_is_printed_for_people(capsys: pytest.CaptureFixture[str]) -> None:
+def test_bus_load_table_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bus", "plan", "--table"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 2 + len(VCAN_TABLE)
     assert lines[1].endswith("Hz at 70%"), "the share that the runner allows"
 
 
-def test_the_runner_refuses_what_does_not_fit(capsys: pytest.CaptureFixture[str]) -> None:
+def test_run_refuses_an_overloaded_bus(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["run", "--hand", "jamia11", "--bus", "local:nobody", "--rate", "500", "--dry-run"]
     assert main(words) == 2
     assert "bus main would be" in capsys.readouterr().err

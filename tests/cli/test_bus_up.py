@@ -90,7 +90,7 @@ def test_a_command_that_fails_ends_the_verb_with_its_reason(capsys, monkeypatch)
         (["--bus", "socketcan:can77"], 1, "no such interface"),
     ],
 )
-def test_what_cannot_be_set_up_is_refused_in_one_line(capsys, words, code, said):
+def test_interface_that_cannot_be_set_up_is_refused_in_one_line(capsys, words, code, said):
     assert main(["bus", "up", *words]) == code
     error = capsys.readouterr().err
     assert said in error

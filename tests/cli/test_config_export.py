@@ -39,7 +39,7 @@ def test_links_are_a_model_that_mujoco_reads(form, name, place, capsys):
     assert "not allowed with" in refused(capsys, "config", "export", form, "--dbc", "--hand", "t42")
 
 
-def test_nothing_is_written_over_and_options_have_their_verb(place, capsys):
+def test_export_overwrites_no_file_and_refuses_foreign_options(place, capsys):
     (place / "jamia.dbc").write_text("mine")
     assert "is there already" in refused(capsys, "config", "export", "--dbc", "--hand", "jamia")
     assert (place / "jamia.dbc").read_text() == "mine"

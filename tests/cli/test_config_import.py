@@ -12,8 +12,8 @@ import pytest
 from handctl.cli.main import main
 from handctl.hand.description import Hand
 from handctl.hand.file.toml_text import toml_text
-from handctl.hand.link_bodies import centre_of_mass, inertia, joint_axes, mounted
-from handctl.hand.load import hand_content, hand_from, inspect, load_hand, packaged_hands
+from handctl.hand.link_bodies import centre_of_mass, joint_axes, link_inertia, link_placement
+from handctl.hand.load import hand_content, hand_from_content, inspect_content, load_hand, packaged_hands
 from handctl.hand.tree import HandTree
 from tests.cli.refused import refused, refused_lines
 from tests.conftest import NIGHTLY
@@ -78,7 +78,7 @@ def completed(form: str, name: str) -> Hand:
         digits.append(digit | {key: known[key] for key in (*JOINT_KEYS, "coupling") if key in known})
     content = original | {"digit": digits}
     Path("mine.toml").write_text(toml_text(content))
-    return hand_from(content, "mine.toml")
+    return hand_from_content(content, "mine.toml")
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -95,13 +95,15 @@ def test_an_exported_hand_comes_back(place: Path, name: str, form: str) -> None:
         assert digit.joint_damping_N_m_s_per_rad == pytest.approx(known.joint_damping_N_m_s_per_rad)
         assert joint_axes(digit) == pytest.approx(joint_axes(known), abs=1e-9)
         for i in range(len(digit.joints)):
-            assert np.hstack([np.ravel(part) for part in mounted(digit, i)]) == pytest.approx(
-                np.hstack([np.ravel(part) for part in mounted(known, i)]), abs=1e-8
+            assert np.hstack([np.ravel(part) for part in link_placement(digit, i)]) == pytest.approx(
+                np.hstack([np.ravel(part) for part in link_placement(known, i)]), abs=1e-8
             )
             assert digit.link_mass_kg[i] == pytest.approx(known.link_mass_kg[i], rel=1e-6)
             assert centre_of_mass(digit, i) == pytest.approx(centre_of_mass(known, i), abs=1e-9)
-            assert inertia(digit, i) == pytest.approx(inertia(known, i), abs=1e-6 * np.trace(inertia(known, i)))
-    assert not inspect(hand.content).mistakes
+            assert link_inertia(digit, i) == pytest.approx(
+                link_inertia(known, i), abs=1e-6 * np.trace(link_inertia(known, i))
+            )
+    assert not inspect_content(hand.content).mistakes
     if NIGHTLY or name in ("t42", "orca_like"):
         assert main(["config", "check", "--hand", "mine.toml"]) == 0
 

@@ -20,7 +20,7 @@ WORDS = [
 
 
 @pytest.mark.parametrize(("fingers", "opposed", "links", "tendons"), WORDS)
-def test_what_it_writes_passes_the_check(
+def test_new_hand_file_passes_config_check(
     place: Path, capsys: pytest.CaptureFixture[str], fingers: int, opposed: int, links: str, tendons: str
 ) -> None:
     numbers = ["--fingers", str(fingers), "--opposed", str(opposed), "--links", links, "--tendons", tendons]
@@ -78,14 +78,14 @@ def test_questions_without_a_terminal_are_refused(place: Path, capsys: pytest.Ca
         (["--tension", "700"], "default.tendon.tension_max_N: 700"),
     ],
 )
-def test_answers_that_make_no_hand(
+def test_invalid_answers_are_refused(
     place: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str
 ) -> None:
     assert said in refused(capsys, "config", "init", "--yes", *words, "--output", "mine.toml")
     assert not (place / "mine.toml").exists()
 
 
-def test_a_file_that_is_there_stays(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_existing_file_is_not_overwritten_by_config_init(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (place / "mine.toml").write_text("mine")
     refused(capsys, "config", "init", "--yes", "--output", "mine.toml")
     assert (place / "mine.toml").read_text() == "mine"

@@ -112,6 +112,7 @@ MISTAKES = {
 }  # fmt: skip
 """Text of jamia11, what a person wrote instead, and the beginning of the line."""
 
+
 def spoilt(place: Path, *edits: tuple[str, str]) -> None:
     """Write mine.toml: jamia11 with texts replaced."""
     text = hand_path("jamia11").read_text("utf-8")
@@ -205,7 +206,7 @@ def test_json_has_the_same_lines(place: Path, capsys: pytest.CaptureFixture[str]
 
 
 @pytest.mark.parametrize("case", ["springs that do not open the digit", "8 Mbit/s without CAN FD"])
-def test_a_run_refuses_it_too(place: Path, capsys: pytest.CaptureFixture[str], case: str) -> None:
+def test_run_refuses_a_hand_file_with_mistakes(place: Path, capsys: pytest.CaptureFixture[str], case: str) -> None:
     spoilt(place, MISTAKES[case][:2])
     assert main(["run", "--hand", "mine.toml", "--bus", "local:nobody", "--task", "grasp", "--dry-run"]) == 2
     assert "mine.toml: " in capsys.readouterr().err

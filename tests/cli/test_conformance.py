@@ -107,20 +107,20 @@ def test_a_broken_drive_fails_and_its_line_says_why():
         (["--protocol", "mit", "--node", "2", "--yes", "--option", "gear"], "KEY=VALUE"),
     ],
 )
-def test_what_cannot_be_checked_is_refused_before_a_bus_is_opened(capsys, words, said):
+def test_unsuitable_drive_options_are_refused_before_a_bus_is_opened(capsys, words, said):
     assert main([*WORDS, *words]) == 2
     error = capsys.readouterr().err
     assert said in error
     assert error.count("\n") == 1
 
 
-def test_a_drive_that_is_not_there_is_said(capsys):
+def test_missing_drive_is_reported(capsys):
     with drives("local:c", "odrive", "--ids", "3"):
         assert main([*WORDS, "--protocol", "odrive", "--node", "4", "--yes"]) == 1
     assert "no odrive 4; there is odrive 3" in capsys.readouterr().err
 
 
-def test_a_drive_that_another_host_has_is_left_alone(capsys):
+def test_drive_of_another_host_is_not_commanded(capsys):
     """A CubeMars motor answers orders only, so nothing is asked before the first one: it must be listened to."""
     with drives("local:c", "cubemars", "--ids", "33"):
         other, over = LocalBus("c", 0, int), threading.Event()

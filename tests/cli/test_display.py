@@ -1,10 +1,10 @@
 """Lines that an operator sees while a hand runs, from the display process itself."""
 
-from handctl.campaign.stage import started
+from handctl.campaign.stage import homed_run
 from handctl.cli.console.display import DisplayProcess
 from handctl.core.types import Event, Mode
 from handctl.hand.load import load_hand
-from handctl.safety.faults.table import BY_ID, remedy
+from handctl.safety.faults.table import BY_ID, remedy_for
 
 RATE_HZ = 500.0
 
@@ -12,7 +12,7 @@ RATE_HZ = 500.0
 def test_the_first_line_of_a_fault_is_followed_by_its_remedy(capfd) -> None:
     """A drive that loses power in motion latches faults. The terminal names the remedy of each fault once."""
     hand = load_hand("jamia")
-    with started(hand, RATE_HZ, 1) as simulation:
+    with homed_run(hand, RATE_HZ, 1) as simulation:
         assert simulation.until(lambda out: out.mode == Mode.ACTIVE, 3.0), simulation.state.failure
         display = DisplayProcess.start(hand, RATE_HZ, 0.5)
         simulation.peer.inject("off node=index_motor")
@@ -25,10 +25,10 @@ def test_the_first_line_of_a_fault_is_followed_by_its_remedy(capfd) -> None:
     assert errors, "the fault was not detected"
     lines = capfd.readouterr().err.splitlines()
     for text in errors:
-        assert remedy(text) == BY_ID[text.split()[0]].remedy
+        assert remedy_for(text) == BY_ID[text.split()[0]].remedy
         first = next(i for i, line in enumerate(lines) if line.endswith(f"error  {text}"))
-        assert lines[first + 1].strip() == f"what to do: {remedy(text)}"
-    for advice in {remedy(event.text) for event in faults}:
+        assert lines[first + 1].strip() == f"what to do: {remedy_for(text)}"
+    for advice in {remedy_for(event.text) for event in faults}:
         assert sum(line.endswith(f"what to do: {advice}") for line in lines) <= 1
 
 

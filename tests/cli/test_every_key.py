@@ -11,7 +11,7 @@ import pytest
 from handctl.cli.main import main
 from handctl.core.gains.gains import Gains
 from handctl.hand.file.toml_text import toml_text
-from handctl.hand.load import HANDS, hand_content, load_hand
+from handctl.hand.load import PACKAGED_HANDS_FOLDER, hand_content, load_hand
 from tests.hand.test_refusals import changed, is_number, leaves, said
 
 BUS = "local:does-not-exist"
@@ -57,7 +57,7 @@ def calibration():
 
 
 def task(name):
-    return tomllib.loads((HANDS.parents[1] / "tasks" / f"{name}.toml").read_text())
+    return tomllib.loads((PACKAGED_HANDS_FOLDER.parents[1] / "tasks" / f"{name}.toml").read_text())
 
 
 def trajectory():
@@ -167,14 +167,14 @@ ALL = list(cases())
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_the_file_is_good_as_it_is(place, capsys, name):
+def test_unchanged_hand_file_is_accepted(place, capsys, name):
     content, option = FILES[name]
     (place / "file.toml").write_text(text_of(content))
     assert refusal(capsys, option, "file.toml") == ""
 
 
 @pytest.mark.parametrize(("name", "path", "kind"), ALL[::ONE_OF], ids=lambda x: str(x) if isinstance(x, str) else None)
-def test_one_key_is_wrong(place, capsys, name, path, kind):
+def test_every_wrong_key_is_refused(place, capsys, name, path, kind):
     content, option = FILES[name]
     (place / "file.toml").write_text(spoilt(content, path, kind))
     line = refusal(capsys, option, "file.toml")

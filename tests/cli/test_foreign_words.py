@@ -8,18 +8,25 @@ import sys
 
 import pytest
 
-from handctl.cli.console.options import print_json, say
-from handctl.cli.console.screen import screen
+from handctl.cli.console.options import print_escaped, print_json
+from handctl.cli.console.screen import rich_console
 from handctl.cli.main import VERBS, main
 from handctl.drives.motor_description import PROTOCOLS
 from handctl.errors import ConfigError
 from handctl.hand.file.toml_text import toml_text
-from handctl.hand.load import HANDS, parse_toml
-from handctl.printing import LONGEST_MESSAGE, EscapedStream, encodable, escaped, escaped_streams, message
+from handctl.hand.load import PACKAGED_HANDS_FOLDER, parse_toml
+from handctl.printing import (
+    LONGEST_MESSAGE,
+    EscapedStream,
+    escape_surrogates,
+    escape_text,
+    escaped_streams,
+    one_line_message,
+)
 from tests.cli.refused import refused, refused_lines
 
 ESCAPES = "\x1b[2J\x1b]0;mine\x07\x9b31m\r\u202e\u2028\x7f"
-TASKS = HANDS.parents[1] / "tasks"
+TASKS = PACKAGED_HANDS_FOLDER.parents[1] / "tasks"
 
 
 def is_harmless(text):
@@ -34,18 +41,18 @@ def exit_code(words):
         return ended.code
 
 
-def test_what_is_not_printable_is_escaped():
-    assert escaped("a\x1b[2J\nb\u00e4\u03b8") == "a\\x1b[2J\\nb\u00e4\u03b8"
-    assert escaped("a\nb\x07", "\n") == "a\nb\\x07"
-    assert escaped(ESCAPES).isprintable()
-    assert escaped("\ud800") == "\\ud800"
-    assert encodable("a\udcff\x1b").encode() == b"a\\udcff\x1b"
+def test_unprintable_characters_are_escaped():
+    assert escape_text("a\x1b[2J\nb\u00e4\u03b8") == "a\\x1b[2J\\nb\u00e4\u03b8"
+    assert escape_text("a\nb\x07", "\n") == "a\nb\\x07"
+    assert escape_text(ESCAPES).isprintable()
+    assert escape_text("\ud800") == "\\ud800"
+    assert escape_surrogates("a\udcff\x1b").encode() == b"a\\udcff\x1b"
 
 
 @pytest.mark.parametrize("size", [499, 500, 501, 2000, 100_000])
 @pytest.mark.parametrize("letter", ["x", "\x1b"])
 def test_a_message_keeps_its_beginning_and_its_end(size, letter):
-    line = message("what" + letter * (size - 8) + "right\n"[:4])
+    line = one_line_message("what" + letter * (size - 8) + "right\n"[:4])
     assert len(line) <= LONGEST_MESSAGE
     assert line.startswith("what")
     assert line.endswith("righ")
@@ -61,7 +68,7 @@ def test_an_error_is_one_harmless_line():
     assert line.endswith("; expected this")
 
 
-def test_a_stream_escapes_whoever_prints(capsys):
+def test_escaped_stream_escapes_every_writer(capsys):
     with escaped_streams():
         print(f"{ESCAPES}\tb\nc")
         print(ESCAPES, file=sys.stderr)
@@ -83,14 +90,14 @@ def test_a_table_of_rich_escapes_its_cells_and_keeps_its_own_codes(monkeypatch):
     table = Table(f"head{ESCAPES}")
     table.add_row(f"cell{ESCAPES}")
     table.add_row(Text(f"text{ESCAPES}"))
-    console = screen(min_width=80)
+    console = rich_console(min_width=80)
     console.file = io.StringIO()
     console.print(table)
     console.print(f"line{ESCAPES}")
     assert is_harmless(console.file.getvalue())
     assert console.file.getvalue().count("\\x1b[2J") == 4
     monkeypatch.setenv("FORCE_COLOR", "1")
-    console = screen(min_width=80)
+    console = rich_console(min_width=80)
     console.file = io.StringIO()
     console.print(Text(f"red{ESCAPES}", style="red"))
     assert console.file.getvalue().startswith("\x1b[31m"), "rich colours"
@@ -102,19 +109,19 @@ def test_rich_writes_its_codes_past_the_escaping_stream(monkeypatch, capsys):
     with escaped_streams():
         from rich.text import Text
 
-        screen().print(Text("red\x1b[2J", style="red"))
+        rich_console().print(Text("red\x1b[2J", style="red"))
     out, _ = capsys.readouterr()
     assert out.startswith("\x1b[31m")
     assert "\x1b[2J" not in out
 
 
 def test_a_long_line_is_cut(capsys):
-    say("a" * 2000)
+    print_escaped("a" * 2000)
     assert len(capsys.readouterr().out) <= LONGEST_MESSAGE + 1
 
 
 @pytest.mark.parametrize("verb", VERBS)
-def test_what_argparse_says_is_escaped_and_cut(capsys, verb):
+def test_argparse_messages_are_escaped_and_shortened(capsys, verb):
     for words in ([f"--no{ESCAPES}\n{'x' * 3000}"], [ESCAPES], [f"--gain{ESCAPES}=3"]):
         assert exit_code([verb, *words, "--no-such-option", ESCAPES]) == 2
         out, err = capsys.readouterr()
@@ -137,13 +144,19 @@ READS = {
     "gains": ("config", "check", "--gains", "odd.toml"),
     "calibration": ("config", "check", "--calibration", "odd.toml"),
     "trajectory": ("run", "--bus", "local:nobody", "--dry-run", "--trajectory", "odd.toml"),
-    "limits": ("replay", "safety", str(HANDS.parents[3] / "logs/golden/jamia-fault.mcap"), "--limits", "odd.toml"),
+    "limits": (
+        "replay",
+        "safety",
+        str(PACKAGED_HANDS_FOLDER.parents[3] / "logs/golden/jamia-fault.mcap"),
+        "--limits",
+        "odd.toml",
+    ),
 }
 
 
 @pytest.mark.parametrize("content", FILES)
 @pytest.mark.parametrize("what", READS)
-def test_what_a_file_says_is_escaped_and_cut(place, capsys, what, content):
+def test_texts_of_files_are_escaped_and_shortened(place, capsys, what, content):
     (place / "odd.toml").write_text(FILES[content])
     lines = refused_lines(capsys, *READS[what])
     assert len(lines) == 1 or what == "hand"  # a hand file has all its mistakes told at once
@@ -175,7 +188,7 @@ WIDE = {"hex": "0x" + "f" * 5000, "decimal": "9" * 5000, "65 bits": str(2**64), 
 
 @pytest.mark.parametrize("number", WIDE)
 @pytest.mark.parametrize("what", READS)
-def test_a_number_without_end_in_a_file(place, capsys, what, number):
+def test_very_long_number_in_a_file_is_refused(place, capsys, what, number):
     (place / "odd.toml").write_text(f"schema = 1\nname = {WIDE[number]}\n")
     line = refused(capsys, *READS[what])
     assert "odd.toml" in line
@@ -189,7 +202,7 @@ def test_the_largest_numbers_of_toml_are_read():
 
 @pytest.mark.parametrize("option", ["bus", "rate", "gain", "log", "hand", "jobs", "seed", "output", "wire", "perturb"])
 @pytest.mark.parametrize("verb", ["run", "demo", "report", "fault", "tune", "identify", "scan", "sim"])
-def test_the_end_of_the_options_is_no_value(capsys, verb, option):
+def test_double_dash_is_no_option_value(capsys, verb, option):
     assert f"--{option}" in refused(capsys, verb, f"--{option}=--")
 
 
@@ -214,7 +227,7 @@ def test_a_log_whose_name_is_a_folder(place, capsys, verb, name):
 
 @pytest.mark.parametrize("number", ["9" * 50, "9" * 5000, "-1", "0.5", "1e99", "\x1b[2J"])
 @pytest.mark.parametrize("drive", PROTOCOLS)
-def test_a_node_that_no_bus_has(capsys, drive, number):
+def test_invalid_node_number_is_refused(capsys, drive, number):
     words = ("conformance", "--protocol", drive, f"--node={number}", "--bus", "local:nobody")
     assert exit_code([*words, "--torque-limit-Nm", "0.1", "--dry-run"]) == 2
     out, err = capsys.readouterr()
@@ -225,7 +238,7 @@ def test_a_node_that_no_bus_has(capsys, drive, number):
 
 def test_a_pipe_without_a_reader_is_not_waited_for(place, capsys):
     os.mkfifo(place / "pipe")
-    golden = HANDS.parents[3] / "logs" / "golden" / "jamia-fault.mcap"
+    golden = PACKAGED_HANDS_FOLDER.parents[3] / "logs" / "golden" / "jamia-fault.mcap"
     assert "nobody reads" in refused(capsys, "report", str(golden), "--output", "pipe")
 
 

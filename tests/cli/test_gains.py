@@ -76,13 +76,13 @@ def test_gains_of_the_hand_as_it_was_before_are_used_and_that_is_said(place, cap
 
 
 @pytest.mark.parametrize("verb", [("gains", "apply"), ("tune", "verify", "--lockstep", "--dry-run")])
-def test_so_are_those_that_are_applied_or_verified(place, capsys, verb):
+def test_gains_of_a_changed_hand_are_reported_by_apply_and_verify(place, capsys, verb):
     write_gains(place / "new.toml", hand="jamia", identity="1" * 64)
     assert main([*verb, "new.toml"]) == 0
     assert "new.toml was made for jamia as 111111111111" in capsys.readouterr().err
 
 
-def test_packaged_gains_say_so(capsys):
+def test_gains_show_names_the_packaged_gains(capsys):
     assert told(capsys, "gains", "show")["gains"]["motion.force_N"]["origin"] == "packaged"
 
 

@@ -159,12 +159,12 @@ def test_quiet_leaves_the_findings_that_need_a_repair(capsys):
 
 
 def test_quiet_hides_notices_and_shows_cautions(capsys):
-    from handctl.cli.console.plan import notice
+    from handctl.cli.console.plan import print_notice
     from handctl.cli.console.verbosity import use_verbosity
 
     with use_verbosity(argparse.Namespace(quiet=True)):
-        notice("commissioning jamia first")
-        notice("handctl: caution: hot")
+        print_notice("commissioning jamia first")
+        print_notice("handctl: caution: hot")
     assert capsys.readouterr() == ("", "handctl: caution: hot\n")
 
 

@@ -12,7 +12,7 @@ from handctl.controller.bus_load import bus_loads
 from handctl.hand.load import load_hand
 from handctl.programs.default_task import default_scene
 from handctl.report.truth import read_truth
-from handctl.session.plan import fastest
+from handctl.session.plan import highest_rate_of_buses
 from tests.cli.refused import refused
 from tests.conftest import NIGHTLY
 
@@ -36,7 +36,7 @@ def init(*words: str) -> None:
 
 
 @pytest.mark.parametrize(("fingers", "links", "tendons", "seed"), CASES if NIGHTLY else SAMPLE)
-def test_it_grasps_holds_and_releases(
+def test_new_hand_grasps_holds_and_releases(
     place: Path, capsys: pytest.CaptureFixture[str], fingers: int, links: str, tendons: str, seed: int
 ) -> None:
     init("--fingers", str(fingers), "--opposed", "1", "--links", links, "--tendons", tendons)
@@ -68,7 +68,7 @@ def test_the_object_fits_between_the_digits(place: Path) -> None:
 @pytest.mark.parametrize(("fingers", "opposed", "links"), [(4, 1, "55,40,25"), (4, 4, "40,30"), (3, 0, "40,30")])
 def test_no_bus_is_slower_than_250_hz(place: Path, fingers: int, opposed: int, links: str) -> None:
     init("--fingers", str(fingers), "--opposed", str(opposed), "--links", links, "--tendons", "each")
-    assert fastest(bus_loads(load_hand("mine.toml"))) >= 250.0
+    assert highest_rate_of_buses(bus_loads(load_hand("mine.toml"))) >= 250.0
 
 
 def test_a_rate_that_leaves_no_margin_is_a_warning(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -94,7 +94,7 @@ def test_a_rate_that_leaves_no_margin_is_a_warning(place: Path, capsys: pytest.C
         (("--fingers", "1", "--palm", "50"), "--palm 50: tips of 70 mm digits may meet around an object that fits"),
     ],
 )
-def test_it_says_beforehand_why_it_cannot(
+def test_config_check_warns_of_a_hand_that_cannot_grasp(
     place: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], reason: str
 ) -> None:
     init(*words)

@@ -81,13 +81,13 @@ def test_two_runs_write_the_same_bytes(twins, name):
     assert not differ, f"{len(differ)} bytes differ, the first at {differ[0]}"
 
 
-def test_these_are_all_files(twins):
+def test_lockstep_demo_writes_exactly_its_files(twins):
     for place, _ in twins:
         assert {path.name for path in place.iterdir()} == FILES
     assert len(stream(twins[0][0] / "run.mcap")) > (50_000 if NIGHTLY else 10_000)
 
 
-def test_two_runs_say_the_same(twins):
+def test_two_lockstep_runs_print_the_same(twins):
     (_, one), (_, other) = twins
     wall = ("wall_s", "times_real_time")
     assert {key: value for key, value in one.items() if key not in wall} == {

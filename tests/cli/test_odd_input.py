@@ -6,7 +6,7 @@ import os
 import pytest
 
 from handctl.cli.main import main
-from handctl.hand.load import HANDS
+from handctl.hand.load import PACKAGED_HANDS_FOLDER
 from tests.cli.refused import refused
 
 BUS = ("--bus", "local:nobody")
@@ -46,7 +46,7 @@ READS = {
 
 @pytest.mark.parametrize("make", [a_pipe, a_folder, a_number_without_end, nested_without_end], ids=lambda f: f.__name__)
 @pytest.mark.parametrize("what", READS)
-def test_a_file_that_is_none(place, capsys, what, make):
+def test_unreadable_file_is_refused_in_one_line(place, capsys, what, make):
     make(place / "odd")
     (place / "odd.toml").symlink_to("odd")
     assert "odd" in refused(capsys, *READS[what])
@@ -54,12 +54,12 @@ def test_a_file_that_is_none(place, capsys, what, make):
 
 def test_a_truth_that_is_a_pipe_is_not_waited_for(place, capsys):
     a_pipe(place / "truth")
-    golden = HANDS.parents[3] / "logs" / "golden" / "jamia-fault.mcap"
+    golden = PACKAGED_HANDS_FOLDER.parents[3] / "logs" / "golden" / "jamia-fault.mcap"
     assert "not a file" in refused(capsys, "report", str(golden), "--truth", "truth")
 
 
 def test_a_truth_of_another_time_is_refused(place, capsys):
-    golden = HANDS.parents[3] / "logs" / "golden" / "jamia-fault.mcap"
+    golden = PACKAGED_HANDS_FOLDER.parents[3] / "logs" / "golden" / "jamia-fault.mcap"
     header = {"columns": ["q/index_j1"]}
     row = (10**13).to_bytes(8, "little") + bytes(8)
     (place / "run.truth").write_bytes(json.dumps(header).encode() + b"\n" + row)
@@ -69,7 +69,7 @@ def test_a_truth_of_another_time_is_refused(place, capsys):
 
 @pytest.mark.parametrize("name", ["n" * 300, "odd/x", "loop"])
 @pytest.mark.parametrize("what", [what for what in READS if what != "scene"])
-def test_a_name_that_cannot_be(place, capsys, what, name):
+def test_impossible_file_name_is_refused(place, capsys, what, name):
     (place / "odd").write_text("")
     a_loop(place / "loop")
     refused(capsys, *(word.replace("odd", name) for word in READS[what]))
@@ -106,17 +106,17 @@ NUMBERS = [
 
 
 @pytest.mark.parametrize("words", NUMBERS, ids=" ".join)
-def test_a_number_that_is_none(capsys, words):
+def test_invalid_number_is_refused(capsys, words):
     assert words[-1].partition("=")[0] in refused(capsys, *words)
 
 
-def test_a_campaign_of_rows_that_nothing_is_tried_of(capsys):
+def test_campaign_of_rows_without_scenarios_is_refused(capsys):
     """CiA 402 tells no temperature, and none of these is a success."""
     words = ("fault", "campaign", "--protocol", "cia402", "--calm", "0", "--row", "N08", "--row", "N09")
     assert "'N09'" in refused(capsys, *words)
 
 
-def test_an_option_of_a_drive_without_end(capsys):
+def test_very_long_drive_option_is_refused(capsys):
     words = ("--protocol", "odrive", "--node", "1", "--bus", "local:nobody", "--torque-limit-Nm", "0.1", "--dry-run")
     assert "--option" in refused(capsys, "conformance", *words, "--option", "gear_ratio=" + "9" * 5000)
 
@@ -124,7 +124,7 @@ def test_an_option_of_a_drive_without_end(capsys):
 @pytest.mark.parametrize("rate", ["-1", "0", "9" * 30])
 @pytest.mark.parametrize("option", ["--bitrate", "--data-bitrate"])
 @pytest.mark.parametrize("verb", [("bus", "doctor"), ("scan",)], ids=" ".join)
-def test_a_bit_rate_that_no_bus_has(capsys, verb, option, rate):
+def test_impossible_bit_rate_is_refused(capsys, verb, option, rate):
     assert "expected 10000 to 8000000" in refused(capsys, *verb, *BUS, f"{option}={rate}")
 
 
@@ -134,7 +134,7 @@ def test_an_unknown_perturbation_is_refused_before_the_run(capsys):
 
 @pytest.mark.parametrize("verb", [("identify",), ("tune", "verify", "new.toml")], ids=" ".join)
 @pytest.mark.parametrize("words", [("--lockstep", "--perturb", "stiffness=nan"), (*BUS, "--perturb", "stiffness=2")])
-def test_what_makes_a_simulated_hand_another_one_is_never_ignored(place, capsys, verb, words):
+def test_perturbation_without_a_simulated_hand_is_refused(place, capsys, verb, words):
     (place / "new.toml").write_text("schema = 1\n")
     assert "--perturb" in refused(capsys, *verb, *words, "--dry-run")
 
@@ -143,7 +143,7 @@ BUSES = ["x", ":x", "local:", "local:../x", "local:a/b", "local:.x", "socketcan:
 
 
 @pytest.mark.parametrize("bus", BUSES)
-def test_a_bus_that_is_none_is_refused_before_anything_is_begun(place, capsys, bus):
+def test_invalid_bus_is_refused_before_the_run(place, capsys, bus):
     drive = ("--protocol", "mit", "--node", "1", "--torque-limit-Nm", "0.1")
     for words in (("run", "--task", "grasp.toml"), ("scan",), ("jog", "index", "--angle", "3"), ("bus", "doctor")):
         assert main([*words, "--bus", bus]) == 2
@@ -162,7 +162,7 @@ def test_a_bus_that_is_none_is_refused_before_anything_is_begun(place, capsys, b
 
 
 @pytest.mark.parametrize("bus", ["local:" + "n" * 300, "socketcan:nosuch", "nosuch:x", "slcan:/dev/nosuch"])
-def test_a_bus_that_is_not_there_is_a_failure(capsys, bus):
+def test_missing_bus_ends_with_exit_code_1(capsys, bus):
     assert main(["scan", "--bus", bus]) == 1
     err = capsys.readouterr().err
     assert err.startswith("handctl: ")
@@ -170,7 +170,7 @@ def test_a_bus_that_is_not_there_is_a_failure(capsys, bus):
 
 
 @pytest.mark.parametrize("bus", ["main=virtual:x=y", "virtual:x=y"])
-def test_a_controller_is_called_by_its_bus_whatever_it_is_named(capsys, bus):
+def test_unconfirmed_request_names_the_bus_without_its_hand_name(capsys, bus):
     for words in (("stop",), ("clear",), ("gains", "set", "motion.force_N=20")):
         assert main([*words, "--bus", bus]) == 71
         assert "bus virtual:x=y: " in capsys.readouterr().err
@@ -185,7 +185,7 @@ def test_buses_are_named_alike_in_every_verb(capsys):
         refused(capsys, *words, "--bus", "no name=local:nobody")
 
 
-def test_a_working_folder_that_has_gone(place, monkeypatch, capsys):
+def test_deleted_working_folder_is_one_line(place, monkeypatch, capsys):
     (place / "gone").mkdir()
     monkeypatch.chdir("gone")
     (place / "gone").rmdir()

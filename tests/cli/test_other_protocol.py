@@ -7,20 +7,20 @@ from pathlib import Path
 
 import pytest
 
-from handctl.campaign.scenarios import ALL
+from handctl.campaign.scenarios import ALL_PROTOCOLS
 from handctl.cli.main import main
-from handctl.cli.runs.other_protocol import in_protocol
+from handctl.cli.runs.other_protocol import hand_in_protocol
 from handctl.hand.load import load_hand, packaged_hands
 from tests.cli.refused import refused
 
 BUS = ("--bus", "local:does-not-exist")
 
 
-@pytest.mark.parametrize("protocol", ALL)
+@pytest.mark.parametrize("protocol", ALL_PROTOCOLS)
 @pytest.mark.parametrize("hand", packaged_hands())
 def test_the_file_has_all_drives_in_the_protocol_and_goes_away(hand: str, protocol: str) -> None:
     args = argparse.Namespace(hand=hand, protocol=protocol)
-    with in_protocol(args):
+    with hand_in_protocol(args):
         path = Path(args.hand)
         assert {motor.protocol for motor in load_hand(path).motor} == {protocol}
     assert args.hand == hand

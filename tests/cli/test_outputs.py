@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from handctl.cli.main import main
 from handctl.errors import ConfigError
 from handctl.hand.load import hand_path
-from handctl.output import save_figure, whole, write_whole
+from handctl.output import atomic_path, save_figure, write_text_atomically
 
 GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-fault.mcap"
 FULL = Path("/dev/full")
@@ -54,7 +54,7 @@ CASES.remove(("save", "other.mcap"))  # its name is other.mcap.rrd
 
 
 @pytest.mark.parametrize(("what", "name"), CASES)
-def test_a_place_where_nothing_can_be_written(capsys, what, name):
+def test_unwritable_output_path_is_refused(capsys, what, name):
     assert main([word.replace("@", name) for word in NOWHERE[what]]) == 2
     out, err = capsys.readouterr()
     assert out == ""
@@ -83,7 +83,7 @@ def inputs(place):
     ],
     ids=lambda words: " ".join(words[:2]),
 )
-def test_nothing_is_written_over_what_is_read(place, capsys, words):
+def test_output_never_replaces_an_input(place, capsys, words):
     inputs(place)
     before = everything(place)
     assert main(list(words)) == 2
@@ -100,32 +100,32 @@ def test_an_export_that_fails_leaves_nothing(place, monkeypatch, capsys, form):
     def full(path):
         raise OSError(28, "No space left on device", str(path))
 
-    monkeypatch.setattr("handctl.output._settle", full)
+    monkeypatch.setattr("handctl.output._fsync", full)
     assert main(["log", "export", f"--{form}", LOG, "--output", "new", "--json"]) == 1
     assert capsys.readouterr() == ("", "handctl: new: No space left on device\n")
 
 
 @pytest.mark.parametrize("ended", [KeyboardInterrupt, ValueError])
-def test_whatever_comes_between_leaves_the_old_file_and_nothing_else(place, ended):
+def test_interrupted_write_leaves_only_the_old_file(place, ended):
     def interrupted(part):
         part.parent.mkdir(exist_ok=True)
         part.write_text("half of")
         raise ended
 
-    with pytest.raises(ended), whole(place / "file") as part:
+    with pytest.raises(ended), atomic_path(place / "file") as part:
         interrupted(part)
-    with pytest.raises(ended), whole(place / "new", new=True) as part:
+    with pytest.raises(ended), atomic_path(place / "new", new=True) as part:
         interrupted(part / "deep")
 
 
 def test_a_device_is_written_to_and_not_replaced(place):
     (place / "full").symlink_to(FULL)
     with pytest.raises(OSError, match="No space left on device") as error:
-        write_whole(place / "full", "text")
+        write_text_atomically(place / "full", "text")
     assert error.value.filename == str(place / "full")
     os.mkfifo(place / "pipe")
     reader = os.open(place / "pipe", os.O_RDONLY | os.O_NONBLOCK)
-    write_whole(place / "pipe", "text")
+    write_text_atomically(place / "pipe", "text")
     assert os.read(reader, 10) == b"text"
     os.close(reader)
     assert stat.S_ISFIFO((place / "pipe").stat().st_mode)
@@ -135,17 +135,17 @@ def test_a_device_is_written_to_and_not_replaced(place):
 
 def test_a_link_stays_a_link(place):
     (place / "link").symlink_to("file")
-    write_whole(place / "link", "yours")
+    write_text_atomically(place / "link", "yours")
     assert (place / "link").is_symlink()
     assert (place / "file").read_text() == "yours"
     (place / "link").unlink()
     (place / "file").write_text("mine")
 
 
-def test_a_loop_of_links_is_no_place(place):
+def test_loop_of_links_is_refused_as_output(place):
     (place / "loop").symlink_to("loop")
     with pytest.raises((ConfigError, OSError)):
-        write_whole(place / "loop", "text", new=True)
+        write_text_atomically(place / "loop", "text", new=True)
     (place / "loop").unlink()
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from handctl.cli.console.progress import progress
+from handctl.cli.console.progress import progress_bar
 
 LOG = str(Path(__file__).parents[2] / "logs" / "golden" / "jamia-lost.mcap")
 
@@ -43,6 +43,6 @@ def test_a_terminal_shows_a_bar_until_the_work_is_done(tmp_path: Path) -> None:
 
 def test_programs_get_no_bar(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    with progress("working", 10, quiet=True) as told:
+    with progress_bar("working", 10, quiet=True) as told:
         told(5)
     assert capfd.readouterr() == ("", "")

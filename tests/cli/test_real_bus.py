@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import handctl as library
-from handctl.cli.console.begin import age
+from handctl.cli.console.begin import age_text
 from handctl.cli.main import main
 from handctl.hand.load import load_hand
 from handctl.runtime.buses.open import real_buses
@@ -109,7 +109,7 @@ def test_a_program_names_hand_and_consent(place, capfd):
         pass
 
 
-def test_what_lies_in_the_folder_is_named_in_the_first_line(place, capsys):
+def test_files_in_use_are_named_in_the_first_line(place, capsys):
     hand = load_hand("jamia")
     write_homed(place / "jamia.calibration.toml", hand)
     made = (datetime.datetime.now(datetime.UTC) - datetime.timedelta(hours=3)).isoformat()
@@ -131,9 +131,9 @@ def test_what_lies_in_the_folder_is_named_in_the_first_line(place, capsys):
     [(-5.0, "0 s"), (59.0, "59 s"), (119.0, "119 s"), (120.0, "2 min"), (7200.0, "2 h"), (200_000.0, "2 days")],
 )
 def test_an_age_has_one_unit(seconds, text):
-    assert age(seconds) == text
+    assert age_text(seconds) == text
 
 
-def test_a_folder_without_files_says_nothing(place: Path, capsys):
+def test_folder_without_files_prints_nothing(place: Path, capsys):
     assert main(["run", "--bus", "local:nobody"]) == 1
     assert "found in this folder" not in capsys.readouterr().err

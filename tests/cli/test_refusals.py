@@ -9,7 +9,7 @@ import pytest
 
 from handctl.cli.main import VERBS, main
 from handctl.hand.file.toml_text import toml_text
-from handctl.hand.load import hand_content, hand_from, load_hand, packaged_hands
+from handctl.hand.load import hand_content, hand_from_content, load_hand, packaged_hands
 from tests.cli.refused import refused
 
 BUS = ("--bus", "local:does-not-exist")
@@ -25,7 +25,7 @@ def no_bus(monkeypatch):
 
     monkeypatch.setattr("handctl.session.run.open_bus", opened)
     monkeypatch.setattr("handctl.session.run.Mailbox", opened)
-    monkeypatch.setattr("handctl.cli.runs.demo.simulator", opened)
+    monkeypatch.setattr("handctl.cli.runs.demo.running_simulator", opened)
 
 
 def jamia():
@@ -75,14 +75,14 @@ def test_a_wrong_hand_file_is_refused(place, capsys, spoil, verb):
 
 
 @pytest.mark.parametrize("verb", ["config", "demo", "sim", *RUNS])
-def test_a_hand_that_is_not_there(capsys, verb):
+def test_missing_hand_file_is_refused(capsys, verb):
     words = {"config": ("show",), "demo": (), "sim": BUS}[verb] if verb not in RUNS else (*BUS, *RUNS[verb])
     assert "one of jamia" in refused(capsys, verb, *words, "--hand", "jama")
 
 
 @pytest.mark.parametrize("verb", RUNS)
 @pytest.mark.parametrize("rate", ["0", "-500", "nan", "inf", "5", "600", "5000"])
-def test_a_rate_that_the_bus_or_the_drives_cannot_stand(capsys, verb, rate):
+def test_rate_above_bus_or_drive_limit_is_refused(capsys, verb, rate):
     line = refused(capsys, verb, *BUS, *RUNS[verb], f"--rate={rate}")
     assert line.startswith("handctl: --rate: ")
     assert "at most 500" in line or "at least 40" in line
@@ -136,14 +136,14 @@ UNDATED = 'schema = 1\nhand = "jamia"\nidentity = "0"\nmade = "yesterday"\ntendo
 
 @pytest.mark.parametrize("verb", ["run", "jog"])
 @pytest.mark.parametrize("text", ["", "schema = 1\nhand = 3\n", UNDATED, "\x00"])
-def test_a_calibration_that_cannot_be_used(place, capsys, verb, text):
+def test_unusable_calibration_is_refused(place, capsys, verb, text):
     (place / "c.toml").write_text(text)
     assert "c.toml" in refused(capsys, verb, *BUS, *RUNS[verb], "--calibration", "c.toml")
 
 
 @pytest.mark.parametrize("verb", RUNS)
 @pytest.mark.parametrize("log", ["no-folder/run.mcap", "there.mcap", "."])
-def test_a_log_that_cannot_be_new(place, capsys, verb, log):
+def test_existing_log_is_not_overwritten(place, capsys, verb, log):
     (place / "there.mcap").write_bytes(b"of another run")
     assert "--log" in refused(capsys, verb, *BUS, *RUNS[verb], "--log", log)
     assert (place / "there.mcap").read_bytes() == b"of another run"
@@ -169,7 +169,7 @@ BAD_BUSES = [
 
 @pytest.mark.parametrize("buses", BAD_BUSES, ids=" ".join)
 @pytest.mark.parametrize("verb", RUNS)
-def test_bus_names_that_are_not_the_hands(place, capsys, verb, buses):
+def test_bus_names_of_another_hand_are_refused(place, capsys, verb, buses):
     (place / "two.toml").write_text(toml_text(two_buses()))
     words = [word for bus in buses for word in ("--bus", bus)]
     line = refused(capsys, verb, "--hand", "two.toml", *words, *RUNS[verb])
@@ -178,11 +178,11 @@ def test_bus_names_that_are_not_the_hands(place, capsys, verb, buses):
 
 @pytest.mark.parametrize("verb", RUNS)
 @pytest.mark.parametrize("bus", ["other=local:a", "main="])
-def test_a_bus_name_that_a_hand_on_one_bus_does_not_have(capsys, verb, bus):
+def test_unknown_bus_name_is_refused_for_one_bus(capsys, verb, bus):
     assert "main=SPEC" in refused(capsys, verb, "--bus", bus, *RUNS[verb])
 
 
-def test_both_buses_in_any_order_are_good(place, capsys):
+def test_buses_may_be_given_in_any_order(place, capsys):
     (place / "two.toml").write_text(toml_text(two_buses()))
     words = ("--bus", "thumb=local:t", "--bus", "main=local:m", "--dry-run", "--json")
     assert main(["run", "--hand", "two.toml", *GRASP, *words]) == 0
@@ -208,7 +208,7 @@ def test_a_bad_jog_is_refused(capsys, words):
 
 @pytest.mark.parametrize("words", [("--lockstep",), ("--lockstep", "--dry-run"), ("--dry-run",)], ids=" ".join)
 @pytest.mark.parametrize("scene", ["nosuch", "cylinder:-3", "nosuch.toml"])
-def test_a_scene_that_is_none(capsys, words, scene):
+def test_invalid_scene_is_refused(capsys, words, scene):
     main(["demo", "--scene", scene, *words])
     lines = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("commissioning")]
     assert len(lines) == 1
@@ -248,14 +248,14 @@ ARGUMENTS = {
 
 
 @pytest.mark.parametrize("verb", ARGUMENTS)
-def test_words_that_a_verb_does_not_know(capsys, verb):
+def test_unknown_words_of_a_verb_are_refused(capsys, verb):
     assert verb in VERBS
     line = refused(capsys, verb, *ARGUMENTS[verb])
     assert line.startswith(f"handctl: {verb}")
     assert "expected" in line or "choose from" in line
 
 
-def test_a_verb_that_is_none(capsys):
+def test_unknown_verb_is_refused(capsys):
     assert refused(capsys, "rum") == (
         "handctl: the command line: unknown verb 'rum', did you mean run?; expected one that handctl --help lists\n"
     )
@@ -277,4 +277,4 @@ def test_what_config_shows_is_the_hand(place, capsys, name):
     text = capsys.readouterr().out
     (place / "mine.toml").write_text(text)
     assert load_hand("mine.toml").content == load_hand(name).content
-    assert hand_from(tomllib.loads(text), "shown").identity == load_hand(name).identity
+    assert hand_from_content(tomllib.loads(text), "shown").identity == load_hand(name).identity

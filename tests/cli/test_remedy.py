@@ -11,7 +11,7 @@ from handctl.core.gains.gains import Gains
 from handctl.hand.load import load_hand
 from handctl.runtime.loop import LoopStats
 from handctl.session import pace
-from handctl.session.pace import remedy
+from handctl.session.pace import pace_advice
 from handctl.session.plan import Plan
 from handctl.session.run import Outcome
 
@@ -37,9 +37,9 @@ def ended(*rows: str, cpu_s: float = 0.0) -> Outcome:
     ],
     ids=["simulated", "virtual", "real", "torn tendon", "nothing", "lockstep"],
 )
-def test_slower_time_is_for_simulated_hands_that_are_late(bus: str, rows: tuple[str, ...], told: bool) -> None:
+def test_slower_time_is_advised_only_for_late_simulated_hands(bus: str, rows: tuple[str, ...], told: bool) -> None:
     plan = Plan(load_hand("jamia"), Gains(), 500.0, (0.6,), (bus,) if bus else ())
-    assert ("--time-scale" in remedy(plan, ended(*rows))) == told
+    assert ("--time-scale" in pace_advice(plan, ended(*rows))) == told
 
 
 @pytest.mark.parametrize(
@@ -59,15 +59,15 @@ def test_the_pace_that_is_advised_is_measured(
     """It always said 0.5, also where a grasp ran at 0.01 only. The run took 2 s: 1,000 ticks at 500 Hz."""
     told = {"pace": {"advice": advice, "plant_s_per_cpu_s": capacity}}
     monkeypatch.setattr(pace, "ask_simulator", lambda path, question: told if question == {"pace": True} else {})
-    monkeypatch.setattr(pace, "cores", lambda: 2)
+    monkeypatch.setattr(pace, "usable_cores", lambda: 2)
     plan = Plan(load_hand("jamia"), Gains(), 500.0, (0.6,), ("local:lab",))
-    assert remedy(plan, ended(*LATE, cpu_s=cpu_s)).endswith(f"--time-scale {number:g} on both sides")
+    assert pace_advice(plan, ended(*LATE, cpu_s=cpu_s)).endswith(f"--time-scale {number:g} on both sides")
 
 
 def test_simulator_and_controller_share_a_core(monkeypatch: pytest.MonkeyPatch) -> None:
     told = {"pace": {"advice": None, "plant_s_per_cpu_s": 2.0}}
     monkeypatch.setattr(pace, "ask_simulator", lambda path, question: told)
-    monkeypatch.setattr(pace, "cores", lambda: 1)
+    monkeypatch.setattr(pace, "usable_cores", lambda: 1)
     plan = Plan(load_hand("jamia"), Gains(), 500.0, (0.6,), ("local:lab",))
     assert pace.slower_time_scale(plan, ended(*LATE, cpu_s=1.8)) == 0.5
 

@@ -63,7 +63,7 @@ def test_a_check_that_is_interrupted_says_whether_the_drive_is_off(monkeypatch, 
         raise KeyboardInterrupt
         yield
 
-    monkeypatch.setattr(conformance, "checks", interrupted)
+    monkeypatch.setattr(conformance, "run_checks", interrupted)
     monkeypatch.setattr(bench, "open_bus", lambda *what: Bus())
     monkeypatch.setattr(conformance, "find_drive", lambda args: DiscoveredNode("mit", 1))
     monkeypatch.setattr(DriveRig, "confirm_off", lambda rig, watchdog_s: off)

@@ -103,7 +103,7 @@ def test_a_truncated_log_is_checked_and_executed_in_part(tmp_path: Path, capsys:
     assert main(["replay", "execute", str(cut), "--within", "1e-9"]) == 3, "the prefix is executed"
 
 
-def test_info_is_for_a_person_s_eyes(capsys: pytest.CaptureFixture[str]) -> None:
+def test_log_info_prints_readable_text(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["log", "info", GRASP]) == 0
     told = capsys.readouterr().out
     assert max(map(len, told.splitlines())) < 120
@@ -113,7 +113,7 @@ def test_info_is_for_a_person_s_eyes(capsys: pytest.CaptureFixture[str]) -> None
 
 
 @pytest.mark.parametrize("verb", [["report"], ["log", "export", "--csv"], ["log", "diff", GRASP], ["replay", "safety"]])
-def test_what_was_made_from_a_part_of_a_log_says_so(
+def test_result_of_an_incomplete_log_is_marked(
     verb: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cut, limits = tmp_path / "cut.mcap", tmp_path / "limits.toml"

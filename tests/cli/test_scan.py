@@ -10,13 +10,13 @@ from firmware_sim.bus.frame import Frame as SimFrame
 from firmware_sim.nodes.moteus import registers
 from firmware_sim.programs.drive import Bench
 from firmware_sim.programs.drive_types import drive_spec
-from handctl.cli.checks.fragment import fragment
+from handctl.cli.checks.fragment import hand_file_snippet
 from handctl.cli.main import main
-from handctl.drives.discovery import TWINS
+from handctl.drives.discovery import TWO_DRIVES_WARNING
 from handctl.drives.frame import EXTENDED, REMOTE, Frame
 from handctl.drives.registry import make_drive
 from handctl.hand.file.sections import Bus, Motor
-from handctl.runtime.diagnostics.scan import Scan, all_questions, scan
+from handctl.runtime.diagnostics.scan import Scan, requests_without_answers, scan_bus
 from tests.drives.bench_process import drives
 from tests.drives.protocol_bench import Bench as HandBench
 from tests.drives.protocol_bench import hand_file
@@ -54,7 +54,7 @@ def hear(bus, for_s, seen):
 def scanned(*specs, talk=(), force=False, fault="") -> tuple[Scan, Bench, BenchBus]:
     bench = Bench([drive_spec(*spec) for spec in specs], fault=fault)
     bus = BenchBus(bench, talk)
-    return scan(bus, force, listen=hear), bench, bus
+    return scan_bus(bus, force, listen=hear), bench, bus
 
 
 def test_damiao_and_canopen_drives_are_found_on_one_bus():
@@ -93,7 +93,7 @@ def test_robstride_motors_are_found_by_their_identity():
 @pytest.mark.parametrize("protocol", ["moteus", "robstride"])
 def test_two_drives_with_one_number_are_named(protocol):
     bench = Bench([drive_spec(protocol, 7)], fault="twin")
-    (node,) = scan(BenchBus(bench), listen=hear).found
+    (node,) = scan_bus(BenchBus(bench), listen=hear).found
     assert node.twins
 
 
@@ -111,7 +111,7 @@ def test_no_question_changes_a_moteus_or_a_robstride_that_is_enabled():
     bench.advance(20_000_000)
     before = [node.mode for node in bench.nodes]
     fed = [node.watchdog_fed_ns for node in bench.nodes]
-    for question in all_questions():
+    for question in requests_without_answers():
         bench.receive(SimFrame(*question))
     assert [node.mode for node in bench.nodes] == before
     assert [node.watchdog_fed_ns for node in bench.nodes] == fed
@@ -138,7 +138,7 @@ def test_beside_an_odrive_nothing_is_asked_that_it_would_obey():
 def test_an_enabled_drive_stays_as_it_is():
     bench = Bench([drive_spec("mit", 2)])
     bench.receive(SimFrame(2, b"\xff" * 7 + b"\xfc"))
-    result = scan(BenchBus(bench), listen=hear)
+    result = scan_bus(BenchBus(bench), listen=hear)
     assert [node.state for node in result.found] == ["enabled"]
     assert bench.motors[0].servo.torque == 0.0
 
@@ -162,14 +162,16 @@ def test_beside_another_host_no_firmware_is_invented():
     (drive,) = result.found
     assert (drive.firmware, drive.options, drive.origins) == ("", {}, {})
     assert "firmware unknown, because nothing was asked" in drive.notes
-    assert "firmware =" not in fragment({"a": result.found}, 1_000_000, None)
+    assert "firmware =" not in hand_file_snippet({"a": result.found}, 1_000_000, None)
 
 
 def test_firmware_05_is_a_conclusion_and_the_fragment_says_so():
     result, _, _ = scanned(("odrive", 3, "", False, None, "0.5"))
     (drive,) = result.found
     assert drive.options == {"firmware": "0.5"}
-    assert 'firmware = "0.5"    # concluded: no answer to Get_Version' in fragment({"a": result.found}, 1_000_000, None)
+    assert 'firmware = "0.5"    # concluded: no answer to Get_Version' in hand_file_snippet(
+        {"a": result.found}, 1_000_000, None
+    )
 
 
 @pytest.mark.parametrize(
@@ -177,21 +179,21 @@ def test_firmware_05_is_a_conclusion_and_the_fragment_says_so():
 )
 def test_two_drives_with_one_number_are_found(spec):
     (alone,) = scanned(spec)[0].found
-    assert (alone.twins, TWINS in alone.notes) == (False, False)
+    assert (alone.twins, TWO_DRIVES_WARNING in alone.notes) == (False, False)
     (drive,) = scanned(spec, fault="twin")[0].found
-    assert (drive.twins, drive.notes[0]) == (True, TWINS)
+    assert (drive.twins, drive.notes[0]) == (True, TWO_DRIVES_WARNING)
 
 
 def test_two_motors_that_answer_on_one_identifier_are_found():
     specs = [drive_spec("mit", 1), replace(drive_spec("mit", 2), options={"reply_id": 0x11})]
-    result = scan(BenchBus(Bench(specs)), listen=hear)
+    result = scan_bus(BenchBus(Bench(specs)), listen=hear)
     assert ["answers on 0x11 as motor" in node.notes[0] for node in result.found] == [True, True]
 
 
 def test_a_torque_too_large_for_a_hand_file_is_not_taken_from_the_drive():
     """A DM-J8009 reports 54 N m. The fragment has the largest torque of a hand file, and says why."""
     result, _, _ = scanned(("mit", 1, "dm8009"))
-    text = fragment({"a": result.found}, 1_000_000, None)
+    text = hand_file_snippet({"a": result.found}, 1_000_000, None)
     assert "torque_max_N_m = 50.0    # the drive reports 54, a hand file takes at most 50" in text
 
 
@@ -207,7 +209,7 @@ def test_the_sensor_node_of_a_hand_is_found_but_not_beside_drives_that_know_sync
     beside = {"mit": True, "cia402": False}
     for protocol, seen in beside.items():
         bench = HandBench(hand_file(tmp_path, [protocol]))
-        result = scan(BenchBus(bench.rig.world), listen=hear)
+        result = scan_bus(BenchBus(bench.rig.world), listen=hear)
         bench.rig.close()
         assert len([node for node in result.found if node.protocol == protocol]) == 4
         sensors = [node for node in result.found if node.protocol == "sensor"]
@@ -222,12 +224,12 @@ def test_an_odrive_that_talks_by_itself_is_no_other_host():
     assert [node.node_id for node in result.found] == [0, 4]
 
 
-def test_no_question_can_make_torque():
+def test_no_scan_request_enables_torque():
     """Every frame, thrown at drives that are enabled and hold a torque of zero."""
     bench = Bench([drive_spec("mit", node) for node in (1, 2)] + [drive_spec("cia402", node) for node in (1, 32)])
     for node in (1, 2):
         bench.receive(SimFrame(node, b"\xff" * 7 + b"\xfc"))
-    for question in all_questions():
+    for question in requests_without_answers():
         bench.receive(SimFrame(*question))
         bench.advance(bench.t_ns + 1_000_000)
     assert [motor.servo for motor in bench.motors] == [
@@ -254,10 +256,10 @@ def test_the_verb_scans_two_buses_and_its_fragment_is_a_hand_file_s(capsys):
 
 
 def test_a_fragment_of_nothing_parses():
-    assert tomllib.loads(fragment({"a": ()}, 1_000_000, 5_000_000))["bus"][0]["data_bitrate"] == 5_000_000
+    assert tomllib.loads(hand_file_snippet({"a": ()}, 1_000_000, 5_000_000))["bus"][0]["data_bitrate"] == 5_000_000
 
 
-def test_an_empty_bus_is_said(capsys):
+def test_empty_bus_is_reported(capsys):
     assert main(["scan", "--bus", "virtual:nothing-here"]) == 1
     assert "0 nodes" in capsys.readouterr().out
 
@@ -271,4 +273,4 @@ def test_the_last_frame_of_a_host_that_has_ended_is_no_host():
     bench = Bench([drive_spec("mit", 1)])
     bus = BenchBus(bench)
     bus.waiting = [SimFrame(0x7FF, bytes(8))]
-    assert scan(bus, listen=hear).foreign == ()
+    assert scan_bus(bus, listen=hear).foreign == ()

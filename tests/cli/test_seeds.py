@@ -5,11 +5,11 @@ import os
 import pytest
 
 from benchmarks.seeds import demo
-from handctl.campaign.scenarios import ALL
+from handctl.campaign.scenarios import ALL_PROTOCOLS
 from handctl.hand.load import packaged_hands
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
-CASES = [(hand, protocol, seed) for hand in packaged_hands() for protocol in ALL for seed in range(20)]
+CASES = [(hand, protocol, seed) for hand in packaged_hands() for protocol in ALL_PROTOCOLS for seed in range(20)]
 SAMPLE = [("jamia11", "mit", 7), ("t42", "mit", 3)]
 """The first one ended with N04 in commissioning, the second has two digits.
 

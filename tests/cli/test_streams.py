@@ -11,9 +11,9 @@ from contextlib import closing
 import pytest
 
 from handctl.cli.console.ended import Terminated, terminate_on_signals
-from handctl.cli.console.screen import screen
+from handctl.cli.console.screen import rich_console
 from handctl.cli.main import main
-from handctl.paper.bench.pool import pool
+from handctl.paper.bench.pool import worker_pool
 from handctl.tune.search.workers import ProcessPool
 
 VERSION = (sys.executable, "-m", "handctl.cli", "--version")
@@ -51,7 +51,7 @@ def test_progress_without_a_reader_does_not_end_the_verb(monkeypatch):
         raise BrokenPipeError
 
     monkeypatch.setattr("sys.stderr.write", gone)
-    told = screen(error=True)
+    told = rich_console(error=True)
     told.print("half of it")
     told.print("the rest")
 
@@ -63,7 +63,7 @@ def test_a_narrow_terminal_loses_nothing_of_a_table(monkeypatch, capsys):
 
 
 def test_the_name_of_a_file_is_no_markup(capsys):
-    screen().print("log: [bold]/x[/y]:warning:.mcap")
+    rich_console().print("log: [bold]/x[/y]:warning:.mcap")
     assert capsys.readouterr().out == "log: [bold]/x[/y]:warning:.mcap\n"
 
 
@@ -101,7 +101,7 @@ def test_a_signal_ends_a_verb_with_a_line_and_its_code(capsys, monkeypatch, numb
     assert {one: signal.getsignal(one) for one in handlers} == handlers
 
 
-def test_what_is_ignored_stays_ignored():
+def test_signal_ignored_through_nohup_stays_ignored():
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         with terminate_on_signals():
@@ -130,13 +130,15 @@ def test_a_search_that_is_interrupted_says_how_it_goes_on(monkeypatch, capsys):
     def interrupted(*words):
         os.kill(os.getpid(), signal.SIGTERM)
 
-    monkeypatch.setattr("handctl.tune.search.search.search", interrupted)
+    monkeypatch.setattr("handctl.tune.search.search.run_search", interrupted)
     monkeypatch.setattr("handctl.cli.tuning.tune_search._design_start", lambda *words: ())
     assert main(["tune", "search", "--plants", "1", "--json"]) == 143
     assert capsys.readouterr() == ("", "handctl: interrupted; the same command goes on with jamia.study\n")
 
 
-@pytest.mark.parametrize("workers", [lambda: closing(ProcessPool(1)), lambda: pool(1, print)], ids=["search", "paper"])
+@pytest.mark.parametrize(
+    "workers", [lambda: closing(ProcessPool(1)), lambda: worker_pool(1, print)], ids=["search", "paper"]
+)
 def test_the_ctrl_c_of_a_terminal_is_not_for_workers(monkeypatch, workers):
     children = []
     begin = subprocess.Popen

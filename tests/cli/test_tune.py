@@ -31,7 +31,7 @@ A = Namespace(candidate="new.toml", hand="jamia")
 def searched(monkeypatch):
     """A search that is over at once, with the trials that are put into it."""
     trials = []
-    monkeypatch.setattr("handctl.tune.search.search.search", lambda *words: SearchResult.of(tuple(trials)))
+    monkeypatch.setattr("handctl.tune.search.search.run_search", lambda *words: SearchResult.of(tuple(trials)))
     monkeypatch.setattr("handctl.cli.tuning.tune_search._design_start", lambda *words: ())
     return trials
 
@@ -49,7 +49,7 @@ def test_a_design_without_stable_gains_writes_nothing(place, capsys, monkeypatch
     def refuses(*words):
         raise ValueError("no authority keeps the margins")
 
-    monkeypatch.setattr("handctl.tune.loops.design.design", refuses)
+    monkeypatch.setattr("handctl.tune.loops.design.design_gains", refuses)
     assert main(["tune", "design", "--plants", "1", *words]) == 1
     said = capsys.readouterr()
     assert said.err == "handctl: tune design: no authority keeps the margins; nothing is written\n"
@@ -69,13 +69,13 @@ def scored(tracking):
 
 
 def test_a_column_is_worse_only_beyond_its_spread():
-    from handctl.tune.verify import compare
+    from handctl.tune.verify import compare_rounds
 
     runs = [[scored(1.0), scored(1.0 + 0.01 * i), *[scored(3.0 + 0.01 * i)] * 3] for i in range(3)]
-    assert [one.verdict for one in compare(runs)] == ["worse", "same", "same", "same"]
-    assert compare([runs[0]])[0].verdict == "worse"
+    assert [one.verdict for one in compare_rounds(runs)] == ["worse", "same", "same", "same"]
+    assert compare_rounds([runs[0]])[0].verdict == "worse"
     noisy = [[scored(1.0), scored(1.0), *[scored(new)] * 3] for new in (0.5, 1.0, 2.0)]
-    assert compare(noisy)[0].verdict == "same"
+    assert compare_rounds(noisy)[0].verdict == "same"
 
 
 @pytest.mark.parametrize(("accept", "code"), [(False, 1), (True, 0)])
@@ -105,12 +105,12 @@ def test_a_commissioning_log_that_is_there_is_no_obstacle(place):
 def test_an_excited_digit_that_met_something_is_spoilt():
     from handctl.core.types import Event
     from handctl.log.read.timeline import LoggedEvent, PhaseChange
-    from handctl.tune.identify.identify import blocked
+    from handctl.tune.identify.identify import blocked_digits
 
     event = LoggedEvent(50, 10**9, Event("info", "blocked", "middle", "middle is blocked: 7.0 N"))
     phases = [PhaseChange(0, 0, "start"), PhaseChange(40, 0, "index sweep"), PhaseChange(60, 0, "ring sweep")]
-    assert list(blocked(SimpleNamespace(events=[event], phases=phases))) == ["index"]
-    assert blocked(SimpleNamespace(events=[], phases=phases)) == {}
+    assert list(blocked_digits(SimpleNamespace(events=[event], phases=phases))) == ["index"]
+    assert blocked_digits(SimpleNamespace(events=[], phases=phases)) == {}
 
 
 def test_springs_too_weak_to_stretch_against_are_refused_in_one_line(place, capsys):
@@ -266,7 +266,7 @@ def test_the_log_of_a_simulated_hand_tells_nothing_of_the_real_one(place, capsys
     assert "is of a simulated hand" in refused(capsys, "identify", "--from-log", str(real), "--from-log", GOLDEN)
 
 
-def test_what_is_given_twice_is_taken_twice():
+def test_repeated_options_are_collected():
     parser = ArgumentParser()
     identify(parser)
     words = "--lockstep --perturb stiffness=0.8 --perturb friction=1.3 --digits index --digits ring"
@@ -288,7 +288,7 @@ def test_what_is_given_twice_is_taken_twice():
         (("bus", "plan", "--rate", "1e-300"), "--rate: 1e-300; expected 1 to 10000 Hz"),
     ],
 )
-def test_what_is_given_empty_or_alone_is_not_passed_over(place, capsys, words, line):
+def test_options_that_do_not_fit_together_are_refused(place, capsys, words, line):
     assert line in refused(capsys, *words)
 
 

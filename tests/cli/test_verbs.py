@@ -111,7 +111,7 @@ def log(tmp_path_factory):
     from handctl.core.types import TELEMETRY_AXES, Mode, Telemetry, TickIn, TickOut
     from handctl.hand.load import load_hand
     from handctl.log.header import RunHeader
-    from handctl.log.record import pack
+    from handctl.log.record import pack_tick_record
     from handctl.log.write.recorder import Recorder
     from handctl.safety.action import Action
 
@@ -123,7 +123,7 @@ def log(tmp_path_factory):
     for k in range(3000):
         numbers = Telemetry(**{name: random.random(len(header.axis(axis))) for name, axis in TELEMETRY_AXES.items()})
         out = TickOut((), Mode.ACTIVE, "hold", Action.PASS, numbers, (), bytes(8))
-        recorder.record(pack(TickIn(k, k * 2_000_000), out))
+        recorder.record(pack_tick_record(TickIn(k, k * 2_000_000), out))
     assert recorder.close("done")["complete"]
     return path
 
@@ -165,7 +165,7 @@ def test_a_log_that_broke_off_before_its_first_chunk_holds_nothing(log, place, c
 
 @pytest.mark.parametrize("what", ["info", "recover"])
 @pytest.mark.parametrize("content", [b"", b"garbage" * 1000, None])
-def test_what_is_no_log_is_bad_input(place, capsys, what, content):
+def test_file_that_is_not_a_log_is_bad_input(place, capsys, what, content):
     if content is not None:
         (place / "x.mcap").write_bytes(content)
     assert main(["log", what, "x.mcap"]) == 2
@@ -173,7 +173,7 @@ def test_what_is_no_log_is_bad_input(place, capsys, what, content):
     assert not (place / "x.recovered.mcap").exists()
 
 
-def test_a_folder_is_no_log(capsys):
+def test_folder_is_refused_as_log(capsys):
     for what in ("info", "recover"):
         assert main(["log", what, "/"]) == 2
         assert capsys.readouterr().err == "handctl: /: not a file; expected a log\n"

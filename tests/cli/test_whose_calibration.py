@@ -83,7 +83,7 @@ def test_the_second_hand_of_a_design_is_not_armed_with_the_first_one_s_calibrati
         one.peer.close()
 
 
-def test_one_replaced_drive_is_named(place):
+def test_replaced_drive_is_named_before_arming(place):
     hand = hand_file(place, ["mit"])
     motor = load_hand(str(hand)).motor[0].name
     before, after = Bench(place, hand, FIRST), Bench(place, hand, (*FIRST, f"{motor}=0x77"))

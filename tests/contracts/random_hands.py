@@ -25,7 +25,7 @@ from handctl.drives.moteus import codec as moteus
 from handctl.drives.motor_description import GUARDED
 from handctl.drives.signals import Message, Quantity, Table
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_content, hand_from
+from handctl.hand.load import hand_content, hand_from_content
 from handctl.programs.live import LiveProgram
 
 RATE_HZ, TICKS = 200.0, 40
@@ -74,7 +74,7 @@ def random_hand(tendons: int, random: Random) -> Hand:
         "motor": motors,
         "sensor_node": node,
     }
-    hand = hand_from(made, "random.toml")
+    hand = hand_from_content(made, "random.toml")
     hand = with_drives(hand, str(random.choice(GUARDED)))
     motors = [one.model_copy(update={"node_id": FIRST_NODE + n % ON_A_BUS}) for n, one in enumerate(hand.motor)]
     return hand.model_copy(update={"motor": tuple(motors)})
@@ -198,7 +198,7 @@ def _status(drive: Any, protocol: str) -> int:
     if protocol == "mit":
         return int(mit.ENABLED << 4 | drive.node_id & 0xF)
     if protocol == "moteus":
-        return int(moteus.status(moteus.POSITION, 0))
+        return int(moteus.joined_status(moteus.POSITION, 0))
     return int(cia402.ENABLED_STATUS) if protocol == "cia402" else 0
 
 

@@ -16,7 +16,7 @@ from numba.core.errors import TypingError
 import handctl
 from handctl.compiled import MARKED, SOURCES, borrow, kernel, prepare
 from handctl.log.read.reader import RunLog
-from handctl.replay.rebuild import rebuild
+from handctl.replay.rebuild import rebuild_controller
 from tests.contracts.random_hands import TICKS, tick_hashes
 
 ROOT = Path(__file__).parents[2]
@@ -31,7 +31,7 @@ def executed(log: Path) -> str:
 
     digest = hashlib.blake2b(digest_size=16)
     with RunLog(log) as run, np.errstate(all="ignore"):
-        controller = rebuild(run)
+        controller = rebuild_controller(run)
         state = controller.initial()
         for one in run.ticks():
             state, out = controller.tick(state, one.tick_in)
@@ -110,14 +110,14 @@ def test_only_a_contiguous_array_can_be_borrowed() -> None:
 
 PROBE = """
 from handctl.compiled import inner, kernel
-from handctl.core.block import STATE, tables
+from handctl.core.block import STATE, state_tables
 from handctl.core.detectors import losses
 from handctl.core import block as s
 
 
 @kernel("block", "layout")
 def misses(block, at):
-    return losses.misses_every_second(tables(block, at), 0)
+    return losses.misses_every_second(state_tables(block, at), 0)
 """
 """A kernel with a function of another file, which takes a constant from a third file."""
 ASK_SCRIPT = """

@@ -14,7 +14,7 @@ import pytest
 from firmware_sim.__main__ import OPTIONAL
 from firmware_sim.__main__ import main as firmware_sim
 from handctl.cli.main import FOLDERS, VERBS, main
-from handctl.extras import EXTRAS, MissingExtraError, missing_extra, require
+from handctl.extras import EXTRAS, MissingExtraError, missing_extra, require_extra
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -95,10 +95,10 @@ def test_an_import_that_fails_within_a_verb_names_the_verb(
 
 
 def test_what_is_installed_is_not_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    require("view", *EXTRAS)
+    require_extra("view", *EXTRAS)
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(MissingExtraError):
-        require("view", "pyarrow", "rerun")
+        require_extra("view", "pyarrow", "rerun")
 
 
 def test_the_doctor_names_what_is_installed(

@@ -4,12 +4,19 @@ from pathlib import Path
 
 import pytest
 
-from handctl.campaign.scenarios import LEFT_OUT, MATRIX
+from handctl.campaign.scenarios import MATRIX, UNTESTED_ROWS
 from handctl.drives.motor_description import GUARDED
 from handctl.safety.faults.fault import DETECTED, LOST, REPLACED, TICK
 from handctl.safety.faults.host import ON_HARDWARE
-from handctl.safety.faults.markdown import catalogue, checklist, fault_sections, fault_table, late, later
-from handctl.safety.faults.table import CATALOGUE, TABLE, remedy
+from handctl.safety.faults.markdown import (
+    catalogue_markdown,
+    fault_sections,
+    fault_table_markdown,
+    hardware_checklist,
+    is_late,
+    late_rows,
+)
+from handctl.safety.faults.table import CATALOGUE, TABLE, remedy_for
 
 ROOT = Path(__file__).parents[2]
 SIZES = {"B": 18, "N": 17, "T": 9, "H": 15, "I": 11}
@@ -66,7 +73,7 @@ def test_every_row_is_tried() -> None:
         elif entry.tested != "soak":
             assert (ROOT / entry.tested).exists(), entry.id
     assert campaign <= set(IDS)
-    assert LEFT_OUT.keys() | campaign >= set(IDS) - {id_ for id_ in IDS if id_[0] == "I"}
+    assert UNTESTED_ROWS.keys() | campaign >= set(IDS) - {id_ for id_ in IDS if id_[0] == "I"}
 
 
 def test_the_campaign_allows_no_more_time_than_the_catalogue() -> None:
@@ -96,17 +103,17 @@ def test_a_reaction_later_than_required_has_a_reason() -> None:
     required = dict(zip(words[::2], map(int, words[1::2]), strict=True))
     for entry in CATALOGUE:
         assert entry.required == required.get(entry.id, 0), entry.id
-        needs_why = (entry.ticks or entry.ms) and late(entry)
+        needs_why = (entry.ticks or entry.ms) and is_late(entry)
         assert bool(entry.why) == bool(needs_why), f"{entry.id}: a reason where it takes longer, and only there"
 
 
 def test_the_pages_are_the_code_s() -> None:
     evidence = (ROOT / "docs" / "evidence" / "faults.md").read_text()
-    assert catalogue() in evidence
-    assert later() in evidence
-    assert checklist() in evidence
+    assert catalogue_markdown() in evidence
+    assert late_rows() in evidence
+    assert hardware_checklist() in evidence
     reference = (ROOT / "docs" / "reference" / "faults.md").read_text()
-    assert fault_table() in reference
+    assert fault_table_markdown() in reference
     assert fault_sections() in reference
 
 
@@ -117,8 +124,8 @@ def test_every_fault_says_in_one_line_what_to_do_about_it() -> None:
             assert text[0].isupper(), fault.id
             assert text.endswith("."), fault.id
             assert "\n" not in text, fault.id
-        assert remedy(f"{fault.id} {fault.title}: here (1): WARN") == fault.remedy
-    assert remedy("index: 24 N in 3 s") == ""
+        assert remedy_for(f"{fault.id} {fault.title}: here (1): WARN") == fault.remedy
+    assert remedy_for("index: 24 N in 3 s") == ""
 
 
 @pytest.mark.parametrize("fault", AUTOSAR)

@@ -4,13 +4,13 @@ import tomllib
 from pathlib import Path
 
 from handctl.drives.registry import PROTOCOLS
-from handctl.session.exit_codes import Exit
+from handctl.session.exit_codes import ExitCode
 
 README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
 MOST_LINES = 150
 
 
-def test_it_is_short() -> None:
+def test_readme_is_short() -> None:
     assert len(README.splitlines()) <= MOST_LINES
 
 
@@ -22,7 +22,7 @@ def test_the_limits_come_before_the_commands() -> None:
 
 
 def test_the_code_that_needs_a_hand_is_named() -> None:
-    assert f"**{int(Exit.REMOVE_POWER)}**" in README
+    assert f"**{int(ExitCode.REMOVE_POWER)}**" in README
     assert "switch the power off" in README
 
 

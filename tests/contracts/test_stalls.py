@@ -18,7 +18,7 @@ TRIES = []
 
 @pytest.mark.realtime
 @pytest.mark.parametrize("stalled", [True, False])
-def test_of_the_clock(stalled, request, slower):
+def test_each_repeat_runs_in_slower_time(stalled, request, slower):
     TRIES.append(stalled)
     assert slower == pytest.approx(SLOWER ** (TRIES.count(stalled) - 1)), "each try in slower time"
     repeats = request.config.pluginmanager.get_plugin("repeats")
@@ -54,4 +54,6 @@ def test_a_test_is_repeated_after_a_stall_alone(pytester: pytest.Pytester, monke
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(("", os.getcwd())))
     result = pytester.runpytest_subprocess("-p", "no:cacheprovider", "-o", "markers=realtime")
     result.assert_outcomes(passed=1, failed=1)
-    result.stdout.fnmatch_lines(["*test_clock.py::test_of_the_clock?True?", "*1 failed, 1 passed, 2 rerun*"])
+    result.stdout.fnmatch_lines(
+        ["*test_clock.py::test_each_repeat_runs_in_slower_time?True?", "*1 failed, 1 passed, 2 rerun*"]
+    )

@@ -11,7 +11,7 @@ from handctl.controller.state import State
 from handctl.core import block as s
 from handctl.core import stages
 from handctl.core.estimation.filter_stack import STATES, Regime, S, X
-from handctl.core.estimation.prediction import predict
+from handctl.core.estimation.prediction import predict_filter_states
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from tests.controller.synthetic import Estimate, Readings, blank, constants, estimate_of, nothing_read
@@ -126,10 +126,10 @@ def tick(
     if friction_state is not None:
         run.view("friction_state")[...] = friction_state
     run.set_whole(s.MISSED, missed)
-    stages.correct(run.block, run.layout.places, *constants(model))
+    stages.correct_estimate(run.block, run.layout.places, *constants(model))
     if run.started:
-        predict(model, run.layout, run.block, missed)
-    stages.conclude(run.block, run.layout.places, *constants(model))
+        predict_filter_states(model, run.layout, run.block, missed)
+    stages.conclude_estimate(run.block, run.layout.places, *constants(model))
     return taken(run), estimate_of(run)
 
 
@@ -173,7 +173,7 @@ def start(model: HandModel, state: FilterState, travel: np.ndarray, cells: bool 
     run.mode = Mode.SILENT
     run.view("position")[...] = travel / model.space.spool
     run.view("group_frames")[...] = cells
-    stages.observe(run.block, run.layout.places, *constants(model))
+    stages.observe_tick(run.block, run.layout.places, *constants(model))
     return taken(run)
 
 
@@ -181,7 +181,7 @@ def corrected(model: HandModel, state: FilterState, measured: Readings) -> State
     """The state of a hand that touches nothing once measurements were taken in, before the prediction."""
     run = state_of(model, state)
     read(run, measured)
-    stages.correct(run.block, run.layout.places, *constants(model))
+    stages.correct_estimate(run.block, run.layout.places, *constants(model))
     return run
 
 

@@ -9,12 +9,12 @@ from handctl.compiled import kernel
 from handctl.controller.state import State
 from handctl.core import block as s
 from handctl.core import stages
-from handctl.core.block import tables
+from handctl.core.block import state_tables
 from handctl.core.constants import constant_tables
 from handctl.core.law import computed_torque, reference
 from handctl.core.law.goal import DigitGoal
 from handctl.core.law.goals import write_goals
-from handctl.core.law.loads import allocate
+from handctl.core.law.loads import allocate_bounded_tensions
 from handctl.core.model import HandModel
 from handctl.core.schema import Block, Places
 from handctl.safety.action import Action
@@ -125,7 +125,7 @@ def command_of(state: State) -> Command:
 
 @kernel("block", "layout", "constants", "layout")
 def _limit(block: Block, at: Places, of: Block, of_at: Places) -> np.ndarray:
-    return computed_torque.tension_limit(tables(block, at), constant_tables(of, of_at))
+    return computed_torque.present_tension_limits(state_tables(block, at), constant_tables(of, of_at))
 
 
 def limit_of(model: HandModel, state: State) -> np.ndarray:
@@ -135,9 +135,9 @@ def limit_of(model: HandModel, state: State) -> np.ndarray:
 
 @kernel("block", "layout", "constants", "layout", "matrix")
 def _required(block: Block, at: Places, of: Block, of_at: Places, way: np.ndarray) -> int:
-    x, c = tables(block, at), constant_tables(of, of_at)
-    reference.require(x, c, way)
-    return reference.load(x, c)
+    x, c = state_tables(block, at), constant_tables(of, of_at)
+    reference.write_required_torque(x, c, way)
+    return reference.write_required_tensions(x, c)
 
 
 def load_of(model: HandModel, goals: tuple[DigitGoal, ...], way: np.ndarray) -> np.ndarray:
@@ -145,7 +145,7 @@ def load_of(model: HandModel, goals: tuple[DigitGoal, ...], way: np.ndarray) -> 
     state = blank(model)
     write_goals(model, state.layout, state.block, goals)
     undecided = _required(state.block, state.layout.places, *constants(model), way)
-    allocate(model, state.layout, state.block, undecided, way)
+    allocate_bounded_tensions(model, state.layout, state.block, undecided, way)
     return state.view("load")
 
 
@@ -153,4 +153,4 @@ def way_of(model: HandModel, goals: tuple[DigitGoal, ...], t: float) -> np.ndarr
     """Angles, rates and accelerations (3, J) of the joints on their trajectories at time t [s]."""
     state = blank(model)
     commanded(model, state, goals, t, Action.PASS)
-    return stages.on_joints(state.block, state.layout.places, *constants(model))
+    return stages.joint_motion(state.block, state.layout.places, *constants(model))

@@ -15,7 +15,7 @@ from handctl.controller.state import State
 from handctl.controller.tick import Controller
 from handctl.core import block as s
 from handctl.core import stages
-from handctl.core.block import tables
+from handctl.core.block import state_tables
 from handctl.core.constants import ConstantTables, constant_tables
 from handctl.core.estimation import kalman
 from handctl.core.estimation.filter_stack import STATES, S, V, W, X
@@ -63,8 +63,8 @@ class Estimate(NamedTuple):
     q: np.ndarray
     dq: np.ndarray
     q_sigma: np.ndarray
-    grown: np.ndarray
-    opening: np.ndarray
+    contact_force: np.ndarray
+    grip_opening: np.ndarray
     grip: np.ndarray
 
 
@@ -142,7 +142,7 @@ class LoadStatics(NamedTuple):
 
 @kernel("block", "layout", "constants", "layout")
 def _load_forces(block: Block, at: Places, of: Block, of_at: Places) -> np.ndarray:
-    return kalman._load_forces(tables(block, at), constant_tables(of, of_at))
+    return kalman._load_forces(state_tables(block, at), constant_tables(of, of_at))
 
 
 def load_statics(
@@ -194,8 +194,8 @@ def known(model: HandModel, x: np.ndarray) -> Estimate:
         q=q,
         dq=dq,
         q_sigma=np.full(len(q), np.nan),
-        grown=np.zeros(len(model.digits)),
-        opening=nothing,
+        contact_force=np.zeros(len(model.digits)),
+        grip_opening=nothing,
         grip=nothing,
     )
 
@@ -237,6 +237,8 @@ def concluded(model: HandModel, state: State, estimate: Estimate) -> Estimate:
     state.view("regime")[...] = state.view("kind")[...] = np.where(estimate.slack, SLACK, 0)
     borne = estimate.tension - model.space.damping * (estimate.speed - estimate.rate)
     state.view("stretch_offset")[...] = estimate.travel - estimate.excursion - borne / model.space.stiffness
-    stages.conclude(state.block, state.layout.places, *constants(model))
+    stages.conclude_estimate(state.block, state.layout.places, *constants(model))
     seen = state.estimate
-    return estimate._replace(grown=seen.grown.copy(), opening=seen.opening, grip=seen.grip.copy())
+    return estimate._replace(
+        contact_force=seen.contact_force.copy(), grip_opening=seen.grip_opening, grip=seen.grip.copy()
+    )

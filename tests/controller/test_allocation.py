@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from handctl.core.law.allocation import REGULARISATION, allocate, bounded
+from handctl.core.law.allocation import REGULARISATION, solve_bounded, tensions_for_torque
 from handctl.hand.digit import DigitModel
 from handctl.hand.load import load_hand
 
@@ -35,7 +35,7 @@ def test_feasible_torques_are_made_exactly(case: str) -> None:
     for _ in range(200):
         wanted = rng.uniform(3.5, 105.0, len(arms))
         torque = arms.T @ wanted
-        tension, missing = allocate(arms, torque, floor, ceiling)
+        tension, missing = tensions_for_torque(arms, torque, floor, ceiling)
         np.testing.assert_allclose(arms.T @ tension, torque, rtol=1e-4, atol=2e-5)
         np.testing.assert_allclose(missing, torque - arms.T @ tension, atol=1e-15)
         assert (tension >= floor).all()
@@ -53,7 +53,7 @@ def cost(arms: np.ndarray, torque: np.ndarray, floor: np.ndarray, tension: np.nd
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_the_best_within_the_bounds(case: str) -> None:
+def test_bounded_solution_has_the_smallest_error(case: str) -> None:
     """scipy's bounded least squares finds no tension that costs less, whatever the torque."""
     arms, rng = arms_of(case), np.random.default_rng(2)
     n, r = len(arms), np.abs(arms).mean()
@@ -62,7 +62,7 @@ def test_the_best_within_the_bounds(case: str) -> None:
         floor = rng.uniform(0.0, 10.0, n)
         ceiling = floor + rng.uniform(5.0, 120.0, n)
         torque = rng.normal(size=arms.shape[1]) * r * rng.choice([10.0, 100.0, 500.0])
-        tension, missing = allocate(arms, torque, floor, ceiling)
+        tension, missing = tensions_for_torque(arms, torque, floor, ceiling)
         assert (tension >= floor).all()
         assert (tension <= ceiling).all()
         np.testing.assert_allclose(missing, torque - arms.T @ tension, atol=1e-15)
@@ -81,7 +81,7 @@ finite = st.floats(-1e6, 1e6, allow_nan=False)
 def test_bounds_hold_for_any_torque(torque: list[float], case: str) -> None:
     arms = arms_of(case)
     floor, ceiling = np.full(len(arms), 3.0), np.full(len(arms), 110.0)
-    tension, missing = allocate(arms, np.array(torque), floor, ceiling)
+    tension, missing = tensions_for_torque(arms, np.array(torque), floor, ceiling)
     assert np.isfinite(tension).all()
     assert (tension >= floor).all()
     assert (tension <= ceiling).all()
@@ -91,7 +91,7 @@ def test_bounds_hold_for_any_torque(torque: list[float], case: str) -> None:
 @given(torque=finite)
 def test_one_tendon_pulls_between_its_bounds(torque: float) -> None:
     arms = arms_of("jamia index")
-    tension, missing = allocate(arms, np.array([torque]), np.array([3.0]), np.array([110.0]))
+    tension, missing = tensions_for_torque(arms, np.array([torque]), np.array([3.0]), np.array([110.0]))
     expected = min(max(torque / arms[0, 0], 3.0), 110.0)
     np.testing.assert_allclose(tension, [expected], rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(missing, [torque - arms[0, 0] * expected], rtol=1e-6, atol=1e-6)
@@ -104,15 +104,15 @@ def test_where_the_solver_starts_changes_nothing(case: str) -> None:
     floor, ceiling = np.full(n, 3.0), np.full(n, 110.0)
     for _ in range(100):
         torque = arms.T @ rng.uniform(-100.0, 200.0, n)
-        first = bounded(arms, torque, floor, ceiling, floor)
+        first = solve_bounded(arms, torque, floor, ceiling, floor)
         for near in (ceiling, rng.uniform(-1e3, 1e3, n), np.where(rng.random(n) < 0.5, -1e9, 1e9)):
-            np.testing.assert_allclose(bounded(arms, torque, floor, ceiling, near), first, rtol=1e-7, atol=1e-7)
+            np.testing.assert_allclose(solve_bounded(arms, torque, floor, ceiling, near), first, rtol=1e-7, atol=1e-7)
 
 
-def test_arguments_are_left_alone() -> None:
+def test_arguments_are_not_changed() -> None:
     arms = EXTENSOR.copy()
     torque, floor, ceiling = np.array([5.0, -5.0, 5.0]), np.full(4, 3.0), np.full(4, 110.0)
-    allocate(arms, torque, floor, ceiling)
+    tensions_for_torque(arms, torque, floor, ceiling)
     np.testing.assert_array_equal(arms, EXTENSOR)
     np.testing.assert_array_equal(torque, [5.0, -5.0, 5.0])
     assert (floor == 3.0).all()

@@ -13,10 +13,10 @@ from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.core.types import Event, Mode
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_content, hand_from, load_hand
-from handctl.hand.readiness import unready
+from handctl.hand.load import hand_content, hand_from_content, load_hand
+from handctl.hand.readiness import reasons_not_ready
 from handctl.programs.calibration import Calibration
-from handctl.programs.commission import PULL_N, CommissionProgram, result
+from handctl.programs.commission import PULL_N, CommissionProgram, calibration_of_result
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.program import Program
 from handctl.programs.task import Task
@@ -37,7 +37,7 @@ def n_plus_1() -> Hand:
 def without_encoders() -> Hand:
     """The same hand without joint encoders: the lower joint limits are the reference of the motor zeros."""
     content = hand_content("n_plus_1")
-    return hand_from(content | {"sensor_node": content["sensor_node"] | {"joints": []}}, "no encoders")
+    return hand_from_content(content | {"sensor_node": content["sensor_node"] | {"joints": []}}, "no encoders")
 
 
 @cache
@@ -59,7 +59,7 @@ def two_n() -> Hand:
         tendons.append(base | {"name": f"thumb_{name}", "motor": f"thumb_m{name}", "moment_arm_m": arms})
         motors.append(motor | {"name": f"thumb_m{name}", "node_id": 9 + i})
     node = content["sensor_node"] | {"tendons": [one["name"] for one in tendons]}
-    return hand_from(content | {"tendon": tendons, "motor": motors, "sensor_node": node}, "2 n")
+    return hand_from_content(content | {"tendon": tendons, "motor": motors, "sensor_node": node}, "2 n")
 
 
 @cache
@@ -109,7 +109,7 @@ def test_it_commissions_and_tracks_from_a_cold_start(kind: str, seed: int) -> No
         for _ in ticks:
             assert not [event for event in events_of(run) if event.level == "error"]
         assert not run.state.progress.failure
-        calibration = result(run.controller.model, run.state.progress, "2026-01-01T00:00:00+00:00")
+        calibration = calibration_of_result(run.controller.model, run.state.progress, "2026-01-01T00:00:00+00:00")
         for row in calibration.tendon.values():
             assert row.answer_N == pytest.approx(PULL_N, abs=0.8)
         # The encoder reads its offset where the tendon is just taut and the digit open. 0.1 mm is a degree of a finger.
@@ -196,7 +196,7 @@ def test_springs_of_no_stiffness_are_no_springs() -> None:
     content = n_plus_1().content
     named = {digit["name"]: digit for digit in content["digit"]}
     assert named["thumb"]["spring_stiffness_N_m_per_rad"] == (0.0, 0.0)
-    assert hand_from(content, "x").identity == n_plus_1().identity
+    assert hand_from_content(content, "x").identity == n_plus_1().identity
 
 
 def test_a_digit_that_nothing_opens_is_refused() -> None:
@@ -204,6 +204,6 @@ def test_a_digit_that_nothing_opens_is_refused() -> None:
     for tendon in content["tendon"]:
         if tendon["name"] == "thumb_e":
             tendon["moment_arm_m"] = {"thumb_j1": 0.004, "thumb_j2": 0.003}
-    mistakes = [str(mistake) for mistake in unready(hand_from(content, "x"))]
+    mistakes = [str(mistake) for mistake in reasons_not_ready(hand_from_content(content, "x"))]
     assert len(mistakes) == 1
     assert "digit[thumb]" in mistakes[0]

@@ -13,7 +13,7 @@ from tests.controller.synthetic import blank, constants
 
 
 @pytest.mark.parametrize("rest_s", [0.2, 5.0])
-def test_a_touch_does_not_bring_the_rest_of_the_way_as_if_the_goal_had_moved(jamia: HandModel, rest_s: float) -> None:
+def test_contact_does_not_move_the_filtered_goal(jamia: HandModel, rest_s: float) -> None:
     """A way to 40 deg, well tracked, was left over: a motor at rest counted as stuck when the digit was touched."""
     state, period = blank(jamia), jamia.period
     far = np.full(len(jamia.hand.joints), math.radians(40.0))
@@ -21,7 +21,7 @@ def test_a_touch_does_not_bring_the_rest_of_the_way_as_if_the_goal_had_moved(jam
     def tick(goal: NDArray[np.float64], apart_m: float) -> NDArray[np.float64]:
         state.view("q_goal")[...] = goal
         state.view("excursion")[...] = jamia.hand.moment_arms @ goal + apart_m
-        stages.remember(state.block, state.layout.places, *constants(jamia))
+        stages.store_commands(state.block, state.layout.places, *constants(jamia))
         return state.view("followed").copy()
 
     for t in np.arange(0.0, 1.0, period):

@@ -11,10 +11,10 @@ import pytest
 from handctl.controller.monitor import thresholds
 from handctl.controller.pending_gains import PendingGains
 from handctl.controller.setup import make_drives, make_sensors
-from handctl.controller.state import Decisions, State, layout_of
+from handctl.controller.state import Decisions, State, layout_of_state
 from handctl.core import block as state_block
 from handctl.core import constants, hand_constants
-from handctl.core.block import STATE, tables
+from handctl.core.block import STATE, state_tables
 from handctl.core.constants import ELEMENTS, HAND, KINDS, constant_tables
 from handctl.core.gains.bounds import with_values
 from handctl.core.gains.gains import Gains
@@ -24,7 +24,7 @@ from handctl.core.law.trajectory import MinimumJerk
 from handctl.core.model import HandModel
 from handctl.core.schema import INT, Field, Schema
 from handctl.drives.contract import DriveState, Phase
-from handctl.hand.load import hand_content, hand_from, load_hand, packaged_hands
+from handctl.hand.load import hand_content, hand_from_content, load_hand, packaged_hands
 from handctl.programs.grip import Grip
 from handctl.programs.program import Progress
 from handctl.programs.streams import StreamPlan
@@ -67,7 +67,7 @@ def test_a_field_has_its_rows_its_shape_and_its_initial_value() -> None:
     assert not layout.initial.flags.writeable
 
 
-def test_a_field_more_is_one_line() -> None:
+def test_new_field_needs_one_line() -> None:
     """It gets the next row of its table; what was there keeps its name and its shape."""
     (before, axes), (after, _) = small(), small()
     row = after.real("speed", "tendon", "m/s", "of a tendon", initial=7.0)
@@ -100,7 +100,7 @@ def test_fields_do_not_overlap_and_leave_no_gap() -> None:
 def state(request: pytest.FixtureRequest) -> State:
     """Any state whose numbers all differ: wholes and reals from a generator."""
     model: HandModel = request.getfixturevalue(request.param)
-    layout, rng = layout_of(model, 3), np.random.default_rng(5)
+    layout, rng = layout_of_state(model, 3), np.random.default_rng(5)
     block = layout.initial.copy()
     for field in STATE.fields:
         part = layout.view(block, field.name)
@@ -136,7 +136,7 @@ def test_every_field_is_declared_once_and_found_by_its_name(schema: Schema, modu
 
 
 def test_kernels_see_every_field_where_the_layout_has_it(state: State) -> None:
-    seen = interpreted(tables)(state.block, state.layout.places)
+    seen = interpreted(state_tables)(state.block, state.layout.places)
     for field in STATE.fields:
         rows = getattr(seen, field.table)[field.first : field.first + field.rows]
         np.testing.assert_array_equal(rows.ravel(), state.view(field.name).ravel(), err_msg=field.name)
@@ -199,7 +199,7 @@ def random_hand(seed: int) -> HandModel:
         raw[section] = [_varied(one, chance) for one in raw[section] if own(one["name"])]
     node = raw["sensor_node"]
     raw["sensor_node"] = node | {key: [name for name in node[key] if own(name)] for key in ("tendons", "joints")}
-    return HandModel.of(hand_from(raw | {"name": f"random_{seed}"}, "test"), Gains(), 200.0)
+    return HandModel.of(hand_from_content(raw | {"name": f"random_{seed}"}, "test"), Gains(), 200.0)
 
 
 VARIED = ("link_mass_kg", "joint_damping_N_m_s_per_rad", "spring_preload_rad", "friction_coefficient",
@@ -218,8 +218,8 @@ def _varied(one: dict[str, Any], chance: random.Random) -> dict[str, Any]:
 
 def packed(model: HandModel, monkeypatch: pytest.MonkeyPatch) -> tuple[HandConstants, dict[str, object]]:
     """The constants of a hand, and by field what was packed."""
-    values: dict[str, object] = {"design": hand_constants.design_of(model)}
-    for part in ("_motors", "_law", "_links", "_structure", "_posture"):
+    values: dict[str, object] = {"design": hand_constants.filter_design_array(model)}
+    for part in ("_motor_constants", "_law_constants", "_link_constants", "_structure_constants", "_posture_constants"):
         own = getattr(hand_constants, part)(model)
         assert not values.keys() & own.keys(), "each field is packed once"
         values |= own
@@ -231,9 +231,9 @@ def packed(model: HandModel, monkeypatch: pytest.MonkeyPatch) -> tuple[HandConst
 
     monkeypatch.setattr(thresholds, "HandConstants", recorded)
     drives, sensors = make_drives(model.hand), make_sensors(model.hand)
-    limits = thresholds.limits_of(model, drives, sensors)
+    limits = thresholds.safety_limits(model, drives, sensors)
     tare, zero = np.random.default_rng(2).normal(size=(2, model.tendon_count))
-    return thresholds.constants_of(model, drives, sensors, limits, tare, zero), values
+    return thresholds.compiled_constants(model, drives, sensors, limits, tare, zero), values
 
 
 @pytest.mark.parametrize("hand", [*packaged_hands(), *SEEDS])

@@ -37,7 +37,7 @@ def test_with_the_order_the_drives_are_cleared_configured_and_armed(orphaned: Be
     assert orphaned.state.failure == ""
 
 
-def test_the_order_holds_for_what_was_latched_before_not_for_what_comes_later(orphaned: Bench) -> None:
+def test_clear_before_arming_does_not_clear_later_errors(orphaned: Bench) -> None:
     orphaned.tick(CLEAR)
     orphaned.until(Mode.ACTIVE)
     orphaned.run(0.5)

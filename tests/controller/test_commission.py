@@ -13,9 +13,15 @@ from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.drives.frame import Frame
 from handctl.errors import ConfigError
-from handctl.hand.load import hand_from, load_hand
+from handctl.hand.load import hand_from_content, load_hand
 from handctl.programs.calibration import Calibration, load_calibration
-from handctl.programs.commission import MAX_CROSSTALK_FRACTION, PULL_FORCE_LIMIT_N, PULL_N, CommissionProgram, result
+from handctl.programs.commission import (
+    MAX_CROSSTALK_FRACTION,
+    PULL_FORCE_LIMIT_N,
+    PULL_N,
+    CommissionProgram,
+    calibration_of_result,
+)
 from handctl.programs.program import Progress
 from tests.controller.bench import Bench, bench
 from tests.controller.synthetic import nothing_read, slack, under
@@ -90,7 +96,7 @@ def commissioned(
 def test_tares_and_zeros_are_found(model: HandModel, loss: float) -> None:
     progress = commissioned(model, good(model), loss=loss)
     assert not progress.failure
-    found = result(model, progress, "2024-01-01T00:00:00+00:00")
+    found = calibration_of_result(model, progress, "2024-01-01T00:00:00+00:00")
     np.testing.assert_allclose(found.tare(model.hand), BIAS_N, atol=0.15)
     np.testing.assert_allclose(found.zero(model.hand) * model.space.spool, JUST_TAUT_M, atol=5e-6)
     for row in found.tendon.values():
@@ -130,7 +136,7 @@ def test_two_load_cells_that_answer_together_are_refused(model: HandModel) -> No
 
 @pytest.fixture(scope="module")
 def fifteen() -> HandModel:
-    return HandModel.of(hand_from(fifteen_motors(), "a hand of 15 motors"), Gains(), 50.0)
+    return HandModel.of(hand_from_content(fifteen_motors(), "a hand of 15 motors"), Gains(), 50.0)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -138,7 +144,7 @@ def test_many_load_cells_may_drift_while_one_tendon_after_the_other_is_pulled(fi
     """Twice the packaged hands' drift: 0.9 N rms by the end, which is the limit of crosstalk."""
     progress = commissioned(fifteen, good(fifteen), drift=2.0, seed=seed)
     assert not progress.failure
-    found = result(fifteen, progress, "2024-01-01T00:00:00+00:00").tendon
+    found = calibration_of_result(fifteen, progress, "2024-01-01T00:00:00+00:00").tendon
     assert max(row.crosstalk_N for row in found.values()) < MAX_CROSSTALK_FRACTION * PULL_N
     assert [row.answer_N for row in found.values()] == pytest.approx([PULL_N] * 15, abs=1.0)
 
@@ -153,7 +159,7 @@ def test_a_tare_is_of_the_moment_before_its_pull(jamia: HandModel) -> None:
 
     progress = commissioned(jamia, cells, noise=0.0)
     assert not progress.failure
-    tare = result(jamia, progress, "2024-01-01T00:00:00+00:00").tare(jamia.hand) - BIAS_N
+    tare = calibration_of_result(jamia, progress, "2024-01-01T00:00:00+00:00").tare(jamia.hand) - BIAS_N
     assert np.diff(tare) == pytest.approx(np.full(3, np.diff(tare).mean()), abs=0.01), "each a pull later than the last"
     assert 0.1 < np.diff(tare).mean() < 0.2, "a pull takes 1.7 s"
 
@@ -193,7 +199,7 @@ def test_load_cells_that_were_never_tared_are_no_hindrance(whole: Bench, bias: f
     whole.until(Mode.DONE, 30.0)
     assert not whole.state.failure
     model = whole.controller.model
-    found = result(model, whole.state.progress, "2024-01-01T00:00:00+00:00")
+    found = calibration_of_result(model, whole.state.progress, "2024-01-01T00:00:00+00:00")
     np.testing.assert_allclose(found.tare(model.hand), whole.peer.bias, atol=0.05)
     np.testing.assert_allclose(found.zero(model.hand) * model.space.spool, 0.3e-3, atol=1e-5)
 
@@ -264,7 +270,7 @@ def test_a_motor_that_turns_the_other_way_is_found(whole: Bench) -> None:
 
 @pytest.fixture
 def calibration(model: HandModel) -> Calibration:
-    return result(model, commissioned(model, good(model)), "2024-01-01T00:00:00+00:00")
+    return calibration_of_result(model, commissioned(model, good(model)), "2024-01-01T00:00:00+00:00")
 
 
 def test_the_file_is_read_back_as_it_was_written(model: HandModel, calibration: Calibration, tmp_path) -> None:  # type: ignore[no-untyped-def]
@@ -284,7 +290,7 @@ def test_a_calibration_of_another_hand_or_with_a_tendon_missing_is_refused(
     from handctl.session.calibration import write_calibration
 
     path = tmp_path / "c.toml"
-    found = result(jamia, commissioned(jamia, good(jamia)), "2024-01-01T00:00:00+00:00")
+    found = calibration_of_result(jamia, commissioned(jamia, good(jamia)), "2024-01-01T00:00:00+00:00")
     write_calibration(path, found)
     with pytest.raises(ConfigError, match="handctl commission again"):
         load_calibration(path, jamia11.hand)
@@ -300,7 +306,7 @@ def test_a_tare_that_hides_an_end_of_the_range_is_refused(jamia: HandModel, tmp_
     from handctl.session.calibration import write_calibration
 
     path = tmp_path / "c.toml"
-    write_calibration(path, result(jamia, commissioned(jamia, good(jamia)), "2024-01-01T00:00:00+00:00"))
+    write_calibration(path, calibration_of_result(jamia, commissioned(jamia, good(jamia)), "2024-01-01T00:00:00+00:00"))
     path.write_text(re.sub(r"tare_N = .*", f"tare_N = {tare}", path.read_text(), count=1))
     if right:
         assert load_calibration(path, jamia.hand).tare(jamia.hand)[0] == float(tare)

@@ -234,7 +234,7 @@ def test_with_perfect_knowledge_the_tension_is_held(model: HandModel) -> None:
     assert peak < 32.0
 
 
-def test_arguments_are_left_alone(model: HandModel) -> None:
+def test_arguments_are_not_changed(model: HandModel) -> None:
     estimate, state = known(model, at_rest(model, 0.5)), LawState.initial(model.tendon_count)
     before = [getattr(estimate, name).copy() for name in Estimate._fields]
     first = step(model, state, estimate, holding(model, 20.0), 0.0)
@@ -257,7 +257,7 @@ def test_a_goal_without_its_numbers_is_limp(jamia: HandModel, kind: Kind) -> Non
     assert not state.view("torque").any(), "whatever was there before"
 
 
-def test_what_is_not_made_up_for_leaves_feedback_on_a_taut_tendon(model: HandModel) -> None:
+def test_motion_without_feedforward_has_only_feedback(model: HandModel) -> None:
     """The steps of an ablation: no torque of the digits, no inertia, no friction, no force loop."""
     none = {"inertia_share": 0.0, "friction_share": 0.0, "disturbance_rejection": 0.0, "tension_feedback": 0.0}
     gains = Gains(motion=MotionGains(**none))

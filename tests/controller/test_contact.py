@@ -11,7 +11,7 @@ import pytest
 
 from handctl.controller.state import State
 from handctl.core import constants as h
-from handctl.core.estimation.contact import DRIFT_S, USUAL_S
+from handctl.core.estimation.contact import DRIFT_S, MEAN_S
 from handctl.core.model import HandModel
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
@@ -75,14 +75,14 @@ def free_motion(hand: str, seconds: float, seed: int, folder: Path) -> int:
 
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
-def test_nothing_is_found_where_there_is_nothing(hand: str, tmp_path: Path) -> None:
+def test_free_motion_has_no_contact(hand: str, tmp_path: Path) -> None:
     assert free_motion(hand, 4.0, 0, tmp_path) == 0
 
 
 @pytest.mark.nightly
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
-def test_nothing_is_found_in_ten_minutes(hand: str, tmp_path: Path) -> None:
+def test_ten_minutes_of_free_motion_have_no_contact(hand: str, tmp_path: Path) -> None:
     alarms = [free_motion(hand, 60.0, seed, tmp_path) for seed in range(10)]
     assert alarms == [0] * 10
 
@@ -108,7 +108,7 @@ def test_a_force_that_was_below_zero_all_along_counts_from_there(jamia: HandMode
         assert state.view("grown")[0] == pytest.approx(counts)
 
 
-def test_what_is_felt_in_all_closing_does_not_count(jamia: HandModel) -> None:
+def test_drift_of_all_closing_digits_is_no_contact_force(jamia: HandModel) -> None:
     """A load cell that has drifted by half a newton in half a minute."""
     for drift, counts in ((0.2, 0.15), (-0.2, 0.35)):
         state = feel(jamia, 0.35, felt=0.35, usual=0.2, drift=drift)
@@ -117,9 +117,9 @@ def test_what_is_felt_in_all_closing_does_not_count(jamia: HandModel) -> None:
 
 def test_a_mean_follows_in_its_time_while_a_digit_closes(jamia: HandModel) -> None:
     """What is felt of the others is forgotten, the drift of their load cells aside."""
-    state = feel(jamia, 0.0, round(USUAL_S / jamia.period), felt=0.0, usual=-0.3, drift=-0.3)
+    state = feel(jamia, 0.0, round(MEAN_S / jamia.period), felt=0.0, usual=-0.3, drift=-0.3)
     assert state.view("usual")[0] == pytest.approx(-0.3 * math.exp(-1.0), rel=1e-6)
-    assert state.view("drift")[0] == pytest.approx(-0.3 * math.exp(-USUAL_S / DRIFT_S), rel=1e-6)
+    assert state.view("drift")[0] == pytest.approx(-0.3 * math.exp(-MEAN_S / DRIFT_S), rel=1e-6)
     assert np.isnan(state.view("usual")[1:]).all()
     assert (state.view("drift")[1:] == -0.3).all()
     assert not state.view("felt")[1:].any()

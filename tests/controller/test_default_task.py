@@ -7,7 +7,7 @@ import pytest
 
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
-from handctl.hand.load import hand_content, hand_from, load_hand, packaged_hands
+from handctl.hand.load import hand_content, hand_from_content, load_hand, packaged_hands
 from handctl.hand.readiness import coordinate_range_deg
 from handctl.programs.default_task import default_scene, default_task, grasp_warnings
 from handctl.programs.task import Close, Hold, load_task
@@ -47,7 +47,7 @@ def test_a_sideways_joint_stays_in_the_middle_and_an_extensor_only_taut() -> Non
     arms = {"thumb_j1": -0.003, "thumb_j2": -0.003}
     content["motor"].append(motor)
     content["tendon"].append({**content["tendon"][-1], "name": "thumb_ext", "motor": "thumb_m3", "moment_arm_m": arms})
-    task, _ = default_task(hand_from(content, "an extensor"))
+    task, _ = default_task(hand_from_content(content, "an extensor"))
     close, hold = task.phase[1], task.phase[2]
     assert isinstance(close, Close)
     assert isinstance(hold, Hold)
@@ -85,7 +85,7 @@ def around_a_circle() -> Hand:
         angle = 2.0 * np.pi * number / 3.0
         digit["mount_position_m"] = [0.0, 0.04 * np.cos(angle), 0.04 * np.sin(angle)]
         digit["mount_rpy_deg"] = [180.0 + np.degrees(angle) - 360.0 * (number > 1), 0.0, 0.0]
-    return hand_from(content, "around a circle")
+    return hand_from_content(content, "around a circle")
 
 
 def test_fingers_around_a_circle_press_alike_and_take_a_ball() -> None:
@@ -101,7 +101,7 @@ def test_fingers_around_a_circle_press_alike_and_take_a_ball() -> None:
 def test_digits_of_one_side_are_said_to_lift_nothing() -> None:
     content = hand_content("t42")
     content["digit"][1]["mount_rpy_deg"] = [180.0, 0.0, 0.0]
-    assert "no digit closes against another" in grasp_warnings(hand_from(content, "one-sided"))[0]
+    assert "no digit closes against another" in grasp_warnings(hand_from_content(content, "one-sided"))[0]
 
 
 def test_a_hand_that_holds_with_its_palm_takes_the_small_cylinder() -> None:

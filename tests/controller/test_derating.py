@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from handctl.campaign.scenarios import GRASP
-from handctl.campaign.stage import advance_to, hand_in, started
+from handctl.campaign.stage import advance_to, hand_with_protocol, homed_run
 from handctl.controller.state import State
 from handctl.core import block as s
 from handctl.core import stages
-from handctl.core.law.computed_torque import HELD_MARGIN_N
+from handctl.core.law.computed_torque import HOLD_MARGIN_N
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.safety.action import Action
@@ -69,7 +69,7 @@ def test_where_time_stands_still_the_goal_has_no_speed(jamia: HandModel) -> None
 @pytest.fixture(scope="module")
 def course():
     """A hand of MIT drives that holds a cylinder."""
-    with started(hand_in("jamia", "mit"), 250.0, 0) as begun:
+    with homed_run(hand_with_protocol("jamia", "mit"), 250.0, 0) as begun:
         advance_to(begun, GRASP)
         yield begun
 
@@ -99,12 +99,12 @@ def test_while_safety_holds_no_tension_grows(course) -> None:
         after = before.copy()
         after.mode = mode
         after.view("tension")[...] = tension
-        stages.refer(after.block, after.layout.places, *controller._constants, int(action))
+        stages.evaluate_goals(after.block, after.layout.places, *controller._constants, int(action))
         return after
 
     held = restrained(state, Action.HOLD, tension)
     assert held.whole(s.HOLDING)
-    assert held.view("limit_held") == pytest.approx(np.maximum(tension, 5.0) + HELD_MARGIN_N)
+    assert held.view("limit_held") == pytest.approx(np.maximum(tension, 5.0) + HOLD_MARGIN_N)
     again = restrained(held, Action.HOLD, tension + 50.0)
     np.testing.assert_array_equal(again.view("limit_held"), held.view("limit_held"))
     assert (limit_of(controller.model, again) <= held.view("limit_held")).all()

@@ -36,7 +36,7 @@ def test_a_lost_frame_of_one_tendon_leaves_the_others_alone(model: HandModel) ->
     assert not changed[[i for i in range(len(x)) if not tendons.start <= i < tendons.stop]].any()
 
 
-def test_it_starts_when_every_encoder_has_been_read(model: HandModel) -> None:
+def test_filter_starts_when_every_encoder_was_read(model: HandModel) -> None:
     n = model.tendon_count
     travel, cell = np.linspace(-3e-3, 2e-3, n), np.zeros(n)
     state, estimate = step(model, FilterState.initial(n), readings_of(model, travel, cell), cell, nowhere(model))
@@ -153,7 +153,7 @@ def test_contact_holds_a_digit_without_a_jump(model: HandModel) -> None:
     assert n == len(after.tension)
 
 
-def test_what_an_object_takes_is_called_external(model: HandModel) -> None:
+def test_load_of_an_object_is_external_tension(model: HandModel) -> None:
     """A held digit pulled with more than its springs ask: the rest is contact."""
     x, _ = resting(model, 20.0, 0.7)
     n = model.tendon_count
@@ -195,7 +195,7 @@ def excursion_of(model: HandModel, joints: np.ndarray) -> np.ndarray:
     state.mode = Mode.SILENT
     state.view("joint_fresh")[...] = ~np.isnan(joints)
     state.view("joint_angle")[...] = joints
-    stages.observe(state.block, state.layout.places, *constants(model))
+    stages.observe_tick(state.block, state.layout.places, *constants(model))
     return state.view("measured_excursion")
 
 

@@ -6,13 +6,13 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from handctl.core.block import tables
+from handctl.core.block import state_tables
 from handctl.core.constants import constant_tables
 from handctl.core.estimation.filter_stack import MEASUREMENTS, STATES, E, Regime, S, V, X
-from handctl.core.estimation.kalman import _missing
+from handctl.core.estimation.kalman import _is_measurement_missing
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
-from handctl.hand.load import hand_content, hand_from
+from handctl.hand.load import hand_content, hand_from_content
 from tests.controller.filter_runs import all_in, corrected, nowhere, parts, readings, resting, step, tick
 from tests.controller.oracle import (
     SCALE,
@@ -31,7 +31,7 @@ def plain_hand(name: str, rate_hz: float) -> HandModel:
     content["mount"]["gravity_m_s2"] = [0.0, 0.0, 0.0]
     for tendon in content["tendon"]:
         tendon["friction_coefficient"] = 0.0
-    return HandModel.of(hand_from(content, "plain"), Gains(), rate_hz)
+    return HandModel.of(hand_from_content(content, "plain"), Gains(), rate_hz)
 
 
 @pytest.fixture(scope="module")
@@ -167,15 +167,17 @@ def test_the_covariance_is_carried_along_only_until_it_is_steady_again(model: Ha
     (None, Regime.FREE, False), (0, Regime.FREE, True), (1, Regime.FREE, True), (2, Regime.FREE, False),
     (0, Regime.SLACK, True), (1, Regime.SLACK, False), (1, Regime.HELD, True),
 ])  # fmt: skip
-def test_what_is_missing(model: HandModel, column: int | None, regime: Regime, counts: bool) -> None:
+def test_missing_measurement_is_detected_in_each_regime(
+    model: HandModel, column: int | None, regime: Regime, counts: bool
+) -> None:
     """Joint encoders are read when they come; the load cell of a loose rope says nothing of its tendon."""
     z = np.arange(3.0 * model.tendon_count).reshape(-1, 3)
     if column is not None:
         z[-1, column] = np.nan
     state = blank(model)
     state.view("regime")[-1] = regime
-    x = interpreted(tables)(state.block, state.layout.places)
-    assert interpreted(_missing)(x, interpreted(constant_tables)(*constants(model)), z) is counts
+    x = interpreted(state_tables)(state.block, state.layout.places)
+    assert interpreted(_is_measurement_missing)(x, interpreted(constant_tables)(*constants(model)), z) is counts
 
 
 def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: HandModel) -> None:
@@ -245,7 +247,7 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(model: HandModel, regim
 
 
 @pytest.mark.parametrize(("missed", "predicted_s"), [(1, None), (4, None), (10_000, 0.05)])
-def test_over_ticks_that_were_skipped_less_is_known(model: HandModel, missed: int, predicted_s: float | None) -> None:
+def test_covariance_grows_over_skipped_ticks(model: HandModel, missed: int, predicted_s: float | None) -> None:
     """For as long as the motors are known to hold what they were told."""
     x, force = resting(model, 25.0, 0.6)
     measured, none = readings(model, x, force), np.zeros(model.tendon_count)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from handctl.core.estimation.doubts import notes
+from handctl.core.estimation.doubts import consistency_events
 from handctl.core.estimation.filter_stack import STATES, E, Regime, S, V, X
-from handctl.core.estimation.kalman import DOUBT_S, LOOSE_M
+from handctl.core.estimation.kalman import DOUBT_S, SLACK_LENGTH_M
 from handctl.core.model import HandModel
 from handctl.core.types import Event
 from tests.controller.filter_runs import FilterState, parts, state_of, tick
@@ -42,7 +42,7 @@ class Held:
         return self
 
 
-def test_a_single_absurd_sample_is_left_out(model: HandModel) -> None:
+def test_single_outlier_is_rejected(model: HandModel) -> None:
     quiet, hit = Held(model).settled(), Held(model).settled()
     before = quiet.sample(TENSION).tension
     after = hit.sample(TENSION + 60.0)
@@ -52,7 +52,7 @@ def test_a_single_absurd_sample_is_left_out(model: HandModel) -> None:
 
 
 @pytest.mark.parametrize("jump", [-8.0, 6.0, 30.0])
-def test_two_in_a_row_are_believed(model: HandModel, jump: float) -> None:
+def test_two_outliers_in_a_row_are_accepted(model: HandModel, jump: float) -> None:
     """An impact is no outlier: the second sample is followed at once."""
     hand = Held(model).settled()
     hand.sample(TENSION + jump)
@@ -61,7 +61,7 @@ def test_two_in_a_row_are_believed(model: HandModel, jump: float) -> None:
     assert abs(estimate.tension[1] - TENSION) < 0.1, "the others are left alone"
 
 
-def test_two_on_either_side_are_not(model: HandModel) -> None:
+def test_two_outliers_on_opposite_sides_are_rejected(model: HandModel) -> None:
     hand = Held(model).settled()
     for k in range(6):
         estimate = hand.sample(TENSION + (-1) ** k * 30.0)
@@ -96,14 +96,14 @@ def rest(hand: Held, error: float, loose: float, seconds: float) -> Estimate:
 
 def test_a_slack_tendon_reveals_the_error_of_its_load_cell(model: HandModel) -> None:
     hand = Held(model)
-    told = rest(hand, 0.8, 2 * LOOSE_M, 2.0)
+    told = rest(hand, 0.8, 2 * SLACK_LENGTH_M, 2.0)
     np.testing.assert_allclose(told.cell_error, [0.8] + [0.0] * (model.tendon_count - 1), atol=0.02)
     np.testing.assert_allclose(told.tension, 0.0, atol=1e-9)
     assert hand.state.regimes == (Regime.SLACK,) * model.tendon_count
 
 
 def test_a_hardly_slack_tendon_does_not_update_the_cell_error(model: HandModel) -> None:
-    assert not rest(Held(model), 0.8, 0.5 * LOOSE_M, 1.0).cell_error.any()
+    assert not rest(Held(model), 0.8, 0.5 * SLACK_LENGTH_M, 1.0).cell_error.any()
 
 
 def test_the_error_stays_as_it_is_while_the_tendon_is_taut(model: HandModel) -> None:
@@ -123,13 +123,13 @@ def test_a_model_that_does_not_fit_is_reported_once(model: HandModel) -> None:
     for k in range(round(3 * DOUBT_S / model.period)):
         before = hand.state
         hand.sample(TENSION, travel=4e-5 * (-1) ** k)
-        told += notes(model, state_of(model, before), state_of(model, hand.state))
+        told += consistency_events(model, state_of(model, before), state_of(model, hand.state))
     assert sorted(event.where for event in told) == sorted(names), "every tendon, each once"
     assert {event.level for event in told} == {"warn"}
     for _ in range(round(5 * DOUBT_S / model.period)):
         before = hand.state
         hand.sample(TENSION)
-        told += notes(model, state_of(model, before), state_of(model, hand.state))
+        told += consistency_events(model, state_of(model, before), state_of(model, hand.state))
     assert [event.level for event in told].count("info") == len(names)
     assert len(told) == 2 * len(names)
 

@@ -3,39 +3,39 @@
 import numpy as np
 import pytest
 
-from handctl.core.block import tables
+from handctl.core.block import state_tables
 from handctl.core.estimation.filter_stack import STATES, O, Regime, S, W, X
 from handctl.core.estimation.kalman import (
-    LOOSE_M,
+    SLACK_LENGTH_M,
     STOP_BAND_REST_M,
     STOP_BAND_STAY_M,
     STOP_PULL_REST,
     STOP_PULL_STAY,
-    _at_stop,
-    _usable,
+    _is_at_stop,
+    _usable_measurements,
 )
 from handctl.core.estimation.take_up import (
-    LIKELY,
     LIKELY_ABOVE_N,
     NEAR_FACTOR,
     NEAR_M,
-    POSSIBLE,
+    POINTS_AT_ONCE,
+    POINTS_LIKELY,
+    POINTS_OF_TAUT,
+    POINTS_POSSIBLE,
     POSSIBLE_ABOVE_N,
     TAUT_ABOVE_N,
-    TAUT_AT_ONCE,
-    TAUT_POINTS,
 )
 from handctl.core.model import HandModel
 from tests.controller.filter_runs import FilterState, corrected, read, state_of, step, taken
 from tests.controller.synthetic import Estimate, Readings, interpreted, nothing_read
 
-EVIDENCE = ((TAUT_ABOVE_N, TAUT_AT_ONCE), (LIKELY_ABOVE_N, LIKELY), (POSSIBLE_ABOVE_N, POSSIBLE))
+EVIDENCE = ((TAUT_ABOVE_N, POINTS_AT_ONCE), (LIKELY_ABOVE_N, POINTS_LIKELY), (POSSIBLE_ABOVE_N, POINTS_POSSIBLE))
 
 
 @pytest.mark.parametrize("was", [False, True])
 def test_a_digit_is_on_its_stop_below_its_limits_and_not_at_them(was: bool) -> None:
     band, most = (STOP_BAND_STAY_M, 10.0 * STOP_PULL_STAY) if was else (STOP_BAND_REST_M, 10.0 * STOP_PULL_REST)
-    at_stop = interpreted(_at_stop)
+    at_stop = interpreted(_is_at_stop)
     assert at_stop(was, np.nextafter(band, 0.0), np.nextafter(most, 0.0), 10.0)
     assert not at_stop(was, band, 0.0, 10.0)
     assert not at_stop(was, 0.0, most, 10.0)
@@ -58,7 +58,7 @@ def unexplained(model: HandModel, regime: Regime, rate: float) -> np.ndarray:
     return corrected(model, state._replace(x=x.ravel()), nothing_read(model)).view("external")
 
 
-def test_what_a_moving_digit_s_damping_takes_is_no_contact(model: HandModel) -> None:
+def test_damping_of_a_moving_digit_is_no_contact(model: HandModel) -> None:
     still, moves = (unexplained(model, Regime.FREE, rate) for rate in (0.0, 0.05))
     np.testing.assert_allclose(moves - still, -0.05 * model.space.load_damping, rtol=1e-9)
     assert still.all(), "20 N are more than springs ask here"
@@ -72,7 +72,7 @@ def used(model: HandModel, state: FilterState, measured: Readings) -> np.ndarray
     """The measurements (N, 3) that the filter uses, NaN where none."""
     run = state_of(model, state)
     read(run, measured)
-    return interpreted(_usable)(interpreted(tables)(run.block, run.layout.places))
+    return interpreted(_usable_measurements)(interpreted(state_tables)(run.block, run.layout.places))
 
 
 @pytest.mark.parametrize(("x", "s", "o"), [(-3e-4, 0.0, 0.0), (-1e-4, 3e-4, 0.0), (-1e-4, 0.0, 3e-4)])
@@ -82,7 +82,7 @@ def test_a_tendon_hangs_loose_by_what_its_spool_is_short_of_its_digit(
     """Its load cell then shows its error; of a rope that is nearly taut nobody knows."""
     n = model.tendon_count
     measured = nothing_read(model)._replace(travel=np.zeros(n), tension=np.full(n, 0.3))
-    for more, usable in ((0.0, True), (LOOSE_M + 1e-5, False)):
+    for more, usable in ((0.0, True), (SLACK_LENGTH_M + 1e-5, False)):
         state = filtered(model, Regime.SLACK, X=x + more, S=s, O=o)._replace(measured=(True,) * n)
         assert np.isfinite(used(model, state, measured)[:, 1]).all() == usable
     state = filtered(model, Regime.SLACK, X=x, S=s, O=o)
@@ -102,7 +102,7 @@ def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
 ) -> None:
     """If its length is known from a take-up; the count then begins anew."""
     n = model.tendon_count
-    above = next(above for above, worth in EVIDENCE if worth * NEAR_FACTOR >= TAUT_POINTS > worth)
+    above = next(above for above, worth in EVIDENCE if worth * NEAR_FACTOR >= POINTS_OF_TAUT > worth)
     state = filtered(model, Regime.SLACK, X=2e-3 - hangs_m, S=2e-3)._replace(measured=(known,) * n)
     after = judged(model, state, above + 1e-6)
     assert after.regimes == ((Regime.FREE if turns else Regime.SLACK),) * n
@@ -113,7 +113,7 @@ def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
 def test_a_tendon_that_became_taut_has_a_known_length(model: HandModel) -> None:
     n = model.tendon_count
     state = filtered(model, Regime.SLACK, S=2e-3)
-    for _ in range(TAUT_POINTS):
+    for _ in range(POINTS_OF_TAUT):
         state = judged(model, state, EVIDENCE[0][0] + 1.0)
     assert (state.regimes, state.measured) == ((Regime.FREE,) * n, (True,) * n)
 

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from handctl.compiled import kernel
-from handctl.core.block import tables
+from handctl.core.block import state_tables
 from handctl.core.constants import constant_tables
 from handctl.core.estimation import kalman
 from handctl.core.estimation.filter_stack import STATES, Regime
-from handctl.core.estimation.kalman import WARY_ABOVE, WARY_FOR_S, WARY_HAND, WARY_S
+from handctl.core.estimation.kalman import ADAPTED_NOISE_S, NOISE_NIS_LIMIT, NOISE_NIS_LIMIT_OF_HAND, NOISE_NIS_S
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.core.schema import Block, Places
-from handctl.document import validated
+from handctl.document import validate_content
 from handctl.hand.load import load_hand
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
@@ -40,7 +40,7 @@ seeds = pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.
 
 def moved(hand: str, friction: float, seed: int, folder: Path) -> PlantRun:
     """A hand that closes and opens, with friction that is so many times the hand file's."""
-    program = TaskProgram(validated(MOVES, Task, "moves"))
+    program = TaskProgram(validate_content(MOVES, Task, "moves"))
     return run_on_plant(hand, program, None, folder, 3.0, seed, friction=friction)
 
 
@@ -57,7 +57,9 @@ def errors(run: PlantRun) -> tuple[float, float]:
 @seeds
 @pytest.mark.parametrize("friction", FRICTION)
 @pytest.mark.parametrize("hand", HANDS)
-def test_no_worse_than_the_raw_cell(hand: str, friction: float, seed: int, tmp_path: Path) -> None:
+def test_estimate_is_no_worse_than_the_raw_load_cell_with_wrong_friction(
+    hand: str, friction: float, seed: int, tmp_path: Path
+) -> None:
     """Move freely, with reversals; plants as told (1.0) and not."""
     estimate, cell = errors(moved(hand, friction, seed, tmp_path))
     assert estimate < cell, f"{estimate:.3f} N, the cell {cell:.3f} N"
@@ -70,7 +72,7 @@ def test_warning_keeps_to_the_undoubted_model(hand: str) -> None:
     x, force = resting(model, 20.0, 0.5)
     read = readings(model, x, np.full(model.tendon_count, 21.0))
     sure = all_in(model, Regime.FREE, x)
-    doubting = sure._replace(wary=np.full(model.tendon_count, WARY_FOR_S))
+    doubting = sure._replace(wary=np.full(model.tendon_count, ADAPTED_NOISE_S))
     (after, estimate), (after_doubt, estimate_doubt) = (
         step(model, state, read, force, nowhere(model)) for state in (sure, doubting)
     )
@@ -83,7 +85,7 @@ def test_warning_keeps_to_the_undoubted_model(hand: str) -> None:
 
 @kernel("block", "layout", "constants", "layout", "matrix", "matrix")
 def _judge(block: Block, at: Places, of: Block, of_at: Places, innovation: np.ndarray, information: np.ndarray) -> None:
-    kalman._judge_innovation(tables(block, at), constant_tables(of, of_at), innovation, information, True)
+    kalman._judge_consistency(state_tables(block, at), constant_tables(of, of_at), innovation, information, True)
 
 
 def caution(model: HandModel, lately: np.ndarray, wary: np.ndarray, nis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -106,11 +108,14 @@ def test_a_slow_loop_does_not_adapt() -> None:
 def test_one_tendon_or_all_raise_doubt(jamia11: HandModel) -> None:
     """One far off doubts itself; all a little off doubt each other; none does for a single sample."""
     period, usual, none = jamia11.period, np.full(11, 2.0), np.zeros(11)
-    for odd, all_of_them in ((np.array([2 * WARY_ABOVE, *[1.5] * 10]), False), (np.full(11, WARY_HAND + 0.3), True)):
+    for odd, all_of_them in (
+        (np.array([2 * NOISE_NIS_LIMIT, *[1.5] * 10]), False),
+        (np.full(11, NOISE_NIS_LIMIT_OF_HAND + 0.3), True),
+    ):
         lately, wary = usual, none
-        for _ in range(round(5 * WARY_S / period)):
+        for _ in range(round(5 * NOISE_NIS_S / period)):
             lately, wary = caution(jamia11, lately, wary, odd)
-        assert wary[0] == WARY_FOR_S
+        assert wary[0] == ADAPTED_NOISE_S
         assert bool(wary[1:].any()) == all_of_them
     nis = np.array([1e6, *[2.0] * 10])
     assert not caution(jamia11, usual, none, nis)[1][1:].any()
@@ -127,10 +132,10 @@ def test_doubt_ends_and_missing_samples_say_nothing(jamia11: HandModel) -> None:
     assert not wary.any()
     state = blank(jamia11)
     state.view("regime")[...] = regimes = np.arange(n) % len(Regime)
-    x = interpreted(tables)(state.block, state.layout.places)
-    assert [interpreted(kalman.kind_of)(x, i) for i in range(n)] == regimes.tolist()
+    x = interpreted(state_tables)(state.block, state.layout.places)
+    assert [interpreted(kalman.filter_kind)(x, i) for i in range(n)] == regimes.tolist()
     state.view("wary")[...] = 1e-9
-    assert [interpreted(kalman.kind_of)(x, i) for i in range(n)] == (regimes + len(Regime)).tolist()
+    assert [interpreted(kalman.filter_kind)(x, i) for i in range(n)] == (regimes + len(Regime)).tolist()
 
 
 @pytest.mark.parametrize("hand", HANDS)

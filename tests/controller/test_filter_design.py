@@ -8,7 +8,7 @@ import pytest
 
 from handctl.core import constants as h
 from handctl.core.estimation.filter_design import design_filter
-from handctl.core.estimation.filter_stack import KEPT, STATES, E, FilterDesign, O, Regime, S, X
+from handctl.core.estimation.filter_stack import STATES, TRANSITION_CACHE_SIZE, E, FilterDesign, O, Regime, S, X
 from handctl.core.gains.gains import FilterGains, Gains
 from handctl.core.model import HandModel, _joint_period
 from handctl.hand.load import load_hand
@@ -127,9 +127,11 @@ def test_the_constants_of_the_kernels_are_the_blocks(model: HandModel) -> None:
 
 def test_a_hand_that_chatters_for_days_fills_no_memory(jamia: HandModel) -> None:
     design = FilterDesign(jamia.filter.blocks * 2)
-    kinds = [np.array(each) for each in itertools.islice(itertools.product(range(3), repeat=8), 2 * KEPT)]
+    kinds = [
+        np.array(each) for each in itertools.islice(itertools.product(range(3), repeat=8), 2 * TRANSITION_CACHE_SIZE)
+    ]
     kept = [weakref.ref(design.transition(each.tobytes()).F) for each in kinds]
-    assert sum(F() is not None for F in kept) <= KEPT
+    assert sum(F() is not None for F in kept) <= TRANSITION_CACHE_SIZE
     last = kinds[-1].tobytes()
     assert design.transition(last) is design.transition(last)
 

@@ -87,7 +87,7 @@ def test_radians_are_not_degrees(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("gap", [5e-324, 1e-310, 1e-160, 1e-5])
-def test_times_too_close_for_numbers_are_no_way_around_the_speed_limit(gap, recwarn):
+def test_very_close_times_do_not_bypass_the_speed_limit(gap, recwarn):
     """The spline's coefficients overflow, and a speed that is no number is not below its limit."""
     angles = {"index": (0.0, 1.0, 0.0)}
     with pytest.raises(ValueError, match="at most 700 deg/s"):

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.core.law.friction_band import CREEP_SPEED, expected
+from handctl.core.law.friction_band import MIN_SLIDING_SPEED, tension_after_period
 from handctl.core.model import HandModel
-from handctl.document import validated
+from handctl.document import validate_content
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
 from tests.controller.goals import moving
@@ -22,11 +22,11 @@ TURN_S = 0.05
 def follow(model: HandModel, speeds: list[float], begin: float) -> np.ndarray:
     """(ticks, N) expected tensions of a rope that winds at these speeds, 12 N asked, a fifth lost to friction."""
     n = model.tendon_count
-    now, found, crept = [begin] * n, [], CREEP_SPEED * model.period
+    now, found, crept = [begin] * n, [], MIN_SLIDING_SPEED * model.period
     for speed in speeds:
         wound = speed * model.period
         now = [
-            interpreted(expected)(tension, 12.0, 0.8, wound, stiffness, crept)
+            interpreted(tension_after_period)(tension, 12.0, 0.8, wound, stiffness, crept)
             for tension, stiffness in zip(now, model.space.stiffness, strict=True)
         ]
         found.append(now)
@@ -38,7 +38,7 @@ def test_winding_and_paying_out_are_the_edges_of_the_band(model: HandModel) -> N
     np.testing.assert_allclose(follow(model, [-0.1] * 50, 12.0)[-1], 12.0 * 0.8)
 
 
-def test_a_turn_takes_the_way_that_the_tendon_needs(model: HandModel) -> None:
+def test_reversal_takes_the_travel_of_the_friction_band(model: HandModel) -> None:
     """From 15 to 9.6 N at 100 N a millimetre and 5 mm/s: eleven milliseconds, creep a little less."""
     turned = follow(model, [-5e-3] * 40, 15.0)
     ticks = int(np.argmax(turned[:, 0] <= 9.6 + 1e-9)) + 1
@@ -47,7 +47,7 @@ def test_a_turn_takes_the_way_that_the_tendon_needs(model: HandModel) -> None:
     assert (np.diff(turned, axis=0) <= 0.0).all(), "and never back"
 
 
-def test_at_rest_friction_bears_nothing_in_the_end(model: HandModel) -> None:
+def test_expected_tension_at_rest_approaches_the_load(model: HandModel) -> None:
     rest = follow(model, [0.0] * round(0.5 / model.period), 15.0)
     np.testing.assert_allclose(rest[-1], 12.0, atol=0.01)
 
@@ -63,7 +63,7 @@ def test_a_tendon_with_almost_no_expected_tension_pays_out(model: HandModel) -> 
 def test_where_a_free_digit_turns_the_estimate_is_better_than_the_cell(hand: str, tmp_path: Path) -> None:
     angles = (40.0, 15.0, 45.0, 10.0, 35.0, 12.0)
     moves = [{"kind": "move", "angle_deg": {"index": a, "ring": a}, "duration_s": MOVE_S} for a in angles]
-    task = TaskProgram(validated({"schema": 1, "name": "turns", "phase": moves}, Task, "test"))
+    task = TaskProgram(validate_content({"schema": 1, "name": "turns", "phase": moves}, Task, "test"))
     run = run_on_plant(hand, task, None, tmp_path, 4.5)
     starts = [t for t, event in run.events if event.name == "phase" and event.text == "move"][1:]
     assert len(starts) == len(angles) - 1

@@ -27,7 +27,7 @@ def commanded(model: HandModel, before: State, angle: float, there: float | Vect
     state = before.copy()
     state.view("q_goal")[...] = angle
     state.view("excursion")[...] = there
-    stages.remember(state.block, state.layout.places, *constants(model))
+    stages.store_commands(state.block, state.layout.places, *constants(model))
     return state
 
 
@@ -40,7 +40,7 @@ def goal_away(state: State) -> np.ndarray:
     return np.abs(goal(state) - state.view("motor_anchor")[0])
 
 
-def test_what_safety_takes_for_the_goal_goes_where_a_motor_can_follow(jamia: HandModel) -> None:
+def test_filtered_goal_moves_as_fast_as_a_motor(jamia: HandModel) -> None:
     arms, armed = arms_of(jamia), lasting(jamia, np.nan, 1)
 
     def goals(angle: float, ticks: int, state: State = armed) -> State:
@@ -72,7 +72,7 @@ def test_a_goal_that_went_ahead_while_the_motor_moved_is_no_reason_to_move_on(ja
     np.testing.assert_array_equal(goal(later), goal(then))
 
 
-def test_a_motor_that_rests_where_it_was_to_go_is_not_stuck(jamia: HandModel) -> None:
+def test_motor_at_rest_at_its_goal_is_not_stuck(jamia: HandModel) -> None:
     """A quick motion is over before what follows it slowly: that must not go on while the motor rightly stands."""
     arms = arms_of(jamia)
     there, lagging = arms * 0.4, lasting(jamia, arms * 0.2, 0)

@@ -143,7 +143,7 @@ def test_noise_that_makes_every_fifth_look_slack_delays_tightening_only(model: H
     assert run.t == pytest.approx(0.5, abs=8 * model.period)
 
 
-def test_what_is_slack_in_every_second_tick_is_never_tightened(model: HandModel, taut: Estimate) -> None:
+def test_tendon_slack_in_every_second_tick_never_counts_as_tight(model: HandModel, taut: Estimate) -> None:
     run = Run(model)
     run.until("tighten", taut)
     while not run.progress.finished:
@@ -214,7 +214,7 @@ def test_contact_is_a_force_at_the_tip_that_lasts(model: HandModel, taut: Estima
     assert {g.kind for i, g in enumerate(run.progress.goals) if i != index} == {Kind.MOTION}
 
 
-def test_the_tip_is_felt_as_it_is(model: HandModel) -> None:
+def test_tip_force_estimate_equals_the_applied_force(model: HandModel) -> None:
     """Tensions that balance a force at the tip are felt as that force, at any pose."""
     q, balance, forces = np.empty(len(model.hand.joints)), np.empty(model.tendon_count), []
     for d, digit in enumerate(model.digits):
@@ -253,7 +253,7 @@ def test_closing_on_nothing_ends_and_says_so(model: HandModel, taut: Estimate) -
     assert {goal.kind for goal in run.progress.goals} == {Kind.MOTION}
 
 
-def test_only_what_touches_and_is_named_holds(model: HandModel, taut: Estimate) -> None:
+def test_only_named_digits_in_contact_hold(model: HandModel, taut: Estimate) -> None:
     run = closing(model, taut)
     touch = touching(model, {"index": 12.0, "ring": 12.0})
     run.touch(touch)
@@ -302,7 +302,7 @@ def test_a_release_that_does_not_let_go_is_reported(model, taut, tension, settle
     assert warnings == ([("index", f"release: above 8 N after {took:g} s, and going on")] if told else [])
 
 
-def test_what_was_released_must_be_touched_anew_to_be_held(model: HandModel, taut: Estimate) -> None:
+def test_released_digit_needs_a_new_contact_to_hold(model: HandModel, taut: Estimate) -> None:
     close, hold, release = TASK["phase"][2:5]
     phases = [close, hold, release, {**close, "name": "again"}, {**hold, "name": "more"}]
     run = Run(model, {**TASK, "phase": phases})

@@ -1,13 +1,12 @@
 """Tasks and trajectories by joint: other joints stay where they are, and coupled joints need one angle."""
 
-
 from typing import Any
 
 import numpy as np
 import pytest
 
 from handctl.core.law.trajectory import Curve
-from handctl.document import validated
+from handctl.document import validate_content
 from handctl.errors import ConfigError
 from handctl.hand.digit import DigitModel
 from handctl.hand.load import load_hand
@@ -21,7 +20,7 @@ SETTLED_DEG = 2.0
 
 
 def task(*phases: dict[str, Any]) -> Task:
-    return validated({"schema": 1, "name": "t", "phase": list(phases)}, Task, "t")
+    return validate_content({"schema": 1, "name": "t", "phase": list(phases)}, Task, "t")
 
 
 def move(angles: dict[str, Any], seconds: float = 0.4) -> dict[str, Any]:
@@ -100,5 +99,3 @@ def test_a_curve_of_a_joint_is_checked_at_every_time() -> None:
     follow = {"kind": "follow", "time_s": (0.0, 1.0, 2.0), "angle_deg": {"index_j1": (0.0, 110.0, 0.0)}}
     with pytest.raises(ConfigError, match="110 deg for index_j1; expected 0 to 100 deg"):
         check_suits(task(follow), load_hand("jamia11"), "t")
-
-

@@ -36,9 +36,7 @@ def there(model: HandModel) -> Estimate:
     return known(model, at_rest(model, 0.42))
 
 
-def test_on_a_way_each_error_is_answered_with_its_gain(
-    model: HandModel, way: tuple[DigitGoal, ...], there: Estimate
-) -> None:
+def test_motion_feedback_applies_each_gain(model: HandModel, way: tuple[DigitGoal, ...], there: Estimate) -> None:
     space, gains, design = model.space, model.gains.motion, model.motion
     mass = space.motor_mass + space.load_mass
     before = force(model, there, way)
@@ -82,7 +80,7 @@ def test_an_idle_law_has_commanded_nothing(model: HandModel) -> None:
     state.set_whole(s.TRIMMED, 1)
     state.set_whole(s.HOLDING, 1)
     state.mode = Mode.READY
-    stages.act(state.block, state.layout.places, *constants(model), 0.0, 0, 1)
+    stages.compute_motor_torques(state.block, state.layout.places, *constants(model), 0.0, 0, 1)
     law, command = carried(state), command_of(state)
     np.testing.assert_array_equal(law.setpoint, tension)
     for part in law[1:5]:

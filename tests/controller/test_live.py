@@ -31,7 +31,7 @@ def live(model: HandModel, estimate: Estimate) -> tuple[LiveProgram, Progress]:
     return program, progress
 
 
-def test_a_move_and_a_hold(model: HandModel) -> None:
+def test_move_and_hold_requests_are_followed(model: HandModel) -> None:
     estimate = under(model, 5.0, 0.3)
     _, progress = live(model, estimate)
     names = model.hand.digit_names
@@ -130,7 +130,7 @@ def test_a_jog_keeps_its_goal_for_its_time(model: HandModel) -> None:
     assert not progress.failure
 
 
-def test_a_jog_that_cannot_be_fails(model: HandModel) -> None:
+def test_impossible_jog_fails(model: HandModel) -> None:
     estimate, jog, t = under(model, 5.0), JogProgram(asked('{"do": "move", "angle_deg": {"index": 101}}'), 0.5), 0.0  # type: ignore[arg-type]
     progress = jog.initial(model)
     while not progress.finished:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handctl.core.law.allocation import allocate
+from handctl.core.law.allocation import tensions_for_torque
 from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.model import HandModel
 from tests.controller.goals import moving
@@ -38,7 +38,7 @@ def by_digit(model: HandModel, way: np.ndarray) -> np.ndarray:
         own = digit.joints
         torque = np.array(model.inverse(digit, q[own], dq[own], ddq[own])) @ digit.coupling
         low, high = model.floor[tendons], model.ceiling[tendons]
-        found[tendons] = allocate(digit.reduced_moment_arms, torque, low, high)[0]
+        found[tendons] = tensions_for_torque(digit.reduced_moment_arms, torque, low, high)[0]
     return found
 
 
@@ -59,7 +59,7 @@ def test_a_load_is_what_each_digit_can_bear(hand: str, request: pytest.FixtureRe
     assert kinds >= {"some", "none"}
 
 
-def test_what_does_not_move_loads_nothing_that_does(jamia11: HandModel) -> None:
+def test_resting_digits_load_no_moving_digit(jamia11: HandModel) -> None:
     goals = ways(jamia11, 0.0, (0.5,) * 4)
     alone = (goals[0], *(replace(goal, kind=Kind.LIMP, trajectory=None) for goal in goals[1:]))
     way = way_of(jamia11, goals, 0.2)

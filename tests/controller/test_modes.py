@@ -74,7 +74,7 @@ def test_registers_are_written_before_any_torque(hand: Bench) -> None:
     assert all(motor.registers[23] == pytest.approx(0.8) for motor in hand.peer.motors), "torque limit"
 
 
-def test_without_a_wish_to_arm_it_waits(quick: HandModel) -> None:
+def test_hand_waits_without_an_arm_request(quick: HandModel) -> None:
     run = bench(quick, LiveProgram(), arm=False)
     run.until(Mode.READY)
     run.run(2.0)

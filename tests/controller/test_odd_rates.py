@@ -9,7 +9,7 @@ from handctl.controller.setup import make_controller
 from handctl.controller.tick import Controller
 from handctl.core.gains.gains import Gains
 from handctl.core.types import Event, Mode
-from handctl.document import validated
+from handctl.document import validate_content
 from handctl.hand.load import load_hand
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
@@ -33,7 +33,7 @@ WAY = {
 @cache
 def controller_at(hand: str, rate_hz: float) -> Controller:
     """A controller that moves every digit to and fro."""
-    program = TaskProgram(validated(WAY, Task, "test"))
+    program = TaskProgram(validate_content(WAY, Task, "test"))
     return make_controller(load_hand(hand), Gains(), rate_hz, program, None, arm_at_once=True)
 
 

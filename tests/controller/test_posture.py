@@ -12,14 +12,14 @@ from handctl.compiled import kernel
 from handctl.controller.state import State
 from handctl.core import block as s
 from handctl.core import constants as h
-from handctl.core.block import tables
+from handctl.core.block import state_tables
 from handctl.core.constants import constant_tables
 from handctl.core.estimation import posture
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.core.schema import Block, Places
 from handctl.core.types import Mode
-from handctl.hand.load import HANDS, load_hand
+from handctl.hand.load import PACKAGED_HANDS_FOLDER, load_hand
 from handctl.programs.grasp import TaskProgram
 from handctl.session.simulate import Simulator, homed_controller
 from handctl.session.tasks import find_task
@@ -44,7 +44,7 @@ class Seen(NamedTuple):
 
 
 def packaged(name: str) -> Path:
-    return HANDS / f"{name}.toml"
+    return PACKAGED_HANDS_FOLDER / f"{name}.toml"
 
 
 def with_encoders(folder: Path, joints: int | None = None) -> Path:
@@ -164,7 +164,7 @@ def test_the_deviation_grows_with_the_force_and_fades_after_it(model: HandModel)
 def _fuse(
     block: Block, at: Places, of: Block, of_at: Places, columns: np.ndarray, spread: np.ndarray, t_ns: int
 ) -> None:
-    posture._fuse(tables(block, at), constant_tables(of, of_at), columns, spread, t_ns)
+    posture._fuse_encoders(state_tables(block, at), constant_tables(of, of_at), columns, spread, t_ns)
 
 
 def fused(model: HandModel, state: State, columns: np.ndarray, spread: np.ndarray, t_ns: int) -> State:
@@ -214,7 +214,7 @@ def test_one_encoder_after_the_other_is_all_of_them_at_once(tmp_path: Path, seed
     moved = state.view("dq") * age
     digit = np.repeat(np.arange(len(model.digits)), [one.joint_count for one in model.digits])
     P = (columns.T @ columns + spread @ spread.T) * (digit[:, None] == digit)
-    R = np.diag(of.joint[h.ENCODER_VARIANCE, read] + (posture.ADVANCE_ERROR * moved[read]) ** 2)
+    R = np.diag(of.joint[h.ENCODER_VARIANCE, read] + (posture.RATE_ERROR_FRACTION * moved[read]) ** 2)
     H = np.eye(joints)[read]
     gain = np.linalg.solve(H @ P @ H.T + R, H @ P).T
     q = state.view("q") + gain @ (state.view("joint_angle") + moved - state.view("q"))[read]

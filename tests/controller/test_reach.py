@@ -30,13 +30,13 @@ def task(kind: str, angle: object, **more: object) -> Task:
         (ELEVEN, "move", {"ring": (10.0, 20.0, 120.0)}, "120 deg for ring; expected 0 to 100 deg"),
     ],
 )
-def test_what_no_joint_reaches_is_refused(hand, kind, angle, said):
+def test_angle_beyond_the_joint_range_is_refused(hand, kind, angle, said):
     with pytest.raises(ConfigError) as told:
         check_joint_range(task(kind, angle), hand, "t.toml")
     assert str(told.value) == f"t.toml: phase[0].angle_deg: {said}"
 
 
-def test_so_is_a_point_of_a_curve():
+def test_curve_point_beyond_the_joint_range_is_refused():
     curve = {"index": (0.0, 50.0, 100.1)}
     with pytest.raises(ConfigError, match=r"100\.1 deg for index"):
         check_joint_range(task("follow", curve, time_s=(0.0, 1.0, 2.0)), JAMIA, "t.toml")

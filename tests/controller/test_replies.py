@@ -55,7 +55,7 @@ def test_the_first_answer_to_the_first_question_is_no_surplus(silent: Bench) -> 
     assert not silent.tick().events
 
 
-def test_what_is_no_answer_does_not_make_a_duplicate_a_masquerade(run: Bench) -> None:
+def test_other_frames_do_not_make_a_duplicate_a_masquerade(run: Bench) -> None:
     """Of the frames of a motor only those count that were taken for feedback."""
     run.to_host = lambda frames: [*frames, *[f for f in frames if f.can_id == 0x11], Frame(0x11, bytes([0x12] * 8))]
     assert faults(run.tick()) == ["B05", "B09"]

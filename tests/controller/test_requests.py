@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handctl.programs.requests import Arm, Clear, Cut, HoldTension, MoveDigits, Stop, events_for_request, parse_request
-from handctl.runtime.mailbox import LARGEST
+from handctl.runtime.mailbox import MAX_REQUEST_BYTES
 
 GOOD = [
     ('{"do": "arm"}', Arm),
@@ -63,10 +63,10 @@ BAD = [
     '{"do": "stop"} {"do": "stop"}',
     '{"do": "move", "angle_deg": {"\\ud800": "x"}}',
     '{"do": "move", "angle_deg": {"\\u001b[2J\\n": "x"}}',
-    "[" * LARGEST,
-    '{"a":' * (LARGEST // 5),
+    "[" * MAX_REQUEST_BYTES,
+    '{"a":' * (MAX_REQUEST_BYTES // 5),
     '{"do": "move", "angle_deg": {"' + "x" * 4000 + '": "x"}}',
-    "9" * LARGEST,
+    "9" * MAX_REQUEST_BYTES,
 ]
 
 
@@ -107,7 +107,7 @@ def test_nothing_raises_and_every_number_is_finite(text: str) -> None:
         assert all(math.isfinite(value) for value in (*request.tension_N.values(), request.rate_N_per_s))
 
 
-def test_what_is_said_of_a_request_goes_up_to_the_next() -> None:
+def test_events_of_a_request_end_at_the_next_request() -> None:
     texts = ["asked: move", "refused: a", "asked: hold by b", "hold index 3", "more", "asked: move by c", "refused: c"]
     events = [{"name": "fault", "text": "T01"}, *({"name": "request", "text": text} for text in texts)]
     assert events_for_request("b", events) == ["hold index 3", "more"]
@@ -117,6 +117,6 @@ def test_what_is_said_of_a_request_goes_up_to_the_next() -> None:
 
 
 @pytest.mark.parametrize("by", ["a b", "x" * 41, "\n", "é!"])
-def test_who_asks_is_one_short_word(by: str) -> None:
+def test_sender_name_is_one_short_word(by: str) -> None:
     assert parse_request(json.dumps({"do": "stop", "by": "handctl-1.2_x"})) == Stop(do="stop", by="handctl-1.2_x")
     assert isinstance(parse_request(json.dumps({"do": "stop", "by": by})), str)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from handctl.core.law.computed_torque import TRIM_LEAST_N, TRIM_TIME_S
+from handctl.core.law.computed_torque import MIN_TRIM_N, TRIM_TIME_S
 from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.model import HandModel
 from tests.controller.goals import holding, moving
@@ -63,7 +63,7 @@ def test_a_trim_is_added_and_fades(jamia: HandModel, held: bool) -> None:
     np.testing.assert_allclose((command.torque - plain.torque) / jamia.space.spool, 2.0)
     assert law.trim is not None
     np.testing.assert_allclose(law.trim, 2.0 * np.exp(-jamia.period / TRIM_TIME_S), rtol=1e-3)
-    nearly = trimmed._replace(trim=np.full(jamia.tendon_count, TRIM_LEAST_N / 2))
+    nearly = trimmed._replace(trim=np.full(jamia.tendon_count, MIN_TRIM_N / 2))
     assert step(jamia, nearly, under(jamia, 20.0), asked, 0.0)[0].trim is None
 
 

@@ -11,9 +11,9 @@ from handctl.controller.retune import CACHE_SIZE, Designs
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
 from handctl.core import block as s
-from handctl.core.gains.bounds import bounds, checked, values_by_key, with_values
+from handctl.core.gains.bounds import bounds, checked_bound, values_by_key, with_values
 from handctl.core.gains.gains import Gains, TensionGains
-from handctl.core.gains.motion_design import design_motion, piece_count
+from handctl.core.gains.motion_design import design_motion, design_piece_count
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.errors import ConfigError
@@ -97,10 +97,10 @@ def test_a_hand_that_is_commissioned_keeps_its_gains(jamia: HandModel) -> None:
 
 def test_a_change_is_taken_over_when_every_piece_is_designed(holding: Bench, jamia: HandModel) -> None:
     outs = [holding.tick(change({"tension.force_N": 45.0}))]
-    outs += [holding.tick() for _ in range(piece_count(jamia.space) + 2)]
+    outs += [holding.tick() for _ in range(design_piece_count(jamia.space) + 2)]
     events = [[event for event in out.events if event.name == "gain"] for out in outs]
     at = [i for i, found in enumerate(events) if found]
-    assert at == [piece_count(jamia.space) - 1]
+    assert at == [design_piece_count(jamia.space) - 1]
     assert [(event.where, event.text) for event in events[at[0]]] == [("tension.force_N", "45.0")]
     assert holding.state.decisions.gains is not None
     assert holding.state.decisions.gains.tension.force_N == 45.0
@@ -141,7 +141,7 @@ def test_a_change_makes_no_step_in_torque(
     desk = desk_of(jamia)
     desk.tick(request_)
     desk.run(0.1)
-    for _ in range(piece_count(jamia.space) - 1):
+    for _ in range(design_piece_count(jamia.space) - 1):
         desk.tick(change(values)) if desk.state.decisions.pending is None else desk.tick()
     calls = recorded(monkeypatch)
     out = desk.tick()
@@ -212,7 +212,7 @@ def test_two_requests_add_up_and_the_way_back_is_open(holding: Bench, jamia: Han
         ({"tension.force_N": 30.0, "motion.force_N": -1.0}, "motion.force_N"),
     ],
 )
-def test_what_cannot_be_is_refused_in_one_line_and_changes_nothing(
+def test_impossible_gains_are_refused_in_one_line_without_effect(
     holding: Bench, values: dict[str, float], said: str
 ) -> None:
     out = holding.tick(change(values))
@@ -240,9 +240,9 @@ def test_every_key_has_bounds_and_its_default_is_within(jamia: HandModel) -> Non
     assert len(known) > 20
     for key, bound in known.items():
         assert np.isfinite([bound.low, bound.high]).all(), key
-        assert checked(key, bound.default, "test") is bound
+        assert checked_bound(key, bound.default, "test") is bound
         with pytest.raises(ConfigError):
-            checked(key, bound.high * 1.01, "test")
+            checked_bound(key, bound.high * 1.01, "test")
 
 
 @pytest.mark.parametrize("high", [False, True])

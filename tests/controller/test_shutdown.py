@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from handctl.campaign.stage import started
+from handctl.campaign.stage import homed_run
 from handctl.controller.shutdown import shutdown_step
 from handctl.core.types import Mode
 from handctl.drives.frame import Frame
@@ -16,9 +16,9 @@ PERIOD_NS = 2_000_000
 
 @pytest.mark.parametrize("broken", [False, True])
 @pytest.mark.parametrize("protocol", sorted(OPTIONS))
-def test_a_motor_is_off_when_it_says_so(protocol: str, broken: bool, tmp_path: Path) -> None:
+def test_shutdown_waits_until_each_motor_reports_off(protocol: str, broken: bool, tmp_path: Path) -> None:
     hand = load_hand(str(hand_file(tmp_path, [protocol])))
-    with started(hand, 500.0, 1) as course:
+    with homed_run(hand, 500.0, 1) as course:
         assert course.until(lambda out: out.mode == Mode.ACTIVE, 3.0), course.state.failure
         course.peer.step(course.k * PERIOD_NS, list(course.controller.cut_frames()))
         state, frames, enabled = shutdown_step(course.controller, course.state, course.k * PERIOD_NS, [])

@@ -12,7 +12,7 @@ from handctl.core.model import HandModel
 from handctl.core.types import Event
 from handctl.programs import grip
 from handctl.programs.grasp import TaskProgram
-from handctl.programs.grip import OPENING_M, Grip, GripPlan, hold
+from handctl.programs.grip import OPENING_M, Grip, GripPlan, advance_grip
 from handctl.programs.task import Task
 from tests.controller.plant_run import run_on_plant
 from tests.controller.synthetic import Estimate, blank, concluded, under
@@ -42,7 +42,7 @@ class Held:
             self.state.set_number(s.GRIP_READY, self.grip.ready)
             felt = concluded(self.model, self.state, estimate)
             self.t += self.model.period
-            self.grip, self.goals, events = hold(self.model, self.grip, self.plan, self.goals, felt, self.t)
+            self.grip, self.goals, events = advance_grip(self.model, self.grip, self.plan, self.goals, felt, self.t)
             self.events += events
 
     def moved(self, metres: float, digit: int = 0) -> Estimate:

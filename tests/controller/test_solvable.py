@@ -27,7 +27,7 @@ WEIGHTS = [key for key, bound in bounds().items() if bound.open_low and not key.
 
 
 @pytest.mark.parametrize("key", ODD)
-def test_a_value_that_no_solver_takes(key: str) -> None:
+def test_solver_failure_is_one_line(key: str) -> None:
     gains = with_values(Gains(), {key: ODD[key]}, "test")
     with pytest.raises(ConfigError, match=f"gains: {key.partition('.')[0]}: no controller follows"):
         HandModel.of(load_hand("jamia"), gains, 500.0)
@@ -35,7 +35,7 @@ def test_a_value_that_no_solver_takes(key: str) -> None:
 
 @settings(max_examples=12)
 @given(st.dictionaries(st.sampled_from(WEIGHTS), st.floats(-30.0, 0.0), min_size=1))
-def test_any_values_within_the_bounds(powers: dict[str, float]) -> None:
+def test_gains_within_bounds_are_designed_or_refused(powers: dict[str, float]) -> None:
     known = bounds()
     gains = with_values(Gains(), {key: known[key].high * math.exp(power) for key, power in powers.items()}, "test")
     with suppress(ConfigError):

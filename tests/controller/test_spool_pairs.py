@@ -11,27 +11,27 @@ import pytest
 from handctl.controller.setup import make_controller
 from handctl.core import block as s
 from handctl.core.estimate import Estimate, Measured
-from handctl.core.estimation.spool_pair import at_joint, at_spool
+from handctl.core.estimation.spool_pair import net_tension_at_joint, net_tension_at_spool
 from handctl.core.gains.gains import Gains
 from handctl.core.law.goal import DigitGoal, Kind
-from handctl.core.law.redundancy import sides
+from handctl.core.law.redundancy import tendon_directions
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
-from handctl.hand.load import examined, hand_content, hand_from, load_hand
-from handctl.hand.readiness import unready
+from handctl.hand.load import hand_content, hand_from_content, load_hand, validate_content
+from handctl.hand.readiness import reasons_not_ready
 from handctl.log.header import RunHeader
 from handctl.log.topics.message_streams import Registry
 from handctl.log.topics.state_topics import SPOOL_PAIRS, StateTopics
 from handctl.log.topics.topic_set import Topics
 from handctl.programs.calibration import Calibration
-from handctl.programs.commission import PULL_N, CommissionProgram, result
+from handctl.programs.commission import PULL_N, CommissionProgram, calibration_of_result
 from handctl.programs.default_task import default_task
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.program import Program, Progress, ProgressAndEvents
 from handctl.programs.task import Close, Hold, Task
-from handctl.session.calibration import homed
+from handctl.session.calibration import homed_calibration
 from handctl.session.simulate import SimulatedHand, Simulation, Simulator
 from tests.controller.synthetic import interpreted
 
@@ -53,9 +53,9 @@ def finger() -> Hand:
 def test_the_net_tension_is_the_difference_of_two_tensions_that_only_pull(seed: int) -> None:
     random = np.random.default_rng(seed)
     net, pretension = random.uniform(-60.0, 60.0), random.uniform(0.0, 20.0)
-    assert interpreted(at_joint)(net, pretension, 1.0) == pytest.approx(net)
+    assert interpreted(net_tension_at_joint)(net, pretension, 1.0) == pytest.approx(net)
     # With half of the first and twice of the second tendon's tension both are determined.
-    halved = interpreted(at_joint)(net, pretension, 0.5)
+    halved = interpreted(net_tension_at_joint)(net, pretension, 0.5)
     first = (2.0 * net - halved) / 1.5
     second = first - net
     assert min(first, second) >= -1e-9
@@ -67,16 +67,16 @@ def test_the_net_tension_is_the_difference_of_two_tensions_that_only_pull(seed: 
 def test_friction_of_both_tendons_is_subtracted_and_added_back(seed: int) -> None:
     random = np.random.default_rng(seed)
     net, pretension, passed = random.uniform(-60.0, 60.0), random.uniform(0.0, 20.0), np.exp(random.uniform(-0.3, 0.3))
-    behind = interpreted(at_joint)(net, pretension, passed)
-    assert interpreted(at_spool)(behind, pretension, passed) == pytest.approx(net, abs=1e-9)
+    behind = interpreted(net_tension_at_joint)(net, pretension, passed)
+    assert interpreted(net_tension_at_spool)(behind, pretension, passed) == pytest.approx(net, abs=1e-9)
     # A pair at rest has friction by its pretension alone: the winding tendon loses, the other gains.
-    lost = net - interpreted(at_joint)(net, pretension, min(passed, 1.0 / passed))
+    lost = net - interpreted(net_tension_at_joint)(net, pretension, min(passed, 1.0 / passed))
     assert lost >= 0.0
 
 
 def test_a_single_tendon_is_the_limit_of_a_pair_without_pretension() -> None:
-    assert interpreted(at_joint)(10.0, 0.0, 0.8) == pytest.approx(8.0)
-    assert interpreted(at_joint)(-10.0, 0.0, 0.8) == pytest.approx(-12.5)
+    assert interpreted(net_tension_at_joint)(10.0, 0.0, 0.8) == pytest.approx(8.0)
+    assert interpreted(net_tension_at_joint)(-10.0, 0.0, 0.8) == pytest.approx(-12.5)
 
 
 @pytest.mark.parametrize("stretch_mm", [0.0, 0.1, -0.1, 0.16, 0.4, -0.4])
@@ -134,7 +134,7 @@ def test_it_commissions_tracks_and_relaxes_from_a_cold_start(seed: int) -> None:
         for _, out in run.ticks(60.0):
             assert not [event for event in out.events if event.level == "error"]
         assert not run.state.progress.failure
-        calibration = result(run.controller.model, run.state.progress, "2026-01-01T00:00:00+00:00")
+        calibration = calibration_of_result(run.controller.model, run.state.progress, "2026-01-01T00:00:00+00:00")
         assert all(row.answer_N == pytest.approx(PULL_N, abs=0.8) for row in calibration.tendon.values())
         # Without load cell and joint encoders, friction leaves the zero uncertain by 0.1 mm, a half degree.
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
@@ -181,7 +181,7 @@ def test_it_pulls_both_ways_and_never_above_the_limit(tension: float) -> None:
     hand = finger()
     limit = hand.tendon[0].tension_max_N
     with Simulator(hand, None, 0, homed=True).peer(round(1e9 / RATE_HZ)) as peer:
-        run = run_of(peer, hand, Pull(tension), homed(hand, {}), 0)
+        run = run_of(peer, hand, Pull(tension), homed_calibration(hand, {}), 0)
         model = run.controller.model
         goal = np.clip(tension, model.floor, model.ceiling)
         for _, out in run.ticks(4.5):
@@ -195,7 +195,7 @@ def test_it_pulls_both_ways_and_never_above_the_limit(tension: float) -> None:
 def test_a_tendon_that_snaps_under_load_is_found(tension: float, tendon: str) -> None:
     hand = finger()
     with Simulator(hand, None, 0, homed=True).peer(round(1e9 / RATE_HZ)) as peer:
-        run = run_of(peer, hand, Pull(tension), homed(hand, {}), 0)
+        run = run_of(peer, hand, Pull(tension), homed_calibration(hand, {}), 0)
         peer.inject(f"snap tendon={tendon} at=2s")
         faults = [event.text for _, out in run.ticks(4.5) for event in out.events if event.level == "error"]
         assert faults
@@ -241,7 +241,7 @@ MISTAKES = {
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_mistake_is_one_line_that_names_the_key(mistake: str) -> None:
     content, where, right = MISTAKES[mistake]
-    hand, mistakes = examined(content)
+    hand, mistakes = validate_content(content)
     assert hand is None
     text = str(mistakes[0].error("x.toml"))
     assert where in text
@@ -251,15 +251,15 @@ def test_a_mistake_is_one_line_that_names_the_key(mistake: str) -> None:
 
 def test_a_load_cell_on_a_pair_is_refused() -> None:
     node = hand_content("t42")["sensor_node"] | {"tendons": ["finger_mcp"]}
-    _, mistakes = examined(hand_content(FILE) | {"sensor_node": node})
+    _, mistakes = validate_content(hand_content(FILE) | {"sensor_node": node})
     assert "finger_mcp is a spool pair" in str(mistakes[0].error("x.toml"))
 
 
 def test_a_hand_with_pairs_is_ready_and_reads_back_as_itself() -> None:
     hand = finger()
-    assert not list(unready(hand))
+    assert not list(reasons_not_ready(hand))
     assert [tendon.tension_floor_N for tendon in hand.tendon] == [0.0, 0.0]
-    again = hand_from(hand.content, "again")
+    again = hand_from_content(hand.content, "again")
     assert again.identity == hand.identity
     assert "pretension_N" not in load_hand("jamia").to_toml(), "hands without pairs keep their identity"
 
@@ -278,10 +278,10 @@ def test_orca_like_closes_its_fingers_and_does_not_spread_them() -> None:
     assert set(close.angle_deg) == {"index", "middle", "ring", "pinky", "thumb"}
     for name in ("index", "middle", "ring", "pinky"):
         digit = DigitModel.of(hand, name)
-        assert sides(digit, hand.is_pair[digit.tendons]).tolist() == [0.0, 1.0, 1.0]
+        assert tendon_directions(digit, hand.is_pair[digit.tendons]).tolist() == [0.0, 1.0, 1.0]
         assert close.angle_deg[name] == (0.0, 85.0, 91.0)
     thumb = DigitModel.of(hand, "thumb")
-    assert sides(thumb, hand.is_pair[thumb.tendons]).tolist() == [1.0, 0.0, 1.0, 1.0]
+    assert tendon_directions(thumb, hand.is_pair[thumb.tendons]).tolist() == [1.0, 0.0, 1.0, 1.0]
 
 
 def test_the_log_has_both_tensions_of_each_pair() -> None:

@@ -10,18 +10,18 @@ from handctl.core import stages
 from handctl.core.constants import constant_tables
 from handctl.core.estimation import statics
 from handctl.core.estimation.filter_stack import STATES, S, V
-from handctl.core.estimation.tip import tip_force, tip_lever
+from handctl.core.estimation.tip import reduced_tip_lever, tip_force
 from handctl.core.model import HandModel
 from handctl.core.schema import Block, Places
 from handctl.hand.dynamics import potential_energy, spring_energy, static_torque
-from handctl.hand.kinematics import forward, tip_jacobian
+from handctl.hand.kinematics import forward_kinematics, tip_jacobian
 from tests.controller.synthetic import blank, constants, efficiency, load_statics
 
 
 @kernel("constants", "layout", "vector")
 def _static_torque(block: Block, at: Places, q: np.ndarray) -> np.ndarray:
     torque = np.empty(len(q))
-    statics.static_torque(constant_tables(block, at), q, torque)
+    statics.write_static_torque(constant_tables(block, at), q, torque)
     return torque
 
 
@@ -109,7 +109,7 @@ def test_all_digits_at_once_are_the_digits_one_by_one(model: HandModel) -> None:
         torque = static_torque_of(model, q)
         state = blank(model)
         state.view("q")[...], state.view("external")[...] = q, external
-        stages.remember(state.block, state.layout.places, *constants(model))
+        stages.store_commands(state.block, state.layout.places, *constants(model))
         force = state.view("tip_force")
         for d, digit in enumerate(model.digits):
             np.testing.assert_allclose(
@@ -124,8 +124,8 @@ def test_lever_is_the_jacobian_along_the_normal(model: HandModel) -> None:
     for digit in model.digits:
         for _ in range(20):
             q = rng.uniform(0.0, 1.6, digit.joint_count)
-            expected = digit.coupling.T @ tip_jacobian(digit, q).T @ forward(digit, q).rotation[:, 1]
-            np.testing.assert_allclose(tip_lever(digit, q), expected, atol=1e-15)
+            expected = digit.coupling.T @ tip_jacobian(digit, q).T @ forward_kinematics(digit, q).rotation[:, 1]
+            np.testing.assert_allclose(reduced_tip_lever(digit, q), expected, atol=1e-15)
 
 
 def test_a_force_at_the_tip_is_found_again(model: HandModel) -> None:
@@ -134,7 +134,7 @@ def test_a_force_at_the_tip_is_found_again(model: HandModel) -> None:
     for digit in model.digits:
         for force in (0.5, 6.0, 40.0):
             q = digit.coupling @ rng.uniform(0.1, 1.2, digit.coupling.shape[1])
-            torque = force * tip_lever(digit, q)
+            torque = force * reduced_tip_lever(digit, q)
             external = np.linalg.lstsq(digit.reduced_moment_arms.T, torque, rcond=None)[0]
             assert tip_force(digit, q, external) == pytest.approx(force, rel=1e-9)
             assert tip_force(digit, q, np.zeros(len(external))) == 0.0

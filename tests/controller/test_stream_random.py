@@ -18,7 +18,7 @@ from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.hand.load import load_hand
 from handctl.programs.live import LiveProgram
-from handctl.session.plan import fastest
+from handctl.session.plan import highest_rate_of_buses
 from handctl.session.simulate import Simulator, homed_controller
 from tests.controller.test_stream import Client
 
@@ -33,7 +33,7 @@ STREAM_HZ = 100.0
 def model_of(name: str) -> HandModel:
     """Return the model of a packaged hand at its own rate."""
     hand = load_hand(name)
-    return HandModel.of(hand, Gains(), min(fastest(bus_loads(hand)), 500.0))
+    return HandModel.of(hand, Gains(), min(highest_rate_of_buses(bus_loads(hand)), 500.0))
 
 
 def noise(rng: np.random.Generator, low: Array, high: Array, t: Array) -> Array:

@@ -2,9 +2,9 @@
 
 import pytest
 
-from handctl.core.block import tables
+from handctl.core.block import state_tables
 from handctl.core.estimation.filter_stack import Regime
-from handctl.core.estimation.take_up import NEAR_M, ends_regime, near_taut, regime_evidence
+from handctl.core.estimation.take_up import NEAR_M, is_nearly_taut, is_regime_over, regime_evidence
 from handctl.core.model import HandModel
 from tests.controller.synthetic import blank, interpreted
 
@@ -15,7 +15,7 @@ SLACK = int(Regime.SLACK)
 def test_a_tendon_whose_length_is_known_is_taut_at_the_first_clear_sample(length_is_known: bool, samples: int) -> None:
     """At 200 Hz a rope gains 1 N from one sample to the next, so that each of them counts."""
     points, taken = 0, 0
-    while not interpreted(ends_regime)(SLACK, points, False):
+    while not interpreted(is_regime_over)(SLACK, points, False):
         points = interpreted(regime_evidence)(SLACK, points, 0.0, 1.6, 0.0, length_is_known)
         taken += 1
     assert taken == samples
@@ -26,4 +26,4 @@ def test_a_tendon_is_near_when_little_slack_length_remains(model: HandModel) -> 
     state.view("stretch_offset")[...] = 1e-3
     for hangs, is_near in ((0.9 * NEAR_M, True), (1.1 * NEAR_M, False)):
         state.view("travel")[...] = 1e-3 - hangs
-        assert interpreted(near_taut)(interpreted(tables)(state.block, state.layout.places), 1) == is_near
+        assert interpreted(is_nearly_taut)(interpreted(state_tables)(state.block, state.layout.places), 1) == is_near

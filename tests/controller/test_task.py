@@ -6,9 +6,19 @@ import pytest
 
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_content, hand_from, load_hand, packaged_hands
+from handctl.hand.load import hand_content, hand_from_content, load_hand, packaged_hands
 from handctl.programs.program import TARE_PHASE
-from handctl.programs.task import Close, Hold, Move, Release, Shape, check_task, for_digit, load_task, shapes
+from handctl.programs.task import (
+    Close,
+    DigitShape,
+    Hold,
+    Move,
+    Release,
+    check_task,
+    load_task,
+    shapes_of_digits,
+    value_for_digit,
+)
 from handctl.programs.task_checks import check_suits
 
 GOOD = """schema = 1
@@ -54,28 +64,28 @@ def test_packaged_tasks_suit_every_packaged_hand_that_can_follow_them() -> None:
             hand = load_hand(name)
             if hand.digit_names != JAMIA_DIGITS:
                 continue
-            if stem.endswith("-joints") and {shape.tendons for shape in shapes(hand).values()} == {1}:
+            if stem.endswith("-joints") and {shape.tendons for shape in shapes_of_digits(hand).values()} == {1}:
                 continue
             ceiling = min(tendon.tension_max_N for tendon in hand.tendon)
-            check_task(task, hand.digit_names, ceiling, path.name, shapes(hand))
+            check_task(task, hand.digit_names, ceiling, path.name, shapes_of_digits(hand))
 
 
 def test_a_list_needs_a_digit_with_as_many_tendons(tmp_path: Path) -> None:
     path = tmp_path / "t.toml"
     path.write_text(GOOD.replace("angle_deg = 10.0", "angle_deg = { index = [10.0, 5.0, 5.0], thumb = 3.0 }"))
     task = load_task(path)
-    check_task(task, ("index", "thumb"), 110.0, "t", {"index": Shape(3, 3), "thumb": Shape(2, 2)})
+    check_task(task, ("index", "thumb"), 110.0, "t", {"index": DigitShape(3, 3), "thumb": DigitShape(2, 2)})
     with pytest.raises(ConfigError, match=r"t: phase\[0\]\.angle_deg.*3 numbers for index.*one coordinate"):
         check_task(task, ("index", "thumb"), 110.0, "t", {"index": ONE, "thumb": ONE})
     tense = load_task(_written(tmp_path, GOOD.replace("{ index = 20.0 }", "{ index = [20.0, 120.0] }")))
     with pytest.raises(ConfigError, match="120 N"):
-        check_task(tense, ("index", "thumb"), 110.0, "t", {"index": Shape(2, 2), "thumb": ONE})
+        check_task(tense, ("index", "thumb"), 110.0, "t", {"index": DigitShape(2, 2), "thumb": ONE})
 
 
 def test_a_digit_with_a_tendon_more_than_joints_takes_an_angle_per_joint(tmp_path: Path) -> None:
     """A finger of n joints and n + 1 tendons: n angles, n + 1 tensions."""
     hand = hand_with_an_extensor()
-    assert shapes(hand)["thumb"] == Shape(2, 3, ("thumb_j1", "thumb_j2"))
+    assert shapes_of_digits(hand)["thumb"] == DigitShape(2, 3, ("thumb_j1", "thumb_j2"))
     for angles, tensions, wrong in (
         ("[10.0, 20.0]", "[20.0, 20.0, 9.0]", ""),
         ("[10.0, 20.0, 5.0]", "[20.0, 20.0, 9.0]", r"phase\[0\]\.angle_deg: 3 numbers.*or 2: it has 2 coordinates"),
@@ -99,10 +109,10 @@ def hand_with_an_extensor() -> Hand:
     content["motor"].append(motor)
     content["tendon"].append(tendon)
     content["sensor_node"]["tendons"].append("thumb_ext")
-    return hand_from(content, "with an extensor")
+    return hand_from_content(content, "with an extensor")
 
 
-ONE = Shape(1, 1)
+ONE = DigitShape(1, 1)
 
 
 def _written(folder: Path, text: str) -> Path:
@@ -135,7 +145,7 @@ def test_phases_are_what_their_kind_says(tmp_path: Path) -> None:
         (('name = "t"', ""), "name", "this key"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_named(refusal, change: tuple[str, str], where: str, said: str) -> None:  # type: ignore[no-untyped-def]
+def test_mistake_in_a_task_is_named(refusal, change: tuple[str, str], where: str, said: str) -> None:  # type: ignore[no-untyped-def]
     line = refusal(GOOD.replace(*change))
     assert where in line
     assert said in line
@@ -153,9 +163,9 @@ def test_a_contact_tension_or_a_release_above_the_ceiling_is_refused(refusal) ->
 
 
 def test_a_value_applies_to_one_digit_or_to_all_digits() -> None:
-    assert for_digit(3, "index") == 3.0
-    assert for_digit({"index": 4.0}, "index") == 4.0
-    assert for_digit({"index": 4.0}, "thumb") is None
+    assert value_for_digit(3, "index") == 3.0
+    assert value_for_digit({"index": 4.0}, "index") == 4.0
+    assert value_for_digit({"index": 4.0}, "thumb") is None
 
 
 def test_a_table_of_no_digits_asks_nothing_of_any(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ def test_the_example_suits_every_jamia(tmp_path: Path) -> None:
         assert [phase.kind for phase in task.phase] == ["move", "close", "hold", "release", "move"]
 
 
-def test_the_scene_is_one(tmp_path: Path) -> None:
+def test_scene_of_the_page_is_valid(tmp_path: Path) -> None:
     path = tmp_path / "scene.toml"
     path.write_text(BLOCKS[1])
     assert len(load_scene(str(path)).stages) == 1

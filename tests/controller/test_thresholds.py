@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from handctl.controller.monitor.thresholds import frames_limit
+from handctl.controller.monitor.thresholds import max_frames_per_tick
 from handctl.controller.setup import make_drives, make_sensors
 from handctl.hand.load import load_hand
 from tests.drives.protocol_bench import OPTIONS, hand_file
@@ -16,7 +16,7 @@ FEEDBACK = "torque_feedback = true\n"
 def test_a_hand_of_many_motors_is_no_flood(protocol: str, tmp_path: Path) -> None:
     hand = load_hand(str(hand_file(tmp_path, [protocol], FEEDBACK * (protocol == "odrive"))))
     drives, node = make_drives(hand), make_sensors(hand)
-    assert frames_limit(drives, node) == 64
+    assert max_frames_per_tick(drives, node) == 64
     many = drives * 10
     answers = sum(len(drive.exchange) // 2 for drive in many) + len(node.node_ids)
-    assert 1.5 * answers < frames_limit(many, node) < 4 * answers
+    assert 1.5 * answers < max_frames_per_tick(many, node) < 4 * answers

@@ -12,7 +12,7 @@ from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.core.types import TELEMETRY_AXES, IoEvent, Mode, TickIn, TickOut
 from handctl.drives.frame import Frame
-from handctl.hand.load import hand_content, hand_from, load_hand
+from handctl.hand.load import hand_content, hand_from_content, load_hand
 from handctl.programs.live import LiveProgram
 from handctl.safety.action import Action
 from tests.controller.bench import Bench, bench
@@ -49,7 +49,7 @@ def bytes_of(out: TickOut) -> tuple[object, ...]:
     return (*plain, out.telemetry.packed())
 
 
-def test_the_same_in_gives_the_same_out(session: Bench) -> None:
+def test_equal_inputs_give_equal_outputs(session: Bench) -> None:
     """A run of ticks that is executed again from any state agrees in every byte."""
     for before, entry, out in session.history[::3]:
         digest = before.digest()
@@ -134,7 +134,7 @@ def test_telemetry_has_the_declared_shapes_and_no_field_stands_still(session: Be
             assert len(np.unique(values[~np.isnan(values)])) > 1 or name == "motor_temperature", name
 
 
-def test_nothing_old_has_a_fresh_stamp() -> None:
+def test_old_values_have_no_new_time_stamp() -> None:
     """A tick without frames shows NaN for every measurement, and its age grows."""
     run = bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
     run.until(Mode.ACTIVE)
@@ -169,7 +169,7 @@ def test_load_cells_wired_in_another_order_belong_to_their_tendons() -> None:
     """The node lists its channels from the last tendon to the first; its second frame is lost."""
     content = hand_content("jamia11")
     content["sensor_node"]["tendons"] = content["sensor_node"]["tendons"][::-1]
-    run = bench(HandModel.of(hand_from(content, "reversed"), Gains(), 200.0), LiveProgram())
+    run = bench(HandModel.of(hand_from_content(content, "reversed"), Gains(), 200.0), LiveProgram())
     run.peer.order = list(range(11))[::-1]
     run.peer.bias[:] = np.linspace(0.0, 2.0, 11)
     run.until(Mode.ACTIVE)

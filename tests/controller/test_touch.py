@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from handctl.core.estimation.touch import BLOCKED_N, FREED_N, PRESS_N
+from handctl.core.estimation.touch import BLOCKED_ABOVE_N, FREE_BELOW_N, MAX_PRESS_N
 from handctl.core.model import HandModel
 from handctl.programs.live import JogProgram
 from handctl.programs.requests import MoveDigits
@@ -25,9 +25,9 @@ def test_a_lasting_tension_blocks_and_a_short_one_does_not(model: HandModel) -> 
             concluded(model, state, pulled(model, external))
         return state.view("blocked")
 
-    assert not feel(2.0 * BLOCKED_N, 1).any(), "one tick of it"
-    assert feel(2.0 * BLOCKED_N, lasting).all()
-    assert feel(0.5 * (BLOCKED_N + FREED_N), lasting).all(), "until it is free"
+    assert not feel(2.0 * BLOCKED_ABOVE_N, 1).any(), "one tick of it"
+    assert feel(2.0 * BLOCKED_ABOVE_N, lasting).all()
+    assert feel(0.5 * (BLOCKED_ABOVE_N + FREE_BELOW_N), lasting).all(), "until it is free"
     assert not feel(0.0, lasting).any()
 
 
@@ -39,7 +39,7 @@ def test_only_digits_blocked_on_their_way_are_restrained(model: HandModel) -> No
     state.view("blocked")[:2] = 1
     state.view("temperature")[...] = warm(model, np.full(model.tendon_count, 60.0))
     limit = limit_of(model, state)
-    np.testing.assert_allclose(limit[model.digit_tendons[0]], 20.0 + PRESS_N)
+    np.testing.assert_allclose(limit[model.digit_tendons[0]], 20.0 + MAX_PRESS_N)
     np.testing.assert_allclose(limit[model.digit_tendons[1].start :], 60.0)
 
 

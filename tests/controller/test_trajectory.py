@@ -13,7 +13,7 @@ durations = st.floats(0.01, 100.0)
 
 
 @given(start=angles, end=angles, duration=durations)
-def test_at_rest_at_both_ends(start: np.ndarray, end: np.ndarray, duration: float) -> None:
+def test_minimum_jerk_move_rests_at_both_ends(start: np.ndarray, end: np.ndarray, duration: float) -> None:
     move = MinimumJerk(start, end, duration)
     for t, place in ((0.0, start), (duration, end), (-1.0, start), (duration + 5.0, end)):
         position, velocity, acceleration = move.at(t)
@@ -23,7 +23,9 @@ def test_at_rest_at_both_ends(start: np.ndarray, end: np.ndarray, duration: floa
 
 
 @given(start=angles, end=angles, duration=durations, share=st.floats(0.01, 0.99))
-def test_derivatives_are_derivatives(start: np.ndarray, end: np.ndarray, duration: float, share: float) -> None:
+def test_trajectory_derivatives_match_differences(
+    start: np.ndarray, end: np.ndarray, duration: float, share: float
+) -> None:
     move, h, t = MinimumJerk(start, end, duration), 1e-5 * duration, share * duration
     before, now, after = move.at(t - h), move.at(t), move.at(t + h)
     way = np.abs(end - start).max() + 1e-9
@@ -32,7 +34,7 @@ def test_derivatives_are_derivatives(start: np.ndarray, end: np.ndarray, duratio
 
 
 @given(start=angles, end=angles, duration=durations)
-def test_never_outside_of_its_ends_nor_faster_than_its_peak(
+def test_move_stays_between_its_ends_and_below_its_peak_speed(
     start: np.ndarray, end: np.ndarray, duration: float
 ) -> None:
     move = MinimumJerk(start, end, duration)
@@ -91,7 +93,7 @@ def test_a_curve_goes_through_its_points_from_rest_to_rest(data: st.DataObject) 
 
 
 @given(points=st.lists(st.floats(-0.5, 2.0), min_size=4, max_size=4), share=st.floats(0.02, 0.98))
-def test_derivatives_of_a_curve_are_derivatives(points: list[float], share: float) -> None:
+def test_curve_derivatives_match_differences(points: list[float], share: float) -> None:
     curve, h = Curve.through((0.0, 0.4, 1.0, 1.3), tuple(points), 1), 1e-5
     t = share * 1.3
     if min(abs(t - knot) for knot in (0.4, 1.0)) < 2 * h:

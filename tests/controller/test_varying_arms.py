@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from handctl.compiled import kernel
-from handctl.core.block import tables
+from handctl.core.block import state_tables
 from handctl.core.constants import constant_tables
 from handctl.core.estimation import structure
 from handctl.core.gains.gains import Gains
@@ -16,7 +16,7 @@ from handctl.core.schema import Block, Places
 from handctl.core.types import Mode
 from handctl.hand.description import Hand
 from handctl.hand.load import packaged_hands
-from handctl.hand.tendons import excursion
+from handctl.hand.tendons import excursions
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
 from handctl.session.simulate import Simulator, homed_controller
@@ -31,7 +31,7 @@ SEEDS = range(20) if NIGHTLY else range(2)
 
 @kernel("block", "layout", "block", "layout")
 def _update(block: Block, at: Places, constants: Block, constants_at: Places) -> None:
-    structure.update_structure(tables(block, at), constant_tables(constants, constants_at))
+    structure.update_structure(state_tables(block, at), constant_tables(constants, constants_at))
 
 
 @kernel("block", "layout", "constants", "layout", "count", "count", "real")
@@ -60,7 +60,7 @@ def test_the_structure_tables_are_those_at_the_present_angles(name: str) -> None
             q[digit.joints] = digit.coupling @ chance.uniform(0.7 * low + 0.3 * high, high)
             q[digit.joints] = np.clip(q[digit.joints], digit.joint_min, digit.joint_max)
             q[digit.joints] = digit.coupling @ (digit.joints_to_coordinates @ q[digit.joints])
-            state.view("excursion")[digit.tendons] = excursion(digit, q[digit.joints])
+            state.view("excursion")[digit.tendons] = excursions(digit, q[digit.joints])
         state.view("q")[...] = np.nan if seed == 0 else chance.uniform(0.0, 1.0, len(q))
         _update(state.block, state.layout.places, constants.block, constants.layout.places)
         view = {field: constants.layout.view(constants.block, field) for field in FIELDS}

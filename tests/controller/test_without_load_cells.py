@@ -14,8 +14,8 @@ from handctl.core.model import BLIND_SIGMAS, HandModel
 from handctl.core.types import Event, Mode
 from handctl.drives.motor_description import PROTOCOLS
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_content, hand_from
-from handctl.programs.commission import CommissionProgram, result
+from handctl.hand.load import hand_content, hand_from_content
+from handctl.programs.commission import CommissionProgram, calibration_of_result
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.program import Program
 from handctl.programs.task import Task
@@ -34,7 +34,7 @@ def without(*tendons: str) -> Hand:
     else:
         node = content["sensor_node"]
         content["sensor_node"] = node | {"tendons": [name for name in node["tendons"] if name not in tendons]}
-    return hand_from(content, "without cells")
+    return hand_from_content(content, "without cells")
 
 
 @cache
@@ -102,13 +102,13 @@ def seen(program: Program, scene: str | None, seed: int, *faults: str, limit_s: 
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("bare", [(), ("index_tendon", "thumb_tendon")])
-def test_it_commissions_with_tares_of_its_load_cells_alone(bare: tuple[str, ...], seed: int) -> None:
+def test_hand_commissions_with_the_tares_of_its_load_cells(bare: tuple[str, ...], seed: int) -> None:
     hand = without(*bare)
     with Simulator(hand, None, seed).peer(round(1e9 / RATE_HZ)) as peer:
         run = Simulation.of(make_controller(hand, Gains(), RATE_HZ, CommissionProgram(), None, True), peer)
         for _, out in run.ticks(30.0):
             assert not [event for event in out.events if event.level == "error"]
-        found = result(model_of(*bare), run.state.progress, "2026-01-01T00:00:00+00:00")
+        found = calibration_of_result(model_of(*bare), run.state.progress, "2026-01-01T00:00:00+00:00")
         assert not found.tare(hand)[~hand.has_cell].any()
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
         wrong = (found.zero(hand) - offset) * model_of(*bare).space.spool
@@ -155,7 +155,7 @@ def test_cia402_drives_have_their_sync_without_sensors() -> None:
     content["motor"] = [
         motor | {"protocol": "cia402", "options": PROTOCOLS["cia402"].options} for motor in content["motor"]
     ]
-    hand = hand_from(content, "cia402")
+    hand = hand_from_content(content, "cia402")
     model = HandModel.of(hand, Gains(), 250.0)
     with Simulator(hand, None, 0, homed=True).against(homed_controller(model, TaskProgram(TASK))) as run:
         assert run.until(lambda out: out.mode == Mode.ACTIVE, 10.0)

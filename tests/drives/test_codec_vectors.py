@@ -22,22 +22,22 @@ def test_a_tpdo_is_a_status_word_a_position_and_a_torque() -> None:
     table = Table(message._replace(signals=tuple(signal._replace(scale=1.0) for signal in message.signals)))
     assert table.unpack(bytes.fromhex("3706 feffffff 18fc")) == [0x7, 0x1, -2, -1000]
     assert table.unpack(bytes.fromhex("3786 00000080 0080")) == [0x7, 0x1, -(2**31), -(2**15)]
-    assert cia402.state_of(0x0637) == cia402.OPERATION_ENABLED
+    assert cia402.power_state(0x0637) == cia402.OPERATION_ENABLED
     assert cia402.ENABLED_STATUS == 0x7 << 2 | 0x1
 
 
 @pytest.mark.parametrize("status", STATUS)
 def test_states_are_distinguished_for_any_other_bits(status: int) -> None:
-    assert cia402.state_of(status) == cia402.state_of(status | 0x8600) == STATUS[status]
+    assert cia402.power_state(status) == cia402.power_state(status | 0x8600) == STATUS[status]
 
 
 def test_a_word_that_the_standard_does_not_know_is_no_state() -> None:
-    assert cia402.state_of(0x0001) == ""
-    assert cia402.state_of(0x006F | 0xFF90) == ""
+    assert cia402.power_state(0x0001) == ""
+    assert cia402.power_state(0x006F | 0xFF90) == ""
 
 
 def test_a_command_is_a_control_word_and_a_torque() -> None:
-    top = cia402.TORQUE_TOP
+    top = cia402.MAX_TORQUE_COUNT
     command = Table(cia402.command_message(5, 1.0, 1000.0, top))
     assert command.pack(-1000.4).hex(" ") == "0f 00 18 fc"
     assert command.pack(1.0).hex(" ") == "0f 00 01 00"
@@ -48,12 +48,12 @@ def test_a_command_is_a_control_word_and_a_torque() -> None:
 
 
 def test_sdo_requests_have_the_bytes_of_cia_301() -> None:
-    assert cia402.upload(0x6041, 2).hex(" ") == "40 41 60 02 00 00 00 00"
-    assert cia402.upload(0x9041, 0xFE).hex(" ") == "40 41 90 fe 00 00 00 00"
-    assert cia402.download(0x9041, 0xFE, b"\1").hex(" ") == "2f 41 90 fe 01 00 00 00"
-    assert cia402.download(0x1017, 0, b"\x64\x00").hex(" ") == "2b 17 10 00 64 00 00 00"
-    assert cia402.download(0x6060, 0, b"\x04").hex(" ") == "2f 60 60 00 04 00 00 00"
-    assert cia402.download(0x1016, 1, b"\1\2\3\4").hex(" ") == "23 16 10 01 01 02 03 04"
+    assert cia402.upload_request(0x6041, 2).hex(" ") == "40 41 60 02 00 00 00 00"
+    assert cia402.upload_request(0x9041, 0xFE).hex(" ") == "40 41 90 fe 00 00 00 00"
+    assert cia402.download_request(0x9041, 0xFE, b"\1").hex(" ") == "2f 41 90 fe 01 00 00 00"
+    assert cia402.download_request(0x1017, 0, b"\x64\x00").hex(" ") == "2b 17 10 00 64 00 00 00"
+    assert cia402.download_request(0x6060, 0, b"\x04").hex(" ") == "2f 60 60 00 04 00 00 00"
+    assert cia402.download_request(0x1016, 1, b"\1\2\3\4").hex(" ") == "23 16 10 01 01 02 03 04"
 
 
 SDO_REPLIES = {
@@ -68,12 +68,12 @@ SDO_REPLIES = {
 
 @pytest.mark.parametrize("data", SDO_REPLIES)
 def test_sdo_replies_are_decoded(data: str) -> None:
-    assert cia402.sdo_reply(bytes.fromhex(data)) == SDO_REPLIES[data]
+    assert cia402.decode_sdo_reply(bytes.fromhex(data)) == SDO_REPLIES[data]
 
 
 @pytest.mark.parametrize("specifier", sorted(set(range(256)) - {0x80, 0x60, 0x43, 0x47, 0x4B, 0x4F}))
 def test_no_other_specifier_is_a_reply(specifier: int) -> None:
-    assert cia402.sdo_reply(bytes([specifier]) + bytes.fromhex("41 60 02 00 00 00 00")) is None
+    assert cia402.decode_sdo_reply(bytes([specifier]) + bytes.fromhex("41 60 02 00 00 00 00")) is None
 
 
 def test_error_codes_have_texts() -> None:
@@ -90,39 +90,39 @@ def test_error_codes_have_texts() -> None:
 
 
 def test_odrive_payloads_match_the_vendors_layout() -> None:
-    assert odrive.heartbeat(bytes.fromhex("00000001 08 02 01 00")) == (1 << 24, 8, 2)
-    assert odrive.heartbeat(bytes.fromhex("00000080 fe ff 01 00")) == (1 << 31, 0xFE, 0xFF)
-    assert odrive.can_id(3, 0x0E) == 0x6E
-    assert odrive.integers(8, 2**32 - 1).hex(" ") == "08 00 00 00 ff ff ff ff"
+    assert odrive.decode_heartbeat(bytes.fromhex("00000001 08 02 01 00")) == (1 << 24, 8, 2)
+    assert odrive.decode_heartbeat(bytes.fromhex("00000080 fe ff 01 00")) == (1 << 31, 0xFE, 0xFF)
+    assert odrive.message_id(3, 0x0E) == 0x6E
+    assert odrive.encode_integers(8, 2**32 - 1).hex(" ") == "08 00 00 00 ff ff ff ff"
     assert odrive.sdo_request(1, 0x0102, b"\x05").hex(" ") == "01 02 01 00 05"
     assert odrive.sdo_request(0, 0x0102).hex(" ") == "00 02 01 00"
     assert odrive.sdo_request(0, 0xFEDC).hex(" ") == "00 dc fe 00"
-    assert odrive.sdo_reply(bytes.fromhex("00 02 01 ff 05 06 07 08")) == (0x0102, b"\5\6\7\x08")
+    assert odrive.decode_sdo_reply(bytes.fromhex("00 02 01 ff 05 06 07 08")) == (0x0102, b"\5\6\7\x08")
 
 
 def test_floats_are_finite_both_ways() -> None:
-    assert odrive.floats(1.5, -0.25) == struct.pack("<ff", 1.5, -0.25)
-    assert odrive.pair(struct.pack("<ff", 1.5, -0.25)) == (1.5, -0.25)
+    assert odrive.encode_floats(1.5, -0.25) == struct.pack("<ff", 1.5, -0.25)
+    assert odrive.decode_float_pair(struct.pack("<ff", 1.5, -0.25)) == (1.5, -0.25)
     for wrong in (math.nan, math.inf, -math.inf):
-        assert odrive.pair(struct.pack("<ff", wrong, 1.0)) is None
-        assert odrive.pair(struct.pack("<ff", 1.0, wrong)) is None
+        assert odrive.decode_float_pair(struct.pack("<ff", wrong, 1.0)) is None
+        assert odrive.decode_float_pair(struct.pack("<ff", 1.0, wrong)) is None
         with pytest.raises(ValueError, match="cannot be sent, expected a finite number"):
-            odrive.floats(1.0, wrong)
-    assert odrive.floats(odrive.FLOAT_TOP, -odrive.FLOAT_TOP)
+            odrive.encode_floats(1.0, wrong)
+    assert odrive.encode_floats(odrive.MAX_FLOAT32, -odrive.MAX_FLOAT32)
     with pytest.raises(ValueError, match="cannot be sent"):
-        odrive.floats(math.nextafter(odrive.FLOAT_TOP, math.inf))
+        odrive.encode_floats(math.nextafter(odrive.MAX_FLOAT32, math.inf))
 
 
 def test_registers_of_a_damiao_drive() -> None:
     assert mit.register_bytes(mit.TIMEOUT, 1000.9).hex(" ") == "e8 03 00 00", "whole units"
     assert mit.register_bytes(mit.CTRL_MODE, 1).hex(" ") == "01 00 00 00"
     assert mit.register_bytes(mit.PMAX, 12.5) == struct.pack("<f", 12.5)
-    reply = mit.register_reply(bytes((3, 0, mit.READ, mit.TIMEOUT)) + b"\xe8\x03\0\0", 3)
+    reply = mit.decode_register_reply(bytes((3, 0, mit.READ, mit.TIMEOUT)) + b"\xe8\x03\0\0", 3)
     assert reply is not None
     assert (reply.operation, reply.register, reply.value) == (mit.READ, mit.TIMEOUT, 1000.0)
-    assert mit.register_reply(bytes((3, 1, mit.READ, mit.TIMEOUT)) + bytes(4), 3) is None, "of node 0x103"
-    assert mit.register_reply(bytes((3, 0, 0x77, mit.TIMEOUT)) + bytes(4), 3) is None
-    assert mit.register_reply(bytes((4, 0, mit.READ, mit.TIMEOUT)) + bytes(4), 3) is None
+    assert mit.decode_register_reply(bytes((3, 1, mit.READ, mit.TIMEOUT)) + bytes(4), 3) is None, "of node 0x103"
+    assert mit.decode_register_reply(bytes((3, 0, 0x77, mit.TIMEOUT)) + bytes(4), 3) is None
+    assert mit.decode_register_reply(bytes((4, 0, mit.READ, mit.TIMEOUT)) + bytes(4), 3) is None
 
 
 def test_register_requests_have_the_bytes_of_the_manual() -> None:
@@ -134,7 +134,7 @@ def test_register_requests_have_the_bytes_of_the_manual() -> None:
 
 
 def test_the_hotter_of_an_odrive_s_two_temperatures_and_one_of_them_if_the_other_has_no_sensor() -> None:
-    assert odrive.hottest(struct.pack("<ff", 31.0, 42.0)) == 42.0
-    assert odrive.hottest(struct.pack("<ff", 31.0, math.nan)) == 31.0
-    assert odrive.hottest(struct.pack("<ff", math.inf, 42.0)) == 42.0
-    assert odrive.hottest(struct.pack("<ff", math.nan, math.nan)) is None
+    assert odrive.decode_hottest(struct.pack("<ff", 31.0, 42.0)) == 42.0
+    assert odrive.decode_hottest(struct.pack("<ff", 31.0, math.nan)) == 31.0
+    assert odrive.decode_hottest(struct.pack("<ff", math.inf, 42.0)) == 42.0
+    assert odrive.decode_hottest(struct.pack("<ff", math.nan, math.nan)) is None

@@ -130,7 +130,7 @@ def revived(state: DriveState, t_ns: int) -> DriveState:
 
 
 @pytest.mark.parametrize("name", VARIANTS)
-def test_what_is_no_torque_is_never_sent(name: str) -> None:
+def test_invalid_torque_is_never_sent(name: str) -> None:
     drive, state, t_ns, _ = enabled(name)
     beyond = math.nextafter(drive.torque_limit, math.inf)
     for torque in (math.nan, math.inf, -math.inf, beyond, -beyond):
@@ -170,5 +170,5 @@ def test_cyclic_frames_are_what_the_bus_is_planned_for(name: str) -> None:
     assert {message.can_id for message in drive.cyclic.commands} - {0x080} <= drive.host_ids | drive.node_ids
 
 
-def test_every_protocol_is_here() -> None:
+def test_every_protocol_has_a_case() -> None:
     assert {variant.protocol for variant in VARIANTS.values()} == set(PROTOCOLS)

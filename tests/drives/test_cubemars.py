@@ -15,7 +15,7 @@ from handctl.drives.frame import Frame
 from handctl.drives.mit.cubemars import MODELS, CubemarsDrive
 from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
-from handctl.runtime.diagnostics.conformance import CheckVerdict, DeviceUnderTest, checks
+from handctl.runtime.diagnostics.conformance import CheckVerdict, DeviceUnderTest, run_checks
 from tests.drives.protocol_bench import Bench, described, hand_file, servo_torques
 from tests.drives.virtual_bench import VirtualBench, rig_on
 
@@ -93,7 +93,7 @@ def test_an_error_has_a_text_and_ends_only_by_a_clear(bench: Bench, error: Error
     bench.until(DriveTarget.ENABLE, Phase.ENABLED)
 
 
-def test_what_it_does_not_guard_is_said(tmp_path: Path) -> None:
+def test_missing_guards_are_reported(tmp_path: Path) -> None:
     """An AK80-9 follows 18 N m: nothing but this host keeps it to what the hand bears."""
     told = " ".join(Bench(hand_file(tmp_path, ["cubemars"])).drives[0].unverified_guards)
     for guard in ("watchdog", "no torque limit", "2% of full-scale torque", "ranges cannot be read back"):
@@ -124,7 +124,7 @@ def test_older_firmware_answers_with_six_bytes(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("torque", [math.nan, math.inf, -math.inf, 0.801, -18.0])
-def test_what_is_no_torque_cannot_be_encoded(bench: Bench, torque: float) -> None:
+def test_invalid_torque_cannot_be_encoded(bench: Bench, torque: float) -> None:
     bench.until(DriveTarget.ENABLE, Phase.ENABLED)
     with pytest.raises(ValueError, match="index_motor"):
         bench.drives[0].advance(bench.states[0], bench.k * 2_000_000, DriveTarget.ENABLE, torque)
@@ -133,7 +133,7 @@ def test_what_is_no_torque_cannot_be_encoded(bench: Bench, torque: float) -> Non
 def test_of_the_contract_only_what_needs_a_state_in_the_feedback_cannot_be_kept() -> None:
     place = VirtualBench("cubemars")
     rig = rig_on(place, "cubemars", 0.1)
-    found = list(checks(DeviceUnderTest(rig, 0.1, 0.05)))
+    found = list(run_checks(DeviceUnderTest(rig, 0.1, 0.05)))
     failed = [check for check in found if check.verdict is not CheckVerdict.PASSED]
     dead_host, cut = failed
     assert dead_host.name == "disables itself when the host falls silent, and stays off"
@@ -171,7 +171,7 @@ def test_options_that_make_no_motor_are_refused(options: dict[str, object], said
         make_drive(described("cubemars", 1, 20.0, {"motor_type": "ak80-9"}), 0)
 
 
-def test_the_client_of_a_university_says_the_same() -> None:
+def test_tmotorcancontrol_decodes_the_same_values() -> None:
     """TMotorCANControl's codec, on this host's commands and on the simulated motor's answers."""
     mit_can = pytest.importorskip("TMotorCANControl.mit_can")
     manager = object.__new__(mit_can.CAN_Manager)

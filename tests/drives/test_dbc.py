@@ -12,7 +12,7 @@ from cantools.database import Database
 from fuzz.drives import DRIVES, Fuzzed
 from handctl.controller.setup import make_drives, make_sensors
 from handctl.drives.contract import DriveTarget, Phase
-from handctl.drives.dbc import HOST, SENSORS, of_bus
+from handctl.drives.dbc import HOST, SENSORS, dbc_of_bus
 from handctl.drives.frame import Frame
 from handctl.drives.signals import Message, Quantity
 from handctl.hand.description import Hand
@@ -26,7 +26,7 @@ TICKS = 40
 
 
 def database(hand: Hand, bus: int = 0) -> Database:
-    text = of_bus(bus, make_drives(hand), make_sensors(hand), hand.tendon_names, hand.joints)
+    text = dbc_of_bus(bus, make_drives(hand), make_sensors(hand), hand.tendon_names, hand.joints)
     found = cantools.database.load_string(text, "dbc", strict=True)
     assert isinstance(found, Database)
     return found

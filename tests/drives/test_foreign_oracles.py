@@ -44,15 +44,15 @@ def dbc() -> cantools.database.can.Database:
     ],
 )
 def test_identifiers_are_the_vendors(dbc: cantools.database.can.Database, name: str, command: int) -> None:
-    assert dbc.get_message_by_name(f"Axis{NODE}_{name}").frame_id == codec.can_id(NODE, command)
+    assert dbc.get_message_by_name(f"Axis{NODE}_{name}").frame_id == codec.message_id(NODE, command)
 
 
 def test_payloads_are_the_vendors(dbc: cantools.database.can.Database) -> None:
-    limits = dbc.decode_message(f"Axis{NODE}_Set_Limits", codec.floats(12.5, 9.75))
+    limits = dbc.decode_message(f"Axis{NODE}_Set_Limits", codec.encode_floats(12.5, 9.75))
     assert list(limits.values()) == [12.5, 9.75]
-    mode = dbc.decode_message(f"Axis{NODE}_Set_Controller_Mode", codec.integers(1, 1), decode_choices=False)
+    mode = dbc.decode_message(f"Axis{NODE}_Set_Controller_Mode", codec.encode_integers(1, 1), decode_choices=False)
     assert list(mode.values()) == [1, 1]
-    torque = dbc.decode_message(f"Axis{NODE}_Set_Input_Torque", codec.floats(-0.5).ljust(8, b"\0"))
+    torque = dbc.decode_message(f"Axis{NODE}_Set_Input_Torque", codec.encode_floats(-0.5).ljust(8, b"\0"))
     assert next(iter(torque.values())) == -0.5
 
 
@@ -60,7 +60,7 @@ def test_payloads_are_the_vendors(dbc: cantools.database.can.Database) -> None:
 def test_errors_are_the_vendors(dbc: cantools.database.can.Database, bit: int) -> None:
     data = struct.pack("<IBBBB", 1 << bit, codec.IDLE, 3, 0, 0)
     known = dbc.decode_message(f"Axis{NODE}_Heartbeat", data, decode_choices=False)
-    beat = codec.heartbeat(data)
+    beat = codec.decode_heartbeat(data)
     assert (known["Axis_Error"], known["Axis_State"], known["Procedure_Result"]) == beat
 
 
@@ -91,7 +91,7 @@ def test_a_simulated_odrive_obeys_what_the_vendors_dbc_encodes(dbc: cantools.dat
         message = dbc.get_message_by_name(f"Axis{NODE}_{name}")
         bench.receive(Frame(message.frame_id, message.encode(values)))
     assert bench.motors[0].servo.torque == 0.125
-    (told,) = bench.receive(Frame(codec.can_id(NODE, codec.TORQUES) | REMOTE, b""))
+    (told,) = bench.receive(Frame(codec.message_id(NODE, codec.TORQUES) | REMOTE, b""))
     assert dbc.decode_message(told.can_id, told.data)["Torque_Target"] == 0.125
     bench.receive(Frame(dbc.get_message_by_name(f"Axis{NODE}_Estop").frame_id, b""))
     assert bench.motors[0].servo.torque == 0.0
@@ -99,7 +99,7 @@ def test_a_simulated_odrive_obeys_what_the_vendors_dbc_encodes(dbc: cantools.dat
 
 def test_canopen_reads_the_shipped_eds_as_the_drive_does() -> None:
     foreign, ours = canopen.import_od(str(EDS), NODE), Dictionary(NODE)
-    for step in setup.steps(NODE, 400, 2000, 50, 50):
+    for step in setup.required_steps(NODE, 400, 2000, 50, 50):
         entry = foreign[step.number]
         variable = entry if isinstance(entry, canopen.objectdictionary.ODVariable) else entry[step.sub]
         assert len(variable) == 8 * step.size == 8 * ours.size((step.number, step.sub))

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from handctl.campaign.stage import started
+from handctl.campaign.stage import homed_run
 from handctl.core.types import Mode
 from handctl.hand.load import load_hand
 from handctl.session.simulate import Simulation
@@ -27,7 +27,7 @@ def after_silence(course: Simulation) -> Simulation:
 @pytest.mark.parametrize("protocol", sorted(OPTIONS))
 def test_after_a_good_end_the_next_run_finds_no_fault(protocol: str, tmp_path: Path) -> None:
     hand = load_hand(str(hand_file(tmp_path, [protocol])))
-    with started(hand, 500.0, 1) as course:
+    with homed_run(hand, 500.0, 1) as course:
         until(course, Mode.ACTIVE)
         course.tick(requests=('{"do": "stop"}',))
         until(course, Mode.DONE)
@@ -37,7 +37,7 @@ def test_after_a_good_end_the_next_run_finds_no_fault(protocol: str, tmp_path: P
 
 def test_after_a_failure_cia402_drives_stay_supervised(tmp_path: Path) -> None:
     hand = load_hand(str(hand_file(tmp_path, ["cia402"])))
-    with started(hand, 500.0, 1) as course:
+    with homed_run(hand, 500.0, 1) as course:
         until(course, Mode.ACTIVE)
         course.peer.inject("off node=index_motor")
         assert course.until(lambda out: out.mode == Mode.DONE, 5.0)

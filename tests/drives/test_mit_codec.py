@@ -70,15 +70,15 @@ def test_requests_have_the_known_bytes(request_: bytes, payload: str) -> None:
 
 
 def test_register_replies_are_decoded_to_known_values() -> None:
-    told = codec.register_reply(bytes.fromhex("0100330900040000"), 1)
+    told = codec.decode_register_reply(bytes.fromhex("0100330900040000"), 1)
     assert told is not None
     assert (told.operation, told.register, told.value) == (0x33, 9, 1024)
-    told = codec.register_reply(bytes.fromhex("0100551700008040"), 1)
+    told = codec.decode_register_reply(bytes.fromhex("0100551700008040"), 1)
     assert told is not None
     assert (told.operation, told.register, told.value) == (0x55, 23, 4.0)
-    assert codec.register_reply(bytes.fromhex("0100aa0100000000"), 1) == (0xAA, 1, bytes(4))
-    assert codec.register_reply(bytes.fromhex("0200330900040000"), 1) is None
-    assert codec.register_reply(bytes.fromhex("018000800bff2020"), 1) is None
+    assert codec.decode_register_reply(bytes.fromhex("0100aa0100000000"), 1) == (0xAA, 1, bytes(4))
+    assert codec.decode_register_reply(bytes.fromhex("0200330900040000"), 1) is None
+    assert codec.decode_register_reply(bytes.fromhex("018000800bff2020"), 1) is None
 
 
 @given(TORQUES)
@@ -101,13 +101,13 @@ def test_more_torque_is_never_a_smaller_code(one: float, other: float) -> None:
 
 
 @given(st.one_of(st.floats(max_value=-TMAX, exclude_max=True), st.floats(min_value=TMAX, exclude_min=True)))
-def test_what_is_out_of_range_cannot_be_encoded(torque: float) -> None:
+def test_torque_out_of_range_cannot_be_encoded(torque: float) -> None:
     with pytest.raises(ValueError, match="index_motor: torque"):
         drive_of().advance(ENABLED, 1, DriveTarget.ENABLE, torque)
 
 
 @pytest.mark.parametrize("torque", [math.nan, math.inf, -math.inf])
-def test_what_is_no_number_cannot_be_encoded(torque: float) -> None:
+def test_nan_cannot_be_encoded(torque: float) -> None:
     with pytest.raises(ValueError, match=r"expected at most 0\.8$"):
         drive_of().advance(ENABLED, 1, DriveTarget.ENABLE, torque)
 

@@ -138,7 +138,7 @@ def test_an_open_request_is_repeated_only_after_its_time(rig: MotorRig) -> None:
     assert len(asked) == 5, "100 ms, one request in 20 ms"
 
 
-def test_a_motor_that_took_long_to_configure_is_not_taken_for_gone(rig: MotorRig) -> None:
+def test_slow_configuration_is_no_timeout(rig: MotorRig) -> None:
     rig.motor.mute.update((9, 10, 21, 22, 23))
     for register in (10, 21, 22, 23, 9):
         for _ in range(35):
@@ -190,5 +190,5 @@ def test_a_motor_whose_number_looks_like_a_state_is_read_near_the_end_of_its_ran
     assert seen.position == pytest.approx(-12.5 + 25 * 0x33 / 65535)
 
 
-def test_what_comes_on_another_bus_is_not_heard(rig: MotorRig) -> None:
+def test_frames_of_another_bus_are_ignored(rig: MotorRig) -> None:
     assert rig.drive.receive(rig.state, Frame(0x11, rig.motor.feedback(), bus=1)) is rig.state

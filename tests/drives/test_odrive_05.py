@@ -12,26 +12,28 @@ from handctl.drives.frame import REMOTE, Frame
 from handctl.drives.odrive import firmware_05 as odrive_05
 from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
-from handctl.runtime.diagnostics.conformance import CheckVerdict, DeviceUnderTest, checks
-from handctl.runtime.diagnostics.scan import scan
+from handctl.runtime.diagnostics.conformance import CheckVerdict, DeviceUnderTest, run_checks
+from handctl.runtime.diagnostics.scan import scan_bus
 from tests.drives.protocol_bench import described
 from tests.drives.virtual_bench import NODE, VirtualBench, rig_on
 
 OLD = {"firmware": "0.5"}
 
 
-def test_it_keeps_every_promise_if_its_watchdog_was_set_over_usb():
+def test_odrive_05_with_watchdog_passes_conformance():
     place = VirtualBench("odrive", usb_watchdog_s=0.05, **OLD)
     rig = rig_on(place, "odrive", 0.1, OLD)
-    results = list(checks(DeviceUnderTest(rig, 0.1, 0.05)))
+    results = list(run_checks(DeviceUnderTest(rig, 0.1, 0.05)))
     assert [check for check in results if check.verdict is not CheckVerdict.PASSED] == []
     assert len(rig.drive.unverified_guards) == 2
     assert 0.0 < place.top <= 0.1001
 
 
-def test_without_its_watchdog_it_fails_by_that():
+def test_odrive_05_without_watchdog_fails_the_watchdog_check():
     rig = rig_on(VirtualBench("odrive", **OLD), "odrive", 0.1, OLD)
-    failed = [check.name for check in checks(DeviceUnderTest(rig, 0.1, 0.05)) if check.verdict is CheckVerdict.FAILED]
+    failed = [
+        check.name for check in run_checks(DeviceUnderTest(rig, 0.1, 0.05)) if check.verdict is CheckVerdict.FAILED
+    ]
     assert failed == ["disables itself when the host falls silent, and stays off"]
 
 
@@ -45,7 +47,7 @@ def test_errors_have_texts(error, words):
     assert words in rig.state.error_text
 
 
-def test_it_is_not_asked_for_what_it_does_not_have():
+def test_odrive_05_is_not_asked_for_missing_messages():
     place = VirtualBench("odrive", **OLD)
     rig = rig_on(place, "odrive", 0.1, OLD)
     sent = []
@@ -64,7 +66,7 @@ def test_a_scan_names_it():
         bus.bench.advance(bus.bench.t_ns + round(for_s * 1e9))
         seen += bus.drain()
 
-    (found,) = scan(place, listen=hear).found
+    (found,) = scan_bus(place, listen=hear).found
     assert (found.protocol, found.node_id, found.options) == ("odrive", NODE, OLD)
     assert "0.5" in found.notes[0]
 
@@ -78,7 +80,7 @@ def test_a_scan_names_it():
         ({"endpoint_torque_max": 3, **OLD}, "no SDO"),
     ],
 )
-def test_what_it_does_not_have_is_refused(options, said):
+def test_options_missing_in_odrive_05_are_refused(options, said):
     with pytest.raises(ConfigError, match=said):
         make_drive(described("odrive", NODE, 0.1, options), 0)
 
@@ -94,7 +96,7 @@ def test_its_heartbeat_is_the_vendors():
     values = {signal.name: 0 for signal in message.signals} | {"Axis_State": 8}
     for name, error in flags.items():
         data = message.encode(values | {name: 1})
-        assert odrive_05.heartbeat(data) == (error, 8, 0)
+        assert odrive_05.decode_heartbeat(data) == (error, 8, 0)
     place = VirtualBench("odrive", **OLD)
     place.bench.nodes[0].disarm(1 << 24)
     place.bench.advance(200_000_000)

@@ -56,7 +56,7 @@ def test_any_control_rate_that_the_watchdogs_allow_comes_to_torque(
     slow.rig.close()
 
 
-def test_a_dead_host_loses_its_torque_and_only_a_person_gets_it_back(bench: Bench) -> None:
+def test_dead_host_loses_torque_until_an_operator_clears(bench: Bench) -> None:
     bench.until(DriveTarget.ENABLE, Phase.ENABLED)
     bench.tick(DriveTarget.ENABLE, 0.05)
     for _ in range(15):
@@ -103,7 +103,7 @@ def test_disabling_is_not_confirmed_by_silence(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("torque", [math.nan, math.inf, -math.inf, 0.801, -1e9])
-def test_what_is_no_torque_cannot_be_encoded(bench: Bench, torque: float) -> None:
+def test_invalid_torque_cannot_be_encoded(bench: Bench, torque: float) -> None:
     bench.until(DriveTarget.ENABLE, Phase.ENABLED)
     for drive, state in zip(bench.drives, bench.states, strict=True):
         with pytest.raises(ValueError, match=drive.name):

@@ -9,7 +9,7 @@ from handctl.drives.readback import REQUEST_TIMEOUT_NS, REQUEST_TRIES, Cursor
 def test_a_request_is_repeated_when_its_answer_is_overdue_and_not_for_ever() -> None:
     cursor, sent_ns = Cursor(), list[int]()
     for t_ns in range(0, 2 * REQUEST_TRIES * REQUEST_TIMEOUT_NS, REQUEST_TIMEOUT_NS // 4):
-        cursor, send, problem = readback.next_request(cursor, "setting 1", t_ns)
+        cursor, send, problem = readback.request_setting(cursor, "setting 1", t_ns)
         sent_ns += [t_ns] * send
         if problem:
             break
@@ -19,21 +19,21 @@ def test_a_request_is_repeated_when_its_answer_is_overdue_and_not_for_ever() -> 
 
 
 def test_each_setting_has_its_own_tries() -> None:
-    cursor, send, _ = readback.next_request(Cursor(), "first", 0)
+    cursor, send, _ = readback.request_setting(Cursor(), "first", 0)
     assert send
     assert cursor.next_setting() == Cursor(1)
-    assert readback.next_request(cursor.next_setting(), "second", 1)[1], "at once"
+    assert readback.request_setting(cursor.next_setting(), "second", 1)[1], "at once"
 
 
 @pytest.mark.parametrize("writes", [0, 1, 3])
-def test_what_differs_is_written_and_read_again(writes: int) -> None:
+def test_wrong_setting_is_written_and_read_again(writes: int) -> None:
     cursor = Cursor(2, sent_ns=5, tries=1)
     for number in range(writes):
         cursor, problem = readback.on_wrong_value(cursor, "limit", "3", "4", writes)
         assert (cursor, problem) == (Cursor(2, writing=True, written=number), "")
         cursor = cursor.after_write()
         assert cursor == Cursor(2, written=number + 1)
-        cursor, send, _ = readback.next_request(cursor, "limit", 7)
+        cursor, send, _ = readback.request_setting(cursor, "limit", 7)
         assert send
     after, problem = readback.on_wrong_value(cursor, "limit", "3", "4", writes)
     assert after == cursor

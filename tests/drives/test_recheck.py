@@ -5,8 +5,8 @@ from itertools import pairwise
 
 import pytest
 
-from handctl.campaign.scenarios import ALL, FREE
-from handctl.campaign.stage import advance_to, hand_in, started
+from handctl.campaign.scenarios import ALL_PROTOCOLS, FREE
+from handctl.campaign.stage import advance_to, hand_with_protocol, homed_run
 from handctl.controller.bus_load import bus_loads
 from handctl.core.types import Mode
 from handctl.drives import readback
@@ -16,7 +16,7 @@ from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
 from handctl.drives.mit.drive import MitDrive
 from handctl.drives.mit.progress import MitProgress
-from handctl.session.plan import fastest
+from handctl.session.plan import highest_rate_of_buses
 
 TICK_NS = 2_000_000
 SEEDS = range(20) if os.environ.get("HANDCTL_NIGHTLY") == "1" else (1,)
@@ -94,10 +94,10 @@ def test_requests_without_answer_end_in_a_fault_and_a_few_do_not():
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("protocol", sorted(set(ALL) - {"moteus"}))
+@pytest.mark.parametrize("protocol", sorted(set(ALL_PROTOCOLS) - {"moteus"}))
 def test_a_hand_whose_drive_lost_its_settings_is_cut(protocol, seed):
-    hand = hand_in("jamia", protocol)
-    with started(hand, fastest(bus_loads(hand)), seed) as course:
+    hand = hand_with_protocol("jamia", protocol)
+    with homed_run(hand, highest_rate_of_buses(bus_loads(hand)), seed) as course:
         advance_to(course, FREE)
         course.peer.inject(f"forget node={hand.motor[seed % 4].name}")
         end_s = course.k * course.period_ns * 1e-9 + 1.01
@@ -110,8 +110,8 @@ def test_a_hand_whose_drive_lost_its_settings_is_cut(protocol, seed):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed):
     """A moteus that lost its settings may stop obeying before they are read back: N14 is then the first fault."""
-    hand = hand_in("jamia", "moteus")
-    with started(hand, fastest(bus_loads(hand)), seed) as course:
+    hand = hand_with_protocol("jamia", "moteus")
+    with homed_run(hand, highest_rate_of_buses(bus_loads(hand)), seed) as course:
         advance_to(course, FREE)
         motor = hand.motor[seed % 4].name
         course.peer.inject(f"forget node={motor}")

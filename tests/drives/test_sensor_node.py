@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handctl.drives.frame import ERROR, EXTENDED, REMOTE, Frame
-from handctl.drives.sensors.node import TENSION_TOP_N, TENSION_ZERO_N, SensorNode, counters
+from handctl.drives.sensors.node import TENSION_MAX_N, TENSION_ZERO_N, SensorNode, sync_counters
 from tests.drives.wired import Wired
 
 RAW = st.integers(0, 4095)
@@ -69,7 +69,7 @@ def tick_of(node: SensorNode, nibble: int) -> int:
 
 @pytest.mark.parametrize("decimation", [1, 2, 3, 4, 5, 7, 8, 12, 16, 100, 256])
 def test_counters_keep_the_turn_of_the_joints(decimation: int) -> None:
-    made = counters(decimation)
+    made = sync_counters(decimation)
     assert len(made) % decimation == 0
     assert all(counter % decimation == k % decimation for k, counter in enumerate(made))
 
@@ -77,7 +77,7 @@ def test_counters_keep_the_turn_of_the_joints(decimation: int) -> None:
 @pytest.mark.parametrize("decimation", [1, 2, 3, 4, 5, 6, 7])
 def test_no_age_of_a_frame_makes_it_fresh(decimation: int) -> None:
     """Less than 8 ticks old never, older ones by chance: more than 40 of 100 are lost then, which relaxes (B03b)."""
-    nibbles = [counter & 0xF for counter in counters(decimation)]
+    nibbles = [counter & 0xF for counter in sync_counters(decimation)]
     n = len(nibbles)
     for age in range(1, 200):
         same = [k >= age and nibbles[k] == nibbles[k - age] for k in range(n)]  # but for the seam
@@ -151,7 +151,7 @@ def test_a_stale_frame_changes_no_value(node: SensorNode) -> None:
     assert wired.view("group_frames")[:3].tolist() == [1, 1, 1]
 
 
-def test_nothing_is_new_twice_and_what_is_missing_stays_missing(node: SensorNode) -> None:
+def test_reading_is_new_once_and_missing_stays_missing(node: SensorNode) -> None:
     wired = heard(node, tick_of(node, 1))
     first, second, _ = encoded(0x1A0, "tension", 1, range(CHANNELS))
     assert list(wired.receive([second]).tensions) == [5, 6, 7, 8, 9]
@@ -261,7 +261,7 @@ def test_what_is_stale_and_what_cannot_be_read_are_counted_apart(node: SensorNod
 
 
 def test_channels_that_are_empty_or_full(node: SensorNode) -> None:
-    low, top = TENSION_ZERO_N, TENSION_TOP_N
+    low, top = TENSION_ZERO_N, TENSION_MAX_N
     wired = heard(node, 0)
     assert not wired.observe().view("saturated").any()
     for i, cell in {0: low, 1: low + 0.1, 3: top - 0.1, 4: top, 7: math.nan}.items():

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from handctl.campaign.stage import hand_in
-from handctl.controller.bus_load import bus_loads, split
+from handctl.campaign.stage import hand_with_protocol
+from handctl.controller.bus_load import bus_loads, split_motors_over_buses
 from handctl.controller.setup import make_drives
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
@@ -15,7 +15,7 @@ from handctl.core.types import Mode
 from handctl.drives.frame_time import MAX_BUS_LOAD, frame_time_s
 from handctl.drives.motor_description import PROTOCOLS
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_content, hand_from, load_hand
+from handctl.hand.load import hand_content, hand_from_content, load_hand
 from handctl.programs.live import LiveProgram
 from handctl.session.simulate import Simulator, homed_controller
 from tests.drives.protocol_bench import hand_file, on_two_buses
@@ -34,7 +34,7 @@ def without_sensors() -> Hand:
     del content["sensor_node"]
     drive = {"protocol": "cia402", "options": dict(PROTOCOLS["cia402"].options)}
     content["motor"] = [motor | drive for motor in content["motor"]]
-    return hand_from(content, "without sensors")
+    return hand_from_content(content, "without sensors")
 
 
 def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
@@ -50,7 +50,9 @@ def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
 
 
 def test_the_packaged_hand_on_two_buses_has_sync_on_both() -> None:
-    assert senders(hand_in("n_plus_1", "cia402")) == ["middle_f2"], "the last drive of the bus without the sensor node"
+    assert senders(hand_with_protocol("n_plus_1", "cia402")) == ["middle_f2"], (
+        "the last drive of the bus without the sensor node"
+    )
 
 
 @pytest.mark.parametrize(
@@ -81,12 +83,12 @@ def test_the_bus_load_has_the_sync_without_sensors() -> None:
 
 def test_each_bus_of_a_split_has_room_for_its_sync() -> None:
     for rate in range(200, 1000, 80):
-        hand = hand_in("jamia11", "cia402")
-        buses = split(hand, rate)
+        hand = hand_with_protocol("jamia11", "cia402")
+        buses = split_motors_over_buses(hand, rate)
         bus_of = {name: f"bus{i}" for i, names in enumerate(buses) for name in names}
         wires = tuple(hand.bus[0].model_copy(update={"name": f"bus{i}"}) for i in range(len(buses)))
         node = hand.sensor_node.model_copy(update={"bus": "bus0"})
         motors = tuple(motor.model_copy(update={"bus": bus_of[motor.name]}) for motor in hand.motor)
         changed = hand.model_copy(update={"bus": wires, "sensor_node": node, "motor": motors})
-        loads = bus_loads(hand_from(tomllib.loads(changed.to_toml()), "split"))
+        loads = bus_loads(hand_from_content(tomllib.loads(changed.to_toml()), "split"))
         assert max(load.at(rate) for load in loads) <= MAX_BUS_LOAD, rate

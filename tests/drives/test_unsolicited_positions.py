@@ -5,7 +5,7 @@ import os
 import numpy as np
 import pytest
 
-from handctl.campaign.stage import hand_in
+from handctl.campaign.stage import hand_with_protocol
 from handctl.core import block as s
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
@@ -36,7 +36,7 @@ TASK = Task.model_validate(
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_tension_does_not_swing_by_positions_of_another_time(seed: int) -> None:
     """The tensions of a hand without springs swung by 15 N RMS, which ended the default task with N14b."""
-    model = HandModel.of(hand_in("n_plus_1", "odrive"), Gains(), RATE_HZ)
+    model = HandModel.of(hand_with_protocol("n_plus_1", "odrive"), Gains(), RATE_HZ)
     with Simulator(model.hand, None, seed, homed=True).against(homed_controller(model, TaskProgram(TASK))) as run:
         run.record = False
         largest = 0.0

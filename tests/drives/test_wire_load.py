@@ -45,7 +45,7 @@ def test_the_wire_is_as_full_as_the_plan_says(protocol: str, tmp_path: Path) -> 
     assert 0.8 * planned[0] < busy_s(path, ["stuffing=actual"])[0] < planned[0]
 
 
-def test_so_is_each_of_two_with_can_fd_among_them(tmp_path: Path) -> None:
+def test_each_of_two_buses_is_as_full_as_planned(tmp_path: Path) -> None:
     path = on_two_buses(hand_file(tmp_path, ["mit", "mit", "odrive"]), (0, 1))
     classical = '"second"\nbitrate = 1000000'
     text = path.read_text().replace(classical, classical + "\ndata_bitrate = 5_000_000")
@@ -73,7 +73,7 @@ def test_a_wire_that_is_asked_for_too_much_is_full_and_answers_come_late(tmp_pat
     assert bench.rig.wired.wires[0].next_ns() < bench.k * 1_000_000 + 200_000, "frames wait"
 
 
-def test_lockstep_tells_what_the_wire_tells(tmp_path: Path) -> None:
+def test_lockstep_matches_the_timed_wire(tmp_path: Path) -> None:
     bench = Bench(hand_file(tmp_path, ["mit"]), [])
     assert bench.rig.wired
     clock = LockstepClock(bench.rig, 2_000_000)

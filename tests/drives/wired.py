@@ -14,7 +14,7 @@ from handctl.core.block import STATE
 from handctl.core.constants import ELEMENTS, HAND, KINDS
 from handctl.drives.contract import Drive, DriveState, DriveTarget
 from handctl.drives.frame import ERROR, Frame
-from handctl.drives.records import WORDS, Frames, frames_of
+from handctl.drives.records import WORDS, Frames, frames_as_records
 from handctl.drives.sensors.node import SensorNode
 
 
@@ -54,7 +54,7 @@ class Wired:
     def begin(self) -> None:
         """Begin a tick, whose number and time stay."""
         numbers = [self.number(name) for name in ("k", "t_ns", "late_ns", "missed", "frames")]
-        wire.begin(self.block, self.layout.places, *numbers)
+        wire.begin_tick(self.block, self.layout.places, *numbers)
 
     def sync(self, k: int) -> Frame:
         """Ask the sensors, as the tick's end does it, and begin the next tick."""
@@ -65,10 +65,10 @@ class Wired:
 
     def receive(self, frames: Iterable[Frame]) -> "Wired":
         """Take frames in."""
-        frames, known, at = frames_of(frames), self.tables, 0
+        frames, known, at = frames_as_records(frames), self.tables, 0
         self.seen, self.foreign = [], []
         while True:
-            at = wire.receive(
+            at = wire.receive_frames(
                 self.block, self.layout.places, *self._constants, frames.rows, known.keys, known.entries, known.wholes,
                 known.reals, at,
             )  # fmt: skip
@@ -90,7 +90,7 @@ class Wired:
         while True:
             if target == DriveTarget.ENABLE:
                 out = np.zeros((len(tables.templates), WORDS), np.uint64)
-                first, count = wire.send(
+                first, count = wire.encode_commands(
                     self.block, self.layout.places, out, tables.commands, tables.sent_wholes, tables.sent_reals,
                     tables.templates, np.asarray(torque, dtype=np.float64), first, 0,
                 )  # fmt: skip
@@ -140,7 +140,7 @@ class Wired:
 
     def observe(self) -> "Wired":
         """Turn what came into measurements, and start the filter if every sensor was read."""
-        stages.observe(self.block, self.layout.places, *self._constants)
+        stages.observe_tick(self.block, self.layout.places, *self._constants)
         return self
 
     @cached_property

@@ -10,9 +10,20 @@ import pytest
 
 from handctl.campaign import campaign
 from handctl.campaign.scenario_run import ScenarioResult, run_scenario
-from handctl.campaign.scenarios import ALL, ARMING, FREE, GRASP, LEFT_OUT, MATRIX, MatrixRow, Scenario, pairs, scenarios
-from handctl.campaign.stage import FREE_S, advance_to, branch, hand_in, started
-from handctl.cli.studies.fault_campaign import rate_of
+from handctl.campaign.scenarios import (
+    ALL_PROTOCOLS,
+    ARMING,
+    FREE,
+    GRASP,
+    MATRIX,
+    UNTESTED_ROWS,
+    MatrixRow,
+    Scenario,
+    fault_pairs,
+    scenarios,
+)
+from handctl.campaign.stage import FREE_S, advance_to, hand_with_protocol, homed_run, run_in_branches
+from handctl.cli.studies.fault_campaign import default_rate
 from handctl.core.types import Event, Mode
 from handctl.safety.action import Action
 from handctl.safety.faults.tendon import RELAXED_S
@@ -25,7 +36,7 @@ SAMPLE = ("N08", "H13")
 @pytest.fixture(scope="module")
 def report():
     """Run some rows on MIT drives, and an undisturbed hand for a second."""
-    return campaign.run(
+    return campaign.run_campaign(
         "jamia", ["mit"], lambda hand: RATE_HZ, jobs=2, quick=False, fault_free_s=1.0,
         on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: None, row_ids=SAMPLE,
     )  # fmt: skip
@@ -55,7 +66,7 @@ def test_fault_free_run_alone_continues_its_seeds():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(campaign, "run_fault_free", seen)
-        report = campaign.run(
+        report = campaign.run_campaign(
             "jamia", ["mit"], lambda hand: RATE_HZ, jobs=1, quick=False, fault_free_s=30.0,
             fault_free_only=True, seed=76,
             on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: None,
@@ -81,8 +92,8 @@ def undisturbed(phase, *texts):
         yield simulation
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(campaign, "started", started)
-        return campaign.run_fault_free(hand_in("jamia", "mit"), 1.0, 9.0, seed=5)
+        patch.setattr(campaign, "homed_run", started)
+        return campaign.run_fault_free(hand_with_protocol("jamia", "mit"), 1.0, 9.0, seed=5)
 
 
 def test_an_undisturbed_hand_that_holds_or_does_not_grasp_is_a_false_alarm():
@@ -95,21 +106,21 @@ def test_an_undisturbed_hand_that_holds_or_does_not_grasp_is_a_false_alarm():
 @pytest.mark.timeout(120)
 def test_at_100_hz_noise_prevents_no_grasp():
     """With three times the noise one of eleven taut tendons looks slack in every fifth tick."""
-    hand = hand_in("jamia11", "odrive")
-    assert campaign.run_fault_free(hand, rate_of(hand), 8.0, seed=80111) == []
+    hand = hand_with_protocol("jamia11", "odrive")
+    assert campaign.run_fault_free(hand, default_rate(hand), 8.0, seed=80111) == []
 
 
 def test_a_missing_reaction_counts_as_late(tmp_path):
     """Positive control of the judge: a fault that cannot be detected in time, and one without effect, are reported."""
-    hand = hand_in("jamia", "mit")
+    hand = hand_with_protocol("jamia", "mit")
     never = MatrixRow("B01", "drop node=index_motor p=0", Action.WARN, 3, rows=("B01",))
     slow = MatrixRow("T04", "drift cell=index_tendon size=1", Action.RELAX, 3, rows=("T04",))
     results = []
     stored_log = tmp_path / "kept"
-    with started(hand, RATE_HZ, 0) as simulation:
+    with homed_run(hand, RATE_HZ, 0) as simulation:
         simulation.tick()
         todo = [Scenario(row, row.fault, GRASP) for row in (never, slow)]
-        branch(
+        run_in_branches(
             simulation,
             todo,
             2,
@@ -127,7 +138,7 @@ def test_a_missing_reaction_counts_as_late(tmp_path):
 def test_a_reaction_to_another_fault_does_not_count():
     """A run that ends because a drive dropped out proves nothing about its load cells."""
     row = MatrixRow("T05", "error node=index_motor", Action.RELAX, 3, rows=("T05",))
-    with started(hand_in("jamia", "mit"), RATE_HZ, 0) as simulation:
+    with homed_run(hand_with_protocol("jamia", "mit"), RATE_HZ, 0) as simulation:
         advance_to(simulation, ARMING)
         advance_to(simulation, FREE)
         result = run_scenario(simulation, Scenario(row, row.fault, FREE), "mit")
@@ -137,7 +148,7 @@ def test_a_reaction_to_another_fault_does_not_count():
 
 @pytest.mark.parametrize(("name", "rate_hz"), [("jamia", RATE_HZ), ("jamia11", 200.0)])
 def test_a_free_motion_is_disturbed_while_it_moves(name, rate_hz):
-    with started(hand_in(name, "mit"), rate_hz, 0) as simulation:
+    with homed_run(hand_with_protocol(name, "mit"), rate_hz, 0) as simulation:
         advance_to(simulation, ARMING)
         advance_to(simulation, FREE)
         free = [out for _, out in simulation.recorded if out.phase == "free"]
@@ -147,7 +158,7 @@ def test_a_free_motion_is_disturbed_while_it_moves(name, rate_hz):
 
 
 def test_a_load_cell_is_set_off_by_more_than_its_tendon_s_limit():
-    hand = hand_in("jamia", "mit")
+    hand = hand_with_protocol("jamia", "mit")
     thumb = hand.tendon[-1].model_copy(update={"tension_trip_N": 90.0, "drive_limit_N": 95.5})
     other = hand.model_copy(update={"tendon": (*hand.tendon[:-1], thumb)})
     texts = {one.fault for one in scenarios(other, "mit", 2.0) if one.row.id == "T03"}
@@ -158,11 +169,11 @@ def test_a_load_cell_is_set_off_by_more_than_its_tendon_s_limit():
 @pytest.mark.parametrize("joint", ["index_j1", "thumb_j2"])
 def test_silent_joint_encoders_are_detected(joint):
     """Each kind of frame counts apart, after four missing frames. Up to three in a row may be lost (no N06, no T08)."""
-    every = hand_in("jamia11", "mit").sensor_node.joint_decimation
+    every = hand_with_protocol("jamia11", "mit").sensor_node.joint_decimation
     for frames, found in ((3, ""), (4, f"N02b {joint}")):
         fault = f"mute joint={joint} for={5 * every * frames}ms"
         row = MatrixRow("N02", fault, Action.RELAX, 4 * every, rows=("N02",))
-        with started(hand_in("jamia11", "mit"), 200.0, 0) as simulation:
+        with homed_run(hand_with_protocol("jamia11", "mit"), 200.0, 0) as simulation:
             advance_to(simulation, ARMING)
             advance_to(simulation, FREE)
             result = run_scenario(simulation, Scenario(row, fault, FREE), "mit")
@@ -173,7 +184,7 @@ def test_silent_joint_encoders_are_detected(joint):
 def test_a_node_that_answers_every_second_tick_does_not_make_the_hand_swing():
     """Regression: with steady filter gains the tension rose to 171 N at a command of 7 N."""
     row = next(row for row in MATRIX if row.id == "N15" and "cia402" in row.protocols)
-    with started(hand_in("jamia11", "cia402"), 200.0, 0) as simulation:
+    with homed_run(hand_with_protocol("jamia11", "cia402"), 200.0, 0) as simulation:
         advance_to(simulation, ARMING)
         advance_to(simulation, FREE)
         result = run_scenario(simulation, Scenario(row, "slow node=index_m1 size=2", FREE), "cia402")
@@ -188,8 +199,8 @@ def test_true_tension_stays_within_what_drive_and_momentum_explain():
     initial tension T and speed v. Without friction the tension overshoots to F + sqrt((F - T)^2 + k m v^2). The
     reaction of the host can only lower it.
     """
-    hand = hand_in("jamia", "mit")
-    with started(hand, RATE_HZ, 0) as simulation:
+    hand = hand_with_protocol("jamia", "mit")
+    with homed_run(hand, RATE_HZ, 0) as simulation:
         advance_to(simulation, GRASP)
         space = simulation.controller.model.space
         at = simulation.peer.truth()["tension"][0]
@@ -207,9 +218,9 @@ def test_true_tension_stays_within_what_drive_and_momentum_explain():
 
 def test_a_drive_that_does_not_relax_is_cut_though_its_load_cell_is_at_its_rail():
     """An ODrive without torque feedback, and load cells that saturate below the limit of an immediate cut."""
-    hand = hand_in("jamia_bench", "odrive")
+    hand = hand_with_protocol("jamia_bench", "odrive")
     row = next(row for row in MATRIX if row.fault == "runaway node={node} size=1 seed=1")
-    with started(hand, 400.0, 0) as simulation:
+    with homed_run(hand, 400.0, 0) as simulation:
         advance_to(simulation, GRASP)
         result = run_scenario(simulation, Scenario(row, row.fault.replace("{node}", "thumb_motor"), GRASP), "odrive")
     assert result.ok, result.problem
@@ -217,22 +228,26 @@ def test_a_drive_that_does_not_relax_is_cut_though_its_load_cell_is_at_its_rail(
 
 
 def test_instances_are_the_first_and_the_last():
-    hand = hand_in("jamia", "mit")
+    hand = hand_with_protocol("jamia", "mit")
     texts = [one.fault for one in scenarios(hand, "mit", 2.0) if one.row.id == "B17" and one.stage == GRASP]
     assert {text.rpartition("=")[2] for text in texts} == {"index_motor", "thumb_motor"}
-    assert len(pairs(hand, "mit", 2.0)) == 66
+    assert len(fault_pairs(hand, "mit", 2.0)) == 66
 
 
 def test_every_row_is_in_the_matrix_or_tested_elsewhere():
-    assert not {row.id for row in MATRIX} & LEFT_OUT.keys()
-    counts = {protocol: len(scenarios(hand_in("jamia", protocol), protocol, 2.0)) for protocol in ALL}
+    assert not {row.id for row in MATRIX} & UNTESTED_ROWS.keys()
+    counts = {
+        protocol: len(scenarios(hand_with_protocol("jamia", protocol), protocol, 2.0)) for protocol in ALL_PROTOCOLS
+    }
     assert sum(counts.values()) + 3 * 66 >= 250, counts
 
 
 def test_quick_samples_of_consecutive_seeds_are_the_whole_campaign():
-    hand = hand_in("jamia11", "mit")
-    samples = [campaign.plan(hand, "mit", 200.0, quick=True, seed=seed) for seed in range(campaign.QUICK_EVERY)]
-    whole = campaign.plan(hand, "mit", 200.0, quick=False)
+    hand = hand_with_protocol("jamia11", "mit")
+    samples = [
+        campaign.campaign_scenarios(hand, "mit", 200.0, quick=True, seed=seed) for seed in range(campaign.QUICK_EVERY)
+    ]
+    whole = campaign.campaign_scenarios(hand, "mit", 200.0, quick=False)
     assert sorted(one.name for sample in samples for one in sample) == sorted(one.name for one in whole)
 
 
@@ -241,9 +256,9 @@ def test_quick_samples_of_consecutive_seeds_are_the_whole_campaign():
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("hand", ["jamia", "jamia11", "jamia_bench"])
 def test_the_quick_sample_whatever_the_seed(hand: str, seed: int):
-    protocol = ALL[seed % len(ALL)]
-    report = campaign.run(
-        hand, [protocol], rate_of, jobs=2, quick=True, fault_free_s=4.0, seed=seed,
+    protocol = ALL_PROTOCOLS[seed % len(ALL_PROTOCOLS)]
+    report = campaign.run_campaign(
+        hand, [protocol], default_rate, jobs=2, quick=True, fault_free_s=4.0, seed=seed,
         on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: None,
     )  # fmt: skip
     assert [(result.scenario, result.problem) for result in report.all_results if not result.ok] == []
@@ -254,11 +269,11 @@ def test_the_quick_sample_whatever_the_seed(hand: str, seed: int):
 @pytest.mark.skipif("HANDCTL_NIGHTLY" not in os.environ, reason="runs with HANDCTL_NIGHTLY=1 (make nightly)")
 @pytest.mark.timeout(7200)
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
-@pytest.mark.parametrize("protocol", ALL)
+@pytest.mark.parametrize("protocol", ALL_PROTOCOLS)
 def test_every_scenario_of_the_matrix_is_detected_in_time(hand: str, protocol: str):
     wrong: list[ScenarioResult] = []
-    report = campaign.run(
-        hand, [protocol], rate_of, jobs=2, quick=False, fault_free_s=600.0,
+    report = campaign.run_campaign(
+        hand, [protocol], default_rate, jobs=2, quick=False, fault_free_s=600.0,
         on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: wrong.append(result),
     )  # fmt: skip
     assert [(result.scenario, result.problem) for result in report.all_results if not result.ok] == []

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from handctl.campaign.scenarios import FREE, GRASP
-from handctl.campaign.stage import TASK, advance_to, hand_in, started
+from handctl.campaign.stage import TASK, advance_to, hand_with_protocol, homed_run
 from handctl.core.types import Mode
 from handctl.drives.motor_description import GUARDED
 from handctl.runtime.mailbox import STOP
@@ -67,13 +67,13 @@ def tension_bound(simulation: Simulation, decided: Instant, force: np.ndarray) -
 @pytest.mark.parametrize(("hand_name", "protocol", "seed"), SAMPLED)
 def test_relaxing_raises_no_command_and_no_tension(hand_name: str, protocol: str, seed: int) -> None:
     chance = random.Random(f"{hand_name} {protocol} {seed}")
-    hand = hand_in(hand_name, protocol)
+    hand = hand_with_protocol(hand_name, protocol)
     rate = RATE_HZ[hand_name]
     perturb = {key: chance.uniform(0.7, 1.4) for key in ("stiffness", "friction", "motor_inertia")}
     task = {**TASK, "phase": [*TASK["phase"][:-1], {**TASK["phase"][-1], "tension_N": chance.uniform(20.0, 90.0)}]}
     a, b = chance.sample([motor.name for motor in hand.motor], 2)
     fault = chance.choice(FAULTS).format(a=a, b=b, t=chance.choice(hand.tendon_names))
-    with started(hand, rate, seed, perturb, task) as simulation:
+    with homed_run(hand, rate, seed, perturb, task) as simulation:
         advance_to(simulation, chance.choice((FREE, GRASP)))
         for _ in range(int(chance.uniform(0.0, 3.0) * rate)):
             simulation.tick()

@@ -9,20 +9,20 @@ import pytest
 from firmware_sim.description import load_hand
 from firmware_sim.faults.text import parse_fault
 from handctl.campaign import sequences
-from handctl.campaign.scenarios import ALL, ARMING, HOST
+from handctl.campaign.scenarios import ALL_PROTOCOLS, ARMING, HOST_PREFIX
 from handctl.campaign.sequences import (
     SEQUENCE_TICKS,
     FaultStep,
     Sequence,
-    draw,
-    run,
+    draw_sequence,
     run_sequence,
+    run_sequences,
     violations_at_end,
     violations_in_tick,
     violations_on_replay,
 )
-from handctl.campaign.stage import STAGES, advance_to, branch, hand_in, started
-from handctl.cli.studies.fault_campaign import rate_of
+from handctl.campaign.stage import STAGES, advance_to, hand_with_protocol, homed_run, run_in_branches
+from handctl.cli.studies.fault_campaign import default_rate
 from handctl.core.types import Mode
 from handctl.safety.judge import Latched
 
@@ -32,7 +32,7 @@ NOBODY = {"on_progress": lambda done: None, "on_failure": lambda simulation, res
 @pytest.fixture(scope="module")
 def simulation():
     """Simulate a hand that arms, in slow ticks. Each test takes a copy."""
-    with started(hand_in("jamia", "mit"), 200.0, 0) as simulation:
+    with homed_run(hand_with_protocol("jamia", "mit"), 200.0, 0) as simulation:
         advance_to(simulation, ARMING)
         yield simulation
 
@@ -42,24 +42,24 @@ def arming(simulation):
     return replace(simulation, recorded=list(simulation.recorded))
 
 
-@pytest.mark.parametrize("protocol", ALL)
+@pytest.mark.parametrize("protocol", ALL_PROTOCOLS)
 def test_a_seed_is_a_sequence_that_the_simulator_understands(protocol, tmp_path):
-    hand = hand_in("jamia11", protocol)
+    hand = hand_with_protocol("jamia11", protocol)
     path = tmp_path / "jamia11.toml"
     path.write_text(hand.to_toml())
     simulated = load_hand(str(path))
-    drawn = [draw(hand, protocol, 5.0, seed) for seed in range(300)]
-    assert drawn == [draw(hand, protocol, 5.0, seed) for seed in range(300)]
+    drawn = [draw_sequence(hand, protocol, 5.0, seed) for seed in range(300)]
+    assert drawn == [draw_sequence(hand, protocol, 5.0, seed) for seed in range(300)]
     assert {one.stage for one in drawn} == set(STAGES)
     assert len({one.steps for one in drawn}) == len(drawn)
     for step in [step for one in drawn for step in one.steps]:
         assert 0 <= step.tick < SEQUENCE_TICKS
-        if not step.fault.startswith(HOST):
+        if not step.fault.startswith(HOST_PREFIX):
             parse_fault(step.fault, simulated)
 
 
-def test_no_rule_is_broken():
-    results = run(hand_in("jamia", "mit"), "mit", 200.0, range(9), jobs=2, **NOBODY)
+def test_sequence_violates_no_rule():
+    results = run_sequences(hand_with_protocol("jamia", "mit"), "mit", 200.0, range(9), jobs=2, **NOBODY)
     assert [(one.scenario, one.problem) for one in results if not one.ok] == []
     assert sum(one.effects for one in results) >= 5
 
@@ -70,13 +70,13 @@ def test_a_sequence_that_breaks_a_rule_names_it(arming, monkeypatch):
     sequence = Sequence(0, ARMING, (FaultStep(20, "runaway node=index_motor"),))
     for explains in (sequences.RUNAWAY, "nobody"):
         monkeypatch.setattr(sequences, "RUNAWAY", explains)
-        branch(arming, [sequence], 1, run_sequence, results.append, lambda simulation, result: None)
+        run_in_branches(arming, [sequence], 1, run_sequence, results.append, lambda simulation, result: None)
     assert (results[0].ok, results[1].ok) == (True, False)
     assert results[1].problem.endswith("N in a tendon, at most 140 N are explained")
     assert results[0].tension == results[1].tension
 
 
-def test_steps_that_break_a_rule(arming):
+def test_violated_rule_of_a_tick_is_found(arming):
     before = arming.state.copy()
     before.mode = Mode.RELAX
     before.decide(latched=(Latched("T03", "index_tendon"),))
@@ -92,7 +92,7 @@ def test_steps_that_break_a_rule(arming):
     assert violations_in_tick(before, back, cleared=False) == ["the mode goes back: RELAX to ACTIVE"]
 
 
-def test_ends_that_break_a_rule(arming):
+def test_violated_rule_at_the_end_is_found(arming):
     assert violations_at_end(arming) == ["the run does not end: ARMING"]
     arming.peer = SimpleNamespace(truth=lambda: {"torque": [0.0, 0.1, 0.0, 0.0]})
     arming.state = arming.state.copy()
@@ -119,9 +119,9 @@ def test_a_tick_with_another_result_is_found(arming):
 @pytest.mark.skipif("HANDCTL_NIGHTLY" not in os.environ, reason="runs with HANDCTL_NIGHTLY=1 (make nightly)")
 @pytest.mark.timeout(7200)
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
-@pytest.mark.parametrize("protocol", ALL)
+@pytest.mark.parametrize("protocol", ALL_PROTOCOLS)
 def test_random_sequences_violate_no_rule(hand, protocol):
     """Run a third of a thousand of each kind."""
-    described = hand_in(hand, protocol)
-    results = run(described, protocol, rate_of(described), range(334), jobs=2, **NOBODY)
+    described = hand_with_protocol(hand, protocol)
+    results = run_sequences(described, protocol, default_rate(described), range(334), jobs=2, **NOBODY)
     assert [(one.scenario, one.problem) for one in results if not one.ok] == []

@@ -60,7 +60,7 @@ def episode(env: Any, seed: int, steps: int) -> bytes:
 @pytest.mark.parametrize("name", [TRACK, GRASP])
 @pytest.mark.parametrize("hand", ["jamia", "t42"])
 @pytest.mark.parametrize("space", ["digit", "joint"])
-def test_the_checker_of_gymnasium_is_content(name: str, hand: str, space: str) -> None:
+def test_environments_pass_the_gymnasium_checker(name: str, hand: str, space: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         env = make(name, hand=hand, space=space, duration_s=0.4)
@@ -111,7 +111,7 @@ def test_an_object_that_does_not_fit_is_refused() -> None:
         env.reset(seed=0)
 
 
-def test_a_hand_that_does_nothing_grasps_nothing() -> None:
+def test_hand_without_action_grasps_nothing() -> None:
     env = make(GRASP, duration_s=1.0)
     env.reset(seed=0)
     still = np.full(env.action_space.shape, -1.0, np.float32)

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_from, load_hand
+from handctl.hand.load import hand_from_content, load_hand
 
 SEEDS = range(20)
 
@@ -46,7 +46,7 @@ def random_hand(seed: int, *counts: int, chance: np.random.Generator | None = No
     node = content["sensor_node"] | {"tendons": [one["name"] for one in tendons], "joints": []}
     parts = {"digit": digits, "tendon": tendons, "motor": motors, "sensor_node": node}
     mount = {"gravity_m_s2": (9.81 * gravity / np.linalg.norm(gravity)).tolist()}
-    return hand_from(content | parts | {"mount": mount, "name": f"random{seed}"}, f"seed {seed}")
+    return hand_from_content(content | parts | {"mount": mount, "name": f"random{seed}"}, f"seed {seed}")
 
 
 def random_digit(chance: np.random.Generator, name: str, count: int) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import pytest
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
-from handctl.hand.load import hand_from, load_hand, packaged_hands
+from handctl.hand.load import hand_from_content, load_hand, packaged_hands
 
 SPATIAL = ("orca_like",)
 """Packaged hands of spatial chains on a wrist. ``test_chains`` has them beside random trees."""
@@ -39,7 +39,7 @@ def refusal() -> Callable[[Mapping[str, Any]], str]:
 
     def refuse(content: Mapping[str, Any]) -> str:
         with pytest.raises(ConfigError) as caught:
-            hand_from(content, "my/hand.toml")
+            hand_from_content(content, "my/hand.toml")
         line = str(caught.value)
         assert line.startswith("my/hand.toml: ")
         assert "\n" not in line

@@ -12,13 +12,13 @@ from handctl.core.estimation.tip import joint_lever
 from handctl.hand import dynamics, rigid_body
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
-from handctl.hand.formats.mjcf import mjcf
-from handctl.hand.formats.urdf import urdf
-from handctl.hand.kinematics import forward, point_jacobian, points, tip_jacobian
+from handctl.hand.formats.mjcf import mjcf_text
+from handctl.hand.formats.urdf import urdf_text
+from handctl.hand.kinematics import forward_kinematics, joint_points, point_jacobian, tip_jacobian
 from handctl.hand.link_frames import link_transforms
 from handctl.hand.load import load_hand
 from handctl.hand.tree import HandTree
-from handctl.log.topics.transforms import link_frames, product, rotated
+from handctl.log.topics.transforms import link_frames, link_quaternions, multiply_quaternions
 from tests.hand.chains import SEEDS, random_hand, random_tree
 from tests.hand.test_dynamics import TOLERANCE, agree, pinocchio_by_hand, states, whole_hand
 
@@ -57,7 +57,7 @@ def test_dynamics_and_kinematics_are_pinocchio_s(chains, rng):
             assert agree(dynamics.mass_matrix(digit, q), upper + np.triu(upper, 1).T)
             assert agree(dynamics.forward_dynamics(digit, q, dq, tau), ddq)
             pinocchio.framesForwardKinematics(model, data, q)
-            pose = forward(digit, q)
+            pose = forward_kinematics(digit, q)
             assert np.allclose(pose.position, data.oMf[tip].translation, atol=1e-13)
             assert np.allclose(pose.rotation, data.oMf[tip].rotation, atol=1e-13)
             jacobian = pinocchio.computeFrameJacobian(model, data, q, tip, world).reshape(6, -1)[:3]
@@ -86,7 +86,7 @@ def test_exports_and_the_simulator_s_own_model_are_the_same_hand(chains, rng, tm
     hand, digits = chains
     path = tmp_path / "random.toml"
     path.write_text(hand.to_toml())
-    for text in (mjcf(hand), model_text(simulated_hand(str(path)), load_scene(None))):
+    for text in (mjcf_text(hand), model_text(simulated_hand(str(path)), load_scene(None))):
         model = mujoco.MjModel.from_xml_string(text)
         assert [model.joint(i).name for i in range(model.nv)] == list(hand.joints)
         for q, dq, ddq in states(rng, model.nv, 10):
@@ -99,7 +99,7 @@ def test_exports_and_the_simulator_s_own_model_are_the_same_hand(chains, rng, tm
 
 def test_urdf_is_the_same_hand(chains, rng):
     hand, digits = chains
-    model = pinocchio.buildModelFromXML(urdf(hand))
+    model = pinocchio.buildModelFromXML(urdf_text(hand))
     model.gravity.linear = np.array(hand.mount.gravity_m_s2)
     order = [model.joints[model.getJointId(joint)].idx_v for joint in hand.joints]
     data = model.createData()
@@ -126,8 +126,8 @@ def test_transforms_of_the_log_are_those_of_the_model(chains, rng):
     for link in link_frames(hand.to_toml()):
         position, turn = place[link.parent]
         here = np.array(pinocchio.Quaternion(np.array(turn)).toRotationMatrix()) @ link.position + position
-        own = tuple(rotated(link, q[[link.joint]])[0]) if link.joint >= 0 else link.rotation
-        place[link.child] = here, product(turn, own)
+        own = tuple(link_quaternions(link, q[[link.joint]])[0]) if link.joint >= 0 else link.rotation
+        place[link.child] = here, multiply_quaternions(turn, own)
     for digit in digits:
         for transform in link_transforms(digit, q[digit.joints]):
             position, turn = place[transform.frame]
@@ -141,13 +141,13 @@ def test_jacobians_and_levers_are_derivatives(chains, rng):
     for digit in digits:
         steps = h * np.eye(digit.joint_count)
         q = rng.uniform(-2.0, 2.0, digit.joint_count)
-        slope = [(points(digit, q + s)[-1] - points(digit, q - s)[-1]) / (2 * h) for s in steps]
+        slope = [(joint_points(digit, q + s)[-1] - joint_points(digit, q - s)[-1]) / (2 * h) for s in steps]
         assert np.allclose(tip_jacobian(digit, q), np.transpose(slope), atol=1e-9)
-        side = forward(digit, q).rotation[:, 1]
+        side = forward_kinematics(digit, q).rotation[:, 1]
         assert np.allclose(joint_lever(digit, q), side @ tip_jacobian(digit, q), atol=1e-14)
         for link in range(digit.joint_count):
             middle = point_jacobian(digit, q, link, 0.5 * digit.lengths[link])
-            normal = np.array(rigid_body.poses(digit.table, digit.parent, q))[link, [1, 4, 7]]
+            normal = np.array(rigid_body.link_poses(digit.table, digit.parent, q))[link, [1, 4, 7]]
             lever = rigid_body.tip_levers(digit.table, digit.parent, q, link, 0.5 * digit.lengths[link])
             assert np.allclose(lever, normal @ middle, atol=1e-14)
 
@@ -174,7 +174,7 @@ def test_a_tree_is_the_same_in_both_mujoco_models(tree, rng, tmp_path):
     hand, whole = tree
     path = tmp_path / "tree.toml"
     path.write_text(hand.to_toml())
-    for text in (mjcf(hand), model_text(simulated_hand(str(path)), load_scene(None))):
+    for text in (mjcf_text(hand), model_text(simulated_hand(str(path)), load_scene(None))):
         model = mujoco.MjModel.from_xml_string(text)
         assert [model.joint(i).name for i in range(model.nv)] == list(hand.joints)
         for q, dq, ddq in states(rng, model.nv, 10):
@@ -185,7 +185,7 @@ def test_a_tree_is_the_same_in_both_mujoco_models(tree, rng, tmp_path):
 
 def test_a_tree_is_pinocchio_s(tree, rng):
     hand, whole = tree
-    model = pinocchio.buildModelFromXML(urdf(hand))
+    model = pinocchio.buildModelFromXML(urdf_text(hand))
     model.gravity.linear = np.array(hand.mount.gravity_m_s2)
     order = [model.joints[model.getJointId(joint)].idx_v for joint in hand.joints]
     data = model.createData()
@@ -211,8 +211,8 @@ def test_the_log_s_transforms_of_a_tree_are_the_model_s(tree, rng):
     for link in link_frames(hand.to_toml()):
         position, turn = place[link.parent]
         here = np.array(pinocchio.Quaternion(np.array(turn)).toRotationMatrix()) @ link.position + position
-        own = tuple(rotated(link, q[[link.joint]])[0]) if link.joint >= 0 else link.rotation
-        place[link.child] = here, product(turn, own)
+        own = tuple(link_quaternions(link, q[[link.joint]])[0]) if link.joint >= 0 else link.rotation
+        place[link.child] = here, multiply_quaternions(turn, own)
     for digit, points_of_digit in zip(whole.digits, whole.points(q), strict=True):
         assert np.allclose(place[f"{digit.name}_tip"][0], points_of_digit[-1], atol=1e-12)
 
@@ -237,6 +237,6 @@ def test_each_number_of_a_table_matters(rng):
     for row in range(rigid_body.LENGTH):
         table = digit.table.copy()
         table[row, 1] *= 1.001
-        wrong = rigid_body.rigid_torque(table, digit.parent, digit.gravity, q, dq, ddq)
+        wrong = rigid_body.rigid_body_torques(table, digit.parent, digit.gravity, q, dq, ddq)
         unused = table[row, 1] == 0.0
         assert unused != (not agree(wrong, right)), row

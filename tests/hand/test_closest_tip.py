@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import least_squares
 
 from handctl.hand.digit import DigitModel
-from handctl.hand.inverse_kinematics import closest_tip, inverse_coupled
-from handctl.hand.kinematics import points
+from handctl.hand.inverse_kinematics import closest_tip, inverse_kinematics_coupled
+from handctl.hand.kinematics import joint_points
 from handctl.hand.load import load_hand
 from tests.hand.chains import random_hand
 
@@ -24,7 +24,7 @@ def digits(hand: str) -> list[DigitModel]:
 
 def tip(digit: DigitModel, theta: np.ndarray) -> np.ndarray:
     """Return the tip at coordinates [m]."""
-    return points(digit, digit.coupling @ theta)[-1]
+    return joint_points(digit, digit.coupling @ theta)[-1]
 
 
 @pytest.mark.parametrize("hand", HANDS)
@@ -64,7 +64,7 @@ def test_a_coupled_digit_meets_the_global_minimum() -> None:
             random = np.random.default_rng(seed)
             target = tip(digit, random.uniform(*digit.reach)) + random.normal(scale=0.01, size=3)
             if digit.coupling.shape[1] == 1:
-                assert closest_tip(digit, target).distance <= inverse_coupled(digit, target)[1] + 1e-6
+                assert closest_tip(digit, target).distance <= inverse_kinematics_coupled(digit, target)[1] + 1e-6
 
 
 def test_a_path_of_points_gives_postures_without_jumps() -> None:

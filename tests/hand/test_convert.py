@@ -8,8 +8,8 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.hand.description import Hand
-from handctl.hand.file.convert import converted
-from handctl.hand.load import hand_from, load_hand, packaged_hands, parse_toml
+from handctl.hand.file.convert import convert_to_schema_2
+from handctl.hand.load import hand_from_content, load_hand, packaged_hands, parse_toml
 from tests.contracts.random_hands import random_hand
 from tests.hand.test_templates import IDENTITIES
 
@@ -19,9 +19,9 @@ OLD = Path(__file__).with_name("jamia_schema_1.toml")
 
 def again(text: str) -> Hand:
     """Return the hand of a converted text."""
-    content = parse_toml(converted(text, "old"), "new")
+    content = parse_toml(convert_to_schema_2(text, "old"), "new")
     assert content["schema"] == 2
-    return hand_from(content, "new")
+    return hand_from_content(content, "new")
 
 
 def test_an_old_file_still_loads() -> None:
@@ -30,7 +30,7 @@ def test_an_old_file_still_loads() -> None:
 
 def test_an_old_file_shrinks_and_keeps_its_comments() -> None:
     old = OLD.read_text("utf-8")
-    new = converted(old, "old")
+    new = convert_to_schema_2(old, "old")
     assert again(old).identity == IDENTITIES["jamia"]
     assert len(new.splitlines()) < 120 < 230 < len(old.splitlines())
     for comment in re.findall(r"# *(.*)", old):
@@ -47,17 +47,21 @@ def test_a_packaged_hand_written_out_is_the_same_hand_again(name: str) -> None:
 @pytest.mark.parametrize("seed", range(20))
 def test_a_random_hand_is_the_same_hand(seed: int) -> None:
     hand = random_hand(1 + seed, np.random.default_rng(seed))
-    assert again(hand.to_toml()).identity == hand_from(parse_toml(hand.to_toml(), "old"), "old").identity
+    assert again(hand.to_toml()).identity == hand_from_content(parse_toml(hand.to_toml(), "old"), "old").identity
 
 
 def test_differing_comments_of_one_value_are_joined() -> None:
     old = OLD.read_text("utf-8")
     place = old.index("knee_N = 200.0", old.index('name = "middle_tendon"'))
     old = old[:place] + "knee_N = 200.0  # measured in May" + old[place + len("knee_N = 200.0") :]
-    assert re.search(r"^knee_N = 200.0 .*# the paper's section 5.*; measured in May$", converted(old, "old"), re.M)
+    assert re.search(
+        r"^knee_N = 200.0 .*# the paper's section 5.*; measured in May$", convert_to_schema_2(old, "old"), re.M
+    )
 
 
-def test_the_verb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_config_convert_writes_schema_2(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["config", "convert", str(OLD), "--output", "new.toml"]) == 0
     assert "234, the same hand dfe326d335b4750c" in capsys.readouterr().out

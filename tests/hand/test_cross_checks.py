@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from handctl.errors import ConfigError
-from handctl.hand.load import hand_content, hand_from
+from handctl.hand.load import hand_content, hand_from_content
 
 JAMIA = hand_content("jamia")
 
@@ -285,27 +285,31 @@ CASES = {
 
 
 @pytest.mark.parametrize(("edit", "start"), CASES.values(), ids=CASES.keys())
-def test_what_does_not_fit_together(edited, edit, start):
+def test_contradicting_keys_are_refused(edited, edit, start):
     assert edited(edit).startswith(start)
 
 
 def test_a_coupling_has_as_many_coordinates_as_joints_at_most():
     content = hand_content("jamia11")
     content["digit"][0]["coupling"] = np.eye(3).tolist()
-    assert hand_from(content, "own.toml").digit[0].coupling == ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    assert hand_from_content(content, "own.toml").digit[0].coupling == (
+        (1.0, 0.0, 0.0),
+        (0.0, 1.0, 0.0),
+        (0.0, 0.0, 1.0),
+    )
     content["digit"][0]["coupling"] = np.eye(3, 4).tolist()
     with pytest.raises(ConfigError, match=r"coupling: rows of \[4\] values; expected rows of equal length, 1 to 3"):
-        hand_from(content, "own.toml")
+        hand_from_content(content, "own.toml")
 
 
-def test_what_is_just_within_its_limit_is_taken():
+def test_value_at_its_limit_is_accepted():
     content = copy.deepcopy(JAMIA)
     digit, tendon = content["digit"][0], content["tendon"][0]
     mass, length = digit["link_mass_kg"][0], digit["link_length_m"][0]
     digit["link_com_m"][0], digit["link_inertia_kg_m2"][0] = length, mass * length**2
     tendon["moment_arm_m"]["index_j1"] = 1e-4
-    hand = hand_from(content, "own.toml")
+    hand = hand_from_content(content, "own.toml")
     assert (hand.digit[0].link_com_m[0], hand.tendon[0].moment_arm_m["index_j1"]) == (length, 1e-4)
     digit["link_inertia_kg_m2"][0] = float(np.nextafter(mass * length**2, 1.0))
     with pytest.raises(ConfigError, match=r"expected at most mass x length\^2 = 5\.75e-06 kg m2"):
-        hand_from(content, "own.toml")
+        hand_from_content(content, "own.toml")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from handctl.errors import ConfigError
-from handctl.hand.load import HANDS, hand_content, hand_from, load_hand, packaged_hands
+from handctl.hand.load import PACKAGED_HANDS_FOLDER, hand_content, hand_from_content, load_hand, packaged_hands
 
 CONTENT = {name: hand_content(name) for name in packaged_hands()}
 
@@ -32,7 +32,7 @@ def changed(content, path, value):
 PACKAGED = "jamia, jamia11, jamia_bench, n_plus_1, orca_like, t42"
 
 
-def test_packaged_hands_are_there():
+def test_packaged_hands_are_listed():
     assert packaged_hands() == ("jamia", "jamia11", "jamia_bench", "n_plus_1", "orca_like", "t42")
 
 
@@ -49,7 +49,7 @@ def test_options_and_awkward_text_survive(tmp_path):
     content = copy.deepcopy(CONTENT["jamia"])
     content["description"] = 'a "quoted" \\ tab\t line\nµ \x7f'
     content["motor"][0]["options"] = {"reply_id": 0x55, "fd": True, "gain": 1e-7, "odd key": "ü"}
-    hand = hand_from(content, "x")
+    hand = hand_from_content(content, "x")
     path = tmp_path / "copy.toml"
     path.write_text(hand.to_toml(), encoding="utf-8")
     assert load_hand(path) == hand
@@ -58,17 +58,19 @@ def test_options_and_awkward_text_survive(tmp_path):
 
 def test_identity_is_of_the_content_and_not_of_its_spelling(hand):
     plain = CONTENT[hand.name]
-    assert hand_from(dict(reversed(plain.items())), "x").identity == hand.identity
+    assert hand_from_content(dict(reversed(plain.items())), "x").identity == hand.identity
     whole = changed(plain, ("tendon", 0, "knee_N"), int(plain["tendon"][0]["knee_N"]))
-    assert hand_from(whole, "x").identity == hand.identity
+    assert hand_from_content(whole, "x").identity == hand.identity
     assert re.fullmatch(r"[0-9a-f]{64}", hand.identity)
-    identities = {hand_from(changed(plain, path, value * 1.0001), "x").identity for path, value in tweakable(plain)}
+    identities = {
+        hand_from_content(changed(plain, path, value * 1.0001), "x").identity for path, value in tweakable(plain)
+    }
     assert len(identities | {hand.identity}) == 1 + len(list(tweakable(plain)))
 
 
 def test_limits_of_streams_do_not_change_the_identity(hand, tmp_path):
     """Regression: a hand with other limits lost its calibration, and a log with the default limits had none."""
-    slow = hand_from(CONTENT[hand.name] | {"stream": {"speed_deg_s": 200.0}}, "x")
+    slow = hand_from_content(CONTENT[hand.name] | {"stream": {"speed_deg_s": 200.0}}, "x")
     assert slow.stream != hand.stream
     assert slow.identity == hand.identity
     for one in (slow, hand):
@@ -94,7 +96,7 @@ PLACES = {
 """Digits and number of joints of hands other than jamia."""
 
 
-def test_names_and_places(hand):
+def test_links_and_joints_have_names_and_places(hand):
     first, last = hand.digit[0], hand.digit[-1]
     assert hand.joints[0] == f"{first.name}_j1"
     assert hand.joints[-1] == f"{last.name}_j{len(last.link_length_m)}"
@@ -135,7 +137,7 @@ def test_several_buses_may_use_the_same_node_ids():
     content = copy.deepcopy(CONTENT["jamia"])
     content["bus"].append({"name": "second", "bitrate": 1_000_000})
     content["motor"][1].update(bus="second", node_id=1)
-    assert hand_from(content, "x").motor[1].node_id == 1
+    assert hand_from_content(content, "x").motor[1].node_id == 1
 
 
 @pytest.mark.parametrize(
@@ -145,7 +147,7 @@ def test_several_buses_may_use_the_same_node_ids():
         ("no/such.toml", f"no/such.toml: no such hand or file; expected one of {PACKAGED}, or the path of a hand file"),
     ],
 )
-def test_a_hand_that_is_not_there(name, message):
+def test_missing_hand_file_is_refused(name, message):
     with pytest.raises(ConfigError) as caught:
         load_hand(name)
     assert str(caught.value) == message
@@ -161,7 +163,7 @@ def test_a_hand_that_is_not_there(name, message):
         (b"", "schema: the file is empty; expected schema = 2 and the sections of a hand"),
     ],
 )
-def test_a_file_that_is_not_a_hand(tmp_path, data, message):
+def test_invalid_hand_file_is_refused(tmp_path, data, message):
     path = tmp_path / "hand.toml"
     path.write_bytes(data)
     with pytest.raises(ConfigError) as caught:
@@ -172,7 +174,7 @@ def test_a_file_that_is_not_a_hand(tmp_path, data, message):
 
 
 def test_a_file_cut_short_anywhere_is_refused(tmp_path):
-    text = (HANDS / "jamia.toml").read_bytes()
+    text = (PACKAGED_HANDS_FOLDER / "jamia.toml").read_bytes()
     path = tmp_path / "hand.toml"
     end_of_content = text.rindex(b"watchdog_ms")
     for end in range(0, end_of_content, 97):

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 import pytest
 from pydantic import Field, field_validator
 
-from handctl.document import Document, validated
+from handctl.document import Document, validate_content
 from handctl.errors import ConfigError
 
 
@@ -93,16 +93,16 @@ LINES: dict[str, tuple[dict[str, Any], str]] = {
 @pytest.mark.parametrize(("content", "line"), LINES.values(), ids=LINES.keys())
 def test_a_mistake_is_a_line(content: dict[str, Any], line: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        validated(content, Plan, "plan.toml")
+        validate_content(content, Plan, "plan.toml")
     assert str(caught.value) == f"plan.toml: {line}"
 
 
-def test_what_is_no_table_at_all_is_reported_of_the_file() -> None:
+def test_document_without_a_table_is_refused() -> None:
     with pytest.raises(ConfigError) as caught:
-        validated([], Plan, "plan.toml")  # type: ignore[arg-type]
+        validate_content([], Plan, "plan.toml")  # type: ignore[arg-type]
     assert str(caught.value).startswith("plan.toml: []; expected ")
 
 
 def test_a_date_of_toml_is_taken_as_it_is_written() -> None:
     made = datetime.datetime(2026, 1, 2, 3, 4, 5, tzinfo=datetime.UTC)
-    assert validated({"name": "a", "made": made}, Plan, "plan.toml").made == "2026-01-02 03:04:05+00:00"
+    assert validate_content({"name": "a", "made": made}, Plan, "plan.toml").made == "2026-01-02 03:04:05+00:00"

@@ -8,7 +8,7 @@ import pytest
 from handctl.hand import dynamics, rigid_body
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
-from handctl.hand.formats.urdf import urdf
+from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.load import load_hand
 
 SAMPLES = 1000
@@ -67,7 +67,7 @@ def test_agrees_with_pinocchio_built_by_hand(digits, rng, gravity):
 
 @pytest.mark.parametrize("gravity", GRAVITIES)
 def test_agrees_with_pinocchio_reading_our_urdf(hand, digits, rng, gravity):
-    model = pinocchio.buildModelFromXML(urdf(hand))
+    model = pinocchio.buildModelFromXML(urdf_text(hand))
     model.gravity.linear = np.array(gravity)
     order = [model.joints[model.getJointId(joint)].idx_v for joint in hand.joints]
     armature = np.zeros(model.nv)
@@ -84,7 +84,7 @@ def test_agrees_with_pinocchio_reading_our_urdf(hand, digits, rng, gravity):
 
 @pytest.mark.parametrize("gravity", GRAVITIES)
 def test_agrees_with_mujoco_reading_our_urdf(hand, digits, rng, gravity):
-    model = mujoco.MjModel.from_xml_string(urdf(hand))
+    model = mujoco.MjModel.from_xml_string(urdf_text(hand))
     assert [model.joint(i).name for i in range(model.nv)] == list(hand.joints)
     model.opt.gravity[:] = gravity
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT

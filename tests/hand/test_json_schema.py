@@ -11,7 +11,7 @@ import pytest
 import handctl
 from handctl.cli.main import main
 from handctl.hand.file.json_schema import hand_schema
-from handctl.hand.load import HANDS, hand_path, load_hand, packaged_hands, parse_toml, read_toml
+from handctl.hand.load import PACKAGED_HANDS_FOLDER, hand_path, load_hand, packaged_hands, parse_toml, read_toml
 
 PACKAGED = Path(handctl.__file__).parent / "hand" / "hand.schema.json"
 VALIDATOR = jsonschema.Draft7Validator(hand_schema())
@@ -37,7 +37,7 @@ def test_the_packaged_file_is_fresh() -> None:
     assert json.loads(PACKAGED.read_text("utf-8")) == hand_schema(), text
 
 
-def test_the_schema_is_one() -> None:
+def test_json_schema_is_valid() -> None:
     jsonschema.Draft7Validator.check_schema(hand_schema())
 
 
@@ -47,7 +47,7 @@ def test_good_files_of_both_schemas_suit_it(name: str) -> None:
     VALIDATOR.validate(read_toml(path))
     VALIDATOR.validate(plain(parse_toml(load_hand(name).to_toml(), "resolved")))
     first = path.read_text("utf-8").splitlines()[0]
-    assert (HANDS / first.removeprefix("#:schema ")).resolve() == PACKAGED.resolve()
+    assert (PACKAGED_HANDS_FOLDER / first.removeprefix("#:schema ")).resolve() == PACKAGED.resolve()
 
 
 WRONG = {
@@ -68,7 +68,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize(("path", "value"), WRONG.values(), ids=WRONG.keys())
-def test_an_editor_marks_it(path: tuple[Any, ...], value: Any) -> None:
+def test_json_schema_rejects_mistakes(path: tuple[Any, ...], value: Any) -> None:
     assert not VALIDATOR.is_valid(changed(path, value))
 
 

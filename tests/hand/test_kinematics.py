@@ -8,13 +8,13 @@ import pytest
 
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
-from handctl.hand.formats.urdf import urdf
-from handctl.hand.inverse_kinematics import coordinate_limits, inverse, inverse_coupled
+from handctl.hand.formats.urdf import urdf_text
+from handctl.hand.inverse_kinematics import coordinate_limits, inverse_kinematics, inverse_kinematics_coupled
 from handctl.hand.kinematics import (
-    forward,
+    forward_kinematics,
     from_palm,
+    joint_points,
     point_jacobian,
-    points,
     tip_jacobian,
     to_palm,
 )
@@ -26,7 +26,7 @@ from tests.hand.chains import random_hand
 
 def planar(digit, q):
     """Return position of the tip in the plane of a planar digit, and direction of its last link."""
-    x, y, _ = from_palm(digit, points(digit, q)[-1])
+    x, y, _ = from_palm(digit, joint_points(digit, q)[-1])
     return x, y, float(np.sum(q))
 
 
@@ -47,7 +47,7 @@ def moved_hand() -> Hand:
     "hand", [load_hand("jamia"), load_hand("jamia11"), moved_hand()], ids=["jamia", "jamia11", "moved"]
 )
 def test_frames_and_jacobians_agree_with_pinocchio(hand, rng):
-    model = pinocchio.buildModelFromXML(urdf(hand))
+    model = pinocchio.buildModelFromXML(urdf_text(hand))
     data = model.createData()
     for digit in (DigitModel.of(hand, name) for name in hand.digit_names):
         columns = [model.joints[model.getJointId(joint)].idx_v for joint in digit.joint_names]
@@ -68,9 +68,9 @@ def test_frames_and_jacobians_agree_with_pinocchio(hand, rng):
 
 def test_straight_fingers_point_out_of_the_palm_and_flex_towards_each_other(digits):
     for digit in digits:
-        straight = points(digit, np.zeros(digit.joint_count))
+        straight = joint_points(digit, np.zeros(digit.joint_count))
         assert np.allclose(straight[-1] - straight[0], [sum(digit.lengths), 0.0, 0.0])
-        bent = points(digit, np.full(digit.joint_count, 0.3))[-1] - straight[-1]
+        bent = joint_points(digit, np.full(digit.joint_count, 0.3))[-1] - straight[-1]
         assert bent[1] * digit.mount_position[1] < 0.0
         assert abs(bent[2]) < 1e-12
 
@@ -80,11 +80,12 @@ def test_jacobians_are_derivatives(digits, rng):
     for digit in digits:
         for q in angles(rng, digit, 30):
             steps = h * np.eye(digit.joint_count)
-            slope = [(points(digit, q + s)[-1] - points(digit, q - s)[-1]) / (2 * h) for s in steps]
+            slope = [(joint_points(digit, q + s)[-1] - joint_points(digit, q - s)[-1]) / (2 * h) for s in steps]
             assert np.allclose(tip_jacobian(digit, q), np.transpose(slope), atol=1e-10)
             for link in range(digit.joint_count):
                 middle = [
-                    sum(sign * points(digit, q + sign * s)[link : link + 2].mean(axis=0) for sign in (1, -1)) / (2 * h)
+                    sum(sign * joint_points(digit, q + sign * s)[link : link + 2].mean(axis=0) for sign in (1, -1))
+                    / (2 * h)
                     for s in steps
                 ]
                 jacobian = point_jacobian(digit, q, link, digit.lengths[link] / 2)
@@ -94,10 +95,10 @@ def test_jacobians_are_derivatives(digits, rng):
 def test_tip_pose_is_the_last_point_and_the_sum_of_angles(digits, rng):
     for digit in digits:
         q = angles(rng, digit, 1)[0]
-        pose = forward(digit, q)
-        assert np.allclose(pose.position, points(digit, q)[-1])
+        pose = forward_kinematics(digit, q)
+        assert np.allclose(pose.position, joint_points(digit, q)[-1])
         assert np.allclose(pose.rotation, digit.mount_rotation @ rotation_rpy(0.0, 0.0, q.sum()))
-        lengths = np.linalg.norm(np.diff(points(digit, q), axis=0), axis=1)
+        lengths = np.linalg.norm(np.diff(joint_points(digit, q), axis=0), axis=1)
         assert np.allclose(lengths, digit.lengths, rtol=1e-12)
 
 
@@ -134,7 +135,7 @@ def test_inverse_finds_the_angles_that_were_given(digits, rng):
     for digit in digits:
         for q in angles(rng, digit):
             x, y, angle = planar(digit, q)
-            solutions = inverse(digit, x, y, angle)
+            solutions = inverse_kinematics(digit, x, y, angle)
             assert len(solutions) == 2
             assert solutions[0][1] > 0.0 > solutions[1][1]
             gaps = [np.abs(np.remainder(np.subtract(s, q) + np.pi, 2 * np.pi) - np.pi).max() for s in solutions]
@@ -146,27 +147,27 @@ def test_inverse_finds_the_angles_that_were_given(digits, rng):
 def test_inverse_near_the_edge_of_reach(digits):
     for digit in digits:
         reach = sum(digit.lengths)
-        assert np.allclose(inverse(digit, reach, 0.0, 0.0), 0.0, atol=1e-6)
-        assert inverse(digit, reach + 1e-6, 0.0, 0.0) == ()
+        assert np.allclose(inverse_kinematics(digit, reach, 0.0, 0.0), 0.0, atol=1e-6)
+        assert inverse_kinematics(digit, reach + 1e-6, 0.0, 0.0) == ()
         for bend in (1e-3, 1e-5):
             q = (0.2, bend, 0.1)[: digit.joint_count]
             x, y, angle = planar(digit, q)
-            assert np.allclose(inverse(digit, x, y, angle)[0], q, atol=1e-15 / bend)
+            assert np.allclose(inverse_kinematics(digit, x, y, angle)[0], q, atol=1e-15 / bend)
 
 
 def test_inverse_within_the_fold():
     thumb = DigitModel.of(load_hand("jamia"), "thumb")
-    assert inverse(thumb, 0.004, 0.0) == ()
-    assert np.allclose(np.abs(inverse(thumb, 0.005, 0.0)[0]), (0.0, math.pi), atol=1e-6)
+    assert inverse_kinematics(thumb, 0.004, 0.0) == ()
+    assert np.allclose(np.abs(inverse_kinematics(thumb, 0.005, 0.0)[0]), (0.0, math.pi), atol=1e-6)
 
 
 def test_inverse_says_what_it_needs():
     with pytest.raises(ValueError, match="parallel hinges"):
-        inverse(DigitModel.of(random_hand(1, 3), "d0"), 0.03, 0.01, 0.0)
+        inverse_kinematics(DigitModel.of(random_hand(1, 3), "d0"), 0.03, 0.01, 0.0)
     with pytest.raises(ValueError, match="a direction"):
-        inverse(DigitModel.of(load_hand("jamia"), "index"), 0.03, 0.01)
+        inverse_kinematics(DigitModel.of(load_hand("jamia"), "index"), 0.03, 0.01)
     with pytest.raises(ValueError, match="needed: one"):
-        inverse_coupled(DigitModel.of(load_hand("jamia11"), "index"), (0.03, 0.01, 0.0))
+        inverse_kinematics_coupled(DigitModel.of(load_hand("jamia11"), "index"), (0.03, 0.01, 0.0))
 
 
 def test_coupled_inverse_finds_the_coordinate_that_was_given(rng):
@@ -175,7 +176,7 @@ def test_coupled_inverse_finds_the_coordinate_that_was_given(rng):
         low, high = coordinate_limits(digit)
         assert (low, high) == (digit.joint_min[0], digit.joint_max[0])
         for theta in [low, high, *rng.uniform(low, high, 50)]:
-            found, gap = inverse_coupled(digit, points(digit, digit.coupling[:, 0] * theta)[-1])
+            found, gap = inverse_kinematics_coupled(digit, joint_points(digit, digit.coupling[:, 0] * theta)[-1])
             assert abs(found - theta) < 1e-7
             assert gap < 1e-9
 
@@ -183,9 +184,9 @@ def test_coupled_inverse_finds_the_coordinate_that_was_given(rng):
 def test_coupled_inverse_comes_as_near_as_a_fine_scan(rng):
     digit = DigitModel.of(load_hand("jamia"), "index")
     scan = np.linspace(*coordinate_limits(digit), 4001)
-    curve = np.array([points(digit, digit.coupling[:, 0] * theta)[-1] for theta in scan])
+    curve = np.array([joint_points(digit, digit.coupling[:, 0] * theta)[-1] for theta in scan])
     for target in digit.mount_position + rng.uniform(-0.06, 0.06, (100, 3)):
-        _, gap = inverse_coupled(digit, target)
+        _, gap = inverse_kinematics_coupled(digit, target)
         nearest = np.linalg.norm(curve - target, axis=1).min()
         assert nearest - 1e-6 < gap < nearest + 1e-12
 

@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 from handctl.hand import dynamics
-from handctl.hand.formats.mjcf import mjcf
-from handctl.hand.kinematics import points
+from handctl.hand.formats.mjcf import mjcf_text
+from handctl.hand.kinematics import joint_points
 
 
 @pytest.fixture
 def model(hand):
-    return mujoco.MjModel.from_xml_string(mjcf(hand))
+    return mujoco.MjModel.from_xml_string(mjcf_text(hand))
 
 
 def random_angles(hand, rng):
@@ -37,7 +37,7 @@ def test_tips_masses_and_torques_are_the_model_s(hand, digits, model, rng):
         mujoco.mj_fullM(model, data, full)
         for digit in digits:
             own = q[digit.joints]
-            tip = points(digit, own)[-1]
+            tip = joint_points(digit, own)[-1]
             assert data.site(f"{digit.name}_tip").xpos == pytest.approx(tip, abs=1e-12)
             assert full[digit.joints, digit.joints] == pytest.approx(dynamics.mass_matrix(digit, own), rel=1e-9)
             spring = -np.array(dynamics.spring_torque(digit, own))

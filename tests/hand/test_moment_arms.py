@@ -9,9 +9,9 @@ from firmware_sim.plant.tendon import Routing
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
-from handctl.hand.load import hand_from, load_hand, packaged_hands, parse_toml
+from handctl.hand.load import hand_from_content, load_hand, packaged_hands, parse_toml
 from handctl.hand.moment_arms import polynomial_of, table_residual
-from handctl.hand.tendons import excursion
+from handctl.hand.tendons import excursions
 from handctl.programs.default_task import grasp_warnings
 from handctl.report.hand_graph import text_graph
 from tests.hand.varied import varied
@@ -30,13 +30,13 @@ def test_moment_arms_are_the_derivative_of_the_excursion(name: str, kind: str) -
             q = np.random.default_rng(seed).uniform(digit.joint_min - 0.2, digit.joint_max + 0.2)
             step = 1e-6
             slope = [
-                (excursion(digit, q + one) - excursion(digit, q - one)) / (2 * step)
+                (excursions(digit, q + one) - excursions(digit, q - one)) / (2 * step)
                 for one in step * np.eye(digit.joint_count)
             ]
             np.testing.assert_allclose(np.transpose(slope), digit.arms_at(q), atol=1e-9)
             assert digit.at(q).has_varying_arm
             theta = digit.joints_to_coordinates @ q
-            found = digit.coordinates_of(excursion(digit, digit.coupling @ theta))
+            found = digit.coordinates_of(excursions(digit, digit.coupling @ theta))
             np.testing.assert_allclose(found, theta, atol=1e-9)
 
 
@@ -49,7 +49,7 @@ def test_a_polynomial_of_one_coefficient_is_a_constant_arm(name: str) -> None:
     for one in hand.digit_names:
         digit = DigitModel.of(hand, one)
         same = DigitModel.of(constant, one)
-        np.testing.assert_allclose(excursion(digit, q[digit.joints]), excursion(same, q[digit.joints]), rtol=1e-12)
+        np.testing.assert_allclose(excursions(digit, q[digit.joints]), excursions(same, q[digit.joints]), rtol=1e-12)
         np.testing.assert_allclose(digit.at(q[digit.joints]).torque_to_tension, same.torque_to_tension, rtol=1e-9)
 
 
@@ -75,7 +75,7 @@ def test_the_simulator_has_the_same_arms_from_its_own_polynomials(name: str, kin
                     arms[n, joint - digit.joints.start] = _arm_at(routing.arms, i, float(q[joint]))
                     lengths[n] += _taken_up(routing.arms, i, float(q[joint]))
             np.testing.assert_allclose(arms, digit.arms_at(angles), atol=1e-12)
-            np.testing.assert_allclose(lengths, excursion(digit, angles), atol=1e-12)
+            np.testing.assert_allclose(lengths, excursions(digit, angles), atol=1e-12)
 
 
 def test_a_table_becomes_a_polynomial_of_degree_three_with_its_residual() -> None:
@@ -113,7 +113,7 @@ def test_a_mistake_in_a_moment_arm_is_one_line(case: str) -> None:
     content = varied("jamia", 0.0, "content")
     content["tendon"][0]["moment_arm_m"]["index_j1"] = arm
     with pytest.raises(ConfigError) as caught:
-        hand_from(content, "hand.toml")
+        hand_from_content(content, "hand.toml")
     line = str(caught.value)
     assert line.startswith("hand.toml: tendon[index_tendon].moment_arm_m.index_j1: ")
     assert text in line
@@ -122,7 +122,7 @@ def test_a_mistake_in_a_moment_arm_is_one_line(case: str) -> None:
 
 def test_a_hand_with_varying_arms_is_written_and_read_back() -> None:
     hand: Hand = varied("jamia11", 0.3, "table")
-    again = hand_from(parse_toml(hand.to_toml(), "again"), "again")
+    again = hand_from_content(parse_toml(hand.to_toml(), "again"), "again")
     assert again.identity == hand.identity
     assert again.content == hand.content
 

@@ -8,8 +8,8 @@ import pytest
 
 from handctl.errors import ConfigError
 from handctl.hand.digit import DigitModel
-from handctl.hand.formats.urdf import urdf
-from handctl.hand.load import hand_content, hand_from, packaged_hands
+from handctl.hand.formats.urdf import urdf_text
+from handctl.hand.load import hand_content, hand_from_content, packaged_hands
 
 CONTENT = {name: hand_content(name) for name in packaged_hands()}
 SIGNED = re.compile(r"gravity|mount_|joint_m(in|ax)_deg|moment_arm|zero_rad|coupling|direction")
@@ -76,7 +76,7 @@ NUMBERS = [
 
 
 @pytest.mark.parametrize(("content", "path", "value"), NUMBERS)
-def test_a_number_that_is_none_or_not_finite_or_of_the_wrong_sign(refusal, content, path, value):
+def test_invalid_number_in_a_hand_file_is_refused(refusal, content, path, value):
     wrong = [
         (math.nan, "nan"),
         (math.inf, "inf"),
@@ -140,7 +140,7 @@ def test_a_misspelt_key_is_reported_with_the_right_one(refusal, name):
             assert f"{key}s: unknown key; expected {key}" in line
 
 
-def test_anything_anywhere_is_read_or_refused_in_one_line():
+def test_random_change_is_read_or_refused_in_one_line():
     """No value of any kind at any place escapes as another exception."""
     content = CONTENT["jamia"]
     for path, _ in [*leaves(content), *tables(content)]:
@@ -154,8 +154,8 @@ def test_anything_anywhere_is_read_or_refused_in_one_line():
 def usable_or_refused(content):
     """Whether a hand comes of it that everything can be made of, or one line."""
     try:
-        hand = hand_from(content, "f")
+        hand = hand_from_content(content, "f")
     except ConfigError as error:
         return "\n" not in str(error)
     digits = [DigitModel.of(hand, name) for name in hand.digit_names]
-    return len(hand.identity) == 64 and len(digits) > 0 and urdf(hand).startswith("<robot")
+    return len(hand.identity) == 64 and len(digits) > 0 and urdf_text(hand).startswith("<robot")

@@ -8,8 +8,8 @@ import pytest
 from handctl.cli.main import main
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_from, load_hand, packaged_hands
-from handctl.hand.strength import MARGIN, largest_force, runaway_tension, strength_warnings
+from handctl.hand.load import hand_from_content, load_hand, packaged_hands
+from handctl.hand.strength import STRENGTH_MARGIN, largest_force, runaway_tension, strength_warnings
 
 
 def changed(
@@ -42,7 +42,7 @@ def test_the_bound_is_exact(name):
     spool = hand.motor[0].spool_radius_m
     for strength in (400.0, 900.0):
         most = largest_force(strength)
-        assert strength == pytest.approx(MARGIN * runaway_tension(most))
+        assert strength == pytest.approx(STRENGTH_MARGIN * runaway_tension(most))
         for factor, warned in ((0.999, False), (1.001, True)):
             other = changed(hand, peak=factor * most * spool, strength=strength)
             assert any("torque_peak_N_m" in line for line in strength_warnings(other)) == warned
@@ -71,8 +71,10 @@ def test_a_hand_without_a_rating_keeps_its_identity():
     assert "joint_rated_torque_N_m" not in hand.content["digit"][0]
     digits = hand.content["digit"]
     rated = [digit | {"joint_rated_torque_N_m": (1.0,) * len(digit["link_length_m"])} for digit in digits]
-    other = hand_from(hand.content | {"digit": rated}, "rated")
+    other = hand_from_content(hand.content | {"digit": rated}, "rated")
     assert other.content["digit"][0]["joint_rated_torque_N_m"] == (1.0, 1.0, 1.0)
-    assert hand_from(tomllib.loads(other.to_toml()), "again").identity == other.identity != hand.identity
+    assert hand_from_content(tomllib.loads(other.to_toml()), "again").identity == other.identity != hand.identity
     with pytest.raises(ConfigError, match="joint_rated_torque_N_m: 1 values; expected 3, one per link_length_m"):
-        hand_from(hand.content | {"digit": [{**rated[0], "joint_rated_torque_N_m": (1.0,)}, *rated[1:]]}, "short")
+        hand_from_content(
+            hand.content | {"digit": [{**rated[0], "joint_rated_torque_N_m": (1.0,)}, *rated[1:]]}, "short"
+        )

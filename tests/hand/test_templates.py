@@ -7,8 +7,16 @@ import pytest
 
 from firmware_sim.description import load_hand as simulated
 from handctl.hand.description import Hand
-from handctl.hand.file.templates import resolve
-from handctl.hand.load import HANDS, examined, hand_content, hand_path, load_hand, packaged_hands, read_toml
+from handctl.hand.file.templates import resolve_templates
+from handctl.hand.load import (
+    PACKAGED_HANDS_FOLDER,
+    hand_content,
+    hand_path,
+    load_hand,
+    packaged_hands,
+    read_toml,
+    validate_content,
+)
 
 IDENTITIES = {
     "jamia": "dfe326d335b4750c9691d04677693432890e51d12d456e868647810bddb4c49c",
@@ -29,7 +37,7 @@ def jamia() -> dict[str, Any]:
 
 def taken(content: dict[str, Any]) -> Hand:
     """Return the hand of a content, which must be without mistakes."""
-    hand, mistakes = examined(content)
+    hand, mistakes = validate_content(content)
     assert not mistakes
     assert hand
     return hand
@@ -42,7 +50,7 @@ def test_the_packaged_hands_keep_their_identity(name: str) -> None:
 
 @pytest.mark.parametrize("name", packaged_hands())
 def test_a_packaged_file_is_short(name: str) -> None:
-    assert len((HANDS / f"{name}.toml").read_text("utf-8").splitlines()) < LONG.get(name, LINES)
+    assert len((PACKAGED_HANDS_FOLDER / f"{name}.toml").read_text("utf-8").splitlines()) < LONG.get(name, LINES)
 
 
 @pytest.mark.parametrize("name", packaged_hands())
@@ -112,13 +120,13 @@ def test_no_two_sections_share_a_list() -> None:
 def test_a_resolution_leaves_the_content_as_it_is() -> None:
     content = jamia()
     before = copy.deepcopy(content)
-    resolve(content)
+    resolve_templates(content)
     assert content == before
 
 
 def test_resolved_content_is_resolved_already() -> None:
     content = hand_content("jamia11")
-    assert resolve(content).content == content
+    assert resolve_templates(content).content == content
 
 
 def test_a_deep_table_is_a_mistake_and_no_crash() -> None:
@@ -128,7 +136,7 @@ def test_a_deep_table_is_a_mistake_and_no_crash() -> None:
         deep = {"a": deep}
     content["default"]["tendon"]["a"] = deep
     content["digit_template"]["finger"]["tendon"]["tendon"]["a"] = deep
-    assert [mistake.where for mistake in examined(content)[1]] == [
+    assert [mistake.where for mistake in validate_content(content)[1]] == [
         "digit_template.finger.tendon.tendon.a",
         "default.tendon.a",
     ]

@@ -11,7 +11,7 @@ from handctl.hand.load import load_hand
 from handctl.hand.tendons import (
     TendonElasticity,
     effective_moment_arms,
-    excursion,
+    excursions,
     pulley_factors,
     reflected_inertia,
 )
@@ -87,7 +87,7 @@ def test_work_of_tendons_is_work_of_joints(digits, rng):
         for _ in range(50):
             q, move = rng.normal(size=(2, digit.joint_count))
             tension = rng.uniform(3.0, 110.0, len(digit.tendon_names))
-            travel = excursion(digit, q + move) - excursion(digit, q)
+            travel = excursions(digit, q + move) - excursions(digit, q)
             torque = digit.moment_arms.T @ tension
             assert math.isclose(tension @ travel, torque @ move, rel_tol=1e-12, abs_tol=1e-12)
 
@@ -95,7 +95,7 @@ def test_work_of_tendons_is_work_of_joints(digits, rng):
 def test_flexing_winds(digits):
     for digit in digits:
         closes = digit.moment_arms.sum(axis=1) > 0.0
-        assert ((excursion(digit, np.full(digit.joint_count, 0.5)) > 0.0) == closes).all(), "an extensor pays out"
+        assert ((excursions(digit, np.full(digit.joint_count, 0.5)) > 0.0) == closes).all(), "an extensor pays out"
 
 
 def test_friction_follows_the_capstan_equation(digits, rng):
@@ -146,7 +146,7 @@ def test_maps_between_tendon_and_joint_space_are_inverse(digits, rng):
     for digit in digits:
         theta = rng.normal(size=digit.coupling.shape[1])
         q = digit.coupling @ theta
-        assert np.allclose(digit.excursion_to_joints @ excursion(digit, q), q, rtol=1e-9)
+        assert np.allclose(digit.excursion_to_joints @ excursions(digit, q), q, rtol=1e-9)
         assert np.allclose(digit.joints_to_coordinates @ q, theta, rtol=1e-9)
         tau = rng.normal(size=digit.joint_count)
         made = digit.reduced_moment_arms.T @ digit.torque_to_tension @ tau

@@ -5,11 +5,11 @@ from xml.etree import ElementTree as ET
 import mujoco
 import numpy as np
 
-from handctl.hand.formats.urdf import urdf
+from handctl.hand.formats.urdf import urdf_text
 
 
 def test_names_are_those_of_the_contract(hand):
-    robot = ET.fromstring(urdf(hand))
+    robot = ET.fromstring(urdf_text(hand))
     assert robot.get("name") == hand.name
     links = [link.get("name") for link in robot.findall("link")]
     assert links[0] == "palm"
@@ -21,12 +21,12 @@ def test_names_are_those_of_the_contract(hand):
 
 
 def test_it_is_made_of_primitives_only(hand):
-    shapes = {shape.tag for geometry in ET.fromstring(urdf(hand)).iter("geometry") for shape in geometry}
+    shapes = {shape.tag for geometry in ET.fromstring(urdf_text(hand)).iter("geometry") for shape in geometry}
     assert shapes == {"box", "cylinder", "sphere"}
 
 
 def test_limits_are_those_of_the_description(hand):
-    model = mujoco.MjModel.from_xml_string(urdf(hand))
+    model = mujoco.MjModel.from_xml_string(urdf_text(hand))
     low = np.concatenate([np.radians(digit.joint_min_deg) for digit in hand.digit])
     high = np.concatenate([np.radians(digit.joint_max_deg) for digit in hand.digit])
     assert np.allclose(model.jnt_range, np.column_stack((low, high)))
@@ -35,19 +35,19 @@ def test_limits_are_those_of_the_description(hand):
 
 
 def test_effort_is_what_the_tendons_may_pull(hand):
-    joints = {joint.get("name"): joint.find("limit") for joint in ET.fromstring(urdf(hand)).findall("joint")}
+    joints = {joint.get("name"): joint.find("limit") for joint in ET.fromstring(urdf_text(hand)).findall("joint")}
     pull = np.abs(hand.moment_arms).T @ [tendon.tension_max_N for tendon in hand.tendon]
     assert np.allclose([float(joints[name].get("effort")) for name in hand.joints], pull)
 
 
 def test_inertias_are_possible(hand):
     """Principal moments obey the triangle inequality."""
-    for inertia in ET.fromstring(urdf(hand)).iter("inertia"):
+    for inertia in ET.fromstring(urdf_text(hand)).iter("inertia"):
         x, y, z = (float(inertia.get(axis)) for axis in ("ixx", "iyy", "izz"))
         assert min(x, y, z) > 0.0
         assert max(x, y, z) <= (x + y + z) / 2 * (1 + 1e-12)
 
 
 def test_text_is_the_same_every_time(hand):
-    assert urdf(hand) == urdf(hand)
-    assert urdf(hand).isascii()
+    assert urdf_text(hand) == urdf_text(hand)
+    assert urdf_text(hand).isascii()

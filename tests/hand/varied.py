@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from handctl.hand.load import hand_from, load_hand
+from handctl.hand.load import hand_from_content, load_hand
 
 
 def varied(name: str, fraction: float, kind: str = "polynomial", encoders: bool = True) -> Any:
@@ -36,4 +36,4 @@ def varied(name: str, fraction: float, kind: str = "polynomial", encoders: bool 
                 angle = np.linspace(low, high, 13)
                 values = arm * (1.0 + fraction * np.sin(0.5 * np.pi * (angle - middle) / half))
                 tendon["moment_arm_m"][joint] = {"angle_deg": np.degrees(angle).tolist(), "arm_m": values.tolist()}
-    return hand_from(content | {"name": f"{name}_varied"}, name)
+    return hand_from_content(content | {"name": f"{name}_varied"}, name)

@@ -16,10 +16,10 @@ import numpy as np
 from handctl.core.types import TELEMETRY_AXES, Event, IoEvent, Mode, Telemetry, TickIn, TickOut
 from handctl.drives.contract import Phase
 from handctl.drives.frame import Frame
-from handctl.hand.formats.urdf import urdf
+from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.load import load_hand
 from handctl.log.header import RunHeader
-from handctl.log.record import pack
+from handctl.log.record import pack_tick_record
 from handctl.log.topics.state_topics import moment_arms
 from handctl.log.write.recorder import Recorder
 from handctl.safety.action import Action
@@ -34,7 +34,7 @@ def header(hand: str = "jamia", rate_hz: int = 500, **more: object) -> RunHeader
     attachments = {
         "gains.toml": b"[motion]\nposition_error_m = 6e-4\n",
         "initial_state": bytes(range(64)),
-        "hand.urdf": urdf(described).encode(),
+        "hand.urdf": urdf_text(described).encode(),
     }
     given: dict[str, object] = {
         "metadata": {"hand": hand, "note": "synthetic", "seed": "0"},
@@ -144,7 +144,7 @@ def write(path: Path, run: RunHeader, seconds: float, seed: int = 0) -> dict[str
     """Record a synthetic run through a real recorder."""
     recorder = Recorder.start(path, run)
     for tick_in, out in Synthetic(run, seconds, seed):
-        recorder.record(pack(tick_in, out))
+        recorder.record(pack_tick_record(tick_in, out))
     return recorder.close("finished")
 
 

@@ -6,9 +6,9 @@ from pathlib import Path
 import synthetic
 
 from handctl.log.read.reader import RunLog
-from handctl.log.record import FRAMING, pack
-from handctl.log.topics.chain import seed_of, tick_hash
-from handctl.log.topics.clock_pairs import ClockPair, ClockStep, steps
+from handctl.log.record import FRAMING, pack_tick_record
+from handctl.log.topics.chain import first_hash_of_run, tick_hash
+from handctl.log.topics.clock_pairs import ClockPair, ClockStep, clock_steps
 from handctl.log.write.writer import LogWriter
 
 
@@ -17,14 +17,14 @@ def _written(path: Path, clocks: list[tuple[int, int]], seconds: float, determin
     left = iter(clocks)
     writer = LogWriter(path, run, lambda *what: None, 1, lambda: next(left))
     for tick in synthetic.Synthetic(run, seconds):
-        writer.add(pack(*tick)[FRAMING.size :])
+        writer.add(pack_tick_record(*tick)[FRAMING.size :])
     writer.finish("finished", 0)
     return path
 
 
 def test_each_digest_is_that_of_the_tick_s_bytes_and_the_digest_before(small_log: Path) -> None:
     with RunLog(small_log) as log:
-        before, digests = seed_of(log.header), list(log.digests())
+        before, digests = first_hash_of_run(log.header), list(log.digests())
         assert len(digests) == len(log) == len(set(digests))
         for message, numbers, digest in zip(log.messages(), log.packed(), digests, strict=True):
             assert digest == tick_hash(before, message, numbers)
@@ -41,12 +41,12 @@ def test_a_step_of_the_wall_clock_shows_in_the_pairs(tmp_path: Path) -> None:
         times = [pair.t_ns for pair in log.clock_pairs]
         assert times[0] <= 300_000_000
         assert all(10_000_000_000 <= b - a < 10_300_000_000 for a, b in itertools.pairwise(times))
-        assert list(steps(log.clock_pairs)) == [ClockStep(times[2] * 1e-9, 3600.0)]
+        assert list(clock_steps(log.clock_pairs)) == [ClockStep(times[2] * 1e-9, 3600.0)]
 
 
 def test_a_slewed_clock_has_no_step() -> None:
     slewed = [ClockPair(n * 10**10, n * (10**10 + 5_000_000), n * 10**10) for n in range(100)]
-    assert list(steps(slewed)) == []
+    assert list(clock_steps(slewed)) == []
 
 
 def test_a_lockstep_run_looks_at_no_clock(tmp_path: Path) -> None:

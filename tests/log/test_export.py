@@ -19,11 +19,11 @@ from handctl.log.export.tables import (
     INTEGER_COLUMNS,
     TEXT_COLUMNS,
     _candump_line,
+    column_names,
     column_title,
-    columns,
+    column_unit,
     export_candump,
     export_csv,
-    unit,
 )
 from handctl.log.read.reader import RunLog
 from handctl.safety.action import Action
@@ -46,7 +46,7 @@ def test_parquet_reads_back_bit_for_bit(log: RunLog, tmp_path: Path) -> None:
     table = pq.read_table(tmp_path / "x.parquet")
     assert table.schema.metadata[b"handctl.hand"] == b"jamia"
     np.testing.assert_array_equal(table["t_ns"].to_numpy(), log.t_ns)
-    numbers = np.column_stack([table[name].to_numpy() for name in columns(log)])
+    numbers = np.column_stack([table[name].to_numpy() for name in column_names(log)])
     assert numbers.tobytes() == np.ascontiguousarray(table_of(log)).tobytes()
     np.testing.assert_array_equal(table["tension/ring_tendon"].to_numpy(), log.field("tension")[:, 2])
     assert [tick.phase for tick in log.ticks()] == table["phase"].to_pylist()
@@ -57,7 +57,7 @@ def test_csv_reads_back_bit_for_bit(log: RunLog, tmp_path: Path) -> None:
     assert export_csv(log, tmp_path / "x.csv") == len(log)
     with (tmp_path / "x.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    numbers = np.array([[float(row[column_title(name)] or "nan") for name in columns(log)] for row in rows])
+    numbers = np.array([[float(row[column_title(name)] or "nan") for name in column_names(log)] for row in rows])
     np.testing.assert_array_equal(numbers, table_of(log))
     assert [int(row["k"]) for row in rows] == log.k.tolist()
     assert rows[-1]["mode"] == "DONE"
@@ -72,17 +72,17 @@ def test_units_are_those_that_the_telemetry_declares() -> None:
     assert tuple(names) == TELEMETRY_FIELDS
     for name, text in zip(names, texts, strict=True):
         declared = re.search(r"\[([^\]]*)\]\.$", text)
-        assert unit(f"{name}/x") == (declared[1].removesuffix(" at the spool") if declared else "1"), name
+        assert column_unit(f"{name}/x") == (declared[1].removesuffix(" at the spool") if declared else "1"), name
 
 
 def test_every_column_says_its_unit(log: RunLog, tmp_path: Path) -> None:
     export_parquet(log, tmp_path / "x.parquet")
     for field in pq.read_schema(tmp_path / "x.parquet"):
-        assert field.name in TEXT_COLUMNS or field.metadata == {b"unit": unit(field.name).encode()}, field.name
+        assert field.name in TEXT_COLUMNS or field.metadata == {b"unit": column_unit(field.name).encode()}, field.name
     export_csv(log, tmp_path / "x.csv")
     with (tmp_path / "x.csv").open(newline="") as file:
         titles = next(csv.reader(file))
-    assert titles == [*INTEGER_COLUMNS, *TEXT_COLUMNS, *map(column_title, columns(log))]
+    assert titles == [*INTEGER_COLUMNS, *TEXT_COLUMNS, *map(column_title, column_names(log))]
     assert {"q/index_j1 [rad]", "tension_raw/thumb_tendon [N]", "motor_temperature/index_motor [degC]"} <= {*titles}
 
 
@@ -95,7 +95,7 @@ def test_the_page_has_the_units() -> None:
         for name in re.findall(r"`(\w+)`", row[0])
     }
     for name in (*INTEGER_COLUMNS, *TELEMETRY_FIELDS):
-        assert listed[name] == (unit(name) if name in INTEGER_COLUMNS else unit(f"{name}/x")), name
+        assert listed[name] == (column_unit(name) if name in INTEGER_COLUMNS else column_unit(f"{name}/x")), name
 
 
 def test_python_can_reads_the_candump(log: RunLog, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from handctl.core.types import TELEMETRY_FIELDS, Mode
 from handctl.errors import LogError
 from handctl.log.export.lerobot import export_lerobot
 from handctl.log.export.parquet import export_parquet
-from handctl.log.export.tables import column_title, columns, export_csv
+from handctl.log.export.tables import column_names, column_title, export_csv
 from handctl.log.read.reader import RunLog
 from handctl.view.feed import write_rrd
 from handctl.view.scene.run_info import RunInfo
@@ -45,14 +45,16 @@ def test_polars_reads_the_table(log: RunLog, tmp_path: Path) -> None:
     table = polars.read_parquet(tmp_path / "x.parquet")
     assert table["k"].to_list() == log.k.tolist()
     assert table["mode"].to_list() == [Mode(value).name for value in log.mode.tolist()]
-    np.testing.assert_array_equal(table.select(columns(log)).to_numpy(), table_of(log))
+    np.testing.assert_array_equal(table.select(column_names(log)).to_numpy(), table_of(log))
 
 
 def test_polars_reads_the_text(log: RunLog, tmp_path: Path) -> None:
     export_csv(log, tmp_path / "x.csv")
     table = polars.read_csv(tmp_path / "x.csv", infer_schema_length=None)
     assert table["t_ns"].to_list() == log.t_ns.tolist()
-    numbers = table.select([polars.col(column_title(name)).cast(polars.Float64) for name in columns(log)]).to_numpy()
+    numbers = table.select(
+        [polars.col(column_title(name)).cast(polars.Float64) for name in column_names(log)]
+    ).to_numpy()
     np.testing.assert_array_equal(numbers, table_of(log))
 
 

@@ -8,11 +8,11 @@ from headers import with_metadata, with_run
 
 from handctl.cli.main import main
 from handctl.errors import LogError
-from handctl.hand.load import HANDS
+from handctl.hand.load import PACKAGED_HANDS_FOLDER
 from handctl.log.header import LATEST_NS, PERIODS_NS
 from handctl.log.read.reader import RunLog
 
-GOLDEN = HANDS.parents[3] / "logs" / "golden" / "jamia-fault.mcap"
+GOLDEN = PACKAGED_HANDS_FOLDER.parents[3] / "logs" / "golden" / "jamia-fault.mcap"
 VERBS = {
     "log info": ("log", "info", "odd.mcap"),
     "log check": ("log", "check", "odd.mcap"),
@@ -59,9 +59,7 @@ def _refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
 
 
 @pytest.mark.parametrize("verb", VERBS)
-def test_a_period_that_is_none_is_refused_in_one_line(
-    place: Path, capsys: pytest.CaptureFixture[str], verb: str
-) -> None:
+def test_invalid_period_is_refused_in_one_line(place: Path, capsys: pytest.CaptureFixture[str], verb: str) -> None:
     for period in ("0", "0.5", str(2**64)):
         with_run(GOLDEN, place / "odd.mcap", period_ns=period)
         assert "period_ns" in _refused(capsys, *VERBS[verb])
@@ -108,9 +106,7 @@ def test_a_hand_with_other_names_than_the_columns_is_refused(
 
 
 @pytest.mark.parametrize("text", ["²", "-1", "1.5", "9" * 5000, str(2**64), "\x1b[2J"])
-def test_an_offset_of_the_truth_that_is_none_is_refused(
-    place: Path, capsys: pytest.CaptureFixture[str], text: str
-) -> None:
+def test_invalid_truth_offset_is_refused(place: Path, capsys: pytest.CaptureFixture[str], text: str) -> None:
     more = {"truth_offset_ns": text}
     changed = with_metadata(GOLDEN.read_bytes(), lambda name, old: old | more if name == "handctl" else old)
     (place / "odd.mcap").write_bytes(changed)
@@ -124,7 +120,7 @@ def test_logs_of_other_columns_are_not_compared(place: Path, capsys: pytest.Capt
 
 
 @pytest.mark.parametrize("text", ["3.5", "[]", '{"torque_gain": [1.0]}', '{"torque_gain": 3}', "{"])
-def test_a_setup_that_is_none_is_refused_by_identify(small_log: Path, text: str) -> None:
+def test_invalid_setup_is_refused_by_identify(small_log: Path, text: str) -> None:
     from handctl.tune.identify.data import _logged_gain
 
     with RunLog(small_log) as log:

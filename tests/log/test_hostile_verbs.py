@@ -10,7 +10,7 @@ import synthetic
 from hostile import hostile
 
 from handctl.cli.main import main
-from handctl.log.record import FRAMING, pack
+from handctl.log.record import FRAMING, pack_tick_record
 from handctl.log.write.writer import LogWriter
 
 CODES = {"log recover": (1, 2, 3), "log check": (1, 2, 3), "replay drive": (2, 4), "view --save": (2, 3)}
@@ -44,7 +44,7 @@ print(json.dumps([found, peak <= limit]))
 """
 
 
-def test_every_verb_refuses_it_in_one_line(small_log: Path, tmp_path: Path) -> None:
+def test_every_verb_refuses_a_hostile_log_in_one_line(small_log: Path, tmp_path: Path) -> None:
     folder = tmp_path / "hostile"
     folder.mkdir()
     for name, data in hostile(small_log).items():
@@ -73,7 +73,7 @@ def test_names_out_of_a_file_command_neither_the_terminal_nor_the_disk(
     run = synthetic.header(rate_hz=50, **more)
     writer = LogWriter(inner / "run.mcap", run, lambda *what: None, 1)
     for tick in synthetic.Synthetic(run, 0.5):
-        writer.add(pack(*tick)[FRAMING.size :])
+        writer.add(pack_tick_record(*tick)[FRAMING.size :])
     writer.finish(evil, 0)
     for words in (["log", "info"], ["log", "check"], ["log", "recover"], ["log", "export", "--csv"], ["report"]):
         main([*words, str(inner / "run.mcap")])

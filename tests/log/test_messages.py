@@ -11,10 +11,10 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from handctl.log.message_types import DEFINITIONS, schema_name, schema_text
 from handctl.log.read.reader import RunLog
-from handctl.log.record import pack, pack_snapshot
-from handctl.log.topics.can import fd_frame
-from handctl.log.topics.event_topics import labelled, parameter_event, rosout
-from handctl.log.topics.health import DiagnosticStatus, diagnostic_array
+from handctl.log.record import pack_snapshot, pack_tick_record
+from handctl.log.topics.can import encode_fd_frame
+from handctl.log.topics.event_topics import encode_labelled_number, encode_parameter_event, encode_rosout
+from handctl.log.topics.health import DiagnosticStatus, encode_diagnostic_array
 from handctl.log.write.recorder import Recorder
 
 STANDARD = ("builtin_interfaces", "std_msgs", "geometry_msgs", "tf2_msgs", "sensor_msgs", "diagnostic_msgs")
@@ -30,7 +30,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run = lively.header(deterministic=False)
     recorder = Recorder.start(path, run)
     for tick_in, out in lively.ticks(run):
-        assert recorder.record(pack(tick_in, out))
+        assert recorder.record(pack_tick_record(tick_in, out))
         if tick_in.k in STATES:
             assert recorder.record(pack_snapshot(tick_in, STATES[tick_in.k]))
     assert recorder.close("finished")["complete"]
@@ -86,14 +86,14 @@ LABEL = {"header": {"stamp": STAMP, "frame_id": ""}, "name": "hold"}
     [
         (
             "rcl_interfaces/Log",
-            rosout(T_NS, "warn", "handctl.x", "text"),
+            encode_rosout(T_NS, "warn", "handctl.x", "text"),
             {"stamp": STAMP, "level": 30, "name": "handctl.x", "msg": "text"},
         ),
-        ("handctl_msgs/GraspPhase", labelled(T_NS, 6, "hold"), LABEL | {"phase": 6}),
-        ("handctl_msgs/Mode", labelled(T_NS, 6, "hold"), LABEL | {"mode": 6}),
+        ("handctl_msgs/GraspPhase", encode_labelled_number(T_NS, 6, "hold"), LABEL | {"phase": 6}),
+        ("handctl_msgs/Mode", encode_labelled_number(T_NS, 6, "hold"), LABEL | {"mode": 6}),
         (
             "ros2_socketcan_msgs/FdFrame",
-            fd_frame("main", T_NS, 0x8000_1234, bytes(range(20))),
+            encode_fd_frame("main", T_NS, 0x8000_1234, bytes(range(20))),
             {
                 "header": {"stamp": STAMP, "frame_id": "main"},
                 "id": 0x1234,
@@ -104,7 +104,9 @@ LABEL = {"header": {"stamp": STAMP, "frame_id": ""}, "name": "hold"}
         ),
         (
             "diagnostic_msgs/DiagnosticArray",
-            diagnostic_array(T_NS, [DiagnosticStatus(2, "a", "b", "c", {"k": "v"}), DiagnosticStatus(0, "", "", "")]),
+            encode_diagnostic_array(
+                T_NS, [DiagnosticStatus(2, "a", "b", "c", {"k": "v"}), DiagnosticStatus(0, "", "", "")]
+            ),
             {
                 "header": {"stamp": STAMP},
                 "status": [
@@ -121,7 +123,7 @@ LABEL = {"header": {"stamp": STAMP, "frame_id": ""}, "name": "hold"}
         ),
         (
             "rcl_interfaces/ParameterEvent",
-            parameter_event(T_NS, {"a": "0.5", "b": "word"}, {"c": "3"}),
+            encode_parameter_event(T_NS, {"a": "0.5", "b": "word"}, {"c": "3"}),
             {
                 "stamp": STAMP,
                 "node": "/handctl",

@@ -21,9 +21,9 @@ from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.errors import LogError
 from handctl.log.read.logfile import Reading
 from handctl.log.read.reader import RunLog
-from handctl.log.record import TickRecord, pack
+from handctl.log.record import TickRecord, pack_tick_record
 from handctl.log.write.recorder import Recorder
-from handctl.printing import printable
+from handctl.printing import printable_text
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def lively_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run = lively.header(deterministic=False)
     recorder = Recorder.start(path, run)
     for tick in lively.ticks(run):
-        assert recorder.record(pack(*tick))
+        assert recorder.record(pack_tick_record(*tick))
         time.sleep(0.003)
     recorder.close("finished")
     return path
@@ -178,9 +178,9 @@ def test_hostile_files_end_in_one_error_soon_and_in_little_memory(small_log: Pat
 
 
 def test_names_of_a_file_reach_a_terminal_harmless() -> None:
-    assert printable("a\x1b[2J\n\u202eb\u00e4") == "a\\x1b[2J\\n\\u202eb\u00e4"
-    assert printable("\ud800") == "\\ud800"
-    assert len(printable("x" * 10_000)) < 300
+    assert printable_text("a\x1b[2J\n\u202eb\u00e4") == "a\\x1b[2J\\n\\u202eb\u00e4"
+    assert printable_text("\ud800") == "\\ud800"
+    assert len(printable_text("x" * 10_000)) < 300
 
 
 def test_a_log_of_another_program_is_refused(tmp_path: Path) -> None:
@@ -210,6 +210,6 @@ def test_a_log_of_another_version_is_refused(tmp_path: Path, monkeypatch: pytest
         RunLog(path)
 
 
-def test_what_is_missing_is_named() -> None:
+def test_missing_part_of_a_log_is_named() -> None:
     with pytest.raises(LogError, match="damaged log: '/tick' is missing"), Reading("a.mcap"):
         raise KeyError("/tick")

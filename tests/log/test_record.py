@@ -10,8 +10,16 @@ from hypothesis import strategies as st
 
 from handctl.core.types import TELEMETRY_AXES, Event, IoEvent, Mode, PackedTelemetry, Telemetry, TickIn, TickOut
 from handctl.drives.frame import FDF, Frame
-from handctl.drives.records import frames_of
-from handctl.log.record import FRAMING, message_layout, pack, pack_tick, unpack, unpack_tick, unpack_ticks
+from handctl.drives.records import frames_as_records
+from handctl.log.record import (
+    FRAMING,
+    message_layout,
+    pack_tick,
+    pack_tick_record,
+    unpack_tick,
+    unpack_tick_record,
+    unpack_ticks,
+)
 from handctl.safety.action import Action
 
 I64 = st.integers(-(2**63), 2**63 - 1)
@@ -54,7 +62,7 @@ TICK_OUT = st.builds(
 @settings(deadline=None)
 @given(TICK_IN, TICK_OUT)
 def test_a_tick_comes_back_bit_for_bit(tick_in: TickIn, out: TickOut) -> None:
-    again_in, again = unpack(pack(tick_in, out))
+    again_in, again = unpack_tick_record(pack_tick_record(tick_in, out))
     assert again_in == tick_in
     assert again.telemetry.packed() == out.telemetry.packed()
     for name in ("frames", "mode", "phase", "action", "events", "state_hash"):
@@ -64,7 +72,9 @@ def test_a_tick_comes_back_bit_for_bit(tick_in: TickIn, out: TickOut) -> None:
 @settings(max_examples=20, deadline=None)
 @given(TICK_IN, TICK_OUT)
 def test_a_lone_surrogate_is_escaped_since_no_other_reader_could_decode_it(tick_in: TickIn, out: TickOut) -> None:
-    again_in, again = unpack(pack(tick_in._replace(requests=("\ud800",)), out._replace(phase="\udcff")))
+    again_in, again = unpack_tick_record(
+        pack_tick_record(tick_in._replace(requests=("\ud800",)), out._replace(phase="\udcff"))
+    )
     assert (again_in.requests, again.phase) == (("\\ud800",), "\\udcff")
 
 
@@ -88,22 +98,25 @@ def test_ticks_decoded_together_are_those_decoded_one_by_one(ticks: list[tuple[T
     together = unpack_ticks(messages)
     assert together == [unpack_tick(message) for message in messages]
     for (tick_in, out), again in zip(ticks, together, strict=True):
-        assert again.tick_in.frames.records.tobytes() == frames_of(tick_in.frames).records.tobytes()
-        assert again.frames.records.tobytes() == frames_of(out.frames).records.tobytes()
+        assert again.tick_in.frames.records.tobytes() == frames_as_records(tick_in.frames).records.tobytes()
+        assert again.frames.records.tobytes() == frames_as_records(out.frames).records.tobytes()
 
 
 @settings(deadline=None)
 @given(TICK_IN, TICK_OUT)
 def test_records_are_packed_as_frames_are(tick_in: TickIn, out: TickOut) -> None:
-    as_records = tick_in._replace(frames=frames_of(tick_in.frames)), out._replace(frames=frames_of(out.frames))
+    as_records = (
+        tick_in._replace(frames=frames_as_records(tick_in.frames)),
+        out._replace(frames=frames_as_records(out.frames)),
+    )
     places, at = {}, 0
     for name, values in zip(TELEMETRY_AXES, out.telemetry, strict=True):
         places[name], at = slice(at, at + len(values)), at + len(values)
     packed = PackedTelemetry(np.concatenate(tuple(out.telemetry)), places)
-    assert pack(as_records[0], as_records[1]._replace(telemetry=packed)) == pack(tick_in, out)
+    assert pack_tick_record(as_records[0], as_records[1]._replace(telemetry=packed)) == pack_tick_record(tick_in, out)
 
 
-def test_what_a_file_has_behind_a_payload_is_not_of_the_frame() -> None:
+def test_bytes_behind_a_payload_are_no_part_of_the_frame() -> None:
     telemetry = Telemetry(**{name: np.zeros(1) for name in TELEMETRY_AXES})
     frame = Frame(5, b"abc")
     message = bytearray(
@@ -112,7 +125,7 @@ def test_what_a_file_has_behind_a_payload_is_not_of_the_frame() -> None:
     at = message_layout(bytes(message)).received.start
     message[at + 16 + 3 : at + 24] = b"\xff" * 5
     for tick in (unpack_tick(bytes(message)), *unpack_ticks([bytes(message)])):
-        assert tick.tick_in.frames.records.tobytes() == frames_of([frame]).records.tobytes()
+        assert tick.tick_in.frames.records.tobytes() == frames_as_records([frame]).records.tobytes()
 
 
 def test_a_payload_longer_than_any_frames_is_refused() -> None:
@@ -145,13 +158,13 @@ def test_a_cut_or_changed_message_never_does_worse_than_value_error(
 
 def test_a_record_says_its_length() -> None:
     telemetry = Telemetry(**{name: np.full(2, math.nan) for name in TELEMETRY_AXES})
-    record = pack(TickIn(1, 2), TickOut((), Mode.READY, "", Action.PASS, telemetry, (), bytes(8)))
+    record = pack_tick_record(TickIn(1, 2), TickOut((), Mode.READY, "", Action.PASS, telemetry, (), bytes(8)))
     assert FRAMING.unpack_from(record)[0] == len(record) - FRAMING.size
     with pytest.raises(ValueError, match="not the record"):
-        unpack(record[:-1])
+        unpack_tick_record(record[:-1])
 
 
 def test_a_hash_of_another_length_is_refused() -> None:
     telemetry = Telemetry(**{name: np.zeros(1) for name in TELEMETRY_AXES})
     with pytest.raises(ValueError, match="8"):
-        pack(TickIn(1, 2), TickOut((), Mode.READY, "", Action.PASS, telemetry, (), b"short"))
+        pack_tick_record(TickIn(1, 2), TickOut((), Mode.READY, "", Action.PASS, telemetry, (), b"short"))

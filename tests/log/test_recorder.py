@@ -18,7 +18,7 @@ import synthetic
 from handctl.core.types import IoEvent, TickIn
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
-from handctl.log.record import FRAMING, pack
+from handctl.log.record import FRAMING, pack_tick_record
 from handctl.log.write.process import NICE
 from handctl.log.write.recorder import PIPE_BYTES, Recorder
 from handctl.log.write.syncer import Syncer
@@ -50,7 +50,7 @@ def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[
 
 def _records(number: int) -> list[bytes]:
     run = synthetic.header(rate_hz=1000)
-    return [pack(*tick) for tick in synthetic.Synthetic(run, number / 1000)]
+    return [pack_tick_record(*tick) for tick in synthetic.Synthetic(run, number / 1000)]
 
 
 def _until(condition: Callable[[], bool], timeout_s: float = 10.0) -> bool:
@@ -166,7 +166,7 @@ def test_records_longer_than_an_atomic_write_stay_whole(start: Callable[..., Rec
             os.kill(recorder._child.pid, signal.SIGCONT)
             time.sleep(0.1)
         text = chance.choice("ab") * chance.randrange(9_000, 30_000)
-        if recorder.record(pack(tick_in._replace(requests=(text,)), out)):
+        if recorder.record(pack_tick_record(tick_in._replace(requests=(text,)), out)):
             taken.append((k, text))
     assert 0 < recorder.dropped < len(ticks) - 100
     recorder.close("finished")
@@ -178,7 +178,7 @@ def test_telemetry_of_another_shape_is_announced(start: Callable[..., Recorder])
     recorder = start()
     other = synthetic.header("jamia11", rate_hz=1000)
     for tick in synthetic.Synthetic(other, 0.01):
-        recorder.record(pack(*tick))
+        recorder.record(pack_tick_record(*tick))
     events: list[IoEvent] = []
     assert _until(lambda: bool(events.extend(recorder.events())) or bool(events))
     assert events == [IoEvent("recorder", "misshapen", 1)]
@@ -320,7 +320,7 @@ def test_recording_a_tick_is_fast(start: Callable[..., Recorder]) -> None:
     spent = []
     for k in range(300):
         started = time.perf_counter()
-        recorder.record(pack(TickIn(k, k * 1_000_000, 0, tick_in.frames), out))
+        recorder.record(pack_tick_record(TickIn(k, k * 1_000_000, 0, tick_in.frames), out))
         recorder.events()
         spent.append(time.perf_counter() - started)
         time.sleep(0.0005)

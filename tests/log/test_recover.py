@@ -12,7 +12,7 @@ from handctl.errors import ConfigError, LogError
 from handctl.log.read.logfile import LogFile
 from handctl.log.read.reader import RunLog
 from handctl.log.read.record_scan import RecordScan, scan_records
-from handctl.log.read.recover import Recovery, RecoveryStatus, recover
+from handctl.log.read.recover import Recovery, RecoveryStatus, recover_log
 
 SAMPLE = 500
 
@@ -38,7 +38,7 @@ def _recovered(data: bytes, folder: Path) -> tuple[Recovery, Path]:
     cut, out = folder / "cut.mcap", folder / "out.mcap"
     cut.write_bytes(data)
     out.unlink(missing_ok=True)
-    return recover(cut, out), out
+    return recover_log(cut, out), out
 
 
 def _chunk_starts(path: Path) -> dict[int, int]:
@@ -154,14 +154,14 @@ def test_an_existing_file_is_not_overwritten(small_log: Path, tmp_path: Path) ->
     precious = tmp_path / "precious.mcap"
     precious.write_text("precious")
     with pytest.raises(ConfigError, match="is there already"):
-        recover(small_log, precious)
+        recover_log(small_log, precious)
     assert precious.read_text() == "precious"
 
 
 def test_another_file_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "x").write_bytes(b"no log at all")
     with pytest.raises(LogError, match="not an MCAP file"):
-        recover(tmp_path / "x", tmp_path / "out")
+        recover_log(tmp_path / "x", tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import synthetic
 
 from handctl.log.read.reader import RunLog
-from handctl.log.record import FRAMING, pack
+from handctl.log.record import FRAMING, pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.log.write.writer import LogWriter
 
@@ -36,12 +36,12 @@ def main() -> None:
     for hand, rate_hz in (("jamia", 500), ("jamia11", 1000)):
         run = synthetic.header(hand, rate_hz)
         ticks = list(synthetic.Synthetic(run, 10.0))
-        number, records = len(ticks), [pack(*tick) for tick in ticks]
+        number, records = len(ticks), [pack_tick_record(*tick) for tick in ticks]
         bodies = [record[FRAMING.size :] for record in records]
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "run.mcap"
             print(f"{hand} at {rate_hz} Hz, {len(records[9])} bytes and {_frames(ticks[9])} frames a tick")
-            packing = _per_item(number, lambda ticks=ticks: [pack(*tick) for tick in ticks])
+            packing = _per_item(number, lambda ticks=ticks: [pack_tick_record(*tick) for tick in ticks])
             print(f"  pack            {packing:7.1f} us")
             writing = _per_item(number, lambda path=path, run=run, bodies=bodies: _written(path, run, bodies))
             print(f"  write (child)   {writing:7.1f} us, {path.stat().st_size / number:.0f} bytes in the file")

@@ -9,7 +9,7 @@ import pytest
 from handctl.hand.tendons import TendonElasticity
 from handctl.paper import sources as src
 from handctl.paper.bench import payload
-from handctl.paper.figures.gallery import draw_all
+from handctl.paper.figures.gallery import draw_all_figures
 
 
 @pytest.fixture(scope="session")
@@ -30,7 +30,7 @@ def case(diameter: float, axis: str, k: int) -> dict[str, Any]:
     """Return a load that grows to 20 N and slips at 8 to 14 N."""
     load = 8.0 + 3.0 * k
     moved = np.interp(np.linspace(0.0, 20.0, 200), [0.0, load, 20.0], [0.0, 0.3, 6.0])
-    names = src.hand().digit_names
+    names = src.paper_hand().digit_names
     return {
         "diameter_mm": diameter,
         "axis": axis,
@@ -48,4 +48,4 @@ def case(diameter: float, axis: str, k: int) -> dict[str, Any]:
 @pytest.fixture(scope="session")
 def drawn(measured: dict[str, Any], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Return the SVG file of each figure, drawn once."""
-    return draw_all(tmp_path_factory.mktemp("figures"), measured)
+    return draw_all_figures(tmp_path_factory.mktemp("figures"), measured)

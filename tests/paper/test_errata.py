@@ -69,7 +69,7 @@ def test_corrected_torques_are_lagrange_s(i: int) -> None:
 
 def test_the_thumb_equations_are_the_same_without_a_third_link() -> None:
     """With m3 = I3 = 0 two links remain, those of this project's thumb."""
-    thumb = DigitModel.of(src.hand(), "thumb").with_gravity((0.0, -9.81, 0.0))
+    thumb = DigitModel.of(src.paper_hand(), "thumb").with_gravity((0.0, -9.81, 0.0))
     chance = np.random.default_rng(3)
     states = {"g": 9.81, "I3": 0.0, "m3": 0.0, "L3": 1.0, "d3": 1.0, "th3": 0.3, "dth3": 5.0, "ddth3": 7.0}
     for i in (0, 1):
@@ -132,14 +132,14 @@ ERRATA = {
 
 
 def test_no_known_misprint_is_missing() -> None:
-    found = {item.id: item.verdict for item in sections.items(None)}
+    found = {item.id: item.verdict for item in sections.page_items(None)}
     for verdict, ids in ERRATA.items():
         for id in ids.split():
             assert found[id] == verdict, id
 
 
 def test_ids_are_unique_and_reasons_given() -> None:
-    items = sections.items(None)
+    items = sections.page_items(None)
     assert len({item.id for item in items}) == len(items)
     for item in items:
         assert item.printed
@@ -176,37 +176,37 @@ def test_ids_are_unique_and_reasons_given() -> None:
     ],
 )
 def test_items_have_the_known_values(id: str, value: float) -> None:
-    found = {item.id: item.computed for item in sections.items(None)}
+    found = {item.id: item.computed for item in sections.page_items(None)}
     assert found[id] == pytest.approx(value, rel=1e-4)
 
 
 @pytest.mark.parametrize("printed", ["1", "0.86"])
 def test_a_printed_number_of_the_abstract_is_judged_once(printed: str) -> None:
-    items = [item for item in sections.items(None) if item.where == "Abstract"]
+    items = [item for item in sections.page_items(None) if item.where == "Abstract"]
     judged = [item.id for item in items if item.printed.split()[0] == printed]
     assert len(judged) == 1
 
 
 def test_the_joint_that_holds_the_straight_finger_feels_its_whole_weight() -> None:
     """Compute tau_1 = g sum(m x) with x the distance of each centre of mass from joint 1, without dynamics code."""
-    digit = motion.upright("index")
+    digit = motion.upright_digit("index")
     base = np.concatenate(([0.0], np.cumsum(digit.lengths)[:-1]))
     held = 9.81 * float(np.array(digit.masses) @ (base + digit.coms[:, 0]))
-    found = {item.id: item for item in sections.items(None)}
+    found = {item.id: item for item in sections.page_items(None)}
     assert found["eq10.static"].computed == pytest.approx(held, rel=1e-9)
 
 
 def test_springs_judge_nothing_that_the_paper_says() -> None:
     """The paper's hand has no springs, so the judged value is that of the links alone."""
-    fast = motion.closing("index", motion.DURATIONS_S[-1])
+    fast = motion.closing_torques("index", motion.DURATIONS_S[-1])
     links = sum(fast.parts[part] for part in ("inertia", "Coriolis", "gravity"))
-    found = {item.id: item for item in sections.items(None)}
+    found = {item.id: item for item in sections.page_items(None)}
     assert found["sec7.complete"].computed == pytest.approx(float(np.abs(links).max()) / fast.lever)
     assert found["sec8.torque"].computed == pytest.approx(1000.0 * float(np.abs(links).max()))
 
 
 def test_no_row_says_that_the_paper_is_silent_of_what_it_says() -> None:
-    found = {item.id: item for item in sections.items(None)}
+    found = {item.id: item for item in sections.page_items(None)}
     assert "Never said" not in found["sec4-7.angles"].why
     assert "Section 7 states that its own are absolute" in found["sec4-7.angles"].why
 
@@ -221,17 +221,17 @@ def test_torques_convert_between_relative_and_absolute_angles() -> None:
 
 
 def test_inverse_kinematics_reaches_the_points_of_the_path() -> None:
-    item = next(item for item in kinematics.items() if item.id == "sec4.inverse")
+    item = next(item for item in kinematics.kinematics_items() if item.id == "sec4.inverse")
     assert item.deviation is not None
     assert item.deviation < 1e-12
 
 
 def test_the_parts_of_a_closing_motion_add_up() -> None:
-    fast, slow = motion.closing("index", 0.15), motion.closing("index", 0.6)
+    fast, slow = motion.closing_torques("index", 0.15), motion.closing_torques("index", 0.6)
     assert fast.tension("inertia") == pytest.approx(16.0 * slow.tension("inertia"), rel=1e-6)
     assert fast.tension("Coriolis") == pytest.approx(16.0 * slow.tension("Coriolis"), rel=1e-6)
     assert fast.tension("gravity") == pytest.approx(slow.tension("gravity"), rel=1e-9)
-    digit = motion.upright("index")
+    digit = motion.upright_digit("index")
     weight = sum(gravity_torque(digit, (0.0, 0.0, 0.0)))
     assert weight > 0.0
     assert fast.parts["gravity"][0] == pytest.approx(weight)

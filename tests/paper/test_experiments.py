@@ -32,8 +32,8 @@ def test_the_bench_hand_reaches_what_its_sensors_can_tell_apart() -> None:
 
 
 def test_a_blocked_finger_shows_the_knee_of_its_tendon(tmp_path: Path) -> None:
-    measured = json.loads(json.dumps(experiments.do({"do": "pull"}, tmp_path)))
-    bent, straight = force_displacement.curves(measured)
+    measured = json.loads(json.dumps(experiments.run_job({"do": "pull"}, tmp_path)))
+    bent, straight = force_displacement.curves_of_tendons(measured)
     for found in (bent, straight):
         assert found.stiffness == pytest.approx(1e5, rel=0.01)
         assert found.force.max() > 240.0
@@ -60,7 +60,7 @@ def fall(speed: float, after: float) -> TruthRecord:
         (1e-5, "held", 3.9),
     ],
 )
-def test_slip_is_creep_or_a_way(speed: float, ended: str, time_s: float) -> None:
+def test_slip_is_creep_or_displacement(speed: float, ended: str, time_s: float) -> None:
     row, how = payload._find_slip(fall(speed, 1.0), 100, 3900)
     assert how == ended
     assert row / 1000.0 == pytest.approx(time_s, abs=0.003)
@@ -69,7 +69,7 @@ def test_slip_is_creep_or_a_way(speed: float, ended: str, time_s: float) -> None
 def test_a_worker_that_ends_is_an_error() -> None:
     told: list[tuple[str, bool]] = []
     with (
-        pool.pool(2, lambda job, done: told.append((job["do"], done))) as workers,
+        pool.worker_pool(2, lambda job, done: told.append((job["do"], done))) as workers,
         pytest.raises(HandctlError, match="worker"),
     ):
         workers([{"do": "nothing"}, {"do": "nothing"}])
@@ -78,7 +78,7 @@ def test_a_worker_that_ends_is_an_error() -> None:
 
 
 def test_workers_do_not_outlive_their_owner() -> None:
-    with pool.pool(1, lambda job, done: None):
+    with pool.worker_pool(1, lambda job, done: None):
         pass
     listed = subprocess.run(["ps", "-eo", "ppid,args"], capture_output=True, text=True, check=True).stdout
     mine = [line for line in listed.splitlines() if line.split()[:1] == [str(os.getpid())] and pool.WORKER in line]
@@ -94,7 +94,7 @@ def test_all_experiments_finish_within_three_minutes(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", MAIN, *words], capture_output=True, text=True, cwd=ROOT, check=True)
     assert time.monotonic() - begun < 180.0
     items: list[dict[str, Any]] = json.loads(done.stdout)
-    kept = {item.id: item.computed for item in sections.items(experiments.load_results(RESULTS))}
+    kept = {item.id: item.computed for item in sections.page_items(experiments.load_results(RESULTS))}
     payloads = [item for item in items if item["id"].startswith(("payload.x.", "payload.y.", "payload.z."))]
     assert len(payloads) == 9
     assert all(item["computed"] == pytest.approx(kept[item["id"]], rel=0.25) for item in payloads), "the page is stale"

@@ -5,7 +5,7 @@ import pytest
 import sympy
 
 from handctl.paper.model import equations
-from handctl.paper.model.expression import DimensionError, Expression, pretty_name, shown
+from handctl.paper.model.expression import DimensionError, Expression, dimension_text, pretty_name
 from handctl.paper.model.lagrange import DIMENSIONS, JOULE, random_states
 
 TERMS = [*equations.KINETIC, *equations.POTENTIAL, *sum(equations.TORQUES, ())]
@@ -33,8 +33,8 @@ def test_nonsense_has_no_dimension(text: str) -> None:
 
 def test_dimensions_multiply_and_divide() -> None:
     assert Expression("m1*g*d1/I1").dimension(DIMENSIONS) == (0, 0, -2)
-    assert shown((1, 2, -2)) == "kg m² s⁻²"
-    assert shown((0, 0, 0)) == "1"
+    assert dimension_text((1, 2, -2)) == "kg m² s⁻²"
+    assert dimension_text((0, 0, 0)) == "1"
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 from matplotlib.image import imread
 
 from handctl.paper import page
-from handctl.paper.figures.gallery import contents
+from handctl.paper.figures.gallery import figure_contents
 from handctl.paper.model import kinematics
 
 
@@ -64,15 +64,15 @@ def test_units_and_printed_values_are_in_the_figures(folder: Path) -> None:
 
 
 def test_without_experiments_the_measured_figures_are_left_out() -> None:
-    found = contents(None)
+    found = figure_contents(None)
     assert page.CAPTIONS.keys() - found.keys() == {"fig5-force-displacement", "fig8-payload"}
 
 
 def test_the_path_lies_in_the_workspace_and_the_workspace_in_reach() -> None:
     for name, reach in (("index", 55.0), ("thumb", 25.0)):
-        tips = kinematics.workspace(name, 25)
+        tips = kinematics.reachable_tips(name, 25)
         assert np.linalg.norm(tips, axis=1).max() == pytest.approx(reach)
-        for point in kinematics.path(name, np.radians(np.linspace(0.0, 100.0, 11))):
+        for point in kinematics.fingertip_path(name, np.radians(np.linspace(0.0, 100.0, 11))):
             assert np.linalg.norm(tips - point, axis=1).min() < 2.0
-    first = kinematics.path("index", np.array([0.0, np.pi / 2]))
+    first = kinematics.fingertip_path("index", np.array([0.0, np.pi / 2]))
     assert first == pytest.approx(np.array([[55.0, 0.0], [-15.0, 20.0]]), abs=1e-9)

@@ -41,14 +41,14 @@ def test_a_file_without_results_is_refused_in_a_line(
 
 
 def test_results_are_kept_to_six_digits() -> None:
-    kept = experiments.shortened({"a": [1.23456789, 7], "b": {"c": (0.000123456789, "x")}})
+    kept = experiments.rounded_results({"a": [1.23456789, 7], "b": {"c": (0.000123456789, "x")}})
     assert kept == {"a": [1.23457, 7], "b": {"c": [0.000123457, "x"]}}
 
 
-def test_the_page_has_all_that_is_measured(measured: dict[str, Any]) -> None:
+def test_page_has_every_measured_result(measured: dict[str, Any]) -> None:
     text = PAGE.read_text(encoding="utf-8")
     assert text.count(page.MEASURED_MARK) == 2
-    for item in sections.items(measured):
+    for item in sections.page_items(measured):
         assert f"| {item.id} | " in text, item.id
     rows = re.findall(r"^\| (payload\.\w\.d\d+) \|.*\| ([\d.]+) kg(?: or more)? \| \*\*(\w+)\*\*", text, re.MULTILINE)
     assert len(rows) == len(payload.DIAMETERS_MM) * len(payload.AXES)
@@ -67,7 +67,7 @@ def test_the_page_s_figures_are_there(measured: dict[str, Any]) -> None:
 
 
 def test_markdown_tables_have_the_same_columns_everywhere(measured: dict[str, Any]) -> None:
-    for line in page.markdown(sections.sections(measured)).splitlines():
+    for line in page.page_as_markdown(sections.page_sections(measured)).splitlines():
         if line.startswith("| ") and " | **" in line:
             assert len(re.findall(r"(?<!\\)\|", line)) == 7, line
 
@@ -93,7 +93,7 @@ def test_json_is_a_list_of_items(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_measured_items_are_judged_by_what_was_measured(measured: dict[str, Any]) -> None:
-    found = {item.id: item for item in sections.items(measured)}
+    found = {item.id: item for item in sections.page_items(measured)}
     assert found["payload.z.d30"].verdict == ErrataVerdict.WRONG
     assert found["payload.z.d35"].verdict == ErrataVerdict.BOUND
     assert found["payload.z.d40"].unit == "kg or more"
@@ -103,12 +103,12 @@ def test_measured_items_are_judged_by_what_was_measured(measured: dict[str, Any]
     assert "none up to" in found["fig5.measured250"].why
 
 
-def test_html_needs_nothing_else(measured: dict[str, Any], drawn: dict[str, Path]) -> None:
-    text = page.report(sections.sections(measured), drawn)
+def test_html_page_loads_no_other_file(measured: dict[str, Any], drawn: dict[str, Path]) -> None:
+    text = page.page_as_html(sections.page_sections(measured), drawn)
     assert text.count("data:image/svg+xml;base64,") == len(page.CAPTIONS)
     links = re.findall(r"(?:src|href)=\"([^\"]{0,40})", text)
     assert all(link.startswith("data:") for link in links)
-    for item in sections.items(measured):
+    for item in sections.page_items(measured):
         assert f"<td>{item.id}</td>" in text
     assert "<script" not in text
 

@@ -9,14 +9,14 @@ from hypothesis import strategies as st
 
 from handctl.paper.item import ErrataVerdict
 from handctl.paper.verdicts import (
-    interval,
-    last_digit,
-    of_carried,
-    of_contradiction,
-    of_lower_bound,
-    of_number,
-    of_readings,
-    of_statement,
+    last_digit_value,
+    rounding_interval,
+    verdict_of_carried,
+    verdict_of_contradiction,
+    verdict_of_lower_bound,
+    verdict_of_number,
+    verdict_of_readings,
+    verdict_of_statement,
 )
 
 VALUES = st.fractions(min_value=-1000, max_value=1000, max_denominator=10**6).filter(lambda value: abs(value) > 1)
@@ -45,45 +45,57 @@ def digits(value: Fraction, places: int, rounding: str) -> str:
     ],
 )
 def test_verdict_of_a_number(printed: str, exact: Fraction | float, verdict: ErrataVerdict) -> None:
-    assert of_number(printed, exact) == verdict
+    assert verdict_of_number(printed, exact) == verdict
 
 
 @given(VALUES, st.integers(0, 5))
-def test_what_is_rounded_is_never_called_truncated_or_wrong(value: Fraction, places: int) -> None:
-    assert of_number(digits(value, places, ROUND_HALF_EVEN), value) in (ErrataVerdict.EQUAL, ErrataVerdict.ROUNDED)
+def test_rounded_number_is_judged_as_rounded(value: Fraction, places: int) -> None:
+    assert verdict_of_number(digits(value, places, ROUND_HALF_EVEN), value) in (
+        ErrataVerdict.EQUAL,
+        ErrataVerdict.ROUNDED,
+    )
 
 
 @given(VALUES, st.integers(0, 5))
-def test_what_is_cut_off_is_never_called_wrong(value: Fraction, places: int) -> None:
+def test_truncated_number_is_judged_as_truncated(value: Fraction, places: int) -> None:
     shown = digits(value, places, ROUND_DOWN)
-    verdict = of_number(shown, value)
+    verdict = verdict_of_number(shown, value)
     assert verdict != ErrataVerdict.WRONG
-    if 2 * abs(Fraction(shown) - value) > last_digit(shown):
+    if 2 * abs(Fraction(shown) - value) > last_digit_value(shown):
         assert verdict == ErrataVerdict.TRUNCATED
 
 
 @given(VALUES, st.integers(0, 5), st.integers(1, 50))
 def test_a_unit_of_the_last_digit_beyond_is_wrong(value: Fraction, places: int, units: int) -> None:
     shown = digits(value, places, ROUND_HALF_EVEN)
-    off = Fraction(shown) + (units + 1) * last_digit(shown) * (1 if value > 0 else -1)
+    off = Fraction(shown) + (units + 1) * last_digit_value(shown) * (1 if value > 0 else -1)
     text = digits(off, places, ROUND_HALF_EVEN)
-    assert of_number(text, value) == ErrataVerdict.WRONG
+    assert verdict_of_number(text, value) == ErrataVerdict.WRONG
 
 
 def test_an_error_that_is_carried_on_has_the_verdict_of_its_source() -> None:
     torque = Fraction(55, 3) * 5 / 1000
-    assert of_carried("0.09165", torque, Fraction("18.33") * 5 / 1000, ErrataVerdict.ROUNDED) == ErrataVerdict.ROUNDED
-    assert of_carried("0.09170", torque, Fraction("18.33") * 5 / 1000, ErrataVerdict.ROUNDED) == ErrataVerdict.WRONG
-    assert of_carried("0.09167", torque, Fraction("18.33") * 5 / 1000, ErrataVerdict.TRUNCATED) == ErrataVerdict.ROUNDED
+    assert (
+        verdict_of_carried("0.09165", torque, Fraction("18.33") * 5 / 1000, ErrataVerdict.ROUNDED)
+        == ErrataVerdict.ROUNDED
+    )
+    assert (
+        verdict_of_carried("0.09170", torque, Fraction("18.33") * 5 / 1000, ErrataVerdict.ROUNDED)
+        == ErrataVerdict.WRONG
+    )
+    assert (
+        verdict_of_carried("0.09167", torque, Fraction("18.33") * 5 / 1000, ErrataVerdict.TRUNCATED)
+        == ErrataVerdict.ROUNDED
+    )
 
 
 def test_verdict_of_readings_and_contradictions() -> None:
-    assert of_readings([True]) == of_statement(True) == ErrataVerdict.EQUAL
-    assert of_readings([False, False]) == of_statement(False) == ErrataVerdict.WRONG
-    assert of_readings([True, False]) == ErrataVerdict.UNDECIDABLE
-    assert of_contradiction(["200", "250"], None) == ErrataVerdict.UNDECIDABLE
-    assert of_contradiction(["200", "200"], None) == ErrataVerdict.EQUAL
-    assert of_contradiction(["200", "250"], 200.0) == ErrataVerdict.WRONG
+    assert verdict_of_readings([True]) == verdict_of_statement(True) == ErrataVerdict.EQUAL
+    assert verdict_of_readings([False, False]) == verdict_of_statement(False) == ErrataVerdict.WRONG
+    assert verdict_of_readings([True, False]) == ErrataVerdict.UNDECIDABLE
+    assert verdict_of_contradiction(["200", "250"], None) == ErrataVerdict.UNDECIDABLE
+    assert verdict_of_contradiction(["200", "200"], None) == ErrataVerdict.EQUAL
+    assert verdict_of_contradiction(["200", "250"], 200.0) == ErrataVerdict.WRONG
 
 
 @pytest.mark.parametrize(
@@ -96,10 +108,10 @@ def test_verdict_of_readings_and_contradictions() -> None:
     ],
 )
 def test_a_claim_that_is_exceeded_is_a_bound(reached: float, verdict: ErrataVerdict) -> None:
-    assert of_lower_bound("0.915", reached) == verdict
+    assert verdict_of_lower_bound("0.915", reached) == verdict
 
 
-def test_what_a_printed_number_may_stand_for() -> None:
-    low, high = interval("8.33")
+def test_printed_number_stands_for_an_interval() -> None:
+    low, high = rounding_interval("8.33")
     assert (low, high) == (Fraction("8.325"), Fraction("8.335"))
     assert low < Fraction(25, 3) < high

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
-from handctl.replay.compare import resampled
+from handctl.replay.compare import resampled_field
 from handctl.replay.drive_again import active_interval
 from handctl.report.summary import mean_angles
 
@@ -19,7 +19,8 @@ def mean_angles_apart(before: RunLog, after: RunLog) -> NDArray[np.float64]:
     times = np.arange(0.0, end - start, 0.005)
     hand = load_hand(before.header.metadata["hand"])
     old, new = (
-        mean_angles(hand, resampled(log, "q", start, times)) for log, start in ((before, start), (after, again(after)))
+        mean_angles(hand, resampled_field(log, "q", start, times))
+        for log, start in ((before, start), (after, again(after)))
     )
     return np.degrees(np.abs(new - old))
 

@@ -13,7 +13,7 @@ from handctl.core.gains.gains import Gains
 from handctl.core.types import IoEvent, TickIn, TickOut
 from handctl.drives.frame import Frame
 from handctl.hand.load import hand_path, load_hand
-from handctl.log.record import pack
+from handctl.log.record import pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.program import Program
@@ -22,7 +22,7 @@ from handctl.runtime.lockstep import LockstepBus, LockstepClock, Peer, load_peer
 from handctl.runtime.loop import Loop
 from handctl.session.header import run_header
 from handctl.session.plan import Plan
-from handctl.session.run import keeper
+from handctl.session.run import snapshot_recorder
 
 TASK = """schema = 1
 name = "short grasp"
@@ -138,7 +138,7 @@ def run(
     recorder = Recorder.start(log, replace(header, wall={}, attachments=attachments))
 
     def record(entry: TickIn, out: TickOut) -> None:
-        recorder.record(pack(entry, out))
+        recorder.record(pack_tick_record(entry, out))
 
     loop = Loop(
         clock,
@@ -150,7 +150,7 @@ def run(
         lambda: [*recorder.events(), *(io_events or {}).get(clock.k, ())],
         record,
         lambda entry, out: None,
-        keeper(recorder),
+        snapshot_recorder(recorder),
     )
     try:
         return loop.run(controller.initial())

@@ -12,8 +12,8 @@ from handctl.log.read.chunk_reader import iter_messages, schemas_and_channels
 from handctl.log.read.logfile import ChunkLocation, LogFile
 from handctl.log.read.reader import RunLog
 from handctl.log.read.record_scan import RecordScan, scan_records
-from handctl.log.read.recover import recover
-from handctl.replay.check import check
+from handctl.log.read.recover import recover_log
+from handctl.replay.check import check_log
 from handctl.replay.damage import first_damage
 
 
@@ -66,7 +66,7 @@ def test_a_changed_byte_is_named_by_its_tick(log: Path, topic: str, at: int, fit
     assert first_damage(log).startswith("tick 321 was changed after it was written")
     if fitting:
         with RunLog(log) as opened:
-            (line,) = [line for line in check(opened) if "chain" in line]
+            (line,) = [line for line in check_log(opened) if "chain" in line]
         assert "breaks at tick 321" in line
 
 
@@ -93,13 +93,13 @@ def test_log_check_reports_any_changed_byte_of_a_chunk(log: Path, capsys: pytest
 def test_other_gains_in_the_header_break_the_chain_at_the_first_tick(log: Path) -> None:
     with RunLog(log) as opened:
         opened.header.attachments["gains.json"] += b" "
-        (line,) = [line for line in check(opened) if "chain" in line]
+        (line,) = [line for line in check_log(opened) if "chain" in line]
     assert "breaks at tick 0:" in line
 
 
 def test_a_recovered_log_has_an_unbroken_chain(log: Path, tmp_path: Path) -> None:
     raw = log.read_bytes()
     log.write_bytes(raw[: len(raw) // 2])
-    recover(log, tmp_path / "new.mcap")
+    recover_log(log, tmp_path / "new.mcap")
     with RunLog(tmp_path / "new.mcap") as opened:
-        assert not [line for line in check(opened) if "chain" in line]
+        assert not [line for line in check_log(opened) if "chain" in line]

@@ -58,9 +58,7 @@ def sine_dataset(dataset: Path) -> np.ndarray:
     joints = len(HAND.joints)
     rows[:frames, :joints] = np.radians(30.0 - 20.0 * np.cos(np.arange(frames) / 200.0 * np.pi))[:, None]
     at = table.column_names.index("action")
-    pq.write_table(
-        table.set_column(at, "action", pa.array(rows.tolist(), pa.list_(pa.float32(), rows.shape[1]))), path
-    )
+    pq.write_table(table.set_column(at, "action", pa.array(rows.tolist(), pa.list_(pa.float32(), rows.shape[1]))), path)
     return rows[:frames, :joints]
 
 

@@ -8,14 +8,14 @@ import pytest
 
 from handctl.errors import IncomparableError
 from handctl.log.read.reader import RunLog
-from handctl.replay.check import check
-from handctl.replay.compare import compare, difference_lines
-from handctl.replay.diff import diff
+from handctl.replay.check import check_log
+from handctl.replay.compare import compare_signals, difference_lines
+from handctl.replay.diff import compare_logs
 
 
 def test_a_run_does_not_differ_from_itself(golden: Path) -> None:
     with RunLog(golden / "jamia-grasp.mcap") as a, RunLog(golden / "jamia-grasp.mcap") as b:
-        compared = diff(a, b, "b")
+        compared = compare_logs(a, b, "b")
     assert (compared["gains"], compared["only_in_first"], compared["only_in_second"]) == ({}, [], [])
     for phase in compared["phases"].values():
         rows = [row for signal in ("joint_deg", "tendon_N") for row in phase.get(signal, {}).values()]
@@ -25,7 +25,7 @@ def test_a_run_does_not_differ_from_itself(golden: Path) -> None:
 
 def test_a_lost_object_shows_in_the_hold(golden: Path) -> None:
     with RunLog(golden / "jamia-grasp.mcap") as a, RunLog(golden / "jamia-lost.mcap") as b:
-        compared = diff(a, b, "b")
+        compared = compare_logs(a, b, "b")
     # Where a digit touches, its angles follow from its tension: a newton is worth some degrees.
     assert compared["phases"]["preshape"]["joint_deg"]["index_j1"]["peak"] < 5.0
     assert compared["phases"]["hold"]["joint_deg"]["index_j1"]["peak"] > 20.0
@@ -33,7 +33,7 @@ def test_a_lost_object_shows_in_the_hold(golden: Path) -> None:
 
 def test_phases_of_only_one_run_are_named(golden: Path) -> None:
     with RunLog(golden / "jamia-grasp.mcap") as a, RunLog(golden / "jamia-fault.mcap") as b:
-        compared = diff(a, b, "b")
+        compared = compare_logs(a, b, "b")
     assert compared["only_in_first"] == ["release", "end"]
 
 
@@ -43,13 +43,13 @@ def test_another_hand_s_log_is_refused(golden: Path) -> None:
         RunLog(golden / "jamia11-grasp.mcap") as b,
         pytest.raises(IncomparableError, match="jamia11"),
     ):
-        diff(a, b, "b")
+        compare_logs(a, b, "b")
 
 
 @pytest.mark.parametrize("name", ["jamia-grasp", "jamia-fault", "jamia11-grasp"])
 def test_golden_logs_pass_the_check(golden: Path, name: str) -> None:
     with RunLog(golden / f"{name}.mcap") as log:
-        assert check(log) == []
+        assert check_log(log) == []
 
 
 def test_a_wrong_clock_and_a_gap_are_reported(golden: Path) -> None:
@@ -57,16 +57,16 @@ def test_a_wrong_clock_and_a_gap_are_reported(golden: Path) -> None:
         bent = log.t_ns.copy()
         bent[10] += 1
         with patch.object(RunLog, "t_ns", PropertyMock(return_value=bent)):
-            assert check(log) == ["the time of tick 10 is not its number times the period"]
+            assert check_log(log) == ["the time of tick 10 is not its number times the period"]
         jump = np.where(np.arange(len(log)) >= 20, log.k + 3, log.k)
         with patch.object(RunLog, "k", PropertyMock(return_value=jump)):
-            assert "gap: 3 ticks are missing between 19 and 23" in check(log)
+            assert "gap: 3 ticks are missing between 19 and 23" in check_log(log)
 
 
 def test_a_wrong_identity_is_reported(golden: Path) -> None:
     with RunLog(golden / "jamia-grasp.mcap") as log:
         log.header.metadata["identity"] = "0" * 64
-        findings = check(log)
+        findings = check_log(log)
     assert findings[0].startswith("hand.toml has identity")
     assert findings[1].startswith("the hash chain breaks at tick 0:")
 
@@ -76,7 +76,7 @@ def test_unknown_values_have_no_difference_and_no_delay() -> None:
     before = np.sin(np.linspace(0.0, 9.0, 400))[:, None] * np.ones(3)
     after = np.roll(before, 10, axis=0)
     after[:, 1], after[7, 2] = np.nan, np.nan
-    compared = compare(("known", "unknown", "nearly"), before, after, 0.01)
+    compared = compare_signals(("known", "unknown", "nearly"), before, after, 0.01)
     assert compared["known"]["delay_s"] == pytest.approx(0.1, abs=0.02)
     assert np.isnan(list(compared["unknown"].values())).all()
     assert np.isfinite(compared["nearly"]["rms"])
@@ -88,7 +88,7 @@ def test_moving_signals_have_a_delay_and_noise_has_none() -> None:
     wave = np.sin(np.linspace(0.0, 9.0, 420))
     before = np.column_stack([noise[0], 0.1 + noise[0], wave[20:] + noise[0]])
     after = np.column_stack([noise[1], 0.1 + noise[1], 0.5 + 0.9 * wave[10:-10] + noise[1]])
-    compared = compare(("stands", "stands elsewhere", "moves, weaker and beside"), before, after, 0.01)
+    compared = compare_signals(("stands", "stands elsewhere", "moves, weaker and beside"), before, after, 0.01)
     delays = [row["delay_s"] for row in compared.values()]
     assert np.isnan(delays[:2]).all()
     assert delays[2] == pytest.approx(0.1, abs=0.01)

@@ -12,9 +12,9 @@ from handctl.errors import IncomparableError
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.playback import Recording
-from handctl.replay.compare import check_same_hand, compare, delay, resampled
-from handctl.replay.drive_again import active_interval, compare_replay, playback, recording
-from handctl.replay.execute import execute
+from handctl.replay.compare import check_same_hand, compare_signals, resampled_field, signal_delay
+from handctl.replay.drive_again import active_interval, compare_replay, playback_program, recorded_targets
+from handctl.replay.execute import execute_log
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +22,7 @@ def again(golden: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Drive the golden grasp again at another rate and with other noise."""
     path = tmp_path_factory.mktemp("drive") / "again.mcap"
     with RunLog(golden / "jamia-grasp.mcap") as before:
-        state = runs.run(path, playback(before, 1 / 250, raw=False), rate_hz=250.0, seed=5)
+        state = runs.run(path, playback_program(before, 1 / 250, raw=False), rate_hz=250.0, seed=5)
     assert state.failure == ""
     return path
 
@@ -35,7 +35,7 @@ def test_a_grasp_repeats_within_a_degree_and_five_percent_of_force(golden: Path,
         times = np.arange(at_rest[0] + 0.4, at_rest[1], 0.005) - recorded_start
         start = next(change.t_ns * 1e-9 for change in after.phases if change.name == "playback")
         old, new = (
-            resampled(*run, times).mean(axis=0)
+            resampled_field(*run, times).mean(axis=0)
             for run in ((before, "tension", recorded_start), (after, "tension", start))
         )
     assert all(row["rms"] < 1.0 for row in compared["joint_deg"].values())
@@ -47,7 +47,7 @@ def test_the_driven_run_can_be_executed_again(again: Path) -> None:
     with RunLog(again) as log:
         names = [change.name for change in log.phases]
         assert names.index("approach") < names.index("playback")
-        assert execute(log).differing == 0
+        assert execute_log(log).differing == 0
 
 
 def test_it_moves_slowly_to_the_first_pose(again: Path) -> None:
@@ -60,7 +60,7 @@ def test_it_moves_slowly_to_the_first_pose(again: Path) -> None:
 
 def test_a_digit_under_tension_control_follows_tension_and_not_angles(golden: Path) -> None:
     with RunLog(golden / "jamia-grasp.mcap") as log:
-        played = recording(log, log.header.period_ns * 1e-9)
+        played = recorded_targets(log, log.header.period_ns * 1e-9)
         start, end = active_interval(log)
         inside = (log.times >= start) & (log.times <= end)
         np.testing.assert_allclose(played.q, log.field("q_goal")[inside], rtol=0, atol=1e-12)
@@ -87,11 +87,11 @@ def test_another_hand_is_refused_with_both_identities(golden: Path) -> None:
 def test_a_delay_is_measured(ticks: int, hertz: float) -> None:
     t = np.arange(400) * 0.005
     before, after = (np.sin(2 * np.pi * hertz * (t - late)) for late in (0.0, ticks * 0.005))
-    assert delay(before, after, 0.005) == pytest.approx(ticks * 0.005, abs=2e-4)
+    assert signal_delay(before, after, 0.005) == pytest.approx(ticks * 0.005, abs=2e-4)
 
 
 def test_a_constant_signal_has_no_delay() -> None:
     still = np.full(400, 30.0) + 0.01 * np.sin(np.arange(400))
-    row = compare(("a",), still[:, None], still[:, None] + 2.0, 0.005)["a"]
+    row = compare_signals(("a",), still[:, None], still[:, None] + 2.0, 0.005)["a"]
     assert (row["rms"], row["peak"]) == pytest.approx((2.0, 2.0))
     assert np.isnan(row["delay_s"])

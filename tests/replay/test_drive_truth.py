@@ -12,7 +12,7 @@ import runs
 from numpy.typing import NDArray
 
 from handctl.log.read.reader import RunLog
-from handctl.replay.drive_again import active_interval, compare_replay, playback
+from handctl.replay.drive_again import active_interval, compare_replay, playback_program
 from handctl.report.truth import read_truth
 
 Array = NDArray[np.float64]
@@ -76,13 +76,13 @@ def pair(folder: Path, request: pytest.FixtureRequest) -> Pair:
     """Return the first run and its repetition."""
     made = Pair(folder, request.param)
     with RunLog(folder / "first.mcap") as before:
-        program = playback(before, 1 / RATE_HZ, made.raw)
+        program = playback_program(before, 1 / RATE_HZ, made.raw)
     truth = made.again.with_suffix(".truth")
     assert runs.run(made.again, program, rate_hz=RATE_HZ, seed=5, truth=truth).failure == ""
     return made
 
 
-def test_the_log_repeats(pair: Pair) -> None:
+def test_second_replay_gives_the_same_log(pair: Pair) -> None:
     """Tensions alone leave a digit free on its way: half a newton is six degrees of its springs.
 
     At first touch, one newton moves the estimated angles of a digit's joints by two degrees more.
@@ -96,7 +96,7 @@ def test_the_log_repeats(pair: Pair) -> None:
 
 
 @pytest.mark.parametrize("digit", DIGITS)
-def test_the_plant_repeats(pair: Pair, digit: str) -> None:
+def test_second_replay_gives_the_same_truth(pair: Pair, digit: str) -> None:
     """Compare the mean angle of a digit. Contact and friction decide how a tendon's motion divides among its joints."""
     joints = [f"q/{digit}_j{n}" for n in range(1, 3 if digit == "thumb" else 4)]
     _, before, after = pair.truths(*joints)

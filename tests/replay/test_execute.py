@@ -25,10 +25,10 @@ from handctl.programs.live import JogProgram, LiveProgram
 from handctl.programs.program import Program
 from handctl.programs.requests import HoldTension, MoveDigits
 from handctl.replay import rebuild as rebuilding
-from handctl.replay.counterfactual import Commands, draw, summary
-from handctl.replay.execute import execute, relative_error, within_tolerance
-from handctl.replay.rebuild import logged_gains, rebuild
-from handctl.replay.tick_difference import Columns, differences, equal_outputs, ulps
+from handctl.replay.counterfactual import Commands, command_change, draw_commands
+from handctl.replay.execute import execute_log, is_within_tolerance, relative_error
+from handctl.replay.rebuild import logged_gains, rebuild_controller
+from handctl.replay.tick_difference import Columns, are_outputs_equal, differing_fields, distance_in_ulps
 
 GOLDEN = ("jamia-grasp", "jamia-lost", "jamia-fault", "jamia11-grasp")
 
@@ -38,10 +38,10 @@ def test_a_fresh_run_with_faults_and_requests_repeats_to_the_last_bit(fresh: Pat
         texts = " ".join(event.event.text for event in log.events)
         assert "asked: stop" in texts
         assert "B17 some nodes do not hear" in texts
-        result = execute(log)
+        result = execute_log(log)
         assert result.ticks == len(log) > 300
     assert (result.differing, result.undecided, result.first, result.largest) == (0, 0, None, None)
-    assert within_tolerance(result, 0.0)
+    assert is_within_tolerance(result, 0.0)
     assert result.times_real_time > 0
 
 
@@ -50,10 +50,10 @@ def test_golden_logs_decide_the_same_within_1e_9(golden: Path, name: str) -> Non
     """Golden logs come from another machine, whose processor may round the last bits differently."""
     with RunLog(golden / f"{name}.mcap") as log:
         assert not log.warning
-        result = execute(log)
+        result = execute_log(log)
         assert result.ticks == len(log) > 300
     assert result.undecided == 0, result.first
-    assert within_tolerance(result, 1e-9), result.largest
+    assert is_within_tolerance(result, 1e-9), result.largest
 
 
 def test_one_bit_of_a_gain_is_found_at_the_first_tick_with_an_effect(fresh: Path) -> None:
@@ -62,7 +62,7 @@ def test_one_bit_of_a_gain_is_found_at_the_first_tick_with_an_effect(fresh: Path
         gains = logged_gains(log)
         one_bit = math.nextafter(gains.tension.integral_per_s, math.inf)
         other = gains.model_copy(update={"tension": gains.tension.model_copy(update={"integral_per_s": one_bit})})
-        result = execute(log, other)
+        result = execute_log(log, other)
         starts = {change.name: change.k for change in log.phases}
     assert result.first is not None
     assert starts["tighten"] <= result.first.k < starts["preshape"]
@@ -72,33 +72,33 @@ def test_one_bit_of_a_gain_is_found_at_the_first_tick_with_an_effect(fresh: Path
 
 def test_a_changed_byte_of_the_log_is_named(fresh: Path) -> None:
     with RunLog(fresh) as log:
-        controller, columns = rebuild(log), Columns.of(log.header)
+        controller, columns = rebuild_controller(log), Columns.of(log.header)
         logged, numbers = next(zip(log.ticks(), log.packed(), strict=True))
         _, out = controller.tick(controller.initial(), logged.tick_in)
-        assert equal_outputs(logged, numbers, out)
-        assert list(differences(columns, logged, numbers, out)) == []
+        assert are_outputs_equal(logged, numbers, out)
+        assert list(differing_fields(columns, logged, numbers, out)) == []
         bent = np.frombuffer(numbers, "<f8").copy()
         place = columns.field.index("tension")
         bent[place] = np.nextafter(bent[place], np.inf)
-        (one,) = differences(columns, logged, bent.tobytes(), out)
+        (one,) = differing_fields(columns, logged, bent.tobytes(), out)
         assert (one.k, one.field, one.name, one.ulps) == (0, "tension", log.header.tendons[0], 1)
-        (one,) = differences(columns, logged._replace(phase="else"), numbers, out)
+        (one,) = differing_fields(columns, logged._replace(phase="else"), numbers, out)
         assert (one.field, one.logged, one.computed) == ("phase", "else", out.phase)
         hashed = logged._replace(state_hash=bytes(8))
-        assert [one.field for one in differences(columns, hashed, numbers, out)] == ["state_hash"]
+        assert [one.field for one in differing_fields(columns, hashed, numbers, out)] == ["state_hash"]
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False, width=64))
 def test_ulps_count_neighbours(value: float) -> None:
     above = math.nextafter(value, math.inf)
-    assert ulps(value, value) == 0
-    assert ulps(value, above) == ulps(above, value) == 1
-    assert ulps(value, math.nextafter(above, math.inf)) == 2
+    assert distance_in_ulps(value, value) == 0
+    assert distance_in_ulps(value, above) == distance_in_ulps(above, value) == 1
+    assert distance_in_ulps(value, math.nextafter(above, math.inf)) == 2
 
 
 def test_both_zeros_have_distance_0_in_ulps() -> None:
-    assert ulps(0.0, -0.0) == 0
-    assert ulps(5e-324, -5e-324) == 2
+    assert distance_in_ulps(0.0, -0.0) == 0
+    assert distance_in_ulps(5e-324, -5e-324) == 2
 
 
 def calibration(hand_name: str) -> Calibration:
@@ -138,10 +138,10 @@ def test_a_log_without_a_setup_is_refused_in_one_line(fresh: Path) -> None:
         attachments = {name: data for name, data in log.header.attachments.items() if name != "setup.json"}
         log.header = replace(log.header, attachments=attachments)
         with pytest.raises(LogError, match=r"no setup\.json"):
-            execute(log)
+            execute_log(log)
         log.header = replace(log.header, attachments=attachments | {"setup.json": b'{"rate_hz": "\x1b[31m"}'})
         with pytest.raises(LogError, match=r"setup\.json cannot be read") as caught:
-            rebuilding.rebuild(log)
+            rebuilding.rebuild_controller(log)
     assert "\x1b" not in str(caught.value)
 
 
@@ -163,7 +163,7 @@ def test_gains_of_another_version_are_refused_in_one_line_with_both(fresh: Path,
             metadata=metadata | {"version": "0.0.9", "code": "0123456789ab"},
         )
         with pytest.raises(LogError, match=message) as caught:
-            execute(log)
+            execute_log(log)
     assert "written by handctl 0.0.9, code 0123456789ab" in str(caught.value)
     assert f"handctl {version('handctl')}, code {code_identity()}" in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1
@@ -174,10 +174,10 @@ def test_other_gains_command_something_else_and_draw_it(fresh: Path, tmp_path: P
         gains = logged_gains(log)
         stiff = gains.model_copy(update={"motion": gains.motion.model_copy(update={"position_error_m": 3e-4})})
         commands = Commands()
-        execute(log, stiff, commands.add)
-        change = summary(log, commands)
+        execute_log(log, stiff, commands.add)
+        change = command_change(log, commands)
         assert commands.torque.shape == log.field("motor_torque_goal").shape
-        draw(tmp_path / "change.png", log, commands, "a run with other gains")
+        draw_commands(tmp_path / "change.png", log, commands, "a run with other gains")
     assert all(size["peak"] > 0.01 for size in change["motor_torque_N_m"].values())
     assert (tmp_path / "change.png").read_bytes().startswith(b"\x89PNG")
 
@@ -189,7 +189,7 @@ def test_the_observer_gets_every_tick(fresh: Path) -> None:
         ticks.append((entry.k, out.state_hash))
 
     with RunLog(fresh) as log:
-        execute(log, observer=observer)
+        execute_log(log, observer=observer)
         assert ticks == [(tick.tick_in.k, tick.state_hash) for tick in log.ticks()]
 
 

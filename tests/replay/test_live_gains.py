@@ -12,7 +12,7 @@ from handctl.log.read.reader import RunLog
 from handctl.programs.calibration import Calibration, TendonCalibration
 from handctl.programs.live import JogProgram
 from handctl.programs.requests import HoldTension
-from handctl.replay.execute import execute
+from handctl.replay.execute import execute_log
 from handctl.session.plan import Plan
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.simulate import Simulator
@@ -29,7 +29,7 @@ def test_a_run_whose_gains_were_set_repeats(tmp_path: Path) -> None:
         assert messages == {"motion.force_N": "40.0", "tension.integral_per_s": "6.0"}
         refused = [event.event.text for event in record.events if event.event.text.startswith("refused")]
         assert refused == ["refused: gains: motion.force: no such gain; expected motion.force_N?"]
-        result = execute(record)
+        result = execute_log(record)
     assert (result.differing, result.first) == (0, None)
 
 
@@ -55,5 +55,5 @@ def test_a_run_with_an_identified_hand_repeats_and_its_commands_are_corrected(tm
         goal, torque = record.field("motor_torque_goal")[:-1, 0], record.field("motor_torque")[1:, 0]
         strong = goal > 0.03
         np.testing.assert_allclose(np.nanmedian(torque[strong] / goal[strong]), 1.25, rtol=0.03)
-        result = execute(record)
+        result = execute_log(record)
     assert (result.differing, result.first) == (0, None)

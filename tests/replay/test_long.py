@@ -13,7 +13,7 @@ from handctl.core.types import IoEvent
 from handctl.log.read.reader import RunLog
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import load_task
-from handctl.replay.execute import execute
+from handctl.replay.execute import execute_log
 from handctl.runtime.lockstep import Peer
 
 RATE_HZ, SECONDS = 200.0, 600.0
@@ -65,7 +65,7 @@ def test_ten_minutes_with_faults_repeat_to_the_last_bit(tmp_path: Path) -> None:
     with RunLog(tmp_path / "ten.mcap") as log:
         faults = {event.event.text[:3] for event in log.events if event.event.name == "fault"}
         assert {"B01", "B17", "H09", "I07"} <= faults
-        result = execute(log)
+        result = execute_log(log)
         assert result.ticks == len(log) > 0.99 * SECONDS * RATE_HZ
     assert (result.differing, result.first) == (0, None)
 

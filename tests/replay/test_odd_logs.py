@@ -17,19 +17,19 @@ from handctl.drives.frame import EXTENDED
 from handctl.errors import LogError
 from handctl.log.header import RunHeader
 from handctl.log.read.reader import RunLog
-from handctl.log.record import FRAMING, pack
+from handctl.log.record import FRAMING, pack_tick_record
 from handctl.log.write.writer import LogWriter
 from handctl.replay.drive_again import (
     active_interval,
     compare_replay,
     count_missing_ticks,
-    driven_time,
-    playback,
-    recording,
+    driven_duration,
+    playback_program,
+    recorded_targets,
 )
-from handctl.replay.execute import execute
+from handctl.replay.execute import execute_log
 from handctl.replay.other_limits import judge_by_limits
-from handctl.replay.tick_difference import Columns, differences, equal_outputs
+from handctl.replay.tick_difference import Columns, are_outputs_equal, differing_fields
 
 Ticks = list[tuple[TickIn, TickOut]]
 STOP = '{"do": "stop"}'
@@ -40,14 +40,14 @@ def grasp(golden: Path) -> tuple[RunHeader, Ticks]:
     """Return the golden grasp, tick by tick."""
     ticks: Ticks = []
     with RunLog(golden / "jamia-grasp.mcap") as log:
-        execute(log, observer=lambda entry, out: ticks.append((entry, out)))
+        execute_log(log, observer=lambda entry, out: ticks.append((entry, out)))
         return log.header, ticks
 
 
 def written(path: Path, header: RunHeader, ticks: Ticks) -> Path:
     writer = LogWriter(path, header, lambda *what: None, 1)
     for entry, out in ticks:
-        writer.add(pack(entry, out)[FRAMING.size :])
+        writer.add(pack_tick_record(entry, out)[FRAMING.size :])
     writer.finish("finished", 0)
     return path
 
@@ -60,7 +60,7 @@ def test_a_short_gap_is_bridged_without_a_jump(grasp: tuple[RunHeader, Ticks], t
     header, ticks = grasp
     holey = written(tmp_path / "holey.mcap", header, without(ticks, 260, 268))
     with RunLog(golden / "jamia-grasp.mcap") as log, RunLog(holey) as other:
-        whole, result = recording(log, 0.005), recording(other, 0.005)
+        whole, result = recorded_targets(log, 0.005), recorded_targets(other, 0.005)
         assert (count_missing_ticks(log), count_missing_ticks(other)) == (0, 9)
     assert result.q.shape == whole.q.shape
     expected = ~np.isnan(whole.q)
@@ -74,7 +74,7 @@ def test_a_long_gap_is_refused_with_its_times(
     header, ticks = grasp
     path = written(tmp_path / "holey.mcap", header, without(ticks, 260, 300))
     with RunLog(path) as log, pytest.raises(LogError, match=r"no ticks between 1\.295 and 1\.505 s"):
-        playback(log, 0.005, raw=False)
+        playback_program(log, 0.005, raw=False)
     assert main(["replay", "drive", str(path), "--bus", "local:nobody", "--dry-run"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert main(["replay", "execute", str(path)]) == 1
@@ -95,17 +95,17 @@ def test_a_cut_log_that_repeats_is_lossy(golden: Path, tmp_path: Path, capsys: p
 def test_a_stopped_replay_is_compared_as_far_as_it_was_driven(golden: Path, tmp_path: Path) -> None:
     rate = 250.0
     with RunLog(golden / "jamia-grasp.mcap") as before:
-        program, (start, end) = playback(before, 1 / rate, raw=False), active_interval(before)
+        program, (start, end) = playback_program(before, 1 / rate, raw=False), active_interval(before)
         runs.run(tmp_path / "late.mcap", program, rate_hz=rate, requests={1000: (STOP,)})
         runs.run(tmp_path / "early.mcap", program, rate_hz=rate, requests={400: (STOP,)})
         with RunLog(tmp_path / "late.mcap") as after:
             started = next(change.t_ns * 1e-9 for change in after.phases if change.name == "playback")
-            assert driven_time(before, after) == pytest.approx(1000 / rate - started, abs=2 / rate)
-            assert 0.2 < driven_time(before, after) < end - start - 0.5
+            assert driven_duration(before, after) == pytest.approx(1000 / rate - started, abs=2 / rate)
+            assert 0.2 < driven_duration(before, after) < end - start - 0.5
             result = compare_replay(before, after)
         assert max(row["rms"] for row in result["tendon_N"].values()) < 1.0
         with RunLog(tmp_path / "early.mcap") as after:
-            assert (driven_time(before, after), compare_replay(before, after)) == (0.0, {})
+            assert (driven_duration(before, after), compare_replay(before, after)) == (0.0, {})
 
 
 def with_event(event: Event) -> Callable[[TickOut], TickOut]:
@@ -136,9 +136,9 @@ def test_every_difference_is_named(
     with RunLog(written(tmp_path / "one.mcap", header, [(entry, base)])) as log:
         logged, numbers = next(log.ticks()), next(log.packed())
     now = changed(base)
-    assert equal_outputs(logged, numbers, base)
-    assert not equal_outputs(logged, numbers, now)
-    (result,) = differences(Columns.of(header), logged, numbers, now)
+    assert are_outputs_equal(logged, numbers, base)
+    assert not are_outputs_equal(logged, numbers, now)
+    (result,) = differing_fields(Columns.of(header), logged, numbers, now)
     assert result.logged != result.computed
 
 
@@ -153,6 +153,6 @@ def test_values_that_the_controller_refuses_are_refused_by_every_replay(
     (tmp_path / "limits.toml").write_text("schema = 1\n")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        for replay in (execute, lambda log: judge_by_limits(log, tmp_path / "limits.toml")):
+        for replay in (execute_log, lambda log: judge_by_limits(log, tmp_path / "limits.toml")):
             with RunLog(path) as log, pytest.raises(LogError, match=r"the controller refuses|zero_rad 0"):
                 replay(log)

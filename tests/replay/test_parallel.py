@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.campaign.stage import hand_in, started
-from handctl.controller.snapshot import restore, snapshot
+from handctl.campaign.stage import hand_with_protocol, homed_run
+from handctl.controller.snapshot import restore_state, snapshot_bytes
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
 from handctl.core.plain import plain_bytes
@@ -19,8 +19,8 @@ from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
 from handctl.replay import log_runner as courses
 from handctl.replay import parallel
-from handctl.replay.execute import Execution, execute
-from handctl.replay.rebuild import rebuild
+from handctl.replay.execute import Execution, execute_log
+from handctl.replay.rebuild import rebuild_controller
 from handctl.replay.tick_difference import state_difference
 
 Change = Callable[[State, TickIn], None]
@@ -42,7 +42,7 @@ def both(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> Both:
         monkeypatch.setattr(Controller, "tick", tick)
         monkeypatch.setattr(parallel, "MIN_TICKS", 50)
         with RunLog(fresh) as log:
-            return execute(log), execute(log, workers=3)
+            return execute_log(log), execute_log(log, workers=3)
 
     return run
 
@@ -65,11 +65,11 @@ def spoil(field: str, at: int) -> Change:
 def test_a_state_comes_out_of_its_snapshot_as_it_went_in(fresh: Path) -> None:
     """Compare the bytes, the hash, and the next tick, in every tick of a run with faults and requests."""
     with RunLog(fresh) as log:
-        controller = rebuild(log)
+        controller = rebuild_controller(log)
         state = controller.initial()
         for logged in log.ticks():
-            again = restore(controller.layout, snapshot(state))
-            assert (again.digest(), snapshot(again)) == (state.digest(), snapshot(state))
+            again = restore_state(controller.layout, snapshot_bytes(state))
+            assert (again.digest(), snapshot_bytes(again)) == (state.digest(), snapshot_bytes(state))
             other, same = controller.tick(again, logged.tick_in)
             state, out = controller.tick(state, logged.tick_in)
             assert (same.state_hash, other.digest()) == (out.state_hash, logged.state_hash)
@@ -77,13 +77,13 @@ def test_a_state_comes_out_of_its_snapshot_as_it_went_in(fresh: Path) -> None:
 
 @pytest.mark.parametrize("protocol", GUARDED)
 def test_a_state_of_every_protocol_comes_out_of_its_snapshot(protocol: str) -> None:
-    with started(hand_in("jamia", protocol), 250.0, 0) as simulation:
+    with homed_run(hand_with_protocol("jamia", protocol), 250.0, 0) as simulation:
         seen = set()
         for _ in simulation.ticks(limit_s=10.0):
             if simulation.state.mode == Mode.ACTIVE:
                 break
             seen.add(simulation.state.mode)
-            again = restore(simulation.controller.layout, snapshot(simulation.state))
+            again = restore_state(simulation.controller.layout, snapshot_bytes(simulation.state))
             assert plain_bytes(again.decisions) == plain_bytes(simulation.state.decisions)
             assert again.digest() == simulation.state.digest()
     assert {Mode.SILENT, Mode.INVENTORY, Mode.ARMING} <= seen
@@ -122,7 +122,7 @@ def test_the_first_field_of_the_state_that_differs_is_named(both: Both) -> None:
 
 def test_a_decision_that_differs_is_named(fresh: Path) -> None:
     with RunLog(fresh) as log:
-        state, logged = rebuild(log).initial(), next(log.ticks())
+        state, logged = rebuild_controller(log).initial(), next(log.ticks())
         other = state.copy()
         other.decide(unconfirmed=("index_motor",))
         assert state_difference(log.header, logged, state, state) is None
@@ -148,13 +148,13 @@ def test_a_wrong_snapshot_is_not_used_as_a_start(fresh: Path, monkeypatch: pytes
     monkeypatch.setattr(parallel, "MIN_TICKS", 50)
     with RunLog(fresh) as log:
         runner = courses.LogRunner.of(log)
-        assert len(parallel.split(runner, 3)) == 3
+        assert len(parallel.split_log(runner, 3)) == 3
         bent = {k: data[:100] + bytes([data[100] ^ 1]) + data[101:] for k, data in runner.snapshots.items()}
-        assert len(parallel.split(replace(runner, snapshots=bent), 3)) == 1
+        assert len(parallel.split_log(replace(runner, snapshots=bent), 3)) == 1
         other = dict.fromkeys(runner.snapshots, b"x" * 40)
-        assert len(parallel.split(replace(runner, snapshots=other), 3)) == 1
+        assert len(parallel.split_log(replace(runner, snapshots=other), 3)) == 1
         monkeypatch.setattr(RunLog, "snapshots", bent)
-        assert execute(log, workers=3).differing == 0
+        assert execute_log(log, workers=3).differing == 0
 
 
 @pytest.mark.parametrize(
@@ -172,8 +172,8 @@ def test_a_wrong_snapshot_is_not_used_as_a_start(fresh: Path, monkeypatch: pytes
 )
 def test_a_snapshot_makes_no_other_objects_than_decisions(fresh: Path, text: str) -> None:
     with RunLog(fresh) as log:
-        controller = rebuild(log)
+        controller = rebuild_controller(log)
         state = controller.initial()
-        head = snapshot(state)[: 8 + state.block.nbytes]
+        head = snapshot_bytes(state)[: 8 + state.block.nbytes]
         with pytest.raises(ValueError, match=r"."):
-            restore(controller.layout, head + text.encode())
+            restore_state(controller.layout, head + text.encode())

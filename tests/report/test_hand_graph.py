@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from handctl.cli.main import main
-from handctl.hand.load import hand_content, hand_from, load_hand, packaged_hands
+from handctl.hand.load import hand_content, hand_from_content, load_hand, packaged_hands
 from handctl.report.hand_graph import draw_hand, text_graph
 from tests.cli.refused import refused
 
@@ -36,7 +36,7 @@ def test_graph_shows_both_buses_an_extensor_and_an_escaped_name(tmp_path: Path) 
     content["bus"].append({"name": "second", "bitrate": 1_000_000, "data_bitrate": 5_000_000})
     content["motor"][10]["bus"] = "second"
     content["tendon"][10]["moment_arm_m"] = {"thumb_j1": -0.003, "thumb_j2": 0.003}
-    hand = hand_from(content, "x")
+    hand = hand_from_content(content, "x")
     assert "second: 1 Mbit/s, data phase 5 Mbit/s, 1 motors" in text_graph(hand)
     assert "j1 -3 mm  j2 +3 mm" in text_graph(hand)
     draw_hand(tmp_path / "hand.svg", hand)

@@ -38,14 +38,14 @@ def test_a_png_is_written(name: str, with_truth: bool, lively: bool, tmp_path: P
     assert height > 600
 
 
-def test_what_is_drawn_depends_on_the_run(tmp_path: Path) -> None:
+def test_figure_depends_on_the_run(tmp_path: Path) -> None:
     paths = [tmp_path / f"{i}.png" for i in range(2)]
     for path, lively in zip(paths, (True, False), strict=True):
         draw_run(path, run_of("jamia", lively), load_hand("jamia"), None, 0, "t")  # type: ignore[arg-type]
     assert paths[0].read_bytes() != paths[1].read_bytes()
 
 
-def test_what_is_not_seen_takes_no_height(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hidden_values_take_no_height(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log = run_of("jamia", True)
     log.mode[60:] = int(Mode.DONE)
     log.fields["q"][:], log.fields["q_goal"][:] = 0.1, np.nan

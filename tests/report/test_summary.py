@@ -40,7 +40,7 @@ def test_ticks_misses_and_lateness() -> None:
     assert result["late_us"] == pytest.approx({"p50": 99.5, "p99_9": 198.801, "max": 199.0})
 
 
-def test_without_truth_what_needs_it_is_nan() -> None:
+def test_summary_without_truth_has_nan() -> None:
     result = summarise(holding(), JAMIA, None, 0)
     for name in (
         "tracking_rmse_rad",

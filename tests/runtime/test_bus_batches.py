@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, Frame
-from handctl.drives.records import WORDS, Frames, frames_of, joined
+from handctl.drives.records import WORDS, Frames, frames_as_records, join_frames
 from handctl.runtime.buses import canfd
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import open_bus
@@ -86,7 +86,7 @@ def drained(bus: Bus, count: int) -> Frames:
     while sum(map(len, parts)) < count and time.monotonic() < end:
         time.sleep(0.001)
         parts.append(bus.drain())
-    return joined(parts)
+    return join_frames(parts)
 
 
 def datagram(frame: Frame, garbage: bytes = b"") -> bytes:
@@ -98,11 +98,11 @@ def datagram(frame: Frame, garbage: bytes = b"") -> bytes:
 
 
 @pytest.mark.parametrize("name", BATCHES)
-def test_a_local_bus_carries_it_both_ways(local: tuple[Bus, socket.socket], name: str) -> None:
+def test_local_bus_carries_every_batch_both_ways(local: tuple[Bus, socket.socket], name: str) -> None:
     bus, link = local
     batch = BATCHES[name]
     whole = b"".join(record(frame.can_id, frame.data, frame.flags) for frame in batch)
-    assert bus.send(frames_of(batch)) == len(batch)
+    assert bus.send(frames_as_records(batch)) == len(batch)
     sent = b""
     while len(sent) < len(whole):
         sent += link.recv(1 << 20)
@@ -115,10 +115,10 @@ def test_a_local_bus_carries_it_both_ways(local: tuple[Bus, socket.socket], name
 
 
 @pytest.mark.parametrize("name", BATCHES)
-def test_a_can_socket_carries_it_both_ways(udp: tuple[SocketCanBus, socket.socket], name: str) -> None:
+def test_can_socket_carries_every_batch_both_ways(udp: tuple[SocketCanBus, socket.socket], name: str) -> None:
     bus, far = udp
     batch = BATCHES[name]
-    assert bus.send(frames_of(batch)) == len(batch)
+    assert bus.send(frames_as_records(batch)) == len(batch)
     assert [far.recv(100) for _ in batch] == [datagram(frame) for frame in batch]
     for frame in batch:
         far.send(datagram(frame))
@@ -133,7 +133,7 @@ def test_batches_of_all_kinds_in_turn_leave_no_bytes_of_one_another(
     for batch in [*BATCHES.values(), *reversed(BATCHES.values())]:
         test_batch = batch[:SLOTS]
         for bus, link in (local, udp):
-            assert bus.send(frames_of(test_batch)) == len(test_batch)
+            assert bus.send(frames_as_records(test_batch)) == len(test_batch)
             if bus is local[0]:
                 whole = b"".join(record(frame.can_id, frame.data, frame.flags) for frame in test_batch)
                 sent = b""
@@ -206,7 +206,7 @@ def test_a_record_split_within_an_odd_batch_is_reassembled(local: tuple[Bus, soc
         parts.append(bus.drain())
         at += cut
         assert sum(map(len, parts)) == min(at, len(whole)) // 72
-    assert contents(joined(parts)) == [frame[:4] for frame in batch]
+    assert contents(join_frames(parts)) == [frame[:4] for frame in batch]
 
 
 @pytest.mark.parametrize("size", [9, 12, 64])
@@ -217,7 +217,7 @@ def test_a_classical_frame_that_is_too_long_is_refused_as_record_too(
     for bus, link in (local, udp):
         for _ in range(2):
             with pytest.raises(ValueError, match=f"payload of {size} bytes in frame 0x7"):
-                bus.send(frames_of([*good, Frame(7, bytes(size)), *good]))
+                bus.send(frames_as_records([*good, Frame(7, bytes(size)), *good]))
         assert bus.send(good) == 1
         assert link.recv(1000).startswith(struct.pack("<IB", 1, 4))
 

@@ -6,7 +6,7 @@ import time
 import pytest
 
 from handctl.drives.frame import ERROR, Frame
-from handctl.drives.records import Frames, Records, frames_of
+from handctl.drives.records import Frames, Records, frames_as_records
 from handctl.errors import ConfigError
 from handctl.runtime.clock import Priority, RealClock
 from handctl.runtime.lockstep import LockstepBus, LockstepClock, load_peer
@@ -176,7 +176,7 @@ def test_a_peer_with_exchange_and_one_with_step_get_the_same_frames() -> None:
                 seen.append(bus.drain())
                 if k != 2:
                     bus.send([Frame(k, bytes(range(k))), Frame(0x100 + k, bytes(8), bus=1)])
-                    bus.send(frames_of([Frame(0x200 + k, b"later")]))
+                    bus.send(frames_as_records([Frame(0x200 + k, b"later")]))
             clock.restart()
             assert bus.drain() == []
         runs.append((seen, peer.steps))

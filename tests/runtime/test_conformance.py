@@ -6,7 +6,13 @@ from firmware_sim.faults.faulty_drive import FAULTS
 from firmware_sim.nodes import PROTOCOLS as SIMULATED
 from handctl.drives.contract import DriveTarget
 from handctl.drives.motor_description import GUARDED, PROTOCOLS
-from handctl.runtime.diagnostics.conformance import CheckVerdict, ConformanceCheck, DeviceUnderTest, checks, leave
+from handctl.runtime.diagnostics.conformance import (
+    CheckVerdict,
+    ConformanceCheck,
+    DeviceUnderTest,
+    release_drive,
+    run_checks,
+)
 from handctl.runtime.diagnostics.drive_rig import DriveRig
 from tests.drives.virtual_bench import VirtualBench, rig_on
 
@@ -18,7 +24,7 @@ def judged(
 ) -> tuple[dict[str, ConformanceCheck], VirtualBench, DriveRig]:
     place = VirtualBench(protocol, fault, inertia, delay)
     rig = rig_on(place, protocol, LIMIT, options)
-    return {check.name: check for check in checks(DeviceUnderTest(rig, LIMIT, 0.05))}, place, rig
+    return {check.name: check for check in run_checks(DeviceUnderTest(rig, LIMIT, 0.05))}, place, rig
 
 
 @pytest.fixture(params=GUARDED)
@@ -43,15 +49,15 @@ def test_a_good_drive_passes_three_times_running(protocol):
     place = VirtualBench(protocol)
     for _ in range(3):
         rig = rig_on(place, protocol, LIMIT)
-        found = {check.name: check for check in checks(DeviceUnderTest(rig, LIMIT, 0.05))}
+        found = {check.name: check for check in run_checks(DeviceUnderTest(rig, LIMIT, 0.05))}
         assert failed(found) == []
-        assert leave(rig, 0.05)
+        assert release_drive(rig, 0.05)
         place.pass_time(2.0)
         late = rig_on(place, protocol, LIMIT)
         late.tick(DriveTarget.LISTEN)
         late.keep(DriveTarget.POLL, 0.3)
         assert late.state.error_text == "", "nothing is latched after a silence of two seconds"
-        assert leave(late, 0.05)
+        assert release_drive(late, 0.05)
 
 
 @pytest.mark.parametrize("inertia", [2e-5, 1e-4, 2e-3])
@@ -97,7 +103,7 @@ def test_a_broken_motor_without_guards_fails_its_check(protocol, fault):
 def test_an_odrive_of_firmware_05_is_judged_without_torque_reports(fault):
     place = VirtualBench("odrive", fault, firmware="0.5", usb_watchdog_s=0.1)
     rig = rig_on(place, "odrive", LIMIT, {"firmware": "0.5"})
-    found = {check.name: check for check in checks(DeviceUnderTest(rig, LIMIT, 0.1))}
+    found = {check.name: check for check in run_checks(DeviceUnderTest(rig, LIMIT, 0.1))}
     assert failed(found)[:1] == ([BROKEN_PROMISE[fault]] if fault else [])
     assert not any("nan" in check.reason for check in found.values())
 
@@ -179,6 +185,6 @@ def test_a_motor_whose_watchdog_also_fires_while_disabled_passes_three_times():
     for _ in range(3):
         rig = rig_on(place, "mit", LIMIT)
         rig.clear()
-        found = {check.name: check for check in checks(DeviceUnderTest(rig, LIMIT, 0.05))}
+        found = {check.name: check for check in run_checks(DeviceUnderTest(rig, LIMIT, 0.05))}
         assert failed(found) == [], {name: check.reason for name, check in found.items()}
-        assert leave(rig, 0.05)
+        assert release_drive(rig, 0.05)

@@ -10,8 +10,8 @@ from handctl.drives.contract import DriveTarget, Phase
 from handctl.drives.modes import DriveMode, MotionLimits
 from handctl.drives.registry import make_drive, make_mode_drive
 from handctl.errors import ConfigError
-from handctl.runtime.diagnostics.conformance import leave
-from handctl.runtime.diagnostics.drive_jog import JogGoal, distance_at, jog
+from handctl.runtime.diagnostics.conformance import release_drive
+from handctl.runtime.diagnostics.drive_jog import JogGoal, distance_at, jog_drive
 from handctl.runtime.diagnostics.drive_rig import DriveRig
 from tests.drives.protocol_bench import described
 from tests.drives.virtual_bench import NODE, OPTIONS, VirtualBench
@@ -38,14 +38,14 @@ def goal_of(mode, target, for_s=2.0, travel=10.0):
 def test_a_drive_moves_in_its_own_mode_and_ends_at_rest(protocol, mode, direction, zero, sign):
     place, rig, torque_drive = bench_of(protocol, mode, direction=direction, zero=zero)
     motor = place.bench.motors[0]
-    result = jog(rig, goal_of(mode, 2.0 * sign))
+    result = jog_drive(rig, goal_of(mode, 2.0 * sign))
     assert result.failure == ""
     expected = 2.0 * sign if mode != DriveMode.VELOCITY else 2.0 * sign * 2.0
     assert result.moved == pytest.approx(expected, rel=0.15 if mode == DriveMode.VELOCITY else 0.02)
     assert direction * motor.theta == pytest.approx(result.moved, abs=0.05)
     assert result.fastest < 1.1 * LIMITS.speed
     assert result.final_speed < 0.05
-    assert leave(rig, 0.05, torque_drive)
+    assert release_drive(rig, 0.05, torque_drive)
     assert rig.state.phase == Phase.READY
     assert (motor.servo.kp, motor.servo.kd, motor.servo.torque) == (0.0, 0.0, 0.0)
 
@@ -53,11 +53,11 @@ def test_a_drive_moves_in_its_own_mode_and_ends_at_rest(protocol, mode, directio
 @pytest.mark.parametrize("protocol", ["mit", "odrive", "cia402", "moteus", "robstride", "cubemars"])
 def test_every_protocol_has_the_torque_mode(protocol):
     place, rig, torque_drive = bench_of(protocol, DriveMode.TORQUE)
-    result = jog(rig, JogGoal(DriveMode.TORQUE, 0.05, 0.3, MotionLimits(200.0, 10.0), LIMIT, 500.0))
+    result = jog_drive(rig, JogGoal(DriveMode.TORQUE, 0.05, 0.3, MotionLimits(200.0, 10.0), LIMIT, 500.0))
     assert result.failure == ""
     assert result.moved > 0.01
     assert place.top <= 0.06
-    assert leave(rig, 0.05, torque_drive)
+    assert release_drive(rig, 0.05, torque_drive)
 
 
 @pytest.mark.parametrize("protocol", ["moteus", "robstride", "cubemars"])
@@ -88,16 +88,16 @@ def test_a_drive_that_is_turned_away_stays_where_it_is_when_it_is_enabled(protoc
     """A position command of zero would move it by its whole angle."""
     place, rig, torque_drive = bench_of(protocol, mode)
     place.bench.motors[0].theta = 5.0
-    result = jog(rig, goal_of(mode, 0.0, 1.0, 0.2))
+    result = jog_drive(rig, goal_of(mode, 0.0, 1.0, 0.2))
     assert result.failure == ""
     assert place.bench.motors[0].theta == pytest.approx(5.0, abs=0.01)
-    assert leave(rig, 0.05, torque_drive)
+    assert release_drive(rig, 0.05, torque_drive)
 
 
 @pytest.mark.parametrize(("protocol", "mode"), MODES)
 def test_travel_beyond_its_limit_stops_the_drive(protocol, mode):
     place, rig, _ = bench_of(protocol, mode)
-    result = jog(rig, goal_of(mode, 2.5, 4.0, 0.5))
+    result = jog_drive(rig, goal_of(mode, 2.5, 4.0, 0.5))
     assert "expected at most 0.5" in result.failure
     assert rig.confirm_off(0.05)
     assert place.bench.motors[0].servo.kd == 0.0
@@ -113,7 +113,7 @@ def test_a_shaft_driven_too_fast_stops_the_drive(protocol, mode):
         return wait(k)
 
     place.wait = spun
-    result = jog(rig, goal_of(mode, 0.1, 4.0, 1e6))
+    result = jog_drive(rig, goal_of(mode, 0.1, 4.0, 1e6))
     assert "rad/s, expected at most 3" in result.failure or "error" in result.failure
     assert rig.confirm_off(0.05)
 
@@ -121,7 +121,7 @@ def test_a_shaft_driven_too_fast_stops_the_drive(protocol, mode):
 @pytest.mark.parametrize(("protocol", "mode"), MODES)
 def test_a_host_that_falls_silent_is_the_watchdogs_matter(protocol, mode):
     place, rig, _ = bench_of(protocol, mode)
-    assert jog(rig, goal_of(mode, 1.0, 0.5)).failure == ""
+    assert jog_drive(rig, goal_of(mode, 1.0, 0.5)).failure == ""
     rig.keep(DriveTarget.LISTEN, 0.5)
     assert (place.bench.motors[0].servo.kd, place.bench.motors[0].servo.torque) == (0.0, 0.0)
     rig.keep(DriveTarget.ENABLE, 0.3)
@@ -131,20 +131,20 @@ def test_a_host_that_falls_silent_is_the_watchdogs_matter(protocol, mode):
 @pytest.mark.parametrize(("protocol", "mode"), MODES)
 def test_a_mute_drive_is_not_enabled(protocol, mode):
     place, rig, _ = bench_of(protocol, mode, fault="mute")
-    assert jog(rig, goal_of(mode, 1.0)).failure
+    assert jog_drive(rig, goal_of(mode, 1.0)).failure
     assert place.bench.motors[0].theta == 0.0
 
 
 def test_a_target_beyond_the_range_is_refused_before_it_is_enabled():
     place, rig, _ = bench_of("mit", DriveMode.POSITION)
     place.bench.motors[0].theta = 11.0
-    assert "beyond its range of 12.5 rad" in jog(rig, goal_of(DriveMode.POSITION, 2.0)).failure
+    assert "beyond its range of 12.5 rad" in jog_drive(rig, goal_of(DriveMode.POSITION, 2.0)).failure
     assert rig.state.phase == Phase.READY
 
 
 def test_a_drive_that_loses_its_largest_speed_is_a_fault():
     place, rig, _ = bench_of("mit", DriveMode.VELOCITY)
-    assert jog(rig, goal_of(DriveMode.VELOCITY, 1.0, 0.5)).failure == ""
+    assert jog_drive(rig, goal_of(DriveMode.VELOCITY, 1.0, 0.5)).failure == ""
     place.bench.receive(SimFrame(0x7FF, struct.pack("<HBBf", NODE, 0x55, 6, 25.0)))
     rig.keep(DriveTarget.ENABLE, 2.5)
     assert "MAX_SPD" in rig.state.error_text
@@ -159,7 +159,7 @@ def test_a_blocked_cia402_drive_reports_its_following_error():
         return wait(k)
 
     place.wait = blocked
-    result = jog(rig, goal_of(DriveMode.POSITION, 3.0, 4.0))
+    result = jog_drive(rig, goal_of(DriveMode.POSITION, 3.0, 4.0))
     assert result.failure == "following error"
     assert result.moved == pytest.approx(0.0, abs=0.01)
 

@@ -6,7 +6,7 @@ import pytest
 
 from handctl.runtime.buses.adapter import Adapter, read_adapter
 from handctl.runtime.buses.link import parse_link
-from handctl.runtime.diagnostics.link_findings import absent, adapter_findings, findings
+from handctl.runtime.diagnostics.link_findings import adapter_findings, interface_findings, missing_interface_finding
 
 MEGABIT = 1_000_000
 
@@ -30,7 +30,7 @@ def link_json(**changes) -> str:
 def bad(text, data_bitrate=None):
     link = parse_link(text)
     assert link is not None
-    return [finding for finding in findings("can0", link, MEGABIT, data_bitrate) if not finding.good]
+    return [finding for finding in interface_findings("can0", link, MEGABIT, data_bitrate) if not finding.good]
 
 
 def test_a_good_interface_has_only_good_findings():
@@ -70,8 +70,8 @@ def test_lost_arbitration_alone_is_no_fault():
 
 
 def test_a_missing_interface_comes_with_the_command():
-    assert "udev" in absent("can3", MEGABIT, None).fix
-    assert "type vcan" in absent("vcan3", MEGABIT, None).fix
+    assert "udev" in missing_interface_finding("can3", MEGABIT, None).fix
+    assert "type vcan" in missing_interface_finding("vcan3", MEGABIT, None).fix
 
 
 @pytest.mark.parametrize("text", ["", "[]", "Device does not exist", "{"])
@@ -118,7 +118,7 @@ def test_a_controller_without_usb_has_no_speed(tmp_path):
         (None, "slcan", False, "serial line"),
     ],
 )
-def test_each_adapter_has_its_finding(adapter, kind, good, said):
+def test_each_adapter_type_has_a_finding(adapter, kind, good, said):
     last = adapter_findings("can0", adapter, kind, [])[-1]
     assert (last.good, said in last.what, bool(last.fix)) == (good, True, not good)
 

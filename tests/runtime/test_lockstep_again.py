@@ -11,7 +11,7 @@ from handctl.drives.registry import PROTOCOLS
 from handctl.hand.load import load_hand
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import load_task
-from handctl.session.plan import Plan, fastest
+from handctl.session.plan import Plan, highest_rate_of_buses
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.simulate import Simulator
 from tests.drives.protocol_bench import hand_file
@@ -35,7 +35,7 @@ def test_a_run_after_another_one_finds_drives_that_were_disarmed(
     task = tmp_path / "short.toml"
     task.write_text(GO + MOVE.format(name="bend", angle=10.0, duration=0.1))
     hand = load_hand(path)
-    rate = fastest(bus_loads(hand))
+    rate = highest_rate_of_buses(bus_loads(hand))
     plan = Plan(hand, Gains(), rate, (0.5,))
     failures = []
     with Simulator(path, homed=True, wire=wire).clock(plan.period_ns) as clock:

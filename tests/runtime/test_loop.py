@@ -13,7 +13,7 @@ import pytest
 
 from handctl.core.types import IoEvent, Mode, TickIn, TickOut
 from handctl.drives.frame import Frame
-from handctl.drives.records import Frames, frames_of
+from handctl.drives.records import Frames, frames_as_records
 from handctl.errors import PowerError
 from handctl.runtime import loop
 from handctl.runtime.loop import Loop
@@ -54,7 +54,7 @@ class FakeBus:
 
     def drain(self) -> Frames:
         self.drains += 1
-        return frames_of(self.waiting.pop(0) if self.waiting else ())
+        return frames_as_records(self.waiting.pop(0) if self.waiting else ())
 
     def send(self, frames: Sequence[Frame]) -> int:
         self.sent.append(tuple(frames[: self.capacity]))
@@ -213,7 +213,7 @@ def raising(*_: object) -> None:
 
 
 @pytest.mark.parametrize("stage", ["tick", "record", "show", "requests", "host_events", "send", "drain", "take_events"])
-def test_whatever_fails_the_drives_are_cut_and_the_error_travels_on(stage: str) -> None:
+def test_any_error_cuts_the_drives_and_is_raised_again(stage: str) -> None:
     left = FakeBus()
     right = FakeBus(1)
     run = Run(5, buses=[left, right], frames=(Frame(9, b"torque"),))

@@ -14,7 +14,7 @@ import pytest
 from handctl.cli.main import main
 from handctl.errors import BusError
 from handctl.runtime.confirm import send_confirmed
-from handctl.runtime.mailbox import LARGEST, PER_TICK, Mailbox, Watcher, bus_lock, is_running
+from handctl.runtime.mailbox import MAX_REQUEST_BYTES, MAX_REQUESTS_PER_TICK, Mailbox, Watcher, bus_lock, is_running
 from handctl.runtime.paths import local_bus_path, mailbox_path, run_dir, truth_path
 from tests.drives.protocol_bench import hand_file, on_two_buses
 
@@ -52,7 +52,7 @@ def test_a_flood_is_taken_in_pieces() -> None:
             pass
     seen: list[str] = []
     while some := box.read():
-        assert len(some) <= PER_TICK
+        assert len(some) <= MAX_REQUESTS_PER_TICK
         seen += some
     assert seen == [str(i) for i in range(len(seen))]
     assert len(seen) >= min(sent, 10)
@@ -65,7 +65,7 @@ def test_long_empty_and_binary_datagrams_are_text_of_bounded_length() -> None:
         for data in (b"x" * 20_000, b"", b"\xff\xfe\x00"):
             out.sendto(data, str(box.path))
     long, empty, binary = box.read()
-    assert long == "x" * LARGEST
+    assert long == "x" * MAX_REQUEST_BYTES
     assert empty == ""
     binary.encode()
     box.close()

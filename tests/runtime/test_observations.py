@@ -16,9 +16,9 @@ from handctl.errors import BusError
 from handctl.programs.requests import parse_target
 from handctl.programs.streams import StreamStatus
 from handctl.runtime.mailbox import Mailbox
-from handctl.runtime.observations import RECORDS, ObservationReader, ObservationWriter
+from handctl.runtime.observations import RING_RECORDS, ObservationReader, ObservationWriter
 from handctl.runtime.paths import observations_path, targets_path
-from handctl.runtime.targets import HEAD, KEPT_PER_TICK, MAGIC, READ_PER_TICK, TargetBox, TargetSender
+from handctl.runtime.targets import HEAD, MAGIC, MAX_TARGETS_PER_TICK, READ_PER_TICK, TargetBox, TargetSender
 from handctl.safety.action import Action
 
 AXES = {"joint": 3, "tendon": 2, "motor": 2, "digit": 1}
@@ -84,11 +84,11 @@ def test_a_reader_gets_every_tick_once_and_a_late_one_misses_the_oldest() -> Non
     for k in range(10):
         write(writer, k)
     assert ticks_of(reader) == list(range(10))
-    for k in range(10, 10 + 2 * RECORDS):
+    for k in range(10, 10 + 2 * RING_RECORDS):
         write(writer, k)
     late = ticks_of(reader)
-    assert late == list(range(10 + 2 * RECORDS - len(late), 10 + 2 * RECORDS))
-    assert RECORDS - 4 <= len(late) < RECORDS
+    assert late == list(range(10 + 2 * RING_RECORDS - len(late), 10 + 2 * RING_RECORDS))
+    assert RING_RECORDS - 4 <= len(late) < RING_RECORDS
     reader.close()
     writer.close()
 
@@ -183,7 +183,7 @@ def test_a_flood_neither_blocks_nor_delays_a_stop() -> None:
         sent += sender.send(sent, sent, np.zeros(4))
     read = 0
     while texts := box.read():
-        assert len(texts) <= KEPT_PER_TICK
+        assert len(texts) <= MAX_TARGETS_PER_TICK
         last = parse_target(texts[-1])
         assert last is not None
         assert last.number == min(read + READ_PER_TICK, sent) - 1, "the newest of those read"

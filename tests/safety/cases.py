@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handctl.core.detectors.residuals import ASKED, BALANCE, JERK, RUB, SLIP, TENSION
+from handctl.core.detectors.residuals import BALANCE, COMMAND_DIFFERENCE, EXCESS_FRICTION, JERK, SLIP, TENSION
 from handctl.core.types import Mode
 from handctl.drives.causes import Cause
 from handctl.drives.contract import Phase
@@ -217,7 +217,9 @@ CASES = {
     "N11b": Case(error(5, Cause.UNKNOWN), error(5, Cause.OTHER), "m5", 1, CUT, True, True),
     "N12": Case(error(6, Cause.MISMATCH), error(6, Cause.OTHER), "m6", 1, CUT, True, True),
     "N13": Case(rows(twice={0: 1}), REST, "m0", 3, RELAX, True, True),
-    "N14": Case(residual(ASKED, m0=15.1), residual(ASKED, m1=15.0), "m0", 1, RELAX, True, True),
+    "N14": Case(
+        residual(COMMAND_DIFFERENCE, m0=15.1), residual(COMMAND_DIFFERENCE, m1=15.0), "m0", 1, RELAX, True, True
+    ),
     "N14b": Case(swinging(1, 0.25), swinging(1, 0.25 - 1.5 * T), "t1", 1, RELAX, True, True),
     "N15": Case(lost(m7=0)._replace(rows={"lost": {(0, 7): 0b1010101010101}}),
                 lost(m7=0)._replace(rows={"lost": {(0, 7): 0b10101010101}}), "m7", 1, WARN, False, True),
@@ -239,7 +241,7 @@ CASES = {
     "T05b": Case(replayed(2, 16), replayed(2, 7), "t2", 1, RELAX, True, True),
     "T06": Case(tensions(t0=244.0), tensions(t0=243.9, t1=-4.9), "t0", 3, RELAX, True, True),
     "T08": Case(derailed(4, 15.1), derailed(4, 14.9), "t4", 1, RELAX, True, True),
-    "T09": Case(residual(RUB, t0=3.1), residual(RUB, t1=3.0), "t0", 1, WARN, False, True),
+    "T09": Case(residual(EXCESS_FRICTION, t0=3.1), residual(EXCESS_FRICTION, t1=3.0), "t0", 1, WARN, False, True),
     "H01": Case(rows(late_ns=520_000), rows(late_ns=500_000), "loop", 1, PASS, False),
     "H02": Case(rows(missed=1), REST, "loop", 1, WARN, False),
     "H03": Case(rows(missed=5), rows(missed=4), "loop", 1, RELAX, True, True),

@@ -1,4 +1,4 @@
-"""The monitor of a made-up hand: rows of the state are set by name, one call is one tick of ``stages.judged``."""
+"""The monitor of a made-up hand: rows of the state are set by name, one call is one tick of ``stages.find_faults``."""
 
 from collections.abc import Iterable
 from types import FunctionType, SimpleNamespace
@@ -7,18 +7,18 @@ from typing import Any
 import numpy as np
 
 from handctl.compiled import prepare
-from handctl.controller.apply_requests import clear
+from handctl.controller.apply_requests import clear_latched_faults
 from handctl.controller.state import Decisions, State
 from handctl.core import block as s
 from handctl.core import stages
-from handctl.core.block import STATE, Tables, tables
+from handctl.core.block import STATE, Tables, state_tables
 from handctl.core.constants import AXES, ELEMENTS, HAND, KINDS, ConstantTables, constant_tables
 from handctl.core.detectors.residuals import QUICK_FORCE, TENSION
 from handctl.core.hand_constants import low_pass_fractions
 from handctl.core.types import Mode
 from handctl.safety.faults.fault import JOINT, MOTOR, NODE, TENDON
 from handctl.safety.faults.table import DETECTOR_ROWS
-from handctl.safety.judge import Counting, Latched, Report, Verdict, judge, newly_counting
+from handctl.safety.judge import Counting, Latched, Report, Verdict, faults_counting_since_now, judge_tick
 from handctl.safety.limits import LOAD_CELLS, Limits
 
 T, N = 0.002, np.nan
@@ -124,7 +124,7 @@ class Monitor:
     @property
     def state_tables(self) -> Tables:
         """Tables of the state, for functions that run interpreted."""
-        return _python(tables)(self.block, self.layout.places)
+        return _python(state_tables)(self.block, self.layout.places)
 
     @property
     def hand_tables(self) -> ConstantTables:
@@ -134,7 +134,7 @@ class Monitor:
     def tick(self, rows: Rows | None = None, **more: Any) -> dict[str, dict[str, float]]:
         """Judge one tick with these rows; return what is found: by fault and instance, whether it counts or not."""
         self.set({**(rows or {}), **more})
-        self.demanded, self.found = stages.judged(
+        self.demanded, self.found = stages.find_faults(
             self.block, self.layout.places, self._read_only(), self.hand.places, self.layout.initial
         )
         told: dict[str, dict[str, float]] = {}
@@ -146,12 +146,12 @@ class Monitor:
     def observe(self, rows: Rows | None = None) -> None:
         """Turn what came into measurements, as a tick does before it judges; only then positions are screened."""
         self.set(rows or {})
-        stages.observe(self.block, self.layout.places, self._read_only(), self.hand.places)
+        stages.observe_tick(self.block, self.layout.places, self._read_only(), self.hand.places)
 
     def remember(self, rows: Rows | None = None) -> None:
         """Keep what this tick commanded, as a tick does at its end."""
         self.set(rows or {})
-        stages.remember(self.block, self.layout.places, self._read_only(), self.hand.places)
+        stages.store_commands(self.block, self.layout.places, self._read_only(), self.hand.places)
 
     def judge(self, rows: Rows | None = None, reports: Iterable[Report] = ()) -> Verdict:
         """Judge one tick to the end: with what is latched, and what buses and host report."""
@@ -160,8 +160,8 @@ class Monitor:
 
     def conclude(self, demanded: int, reports: Iterable[Report]) -> Verdict:
         """Latch what is found, take in reports, and choose the reaction."""
-        fresh = newly_counting(self.limits, self.found, self.view("fault_ticks"))
-        verdict = judge(self.latched, self.counting, fresh, demanded, reports)
+        fresh = faults_counting_since_now(self.limits, self.found, self.view("fault_ticks"))
+        verdict = judge_tick(self.latched, self.counting, fresh, demanded, reports)
         self.latched, self.counting = verdict.latched, verdict.counting
         return verdict
 
@@ -169,7 +169,7 @@ class Monitor:
         """Let an operator clear what is latched."""
         decisions = Decisions((), None, self.latched, self.counting)  # type: ignore[arg-type]
         state = State(self.layout, self.block, decisions)
-        clear(state)
+        clear_latched_faults(state)
         self.latched, self.counting = state.latched, state.decisions.counting
 
     def name(self, kind: str, i: int) -> str:

@@ -16,15 +16,14 @@ PAGE = (ROOT / "docs" / "how-to" / "adding-a-fault.md").read_text(encoding="utf-
 TRIED = """
 import json
 from handctl.controller.tick import _fault_event
-from handctl.safety.faults.markdown import catalogue, fault_table
-from handctl.safety.judge import judge
+from handctl.safety.faults.markdown import catalogue_markdown, fault_table_markdown
 from tests.safety.monitor import Monitor, made_up
 
 monitor = Monitor(made_up(2))
 verdicts = [monitor.judge({"measured_tension": {1: tension}}) for tension in (100.0, 100.5, 100.5)]
 print(json.dumps({
-    "table": [line for line in fault_table().splitlines() if line.startswith("| T10 ")],
-    "page": [line for line in catalogue().splitlines() if line.startswith("| T10 ")],
+    "table": [line for line in fault_table_markdown().splitlines() if line.startswith("| T10 ")],
+    "page": [line for line in catalogue_markdown().splitlines() if line.startswith("| T10 ")],
     "actions": [int(verdict.action) for verdict in verdicts],
     "events": [[list(_fault_event(one)) for one in verdict.findings if one.fault.id == "T10"] for verdict in verdicts],
 }))
@@ -61,7 +60,7 @@ def test_a_fault_is_declared_once_and_found_by_one_detector(tmp_path: Path, inte
     done = subprocess.run(words, env=os.environ | more, cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr[-2000:]
     told = json.loads(done.stdout)
-    assert told["table"] == ["| T10 | a heavy load | above 100 N | WARN | by itself |"]
+    assert told["table"] == ["| T10 | a heavy load | The tension is above 100 N | WARN | by itself |"]
     protocols = " | ".join(["detected"] * 5)
     assert told["page"] == [f"| T10 | heavy load | T10 WARN | {protocols} | 4 ms, 2 ticks | campaign |"]
     assert told["actions"] == [0, 1, 1]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from handctl.core.detectors.answers import QUESTIONS, add_requests, close_answered_requests
+from handctl.core.detectors.answers import MAX_REQUESTS, add_requests, close_answered_requests
 from handctl.drives.contract import Phase
 from handctl.safety.faults.bus import WINDOW
 from tests.safety.monitor import Monitor, interpreted, made_up
@@ -23,7 +23,7 @@ class Questions(Monitor):
     @property
     def owed(self) -> Owed:
         """Open questions of each motor."""
-        numbers, ticks = self.view("open_questions"), self.view("question").reshape(QUESTIONS, -1)
+        numbers, ticks = self.view("open_questions"), self.view("question").reshape(MAX_REQUESTS, -1)
         return tuple(tuple(ticks[:number, n].tolist()) for n, number in enumerate(numbers.tolist()))
 
     def ask(self, k: int, able: tuple[bool, ...] | None = None) -> None:
@@ -56,12 +56,12 @@ def test_a_request_increases_the_number_of_owed_replies(owed, able, after):
     assert questions.owed == after
 
 
-def test_no_more_than_a_few_stay_open() -> None:
+def test_outstanding_requests_are_limited() -> None:
     questions = Questions(((),))
-    for k in range(3 * QUESTIONS):
+    for k in range(3 * MAX_REQUESTS):
         questions.ask(k)
-        assert len(questions.owed[0]) == min(k + 1, QUESTIONS)
-    assert questions.owed[0] == tuple(range(2 * QUESTIONS, 3 * QUESTIONS))
+        assert len(questions.owed[0]) == min(k + 1, MAX_REQUESTS)
+    assert questions.owed[0] == tuple(range(2 * MAX_REQUESTS, 3 * MAX_REQUESTS))
 
 
 @pytest.mark.parametrize(("owed", "came", "after", "too_many"), [
@@ -76,14 +76,14 @@ def test_no_more_than_a_few_stay_open() -> None:
     (((1,), ()), [1, 1], ((), ()), [1]),
     (((1, 2), (1, 2)), [1, 2], ((1,), ()), []),
 ])  # fmt: skip
-def test_what_comes_pays_what_is_owed_and_the_rest_is_too_much(owed, came, after, too_many):
+def test_replies_match_requests_and_the_rest_is_excess(owed, came, after, too_many):
     questions = Questions(owed)
     assert questions.answer(came) == too_many
     assert questions.owed == after
     assert questions.get("surplus") == [1 + len(owed[n]) if n in too_many else 0 for n in range(len(owed))]
 
 
-@pytest.mark.parametrize("ticks", [2, 3, QUESTIONS - 1])
+@pytest.mark.parametrize("ticks", [2, 3, MAX_REQUESTS - 1])
 def test_a_run_of_late_answers_is_paid_once_whenever_it_begins(ticks: int) -> None:
     """Some ticks without an answer, then all at once: nothing is a duplicate; one more is."""
     questions = Questions(((),))
@@ -108,7 +108,7 @@ def test_answers_that_were_lost_hide_no_duplicates_for_long() -> None:
     assert questions.answer([3]) == [0]
 
 
-def test_a_node_whose_messages_come_by_themselves_owes_nothing() -> None:
+def test_node_with_cyclic_messages_has_no_outstanding_requests() -> None:
     questions = Questions(((), ()))
     questions.set_constants(answers_once=[0, 1])
     assert questions.answer([3, 2]) == [1]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from handctl.core.detectors.correlation import reported_fraction
+from handctl.core.detectors.correlation import fraction_of_command_reported
 from tests.safety.monitor import Monitor, interpreted, made_up
 
 TICKS = 1000
@@ -25,7 +25,7 @@ class Motors(Monitor):
     @property
     def parts(self) -> list[float]:
         """What part of the changes of each command is reported."""
-        return [interpreted(reported_fraction, self.state_tables, n) for n in range(2)]
+        return [interpreted(fraction_of_command_reported, self.state_tables, n) for n in range(2)]
 
 
 def after(commanded: np.ndarray, reported: np.ndarray, torque_step: float = 0.078) -> Motors:
@@ -80,7 +80,7 @@ def test_a_command_at_rest_and_a_report_at_rest_say_nothing() -> None:
     assert not after(noisy(1), still).unfollowed
 
 
-def test_what_was_not_reported_is_left_out() -> None:
+def test_missing_reports_are_left_out() -> None:
     commanded = noisy(3)
     made = reports(commanded)
     made[::10] = np.nan

@@ -2,20 +2,26 @@
 
 import pytest
 
-from handctl.core.detectors.node import FAULT, ROW_OF_CAUSE
+from handctl.core.detectors.node import PHASE_FAULT, ROW_OF_CAUSE
 from handctl.drives.causes import Cause
 from handctl.drives.contract import Phase
 from handctl.drives.motor_description import GUARDED, PROTOCOLS
 from handctl.safety.action import Action
-from handctl.safety.faults.fault import Fault, Row
-from handctl.safety.faults.markdown import catalogue, checklist, fault_table, late, later
+from handctl.safety.faults.fault import CatalogueRow, Fault
+from handctl.safety.faults.markdown import (
+    catalogue_markdown,
+    fault_table_markdown,
+    hardware_checklist,
+    is_late,
+    late_rows,
+)
 from handctl.safety.faults.table import DETECTOR_ROWS
 from tests.safety.cases import error, merged, rested, tensions, without_torque
 
 
 def test_causes_of_a_drive_s_error() -> None:
     assert len(ROW_OF_CAUSE) == len(Cause)
-    assert FAULT == Phase.FAULT
+    assert PHASE_FAULT == Phase.FAULT
     shown = merged(error(0, Cause.OTHER, 9), error(1, Cause.HOT, 11), error(2, Cause.LOST, 12))
     assert rested().tick(shown.rows)["N11"] == {"m0": 9.0, "m1": 11.0, "m2": 12.0}
     assert "N11" not in rested().tick(without_torque(shown).rows)
@@ -39,22 +45,22 @@ ONE = Fault("X01b", "a title", "a sign", Action.HOLD, "by itself", "Why.", "Do."
 
 def test_a_row_knows_its_catalogue_row_and_whether_it_latches() -> None:
     assert (ONE.row, ONE.latched) == ("X01", False)
-    assert fault_table((ONE,)).splitlines() == [
+    assert fault_table_markdown((ONE,)).splitlines() == [
         "| id | fault | detected by | action | cleared |", "|---|---|---|---|---|",
         "| X01b | a title | a sign | HOLD | by itself |",
     ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("entry", "last"), [
-    (Row("B12", "t", "fault table", ticks=1, required=1), "2 ms, 1 ticks | campaign |"),
-    (Row("B12", "t", "fault table", ticks=2, odrive_ms=9), "4 ms, 2 ticks, ODrive 9 ms more | campaign |"),
-    (Row("B12", "t", "fault table", tested="x.py"), "1 tick | x.py |"),
-    (Row("B12", "t", "fault table", ticks=4, ms=15_000), "15008 ms, 7504 ticks | campaign |"),
-    (Row("B12", "t", "files", tested="x.py"), "before torque | x.py |"),
-    (Row("B12", "t", "files", ms=4), "4 ms, 2 ticks | campaign |"),
+    (CatalogueRow("B12", "t", "fault table", ticks=1, required=1), "2 ms, 1 ticks | campaign |"),
+    (CatalogueRow("B12", "t", "fault table", ticks=2, odrive_ms=9), "4 ms, 2 ticks, ODrive 9 ms more | campaign |"),
+    (CatalogueRow("B12", "t", "fault table", tested="x.py"), "1 tick | x.py |"),
+    (CatalogueRow("B12", "t", "fault table", ticks=4, ms=15_000), "15008 ms, 7504 ticks | campaign |"),
+    (CatalogueRow("B12", "t", "files", tested="x.py"), "before torque | x.py |"),
+    (CatalogueRow("B12", "t", "files", ms=4), "4 ms, 2 ticks | campaign |"),
 ])  # fmt: skip
-def test_catalogue_row_has_all_columns(entry: Row, last: str) -> None:
-    head, line, row = catalogue((entry,)).splitlines()
+def test_catalogue_row_has_all_columns(entry: CatalogueRow, last: str) -> None:
+    head, line, row = catalogue_markdown((entry,)).splitlines()
     protocols = [PROTOCOLS[name].title for name in GUARDED]
     assert head == f"| id | fault | judged by | {' | '.join(protocols)} | latest reaction | tested by |"
     assert line == "|---|---|---" + "|---" * len(protocols) + "|---|---|"
@@ -62,17 +68,22 @@ def test_catalogue_row_has_all_columns(entry: Row, last: str) -> None:
 
 
 def test_a_row_that_no_tick_judges_says_where_it_is() -> None:
-    assert "| H12 | t | before arming |" in catalogue((Row("H12", "t", "before arming"),))
-    assert "| B11a RELAX, B11b CUT |".strip("| ") in catalogue((Row("B11", "t", "fault table", ticks=3),))
+    assert "| H12 | t | before arming |" in catalogue_markdown((CatalogueRow("H12", "t", "before arming"),))
+    assert "| B11a RELAX, B11b CUT |".strip("| ") in catalogue_markdown(
+        (CatalogueRow("B11", "t", "fault table", ticks=3),)
+    )
 
 
 def test_rows_later_than_required_are_listed_with_reasons() -> None:
-    soon, just = Row("A", "t", "fault table", ticks=2, required=3), Row("B", "t", "fault table", ticks=3, required=3)
-    longer = Row("C", "u", "fault table", ticks=1, ms=30, required=5, why="because")
-    free = Row("D", "t", "fault table", ticks=9)  # no time is given: it cannot be late
-    at_once = Row("E", "t", "fault table", ticks=2, required=1)
-    assert [late(one) for one in (soon, just, longer, free, at_once)] == [False, False, True, False, True]
-    assert later((soon, just, longer, free)).splitlines() == [
+    soon, just = (
+        CatalogueRow("A", "t", "fault table", ticks=2, required=3),
+        CatalogueRow("B", "t", "fault table", ticks=3, required=3),
+    )
+    longer = CatalogueRow("C", "u", "fault table", ticks=1, ms=30, required=5, why="because")
+    free = CatalogueRow("D", "t", "fault table", ticks=9)  # no time is given: it cannot be late
+    at_once = CatalogueRow("E", "t", "fault table", ticks=2, required=1)
+    assert [is_late(one) for one in (soon, just, longer, free, at_once)] == [False, False, True, False, True]
+    assert late_rows((soon, just, longer, free)).splitlines() == [
         "| id | fault | required, ticks | at 500 Hz, ticks | required | takes | why |", "|---|---|---|---|---|---|---|",
         "| C | u | 5 | 16 | 25 ms | 32 ms | because |",
     ]  # fmt: skip
@@ -80,6 +91,6 @@ def test_rows_later_than_required_are_listed_with_reasons() -> None:
 
 
 def test_hardware_checklist_lists_the_tests_in_order() -> None:
-    lines = checklist().splitlines()
+    lines = hardware_checklist().splitlines()
     assert lines[:3] == ["| id | what to do |", "|---|---|", "| B12 | short CANH to CANL in motion |"]
     assert lines[-1].startswith("| H05 | kill -9 in a grasp")

@@ -11,7 +11,7 @@ from handctl.controller.tick import Controller
 from handctl.core.detectors import losses, stuck
 from handctl.core.detectors.residuals import TENSION
 from handctl.core.types import Event
-from handctl.safety.faults.bus import SHORT, WINDOW
+from handctl.safety.faults.bus import SHORT_WINDOW, WINDOW
 from tests.safety.monitor import NOW_NS, PERIOD_NS, Monitor, Rows, interpreted, made_up
 
 NAN = np.nan
@@ -24,7 +24,7 @@ def bits(text: str) -> int:
 
 def words(window: int) -> tuple[int, int]:
     """Return the two words of a window: the newer half, and the older."""
-    return window & losses.HALF_MASK, window >> losses.HALF
+    return window & losses.WORD_MASK, window >> losses.BITS_PER_WORD
 
 
 class Window(Monitor):
@@ -44,7 +44,7 @@ class Window(Monitor):
     def windows(self) -> tuple[int, int]:
         """Losses of motor and load cells, a bit each tick."""
         lost = self.view("lost")
-        return tuple(int(lost[1, node]) << losses.HALF | int(lost[0, node]) for node in (0, 1))  # type: ignore
+        return tuple(int(lost[1, node]) << losses.BITS_PER_WORD | int(lost[0, node]) for node in (0, 1))  # type: ignore
 
 
 @pytest.mark.parametrize(("before", "now", "after"), [
@@ -58,16 +58,16 @@ class Window(Monitor):
     ((1 << (WINDOW - 2), 0), (False, False), (1 << (WINDOW - 1), 0)),
     ((1 << (WINDOW // 2 - 1), 1 << (WINDOW // 2)), (False, True), (1 << WINDOW // 2, 1 << WINDOW // 2 + 1 | 1)),
 ])  # fmt: skip
-def test_a_window_moves_on_by_a_tick(before, now, after):
+def test_window_shifts_by_one_bit_per_tick(before, now, after):
     assert Window(*before).count(*now) == after
 
 
-def test_how_many_of_the_window_and_of_late():
+def test_lost_replies_are_counted_per_window():
     window = Window(0b1011, (1 << WINDOW) - 1)
-    assert [interpreted(losses.lost_replies, window.state_tables, node) for node in (0, 1)] == [3, WINDOW]
-    for number, ones in ((0b1011, 3), (0, 0), (1 << (SHORT - 1), 1), ((1 << 62) - 1, 62)):
-        assert interpreted(losses.bit_count, number) == ones
-    window.set({"misshapen": 1 << (SHORT - 1) | 0b1})
+    assert [interpreted(losses.count_lost_replies, window.state_tables, node) for node in (0, 1)] == [3, WINDOW]
+    for number, ones in ((0b1011, 3), (0, 0), (1 << (SHORT_WINDOW - 1), 1), ((1 << 62) - 1, 62)):
+        assert interpreted(losses.count_set_bits, number) == ones
+    window.set({"misshapen": 1 << (SHORT_WINDOW - 1) | 0b1})
     window.tick({"misread_now": 1})
     assert window.get("misshapen") == [0b11, 0b11], "so many of the last ticks, and no longer"
 
@@ -79,7 +79,7 @@ def test_how_many_of_the_window_and_of_late():
     ("11" + "01" * 7 + "1100", False), ("1110" + "01" * 8, False),
     ("11" + "01" * 8 + "0000", True), ("01010010101010010101", True),
 ])  # fmt: skip
-def test_every_second_tick(pattern, half):
+def test_missing_every_second_tick_is_detected(pattern, half):
     assert interpreted(losses.misses_every_second, Window(bits(pattern)).state_tables, 0) is half
 
 
@@ -171,7 +171,7 @@ def test_a_missing_position_is_no_jump():
     assert (positions.get("accepted"), positions.get("accepted_gap")) == ([1.0], [3.0])
 
 
-def test_a_tick_in_which_nothing_was_measured():
+def test_tick_without_measurements_changes_nothing():
     positions = Positions([0.1] * 2, accepted=[1.0, 2.0], accepted_gap=[0.0, 3.0], dropped=[0.0, 2.0])
     positions.screen([NAN, NAN])
     assert (positions.get("accepted"), positions.get("accepted_gap")) == ([1.0, 2.0], [1.0, 4.0])
@@ -194,7 +194,7 @@ def test_readings_that_are_dropped_in_a_row_are_counted_and_a_missing_one_is_non
     (1, (2.0, 1.0), (0, 0)), (1, (1.0, 2.0), (0, 0)), (1, (2.1, 0.0), (1, 0)), (1, (1.0, 2.1), (0, 1)),
     (1, (1.0, 2.0, 1.1), (0, 0, 1)), (4, (5.0, 5.0), (0, 0)), (4, (5.1, 0.0), (1, 0)), (4, (5.0, 5.1), (0, 1)),
 ])  # fmt: skip
-def test_what_moves_goes_on_while_ticks_are_skipped(missed, steps, told):
+def test_allowed_step_grows_over_skipped_ticks(missed, steps, told):
     """Two positions alike, or one that was read and one that was not."""
     for other in (0.0, NAN):
         positions, at, seen = Positions([1.0] * 2, accepted=[0.0, other]), 0.0, []
@@ -215,7 +215,7 @@ def stand(monitor: Monitor, value: float, goal: float, tension: float) -> tuple[
     rows: Rows = {"measured_travel": value, "followed": goal, "residual": {TENSION: tension}}
     monitor.tick(rows)
     anchor = monitor.view("motor_anchor")[:, 0].tolist()
-    away = [interpreted(stuck.motion_since, *pair) for pair in zip((goal, tension), anchor, strict=True)]
+    away = [interpreted(stuck.motion_since_reading, *pair) for pair in zip((goal, tension), anchor, strict=True)]
     return int(monitor.view("motor_stuck")[0]), *away
 
 
@@ -225,7 +225,7 @@ def walk(values, witnesses):
     return monitor, [stand(monitor, value, *pair) for value, pair in zip(values, witnesses, strict=True)]
 
 
-def test_what_stands_counts_and_its_witnesses_go_away():
+def test_constant_reading_counts_while_its_references_move():
     _, seen = walk([1.0, 1.0, 1.0, 2.0, 2.0], [(0.0, 5.0), (0.5, 5.0), (-1.0, 7.0), (-1.0, 7.0), (-1.0, 8.0)])
     assert seen == [(0, 0.0, 0.0), (1, 0.5, 0.0), (2, 1.0, 2.0), (0, 0.0, 0.0), (1, 0.0, 1.0)]
 
@@ -237,13 +237,13 @@ def test_a_missing_reading_is_neither_the_same_nor_another_one():
     assert monitor.get("motor_value") == [2.0]
 
 
-def test_a_witness_that_says_nothing_does_not_count_and_is_taken_when_it_speaks():
+def test_missing_reference_is_used_once_it_is_read():
     _, seen = walk([1.0] * 4, [(NAN, 0.0), (5.0, NAN), (7.0, 3.0), (NAN, 1.0)])
     assert [first for _, first, _ in seen] == [0.0, 0.0, 2.0, 0.0]
     assert [second for _, _, second in seen] == [0.0, 0.0, 3.0, 1.0]
 
 
-def test_a_first_witness_that_leaps_was_there_all_the_time():
+def test_goal_jump_moves_the_reference_of_the_stuck_test():
     """A goal that is where the digit is leaps with it: no motor had to follow that."""
     monitor = Monitor(made_up(3), moment_arms=0.02 * np.eye(3))
     rows = {
@@ -256,7 +256,7 @@ def test_a_first_witness_that_leaps_was_there_all_the_time():
     assert (monitor.get("motor_value"), monitor.get("motor_stuck")) == ([0.5] * 3, [7, 8, 9])
 
 
-def test_nothing_is_known_at_first():
+def test_no_history_is_known_at_first():
     monitor = Monitor(made_up(2))
     for name in ("motor_anchor", "cell_anchor", "joint_anchor", "motor_value", "cell_value", "joint_value"):
         assert np.isnan(monitor.view(name)).all()

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from handctl.campaign.scenarios import GRASP
-from handctl.campaign.stage import advance_to, hand_in, started
+from handctl.campaign.stage import advance_to, hand_with_protocol, homed_run
 from handctl.controller.bus_load import bus_loads
 from handctl.core.detectors import replays
 from handctl.core.types import Mode
 from handctl.safety.faults.node import SWING_S
-from handctl.session.plan import fastest
+from handctl.session.plan import highest_rate_of_buses
 from tests.safety.monitor import Monitor, made_up
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
@@ -35,7 +35,7 @@ def first_found(rows: np.ndarray) -> tuple[int, list[tuple[int, int]]]:
     return -1, []
 
 
-@pytest.mark.parametrize("age", [16, 32, 50, replays.AGE])
+@pytest.mark.parametrize("age", [16, 32, 50, replays.MAX_AGE_TICKS])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_content_of_some_ticks_ago_is_found_within_sixteen(seed: int, age: int) -> None:
     rows = readings(seed, 300, 0.5)
@@ -48,13 +48,13 @@ def test_content_of_some_ticks_ago_is_found_within_sixteen(seed: int, age: int) 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02, 0.05, 0.1, 0.5, 1.5])
 @pytest.mark.parametrize("seed", range(20 if NIGHTLY else 4))
-def test_readings_of_now_are_none_whatever_their_noise(seed: int, noise: float) -> None:
+def test_fresh_readings_are_no_repetition_at_any_noise(seed: int, noise: float) -> None:
     """Also of a cell that stands, or toggles between two counts."""
     assert first_found(readings(seed, 20_000 if NIGHTLY else 3_000, noise)) == (-1, [])
 
 
 @pytest.mark.parametrize("cycle", [[3.0], [3.0, 2.9375], [2.9375, 3.0, 3.0], [3.0, 3.0625, 3.0, 2.9375, 3.0]])
-def test_a_loop_that_cycles_through_a_few_counts_is_none(cycle: list[float]) -> None:
+def test_limit_cycle_of_a_few_counts_is_no_repetition(cycle: list[float]) -> None:
     """Without noise a tension loop of coarse load cells comes to a limit cycle, as commissioning at rest did."""
     assert first_found(np.array([[cycle[k % len(cycle)]] for k in range(500)])) == (-1, [])
 
@@ -85,7 +85,7 @@ def test_a_swing_of_twenty_newtons_is_found_in_a_third_of_a_second(rate: float, 
 
 
 @pytest.mark.parametrize("rate", [100.0, 500.0])
-def test_a_step_and_a_small_swing_are_none(rate: float) -> None:
+def test_step_and_small_swing_are_no_oscillation(rate: float) -> None:
     t = np.arange(0.0, 2.0, 1.0 / rate)
     assert swung(75.0 * np.clip(1.0 - t / 0.015, 0.0, 1.0) + 75.0 * np.exp(-t / 0.03), 1.0 / rate)[0] < 0.0
     assert swung(9.0 * np.sin(2.0 * math.pi * 20.0 * t), 1.0 / rate)[0] < 0.0
@@ -103,8 +103,8 @@ def test_a_step_and_a_small_swing_are_none(rate: float) -> None:
     ],
 )
 def test_a_grasping_hand_relaxes(fault: str, rows: set[str], seconds: float, seed: int) -> None:
-    hand = hand_in("jamia", "mit")
-    with started(hand, fastest(bus_loads(hand)), seed) as course:
+    hand = hand_with_protocol("jamia", "mit")
+    with homed_run(hand, highest_rate_of_buses(bus_loads(hand)), seed) as course:
         advance_to(course, GRASP)
         which = seed % 4
         course.peer.inject(fault.format(tendon=hand.tendon[which].name, motor=hand.motor[which].name))

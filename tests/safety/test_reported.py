@@ -1,13 +1,13 @@
 """Reports of buses, host and recorder, and the faults that they mean."""
 
-from handctl.safety.judge import Report, filter_error_frames, reported
+from handctl.safety.judge import Report, filter_error_frames, locate_reports
 
 
 def found(*reports: Report) -> list[tuple[str, str, float]]:
-    return [(fault.id, where, value) for fault, where, value in reported(reports)]
+    return [(fault.id, where, value) for fault, where, value in locate_reports(reports)]
 
 
-def test_what_a_bus_reports() -> None:
+def test_bus_events_become_faults() -> None:
     assert found(("enodev", "can0", 19.0)) == [("B16", "can0", 19.0)]
     assert found(("ebadf", "", 9.0)) == [("B16", "ebadf", 9.0)], "the kind, where no place is told"
     assert found(("bus_on", "can0", 1.0)) == []
@@ -17,7 +17,7 @@ def test_what_a_bus_reports() -> None:
     assert found() == []
 
 
-def test_what_the_recorder_reports() -> None:
+def test_recorder_events_become_faults() -> None:
     assert found(("recorder", "disk_low", 7.0)) == [("H08", "disk_low", 7.0)]
     assert found(("recorder", "gone", 1.0), ("bus", "disk_full", 1.0)) == [("H10", "gone", 1.0)]
     assert found(("disk_full", "can0", 1.0)) == []
@@ -25,11 +25,11 @@ def test_what_the_recorder_reports() -> None:
 
 def test_alone_on_the_bus_is_one_reading_of_error_frames_that_mean_it() -> None:
     unheard, other = ("error_frame", "can0 no acknowledge", 3.0), ("error_frame", "can0 overload", 2.0)
-    found = reported(filter_error_frames([other, unheard, unheard], heard=False))
+    found = locate_reports(filter_error_frames([other, unheard, unheard], heard=False))
     assert [(fault.id, name, value) for fault, name, value in found] == [("B18", "can0 no acknowledge", 3.0)]
     other_kind = filter_error_frames([other, ("enobufs", "protocol", 1.0)], heard=False)
-    assert [fault.id for fault, _, _ in reported(other_kind)] == ["B15"]
-    assert reported(filter_error_frames([unheard], heard=True)) == []
+    assert [fault.id for fault, _, _ in locate_reports(other_kind)] == ["B15"]
+    assert locate_reports(filter_error_frames([unheard], heard=True)) == []
 
 
 def test_missing_acknowledges_are_reported_only_until_a_node_has_answered() -> None:

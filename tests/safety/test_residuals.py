@@ -8,9 +8,16 @@ import numpy as np
 import pytest
 
 from handctl.core.detectors import residuals
-from handctl.core.detectors.residuals import ASKED, BALANCE, RUB, RUB_SPEED, TENSION, TIMES_S
+from handctl.core.detectors.residuals import (
+    BALANCE,
+    COMMAND_DIFFERENCE,
+    EXCESS_FRICTION,
+    FULL_FRICTION_SPEED,
+    TENSION,
+    TIME_CONSTANTS_S,
+)
 from handctl.core.types import Mode
-from handctl.safety.faults.node import DISOBEYED_N
+from handctl.safety.faults.node import NOT_OBEYED_N
 from handctl.safety.faults.tendon import FRICTION_WARN_N, RESIDUAL_WARN_N
 from tests.safety.monitor import NOW_NS, PERIOD_NS, Monitor, T, interpreted, made_up
 
@@ -38,12 +45,12 @@ class Rotor(Monitor):
     @property
     def unexplained(self) -> float:
         """Tension that nothing explains [N]."""
-        return float(interpreted(residuals.unexplained, self.state_tables, self.hand_tables, 0))
+        return float(interpreted(residuals.unexplained_tension, self.state_tables, self.hand_tables, 0))
 
     @property
     def friction(self) -> float:
         """Friction beyond the modelled [N]."""
-        return float(interpreted(residuals.friction, self.state_tables, 0))
+        return float(interpreted(residuals.excess_friction, self.state_tables, 0))
 
 
 def filtered(
@@ -80,7 +87,7 @@ def test_inertia_friction_and_damping_are_explained():
     assert state.friction < 1.0
 
 
-def test_what_accelerates_a_rotor_is_no_residual():
+def test_acceleration_torque_is_no_residual():
     """Ten metres a second squared for a tenth of a second: 52 N that the rope does not get."""
 
     def force(t):
@@ -120,12 +127,12 @@ def test_friction_that_has_grown_is_seen_in_motion_only():
     assert resting.friction == 0.0
 
 
-def test_torque_that_is_not_made_is_seen():
+def test_missing_torque_is_detected():
     """A motor that lets 24 N go is asked for some 39 N; to be seen within 22 ticks, its way included."""
     state = filtered(20 * T, lambda t: 0.0, lambda t: 0.0, asked=lambda t: 39.0)
-    assert state.low(ASKED) > DISOBEYED_N
+    assert state.low(COMMAND_DIFFERENCE) > NOT_OBEYED_N
     state = filtered(0.5, lambda t: 0.0, lambda t: 0.0, asked=lambda t: 14.9)
-    assert state.low(ASKED) < DISOBEYED_N
+    assert state.low(COMMAND_DIFFERENCE) < NOT_OBEYED_N
 
 
 def test_noise_raises_nothing_in_ten_thousand_hours():
@@ -134,7 +141,7 @@ def test_noise_raises_nothing_in_ten_thousand_hours():
     chance = 1.0 / (10_000.0 * 3600.0 / T)
     rare = NormalDist(sigma=float(left.std())).inv_cdf(1.0 - chance / 2.0)
     assert 0.5 < rare < 1.5, "the noise was felt"
-    assert rare < min(RESIDUAL_WARN_N, FRICTION_WARN_N, DISOBEYED_N)
+    assert rare < min(RESIDUAL_WARN_N, FRICTION_WARN_N, NOT_OBEYED_N)
 
 
 def test_bits_count_what_was_lost():
@@ -199,12 +206,14 @@ def test_a_tick_takes_its_share_of_the_balance_to_the_last_digits(speed):
     rotor = Rotor(last_speed=speed)
     rotor.step(20.0, 30.0, speed)
     balance = 30.0 - 20.0 - DAMPING * speed - COULOMB * np.tanh(speed / 1e-3)
-    share = -np.expm1(-T / TIMES_S[BALANCE])
+    share = -np.expm1(-T / TIME_CONSTANTS_S[BALANCE])
     assert rotor.low(BALANCE) == pytest.approx(share * balance, rel=1e-12)
 
 
-@pytest.mark.parametrize(("speed", "counts"), [(RUB_SPEED, False), (np.nextafter(RUB_SPEED, 1.0), True)])
+@pytest.mark.parametrize(
+    ("speed", "counts"), [(FULL_FRICTION_SPEED, False), (np.nextafter(FULL_FRICTION_SPEED, 1.0), True)]
+)
 def test_friction_is_judged_above_the_speed_of_full_friction(speed, counts):
     rotor = Rotor(last_speed=speed)
     rotor.step(20.0, 30.0, speed)
-    assert bool(rotor.low(RUB)) == counts
+    assert bool(rotor.low(EXCESS_FRICTION)) == counts

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from handctl.safety.action import Action
-from handctl.safety.judge import Latched, reported, second_controller_reports
+from handctl.safety.judge import Latched, locate_reports, second_controller_reports
 from tests.safety.cases import LIMITS, RELAXED, REST, Shown, io, lost, merged, motors, rested, rows, show, tensions
 from tests.safety.test_table import course
 
@@ -33,7 +33,7 @@ def test_a_finding_says_how_large_it_was() -> None:
     assert [finding.value for verdict in verdicts for finding in verdict.findings] == [7.0]
     assert readings("N15", Shown({"lost": {(0, 0): 0b1010101010101}})) == [("m0", 0.5)], "half of its answers"
     reports = second_controller_reports(["0x123"])
-    assert [(f.id, name, value) for f, name, value in reported(reports)] == [("H13", "0x123", 1.0)]
+    assert [(f.id, name, value) for f, name, value in locate_reports(reports)] == [("H13", "0x123", 1.0)]
 
 
 def test_no_replies_are_expected_in_ticks_missed_by_the_host() -> None:
@@ -71,7 +71,7 @@ def test_over_tension_stays_at_the_rail_as_well_as_below_and_only_behind_relaxin
 
 
 @pytest.mark.parametrize("row", ["T03", "T03b", "T06"])
-def test_nothing_is_said_of_tensions_that_were_not_read(row: str) -> None:
+def test_unread_tensions_cause_no_fault(row: str) -> None:
     assert readings(row, UNREAD) == []
     one = merged(UNREAD, REST)
     one.rows["measured_tension"][0] = 243.0 if row != "T06" else 300.0

@@ -8,7 +8,7 @@ import pytest
 
 from handctl.core.detectors.residuals import TENSION
 from handctl.core.types import Mode
-from handctl.safety.faults.node import PULLED_N
+from handctl.safety.faults.node import STILL_PULLING_N
 from handctl.safety.faults.tendon import SLACK_N, SNAP_N, TAUT_N
 from tests.safety.monitor import Monitor, T, made_up
 
@@ -98,13 +98,13 @@ def test_a_snapped_tendon_is_detected(ago, cell, goal, speed, found):
     assert tendons.told.get("T01", {}) == ({"t1": speed} if found else {})
 
 
-def test_nothing_snaps_before_anything_is_wanted():
+def test_no_tendon_snaps_before_tension_is_commanded():
     tendons = Tendons(1)
     tendons.step([0.0], [24.0], measured_tension=0.0, speed=0.05)
     assert "T01" not in tendons.told
 
 
-def test_the_cut_remembers_what_there_was_and_counts():
+def test_tension_at_the_cut_is_stored_and_ticks_are_counted():
     tendons = Tendons(2, taut_ago=0, slack_ticks=[0, 3], cell_value=[31.0, 21.0])
     tendons.cut([30.0, 20.0])
     assert (tendons.get("cut_ticks"), tendons.get("cut_from")) == ([0], [30.0, 20.0])
@@ -169,4 +169,4 @@ def test_the_last_tension_counts_if_the_latest_sample_is_missing():
 
 
 def test_thresholds_leave_room_between_slack_and_taut():
-    assert SLACK_N < TAUT_N < SNAP_N < PULLED_N
+    assert SLACK_N < TAUT_N < SNAP_N < STILL_PULLING_N

@@ -56,7 +56,7 @@ def test_every_row_has_a_case_and_is_there_once() -> None:
     assert [fault.id for fault in TABLE] == list(CASES)
 
 
-def test_nothing_is_wrong_with_a_calm_hand() -> None:
+def test_hand_without_disturbance_has_no_fault() -> None:
     monitor, verdicts = course(*[REST] * 50)
     assert (monitor.latched, monitor.counting) == ((), ())
     assert {verdict.action for verdict in verdicts} == {Action.PASS}
@@ -81,14 +81,14 @@ def test_just_below_its_threshold_it_never_counts(id_: str) -> None:
 
 
 @pytest.mark.parametrize("id_", OTHER_SIGNS)
-def test_other_signs_of_the_same_fault(id_: str) -> None:
+def test_every_sign_of_a_fault_is_detected(id_: str) -> None:
     for shown in OTHER_SIGNS[id_]:
         _, actions, _ = alone(id_, *[shown] * CASES[id_].debounce)
         assert actions[-1] == CASES[id_].action
 
 
 @pytest.mark.parametrize("id_", CASES)
-def test_interrupted_it_begins_to_count_anew(id_: str) -> None:
+def test_interrupted_fault_counts_from_zero(id_: str) -> None:
     case = CASES[id_]
     if case.debounce == 1:
         return
@@ -98,7 +98,7 @@ def test_interrupted_it_begins_to_count_anew(id_: str) -> None:
 
 
 @pytest.mark.parametrize("id_", CASES)
-def test_what_latches_stays_until_a_person_clears_it(id_: str) -> None:
+def test_latched_fault_stays_until_cleared(id_: str) -> None:
     case = CASES[id_]
     monitor, _, _ = alone(id_, *[case.present] * case.debounce)
     _, actions, told = alone(id_, *[REST] * 100, monitor=monitor)
@@ -113,7 +113,7 @@ def test_what_latches_stays_until_a_person_clears_it(id_: str) -> None:
 
 
 @pytest.mark.parametrize("id_", [id_ for id_, case in CASES.items() if case.latched])
-def test_clearing_what_is_still_there_does_not_help(id_: str) -> None:
+def test_clearing_a_present_fault_has_no_effect(id_: str) -> None:
     case = CASES[id_]
     monitor, _, _ = alone(id_, *[case.present] * (case.debounce + 3))
     monitor.clear()
@@ -174,7 +174,7 @@ def trace(id_: str) -> list[tuple[Action, int]]:
         monitor.tick(rows)
         monitor.set({"fault_ticks": before})
         monitor.found[[row for row in range(len(DETECTOR_ROWS)) if row not in kept]] = math.nan
-        demanded = interpreted(compiled_judge.debounce, monitor.state_tables, monitor.found)
+        demanded = interpreted(compiled_judge.debounce_faults, monitor.state_tables, monitor.found)
         reports = shown.reports if judgement.BY_ID[id_].reports else ()
         verdict = monitor.conclude(demanded, reports)
         seen.append((verdict.action, len(verdict.findings)))

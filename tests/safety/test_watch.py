@@ -10,7 +10,14 @@ from handctl.controller.monitor import thresholds
 from handctl.core import block as s
 from handctl.core.block import STATE
 from handctl.core.detectors import residuals
-from handctl.core.detectors.residuals import BALANCE, MADE, QUICK_FORCE, RUB, TENSION, TIMES_S
+from handctl.core.detectors.residuals import (
+    BALANCE,
+    EXCESS_FRICTION,
+    MOTOR_FORCE,
+    QUICK_FORCE,
+    TENSION,
+    TIME_CONSTANTS_S,
+)
 from handctl.core.types import Mode
 from tests.safety.monitor import NOW_NS, PERIOD_NS, Monitor, T, interpreted, made_up
 
@@ -111,11 +118,11 @@ def test_a_tendon_that_does_not_let_go_is_reported_though_its_sample_was_lost_at
 
 
 def unexplained(monitor: Monitor) -> list[float]:
-    return [interpreted(residuals.unexplained, monitor.state_tables, monitor.hand_tables, n) for n in (0, 1)]
+    return [interpreted(residuals.unexplained_tension, monitor.state_tables, monitor.hand_tables, n) for n in (0, 1)]
 
 
 @pytest.mark.parametrize(("tension", "residual"), [(29.8, 4.8), (30.2, 5.2), (9.7, 5.3), (5.0, 10.0), (20.0, 0.0)])
-def test_a_residual_that_lasts(tension, residual):
+def test_lasting_residual_is_a_fault(tension, residual):
     """Of what the torque does not explain, 3 N are friction, and a tenth of 20 N the torque constant's tolerance."""
     monitor, found = ticks(1200, tension=tension)
     assert unexplained(monitor) == pytest.approx([residual] * 2, abs=0.05)
@@ -124,18 +131,18 @@ def test_a_residual_that_lasts(tension, residual):
 
 
 @pytest.mark.parametrize(("force", "told"), [(5.1, False), (4.9, True), (35.1, True)])
-def test_torque_that_is_not_made(force, told):
+def test_missing_torque_is_a_fault(force, told):
     _, found = ticks(600, force=force, tension=force)
     assert found.get("N14", {}) == ({name: pytest.approx(15.1, abs=0.01) for name in ("ma", "mb")} if told else {})
 
 
 @pytest.mark.parametrize(("rub", "told"), [(5.8, False), (6.1, True)])
-def test_friction_beyond_the_file_s(rub, told):
+def test_friction_above_the_hand_file_is_a_fault(rub, told):
     """After many seconds of motion: a tenth of 29 N is the torque constant's tolerance; then 3 N are told."""
     monitor = ticks(30)[0]
-    monitor.set({"residual": {RUB: rub, MADE: 29.0}})
+    monitor.set({"residual": {EXCESS_FRICTION: rub, MOTOR_FORCE: 29.0}})
     _, found = ticks(1, monitor, force=29.0, tension=29.0)
-    grown = [interpreted(residuals.friction, monitor.state_tables, n) for n in (0, 1)]
+    grown = [interpreted(residuals.excess_friction, monitor.state_tables, n) for n in (0, 1)]
     assert grown == pytest.approx([rub - 2.9] * 2, abs=0.01)
     assert found.get("T09", {}) == (dict(zip("ab", grown, strict=True)) if told else {})
 
@@ -213,7 +220,7 @@ def test_a_tendon_that_left_its_pulley_shows_in_three_readings_however_seldom_jo
     assert [k for k, found in enumerate(told) if "T08" in found] == [0, 4], "in ticks in which joints are read"
 
 
-def test_three_readings_in_a_row_and_one_between_them_that_was_well():
+def test_good_reading_restarts_the_count_of_derailed_readings():
     monitor = wanting(made(joint_period=EVERY * T))
     sparse(100, monitor, excursion=0.0, joints=0.0)
     off = {"excursion": [-0.02 * np.radians(15.1), 0.0], "joints": 0.0}
@@ -260,7 +267,7 @@ def just_moved(monitor: Monitor | None = None, **given: Any) -> Monitor:
     (51, 0.51e-3, True), (50, 0.51e-3, False),      # 100 ms
     (60, 0.49e-3, False), (60, -0.51e-3, True),
 ])  # fmt: skip
-def test_a_motor_that_stands_while_its_goal_moves(number, goal, told):
+def test_constant_motor_reading_is_stuck_while_its_goal_moves(number, goal, told):
     monitor = just_moved()
     monitor.set({"followed": [goal, 0.0]})
     _, found = ticks(number, monitor, travel=1e-5)
@@ -273,7 +280,7 @@ def test_a_motor_reading_that_stands_while_the_tension_moves_is_stuck():
         assert list(found.get("N04", {})) == told
 
 
-def test_a_joint_that_stands_while_the_spool_turns():
+def test_constant_joint_reading_is_stuck_while_the_spool_turns():
     for angle, told in ((9.9, []), (10.1, ["ja"])):
         joints = {"excursion": 0.0, "read": True}
         monitor = just_moved(joints=0.2, **joints)
@@ -320,7 +327,7 @@ def test_each_joint_has_its_own_tendons_as_witnesses():
     (400, 25.2, 20.0, True), (400, 14.8, 20.0, True), (400, 24.8, 20.0, False), (38, 60.0, 20.0, False),
     (39, 60.0, 20.0, False), (40, 60.0, 20.0, True), (400, 26.0, 2.5, False), (400, 26.0, 2.6, True),
 ])  # fmt: skip
-def test_a_cell_that_repeats_itself_while_the_torque_moves(number, force, tension, told):
+def test_constant_load_cell_is_stuck_while_the_torque_moves(number, force, tension, told):
     chance = np.random.default_rng(1)
     monitor, _ = ticks(100, tension=lambda k: tension + 0.1 * chance.standard_normal())
     ticks(1, monitor, tension=tension)
@@ -399,7 +406,7 @@ def test_where_nothing_is_lost_nothing_is_counted():
     (late(mb=1), [0, 1, 0]), (late(b=1), [0, 0, 1]), (late(ma=3), [1, 0, 0]),
     (late(ma=1, mb=1) | {"missed": 1}, [0, 0, 0]), (late(ma=1, mb=1) | {"mode": int(Mode.READY)}, [0, 0, 0]),
 ])  # fmt: skip
-def test_what_counts_as_lost(rows, lost):
+def test_lost_replies_are_recorded_per_node(rows, lost):
     monitor = made()
     monitor.tick(rows)
     assert monitor.get("lost") == [lost, [0, 0, 0]]
@@ -435,13 +442,13 @@ def test_refused_goals_are_reported_in_their_tick():
     assert not {"I07a", "I07b"} & set(monitor.tick(refused=3, refused_now=0))
 
 
-def test_what_is_fixed_follows_from_the_hand():
+def test_thresholds_follow_from_the_hand():
     assert thresholds.JUMP_MARGIN == 1.5
     assert residuals.GAIN_FRACTION == 0.1
-    assert TIMES_S == (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0)
+    assert TIME_CONSTANTS_S == (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0)
 
 
-def test_what_is_filtered_quickly_begins_at_what_is_there_once_only():
+def test_fast_residuals_start_at_the_first_reading():
     monitor = ticks(5)[0]
     for row in (TENSION, QUICK_FORCE):
         assert monitor.view("residual")[row] == pytest.approx([20.0, 20.0])

@@ -8,7 +8,7 @@ import pytest
 
 from handctl.core.detectors import slip, stuck
 from handctl.core.detectors.residuals import QUICK_FORCE, TENSION
-from handctl.core.detectors.slip import DEG, SETTLE_S
+from handctl.core.detectors.slip import DEG_PER_RAD, SETTLE_S
 from handctl.safety.faults.node import STUCK_GOAL_M, STUCK_JOINT_DEG, STUCK_S, STUCK_TENSION_N
 from handctl.safety.faults.tendon import CELL_FORCE_N, CELL_TICKS, DERAILED_DEG, SLACK_N, TAUT_N
 from tests.safety.monitor import Monitor, T, interpreted
@@ -31,7 +31,7 @@ def monitor() -> Monitor:
 
 def turned(monitor: Monitor, **given: Any) -> list[float]:
     monitor.set(seen(**given) | {"bears": 1})
-    return [interpreted(stuck.angle_by_spools, monitor.state_tables, monitor.hand_tables, j) for j in (0, 1)]
+    return [interpreted(stuck.joint_angle_by_spools, monitor.state_tables, monitor.hand_tables, j) for j in (0, 1)]
 
 
 def test_tendon_stretch_is_not_counted_as_joint_motion(monitor: Monitor) -> None:
@@ -40,13 +40,13 @@ def test_tendon_stretch_is_not_counted_as_joint_motion(monitor: Monitor) -> None
     wound = turned(monitor, travel=[20.0 / SOFT + 1e-3, 20.0 / SOFT], **READ)
     np.testing.assert_allclose(wound, [0.05, 0.0], atol=1e-12)
     monitor.set({"bears": [0, 1]})
-    angle = interpreted(stuck.angle_by_spools, monitor.state_tables, monitor.hand_tables, 0)
+    angle = interpreted(stuck.joint_angle_by_spools, monitor.state_tables, monitor.hand_tables, 0)
     assert math.isnan(angle), "it says nothing"
 
 
 @pytest.mark.parametrize(("tension", "taut"), [(SLACK_N, 1.0), (SLACK_N - 1e-9, 0.0), (TAUT_N, 1.0),
                                                (TAUT_N + 1e-9, 1.0 + T)])  # fmt: skip
-def test_between_slack_and_taut_time_stands(monitor: Monitor, tension: float, taut: float) -> None:
+def test_taut_time_stands_between_slack_and_taut(monitor: Monitor, tension: float, taut: float) -> None:
     monitor.tick(seen(tension=tension, **READ), taut_s=1.0)
     assert monitor.get("taut_s") == [taut, taut]
 
@@ -58,7 +58,7 @@ def test_joint_and_spool_are_not_compared_before_the_tendon_has_settled(monitor:
         begin, slipped = monitor.get("slip_from"), monitor.get("slip")
         assert np.isnan(begin[0]) != settled
         assert np.isnan(slipped[0]) != settled
-        assert slipped[1] == pytest.approx((-2.2 / SOFT - 1e-3) / 0.01 * DEG)
+        assert slipped[1] == pytest.approx((-2.2 / SOFT - 1e-3) / 0.01 * DEG_PER_RAD)
 
 
 def names(monitor: Monitor, before: int, value: float, away: dict[str, list[float]]) -> dict[str, list[str]]:
@@ -82,7 +82,7 @@ def test_a_stuck_sensor_is_reported_above_its_limits_and_not_at_them(monitor: Mo
     long = int(STUCK_S / T)
     assert not any(names(monitor, 9999, 20.0, {}).values())
     at = {"goal": [STUCK_GOAL_M, 0.0], "tension": [0.0, STUCK_TENSION_N], "pushed": [CELL_FORCE_N, 9.0],
-          "turned": [STUCK_JOINT_DEG / DEG * (1.0 - 1e-12), 0.1]}  # fmt: skip
+          "turned": [STUCK_JOINT_DEG / DEG_PER_RAD * (1.0 - 1e-12), 0.1]}  # fmt: skip
     assert names(monitor, 9999, 20.0, at) == {"motor": [], "joint": [], "cell": ["b"]}
     beyond = {name: [value * 1.01 for value in pair] for name, pair in at.items()}
     told = {"motor": ["ma", "mb"], "joint": ["ja"], "cell": ["a", "b"]}
@@ -120,10 +120,10 @@ def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(monitor: Monit
                 "measured_travel": TAUT_N / SOFT,
             }
         )
-        interpreted(slip.update, monitor.state_tables, monitor.hand_tables, True)
+        interpreted(slip.update_slip, monitor.state_tables, monitor.hand_tables, True)
         return abs(monitor.get("slip")[0]), monitor.get("derailed")[0]
 
-    apart = DERAILED_DEG / DEG * 0.02
+    apart = DERAILED_DEG / DEG_PER_RAD * 0.02
     around = [counted(apart * (1.0 + i * 2.0**-52)) for i in range(-4, 5)]
     assert min(angle for angle, _ in around) <= DERAILED_DEG < max(angle for angle, _ in around)
     assert all(count == float(angle > DERAILED_DEG) for angle, count in around)

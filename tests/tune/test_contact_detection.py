@@ -8,7 +8,7 @@ import pytest
 from benchmarks.identify import detuned, excited, plant, truth
 from handctl.core.gains.gains import Gains
 from handctl.hand.load import load_hand
-from handctl.tune.identify.contact_detection import CLEAR, KINK, Ramp, joints_moving, steepest
+from handctl.tune.identify.contact_detection import CLEAR, KINK, Ramp, are_joints_moving, steepest_ramp
 from handctl.tune.identify.identify import SWEEP_PARAMETERS, TendonResult
 from tests.conftest import NIGHTLY
 
@@ -81,7 +81,7 @@ def line(seed: int, kink: float, begin: float = 0.3) -> Ramp | None:
     seen = random.normal(size=ROWS) + kink * np.maximum(0.0, angle - begin)
     jacobian = -np.column_stack([np.ones(ROWS), angle])
     fitted = np.linalg.lstsq(jacobian, -seen, rcond=None)[0]
-    return steepest(jacobian, seen + jacobian @ fitted, 0, angle, (np.ones(ROWS),))
+    return steepest_ramp(jacobian, seen + jacobian @ fitted, 0, angle, (np.ones(ROWS),))
 
 
 def test_noise_has_no_kink() -> None:
@@ -106,8 +106,8 @@ def test_a_kink_is_found_where_it_is(begin: float) -> None:
 
 
 def test_a_fit_without_a_sweep_tells_of_no_contact() -> None:
-    assert steepest(np.zeros((5, 2)), np.zeros(5), 5, np.zeros(0), ()) is None
-    assert steepest(np.zeros((5, 2)), np.zeros(5), 0, np.zeros(5), (np.ones(5),)) is None
+    assert steepest_ramp(np.zeros((5, 2)), np.zeros(5), 5, np.zeros(0), ()) is None
+    assert steepest_ramp(np.zeros((5, 2)), np.zeros(5), 0, np.zeros(5), (np.ones(5),)) is None
 
 
 def test_only_a_sweep_that_the_fit_explains_clears_a_digit() -> None:
@@ -120,8 +120,8 @@ def test_only_a_sweep_that_the_fit_explains_clears_a_digit() -> None:
 
 
 def test_a_digit_that_closes_farther_than_two_of_its_joints_moves_all_three() -> None:
-    assert joints_moving(3, 0.67, 0.04, travel=11.0, full=15.0)
-    assert not joints_moving(3, 0.67, 0.04, travel=9.5, full=15.0)
-    assert joints_moving(3, 0.97, 0.04, travel=9.5, full=15.0)
-    assert not joints_moving(2, 0.5, 0.04, travel=4.0, full=10.0)
-    assert joints_moving(1, 0.6, 0.04, travel=1.0, full=5.0)
+    assert are_joints_moving(3, 0.67, 0.04, travel=11.0, full=15.0)
+    assert not are_joints_moving(3, 0.67, 0.04, travel=9.5, full=15.0)
+    assert are_joints_moving(3, 0.97, 0.04, travel=9.5, full=15.0)
+    assert not are_joints_moving(2, 0.5, 0.04, travel=4.0, full=10.0)
+    assert are_joints_moving(1, 0.6, 0.04, travel=1.0, full=5.0)

@@ -9,46 +9,54 @@ from scipy.signal import cont2discrete
 from handctl.core.gains.gains import Gains
 from handctl.core.identified import Identified
 from handctl.core.model import HandModel
-from handctl.tune.loops.design import design, keeps, linear_factors, placed, redesigned, with_poles, worst_of
+from handctl.tune.loops.design import (
+    design_gains,
+    design_with_poles,
+    gains_with_poles,
+    keeps_required_margins,
+    linear_factors,
+    model_with_gains,
+    worst_margins,
+)
 from handctl.tune.loops.linear import LoopKind, PlantFactors
-from handctl.tune.search.ensemble import MIN_SPREAD, ensemble, widths
+from handctl.tune.search.ensemble import MIN_SPREAD, draw_ensemble, ensemble_widths
 
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_the_packaged_gains_keep_their_margins(hand: str, request: pytest.FixtureRequest) -> None:
     """Use the default ensemble of `tune design`."""
     model: HandModel = request.getfixturevalue(hand)
-    worst = worst_of(model, tuple(linear_factors(one) for one in ensemble(8, 0)))
+    worst = worst_margins(model, tuple(linear_factors(one) for one in draw_ensemble(8, 0)))
     assert worst.enough, worst
 
 
 def test_a_design_keeps_its_margins_and_more_authority_does_not(jamia: HandModel) -> None:
-    plants = tuple(linear_factors(one) for one in ensemble(2, 0))
+    plants = tuple(linear_factors(one) for one in draw_ensemble(2, 0))
     bold = Gains.model_validate({"motion": {"force_N": 60.0}, "tension": {"force_N": 20.0}})
-    jamia = redesigned(jamia, bold.model_copy(update={"filter": jamia.gains.filter}))
-    assert not keeps(jamia, plants)
-    found = design(jamia, plants)
+    jamia = model_with_gains(jamia, bold.model_copy(update={"filter": jamia.gains.filter}))
+    assert not keeps_required_margins(jamia, plants)
+    found = design_gains(jamia, plants)
     assert found.worst_after.enough
     assert not found.worst_before.enough
-    assert keeps(redesigned(jamia, found.gains), plants)
+    assert keeps_required_margins(model_with_gains(jamia, found.gains), plants)
     bolder = found.gains.model_copy(
         update={"tension": found.gains.tension.model_copy(update={"force_N": 1.3 * found.gains.tension.force_N})}
     )
-    assert not keeps(redesigned(jamia, bolder), plants)
-    same = redesigned(jamia, found.as_weights())
-    assert np.allclose(same.motion.stiffness, redesigned(jamia, found.gains).motion.stiffness, rtol=1e-6)
+    assert not keeps_required_margins(model_with_gains(jamia, bolder), plants)
+    same = model_with_gains(jamia, found.as_weights())
+    assert np.allclose(same.motion.stiffness, model_with_gains(jamia, found.gains).motion.stiffness, rtol=1e-6)
 
 
 def test_a_filter_that_leaves_no_margin_is_refused(jamia: HandModel) -> None:
     without = Gains.model_validate({"motion": {"disturbance_rejection": 0.0}})
     with pytest.raises(ValueError, match="margins"):
-        design(redesigned(jamia, without), (PlantFactors(torque_constant=30.0),))
+        design_gains(model_with_gains(jamia, without), (PlantFactors(torque_constant=30.0),))
 
 
 @pytest.mark.parametrize("hz", [3.0, 6.0])
 def test_poles_are_where_they_were_asked_for(jamia: HandModel, hz: float) -> None:
     """Rotor and digit as one mass under sampled state feedback, at a rate far above the poles."""
-    gains = with_poles(jamia, LoopKind.MOTION, hz, 1.0)
+    gains = gains_with_poles(jamia, LoopKind.MOTION, hz, 1.0)
     fast = HandModel.of(jamia.hand, gains, 4000.0)
     A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])
     F, G, *_ = cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), fast.period)
@@ -70,13 +78,13 @@ def test_placed_poles_that_no_weights_have_are_refused(
 ) -> None:
     """The message states poles that have weights."""
     with pytest.raises(ValueError, match=right):
-        placed(jamia, (PlantFactors(),), *hz, damping)
+        design_with_poles(jamia, (PlantFactors(),), *hz, damping)
 
 
 def test_an_ensemble_is_never_narrower_than_service_makes_it() -> None:
-    drawn = ensemble(65, 3, {"stiffness": 0.01, "mass": 0.4})
+    drawn = draw_ensemble(65, 3, {"stiffness": 0.01, "mass": 0.4})
     assert drawn[0] == dict.fromkeys(MIN_SPREAD, 1.0)
-    assert ensemble(65, 3, {"stiffness": 0.01, "mass": 0.4}) == drawn != ensemble(65, 4)
+    assert draw_ensemble(65, 3, {"stiffness": 0.01, "mass": 0.4}) == drawn != draw_ensemble(65, 4)
     stiffness, mass = (np.array([one[key] for one in drawn]) for key in ("stiffness", "mass"))
     assert 0.8 <= stiffness.min() < 0.83
     assert 1.17 < stiffness.max() <= 1.2
@@ -94,13 +102,13 @@ def identified(stiffness: float, half: float) -> Identified:
 
 
 def test_a_vague_identification_widens_the_ensemble_to_the_ends_of_its_intervals() -> None:
-    spread = widths({"index_tendon": identified(5e4, 1.5e4), "thumb_tendon": identified(5e4, 2e4)})
+    spread = ensemble_widths({"index_tendon": identified(5e4, 1.5e4), "thumb_tendon": identified(5e4, 2e4)})
     assert spread == {"stiffness": pytest.approx(0.4)}
-    drawn = [one["stiffness"] for one in ensemble(65, 0, spread)]
+    drawn = [one["stiffness"] for one in draw_ensemble(65, 0, spread)]
     assert min(drawn) < 0.62
     assert max(drawn) > 1.38
 
 
 def test_the_worst_of_an_ensemble_is_no_better_than_the_nominal_plant(jamia: HandModel) -> None:
-    plants = tuple(linear_factors(one) for one in ensemble(3, 1))
-    assert worst_of(jamia, plants).shortfall >= worst_of(jamia, plants[:1]).shortfall
+    plants = tuple(linear_factors(one) for one in draw_ensemble(3, 1))
+    assert worst_margins(jamia, plants).shortfall >= worst_margins(jamia, plants[:1]).shortfall

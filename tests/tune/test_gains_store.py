@@ -65,7 +65,7 @@ def test_a_rollback_after_a_rollback_and_a_change_skips_the_undone_gains(store: 
     assert store.rollback().gains == force(21.0)
 
 
-def test_what_was_edited_by_hand_is_kept(store: GainsStore) -> None:
+def test_gains_edited_by_hand_are_kept(store: GainsStore) -> None:
     store.apply(force(21.0), Provenance())
     store.path.write_text(store.path.read_text().replace("force_N = 21.0", "force_N = 77.0"))
     store.apply(force(22.0), Provenance())
@@ -74,7 +74,7 @@ def test_what_was_edited_by_hand_is_kept(store: GainsStore) -> None:
     assert store.rollback().gains == force(77.0)
 
 
-def test_what_was_copied_there_came_after_the_newest(store: GainsStore, tmp_path: Path) -> None:
+def test_copied_gains_follow_the_newest_entry(store: GainsStore, tmp_path: Path) -> None:
     store.apply(force(21.0), Provenance())
     store.path.write_text(gains_text(force(55.0), Provenance()))
     assert store.rollback().gains == force(21.0)

@@ -148,7 +148,7 @@ def test_a_calibration_keeps_what_was_identified(tmp_path: Path) -> None:
         load_calibration(path, hand)
 
 
-def test_what_is_tuned_is_the_hand_as_identified(tmp_path: Path) -> None:
+def test_tuning_uses_the_identified_hand(tmp_path: Path) -> None:
     """The model and the middle of the ensemble are identified. The gains belong to the hand of the file."""
     hand, path = load_hand("jamia"), tmp_path / "c.toml"
     rows = dict.fromkeys(hand.tendon_names, TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0))
@@ -164,7 +164,7 @@ def test_what_is_tuned_is_the_hand_as_identified(tmp_path: Path) -> None:
         load_tuned_hand("jamia", path)
 
 
-def test_a_delay_is_missed_by_its_own_measure() -> None:
+def test_delay_is_judged_by_an_absolute_limit() -> None:
     """A delay of zero is identified by an absolute limit, not by a fraction of its value."""
     rows = np.ones((3, len(NAMES)))
     assert _reason_not_identified(rows, "delay") == "the 95 % interval is wider than 0.5 ms to either side"

@@ -8,8 +8,8 @@ from control import frd, stability_margins
 
 from handctl.core.model import HandModel
 from handctl.tune.loops import linear
-from handctl.tune.loops.linear import LoopKind, PlantFactors, controller, loop, plant
-from handctl.tune.loops.margins import grid, margins, step_response
+from handctl.tune.loops.linear import LoopKind, PlantFactors, controller_system, open_loop, plant_system
+from handctl.tune.loops.margins import frequency_grid, margins_of_loop, step_response
 
 KINDS = list(LoopKind)
 
@@ -21,7 +21,7 @@ def test_the_linear_controller_predicts_the_running_one(
 ) -> None:
     """Compare one tick from slightly different states and readings."""
     model: HandModel = request.getfixturevalue(hand)
-    K = controller(model, 0, kind)
+    K = controller_system(model, 0, kind)
     tick, state, reading, steps = linear._operating_point(model, 0, kind)
     centre, random = tick(state, reading), np.random.default_rng(0)
     for _ in range(10):
@@ -36,7 +36,7 @@ def test_the_linear_controller_predicts_the_running_one(
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_tick_acts_on_the_samples_of_the_tick_before(jamia: HandModel, kind: LoopKind) -> None:
     """Compare the loop's impulse response with plant and controller stepped as the bus steps them."""
-    P, K, L = plant(jamia, 0, kind), controller(jamia, 0, kind), loop(jamia, 0, kind)
+    P, K, L = plant_system(jamia, 0, kind), controller_system(jamia, 0, kind), open_loop(jamia, 0, kind)
     p, state_of_controller, sample, state = P.B[:, 0], np.zeros(len(K.A)), np.zeros(3), L.B[:, 0]
     for k in range(1, 30):
         back = float((K.C @ state_of_controller + K.D @ sample)[0])
@@ -50,9 +50,9 @@ def test_a_tick_acts_on_the_samples_of_the_tick_before(jamia: HandModel, kind: L
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_margins_are_those_of_control(hand: str, kind: LoopKind, request: pytest.FixtureRequest) -> None:
     model: HandModel = request.getfixturevalue(hand)
-    system = loop(model, 0, kind)
-    omega = grid(system.period)
-    found = margins(system)
+    system = open_loop(model, 0, kind)
+    omega = frequency_grid(system.period)
+    found = margins_of_loop(system)
     gain, phase, _, _, _, _ = stability_margins(frd(system.response(omega)[:, 0, 0], omega, smooth=True))
     assert found.gain_db == pytest.approx(20.0 * abs(math.log10(gain)), abs=0.02)
     assert found.phase_deg == pytest.approx(phase, abs=0.05)
@@ -61,12 +61,12 @@ def test_margins_are_those_of_control(hand: str, kind: LoopKind, request: pytest
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_gain_margin_is_where_the_loop_becomes_unstable(jamia: HandModel, kind: LoopKind) -> None:
     """Positive control: slightly more torque than the margin makes the loop unstable, slightly less does not."""
-    margin = 10.0 ** (margins(loop(jamia, 0, kind)).gain_db / 20.0)
-    assert margins(loop(jamia, 0, kind, PlantFactors(torque_constant=0.97 * margin))).stable
-    assert not margins(loop(jamia, 0, kind, PlantFactors(torque_constant=1.03 * margin))).stable
+    margin = 10.0 ** (margins_of_loop(open_loop(jamia, 0, kind)).gain_db / 20.0)
+    assert margins_of_loop(open_loop(jamia, 0, kind, PlantFactors(torque_constant=0.97 * margin))).stable
+    assert not margins_of_loop(open_loop(jamia, 0, kind, PlantFactors(torque_constant=1.03 * margin))).stable
 
 
-def test_a_push_is_answered(jamia: HandModel) -> None:
+def test_closed_loop_responds_to_a_push(jamia: HandModel) -> None:
     """A held tension returns after a force step of 1 N. A blocked rotor without a controller keeps all of it."""
     _, tension = step_response(jamia, 0, LoopKind.TENSION, 1.0)
     assert abs(tension[-1]) < 0.3 < np.abs(tension).max() < 2.0

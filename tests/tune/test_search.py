@@ -13,10 +13,18 @@ import pytest
 from handctl.core.gains.gains import Gains, MotionGains
 from handctl.errors import ConfigError
 from handctl.hand.load import load_hand
-from handctl.tune.scoring import Score, evaluate
-from handctl.tune.search.ensemble import ensemble
-from handctl.tune.search.search import RANDOM_BATCHES, SearchPlan, SearchResult, Trial, _open_study, _sampler, search
-from handctl.tune.search.space import SPACE, clamped
+from handctl.tune.scoring import Score, evaluate_job
+from handctl.tune.search.ensemble import draw_ensemble
+from handctl.tune.search.search import (
+    RANDOM_BATCHES,
+    SearchPlan,
+    SearchResult,
+    Trial,
+    _open_study,
+    _sampler,
+    run_search,
+)
+from handctl.tune.search.space import SPACE, clamped_gains
 from handctl.tune.search.workers import Cluster, InProcessWorkers, ProcessPool, Workers
 
 TRIALS = 3
@@ -25,7 +33,7 @@ TRIALS = 3
 @pytest.fixture(scope="session")
 def plan() -> SearchPlan:
     """Return a plan with few trials on the nominal plant."""
-    return SearchPlan(load_hand("jamia").to_toml(), 500.0, Gains(), ensemble(1, 0), seed=5, trials=TRIALS)
+    return SearchPlan(load_hand("jamia").to_toml(), 500.0, Gains(), draw_ensemble(1, 0), seed=5, trials=TRIALS)
 
 
 def _nothing(found: SearchResult) -> None:
@@ -35,13 +43,13 @@ def _nothing(found: SearchResult) -> None:
 @pytest.fixture(scope="session")
 def found(plan: SearchPlan, tmp_path_factory: pytest.TempPathFactory) -> SearchResult:
     """Return the result of a search in this process."""
-    return search(plan, tmp_path_factory.mktemp("study") / "one", InProcessWorkers(), _nothing)
+    return run_search(plan, tmp_path_factory.mktemp("study") / "one", InProcessWorkers(), _nothing)
 
 
-def test_two_processes_find_what_one_finds(plan: SearchPlan, found: SearchResult, tmp_path: Path) -> None:
+def test_search_result_does_not_depend_on_the_processes(plan: SearchPlan, found: SearchResult, tmp_path: Path) -> None:
     workers = ProcessPool(2)
     try:
-        assert search(plan, tmp_path / "two", workers, _nothing) == found
+        assert run_search(plan, tmp_path / "two", workers, _nothing) == found
     finally:
         workers.close()
     assert len(found.trials) == TRIALS
@@ -52,7 +60,7 @@ def test_the_sampler_knows_which_trials_keep_their_margins(
     plan: SearchPlan, found: SearchResult, tmp_path: Path
 ) -> None:
     """Random trials have constraints as well, and Optuna raises no warning."""
-    search(plan, tmp_path / "study", RecordedWorkers(found), _nothing)
+    run_search(plan, tmp_path / "study", RecordedWorkers(found), _nothing)
     finished = [one for one in _open_study(plan, tmp_path / "study").trials if one.state.is_finished()]
     assert [one.constraints for one in finished] == [{"margins": one.score.shortfall} for one in found.trials]
     with warnings.catch_warnings():
@@ -85,20 +93,20 @@ class InterruptedWorkers:
             if not self.left:
                 raise KeyboardInterrupt
             self.left -= 1
-            yield i, evaluate(job)
+            yield i, evaluate_job(job)
 
     def close(self) -> None:
         return
 
 
 @pytest.mark.nightly
-def test_an_interrupted_search_goes_on_to_the_same_end(plan: SearchPlan, found: SearchResult, tmp_path: Path) -> None:
+def test_interrupted_search_gives_the_same_result(plan: SearchPlan, found: SearchResult, tmp_path: Path) -> None:
     workers: Workers = InterruptedWorkers(2)
     seen: list[int] = []
     with pytest.raises(KeyboardInterrupt):
-        search(plan, tmp_path / "study", workers, lambda now: seen.append(len(now.trials)))
+        run_search(plan, tmp_path / "study", workers, lambda now: seen.append(len(now.trials)))
     assert seen == [1, 2]
-    assert search(plan, tmp_path / "study", InProcessWorkers(), lambda now: seen.append(len(now.trials))) == found
+    assert run_search(plan, tmp_path / "study", InProcessWorkers(), lambda now: seen.append(len(now.trials))) == found
     assert seen == [1, 2, 3]
 
 
@@ -120,11 +128,11 @@ def long(plan: SearchPlan, tmp_path_factory: pytest.TempPathFactory) -> tuple[Se
     """Return a search beyond the random batches, its result and its journal."""
     longer = replace(plan, trials=8 * RANDOM_BATCHES + 2, others=(Gains(motion=MotionGains(force_N=20.0)),))
     path = tmp_path_factory.mktemp("study") / "whole"
-    return longer, search(longer, path, FormulaWorkers(), _nothing), path.read_bytes()
+    return longer, run_search(longer, path, FormulaWorkers(), _nothing), path.read_bytes()
 
 
 @pytest.mark.parametrize("fraction", [0.01, 0.03, 0.1, 0.25, 0.45, 0.6, 0.9, 0.99])
-def test_a_journal_that_ends_anywhere_goes_on_to_the_same_end(
+def test_search_resumes_from_a_truncated_journal(
     long: tuple[SearchPlan, SearchResult, bytes], tmp_path: Path, fraction: float
 ) -> None:
     """Cut the journal also while a batch is being asked, and in the middle of a line."""
@@ -132,16 +140,16 @@ def test_a_journal_that_ends_anywhere_goes_on_to_the_same_end(
     path, lines = tmp_path / "study", journal.splitlines(keepends=True)
     line_count = int(fraction * len(lines))
     path.write_bytes(b"".join(lines[:line_count]) + lines[line_count][:40])
-    assert search(longer, path, FormulaWorkers(), _nothing) == found
-    assert search(longer, path, FormulaWorkers(), _nothing) == found
+    assert run_search(longer, path, FormulaWorkers(), _nothing) == found
+    assert run_search(longer, path, FormulaWorkers(), _nothing) == found
 
 
 def test_a_search_that_is_made_longer_is_that_of_one_run(
     long: tuple[SearchPlan, SearchResult, bytes], tmp_path: Path
 ) -> None:
     longer, found, _ = long
-    assert len(search(replace(longer, trials=10), tmp_path / "study", FormulaWorkers(), _nothing).trials) == 10
-    assert search(longer, tmp_path / "study", FormulaWorkers(), _nothing) == found
+    assert len(run_search(replace(longer, trials=10), tmp_path / "study", FormulaWorkers(), _nothing).trials) == 10
+    assert run_search(longer, tmp_path / "study", FormulaWorkers(), _nothing) == found
 
 
 @pytest.mark.parametrize(
@@ -162,7 +170,7 @@ def test_a_damaged_journal_is_refused_and_keeps_what_it_holds(
     assert damaged != journal
     (tmp_path / "study").write_bytes(damaged)
     with pytest.raises(ConfigError, match="cannot be used"):
-        search(longer, tmp_path / "study", FormulaWorkers(), _nothing)
+        run_search(longer, tmp_path / "study", FormulaWorkers(), _nothing)
     assert (tmp_path / "study").read_bytes().startswith(damaged)
 
 
@@ -189,7 +197,7 @@ def test_a_dask_cluster_finds_what_one_process_finds(plan: SearchPlan, found: Se
     with LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None) as cluster:
         workers = Cluster(cluster.scheduler_address)
         try:
-            assert search(plan, tmp_path / "dask", workers, _nothing) == found
+            assert run_search(plan, tmp_path / "dask", workers, _nothing) == found
         finally:
             workers.close()
 
@@ -200,21 +208,21 @@ def test_two_searches_do_not_share_a_journal(plan: SearchPlan, tmp_path: Path) -
 
         def scores(self, jobs: Sequence[dict[str, Any]]) -> Iterator[tuple[int, dict[str, Any]]]:
             with pytest.raises(ConfigError, match="another search uses it"):
-                search(plan, tmp_path / "one", InProcessWorkers(), _nothing)
+                run_search(plan, tmp_path / "one", InProcessWorkers(), _nothing)
             yield from super().scores(jobs)
 
-    assert len(search(replace(plan, trials=1), tmp_path / "one", Meanwhile(), _nothing).trials) == 1
+    assert len(run_search(replace(plan, trials=1), tmp_path / "one", Meanwhile(), _nothing).trials) == 1
 
 
-def test_a_study_of_something_else_is_refused(plan: SearchPlan, tmp_path: Path) -> None:
+def test_journal_of_another_study_is_refused(plan: SearchPlan, tmp_path: Path) -> None:
     other = SearchPlan(plan.hand, plan.rate_hz, plan.gains, plan.plants, seed=6, trials=1)
     with pytest.raises(KeyboardInterrupt):
-        search(plan, tmp_path / "study", InterruptedWorkers(0), _nothing)
+        run_search(plan, tmp_path / "study", InterruptedWorkers(0), _nothing)
     with pytest.raises(ConfigError, match="another search"):
-        search(other, tmp_path / "study", InProcessWorkers(), _nothing)
+        run_search(other, tmp_path / "study", InProcessWorkers(), _nothing)
     (tmp_path / "text").write_text("no journal\n")
     with pytest.raises(ConfigError, match="cannot be used"):
-        search(plan, tmp_path / "text", InProcessWorkers(), _nothing)
+        run_search(plan, tmp_path / "text", InProcessWorkers(), _nothing)
 
 
 def test_only_good_trials_are_chosen() -> None:
@@ -239,14 +247,14 @@ def test_costs_are_those_of_the_first_good_trial_if_the_first_failed() -> None:
     assert found.best == feasible[1]
 
 
-def test_gains_outside_of_what_is_searched_are_what_the_first_trial_tried(plan: SearchPlan) -> None:
+def test_first_trial_keeps_gains_outside_the_search_space(plan: SearchPlan) -> None:
     bold = replace(plan, gains=Gains(motion=MotionGains(speed_error_m_s=0.01)))
-    assert bold.gains_of(0, clamped(bold.gains)) == bold.gains
-    assert bold.job(0, clamped(bold.gains))["gains"] == bold.gains.model_dump(by_alias=True)
-    assert bold.gains_of(1, clamped(bold.gains)).motion.speed_error_m_s == SPACE["motion.speed_error_m_s"].low
+    assert bold.gains_of(0, clamped_gains(bold.gains)) == bold.gains
+    assert bold.job(0, clamped_gains(bold.gains))["gains"] == bold.gains.model_dump(by_alias=True)
+    assert bold.gains_of(1, clamped_gains(bold.gains)).motion.speed_error_m_s == SPACE["motion.speed_error_m_s"].low
 
 
 def test_every_key_of_the_space_is_a_gain_and_the_packaged_ones_are_inside() -> None:
-    assert all(one.low <= clamped(Gains())[key] <= one.high for key, one in SPACE.items())
+    assert all(one.low <= clamped_gains(Gains())[key] <= one.high for key, one in SPACE.items())
     wild = Gains(motion=MotionGains(position_error_m=0.09))
-    assert clamped(wild)["motion.position_error_m"] == SPACE["motion.position_error_m"].high
+    assert clamped_gains(wild)["motion.position_error_m"] == SPACE["motion.position_error_m"].high

@@ -8,12 +8,12 @@ import pytest
 
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
-from handctl.hand.load import hand_from, load_hand, packaged_hands
-from handctl.tune.loops.design import Design, design, linear_factors, unlike_tendons
-from handctl.tune.loops.linear import LoopKind, System, _half_closed, controller, loop
-from handctl.tune.loops.margins import MAX_GAIN_DB, Margins, confirmed, is_stable, margins
-from handctl.tune.loops.steps import Proof, Swing, rings, swing
-from handctl.tune.search.ensemble import ensemble
+from handctl.hand.load import hand_from_content, load_hand, packaged_hands
+from handctl.tune.loops.design import Design, design_gains, linear_factors, unlike_tendons
+from handctl.tune.loops.linear import LoopKind, System, _half_closed, controller_system, open_loop
+from handctl.tune.loops.margins import MAX_GAIN_DB, Margins, confirmed_margins, is_stable, margins_of_loop
+from handctl.tune.loops.steps import Proof, Swing, is_ringing, simulate_swing
+from handctl.tune.search.ensemble import draw_ensemble
 from tests.conftest import NIGHTLY
 
 HANDS = packaged_hands()
@@ -61,26 +61,26 @@ def with_force(force: float) -> HandModel:
 def test_a_law_at_its_limit_is_judged_as_the_linear_law(force: float) -> None:
     """A saturated control law has no slope. The matrices are those of the gains, however large they are."""
     model = with_force(force)
-    K = controller(model, 0, LoopKind.TENSION)
+    K = controller_system(model, 0, LoopKind.TENSION)
     per_newton = model.motion.tension[0] + model.gains.tension.integral_per_s * model.period
     assert per_newton > 0.5
     states = K.C[0]
     integral = states[np.isclose(states, 1.0)]
     assert len(integral) >= 1  # a newton of integral is a newton of force, which a force at its limit is not
-    assert not margins(loop(model, 0, LoopKind.TENSION)).enough
+    assert not margins_of_loop(open_loop(model, 0, LoopKind.TENSION)).enough
 
 
 def test_a_loop_without_gain_has_no_margin() -> None:
     still = System(np.array([[0.5]]), np.zeros((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), 0.002)
-    for found in (margins(still), confirmed(still)):
+    for found in (margins_of_loop(still), confirmed_margins(still)):
         assert (found.gain_db, found.phase_deg, found.disk, found.delay_s, found.enough) == (0.0, 0.0, 0.0, 0.0, False)
 
 
 def test_an_unstable_loop_has_no_margin(jamia: HandModel) -> None:
-    system = loop(jamia, 0, LoopKind.TENSION)
+    system = open_loop(jamia, 0, LoopKind.TENSION)
     lost = System(system.A, 10.0 * system.B, system.C, system.D, system.period)
     assert not is_stable(lost)
-    for found in (margins(lost), confirmed(lost)):
+    for found in (margins_of_loop(lost), confirmed_margins(lost)):
         assert (found.gain_db, found.phase_deg, found.disk, found.delay_s, found.stable) == (0.0, 0.0, 0.0, 0.0, False)
 
 
@@ -102,8 +102,8 @@ def test_margins_are_those_of_brute_force(hand: str, seed: int) -> None:
     """A margin is never too large, and smaller only where frequencies and eigenvalues disagree."""
     model = model_of(hand, seed)
     for kind in LoopKind:
-        system = loop(model, 0, kind)
-        found, (gain, phase) = confirmed(system), brute_force(system)
+        system = open_loop(model, 0, kind)
+        found, (gain, phase) = confirmed_margins(system), brute_force(system)
         if not found.stable:
             assert gain == phase == 0.0
             continue
@@ -116,29 +116,29 @@ def test_margins_are_those_of_brute_force(hand: str, seed: int) -> None:
 def judged_stable(model: HandModel, found: Design, seed: int) -> HandModel:
     """Return the designed model after a check that all its loops are stable on both plants."""
     after = HandModel.of(model.hand, found.gains, 1.0 / model.period)
-    for factors in ensemble(2, seed):
+    for factors in draw_ensemble(2, seed):
         for i in unlike_tendons(after):
-            assert all(is_stable(loop(after, i, kind, linear_factors(factors))) for kind in LoopKind)
+            assert all(is_stable(open_loop(after, i, kind, linear_factors(factors))) for kind in LoopKind)
     return after
 
 
 @pytest.mark.parametrize("seed", SEEDS if NIGHTLY else SEEDS[:1])
-def test_what_a_design_comes_to_is_stable_by_its_eigenvalues(seed: int) -> None:
+def test_design_is_stable_by_its_eigenvalues(seed: int) -> None:
     """Check the design alone, without its proof in simulation."""
     model = model_of("jamia", seed, 3.0)
-    found = design(model, tuple(linear_factors(one) for one in ensemble(2, seed)))
+    found = design_gains(model, tuple(linear_factors(one) for one in draw_ensemble(2, seed)))
     judged_stable(model, found, seed)
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("hand", HANDS)
-def test_what_a_design_writes_is_stable(hand: str, seed: int) -> None:
+def test_written_design_is_stable(hand: str, seed: int) -> None:
     """Check every loop's eigenvalues and a step of each in lockstep, on its own plant and on another."""
-    model, factors = model_of(hand, seed, 3.0), ensemble(2, seed)
+    model, factors = model_of(hand, seed, 3.0), draw_ensemble(2, seed)
     plants = tuple(linear_factors(one) for one in factors)
     try:
-        found = design(model, plants, Proof(model.hand, factors, plants, seed))
+        found = design_gains(model, plants, Proof(model.hand, factors, plants, seed))
     except ValueError:
         return  # nothing is written
     after = judged_stable(model, found, seed)
@@ -147,19 +147,19 @@ def test_what_a_design_writes_is_stable(hand: str, seed: int) -> None:
 
 def test_a_proof_that_fails_leaves_no_design(jamia: HandModel) -> None:
     with pytest.raises(ValueError, match="simulation"):
-        design(jamia, (linear_factors({}),), lambda tried: False)
+        design_gains(jamia, (linear_factors({}),), lambda tried: False)
 
 
 def test_gains_that_are_not_stable_do_not_come_to_rest() -> None:
     """Positive control of the proof: gains that were once written with infinite margins."""
     model = with_force(393.0)
-    assert not margins(loop(model, 0, LoopKind.TENSION)).stable
-    assert not swing(model.hand, model, {}, 0).at_rest
+    assert not margins_of_loop(open_loop(model, 0, LoopKind.TENSION)).stable
+    assert not simulate_swing(model.hand, model, {}, 0).at_rest
 
 
 def proof_of(model: HandModel) -> Proof:
     """Return a proof on the hand's own plant and its ensemble."""
-    factors = ensemble(2, 0)
+    factors = draw_ensemble(2, 0)
     return Proof(model.hand, factors, tuple(linear_factors(one) for one in factors), 0)
 
 
@@ -186,7 +186,7 @@ def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
         hold = chatter_N if tried.gains.tension.integral_per_s == 0.0 else swing_N
         return Swing(0.0, 0.0, (hold if is_least_friction else 0.0,) * tried.tendon_count)
 
-    monkeypatch.setattr("handctl.tune.loops.steps.swing", fake)
+    monkeypatch.setattr("handctl.tune.loops.steps.simulate_swing", fake)
     proof = proof_of(model)
     assert proof(model) == accepted
     assert ("0.5 of the friction swings" in proof.reason) != accepted
@@ -202,11 +202,11 @@ def proof_with(
         hold = chatter if tried.gains.tension.integral_per_s == 0.0 else found
         return Swing(0.0, 0.0, hold if is_least_friction else (0.0,) * 4)
 
-    monkeypatch.setattr("handctl.tune.loops.steps.swing", fake)
+    monkeypatch.setattr("handctl.tune.loops.steps.simulate_swing", fake)
     return proof_of(model)
 
 
-def test_what_one_tendon_chatters_hides_no_swing_of_another(monkeypatch: pytest.MonkeyPatch, jamia: HandModel) -> None:
+def test_chatter_of_one_tendon_hides_no_swing_of_another(monkeypatch: pytest.MonkeyPatch, jamia: HandModel) -> None:
     """Jamia's index and ring chatter by 2 to 5 N with little friction, middle and thumb by less than 0.1 N."""
     chatter = (4.1, 0.0, 3.9, 0.0)
     assert proof_with(monkeypatch, jamia, chatter, (5.0, 0.1, 4.4, 0.1))(jamia)
@@ -220,23 +220,21 @@ def test_a_loop_that_rings_is_not_hidden_by_chatter(monkeypatch: pytest.MonkeyPa
     chatter = (4.0, 4.0, 4.0, 4.0)
     slow = {"tension": {"integral_per_s": 30.0, "force_N": 1.0}}
     ringing = HandModel.of(jamia.hand, Gains.model_validate(slow), 500.0)
-    assert is_stable(loop(ringing, 0, LoopKind.TENSION))
-    assert all(rings(model, linear_factors({"friction": 0.5})) for model in (ringing, with_force(393.0)))
-    assert not rings(jamia, linear_factors({"friction": 0.5}))
+    assert is_stable(open_loop(ringing, 0, LoopKind.TENSION))
+    assert all(is_ringing(model, linear_factors({"friction": 0.5})) for model in (ringing, with_force(393.0)))
+    assert not is_ringing(jamia, linear_factors({"friction": 0.5}))
     proof = proof_with(monkeypatch, ringing, chatter, chatter)
     assert not proof(ringing)
     assert "of a loop that rings" in proof.reason
     assert proof_with(monkeypatch, jamia, chatter, chatter)(jamia)
 
 
-def test_what_fails_on_the_plant_with_the_least_friction_is_refused(
-    monkeypatch: pytest.MonkeyPatch, jamia: HandModel
-) -> None:
+def test_gains_that_fail_at_the_least_friction_are_refused(monkeypatch: pytest.MonkeyPatch, jamia: HandModel) -> None:
     """If the run without feedback fails as well, the plant's own swing is unknown."""
     lost = Swing(math.inf, math.inf, (math.inf,) * 4, "N14b")
     still = Swing(0.0, 0.0, (0.0,) * 4)
     monkeypatch.setattr(
-        "handctl.tune.loops.steps.swing", lambda hand, m, f, s: lost if f == {"friction": 0.5} else still
+        "handctl.tune.loops.steps.simulate_swing", lambda hand, m, f, s: lost if f == {"friction": 0.5} else still
     )
     proof = proof_of(jamia)
     assert not proof(jamia)
@@ -254,11 +252,11 @@ def test_a_digit_of_any_coupling_is_linearised_at_a_point_that_is_one(column: tu
     content["digit"][0]["coupling"] = [list(row) for row in column]
     if column[1][0] < 0:
         content["digit"][0]["joint_min_deg"] = [0.0, -90.0, 0.0]
-    model = HandModel.of(hand_from(content, "a hand with another coupling"), Gains(), 500.0)
+    model = HandModel.of(hand_from_content(content, "a hand with another coupling"), Gains(), 500.0)
     digit = model.digits[0]
     coordinates = _half_closed(digit)
     joints = digit.coupling @ coordinates
     assert np.all(joints > digit.joint_min)
     assert np.all(joints < digit.joint_max)
-    judged: list[Margins] = [confirmed(loop(model, 0, kind)) for kind in LoopKind]
+    judged: list[Margins] = [confirmed_margins(open_loop(model, 0, kind)) for kind in LoopKind]
     assert all(one.stable and 2.0 < one.gain_db < 40.0 for one in judged)

@@ -10,11 +10,11 @@ from handctl.core.gains.gains import Gains, MotionGains, TensionGains
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.exercise import Exercise
-from handctl.replay.execute import execute
-from handctl.session.plan import Plan, fastest
+from handctl.replay.execute import execute_log
+from handctl.session.plan import Plan, highest_rate_of_buses
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.simulate import Simulator
-from handctl.tune.verify import VerifyObserver, scores
+from handctl.tune.verify import VerifyObserver, scores_by_round
 
 CALM = Gains(motion=MotionGains(force_N=12.0, disturbance_rejection=0.5), tension=TensionGains(force_N=2.7))
 WILD = Gains(motion=MotionGains(force_N=450.0), tension=TensionGains(force_N=300.0))
@@ -22,7 +22,7 @@ WILD = Gains(motion=MotionGains(force_N=450.0), tension=TensionGains(force_N=300
 
 def _verified(new: Gains, log: Path) -> VerifyObserver:
     hand = load_hand("jamia")
-    rate = fastest(bus_loads(hand))
+    rate = highest_rate_of_buses(bus_loads(hand))
     plan = Plan(hand, CALM, rate, (0.5,))
     amplitudes = (0.2, 0.2)
     observer = VerifyObserver(hand, CALM, new, amplitudes=amplitudes, old_rounds=1)
@@ -32,14 +32,14 @@ def _verified(new: Gains, log: Path) -> VerifyObserver:
 
 
 @pytest.mark.parametrize(("new", "goes_back"), [pytest.param(CALM, False, marks=pytest.mark.nightly), (WILD, True)])
-def test_gains_that_ring_are_sent_back(new: Gains, goes_back: bool, tmp_path: Path) -> None:
+def test_ringing_gains_are_rolled_back(new: Gains, goes_back: bool, tmp_path: Path) -> None:
     observer = _verified(new, tmp_path / "run.mcap")
     assert (observer.returned is not None) == goes_back
     with RunLog(tmp_path / "run.mcap") as log:
         requests = [event for event in log.events if event.event.text == "asked: gains"]
         assert len(requests) == 1 + goes_back
-        assert len(scores(log, observer.hand, None, 0)) == 2
-        assert execute(log).differing == 0
+        assert len(scores_by_round(log, observer.hand, None, 0)) == 2
+        assert execute_log(log).differing == 0
     if observer.returned:
         assert "oscillate" in observer.returned.why
         assert observer.returned.k < requests[1].k <= observer.returned.k + 2

@@ -22,7 +22,7 @@ def main() -> None:
     os.environ.setdefault("RUST_LOG", "error")  # as the verb does
     from handctl.cli.logs import view  # noqa: F401 (what the verb imports counts)
     from handctl.log.read.reader import RunLog
-    from handctl.view.browse import browse
+    from handctl.view.browse import browse_log
     from handctl.view.scene.run_info import RunInfo
     from handctl.view.viewer import software_vulkan
 
@@ -30,7 +30,7 @@ def main() -> None:
     with RunLog(path, checked=False) as log:
         run, scan = RunInfo.of(log.header, path.stem), log.scan
     threading.Thread(target=_look, args=(seen,), daemon=True).start()
-    with browse(path, run, ["--headless", "--window-size", SIZE], software_vulkan(), scan):
+    with browse_log(path, run, ["--headless", "--window-size", SIZE], software_vulkan(), scan):
         seen.wait()
 
 

@@ -13,15 +13,15 @@ import pytest
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
 from handctl.log.read.record_scan import scan_path
-from handctl.log.record import FRAMING, pack
+from handctl.log.record import FRAMING, pack_tick_record
 from handctl.log.write.writer import LogWriter
-from handctl.view.browse import browse
+from handctl.view.browse import browse_log
 from handctl.view.feed import run_chunks
 from handctl.view.picture import connect_client, wait_loaded
 from handctl.view.scene.arrow import TIMELINE
 from handctl.view.scene.run_info import RunInfo
 from handctl.view.time_slices import time_slices
-from handctl.view.viewer import viewer
+from handctl.view.viewer import running_viewer
 
 GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 pytestmark = pytest.mark.timeout(120)
@@ -52,7 +52,7 @@ def test_a_viewer_gets_all_of_a_log(vulkan: dict[str, str], monkeypatch: pytest.
         monkeypatch.setenv(name, value)
     with RunLog(GOLDEN) as log:
         run, end_ns = RunInfo.of(log.header, "x"), int(log.t_ns[-1])
-    with browse(GOLDEN, run, ["--headless", "--window-size", "800x600"], vulkan) as running:
+    with browse_log(GOLDEN, run, ["--headless", "--window-size", "800x600"], vulkan) as running:
         client = connect_client(running)
         wait_loaded(client, TIMELINE, end_ns)
         state = client.get_state()
@@ -69,7 +69,7 @@ def ten_minutes(path: Path) -> None:
     writer = LogWriter(path, run, lambda *what: None, 1)
     ticks = itertools.cycle(list(synthetic.Synthetic(run, 5.0)))
     for k, (tick_in, out) in zip(range(300_000), ticks, strict=False):
-        writer.add(pack(tick_in._replace(k=k, t_ns=k * run.period_ns), out)[FRAMING.size :])
+        writer.add(pack_tick_record(tick_in._replace(k=k, t_ns=k * run.period_ns), out)[FRAMING.size :])
     writer.finish("finished", 0)
 
 
@@ -94,7 +94,7 @@ def test_a_log_that_is_damaged_at_once_leaves_no_viewer_behind(tmp_path: Path, v
     broken.write_bytes(data)
     with RunLog(broken, checked=False) as log:
         run, scan = RunInfo.of(log.header, "x"), log.scan
-    with pytest.raises(LogError, match="damaged"), browse(broken, run, ["--headless"], vulkan, scan):
+    with pytest.raises(LogError, match="damaged"), browse_log(broken, run, ["--headless"], vulkan, scan):
         raise AssertionError("it was shown")
     assert not any("--headless" in command(child) for child in psutil.Process().children())
 
@@ -104,7 +104,7 @@ def test_a_viewer_that_is_closed_leaves_no_files_behind(
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    with viewer(["--headless", str(GOLDEN)], vulkan):
+    with running_viewer(["--headless", str(GOLDEN)], vulkan):
         assert any(tmp_path.rglob("rerun-data-*")), "it keeps some while it runs"
     assert list(tmp_path.iterdir()) == []
 

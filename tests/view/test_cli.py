@@ -65,7 +65,7 @@ def test_a_time_outside_of_the_run_is_refused(
     assert "0 to 2.990" in line(capsys)
 
 
-def test_another_file_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_view_refuses_a_file_that_is_not_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     other = tmp_path / "x.mcap"
     other.write_bytes(b"no log at all")
     for path in (other, tmp_path / "missing.mcap", tmp_path):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import psutil
 import pytest
 
-from handctl.log.record import pack
+from handctl.log.record import pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.view.live_view import start_live
 from handctl.view.picture import timeline_end
@@ -63,13 +63,13 @@ def test_a_growing_log_arrives_in_the_viewer(
     viewers: list[psutil.Process] = []
     try:
         for tick_in, out in ticks[:200]:
-            recorder.record(pack(tick_in, out))
+            recorder.record(pack_tick_record(tick_in, out))
         client = ViewerClient.connect(url_of(follower))
         viewers = psutil.Process(follower.pid).children()
         assert wait_for(client, 1_000_000_000) >= 1_000_000_000
         assert shown_until(client) <= ticks[199][0].t_ns
         for tick_in, out in ticks[200:]:
-            recorder.record(pack(tick_in, out))
+            recorder.record(pack_tick_record(tick_in, out))
         recorder.close("finished")
         assert wait_for(client, ticks[-1][0].t_ns) == ticks[-1][0].t_ns
         assert follower.wait(WAIT_S) == 0
@@ -81,7 +81,9 @@ def test_a_growing_log_arrives_in_the_viewer(
             process.kill()
 
 
-def test_it_ends_with_its_viewer(tmp_path: Path, vulkan: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_live_view_ends_with_its_viewer(
+    tmp_path: Path, vulkan: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     import synthetic
     from rerun.experimental import ViewerClient
 
@@ -92,7 +94,7 @@ def test_it_ends_with_its_viewer(tmp_path: Path, vulkan: dict[str, str], monkeyp
     follower = start_live(path, "--headless", "--window-size", "400x300")
     try:
         for tick_in, out in synthetic.Synthetic(run, 1.0):
-            recorder.record(pack(tick_in, out))
+            recorder.record(pack_tick_record(tick_in, out))
         assert wait_for(ViewerClient.connect(url_of(follower)), 1) > 0, "the follower knows that its viewer listens"
         (window,) = psutil.Process(follower.pid).children()
         window.kill()

@@ -16,7 +16,7 @@ from PIL import Image
 from handctl.cli.main import main
 from handctl.view.picture import connect_client, view_reports, wait_loaded
 from handctl.view.scene import palette
-from handctl.view.viewer import Viewer, viewer
+from handctl.view.viewer import Viewer, running_viewer
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
@@ -49,7 +49,7 @@ def test_the_dashboard_shows_the_hand_its_forces_and_its_lines(
     assert len(np.unique(image.reshape(-1, 3), axis=0)) > 2000
     hand, plots = image[70:500, :640], image[60:680, 650:]
     for index in range(4):
-        assert fraction_near(hand, palette.digit(index)) > 0.003, f"digit {index} is not in the picture"
+        assert fraction_near(hand, palette.digit_colour(index)) > 0.003, f"digit {index} is not in the picture"
     assert fraction_near(plots, palette.LIMIT) > 0.0005
     assert fraction_near(image[680:860, 650:], palette.STATES["hold"]) > 0.02
 
@@ -57,7 +57,7 @@ def test_the_dashboard_shows_the_hand_its_forces_and_its_lines(
 @pytest.fixture(scope="module")
 def bare(jamia_path: Path, vulkan: dict[str, str]) -> Iterator["tuple[Viewer, ViewerClient]"]:
     """Open a viewer on the log itself, as `rerun LOG` does, without our layout."""
-    with viewer(["--headless", "--window-size", "1200x800", str(jamia_path)], vulkan) as running:
+    with running_viewer(["--headless", "--window-size", "1200x800", str(jamia_path)], vulkan) as running:
         client = connect_client(running)
         wait_loaded(client, "message_log_time")
         yield running, client
@@ -86,7 +86,7 @@ def test_the_viewer_listens_on_this_machine_only(bare: "tuple[Viewer, ViewerClie
     assert {one.raddr.ip for one in connections if one.raddr} <= {"127.0.0.1"}
 
 
-def test_what_others_stream_to_rerun_does_not_land_in_the_viewer(bare: "tuple[Viewer, ViewerClient]") -> None:
+def test_viewer_ignores_streams_of_other_programs(bare: "tuple[Viewer, ViewerClient]") -> None:
     """A follower of a closed viewer once found this viewer at the same port, and took its views away."""
     running, client = bare
     assert not running.url.endswith(":9876/proxy"), "Rerun's default port"

@@ -138,7 +138,7 @@ def test_every_visual_shape_is_solid_and_in_its_digits_colour(recorded: dict[str
         static = recorded[path].static
         (kind,) = {name.split(":")[0] for name in static} & {"Boxes3D", "Cylinders3D", "Ellipsoids3D"}
         assert static[f"{kind}:fill_mode"] == [3]
-    red, green, blue = palette.digit(0)
+    red, green, blue = palette.digit_colour(0)
     first = recorded["/hand/index_link1/visual_0"].static["Cylinders3D:colors"]
     assert first == [red << 24 | green << 16 | blue << 8 | 255]
 

@@ -13,7 +13,7 @@ from handctl.cli.main import main
 from handctl.errors import LogError
 from handctl.report.truth import TruthRecord, read_truth
 from handctl.view.scene.run_info import RunInfo
-from handctl.view.scene.true_shapes import true_shapes
+from handctl.view.scene.true_shapes import true_shape_chunks
 
 SHAPES: dict[str, Any] = {
     "object": {"shape": "cylinder", "size_m": [0.04, 0.04, 0.09]},
@@ -36,7 +36,7 @@ def drawn(path: Path, truth: TruthRecord | None, offset_ns: int = 0) -> dict[str
     """Return the entities of a run with a truth."""
     run = run_info_of(path)
     header = replace(run.header, metadata={**run.header.metadata, "truth_offset_ns": str(offset_ns)})
-    return entities(true_shapes(RunInfo(header, run.hand, run.name, truth)))
+    return entities(true_shape_chunks(RunInfo(header, run.hand, run.name, truth)))
 
 
 def test_object_and_table_are_where_the_truth_has_them(jamia_path: Path) -> None:

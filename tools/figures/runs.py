@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.campaign.stage import advance_to, started
+from handctl.campaign.stage import advance_to, homed_run
 from handctl.cli.main import main
 from handctl.controller.setup import make_controller
 from handctl.core.gains.gains import Gains
@@ -22,7 +22,7 @@ from handctl.log.read.reader import RunLog
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.program import Program
 from handctl.programs.task import Task
-from handctl.replay.drive_again import active_interval, playback
+from handctl.replay.drive_again import active_interval, playback_program
 from handctl.report.truth import TruthRecord, read_truth
 from handctl.session.simulate import Simulation, Simulator
 
@@ -136,7 +136,7 @@ def view_picture(folder: Path) -> Path:
 def replay(folder: Path) -> Recording:
     """Drive the demo's log again, on a hand with other noise."""
     log, _, _ = grasp(folder)
-    program: Program = playback(log, 1.0 / RATE_HZ, False)
+    program: Program = playback_program(log, 1.0 / RATE_HZ, False)
     hand = load_hand("jamia")
     controller = make_controller(hand, Gains(), RATE_HZ, program, None, arm_at_once=True)
     with Simulator(hand, "cylinder", 5, homed=True).against(controller) as run:
@@ -150,7 +150,7 @@ def interval(log: RunLog) -> tuple[float, float]:
 
 def snap() -> Recording:
     """Snap the index finger's tendon in a grasp."""
-    with started(load_hand("jamia"), RATE_HZ, 0) as run:
+    with homed_run(load_hand("jamia"), RATE_HZ, 0) as run:
         advance_to(run, "grasp")
         record(run, 0.5)
         before = record(run, 0.05)

@@ -20,11 +20,11 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "topics": topics.topics,
     "message-types": topics.message_types,
     "telemetry": topics.telemetry,
-    "fault-table": faults.fault_table,
+    "fault-table": faults.fault_table_markdown,
     "fault-sections": faults.fault_sections,
-    "fault-catalogue": faults.catalogue,
-    "fault-times": faults.later,
-    "hardware-tests": faults.checklist,
+    "fault-catalogue": faults.catalogue_markdown,
+    "fault-times": faults.late_rows,
+    "hardware-tests": faults.hardware_checklist,
 }
 """Name of each block and the function that writes it."""
 PLACE = re.compile(r"(<!-- generated: ([\w-]+) -->\n)(.*?)(<!-- end of generated -->)", re.DOTALL)

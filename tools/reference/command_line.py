@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from handctl.cli.main import GROUPS, VERBS, verb_parser
-from handctl.session.exit_codes import Exit
+from handctl.session.exit_codes import ExitCode
 from tools.reference.markdown import attribute_docstrings, code, prose, table
 
 EVERYWHERE = {"-h", "-v", "-q"}
@@ -78,6 +78,6 @@ def _value(action: argparse.Action) -> str:
 
 def exit_codes() -> str:
     """Return a table of the exit codes."""
-    meanings = attribute_docstrings(Exit) | {"DONE": "The verb has done its work."}
-    rows = ((int(exit_), code(exit_.name), meanings[exit_.name]) for exit_ in Exit)
+    meanings = attribute_docstrings(ExitCode) | {"DONE": "The verb has done its work."}
+    rows = ((int(exit_), code(exit_.name), meanings[exit_.name]) for exit_ in ExitCode)
     return table(("code", "name", "meaning"), rows)

@@ -1,5 +1,11 @@
 """Blocks about faults, generated from the declarations in ``handctl.safety.faults``."""
 
-from handctl.safety.faults.markdown import catalogue, checklist, fault_sections, fault_table, later
+from handctl.safety.faults.markdown import (
+    catalogue_markdown,
+    fault_sections,
+    fault_table_markdown,
+    hardware_checklist,
+    late_rows,
+)
 
-__all__ = ["catalogue", "checklist", "fault_sections", "fault_table", "later"]
+__all__ = ["catalogue_markdown", "fault_sections", "fault_table_markdown", "hardware_checklist", "late_rows"]

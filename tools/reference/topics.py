@@ -4,7 +4,7 @@ import re
 
 from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS, Telemetry
 from handctl.hand.load import load_hand
-from handctl.log.export.tables import unit
+from handctl.log.export.tables import column_unit
 from handctl.log.header import RunHeader
 from handctl.log.message_types import DEFINITIONS
 from handctl.log.topics.state_topics import ESTIMATES, JOINT_STATES
@@ -126,4 +126,4 @@ def telemetry() -> str:
 
 def _unit(field: str) -> str:
     """Return the unit of a telemetry field, or of the torque that the log derives from it."""
-    return "N m" if field == "tendon_torque" else unit(f"{field}/x")
+    return "N m" if field == "tendon_torque" else column_unit(f"{field}/x")

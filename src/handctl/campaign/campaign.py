@@ -6,8 +6,8 @@ from functools import partial
 from typing import Any
 
 from handctl.campaign.scenario_run import ScenarioResult, run_scenario
-from handctl.campaign.scenarios import Scenario, pairs, scenarios
-from handctl.campaign.stage import hand_in, started, try_all
+from handctl.campaign.scenarios import Scenario, fault_pairs, scenarios
+from handctl.campaign.stage import hand_with_protocol, homed_run, run_experiments
 from handctl.core.types import Event, Mode
 from handctl.hand.description import Hand
 from handctl.safety.action import Action
@@ -72,7 +72,7 @@ ProgressCallback = Callable[[str, int, int], None]
 """Function called with the protocol, the number of finished scenarios, and the total number of scenarios."""
 
 
-def plan(
+def campaign_scenarios(
     hand: Hand,
     protocol: str,
     rate_hz: float,
@@ -89,11 +89,11 @@ def plan(
     selected = scenarios(hand, protocol, period_ms)
     if row_ids:
         return [scenario for scenario in selected if scenario.row.id in row_ids]
-    selected += pairs(hand, protocol, period_ms)
+    selected += fault_pairs(hand, protocol, period_ms)
     return selected[seed % QUICK_EVERY :: QUICK_EVERY] if quick else selected
 
 
-def run(
+def run_campaign(
     name: str,
     protocols: Iterable[str],
     rate_of: Callable[[Hand], float],
@@ -125,9 +125,9 @@ def run(
     """
     report = Report(name)
     for protocol in protocols:
-        hand = hand_in(name, protocol)
+        hand = hand_with_protocol(name, protocol)
         rate = report.rates[protocol] = rate_of(hand)
-        scenarios_to_run = [] if fault_free_only else plan(hand, protocol, rate, quick, row_ids, seed)
+        scenarios_to_run = [] if fault_free_only else campaign_scenarios(hand, protocol, rate, quick, row_ids, seed)
         results = report.results[protocol] = []
 
         # The defaults bind the present values. A closure would see those of the last protocol.
@@ -142,7 +142,7 @@ def run(
 
         if scenarios_to_run:
             attempt = partial(run_scenario, protocol=protocol)
-            try_all(hand, rate, scenarios_to_run, jobs, attempt, done, on_failure, seed)
+            run_experiments(hand, rate, scenarios_to_run, jobs, attempt, done, on_failure, seed)
         # Also with `quick`: false alarms are as bad as missed faults.
         report.alarms[protocol] = run_fault_free(hand, rate, fault_free_s, seed)
         report.simulated_s += fault_free_s
@@ -158,7 +158,7 @@ def run_fault_free(hand: Hand, rate_hz: float, seconds: float, seed: int = 1) ->
     alarms: list[str] = []
     remaining_s = seconds
     while remaining_s > 0.0:
-        with started(hand, rate_hz, seed, {"noise": NOISE_FACTOR}) as simulation:
+        with homed_run(hand, rate_hz, seed, {"noise": NOISE_FACTOR}) as simulation:
             for bus in hand.bus_names:
                 # `drop` loses frames to the host, `deaf` frames to the drives.
                 simulation.peer.inject(f"drop bus={bus} p={FRAME_LOSS} seed={seed}")

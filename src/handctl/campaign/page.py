@@ -7,8 +7,8 @@ from pathlib import Path
 
 from handctl.campaign.campaign import Report
 from handctl.campaign.scenario_run import ScenarioResult
-from handctl.campaign.scenarios import LEFT_OUT
-from handctl.output import write_whole
+from handctl.campaign.scenarios import UNTESTED_ROWS
+from handctl.output import write_text_atomically
 from handctl.safety.faults.table import CATALOGUE
 
 STYLE = """
@@ -21,7 +21,7 @@ td.n { text-align: right; font-variant-numeric: tabular-nums; } .bad { color: #b
 """
 BAR_EM = 6.0
 """Width of a full bar [em]."""
-HEAD = (
+TABLE_HEAD = (
     "row",
     "fault",
     "tried",
@@ -65,10 +65,10 @@ def write_page(path: Path, report: Report) -> None:
         bad = [result for result in results if not result.ok]
         if bad:
             parts.append(f"<h2 class=bad>{protocol}: failed</h2>{_html_table(bad, rate, number)}")
-    rows = "".join(f"<tr><td>{id_}</td><td>{html.escape(reason)}</td></tr>" for id_, reason in LEFT_OUT.items())
+    rows = "".join(f"<tr><td>{id_}</td><td>{html.escape(reason)}</td></tr>" for id_, reason in UNTESTED_ROWS.items())
     parts.append(f"<h2>Rows that are tested elsewhere</h2><table>{rows}</table>")
     page = f"<!doctype html><html lang=en><meta charset=utf-8><title>{title}</title><style>{STYLE}</style>"
-    write_whole(path, page + "\n".join(parts) + "</html>\n")
+    write_text_atomically(path, page + "\n".join(parts) + "</html>\n")
 
 
 def _slowest_of_rows(results: Iterable[ScenarioResult]) -> list[ScenarioResult]:
@@ -88,7 +88,7 @@ def bound_fraction(result: ScenarioResult) -> float:
 
 
 def _html_table(results: Iterable[ScenarioResult], rate: float, number: Counter[str]) -> str:
-    head = "".join(f"<th>{name}" for name in HEAD)
+    head = "".join(f"<th>{name}" for name in TABLE_HEAD)
     rows = "".join(_html_row(result, rate, number[result.id]) for result in results)
     return f"<table><tr>{head}</tr>{rows}</table>"
 
@@ -109,7 +109,7 @@ def _html_row(result: ScenarioResult, rate: float, number: int) -> str:
     return f"<tr>{''.join(cells)}</tr>"
 
 
-def lines(report: Report) -> list[str]:
+def summary_lines(report: Report) -> list[str]:
     """Return the summary of a campaign as lines for a terminal."""
     figures = report.plain()
     summary = [

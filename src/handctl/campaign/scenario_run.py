@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from handctl.campaign.scenarios import GRASP, HOST, MatrixRow, Scenario
+from handctl.campaign.scenarios import GRASP, HOST_PREFIX, MatrixRow, Scenario
 from handctl.core.model import HandModel
 from handctl.core.types import IoEvent, Mode, TickOut
 from handctl.errors import REMOVE_POWER
@@ -89,10 +89,10 @@ def run_scenario(simulation: Simulation, scenario: Scenario, protocol: str) -> S
     start_ns = simulation.k * simulation.period_ns
     start_tension = simulation.peer.truth()["tension"]
     speed = _tendon_speeds(simulation)
-    host = Host(scenario.fault.removeprefix(HOST)) if scenario.fault.startswith(HOST) else None
+    host = Host(scenario.fault.removeprefix(HOST_PREFIX)) if scenario.fault.startswith(HOST_PREFIX) else None
     if host is None:
         simulation.peer.inject(scenario.fault)
-    second_host = Host(scenario.second.removeprefix(HOST)) if scenario.second.startswith(HOST) else None
+    second_host = Host(scenario.second.removeprefix(HOST_PREFIX)) if scenario.second.startswith(HOST_PREFIX) else None
     for i in range(bound + SECOND_AT_TICKS + round(OBSERVE_S * 1e9 / simulation.period_ns)):
         inputs: dict[str, Any] = {"requests": (CUT,)} if i == 1 and row.id == "N16" else {}
         inputs |= host.at(i, simulation) if host else {}
@@ -147,7 +147,7 @@ def tension_bound(
     """
     if RUNAWAY not in (scenario.fault.split()[0], *scenario.second.split()[:1]):
         return max(*simulation.controller.limits.tension_trip, *start_tension)
-    return overshoot(
+    return runaway_tension(
         simulation.controller.model,
         start_tension,
         speed,
@@ -155,7 +155,7 @@ def tension_bound(
     )
 
 
-def overshoot(model: HandModel, start_tension: Sequence[float], speed: Sequence[float], seconds: float) -> float:
+def runaway_tension(model: HandModel, start_tension: Sequence[float], speed: Sequence[float], seconds: float) -> float:
     """Return the largest tension that a runaway drive can cause [N].
 
     The drive accelerates the rotor (mass m at the tendon) with its force limit F against the tendon

@@ -22,7 +22,7 @@ ODRIVE = "odrive"
 CIA402 = "cia402"
 MOTEUS = "moteus"
 ROBSTRIDE = "robstride"
-ALL = GUARDED
+ALL_PROTOCOLS = GUARDED
 """Protocols that the matrix covers."""
 EVERYWHERE = (ARMING, FREE, GRASP)
 MOVING = (FREE, GRASP)
@@ -45,7 +45,7 @@ NOISE_MS = 5.0
 """Control period above which this noise grows with the square of the period [ms]."""
 READABLE_N = 0.9 * TENSION_RAIL_N
 """Largest trip tension that can be distinguished from a saturated load cell (T06) [N]."""
-HOST = "host "
+HOST_PREFIX = "host "
 """Prefix of faults of the host: I/O events, missed ticks, requests."""
 
 
@@ -76,7 +76,7 @@ class MatrixRow(NamedTuple):
     ms: float = 0.0
     rows: tuple[str, ...] = ()
     stages: tuple[str, ...] = MOVING
-    protocols: tuple[str, ...] = ALL
+    protocols: tuple[str, ...] = ALL_PROTOCOLS
     extra_ms: dict[str, float] = {}  # noqa: RUF012 - read only
     extra_ticks: dict[str, int] = {}  # noqa: RUF012 - read only
 
@@ -146,12 +146,12 @@ MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("B10", "unknown bus={bus}", WARN, 2, 51.0, ("B10",), EVERYWHERE),
     MatrixRow("B11", "flood bus={bus} size=100", RELAX, 3, rows=("B11",)),
     MatrixRow("B11", "flood bus={bus} size=101", CUT, 11, rows=("B11b", "B11a")),
-    MatrixRow("B12", HOST + "io bus_off", CUT, 1, rows=("B12",), stages=EVERYWHERE),
-    MatrixRow("B13", HOST + "io error_warning", WARN, 1, rows=("B13a",)),
-    MatrixRow("B13", HOST + "io error_passive lasting", RELAX, 21, rows=("B13b",)),
-    MatrixRow("B14", HOST + "io enetdown", CUT, 1, rows=("B14",), stages=EVERYWHERE),
-    MatrixRow("B15", HOST + "io enobufs lasting", RELAX, 3, rows=("B15",)),
-    MatrixRow("B16", HOST + "io enodev", CUT, 1, rows=("B16",), stages=EVERYWHERE),
+    MatrixRow("B12", HOST_PREFIX + "io bus_off", CUT, 1, rows=("B12",), stages=EVERYWHERE),
+    MatrixRow("B13", HOST_PREFIX + "io error_warning", WARN, 1, rows=("B13a",)),
+    MatrixRow("B13", HOST_PREFIX + "io error_passive lasting", RELAX, 21, rows=("B13b",)),
+    MatrixRow("B14", HOST_PREFIX + "io enetdown", CUT, 1, rows=("B14",), stages=EVERYWHERE),
+    MatrixRow("B15", HOST_PREFIX + "io enobufs lasting", RELAX, 3, rows=("B15",)),
+    MatrixRow("B16", HOST_PREFIX + "io enodev", CUT, 1, rows=("B16",), stages=EVERYWHERE),
     MatrixRow("B17", "deaf node={node}", RELAX, 4, rows=("B17", "N08", "B02", "B03"),
         protocols=CONFIRMED,
         extra_ms={ODRIVE: 160.0}),
@@ -223,23 +223,23 @@ MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("T06", "saturate cell={tendon} size=1", RELAX, 4, rows=("T06",), stages=EVERYWHERE),
     MatrixRow("T06", "saturate cell={tendon} size=-1", RELAX, 4, rows=("T06", "T01"), stages=EVERYWHERE),
     MatrixRow("T08", "offset joint={joint} size=0.4", RELAX, 8, 400.0, ("T08", "N06", "N05")),
-    MatrixRow("H01", HOST + "late 0.4", Action.PASS, 1, rows=("H01",)),
-    MatrixRow("H02", HOST + "skip 1", WARN, 1, rows=("H02",)),
-    MatrixRow("H03", HOST + "skip 14", RELAX, 1, rows=("H03",)),
-    MatrixRow("H04", HOST + "io suspended", RELAX, 1, rows=("H04",)),
-    MatrixRow("H06", HOST + "ask stop", RELAX, 1, rows=("",), stages=EVERYWHERE),
-    MatrixRow("H06", HOST + "ask cut", CUT, 1, rows=("",), stages=EVERYWHERE),
-    MatrixRow("H08", HOST + "io recorder disk_full", WARN, 1, rows=("H08",)),
-    MatrixRow("H09", HOST + "io recorder dropped", WARN, 1, rows=("H09",)),
-    MatrixRow("H10", HOST + "io recorder gone", WARN, 1, rows=("H10",)),
+    MatrixRow("H01", HOST_PREFIX + "late 0.4", Action.PASS, 1, rows=("H01",)),
+    MatrixRow("H02", HOST_PREFIX + "skip 1", WARN, 1, rows=("H02",)),
+    MatrixRow("H03", HOST_PREFIX + "skip 14", RELAX, 1, rows=("H03",)),
+    MatrixRow("H04", HOST_PREFIX + "io suspended", RELAX, 1, rows=("H04",)),
+    MatrixRow("H06", HOST_PREFIX + "ask stop", RELAX, 1, rows=("",), stages=EVERYWHERE),
+    MatrixRow("H06", HOST_PREFIX + "ask cut", CUT, 1, rows=("",), stages=EVERYWHERE),
+    MatrixRow("H08", HOST_PREFIX + "io recorder disk_full", WARN, 1, rows=("H08",)),
+    MatrixRow("H09", HOST_PREFIX + "io recorder dropped", WARN, 1, rows=("H09",)),
+    MatrixRow("H10", HOST_PREFIX + "io recorder gone", WARN, 1, rows=("H10",)),
     MatrixRow("H13", "foreign node={node}", RELAX, 2, rows=("H13",), stages=EVERYWHERE),
-    MatrixRow("I07", HOST + "ask nonsense 3", RELAX, 1, rows=("I07b",)),
+    MatrixRow("I07", HOST_PREFIX + "ask nonsense 3", RELAX, 1, rows=("I07b",)),
 )  # fmt: skip
 """All rows that the simulator or the control loop can inject while the hand is armed."""
 
 PAIRED_ROWS = ("B01", "B02", "B03", "B17", "N01", "N02", "N08", "N11", "T01", "T04", "T06", "H02")
 """Faults that are also run in pairs: wires, connectors, supply, tendons, busy host."""
-LEFT_OUT = {
+UNTESTED_ROWS = {
     "B18": "before arming: unit tests with error frames", "N03": "before arming: tests of the modes",
     "T07": "commissioning: its own tests",
     "T09": "needs minutes of motion: tests of the residuals", "H05": "real processes: tests/runtime",
@@ -261,13 +261,13 @@ def scenarios(hand: Hand, protocol: str, period_ms: float) -> list[Scenario]:
     selected = []
     for row in MATRIX:
         if protocol in row.protocols:
-            fault_texts = texts(hand, row.fault, period_ms)
+            fault_texts = texts_of_fault(hand, row.fault, period_ms)
             ends = dict.fromkeys(fault_texts[:1] + fault_texts[-1:])
             selected += [Scenario(row, text, stage) for stage in row.stages for text in ends]
     return selected
 
 
-def pairs(hand: Hand, protocol: str, period_ms: float) -> list[Scenario]:
+def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[Scenario]:
     """Return all pairs of the rows for pairs, in a grasp.
 
     The fault with the more severe reaction comes first. The other fault comes a few ticks later on
@@ -279,15 +279,15 @@ def pairs(hand: Hand, protocol: str, period_ms: float) -> list[Scenario]:
         for second in rows[i + 1 :]:
             # The required reaction is that of the stronger action.
             main, other = (first, second) if first.action >= second.action else (second, first)
-            text = texts(hand, main.fault, period_ms)[0]
-            second_text = texts(hand, other.fault, period_ms)[-1]
+            text = texts_of_fault(hand, main.fault, period_ms)[0]
+            second_text = texts_of_fault(hand, other.fault, period_ms)[-1]
             selected.append(Scenario(main, text, GRASP, second_text))
     return selected
 
 
-def texts(hand: Hand, fault: str, period_ms: float) -> list[str]:
+def texts_of_fault(hand: Hand, fault: str, period_ms: float) -> list[str]:
     """Return the text of a fault for each instance of the hand, empty if the hand has no such instance."""
-    if fault.startswith(HOST):
+    if fault.startswith(HOST_PREFIX):
         return [fault]
     sizes = {
         "late": max(LATE_MS, LATE_TICKS * period_ms),

@@ -18,9 +18,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from handctl.campaign.scenario_run import RUNAWAY, Host, ScenarioResult, overshoot
-from handctl.campaign.scenarios import HOST, MATRIX, texts
-from handctl.campaign.stage import STAGES, try_all
+from handctl.campaign.scenario_run import RUNAWAY, Host, ScenarioResult, runaway_tension
+from handctl.campaign.scenarios import HOST_PREFIX, MATRIX, texts_of_fault
+from handctl.campaign.stage import STAGES, run_experiments
 from handctl.controller.state import State
 from handctl.core.types import Mode
 from handctl.errors import REMOVE_POWER
@@ -42,11 +42,11 @@ BETWEEN_FRACTION = 0.2
 BRIEF_FRACTION = 0.6
 """Fraction of the other faults with an end."""
 BETWEEN = (
-    f"{HOST}ask stop",
-    f"{HOST}ask clear",
-    f"{HOST}ask nonsense 1",
-    f"{HOST}skip 3",
-    f"{HOST}late 0.3",
+    f"{HOST_PREFIX}ask stop",
+    f"{HOST_PREFIX}ask clear",
+    f"{HOST_PREFIX}ask nonsense 1",
+    f"{HOST_PREFIX}skip 3",
+    f"{HOST_PREFIX}late 0.3",
 )
 """Requests and host faults between the faults of the simulator."""
 SHUTDOWN_S = 2.5
@@ -95,7 +95,7 @@ class Sequence(NamedTuple):
         return f"seed {self.seed}, {self.stage}: " + "; ".join(f"{step.tick}: {step.fault}" for step in self.steps)
 
 
-def draw(hand: Hand, protocol: str, period_ms: float, seed: int) -> Sequence:
+def draw_sequence(hand: Hand, protocol: str, period_ms: float, seed: int) -> Sequence:
     """Draw the sequence of a seed.
 
     The result depends only on the seed, the hand, the protocol and the control period [ms].
@@ -109,13 +109,17 @@ def draw(hand: Hand, protocol: str, period_ms: float, seed: int) -> Sequence:
         if chance.random() < BETWEEN_FRACTION:
             steps.append(FaultStep(tick, chance.choice(BETWEEN)))
             continue
-        fault = chance.choice(texts(hand, chance.choice(rows).fault, period_ms) or list(BETWEEN))
-        brief = not fault.startswith((HOST, *PERMANENT)) and " for=" not in fault and chance.random() < BRIEF_FRACTION
+        fault = chance.choice(texts_of_fault(hand, chance.choice(rows).fault, period_ms) or list(BETWEEN))
+        brief = (
+            not fault.startswith((HOST_PREFIX, *PERMANENT))
+            and " for=" not in fault
+            and chance.random() < BRIEF_FRACTION
+        )
         steps.append(FaultStep(tick, f"{fault} for={chance.randint(*BRIEF_MS)}ms" if brief else fault))
     return Sequence(seed, STAGES[seed % len(STAGES)], tuple(steps))
 
 
-def run(
+def run_sequences(
     hand: Hand,
     protocol: str,
     rate_hz: float,
@@ -137,14 +141,14 @@ def run(
         on_failure: function called with the simulation in which a rule was violated, and the
             result.
     """
-    sequences = [draw(hand, protocol, 1e3 / rate_hz, seed) for seed in seeds]
+    sequences = [draw_sequence(hand, protocol, 1e3 / rate_hz, seed) for seed in seeds]
     results = list[ScenarioResult]()
 
     def done(result: ScenarioResult) -> None:
         results.append(result)
         on_progress(len(results))
 
-    try_all(hand, rate_hz, sequences, jobs, run_sequence, done, on_failure)
+    run_experiments(hand, rate_hz, sequences, jobs, run_sequence, done, on_failure)
     return results
 
 
@@ -193,8 +197,8 @@ def _sequence_ticks(simulation: Simulation, sequence: Sequence) -> Iterator[dict
     host_faults: list[tuple[int, Host]] = []
     for i in range(SEQUENCE_TICKS + round(SHUTDOWN_S * 1e9 / simulation.period_ns)):
         for fault in [step.fault for step in sequence.steps if step.tick == i]:
-            if fault.startswith(HOST):
-                host_faults.append((i, Host(fault.removeprefix(HOST))))
+            if fault.startswith(HOST_PREFIX):
+                host_faults.append((i, Host(fault.removeprefix(HOST_PREFIX))))
             else:
                 simulation.peer.inject(fault)
         inputs: dict[str, Any] = {"io": (), "requests": (STOP,) if i == SEQUENCE_TICKS else ()}
@@ -231,7 +235,7 @@ def _tension_bound(simulation: Simulation, sequence: Sequence, start_tension: li
     if not any(step.fault.startswith(RUNAWAY) for step in sequence.steps):
         return max(*limits.tension_trip, *start_tension)
     at_rest = [0.0] * model.tendon_count
-    return overshoot(model, at_rest, at_rest, WATCHDOG_S + REACTION_TICKS * simulation.period_ns * 1e-9)
+    return runaway_tension(model, at_rest, at_rest, WATCHDOG_S + REACTION_TICKS * simulation.period_ns * 1e-9)
 
 
 def violations_at_end(simulation: Simulation) -> list[str]:

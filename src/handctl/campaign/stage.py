@@ -20,7 +20,7 @@ from handctl.drives.motor_description import PROTOCOLS
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
-from handctl.processes import in_copy
+from handctl.processes import run_in_copy
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
 from handctl.session.simulate import Simulation, Simulator
@@ -47,7 +47,7 @@ STAGE_TIMEOUT_S = 12.0
 """Longest time to the next stage [s]."""
 
 
-def hand_in(name: str, protocol: str) -> Hand:
+def hand_with_protocol(name: str, protocol: str) -> Hand:
     """Return a hand whose drives all use one protocol."""
     hand = load_hand(name)
     if protocol == MIT and all(motor.protocol == MIT for motor in hand.motor):
@@ -70,7 +70,7 @@ def with_drives(hand: Hand, protocol: str) -> Hand:
 
 
 @contextmanager
-def started(
+def homed_run(
     hand: Hand,
     rate_hz: float,
     seed: int,
@@ -144,7 +144,7 @@ class Experiment(Protocol):
 T = TypeVar("T", bound=Experiment)
 
 
-def try_all(
+def run_experiments(
     hand: Hand,
     rate_hz: float,
     todo: Sequence[T],
@@ -156,17 +156,17 @@ def try_all(
 ) -> None:
     """Advance a run to each stage, and run the experiments of this stage in branches.
 
-    See `branch`.
+    See `run_in_branches`.
     """
-    with started(hand, rate_hz, seed) as simulation:
+    with homed_run(hand, rate_hz, seed) as simulation:
         for stage in STAGES:
             experiments_at_stage = [experiment for experiment in todo if experiment.stage == stage]
             if experiments_at_stage:
                 advance_to(simulation, stage)
-                branch(simulation, experiments_at_stage, jobs, attempt, on_result, on_failure)
+                run_in_branches(simulation, experiments_at_stage, jobs, attempt, on_result, on_failure)
 
 
-def branch(
+def run_in_branches(
     simulation: Simulation,
     todo: Sequence[T],
     jobs: int,
@@ -193,7 +193,7 @@ def branch(
     while waiting or running:
         while waiting and len(running) < jobs:
             experiment = waiting.pop(0)
-            child, reading = in_copy(
+            child, reading = run_in_copy(
                 partial(
                     _run_one,
                     partial(attempt, simulation, experiment),

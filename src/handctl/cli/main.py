@@ -19,15 +19,15 @@ from contextlib import contextmanager, suppress
 from typing import Any, NamedTuple
 
 from handctl.cli.console.ended import Terminated, install_excepthook, terminate_on_signals
-from handctl.cli.console.streams import flush, give_up_output, make_usable
-from handctl.cli.console.verbosity import detail, is_verbose, use_verbosity
-from handctl.cli.parsing.completion import complete, is_completing
+from handctl.cli.console.streams import discard_output, flush_stdout, open_standard_streams
+from handctl.cli.console.verbosity import is_verbose, print_detail, use_verbosity
+from handctl.cli.parsing.completion import is_completing, print_completions
 from handctl.cli.parsing.needs import optional_packages
 from handctl.cli.parsing.parser import Parser, check_words, did_you_mean
 from handctl.errors import ConfigError, HandctlError, IncomparableError, LogError, PowerError
-from handctl.extras import missing_extra, require
-from handctl.printing import escaped_streams, message, printable
-from handctl.session.exit_codes import Exit
+from handctl.extras import missing_extra, require_extra
+from handctl.printing import escaped_streams, one_line_message, printable_text
+from handctl.session.exit_codes import ExitCode
 
 
 class Group(NamedTuple):
@@ -125,9 +125,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if argv is None else argv)
     if argv is None:
         if is_completing():
-            complete(whole_parser())
+            print_completions(whole_parser())
         install_excepthook()
-    make_usable()
+    open_standard_streams()
     with escaped_streams():
         return _exit_code(words)
 
@@ -138,30 +138,30 @@ def _exit_code(words: list[str]) -> int:
         with terminate_on_signals():
             check_words(words)
             code = _run(words)
-            flush()
+            flush_stdout()
             return code
     except IncomparableError as error:
-        return _report_error(error, Exit.NOT_COMPARABLE)
+        return _report_error(error, ExitCode.NOT_COMPARABLE)
     except (ConfigError, LogError) as error:
-        return _report_error(error, Exit.BAD_INPUT)
+        return _report_error(error, ExitCode.BAD_INPUT)
     except PowerError as error:
         if error.__cause__:  # a bug in handctl
             traceback.print_exception(error.__cause__)
-        return _report_error(error, Exit.REMOVE_POWER)
+        return _report_error(error, ExitCode.REMOVE_POWER)
     except HandctlError as error:
-        return _report_error(error, Exit.FAILED)
+        return _report_error(error, ExitCode.FAILED)
     except BrokenPipeError:
-        give_up_output()
-        return Exit.DONE
+        discard_output()
+        return ExitCode.DONE
     except OSError as error:
         nameless = "the working folder: " if error.errno == errno.ENOENT else ""  # the folder was deleted
         where = f"{error.filename}: " if error.filename else nameless
         text = f"{where}{error.strerror or error}"
-        return _report_error(text, Exit.BAD_INPUT if error.errno in WRONG_NAME else Exit.FAILED)
+        return _report_error(text, ExitCode.BAD_INPUT if error.errno in WRONG_NAME else ExitCode.FAILED)
     except Terminated as error:
-        return _report_error(str(error) or "ended by a signal", Exit.TERMINATED)
+        return _report_error(str(error) or "ended by a signal", ExitCode.TERMINATED)
     except KeyboardInterrupt as error:
-        return _report_error(str(error) or "interrupted", Exit.INTERRUPTED)
+        return _report_error(str(error) or "interrupted", ExitCode.INTERRUPTED)
 
 
 def _run(words: list[str]) -> int:
@@ -178,14 +178,14 @@ def _run(words: list[str]) -> int:
     )
     parser.add_argument("--version", action="store_true", help="print the version")
     if words and not words[0].startswith("-"):
-        what = f"unknown verb {printable(words[0])!r}{did_you_mean(words[0], VERBS)}"
+        what = f"unknown verb {printable_text(words[0])!r}{did_you_mean(words[0], VERBS)}"
         raise ConfigError(what, "the command line", "one that handctl --help lists")
     args = parser.parse_args(words)
     if args.version:
         print(_version_text())
-        return Exit.DONE
+        return ExitCode.DONE
     parser.print_help()
-    return Exit.DONE
+    return ExitCode.DONE
 
 
 def _verb_table() -> str:
@@ -237,11 +237,11 @@ def _run_verb(name: str, words: list[str]) -> int:
     """Run one verb and return its exit code."""
     args = verb_parser(name).parse_args(words)
     with use_verbosity(args):
-        require(name, *optional_packages(name, args))
+        require_extra(name, *optional_packages(name, args))
         start_s = time.monotonic()
         if is_verbose():
             options = ", ".join(f"{key} = {value}" for key, value in sorted(vars(args).items()) if key != "verbose")
-            detail(f"handctl {_version_text()} {name}: {options}")
+            print_detail(f"handctl {_version_text()} {name}: {options}")
         try:
             with _without_collections():
                 module = importlib.import_module(f"handctl.cli.{_folder_of(name)}.{name}")
@@ -250,7 +250,7 @@ def _run_verb(name: str, words: list[str]) -> int:
             if (missing := missing_extra(name, error)) is None:
                 raise
             raise missing from None
-        detail(f"handctl {name}: exit code {int(code)} after {time.monotonic() - start_s:.2f} s")
+        print_detail(f"handctl {name}: exit code {int(code)} after {time.monotonic() - start_s:.2f} s")
     return code
 
 
@@ -266,7 +266,7 @@ def _without_collections() -> Iterator[None]:
             gc.enable()
 
 
-def _report_error(error: HandctlError | str, code: Exit) -> int:
+def _report_error(error: HandctlError | str, code: ExitCode) -> int:
     with suppress(OSError):  # without a readable standard error, the exit code still reports the error
-        print(f"handctl: {message(str(error))}", file=sys.stderr)
+        print(f"handctl: {one_line_message(str(error))}", file=sys.stderr)
     return code

@@ -11,7 +11,7 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.inverse_kinematics import closest_tip
-from handctl.hand.kinematics import points
+from handctl.hand.kinematics import joint_points
 from handctl.runtime.targets import TargetSender
 
 Positions = Mapping[str, Sequence[float] | NDArray[np.floating[Any]]] | NDArray[np.floating[Any]]
@@ -58,7 +58,7 @@ class Fingertips:
         ``seen.named("q_rad")`` [m].
         """
         return np.array(
-            [points(model, [angles_rad[joint] for joint in model.joint_names])[-1] for model in self._models]
+            [joint_points(model, [angles_rad[joint] for joint in model.joint_names])[-1] for model in self._models]
         )
 
     def angles_deg(self, positions: Positions) -> dict[str, float]:

@@ -22,23 +22,23 @@ from typing import Any, Literal, Self
 from handctl.client.fingertips import Fingertips, FingertipStream
 from handctl.client.observation import Observation
 from handctl.client.stream import TargetStream
-from handctl.core.types import LETTING_GO
-from handctl.document import validated
+from handctl.core.types import SHUTTING_DOWN
+from handctl.document import validate_content
 from handctl.errors import BusError, ConfigError, DriveError, PowerError, UnconfirmedError
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_from, parse_toml
-from handctl.printing import escaped
-from handctl.programs.requests import REFUSED, HoldTension, MoveDigits, OpenStream
+from handctl.hand.load import hand_from_content, parse_toml
+from handctl.printing import escape_text
+from handctl.programs.requests import REFUSED_PREFIX, HoldTension, MoveDigits, OpenStream
 from handctl.programs.streams import horizon_s
 from handctl.programs.task import Hold
 from handctl.runtime.buses.open import real_buses
 from handctl.runtime.confirm import ANSWER_S, follow_until_off, is_off, send_confirmed
-from handctl.runtime.mailbox import LARGEST, Watcher, is_running
+from handctl.runtime.mailbox import MAX_REQUEST_BYTES, Watcher, is_running
 from handctl.runtime.observations import ObservationReader
 from handctl.runtime.targets import TargetSender, stream_name
 from handctl.session.buses import named_buses
 from handctl.session.defaults import DEFAULT_HAND
-from handctl.session.exit_codes import Exit
+from handctl.session.exit_codes import ExitCode
 from handctl.session.tasks import find_task
 
 START_S = 300.0
@@ -54,9 +54,9 @@ POLL_S = 0.2
 """Longest wait for the state before the controller process is checked [s]."""
 SENDER_NAME_BYTES = 64
 """Largest number of bytes that the name of the sender adds to a request."""
-SHUTTING_DOWN = {mode.name for mode in LETTING_GO}
+SHUTDOWN_MODE_NAMES = {mode.name for mode in SHUTTING_DOWN}
 """Modes of the hand in which goals have no effect."""
-A_RUN = "a running handctl run"
+RUN_OWNER = "a running handctl run"
 _numbers = itertools.count(1)
 """Counter that numbers the clients and streams of this process."""
 
@@ -195,7 +195,7 @@ class HandClient:
             "angle_deg": _numbers_of(angles),
             **_numbers_of({"duration_s": duration_s}),
         }
-        validated(goal, MoveDigits, "move")
+        validate_content(goal, MoveDigits, "move")
         start_s = self._set_goal(goal)
         while wait and self._wait_until_following(ANSWER_S)["t_s"] < start_s + goal["duration_s"]:
             pass
@@ -231,7 +231,7 @@ class HandClient:
             "tension_N": _numbers_of(tensions),
             **_numbers_of({"rate_N_per_s": rate_N_per_s}),
         }
-        validated(goal, HoldTension, "hold")
+        validate_content(goal, HoldTension, "hold")
         self._set_goal(goal)
 
     def stream(
@@ -279,7 +279,7 @@ class HandClient:
             "names": list(everything if names is None else names), "interpolation": interpolation,
             **_numbers_of(numbers),
         }  # fmt: skip
-        validated(goal, OpenStream, "stream")
+        validate_content(goal, OpenStream, "stream")
         with ExitStack() as undo:
             sender = TargetSender(self.bus, os.getpid(), number)
             undo.callback(sender.close)
@@ -362,7 +362,7 @@ class HandClient:
             DriveError, BusError: see ``state``.
         """
         if self._description is None:
-            self._description = hand_from(
+            self._description = hand_from_content(
                 parse_toml(self._open_reader().description["hand_toml"], self.bus), self.bus
             )
         return self._description
@@ -469,7 +469,7 @@ class HandClient:
             raise DriveError("the run has ended", f"bus {self.bus}")
         if time.monotonic() >= end:
             self._refuse_ended()
-            raise BusError("the controller is silent", f"bus {self.bus}", A_RUN)
+            raise BusError("the controller is silent", f"bus {self.bus}", RUN_OWNER)
 
     def state(self, timeout_s: float = ANSWER_S) -> dict[str, Any]:
         """Return the present state, at most 20 ms old, as plain values.
@@ -499,7 +499,7 @@ class HandClient:
                 self._off |= is_off(line)
                 return line
             if time.monotonic() >= end:
-                raise BusError("the controller is silent", f"bus {self.bus}", A_RUN)
+                raise BusError("the controller is silent", f"bus {self.bus}", RUN_OWNER)
 
     def wait(self, phase: str, timeout_s: float) -> dict[str, Any]:
         """Wait until the hand is in a phase. Return its state.
@@ -551,23 +551,27 @@ class HandClient:
     def _set_goal(self, goal: dict[str, Any]) -> float:
         """Send a goal, wait for its confirmation, and return the time of the confirming tick [s]."""
         self._wait_until_following(ANSWER_S)
-        if (size := len(json.dumps(goal).encode()) + SENDER_NAME_BYTES) > LARGEST:
-            raise ConfigError(f"{size} bytes", goal["do"], f"a request of at most {LARGEST}")
+        if (size := len(json.dumps(goal).encode()) + SENDER_NAME_BYTES) > MAX_REQUEST_BYTES:
+            raise ConfigError(
+                f"{size} bytes", goal["do"], f"a request of at most {MAX_REQUEST_BYTES}"
+            )
         try:
             with self._lock:
                 line, replies = send_confirmed(self._watcher, {**goal, "client": self.name})
         except UnconfirmedError:
             self._refuse_ended()
             raise
-        if refused := [text for text in replies if text.startswith(REFUSED)]:
-            raise ConfigError(refused[0].removeprefix(REFUSED), f"the controller of {self.bus}")
+        if refused := [text for text in replies if text.startswith(REFUSED_PREFIX)]:
+            raise ConfigError(
+                refused[0].removeprefix(REFUSED_PREFIX), f"the controller of {self.bus}"
+            )
         self._commands = True
         return float(line["t_s"])
 
     def _wait_until_following(self, timeout_s: float) -> dict[str, Any]:
         """Return the state of the hand once the hand follows goals."""
         line = self.state(timeout_s)
-        if line["mode"] in SHUTTING_DOWN:
+        if line["mode"] in SHUTDOWN_MODE_NAMES:
             self._collect_result()
             self._refuse_ended()
             raise DriveError(f"the hand takes no goals any more: {line['mode']}", f"bus {self.bus}")
@@ -611,7 +615,7 @@ class HandClient:
             self._collect_result()
             self._stderr.close()
         code = self.child.returncode if self.child else 0
-        if code and not self._error_raised and (raise_error or code == Exit.REMOVE_POWER):
+        if code and not self._error_raised and (raise_error or code == ExitCode.REMOVE_POWER):
             raise self._run_error()
 
     def _collect_result(self) -> None:
@@ -627,7 +631,7 @@ class HandClient:
         code = self.child.returncode if self.child else 0
         killed = f"killed by signal {-code}" if code < 0 else ""
         reason = self.result.get("failure") or killed or self._last_message or "it was stopped"
-        if code == Exit.REMOVE_POWER:
+        if code == ExitCode.REMOVE_POWER:
             return PowerError(reason, f"bus {self.bus}", "its power removed")
         return DriveError(f"the controller ended: {reason}", f"bus {self.bus}")
 
@@ -641,7 +645,7 @@ class HandClient:
             self._last_message = (
                 text.strip().splitlines()[-1].removeprefix("handctl: ") if text.strip() else ""
             )
-            print(escaped(text, "\n\t"), end="", file=sys.stderr, flush=True)
+            print(escape_text(text, "\n\t"), end="", file=sys.stderr, flush=True)
 
 
 def _values_by_digit(do: str, goals: object, named: Mapping[str, Any]) -> dict[str, Any]:

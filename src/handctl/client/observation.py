@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from handctl.core.types import TELEMETRY_AXES, Mode, Vector
 from handctl.hand.description import Hand
 from handctl.programs.streams import StreamStatus
-from handctl.runtime.observations import NAMES
+from handctl.runtime.observations import PUBLISHED_NAMES
 
-AXIS_OF = {NAMES[name]: axis for name, axis in TELEMETRY_AXES.items()}
+AXIS_OF = {PUBLISHED_NAMES[name]: axis for name, axis in TELEMETRY_AXES.items()}
 """Axis of each array in an observation: joint, tendon, motor or digit."""
 
 

@@ -14,11 +14,7 @@ from handctl.hand.description import Hand
 from handctl.programs.streams import UNITS, StreamStatus
 from handctl.runtime.targets import TargetSender
 
-Values = (
-    Mapping[str, float | Sequence[float] | NDArray[np.floating[Any]]]
-    | Sequence[float]
-    | NDArray[np.floating[Any]]
-)
+Values = Mapping[str, float | Sequence[float] | NDArray[np.floating[Any]]] | Sequence[float] | NDArray[np.floating[Any]]
 """Values of a target in the order of the names, or by name.
 
 The value of an omitted name is kept. A fingertip has three values, every other name has one.

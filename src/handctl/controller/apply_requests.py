@@ -10,7 +10,7 @@ from handctl.controller.state import State
 from handctl.controller.streams import apply_target, close_stream, open_stream, reference_of, stay
 from handctl.core import block as s
 from handctl.core.model import HandModel
-from handctl.core.types import LETTING_GO, Event, Mode
+from handctl.core.types import SHUTTING_DOWN, Event, Mode
 from handctl.programs.commission import CommissionProgram
 from handctl.programs.live import LiveProgram, apply_goal, begin_task, end_task, release_task
 from handctl.programs.program import Program
@@ -74,7 +74,7 @@ def apply_requests(
         elif isinstance(request, Arm):
             state.armed = True
         elif isinstance(request, Clear):
-            clear(state)
+            clear_latched_faults(state)
             state.clearing = state.mode in BEFORE_READY
         elif isinstance(request, SetGains):
             events += _set_gains(model, program, state, request)
@@ -135,7 +135,7 @@ def _refusal(program: Program, state: State, request: CommandBase) -> Event | No
 
     A relaxing or commissioning hand must not pull, and only one client may send commands.
     """
-    if state.mode in LETTING_GO:
+    if state.mode in SHUTTING_DOWN:
         return Event("info", "request", "", "refused: the hand is letting go")
     if not isinstance(program, LiveProgram):
         return Event("warn", "request", "", "refused: this run has goals of its own")
@@ -162,7 +162,7 @@ def _set_goal(model: HandModel, state: State, request: MoveDigits | HoldTension)
     return events
 
 
-def clear(state: State) -> None:
+def clear_latched_faults(state: State) -> None:
     """Clear all latched faults on the operator's request.
 
     If a fault is still present, its detection starts again in this tick, and the fault latches

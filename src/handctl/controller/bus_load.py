@@ -119,7 +119,7 @@ def _load_of_bus(hand: Hand, index: int, bus: Bus, drives: tuple[Drive, ...]) ->
     return BusLoad(bus.name, len(bus_drives), tuple(rows))
 
 
-def split(hand: Hand, rate_hz: float) -> list[list[str]]:
+def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
     """Distribute the motors over the smallest sufficient number of buses at a control rate [Hz].
 
     All buses get the bit rates of the hand's first bus. The load cells stay on the first bus.

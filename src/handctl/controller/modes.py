@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from handctl.controller.relaxing import begin_relaxing, commands_relaxed, tensions_relaxed, update_relax_rate
+from handctl.controller.relaxing import are_commands_relaxed, are_tensions_relaxed, begin_relaxing, update_relax_rate
 from handctl.controller.state import State
 from handctl.core.model import HandModel
 from handctl.core.types import ACTING, BEFORE_ARMING, Event, Mode
@@ -24,7 +24,7 @@ LISTEN_S = 0.5
 INVENTORY_TIMEOUT_S = 3.0
 CLEAR_ADVICE = " (when you have looked why: --clear)"
 """Advice to the operator for a drive with a latched error."""
-MAYBE_LATCHED = " (or an error that does not clear)"
+LATCHED_ERROR_HINT = " (or an error that does not clear)"
 READY_S = 0.1
 """Time before arming in which the filter gets its first measurements [s]."""
 ARMING_TIMEOUT_S = 1.0
@@ -77,7 +77,7 @@ class ModeInputs(NamedTuple):
 
 
 RELAX = Action.RELAX
-Next = tuple[Mode, str]
+NextMode = tuple[Mode, str]
 """Next mode, and the reason if the run has failed (else empty)."""
 
 
@@ -158,7 +158,7 @@ def next_mode(
     return (Event(level, "mode", "", text),)
 
 
-def _overriding_mode(state: State, inputs: ModeInputs) -> Next | None:
+def _overriding_mode(state: State, inputs: ModeInputs) -> NextMode | None:
     """Return the mode demanded by the safety monitor or the operator, else None."""
     acting = state.mode in ACTING
     if acting and (inputs.operator.cut or inputs.action == Action.CUT):
@@ -170,7 +170,7 @@ def _overriding_mode(state: State, inputs: ModeInputs) -> Next | None:
     return _before_arming(state, inputs) if state.mode in BEFORE_ARMING else None
 
 
-def _before_arming(state: State, inputs: ModeInputs) -> Next | None:
+def _before_arming(state: State, inputs: ModeInputs) -> NextMode | None:
     """Return the mode that ends a run before any torque, or None if the run continues."""
     if inputs.operator.stop or inputs.operator.cut:
         return Mode.DONE, ""
@@ -194,11 +194,11 @@ def _latched_faults(state: State) -> str:
     return "fault " + ", ".join(f"{mark.id} {mark.instance}" for mark in state.latched)
 
 
-def _after_silent(state: State, inputs: ModeInputs) -> Next:
+def _after_silent(state: State, inputs: ModeInputs) -> NextMode:
     return (Mode.INVENTORY if inputs.elapsed >= LISTEN_S else Mode.SILENT), ""
 
 
-def _after_inventory(state: State, inputs: ModeInputs) -> Next:
+def _after_inventory(state: State, inputs: ModeInputs) -> NextMode:
     named = tuple(_named_drives(state, inputs))
     wrong = [f"{name}: {drive.error_text}" for name, drive in named if drive.phase == Phase.FAULT]
     if wrong and not (state.clearing and inputs.elapsed < INVENTORY_TIMEOUT_S):
@@ -212,7 +212,7 @@ def _after_inventory(state: State, inputs: ModeInputs) -> Next:
     silent = [name for name, drive in behind if drive.phase == Phase.SILENT and not drive.error_text]
     silent += ["the sensor node"] if groups_missing else []
     stuck = [f"{name}: {drive.error_text or 'not configured in time'}" for name, drive in behind if name not in silent]
-    silence = [f"no answer from {', '.join(silent)}{MAYBE_LATCHED if state.clearing else ''}"] if silent else []
+    silence = [f"no answer from {', '.join(silent)}{LATCHED_ERROR_HINT if state.clearing else ''}"] if silent else []
     return Mode.DONE, "; ".join([*stuck, *silence, *_missing_inputs(state, inputs)])
 
 
@@ -223,7 +223,7 @@ def _missing_inputs(state: State, inputs: ModeInputs) -> list[str]:
     return [f"no position from {', '.join(blind)}"] if blind else []
 
 
-def _after_ready(state: State, inputs: ModeInputs) -> Next:
+def _after_ready(state: State, inputs: ModeInputs) -> NextMode:
     if strange := _other_drives(state, inputs):
         return Mode.DONE, f"{strange}: the calibration is another hand's, name this one's or commission it"
     return (Mode.ARMING if state.armed and inputs.elapsed >= READY_S else Mode.READY), ""
@@ -241,7 +241,7 @@ def _other_drives(state: State, inputs: ModeInputs) -> str:
     return ", ".join(f"{name} is drive {now}, calibrated was {then}" for name, now, then in others)
 
 
-def _after_arming(state: State, inputs: ModeInputs) -> Next:
+def _after_arming(state: State, inputs: ModeInputs) -> NextMode:
     if all(phase == Phase.ENABLED for phase in state.phases):
         return Mode.ACTIVE, ""
     if inputs.elapsed < ARMING_TIMEOUT_S:
@@ -250,17 +250,17 @@ def _after_arming(state: State, inputs: ModeInputs) -> Next:
     return Mode.DISARM, f"not enabled: {', '.join(late)}"
 
 
-def _after_active(state: State, inputs: ModeInputs) -> Next:
+def _after_active(state: State, inputs: ModeInputs) -> NextMode:
     return (Mode.RELAX if state.progress.finished else Mode.ACTIVE), state.progress.failure
 
 
-def _after_relax(state: State, inputs: ModeInputs) -> Next:
+def _after_relax(state: State, inputs: ModeInputs) -> NextMode:
     # A load cell that reads too little must not cut a taut tendon: the command has to have fallen, too.
-    relaxed = tensions_relaxed(inputs.model, state) and commands_relaxed(inputs.model, state)
+    relaxed = are_tensions_relaxed(inputs.model, state) and are_commands_relaxed(inputs.model, state)
     return (Mode.DISARM if relaxed or inputs.elapsed >= RELAX_TIMEOUT_S else Mode.RELAX), ""
 
 
-def _after_disarm(state: State, inputs: ModeInputs) -> Next:
+def _after_disarm(state: State, inputs: ModeInputs) -> NextMode:
     pulling = _pulling_motors(inputs.model, state, inputs.names)
     if pulling:
         return Mode.DONE, f"{REMOVE_POWER}: still pulling after the cut: {', '.join(pulling)}"
@@ -272,15 +272,15 @@ def _after_disarm(state: State, inputs: ModeInputs) -> Next:
     return Mode.DONE, f"{REMOVE_POWER}: not confirmed disabled: {', '.join(enabled)}"
 
 
-def _after_cut(state: State, inputs: ModeInputs) -> Next:
+def _after_cut(state: State, inputs: ModeInputs) -> NextMode:
     return (Mode.DISARM if inputs.elapsed >= CUT_S else Mode.CUT), ""
 
 
-def _after_done(state: State, inputs: ModeInputs) -> Next:
+def _after_done(state: State, inputs: ModeInputs) -> NextMode:
     return Mode.DONE, ""
 
 
-_MODES: dict[Mode, Callable[[State, ModeInputs], Next]] = {
+_MODES: dict[Mode, Callable[[State, ModeInputs], NextMode]] = {
     Mode.SILENT: _after_silent,
     Mode.INVENTORY: _after_inventory,
     Mode.READY: _after_ready,

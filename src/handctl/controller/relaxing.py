@@ -58,7 +58,7 @@ def begin_relaxing(model: HandModel, state: State) -> None:
     setpoint = np.where(in_tension_loop, np.minimum(setpoint, present), setpoint)
     start = np.minimum(setpoint, np.maximum(sign * table[s.FORCE], 0.0) + START_MARGIN_N)
     goals = tuple(
-        DigitGoal(Kind.TENSION, tension=_relaxed_goal(model, start)[tendons], rate=relax_rate(state))
+        DigitGoal(Kind.TENSION, tension=_relaxed_goal(model, start)[tendons], rate=present_relax_rate(state))
         for tendons in model.digit_tendons
     )
     state.decide(progress=replace(state.progress, goals=goals))
@@ -91,12 +91,12 @@ def _envelope_start(model: HandModel, state: State, sign: Vector, present: Vecto
     return sign * np.minimum(sign * commanded, present + model.space.coulomb)
 
 
-def commands_relaxed(model: HandModel, state: State) -> bool:
+def are_commands_relaxed(model: HandModel, state: State) -> bool:
     """Return True if every motor command is at most the tension of a relaxed tendon."""
     return not np.any(_force_sizes(model, state.tendon[s.COMMANDED_FORCE]) > model.relaxed + RELAXED_WITHIN_N)
 
 
-def tensions_relaxed(model: HandModel, state: State) -> bool:
+def are_tensions_relaxed(model: HandModel, state: State) -> bool:
     """Return True if every tendon is relaxed."""
     return bool(np.all(_force_sizes(model, state.tendon[s.TENSION]) < model.relaxed + RELAXED_WITHIN_N))
 
@@ -108,18 +108,18 @@ def _force_sizes(model: HandModel, values: Vector) -> Vector:
 
 def update_relax_rate(state: State) -> None:
     """Switch to the faster relaxing rate as soon as a tendon is overloaded."""
-    rate = relax_rate(state)
+    rate = present_relax_rate(state)
     if state.progress.goals[0].rate != rate:
         goals = tuple([replace(goal, rate=rate) for goal in state.progress.goals])
         state.decide(progress=replace(state.progress, goals=goals))
 
 
-def relax_rate(state: State) -> float:
+def present_relax_rate(state: State) -> float:
     """Return the rate at which tensions are lowered [N/s]."""
     return OVER_TENSION_RATE_N_PER_S if Release.FAST in _release_methods(state) else RELAX_RATE_N_PER_S
 
 
-def open_loop(state: State) -> bool:
+def is_open_loop(state: State) -> bool:
     """Return True if the envelope is commanded directly, without measurements."""
     return Release.OPEN in _release_methods(state)
 

@@ -12,11 +12,11 @@ from typing import Any, NamedTuple, TypeVar
 from handctl.controller.pending_gains import PendingGains
 from handctl.core.gains.bounds import values_by_key, with_values
 from handctl.core.gains.gains import Gains
-from handctl.core.gains.motion_design import design_from_pieces, design_piece, piece_count
+from handctl.core.gains.motion_design import design_from_pieces, design_piece, design_piece_count
 from handctl.core.model import HandModel
 from handctl.core.types import GAIN_EVENT, Event, Vector
 from handctl.errors import ConfigError
-from handctl.programs.requests import REFUSED
+from handctl.programs.requests import REFUSED_PREFIX
 
 Controller = TypeVar("Controller")
 """Type variable for ``controller.tick.Controller``, or another dataclass with a ``model``."""
@@ -56,8 +56,8 @@ class Designs:
         try:
             done = self._up_to(model, pending.gains, pending.step + 1)
         except ConfigError as error:
-            return DesignProgress(None, (Event("warn", "gains", "", f"{REFUSED}{error}"),))
-        if len(done) >= piece_count(model.space):
+            return DesignProgress(None, (Event("warn", "gains", "", f"{REFUSED_PREFIX}{error}"),))
+        if len(done) >= design_piece_count(model.space):
             return None
         return DesignProgress(replace(pending, step=pending.step + 1))
 
@@ -67,7 +67,7 @@ class Designs:
         if gains not in self.controllers:
             old: Any = controller
             model = old.model
-            designed_pieces = self._up_to(model, gains, piece_count(model.space))
+            designed_pieces = self._up_to(model, gains, design_piece_count(model.space))
             designed = replace(model, gains=gains, motion=design_from_pieces(model.space, designed_pieces))
             self.controllers[gains] = replace(old, model=designed)
         made: Controller = self.controllers[gains]
@@ -99,10 +99,10 @@ def begin_design(present: Gains, values: dict[str, float]) -> tuple[PendingGains
     try:
         return PendingGains(with_values(present, values, "gains", live=True)), ()
     except ConfigError as error:
-        return None, (Event("warn", "request", "", f"{REFUSED}{error}"),)
+        return None, (Event("warn", "request", "", f"{REFUSED_PREFIX}{error}"),)
 
 
-def changes(before: Gains, after: Gains) -> tuple[Event, ...]:
+def gain_change_events(before: Gains, after: Gains) -> tuple[Event, ...]:
     """Return an event for each changed gain, then an event for the takeover."""
     old = values_by_key(before)
     new = values_by_key(after)

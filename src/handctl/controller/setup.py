@@ -19,7 +19,7 @@ from handctl.drives.identifiers import check_identifiers
 from handctl.drives.registry import make_drive
 from handctl.drives.sensors.node import SensorNode
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_from, parse_toml
+from handctl.hand.load import hand_from_content, parse_toml
 from handctl.programs.calibration import Calibration
 from handctl.programs.commission import CommissionProgram
 from handctl.programs.excite import ExciteProgram, ExciteStep
@@ -31,7 +31,7 @@ from handctl.programs.program import Program
 from handctl.programs.requests import HoldTension, MoveDigits
 from handctl.programs.task import Task
 
-ATTACHMENT = "setup.json"
+SETUP_ATTACHMENT = "setup.json"
 """Name of the log attachment that holds the ``Setup``."""
 
 
@@ -125,8 +125,8 @@ class Setup(Document):
 
     def controller(self, hand: Hand, gains: Gains) -> Controller:
         """Construct the controller from the setup, including the design of all gains."""
-        identified = parse_toml(self.identified_hand, ATTACHMENT)
-        known = hand_from(identified, ATTACHMENT) if identified else hand
+        identified = parse_toml(self.identified_hand, SETUP_ATTACHMENT)
+        known = hand_from_content(identified, SETUP_ATTACHMENT) if identified else hand
         model = HandModel.of(known, gains, self.rate_hz, np.array(self.torque_gain) if self.torque_gain else None)
         tare = np.array(self.tare_N)
         zero = np.array(self.zero_rad)
@@ -138,7 +138,7 @@ class Setup(Document):
         return replace(controller, identities=self.identities)
 
 
-def caveats(drives: Iterable[Drive]) -> tuple[str, ...]:
+def unverified_protections(drives: Iterable[Drive]) -> tuple[str, ...]:
     """Return one line for each drive protection without read-back.
 
     The operator reads these lines before arming.

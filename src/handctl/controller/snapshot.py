@@ -13,7 +13,7 @@ from handctl.controller.state import Decisions, State
 from handctl.core.gains.gains import Gains
 from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.law.trajectory import Blend, Chirp, Curve, MinimumJerk, Sample, Streamed
-from handctl.core.plain import BYTES, plain, register, restored
+from handctl.core.plain import BYTES, from_plain, register_types, to_plain
 from handctl.core.schema import Layout
 from handctl.drives.cia402.progress import Cia402Progress
 from handctl.drives.contract import DriveState, DriveTarget, Phase
@@ -30,7 +30,7 @@ from handctl.programs.streams import StreamPlan
 from handctl.programs.task import Task
 from handctl.safety.judge import Counting, Latched
 
-register(
+register_types(
     Decisions, DriveState, Phase, DriveTarget, Progress, Grip, DigitGoal, Kind, MinimumJerk, Blend, Curve, Sample,
     Chirp, Streamed, StreamPlan, Task, Latched, Counting, Gains, PendingGains, Recheck, Cursor, MitProgress,
     CubemarsProgress, OdriveProgress, Cia402Progress, MoteusProgress, Channel, RobstrideProgress,
@@ -40,9 +40,9 @@ HEAD = 8
 """Size of the layout's identity [bytes]."""
 
 
-def snapshot(state: State) -> bytes:
+def snapshot_bytes(state: State) -> bytes:
     """Return the snapshot of a state as bytes."""
-    decisions = json.dumps(plain(state.decisions), separators=(",", ":"), default=_mark_bytes)
+    decisions = json.dumps(to_plain(state.decisions), separators=(",", ":"), default=_mark_bytes)
     return state.layout.identity + state.block.tobytes() + decisions.encode()
 
 
@@ -52,7 +52,7 @@ def _mark_bytes(value: object) -> tuple[str, str]:
     return BYTES, value.hex()
 
 
-def restore(layout: Layout, data: bytes) -> State:
+def restore_state(layout: Layout, data: bytes) -> State:
     """Return the state stored in a snapshot.
 
     Args:
@@ -68,7 +68,7 @@ def restore(layout: Layout, data: bytes) -> State:
         raise ValueError(f"a snapshot of {len(data)} bytes of another schema or hand")
     block = np.frombuffer(data, np.float64, layout.size, HEAD).copy()
     try:
-        decisions = restored(json.loads(data[end:]))
+        decisions = from_plain(json.loads(data[end:]))
     except (TypeError, ValueError, RecursionError) as error:
         raise ValueError(f"decisions that cannot be read: {error}") from None
     if not isinstance(decisions, Decisions):

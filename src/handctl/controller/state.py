@@ -55,21 +55,21 @@ class Decisions(NamedTuple):
 
 
 # Serialized parts by identity: most decisions are the same objects from tick to tick.
-_parts = IdentityCache[Any](plain_bytes)
+_plain_bytes_cache = IdentityCache[Any](plain_bytes)
 
 
 def _hash_decisions(decisions: Decisions) -> bytes:
     """Return an 8-byte hash of the decisions. An unchanged object is not serialized again."""
-    drives = b"".join([_parts(drive) for drive in decisions.drives])
-    goals = b"".join([_parts(goal) for goal in decisions.progress.goals])
-    rest = [_parts(part) for part in decisions[1:]]
+    drives = b"".join([_plain_bytes_cache(drive) for drive in decisions.drives])
+    goals = b"".join([_plain_bytes_cache(goal) for goal in decisions.progress.goals])
+    rest = [_plain_bytes_cache(part) for part in decisions[1:]]
     return xxhash.xxh3_64_digest(b"".join([drives, goals, *rest]))
 
 
-_decisions = IdentityCache[Decisions](_hash_decisions)
+_decision_hash_cache = IdentityCache[Decisions](_hash_decisions)
 
 
-def layout_of(model: HandModel, groups: int) -> Layout:
+def layout_of_state(model: HandModel, groups: int) -> Layout:
     """Return the layout of the state block for a hand.
 
     Args:
@@ -140,7 +140,7 @@ class State:
 
     def digest(self) -> bytes:
         """Return a hash of 8 bytes over the whole state."""
-        return xxhash.xxh3_64_digest(self.block.data, int.from_bytes(_decisions(self.decisions), "little"))
+        return xxhash.xxh3_64_digest(self.block.data, int.from_bytes(_decision_hash_cache(self.decisions), "little"))
 
     # Tables and single numbers of the block.
 

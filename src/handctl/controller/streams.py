@@ -9,7 +9,7 @@ from handctl.core import block as s
 from handctl.core.law.goal import Kind
 from handctl.core.model import HandModel
 from handctl.core.types import Event, Mode, Vector
-from handctl.programs.program import Progress, coordinates
+from handctl.programs.program import Progress, coordinates_by_excursion
 from handctl.programs.requests import OpenStream, Target
 from handctl.programs.streams import (
     UNITS,
@@ -89,7 +89,7 @@ def _prepare_motion(model: HandModel, state: State, digits: tuple[int, ...]) -> 
     for d in digits:
         if state.progress.goals[d].kind != Kind.MOTION:
             # There is no reference yet: begin where the digit is, at rest.
-            reference[d][0] = coordinates(model.digits[d], state.estimate)
+            reference[d][0] = coordinates_by_excursion(model.digits[d], state.estimate)
             reference[d][1:] = 0.0
     rows[s.STREAM_TARGET] = np.clip(rows[s.TRAJECTORY], *model.reach)
     rows[s.STREAM_RANGE : s.STREAM_RANGE + 2] = model.reach
@@ -163,7 +163,11 @@ def apply_target(
         if stream.moves
         else "the tension limits"
     )
-    return _count_target(state, s.STREAM_CLIPPED, f"clipped: a target beyond {limit}") if clipped else ()
+    return (
+        _count_target(state, s.STREAM_CLIPPED, f"clipped: a target beyond {limit}")
+        if clipped
+        else ()
+    )
 
 
 def _begin_ramp(

@@ -5,7 +5,7 @@ import numpy as np
 from handctl.core.schema import Block, Layout
 from handctl.core.types import TELEMETRY_FIELDS, PackedTelemetry
 
-FIELD_OF = {
+STATE_FIELD_OF = {
     "joint_encoder": "measured_joint",
     "tension_sigma": "sigma",
     "tension_raw": "measured_tension",
@@ -17,7 +17,7 @@ FIELD_OF = {
 """Name in the block of each telemetry field with a different name there."""
 
 
-class Gather:
+class TelemetryGatherer:
     """Function object that copies the telemetry of a hand from the state block."""
 
     def __init__(self, layout: Layout) -> None:
@@ -28,7 +28,7 @@ class Gather:
         """
         # A block that holds its own positions: a view of a field then yields the field's indices.
         numbered = np.arange(layout.size, dtype=np.float64)
-        parts = [layout.view(numbered, FIELD_OF.get(name, name)) for name in TELEMETRY_FIELDS]
+        parts = [layout.view(numbered, STATE_FIELD_OF.get(name, name)) for name in TELEMETRY_FIELDS]
         ends = np.cumsum([0, *map(len, parts)]).tolist()
         self._index = np.concatenate(parts).astype(np.intp)
         self._places = {

@@ -20,30 +20,36 @@ import numpy as np
 from handctl.compiled import prepare
 from handctl.controller import modes, retune
 from handctl.controller.apply_requests import apply_requests
-from handctl.controller.monitor.replies import unsolicited
-from handctl.controller.monitor.thresholds import constants_of, limits_of
-from handctl.controller.relaxing import open_loop, relax_rate
-from handctl.controller.state import Decisions, State, layout_of
-from handctl.controller.telemetry import Gather
+from handctl.controller.monitor.replies import detect_unsolicited_replies
+from handctl.controller.monitor.thresholds import compiled_constants, safety_limits
+from handctl.controller.relaxing import is_open_loop, present_relax_rate
+from handctl.controller.state import Decisions, State, layout_of_state
+from handctl.controller.telemetry import TelemetryGatherer
 from handctl.core import block as s
 from handctl.core import stages, wire
-from handctl.core.estimation.doubts import notes
-from handctl.core.estimation.prediction import predict
+from handctl.core.estimation.doubts import consistency_events
+from handctl.core.estimation.prediction import predict_filter_states
 from handctl.core.hand_constants import HandConstants
-from handctl.core.law.goals import sample, write_goals
-from handctl.core.law.loads import write_loads
+from handctl.core.law.goals import sample_trajectories, write_goals
+from handctl.core.law.loads import write_tension_goals
 from handctl.core.model import HandModel
 from handctl.core.schema import Layout, Places
 from handctl.core.types import Event, Mode, TickIn, TickOut, Vector
 from handctl.core.wire import Wire
 from handctl.drives.contract import Drive, DriveState, DriveTarget, Phase
 from handctl.drives.frame import ERROR, Frame
-from handctl.drives.records import PAYLOAD, WORDS, Frames, Rows, frames_of, joined
+from handctl.drives.records import PAYLOAD, WORDS, Frames, Rows, frames_as_records, join_frames
 from handctl.drives.sensors.node import SensorNode
 from handctl.programs.program import TARE_PHASE, Program
-from handctl.programs.requests import REFUSED
+from handctl.programs.requests import REFUSED_PREFIX
 from handctl.safety.action import Action
-from handctl.safety.judge import Finding, filter_error_frames, judge, newly_counting, second_controller_reports
+from handctl.safety.judge import (
+    Finding,
+    faults_counting_since_now,
+    filter_error_frames,
+    judge_tick,
+    second_controller_reports,
+)
 from handctl.safety.limits import Limits
 
 NO_REQUESTS: tuple[modes.OperatorRequests, tuple[Event, ...]] = modes.OperatorRequests(), ()
@@ -93,7 +99,7 @@ class Controller:
     layout: Layout = field(init=False, compare=False, repr=False)
     constants: HandConstants = field(init=False, compare=False, repr=False)
     wire: Wire = field(init=False, compare=False, repr=False)
-    gather: Gather = field(init=False, compare=False, repr=False)
+    gather: TelemetryGatherer = field(init=False, compare=False, repr=False)
     _constants: tuple[Vector, Places] = field(init=False, compare=False, repr=False)
     owners: dict[tuple[int, int], int] = field(init=False, compare=False, repr=False)
     sends_sync: bool = field(init=False, compare=False, repr=False)
@@ -102,20 +108,20 @@ class Controller:
     def __post_init__(self) -> None:
         """Compute the derived attributes."""
         prepare()
-        limits = self.other_limits or limits_of(self.model, self.drives, self.sensors)
-        layout = layout_of(self.model, len(self.sensors.ids))
+        limits = self.other_limits or safety_limits(self.model, self.drives, self.sensors)
+        layout = layout_of_state(self.model, len(self.sensors.ids))
         owners = {(drive.bus, can_id): n for n, drive in enumerate(self.drives) for can_id in drive.node_ids}
-        constants = constants_of(self.model, self.drives, self.sensors, limits, self.tare, self.zero)
+        constants = compiled_constants(self.model, self.drives, self.sensors, limits, self.tare, self.zero)
         made = {
             "limits": limits,
             "layout": layout,
             "constants": constants,
             "_constants": (constants.block, constants.layout.places),
             "wire": Wire(self.drives, self.sensors),
-            "gather": Gather(layout),
+            "gather": TelemetryGatherer(layout),
             "owners": owners,
             "sends_sync": bool(self.sensors.ids),
-            "sync_row": frames_of([self.sensors.sync(0)]).rows[0],
+            "sync_row": frames_as_records([self.sensors.sync(0)]).rows[0],
         }
         for name, value in made.items():
             object.__setattr__(self, name, value)
@@ -156,12 +162,14 @@ class Controller:
 
     def _tick(self, before: State, entry: TickIn) -> tuple[State, TickOut]:
         state = before.copy()
-        frames = frames_of(entry.frames)
+        frames = frames_as_records(entry.frames)
         signs = self._take_in(before, state, entry, frames)
         operator, request_events = NO_REQUESTS
         if entry.requests:
             operator, request_events = apply_requests(self.model, self.program, state, entry.requests)
-        events = notes(self.model, before, state) + request_events if state.whole(s.CHANGED) else request_events
+        events = (
+            consistency_events(self.model, before, state) + request_events if state.whole(s.CHANGED) else request_events
+        )
         self._count_refusals(state, request_events)
         action, findings = self._judge(before, state, entry, signs)
         t = entry.t_ns / 1e9
@@ -172,7 +180,7 @@ class Controller:
         self._compute_torques(state, action, entry.k - before.k)
         sent = self._encode(state, entry.t_ns)
         retuned = self._retune(unchanged, state, action, entry.k - before.k) if unchanged else ()
-        stages.remember(state.block, self.layout.places, *self._constants)
+        stages.store_commands(state.block, self.layout.places, *self._constants)
         events += tuple(map(_fault_event, findings)) + mode_events + program_events + retuned
         mode = state.mode
         phase = state.progress.phase if mode == ACTIVE else mode.name.lower()
@@ -188,14 +196,14 @@ class Controller:
         block = state.block
         places = self.layout.places
         missed = entry.k - before.k - 1
-        wire.begin(block, places, entry.k, entry.t_ns, entry.late_ns, missed, len(frames))
+        wire.begin_tick(block, places, entry.k, entry.t_ns, entry.late_ns, missed, len(frames))
         signs = self._receive(state, frames)
-        stages.observe(block, places, *self._constants)
-        stages.correct(block, places, *self._constants)
+        stages.observe_tick(block, places, *self._constants)
+        stages.correct_estimate(block, places, *self._constants)
         if state.started:
-            predict(self.model, self.layout, block, missed)
-        if stages.conclude(block, places, *self._constants):
-            signs += unsolicited(self.drives, self.sensors, before, state, entry.frames)
+            predict_filter_states(self.model, self.layout, block, missed)
+        if stages.conclude_estimate(block, places, *self._constants):
+            signs += detect_unsolicited_replies(self.drives, self.sensors, before, state, entry.frames)
         return signs
 
     def _receive(self, state: State, frames: Frames) -> tuple[str, ...]:
@@ -208,7 +216,7 @@ class Controller:
         at = 0
         rows = frames.rows
         while True:
-            at = wire.receive(
+            at = wire.receive_frames(
                 state.block, self.layout.places, *self._constants, rows, tables.keys, tables.entries, tables.wholes,
                 tables.reals, at,
             )  # fmt: skip
@@ -256,7 +264,7 @@ class Controller:
         recent = state.decisions.refusals
         if request_events or recent:
             refused = [event.text for event in request_events if event.level == "warn"]
-            malformed = sum(not text.startswith(REFUSED) for text in refused)
+            malformed = sum(not text.startswith(REFUSED_PREFIX) for text in refused)
             k = state.k
             rate = 1.0 / self.model.period
             recent = tuple(then for then in (*recent, *(k,) * malformed) if k - then < rate)
@@ -269,14 +277,16 @@ class Controller:
     ) -> tuple[Action, tuple[Finding, ...]]:
         """Detect faults, latch them, and choose the reaction."""
         state.set_whole(s.TARED, state.progress.phase != TARE_PHASE)  # until then a load cell may read anything
-        demanded, found = stages.judged(state.block, self.layout.places, *self._constants, self.layout.initial)
-        new_findings = newly_counting(self.limits, found, state.view("fault_ticks")) if state.whole(s.FOUND_NOW) else []
+        demanded, found = stages.find_faults(state.block, self.layout.places, *self._constants, self.layout.initial)
+        new_findings = (
+            faults_counting_since_now(self.limits, found, state.view("fault_ticks")) if state.whole(s.FOUND_NOW) else []
+        )
         decisions = state.decisions
         if not (new_findings or entry.io_events or signs or decisions.latched or decisions.counting):
             return _ACTIONS[demanded], ()
         reports = [(event.kind, event.where, float(event.number)) for event in entry.io_events]
         reports = filter_error_frames(reports, self._any_node_seen(state)) + second_controller_reports(signs)
-        verdict = judge(decisions.latched, decisions.counting, new_findings, demanded, reports)
+        verdict = judge_tick(decisions.latched, decisions.counting, new_findings, demanded, reports)
         if verdict.latched != decisions.latched or verdict.counting != decisions.counting:
             state.decide(latched=verdict.latched, counting=verdict.counting)
         return verdict.action, verdict.findings
@@ -326,11 +336,11 @@ class Controller:
         places = self.layout.places
         mode = state.mode
         if mode in (ACTIVE, RELAX):
-            sample(self.model, self.layout, block, state.progress.goals, state.goal_time)
-            write_loads(self.model, self.layout, self.constants, block, int(action))
+            sample_trajectories(self.model, self.layout, block, state.progress.goals, state.goal_time)
+            write_tension_goals(self.model, self.layout, self.constants, block, int(action))
         relaxing = mode == RELAX
-        rate, opened = (relax_rate(state), open_loop(state)) if relaxing else (0.0, False)
-        stages.act(block, places, *self._constants, rate, int(opened), ticks)
+        rate, opened = (present_relax_rate(state), is_open_loop(state)) if relaxing else (0.0, False)
+        stages.compute_motor_torques(block, places, *self._constants, rate, int(opened), ticks)
 
     def _retune(self, unchanged: State, state: State, action: Action, ticks: int) -> tuple[Event, ...]:
         """Design the next loop of the pending gains.
@@ -355,7 +365,7 @@ class Controller:
             state.tendon[s.TRIM] += step
             state.set_whole(s.TRIMMED, 1)
         state.decide(gains=pending.gains, pending=None)
-        return retune.changes(self.model.gains, pending.gains)
+        return retune.gain_change_events(self.model.gains, pending.gains)
 
     # encode
 
@@ -363,7 +373,7 @@ class Controller:
         """Return the frames of the tick: cut frames first, then SYNC, then the command of each drive."""
         mode = state.mode
         if mode in (SILENT, DONE):
-            return frames_of(modes.shutdown_frames(self.drives, state))
+            return frames_as_records(modes.shutdown_frames(self.drives, state))
         out = np.empty((1 + len(self.wire.templates), WORDS), dtype=np.uint64)
         # Without sensors the row of their SYNC is left out.
         start = 0 if self.sends_sync else 1
@@ -378,7 +388,9 @@ class Controller:
             torque = torque / self.model.torque_gain
         target = modes.drive_target(mode)
         sent = self._send(state, out, start, target, torque, t_ns)
-        return joined([frames_of(self.cut_frames()), Frames.of_rows(out[start:1])]) if mode == CUT else sent
+        return (
+            join_frames([frames_as_records(self.cut_frames()), Frames.of_rows(out[start:1])]) if mode == CUT else sent
+        )
 
     def _send(self, state: State, out: Rows, start: int, target: DriveTarget, torque: Vector, t_ns: int) -> Frames:
         """Write the commands after the SYNC into ``out``.
@@ -402,7 +414,7 @@ class Controller:
         n = len(self.drives)
         while True:
             if target == DriveTarget.ENABLE:
-                first, count = wire.send(
+                first, count = wire.encode_commands(
                     state.block, self.layout.places, out, tables.commands, tables.sent_wholes, tables.sent_reals,
                     tables.templates, torque, first, count,
                 )  # fmt: skip
@@ -416,11 +428,11 @@ class Controller:
                 drive_state, frames = drive.advance(drive_state, t_ns, target, float(torque[first]))
             self.keep(state, first, drive_state)
             if frames:
-                parts += [Frames.of_rows(out[pending_row:count]), frames_of(frames)]
+                parts += [Frames.of_rows(out[pending_row:count]), frames_as_records(frames)]
                 pending_row = count
             first += 1
         rest = Frames.of_rows(out[pending_row:count])
-        return joined([*parts, rest]) if parts else rest
+        return join_frames([*parts, rest]) if parts else rest
 
 
 _ACTIONS = {int(action): action for action in Action}

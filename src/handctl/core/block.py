@@ -2,7 +2,7 @@
 
 A tick copies the block of the last tick and writes into the copy. Results of the tick
 (measurements, estimates, the command) are in the same block, so log, viewer and next tick read the
-same data. ``tables`` gives compiled code the tables by name. See ``schema`` for the addressing of
+same data. ``state_tables`` gives compiled code the tables by name. See ``schema`` for the addressing of
 rows.
 
 Axes: tendon N (motors have the index of their tendon), joint J, digit D, coordinate C (reduced
@@ -288,7 +288,7 @@ class Tables(NamedTuple):
 
 
 @inner
-def tables(block: Block, at: Places) -> Tables:
+def state_tables(block: Block, at: Places) -> Tables:
     """Return the tables of a block.
 
     Args:

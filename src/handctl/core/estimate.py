@@ -111,12 +111,12 @@ class Estimate:
         return self.joint[s.Q_SIGMA]
 
     @property
-    def grown(self) -> Vector:
+    def contact_force(self) -> Vector:
         """Return (D,) contact force at the tips of closing digits, without the mean before contact [N]."""
         return self.digit[s.CONTACT_FORCE]
 
     @property
-    def opening(self) -> Vector:
+    def grip_opening(self) -> Vector:
         """Return the opening of a grip along the tendons [m]."""
         return np.asarray(self.tendon[s.GRIP_SLOW] - self.tendon[s.GRIP_FAST])
 

@@ -10,10 +10,10 @@ from scipy.linalg import block_diag, null_space
 
 from handctl.core import constants as h
 from handctl.core.constants import ELEMENTS, HAND, KINDS
-from handctl.core.detectors.residuals import TIMES_S
+from handctl.core.detectors.residuals import TIME_CONSTANTS_S
 from handctl.core.estimation import contact, posture, touch
 from handctl.core.estimation.filter_stack import Block as FilterBlock
-from handctl.core.estimation.structure import SPRING_LEAST
+from handctl.core.estimation.structure import MIN_SPRING_STIFFNESS
 from handctl.core.law.computed_torque import MOTOR_FRICTION_SPEED, TRIM_TIME_S, UNWIND_FRACTION
 from handctl.core.model import HandModel
 from handctl.core.schema import Block, Layout
@@ -21,14 +21,14 @@ from handctl.core.types import Vector
 from handctl.drives.sensors.node import JOINT_STEP_RAD
 from handctl.hand.digit import DigitModel
 
-MOVES_LEAST = 1e-9
+MIN_MOTION = 1e-9
 """Smallest relevant entry of the excursion matrix, as a fraction of the largest.
 
 Smaller entries are rounding errors.
 """
 
 
-def layout_of(model: HandModel) -> Layout:
+def layout_of_constants(model: HandModel) -> Layout:
     """Return the layout of a hand's constants."""
     return Layout(HAND, {
         "tendon": model.tendon_count,
@@ -58,16 +58,23 @@ class HandConstants:
             more: constants from outside of the model, by field: tare, zero, thresholds, drives and
                 sensors.
         """
-        self.layout = layout_of(model)
+        self.layout = layout_of_constants(model)
         self.block: Block = self.layout.initial.copy()
-        for part in (_motors(model), _law(model), _links(model), _structure(model), _posture(model), more):
+        for part in (
+            _motor_constants(model),
+            _law_constants(model),
+            _link_constants(model),
+            _structure_constants(model),
+            _posture_constants(model),
+            more,
+        ):
             for name, value in part.items():
                 self.layout.view(self.block, name)[...] = value
-        self.layout.view(self.block, "design")[...] = design_of(model)
+        self.layout.view(self.block, "design")[...] = filter_design_array(model)
         self.block.flags.writeable = bool(model.hand.has_varying_arm.any())
 
 
-def _motors(model: HandModel) -> dict[str, object]:
+def _motor_constants(model: HandModel) -> dict[str, object]:
     space = model.space
     return {
         "motor_mass": space.motor_mass,
@@ -99,15 +106,15 @@ def _motors(model: HandModel) -> dict[str, object]:
         "period_ns": round(model.period * 1e9),
         "touch_kept": math.exp(-model.period / touch.SMOOTH_S),
         "felt_fraction": -math.expm1(-model.period / contact.SMOOTH_S),
-        "usual_fraction": -math.expm1(-model.period / contact.USUAL_S),
+        "usual_fraction": -math.expm1(-model.period / contact.MEAN_S),
         "drift_fraction": -math.expm1(-model.period / contact.DRIFT_S),
-        "fast_fraction": -math.expm1(-model.period / contact.FAST_S),
-        "slow_fraction": -math.expm1(-model.period / contact.SLOW_S),
+        "fast_fraction": -math.expm1(-model.period / contact.FAST_GRIP_S),
+        "slow_fraction": -math.expm1(-model.period / contact.SLOW_GRIP_S),
         "arms_sum": np.abs(model.hand.moment_arms).sum(axis=1),
     }
 
 
-def _law(model: HandModel) -> dict[str, object]:
+def _law_constants(model: HandModel) -> dict[str, object]:
     space = model.space
     motion = model.gains.motion
     tension = model.gains.tension
@@ -124,7 +131,7 @@ def _law(model: HandModel) -> dict[str, object]:
         "tension_speed_gain": model.motion.tension_speed,
         "half": half,
         "stopping": MOTOR_FRICTION_SPEED + half * space.coulomb,
-        "exact": [exact for digit in model.digits for exact in _exact(digit)],
+        "exact": [exact for digit in model.digits for exact in _has_exact_solution(digit)],
         "rejection": motion.disturbance_rejection,
         "friction_fraction": motion.friction_share,
         "tension_feedback": motion.tension_feedback,
@@ -137,7 +144,7 @@ def _law(model: HandModel) -> dict[str, object]:
     }
 
 
-def _exact(digit: DigitModel) -> list[bool]:
+def _has_exact_solution(digit: DigitModel) -> list[bool]:
     """Return True for each tendon of a digit that has as many tendons as coordinates.
 
     A joint torque then determines the tensions.
@@ -146,7 +153,7 @@ def _exact(digit: DigitModel) -> list[bool]:
     return [tendons == coordinates] * tendons
 
 
-def _links(model: HandModel) -> dict[str, object]:
+def _link_constants(model: HandModel) -> dict[str, object]:
     digits = model.digits
     coordinates = np.array([0, *(places.stop for places in model.digit_coordinates)])
     span = np.concatenate([digit.joint_max - digit.joint_min for digit in digits])
@@ -169,12 +176,12 @@ def _links(model: HandModel) -> dict[str, object]:
     }
 
 
-def _structure(model: HandModel) -> dict[str, object]:
+def _structure_constants(model: HandModel) -> dict[str, object]:
     digits = model.digits
     size = np.abs(model.excursion_to_joints)
     return {
         "excursion_to_joints": model.excursion_to_joints,
-        "moves": size > MOVES_LEAST * size.max(initial=0.0),
+        "moves": size > MIN_MOTION * size.max(initial=0.0),
         "moment_arms": model.hand.moment_arms,
         "varying": model.hand.has_varying_arm,
         "digit_varying": [digit.has_varying_arm for digit in digits],
@@ -188,7 +195,7 @@ def _structure(model: HandModel) -> dict[str, object]:
     }
 
 
-def _posture(model: HandModel) -> dict[str, object]:
+def _posture_constants(model: HandModel) -> dict[str, object]:
     digits = model.digits
     hand = model.hand
     arms = model.hand.moment_arms
@@ -210,8 +217,8 @@ def _posture(model: HandModel) -> dict[str, object]:
         "excursion_variance": np.where(
             hand.covered, noise * (arms**2).sum(axis=1), (2.0 * model.gains.filter.offset_m) ** 2
         ),
-        "turn_fraction": -math.expm1(-every * model.period / posture.SMOOTH_S),
-        "pressed_kept": math.exp(-model.period / posture.RELEASE_S),
+        "turn_fraction": -math.expm1(-every * model.period / posture.TURN_SMOOTHING_S),
+        "pressed_kept": math.exp(-model.period / posture.CONTACT_FADE_S),
         "null_space": bool(compliance.any()),
         "joints_fused": fused,
         "posture_ticks": every,
@@ -223,7 +230,7 @@ def _compliance(digit: DigitModel) -> Vector:
     free = null_space(digit.moment_arms)
     if not free.shape[1]:
         return np.zeros((digit.joint_count, digit.joint_count))
-    stiffness = np.diag(np.maximum(digit.spring_stiffness, SPRING_LEAST))
+    stiffness = np.diag(np.maximum(digit.spring_stiffness, MIN_SPRING_STIFFNESS))
     return np.asarray(free @ np.linalg.solve(free.T @ stiffness @ free, free.T))
 
 
@@ -239,12 +246,12 @@ def _place_weights(digits: tuple[DigitModel, ...], digit: DigitModel) -> Vector:
 
 
 @functools.lru_cache(maxsize=16)
-def design_of(model: HandModel) -> NDArray[np.float64]:
+def filter_design_array(model: HandModel) -> NDArray[np.float64]:
     """Return the filter's blocks (N, KINDS, ELEMENTS), element by element."""
-    return np.array([[_elements(block) for block in tendon] for tendon in model.filter.blocks])
+    return np.array([[_block_elements(block) for block in tendon] for tendon in model.filter.blocks])
 
 
-def _elements(block: FilterBlock) -> Vector:
+def _block_elements(block: FilterBlock) -> Vector:
     information = block.innovation_information
     return np.concatenate((
         block.F.ravel(), block.B.ravel(), block.K.ravel(), block.Q.ravel(), block.R, block.P.ravel(), block.H.ravel(),
@@ -255,10 +262,10 @@ def _elements(block: FilterBlock) -> Vector:
 
 def low_pass_fractions(model: HandModel, motor_period: Vector, joint_period: float) -> Vector:
     """Return the update fraction (8, N) of each low-passed residual, see ``detectors.residuals``."""
-    every = np.full((len(TIMES_S), model.tendon_count), model.period)
+    every = np.full((len(TIME_CONSTANTS_S), model.tendon_count), model.period)
     every[2] = motor_period  # commanded against reported torque
     every[5] = joint_period  # slip
-    return np.asarray(1.0 - np.exp(-every / np.array(TIMES_S)[:, None]))
+    return np.asarray(1.0 - np.exp(-every / np.array(TIME_CONSTANTS_S)[:, None]))
 
 
 assert h.KNOWN_AT == ELEMENTS - 1

@@ -9,7 +9,7 @@ from handctl.core.types import Vector
 from handctl.document import Document
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_from
+from handctl.hand.load import hand_from_content
 
 TENDON_KEYS = {"rope_stiffness": "stiffness_N_per_m", "capstan": "friction_coefficient"}
 """Keys of the hand file's tendon table by identified parameter, replaced by the identified value."""
@@ -109,11 +109,11 @@ def identified_hand(hand: Hand, found: dict[str, Identified]) -> Hand:
         if tendon.name not in found:
             continue
         known = found[tendon.name]
-        digit = next(d for d, name in enumerate(hand.digit_names) if _within(hand.digit_tendons[name], i))
-        _replace(content["tendon"][i], TENDON_KEYS, known)
-        _replace(content["motor"][hand.motor_index[i]], MOTOR_KEYS, known)
-        _scale(content["digit"][digit], known)
-    return hand_from(content, f"{hand.name} as identified")
+        digit = next(d for d, name in enumerate(hand.digit_names) if _is_in_slice(hand.digit_tendons[name], i))
+        _replace_values(content["tendon"][i], TENDON_KEYS, known)
+        _replace_values(content["motor"][hand.motor_index[i]], MOTOR_KEYS, known)
+        _scale_values(content["digit"][digit], known)
+    return hand_from_content(content, f"{hand.name} as identified")
 
 
 def torque_gain(hand: Hand, found: dict[str, Identified]) -> Vector:
@@ -135,17 +135,17 @@ def check_identified(hand: Hand, found: dict[str, Identified], source: str) -> N
             raise ConfigError(f"{known.get('torque_gain', 1.0):g}", f"{source}: identified.{name}.torque_gain", right)
 
 
-def _within(place: slice, i: int) -> bool:
+def _is_in_slice(place: slice, i: int) -> bool:
     return bool(place.start <= i < place.stop)
 
 
-def _replace(table: dict[str, object], keys: dict[str, str], known: Identified) -> None:
+def _replace_values(table: dict[str, object], keys: dict[str, str], known: Identified) -> None:
     for name, key in keys.items():
         if name in known.names:
             table[key] = known.get(name, 0.0)
 
 
-def _scale(table: dict[str, tuple[float, ...]], known: Identified) -> None:
+def _scale_values(table: dict[str, tuple[float, ...]], known: Identified) -> None:
     for name, key in DIGIT_KEYS.items():
         factor = known.get(name, 1.0)
         table[key] = tuple(value * factor for value in table[key])

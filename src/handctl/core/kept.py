@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Generic, TypeVar
 
 T = TypeVar("T")
-MOST = 256
+MAX_ENTRIES = 256
 """Largest number of cached values."""
 
 
@@ -28,7 +28,7 @@ class IdentityCache(Generic[T]):
         found = self._known.get(id(thing))
         if found is not None and found[0] is thing:
             return found[1]
-        if len(self._known) >= MOST:
+        if len(self._known) >= MAX_ENTRIES:
             self._known.clear()
         value = self._function(thing)
         self._known[id(thing)] = thing, value  # holding the object keeps its identity its own

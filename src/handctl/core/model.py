@@ -12,7 +12,7 @@ from handctl.core.estimation.filter_stack import FilterDesign
 from handctl.core.gains.gains import Gains
 from handctl.core.gains.motion_design import MotionDesign, design_motion
 from handctl.core.law.computed_torque import RELAX_FLOOR_N
-from handctl.core.law.redundancy import Redundancy, redundancy
+from handctl.core.law.redundancy import Redundancy, redundancy_of_hand
 from handctl.core.tendon_space import TendonSpace, tendon_space
 from handctl.core.types import Vector
 from handctl.hand.description import Hand
@@ -132,7 +132,7 @@ class HandModel:
             floor=floor,
             ceiling=ceiling,
             torque_limit=_torque_limit(hand, torque_gain),
-            redundancy=redundancy(digits, floor, ceiling, hand.is_pair),
+            redundancy=redundancy_of_hand(digits, floor, ceiling, hand.is_pair),
             tree=HandTree.of(hand, digits),
             blind_margin=margin,
             torque_gain=torque_gain,

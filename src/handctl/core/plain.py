@@ -1,7 +1,7 @@
 """Decisions as plain values, for the hash of the state and for snapshots: numbers, texts, bytes and tuples only.
 
 A named tuple or dataclass becomes a tuple with the type's name at the front. Equal values have
-equal bytes, even where objects are shared. ``restored`` makes the objects again, of registered
+equal bytes, even where objects are shared. ``from_plain`` makes the objects again, of registered
 types only, so a log cannot name other types.
 """
 
@@ -33,18 +33,18 @@ _PLAIN = frozenset((type(None), bool, int, float, str, bytes))
 
 
 @functools.cache
-def name_of(type_: type) -> str:
+def plain_name(type_: type) -> str:
     """Return the name of a type in plain form: module and class, before any renaming."""
     name = f"{type_.__module__.removeprefix('handctl.')}.{type_.__qualname__}"
     return ":" + NAMES_IN_LOGS.get(name, name)
 
 
-def register(*types: type) -> None:
-    """Register types for ``restored``."""
-    _TYPES.update({name_of(type_): type_ for type_ in types})
+def register_types(*types: type) -> None:
+    """Register types for ``from_plain``."""
+    _TYPES.update({plain_name(type_): type_ for type_ in types})
 
 
-def plain(value: Any) -> Any:
+def to_plain(value: Any) -> Any:
     """Return the plain form of a value.
 
     Raises:
@@ -56,26 +56,26 @@ def plain(value: Any) -> Any:
         return value
     if isinstance(value, tuple):
         # A drive that is asked for a setting comes here in a tick: no call for what is plain already.
-        items = [item if type(item) in _PLAIN else plain(item) for item in value]
-        return (name_of(kind), *items) if hasattr(value, "_fields") else tuple(items)
+        items = [item if type(item) in _PLAIN else to_plain(item) for item in value]
+        return (plain_name(kind), *items) if hasattr(value, "_fields") else tuple(items)
     if isinstance(value, enum.IntEnum):
-        return (name_of(kind), int(value))
+        return (plain_name(kind), int(value))
     if isinstance(value, np.ndarray):
         return (ARRAY, value.dtype.str, value.shape, np.ascontiguousarray(value).tobytes())
     if isinstance(value, BaseModel):
-        return (MODEL, name_of(type(value)), value.model_dump_json(by_alias=True))
+        return (MODEL, plain_name(type(value)), value.model_dump_json(by_alias=True))
     if is_dataclass(value) and not isinstance(value, type):
-        own = tuple([plain(getattr(value, field.name)) for field in fields(value) if field.init])
-        return (name_of(type(value)), *own)
+        own = tuple([to_plain(getattr(value, field.name)) for field in fields(value) if field.init])
+        return (plain_name(type(value)), *own)
     raise TypeError(f"{type(value).__name__} is no plain value")
 
 
 def plain_bytes(value: Any) -> bytes:
     """Return the bytes of a value's plain form."""
-    return marshal.dumps(plain(value), FORMAT)
+    return marshal.dumps(to_plain(value), FORMAT)
 
 
-def restored(value: Any) -> Any:
+def from_plain(value: Any) -> Any:
     """Return the objects that a plain value stands for. Lists are accepted in place of tuples, as JSON has them.
 
     Raises:
@@ -84,24 +84,24 @@ def restored(value: Any) -> Any:
     if not isinstance(value, tuple | list):
         return value
     if not value or not isinstance(value[0], str) or not value[0].startswith(":"):
-        return tuple([restored(item) for item in value])
+        return tuple([from_plain(item) for item in value])
     mark, *rest = value
     if mark == ARRAY:
         kind, shape, data = rest
-        return np.frombuffer(restored(data), np.dtype(kind)).reshape(shape).copy()
+        return np.frombuffer(from_plain(data), np.dtype(kind)).reshape(shape).copy()
     if mark == BYTES:
         return bytes.fromhex(rest[0])
     if mark == MODEL:
-        model: Any = _type(rest[0])
+        model: Any = _registered_type(rest[0])
         return model.model_validate_json(rest[1])
-    made: Any = _type(mark)
+    made: Any = _registered_type(mark)
     try:
-        return made(*[restored(item) for item in rest])
+        return made(*[from_plain(item) for item in rest])
     except TypeError as error:
         raise ValueError(f"{mark[1:]} cannot be restored: {error}") from None
 
 
-def _type(name: str) -> type:
+def _registered_type(name: str) -> type:
     if name not in _TYPES:
         raise ValueError(f"a snapshot names the type {name[1:]!r}, which none may hold")
     return _TYPES[name]

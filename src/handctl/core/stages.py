@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from handctl.compiled import kernel
 from handctl.core import block as s
 from handctl.core import constants as h
-from handctl.core.block import tables
+from handctl.core.block import state_tables
 from handctl.core.constants import constant_tables
 from handctl.core.detectors import answers, judge, stuck
 from handctl.core.detectors.bus import Evidence
@@ -35,41 +35,41 @@ HOLD = 2
 
 
 @kernel("block", "layout", "constants", "layout")
-def observe(block: Block, at: Places, constants: Block, constants_at: Places) -> None:
+def observe_tick(block: Block, at: Places, constants: Block, constants_at: Places) -> None:
     """Convert received values into measurements."""
-    x = tables(block, at)
+    x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
-    measure.measure(x, c)
+    measure.write_measurements(x, c)
     if ARMING <= x.run_int[s.MODE] <= RELAX:
-        measure.screen(x, c, x.run_int[s.MISSED])
+        measure.reject_outliers(x, c, x.run_int[s.MISSED])
     else:
         measure.mark_unscreened(x)
-    measure.convert(x, c)
+    measure.convert_positions(x, c)
     if not x.run_int[s.STARTED]:
-        measure.start(x, c)
+        measure.start_filter(x, c)
 
 
 @kernel("block", "layout", "constants", "layout")
-def correct(block: Block, at: Places, constants: Block, constants_at: Places) -> None:
+def correct_estimate(block: Block, at: Places, constants: Block, constants_at: Places) -> None:
     """Correct the filter by the measurements, and judge slack, stops and contact."""
-    x = tables(block, at)
+    x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
     if c.run_int[h.HAND_VARYING]:
         structure.update_structure(x, c)
     if x.run_int[s.STARTED]:
-        kalman.correct(x, c, x.run_int[s.MISSED])
+        kalman.correct_filter(x, c, x.run_int[s.MISSED])
     else:
-        kalman.not_started(x)
+        kalman.write_unknown_estimate(x)
 
 
 @kernel("block", "layout", "constants", "layout")
-def conclude(block: Block, at: Places, constants: Block, constants_at: Places) -> bool:
+def conclude_estimate(block: Block, at: Places, constants: Block, constants_at: Places) -> bool:
     """Derive the estimate from the predicted filter. Return True if a node sent excess replies."""
-    x = tables(block, at)
+    x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
     if c.run_int[h.HAND_VARYING]:
         structure.update_structure(x, c)
-    kalman.conclude(x, c)
+    kalman.derive_estimate(x, c)
     if x.run_int[s.MODE] == ACTIVE or x.run_int[s.MODE] == RELAX:
         touch.update_blocked(x, c)
     else:
@@ -77,45 +77,47 @@ def conclude(block: Block, at: Places, constants: Block, constants_at: Places) -
     for j in range(x.joint.shape[1]):
         x.joint[s.Q_SIGMA, j] = math.nan
     if x.run_int[s.STARTED]:
-        posture.joint_angles(x, c, x.run_int[s.K], x.run_int[s.T_NS])
+        posture.estimate_joint_angles(x, c, x.run_int[s.K], x.run_int[s.T_NS])
     contact.update_tip_forces(x, c)
-    contact.watch_grip(x, c)
+    contact.average_grip_travel(x, c)
     return answers.close_answered_requests(x, c)
 
 
 @kernel("block", "layout", "constants", "layout", "constants")
-def judged(block: Block, at: Places, constants: Block, constants_at: Places, initial: Block) -> tuple[int, Evidence]:
+def find_faults(
+    block: Block, at: Places, constants: Block, constants_at: Places, initial: Block
+) -> tuple[int, Evidence]:
     """Find and debounce faults, see ``detectors.judge``."""
-    x = tables(block, at)
+    x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
-    return judge.judge(x, c, tables(initial, at))
+    return judge.find_and_debounce_faults(x, c, state_tables(initial, at))
 
 
 @kernel("block", "layout", "constants", "layout", "count")
-def refer(block: Block, at: Places, constants: Block, constants_at: Places, action: int) -> int:
+def evaluate_goals(block: Block, at: Places, constants: Block, constants_at: Places, action: int) -> int:
     """Evaluate the goals. Return a bit for each digit with a bounded least-squares problem to solve."""
-    x = tables(block, at)
+    x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
     computed_torque.update_hold_limits(x, c, action == HOLD and x.run_int[s.MODE] == ACTIVE)
-    reference.follow(x, c, x.run_int[s.HOLDING] == 1)
-    reference.require(x, c, reference.on_joints(x, c))
-    return reference.load(x, c)
+    reference.follow_trajectories(x, c, x.run_int[s.HOLDING] == 1)
+    reference.write_required_torque(x, c, reference.joint_trajectories(x, c))
+    return reference.write_required_tensions(x, c)
 
 
 @kernel("block", "layout", "constants", "layout")
-def on_joints(block: Block, at: Places, constants: Block, constants_at: Places) -> NDArray[np.float64]:
+def joint_motion(block: Block, at: Places, constants: Block, constants_at: Places) -> NDArray[np.float64]:
     """Return angles, rates and accelerations (3, J) of all joints on their trajectories."""
-    return reference.on_joints(tables(block, at), constant_tables(constants, constants_at))
+    return reference.joint_trajectories(state_tables(block, at), constant_tables(constants, constants_at))
 
 
 @kernel("block", "layout", "constants", "layout")
-def load(block: Block, at: Places, constants: Block, constants_at: Places) -> int:
-    """Convert required joint torques into tensions, see ``reference.load``."""
-    return reference.load(tables(block, at), constant_tables(constants, constants_at))
+def write_loads(block: Block, at: Places, constants: Block, constants_at: Places) -> int:
+    """Convert required joint torques into tensions, see ``reference.write_required_tensions``."""
+    return reference.write_required_tensions(state_tables(block, at), constant_tables(constants, constants_at))
 
 
 @kernel("block", "layout", "constants", "layout", "real", "count", "count")
-def act(
+def compute_motor_torques(
     block: Block,
     at: Places,
     constants: Block,
@@ -124,19 +126,19 @@ def act(
     open_loop: int,
     ticks: int,
 ) -> None:
-    """Compute the motor torques, 0 unless the hand is active or relaxing. See ``computed_torque.command``."""
-    x = tables(block, at)
+    """Compute the motor torques: 0 unless the hand is active or relaxing. See ``computed_torque``."""
+    x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
     if x.run_int[s.MODE] == ACTIVE or x.run_int[s.MODE] == RELAX:
-        computed_torque.command(x, c, reference.on_joints(x, c), relax_rate, open_loop == 1, ticks)
+        computed_torque.write_motor_torques(x, c, reference.joint_trajectories(x, c), relax_rate, open_loop == 1, ticks)
     else:
         computed_torque.command_no_torque(x)
 
 
 @kernel("block", "layout", "constants", "layout")
-def remember(block: Block, at: Places, constants: Block, constants_at: Places) -> None:
+def store_commands(block: Block, at: Places, constants: Block, constants_at: Places) -> None:
     """Store commands and requests of the tick for the next one, and complete the numbers for the log."""
-    x = tables(block, at)
+    x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
     mode = x.run_int[s.MODE]
     for n in range(x.tendon.shape[1]):
@@ -152,7 +154,7 @@ def remember(block: Block, at: Places, constants: Block, constants_at: Places) -
             x.tendon[s.FOLLOWED, n] = math.nan
     if mode != SILENT and mode != DONE:
         answers.add_requests(x, x.run_int[s.K])
-    posture.tip_forces(x, c)
+    posture.estimate_tip_forces(x, c)
     for d in range(x.digit.shape[1]):
         touches = x.digit_int[s.PLANNED_CONTACT, d] == 1 or x.digit_int[s.BLOCKED, d] == 1
         x.digit[s.CONTACT, d] = 1.0 if touches else 0.0

@@ -65,7 +65,7 @@ def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
     inertia = np.array([motors[tendon.motor].inertia_kg_m2 for tendon in tendons])
     # With the mass matrix of the whole hand: a wrist moves its fingers.
     mass = HandTree.of(hand, digits).mass_matrix(np.full(len(hand.joints), np.pi / 4))
-    load = np.concatenate([_load(digit, mass[digit.joints, digit.joints]) for digit in digits], axis=1)
+    load = np.concatenate([_load_along_tendons(digit, mass[digit.joints, digit.joints]) for digit in digits], axis=1)
     return TendonSpace(
         motor_mass=inertia / spool**2,
         motor_damping=np.array([motors[tendon.motor].viscous_N_m_s_per_rad for tendon in tendons]) / spool**2,
@@ -91,7 +91,7 @@ def _position_step(motor: Motor) -> float:
     return max(2 * motor.position_range_rad / 0xFFFF, make_drive(motor, 0).position_step)
 
 
-def _load(digit: DigitModel, mass: Vector) -> Vector:
+def _load_along_tendons(digit: DigitModel, mass: Vector) -> Vector:
     """Return effective mass, stiffness and damping along each tendon of the digit, shape (3, n).
 
     Args:

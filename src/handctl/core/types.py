@@ -40,7 +40,7 @@ BEFORE_ARMING = (Mode.SILENT, Mode.INVENTORY, Mode.READY)
 """Modes before any drive was enabled."""
 ACTING = (Mode.ARMING, Mode.ACTIVE, Mode.RELAX)
 """Modes with possible torque."""
-LETTING_GO = (Mode.RELAX, Mode.CUT, Mode.DISARM, Mode.DONE)
+SHUTTING_DOWN = (Mode.RELAX, Mode.CUT, Mode.DISARM, Mode.DONE)
 """Modes without a return to action."""
 
 

@@ -1,8 +1,8 @@
 """Cyclic frames between wire and block: received frames in, commands out.
 
-``receive`` reads the feedback of enabled, steady drives and all frames of the sensor node, by
+``receive_frames`` reads the feedback of enabled, steady drives and all frames of the sensor node, by
 tables of signals. The function stops at each frame for a drive's state machine
-(``drives.contract``), and continues behind the frame. ``send`` writes the commands of steady
+(``drives.contract``), and continues behind the frame. ``encode_commands`` writes the commands of steady
 drives, and stops at each drive in transition. ``Wire`` builds the tables of a hand.
 """
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from handctl.compiled import borrow, inner, kernel
 from handctl.core import block as s
 from handctl.core import constants as h
-from handctl.core.block import Tables, tables
+from handctl.core.block import Tables, state_tables
 from handctl.core.constants import ConstantTables, constant_tables
 from handctl.core.schema import Block, Places
 from handctl.drives.contract import Drive
@@ -29,7 +29,7 @@ from handctl.drives.records import (
     T_NS,
     WORDS,
     Rows,
-    frames_of,
+    frames_as_records,
 )
 from handctl.drives.sensors.node import SensorNode
 from handctl.drives.signals import (
@@ -41,11 +41,11 @@ from handctl.drives.signals import (
     Message,
     Quantity,
     Table,
-    packed,
-    put_window,
-    swapped,
-    unpacked,
+    bytes_reversed,
+    decode_signal,
+    encode_signal,
     window_at,
+    write_window,
 )
 from handctl.drives.signals import LENGTH as LENGTH_BITS
 
@@ -74,7 +74,7 @@ STANDARD_IDS = 0x800
 
 
 @inner
-def find(keys: Whole, key: Any) -> int:
+def find_key(keys: Whole, key: Any) -> int:
     """Return the index of a key among sorted keys, UNKNOWN if missing. Binary search."""
     low = 0
     high = len(keys)
@@ -88,7 +88,7 @@ def find(keys: Whole, key: Any) -> int:
 
 
 @kernel("block", "layout", "count", "count", "count", "count", "count")
-def begin(block: Block, at: Places, k: int, t_ns: int, late_ns: int, missed: int, frames: int) -> None:
+def begin_tick(block: Block, at: Places, k: int, t_ns: int, late_ns: int, missed: int, frames: int) -> None:
     """Reset the flags of received data, and store number and time of the tick.
 
     Args:
@@ -100,7 +100,7 @@ def begin(block: Block, at: Places, k: int, t_ns: int, late_ns: int, missed: int
         missed: ticks missed before the present tick.
         frames: number of received frames.
     """
-    x = tables(block, at)
+    x = state_tables(block, at)
     x.run_int[s.K] = k
     x.run_int[s.T_NS] = t_ns
     x.run_int[s.LATE_NS] = late_ns
@@ -119,7 +119,7 @@ def begin(block: Block, at: Places, k: int, t_ns: int, late_ns: int, missed: int
 
 
 @kernel("block", "layout", "constants", "layout", "words", "keys", "table_int", "table_int", "table", "count")
-def receive(
+def receive_frames(
     block: Block,
     at: Places,
     constants: Block,
@@ -149,7 +149,7 @@ def receive(
         Index of the first frame for a state machine or for the detection of other controllers, n
             without such a frame.
     """
-    x = tables(block, at)
+    x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
     rows = borrow(rows, 0, rows.shape)
     keys = borrow(keys, 0, keys.shape)
@@ -162,10 +162,10 @@ def receive(
         can_id = head & ID_MASK & ~ERROR
         bus = head >> BUS_BIT & BYTE_MASK
         length = head >> LENGTH_BIT & BYTE_MASK
-        entry = find(keys, bus << 32 | can_id)
+        entry = find_key(keys, bus << 32 | can_id)
         flagged = head & ERROR != 0
         if entry == UNKNOWN or (flagged and entries[entry, KIND] == HOST):
-            _strange(x, keys, entries, bus, can_id)
+            _count_unknown_frame(x, keys, entries, bus, can_id)
             continue
         if flagged:
             continue  # an error frame has no values, whatever its identifier looks like
@@ -174,33 +174,33 @@ def receive(
         payload = rows[r, PAYLOAD]
         fits = length == entries[entry, LENGTH]
         if kind == SENSORS:
-            _sensors(x, t_ns, payload, fits, entries, entry, wholes, reals)
+            _decode_sensor_frame(x, t_ns, payload, fits, entries, entry, wholes, reals)
         elif (
             kind == LOOK
             or kind == HOST
             or not fits
-            or not _values(x, c, t_ns, rows[r], entries, entry, wholes, reals)
+            or not _decode_drive_frame(x, c, t_ns, rows[r], entries, entry, wholes, reals)
         ):
             return r
     return len(rows)
 
 
 @inner
-def _strange(x: Tables, keys: Whole, entries: Whole, bus: Any, can_id: Any) -> None:
+def _count_unknown_frame(x: Tables, keys: Whole, entries: Whole, bus: Any, can_id: Any) -> None:
     """Count a frame with an unknown identifier. A remote or 29-bit frame with a node's number is malformed.
 
     A 29-bit identifier of 0x800 or more belongs to another protocol, whatever its lower 11 bits are.
     """
     x.run_int[s.UNKNOWN_FRAMES] += 1
     if can_id & (EXTENDED | REMOTE) and can_id & NUMBER_MASK < STANDARD_IDS:
-        entry = find(keys, bus << 32 | can_id & NUMBER_MASK)
+        entry = find_key(keys, bus << 32 | can_id & NUMBER_MASK)
         if entry != UNKNOWN and entries[entry, KIND] != HOST:
             owner = entries[entry, OWNER]
             x.node_int[s.MISREAD_NOW, owner if owner != NODE else x.node_int.shape[1] - 1] = 1
 
 
 @inner
-def _sensors(
+def _decode_sensor_frame(
     x: Tables, t_ns: Any, payload: Any, fits: bool, entries: Whole, entry: int, wholes: Whole, reals: Real
 ) -> None:
     """Decode a frame of load cells or joint encoders. A frame whose counter differs from that of the SYNC is stale.
@@ -221,7 +221,7 @@ def _sensors(
     group = entries[entry, GROUP]
     tensions = 0
     for i in range(entries[entry, FIRST], entries[entry, END]):
-        value = unpacked(payload, wholes, reals, i)
+        value = decode_signal(payload, wholes, reals, i)
         quantity = wholes[i, QUANTITY]
         channel = wholes[i, CHANNEL]
         if quantity == COUNTER and value != x.run_int[s.SYNC_COUNTER]:
@@ -252,7 +252,7 @@ def _is_nearer(x: Tables, c: ConstantTables, n: Any, position: float) -> bool:
 
 
 @inner
-def _values(
+def _decode_drive_frame(
     x: Tables, c: ConstantTables, t_ns: Any, row: Any, entries: Whole, entry: int, wholes: Whole, reals: Real
 ) -> bool:
     """Decode a frame of a drive. Return False, and change nothing, if the state machine must handle the frame.
@@ -274,14 +274,14 @@ def _values(
     position = velocity = torque = temperature = math.nan
     status = 0
     payload = row[PAYLOAD]
-    opposite = swapped(payload)
+    opposite = bytes_reversed(payload)
     for i in range(entries[entry, FIRST], entries[entry, END]):
         if wholes[i, WINDOW] == 0:
             window = opposite if wholes[i, ORDER] else payload
         else:
             window = window_at(row, PAYLOAD, wholes[i, WINDOW])
-            window = swapped(window) if wholes[i, ORDER] else window
-        value = unpacked(window, wholes, reals, i)
+            window = bytes_reversed(window) if wholes[i, ORDER] else window
+        value = decode_signal(window, wholes, reals, i)
         if math.isnan(value):
             return False
         quantity = wholes[i, QUANTITY]
@@ -303,10 +303,10 @@ def _values(
         x.tendon_int[s.FEEDBACKS, n] += 1
         x.tendon_int[s.ANSWERED, n] += 1
         return True
-    _put(x, s.POSITION, n, position)
-    _put(x, s.VELOCITY, n, velocity)
-    _put(x, s.REPORTED, n, torque)
-    _put(x, s.TEMPERATURE, n, temperature)
+    _store_value(x, s.POSITION, n, position)
+    _store_value(x, s.VELOCITY, n, velocity)
+    _store_value(x, s.REPORTED, n, torque)
+    _store_value(x, s.TEMPERATURE, n, temperature)
     if feedback:
         x.tendon_int[s.FEEDBACK_NS, n] = t_ns
         x.tendon_int[s.FEEDBACKS, n] += 1
@@ -315,14 +315,14 @@ def _values(
 
 
 @inner
-def _put(x: Tables, row: int, n: int, value: float) -> None:
+def _store_value(x: Tables, row: int, n: int, value: float) -> None:
     """Write a value into the table, unless it is NaN. NaN stands for a missing signal."""
     if not math.isnan(value):
         x.tendon[row, n] = value
 
 
 @kernel("block", "layout", "words", "matrix_int", "matrix_int", "matrix", "words", "vector", "count", "count")
-def send(
+def encode_commands(
     block: Block,
     at: Places,
     out: Rows,
@@ -352,7 +352,7 @@ def send(
         The first drive in transition (N if all are steady), and the number of records. The function
             also stops at a torque without an encoding, to be reported by the drive's state machine.
     """
-    x = tables(block, at)
+    x = state_tables(block, at)
     now_ns = x.run_int[s.T_NS]
     for i in range(len(commands)):
         n = commands[i, 0]
@@ -370,8 +370,10 @@ def send(
         for word in range(WORDS):
             out[count, word] = templates[i, word]
         if signal >= 0:
-            bits = packed(torque[n], wholes, reals, signal)
-            put_window(out[count], PAYLOAD, wholes[signal, WINDOW], swapped(bits) if wholes[signal, ORDER] else bits)
+            bits = encode_signal(torque[n], wholes, reals, signal)
+            write_window(
+                out[count], PAYLOAD, wholes[signal, WINDOW], bytes_reversed(bits) if wholes[signal, ORDER] else bits
+            )
         count += 1
     return len(torque), count
 
@@ -402,16 +404,23 @@ class Wire:
         self._signals: list[Table] = []
         found: dict[int, list[int]] = {}
         for drive in drives:
-            found |= {_key(drive.bus, can_id): [0, HOST, 0, 0, 0, 0, 0] for can_id in drive.host_ids}
-        found |= {_key(sensors.bus, can_id): [NODE, HOST, 0, 0, 0, 0, 0] for can_id in sensors.host_ids}
+            found |= {_frame_key(drive.bus, can_id): [0, HOST, 0, 0, 0, 0, 0] for can_id in drive.host_ids}
+        found |= {_frame_key(sensors.bus, can_id): [NODE, HOST, 0, 0, 0, 0, 0] for can_id in sensors.host_ids}
         for n, drive in enumerate(drives):
-            found |= {_key(drive.bus, can_id): [n, LOOK, 0, 0, 0, 0, 0] for can_id in drive.node_ids}
+            found |= {_frame_key(drive.bus, can_id): [n, LOOK, 0, 0, 0, 0, 0] for can_id in drive.node_ids}
             for message in drive.cyclic.feedback:
                 kind = FEEDBACK if message.answers else VALUES
                 signals = self._added(message)
-                found[_key(drive.bus, message.can_id)] = [n, kind, *signals, message.length, 0, message.nearest]
+                found[_frame_key(drive.bus, message.can_id)] = [n, kind, *signals, message.length, 0, message.nearest]
         for group, message in enumerate(sensors.messages):
-            found[_key(sensors.bus, message.can_id)] = [NODE, SENSORS, *self._added(message), message.length, group, 0]
+            found[_frame_key(sensors.bus, message.can_id)] = [
+                NODE,
+                SENSORS,
+                *self._added(message),
+                message.length,
+                group,
+                0,
+            ]
         keys = sorted(found)
         self.keys: Whole = np.array(keys, dtype=np.int64)
         self.entries: Whole = np.array([found[key] for key in keys], dtype=np.int64)
@@ -439,18 +448,18 @@ class Wire:
                     wholes.append(table.wholes[0])
                     reals.append([*table.reals[0], message.limit])
                 rows.append([n, signal, drive.cyclic.feedback_timeout_ns])
-                templates.append(_template(message, drive.bus))
+                templates.append(_frame_template(message, drive.bus))
         self.commands: Whole = np.array(rows, dtype=np.int64).reshape(-1, 3)
         self.sent_wholes: Whole = np.array(wholes, dtype=np.int64).reshape(-1, COLUMNS)
         self.sent_reals: Real = np.array(reals, dtype=np.float64).reshape(-1, 3)
         self.templates: Rows = np.array(templates, dtype=np.uint64).reshape(-1, WORDS)
 
 
-def _key(bus: int, can_id: int) -> int:
+def _frame_key(bus: int, can_id: int) -> int:
     return bus << 32 | can_id
 
 
-def _template(message: Message, bus: int) -> Rows:
+def _frame_template(message: Message, bus: int) -> Rows:
     payload = message.base.ljust(message.length, b"\0")
-    row: Rows = frames_of([Frame(message.can_id, payload, message.flags, bus)]).rows[0]
+    row: Rows = frames_as_records([Frame(message.can_id, payload, message.flags, bus)]).rows[0]
     return row

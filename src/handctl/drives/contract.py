@@ -18,7 +18,7 @@ from handctl.drives.signals import Cyclic
 
 UNSTEADY = -1
 """Value of ``steady_status`` for a drive whose state machine must process every frame."""
-NEVER_NS = (1 << 63) - 1
+END_OF_TIME_NS = (1 << 63) - 1
 """Largest time [ns]: ``due_ns`` returns it if no call is scheduled."""
 
 

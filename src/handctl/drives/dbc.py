@@ -22,7 +22,7 @@ EXTENDED_BIT = 1 << 31
 """Flag bit of a 29-bit identifier in a DBC, as in SocketCAN."""
 
 
-class Sent(NamedTuple):
+class SentMessage(NamedTuple):
     """Message with the names of its sender and its receiver."""
 
     message: Message
@@ -30,7 +30,7 @@ class Sent(NamedTuple):
     receiver: str
 
 
-def of_bus(
+def dbc_of_bus(
     bus: int, drives: Iterable[Drive], sensors: SensorNode, tendons: Sequence[str], joints: Sequence[str]
 ) -> str:
     """Return the DBC text for one bus of a hand.
@@ -42,22 +42,24 @@ def of_bus(
         tendons: names of all tendons.
         joints: names of all joints.
     """
-    sent = list[Sent]()
+    sent = list[SentMessage]()
     if sensors.bus == bus and sensors.ids:
         counter = Signal("counter", Quantity.COUNTER, 0, 8)
-        sent.append(Sent(Message("sync", sensors.sync_id, 1, (counter,)), HOST, SENSORS))
-        sent += [Sent(_with_channel_names(message, tendons, joints), SENSORS, HOST) for message in sensors.messages]
+        sent.append(SentMessage(Message("sync", sensors.sync_id, 1, (counter,)), HOST, SENSORS))
+        sent += [
+            SentMessage(_with_channel_names(message, tendons, joints), SENSORS, HOST) for message in sensors.messages
+        ]
     for drive in drives:
         if drive.bus == bus:
             name = drive.name
-            sent += [Sent(_with_drive_name(message, name), name, HOST) for message in drive.cyclic.feedback]
-            sent += [Sent(_with_drive_name(message, name), HOST, name) for message in drive.cyclic.commands]
-    return dbc(sent)
+            sent += [SentMessage(_with_drive_name(message, name), name, HOST) for message in drive.cyclic.feedback]
+            sent += [SentMessage(_with_drive_name(message, name), HOST, name) for message in drive.cyclic.commands]
+    return dbc_text(sent)
 
 
-def dbc(sent: Iterable[Sent]) -> str:
+def dbc_text(sent: Iterable[SentMessage]) -> str:
     """Return the DBC text for messages. If several messages have one identifier, the first is used."""
-    by_identifier: dict[int, Sent] = {}
+    by_identifier: dict[int, SentMessage] = {}
     for item in sent:
         in_payload = all(signal.start >= 0 for signal in item.message.signals)
         if item.message.signals and in_payload and not item.message.can_id & REMOTE:

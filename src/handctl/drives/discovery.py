@@ -50,11 +50,11 @@ class DiscoveredNode:
     twins: bool = False
 
 
-TWINS = "two drives answer with this number: set another number with one drive on the bus at a time"
+TWO_DRIVES_WARNING = "two drives answer with this number: set another number with one drive on the bus at a time"
 """Warning for a node whose ``twins`` is True."""
 
 
-def have_twins(answers: Mapping[int, Sequence[bytes]], serial: int) -> bool:
+def have_two_drives_answered(answers: Mapping[int, Sequence[bytes]], serial: int) -> bool:
     """Return True if single requests got answers from two drives.
 
     A bus may deliver one frame twice by mistake, but not the answers to two different requests.
@@ -68,7 +68,7 @@ def have_twins(answers: Mapping[int, Sequence[bytes]], serial: int) -> bool:
     return len(serials) > 1 or sum(len(payloads) > 1 for payloads in answers.values()) > 1
 
 
-def same(node: DiscoveredNode) -> DiscoveredNode:
+def unchanged_node(node: DiscoveredNode) -> DiscoveredNode:
     """Return the node unchanged, for protocols that draw no conclusion from a missing answer."""
     return node
 
@@ -97,7 +97,7 @@ class Discovery(NamedTuple):
     other_host_frames: Callable[[ReceivedFrames], tuple[Frame, ...]]
     ping: Callable[[DiscoveredNode], Frame]
     is_ping_reply: Callable[[DiscoveredNode, Frame], bool]
-    unasked: Callable[[DiscoveredNode], DiscoveredNode] = same
+    unasked: Callable[[DiscoveredNode], DiscoveredNode] = unchanged_node
 
 
 def split_probes(

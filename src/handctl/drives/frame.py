@@ -14,7 +14,7 @@ BRS = 1
 ESI = 2
 FDF = 4
 
-make = tuple.__new__
+make_tuple = tuple.__new__
 """Fast constructor. ``make(Frame, (...))`` with all values needs a third of the time of ``Frame(...)``."""
 
 

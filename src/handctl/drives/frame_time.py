@@ -11,7 +11,7 @@ space. Source: ISO 11898-1.
 import math
 from collections.abc import Iterable
 
-NICE_RATES_HZ = (1000.0, 500.0, 400.0, 250.0, 200.0, 100.0, 50.0, 20.0, 10.0)
+USUAL_RATES_HZ = (1000.0, 500.0, 400.0, 250.0, 200.0, 100.0, 50.0, 20.0, 10.0)
 """Usual control rates, highest first [Hz]."""
 MAX_BUS_LOAD = 0.70
 """Fraction of a bus that a hand may use. The rest is reserved for bursts."""
@@ -94,7 +94,7 @@ def highest_rate(tick_times_s: Iterable[float], periodic_loads: Iterable[float] 
     pairs = tuple(zip(times, (0.0,) * len(times) if periodic_loads is None else periodic_loads, strict=True))
     fits = (
         rate
-        for rate in NICE_RATES_HZ
+        for rate in USUAL_RATES_HZ
         if all(rate * busy + periodic_load <= MAX_BUS_LOAD for busy, periodic_load in pairs)
     )
-    return next(fits, NICE_RATES_HZ[-1])
+    return next(fits, USUAL_RATES_HZ[-1])

@@ -19,7 +19,7 @@ class FullScale(Protocol):
 Ranges = TypeVar("Ranges", bound=FullScale)
 
 
-def positive_number(value: object, where: str, largest: float) -> float:
+def checked_positive(value: object, where: str, largest: float) -> float:
     """Return the value as a number above 0.
 
     Args:
@@ -36,7 +36,7 @@ def positive_number(value: object, where: str, largest: float) -> float:
     return float(value)
 
 
-def whole_number(value: object, where: str, largest: int) -> int:
+def checked_whole_number(value: object, where: str, largest: int) -> int:
     """Return a whole number of at least 1.
 
     Args:
@@ -53,7 +53,7 @@ def whole_number(value: object, where: str, largest: int) -> int:
     return number
 
 
-def boolean(value: object, where: str) -> bool:
+def checked_boolean(value: object, where: str) -> bool:
     """Return the value as True or False. Numbers and strings are refused.
 
     Args:
@@ -68,7 +68,7 @@ def boolean(value: object, where: str) -> bool:
     return value
 
 
-def take_model(options: dict[str, Any], where: str, models: Mapping[str, Ranges]) -> Ranges:
+def pop_motor_model(options: dict[str, Any], where: str, models: Mapping[str, Ranges]) -> Ranges:
     """Remove the option ``motor_type``, and return the ranges of this model.
 
     Args:
@@ -86,7 +86,7 @@ def take_model(options: dict[str, Any], where: str, models: Mapping[str, Ranges]
     return models[model]
 
 
-def refuse_others(options: Mapping[str, Any], where: str, right: str) -> None:
+def refuse_unknown_options(options: Mapping[str, Any], where: str, right: str) -> None:
     """Refuse the options that a drive has not used.
 
     Args:

@@ -68,17 +68,17 @@ class Cursor(NamedTuple):
         return Cursor(self.step, written=self.written + 1)
 
 
-def due(cursor: Cursor, t_ns: int) -> bool:
+def is_request_due(cursor: Cursor, t_ns: int) -> bool:
     """Return True if no request waits for an answer, or if the open request timed out."""
     return not cursor.waiting or t_ns - cursor.sent_ns >= REQUEST_TIMEOUT_NS
 
 
-def sent(cursor: Cursor, t_ns: int) -> Cursor:
+def cursor_after_request(cursor: Cursor, t_ns: int) -> Cursor:
     """Return the cursor after a request was sent at ``t_ns`` [ns]."""
     return cursor._replace(sent_ns=t_ns, tries=cursor.tries + 1)
 
 
-def next_request(cursor: Cursor, name: str, t_ns: int, tries: int = REQUEST_TRIES) -> tuple[Cursor, bool, str]:
+def request_setting(cursor: Cursor, name: str, t_ns: int, tries: int = REQUEST_TRIES) -> tuple[Cursor, bool, str]:
     """Decide whether a read or write request for the present setting is sent now.
 
     Args:
@@ -90,11 +90,11 @@ def next_request(cursor: Cursor, name: str, t_ns: int, tries: int = REQUEST_TRIE
     Returns:
         the new cursor, True to send the request, and the problem in words, empty without a problem.
     """
-    if not due(cursor, t_ns):
+    if not is_request_due(cursor, t_ns):
         return cursor, False, ""
     if cursor.tries >= tries:
         return cursor, False, f"{name} is not answered"
-    return sent(cursor, t_ns), True, ""
+    return cursor_after_request(cursor, t_ns), True, ""
 
 
 def on_wrong_value(cursor: Cursor, name: str, read: str, expected: str, writes: int) -> tuple[Cursor, str]:

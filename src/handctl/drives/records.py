@@ -23,7 +23,7 @@ RECORD = np.dtype(
 """One frame: time of reception [ns], identifier with the flag bits of ``frame``, flags, bus, payload."""
 SIZE = RECORD.itemsize
 """Size of a record [bytes]."""
-SHORT = 24
+SHORT_RECORD_BYTES = 24
 """Length of the first part of a record, sufficient for a payload of at most eight bytes [bytes]."""
 Records = NDArray[np.void]
 Rows = NDArray[np.uint64]
@@ -99,11 +99,11 @@ class Frames(Sequence[Frame]):
         return f"Frames({list(self)!r})"
 
 
-EMPTY = Frames(np.empty(0, RECORD))
+NO_FRAMES = Frames(np.empty(0, RECORD))
 """Sequence without frames."""
 
 
-def frames_of(frames: Iterable[Frame]) -> Frames:
+def frames_as_records(frames: Iterable[Frame]) -> Frames:
     """Return the frames as records.
 
     Raises:
@@ -113,7 +113,7 @@ def frames_of(frames: Iterable[Frame]) -> Frames:
         return frames
     listed = list(frames)
     if not listed:
-        return EMPTY
+        return NO_FRAMES
     records = np.zeros(len(listed), RECORD)
     data = records["data"]
     for i, (can_id, payload, flags, bus, t_ns) in enumerate(listed):
@@ -124,9 +124,9 @@ def frames_of(frames: Iterable[Frame]) -> Frames:
     return Frames(records)
 
 
-def joined(parts: Sequence[Frames]) -> Frames:
+def join_frames(parts: Sequence[Frames]) -> Frames:
     """Return several sequences of frames joined to one."""
     some = [part for part in parts if len(part)]
     if len(some) < 2:
-        return some[0] if some else EMPTY
+        return some[0] if some else NO_FRAMES
     return Frames.of_rows(np.concatenate([part.rows for part in some]))  # numpy takes six times as long for records

@@ -41,9 +41,9 @@ class ProtocolEntry(NamedTuple):
 
 
 PROTOCOLS: dict[str, ProtocolEntry] = {
-    "odrive": ProtocolEntry(OdriveDrive.of, odrive_discovery.DISCOVERY, odrive_modes.make),
-    "mit": ProtocolEntry(MitDrive.of, mit_discovery.DISCOVERY, mit_modes.make),
-    "cia402": ProtocolEntry(Cia402Drive.of, cia402_discovery.DISCOVERY, cia402_modes.make),
+    "odrive": ProtocolEntry(OdriveDrive.of, odrive_discovery.DISCOVERY, odrive_modes.make_mode_drive),
+    "mit": ProtocolEntry(MitDrive.of, mit_discovery.DISCOVERY, mit_modes.make_mode_drive),
+    "cia402": ProtocolEntry(Cia402Drive.of, cia402_discovery.DISCOVERY, cia402_modes.make_mode_drive),
     "moteus": ProtocolEntry(MoteusDrive.of, moteus_discovery.DISCOVERY),
     "robstride": ProtocolEntry(RobstrideDrive.of, robstride_discovery.DISCOVERY),
     "cubemars": ProtocolEntry(CubemarsDrive.of, None),

@@ -142,7 +142,7 @@ SCALE, OFFSET = range(2)
 """Columns of the float array."""
 
 
-def whole_columns(signal: Signal) -> tuple[int, ...]:
+def integer_columns(signal: Signal) -> tuple[int, ...]:
     """Return the values of the integer columns for a signal. Its start is the lowest bit in its window."""
     order, coding, quantity = int(signal.big_endian), int(signal.coding), int(signal.quantity)
     if signal.start < 0:
@@ -178,7 +178,7 @@ def window_at(words: Any, first: int, byte: int) -> Any:
 
 
 @inner
-def put_window(words: Any, first: int, byte: int, bits: Any) -> None:
+def write_window(words: Any, first: int, byte: int, bits: Any) -> None:
     """Write the bits of a signal (uint64) into a payload that has zeros at their positions.
 
     Args:
@@ -195,7 +195,7 @@ def put_window(words: Any, first: int, byte: int, bits: Any) -> None:
 
 
 @inner
-def swapped(value: Any) -> Any:
+def bytes_reversed(value: Any) -> Any:
     """Return a word of eight bytes (uint64) with its bytes in reverse order."""
     result = np.uint64(0)
     for _ in range(8):
@@ -205,7 +205,7 @@ def swapped(value: Any) -> Any:
 
 
 @inner
-def unpacked(value: Any, wholes: Whole, reals: Real, i: int) -> float:
+def decode_signal(value: Any, wholes: Whole, reals: Real, i: int) -> float:
     """Return the value of signal i from a window, or NaN for a float that is not finite."""
     length = wholes[i, LENGTH]
     mask = (np.uint64(1) << np.uint64(length)) - np.uint64(1)
@@ -223,7 +223,7 @@ def unpacked(value: Any, wholes: Whole, reals: Real, i: int) -> float:
 
 
 @inner
-def packed(value: float, wholes: Whole, reals: Real, i: int) -> Any:
+def encode_signal(value: float, wholes: Whole, reals: Real, i: int) -> Any:
     """Return the bits of signal i at their position in a window.
 
     The value must be finite and within range. Half a count is rounded up.
@@ -247,7 +247,7 @@ def unpack_rows(data: Words, rows: Whole, reals: Real) -> Real:
     result = np.empty(len(rows))
     for i in range(len(rows)):
         value = window_at(data[0], 1, rows[i, WINDOW])
-        result[i] = unpacked(swapped(value) if rows[i, ORDER] else value, rows, reals, i)
+        result[i] = decode_signal(bytes_reversed(value) if rows[i, ORDER] else value, rows, reals, i)
     return result
 
 
@@ -258,8 +258,8 @@ def pack_rows(data: Words, rows: Whole, reals: Real, values: Real) -> None:
     The bits at the positions of the signals must be zero.
     """
     for i in range(len(rows)):
-        bits = packed(values[i], rows, reals, i)
-        put_window(data[0], 1, rows[i, WINDOW], swapped(bits) if rows[i, ORDER] else bits)
+        bits = encode_signal(values[i], rows, reals, i)
+        write_window(data[0], 1, rows[i, WINDOW], bytes_reversed(bits) if rows[i, ORDER] else bits)
 
 
 class Table:
@@ -275,7 +275,7 @@ class Table:
         """Build the arrays of a message. Signals of quantity UNUSED are left out."""
         self.message = message
         signals = [signal for signal in message.signals if signal.quantity != Quantity.UNUSED]
-        self.wholes: Whole = np.array([whole_columns(signal) for signal in signals], dtype=np.int64).reshape(
+        self.wholes: Whole = np.array([integer_columns(signal) for signal in signals], dtype=np.int64).reshape(
             -1, COLUMNS
         )
         self._names = [(one.name, one.unit) for one in signals]

@@ -4,9 +4,9 @@
 ``gymnasium.make("handctl.gym:handctl/Track-v0")`` needs no import.
 """
 
-from handctl.extras import require
+from handctl.extras import require_extra
 
-require("handctl.gym", "gymnasium", "mujoco")
+require_extra("handctl.gym", "gymnasium", "mujoco")
 
 from gymnasium.envs.registration import register  # noqa: E402
 

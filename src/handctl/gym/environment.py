@@ -28,9 +28,9 @@ from handctl.errors import ConfigError
 from handctl.gym.observed import FIELDS, Numbers, ObservationLayout, Part, telemetry_part
 from handctl.hand.load import load_hand
 from handctl.programs.live import LiveProgram
-from handctl.programs.requests import REFUSED, target_text
+from handctl.programs.requests import REFUSED_PREFIX, target_text
 from handctl.programs.streams import horizon_s
-from handctl.session.plan import check_ready, fastest
+from handctl.session.plan import check_ready, highest_rate_of_buses
 from handctl.session.simulate import Simulation, Simulator, homed_controller
 
 RATE_HZ = 50.0
@@ -45,7 +45,7 @@ Random actions at the full rate of a stream would exceed the trip tensions.
 """
 READY_S = 5.0
 """Longest time from power-up until the hand accepts targets [s]."""
-STREAM = "gym"
+STREAM_NAME = "gym"
 """Name of the stream."""
 TargetSpace = Literal["joint", "digit"]
 """Meaning of an action: one target per joint, or one target for all joints of a digit."""
@@ -225,7 +225,7 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         if clipped.shape != self.action_space.shape or not np.isfinite(clipped).all():
             raise ConfigError(f"{action!r}", "action", f"{math.prod(self.action_space.shape or ())} finite values")
         out = run.tick(requests=tuple(self._step_requests(clipped)))
-        refused = [event.text for event in out.events if event.text.startswith(REFUSED)]
+        refused = [event.text for event in out.events if event.text.startswith(REFUSED_PREFIX)]
         if refused and out.mode == Mode.ACTIVE:
             raise ConfigError(refused[0], f"the controller of {self.hand.name}", "targets that the hand takes")
         for _ in range(self.ticks - 1):
@@ -265,7 +265,7 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         names = self.streamed(action)
         if names and names != self._streamed:
             opening = {
-                "do": "stream", "stream": STREAM, "space": self._space, "names": list(names),
+                "do": "stream", "stream": STREAM_NAME, "space": self._space, "names": list(names),
                 "rate_Hz": 1.0 / self.step_s, "interpolation": "minimum_jerk",
             }  # fmt: skip
             requests.append(json.dumps(opening))
@@ -279,7 +279,9 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         angles = dict(zip(self.names, self._target_deg.tolist(), strict=True))
         number = self._number
         self._number += 1
-        return target_text(STREAM, number, self.run.k * self.run.period_ns, [angles[name] for name in self._streamed])
+        return target_text(
+            STREAM_NAME, number, self.run.k * self.run.period_ns, [angles[name] for name in self._streamed]
+        )
 
     def _observation(self) -> Numbers:
         telemetry = self.out.telemetry
@@ -308,7 +310,7 @@ def _controller(path: str) -> Controller:
     """
     hand = load_hand(path)
     check_ready(hand, path)
-    model = HandModel.of(hand, Gains(), fastest(bus_loads(hand)))
+    model = HandModel.of(hand, Gains(), highest_rate_of_buses(bus_loads(hand)))
     return homed_controller(model, LiveProgram())
 
 

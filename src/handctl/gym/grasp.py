@@ -20,8 +20,8 @@ FALL_M = 0.015
 """Fall from which the object counts as dropped [m]."""
 RATE_N_PER_S = 40.0
 """Rate at which a tension approaches that of the action [N/s]."""
-SUCCESS = 10.0
-FAILURE = -1.0
+SUCCESS_REWARD = 10.0
+FAILURE_REWARD = -1.0
 """Reward for a held object, and reward for a dropped object or a fault."""
 
 
@@ -126,8 +126,8 @@ class GraspEnv(HandEnv):
         dropped = fallen_m > FALL_M
         held = since is not None and plant.t_ns / 1e9 - since >= HELD_S and not dropped
         if held:
-            reward += SUCCESS
+            reward += SUCCESS_REWARD
         elif dropped or self.out.mode != Mode.ACTIVE:
-            reward += FAILURE
+            reward += FAILURE_REWARD
         information = {"is_success": held, "force_N": forces, "fallen_m": fallen_m, "table_sinks": since is not None}
         return reward, held or dropped, information

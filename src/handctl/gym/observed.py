@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from handctl.core.types import TELEMETRY_AXES
 from handctl.hand.description import Hand
-from handctl.runtime.observations import NAMES
+from handctl.runtime.observations import PUBLISHED_NAMES
 
 Numbers = NDArray[np.float32]
 """Type of an observation or action."""
-FIELDS = {name: field for field, name in NAMES.items()}
+FIELDS = {name: field for field, name in PUBLISHED_NAMES.items()}
 """Telemetry field for each name in an observation."""
 
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from handctl.hand import rigid_body as body
 from handctl.hand.description import Hand
 from handctl.hand.file.sections import Digit
-from handctl.hand.link_bodies import centre_of_mass, inertia, joint_axes, mounted, rotation_rpy
+from handctl.hand.link_bodies import centre_of_mass, joint_axes, link_inertia, link_placement, rotation_rpy
 from handctl.hand.moment_arms import arms_at, excursions_at
 
 Array = NDArray[np.float64]
@@ -149,32 +149,32 @@ class DigitModel:
             joints=joints,
             tendons=tendons,
             lengths=digit.link_length_m,
-            coms=_read_only([centre_of_mass(digit, i) for i in links]),
+            coms=_read_only_copy([centre_of_mass(digit, i) for i in links]),
             masses=digit.link_mass_kg,
-            inertias=_read_only([inertia(digit, i) for i in links]),
-            axes=_read_only(joint_axes(digit)),
+            inertias=_read_only_copy([link_inertia(digit, i) for i in links]),
+            axes=_read_only_copy(joint_axes(digit)),
             radius=digit.link_radius_m,
-            joint_min=_read_only(np.radians(digit.joint_min_deg)),
-            joint_max=_read_only(np.radians(digit.joint_max_deg)),
+            joint_min=_read_only_copy(np.radians(digit.joint_min_deg)),
+            joint_max=_read_only_copy(np.radians(digit.joint_max_deg)),
             joint_damping=digit.joint_damping_N_m_s_per_rad,
             armature=digit.joint_armature_kg_m2,
             spring_stiffness=digit.spring_stiffness_N_m_per_rad,
             spring_preload=digit.spring_preload_rad,
-            mount_rotation=_read_only(rotation_rpy(*np.radians(digit.mount_rpy_deg))),
-            mount_position=_read_only(digit.mount_position_m),
-            gravity=_read_only(base_rotation(hand, digit).T @ hand.mount.gravity_m_s2),
-            table=_read_only(link_table(digit)),
+            mount_rotation=_read_only_copy(rotation_rpy(*np.radians(digit.mount_rpy_deg))),
+            mount_position=_read_only_copy(digit.mount_position_m),
+            gravity=_read_only_copy(base_rotation(hand, digit).T @ hand.mount.gravity_m_s2),
+            table=_read_only_copy(link_table(digit)),
             parent=np.arange(-1, len(links) - 1),
-            moment_arms=_read_only(arms),
-            coupling=_read_only(coupling),
-            reduced_moment_arms=_read_only(arms @ coupling),
-            excursion_to_joints=_read_only(coupling @ to_coordinates),
-            torque_to_tension=_read_only(to_coordinates.T @ coupling.T),
-            joints_to_coordinates=_read_only(np.linalg.pinv(coupling)),
-            friction=_read_only([tendon.friction_coefficient for tendon in hand.tendon[tendons]]),
-            wrap=_read_only([tendon.wrap_angle_rad for tendon in hand.tendon[tendons]]),
-            motor_mass=_read_only([motor.inertia_kg_m2 / motor.spool_radius_m**2 for motor in motors]),
-            arm_polynomials=_read_only(hand.arm_polynomials[tendons, joints]),
+            moment_arms=_read_only_copy(arms),
+            coupling=_read_only_copy(coupling),
+            reduced_moment_arms=_read_only_copy(arms @ coupling),
+            excursion_to_joints=_read_only_copy(coupling @ to_coordinates),
+            torque_to_tension=_read_only_copy(to_coordinates.T @ coupling.T),
+            joints_to_coordinates=_read_only_copy(np.linalg.pinv(coupling)),
+            friction=_read_only_copy([tendon.friction_coefficient for tendon in hand.tendon[tendons]]),
+            wrap=_read_only_copy([tendon.wrap_angle_rad for tendon in hand.tendon[tendons]]),
+            motor_mass=_read_only_copy([motor.inertia_kg_m2 / motor.spool_radius_m**2 for motor in motors]),
+            arm_polynomials=_read_only_copy(hand.arm_polynomials[tendons, joints]),
             has_varying_arm=bool(hand.has_varying_arm[tendons].any()),
         )
 
@@ -244,7 +244,7 @@ class DigitModel:
 
     def with_gravity(self, gravity: Values) -> "DigitModel":
         """Return the digit under another gravity, (3,) in the palm frame [m/s2]."""
-        return replace(self, gravity=_read_only(gravity))
+        return replace(self, gravity=_read_only_copy(gravity))
 
 
 def coordinate_range(coupling: Array, limits: Array) -> Array:
@@ -269,7 +269,7 @@ def link_table(digit: Digit) -> Array:
     """Return frames and bodies of a digit's links for ``rigid_body``, (rigid_body.ROWS, n)."""
     table = np.zeros((body.ROWS, len(digit.joints)))
     for i, axis in enumerate(joint_axes(digit)):
-        position, rotation = mounted(digit, i)
+        position, rotation = link_placement(digit, i)
         along = np.outer(axis, axis)
         x, y, z = axis.tolist()
         cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -279,7 +279,7 @@ def link_table(digit: Digit) -> Array:
         mass = digit.link_mass_kg[i]
         com = centre_of_mass(digit, i)
         # Steiner's theorem, from the centre of mass to the joint.
-        moments = inertia(digit, i) + mass * (float(com @ com) * np.eye(3) - np.outer(com, com))
+        moments = link_inertia(digit, i) + mass * (float(com @ com) * np.eye(3) - np.outer(com, com))
         table[body.ORIGIN : body.ORIGIN + 3, i] = position
         table[body.AXIS : body.AXIS + 3, i] = axis
         table[body.MASS, i] = mass
@@ -297,11 +297,11 @@ def base_rotation(hand: Hand, digit: Digit) -> Array:
     carrier = hand.digit_named(digit.mount_on)
     rotation = base_rotation(hand, carrier)
     for i in range(len(carrier.joints)):
-        rotation = rotation @ mounted(carrier, i)[1]
+        rotation = rotation @ link_placement(carrier, i)[1]
     return rotation
 
 
-def _read_only(values: ArrayLike) -> Array:
+def _read_only_copy(values: ArrayLike) -> Array:
     """Return a read-only copy."""
     array = np.array(values, dtype=float)
     array.setflags(write=False)

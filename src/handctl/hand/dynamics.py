@@ -56,7 +56,7 @@ def required_torque(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> To
         [
             tau + stiffness * (angle + preload) + damping * rate
             for tau, angle, rate, (stiffness, preload, damping) in zip(
-                rigid, _floats(q), _floats(dq), passive, strict=True
+                rigid, _as_plain_floats(q), _as_plain_floats(dq), passive, strict=True
             )
         ]
     )
@@ -69,20 +69,22 @@ def bias_torque(digit: DigitModel, q: Values, dq: Values) -> Torque:
 
 def gravity_torque(digit: DigitModel, q: Values) -> Torque:
     """Return the joint torque that balances the weight of the links, (n,) [N m]."""
-    return tuple(rigid_body.weight_torque(digit.table, digit.parent, digit.gravity, _as_array(q)).tolist())
+    return tuple(rigid_body.weight_torques(digit.table, digit.parent, digit.gravity, _as_array(q)).tolist())
 
 
 def spring_torque(digit: DigitModel, q: Values) -> Torque:
     """Return the joint torque that balances the return springs, k (q + preload), (n,) [N m]."""
     return tuple(
         stiffness * (angle + preload)
-        for stiffness, angle, preload in zip(digit.spring_stiffness, _floats(q), digit.spring_preload, strict=True)
+        for stiffness, angle, preload in zip(
+            digit.spring_stiffness, _as_plain_floats(q), digit.spring_preload, strict=True
+        )
     )
 
 
 def damping_torque(digit: DigitModel, dq: Values) -> Torque:
     """Return the joint torque that balances viscous damping, (n,) [N m]."""
-    return tuple(damping * rate for damping, rate in zip(digit.joint_damping, _floats(dq), strict=True))
+    return tuple(damping * rate for damping, rate in zip(digit.joint_damping, _as_plain_floats(dq), strict=True))
 
 
 def passive_torque(digit: DigitModel, q: Values, dq: Values) -> Torque:
@@ -144,7 +146,7 @@ def potential_energy(digit: DigitModel, q: Values) -> float:
 
     Zero is the energy of all mass at the digit's mount.
     """
-    first = rigid_body.poses(digit.table, digit.parent, _as_array(q))[0]
+    first = rigid_body.link_poses(digit.table, digit.parent, _as_array(q))[0]
     moment = first[rigid_body.CARRIED_MOMENT : rigid_body.CARRIED_MOMENT + 3]
     return -float(digit.gravity @ (moment - first[rigid_body.CARRIED_MASS] * digit.mount_position))
 
@@ -157,7 +159,9 @@ def spring_energy(digit: DigitModel, q: Values) -> float:
 
 def _rigid_body_torque(digit: DigitModel, gravity: Array, q: Values, dq: Values, ddq: Values) -> Torque:
     """Return the joint torque of inertia and weight under a gravity, (n,) [N m]."""
-    torque = rigid_body.rigid_torque(digit.table, digit.parent, gravity, _as_array(q), _as_array(dq), _as_array(ddq))
+    torque = rigid_body.rigid_body_torques(
+        digit.table, digit.parent, gravity, _as_array(q), _as_array(dq), _as_array(ddq)
+    )
     return tuple(torque.tolist())
 
 
@@ -166,6 +170,6 @@ def _as_array(values: Values) -> Array:
     return np.asarray(values, dtype=np.float64)
 
 
-def _floats(values: Values) -> Sequence[float]:
+def _as_plain_floats(values: Values) -> Sequence[float]:
     """Return plain floats, several times faster than numpy's scalars."""
     return values.tolist() if isinstance(values, np.ndarray) else values

@@ -7,13 +7,13 @@ import numpy as np
 
 from handctl.hand import rigid_body as body
 from handctl.hand.digit import Array, DigitModel, Values, coordinate_range
-from handctl.hand.kinematics import points, tip_jacobian
+from handctl.hand.kinematics import joint_points, tip_jacobian
 
-SCAN = 64
+SCAN_POINTS = 64
 """Intervals of the scan that brackets the closest point of a coupled digit's path."""
 REACH_TOLERANCE = 1e-12
 """Relative square of the distance beyond the reach that counts as rounding."""
-STEPS = 60
+MAX_STEPS = 60
 """Most steps of the search for the closest tip."""
 CONVERGED = 1e-10
 """Step of a coordinate at which the search ends [rad]."""
@@ -21,7 +21,7 @@ STEADY_M = 1e-5
 """Weight of the distance to the start [m/rad]. It picks one of many postures with the same tip, the nearest one."""
 DAMPING = (1e-8, 1e8)
 """Smallest and largest damping of a step, relative to the largest curvature."""
-STARTS = (0.5, 0.15, 0.85)
+START_FRACTIONS = (0.5, 0.15, 0.85)
 """Starts of a search without a known posture, as fractions of the range."""
 
 
@@ -37,7 +37,9 @@ class ClosestTip(NamedTuple):
     distance: float
 
 
-def inverse(digit: DigitModel, x: float, y: float, angle: float | None = None) -> tuple[tuple[float, ...], ...]:
+def inverse_kinematics(
+    digit: DigitModel, x: float, y: float, angle: float | None = None
+) -> tuple[tuple[float, ...], ...]:
     """Return joint angles that put the tip of a digit of two or three independent joints at a point.
 
     The hinges are parallel, so the tip moves in the plane of x and y of the digit's frame. The
@@ -60,15 +62,15 @@ def inverse(digit: DigitModel, x: float, y: float, angle: float | None = None) -
     if not _is_planar(digit):
         raise ValueError(f"{digit.name} has hinges that are not along z; needed: parallel hinges")
     if digit.joint_count == 2:
-        return _two_links(digit.lengths[0], digit.lengths[1], x, y)
+        return _two_link_solutions(digit.lengths[0], digit.lengths[1], x, y)
     if digit.joint_count != 3 or angle is None:
         raise ValueError(f"{digit.name} has {digit.joint_count} joints; needed: two, or three and a direction")
     l1, l2, l3 = digit.lengths
-    wrist = _two_links(l1, l2, x - l3 * math.cos(angle), y - l3 * math.sin(angle))
+    wrist = _two_link_solutions(l1, l2, x - l3 * math.cos(angle), y - l3 * math.sin(angle))
     return tuple((q1, q2, _wrapped_angle(angle - q1 - q2)) for q1, q2 in wrist)
 
 
-def inverse_coupled(digit: DigitModel, position: Values) -> tuple[float, float]:
+def inverse_kinematics_coupled(digit: DigitModel, position: Values) -> tuple[float, float]:
     """Return the coordinate of a coupled digit, q = B theta, with the tip closest to a point.
 
     The tip moves on a curve. A scan with bracketing yields all points of extreme distance. The nearest
@@ -92,13 +94,13 @@ def inverse_coupled(digit: DigitModel, position: Values) -> tuple[float, float]:
     target = np.asarray(position, dtype=np.float64)
 
     def distance(theta: float) -> float:
-        return float(np.linalg.norm(points(digit, ratio * theta)[-1] - target))
+        return float(np.linalg.norm(joint_points(digit, ratio * theta)[-1] - target))
 
     def slope(theta: float) -> float:
-        gap = points(digit, ratio * theta)[-1] - target
+        gap = joint_points(digit, ratio * theta)[-1] - target
         return float(gap @ tip_jacobian(digit, ratio * theta) @ ratio)
 
-    grid = np.linspace(*coordinate_limits(digit), SCAN + 1).tolist()
+    grid = np.linspace(*coordinate_limits(digit), SCAN_POINTS + 1).tolist()
     slopes = [slope(theta) for theta in grid]
     candidates = [grid[0], grid[-1]]
     for low, high, before, after in zip(grid, grid[1:], slopes, slopes[1:], strict=False):
@@ -122,7 +124,7 @@ def _is_planar(digit: DigitModel) -> bool:
     return bool(np.all(digit.axes == (0.0, 0.0, 1.0)) and np.allclose(at_zero, straight, rtol=0.0, atol=1e-12))
 
 
-def _two_links(l1: float, l2: float, x: float, y: float) -> tuple[tuple[float, float], ...]:
+def _two_link_solutions(l1: float, l2: float, x: float, y: float) -> tuple[tuple[float, float], ...]:
     """Return both solutions of two links, one if stretched or folded, none out of reach.
 
     The elbow angle comes from atan2 of (r - |l1 - l2|)(r + |l1 - l2|) and (l1 + l2 - r)(l1 + l2 + r).
@@ -164,19 +166,19 @@ def closest_tip(digit: DigitModel, position: Values, start: Values | None = None
     target = np.asarray(position, dtype=np.float64)
     low, high = digit.reach
     if start is None:
-        found = [_descend(digit, target, low + part * (high - low)) for part in STARTS]
+        found = [_local_minimum(digit, target, low + part * (high - low)) for part in START_FRACTIONS]
         return min(found, key=lambda one: one.distance)
-    return _descend(digit, target, np.clip(np.asarray(start, dtype=np.float64), low, high))
+    return _local_minimum(digit, target, np.clip(np.asarray(start, dtype=np.float64), low, high))
 
 
-def _descend(digit: DigitModel, target: Array, start: Array) -> ClosestTip:
+def _local_minimum(digit: DigitModel, target: Array, start: Array) -> ClosestTip:
     """Return the local minimum from a start within the limits."""
     low, high = digit.reach
     theta = start.copy()
-    gap = points(digit, digit.coupling @ theta)[-1] - target
+    gap = joint_points(digit, digit.coupling @ theta)[-1] - target
     cost = float(gap @ gap)
     damping = 1e-3
-    for _ in range(STEPS):
+    for _ in range(MAX_STEPS):
         jacobian = tip_jacobian(digit, digit.coupling @ theta) @ digit.coupling
         slope = jacobian.T @ gap + STEADY_M**2 * (theta - start)
         free = ~(((theta <= low) & (slope > 0.0)) | ((theta >= high) & (slope < 0.0)))
@@ -189,7 +191,7 @@ def _descend(digit: DigitModel, target: Array, start: Array) -> ClosestTip:
             trial = theta.copy()
             trial[free] -= np.linalg.solve(curvature + damping * scale * np.eye(len(curvature)), slope[free])
             trial = np.clip(trial, low, high)
-            ahead = points(digit, digit.coupling @ trial)[-1] - target
+            ahead = joint_points(digit, digit.coupling @ trial)[-1] - target
             steady = (STEADY_M * (trial - start)) @ (STEADY_M * (trial - start))
             if (now := float(ahead @ ahead + steady)) < cost:
                 moved = trial

@@ -20,29 +20,29 @@ class TipPose(NamedTuple):
 
 def link_poses(digit: DigitModel, q: Values) -> Array:
     """Return the poses of all links at joint angles q (n,) [rad], (n, rigid_body.POSE)."""
-    return rigid_body.poses(digit.table, digit.parent, np.asarray(q, dtype=np.float64))
+    return rigid_body.link_poses(digit.table, digit.parent, np.asarray(q, dtype=np.float64))
 
 
-def rotations(poses: Array) -> Array:
+def link_rotations(poses: Array) -> Array:
     """Return the rotations of links to the palm frame, (n, 3, 3)."""
     return poses[:, rigid_body.ROTATION : rigid_body.ROTATION + 9].reshape(-1, 3, 3)
 
 
-def positions(poses: Array) -> Array:
+def joint_positions(poses: Array) -> Array:
     """Return the positions of the links' joints, (n, 3) [m]."""
     return poses[:, rigid_body.POSITION : rigid_body.POSITION + 3]
 
 
-def points(digit: DigitModel, q: Values) -> Array:
+def joint_points(digit: DigitModel, q: Values) -> Array:
     """Return the joints from the palm outwards, then the tip, (n + 1, 3) [m]."""
     poses = link_poses(digit, q)
-    tip = positions(poses)[-1] + digit.lengths[-1] * rotations(poses)[-1, :, 0]
-    return np.vstack((positions(poses), tip))
+    tip = joint_positions(poses)[-1] + digit.lengths[-1] * link_rotations(poses)[-1, :, 0]
+    return np.vstack((joint_positions(poses), tip))
 
 
-def forward(digit: DigitModel, q: Values) -> TipPose:
+def forward_kinematics(digit: DigitModel, q: Values) -> TipPose:
     """Return the tip pose at joint angles q (n,) [rad]."""
-    return TipPose(points(digit, q)[-1], rotations(link_poses(digit, q))[-1])
+    return TipPose(joint_points(digit, q)[-1], link_rotations(link_poses(digit, q))[-1])
 
 
 def point_jacobian(digit: DigitModel, q: Values, link: int, along: float) -> Array:
@@ -55,9 +55,9 @@ def point_jacobian(digit: DigitModel, q: Values, link: int, along: float) -> Arr
         along: distance of the point from the link's own joint, along the link [m].
     """
     poses = link_poses(digit, q)
-    point = positions(poses)[link] + along * rotations(poses)[link, :, 0]
+    point = joint_positions(poses)[link] + along * link_rotations(poses)[link, :, 0]
     axes = poses[:, rigid_body.DIRECTION : rigid_body.DIRECTION + 3]
-    jacobian = np.cross(axes, point - positions(poses)).T
+    jacobian = np.cross(axes, point - joint_positions(poses)).T
     # Joints beyond the link do not move it.
     jacobian[:, link + 1 :] = 0.0
     return np.asarray(jacobian)

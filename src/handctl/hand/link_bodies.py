@@ -36,7 +36,7 @@ def centre_of_mass(digit: Digit, i: int) -> Array:
     return np.array([com, 0.0, 0.0] if isinstance(com, float) else com)
 
 
-def inertia(digit: Digit, i: int) -> Array:
+def link_inertia(digit: Digit, i: int) -> Array:
     """Return the inertia of link i about its centre of mass, along its frame, (3, 3) [kg m2]."""
     values = digit.link_inertia_kg_m2[i]
     if isinstance(values, float):
@@ -47,7 +47,7 @@ def inertia(digit: Digit, i: int) -> Array:
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def mounted(digit: Digit, i: int) -> tuple[Array, Array]:
+def link_placement(digit: Digit, i: int) -> tuple[Array, Array]:
     """Return position (3,) [m] and rotation (3, 3) of link i at angle zero in the frame before.
 
     The frame before the first link is that of the palm.

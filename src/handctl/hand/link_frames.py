@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handctl.hand.digit import Array, DigitModel, Values
-from handctl.hand.kinematics import link_poses, points, rotations
+from handctl.hand.kinematics import joint_points, link_poses, link_rotations
 
 
 class Transform(NamedTuple):
@@ -25,10 +25,10 @@ def link_transforms(digit: DigitModel, q: Values) -> tuple[Transform, ...]:
     poses = link_poses(digit, q)
     # The tip frame has the direction of the last link.
     names = [*(f"{digit.name}_link{i + 1}" for i in range(digit.joint_count)), f"{digit.name}_tip"]
-    turned = [quaternion(rotation) for rotation in rotations(poses)]
+    turned = [quaternion(rotation) for rotation in link_rotations(poses)]
     return tuple(
         Transform(name, (position[0], position[1], position[2]), turn)
-        for name, position, turn in zip(names, points(digit, q).tolist(), [*turned, turned[-1]], strict=True)
+        for name, position, turn in zip(names, joint_points(digit, q).tolist(), [*turned, turned[-1]], strict=True)
     )
 
 

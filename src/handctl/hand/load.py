@@ -11,22 +11,28 @@ from pydantic import ValidationError
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.file.checks import check_hand, check_sections
-from handctl.hand.file.error_text import Mistake, grouped, in_file, shown, validation_mistakes
+from handctl.hand.file.error_text import Mistake, group_mistakes, toml_spelling, validation_mistakes, with_paths_of_file
 from handctl.hand.file.sections import Digit, Section, Tendon
-from handctl.hand.file.templates import RESOLVED, WRITTEN, Origins, of_default, resolve
-from handctl.hand.readiness import unready
+from handctl.hand.file.templates import (
+    RESOLVED_SCHEMA,
+    WRITTEN_SCHEMA,
+    Origins,
+    join_mistakes_of_default,
+    resolve_templates,
+)
+from handctl.hand.readiness import reasons_not_ready
 from handctl.printing import similar_name
 
-SCHEMAS = (RESOLVED, WRITTEN)
+READABLE_SCHEMAS = (RESOLVED_SCHEMA, WRITTEN_SCHEMA)
 """Supported versions of the hand file's format."""
-HANDS = Path(__file__).parent / "hands"
+PACKAGED_HANDS_FOLDER = Path(__file__).parent / "hands"
 """Folder of the packaged hand files."""
 Validated = TypeVar("Validated", bound=Section)
 
 
 def packaged_hands() -> tuple[str, ...]:
     """Return the names of the packaged hands."""
-    return tuple(sorted(path.stem for path in HANDS.glob("*.toml")))
+    return tuple(sorted(path.stem for path in PACKAGED_HANDS_FOLDER.glob("*.toml")))
 
 
 def load_hand(name_or_path: str | Path) -> Hand:
@@ -40,7 +46,7 @@ def load_hand(name_or_path: str | Path) -> Hand:
             value, and a valid value.
     """
     path = hand_path(name_or_path)
-    return hand_from(read_toml(path), str(path))
+    return hand_from_content(read_toml(path), str(path))
 
 
 def hand_path(name_or_path: str | Path) -> Path:
@@ -51,7 +57,7 @@ def hand_path(name_or_path: str | Path) -> Path:
     """
     names = packaged_hands()
     if name_or_path in names:
-        return HANDS / f"{name_or_path}.toml"
+        return PACKAGED_HANDS_FOLDER / f"{name_or_path}.toml"
     path = Path(name_or_path)
     if not path.is_file():
         near = similar_name(str(name_or_path), names)
@@ -109,7 +115,7 @@ def _check_whole_numbers(content: dict[str, Any], source: str) -> None:
             raise ConfigError(what, f"{source}: {key}", f"at most {2**63 - 1} in magnitude")
 
 
-def hand_from(content: Mapping[str, Any], source: str) -> Hand:
+def hand_from_content(content: Mapping[str, Any], source: str) -> Hand:
     """Validate parsed content, from one source or from several layers.
 
     Args:
@@ -119,7 +125,7 @@ def hand_from(content: Mapping[str, Any], source: str) -> Hand:
     Raises:
         ConfigError: as ``load_hand``.
     """
-    hand, mistakes = examined(content)
+    hand, mistakes = validate_content(content)
     if hand is None:
         raise mistakes[0].error(source)
     return hand
@@ -131,40 +137,48 @@ def hand_content(name_or_path: str | Path) -> dict[str, Any]:
     Raises:
         ConfigError: the file is missing, unreadable, or not TOML.
     """
-    return resolve(read_toml(hand_path(name_or_path))).content
+    return resolve_templates(read_toml(hand_path(name_or_path))).content
 
 
-def examined(content: Mapping[str, Any]) -> tuple[Hand | None, list[Mistake]]:
+def validate_content(content: Mapping[str, Any]) -> tuple[Hand | None, list[Mistake]]:
     """Validate parsed content, and find all its mistakes.
 
     Returns:
         The hand and no mistakes, or None and at least one mistake.
     """
     if not content:
-        right = f"schema = {WRITTEN} and the sections of a hand; handctl config init writes them from a few answers"
+        right = (
+            f"schema = {WRITTEN_SCHEMA} and the sections of a hand; handctl config init writes them from a few answers"
+        )
         return None, [Mistake("the file is empty", "schema", right)]
-    version = content.get("schema", RESOLVED)
-    if isinstance(version, bool) or version not in SCHEMAS:
-        return None, [Mistake(shown(version), "schema", f"{RESOLVED} or {WRITTEN}, versions that this handctl reads")]
-    resolved = resolve(content)
+    version = content.get("schema", RESOLVED_SCHEMA)
+    if isinstance(version, bool) or version not in READABLE_SCHEMAS:
+        return None, [
+            Mistake(
+                toml_spelling(version),
+                "schema",
+                f"{RESOLVED_SCHEMA} or {WRITTEN_SCHEMA}, versions that this handctl reads",
+            )
+        ]
+    resolved = resolve_templates(content)
     mistakes = list(resolved.mistakes)
     hand = None
     try:
         hand = Hand.model_validate(resolved.content)
     except ValidationError as error:
         found = validation_mistakes(error, Hand, resolved.content)
-        if content.get("schema") == WRITTEN:
-            found = of_default(found, resolved.content)
+        if content.get("schema") == WRITTEN_SCHEMA:
+            found = join_mistakes_of_default(found, resolved.content)
         digits = _valid_sections(resolved.content, "digit", Digit)
         found += check_sections(digits, _valid_sections(resolved.content, "tendon", Tendon))
     else:
         # What a mistaken template leaves out has consequences for the whole hand.
         found = [] if mistakes else list(check_hand(hand))
-    mistakes += in_file(found, resolved.origins)
+    mistakes += with_paths_of_file(found, resolved.origins)
     return (None, mistakes) if mistakes else (hand, [])
 
 
-class Inspected(NamedTuple):
+class InspectedHand(NamedTuple):
     """Findings in a hand file.
 
     Attributes:
@@ -178,13 +192,13 @@ class Inspected(NamedTuple):
     origins: Origins
 
 
-def inspect(content: Mapping[str, Any]) -> Inspected:
+def inspect_content(content: Mapping[str, Any]) -> InspectedHand:
     """Validate parsed content, and find all mistakes that a run refuses."""
-    hand, mistakes = examined(content)
-    origins = resolve(content).origins if content.get("schema") == WRITTEN else {}
+    hand, mistakes = validate_content(content)
+    origins = resolve_templates(content).origins if content.get("schema") == WRITTEN_SCHEMA else {}
     if hand is not None:
-        mistakes = in_file(unready(hand), origins)
-    return Inspected(hand, grouped(mistakes), origins)
+        mistakes = with_paths_of_file(reasons_not_ready(hand), origins)
+    return InspectedHand(hand, group_mistakes(mistakes), origins)
 
 
 def _valid_sections(content: Mapping[str, Any], kind: str, model: type[Validated]) -> Iterator[Validated]:

@@ -18,7 +18,7 @@ from handctl.hand.moment_arms import arms_at, table_of, table_residual
 Vector = NDArray[np.float64]
 FASTEST_ARBITRATION = 1_000_000
 """Largest bit rate of classical CAN and of the arbitration phase of CAN FD [bit/s]. Source: ISO 11898-2."""
-CONDITION = 1e-6
+MAX_TORQUE_RESIDUAL = 1e-6
 """Largest residual of a torque that counts as 0, as a fraction of the largest moment arm at 1 N."""
 POSTURES = 11
 """Number of postures at which a digit with moment arms that depend on the angle is checked."""
@@ -26,7 +26,7 @@ SMALLEST_RANGE_DEG = 1.0
 """Smallest range of a coordinate that counts as a motion [deg]."""
 
 
-def unready(hand: Hand) -> Iterator[Mistake]:
+def reasons_not_ready(hand: Hand) -> Iterator[Mistake]:
     """Yield the reasons why a valid hand cannot run, by key."""
     for bus in hand.bus:
         yield from _check_rates(bus)
@@ -87,7 +87,7 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[Mistake]:
     opened = np.radians(digit.joint_min_deg) + np.array(digit.spring_preload_rad)
     springs = coupling.T @ (stiffness * opened)
     closing = arms.T @ floor
-    if all(map(hold_each_other, postures)):
+    if all(map(can_hold_each_other, postures)):
         return
     if (arms.min(axis=0) < 0.0).any() and not stiffness.any():
         right = "tensions above 0 that make no torque together: one more tendon than coordinates, or other arms"
@@ -116,17 +116,17 @@ def table_fits(hand: Hand) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def hold_each_other(arms: Vector) -> bool:
+def can_hold_each_other(arms: Vector) -> bool:
     """Return True if tensions above 0 exist that make no torque together.
 
     Args:
         arms: reduced moment arms R B, (n_t, n_c) [m].
     """
     largest = np.abs(arms).max()
-    if ((arms.min(axis=0) >= 0.0) & (arms.max(axis=0) > CONDITION * largest)).any():
+    if ((arms.min(axis=0) >= 0.0) & (arms.max(axis=0) > MAX_TORQUE_RESIDUAL * largest)).any():
         return False  # tensions of at least 1 make at least the torque of this column's largest arm
     from scipy.optimize import nnls  # takes as long as the whole check of a hand
 
     # Tensions 1 + w with w >= 0 without torque: the non-negative least-squares problem has no residual.
     _, residual = nnls(arms.T, -arms.sum(axis=0))
-    return bool(residual <= CONDITION * largest)
+    return bool(residual <= MAX_TORQUE_RESIDUAL * largest)

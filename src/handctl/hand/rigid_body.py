@@ -3,7 +3,7 @@
 A table has a column per link, in an order in which each link follows its parent. ``parent`` is the
 column of the link before, -1 for the palm. The frame of a link has its origin in the link's joint
 and x along the link. The tip of a link is at its length along x. Gravity and poses are in the palm
-frame, rates and forces of ``newton_euler`` in the links' frames.
+frame, rates and forces of ``write_newton_euler`` in the links' frames.
 
 Source: Featherstone, Rigid Body Dynamics Algorithms (2008), recursive Newton-Euler algorithm.
 """
@@ -52,7 +52,7 @@ CARRIED_MOMENT = 16
 POSE = 19
 """Number of columns of a pose."""
 
-# Columns of the working memory of ``newton_euler``: rotation to the parent, then vectors in the link's frame.
+# Columns of the working memory of ``write_newton_euler``: rotation to the parent, then vectors in the link's frame.
 _RATE = 9
 _TURN = 12
 _MOVE = 15
@@ -62,7 +62,7 @@ _WORK = 24
 
 
 @inner
-def place_links(table: Array, row: int, parent: Counts, q: Array, pose: Array) -> None:
+def write_link_poses(table: Array, row: int, parent: Counts, q: Array, pose: Array) -> None:
     """Write the poses of all links, without the carried masses.
 
     Args:
@@ -96,11 +96,11 @@ def place_links(table: Array, row: int, parent: Counts, q: Array, pose: Array) -
                     + second * table[row + ORIGIN + 1, j]
                     + third * table[row + ORIGIN + 2, j]
                 )
-            pose[j, DIRECTION + a] = _along(table, row + AXIS, pose, j, a)
+            pose[j, DIRECTION + a] = _component_along(table, row + AXIS, pose, j, a)
 
 
 @inner
-def _along(table: Array, row: int, pose: Array, j: int, a: int) -> float:
+def _component_along(table: Array, row: int, pose: Array, j: int, a: int) -> float:
     """Return component a, in the palm frame, of a vector of three rows in the frame of link j."""
     first = pose[j, ROTATION + 3 * a] * table[row, j]
     second = pose[j, ROTATION + 3 * a + 1] * table[row + 1, j]
@@ -109,12 +109,12 @@ def _along(table: Array, row: int, pose: Array, j: int, a: int) -> float:
 
 
 @inner
-def carry(table: Array, row: int, parent: Counts, pose: Array) -> None:
+def write_carried_masses(table: Array, row: int, parent: Counts, pose: Array) -> None:
     """Write the carried masses and first moments of all links, for given poses."""
     for j in range(len(pose)):
         pose[j, CARRIED_MASS] = table[row + MASS, j]
         for a in range(3):
-            moment = _along(table, row + MOMENT, pose, j, a)
+            moment = _component_along(table, row + MOMENT, pose, j, a)
             pose[j, CARRIED_MOMENT + a] = table[row + MASS, j] * pose[j, POSITION + a] + moment
     # From the tips inwards.
     for j in range(len(pose) - 1, -1, -1):
@@ -125,18 +125,18 @@ def carry(table: Array, row: int, parent: Counts, pose: Array) -> None:
 
 
 @inner
-def weight(table: Array, row: int, parent: Counts, gravity: Array, pose: Array, torque: Array) -> None:
+def write_weight_torques(table: Array, row: int, parent: Counts, gravity: Array, pose: Array, torque: Array) -> None:
     """Write the joint torques (n,) that balance the weight of the links [N m], for given poses.
 
     Args:
-        table: see ``place_links``.
+        table: see ``write_link_poses``.
         row: first row in the table.
-        parent: see ``place_links``.
+        parent: see ``write_link_poses``.
         gravity: (3,) in the palm frame [m/s2].
         pose: (n, POSE) poses. The carried masses are written.
         torque: (n,) result.
     """
-    carry(table, row, parent, pose)
+    write_carried_masses(table, row, parent, pose)
     for j in range(len(pose)):
         mass = pose[j, CARRIED_MASS]
         x = pose[j, CARRIED_MOMENT] - mass * pose[j, POSITION]
@@ -151,7 +151,7 @@ def weight(table: Array, row: int, parent: Counts, gravity: Array, pose: Array, 
 
 
 @inner
-def levers(pose: Array, first: int, touched: int, along: float, lever: Array) -> None:
+def write_levers(pose: Array, first: int, touched: int, along: float, lever: Array) -> None:
     """Write the levers of a force on a link about the joints from ``first`` to the link [m].
 
     The force is along y of the link, the side of flexion, at a point on the link's x axis.
@@ -183,8 +183,10 @@ def _lever(pose: Array, j: int, px: float, py: float, pz: float, nx: float, ny: 
 
 
 @inner
-def turned_levers(pose: Array, first: int, last: int, along: float, turned: int, angle: float, lever: Array) -> None:
-    """Write the levers of a force on the last link of a chain after one joint has turned, see ``levers``.
+def write_turned_levers(
+    pose: Array, first: int, last: int, along: float, turned: int, angle: float, lever: Array
+) -> None:
+    """Write the levers of a force on the last link of a chain after one joint has turned, see ``write_levers``.
 
     The links beyond that joint turn as a whole with the force: their levers stay.
 
@@ -223,15 +225,15 @@ def _rotated(ax: float, ay: float, az: float, angle: float, x: float, y: float, 
 
 
 @inner
-def newton_euler(
+def write_newton_euler(
     table: Array, row: int, parent: Counts, gravity: Array, q: Array, dq: Array, ddq: Array, torque: Array
 ) -> None:
     """Write the joint torques (n,) of inertia and weight, M q'' + C q' + g [N m].
 
     Args:
-        table: see ``place_links``.
+        table: see ``write_link_poses``.
         row: first row in the table.
-        parent: see ``place_links``.
+        parent: see ``write_link_poses``.
         gravity: (3,) in the palm frame [m/s2].
         q: (n,) joint angles [rad].
         dq: (n,) joint rates [rad/s].
@@ -252,7 +254,7 @@ def newton_euler(
         )
         before = parent[j]
         if before >= 0:
-            _hand_on(table, row, work, j, before)
+            _add_load_to_parent(table, row, work, j, before)
 
 
 @inner
@@ -315,7 +317,7 @@ def _load_link(table: Array, row: int, work: Array, j: int) -> None:
 
 
 @inner
-def _hand_on(table: Array, row: int, work: Array, j: int, before: int) -> None:
+def _add_load_to_parent(table: Array, row: int, work: Array, j: int, before: int) -> None:
     """Add force and torque of link j to those of its parent."""
     fx, fy, fz = work[j, _FORCE], work[j, _FORCE + 1], work[j, _FORCE + 2]
     nx, ny, nz = work[j, _TORQUE], work[j, _TORQUE + 1], work[j, _TORQUE + 2]
@@ -333,29 +335,29 @@ def _hand_on(table: Array, row: int, work: Array, j: int, before: int) -> None:
 
 
 @kernel("matrix", "counts", "vector")
-def poses(table: Array, parent: Counts, q: Array) -> Array:
+def link_poses(table: Array, parent: Counts, q: Array) -> Array:
     """Return the poses (n, POSE) of all links, with carried masses, at joint angles q (n,) [rad]."""
     pose = np.empty((len(q), POSE))
-    place_links(table, 0, parent, q, pose)
-    carry(table, 0, parent, pose)
+    write_link_poses(table, 0, parent, q, pose)
+    write_carried_masses(table, 0, parent, pose)
     return pose
 
 
 @kernel("matrix", "counts", "vector", "vector")
-def weight_torque(table: Array, parent: Counts, gravity: Array, q: Array) -> Array:
-    """Return the joint torques (n,) that balance the weight of the links [N m], see ``weight``."""
+def weight_torques(table: Array, parent: Counts, gravity: Array, q: Array) -> Array:
+    """Return the joint torques (n,) that balance the weight of the links [N m], see ``write_weight_torques``."""
     pose = np.empty((len(q), POSE))
     torque = np.empty(len(q))
-    place_links(table, 0, parent, q, pose)
-    weight(table, 0, parent, gravity, pose, torque)
+    write_link_poses(table, 0, parent, q, pose)
+    write_weight_torques(table, 0, parent, gravity, pose, torque)
     return torque
 
 
 @kernel("matrix", "counts", "vector", "vector", "vector", "vector")
-def rigid_torque(table: Array, parent: Counts, gravity: Array, q: Array, dq: Array, ddq: Array) -> Array:
-    """Return the joint torques (n,) of inertia and weight [N m], see ``newton_euler``."""
+def rigid_body_torques(table: Array, parent: Counts, gravity: Array, q: Array, dq: Array, ddq: Array) -> Array:
+    """Return the joint torques (n,) of inertia and weight [N m], see ``write_newton_euler``."""
     torque = np.empty(len(q))
-    newton_euler(table, 0, parent, gravity, q, dq, ddq, torque)
+    write_newton_euler(table, 0, parent, gravity, q, dq, ddq, torque)
     return torque
 
 
@@ -372,7 +374,7 @@ def inertia_matrix(table: Array, parent: Counts, q: Array) -> Array:
     matrix = np.empty((n, n))
     for k in range(n):
         unit[k] = 1.0
-        newton_euler(table, 0, parent, rest, q, rest, unit, matrix[k])
+        write_newton_euler(table, 0, parent, rest, q, rest, unit, matrix[k])
         unit[k] = 0.0
     for k in range(n):
         for i in range(k):
@@ -382,9 +384,9 @@ def inertia_matrix(table: Array, parent: Counts, q: Array) -> Array:
 
 @kernel("matrix", "counts", "vector", "count", "real")
 def tip_levers(table: Array, parent: Counts, q: Array, touched: int, along: float) -> Array:
-    """Return the levers (n,) [m] of a force on a link of a chain about its joints, 0 beyond, see ``levers``."""
+    """Return the levers (n,) [m] of a force on a link of a chain about its joints, 0 beyond, see ``write_levers``."""
     pose = np.empty((len(q), POSE))
     lever = np.zeros(len(q))
-    place_links(table, 0, parent, q, pose)
-    levers(pose, 0, touched, along, lever)
+    write_link_poses(table, 0, parent, q, pose)
+    write_levers(pose, 0, touched, along, lever)
     return lever

@@ -10,25 +10,25 @@ from collections.abc import Iterable
 import numpy as np
 
 from handctl.hand.description import Hand
-from handctl.hand.file.error_text import listed
+from handctl.hand.file.error_text import shortened_list
 from handctl.hand.moment_arms import arms_at
 
-MARGIN = 1.5
+STRENGTH_MARGIN = 1.5
 """Required ratio of ``rated_breaking_force_N`` to the peak tension of a runaway."""
 POSTURES = 11
 """Number of postures in which the largest moment arms are looked for."""
-OVERSHOOT = 2.0
+RUNAWAY_OVERSHOOT = 2.0
 """Ratio of peak tension to constant force, for a rotor at rest against a slack, elastic tendon without damping."""
 
 
 def runaway_tension(force: float) -> float:
     """Return the peak tension [N] of a runaway from rest with a constant ``force`` at the tendon [N]."""
-    return OVERSHOOT * force
+    return RUNAWAY_OVERSHOOT * force
 
 
 def largest_force(strength: float) -> float:
-    """Return the largest force [N] of a drive that leaves ``MARGIN`` to the strength of its tendon [N]."""
-    return strength / (OVERSHOOT * MARGIN)
+    """Return the largest force [N] of a drive that leaves ``STRENGTH_MARGIN`` to the strength of its tendon [N]."""
+    return strength / (RUNAWAY_OVERSHOOT * STRENGTH_MARGIN)
 
 
 def strength_warnings(hand: Hand) -> tuple[str, ...]:
@@ -39,28 +39,29 @@ def strength_warnings(hand: Hand) -> tuple[str, ...]:
         strength = tendon.rated_breaking_force_N
         peak = motor.torque_peak_N_m / motor.spool_radius_m
         for key, force in (("drive_limit_N", tendon.drive_limit_N), ("torque_peak_N_m", peak)):
-            if strength < MARGIN * runaway_tension(force):
-                rows.setdefault(_too_strong(key, force, strength, motor.spool_radius_m), []).append(tendon.name)
+            if strength < STRENGTH_MARGIN * runaway_tension(force):
+                rows.setdefault(_runaway_text(key, force, strength, motor.spool_radius_m), []).append(tendon.name)
     unrated = [digit.name for digit in hand.digit if digit.joint_rated_torque_N_m is None]
     if unrated:
         key = "joint_rated_torque_N_m"
         rows[f"{key} is missing: the strength of the joints in a runaway is unknown"] = unrated
     for digit in hand.digit:
         for joint, torque, rated in _joint_loads(hand, digit.name):
-            if rated < MARGIN * torque:
+            if rated < STRENGTH_MARGIN * torque:
                 text = f"a runaway at torque_peak_N_m loads it with {torque:.3g} N m, and {rated:g} N m is its rating"
                 rows.setdefault(text, []).append(joint)
-    return tuple(f"{listed(names)}: {text}" for text, names in rows.items())
+    return tuple(f"{shortened_list(names)}: {text}" for text, names in rows.items())
 
 
-def _too_strong(key: str, force: float, strength: float, spool: float) -> str:
+def _runaway_text(key: str, force: float, strength: float, spool: float) -> str:
     """Describe a runaway with a force, and the right torque limit of the drive."""
     peak = runaway_tension(force)
     right = largest_force(strength)
     factor = strength / peak
     return (
         f"{key} ({force:g} N at the tendon) makes {peak:g} N in a runaway, a factor of {factor:.2f} to the "
-        f"{strength:g} N that break it; limit the drive to {right:.0f} N = {right * spool:.3g} N m for {MARGIN:g}"
+        f"{strength:g} N that break it; limit the drive to {right:.0f} N = {right * spool:.3g} N m "
+        f"for {STRENGTH_MARGIN:g}"
     )
 
 

@@ -135,7 +135,7 @@ def effective_moment_arms(digit: DigitModel, q: Values, speed: Values) -> Array:
     return digit.arms_at(q) * pulley_factors(digit, q, speed)
 
 
-def excursion(digit: DigitModel, q: Values) -> Array:
+def excursions(digit: DigitModel, q: Values) -> Array:
     """Return the excursion of each tendon at joint angles, the integral of R, (n_t,) [m]."""
     return digit.excursion_at(q)
 

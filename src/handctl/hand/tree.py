@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from handctl.hand import rigid_body
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array, DigitModel, Values
-from handctl.hand.kinematics import positions, rotations
+from handctl.hand.kinematics import joint_positions, link_rotations
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,7 +60,7 @@ class HandTree:
 
     def poses(self, q: Values) -> Array:
         """Return the poses of all links at joint angles q (J,) [rad], (J, rigid_body.POSE)."""
-        return rigid_body.poses(self.table, self.parent, np.asarray(q, dtype=np.float64))
+        return rigid_body.link_poses(self.table, self.parent, np.asarray(q, dtype=np.float64))
 
     def points(self, q: Values) -> tuple[Array, ...]:
         """Return for each digit its joints and its tip, (n + 1, 3) in the palm frame [m]."""
@@ -68,8 +68,8 @@ class HandTree:
         result = []
         for digit in self.digits:
             own = poses[digit.joints]
-            tip = positions(own)[-1] + digit.lengths[-1] * rotations(own)[-1, :, 0]
-            result.append(np.vstack((positions(own), tip)))
+            tip = joint_positions(own)[-1] + digit.lengths[-1] * link_rotations(own)[-1, :, 0]
+            result.append(np.vstack((joint_positions(own), tip)))
         return tuple(result)
 
     def mass_matrix(self, q: Values) -> Array:
@@ -79,10 +79,10 @@ class HandTree:
     def inverse_dynamics(self, q: Values, dq: Values, ddq: Values) -> Array:
         """Return the joint torques of inertia and weight, (J,) [N m], see ``dynamics.inverse_dynamics``."""
         rows = (np.asarray(values, dtype=np.float64) for values in (q, dq, ddq))
-        return rigid_body.rigid_torque(self.table, self.parent, self.gravity, *rows)
+        return rigid_body.rigid_body_torques(self.table, self.parent, self.gravity, *rows)
 
     def static_torque(self, q: Values) -> Array:
         """Return the joint torques that hold the hand at rest: gravity and springs, (J,) [N m]."""
         angles = np.asarray(q, dtype=np.float64)
-        weight = rigid_body.weight_torque(self.table, self.parent, self.gravity, angles)
+        weight = rigid_body.weight_torques(self.table, self.parent, self.gravity, angles)
         return np.asarray(weight + self.stiffness * (angles + self.preload))

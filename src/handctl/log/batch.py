@@ -99,7 +99,7 @@ def column_count(header: RunHeader, fields: tuple[str, ...]) -> int:
     return sum(len(header.axis(TELEMETRY_AXES[name])) for name in fields)
 
 
-def columns(header: RunHeader, fields: tuple[str, ...] = TELEMETRY_FIELDS) -> dict[str, slice]:
+def columns_of_fields(header: RunHeader, fields: tuple[str, ...] = TELEMETRY_FIELDS) -> dict[str, slice]:
     """Return the column numbers of each telemetry field in a row.
 
     Args:

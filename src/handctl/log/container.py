@@ -71,7 +71,7 @@ class MessageBlock(NamedTuple):
     offsets: NDArray[np.uint64]
 
 
-def serialised(records: Iterable[McapRecord]) -> bytes:
+def records_as_bytes(records: Iterable[McapRecord]) -> bytes:
     """Return the records as bytes."""
     builder = RecordBuilder()
     for record in records:
@@ -115,7 +115,7 @@ class Container:
         self._at = 0
         self.good = 0
         self._summary = _Summary()
-        self._write_bytes(MAGIC + serialised([Header("ros2", "handctl")]))
+        self._write_bytes(MAGIC + records_as_bytes([Header("ros2", "handctl")]))
 
     @property
     def messages(self) -> int:
@@ -144,7 +144,7 @@ class Container:
 
     def attach(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
         """Write an attachment."""
-        raw = serialised([Attachment(time_ns, time_ns, name, media_type, data)])
+        raw = records_as_bytes([Attachment(time_ns, time_ns, name, media_type, data)])
         start = self._write_bytes(raw)
         self._summary.attachments.append(
             AttachmentIndex(
@@ -160,7 +160,7 @@ class Container:
 
     def metadata(self, name: str, values: dict[str, str]) -> None:
         """Write a metadata record."""
-        raw = serialised([Metadata(name=name, metadata=values)])
+        raw = records_as_bytes([Metadata(name=name, metadata=values)])
         self._summary.metadata.append(MetadataIndex(offset=self._write_bytes(raw), length=len(raw), name=name))
 
     def chunk(
@@ -173,7 +173,7 @@ class Container:
 
         New schemas and channels are written at the start of the chunk.
         """
-        head = serialised([*schemas, *channels])
+        head = records_as_bytes([*schemas, *channels])
         content = b"".join([head, *(block.data for block in blocks)])
         packed = lz4.frame.compress(content)
         first = min((int(block.log_times.min()) for block in blocks), default=0)
@@ -193,12 +193,12 @@ class Container:
 
     def finish(self) -> None:
         """Write the summary and the footer of the file."""
-        self._write_bytes(serialised([DataEnd(self._crc)]))
+        self._write_bytes(records_as_bytes([DataEnd(self._crc)]))
         body, offset_start = self._summary_section(self._at)
         # The CRC of the summary covers the footer up to its own field: opcode, length 20, and both
         # offsets.
         fields = struct.pack("<BQQQ", Opcode.FOOTER, 20, self._at, offset_start)
-        footer = serialised([Footer(self._at, offset_start, zlib.crc32(fields, zlib.crc32(body)))])
+        footer = records_as_bytes([Footer(self._at, offset_start, zlib.crc32(fields, zlib.crc32(body)))])
         self._write_bytes(body + footer + MAGIC)
 
     def _statistics(self) -> Statistics:
@@ -234,11 +234,11 @@ class Container:
             (Opcode.METADATA_INDEX, summary.metadata),
         ]
         for code, group in groups:
-            raw = serialised(group)
+            raw = records_as_bytes(group)
             if raw:
                 offsets.append(SummaryOffset(group_length=len(raw), group_opcode=code, group_start=start + len(body)))
             body += raw
-        return body + serialised(offsets), start + len(body)
+        return body + records_as_bytes(offsets), start + len(body)
 
 
 def _message_indexes(blocks: Sequence[MessageBlock], base: int) -> tuple[bytes, dict[int, int]]:

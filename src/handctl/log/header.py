@@ -8,7 +8,7 @@ from typing import Any, Self
 
 from handctl.errors import LogError
 from handctl.hand.file.quantities import NAME_PATTERN
-from handctl.printing import encodable
+from handctl.printing import escape_surrogates
 
 TRUTH_OFFSET = "truth_offset_ns"
 """Metadata key for the simulator's time at t = 0 of a lockstep run [ns].
@@ -146,7 +146,7 @@ class RunHeader:
         sizes = {name: len(data) for name, data in self.attachments.items()}
         fields = asdict(self) | {"attachments": sizes}
         for table in ("metadata", "gains", "wall"):
-            fields[table] = {encodable(name): encodable(text) for name, text in fields[table].items()}
+            fields[table] = {escape_surrogates(name): escape_surrogates(text) for name, text in fields[table].items()}
         return json.dumps(fields).encode() + b"\n" + b"".join(self.attachments.values())
 
     @classmethod

@@ -41,7 +41,7 @@ from handctl.core.types import (
     TickIn,
     TickOut,
 )
-from handctl.drives.records import EMPTY, RECORD, SHORT, Frames, Records, frames_of
+from handctl.drives.records import NO_FRAMES, RECORD, SHORT_RECORD_BYTES, Frames, Records, frames_as_records
 from handctl.log.cdr import ENCAPSULATION, CdrReader, CdrWriter
 from handctl.safety.action import Action
 
@@ -61,9 +61,9 @@ SIZES = struct.Struct("<IHHHH")
 """Layout of the start of a tick's body: size of the Tick message, lengths of the telemetry axes."""
 FIXED = struct.Struct("<qqq8sBB2xI")
 """Layout of a Tick message's first part: k, t_ns, late_ns, state hash, mode, action, number of received frames."""
-FRAME_SIZE = SHORT
+FRAME_SIZE = SHORT_RECORD_BYTES
 """Size of a frame in a Tick message [bytes]: the first part of its record, with eight data bytes."""
-_BEGINNING = np.dtype(f"V{SHORT}")
+_BEGINNING = np.dtype(f"V{SHORT_RECORD_BYTES}")
 """numpy type of a frame as raw bytes."""
 _LENGTH_AT = 15
 """Offset of the length byte in a frame."""
@@ -174,8 +174,8 @@ def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
         ValueError: state_hash is not 8 bytes long.
         struct.error: a number does not fit its field.
     """
-    received = frames_of(tick_in.frames).records
-    sent = frames_of(out.frames).records
+    received = frames_as_records(tick_in.frames).records
+    sent = frames_as_records(out.frames).records
     if len(out.state_hash) != 8:
         raise ValueError(f"state hash of {len(out.state_hash)} bytes; expected 8")
     fixed = FIXED.pack(
@@ -212,7 +212,7 @@ def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
     return b"".join(parts)
 
 
-def pack(tick_in: TickIn, out: TickOut) -> bytes:
+def pack_tick_record(tick_in: TickIn, out: TickOut) -> bytes:
     """Encode a tick as a record for the pipe. Raises the errors of `pack_tick`."""
     message = pack_tick(tick_in, out)
     values = out.telemetry.packed()
@@ -279,7 +279,7 @@ def _decode_frames(beginnings: bytes, long_data: bytes) -> tuple[Frames, bytes]:
     lengths = beginnings[_LENGTH_AT::FRAME_SIZE]
     count = len(beginnings) // FRAME_SIZE
     if not count:
-        return EMPTY, long_data
+        return NO_FRAMES, long_data
     records = np.zeros(count, RECORD)
     records.setfield(np.frombuffer(beginnings, _BEGINNING), _BEGINNING, 0)
     longest = max(lengths)
@@ -412,8 +412,8 @@ def _unpack_short(messages: list[bytes]) -> list[TickRecord] | None:
     return list(map(_build_tick, fixed, frames[::2], frames[1::2], messages, tails))
 
 
-def unpack(record: bytes) -> tuple[TickIn, TickOut]:
-    """Decode a record of the pipe that `pack` has encoded.
+def unpack_tick_record(record: bytes) -> tuple[TickIn, TickOut]:
+    """Decode a record of the pipe that `pack_tick_record` has encoded.
 
     Raises:
         ValueError: the bytes are not the record of a tick.

@@ -15,9 +15,13 @@ FIGURES = "../figures"
 """Folder of the figures, next to the Markdown page."""
 PREFIX = "paper-"
 """Prefix of the figures' file names."""
-REGENERATE = "handctl paper --markdown --figures docs/figures --results docs/evidence/paper-results.json"
+REGENERATE = (
+    "handctl paper --markdown --figures docs/figures --results docs/evidence/paper-results.json"
+)
 """Command that regenerates the page."""
-MEASURED_MARK = "<!-- measured in the simulator: differs in its last digits from machine to machine -->"
+MEASURED_MARK = (
+    "<!-- measured in the simulator: differs in its last digits from machine to machine -->"
+)
 """Mark of sections whose content differs between machines."""
 CAPTIONS = {
     "fig1-hand": "Fig. 1: the hand from its description, half closed.",
@@ -32,12 +36,15 @@ CAPTIONS = {
 """Caption of each figure."""
 
 
-def plain(items: Sequence[Item]) -> list[dict[str, Any]]:
+def items_as_json(items: Sequence[Item]) -> list[dict[str, Any]]:
     """Return the items as plain values for JSON."""
-    return [{**asdict(item), "verdict": item.verdict.value, "evidence": list(item.evidence)} for item in items]
+    return [
+        {**asdict(item), "verdict": item.verdict.value, "evidence": list(item.evidence)}
+        for item in items
+    ]
 
 
-def value(item: Item) -> str:
+def value_text(item: Item) -> str:
     """Return the correct value of an item as text.
 
     The text is a number to seven digits with its unit, or an expression.
@@ -48,7 +55,7 @@ def value(item: Item) -> str:
     return f"{text} {item.unit}".rstrip()
 
 
-def markdown(parts: Sequence[PageSection]) -> str:
+def page_as_markdown(parts: Sequence[PageSection]) -> str:
     """Return the page as Markdown. The figures must be in the folder `figures` next to the page."""
     rows = [item for part in parts for item in part.items]
     lines = [
@@ -75,7 +82,9 @@ def markdown(parts: Sequence[PageSection]) -> str:
             ]
         lines += _markdown_table(part.table)
         lines += ["| id | where | printed | right | verdict | why |", "|---|---|---|---|---|---|"]
-        lines += ["| " + " | ".join(map(_escape_cell, _item_cells(item))) + " |" for item in part.items]
+        lines += [
+            "| " + " | ".join(map(_escape_cell, _item_cells(item))) + " |" for item in part.items
+        ]
         lines += [""]
     return "\n".join(lines)
 
@@ -99,12 +108,16 @@ def _summary_text(rows: list[Item]) -> str:
 
 def _item_cells(item: Item) -> tuple[str, ...]:
     """Return the table cells of an item."""
-    off = f" (deviation {item.deviation:.2g})" if item.deviation is not None and item.verdict != "equal" else ""
+    off = (
+        f" (deviation {item.deviation:.2g})"
+        if item.deviation is not None and item.verdict != "equal"
+        else ""
+    )
     return (
         item.id,
         item.where,
         item.printed,
-        value(item),
+        value_text(item),
         f"**{item.verdict.value}**",
         item.why + off,
     )
@@ -135,7 +148,7 @@ figcaption { font-size: .88rem; opacity: .75 }
 """
 
 
-def report(parts: Sequence[PageSection], figures: Mapping[str, Path]) -> str:
+def page_as_html(parts: Sequence[PageSection], figures: Mapping[str, Path]) -> str:
     """Return the page as one HTML file that includes the figures.
 
     Args:
@@ -143,8 +156,12 @@ def report(parts: Sequence[PageSection], figures: Mapping[str, Path]) -> str:
         figures: SVG file of each figure.
     """
     rows = [item for part in parts for item in part.items]
-    counts = " ".join(f"{_html_badge(verdict)} {count}" for verdict, count in count_by_verdict(rows).items())
-    body = [f"<h1>{TITLE}</h1><p>{html.escape(REFERENCE)}</p><p>{html.escape(INTRODUCTION)}</p><p>{counts}</p>"]
+    counts = " ".join(
+        f"{_html_badge(verdict)} {count}" for verdict, count in count_by_verdict(rows).items()
+    )
+    body = [
+        f"<h1>{TITLE}</h1><p>{html.escape(REFERENCE)}</p><p>{html.escape(INTRODUCTION)}</p><p>{counts}</p>"
+    ]
     for part in parts:
         body.append(f"<h2>{html.escape(part.title)}</h2>")
         body += [f"<p>{_html_paragraph(paragraph)}</p>" for paragraph in part.text]
@@ -187,7 +204,9 @@ def _html_numbers(table: Sequence[Sequence[str]]) -> str:
 
 def _html_items(items: Sequence[Item]) -> str:
     """Return a table of items as HTML."""
-    titles = "".join(f"<th>{name}</th>" for name in ("id", "where", "printed", "right", "verdict", "why"))
+    titles = "".join(
+        f"<th>{name}</th>" for name in ("id", "where", "printed", "right", "verdict", "why")
+    )
     rows = []
     for item in items:
         id, where, printed, right, _, reason = map(html.escape, _item_cells(item))

@@ -44,24 +44,36 @@ class PageSection:
     table: tuple[tuple[str, ...], ...] = ()
 
 
-def sections(measured: Mapping[str, Any] | None) -> tuple[PageSection, ...]:
+def page_sections(measured: Mapping[str, Any] | None) -> tuple[PageSection, ...]:
     """Return all sections. Without results of experiments, sections of measurements are omitted.
 
     Args:
-        measured: results of `experiments.measure`.
+        measured: results of `experiments.run_experiments`.
     """
-    fixed = (_hand_section(), _kinematics_section(), _statics_section(), _dynamics_section(), _assumptions_section())
-    return fixed if measured is None else (*fixed, _bench_section(measured), _payload_section(measured))
+    fixed = (
+        _hand_section(),
+        _kinematics_section(),
+        _statics_section(),
+        _dynamics_section(),
+        _assumptions_section(),
+    )
+    return (
+        fixed
+        if measured is None
+        else (*fixed, _bench_section(measured), _payload_section(measured))
+    )
 
 
-def items(measured: Mapping[str, Any] | None) -> list[Item]:
+def page_items(measured: Mapping[str, Any] | None) -> list[Item]:
     """Return all items of the page."""
-    return [item for section in sections(measured) for item in section.items]
+    return [item for section in page_sections(measured) for item in section.items]
 
 
 def count_by_verdict(rows: list[Item]) -> dict[str, int]:
     """Return the number of items for each verdict."""
-    return {verdict.value: sum(item.verdict == verdict for item in rows) for verdict in ErrataVerdict}
+    return {
+        verdict.value: sum(item.verdict == verdict for item in rows) for verdict in ErrataVerdict
+    }
 
 
 def _hand_section() -> PageSection:
@@ -72,7 +84,7 @@ def _hand_section() -> PageSection:
             "motor and one tendon move each digit. `handctl paper --export DIR` writes the hand as URDF and MJCF.",
         ),
         ("fig1-hand",),
-        tuple(text.items()),
+        tuple(text.text_items()),
     )
 
 
@@ -89,7 +101,7 @@ def _kinematics_section() -> PageSection:
             "would reach the shaded area.",
         ),
         ("fig2-model", "fig3-path"),
-        tuple(kinematics.items()),
+        tuple(kinematics.kinematics_items()),
     )
 
 
@@ -102,12 +114,12 @@ def _statics_section() -> PageSection:
             "wire from its allowable stress.",
         ),
         ("fig4-statics",),
-        tuple(statics.items()),
+        tuple(statics.statics_items()),
     )
 
 
 def _dynamics_section() -> PageSection:
-    rows = (*lagrange.term_items(), *lagrange.equation_items(), *motion.items())
+    rows = (*lagrange.term_items(), *lagrange.equation_items(), *motion.motion_items())
     return PageSection(
         "Dynamics (section 7, Eq. 3-12, Fig. 7)",
         (
@@ -129,7 +141,7 @@ def _assumptions_section() -> PageSection:
         "Assumptions that the model does not state",
         ("Not misprints: places where the paper's parts contradict each other or mechanics.",),
         (),
-        tuple(assumptions.items()),
+        tuple(assumptions.assumption_items()),
     )
 
 
@@ -143,7 +155,7 @@ def _bench_section(measured: Mapping[str, Any]) -> PageSection:
             "parameter of the simulator, because the paper prints no data.",
         ),
         ("fig5-force-displacement",),
-        tuple(force_displacement.items(measured["force_displacement"])),
+        tuple(force_displacement.knee_items(measured["force_displacement"])),
         measured=True,
     )
 
@@ -160,7 +172,7 @@ def _payload_section(measured: Mapping[str, Any]) -> PageSection:
             "beginning of the load. The load changes these forces.",
         ),
         ("fig8-payload",),
-        tuple(payload.items(measured["payload"])),
+        tuple(payload.payload_items(measured["payload"])),
         measured=True,
-        table=payload.table(measured["payload"]),
+        table=payload.payload_table(measured["payload"]),
     )

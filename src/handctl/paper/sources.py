@@ -31,19 +31,19 @@ PAYLOAD_KG = "0.915"
 
 
 @cache
-def hand() -> Hand:
+def paper_hand() -> Hand:
     """Return the packaged hand with the lengths and radii of the paper."""
     return load_hand("jamia")
 
 
-def finger() -> Digit:
+def paper_finger() -> Digit:
     """Return a finger of this hand."""
-    return hand().digit_named("index")
+    return paper_hand().digit_named("index")
 
 
-def thumb() -> Digit:
+def paper_thumb() -> Digit:
     """Return the thumb of this hand."""
-    return hand().digit_named("thumb")
+    return paper_hand().digit_named("thumb")
 
 
 def millimetres(lengths_m: tuple[float, ...]) -> tuple[Fraction, ...]:
@@ -51,7 +51,7 @@ def millimetres(lengths_m: tuple[float, ...]) -> tuple[Fraction, ...]:
     return tuple(1000 * Fraction(str(length)) for length in lengths_m)
 
 
-def levers(digit: Digit) -> tuple[Fraction, ...]:
+def levers_mm(digit: Digit) -> tuple[Fraction, ...]:
     """Return the distance of the tip from each joint of the straight digit [mm], equal to the moment per newton."""
     lengths = millimetres(digit.link_length_m)
     return tuple(sum(lengths[i:], Fraction(0)) for i in range(len(lengths)))
@@ -59,12 +59,12 @@ def levers(digit: Digit) -> tuple[Fraction, ...]:
 
 def tension_per_newton(digit: Digit) -> Fraction:
     """Return the tension that balances joint 1 of the straight digit, per newton of tip force [N/N]."""
-    return levers(digit)[0] / PULLEY_MM
+    return levers_mm(digit)[0] / PULLEY_MM
 
 
 def tension_for_kg(mass: int) -> Fraction:
     """Return the tension of each finger's tendon at which friction of three fingers holds a mass [N]."""
-    return mass * GRAVITY / (FINGERS * FRICTION) * tension_per_newton(finger())
+    return mass * GRAVITY / (FINGERS * FRICTION) * tension_per_newton(paper_finger())
 
 
 def wire_diameter_mm(tension_n: Fraction | float) -> float:

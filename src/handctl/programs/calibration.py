@@ -10,7 +10,7 @@ from pydantic import Field, field_validator
 
 from handctl.core.identified import Identified, check_identified
 from handctl.core.types import Vector
-from handctl.document import Document, validated
+from handctl.document import Document, validate_content
 from handctl.drives.sensors.node import TARE_MAX_N, TARE_MIN_N
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
@@ -88,7 +88,7 @@ def calibration_from(content: Mapping[str, Any], hand: Hand, source: str) -> Cal
     Raises:
         ConfigError: As `load_calibration`.
     """
-    calibration = validated(content, Calibration, source)
+    calibration = validate_content(content, Calibration, source)
     if calibration.identity != hand.identity:
         raise ConfigError(
             f"is for hand {calibration.hand!r} with description {calibration.identity[:12]}",

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from handctl.core.estimate import Estimate, Measured
-from handctl.core.law.allocation import allocate
+from handctl.core.law.allocation import tensions_for_torque
 from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.model import HandModel
 from handctl.core.types import Event, Vector
@@ -380,7 +380,7 @@ def _hold_goals(model: HandModel, i: int, more: Vector) -> tuple[DigitGoal, ...]
     # One more pull must not lift the digit off: its torque is at most that of the largest closing arm.
     press = PRESS_FACTOR * PULL_N * np.maximum(arms, 0.0).max(axis=0)
     torque = digit.coupling.T @ np.asarray(static_torque(digit, digit.joint_min)) - press
-    tension = allocate(arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
+    tension = tensions_for_torque(arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
     limit = float(np.abs(tension).max()) + PULL_FORCE_LIMIT_N
     goal = DigitGoal(Kind.TENSION, tension=tension + more[tendons], rate=20.0, force_limit=limit)
     return tuple(goal if d == held else DigitGoal() for d in range(len(model.digits)))
@@ -424,7 +424,7 @@ def _with_results(model: HandModel, table: Vector, i: int, samples: int) -> Vect
     return table
 
 
-def result(model: HandModel, progress: Progress, made: str) -> Calibration:
+def calibration_of_result(model: HandModel, progress: Progress, made: str) -> Calibration:
     """Return the calibration of a finished commissioning.
 
     Args:

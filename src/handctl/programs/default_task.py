@@ -5,14 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from handctl.core.estimation.tip import tip_lever
-from handctl.document import validated
+from handctl.core.estimation.tip import reduced_tip_lever
+from handctl.document import validate_content
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array, DigitModel
-from handctl.hand.file.error_text import listed
+from handctl.hand.file.error_text import shortened_list
 from handctl.hand.file.new_file import CLEARANCE_MM, OBJECT_PER_DIGIT, SMALLEST_OBJECT_MM
 from handctl.hand.file.toml_text import toml_text
-from handctl.hand.kinematics import rotations
+from handctl.hand.kinematics import link_rotations
 from handctl.hand.load import parse_toml
 from handctl.hand.readiness import coordinate_range_deg
 from handctl.hand.tree import HandTree
@@ -86,7 +86,7 @@ def default_task(hand: Hand) -> tuple[Task, str]:
         ],
     }
     text = f"# Made for {hand.name} by handctl: open, close until contact, hold, release, open.\n" + toml_text(content)
-    return validated(parse_toml(text, "default task"), Task, "default task"), text
+    return validate_content(parse_toml(text, "default task"), Task, "default task"), text
 
 
 def _closed_deg(hand: Hand, name: str) -> np.ndarray:
@@ -128,7 +128,7 @@ def _balance(hand: Hand) -> dict[str, float] | None:
 def _directions(hand: Hand) -> dict[str, Array]:
     """Return the direction of flexion of each closing digit: y of the last link at rest, (3,) in the palm frame."""
     tree = HandTree.of(hand)
-    turned = rotations(tree.poses(np.zeros(len(hand.joints))))
+    turned = link_rotations(tree.poses(np.zeros(len(hand.joints))))
     return {digit.name: turned[digit.joints][-1, :, 1] for digit in tree.digits if digit.name not in hand.carriers}
 
 
@@ -167,7 +167,7 @@ def _pressing_tension(hand: Hand, name: str) -> float:
     half = np.radians(_closed_deg(hand, name)) / 2
     q = digit.coupling @ half
     springs = digit.coupling.T @ (np.array(digit.spring_stiffness) * (q + np.array(digit.spring_preload)))
-    torque = springs + PRESS_N * tip_lever(digit, q)
+    torque = springs + PRESS_N * reduced_tip_lever(digit, q)
     arms = digit.at(q).reduced_moment_arms
     closing = arms[arms.sum(axis=1) > 0.0].sum(axis=0)
     # A coordinate that keeps its angle, or that no tendon closes, sets no tension.
@@ -181,7 +181,7 @@ def grasp_warnings(hand: Hand) -> tuple[str, ...]:
     opposed = _opposed(hand)
     if len(set(opposed.values())) == 1:
         warnings.append(
-            f"{listed(list(opposed))}: no digit closes against another: the default task lifts no object; "
+            f"{shortened_list(list(opposed))}: no digit closes against another: the default task lifts no object; "
             "add a digit that is turned by 180 degrees about x in mount_rpy_deg"
         )
     for name in opposed:

@@ -16,7 +16,7 @@ from handctl.core.law.trajectory import Chirp, MinimumJerk
 from handctl.core.model import HandModel
 from handctl.core.types import Event
 from handctl.document import Document
-from handctl.programs.program import Progress, ProgressAndEvents, coordinates
+from handctl.programs.program import Progress, ProgressAndEvents, coordinates_by_excursion
 
 TAUT_TIMEOUT_S = 4.0
 """Longest time until a healthy tendon is taut [s]."""
@@ -111,7 +111,7 @@ def _goal(model: HandModel, d: int, step: ExciteStep, estimate: Estimate, t: flo
     """Return the goal of digit d in a step."""
     digit = model.digits[d]
     tendons = model.digit_tendons[d]
-    here = coordinates(digit, estimate)
+    here = coordinates_by_excursion(digit, estimate)
     if step.kind == "move":
         path = MinimumJerk(here, np.full_like(here, step.target), step.duration_s)
         return DigitGoal(Kind.MOTION, path, since=t)

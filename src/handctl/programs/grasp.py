@@ -6,26 +6,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from handctl.core.estimate import Estimate, Measured
-from handctl.core.estimation.tip import joint_lever, tip_lever
-from handctl.core.law.allocation import allocate
+from handctl.core.estimation.tip import joint_lever, reduced_tip_lever
+from handctl.core.law.allocation import tensions_for_torque
 from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.law.trajectory import Curve, duration_for
 from handctl.core.model import HandModel
 from handctl.core.types import Event, Vector
 from handctl.hand.digit import DigitModel
-from handctl.programs.grip import Grip, GripPlan, hold
+from handctl.programs.grip import Grip, GripPlan, advance_grip
 from handctl.programs.program import (
     TIGHTEN_S,
     TIGHTEN_TIMEOUT_S,
     Progress,
     ProgressAndEvents,
-    coordinates,
+    coordinates_by_excursion,
     motion_to,
     pull_tensions,
     released_tensions,
     slack_tendons,
     tension_goal,
-    tighten,
+    tightening_goals,
 )
 from handctl.programs.task import (
     SHORTEST_MOVE_S,
@@ -36,8 +36,8 @@ from handctl.programs.task import (
     Release,
     Task,
     end_angles,
-    for_digit,
     joint_values,
+    value_for_digit,
 )
 
 FOLLOW_START_DEG = 4.0
@@ -80,7 +80,7 @@ class TaskProgram:
         if progress.finished:
             return progress, ()
         if progress.phase == "start":
-            progress = replace(progress, since=t, phase="tighten", goals=tighten(model))
+            progress = replace(progress, since=t, phase="tighten", goals=tightening_goals(model))
             return progress, (Event("info", "phase", "", "tighten: taking up slack"),)
         if progress.phase == "tighten" and progress.step == 0:
             return self._tighten(model, progress, estimate, t)
@@ -170,7 +170,9 @@ class TaskProgram:
         previous = progress.goals[d]
         digit = model.digits[d]
         if isinstance(phase, Move):
-            angle = end_angles(phase.angle_deg, digit, np.degrees(coordinates(digit, estimate)))
+            angle = end_angles(
+                phase.angle_deg, digit, np.degrees(coordinates_by_excursion(digit, estimate))
+            )
             return (
                 previous
                 if angle is None
@@ -180,10 +182,14 @@ class TaskProgram:
             curve = _curve_of_digit(phase, digit, estimate)
             return previous if curve is None else DigitGoal(Kind.MOTION, curve, since=t)
         if isinstance(phase, Close):
-            angle = end_angles(phase.angle_deg, digit, np.degrees(coordinates(digit, estimate)))
+            angle = end_angles(
+                phase.angle_deg, digit, np.degrees(coordinates_by_excursion(digit, estimate))
+            )
             if angle is None or progress.contact[d]:
                 return previous
-            travel = float(np.abs(np.radians(angle) - coordinates(digit, estimate)).max())
+            travel = float(
+                np.abs(np.radians(angle) - coordinates_by_excursion(digit, estimate)).max()
+            )
             duration = duration_for(travel, math.radians(phase.speed_deg_s), SHORTEST_MOVE_S)
             return motion_to(digit, estimate, np.radians(angle), duration, t)
         if not progress.contact[d]:
@@ -208,19 +214,19 @@ class TaskProgram:
         digit = model.digits[d]
         tendons = model.digit_tendons[d]
         if phase.tension_N is not None:
-            tension = for_digit(phase.tension_N, name)
+            tension = value_for_digit(phase.tension_N, name)
             return None if tension is None else pull_tensions(model, d, tension, estimate)
         assert phase.tip_force_N is not None
-        force = for_digit(phase.tip_force_N, name)
+        force = value_for_digit(phase.tip_force_N, name)
         if force is None:
             return None
         q = estimate.q[digit.joints]
         # Springs and gravity, plus the tip force by its lever, in the digit's coordinates.
         torque = digit.coupling.T @ model.tree.static_torque(estimate.q)[
             digit.joints
-        ] + force * tip_lever(digit, q)
+        ] + force * reduced_tip_lever(digit, q)
         arms = digit.at(q).reduced_moment_arms
-        return allocate(arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
+        return tensions_for_torque(arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
 
     def _hold_on(
         self, model: HandModel, progress: Progress, estimate: Estimate, t: float
@@ -229,7 +235,7 @@ class TaskProgram:
         phase = self.task.phase[progress.step - 1]
         if progress.grip is None or not isinstance(phase, Hold):
             return progress, ()
-        grip, goals, events = hold(
+        grip, goals, events = advance_grip(
             model, progress.grip, _grip_plan(model, phase), progress.goals, estimate, t
         )
         if grip is progress.grip and goals is progress.goals:
@@ -244,7 +250,7 @@ class TaskProgram:
         if not isinstance(phase, Close):
             return progress, ()
         gains = model.gains.contact
-        forces = estimate.grown.tolist()
+        forces = estimate.contact_force.tolist()
         goals = list(progress.goals)
         contact = list(progress.contact)
         touching = list(progress.touching)
@@ -264,9 +270,7 @@ class TaskProgram:
                 pulled = np.maximum(side * estimate.tension[tendons], side * start)
                 closes = np.where(model.is_pair[tendons], side != 0.0, side > 0.0)
                 start = np.where(closes, side * pulled, start)
-                goals[d] = tension_goal(
-                    model, d, start, model.gains.tension.rate_N_per_s, estimate
-                )
+                goals[d] = tension_goal(model, d, start, model.gains.tension.rate_N_per_s, estimate)
                 name = model.hand.digit_names[d]
                 events.append(
                     Event("info", "contact", name, f"{name} touches, {forces[d]:.2f} N at its tip")
@@ -322,7 +326,9 @@ class TaskProgram:
         )
 
 
-def _closing_digits(phase: Move | Follow | Close | Hold | Release, progress: Progress) -> tuple[bool, ...]:
+def _closing_digits(
+    phase: Move | Follow | Close | Hold | Release, progress: Progress
+) -> tuple[bool, ...]:
     """Return for each digit whether it closes until contact, empty in other phases."""
     if not isinstance(phase, Close):
         return ()
@@ -348,7 +354,7 @@ def _grip_plan(model: HandModel, phase: Hold) -> GripPlan:
     limit = np.full(model.tendon_count, np.nan)
     if phase.slip_limit_N is not None:
         for name, tendons in zip(model.hand.digit_names, model.digit_tendons, strict=True):
-            value = for_digit(phase.slip_limit_N, name)
+            value = value_for_digit(phase.slip_limit_N, name)
             limit[tendons] = math.nan if value is None else value
     return GripPlan(1e3 * phase.stiffness_N_per_mm, limit)
 
@@ -356,9 +362,11 @@ def _grip_plan(model: HandModel, phase: Hold) -> GripPlan:
 def _distance_error(model: HandModel, phase: Follow, estimate: Estimate) -> str:
     """Return a message for a digit away from the start of the curve, empty otherwise."""
     for digit in model.digits:
-        angle = np.degrees(coordinates(digit, estimate))
+        angle = np.degrees(coordinates_by_excursion(digit, estimate))
         joints = digit.coupling @ angle
-        places = {digit.joint_names[j]: joints[j : j + 1] for j in joint_values(phase.angle_deg, digit)}
+        places = {
+            digit.joint_names[j]: joints[j : j + 1] for j in joint_values(phase.angle_deg, digit)
+        }
         if digit.name in phase.angle_deg:
             places[digit.name] = angle
         for name, present in places.items():
@@ -373,13 +381,17 @@ def _curve_of_digit(phase: Follow, digit: DigitModel, estimate: Estimate) -> Cur
     """Return the curve of a digit, None without an angle. Joints without angles stay where they are."""
     count = digit.coupling.shape[1]
     if digit.name in phase.angle_deg:
-        return Curve.through(phase.time_s, tuple(map(math.radians, phase.angle_deg[digit.name])), count)
+        return Curve.through(
+            phase.time_s, tuple(map(math.radians, phase.angle_deg[digit.name])), count
+        )
     given = joint_values(phase.angle_deg, digit)
     if not given:
         return None
-    now = coordinates(digit, estimate)
+    now = coordinates_by_excursion(digit, estimate)
     rows = zip(*given.values(), strict=True)
-    points = [digit.with_joint_angles(dict(zip(given, np.radians(row), strict=True)), now) for row in rows]
+    points = [
+        digit.with_joint_angles(dict(zip(given, np.radians(row), strict=True)), now) for row in rows
+    ]
     return Curve.through(phase.time_s, np.array(points), count)
 
 

@@ -80,12 +80,12 @@ class GripPlan:
     limit: Vector
 
 
-def excursion(model: HandModel, estimate: Estimate) -> Vector:
+def grip_excursions(model: HandModel, estimate: Estimate) -> Vector:
     """Return the excursions (N,) up to a constant [m]: tendon wound at the spool less its stretch."""
     return np.asarray(estimate.travel - estimate.tension / model.space.stiffness)
 
 
-def hold(
+def advance_grip(
     model: HandModel,
     grip: Grip,
     plan: GripPlan,
@@ -114,12 +114,12 @@ def hold(
         grip = grip._replace(anchor=estimate.grip.copy())
     if judged:
         # A tendon that opens its digit pays out while the digit closes.
-        opening = np.where(np.isnan(grip.tension), 0.0, model.redundancy.side * estimate.opening)
+        opening = np.where(np.isnan(grip.tension), 0.0, model.redundancy.side * estimate.grip_opening)
         if opening.max() > OPENING_M:
             grip, events = _answer_slip(model, grip, plan, opening, t)
     if not (judged or settled) or not (events or plan.stiffness):
         return grip, goals, events
-    return grip, _held_goals(model, grip, plan, goals, excursion(model, estimate)), events
+    return grip, _held_goals(model, grip, plan, goals, grip_excursions(model, estimate)), events
 
 
 def _answer_slip(

@@ -16,12 +16,12 @@ from handctl.programs.program import (
     TIGHTEN_TIMEOUT_S,
     Progress,
     ProgressAndEvents,
-    coordinates,
+    coordinates_by_excursion,
     motion_to,
     pull_tensions,
     slack_tendons,
     tension_goal,
-    tighten,
+    tightening_goals,
 )
 from handctl.programs.requests import HoldTension, MoveDigits
 from handctl.programs.streams import continued
@@ -55,7 +55,7 @@ class LiveProgram:
         if progress.task is not None:
             return _carry_out_task(model, progress, progress.task, estimate, measured, t)
         if progress.phase == "start":
-            progress = replace(progress, since=t, phase="tighten", goals=tighten(model))
+            progress = replace(progress, since=t, phase="tighten", goals=tightening_goals(model))
             return progress, (Event("info", "phase", "", "tighten: taking up slack"),)
         if progress.phase == "tighten" and not slack_tendons(model, estimate):
             return replace(progress, phase="live"), (
@@ -122,7 +122,9 @@ def _start_refusal(model: HandModel, first: Move, estimate: Estimate) -> Event |
     """Return the event of a first move that is too fast from where the digits are, None if it is not."""
     for d, name in enumerate(model.hand.digit_names):
         digit = model.digits[d]
-        angle = end_angles(first.angle_deg, digit, np.degrees(coordinates(digit, estimate)))
+        angle = end_angles(
+            first.angle_deg, digit, np.degrees(coordinates_by_excursion(digit, estimate))
+        )
         if angle is None:
             continue
         end = np.broadcast_to(np.array(angle, dtype=float), (digit.coupling.shape[1],))
@@ -262,7 +264,10 @@ def _end_of_move(
     if name in angles:
         return f"{name} and {joints[next(iter(given))]}, expected either the digit or its joints"
     now = np.degrees(
-        np.clip(start if isinstance(start, np.ndarray) else coordinates(digit, start), *digit.reach)
+        np.clip(
+            start if isinstance(start, np.ndarray) else coordinates_by_excursion(digit, start),
+            *digit.reach,
+        )
     )
     end = digit.with_joint_angles(given, now)
     if np.abs((digit.coupling @ end)[list(given)] - list(given.values())).max() > COUPLED_DEG:
@@ -294,7 +299,7 @@ def _out_of_reach(
     for angle, low, high in zip(end, joint_min, joint_max, strict=True):
         if not low - ROUNDING_DEG <= angle <= high + ROUNDING_DEG:
             return f"{angle:g} deg, expected from {low:g} to {high:g} deg"
-    travel = np.abs(end - np.degrees(coordinates(digit, estimate))).max()
+    travel = np.abs(end - np.degrees(coordinates_by_excursion(digit, estimate))).max()
     peak = PEAK_SPEED * float(travel) / duration
     too_fast = f"at up to {peak:.0f} deg/s, expected at most {FOLLOW_SPEED_DEG_S:g} deg/s: give it more time"
     return "" if peak <= FOLLOW_SPEED_DEG_S else too_fast

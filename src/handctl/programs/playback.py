@@ -11,7 +11,7 @@ from handctl.core.law.trajectory import MinimumJerk, Sample
 from handctl.core.model import HandModel
 from handctl.core.types import Event, Vector
 from handctl.programs.live import LiveProgram
-from handctl.programs.program import Progress, ProgressAndEvents, coordinates
+from handctl.programs.program import Progress, ProgressAndEvents, coordinates_by_excursion
 
 APPROACH_S = 2.0
 """Duration of the slow move to the first pose of the recording [s]."""
@@ -102,7 +102,7 @@ class PlaybackProgram:
                 goals.append(DigitGoal(Kind.TENSION, tension=tension, rate=APPROACH_RATE_N_PER_S))
             else:
                 end = np.asarray(digit.joints_to_coordinates @ first)
-                path = MinimumJerk(coordinates(digit, estimate), end, APPROACH_S)
+                path = MinimumJerk(coordinates_by_excursion(digit, estimate), end, APPROACH_S)
                 goals.append(DigitGoal(Kind.MOTION, path, since=t))
         progress = replace(progress, goals=tuple(goals), phase="approach", since=t)
         return progress, (Event("info", "phase", "", "approach: slowly to the first pose"),)

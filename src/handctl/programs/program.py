@@ -99,7 +99,7 @@ TIGHTEN_TIMEOUT_S = 4.0
 """Longest time that taking up the slack may last [s]."""
 
 
-def tighten(model: HandModel) -> tuple[DigitGoal, ...]:
+def tightening_goals(model: HandModel) -> tuple[DigitGoal, ...]:
     """Return goals that take up the slack of every tendon."""
     return tuple(
         DigitGoal(Kind.TENSION, tension=_tightened(model, tendons), rate=40.0) for tendons in model.digit_tendons
@@ -114,9 +114,7 @@ def _tightened(model: HandModel, tendons: slice) -> Vector:
     return np.asarray(balance * (least / balance).max() if balance.all() else least)
 
 
-def pull_tensions(
-    model: HandModel, d: int, tension: float | tuple[float, ...], estimate: Estimate
-) -> Vector:
+def pull_tensions(model: HandModel, d: int, tension: float | tuple[float, ...], estimate: Estimate) -> Vector:
     """Return tensions (n_t,) of digit d under tension control [N].
 
     Tendons that close the digit have the given tension. Their antagonists have the balance. A digit of
@@ -141,7 +139,7 @@ def tension_goal(model: HandModel, d: int, tension: Vector, rate: float, estimat
     """
     if model.redundancy.side[model.digit_tendons[d]].all():
         return DigitGoal(Kind.TENSION, tension=tension, rate=rate)
-    here = coordinates(model.digits[d], estimate)
+    here = coordinates_by_excursion(model.digits[d], estimate)
     return DigitGoal(Kind.TENSION, MinimumJerk(here, here, HOLD_STILL_S), tension=tension, rate=rate)
 
 
@@ -165,7 +163,7 @@ def slack_tendons(model: HandModel, estimate: Estimate) -> list[str]:
     return [name for name, ok in zip(model.hand.tendon_names, taut, strict=True) if not ok]
 
 
-def coordinates(digit: DigitModel, estimate: Estimate) -> Vector:
+def coordinates_by_excursion(digit: DigitModel, estimate: Estimate) -> Vector:
     """Return the coordinates (n_c,) of a digit by its excursions [rad].
 
     Contact may turn the joints further than the excursions show.
@@ -175,5 +173,5 @@ def coordinates(digit: DigitModel, estimate: Estimate) -> Vector:
 
 def motion_to(digit: DigitModel, estimate: Estimate, angle: float | Vector, duration: float, t: float) -> DigitGoal:
     """Return a goal that moves a digit's coordinates to an angle, or to one angle each [rad], in a time [s]."""
-    start = coordinates(digit, estimate)
+    start = coordinates_by_excursion(digit, estimate)
     return DigitGoal(Kind.MOTION, MinimumJerk(start, np.full_like(start, angle), duration), since=t)

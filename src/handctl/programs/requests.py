@@ -12,7 +12,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 from handctl.document import Document
 from handctl.programs.task import SHORTEST_MOVE_S, Angle, Task, Tension
 
-MOST_VALUES = 64
+MAX_TARGET_VALUES = 64
 """Largest number of values of a streamed target."""
 
 
@@ -86,7 +86,7 @@ class OpenStream(CommandBase):
     space: Literal["joint", "digit", "tension", "tip_force"]
     """Meaning of a target: an angle for each joint [deg], one angle for all joints of a digit [deg], a tension for each
     tendon [N], or a force at the tip of a digit [N]."""
-    names: tuple[str, ...] = Field(min_length=1, max_length=MOST_VALUES)
+    names: tuple[str, ...] = Field(min_length=1, max_length=MAX_TARGET_VALUES)
     """Names of the values of a target, in order."""
     rate_Hz: float = Field(ge=1, le=1000)
     """Rate at which the client sends targets."""
@@ -141,12 +141,12 @@ Request = (
     | CloseStream | SetGains
 )  # fmt: skip
 
-_PREFIX = "asked: "
+_ACCEPTED_PREFIX = "asked: "
 _ADAPTER: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])
 
 LONGEST_LINE = 200
 """Longest line that quotes a refused request [characters]."""
-REFUSED = "refused: "
+REFUSED_PREFIX = "refused: "
 """Prefix of the event of a refused request."""
 
 
@@ -155,7 +155,7 @@ def describe_request(request: Request) -> str:
 
     Request events up to the next text of this form belong to the same request.
     """
-    return f"{_PREFIX}{request.do}" + (f" by {request.by}" if request.by else "")
+    return f"{_ACCEPTED_PREFIX}{request.do}" + (f" by {request.by}" if request.by else "")
 
 
 def events_for_request(by: str, events: Iterable[Mapping[str, Any]]) -> list[str] | None:
@@ -167,7 +167,7 @@ def events_for_request(by: str, events: Iterable[Mapping[str, Any]]) -> list[str
     """
     texts: list[str] | None = None
     for text in [event["text"] for event in events if event["name"] == "request"]:
-        if text.startswith(_PREFIX):
+        if text.startswith(_ACCEPTED_PREFIX):
             if texts is not None:
                 break
             texts = [] if text.endswith(f" by {by}") else None

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.estimation.tip import tip_lever
-from handctl.core.law.allocation import allocate
+from handctl.core.estimation.tip import reduced_tip_lever
+from handctl.core.law.allocation import tensions_for_torque
 from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.law.trajectory import Blend, MinimumJerk, Streamed
 from handctl.core.model import HandModel
@@ -264,9 +264,11 @@ def tensions_of(
         angles, tendons = q[digit.joints], digit.tendons
         # Springs and gravity, plus the tip force by its lever, in the digit's coordinates.
         torque = digit.coupling.T @ np.asarray(static_torque(digit, angles))
-        torque += max(force, 0.0) * tip_lever(digit, angles)
+        torque += max(force, 0.0) * reduced_tip_lever(digit, angles)
         arms = digit.at(angles).reduced_moment_arms
-        tension[tendons] = allocate(arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
+        tension[tendons] = tensions_for_torque(
+            arms, torque, model.floor[tendons], model.ceiling[tendons]
+        )[0]
     return tension
 
 

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from handctl.core.law.trajectory import Curve
 from handctl.core.types import Vector
-from handctl.document import Document, load_document, validated
+from handctl.document import Document, load_document, validate_content
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
@@ -175,14 +175,14 @@ def trajectory_from(content: Mapping[str, Any], source: str) -> Task:
     Raises:
         ConfigError: As `load_trajectory`. The message names the source.
     """
-    file = validated(content, TrajectoryFile, source)
+    file = validate_content(content, TrajectoryFile, source)
     first = {digit: angles[0] for digit, angles in file.angle_deg.items() if angles}
     follow = {"kind": "follow", "time_s": file.time_s, "angle_deg": file.angle_deg}
     phases = [
         {"kind": "move", "name": "to the start", "angle_deg": first, "duration_s": 1.5},
         follow,
     ]
-    return validated({"schema": 1, "name": file.name, "phase": phases}, Task, source)
+    return validate_content({"schema": 1, "name": file.name, "phase": phases}, Task, source)
 
 
 def load_task(path: Path) -> Task:
@@ -194,7 +194,7 @@ def load_task(path: Path) -> Task:
     return load_document(path, Task)
 
 
-class Shape(NamedTuple):
+class DigitShape(NamedTuple):
     """Numbers that describe a digit in a task.
 
     Attributes:
@@ -208,11 +208,11 @@ class Shape(NamedTuple):
     joints: tuple[str, ...] = ()
 
 
-def shapes(hand: Hand) -> dict[str, Shape]:
+def shapes_of_digits(hand: Hand) -> dict[str, DigitShape]:
     """Return the shape of each digit by its name."""
     counts = {name: part.stop - part.start for name, part in hand.digit_tendons.items()}
     return {
-        digit.name: Shape(
+        digit.name: DigitShape(
             len(digit.coupling[0]) if digit.coupling else len(digit.joints), counts[digit.name], digit.joints
         )
         for digit in hand.digit
@@ -224,7 +224,7 @@ def check_task(
     digits: tuple[str, ...],
     ceiling: float,
     where: str,
-    digit_shapes: Mapping[str, Shape] | None = None,
+    digit_shapes: Mapping[str, DigitShape] | None = None,
 ) -> None:
     """Check a task against a hand.
 
@@ -262,7 +262,7 @@ def check_task(
                 raise ConfigError(f"{largest:g} N", key_path, f"at most tension_max_N = {ceiling:g} N")
 
 
-def _check_count(digit: str, value: object, digit_shapes: Mapping[str, Shape] | None, key_path: str) -> None:
+def _check_count(digit: str, value: object, digit_shapes: Mapping[str, DigitShape] | None, key_path: str) -> None:
     """Refuse a list of the wrong length: an angle per coordinate, a tension per tendon."""
     if digit_shapes is None or not isinstance(value, tuple):
         return
@@ -277,7 +277,7 @@ def _check_count(digit: str, value: object, digit_shapes: Mapping[str, Shape] | 
     raise ConfigError(f"{len(value)} numbers for {digit}", key_path, expected)
 
 
-def _digit_of_joint(digit_shapes: Mapping[str, Shape] | None) -> dict[str, str]:
+def _digit_of_joint(digit_shapes: Mapping[str, DigitShape] | None) -> dict[str, str]:
     """Return the digit of each joint."""
     return {joint: name for name, shape in (digit_shapes or {}).items() for joint in shape.joints}
 
@@ -285,7 +285,7 @@ def _digit_of_joint(digit_shapes: Mapping[str, Shape] | None) -> dict[str, str]:
 Value = TypeVar("Value")
 
 
-def for_digit(value: float | dict[str, Value], digit: str) -> float | Value | None:
+def value_for_digit(value: float | dict[str, Value], digit: str) -> float | Value | None:
     """Return the value of a phase for a digit, None if the phase names other digits only."""
     return value.get(digit) if isinstance(value, dict) else float(value)
 
@@ -307,5 +307,5 @@ def end_angles(value: float | dict[str, Angles], digit: DigitModel, now: Vector)
     """
     given = joint_values(value, digit)
     if not given:
-        return for_digit(value, digit.name)
+        return value_for_digit(value, digit.name)
     return digit.with_joint_angles({j: float(np.mean(angle)) for j, angle in given.items()}, now)

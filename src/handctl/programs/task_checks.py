@@ -22,9 +22,9 @@ from handctl.programs.task import (
     Task,
     check_task,
     end_angles,
-    for_digit,
     joint_values,
-    shapes,
+    shapes_of_digits,
+    value_for_digit,
 )
 
 Span = tuple[Vector, Vector]
@@ -38,7 +38,9 @@ def check_suits(task: Task, hand: Hand, where: str) -> None:
         ConfigError: the hand does not have a digit, a number of angles, a tension or an angle of the task, a move is
             too fast, a tip force is for an underactuated digit, or a slip limit is below the tension.
     """
-    check_task(task, hand.digit_names, min(tendon.tension_max_N for tendon in hand.tendon), where, shapes(hand))
+    check_task(
+        task, hand.digit_names, min(tendon.tension_max_N for tendon in hand.tendon), where, shapes_of_digits(hand)
+    )
     check_tip_force(task, hand, where)
     check_slip_limit(task, hand, where)
     check_joint_range(task, hand, where)
@@ -168,7 +170,7 @@ def check_tip_force(task: Task, hand: Hand, where: str) -> None:
             joints = hand.digit_joints[name]
             joint_count = joints.stop - joints.start
             tendon_count = tendons.stop - tendons.start
-            if tendon_count < joint_count and for_digit(phase.tip_force_N, name) is not None:
+            if tendon_count < joint_count and value_for_digit(phase.tip_force_N, name) is not None:
                 tendons_text = f"{tendon_count} tendon{'s' * (tendon_count > 1)}"
                 problem = f"{name} has {tendons_text} for {joint_count} joints: no force at its tip can be made"
                 raise ConfigError(problem, f"{where}: phase[{i}].tip_force_N", f"tension_N for {name}")
@@ -189,8 +191,8 @@ def check_slip_limit(task: Task, hand: Hand, where: str) -> None:
         if not isinstance(phase, Hold) or phase.slip_limit_N is None or phase.tension_N is None:
             continue
         for name in hand.digit_names:
-            limit = for_digit(phase.slip_limit_N, name)
-            tension = for_digit(phase.tension_N, name)
+            limit = value_for_digit(phase.slip_limit_N, name)
+            tension = value_for_digit(phase.tension_N, name)
             if limit is not None and tension is not None and np.max(limit) < np.max(tension):
                 expected = f"at least tension_N of {name}, {np.max(tension):g}"
                 raise ConfigError(f"{np.max(limit):g}", f"{where}: phase[{i}].slip_limit_N", expected)
@@ -201,5 +203,5 @@ def _reached_angles(phase: Move | Close | Follow, name: str) -> Iterable[float |
     if isinstance(phase, Follow):
         angles = phase.angle_deg.get(name)
         return (min(angles), max(angles)) if angles else ()
-    angle = for_digit(phase.angle_deg, name)
+    angle = value_for_digit(phase.angle_deg, name)
     return () if angle is None else (angle,)

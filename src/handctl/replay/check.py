@@ -5,11 +5,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from handctl.log.read.reader import RunLog
-from handctl.log.topics.chain import seed_of, tick_hash
+from handctl.log.topics.chain import first_hash_of_run, tick_hash
 from handctl.replay.rebuild import logged_hand
 
 
-def check(log: RunLog) -> list[str]:
+def check_log(log: RunLog) -> list[str]:
     """Return one line per defect of a log, after reading every byte of the log.
 
     Raises:
@@ -90,7 +90,7 @@ def _check_hashes(log: RunLog) -> Iterator[str]:
 
 def _check_chain(log: RunLog) -> Iterator[str]:
     """Check the hash chain, and name the first tick with a wrong hash."""
-    before = seed_of(log.header)
+    before = first_hash_of_run(log.header)
     broken = list[int]()
     ticks = zip(log.k.tolist(), log.messages(), log.packed(), log.digests(), strict=False)
     for k, message, numbers, digest in ticks:

@@ -50,7 +50,7 @@ def check_same_hand(a: RunLog, name: str, identity: str, where: str) -> None:
         )
 
 
-def compare(names: tuple[str, ...], before: Array, after: Array, period: float) -> dict[str, dict[str, float]]:
+def compare_signals(names: tuple[str, ...], before: Array, after: Array, period: float) -> dict[str, dict[str, float]]:
     """Compare two aligned signals.
 
     Args:
@@ -67,7 +67,7 @@ def compare(names: tuple[str, ...], before: Array, after: Array, period: float) 
     rows = min(len(before), len(after))
     change = after[:rows] - before[:rows]
     return {
-        name: rms_and_peak(change[:, i]) | {"delay_s": delay(before[:rows, i], after[:rows, i], period)}
+        name: rms_and_peak(change[:, i]) | {"delay_s": signal_delay(before[:rows, i], after[:rows, i], period)}
         for i, name in enumerate(names)
     }
 
@@ -83,7 +83,7 @@ def rms_and_peak(change: Array) -> dict[str, float]:
     return {"rms": float(np.sqrt(np.mean(finite**2))), "peak": float(np.abs(finite).max())}
 
 
-def delay(before: Array, after: Array, period: float) -> float:
+def signal_delay(before: Array, after: Array, period: float) -> float:
     """Return the delay of `after` relative to `before` [s].
 
     The delay is the time shift with the smallest remaining variance, refined by a parabola through
@@ -110,7 +110,7 @@ def delay(before: Array, after: Array, period: float) -> float:
     return float((best - reach + (0.5 * (earlier - later) / bend if bend > 0 else 0.0)) * period)
 
 
-def resampled(log: RunLog, field: str, start: float, times: Array) -> Array:
+def resampled_field(log: RunLog, field: str, start: float, times: Array) -> Array:
     """Return a telemetry field interpolated at the given times (times, n).
 
     Args:
@@ -137,8 +137,8 @@ def compare_runs(a: RunLog, start_a: float, b: RunLog, start_b: float, duration:
     times = np.asarray(np.arange(round(duration / period)) * period, np.float64)
     result: dict[str, Any] = {}
     for field, (axis, factor, unit) in SIGNALS.items():
-        before, after = (factor * resampled(*run, times) for run in ((a, field, start_a), (b, field, start_b)))
-        result[f"{axis}_{unit}"] = compare(a.header.axis(axis), before, after, period)
+        before, after = (factor * resampled_field(*run, times) for run in ((a, field, start_a), (b, field, start_b)))
+        result[f"{axis}_{unit}"] = compare_signals(a.header.axis(axis), before, after, period)
     return result
 
 

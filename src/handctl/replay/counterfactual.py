@@ -22,7 +22,7 @@ OTHER = "#d9822b"
 
 
 class Commands:
-    """Collector for the commands of each tick. Pass `add` to `execute` as `observer`."""
+    """Collector for the commands of each tick. Pass `add` to `execute_log` as `observer`."""
 
     def __init__(self) -> None:
         """Start with no ticks."""
@@ -45,7 +45,7 @@ class Commands:
         return np.array(self._tension)
 
 
-def summary(log: RunLog, commands: Commands) -> dict[str, dict[str, dict[str, float]]]:
+def command_change(log: RunLog, commands: Commands) -> dict[str, dict[str, dict[str, float]]]:
     """Return RMS and peak of the change in command, per motor [N m] and per tendon [N]."""
     torque = commands.torque - log.field("motor_torque_goal")
     tension = commands.tension - log.field("tension_goal")
@@ -55,7 +55,7 @@ def summary(log: RunLog, commands: Commands) -> dict[str, dict[str, dict[str, fl
     }
 
 
-def draw(path: Path, log: RunLog, commands: Commands, title: str) -> None:
+def draw_commands(path: Path, log: RunLog, commands: Commands, title: str) -> None:
     """Draw commanded tension and torque of each tendon as PNG, both from the log and for the other gains.
 
     Args:

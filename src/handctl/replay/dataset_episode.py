@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline
 
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.printing import printable
+from handctl.printing import printable_text
 from handctl.programs.playback import Recording
 from handctl.programs.task import FOLLOW_SPEED_DEG_S
 
@@ -50,19 +50,19 @@ def find_episode(dataset: Path, episode: int, hand: Hand, period: float, speed_d
     Raises:
         ConfigError: no such dataset or episode, it does not suit the hand, or an angle or a speed is out of range.
     """
-    info = _info(dataset)
+    info = _read_info(dataset)
     rate = info.get("fps")
     if not isinstance(rate, int | float) or not RATES_HZ[0] <= rate <= RATES_HZ[1]:
-        raise ConfigError(_short(rate), f"{_info_path(dataset)}: fps", f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz")
+        raise ConfigError(_value_text(rate), f"{_info_path(dataset)}: fps", f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz")
     where = f"{dataset}: episode {episode}"
-    actions = _actions(dataset, info, episode)
+    actions = _read_actions(dataset, info, episode)
     if not 2 <= len(actions) <= LONGEST_S * rate:
         raise ConfigError(f"{len(actions)} frames", where, f"2 to {LONGEST_S * rate:.0f}")
     angles = _within_range(_joint_angles(actions, info, hand, dataset), hand, where)
     if speed_deg_s is not None:
         if not 0.0 < speed_deg_s <= FOLLOW_SPEED_DEG_S:
             raise ConfigError(f"{speed_deg_s:g} deg/s", "--speed", f"above 0, at most {FOLLOW_SPEED_DEG_S:g}")
-        angles = _slowed(angles, np.radians(speed_deg_s) / rate)
+        angles = _rate_limited(angles, np.radians(speed_deg_s) / rate)
     return _sampled(angles, float(rate), hand, period, where)
 
 
@@ -71,7 +71,7 @@ def _info_path(dataset: Path) -> Path:
     return dataset / "meta" / "info.json"
 
 
-def _info(dataset: Path) -> Mapping[str, Any]:
+def _read_info(dataset: Path) -> Mapping[str, Any]:
     """Read the description of a dataset.
 
     Raises:
@@ -89,17 +89,17 @@ def _info(dataset: Path) -> Mapping[str, Any]:
         raise ConfigError("is no JSON", str(path), right) from None
     version = info.get("codebase_version") if isinstance(info, dict) else None
     if not isinstance(version, str) or not version.startswith(VERSION):
-        raise ConfigError(f"version {_short(version)}", str(path), right)
+        raise ConfigError(f"version {_value_text(version)}", str(path), right)
     return dict(info)
 
 
-def _actions(dataset: Path, info: Mapping[str, Any], episode: int) -> Array:
+def _read_actions(dataset: Path, info: Mapping[str, Any], episode: int) -> Array:
     """Return the actions (frames, n) of an episode, in order.
 
     Raises:
         ConfigError: there is no such episode, or a file is damaged.
     """
-    rows = _episodes(dataset)
+    rows = _read_episodes(dataset)
     numbers = rows["episode_index"].to_pylist()
     if episode not in numbers:
         present = f"{min(numbers)} to {max(numbers)}" if numbers else "a recorded episode"
@@ -109,8 +109,8 @@ def _actions(dataset: Path, info: Mapping[str, Any], episode: int) -> Array:
     try:
         path = dataset / str(info["data_path"]).format(**numbers)
     except (KeyError, ValueError, IndexError, AttributeError):
-        raise ConfigError(_short(info.get("data_path")), f"{_info_path(dataset)}: data_path", "a path") from None
-    table = _table(path, ["episode_index", "frame_index", "action"])
+        raise ConfigError(_value_text(info.get("data_path")), f"{_info_path(dataset)}: data_path", "a path") from None
+    table = _read_table(path, ["episode_index", "frame_index", "action"])
     table = table.filter(pa.compute.equal(table["episode_index"], episode)).sort_by("frame_index")
     length = len(table)
     if table["frame_index"].to_pylist() != list(range(length)):
@@ -122,7 +122,7 @@ def _actions(dataset: Path, info: Mapping[str, Any], episode: int) -> Array:
     return values.reshape(length, -1)
 
 
-def _episodes(dataset: Path) -> pa.Table:
+def _read_episodes(dataset: Path) -> pa.Table:
     """Return the table of all episodes.
 
     Raises:
@@ -132,10 +132,10 @@ def _episodes(dataset: Path) -> pa.Table:
     if not paths:
         raise ConfigError("no table of episodes", str(dataset / "meta" / "episodes"), "chunk-000/file-000.parquet")
     columns = ["episode_index", "data/chunk_index", "data/file_index"]
-    return pa.concat_tables([_table(path, columns) for path in paths])
+    return pa.concat_tables([_read_table(path, columns) for path in paths])
 
 
-def _table(path: Path, columns: list[str]) -> pa.Table:
+def _read_table(path: Path, columns: list[str]) -> pa.Table:
     """Read columns of a Parquet file.
 
     Raises:
@@ -144,7 +144,7 @@ def _table(path: Path, columns: list[str]) -> pa.Table:
     try:
         table = pq.read_table(path, columns=columns)
     except (OSError, pa.ArrowException, ValueError) as error:
-        reason = printable(str(error).splitlines()[0]) if str(error) else type(error).__name__
+        reason = printable_text(str(error).splitlines()[0]) if str(error) else type(error).__name__
         raise ConfigError(f"cannot be read: {reason}", str(path), "a table of a LeRobot dataset") from None
     if missing := [name for name in columns if name not in table.column_names]:
         raise ConfigError(f"no column {missing[0]}", str(path), "a table of a LeRobot dataset")
@@ -187,7 +187,7 @@ def _within_range(angles: Array, hand: Hand, where: str) -> Array:
     return np.clip(angles, low, high)
 
 
-def _slowed(angles: Array, step: float) -> Array:
+def _rate_limited(angles: Array, step: float) -> Array:
     """Return angles (frames, J) that follow the given ones by at most a step from frame to frame [rad]."""
     slowed = angles.copy()
     for i in range(1, len(slowed)):
@@ -212,6 +212,6 @@ def _sampled(angles: Array, rate: float, hand: Hand, period: float, where: str) 
     return Recording(curve(at), curve(at, 1), curve(at, 2), np.zeros((len(at), len(hand.tendon))))
 
 
-def _short(value: object) -> str:
+def _value_text(value: object) -> str:
     """Return the text of a wrong value."""
-    return printable(repr(value))[:40]
+    return printable_text(repr(value))[:40]

@@ -40,7 +40,7 @@ def phase_spans(log: RunLog) -> list[PhaseSpan]:
     return spans
 
 
-def diff(a: RunLog, b: RunLog, where: str) -> dict[str, Any]:
+def compare_logs(a: RunLog, b: RunLog, where: str) -> dict[str, Any]:
     """Compare two runs.
 
     Args:

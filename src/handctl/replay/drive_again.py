@@ -60,7 +60,7 @@ def count_missing_ticks(log: RunLog) -> int:
     return int((log.k[at + 1] - log.k[at] - 1).sum())
 
 
-def recording(log: RunLog, period: float) -> Recording:
+def recorded_targets(log: RunLog, period: float) -> Recording:
     """Return the targets of a run, resampled to another control period.
 
     The joint targets of a digit are NaN if a neighbouring tick has no joint targets, because the
@@ -99,7 +99,7 @@ def _interpolate(log: RunLog, values: Array, times: Array) -> Array:
     return np.column_stack([np.interp(times, log.times, column) for column in values.T])
 
 
-def playback(log: RunLog, period: float, raw: bool) -> PlaybackProgram:
+def playback_program(log: RunLog, period: float, raw: bool) -> PlaybackProgram:
     """Return the program that repeats the motion of a recorded run.
 
     Args:
@@ -107,7 +107,7 @@ def playback(log: RunLog, period: float, raw: bool) -> PlaybackProgram:
         period: the control period [s].
         raw: True to follow the recorded tensions instead of the trajectories.
     """
-    return PlaybackProgram(recording(log, period), raw)
+    return PlaybackProgram(recorded_targets(log, period), raw)
 
 
 def compare_replay(before: RunLog, after: RunLog) -> dict[str, Any]:
@@ -122,11 +122,11 @@ def compare_replay(before: RunLog, after: RunLog) -> dict[str, Any]:
     return (
         {}
         if replay_start is None
-        else compare_runs(before, active_interval(before)[0], after, replay_start, driven_time(before, after))
+        else compare_runs(before, active_interval(before)[0], after, replay_start, driven_duration(before, after))
     )
 
 
-def driven_time(before: RunLog, after: RunLog) -> float:
+def driven_duration(before: RunLog, after: RunLog) -> float:
     """Return how much of a recording was driven [s]."""
     start, end = active_interval(before)
     replay_start = _playback_start(after)

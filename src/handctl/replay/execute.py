@@ -52,7 +52,7 @@ class Execution:
         return self.logged_s / self.wall_s if self.wall_s else math.inf
 
 
-def within_tolerance(execution: Execution, within: float) -> bool:
+def is_within_tolerance(execution: Execution, within: float) -> bool:
     """Return True if all decisions are equal and no number differs by more than `within`.
 
     Other machines may round differently.
@@ -61,7 +61,7 @@ def within_tolerance(execution: Execution, within: float) -> bool:
     return not execution.undecided and largest <= within
 
 
-def execute(
+def execute_log(
     log: RunLog,
     gains: Gains | None = None,
     observer: TickObserver | None = None,

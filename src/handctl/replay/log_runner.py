@@ -7,7 +7,7 @@ from itertools import islice
 
 import numpy as np
 
-from handctl.controller.snapshot import restore
+from handctl.controller.snapshot import restore_state
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
 from handctl.core.gains.gains import Gains
@@ -15,13 +15,13 @@ from handctl.core.types import TickIn, TickOut
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
 from handctl.log.record import TickRecord
-from handctl.replay.rebuild import rebuild
+from handctl.replay.rebuild import rebuild_controller
 from handctl.replay.tick_difference import (
     Columns,
     TickDifference,
-    differences,
-    equal_decisions,
-    equal_outputs,
+    are_decisions_equal,
+    are_outputs_equal,
+    differing_fields,
     state_difference,
 )
 
@@ -110,11 +110,11 @@ class LogRunner:
     def of(log: RunLog, gains: Gains | None = None) -> "LogRunner":
         """Construct the controller of a log, with the gains of the log or others.
 
-        Raises the errors of `rebuild`.
+        Raises the errors of `rebuild_controller`.
         """
         # With other gains the states differ from those of the log.
         snapshots: Mapping[int, bytes] = {} if gains else log.snapshots
-        return LogRunner(log, rebuild(log, gains), Columns.of(log.header), snapshots)
+        return LogRunner(log, rebuild_controller(log, gains), Columns.of(log.header), snapshots)
 
     def run(
         self,
@@ -151,10 +151,10 @@ class LogRunner:
                 progress(PROGRESS_TICKS)
             if observer:
                 observer(logged.tick_in, out)
-            if not equal_outputs(logged, numbers, out):
+            if not are_outputs_equal(logged, numbers, out):
                 tally.add(
-                    list(differences(self.columns, logged, numbers, out)),
-                    equal_decisions(logged, out),
+                    list(differing_fields(self.columns, logged, numbers, out)),
+                    are_decisions_equal(logged, out),
                 )
                 if tally.state is None and logged.tick_in.k in self.snapshots:
                     tally.state = self._state_difference(logged, state)
@@ -172,7 +172,7 @@ class LogRunner:
     def _state_difference(self, logged: TickRecord, state: State) -> TickDifference | None:
         """Compare the state after a tick with the snapshot in the log."""
         try:
-            was = restore(self.controller.layout, self.snapshots[logged.tick_in.k])
+            was = restore_state(self.controller.layout, self.snapshots[logged.tick_in.k])
         except ValueError:
             return None  # of a version whose states have other fields
         return state_difference(self.log.header, logged, was, state)

@@ -19,7 +19,7 @@ from handctl.errors import ConfigError
 from handctl.log.read.reader import RunLog
 from handctl.replay.execute import gc_disabled
 from handctl.replay.log_runner import PROGRESS_TICKS, refusal_error
-from handctl.replay.rebuild import rebuild
+from handctl.replay.rebuild import rebuild_controller
 from handctl.safety.action import Action
 from handctl.safety.faults.table import BY_ID
 from handctl.safety.limits import MIN_SILENT_TICKS, MIN_STALLED_TICKS, Limits, ticks_for
@@ -124,7 +124,7 @@ def judge_by_limits(log: RunLog, path: Path, progress: Callable[[int], None] | N
         ConfigError: the limits file is wrong.
         LogError: the log cannot be executed.
     """
-    controller = rebuild(log)
+    controller = rebuild_controller(log)
     limits = load_limits(path, controller)
     with gc_disabled():
         return _judge_ticks(log, controller, limits, progress)

@@ -19,10 +19,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.snapshot import restore, snapshot
+from handctl.controller.snapshot import restore_state, snapshot_bytes
 from handctl.controller.state import State
 from handctl.errors import LogError
-from handctl.processes import in_copy
+from handctl.processes import run_in_copy
 from handctl.replay.log_runner import LogRunner, Tally
 from handctl.replay.tick_difference import TickDifference
 
@@ -88,7 +88,7 @@ def run_parallel(runner: LogRunner, workers: int, progress: Callable[[int], None
         workers: largest number of processes.
         progress: function called at intervals with the number of ticks so far.
     """
-    parts = split(runner, workers)
+    parts = split_log(runner, workers)
     counts = ProgressCounts(len(parts), progress)
     running = [_start_worker(runner, part, counts.of(i)) for i, part in enumerate(parts) if i]
     try:
@@ -107,7 +107,7 @@ def run_parallel(runner: LogRunner, workers: int, progress: Callable[[int], None
             _kill_worker(worker)
 
 
-def split(runner: LogRunner, workers: int) -> list[LogPart]:
+def split_log(runner: LogRunner, workers: int) -> list[LogPart]:
     """Return consecutive parts of a log, of about equal length.
 
     Each part begins at the start of the log or after a snapshot.
@@ -137,7 +137,7 @@ def _state_after(runner: LogRunner, index: int) -> State | None:
         None if this version cannot read the state, or its hash differs from the logged hash.
     """
     try:
-        state = restore(runner.controller.layout, runner.snapshots[int(runner.log.k[index])])
+        state = restore_state(runner.controller.layout, runner.snapshots[int(runner.log.k[index])])
     except ValueError:
         return None
     return state if state.digest() == runner.log.state_hash[index].tobytes() else None
@@ -145,7 +145,7 @@ def _state_after(runner: LogRunner, index: int) -> State | None:
 
 def _start_worker(runner: LogRunner, part: LogPart, count: Callable[[int], None]) -> WorkerProcess:
     """Execute a part in a forked copy of this process."""
-    return WorkerProcess(*in_copy(lambda: _result_json(runner, part, count)), part)
+    return WorkerProcess(*run_in_copy(lambda: _result_json(runner, part, count)), part)
 
 
 def _result_json(runner: LogRunner, part: LogPart, count: Callable[[int], None]) -> str:
@@ -157,7 +157,7 @@ def _result_json(runner: LogRunner, part: LogPart, count: Callable[[int], None])
         state, tally = runner.run(*part, None, count)
     except LogError:
         return ""
-    return json.dumps({"state": snapshot(state).hex(), "tally": astuple(tally)})
+    return json.dumps({"state": snapshot_bytes(state).hex(), "tally": astuple(tally)})
 
 
 def _wait_for_result(runner: LogRunner, worker: WorkerProcess, counts: ProgressCounts) -> tuple[State, Tally] | None:
@@ -182,7 +182,7 @@ def _wait_for_result(runner: LogRunner, worker: WorkerProcess, counts: ProgressC
         *numbers,
         *(TickDifference(*worker) if worker else None for worker in (first, state, largest)),
     )
-    return restore(runner.controller.layout, bytes.fromhex(result["state"])), tally
+    return restore_state(runner.controller.layout, bytes.fromhex(result["state"])), tally
 
 
 def _kill_worker(worker: WorkerProcess) -> None:

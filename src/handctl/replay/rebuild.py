@@ -5,7 +5,7 @@ from typing import TypeVar
 
 from pydantic import ValidationError
 
-from handctl.controller.setup import ATTACHMENT, Setup
+from handctl.controller.setup import SETUP_ATTACHMENT, Setup
 from handctl.controller.tick import Controller
 from handctl.core.gains.gains import Gains
 from handctl.errors import ConfigError, LogError
@@ -13,7 +13,7 @@ from handctl.hand.description import Hand
 from handctl.log.code_identity import UNKNOWN, code_identity
 from handctl.log.read.log_hand import described_hand
 from handctl.log.read.reader import RunLog
-from handctl.printing import printable
+from handctl.printing import printable_text
 
 
 def logged_hand(log: RunLog) -> Hand:
@@ -43,10 +43,10 @@ def logged_setup(log: RunLog) -> Setup:
     Raises:
         LogError: the log was written by a version without this record.
     """
-    return _read_attachment(log, ATTACHMENT, Setup)
+    return _read_attachment(log, SETUP_ATTACHMENT, Setup)
 
 
-def rebuild(log: RunLog, gains: Gains | None = None) -> Controller:
+def rebuild_controller(log: RunLog, gains: Gains | None = None) -> Controller:
     """Return the controller that wrote the log, with the gains of the log or others.
 
     Raises:
@@ -72,7 +72,7 @@ def _read_attachment(log: RunLog, name: str, model: type[D]) -> D:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         place = "".join(f" {part}" for part in first["loc"])
-        raise LogError(printable(f"{name} cannot be read:{place}: {first['msg']}"), *_versions_text(log)) from None
+        raise LogError(printable_text(f"{name} cannot be read:{place}: {first['msg']}"), *_versions_text(log)) from None
 
 
 def _versions_text(log: RunLog) -> tuple[str, str]:
@@ -80,4 +80,4 @@ def _versions_text(log: RunLog) -> tuple[str, str]:
     metadata = log.header.metadata
     wrote = f"handctl {metadata.get('version', UNKNOWN)}, code {metadata.get('code', UNKNOWN)}"
     here = f"handctl {version('handctl')}, code {code_identity()}"
-    return printable(f"the log, written by {wrote}"), f"a log that this one can execute: {here}"
+    return printable_text(f"the log, written by {wrote}"), f"a log that this one can execute: {here}"

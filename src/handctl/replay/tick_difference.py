@@ -10,7 +10,7 @@ from handctl.controller.state import Decisions, State
 from handctl.core.plain import plain_bytes
 from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS, Event, TickOut
 from handctl.drives.frame import Frame
-from handctl.drives.records import frames_of
+from handctl.drives.records import frames_as_records
 from handctl.log.header import RunHeader
 from handctl.log.record import TickRecord
 
@@ -49,7 +49,7 @@ class Columns(NamedTuple):
         return Columns(tuple(field for field, _ in pairs), tuple(name for _, name in pairs))
 
 
-def ulps(a: float, b: float) -> int:
+def distance_in_ulps(a: float, b: float) -> int:
     """Return the distance of two numbers in units in the last place.
 
     Neighbouring float64 have distance 1.
@@ -65,7 +65,9 @@ def _ordinal(value: float) -> int:
     return bits if bits >= 0 else -(bits & 0x7FFF_FFFF_FFFF_FFFF)
 
 
-def differences(columns: Columns, logged: TickRecord, numbers: bytes, computed: TickOut) -> Iterator[TickDifference]:
+def differing_fields(
+    columns: Columns, logged: TickRecord, numbers: bytes, computed: TickOut
+) -> Iterator[TickDifference]:
     """Yield every field that differs. Decisions come first and the state hash comes last.
 
     Args:
@@ -88,7 +90,9 @@ def differences(columns: Columns, logged: TickRecord, numbers: bytes, computed: 
     packed = computed.telemetry.packed()[: len(numbers)]  # an earlier version lacks the last fields
     if packed != numbers:
         for column, was, now in _changed_numbers(numbers, packed):
-            yield TickDifference(k, t_s, columns.field[column], columns.name[column], was, now, ulps(was, now))
+            yield TickDifference(
+                k, t_s, columns.field[column], columns.name[column], was, now, distance_in_ulps(was, now)
+            )
     yield from text("number of frames", len(logged.frames), len(computed.frames))
     for i, (old, new) in enumerate(zip(logged.frames, computed.frames, strict=False)):
         yield from text(f"frames[{i}]", _frame_text(old), _frame_text(new))
@@ -112,25 +116,25 @@ def state_difference(header: RunHeader, logged: TickRecord, was: State, now: Sta
         axis = was.layout.axis_of(field)
         names = header.axis(axis) if axis in ("joint", "tendon", "digit") else ()
         name = names[element % len(names)] if names else f"[{element}]"
-        return TickDifference(k, t_s, f"state {field}", name, old, new, ulps(old, new))
+        return TickDifference(k, t_s, f"state {field}", name, old, new, distance_in_ulps(old, new))
     for field, old_part, new_part in zip(Decisions._fields, was.decisions, now.decisions, strict=True):
         if plain_bytes(old_part) != plain_bytes(new_part):
             return TickDifference(k, t_s, f"state {field}", "", str(old_part), str(new_part))
     return None
 
 
-def equal_outputs(logged: TickRecord, numbers: bytes, computed: TickOut) -> bool:
+def are_outputs_equal(logged: TickRecord, numbers: bytes, computed: TickOut) -> bool:
     """Return True if every output byte of a tick is equal."""
     return (
         logged.state_hash == computed.state_hash
-        and logged.frames.records.tobytes() == frames_of(computed.frames).records.tobytes()
+        and logged.frames.records.tobytes() == frames_as_records(computed.frames).records.tobytes()
         and numbers == computed.telemetry.packed()[: len(numbers)]
         and (logged.mode, logged.action, logged.phase, logged.events)
         == (computed.mode, computed.action, computed.phase, computed.events)
     )
 
 
-def equal_decisions(logged: TickRecord, computed: TickOut) -> bool:
+def are_decisions_equal(logged: TickRecord, computed: TickOut) -> bool:
     """Return True if the decisions of a tick are equal.
 
     Decisions are mode, action, phase, and the events without the numbers in their texts.

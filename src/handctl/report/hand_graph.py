@@ -12,7 +12,7 @@ from handctl.hand.description import Hand
 from handctl.hand.file.sections import Digit, Tendon
 from handctl.hand.moment_arms import arms_at, polynomial_of
 from handctl.output import save_figure
-from handctl.printing import printable
+from handctl.printing import printable_text
 
 BUS_COLOURS = ("#3b6fb6", "#d9822b", "#3c9d5d", "#b8436f", "#7a5fb5", "#8a8a2a")
 """Colours of the buses."""
@@ -52,7 +52,7 @@ def draw_hand(path: Path, hand: Hand) -> None:
     axes.set_xlim(left, right)
     axes.set_ylim(-rows, 0.4)
     axes.set_axis_off()
-    title = printable(f"{hand.name}: {hand.description}", 100)
+    title = printable_text(f"{hand.name}: {hand.description}", 100)
     axes.set_title(title, fontsize=10, loc="left", parse_math=False)
     ends = {name: [0.0, 0.0] for name in hand.bus_names}
     y = -_sensor_node(axes, hand)

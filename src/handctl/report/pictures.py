@@ -10,7 +10,7 @@ from handctl.core.types import Mode
 from handctl.drives.frame import EXTENDED, FDF
 from handctl.drives.frame_time import frame_time_s
 from handctl.hand.description import Hand
-from handctl.hand.kinematics import rotations
+from handctl.hand.kinematics import link_rotations
 from handctl.hand.tree import HandTree
 from handctl.log.read.reader import RunLog
 from handctl.report.run_figure import COLOURS, PASSIVE_PHASES
@@ -32,7 +32,7 @@ ARROW_M_PER_N = 0.004
 """Length of an arrow [m/N]."""
 
 
-def poses(log: RunLog, hand: Hand) -> str:
+def draw_poses(log: RunLog, hand: Hand) -> str:
     """Draw the hand in the middle of each phase with motion or contact.
 
     Arrows are the forces of the object on the fingertips.
@@ -51,7 +51,7 @@ def poses(log: RunLog, hand: Hand) -> str:
     for axes, (name, index) in zip(grid, moments, strict=False):
         _draw_palm(axes, hand)
         paths = tree.points(q[index])
-        turned = rotations(tree.poses(q[index]))
+        turned = link_rotations(tree.poses(q[index]))
         # Digits with a large z lie behind the others in this projection and are drawn first.
         for d in sorted(range(len(digits)), key=lambda d: -float(digits[d].mount_position[2])):
             # The object pushes against the closing direction of the fingertip, y of the last link.
@@ -152,7 +152,7 @@ def _phase_middles(log: RunLog) -> list[tuple[str, int]]:
     return [(name, i) for name, i in inside if log.mode[i] == int(Mode.ACTIVE)][: 2 * PER_ROW]
 
 
-def lateness(log: RunLog) -> str:
+def draw_lateness(log: RunLog) -> str:
     """Draw a histogram of the lateness of ticks, with a line at a quarter of the period.
 
     Beyond this line a tick counts as late.
@@ -181,7 +181,7 @@ def lateness(log: RunLog) -> str:
     return _to_svg(figure)
 
 
-def loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
+def draw_bus_loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
     """Draw the load of each bus over time, from the worst-case times of the frames.
 
     Returns:

@@ -11,7 +11,7 @@ from handctl.core.types import Mode
 from handctl.hand.description import Hand
 from handctl.log.read.reader import RunLog
 from handctl.output import save_figure
-from handctl.printing import printable
+from handctl.printing import printable_text
 from handctl.report.summary import mean_angles
 from handctl.report.truth import TruthRecord
 
@@ -197,4 +197,4 @@ def _draw_mark(grid: Any, t_s: float, name: str, colour: str) -> None:
             "va": "top",
         }
         transform = axes.get_xaxis_transform()
-        axes.text(t_s, 0.99, f" {printable(name, 40)}", transform=transform, clip_on=True, **style)
+        axes.text(t_s, 0.99, f" {printable_text(name, 40)}", transform=transform, clip_on=True, **style)

@@ -13,11 +13,11 @@ import numpy as np
 from handctl.hand.description import Hand
 from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import LoggedEvent
-from handctl.log.topics.clock_pairs import steps
-from handctl.output import whole
-from handctl.printing import printable
+from handctl.log.topics.clock_pairs import clock_steps
+from handctl.output import atomic_path
+from handctl.printing import printable_text
 from handctl.report.frame_counts import frame_counts
-from handctl.report.pictures import lateness, loads, poses
+from handctl.report.pictures import draw_bus_loads, draw_lateness, draw_poses
 from handctl.report.run_figure import draw_run
 from handctl.report.summary import angle_rows, summarise
 from handctl.report.truth import TruthRecord
@@ -54,33 +54,33 @@ def write_page(path: Path, log: RunLog, hand: Hand, truth: TruthRecord | None, o
     Returns:
         Size of the page [bytes].
     """
-    load_picture, load = loads(log, hand)
+    load_picture, load = draw_bus_loads(log, hand)
     metadata = log.header.metadata
     title = f"{hand.name}: {_escaped_text(name)}"
     sections = [
         f"<h1>{title}</h1><p class=sub>{_escaped_text(hand.description)}</p>",
         f"<p class=error>{_escaped_text(log.warning)}</p>" if log.warning else "",
         _html_section("In numbers", _number_table(log, hand, truth, offset_ns, load)),
-        _html_section("The hand in each phase", poses(log, hand) + _colour_legend(hand)),
+        _html_section("The hand in each phase", draw_poses(log, hand) + _colour_legend(hand)),
         _html_section(
             "Angles, tensions with their 1-sigma band, contact forces",
             _run_image(log, hand, truth, offset_ns),
         ),
         _html_section("Events and faults", _event_table(log)),
-        _html_section("Loop and bus", f'<div class="two">{lateness(log)}{load_picture}</div>'),
+        _html_section("Loop and bus", f'<div class="two">{draw_lateness(log)}{load_picture}</div>'),
         _html_section("Origin of this run", _text_table({**metadata, **log.header.wall, **log.end})),
         _html_section("Gains", _text_table(log.header.gains)),
     ]
     page = f"<!doctype html><html lang=en><meta charset=utf-8><title>{title}</title><style>{STYLE}</style>"
     data = (page + "\n".join(sections) + "</html>\n").encode()
-    with whole(path) as part:
+    with atomic_path(path) as part:
         part.write_bytes(data)
     return len(data)
 
 
 def _escaped_text(text: object) -> str:
     """Return a text from a log, escaped for a page."""
-    return html.escape(printable(str(text), 2000))
+    return html.escape(printable_text(str(text), 2000))
 
 
 def _html_section(title: str, body: str) -> str:
@@ -124,7 +124,7 @@ def _number_table(
         ("contacts", _contact_times(log)),
         (
             "steps of the wall clock",
-            ", ".join(f"{s.step_s:+.1f} s at {s.t_s:.0f} s" for s in steps(log.clock_pairs)),
+            ", ".join(f"{s.step_s:+.1f} s at {s.t_s:.0f} s" for s in clock_steps(log.clock_pairs)),
         ),
         (
             "largest bus load, by frames",

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.law.redundancy import sides
+from handctl.core.law.redundancy import tendon_directions
 from handctl.core.types import Mode
 from handctl.drives.frame_time import frame_time_s
 from handctl.hand.description import Hand
@@ -204,7 +204,10 @@ def _holding_mask(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
     """
     slices = [hand.digit_tendons[name] for name in hand.digit_names]
     digit_of = np.repeat(np.arange(len(slices)), [tendons.stop - tendons.start for tendons in slices])
-    side = [sides(DigitModel.of(hand, name), hand.is_pair[hand.digit_tendons[name]]) for name in hand.digit_names]
+    side = [
+        tendon_directions(DigitModel.of(hand, name), hand.is_pair[hand.digit_tendons[name]])
+        for name in hand.digit_names
+    ]
     return np.asarray((log.field("contact") > 0.0)[:, digit_of] & (np.concatenate(side) != 0.0))
 
 

@@ -26,8 +26,8 @@ Only requests that may arrive twice are repeated.
 """
 OFF_S = 10.0
 """Longest time from a stop to the confirmation of the last drive, in the hand's time [s]."""
-SILENT = "the controller is silent"
-FULL = "its mailbox is full"
+CONTROLLER_SILENT = "the controller is silent"
+MAILBOX_FULL = "its mailbox is full"
 _numbers = itertools.count(1)
 """Request numbers of this process, for unique request names."""
 
@@ -66,13 +66,13 @@ def send_confirmed(watcher: Watcher, request: Mapping[str, Any], repeat: bool = 
     data = json.dumps({**request, "by": name}).encode()
     end = time.monotonic() + ANSWER_S
     sent = False
-    reason = SILENT
+    reason = CONTROLLER_SILENT
     watcher.discard()
     while (left := end - time.monotonic()) > 0.0:
         if repeat or not sent:
             sent, reason = _try_send(watcher, data, min(left, REPEAT_S) if repeat else left)
         if not sent:
-            if not (repeat or reason == FULL):
+            if not (repeat or reason == MAILBOX_FULL):
                 break
             time.sleep(min(left, RETRY_S))
             continue
@@ -92,10 +92,10 @@ def _try_send(watcher: Watcher, data: bytes, timeout_s: float) -> tuple[bool, st
     try:
         watcher.send(data, timeout_s)
     except (TimeoutError, BlockingIOError):
-        return False, FULL
+        return False, MAILBOX_FULL
     except OSError as error:
         return False, f"no controller answers ({os.strerror(error.errno or 0)})"
-    return True, SILENT
+    return True, CONTROLLER_SILENT
 
 
 def request_action(bus: str, word: str) -> Line:
@@ -150,7 +150,9 @@ def follow_until_off(watcher: Watcher, word: str, line: Line) -> Line:
         last_line = time.monotonic()
         while new is None:
             if time.monotonic() > last_line + ANSWER_S:
-                raise UnconfirmedError(watcher.name, word, f"taken, and then {SILENT} in mode {line['mode']}")
+                raise UnconfirmedError(
+                    watcher.name, word, f"taken, and then {CONTROLLER_SILENT} in mode {line['mode']}"
+                )
             new = watcher.next_line(0.0) or _resubscribe(watcher)
         line = new
 

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from handctl.drives.frame import ERROR, Frame
-from handctl.drives.records import Frames, Records, frames_of, joined
+from handctl.drives.records import Frames, Records, frames_as_records, join_frames
 from handctl.errors import ConfigError
 from handctl.extras import missing_extra
 from handctl.runtime.buses.canfd import without_errors
@@ -38,7 +38,7 @@ class Peer(Protocol):
 
 def _exchange_objects(peer: Peer, t_ns: int, records: Records) -> Records:
     """Exchange records with a simulator that accepts only frame objects."""
-    return frames_of(Frame(*reply) for reply in peer.step(t_ns, list(Frames(records)))).records
+    return frames_as_records(Frame(*reply) for reply in peer.step(t_ns, list(Frames(records)))).records
 
 
 def load_entry(entry: str, user: str) -> Callable[..., Any]:
@@ -120,7 +120,7 @@ class LockstepClock:
         Returns 0, because virtual time is never late.
         """
         if k > 0:
-            frames = joined(self.outgoing)
+            frames = join_frames(self.outgoing)
             replies = self._exchange(self.offset_ns + (k - 1) * self.period_ns, frames.records)
             if self.offset_ns:
                 replies = replies.copy()
@@ -147,7 +147,7 @@ class LockstepBus:
 
     def drain(self) -> Frames:
         """Return the answers of the simulator. Error frames become events."""
-        frames = joined(self.clock.incoming)
+        frames = join_frames(self.clock.incoming)
         self.clock.incoming = []
         # One OR over all identifiers: a tick without error frames needs no look at each frame.
         if not len(frames) or not int(np.bitwise_or.reduce(frames.records["can_id"])) & ERROR:
@@ -160,7 +160,7 @@ class LockstepBus:
 
     def send(self, frames: Sequence[Frame]) -> int:
         """Queue frames for the next step of the simulator, and return their number."""
-        self.clock.outgoing.append(frames_of(frames))
+        self.clock.outgoing.append(frames_as_records(frames))
         return len(frames)
 
     def take_events(self) -> list[tuple[str, str, int]]:

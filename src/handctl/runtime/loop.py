@@ -20,9 +20,9 @@ from typing import Generic, Protocol, TypeVar
 
 from handctl.core.types import IoEvent, Mode, TickIn, TickOut
 from handctl.drives.frame import Frame
-from handctl.drives.records import Frames, frames_of, joined
+from handctl.drives.records import Frames, frames_as_records, join_frames
 from handctl.errors import REMOVE_POWER, PowerError
-from handctl.handlers import handling
+from handctl.handlers import installed_handler
 from handctl.runtime.clock import Clock
 from handctl.runtime.mailbox import CUT, STOP
 
@@ -117,7 +117,7 @@ class StopSignals:
     def installed(self) -> Iterator[None]:
         """Install the signal handler during a block."""
         under_nohup = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
-        with handling(self, signal.SIGINT, signal.SIGTERM, *([] if under_nohup else [signal.SIGHUP])):
+        with installed_handler(self, signal.SIGINT, signal.SIGTERM, *([] if under_nohup else [signal.SIGHUP])):
             yield
 
 
@@ -288,7 +288,7 @@ class Loop(Generic[S]):
         for bus in self.buses:
             parts.append(bus.drain())
             events += [IoEvent(*event) for event in bus.take_events()]
-        frames = joined(parts)
+        frames = join_frames(parts)
         return TickIn(k, k * self.period_ns, late_ns, frames, tuple(events), self.requests())
 
     def _send(self, frames: Sequence[Frame]) -> None:
@@ -296,7 +296,7 @@ class Loop(Generic[S]):
         if len(self.buses) == 1:
             accepted = self.buses[0].send(frames)
         else:
-            records = frames_of(frames).records
+            records = frames_as_records(frames).records
             wires = records["bus"]
             parts = [Frames(records[wires == index]) for index in range(len(self.buses))]
             accepted = sum(bus.send(part) for bus, part in zip(self.buses, parts, strict=True))

@@ -19,23 +19,23 @@ from typing import Any
 
 from handctl.errors import BusError
 from handctl.runtime.paths import mailbox_path, watcher_path
-from handctl.runtime.peers import name_senders, receive
+from handctl.runtime.peers import name_senders, receive_datagram
 
-LARGEST = 4096
+MAX_REQUEST_BYTES = 4096
 """Longest request [bytes]. A longer request is truncated, and then refused as invalid JSON."""
 STOP, CUT, CLEAR = (f'{{"do": "{word}"}}' for word in ("stop", "cut", "clear"))
 """Requests sent by several modules."""
 WATCH = b'{"do": "watch"}'
-WATCHERS = 16
+MAX_WATCHERS = 16
 """Largest number of programs with a continuous subscription.
 
 Further programs get one status line for each ``watch``.
 """
-LARGEST_STATUS = 65536
+MAX_STATUS_BYTES = 65536
 """Longest status line [bytes]."""
 RETRY_S = 0.05
 """Pause between requests to a controller that has not started yet [s]."""
-PER_TICK = 16
+MAX_REQUESTS_PER_TICK = 16
 """Largest number of requests read per tick.
 
 The limit keeps a flood of requests from delaying a tick.
@@ -73,13 +73,13 @@ class Mailbox:
         self.askers: list[str] = []
 
     def read(self) -> tuple[str, ...]:
-        """Return the waiting requests, oldest first, at most ``PER_TICK``."""
+        """Return the waiting requests, oldest first, at most ``MAX_REQUESTS_PER_TICK``."""
         texts: list[str] = []
         if self.askers:
             self.askers = []
-        for _ in range(PER_TICK):
+        for _ in range(MAX_REQUESTS_PER_TICK):
             try:
-                data, sender, ours = receive(self.socket, LARGEST)
+                data, sender, ours = receive_datagram(self.socket, MAX_REQUEST_BYTES)
             except BlockingIOError:
                 break
             if not ours:
@@ -87,7 +87,7 @@ class Mailbox:
             if data == WATCH and sender:
                 if sender in self.watchers:
                     continue
-                if len(self.watchers) < WATCHERS:
+                if len(self.watchers) < MAX_WATCHERS:
                     self.watchers.append(sender)
                 else:  # a watcher that is there keeps its place: its program may read without asking again
                     self.askers.append(sender)
@@ -225,7 +225,7 @@ class Watcher:
         """Return the next unread status line, or None if none arrives within the timeout [s]."""
         self.socket.settimeout(timeout_s)
         try:
-            data, _, ours = receive(self.socket, LARGEST_STATUS)
+            data, _, ours = receive_datagram(self.socket, MAX_STATUS_BYTES)
         except (TimeoutError, BlockingIOError):  # BlockingIOError comes with a timeout of 0
             return None
         if not ours:
@@ -245,7 +245,7 @@ class Watcher:
         """Discard the unread status lines."""
         self.socket.setblocking(False)
         try:
-            while self.socket.recv(LARGEST_STATUS):
+            while self.socket.recv(MAX_STATUS_BYTES):
                 pass
         except BlockingIOError:
             return

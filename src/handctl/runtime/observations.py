@@ -33,13 +33,13 @@ HEAD = struct.Struct("<8sQQQQQ")
 WRITTEN_AT = 32
 ENDED_AT = 40
 """Offsets in the file: number of records written so far, end mark."""
-RECORDS = 512
+RING_RECORDS = 512
 """Records in the ring: about a second at 500 Hz."""
-PAGE = 4096
+PAGE_BYTES = 4096
 """Alignment of the ring [bytes]."""
 TRIES = 100
 """Number of attempts to copy a record that is being overwritten."""
-NAMES = {
+PUBLISHED_NAMES = {
     "q": "q_rad", "dq": "dq_rad_s", "q_goal": "q_goal_rad", "dq_goal": "dq_goal_rad_s",
     "joint_torque": "joint_torque_N_m", "joint_encoder": "joint_encoder_rad", "excursion": "excursion_m",
     "excursion_rate": "excursion_rate_m_s", "tension": "tension_N", "tension_sigma": "tension_sigma_N",
@@ -69,7 +69,7 @@ def record_type(axes: Mapping[str, int]) -> np.dtype[np.void]:
         axes: numbers of joints, tendons, motors and digits, with the keys "joint", "tendon",
             "motor" and "digit".
     """
-    numbers = [(NAMES[name], "<f8", (axes[TELEMETRY_AXES[name]],)) for name in TELEMETRY_FIELDS]
+    numbers = [(PUBLISHED_NAMES[name], "<f8", (axes[TELEMETRY_AXES[name]],)) for name in TELEMETRY_FIELDS]
     return np.dtype([*FIXED, *numbers])
 
 
@@ -92,25 +92,25 @@ class ObservationWriter:
         self._size = 8 + kind.itemsize
         self._written = 0
         text = json.dumps({"axes": dict(axes), **description}).encode()
-        self._ring_at = -(-(HEAD.size + len(text)) // PAGE) * PAGE
+        self._ring_at = -(-(HEAD.size + len(text)) // PAGE_BYTES) * PAGE_BYTES
         try:
             self.path.unlink(missing_ok=True)
             descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
         except OSError as error:
             raise BusError(f"cannot write observations: {error}", str(self.path.parent), RIGHT_FOLDER) from None
         try:
-            os.posix_fallocate(descriptor, 0, self._ring_at + RECORDS * self._size)
+            os.posix_fallocate(descriptor, 0, self._ring_at + RING_RECORDS * self._size)
             self._map = mmap.mmap(descriptor, 0)
         finally:
             os.close(descriptor)
         # Fields of 8 bytes follow each other without gaps: the telemetry is one vector at the end of a record.
         count = sum(axes[TELEMETRY_AXES[name]] for name in TELEMETRY_FIELDS)
         assert kind.itemsize == _FIXED.size + 8 * count
-        starts = [self._ring_at + self._size * slot for slot in range(RECORDS)]
+        starts = [self._ring_at + self._size * slot for slot in range(RING_RECORDS)]
         self._counters = [np.frombuffer(self._map, COUNTER, 1, start) for start in starts]
         self._numbers = [np.frombuffer(self._map, "<f8", count, start + 8 + _FIXED.size) for start in starts]
         self._map[HEAD.size : HEAD.size + len(text)] = text
-        HEAD.pack_into(self._map, 0, MAGIC, len(text), self._size, RECORDS, 0, 0)
+        HEAD.pack_into(self._map, 0, MAGIC, len(text), self._size, RING_RECORDS, 0, 0)
         self._total = np.frombuffer(self._map, COUNTER, 1, WRITTEN_AT)
         self._ended = np.frombuffer(self._map, COUNTER, 1, ENDED_AT)
 
@@ -119,7 +119,7 @@ class ObservationWriter:
         numbers = out.telemetry
         assert isinstance(numbers, PackedTelemetry)
         written = self._written
-        slot = written % RECORDS
+        slot = written % RING_RECORDS
         counter = self._counters[slot]
         counter[0] = 2 * written + 1
         _FIXED.pack_into(
@@ -163,7 +163,7 @@ class ObservationReader:
             self._map.close()
             raise BusError("no observations of this version", f"bus {bus}", "a controller of the same version")
         _, length, self._size, self._records, _, _ = HEAD.unpack_from(self._map)
-        self._ring_at = -(-(HEAD.size + length) // PAGE) * PAGE
+        self._ring_at = -(-(HEAD.size + length) // PAGE_BYTES) * PAGE_BYTES
         self.description: dict[str, Any] = json.loads(self._map[HEAD.size : HEAD.size + length])
         self.kind = record_type(self.description["axes"])
         self.seen = 0

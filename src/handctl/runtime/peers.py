@@ -12,7 +12,7 @@ import sys
 
 CREDENTIALS = struct.Struct("3i")
 """``struct ucred`` of Linux: process, user, group. Source: man 7 unix."""
-LINUX = sys.platform.startswith("linux")
+IS_LINUX = sys.platform.startswith("linux")
 SPACE = socket.CMSG_SPACE(CREDENTIALS.size)
 """Buffer for one control message with credentials [bytes]."""
 SO_PASSCRED, SCM_CREDENTIALS, SO_PEERCRED = (getattr(socket, name, 0) for name in
@@ -24,11 +24,11 @@ def name_senders(link: socket.socket) -> None:
 
     Call this before the socket is bound.
     """
-    if LINUX:
+    if IS_LINUX:
         link.setsockopt(socket.SOL_SOCKET, SO_PASSCRED, 1)
 
 
-def receive(link: socket.socket, max_bytes: int) -> tuple[bytes, str, bool]:
+def receive_datagram(link: socket.socket, max_bytes: int) -> tuple[bytes, str, bool]:
     """Receive one datagram from a socket prepared by ``name_senders``.
 
     Args:
@@ -39,23 +39,23 @@ def receive(link: socket.socket, max_bytes: int) -> tuple[bytes, str, bool]:
         the data, the path of the sender's socket (empty for an unbound socket), and True if the
         sender is trusted.
     """
-    if not LINUX:
+    if not IS_LINUX:
         data, sender = link.recvfrom(max_bytes)
         return data, sender if isinstance(sender, str) else "", True
     data, ancillary, _, sender = link.recvmsg(max_bytes, SPACE)
     users = [CREDENTIALS.unpack(raw)[1] for level, kind, raw in ancillary
              if (level, kind) == (socket.SOL_SOCKET, SCM_CREDENTIALS) and len(raw) == CREDENTIALS.size]  # fmt: skip
-    return data, sender if isinstance(sender, str) else "", bool(users) and all(map(trusted, users))
+    return data, sender if isinstance(sender, str) else "", bool(users) and all(map(is_trusted, users))
 
 
-def served_by_us(link: socket.socket) -> bool:
+def is_served_by_us(link: socket.socket) -> bool:
     """Return True if the other end of a connected stream socket belongs to this user or root."""
-    if not LINUX:
+    if not IS_LINUX:
         return True
     raw = link.getsockopt(socket.SOL_SOCKET, SO_PEERCRED, CREDENTIALS.size)
-    return trusted(CREDENTIALS.unpack(raw)[1])
+    return is_trusted(CREDENTIALS.unpack(raw)[1])
 
 
-def trusted(user: int) -> bool:
+def is_trusted(user: int) -> bool:
     """Return True if a user may send commands to this user's hand."""
     return user in (0, os.geteuid())

@@ -5,7 +5,7 @@ from typing import Any
 from handctl.core.types import TickIn, TickOut
 
 
-def status(entry: TickIn, out: TickOut) -> dict[str, Any]:
+def status_of_tick(entry: TickIn, out: TickOut) -> dict[str, Any]:
     """Return the status of a tick as plain values, with None for NaN.
 
     Args:

@@ -15,19 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.errors import BusError
-from handctl.programs.requests import MOST_VALUES, target_text
+from handctl.programs.requests import MAX_TARGET_VALUES, target_text
 from handctl.runtime.mailbox import RIGHT_FOLDER
 from handctl.runtime.paths import targets_path
-from handctl.runtime.peers import name_senders, receive
+from handctl.runtime.peers import name_senders, receive_datagram
 
 MAGIC = b"HCT1"
 """First bytes of a target datagram. The bytes include the version of the format."""
 HEAD = struct.Struct("<4sIIIqq")
-LARGEST = HEAD.size + 8 * MOST_VALUES
+MAX_DATAGRAM_BYTES = HEAD.size + 8 * MAX_TARGET_VALUES
 """Longest datagram of a target [bytes]."""
 READ_PER_TICK = 64
 """Largest number of datagrams read per tick. A client ten times too fast sends fewer."""
-KEPT_PER_TICK = 4
+MAX_TARGETS_PER_TICK = 4
 """Largest number of targets passed to a tick.
 
 The newest are passed, and the target numbers show skipped targets.
@@ -77,12 +77,12 @@ class TargetBox:
         texts: list[str] = []
         for _ in range(READ_PER_TICK):
             try:
-                data, _, ours = receive(self.socket, LARGEST + 1)
+                data, _, ours = receive_datagram(self.socket, MAX_DATAGRAM_BYTES + 1)
             except BlockingIOError:
                 break
             if ours and (text := self._decode(data)):
                 texts.append(text)
-        return tuple(texts[-KEPT_PER_TICK:])
+        return tuple(texts[-MAX_TARGETS_PER_TICK:])
 
     def _decode(self, data: bytes) -> str:
         """Return a datagram as a request, empty for a malformed datagram."""

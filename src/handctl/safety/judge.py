@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.safety.action import Action
-from handctl.safety.faults.bus import UNANSWERED
+from handctl.safety.faults.bus import NO_ACKNOWLEDGE_KINDS
 from handctl.safety.faults.fault import JOINT, MOTOR, NODE, TENDON, Fault
 from handctl.safety.faults.host import FOREIGN
 from handctl.safety.faults.table import BY_ID, DEBOUNCE, DETECTOR_ROWS, REPORTS
@@ -63,7 +63,7 @@ class Verdict(NamedTuple):
 _ACTIONS = {int(action): action for action in Action}
 
 
-def judge(
+def judge_tick(
     latched: tuple[Latched, ...],
     counting: tuple[Counting, ...],
     detected: Sequence[Finding],
@@ -75,16 +75,16 @@ def judge(
     Args:
         latched: latched faults of the last tick.
         counting: reported faults of the last tick.
-        detected: faults from the detectors that count since this tick, from ``newly_counting``.
+        detected: faults from the detectors that count since this tick, from ``faults_counting_since_now``.
         demanded: most severe reaction to all detected faults that count.
-        reports: reports from buses, host and recorder in the tick, for ``reported``.
+        reports: reports from buses, host and recorder in the tick, for ``locate_reports``.
     """
     action = demanded
     findings = list(detected)
     present = []
     # A report that is absent in this tick is not carried over: its count starts again at 1.
     before = {(report.id, report.instance): report.ticks for report in counting}
-    for fault, where, value in reported(reports):
+    for fault, where, value in locate_reports(reports):
         ticks = before.get((fault.id, where), 0) + 1
         present.append(Counting(fault.id, where, ticks))
         if ticks >= fault.debounce:
@@ -104,7 +104,7 @@ def _latch_of(finding: Finding) -> Latched:
     return Latched(finding.fault.id, finding.instance)
 
 
-def newly_counting(limits: Limits, evidence: NDArray[np.float64], ticks: NDArray[np.int64]) -> list[Finding]:
+def faults_counting_since_now(limits: Limits, evidence: NDArray[np.float64], ticks: NDArray[np.int64]) -> list[Finding]:
     """Return the faults that count since this tick, in the order of the fault table.
 
     Args:
@@ -127,7 +127,7 @@ def _instance_name(limits: Limits, fault: Fault, kind: str, i: int) -> str:
     return names[kind][i] if kind in names else fault.name
 
 
-def reported(reports: Iterable[Report]) -> list[tuple[Fault, str, float]]:
+def locate_reports(reports: Iterable[Report]) -> list[tuple[Fault, str, float]]:
     """Return fault, location, and value for each report.
 
     If a fault is reported repeatedly at a location, the last report is returned.
@@ -157,7 +157,7 @@ def filter_error_frames(reports: Iterable[Report], heard: bool) -> list[Report]:
     for one in reports:
         if one[0] != "error_frame":
             kept.append(one)
-        elif error is None and not heard and any(word in one[1] for word in UNANSWERED):
+        elif error is None and not heard and any(word in one[1] for word in NO_ACKNOWLEDGE_KINDS):
             error = one
     return [*kept, error] if error else kept
 

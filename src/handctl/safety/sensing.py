@@ -1,7 +1,7 @@
 """Faults that cannot be detected without optional sensors, for ``handctl config check``."""
 
 from handctl.hand.description import Hand
-from handctl.hand.file.error_text import listed
+from handctl.hand.file.error_text import shortened_list
 
 NEED_LOAD_CELL = ("N02", "N14b", "N16", "T03b", "T04a", "T04b", "T05", "T05b", "T06", "T09")
 """Faults not detected for a tendon without load cell.
@@ -20,9 +20,10 @@ def sensing_warnings(hand: Hand) -> tuple[str, ...]:
     tendons = hand.tendon_names
     if bare := [name for name, has in zip(tendons, hand.has_cell.tolist(), strict=True) if not has]:
         text = "no load cell: its tension is that of motor, encoder and friction"
-        lines.append(f"{listed(bare)}: {text}; not judged: {', '.join(NEED_LOAD_CELL)}")
+        lines.append(f"{shortened_list(bare)}: {text}; not judged: {', '.join(NEED_LOAD_CELL)}")
         if unread := [name for name in bare if not hand.covered[tendons.index(name)]]:
+            text = "neither load cell nor joint encoders"
             lines.append(
-                f"{listed(unread)}: neither load cell nor joint encoders; not judged: {', '.join(NEED_ENCODERS)}"
+                f"{shortened_list(unread)}: {text}; not judged: {', '.join(NEED_ENCODERS)}"
             )
     return tuple(lines)

@@ -9,15 +9,15 @@ from handctl.core.identified import Identified
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.file.toml_text import toml_text
-from handctl.output import write_whole
+from handctl.output import write_text_atomically
 from handctl.programs.calibration import Calibration, TendonCalibration, load_calibration
-from handctl.programs.commission import CommissionProgram, result
-from handctl.session.notices import Tell, silent
-from handctl.session.pace import remedy
+from handctl.programs.commission import CommissionProgram, calibration_of_result
+from handctl.session.notices import NoticeCallback, ignore_notice
+from handctl.session.pace import pace_advice
 from handctl.session.plan import Plan
 from handctl.session.run import Outcome, Runner, make_controller
 
-FRESH_S = 24 * 3600.0
+MAX_UNANNOUNCED_AGE_S = 24 * 3600.0
 """Largest age of a calibration for arming [s], because load cells drift and tendons creep."""
 VIRTUAL_DATE = datetime.datetime.fromtimestamp(0, datetime.UTC)
 IdentifiedByTendon = dict[str, Identified]
@@ -47,7 +47,7 @@ def find_calibration(path: Path, hand: Hand, named: bool) -> tuple[Calibration |
             raise
         return None, str(error)
     made = datetime.datetime.fromisoformat(calibration.made).timestamp()
-    if time.time() - made > FRESH_S:
+    if time.time() - made > MAX_UNANNOUNCED_AGE_S:
         return None, f"{path} is older than a day"
     return calibration, ""
 
@@ -66,10 +66,10 @@ def commission(plan: Plan, log: Path, runner: Runner) -> tuple[Calibration, Outc
     """
     controller = make_controller(plan, CommissionProgram(), None, arm_at_once=True)
     outcome = runner(plan, controller, log)
-    outcome.refuse_unfinished(f"commissioning {plan.hand.name}", remedy(plan, outcome))
+    outcome.refuse_unfinished(f"commissioning {plan.hand.name}", pace_advice(plan, outcome))
     virtual = outcome.priority is None  # lockstep uses a fixed date, so that two runs are equal
     now = VIRTUAL_DATE if virtual else datetime.datetime.now(datetime.UTC)
-    calibration = result(controller.model, outcome.state.progress, now.isoformat(timespec="seconds"))
+    calibration = calibration_of_result(controller.model, outcome.state.progress, now.isoformat(timespec="seconds"))
     drive_states = zip(controller.drives, outcome.state.drives, strict=True)
     drives = {drive.name: drive.identity(state) for drive, state in drive_states}
     return calibration.model_copy(update={"drive": drives}), outcome
@@ -83,10 +83,12 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
     if not rows["drive"]:
         del rows["drive"]
     text = toml_text(rows) + "".join(f"\n[{name}]\n{toml_text(row)}" for name, row in tables.items())
-    write_whole(path, text)
+    write_text_atomically(path, text)
 
 
-def previous_identified(path: Path, hand: Hand, drives: Mapping[str, str], tell: Tell = silent) -> IdentifiedByTendon:
+def previous_identified(
+    path: Path, hand: Hand, drives: Mapping[str, str], tell: NoticeCallback = ignore_notice
+) -> IdentifiedByTendon:
     """Return the identified parameters of the previous calibration, by tendon.
 
     A new tare does not change identified parameters. The result is empty if the file is missing or
@@ -128,7 +130,7 @@ def identified_in(path: Path | None, hand: Hand) -> IdentifiedByTendon:
     return identified
 
 
-def homed(hand: Hand, identified: IdentifiedByTendon) -> Calibration:
+def homed_calibration(hand: Hand, identified: IdentifiedByTendon) -> Calibration:
     """Return the calibration for a simulated hand that starts taut with its encoders at zero [N, rad]."""
     zero = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=0.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, zero)

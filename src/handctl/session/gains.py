@@ -11,7 +11,7 @@ from handctl.core.gains.bounds import values_by_key, with_values
 from handctl.core.gains.gains import Gains, GainsFile, Provenance, load_gains_file
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.session.notices import Tell, silent
+from handctl.session.notices import NoticeCallback, ignore_notice
 
 PACKAGED = "packaged"
 COMMAND_LINE = "command line"
@@ -34,7 +34,9 @@ class LayeredGains:
     origins: dict[str, str]
 
 
-def layered_gains(hand: Hand, file: Path | None, words: Sequence[str], tell: Tell = silent) -> LayeredGains:
+def layered_gains(
+    hand: Hand, file: Path | None, words: Sequence[str], tell: NoticeCallback = ignore_notice
+) -> LayeredGains:
     """Return the gains that a run uses, with the origin of each.
 
     Args:
@@ -56,7 +58,7 @@ def layered_gains(hand: Hand, file: Path | None, words: Sequence[str], tell: Tel
     return LayeredGains(gains, file, loaded.provenance, origins)
 
 
-def gains_for(hand: Hand, path: Path, tell: Tell = silent) -> GainsFile:
+def gains_for(hand: Hand, path: Path, tell: NoticeCallback = ignore_notice) -> GainsFile:
     """Read a gains file, and check that the gains are for this hand.
 
     Gains for an earlier description of the same hand are accepted with a notice to the operator.

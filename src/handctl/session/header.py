@@ -8,7 +8,7 @@ from importlib.metadata import Distribution, distributions, version
 
 from handctl.controller import setup
 from handctl.controller.tick import Controller
-from handctl.hand.formats.urdf import urdf
+from handctl.hand.formats.urdf import urdf_text
 from handctl.log.code_identity import code_identity
 from handctl.log.header import RunHeader
 from handctl.runtime.clock import Priority
@@ -26,8 +26,10 @@ def run_header(plan: Plan, controller: Controller, priority: Priority | None, lo
     hand = plan.hand
     attachments = {
         "hand.toml": hand.to_toml().encode(),
-        "hand.urdf": urdf(hand).encode(),
-        setup.ATTACHMENT: setup.Setup.of(controller, plan.rate_hz).model_dump_json(by_alias=True, indent=2).encode(),
+        "hand.urdf": urdf_text(hand).encode(),
+        setup.SETUP_ATTACHMENT: setup.Setup.of(controller, plan.rate_hz)
+        .model_dump_json(by_alias=True, indent=2)
+        .encode(),
         "gains.json": plan.gains.model_dump_json(by_alias=True, indent=2).encode(),
         "pip-freeze.txt": "\n".join(installed_packages()).encode(),
         **plan.attachments,
@@ -48,7 +50,7 @@ def run_header(plan: Plan, controller: Controller, priority: Priority | None, lo
         "rate_hz": f"{plan.rate_hz:g}",
         "time_scale": f"{plan.time_scale:g}",
     }
-    if caveats := setup.caveats(controller.drives):
+    if caveats := setup.unverified_protections(controller.drives):
         metadata["caveats"] = "; ".join(caveats)
     return RunHeader.of_hand(
         hand.to_toml(),

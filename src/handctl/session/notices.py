@@ -6,7 +6,7 @@ The caller of the run supplies the functions.
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 
-Tell = Callable[[str], None]
+NoticeCallback = Callable[[str], None]
 """Callback for a notice of one line."""
 Progress = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
 """Context manager that shows the progress of a named step.
@@ -15,10 +15,10 @@ The context yields a callback for completed and total count.
 """
 
 
-def silent(text: str) -> None:
+def ignore_notice(text: str) -> None:
     """Ignore a notice."""
 
 
-def unseen(words: str) -> AbstractContextManager[Callable[[int, int], None]]:
+def ignore_progress(words: str) -> AbstractContextManager[Callable[[int, int], None]]:
     """Ignore progress reports."""
     return nullcontext(lambda done, total: None)

@@ -4,7 +4,7 @@ import math
 from contextlib import suppress
 
 from handctl.errors import HandctlError
-from handctl.processes import cores
+from handctl.processes import usable_cores
 from handctl.runtime.simulator import ask_simulator, find_simulator
 from handctl.session.plan import Plan
 from handctl.session.run import Outcome
@@ -15,7 +15,7 @@ FAILED_SCALE_FRACTION = 0.7
 """Largest advised time scale, as a fraction of the time scale that failed."""
 
 
-def remedy(plan: Plan, outcome: Outcome) -> str:
+def pace_advice(plan: Plan, outcome: Outcome) -> str:
     """Return advice for a simulated run that failed because ticks or answers were late, or an empty text."""
     if not (plan.simulated and outcome.late):
         return ""
@@ -40,7 +40,7 @@ def slower_time_scale(plan: Plan, outcome: Outcome) -> float:
         measured = ask_simulator(find_simulator(plan.buses[0]), {"pace": True}).get("pace", {})
     capacity = measured.get("plant_s_per_cpu_s") or math.inf
     core_loads = (controller_load, 1.0 / capacity)
-    load = sum(core_loads) if cores() == 1 else max(core_loads)
+    load = sum(core_loads) if usable_cores() == 1 else max(core_loads)
     below_failed = FAILED_SCALE_FRACTION * plan.time_scale
     advised = measured.get("advice") or math.inf
     carried = LOAD / load if load > 0.0 else math.inf

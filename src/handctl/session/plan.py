@@ -15,10 +15,10 @@ from handctl.drives.frame_time import MAX_BUS_LOAD, highest_rate
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
-from handctl.hand.readiness import unready
+from handctl.hand.readiness import reasons_not_ready
 from handctl.runtime.buses.open import check_spec, real_buses
 from handctl.session.gains import layered_gains
-from handctl.session.notices import Progress, Tell, silent, unseen
+from handctl.session.notices import NoticeCallback, Progress, ignore_notice, ignore_progress
 
 TICKS_IN_WATCHDOG = 2
 """Smallest number of ticks per watchdog time of a drive.
@@ -66,8 +66,8 @@ class Plan:
     time_scale: float = 1.0
     clear: bool = False
     display: "Callable[[Plan], Display] | None" = None
-    tell: Tell = silent
-    progress: Progress = unseen
+    tell: NoticeCallback = ignore_notice
+    progress: Progress = ignore_progress
 
     @property
     def period_ns(self) -> int:
@@ -111,7 +111,9 @@ class Choice:
     clear: bool = False
 
 
-def make_plan(choice: Choice, display: "Callable[[Plan], Display] | None" = None, tell: Tell = silent) -> Plan:
+def make_plan(
+    choice: Choice, display: "Callable[[Plan], Display] | None" = None, tell: NoticeCallback = ignore_notice
+) -> Plan:
     """Check hand, gains, buses and rate, and return the plan of the run.
 
     Args:
@@ -154,7 +156,7 @@ def _refuse_unnamed(choice: Choice, hand: Hand, buses: Sequence[str]) -> None:
 
 
 def check_ready(hand: Hand, where: str) -> None:
-    """Raise an error for a hand whose file is valid but not ready to run. See ``unready``.
+    """Raise an error for a hand whose file is valid but not ready to run. See ``reasons_not_ready``.
 
     Args:
         hand: description of the hand to run.
@@ -163,7 +165,7 @@ def check_ready(hand: Hand, where: str) -> None:
     Raises:
         ConfigError: the hand is not ready. The message has the first reason.
     """
-    for mistake in unready(hand):
+    for mistake in reasons_not_ready(hand):
         raise mistake.error(where)
 
 
@@ -173,7 +175,7 @@ def control_rate(requested: float | None, hand: Hand, loads: Sequence[BusLoad]) 
     Raises:
         ConfigError: the drives' watchdogs do not allow a lost tick at this rate, or a bus cannot carry the load.
     """
-    best = fastest(loads)
+    best = highest_rate_of_buses(loads)
     rate = best if requested is None else requested
     lowest = TICKS_IN_WATCHDOG * 1e3 / min(motor.watchdog_ms for motor in hand.motor)
     if not lowest <= rate < math.inf:
@@ -192,7 +194,7 @@ def _check_log(log: Path | None) -> None:
         raise ConfigError(str(log), "--log", "a new file ending in .mcap in a folder that exists")
 
 
-def fastest(loads: Sequence[BusLoad]) -> float:
+def highest_rate_of_buses(loads: Sequence[BusLoad]) -> float:
     """Return the highest usual control rate at which no bus is overloaded [Hz]."""
     return highest_rate((load.tick_s for load in loads), (load.timed_fraction for load in loads))
 
@@ -210,7 +212,7 @@ def check_design(hand: Hand, gains: Gains, rate_hz: float | None = None) -> None
     """
     from handctl.core.model import HandModel
 
-    HandModel.of(hand, gains, rate_hz or fastest(bus_loads(hand)))
+    HandModel.of(hand, gains, rate_hz or highest_rate_of_buses(bus_loads(hand)))
 
 
 def bus_specs(hand: Hand, arguments: Sequence[str]) -> tuple[str, ...]:

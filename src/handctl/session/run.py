@@ -11,7 +11,7 @@ from typing import Protocol
 from handctl.compiled import prepare
 from handctl.controller import setup
 from handctl.controller.shutdown import shutdown_step
-from handctl.controller.snapshot import snapshot
+from handctl.controller.snapshot import snapshot_bytes
 from handctl.controller.state import State
 from handctl.controller.streams import stream_status
 from handctl.controller.tick import Controller
@@ -19,7 +19,7 @@ from handctl.core.types import IoEvent, TickIn, TickOut
 from handctl.errors import DriveError, PowerError
 from handctl.hand.description import Hand
 from handctl.log.header import TRUTH_OFFSET
-from handctl.log.record import pack, pack_snapshot
+from handctl.log.record import pack_snapshot, pack_tick_record
 from handctl.log.topics.snapshots import PERIOD_NS
 from handctl.log.write.recorder import Recorder
 from handctl.programs.calibration import Calibration
@@ -30,14 +30,14 @@ from handctl.runtime.lockstep import LockstepBus, LockstepClock
 from handctl.runtime.loop import Loop, LoopBus, LoopStats, StopSignals
 from handctl.runtime.mailbox import CLEAR, Mailbox, bus_lock
 from handctl.runtime.observations import ObservationWriter
-from handctl.runtime.status import status
+from handctl.runtime.status import status_of_tick
 from handctl.runtime.suspend import SuspendWatch
 from handctl.runtime.targets import TargetBox
-from handctl.session.exit_codes import Exit
+from handctl.session.exit_codes import ExitCode
 from handctl.session.header import run_header
 from handctl.session.plan import Display, Plan
 
-LATE = ("B02", "B03b", "B17", "N02", "N02b", "N08", "H03")
+LATENESS_FAULTS = ("B02", "B03b", "B17", "N02", "N02b", "N08", "H03")
 """Ids of faults that latch when answers or ticks are late."""
 
 
@@ -62,14 +62,14 @@ class Outcome:
     @property
     def late(self) -> bool:
         """Return True if a fault latched because host or simulator was slower than real time."""
-        return any(mark.id in LATE for mark in self.state.latched)
+        return any(mark.id in LATENESS_FAULTS for mark in self.state.latched)
 
     @property
-    def exit(self) -> Exit:
+    def exit(self) -> ExitCode:
         """Return the exit code of a verb that consists only of this run."""
         if self.state.unconfirmed:
-            return Exit.REMOVE_POWER
-        return Exit.FAILED if self.state.failure else Exit.DONE
+            return ExitCode.REMOVE_POWER
+        return ExitCode.FAILED if self.state.failure else ExitCode.DONE
 
     def refuse_unfinished(self, where: str, right: str = "") -> None:
         """Raise an error if the run did not finish.
@@ -134,7 +134,7 @@ def run_live(
         BusError: a bus cannot be opened, or another controller runs on it.
         LogError: the log cannot be written.
     """
-    for text in setup.caveats(controller.drives):
+    for text in setup.unverified_protections(controller.drives):
         plan.tell(f"handctl: caution: {text}")
     clock = RealClock(plan.period_ns, plan.time_scale)
     with ExitStack() as stack:
@@ -212,7 +212,7 @@ def _start_view(log: Path) -> Callable[[], None]:
     return child.terminate
 
 
-def keeper(recorder: Recorder) -> Callable[[TickIn, State], None]:
+def snapshot_recorder(recorder: Recorder) -> Callable[[TickIn, State], None]:
     """Return a function that records a snapshot of the state after a tick, once per second."""
     due_ns = PERIOD_NS
 
@@ -220,7 +220,7 @@ def keeper(recorder: Recorder) -> Callable[[TickIn, State], None]:
         nonlocal due_ns
         if entry.t_ns >= due_ns:
             due_ns = entry.t_ns + PERIOD_NS
-            recorder.record(pack_snapshot(entry, snapshot(state)))
+            recorder.record(pack_snapshot(entry, snapshot_bytes(state)))
 
     return keep
 
@@ -235,7 +235,7 @@ def _build_loop(
     show: Callable[[TickIn, TickOut], None],
 ) -> Loop[State]:
     def record(entry: TickIn, out: TickOut) -> None:
-        recorder.record(pack(entry, out))
+        recorder.record(pack_tick_record(entry, out))
 
     slept = SuspendWatch().events if isinstance(clock, RealClock) else list[IoEvent]
     return Loop(
@@ -248,7 +248,7 @@ def _build_loop(
         host_events=lambda: [*recorder.events(), *slept()],
         record=record,
         show=show,
-        keep=keeper(recorder),
+        keep=snapshot_recorder(recorder),
         let_go=partial(shutdown_step, controller),
         urgent=realtime_priority if isinstance(clock, RealClock) else nullcontext,
     )
@@ -313,7 +313,7 @@ def _status_callback(display: Display | None, mailbox: Mailbox, rate_hz: float) 
         if display:
             display.show(entry, out)
         if (mailbox.watchers and (entry.k % every == 0 or out.events)) or mailbox.askers:
-            mailbox.publish(status(entry, out))
+            mailbox.publish(status_of_tick(entry, out))
 
     return show
 

@@ -14,12 +14,12 @@ from handctl.report.lift import judge_lift, lift_failure
 from handctl.report.run_figure import draw_run
 from handctl.report.summary import summarise
 from handctl.report.truth import TruthRecord, read_truth
-from handctl.session.notices import Tell
+from handctl.session.notices import NoticeCallback
 from handctl.session.plan import Plan
 from handctl.session.run import Outcome
 
 
-def judge(
+def judge_run(
     plan: Plan,
     outcome: Outcome,
     log: Path,
@@ -73,7 +73,7 @@ def _hold_phases(task: Task | None) -> set[str]:
     return {phase.name for phase in task.phase if isinstance(phase, Hold)} if task else set()
 
 
-def _copy_truth(log: Path, truth: Path, tell: Tell) -> Path:
+def _copy_truth(log: Path, truth: Path, tell: NoticeCallback) -> Path:
     """Copy the truth file to the folder of the log, and return the path.
 
     If the copy fails, the original path is returned.
@@ -100,7 +100,7 @@ def _draw_picture(plan: Plan, outcome: Outcome, record: RunLog, truth: TruthReco
     return path
 
 
-def _report_omitted(path: Path, error: OSError, tell: Tell) -> None:
+def _report_omitted(path: Path, error: OSError, tell: NoticeCallback) -> None:
     """Delete a partly written file next to the log, and notify the operator."""
     with suppress(OSError):
         path.unlink()

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from handctl.core.gains.gains import Gains, GainsFile, Provenance, gains_text, load_gains_file
 from handctl.errors import ConfigError
-from handctl.output import write_whole
+from handctl.output import write_text_atomically
 
 BY_HAND = "edited by hand"
 """Note in the provenance of gains edited by a user."""
@@ -165,8 +165,8 @@ class GainsStore:
             self.history.mkdir(parents=True, exist_ok=True)
             # The history first: a crash between the two writes leaves the present gains as they
             # were.
-            write_whole(self.history / f"{written.number:04d}.toml", text, new=True)
-            write_whole(self.path, text)
+            write_text_atomically(self.history / f"{written.number:04d}.toml", text, new=True)
+            write_text_atomically(self.path, text)
         except OSError as error:
             raise ConfigError(f"cannot be written: {error.strerror}", str(self.path), "a folder to write in") from None
         return load_gains_file(self.path)

@@ -11,8 +11,8 @@ from handctl.log.read.reader import RunLog
 from handctl.output import save_figure
 from handctl.report.summary import mean_angles
 from handctl.report.truth import TruthRecord
-from handctl.tune.loops.linear import LoopKind, loop
-from handctl.tune.loops.margins import GAIN_MARGIN_DB, PHASE_MARGIN_DEG, grid, step_response
+from handctl.tune.loops.linear import LoopKind, open_loop
+from handctl.tune.loops.margins import GAIN_MARGIN_DB, PHASE_MARGIN_DEG, frequency_grid, step_response
 from handctl.tune.search.search import SearchResult
 from handctl.tune.verify import OLD_ROUNDS, Rollback
 
@@ -54,8 +54,8 @@ def draw_loops(path: Path, before: HandModel, after: HandModel, title: str) -> N
 
 
 def _draw_loop(row: Any, model: HandModel, kind: LoopKind, colour: str, name: str) -> None:
-    system = loop(model, 0, kind)
-    omega = grid(system.period)
+    system = open_loop(model, 0, kind)
+    omega = frequency_grid(system.period)
     L = system.response(omega)[:, 0, 0]
     gain, phase, plane, step = row
     gain.loglog(omega / (2 * np.pi), np.abs(L), color=colour, label=name)

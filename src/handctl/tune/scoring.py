@@ -17,13 +17,13 @@ from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.core.types import Mode, TickIn, TickOut
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_from
+from handctl.hand.load import hand_from_content
 from handctl.programs.exercise import Exercise
 from handctl.programs.program import Program
 from handctl.report.summary import mean_angles, rms
 from handctl.report.truth import TruthRecord, read_truth
 from handctl.session.simulate import Simulator, homed_controller, simulate
-from handctl.tune.loops.design import linear_factors, worst_of
+from handctl.tune.loops.design import linear_factors, worst_margins
 
 Array = NDArray[np.float64]
 
@@ -71,7 +71,7 @@ class Score:
         return (parts[0] + parts[1] + 0.1 * parts[2]) / 2.1
 
 
-def evaluate(job: Mapping[str, Any]) -> dict[str, Any]:
+def evaluate_job(job: Mapping[str, Any]) -> dict[str, Any]:
     """Score gains. Input and output are plain values, so that any process can do this.
 
     Args:
@@ -82,16 +82,16 @@ def evaluate(job: Mapping[str, Any]) -> dict[str, Any]:
     Returns:
         A `Score` as a table.
     """
-    hand = hand_from(tomllib.loads(job["hand"]), "the hand on trial")
+    hand = hand_from_content(tomllib.loads(job["hand"]), "the hand on trial")
     gains = Gains.model_validate(job["gains"])
     model = HandModel.of(hand, gains, float(job["rate_hz"]))
     plants = job["plants"]
-    shortfall = worst_of(model, tuple(linear_factors(factors) for factors in plants)).shortfall
+    shortfall = worst_margins(model, tuple(linear_factors(factors) for factors in plants)).shortfall
     if shortfall > 0.0 and job.get("must_keep_margins", False):
         return _score_table(Score(FAILED, FAILED, FAILED, 0.0, shortfall, "margins"))
     runs = []
     for i, factors in enumerate(plants):
-        runs.append(exercise(hand, model, factors, int(job["seed"]) + i))
+        runs.append(score_exercise(hand, model, factors, int(job["seed"]) + i))
         if runs[-1].failure:
             return _score_table(Score(FAILED, FAILED, FAILED, runs[-1].peak_tension_N, shortfall, runs[-1].failure))
     # Root mean square over the plants, so the worst plants weigh most.
@@ -103,7 +103,7 @@ def _score_table(score: Score) -> dict[str, Any]:
     return {name: getattr(score, name) for name in Score.__dataclass_fields__}
 
 
-def exercise(hand: Hand, model: HandModel, factors: Mapping[str, float], seed: int) -> Score:
+def score_exercise(hand: Hand, model: HandModel, factors: Mapping[str, float], seed: int) -> Score:
     """Score one run of the exercise on a plant, without the margins.
 
     Args:
@@ -112,13 +112,13 @@ def exercise(hand: Hand, model: HandModel, factors: Mapping[str, float], seed: i
         factors: factors of the plant relative to the description.
         seed: seed of the noise.
     """
-    return judge(hand, *simulated(hand, model, Exercise(), factors, seed))
+    return score_run(hand, *simulate_program(hand, model, Exercise(), factors, seed))
 
 
 Ticks = list[tuple[TickIn, TickOut]]
 
 
-def simulated(
+def simulate_program(
     hand: Hand, model: HandModel, program: Program, factors: Mapping[str, float], seed: int
 ) -> tuple[Ticks, TruthRecord, str]:
     """Run a program on a simulated plant in lockstep.
@@ -145,7 +145,7 @@ def simulated(
         return ticks, read_truth(file), state.failure
 
 
-def judge(hand: Hand, ticks: Sequence[tuple[TickIn, TickOut]], truth: TruthRecord, failure: str) -> Score:
+def score_run(hand: Hand, ticks: Sequence[tuple[TickIn, TickOut]], truth: TruthRecord, failure: str) -> Score:
     """Return the score of a run from the ground truth of the simulator.
 
     Args:
@@ -166,7 +166,7 @@ def judge(hand: Hand, ticks: Sequence[tuple[TickIn, TickOut]], truth: TruthRecor
     )
     real = GroundTruth.of(truth, hand, t_ns)
     phase = np.array([out.phase for _, out in active])
-    return score(t_ns, phase, mean_angles(hand, goal), tension_goal, torque, real)
+    return score_ticks(t_ns, phase, mean_angles(hand, goal), tension_goal, torque, real)
 
 
 class GroundTruth(NamedTuple):
@@ -189,7 +189,7 @@ class GroundTruth(NamedTuple):
         )
 
 
-def score(
+def score_ticks(
     t_ns: NDArray[np.int64],
     phase: NDArray[Any],
     angle: Array,

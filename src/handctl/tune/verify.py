@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.stats import t as student
 
-from handctl.core.gains.bounds import LIVE, values_by_key
+from handctl.core.gains.bounds import LIVE_SECTIONS, values_by_key
 from handctl.core.gains.gains import Gains
 from handctl.core.types import Mode, TickIn, TickOut
 from handctl.hand.description import Hand
@@ -21,7 +21,7 @@ from handctl.log.read.timeline import phase_of_each
 from handctl.report.summary import mean_angles
 from handctl.report.truth import TruthRecord
 from handctl.safety.action import Action
-from handctl.tune.scoring import GroundTruth, Score, score
+from handctl.tune.scoring import GroundTruth, Score, score_ticks
 
 OLD_ROUNDS = 2
 """Number of rounds with the old gains. The last round is used for the comparison."""
@@ -123,7 +123,7 @@ class VerifyObserver:
 
     def _request_gains(self, gains: Gains) -> None:
         """Queue a request for the gains that a running controller accepts."""
-        values = {key: value for key, value in values_by_key(gains).items() if key.partition(".")[0] in LIVE}
+        values = {key: value for key, value in values_by_key(gains).items() if key.partition(".")[0] in LIVE_SECTIONS}
         self._requests.append(json.dumps({"do": "gains", "set": values}))
 
     def _torque_rate(self, entry: TickIn, out: TickOut) -> float:
@@ -194,7 +194,7 @@ class Column:
     verdict: str
 
 
-def compare(runs: list[list[Score]]) -> list[Column]:
+def compare_rounds(runs: list[list[Score]]) -> list[Column]:
     """Compare the new gains' round at full amplitude with the old gains' round, run by run.
 
     Args:
@@ -216,7 +216,7 @@ def compare(runs: list[list[Score]]) -> list[Column]:
     return columns
 
 
-def scores(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> list[Score]:
+def scores_by_round(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> list[Score]:
     """Score each round of the exercise, the old gains' rounds first.
 
     Args:
@@ -239,5 +239,5 @@ def scores(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -
         part_truth = GroundTruth(real.angle[part], real.tension[part])
         tension = log.field("tension_goal")[part]
         torque = log.field("motor_torque_goal")[part]
-        results.append(score(log.t_ns[part], phase[part], angle[part], tension, torque, part_truth))
+        results.append(score_ticks(log.t_ns[part], phase[part], angle[part], tension, torque, part_truth))
     return results

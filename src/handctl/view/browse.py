@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from handctl.log.read.record_scan import RecordScan
 from handctl.view.scene.run_info import RunInfo
-from handctl.view.viewer import Viewer, launched
+from handctl.view.viewer import Viewer, launched_viewer
 
 if TYPE_CHECKING:
     from rerun.chunk import Chunk
@@ -23,7 +23,7 @@ FLUSH_S = 5.0
 
 
 @contextmanager
-def browse(
+def browse_log(
     path: Path,
     run: RunInfo,
     arguments: Sequence[str],
@@ -50,7 +50,7 @@ def browse(
     """
     # The viewer starts on another core while this process imports Rerun and converts the first
     # part.
-    with launched(["--expect-data-soon", *arguments], environment) as launch:
+    with launched_viewer(["--expect-data-soon", *arguments], environment) as launch:
         from handctl.view.feed import (
             run_parts,
         )  # it imports Rerun, while the viewer starts on another core
@@ -66,10 +66,10 @@ def _send_chunks(running: Viewer, run: RunInfo, chunks: "Iterator[Chunk]") -> No
     """Send all chunks until the end or until the viewer is closed."""
     import rerun as rr
 
-    from handctl.view.feed import recording
+    from handctl.view.feed import new_recording
     from handctl.view.scene.blueprint import dashboard
 
-    stream = recording(run)
+    stream = new_recording(run)
     stream.connect_grpc(running.url, default_blueprint=dashboard(run))
     try:
         rr.send_chunks(takewhile(lambda _: running.process.poll() is None, chunks), recording=stream)

@@ -14,13 +14,13 @@ from rerun.chunk import Chunk, McapReader
 
 from handctl.errors import LogError
 from handctl.log.read.record_scan import RecordScan, scan_path
-from handctl.log.read.recover import RecoveryStatus, recover
+from handctl.log.read.recover import RecoveryStatus, recover_log
 from handctl.view.scene.arrow import LOG_TIME, run_times
 from handctl.view.scene.blueprint import dashboard
 from handctl.view.scene.run_info import RunInfo
-from handctl.view.scene.styles import styles
+from handctl.view.scene.styles import style_chunks
 from handctl.view.scene.topic_converters import TopicConverters
-from handctl.view.scene.true_shapes import true_shapes
+from handctl.view.scene.true_shapes import true_shape_chunks
 from handctl.view.time_slices import SPAN_NS, time_slices
 
 DISK_SPACE_FACTOR = 2
@@ -60,7 +60,7 @@ def run_parts(
     Raises:
         LogError: the log is damaged.
     """
-    yield [*styles(run), *true_shapes(run)]
+    yield [*style_chunks(run), *true_shape_chunks(run)]
     with tempfile.TemporaryDirectory(prefix="handctl-view-") as folder:
         converters = TopicConverters(run)
         complete, scan = complete_log(path, Path(folder), scan or scan_path(path))
@@ -79,7 +79,7 @@ def complete_log(path: Path, folder: Path, scan: RecordScan) -> tuple[Path, Reco
     if not scan.problem:
         return path, scan
     copy = folder / path.name
-    if recover(path, copy).status == RecoveryStatus.NOTHING:
+    if recover_log(path, copy).status == RecoveryStatus.NOTHING:
         raise LogError("no complete chunk in it", str(path), "a log with at least its header")
     return copy, scan_path(copy)
 
@@ -109,7 +109,7 @@ def _start_time(chunk: Chunk) -> int:
     return int(run_times(chunk, 0)[0]) if LOG_TIME in chunk.timeline_names else -1
 
 
-def recording(run: RunInfo) -> rr.RecordingStream:
+def new_recording(run: RunInfo) -> rr.RecordingStream:
     """Return a new Rerun recording without a sink."""
     stream = rr.RecordingStream(run.application, recording_id=run.name, send_properties=False)
     stream.send_recording_name(run.name)
@@ -135,7 +135,7 @@ def write_rrd(path: Path, run: RunInfo, out: Path) -> int:
     """
     if shutil.disk_usage(out.absolute().parent).free < DISK_SPACE_FACTOR * path.stat().st_size:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(out))
-    stream = recording(run)
+    stream = new_recording(run)
     try:
         stream.save(out, default_blueprint=dashboard(run))
     except (RuntimeError, OSError) as error:

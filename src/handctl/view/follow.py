@@ -11,10 +11,10 @@ import rerun as rr
 from handctl.errors import LogError
 from handctl.handlers import TerminationFlag
 from handctl.log.read.reader import RunLog
-from handctl.view.feed import log_chunks, recording
+from handctl.view.feed import log_chunks, new_recording
 from handctl.view.scene.blueprint import dashboard
 from handctl.view.scene.run_info import RunInfo
-from handctl.view.scene.styles import styles
+from handctl.view.scene.styles import style_chunks
 from handctl.view.scene.topic_converters import TopicConverters
 from handctl.view.tail import Tail
 from handctl.view.viewer import Viewer, check_screen, software_vulkan, start_viewer
@@ -44,9 +44,9 @@ class Follower:
         self._converters = TopicConverters(run)
         self._tail = Tail(log)
         self._folder = tempfile.TemporaryDirectory(prefix="handctl-follow-")
-        self._stream = recording(run)
+        self._stream = new_recording(run)
         self._stream.connect_grpc(url, default_blueprint=dashboard(run, live=True))
-        rr.send_chunks(styles(run), recording=self._stream)
+        rr.send_chunks(style_chunks(run), recording=self._stream)
 
     def step(self) -> bool:
         """Send new chunks. Return False if the log has not grown.

@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from handctl.errors import HandctlError
-from handctl.output import whole
+from handctl.output import atomic_path
 from handctl.view.scene.arrow import TIMELINE
-from handctl.view.viewer import Viewer, software_vulkan, viewer
+from handctl.view.viewer import Viewer, running_viewer, software_vulkan
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient, ViewerState
@@ -24,7 +24,7 @@ STILL_S = 10.0
 """Longest wait until the picture no longer changes [s]."""
 
 
-def draw(rrd: Path, at_s: float, out: Path) -> list[str]:
+def draw_recording(rrd: Path, at_s: float, out: Path) -> list[str]:
     """Draw a recording as PNG.
 
     Args:
@@ -40,7 +40,7 @@ def draw(rrd: Path, at_s: float, out: Path) -> list[str]:
         HandctlError: the viewer failed.
         OSError: the picture cannot be written.
     """
-    with viewer(["--headless", "--window-size", SIZE, str(rrd)], software_vulkan()) as running:
+    with running_viewer(["--headless", "--window-size", SIZE, str(rrd)], software_vulkan()) as running:
         clear = time.monotonic() + TOAST_S
         client = connect_client(running)
         wait_loaded(client, TIMELINE, int(at_s * 1e9))
@@ -48,7 +48,7 @@ def draw(rrd: Path, at_s: float, out: Path) -> list[str]:
         time.sleep(max(SETTLE_S, clear - time.monotonic()))
         png = settled_screenshot(client)
         reports = view_reports(client)
-    with whole(out) as part:
+    with atomic_path(out) as part:
         part.write_bytes(png)
     return reports
 

@@ -36,7 +36,7 @@ _LISTENS = re.compile(rb"rerun\+http://[0-9.]+:\d+/proxy")
 """Pattern for the line with the address in the viewer's output."""
 
 
-def binary() -> Path:
+def viewer_path() -> Path:
     """Return the path of the viewer in the rerun-sdk package.
 
     Raises:
@@ -156,7 +156,7 @@ def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Laun
         arguments: further arguments of the viewer.
         environment: environment variables in addition to those of this process.
     """
-    exe = str(binary())
+    exe = str(viewer_path())
     settings = run_dir() / "viewer"
     settings.mkdir(mode=0o700, parents=True, exist_ok=True)
     # The viewer knows no switch for its analytics other than a file in its configuration.
@@ -186,7 +186,7 @@ def start_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Viewe
 
 
 @contextmanager
-def launched(arguments: Sequence[str], environment: dict[str, str]) -> Iterator[Launch]:
+def launched_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Iterator[Launch]:
     """Start a viewer with `launch_viewer`, for the duration of a context.
 
     At the end of the context, the viewer is closed and its temporary files are deleted.
@@ -200,9 +200,9 @@ def launched(arguments: Sequence[str], environment: dict[str, str]) -> Iterator[
 
 
 @contextmanager
-def viewer(arguments: Sequence[str], environment: dict[str, str]) -> Iterator[Viewer]:
+def running_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Iterator[Viewer]:
     """Start a viewer with `start_viewer`, for the duration of a context."""
-    with launched(arguments, environment) as launch:
+    with launched_viewer(arguments, environment) as launch:
         yield launch.ready()
 
 

@@ -21,7 +21,7 @@ from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.live import JogProgram
 from handctl.programs.requests import HoldTension
-from handctl.session.exit_codes import Exit
+from handctl.session.exit_codes import ExitCode
 from handctl.session.plan import Plan
 from handctl.session.run import Outcome, make_controller, run_live
 from tests.drives.protocol_bench import hand_file
@@ -135,7 +135,7 @@ def test_steps_of_the_wall_clock_have_no_effect(tmp_path: Path) -> None:
     outcome, truth = run_until_done(tmp_path, Hostile(lambda: step(HOUR_S), lambda: step(-2.0 * HOUR_S)), "")
     moved = np.diff(offsets[-3:])
     assert moved == pytest.approx([HOUR_S, -2.0 * HOUR_S], abs=5.0), "it was felt: all clocks moved"
-    assert (outcome.state.failure, outcome.exit) == ("", Exit.DONE)
+    assert (outcome.state.failure, outcome.exit) == ("", ExitCode.DONE)
     for digit in DIGITS:
         assert truth.column(f"tension/{digit}_tendon").max() > 0.25 * PULL_N, digit
     with RunLog(tmp_path / "run.mcap") as log:
@@ -150,7 +150,7 @@ def test_an_interface_taken_down_cuts_the_run_and_the_drives_drop_torque(interfa
     hostile = Hostile(lambda: set_up(interface, False))
     outcome, truth = run_until_done(tmp_path, hostile, "B14")
     assert "B14" in outcome.state.failure, outcome.state.failure
-    assert outcome.exit == Exit.REMOVE_POWER, "no drive could confirm"
+    assert outcome.exit == ExitCode.REMOVE_POWER, "no drive could confirm"
     after = hostile.modes[hostile.modes.index(Mode.ACTIVE) :]
     acted = round(AT_S * RATE_HZ)
     assert after[: acted + 3].count(Mode.ACTIVE) <= acted + 1, "the next tick cuts"

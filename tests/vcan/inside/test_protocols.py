@@ -30,7 +30,7 @@ from handctl.programs.live import JogProgram
 from handctl.programs.requests import HoldTension
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.clock import RealClock
-from handctl.session.exit_codes import Exit
+from handctl.session.exit_codes import ExitCode
 from handctl.session.plan import Plan
 from handctl.session.run import Outcome, make_controller, run_live
 from tests.drives.protocol_bench import hand_file, on_two_buses
@@ -143,7 +143,7 @@ def test_one_hand_over_two_buses_with_two_protocols(tmp_path: Path) -> None:
     outcome, truth = pull(path, ["socketcan:vcan0", "socketcan:vcan1"], tmp_path)
     assert outcome.state.failure == ""
     assert outcome.state.unconfirmed == ()
-    assert outcome.exit == Exit.DONE
+    assert outcome.exit == ExitCode.DONE
     assert outcome.stats.refused == truth.header["lost_frames"] == 0
     for digit in DIGITS:
         assert truth.column(f"tension/{digit}_tendon").max() > 0.25 * PULL_N, digit  # the guest's clocks slip

@@ -4,10 +4,10 @@ import argparse
 from collections.abc import Sequence
 from typing import Any
 
-from handctl.cli.checks.scan import not_looked_for
+from handctl.cli.checks.scan import undiscoverable_protocols_text
 from handctl.cli.console.options import print_json
-from handctl.cli.console.verbosity import is_quiet, note
-from handctl.drives.discovery import TWINS, DiscoveredNode
+from handctl.cli.console.verbosity import is_quiet, print_note
+from handctl.drives.discovery import TWO_DRIVES_WARNING, DiscoveredNode
 from handctl.drives.registry import DISCOVERIES
 from handctl.errors import BusError, ConfigError
 from handctl.hand.description import Hand
@@ -21,14 +21,14 @@ from handctl.runtime.buses.open import open_bus
 from handctl.runtime.diagnostics.link_findings import (
     WIRING,
     LinkFinding,
-    absent,
     adapter_findings,
-    findings,
+    interface_findings,
+    missing_interface_finding,
 )
 from handctl.runtime.diagnostics.round_trip import RoundTrip, round_trip
-from handctl.runtime.diagnostics.scan import Scan, scan
+from handctl.runtime.diagnostics.scan import Scan, scan_bus
 from handctl.session.buses import named_buses
-from handctl.session.exit_codes import Exit
+from handctl.session.exit_codes import ExitCode
 
 NO_USB = Adapter()
 """Value that stands for an interface without USB adapter."""
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     good = all(finding["good"] for bus in results for finding in bus["findings"])
     if not args.json:
         _print_findings(results)
-    return Exit.DONE if good else Exit.FAILED
+    return ExitCode.DONE if good else ExitCode.FAILED
 
 
 def _expected_buses(args: argparse.Namespace, hand: Hand | None) -> Sequence[tuple[str, BusSection]]:
@@ -67,7 +67,7 @@ def _expected_buses(args: argparse.Namespace, hand: Hand | None) -> Sequence[tup
 
 def _examine_bus(spec: str, expected: BusSection, hand: Hand | None) -> dict[str, Any]:
     """Return the JSON result of one bus: findings about the interface, and about the nodes if the interface works."""
-    note(f"{spec}: looking")
+    print_note(f"{spec}: looking")
     kind, _, channel = spec.partition(":")
     rows = _check_interface(channel, expected) if kind == "socketcan" else []
     trips: list[tuple[DiscoveredNode, RoundTrip]] = []
@@ -94,11 +94,11 @@ def _check_interface(channel: str, expected: BusSection) -> list[LinkFinding]:
             )
         ]
     if link is None:
-        return [absent(channel, expected.bitrate, expected.data_bitrate)]
+        return [missing_interface_finding(channel, expected.bitrate, expected.data_bitrate)]
     adapter = read_adapter(channel)
     other_names = [name for name in interface_names() if name != channel]
     others = [name for name in other_names if (read_adapter(name) or NO_USB).serial]
-    rows = findings(channel, link, expected.bitrate, expected.data_bitrate)
+    rows = interface_findings(channel, link, expected.bitrate, expected.data_bitrate)
     return rows + adapter_findings(channel, adapter, link.kind, others)
 
 
@@ -111,13 +111,17 @@ def _check_nodes(
     except BusError as error:
         return [LinkFinding(f"cannot be opened: {error}", False, error.right or WIRING)], []
     try:
-        result = scan(bus)
+        result = scan_bus(bus)
         trips = [] if result.foreign else _measure_round_trips(bus, result)
     finally:
         bus.close()
-    rows = [LinkFinding("can be opened", True), *_event_findings(result), *map(_answers_text, trips)]
+    rows = [
+        LinkFinding("can be opened", True),
+        *_event_findings(result),
+        *map(_answers_text, trips),
+    ]
     rows += [
-        LinkFinding(f"{node.protocol} {node.node_id}: two drives answer", False, TWINS)
+        LinkFinding(f"{node.protocol} {node.node_id}: two drives answer", False, TWO_DRIVES_WARNING)
         for node in _nodes_with_twins(result, trips)
     ]
     if result.foreign:
@@ -126,9 +130,9 @@ def _check_nodes(
     elif hand is not None:
         rows += _missing_motors(hand, expected.name, result)
     elif not result.found:
-        rows.append(LinkFinding("no drive answers", False, f"{WIRING}; {not_looked_for()}"))
+        rows.append(LinkFinding("no drive answers", False, f"{WIRING}; {undiscoverable_protocols_text()}"))
     else:
-        rows.append(LinkFinding(not_looked_for(), True))
+        rows.append(LinkFinding(undiscoverable_protocols_text(), True))
     return rows, trips
 
 

@@ -6,14 +6,14 @@ from typing import Any
 
 from handctl.cli.console.options import print_json
 from handctl.cli.console.verbosity import is_verbose
-from handctl.controller.bus_load import BusLoad, FrameRow, bus_loads, split
+from handctl.controller.bus_load import BusLoad, FrameRow, bus_loads, split_motors_over_buses
 from handctl.drives.frame_time import MAX_BUS_LOAD
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
 from handctl.report.load_table import TABLE, TABLE_RATES_HZ
-from handctl.session.exit_codes import Exit
-from handctl.session.plan import bus_specs, fastest
+from handctl.session.exit_codes import ExitCode
+from handctl.session.plan import bus_specs, highest_rate_of_buses
 
 
 def run(args: argparse.Namespace) -> int:
@@ -23,10 +23,10 @@ def run(args: argparse.Namespace) -> int:
     """
     if args.table:
         _print_table() if not args.json else print_json({"rows": [row.numbers() for row in TABLE]})
-        return Exit.DONE
+        return ExitCode.DONE
     hand = load_hand("jamia" if args.hand is None else args.hand)
     loads = bus_loads(hand)
-    rate = fastest(loads) if args.rate is None else args.rate
+    rate = highest_rate_of_buses(loads) if args.rate is None else args.rate
     if not 1 <= rate <= 10_000:
         raise ConfigError(f"{rate:g}", "--rate", "1 to 10000 Hz")
     wrong = wrong_rates(hand, bus_specs(hand, args.bus)) if args.bus else []
@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
         print_json(result)
     else:
         _print_loads(result, is_verbose())
-    return Exit.DONE if result["fits"] and not wrong else Exit.FAILED
+    return ExitCode.DONE if result["fits"] and not wrong else ExitCode.FAILED
 
 
 def plan(hand: Hand, loads: tuple[BusLoad, ...], rate: float) -> dict[str, Any]:
@@ -49,7 +49,7 @@ def plan(hand: Hand, loads: tuple[BusLoad, ...], rate: float) -> dict[str, Any]:
     fits = all(load.at(rate) <= MAX_BUS_LOAD for load in loads)
     buses = [_bus_fields(load, rate) for load in loads]
     return {"hand": hand.name, "rate_hz": rate, "most": MAX_BUS_LOAD, "fits": fits, "buses": buses,
-            "split": [] if fits else split(hand, rate)}  # fmt: skip
+            "split": [] if fits else split_motors_over_buses(hand, rate)}  # fmt: skip
 
 
 def wrong_rates(hand: Hand, specs: tuple[str, ...]) -> list[str]:

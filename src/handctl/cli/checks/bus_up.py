@@ -11,7 +11,7 @@ from handctl.hand.file.sections import Bus as BusSection
 from handctl.hand.load import load_hand
 from handctl.runtime.buses.interface import Command, interface_names, set_up_commands
 from handctl.session.buses import named_buses
-from handctl.session.exit_codes import Exit
+from handctl.session.exit_codes import ExitCode
 
 TIMEOUT_S = 10.0
 """Longest time for a command [s]."""
@@ -31,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
         print_json({"commands": [list(command) for command in commands], "done": args.yes})
     else:
         print("\n".join(lines))
-    return Exit.DONE
+    return ExitCode.DONE
 
 
 def _bus_rates(args: argparse.Namespace) -> tuple[tuple[str, BusSection], ...]:

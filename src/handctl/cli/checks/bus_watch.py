@@ -9,22 +9,22 @@ from contextlib import ExitStack
 from typing import Any
 
 from handctl.cli.console.options import print_json_line
-from handctl.cli.console.screen import screen
-from handctl.cli.console.verbosity import note
+from handctl.cli.console.screen import rich_console
+from handctl.cli.console.verbosity import print_note
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.setup import make_drives, make_sensors
 from handctl.drives.contract import Drive, DriveState
 from handctl.errors import BusError, ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
-from handctl.handlers import TerminationFlag, handling
+from handctl.handlers import TerminationFlag, installed_handler
 from handctl.runtime.buses.open import open_bus, real_buses
 from handctl.runtime.clock import RealClock
 from handctl.runtime.diagnostics.watch import STALE_S, BusWatch, is_saturated
 from handctl.runtime.mailbox import bus_lock, is_running
 from handctl.session.defaults import DEFAULT_HAND
-from handctl.session.exit_codes import Exit
-from handctl.session.plan import bus_specs, fastest
+from handctl.session.exit_codes import ExitCode
+from handctl.session.plan import bus_specs, highest_rate_of_buses
 
 HIGHEST_HZ = 100.0
 """Rate of the requests [Hz], if the bus load allows it."""
@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     """Show the readings until Ctrl-C, or for a time. Returns 1 if a drive does not reply at the end."""
     specs, hand = _choices(args)
     drives = make_drives(hand)
-    clock = RealClock(round(1e9 / min(HIGHEST_HZ, fastest(bus_loads(hand)))), args.time_scale)
+    clock = RealClock(round(1e9 / min(HIGHEST_HZ, highest_rate_of_buses(bus_loads(hand)))), args.time_scale)
     for spec in specs:
         if is_running(spec):
             right = "no running controller: its own display and handctl run --view show the readings"
@@ -54,17 +54,17 @@ def run(args: argparse.Namespace) -> int:
         for bus in opened:
             stack.callback(bus.close)
         watch = BusWatch(drives, make_sensors(hand), opened, clock)
-        note(f"handctl: {hand.name} on {', '.join(specs)}: no drive is enabled. Ctrl-C ends the watch.")
+        print_note(f"handctl: {hand.name} on {', '.join(specs)}: no drive is enabled. Ctrl-C ends the watch.")
         if foreign := watch.other_host():
             raise BusError(f"another host is at work (heard: {foreign})", f"bus {', '.join(specs)}", "this host alone")
         ended = TerminationFlag()
-        stack.enter_context(handling(ended, signal.SIGINT, signal.SIGTERM))
+        stack.enter_context(installed_handler(ended, signal.SIGINT, signal.SIGTERM))
         stack.callback(watch.release)
         clock.start()
         _show(args, hand, watch, ended)
     if silent := watch.silent():
         print(f"handctl: without a reply at the end: {', '.join(silent)}", file=sys.stderr)
-    return Exit.FAILED if silent else Exit.DONE
+    return ExitCode.FAILED if silent else ExitCode.DONE
 
 
 def _choices(args: argparse.Namespace) -> tuple[tuple[str, ...], Hand]:
@@ -101,7 +101,7 @@ def _show(args: argparse.Namespace, hand: Hand, watch: BusWatch, ended: Terminat
         if in_place:
             from rich.live import Live
 
-            live = stack.enter_context(Live(console=screen(), auto_refresh=False))
+            live = stack.enter_context(Live(console=rich_console(), auto_refresh=False))
         while not ended.asked and (now := time.monotonic()) < end:
             watch.tick()
             if now < due:
@@ -113,7 +113,7 @@ def _show(args: argparse.Namespace, hand: Hand, watch: BusWatch, ended: Terminat
             elif args.json:
                 print_json_line(readings)
             else:
-                screen(min_width=100).print(_table(readings))
+                rich_console(min_width=100).print(_table(readings))
                 sys.stdout.flush()
 
 

@@ -7,25 +7,25 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.checks.rate_margin import rate_warnings
-from handctl.cli.console.options import print_json, say
+from handctl.cli.console.options import print_escaped, print_json
 from handctl.cli.console.plan import find_calibration, layered_gains
 from handctl.controller.bus_load import bus_loads
-from handctl.controller.setup import caveats, make_drives, make_sensors
+from handctl.controller.setup import make_drives, make_sensors, unverified_protections
 from handctl.core.gains.bounds import values_by_key
 from handctl.core.identified import UNITS
-from handctl.drives.dbc import of_bus
+from handctl.drives.dbc import dbc_of_bus
 from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.file.error_text import SECTION, Mistake, in_file
+from handctl.hand.file.error_text import SECTION_PATTERN, Mistake, with_paths_of_file
 from handctl.hand.file.json_schema import hand_schema_text
-from handctl.hand.file.templates import RESOLVED
-from handctl.hand.formats.mjcf import mjcf
-from handctl.hand.formats.urdf import urdf
+from handctl.hand.file.templates import RESOLVED_SCHEMA
+from handctl.hand.formats.mjcf import mjcf_text
+from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.load import (
-    hand_from,
+    hand_from_content,
     hand_path,
-    inspect,
+    inspect_content,
     load_hand,
     packaged_hands,
     parse_toml,
@@ -33,13 +33,13 @@ from handctl.hand.load import (
 )
 from handctl.hand.readiness import table_fits
 from handctl.hand.strength import strength_warnings
-from handctl.output import DRAWN, check_output, named_after, write_whole
+from handctl.output import FIGURE_SUFFIXES, check_output, path_with_suffix, write_text_atomically
 from handctl.programs.default_task import grasp_warnings
 from handctl.programs.task import load_task
 from handctl.safety.sensing import sensing_warnings
-from handctl.session.exit_codes import Exit
+from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import LayeredGains
-from handctl.session.plan import check_design, control_rate, fastest
+from handctl.session.plan import check_design, control_rate, highest_rate_of_buses
 from handctl.session.tasks import TASKS, find_task, task_path
 
 
@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
 def _all_errors(args: argparse.Namespace) -> list[str]:
     """Return all errors of a hand and its files, one line each."""
     path = hand_path(args.hand)
-    hand, mistakes, origins = inspect(read_toml(path))
+    hand, mistakes, origins = inspect_content(read_toml(path))
     errors = [mistake.error(str(path)) for mistake in mistakes]
     checks: list[Callable[[], object]] = []
     if hand is None:
@@ -80,8 +80,8 @@ def _all_errors(args: argparse.Namespace) -> list[str]:
         try:
             check()
         except ConfigError as error:
-            in_hand = SECTION.fullmatch(error.where)
-            placed = in_file([Mistake(error.what, error.where, error.right)], origins)
+            in_hand = SECTION_PATTERN.fullmatch(error.where)
+            placed = with_paths_of_file([Mistake(error.what, error.where, error.right)], origins)
             errors.append(placed[0].error(str(path)) if in_hand else error)
     places = [error.where for error in errors]
     # An error of a later check at the same key is a consequence.
@@ -123,8 +123,8 @@ def _report_errors(args: argparse.Namespace, errors: list[str]) -> int:
     if args.json:
         print_json({"file": hand_path(args.hand).name, "errors": errors})
     for error in errors:
-        say(f"handctl: {error}", error=True)
-    return Exit.BAD_INPUT
+        print_escaped(f"handctl: {error}", error=True)
+    return ExitCode.BAD_INPUT
 
 
 def _show_graph(args: argparse.Namespace, hand: Hand) -> int:
@@ -136,14 +136,14 @@ def _show_graph(args: argparse.Namespace, hand: Hand) -> int:
     if args.output is None:
         print(text_graph(hand))
         return 0
-    if args.output.suffix not in DRAWN:
-        raise ConfigError(str(args.output), "--output", "a file ending in " + ", ".join(sorted(DRAWN)))
+    if args.output.suffix not in FIGURE_SUFFIXES:
+        raise ConfigError(str(args.output), "--output", "a file ending in " + ", ".join(sorted(FIGURE_SUFFIXES)))
     check_output(args.output, "--output", Path(args.hand))
     draw_hand(args.output, hand)
     if args.json:
         print_json({"output": str(args.output)})
     else:
-        say(f"{args.output}: {len(hand.digit)} digits, {len(hand.tendon)} tendons, {len(hand.bus)} buses")
+        print_escaped(f"{args.output}: {len(hand.digit)} digits, {len(hand.tendon)} tendons, {len(hand.bus)} buses")
     return 0
 
 
@@ -156,7 +156,7 @@ def _show_or_check(args: argparse.Namespace, hand: Hand) -> int:
         raise ConfigError("no such file", str(args.calibration), "a calibration to check")
     calibration = _calibration_fields(args, hand)
     loads = bus_loads(hand)
-    rate = fastest(loads)
+    rate = highest_rate_of_buses(loads)
     load = {one.name: one.at(rate) for one in loads}
     source = str(hand_path(args.hand).name)
     warnings = _warnings(hand)
@@ -169,7 +169,7 @@ def _show_or_check(args: argparse.Namespace, hand: Hand) -> int:
                 "identity": hand.identity,
                 "rate_hz": rate,
                 "bus_load": load,
-                "caveats": list(caveats(make_drives(hand))),
+                "caveats": list(unverified_protections(make_drives(hand))),
                 "warnings": warnings,
                 "moment_arm_tables": list(table_fits(hand)),
                 "hand": hand.content,
@@ -185,7 +185,7 @@ def _show_or_check(args: argparse.Namespace, hand: Hand) -> int:
         print(hand.to_toml(), end="")
         print("\n".join(_gains_with_sources(layers)))
         print("\n".join(f"# {line}" for line in _calibration_lines(calibration)))
-    for text in caveats(make_drives(hand)):
+    for text in unverified_protections(make_drives(hand)):
         print(f"# caution: {text}")
     for text in warnings:
         print(f"# warning: {text}")
@@ -241,11 +241,11 @@ def _export_hand(args: argparse.Namespace, hand: Hand) -> int:
     if not (args.urdf or args.mjcf):
         raise ConfigError("no format", "export", "--dbc, --urdf or --mjcf")
     output = args.output or Path(f"{hand.name}.{'urdf' if args.urdf else 'xml'}")
-    write_whole(output, urdf(hand) if args.urdf else mjcf(hand), new=True)
+    write_text_atomically(output, urdf_text(hand) if args.urdf else mjcf_text(hand), new=True)
     if args.json:
         print_json({"hand": hand.name, "output": str(output)})
     else:
-        say(f"{output}: {len(hand.digit)} digits, {len(hand.joints)} joints")
+        print_escaped(f"{output}: {len(hand.digit)} digits, {len(hand.joints)} joints")
     return 0
 
 
@@ -257,14 +257,14 @@ def _export_buses(args: argparse.Namespace, hand: Hand) -> int:
     buses = hand.bus_names
     written = []
     for bus, name in enumerate(buses):
-        path = output if len(buses) == 1 else named_after(output, f".{name}{output.suffix}")
-        write_whole(path, of_bus(bus, drives, sensors, hand.tendon_names, hand.joints), new=True)
+        path = output if len(buses) == 1 else path_with_suffix(output, f".{name}{output.suffix}")
+        write_text_atomically(path, dbc_of_bus(bus, drives, sensors, hand.tendon_names, hand.joints), new=True)
         written.append({"bus": name, "output": str(path)})
     if args.json:
         print_json({"hand": hand.name, "files": written})
     else:
         for one in written:
-            say(f"{one['output']}: bus {one['bus']}")
+            print_escaped(f"{one['output']}: bus {one['bus']}")
     return 0
 
 
@@ -274,32 +274,32 @@ def _write_schema(args: argparse.Namespace) -> int:
     if args.output is None:
         print(text, end="")
         return 0
-    write_whole(args.output, text, new=True)
+    write_text_atomically(args.output, text, new=True)
     if args.json:
         print_json({"output": str(args.output)})
     else:
-        say(f"{args.output}: begin a hand file with the line #:schema {args.output.name}")
+        print_escaped(f"{args.output}: begin a hand file with the line #:schema {args.output.name}")
     return 0
 
 
 def _convert_file(args: argparse.Namespace) -> int:
     """Convert a hand file of schema 1 to schema 2, and write the result."""
-    from handctl.hand.file.convert import converted  # tomlkit is for this verb alone
+    from handctl.hand.file.convert import convert_to_schema_2  # tomlkit is for this verb alone
 
     hand = load_hand(args.old)
     text = hand_path(args.old).read_text("utf-8")
-    if parse_toml(text, str(args.old))["schema"] != RESOLVED:
-        raise ConfigError("schema 2 already", f"{args.old}: schema", f"a file of schema {RESOLVED}")
-    new = converted(text, str(args.old))
-    again = hand_from(parse_toml(new, str(args.output)), str(args.output))
+    if parse_toml(text, str(args.old))["schema"] != RESOLVED_SCHEMA:
+        raise ConfigError("schema 2 already", f"{args.old}: schema", f"a file of schema {RESOLVED_SCHEMA}")
+    new = convert_to_schema_2(text, str(args.old))
+    again = hand_from_content(parse_toml(new, str(args.output)), str(args.output))
     if again.identity != hand.identity:
         raise ConfigError("describes another hand after its conversion", str(args.old), "a report of this as a bug")
-    write_whole(args.output, new, new=True)
+    write_text_atomically(args.output, new, new=True)
     lines = len(text.splitlines()), len(new.splitlines())
     if args.json:
         print_json({"output": str(args.output), "lines": lines, "identity": hand.identity})
     else:
-        say(f"{args.output}: {lines[1]} lines instead of {lines[0]}, the same hand {hand.identity[:16]}")
+        print_escaped(f"{args.output}: {lines[1]} lines instead of {lines[0]}, the same hand {hand.identity[:16]}")
     return 0
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from handctl.cli.checks.config_init import Question, answer, check_terminal, one_or_each, write_with_schema
-from handctl.cli.console.options import print_json, say
+from handctl.cli.console.options import print_escaped, print_json
 from handctl.drives.motor_description import GUARDED, PROTOCOLS
 from handctl.errors import ConfigError
 from handctl.hand.file.error_text import Mistake
@@ -17,7 +17,7 @@ from handctl.hand.file.imported_file import ANSWERS, Described, TendonAnswers, d
 from handctl.hand.file.new_file import options_line
 from handctl.hand.file.quantities import NAME_PATTERN, TODO
 from handctl.hand.formats.model_tree import ModelLink, digits_of
-from handctl.hand.load import inspect, parse_toml
+from handctl.hand.load import inspect_content, parse_toml
 from handctl.session.model_file import read_model_file
 
 ONLY_ASKED = ("fingers", "opposed", "links_mm", "width_mm", "palm_mm")
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     traits = PROTOCOLS[answers.protocol] if answers.protocol else None
     options = options_line(answers.protocol, traits.options) if answers.protocol and traits else ""
     text = described_text(described, answers, options, traits is not None and traits.can_fd)
-    mistakes = inspect(parse_toml(text, str(args.output))).mistakes
+    mistakes = inspect_content(parse_toml(text, str(args.output))).mistakes
     missing = [mistake for mistake in mistakes if TODO in mistake.what]
     schema = write_with_schema(args.output, text)
     warnings = [*notes, *unread, *_other(mistakes, missing, args.output)]
@@ -80,10 +80,12 @@ def run(args: argparse.Namespace) -> int:
         found = {"digits": len(described.digits), "joints": joints, "missing": [one.where for one in missing]}
         print_json({"output": str(args.output), "schema": str(schema), **found, "warnings": warnings})
         return 0
-    say(f"{args.output}: {len(described.digits)} digits, {joints} joints; {len(missing)} values are still {TODO}")
+    print_escaped(
+        f"{args.output}: {len(described.digits)} digits, {joints} joints; {len(missing)} values are still {TODO}"
+    )
     for warning in warnings:
-        say(f"warning: {warning}")
-    say(f"next: handctl config check --hand {args.output}, which lists what is missing")
+        print_escaped(f"warning: {warning}")
+    print_escaped(f"next: handctl config check --hand {args.output}, which lists what is missing")
     return 0
 
 

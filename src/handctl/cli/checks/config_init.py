@@ -7,13 +7,13 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from handctl.cli.console.options import print_json, say
+from handctl.cli.console.options import print_escaped, print_json
 from handctl.drives.motor_description import PROTOCOLS
 from handctl.errors import ConfigError
 from handctl.hand.file.json_schema import hand_schema_text
-from handctl.hand.file.new_file import Answers, check_answers, new_hand_text, palm_warnings
-from handctl.hand.load import inspect, parse_toml
-from handctl.output import write_whole
+from handctl.hand.file.new_file import HandAnswers, check_answers, new_hand_text, palm_warnings
+from handctl.hand.load import inspect_content, parse_toml
+from handctl.output import write_text_atomically
 from handctl.programs.default_task import grasp_warnings
 
 SCHEMA_FILE = "hand.schema.json"
@@ -24,7 +24,7 @@ class Question(NamedTuple):
     """Question about a hand.
 
     Attributes:
-        field: field of ``Answers``.
+        field: field of ``HandAnswers``.
         text: the question, without its default.
         read: function that returns the answer from a text, or raises ValueError.
         right: description of a valid answer, for error messages.
@@ -77,14 +77,14 @@ def run(args: argparse.Namespace) -> int:
     for option in ONLY_IMPORTED:
         if getattr(args, option) is not None:
             raise ConfigError("only for an imported hand", f"--{option.replace('_', '-')}", "--urdf or --mjcf with it")
-    given = {one.name: getattr(args, one.name) for one in fields(Answers)}
-    answers = replace(Answers(), **{name: value for name, value in given.items() if value is not None})
+    given = {one.name: getattr(args, one.name) for one in fields(HandAnswers)}
+    answers = replace(HandAnswers(), **{name: value for name, value in given.items() if value is not None})
     if not args.yes:
         answers = _ask(args, answers)
     check_answers(answers)
     traits = PROTOCOLS[answers.protocol]
     text = f"#:schema {SCHEMA_FILE}\n" + new_hand_text(answers, traits.options, traits.can_fd)
-    found = inspect(parse_toml(text, str(args.output)))
+    found = inspect_content(parse_toml(text, str(args.output)))
     if found.mistakes or found.hand is None:
         raise found.mistakes[0].error("the answers")
     warnings = [*palm_warnings(answers), *grasp_warnings(found.hand)]
@@ -93,19 +93,19 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json({"output": str(args.output), "schema": str(schema), "assumed": assumed, "warnings": warnings})
         return 0
-    say(f"{args.output}: {answers.fingers + answers.opposed} digits; {assumed} lines are marked ASSUMED")
+    print_escaped(f"{args.output}: {answers.fingers + answers.opposed} digits; {assumed} lines are marked ASSUMED")
     for text in warnings:
-        say(f"warning: {text}")
-    say(f"next: handctl config check --hand {args.output}; handctl demo --lockstep --hand {args.output}")
+        print_escaped(f"warning: {text}")
+    print_escaped(f"next: handctl config check --hand {args.output}; handctl demo --lockstep --hand {args.output}")
     return 0
 
 
 def write_with_schema(output: Path, text: str) -> Path:
     """Write a new hand file, and the JSON Schema beside it if there is none. Return the path of the schema."""
     schema = output.parent / SCHEMA_FILE
-    write_whole(output, text, new=True)
+    write_text_atomically(output, text, new=True)
     if not schema.exists():
-        write_whole(schema, hand_schema_text(), new=True)
+        write_text_atomically(schema, hand_schema_text(), new=True)
     return schema
 
 
@@ -119,7 +119,7 @@ def check_terminal() -> None:
         raise ConfigError("nobody can answer the questions: no terminal", "config init", "--yes, and options")
 
 
-def _ask(args: argparse.Namespace, answers: Answers) -> Answers:
+def _ask(args: argparse.Namespace, answers: HandAnswers) -> HandAnswers:
     """Ask the questions not answered by options. An empty answer selects the default.
 
     Raises:
@@ -145,4 +145,4 @@ def answer(question: Question, shown: str, default: Any) -> Any:
         try:
             return question.read(text)
         except ValueError:
-            say(f"{text!r}; expected {question.right}")
+            print_escaped(f"{text!r}; expected {question.right}")

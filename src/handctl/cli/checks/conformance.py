@@ -5,16 +5,16 @@ import math
 import sys
 from typing import Any
 
-from handctl.cli.console.begin import ask
+from handctl.cli.console.begin import confirm_motion
 from handctl.cli.console.bench import (
-    LEFT_ON,
+    NOT_OFF_WARNING,
     TORQUE_TOP,
     WATCHDOG_MS,
     described_drive,
     find_drive,
     opened_rig,
     parse_options,
-    restored,
+    with_torque_range,
 )
 from handctl.cli.console.options import print_json
 from handctl.drives.contract import Drive
@@ -26,13 +26,17 @@ from handctl.runtime.diagnostics.conformance import (
     CheckVerdict,
     ConformanceCheck,
     DeviceUnderTest,
-    checks,
-    leave,
+    release_drive,
+    run_checks,
 )
 from handctl.runtime.mailbox import bus_lock
-from handctl.session.exit_codes import Exit
+from handctl.session.exit_codes import ExitCode
 
-MARKS = {CheckVerdict.PASSED: "passed", CheckVerdict.FAILED: "FAILED", CheckVerdict.NOT_APPLICABLE: "n/a   "}
+MARKS = {
+    CheckVerdict.PASSED: "passed",
+    CheckVerdict.FAILED: "FAILED",
+    CheckVerdict.NOT_APPLICABLE: "n/a   ",
+}
 
 
 def run(args: argparse.Namespace) -> int:
@@ -48,12 +52,12 @@ def run(args: argparse.Namespace) -> int:
     if args.dry_run:
         return _dry_run(args)
     warning = f"the shaft of {args.protocol} {args.node} on {args.bus} turns, with at most {args.limit:g} N m"
-    ask(warning, args.yes)
+    confirm_motion(warning, args.yes)
     _print_error(f"{warning}. Ctrl-C lets go.")
     with bus_lock(args.bus):
         node = find_drive(args)
         drive = described_drive(args, options, node)
-        results, off = _checked(args, drive, restored(drive, node))
+        results, off = _checked(args, drive, with_torque_range(drive, node))
     failed = sum(check.verdict is CheckVerdict.FAILED for check in results)
     if args.json:
         print_json(_plain(args, node, results, off))
@@ -62,19 +66,19 @@ def run(args: argparse.Namespace) -> int:
         print("its watchdog and limits stay as they were set here until it is switched off")
         print(f"{passed} passed, {failed} failed, {len(results) - passed - failed} not applicable")
     if not off:
-        _print_error(LEFT_ON)
-        return Exit.REMOVE_POWER
-    return Exit.FAILED if failed else Exit.DONE
+        _print_error(NOT_OFF_WARNING)
+        return ExitCode.REMOVE_POWER
+    return ExitCode.FAILED if failed else ExitCode.DONE
 
 
 def _dry_run(args: argparse.Namespace) -> int:
     if args.json:
         print_json({"checks": [name for name, _, _ in PROMISES], "torque_limit_N_m": args.limit})
-        return Exit.DONE
+        return ExitCode.DONE
     print(f"would check of {args.protocol} {args.node}, with at most {args.limit:g} N m, that it")
     for name, _, turns in PROMISES:
         print(f"  {name}" + (" (the shaft turns)" if turns else ""))
-    return Exit.DONE
+    return ExitCode.DONE
 
 
 def _checked(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tuple[list[ConformanceCheck], bool]:
@@ -85,16 +89,16 @@ def _checked(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tuple[
     results: list[ConformanceCheck] = []
     with opened_rig(args, drive) as (rig, bus):
         try:
-            for check in checks(DeviceUnderTest(rig, args.limit, WATCHDOG_MS / 1e3)):
+            for check in run_checks(DeviceUnderTest(rig, args.limit, WATCHDOG_MS / 1e3)):
                 results.append(check)
                 if not args.json:
                     print(f"{MARKS[check.verdict]}  {check.name}: {check.reason}", flush=True)
         finally:
             if len(results) < len(PROMISES):
                 bus.send(drive.cut())
-            off = leave(rig, WATCHDOG_MS / 1e3, restoring if restoring is not drive else None)
+            off = release_drive(rig, WATCHDOG_MS / 1e3, restoring if restoring is not drive else None)
             if not off and len(results) < len(PROMISES):  # ended by Ctrl-C or a bug: report it here
-                raise PowerError(LEFT_ON)
+                raise PowerError(NOT_OFF_WARNING)
     return results, off
 
 

@@ -10,12 +10,12 @@ from importlib.metadata import version
 from pathlib import Path
 
 from handctl.cli.console.options import print_json
-from handctl.cli.console.verbosity import detail, is_quiet, is_verbose
+from handctl.cli.console.verbosity import is_quiet, is_verbose, print_detail
 from handctl.errors import BusError
 from handctl.extras import extras_installed
 from handctl.runtime.clock import Priority, give_back_priority, take_priority
 from handctl.runtime.paths import run_dir
-from handctl.session.exit_codes import Exit
+from handctl.session.exit_codes import ExitCode
 
 
 def run(args: argparse.Namespace) -> int:
@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
         print_json({"findings": rows} | _version_fields())
     else:
         _print_findings(findings)
-    return Exit.DONE if all(good for _, good, _ in findings) else Exit.FAILED
+    return ExitCode.DONE if all(good for _, good, _ in findings) else ExitCode.FAILED
 
 
 def _print_findings(findings: Sequence["Finding"]) -> None:
@@ -44,7 +44,7 @@ def _print_findings(findings: Sequence["Finding"]) -> None:
             print(f"{'ok ' if good else '-- '} {what}" + ("" if good else f"\n      {fix}"))
     if is_verbose():
         for name, value in _version_fields().items():
-            detail(f"{name}: {value}")
+            print_detail(f"{name}: {value}")
 
 
 Finding = tuple[str, bool, str]
@@ -62,7 +62,11 @@ def _version_fields() -> dict[str, object]:
 
 def _extras() -> Finding:
     missing = [extra for extra, installed in extras_installed().items() if not installed]
-    return f"optional packages; not installed: {', '.join(missing) or 'none'}", True, ""  # a controller needs none
+    return (
+        f"optional packages; not installed: {', '.join(missing) or 'none'}",
+        True,
+        "",
+    )  # a controller needs none
 
 
 def _granted_priority() -> Priority:
@@ -112,7 +116,11 @@ def _check_interfaces() -> Finding:
 
 def _check_vulkan() -> Finding:
     has_driver = bool(list(Path("/usr/share/vulkan/icd.d").glob("*.json"))) or sys.platform != "linux"
-    return "Vulkan driver for pictures of the viewer", has_driver, "install libvulkan1 and mesa-vulkan-drivers"
+    return (
+        "Vulkan driver for pictures of the viewer",
+        has_driver,
+        "install libvulkan1 and mesa-vulkan-drivers",
+    )
 
 
 def _check_space() -> Finding:

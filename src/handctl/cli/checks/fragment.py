@@ -14,7 +14,7 @@ RATED_N_M = 0.1
 COUNTS = 65536
 
 
-def fragment(buses: Mapping[str, Sequence[DiscoveredNode]], bitrate: int, data_bitrate: int | None) -> str:
+def hand_file_snippet(buses: Mapping[str, Sequence[DiscoveredNode]], bitrate: int, data_bitrate: int | None) -> str:
     """Return the ``[[bus]]`` and ``[[motor]]`` sections of the scanned drives.
 
     Args:
@@ -85,7 +85,10 @@ def _option_lines(drive: DiscoveredNode) -> list[Entry]:
         (key, value, drive.origins.get(key, "told by the drive")) for key, value in drive.options.items()
     ]
     if drive.protocol == "cia402":
-        for key, value, where in (("rated_torque_N_m", RATED_N_M, "0x6076"), ("counts_per_turn", COUNTS, "0x608F")):
+        for key, value, where in (
+            ("rated_torque_N_m", RATED_N_M, "0x6076"),
+            ("counts_per_turn", COUNTS, "0x608F"),
+        ):
             if key not in drive.options:
                 entries.append((key, value, f"{TO_FILL_IN}{where} and the data sheet"))
     return entries

@@ -1,6 +1,6 @@
 """Warning about a control rate at which a hand may oscillate, although its buses carry the frames."""
 
-from handctl.controller.bus_load import split
+from handctl.controller.bus_load import split_motors_over_buses
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.hand.description import Hand
@@ -23,15 +23,15 @@ def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
     if rate_hz >= SAFE_HZ:
         return []
     # The loops are those of the compiled core. No other check needs the core.
-    from handctl.tune.loops.linear import LoopKind, loop
-    from handctl.tune.loops.margins import GAIN_MARGIN_DB, margins
+    from handctl.tune.loops.linear import LoopKind, open_loop
+    from handctl.tune.loops.margins import GAIN_MARGIN_DB, margins_of_loop
 
     model = HandModel.of(hand, gains, rate_hz)
-    found = {name: margins(loop(model, i, LoopKind.MOTION)) for i, name in enumerate(hand.tendon_names)}
+    found = {name: margins_of_loop(open_loop(model, i, LoopKind.MOTION)) for i, name in enumerate(hand.tendon_names)}
     name, worst = min(found.items(), key=lambda item: item[1].gain_db)
     if worst.gain_db >= GAIN_MARGIN_DB:
         return []
-    buses = split(hand, SAFE_HZ)
+    buses = split_motors_over_buses(hand, SAFE_HZ)
     remedy = f"{len(buses)} buses allow {SAFE_HZ:g} Hz (bus plan --rate {SAFE_HZ:g})" if buses else "a faster bus"
     return [
         f"{name}: at {rate_hz:g} Hz, which the buses allow, its motion loop has a gain margin of "

@@ -4,17 +4,17 @@ import argparse
 import dataclasses
 from typing import Any
 
-from handctl.cli.checks.fragment import fragment
+from handctl.cli.checks.fragment import hand_file_snippet
 from handctl.cli.console.options import print_json
-from handctl.cli.console.verbosity import note
+from handctl.cli.console.verbosity import print_note
 from handctl.drives.cia402 import codec as cia402_codec
 from handctl.drives.discovery import DiscoveredNode
 from handctl.drives.frame import REMOTE, Frame
 from handctl.drives.registry import UNDISCOVERED
 from handctl.runtime.buses.open import open_bus
-from handctl.runtime.diagnostics.scan import Scan, all_questions, scan
+from handctl.runtime.diagnostics.scan import Scan, requests_without_answers, scan_bus
 from handctl.session.buses import named_buses
-from handctl.session.exit_codes import Exit
+from handctl.session.exit_codes import ExitCode
 
 SHOWN = 8
 """Largest number of another host's frames in the output."""
@@ -30,29 +30,29 @@ def run(args: argparse.Namespace) -> int:
     for name, spec in buses.items():
         opened = open_bus(spec, 0, args.bitrate)
         try:
-            scans[name] = scan(opened, args.force, lambda text, spec=spec: note(f"{spec}: {text}"))  # type: ignore[misc]
+            scans[name] = scan_bus(opened, args.force, lambda text, spec=spec: print_note(f"{spec}: {text}"))  # type: ignore[misc]
         finally:
             opened.close()
         if not scans[name].foreign:
-            scans[name] = scans[name]._replace(found=identified(scans[name].found, spec, args.bitrate))
-    piece = fragment({name: result.found for name, result in scans.items()}, args.bitrate, args.data_bitrate)
+            scans[name] = scans[name]._replace(found=with_identities(scans[name].found, spec, args.bitrate))
+    piece = hand_file_snippet({name: result.found for name, result in scans.items()}, args.bitrate, args.data_bitrate)
     if args.json:
         listed = [_scan_fields(name, buses[name], result) for name, result in scans.items()]
         print_json({"buses": listed, "fragment": piece, "not_looked_for": list(UNDISCOVERED)})
     else:
         _print_scans(buses, scans, piece)
-    return Exit.DONE if any(result.found for result in scans.values()) else Exit.FAILED
+    return ExitCode.DONE if any(result.found for result in scans.values()) else ExitCode.FAILED
 
 
-def identified(nodes: tuple[DiscoveredNode, ...], spec: str, bitrate: int) -> tuple[DiscoveredNode, ...]:
+def with_identities(nodes: tuple[DiscoveredNode, ...], spec: str, bitrate: int) -> tuple[DiscoveredNode, ...]:
     """Return the nodes. CANopen nodes include the identity that they report over SDO."""
     canopen_ids = [drive.node_id for drive in nodes if drive.protocol == "cia402"]
     if not canopen_ids:
         return nodes
-    from handctl.runtime.diagnostics.canopen_identity import identify
+    from handctl.runtime.diagnostics.canopen_identity import identify_nodes
 
-    note(f"{spec}: reading the identity of CANopen nodes {', '.join(map(str, canopen_ids))}")
-    identities = identify(spec, bitrate, canopen_ids)
+    print_note(f"{spec}: reading the identity of CANopen nodes {', '.join(map(str, canopen_ids))}")
+    identities = identify_nodes(spec, bitrate, canopen_ids)
     return tuple(
         _with_identity(drive, identities[drive.node_id].numbers, identities[drive.node_id].texts)
         if drive.protocol == "cia402" else drive
@@ -61,7 +61,7 @@ def identified(nodes: tuple[DiscoveredNode, ...], spec: str, bitrate: int) -> tu
 
 
 def _with_identity(drive: DiscoveredNode, numbers: dict[str, int], texts: dict[str, str]) -> DiscoveredNode:
-    power = cia402_codec.state_of(numbers["status"]) if "status" in numbers else ""
+    power = cia402_codec.power_state(numbers["status"]) if "status" in numbers else ""
     notes = list(drive.notes)
     if not numbers.get("modes", 0) >> 9 & 1:
         notes.append("does not offer cyclic synchronous torque (0x6502 bit 9)")
@@ -115,18 +115,23 @@ def _print_scans(buses: dict[str, str], scans: dict[str, Scan], piece: str) -> N
             print("  for what answers on that, scan again with that drive off")
         for drive in result.found:
             _print_drive(drive)
-    print(not_looked_for())
+    print(undiscoverable_protocols_text())
     if any(result.found for result in scans.values()):
         print(f"\n{piece}", end="")
 
 
-def not_looked_for() -> str:
+def undiscoverable_protocols_text() -> str:
     """Return a line about protocols whose drives a scan cannot find."""
     return f"not looked for: {', '.join(UNDISCOVERED)}, whose drives answer commands only"
 
 
 def _print_drive(drive: DiscoveredNode) -> None:
-    fields = (("firmware", drive.firmware), ("serial", drive.serial), ("", drive.state), ("ERROR", drive.error))
+    fields = (
+        ("firmware", drive.firmware),
+        ("serial", drive.serial),
+        ("", drive.state),
+        ("ERROR", drive.error),
+    )
     line_text = "  ".join(f"{key} {text}".strip() for key, text in fields if text)
     number = f"{drive.node_id:#x}" if drive.protocol == "sensor" else str(drive.node_id)
     print(f"  {drive.protocol:<8}{number:>5}  {line_text}")
@@ -135,10 +140,10 @@ def _print_drive(drive: DiscoveredNode) -> None:
 
 
 def _show_questions(as_json: bool) -> int:
-    questions = [_frame_text(frame) for frame in all_questions()]
+    questions = [_frame_text(frame) for frame in requests_without_answers()]
     if as_json:
         print_json({"questions": questions})
-        return Exit.DONE
+        return ExitCode.DONE
     print("scan listens first, and asks only if no other host is heard; these are all frames that it may send:")
     print("\n".join(questions))
-    return Exit.DONE
+    return ExitCode.DONE

@@ -8,8 +8,8 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from handctl.cli.console.options import say
-from handctl.cli.console.verbosity import note
+from handctl.cli.console.options import print_escaped
+from handctl.cli.console.verbosity import print_note
 from handctl.core.gains.gains import load_gains_file
 from handctl.errors import ConfigError
 from handctl.programs.calibration import Calibration
@@ -40,13 +40,13 @@ def announce(args: argparse.Namespace, plan: Plan, path: Path, calibration: Cali
     if not args.calibration and calibration:
         files.append(_file_text("calibration", path, calibration.made))
     if files:
-        note(f"handctl: found in this folder: {'; '.join(files)}")
+        print_note(f"handctl: found in this folder: {'; '.join(files)}")
     if calibration and not calibration.drive:
         text = "does not name the drives it was made with, any hand of this design would be armed with it"
-        say(f"handctl: caution: {path} {text}; handctl commission makes one that does", error=True)
+        print_escaped(f"handctl: caution: {path} {text}; handctl commission makes one that does", error=True)
     if real := real_buses(plan.buses):
         joints = ", ".join(plan.hand.digit_names)
-        ask(f"{plan.hand.name} on {', '.join(real)} is armed and moves {joints}", args.yes)
+        confirm_motion(f"{plan.hand.name} on {', '.join(real)} is armed and moves {joints}", args.yes)
 
 
 def _file_text(what: str, path: Path, made: str) -> str:
@@ -57,10 +57,10 @@ def _file_text(what: str, path: Path, made: str) -> str:
     then = path.stat().st_mtime
     with suppress(ValueError):
         then = datetime.datetime.fromisoformat(made).timestamp()
-    return f"{what} {os.path.abspath(path)}, {age(time.time() - then)} old"
+    return f"{what} {os.path.abspath(path)}, {age_text(time.time() - then)} old"
 
 
-def age(seconds: float) -> str:
+def age_text(seconds: float) -> str:
     """Return an age as text in its largest whole unit."""
     for unit, name in ((DAY_S, "days"), (HOUR_S, "h"), (MINUTE_S, "min")):
         if seconds >= 2 * unit:
@@ -68,7 +68,7 @@ def age(seconds: float) -> str:
     return f"{max(0.0, seconds):.0f} s"
 
 
-def ask(warning: str, yes: bool) -> None:
+def confirm_motion(warning: str, yes: bool) -> None:
     """Ask the operator to confirm, unless the command line includes ``--yes``.
 
     Args:

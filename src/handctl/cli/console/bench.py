@@ -9,36 +9,39 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from handctl.cli.checks.scan import identified
-from handctl.cli.console.verbosity import note
+from handctl.cli.checks.scan import with_identities
+from handctl.cli.console.verbosity import print_note
 from handctl.drives.contract import Drive
 from handctl.drives.discovery import LISTEN_S, DiscoveredNode
 from handctl.drives.frame import Frame
 from handctl.drives.mit.drive import MitDrive
 from handctl.drives.registry import PROTOCOLS, make_drive
 from handctl.errors import BusError, ConfigError, DriveError
-from handctl.hand.file.error_text import shown
+from handctl.hand.file.error_text import toml_spelling
 from handctl.hand.file.sections import Motor
 from handctl.hand.load import parse_toml
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.clock import RealClock, give_back_priority, take_priority
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
-from handctl.runtime.diagnostics.scan import Scan, listen, scan
+from handctl.runtime.diagnostics.scan import Scan, receive_for, scan_bus
 
-LEFT_ON = "the drive does not say that it is off: REMOVE ITS POWER"
+NOT_OFF_WARNING = "the drive does not say that it is off: REMOVE ITS POWER"
 """Message for a drive that may still make torque."""
 WATCHDOG_MS = 100
 """Watchdog time of the drive [ms], longer than the delays of a desktop without real-time priority."""
 TORQUE_TOP = 50.0
 """Largest torque allowed in a hand file [N m]."""
-DEFAULTS: dict[str, dict[str, Any]] = {"odrive": {"torque_feedback": True}, "cia402": {"sync": True}}
+DEFAULTS: dict[str, dict[str, Any]] = {
+    "odrive": {"torque_feedback": True},
+    "cia402": {"sync": True},
+}
 """Options for a single drive on a bench, because no other host sends SYNC there."""
 TEXT_OPTIONS = ("firmware", "motor_type")
 """Options whose value is text even if the text looks like a number, such as firmware=0.5."""
 BARE_TEXT = re.compile(r"[A-Za-z0-9][\w.-]*")
 """Pattern for text that needs no quotes."""
-NEEDED = {"rated_torque_N_m": 1.0, "counts_per_turn": 65536}
+ASSUMED_OPTIONS = {"rated_torque_N_m": 1.0, "counts_per_turn": 65536}
 """Defaults for options that a CiA 402 drive may not report.
 
 The read-back refuses a wrong rated torque.
@@ -95,9 +98,13 @@ def described_drive(
     """
     reported: dict[str, Any] = dict(node.options) if node else {}
     if args.protocol == "cia402":
-        reported = NEEDED | reported
+        reported = ASSUMED_OPTIONS | reported
     reported = _defaults(args.protocol, reported | options) | reported
-    settings = {"position_range_rad": 12.5, "velocity_range_rad_s": 30.0, **(node.settings if node else {})}
+    settings = {
+        "position_range_rad": 12.5,
+        "velocity_range_rad_s": 30.0,
+        **(node.settings if node else {}),
+    }
     motor = {
         "name": f"{args.protocol}_{args.node}", "protocol": args.protocol, "bus": "bench", "node_id": args.node,
         "spool_radius_m": 0.005, "inertia_kg_m2": 1e-4, "viscous_N_m_s_per_rad": 0.0, "coulomb_N_m": 0.0,
@@ -110,10 +117,10 @@ def described_drive(
         wrong = error.errors(include_url=False)[-1]
         key = str(wrong["loc"][-1]) if wrong["loc"] else args.protocol
         right = wrong["msg"].removeprefix("Value error, ").removeprefix("Input should be ").removeprefix("expected ")
-        raise ConfigError(shown(wrong["input"]), "--node" if key == "node_id" else key, right) from None
+        raise ConfigError(toml_spelling(wrong["input"]), "--node" if key == "node_id" else key, right) from None
     except ValueError as error:
         text = str(error).splitlines()[-1]
-        raise ConfigError(text, shown(args.node), "a number of that protocol") from None
+        raise ConfigError(text, toml_spelling(args.node), "a number of that protocol") from None
 
 
 def _defaults(protocol: str, options: dict[str, Any]) -> dict[str, Any]:
@@ -131,18 +138,22 @@ def find_drive(args: argparse.Namespace) -> DiscoveredNode:
         BusError: another host controls the bus.
         DriveError: the drive does not answer.
     """
-    note(f"{args.bus}: looking for it")
+    print_note(f"{args.bus}: looking for it")
     bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate)
     try:
-        result = scan(bus) if PROTOCOLS[args.protocol].discovery else _listened(args, bus)
+        result = scan_bus(bus) if PROTOCOLS[args.protocol].discovery else _listened(args, bus)
     finally:
         bus.close()
     if result.foreign:
         raise BusError("another host is at work on this bus", args.bus, "this host alone: end the other one")
-    for node in identified(result.found, args.bus, args.bitrate):
+    for node in with_identities(result.found, args.bus, args.bitrate):
         if (node.protocol, node.node_id) == (args.protocol, args.node):
             if node.twins:
-                raise DriveError(f"two drives answer as {args.protocol} {args.node}", args.bus, "a number of its own")
+                raise DriveError(
+                    f"two drives answer as {args.protocol} {args.node}",
+                    args.bus,
+                    "a number of its own",
+                )
             return node
     there = ", ".join(f"{node.protocol} {node.node_id}" for node in result.found) or "nothing"
     right = "its power, bit rate and number to be right"
@@ -157,12 +168,12 @@ def _listened(args: argparse.Namespace, bus: Bus) -> Scan:
     The first check shows whether the drive is present.
     """
     seen: list[Frame] = []
-    listen(bus, LISTEN_S, seen)
+    receive_for(bus, LISTEN_S, seen)
     foreign = tuple(frame for frame in seen if frame.can_id == args.node)
     return Scan((DiscoveredNode(args.protocol, args.node),), foreign, (), (), len(seen))
 
 
-def restored(drive: Drive, node: DiscoveredNode) -> Drive:
+def with_torque_range(drive: Drive, node: DiscoveredNode) -> Drive:
     """Return the drive with its original torque range.
 
     For an MIT motor, this range scales every torque.

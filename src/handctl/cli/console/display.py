@@ -13,11 +13,11 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from handctl.cli.console.screen import screen
+from handctl.cli.console.screen import rich_console
 from handctl.core.types import Event, Mode, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.printing import escaped_streams
-from handctl.safety.faults.table import remedy
+from handctl.safety.faults.table import remedy_for
 
 EVERY_S = 0.1
 STDERR = 2
@@ -104,7 +104,7 @@ class DisplayProcess:
 
         At the first event of a fault, a second line has the remedy.
         """
-        advice = remedy(event.text) if event.name == "fault" else ""
+        advice = remedy_for(event.text) if event.name == "fault" else ""
         if not advice or advice in self.shown:
             return event.text
         self.shown.add(advice)
@@ -142,14 +142,17 @@ def _print_lines(head: dict[str, Any]) -> None:
             last = line["t"]
             pairs = zip(short_names(head["names"]), line["tension"], strict=True)
             tension = "  ".join(f"{name} {f:.1f}" for name, f in pairs)
-            print(f"{line['t']:8.3f} s  {line['mode']:<9} {line['phase']:<10} tension [N]  {tension}", flush=True)
+            print(
+                f"{line['t']:8.3f} s  {line['mode']:<9} {line['phase']:<10} tension [N]  {tension}",
+                flush=True,
+            )
 
 
 def _draw_in_place(head: dict[str, Any]) -> None:
     """Draw the state in place in the terminal, with rich."""
     from rich.live import Live
 
-    console = screen()
+    console = rich_console()
     with Live(console=console, refresh_per_second=10, transient=True) as live:
         for text in sys.stdin:
             line = json.loads(text)

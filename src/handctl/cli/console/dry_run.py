@@ -3,8 +3,8 @@
 import argparse
 from typing import Any
 
-from handctl.cli.console.options import print_json, say
-from handctl.session.exit_codes import Exit
+from handctl.cli.console.options import print_escaped, print_json
+from handctl.session.exit_codes import ExitCode
 from handctl.session.plan import Plan, check_design
 
 
@@ -26,5 +26,5 @@ def report_dry_run(args: argparse.Namespace, plan: Plan, *lines: str, **fields: 
         print_json({"hand": plan.hand.name, **run, **fields})
     else:
         for line in lines:
-            say(line)
-    return Exit.DONE
+            print_escaped(line)
+    return ExitCode.DONE

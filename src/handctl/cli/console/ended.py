@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType, TracebackType
 
-from handctl.handlers import handling
+from handctl.handlers import installed_handler
 from handctl.printing import escaped_streams
-from handctl.session.exit_codes import Exit
+from handctl.session.exit_codes import ExitCode
 
 
 class Terminated(KeyboardInterrupt):
@@ -29,7 +29,7 @@ def _raise_terminated(number: int, frame: FrameType | None) -> None:
 def terminate_on_signals() -> Iterator[None]:
     """Handle SIGTERM and SIGHUP like Ctrl-C. A signal ignored through ``nohup`` stays ignored."""
     ending = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) == signal.SIG_DFL]
-    with handling(_raise_terminated, *ending):
+    with installed_handler(_raise_terminated, *ending):
         yield
 
 
@@ -51,7 +51,7 @@ def install_excepthook() -> None:
             for stream in (sys.stdout, sys.stderr):
                 with suppress(OSError):
                     stream.flush()
-            os._exit(Exit.INTERNAL)
+            os._exit(ExitCode.INTERNAL)
 
     atexit.register(end)
     sys.excepthook = show

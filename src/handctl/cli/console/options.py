@@ -10,9 +10,9 @@ from handctl.cli.parsing.completion import hand_names
 from handctl.drives.motor_description import GUARDED
 from handctl.errors import ConfigError
 from handctl.hand.file.quantities import FASTEST_BUS, SLOWEST_BUS
-from handctl.printing import encodable, message
+from handctl.printing import escape_surrogates, one_line_message
 from handctl.session.defaults import DEFAULT_HAND
-from handctl.session.exit_codes import Exit
+from handctl.session.exit_codes import ExitCode
 
 
 class _Named(argparse.Action):
@@ -157,23 +157,29 @@ def time_scale_option(parser: argparse.ArgumentParser, more: str = "") -> None:
 def gains_options(parser: argparse.ArgumentParser) -> None:
     """Declare --gains and --gain."""
     parser.add_argument(
-        "--gains", type=Path, metavar="FILE", help="gains file (default: HAND.gains.toml, else the packaged gains)"
+        "--gains",
+        type=Path,
+        metavar="FILE",
+        help="gains file (default: HAND.gains.toml, else the packaged gains)",
     )
     parser.add_argument(
-        "--gain", action="append", metavar="KEY=VALUE", help="one gain, over every gains file; may be repeated"
+        "--gain",
+        action="append",
+        metavar="KEY=VALUE",
+        help="one gain, over every gains file; may be repeated",
     )
 
 
-def say(text: str, error: bool = False) -> None:
+def print_escaped(text: str, error: bool = False) -> None:
     """Print a line that contains text from a file. Control characters are escaped."""
-    print(message(text), file=sys.stderr if error else sys.stdout)
+    print(one_line_message(text), file=sys.stderr if error else sys.stdout)
 
 
-def warn_if_lossy(path: Path, warning: str) -> Exit:
+def warn_if_lossy(path: Path, warning: str) -> ExitCode:
     """Warn if a log is incomplete. Returns the exit code for a verb that used the readable part."""
     if warning:
-        say(f"handctl: {path}: {warning}", error=True)
-    return Exit.LOSSY_LOG if warning else Exit.DONE
+        print_escaped(f"handctl: {path}: {warning}", error=True)
+    return ExitCode.LOSSY_LOG if warning else ExitCode.DONE
 
 
 def wire_option(parser: argparse.ArgumentParser) -> None:
@@ -202,9 +208,9 @@ def print_json_line(result: dict[str, Any]) -> None:
 
 def _json_value(value: Any) -> Any:
     if isinstance(value, dict):
-        return {encodable(str(key)): _json_value(item) for key, item in value.items()}
+        return {escape_surrogates(str(key)): _json_value(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_json_value(item) for item in value]
     if isinstance(value, float) and not (value == value and abs(value) != float("inf")):
         return None
-    return encodable(str(value)) if isinstance(value, Path | str) else value
+    return escape_surrogates(str(value)) if isinstance(value, Path | str) else value

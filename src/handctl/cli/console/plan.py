@@ -4,9 +4,9 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-from handctl.cli.console.options import say
-from handctl.cli.console.progress import progress
-from handctl.cli.console.verbosity import detail, is_quiet, is_verbose, note
+from handctl.cli.console.options import print_escaped
+from handctl.cli.console.progress import progress_bar
+from handctl.cli.console.verbosity import is_quiet, is_verbose, print_detail, print_note
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.output import check_output
@@ -33,7 +33,7 @@ def make_plan(args: argparse.Namespace, lockstep: bool = False) -> plan.Plan:
         clear=args.clear,
     )
     display = None if args.json or is_quiet() else _display_starter
-    run_plan = replace(plan.make_plan(choice, display, notice), progress=progress)
+    run_plan = replace(plan.make_plan(choice, display, print_notice), progress=progress_bar)
     if is_verbose():
         _describe(args, run_plan)
     return run_plan
@@ -42,23 +42,25 @@ def make_plan(args: argparse.Namespace, lockstep: bool = False) -> plan.Plan:
 def _describe(args: argparse.Namespace, run_plan: plan.Plan) -> None:
     """Print the details of a plan, for ``--verbose``."""
     hand = run_plan.hand
-    detail(f"hand: {hand.name} from {args.hand}, identity {hand.identity[:16]}, {len(hand.tendon)} tendons")
+    print_detail(f"hand: {hand.name} from {args.hand}, identity {hand.identity[:16]}, {len(hand.tendon)} tendons")
     loads = ", ".join(f"{name} {100 * load:.0f} %" for name, load in zip(hand.bus_names, run_plan.load, strict=False))
-    detail(f"rate: {run_plan.rate_hz:g} Hz, bus load: {loads}; buses: {', '.join(run_plan.buses) or 'in lockstep'}")
+    print_detail(
+        f"rate: {run_plan.rate_hz:g} Hz, bus load: {loads}; buses: {', '.join(run_plan.buses) or 'in lockstep'}"
+    )
     for key, origin in layered_gains(args, hand).origins.items():
         if origin != gains.PACKAGED:
-            detail(f"gain {key} is from {origin}")
+            print_detail(f"gain {key} is from {origin}")
 
 
-def notice(text: str) -> None:
+def print_notice(text: str) -> None:
     """Print a notice on standard error.
 
     A caution begins with ``handctl:`` and is always printed.
     """
     if text.startswith("handctl:"):
-        say(text, error=True)
+        print_escaped(text, error=True)
     else:
-        note(text)
+        print_note(text)
 
 
 def _display_starter(of: plan.Plan) -> plan.Display:
@@ -78,7 +80,7 @@ def layered_gains(args: argparse.Namespace, hand: Hand) -> gains.LayeredGains:
     Raises:
         ConfigError: a file or a value cannot be used, or the gains are for another hand.
     """
-    return gains.layered_gains(hand, args.gains, getattr(args, "gain", None) or (), notice)
+    return gains.layered_gains(hand, args.gains, getattr(args, "gain", None) or (), print_notice)
 
 
 def calibration_path(args: argparse.Namespace, hand: Hand) -> Path:
@@ -88,7 +90,13 @@ def calibration_path(args: argparse.Namespace, hand: Hand) -> Path:
         ConfigError: the file cannot be written. This is checked before a hand moves.
     """
     path: Path = args.calibration or Path(f"{hand.name}.calibration.toml")
-    check_output(path, "--calibration", Path(args.hand), getattr(args, "gains", None), getattr(args, "task", None))
+    check_output(
+        path,
+        "--calibration",
+        Path(args.hand),
+        getattr(args, "gains", None),
+        getattr(args, "task", None),
+    )
     return path
 
 
@@ -103,7 +111,7 @@ def find_calibration(args: argparse.Namespace, hand: Hand) -> tuple[Path, Calibr
     """
     path = calibration_path(args, hand)
     loaded, reason = calibration.find_calibration(path, hand, named=bool(args.calibration))
-    detail(f"calibration: {path}" + (f" is not used: {reason}" if reason else ""))
+    print_detail(f"calibration: {path}" + (f" is not used: {reason}" if reason else ""))
     return path, loaded, reason
 
 
@@ -120,7 +128,11 @@ def check_perturb(args: argparse.Namespace, simulated: bool) -> dict[str, float]
     """
     factors = gains.assignments(args.perturb, "--perturb")
     if factors and not simulated:
-        raise ConfigError("only with --lockstep", "--perturb", "a simulator with it: python -m firmware_sim --perturb")
+        raise ConfigError(
+            "only with --lockstep",
+            "--perturb",
+            "a simulator with it: python -m firmware_sim --perturb",
+        )
     if factors:
         Simulator(args.hand, perturb=factors).check()
     return factors

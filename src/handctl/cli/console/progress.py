@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Protocol
 
-from handctl.cli.console.screen import screen
+from handctl.cli.console.screen import rich_console
 from handctl.cli.console.verbosity import is_quiet
 
 
@@ -18,7 +18,7 @@ class ProgressCallback(Protocol):
 
 
 @contextmanager
-def progress(label: str, total: int | None = None, quiet: bool = False) -> Iterator[ProgressCallback]:
+def progress_bar(label: str, total: int | None = None, quiet: bool = False) -> Iterator[ProgressCallback]:
     """Show a progress bar on standard error, if standard error is a terminal.
 
     Args:
@@ -31,8 +31,13 @@ def progress(label: str, total: int | None = None, quiet: bool = False) -> Itera
         return
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=screen(error=True), transient=True) as bar:
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=rich_console(error=True), transient=True) as bar:
         task = bar.add_task(label, total=total)
 
         def update(done: int, total: int | None = None, label: str | None = None) -> None:

@@ -7,10 +7,10 @@ pipe.
 from collections.abc import Iterable
 from typing import Any
 
-from handctl.printing import escaped
+from handctl.printing import escape_text
 
 
-def screen(error: bool = False, min_width: int = 1) -> Any:
+def rich_console(error: bool = False, min_width: int = 1) -> Any:
     """Return a rich console.
 
     Args:
@@ -27,11 +27,11 @@ def screen(error: bool = False, min_width: int = 1) -> Any:
             """Escape every text except the control codes of rich."""
             for segment in super().render(renderable, options):
                 done = segment.control or segment.text.isprintable()
-                yield segment if done else Segment(escaped(segment.text, "\n\t"), segment.style)
+                yield segment if done else Segment(escape_text(segment.text, "\n\t"), segment.style)
 
         def render_str(self, text: str, **keywords: Any) -> Any:
             """Escape a string before its width is measured."""
-            return super().render_str(escaped(text, "\n\t"), **keywords)
+            return super().render_str(escape_text(text, "\n\t"), **keywords)
 
         def on_broken_pipe(self) -> None:
             """Raise the error that ``main`` handles, as for verbs without rich.

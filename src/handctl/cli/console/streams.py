@@ -5,7 +5,7 @@ import sys
 from io import TextIOWrapper
 
 
-def make_usable() -> None:
+def open_standard_streams() -> None:
     """Open closed standard streams, and escape characters that a terminal cannot show.
 
     Without this, the next opened file would get the file descriptor of a closed stream.
@@ -22,7 +22,7 @@ def make_usable() -> None:
             stream.reconfigure(errors="backslashreplace")
 
 
-def flush() -> None:
+def flush_stdout() -> None:
     """Flush standard output.
 
     Raises:
@@ -31,11 +31,11 @@ def flush() -> None:
     try:
         sys.stdout.flush()
     except OSError as error:
-        give_up_output()
+        discard_output()
         raise OSError(error.errno, error.strerror, "standard output") from None
 
 
-def give_up_output() -> None:
+def discard_output() -> None:
     """Discard output that cannot be written.
 
     Otherwise the same error would occur again at the end of the process.

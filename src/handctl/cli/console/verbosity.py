@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from enum import IntEnum
 
-from handctl.printing import message
+from handctl.printing import one_line_message
 
 
 class Verbosity(IntEnum):
@@ -47,13 +47,13 @@ def is_verbose() -> bool:
     return _verbosity.get() == Verbosity.VERBOSE
 
 
-def note(text: str) -> None:
+def print_note(text: str) -> None:
     """Print progress or a notice on standard error, unless the verb is quiet."""
     if not is_quiet():
-        print(message(text), file=sys.stderr, flush=True)
+        print(one_line_message(text), file=sys.stderr, flush=True)
 
 
-def detail(text: str) -> None:
+def print_detail(text: str) -> None:
     """Print a detail on standard error, if the verb is verbose."""
     if is_verbose():
-        print(message(text), file=sys.stderr, flush=True)
+        print(one_line_message(text), file=sys.stderr, flush=True)

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from handctl.cli.console.screen import screen
+from handctl.cli.console.screen import rich_console
 from handctl.report.summary import angle_rows
 from handctl.session.plan import Plan
 
@@ -13,13 +13,31 @@ def print_summary(result: dict[str, Any], plan: Plan) -> None:
 
     late = result["late_us"]
     rows = [
-        ("ticks", f"{result['ticks']} at {result['rate_hz']:g} Hz{_time_scale_text(result['time_scale'])}"),
+        (
+            "ticks",
+            f"{result['ticks']} at {result['rate_hz']:g} Hz{_time_scale_text(result['time_scale'])}",
+        ),
         ("missed ticks", f"{result['missed']}"),
-        ("lateness p50 / p99.9 / max", f"{late['p50']:.0f} / {late['p99_9']:.0f} / {late['max']:.0f} us"),
-        ("tracking error, free motion", _value_with_unit(result["tracking_rmse_rad"], 57.29578, "deg rms", 2)),
-        ("tension estimate against truth", _value_with_unit(result["tension_rmse_n"], 1.0, "N rms", 2)),
-        ("raw load cell against truth", _value_with_unit(result["tension_raw_rmse_n"], 1.0, "N rms", 2)),
-        ("tension while holding, error", _value_with_unit(result["tension_hold_error_n"], 1.0, "N", 2)),
+        (
+            "lateness p50 / p99.9 / max",
+            f"{late['p50']:.0f} / {late['p99_9']:.0f} / {late['max']:.0f} us",
+        ),
+        (
+            "tracking error, free motion",
+            _value_with_unit(result["tracking_rmse_rad"], 57.29578, "deg rms", 2),
+        ),
+        (
+            "tension estimate against truth",
+            _value_with_unit(result["tension_rmse_n"], 1.0, "N rms", 2),
+        ),
+        (
+            "raw load cell against truth",
+            _value_with_unit(result["tension_raw_rmse_n"], 1.0, "N rms", 2),
+        ),
+        (
+            "tension while holding, error",
+            _value_with_unit(result["tension_hold_error_n"], 1.0, "N", 2),
+        ),
         ("object moved while held", _value_with_unit(result["object_motion_mm"], 1.0, "mm", 3)),
         *_lift_text(result),
         *angle_rows(result["joint_angles"]),
@@ -36,7 +54,7 @@ def print_summary(result: dict[str, Any], plan: Plan) -> None:
     table = Table(title=f"{plan.hand.name}: {result['failure'] or 'done'}", show_header=False)
     for name, value in rows:
         table.add_row(name, value)
-    console = screen()
+    console = rich_console()
     console.print(table)
     if result["picture"]:
         console.print(f"picture: {result['picture']}", soft_wrap=True)
@@ -62,7 +80,12 @@ def _lift_text(result: dict[str, Any]) -> list[tuple[str, str]]:
     slid = result["object_slid_mm"]
     if sunk != sunk:
         return []
-    return [("table sank / object moved then", f"{sunk:.0f} mm / {_value_with_unit(slid, 1.0, 'mm', 3)}")]
+    return [
+        (
+            "table sank / object moved then",
+            f"{sunk:.0f} mm / {_value_with_unit(slid, 1.0, 'mm', 3)}",
+        )
+    ]
 
 
 def _forces_text(result: dict[str, Any]) -> list[tuple[str, str]]:

@@ -6,12 +6,12 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
-from handctl.cli.console.options import print_json, say, warn_if_lossy
-from handctl.cli.console.progress import progress
+from handctl.cli.console.options import print_escaped, print_json, warn_if_lossy
+from handctl.cli.console.progress import progress_bar
 from handctl.errors import ConfigError, LogError
 from handctl.log.read.reader import RunLog
-from handctl.output import named_after, whole
-from handctl.session.exit_codes import Exit
+from handctl.output import atomic_path, path_with_suffix
+from handctl.session.exit_codes import ExitCode
 
 UNITS = {"candump": "frames", "rrd": "bytes", "lerobot": "frames"}
 """Unit in which exported data are counted, by format. Formats not listed are counted in rows."""
@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _print_info(args: argparse.Namespace) -> int:
-    from handctl.log.topics.clock_pairs import steps
+    from handctl.log.topics.clock_pairs import clock_steps
 
     with RunLog(args.log) as log:
         header = log.header
@@ -41,7 +41,7 @@ def _print_info(args: argparse.Namespace) -> int:
             "ticks": len(log),
             "seconds": float(log.times[-1]) if len(log) else 0.0,
             "late_us": _lateness_us(log),
-            "clock_steps": [step._asdict() for step in steps(log.clock_pairs)],
+            "clock_steps": [step._asdict() for step in clock_steps(log.clock_pairs)],
             "missing": sum(gap.after - gap.before - 1 for gap in log.gaps),
             "gaps": [[gap.before, gap.after] for gap in log.gaps],
             "phases": [change.name for change in log.phases],
@@ -54,14 +54,14 @@ def _print_info(args: argparse.Namespace) -> int:
         }
     if args.json:
         print_json(result)
-        return Exit.DONE if result["whole"] else Exit.LOSSY_LOG
+        return ExitCode.DONE if result["whole"] else ExitCode.LOSSY_LOG
     for key, value in result.items():
         table = [f"{name}: {_value_text(one)}" for name, one in value.items()] if isinstance(value, dict) else [value]
         first, *more = (value if isinstance(value, list) else table) or [""]
-        say(f"{key:<12} {_value_text(first)}")
+        print_escaped(f"{key:<12} {_value_text(first)}")
         for line in more:
-            say(f"{'':<12} {_value_text(line)}")
-    return Exit.DONE if result["whole"] else Exit.LOSSY_LOG
+            print_escaped(f"{'':<12} {_value_text(line)}")
+    return ExitCode.DONE if result["whole"] else ExitCode.LOSSY_LOG
 
 
 def _value_text(value: object) -> str:
@@ -78,16 +78,20 @@ def _lateness_us(log: RunLog) -> dict[str, float]:
     late = log.late_ns / 1e3
     if not len(late):
         return {}
-    return {"p50": float(np.percentile(late, 50)), "p99_9": float(np.percentile(late, 99.9)), "max": float(late.max())}
+    return {
+        "p50": float(np.percentile(late, 50)),
+        "p99_9": float(np.percentile(late, 99.9)),
+        "max": float(late.max()),
+    }
 
 
 def _check_log(args: argparse.Namespace) -> int:
-    from handctl.replay.check import check
+    from handctl.replay.check import check_log
     from handctl.replay.damage import first_damage
 
     try:
-        with RunLog(args.log) as log, progress("checking", quiet=args.json):
-            problems = check(log)
+        with RunLog(args.log) as log, progress_bar("checking", quiet=args.json):
+            problems = check_log(log)
             ticks = len(log)
             lossy = bool(log.warning)
     except LogError as error:
@@ -98,32 +102,32 @@ def _check_log(args: argparse.Namespace) -> int:
         print_json({"log": str(args.log), "ticks": ticks, "sound": not problems, "findings": problems})
     else:
         for line in problems or [f"{args.log}: {ticks} ticks, nothing wrong"]:
-            say(line)
-    return Exit.LOSSY_LOG if lossy else Exit.FAILED if problems else Exit.DONE
+            print_escaped(line)
+    return ExitCode.LOSSY_LOG if lossy else ExitCode.FAILED if problems else ExitCode.DONE
 
 
 def _compare_logs(args: argparse.Namespace) -> int:
     from handctl.replay.compare import difference_lines
-    from handctl.replay.diff import diff
+    from handctl.replay.diff import compare_logs
 
-    with RunLog(args.log) as a, RunLog(args.other) as b, progress("comparing", quiet=args.json):
-        result = diff(a, b, str(args.other))
+    with RunLog(args.log) as a, RunLog(args.other) as b, progress_bar("comparing", quiet=args.json):
+        result = compare_logs(a, b, str(args.other))
         code = max(warn_if_lossy(args.log, a.warning), warn_if_lossy(args.other, b.warning))
     if args.json:
         print_json({"logs": [str(args.log), str(args.other)], **result})
         return code
     for name, (one, two) in result["gains"].items():
-        say(f"gain {name}: {one} and {two}")
+        print_escaped(f"gain {name}: {one} and {two}")
     for which in ("only_in_first", "only_in_second"):
         if result[which]:
-            say(f"phases {which.replace('_', ' ')}: {', '.join(result[which])}")
+            print_escaped(f"phases {which.replace('_', ' ')}: {', '.join(result[which])}")
     for name, phase in result["phases"].items():
         first, second = phase.pop("duration_s")
         lines = list(difference_lines(phase))
         short = ", too short to compare" if phase and not lines else ""
-        say(f"{name}: {first:.3f} s and {second:.3f} s{short}")
+        print_escaped(f"{name}: {first:.3f} s and {second:.3f} s{short}")
         for line in lines:
-            say(f"  {line}")
+            print_escaped(f"  {line}")
     return code
 
 
@@ -133,14 +137,14 @@ def _export_log(args: argparse.Namespace) -> int:
         raise ConfigError(f"{args.more[0]}: a second log", f"log export --{args.format}", "one log, or --lerobot")
     with ExitStack() as stack:
         logs = [stack.enter_context(RunLog(path)) for path in (args.log, *args.more)]
-        out = args.output or named_after(args.log, f".{args.format}")
-        with whole(out, new=True) as part, progress("writing", quiet=args.json):
+        out = args.output or path_with_suffix(args.log, f".{args.format}")
+        with atomic_path(out, new=True) as part, progress_bar("writing", quiet=args.json):
             count = _write_export(args, logs, part)
         code = max(warn_if_lossy(path, log.warning) for path, log in zip((args.log, *args.more), logs, strict=True))
     if args.json:
         print_json({"log": str(args.log), "output": str(out), "count": count})
     else:
-        say(f"{out}: {count} {UNITS.get(args.format, 'rows')}")
+        print_escaped(f"{out}: {count} {UNITS.get(args.format, 'rows')}")
     return code
 
 
@@ -166,17 +170,22 @@ def _write_export(args: argparse.Namespace, logs: list[RunLog], out: Path) -> in
 
 
 def _recover_log(args: argparse.Namespace) -> int:
-    from handctl.log.read.recover import recover
+    from handctl.log.read.recover import recover_log
 
     output = args.output or Path(str(args.log).removesuffix(".mcap") + ".recovered.mcap")
-    with progress("copying", quiet=args.json):
-        recovery = recover(args.log, output)
+    with progress_bar("copying", quiet=args.json):
+        recovery = recover_log(args.log, output)
     status = recovery.status.name.lower()
     if args.json:
         lost = [list(part) for part in recovery.lost]
-        result = {"status": status, "messages": recovery.messages, "lost": lost, "problem": recovery.problem}
+        result = {
+            "status": status,
+            "messages": recovery.messages,
+            "lost": lost,
+            "problem": recovery.problem,
+        }
         print_json(result | {"output": str(output)})
     else:
         copied = "" if not recovery.messages else f", {recovery.messages} messages in {output}"
-        say(f"{args.log}: {status}{copied}" + (f" ({recovery.problem})" if recovery.problem else ""))
+        print_escaped(f"{args.log}: {status}{copied}" + (f" ({recovery.problem})" if recovery.problem else ""))
     return int(recovery.status)

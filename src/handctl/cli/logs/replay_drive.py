@@ -5,14 +5,20 @@ from dataclasses import replace
 
 from handctl.cli.console.begin import announce
 from handctl.cli.console.dry_run import report_dry_run
-from handctl.cli.console.options import print_json, say, warn_if_lossy
+from handctl.cli.console.options import print_escaped, print_json, warn_if_lossy
 from handctl.cli.console.plan import find_calibration, make_plan
 from handctl.log.read.reader import RunLog
 from handctl.replay.compare import check_same_hand, difference_lines
-from handctl.replay.drive_again import active_interval, compare_replay, count_missing_ticks, driven_time, playback
+from handctl.replay.drive_again import (
+    active_interval,
+    compare_replay,
+    count_missing_ticks,
+    driven_duration,
+    playback_program,
+)
 from handctl.replay.rebuild import logged_hand
 from handctl.session.calibration import ensure_calibration
-from handctl.session.exit_codes import Exit
+from handctl.session.exit_codes import ExitCode
 from handctl.session.plan import commission_log, default_log
 from handctl.session.run import make_controller, run_live
 
@@ -23,12 +29,15 @@ def run(args: argparse.Namespace) -> int:
         plan = make_plan(args)
         check_same_hand(before, plan.hand.name, plan.hand.identity, f"--hand {args.hand}")
         logged_hand(before)  # refuse a log whose hand cannot be rebuilt: the column names come from that hand
-        program = playback(before, plan.period_ns * 1e-9, args.raw)
+        program = playback_program(before, plan.period_ns * 1e-9, args.raw)
         path, calibration, reason = find_calibration(args, plan.hand)
         start_s, end_s = active_interval(before)
         lossy = warn_if_lossy(args.recorded, before.warning)
         if missing := count_missing_ticks(before):
-            say(f"handctl: caution: {args.recorded}: {missing} ticks are missing; goals are joined there", error=True)
+            print_escaped(
+                f"handctl: caution: {args.recorded}: {missing} ticks are missing; goals are joined there",
+                error=True,
+            )
         if args.dry_run:
             line = f"{plan.hand.name}: would drive {end_s - start_s:.2f} s of {args.recorded} at {plan.rate_hz:g} Hz"
             report_dry_run(args, plan, line, log=args.recorded, seconds=end_s - start_s, commissioning=reason)
@@ -41,17 +50,22 @@ def run(args: argparse.Namespace) -> int:
         outcome = run_live(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
         with RunLog(log) as after:
             result = compare_replay(before, after)
-            seconds = driven_time(before, after)
+            seconds = driven_duration(before, after)
     complete = outcome.state.progress.finished
-    fields = {"seconds": end_s - start_s, "driven_s": seconds, "complete": complete, "failure": outcome.state.failure}
+    fields = {
+        "seconds": end_s - start_s,
+        "driven_s": seconds,
+        "complete": complete,
+        "failure": outcome.state.failure,
+    }
     if args.json:
         print_json({"recorded": str(args.recorded), "log": str(log), "raw": args.raw, **fields, **result})
     else:
         for line in (*difference_lines(result), f"new log: {log}"):
-            say(line)
+            print_escaped(line)
     if not complete:
         reason = outcome.state.failure or "stopped"
-        say(f"handctl: {reason}: {seconds:.2f} of {end_s - start_s:.2f} s were driven", error=True)
-    if outcome.exit != Exit.DONE:
+        print_escaped(f"handctl: {reason}: {seconds:.2f} of {end_s - start_s:.2f} s were driven", error=True)
+    if outcome.exit != ExitCode.DONE:
         return outcome.exit
-    return lossy if complete else Exit.FAILED
+    return lossy if complete else ExitCode.FAILED

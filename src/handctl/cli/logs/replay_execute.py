@@ -6,12 +6,12 @@ This module and its imports use no bus.
 import argparse
 from typing import Any
 
-from handctl.cli.console.options import checked_count, print_json, say, warn_if_lossy
-from handctl.cli.console.progress import progress
+from handctl.cli.console.options import checked_count, print_escaped, print_json, warn_if_lossy
+from handctl.cli.console.progress import progress_bar
 from handctl.errors import ConfigError, LogError
-from handctl.output import check_output, named_after
-from handctl.processes import cores
-from handctl.session.exit_codes import Exit
+from handctl.output import check_output, path_with_suffix
+from handctl.processes import usable_cores
+from handctl.session.exit_codes import ExitCode
 
 
 def run(args: argparse.Namespace) -> int:
@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
     with RunLog(args.recorded) as log:
         lossy = warn_if_lossy(args.recorded, log.warning)
         passed = _other_gains(args, log) if args.gains else _execute_unchanged(args, log)
-    return lossy if passed else Exit.FAILED
+    return lossy if passed else ExitCode.FAILED
 
 
 def _execute_unchanged(args: argparse.Namespace, log: Any) -> bool:
@@ -36,12 +36,12 @@ def _execute_unchanged(args: argparse.Namespace, log: Any) -> bool:
     from importlib.metadata import version
 
     from handctl.log.code_identity import code_identity
-    from handctl.replay.execute import execute, within_tolerance
+    from handctl.replay.execute import execute_log, is_within_tolerance
 
-    workers = cores() if args.jobs is None else checked_count(args.jobs, "--jobs", 64)
-    with progress("executing", len(log), args.json) as update_progress:
-        execution = execute(log, progress=update_progress, workers=workers)
-    passed = not execution.differing if args.within is None else within_tolerance(execution, args.within)
+    workers = usable_cores() if args.jobs is None else checked_count(args.jobs, "--jobs", 64)
+    with progress_bar("executing", len(log), args.json) as update_progress:
+        execution = execute_log(log, progress=update_progress, workers=workers)
+    passed = not execution.differing if args.within is None else is_within_tolerance(execution, args.within)
     here = (version("handctl"), code_identity())
     logged_by = _writer_text(log)
     result = {
@@ -66,18 +66,30 @@ def _execute_unchanged(args: argparse.Namespace, log: Any) -> bool:
     if args.json:
         print_json(result)
     else:
-        say(f"{execution.ticks} ticks, {execution.differing} differ, {execution.undecided} decide something else")
-        for word, one in (("first", execution.first), ("state", execution.state), ("largest", execution.largest)):
+        print_escaped(
+            f"{execution.ticks} ticks, {execution.differing} differ, {execution.undecided} decide something else"
+        )
+        for word, one in (
+            ("first", execution.first),
+            ("state", execution.state),
+            ("largest", execution.largest),
+        ):
             if one:
-                say(f"{word}: {_difference_line(one)}")
-        say(f"{execution.wall_s:.2f} s, {execution.times_real_time:.1f} times real time")
+                print_escaped(f"{word}: {_difference_line(one)}")
+        print_escaped(f"{execution.wall_s:.2f} s, {execution.times_real_time:.1f} times real time")
         if execution.differing and log.gaps:
             gap = log.gaps[0]
-            say(f"ticks {gap.before + 1} to {gap.after - 1} are missing in it: what follows cannot be the same")
+            print_escaped(
+                f"ticks {gap.before + 1} to {gap.after - 1} are missing in it: what follows cannot be the same"
+            )
         if execution.differing and logged_by != here:
-            say("the log was written by handctl {}, code {}; this is handctl {}, code {}".format(*logged_by, *here))
+            print_escaped(
+                "the log was written by handctl {}, code {}; this is handctl {}, code {}".format(*logged_by, *here)
+            )
         if not passed and not execution.undecided and args.within is None:
-            say("all decisions are equal; if another machine wrote the log, --within 1e-9 tells whether that is all")
+            print_escaped(
+                "all decisions are equal; if another machine wrote the log, --within 1e-9 tells whether that is all"
+            )
     return passed
 
 
@@ -98,29 +110,34 @@ def _difference_line(one: Any) -> str:
 def _other_gains(args: argparse.Namespace, log: Any) -> bool:
     """Execute the log with other gains, and draw their commands. Always returns True."""
     from handctl.core.gains.gains import load_gains
-    from handctl.replay.counterfactual import Commands, draw, summary
-    from handctl.replay.execute import execute
+    from handctl.replay.counterfactual import Commands, command_change, draw_commands
+    from handctl.replay.execute import execute_log
 
     commands = Commands()
-    picture = args.picture or named_after(args.recorded, ".gains.png")
+    picture = args.picture or path_with_suffix(args.recorded, ".gains.png")
     check_output(picture, "--picture", args.recorded, args.gains)
     gains = load_gains(args.gains)
-    with progress("executing", len(log), args.json) as update_progress:
-        execution = execute(log, gains, commands.add, update_progress)
+    with progress_bar("executing", len(log), args.json) as update_progress:
+        execution = execute_log(log, gains, commands.add, update_progress)
     if not execution.ticks:
         raise LogError("not one tick in it", str(args.recorded), "a run that commanded something")
-    draw(picture, log, commands, f"{log.header.metadata.get('hand', '?')}: {args.recorded.name} with {args.gains.name}")
-    change = summary(log, commands)
+    draw_commands(
+        picture,
+        log,
+        commands,
+        f"{log.header.metadata.get('hand', '?')}: {args.recorded.name} with {args.gains.name}",
+    )
+    change = command_change(log, commands)
     if args.json:
         first = execution.first._asdict() if execution.first else None
         counts = {"ticks": execution.ticks, "differing": execution.differing, "first": first}
         print_json(counts | {"gains": str(args.gains), "picture": str(picture), "change": change})
         return True
-    say(f"{execution.ticks} ticks, {execution.differing} commanded or estimated otherwise")
+    print_escaped(f"{execution.ticks} ticks, {execution.differing} commanded or estimated otherwise")
     if execution.first:
-        say(f"first: {_difference_line(execution.first)}")
+        print_escaped(f"first: {_difference_line(execution.first)}")
     for unit, rows in change.items():
         for name, size in rows.items():
-            say(f"{name:<18} {unit:<18} rms {size['rms']:.4g}, peak {size['peak']:.4g}")
-    say(f"picture: {picture}")
+            print_escaped(f"{name:<18} {unit:<18} rms {size['rms']:.4g}, peak {size['peak']:.4g}")
+    print_escaped(f"picture: {picture}")
     return True

@@ -2,8 +2,8 @@
 
 import argparse
 
-from handctl.cli.console.options import print_json, say, warn_if_lossy
-from handctl.cli.console.progress import progress
+from handctl.cli.console.options import print_escaped, print_json, warn_if_lossy
+from handctl.cli.console.progress import progress_bar
 from handctl.log.read.reader import RunLog
 from handctl.replay.other_limits import judge_by_limits
 
@@ -11,17 +11,23 @@ from handctl.replay.other_limits import judge_by_limits
 def run(args: argparse.Namespace) -> int:
     """Judge the recorded run by the given limits, print the stops, and return the exit code."""
     with RunLog(args.recorded) as log:
-        with progress("judging", len(log), args.json) as update_progress:
+        with progress_bar("judging", len(log), args.json) as update_progress:
             judgement = judge_by_limits(log, args.limits, update_progress)
         code = warn_if_lossy(args.recorded, log.warning)
     if args.json:
         stops = [stop._asdict() for stop in judgement.stops]
-        counts = {"ticks": judgement.ticks, "stopped": judgement.stopped, "stopped_logged": judgement.stopped_logged}
+        counts = {
+            "ticks": judgement.ticks,
+            "stopped": judgement.stopped,
+            "stopped_logged": judgement.stopped_logged,
+        }
         print_json({"log": str(args.recorded), **counts, "by_fault": judgement.by_fault, "stops": stops})
         return code
-    say(f"{judgement.ticks} ticks; these limits stop {judgement.stopped}, the run's own {judgement.stopped_logged}")
+    print_escaped(
+        f"{judgement.ticks} ticks; these limits stop {judgement.stopped}, the run's own {judgement.stopped_logged}"
+    )
     for stop in judgement.stops:
         also = "as in the run" if stop.logged else "new"
         place = f"tick {stop.k} ({stop.t_s:.3f} s)"
-        say(f"{place}: {stop.fault} {stop.title}: {stop.instance} {stop.value:g}: {stop.action}, {also}")
+        print_escaped(f"{place}: {stop.fault} {stop.title}: {stop.instance} {stop.value:g}: {stop.action}, {also}")
     return code

@@ -2,10 +2,10 @@
 
 import argparse
 
-from handctl.cli.console.options import print_json, say, warn_if_lossy
-from handctl.cli.console.progress import progress
+from handctl.cli.console.options import print_escaped, print_json, warn_if_lossy
+from handctl.cli.console.progress import progress_bar
 from handctl.errors import LogError
-from handctl.output import check_output, named_after
+from handctl.output import check_output, path_with_suffix
 
 
 def run(args: argparse.Namespace) -> int:
@@ -15,18 +15,22 @@ def run(args: argparse.Namespace) -> int:
     from handctl.report.run_page import write_page
     from handctl.report.truth import read_truth
 
-    out = args.output or named_after(args.log, ".html")
+    out = args.output or path_with_suffix(args.log, ".html")
     check_output(out, "--output", args.log, args.truth)
     truth = read_truth(args.truth) if args.truth else None
     with RunLog(args.log) as log:
         offset = log.header.truth_offset_ns
         if truth and not truth.covers(log.t_ns + offset):
-            raise LogError("is of another time than the log", str(args.truth), "the truth of this run, in lockstep")
-        with progress("drawing", quiet=args.json):
+            raise LogError(
+                "is of another time than the log",
+                str(args.truth),
+                "the truth of this run, in lockstep",
+            )
+        with progress_bar("drawing", quiet=args.json):
             size = write_page(out, log, logged_hand(log), truth, offset, args.log.name)
         code = warn_if_lossy(args.log, log.warning)
     if args.json:
         print_json({"log": str(args.log), "page": str(out), "bytes": size})
     else:
-        say(f"{out}: {size / 1e6:.1f} MB")
+        print_escaped(f"{out}: {size / 1e6:.1f} MB")
     return code

@@ -7,11 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.console.options import print_json, say, warn_if_lossy
-from handctl.cli.console.progress import progress
+from handctl.cli.console.options import print_escaped, print_json, warn_if_lossy
+from handctl.cli.console.progress import progress_bar
 from handctl.errors import ConfigError, LogError
-from handctl.output import check_output, whole
-from handctl.session.exit_codes import Exit
+from handctl.output import atomic_path, check_output
+from handctl.session.exit_codes import ExitCode
 
 
 def run(args: argparse.Namespace) -> int:
@@ -22,7 +22,7 @@ def run(args: argparse.Namespace) -> int:
         from handctl.view.follow import follow
 
         follow(args.log)
-        return Exit.DONE
+        return ExitCode.DONE
     from handctl.log.read.reader import RunLog
     from handctl.view.scene.run_info import RunInfo
 
@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
         scan = log.scan
     code = warn_if_lossy(args.log, warning)
     if args.save or args.picture:
-        with progress("drawing" if args.picture else "writing", quiet=args.json):
+        with progress_bar("drawing" if args.picture else "writing", quiet=args.json):
             result = _write_files(args, run_info, at_s)
     else:
         result = {}
@@ -86,7 +86,10 @@ def _check_options(args: argparse.Namespace) -> None:
         raise ConfigError("together with --save or --picture", "--follow", "one of them")
     if args.at is not None and not args.picture:
         raise ConfigError("without --picture", "--at", "--picture FILE.png")
-    for option, path, suffix in (("--save", args.save, ".rrd"), ("--picture", args.picture, ".png")):
+    for option, path, suffix in (
+        ("--save", args.save, ".rrd"),
+        ("--picture", args.picture, ".png"),
+    ):
         if path and (path.suffix != suffix or not path.parent.is_dir()):
             raise ConfigError(str(path), option, f"a file name ending in {suffix} in a folder that exists")
         if path:
@@ -103,9 +106,12 @@ def _write_files(args: argparse.Namespace, run_info: Any, at_s: float) -> dict[s
 
     result: dict[str, Any] = {}
     if args.save:
-        with whole(args.save) as part:
+        with atomic_path(args.save) as part:
             result = {"rrd": args.save, "bytes": write_rrd(args.log, run_info, part)}
-        _print_note(args, f"wrote {args.save}, {result['bytes'] / 1e6:.1f} MB; open it with: rerun {args.save}")
+        _print_note(
+            args,
+            f"wrote {args.save}, {result['bytes'] / 1e6:.1f} MB; open it with: rerun {args.save}",
+        )
     if not args.picture:
         return result
     with tempfile.TemporaryDirectory(prefix="handctl-view-") as folder:
@@ -116,20 +122,20 @@ def _write_files(args: argparse.Namespace, run_info: Any, at_s: float) -> dict[s
 
 
 def _draw_picture(args: argparse.Namespace, rrd: Path, at_s: float) -> dict[str, Any]:
-    from handctl.view.picture import draw
+    from handctl.view.picture import draw_recording
 
-    reports = draw(rrd, at_s, args.picture)
+    reports = draw_recording(rrd, at_s, args.picture)
     for report in reports:
-        say(f"handctl: {report}", error=True)
+        print_escaped(f"handctl: {report}", error=True)
     _print_note(args, f"wrote {args.picture}: the hand at {at_s:.3f} s")
     return {"png": args.picture, "at_s": at_s, "reports": reports}
 
 
 def _show_in_viewer(log: Path, run_info: Any, scan: Any) -> None:
     """Open the viewer, send the log, and wait until the user closes the viewer."""
-    from handctl.view.browse import browse
+    from handctl.view.browse import browse_log
 
-    with browse(log, run_info, [], {}, scan) as running:
+    with browse_log(log, run_info, [], {}, scan) as running:
         try:
             running.process.wait()
         except KeyboardInterrupt:
@@ -138,4 +144,4 @@ def _show_in_viewer(log: Path, run_info: Any, scan: Any) -> None:
 
 def _print_note(args: argparse.Namespace, text: str) -> None:
     if not args.json:
-        say(text)
+        print_escaped(text)

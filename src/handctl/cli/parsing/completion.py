@@ -22,7 +22,7 @@ def is_completing() -> bool:
     return "_ARGCOMPLETE" in os.environ
 
 
-def complete(parser: Parser) -> None:
+def print_completions(parser: Parser) -> None:
     """Print the completions for the shell, and end this process."""
     import argcomplete
 

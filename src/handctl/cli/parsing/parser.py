@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, NoReturn
 
 from handctl.cli.parsing.renamed import new_spelling
 from handctl.errors import ConfigError
-from handctl.printing import LONGEST_WORD, printable, similar_name
+from handctl.printing import LONGEST_WORD, printable_text, similar_name
 
 END_AS_VALUE = re.compile(r"(--?[^=]+)=--")
 """Pattern for an option with the value ``--``. argparse would remove this value and fail without a message."""
@@ -59,7 +59,13 @@ class Parser(argparse.ArgumentParser):
         add = volume.add_argument
         text = "print more detail on standard error"
         add("-v", "--verbose", action="store_true", default=argparse.SUPPRESS, help=text)
-        add("-q", "--quiet", action="store_true", default=argparse.SUPPRESS, help="print only results and errors")
+        add(
+            "-q",
+            "--quiet",
+            action="store_true",
+            default=argparse.SUPPRESS,
+            help="print only results and errors",
+        )
         self._has_sub_verbs = False
 
     def add_subparsers(self, **keywords: Any) -> Any:
@@ -90,7 +96,9 @@ class Parser(argparse.ArgumentParser):
         kind = "option" if word.startswith("-") else "argument"
         suggestion = did_you_mean(option, self._option_string_actions) if kind == "option" else ""
         raise ConfigError(
-            f"unknown {kind} {_quote_word(option)}{suggestion}", self._error_location(), self._list_choices()
+            f"unknown {kind} {_quote_word(option)}{suggestion}",
+            self._error_location(),
+            self._list_choices(),
         )
 
     def error(self, message: str) -> NoReturn:
@@ -104,7 +112,9 @@ class Parser(argparse.ArgumentParser):
             raise ConfigError(message + suggestion, self._error_location())
         complete = "expected" in message
         raise ConfigError(
-            message, self._error_location(), "" if complete else f"the arguments that {self.prog} --help lists"
+            message,
+            self._error_location(),
+            "" if complete else f"the arguments that {self.prog} --help lists",
         )
 
     def _verb_names(self) -> str:
@@ -128,7 +138,7 @@ def _option_names(words: Iterable[str]) -> Iterable[str]:
 
 
 def _quote_word(word: str) -> str:
-    return repr(printable(word, LONGEST_WORD))
+    return repr(printable_text(word, LONGEST_WORD))
 
 
 def did_you_mean(word: str, names: Iterable[str]) -> str:
@@ -159,7 +169,7 @@ def check_words(words: Sequence[str]) -> None:
     for mark, name in (("\0", "a NUL"), ("\n", "a line end")):
         for word in words:
             if mark in word:
-                what = f"a word with {name} in it: {printable(word)}"
+                what = f"a word with {name} in it: {printable_text(word)}"
                 raise ConfigError(what, "the command line", "words without it")
     for word in words:
         if match := END_AS_VALUE.fullmatch(word):

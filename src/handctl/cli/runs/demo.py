@@ -18,8 +18,8 @@ from handctl.cli.console.options import (
     wire_words,
 )
 from handctl.cli.console.plan import make_plan
-from handctl.cli.console.verbosity import note
-from handctl.cli.runs.other_protocol import in_protocol
+from handctl.cli.console.verbosity import print_note
+from handctl.cli.runs.other_protocol import hand_in_protocol
 from handctl.cli.runs.run import report
 from handctl.controller.tick import Controller
 from handctl.errors import BusError, ConfigError, DriveError
@@ -27,7 +27,7 @@ from handctl.hand.load import load_hand
 from handctl.programs.grasp import TaskProgram
 from handctl.runtime.paths import truth_path
 from handctl.session.calibration import IdentifiedByTendon, commission, identified_in, write_calibration
-from handctl.session.exit_codes import Exit
+from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import assignments
 from handctl.session.pace import slower_time_scale
 from handctl.session.plan import Plan, commission_log, default_log
@@ -37,7 +37,7 @@ from handctl.session.tasks import find_scene, find_task
 
 SIMULATOR = "firmware_sim"
 START_S = 20.0
-SLOWEST = 0.1
+MIN_TIME_SCALE = 0.1
 """Smallest time scale for a machine that is too slow for its simulated hand."""
 
 
@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     Returns the exit code.
     """
     refuse_blind_view(args.view and not args.lockstep)
-    with in_protocol(args):
+    with hand_in_protocol(args):
         return _run_demo(args)
 
 
@@ -74,14 +74,14 @@ def _run_demo(args: argparse.Namespace) -> int:
         outcome, plan = _in_real_time(args, plan, TaskProgram(task), log, identified)
         truth = truth_path(plan.buses[0])
     wall = time.monotonic() - started
-    from handctl.session.verdict import judge  # reads the log, so that a run starts without it
+    from handctl.session.verdict import judge_run  # reads the log, so that a run starts without it
 
-    result = judge(plan, outcome, log, truth, task=task)
+    result = judge_run(plan, outcome, log, truth, task=task)
     result |= _speed_ratio(outcome, plan, wall) if args.lockstep else {}
     code = report(result, outcome, plan, args.json)
-    if code == Exit.DONE and result["failure"]:
+    if code == ExitCode.DONE and result["failure"]:
         print(f"handctl: {DriveError(result['failure'], f'{task.name} on {args.scene}')}", file=sys.stderr)
-        return Exit.FAILED
+        return ExitCode.FAILED
     return code
 
 
@@ -110,21 +110,21 @@ def _in_real_time(
 
     Returns the outcome and its plan.
     """
-    retry = plan.time_scale > SLOWEST and not wire_words(args)  # a simulated wire can be slower than the machine
+    retry = plan.time_scale > MIN_TIME_SCALE and not wire_words(args)  # a simulated wire can be slower than the machine
     runners = (_live_runner(view=False, refuse_late=retry), _live_runner(args.view, refuse_late=retry))
     commissioning = commission_log(log)
     try:
-        with simulator(args, plan):
+        with running_simulator(args, plan):
             return _commission_and_run(plan, program, log, runners, identified), plan
     except _LateError as late:
-        slower_plan = replace(plan, time_scale=max(late.scale, SLOWEST))
-        _set_aside(log, commissioning, plan.time_scale)
+        slower_plan = replace(plan, time_scale=max(late.scale, MIN_TIME_SCALE))
+        _rename_late_logs(log, commissioning, plan.time_scale)
         reason = f"this machine does not keep up with a simulated hand ({late})"
         print(f"handctl: {reason}; once more at {slower_plan.time_scale:g} of real time", file=sys.stderr)
     return _in_real_time(args, slower_plan, program, log, identified)
 
 
-def _set_aside(log: Path, commissioning: Path, scale: float) -> None:
+def _rename_late_logs(log: Path, commissioning: Path, scale: float) -> None:
     """Rename the logs of a late run, so that the next attempt can use their names.
 
     Args:
@@ -164,7 +164,7 @@ def _commission_and_run(
 ) -> Outcome:
     """Commission the hand, then run the program with the parameters identified earlier."""
     first, then = runners
-    note(f"commissioning {plan.hand.name}: tare, zero, and a 3 N pull of each tendon")
+    print_note(f"commissioning {plan.hand.name}: tare, zero, and a 3 N pull of each tendon")
     calibration, _ = commission(plan, commission_log(log), first)
     calibration = calibration.model_copy(update={"identified": identified})
     path = log.with_suffix(".calibration.toml")
@@ -196,7 +196,7 @@ def _speed_ratio(outcome: Outcome, plan: Plan, wall: float) -> dict[str, Any]:
 
 
 @contextmanager
-def simulator(args: argparse.Namespace, plan: Plan) -> Iterator[None]:
+def running_simulator(args: argparse.Namespace, plan: Plan) -> Iterator[None]:
     """Start the simulator as a separate process and stop it at the end of the context.
 
     Raises:
@@ -212,8 +212,8 @@ def simulator(args: argparse.Namespace, plan: Plan) -> Iterator[None]:
         assert child.stdout is not None
         line = child.stdout.readline()
         if "ready" not in line:
-            if child.wait(START_S) == Exit.BAD_INPUT:
-                raise SystemExit(Exit.BAD_INPUT)  # the simulator has printed the reason
+            if child.wait(START_S) == ExitCode.BAD_INPUT:
+                raise SystemExit(ExitCode.BAD_INPUT)  # the simulator has printed the reason
             raise BusError("the simulator did not start", SIMULATOR, "a line that says ready")
         yield
     finally:

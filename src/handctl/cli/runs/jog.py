@@ -7,7 +7,7 @@ from handctl.cli.console.dry_run import report_dry_run
 from handctl.cli.console.options import print_json
 from handctl.cli.console.plan import find_calibration, make_plan
 from handctl.cli.runs import jog_drive
-from handctl.document import validated
+from handctl.document import validate_content
 from handctl.errors import ConfigError
 from handctl.programs.live import JogProgram
 from handctl.programs.requests import HoldTension, MoveDigits
@@ -52,9 +52,13 @@ def _jog_program(args: argparse.Namespace, names: tuple[str, ...], ceiling: floa
     if not 0 < args.duration <= 600:
         raise ConfigError(f"{args.duration:g}", "--for", "more than 0, at most 600 s")
     if args.tension is None:
-        goal = {"do": "move", "angle_deg": {args.digit: args.angle}, "duration_s": args.duration / 2}
-        return JogProgram(validated(goal, MoveDigits, "--angle"), args.duration)
+        goal = {
+            "do": "move",
+            "angle_deg": {args.digit: args.angle},
+            "duration_s": args.duration / 2,
+        }
+        return JogProgram(validate_content(goal, MoveDigits, "--angle"), args.duration)
     if args.tension > ceiling:
         raise ConfigError(f"{args.tension:g} N", "--tension", f"at most tension_max_N = {ceiling:g} N")
     goal = {"do": "hold", "tension_N": {args.digit: args.tension}}
-    return JogProgram(validated(goal, HoldTension, "--tension"), args.duration)
+    return JogProgram(validate_content(goal, HoldTension, "--tension"), args.duration)

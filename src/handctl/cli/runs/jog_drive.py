@@ -5,16 +5,16 @@ import math
 import sys
 from typing import Any
 
-from handctl.cli.console.begin import ask
+from handctl.cli.console.begin import confirm_motion
 from handctl.cli.console.bench import (
-    LEFT_ON,
+    NOT_OFF_WARNING,
     TORQUE_TOP,
     WATCHDOG_MS,
     described_drive,
     find_drive,
     opened_rig,
     parse_options,
-    restored,
+    with_torque_range,
 )
 from handctl.cli.console.options import print_json
 from handctl.drives.contract import Drive, Phase
@@ -24,10 +24,10 @@ from handctl.drives.registry import make_mode_drive
 from handctl.errors import ConfigError, PowerError
 from handctl.hand.file.sections import Motor
 from handctl.runtime.buses.open import check_spec
-from handctl.runtime.diagnostics.conformance import leave
-from handctl.runtime.diagnostics.drive_jog import JogGoal, JogResult, jog
+from handctl.runtime.diagnostics.conformance import release_drive
+from handctl.runtime.diagnostics.drive_jog import JogGoal, JogResult, jog_drive
 from handctl.runtime.mailbox import bus_lock
-from handctl.session.exit_codes import Exit
+from handctl.session.exit_codes import ExitCode
 
 LONGEST_S = 600.0
 """Longest jog [s]."""
@@ -48,19 +48,19 @@ def run(args: argparse.Namespace) -> int:
             print_json({"mode": goal.mode.value, "setpoint": goal.target, "torque_limit_N_m": goal.torque})
         else:
             print(f"would jog: {line}")
-        return Exit.DONE
-    ask(line, args.yes)
+        return ExitCode.DONE
+    confirm_motion(line, args.yes)
     print(f"{line}. Ctrl-C lets go.", file=sys.stderr, flush=True)
     with bus_lock(args.bus):
         node = find_drive(args)
         drive = _described(args, options, node, goal)
         torque_drive = _described(args, _torque_options(options), node, goal._replace(mode=DriveMode.TORQUE))
-        result, off = _move(args, goal, drive, restored(torque_drive, node))
+        result, off = _move(args, goal, drive, with_torque_range(torque_drive, node))
     _print_result(args, goal, result, off)
     if not off:
-        print(LEFT_ON, file=sys.stderr, flush=True)
-        return Exit.REMOVE_POWER
-    return Exit.FAILED if result.failure else Exit.DONE
+        print(NOT_OFF_WARNING, file=sys.stderr, flush=True)
+        return ExitCode.REMOVE_POWER
+    return ExitCode.FAILED if result.failure else ExitCode.DONE
 
 
 def _goal(args: argparse.Namespace) -> JogGoal:
@@ -152,16 +152,16 @@ def _move(args: argparse.Namespace, goal: JogGoal, drive: Drive, torque_drive: D
         try:
             if args.clear:
                 rig.clear()
-            result = jog(rig, goal)
+            result = jog_drive(rig, goal)
         finally:
             if result is None:
                 bus.send(drive.cut())
             rig.idle_command = lambda state: 0.0
             complete = result is not None and not result.failure and rig.state.phase != Phase.FAULT
             watchdog_s = WATCHDOG_MS / 1e3
-            off = leave(rig, watchdog_s, torque_drive) if complete else rig.confirm_off(watchdog_s)
+            off = release_drive(rig, watchdog_s, torque_drive) if complete else rig.confirm_off(watchdog_s)
             if not off and result is None:  # ended by Ctrl-C or a bug: report it here
-                raise PowerError(LEFT_ON)
+                raise PowerError(NOT_OFF_WARNING)
     return result, off
 
 
@@ -173,7 +173,12 @@ def _print_result(args: argparse.Namespace, goal: JogGoal, result: JogResult, of
             "final_rad_s": result.final_speed,
         }  # fmt: skip
         finite = {key: value if math.isfinite(value) else None for key, value in values.items()}
-        done = {"drive": args.protocol, "node": args.node, "mode": goal.mode.value, "setpoint": goal.target}
+        done = {
+            "drive": args.protocol,
+            "node": args.node,
+            "mode": goal.mode.value,
+            "setpoint": goal.target,
+        }
         print_json({**done, **finite, "confirmed_off": off, "failure": result.failure})
         return
     strongest = "no torque reported" if math.isnan(result.strongest) else f"{result.strongest:.3g} N m"

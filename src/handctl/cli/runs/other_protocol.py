@@ -7,11 +7,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from handctl.errors import ConfigError
-from handctl.output import write_whole
+from handctl.output import write_text_atomically
 
 
 @contextmanager
-def in_protocol(args: argparse.Namespace) -> Iterator[None]:
+def hand_in_protocol(args: argparse.Namespace) -> Iterator[None]:
     """Replace ``args.hand`` by a file of the hand with drives of ``args.protocol``, until the end of the context.
 
     Raises:
@@ -47,12 +47,12 @@ def path_in_protocol(args: argparse.Namespace) -> Path:
 def write_in_protocol(args: argparse.Namespace) -> Path:
     """Write the hand file of ``path_in_protocol`` and return its path."""
     path = path_in_protocol(args)
-    write_whole(path, _hand_text(args))
+    write_text_atomically(path, _hand_text(args))
     return path
 
 
 def _hand_text(args: argparse.Namespace) -> str:
     """Return the text of the hand file with drives of the protocol."""
-    from handctl.campaign.stage import hand_in  # a slow import: the whole controller
+    from handctl.campaign.stage import hand_with_protocol  # a slow import: the whole controller
 
-    return hand_in(args.hand, args.protocol).to_toml()
+    return hand_with_protocol(args.hand, args.protocol).to_toml()

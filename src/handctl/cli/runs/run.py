@@ -18,7 +18,7 @@ from handctl.programs.playback import PlaybackProgram
 from handctl.programs.program import Program
 from handctl.runtime.paths import truth_path
 from handctl.session.calibration import ensure_calibration
-from handctl.session.pace import remedy
+from handctl.session.pace import pace_advice
 from handctl.session.plan import Plan, commission_log, default_log
 from handctl.session.run import Outcome, make_controller, refuse_blind_view, run_live
 from handctl.session.tasks import find_task, find_trajectory
@@ -43,10 +43,10 @@ def run(args: argparse.Namespace) -> int:
     controller = make_controller(plan, program, calibration, arm_at_once=True)
     stdin_watch = StdinWatch() if args.until_eof else None
     outcome = run_live(plan, controller, log, live_view=args.view, observer=stdin_watch)
-    from handctl.session.verdict import judge  # reads the log, so that a run starts without it
+    from handctl.session.verdict import judge_run  # reads the log, so that a run starts without it
 
     truth = args.truth or truth_path(plan.buses[0])
-    result = judge(plan, outcome, log, truth if truth.exists() else None)
+    result = judge_run(plan, outcome, log, truth if truth.exists() else None)
     return report(result, outcome, plan, args.json)
 
 
@@ -82,5 +82,5 @@ def report(result: dict[str, Any], outcome: Outcome, plan: Plan, as_json: bool) 
 
         print_summary(result, plan)
     if outcome.state.failure:
-        print(f"handctl: {DriveError(outcome.state.failure, right=remedy(plan, outcome))}", file=sys.stderr)
+        print(f"handctl: {DriveError(outcome.state.failure, right=pace_advice(plan, outcome))}", file=sys.stderr)
     return outcome.exit

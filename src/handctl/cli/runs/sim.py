@@ -10,7 +10,7 @@ from handctl.cli.console.options import (
     print_json,
     wire_words,
 )
-from handctl.cli.runs.other_protocol import in_protocol, path_in_protocol, write_in_protocol
+from handctl.cli.runs.other_protocol import hand_in_protocol, path_in_protocol, write_in_protocol
 from handctl.hand.load import load_hand
 from handctl.session.gains import assignments
 from handctl.session.tasks import find_scene
@@ -42,10 +42,12 @@ def _check_and_print(args: argparse.Namespace) -> int:
     from handctl.session.plan import bus_specs
 
     command = _simulator_command(args, str(path_in_protocol(args)) if args.protocol else args.hand)
-    with in_protocol(args):
+    with hand_in_protocol(args):
         bus_specs(load_hand(args.hand), args.bus)
         checked = subprocess.run(
-            [*_simulator_command(args, args.hand), "--dry-run"], stdin=subprocess.DEVNULL, check=False
+            [*_simulator_command(args, args.hand), "--dry-run"],
+            stdin=subprocess.DEVNULL,
+            check=False,
         )
     if checked.returncode:
         return checked.returncode

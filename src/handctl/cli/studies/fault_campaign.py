@@ -7,23 +7,23 @@ from collections.abc import Callable
 from pathlib import Path
 
 from handctl.campaign.campaign import Report
-from handctl.campaign.campaign import run as run_campaign
-from handctl.campaign.page import lines, write_page
+from handctl.campaign.campaign import run_campaign as run_campaign
+from handctl.campaign.page import summary_lines, write_page
 from handctl.campaign.scenario_run import ScenarioResult
-from handctl.campaign.scenarios import ALL, MATRIX, scenarios
-from handctl.campaign.stage import hand_in
+from handctl.campaign.scenarios import ALL_PROTOCOLS, MATRIX, scenarios
+from handctl.campaign.stage import hand_with_protocol
 from handctl.cli.console.options import check_seed, print_json
-from handctl.cli.console.progress import progress
+from handctl.cli.console.progress import progress_bar
 from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.gains import Gains
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.log.record import pack
+from handctl.log.record import pack_tick_record
 from handctl.log.write.recorder import Recorder
-from handctl.output import write_whole
-from handctl.session.exit_codes import Exit
+from handctl.output import write_text_atomically
+from handctl.session.exit_codes import ExitCode
 from handctl.session.header import run_header
-from handctl.session.plan import Plan, fastest
+from handctl.session.plan import Plan, highest_rate_of_buses
 from handctl.session.simulate import Simulation
 
 QUICK_FAULT_FREE_S = 4.0
@@ -47,17 +47,17 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(repr(id_), "--row", "one of " + ", ".join(dict.fromkeys(row.id for row in MATRIX)))
     if args.calm is not None and not 0 <= args.calm <= MAX_FAULT_FREE_S:
         raise ConfigError(f"{args.calm:g}", "--calm", f"0 to {MAX_FAULT_FREE_S:g} s")
-    protocols = ALL if args.protocol == "all" else (args.protocol,)
-    tried = {one.row.id for name in protocols for one in scenarios(hand_in(args.hand, name), name, 1.0)}
+    protocols = ALL_PROTOCOLS if args.protocol == "all" else (args.protocol,)
+    tried = {one.row.id for name in protocols for one in scenarios(hand_with_protocol(args.hand, name), name, 1.0)}
     for id_ in sorted(set(args.row) - tried):
         raise ConfigError(repr(id_), "--row", f"a row that this hand can be tried with by {args.protocol}")
     folder = report_folder(args)
     fault_free_s = args.calm if args.calm is not None else QUICK_FAULT_FREE_S if args.quick else FAULT_FREE_S
-    with progress(FIRST, quiet=args.json) as update_progress:
+    with progress_bar(FIRST, quiet=args.json) as update_progress:
         report = run_campaign(
             args.hand,
             protocols,
-            rate_of,
+            default_rate,
             jobs=args.jobs,
             quick=args.quick,
             fault_free_s=fault_free_s,
@@ -68,10 +68,10 @@ def run(args: argparse.Namespace) -> int:
             seed=args.seed,
         )
     write_page(folder / "report.html", report)
-    write_whole(folder / "report.json", json.dumps(report.plain(), indent=1))
+    write_text_atomically(folder / "report.json", json.dumps(report.plain(), indent=1))
     _print_report(report, folder, args.json)
     figures = report.plain()
-    return Exit.FAILED if figures["late"] or figures["false_alarms"] else Exit.DONE
+    return ExitCode.FAILED if figures["late"] or figures["false_alarms"] else ExitCode.DONE
 
 
 def report_folder(args: argparse.Namespace) -> Path:
@@ -81,16 +81,16 @@ def report_folder(args: argparse.Namespace) -> Path:
     return folder
 
 
-def rate_of(hand: Hand) -> float:
+def default_rate(hand: Hand) -> float:
     """Return the default control rate of a hand [Hz]."""
-    return fastest(bus_loads(hand))
+    return highest_rate_of_buses(bus_loads(hand))
 
 
 def _print_report(report: Report, folder: Path, as_json: bool) -> None:
     if as_json:
         print_json(report.plain() | {"report": folder / "report.html"})
         return
-    for line in lines(report):
+    for line in summary_lines(report):
         print(line)
     print(f"written: {folder / 'report.html'}")
 
@@ -106,7 +106,7 @@ def failure_log_writer(folder: Path) -> Callable[[Simulation, ScenarioResult], N
         path.unlink(missing_ok=True)
         recorder = Recorder.start(path, run_header(plan, simulation.controller, None, lockstep=True))
         for entry, out in simulation.recorded:
-            recorder.record(pack(entry, out))
+            recorder.record(pack_tick_record(entry, out))
         recorder.close(result.problem)
 
     return write_log

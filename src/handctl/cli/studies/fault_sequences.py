@@ -4,30 +4,39 @@ import argparse
 from typing import Any
 
 from handctl.campaign import sequences
-from handctl.campaign.stage import hand_in
+from handctl.campaign.stage import hand_with_protocol
 from handctl.cli.console.options import check_seed, print_json
-from handctl.cli.console.progress import progress
-from handctl.cli.studies.fault_campaign import FIRST, MAX_JOBS, failure_log_writer, rate_of, report_folder
+from handctl.cli.console.progress import progress_bar
+from handctl.cli.studies.fault_campaign import (
+    FIRST,
+    MAX_JOBS,
+    default_rate,
+    failure_log_writer,
+    report_folder,
+)
 from handctl.errors import ConfigError
-from handctl.session.exit_codes import Exit
+from handctl.session.exit_codes import ExitCode
 
 MAX_COUNT = 1_000_000
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the sequences, and report the violated rules. Returns the exit code."""
-    for name, value, maximum in (("--jobs", args.jobs, MAX_JOBS), ("--count", args.count, MAX_COUNT)):
+    for name, value, maximum in (
+        ("--jobs", args.jobs, MAX_JOBS),
+        ("--count", args.count, MAX_COUNT),
+    ):
         if not 1 <= value <= maximum:
             raise ConfigError(f"{value}", name, f"1 to {maximum}")
     check_seed(args.seed)
-    hand = hand_in(args.hand, args.protocol)
+    hand = hand_with_protocol(args.hand, args.protocol)
     folder = report_folder(args)
     seeds = range(args.seed, args.seed + args.count)
-    with progress(FIRST, quiet=args.json) as update_progress:
-        results = sequences.run(
+    with progress_bar(FIRST, quiet=args.json) as update_progress:
+        results = sequences.run_sequences(
             hand,
             args.protocol,
-            rate_of(hand),
+            default_rate(hand),
             seeds,
             jobs=args.jobs,
             on_progress=lambda done: update_progress(done, args.count, args.protocol),
@@ -37,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     figures: dict[str, Any] = {
         "hand": args.hand,
         "protocol": args.protocol,
-        "rate_hz": rate_of(hand),
+        "rate_hz": default_rate(hand),
         "first_seed": args.seed,
         "sequences": len(results),
         "broken": len(broken),
@@ -53,4 +62,4 @@ def run(args: argparse.Namespace) -> int:
             print(f"{result.scenario}: {result.problem}")
         if broken:
             print(f"their logs: {folder}; one again: --seed SEED --count 1")
-    return Exit.FAILED if broken else Exit.DONE
+    return ExitCode.FAILED if broken else ExitCode.DONE

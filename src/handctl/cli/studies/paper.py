@@ -7,20 +7,27 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.console.progress import progress
-from handctl.cli.console.screen import screen
+from handctl.cli.console.progress import progress_bar
+from handctl.cli.console.screen import rich_console
 from handctl.errors import ConfigError
-from handctl.hand.formats.mjcf import mjcf
-from handctl.hand.formats.urdf import urdf
+from handctl.hand.formats.mjcf import mjcf_text
+from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.load import load_hand
-from handctl.output import check_output, write_whole
-from handctl.paper.bench.experiments import Job, count, load_results, measure, name, shortened
-from handctl.paper.bench.pool import pool
-from handctl.paper.figures.gallery import draw_all
+from handctl.output import check_output, write_text_atomically
+from handctl.paper.bench.experiments import (
+    Job,
+    job_count,
+    job_description,
+    load_results,
+    rounded_results,
+    run_experiments,
+)
+from handctl.paper.bench.pool import worker_pool
+from handctl.paper.figures.gallery import draw_all_figures
 from handctl.paper.item import ErrataVerdict
-from handctl.paper.page import markdown, plain, report, value
-from handctl.paper.sections import PageSection, count_by_verdict, sections
-from handctl.session.exit_codes import Exit
+from handctl.paper.page import items_as_json, page_as_html, page_as_markdown, value_text
+from handctl.paper.sections import PageSection, count_by_verdict, page_sections
+from handctl.session.exit_codes import ExitCode
 
 COLOURS = {
     ErrataVerdict.EQUAL: "green",
@@ -38,16 +45,16 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"{args.jobs}", "--jobs", "1 to 64")
     _check_writable(args.output, args.figures, args.export)
     results = None if args.quick else _load_or_measure(args.results, args.jobs)
-    parts = sections(results)
+    parts = page_sections(results)
     if args.export:
         _export_files(args.export)
     if args.figures or args.output:
         with tempfile.TemporaryDirectory() as folder:
-            figures = draw_all(args.figures or Path(folder), results)
+            figures = draw_all_figures(args.figures or Path(folder), results)
             if args.output:
-                write_whole(args.output, report(parts, figures))
+                write_text_atomically(args.output, page_as_html(parts, figures))
     _print_items(args, parts)
-    return Exit.DONE
+    return ExitCode.DONE
 
 
 def _load_or_measure(path: Path | None, jobs: int) -> dict[str, Any]:
@@ -61,7 +68,7 @@ def _load_or_measure(path: Path | None, jobs: int) -> dict[str, Any]:
     if path.exists():
         return load_results(path)
     check_output(path, "--results")
-    write_whole(path, json.dumps(shortened(_measure_all(jobs))) + "\n")
+    write_text_atomically(path, json.dumps(rounded_results(_measure_all(jobs))) + "\n")
     return load_results(path)
 
 
@@ -77,16 +84,16 @@ def _check_writable(report_file: Path | None, *folders: Path | None) -> None:
 
 def _export_files(folder: Path) -> None:
     hand = load_hand("jamia")
-    write_whole(folder / f"{hand.name}.urdf", urdf(hand))
-    write_whole(folder / f"{hand.name}.xml", mjcf(hand))
+    write_text_atomically(folder / f"{hand.name}.urdf", urdf_text(hand))
+    write_text_atomically(folder / f"{hand.name}.xml", mjcf_text(hand))
 
 
 def _print_items(args: argparse.Namespace, parts: tuple[PageSection, ...]) -> None:
     if args.json:
-        json.dump(plain([item for part in parts for item in part.items]), sys.stdout, indent=2)
+        json.dump(items_as_json([item for part in parts for item in part.items]), sys.stdout, indent=2)
         sys.stdout.write("\n")
     elif args.markdown:
-        sys.stdout.write(markdown(parts))
+        sys.stdout.write(page_as_markdown(parts))
     else:
         _print_table(parts)
         for path in filter(None, (args.figures, args.output, args.export)):
@@ -96,15 +103,15 @@ def _print_items(args: argparse.Namespace, parts: tuple[PageSection, ...]) -> No
 def _measure_all(jobs: int) -> dict[str, Any]:
     """Run all experiments with a progress display, and return their results."""
     done = 0
-    with progress("starting the simulator", count()) as update_progress:
+    with progress_bar("starting the simulator", job_count()) as update_progress:
 
         def at(job: Job, finished: bool) -> None:
             nonlocal done
             done += finished
-            update_progress(done, label=None if finished else name(job))
+            update_progress(done, label=None if finished else job_description(job))
 
-        with pool(jobs, at) as workers:
-            return measure(workers)
+        with worker_pool(jobs, at) as workers:
+            return run_experiments(workers)
 
 
 def _print_table(parts: tuple[PageSection, ...]) -> None:
@@ -112,7 +119,7 @@ def _print_table(parts: tuple[PageSection, ...]) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    console = screen(min_width=80)
+    console = rich_console(min_width=80)
     for part in parts:
         if part.table:
             numbers = Table(*part.table[0])
@@ -125,7 +132,7 @@ def _print_table(parts: tuple[PageSection, ...]) -> None:
         table.add_column("printed → right, and why", ratio=1)
         for item in part.items:
             verdict = Text(item.verdict.value, COLOURS[item.verdict])
-            cell = Text.assemble(item.printed, (" → ", "bold"), value(item), "\n", (item.why, "dim"))
+            cell = Text.assemble(item.printed, (" → ", "bold"), value_text(item), "\n", (item.why, "dim"))
             table.add_row(item.id, verdict, cell)
         console.print(table)
     counts = count_by_verdict([item for part in parts for item in part.items])

@@ -6,16 +6,16 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.console.buses import controller_bus
-from handctl.cli.console.options import print_json, say
-from handctl.cli.console.plan import layered_gains, notice
+from handctl.cli.console.options import print_escaped, print_json
+from handctl.cli.console.plan import layered_gains, print_notice
 from handctl.cli.console.verbosity import is_quiet
 from handctl.core.gains.bounds import Bound, bounds, values_by_key, with_values
 from handctl.core.gains.gains import Gains, Provenance, load_gains_file
 from handctl.errors import ConfigError, UnconfirmedError
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
-from handctl.programs.requests import REFUSED
-from handctl.session.exit_codes import Exit
+from handctl.programs.requests import REFUSED_PREFIX
+from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import assignments, gains_for
 from handctl.session.plan import check_design
 from handctl.tune.gains_store import Entry, GainsStore
@@ -50,22 +50,22 @@ def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
                 "origin": layers.origins[key],
                 "bounds": str(gain_bounds[key]),
                 "live": gain_bounds[key].live,
-                "meaning": meaning(gain_bounds[key]),
+                "meaning": gain_meaning(gain_bounds[key]),
             }
             for key, value in values_by_key(layers.gains).items()
         }
         print_json({"hand": hand.name, "gains": rows, "provenance": provenance.model_dump()})
-        return Exit.DONE
-    say(f"# gains of {hand.name}: {layers.file or 'packaged'}" + _provenance_text(provenance))
+        return ExitCode.DONE
+    print_escaped(f"# gains of {hand.name}: {layers.file or 'packaged'}" + _provenance_text(provenance))
     for key, value in values_by_key(layers.gains).items():
         when = "changes at any time" if gain_bounds[key].live else "changes before arming"
-        say(f"{key:<38} {value:<10g} {layers.origins[key]}")
+        print_escaped(f"{key:<38} {value:<10g} {layers.origins[key]}")
         if not is_quiet():
-            say(f"    {meaning(gain_bounds[key])} {str(gain_bounds[key]).capitalize()}, {when}.")
-    return Exit.DONE
+            print_escaped(f"    {gain_meaning(gain_bounds[key])} {str(gain_bounds[key]).capitalize()}, {when}.")
+    return ExitCode.DONE
 
 
-def meaning(gain: Bound) -> str:
+def gain_meaning(gain: Bound) -> str:
     """Return the meaning of a gain with its unit, from the first line of its description."""
     return gain.why.partition("\n")[0]
 
@@ -91,11 +91,11 @@ def _print_diff(args: argparse.Namespace, hand: Hand) -> int:
     changed = {key: (one[key], other[key]) for key in one if one[key] != other[key]}
     if args.json:
         print_json({"sides": sides, "changed": changed})
-        return Exit.DONE
+        return ExitCode.DONE
     for key, (was, now) in changed.items():
         print(f"{key:<38} {was:g} -> {now:g}")
     print(f"{len(changed)} of {len(one)} gains differ between {sides[0]} and {sides[1]}")
-    return Exit.DONE
+    return ExitCode.DONE
 
 
 def _gains_side(word: str, hand: Hand) -> Gains:
@@ -126,12 +126,17 @@ def _gains_side(word: str, hand: Hand) -> Gains:
 
 def _apply_file(args: argparse.Namespace, hand: Hand) -> int:
     """Apply a gains file as the present gains of the hand."""
-    file = gains_for(hand, args.file, notice)
+    file = gains_for(hand, args.file, print_notice)
     check_design(hand, file.gains)
-    options = {"fit": args.fit, "study": args.study, "note": args.note, "log": tuple(map(str, args.log))}
+    options = {
+        "fit": args.fit,
+        "study": args.study,
+        "note": args.note,
+        "log": tuple(map(str, args.log)),
+    }
     provenance = file.provenance.model_copy(update={key: value for key, value in options.items() if value})
     store = GainsStore(hand.name, hand.identity)
-    _set_aside(store)
+    _rename_unusable(store)
     return _report_done(args, store, store.apply(file.gains, provenance).provenance)
 
 
@@ -143,18 +148,18 @@ def _roll_back(args: argparse.Namespace, hand: Hand) -> int:
     store = GainsStore(hand.name, hand.identity)
     entries = store.entries()
     newest = entries[-1].number if entries else 0
-    to = newest if _set_aside(store) and args.to is None else args.to
+    to = newest if _rename_unusable(store) and args.to is None else args.to
     return _report_done(args, store, store.rollback(to).provenance)
 
 
-def _set_aside(store: GainsStore) -> bool:
+def _rename_unusable(store: GainsStore) -> bool:
     """Rename an unusable file of present gains, and report this.
 
     Returns True if a file was renamed.
     """
     aside = store.set_aside()
     if aside:
-        say(f"handctl: {store.path} cannot be used, and is {aside} now", error=True)
+        print_escaped(f"handctl: {store.path} cannot be used, and is {aside} now", error=True)
     return bool(aside)
 
 
@@ -162,8 +167,8 @@ def _report_done(args: argparse.Namespace, store: GainsStore, provenance: Proven
     if args.json:
         print_json({"file": str(store.path), "provenance": provenance.model_dump()})
     else:
-        say(f"{store.path}{_provenance_text(provenance)}")
-    return Exit.DONE
+        print_escaped(f"{store.path}{_provenance_text(provenance)}")
+    return ExitCode.DONE
 
 
 def _print_history(args: argparse.Namespace, hand: Hand) -> int:
@@ -173,18 +178,24 @@ def _print_history(args: argparse.Namespace, hand: Hand) -> int:
     try:
         present = store.present()
     except ConfigError as error:
-        say(f"handctl: {error}; handctl gains rollback brings back number {entries[-1].number if entries else 0}", True)
+        print_escaped(
+            f"handctl: {error}; handctl gains rollback brings back number {entries[-1].number if entries else 0}",
+            True,
+        )
         present = None
     if args.json:
         print_json(
-            {"present": _number_text(present), "entries": [entry.file.provenance.model_dump() for entry in entries]}
+            {
+                "present": _number_text(present),
+                "entries": [entry.file.provenance.model_dump() for entry in entries],
+            }
         )
-        return Exit.DONE
+        return ExitCode.DONE
     for entry in entries:
         mark = "*" if entry.number == _number_text(present) else " "
-        say(f"{mark} {entry.number:>4}  {_entry_line(entry, entries)}")
+        print_escaped(f"{mark} {entry.number:>4}  {_entry_line(entry, entries)}")
     print(f"{len(entries)} applied; present: {_number_text(present) or 'packaged' if present is None else store.path}")
-    return Exit.DONE
+    return ExitCode.DONE
 
 
 def _number_text(present: Any) -> int:
@@ -225,7 +236,7 @@ def _set_live(args: argparse.Namespace) -> int:
         print_json({"bus": bus, "set": applied})
     else:
         print("\n".join(f"{key} = {text}" for key, text in applied.items()) or "no change: the gains are those already")
-    return Exit.DONE
+    return ExitCode.DONE
 
 
 def _wait_for_answers(watcher: Any, values: dict[str, float], taken: dict[str, Any]) -> dict[str, str]:
@@ -252,5 +263,5 @@ def _raise_refusal(text: str) -> None:
     Raises:
         ConfigError: the controller refused the request.
     """
-    if text.startswith(REFUSED):
-        raise ConfigError(text.removeprefix(REFUSED), "the controller")
+    if text.startswith(REFUSED_PREFIX):
+        raise ConfigError(text.removeprefix(REFUSED_PREFIX), "the controller")

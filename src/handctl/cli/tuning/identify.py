@@ -10,16 +10,16 @@ from typing import Any
 
 from handctl.cli.console.begin import announce
 from handctl.cli.console.dry_run import report_dry_run
-from handctl.cli.console.options import check_seed, print_json, say
+from handctl.cli.console.options import check_seed, print_escaped, print_json
 from handctl.cli.console.plan import (
     calibration_path,
     check_perturb,
     find_calibration,
     make_plan,
-    notice,
+    print_notice,
     refuse_bus_options,
 )
-from handctl.cli.console.verbosity import note
+from handctl.cli.console.verbosity import print_note
 from handctl.cli.tuning.tune_files import same_hand_words
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
@@ -28,15 +28,25 @@ from handctl.log.read.reader import RunLog
 from handctl.programs.calibration import Calibration, load_calibration
 from handctl.programs.excite import ExciteProgram
 from handctl.replay.rebuild import logged_hand
-from handctl.session.calibration import commission, ensure_calibration, previous_identified, write_calibration
-from handctl.session.exit_codes import Exit
+from handctl.session.calibration import (
+    commission,
+    ensure_calibration,
+    previous_identified,
+    write_calibration,
+)
+from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import assignments
 from handctl.session.plan import Plan, commission_log, default_log
 from handctl.session.run import Outcome, Runner, make_controller, run_live, run_lockstep
 from handctl.session.simulate import Simulator
 from handctl.tune.identify.excitation import excitation
-from handctl.tune.identify.figure import draw
-from handctl.tune.identify.identify import TendonResult, identify, now, table
+from handctl.tune.identify.figure import draw_identification
+from handctl.tune.identify.identify import (
+    TendonResult,
+    identify_tendons,
+    result_table,
+    utc_now_text,
+)
 
 BLOCKED_HINT = "expected a digit that touches nothing: move away what it meets, or correct the hand file's springs"
 
@@ -70,13 +80,13 @@ def run(args: argparse.Namespace) -> int:
         calibration, outcome = _in_lockstep(args, plan, program, log, about)
     else:
         announce(args, plan, path, calibration)
-        note(about)
+        print_note(about)
         calibration = calibration or ensure_calibration(plan, path, reason, run_live, commission_log(log))
         controller = make_controller(plan, program, calibration, arm_at_once=True)
         outcome = run_live(plan, controller, log)
     outcome.refuse_unfinished(f"identifying {plan.hand.name}, log {log}")
     with RunLog(log) as record:
-        results = identify(record, plan.hand, note)
+        results = identify_tendons(record, plan.hand, print_note)
     return _report_results(args, plan.hand, {log: results}, path, calibration)
 
 
@@ -87,7 +97,7 @@ def _in_lockstep(
     perturb = assignments(args.perturb, "--perturb")
     simulator = Simulator(args.hand, seed=args.seed, perturb=perturb, truth=log.with_suffix(".truth"))
     with simulator.clock(plan.period_ns) as clock:
-        note(about)
+        print_note(about)
         return _commission_and_excite(plan, program, log, partial(run_lockstep, clock=clock))
 
 
@@ -99,7 +109,7 @@ def _commission_and_excite(
     calibration, _ = commission(plan, commission_log(log), runner)
     outcome = runner(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
     simulated = (outcome.offset_ns + outcome.state.k * plan.period_ns) / 1e9
-    note(f"{simulated:.0f} s of the simulated hand in {time.monotonic() - started:.0f} s")
+    print_note(f"{simulated:.0f} s of the simulated hand in {time.monotonic() - started:.0f} s")
     return calibration, outcome
 
 
@@ -115,17 +125,17 @@ def _from_logs(args: argparse.Namespace) -> int:
     calibration = load_calibration(path, hand) if path.exists() else None
     results: dict[Path, dict[str, TendonResult]] = {}
     for log in args.logs:
-        note(f"reading {log}")
+        print_note(f"reading {log}")
         with RunLog(log) as record:
             if logged_hand(record).identity != hand.identity:
                 raise ConfigError("is of another hand", str(log), f"a log of {hand.name} {hand.identity[:12]}")
-            results[log] = {} if args.dry_run else identify(record, hand, note)
+            results[log] = {} if args.dry_run else identify_tendons(record, hand, print_note)
     if args.dry_run:
         if args.json:
             print_json({"hand": hand.name, "logs": list(map(str, results)), "calibration": str(path)})
         else:
-            say(f"{hand.name}: would identify from {', '.join(map(str, results))}, and write {path}")
-        return Exit.DONE
+            print_escaped(f"{hand.name}: would identify from {', '.join(map(str, results))}, and write {path}")
+        return ExitCode.DONE
     return _report_results(args, hand, results, path, calibration)
 
 
@@ -160,8 +170,8 @@ def _report_results(
     calibration: Calibration | None,
 ) -> int:
     """Write the calibration, draw the pictures, and print the results. Returns the exit code."""
-    made = now()
-    identified = previous_identified(path, hand, calibration.drive if calibration else {}, notice)
+    made = utc_now_text()
+    identified = previous_identified(path, hand, calibration.drive if calibration else {}, print_notice)
     every = [one for tendons in results.values() for one in tendons.values()]
     spoilt = {one.data.digit: one.blocked for one in every if one.blocked}
     met = {one.data.digit: one.met for one in every if one.met and not one.blocked}
@@ -173,17 +183,23 @@ def _report_results(
     written = calibration is not None and not args.no_write and (any_identified or not (spoilt or met))
     if calibration is not None and written:
         write_calibration(path, calibration.model_copy(update={"identified": identified}))
-    pictures = _pictures(hand, results, note)  # after the calibration: a drawing error loses nothing else
+    pictures = _pictures(hand, results, print_note)  # after the calibration: a drawing error loses nothing else
     for digit, reason in spoilt.items():
-        say(f"handctl: nothing of {digit} is kept: {reason}; expected a digit that meets nothing", error=True)
+        print_escaped(
+            f"handctl: nothing of {digit} is kept: {reason}; expected a digit that meets nothing",
+            error=True,
+        )
     for digit, reason in met.items():
-        say(f"handctl: springs and friction of {digit} are not kept: {reason}; {BLOCKED_HINT}", error=True)
-    ended = Exit.FAILED if spoilt or met else Exit.DONE
+        print_escaped(
+            f"handctl: springs and friction of {digit} are not kept: {reason}; {BLOCKED_HINT}",
+            error=True,
+        )
+    ended = ExitCode.FAILED if spoilt or met else ExitCode.DONE
     if args.json:
         print_json(_result_fields(results, pictures, path if written else None) | {"blocked": spoilt, "met": met})
         return ended
     for log, tendons in results.items():
-        print("\n".join([f"from {log}:", *table(tendons)]))
+        print("\n".join([f"from {log}:", *result_table(tendons)]))
     print("pictures: " + ", ".join(map(str, pictures)))
     if written:
         print(f"calibration written to {path}\nnext: {_search_command(args, path)}")
@@ -205,7 +221,7 @@ def _pictures(hand: Hand, results: dict[Path, dict[str, TendonResult]], say: Cal
         for name, one in tendons.items():
             picture = log.with_suffix(f".identify-{name}.png")
             say(f"drawing {picture}")
-            draw(picture, one, f"{hand.name} {name}: {log.name}")
+            draw_identification(picture, one, f"{hand.name} {name}: {log.name}")
             pictures.append(picture)
     return pictures
 

@@ -6,15 +6,21 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.console.options import print_json, say
+from handctl.cli.console.options import print_escaped, print_json
 from handctl.cli.console.plan import layered_gains
-from handctl.cli.console.screen import screen
+from handctl.cli.console.screen import rich_console
 from handctl.cli.console.verbosity import is_quiet
-from handctl.cli.tuning.tune_files import load_tuned_hand, output_files, plants_of, verify_command, write_gains
+from handctl.cli.tuning.tune_files import (
+    load_tuned_hand,
+    output_files,
+    plants_of,
+    verify_command,
+    write_gains,
+)
 from handctl.controller.bus_load import bus_loads
 from handctl.core.model import HandModel
 from handctl.errors import ConfigError
-from handctl.session.exit_codes import Exit
+from handctl.session.exit_codes import ExitCode
 from handctl.session.plan import control_rate
 
 MIN_POLE_HZ = 0.01
@@ -26,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
 
     Fails if the margins are too small.
     """
-    from handctl.tune.loops.design import Design, design, linear_factors, redesigned
+    from handctl.tune.loops.design import Design, design_gains, linear_factors, model_with_gains
     from handctl.tune.loops.steps import Proof
     from handctl.tune.plots import draw_loops
 
@@ -40,16 +46,18 @@ def run(args: argparse.Namespace) -> int:
     plants = tuple(linear_factors(one) for one in factors)
     model = HandModel.of(twin, gains, rate)
     proof = Proof(twin, factors, plants, args.seed)
-    console = screen(error=True)
+    console = rich_console(error=True)
     console.quiet = is_quiet()
     with console.status(f"keeping margins on {len(plants)} plants"):
         try:
             result: Design = (
-                _place_poles(args, model, plants, rate) if args.poles is not None else design(model, plants, proof)
+                _place_poles(args, model, plants, rate)
+                if args.poles is not None
+                else design_gains(model, plants, proof)
             )
         except ValueError as error:
             return _report_failure(args, str(error))
-        if not result.worst_after.stable or not proof(redesigned(model, result.gains)):
+        if not result.worst_after.stable or not proof(model_with_gains(model, result.gains)):
             return _report_failure(args, f"these poles are not stable on every plant{proof.reason}")
         result = result if proof(model) else result.with_unproven_before()
     after = HandModel.of(twin, result.gains, rate)
@@ -62,15 +70,15 @@ def run(args: argparse.Namespace) -> int:
     else:
         _print_design(result, rate, len(plants))
         print(f"gains: {out}\npicture: {picture}\nnext: {verify_command(args, out)}")
-    return Exit.DONE if good else Exit.FAILED
+    return ExitCode.DONE if good else ExitCode.FAILED
 
 
 def _report_failure(args: argparse.Namespace, reason: str) -> int:
     """Report the reason why gains are not written, and return the exit code."""
     if args.json:
         print_json({"gains": None, "picture": None, "enough": False, "why": reason})
-    say(f"handctl: tune design: {reason}; nothing is written", error=True)
-    return Exit.FAILED
+    print_escaped(f"handctl: tune design: {reason}; nothing is written", error=True)
+    return ExitCode.FAILED
 
 
 def _place_poles(args: argparse.Namespace, model: HandModel, plants: Any, rate: float) -> Any:
@@ -79,7 +87,7 @@ def _place_poles(args: argparse.Namespace, model: HandModel, plants: Any, rate: 
     Raises:
         ConfigError: a pole or the damping is not a number within its limits.
     """
-    from handctl.tune.loops.design import placed
+    from handctl.tune.loops.design import design_with_poles
 
     try:
         motion, tension = (float(word) for word in args.poles.split(","))
@@ -89,7 +97,7 @@ def _place_poles(args: argparse.Namespace, model: HandModel, plants: Any, rate: 
         raise ConfigError(args.poles, "--poles-Hz", f"{MIN_POLE_HZ:g} to half of the rate, {rate / 2:g}")
     if not 0 < args.damping <= MAX_DAMPING:
         raise ConfigError(f"{args.damping:g}", "--damping", f"more than 0, at most {MAX_DAMPING:g}")
-    return placed(model, plants, motion, tension, args.damping)
+    return design_with_poles(model, plants, motion, tension, args.damping)
 
 
 def _result_fields(result: Any, out: Path, picture: Path, rate: float, plants: int) -> dict[str, Any]:
@@ -122,7 +130,7 @@ def _print_design(result: Any, rate: float, plants: int) -> None:
         table.add_row(names[0].removesuffix("_tendon") + more, kind, *cells)
     table.add_section()
     table.add_row("worst", "", *_margin_cells(result.worst_before, result.worst_after))
-    screen(min_width=80).print(table)
+    rich_console(min_width=80).print(table)
 
 
 def _margin_cells(before: Any, after: Any) -> list[str]:

@@ -12,9 +12,9 @@ from handctl.core.identified import identified_hand
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
-from handctl.output import check_output, named_after, write_whole
+from handctl.output import check_output, path_with_suffix, write_text_atomically
 from handctl.session.calibration import identified_in
-from handctl.tune.search.ensemble import ensemble, widths
+from handctl.tune.search.ensemble import draw_ensemble, ensemble_widths
 
 
 def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, Path]:
@@ -27,7 +27,7 @@ def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, 
     hand_files = [Path(f"{hand}.{what}") for what in ("calibration.toml", "gains.toml", "study")]
     read = (*hand_files, Path(args.hand), args.gains, args.fit, getattr(args, "study", None))
     check_output(out, "--output", *read)
-    picture: Path = args.picture or named_after(out, ".png")
+    picture: Path = args.picture or path_with_suffix(out, ".png")
     check_output(picture, "--picture", *read)
     if picture.resolve() == out.resolve():
         raise ConfigError("is the name of the picture, too", f"--output {out}", "another --output or --picture")
@@ -44,7 +44,7 @@ def plants_of(args: argparse.Namespace, spread: dict[str, float], maximum: int) 
         ConfigError: too few or too many plants, or ``--perturb`` is wrong.
     """
     perturb = check_perturb(args, simulated=True)
-    plants = ensemble(checked_count(args.plants, "--plants", maximum), args.seed, spread)
+    plants = draw_ensemble(checked_count(args.plants, "--plants", maximum), args.seed, spread)
     if args.fit:
         return plants
     return tuple(one | {key: one.get(key, 1.0) * factor for key, factor in perturb.items()} for one in plants)
@@ -68,7 +68,7 @@ def same_hand_words(args: argparse.Namespace) -> list[str]:
 def write_gains(path: Path, gains: Gains, hand: Hand, note: str, fit: Path | None = None, study: str = "") -> None:
     """Write a gains file with its provenance."""
     provenance = Provenance(hand=hand.name, identity=hand.identity, note=note, fit=str(fit or ""), study=study)
-    write_whole(path, gains_text(gains, provenance))
+    write_text_atomically(path, gains_text(gains, provenance))
 
 
 class TunedHand(NamedTuple):
@@ -78,7 +78,7 @@ class TunedHand(NamedTuple):
         hand: hand as in its file. Gains files record its name and identity.
         twin: hand with the identified parameters instead of those in the file. The twin is the
             controller's model, as in a run with this calibration, and the center of the ensemble.
-        spread: half widths of the ensemble from the identification. See ``ensemble``.
+        spread: half widths of the ensemble from the identification. See ``draw_ensemble``.
     """
 
     hand: Hand
@@ -101,4 +101,4 @@ def load_tuned_hand(name: str, fit: Path | None) -> TunedHand:
     if fit is None:
         return TunedHand(hand, hand, {})
     identified = identified_in(fit, hand)
-    return TunedHand(hand, identified_hand(hand, identified), widths(identified))
+    return TunedHand(hand, identified_hand(hand, identified), ensemble_widths(identified))

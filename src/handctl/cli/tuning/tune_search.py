@@ -8,15 +8,21 @@ from typing import Any
 
 from handctl.cli.console.options import checked_count, print_json
 from handctl.cli.console.plan import layered_gains
-from handctl.cli.console.screen import screen
+from handctl.cli.console.screen import rich_console
 from handctl.cli.console.verbosity import is_quiet
-from handctl.cli.tuning.tune_files import load_tuned_hand, output_files, plants_of, verify_command, write_gains
+from handctl.cli.tuning.tune_files import (
+    load_tuned_hand,
+    output_files,
+    plants_of,
+    verify_command,
+    write_gains,
+)
 from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.session.exit_codes import Exit
+from handctl.session.exit_codes import ExitCode
 from handctl.session.plan import control_rate
 
 
@@ -26,8 +32,8 @@ def run(args: argparse.Namespace) -> int:
     Fails if no trial keeps the margins.
     """
     from handctl.tune.plots import draw_search
-    from handctl.tune.search.search import SearchPlan, search
-    from handctl.tune.search.workers import workers
+    from handctl.tune.search.search import SearchPlan, run_search
+    from handctl.tune.search.workers import make_workers
 
     hand, twin, spread = load_tuned_hand(args.hand, args.fit)
     gains = layered_gains(args, hand).gains
@@ -39,16 +45,26 @@ def run(args: argparse.Namespace) -> int:
     storage = args.study or Path(f"{hand.name}.study")
     with _Progress(trials, args.json or is_quiet()) as progress:
         plan = SearchPlan(
-            twin.to_toml(), rate, gains, plants, args.seed, trials, _design_start(twin, gains, rate, plants)
+            twin.to_toml(),
+            rate,
+            gains,
+            plants,
+            args.seed,
+            trials,
+            _design_start(twin, gains, rate, plants),
         )
-        crew = workers(crew_size, args.scheduler)
+        crew = make_workers(crew_size, args.scheduler)
         try:
-            result = search(plan, storage, crew, progress.show)
+            result = run_search(plan, storage, crew, progress.show)
         except KeyboardInterrupt as error:
             raise type(error)(f"interrupted; the same command goes on with {storage}") from None
         finally:
             crew.close()
-    draw_search(picture, result, f"{hand.name} at {rate:g} Hz: {len(result.trials)} trials on {len(plants)} plants")
+    draw_search(
+        picture,
+        result,
+        f"{hand.name} at {rate:g} Hz: {len(result.trials)} trials on {len(plants)} plants",
+    )
     if result.best is None:
         return _report_infeasible(args, result, storage, picture, trials)
     best = plan.gains_of(result.best.number, result.best.values)
@@ -60,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         _print_search(result, report)
         print(f"next: {verify_command(args, out)}")
-    return Exit.DONE
+    return ExitCode.DONE
 
 
 def _report_infeasible(args: argparse.Namespace, result: Any, storage: Path, picture: Path, trials: int) -> int:
@@ -69,15 +85,15 @@ def _report_infeasible(args: argparse.Namespace, result: Any, storage: Path, pic
         print_json(_report_fields(result, storage, None, picture))
     else:
         print(f"no trial keeps the margins on every plant; look at {picture}, and try --trials {2 * trials}")
-    return Exit.FAILED
+    return ExitCode.FAILED
 
 
 def _design_start(hand: Hand, gains: Gains, rate: float, plants: tuple[dict[str, float], ...]) -> tuple[Gains, ...]:
     """Return the gains of a design for the same plants, as second start point, or none if the design fails."""
-    from handctl.tune.loops.design import design, linear_factors
+    from handctl.tune.loops.design import design_gains, linear_factors
 
     try:
-        result = design(HandModel.of(hand, gains, rate), tuple(linear_factors(one) for one in plants))
+        result = design_gains(HandModel.of(hand, gains, rate), tuple(linear_factors(one) for one in plants))
     except (ValueError, ConfigError):
         return ()
     return (result.as_weights(),)
@@ -87,7 +103,13 @@ class _Progress:
     """Progress display of a search: completed trials, best trial and remaining time."""
 
     def __init__(self, trials: int, quiet: bool) -> None:
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+        from rich.progress import (
+            BarColumn,
+            MofNCompleteColumn,
+            Progress,
+            TextColumn,
+            TimeRemainingColumn,
+        )
 
         columns = (
             TextColumn("search"),
@@ -96,7 +118,7 @@ class _Progress:
             TimeRemainingColumn(),
             TextColumn("{task.description}"),
         )
-        self._console = screen(error=True)
+        self._console = rich_console(error=True)
         self._bar = Progress(*columns, console=self._console, disable=quiet or not self._console.is_terminal)
         self._task = self._bar.add_task("designing", total=trials)
         self._quiet = quiet
@@ -128,7 +150,11 @@ class _Progress:
 def _report_fields(result: Any, storage: Path, out: Path | None, picture: Path) -> dict[str, Any]:
     best = result.best
     first = result.trials[0]
-    best_fields = best and {"trial": best.number, "values": best.values, "score": asdict(best.score)}
+    best_fields = best and {
+        "trial": best.number,
+        "values": best.values,
+        "score": asdict(best.score),
+    }
     return {
         "trials": len(result.trials),
         "good": sum(one.feasible for one in result.trials),
@@ -155,6 +181,12 @@ def _print_search(result: Any, report: dict[str, Any]) -> None:
         ("shortfall of margins", "shortfall", 2),
     )
     for name, key, digits in rows:
-        table.add_row(name, *(f"{getattr(one.score, key):.{digits}f}" for one in (result.trials[0], result.best)))
-    screen().print(table)
-    screen().print(f"gains: {report['gains']}\npicture: {report['picture']}\nstudy: {report['study']}", soft_wrap=True)
+        table.add_row(
+            name,
+            *(f"{getattr(one.score, key):.{digits}f}" for one in (result.trials[0], result.best)),
+        )
+    rich_console().print(table)
+    rich_console().print(
+        f"gains: {report['gains']}\npicture: {report['picture']}\nstudy: {report['study']}",
+        soft_wrap=True,
+    )

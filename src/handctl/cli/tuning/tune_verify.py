@@ -10,11 +10,11 @@ from handctl.cli.console.begin import announce
 from handctl.cli.console.dry_run import report_dry_run
 from handctl.cli.console.options import checked_count, print_json
 from handctl.cli.console.plan import check_perturb, find_calibration, make_plan, refuse_bus_options
-from handctl.cli.console.screen import screen
-from handctl.cli.console.verbosity import note
+from handctl.cli.console.screen import rich_console
+from handctl.cli.console.verbosity import print_note
 from handctl.errors import ConfigError
-from handctl.session.calibration import ensure_calibration, homed, identified_in
-from handctl.session.exit_codes import Exit
+from handctl.session.calibration import ensure_calibration, homed_calibration, identified_in
+from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import assignments, gains_for
 from handctl.session.plan import Plan, check_design, commission_log, default_log
 from handctl.session.run import Outcome, make_controller, run_live, run_lockstep
@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     old = plan.gains
     base = old.model_copy(update={"filter": new.gains.filter})
     if old.filter != new.gains.filter:
-        note("the filter's gains cannot change in a run: both halves use the new ones")
+        print_note("the filter's gains cannot change in a run: both halves use the new ones")
     if args.dry_run:
         line = f"{plan.hand.name}: would verify {args.candidate} in {len(AMPLITUDES)} rounds"
         return report_dry_run(args, plan, line, gains=args.candidate, amplitudes=AMPLITUDES)
@@ -73,7 +73,7 @@ def _run_once(
             calibration = ensure_calibration(plan, path, reason, run_live, commission_log(log))
         controller = make_controller(plan, program, calibration, True)
         return run_live(plan, controller, log, observer=observer), None
-    calibration = homed(plan.hand, identified_in(args.calibration, plan.hand))
+    calibration = homed_calibration(plan.hand, identified_in(args.calibration, plan.hand))
     truth = log.with_suffix(".truth")
     perturb = assignments(args.perturb, "--perturb")
     with Simulator(args.hand, None, args.seed, perturb, homed=True, truth=truth).clock(plan.period_ns) as clock:
@@ -85,11 +85,11 @@ def _judge_run(plan: Plan, outcome: Outcome, observer: Any, log: Path, truth_fil
     from handctl.log.read.reader import RunLog
     from handctl.report.truth import read_truth
     from handctl.tune.plots import draw_verify
-    from handctl.tune.verify import AMPLITUDES, scores
+    from handctl.tune.verify import AMPLITUDES, scores_by_round
 
     truth = read_truth(truth_file) if truth_file else None
     with RunLog(log) as record:
-        rounds = scores(record, plan.hand, truth, outcome.offset_ns)
+        rounds = scores_by_round(record, plan.hand, truth, outcome.offset_ns)
         picture = log.with_suffix(".png")
         draw_verify(picture, record, plan.hand, truth, outcome.offset_ns, observer.returned)
     return {
@@ -105,10 +105,10 @@ def _judge_run(plan: Plan, outcome: Outcome, observer: Any, log: Path, truth_fil
 
 def _report(args: argparse.Namespace, runs: list[dict[str, Any]], outcome: Outcome) -> int:
     """Print the result of all runs, with the table of the last run. Returns the exit code."""
-    from handctl.tune.verify import compare
+    from handctl.tune.verify import compare_rounds
 
     last = runs[-1]
-    columns = compare([one["rounds"] for one in runs]) if last["through"] else []
+    columns = compare_rounds([one["rounds"] for one in runs]) if last["through"] else []
     worse = [column.name for column in columns if column.verdict == "worse"]
     verified = last["through"] and (args.accept_worse or not worse)
     result = {key: value for key, value in last.items() if key != "through"} | {
@@ -123,9 +123,9 @@ def _report(args: argparse.Namespace, runs: list[dict[str, Any]], outcome: Outco
         print_json(result)
     else:
         _print(result, last["rounds"], args)
-    if outcome.exit != Exit.DONE:
+    if outcome.exit != ExitCode.DONE:
         return outcome.exit
-    return Exit.DONE if verified else Exit.FAILED
+    return ExitCode.DONE if verified else ExitCode.FAILED
 
 
 def _print_columns(result: dict[str, Any]) -> None:
@@ -142,12 +142,23 @@ def _print(result: dict[str, Any], rounds: Iterable[Any], args: argparse.Namespa
     from handctl.tune.verify import AMPLITUDES
 
     table = Table(title=f"judged by the {result['judged_by']}")
-    for heading in ("gains", "amplitude", "tracking [deg]", "tension [N]", "effort [N m/s]", "peak tension [N]"):
+    for heading in (
+        "gains",
+        "amplitude",
+        "tracking [deg]",
+        "tension [N]",
+        "effort [N m/s]",
+        "peak tension [N]",
+    ):
         table.add_column(heading)
     for i, (one, amplitude) in enumerate(zip(rounds, AMPLITUDES, strict=False)):
         numbers = (one.tracking_deg, one.tension_N, one.effort_Nm_per_s, one.peak_tension_N)
-        table.add_row(_gains_label(i, result["returned"]), f"{amplitude:g}", *(f"{number:.2f}" for number in numbers))
-    console = screen()
+        table.add_row(
+            _gains_label(i, result["returned"]),
+            f"{amplitude:g}",
+            *(f"{number:.2f}" for number in numbers),
+        )
+    console = rich_console()
     console.print(table)
     back = result["returned"]
     if back:
@@ -160,7 +171,10 @@ def _print(result: dict[str, Any], rounds: Iterable[Any], args: argparse.Namespa
     if result.get("worse") and not result["verified"]:
         print(f"not verified: {', '.join(result['worse'])} worse than with the old gains; --accept-worse takes that")
     if result["verified"]:
-        console.print(f"verified; to use them: handctl gains apply {args.candidate} --hand {args.hand}", soft_wrap=True)
+        console.print(
+            f"verified; to use them: handctl gains apply {args.candidate} --hand {args.hand}",
+            soft_wrap=True,
+        )
     if result["failure"]:
         console.print(f"the run failed: {result['failure']}")
     console.print(f"log: {result['log']}\npicture: {result['picture']}", soft_wrap=True)

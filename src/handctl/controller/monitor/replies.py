@@ -16,7 +16,7 @@ from handctl.drives.frame import Frame
 from handctl.drives.sensors.node import SensorNode
 
 
-def unsolicited(
+def detect_unsolicited_replies(
     drives: tuple[Drive, ...], sensors: SensorNode, before: State, state: State, frames: Sequence[Frame]
 ) -> tuple[str, ...]:
     """Detect unsolicited and duplicate replies in a tick.

@@ -32,7 +32,7 @@ NOISE_STEPS = 6.0
 """Rounding error of the encoder in the mean squared jerk [encoder counts]."""
 
 
-def limits_of(model: HandModel, drives: tuple[Drive, ...], sensors: SensorNode) -> Limits:
+def safety_limits(model: HandModel, drives: tuple[Drive, ...], sensors: SensorNode) -> Limits:
     """Return the safety thresholds of a hand."""
     hand = model.hand
     return Limits(
@@ -49,11 +49,11 @@ def limits_of(model: HandModel, drives: tuple[Drive, ...], sensors: SensorNode) 
         silent_ticks=ticks_for(SILENT_S, model.period, MIN_SILENT_TICKS),
         stalled_ticks=ticks_for(STALLED_S, model.period, MIN_STALLED_TICKS),
         noise=_noise_limit(model),
-        frames=frames_limit(drives, sensors),
+        frames=max_frames_per_tick(drives, sensors),
     )
 
 
-def constants_of(
+def compiled_constants(
     model: HandModel, drives: tuple[Drive, ...], sensors: SensorNode, limits: Limits, tare: Vector, zero: Vector
 ) -> HandConstants:
     """Return the constants of a hand for the compiled code.
@@ -82,7 +82,7 @@ def constants_of(
         "joint_period": joint_period,
         "tension_trip": limits.tension_trip,
         "drive_limit": limits.drive_limit,
-        "torque_step": [torque_step(drive) for drive in drives] / model.space.spool,
+        "torque_step": [torque_resolution(drive) for drive in drives] / model.space.spool,
         "noise_limit": limits.noise,
         "temperature_soft": limits.temperature_soft,
         "temperature_hard": limits.temperature_hard,
@@ -101,7 +101,7 @@ def constants_of(
     })  # fmt: skip
 
 
-def torque_step(drive: Drive) -> float:
+def torque_resolution(drive: Drive) -> float:
     """Return the torque of one count in feedback or command, the larger of the two [N m at the spool].
 
     A floating-point torque counts as exact.
@@ -111,7 +111,7 @@ def torque_step(drive: Drive) -> float:
     return max((abs(signal.scale) for signal in signals if signal.coding != Coding.FLOAT), default=0.0)
 
 
-def frames_limit(drives: Sequence[Drive], sensors: SensorNode) -> int:
+def max_frames_per_tick(drives: Sequence[Drive], sensors: SensorNode) -> int:
     """Return the number of frames per tick that means a flooded bus: twice the replies of all nodes."""
     return max(MIN_FRAMES_LIMIT, sum(len(drive.exchange) for drive in drives) + 2 * len(sensors.node_ids))
 

@@ -14,9 +14,9 @@ from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.safety.faults.bus import WINDOW
 
-QUESTIONS = 8
+MAX_REQUESTS = 8
 """Largest number of outstanding requests. A node without replies for longer is silent, and older requests are lost."""
-READY = 2
+PHASE_READY = 2
 
 
 @inner
@@ -50,11 +50,11 @@ def add_requests(x: Tables, k: int) -> None:
     """
     for n in range(x.tendon.shape[1]):
         count = x.tendon_int[s.OUTSTANDING, n]
-        if x.tendon_int[s.PHASE_BEFORE, n] < READY:
+        if x.tendon_int[s.PHASE_BEFORE, n] < PHASE_READY:
             count = 0
         remaining = 0
         # Keep at most QUESTIONS - 1 old requests, to leave a place for the new one.
-        for i in range(max(count - QUESTIONS + 1, 0), count):
+        for i in range(max(count - MAX_REQUESTS + 1, 0), count):
             outstanding = x.tendon_int[s.REQUEST_TICKS + i, n]
             if i == count - 1 or k - outstanding < WINDOW:
                 x.tendon_int[s.REQUEST_TICKS + remaining, n] = outstanding

@@ -8,7 +8,7 @@ from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
-from handctl.core.detectors.losses import bit_count, lost_replies, motor_age
+from handctl.core.detectors.losses import count_lost_replies, count_set_bits, motor_ticks_overdue
 from handctl.safety.faults.bus import (
     B01,
     B02,
@@ -35,15 +35,15 @@ Evidence = NDArray[np.float64]
 
 
 @inner
-def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
+def detect_bus_faults(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
     """Run the detectors of this module, and write their results."""
     if x.run[s.UNKNOWN] > UNKNOWN_LIMIT:
         evidence[B10, 0] = x.run[s.UNKNOWN]
     if not armed:
         return
-    _answers(x, c, evidence)
-    _losses(x, evidence)
-    _shapes(x, evidence)
+    _detect_overdue_feedback(x, c, evidence)
+    _detect_lost_replies(x, evidence)
+    _detect_bad_frames(x, evidence)
     if x.run_int[s.STALE_NOW] == 1:
         evidence[B04, 0] = 0.0
     if x.run_int[s.STALE_NOW] == 2:
@@ -54,13 +54,13 @@ def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> Non
 
 
 @inner
-def _answers(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
+def _detect_overdue_feedback(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
     """Find overdue feedback. Ticks missed by this host had no request."""
-    youngest = motor_age(x, c, 0, x.run_int[s.T_NS])
+    youngest = motor_ticks_overdue(x, c, 0, x.run_int[s.T_NS])
     for n in range(x.tendon.shape[1]):
-        youngest = min(youngest, motor_age(x, c, n, x.run_int[s.T_NS]))
+        youngest = min(youngest, motor_ticks_overdue(x, c, n, x.run_int[s.T_NS]))
     for n in range(x.tendon.shape[1]):
-        age = motor_age(x, c, n, x.run_int[s.T_NS])
+        age = motor_ticks_overdue(x, c, n, x.run_int[s.T_NS])
         if age > x.run_int[s.MISSED]:
             evidence[B01, n] = age
         if age >= c.run_int[h.SILENT_TICKS]:
@@ -70,10 +70,10 @@ def _answers(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
 
 
 @inner
-def _losses(x: Tables, evidence: Evidence) -> None:
+def _detect_lost_replies(x: Tables, evidence: Evidence) -> None:
     """Find lost and halved replies."""
     for node in range(x.node_int.shape[1]):
-        number = lost_replies(x, node)
+        number = count_lost_replies(x, node)
         if number > HOLD_LOSSES:
             evidence[B03A, node] = number
         if number > RELAX_LOSSES:
@@ -81,11 +81,11 @@ def _losses(x: Tables, evidence: Evidence) -> None:
 
 
 @inner
-def _shapes(x: Tables, evidence: Evidence) -> None:
+def _detect_bad_frames(x: Tables, evidence: Evidence) -> None:
     """Find malformed frames, duplicate replies and stale replies."""
     for node in range(x.node_int.shape[1]):
         if x.node_int[s.MALFORMED, node] & 1:
-            number = bit_count(x.node_int[s.MALFORMED, node])
+            number = count_set_bits(x.node_int[s.MALFORMED, node])
             evidence[B09, node] = number
             if number >= MALFORMED_LIMIT:
                 evidence[B08, node] = number

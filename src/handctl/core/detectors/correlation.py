@@ -26,7 +26,7 @@ from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.safety.faults.node import REPORTED_FRACTION, REPORTED_S
 
-FILLED = 0.9
+MIN_FILLING = 0.9
 """Fraction of the low-pass filled with measurements before the test."""
 SIGMAS = 4.0
 SETTLED_TICKS = 3
@@ -44,7 +44,7 @@ AA, AB, AB_LATE, BB, FULL = range(5)
 
 
 @inner
-def update(x: Tables, c: ConstantTables, missed: int) -> None:
+def update_correlation(x: Tables, c: ConstantTables, missed: int) -> None:
     """Update the moments of the increments.
 
     A drive replies before obeying, so the report of a tick belongs to the command before the last.
@@ -69,11 +69,11 @@ def update(x: Tables, c: ConstantTables, missed: int) -> None:
         if missed == 0 and math.isfinite(report):
             settled = x.tendon[s.REPORT_ON_TIME, n] + 1.0
         if math.isfinite(a + b + late) and settled > SETTLED_TICKS:
-            _low_pass(x, n, AA, fraction, a * a)
-            _low_pass(x, n, AB, fraction, a * b)
-            _low_pass(x, n, AB_LATE, fraction, late * b)
-            _low_pass(x, n, BB, fraction, b * b)
-            _low_pass(x, n, FULL, fraction, 1.0)
+            _low_pass_moment(x, n, AA, fraction, a * a)
+            _low_pass_moment(x, n, AB, fraction, a * b)
+            _low_pass_moment(x, n, AB_LATE, fraction, late * b)
+            _low_pass_moment(x, n, BB, fraction, b * b)
+            _low_pass_moment(x, n, FULL, fraction, 1.0)
         x.tendon[s.REPORT_ON_TIME, n] = settled
         x.tendon[s.REPORT_FORCES, n] = command
         x.tendon[s.REPORT_FORCES + 1, n] = first
@@ -82,12 +82,12 @@ def update(x: Tables, c: ConstantTables, missed: int) -> None:
 
 
 @inner
-def _low_pass(x: Tables, n: int, moment: int, fraction: float, value: float) -> None:
+def _low_pass_moment(x: Tables, n: int, moment: int, fraction: float, value: float) -> None:
     x.tendon[s.REPORT_MOMENTS + moment, n] += fraction * (value - x.tendon[s.REPORT_MOMENTS + moment, n])
 
 
 @inner
-def unfollowed(x: Tables, c: ConstantTables, n: int) -> bool:
+def is_command_ignored(x: Tables, c: ConstantTables, n: int) -> bool:
     """Return True if a motor's report does not follow the command."""
     aa = x.tendon[s.REPORT_MOMENTS + AA, n]
     bb = x.tendon[s.REPORT_MOMENTS + BB, n]
@@ -95,13 +95,13 @@ def unfollowed(x: Tables, c: ConstantTables, n: int) -> bool:
     # Both have to move by more than rounding: a command at rest says nothing, a report at rest is another fault.
     rounding = max(MOVED_FRACTION * c.tendon[h.DRIVE_LIMIT, n], 0.5 * c.tendon[h.TORQUE_STEP, n])
     moves = min(aa, bb) > square(rounding)
-    if x.tendon[s.REPORT_MOMENTS + FULL, n] <= FILLED or not moves:
+    if x.tendon[s.REPORT_MOMENTS + FULL, n] <= MIN_FILLING or not moves:
         return False
     return ab + SIGMAS * math.sqrt(aa * bb * c.run[h.PERIOD] / (2.0 * REPORTED_S)) < REPORTED_FRACTION * aa
 
 
 @inner
-def reported_fraction(x: Tables, n: int) -> float:
+def fraction_of_command_reported(x: Tables, n: int) -> float:
     """Return the reported fraction of the command's changes, 1 for an obeying drive."""
     ab = max(x.tendon[s.REPORT_MOMENTS + AB, n], x.tendon[s.REPORT_MOMENTS + AB_LATE, n])
     # The lower bound only prevents a division by 0.

@@ -10,7 +10,7 @@ from handctl.safety.faults.host import H01, H02, H03, I07A, I07B, I11A, I11B, LA
 
 
 @inner
-def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
+def detect_host_faults(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
     """Run the detectors of this module, and write their results."""
     # Lateness as a fraction of the period.
     late = x.run_int[s.LATE_NS] / c.run_int[h.PERIOD_NS]

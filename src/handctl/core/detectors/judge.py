@@ -28,13 +28,13 @@ from handctl.core.detectors import (
 from handctl.core.detectors.bus import Evidence
 from handctl.safety.faults.table import ACTIONS, DEBOUNCE
 
-ROWS = len(ACTIONS)
+FAULT_ROWS = len(ACTIONS)
 ARMING, RELAX, DISARM, CUT = 3, 5, 6, 7
 """Numbers of ``core.types.Mode``. Torque may act from ARMING to RELAX, and must not in DISARM and CUT."""
 
 
 @inner
-def judge(x: Tables, c: ConstantTables, initial: Tables) -> tuple[int, Evidence]:
+def find_and_debounce_faults(x: Tables, c: ConstantTables, initial: Tables) -> tuple[int, Evidence]:
     """Judge a tick.
 
     Args:
@@ -49,40 +49,40 @@ def judge(x: Tables, c: ConstantTables, initial: Tables) -> tuple[int, Evidence]
     mode = x.run_int[s.MODE]
     armed = ARMING <= mode <= RELAX
     cut = mode == CUT or mode == DISARM
-    evidence = np.full((ROWS, x.instance_int.shape[1]), math.nan)
-    losses.update_counts(x, c, x.run_int[s.T_NS], x.run_int[s.UNKNOWN_FRAMES], armed and x.run_int[s.MISSED] == 0)
-    bus.detect(x, c, armed, evidence)
-    node.detect(x, c, armed, evidence)
-    tendon.detect(x, c, armed, evidence)
-    host.detect(x, c, armed, evidence)
+    evidence = np.full((FAULT_ROWS, x.instance_int.shape[1]), math.nan)
+    losses.update_loss_counts(x, c, x.run_int[s.T_NS], x.run_int[s.UNKNOWN_FRAMES], armed and x.run_int[s.MISSED] == 0)
+    bus.detect_bus_faults(x, c, armed, evidence)
+    node.detect_node_faults(x, c, armed, evidence)
+    tendon.detect_tendon_faults(x, c, armed, evidence)
+    host.detect_host_faults(x, c, armed, evidence)
     if armed:
-        remember(x, c)
-        node.detect_under_torque(x, c, evidence)
-        tendon.detect_under_torque(x, c, evidence)
+        update_fault_memory(x, c)
+        node.detect_node_faults_under_torque(x, c, evidence)
+        tendon.detect_tendon_faults_under_torque(x, c, evidence)
     elif cut:
-        slack.after_cut(x, c, x.run_int[s.TARED] == 1)
-        node.detect_after_cut(x, c, evidence)
+        slack.update_history_after_cut(x, c, x.run_int[s.TARED] == 1)
+        node.detect_tension_after_cut(x, c, evidence)
     else:
         reset_monitor(x, initial)
-    return debounce(x, evidence), evidence
+    return debounce_faults(x, evidence), evidence
 
 
 @inner
-def remember(x: Tables, c: ConstantTables) -> None:
+def update_fault_memory(x: Tables, c: ConstantTables) -> None:
     """Update the detectors' memory of a hand under torque."""
     missed = x.run_int[s.MISSED]
     tared = x.run_int[s.TARED] == 1
-    slip.update(x, c, tared)
-    residuals.update(x, c, missed, tared)
-    slack.update(x, c)
-    stuck.update(x, c, tared)
-    correlation.update(x, c, missed)
-    replays.update(x, tared)
-    swings.update(x, c, tared)
+    slip.update_slip(x, c, tared)
+    residuals.update_residuals(x, c, missed, tared)
+    slack.update_slack_history(x, c)
+    stuck.update_stuck_counts(x, c, tared)
+    correlation.update_correlation(x, c, missed)
+    replays.update_repetitions(x, tared)
+    swings.update_swing(x, c, tared)
 
 
 @inner
-def debounce(x: Tables, evidence: Evidence) -> int:
+def debounce_faults(x: Tables, evidence: Evidence) -> int:
     """Count consecutive ticks of each fault. Return the largest action of all counting faults."""
     action = 0
     fresh = 0

@@ -5,19 +5,19 @@ from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
-from handctl.safety.faults.bus import SHORT, WINDOW
+from handctl.safety.faults.bus import SHORT_WINDOW, WINDOW
 from handctl.safety.faults.node import HALF_RATE_MISSES
 
-NEVER = 1_000_000
+AGE_WITHOUT_READING = 1_000_000
 """Age without any reading [ticks]."""
-HALF = WINDOW // 2
+BITS_PER_WORD = WINDOW // 2
 """Bits in each of the two words of a window."""
-HALF_MASK = (1 << HALF) - 1
-SHORT_MASK = (1 << SHORT) - 1
+WORD_MASK = (1 << BITS_PER_WORD) - 1
+SHORT_MASK = (1 << SHORT_WINDOW) - 1
 
 
 @inner
-def ticks_late(now_ns: int, heard_ns: int, cyclic_ns: int, period_ns: int) -> int:
+def ticks_overdue(now_ns: int, heard_ns: int, cyclic_ns: int, period_ns: int) -> int:
     """Return by how many whole ticks a reading is overdue. A reading within the last period is in time.
 
     Args:
@@ -27,18 +27,18 @@ def ticks_late(now_ns: int, heard_ns: int, cyclic_ns: int, period_ns: int) -> in
         period_ns: control period [ns].
     """
     if heard_ns < 0:
-        return NEVER
+        return AGE_WITHOUT_READING
     return max((now_ns - cyclic_ns - heard_ns) // period_ns, 0)
 
 
 @inner
-def motor_age(x: Tables, c: ConstantTables, n: int, now_ns: int) -> int:
+def motor_ticks_overdue(x: Tables, c: ConstantTables, n: int, now_ns: int) -> int:
     """Return by how many ticks the feedback of a motor is overdue."""
-    return ticks_late(now_ns, x.tendon_int[s.FEEDBACK_NS, n], c.tendon_int[h.CYCLIC_NS, n], c.run_int[h.PERIOD_NS])
+    return ticks_overdue(now_ns, x.tendon_int[s.FEEDBACK_NS, n], c.tendon_int[h.CYCLIC_NS, n], c.run_int[h.PERIOD_NS])
 
 
 @inner
-def cell_age(x: Tables, c: ConstantTables, n: int, now_ns: int) -> int:
+def cell_ticks_overdue(x: Tables, c: ConstantTables, n: int, now_ns: int) -> int:
     """Return by how many ticks the reading of a load cell is overdue.
 
     A tendon without a cell has the age of the node's latest frame, 0 in a hand without load cells.
@@ -50,11 +50,11 @@ def cell_age(x: Tables, c: ConstantTables, n: int, now_ns: int) -> int:
             heard_ns = max(heard_ns, x.group_int[s.GROUP_NS, g])
     if c.run_int[h.TENSION_GROUPS] == 0:
         return 0
-    return ticks_late(now_ns, heard_ns, 0, c.run_int[h.PERIOD_NS])
+    return ticks_overdue(now_ns, heard_ns, 0, c.run_int[h.PERIOD_NS])
 
 
 @inner
-def update_counts(x: Tables, c: ConstantTables, now_ns: int, unknown: int, judged: bool) -> None:
+def update_loss_counts(x: Tables, c: ConstantTables, now_ns: int, unknown: int, judged: bool) -> None:
     """Update the counts.
 
     Args:
@@ -68,15 +68,15 @@ def update_counts(x: Tables, c: ConstantTables, now_ns: int, unknown: int, judge
     for node in range(tendons + 1):
         late = False
         if node < tendons:
-            late = motor_age(x, c, node, now_ns) > 0
+            late = motor_ticks_overdue(x, c, node, now_ns) > 0
         else:
             for n in range(tendons):
-                late |= cell_age(x, c, n, now_ns) > 0
+                late |= cell_ticks_overdue(x, c, n, now_ns) > 0
         recent = x.node_int[s.LOST, node]
         earlier = x.node_int[s.LOST + 1, node]
         # A shift register of two words: the oldest bit of the recent word moves into the earlier word.
-        x.node_int[s.LOST + 1, node] = (earlier << 1 | recent >> (HALF - 1)) & HALF_MASK
-        x.node_int[s.LOST, node] = (recent << 1 | (late and judged)) & HALF_MASK
+        x.node_int[s.LOST + 1, node] = (earlier << 1 | recent >> (BITS_PER_WORD - 1)) & WORD_MASK
+        x.node_int[s.LOST, node] = (recent << 1 | (late and judged)) & WORD_MASK
         misread = x.node_int[s.MISREAD_NOW, node] != 0
         x.node_int[s.MALFORMED, node] = (x.node_int[s.MALFORMED, node] << 1 | misread) & SHORT_MASK
     # Leaky counter with a time constant of 1 s. A small rest becomes 0, so that the counter comes to an end.
@@ -85,7 +85,7 @@ def update_counts(x: Tables, c: ConstantTables, now_ns: int, unknown: int, judge
 
 
 @inner
-def bit_count(bits: int) -> int:
+def count_set_bits(bits: int) -> int:
     """Return the number of set bits."""
     number = 0
     while bits:
@@ -96,14 +96,14 @@ def bit_count(bits: int) -> int:
 
 
 @inner
-def lost_replies(x: Tables, node: int) -> int:
+def count_lost_replies(x: Tables, node: int) -> int:
     """Return how many of the last ``WINDOW`` ticks had no reply."""
-    return bit_count(x.node_int[s.LOST, node]) + bit_count(x.node_int[s.LOST + 1, node])
+    return count_set_bits(x.node_int[s.LOST, node]) + count_set_bits(x.node_int[s.LOST + 1, node])
 
 
 @inner
 def misses_every_second(x: Tables, node: int) -> bool:
-    """Return True if a node missed about every other one of the last ``SHORT`` ticks, and two in a row at most once."""
+    """Return True if a node missed about every other tick of ``SHORT_WINDOW``, and two in a row at most once."""
     recent = x.node_int[s.LOST, node] & SHORT_MASK
     # Bits of two misses in a row: the word ANDed with itself shifted by one.
-    return bit_count(recent) >= HALF_RATE_MISSES and bit_count(recent & recent >> 1) <= 1
+    return count_set_bits(recent) >= HALF_RATE_MISSES and count_set_bits(recent & recent >> 1) <= 1

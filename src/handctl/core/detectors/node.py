@@ -9,10 +9,9 @@ from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.detectors import correlation, residuals, stuck
 from handctl.core.detectors.bus import Evidence
-from handctl.core.detectors.losses import cell_age, misses_every_second
-from handctl.core.detectors.slip import DEG
+from handctl.core.detectors.losses import cell_ticks_overdue, misses_every_second
+from handctl.core.detectors.slip import DEG_PER_RAD
 from handctl.safety.faults.node import (
-    DISOBEYED_N,
     N01,
     N02,
     N02B,
@@ -35,11 +34,12 @@ from handctl.safety.faults.node import (
     N15,
     N16,
     N17,
-    PULLED_AFTER_S,
-    PULLED_FRACTION,
-    PULLED_N,
+    NOT_OBEYED_N,
     SLIP_TRIP_DEG,
     SLIP_WARN_DEG,
+    STILL_PULLING_FRACTION,
+    STILL_PULLING_N,
+    STILL_PULLING_S,
     STUCK_GOAL_M,
     STUCK_JOINT_DEG,
     STUCK_S,
@@ -49,23 +49,23 @@ from handctl.safety.faults.node import (
 
 ROW_OF_CAUSE = (N11, N01, N08, N10, N11, N12, N11, N11B)
 """Fault of each ``drives.causes.Cause``."""
-FAULT = 4
+PHASE_FAULT = 4
 """Number of ``drives.contract.Phase.FAULT``."""
 
 
 @inner
-def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
+def detect_node_faults(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
     """Run the detectors of this module that need no torque, and write their results."""
     for n in range(x.tendon.shape[1]):
         if x.tendon[s.TEMPERATURE, n] > c.run[h.TEMPERATURE_SOFT]:
             evidence[N09A, n] = x.tendon[s.TEMPERATURE, n]
         if x.tendon[s.TEMPERATURE, n] > c.run[h.TEMPERATURE_HARD]:
             evidence[N09B, n] = x.tendon[s.TEMPERATURE, n]
-    _jumps(x, evidence)
+    _detect_rejected_positions(x, evidence)
     if not armed:
         return
-    _errors(x, evidence)
-    _silence(x, c, evidence)
+    _detect_drive_errors(x, evidence)
+    _detect_silent_sensors(x, c, evidence)
     for node in range(x.node_int.shape[1]):
         if misses_every_second(x, node):
             evidence[N15, node] = 0.5
@@ -74,19 +74,19 @@ def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> Non
 
 
 @inner
-def _errors(x: Tables, evidence: Evidence) -> None:
+def _detect_drive_errors(x: Tables, evidence: Evidence) -> None:
     """Find the errors that drives report, one row per cause."""
     for n in range(x.tendon.shape[1]):
-        if x.tendon_int[s.PHASE, n] == FAULT:
+        if x.tendon_int[s.PHASE, n] == PHASE_FAULT:
             evidence[ROW_OF_CAUSE[x.tendon_int[s.FAULT_CAUSE, n]], n] = x.tendon_int[s.FAULT_CODE, n]
 
 
 @inner
-def _silence(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
+def _detect_silent_sensors(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
     """Find silent load cells and joint encoders."""
     now_ns = x.run_int[s.T_NS]
     for n in range(x.tendon.shape[1]):
-        age = cell_age(x, c, n, now_ns)
+        age = cell_ticks_overdue(x, c, n, now_ns)
         if age >= c.run_int[h.SILENT_TICKS]:
             evidence[N02, n] = age
     last = -1
@@ -100,7 +100,7 @@ def _silence(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
 
 
 @inner
-def _jumps(x: Tables, evidence: Evidence) -> None:
+def _detect_rejected_positions(x: Tables, evidence: Evidence) -> None:
     """Find rejected positions. The row of motors is followed by the row of joints."""
     for n in range(x.tendon.shape[1]):
         if x.tendon[s.JUMP, n] > 0.0:
@@ -116,7 +116,7 @@ def _jumps(x: Tables, evidence: Evidence) -> None:
 
 
 @inner
-def detect_under_torque(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
+def detect_node_faults_under_torque(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
     """Run the detectors that need a hand under torque, and write their results."""
     for n in range(x.tendon.shape[1]):
         slip = abs(x.tendon[s.RESIDUAL + residuals.SLIP, n])
@@ -127,38 +127,41 @@ def detect_under_torque(x: Tables, c: ConstantTables, evidence: Evidence) -> Non
         jerk = abs(x.tendon[s.RESIDUAL + residuals.JERK, n])
         if jerk > c.run[h.NOISE_LIMIT]:
             evidence[N07, n] = jerk
-        disobeyed = abs(x.tendon[s.RESIDUAL + residuals.ASKED, n])
-        if disobeyed > DISOBEYED_N:
+        disobeyed = abs(x.tendon[s.RESIDUAL + residuals.COMMAND_DIFFERENCE, n])
+        if disobeyed > NOT_OBEYED_N:
             evidence[N14, n] = disobeyed
         if x.tendon[s.SWING_S, n] > SWING_S:
             evidence[N14B, n] = math.sqrt(x.tendon[s.SWING_SQUARE, n])
-        if correlation.unfollowed(x, c, n):
-            evidence[N17, n] = correlation.reported_fraction(x, n)
-    _stuck(x, c, evidence)
+        if correlation.is_command_ignored(x, c, n):
+            evidence[N17, n] = correlation.fraction_of_command_reported(x, n)
+    _detect_stuck_encoders(x, c, evidence)
 
 
 @inner
-def _stuck(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
+def _detect_stuck_encoders(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
     """Find encoders with constant readings despite motion. The row of motors is followed by the row of joints."""
     for n in range(x.tendon.shape[1]):
         if x.tendon_int[s.MOTOR_STUCK, n] * c.tendon[h.MOTOR_PERIOD, n] > STUCK_S:
-            goal = stuck.motion_since(x.tendon[s.FOLLOWED, n], x.tendon[s.MOTOR_ANCHOR, n])
-            tension = stuck.motion_since(stuck.stretching_tension(x, c, n), x.tendon[s.MOTOR_ANCHOR + 1, n])
+            goal = stuck.motion_since_reading(x.tendon[s.FOLLOWED, n], x.tendon[s.MOTOR_ANCHOR, n])
+            tension = stuck.motion_since_reading(stuck.reference_tension(x, c, n), x.tendon[s.MOTOR_ANCHOR + 1, n])
             if goal > STUCK_GOAL_M or tension > STUCK_TENSION_N:
                 evidence[N04, n] = max(goal * 1e3, tension)
     for j in range(x.joint.shape[1]):
         if x.joint_int[s.JOINT_STUCK, j] * c.run[h.JOINT_PERIOD] > STUCK_S:
-            turned = stuck.motion_since(stuck.angle_by_spools(x, c, j), x.joint[s.JOINT_ANCHOR, j]) * DEG
+            turned = (
+                stuck.motion_since_reading(stuck.joint_angle_by_spools(x, c, j), x.joint[s.JOINT_ANCHOR, j])
+                * DEG_PER_RAD
+            )
             if turned > STUCK_JOINT_DEG:
                 evidence[N04 + 1, j] = turned
 
 
 @inner
-def detect_after_cut(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
+def detect_tension_after_cut(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
     """Find tendons that are still under tension after the torque was cut."""
-    if x.run_int[s.CUT_TICKS] * c.run[h.PERIOD] < PULLED_AFTER_S:
+    if x.run_int[s.CUT_TICKS] * c.run[h.PERIOD] < STILL_PULLING_S:
         return
     for n in range(x.tendon.shape[1]):
         tension = x.tendon[s.TENSION_AFTER_CUT, n]
-        if tension > PULLED_N and tension > PULLED_FRACTION * x.tendon[s.TENSION_AT_CUT, n]:
+        if tension > STILL_PULLING_N and tension > STILL_PULLING_FRACTION * x.tendon[s.TENSION_AT_CUT, n]:
             evidence[N16, n] = tension

@@ -16,18 +16,18 @@ from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation.measure import monitored_tension
 
-BALANCE, MADE, ASKED, TENSION, QUICK_FORCE, SLIP, JERK, RUB = range(8)
+BALANCE, MOTOR_FORCE, COMMAND_DIFFERENCE, TENSION, QUICK_FORCE, SLIP, JERK, EXCESS_FRICTION = range(8)
 """Rows of ``block.RESIDUAL``."""
-TIMES_S = (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0)
+TIME_CONSTANTS_S = (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0)
 """Time constant of each row [s]."""
 GAIN_FRACTION = 0.1
 """Tolerance of the torque constant, as a fraction of the motor force. Source: usual tolerance of K_t."""
-RUB_SPEED = 5e-3
+FULL_FRICTION_SPEED = 5e-3
 """Tendon speed of fully developed friction [m/s]."""
 
 
 @inner
-def update(x: Tables, c: ConstantTables, missed: int, tared: bool) -> None:
+def update_residuals(x: Tables, c: ConstantTables, missed: int, tared: bool) -> None:
     """Filter the residuals of a tick.
 
     Args:
@@ -57,14 +57,14 @@ def update(x: Tables, c: ConstantTables, missed: int, tared: bool) -> None:
         inertia = c.tendon[h.MOTOR_MASS, n] / c.run[h.PERIOD]
         balance = made - tension - inertia * (speed - x.tendon[s.LAST_SPEED, n]) - drag
         now[BALANCE] = balance
-        now[MADE] = made
-        now[ASKED] = commanded - force
+        now[MOTOR_FORCE] = made
+        now[COMMAND_DIFFERENCE] = commanded - force
         now[TENSION] = monitored
         now[QUICK_FORCE] = made
         now[SLIP] = x.tendon[s.SLIP, n]
         now[JERK] = square(turned - x.tendon[s.LAST_TURNED, n])
         # Against the motion: what rubs has the sign of the speed.
-        now[RUB] = math.copysign(1.0, speed) * balance if abs(speed) > RUB_SPEED else math.nan
+        now[EXCESS_FRICTION] = math.copysign(1.0, speed) * balance if abs(speed) > FULL_FRICTION_SPEED else math.nan
         for row in range(8):
             low = x.tendon[s.RESIDUAL + row, n]
             if not math.isnan(now[row] - low):
@@ -75,13 +75,15 @@ def update(x: Tables, c: ConstantTables, missed: int, tared: bool) -> None:
 
 
 @inner
-def unexplained(x: Tables, c: ConstantTables, n: int) -> float:
+def unexplained_tension(x: Tables, c: ConstantTables, n: int) -> float:
     """Return the tension beyond friction and the tolerance of the torque constant [N], 0 or more."""
-    explained = c.tendon[h.COULOMB, n] + GAIN_FRACTION * abs(x.tendon[s.RESIDUAL + MADE, n])
+    explained = c.tendon[h.COULOMB, n] + GAIN_FRACTION * abs(x.tendon[s.RESIDUAL + MOTOR_FORCE, n])
     return max(abs(x.tendon[s.RESIDUAL + BALANCE, n]) - explained, 0.0)
 
 
 @inner
-def friction(x: Tables, n: int) -> float:
+def excess_friction(x: Tables, n: int) -> float:
     """Return by how much the friction of a moving rotor exceeds the model [N]."""
-    return max(x.tendon[s.RESIDUAL + RUB, n] - GAIN_FRACTION * abs(x.tendon[s.RESIDUAL + MADE, n]), 0.0)
+    return max(
+        x.tendon[s.RESIDUAL + EXCESS_FRICTION, n] - GAIN_FRACTION * abs(x.tendon[s.RESIDUAL + MOTOR_FORCE, n]), 0.0
+    )

@@ -15,7 +15,7 @@ LATE_READING_S = 0.08
 
 
 @inner
-def update(x: Tables, c: ConstantTables) -> None:
+def update_slack_history(x: Tables, c: ConstantTables) -> None:
     """Update the history under torque. Tensions of a spool pair count in the direction of the command."""
     x.run_int[s.CUT_TICKS] = -1
     for n in range(x.tendon.shape[1]):
@@ -42,7 +42,7 @@ def update(x: Tables, c: ConstantTables) -> None:
 
 
 @inner
-def after_cut(x: Tables, c: ConstantTables, tared: bool) -> None:
+def update_history_after_cut(x: Tables, c: ConstantTables, tared: bool) -> None:
     """Update the history after a cut of the torque.
 
     The tension at the cut is the first reading after the cut. If missing, as frames often are where

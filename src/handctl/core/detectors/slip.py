@@ -12,11 +12,11 @@ from handctl.safety.faults.tendon import DERAILED_DEG, SLACK_N, TAUT_N
 
 SETTLE_S = 0.1
 """Time between taut tendon and reference measurement of joint against spool [s]."""
-DEG = 180.0 / math.pi
+DEG_PER_RAD = 180.0 / math.pi
 
 
 @inner
-def update(x: Tables, c: ConstantTables, tared: bool) -> None:
+def update_slip(x: Tables, c: ConstantTables, tared: bool) -> None:
     """Update the difference.
 
     Args:
@@ -41,6 +41,6 @@ def update(x: Tables, c: ConstantTables, tared: bool) -> None:
             x.tendon[s.SLIP_FROM, n] = math.nan
         x.tendon[s.SLIP, n] = math.nan
         if read:
-            x.tendon[s.SLIP, n] = (apart - x.tendon[s.SLIP_FROM, n]) / c.tendon[h.ARMS_SUM, n] * DEG
+            x.tendon[s.SLIP, n] = (apart - x.tendon[s.SLIP_FROM, n]) / c.tendon[h.ARMS_SUM, n] * DEG_PER_RAD
             far = abs(x.tendon[s.SLIP, n]) > DERAILED_DEG
             x.tendon[s.DERAILED, n] = x.tendon[s.DERAILED, n] + 1.0 if far else 0.0

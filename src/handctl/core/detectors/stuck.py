@@ -17,16 +17,16 @@ from handctl.core.estimation.structure import joint_excursion
 
 FOLLOW_S = 0.1
 """Time constant of a motor following a jump of the goal, with a large margin [s]."""
-SLOW_M_S = 2e-3
+SLOW_GOAL_M_S = 2e-3
 """Speed of a goal below which the motor follows at once [m/s]."""
 ARRIVED_M = 0.2e-3
 """Distance to the goal of a motor at rest at the goal [m]."""
-LEAP_M = 2.0 * ARRIVED_M
+GOAL_JUMP_M = 2.0 * ARRIVED_M
 """Step of a goal in a tick beyond the motion of an arriving digit [m]."""
 
 
 @inner
-def update(x: Tables, c: ConstantTables, tared: bool) -> None:
+def update_stuck_counts(x: Tables, c: ConstantTables, tared: bool) -> None:
     """Update the stuck counts. A missing reading is neither equal nor different.
 
     Args:
@@ -39,7 +39,7 @@ def update(x: Tables, c: ConstantTables, tared: bool) -> None:
         last = x.tendon[s.MOTOR_VALUE, n]
         moved = not math.isnan(value) and value != last
         goal = x.tendon[s.FOLLOWED, n]
-        tension = stretching_tension(x, c, n)
+        tension = reference_tension(x, c, n)
         if moved or math.isnan(x.tendon[s.MOTOR_ANCHOR, n]):
             x.tendon[s.MOTOR_ANCHOR, n] = goal
         if moved or math.isnan(x.tendon[s.MOTOR_ANCHOR + 1, n]):
@@ -59,8 +59,8 @@ def update(x: Tables, c: ConstantTables, tared: bool) -> None:
         value = x.joint[s.MEASURED_JOINT, j]
         last = x.joint[s.JOINT_VALUE, j]
         moved = not math.isnan(value) and value != last
-        reference = angle_by_spools(x, c, j)
-        if not all_tendons_taut(x, c, j):
+        reference = joint_angle_by_spools(x, c, j)
+        if not are_all_tendons_taut(x, c, j):
             x.joint[s.JOINT_ANCHOR, j] = math.nan
         if moved or math.isnan(x.joint[s.JOINT_ANCHOR, j]):
             x.joint[s.JOINT_ANCHOR, j] = reference
@@ -70,7 +70,7 @@ def update(x: Tables, c: ConstantTables, tared: bool) -> None:
 
 
 @inner
-def stretching_tension(x: Tables, c: ConstantTables, n: int) -> float:
+def reference_tension(x: Tables, c: ConstantTables, n: int) -> float:
     """Return a tension that changes only if the tendon's own spool moves [N], NaN if there is no such tension.
 
     An antagonist stretches a tendon whose own motor rests.
@@ -79,7 +79,7 @@ def stretching_tension(x: Tables, c: ConstantTables, n: int) -> float:
 
 
 @inner
-def all_tendons_taut(x: Tables, c: ConstantTables, j: int) -> bool:
+def are_all_tendons_taut(x: Tables, c: ConstantTables, j: int) -> bool:
     """Return True if all tendons of a joint are taut. The spool of a slack tendon turns without the joint."""
     for n in range(x.tendon.shape[1]):
         if c.joint_tendon[h.MOVES, j, n] != 0.0 and not x.tendon_int[s.IS_TAUT, n]:
@@ -88,9 +88,9 @@ def all_tendons_taut(x: Tables, c: ConstantTables, j: int) -> bool:
 
 
 @inner
-def angle_by_spools(x: Tables, c: ConstantTables, j: int) -> float:
+def joint_angle_by_spools(x: Tables, c: ConstantTables, j: int) -> float:
     """Return the joint angle as turned by the spools [rad], NaN if unknown."""
-    if not all_tendons_taut(x, c, j):
+    if not are_all_tendons_taut(x, c, j):
         return math.nan
     angle = c.joint[h.ANGLE_OFFSET, j]
     for n in range(x.tendon.shape[1]):
@@ -101,7 +101,7 @@ def angle_by_spools(x: Tables, c: ConstantTables, j: int) -> float:
 
 
 @inner
-def motion_since(reference: float, anchor: float) -> float:
+def motion_since_reading(reference: float, anchor: float) -> float:
     """Return how far a reference has moved since the reading became constant, 0 if unknown."""
     apart = abs(reference - anchor)
     return 0.0 if math.isnan(apart) else apart
@@ -117,7 +117,7 @@ def filter_goals(x: Tables, c: ConstantTables) -> None:
     filtered goal is the digit's position.
     """
     fraction = 1.0 - math.exp(-c.run[h.PERIOD] / FOLLOW_S)
-    min_step = SLOW_M_S * c.run[h.PERIOD]
+    min_step = SLOW_GOAL_M_S * c.run[h.PERIOD]
     for n in range(x.tendon.shape[1]):
         goal = 0.0
         d = c.tendon_int[h.DIGIT, n]
@@ -134,6 +134,6 @@ def filter_goals(x: Tables, c: ConstantTables) -> None:
             x.tendon[s.FOLLOWED, n] = before + math.copysign(max(fraction * abs(change), min_step), change)
         if abs(goal - present) < ARRIVED_M:
             x.tendon[s.FOLLOWED, n] = present
-            if abs(present - before) > LEAP_M:
+            if abs(present - before) > GOAL_JUMP_M:
                 # It leaps to where the digit is: no motor had to follow that.
                 x.tendon[s.MOTOR_ANCHOR, n] += present - before

@@ -21,7 +21,7 @@ MEAN_S = 0.025
 
 
 @inner
-def update(x: Tables, c: ConstantTables, tared: bool) -> None:
+def update_swing(x: Tables, c: ConstantTables, tared: bool) -> None:
     """Update the amplitude of the swing, from measured minus commanded tension."""
     period = c.run[h.PERIOD]
     slow = 1.0 - math.exp(-period / SLOW_S)

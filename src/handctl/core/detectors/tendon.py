@@ -7,7 +7,7 @@ from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.detectors import residuals, stuck
 from handctl.core.detectors.bus import Evidence
-from handctl.core.detectors.replays import replayed
+from handctl.core.detectors.replays import age_of_repeated_readings
 from handctl.core.estimation.measure import monitored_tension
 from handctl.safety.faults.tendon import (
     CELL_FORCE_N,
@@ -40,17 +40,17 @@ from handctl.safety.faults.tendon import (
     TAUT_N,
 )
 
-RELAX = 5
+MODE_RELAX = 5
 """Number of ``core.types.Mode.RELAX``."""
 
 
 @inner
-def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
+def detect_tendon_faults(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
     """Run the detectors of this module that need no torque, and write their results."""
     rail = c.run[h.TENSION_RAIL]
     low = c.run[h.TENSION_LOW]
     relaxing_s = x.run_int[s.T_NS] * 1e-9 - x.run[s.MODE_SINCE]
-    relaxed = x.run_int[s.MODE] == RELAX and relaxing_s > RELAXED_S
+    relaxed = x.run_int[s.MODE] == MODE_RELAX and relaxing_s > RELAXED_S
     for n in range(x.tendon.shape[1]):
         # The load cell is read before its tare as well.
         tension = monitored_tension(x, c, n, True)
@@ -69,23 +69,23 @@ def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> Non
 
 
 @inner
-def detect_under_torque(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
+def detect_tendon_faults_under_torque(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
     """Run the detectors that need a hand under torque, and write their results."""
     for n in range(x.tendon.shape[1]):
-        _slack(x, c, n, evidence)
-        unexplained = residuals.unexplained(x, c, n)
-        rubs = residuals.friction(x, n)
+        _detect_slack(x, c, n, evidence)
+        unexplained = residuals.unexplained_tension(x, c, n)
+        rubs = residuals.excess_friction(x, n)
         if unexplained > RESIDUAL_WARN_N:
             evidence[T04A, n] = unexplained
         if unexplained > RESIDUAL_TRIP_N:
             evidence[T04B, n] = unexplained
         if rubs > FRICTION_WARN_N:
             evidence[T09, n] = rubs
-        pushed = stuck.motion_since(x.tendon[s.RESIDUAL + residuals.QUICK_FORCE, n], x.tendon[s.CELL_ANCHOR, n])
+        pushed = stuck.motion_since_reading(x.tendon[s.RESIDUAL + residuals.QUICK_FORCE, n], x.tendon[s.CELL_ANCHOR, n])
         same = x.tendon_int[s.CELL_STUCK, n] >= CELL_TICKS
         if same and pushed > CELL_FORCE_N and x.tendon[s.CELL_VALUE, n] > TAUT_N:
             evidence[T05, n] = pushed
-        age = replayed(x, n)
+        age = age_of_repeated_readings(x, n)
         if age > 0:
             evidence[T05B, n] = age
         slip = abs(x.tendon[s.SLIP, n])
@@ -94,7 +94,7 @@ def detect_under_torque(x: Tables, c: ConstantTables, evidence: Evidence) -> Non
 
 
 @inner
-def _slack(x: Tables, c: ConstantTables, n: int, evidence: Evidence) -> None:
+def _detect_slack(x: Tables, c: ConstantTables, n: int, evidence: Evidence) -> None:
     """Find a tendon without tension: snapped if the spool runs, slack if tension is commanded."""
     period = c.run[h.PERIOD]
     commanded = x.tendon[s.COMMANDED_TENSION, n]

@@ -22,20 +22,20 @@ from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
-from handctl.core.estimation.kalman import free_angles
-from handctl.core.estimation.statics import hand_pose, tip_levers
+from handctl.core.estimation.kalman import write_free_angles
+from handctl.core.estimation.statics import link_poses_of_hand, write_tip_levers
 
 Vector = NDArray[np.float64]
 
 SMOOTH_S = 5e-3
 """Time constant of the tip force: a quarter of the time for finding a contact [s]."""
-USUAL_S = 0.15
+MEAN_S = 0.15
 """Time constant of the tip force before contact: several times the growth of a contact [s]."""
 DRIFT_S = 2.0
 """Time constant of the drift of the tip force before contact: a whole closing [s]."""
-FAST_S = 0.02
+FAST_GRIP_S = 0.02
 """Time constant of the fast average of a grip [s]."""
-SLOW_S = 0.2
+SLOW_GRIP_S = 0.2
 """Time constant of the slow average of a grip [s]."""
 
 
@@ -52,12 +52,12 @@ def update_tip_forces(x: Tables, c: ConstantTables) -> None:
     if not closing:
         return
     lever = np.zeros(x.joint.shape[1])
-    _levers(x, c, lever)
+    _write_tip_levers(x, c, lever)
     for d in range(x.digit.shape[1]):
         if not x.digit_int[s.CLOSING, d]:
             continue
         force = x.digit[s.SMOOTHED_TIP_FORCE, d]
-        force += c.run[h.TIP_FORCE_FRACTION] * (_force(x, c, d, lever) - force)
+        force += c.run[h.TIP_FORCE_FRACTION] * (_fit_tip_force(x, c, d, lever) - force)
         mean = force if math.isnan(x.digit[s.TIP_FORCE_MEAN, d]) else x.digit[s.TIP_FORCE_MEAN, d]
         drift = 0.0 if math.isnan(x.digit[s.DRIFT, d]) else x.digit[s.DRIFT, d]
         x.digit[s.SMOOTHED_TIP_FORCE, d] = force
@@ -68,20 +68,20 @@ def update_tip_forces(x: Tables, c: ConstantTables) -> None:
 
 
 @inner
-def _levers(x: Tables, c: ConstantTables, lever: Vector) -> None:
+def _write_tip_levers(x: Tables, c: ConstantTables, lever: Vector) -> None:
     """Write the levers (J,) [m] of forces at the tips about the joints, at the free angles.
 
     A closing digit is free until contact is found.
     """
     q = np.zeros(x.joint.shape[1])
-    free_angles(x, c, s.EXCURSION, q)
-    pose = hand_pose(c, q)
+    write_free_angles(x, c, s.EXCURSION, q)
+    pose = link_poses_of_hand(c, q)
     for d in range(x.digit.shape[1]):
-        tip_levers(c, d, pose, lever)
+        write_tip_levers(c, d, pose, lever)
 
 
 @inner
-def _force(x: Tables, c: ConstantTables, d: int, lever: Vector) -> float:
+def _fit_tip_force(x: Tables, c: ConstantTables, d: int, lever: Vector) -> float:
     """Return the force at a tip [N] with the best fit to the digit's unexplained tensions, in least squares."""
     work = 0.0
     size = 0.0
@@ -95,7 +95,7 @@ def _force(x: Tables, c: ConstantTables, d: int, lever: Vector) -> float:
 
 
 @inner
-def watch_grip(x: Tables, c: ConstantTables) -> None:
+def average_grip_travel(x: Tables, c: ConstantTables) -> None:
     """Average the length wound minus stretch. Before slip is judged the slow average equals the fast."""
     judged = x.run[s.GOAL_TIME] + c.run[h.PERIOD] >= x.run[s.GRIP_READY]
     for n in range(x.tendon.shape[1]):

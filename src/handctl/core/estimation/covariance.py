@@ -21,9 +21,9 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 STATES = 7
-ERROR = 5
+CELL_ERROR = 5
 """Index of the load-cell error among the states."""
-MISSING = 1e12
+MISSING_VARIANCE_FACTOR = 1e12
 """Variance factor of a missing measurement. It makes the Kalman gain zero."""
 STEADY_FRACTION = 0.02
 """Largest relative deviation of a steady covariance's variances, tension included, from the steady values."""
@@ -32,7 +32,9 @@ HELD_TORQUE_S = 0.05
 
 
 @inner
-def update(x: Tables, c: ConstantTables, n: int, z: Vector, gain: Matrix, after: Matrix, information: Vector) -> float:
+def correct_covariance(
+    x: Tables, c: ConstantTables, n: int, z: Vector, gain: Matrix, after: Matrix, information: Vector
+) -> float:
     """Correct the covariance by encoder and load cell of a tendon. Joint encoders keep the steady gain.
 
     Args:
@@ -54,13 +56,13 @@ def update(x: Tables, c: ConstantTables, n: int, z: Vector, gain: Matrix, after:
         for i in range(STATES):
             H[m, i] = c.design[n, kind, h.H_AT + STATES * m + i]
     observable = c.design[n, kind, h.KNOWN_AT]
-    H[1, ERROR] = observable
-    P = _present(x, c, n, kind)
-    crossed = _times_transposed(P, H)
-    size = _times(H, crossed)
+    H[1, CELL_ERROR] = observable
+    P = _present_covariance(x, c, n, kind)
+    crossed = _multiply_by_transposed(P, H)
+    size = _multiply(H, crossed)
     R = np.zeros(2)
     for m in range(2):
-        R[m] = c.design[n, kind, h.R_AT + m] * (MISSING if math.isnan(z[m]) else 1.0)
+        R[m] = c.design[n, kind, h.R_AT + m] * (MISSING_VARIANCE_FACTOR if math.isnan(z[m]) else 1.0)
     # Innovation covariance [[a, b], [b, d]], inverted in closed form.
     a = size[0, 0] + R[0]
     b = size[0, 1]
@@ -71,7 +73,7 @@ def update(x: Tables, c: ConstantTables, n: int, z: Vector, gain: Matrix, after:
     information[2] = a / determinant
     for i in range(STATES):
         # What cannot be told from tension is not corrected, and its growth counts in the variance.
-        observed = observable if i == ERROR else 1.0
+        observed = observable if i == CELL_ERROR else 1.0
         gain[i, 0] = observed * (crossed[i, 0] * d - crossed[i, 1] * b) / determinant
         gain[i, 1] = observed * (crossed[i, 1] * a - crossed[i, 0] * b) / determinant
     rest = np.zeros((STATES, STATES))
@@ -80,7 +82,7 @@ def update(x: Tables, c: ConstantTables, n: int, z: Vector, gain: Matrix, after:
             rest[i, j] = (1.0 if i == j else 0.0) - (gain[i, 0] * H[0, j] + gain[i, 1] * H[1, j])
     # Joseph form (I - K H) P (I - K H)^T + K R K^T: symmetric and positive for any gain, so also for the
     # consider gain that leaves the cell error out.
-    joseph = _times_transposed(_times(rest, P), rest)
+    joseph = _multiply_by_transposed(_multiply(rest, P), rest)
     for i in range(STATES):
         for j in range(STATES):
             after[i, j] = joseph[i, j] + gain[i, 0] * R[0] * gain[j, 0] + gain[i, 1] * R[1] * gain[j, 1]
@@ -88,26 +90,26 @@ def update(x: Tables, c: ConstantTables, n: int, z: Vector, gain: Matrix, after:
 
 
 @inner
-def predict(x: Tables, c: ConstantTables, after: Matrix, missed: int) -> None:
+def predict_covariances(x: Tables, c: ConstantTables, after: Matrix, missed: int) -> None:
     """Predict all covariances (N, 7, 7) to the next tick. End the propagation once all are steady.
 
     A tendon with a new kind begins with the steady covariance.
     """
-    periods = 1 + skipped(c, missed)
+    periods = 1 + ticks_to_predict(c, missed)
     steady = True
     for n in range(len(after)):
         kind = x.tendon_int[s.KIND, n]
-        F = _square(c, n, kind, h.F_AT)
-        Q = _square(c, n, kind, h.Q_AT)
+        F = _copy_design_matrix(c, n, kind, h.F_AT)
+        Q = _copy_design_matrix(c, n, kind, h.Q_AT)
         P = after[n]
         for _ in range(periods):
-            P = _times_transposed(_times(F, P), F)
+            P = _multiply_by_transposed(_multiply(F, P), F)
             for i in range(STATES):
                 for j in range(STATES):
                     P[i, j] += Q[i, j]
         # The propagated covariance belongs to the old model.
         if kind != x.tendon_int[s.KIND_BEFORE, n]:
-            P = _square(c, n, kind, h.P_AT)
+            P = _copy_design_matrix(c, n, kind, h.P_AT)
         for i in range(STATES):
             for j in range(STATES):
                 x.tendon[s.COVARIANCE + STATES * i + j, n] = P[i, j]
@@ -116,13 +118,13 @@ def predict(x: Tables, c: ConstantTables, after: Matrix, missed: int) -> None:
 
 
 @inner
-def skipped(c: ConstantTables, missed: int) -> int:
+def ticks_to_predict(c: ConstantTables, missed: int) -> int:
     """Return for how many missed ticks the covariance is predicted."""
     return min(missed, round(HELD_TORQUE_S / c.run[h.PERIOD]))
 
 
 @inner
-def sigma(x: Tables, c: ConstantTables, n: int) -> float:
+def predicted_tension_sigma(x: Tables, c: ConstantTables, n: int) -> float:
     """Return the standard deviation of a predicted tension [N]."""
     kind = x.tendon_int[s.KIND, n]
     P = np.empty((STATES, STATES))
@@ -133,9 +135,9 @@ def sigma(x: Tables, c: ConstantTables, n: int) -> float:
 
 
 @inner
-def _present(x: Tables, c: ConstantTables, n: int, kind: int) -> Matrix:
+def _present_covariance(x: Tables, c: ConstantTables, n: int, kind: int) -> Matrix:
     """Return the covariance (7, 7) of a tendon's prediction: propagated or steady."""
-    P = _square(c, n, kind, h.P_AT)
+    P = _copy_design_matrix(c, n, kind, h.P_AT)
     if x.run_int[s.CARRIED]:
         for i in range(STATES):
             for j in range(STATES):
@@ -145,9 +147,9 @@ def _present(x: Tables, c: ConstantTables, n: int, kind: int) -> Matrix:
 
 @inner
 def _is_steady(c: ConstantTables, n: int, kind: int, P: Matrix) -> bool:
-    steady = _square(c, n, kind, h.P_AT)
+    steady = _copy_design_matrix(c, n, kind, h.P_AT)
     for i in range(STATES):
-        observed = c.design[n, kind, h.KNOWN_AT] if i == ERROR else 1.0
+        observed = c.design[n, kind, h.KNOWN_AT] if i == CELL_ERROR else 1.0
         if abs(P[i, i] - steady[i, i]) * observed > STEADY_FRACTION * steady[i, i] * observed:
             return False
     variance = _tension_variance(c, n, kind, steady)
@@ -164,7 +166,7 @@ def _tension_variance(c: ConstantTables, n: int, kind: int, P: Matrix) -> float:
 
 
 @inner
-def _square(c: ConstantTables, n: int, kind: int, at: int) -> Matrix:
+def _copy_design_matrix(c: ConstantTables, n: int, kind: int, at: int) -> Matrix:
     """Return a copy of a (7, 7) matrix of the design."""
     matrix = np.empty((STATES, STATES))
     for i in range(STATES):
@@ -174,7 +176,7 @@ def _square(c: ConstantTables, n: int, kind: int, at: int) -> Matrix:
 
 
 @inner
-def _times(left: Matrix, right: Matrix) -> Matrix:
+def _multiply(left: Matrix, right: Matrix) -> Matrix:
     """Return the product of two matrices, with sums in a fixed order."""
     matrix = np.zeros((left.shape[0], right.shape[1]))
     for i in range(left.shape[0]):
@@ -185,7 +187,7 @@ def _times(left: Matrix, right: Matrix) -> Matrix:
 
 
 @inner
-def _times_transposed(left: Matrix, right: Matrix) -> Matrix:
+def _multiply_by_transposed(left: Matrix, right: Matrix) -> Matrix:
     """Return the product of a matrix and a transposed matrix."""
     matrix = np.zeros((left.shape[0], right.shape[0]))
     for i in range(left.shape[0]):

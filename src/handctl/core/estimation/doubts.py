@@ -10,7 +10,7 @@ from handctl.core.model import HandModel
 from handctl.core.types import Event
 
 
-class Viewed(Protocol):
+class NamedFields(Protocol):
     """A state with named fields."""
 
     def view(self, name: str) -> NDArray[Any]:
@@ -18,7 +18,7 @@ class Viewed(Protocol):
         ...
 
 
-def notes(model: HandModel, before: Viewed, after: Viewed) -> tuple[Event, ...]:
+def consistency_events(model: HandModel, before: NamedFields, after: NamedFields) -> tuple[Event, ...]:
     """Return the events of a tick.
 
     Args:

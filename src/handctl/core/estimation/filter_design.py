@@ -39,7 +39,7 @@ from handctl.core.estimation.filter_stack import (
 )
 from handctl.core.gains.gains import FilterGains
 from handctl.core.gains.riccati import solve_covariance
-from handctl.core.gains.solvable import check_finite, solvable
+from handctl.core.gains.solvable import finite_or_error, solver_failures_as_errors
 from handctl.core.tendon_space import TendonSpace
 
 FORGET_S = 1e4
@@ -65,7 +65,7 @@ Between the two directions of motion friction may have any value: 1 / sqrt(3) fo
 """
 BLIND_TIME_S = 0.3
 """Correlation time of this friction [s]: the motor rests and moves as the digit does."""
-TAUT = (Regime.FREE, Regime.HELD)
+TAUT_REGIMES = (Regime.FREE, Regime.HELD)
 """Regimes with a block for doubt, in order. Slack follows after them."""
 
 
@@ -87,15 +87,15 @@ def design_filter(space: TendonSpace, gains: FilterGains, period: float, joint_p
     for i, joints in enumerate(joint_period.tolist()):
         kind = (joints, *(float(getattr(space, each.name)[i]) for each in fields(space)))
         if kind not in made:
-            with solvable("filter"):
-                certain = tuple(_block(space, i, (regime, False), gains, period, joints) for regime in Regime)
-                doubted = (_block(space, i, (regime, True), gains, period, joints) for regime in TAUT)
+            with solver_failures_as_errors("filter"):
+                certain = tuple(_design_block(space, i, (regime, False), gains, period, joints) for regime in Regime)
+                doubted = (_design_block(space, i, (regime, True), gains, period, joints) for regime in TAUT_REGIMES)
                 made[kind] = (*certain, *doubted, certain[Regime.SLACK])  # nothing is in doubt without tension
         found.append(made[kind])
     return FilterDesign(tuple(found))
 
 
-def _continuous(space: TendonSpace, i: int, regime: Regime, gains: FilterGains) -> tuple[Matrix, Matrix, Matrix]:
+def _continuous_model(space: TendonSpace, i: int, regime: Regime, gains: FilterGains) -> tuple[Matrix, Matrix, Matrix]:
     """Return A (7, 7), B (7, 2) and the tension row (7,) of a tendon."""
     taut = regime != Regime.SLACK
     k, c = (space.stiffness[i], space.damping[i]) if taut else (0.0, 0.0)
@@ -130,7 +130,7 @@ def _motor_noise(regime: Regime, gains: FilterGains) -> tuple[float, float, floa
     return gains.motor_disturbance_N, gains.motor_disturbance_time_s, gains.motor_acceleration_noise_N
 
 
-def _intensity(space: TendonSpace, i: int, regime: Regime, gains: FilterGains) -> Matrix:
+def _process_noise(space: TendonSpace, i: int, regime: Regime, gains: FilterGains) -> Matrix:
     """Return the continuous process noise (7, 7) of a tendon.
 
     The noise is 2 sigma^2 / tau of each Gauss-Markov state, and little on speeds.
@@ -154,7 +154,7 @@ def _intensity(space: TendonSpace, i: int, regime: Regime, gains: FilterGains) -
     return Q
 
 
-def _doubt(Q: Matrix, stiffness: float, regime: Regime) -> None:
+def _add_doubt_noise(Q: Matrix, stiffness: float, regime: Regime) -> None:
     """Add the noise of a doubted model to the continuous process noise (7, 7) of a taut tendon, stiffness in [N/m]."""
     free = regime == Regime.FREE
     Q[D, D] *= (DOUBTED_DISTURBANCE if free else DOUBTED_HELD_DISTURBANCE) ** 2
@@ -172,7 +172,7 @@ def _discretise(A: Matrix, B: Matrix, Q: Matrix, period: float) -> tuple[Matrix,
     return F, held[:n, n:], (noise + noise.T) / 2
 
 
-def _block(
+def _design_block(
     space: TendonSpace, i: int, kind: tuple[Regime, bool], gains: FilterGains, period: float, joint_period: float
 ) -> Block:
     """Return the filter of a tendon in a regime, with or without doubt.
@@ -190,10 +190,10 @@ def _block(
     joint encoders.
     """
     regime, doubted = kind
-    A, B, tension = _continuous(space, i, regime, gains)
-    intensity = _intensity(space, i, regime, gains)
+    A, B, tension = _continuous_model(space, i, regime, gains)
+    intensity = _process_noise(space, i, regime, gains)
     if doubted:
-        _doubt(intensity, float(space.stiffness[i]), regime)
+        _add_doubt_noise(intensity, float(space.stiffness[i]), regime)
         B[:, 1] *= DOUBTED_PLAN
     F, held, Q = _discretise(A, B, intensity, period)
     H = np.zeros((MEASUREMENTS, STATES))
@@ -205,7 +205,7 @@ def _block(
     noise = np.array([space.encoder_step[i] * gains.encoder_noise_counts, space.tension_noise[i]])
     # Encoder and load cell, or the encoder alone.
     read = 2 if space.has_cell[i] else 1
-    P = _riccati(F, H[:read], Q, np.diag(noise[:read] ** 2))
+    P = _solve_riccati(F, H[:read], Q, np.diag(noise[:read] ** 2))
     innovation = H[:2] @ P @ H[:2].T + np.diag(noise**2)
     K = np.zeros((STATES, MEASUREMENTS))
     K[:, :read] = np.linalg.solve(innovation[:read, :read], H[:read] @ P).T
@@ -220,11 +220,11 @@ def _block(
     information = np.zeros((2, 2))
     information[:read, :read] = np.linalg.inv(innovation[:read, :read])
     sigma = math.sqrt(innovation[1, 1])
-    check_finite(F, held, K, P, information)
+    finite_or_error(F, held, K, P, information)
     return Block(F, held, H, K, Q, noise**2, P, known, drift, tension, variance, information, sigma)
 
 
-def _riccati(F: Matrix, H: Matrix, Q: Matrix, R: Matrix) -> Matrix:
+def _solve_riccati(F: Matrix, H: Matrix, Q: Matrix, R: Matrix) -> Matrix:
     """Return the steady-state covariance of the prediction, solved in units with states of the order of one."""
     scale = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 0.1, 1e-5])
     rows = 1.0 / np.sqrt(np.diag(R))

@@ -80,7 +80,7 @@ class Transition(NamedTuple):
     B: Matrix
 
 
-KEPT = 256
+TRANSITION_CACHE_SIZE = 256
 """Cached combinations of kinds. A combination of eleven tendons takes 60 kB, and there are 6^11 combinations."""
 
 
@@ -98,7 +98,7 @@ class FilterDesign:
 
     def __post_init__(self) -> None:
         """Make the cache of the transition matrices."""
-        object.__setattr__(self, "transition", functools.lru_cache(KEPT)(self._transition))
+        object.__setattr__(self, "transition", functools.lru_cache(TRANSITION_CACHE_SIZE)(self._transition))
 
     @property
     def held_sigma(self) -> Matrix:
@@ -107,10 +107,10 @@ class FilterDesign:
 
     def _transition(self, kinds: bytes) -> Transition:
         in_use = [tendon[kind] for tendon, kind in zip(self.blocks, np.frombuffer(kinds, np.int64), strict=True)]
-        return Transition(_stacked([block.F for block in in_use]), _stacked([block.B for block in in_use]))
+        return Transition(_stack_blocks([block.F for block in in_use]), _stack_blocks([block.B for block in in_use]))
 
 
-def _stacked(blocks: list[Matrix]) -> Matrix:
+def _stack_blocks(blocks: list[Matrix]) -> Matrix:
     """Return blocks (rows, columns) of N tendons as a matrix. The tendons are the inner index of both dimensions."""
     n, (rows, columns), each = len(blocks), blocks[0].shape, np.arange(len(blocks))
     # Index (row, tendon, column, tendon): only equal tendons are coupled.

@@ -1,7 +1,7 @@
 """The tension filter: from load cell, encoder and joint encoders to tension, excursion and contact force.
 
-All tendons are a single linear filter. ``correct`` updates by the measurements, ``filterpy``
-predicts all states to the present (in ``controller.tick``), and ``conclude`` derives the estimate.
+All tendons are a single linear filter. ``correct_filter`` updates by the measurements, ``filterpy``
+predicts all states to the present (in ``controller.tick``), and ``derive_estimate`` derives the estimate.
 A missing or saturated measurement has no innovation. The covariance is then propagated until it is
 steady again. A single outlier is rejected. The measurements of a tick were taken a period earlier,
 just before the previous command took effect.
@@ -18,13 +18,18 @@ from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation import covariance as carried
-from handctl.core.estimation.statics import pull, static_torque, torque_to_tension, value_from_other_tendons
+from handctl.core.estimation.statics import (
+    value_from_other_tendons,
+    write_static_torque,
+    write_tensions_at_joints,
+    write_tensions_for_torque,
+)
 from handctl.core.estimation.take_up import (
-    ends_regime,
-    near_taut,
+    is_nearly_taut,
+    is_regime_over,
     regime_evidence,
     regime_evidence_without_cell,
-    take_up,
+    set_offset_of_newly_taut,
 )
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 
@@ -46,16 +51,16 @@ The fraction is so small that friction cannot hold the digit just above the stop
 """
 STOP_PULL_STAY = 1.05
 """Limit of the pull at which a digit stays on the open stop, as a fraction of the springs' requirement."""
-LOOSE_M = 2e-4
+SLACK_LENGTH_M = 2e-4
 """Slack length for a load cell showing nothing but the error [m]."""
-GATE = 5.0
+OUTLIER_GATE = 5.0
 """Innovation above which a single load-cell sample is rejected, in standard deviations."""
-STRANGE = 2.5
+STEP_GATE = 2.5
 """Innovation above which two load-cell samples in a row, on the same side, are accepted without smoothing.
 
 In standard deviations.
 """
-BELIEVED = 0.8
+STEP_FRACTION = 0.8
 """Fraction of the second innovation accepted at once."""
 DOUBT_S = 1.0
 """Averaging time of NIS [s]. The ideal mean is 2."""
@@ -63,39 +68,39 @@ DOUBT_ABOVE = 8.0
 """Mean NIS above which the model counts as inconsistent."""
 DOUBT_BELOW = 4.0
 """Mean NIS below which the model counts as consistent again."""
-WARY_S = 0.25
+NOISE_NIS_S = 0.25
 """Averaging time of NIS for adapting the noise [s]."""
-WARY_ABOVE = 3.2
+NOISE_NIS_LIMIT = 3.2
 """Mean NIS above which the noise is adapted."""
-WARY_FOR_S = 20.0
+ADAPTED_NOISE_S = 20.0
 """Duration of an adapted noise [s]."""
-WARY_PERIOD_S = 5e-3
+ADAPTED_NOISE_PERIOD_S = 5e-3
 """Longest control period with adapted noise [s].
 
 At 100 Hz the faster filter passes encoder noise on to the torque: jamia11 with ODrives swung up to
 234 N instead of 147, and reported a snapped tendon.
 """
-WARY_HAND = 2.5
+NOISE_NIS_LIMIT_OF_HAND = 2.5
 """Mean over all tendons of the hand above which noise is adapted.
 
 Wrong friction in all tendons shows sooner than in a single tendon.
 """
-NIS_LIMIT = 100.0
+MAX_NIS_SAMPLE = 100.0
 """Upper limit of a NIS sample, so a single sample raises no doubt."""
 
 
 @inner
-def kind_of(x: Tables, n: int) -> int:
+def filter_kind(x: Tables, n: int) -> int:
     """Return the index of a tendon's filter design: the regime, plus 3 while the filter doubts the model."""
     regime = x.tendon_int[s.REGIME, n]
     return regime + 3 if x.tendon[s.WARY, n] > 0.0 else regime
 
 
 @inner
-def correct(x: Tables, c: ConstantTables, missed: int) -> None:
+def correct_filter(x: Tables, c: ConstantTables, missed: int) -> None:
     """Correct the filter by the measurements of a tick, and judge slack, stops and contact.
 
-    A digit counts as held by ``PLANNED_CONTACT`` or ``BLOCKED``, see ``in_contact``.
+    A digit counts as held by ``PLANNED_CONTACT`` or ``BLOCKED``, see ``is_in_contact``.
 
     Args:
         x: state tables.
@@ -105,32 +110,32 @@ def correct(x: Tables, c: ConstantTables, missed: int) -> None:
     count = x.tendon.shape[1]
     for n in range(count):
         # The kind may change below. The measurements are still judged by the kind of the prediction.
-        x.tendon_int[s.KIND, n] = x.tendon_int[s.KIND_BEFORE, n] = kind_of(x, n)
-    z = _usable(x)
-    innovation = _innovation(x, c, z)
-    full = missed > 0 or x.run_int[s.CARRIED] == 1 or _missing(x, c, z)
+        x.tendon_int[s.KIND, n] = x.tendon_int[s.KIND_BEFORE, n] = filter_kind(x, n)
+    z = _usable_measurements(x)
+    innovation = _innovations(x, c, z)
+    full = missed > 0 or x.run_int[s.CARRIED] == 1 or _is_measurement_missing(x, c, z)
     gain = np.zeros((count, STATES, 3))
     information = np.zeros((count, 3))
     cell_sigma = np.zeros(count)
     after = np.zeros((count, STATES, STATES) if full else (0, 0, 0))
     for n in range(count):
         kind = x.tendon_int[s.KIND, n]
-        _steady_gain(c, n, kind, gain[n], information[n])
+        _write_steady_gain(c, n, kind, gain[n], information[n])
         cell_sigma[n] = c.design[n, kind, h.CELL_SIGMA_AT]
         if full:
-            cell_sigma[n] = carried.update(x, c, n, z[n], gain[n], after[n], information[n])
+            cell_sigma[n] = carried.correct_covariance(x, c, n, z[n], gain[n], after[n], information[n])
     _gate_and_correct(x, c, innovation, gain, cell_sigma)
-    _follow_taut(x, c)
-    _judge_innovation(x, c, innovation, information, full)
+    _move_slack_with_taut(x, c)
+    _judge_consistency(x, c, innovation, information, full)
     force = _judge_regimes(x, c)
-    _adapt(x)
-    _unexplained(x, c, force)
+    _choose_filter_kinds(x)
+    _write_external_tension(x, c, force)
     if full:
-        carried.predict(x, c, after, missed)
+        carried.predict_covariances(x, c, after, missed)
 
 
 @inner
-def _usable(x: Tables) -> Matrix:
+def _usable_measurements(x: Tables) -> Matrix:
     """Return measurements (N, 3) of encoder, load cell and joint encoders, NaN if missing.
 
     A lost or saturated measurement is missing, as is the load cell of a tendon neither taut nor
@@ -145,13 +150,13 @@ def _usable(x: Tables) -> Matrix:
             z[n, 1] = math.nan
         if x.tendon_int[s.REGIME, n] == SLACK:
             stretch = x.tendon[s.TRAVEL, n] - x.tendon[s.EXCURSION, n] - x.tendon[s.STRETCH_OFFSET, n]
-            if not (stretch < -LOOSE_M and x.tendon_int[s.LENGTH_KNOWN, n]):
+            if not (stretch < -SLACK_LENGTH_M and x.tendon_int[s.LENGTH_KNOWN, n]):
                 z[n, 1] = math.nan
     return z
 
 
 @inner
-def _innovation(x: Tables, c: ConstantTables, z: Matrix) -> Matrix:
+def _innovations(x: Tables, c: ConstantTables, z: Matrix) -> Matrix:
     """Return measurements minus expected values, (N, 3), NaN if missing."""
     innovation = np.empty_like(z)
     for n in range(len(z)):
@@ -164,7 +169,7 @@ def _innovation(x: Tables, c: ConstantTables, z: Matrix) -> Matrix:
 
 
 @inner
-def _missing(x: Tables, c: ConstantTables, z: Matrix) -> bool:
+def _is_measurement_missing(x: Tables, c: ConstantTables, z: Matrix) -> bool:
     """Return True if a measurement assumed by the steady gains is missing. In slack no load cell is assumed."""
     for n in range(len(z)):
         assumed = x.tendon_int[s.REGIME, n] != SLACK and c.tendon_int[h.CELL_GROUP, n] >= 0
@@ -174,7 +179,7 @@ def _missing(x: Tables, c: ConstantTables, z: Matrix) -> bool:
 
 
 @inner
-def _steady_gain(c: ConstantTables, n: int, kind: int, gain: Matrix, information: Vector) -> None:
+def _write_steady_gain(c: ConstantTables, n: int, kind: int, gain: Matrix, information: Vector) -> None:
     """Write the steady gain (7, 3) of a tendon and the inverse covariance (3,) of the innovations."""
     for i in range(STATES):
         for m in range(3):
@@ -198,7 +203,7 @@ def _gate_and_correct(x: Tables, c: ConstantTables, innovation: Matrix, gain: Ma
         cell = innovation[n, 1]
         surprise = 0.0 if math.isnan(cell) else cell / cell_sigma[n]
         before = x.tendon[s.SURPRISE, n]
-        again = abs(surprise) > STRANGE and before * surprise > 0.0 and abs(before) > STRANGE
+        again = abs(surprise) > STEP_GATE and before * surprise > 0.0 and abs(before) > STEP_GATE
         jump = 0.0
         if again and x.tendon_int[s.REGIME, n] != SLACK:
             steady = 0.0
@@ -206,8 +211,8 @@ def _gate_and_correct(x: Tables, c: ConstantTables, innovation: Matrix, gain: Ma
             for i in range(STATES):
                 steady += c.design[n, kind, h.TENSION_AT + i] * c.design[n, kind, h.K_AT + 3 * i + 1]
             # The steady gain follows below. Only the rest of the accepted fraction is added here.
-            jump = max(BELIEVED - steady, 0.0) * cell
-        if abs(surprise) > GATE and not again:
+            jump = max(STEP_FRACTION - steady, 0.0) * cell
+        if abs(surprise) > OUTLIER_GATE and not again:
             innovation[n, 1] = math.nan
         x.tendon[s.SURPRISE, n] = surprise
         for i in range(STATES):
@@ -219,7 +224,7 @@ def _gate_and_correct(x: Tables, c: ConstantTables, innovation: Matrix, gain: Ma
 
 
 @inner
-def _follow_taut(x: Tables, c: ConstantTables) -> None:
+def _move_slack_with_taut(x: Tables, c: ConstantTables) -> None:
     """Move the excursions of slack tendons with the taut tendons of the same digit, for tendons in surplus.
 
     The excursions of a digit are R q. With one slack tendon the equation for it is exact. With
@@ -235,7 +240,7 @@ def _follow_taut(x: Tables, c: ConstantTables) -> None:
 
 
 @inner
-def _nis(innovation: Vector, information: Vector, blind: bool) -> float:
+def _normalised_innovation_squared(innovation: Vector, information: Vector, blind: bool) -> float:
     """Return the normalised innovation squared of encoder and load cell, NaN if either is missing.
 
     Without load cell (``blind``) it is twice that of the encoder, so that 2 is right as well.
@@ -248,7 +253,7 @@ def _nis(innovation: Vector, information: Vector, blind: bool) -> float:
 
 
 @inner
-def _judge_innovation(x: Tables, c: ConstantTables, innovation: Matrix, information: Matrix, full: bool) -> None:
+def _judge_consistency(x: Tables, c: ConstantTables, innovation: Matrix, information: Matrix, full: bool) -> None:
     """Average NIS, and judge the consistency of the model.
 
     There are two averages. The slow average informs the operator. The fast average adapts the
@@ -257,22 +262,22 @@ def _judge_innovation(x: Tables, c: ConstantTables, innovation: Matrix, informat
     nominal = np.empty(3)
     for n in range(len(innovation)):
         blind = c.tendon_int[h.CELL_GROUP, n] < 0
-        nis = _nis(innovation[n], information[n], blind)
+        nis = _normalised_innovation_squared(innovation[n], information[n], blind)
         x.tendon[s.NIS, n] = nis
         x.tendon[s.INNOVATION, n] = innovation[n, 1]
         kind = x.tendon_int[s.KIND, n]
         if kind >= 3 and not full:
             for i in range(3):
                 nominal[i] = c.design[n, kind - 3, h.INFORMATION_AT + i]
-            nis = _nis(innovation[n], nominal, blind)
+            nis = _normalised_innovation_squared(innovation[n], nominal, blind)
         if math.isnan(nis):
             continue
-        nis = min(nis, NIS_LIMIT)
+        nis = min(nis, MAX_NIS_SAMPLE)
         period = c.run[h.PERIOD]
         # First-order low-pass. The period is short against the averaging time.
         x.tendon[s.NIS_MEAN, n] += period / DOUBT_S * (nis - x.tendon[s.NIS_MEAN, n])
-        if period <= WARY_PERIOD_S:
-            x.tendon[s.NIS_FAST, n] += period / WARY_S * (nis - x.tendon[s.NIS_FAST, n])
+        if period <= ADAPTED_NOISE_PERIOD_S:
+            x.tendon[s.NIS_FAST, n] += period / NOISE_NIS_S * (nis - x.tendon[s.NIS_FAST, n])
     for n in range(len(innovation)):
         limit = DOUBT_BELOW if x.tendon_int[s.DOUBTFUL, n] else DOUBT_ABOVE
         doubtful = x.tendon[s.NIS_MEAN, n] > limit
@@ -289,20 +294,20 @@ def _judge_noise(x: Tables, c: ConstantTables) -> None:
     The doubt outlasts the cause: wrong friction is visible only during motion, and has most effect
     at the next reversal.
     """
-    if c.run[h.PERIOD] > WARY_PERIOD_S:
+    if c.run[h.PERIOD] > ADAPTED_NOISE_PERIOD_S:
         return
     total = 0.0
     count = x.tendon.shape[1]
     for n in range(count):
         total += x.tendon[s.NIS_FAST, n]
-    limit = WARY_ABOVE if total < WARY_HAND * count else 0.0
+    limit = NOISE_NIS_LIMIT if total < NOISE_NIS_LIMIT_OF_HAND * count else 0.0
     for n in range(count):
         left = max(x.tendon[s.WARY, n] - c.run[h.PERIOD], 0.0)
-        x.tendon[s.WARY, n] = WARY_FOR_S if x.tendon[s.NIS_FAST, n] > limit else left
+        x.tendon[s.WARY, n] = ADAPTED_NOISE_S if x.tendon[s.NIS_FAST, n] > limit else left
 
 
 @inner
-def tension_of(x: Tables, c: ConstantTables, n: int) -> float:
+def filtered_tension(x: Tables, c: ConstantTables, n: int) -> float:
     """Return the tension at the load cell by the state of the filter [N]. It may be negative."""
     tension = 0.0
     kind = x.tendon_int[s.KIND, n]
@@ -312,7 +317,7 @@ def tension_of(x: Tables, c: ConstantTables, n: int) -> float:
 
 
 @inner
-def free_angles(x: Tables, c: ConstantTables, row: int, result: Vector) -> None:
+def write_free_angles(x: Tables, c: ConstantTables, row: int, result: Vector) -> None:
     """Write the joint angles (or rates) (J,) of excursions (or their rates) in a row, q = B R_r^+ s.
 
     With varying moment arms this is the linear relation of ``structure``, which has an offset.
@@ -337,21 +342,21 @@ def _load_forces(x: Tables, c: ConstantTables) -> Matrix:
     force = np.zeros((3, count))
     q = np.zeros(joints)
     torque = np.zeros(joints)
-    free_angles(x, c, s.EXCURSION, q)
-    static_torque(c, q, torque)
-    torque_to_tension(c, torque, force[0])
+    write_free_angles(x, c, s.EXCURSION, q)
+    write_static_torque(c, q, torque)
+    write_tensions_for_torque(c, torque, force[0])
     tension = np.empty(count)
     quick = np.empty(count)
     developed = np.empty(count)
     better = False
     for n in range(count):
-        tension[n] = tension_of(x, c, n)
+        tension[n] = filtered_tension(x, c, n)
         quick[n] = math.tanh(x.tendon[s.SPEED, n] / CAPSTAN_FRICTION_SPEED)
         friction_state = x.tendon[s.FRICTION_STATE, n]
         developed[n] = quick[n] if math.isnan(friction_state) else friction_state
         better |= developed[n] != quick[n]
-    pull(c, q, tension, quick, force[1])
-    pull(c, q, tension, developed if better else quick, force[2])
+    write_tensions_at_joints(c, q, tension, quick, force[1])
+    write_tensions_at_joints(c, q, tension, developed if better else quick, force[2])
     return force
 
 
@@ -364,10 +369,10 @@ def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
         regime = x.tendon_int[s.REGIME, n]
         cell = x.tendon[s.MEASURED_TENSION, n]
         # Only in slack: then the encoder alone tells how much tendon is left to wind in.
-        near = regime == SLACK and x.tendon_int[s.LENGTH_KNOWN, n] == 1 and near_taut(x, n)
+        near = regime == SLACK and x.tendon_int[s.LENGTH_KNOWN, n] == 1 and is_nearly_taut(x, n)
         blind = c.tendon_int[h.CELL_GROUP, n] < 0
         points = x.tendon_int[s.TURNING, n]
-        tension = tension_of(x, c, n)
+        tension = filtered_tension(x, c, n)
         if blind:
             # The force that a slack tendon's motor lacks is the tension of a tendon that has become taut.
             cell = -x.tendon[s.DISTURBANCE, n]
@@ -378,10 +383,10 @@ def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
             # The spool turns the joint both ways. One of the two tendons is always taut.
             points = 0
             regime = FREE
-        elif ends_regime(regime, points, blind):
+        elif is_regime_over(regime, points, blind):
             points = 0
             if regime == SLACK:
-                take_up(x, c, n, cell)
+                set_offset_of_newly_taut(x, c, n, cell)
                 x.tendon_int[s.LENGTH_KNOWN, n] = 1
             regime = FREE if regime == SLACK else SLACK
         x.tendon_int[s.TURNING, n] = points
@@ -391,7 +396,9 @@ def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
             # The pull of a tendon that opens its digit has the sign of its excursion, minus.
             side = c.tendon[h.SIDE, n]
             opened = c.tendon[h.OPEN_EXCURSION, n]
-            stopped = _at_stop(was, side * (x.tendon[s.EXCURSION, n] - opened), side * force[1, n], side * force[0, n])
+            stopped = _is_at_stop(
+                was, side * (x.tendon[s.EXCURSION, n] - opened), side * force[1, n], side * force[0, n]
+            )
         x.tendon_int[s.STOPPED, n] = stopped
         if regime != SLACK:
             if stopped and not was:
@@ -401,25 +408,25 @@ def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
                 x.tendon[s.EXCURSION, n] = opened
                 x.tendon[s.EXCURSION_RATE, n] = 0.0
                 changed = True
-            regime = HELD if stopped or in_contact(x, c.tendon_int[h.DIGIT, n]) else FREE
+            regime = HELD if stopped or is_in_contact(x, c.tendon_int[h.DIGIT, n]) else FREE
         changed |= regime != x.tendon_int[s.REGIME, n]
         x.tendon_int[s.REGIME, n] = regime
     if changed:
         for n in range(x.tendon.shape[1]):
-            x.tendon_int[s.KIND, n] = kind_of(x, n)
+            x.tendon_int[s.KIND, n] = filter_kind(x, n)
         force = _load_forces(x, c)
     return force
 
 
 @inner
-def in_contact(x: Tables, d: int) -> bool:
+def is_in_contact(x: Tables, d: int) -> bool:
     """Return True if a digit is in contact: by the program under torque, or blocked."""
     acting = 3 <= x.run_int[s.MODE] <= 5  # ARMING, ACTIVE, RELAX
     return (acting and x.digit_int[s.PLANNED_CONTACT, d] == 1) or x.digit_int[s.BLOCKED, d] == 1
 
 
 @inner
-def _at_stop(was: bool, excursion: float, force: float, resistance: float) -> bool:
+def _is_at_stop(was: bool, excursion: float, force: float, resistance: float) -> bool:
     """Return True if springs hold the digit on the open stop against the tendon."""
     if was:
         return excursion < STOP_BAND_STAY_M and force < resistance * STOP_PULL_STAY
@@ -427,14 +434,14 @@ def _at_stop(was: bool, excursion: float, force: float, resistance: float) -> bo
 
 
 @inner
-def _adapt(x: Tables) -> None:
+def _choose_filter_kinds(x: Tables) -> None:
     """Choose the design blocks for the prediction, by the judged regimes and doubts."""
     for n in range(x.tendon.shape[1]):
-        x.tendon_int[s.KIND, n] = kind_of(x, n)
+        x.tendon_int[s.KIND, n] = filter_kind(x, n)
 
 
 @inner
-def _unexplained(x: Tables, c: ConstantTables, force: Matrix) -> None:
+def _write_external_tension(x: Tables, c: ConstantTables, force: Matrix) -> None:
     """Write the load force beyond the model, positive against closing, 0 in slack and on the open stop."""
     for n in range(x.tendon.shape[1]):
         x.tendon[s.EXTERNAL, n] = 0.0
@@ -445,23 +452,23 @@ def _unexplained(x: Tables, c: ConstantTables, force: Matrix) -> None:
 
 
 @inner
-def not_started(x: Tables) -> None:
+def write_unknown_estimate(x: Tables) -> None:
     """Write an estimate without information, for the ticks before all sensors were read."""
     for n in range(x.tendon.shape[1]):
         x.tendon[s.EXTERNAL, n] = 0.0
         x.tendon[s.INNOVATION, n] = x.tendon[s.NIS, n] = math.nan
-        x.tendon_int[s.KIND, n] = kind_of(x, n)
+        x.tendon_int[s.KIND, n] = filter_kind(x, n)
 
 
 @inner
-def conclude(x: Tables, c: ConstantTables) -> None:
+def derive_estimate(x: Tables, c: ConstantTables) -> None:
     """Derive the estimate from the predicted states: tensions, standard deviations, angles of free digits."""
     for n in range(x.tendon.shape[1]):
-        tension = tension_of(x, c, n)
+        tension = filtered_tension(x, c, n)
         # A single tendon cannot push.
         x.tendon[s.TENSION, n] = tension if c.tendon_int[h.PAIR, n] else max(tension, 0.0)
         x.tendon[s.SIGMA, n] = math.sqrt(c.design[n, x.tendon_int[s.KIND, n], h.VARIANCE_AT])
         if x.run_int[s.CARRIED]:
-            x.tendon[s.SIGMA, n] = carried.sigma(x, c, n)
-    free_angles(x, c, s.EXCURSION, x.joint[s.Q])
-    free_angles(x, c, s.EXCURSION_RATE, x.joint[s.DQ])
+            x.tendon[s.SIGMA, n] = carried.predicted_tension_sigma(x, c, n)
+    write_free_angles(x, c, s.EXCURSION, x.joint[s.Q])
+    write_free_angles(x, c, s.EXCURSION_RATE, x.joint[s.DQ])

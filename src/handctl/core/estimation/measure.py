@@ -11,11 +11,11 @@ from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation.structure import joint_excursion
-from handctl.drives.sensors.node import TENSION_TOP_N, TENSION_ZERO_N
+from handctl.drives.sensors.node import TENSION_MAX_N, TENSION_ZERO_N
 
 
 @inner
-def measure(x: Tables, c: ConstantTables) -> None:
+def write_measurements(x: Tables, c: ConstantTables) -> None:
     """Write the new values of the tick, NaN for all others."""
     for n in range(x.tendon.shape[1]):
         x.tendon[s.MEASURED_POSITION, n] = math.nan
@@ -26,7 +26,7 @@ def measure(x: Tables, c: ConstantTables) -> None:
         if x.tendon_int[s.CELL_FRESH, n]:
             cell = x.tendon[s.CELL, n]
             x.tendon[s.MEASURED_TENSION, n] = cell - (c.tendon[h.TARE, n] + x.tendon[s.PROGRAM_TARE, n])
-            x.tendon_int[s.SATURATED, n] = not TENSION_ZERO_N < cell < TENSION_TOP_N
+            x.tendon_int[s.SATURATED, n] = not TENSION_ZERO_N < cell < TENSION_MAX_N
     x.run_int[s.JOINTS_READ] = 0
     for j in range(x.joint.shape[1]):
         x.joint[s.MEASURED_JOINT, j] = math.nan
@@ -36,7 +36,7 @@ def measure(x: Tables, c: ConstantTables) -> None:
 
 
 @inner
-def screen(x: Tables, c: ConstantTables, missed: int) -> None:
+def reject_outliers(x: Tables, c: ConstantTables, missed: int) -> None:
     """Reject positions that rotor or joint cannot have reached since the last accepted position.
 
     Args:
@@ -46,19 +46,19 @@ def screen(x: Tables, c: ConstantTables, missed: int) -> None:
             reply to an older request.
     """
     for n in range(x.tendon.shape[1]):
-        _screened(
+        _reject_outlier(
             x.tendon, n, s.MEASURED_POSITION, s.ACCEPTED, s.ACCEPTED_GAP, s.JUMP, s.DROPPED,
             c.tendon[h.STEP_LIMIT, n], missed,
         )  # fmt: skip
     for j in range(x.joint.shape[1]):
-        _screened(
+        _reject_outlier(
             x.joint, j, s.MEASURED_JOINT, s.JOINT_ACCEPTED, s.JOINT_GAP, s.JOINT_JUMP, s.JOINT_DROPPED,
             c.joint[h.JOINT_STEP_LIMIT, j], missed,
         )  # fmt: skip
 
 
 @inner
-def _screened(
+def _reject_outlier(
     table: NDArray[np.float64],
     i: int,
     measured: int,
@@ -80,7 +80,7 @@ def _screened(
         jump: row of the rejected step.
         dropped: row of the rejections in a row.
         limit: largest step in a period [rad].
-        missed: as in ``screen``.
+        missed: as in ``reject_outliers``.
     """
     value = table[measured, i]
     # A comparison with NaN is False: without a value or an accepted position no step is rejected.
@@ -108,7 +108,7 @@ def mark_unscreened(x: Tables) -> None:
 
 
 @inner
-def convert(x: Tables, c: ConstantTables) -> None:
+def convert_positions(x: Tables, c: ConstantTables) -> None:
     """Write travel, motor force and excursion from the accepted positions."""
     for n in range(x.tendon.shape[1]):
         spool = c.tendon[h.SPOOL, n]
@@ -139,7 +139,7 @@ def monitored_tension(x: Tables, c: ConstantTables, n: int, tared: bool) -> floa
 
 
 @inner
-def start(x: Tables, c: ConstantTables) -> None:
+def start_filter(x: Tables, c: ConstantTables) -> None:
     """Start the tension filter after the first reading of all encoders and load cells: hand open, tendons slack."""
     for n in range(x.tendon.shape[1]):
         group = c.tendon_int[h.CELL_GROUP, n]

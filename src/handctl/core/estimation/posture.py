@@ -26,39 +26,39 @@ from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
-from handctl.core.estimation.statics import hand_pose, static_torque, tip_levers
+from handctl.core.estimation.statics import link_poses_of_hand, write_static_torque, write_tip_levers
 from handctl.core.estimation.structure import keep_excursion
-from handctl.hand.rigid_body import LENGTH, levers, turned_levers
+from handctl.hand.rigid_body import LENGTH, write_levers, write_turned_levers
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 MODEL_ERROR_N = 0.5
 """Model error of the tension in free motion, standard deviation, for friction and springs of the hand file [N]."""
-MODEL_ERROR = 0.15
+MODEL_ERROR_FRACTION = 0.15
 """Model error of the tension, as a fraction of the unexplained tension."""
-STRETCH_ERROR = 0.03
+STIFFNESS_ERROR_FRACTION = 0.03
 """Error of the tendons' stiffness, as a fraction. The error converts stretch into excursion."""
 FRICTION_FRACTION = 0.5
 """Standard deviation of the turn by friction, as a fraction of the turn by fully developed friction."""
-LEVER_LEAST_M2 = 1e-8
+MIN_SQUARED_LEVER_M2 = 1e-8
 """Smallest square of a lever [m^2]. A place without lever (all joints alike) has no turn."""
 READING_LIMIT_S = 0.1
 """Largest age of a joint encoder's reading [s]."""
-ADVANCE_ERROR = 1.0
+RATE_ERROR_FRACTION = 1.0
 """Error of the rate for advancing a reading to the present, as a fraction. The rate is the free digit's."""
-TURN_LEAST_RAD = 1e-9
+MIN_TURN_RAD = 1e-9
 """Smallest turn limited by a joint's range [rad]."""
-RELEASE_S = 0.15
+CONTACT_FADE_S = 0.15
 """Time constant of the fading effect of a contact [s]. Friction holds the joints for a while."""
 UPDATE_S = 8e-3
 """Period of the estimate in the null space [s]."""
-SMOOTH_S = 20e-3
+TURN_SMOOTHING_S = 20e-3
 """Time constant of the turn [s]."""
 
 
 @inner
-def joint_angles(x: Tables, c: ConstantTables, k: int, t_ns: int) -> None:
+def estimate_joint_angles(x: Tables, c: ConstantTables, k: int, t_ns: int) -> None:
     """Estimate the joint angles of a tick, and the standard deviations.
 
     Args:
@@ -67,7 +67,7 @@ def joint_angles(x: Tables, c: ConstantTables, k: int, t_ns: int) -> None:
         k: number of the tick.
         t_ns: time of the tick [ns].
     """
-    spread, variance = _by_excursion(x, c)
+    spread, variance = _excursion_deviations(x, c)
     if not c.run_int[h.NULL_SPACE]:
         for j in range(x.joint.shape[1]):
             x.joint[s.Q_SIGMA, j] = math.sqrt(variance[j])
@@ -78,7 +78,7 @@ def joint_angles(x: Tables, c: ConstantTables, k: int, t_ns: int) -> None:
     update = k % c.run_int[h.POSTURE_TICKS] == 0
     columns = np.zeros((0, 0))
     if update:
-        columns = _columns(x, c)
+        columns = _covariance_columns(x, c)
     for j in range(x.joint.shape[1]):
         sigma = math.sqrt(square(x.joint[s.TURN_SIGMA, j]) + variance[j])
         x.joint[s.Q, j] += x.joint[s.TURN, j]
@@ -86,18 +86,18 @@ def joint_angles(x: Tables, c: ConstantTables, k: int, t_ns: int) -> None:
     if c.run_int[h.HAND_VARYING]:
         keep_excursion(x, c)
     if update and c.run_int[h.JOINTS_FUSED]:
-        _fuse(x, c, columns, spread, t_ns)
+        _fuse_encoders(x, c, columns, spread, t_ns)
 
 
 @inner
-def _by_excursion(x: Tables, c: ConstantTables) -> tuple[Matrix, Vector]:
+def _excursion_deviations(x: Tables, c: ConstantTables) -> tuple[Matrix, Vector]:
     """Return deviations (J, N) of the joint angles by each tendon's excursion [rad], and the sums of squares (J,)."""
     joints = x.joint.shape[1]
     tendons = x.tendon.shape[1]
     spread = np.zeros((joints, tendons))
     total = np.zeros(joints)
     for n in range(tendons):
-        stretch = square(x.tendon[s.TENSION, n] * STRETCH_ERROR) + square(x.tendon[s.SIGMA, n])
+        stretch = square(x.tendon[s.TENSION, n] * STIFFNESS_ERROR_FRACTION) + square(x.tendon[s.SIGMA, n])
         variance = c.tendon[h.EXCURSION_VARIANCE, n] + stretch / square(c.tendon[h.STIFFNESS, n])
         excursion = math.sqrt(variance)
         for j in range(joints):
@@ -107,7 +107,7 @@ def _by_excursion(x: Tables, c: ConstantTables) -> tuple[Matrix, Vector]:
 
 
 @inner
-def _columns(x: Tables, c: ConstantTables) -> Matrix:
+def _covariance_columns(x: Tables, c: ConstantTables) -> Matrix:
     """Return deviations (2 H + 2, J) [rad] with the null-space covariance as sum of squares. Write the turn.
 
     The levers are those of the last estimate: the ticks are the iterations of a fixed point.
@@ -115,8 +115,8 @@ def _columns(x: Tables, c: ConstantTables) -> Matrix:
     places = c.place_joint.shape[1]
     joints = x.joint.shape[1]
     columns = np.zeros((2 * places + 2, joints))
-    turns, doubt = _turns(x, c)
-    _free_errors(x, c, columns[2 * places :])
+    turns, doubt = _contact_turns(x, c)
+    _write_free_errors(x, c, columns[2 * places :])
     for j in range(joints):
         mean = 0.0
         for place in range(places):
@@ -142,7 +142,7 @@ def _columns(x: Tables, c: ConstantTables) -> Matrix:
 
 
 @inner
-def _turns(x: Tables, c: ConstantTables) -> tuple[Matrix, Matrix]:
+def _contact_turns(x: Tables, c: ConstantTables) -> tuple[Matrix, Matrix]:
     """Return the turn of joints by a contact at each place, and by the error of tension, (H, J) [rad] each."""
     places = c.place_joint.shape[1]
     joints = x.joint.shape[1]
@@ -153,23 +153,23 @@ def _turns(x: Tables, c: ConstantTables) -> tuple[Matrix, Matrix]:
     for j in range(joints):
         for n in range(x.tendon.shape[1]):
             external = x.digit[s.PRESSED, c.tendon_int[h.DIGIT, n]]
-            wrong = math.sqrt(square(MODEL_ERROR_N) + square(MODEL_ERROR * external))
+            wrong = math.sqrt(square(MODEL_ERROR_N) + square(MODEL_ERROR_FRACTION * external))
             torque[j] += c.joint_tendon[h.POSTURE_TORQUE, j, n] * external
             error[j] += c.joint_tendon[h.POSTURE_TORQUE, j, n] * wrong
     q = np.zeros(joints)
     lever = np.zeros(joints)
     for j in range(joints):
         q[j] = x.joint[s.Q, j] + x.joint[s.TURN, j]
-    pose = hand_pose(c, q)
+    pose = link_poses_of_hand(c, q)
     for place in range(places):
         for d in range(x.digit.shape[1]):
-            _place_levers(c, d, place, pose, lever)
-            _turn_of_digit(x, c, d, lever, torque, error, turns[place], doubt[place])
+            _write_place_levers(c, d, place, pose, lever)
+            _write_digit_turn(x, c, d, lever, torque, error, turns[place], doubt[place])
     return turns, doubt
 
 
 @inner
-def _place_levers(c: ConstantTables, d: int, place: int, pose: Matrix, lever: Vector) -> None:
+def _write_place_levers(c: ConstantTables, d: int, place: int, pose: Matrix, lever: Vector) -> None:
     """Write the levers (J,) [m] of a force on a digit at a place about its joints.
 
     Place i is the middle of link i, the place after the last link is the tip. The others have no
@@ -181,13 +181,13 @@ def _place_levers(c: ConstantTables, d: int, place: int, pose: Matrix, lever: Ve
         lever[j] = 0.0
     touched = first + place
     if touched < end:
-        levers(pose, first, touched, 0.5 * c.joint[h.LINK + LENGTH, touched], lever)
+        write_levers(pose, first, touched, 0.5 * c.joint[h.LINK + LENGTH, touched], lever)
     elif touched == end:
-        tip_levers(c, d, pose, lever)
+        write_tip_levers(c, d, pose, lever)
 
 
 @inner
-def _turn_of_digit(
+def _write_digit_turn(
     x: Tables,
     c: ConstantTables,
     d: int,
@@ -219,7 +219,7 @@ def _turn_of_digit(
         work_error += lever[j] * error[j]
         for other in range(first, end):
             size += lever[j] * c.joint_joint[h.SPREAD, j, other] * lever[other]
-    size = max(size, LEVER_LEAST_M2)
+    size = max(size, MIN_SQUARED_LEVER_M2)
     for j in range(first, end):
         compliance = 0.0
         for other in range(first, end):
@@ -240,16 +240,16 @@ def _range_fraction(x: Tables, c: ConstantTables, d: int, turn: Vector, sign: fl
         way = sign * turn[j]
         q = x.joint[s.Q, j]
         margin = max(c.joint[h.HIGH, j] - q if way > 0.0 else q - c.joint[h.LOW, j], 0.0)
-        fraction = min(fraction, margin / max(abs(way), TURN_LEAST_RAD))
+        fraction = min(fraction, margin / max(abs(way), MIN_TURN_RAD))
     return fraction
 
 
 @inner
-def _free_errors(x: Tables, c: ConstantTables, turn: Matrix) -> None:
+def _write_free_errors(x: Tables, c: ConstantTables, turn: Matrix) -> None:
     """Write the turns of a free digit by friction, and by springs and gravity off the coupling, (2, J) [rad]."""
     joints = x.joint.shape[1]
     torque = np.zeros((2, joints))
-    static_torque(c, x.joint[s.Q], torque[1])
+    write_static_torque(c, x.joint[s.Q], torque[1])
     for n in range(x.tendon.shape[1]):
         d = c.tendon_int[h.DIGIT, n]
         wrapped = c.tendon[h.WRAP, n]
@@ -267,7 +267,7 @@ def _free_errors(x: Tables, c: ConstantTables, turn: Matrix) -> None:
 
 
 @inner
-def _fuse(x: Tables, c: ConstantTables, columns: Matrix, spread: Matrix, t_ns: int) -> None:
+def _fuse_encoders(x: Tables, c: ConstantTables, columns: Matrix, spread: Matrix, t_ns: int) -> None:
     """Correct the angles by joint encoders, one after the other, because their noises are independent.
 
     Args:
@@ -300,7 +300,7 @@ def _fuse(x: Tables, c: ConstantTables, columns: Matrix, spread: Matrix, t_ns: i
             continue
         used = True
         moved = x.joint[s.DQ, j] * age
-        noise = c.joint[h.ENCODER_VARIANCE, j] + square(ADVANCE_ERROR * moved)
+        noise = c.joint[h.ENCODER_VARIANCE, j] + square(RATE_ERROR_FRACTION * moved)
         residual = x.joint[s.JOINT_ANGLE, j] + moved - x.joint[s.Q, j]
         for a in range(joints):
             # The row is copied, because the loop below overwrites the covariance.
@@ -317,7 +317,7 @@ def _fuse(x: Tables, c: ConstantTables, columns: Matrix, spread: Matrix, t_ns: i
 
 
 @inner
-def tip_forces(x: Tables, c: ConstantTables) -> None:
+def estimate_tip_forces(x: Tables, c: ConstantTables) -> None:
     """Write tip-equivalent forces of all digits, and the standard deviations from those of angles and tensions.
 
     The tip-equivalent force is along y of the last link, at the tip, with the same torque. A
@@ -336,38 +336,40 @@ def tip_forces(x: Tables, c: ConstantTables) -> None:
     for k in range(coordinates):
         for n in range(x.tendon.shape[1]):
             torque[k] += x.tendon[s.EXTERNAL, n] * c.tendon_coordinate[h.REDUCED_ARMS, n, k]
-    pose = hand_pose(c, q)
+    pose = link_poses_of_hand(c, q)
     for d in range(x.digit.shape[1]):
         first = c.digit_int[h.JOINTS_FIRST, d]
         last = c.digit_int[h.JOINTS_END, d] - 1
         length = c.joint[h.LINK + LENGTH, last]
-        tip_levers(c, d, pose, about)
-        _reduced(c, d, about, lever)
-        force = _over(c, d, lever, torque) / _over(c, d, lever, lever)
+        write_tip_levers(c, d, pose, about)
+        _reduce_levers(c, d, about, lever)
+        force = _dot_over_coordinates(c, d, lever, torque) / _dot_over_coordinates(c, d, lever, lever)
         x.digit[s.TIP_FORCE, d] = force
         x.digit[s.TIP_FORCE_SIGMA, d] = 0.0
         for j in range(first, last + 1):
             # Numerical derivative by a step of one standard deviation.
             for i in range(first, last + 1):
                 about_turned[i] = about[i]
-            turned_levers(pose, first, last, length, j, x.joint[s.Q_SIGMA, j], about_turned)
-            _reduced(c, d, about_turned, turned)
-            change = _over(c, d, turned, torque) / _over(c, d, turned, turned) - force
+            write_turned_levers(pose, first, last, length, j, x.joint[s.Q_SIGMA, j], about_turned)
+            _reduce_levers(c, d, about_turned, turned)
+            change = _dot_over_coordinates(c, d, turned, torque) / _dot_over_coordinates(c, d, turned, turned) - force
             x.digit[s.TIP_FORCE_SIGMA, d] += square(change)
     for n in range(x.tendon.shape[1]):
         d = c.tendon_int[h.DIGIT, n]
         error = math.sqrt(
-            square(x.tendon[s.SIGMA, n]) + square(MODEL_ERROR_N) + square(MODEL_ERROR * x.tendon[s.EXTERNAL, n])
+            square(x.tendon[s.SIGMA, n])
+            + square(MODEL_ERROR_N)
+            + square(MODEL_ERROR_FRACTION * x.tendon[s.EXTERNAL, n])
         )
         arms = c.tendon_coordinate[h.REDUCED_ARMS, n]
-        change = _over(c, d, lever, arms) * error / _over(c, d, lever, lever)
+        change = _dot_over_coordinates(c, d, lever, arms) * error / _dot_over_coordinates(c, d, lever, lever)
         x.digit[s.TIP_FORCE_SIGMA, d] += square(change)
     for d in range(x.digit.shape[1]):
         x.digit[s.TIP_FORCE_SIGMA, d] = math.sqrt(x.digit[s.TIP_FORCE_SIGMA, d])
 
 
 @inner
-def _reduced(c: ConstantTables, d: int, lever: Vector, result: Vector) -> None:
+def _reduce_levers(c: ConstantTables, d: int, lever: Vector, result: Vector) -> None:
     """Write the levers of a digit about its coordinates (C,) from those about its joints (J,) [m]."""
     for k in range(c.digit_int[h.COORDINATES_FIRST, d], c.digit_int[h.COORDINATES_END, d]):
         result[k] = 0.0
@@ -376,7 +378,7 @@ def _reduced(c: ConstantTables, d: int, lever: Vector, result: Vector) -> None:
 
 
 @inner
-def _over(c: ConstantTables, d: int, one: Vector, other: Vector) -> float:
+def _dot_over_coordinates(c: ConstantTables, d: int, one: Vector, other: Vector) -> float:
     """Return the sum of products (C,) over the coordinates of a digit."""
     total = 0.0
     for k in range(c.digit_int[h.COORDINATES_FIRST, d], c.digit_int[h.COORDINATES_END, d]):

@@ -12,7 +12,7 @@ with deferred_imports():
     from filterpy.kalman import predict_steadystate
 
 
-def predict(model: HandModel, layout: Layout, block: Block, missed: int = 0) -> None:
+def predict_filter_states(model: HandModel, layout: Layout, block: Block, missed: int = 0) -> None:
     """Predict the states of all tendons. Missed ticks had no planned motion.
 
     Args:

@@ -14,7 +14,7 @@ from handctl.compiled import inner
 
 
 @inner
-def at_joint(net: float, pretension: float, passed: float) -> float:
+def net_tension_at_joint(net: float, pretension: float, passed: float) -> float:
     """Return the net tension at a joint behind friction [N].
 
     Args:
@@ -31,8 +31,8 @@ def at_joint(net: float, pretension: float, passed: float) -> float:
 
 
 @inner
-def at_spool(net: float, pretension: float, passed: float) -> float:
-    """Return the net tension at the spool for one at a joint behind friction [N], the inverse of ``at_joint``."""
+def net_tension_at_spool(net: float, pretension: float, passed: float) -> float:
+    """Return the net tension at the spool for a tension at a joint [N], the inverse of ``net_tension_at_joint``."""
     both_taut = 2.0 * (net + pretension * (1.0 / passed - passed)) / (passed + 1.0 / passed)
     if abs(both_taut) < 2.0 * pretension:
         return both_taut

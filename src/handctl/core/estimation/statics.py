@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from handctl.compiled import inner
 from handctl.core import constants as h
 from handctl.core.constants import ConstantTables
-from handctl.core.estimation.spool_pair import at_joint
+from handctl.core.estimation.spool_pair import net_tension_at_joint
 from handctl.hand import rigid_body
 
 Vector = NDArray[np.float64]
@@ -16,38 +16,40 @@ Matrix = NDArray[np.float64]
 
 
 @inner
-def hand_pose(c: ConstantTables, q: Vector) -> Matrix:
+def link_poses_of_hand(c: ConstantTables, q: Vector) -> Matrix:
     """Return the poses (J, rigid_body.POSE) of all links at joint angles q (J,) [rad], without carried masses."""
     pose = np.empty((len(q), rigid_body.POSE))
-    rigid_body.place_links(c.joint, h.LINK, c.joint_int[h.PARENT], q, pose)
+    rigid_body.write_link_poses(c.joint, h.LINK, c.joint_int[h.PARENT], q, pose)
     return pose
 
 
-OWN_MOST = 0.999
+MAX_OWN_FRACTION = 0.999
 """Largest fraction of a tendon's value that only the tendon itself tells. Above, no other tendon tells it."""
 
 
 @inner
-def static_torque(c: ConstantTables, q: Vector, torque: Vector) -> None:
+def write_static_torque(c: ConstantTables, q: Vector, torque: Vector) -> None:
     """Write the joint torques of gravity and springs, (J,) [N m], at joint angles q (J,) [rad].
 
     A link's weight acts on the link's joint and on all joints towards the palm.
     """
     gravity = c.run[h.GRAVITY : h.GRAVITY + 3]
-    rigid_body.weight(c.joint, h.LINK, c.joint_int[h.PARENT], gravity, hand_pose(c, q), torque)
+    rigid_body.write_weight_torques(c.joint, h.LINK, c.joint_int[h.PARENT], gravity, link_poses_of_hand(c, q), torque)
     for j in range(len(q)):
         torque[j] += c.joint[h.SPRING, j] * (q[j] + c.joint[h.PRELOAD, j])
 
 
 @inner
-def tip_levers(c: ConstantTables, d: int, pose: Matrix, lever: Vector) -> None:
-    """Write the levers (J,) [m] of a force at a digit's tip about its joints, see ``rigid_body.levers``."""
+def write_tip_levers(c: ConstantTables, d: int, pose: Matrix, lever: Vector) -> None:
+    """Write the levers (J,) [m] of a force at a digit's tip about its joints, see ``rigid_body.write_levers``."""
     last = c.digit_int[h.JOINTS_END, d] - 1
-    rigid_body.levers(pose, c.digit_int[h.JOINTS_FIRST, d], last, c.joint[h.LINK + rigid_body.LENGTH, last], lever)
+    rigid_body.write_levers(
+        pose, c.digit_int[h.JOINTS_FIRST, d], last, c.joint[h.LINK + rigid_body.LENGTH, last], lever
+    )
 
 
 @inner
-def torque_to_tension(c: ConstantTables, torque: Vector, tension: Vector) -> None:
+def write_tensions_for_torque(c: ConstantTables, torque: Vector, tension: Vector) -> None:
     """Write the smallest tensions (N,) [N] for joint torques (J,) [N m]."""
     for n in range(len(tension)):
         d = c.tendon_int[h.DIGIT, n]
@@ -57,7 +59,7 @@ def torque_to_tension(c: ConstantTables, torque: Vector, tension: Vector) -> Non
 
 
 @inner
-def pull(c: ConstantTables, q: Vector, tension: Vector, developed: Vector, result: Vector) -> None:
+def write_tensions_at_joints(c: ConstantTables, q: Vector, tension: Vector, developed: Vector, result: Vector) -> None:
     """Write the tensions at the joints, friction subtracted, with the torques of tensions at the load cells.
 
     Args:
@@ -79,10 +81,10 @@ def pull(c: ConstantTables, q: Vector, tension: Vector, developed: Vector, resul
                 wrapped += q[j]
                 passed = math.exp(-c.tendon[h.CAPSTAN, n] * developed[n] * wrapped)
                 if c.tendon_int[h.PAIR, n]:
-                    torque[j] += arm * at_joint(tension[n], c.tendon[h.PRETENSION, n], passed)
+                    torque[j] += arm * net_tension_at_joint(tension[n], c.tendon[h.PRETENSION, n], passed)
                 else:
                     torque[j] += arm * tension[n] * passed
-    torque_to_tension(c, torque, result)
+    write_tensions_for_torque(c, torque, result)
 
 
 @inner
@@ -121,7 +123,7 @@ def value_from_other_tendons(c: ConstantTables, n: int, values: Vector, offset: 
     own = 0.0
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
         own += c.tendon_joint[h.MOMENT_ARMS, n, j] * c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n]
-    if own > OWN_MOST:
+    if own > MAX_OWN_FRACTION:
         return math.nan
     return (part_explained_by_motion(c, n, values) + offset - own * values[n]) / (1.0 - own)
 

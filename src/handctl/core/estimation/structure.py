@@ -29,7 +29,7 @@ NEWTON_STEPS = 8
 """Largest number of Newton steps in a tick. One or two are used."""
 NEWTON_ENOUGH_RAD = 1e-6
 """Size of the last Newton step [rad]. The error of the linear relations is of the order of its square."""
-SPRING_LEAST = 1e-3
+MIN_SPRING_STIFFNESS = 1e-3
 """Smallest spring stiffness in the null space [N m/rad]. Softer deviations are limited by the joints' ranges."""
 SINGULAR = 1e-9
 """Regularisation of dependent rows of R, as a fraction of the mean diagonal element."""
@@ -185,7 +185,7 @@ def _write_compliance(c: ConstantTables, d: int) -> None:
     stiff = np.zeros((count, count))
     soft = np.empty(joints[1])
     for j in range(joints[0], joints[1]):
-        soft[j] = 1.0 / max(c.joint[h.SPRING, j], SPRING_LEAST)
+        soft[j] = 1.0 / max(c.joint[h.SPRING, j], MIN_SPRING_STIFFNESS)
         for a in range(count):
             for b in range(count):
                 product = c.tendon_joint[h.MOMENT_ARMS, tendons[0] + a, j] * soft[j]

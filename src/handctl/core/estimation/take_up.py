@@ -14,16 +14,17 @@ SLACK_BELOW_N = 1.0
 SLACK_TICKS = 3
 """Consecutive ticks below ``SLACK_BELOW_N`` before a tendon counts as slack."""
 TAUT_ABOVE_N = 2.5
-TAUT_AT_ONCE = 6
+POINTS_AT_ONCE = 6
 LIKELY_ABOVE_N = 1.5
-LIKELY = 2
+POINTS_LIKELY = 2
 POSSIBLE_ABOVE_N = 1.0
-POSSIBLE = 1
-"""Points towards a taut tendon for a load-cell sample above each tension. A sample below all subtracts ``AGAINST``.
+POINTS_POSSIBLE = 1
+"""Points towards a taut tendon for a load-cell sample above each tension.
 
+A sample below all of them subtracts ``POINTS_AGAINST``.
 A sample above the first (five standard deviations) ends slack at once.
 """
-AGAINST, TAUT_POINTS = 2, 6
+POINTS_AGAINST, POINTS_OF_TAUT = 2, 6
 """Points subtracted per sample, and points of a taut tendon.
 
 Noise of 0.5 N alone hardly ever reaches the points, nor does a cell with a drift below 1 N.
@@ -57,21 +58,21 @@ def regime_evidence(regime: int, points: int, tension: float, cell: float, error
         return points + 1 if tension < SLACK_BELOW_N and cell < SLACK_BELOW_N else 0
     if math.isnan(cell):
         return points
-    evidence = -AGAINST
+    evidence = -POINTS_AGAINST
     if cell - error > TAUT_ABOVE_N:
-        evidence = TAUT_AT_ONCE
+        evidence = POINTS_AT_ONCE
     elif cell - error > LIKELY_ABOVE_N:
-        evidence = LIKELY
+        evidence = POINTS_LIKELY
     elif cell - error > POSSIBLE_ABOVE_N:
-        evidence = POSSIBLE
+        evidence = POINTS_POSSIBLE
     if evidence > 0 and near:
         evidence *= NEAR_FACTOR
     return max(points + evidence, 0)
 
 
-BLIND_TAUT_N = 2.5
+TAUT_WITHOUT_CELL_N = 2.5
 """Force missing at the motor of a slack tendon without load cell that counts as tension [N]."""
-BLIND_SLACK_TICKS = 12
+SLACK_TICKS_WITHOUT_CELL = 12
 """Ticks in a row of slack by the estimate alone."""
 
 
@@ -89,24 +90,24 @@ def regime_evidence_without_cell(regime: int, points: int, tension: float, missi
     """
     if regime != SLACK:
         return points + 1 if tension < SLACK_BELOW_N else 0
-    return max(points + (LIKELY if missing > BLIND_TAUT_N else -AGAINST), 0)
+    return max(points + (POINTS_LIKELY if missing > TAUT_WITHOUT_CELL_N else -POINTS_AGAINST), 0)
 
 
 @inner
-def near_taut(x: Tables, n: int) -> bool:
+def is_nearly_taut(x: Tables, n: int) -> bool:
     """Return True if a slack tendon of known length is nearly taut by the encoder."""
     return x.tendon[s.TRAVEL, n] - x.tendon[s.EXCURSION, n] - x.tendon[s.STRETCH_OFFSET, n] > -NEAR_M
 
 
 @inner
-def ends_regime(regime: int, points: int, blind: bool) -> bool:
+def is_regime_over(regime: int, points: int, blind: bool) -> bool:
     """Return True if the evidence ends a regime. A tendon without load cell (``blind``) becomes slack later."""
-    slack_ticks = BLIND_SLACK_TICKS if blind else SLACK_TICKS
-    return points >= (TAUT_POINTS if regime == SLACK else slack_ticks)
+    slack_ticks = SLACK_TICKS_WITHOUT_CELL if blind else SLACK_TICKS
+    return points >= (POINTS_OF_TAUT if regime == SLACK else slack_ticks)
 
 
 @inner
-def take_up(x: Tables, c: ConstantTables, n: int, cell: float) -> None:
+def set_offset_of_newly_taut(x: Tables, c: ConstantTables, n: int, cell: float) -> None:
     """Set offset or excursion of a newly taut tendon to make stretch and load cell agree.
 
     The excursion of a digit on its open stop, or with joint encoders, is known. Otherwise the

@@ -22,7 +22,7 @@ def joint_lever(digit: DigitModel, q: Vector) -> Vector:
     return rigid_body.tip_levers(digit.table, digit.parent, np.asarray(q), last, digit.lengths[last])
 
 
-def tip_lever(digit: DigitModel, q: Vector) -> Vector:
+def reduced_tip_lever(digit: DigitModel, q: Vector) -> Vector:
     """Return the lever of ``joint_lever`` in the digit's coordinates: B^T J^T n, (n_c,) [m]."""
     return np.asarray(digit.coupling.T @ joint_lever(digit, q))
 
@@ -35,6 +35,6 @@ def tip_force(digit: DigitModel, q: Vector, external: Vector) -> float:
         q: (n,) joint angles [rad].
         external: (n_t,) tension in balance with the contact [N].
     """
-    lever = tip_lever(digit, q)
+    lever = reduced_tip_lever(digit, q)
     torque = digit.reduced_moment_arms.T @ external
     return float(lever @ torque / (lever @ lever))

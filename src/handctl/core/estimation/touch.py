@@ -13,9 +13,9 @@ from handctl.core.constants import ConstantTables
 
 SMOOTH_S = 20e-3
 """Time constant of the judged tension [s]."""
-FREED_N = 3.0
+FREE_BELOW_N = 3.0
 """Unexplained tension, the mean of a digit's tendons, below which the digit is free again [N]."""
-BLOCKED_N = 6.0
+BLOCKED_ABOVE_N = 6.0
 """Unexplained tension, the mean of a digit's tendons, from which the digit is blocked [N].
 
 A tension of a tendon that opens the digit counts with the other sign.
@@ -23,7 +23,7 @@ A tension of a tendon that opens the digit counts with the other sign.
 Fast free motion with friction wrong by a half reaches 3.6 N. The tension is not converted to a
 force at the tip, because a digit curled up on the stops has no lever.
 """
-PRESS_N = 30.0
+MAX_PRESS_N = 30.0
 """Largest pull of a blocked digit beyond the trajectory's requirement [N].
 
 The loop at a blocked digit is stiff enough to wind the tendon up to the limits of safety.
@@ -43,7 +43,7 @@ def update_blocked(x: Tables, c: ConstantTables) -> None:
             mean += c.tendon[h.SIDE, n] * x.tendon[s.EXTERNAL, n] / (end - first)
         retained = c.run[h.TOUCH_DECAY]
         x.digit[s.TOUCH, d] = retained * x.digit[s.TOUCH, d] + (1.0 - retained) * mean
-        limit = FREED_N if x.digit_int[s.BLOCKED, d] else BLOCKED_N + margin
+        limit = FREE_BELOW_N if x.digit_int[s.BLOCKED, d] else BLOCKED_ABOVE_N + margin
         blocked = x.digit[s.TOUCH, d] > limit
         if blocked != x.digit_int[s.BLOCKED, d]:
             x.run_int[s.CHANGED] = 1

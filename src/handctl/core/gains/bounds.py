@@ -8,12 +8,12 @@ from typing import Any, cast
 from annotated_types import Ge, Gt, Le
 
 from handctl.core.gains.gains import Gains
-from handctl.document import Document, validated
+from handctl.document import Document, validate_content
 from handctl.errors import ConfigError
 from handctl.printing import similar_name
 
 SECTIONS = ("filter", "motion", "tension", "contact")
-LIVE = ("motion", "tension", "contact")
+LIVE_SECTIONS = ("motion", "tension", "contact")
 """Sections accepted by a running controller. The design of the filter's gains takes too long within ticks."""
 
 
@@ -54,15 +54,15 @@ def bounds() -> Mapping[str, Bound]:
     for section in SECTIONS:
         model = cast(type[Document], Gains.model_fields[section].annotation)
         for name, field in model.model_fields.items():
-            low, high, open_low = _limits(field.metadata)
+            low, high, open_low = _range_of_field(field.metadata)
             key = f"{section}.{name}"
             whole = field.annotation is int
             why = field.description or ""
-            result[key] = Bound(key, low, high, open_low, field.default, whole, section in LIVE, why)
+            result[key] = Bound(key, low, high, open_low, field.default, whole, section in LIVE_SECTIONS, why)
     return result
 
 
-def _limits(metadata: list[Any]) -> tuple[float, float, bool]:
+def _range_of_field(metadata: list[Any]) -> tuple[float, float, bool]:
     """Return smallest and largest value of a field, and True if the smallest is excluded."""
     low = float("-inf")
     high = float("inf")
@@ -98,16 +98,16 @@ def with_values(gains: Gains, values: Mapping[str, float], source: str, live: bo
     """
     content = gains.model_dump(by_alias=True)
     for key, value in values.items():
-        bound = checked(key, value, source)
+        bound = checked_bound(key, value, source)
         if live and not bound.live:
-            right = f"a key of {', '.join(LIVE)}, or handctl gains apply and a new run"
+            right = f"a key of {', '.join(LIVE_SECTIONS)}, or handctl gains apply and a new run"
             raise ConfigError("is designed before arming and cannot change in a run", f"{source}: {key}", right)
         section, _, name = key.partition(".")
         content[section][name] = int(value) if bound.whole else float(value)
-    return validated(content, Gains, source)
+    return validate_content(content, Gains, source)
 
 
-def checked(key: str, value: float, source: str) -> Bound:
+def checked_bound(key: str, value: float, source: str) -> Bound:
     """Return the bounds of a key after checking a value.
 
     Raises:

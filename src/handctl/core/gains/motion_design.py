@@ -15,7 +15,7 @@ from scipy.linalg import expm
 
 from handctl.core.gains.gains import Gains
 from handctl.core.gains.riccati import solve_lqr
-from handctl.core.gains.solvable import check_finite, solvable
+from handctl.core.gains.solvable import finite_or_error, solver_failures_as_errors
 from handctl.core.tendon_space import TendonSpace
 from handctl.core.types import Vector
 
@@ -37,16 +37,16 @@ class MotionDesign:
     tension_speed: Vector
 
 
-FULL_S = 2e-3
+FULL_WEIGHT_PERIOD_S = 2e-3
 """Longest control period with full force weights [s]."""
 
 
-def force_weight(force: float, period: float) -> float:
+def largest_force_weight(force: float, period: float) -> float:
     """Return the largest force weight [N] that a control period [s] permits.
 
     A loop's stiffness is proportional to the weight, the bandwidth to the square root.
     """
-    return force * min(1.0, math.sqrt(FULL_S / period))
+    return force * min(1.0, math.sqrt(FULL_WEIGHT_PERIOD_S / period))
 
 
 def design_motion(space: TendonSpace, gains: Gains, period: float) -> MotionDesign:
@@ -60,10 +60,12 @@ def design_motion(space: TendonSpace, gains: Gains, period: float) -> MotionDesi
     Raises:
         ConfigError: if the weights lead to no gains.
     """
-    return design_from_pieces(space, [design_piece(space, gains, period, piece) for piece in range(piece_count(space))])
+    return design_from_pieces(
+        space, [design_piece(space, gains, period, piece) for piece in range(design_piece_count(space))]
+    )
 
 
-def piece_count(space: TendonSpace) -> int:
+def design_piece_count(space: TendonSpace) -> int:
     """Return the number of pieces of the design, each short enough for a tick of a running controller."""
     return 2 * len(space.spool)
 
@@ -76,10 +78,10 @@ def design_piece(space: TendonSpace, gains: Gains, period: float, piece: int) ->
     """
     n = len(space.spool)
     if piece < n:
-        with solvable("motion"):
-            return _motion(float((space.motor_mass + space.load_mass)[piece]), gains, period)
-    with solvable("tension"):
-        return _tension(space, piece - n, gains, period)
+        with solver_failures_as_errors("motion"):
+            return _design_motion_loop(float((space.motor_mass + space.load_mass)[piece]), gains, period)
+    with solver_failures_as_errors("tension"):
+        return _design_tension_loop(space, piece - n, gains, period)
 
 
 def design_from_pieces(space: TendonSpace, designed: list[Vector]) -> MotionDesign:
@@ -96,29 +98,31 @@ def design_from_pieces(space: TendonSpace, designed: list[Vector]) -> MotionDesi
     )
 
 
-def _dlqr(A: NDArray[np.float64], B: NDArray[np.float64], state: list[float], force: float, period: float) -> Vector:
+def _sampled_lqr_gain(
+    A: NDArray[np.float64], B: NDArray[np.float64], state: list[float], force: float, period: float
+) -> Vector:
     """Return the gain (2,) of x' = A x + B u sampled at the period, with Bryson weights."""
     # Zero-order hold: exp([[A, B], [0, 0]] T) = [[F, G], [0, I]].
     sampled = expm(period * np.block([[A, B], [np.zeros((1, 3))]]))
     F = sampled[:2, :2]
     G = sampled[:2, 2:]
     K = solve_lqr(F, G, np.diag([1.0 / x**2 for x in state]), np.array([[1.0 / force**2]]))
-    check_finite(K)
+    finite_or_error(K)
     if not np.abs(np.linalg.eigvals(F - G @ K)).max() < 1.0:
         raise ValueError("not stable")
     return np.asarray(K[0], dtype=np.float64)
 
 
-def _motion(mass: float, gains: Gains, period: float) -> Vector:
+def _design_motion_loop(mass: float, gains: Gains, period: float) -> Vector:
     """Design the motion loop: motor and digit as a mass on a rigid tendon, force per [m, m/s]."""
     weights = gains.motion
     A = np.array([[0.0, 1.0], [0.0, 0.0]])
     B = np.array([[0.0], [1.0 / mass]])
-    force = force_weight(weights.force_N, period)
-    return _dlqr(A, B, [weights.position_error_m, weights.speed_error_m_s], force, period)
+    force = largest_force_weight(weights.force_N, period)
+    return _sampled_lqr_gain(A, B, [weights.position_error_m, weights.speed_error_m_s], force, period)
 
 
-def _tension(space: TendonSpace, i: int, gains: Gains, period: float) -> Vector:
+def _design_tension_loop(space: TendonSpace, i: int, gains: Gains, period: float) -> Vector:
     """Design the tension loop: rotor on the tendon of a blocked digit.
 
     The states are tension error [N] and tendon speed [m/s].
@@ -129,5 +133,5 @@ def _tension(space: TendonSpace, i: int, gains: Gains, period: float) -> Vector:
     b = space.motor_damping[i] + space.damping[i]
     A = np.array([[0.0, k], [-1.0 / mass, -b / mass]])
     B = np.array([[0.0], [1.0 / mass]])
-    force = force_weight(weights.force_N, period)
-    return _dlqr(A, B, [weights.tension_error_N, weights.speed_error_m_s], force, period)
+    force = largest_force_weight(weights.force_N, period)
+    return _sampled_lqr_gain(A, B, [weights.tension_error_N, weights.speed_error_m_s], force, period)

@@ -13,7 +13,7 @@ from handctl.errors import ConfigError
 
 
 @contextmanager
-def solvable(section: str) -> Iterator[None]:
+def solver_failures_as_errors(section: str) -> Iterator[None]:
     """Convert any solver failure into an error of one line.
 
     Args:
@@ -30,7 +30,7 @@ def solvable(section: str) -> Iterator[None]:
         raise ConfigError("no controller follows from these values", f"gains: {section}", right) from error
 
 
-def check_finite(*solutions: NDArray[np.float64]) -> None:
+def finite_or_error(*solutions: NDArray[np.float64]) -> None:
     """Refuse a solution with infinite or undefined numbers.
 
     Raises:

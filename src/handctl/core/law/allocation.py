@@ -16,7 +16,7 @@ REGULARISATION = 1e-6
 """Weight of tension [N^2] against torque error as tension. Small: only a choice between equal solutions."""
 
 
-def allocate(moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector) -> tuple[Vector, Vector]:
+def tensions_for_torque(moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector) -> tuple[Vector, Vector]:
     """Compute the tensions for a torque.
 
     Args:
@@ -28,13 +28,13 @@ def allocate(moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector
     Returns:
         Tensions (n_t,) [N] and missing torque (n_c,) [N m].
     """
-    tension = _exact(moment_arms, torque)
+    tension = _unique_solution(moment_arms, torque)
     if tension is None or (tension < floor).any() or (tension > ceiling).any():
-        tension = bounded(moment_arms, torque, floor, ceiling, floor if tension is None else tension)
+        tension = solve_bounded(moment_arms, torque, floor, ceiling, floor if tension is None else tension)
     return tension, torque - moment_arms.T @ tension
 
 
-def _exact(moment_arms: Vector, torque: Vector) -> Vector | None:
+def _unique_solution(moment_arms: Vector, torque: Vector) -> Vector | None:
     """Return the unique solution without bounds, None with more tendons than coordinates."""
     if moment_arms.shape[0] != moment_arms.shape[1]:
         return None
@@ -53,15 +53,15 @@ class _Problem(NamedTuple):
 
 
 _problems: dict[int, tuple[Vector, _Problem]] = {}
-MOST = 64
+MAX_CACHED_PROBLEMS = 64
 
 
-def _problem(moment_arms: Vector) -> _Problem:
+def _cached_problem(moment_arms: Vector) -> _Problem:
     """Return the program of moment arms, cached by identity, because moment arms are constant."""
     result = _problems.get(id(moment_arms))
     if result is not None and result[0] is moment_arms:
         return result[1]
-    if len(_problems) >= MOST:
+    if len(_problems) >= MAX_CACHED_PROBLEMS:
         _problems.clear()
     n = len(moment_arms)
     mean = float(np.abs(moment_arms).mean())
@@ -73,20 +73,20 @@ def _problem(moment_arms: Vector) -> _Problem:
     return problem
 
 
-def bounded(moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector, near: Vector) -> Vector:
-    """Solve the quadratic program by daqp: tensions (n_t,) within the bounds, see ``allocate``.
+def solve_bounded(moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector, near: Vector) -> Vector:
+    """Solve the quadratic program by daqp: tensions (n_t,) within the bounds, see ``tensions_for_torque``.
 
     Args:
-        moment_arms: see ``allocate``.
-        torque: see ``allocate``.
-        floor: see ``allocate``.
-        ceiling: see ``allocate``.
+        moment_arms: see ``tensions_for_torque``.
+        torque: see ``tensions_for_torque``.
+        floor: see ``tensions_for_torque``.
+        ceiling: see ``tensions_for_torque``.
         near: (n_t,) tensions [N], for example the solution without bounds. Tensions out of bounds
             form the solver's first active set. This halves the steps and needs no memory.
     """
     from daqp import solve
 
-    arms, mean, weight, unconstrained = _problem(moment_arms)
+    arms, mean, weight, unconstrained = _cached_problem(moment_arms)
     linear = -(arms.dot(torque / mean) + REGULARISATION * floor)
     start = np.minimum(np.maximum(near, floor), ceiling)
     # Copies, because daqp may write into its arguments.

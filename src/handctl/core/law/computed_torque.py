@@ -24,13 +24,13 @@ from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
-from handctl.core.estimation.spool_pair import at_spool
+from handctl.core.estimation.spool_pair import net_tension_at_spool
 from handctl.core.estimation.statics import part_explained_by_motion, winding_efficiency
 from handctl.core.estimation.structure import arm_slope, joint_excursion, moment_arm
-from handctl.core.estimation.touch import PRESS_N
-from handctl.core.law.friction_band import look_ahead
-from handctl.core.law.null_space import INTEGRAL_LIMIT_N, hold_each_other
-from handctl.core.law.reference import LIMP, MOTION, NO_WAY, TENSION
+from handctl.core.estimation.touch import MAX_PRESS_N
+from handctl.core.law.friction_band import predict_moving_tension
+from handctl.core.law.null_space import INTEGRAL_LIMIT_N, raise_tensions_to_floor
+from handctl.core.law.reference import LIMP, MOTION, NO_TRAJECTORY, TENSION
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 
 Vector = NDArray[np.float64]
@@ -42,11 +42,11 @@ UNWIND_FRACTION = 0.3
 """Fraction of the torque limit for paying out: enough for braking the rotor, too little for throwing a tendon off."""
 TRIM_TIME_S = 0.2
 """Time constant of the fading trim after a change of gains [s]. Slower than both loops, so they follow."""
-TRIM_LEAST_N = 1e-3
+MIN_TRIM_N = 1e-3
 """Trim set to 0 below this size [N]: a fiftieth of a torque count of the finest drive."""
-HELD_MARGIN_N = 1.0
+HOLD_MARGIN_N = 1.0
 """Margin above the tension at the start of a hold [N]: about the error of the estimate."""
-ROUNDING = 1.0 - 1e-12
+ROUNDING_FACTOR = 1.0 - 1e-12
 """Factor to prevent a settled envelope from creeping upwards by rounding errors of a division."""
 RELAX_FLOOR_N = 5.0
 """Tension of a relaxed hand whose springs open it [N]."""
@@ -80,12 +80,12 @@ def update_hold_limits(x: Tables, c: ConstantTables, hold: bool) -> None:
             held = max(x.tendon[s.TENSION, n], c.tendon[h.FLOOR, n])
             if c.tendon_int[h.PAIR, n]:
                 held = abs(x.tendon[s.TENSION, n])
-            x.tendon[s.HOLD_LIMIT, n] = held + HELD_MARGIN_N
+            x.tendon[s.HOLD_LIMIT, n] = held + HOLD_MARGIN_N
     x.run_int[s.HOLDING] = hold
 
 
 @inner
-def tension_limit(x: Tables, c: ConstantTables) -> Vector:
+def present_tension_limits(x: Tables, c: ConstantTables) -> Vector:
     """Return the present tension limits (N,) [N], in addition to the hand's own limits.
 
     A warm drive is derated: full limit up to the soft temperature, the floor at the hard
@@ -98,19 +98,19 @@ def tension_limit(x: Tables, c: ConstantTables) -> Vector:
         warm |= x.tendon[s.TEMPERATURE, n] > c.run[h.TEMPERATURE_SOFT]
     for n in range(len(limit)):
         if warm:
-            limit[n] = _derated(x, c, n)
+            limit[n] = _derated_tension(x, c, n)
         planned = x.tendon[s.PLANNED, n]
         if c.tendon_int[h.PAIR, n]:
             planned = abs(planned)
         if x.digit_int[s.BLOCKED, c.tendon_int[h.DIGIT, n]] and planned > 0.0:
-            limit[n] = min(limit[n], planned + PRESS_N)
+            limit[n] = min(limit[n], planned + MAX_PRESS_N)
         if x.run_int[s.HOLDING]:
             limit[n] = min(limit[n], x.tendon[s.HOLD_LIMIT, n])
     return limit
 
 
 @inner
-def _derated(x: Tables, c: ConstantTables, n: int) -> float:
+def _derated_tension(x: Tables, c: ConstantTables, n: int) -> float:
     """Return the largest tension of a tendon by the drive's temperature. A drive without temperature counts as cool."""
     soft = c.run[h.TEMPERATURE_SOFT]
     hard = c.run[h.TEMPERATURE_HARD]
@@ -124,7 +124,9 @@ def _derated(x: Tables, c: ConstantTables, n: int) -> float:
 
 
 @inner
-def command(x: Tables, c: ConstantTables, way: Matrix, relax_rate: float, open_loop: bool, ticks: int) -> None:
+def write_motor_torques(
+    x: Tables, c: ConstantTables, way: Matrix, relax_rate: float, open_loop: bool, ticks: int
+) -> None:
     """Write the motor torques of the tick, and the control law's state for the next.
 
     Args:
@@ -135,7 +137,7 @@ def command(x: Tables, c: ConstantTables, way: Matrix, relax_rate: float, open_l
         open_loop: True if motor forces equal the envelope regardless of measurements.
         ticks: periods since the last tick, 1 without missed ticks.
     """
-    limit = tension_limit(x, c)
+    limit = present_tension_limits(x, c)
     joints = x.joint.shape[1]
     count = x.tendon.shape[1]
     load = np.zeros(count)
@@ -165,13 +167,15 @@ def command(x: Tables, c: ConstantTables, way: Matrix, relax_rate: float, open_l
         if c.tendon_int[h.PAIR, n]:
             command_force = max(command_force, -bound)
         if relax_rate > 0.0:
-            command_force = _relaxed(x, c, n, command_force, _envelope(x, c, n, relax_rate, ticks), open_loop)
+            command_force = _relaxing_force(
+                x, c, n, command_force, _relaxing_force_limit(x, c, n, relax_rate, ticks), open_loop
+            )
         x.tendon[s.FORCE, n] = command_force - _motor_friction(x, c, n, command_force)
         x.tendon[s.TORQUE, n] = command_force * c.tendon[h.SPOOL, n]
         x.tendon[s.SETPOINT, n] = setpoint
         x.tendon[s.INTEGRAL, n] = integral
         if kind == MOTION:
-            look_ahead(x, c, n, rate, winding[n])
+            predict_moving_tension(x, c, n, rate, winding[n])
         else:
             x.tendon[s.PLANNED, n] = x.tendon[s.RATE, n] = 0.0
             x.tendon[s.FRICTION_STATE, n] = math.nan
@@ -189,7 +193,7 @@ def command(x: Tables, c: ConstantTables, way: Matrix, relax_rate: float, open_l
 
 
 @inner
-def _relaxed(x: Tables, c: ConstantTables, n: int, force: float, ceiling: float, open_loop: bool) -> float:
+def _relaxing_force(x: Tables, c: ConstantTables, n: int, force: float, ceiling: float, open_loop: bool) -> float:
     """Return the motor force of a relaxing hand [N], within the envelope, or the envelope itself in open loop."""
     if c.tendon_int[h.PAIR, n]:
         last = x.tendon[s.COMMANDED_FORCE, n]
@@ -232,13 +236,13 @@ def _motion_terms(x: Tables, c: ConstantTables, way: Matrix, limit: Vector) -> t
         passed = (1.0 - counted) + counted * math.pow(efficiency[n], math.tanh(rate / CAPSTAN_FRICTION_SPEED))
         ceiling = min(c.tendon[h.CEILING, n], limit[n])
         if c.tendon_int[h.PAIR, n]:
-            required = at_spool(x.tendon[s.LOAD, n], c.tendon[h.PRETENSION, n], passed)
+            required = net_tension_at_spool(x.tendon[s.LOAD, n], c.tendon[h.PRETENSION, n], passed)
             terms[0, n] = min(max(required, -ceiling), ceiling)
         else:
             terms[0, n] = min(max(x.tendon[s.LOAD, n] / passed, c.tendon[h.FLOOR, n]), ceiling)
         terms[1, n] = c.tendon[h.MASS, n] * feedback
     if surplus:
-        hold_each_other(x, c, limit, terms, internal)
+        raise_tensions_to_floor(x, c, limit, terms, internal)
     return efficiency, terms, internal
 
 
@@ -321,7 +325,7 @@ def _tension_force(x: Tables, c: ConstantTables, n: int, limit: float) -> tuple[
     if slack and setpoint > 0.0:
         # No tension feeds back yet, and a small one does not turn a rotor at rest.
         force += c.tendon[h.COULOMB, n]
-    if x.digit_int[s.TRAJECTORY_KIND, c.tendon_int[h.DIGIT, n]] != NO_WAY:
+    if x.digit_int[s.TRAJECTORY_KIND, c.tendon_int[h.DIGIT, n]] != NO_TRAJECTORY:
         force += _feedforward_force(x, c, n)
     max_force = x.tendon[s.FORCE_LIMIT, n]
     return min(max(force, -max_force), max_force), setpoint, integral
@@ -341,14 +345,14 @@ def _feedforward_force(x: Tables, c: ConstantTables, n: int) -> float:
 
 
 @inner
-def _envelope(x: Tables, c: ConstantTables, n: int, rate: float, ticks: int) -> float:
+def _relaxing_force_limit(x: Tables, c: ConstantTables, n: int, rate: float, ticks: int) -> float:
     """Return the largest motor force of a relaxing hand [N], see ``controller.relaxing``."""
     last = x.tendon[s.COMMANDED_FORCE, n]
     if c.tendon_int[h.PAIR, n]:
         last = abs(last)
     last = 0.0 if math.isnan(last) else max(last, 0.0)
     falling = max(last - rate * c.run[h.PERIOD] * ticks, 0.0)
-    return max(min(last, c.tendon[h.RELAXED, n]), falling) * ROUNDING
+    return max(min(last, c.tendon[h.RELAXED, n]), falling) * ROUNDING_FACTOR
 
 
 @inner
@@ -370,7 +374,7 @@ def _fade_trim(x: Tables, c: ConstantTables) -> None:
     for n in range(x.tendon.shape[1]):
         x.tendon[s.TRIM, n] *= c.run[h.TRIM_DECAY]
         largest = max(largest, abs(x.tendon[s.TRIM, n]))
-    if largest <= TRIM_LEAST_N:
+    if largest <= MIN_TRIM_N:
         x.run_int[s.TRIMMED] = 0
         for n in range(x.tendon.shape[1]):
             x.tendon[s.TRIM, n] = 0.0

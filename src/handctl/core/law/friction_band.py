@@ -15,19 +15,19 @@ from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
-from handctl.core.estimation.spool_pair import at_spool
+from handctl.core.estimation.spool_pair import net_tension_at_spool
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 
-CREEP_SPEED = 1.3 * CAPSTAN_FRICTION_SPEED
+MIN_SLIDING_SPEED = 1.3 * CAPSTAN_FRICTION_SPEED
 """Speed at which the slider's straight line meets the band's edge, close to the tanh [m/s]."""
-FRICTION_LEAST_N = 1e-3
+MIN_FRICTION_N = 1e-3
 """Smallest assumed friction [N], for a band of positive width."""
-EFFICIENCY_MOST = 1.0 - 1e-9
+MAX_EFFICIENCY = 1.0 - 1e-9
 """Largest assumed efficiency, for the same reason."""
 
 
 @inner
-def look_ahead(x: Tables, c: ConstantTables, n: int, rate: float, efficiency: float) -> None:
+def predict_moving_tension(x: Tables, c: ConstantTables, n: int, rate: float, efficiency: float) -> None:
     """Write the tension of a moving tendon a period from now, the rate until then, and the development of friction.
 
     Args:
@@ -46,22 +46,24 @@ def look_ahead(x: Tables, c: ConstantTables, n: int, rate: float, efficiency: fl
     coming = max(load + period * c.tendon[h.LOAD_STIFFNESS, n] * rate, c.tendon[h.FLOOR, n])
     wound = period * coming_speed
     if c.tendon_int[h.PAIR, n]:
-        _look_ahead_of_pair(x, c, n, coming, efficiency, wound)
+        _predict_pair_tension(x, c, n, coming, efficiency, wound)
         return
     now = before if before > 0.0 else tension
-    planned = expected(now, coming, efficiency, wound, c.tendon[h.STIFFNESS, n], CREEP_SPEED * period)
+    planned = tension_after_period(now, coming, efficiency, wound, c.tendon[h.STIFFNESS, n], MIN_SLIDING_SPEED * period)
     x.tendon[s.PLANNED, n] = planned
     x.tendon[s.RATE, n] = 0.0
     x.tendon[s.FRICTION_STATE, n] = math.nan
     if before > 0.0:
         x.tendon[s.RATE, n] = (planned - before) / period
-        ratio_log = math.log(max(before, FRICTION_LEAST_N) / max(load, FRICTION_LEAST_N))
-        developed = -ratio_log / math.log(min(efficiency, EFFICIENCY_MOST))
+        ratio_log = math.log(max(before, MIN_FRICTION_N) / max(load, MIN_FRICTION_N))
+        developed = -ratio_log / math.log(min(efficiency, MAX_EFFICIENCY))
         x.tendon[s.FRICTION_STATE, n] = min(max(developed, -1.0), 1.0)
 
 
 @inner
-def expected(now: float, load: float, efficiency: float, wound: float, stiffness: float, crept: float) -> float:
+def tension_after_period(
+    now: float, load: float, efficiency: float, wound: float, stiffness: float, crept: float
+) -> float:
     """Return the tension of a tendon a period from now [N].
 
     Args:
@@ -72,16 +74,14 @@ def expected(now: float, load: float, efficiency: float, wound: float, stiffness
         stiffness: of the tendon [N/m].
         crept: motion of a creeping tendon in the period [m].
     """
-    creep = stiffness * crept / (load * (1.0 - efficiency) + FRICTION_LEAST_N)
+    creep = stiffness * crept / (load * (1.0 - efficiency) + MIN_FRICTION_N)
     # Implicit Euler step of the viscous slider: stable for any period.
     sticking = (now + stiffness * wound + creep * load) / (1.0 + creep)
     return min(max(sticking, load * efficiency), load / efficiency)
 
 
 @inner
-def _look_ahead_of_pair(
-    x: Tables, c: ConstantTables, n: int, coming: float, efficiency: float, wound: float
-) -> None:
+def _predict_pair_tension(x: Tables, c: ConstantTables, n: int, coming: float, efficiency: float, wound: float) -> None:
     """Write the same for a spool pair. The edges of the band are where one tendon winds and the other pays out.
 
     Args:
@@ -95,11 +95,11 @@ def _look_ahead_of_pair(
     before = x.tendon[s.PLANNED, n]
     pretension = c.tendon[h.PRETENSION, n]
     period = c.run[h.PERIOD]
-    upper = at_spool(coming, pretension, efficiency)
-    lower = at_spool(coming, pretension, 1.0 / efficiency)
+    upper = net_tension_at_spool(coming, pretension, efficiency)
+    lower = net_tension_at_spool(coming, pretension, 1.0 / efficiency)
     now = x.tendon[s.TENSION, n] if before == 0.0 else before  # 0 is what is not known
     stiffness = c.tendon[h.STIFFNESS, n]
-    creep = stiffness * CREEP_SPEED * period / (0.5 * (upper - lower) + FRICTION_LEAST_N)
+    creep = stiffness * MIN_SLIDING_SPEED * period / (0.5 * (upper - lower) + MIN_FRICTION_N)
     sticking = (now + stiffness * wound + creep * coming) / (1.0 + creep)
     planned = min(max(sticking, lower), upper)
     x.tendon[s.PLANNED, n] = planned
@@ -107,5 +107,5 @@ def _look_ahead_of_pair(
     x.tendon[s.FRICTION_STATE, n] = math.nan
     if before != 0.0:
         x.tendon[s.RATE, n] = (planned - before) / period
-        developed = (2.0 * before - upper - lower) / (upper - lower + FRICTION_LEAST_N)
+        developed = (2.0 * before - upper - lower) / (upper - lower + MIN_FRICTION_N)
         x.tendon[s.FRICTION_STATE, n] = min(max(developed, -1.0), 1.0)

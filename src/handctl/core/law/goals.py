@@ -6,7 +6,7 @@ import numpy as np
 
 from handctl.core import block as s
 from handctl.core.law.goal import DigitGoal, Kind
-from handctl.core.law.reference import MINIMUM_JERK, NO_WAY, SAMPLED, STREAMED
+from handctl.core.law.reference import MINIMUM_JERK, NO_TRAJECTORY, SAMPLED, STREAMED
 from handctl.core.law.trajectory import MinimumJerk, Streamed, Trajectory
 from handctl.core.model import HandModel
 from handctl.core.schema import Block, Layout
@@ -27,7 +27,7 @@ def write_goals(model: HandModel, layout: Layout, block: Block, goals: tuple[Dig
     ways = layout.table(block, "digit_int")[s.TRAJECTORY_KIND]
     way = layout.table(block, "coordinate")
     for d, (goal, tendons, places) in enumerate(zip(goals, model.digit_tendons, model.digit_coordinates, strict=True)):
-        kinds[tendons] = int(_kind(goal))
+        kinds[tendons] = int(_kind_of_control(goal))
         if goal.kind == Kind.TENSION and goal.trajectory is not None:
             # Sideways spool pairs hold their position while the others pull.
             kinds[tendons][model.redundancy.side[tendons] == 0.0] = int(Kind.MOTION)
@@ -37,7 +37,7 @@ def write_goals(model: HandModel, layout: Layout, block: Block, goals: tuple[Dig
             )
             tendon[s.TARGET_STEP, tendons] = goal.rate * model.period
             tendon[s.FORCE_LIMIT, tendons] = goal.force_limit
-        ways[d] = NO_WAY if goal.trajectory is None else SAMPLED
+        ways[d] = NO_TRAJECTORY if goal.trajectory is None else SAMPLED
         if isinstance(goal.trajectory, Streamed):
             ways[d] = STREAMED
         if isinstance(goal.trajectory, MinimumJerk):
@@ -52,21 +52,21 @@ def write_goals(model: HandModel, layout: Layout, block: Block, goals: tuple[Dig
             way[s.TRAJECTORY_START_ACCELERATION, places] = blend.acceleration if blend else 0.0
 
 
-def _kind(goal: DigitGoal) -> Kind:
+def _kind_of_control(goal: DigitGoal) -> Kind:
     """Return the kind of control of a goal. A goal without trajectory and tension commands no torque."""
     if (goal.kind == Kind.MOTION and goal.trajectory is None) or (goal.kind == Kind.TENSION and goal.tension is None):
         return Kind.LIMP
     return goal.kind
 
 
-def sample(model: HandModel, layout: Layout, block: Block, goals: tuple[DigitGoal, ...], t: float) -> None:
+def sample_trajectories(model: HandModel, layout: Layout, block: Block, goals: tuple[DigitGoal, ...], t: float) -> None:
     """Write position, rate and acceleration of trajectories without compiled code, at time t [s]."""
-    for trajectory, since, places in sampled(model, goals):
+    for trajectory, since, places in sampled_goals(model, goals):
         layout.table(block, "coordinate")[s.TRAJECTORY : s.TRAJECTORY + 3, places] = trajectory.at(t - since)
 
 
 @functools.lru_cache(maxsize=16)
-def sampled(model: HandModel, goals: tuple[DigitGoal, ...]) -> tuple[tuple[Trajectory, float, slice], ...]:
+def sampled_goals(model: HandModel, goals: tuple[DigitGoal, ...]) -> tuple[tuple[Trajectory, float, slice], ...]:
     """Return trajectory, start [s] and coordinates of the sampled goals."""
     rows = zip(goals, model.digit_coordinates, strict=True)
     return tuple(

@@ -6,8 +6,8 @@ import numpy as np
 
 from handctl.core import stages
 from handctl.core.hand_constants import HandConstants
-from handctl.core.law.allocation import allocate as allocate_tension
-from handctl.core.law.allocation import bounded
+from handctl.core.law.allocation import solve_bounded
+from handctl.core.law.allocation import tensions_for_torque as allocate_tension
 from handctl.core.model import HandModel
 from handctl.core.schema import Block, Layout
 from handctl.core.types import Vector
@@ -15,7 +15,9 @@ from handctl.hand.dynamics import DigitModel, required_torque
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 
 
-def write_loads(model: HandModel, layout: Layout, constants: HandConstants, block: Block, action: int = 0) -> None:
+def write_tension_goals(
+    model: HandModel, layout: Layout, constants: HandConstants, block: Block, action: int = 0
+) -> None:
     """Evaluate the goals and write the tensions of all moving tendons.
 
     Args:
@@ -26,19 +28,19 @@ def write_loads(model: HandModel, layout: Layout, constants: HandConstants, bloc
         action: demanded by safety, ``safety.action.Action``.
     """
     constants_in = constants.block, constants.layout.places
-    undecided = stages.refer(block, layout.places, *constants_in, action)
+    undecided = stages.evaluate_goals(block, layout.places, *constants_in, action)
     required = layout.view(block, "joint_required")
     if model.inverse is not required_torque:  # another law of the digits, for experiments
-        way = stages.on_joints(block, layout.places, *constants_in)
+        way = stages.joint_motion(block, layout.places, *constants_in)
         for digit in model.digits:
             required[digit.joints] = model.inverse(digit, *(row[digit.joints].tolist() for row in way))
-        undecided = stages.load(block, layout.places, *constants_in)
+        undecided = stages.write_loads(block, layout.places, *constants_in)
     if undecided:
-        way = stages.on_joints(block, layout.places, *constants_in)
-        allocate(model, layout, constants, block, undecided, way)
+        way = stages.joint_motion(block, layout.places, *constants_in)
+        allocate_bounded_tensions(model, layout, constants, block, undecided, way)
 
 
-def allocate(
+def allocate_bounded_tensions(
     model: HandModel, layout: Layout, constants: HandConstants, block: Block, undecided: int, way: Vector
 ) -> None:
     """Solve the bounded least-squares problem of digits with tensions out of bounds or not unique.
@@ -59,12 +61,12 @@ def allocate(
             if digit.has_varying_arm:
                 digit = _with_present_arms(digit, constants)
             if model.redundancy.surplus[tendons.start]:
-                load[tendons] = _with_friction(model, digit, required[digit.joints], way[:2, digit.joints])
+                load[tendons] = _tensions_with_friction(model, digit, required[digit.joints], way[:2, digit.joints])
                 continue
             required_torque = required[digit.joints] @ digit.coupling
             low = model.floor[tendons]
             high = model.ceiling[tendons]
-            load[tendons] = bounded(digit.reduced_moment_arms, required_torque, low, high, load[tendons])
+            load[tendons] = solve_bounded(digit.reduced_moment_arms, required_torque, low, high, load[tendons])
 
 
 def _with_present_arms(digit: DigitModel, constants: HandConstants) -> DigitModel:
@@ -73,7 +75,7 @@ def _with_present_arms(digit: DigitModel, constants: HandConstants) -> DigitMode
     return replace(digit, moment_arms=arms, reduced_moment_arms=arms @ digit.coupling)
 
 
-def _with_friction(model: HandModel, digit: DigitModel, required: Vector, way: Vector) -> Vector:
+def _tensions_with_friction(model: HandModel, digit: DigitModel, required: Vector, way: Vector) -> Vector:
     """Return the tensions at the joints (n_t,) of a digit whose tendons hold each other [N].
 
     Each pulley of a tendon has its own share of friction. Without springs the sum of all tendons

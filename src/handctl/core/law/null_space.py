@@ -24,7 +24,7 @@ INTEGRAL_LIMIT_N = 8.0
 
 
 @inner
-def hold_each_other(x: Tables, c: ConstantTables, limit: Vector, terms: Matrix, internal: Matrix) -> None:
+def raise_tensions_to_floor(x: Tables, c: ConstantTables, limit: Vector, terms: Matrix, internal: Matrix) -> None:
     """Raise the tension goals of moving tendons in surplus above the floor, and write the null-space forces.
 
     The feedback of motion may take more tension off a tendon than the goal has above the floor. The
@@ -45,7 +45,7 @@ def hold_each_other(x: Tables, c: ConstantTables, limit: Vector, terms: Matrix, 
         end = c.digit_int[h.TENDONS_END, d]
         if not c.tendon_int[h.REDUNDANT, first] or x.tendon_int[s.GOAL_KIND, first] != MOTION:
             continue
-        more = _more_balance(c, first, end, limit, terms)
+        more = _balance_factor(c, first, end, limit, terms)
         for n in range(first, end):
             terms[0, n] += more * c.tendon[h.BALANCE, n]
             error[n] = terms[0, n] - x.tendon[s.TENSION, n]
@@ -57,7 +57,7 @@ def hold_each_other(x: Tables, c: ConstantTables, limit: Vector, terms: Matrix, 
 
 
 @inner
-def _more_balance(c: ConstantTables, first: int, end: int, limit: Vector, terms: Matrix) -> float:
+def _balance_factor(c: ConstantTables, first: int, end: int, limit: Vector, terms: Matrix) -> float:
     """Return the factor of the balance that keeps all tendons of a digit at the floor or above, within the limits."""
     required = 0.0
     room = np.inf

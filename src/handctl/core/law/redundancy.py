@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.law.allocation import allocate
+from handctl.core.law.allocation import tensions_for_torque
 from handctl.core.types import Vector
 from handctl.hand.digit import DigitModel
 from handctl.hand.moment_arms import excursions_at
@@ -43,7 +43,7 @@ class Redundancy:
     excursion_range: Vector
 
 
-def redundancy(digits: tuple[DigitModel, ...], floor: Vector, ceiling: Vector, is_pair: Flags) -> Redundancy:
+def redundancy_of_hand(digits: tuple[DigitModel, ...], floor: Vector, ceiling: Vector, is_pair: Flags) -> Redundancy:
     """Derive directions and balance of all tendons.
 
     Args:
@@ -55,11 +55,11 @@ def redundancy(digits: tuple[DigitModel, ...], floor: Vector, ceiling: Vector, i
     counts = [len(digit.moment_arms) for digit in digits]
     surplus = [len(digit.moment_arms) > digit.coupling.shape[1] for digit in digits]
     balance = [
-        _balance(digit, floor[digit.tendons], ceiling[digit.tendons]) if more else np.zeros(count)
+        _balance_tensions(digit, floor[digit.tendons], ceiling[digit.tendons]) if more else np.zeros(count)
         for digit, more, count in zip(digits, surplus, counts, strict=True)
     ]
     return Redundancy(
-        side=np.concatenate([sides(digit, is_pair[digit.tendons]) for digit in digits]),
+        side=np.concatenate([tendon_directions(digit, is_pair[digit.tendons]) for digit in digits]),
         sprung=np.repeat([is_sprung(digit) for digit in digits], counts),
         surplus=np.repeat(surplus, counts),
         balance=np.concatenate(balance),
@@ -68,7 +68,7 @@ def redundancy(digits: tuple[DigitModel, ...], floor: Vector, ceiling: Vector, i
     )
 
 
-def sides(digit: DigitModel, is_pair: Flags) -> Vector:
+def tendon_directions(digit: DigitModel, is_pair: Flags) -> Vector:
     """Return the direction of each tendon of a digit (n_t,), see ``Redundancy.side``."""
     arms = digit.reduced_moment_arms
     side = np.where(arms.sum(axis=1) < 0.0, -1.0, 1.0)
@@ -92,9 +92,9 @@ def is_sprung(digit: DigitModel) -> bool:
     return bool((digit.coupling.T @ torque > 0.0).all())
 
 
-def _balance(digit: DigitModel, floor: Vector, ceiling: Vector) -> Vector:
+def _balance_tensions(digit: DigitModel, floor: Vector, ceiling: Vector) -> Vector:
     """Return the balance of a digit (n_t,) [N], the floor if its tendons cannot hold each other."""
     arms = digit.reduced_moment_arms
-    tension, missing = allocate(arms, np.zeros(arms.shape[1]), floor, ceiling)
+    tension, missing = tensions_for_torque(arms, np.zeros(arms.shape[1]), floor, ceiling)
     bearable = MISSING_FRACTION * float(tension.max() * np.abs(arms).mean())
     return tension if np.abs(missing).max() <= bearable else floor

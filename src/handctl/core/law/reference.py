@@ -8,19 +8,19 @@ from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
-from handctl.core.law.stream import advance
-from handctl.hand.rigid_body import newton_euler
+from handctl.core.law.stream import advance_reference
+from handctl.hand.rigid_body import write_newton_euler
 
 Matrix = NDArray[np.float64]
 
 LIMP, MOTION, TENSION = 0, 1, 2
 """Numbers of ``goal.Kind`` and of ``block.GOAL_KIND``."""
-NO_WAY, MINIMUM_JERK, SAMPLED, STREAMED = 0, 1, 2, 3
+NO_TRAJECTORY, MINIMUM_JERK, SAMPLED, STREAMED = 0, 1, 2, 3
 """Numbers of ``block.TRAJECTORY_KIND``."""
 
 
 @inner
-def follow(x: Tables, c: ConstantTables, frozen: bool) -> None:
+def follow_trajectories(x: Tables, c: ConstantTables, frozen: bool) -> None:
     """Write position, rate and acceleration of every coordinate on a trajectory, 0 for the others.
 
     Args:
@@ -35,7 +35,7 @@ def follow(x: Tables, c: ConstantTables, frozen: bool) -> None:
     for d in range(x.digit.shape[1]):
         first = c.digit_int[h.COORDINATES_FIRST, d]
         end = c.digit_int[h.COORDINATES_END, d]
-        if x.digit_int[s.TRAJECTORY_KIND, d] == NO_WAY:
+        if x.digit_int[s.TRAJECTORY_KIND, d] == NO_TRAJECTORY:
             for k in range(first, end):
                 for order in range(3):
                     x.coordinate[s.TRAJECTORY + order, k] = 0.0
@@ -51,17 +51,17 @@ def follow(x: Tables, c: ConstantTables, frozen: bool) -> None:
                 x.coordinate[s.TRAJECTORY, k] = x.coordinate[s.TRAJECTORY_START, k] + position * length
                 x.coordinate[s.TRAJECTORY + 1, k] = rate * length
                 x.coordinate[s.TRAJECTORY + 2, k] = acceleration * length
-                _continue(x, k, after, x.digit[s.TRAJECTORY_BLEND, d])
+                _add_blend(x, k, after, x.digit[s.TRAJECTORY_BLEND, d])
         if x.digit_int[s.TRAJECTORY_KIND, d] == STREAMED and not frozen:
             for k in range(first, end):
-                advance(x, c, k)
-        if frozen and moves(x, c, d):
+                advance_reference(x, c, k)
+        if frozen and is_digit_moving(x, c, d):
             for k in range(first, end):
                 x.coordinate[s.TRAJECTORY + 1, k] = x.coordinate[s.TRAJECTORY + 2, k] = 0.0
 
 
 @inner
-def _continue(x: Tables, k: int, after: float, blend: float) -> None:
+def _add_blend(x: Tables, k: int, after: float, blend: float) -> None:
     """Add the part of a minimum-jerk move that continues an earlier motion, see ``trajectory.MinimumJerk``.
 
     Args:
@@ -84,7 +84,7 @@ def _continue(x: Tables, k: int, after: float, blend: float) -> None:
 
 
 @inner
-def on_joints(x: Tables, c: ConstantTables) -> Matrix:
+def joint_trajectories(x: Tables, c: ConstantTables) -> Matrix:
     """Return angles, rates and accelerations (3, J) of all joints on the trajectories."""
     joints = x.joint.shape[1]
     way = np.zeros((3, joints))
@@ -98,7 +98,7 @@ def on_joints(x: Tables, c: ConstantTables) -> Matrix:
 
 
 @inner
-def moves(x: Tables, c: ConstantTables, d: int) -> bool:
+def is_digit_moving(x: Tables, c: ConstantTables, d: int) -> bool:
     """Return True if a digit moves along a trajectory, or a spool pair of it holds its position."""
     for n in range(c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]):
         if x.tendon_int[s.GOAL_KIND, n] == MOTION:
@@ -107,7 +107,7 @@ def moves(x: Tables, c: ConstantTables, d: int) -> bool:
 
 
 @inner
-def require(x: Tables, c: ConstantTables, way: Matrix) -> None:
+def write_required_torque(x: Tables, c: ConstantTables, way: Matrix) -> None:
     """Write the joint torques of the motion: inverse dynamics, springs and damping.
 
     Args:
@@ -122,7 +122,7 @@ def require(x: Tables, c: ConstantTables, way: Matrix) -> None:
     for d in range(x.digit.shape[1]):
         first = c.digit_int[h.JOINTS_FIRST, d]
         end = c.digit_int[h.JOINTS_END, d]
-        if moves(x, c, d):
+        if is_digit_moving(x, c, d):
             moving = True
             for order in range(3):
                 for j in range(first, end):
@@ -135,16 +135,16 @@ def require(x: Tables, c: ConstantTables, way: Matrix) -> None:
         return
     parent = c.joint_int[h.PARENT]
     gravity = c.run[h.GRAVITY : h.GRAVITY + 3]
-    newton_euler(c.joint, h.LINK, parent, gravity, motion[0], motion[1], motion[2], torque)
+    write_newton_euler(c.joint, h.LINK, parent, gravity, motion[0], motion[1], motion[2], torque)
     for d in range(x.digit.shape[1]):
-        if moves(x, c, d):
+        if is_digit_moving(x, c, d):
             for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
                 spring = c.joint[h.SPRING, j] * (motion[0, j] + c.joint[h.PRELOAD, j])
                 x.joint[s.JOINT_REQUIRED, j] = torque[j] + spring + c.joint[h.JOINT_DAMPING, j] * motion[1, j]
 
 
 @inner
-def load(x: Tables, c: ConstantTables) -> int:
+def write_required_tensions(x: Tables, c: ConstantTables) -> int:
     """Write the tensions at the joints for the required joint torques.
 
     Returns:
@@ -158,7 +158,7 @@ def load(x: Tables, c: ConstantTables) -> int:
         good = True
         for n in range(first, end):
             x.tendon[s.LOAD, n] = 0.0
-            if not moves(x, c, d):
+            if not is_digit_moving(x, c, d):
                 continue
             for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
                 x.tendon[s.LOAD, n] += c.tendon_joint[h.TORQUE_TO_TENSION, n, j] * x.joint[s.JOINT_REQUIRED, j]

@@ -22,7 +22,7 @@ TOLERANCE = 1e-9
 
 
 @inner
-def segment(x: Tables, k: int, t: float) -> tuple[float, float]:
+def position_on_segment(x: Tables, k: int, t: float) -> tuple[float, float]:
     """Return position [rad] and rate [rad/s] of a coordinate on the present segment at time t [s]."""
     after = t - x.run[s.STREAM_SINCE]
     if after >= x.run[s.STREAM_DURATION]:
@@ -35,7 +35,7 @@ def segment(x: Tables, k: int, t: float) -> tuple[float, float]:
 
 
 @inner
-def advance(x: Tables, c: ConstantTables, k: int) -> None:
+def advance_reference(x: Tables, c: ConstantTables, k: int) -> None:
     """Move the reference of a coordinate to the present tick.
 
     Args:
@@ -44,15 +44,15 @@ def advance(x: Tables, c: ConstantTables, k: int) -> None:
         k: index of the coordinate.
     """
     period = c.run[h.PERIOD] * (1 + x.run_int[s.MISSED])
-    aim, aim_rate = segment(x, k, x.run_int[s.T_NS] / 1e9)
+    aim, aim_rate = position_on_segment(x, k, x.run_int[s.T_NS] / 1e9)
     position = x.coordinate[s.TRAJECTORY, k]
     rate = x.coordinate[s.TRAJECTORY + 1, k]
     top = c.run[h.STREAM_SPEED]
     gain = c.run[h.STREAM_ACCELERATION] * period
     low = x.coordinate[s.STREAM_RANGE, k]
     high = x.coordinate[s.STREAM_RANGE + 1, k]
-    slowest = max(-top, -stoppable(position - low, gain, period))
-    fastest = min(top, stoppable(high - position, gain, period))
+    slowest = max(-top, -max_stoppable_speed(position - low, gain, period))
+    fastest = min(top, max_stoppable_speed(high - position, gain, period))
     mean = (aim - position) / period
     allowed = gain * (1.0 + TOLERANCE)
     free = abs(mean - rate) <= allowed and abs(aim_rate - rate) <= allowed
@@ -61,7 +61,7 @@ def advance(x: Tables, c: ConstantTables, k: int) -> None:
     if not free:
         x.run_int[s.STREAM_LIMITED] += 1
         apart = aim - position - aim_rate * period
-        closing = math.copysign(stoppable(abs(apart), gain, period), apart)
+        closing = math.copysign(max_stoppable_speed(abs(apart), gain, period), apart)
         sought = min(max(aim_rate + closing, slowest), fastest)
         new_rate = rate + min(max(sought - rate, -gain), gain)
         aim = position + new_rate * period
@@ -71,7 +71,7 @@ def advance(x: Tables, c: ConstantTables, k: int) -> None:
 
 
 @inner
-def stoppable(distance: float, gain: float, period: float) -> float:
+def max_stoppable_speed(distance: float, gain: float, period: float) -> float:
     """Return the largest speed from which a motion stops within a distance, in steps of a period [rad/s].
 
     A speed w = n g + r, 0 <= r < g, falls to 0 over the distance ((n + 1) w - g n (n + 1) / 2) T.

@@ -139,7 +139,7 @@ class Curve:
             return np.array((d + s * (c + s * (b + s * a)), rate, moving * (2 * b + 6 * a * s)))
         a, b, c, d = self.coefficients[:, piece].tolist()
         values = (d + s * (c + s * (b + s * a)), moving * (c + s * (2 * b + s * 3 * a)), moving * (2 * b + 6 * a * s))
-        return _alike(values, self.coordinates)
+        return _equal_coordinates(values, self.coordinates)
 
     def peak_speed(self) -> float:
         """Return the peak speed [rad/s], at the ends of a piece or at zero acceleration."""
@@ -206,7 +206,7 @@ class Chirp:
         acceleration = bend * sine + 2.0 * growth * speed * cosine + size * (rise * cosine - speed**2 * sine)
         moving = self.amplitude if s == t else 0.0
         values = (self.centre + self.amplitude * way, moving * velocity, moving * acceleration)
-        return _alike(values, self.coordinates)
+        return _equal_coordinates(values, self.coordinates)
 
     def _envelope(self, t: float) -> tuple[float, float, float]:
         """Return the amplitude factor at t [s], the rate [1/s] and the acceleration [1/s^2], smooth at both ends."""
@@ -219,7 +219,7 @@ class Chirp:
         return 0.5 - 0.5 * math.cos(w * left), sign * 0.5 * w * math.sin(w * left), 0.5 * w * w * math.cos(w * left)
 
 
-def _alike(values: tuple[float, float, float], coordinates: int) -> Vector:
+def _equal_coordinates(values: tuple[float, float, float], coordinates: int) -> Vector:
     """Return (3, n) of a motion with equal coordinates."""
     return np.array([[value] * coordinates for value in values])
 

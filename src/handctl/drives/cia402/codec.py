@@ -47,11 +47,11 @@ SWITCH_ON = 0x07
 ENABLE_OPERATION = 0x0F
 DISABLE_VOLTAGE = 0x00
 FAULT_RESET = 0x80
-TORQUE_TOP = 0x7FFF
+MAX_TORQUE_COUNT = 0x7FFF
 """Largest target torque [1/1000 of rated]."""
-TARGET_TOP = 0x7FFFFFFF
+MAX_TARGET_COUNT = 0x7FFFFFFF
 """Largest target position or velocity [count]."""
-ABSENT = 0x06020000
+OBJECT_MISSING = 0x06020000
 """SDO abort code of a missing object."""
 
 # Power states in words.
@@ -70,7 +70,7 @@ _STATES = (
 """(mask, value, power state) of the status word. Source: CiA 402-2, status word coding."""
 WITHOUT_TORQUE = frozenset((NOT_READY, OFF, READY_TO_SWITCH_ON, FAULT))
 """States with the power stage off."""
-NEXT = {
+NEXT_COMMAND = {
     OFF: SHUTDOWN,
     READY_TO_SWITCH_ON: SWITCH_ON,
     SWITCHED_ON: ENABLE_OPERATION,
@@ -92,7 +92,7 @@ ERRORS = {
 """Emergency error codes in words. Source: CiA 301 and CiA 402-2, error code tables."""
 ABORTS = {
     0x05030000: "toggle bit", 0x05040000: "time-out", 0x06010001: "write-only", 0x06010002: "read-only",
-    ABSENT: "no such object", 0x06040041: "cannot be mapped", 0x06040042: "mapping too long",
+    OBJECT_MISSING: "no such object", 0x06040041: "cannot be mapped", 0x06040042: "mapping too long",
     0x06070010: "wrong length", 0x06090011: "no such sub-index", 0x06090030: "out of range",
     0x08000022: "not in this state",
 }  # fmt: skip
@@ -103,7 +103,7 @@ ENABLED_STATUS = 0x07 << 2 | 0x01
 """Value of the state and stop bits in operation enabled, joined as in ``feedback_message``."""
 
 
-def state_of(status: int) -> str:
+def power_state(status: int) -> str:
     """Return the power state coded in a status word, or an empty string for an undefined code."""
     return next((state for mask, value, state in _STATES if status & mask == value), "")
 
@@ -183,7 +183,7 @@ def velocity_message(node_id: int, unit: float, limit: float) -> Message:
 
 def _motion_message(node_id: int, signal: Signal, limit: float, largest: float) -> Message:
     """Return RPDO1 with a target of four bytes, whose largest value is given."""
-    if not largest / abs(signal.scale) < TARGET_TOP:
+    if not largest / abs(signal.scale) < MAX_TARGET_COUNT:
         raise ValueError(f"{signal.name} {limit:g} {signal.unit} does not fit into the object of the drive")
     control = Signal("control", Quantity.UNUSED, 0, 16)
     base = struct.pack("<Hi", ENABLE_OPERATION, 0)
@@ -200,13 +200,13 @@ def abort_text(code: int) -> str:
     return ABORTS.get(code, f"abort {code:#010x}")
 
 
-def upload(index: int, sub: int) -> bytes:
+def upload_request(index: int, sub: int) -> bytes:
     """Return the SDO payload that requests the value of an object."""
     # 0x40: initiate upload, from the drive to the host.
     return struct.pack("<BHB4x", 0x40, index, sub)
 
 
-def download(index: int, sub: int, raw: bytes) -> bytes:
+def download_request(index: int, sub: int, raw: bytes) -> bytes:
     """Return the SDO payload that writes one to four bytes to an object."""
     # 0x23: initiate download, expedited, size in bits 2..3 as the number of unused bytes.
     return struct.pack("<BHB4s", 0x23 | (4 - len(raw)) << 2, index, sub, raw)
@@ -221,7 +221,7 @@ class SdoReply(NamedTuple):
     abort: int
 
 
-def sdo_reply(data: bytes) -> SdoReply | None:
+def decode_sdo_reply(data: bytes) -> SdoReply | None:
     """Decode 8 bytes of an SDO reply, or return None if the specifier is not a reply to a read or write."""
     specifier, index, sub = struct.unpack_from("<BHB", data)
     # 0x80 abort, 0x60 write confirmed, 0x43 value with the number of unused bytes in bits 2..3.

@@ -6,10 +6,16 @@ drive, outside any tick (``runtime.diagnostics.canopen_identity``). Source: CiA 
 
 from handctl.drives.cia402 import codec
 from handctl.drives.cia402.settings import MASTER
-from handctl.drives.discovery import TWINS, DiscoveredNode, Discovery, ReceivedFrames, have_twins
+from handctl.drives.discovery import (
+    TWO_DRIVES_WARNING,
+    DiscoveredNode,
+    Discovery,
+    ReceivedFrames,
+    have_two_drives_answered,
+)
 from handctl.drives.frame import REMOTE, Frame
 
-NUMBERS = range(1, MASTER)
+NODE_NUMBERS = range(1, MASTER)
 """Node numbers to try."""
 # Object with the device type, and the profile number in its low word.
 DEVICE_TYPE = 0x1000
@@ -28,29 +34,33 @@ def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     Round 2 reads the device type of every number, round 3 the serial number of discovered nodes.
     """
     if turn == 2:
-        return tuple(Frame(codec.SDO_REQUEST + number, codec.upload(DEVICE_TYPE, 0)) for number in NUMBERS)
+        return tuple(Frame(codec.SDO_REQUEST + number, codec.upload_request(DEVICE_TYPE, 0)) for number in NODE_NUMBERS)
     if turn == 3:
-        return tuple(Frame(codec.SDO_REQUEST + node.node_id, codec.upload(*SERIAL)) for node in nodes(received))
+        return tuple(
+            Frame(codec.SDO_REQUEST + node.node_id, codec.upload_request(*SERIAL)) for node in nodes_in(received)
+        )
     return ()
 
 
-def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
+def nodes_in(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the discovered nodes: those that reported a device type, and those that only sent heartbeats."""
     types: dict[int, int] = {}
     states: dict[int, int] = {}
     answers: dict[int, dict[int, list[bytes]]] = {}
     for frame in received:
-        if frame.can_id - codec.SDO_REPLY in NUMBERS and len(frame.data) == 8:
-            reply = codec.sdo_reply(frame.data)
+        if frame.can_id - codec.SDO_REPLY in NODE_NUMBERS and len(frame.data) == 8:
+            reply = codec.decode_sdo_reply(frame.data)
             if reply and reply[:2] in ((DEVICE_TYPE, 0), SERIAL):
                 by_object = answers.setdefault(frame.can_id - codec.SDO_REPLY, {})
                 by_object.setdefault(reply.number, []).append(frame.data)
             if reply and reply[:2] == (DEVICE_TYPE, 0) and len(reply.raw) == 4:
                 types[frame.can_id - codec.SDO_REPLY] = int.from_bytes(reply.raw, "little")
-        elif frame.can_id - codec.HEARTBEAT in NUMBERS and len(frame.data) == 1:
+        elif frame.can_id - codec.HEARTBEAT in NODE_NUMBERS and len(frame.data) == 1:
             states[frame.can_id - codec.HEARTBEAT] = frame.data[0]
     return tuple(
-        _describe_node(number, types.get(number), states.get(number), have_twins(answers.get(number, {}), SERIAL[0]))
+        _describe_node(
+            number, types.get(number), states.get(number), have_two_drives_answered(answers.get(number, {}), SERIAL[0])
+        )
         for number in sorted(types | states)
     )
 
@@ -61,7 +71,7 @@ def _describe_node(number: int, device_type: int | None, nmt: int | None, twins:
     if device_type is None:
         return DiscoveredNode("canopen", number, state=state, notes=("sends heartbeats, but does not answer an SDO",))
     profile = device_type & 0xFFFF
-    notes = (TWINS,) * twins
+    notes = (TWO_DRIVES_WARNING,) * twins
     if profile != PROFILE:
         notes = (*notes, f"a CANopen device of profile {profile}, not a drive of CiA 402")
     protocol = "cia402" if profile == PROFILE else "canopen"
@@ -82,7 +92,7 @@ def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
 
 def ping(node: DiscoveredNode) -> Frame:
     """Return the SDO request that reads the device type of a node."""
-    return Frame(codec.SDO_REQUEST + node.node_id, codec.upload(DEVICE_TYPE, 0))
+    return Frame(codec.SDO_REQUEST + node.node_id, codec.upload_request(DEVICE_TYPE, 0))
 
 
 def is_ping_reply(node: DiscoveredNode, frame: Frame) -> bool:
@@ -90,4 +100,4 @@ def is_ping_reply(node: DiscoveredNode, frame: Frame) -> bool:
     return frame.can_id == codec.SDO_REPLY + node.node_id and len(frame.data) == 8
 
 
-DISCOVERY = Discovery(probe_frames, nodes, command_ids, other_host_frames, ping, is_ping_reply)
+DISCOVERY = Discovery(probe_frames, nodes_in, command_ids, other_host_frames, ping, is_ping_reply)

@@ -25,14 +25,14 @@ from handctl.drives.cia402.progress import (
     Cia402Progress,
     apply_power_state,
     on_heartbeat,
-    on_timeout,
     progress_of,
+    state_after_timeout,
     to_fault,
 )
 from handctl.drives.contract import UNSTEADY, DriveState, DriveTarget, Phase
 from handctl.drives.frame import Frame
 from handctl.drives.motor_description import MotorDescription
-from handctl.drives.option_checks import boolean, positive_number, refuse_others, whole_number
+from handctl.drives.option_checks import checked_boolean, checked_positive, checked_whole_number, refuse_unknown_options
 from handctl.drives.signals import Cyclic, Message, Table
 from handctl.errors import ConfigError
 
@@ -41,7 +41,7 @@ SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 
 HEARTBEATS_MISSED = 3.5
 """Heartbeat periods without a sign of life before the drive counts as lost."""
-UNITS = {"uN_m": 1e6, "mN_m": 1e3}
+TORQUE_UNITS = {"uN_m": 1e6, "mN_m": 1e3}
 """Counts of object 0x6076 per newton metre. Makers differ: uN m on EPOS4, mN m in the standard."""
 
 
@@ -108,20 +108,20 @@ class Cia402Drive:
         where = f"motor[{motor.name}].options"
         if not 0 < motor.node_id < setup.MASTER:
             raise ConfigError(str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {setup.MASTER - 1}")
-        ratio = positive_number(options.pop("gear_ratio", 1.0), f"{where}.gear_ratio", 1000)
-        rated = positive_number(options.pop("rated_torque_N_m", None), f"{where}.rated_torque_N_m", 1000)
-        counts = whole_number(options.pop("counts_per_turn", None), f"{where}.counts_per_turn", 1 << 24)
-        heartbeat = whole_number(options.pop("heartbeat_ms", 50), f"{where}.heartbeat_ms", 1000)
+        ratio = checked_positive(options.pop("gear_ratio", 1.0), f"{where}.gear_ratio", 1000)
+        rated = checked_positive(options.pop("rated_torque_N_m", None), f"{where}.rated_torque_N_m", 1000)
+        counts = checked_whole_number(options.pop("counts_per_turn", None), f"{where}.counts_per_turn", 1 << 24)
+        heartbeat = checked_whole_number(options.pop("heartbeat_ms", 50), f"{where}.heartbeat_ms", 1000)
         unit = options.pop("rated_torque_unit", "mN_m")
-        sync = boolean(options.pop("sync", False), f"{where}.sync")
-        if unit not in UNITS:
-            raise ConfigError(repr(unit), f"{where}.rated_torque_unit", " or ".join(UNITS))
+        sync = checked_boolean(options.pop("sync", False), f"{where}.sync")
+        if unit not in TORQUE_UNITS:
+            raise ConfigError(repr(unit), f"{where}.rated_torque_unit", " or ".join(TORQUE_UNITS))
         right = "rated_torque_N_m, rated_torque_unit, counts_per_turn, gear_ratio, heartbeat_ms or sync"
-        refuse_others(options, where, right)
+        refuse_unknown_options(options, where, right)
         max_torque = math.ceil(motor.torque_max_N_m / ratio / rated * 1000)
-        if max_torque > codec.TORQUE_TOP:
+        if max_torque > codec.MAX_TORQUE_COUNT:
             raise ConfigError(f"{motor.torque_max_N_m:g}", f"motor[{motor.name}].torque_max_N_m", "32 x rated at most")
-        if round(rated * UNITS[unit]) < 1:
+        if round(rated * TORQUE_UNITS[unit]) < 1:
             raise ConfigError(f"{rated:g}", f"{where}.rated_torque_N_m", f"at least one {unit}")
         watchdog = round(motor.watchdog_ms)
         return Cia402Drive(
@@ -133,7 +133,9 @@ class Cia402Drive:
             zero=motor.zero_rad,
             rated=rated,
             counts=counts,
-            steps=setup.steps(motor.node_id, round(rated * UNITS[unit]), max_torque, watchdog, heartbeat, mode),
+            steps=setup.required_steps(
+                motor.node_id, round(rated * TORQUE_UNITS[unit]), max_torque, watchdog, heartbeat, mode
+            ),
             sync=sync,
             # Three heartbeats per watchdog time: two may be lost.
             heartbeat_period_ns=watchdog * 1_000_000 // 3,
@@ -236,7 +238,7 @@ class Cia402Drive:
     def _on_object(self, state: DriveState, data: bytes) -> DriveState:
         """Update the state with an SDO reply."""
         progress = progress_of(state)
-        reply = codec.sdo_reply(data)
+        reply = codec.decode_sdo_reply(data)
         if reply is not None and state.phase == ENABLED and progress.check.waiting:
             return self._on_recheck_reply(state, progress, reply)
         if reply is None or progress.cursor.step >= len(self.steps) or state.phase not in (SILENT, CONFIGURING):
@@ -276,7 +278,7 @@ class Cia402Drive:
             feedback_t_ns=frame.t_ns,
             feedback_count=state.feedback_count + 1,
         )
-        power = codec.state_of(int.from_bytes(frame.data[:2], "little"))
+        power = codec.power_state(int.from_bytes(frame.data[:2], "little"))
         return apply_power_state(updated, progress._replace(power=power or "unknown", life_sign_ns=frame.t_ns))
 
     def advance(
@@ -287,7 +289,7 @@ class Cia402Drive:
             return state, ()
         # A status word is a sign of life as well; compiled code may have read the last ones.
         if 0 <= max(progress_of(state).life_sign_ns, state.feedback_t_ns) < t_ns - self.life_sign_timeout_ns:
-            state = on_timeout(state)
+            state = state_after_timeout(state)
         state, frames = self._command(state, t_ns, target, torque)
         progress = progress_of(state)
         if t_ns - progress.heartbeat_sent_ns >= self.heartbeat_period_ns:
@@ -313,7 +315,7 @@ class Cia402Drive:
         if state.phase != READY:
             return self._start(state, progress, t_ns)
         if target == ENABLE:
-            control_word = codec.NEXT.get(progress.power, codec.DISABLE_VOLTAGE)
+            control_word = codec.NEXT_COMMAND.get(progress.power, codec.DISABLE_VOLTAGE)
             check = progress.check if progress.enable_sent else readback.first_recheck(self.node_id, t_ns)
             return state._replace(private=progress._replace(enable_sent=True, check=check)), (
                 self._rpdo(control_word, self._rest(state)),
@@ -331,7 +333,9 @@ class Cia402Drive:
         state = state._replace(private=progress._replace(check=check))
         if problem:
             state = to_fault(state, MISMATCH, problem)
-        return state, (Frame(codec.SDO_REQUEST + self.node_id, codec.upload(step.number, step.sub), 0, self.bus),)
+        return state, (
+            Frame(codec.SDO_REQUEST + self.node_id, codec.upload_request(step.number, step.sub), 0, self.bus),
+        )
 
     def _disable(self, state: DriveState, progress: Cia402Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the state and the frames that disable the drive.
@@ -424,7 +428,7 @@ class Cia402Drive:
         """
         if state.phase != READY:
             return ()
-        data = codec.download(*setup.UNSUPERVISED)
+        data = codec.download_request(*setup.UNSUPERVISED)
         return (Frame(codec.SDO_REQUEST + self.node_id, data, 0, self.bus),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:

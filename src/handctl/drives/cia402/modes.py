@@ -72,7 +72,7 @@ class Cia402ModeDrive(Cia402Drive):
         return ()
 
 
-def make(motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits) -> Cia402ModeDrive:
+def make_mode_drive(motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits) -> Cia402ModeDrive:
     """Return the drive of a motor description in a mode.
 
     Raises:

@@ -123,7 +123,7 @@ def on_heartbeat(state: DriveState, frame: Frame) -> DriveState:
     return state._replace(phase=SILENT, private=Cia402Progress())
 
 
-def on_timeout(state: DriveState) -> DriveState:
+def state_after_timeout(state: DriveState) -> DriveState:
     """Return the state after the drive was silent for too long.
 
     An enabled drive is then in fault. A disabled drive may have restarted, so its objects are read

@@ -22,7 +22,7 @@ TORQUE_MODE = 10
 """Mode of operation: cyclic synchronous torque."""
 TARGETS = {POSITION_MODE: (0x607A, 4), VELOCITY_MODE: (0x60FF, 4), TORQUE_MODE: (0x6071, 2)}
 """Object of the target, and its size in bytes, by mode of operation."""
-PDO_OFF = 1 << 31
+PDO_DISABLED_BIT = 1 << 31
 """Bit of a COB-ID that disables the PDO."""
 MASTER = 0x7F
 """Node number of this host, whose heartbeat the drives supervise."""
@@ -81,7 +81,7 @@ The maximum speed is required only in the position and velocity modes.
 """
 
 
-def steps(
+def required_steps(
     node_id: int, rated: int, max_torque: int, watchdog_ms: int, heartbeat_ms: int, mode: int = TORQUE_MODE
 ) -> tuple[Step, ...]:
     """Return all objects to write and read back, in the order of the requests.
@@ -99,7 +99,7 @@ def steps(
     bases = ((0x1400, codec.RPDO), (0x1800, codec.TPDO))
     # PDO 2 to 4 are switched off: records follow each other, and their default COB-IDs are 0x100 apart.
     others = [
-        Step(write_optional, base + i, 1, PDO_OFF | cob + 0x100 * i + node_id, 4)
+        Step(write_optional, base + i, 1, PDO_DISABLED_BIT | cob + 0x100 * i + node_id, 4)
         for base, cob in bases
         for i in (1, 2, 3)
     ]
@@ -120,17 +120,19 @@ def steps(
         Step(write, 0x6060, 0, mode, 1),
         Step(same, 0x6061, 0, mode, 1),
         *others,
-        *_pdo(0x1400, 0x1600, codec.RPDO + node_id, 255, (0x6040_00_10, target << 16 | 8 * size)),
-        *_pdo(0x1800, 0x1A00, codec.TPDO + node_id, 1, (0x6041_00_10, 0x6064_00_20, 0x6077_00_10)),
+        *_pdo_steps(0x1400, 0x1600, codec.RPDO + node_id, 255, (0x6040_00_10, target << 16 | 8 * size)),
+        *_pdo_steps(0x1800, 0x1A00, codec.TPDO + node_id, 1, (0x6041_00_10, 0x6064_00_20, 0x6077_00_10)),
     )
 
 
-def _pdo(communication: int, mapping: int, cob: int, transmission: int, objects: tuple[int, ...]) -> tuple[Step, ...]:
+def _pdo_steps(
+    communication: int, mapping: int, cob: int, transmission: int, objects: tuple[int, ...]
+) -> tuple[Step, ...]:
     """Return the steps that set up one PDO: disable it, map its objects, enable it."""
     write = Check.WRITE
     return (
         # CiA 301: the mapping of a PDO changes only while the PDO is off and its entry count is 0.
-        Step(write, communication, 1, PDO_OFF | cob, 4),
+        Step(write, communication, 1, PDO_DISABLED_BIT | cob, 4),
         Step(write, mapping, 0, 0, 1),
         *(Step(write, mapping, i + 1, entry, 4) for i, entry in enumerate(objects)),
         Step(write, mapping, 0, len(objects), 1),
@@ -139,7 +141,7 @@ def _pdo(communication: int, mapping: int, cob: int, transmission: int, objects:
     )
 
 
-def writes(cursor: Cursor, step: Step) -> bool:
+def is_write_next(cursor: Cursor, step: Step) -> bool:
     """Return True if the next request writes the object. The object is written before it is read."""
     return step.writes and not cursor.written
 
@@ -155,10 +157,10 @@ def on_reply(cursor: Cursor, required: tuple[Step, ...], reply: codec.SdoReply) 
     if not cursor.waiting or reply[:2] != (step.number, step.sub):
         return cursor, 0, ""
     if reply.abort:
-        if reply.abort in (codec.ABSENT, 0x06090011) and step.check >= Check.WRITE_IF_PRESENT:
+        if reply.abort in (codec.OBJECT_MISSING, 0x06090011) and step.check >= Check.WRITE_IF_PRESENT:
             return cursor.next_setting(), 0, ""
         return cursor, 0, f"{step.name}: {codec.abort_text(reply.abort)}"
-    if writes(cursor, step):
+    if is_write_next(cursor, step):
         return cursor if reply.raw else cursor.after_write(), 0, ""
     if not reply.raw:
         return cursor, 0, ""
@@ -178,10 +180,10 @@ def next_request(cursor: Cursor, required: tuple[Step, ...], t_ns: int) -> tuple
     The first object is requested until the drive answers.
     """
     step = required[cursor.step]
-    cursor, send, problem = readback.next_request(
+    cursor, send, problem = readback.request_setting(
         cursor, step.name, t_ns, readback.REQUEST_TRIES if cursor.step else UNLIMITED
     )
     if not send:
         return cursor, b"", problem
-    download = codec.download(step.number, step.sub, step.raw)
-    return cursor, download if writes(cursor, step) else codec.upload(step.number, step.sub), ""
+    download = codec.download_request(step.number, step.sub, step.raw)
+    return cursor, download if is_write_next(cursor, step) else codec.upload_request(step.number, step.sub), ""

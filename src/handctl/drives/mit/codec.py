@@ -82,7 +82,7 @@ FORCE_MODE = 4
 """Value of CTRL_MODE for force-position mode."""
 SPEED_CODES = 100.0
 """Codes per rad/s of the speed limit in force-position mode."""
-FULL_CODE = 10_000
+FULL_SCALE_COUNT = 10_000
 """Largest code of speed and current limit in force-position mode."""
 TIMEOUT_UNITS_PER_MS = 20
 """Watchdog counts per millisecond: one count is 50 us."""
@@ -106,9 +106,9 @@ ERRORS = {
 _REPLY = struct.Struct("<HBB")
 """First bytes of a register reply: node number, operation, register."""
 # Largest codes of the 16 bit and the 12 bit fields.
-POSITION_TOP = 2**16 - 1
-TOP = 2**12 - 1
-_NO_MOTION = POSITION_TOP // 2 << 48 | TOP // 2 << 36
+MAX_POSITION_COUNT = 2**16 - 1
+MAX_COUNT = 2**12 - 1
+_NO_MOTION = MAX_POSITION_COUNT // 2 << 48 | MAX_COUNT // 2 << 36
 """Payload of a command with position, velocity, and gains 0.
 
 Position and velocity act only through the gains.
@@ -148,8 +148,8 @@ def command_message(can_id: int, ranges: Ranges, sign: int = 1, flags: int = 0) 
     signals = (
         _signal_over_range("position", unused, 7, 16, ranges.position, "rad"),
         _signal_over_range("velocity", unused, 23, 12, ranges.velocity, "rad/s"),
-        Signal("kp", unused, 27, 12, True, scale=500.0 / TOP, unit="N m/rad"),
-        Signal("kd", unused, 47, 12, True, scale=5.0 / TOP, unit="N m s/rad"),
+        Signal("kp", unused, 27, 12, True, scale=500.0 / MAX_COUNT, unit="N m/rad"),
+        Signal("kd", unused, 47, 12, True, scale=5.0 / MAX_COUNT, unit="N m s/rad"),
         _signal_over_range("torque", Quantity.TORQUE, 51, 12, ranges.torque, "N m", sign),
     )
     return Message("command", can_id, 8, signals, flags, _NO_MOTION.to_bytes(8, "big"), False, ranges.torque)
@@ -167,8 +167,8 @@ def position_message(can_id: int, ranges: Ranges, speed: float, sign: int, zero:
         flags: flags of the frame.
     """
     signals = (
-        _float("position", Quantity.POSITION, 0, "rad", sign, -sign * zero),
-        _float("speed", Quantity.UNUSED, 4, "rad/s"),
+        _float_signal("position", Quantity.POSITION, 0, "rad", sign, -sign * zero),
+        _float_signal("speed", Quantity.UNUSED, 4, "rad/s"),
     )
     base = struct.pack("<ff", 0.0, speed)
     return Message("position_velocity", 0x100 + can_id, 8, signals, flags, base, limit=ranges.position)
@@ -183,7 +183,7 @@ def velocity_message(can_id: int, limit: float, sign: int, flags: int) -> Messag
         sign: sign of the velocity, 1 if a positive velocity winds.
         flags: flags of the frame.
     """
-    signal = _float("velocity", Quantity.VELOCITY, 0, "rad/s", sign)
+    signal = _float_signal("velocity", Quantity.VELOCITY, 0, "rad/s", sign)
     return Message("velocity", 0x200 + can_id, 4, (signal,), flags, bytes(4), limit=limit)
 
 
@@ -204,19 +204,21 @@ def force_position_message(
         ValueError: a limit has no code.
     """
     speed, fraction = limits
-    codes = math.floor(speed * SPEED_CODES), math.floor(fraction * FULL_CODE)
-    if not all(0 < code <= FULL_CODE for code in codes):
+    codes = math.floor(speed * SPEED_CODES), math.floor(fraction * FULL_SCALE_COUNT)
+    if not all(0 < code <= FULL_SCALE_COUNT for code in codes):
         raise ValueError(f"no code for speed {speed:g} rad/s and current {fraction:g}, expected at most 100 and 1")
     signals = (
-        _float("position", Quantity.POSITION, 0, "rad", sign, -sign * zero),
+        _float_signal("position", Quantity.POSITION, 0, "rad", sign, -sign * zero),
         Signal("speed", Quantity.UNUSED, 32, 16, scale=1.0 / SPEED_CODES, unit="rad/s"),
-        Signal("current", Quantity.UNUSED, 48, 16, scale=1.0 / FULL_CODE),
+        Signal("current", Quantity.UNUSED, 48, 16, scale=1.0 / FULL_SCALE_COUNT),
     )
     base = struct.pack("<fHH", 0.0, *codes)
     return Message("force_position", 0x300 + can_id, 8, signals, flags, base, limit=ranges.position)
 
 
-def _float(name: str, quantity: Quantity, first: int, unit: str, scale: float = 1.0, offset: float = 0.0) -> Signal:
+def _float_signal(
+    name: str, quantity: Quantity, first: int, unit: str, scale: float = 1.0, offset: float = 0.0
+) -> Signal:
     """Return a float32 signal that begins at a byte."""
     return Signal(name, quantity, 8 * first, 32, False, Coding.FLOAT, scale, offset, unit)
 
@@ -300,7 +302,7 @@ class RegisterReply(NamedTuple):
         return float(_FORMATS.get(self.register, _FLOAT).unpack(self.raw)[0])
 
 
-def register_reply(data: bytes, node_id: int) -> RegisterReply | None:
+def decode_register_reply(data: bytes, node_id: int) -> RegisterReply | None:
     """Decode 8 bytes as a register reply of the motor, or return None if they are feedback."""
     # Fast path: in nearly every feedback the state nibble makes byte 0 differ from the node number.
     if data[0] != node_id & 0xFF:  # nearly every feedback ends here: its first byte has the state above the identifier

@@ -20,11 +20,11 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from handctl.drives.causes import Cause
-from handctl.drives.contract import NEVER_NS, UNSTEADY, DriveState, DriveTarget, Phase
+from handctl.drives.contract import END_OF_TIME_NS, UNSTEADY, DriveState, DriveTarget, Phase
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
 from handctl.drives.motor_description import MotorDescription
-from handctl.drives.option_checks import check_full_scale, refuse_others, take_model
+from handctl.drives.option_checks import check_full_scale, pop_motor_model, refuse_unknown_options
 from handctl.drives.signals import Cyclic, Quantity, Signal, Table
 from handctl.errors import ConfigError
 
@@ -52,9 +52,9 @@ ERRORS = {
 """Error text by byte 7 of the feedback. The byte is 0 without an error."""
 CAUSES = {1: Cause.HOT, 3: Cause.VOLTAGE, 4: Cause.VOLTAGE} | dict.fromkeys((2, 5, 6), Cause.OTHER)
 """Cause of each value of the error byte."""
-SIZES = (6, 8)
+FEEDBACK_SIZES = (6, 8)
 """Payload lengths of the feedback [bytes]. Older firmware sends six, without temperature and error."""
-ANSWERS = 3
+ANSWERS_REQUIRED = 3
 """Number of answers after which a command counts as obeyed.
 
 The first answer may have been sent before the command.
@@ -65,7 +65,7 @@ COLDEST_C = -40.0
 Source: CubeMars AK Series Actuator Driver Manual, 5.3, example of a reply. Clients that read the
 count as degC (TMotorCANControl) report 40 degC too much.
 """
-QUIET = 0.02
+MAX_RESTING_TORQUE_FRACTION = 0.02
 """Torque below which a motor counts as free of torque, as a fraction of full scale.
 
 Sensor noise at rest is lower.
@@ -76,7 +76,7 @@ UNVERIFIED_GUARDS = (
     "watchdog: CubeMars' MIT mode has none; a dead host leaves torque on",
     "has no torque limit below its model's full scale; torque_max_N_m is this host's alone",
     "does not report whether it is enabled; "
-    f"an answer to disable with at most {QUIET:.0%} of full-scale torque counts as disabled",
+    f"an answer to disable with at most {MAX_RESTING_TORQUE_FRACTION:.0%} of full-scale torque counts as disabled",
     "ranges cannot be read back; motor_type must be right",
     "temperature counts from -40 degC by the manual; a cold motor that reads below zero needs temperature_offset_C = 0",
 )
@@ -161,11 +161,11 @@ class CubemarsDrive:
         """
         options = dict(motor.options)
         where = f"motor[{motor.name}]"
-        ranges = take_model(options, where, MODELS)
+        ranges = pop_motor_model(options, where, MODELS)
         temperature_offset = options.pop("temperature_offset_C", COLDEST_C)
         if isinstance(temperature_offset, bool) or temperature_offset not in (COLDEST_C, 0.0):
             raise ConfigError(repr(temperature_offset), f"{where}.options.temperature_offset_C", f"{COLDEST_C:g} or 0")
-        refuse_others(options, f"{where}.options", "motor_type or temperature_offset_C")
+        refuse_unknown_options(options, f"{where}.options", "motor_type or temperature_offset_C")
         check_full_scale(motor, ranges)
         torque_limit = motor.torque_max_N_m
         zero = motor.zero_rad
@@ -229,12 +229,12 @@ class CubemarsDrive:
     def steady_status(self, state: DriveState) -> int:
         """Return the feedback status of an enabled motor: node number and error 0, joined as in ``signals``."""
         progress: CubemarsProgress = state.private
-        enabled = state.phase == ENABLED and progress.command_sent == ENABLE and progress.answers >= ANSWERS
+        enabled = state.phase == ENABLED and progress.command_sent == ENABLE and progress.answers >= ANSWERS_REQUIRED
         return (self.node_id & 0xFF) << 8 if enabled else UNSTEADY
 
     def due_ns(self, state: DriveState) -> int:
         """Return NEVER_NS, because the motor has no settings to read back."""
-        return NEVER_NS
+        return END_OF_TIME_NS
 
     def initial(self) -> DriveState:
         """Return the state before the first frame."""
@@ -245,7 +245,7 @@ class CubemarsDrive:
         can_id, data, _, bus, t_ns = frame
         if can_id != self.node_id or bus != self.bus:
             return state
-        if len(data) not in SIZES or data[0] != self.node_id & 0xFF:
+        if len(data) not in FEEDBACK_SIZES or data[0] != self.node_id & 0xFF:
             return state._replace(misread=state.misread + 1)
         _, position, velocity, torque, temperature, byte = self.feedback.unpack(data)
         if len(data) < 8:
@@ -273,15 +273,15 @@ class CubemarsDrive:
         if state.feedback_t_ns < progress.since_ns:
             return state
         if progress.command_sent == ENABLE:
-            if progress.answers >= ANSWERS:
+            if progress.answers >= ANSWERS_REQUIRED:
                 return state  # as before: more answers say nothing new
-            done = state.phase != FAULT and progress.answers + 1 >= ANSWERS
+            done = state.phase != FAULT and progress.answers + 1 >= ANSWERS_REQUIRED
             return state._replace(
                 phase=ENABLED if done else state.phase, private=progress._replace(answers=progress.answers + 1)
             )
-        quiet = abs(state.torque) <= QUIET * self.ranges.torque
+        quiet = abs(state.torque) <= MAX_RESTING_TORQUE_FRACTION * self.ranges.torque
         progress = progress._replace(answers=progress.answers + 1 if quiet else 0)
-        if progress.answers < ANSWERS:
+        if progress.answers < ANSWERS_REQUIRED:
             feedback = CONFIGURING if state.phase == SILENT else state.phase
             return state._replace(phase=feedback, private=progress)
         phase = FAULT if state.error else READY

@@ -7,11 +7,17 @@ be discovered without a command. Source: Damiao DM-J4310-2EC manual, register ta
 
 import struct
 
-from handctl.drives.discovery import TWINS, DiscoveredNode, Discovery, ReceivedFrames, have_twins
+from handctl.drives.discovery import (
+    TWO_DRIVES_WARNING,
+    DiscoveredNode,
+    Discovery,
+    ReceivedFrames,
+    have_two_drives_answered,
+)
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
 
-NUMBERS = range(1, 0x80)
+MOTOR_NUMBERS = range(1, 0x80)
 """Node numbers to try."""
 # Registers: identifier of the replies, hardware and software version, serial number, bit rate.
 MST_ID = 7
@@ -21,7 +27,7 @@ SERIAL = 15
 CAN_BR = 35
 _INTEGERS = {MST_ID, codec.TIMEOUT, codec.CTRL_MODE, HARDWARE, SOFTWARE, SERIAL, CAN_BR}
 _DETAILS = (SOFTWARE, SERIAL, CAN_BR, codec.CTRL_MODE, codec.TIMEOUT, codec.PMAX, codec.VMAX, codec.TMAX)
-FD_FROM = 5
+FIRST_FD_BIT_RATE = 5
 """Smallest value of register CAN_BR that stands for CAN FD."""
 _RANGES = (("position_range_rad", codec.PMAX), ("velocity_range_rad_s", codec.VMAX), ("torque_max_N_m", codec.TMAX))
 """Register of each key in a ``[[motor]]`` section."""
@@ -35,21 +41,25 @@ def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     discovered motors.
     """
     if turn == 2:
-        return tuple(_read_request(number, MST_ID) for number in NUMBERS)
+        return tuple(_read_request(number, MST_ID) for number in MOTOR_NUMBERS)
     if turn != 3:
         return ()
     frames = []
-    for motor in nodes(received):
+    for motor in motors_in(received):
         frames += [_read_request(motor.node_id, register) for register in _DETAILS]
         frames.append(Frame(codec.BROADCAST_ID, codec.register_request(motor.node_id, codec.REFRESH)))
     return tuple(frames)
 
 
-def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
+def motors_in(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the motors that answered with their MST_ID on that identifier."""
     replies: dict[int, dict[int, list[bytes]]] = {}
     for frame in received:
-        if len(frame.data) == 8 and frame.data[2] == codec.READ and int.from_bytes(frame.data[:2], "little") in NUMBERS:
+        if (
+            len(frame.data) == 8
+            and frame.data[2] == codec.READ
+            and int.from_bytes(frame.data[:2], "little") in MOTOR_NUMBERS
+        ):
             answers = replies.setdefault(int.from_bytes(frame.data[:2], "little"), {})
             answers.setdefault(frame.data[3], []).append(frame.data[4:])
     reply_ids = {number: _decode_integer(raw[MST_ID][-1]) for number, raw in replies.items() if MST_ID in raw}
@@ -68,10 +78,10 @@ def _describe_motor(
     settings = {key: struct.unpack("<f", raw[register])[0] for key, register in _RANGES if register in raw}
     # Without reply_id the hand file assumes MST_ID = ESC_ID + 0x10.
     options: dict[str, bool | int | float | str] = {} if reply_id == number + 0x10 else {"reply_id": reply_id}
-    if values.get(CAN_BR, 0) >= FD_FROM:
+    if values.get(CAN_BR, 0) >= FIRST_FD_BIT_RATE:
         options["fd"] = True
-    twins = have_twins(answers, SERIAL)
-    notes = [TWINS] if twins else []
+    twins = have_two_drives_answered(answers, SERIAL)
+    notes = [TWO_DRIVES_WARNING] if twins else []
     if others := [other for other, used in reply_ids.items() if used == reply_id and other != number]:
         notes.append(f"answers on {reply_id:#x} as motor {others[0]} does: give each an MST_ID of its own (register 7)")
     if values.get(codec.TIMEOUT) == 0:
@@ -88,7 +98,7 @@ def _state_and_error(number: int, reply_id: int, received: ReceivedFrames) -> tu
     """Return the texts of state and error from the latest feedback, both empty without feedback."""
     for frame in reversed(received):
         matches = frame.can_id == reply_id and len(frame.data) == 8 and frame.data[0] & 0xF == number & 0xF
-        if matches and codec.register_reply(frame.data, number) is None:
+        if matches and codec.decode_register_reply(frame.data, number) is None:
             nibble = frame.data[0] >> 4
             values = _STATES.get(nibble)
             return (values, "") if values else ("in error", codec.ERRORS.get(nibble, f"unknown state {nibble:#x}"))
@@ -133,4 +143,4 @@ def is_ping_reply(motor: DiscoveredNode, frame: Frame) -> bool:
     return answer and frame.data[:4] == codec.register_request(motor.node_id, codec.READ, MST_ID)[:4]
 
 
-DISCOVERY = Discovery(probe_frames, nodes, command_ids, other_host_frames, ping, is_ping_reply)
+DISCOVERY = Discovery(probe_frames, motors_in, command_ids, other_host_frames, ping, is_ping_reply)

@@ -29,7 +29,7 @@ from handctl.drives.mit.progress import (
     to_fault,
 )
 from handctl.drives.motor_description import MotorDescription
-from handctl.drives.option_checks import boolean, refuse_others
+from handctl.drives.option_checks import checked_boolean, refuse_unknown_options
 from handctl.drives.readback import Cursor
 from handctl.drives.signals import Cyclic, Table
 from handctl.errors import ConfigError
@@ -94,8 +94,8 @@ class MitDrive:
         options = dict(motor.options if given is None else given)
         where = f"motor[{motor.name}].options"
         reply = options.pop("reply_id", motor.node_id + 0x10)
-        fd = boolean(options.pop("fd", False), f"{where}.fd")
-        refuse_others(options, where, "reply_id or fd")
+        fd = checked_boolean(options.pop("fd", False), f"{where}.fd")
+        refuse_unknown_options(options, where, "reply_id or fd")
         if type(reply) is not int or not 0 < reply < codec.BROADCAST_ID:
             raise ConfigError(repr(reply), f"{where}.reply_id", "an identifier from 1 to 0x7fe")
         return MitDrive(
@@ -208,13 +208,13 @@ class MitDrive:
             return state._replace(misread=state.misread + 1)
         progress = progress_of(state)
         if state.phase == ENABLED and progress.check.waiting:
-            reply = codec.register_reply(data, self.node_id)
+            reply = codec.decode_register_reply(data, self.node_id)
             if reply is not None and reply[:2] == (codec.READ, self.guards[progress.check.step][0]):
                 return self._on_guard(state, progress, reply)
         # While enabled, byte 0 of feedback is 0x10 | node nibble. A node number from 0x10 to 0x1f
         # makes byte 0 of a register reply look alike: the frame then counts as feedback.
         if state.phase != ENABLED or self.node_id >> 4 != codec.ENABLED:
-            reply = codec.register_reply(data, self.node_id)
+            reply = codec.decode_register_reply(data, self.node_id)
             if reply is not None:
                 return self._on_register(state, reply, t_ns)
         # The low nibble of byte 0 is the node number: another value is a frame of another motor.
@@ -229,7 +229,7 @@ class MitDrive:
         progress = progress_of(state)
         if progress.cursor.step >= len(self.required):
             updated = reply[:2] == (codec.READ, codec.SERIAL)
-            return _ready(state, progress, t_ns, int.from_bytes(reply.raw, "little")) if updated else state
+            return _ready_state(state, progress, t_ns, int.from_bytes(reply.raw, "little")) if updated else state
         cursor, problem = registers.on_reply(progress.cursor, self.required, reply)
         if problem:
             return to_fault(state, MISMATCH, problem)
@@ -241,7 +241,7 @@ class MitDrive:
         same = reply.raw == codec.register_bytes(register, value)
         answer = f"reads {reply.value:g}"
         check, problem = readback.on_recheck_reply(
-            progress.check, len(self.guards), same, registers.name(register), answer, f"{value:g}"
+            progress.check, len(self.guards), same, registers.register_name(register), answer, f"{value:g}"
         )
         updated = state._replace(private=progress._replace(check=check))
         return to_fault(updated, MISMATCH, problem) if problem else updated
@@ -313,7 +313,7 @@ class MitDrive:
     def _ask_guard(self, state: DriveState, progress: MitProgress, t_ns: int) -> tuple[DriveState, Frame]:
         """Return the state and the request that reads a protection register of the enabled motor."""
         register, _ = self.guards[progress.check.step]
-        check, problem = readback.next_recheck(progress.check, registers.name(register), self.node_id, t_ns)
+        check, problem = readback.next_recheck(progress.check, registers.register_name(register), self.node_id, t_ns)
         state = state._replace(private=progress._replace(check=check))
         if problem:
             state = to_fault(state, MISMATCH, problem)
@@ -327,7 +327,7 @@ class MitDrive:
         if progress.cursor.step >= len(self.required):
             cursor, data, unanswered = registers.next_serial_request(progress.cursor, self.node_id, t_ns)
             updated = state._replace(private=progress._replace(cursor=cursor))
-            return _ready(updated, progress, t_ns, 0) if unanswered else updated, (
+            return _ready_state(updated, progress, t_ns, 0) if unanswered else updated, (
                 self._broadcast(data),
             ) if data else ()
         cursor, data, problem = registers.next_request(progress.cursor, self.required, self.node_id, t_ns)
@@ -393,7 +393,7 @@ class MitDrive:
         return self._broadcast(codec.register_request(self.node_id, codec.REFRESH))
 
 
-def _ready(state: DriveState, progress: MitProgress, t_ns: int, serial: int) -> DriveState:
+def _ready_state(state: DriveState, progress: MitProgress, t_ns: int, serial: int) -> DriveState:
     """Return the state in phase READY, after all registers were verified.
 
     Serial number 0 means unknown.

@@ -15,7 +15,7 @@ from handctl.drives.mit import codec
 from handctl.drives.mit.drive import MitDrive
 from handctl.drives.modes import DriveMode, MotionLimits, init_fields
 from handctl.drives.motor_description import MotorDescription
-from handctl.drives.option_checks import positive_number
+from handctl.drives.option_checks import checked_positive
 from handctl.drives.signals import Message, Table
 from handctl.errors import ConfigError
 
@@ -90,7 +90,7 @@ class MitModeDrive(MitDrive):
         return Frame(message.can_id, self._torque(torque), self.flags, self.bus)
 
 
-def make(motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits) -> MitModeDrive:
+def make_mode_drive(motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits) -> MitModeDrive:
     """Return the drive of a motor description in a mode.
 
     Raises:
@@ -98,7 +98,7 @@ def make(motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimit
     """
     options = dict(motor.options)
     where = f"motor[{motor.name}].options.current_fraction"
-    fraction = positive_number(options.pop("current_fraction", 1.0), where, 1.0)
+    fraction = checked_positive(options.pop("current_fraction", 1.0), where, 1.0)
     base = MitDrive.of(motor, bus, options)
     try:
         return MitModeDrive(**init_fields(base), mode=mode, limits=limits, fraction=fraction)

@@ -31,7 +31,7 @@ def on_reply(cursor: Cursor, required: RequiredRegisters, reply: codec.RegisterR
         return cursor.after_write(), ""
     if reply.raw == codec.register_bytes(register, value):
         return cursor.next_setting(), ""
-    return readback.on_wrong_value(cursor, name(register), f"{reply.value:g}", f"{value:g}", WRITES)
+    return readback.on_wrong_value(cursor, register_name(register), f"{reply.value:g}", f"{value:g}", WRITES)
 
 
 def next_request(cursor: Cursor, required: RequiredRegisters, node_id: int, t_ns: int) -> tuple[Cursor, bytes, str]:
@@ -48,7 +48,7 @@ def next_request(cursor: Cursor, required: RequiredRegisters, node_id: int, t_ns
         while an answer is awaited, the problem is empty without a problem.
     """
     register, value = required[cursor.step]
-    cursor, send, problem = readback.next_request(cursor, name(register), t_ns)
+    cursor, send, problem = readback.request_setting(cursor, register_name(register), t_ns)
     operation = codec.WRITE if cursor.writing else codec.READ
     return cursor, codec.register_request(node_id, operation, register, value) if send else b"", problem
 
@@ -60,10 +60,10 @@ def next_serial_request(cursor: Cursor, node_id: int, t_ns: int) -> tuple[Cursor
         the new cursor, the payload on BROADCAST_ID (empty while an answer is awaited), and True if the
         motor does not answer.
     """
-    cursor, send, unanswered = readback.next_request(cursor, "serial number", t_ns, SERIAL_TRIES)
+    cursor, send, unanswered = readback.request_setting(cursor, "serial number", t_ns, SERIAL_TRIES)
     return cursor, codec.register_request(node_id, codec.READ, codec.SERIAL) if send else b"", bool(unanswered)
 
 
-def name(register: int) -> str:
+def register_name(register: int) -> str:
     """Return the name of a register for messages."""
     return f"register {register} {codec.REGISTER_NAMES[register]}"

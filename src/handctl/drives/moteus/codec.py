@@ -71,7 +71,7 @@ SERIAL = 0x120
 
 # Modes without torque: stopped, fault.
 STOPPED = 0
-IN_FAULT = 1
+FAULT_MODE = 1
 PREPARING = (2, 3, 4)
 """Modes between stopped and position mode."""
 POSITION = 10
@@ -135,28 +135,28 @@ def reply_id(node_id: int, source: int = 0) -> int:
     return number if number < STANDARD_IDS else number | EXTENDED
 
 
-def padded(payload: bytes) -> bytes:
+def padded_payload(payload: bytes) -> bytes:
     """Return a payload padded to the next payload length of CAN FD."""
     return payload.ljust(next(size for size in FD_SIZES if size >= len(payload)), bytes((NOP,)))
 
 
-def floats(first: int, *values: float) -> bytes:
+def write_floats_subframe(first: int, *values: float) -> bytes:
     """Return a subframe that writes up to three consecutive registers as float32."""
     head = bytes((WRITE | FLOAT << 2 | len(values), first))
     return head + struct.pack(f"<{len(values)}f", *values)
 
 
-def small(first: int, *values: int) -> bytes:
+def write_bytes_subframe(first: int, *values: int) -> bytes:
     """Return a subframe that writes up to three consecutive registers as int8. -128 means NaN."""
     return struct.pack(f"<BB{len(values)}b", WRITE | len(values), first, *values)
 
 
-def read(kind: int, register: int) -> bytes:
+def read_subframe(kind: int, register: int) -> bytes:
     """Return the subframe that reads a register as a value of the given type."""
-    return bytes((READ | kind << 2 | 1,)) + varuint(register)
+    return bytes((READ | kind << 2 | 1,)) + encode_varuint(register)
 
 
-def varuint(number: int) -> bytes:
+def encode_varuint(number: int) -> bytes:
     """Return a number as varuint: groups of seven bits, the lowest first."""
     out = bytearray()
     while number > 0x7F:
@@ -165,12 +165,12 @@ def varuint(number: int) -> bytes:
     return bytes((*out, number))
 
 
-def limits(torque: float, timeout_s: float) -> bytes:
+def limits_subframes(torque: float, timeout_s: float) -> bytes:
     """Return the subframes that set the drive's own torque limit [N m] and watchdog [s]."""
-    return floats(MAX_TORQUE, torque) + floats(TIMEOUT, timeout_s)
+    return write_floats_subframe(MAX_TORQUE, torque) + write_floats_subframe(TIMEOUT, timeout_s)
 
 
-STOP = padded(small(MODE, STOPPED) + QUERY)
+STOP = padded_payload(write_bytes_subframe(MODE, STOPPED) + QUERY)
 """Payload of the stop command."""
 
 
@@ -180,15 +180,15 @@ def limits_request(torque: float, timeout_s: float) -> bytes:
     The stored limits have no effect until a command sets the mode. A firmware without the
     integrator's register refuses the write here, before the first torque.
     """
-    return padded(limits(torque, timeout_s) + small(INTEGRATOR_SCALE, 0) + QUERY)
+    return padded_payload(limits_subframes(torque, timeout_s) + write_bytes_subframe(INTEGRATOR_SCALE, 0) + QUERY)
 
 
 def text_request(text: bytes) -> bytes:
     """Return the payload that sends a text to the diagnostic channel."""
-    return padded(bytes((TEXT_IN, CHANNEL, len(text))) + text)
+    return padded_payload(bytes((TEXT_IN, CHANNEL, len(text))) + text)
 
 
-TEXT_REQUEST = padded(bytes((TEXT_POLL, CHANNEL, LONGEST_TEXT)))
+TEXT_REQUEST = padded_payload(bytes((TEXT_POLL, CHANNEL, LONGEST_TEXT)))
 """Payload that requests the text of the diagnostic channel."""
 
 
@@ -201,14 +201,24 @@ def command_message(node_id: int, torque: float, timeout_s: float, sign: int = 1
         timeout_s: time of the watchdog [s].
         sign: sign of the torque, 1 if positive torque winds.
     """
-    no_motion = small(0x020, -128, 0) + small(0x023, 0, 0) + small(INTEGRATOR_SCALE, 0)
-    base = small(MODE, POSITION) + floats(0x022, 0.0) + no_motion + limits(torque, timeout_s) + QUERY
+    no_motion = (
+        write_bytes_subframe(0x020, -128, 0)
+        + write_bytes_subframe(0x023, 0, 0)
+        + write_bytes_subframe(INTEGRATOR_SCALE, 0)
+    )
+    base = (
+        write_bytes_subframe(MODE, POSITION)
+        + write_floats_subframe(0x022, 0.0)
+        + no_motion
+        + limits_subframes(torque, timeout_s)
+        + QUERY
+    )
     signals = (
         _float_signal("torque", Quantity.TORQUE, 5, float(sign), "N m"),
         _float_signal("torque_limit", Quantity.UNUSED, 22, 1.0, "N m"),
         _float_signal("watchdog", Quantity.UNUSED, 28, 1.0, "s"),
     )
-    base = padded(base)
+    base = padded_payload(base)
     return Message("command", request_id(node_id), len(base), signals, FLAGS, base, False, torque)
 
 
@@ -244,7 +254,7 @@ def _float_signal(name: str, quantity: Quantity, byte: int, scale: float, unit: 
     return Signal(name, quantity, 8 * byte, 32, coding=Coding.FLOAT, scale=scale, unit=unit)
 
 
-def status(mode: int, fault: int) -> int:
+def joined_status(mode: int, fault: int) -> int:
     """Return the status number of a feedback frame, joined as compiled code joins its signals."""
     heads = [int.from_bytes(content, "little") for _, content in STATUS_HEADS]
     return ((((heads[0] << 8 | mode) << 8 | heads[1]) << 8 | fault) << 16 | heads[2]) << 16 | heads[3]
@@ -256,7 +266,7 @@ def is_feedback(data: bytes) -> bool:
     return len(data) == FEEDBACK_LENGTH and heads
 
 
-class Reply(NamedTuple):
+class DriveReply(NamedTuple):
     """Content of a reply from the drive.
 
     Attributes:
@@ -270,7 +280,7 @@ class Reply(NamedTuple):
     text: bytes | None
 
 
-def reply(data: bytes) -> Reply | None:
+def decode_reply(data: bytes) -> DriveReply | None:
     """Decode a payload as a reply, or return None if it is not one."""
     values = dict[int, float]()
     refused = dict[int, int]()
@@ -293,7 +303,7 @@ def reply(data: bytes) -> Reply | None:
                 return None
     except IndexError:
         return None
-    return Reply(values, refused, text) if values or refused or text is not None else None
+    return DriveReply(values, refused, text) if values or refused or text is not None else None
 
 
 class _Reader:

@@ -7,22 +7,31 @@ frame with a classical frame. Source: docs/facts/moteus.md.
 
 import math
 
-from handctl.drives.discovery import TWINS, DiscoveredNode, Discovery, ReceivedFrames, have_twins
+from handctl.drives.discovery import (
+    TWO_DRIVES_WARNING,
+    DiscoveredNode,
+    Discovery,
+    ReceivedFrames,
+    have_two_drives_answered,
+)
 from handctl.drives.frame import ERROR, EXTENDED, REMOTE, Frame
 from handctl.drives.moteus import codec
 from handctl.drives.moteus.progress import error_text
 
-NUMBERS = range(1, codec.LAST_NODE + 1)
+DRIVE_NUMBERS = range(1, codec.LAST_NODE + 1)
 """Node numbers to try."""
-MODE_REQUEST = codec.read(codec.INT8, codec.MODE)
+MODE_REQUEST = codec.read_subframe(codec.INT8, codec.MODE)
 """Payload that reads the mode, to discover a node. The reply begins with 21 00."""
 MODE_REPLY = bytes((codec.REPLY | 1, codec.MODE))
 DETAILS = (
-    codec.read(codec.INT8, codec.FAULT),
-    *(codec.read(codec.INT32, register) for register in (codec.FIRMWARE, *range(codec.SERIAL, codec.SERIAL + 3))),
+    codec.read_subframe(codec.INT8, codec.FAULT),
+    *(
+        codec.read_subframe(codec.INT32, register)
+        for register in (codec.FIRMWARE, *range(codec.SERIAL, codec.SERIAL + 3))
+    ),
 )
 """Payloads that read fault code, firmware version, and serial number."""
-_MODES = {codec.STOPPED: "stopped", codec.IN_FAULT: "fault", codec.POSITION: "position", codec.TIMED_OUT: "timeout"}
+_MODES = {codec.STOPPED: "stopped", codec.FAULT_MODE: "fault", codec.POSITION: "position", codec.TIMED_OUT: "timeout"}
 
 
 def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
@@ -31,19 +40,19 @@ def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     Round 2 reads the mode from every node number. Round 3 reads details of the discovered drives.
     """
     if turn == 2:
-        return tuple(Frame(codec.request_id(number), MODE_REQUEST) for number in NUMBERS)
+        return tuple(Frame(codec.request_id(number), MODE_REQUEST) for number in DRIVE_NUMBERS)
     if turn == 3:
-        return tuple(Frame(codec.request_id(drive.node_id), data) for drive in nodes(received) for data in DETAILS)
+        return tuple(Frame(codec.request_id(drive.node_id), data) for drive in drives_in(received) for data in DETAILS)
     return ()
 
 
-def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
+def drives_in(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the drives that reported their mode to this host."""
     answers: dict[int, dict[int, list[bytes]]] = {}
-    by_reply = {codec.reply_id(number): number for number in NUMBERS}
+    by_reply = {codec.reply_id(number): number for number in DRIVE_NUMBERS}
     for frame in received:
         number = by_reply.get(frame.can_id)
-        reply = codec.reply(frame.data) if number is not None else None
+        reply = codec.decode_reply(frame.data) if number is not None else None
         # Each request of a scan reads one register. Longer replies belong to another host.
         if number is not None and reply is not None and len(reply.values) == 1:
             answers.setdefault(number, {}).setdefault(next(iter(reply.values)), []).append(frame.data)
@@ -56,19 +65,19 @@ def _describe_drive(number: int, answers: dict[int, list[bytes]]) -> DiscoveredN
     """Return the discovered drive with its data, from its answers by register."""
     values: dict[int, int] = {}
     for register, payloads in answers.items():
-        reply = codec.reply(payloads[-1])
+        reply = codec.decode_reply(payloads[-1])
         if reply is not None and math.isfinite(reply.values[register]):
             values[register] = int(reply.values[register])
     mode = values.get(codec.MODE, codec.STOPPED)
     fault = values.get(codec.FAULT, 0)
-    in_error = mode in (codec.IN_FAULT, codec.TIMED_OUT)
-    error = error_text(fault if mode == codec.IN_FAULT and fault else mode) if in_error else ""
+    in_error = mode in (codec.FAULT_MODE, codec.TIMED_OUT)
+    error = error_text(fault if mode == codec.FAULT_MODE and fault else mode) if in_error else ""
     version = values.get(codec.FIRMWARE, 0)
     firmware = ".".join(str(version >> shift & 0xFF) for shift in (16, 8, 0)) if version else ""
     words = [values.get(codec.SERIAL + i, 0) & 0xFFFFFFFF for i in range(3)]
     serial = "".join(f"{word:08x}" for word in reversed(words)) if any(words) else ""
-    twins = have_twins(answers, codec.SERIAL)
-    notes = (TWINS,) * twins + ("needs a bus with CAN FD: data_bitrate = 5_000_000",)
+    twins = have_two_drives_answered(answers, codec.SERIAL)
+    notes = (TWO_DRIVES_WARNING,) * twins + ("needs a bus with CAN FD: data_bitrate = 5_000_000",)
     state = _MODES.get(mode, f"mode {mode}")
     return DiscoveredNode("moteus", number, firmware, serial, state, error, notes=notes, twins=twins)
 
@@ -106,4 +115,4 @@ def is_ping_reply(drive: DiscoveredNode, frame: Frame) -> bool:
     return frame.can_id == codec.reply_id(drive.node_id) and frame.data[:2] == MODE_REPLY
 
 
-DISCOVERY = Discovery(probe_frames, nodes, command_ids, other_host_frames, ping, is_ping_reply)
+DISCOVERY = Discovery(probe_frames, drives_in, command_ids, other_host_frames, ping, is_ping_reply)

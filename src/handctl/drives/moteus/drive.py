@@ -28,7 +28,7 @@ from handctl.drives.moteus.progress import (
     to_fault,
 )
 from handctl.drives.motor_description import MotorDescription
-from handctl.drives.option_checks import refuse_others
+from handctl.drives.option_checks import refuse_unknown_options
 from handctl.drives.readback import Cursor
 from handctl.drives.signals import Cyclic, Table
 from handctl.errors import ConfigError
@@ -39,7 +39,7 @@ SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 
 Reading an attribute of the enumeration is slower than a comparison.
 """
-SERIAL_REQUEST = codec.padded(bytes((codec.READ | codec.INT32 << 2 | 3,)) + codec.varuint(codec.SERIAL))
+SERIAL_REQUEST = codec.padded_payload(bytes((codec.READ | codec.INT32 << 2 | 3,)) + codec.encode_varuint(codec.SERIAL))
 """Payload that reads the three registers of the serial number."""
 
 
@@ -76,7 +76,7 @@ class MoteusDrive:
         command = codec.command_message(self.node_id, self.torque_limit, self.timeout_s, self.direction)
         object.__setattr__(self, "command", Table(command))
         object.__setattr__(self, "feedback", Table(codec.feedback_message(self.node_id, self.direction, self.zero)))
-        object.__setattr__(self, "required", items.required(self.torque_limit, self.timeout_s))
+        object.__setattr__(self, "required", items.required_settings(self.torque_limit, self.timeout_s))
 
     @staticmethod
     def of(motor: MotorDescription, bus: int) -> "MoteusDrive":
@@ -87,7 +87,7 @@ class MoteusDrive:
         """
         if not 0 < motor.node_id <= codec.LAST_NODE:
             raise ConfigError(str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {codec.LAST_NODE}")
-        refuse_others(motor.options, f"motor[{motor.name}].options", "no such key: moteus has no options")
+        refuse_unknown_options(motor.options, f"motor[{motor.name}].options", "no such key: moteus has no options")
         return MoteusDrive(
             name=motor.name,
             bus=bus,
@@ -156,7 +156,7 @@ class MoteusDrive:
         progress = progress_of(state)
         if state.phase != ENABLED or not progress.enable_sent or progress.disabling or progress.check.waiting:
             return UNSTEADY
-        return codec.status(codec.POSITION, 0)
+        return codec.joined_status(codec.POSITION, 0)
 
     def due_ns(self, state: DriveState) -> int:
         """Return the time of the next read-back request [ns]."""
@@ -173,7 +173,7 @@ class MoteusDrive:
             return state
         if codec.is_feedback(data):
             return self._on_feedback(state, data, t_ns)
-        reply = codec.reply(data)
+        reply = codec.decode_reply(data)
         if reply is None:
             return state._replace(misread=state.misread + 1)
         progress = progress_of(state)
@@ -227,7 +227,7 @@ class MoteusDrive:
             return state
         if state.phase == CONFIGURING and progress.cursor.writing:
             return state._replace(private=progress._replace(cursor=progress.cursor.after_write()))
-        return self._on_value(state, progress, setting, items.value_of(line), line.decode(errors="replace"))
+        return self._on_value(state, progress, setting, items.value_in_answer(line), line.decode(errors="replace"))
 
     def _on_value(
         self, state: DriveState, progress: MoteusProgress, setting: items.MoteusSetting, value: float | None, text: str
@@ -342,7 +342,7 @@ class MoteusDrive:
         if progress.channel.awaits(t_ns):
             channel, data = progress.channel.poll()
             return state._replace(private=progress._replace(channel=channel)), (self._frame_to_drive(data),)
-        cursor, send, problem = readback.next_request(progress.cursor, setting.name, t_ns)
+        cursor, send, problem = readback.request_setting(progress.cursor, setting.name, t_ns)
         if problem:
             return to_fault(state._replace(private=progress), MISMATCH, problem), ()
         channel = progress.channel
@@ -359,7 +359,7 @@ class MoteusDrive:
     ) -> tuple[items.Channel, bytes]:
         """Return the text channel and the payload that reads or writes a setting."""
         if setting.register:
-            return channel, codec.read(codec.FLOAT, setting.register)
+            return channel, codec.read_subframe(codec.FLOAT, setting.register)
         command = items.write_request(setting) if writing else items.read_request(setting)
         return channel.ask(command, t_ns)
 
@@ -367,7 +367,7 @@ class MoteusDrive:
         self, state: DriveState, progress: MoteusProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Request the serial number a few times, then continue without it."""
-        cursor, send, unanswered = readback.next_request(progress.cursor, "serial number", t_ns, SERIAL_TRIES)
+        cursor, send, unanswered = readback.request_setting(progress.cursor, "serial number", t_ns, SERIAL_TRIES)
         updated = state._replace(private=progress._replace(cursor=cursor))
         if unanswered:
             return _ready_state(updated, progress, t_ns, 0), ()

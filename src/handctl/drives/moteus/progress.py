@@ -15,7 +15,7 @@ DROPPED_OUT = 0x100
 MISMATCH = 0x101
 ENABLED_BY_OTHERS = 0x102
 CAUSES = {
-    codec.IN_FAULT: Cause.OTHER, codec.TIMED_OUT: Cause.WATCHDOG, 34: Cause.VOLTAGE, 40: Cause.VOLTAGE, 38: Cause.HOT,
+    codec.FAULT_MODE: Cause.OTHER, codec.TIMED_OUT: Cause.WATCHDOG, 34: Cause.VOLTAGE, 40: Cause.VOLTAGE, 38: Cause.HOT,
     DROPPED_OUT: Cause.DROPPED_OUT, MISMATCH: Cause.MISMATCH, ENABLED_BY_OTHERS: Cause.MISMATCH,
 } | dict.fromkeys(codec.FAULTS.keys() - {34, 38, 40}, Cause.OTHER)  # fmt: skip
 """Cause of each fault code, of each mode, and of each error code added by handctl."""
@@ -82,8 +82,8 @@ def apply_mode(state: DriveState, mode: int, fault: int) -> DriveState:
         state = state._replace(private=progress)
     if mode == codec.STOPPED:
         return _state_when_stopped(state, progress, was_preparing)
-    if mode in (codec.IN_FAULT, codec.TIMED_OUT):
-        return _state_when_in_error(state, progress, fault if mode == codec.IN_FAULT and fault else mode)
+    if mode in (codec.FAULT_MODE, codec.TIMED_OUT):
+        return _state_when_in_error(state, progress, fault if mode == codec.FAULT_MODE and fault else mode)
     if mode == codec.POSITION:
         return _state_when_enabled(state, progress)
     if mode in codec.PREPARING and progress.enable_sent and state.phase == READY:
@@ -142,6 +142,6 @@ def error_text(error: int) -> str:
     """Return the text for an error of the drive."""
     if error == codec.TIMED_OUT:
         return "commands were missing: the drive's watchdog fired"
-    if error == codec.IN_FAULT:
+    if error == codec.FAULT_MODE:
         return "fault without a code"
     return codec.FAULTS.get(error, f"unknown fault {error}")

@@ -58,7 +58,7 @@ is found by the first item whose default is wrong. Of two items in a row one has
 """
 
 
-def required(torque: float, timeout_s: float) -> tuple[MoteusSetting, ...]:
+def required_settings(torque: float, timeout_s: float) -> tuple[MoteusSetting, ...]:
     """Return the settings required before arming.
 
     Args:
@@ -66,13 +66,13 @@ def required(torque: float, timeout_s: float) -> tuple[MoteusSetting, ...]:
         timeout_s: watchdog [s].
     """
     return (
-        MoteusSetting("torque limit", single(torque), codec.MAX_TORQUE),
-        MoteusSetting("watchdog", single(timeout_s), codec.TIMEOUT),
+        MoteusSetting("torque limit", rounded_to_float32(torque), codec.MAX_TORQUE),
+        MoteusSetting("watchdog", rounded_to_float32(timeout_s), codec.TIMEOUT),
         *CONFIGURATION,
     )
 
 
-def single(value: float) -> float:
+def rounded_to_float32(value: float) -> float:
     """Return a value rounded to float32 precision."""
     return float(struct.unpack("<f", struct.pack("<f", value))[0])
 
@@ -87,7 +87,7 @@ def write_request(setting: MoteusSetting) -> bytes:
     return f"conf set {setting.name} {setting.value:g}\n".encode()
 
 
-def value_of(line: bytes) -> float | None:
+def value_in_answer(line: bytes) -> float | None:
     """Return the number in an answer, or None for any other text."""
     try:
         return float(line)

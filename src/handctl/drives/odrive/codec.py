@@ -77,7 +77,7 @@ BUSY = 1
 # Opcodes of RxSdo.
 SDO_READ = 0
 SDO_WRITE = 1
-FLOAT_TOP = 3.4028234663852886e38
+MAX_FLOAT32 = 3.4028234663852886e38
 """Largest float32."""
 
 ERRORS = {
@@ -106,7 +106,7 @@ class Heartbeat(NamedTuple):
     result: int
 
 
-def can_id(node_id: int, command: int) -> int:
+def message_id(node_id: int, command: int) -> int:
     """Return the identifier of a message."""
     return node_id << 5 | command
 
@@ -139,7 +139,7 @@ def encoder_message(node_id: int, ratio: float, zero: float, requested: bool) ->
     """
     # A shaft turn is tau / ratio at the spool. A negative ratio reverses the sign.
     turn = math.tau / ratio
-    return Message("encoder_estimates", can_id(node_id, ENCODER), 8, (
+    return Message("encoder_estimates", message_id(node_id, ENCODER), 8, (
         _float_signal("position", Quantity.POSITION, 0, turn, -zero / ratio, "rad"),
         _float_signal("velocity", Quantity.VELOCITY, 4, turn, 0.0, "rad/s"),
     ), nearest=requested)  # fmt: skip
@@ -154,7 +154,7 @@ def torques_message(node_id: int, ratio: float) -> Message:
         node_id: node number of the drive.
         ratio: turns of the shaft per turn of the spool, with the sign of the hand.
     """
-    return Message("torques", can_id(node_id, TORQUES), 8, (
+    return Message("torques", message_id(node_id, TORQUES), 8, (
         _float_signal("target", Quantity.UNUSED, 0, ratio, 0.0, "N m"),
         _float_signal("torque", Quantity.TORQUE, 4, ratio, 0.0, "N m"),
     ), answers=False)  # fmt: skip
@@ -170,7 +170,7 @@ def torque_message(node_id: int, ratio: float, limit: float) -> Message:
     """
     # Torque at the spool = ratio * torque at the shaft.
     signal = _float_signal("torque", Quantity.TORQUE, 0, ratio, 0.0, "N m")
-    return Message("input_torque", can_id(node_id, SET_TORQUE), 4, (signal,), limit=limit)
+    return Message("input_torque", message_id(node_id, SET_TORQUE), 4, (signal,), limit=limit)
 
 
 def position_message(node_id: int, ratio: float, zero: float, limit: float) -> Message:
@@ -187,7 +187,7 @@ def position_message(node_id: int, ratio: float, zero: float, limit: float) -> M
         Signal("velocity", Quantity.UNUSED, 32, 16, False, Coding.SIGNED, 1e-3 * math.tau / ratio, 0.0, "rad/s"),
         Signal("torque", Quantity.UNUSED, 48, 16, False, Coding.SIGNED, 1e-3 * ratio, 0.0, "N m"),
     )
-    return Message("input_position", can_id(node_id, SET_POSITION), 8, signals, limit=limit)
+    return Message("input_position", message_id(node_id, SET_POSITION), 8, signals, limit=limit)
 
 
 def velocity_message(node_id: int, ratio: float, limit: float) -> Message:
@@ -202,26 +202,26 @@ def velocity_message(node_id: int, ratio: float, limit: float) -> Message:
         _float_signal("velocity", Quantity.VELOCITY, 0, math.tau / ratio, 0.0, "rad/s"),
         _float_signal("torque", Quantity.UNUSED, 4, ratio, 0.0, "N m"),
     )
-    return Message("input_velocity", can_id(node_id, SET_VELOCITY), 8, signals, limit=limit)
+    return Message("input_velocity", message_id(node_id, SET_VELOCITY), 8, signals, limit=limit)
 
 
 def request_message(node_id: int, command: int) -> Message:
     """Return the signal table of the remote frame that requests a message."""
-    return Message(f"ask_{command:#04x}", can_id(node_id, command) | REMOTE, 0, answers=False)
+    return Message(f"ask_{command:#04x}", message_id(node_id, command) | REMOTE, 0, answers=False)
 
 
-def heartbeat(data: bytes) -> Heartbeat:
+def decode_heartbeat(data: bytes) -> Heartbeat:
     """Decode 8 bytes of a heartbeat."""
     return Heartbeat(*struct.unpack_from("<IBB", data))
 
 
-def pair(data: bytes) -> tuple[float, float] | None:
+def decode_float_pair(data: bytes) -> tuple[float, float] | None:
     """Decode two float32, or return None unless both are finite."""
     first, second = struct.unpack("<ff", data)
     return (first, second) if math.isfinite(first) and math.isfinite(second) else None
 
 
-def hottest(data: bytes) -> float | None:
+def decode_hottest(data: bytes) -> float | None:
     """Return the larger of two float32 temperatures [degC], or None if both are NaN.
 
     A drive reports NaN for a sensor that is not connected.
@@ -229,7 +229,7 @@ def hottest(data: bytes) -> float | None:
     return max((value for value in struct.unpack("<ff", data) if math.isfinite(value)), default=None)
 
 
-def floats(*values: float) -> bytes:
+def encode_floats(*values: float) -> bytes:
     """Return a payload with float32 values.
 
     Raises:
@@ -237,12 +237,12 @@ def floats(*values: float) -> bytes:
     """
     for value in values:
         # Negated, so that NaN is refused.
-        if not abs(value) <= FLOAT_TOP:
+        if not abs(value) <= MAX_FLOAT32:
             raise ValueError(f"{value} cannot be sent, expected a finite number")
     return struct.pack(f"<{len(values)}f", *values)
 
 
-def integers(*values: int) -> bytes:
+def encode_integers(*values: int) -> bytes:
     """Return a payload with uint32 values."""
     return struct.pack(f"<{len(values)}I", *values)
 
@@ -252,6 +252,6 @@ def sdo_request(operation: int, endpoint: int, value: bytes = b"") -> bytes:
     return struct.pack("<BHB", operation, endpoint, 0) + value
 
 
-def sdo_reply(data: bytes) -> tuple[int, bytes]:
+def decode_sdo_reply(data: bytes) -> tuple[int, bytes]:
     """Decode a TxSdo: endpoint and value."""
     return int.from_bytes(data[1:3], "little"), data[4:]

@@ -8,7 +8,13 @@ Protocol", and the vendor's DBC 0.5.6 and 0.6.10.
 import dataclasses
 import struct
 
-from handctl.drives.discovery import TWINS, DiscoveredNode, Discovery, ReceivedFrames, have_twins
+from handctl.drives.discovery import (
+    TWO_DRIVES_WARNING,
+    DiscoveredNode,
+    Discovery,
+    ReceivedFrames,
+    have_two_drives_answered,
+)
 from handctl.drives.frame import ERROR, EXTENDED, FDF, REMOTE, Frame
 from handctl.drives.odrive import codec
 from handctl.drives.odrive import firmware_05 as odrive_05
@@ -16,7 +22,7 @@ from handctl.drives.odrive import firmware_05 as odrive_05
 # Command and node number of the broadcast request.
 ADDRESS = 0x06
 BROADCAST = 0x3F
-BEATS = 3
+MIN_HEARTBEATS = 3
 """Number of frames with the layout of a heartbeat to prove an ODrive.
 
 A single frame may be another message.
@@ -31,7 +37,7 @@ FREE_NUMBERS = (range(0x01, 0x04), range(0x09, 0x0C), range(0x34, 0x38))
 
 Source: CiA 301, predefined connection set.
 """
-OLD = "does not report its version: treated as firmware 0.5.x, whose watchdog and limits are set over USB"
+OLD_FIRMWARE_NOTE = "does not report its version: treated as firmware 0.5.x, whose watchdog and limits are set over USB"
 """Warning for a drive that did not answer Get_Version."""
 _STATES = {codec.IDLE: "idle", codec.CLOSED_LOOP: "closed loop control"}
 """Axis states in words."""
@@ -47,11 +53,11 @@ def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     them.
     """
     if turn == 1:
-        return (Frame(codec.can_id(BROADCAST, ADDRESS) | REMOTE, b""),)
+        return (Frame(codec.message_id(BROADCAST, ADDRESS) | REMOTE, b""),)
     if turn == 2:
-        return tuple(_remote_request(drive, codec.GET_VERSION) for drive in nodes(received))
+        return tuple(_remote_request(drive, codec.GET_VERSION) for drive in drives_in(received))
     if turn == 3:
-        silent = [drive for drive in nodes(received) if not drive.firmware]
+        silent = [drive for drive in drives_in(received) if not drive.firmware]
         return tuple(
             _remote_request(drive, command) for drive in silent for command in (codec.GET_VERSION, *_OLD_ANSWERS)
         )
@@ -60,14 +66,16 @@ def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
 
 def _remote_request(drive: DiscoveredNode, command: int) -> Frame:
     """Return a remote frame that requests a message from a drive."""
-    return Frame(codec.can_id(drive.node_id, command) | REMOTE, b"")
+    return Frame(codec.message_id(drive.node_id, command) | REMOTE, b"")
 
 
-def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
+def drives_in(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the senders of ODrive heartbeats and of answers to Address."""
     messages = {command: _payloads_by_node(received, command) for command in (codec.HEARTBEAT, *_ANSWERS_ONCE)}
     present = {
-        node for node, data in messages[codec.HEARTBEAT].items() if len(data) >= BEATS and all(map(_is_heartbeat, data))
+        node
+        for node, data in messages[codec.HEARTBEAT].items()
+        if len(data) >= MIN_HEARTBEATS and all(map(_is_heartbeat, data))
     }
     present |= {node for node, data in messages[ADDRESS].items() if data[-1][0] == node}
     return tuple(
@@ -79,11 +87,11 @@ def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
 def _describe_drive(node: int, messages: dict[int, list[bytes]]) -> DiscoveredNode:
     """Return the discovered drive with its data, from its messages by command number."""
     latest = {command: payloads[-1] for command, payloads in messages.items()}
-    beat = codec.heartbeat(latest[codec.HEARTBEAT]) if codec.HEARTBEAT in latest else None
+    beat = codec.decode_heartbeat(latest[codec.HEARTBEAT]) if codec.HEARTBEAT in latest else None
     serial = f"{int.from_bytes(latest[ADDRESS][1:7], 'little'):012X}" if ADDRESS in latest else ""
     version = latest.get(codec.GET_VERSION, b"")
-    twins = have_twins({command: messages.get(command, []) for command in _ANSWERS_ONCE}, ADDRESS)
-    notes = [TWINS] if twins else []
+    twins = have_two_drives_answered({command: messages.get(command, []) for command in _ANSWERS_ONCE}, ADDRESS)
+    notes = [TWO_DRIVES_WARNING] if twins else []
     options: dict[str, bool | int | float | str] = {}
     origins: dict[str, str] = {}
     if version or serial:
@@ -91,7 +99,7 @@ def _describe_drive(node: int, messages: dict[int, list[bytes]]) -> DiscoveredNo
     else:
         options["firmware"] = "0.5"
         origins["firmware"] = "concluded: no answer to Get_Version"
-        notes.append(OLD)
+        notes.append(OLD_FIRMWARE_NOTE)
     if node == BROADCAST:
         notes.append("has no node number yet: give it one")
     elif node == 0:
@@ -115,11 +123,13 @@ def _warnings_06(serial: str, version: bytes) -> list[str]:
     return notes
 
 
-def unasked(drive: DiscoveredNode) -> DiscoveredNode:
+def without_firmware(drive: DiscoveredNode) -> DiscoveredNode:
     """Return the drive for a scan that did not request its version: the firmware is unknown."""
     if "firmware" not in drive.origins:
         return drive
-    notes = tuple("firmware unknown, because nothing was asked" if note == OLD else note for note in drive.notes)
+    notes = tuple(
+        "firmware unknown, because nothing was asked" if note == OLD_FIRMWARE_NOTE else note for note in drive.notes
+    )
     return dataclasses.replace(drive, options={}, origins={}, error="", notes=notes)
 
 
@@ -149,12 +159,12 @@ def _is_heartbeat(data: bytes) -> bool:
 
 def command_ids(drive: DiscoveredNode) -> frozenset[int]:
     """Return every identifier of the node and of the broadcast, and 0x7ff, Enter_DFU_Mode."""
-    return frozenset(codec.can_id(node, command) for node in (drive.node_id, BROADCAST) for command in range(32))
+    return frozenset(codec.message_id(node, command) for node in (drive.node_id, BROADCAST) for command in range(32))
 
 
 def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the received frames that are commands to the discovered nodes."""
-    numbers = {drive.node_id for drive in nodes(received)}
+    numbers = {drive.node_id for drive in drives_in(received)}
     return tuple(
         frame
         for frame in received
@@ -170,7 +180,7 @@ def ping(drive: DiscoveredNode) -> Frame:
 
 def is_ping_reply(drive: DiscoveredNode, frame: Frame) -> bool:
     """Return True if the frame is the message that ``ping`` requests."""
-    return frame.can_id == codec.can_id(drive.node_id, _ping_command(drive)) and len(frame.data) == 8
+    return frame.can_id == codec.message_id(drive.node_id, _ping_command(drive)) and len(frame.data) == 8
 
 
 def _ping_command(drive: DiscoveredNode) -> int:
@@ -182,4 +192,4 @@ def _ping_command(drive: DiscoveredNode) -> int:
     return BUS_VOLTAGE if drive.options.get("firmware") == "0.5" else codec.GET_VERSION
 
 
-DISCOVERY = Discovery(probe_frames, nodes, command_ids, other_host_frames, ping, is_ping_reply, unasked)
+DISCOVERY = Discovery(probe_frames, drives_in, command_ids, other_host_frames, ping, is_ping_reply, without_firmware)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 from handctl.drives import readback
 from handctl.drives.causes import Cause
-from handctl.drives.contract import NEVER_NS, UNSTEADY, DriveState, DriveTarget, Phase
+from handctl.drives.contract import END_OF_TIME_NS, UNSTEADY, DriveState, DriveTarget, Phase
 from handctl.drives.frame import REMOTE, Frame
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.odrive import codec
@@ -27,14 +27,14 @@ from handctl.drives.odrive.progress import (
     TEMPERATURE_NS,
     VERSION_TRIES,
     OdriveProgress,
-    cause_of,
+    cause_of_error,
     on_heartbeat,
-    on_timeout,
     progress_of,
     start_disabling,
+    state_after_timeout,
     to_fault,
 )
-from handctl.drives.option_checks import refuse_others
+from handctl.drives.option_checks import refuse_unknown_options
 from handctl.drives.readback import Cursor
 from handctl.drives.signals import Cyclic, Table
 from handctl.errors import ConfigError
@@ -102,7 +102,7 @@ class OdriveDrive:
             raise ConfigError(str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {codec.LAST_NODE}")
         parsed = pop_options(options, where)
         settings = endpoints.pop_settings(options, where, motor.watchdog_ms / 1e3, motor.torque_max_N_m / parsed.ratio)
-        refuse_others(options, where, OPTION_NAMES)
+        refuse_unknown_options(options, where, OPTION_NAMES)
         return OdriveDrive(
             name=motor.name,
             bus=bus,
@@ -110,7 +110,7 @@ class OdriveDrive:
             torque_limit=motor.torque_max_N_m,
             ratio=motor.direction * parsed.ratio,
             zero=motor.zero_rad,
-            limits=codec.floats(motor.velocity_range_rad_s * parsed.ratio / math.tau, parsed.current),
+            limits=codec.encode_floats(motor.velocity_range_rad_s * parsed.ratio / math.tau, parsed.current),
             settings=settings,
             cyclic_s=parsed.cyclic_s,
             torque_feedback=parsed.torque_feedback,
@@ -149,13 +149,13 @@ class OdriveDrive:
     @property
     def host_ids(self) -> frozenset[int]:
         """Return the identifiers of commands and remote frames, which only a host sends."""
-        commands = frozenset(codec.can_id(self.node_id, command) for command in codec.COMMANDS)
-        return commands | {codec.can_id(self.node_id, command) | REMOTE for command in codec.REQUESTABLE}
+        commands = frozenset(codec.message_id(self.node_id, command) for command in codec.COMMANDS)
+        return commands | {codec.message_id(self.node_id, command) | REMOTE for command in codec.REQUESTABLE}
 
     @property
     def node_ids(self) -> frozenset[int]:
         """Return the identifiers of answers, heartbeat, and cyclic messages."""
-        return frozenset(codec.can_id(self.node_id, command) for command in codec.ANSWERS)
+        return frozenset(codec.message_id(self.node_id, command) for command in codec.ANSWERS)
 
     @property
     def unverified_guards(self) -> tuple[str, ...]:
@@ -191,12 +191,12 @@ class OdriveDrive:
     def due_ns(self, state: DriveState) -> int:
         """Return the time of the next event [ns]: heartbeat timeout, temperature request, or read-back."""
         progress = progress_of(state)
-        temperature_rate = NEVER_NS if self.firmware_05 else progress.temperature_request_ns + TEMPERATURE_NS
-        recheck = progress.check.due_ns if self.settings else NEVER_NS
+        temperature_rate = END_OF_TIME_NS if self.firmware_05 else progress.temperature_request_ns + TEMPERATURE_NS
+        recheck = progress.check.due_ns if self.settings else END_OF_TIME_NS
         return min(
             temperature_rate,
             recheck,
-            progress.heartbeat_ns + self.heartbeat_timeout_ns + 1 if progress.heartbeat_ns >= 0 else NEVER_NS,
+            progress.heartbeat_ns + self.heartbeat_timeout_ns + 1 if progress.heartbeat_ns >= 0 else END_OF_TIME_NS,
         )
 
     def initial(self) -> DriveState:
@@ -224,7 +224,7 @@ class OdriveDrive:
 
     def _on_values(self, state: DriveState, command: int, frame: Frame) -> DriveState:
         """Update the state with position and velocity, torque, or temperatures from a frame."""
-        if command == codec.TEMPERATURE and (hottest := codec.hottest(frame.data)) is not None:
+        if command == codec.TEMPERATURE and (hottest := codec.decode_hottest(frame.data)) is not None:
             return state._replace(temperature=hottest)
         table = self.torques if command == codec.TORQUES else self.encoder
         values = table.unpack(frame.data)
@@ -270,12 +270,12 @@ class OdriveDrive:
     def _on_recheck_reply(self, state: DriveState, progress: OdriveProgress, data: bytes) -> DriveState:
         """Compare the value of a setting, read again while the drive is enabled, with the required value."""
         setting = self.settings[progress.check.step]
-        endpoint, raw = codec.sdo_reply(data)
+        endpoint, raw = codec.decode_sdo_reply(data)
         if endpoint != setting.endpoint or len(raw) < len(setting.raw):
             return state
         same = raw[: len(setting.raw)] == setting.raw
-        answer = f"reads {endpoints.shown(raw, setting)}"
-        expected = endpoints.shown(setting.raw, setting)
+        answer = f"reads {endpoints.value_as_text(raw, setting)}"
+        expected = endpoints.value_as_text(setting.raw, setting)
         check, problem = readback.on_recheck_reply(
             progress.check, len(self.settings), same, setting.name, answer, expected
         )
@@ -294,7 +294,7 @@ class OdriveDrive:
             and state.phase != FAULT
             and progress.disabling_ns < 0
         ):
-            state = on_timeout(state, self.firmware_05)
+            state = state_after_timeout(state, self.firmware_05)
             progress = progress_of(state)
         if target == DISABLE or (state.phase == ENABLED and (target != ENABLE or progress.disabling_ns >= 0)):
             return start_disabling(state, progress, t_ns), (self._state(codec.IDLE),)
@@ -370,7 +370,7 @@ class OdriveDrive:
 
         No answer confirms them, so both are sent before each enable command.
         """
-        mode = self._frame(codec.SET_MODE, codec.integers(codec.TORQUE_MODE, codec.PASSTHROUGH))
+        mode = self._frame(codec.SET_MODE, codec.encode_integers(codec.TORQUE_MODE, codec.PASSTHROUGH))
         return mode, self._frame(codec.SET_LIMITS, self.limits)
 
     def _ask_version(
@@ -436,7 +436,7 @@ class OdriveDrive:
 
     def cause(self, error: int) -> Cause:
         """Return the cause of an error code, see ``contract.Drive``."""
-        return cause_of(error)
+        return cause_of_error(error)
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
         """Return the frame Set_Input_Torque [N m at the spool]. It does not enable the drive."""
@@ -454,12 +454,12 @@ class OdriveDrive:
 
     def _state(self, state: int) -> Frame:
         """Return the frame that sets the axis state."""
-        return self._frame(codec.SET_AXIS_STATE, codec.integers(state))
+        return self._frame(codec.SET_AXIS_STATE, codec.encode_integers(state))
 
     def _frame(self, command: int, data: bytes) -> Frame:
         """Return a data frame to the drive."""
-        return Frame(codec.can_id(self.node_id, command), data, 0, self.bus)
+        return Frame(codec.message_id(self.node_id, command), data, 0, self.bus)
 
     def _ask(self, command: int) -> Frame:
         """Return a remote frame that requests a message from the drive."""
-        return Frame(codec.can_id(self.node_id, command) | REMOTE, b"", 0, self.bus)
+        return Frame(codec.message_id(self.node_id, command) | REMOTE, b"", 0, self.bus)

@@ -26,7 +26,7 @@ ERRORS = {
 """Errors by bit."""
 
 
-def heartbeat(data: bytes) -> Heartbeat:
+def decode_heartbeat(data: bytes) -> Heartbeat:
     """Decode 8 bytes of a heartbeat.
 
     The flags of motor, encoder, and controller become bits of the axis errors.

@@ -47,7 +47,7 @@ class OdriveModeDrive(OdriveDrive):
 
         No answer confirms these frames, as in torque control.
         """
-        mode = self._frame(codec.SET_MODE, codec.integers(_CONTROL[self.mode], codec.PASSTHROUGH))
+        mode = self._frame(codec.SET_MODE, codec.encode_integers(_CONTROL[self.mode], codec.PASSTHROUGH))
         return mode, self._frame(codec.SET_LIMITS, self.limits)
 
     def _torque(self, torque: float) -> Frame:
@@ -66,7 +66,7 @@ class OdriveModeDrive(OdriveDrive):
         return ()
 
 
-def make(motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits) -> OdriveModeDrive:
+def make_mode_drive(motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits) -> OdriveModeDrive:
     """Return the drive of a motor description in a mode.
 
     Raises:
@@ -75,7 +75,7 @@ def make(motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimit
     if mode not in _CONTROL:
         raise ConfigError(mode.value, "mode", "position, velocity or torque for an ODrive")
     fields = init_fields(OdriveDrive.of(motor, bus))
-    _, current = codec.pair(fields["limits"]) or (0.0, 0.0)
-    fields["limits"] = codec.floats(limits.speed * abs(fields["ratio"]) / math.tau, current)
+    _, current = codec.decode_float_pair(fields["limits"]) or (0.0, 0.0)
+    fields["limits"] = codec.encode_floats(limits.speed * abs(fields["ratio"]) / math.tau, current)
     fields["torque_limit"] = limits.speed if mode == DriveMode.VELOCITY else motor.position_range_rad
     return OdriveModeDrive(**fields, mode=mode)

@@ -5,10 +5,10 @@ from typing import Any, NamedTuple
 
 from handctl.drives.odrive import settings as endpoints
 from handctl.drives.odrive.firmware_05 import FIRMWARE
-from handctl.drives.option_checks import positive_number, whole_number
+from handctl.drives.option_checks import checked_positive, checked_whole_number
 from handctl.errors import ConfigError
 
-LARGEST = 1000
+MAX_OPTION_VALUE = 1000
 """Largest accepted ratio, current [A], and period [ms]."""
 OPTION_NAMES = "gear_ratio, current_limit_A, heartbeat_ms, encoder_period_ms, firmware, torque_feedback or endpoint_..."
 """Option names, for messages."""
@@ -57,11 +57,11 @@ def pop_options(options: MutableMapping[str, Any], where: str) -> Options:
         raise ConfigError("firmware 0.5 has no SDO", f"{where}.{keys[0]}", "no such key")
     cyclic = options.pop("encoder_period_ms", None)
     if cyclic is not None:
-        cyclic = whole_number(cyclic, f"{where}.encoder_period_ms", LARGEST)
+        cyclic = checked_whole_number(cyclic, f"{where}.encoder_period_ms", MAX_OPTION_VALUE)
     return Options(
-        ratio=positive_number(options.pop("gear_ratio", 1.0), f"{where}.gear_ratio", LARGEST),
-        current=positive_number(options.pop("current_limit_A", 10.0), f"{where}.current_limit_A", LARGEST),
-        heartbeat=whole_number(options.pop("heartbeat_ms", 100), f"{where}.heartbeat_ms", LARGEST),
+        ratio=checked_positive(options.pop("gear_ratio", 1.0), f"{where}.gear_ratio", MAX_OPTION_VALUE),
+        current=checked_positive(options.pop("current_limit_A", 10.0), f"{where}.current_limit_A", MAX_OPTION_VALUE),
+        heartbeat=checked_whole_number(options.pop("heartbeat_ms", 100), f"{where}.heartbeat_ms", MAX_OPTION_VALUE),
         torque_feedback=feedback,
         cyclic_s=(cyclic or 0) / 1e3,
         firmware_05=firmware_05,

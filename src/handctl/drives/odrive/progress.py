@@ -101,7 +101,7 @@ def on_heartbeat(state: DriveState, frame: Frame, firmware_05: bool) -> DriveSta
         frame: the heartbeat.
         firmware_05: True for firmware 0.5.
     """
-    beat = odrive_05.heartbeat(frame.data) if firmware_05 else codec.heartbeat(frame.data)
+    beat = odrive_05.decode_heartbeat(frame.data) if firmware_05 else codec.decode_heartbeat(frame.data)
     progress = progress_of(state)._replace(axis=beat.state, heartbeat_ns=frame.t_ns)
     if beat.errors and progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
@@ -164,11 +164,11 @@ def _state_when_disabled(state: DriveState, progress: OdriveProgress, beat: code
         reason = f": {codec.result_text(beat.result)}" if beat.result else ""
         return to_fault(off, DROPPED_OUT, f"disabled by itself{reason}")
     if 0 <= progress.enable_sent_ns < progress.heartbeat_ns - SETTLE_NS and beat.result != codec.BUSY:
-        return _did_not_enable(state, progress, beat)
+        return _state_when_enable_failed(state, progress, beat)
     return state._replace(phase=CONFIGURING) if state.phase == SILENT else state
 
 
-def _did_not_enable(state: DriveState, progress: OdriveProgress, beat: codec.Heartbeat) -> DriveState:
+def _state_when_enable_failed(state: DriveState, progress: OdriveProgress, beat: codec.Heartbeat) -> DriveState:
     """Return the state of the drive after a heartbeat that reports IDLE although an enable command was sent.
 
     The drive refused the command, the command was lost, or the drive restarted.
@@ -195,7 +195,7 @@ def _did_not_enable(state: DriveState, progress: OdriveProgress, beat: codec.Hea
     return state._replace(phase=CONFIGURING, private=restarted)
 
 
-def on_timeout(state: DriveState, firmware_05: bool) -> DriveState:
+def state_after_timeout(state: DriveState, firmware_05: bool) -> DriveState:
     """Return the state after heartbeats were missing for too long.
 
     An enabled drive is then in fault. A disabled drive may have lost power and its mode.
@@ -216,7 +216,7 @@ def start_disabling(state: DriveState, progress: OdriveProgress, t_ns: int) -> D
     return state._replace(phase=phase, private=progress._replace(disabling_ns=since))
 
 
-def cause_of(error: int) -> Cause:
+def cause_of_error(error: int) -> Cause:
     """Return the cause of a nonzero error code."""
     if error in CAUSES:
         return CAUSES[error]

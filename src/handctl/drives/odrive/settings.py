@@ -42,7 +42,7 @@ def pop_settings(
     Raises:
         ConfigError: an endpoint without a valid number, or one of the two watchdog endpoints missing.
     """
-    values = (b"\1", codec.floats(watchdog_s), codec.floats(torque), codec.floats(-torque))
+    values = (b"\1", codec.encode_floats(watchdog_s), codec.encode_floats(torque), codec.encode_floats(-torque))
     settings = []
     for key, raw in zip(KEYS, values, strict=True):
         endpoint = options.pop(key, None)
@@ -79,12 +79,14 @@ def on_reply(cursor: Cursor, settings: tuple[Setting, ...], data: bytes) -> tupl
         the new cursor, and the problem in words, empty without a problem.
     """
     setting = settings[cursor.step]
-    endpoint, raw = codec.sdo_reply(data)
+    endpoint, raw = codec.decode_sdo_reply(data)
     if not cursor.waiting or endpoint != setting.endpoint or len(raw) < len(setting.raw):
         return cursor, ""
     if raw[: len(setting.raw)] == setting.raw:
         return cursor.next_setting(), ""
-    return readback.on_wrong_value(cursor, setting.name, shown(raw, setting), shown(setting.raw, setting), WRITES)
+    return readback.on_wrong_value(
+        cursor, setting.name, value_as_text(raw, setting), value_as_text(setting.raw, setting), WRITES
+    )
 
 
 def next_request(cursor: Cursor, settings: tuple[Setting, ...], t_ns: int) -> tuple[Cursor, bytes, str]:
@@ -95,11 +97,11 @@ def next_request(cursor: Cursor, settings: tuple[Setting, ...], t_ns: int) -> tu
     setting = settings[cursor.step]
     if cursor.writing:  # has no answer
         return cursor.after_write(), codec.sdo_request(codec.SDO_WRITE, setting.endpoint, setting.raw), ""
-    cursor, send, problem = readback.next_request(cursor, f"endpoint {setting.endpoint} ({setting.name})", t_ns)
+    cursor, send, problem = readback.request_setting(cursor, f"endpoint {setting.endpoint} ({setting.name})", t_ns)
     return cursor, codec.sdo_request(codec.SDO_READ, setting.endpoint) if send else b"", problem
 
 
-def shown(raw: bytes, setting: Setting) -> str:
+def value_as_text(raw: bytes, setting: Setting) -> str:
     """Return the value of a setting as text. One byte is a flag, four bytes are a float32."""
     if len(setting.raw) == 1:
         return str(raw[0])

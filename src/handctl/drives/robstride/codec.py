@@ -54,7 +54,7 @@ BROADCAST = 0xFE
 """Destination of the reply with the motor's identity."""
 LAST_NODE = 0x7F
 """Largest motor number."""
-HOST = 0xFD
+HOST_ID = 0xFD
 """Default number of a host."""
 
 # Modes in the feedback's identifier.
@@ -96,11 +96,11 @@ OPERATION = 0
 """Value of RUN_MODE for control commands."""
 TIMEOUT_UNITS_PER_MS = 20
 """Watchdog counts per millisecond: 20000 counts are a second."""
-TURNS = 4.0 * math.pi
+POSITION_RANGE_RAD = 4.0 * math.pi
 """Full scale of the position [rad]."""
-TOP = 0xFFFF
+MAX_COUNT = 0xFFFF
 """Largest code of a field."""
-_MIDDLE = TOP // 2
+_MIDDLE = MAX_COUNT // 2
 NO_MOTION = struct.pack(">HHHH", _MIDDLE, _MIDDLE, 0, 0)
 """Payload of a command with torque only: gains are 0, so position and velocity have no effect."""
 CLEAR = bytes((1,)) + bytes(7)
@@ -152,7 +152,7 @@ def motor_ids(node_id: int, host: int) -> frozenset[int]:
     return frozenset(feedback | reads | {identity, reply_id(FAULT_REPORT, node_id, host)})
 
 
-def status(mode: int, fault: int) -> int:
+def joined_status(mode: int, fault: int) -> int:
     """Return the status that bits 23..16 of the feedback's identifier contain."""
     return mode << 6 | fault
 
@@ -168,7 +168,7 @@ def command_message(node_id: int, ranges: ModelRanges, limit: float, sign: int =
         limit: torque limit [N m].
         sign: sign of the torque, 1 if positive torque winds.
     """
-    scale = sign * 2 * ranges.torque / TOP
+    scale = sign * 2 * ranges.torque / MAX_COUNT
     offset = -sign * ranges.torque
     torque = Signal("torque", Quantity.TORQUE, IDENTIFIER_BIT + 8, 16, scale=scale, offset=offset, unit="N m")
     return Message("command", EXTENDED | CONTROL << 24 | node_id, 8, (torque,), 0, NO_MOTION, False, limit)
@@ -184,8 +184,8 @@ def feedback_message(node_id: int, host: int, ranges: ModelRanges, sign: int = 1
         sign: sign of position, velocity, and torque, 1 if positive torque winds.
         zero: motor angle of the spool's zero [rad].
     """
-    position = _signal_over_range("position", Quantity.POSITION, 7, TURNS, "rad", sign)
-    return Message("feedback", reply_id(FEEDBACK, node_id, host, status(RUNNING, 0)), 8, (
+    position = _signal_over_range("position", Quantity.POSITION, 7, POSITION_RANGE_RAD, "rad", sign)
+    return Message("feedback", reply_id(FEEDBACK, node_id, host, joined_status(RUNNING, 0)), 8, (
         # Spool angle = sign * (motor angle - zero).
         position._replace(offset=position.offset - sign * zero),
         _signal_over_range("velocity", Quantity.VELOCITY, 23, ranges.velocity, "rad/s", sign),
@@ -196,16 +196,16 @@ def feedback_message(node_id: int, host: int, ranges: ModelRanges, sign: int = 1
 
 def _signal_over_range(name: str, quantity: Quantity, start: int, largest: float, unit: str, sign: int) -> Signal:
     """Return a signal of 16 bits that covers the values from -largest to largest."""
-    scale = sign * 2 * largest / TOP
+    scale = sign * 2 * largest / MAX_COUNT
     return Signal(name, quantity, start, 16, True, Coding.UNSIGNED, scale, -sign * largest, unit)
 
 
-def parameter(number: int, raw: bytes = EMPTY[:4]) -> bytes:
+def parameter_request(number: int, raw: bytes = EMPTY[:4]) -> bytes:
     """Return the payload that reads a parameter, or writes its four bytes."""
     return _PARAMETER.pack(number, 0, raw)
 
 
-def parameter_reply(data: bytes) -> tuple[int, bytes]:
+def decode_parameter_reply(data: bytes) -> tuple[int, bytes]:
     """Decode 8 bytes of a parameter reply: number and four bytes of the value."""
     number, _, raw = _PARAMETER.unpack(data)
     return number, raw

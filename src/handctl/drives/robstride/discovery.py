@@ -4,11 +4,11 @@ The identity request (type 0) makes no torque and changes nothing. Fault, mode a
 read, because the stop command is the only request for feedback. Source: docs/facts/robstride.md.
 """
 
-from handctl.drives.discovery import TWINS, DiscoveredNode, Discovery, ReceivedFrames
+from handctl.drives.discovery import TWO_DRIVES_WARNING, DiscoveredNode, Discovery, ReceivedFrames
 from handctl.drives.frame import ERROR, EXTENDED, REMOTE, Frame
 from handctl.drives.robstride import codec
 
-NUMBERS = range(1, codec.LAST_NODE + 1)
+MOTOR_NUMBERS = range(1, codec.LAST_NODE + 1)
 """Motor numbers to try."""
 ALL_HOSTS = range(0x100)
 """Node numbers of hosts."""
@@ -22,20 +22,20 @@ def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     Round 2 requests the identity of every number, round 3 that of the discovered motors.
     """
     if turn == 2:
-        return tuple(_identity_request(number) for number in NUMBERS)
+        return tuple(_identity_request(number) for number in MOTOR_NUMBERS)
     if turn == 3:
-        return tuple(_identity_request(motor.node_id) for motor in nodes(received))
+        return tuple(_identity_request(motor.node_id) for motor in motors_in(received))
     return ()
 
 
 def _identity_request(number: int) -> Frame:
     """Return the frame that requests the identity of a motor."""
-    return Frame(codec.request_id(codec.GET_ID, number, codec.HOST), codec.EMPTY)
+    return Frame(codec.request_id(codec.GET_ID, number, codec.HOST_ID), codec.EMPTY)
 
 
-def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
+def motors_in(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the motors that answered with their identity."""
-    by_reply = {codec.reply_id(codec.GET_ID, number, codec.BROADCAST): number for number in NUMBERS}
+    by_reply = {codec.reply_id(codec.GET_ID, number, codec.BROADCAST): number for number in MOTOR_NUMBERS}
     serials: dict[int, set[bytes]] = {}
     for frame in received:
         number = by_reply.get(frame.can_id)
@@ -47,7 +47,7 @@ def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
 def _describe_motor(number: int, serials: set[bytes]) -> DiscoveredNode:
     """Return the discovered motor with its data."""
     twins = len(serials) > 1
-    notes = (TWINS,) * twins + ("does not report its model: give motor_type in the hand file",)
+    notes = (TWO_DRIVES_WARNING,) * twins + ("does not report its model: give motor_type in the hand file",)
     return DiscoveredNode("robstride", number, serial=min(serials).hex(), notes=notes, twins=twins)
 
 
@@ -79,4 +79,4 @@ def is_ping_reply(motor: DiscoveredNode, frame: Frame) -> bool:
     return frame.can_id == codec.reply_id(codec.GET_ID, motor.node_id, codec.BROADCAST)
 
 
-DISCOVERY = Discovery(probe_frames, nodes, command_ids, other_host_frames, ping, is_ping_reply)
+DISCOVERY = Discovery(probe_frames, motors_in, command_ids, other_host_frames, ping, is_ping_reply)

@@ -14,7 +14,7 @@ from handctl.drives.causes import Cause
 from handctl.drives.contract import UNSTEADY, DriveState, DriveTarget, Phase
 from handctl.drives.frame import EXTENDED, Frame
 from handctl.drives.motor_description import MotorDescription
-from handctl.drives.option_checks import check_full_scale, refuse_others, take_model, whole_number
+from handctl.drives.option_checks import check_full_scale, checked_whole_number, pop_motor_model, refuse_unknown_options
 from handctl.drives.readback import Cursor
 from handctl.drives.robstride import codec
 from handctl.drives.robstride import settings as parameters
@@ -25,7 +25,7 @@ from handctl.drives.robstride.progress import (
     RobstrideProgress,
     apply_fault,
     apply_status,
-    cause_of,
+    cause_of_error,
     progress_of,
     to_fault,
 )
@@ -80,7 +80,7 @@ class RobstrideDrive:
         feedback = codec.feedback_message(self.node_id, self.host, self.ranges, self.direction, self.zero)
         object.__setattr__(self, "command", Table(command))
         object.__setattr__(self, "feedback", Table(feedback))
-        object.__setattr__(self, "required", parameters.required(self.torque_limit, self.watchdog_ms))
+        object.__setattr__(self, "required", parameters.required_parameters(self.torque_limit, self.watchdog_ms))
         object.__setattr__(self, "node_ids", codec.motor_ids(self.node_id, self.host))
 
     @staticmethod
@@ -94,9 +94,9 @@ class RobstrideDrive:
         """
         options = dict(motor.options)
         where = f"motor[{motor.name}]"
-        ranges = take_model(options, where, codec.MODELS)
-        host = whole_number(options.pop("host_id", codec.HOST), f"{where}.options.host_id", codec.HOST)
-        refuse_others(options, f"{where}.options", "motor_type or host_id")
+        ranges = pop_motor_model(options, where, codec.MODELS)
+        host = checked_whole_number(options.pop("host_id", codec.HOST_ID), f"{where}.options.host_id", codec.HOST_ID)
+        refuse_unknown_options(options, f"{where}.options", "motor_type or host_id")
         if host <= codec.LAST_NODE:
             raise ConfigError(str(host), f"{where}.options.host_id", "128 to 253, no number of a motor")
         check_full_scale(motor, ranges)
@@ -150,7 +150,7 @@ class RobstrideDrive:
     @property
     def position_step(self) -> float:
         """Return the position step of one count: 16 bits cover 8 pi [rad]."""
-        return 2 * codec.TURNS / codec.TOP
+        return 2 * codec.POSITION_RANGE_RAD / codec.MAX_COUNT
 
     @property
     def feedback_period_s(self) -> float:
@@ -224,7 +224,7 @@ class RobstrideDrive:
     def _on_parameter(self, state: DriveState, data: bytes, failed: bool) -> DriveState:
         """Compare the value of a parameter with the required value."""
         progress = progress_of(state)
-        number, raw = codec.parameter_reply(data)
+        number, raw = codec.decode_parameter_reply(data)
         if state.phase == ENABLED and progress.check.waiting:
             one = self.required[progress.check.step]
             if number != one.number:
@@ -305,7 +305,7 @@ class RobstrideDrive:
         state = state._replace(private=progress._replace(check=check))
         if problem:
             state = to_fault(state, MISMATCH, problem)
-        return state, self._request_frame(codec.READ, codec.parameter(one.number))
+        return state, self._request_frame(codec.READ, codec.parameter_request(one.number))
 
     def _configure(
         self, state: DriveState, progress: RobstrideProgress, t_ns: int
@@ -324,12 +324,12 @@ class RobstrideDrive:
         one = self.required[cursor.step]
         if cursor.writing:
             updated = state._replace(private=progress._replace(cursor=cursor.after_write()))
-            return updated, (self._request_frame(codec.WRITE, codec.parameter(one.number, one.raw)),)
-        cursor, send, problem = readback.next_request(cursor, one.name, t_ns)
+            return updated, (self._request_frame(codec.WRITE, codec.parameter_request(one.number, one.raw)),)
+        cursor, send, problem = readback.request_setting(cursor, one.name, t_ns)
         if problem:
             return to_fault(state._replace(private=progress), MISMATCH, problem), ()
         updated = state._replace(error_text="", private=progress._replace(cursor=cursor))
-        return updated, (self._request_frame(codec.READ, codec.parameter(one.number)),) if send else ()
+        return updated, (self._request_frame(codec.READ, codec.parameter_request(one.number)),) if send else ()
 
     def _torque_frame(self, torque: float) -> Frame:
         """Return the frame of a torque command.
@@ -372,7 +372,7 @@ class RobstrideDrive:
 
     def cause(self, error: int) -> Cause:
         """Return the cause of an error code, see ``contract.Drive``."""
-        return cause_of(error)
+        return cause_of_error(error)
 
     def _request_frame(self, kind: int, data: bytes = codec.EMPTY) -> Frame:
         """Return a request to the motor."""

@@ -30,11 +30,11 @@ from handctl.drives.causes import Cause
 from handctl.drives.contract import DriveState, DriveTarget, Phase
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec as mit
-from handctl.drives.mit.cubemars import ANSWERS, QUIET, CubemarsDrive, CubemarsProgress
+from handctl.drives.mit.cubemars import ANSWERS_REQUIRED, MAX_RESTING_TORQUE_FRACTION, CubemarsDrive, CubemarsProgress
 from handctl.drives.motor_description import MotorDescription
-from handctl.drives.option_checks import check_full_scale, refuse_others, take_model, whole_number
+from handctl.drives.option_checks import check_full_scale, checked_whole_number, pop_motor_model, refuse_unknown_options
 from handctl.drives.robstride import codec
-from handctl.drives.robstride.progress import cause_of, fault_text
+from handctl.drives.robstride.progress import cause_of_error, fault_text
 from handctl.drives.signals import Coding, Quantity, Signal, Table
 from handctl.errors import ConfigError
 
@@ -59,7 +59,7 @@ UNVERIFIED_GUARDS = (
     "watchdog: canTimeout cannot be read in MIT mode; set and save it in the private protocol, its default is off",
     "torque limit: limit_torque cannot be read in MIT mode; torque_max_N_m is this host's alone",
     "does not report whether it is enabled; "
-    f"an answer to stop with at most {QUIET:.0%} of full-scale torque counts as disabled",
+    f"an answer to stop with at most {MAX_RESTING_TORQUE_FRACTION:.0%} of full-scale torque counts as disabled",
     "ranges cannot be read back; motor_type must be right",
 )
 """Guards that handctl cannot verify, one line each."""
@@ -95,13 +95,13 @@ class RobstrideMitDrive(CubemarsDrive):
         """
         options = dict(motor.options)
         where = f"motor[{motor.name}]"
-        ranges = take_model(options, where, MODELS)
+        ranges = pop_motor_model(options, where, MODELS)
         if not 0 < motor.node_id <= codec.LAST_NODE:
             raise ConfigError(str(motor.node_id), f"{where}.node_id", f"1 to {codec.LAST_NODE}")
         host = options.pop("host_id", motor.node_id + HOST_OFFSET)
         if host != FACTORY_HOST:
-            host = whole_number(host, f"{where}.options.host_id", codec.LAST_NODE)
-        refuse_others(options, f"{where}.options", "motor_type or host_id")
+            host = checked_whole_number(host, f"{where}.options.host_id", codec.LAST_NODE)
+        refuse_unknown_options(options, f"{where}.options", "motor_type or host_id")
         if host == motor.node_id:
             raise ConfigError(str(host), f"{where}.options.host_id", "another number than node_id")
         check_full_scale(motor, ranges)
@@ -169,7 +169,7 @@ class RobstrideMitDrive(CubemarsDrive):
         updated, frames = CubemarsDrive.advance(self, state, t_ns, target, torque)
         progress: CubemarsProgress = updated.private
         disabled = updated.phase in (Phase.READY, Phase.FAULT) and not progress.enable_sent
-        if target == DriveTarget.POLL and disabled and updated.feedback_count % FAULT_PERIOD == ANSWERS:
+        if target == DriveTarget.POLL and disabled and updated.feedback_count % FAULT_PERIOD == ANSWERS_REQUIRED:
             return updated, (self._frame_to_motor(READ_FAULTS),)
         return updated, frames
 
@@ -180,4 +180,4 @@ class RobstrideMitDrive(CubemarsDrive):
 
     def cause(self, error: int) -> Cause:
         """Return the cause of an error code, see ``contract.Drive``."""
-        return cause_of(error)
+        return cause_of_error(error)

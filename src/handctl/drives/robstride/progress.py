@@ -124,7 +124,7 @@ def fault_text(fault: int) -> str:
     return ", ".join(dict.fromkeys(names))
 
 
-def cause_of(error: int) -> Cause:
+def cause_of_error(error: int) -> Cause:
     """Return the cause of a nonzero error code."""
     if error in CAUSES:
         return CAUSES[error]

@@ -43,7 +43,7 @@ class RequiredParameter(NamedTuple):
         return f"{struct.unpack_from(f'<{self.coding}', raw)[0]:g}"
 
 
-def required(torque: float, watchdog_ms: float) -> tuple[RequiredParameter, ...]:
+def required_parameters(torque: float, watchdog_ms: float) -> tuple[RequiredParameter, ...]:
     """Return the parameters required before arming.
 
     Args:

@@ -16,18 +16,18 @@ COUNTERS = (0x35, 0x3A)
 The counters differ, so that a foreign frame is not mistaken for two answers.
 """
 # Bits of the counter and of a channel.
-BITS_HEAD = 4
-BITS_CHANNEL = 12
-LONGEST = 8
+HEADER_BITS = 4
+CHANNEL_BITS = 12
+MAX_FRAME_BYTES = 8
 """Largest payload of an answer [bytes]."""
 
 
 def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the request frames of a round: two SYNCs in round 3."""
-    return tuple(ping_with(counter) for counter in COUNTERS) if turn == 3 else ()
+    return tuple(ping_with_counter(counter) for counter in COUNTERS) if turn == 3 else ()
 
 
-def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
+def sensor_nodes_in(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the discovered sensor nodes: identifiers that answered both SYNCs.
 
     Consecutive identifiers are one node.
@@ -39,14 +39,16 @@ def nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
 
 def _answers_both_syncs(received: ReceivedFrames, can_id: int) -> bool:
     """Return True if all frames of an identifier contain the SYNC counters, in the order sent."""
-    counters = [frame.data[0] & 0xF for frame in received if frame.can_id == can_id and 2 <= len(frame.data) <= LONGEST]
+    counters = [
+        frame.data[0] & 0xF for frame in received if frame.can_id == can_id and 2 <= len(frame.data) <= MAX_FRAME_BYTES
+    ]
     return can_id < SYNC << 3 and counters == [counter & 0xF for counter in COUNTERS]
 
 
 def _describe_node(can_id: int, received: ReceivedFrames) -> DiscoveredNode:
     """Return the discovered sensor node with its data."""
     size = next(len(frame.data) for frame in received if frame.can_id == can_id)
-    channels = (8 * size - BITS_HEAD) // BITS_CHANNEL
+    channels = (8 * size - HEADER_BITS) // CHANNEL_BITS
     note = f"answers SYNC 0x{SYNC:03x}: a sensor node with base_id = 0x{can_id:x} and {channels} channels in a frame?"
     return DiscoveredNode("sensor", can_id, state="answers SYNC", notes=(note,))
 
@@ -61,14 +63,14 @@ def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
     return ()
 
 
-def ping_with(counter: int) -> Frame:
+def ping_with_counter(counter: int) -> Frame:
     """Return a SYNC frame with this counter."""
     return Frame(SYNC, bytes((counter,)))
 
 
 def ping(node: DiscoveredNode) -> Frame:
     """Return a SYNC frame."""
-    return ping_with(COUNTERS[0])
+    return ping_with_counter(COUNTERS[0])
 
 
 def is_ping_reply(node: DiscoveredNode, frame: Frame) -> bool:
@@ -76,4 +78,4 @@ def is_ping_reply(node: DiscoveredNode, frame: Frame) -> bool:
     return frame.can_id == node.node_id and len(frame.data) >= 2 and frame.data[0] & 0xF == COUNTERS[0] & 0xF
 
 
-DISCOVERY = Discovery(probe_frames, nodes, command_ids, other_host_frames, ping, is_ping_reply)
+DISCOVERY = Discovery(probe_frames, sensor_nodes_in, command_ids, other_host_frames, ping, is_ping_reply)

@@ -12,7 +12,7 @@ the lowest bit:
 
 The node samples at SYNC. Every frame of its answer contains the low four bits of the counter byte,
 so that a stale frame is not mistaken for a fresh one. Successive counters do not repeat with period
-16, see ``counters``. Angle frames follow every SYNC whose counter is a multiple of
+16, see ``sync_counters``. Angle frames follow every SYNC whose counter is a multiple of
 ``joint_decimation``.
 """
 
@@ -32,7 +32,7 @@ COUNTER_BITS = 4
 """Number of bits of the counter in an answer."""
 SHIFTS = tuple(range(COUNTER_BITS, COUNTER_BITS + CHANNELS * CHANNEL_BITS, CHANNEL_BITS))
 """Lowest bit of each channel."""
-FULL = (1 << CHANNEL_BITS) - 1
+MAX_CHANNEL_COUNT = (1 << CHANNEL_BITS) - 1
 """Largest count of a channel."""
 TENSION_STEP_N = 0.0625
 """Tension of one count [N]."""
@@ -41,7 +41,7 @@ TENSION_ZERO_N = -6.0
 
 The value is negative, so that noise and bias of a slack tendon are in the range.
 """
-TENSION_TOP_N = TENSION_ZERO_N + FULL * TENSION_STEP_N
+TENSION_MAX_N = TENSION_ZERO_N + MAX_CHANNEL_COUNT * TENSION_STEP_N
 """Tension at the largest count [N]. At count 0 and at the largest count the load cell is saturated."""
 LOW_MARGIN_N = 2.0
 """Distance from the lower end of the range to the threshold for a broken load cell [N]."""
@@ -51,11 +51,11 @@ LOW_MARGIN_N = 2.0
 # range ends below ``tension_rail``.
 TARE_MIN_N = TENSION_ZERO_N + LOW_MARGIN_N
 TARE_MAX_N = 6.0
-TENSION_RAIL_N = TENSION_TOP_N - TARE_MAX_N
+TENSION_RAIL_N = TENSION_MAX_N - TARE_MAX_N
 """Tared tension above which a load cell may be saturated, for any accepted tare [N]."""
 # Ticks after which the SYNC counters repeat, and ticks in a row with distinct answers.
 COUNTER_PERIOD = 4096
-DISTINCT = 8
+DISTINCT_COUNTERS = 8
 JOINT_STEP_RAD = 2 * math.pi / 4096
 """Angle of one count [rad]."""
 JOINT_ZERO = 2048
@@ -121,7 +121,7 @@ class SensorNode:
 
     def __post_init__(self) -> None:
         """Compute the counter bytes from the decimation."""
-        object.__setattr__(self, "counters", counters(self.decimation))
+        object.__setattr__(self, "counters", sync_counters(self.decimation))
 
     @classmethod
     def of(cls, node: SensorDescription, bus: int, tendons: tuple[str, ...], joints: tuple[str, ...]) -> Self:
@@ -236,12 +236,12 @@ def _channel_signal(slot: int, index: int, tension: bool) -> Signal:
 
 
 @functools.lru_cache(maxsize=16)
-def counters(decimation: int) -> bytes:
+def sync_counters(decimation: int) -> bytes:
     """Return the counter bytes of SYNC for a period of about ``COUNTER_PERIOD`` ticks.
 
     A counter of four bits that counts up has the same value 16 or 32 ticks later, so a frame of
     that age would seem fresh. These counters are pseudo-random instead. The low four bits of two
-    ticks less than ``DISTINCT`` apart differ. At larger distances they are equal only by chance.
+    ticks less than ``DISTINCT_COUNTERS`` apart differ. At larger distances they are equal only by chance.
     The counter modulo ``decimation`` equals the tick modulo ``decimation``, because the node sends
     angle frames by this remainder. With a decimation of 8 or more, fewer than three values of the
     four bits have the same remainder, so the bits of near ticks may be equal.
@@ -260,7 +260,7 @@ def counters(decimation: int) -> bytes:
         # The high bits of a linear congruential generator are the random ones.
         nibble = fit[(chance >> 33) % len(fit)]
         result.append(by_nibble[k % decimation][nibble])
-        recent = [*recent[2 - DISTINCT :], nibble]
+        recent = [*recent[2 - DISTINCT_COUNTERS :], nibble]
     return bytes(result)
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from handctl.hand.file.error_text import Mistake
 from handctl.hand.file.sections import Digit, Motor, StreamLimits, Tendon
-from handctl.hand.link_bodies import inertia
+from handctl.hand.link_bodies import link_inertia
 from handctl.hand.moment_arms import TABLE_DEGREE, arms_at, polynomial_of, table_residual
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ ROUTING_SAMPLES = 11
 """Number of postures at which the routing of a digit with arms that depend on the angle is checked."""
 ROUNDING_DEG = 1e-6
 """Rounding of angles converted from rad [deg]."""
-PER_LINK = (
+KEYS_PER_LINK = (
     "link_com_m",
     "link_mass_kg",
     "link_inertia_kg_m2",
@@ -40,13 +40,13 @@ PER_LINK = (
     "spring_preload_rad",
 )
 """Keys of a digit with one value per link."""
-OPTIONAL_PER_LINK = ("joint_axis", "joint_rpy_deg", "joint_rated_torque_N_m")
+OPTIONAL_KEYS_PER_LINK = ("joint_axis", "joint_rpy_deg", "joint_rated_torque_N_m")
 """The same, where the file has the key."""
 UNIT_TOLERANCE = 1e-3
 """Largest deviation of an axis from length 1, and of inertias from the triangle inequality, by rounding."""
-STRENGTH = "rated_breaking_force_N"
+STRENGTH_KEY = "rated_breaking_force_N"
 """Key of the strength of a tendon."""
-LIMITS = ("tension_floor_N", "tension_max_N", "tension_trip_N", "drive_limit_N", STRENGTH)
+LIMIT_KEYS = ("tension_floor_N", "tension_max_N", "tension_trip_N", "drive_limit_N", STRENGTH_KEY)
 """Tension limits in ascending order."""
 MIT_REPLY_OFFSET = 0x10
 """Usual distance of an MIT drive's reply from its command. Source: Damiao convention, MST_ID = ESC_ID + 0x10."""
@@ -65,7 +65,7 @@ SHARED_IDS = (
     ("cia402", 0x77F, "this host's heartbeat to CiA 402 drives"),
 )
 """(protocol, identifier shared by all its motors on a bus, name of the frame)."""
-CONDITION = 1e-6
+MIN_CONDITION = 1e-6
 """Smallest ratio of singular values that counts as full rank."""
 
 
@@ -84,7 +84,7 @@ def check_hand(hand: Hand) -> Mistakes:
     yield from wrong
     if wrong:
         return
-    wrong = [*_check_references(hand), *_check_mounts(hand)] or [*_check_order(hand)]
+    wrong = [*_check_references(hand), *_check_mounts(hand)] or [*_check_tendon_order(hand)]
     yield from wrong
     if wrong:
         return
@@ -100,7 +100,7 @@ def check_hand(hand: Hand) -> Mistakes:
 def check_names(hand: Hand) -> Mistakes:
     """Yield names that occur twice in a kind of section."""
     for key in ("bus", "digit", "tendon", "motor"):
-        yield from _unique([section.name for section in getattr(hand, key)], key + "[{}].name")
+        yield from _check_unique([section.name for section in getattr(hand, key)], key + "[{}].name")
 
 
 def check_sections(digits: Iterable[Digit], tendons: Iterable[Tendon]) -> Mistakes:
@@ -112,7 +112,7 @@ def check_sections(digits: Iterable[Digit], tendons: Iterable[Tendon]) -> Mistak
         yield from _check_pretension(tendon)
 
 
-def _unique(names: Iterable[str], where: str) -> Mistakes:
+def _check_unique(names: Iterable[str], where: str) -> Mistakes:
     """Refuse a repeated name. The name replaces {} in the key path."""
     seen: set[str] = set()
     for name in names:
@@ -127,7 +127,7 @@ def _check_digit(digit: Digit) -> Mistakes:
     links = len(digit.link_length_m)
     wrong = [
         Mistake(f"{len(values)} values", f"{where}.{key}", f"{links}, one per link_length_m")
-        for key in (*PER_LINK, *OPTIONAL_PER_LINK)
+        for key in (*KEYS_PER_LINK, *OPTIONAL_KEYS_PER_LINK)
         if (values := getattr(digit, key)) is not None and len(values) != links
     ]
     yield from wrong
@@ -160,7 +160,7 @@ def _check_body(digit: Digit, i: int, where: str) -> Mistakes:
     elif np.linalg.norm(com) > size:
         right = f"at most {size:g} m from the joint, the link's length or width"
         yield Mistake(f"{np.linalg.norm(com):g} m", f"{where}.link_com_m[{i}]", right)
-    moments = np.linalg.eigvalsh(inertia(digit, i))
+    moments = np.linalg.eigvalsh(link_inertia(digit, i))
     largest = digit.link_mass_kg[i] * size**2
     if moments[-1] > largest:
         right = f"at most mass x length^2 = {largest:.3g} kg m2"
@@ -187,7 +187,7 @@ def _check_references(hand: Hand) -> Mistakes:
     node = hand.sensor_node
     yield from _check_name("sensor_node.bus", node.bus, hand.bus_names)
     for key, names, valid in (("tendons", node.tendons, hand.tendon_names), ("joints", node.joints, hand.joints)):
-        yield from _unique(names, f"sensor_node.{key}")
+        yield from _check_unique(names, f"sensor_node.{key}")
         for i, name in enumerate(names):
             yield from _check_name(f"sensor_node.{key}[{i}]", name, valid)
     for motor in hand.motor:
@@ -238,7 +238,7 @@ def _check_mounts(hand: Hand) -> Mistakes:
         line = [*line[: line.index(carrier) + 1 if carrier in line else 0], digit.name]
 
 
-def _check_order(hand: Hand) -> Mistakes:
+def _check_tendon_order(hand: Hand) -> Mistakes:
     """Check that each tendon moves joints of one digit, and that tendons follow the order of digits."""
     latest = 0
     for tendon in hand.tendon:
@@ -311,22 +311,22 @@ def _check_routing(hand: Hand, digit: Digit) -> Mistakes:
 def _rank(arms: NDArray[np.float64]) -> int:
     """Return the rank of reduced moment arms."""
     values = np.linalg.svd(arms, compute_uv=False)
-    return int((values > CONDITION * values.max(initial=0.0)).sum()) if values.size else 0
+    return int((values > MIN_CONDITION * values.max(initial=0.0)).sum()) if values.size else 0
 
 
 def _check_limits(tendon: Tendon) -> Mistakes:
     """Check that tension limits rise from the floor to the tendon's strength."""
-    values = {key: getattr(tendon, key) for key in LIMITS}
+    values = {key: getattr(tendon, key) for key in LIMIT_KEYS}
     strength = tendon.rated_breaking_force_N
     too_high = False
-    for below, key, above in zip((None, *LIMITS), LIMITS[:-1], LIMITS[1:], strict=False):
+    for below, key, above in zip((None, *LIMIT_KEYS), LIMIT_KEYS[:-1], LIMIT_KEYS[1:], strict=False):
         value = values[key]
         next_value = values[above]
         # The limit below was too high, and is reported: this one is not too low as well.
         too_low = below is not None and value <= values[below] and not too_high
         bounds = [] if below is None else [f"more than {below} = {values[below]:g} N"]
-        if above == STRENGTH or strength < next_value:
-            bounds.append(f"at most {STRENGTH} = {strength:g} N")
+        if above == STRENGTH_KEY or strength < next_value:
+            bounds.append(f"at most {STRENGTH_KEY} = {strength:g} N")
             too_high = value > strength
         else:
             bounds.append(f"less than {above} = {next_value:g} N")
@@ -401,8 +401,8 @@ def _check_identifiers(hand: Hand) -> Mistakes:
     owner: dict[tuple[str, object], str] = {}
     wrong: set[str] = set()
     for motor in hand.motor:
-        yield from _check_reply(motor)
-    for bus, identifier, where in _identifiers(hand):
+        yield from _check_reply_id(motor)
+    for bus, identifier, where in _frame_identifiers(hand):
         if (bus, identifier) in owner and where not in wrong:
             wrong.add(where)
             text = f"0x{identifier & ~EXTENDED:X}" if isinstance(identifier, int) else str(identifier)
@@ -411,7 +411,7 @@ def _check_identifiers(hand: Hand) -> Mistakes:
         owner.setdefault((bus, identifier), where)
 
 
-def _identifiers(hand: Hand) -> Iterator[tuple[str, object, str]]:
+def _frame_identifiers(hand: Hand) -> Iterator[tuple[str, object, str]]:
     """Yield (bus, identifier, key path) of all frames of a hand.
 
     A motor with an unknown protocol yields its node number.
@@ -434,7 +434,7 @@ def _motor_identifiers(motor: Motor) -> Iterator[tuple[object, str]]:
     where = f"motor[{motor.name}].node_id"
     if motor.protocol == "mit":
         yield motor.node_id, where
-        yield _mit_reply(motor, where)
+        yield _mit_reply_id(motor, where)
     elif motor.protocol == "odrive":
         # An ODrive owns all 32 commands of its node number.
         for message in range(32):
@@ -455,7 +455,7 @@ def _motor_identifiers(motor: Motor) -> Iterator[tuple[object, str]]:
         yield f"{motor.protocol} node {motor.node_id}", where
 
 
-def _mit_reply(motor: Motor, where: str) -> tuple[object, str]:
+def _mit_reply_id(motor: Motor, where: str) -> tuple[object, str]:
     """Return the reply identifier of an MIT drive, and the key that sets it."""
     reply = motor.options.get("reply_id")
     if reply is None:
@@ -463,7 +463,7 @@ def _mit_reply(motor: Motor, where: str) -> tuple[object, str]:
     return reply, f"motor[{motor.name}].options.reply_id"
 
 
-def _check_reply(motor: Motor) -> Mistakes:
+def _check_reply_id(motor: Motor) -> Mistakes:
     """Check the reply identifier of an MIT drive."""
     reply = motor.options.get("reply_id")
     if motor.protocol != "mit" or reply is None:

@@ -14,14 +14,21 @@ from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import AoT, Comment, Item, Table, Whitespace
 
 from handctl.errors import ConfigError
-from handctl.hand.file.templates import ALL, DIGIT_KINDS, KINDS, ONE_FOR_ALL_LINKS, SHORT_JOINT, WRITTEN
+from handctl.hand.file.templates import (
+    DIGIT_KINDS,
+    KEYS_ONE_FOR_ALL_LINKS,
+    SECTION_KINDS,
+    SHORT_JOINT_PATTERN,
+    WORD_FOR_ALL,
+    WRITTEN_SCHEMA,
+)
 from handctl.hand.file.toml_text import toml_text
 
-LONGEST_LINE = 120
+MAX_LINE_LENGTH = 120
 """Longest line of a table within a line."""
-PERSONAL = {"digit": {"name", "mount_position_m"}, "tendon": {"name"}, "motor": {"name", "node_id"}}
+INDIVIDUAL_KEYS = {"digit": {"name", "mount_position_m"}, "tendon": {"name"}, "motor": {"name", "node_id"}}
 """Keys of a section that no default and no template has."""
-SHARED_FROM = 2
+MIN_SECTIONS_TO_SHARE = 2
 """Number of sections from which a common value becomes a default or a template."""
 
 
@@ -75,7 +82,7 @@ class Block:
         return taken
 
 
-def converted(text: str, source: str) -> str:
+def convert_to_schema_2(text: str, source: str) -> str:
     """Return the text of a hand file of schema 1 as schema 2.
 
     Args:
@@ -92,11 +99,11 @@ def converted(text: str, source: str) -> str:
     root, tables = _parse_blocks(document)
     for entry in root.entries:
         if entry.key == "schema":
-            entry.text = str(WRITTEN)
-    sections = {kind: [block for name, block in tables if name == kind] for kind in KINDS}
-    others = [(name, block) for name, block in tables if name not in KINDS]
+            entry.text = str(WRITTEN_SCHEMA)
+    sections = {kind: [block for name, block in tables if name == kind] for kind in SECTION_KINDS}
+    others = [(name, block) for name, block in tables if name not in SECTION_KINDS]
     _shorten_sensor_node(others, sections)
-    defaults = {kind: _take_common_values(kind, sections[kind]) for kind in KINDS}
+    defaults = {kind: _take_common_values(kind, sections[kind]) for kind in SECTION_KINDS}
     for kind in DIGIT_KINDS:
         _move_into_digits(kind, sections)
     templates = _take_templates(sections["digit"])
@@ -105,7 +112,7 @@ def converted(text: str, source: str) -> str:
         array = isinstance(document[name], AoT)
         header = f"[[{name}]]" if array else f"[{name}]" + _header_comment(block)
         lines += ["", *block.before, header, *_table_lines(block, name)]
-    for kind in KINDS:
+    for kind in SECTION_KINDS:
         lines += _kind_lines(kind, defaults[kind], templates if kind == "digit" else {}, sections[kind])
     return re.sub(r"\n{3,}", "\n\n", "\n".join(lines).strip("\n")) + "\n"
 
@@ -152,10 +159,10 @@ def _take_common_values(kind: str, blocks: Sequence[Block]) -> list[Entry]:
     """Remove the values that all sections of a kind have in common, and return them."""
     if kind == "digit":
         for block in blocks:
-            _one_for_all_links(block)
-    if len(blocks) < SHARED_FROM:
+            _shorten_lists_per_link(block)
+    if len(blocks) < MIN_SECTIONS_TO_SHARE:
         return []
-    kept = (*PERSONAL[kind], "motor", "moment_arm_m")
+    kept = (*INDIVIDUAL_KEYS[kind], "motor", "moment_arm_m")
     return _take_shared_values(blocks, lambda key, value: key not in kept)
 
 
@@ -182,11 +189,11 @@ def _are_equal(one: Any, other: Any) -> bool:
     return bool(one == other) and isinstance(one, bool) == isinstance(other, bool)
 
 
-def _one_for_all_links(block: Block) -> None:
+def _shorten_lists_per_link(block: Block) -> None:
     """Write one number for a list of equal numbers per link."""
     for entry in block.entries:
         values = entry.value
-        if entry.key not in ONE_FOR_ALL_LINKS or not isinstance(values, list) or not values:
+        if entry.key not in KEYS_ONE_FOR_ALL_LINKS or not isinstance(values, list) or not values:
             continue
         if isinstance(values[0], int | float) and all(value == values[0] for value in values):
             # The text between the brackets, up to the first comma, is the number as it was written.
@@ -204,7 +211,7 @@ def _shorten_sensor_node(others: Sequence[tuple[str, Block]], sections: dict[str
     for name, block in others:
         for entry in block.entries if name == "sensor_node" else ():
             if entry.key in names and entry.value == names[entry.key]:
-                entry.text = f'"{ALL}"'
+                entry.text = f'"{WORD_FOR_ALL}"'
 
 
 def _move_into_digits(kind: str, sections: dict[str, list[Block]]) -> None:
@@ -234,7 +241,7 @@ def _move_into_digits(kind: str, sections: dict[str, list[Block]]) -> None:
             if entry.key == "moment_arm_m":
                 entry.value = {joint.removeprefix(f"{owner}_"): arm for joint, arm in entry.value.items()}
                 entry.text = entry.text.replace(f"{owner}_j", "j")
-                assert all(SHORT_JOINT.fullmatch(joint) for joint in entry.value)
+                assert all(SHORT_JOINT_PATTERN.fullmatch(joint) for joint in entry.value)
         digit.held[kind][short] = block
     sections[kind].clear()
     if comments:
@@ -248,9 +255,9 @@ def _take_templates(digits: Sequence[Block]) -> dict[str, Block]:
         groups.setdefault(str(block.values().get("link_length_m")), []).append(block)
     templates: dict[str, Block] = {}
     for group in groups.values():
-        if len(group) < SHARED_FROM or "link_length_m" not in group[0].values():
+        if len(group) < MIN_SECTIONS_TO_SHARE or "link_length_m" not in group[0].values():
             continue
-        template = Block(_take_shared_values(group, lambda key, value: key not in PERSONAL["digit"]))
+        template = Block(_take_shared_values(group, lambda key, value: key not in INDIVIDUAL_KEYS["digit"]))
         for kind in DIGIT_KINDS:
             # Entries of a template come before those of its digits. After the first that the digits do not share,
             # a further one would change the order.
@@ -304,7 +311,7 @@ def _table_lines(block: Block, header: str) -> list[str]:
             alone = [entry for entry in inner.entries if not entry.key]
             if len(keyed) == 1 and not alone and not inner.before:
                 lines.append(f"{kind}.{short}.{keyed[0].line()}")
-            elif keyed and len(line) <= LONGEST_LINE and "\n" not in line:
+            elif keyed and len(line) <= MAX_LINE_LENGTH and "\n" not in line:
                 lines += [*inner.before, *(entry.text for entry in alone), line] if alone or not lines else [line]
             elif keyed:
                 tables += ["", f"[{header}.{kind}.{short}]", *(entry.line() for entry in inner.entries)]

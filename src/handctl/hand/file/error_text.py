@@ -30,9 +30,9 @@ class Mistake(NamedTuple):
         return ConfigError(self.what, f"{source}: {self.where}", self.right)
 
 
-SECTION = re.compile(r"(\w+)\[([^\]]*)\](.*)", re.DOTALL)
+SECTION_PATTERN = re.compile(r"(\w+)\[([^\]]*)\](.*)", re.DOTALL)
 """Key path within one of several sections: kind, name, and the rest."""
-EXPECTED = {
+EXPECTED_TYPES = {
     "tuple_type": "a list",
     "dict_type": "a table",
     "model_type": "a table",
@@ -64,13 +64,13 @@ def validation_mistakes(error: ValidationError, model: type[BaseModel], content:
         where = key_path(content, location)
         if detail["type"] == "missing":
             if (location[:-1], location[-1]) not in misspelt:
-                found.append(Mistake("missing", where, _missing(location, model)))
+                found.append(Mistake("missing", where, _meaning_of_missing_key(location, model)))
         elif detail["type"] != "extra_forbidden":
             context = {"right": detail["msg"], **detail.get("ctx", {})}
-            right = EXPECTED.get(detail["type"], "{right}").format(**context)
+            right = EXPECTED_TYPES.get(detail["type"], "{right}").format(**context)
             if detail["input"] == TODO:
-                right += _meaning(_field(location, model))
-            found.append(Mistake(shown(detail["input"]), where, right))
+                right += _meaning(_field_of_key(location, model))
+            found.append(Mistake(toml_spelling(detail["input"]), where, right))
     return found
 
 
@@ -78,9 +78,9 @@ WITHIN_DIGITS = ("tendon", "motor")
 """Sections of a hand that can also be tables of a digit."""
 
 
-def _missing(location: Sequence[str | int], model: type[BaseModel]) -> str:
+def _meaning_of_missing_key(location: Sequence[str | int], model: type[BaseModel]) -> str:
     """Return what a missing key stands for: the form of a section, and the first sentence of the description."""
-    field = _field(location, model)
+    field = _field_of_key(location, model)
     if field is None:
         return "a value"
     form = "a value"
@@ -103,7 +103,7 @@ def first_sentence(description: str) -> str:
     return " ".join(re.split(r"\.\s", description, maxsplit=1)[0].rstrip(".").replace("``", "").split())
 
 
-def _field(location: Sequence[str | int], model: type[BaseModel]) -> FieldInfo | None:
+def _field_of_key(location: Sequence[str | int], model: type[BaseModel]) -> FieldInfo | None:
     """Return the field of a key, None for a key without one, such as an entry of a list."""
     *tables, key = location
     for part in tables:
@@ -119,11 +119,11 @@ def _unknown_key_mistake(location: Sequence[str | int], model: type[BaseModel], 
     """Return the mistake of an unknown key, with the most similar valid key."""
     if location[0] == "motor" and location[-1] == "mode":
         return Mistake("a hand commands torques", key_path(content, location), "no mode; one drive: handctl jog --mode")
-    valid = nearest(str(location[-1]), _valid_keys_at(model, location[:-1]))
+    valid = most_similar_key(str(location[-1]), _valid_keys_at(model, location[:-1]))
     return Mistake("unknown key", key_path(content, location), valid)
 
 
-def in_file(mistakes: Iterable[Mistake], origins: Mapping[str, str]) -> list[Mistake]:
+def with_paths_of_file(mistakes: Iterable[Mistake], origins: Mapping[str, str]) -> list[Mistake]:
     """Return mistakes of resolved content with the key paths of the file.
 
     A value of a default or template stands for many values. Its first mistake stands for all.
@@ -141,20 +141,22 @@ def in_file(mistakes: Iterable[Mistake], origins: Mapping[str, str]) -> list[Mis
     return list(found.values())
 
 
-def grouped(mistakes: Iterable[Mistake]) -> list[Mistake]:
+def group_mistakes(mistakes: Iterable[Mistake]) -> list[Mistake]:
     """Join mistakes that differ only in the name of the section, in the order of the first of each.
 
     The key path of several sections names at most three: ``tendon[a, b and 4 more].knee_N``.
     """
     names: dict[Mistake, list[str]] = {}
     for mistake in mistakes:
-        section = SECTION.fullmatch(mistake.where)
+        section = SECTION_PATTERN.fullmatch(mistake.where)
         pattern = mistake._replace(where=f"{section[1]}[{{}}]{section[3]}") if section else mistake
         names.setdefault(pattern, []).append(section[2] if section else "")
-    return [pattern._replace(where=pattern.where.replace("{}", listed(found))) for pattern, found in names.items()]
+    return [
+        pattern._replace(where=pattern.where.replace("{}", shortened_list(found))) for pattern, found in names.items()
+    ]
 
 
-def listed(names: Sequence[str]) -> str:
+def shortened_list(names: Sequence[str]) -> str:
     """Join names, at most three of them in full."""
     return ", ".join(names) if len(names) <= 3 else f"{', '.join(names[:2])} and {len(names) - 2} more"
 
@@ -185,7 +187,7 @@ def key_path(content: Any, location: Sequence[str | int]) -> str:
     return path
 
 
-def shown(value: Any) -> str:
+def toml_spelling(value: Any) -> str:
     """Return a value in TOML's spelling, shortened if long."""
     text = str(value).lower() if isinstance(value, bool) else f'"{value}"' if isinstance(value, str) else repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
@@ -206,6 +208,6 @@ def _models_in(annotation: Any) -> list[type[BaseModel]]:
     return [model for part in getattr(annotation, "__args__", ()) for model in _models_in(part)]
 
 
-def nearest(key: str, valid: list[str]) -> str:
+def most_similar_key(key: str, valid: list[str]) -> str:
     """Return the most similar valid key, or all valid keys."""
     return similar_name(key, valid) or "one of " + ", ".join(valid)

@@ -8,7 +8,7 @@ import numpy as np
 
 from handctl.hand.digit import Array
 from handctl.hand.file.error_text import first_sentence
-from handctl.hand.file.new_file import DRIVE, FLOOR_N, MOTORS_PER_BUS, SENSOR_IDS, TRIP
+from handctl.hand.file.new_file import DRIVE_LIMIT_RATIO, FLOOR_N, MOTORS_PER_BUS, SENSOR_IDS, TRIP_RATIO
 from handctl.hand.file.quantities import TODO
 from handctl.hand.file.sections import Digit, Motor, Mount, Section, SensorNode, Tendon
 from handctl.hand.formats.model_tree import ModelDigit
@@ -341,8 +341,8 @@ def _tendon_lines(answers: TendonAnswers) -> Iterable[_Line]:
         "rated_breaking_force_N": answers.strength_N,
         "tension_floor_N": None if tension is None else FLOOR_N,
         "tension_max_N": tension,
-        "tension_trip_N": None if tension is None else TRIP * tension,
-        "drive_limit_N": None if tension is None else DRIVE * tension,
+        "tension_trip_N": None if tension is None else TRIP_RATIO * tension,
+        "drive_limit_N": None if tension is None else DRIVE_LIMIT_RATIO * tension,
     }
     for key, value in given.items():
         yield _todo(Tendon, key) if value is None else _Line(key, _number(value))
@@ -352,7 +352,7 @@ def _motor_lines(answers: TendonAnswers) -> Iterable[_Line]:
     """Yield the values of all motors."""
     torque = None
     if answers.tension_N is not None and answers.spool_mm is not None:
-        torque = DRIVE * answers.tension_N * 1e-3 * answers.spool_mm
+        torque = DRIVE_LIMIT_RATIO * answers.tension_N * 1e-3 * answers.spool_mm
     given: dict[str, str | None] = {
         "protocol": None if answers.protocol is None else f'"{answers.protocol}"',
         "bus": '"main"',

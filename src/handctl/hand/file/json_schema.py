@@ -5,7 +5,15 @@ from copy import deepcopy
 from typing import Any
 
 from handctl.hand.description import Hand
-from handctl.hand.file.templates import ALL, DIGIT_KINDS, KINDS, ONE_FOR_ALL_LINKS, RESOLVED, TEMPLATES, WRITTEN
+from handctl.hand.file.templates import (
+    DIGIT_KINDS,
+    KEYS_ONE_FOR_ALL_LINKS,
+    RESOLVED_SCHEMA,
+    SECTION_KINDS,
+    TEMPLATES,
+    WORD_FOR_ALL,
+    WRITTEN_SCHEMA,
+)
 
 DRAFT = "http://json-schema.org/draft-07/schema#"
 """Version of JSON Schema that editors of TOML read."""
@@ -38,13 +46,13 @@ def hand_schema() -> dict[str, Any]:
         definitions[VALUES[kind]] = values
     node = definitions["SensorNode"]["properties"]
     for key in ("tendons", "joints"):
-        node[key] = {"description": node[key].pop("description"), "anyOf": [{"const": ALL}, node[key]]}
+        node[key] = {"description": node[key].pop("description"), "anyOf": [{"const": WORD_FOR_ALL}, node[key]]}
     properties = schema["properties"]
-    properties["schema"] = {"enum": [WRITTEN, RESOLVED], "description": "Version of the format."}
+    properties["schema"] = {"enum": [WRITTEN_SCHEMA, RESOLVED_SCHEMA], "description": "Version of the format."}
     properties["default"] = {
         "type": "object",
         "description": "Values of all digits, tendons or motors that do not have their own.",
-        "properties": {kind: _reference_to(VALUES[kind]) for kind in KINDS},
+        "properties": {kind: _reference_to(VALUES[kind]) for kind in SECTION_KINDS},
         "additionalProperties": False,
     }
     for kind, key in TEMPLATES.items():
@@ -64,7 +72,7 @@ def _extend_digit(definition: dict[str, Any]) -> None:
     properties = definition["properties"]
     for kind in DIGIT_KINDS:
         properties[kind] = _table_array_schema(kind, f"Each {kind} of this digit, named DIGIT_NAME.")
-    for key in ONE_FOR_ALL_LINKS:
+    for key in KEYS_ONE_FOR_ALL_LINKS:
         lists = properties[key]
         items = next(one["items"] for one in (lists, *lists.get("anyOf", ())) if "items" in one)
         properties[key] = {"anyOf": [items, {"type": "array", "items": items}], "description": lists["description"]}

@@ -15,11 +15,11 @@ FLOOR_N = 2.0
 """Tension floor of a new hand [N]."""
 PRELOAD_RAD = 0.6
 """Preload of the springs of a new hand [rad]."""
-OPENING = 3.0
+OPENING_TORQUE_RATIO = 3.0
 """Torque of the springs of an open digit per torque of the tension floor."""
-TRIP = 1.2
+TRIP_RATIO = 1.2
 """Trip limit per largest tension."""
-DRIVE = 1.4
+DRIVE_LIMIT_RATIO = 1.4
 """Limit within the drive per largest tension."""
 OBJECT_PER_DIGIT = 0.75
 """Diameter of an object per length of the digits. The tips of opposed digits meet around thinner objects."""
@@ -46,7 +46,7 @@ LARGEST_COUNT = 8
 
 
 @dataclass(frozen=True)
-class Answers:
+class HandAnswers:
     """Answers about a hand.
 
     Attributes:
@@ -98,7 +98,7 @@ class Answers:
         return self.digit_mm / DIGIT_PER_PULLEY if self.pulley_mm is None else self.pulley_mm
 
 
-def check_answers(answers: Answers) -> None:
+def check_answers(answers: HandAnswers) -> None:
     """Refuse answers that make no hand file. All further limits are those of a hand file.
 
     Raises:
@@ -118,7 +118,7 @@ def check_answers(answers: Answers) -> None:
         raise ConfigError("no link", "--links", "the length of each link in millimetres")
 
 
-def palm_warnings(answers: Answers) -> tuple[str, ...]:
+def palm_warnings(answers: HandAnswers) -> tuple[str, ...]:
     """Return warnings about facing digits and a narrow palm, one line per warning."""
     # Straight links touch a thinner object before their tips meet than digits that curl.
     enough = answers.spacious_palm if len(answers.links_mm) > 1 else answers.width_mm + STRAIGHT_OBJECT_MM
@@ -130,7 +130,7 @@ def palm_warnings(answers: Answers) -> tuple[str, ...]:
     )
 
 
-def new_hand_text(answers: Answers, options: Mapping[str, Any], can_fd: bool) -> str:
+def new_hand_text(answers: HandAnswers, options: Mapping[str, Any], can_fd: bool) -> str:
     """Return the text of a hand file of schema 2.
 
     Args:
@@ -143,7 +143,7 @@ def new_hand_text(answers: Answers, options: Mapping[str, Any], can_fd: bool) ->
     motors = _motor_names(answers)
     buses = _bus_names(answers)
     per_bus = _digits_per_bus(answers)
-    digits = zip(_names(answers), _mount_places(answers), strict=True)
+    digits = zip(_digit_names(answers), _mount_places(answers), strict=True)
     for number, ((name, side), z) in enumerate(digits):
         y = (0.5 - side) * answers.palm * 1e-3
         bus = buses[number // per_bus]
@@ -160,14 +160,14 @@ def new_hand_text(answers: Answers, options: Mapping[str, Any], can_fd: bool) ->
     return "\n\n".join(parts) + "\n"
 
 
-def _names(answers: Answers) -> list[tuple[str, int]]:
+def _digit_names(answers: HandAnswers) -> list[tuple[str, int]]:
     """Return name and side of each digit. Opposed digits are on side 1."""
     fingers = [FINGERS[i] if i < len(FINGERS) else f"finger_{i + 1}" for i in range(answers.fingers)]
     opposed = ["thumb" if i == 0 else f"thumb_{i + 1}" for i in range(answers.opposed)]
     return [*((name, 0) for name in fingers), *((name, 1) for name in opposed)]
 
 
-def _mount_places(answers: Answers) -> list[float]:
+def _mount_places(answers: HandAnswers) -> list[float]:
     """Return the place of each digit along the hinges, the first side first [m].
 
     Sides with different numbers of digits interleave. Otherwise tips meet before the digits press on
@@ -185,25 +185,25 @@ def _mount_places(answers: Answers) -> list[float]:
     return places
 
 
-def _bus_names(answers: Answers) -> list[str]:
+def _bus_names(answers: HandAnswers) -> list[str]:
     """Return the names of the buses."""
     count = math.ceil((answers.fingers + answers.opposed) / _digits_per_bus(answers))
     return ["main", *(f"bus_{i + 1}" for i in range(1, count))]
 
 
-def _digits_per_bus(answers: Answers) -> int:
+def _digits_per_bus(answers: HandAnswers) -> int:
     """Return the number of digits on a bus. All motors of a digit are on one bus."""
     digits = answers.fingers + answers.opposed
     buses = math.ceil(digits / max(1, MOTORS_PER_BUS // len(_motor_names(answers))))
     return math.ceil(digits / buses)
 
 
-def _motor_names(answers: Answers) -> list[str]:
+def _motor_names(answers: HandAnswers) -> list[str]:
     """Return the short names of the motors of a digit."""
     return ["motor"] if answers.tendons == "one" else [f"m{i + 1}" for i in range(len(answers.links_mm))]
 
 
-def _head_tables(answers: Answers, can_fd: bool) -> str:
+def _head_tables(answers: HandAnswers, can_fd: bool) -> str:
     """Return the tables before the digits."""
     tendons = "one tendon per digit" if answers.tendons == "one" else "one tendon per joint"
     sync, base = SENSOR_IDS.get(answers.protocol, SENSOR_IDS["mit"])
@@ -234,7 +234,7 @@ tension_bias_drift_N = {_number_text(answers.tension_N * 0.01)}         # ASSUME
 joint_noise_rad = 0.001"""
 
 
-def _digit_values(answers: Answers) -> str:
+def _digit_values(answers: HandAnswers) -> str:
     """Return the values that all digits have in common."""
     lengths = [1e-3 * length for length in answers.links_mm]
     width = 1e-3 * answers.width_mm
@@ -243,7 +243,7 @@ def _digit_values(answers: Answers) -> str:
     count = len(lengths)
     # The floor of all tendons that cross a joint closes it, and its spring opens it.
     crossing = [1] * count if answers.tendons == "one" else [count - i for i in range(count)]
-    stiffness = [OPENING * tendons * 1e-3 * answers.pulley * FLOOR_N / PRELOAD_RAD for tendons in crossing]
+    stiffness = [OPENING_TORQUE_RATIO * tendons * 1e-3 * answers.pulley * FLOOR_N / PRELOAD_RAD for tendons in crossing]
     lines = [
         "[default.digit]                    # one number holds for every link",
         f"link_length_m = {_list_text(lengths)}",
@@ -269,8 +269,9 @@ def _digit_values(answers: Answers) -> str:
     return "\n".join(lines)
 
 
-def _tendon_values(answers: Answers) -> str:
+def _tendon_values(answers: HandAnswers) -> str:
     """Return the values that all tendons have in common."""
+    trip = _number_text(TRIP_RATIO * answers.tension_N)
     return f"""[default.tendon]
 stiffness_N_per_m = 1.0e5          # ASSUMED: handctl identify measures it
 damping_N_s_per_m = 30.0           # ASSUMED
@@ -282,13 +283,13 @@ wrap_angle_rad = 1.5708            # ASSUMED: before the first joint pulley
 rated_breaking_force_N = {_number_text(answers.strength_N)}
 tension_floor_N = {FLOOR_N}
 tension_max_N = {_number_text(answers.tension_N)}
-tension_trip_N = {_number_text(TRIP * answers.tension_N)}              # above this one valid sample relaxes the hand
-drive_limit_N = {_number_text(DRIVE * answers.tension_N)}              # torque_max_N_m / spool_radius_m"""
+tension_trip_N = {trip}              # above this one valid sample relaxes the hand
+drive_limit_N = {_number_text(DRIVE_LIMIT_RATIO * answers.tension_N)}              # torque_max_N_m / spool_radius_m"""
 
 
-def _motor_values(answers: Answers, options: Mapping[str, Any]) -> str:
+def _motor_values(answers: HandAnswers, options: Mapping[str, Any]) -> str:
     """Return the values that all motors have in common."""
-    torque = DRIVE * answers.tension_N * 1e-3 * answers.spool_mm
+    torque = DRIVE_LIMIT_RATIO * answers.tension_N * 1e-3 * answers.spool_mm
     return f"""[default.motor]                    # quantities at the spool, after the gear
 protocol = "{answers.protocol}"
 bus = "main"

@@ -21,7 +21,7 @@ TODO = "TODO"
 """Value that stands for one that has to be measured or chosen yet. No key accepts it."""
 
 
-def wrong(right: str) -> PydanticCustomError:
+def validation_error(right: str) -> PydanticCustomError:
     """Return an error with the valid value, which ``error_text`` prints after the invalid one."""
     return PydanticCustomError("hand", "expected {right}", {"right": right})
 
@@ -67,10 +67,10 @@ class Range:
         """Return the value as a float."""
         right = f"a number from {self.low:g} to {self.high:g} {self.unit}".rstrip()
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise wrong(right)
+            raise validation_error(right)
         # Negated, so that NaN is refused.
         if not self.low <= value <= self.high:
-            raise wrong(f"{right} ({self.hint})" if self.hint and value > self.high else right)
+            raise validation_error(f"{right} ({self.hint})" if self.hint and value > self.high else right)
         return float(value)
 
     @property
@@ -79,19 +79,19 @@ class Range:
         return {"type": "number", "minimum": self.low, "maximum": self.high}
 
 
-def band(low: float, high: float, unit: str = "", hint: str = "") -> Checked:
+def in_range(low: float, high: float, unit: str = "", hint: str = "") -> Checked:
     """Return the validation of a number within [low, high], see ``Range``."""
     number = Range(low, high, unit, hint)
     return Checked(number, number.schema)
 
 
-def whole(low: int, high: int) -> Checked:
+def whole_in_range(low: int, high: int) -> Checked:
     """Return the validation of an integer within [low, high]."""
 
     def check(value: Any) -> int:
         """Return the value."""
         if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-            raise wrong(f"a whole number from {low} to {high}")
+            raise validation_error(f"a whole number from {low} to {high}")
         return value
 
     return Checked(check, {"type": "integer", "minimum": low, "maximum": high})
@@ -100,36 +100,36 @@ def whole(low: int, high: int) -> Checked:
 def _check_direction(value: Any) -> int:
     """Validate 1 or -1."""
     if isinstance(value, bool) or not isinstance(value, int) or value not in (1, -1):
-        raise wrong("1 or -1")
+        raise validation_error("1 or -1")
     return value
 
 
 def _check_name(value: Any) -> str:
     """Validate a name."""
     if not isinstance(value, str) or not NAME_PATTERN.fullmatch(value) or value == TODO:
-        raise wrong("a name of letters, digits and _ that begins with a letter")
+        raise validation_error("a name of letters, digits and _ that begins with a letter")
     return value
 
 
 def _check_text(value: Any) -> str:
     """Validate a string."""
     if not isinstance(value, str):
-        raise wrong("a string")
+        raise validation_error("a string")
     return value
 
 
 def _check_options(value: Any) -> dict[str, bool | int | float | str]:
     """Validate a table of finite numbers, strings, and booleans."""
     if not isinstance(value, dict):
-        raise wrong("a table")
+        raise validation_error("a table")
     # Negated comparison: NaN and infinity are refused.
     for key, entry in value.items():
         if not isinstance(entry, bool | int | float | str) or (isinstance(entry, float) and not abs(entry) < 1e300):
-            raise wrong(f"finite numbers, strings and booleans; {key} is none of them")
+            raise validation_error(f"finite numbers, strings and booleans; {key} is none of them")
     return value
 
 
-def band_or_zero(low: float, high: float, unit: str, hint: str) -> Checked:
+def zero_or_in_range(low: float, high: float, unit: str, hint: str) -> Checked:
     """Return the validation of 0 or a number within [low, high], see ``Range``."""
     number = Range(low, high, unit, hint)
 
@@ -156,14 +156,14 @@ def number_or_list(number: Range, entry: Range, *counts: int) -> Checked:
         if not isinstance(value, list | tuple):
             return number(value)
         if len(value) not in counts:
-            raise wrong(right)
+            raise validation_error(right)
         return tuple(entry(one) for one in value)
 
     lists = [{"type": "array", "items": entry.schema, "minItems": count, "maxItems": count} for count in counts]
     return Checked(check, {"anyOf": [number.schema, *lists]})
 
 
-ARM = Range(-0.05, 0.05, "m", "in metres?")
+MOMENT_ARM_RANGE = Range(-0.05, 0.05, "m", "in metres?")
 """Moment arms of tendons at joints."""
 
 
@@ -176,19 +176,19 @@ MAX_TABLE = 1000
 def _check_moment_arm(value: Any) -> float | dict[str, tuple[float, ...]]:
     """Validate a moment arm: a number, a polynomial, or a table."""
     if isinstance(value, list | tuple):
-        raise wrong(f"a number from {ARM.low:g} to {ARM.high:g} m, {ARM_FORMS}")
+        raise validation_error(f"a number from {MOMENT_ARM_RANGE.low:g} to {MOMENT_ARM_RANGE.high:g} m, {ARM_FORMS}")
     if not isinstance(value, Mapping):
-        return ARM(value)
+        return MOMENT_ARM_RANGE(value)
     if set(value) == {"polynomial_m"}:
         return {"polynomial_m": _numbers(value["polynomial_m"], "polynomial_m", 1, COEFFICIENTS, 1.0)}
     if set(value) != {"angle_deg", "arm_m"}:
-        raise wrong(ARM_FORMS)
+        raise validation_error(ARM_FORMS)
     angle = _numbers(value["angle_deg"], "angle_deg", 2, MAX_TABLE, 360.0)
-    arm = _numbers(value["arm_m"], "arm_m", 2, MAX_TABLE, ARM.high)
+    arm = _numbers(value["arm_m"], "arm_m", 2, MAX_TABLE, MOMENT_ARM_RANGE.high)
     if len(angle) != len(arm):
-        raise wrong(f"an arm_m for each angle_deg, and there are {len(arm)} for {len(angle)}")
+        raise validation_error(f"an arm_m for each angle_deg, and there are {len(arm)} for {len(angle)}")
     if any(after <= before for before, after in pairwise(angle)):
-        raise wrong("rising values of angle_deg")
+        raise validation_error("rising values of angle_deg")
     return {"angle_deg": angle, "arm_m": arm}
 
 
@@ -196,10 +196,10 @@ def _numbers(values: Any, key: str, least: int, most: int, largest: float) -> tu
     """Return a list of ``least`` to ``most`` numbers from ``-largest`` to ``largest``."""
     right = f"{least} to {most} numbers from {-largest:g} to {largest:g} in {key}"
     if not isinstance(values, list | tuple) or not least <= len(values) <= most:
-        raise wrong(right)
+        raise validation_error(right)
     # Negated comparison: NaN is refused.
     if any(isinstance(one, bool) or not isinstance(one, int | float) or not abs(one) <= largest for one in values):
-        raise wrong(right)
+        raise validation_error(right)
     return tuple(float(one) for one in values)
 
 
@@ -215,9 +215,9 @@ def _table_schema(**lists: dict[str, Any]) -> dict[str, Any]:
 
 
 ARM_SCHEMA = {"anyOf": [
-    ARM.schema,
+    MOMENT_ARM_RANGE.schema,
     _table_schema(polynomial_m=_list_schema(1, COEFFICIENTS, 1.0)),
-    _table_schema(angle_deg=_list_schema(2, MAX_TABLE, 360.0), arm_m=_list_schema(2, MAX_TABLE, ARM.high)),
+    _table_schema(angle_deg=_list_schema(2, MAX_TABLE, 360.0), arm_m=_list_schema(2, MAX_TABLE, MOMENT_ARM_RANGE.high)),
 ]}  # fmt: skip
 
 
@@ -229,55 +229,55 @@ Options = Annotated[
     Checked(_check_options, {"type": "object", "additionalProperties": {"type": ["boolean", "number", "string"]}}),
 ]
 
-Length = Annotated[float, band_or_zero(1e-3, 0.2, "m", "in metres?")]
+Length = Annotated[float, zero_or_in_range(1e-3, 0.2, "m", "in metres?")]
 """Length of a link. It is 0 where the axes of two joints meet."""
 CentreOfMass = Annotated[
     float | tuple[float, float, float],
     number_or_list(Range(0.0, 0.2, "m", "in metres?"), Range(-0.2, 0.2, "m", "in metres?"), 3),
 ]
-Direction3 = Annotated[float, band(-1.0, 1.0)]
-Radius = Annotated[float, band(5e-4, 0.05, "m", "in metres?")]
+Direction3 = Annotated[float, in_range(-1.0, 1.0)]
+Radius = Annotated[float, in_range(5e-4, 0.05, "m", "in metres?")]
 MomentArm = Annotated[float | dict[str, tuple[float, ...]], Checked(_check_moment_arm, ARM_SCHEMA)]
-Position = Annotated[float, band(-0.5, 0.5, "m", "in metres?")]
-Mass = Annotated[float, band(1e-5, 0.5, "kg", "in kilograms?")]
+Position = Annotated[float, in_range(-0.5, 0.5, "m", "in metres?")]
+Mass = Annotated[float, in_range(1e-5, 0.5, "kg", "in kilograms?")]
 LinkInertia = Annotated[
     float | tuple[float, ...],
     number_or_list(Range(1e-12, 1e-3, "kg m2", "in kg m2?"), Range(-1e-3, 1e-3, "kg m2", "in kg m2?"), 3, 6),
 ]
-Armature = Annotated[float, band(0.0, 1e-3, "kg m2", "in kg m2?")]
-MotorInertia = Annotated[float, band(1e-8, 1e-1, "kg m2", "in kg m2, at the spool?")]
-JointAngle = Annotated[float, band(-180.0, 180.0, "deg")]
-MountAngle = Annotated[float, band(-360.0, 360.0, "deg")]
-Preload = Annotated[float, band(0.0, 6.3, "rad", "in radians?")]
-Wrap = Annotated[float, band(0.0, 20.0, "rad", "in radians?")]
-Zero = Annotated[float, band(-100.0, 100.0, "rad", "in radians?")]
-PositionRange = Annotated[float, band(0.1, 1000.0, "rad", "in radians?")]
-SpeedRange = Annotated[float, band(0.1, 1000.0, "rad/s", "in rad/s?")]
-Damping = Annotated[float, band(0.0, 0.1, "N m s/rad")]
-SpringStiffness = Annotated[float, band(0.0, 10.0, "N m/rad", "in N m per radian?")]
-Gravity = Annotated[float, band(-20.0, 20.0, "m/s2")]
-Coupling = Annotated[float, band(-10.0, 10.0)]
-Force = Annotated[float, band(0.0, 5000.0, "N", "in newtons?")]
-PositiveForce = Annotated[float, band(0.1, 5000.0, "N", "in newtons?")]
-TendonStiffness = Annotated[float, band(1e3, 1e7, "N/m", "in N/m?")]
-TendonDamping = Annotated[float, band(0.0, 1e4, "N s/m")]
-StiffnessRatio = Annotated[float, band(0.01, 10.0)]
-KneeWidth = Annotated[float, band(1e-6, 0.01, "m", "in metres?")]
-FrictionCoefficient = Annotated[float, band(0.0, 1.0)]
-Torque = Annotated[float, band(0.0, 50.0, "N m", "in N m?")]
-PositiveTorque = Annotated[float, band(1e-3, 50.0, "N m", "in N m?")]
-TorqueConstant = Annotated[float, band(1e-4, 50.0, "N m/A", "at the spool?")]
-JointNoise = Annotated[float, band(1e-7, 0.5, "rad", "in radians?")]
-JointSpeed = Annotated[float, band(1.0, 3000.0, "deg/s", "in degrees?")]
-JointAcceleration = Annotated[float, band(10.0, 1e6, "deg/s2", "in degrees?")]
-TensionRate = Annotated[float, band(1.0, 1e5, "N/s")]
-StaleTime = Annotated[float, band(1.0, 60_000.0, "ms", "in milliseconds?")]
+Armature = Annotated[float, in_range(0.0, 1e-3, "kg m2", "in kg m2?")]
+MotorInertia = Annotated[float, in_range(1e-8, 1e-1, "kg m2", "in kg m2, at the spool?")]
+JointAngle = Annotated[float, in_range(-180.0, 180.0, "deg")]
+MountAngle = Annotated[float, in_range(-360.0, 360.0, "deg")]
+Preload = Annotated[float, in_range(0.0, 6.3, "rad", "in radians?")]
+Wrap = Annotated[float, in_range(0.0, 20.0, "rad", "in radians?")]
+Zero = Annotated[float, in_range(-100.0, 100.0, "rad", "in radians?")]
+PositionRange = Annotated[float, in_range(0.1, 1000.0, "rad", "in radians?")]
+SpeedRange = Annotated[float, in_range(0.1, 1000.0, "rad/s", "in rad/s?")]
+Damping = Annotated[float, in_range(0.0, 0.1, "N m s/rad")]
+SpringStiffness = Annotated[float, in_range(0.0, 10.0, "N m/rad", "in N m per radian?")]
+Gravity = Annotated[float, in_range(-20.0, 20.0, "m/s2")]
+Coupling = Annotated[float, in_range(-10.0, 10.0)]
+Force = Annotated[float, in_range(0.0, 5000.0, "N", "in newtons?")]
+PositiveForce = Annotated[float, in_range(0.1, 5000.0, "N", "in newtons?")]
+TendonStiffness = Annotated[float, in_range(1e3, 1e7, "N/m", "in N/m?")]
+TendonDamping = Annotated[float, in_range(0.0, 1e4, "N s/m")]
+StiffnessRatio = Annotated[float, in_range(0.01, 10.0)]
+KneeWidth = Annotated[float, in_range(1e-6, 0.01, "m", "in metres?")]
+FrictionCoefficient = Annotated[float, in_range(0.0, 1.0)]
+Torque = Annotated[float, in_range(0.0, 50.0, "N m", "in N m?")]
+PositiveTorque = Annotated[float, in_range(1e-3, 50.0, "N m", "in N m?")]
+TorqueConstant = Annotated[float, in_range(1e-4, 50.0, "N m/A", "at the spool?")]
+JointNoise = Annotated[float, in_range(1e-7, 0.5, "rad", "in radians?")]
+JointSpeed = Annotated[float, in_range(1.0, 3000.0, "deg/s", "in degrees?")]
+JointAcceleration = Annotated[float, in_range(10.0, 1e6, "deg/s2", "in degrees?")]
+TensionRate = Annotated[float, in_range(1.0, 1e5, "N/s")]
+StaleTime = Annotated[float, in_range(1.0, 60_000.0, "ms", "in milliseconds?")]
 # Limits of the bit rate of CAN, and of the data phase of CAN FD [bit/s].
 SLOWEST_BUS = 10_000
 FASTEST_BUS = 8_000_000
-Bitrate = Annotated[int, whole(SLOWEST_BUS, FASTEST_BUS)]
-NodeId = Annotated[int, whole(1, 0x7F)]
-CanId = Annotated[int, whole(1, 0x7FF)]
-Decimation = Annotated[int, whole(1, 256)]
-Watchdog = Annotated[int, whole(1, 10_000)]
-SchemaNumber = Annotated[int, whole(1, 1)]
+Bitrate = Annotated[int, whole_in_range(SLOWEST_BUS, FASTEST_BUS)]
+NodeId = Annotated[int, whole_in_range(1, 0x7F)]
+CanId = Annotated[int, whole_in_range(1, 0x7FF)]
+Decimation = Annotated[int, whole_in_range(1, 256)]
+Watchdog = Annotated[int, whole_in_range(1, 10_000)]
+SchemaNumber = Annotated[int, whole_in_range(1, 1)]

@@ -16,28 +16,28 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from handctl.hand.file.checks import PER_LINK
-from handctl.hand.file.error_text import Mistake, nearest, shown
+from handctl.hand.file.checks import KEYS_PER_LINK
+from handctl.hand.file.error_text import Mistake, most_similar_key, toml_spelling
 
-RESOLVED = 1
+RESOLVED_SCHEMA = 1
 """Schema of a file in which every section has all its values."""
-WRITTEN = 2
+WRITTEN_SCHEMA = 2
 """Schema of a file with defaults and templates."""
-KINDS = ("digit", "tendon", "motor")
+SECTION_KINDS = ("digit", "tendon", "motor")
 """Sections that have defaults and templates."""
 DIGIT_KINDS = ("tendon", "motor")
 """Tables that a digit may hold."""
-TEMPLATES = {kind: f"{kind}_template" for kind in KINDS}
+TEMPLATES = {kind: f"{kind}_template" for kind in SECTION_KINDS}
 """Name of the table of templates of each kind."""
-ONE_FOR_ALL_LINKS = (*PER_LINK, "joint_rated_torque_N_m")
+KEYS_ONE_FOR_ALL_LINKS = (*KEYS_PER_LINK, "joint_rated_torque_N_m")
 """Lists of a digit that one number may stand for."""
-ALL = "all"
+WORD_FOR_ALL = "all"
 """Value of the sensor node that stands for all tendons or all joints."""
-DEPTH = 3
+MERGE_DEPTH = 3
 """Levels of tables that are merged. A deeper table is replaced as a whole."""
-MISSING = re.compile(r"(digit|tendon|motor)\[[^\]]*\]\.([A-Za-z_0-9]+)")
+MISSING_KEY_PATTERN = re.compile(r"(digit|tendon|motor)\[[^\]]*\]\.([A-Za-z_0-9]+)")
 """Key path of a key of a section."""
-SHORT_JOINT = re.compile(r"j[0-9]+")
+SHORT_JOINT_PATTERN = re.compile(r"j[0-9]+")
 
 Table = Mapping[str, Any]
 Origins = dict[str, str]
@@ -65,22 +65,22 @@ class Resolved(NamedTuple):
     mistakes: list[Mistake]
 
 
-def resolve(content: Table) -> Resolved:
+def resolve_templates(content: Table) -> Resolved:
     """Replace defaults and templates by values. Content of schema 1 stays as it is.
 
     Whatever has not the form of a section also stays as it is: validation describes it better.
     """
     tables = [key for key in ("default", *TEMPLATES.values()) if key in content]
-    if content.get("schema") != WRITTEN and not tables:
+    if content.get("schema") != WRITTEN_SCHEMA and not tables:
         return Resolved(dict(content), {}, [])
     resolver = _Resolver(content)
-    if content.get("schema") != WRITTEN:
-        resolver.mistakes.append(Mistake(f"the file has [{tables[0]}]", "schema", str(WRITTEN)))
+    if content.get("schema") != WRITTEN_SCHEMA:
+        resolver.mistakes.append(Mistake(f"the file has [{tables[0]}]", "schema", str(WRITTEN_SCHEMA)))
     names = ("default", *TEMPLATES.values())
-    resolved = {key: value for key, value in content.items() if key not in names} | {"schema": RESOLVED}
+    resolved = {key: value for key, value in content.items() if key not in names} | {"schema": RESOLVED_SCHEMA}
     resolver.check_tables()
-    sections: dict[str, Any] = {kind: [] for kind in KINDS}
-    for kind in KINDS:
+    sections: dict[str, Any] = {kind: [] for kind in SECTION_KINDS}
+    for kind in SECTION_KINDS:
         entries = content.get(kind, [])
         if not _is_list_of_tables(entries):
             sections[kind] = entries
@@ -94,7 +94,7 @@ def resolve(content: Table) -> Resolved:
     resolved |= {kind: section for kind, section in sections.items() if section or kind in content}
     node = content.get("sensor_node")
     if isinstance(node, Mapping):
-        resolved["sensor_node"] = _expand_all(node, sections)
+        resolved["sensor_node"] = _expand_all_names(node, sections)
     return Resolved(resolved, resolver.origins, resolver.mistakes)
 
 
@@ -112,11 +112,13 @@ class _Resolver:
         """Find defaults and templates that are not tables, or have keys that belong to an entry."""
         default = self.content.get("default", {})
         if not isinstance(default, Mapping):
-            self.mistakes.append(Mistake(shown(default), "default", "a table"))
+            self.mistakes.append(Mistake(toml_spelling(default), "default", "a table"))
             default = {}
         for kind in default:
-            if kind not in KINDS:
-                self.mistakes.append(Mistake("unknown key", f"default.{kind}", nearest(kind, [*KINDS])))
+            if kind not in SECTION_KINDS:
+                self.mistakes.append(
+                    Mistake("unknown key", f"default.{kind}", most_similar_key(kind, [*SECTION_KINDS]))
+                )
         layers = [(f"default.{kind}", values) for kind, values in default.items()]
         for key in TEMPLATES.values():
             templates = self.content.get(key, {})
@@ -126,7 +128,7 @@ class _Resolver:
                 layers.append((key, templates))
         for path, values in layers:
             if not isinstance(values, Mapping):
-                self.mistakes.append(Mistake(shown(values), path, "a table"))
+                self.mistakes.append(Mistake(toml_spelling(values), path, "a table"))
                 continue
             for key in {"name", "template"} & values.keys():
                 self.mistakes.append(Mistake("unknown key", f"{path}.{key}", f"{key} in the section itself"))
@@ -140,7 +142,7 @@ class _Resolver:
             name: name of the section, or None if its layers have it.
         """
         layers = [*self.shared(kind, own), *own]
-        values, origins = _merge_layers(layers, DEPTH)
+        values, origins = _merge_layers(layers, MERGE_DEPTH)
         values.pop("template", None)
         label = name or values.get("name")
         if name:
@@ -157,7 +159,9 @@ class _Resolver:
         default: Table = given if isinstance(given, Mapping) else {}
         for key, values in default.items():
             # A misspelt kind has its values nevertheless: they would otherwise be reported as missing.
-            misspelt = key not in KINDS and kind not in default and nearest(key, [*KINDS]) == kind
+            misspelt = (
+                key not in SECTION_KINDS and kind not in default and most_similar_key(key, [*SECTION_KINDS]) == kind
+            )
             if isinstance(values, Mapping) and (key == kind or misspelt):
                 yield Layer(_without_entry_keys(values), f"default.{key}")
         named = [layer for layer in own if "template" in layer.values]
@@ -168,8 +172,8 @@ class _Resolver:
         templates = self.content.get(key)
         valid = [*templates] if isinstance(templates, Mapping) else []
         if not isinstance(name, str) or name not in valid:
-            right = nearest(str(name), valid) if valid else f"the name of a table [{key}.NAME]"
-            self.mistakes.append(Mistake(shown(name), f"{named[-1].path}.template", right))
+            right = most_similar_key(str(name), valid) if valid else f"the name of a table [{key}.NAME]"
+            self.mistakes.append(Mistake(toml_spelling(name), f"{named[-1].path}.template", right))
             # The most similar template instead: its values would otherwise be reported as missing.
             name = right if right in valid else next(iter(valid), None)
         if isinstance(templates, Mapping) and isinstance(templates.get(name), Mapping):
@@ -189,9 +193,9 @@ class _Resolver:
                 if isinstance(table, Mapping):
                     self.of_digits[kind].append(self._of_digit(kind, digit, name, inner[kind][name], inner["motor"]))
                 else:
-                    self.mistakes.append(Mistake(shown(table), where, "a table"))
+                    self.mistakes.append(Mistake(toml_spelling(table), where, "a table"))
         links = values.get("link_length_m", [0.0])
-        for key in ONE_FOR_ALL_LINKS:
+        for key in KEYS_ONE_FOR_ALL_LINKS:
             value = values.get(key)
             if isinstance(links, list | tuple) and isinstance(value, int | float) and not isinstance(value, bool):
                 values[key] = [value] * len(links)
@@ -220,7 +224,7 @@ class _Resolver:
                 values["motor"] = f"{digit}_{values['motor']}"
             arms = values.get("moment_arm_m")
             if isinstance(arms, Mapping):
-                whole = {joint: f"{digit}_{joint}" if SHORT_JOINT.fullmatch(joint) else joint for joint in arms}
+                whole = {joint: f"{digit}_{joint}" if SHORT_JOINT_PATTERN.fullmatch(joint) else joint for joint in arms}
                 values["moment_arm_m"] = {whole[joint]: arm for joint, arm in arms.items()}
                 self.origins |= {
                     f"{path}.moment_arm_m.{whole[joint]}": self.origins.get(f"{path}.moment_arm_m.{joint}", "")
@@ -229,7 +233,7 @@ class _Resolver:
         return values
 
 
-def of_default(mistakes: Iterable[Mistake], content: Table) -> list[Mistake]:
+def join_mistakes_of_default(mistakes: Iterable[Mistake], content: Table) -> list[Mistake]:
     """Join mistakes of a key that all sections of a kind miss. It is missing once, in the default.
 
     Args:
@@ -237,7 +241,7 @@ def of_default(mistakes: Iterable[Mistake], content: Table) -> list[Mistake]:
         content: resolved content.
     """
     found = list(mistakes)
-    missing = [MISSING.fullmatch(mistake.where) if mistake.what == "missing" else None for mistake in found]
+    missing = [MISSING_KEY_PATTERN.fullmatch(mistake.where) if mistake.what == "missing" else None for mistake in found]
     counts = Counter(match.groups() for match in missing if match)
     joined: dict[Mistake, None] = {}
     for mistake, match in zip(found, missing, strict=True):
@@ -283,7 +287,7 @@ def _layers_within_digit(layers: Sequence[Layer], kind: str) -> dict[str, list[L
     return held
 
 
-def _expand_all(node: Table, sections: Table) -> dict[str, Any]:
+def _expand_all_names(node: Table, sections: Table) -> dict[str, Any]:
     """Return the sensor node with the names that ``"all"`` stands for."""
     names = {
         "tendons": [tendon.get("name") for tendon in _list_of_tables(sections["tendon"])],
@@ -294,7 +298,7 @@ def _expand_all(node: Table, sections: Table) -> dict[str, Any]:
             for i in range(len(digit["link_length_m"]))
         ],
     }
-    return dict(node) | {key: names[key] for key in names if node.get(key) == ALL}
+    return dict(node) | {key: names[key] for key in names if node.get(key) == WORD_FOR_ALL}
 
 
 def _without_entry_keys(values: Table) -> dict[str, Any]:

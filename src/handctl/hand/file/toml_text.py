@@ -4,7 +4,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from handctl.printing import encodable
+from handctl.printing import escape_surrogates
 
 
 def toml_text(content: Mapping[str, Any]) -> str:
@@ -55,7 +55,7 @@ def _quoted(text: str) -> str:
 
     Characters without a UTF-8 encoding are escaped as text, since TOML has no escape for them.
     """
-    return json.dumps(encodable(text), ensure_ascii=False).replace("\x7f", "\\u007f")
+    return json.dumps(escape_surrogates(text), ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _key_text(key: str) -> str:

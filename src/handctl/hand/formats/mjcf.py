@@ -12,95 +12,95 @@ import numpy as np
 from handctl.hand.description import Hand
 from handctl.hand.file.sections import Digit
 from handctl.hand.formats.urdf import palm_box, shape_length
-from handctl.hand.link_bodies import centre_of_mass, inertia, joint_axes, mounted
+from handctl.hand.link_bodies import centre_of_mass, joint_axes, link_inertia, link_placement
 from handctl.hand.link_frames import quaternion
 
-STOPS = ("0.002 1", "0.99 0.9999 0.001")
+STOP_SOLVER_PARAMETERS = ("0.002 1", "0.99 0.9999 0.001")
 """Solver parameters of stiff joint stops.
 
 With MuJoCo's defaults, springs push these light links 16 degrees past their stops.
 """
 
 
-def mjcf(hand: Hand) -> str:
+def mjcf_text(hand: Hand) -> str:
     """Return the MJCF of a hand.
 
     Bodies are ``palm`` and ``index_link1``.., joints ``index_j1``.., sites ``index_tip``..
     """
     root = ET.Element("mujoco", model=hand.name)
     ET.SubElement(root, "compiler", angle="radian", autolimits="true")
-    gravity = _numbers(hand.mount.gravity_m_s2)
+    gravity = _numbers_text(hand.mount.gravity_m_s2)
     ET.SubElement(root, "option", gravity=gravity, timestep="0.0005", integrator="implicitfast", cone="elliptic")
     palm = ET.SubElement(ET.SubElement(root, "worldbody"), "body", name="palm")
-    _palm(palm, hand, None)
-    _tendons(root, hand)
+    _add_palm(palm, hand, None)
+    _add_tendons(root, hand)
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _palm(link: ET.Element, hand: Hand, carrier: str | None) -> None:
+def _add_palm(link: ET.Element, hand: Hand, carrier: str | None) -> None:
     """Add a box behind all digits on a link, and the digits. Digits mounted on the box do not collide with it."""
     centre, size = palm_box(hand, carrier)
     name = "palm" if carrier is None else f"{carrier}_palm"
-    ET.SubElement(link, "geom", name=name, type="box", size=_numbers(size / 2), pos=_numbers(centre))
+    ET.SubElement(link, "geom", name=name, type="box", size=_numbers_text(size / 2), pos=_numbers_text(centre))
     for digit in hand.digit:
         if digit.mount_on == carrier:
-            _digit(link, hand, digit)
+            _add_digit(link, hand, digit)
 
 
-def _digit(base: ET.Element, hand: Hand, digit: Digit) -> None:
+def _add_digit(base: ET.Element, hand: Hand, digit: Digit) -> None:
     """Add nested bodies: each link along its x axis, its hinge at its origin."""
     parent = base
     for i, joint in enumerate(digit.joints):
-        position, rotation = mounted(digit, i)
+        position, rotation = link_placement(digit, i)
         # MuJoCo's quaternions begin with w.
         x, y, z, w = quaternion(rotation)
-        place = {"pos": _numbers(position), "quat": _numbers((w, x, y, z))}
+        place = {"pos": _numbers_text(position), "quat": _numbers_text((w, x, y, z))}
         link = ET.SubElement(parent, "body", place, name=f"{digit.name}_link{i + 1}")
-        _hinge(link, digit, i, joint)
-        _bar(link, digit, i, shape_length(hand, digit, i))
+        _add_hinge(link, digit, i, joint)
+        _add_link_body(link, digit, i, shape_length(hand, digit, i))
         parent = link
-    ET.SubElement(parent, "site", name=f"{digit.name}_tip", pos=_numbers((digit.link_length_m[-1], 0.0, 0.0)))
+    ET.SubElement(parent, "site", name=f"{digit.name}_tip", pos=_numbers_text((digit.link_length_m[-1], 0.0, 0.0)))
     if digit.name in hand.carriers:
-        _palm(parent, hand, digit.name)
+        _add_palm(parent, hand, digit.name)
 
 
-def _hinge(link: ET.Element, digit: Digit, i: int, joint: str) -> None:
+def _add_hinge(link: ET.Element, digit: Digit, i: int, joint: str) -> None:
     """Add the joint of link i."""
     ET.SubElement(
         link,
         "joint",
         name=joint,
-        axis=_numbers(joint_axes(digit)[i]),
-        range=_numbers(np.radians((digit.joint_min_deg[i], digit.joint_max_deg[i]))),
-        damping=_number(digit.joint_damping_N_m_s_per_rad[i]),
-        armature=_number(digit.joint_armature_kg_m2[i]),
-        stiffness=_number(digit.spring_stiffness_N_m_per_rad[i]),
+        axis=_numbers_text(joint_axes(digit)[i]),
+        range=_numbers_text(np.radians((digit.joint_min_deg[i], digit.joint_max_deg[i]))),
+        damping=_number_text(digit.joint_damping_N_m_s_per_rad[i]),
+        armature=_number_text(digit.joint_armature_kg_m2[i]),
+        stiffness=_number_text(digit.spring_stiffness_N_m_per_rad[i]),
         # MuJoCo's spring torque is -k (q - springref), the description's -k (q + preload).
-        springref=_number(-digit.spring_preload_rad[i]),
-        solreflimit=STOPS[0],
-        solimplimit=STOPS[1],
+        springref=_number_text(-digit.spring_preload_rad[i]),
+        solreflimit=STOP_SOLVER_PARAMETERS[0],
+        solimplimit=STOP_SOLVER_PARAMETERS[1],
     )
 
 
-def _bar(link: ET.Element, digit: Digit, i: int, length: float) -> None:
+def _add_link_body(link: ET.Element, digit: Digit, i: int, length: float) -> None:
     """Add inertia and collision shape of link i: a capsule of a length [m], or a ball without length."""
-    moments = inertia(digit, i)
+    moments = link_inertia(digit, i)
     ET.SubElement(
         link,
         "inertial",
-        pos=_numbers(centre_of_mass(digit, i)),
-        mass=_number(digit.link_mass_kg[i]),
-        fullinertia=_numbers([*np.diag(moments), moments[0, 1], moments[0, 2], moments[1, 2]]),
+        pos=_numbers_text(centre_of_mass(digit, i)),
+        mass=_number_text(digit.link_mass_kg[i]),
+        fullinertia=_numbers_text([*np.diag(moments), moments[0, 1], moments[0, 2], moments[1, 2]]),
     )
-    size = _number(digit.link_radius_m)
+    size = _number_text(digit.link_radius_m)
     if length > 0.0:
-        ET.SubElement(link, "geom", type="capsule", fromto=_numbers((0, 0, 0, length, 0, 0)), size=size)
+        ET.SubElement(link, "geom", type="capsule", fromto=_numbers_text((0, 0, 0, length, 0, 0)), size=size)
     else:
         ET.SubElement(link, "geom", type="sphere", size=size)
 
 
-def _tendons(root: ET.Element, hand: Hand) -> None:
+def _add_tendons(root: ET.Element, hand: Hand) -> None:
     """Add fixed tendons by their moment arms, each with a motor that pulls only.
 
     The arms of a fixed tendon are constant. An arm that depends on the angle counts with its mean.
@@ -110,16 +110,16 @@ def _tendons(root: ET.Element, hand: Hand) -> None:
     for tendon, arms in zip(hand.tendon, hand.moment_arms, strict=True):
         fixed = ET.SubElement(tendons, "fixed", name=tendon.name)
         for joint in tendon.moment_arm_m:
-            ET.SubElement(fixed, "joint", joint=joint, coef=_number(arms[hand.joints.index(joint)]))
-        limits = _numbers((0.0, tendon.tension_max_N))
+            ET.SubElement(fixed, "joint", joint=joint, coef=_number_text(arms[hand.joints.index(joint)]))
+        limits = _numbers_text((0.0, tendon.tension_max_N))
         ET.SubElement(actuators, "motor", name=tendon.motor, tendon=tendon.name, ctrlrange=limits)
 
 
-def _number(value: float) -> str:
+def _number_text(value: float) -> str:
     """Return the shortest text that reads back as an equal number."""
     return repr(float(value))
 
 
-def _numbers(values: object) -> str:
+def _numbers_text(values: object) -> str:
     """Return numbers separated by spaces."""
-    return " ".join(_number(value) for value in np.asarray(values, dtype=float).tolist())
+    return " ".join(_number_text(value) for value in np.asarray(values, dtype=float).tolist())

@@ -11,7 +11,7 @@ import numpy as np
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array
 from handctl.hand.file.sections import Digit
-from handctl.hand.link_bodies import centre_of_mass, inertia, joint_axes, mounted, rpy_of
+from handctl.hand.link_bodies import centre_of_mass, joint_axes, link_inertia, link_placement, rpy_of
 
 MOMENTS = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 """Row and column of each value of URDF's inertia."""
@@ -21,20 +21,20 @@ PALM_MARGIN = 0.010
 """Extent of the palm beyond the outermost digits [m]."""
 
 
-def urdf(hand: Hand) -> str:
+def urdf_text(hand: Hand) -> str:
     """Return the URDF of a hand.
 
     The root link is ``palm``, links are ``index_link1``.., joints ``index_j1``.., tips ``index_tip``.
     """
     robot = ET.Element("robot", name=hand.name)
-    _palm(ET.SubElement(robot, "link", name="palm"), hand, None)
+    _add_palm(ET.SubElement(robot, "link", name="palm"), hand, None)
     for digit in hand.digit:
         for i in range(len(digit.link_length_m)):
-            _joint(robot, hand, digit, i)
-            _link(robot, digit, i, shape_length(hand, digit, i))
+            _add_joint(robot, hand, digit, i)
+            _add_link(robot, digit, i, shape_length(hand, digit, i))
         if digit.name in hand.carriers:
-            _palm(robot[-1], hand, digit.name)
-        _tip(robot, digit)
+            _add_palm(robot[-1], hand, digit.name)
+        _add_tip_frame(robot, digit)
     ET.indent(robot)
     return ET.tostring(robot, encoding="unicode") + "\n"
 
@@ -64,25 +64,25 @@ def shape_length(hand: Hand, digit: Digit, i: int) -> float:
     return max(length - digit.link_radius_m, 0.0) if last and digit.name in hand.carriers else length
 
 
-def _palm(link: ET.Element, hand: Hand, carrier: str | None) -> None:
+def _add_palm(link: ET.Element, hand: Hand, carrier: str | None) -> None:
     """Add a box behind all digits on a link. The palm has no mass since it is fixed."""
     centre, size = palm_box(hand, carrier)
     for element in ("visual", "collision"):
         part = ET.SubElement(link, element)
-        ET.SubElement(part, "origin", xyz=_numbers(centre), rpy="0 0 0")
-        ET.SubElement(ET.SubElement(part, "geometry"), "box", size=_numbers(size))
+        ET.SubElement(part, "origin", xyz=_numbers_text(centre), rpy="0 0 0")
+        ET.SubElement(ET.SubElement(part, "geometry"), "box", size=_numbers_text(size))
 
 
-def _joint(robot: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
+def _add_joint(robot: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
     """Add the hinge before link i, with the limits of tendons and motors."""
     name = digit.joints[i]
     joint = ET.SubElement(robot, "joint", name=name, type="revolute")
     ET.SubElement(joint, "parent", link=hand.base_link(digit) if i == 0 else f"{digit.name}_link{i}")
     ET.SubElement(joint, "child", link=f"{digit.name}_link{i + 1}")
-    position, rotation = mounted(digit, i)
+    position, rotation = link_placement(digit, i)
     # Adding 0.0 makes 0.0 of -0.0.
-    ET.SubElement(joint, "origin", xyz=_numbers(position), rpy=_numbers(np.add(rpy_of(rotation), 0.0)))
-    ET.SubElement(joint, "axis", xyz=_numbers(joint_axes(digit)[i]))
+    ET.SubElement(joint, "origin", xyz=_numbers_text(position), rpy=_numbers_text(np.add(rpy_of(rotation), 0.0)))
+    ET.SubElement(joint, "axis", xyz=_numbers_text(joint_axes(digit)[i]))
     crossing = [tendon for tendon in hand.tendon if name in tendon.moment_arm_m]
     arms = [abs(float(hand.moment_arms[hand.tendon.index(tendon), hand.joints.index(name)])) for tendon in crossing]
     effort = sum(arm * tendon.tension_max_N for arm, tendon in zip(arms, crossing, strict=True))
@@ -92,49 +92,53 @@ def _joint(robot: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
     ET.SubElement(
         joint,
         "limit",
-        lower=_number(np.radians(digit.joint_min_deg[i])),
-        upper=_number(np.radians(digit.joint_max_deg[i])),
-        effort=_number(effort),
-        velocity=_number(speed),
+        lower=_number_text(np.radians(digit.joint_min_deg[i])),
+        upper=_number_text(np.radians(digit.joint_max_deg[i])),
+        effort=_number_text(effort),
+        velocity=_number_text(speed),
     )
-    ET.SubElement(joint, "dynamics", damping=_number(digit.joint_damping_N_m_s_per_rad[i]), friction="0")
+    ET.SubElement(joint, "dynamics", damping=_number_text(digit.joint_damping_N_m_s_per_rad[i]), friction="0")
 
 
-def _link(robot: ET.Element, digit: Digit, i: int, length: float) -> None:
+def _add_link(robot: ET.Element, digit: Digit, i: int, length: float) -> None:
     """Add link i: inertia, and a cylinder of a length [m] with a ball at the far end."""
     radius = digit.link_radius_m
     link = ET.SubElement(robot, "link", name=f"{digit.name}_link{i + 1}")
     inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "origin", xyz=_numbers(centre_of_mass(digit, i)), rpy="0 0 0")
-    ET.SubElement(inertial, "mass", value=_number(digit.link_mass_kg[i]))
-    moments = inertia(digit, i)
-    values = {f"i{key}": _number(moments[place]) for key, place in MOMENTS.items()}
+    ET.SubElement(inertial, "origin", xyz=_numbers_text(centre_of_mass(digit, i)), rpy="0 0 0")
+    ET.SubElement(inertial, "mass", value=_number_text(digit.link_mass_kg[i]))
+    moments = link_inertia(digit, i)
+    values = {f"i{key}": _number_text(moments[place]) for key, place in MOMENTS.items()}
     ET.SubElement(inertial, "inertia", values)
     for element in ("visual", "collision"):
         if length > 0.0:
             bar = ET.SubElement(link, element)
-            ET.SubElement(bar, "origin", xyz=_numbers((length / 2, 0.0, 0.0)), rpy=f"0 {_number(np.pi / 2)} 0")
-            ET.SubElement(ET.SubElement(bar, "geometry"), "cylinder", radius=_number(radius), length=_number(length))
+            ET.SubElement(
+                bar, "origin", xyz=_numbers_text((length / 2, 0.0, 0.0)), rpy=f"0 {_number_text(np.pi / 2)} 0"
+            )
+            ET.SubElement(
+                ET.SubElement(bar, "geometry"), "cylinder", radius=_number_text(radius), length=_number_text(length)
+            )
         ball = ET.SubElement(link, element)
-        ET.SubElement(ball, "origin", xyz=_numbers((length, 0.0, 0.0)), rpy="0 0 0")
-        ET.SubElement(ET.SubElement(ball, "geometry"), "sphere", radius=_number(radius))
+        ET.SubElement(ball, "origin", xyz=_numbers_text((length, 0.0, 0.0)), rpy="0 0 0")
+        ET.SubElement(ET.SubElement(ball, "geometry"), "sphere", radius=_number_text(radius))
 
 
-def _tip(robot: ET.Element, digit: Digit) -> None:
+def _add_tip_frame(robot: ET.Element, digit: Digit) -> None:
     """Add the frame at the end of the last link."""
     last = len(digit.link_length_m)
     ET.SubElement(robot, "link", name=f"{digit.name}_tip")
     joint = ET.SubElement(robot, "joint", name=f"{digit.name}_tip_joint", type="fixed")
     ET.SubElement(joint, "parent", link=f"{digit.name}_link{last}")
     ET.SubElement(joint, "child", link=f"{digit.name}_tip")
-    ET.SubElement(joint, "origin", xyz=_numbers((digit.link_length_m[-1], 0.0, 0.0)), rpy="0 0 0")
+    ET.SubElement(joint, "origin", xyz=_numbers_text((digit.link_length_m[-1], 0.0, 0.0)), rpy="0 0 0")
 
 
-def _number(value: float) -> str:
+def _number_text(value: float) -> str:
     """Return the shortest text that reads back as an equal number."""
     return repr(float(value))
 
 
-def _numbers(values: object) -> str:
+def _numbers_text(values: object) -> str:
     """Return numbers separated by spaces."""
-    return " ".join(_number(value) for value in np.asarray(values, dtype=float).tolist())
+    return " ".join(_number_text(value) for value in np.asarray(values, dtype=float).tolist())

@@ -28,14 +28,14 @@ from handctl.errors import ConfigError, LogError
 from handctl.hand.load import parse_toml
 from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import check_order
-from handctl.printing import printable
+from handctl.printing import printable_text
 
 DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 EPISODES = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 QUANTILES = (1, 10, 50, 90, 99)
 """Percentiles in the statistics."""
 
-SIGMA = ("q_sigma", "tension_sigma")
+SIGMA_FIELDS = ("q_sigma", "tension_sigma")
 """Telemetry fields with the standard deviations of `observation.state`.
 
 Logs of version 0.1 lack `q_sigma`.
@@ -80,7 +80,7 @@ def export_lerobot(logs: Sequence[RunLog], path: Path) -> int:
     fps = round(1e9 / first.header.period_ns)
     episodes = [_episode(log, fps) for log in logs]
     for i, (log, episode) in enumerate(zip(logs, episodes, strict=True)):
-        _check_alike(first, log, episodes[0].names == episode.names, f"log {i + 1}")
+        _check_same_dataset(first, log, episodes[0].names == episode.names, f"log {i + 1}")
     tasks = list(dict.fromkeys(episode.task for episode in episodes))
     scalars = [_scalars(episodes, i, tasks, fps) for i in range(len(episodes))]
     parts = [
@@ -89,28 +89,28 @@ def export_lerobot(logs: Sequence[RunLog], path: Path) -> int:
     ]
     whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     path.mkdir()
-    _write(path / DATA.format(chunk_index=0, file_index=0), _frames(episodes[0].names, whole))
+    _write_parquet(path / DATA.format(chunk_index=0, file_index=0), _frame_table(episodes[0].names, whole))
     statistics = [{name: _statistics(table) for name, table in part.items()} for part in parts]
-    _write(path / EPISODES.format(chunk_index=0, file_index=0), _episodes(episodes, statistics))
-    _write(path / "meta" / "tasks.parquet", _tasks(tasks))
-    _json(path / "meta" / "info.json", _info(first, fps, episodes, len(tasks), scalars[0]))
-    _json(path / "meta" / "stats.json", {name: _statistics(table) for name, table in whole.items()})
+    _write_parquet(path / EPISODES.format(chunk_index=0, file_index=0), _episode_table(episodes, statistics))
+    _write_parquet(path / "meta" / "tasks.parquet", _task_table(tasks))
+    _write_json(path / "meta" / "info.json", _info_content(first, fps, episodes, len(tasks), scalars[0]))
+    _write_json(path / "meta" / "stats.json", {name: _statistics(table) for name, table in whole.items()})
     return sum(episode.frames for episode in episodes)
 
 
 def _episode(log: RunLog, fps: int) -> _Episode:
     """Return the frames of a log."""
-    rows = _rows(log, fps)
+    rows = _tick_indices(log, fps)
     return _Episode(_vectors(log, rows), _task(log), len(rows))
 
 
-def _check_alike(first: RunLog, log: RunLog, same_names: bool, where: str) -> None:
+def _check_same_dataset(first: RunLog, log: RunLog, same_names: bool, where: str) -> None:
     """Refuse a log that does not belong into the dataset of the first log.
 
     Raises:
         LogError: it has another hand, or another rate.
     """
-    hands = [printable(str(one.header.metadata.get("hand"))) for one in (first, log)]
+    hands = [printable_text(str(one.header.metadata.get("hand"))) for one in (first, log)]
     if hands[0] != hands[1] or not same_names:
         raise LogError(f"a run of hand {hands[1]}", where, f"one of hand {hands[0]}, as the first")
     if first.header.period_ns != log.header.period_ns:
@@ -118,7 +118,7 @@ def _check_alike(first: RunLog, log: RunLog, same_names: bool, where: str) -> No
         raise LogError(f"a run at {rates[1]:g} Hz", where, f"one at {rates[0]:g} Hz, as the first")
 
 
-def _rows(log: RunLog, fps: int) -> NDArray[np.intp]:
+def _tick_indices(log: RunLog, fps: int) -> NDArray[np.intp]:
     """Return the index of the tick for each frame of the time grid.
 
     Each frame gets the latest tick before the frame's time, also where ticks are missing.
@@ -161,8 +161,8 @@ def _vectors(log: RunLog, rows: NDArray[np.intp]) -> dict[str, tuple[list[str], 
         ),
         "action": (names, commands),
     }
-    if SIGMA[0] in log.fields:
-        sigma = np.hstack([_without_nan(log, name, rows) for name in SIGMA])
+    if SIGMA_FIELDS[0] in log.fields:
+        sigma = np.hstack([_without_nan(log, name, rows) for name in SIGMA_FIELDS])
         vectors["observation.sigma"] = ([_sigma_name(name) for name in names], sigma)
     return vectors
 
@@ -209,10 +209,10 @@ def _task(log: RunLog) -> str:
     except (ConfigError, UnicodeDecodeError):
         task = {}
     otherwise = f"run of hand {log.header.metadata.get('hand', '?')}"
-    return printable(str(task.get("description") or task.get("name") or otherwise))
+    return printable_text(str(task.get("description") or task.get("name") or otherwise))
 
 
-def _frames(names: dict[str, list[str]], values: dict[str, NDArray[Any]]) -> pa.Table:
+def _frame_table(names: dict[str, list[str]], values: dict[str, NDArray[Any]]) -> pa.Table:
     """Return the table of the frames. Vector features have names."""
     columns = {}
     for name, table in values.items():
@@ -222,7 +222,7 @@ def _frames(names: dict[str, list[str]], values: dict[str, NDArray[Any]]) -> pa.
     return pa.table(columns)
 
 
-def _episodes(episodes: Sequence[_Episode], statistics: Sequence[Statistics]) -> pa.Table:
+def _episode_table(episodes: Sequence[_Episode], statistics: Sequence[Statistics]) -> pa.Table:
     """Return the table of the episodes: positions of the frames, and a column `stats/FEATURE/NAME` per statistic."""
     count = len(episodes)
     ends = np.cumsum([episode.frames for episode in episodes]).tolist()
@@ -242,7 +242,7 @@ def _episodes(episodes: Sequence[_Episode], statistics: Sequence[Statistics]) ->
     return pa.table(fields | columns | {name: [0] * count for name in files})
 
 
-def _tasks(tasks: list[str]) -> pa.Table:
+def _task_table(tasks: list[str]) -> pa.Table:
     """Build the table of the tasks.
 
     The text is the index of the table. pandas reads this from the schema's metadata.
@@ -270,7 +270,7 @@ def _tasks(tasks: list[str]) -> pa.Table:
     return table.replace_schema_metadata({b"pandas": json.dumps(metadata).encode()})
 
 
-def _info(
+def _info_content(
     log: RunLog,
     fps: int,
     episodes: Sequence[_Episode],
@@ -312,12 +312,12 @@ def _statistics(values: NDArray[Any]) -> dict[str, list[float]]:
     return {name: array.tolist() for name, array in statistics.items()} | {"count": [len(table)]}
 
 
-def _write(path: Path, table: pa.Table) -> None:
+def _write_parquet(path: Path, table: pa.Table) -> None:
     """Write a table as Parquet."""
     path.parent.mkdir(parents=True, exist_ok=True)
     pq.write_table(table, path)
 
 
-def _json(path: Path, content: dict[str, Any]) -> None:
+def _write_json(path: Path, content: dict[str, Any]) -> None:
     """Write content as a JSON file."""
     path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")

@@ -57,22 +57,22 @@ class TableBlock(NamedTuple):
     numbers: NDArray[np.float64]
 
 
-def columns(log: RunLog) -> tuple[str, ...]:
+def column_names(log: RunLog) -> tuple[str, ...]:
     """Return the names of the telemetry columns, such as `q/index_j1` and `tension/index_tendon`.
 
-    The function `unit` returns the units.
+    The function `column_unit` returns the units.
     """
     return tuple(f"{field}/{name}" for field in log.fields for name in log.header.axis(TELEMETRY_AXES[field]))
 
 
-def unit(column: str) -> str:
+def column_unit(column: str) -> str:
     """Return the unit of a numeric column: `rad` for `q/index_j1`, `ns` for `t_ns`, 1 for a plain number."""
     return INTEGER_COLUMNS.get(column) or UNITS[VARIANT.sub("", column.partition("/")[0])]
 
 
 def column_title(column: str) -> str:
     """Return the title of a column in a text table: `tension/index_tendon [N]`, or the name if it contains the unit."""
-    return column if column in INTEGER_COLUMNS else f"{column} [{unit(column)}]"
+    return column if column in INTEGER_COLUMNS else f"{column} [{column_unit(column)}]"
 
 
 def table_blocks(log: RunLog) -> Iterator[TableBlock]:
@@ -103,7 +103,7 @@ def export_csv(log: RunLog, path: Path) -> int:
     count = 0
     with path.open("x", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow((*INTEGER_COLUMNS, *TEXT_COLUMNS, *map(column_title, columns(log))))
+        writer.writerow((*INTEGER_COLUMNS, *TEXT_COLUMNS, *map(column_title, column_names(log))))
         for block in table_blocks(log):
             fixed = zip(*(part.tolist() for part in block[:3]), *block[3:6], strict=True)
             for head, row in zip(fixed, block.numbers.tolist(), strict=True):

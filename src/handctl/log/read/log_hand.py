@@ -2,7 +2,7 @@
 
 from handctl.errors import LogError
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_from, parse_toml
+from handctl.hand.load import hand_from_content, parse_toml
 from handctl.log.header import RunHeader
 
 
@@ -17,7 +17,7 @@ def described_hand(header: RunHeader, where: str) -> Hand:
         ConfigError: the description is not a valid hand.
         LogError: joints, tendons, motors or digits in the description and in the header differ.
     """
-    hand = hand_from(parse_toml(header.hand_toml, where), where)
+    hand = hand_from_content(parse_toml(header.hand_toml, where), where)
     described = (hand.joints, hand.tendon_names, hand.motor_names, hand.digit_names)
     if described != (header.joints, header.tendons, header.motors, header.digits):
         raise LogError("names differ from the log's header", where, "the description of the hand that ran")

@@ -17,13 +17,13 @@ import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
 from handctl.errors import LogError
-from handctl.printing import printable
+from handctl.printing import printable_text
 
 MAX_CHUNK = 32 << 20
 """Largest accepted uncompressed size of a chunk [bytes]. The recorder writes chunks below 8 MiB."""
 
 
-DAMAGE = (
+DAMAGE_ERRORS = (
     ValueError, struct.error, LookupError, TypeError, ArithmeticError, RuntimeError, MemoryError, zstandard.ZstdError,
 )  # fmt: skip
 """Exceptions raised in the reading code by a bad file."""
@@ -52,10 +52,10 @@ class Reading:
         trace: TracebackType | None,
     ) -> None:
         """Raise a LogError in place of an exception caused by a bad file."""
-        if error is None or isinstance(error, LogError) or not isinstance(error, DAMAGE):
+        if error is None or isinstance(error, LogError) or not isinstance(error, DAMAGE_ERRORS):
             return
         missing = isinstance(error, KeyError)
-        problem = f"{printable(repr(error.args[0]))} is missing" if missing else printable(str(error))
+        problem = f"{printable_text(repr(error.args[0]))} is missing" if missing else printable_text(str(error))
         raise LogError(f"damaged log: {problem}", self.where, "an intact file") from error
 
 
@@ -95,7 +95,7 @@ class LogFile:
         Raises:
             LogError: the path is not a regular file, or cannot be opened.
         """
-        self.name = printable(str(path))
+        self.name = printable_text(str(path))
         self._latest: tuple[ChunkLocation, bytes] | None = None
         try:
             # O_NONBLOCK: opening a named pipe without a writer would wait without end.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.errors import LogError
-from handctl.log.batch import FIXED_DTYPE, column_count, columns, row_fields
+from handctl.log.batch import FIXED_DTYPE, column_count, columns_of_fields, row_fields
 from handctl.log.header import RunHeader
 from handctl.log.read.chunk_reader import Definitions, MessageRows, iter_messages, schemas_and_channels
 from handctl.log.read.logfile import ChunkLocation, LogFile, Reading
@@ -22,12 +22,12 @@ from handctl.log.record import TickRecord, message_layout, unpack_tick, unpack_t
 from handctl.log.topics.chain import SIZE
 from handctl.log.topics.chain import TOPIC as CHAIN_TOPIC
 from handctl.log.topics.clock_pairs import TOPIC as CLOCK_TOPIC
-from handctl.log.topics.clock_pairs import ClockPair, pair_of
+from handctl.log.topics.clock_pairs import ClockPair, decode_clock_pair
 from handctl.log.topics.snapshots import TOPIC as SNAPSHOT_TOPIC
-from handctl.log.topics.snapshots import snapshot_of
+from handctl.log.topics.snapshots import decode_snapshot
 from handctl.log.topics.topic_set import TICK_TOPIC, VALUES_TOPIC
 from handctl.log.write.writer import SCHEMA
-from handctl.printing import printable
+from handctl.printing import printable_text
 
 Array = NDArray[np.float64]
 
@@ -263,11 +263,11 @@ class RunLog:
         """
         if name not in TELEMETRY_FIELDS:
             raise LogError(
-                f"no field {printable(name)!r}",
+                f"no field {printable_text(name)!r}",
                 self._file.name,
                 "one of " + ", ".join(TELEMETRY_FIELDS),
             )
-        slices = columns(self.header, self.fields)
+        slices = columns_of_fields(self.header, self.fields)
         if name not in slices:  # a log of an earlier version
             return np.full((len(self), len(self.names(name))), np.nan)
         if 8 * self._width * len(self) <= _CACHE_BYTES:
@@ -353,7 +353,7 @@ class RunLog:
         if CLOCK_TOPIC in self._others:
             for chunk, rows in self._rows(self._others[CLOCK_TOPIC]):
                 with Reading(self._file.at(chunk.offset)):
-                    pairs += [pair_of(row.tobytes(), self.header.offset_ns) for row in rows.data()]
+                    pairs += [decode_clock_pair(row.tobytes(), self.header.offset_ns) for row in rows.data()]
         return pairs
 
     @functools.cached_property
@@ -377,7 +377,7 @@ class RunLog:
         location = self._chunks[chunk]
         with Reading(self._file.at(location.offset)):
             rows_of_chunk = self._rows_of(location, self._others[SNAPSHOT_TOPIC])
-            snapshots = dict(snapshot_of(row.tobytes()) for rows in rows_of_chunk for row in rows.data())
+            snapshots = dict(decode_snapshot(row.tobytes()) for rows in rows_of_chunk for row in rows.data())
             return snapshots[k]
 
     def names(self, field: str) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from handctl.log.container import Container, MessageBlock
 from handctl.log.read.chunk_reader import iter_messages, schemas_and_channels
 from handctl.log.read.logfile import ChunkLocation, LogFile, Reading
 from handctl.log.read.record_scan import RecordScan, scan_records
-from handctl.output import whole
+from handctl.output import atomic_path
 
 
 class RecoveryStatus(enum.IntEnum):
@@ -45,7 +45,7 @@ class Recovery:
     problem: str = ""
 
 
-def recover(path: Path, out: Path) -> Recovery:
+def recover_log(path: Path, out: Path) -> Recovery:
     """Copy all intact chunks, attachments and metadata into a new file.
 
     Args:
@@ -63,7 +63,7 @@ def recover(path: Path, out: Path) -> Recovery:
         problem = scan_damaged(file, scan)
         if not scan.chunks:
             return Recovery(RecoveryStatus.NOTHING, lost=((0, file.size),), problem=problem)
-        with whole(out, new=True) as part:
+        with atomic_path(out, new=True) as part:
             descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
             try:
                 recovery = _copy_intact_parts(file, scan, problem, Container(descriptor))

@@ -14,7 +14,7 @@ _ID_MASK = 0x1FFF_FFFF
 """The 29 identifier bits of can_id. The three bits above are flags, as in SocketCAN."""
 
 
-def can_frame(bus: str) -> Template:
+def can_frame_template(bus: str) -> Template:
     """Return the template of a can_msgs/Frame from one bus."""
     out = TemplateWriter()
     out.header(bus)
@@ -25,7 +25,7 @@ def can_frame(bus: str) -> Template:
     return out.template()
 
 
-def fd_frame(bus: str, t_ns: int, can_id: int, data: bytes) -> bytes:
+def encode_fd_frame(bus: str, t_ns: int, can_id: int, data: bytes) -> bytes:
     """Encode a CAN FD frame as ros2_socketcan_msgs/FdFrame."""
     out = CdrWriter()
     out.put("I", t_ns // 10**9)
@@ -45,7 +45,7 @@ class _DirectionTopics:
         self._buses = (*buses, "unknown")
         self._channel = registry.add(f"/can/{direction}", "can_msgs/Frame")
         self._fd_channel = registry.add(f"/can/{direction}_fd", "ros2_socketcan_msgs/FdFrame")
-        self._streams = [Stream(self._channel, can_frame(bus)) for bus in self._buses]
+        self._streams = [Stream(self._channel, can_frame_template(bus)) for bus in self._buses]
 
     def blocks(self, frames: FrameBatch, stamps: Stamps, measured: Times) -> list[MessageBlock]:
         """Return the messages of frames as blocks.
@@ -108,7 +108,7 @@ class _DirectionTopics:
             payload = data[8 * index : 8 * index + min(length, 8)] + bytes(rest[:more])
             rest = rest[more:]
             if fd[index]:
-                message = fd_frame(self._buses[bus[index]], times[index], can_id, payload)
+                message = encode_fd_frame(self._buses[bus[index]], times[index], can_id, payload)
                 size = 22 + len(message)
                 channel = self._fd_channel
                 records.append(MESSAGE.pack(5, size, channel, sequence[index], log[index], times[index]) + message)

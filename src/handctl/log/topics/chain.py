@@ -22,7 +22,7 @@ SIZE = 8
 """Size of a hash [bytes]."""
 
 
-def seed(metadata: Mapping[str, str], gains: Mapping[str, str], attachments: Mapping[str, bytes]) -> bytes:
+def first_hash(metadata: Mapping[str, str], gains: Mapping[str, str], attachments: Mapping[str, bytes]) -> bytes:
     """Compute the hash before the first tick, over all data of a run except those of machine and date."""
     digest = hashlib.blake2b(digest_size=SIZE)
     texts = {
@@ -37,9 +37,9 @@ def seed(metadata: Mapping[str, str], gains: Mapping[str, str], attachments: Map
     return digest.digest()
 
 
-def seed_of(header: RunHeader) -> bytes:
+def first_hash_of_run(header: RunHeader) -> bytes:
     """Return the hash before the first tick of a run."""
-    return seed(
+    return first_hash(
         header.metadata,
         header.gains,
         {**header.attachments, "hand.toml": header.hand_toml.encode()},
@@ -87,7 +87,7 @@ class ChainTopic:
     def __init__(self, header: RunHeader, registry: Registry) -> None:
         """Register the topic, and start the chain with the seed."""
         self._stream = Stream(registry.add(TOPIC, "handctl_msgs/Chain"), chain_message())
-        self.last = seed_of(header)
+        self.last = first_hash_of_run(header)
 
     def blocks(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
         """Return the messages of all ticks of a batch."""

@@ -70,7 +70,7 @@ class ClockTopic:
         return variable_length_block(self._channel, stamps, [out.message()])
 
 
-def pair_of(message: bytes, offset_ns: int) -> ClockPair:
+def decode_clock_pair(message: bytes, offset_ns: int) -> ClockPair:
     """Decode a message with a pair of clock readings.
 
     Raises:
@@ -80,7 +80,7 @@ def pair_of(message: bytes, offset_ns: int) -> ClockPair:
     return ClockPair(seconds * 10**9 + nanoseconds - offset_ns, wall, monotonic)
 
 
-def steps(pairs: Iterable[ClockPair]) -> Iterator[ClockStep]:
+def clock_steps(pairs: Iterable[ClockPair]) -> Iterator[ClockStep]:
     """Yield the steps of the wall clock against the monotonic clock."""
     before: ClockPair | None = None
     for pair in pairs:

@@ -32,7 +32,7 @@ def _stamped_writer(t_ns: int) -> CdrWriter:
     return out
 
 
-def rosout(t_ns: int, level: str, name: str, text: str) -> bytes:
+def encode_rosout(t_ns: int, level: str, name: str, text: str) -> bytes:
     """Encode a log line as rcl_interfaces/Log."""
     out = _stamped_writer(t_ns)
     out.put("B", LEVELS.get(level, LEVELS["error"]))
@@ -62,7 +62,7 @@ def _append_parameter(out: CdrWriter, name: str, value: str) -> None:
         out.count(0)
 
 
-def parameter_event(t_ns: int, new: dict[str, str], changed: dict[str, str]) -> bytes:
+def encode_parameter_event(t_ns: int, new: dict[str, str], changed: dict[str, str]) -> bytes:
     """Encode gains as rcl_interfaces/ParameterEvent.
 
     A text with a number is written as a double.
@@ -77,7 +77,7 @@ def parameter_event(t_ns: int, new: dict[str, str], changed: dict[str, str]) -> 
     return out.message()
 
 
-def labelled(t_ns: int, number: int, name: str) -> bytes:
+def encode_labelled_number(t_ns: int, number: int, name: str) -> bytes:
     """Encode a handctl_msgs/GraspPhase, Mode, or Action: header, number, name."""
     out = _stamped_writer(t_ns)
     out.text("")
@@ -107,7 +107,7 @@ class EventTopics:
 
     def latched(self, stamps: Stamps) -> list[MessageBlock]:
         """Return the messages with the gains at the start."""
-        message = parameter_event(int(stamps.log[0]), self._gains, {})
+        message = encode_parameter_event(int(stamps.log[0]), self._gains, {})
         return [variable_length_block(self._parameters, stamps, [message])] if self._gains else []
 
     def blocks(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
@@ -122,7 +122,7 @@ class EventTopics:
         blocks = []
         for channel, states in lanes:
             indexes = _changed_indexes(states, self._last.get(channel))
-            messages = [labelled(int(stamps.log[index]), *states[index]) for index in indexes]
+            messages = [encode_labelled_number(int(stamps.log[index]), *states[index]) for index in indexes]
             blocks.append(variable_length_block(channel, stamps.at(_index_array(indexes)), messages))
             self._last[channel] = states[-1]
         return [block for block in [*blocks, *self._line_messages(batch, stamps)] if block.data]
@@ -137,11 +137,11 @@ class EventTopics:
             t_ns = int(stamps.log[index])
             for level, name, text in _log_lines(tick):
                 at.append(index)
-                lines.append(rosout(t_ns, level, f"handctl.{name}", text))
+                lines.append(encode_rosout(t_ns, level, f"handctl.{name}", text))
             changed = {event.where: event.text for event in tick.events if event.name == GAIN_EVENT}
             if changed:
                 gains_at.append(index)
-                gains.append(parameter_event(t_ns, {}, changed))
+                gains.append(encode_parameter_event(t_ns, {}, changed))
         return [
             variable_length_block(self._rosout, stamps.at(_index_array(at)), lines),
             variable_length_block(self._parameters, stamps.at(_index_array(gains_at)), gains),

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from handctl.core.types import Mode
 from handctl.drives.contract import Phase
-from handctl.log.batch import Batch, columns
+from handctl.log.batch import Batch, columns_of_fields
 from handctl.log.cdr import CdrWriter, Template, TemplateWriter
 from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
@@ -38,7 +38,7 @@ class DiagnosticStatus:
     values: dict[str, str] = field(default_factory=dict)
 
 
-def diagnostic_array(t_ns: int, statuses: list[DiagnosticStatus]) -> bytes:
+def encode_diagnostic_array(t_ns: int, statuses: list[DiagnosticStatus]) -> bytes:
     """Encode a diagnostic_msgs/DiagnosticArray."""
     out = CdrWriter()
     out.put("I", t_ns // 10**9)
@@ -57,7 +57,7 @@ def diagnostic_array(t_ns: int, statuses: list[DiagnosticStatus]) -> bytes:
     return out.message()
 
 
-def temperature() -> Template:
+def temperature_template() -> Template:
     """Return the template of a sensor_msgs/Temperature with unknown variance.
 
     The frame is the palm, because the motors are mounted behind the palm. If the frame were not in
@@ -79,12 +79,12 @@ class HealthTopics:
     def __init__(self, header: RunHeader, registry: Registry) -> None:
         """Register the topics."""
         self._header = header
-        self._columns = columns(header)
+        self._columns = columns_of_fields(header)
         self._diagnostics = registry.add("/diagnostics", "diagnostic_msgs/DiagnosticArray")
         self._temperatures = [
             Stream(
                 registry.add(f"/actuator/{motor}/temperature", "sensor_msgs/Temperature"),
-                temperature(),
+                temperature_template(),
             )
             for motor in header.motors
         ]
@@ -102,7 +102,7 @@ class HealthTopics:
         for index in [*selected.tolist(), len(batch.k) - 1]:
             self._count_frames(batch, start, index + 1)
             if len(messages) < len(selected):
-                messages.append(diagnostic_array(int(stamps.log[index]), self._statuses(batch, index)))
+                messages.append(encode_diagnostic_array(int(stamps.log[index]), self._statuses(batch, index)))
             start = index + 1
         if messages:
             blocks.append(variable_length_block(self._diagnostics, stamps.at(selected), messages))

@@ -52,7 +52,7 @@ class SnapshotTopic:
         return variable_length_block(self._channel, stamps_at(t_ns, snapshot.k), [out.message() + snapshot.data])
 
 
-def snapshot_of(message: bytes) -> Snapshot:
+def decode_snapshot(message: bytes) -> Snapshot:
     """Decode a snapshot.
 
     Raises:

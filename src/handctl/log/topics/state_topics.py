@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_from, parse_toml
+from handctl.hand.load import hand_from_content, parse_toml
 from handctl.hand.moment_arms import arms_at
-from handctl.log.batch import Batch, columns
+from handctl.log.batch import Batch, columns_of_fields
 from handctl.log.cdr import CdrWriter, Template, TemplateWriter
 from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
@@ -59,7 +59,7 @@ def moment_arms(header: RunHeader) -> Numbers:
 
 def _hand_of(header: RunHeader) -> Hand:
     """Return the hand that a header describes."""
-    return hand_from(parse_toml(header.hand_toml, "hand"), "hand")
+    return hand_from_content(parse_toml(header.hand_toml, "hand"), "hand")
 
 
 def pretensions(header: RunHeader) -> dict[str, float]:
@@ -68,7 +68,7 @@ def pretensions(header: RunHeader) -> dict[str, float]:
     return {tendon["name"]: tendon["pretension_N"] for tendon in tendons if "pretension_N" in tendon}
 
 
-def joint_state(names: tuple[str, ...], position: bool, velocity: bool, effort: bool) -> Template:
+def joint_state_template(names: tuple[str, ...], position: bool, velocity: bool, effort: bool) -> Template:
     """Return the template of a sensor_msgs/JointState."""
     out = TemplateWriter()
     out.header()
@@ -78,7 +78,7 @@ def joint_state(names: tuple[str, ...], position: bool, velocity: bool, effort: 
     return out.template()
 
 
-def wrench(frame_id: str) -> Template:
+def wrench_template(frame_id: str) -> Template:
     """Return the template of a geometry_msgs/WrenchStamped."""
     out = TemplateWriter()
     out.header(frame_id)
@@ -96,7 +96,7 @@ def statistics_values(number: int) -> Template:
     return out.template()
 
 
-def cycle(motors: int) -> Template:
+def cycle_stats_template(motors: int) -> Template:
     """Return the template of a handctl_msgs/CycleStats."""
     out = TemplateWriter()
     out.header()
@@ -108,7 +108,7 @@ def cycle(motors: int) -> Template:
     return out.template()
 
 
-def estimate(names: tuple[str, ...], unit: str) -> Template:
+def estimate_template(names: tuple[str, ...], unit: str) -> Template:
     """Return the template of a handctl_msgs/Estimate."""
     out = TemplateWriter()
     out.header()
@@ -136,7 +136,7 @@ class StateTopics:
     def __init__(self, header: RunHeader, registry: Registry) -> None:
         """Register the topics."""
         self._header = header
-        self._columns = columns(header)
+        self._columns = columns_of_fields(header)
         hand = _hand_of(header)
         self._arms = hand.moment_arms
         self._limits = hand.joint_limits
@@ -144,7 +144,7 @@ class StateTopics:
         self._last: tuple[int, int] | None = None
         self._joint_states = {}
         for topic, (axis, *parts) in JOINT_STATES.items():
-            template = joint_state(header.axis(axis), *map(bool, parts))
+            template = joint_state_template(header.axis(axis), *map(bool, parts))
             channel = registry.add(topic, "sensor_msgs/JointState", note=_NOTES.get(topic, ""))
             self._joint_states[topic] = Stream(channel, template)
         self._pretension = pretensions(header)
@@ -152,22 +152,24 @@ class StateTopics:
         if self._pretension:
             names = tuple(f"{name}/{part}" for name in self._pretension for part in ("first", "second"))
             channel = registry.add(SPOOL_PAIRS, "sensor_msgs/JointState", note=_NOTES[SPOOL_PAIRS])
-            self._pairs = Stream(channel, joint_state(names, position=False, velocity=False, effort=True))
+            self._pairs = Stream(channel, joint_state_template(names, position=False, velocity=False, effort=True))
         self._wrenches = [self._add_wrench_topic(registry, digit) for digit in header.digits]
         width = sum(part.stop - part.start for part in self._columns.values())
         channel = registry.add("/controller/values", "pal_statistics_msgs/StatisticsValues")
         self._values = Stream(channel, statistics_values(width))
-        self._cycle = Stream(registry.add("/cycle", "handctl_msgs/CycleStats"), cycle(len(header.motors)))
+        self._cycle = Stream(
+            registry.add("/cycle", "handctl_msgs/CycleStats"), cycle_stats_template(len(header.motors))
+        )
         self._estimates = {}
         for topic, (field, unit) in ESTIMATES.items():
             channel = registry.add(topic, "handctl_msgs/Estimate", note=_NOTES.get(topic, ""))
-            self._estimates[field] = Stream(channel, estimate(header.axis(TELEMETRY_AXES[field]), unit))
+            self._estimates[field] = Stream(channel, estimate_template(header.axis(TELEMETRY_AXES[field]), unit))
 
     def _add_wrench_topic(self, registry: Registry, digit: str) -> Stream:
         """Register the wrench topic of a digit."""
         note = "force of the object on the digit; the tip closes towards +y of its frame"
         channel = registry.add(f"/fingertip/{digit}/wrench", "geometry_msgs/WrenchStamped", note=note)
-        return Stream(channel, wrench(f"{digit}_tip"))
+        return Stream(channel, wrench_template(f"{digit}_tip"))
 
     def blocks(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
         """Return the messages of all ticks of a batch."""

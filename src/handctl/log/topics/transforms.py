@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.log.batch import Batch, columns
+from handctl.log.batch import Batch, columns_of_fields
 from handctl.log.cdr import TemplateWriter
 from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
@@ -40,7 +40,7 @@ class LinkFrame(NamedTuple):
     joint: int
 
 
-def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, ...]:
+def quaternion_of_rpy(roll: float, pitch: float, yaw: float) -> tuple[float, ...]:
     """Return the quaternion x, y, z, w for extrinsic rotations about x, y, z [rad]."""
     (sr, cr), (sp, cp), (sy, cy) = ((math.sin(a / 2), math.cos(a / 2)) for a in (roll, pitch, yaw))
     return (
@@ -61,14 +61,14 @@ def link_frames(hand_toml: str) -> list[LinkFrame]:
         lengths = digit["link_length_m"]
         parent = tips[digit["mount_on"]] if "mount_on" in digit else ROOT
         position = tuple(map(float, digit["mount_position_m"]))
-        rotation = quaternion(*map(math.radians, digit["mount_rpy_deg"]))
+        rotation = quaternion_of_rpy(*map(math.radians, digit["mount_rpy_deg"]))
         turns = digit.get("joint_rpy_deg", [(0.0, 0.0, 0.0)] * len(lengths))
         axes = digit.get("joint_axis", [Z_AXIS] * len(lengths))
         for index, length in enumerate(lengths):
             child = f"{name}_link{index + 1}"
             size = math.hypot(*axes[index])
             axis = tuple(component / size for component in axes[index])
-            turned = product(rotation, quaternion(*map(math.radians, turns[index])))
+            turned = multiply_quaternions(rotation, quaternion_of_rpy(*map(math.radians, turns[index])))
             frames.append(LinkFrame(parent, child, position, turned, axis, joint))
             parent = child
             position = (float(length), 0.0, 0.0)
@@ -79,7 +79,7 @@ def link_frames(hand_toml: str) -> list[LinkFrame]:
     return frames
 
 
-def product(left: tuple[Any, ...], right: tuple[Any, ...]) -> tuple[Any, ...]:
+def multiply_quaternions(left: tuple[Any, ...], right: tuple[Any, ...]) -> tuple[Any, ...]:
     """Return the product of two quaternions x, y, z, w, given as numbers or arrays."""
     a, b, c, d = left
     x, y, z, w = right
@@ -91,11 +91,11 @@ def product(left: tuple[Any, ...], right: tuple[Any, ...]) -> tuple[Any, ...]:
     )
 
 
-def rotated(link: LinkFrame, q: NDArray[np.float64]) -> NDArray[np.float64]:
+def link_quaternions(link: LinkFrame, q: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the quaternions x, y, z, w (n, 4) of a link at joint angles (n,) [rad]."""
     sine = np.sin(q / 2)
     turn = (*(component * sine for component in link.axis), np.cos(q / 2))
-    return np.stack(product(link.rotation, turn), axis=1)
+    return np.stack(multiply_quaternions(link.rotation, turn), axis=1)
 
 
 def _stream(channel: int, some: list[LinkFrame]) -> Stream:
@@ -119,7 +119,7 @@ class TfTopics:
         self._moving, self._fixed = ([link for link in tree if (link.joint >= 0) == moves] for moves in (True, False))
         self._static = _stream(registry.add("/tf_static", "tf2_msgs/TFMessage", latched=True), self._fixed)
         self._stream = _stream(registry.add("/tf", "tf2_msgs/TFMessage"), self._moving)
-        self._q = columns(header)["q"]
+        self._q = columns_of_fields(header)["q"]
         self._last = -1
 
     def latched(self, stamps: Stamps) -> MessageBlock:
@@ -141,5 +141,5 @@ class TfTopics:
         values: dict[str, NDArray[np.generic]] = {}
         for index, link in enumerate(self._moving):
             values[f"position{index}"] = np.array([link.position])
-            values[f"rotation{index}"] = rotated(link, q[:, link.joint])
+            values[f"rotation{index}"] = link_quaternions(link, q[:, link.joint])
         return [self._stream.block(stamps.at(selected), values)]

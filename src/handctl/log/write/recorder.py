@@ -163,7 +163,7 @@ class Recorder:
         """Send one record without waiting. A deterministic run waits instead.
 
         Args:
-            data: record from `record.pack`.
+            data: record from `record.pack_tick_record`.
 
         Returns:
             False if the record was dropped.

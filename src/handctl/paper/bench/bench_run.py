@@ -47,7 +47,9 @@ class BenchRecording:
         return np.array([phase == name for phase in self.phase])
 
 
-def run(hand_file: str, scene: str | None, task: Task, truth: Path | None = None, seed: int = 0) -> BenchRecording:
+def run_bench_task(
+    hand_file: str, scene: str | None, task: Task, truth: Path | None = None, seed: int = 0
+) -> BenchRecording:
     """Run a task on the simulator with a homed hand.
 
     Args:

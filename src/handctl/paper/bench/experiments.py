@@ -17,16 +17,16 @@ Workers = Callable[[Sequence[Job]], list[Result]]
 """Function that runs jobs, possibly several at a time, and returns results in the order of the jobs."""
 
 
-def do(job: Job, folder: Path) -> Result:
+def run_job(job: Job, folder: Path) -> Result:
     """Run a job.
 
     Args:
-        job: name of the experiment under `do`, and its arguments, see `measure`.
+        job: name of the experiment under `do`, and its arguments, see `run_experiments`.
         folder: folder for the files of the job.
     """
     match job["do"]:
         case "pull":
-            return force_displacement.measure(folder)
+            return force_displacement.measure_tendons(folder)
         case "search":
             return payload.search_tension(folder, job["diameter_mm"])
         case "load":
@@ -34,7 +34,7 @@ def do(job: Job, folder: Path) -> Result:
     raise ValueError(f"no such experiment: {job['do']}")
 
 
-def name(job: Job) -> str:
+def job_description(job: Job) -> str:
     """Return the description of a job for progress reports."""
     match job["do"]:
         case "pull":
@@ -44,12 +44,12 @@ def name(job: Job) -> str:
     return f"loading it along {job['axis']} until it slips"
 
 
-def count() -> int:
+def job_count() -> int:
     """Return the number of experiment jobs."""
     return 1 + len(payload.DIAMETERS_MM) * (1 + len(payload.AXES))
 
 
-def measure(workers: Workers) -> dict[str, Any]:
+def run_experiments(workers: Workers) -> dict[str, Any]:
     """Run all experiments, and return the results.
 
     Returns:
@@ -71,17 +71,21 @@ DIGITS = 6
 """Number of significant digits of results in a file."""
 
 
-def shortened(results: Any) -> Any:
+def rounded_results(results: Any) -> Any:
     """Return results with every float rounded to `DIGITS` digits."""
     if isinstance(results, float):
         return float(f"{results:.{DIGITS}g}")
     if isinstance(results, Mapping):
-        return {key: shortened(value) for key, value in results.items()}
-    return [shortened(value) for value in results] if isinstance(results, list | tuple) else results
+        return {key: rounded_results(value) for key, value in results.items()}
+    return (
+        [rounded_results(value) for value in results]
+        if isinstance(results, list | tuple)
+        else results
+    )
 
 
 def load_results(path: Path) -> dict[str, Any]:
-    """Read the results of `measure` from a file.
+    """Read the results of `run_experiments` from a file.
 
     Raises:
         ConfigError: The file cannot be read, or is not complete.

@@ -14,12 +14,12 @@ from scipy.optimize import curve_fit
 
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array
-from handctl.hand.load import hand_from, load_hand
+from handctl.hand.load import hand_from_content, load_hand
 from handctl.hand.tendons import TendonElasticity
 from handctl.paper import sources as src
-from handctl.paper.bench.bench_run import run
+from handctl.paper.bench.bench_run import run_bench_task
 from handctl.paper.item import Item
-from handctl.paper.verdicts import of_contradiction
+from handctl.paper.verdicts import verdict_of_contradiction
 from handctl.programs.task import Task
 
 HAND = "jamia_bench"
@@ -71,10 +71,10 @@ def blocked_hand(knees: tuple[float, ...]) -> Hand:
         digit["joint_max_deg"] = [low + BLOCKED_DEG for low in digit["joint_min_deg"]]
     for tendon, knee in zip(content["tendon"], knees, strict=False):
         tendon["knee_N"] = knee
-    return hand_from(content, f"{HAND}, blocked")
+    return hand_from_content(content, f"{HAND}, blocked")
 
 
-def measure(folder: Path) -> dict[str, Any]:
+def measure_tendons(folder: Path) -> dict[str, Any]:
     """Pull index and middle finger, and return the measurements as plain values.
 
     Args:
@@ -85,7 +85,7 @@ def measure(folder: Path) -> dict[str, Any]:
     path = folder / "blocked.toml"
     path.write_text(hand.to_toml(), encoding="utf-8")
     pulled = dict.fromkeys(hand.digit_names[: len(knees)], PULL_N)
-    recording = run(str(path), None, _pull_task(pulled))
+    recording = run_bench_task(str(path), None, _pull_task(pulled))
     rows = recording.in_phase("pull")
     force = np.array(recording.tension)[rows]
     travel = np.array(recording.travel)[rows]
@@ -123,11 +123,11 @@ def _pull_task(tension: dict[str, float]) -> Task:
     return Task.model_validate({"schema": 1, "name": "force and displacement", "phase": phases})
 
 
-def curve(measured: Mapping[str, Any], noise: float) -> TendonCurve:
+def curve_of_tendon(measured: Mapping[str, Any], noise: float) -> TendonCurve:
     """Return the curve of a measurement, with its linear part and its knee.
 
     Args:
-        measured: result of `measure` for one tendon.
+        measured: result of `measure_tendons` for one tendon.
         noise: standard deviation of the load cell [N].
     """
     travel = np.array(measured["travel_m"])
@@ -140,8 +140,14 @@ def curve(measured: Mapping[str, Any], noise: float) -> TendonCurve:
     # The linear part meets the axis at -offset / slope.
     displacement = travel + offset / slope
     residual = float(np.sqrt(np.mean((force - slope * displacement) ** 2)))
-    knee, sigma = (None, 0.0) if residual <= STRAIGHT * noise else _fit_knee(displacement, force, float(slope))
-    return TendonCurve(float(measured["knee_N"]), 1000.0 * displacement, force, float(slope), knee, sigma)
+    knee, sigma = (
+        (None, 0.0)
+        if residual <= STRAIGHT * noise
+        else _fit_knee(displacement, force, float(slope))
+    )
+    return TendonCurve(
+        float(measured["knee_N"]), 1000.0 * displacement, force, float(slope), knee, sigma
+    )
 
 
 def _fit_knee(displacement: Array, force: Array, slope: float) -> tuple[float, float]:
@@ -153,24 +159,30 @@ def _fit_knee(displacement: Array, force: Array, slope: float) -> tuple[float, f
 
     bounds = ([100.0, 0.05, 1e-5], [300.0, 0.95, 2e-3])
     # Every fourth sample: neighbours add cost, but no information about the knee.
-    parameters, covariance = curve_fit(law, displacement[::4], force[::4], (180.0, 0.5, 2e-4), bounds=bounds)
+    parameters, covariance = curve_fit(
+        law, displacement[::4], force[::4], (180.0, 0.5, 2e-4), bounds=bounds
+    )
     return float(parameters[0]), float(np.sqrt(covariance[0, 0]))
 
 
-def curves(measured: Mapping[str, Any]) -> list[TendonCurve]:
-    """Return the curves of all tendons of `measure`."""
+def curves_of_tendons(measured: Mapping[str, Any]) -> list[TendonCurve]:
+    """Return the curves of all tendons of `measure_tendons`."""
     noise = load_hand(HAND).sensor_node.tension_noise_N
-    return [curve(tendon, noise) for tendon in measured["ropes"]]
+    return [curve_of_tendon(tendon, noise) for tendon in measured["ropes"]]
 
 
-def items(measured: Mapping[str, Any]) -> list[Item]:
+def knee_items(measured: Mapping[str, Any]) -> list[Item]:
     """Return items that compare the measured knees with those of the paper."""
     rows = []
-    verdict = of_contradiction([str(knee) for knee in src.KNEES_N], None)
-    for place, tendon in zip(("Sec. 5", "Abstract"), curves(measured), strict=True):
+    verdict = verdict_of_contradiction([str(knee) for knee in src.KNEES_N], None)
+    for place, tendon in zip(("Sec. 5", "Abstract"), curves_of_tendons(measured), strict=True):
         knee_nominal = tendon.knee_nominal
         top = float(tendon.force.max())
-        measured_text = f"{tendon.knee:.1f} ± {tendon.knee_sigma:.1f} N" if tendon.knee else f"none up to {top:.0f} N"
+        measured_text = (
+            f"{tendon.knee:.1f} ± {tendon.knee_sigma:.1f} N"
+            if tendon.knee
+            else f"none up to {top:.0f} N"
+        )
         rows.append(
             Item(
                 f"fig5.measured{knee_nominal:g}", f"Fig. 5, {place}", f"linear up to {knee_nominal:g} N",

@@ -11,9 +11,9 @@ import numpy as np
 
 from handctl.hand.digit import Array
 from handctl.paper import sources as src
-from handctl.paper.bench.bench_run import BenchRecording, run
+from handctl.paper.bench.bench_run import BenchRecording, run_bench_task
 from handctl.paper.item import Item
-from handctl.paper.verdicts import of_lower_bound
+from handctl.paper.verdicts import verdict_of_lower_bound
 from handctl.programs.task import Task
 from handctl.report.truth import TruthRecord, read_truth
 
@@ -72,16 +72,23 @@ def search_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
     the fingers, so the thumb gets the mean tension. The grip begins at the same time in every run
     on this diameter.
     """
-    names = src.hand().digit_names
-    phases = [_hold_phase(f"stair {tension:g}", dict.fromkeys(names, tension), STAIR_S) for tension in STAIRS_N]
+    names = src.paper_hand().digit_names
+    phases = [
+        _hold_phase(f"stair {tension:g}", dict.fromkeys(names, tension), STAIR_S)
+        for tension in STAIRS_N
+    ]
     recording, truth = _grip_cylinder(folder, diameter_mm, "z", 1e3, phases)
-    normals = np.array([_mean_normals(truth, _phase_end_ns(recording, phase["name"])) for phase in phases])
+    normals = np.array(
+        [_mean_normals(truth, _phase_end_ns(recording, phase["name"])) for phase in phases]
+    )
     # Interpolation needs rising values, and 1e-6 N makes equal ones rise.
     normals = np.maximum.accumulate(normals + 1e-6 * np.arange(len(phases))[:, None])
     start_s = recording.t_ns[recording.phase.index(phases[0]["name"])] / 1e9
     target_normals = np.full(len(names), float(src.GRIP_FINGER_N))
     tension = _for_normals(normals, target_normals)
-    recording, truth = _grip_cylinder(folder, diameter_mm, "z", 1e3, [_hold_phase("try", tension, SETTLE_S)])
+    recording, truth = _grip_cylinder(
+        folder, diameter_mm, "z", 1e3, [_hold_phase("try", tension, SETTLE_S)]
+    )
     shortfall = target_normals - _mean_normals(truth, _phase_end_ns(recording, "try"))
     return {"tension_N": _for_normals(normals, target_normals + shortfall), "began_s": start_s}
 
@@ -91,13 +98,18 @@ def _for_normals(stairs: Array, target_normals: Array) -> dict[str, float]:
 
     The normal forces at each tension step (steps, digits) are interpolated.
     """
-    names = src.hand().digit_names
-    tension = {name: float(np.interp(target_normals[i], stairs[:, i], STAIRS_N)) for i, name in enumerate(names)}
+    names = src.paper_hand().digit_names
+    tension = {
+        name: float(np.interp(target_normals[i], stairs[:, i], STAIRS_N))
+        for i, name in enumerate(names)
+    }
     tension["thumb"] = float(np.mean([tension[name] for name in names if name != "thumb"]))
     return tension
 
 
-def load_until_slip(folder: Path, diameter_mm: float, axis: str, grip: Mapping[str, Any]) -> dict[str, Any]:
+def load_until_slip(
+    folder: Path, diameter_mm: float, axis: str, grip: Mapping[str, Any]
+) -> dict[str, Any]:
     """Grip the object, load it until it slips, and return the result as plain values."""
     tension = grip["tension_N"]
     hold = _hold_phase("load", tension, SETTLE_S + LOAD_S)
@@ -111,7 +123,10 @@ def load_until_slip(folder: Path, diameter_mm: float, axis: str, grip: Mapping[s
     weight = MASS_KG * float(src.GRAVITY) if axis == "z" else 0.0
     load = float(truth.at("load", truth.t_ns[slip : slip + 1])[0]) + weight
     # The palm carries the difference of the digits' forces out of the palm.
-    palm = sum(float(truth.at(f"contact_force/{name}/x", truth.t_ns[first : first + 1])[0]) for name in tension)
+    palm = sum(
+        float(truth.at(f"contact_force/{name}/x", truth.t_ns[first : first + 1])[0])
+        for name in tension
+    )
     times = truth.t_ns[first:end:10]
     moved = np.linalg.norm(_positions(truth, times) - _positions(truth, times)[0], axis=1)
     return {
@@ -157,7 +172,7 @@ def _grip_cylinder(
         *holds,
     )
     task = Task.model_validate({"schema": 1, "name": "payload", "phase": phases})
-    return run(HAND, str(scene), task, truth), read_truth(truth)
+    return run_bench_task(HAND, str(scene), task, truth), read_truth(truth)
 
 
 def _phase_end_ns(recording: BenchRecording, phase: str) -> int:
@@ -169,7 +184,9 @@ def _mean_normals(truth: TruthRecord, until_ns: int) -> list[float]:
     """Return the sum of normal forces of each digit before a time, averaged [N]."""
     end = int(np.searchsorted(truth.t_ns, until_ns))
     times = truth.t_ns[end - AVERAGE_ROWS : end]
-    return [float(truth.at(f"normal/{name}", times).mean()) for name in src.hand().digit_names]
+    return [
+        float(truth.at(f"normal/{name}", times).mean()) for name in src.paper_hand().digit_names
+    ]
 
 
 def _positions(truth: TruthRecord, times: Any) -> Array:
@@ -199,7 +216,7 @@ def bound_kg(result: Mapping[str, Any]) -> float:
     return float(src.FRICTION) * float(normal) / float(src.GRAVITY)
 
 
-def items(results: Sequence[Mapping[str, Any]]) -> list[Item]:
+def payload_items(results: Sequence[Mapping[str, Any]]) -> list[Item]:
     """Return one item per load case."""
     rows = []
     for result in results:
@@ -209,19 +226,21 @@ def items(results: Sequence[Mapping[str, Any]]) -> list[Item]:
         reason = (
             f"Cylinder of {result['diameter_mm']:g} mm, load {AXIS_NAMES[axis]}; fingers press with "
             f"{', '.join(f'{force:.1f}' for force in fingers)} N, the thumb with {result['normal_N']['thumb']:.1f} N; "
-            f"{ENDS[result['ended']]}. Coulomb's bound by all normal forces is {bound_kg(result):.2f} kg."
+            f"{CRITERION_TEXTS[result['ended']]}. Coulomb's bound by all normal forces is {bound_kg(result):.2f} kg."
         )
         rows.append(
             Item(
                 f"payload.{axis}.d{result['diameter_mm']:g}", "Sec. 5", f"we can lift {src.PAYLOAD_KG} kg",
-                payload, "kg or more" if result["ended"] == "held" else "kg", of_lower_bound(src.PAYLOAD_KG, payload),
+                payload,
+                "kg or more" if result["ended"] == "held" else "kg",
+                verdict_of_lower_bound(src.PAYLOAD_KG, payload),
                 reason, ("simulator",),
             )
         )  # fmt: skip
     return rows
 
 
-def table(results: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, ...], ...]:
+def payload_table(results: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, ...], ...]:
     """Return a table that compares the measured payload with the paper's formula and the friction limits.
 
     The first row has the titles.
@@ -251,7 +270,7 @@ def table(results: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, ...], ...]:
     return (titles, *rows)
 
 
-ENDS = {
+CRITERION_TEXTS = {
     "moved": "it had moved by 2 mm",
     "creep": "it crept faster than 1 mm/s",
     "held": "it still held at the end",

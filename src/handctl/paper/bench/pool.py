@@ -18,7 +18,7 @@ Report = Callable[[Job, bool], None]
 
 
 @contextmanager
-def pool(size: int, report: Report) -> Iterator[Workers]:
+def worker_pool(size: int, report: Report) -> Iterator[Workers]:
     """Start worker processes, and end them at the end of the context, also after an error.
 
     Args:
@@ -65,7 +65,9 @@ def _distribute(children: Sequence[Child], jobs: Sequence[Job], report: Report) 
     return [results[index] for index in range(len(jobs))]
 
 
-def _send_next_job(child: Child, waiting: Iterator[tuple[int, Job]], busy: dict[Child, int], report: Report) -> None:
+def _send_next_job(
+    child: Child, waiting: Iterator[tuple[int, Job]], busy: dict[Child, int], report: Report
+) -> None:
     """Send the next job to a worker, if a job is left."""
     for index, job in waiting:
         busy[child] = index
@@ -84,7 +86,9 @@ def _read_result(child: Child) -> Result:
     """
     line = _checked_pipe(child.stdout).readline()
     if not line:
-        raise HandctlError("a worker ended before its experiment did", WORKER, "a result; see the lines above")
+        raise HandctlError(
+            "a worker ended before its experiment did", WORKER, "a result; see the lines above"
+        )
     answer = json.loads(line)
     if "error" in answer:
         raise HandctlError(answer["error"], WORKER)

@@ -10,7 +10,7 @@ import tempfile
 from pathlib import Path
 
 from handctl.errors import HandctlError
-from handctl.paper.bench.experiments import do
+from handctl.paper.bench.experiments import run_job
 
 
 def main() -> None:
@@ -24,7 +24,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="handctl-paper-") as folder:
         for line in sys.stdin:
             try:
-                answer: dict[str, object] = {"result": do(json.loads(line), Path(folder))}
+                answer: dict[str, object] = {"result": run_job(json.loads(line), Path(folder))}
             except HandctlError as error:
                 answer = {"error": str(error)}
             print(json.dumps(answer), flush=True)

@@ -7,7 +7,7 @@ import numpy as np
 
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.formats.urdf import PALM_MARGIN, PALM_THICKNESS
-from handctl.hand.kinematics import points
+from handctl.hand.kinematics import joint_points
 from handctl.paper import sources as src
 from handctl.paper.figures.style import BLUE, GREEN, ORANGE, PURPLE
 
@@ -26,7 +26,7 @@ VIEW = (24.0, -58.0)
 """Elevation and azimuth of the view [deg]."""
 
 
-def hand(figure: Any) -> None:
+def draw_hand_figure(figure: Any) -> None:
     """Draw the palm, then all digits in one collection, so that near faces hide far faces."""
     from matplotlib.patheffects import withStroke
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped,unused-ignore]
@@ -34,13 +34,15 @@ def hand(figure: Any) -> None:
     axes = figure.add_subplot(projection="3d", computed_zorder=False)
     palm = _palm_faces()
     axes.add_collection3d(
-        Poly3DCollection(palm, facecolors=[_shaded_colour(face, "#b9bec6") for face in palm], zorder=1)
+        Poly3DCollection(
+            palm, facecolors=[_shaded_colour(face, "#b9bec6") for face in palm], zorder=1
+        )
     )
     faces: list[Array] = []
     colours: list[Any] = []
-    for name, colour in zip(src.hand().digit_names, COLOURS, strict=True):
-        model = DigitModel.of(src.hand(), name)
-        nodes = 1000.0 * points(model, np.radians(np.full(model.joint_count, POSE_DEG[name])))
+    for name, colour in zip(src.paper_hand().digit_names, COLOURS, strict=True):
+        model = DigitModel.of(src.paper_hand(), name)
+        nodes = 1000.0 * joint_points(model, np.radians(np.full(model.joint_count, POSE_DEG[name])))
         for start, end in pairwise(nodes):
             capsule = _capsule_faces(start, end, 1000.0 * model.radius)
             faces += capsule
@@ -56,7 +58,9 @@ def hand(figure: Any) -> None:
             zorder=9,
             path_effects=outline,
         )
-    links = Poly3DCollection(faces, facecolors=colours, edgecolors=colours, linewidths=0.25, zorder=3)
+    links = Poly3DCollection(
+        faces, facecolors=colours, edgecolors=colours, linewidths=0.25, zorder=3
+    )
     axes.add_collection3d(links)
     _set_axes(axes)
 
@@ -74,21 +78,22 @@ def _set_axes(axes: Any) -> None:
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
     finger, thumb = (
-        " + ".join(f"{length}" for length in src.millimetres(d.link_length_m)) for d in _finger_and_thumb()
+        " + ".join(f"{length}" for length in src.millimetres(d.link_length_m))
+        for d in _finger_and_thumb()
     )
-    joints = sum(len(digit.joints) for digit in src.hand().digit)
-    text = f"fingers {finger} mm, thumb {thumb} mm; {joints} hinges along z, {len(src.hand().tendon)} tendons"
+    joints = sum(len(digit.joints) for digit in src.paper_hand().digit)
+    text = f"fingers {finger} mm, thumb {thumb} mm; {joints} hinges along z, {len(src.paper_hand().tendon)} tendons"
     axes.set_title(text, fontsize=9.5, weight="normal", loc="center")
 
 
 def _finger_and_thumb() -> tuple[Any, Any]:
     """Return a finger and the thumb."""
-    return src.finger(), src.thumb()
+    return src.paper_finger(), src.paper_thumb()
 
 
 def _palm_faces() -> list[Array]:
     """Return the six sides of the palm's box."""
-    mounts = np.array([digit.mount_position_m for digit in src.hand().digit])
+    mounts = np.array([digit.mount_position_m for digit in src.paper_hand().digit])
     low = 1000.0 * (mounts.min(axis=0) - PALM_MARGIN)
     high = 1000.0 * (mounts.max(axis=0) + PALM_MARGIN)
     # The palm lies behind the plane of the mounts.
@@ -120,7 +125,11 @@ def _capsule_faces(start: Array, end: Array, radius: float) -> list[Array]:
     turn = np.linspace(0.0, 2.0 * np.pi, AROUND + 1)
     circle = np.outer(np.cos(turn), side) + np.outer(np.sin(turn), up)
     shells = [centre + size * circle for centre, size in rings]
-    return [np.array([a[i], a[i + 1], b[i + 1], b[i]]) for a, b in pairwise(shells) for i in range(AROUND)]
+    return [
+        np.array([a[i], a[i + 1], b[i + 1], b[i]])
+        for a, b in pairwise(shells)
+        for i in range(AROUND)
+    ]
 
 
 def _shaded_colour(face: Array, colour: str) -> tuple[float, float, float]:
@@ -130,6 +139,10 @@ def _shaded_colour(face: Array, colour: str) -> tuple[float, float, float]:
     normal = np.cross(face[2] - face[0], face[3] - face[1])
     length = float(np.linalg.norm(normal))
     # Ambient light of 0.55, the rest by the cosine to the light.
-    bright = 0.55 + 0.45 * abs(float(normal @ LIGHT) / (length * float(np.linalg.norm(LIGHT)))) if length else 1.0
+    bright = (
+        0.55 + 0.45 * abs(float(normal @ LIGHT) / (length * float(np.linalg.norm(LIGHT))))
+        if length
+        else 1.0
+    )
     red, green, blue = (min(1.0, bright * part + 0.06) for part in to_rgb(colour))
     return red, green, blue

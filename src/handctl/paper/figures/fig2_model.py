@@ -14,13 +14,13 @@ ARC_MM = (9.0, 6.0, 5.0)
 """Radius of the arc that marks each relative angle [mm]."""
 
 
-def model(figure: Any) -> None:
+def draw_model_figure(figure: Any) -> None:
     """Draw the finger in a pose, with the angles of the paper's sections 4 and 7 at each joint."""
     axes = figure.add_subplot()
     q = np.radians(POSE_DEG)
     theta = np.cumsum(q)
-    nodes = 1000.0 * kinematics.planar(kinematics.digit("index"), q)
-    lengths = src.millimetres(src.finger().link_length_m)
+    nodes = 1000.0 * kinematics.points_in_plane(kinematics.paper_digit("index"), q)
+    lengths = src.millimetres(src.paper_finger().link_length_m)
     axes.plot(*nodes.T, color=GREY, linewidth=7, alpha=0.4, solid_capstyle="round", zorder=1)
     axes.plot(*nodes[:-1].T, "o", color="white", markeredgecolor="black", markersize=9, zorder=5)
     for i, radius in enumerate(ARC_MM):
@@ -46,7 +46,9 @@ def model(figure: Any) -> None:
     axes.plot([], [], color=ORANGE, label="θ: with the x-axis, as in section 7")
     axes.legend(loc="upper left", fontsize=9)
     axes.set(xlabel="X [mm]", ylabel="Y [mm]", xlim=(-14, 62), ylim=(-13, 48), aspect="equal")
-    axes.set_title("three hinges about z, in series: θ₁ = q₁, θ₂ = q₁ + q₂, θ₃ = q₁ + q₂ + q₃", fontsize=10)
+    axes.set_title(
+        "three hinges about z, in series: θ₁ = q₁, θ₂ = q₁ + q₂, θ₃ = q₁ + q₂ + q₃", fontsize=10
+    )
 
 
 def _draw_ray(axes: Any, start: Any, angle: float, length: float, colour: str) -> None:
@@ -55,7 +57,9 @@ def _draw_ray(axes: Any, start: Any, angle: float, length: float, colour: str) -
     axes.plot(*np.column_stack((start, end)), "--", color=colour, linewidth=1.0, zorder=2)
 
 
-def _draw_arc(axes: Any, centre: Any, between: tuple[float, float], radius: float, colour: str, label: str) -> None:
+def _draw_arc(
+    axes: Any, centre: Any, between: tuple[float, float], radius: float, colour: str, label: str
+) -> None:
     """Draw the arc of an angle, with the name of the angle outside the middle of the arc."""
     angles = np.linspace(*between, 40)
     axes.plot(

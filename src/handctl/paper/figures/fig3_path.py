@@ -19,7 +19,7 @@ HEIGHT_MM = (-12.0, 60.0)
 POSES_DEG = (0.0, 30.0, 60.0, 90.0)
 
 
-def path(figure: Any) -> None:
+def draw_path_figure(figure: Any) -> None:
     """Draw finger and thumb next to each other, on the same scale."""
     left, right = figure.subplots(1, 2, width_ratios=(110, 58), sharey=True)
     _draw_digit(left, "index", "Finger: Eq. 1-2", (-46, 64))
@@ -30,16 +30,18 @@ def path(figure: Any) -> None:
 
 def _draw_digit(axes: Any, name: str, title: str, x: tuple[float, float]) -> None:
     """Draw a digit: area, curve, poses."""
-    model = kinematics.digit(name)
-    _draw_area(axes, kinematics.workspace(name, SAMPLES[name]), x, HEIGHT_MM)
+    model = kinematics.paper_digit(name)
+    _draw_area(axes, kinematics.reachable_tips(name, SAMPLES[name]), x, HEIGHT_MM)
     low, high = coordinate_limits(model)
-    full_path = kinematics.path(name, np.linspace(low, high, 400))
+    full_path = kinematics.fingertip_path(name, np.linspace(low, high, 400))
     axes.plot(*full_path.T, color=BLUE, linewidth=2.2, label="tip, θ₁ = θ₂ = θ₃ = θ", zorder=4)
     for degrees in POSES_DEG:
-        nodes = 1000.0 * kinematics.planar(model, np.full(model.joint_count, np.radians(degrees)))
+        nodes = 1000.0 * kinematics.points_in_plane(
+            model, np.full(model.joint_count, np.radians(degrees))
+        )
         axes.plot(*nodes.T, color=GREY, linewidth=1.1, marker="o", markersize=2.8, zorder=3)
     for degrees in range(0, 101, 10):
-        tip = kinematics.path(name, np.radians([degrees]))[0]
+        tip = kinematics.fingertip_path(name, np.radians([degrees]))[0]
         axes.plot(*tip, "o", color=BLUE, markersize=4, zorder=5)
         if degrees in (*POSES_DEG, 100):
             offset = (5, 4) if degrees < 45 else (-7, 6 if degrees < 75 else -5)

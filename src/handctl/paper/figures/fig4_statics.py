@@ -9,21 +9,23 @@ from handctl.paper.figures.style import BLUE, GREY, ORANGE, RED
 SIZE = (9.6, 4.2)
 
 
-def statics(figure: Any) -> None:
+def draw_statics_figure(figure: Any) -> None:
     """Draw finger and thumb, with moments per newton at the tip."""
     left, right = figure.subplots(1, 2, width_ratios=(1.0, 0.62), sharey=True)
-    _draw_digit(left, src.finger(), "Finger: M₁ = 55F, M₂ = 25F, M₃ = 10F", "T = 18.33F")
-    _draw_digit(right, src.thumb(), "Thumb: M₁ = 25F, M₂ = 10F", "T = 8.33F")
+    _draw_digit(left, src.paper_finger(), "Finger: M₁ = 55F, M₂ = 25F, M₃ = 10F", "T = 18.33F")
+    _draw_digit(right, src.paper_thumb(), "Thumb: M₁ = 25F, M₂ = 10F", "T = 8.33F")
     left.set(ylabel="moment per newton at the tip [N mm/N]")
     right.legend(*left.get_legend_handles_labels(), loc="upper right", fontsize=8.5)
 
 
 def _draw_digit(axes: Any, digit: Digit, title: str, tension: str) -> None:
     """Draw the required and the available moments of a digit."""
-    levers = [float(lever) for lever in src.levers(digit)]
+    levers = [float(lever) for lever in src.levers_mm(digit)]
     positions = [levers[0] - lever for lever in levers]
     constant = levers[0]
-    axes.plot([0, levers[0]], [levers[0], 0], color=BLUE, label="required by F at the tip", zorder=3)
+    axes.plot(
+        [0, levers[0]], [levers[0], 0], color=BLUE, label="required by F at the tip", zorder=3
+    )
     axes.plot(positions, levers, "o", color=BLUE, zorder=4)
     axes.plot(
         [0, positions[-1] + 2.0],
@@ -63,7 +65,9 @@ def _draw_digit(axes: Any, digit: Digit, title: str, tension: str) -> None:
 
 def _draw_outline(axes: Any, nodes: list[float]) -> None:
     """Draw the digit below the axis, with the force at its tip."""
-    axes.plot(nodes, [-12.5] * len(nodes), color=GREY, linewidth=6, solid_capstyle="round", alpha=0.45)
+    axes.plot(
+        nodes, [-12.5] * len(nodes), color=GREY, linewidth=6, solid_capstyle="round", alpha=0.45
+    )
     axes.plot(
         nodes[:-1],
         [-12.5] * (len(nodes) - 1),

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from handctl.paper.figures.style import BLUE, GREEN, GREY, ORANGE, PURPLE, RED
-from handctl.paper.model.motion import CLOSED_DEG, DURATIONS_S, PARTS, closing, first_torque
+from handctl.paper.model.motion import CLOSED_DEG, DURATIONS_S, PARTS, closing_torques, first_torque
 
 SIZE = (9.6, 9.0)
 SIZE_EQ10 = (9.0, 3.6)
@@ -14,16 +14,18 @@ LINKS = PARTS[:3]
 """Torque components that Eq. 3 to 12 describe."""
 
 
-def torques(figure: Any) -> None:
+def draw_torque_figure(figure: Any) -> None:
     """Draw finger and thumb at three speeds. Below each, the component of the links is enlarged."""
     rows = figure.subplots(4, len(DURATIONS_S), sharey="row", height_ratios=(1.15, 1, 1.15, 1))
     for pair, (name, title) in enumerate((("index", "finger"), ("thumb", "thumb"))):
         for column, duration in enumerate(DURATIONS_S):
-            motion = closing(name, duration)
+            motion = closing_torques(name, duration)
             total_axes = rows[2 * pair][column]
             link_axes = rows[2 * pair + 1][column]
             for part in PARTS:
-                total_axes.plot(1e3 * motion.times, 1e3 * motion.parts[part], color=COLOURS[part], label=part)
+                total_axes.plot(
+                    1e3 * motion.times, 1e3 * motion.parts[part], color=COLOURS[part], label=part
+                )
             total = sum(motion.parts.values(), np.zeros(len(motion.times)))
             total_axes.plot(
                 1e3 * motion.times,
@@ -54,14 +56,16 @@ def _add_tension_axis(axes: Any, lever: float, labelled: bool) -> None:
     """Add an axis for the tension of the tendon."""
     # From mN m to N m, then by the lever to N.
     factor = 1e-3 / lever
-    side = axes.secondary_yaxis("right", functions=(lambda torque: torque * factor, lambda force: force / factor))
+    side = axes.secondary_yaxis(
+        "right", functions=(lambda torque: torque * factor, lambda force: force / factor)
+    )
     if labelled:
         side.set_ylabel("tension [N]")
     else:
         side.set_yticklabels([])
 
 
-def eq10(figure: Any) -> None:
+def draw_eq10_figure(figure: Any) -> None:
     """Draw T_1 as printed and as corrected, both on the scale of the print and on a suitable scale."""
     times, printed, right = first_torque(DURATIONS_S[1])
     wide, close = figure.subplots(1, 2)

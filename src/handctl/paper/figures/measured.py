@@ -15,10 +15,10 @@ SIZE_PAYLOAD = (9.6, 6.4)
 SHADES = (BLUE, ORANGE, GREEN)
 
 
-def force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
+def draw_force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
     """Draw the curves of both tendons, both printed knees, and the stress limit of section 5."""
     axes = figure.subplots()
-    allowed = float(src.GRIP_FINGER_N * src.tension_per_newton(src.finger()))
+    allowed = float(src.GRIP_FINGER_N * src.tension_per_newton(src.paper_finger()))
     top = 1.12 * float(max(src.KNEES_N))
     end = 1.08 * max(float(curve.displacement.max()) for curve in curves)
     axes.axhspan(allowed, top, color=RED, alpha=0.07, linewidth=0)
@@ -36,7 +36,9 @@ def force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
             fontsize=8.5,
         )
     stiffness = curves[0].stiffness
-    axes.plot([0, 1e3 * top / stiffness], [0, top], color="black", linewidth=0.9, linestyle=":", zorder=3)
+    axes.plot(
+        [0, 1e3 * top / stiffness], [0, top], color="black", linewidth=0.9, linestyle=":", zorder=3
+    )
     for curve, colour in zip(curves, (BLUE, ORANGE), strict=True):
         label = f"measured, tendon with its knee at {curve.knee_nominal:g} N"
         axes.plot(
@@ -70,16 +72,20 @@ def force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
                 va="top",
             )
     axes.annotate(f"{stiffness / 1000:.1f} N/mm", (0.6, 60.0), (12, -6), textcoords="offset points")
-    axes.set(xlabel="displacement of the tendon at the spool [mm]", ylabel="tension at the load cell [N]")
+    axes.set(
+        xlabel="displacement of the tendon at the spool [mm]", ylabel="tension at the load cell [N]"
+    )
     axes.set(xlim=(0, end), ylim=(0, top), title="Tendon of a blocked finger, pulled over the bus")
     axes.legend(loc="lower right", fontsize=8.5, markerscale=4)
     # Stress is proportional to tension, so the second axis needs one factor.
     factor = src.wire_stress_mpa(1.0, wire)
-    stress = axes.secondary_yaxis("right", functions=(lambda force: force * factor, lambda mpa: mpa / factor))
+    stress = axes.secondary_yaxis(
+        "right", functions=(lambda force: force * factor, lambda mpa: mpa / factor)
+    )
     stress.set_ylabel(f"stress in the {wire:.4f} mm wire [MPa]")
 
 
-def payloads(figure: Any, results: Sequence[Mapping[str, Any]]) -> None:
+def draw_payloads(figure: Any, results: Sequence[Mapping[str, Any]]) -> None:
     """Draw a bar per axis and diameter, and the motion of the object under the increasing load."""
     grid = figure.add_gridspec(2, len(payload.AXES), height_ratios=(1.25, 1.0))
     _draw_bars(figure.add_subplot(grid[0, :]), results)
@@ -99,7 +105,9 @@ def _draw_bars(axes: Any, results: Sequence[Mapping[str, Any]]) -> None:
         rows = {result["axis"]: result for result in results if result["diameter_mm"] == diameter}
         positions = np.arange(len(payload.AXES)) + (k - 1) * width
         heights = [rows[axis]["payload_kg"] for axis in payload.AXES]
-        bars = axes.bar(positions, heights, 0.9 * width, color=SHADES[k], label=f"⌀ {diameter:g} mm", zorder=3)
+        bars = axes.bar(
+            positions, heights, 0.9 * width, color=SHADES[k], label=f"⌀ {diameter:g} mm", zorder=3
+        )
         more = ["≥ " if rows[axis]["ended"] == "held" else "" for axis in payload.AXES]
         axes.bar_label(
             bars,
@@ -115,7 +123,9 @@ def _draw_bars(axes: Any, results: Sequence[Mapping[str, Any]]) -> None:
     axes.set_xticks(range(len(payload.AXES)), labels)
     axes.tick_params(axis="x", length=0)
     axes.grid(axis="x", visible=False)
-    axes.set(ylabel="payload [kg]", title="Load at which the object slips, 6 N a finger, friction 0.5")
+    axes.set(
+        ylabel="payload [kg]", title="Load at which the object slips, 6 N a finger, friction 0.5"
+    )
     axes.set(xlim=(-0.55, len(payload.AXES) - 0.1), ylim=(0, 2.95))
     axes.legend(loc="upper left", ncols=4, fontsize=8.5)
 
@@ -136,7 +146,9 @@ def _draw_traces(axes: Any, axis: str, results: Sequence[Mapping[str, Any]]) -> 
     """Draw the motion of the object for loads along an axis."""
     gravity = float(src.GRAVITY)
     for result, colour in zip(results, SHADES, strict=True):
-        axes.plot(result["trace_mm"], np.array(result["trace_N"]) / gravity, color=colour, linewidth=1.3)
+        axes.plot(
+            result["trace_mm"], np.array(result["trace_N"]) / gravity, color=colour, linewidth=1.3
+        )
         # First sample of the trace at the load of the slip.
         row = int(np.searchsorted(result["trace_N"], result["load_N"]))
         position = result["trace_mm"][min(row, len(result["trace_mm"]) - 1)]

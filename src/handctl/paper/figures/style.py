@@ -31,7 +31,9 @@ SETTINGS: Any = {
 DPI = 160
 
 
-def draw(folder: Path, name: str, size: tuple[float, float], content: Callable[[Any], None]) -> Path:
+def write_figure(
+    folder: Path, name: str, size: tuple[float, float], content: Callable[[Any], None]
+) -> Path:
     """Draw a figure and write PNG and SVG files.
 
     Args:

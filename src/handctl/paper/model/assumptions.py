@@ -7,8 +7,8 @@ import numpy as np
 from handctl.hand.digit import Array
 from handctl.paper import sources as src
 from handctl.paper.item import Item
-from handctl.paper.model.kinematics import digit
-from handctl.paper.verdicts import of_number, of_statement
+from handctl.paper.model.kinematics import paper_digit
+from handctl.paper.verdicts import verdict_of_number, verdict_of_statement
 
 STATICS = ("statics",)
 BEND_RATIO = 18.0
@@ -23,7 +23,7 @@ Source: Birglen, Laliberte & Gosselin (2008).
 """
 
 
-def items() -> list[Item]:
+def assumption_items() -> list[Item]:
     """Return one item per assumption."""
     return [
         *_check_one_tendon(),
@@ -37,16 +37,16 @@ def items() -> list[Item]:
 
 def _check_one_tendon() -> list[Item]:
     """Check if T r_p = M can be true at every joint of the straight finger."""
-    levers = src.levers(src.finger())
-    given = src.tension_per_newton(src.finger()) * src.PULLEY_MM
+    levers = src.levers_mm(src.paper_finger())
+    given = src.tension_per_newton(src.paper_finger()) * src.PULLEY_MM
     rows = []
     for i, required in enumerate(levers):
-        radius = required / src.tension_per_newton(src.finger())
+        radius = required / src.tension_per_newton(src.paper_finger())
         rows.append(
             Item(
                 f"tendon.joint{i + 1}", "Sec. 5", f"M = T r_p with T = 18.33F, M{'₁₂₃'[i]} = {required}F",
                 float(given), "N mm per N",
-                of_statement(given == required),
+                verdict_of_statement(given == required),
                 f"One tendon on equal pulleys gives {given}F at every joint. This joint requires {required}F. The "
                 f"surplus of {given - required}F goes to stops or other contacts. Balance requires a pulley of "
                 f"{float(radius):.4g} mm.",
@@ -58,23 +58,25 @@ def _check_one_tendon() -> list[Item]:
 
 def _check_coupling() -> list[Item]:
     """Check if a mechanism with equal joint angles fits: the work of the tendon equals the work at the tip."""
-    levers = src.levers(src.finger())
+    levers = src.levers_mm(src.paper_finger())
     # Virtual work at equal angles: T times 3 r_p is F times the sum of the levers.
     tension = sum(levers, Fraction(0)) / (len(levers) * src.PULLEY_MM)
     force = src.GRIP_FINGER_N * tension
     torque = src.GRIP_FINGER_N * tension * src.SPOOL_MM / 1000
-    arms = src.hand().moment_arms[src.hand().digit_tendons["index"], src.hand().digit_joints["index"]]
+    arms = src.paper_hand().moment_arms[
+        src.paper_hand().digit_tendons["index"], src.paper_hand().digit_joints["index"]
+    ]
     # Joint motions that no tendon controls.
     free = len(levers) - int(np.linalg.matrix_rank(arms))
     return [
         Item(
             "coupling.tension", "Sec. 4 against Sec. 5", "18.33 F", float(tension), "N per N",
-            of_number("18.33", tension),
+            verdict_of_number("18.33", tension),
             "If θ₁ = θ₂ = θ₃ is enforced, as section 4 says, virtual work gives T = (55 + 25 + 10)F/(3 × 3) = 10F: "
             f"{float(force):g} N and {float(torque):g} N m at 6 N instead of 110 N and 0.55 N m.", ("virtual work",)),
         Item(
             "coupling.freedom", "Sec. 4", "the rotation angle of first to third link are always equal", float(free), "",
-            of_statement(free == 0),
+            verdict_of_statement(free == 0),
             f"One tendon sets one sum of three angles, and {free} remain free. Without contact they are equal only if "
             "springs are in proportion to the pulleys, and with contact not at all.", ("rank",)),
     ]  # fmt: skip
@@ -83,12 +85,12 @@ def _check_coupling() -> list[Item]:
 def _check_balance() -> list[Item]:
     """Check the force balance of three fingers with 6 N each and the thumb with 10 N."""
     fingers = src.FINGERS * src.GRIP_FINGER_N
-    tension = fingers * src.tension_per_newton(src.thumb())
+    tension = fingers * src.tension_per_newton(src.paper_thumb())
     torque = tension * src.SPOOL_MM / 1000
     return [
         Item(
             "grip.balance", "Sec. 5 against Sec. 6", f"{src.GRIP_THUMB_N} N thumb, {src.GRIP_FINGER_N} N each finger",
-            float(fingers), "N", of_statement(fingers == src.GRIP_THUMB_N),
+            float(fingers), "N", verdict_of_statement(fingers == src.GRIP_THUMB_N),
             f"Three fingers press with {fingers} N, the thumb with {src.GRIP_THUMB_N} N: the object would be pushed "
             f"out. For {fingers} N the thumb's tendon needs {tension} N and its motor {float(torque):g} N m.",
             STATICS),
@@ -103,22 +105,22 @@ def _payload_of_both_sides() -> list[Item]:
     return [
         Item(
             "payload.both_sides", "Sec. 5", f"m = {src.PAYLOAD_KG} kg", float(both), "kg",
-            of_number(src.PAYLOAD_KG, both),
+            verdict_of_number(src.PAYLOAD_KG, both),
             "Friction is counted on the finger side only. A thumb that holds against 18 N carries the same again.",
             STATICS),
         Item(
             "payload.thumb_limit", "Sec. 5 against Sec. 6", f"m = {src.PAYLOAD_KG} kg", float(limited), "kg",
-            of_number(src.PAYLOAD_KG, limited),
+            verdict_of_number(src.PAYLOAD_KG, limited),
             "Friction on both sides, with the thumb at its 10 N and the fingers balancing it.", STATICS),
     ]  # fmt: skip
 
 
 def _check_bending() -> Item:
     """Check the bending ratio of the wire: pulley diameter to wire diameter."""
-    diameter = src.wire_diameter_mm(src.GRIP_FINGER_N * src.tension_per_newton(src.finger()))
+    diameter = src.wire_diameter_mm(src.GRIP_FINGER_N * src.tension_per_newton(src.paper_finger()))
     ratio = float(2 * src.PULLEY_MM) / diameter
     return Item(
-        "wire.bending", "Sec. 5", "r_p = 3 mm, wire 0.86 mm", ratio, "", of_statement(ratio >= BEND_RATIO),
+        "wire.bending", "Sec. 5", "r_p = 3 mm, wire 0.86 mm", ratio, "", verdict_of_statement(ratio >= BEND_RATIO),
         f"Pulley to rope diameter. Rope practice requires {BEND_RATIO:g} at least. Bending stress, fatigue, friction, "
         "return springs and a safety factor are not considered, and 190 MPa is an aluminium's, not a steel rope's.",
         ("arithmetic",))  # fmt: skip
@@ -126,7 +128,7 @@ def _check_bending() -> Item:
 
 def contact_forces(tension: float, angles_deg: tuple[float, ...] = WRAP_DEG) -> Array:
     """Return the normal forces at the middle of each link that balance a tendon over equal pulleys (3,) [N]."""
-    lengths = np.array(digit("index").lengths)
+    lengths = np.array(paper_digit("index").lengths)
     absolute = np.cumsum(np.radians(angles_deg))
     levers = np.zeros((3, 3))
     for joint in range(3):
@@ -142,7 +144,7 @@ def _check_lift_off() -> Item:
     forces = contact_forces(110.0)
     return Item(
         "grip.middle_link", "Sec. 5", "one tendon, equal pulleys, three phalanges on the object", float(forces[1]), "N",
-        of_statement(bool((forces >= 0.0).all())),
+        verdict_of_statement(bool((forces >= 0.0).all())),
         f"At joint angles of 15, 30 and 45° and 110 N the links would press with {forces[0]:.1f}, {forces[1]:.1f} and "
         f"{forces[2]:.1f} N: the middle one cannot pull and lifts off, the finger closes onto its stop.",
         STATICS)  # fmt: skip

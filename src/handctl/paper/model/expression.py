@@ -113,25 +113,35 @@ def _dimension_of(node: ast.expr, dimensions: Mapping[str, Dimension]) -> Dimens
             kg, m, s = _dimension_of(left, dimensions)
             return (kg * power, m * power, s * power)
         case ast.BinOp(left=left, op=op, right=right):
-            return _combined_dimension(node, op, _dimension_of(left, dimensions), _dimension_of(right, dimensions))
+            return _combined_dimension(
+                node, op, _dimension_of(left, dimensions), _dimension_of(right, dimensions)
+            )
     raise ValueError(f"not a formula: {ast.unparse(node)}")
 
 
-def _combined_dimension(node: ast.expr, op: ast.operator, first: Dimension, second: Dimension) -> Dimension:
+def _combined_dimension(
+    node: ast.expr, op: ast.operator, first: Dimension, second: Dimension
+) -> Dimension:
     """Return the dimension of a sum, product or quotient."""
     if isinstance(op, ast.Add | ast.Sub):
         if first != second:
-            raise DimensionError(f"{ast.unparse(node)}: {shown(first)} and {shown(second)}")
+            raise DimensionError(
+                f"{ast.unparse(node)}: {dimension_text(first)} and {dimension_text(second)}"
+            )
         return first
     # A product adds the exponents of the units, a quotient subtracts them.
     sign = -1 if isinstance(op, ast.Div) else 1
     return (first[0] + sign * second[0], first[1] + sign * second[1], first[2] + sign * second[2])
 
 
-def shown(dimension: Dimension) -> str:
+def dimension_text(dimension: Dimension) -> str:
     """Return a dimension as text, e.g. kg m² s⁻²."""
     units = zip(("kg", "m", "s"), dimension, strict=True)
-    parts = [unit + ("" if power == 1 else str(power).translate(_RAISED)) for unit, power in units if power]
+    parts = [
+        unit + ("" if power == 1 else str(power).translate(_RAISED))
+        for unit, power in units
+        if power
+    ]
     return " ".join(parts) or "1"
 
 

@@ -5,13 +5,13 @@ from collections.abc import Callable
 import numpy as np
 
 from handctl.hand.digit import Array, DigitModel
-from handctl.hand.inverse_kinematics import inverse
-from handctl.hand.kinematics import from_palm, points
+from handctl.hand.inverse_kinematics import inverse_kinematics
+from handctl.hand.kinematics import from_palm, joint_points
 from handctl.paper import sources as src
 from handctl.paper.item import Item
 from handctl.paper.model.expression import Expression
-from handctl.paper.model.lagrange import TOLERANCE, deviation
-from handctl.paper.verdicts import of_statement
+from handctl.paper.model.lagrange import TOLERANCE, relative_deviation
+from handctl.paper.verdicts import verdict_of_statement
 
 EQ1 = Expression("30*cos(theta) + 15*cos(2*theta) + 10*cos(3*theta)")
 EQ2 = Expression("30*sin(theta) + 15*sin(2*theta) + 10*sin(3*theta)")
@@ -19,17 +19,17 @@ ANGLES = np.linspace(-1.0, 2.0, 61)
 """Angles at which Eq. 1 and 2 are compared [rad]."""
 
 
-def digit(name: str) -> DigitModel:
+def paper_digit(name: str) -> DigitModel:
     """Return a digit of the paper's hand."""
-    return DigitModel.of(src.hand(), name)
+    return DigitModel.of(src.paper_hand(), name)
 
 
-def planar(model: DigitModel, q: Array) -> Array:
+def points_in_plane(model: DigitModel, q: Array) -> Array:
     """Return joints and tip in the plane of the digit, (n + 1, 2) [m]."""
-    return from_palm(model, points(model, q))[:, :2]
+    return from_palm(model, joint_points(model, q))[:, :2]
 
 
-def items() -> list[Item]:
+def kinematics_items() -> list[Item]:
     """Return the items about Eq. 1-2, the meaning of their angles, and inverse kinematics."""
     return [
         _check_hinges(),
@@ -41,33 +41,44 @@ def items() -> list[Item]:
     ]
 
 
-def path(name: str, angles: Array) -> Array:
+def fingertip_path(name: str, angles: Array) -> Array:
     """Return the path of a fingertip, (angles, 2) [mm]: its position for each angle that all joints have."""
-    model = digit(name)
-    return 1000.0 * np.array([planar(model, np.full(model.joint_count, angle))[-1] for angle in angles])
+    model = paper_digit(name)
+    return 1000.0 * np.array(
+        [points_in_plane(model, np.full(model.joint_count, angle))[-1] for angle in angles]
+    )
 
 
-def workspace(name: str, per_joint: int) -> Array:
+def reachable_tips(name: str, per_joint: int) -> Array:
     """Return the tips of a digit whose joints move independently within their limits (points, 2) [mm]."""
-    model = digit(name)
-    axes = [np.linspace(low, high, per_joint) for low, high in zip(model.joint_min, model.joint_max, strict=True)]
+    model = paper_digit(name)
+    axes = [
+        np.linspace(low, high, per_joint)
+        for low, high in zip(model.joint_min, model.joint_max, strict=True)
+    ]
     # Absolute link angles are cumulative sums of joint angles.
-    absolute = np.cumsum(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes)), axis=1)
+    absolute = np.cumsum(
+        np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes)), axis=1
+    )
     lengths = 1000.0 * np.array(model.lengths)
     return np.column_stack((np.cos(absolute) @ lengths, np.sin(absolute) @ lengths))
 
 
 def _check_paths() -> list[Item]:
     """Check Eq. 1 and 2 along the path of the tip."""
-    tips = path("index", ANGLES)
-    thumb = " + ".join(f"{length} cos {'' if i == 0 else i + 1}θ" for i, length in enumerate(_lengths_text("thumb")))
+    tips = fingertip_path("index", ANGLES)
+    thumb = " + ".join(
+        f"{length} cos {'' if i == 0 else i + 1}θ"
+        for i, length in enumerate(_lengths_text("thumb"))
+    )
     reason = (
-        f"With equal joint angles q₁ = q₂ = q₃ = θ. The thumb's, not printed, are X = {thumb} and the same with sines."
+        f"With equal joint angles q₁ = q₂ = q₃ = θ. The thumb's, not printed, are X = {thumb} "
+        "and the same with sines."
     )
     rows = (("eq1.x", "Eq. 1", "X", EQ1, tips[:, 0]), ("eq2.y", "Eq. 2", "Y", EQ2, tips[:, 1]))
     items_of_path = []
     for id, where, axis, printed, right in rows:
-        off = deviation(printed.value({"theta": ANGLES}), right)
+        off = relative_deviation(printed.value({"theta": ANGLES}), right)
         shown = f"{axis} = {printed.pretty()}"
         items_of_path.append(
             Item(
@@ -76,7 +87,7 @@ def _check_paths() -> list[Item]:
                 shown,
                 shown,
                 "mm",
-                of_statement(off < TOLERANCE),
+                verdict_of_statement(off < TOLERANCE),
                 reason,
                 ("forward kinematics",),
                 off,
@@ -87,26 +98,28 @@ def _check_paths() -> list[Item]:
 
 def _lengths_text(name: str) -> list[str]:
     """Return the link lengths of a digit as text [mm]."""
-    return [str(length) for length in src.millimetres(src.hand().digit_named(name).link_length_m)]
+    return [
+        str(length) for length in src.millimetres(src.paper_hand().digit_named(name).link_length_m)
+    ]
 
 
 def _check_general_position() -> list[Item]:
     """Check the tip position in section 4, L1 cos q1 + L2 cos(q1 + q2) + .. and sines, at random angles."""
-    model = digit("index")
+    model = paper_digit("index")
     random = np.random.default_rng(1)
     rows = random.uniform(-2.0, 2.0, (100, 3))
     lengths = {f"L{i + 1}": length for i, length in enumerate(model.lengths)}
     angles = {f"q{i + 1}": rows[:, i] for i in range(3)}
-    tips = np.array([planar(model, q)[-1] for q in rows])
+    tips = np.array([points_in_plane(model, q)[-1] for q in rows])
     items_of_components = []
     components = (("sec4.position", "X", "cos"), ("sec4.position_y", "Y", "sin"))
     for (id, axis, wave), right in zip(components, tips.T, strict=True):
         printed = Expression(f"L1*{wave}(q1) + L2*{wave}(q1 + q2) + L3*{wave}(q1 + q2 + q3)")
-        off = deviation(printed.value({**lengths, **angles}), right)
+        off = relative_deviation(printed.value({**lengths, **angles}), right)
         items_of_components.append(
             Item(
                 id, "Sec. 4", f"L₁ {wave} θ₁, L₂ {wave}(θ₁ + θ₂), L₃ {wave}(θ₁ + θ₂ + θ₃)",
-                f"{axis} = {printed.pretty()}", "mm", of_statement(off < TOLERANCE),
+                f"{axis} = {printed.pretty()}", "mm", verdict_of_statement(off < TOLERANCE),
                 "Angles relative to the link before, as q in this project.", ("forward kinematics",), off,
             )
         )  # fmt: skip
@@ -115,16 +128,16 @@ def _check_general_position() -> list[Item]:
 
 def _check_hinges() -> Item:
     """Check that Fig. 2's chain of three hinges about z stays in a plane and keeps the link lengths."""
-    model = digit("index")
+    model = paper_digit("index")
     random = np.random.default_rng(3)
     worst = 0.0
     for q in random.uniform(-2.0, 2.0, (100, 3)):
-        nodes = points(model, q)
+        nodes = joint_points(model, q)
         steps = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
         worst = max(worst, float(np.ptp(nodes[:, 2])), float(np.abs(steps - model.lengths).max()))
     return Item(
         "fig2.chain", "Fig. 2, Sec. 4", "each joint turns about z, x and y are locked; links L₁, L₂, L₃ in series",
-        "three parallel hinges", "", of_statement(worst < TOLERANCE),
+        "three parallel hinges", "", verdict_of_statement(worst < TOLERANCE),
         "At 100 random poses all joints and the tip stay in the finger's plane, at the links' lengths from each other. "
         "The figure below is drawn from the hand's description.", ("forward kinematics",))  # fmt: skip
 
@@ -135,15 +148,15 @@ def _check_kind_of_angle() -> Item:
     Eq. 6 is the potential energy only with absolute angles. Eq. 1-2 are true only with relative
     angles.
     """
-    model = digit("index")
+    model = paper_digit("index")
     q = np.array([0.3, 0.5, 0.7])
     absolute = np.cumsum(q)
     height: Callable[[Array], float] = lambda theta: float(np.array(model.lengths) @ np.sin(theta))  # noqa: E731
-    tip = float(planar(model, q)[-1][1])
+    tip = float(points_in_plane(model, q)[-1][1])
     same = abs(height(q) - tip) < TOLERANCE
     return Item(
         "sec4-7.angles", "Sec. 4 against Sec. 7", "θ₁, θ₂, θ₃ in both", "θ = S q, S lower triangular of ones", "",
-        of_statement(same),
+        verdict_of_statement(same),
         "One letter for two angles: section 4's are those between neighbouring links (q here), as its sums show. "
         "Section 7 states that its own are absolute. The paper never converts them. At q = 0.3, 0.5, 0.7 rad "
         f"the sines of Eq. 6 put the tip {1000 * height(q):.2f} mm high with section 4's angles, "
@@ -153,29 +166,35 @@ def _check_kind_of_angle() -> Item:
 
 def _check_absolute_angles() -> Item:
     """Check the statement on angles in section 7: the heights in Eq. 6 are correct with absolute angles."""
-    model = digit("index")
+    model = paper_digit("index")
     q = np.array([0.3, 0.5, 0.7])
     height = 1000.0 * float(np.array(model.lengths) @ np.sin(np.cumsum(q)))
-    tip = 1000.0 * float(planar(model, q)[-1][1])
+    tip = 1000.0 * float(points_in_plane(model, q)[-1][1])
     return Item(
         "sec7.absolute", "Sec. 7", "θ₁, θ₂ and θ₃ absolute angles with the x-axis", "the angles of Eq. 3 to 12", "",
-        of_statement(abs(height - tip) < TOLERANCE),
+        verdict_of_statement(abs(height - tip) < TOLERANCE),
         f"With absolute angles the sines of Eq. 6 put the tip at q = 0.3, 0.5, 0.7 rad {height:.2f} mm high, where "
         "forward kinematics has it.", ("forward kinematics",))  # fmt: skip
 
 
 def _check_inverse() -> Item:
     """Check inverse kinematics, which the paper lacks: forward kinematics of the result must return the tip."""
-    model = digit("index")
+    model = paper_digit("index")
     random = np.random.default_rng(2)
     worst = 0.0
     for q in random.uniform(0.05, 1.7, (200, 3)):
-        tip = planar(model, q)[-1]
+        tip = points_in_plane(model, q)[-1]
         x, y = tip.tolist()
-        solutions = inverse(model, x, y, float(q.sum()))
-        worst = max(worst, *(float(np.abs(planar(model, np.array(one))[-1] - tip).max()) for one in solutions))
+        solutions = inverse_kinematics(model, x, y, float(q.sum()))
+        worst = max(
+            worst,
+            *(
+                float(np.abs(points_in_plane(model, np.array(one))[-1] - tip).max())
+                for one in solutions
+            ),
+        )
     return Item(
         "sec4.inverse", "Sec. 4", "(not printed)", "forward(inverse(X, Y, θ)) = (X, Y, θ)", "",
-        of_statement(worst < 1e-12),
+        verdict_of_statement(worst < 1e-12),
         "The inverse, in closed form: forward after inverse kinematics at 200 random poses, all solutions.",
         ("forward kinematics",), worst)  # fmt: skip

@@ -21,7 +21,7 @@ from handctl.paper.item import ErrataVerdict, Item
 from handctl.paper.model import equations
 from handctl.paper.model.equations import Term
 from handctl.paper.model.expression import Dimension, DimensionError
-from handctl.paper.verdicts import of_readings, of_statement
+from handctl.paper.verdicts import verdict_of_readings, verdict_of_statement
 
 STATES = 200
 """Number of random states."""
@@ -55,7 +55,9 @@ def random_states() -> States:
     values: dict[str, Array] = {}
     for name in sorted(DIMENSIONS):
         moves = "th" in name
-        values[name] = random.normal(scale=1.5, size=STATES) if moves else random.uniform(0.5, 2.0, STATES)
+        values[name] = (
+            random.normal(scale=1.5, size=STATES) if moves else random.uniform(0.5, 2.0, STATES)
+        )
     return values
 
 
@@ -68,7 +70,7 @@ def finger_states(digit: DigitModel) -> States:
     return {**states, "g": 9.81}
 
 
-def deviation(value: Any, correct: Any) -> float:
+def relative_deviation(value: Any, correct: Any) -> float:
     """Return the largest difference of two values, relative to the largest correct value."""
     return float(np.max(np.abs(value - correct)) / np.max(np.abs(correct)))
 
@@ -96,7 +98,9 @@ def _momentum_rate(states: States, i: int) -> Array:
         moved[f"dth{j}"] = states[f"dth{j}"] + 1j * STEP * states[f"ddth{j}"]
     # K is quadratic in the rates: (K(r + 1) - K(r - 1)) / 2 is exactly its derivative.
     rate = f"dth{i}"
-    above, below = (_energy(equations.KINETIC, {**moved, rate: moved[rate] + unit}) for unit in (1.0, -1.0))
+    above, below = (
+        _energy(equations.KINETIC, {**moved, rate: moved[rate] + unit}) for unit in (1.0, -1.0)
+    )
     return np.asarray(np.imag((above - below) / 2.0) / STEP)
 
 
@@ -109,17 +113,24 @@ def _lagrangian_slope(states: States, i: int) -> Array:
 
 def term_items() -> list[Item]:
     """Return one item for each term of Eq. 3 to 6 and 10 to 12."""
-    return [_term_item(term) for term in (*equations.KINETIC, *equations.POTENTIAL, *sum(equations.TORQUES, ()))]
+    return [
+        _term_item(term)
+        for term in (*equations.KINETIC, *equations.POTENTIAL, *sum(equations.TORQUES, ()))
+    ]
 
 
 def _term_item(term: Term) -> Item:
     """Return the item of a term."""
     states = random_states()
     correct = term.right.value(random_states())
-    deviations = [deviation(reading.value(states), correct) for reading in term.readings]
-    verdict = of_readings([value < TOLERANCE for value in deviations])
+    deviations = [relative_deviation(reading.value(states), correct) for reading in term.readings]
+    verdict = verdict_of_readings([value < TOLERANCE for value in deviations])
     # Dimensions and symmetry are evidence that a reader can check by hand.
-    faults = [] if verdict == ErrataVerdict.EQUAL else [_dimension_evidence(term), _symmetry_evidence(term)]
+    faults = (
+        []
+        if verdict == ErrataVerdict.EQUAL
+        else [_dimension_evidence(term), _symmetry_evidence(term)]
+    )
     return Item(
         term.id, term.where, term.printed, term.right.pretty(), "", verdict, term.why,
         (*filter(None, faults), "Lagrange"), min(deviations),
@@ -141,9 +152,16 @@ def _symmetry_evidence(term: Term) -> str:
     """Return evidence if a printed coefficient differs from that of its mirror term, else an empty tuple."""
     if not term.mirror:
         return ""
-    mirror = next(other for terms in equations.TORQUES for other in terms if other.id == term.mirror)
+    mirror = next(
+        other for terms in equations.TORQUES for other in terms if other.id == term.mirror
+    )
     unit_states = {**random_states(), **{f"ddth{i}": 1.0 for i in (1, 2, 3)}}
-    differs = deviation(term.readings[0].value(unit_states), mirror.readings[0].value(unit_states)) > TOLERANCE
+    differs = (
+        relative_deviation(
+            term.readings[0].value(unit_states), mirror.readings[0].value(unit_states)
+        )
+        > TOLERANCE
+    )
     return f"symmetry with {mirror.where}" if differs else ""
 
 
@@ -155,25 +173,28 @@ def equation_items() -> list[Item]:
     digit = paper_finger()
     states = finger_states(digit)
     model = model_torques(digit, states)
-    by_lagrange = max(deviation(mine, theirs) for mine, theirs in zip(model, lagrange_torques(states), strict=True))
+    by_lagrange = max(
+        relative_deviation(mine, theirs)
+        for mine, theirs in zip(model, lagrange_torques(states), strict=True)
+    )
     items = [
         Item(
             "eq7-9.lagrange", "Eq. 7-9", "d/dt(∂L/∂θ̇ᵢ) − ∂L/∂θᵢ = Tᵢ", "the same", "",
-            of_statement(by_lagrange < TOLERANCE),
+            verdict_of_statement(by_lagrange < TOLERANCE),
             "Lagrange's equations in absolute angles. The corrected energies, derived numerically, give the torques "
             "that the control loop of this project computes.", ("Lagrange", "this project's dynamics"), by_lagrange,
         ),
         _check_joint_torque(digit, states, model),
     ]  # fmt: skip
     for i, terms in enumerate(equations.TORQUES):
-        off = deviation(printed_sum(terms, states), model[i])
-        rest = deviation(sum(term.right.value(states) for term in terms), model[i])
+        off = relative_deviation(printed_sum(terms, states), model[i])
+        rest = relative_deviation(sum(term.right.value(states) for term in terms), model[i])
         wrong = [item.id for item in map(_term_item, terms) if item.verdict != ErrataVerdict.EQUAL]
         items.append(
             Item(
                 f"eq{10 + i}.sum", f"Eq. {10 + i}", f"T{'₁₂₃'[i]} = sum of {len(terms)} terms",
                 " + ".join(term.right.pretty() for term in terms).replace("+ −", "− "), "",
-                of_statement(off < TOLERANCE),
+                verdict_of_statement(off < TOLERANCE),
                 f"Not right as printed: {', '.join(wrong)}. Corrected, it is what the control loop of this project "
                 f"computes, {_agreement_text(rest)} at {STATES} random states.",
                 ("Lagrange", "this project's dynamics"), off,
@@ -185,14 +206,14 @@ def equation_items() -> list[Item]:
 def _check_joint_torque(digit: DigitModel, states: States, model: Sequence[Array]) -> Item:
     """Check if T_i is the torque at a joint. A motor at the joint must make tau = S^T T."""
     joints = joint_torques(digit, states)
-    is_equal = deviation(model[0], joints[:, 0]) < TOLERANCE
-    summed = deviation(model[0] + model[1] + model[2], joints[:, 0])
+    is_equal = relative_deviation(model[0], joints[:, 0]) < TOLERANCE
+    summed = relative_deviation(model[0] + model[1] + model[2], joints[:, 0])
     return Item(
         "eq7-9.joint_torque", "Sec. 7", "T₁, T₂ and T₃ at each joint E₁, E₂ and E₃",
-        "τ₁ = T₁ + T₂ + T₃, τ₂ = T₂ + T₃, τ₃ = T₃", "", of_statement(is_equal),
+        "τ₁ = T₁ + T₂ + T₃, τ₂ = T₂ + T₃, τ₃ = T₃", "", verdict_of_statement(is_equal),
         "Tᵢ belongs to an absolute link angle. The torque at a joint follows by virtual work from θ = S q with S lower "
         f"triangular of ones: τ = Sᵀ T (at random states {_agreement_text(summed)}).", ("virtual work",),
-        deviation(model[0], joints[:, 0]),
+        relative_deviation(model[0], joints[:, 0]),
     )  # fmt: skip
 
 

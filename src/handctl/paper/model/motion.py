@@ -12,7 +12,7 @@ from handctl.paper import sources as src
 from handctl.paper.item import Item
 from handctl.paper.model import equations
 from handctl.paper.model.lagrange import finger_states, printed_sum
-from handctl.paper.verdicts import of_readings, of_statement
+from handctl.paper.verdicts import verdict_of_readings, verdict_of_statement
 
 CLOSED_DEG = 60.0
 """Angle of each joint at the end of the motion [deg]."""
@@ -47,20 +47,20 @@ class Closing:
         return float(np.abs(self.parts[part]).max()) / self.lever
 
 
-def upright(name: str) -> DigitModel:
+def upright_digit(name: str) -> DigitModel:
     """Return a digit whose plane is vertical and whose weight opens it, as in Eq. 6."""
-    model = DigitModel.of(src.hand(), name)
+    model = DigitModel.of(src.paper_hand(), name)
     return model.with_gravity(model.mount_rotation @ np.array([0.0, -float(src.GRAVITY), 0.0]))
 
 
-def closing(name: str, duration: float) -> Closing:
+def closing_torques(name: str, duration: float) -> Closing:
     """Return the torques for closing a digit from straight to 60 degrees per joint.
 
     Args:
         name: name of the digit.
         duration: duration [s].
     """
-    digit = upright(name)
+    digit = upright_digit(name)
     times = np.linspace(0.0, duration, SAMPLES)
     path = MinimumJerk(np.zeros(1), np.radians([CLOSED_DEG]), duration)
     # The digit has one coordinate, so every torque is projected on the coupling.
@@ -83,7 +83,7 @@ def closing(name: str, duration: float) -> Closing:
 
 def first_torque(duration: float) -> tuple[Array, Array, Array]:
     """Return T_1 of a closing finger: times [s], values from Eq. 10 as printed, and corrected values [N m]."""
-    digit = upright("index")
+    digit = upright_digit("index")
     times = np.linspace(0.0, duration, SAMPLES)
     path = MinimumJerk(np.zeros(1), np.radians([CLOSED_DEG]), duration)
     moves = np.array([[value[0] for value in path.at(float(t))] for t in times])
@@ -95,7 +95,7 @@ def first_torque(duration: float) -> tuple[Array, Array, Array]:
     return times, np.asarray(printed_sum(equations.TORQUE_1, states)), np.asarray(right)
 
 
-def items() -> list[Item]:
+def motion_items() -> list[Item]:
     """Return items about Eq. 10 for a straight finger, the scope of Eq. 3 to 12, and their mention in section 8."""
     return [_check_static_torque(), _check_completeness(), _check_torque_value()]
 
@@ -106,11 +106,11 @@ def _check_static_torque() -> Item:
     This torque is the sum of Eq. 10 to 12, not Eq. 10 alone.
     """
     _, printed, right = first_torque(DURATIONS_S[1])
-    digit = upright("index")
+    digit = upright_digit("index")
     joint = float(dynamics.gravity_torque(digit, np.zeros(digit.joint_count))[0])
     return Item(
         "eq10.static", "Eq. 10", f"T₁ = {printed[0]:.3g} N m", joint, "N m",
-        of_statement(bool(abs(printed[0] - joint) < 1e-9 * abs(joint))),
+        verdict_of_statement(bool(abs(printed[0] - joint) < 1e-9 * abs(joint))),
         "Torque at joint 1 that holds the straight finger up against its weight: Eq. 10 would let it fall. Corrected, "
         f"T₁ alone is {1000 * right[0]:.4g} mN m, which belongs to the absolute angle θ₁. The joint must hold "
         f"τ₁ = T₁ + T₂ + T₃ = {1000 * joint:.4g} mN m.", ("statics", "virtual work"))  # fmt: skip
@@ -121,13 +121,15 @@ def _check_completeness() -> Item:
 
     The paper has no springs and no actuator inertia.
     """
-    fast = closing("index", DURATIONS_S[-1])
+    fast = closing_torques("index", DURATIONS_S[-1])
     links = sum(fast.parts[part] for part in PARTS[:3])
     driven = links + fast.parts["motor inertia"]
-    links_peak, driven_peak = (float(np.abs(torque).max()) / fast.lever for torque in (links, driven))
+    links_peak, driven_peak = (
+        float(np.abs(torque).max()) / fast.lever for torque in (links, driven)
+    )
     return Item(
         "sec7.complete", "Sec. 7", "the torque required to move the fingers", links_peak, "N",
-        of_readings([True, links_peak > 0.5 * driven_peak]),
+        verdict_of_readings([True, links_peak > 0.5 * driven_peak]),
         f"Peak tension of closing a finger by {CLOSED_DEG:g}° in {fast.duration:g} s, by the links' dynamics, which is "
         "all that Eq. 3 to 12 describe. It is complete if the actuator has no inertia. The paper prints none. With "
         f"this project's rotor it is {driven_peak:.1f} N. This project's return springs (peak "
@@ -136,13 +138,15 @@ def _check_completeness() -> Item:
 
 def _check_torque_value() -> Item:
     """Check section 8's claim of a torque value. Eq. 10 to 12 contain symbols only."""
-    fast = closing("index", DURATIONS_S[-1])
+    fast = closing_torques("index", DURATIONS_S[-1])
     peak = 1000.0 * float(np.abs(sum(fast.parts[part] for part in PARTS[:3])).max())
-    terms = [term for terms in equations.TORQUES for term in terms if not term.printed.startswith("(")]
+    terms = [
+        term for terms in equations.TORQUES for term in terms if not term.printed.startswith("(")
+    ]
     numbers = [term.id for term in terms if not any(reading.names for reading in term.readings)]
     return Item(
         "sec8.torque", "Sec. 8", "dynamic modeling suggested the approximate value of the torque", peak, "mN m",
-        of_statement(bool(numbers)),
+        verdict_of_statement(bool(numbers)),
         f"No value is printed: each of the {len(terms)} terms of Eq. 10 to 12 has symbols, whose values "
         "(masses, centres of mass, inertias, a motion) the paper does not give. With this project's, closing by "
         f"{CLOSED_DEG:g}° in {fast.duration:g} s takes this much at its peak, in the finger's one coordinate.",

@@ -6,13 +6,19 @@ from fractions import Fraction
 from handctl.paper import sources as src
 from handctl.paper.item import Item
 from handctl.paper.model.expression import NONE, Dimension, DimensionError, Expression
-from handctl.paper.verdicts import interval, of_carried, of_contradiction, of_number, of_statement
+from handctl.paper.verdicts import (
+    rounding_interval,
+    verdict_of_carried,
+    verdict_of_contradiction,
+    verdict_of_number,
+    verdict_of_statement,
+)
 
 ARITHMETIC = ("arithmetic",)
 STATICS = ("statics",)
 
 
-def items() -> list[Item]:
+def statics_items() -> list[Item]:
     """Return every number of the statics."""
     return [
         *_check_moments(),
@@ -26,7 +32,7 @@ def items() -> list[Item]:
     ]
 
 
-def number(
+def number_item(
     id: str,
     where: str,
     printed: str,
@@ -39,37 +45,51 @@ def number(
 
     The printed symbol comes after the number.
     """
-    verdict = of_number(printed, exact)
+    verdict = verdict_of_number(printed, exact)
     return Item(id, where, printed + symbol, float(exact), unit, verdict, reason, ARITHMETIC)
 
 
 def _check_moments() -> list[Item]:
     """Check the moments in sections 5 and 6."""
     rows = [
-        ("sec5.M", "Sec. 5", src.finger(), ("55", "25", "10"), "F"),
-        ("sec6.MT", "Sec. 6", src.thumb(), ("25", "10"), "Fₜ"),
+        ("sec5.M", "Sec. 5", src.paper_finger(), ("55", "25", "10"), "F"),
+        ("sec6.MT", "Sec. 6", src.paper_thumb(), ("25", "10"), "Fₜ"),
     ]
     return [
-        number(f"{id}{i + 1}", where, shown, lever, "N mm per N",
+        number_item(f"{id}{i + 1}", where, shown, lever, "N mm per N",
                f"Lever of the tip about joint {i + 1} of the straight digit.", f" {symbol}")
         for id, where, digit, printed, symbol in rows
-        for i, (shown, lever) in enumerate(zip(printed, src.levers(digit), strict=True))
+        for i, (shown, lever) in enumerate(zip(printed, src.levers_mm(digit), strict=True))
     ]  # fmt: skip
 
 
 LABELS = (
-    ("sec5.M1_label", "Sec. 5", "M₁: moment at first three joint", src.finger, 0, (0, 1, 2)),
+    ("sec5.M1_label", "Sec. 5", "M₁: moment at first three joint", src.paper_finger, 0, (0, 1, 2)),
     (
         "sec5.M2_label",
         "Sec. 5",
         "M₂: moment at first two joints from the end of the link",
-        src.finger,
+        src.paper_finger,
         1,
         (1, 2),
     ),
-    ("sec5.M3_label", "Sec. 5", "M₃: moment at first joint at the end link", src.finger, 2, (2,)),
-    ("sec6.MT1_label", "Sec. 6", "M_T1: moment at each joint from the end", src.thumb, 0, (0, 1)),
-    ("sec6.MT2_label", "Sec. 6", "M_T2: moment at end joint link2", src.thumb, 1, (1,)),
+    (
+        "sec5.M3_label",
+        "Sec. 5",
+        "M₃: moment at first joint at the end link",
+        src.paper_finger,
+        2,
+        (2,),
+    ),
+    (
+        "sec6.MT1_label",
+        "Sec. 6",
+        "M_T1: moment at each joint from the end",
+        src.paper_thumb,
+        0,
+        (0, 1),
+    ),
+    ("sec6.MT2_label", "Sec. 6", "M_T2: moment at end joint link2", src.paper_thumb, 1, (1,)),
 )
 """Label of each moment: joint of the moment, and joints named in the label, counted from the palm."""
 
@@ -81,12 +101,12 @@ def _check_labels() -> list[Item]:
     """
     rows = []
     for id, where, printed, digit, joint, named in LABELS:
-        levers = src.levers(digit())
+        levers = src.levers_mm(digit())
         there = ", ".join(f"{levers[i]}F" for i in named)
         rows.append(
             Item(
                 id, where, printed, f"moment at joint {joint + 1}", "",
-                of_statement(all(levers[i] == levers[joint] for i in named)),
+                verdict_of_statement(all(levers[i] == levers[joint] for i in named)),
                 f"{levers[joint]}F is the moment at joint {joint + 1}, counted from the palm. "
                 f"At the joints that the label names it is {there}.", STATICS,
             )
@@ -107,8 +127,8 @@ DIMENSIONS: dict[str, Dimension] = {
 
 def _check_formulas() -> list[Item]:
     """Check the formulas in section 5 by dimensions, and by comparison with the hand's statics."""
-    hand = src.hand()
-    tendons = src.hand().digit_tendons["index"]
+    hand = src.paper_hand()
+    tendons = src.paper_hand().digit_tendons["index"]
     arms = hand.moment_arms[tendons, hand.digit_joints["index"]][0].tolist()
     spool = hand.motor_of(hand.tendon_names[tendons][0]).spool_radius_m
     tension = 110.0
@@ -147,7 +167,7 @@ def _check_formulas() -> list[Item]:
                 printed,
                 printed,
                 "",
-                of_statement(holds),
+                verdict_of_statement(holds),
                 reason,
                 evidence,
             )
@@ -157,14 +177,14 @@ def _check_formulas() -> list[Item]:
 
 def _check_finger() -> list[Item]:
     """Check tension and torque of the finger."""
-    tension = src.tension_per_newton(src.finger())
+    tension = src.tension_per_newton(src.paper_finger())
     torque = tension * src.SPOOL_MM / 1000
-    tension_item = number(
+    tension_item = number_item(
         "sec5.tension", "Sec. 5", "18.33", tension, "N per N",
         f"55/3. At 6 N: {float(6 * tension):g} N.", " F")  # fmt: skip
     # The paper computes the torque from the rounded tension, so the rounding is carried on.
     carried = Fraction("18.33") * src.SPOOL_MM / 1000
-    verdict = of_carried("0.09165", torque, carried, tension_item.verdict)
+    verdict = verdict_of_carried("0.09165", torque, carried, tension_item.verdict)
     torque_item = Item(
         "sec5.torque", "Sec. 5", "0.09165 F", float(torque), "N m per N", verdict,
         f"Computed from the rounded 18.33. At 6 N: {float(6 * torque):g} N m.", ARITHMETIC)  # fmt: skip
@@ -175,7 +195,7 @@ def _check_payload() -> list[Item]:
     """Check the payloads."""
     one = src.payload_kg(src.GRIP_FINGER_N)
     three = src.payload_kg(src.FINGERS * src.GRIP_FINGER_N)
-    first = number(
+    first = number_item(
         "sec5.payload",
         "Sec. 5",
         "0.305",
@@ -183,13 +203,13 @@ def _check_payload() -> list[Item]:
         "kg",
         "μ F/g = 0.5 × 6/9.81, truncated instead of rounded.",
     )
-    verdict = of_carried("0.915", three, 3 * Fraction("0.305"), first.verdict)
+    verdict = verdict_of_carried("0.915", three, 3 * Fraction("0.305"), first.verdict)
     force = src.GRAVITY / (src.FINGERS * src.FRICTION)
     tension = src.tension_for_kg(1)
     return [
         first,
         Item("sec5.payload3", "Sec. 5", "0.915", float(three), "kg", verdict, "3 × the truncated 0.305.", ARITHMETIC),
-        number(
+        number_item(
             "abstract.payload", "Abstract", "1", three, "kg",
             "The abstract's maximum load is that of section 5, 0.917 kg at 6 N a finger, to one digit. A whole "
             f"kilogram needs {float(force):.4g} N a finger and {float(tension):.4g} N in the tendon."),
@@ -198,14 +218,16 @@ def _check_payload() -> list[Item]:
 
 def _check_wire() -> list[Item]:
     """Check the wire diameters."""
-    tension = src.GRIP_FINGER_N * src.tension_per_newton(src.finger())
+    tension = src.GRIP_FINGER_N * src.tension_per_newton(src.paper_finger())
     diameter = src.wire_diameter_mm(tension)
-    low, high = (src.STRESS_MPA * Fraction(math.pi) * edge**2 / 4 for edge in interval("0.866"))
+    low, high = (
+        src.STRESS_MPA * Fraction(math.pi) * edge**2 / 4 for edge in rounding_interval("0.866")
+    )
     return [
-        number(
+        number_item(
             "sec5.wire", "Sec. 5", "0.866", diameter, "mm",
             f"√(4 × {float(tension):g}/(π 190)). 0.866 mm belongs to {float(low):.4g} to {float(high):.4g} N."),
-        number(
+        number_item(
             "abstract.wire", "Abstract", "0.86", diameter, "mm",
             "The wire of that load: 0.917 kg, which the abstract rounds to 1 kg. Here the digits are right, unlike in "
             f"section 5. A whole kilogram would need {src.wire_diameter_mm(src.tension_for_kg(1)):.4g} mm."),
@@ -226,19 +248,20 @@ def _check_area() -> Item:
     except DimensionError:
         holds = False
     return Item(
-        "sec5.area", "Sec. 5", "A = π d2/4", right.pretty(), "", of_statement(holds),
+        "sec5.area", "Sec. 5", "A = π d2/4", right.pretty(), "", verdict_of_statement(holds),
         "The exponent is on the base line: as printed it is a length.", ("dimensions",))  # fmt: skip
 
 
 def _check_knee() -> list[Item]:
     """Check the knees of the force-displacement curve."""
-    diameter = src.wire_diameter_mm(src.GRIP_FINGER_N * src.tension_per_newton(src.finger()))
+    diameter = src.wire_diameter_mm(src.GRIP_FINGER_N * src.tension_per_newton(src.paper_finger()))
     knee, knee_abstract = src.KNEES_N
     stress = src.wire_stress_mpa(knee, diameter)
     claims = [str(value) for value in src.KNEES_N]
-    verdict = of_contradiction(claims, None)
+    verdict = verdict_of_contradiction(claims, None)
     reason = (
-        "Section 5 states 200 N, the abstract 250 N. The paper prints neither data nor a law from which one follows."
+        "Section 5 states 200 N, the abstract 250 N. "
+        "The paper prints neither data nor a law from which one follows."
     )
     return [
         Item(
@@ -246,7 +269,7 @@ def _check_knee() -> list[Item]:
             ("contradiction",)),
         Item(
             "fig5.stress", "Sec. 5", f"σ = 190 MPa allowed, wire used up to {knee} N and beyond", stress, "MPa",
-            of_statement(stress <= src.STRESS_MPA),
+            verdict_of_statement(stress <= src.STRESS_MPA),
             f"In the 0.8586 mm wire 190 MPa are reached at 110 N. 200 N are {stress:.0f} MPa and 250 N "
             f"{src.wire_stress_mpa(knee_abstract, diameter):.0f} MPa: the knee lies far beyond what section 5 allows.",
             ARITHMETIC),
@@ -255,9 +278,9 @@ def _check_knee() -> list[Item]:
 
 def _check_thumb() -> list[Item]:
     """Check tension and torque of the thumb."""
-    tension = src.tension_per_newton(src.thumb())
+    tension = src.tension_per_newton(src.paper_thumb())
     torque = tension * src.SPOOL_MM / 1000
-    first = number(
+    first = number_item(
         "sec6.tension",
         "Sec. 6",
         "8.33",
@@ -267,7 +290,7 @@ def _check_thumb() -> list[Item]:
         " Fₜ",
     )
     carried = Fraction("8.33") * src.SPOOL_MM / 1000
-    verdict = of_carried("0.04165", torque, carried, first.verdict)
+    verdict = verdict_of_carried("0.04165", torque, carried, first.verdict)
     wire = src.wire_diameter_mm(src.GRIP_THUMB_N * tension)
     return [
         _missing_radius(),
@@ -275,7 +298,7 @@ def _check_thumb() -> list[Item]:
         Item(
             "sec6.torque", "Sec. 6", "0.04165 Fₜ", float(torque), "N m per N", verdict,
             "Computed from the rounded 8.33.", ARITHMETIC),
-        number(
+        number_item(
             "sec6.torque10", "Sec. 6", "0.4166", src.GRIP_THUMB_N * torque, "N m",
             f"5/12, truncated (rounded it is 0.4167). The thumb's wire, not printed, needs {wire:.4f} mm."),
     ]  # fmt: skip
@@ -285,9 +308,11 @@ def _missing_radius() -> Item:
     """Compute the radius missing in print from the printed 8.33 F."""
     printed = "r_p = mm"
     # The interval of 8.33 gives an interval of radii, and one whole millimetre is in it.
-    low, high = sorted(src.levers(src.thumb())[0] / edge for edge in interval("8.33"))
+    low, high = sorted(
+        src.levers_mm(src.paper_thumb())[0] / edge for edge in rounding_interval("8.33")
+    )
     whole = [radius for radius in range(1, 10) if low <= radius <= high]
     return Item(
-        "sec6.pulley", "Sec. 6", printed, float(whole[0]), "mm", of_statement(f"= {whole[0]} mm" in printed),
+        "sec6.pulley", "Sec. 6", printed, float(whole[0]), "mm", verdict_of_statement(f"= {whole[0]} mm" in printed),
         f"The number is missing. 8.33 F implies {float(low):.4f} to {float(high):.4f} mm: the fingers' 3 mm.",
         ("back-computed",))  # fmt: skip

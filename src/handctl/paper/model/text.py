@@ -10,7 +10,7 @@ from handctl.paper.item import Item
 from handctl.paper.model import equations
 from handctl.paper.model.equations import Term
 from handctl.paper.model.lagrange import DIMENSIONS, TOLERANCE, random_states
-from handctl.paper.verdicts import of_number, of_readings, of_statement
+from handctl.paper.verdicts import verdict_of_number, verdict_of_readings, verdict_of_statement
 
 COUNT = ("count",)
 SYMBOL = re.compile(r"(?<![A-Za-z])[A-Za-z](?:_[A-Za-z]|[₀-₉])?(?![A-Za-z])")
@@ -23,7 +23,7 @@ SYMBOL_WORDS = {
 """Meaning of each letter in the paper."""
 
 
-def items() -> list[Item]:
+def text_items() -> list[Item]:
     """Return the items about counts and verbal statements."""
     return [
         *_check_degrees_of_freedom(),
@@ -39,22 +39,25 @@ def items() -> list[Item]:
 
 def _check_degrees_of_freedom() -> list[Item]:
     """Check the number of degrees of freedom."""
-    hand = src.hand()
+    hand = src.paper_hand()
     joints = [len(digit.joints) for digit in hand.digit]
     each = max(joints)
     total = sum(joints)
     # Rank of the moment arms: the motions that the tendons of a digit control independently.
-    ranks = [int(np.linalg.matrix_rank(hand.moment_arms[tendons])) for tendons in hand.digit_tendons.values()]
+    ranks = [
+        int(np.linalg.matrix_rank(hand.moment_arms[tendons]))
+        for tendons in hand.digit_tendons.values()
+    ]
     spread = " + ".join(map(str, joints))
     return [
-        Item("abstract.joints", "Abstract, Sec. 1", "a total of 11 DOF", total, "", of_number("11", total),
+        Item("abstract.joints", "Abstract, Sec. 1", "a total of 11 DOF", total, "", verdict_of_number("11", total),
              f"{spread} joints.", COUNT),
         Item("abstract.joints_each", "Abstract, Sec. 1", "each finger having three DOF", min(joints), "",
-             of_readings([of_number("3", count) == of_number("3", 3) for count in joints]),
+             verdict_of_readings([verdict_of_number("3", count) == verdict_of_number("3", 3) for count in joints]),
              f"True of the fingers, not of the thumb: with {each} each it would be {each * len(joints)}, not {total}. "
              "The paper does not state whether the thumb counts as a finger.", COUNT),
         Item("abstract.freedom_each", "Abstract", "every finger and thumb has one degree of freedom", max(ranks), "",
-             of_number("1", max(ranks)),
+             verdict_of_number("1", max(ranks)),
              f"True of what the motors control: the tendons of each digit have rank 1, {sum(ranks)} in all, for "
              f"{total} joints. It contradicts the three DOF two sentences before. The paper never "
              "distinguishes the two.",
@@ -64,12 +67,14 @@ def _check_degrees_of_freedom() -> list[Item]:
 
 def _check_palm_joint() -> Item:
     """Check the joint in the palm link that section 3 calls fixed: the finger's first joint, or the palm itself."""
-    joints = len(src.finger().joints)
-    angles = {name for term in equations.KINETIC for name in term.right.names if name.startswith("dth")}
+    joints = len(src.paper_finger().joints)
+    angles = {
+        name for term in equations.KINETIC for name in term.right.names if name.startswith("dth")
+    }
     readings = [joints - 1 == len(angles), joints == len(angles)]
     return Item(
         "sec3.palm", "Sec. 3", "the joint in the palm link is fixed; one in both the median and distal connections",
-        len(angles), "", of_readings(readings),
+        len(angles), "", verdict_of_readings(readings),
         f"If the finger's first joint is meant, {joints - 1} joints move, against the {len(angles)} angles of Eq. 1 to "
         f"12 and the 11 DOF of the abstract. If the palm is meant, as the foundation that the next sentence speaks of, "
         f"it is right, and the first of {joints} joints is not mentioned.", COUNT)  # fmt: skip
@@ -77,8 +82,8 @@ def _check_palm_joint() -> Item:
 
 def _check_number_of_fingers() -> Item:
     """Check the number of fingers."""
-    digits = len(src.hand().digit)
-    return Item("sec8.fingers", "Sec. 8", "it is designed with two fingers", digits, "", of_number("2", digits),
+    digits = len(src.paper_hand().digit)
+    return Item("sec8.fingers", "Sec. 8", "it is designed with two fingers", digits, "", verdict_of_number("2", digits),
                 "The hand has three fingers and a thumb. The sentence belongs to another gripper.", COUNT)  # fmt: skip
 
 
@@ -93,10 +98,12 @@ def _depends_on(term: Sequence[Term], name: str) -> bool:
 def _check_phalanges() -> Item:
     """Check that the links of a finger move each other. Links of separate fingers do not."""
     # The energy of link 2 depends on the rate of link 1, that of link 3 on the rate of link 2.
-    apart = not _depends_on(equations.KINETIC_2, "dth1") and not _depends_on(equations.KINETIC_3, "dth2")
+    apart = not _depends_on(equations.KINETIC_2, "dth1") and not _depends_on(
+        equations.KINETIC_3, "dth2"
+    )
     return Item(
         "sec1.fingers", "Sec. 1", "three fingers: the first is proximal, the second middle, the third distal",
-        "the three phalanges of one finger", "", of_statement(apart),
+        "the three phalanges of one finger", "", verdict_of_statement(apart),
         "These are the links of each finger, as section 4 says: the energy of the second (Eq. 4) depends on the "
         "first's rate.", ("Eq. 4", "Eq. 5"))  # fmt: skip
 
@@ -106,7 +113,7 @@ def _find_undefined_symbols() -> Item:
     defined = {name[0] + "₀₁₂₃"[int(name[1])] for name in DIMENSIONS if len(name) == 2} | {"g"}
     undefined = sorted(_printed_symbols() - defined)
     return Item(
-        "eq10.symbols", "Eq. 10", ", ".join(undefined), "L₁, m₁", "", of_statement(not undefined),
+        "eq10.symbols", "Eq. 10", ", ".join(undefined), "L₁, m₁", "", verdict_of_statement(not undefined),
         "Symbols in Eq. 3 to 12 that the paper never defines. Both are in Eq. 10.", COUNT)  # fmt: skip
 
 
@@ -114,7 +121,12 @@ def _printed_symbols() -> set[str]:
     """Return the symbols of the printed equations 3 to 12, without angles."""
     torques = (term for terms in equations.TORQUES for term in terms)
     terms = (*equations.KINETIC, *equations.POTENTIAL, *torques)
-    return {symbol for term in terms if not term.printed.startswith("(") for symbol in SYMBOL.findall(term.printed)}
+    return {
+        symbol
+        for term in terms
+        if not term.printed.startswith("(")
+        for symbol in SYMBOL.findall(term.printed)
+    }
 
 
 def _check_lengths() -> Item:
@@ -123,7 +135,7 @@ def _check_lengths() -> Item:
     needed = {f"L{'₀₁₂₃'[i]}" for i in (1, 2, 3)}
     return Item(
         "sec7.lengths", "Sec. 7", "the phalanges L₁, L₂ are L₃, and p₃",
-        "lengths L₁, L₂, L₃; d₁, d₂, d₃ to the centres of mass", "", of_statement(listed == needed),
+        "lengths L₁, L₂, L₃; d₁, d₂, d₃ to the centres of mass", "", verdict_of_statement(listed == needed),
         f"{', '.join(sorted(listed - _printed_symbols()))} occurs in no equation.", COUNT)  # fmt: skip
 
 
@@ -132,15 +144,20 @@ def _check_axis_of_inertia() -> Item:
     length = 30.0
     height = 8.0
     width = 10.0
-    grid = [np.linspace(-1.0 + 1.0 / 60, 1.0 - 1.0 / 60, 60) * side / 2.0 for side in (length, height, width)]
+    grid = [
+        np.linspace(-1.0 + 1.0 / 60, 1.0 - 1.0 / 60, 60) * side / 2.0
+        for side in (length, height, width)
+    ]
     x, y, z = np.meshgrid(*grid, indexing="ij")
     energy = float(np.mean(x**2 + y**2)) / 2.0
     about = {"y": float(np.mean(x**2 + z**2)), "z": float(np.mean(x**2 + y**2))}
     # Energy of rotation is half the moment of inertia times the squared rate, here 1.
-    right = [axis for axis, inertia in about.items() if abs(inertia / 2.0 - energy) < TOLERANCE * energy]
+    right = [
+        axis for axis, inertia in about.items() if abs(inertia / 2.0 - energy) < TOLERANCE * energy
+    ]
     return Item(
         "sec7.axis", "Sec. 7", "I about the y-axis", f"about the {right[0]}-axis through the centre of mass", "",
-        of_statement(right == ["y"]),
+        verdict_of_statement(right == ["y"]),
         "Links turn in the x-y plane (section 4: about z). Eq. 3 adds m₁ d₁², so that I is about the centre of mass. "
         f"For a bar of 30 × 8 × 10 mm the two differ by {100 * (about['y'] / about['z'] - 1):.1f} %.",
         ("mechanics",))  # fmt: skip
@@ -148,10 +165,13 @@ def _check_axis_of_inertia() -> Item:
 
 def _check_control_law() -> Item:
     """Check if the equations contain symbols of a control law."""
-    meanings = {SYMBOL_WORDS.get(symbol[0], "") for symbol in _printed_symbols()} | {"angle", "torque"}
+    meanings = {SYMBOL_WORDS.get(symbol[0], "") for symbol in _printed_symbols()} | {
+        "angle",
+        "torque",
+    }
     control = [meaning for meaning in meanings if any(word in meaning for word in CONTROL_WORDS)]
     return Item(
         "sec8.control", "Sec. 8", "the force controlling is calculated", float(len(control)), "",
-        of_statement(bool(control)),
+        verdict_of_statement(bool(control)),
         "No symbol of any equation is a desired or measured value: the paper has no control law.",
         COUNT)  # fmt: skip

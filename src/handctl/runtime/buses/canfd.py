@@ -23,7 +23,7 @@ SIZE = STRUCT.itemsize
 """Size of ``struct canfd_frame`` [bytes]."""
 CLASSICAL_SIZE = 16
 """Size of ``struct can_frame`` [bytes]."""
-LONGEST = 64
+MAX_PAYLOAD = 64
 """Payload of the longest frame [bytes]."""
 CACHED_BATCHES = 256
 """Number of batches whose heads are cached."""
@@ -43,14 +43,14 @@ Words = NDArray[np.uint64]
 
 def _payload_masks() -> Words:
     """Return an array (LONGEST + 1, 8) of masks that select the payload of each length."""
-    masks = np.zeros((LONGEST + 1, LONGEST), np.uint8)
-    for length in range(LONGEST + 1):
+    masks = np.zeros((MAX_PAYLOAD + 1, MAX_PAYLOAD), np.uint8)
+    for length in range(MAX_PAYLOAD + 1):
         masks[length, :length] = 0xFF
     return masks.view(np.uint64)
 
 
 MASKS = _payload_masks()
-_LENGTHS = bytes(min(length, LONGEST) for length in range(256))
+_LENGTHS = bytes(min(length, MAX_PAYLOAD) for length in range(256))
 """Table for ``bytes.translate``: length byte of a struct to payload length, at most LONGEST."""
 _ERRORS = bytes((highest << 24 & ERROR) != 0 for highest in range(256))
 """Table for ``bytes.translate``: highest byte of an identifier to 1 for an error frame."""
@@ -128,7 +128,7 @@ def _convert_sent(raw: bytes) -> Sent:
     records.setfield(words, WORD, HEAD_AT)
     fd = (records["flags"] & FDF) != 0
     lengths = records["length"]
-    for i in np.flatnonzero(lengths > np.where(fd, LONGEST, 8))[:1]:
+    for i in np.flatnonzero(lengths > np.where(fd, MAX_PAYLOAD, 8))[:1]:
         check_size(Frame(int(records["can_id"][i]), bytes(int(lengths[i])), int(records["flags"][i])))
     heads = np.zeros(len(records), _HEAD)
     heads["can_id"] = records["can_id"]

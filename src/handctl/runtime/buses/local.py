@@ -15,13 +15,13 @@ import time
 from collections.abc import Sequence
 
 from handctl.drives.frame import ERROR, Frame
-from handctl.drives.records import EMPTY, Frames, joined
+from handctl.drives.records import NO_FRAMES, Frames, join_frames
 from handctl.errors import BusError
 from handctl.runtime.buses.canfd import SIZE, Structs, without_errors
 from handctl.runtime.buses.contract import Stamp, check_size
 from handctl.runtime.buses.events import BusEvents, Event
 from handctl.runtime.paths import local_bus_path
-from handctl.runtime.peers import served_by_us
+from handctl.runtime.peers import is_served_by_us
 
 RECORD = struct.Struct("<IBBH64s")
 """One record: identifier with flag bits, length, flags, dropped frames modulo 65536, payload."""
@@ -61,7 +61,7 @@ def connect(name: str) -> socket.socket:
         link.close()
         right = f"a simulator there; type: python -m firmware_sim --hand jamia --bus local:{name}"
         raise BusError(f"no simulator serves this bus: {error.strerror or error}", f"local:{name}", right) from None
-    if not served_by_us(link):
+    if not is_served_by_us(link):
         link.close()
         raise BusError("another user serves this bus", f"local:{name}", "a simulator of your own")
     link.setblocking(False)
@@ -102,7 +102,7 @@ class LocalBus:
         self._partial = 0
         self._rest = b""
         self._dropped = 0
-        self.early = EMPTY
+        self.early = NO_FRAMES
         self._sent = self._left_queue = self._depth = 0
         self._closed = False
 
@@ -115,7 +115,7 @@ class LocalBus:
     def drain(self) -> Frames:
         """Return all received frames, see ``contract.Bus``."""
         parts = [self.early] if self.early else []
-        self.early = EMPTY
+        self.early = NO_FRAMES
         for _ in range(self._reads):
             partial = self._partial
             size = self._read(self._buffer[partial:] if partial else self._buffer)
@@ -123,7 +123,7 @@ class LocalBus:
                 parts.append(self._complete_records(partial + size))
             if size < len(self._buffer) - partial:
                 break
-        return joined(parts)
+        return join_frames(parts)
 
     def _read(self, buffer: memoryview) -> int:
         """Read into a buffer, and return the number of bytes, 0 if no data have arrived."""
@@ -151,7 +151,7 @@ class LocalBus:
         """
         count, self._partial = divmod(filled, SIZE)
         if not count:
-            return EMPTY
+            return NO_FRAMES
         structs = self._structs
         heads = structs.converted_heads(count, self._index)
         frames = Frames(structs.read(count, heads, self._stamp(time.monotonic_ns())))

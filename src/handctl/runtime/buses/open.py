@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from handctl.errors import ConfigError
 from handctl.runtime.buses.contract import Bus, Stamp
 
-SIMULATED = ("local:", "virtual:", "udp_multicast:", "socketcan:vcan", "socketcan:vxcan")
+SIMULATED_PREFIXES = ("local:", "virtual:", "udp_multicast:", "socketcan:vcan", "socketcan:vxcan")
 """Prefixes of buses without real motors.
 
 On such a bus time may be scaled, and motion needs no confirmation.
@@ -15,7 +15,7 @@ On such a bus time may be scaled, and motion needs no confirmation.
 
 def real_buses(specs: Sequence[str]) -> list[str]:
     """Return the specifications of buses that may have real motors."""
-    return [spec for spec in specs if not spec.startswith(SIMULATED)]
+    return [spec for spec in specs if not spec.startswith(SIMULATED_PREFIXES)]
 
 
 def _monotonic(t_ns: int) -> int:

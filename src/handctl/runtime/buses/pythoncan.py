@@ -12,7 +12,7 @@ from typing import Any
 import can
 
 from handctl.drives.frame import BRS, ERROR, ESI, EXTENDED, FDF, REMOTE, Frame
-from handctl.drives.records import Frames, frames_of
+from handctl.drives.records import Frames, frames_as_records
 from handctl.errors import BusError
 from handctl.runtime.buses.contract import Stamp, check_size
 from handctl.runtime.buses.events import BusEvents, Event
@@ -121,7 +121,7 @@ class PythonCanBus:
             if message is None:
                 break
             self._take_message(frames, message)
-        return frames_of(frames)
+        return frames_as_records(frames)
 
     def _take_message(self, frames: list[Frame], message: can.Message) -> None:
         """Append a received message as a frame. An error frame is counted instead."""

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from handctl.drives.frame import ERROR, FDF, Frame
-from handctl.drives.records import Frames, frames_of, joined
+from handctl.drives.records import Frames, frames_as_records, join_frames
 from handctl.errors import BusError
 from handctl.runtime.buses import mmsg
 from handctl.runtime.buses.canfd import SIZE, Structs
@@ -89,7 +89,7 @@ class SocketCanBus:
                 self._in.renew(count)
             if count < SLOTS:
                 break
-        return joined(parts)
+        return join_frames(parts)
 
     def _convert_datagrams(self, count: int) -> Frames:
         """Return the received datagrams as frames.
@@ -161,7 +161,7 @@ class SocketCanBus:
 
     def send(self, frames: Sequence[Frame]) -> int:
         """Send a batch and return the number of accepted frames, see ``contract.Bus``."""
-        frames = frames_of(frames)
+        frames = frames_as_records(frames)
         accepted = 0
         for first in range(0, len(frames), SLOTS):
             batch = frames[first : first + SLOTS] if len(frames) > SLOTS else frames
@@ -215,7 +215,7 @@ def open_socketcan(channel: str, index: int, bitrate: int, data_bitrate: int | N
     name = f"socketcan:{channel}"
     fd_mode = data_bitrate is not None
     exists = channel in [name for _, name in socket.if_nameindex()]
-    hint = "type: " + advice(channel, bitrate, data_bitrate, exists)
+    hint = "type: " + setup_command(channel, bitrate, data_bitrate, exists)
     try:
         link = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
     except OSError as error:
@@ -253,7 +253,7 @@ def _read_interface_number(link: socket.socket, channel: str, request: int) -> i
     return int(number)
 
 
-def advice(channel: str, bitrate: int, data_bitrate: int | None, exists: bool = False) -> str:
+def setup_command(channel: str, bitrate: int, data_bitrate: int | None, exists: bool = False) -> str:
     """Return the shell command that sets up the interface for the hand."""
     if channel.startswith("vcan"):
         steps = ["sudo ip link set {0} down" if exists else "sudo ip link add {0} type vcan"]

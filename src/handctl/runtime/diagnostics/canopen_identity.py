@@ -3,7 +3,7 @@
 Not used while a controller runs.
 
 The library opens the bus through python-can, and starts threads. Bus and threads are closed when
-``identify`` returns.
+``identify_nodes`` returns.
 """
 
 import logging
@@ -43,7 +43,7 @@ class Identity(NamedTuple):
     texts: dict[str, str]
 
 
-def identify(spec: str, bitrate: int, nodes: Sequence[int]) -> dict[int, Identity]:
+def identify_nodes(spec: str, bitrate: int, nodes: Sequence[int]) -> dict[int, Identity]:
     """Read the identity of nodes over SDO.
 
     Args:

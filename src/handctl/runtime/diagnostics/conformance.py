@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from handctl.drives.contract import Drive, DriveTarget, Phase
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
-from handctl.runtime.diagnostics.torque_step import MOVED_RAD, STILL_RAD_S, brake, torque_step
+from handctl.runtime.diagnostics.torque_step import MOVED_RAD, STILL_RAD_S, brake_shaft, torque_step
 
 FRESH_NS = 50_000_000
 """Largest age of fresh feedback [ns]."""
@@ -78,7 +78,7 @@ Raises Failed or NotApplicable.
 """
 
 
-def checks(device: DeviceUnderTest) -> Iterator[ConformanceCheck]:
+def run_checks(device: DeviceUnderTest) -> Iterator[ConformanceCheck]:
     """Run all checks in order, and yield each result.
 
     The remaining checks are not run if a check leaves the drive in an unusable state. If the first
@@ -228,7 +228,7 @@ def _turn_check(sign: int) -> Promise:
     def turns(device: DeviceUnderTest) -> str:
         rig = device.rig
         _enable(rig)
-        if not brake(rig, device.limit):
+        if not brake_shaft(rig, device.limit):
             raise NotApplicable(f"the shaft turns by itself, {rig.velocity:.2g} rad/s")
         step = torque_step(rig, sign, device.limit)
         if not step.enabled:
@@ -236,7 +236,7 @@ def _turn_check(sign: int) -> Promise:
         if step.moved < -MOVED_RAD:
             raise Failed(f"{step.torque:+.3f} N m turned it by {sign * step.moved:+.3f} rad, the wrong way")
         if step.moved > MOVED_RAD:
-            brake(rig, device.limit)
+            brake_shaft(rig, device.limit)
             reported = "no torque" if math.isnan(step.reported) else f"{step.reported:+.3f} N m"
             return f"at {step.torque:+.3f} N m; the drive reports {reported}"
         raise _explain_no_motion(device, sign, step.reported)
@@ -320,7 +320,7 @@ def _check_readable(device: DeviceUnderTest) -> str:
     return f"{state.feedback_count} feedback frames, every frame on its identifiers could be decoded"
 
 
-def leave(rig: DriveRig, watchdog_s: float, restoring: Drive | None = None) -> bool:
+def release_drive(rig: DriveRig, watchdog_s: float, restoring: Drive | None = None) -> bool:
     """Disable the drive, clear its errors, and release the drive as after a run.
 
     Returns True if the drive reports off.

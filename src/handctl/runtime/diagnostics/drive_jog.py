@@ -205,7 +205,7 @@ class _Jog:
         return f"reports {torque:.3g} N m, expected at most {goal.torque:g}"
 
 
-def jog(rig: DriveRig, goal: JogGoal) -> JogResult:
+def jog_drive(rig: DriveRig, goal: JogGoal) -> JogResult:
     """Enable the drive, move it, and bring it to rest. The caller disables it.
 
     Args:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from handctl.runtime.buses.adapter import Adapter
 from handctl.runtime.buses.link import Link
-from handctl.runtime.buses.socketcan import QUEUE, advice
+from handctl.runtime.buses.socketcan import QUEUE, setup_command
 
 # Rules for udev, which keep the setting after a restart of the machine. Source: man 7 udev.
 UDEV_QUEUE = 'SUBSYSTEM=="net", ACTION=="add", KERNEL=="{0}", ATTR{{tx_queue_len}}="128"'
@@ -44,15 +44,15 @@ class LinkFinding(NamedTuple):
     fatal: bool = False
 
 
-def absent(name: str, bitrate: int, data_bitrate: int | None) -> LinkFinding:
+def missing_interface_finding(name: str, bitrate: int, data_bitrate: int | None) -> LinkFinding:
     """Return the finding for an interface that does not exist."""
     if name.startswith("vcan"):
-        return LinkFinding(f"{name} does not exist", False, advice(name, bitrate, data_bitrate), fatal=True)
+        return LinkFinding(f"{name} does not exist", False, setup_command(name, bitrate, data_bitrate), fatal=True)
     fix = f"plug the adapter in and look: sudo dmesg | tail; to give it this name, in {UDEV_FILE}: "
     return LinkFinding(f"{name} does not exist", False, fix + UDEV_NAME.format(name), fatal=True)
 
 
-def findings(name: str, link: Link, bitrate: int, data_bitrate: int | None) -> list[LinkFinding]:
+def interface_findings(name: str, link: Link, bitrate: int, data_bitrate: int | None) -> list[LinkFinding]:
     """Return the findings about an interface.
 
     Args:
@@ -61,7 +61,7 @@ def findings(name: str, link: Link, bitrate: int, data_bitrate: int | None) -> l
         bitrate: bit rate in the hand file [bit/s].
         data_bitrate: bit rate of the data phase in the hand file [bit/s]. None for a classical bus.
     """
-    set_up = advice(name, bitrate, data_bitrate, exists=True)
+    set_up = setup_command(name, bitrate, data_bitrate, exists=True)
     result = [LinkFinding(f"{name} is {'up' if link.up else 'down'}", link.up, set_up, fatal=not link.up)]
     if link.bitrate is not None or link.kind == "can":
         result.append(_rate_finding("bit rate", link.bitrate, bitrate, set_up))

@@ -8,7 +8,7 @@ from handctl.drives.discovery import DiscoveredNode
 from handctl.drives.registry import DISCOVERIES
 from handctl.runtime.buses.contract import Bus
 
-TIMES = 20
+REQUESTS = 20
 """Number of requests."""
 ANSWER_S = 0.1
 """Longest wait for an answer [s]."""
@@ -41,7 +41,7 @@ class RoundTrip(NamedTuple):
         return self.twice > self.asked / 2
 
 
-def round_trip(bus: Bus, node: DiscoveredNode, times: int = TIMES) -> RoundTrip:
+def round_trip(bus: Bus, node: DiscoveredNode, times: int = REQUESTS) -> RoundTrip:
     """Measure the round-trip time of a node with one request at a time."""
     trips = [_measure_once(bus, node) for _ in range(times)]
     took = sorted(first for first, _ in trips if first is not None)

@@ -49,7 +49,7 @@ class Scan(NamedTuple):
     frames: int
 
 
-def listen(bus: Bus, for_s: float, seen: list[Frame]) -> None:
+def receive_for(bus: Bus, for_s: float, seen: list[Frame]) -> None:
     """Append the frames received during a time [s] to ``seen``."""
     end = time.monotonic() + for_s
     while True:
@@ -60,8 +60,8 @@ def listen(bus: Bus, for_s: float, seen: list[Frame]) -> None:
         time.sleep(min(left, 0.005))
 
 
-def scan(
-    bus: Bus, force: bool = False, report: Callable[[str], None] = lambda text: None, listen: Listen = listen
+def scan_bus(
+    bus: Bus, force: bool = False, report: Callable[[str], None] = lambda text: None, listen: Listen = receive_for
 ) -> Scan:
     """Scan a bus for drives, in about two seconds.
 
@@ -90,7 +90,7 @@ def scan(
     return Scan(drives, foreign, tuple(omitted), tuple(bus.take_events()), len(seen))
 
 
-def all_questions() -> tuple[Frame, ...]:
+def requests_without_answers() -> tuple[Frame, ...]:
     """Return the requests sent by a scan on a bus without any answer."""
     return tuple(frame for turn in ROUNDS for frame in _round_requests(turn, [], []))
 

@@ -76,7 +76,7 @@ def torque_step(rig: DriveRig, sign: int, limit: float) -> TorqueStep:
     return TorqueStep(moved, torque, reported, True)
 
 
-def brake(rig: DriveRig, limit: float) -> bool:
+def brake_shaft(rig: DriveRig, limit: float) -> bool:
     """Brake the shaft, and return True if the shaft is at rest.
 
     Without a measured inertia the function waits until friction has stopped the shaft.

@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 from handctl.drives.contract import Drive, DriveState, DriveTarget
 from handctl.drives.frame import Frame
-from handctl.drives.sensors.node import TENSION_TOP_N, TENSION_ZERO_N, SensorNode
+from handctl.drives.sensors.node import TENSION_MAX_N, TENSION_ZERO_N, SensorNode
 from handctl.drives.signals import Table
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.clock import Clock
-from handctl.runtime.diagnostics.scan import listen
+from handctl.runtime.diagnostics.scan import receive_for
 
 LISTEN_S = 0.5
 """Time of listening before the first frame is sent, to detect another host [s]."""
@@ -41,7 +41,7 @@ class Reading(NamedTuple):
 
 def is_saturated(tension: float) -> bool:
     """Return True if a load cell reading [N] is at an end of the range, as with a broken wire."""
-    return not TENSION_ZERO_N < tension < TENSION_TOP_N and not math.isnan(tension)
+    return not TENSION_ZERO_N < tension < TENSION_MAX_N and not math.isnan(tension)
 
 
 @dataclass
@@ -78,7 +78,9 @@ class BusWatch:
         self.tensions = {index: Reading() for channels in cells for index in channels}
         self.angles = {index: Reading() for channels in encoders for index in channels}
 
-    def other_host(self, for_s: float = LISTEN_S, listen: Callable[[Bus, float, list[Frame]], None] = listen) -> str:
+    def other_host(
+        self, for_s: float = LISTEN_S, listen: Callable[[Bus, float, list[Frame]], None] = receive_for
+    ) -> str:
         """Listen for a time [s], and return the first frame that only a host sends as text. Empty without one."""
         own = {(drive.bus, can_id) for drive in self.drives for can_id in drive.host_ids}
         own |= {(self.sensors.bus, can_id) for can_id in self.sensors.host_ids}

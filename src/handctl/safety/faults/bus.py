@@ -11,22 +11,22 @@ from handctl.safety.faults.fault import (
     OPERATOR,
     REPLACED,
     TICK,
-    fault,
-    row,
+    declare_fault,
+    declare_row,
 )
 from handctl.safety.limits import LOAD_CELLS, MIN_SILENT_TICKS, SILENT_S
 
 WINDOW = 100
-SHORT = 20
+SHORT_WINDOW = 20
 """Windows in which lost frames and malformed frames are counted [ticks]."""
 HOLD_LOSSES = 20
 RELAX_LOSSES = 40
 """Lost frames within ``WINDOW`` ticks above which the reaction is HOLD, and above which RELAX."""
 MALFORMED_LIMIT = 3
-"""Number of malformed frames from a node within ``SHORT`` ticks for a fault."""
+"""Number of malformed frames from a node within ``SHORT_WINDOW`` ticks for a fault."""
 UNKNOWN_LIMIT = 50.0
 """Number of frames with unknown identifiers per second for a fault."""
-UNANSWERED = ("no acknowledge", "bus error", "protocol")
+NO_ACKNOWLEDGE_KINDS = ("no acknowledge", "bus error", "protocol")
 """Texts of the error frames sent when no node on the bus acknowledges."""
 
 # Texts of the catalogue's columns for protocols without a direct sign.
@@ -34,170 +34,176 @@ _COUNTER = f"{REPLACED}: load cells by their counter, drives by N14, because the
 _ORDER = f"{REPLACED}: load cells by their counter, drives have no counter"
 _CRC = f"{REPLACED}: no checksum in the payload, but wrong length, NaN and jumps (N05) are detected"
 _BESIDE = f"{LOST}: cyclic messages come in addition to replies"
-SILENT_WHY = "30 ms of silence, because a busy host is late now and then. While other motors reply it is 4 ticks (B17)"
+SILENCE_REASON = (
+    "30 ms of silence, because a busy host is late now and then. While other motors reply it is 4 ticks (B17)"
+)
 _SILENCE = f"for {SILENT_S * 1e3:g} ms, at least {MIN_SILENT_TICKS} ticks in a row"
 
-row("B01", "one frame lost", ticks=2, required=2)
-B01 = fault(
-    "B01", "a reply is missing", "feedback older than one tick", Action.WARN, ITSELF, MOTOR,
-    cause="A frame was lost, or the motor or this host was late once. Single losses do no harm: the filter predicts.",
+declare_row("B01", "one frame lost", ticks=2, required=2)
+B01 = declare_fault(
+    "B01", "a reply is missing", "The latest feedback of a motor is older than one tick", Action.WARN, ITSELF, MOTOR,
+    cause="A frame was lost, or the motor or this host was late once. The filter bridges single losses.",
     remedy="Ignore single cases. If it repeats, run handctl bus doctor and check cable, termination and bus load.",
 )  # fmt: skip
 
-row("B02", "several frames in a row lost", ticks=1, ms=30, required=5, why=SILENT_WHY)
-B02 = fault(
-    "B02", "a motor has gone silent", f"no reply {_SILENCE}", Action.RELAX, OPERATOR, MOTOR,
+declare_row("B02", "several frames in a row lost", ticks=1, ms=30, required=5, why=SILENCE_REASON)
+B02 = declare_fault(
+    "B02", "a motor has gone silent", f"A motor sends no reply {_SILENCE}", Action.RELAX, OPERATOR, MOTOR,
     cause="The motor has lost power or its cable, or its drive has crashed.",
     remedy="Check supply and CAN cable of the motor, find it with handctl scan, then start a new run.",
 )  # fmt: skip
 
-row("B03", "intermittent loss", ticks=102, required=102)
-B03A = fault(
-    "B03a", "replies are being lost", f"more than {HOLD_LOSSES} of the last {WINDOW} missing",
+declare_row("B03", "intermittent loss", ticks=102, required=102)
+B03A = declare_fault(
+    "B03a", "replies are being lost", f"More than {HOLD_LOSSES} of the last {WINDOW} replies of a node are missing",
     Action.HOLD, ITSELF, NODE,
     cause="The bus is disturbed or overloaded, or the host is too slow.",
     remedy="Check termination, shielding and bus load (handctl bus doctor, handctl bus plan), or lower the rate.",
 )  # fmt: skip
-B03B = fault(
-    "B03b", "many replies are being lost", f"more than {RELAX_LOSSES} of the last {WINDOW} missing",
+B03B = declare_fault(
+    "B03b", "many replies are being lost",
+    f"More than {RELAX_LOSSES} of the last {WINDOW} replies of a node are missing",
     Action.RELAX, OPERATOR, NODE,
     cause="The bus is disturbed or overloaded, or the host is too slow.",
     remedy="Check termination, shielding and bus load (handctl bus doctor, handctl bus plan) before the next run.",
 )  # fmt: skip
 
-row("B04", "delay", TICK, _COUNTER, _COUNTER, _COUNTER, ticks=4, required=4)
-B04 = fault(
-    "B04", "a delayed frame", "a load-cell reply to an older SYNC",
+declare_row("B04", "delay", TICK, _COUNTER, _COUNTER, _COUNTER, ticks=4, required=4)
+B04 = declare_fault(
+    "B04", "a delayed frame", "A load-cell frame replies to an older SYNC",
     Action.WARN, ITSELF, HAND, name=LOAD_CELLS,
     cause="The sensor node or a gateway on the bus holds frames back.",
-    remedy="Look for gateways, full queues and a busy sensor node. Shorten the way of the frames.",
+    remedy="Look for gateways, full queues and a busy sensor node between the load cells and the host.",
 )  # fmt: skip
 
-row("B05", "duplicate, equal bytes", odrive=_BESIDE, ticks=2, required=2)
-B05 = fault(
-    "B05", "a duplicate frame", "more replies than requests, with equal bytes",
+declare_row("B05", "duplicate, equal bytes", odrive=_BESIDE, ticks=2, required=2)
+B05 = declare_fault(
+    "B05", "a duplicate frame", "A node sends more replies than requests, and the replies have equal bytes",
     Action.WARN, ITSELF, NODE,
     cause="An adapter or gateway repeats frames, or two nodes share an identifier.",
     remedy="Check the adapter's driver and settings, and the identifiers of all nodes with handctl scan.",
 )  # fmt: skip
 
-row("B06", "duplicate, different bytes", odrive=_BESIDE, ticks=2, required=2)
-B06 = fault(
-    "B06", "a conflicting duplicate frame", "more replies than requests, with different bytes",
+declare_row("B06", "duplicate, different bytes", odrive=_BESIDE, ticks=2, required=2)
+B06 = declare_fault(
+    "B06", "a conflicting duplicate frame",
+    "A node sends more replies than requests, and the replies have different bytes",
     Action.RELAX, OPERATOR, NODE, release=Release.OPEN,
     cause="Two nodes reply with one identifier, or a second program sends on the bus (masquerade).",
     remedy="Disconnect other programs and nodes, check all identifiers with handctl scan, then start a new run.",
 )  # fmt: skip
 
-row("B07", "reordering", TICK, _ORDER, _ORDER, _ORDER, ticks=2, required=2)
-B07 = fault(
-    "B07", "frames arrive out of order", "a stale load-cell frame arrives after the fresh one",
+declare_row("B07", "reordering", TICK, _ORDER, _ORDER, _ORDER, ticks=2, required=2)
+B07 = declare_fault(
+    "B07", "frames arrive out of order", "An old load-cell frame arrives after a newer one",
     Action.WARN, ITSELF, HAND, name=LOAD_CELLS,
     cause="The adapter or a gateway reorders frames.",
     remedy="Use an adapter and driver that keep the order. Remove gateways between host and hand.",
 )  # fmt: skip
 
-row("B08", "corruption above the CAN CRC", TICK, _CRC, _CRC, _CRC, ticks=4, required=4)
-B08 = fault(
-    "B08", "corrupt payloads", f"{MALFORMED_LIMIT} frames of a node in {SHORT} ticks cannot be decoded",
+declare_row("B08", "corruption above the CAN CRC", TICK, _CRC, _CRC, _CRC, ticks=4, required=4)
+B08 = declare_fault(
+    "B08", "corrupt payloads", f"In {SHORT_WINDOW} ticks, {MALFORMED_LIMIT} frames of a node cannot be decoded",
     Action.RELAX, OPERATOR, NODE,
     cause="The node's firmware, or a gateway, sends wrong bytes. The CAN checksum is correct.",
     remedy="Check protocol option and firmware of the node in the hand file. Replace the node if it continues.",
 )  # fmt: skip
 
-row("B09", "wrong length, RTR, 29 bit, FD", ticks=2, required=2)
-B09 = fault(
-    "B09", "a malformed frame", "wrong length, RTR, 29 bit, or values that are not numbers",
+declare_row("B09", "wrong length, RTR, 29 bit, FD", ticks=2, required=2)
+B09 = declare_fault(
+    "B09", "a malformed frame", "A frame has a wrong length, is a remote frame, has 29 bits, or contains no number",
     Action.WARN, ITSELF, NODE,
     cause="A node sends another protocol or another message length than the hand file says.",
     remedy="Check the motor's protocol and options in the hand file against handctl scan.",
 )  # fmt: skip
 
-row("B10", "unknown identifiers", ticks=2, ms=51, required=2,
+declare_row("B10", "unknown identifiers", ticks=2, ms=51, required=2,
     why="counted from the first unknown frame, at one per millisecond. The limit is 51 within a second")  # fmt: skip
-B10 = fault(
+B10 = declare_fault(
     "B10", "unknown identifiers on the bus",
-    f"more than {UNKNOWN_LIMIT:g} frames a second with unassigned identifiers",
+    f"More than {UNKNOWN_LIMIT:g} frames per second have an unassigned identifier",
     Action.WARN, ITSELF, HAND, name="bus",
     cause="Other devices share the bus, or a motor has another identifier than the hand file says.",
     remedy="Compare handctl scan with the hand file. Move other devices to a bus of their own.",
 )  # fmt: skip
 
-row("B11", "babbling idiot", ticks=3, required=3)
-B11A = fault(
-    "B11a", "the bus is flooded", "more frames than all nodes can send, in two ticks",
+declare_row("B11", "babbling idiot", ticks=3, required=3)
+B11A = declare_fault(
+    "B11a", "the bus is flooded", "In two ticks, more frames arrive than all nodes can send",
     Action.RELAX, OPERATOR, HAND, debounce=2, name="bus",
     cause="A node or another program sends without pause (babbling idiot).",
-    remedy="Unplug nodes one after the other until the traffic stops, and replace or reconfigure that node.",
+    remedy="Unplug one node after the other until the traffic stops. Replace or reconfigure the last one.",
 )  # fmt: skip
 # Same condition as B11a. The longer debounce makes it the second stage.
-B11B = fault(
-    "B11b", "the bus stays flooded", "the same for ten ticks",
+B11B = declare_fault(
+    "B11b", "the bus stays flooded", "In ten ticks, more frames arrive than all nodes can send",
     Action.CUT, OPERATOR, HAND, debounce=10, name="bus",
-    cause="A node or another program sends without pause (babbling idiot). Commands may not arrive.",
-    remedy="Remove power, unplug nodes one after the other until the traffic stops, and replace that node.",
+    cause="A node or another program sends without pause (babbling idiot), so that commands may not arrive.",
+    remedy="Remove the power. Unplug one node after the other until the traffic stops, and replace the last one.",
 )  # fmt: skip
 
-row("B12", "bus off", ticks=1, required=1)
-fault(
-    "B12", "bus off", "the interface reports bus-off", Action.CUT, OPERATOR, reports=("bus_off",),
-    cause="Short circuit, wrong bit rate, or no other node: the interface has stopped after too many errors.",
+declare_row("B12", "bus off", ticks=1, required=1)
+declare_fault(
+    "B12", "bus off", "The interface reports bus-off", Action.CUT, OPERATOR, reports=("bus_off",),
+    cause="A short circuit, a wrong bit rate or the lack of other nodes caused too many errors, and the interface "
+    "stopped.",
     remedy="Check cable, termination and bit rate, then bring the interface up again (handctl bus doctor says how).",
 )  # fmt: skip
 
-row("B13", "error-warning, error-passive", ticks=21, required=21)
-fault(
-    "B13a", "errors on the bus", "the interface reports error-warning or error-passive",
+declare_row("B13", "error-warning, error-passive", ticks=21, required=21)
+declare_fault(
+    "B13a", "errors on the bus", "The interface reports error-warning or error-passive",
     Action.WARN, ITSELF, reports=("error_warning", "error_passive"),
-    cause="A loose plug, missing termination, or a long unshielded cable.",
+    cause="A plug is loose, a termination is missing, or a long cable has no shield.",
     remedy="Check plugs and termination (60 ohm between CANH and CANL), and run handctl bus doctor.",
 )  # fmt: skip
-fault(
-    "B13b", "lasting errors on the bus", "the interface is error-passive for 20 ticks",
+declare_fault(
+    "B13b", "lasting errors on the bus", "The interface is error-passive for 20 ticks",
     Action.RELAX, OPERATOR, debounce=20, reports=("error_passive",),
-    cause="A loose plug, missing termination, a wrong bit rate, or a node that has lost power.",
+    cause="A plug is loose, a termination is missing, a bit rate is wrong, or a node has lost power.",
     remedy="Check plugs, termination (60 ohm) and bit rate of all nodes, and run handctl bus doctor.",
 )  # fmt: skip
 
-row("B14", "interface down", ticks=1, required=1)
-fault(
-    "B14", "the CAN interface is down", "the interface is down",
+declare_row("B14", "interface down", ticks=1, required=1)
+declare_fault(
+    "B14", "the CAN interface is down", "The interface is down",
     Action.CUT, OPERATOR, reports=("enetdown",),
     cause="The interface was shut down by a command or by the system.",
     remedy="Bring the interface up again (handctl bus doctor prints the command), then start a new run.",
 )  # fmt: skip
 
-row("B15", "send queue full", ticks=3, required=3)
-fault(
-    "B15", "the send queue is full", "the interface refuses frames in two ticks",
+declare_row("B15", "send queue full", ticks=3, required=3)
+declare_fault(
+    "B15", "the send queue is full", "The interface refuses frames in two ticks",
     Action.RELAX, OPERATOR, debounce=2, reports=("enobufs",),
     cause="The bus is overloaded, or no node acknowledges frames.",
     remedy="Check the bus load with handctl bus plan, and power and cable of the nodes.",
 )  # fmt: skip
 
-row("B16", "adapter unplugged", ticks=1, required=1)
-fault(
-    "B16", "the CAN adapter is unplugged", "the interface no longer exists",
+declare_row("B16", "adapter unplugged", ticks=1, required=1)
+declare_fault(
+    "B16", "the CAN adapter is unplugged", "The interface no longer exists",
     Action.CUT, OPERATOR, reports=("enodev", "ebadf"),
     cause="The USB plug or its cable is loose, or the adapter has crashed.",
     remedy="Plug the adapter in and secure the cable. Bring the interface up, then start a new run.",
 )  # fmt: skip
 
-row("B17", "some nodes do not hear", TICK, f"{REPLACED}: no reply for four ticks while others reply",
+declare_row("B17", "some nodes do not hear", TICK, f"{REPLACED}: no reply for four ticks while others reply",
     f"{REPLACED}: its cyclic messages continue. Counted losses (B03), or its watchdog (N08) by the heartbeat",
     f"{REPLACED}: RPDOs are not confirmed. The drive's timeout of the master (N08)",
     ticks=4, odrive_ms=160, required=4)  # fmt: skip
-B17 = fault(
-    "B17", "some nodes do not hear", f"a motor misses {MIN_SILENT_TICKS} ticks in a row while others reply",
+B17 = declare_fault(
+    "B17", "some nodes do not hear",
+    f"A motor sends no reply in {MIN_SILENT_TICKS} ticks in a row, while other motors reply",
     Action.RELAX, OPERATOR, MOTOR,
     cause="One motor's cable, supply or drive has failed, or one branch of the bus is disturbed.",
     remedy="Check plug, cable and supply of this motor, then start a new run.",
 )  # fmt: skip
 
-row("B18", "alone on the bus", ARMING, tested="tests/safety/test_reported.py")
-fault(
-    "B18", "alone on the bus", "error frames and no reply, before arming",
+declare_row("B18", "alone on the bus", ARMING, tested="tests/safety/test_reported.py")
+declare_fault(
+    "B18", "alone on the bus", "The interface reports error frames, and no node replies before arming",
     Action.RELAX, OPERATOR, debounce=20, reports=("error_frame",),
-    cause="Wrong bit rate, missing supply of the hand, or a cable that is not connected.",
+    cause="The bit rate is wrong, the hand has no power, or a cable is not connected.",
     remedy="Switch the hand on, check cable and bit rate, and run handctl bus doctor.",
 )  # fmt: skip

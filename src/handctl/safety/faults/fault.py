@@ -44,7 +44,7 @@ FILES = "files"
 """Places where a row of the catalogue is checked."""
 
 
-class Row(NamedTuple):
+class CatalogueRow(NamedTuple):
     """Row of the catalogue of failures.
 
     Attributes:
@@ -144,7 +144,7 @@ class Fault:
         return self.id.rstrip("abcd")
 
 
-CATALOGUE: list[Row] = []
+CATALOGUE: list[CatalogueRow] = []
 """All rows, in the order of their declaration."""
 TABLE: list[Fault] = []
 """All faults, in the order of their declaration."""
@@ -155,12 +155,12 @@ Kinds of one fault have adjacent rows.
 """
 
 
-def row(*args: object, **details: object) -> None:
-    """Declare a row of the catalogue. For the arguments see ``Row``."""
-    CATALOGUE.append(Row(*args, **details))  # type: ignore[arg-type]
+def declare_row(*args: object, **details: object) -> None:
+    """Declare a row of the catalogue. For the arguments see ``CatalogueRow``."""
+    CATALOGUE.append(CatalogueRow(*args, **details))  # type: ignore[arg-type]
 
 
-def fault(
+def declare_fault(
     id_: str,
     title: str,
     detection: str,

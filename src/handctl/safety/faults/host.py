@@ -10,8 +10,8 @@ from handctl.safety.faults.fault import (
     ITSELF,
     LOOP,
     OPERATOR,
-    fault,
-    row,
+    declare_fault,
+    declare_row,
 )
 from handctl.safety.limits import MIN_STALLED_TICKS, STALLED_S
 
@@ -25,116 +25,121 @@ FOREIGN = "foreign"
 _NO_CLOCK = f"{DETECTED}: nothing uses the wall clock"
 _APART = f"{DETECTED}: not connected to the loop"
 
-row("H01", "one late tick", ticks=1, required=1)
-H01 = fault(
-    "H01", "a late tick", "the tick began more than a quarter period late",
+declare_row("H01", "one late tick", ticks=1, required=1)
+H01 = declare_fault(
+    "H01", "a late tick", "A tick began later than a quarter of a period after its time",
     Action.PASS, ITSELF, HAND, name="loop",
     cause="Another program or the kernel delayed this host for a moment.",
     remedy="Ignore single cases. If it repeats, run handctl doctor.",
 )  # fmt: skip
 
-row("H02", "a missed tick", ticks=1, required=1)
-H02 = fault(
-    "H02", "a missed tick", "the tick number jumped", Action.WARN, ITSELF, HAND, name="loop",
+declare_row("H02", "a missed tick", ticks=1, required=1)
+H02 = declare_fault(
+    "H02", "a missed tick", "At least one tick did not run", Action.WARN, ITSELF, HAND, name="loop",
     cause="Another program or the kernel delayed this host for more than a period.",
     remedy="Run handctl doctor (priority, cores), close other programs, or lower the rate.",
 )  # fmt: skip
 
-row("H03", "three or more ticks missed", ticks=1, required=1)
-H03 = fault(
-    "H03", "the host stalled", f"{STALLED_S * 1e3:g} ms without a tick, at least {MIN_STALLED_TICKS} missed",
+declare_row("H03", "three or more ticks missed", ticks=1, required=1)
+H03 = declare_fault(
+    "H03", "the host stalled", f"For {STALLED_S * 1e3:g} ms, and for at least {MIN_STALLED_TICKS} ticks, no tick ran",
     Action.RELAX, OPERATOR, HAND, name="loop",
     cause="Another program, a debugger or the kernel stopped the controller.",
     remedy="Run handctl doctor (priority, cores), close other programs, then start a new run.",
 )  # fmt: skip
 
-row("H04", "suspend", ticks=1, required=1)
-fault(
-    "H04", "the host was suspended", "CLOCK_BOOTTIME ran ahead of CLOCK_MONOTONIC",
+declare_row("H04", "suspend", ticks=1, required=1)
+declare_fault(
+    "H04", "the host was suspended", "CLOCK_BOOTTIME is ahead of CLOCK_MONOTONIC, because the host was asleep",
     Action.RELAX, OPERATOR, reports=("suspended",),
     cause="The computer went to sleep.",
     remedy="Disable sleep and lid actions on this machine, then start a new run.",
 )  # fmt: skip
 
-row("H05", "the controller is killed", DRIVE,
+declare_row("H05", "the controller is killed", DRIVE,
     odrive=f"{DETECTED}: if its watchdog is on. With endpoints it is read back", ms=54, required=3,
     why="watchdog_ms of the hand file, 50, from the last command, and 4 ms for the decay of the current",
     tested="tests/runtime/test_killed.py")  # fmt: skip
-row("H06", "SIGTERM, SIGINT, also twice", LOOP, ticks=1, required=1)
-row("H07", "exception in the loop", LOOP, ticks=1, required=1, tested="tests/runtime/test_loop.py")
+declare_row("H06", "SIGTERM, SIGINT, also twice", LOOP, ticks=1, required=1)
+declare_row("H07", "exception in the loop", LOOP, ticks=1, required=1, tested="tests/runtime/test_loop.py")
 
-row("H08", "disk full", ticks=1, required=200)
-fault(
-    "H08", "the disk is full", "the log could not be written",
+declare_row("H08", "disk full", ticks=1, required=200)
+declare_fault(
+    "H08", "the disk is full", "The log could not be written",
     Action.WARN, ITSELF, reports=("recorder:disk_low", "recorder:disk_full"),
     cause="The disk of the log has no space left.",
     remedy="Free space, or write the log to another disk (--log). The hand continues without a log.",
 )  # fmt: skip
 
-row("H09", "recorder stalls", ticks=1, required=640)
-fault(
-    "H09", "log records were dropped", "the recorder does not keep up",
+declare_row("H09", "recorder stalls", ticks=1, required=640)
+declare_fault(
+    "H09", "log records were dropped", "The recorder is slower than the controller",
     Action.WARN, ITSELF, reports=("recorder:dropped", "recorder:filling"),
     cause="The disk is too slow, or the recorder gets no processor time.",
     remedy="Write the log to a faster disk, and run handctl doctor.",
 )  # fmt: skip
 
-row("H10", "recorder dies", ticks=1, required=1)
-fault(
-    "H10", "the recorder is lost", "the recorder process or its disk is gone",
+declare_row("H10", "recorder dies", ticks=1, required=1)
+declare_fault(
+    "H10", "the recorder is lost", "The recorder process or its disk no longer exists",
     Action.WARN, ITSELF, reports=("recorder:gone", "recorder:error"),
     cause="The recorder was killed, or its disk was removed.",
     remedy="Check disk and memory of this machine. handctl log recover repairs the unfinished log.",
 )  # fmt: skip
 
-row("H11", "wall-clock step", LOOP, _NO_CLOCK, _NO_CLOCK, _NO_CLOCK, tested="tests/vcan/inside/test_host_faults.py")
-row("H12", "second controller, same host", ARMING, tested="tests/runtime/test_mailbox.py")
+declare_row(
+    "H11", "wall-clock step", LOOP, _NO_CLOCK, _NO_CLOCK, _NO_CLOCK, tested="tests/vcan/inside/test_host_faults.py"
+)
+declare_row("H12", "second controller, same host", ARMING, tested="tests/runtime/test_mailbox.py")
 
-row("H13", "second controller, same bus", ticks=2, required=2)
-fault(
-    "H13", "a second controller", "a frame that only the host may send, or a reply without a request",
+declare_row("H13", "second controller, same bus", ticks=2, required=2)
+declare_fault(
+    "H13", "a second controller", "A frame arrives that only the host may send, or a reply arrives without a request",
     Action.RELAX, OPERATOR, release=Release.OPEN, reports=(FOREIGN,),
     cause="Another program or computer commands drives on this bus.",
     remedy="Stop the other program or unplug its adapter, then start a new run.",
 )  # fmt: skip
 
-row("H14", "viewer dies or hangs", LOOP, _APART, _APART, _APART, tested="tests/view/test_live.py")
-row("H15", "memory or descriptors leak", LOOP, tested="soak")
-row("I01", "NaN, inf, bool for number", FILES, tested="tests/hand/test_refusals.py")
-row("I02", "negative mass, zero length", FILES, tested="tests/hand/test_refusals.py")
-row("I03", "wrong unit", FILES, tested="tests/hand/test_refusals.py")
-row("I04", "unknown, missing, duplicate keys", FILES, tested="tests/hand/test_refusals.py")
-row("I05", "contradiction", FILES, tested="tests/hand/test_cross_checks.py")
-row("I06", "bad trajectory", FILES, tested="tests/controller/test_task.py")
+declare_row("H14", "viewer dies or hangs", LOOP, _APART, _APART, _APART, tested="tests/view/test_live.py")
+declare_row("H15", "memory or descriptors leak", LOOP, tested="soak")
+declare_row("I01", "NaN, inf, bool for number", FILES, tested="tests/hand/test_refusals.py")
+declare_row("I02", "negative mass, zero length", FILES, tested="tests/hand/test_refusals.py")
+declare_row("I03", "wrong unit", FILES, tested="tests/hand/test_refusals.py")
+declare_row("I04", "unknown, missing, duplicate keys", FILES, tested="tests/hand/test_refusals.py")
+declare_row("I05", "contradiction", FILES, tested="tests/hand/test_cross_checks.py")
+declare_row("I06", "bad trajectory", FILES, tested="tests/controller/test_task.py")
 
-row("I07", "bad live goal", ticks=1, required=2)
-I07A = fault(
-    "I07a", "a live goal was refused", "a goal out of range or not a number, the last good one stays",
+declare_row("I07", "bad live goal", ticks=1, required=2)
+I07A = declare_fault(
+    "I07a", "a live goal was refused", "A goal is out of range or not a number, and the previous goal remains",
     Action.WARN, ITSELF, HAND, name="goal",
     cause="The client sent a goal that the hand cannot reach or that is not a number.",
-    remedy="Correct the client: the event before this one says which value was wrong and what is right.",
+    remedy="Correct the client. The event before this one contains the wrong value and the valid values.",
 )  # fmt: skip
-I07B = fault(
-    "I07b", "requests keep being malformed", f"{REFUSED_LIMIT} requests in a second: no JSON, unknown keys, no numbers",
+I07B = declare_fault(
+    "I07b", "requests keep being malformed",
+    f"In a second, {REFUSED_LIMIT} requests are not JSON, have unknown keys, or contain no number",
     Action.RELAX, OPERATOR, HAND, name="goal",
     cause="The client is broken, or speaks to another version of the controller.",
-    remedy="Stop and correct the client: the events before say which value was wrong.",
+    remedy="Stop and correct the client. The events before this one contain the wrong values.",
 )  # fmt: skip
 
-row("I08", "truncated or corrupt log", FILES, tested="tests/log/test_recover.py")
-row("I09", "hostile log", FILES, tested="tests/log/test_reader.py")
-row("I10", "log of another hand or version", FILES, tested="tests/replay/test_execute.py")
+declare_row("I08", "truncated or corrupt log", FILES, tested="tests/log/test_recover.py")
+declare_row("I09", "hostile log", FILES, tested="tests/log/test_reader.py")
+declare_row("I10", "log of another hand or version", FILES, tested="tests/replay/test_execute.py")
 
-row("I11", "a stream of targets goes stale", ticks=1, ms=100, required=0,
+declare_row("I11", "a stream of targets goes stale", ticks=1, ms=100, required=0,
     tested="tests/controller/test_stream.py")  # fmt: skip
-I11A = fault(
-    "I11a", "streamed targets are missing", "no target for hold_after_ms of the hand file, 100",
+I11A = declare_fault(
+    "I11a", "streamed targets are missing",
+    "No target has arrived for hold_after_ms of the hand file, by default 100 ms",
     Action.HOLD, ITSELF, HAND, name="stream",
     cause="The client that streams targets is busy, paused, or has ended without closing its stream.",
     remedy="The hand goes on with the next target. Send targets in time, or close the stream before a pause.",
 )  # fmt: skip
-I11B = fault(
-    "I11b", "the stream of targets has ended", "no target for relax_after_ms of the hand file, 1000",
+I11B = declare_fault(
+    "I11b", "the stream of targets has ended",
+    "No target has arrived for relax_after_ms of the hand file, by default 1000 ms",
     Action.RELAX, OPERATOR, HAND, name="stream",
     cause="The client that streams targets has crashed or hangs.",
     remedy="Mend the client, then start a new run. relax_after_ms of the hand file allows longer pauses.",

@@ -1,7 +1,7 @@
 """Generation of Markdown tables and sections for the documents, from the fault declarations."""
 
 from handctl.drives.motor_description import GUARDED, PROTOCOLS
-from handctl.safety.faults.fault import TICK, Fault, Row
+from handctl.safety.faults.fault import TICK, CatalogueRow, Fault
 from handctl.safety.faults.host import ON_HARDWARE
 from handctl.safety.faults.table import CATALOGUE, TABLE
 
@@ -11,9 +11,9 @@ RATE_HZ = 500.0
 """Control rate for the times in the catalogue [Hz], that of the packaged hand with one motor per digit."""
 
 
-def fault_table(table: tuple[Fault, ...] = TABLE) -> str:
+def fault_table_markdown(table: tuple[Fault, ...] = TABLE) -> str:
     """Return the fault table as Markdown, with one row per fault."""
-    head = ["| id | fault | detected by | action | cleared |", "|---|---|---|---|---|"]
+    head = ["| id | fault | what happens | action | cleared |", "|---|---|---|---|---|"]
     rows = [f"| {f.id} | {f.title} | {f.detection} | {f.reaction} | {f.clears} |" for f in table]
     return "\n".join([*head, *rows])
 
@@ -30,14 +30,14 @@ def fault_sections(table: tuple[Fault, ...] = TABLE) -> str:
     )
 
 
-def catalogue(entries: tuple[Row, ...] = CATALOGUE) -> str:
+def catalogue_markdown(entries: tuple[CatalogueRow, ...] = CATALOGUE) -> str:
     """Return the catalogue as Markdown, with the visibility of each row for each protocol."""
     names = [PROTOCOLS[protocol].title for protocol in GUARDED]
     columns = ["id", "fault", "judged by", *names, "latest reaction", "tested by"]
     return "\n".join([f"| {' | '.join(columns)} |", "|---" * len(columns) + "|", *map(_catalogue_row, entries)])
 
 
-def _catalogue_row(entry: Row) -> str:
+def _catalogue_row(entry: CatalogueRow) -> str:
     # A row may have several faults (its stages), or none if it is judged outside of ticks.
     judged = ", ".join(f"{f.id} {f.action.name}" for f in TABLE if f.row == entry.id) or entry.where
     latest = f"{entry.latest_ms(RATE_HZ):g} ms, {_ticks_text(entry)} ticks"
@@ -49,11 +49,11 @@ def _catalogue_row(entry: Row) -> str:
     )
 
 
-def _ticks_text(entry: Row) -> int:
+def _ticks_text(entry: CatalogueRow) -> int:
     return round(entry.latest_ms(RATE_HZ) * RATE_HZ / 1e3)
 
 
-def late(entry: Row) -> bool:
+def is_late(entry: CatalogueRow) -> bool:
     """Return True if the reaction to a row takes more ticks than the project's fault catalogue allows.
 
     If the catalogue gives no time, the result is False.
@@ -61,19 +61,19 @@ def late(entry: Row) -> bool:
     return 0 < entry.required < _ticks_text(entry)
 
 
-def later(entries: tuple[Row, ...] = CATALOGUE) -> str:
+def late_rows(entries: tuple[CatalogueRow, ...] = CATALOGUE) -> str:
     """Return the rows with a later reaction than in the project's fault catalogue, with reasons, as Markdown."""
     rows = [
         f"| {e.id} | {e.title} | {e.required} | {_ticks_text(e)} | {e.required * REQUIRED_MS:g} ms "
         f"| {e.latest_ms(RATE_HZ):g} ms | {e.why} |"
         for e in entries
-        if late(e)
+        if is_late(e)
     ]
     head = "| id | fault | required, ticks | at 500 Hz, ticks | required | takes | why |"
     return "\n".join([head, "|---|---|---|---|---|---|---|", *rows])
 
 
-def checklist() -> str:
+def hardware_checklist() -> str:
     """Return the list of tests on hardware as Markdown."""
     rows = [f"| {id_} | {text} |" for id_, text in ON_HARDWARE]
     return "\n".join(["| id | what to do |", "|---|---|", *rows])

@@ -4,7 +4,7 @@ The inventory before arming checks N03 and N12.
 """
 
 from handctl.safety.action import Action, Release
-from handctl.safety.faults.bus import SHORT, SILENT_WHY
+from handctl.safety.faults.bus import SHORT_WINDOW, SILENCE_REASON
 from handctl.safety.faults.fault import (
     ARMING,
     DETECTED,
@@ -17,8 +17,8 @@ from handctl.safety.faults.fault import (
     REPLACED,
     TENDON,
     TICK,
-    fault,
-    row,
+    declare_fault,
+    declare_row,
 )
 from handctl.safety.limits import MIN_SILENT_TICKS, SILENT_S
 
@@ -38,7 +38,7 @@ NOISE_FACTOR = 9.0
 """Variance of a noise burst, as a multiple of the variance expected from drive torque and encoder rounding."""
 WARM_TICKS = 20
 """Number of consecutive ticks with a high temperature for a fault."""
-DISOBEYED_N = 15.0
+NOT_OBEYED_N = 15.0
 """Difference between commanded and reported torque for a fault, converted to tension [N]."""
 SWING_N = 8.0
 SWING_S = 0.25
@@ -48,13 +48,13 @@ SWING_HZ = 8.0
 A command step of 75 N at 5000 N/s exceeds this RMS for only 0.15 s.
 """
 HALF_RATE_MISSES = 7
-"""Missing replies within ``SHORT`` ticks from a node that replies at half the control rate.
+"""Missing replies within ``SHORT_WINDOW`` ticks from a node that replies at half the control rate.
 
 Two missing replies in a row occur when the phase between ticks and replies shifts.
 """
-PULLED_AFTER_S = 0.1
-PULLED_FRACTION = 0.5
-PULLED_N = 10.0
+STILL_PULLING_S = 0.1
+STILL_PULLING_FRACTION = 0.5
+STILL_PULLING_N = 10.0
 """Tendon still pulled after a cut: time after the cut [s], smallest fraction of the tension before, tension [N].
 
 After this time, tendons of the packaged hands have at most a third of their tension if the motor is
@@ -73,186 +73,195 @@ _AGAIN = "limit and watchdog are read in turn while enabled, one every 500 ms"
 _SILENCE = f"for {SILENT_S * 1e3:g} ms, at least {MIN_SILENT_TICKS} in a row"
 _MODES = "tests/controller/test_modes.py"
 
-row("N01", "reset in motion", odrive=_BEAT, ticks=4, odrive_ms=100, required=2,
+declare_row("N01", "reset in motion", odrive=_BEAT, ticks=4, odrive_ms=100, required=2,
     why="4 if the drive is silent while it restarts (CiA 402), else 2")  # fmt: skip
-N01 = fault(
-    "N01", "a drive dropped out", "the drive reports to be disabled, or has restarted",
+N01 = declare_fault(
+    "N01", "a drive dropped out", "A drive reports that it is disabled, or has restarted",
     Action.RELAX, OPERATOR, MOTOR,
     cause="The drive has restarted, usually because its supply voltage dropped.",
     remedy="Check supply voltage and wiring of the motor under load, then start a new run.",
 )  # fmt: skip
 
-row("N02", "silent node", ticks=1, ms=30, required=4,
-    why=SILENT_WHY + ". Joint encoders in every fourth tick: four readings, 85 ms at 200 Hz")  # fmt: skip
-N02 = fault(
-    "N02", "the load cells are silent", f"no tension frame {_SILENCE}",
+declare_row("N02", "silent node", ticks=1, ms=30, required=4,
+    why=SILENCE_REASON + ". Joint encoders in every fourth tick: four readings, 85 ms at 200 Hz")  # fmt: skip
+N02 = declare_fault(
+    "N02", "the load cells are silent", f"The sensor node sends no tension frame {_SILENCE}",
     Action.RELAX, OPERATOR, TENDON,
     cause="The sensor node has lost power or its cable, or has crashed.",
     remedy="Check supply and cable of the sensor node, then start a new run.",
 )  # fmt: skip
-N02B = fault(
-    "N02b", "the joint encoders are silent", f"no joint frame {_SILENCE}",
+N02B = declare_fault(
+    "N02b", "the joint encoders are silent", f"The sensor node sends no joint frame {_SILENCE}",
     Action.RELAX, OPERATOR, JOINT,
     cause="The sensor node, or its joint encoders, have lost power or cable.",
     remedy="Check supply and cable of the sensor node and of the joint encoders, then start a new run.",
 )  # fmt: skip
 
-row("N03", "missing at start", ARMING, tested=_MODES)
+declare_row("N03", "missing at start", ARMING, tested=_MODES)
 
-row("N04", "encoder stuck", ticks=2, ms=500, required=22,
+declare_row("N04", "encoder stuck", ticks=2, ms=500, required=22,
     why="a constant reading is wrong only if goal (0.5 mm) or tension (8 N) move, for more than 100 ms")  # fmt: skip
-N04 = fault(
-    "N04", "an encoder is stuck", f"constant for {STUCK_S * 1e3:g} ms while goal, tension or spool moves",
+N04 = declare_fault(
+    "N04", "an encoder is stuck",
+    f"A reading is constant for {STUCK_S * 1e3:g} ms, although the goal, the tension or the spool moves",
     Action.RELAX, OPERATOR, MOTOR, JOINT, release=Release.OPEN,
     cause="The encoder or its magnet has failed, the drive repeats old values, or a tendon without load cell has torn.",
-    remedy="Turn the shaft or joint by hand while handctl bus watch runs. Replace the encoder if its angle stays. "
-    "Inspect a tendon without load cell.",
+    remedy="Turn the joint by hand in handctl bus watch. If its angle stays, replace the encoder, else see the tendon.",
 )  # fmt: skip
 
-row("N05", "encoder jump", ticks=3, required=3)
-N05A = fault(
-    "N05a", "an encoder jumped", "a step that no rotor can make, the sample is rejected",
+declare_row("N05", "encoder jump", ticks=3, required=3)
+N05A = declare_fault(
+    "N05a", "an encoder jumped",
+    "A position changes more than a rotor can move, and the controller rejects the reading",
     Action.WARN, ITSELF, MOTOR, JOINT,
-    cause="A disturbed reading, by noise on the encoder's cable or its magnet.",
+    cause="Noise on the encoder's cable, or a loose magnet, disturbed a reading.",
     remedy="Ignore single cases. If it repeats, check cable and magnet of the encoder.",
 )  # fmt: skip
-N05B = fault(
-    "N05b", "an encoder jumps", "such a step in two readings in a row",
+N05B = declare_fault(
+    "N05b", "an encoder jumps", "Two readings in a row change more than a rotor can move",
     Action.RELAX, OPERATOR, MOTOR, JOINT, release=Release.OPEN,
     cause="The encoder or its magnet is loose, or the drive has lost its reference.",
     remedy="Check magnet and cable of the encoder with handctl bus watch, then commission again (handctl commission).",
 )  # fmt: skip
 
-row("N06", "encoder drift or slip", TICK, _JOINTS, _JOINTS, _JOINTS, ticks=4, ms=900, required=200,
+declare_row("N06", "encoder drift or slip", TICK, _JOINTS, _JOINTS, _JOINTS, ticks=4, ms=900, required=200,
     why="sooner than the required 1000 ms")  # fmt: skip
-N06A = fault(
-    "N06a", "joint and spool disagree", f"difference above {SLIP_WARN_DEG:g} deg, filtered",
+N06A = declare_fault(
+    "N06a", "joint and spool disagree",
+    f"The filtered difference of joint encoder and spool is above {SLIP_WARN_DEG:g} degrees",
     Action.WARN, ITSELF, TENDON,
     cause="A tendon stretches or slips on its spool, or an encoder drifts.",
     remedy="Check the tendon's clamp and the encoder's magnet. Commission the hand again (handctl commission).",
 )  # fmt: skip
-N06B = fault(
-    "N06b", "an encoder or a tendon slips", f"difference above {SLIP_TRIP_DEG:g} deg, filtered",
+N06B = declare_fault(
+    "N06b", "an encoder or a tendon slips",
+    f"The filtered difference of joint encoder and spool is above {SLIP_TRIP_DEG:g} degrees",
     Action.RELAX, OPERATOR, TENDON, release=Release.OPEN,
     cause="The tendon slips on its spool, has left a pulley, or an encoder has come loose.",
-    remedy="Check the tendon's clamp and way and the encoder's magnet, then commission again (handctl commission).",
+    remedy="Check clamp and path of the tendon and the encoder's magnet, then commission again (handctl commission).",
 )  # fmt: skip
 
-row("N07", "encoder noise", ticks=4, ms=60, required=52)
-N07 = fault(
-    "N07", "a noisy encoder", f"{NOISE_FACTOR:g} times the jerk of drive torque and rounding, over 100 ms",
+declare_row("N07", "encoder noise", ticks=4, ms=60, required=52)
+N07 = declare_fault(
+    "N07", "a noisy encoder",
+    f"Over 100 ms, the noise of the position has {NOISE_FACTOR:g} times the expected variance",
     Action.HOLD, ITSELF, MOTOR,
-    cause="Interference on the encoder's cable, or a magnet that is too far away.",
+    cause="The encoder's cable picks up noise, or its magnet is too far away.",
     remedy="Check shield and cable of the encoder, and the distance of its magnet.",
 )  # fmt: skip
 
-row("N08", "the drive's watchdog fired", odrive=_BEAT, ticks=2, odrive_ms=100, required=2,
+declare_row("N08", "the drive's watchdog fired", odrive=_BEAT, ticks=2, odrive_ms=100, required=2,
     robstride=f"{REPLACED}: the drive reports to be disabled, without a reason (N01)")  # fmt: skip
-N08 = fault(
-    "N08", "a drive's watchdog fired", "the drive reports it", Action.RELAX, OPERATOR, MOTOR,
+N08 = declare_fault(
+    "N08", "a drive's watchdog fired", "The drive reports that its watchdog fired", Action.RELAX, OPERATOR, MOTOR,
     cause="The drive received no command in time: this host was too slow, or commands were lost.",
     remedy="Run handctl doctor (priority, cores), close other programs, or lower the rate.",
 )  # fmt: skip
 
-row("N09", "over-temperature", odrive=f"{DETECTED}: requested five times a second",
+declare_row("N09", "over-temperature", odrive=f"{DETECTED}: requested five times a second",
     cia402=f"{REPLACED}: no temperature in the PDO, the drive's own limit by EMCY (N11)",
     ticks=22, odrive_ms=200, required=22)  # fmt: skip
-N09A = fault(
-    "N09a", "a drive is warm", "temperature above the soft limit, its tendon's tension limit falls",
+N09A = declare_fault(
+    "N09a", "a drive is warm",
+    "The temperature is above the soft limit, and the controller lowers the limit of the tension",
     Action.WARN, ITSELF, MOTOR, debounce=WARM_TICKS,
-    cause="The hand holds much tension for long, or the drive is badly cooled.",
+    cause="The hand holds a high tension for a long time, or the drive has too little cooling.",
     remedy="Let the hand rest, hold with less tension, or improve the cooling.",
 )  # fmt: skip
-N09B = fault(
-    "N09b", "a drive is too hot", "temperature above the hard limit",
+N09B = declare_fault(
+    "N09b", "a drive is too hot", "The temperature is above the hard limit",
     Action.RELAX, OPERATOR, MOTOR, debounce=WARM_TICKS,
-    cause="The hand holds much tension for long, or the drive is badly cooled.",
+    cause="The hand holds a high tension for a long time, or the drive has too little cooling.",
     remedy="Let the drive cool down. Hold with less tension, or improve the cooling.",
 )  # fmt: skip
 
-row("N10", "under- or over-voltage", odrive=_BEAT, ticks=2, odrive_ms=100, required=2)
-N10 = fault(
-    "N10", "wrong supply voltage", "the drive reports a voltage too low or too high",
+declare_row("N10", "under- or over-voltage", odrive=_BEAT, ticks=2, odrive_ms=100, required=2)
+N10 = declare_fault(
+    "N10", "wrong supply voltage", "The drive reports that the voltage is too low or too high",
     Action.RELAX, OPERATOR, MOTOR,
     cause="The supply is too weak, or braking motors raise the voltage.",
     remedy="Measure the supply under load. Use a stronger supply, or a brake resistor.",
 )  # fmt: skip
 
-row("N11", "node fault code", odrive=_BEAT, ticks=2, odrive_ms=100, required=2)
-N11 = fault(
-    "N11", "a drive reports an error", "error code in the feedback", Action.RELAX, OPERATOR, MOTOR,
+declare_row("N11", "node fault code", odrive=_BEAT, ticks=2, odrive_ms=100, required=2)
+N11 = declare_fault(
+    "N11", "a drive reports an error",
+    "The feedback of the drive contains an error code", Action.RELAX, OPERATOR, MOTOR,
     cause="The drive has detected an error of its own, for example over-current or a failed encoder.",
     remedy="Look the code up in the drive's manual, remove its cause, and start the next run with --clear.",
 )  # fmt: skip
-N11B = fault(
-    "N11b", "a drive reports an unknown error", "an unknown error code counts as the most severe",
+N11B = declare_fault(
+    "N11b", "a drive reports an unknown error", "The feedback contains an error code that handctl does not know",
     Action.CUT, OPERATOR, MOTOR,
     cause="The drive has another firmware than handctl knows.",
     remedy="Look the code up in the drive's manual, and check the firmware version in the hand file.",
 )  # fmt: skip
 
-row("N12", "wrong firmware or settings", TICK, f"{REPLACED}: registers, no serial number, {_AGAIN}",
+declare_row("N12", "wrong firmware or settings", TICK, f"{REPLACED}: registers, no serial number, {_AGAIN}",
     f"{REPLACED}: protocol version and endpoints, no serial number, {_AGAIN}",
     f"{REPLACED}: objects, no serial number, {_AGAIN}", ticks=4, ms=1000,
     moteus=f"{REPLACED}: settings, {_AGAIN}", robstride=f"{REPLACED}: parameters, {_AGAIN}")  # fmt: skip
-N12 = fault(
-    "N12", "a drive is not as configured", "a read-back differs, or another host has enabled the drive",
+N12 = declare_fault(
+    "N12", "a drive is not as configured",
+    "A setting that was read back is wrong, or another host has enabled the drive",
     Action.CUT, OPERATOR, MOTOR, release=Release.OPEN,
     cause="The drive was replaced, has lost its settings, or another program writes to it.",
     remedy="Close other programs, compare the drive with the hand file, and restart the drive.",
 )  # fmt: skip
 
-row("N13", "two nodes with one id", odrive=_BESIDE, ticks=4, required=2,
+declare_row("N13", "two nodes with one id", odrive=_BESIDE, ticks=4, required=2,
     why="2 if the second reply has different bytes, else three times in a row")  # fmt: skip
-N13 = fault(
-    "N13", "two nodes with one identifier", "two replies to a request in three ticks in a row",
+N13 = declare_fault(
+    "N13", "two nodes with one identifier", "A node sends two replies to one request, in three ticks in a row",
     Action.RELAX, OPERATOR, NODE, debounce=3, release=Release.OPEN,
     cause="Two nodes on the bus have the same identifier.",
     remedy="Connect the nodes one at a time, run handctl scan, and give each its own identifier.",
 )  # fmt: skip
 
-row("N14", "command not obeyed", odrive=f"{REPLACED}: by tension (T04) unless torque_feedback is set",
+declare_row("N14", "command not obeyed", odrive=f"{REPLACED}: by tension (T04) unless torque_feedback is set",
     ticks=22, ms=600, required=22,
     why="22 if reported and commanded torque differ. Ripple that no drive reports is found by the oscillation (N14b)",
     )  # fmt: skip
-N14 = fault(
+N14 = declare_fault(
     "N14", "a command is not obeyed",
-    f"commanded and reported torque differ by {DISOBEYED_N:g} N at the tendon, filtered",
+    f"The filtered difference of commanded and reported torque is above {NOT_OBEYED_N:g} N at the tendon",
     Action.RELAX, OPERATOR, MOTOR, release=Release.OPEN,
     cause="The drive limits its torque, is in another mode, or its torque constant is wrong.",
     remedy="Check torque limit and torque constant of the drive, and run handctl conformance on it.",
 )  # fmt: skip
-N14B = fault(
+N14B = declare_fault(
     "N14b", "the tension oscillates",
-    f"{SWING_N:g} N RMS about the command, above {SWING_HZ:g} Hz, for {SWING_S * 1e3:g} ms",
+    f"For {SWING_S * 1e3:g} ms, the tension oscillates about the command with {SWING_N:g} N RMS, above {SWING_HZ:g} Hz",
     Action.RELAX, OPERATOR, TENDON, release=Release.OPEN,
-    cause="Torque ripple of the motor, or gains too high for this hand.",
+    cause="The torque of the motor has a ripple, or the gains are too high for this hand.",
     remedy="Lower the gains (handctl gains, handctl tune), and calibrate the drive against cogging.",
 )  # fmt: skip
 
-row("N15", "slow node", odrive=_SLOWLY, ticks=22, required=22)
-N15 = fault(
-    "N15", "a slow node", f"misses {HALF_RATE_MISSES} of {SHORT} replies, rarely two in a row",
+declare_row("N15", "slow node", odrive=_SLOWLY, ticks=22, required=22)
+N15 = declare_fault(
+    "N15", "a slow node",
+    f"{HALF_RATE_MISSES} of {SHORT_WINDOW} replies of a node are missing, and rarely two in a row",
     Action.WARN, ITSELF, NODE,
-    cause="The node replies to every second request only: its control rate is lower than the hand's.",
+    cause="The node replies to every second request only, because its control rate is lower than that of the hand.",
     remedy="Raise the node's rate, or lower the control rate of the hand.",
 )  # fmt: skip
 
-row("N16", "node refuses to release", ticks=2, ms=100, required=21,
+declare_row("N16", "node refuses to release", ticks=2, ms=100, required=21,
     why="the time of 21 ticks of 5 ms, in which the springs open the finger")  # fmt: skip
-N16 = fault(
-    "N16", "a drive does not release", f"tension not falling {PULLED_AFTER_S * 1e3:g} ms after the torque was cut",
+N16 = declare_fault(
+    "N16", "a drive does not release",
+    f"The tension does not fall within {STILL_PULLING_S * 1e3:g} ms after the torque was cut",
     Action.CUT, OPERATOR, TENDON,
     cause="The drive does not obey the cut, or something else pulls the tendon.",
     remedy="Remove the motor power now. Then check the drive before the hand is powered again.",
 )  # fmt: skip
 
-row("N17", "drives exchanged, or obeying late",
+declare_row("N17", "drives exchanged, or obeying late",
     odrive=f"{REPLACED}: N05, N06 or T04 in motion or with unequal tensions, because no torque is reported",
     ticks=2, ms=4000)  # fmt: skip
-N17 = fault(
+N17 = declare_fault(
     "N17", "torque reports of another motor",
-    f"less than {REPORTED_FRACTION:g} of the command's small changes are reported, over {REPORTED_S * 1e3:g} ms",
+    f"Over {REPORTED_S * 1e3:g} ms, less than {REPORTED_FRACTION:g} of the small changes of the command are reported",
     Action.RELAX, OPERATOR, MOTOR, release=Release.OPEN,
     cause="Cables or identifiers of two motors are exchanged, or the drive obeys late.",
     remedy="Check the identifiers of all motors with handctl scan, and commission again (handctl commission).",

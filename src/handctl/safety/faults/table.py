@@ -3,12 +3,12 @@
 import numpy as np
 
 from handctl.safety.faults import fault as declared
-from handctl.safety.faults.fault import Fault, Row
+from handctl.safety.faults.fault import CatalogueRow, Fault
 
 TABLE: tuple[Fault, ...] = tuple(declared.TABLE)
 """All faults, in the order of the catalogue."""
 BY_ID = {fault.id: fault for fault in TABLE}
-CATALOGUE: tuple[Row, ...] = tuple(declared.CATALOGUE)
+CATALOGUE: tuple[CatalogueRow, ...] = tuple(declared.CATALOGUE)
 """All rows of the catalogue."""
 
 DETECTOR_ROWS: tuple[tuple[Fault, str], ...] = tuple(declared.DETECTOR_ROWS)
@@ -25,7 +25,7 @@ REPORTS: dict[str, tuple[Fault, ...]] = {
 """Faults reported by each kind of event from a bus, the host, or the recorder."""
 
 
-def remedy(text: str) -> str:
+def remedy_for(text: str) -> str:
     """Return the remedy for the fault in an event text, empty if the text does not begin with a fault id."""
     fault = BY_ID.get(text.partition(" ")[0])
     return fault.remedy if fault else ""

@@ -79,7 +79,7 @@ class Ramp(NamedTuple):
         return abs(self.score) < CLEAR and good
 
 
-def steepest(jacobian: Array, residual: Array, first: int, angle: Array, units: Sequence[Array]) -> Ramp | None:
+def steepest_ramp(jacobian: Array, residual: Array, first: int, angle: Array, units: Sequence[Array]) -> Ramp | None:
     """Return the ramp with the largest score, or None if the fit has no sweep.
 
     Args:
@@ -120,7 +120,7 @@ def steepest(jacobian: Array, residual: Array, first: int, angle: Array, units: 
     return Ramp(best[0], best[1], high, best[2], len(angle), 1.0 - float(used.mean()), square, kink)
 
 
-def joints_moving(joint_count: int, preload: float, half_width: float, travel: float, full: float) -> bool:
+def are_joints_moving(joint_count: int, preload: float, half_width: float, travel: float, full: float) -> bool:
     """Return True if all joints of a digit with one tendon move.
 
     Args:

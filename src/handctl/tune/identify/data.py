@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.setup import ATTACHMENT
+from handctl.controller.setup import SETUP_ATTACHMENT
 from handctl.core.types import Mode
 from handctl.hand.description import Hand
 from handctl.log.read.logfile import Reading
@@ -120,8 +120,8 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
 
 def _logged_gain(log: RunLog, tendons: int) -> list[float]:
     """Return the torque gains (N,) that the controller of the logged run applied."""
-    text = log.header.attachments.get(ATTACHMENT, b"{}")
-    with Reading(f"{ATTACHMENT} in the log"):
+    text = log.header.attachments.get(SETUP_ATTACHMENT, b"{}")
+    with Reading(f"{SETUP_ATTACHMENT} in the log"):
         setup = json.loads(text)
         if not isinstance(setup, dict):
             raise ValueError("not a table")

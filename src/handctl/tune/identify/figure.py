@@ -16,7 +16,7 @@ MODEL = "#d9822b"
 WARN = "#999999"
 
 
-def draw(path: Path, result: TendonResult, title: str) -> None:
+def draw_identification(path: Path, result: TendonResult, title: str) -> None:
     """Draw the identification result of a tendon as PNG.
 
     Args:

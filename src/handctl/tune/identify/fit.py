@@ -14,11 +14,11 @@ from scipy.stats import t as student
 from handctl.errors import LogError
 from handctl.hand.description import Hand
 from handctl.hand.dynamics import DigitModel
-from handctl.tune.identify.contact_detection import Ramp, steepest
+from handctl.tune.identify.contact_detection import Ramp, steepest_ramp
 from handctl.tune.identify.data import Array, TendonData
 from handctl.tune.identify.fit_load import Bins, DigitLoad, LoadParameters, bins
 from handctl.tune.identify.fit_motor import MotorWindows, motor_windows
-from handctl.tune.identify.solve import Solution, solve
+from handctl.tune.identify.solve import Solution, solve_least_squares
 
 NAMES = (
     "torque_gain", "motor_inertia", "motor_viscous", "motor_coulomb", "delay",
@@ -267,7 +267,7 @@ class Fit:
 def fit_tendon(problem: Problem) -> Fit:
     """Fit all parameters of a tendon."""
     times = _row_times(problem)
-    solution = solve(problem.residuals, problem.start(), problem.bounds(), times)
+    solution = solve_least_squares(problem.residuals, problem.start(), problem.bounds(), times)
     sensitivity = solution.jacobian[: len(times), : len(NAMES)]
     ramp = _unexplained_ramp(problem, solution)
     return Fit(
@@ -292,7 +292,7 @@ def _unexplained_ramp(problem: Problem, solution: Solution) -> Ramp | None:
     stiffness = float(solution.z[NAMES.index("rope_stiffness")] * problem.nominal[NAMES.index("rope_stiffness")])
     angle = load.mean_angle(free.travel - offset - free.tension / stiffness)
     unit = np.full(len(free.t), free.count**0.5 / problem.sigma)
-    return steepest(solution.jacobian, solution.residual, first, np.asarray(angle), (unit,))
+    return steepest_ramp(solution.jacobian, solution.residual, first, np.asarray(angle), (unit,))
 
 
 def _row_times(problem: Problem) -> Array:

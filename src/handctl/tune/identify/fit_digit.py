@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from handctl.hand.digit import DigitModel
 from handctl.hand.dynamics import inverse_dynamics
-from handctl.tune.identify.contact_detection import Ramp, steepest
+from handctl.tune.identify.contact_detection import Ramp, steepest_ramp
 from handctl.tune.identify.data import Array, TendonData
 from handctl.tune.identify.fit import MAX_SCALE, MIN_SCALE, NAMES, PRIOR, VAGUE, Fit
 from handctl.tune.identify.fit_load import MAX_FRICTION_EXPONENT
-from handctl.tune.identify.solve import Solution, solve
+from handctl.tune.identify.solve import Solution, solve_least_squares
 
 SHARED_PARAMETERS = ("spring_stiffness", "spring_preload", "joint_damping", "link_mass")
 """Names of the factors for the whole digit, relative to the hand file.
@@ -187,10 +187,10 @@ def fit_digit(balance: Balance) -> Solution:
     start = np.append(np.ones(n + tendons), np.zeros(tendons))
     low = np.append(np.full(n + tendons, MIN_SCALE), np.full(tendons, -np.inf))
     high = np.append(np.full(n + tendons, MAX_SCALE), np.full(tendons, np.inf))
-    return solve(residuals, start, (low, high), np.repeat(balance.t, arms.shape[1]))
+    return solve_least_squares(residuals, start, (low, high), np.repeat(balance.t, arms.shape[1]))
 
 
-def joined(fits: Sequence[Fit], solution: Solution, balance: Balance) -> list[Fit]:
+def fits_with_digit(fits: Sequence[Fit], solution: Solution, balance: Balance) -> list[Fit]:
     """Return the tendons' fits with the digit's parameters.
 
     Each tendon gets its capstan coefficient, the first tendon also the shared factors.
@@ -206,7 +206,7 @@ def joined(fits: Sequence[Fit], solution: Solution, balance: Balance) -> list[Fi
 def _unexplained_ramp(solution: Solution, balance: Balance) -> Ramp | None:
     """Return the ramp of torque at one joint in the residuals of the sweeps."""
     units = [np.tile(row, len(balance.t)) for row in balance.whiten]
-    return steepest(solution.jacobian, solution.residual, 0, np.asarray(balance.q.mean(axis=1)), units)
+    return steepest_ramp(solution.jacobian, solution.residual, 0, np.asarray(balance.q.mean(axis=1)), units)
 
 
 def _merge_fit(fit: Fit, solution: Solution, rows: int, shared: tuple[str, ...], capstan: int) -> Fit:

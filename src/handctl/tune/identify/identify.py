@@ -14,10 +14,10 @@ from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import phase_of_each
-from handctl.tune.identify.contact_detection import joints_moving
+from handctl.tune.identify.contact_detection import are_joints_moving
 from handctl.tune.identify.data import Array, TendonData, tendon_data
 from handctl.tune.identify.fit import NAMES, Fit, Problem, fit_tendon
-from handctl.tune.identify.fit_digit import Balance, fit_digit, joined
+from handctl.tune.identify.fit_digit import Balance, fit_digit, fits_with_digit
 from handctl.tune.identify.identifiability import (
     Identifiability,
     excitation_coherence,
@@ -122,7 +122,9 @@ class TendonResult:
         }
 
 
-def identify(log: RunLog, hand: Hand, progress: Callable[[str], None] = lambda text: None) -> dict[str, TendonResult]:
+def identify_tendons(
+    log: RunLog, hand: Hand, progress: Callable[[str], None] = lambda text: None
+) -> dict[str, TendonResult]:
     """Fit every tendon of a log, and return the results by tendon.
 
     Tendons that hardly move are omitted.
@@ -153,7 +155,7 @@ def identify(log: RunLog, hand: Hand, progress: Callable[[str], None] = lambda t
             data.tendon: _tendon_result(hand, data, fit, balance)
             for (data, _), fit in zip(fits_of_digit, fits, strict=True)
         }
-    events = blocked(log)
+    events = blocked_digits(log)
     return {name: _with_contacts(hand, fit, events.get(fit.data.digit, "")) for name, fit in results.items()}
 
 
@@ -199,7 +201,7 @@ def _blocked_joint_text(hand: Hand, result: TendonResult) -> str:
         full = float(abs(load.varying.excursion_at(closed)[0]))
     preload = values["spring_preload"]
     width = result.fit.half_widths["spring_preload"]
-    if joints_moving(len(load.arms), preload, width, travel, full):
+    if are_joints_moving(len(load.arms), preload, width, travel, full):
         return ""
     return (
         f"a joint does not seem to move: its springs have {preload:.2f} of the hand file's preload, and "
@@ -207,7 +209,7 @@ def _blocked_joint_text(hand: Hand, result: TendonResult) -> str:
     )
 
 
-def blocked(log: RunLog) -> dict[str, str]:
+def blocked_digits(log: RunLog) -> dict[str, str]:
     """Return, for each blocked excited digit, the first event about this.
 
     The result has digit names as keys.
@@ -240,7 +242,7 @@ def _of_digit(hand: Hand, name: str, fitted: list[tuple[TendonData, Fit]]) -> tu
     if len(fitted) < 2 or len(fitted) < len(hand.tendon[hand.digit_tendons[name]]):
         return None, fits
     balance = Balance.of(DigitModel.of(hand, name), [data for data, _ in fitted], fits)
-    return balance, fits if balance is None else joined(fits, fit_digit(balance), balance)
+    return balance, fits if balance is None else fits_with_digit(fits, fit_digit(balance), balance)
 
 
 def _tendon_result(hand: Hand, data: TendonData, fit: Fit, balance: Balance | None) -> TendonResult:
@@ -252,12 +254,12 @@ def _tendon_result(hand: Hand, data: TendonData, fit: Fit, balance: Balance | No
     return TendonResult(data, fit, identifiability(fit, tendon), mean, spectrum, balance)
 
 
-def now() -> str:
+def utc_now_text() -> str:
     """Return the present time in UTC as ISO 8601 text."""
     return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
 
 
-def table(results: dict[str, TendonResult]) -> list[str]:
+def result_table(results: dict[str, TendonResult]) -> list[str]:
     """Return lines for a terminal: each parameter with its interval and its value in the hand file."""
     lines = []
     for name, result in results.items():

@@ -54,7 +54,9 @@ class Solution:
     freedom: Array
 
 
-def solve(residuals: Callable[[Array], Array], start: Array, bounds: tuple[Array, Array], times: Array) -> Solution:
+def solve_least_squares(
+    residuals: Callable[[Array], Array], start: Array, bounds: tuple[Array, Array], times: Array
+) -> Solution:
     """Solve least squares in two rounds: a robust round to find outliers, then a round without the outliers.
 
     Args:

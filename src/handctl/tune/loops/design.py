@@ -19,12 +19,26 @@ from dataclasses import dataclass, replace
 from functools import reduce
 
 from handctl.core.gains.gains import Gains
-from handctl.core.gains.motion_design import design_motion, force_weight
+from handctl.core.gains.motion_design import design_motion, largest_force_weight
 from handctl.core.model import HandModel
-from handctl.document import validated
+from handctl.document import validate_content
 from handctl.errors import ConfigError
-from handctl.tune.loops.linear import LoopKind, PlantFactors, System, controller, joined, plant
-from handctl.tune.loops.margins import Margins, all_margins, confirmed, margins, unproven, worse
+from handctl.tune.loops.linear import (
+    LoopKind,
+    PlantFactors,
+    System,
+    controller_system,
+    join_to_open_loop,
+    plant_system,
+)
+from handctl.tune.loops.margins import (
+    Margins,
+    all_margins,
+    confirmed_margins,
+    margins_of_loop,
+    smaller_margins,
+    unproven_margins,
+)
 
 MIN_FORCE_N = 0.2
 """Smallest authority of the search [N]."""
@@ -63,8 +77,8 @@ class Design:
 
     def with_unproven_before(self) -> "Design":
         """Return the design with zero margins before, for old gains that did not come to rest in simulation."""
-        before = {loop: unproven(margin) for loop, margin in self.before.items()}
-        return replace(self, before=before, worst_before=unproven(self.worst_before))
+        before = {loop: unproven_margins(margin) for loop, margin in self.before.items()}
+        return replace(self, before=before, worst_before=unproven_margins(self.worst_before))
 
     def as_weights(self) -> Gains:
         """Return the gains with the authority of each loop converted into its weights.
@@ -106,7 +120,7 @@ def linear_factors(factors: Mapping[str, float]) -> PlantFactors:
     return PlantFactors(**{key: value for key, value in factors.items() if key in names})
 
 
-def with_poles(model: HandModel, kind: LoopKind, hz: float, damping: float) -> Gains:
+def gains_with_poles(model: HandModel, kind: LoopKind, hz: float, damping: float) -> Gains:
     """Return gains whose weights place the poles of a loop at a natural frequency.
 
     Args:
@@ -122,11 +136,11 @@ def with_poles(model: HandModel, kind: LoopKind, hz: float, damping: float) -> G
     position, speed = (_motion_weights if kind == LoopKind.MOTION else _tension_weights)(model, w, damping)
     if kind == LoopKind.MOTION:
         motion = model.gains.motion
-        force = force_weight(motion.force_N, model.period)
+        force = largest_force_weight(motion.force_N, model.period)
         table = {"position_error_m": force / position, "speed_error_m_s": force / speed}
         return _checked_gains(model.gains, motion={**motion.model_dump(), **table})
     tension = model.gains.tension
-    force = force_weight(tension.force_N, model.period)
+    force = largest_force_weight(tension.force_N, model.period)
     table = {"tension_error_N": force / position, "speed_error_m_s": force / speed}
     return _checked_gains(model.gains, tension={**tension.model_dump(), **table})
 
@@ -138,7 +152,7 @@ def _checked_gains(gains: Gains, **sections: dict[str, float]) -> Gains:
         ValueError: A value is out of its bounds.
     """
     try:
-        return validated(gains.model_dump(by_alias=True) | sections, Gains, "weights")
+        return validate_content(gains.model_dump(by_alias=True) | sections, Gains, "weights")
     except ConfigError as error:
         raise ValueError(str(error)) from None
 
@@ -182,26 +196,28 @@ def _positive_root(square: float, expected: str) -> float:
     return math.sqrt(square)
 
 
-def redesigned(model: HandModel, gains: Gains) -> HandModel:
+def model_with_gains(model: HandModel, gains: Gains) -> HandModel:
     """Return the model with other gains for motion and tension, and the same filter."""
     return replace(model, gains=gains, motion=design_motion(model.space, gains, model.period))
 
 
-def worst_of(model: HandModel, plants: tuple[PlantFactors, ...], kinds: Iterable[LoopKind] = LoopKind) -> Margins:
+def worst_margins(model: HandModel, plants: tuple[PlantFactors, ...], kinds: Iterable[LoopKind] = LoopKind) -> Margins:
     """Return the smallest value of each margin over plants, loops, and different tendons.
 
     The margins are confirmed by eigenvalues.
     """
-    return reduce(worse, _each_margin(model, plants, kinds, confirmed))
+    return reduce(smaller_margins, _each_margin(model, plants, kinds, confirmed_margins))
 
 
-def weakest(model: HandModel, plants: tuple[PlantFactors, ...]) -> int:
+def weakest_plant(model: HandModel, plants: tuple[PlantFactors, ...]) -> int:
     """Return the index of the plant with the smallest disk margin in any loop."""
     disks = [min(margin.disk for margin in _each_margin(model, (factors,), LoopKind)) for factors in plants]
     return disks.index(min(disks))
 
 
-def keeps(model: HandModel, plants: tuple[PlantFactors, ...], kinds: Iterable[LoopKind] = LoopKind) -> bool:
+def keeps_required_margins(
+    model: HandModel, plants: tuple[PlantFactors, ...], kinds: Iterable[LoopKind] = LoopKind
+) -> bool:
     """Return True if every loop keeps its margins on every plant.
 
     The check ends at the first failure.
@@ -213,13 +229,15 @@ def _each_margin(
     model: HandModel,
     plants: tuple[PlantFactors, ...],
     kinds: Iterable[LoopKind],
-    judge: Callable[[System], Margins] = margins,
+    judge: Callable[[System], Margins] = margins_of_loop,
 ) -> Iterator[Margins]:
     """Yield the margins of each loop, different tendon, and plant."""
     for kind in kinds:
         for i in unlike_tendons(model):
-            loop_controller = controller(model, i, kind)
-            yield from (judge(joined(plant(model, i, kind, factors), loop_controller)) for factors in plants)
+            loop_controller = controller_system(model, i, kind)
+            yield from (
+                judge(join_to_open_loop(plant_system(model, i, kind, factors), loop_controller)) for factors in plants
+            )
 
 
 def unlike_tendons(model: HandModel) -> tuple[int, ...]:
@@ -238,7 +256,7 @@ def unlike_tendons(model: HandModel) -> tuple[int, ...]:
     return tuple(seen.values())
 
 
-def design(
+def design_gains(
     model: HandModel,
     plants: tuple[PlantFactors, ...],
     proves: Callable[[HandModel], bool] = lambda _: True,
@@ -264,13 +282,13 @@ def design(
         if not candidate:
             continue
         for tried in _with_less_and_less_authority(candidate, plants):
-            after = worst_of(tried, plants)
+            after = worst_margins(tried, plants)
             if after.enough and proves(tried):
                 return Design(
                     tried.gains,
                     all_margins(model),
                     all_margins(tried),
-                    worst_of(model, plants),
+                    worst_margins(model, plants),
                     after,
                 )
             unproven = unproven or after.enough
@@ -289,14 +307,14 @@ def _with_less_and_less_authority(model: HandModel, plants: tuple[PlantFactors, 
         force = math.exp(-step * STRIDE)
         less = _with_force(model, LoopKind.MOTION, model.gains.motion.force_N * force)
         less = _with_force(less, LoopKind.TENSION, model.gains.tension.force_N * force)
-        if keeps(less, plants):
+        if keeps_required_margins(less, plants):
             yield less
 
 
 def _with_motion(model: HandModel, **values: float) -> HandModel:
     """Return the model with some motion gains replaced."""
     gains = _checked_gains(model.gains, motion={**model.gains.motion.model_dump(), **values})
-    return redesigned(model, gains)
+    return model_with_gains(model, gains)
 
 
 def _most_authority(model: HandModel, kind: LoopKind, plants: tuple[PlantFactors, ...]) -> HandModel | None:
@@ -312,7 +330,7 @@ def _most_authority(model: HandModel, kind: LoopKind, plants: tuple[PlantFactors
     high = math.log(MAX_FORCE_N)
     while low < high:
         tried = _with_force(model, kind, math.exp(low))
-        if keeps(tried, plants, (kind,)):
+        if keeps_required_margins(tried, plants, (kind,)):
             best = tried
         elif best is not None:
             return _bisect_force(model, kind, plants, low - STRIDE, low, best)
@@ -332,7 +350,7 @@ def _bisect_force(
     for _ in range(STEPS):
         middle = (low + high) / 2.0
         tried = _with_force(model, kind, math.exp(middle))
-        if keeps(tried, plants, (kind,)):
+        if keeps_required_margins(tried, plants, (kind,)):
             low = middle
             best = tried
         else:
@@ -345,10 +363,10 @@ def _with_force(model: HandModel, kind: LoopKind, force: float) -> HandModel:
     if kind == LoopKind.MOTION:
         return _with_motion(model, force_N=force)
     table = {**model.gains.tension.model_dump(), "force_N": force}
-    return redesigned(model, _checked_gains(model.gains, tension=table))
+    return model_with_gains(model, _checked_gains(model.gains, tension=table))
 
 
-def placed(
+def design_with_poles(
     model: HandModel,
     plants: tuple[PlantFactors, ...],
     motion_hz: float,
@@ -360,8 +378,8 @@ def placed(
     Raises:
         ValueError: No weights have these poles.
     """
-    moved = redesigned(model, with_poles(model, LoopKind.MOTION, motion_hz, damping))
-    moved = redesigned(moved, with_poles(moved, LoopKind.TENSION, tension_hz, damping))
-    before = worst_of(model, plants)
-    after = worst_of(moved, plants)
+    moved = model_with_gains(model, gains_with_poles(model, LoopKind.MOTION, motion_hz, damping))
+    moved = model_with_gains(moved, gains_with_poles(moved, LoopKind.TENSION, tension_hz, damping))
+    before = worst_margins(model, plants)
+    after = worst_margins(moved, plants)
     return Design(moved.gains, all_margins(model), all_margins(moved), before, after)

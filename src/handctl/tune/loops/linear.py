@@ -24,15 +24,15 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag, expm
 from scipy.optimize import linprog
 
-from handctl.controller.state import layout_of
+from handctl.controller.state import layout_of_state
 from handctl.core import block as s
 from handctl.core import stages
 from handctl.core.estimation.filter_stack import Regime
-from handctl.core.estimation.prediction import predict
+from handctl.core.estimation.prediction import predict_filter_states
 from handctl.core.hand_constants import HandConstants
 from handctl.core.law.goal import DigitGoal, Kind
-from handctl.core.law.goals import sample, write_goals
-from handctl.core.law.loads import write_loads
+from handctl.core.law.goals import sample_trajectories, write_goals
+from handctl.core.law.loads import write_tension_goals
 from handctl.core.law.trajectory import Sample
 from handctl.core.model import HandModel
 from handctl.core.schema import Block, Layout
@@ -118,7 +118,7 @@ NOMINAL = PlantFactors()
 """Factors for a plant equal to the hand file."""
 
 
-def plant(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = NOMINAL) -> System:
+def plant_system(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = NOMINAL) -> System:
     """Return the sampled system of rotor, tendon, and digit.
 
     Input is the motor force [N]. Outputs are travel [m], tension [N], and excursion [m].
@@ -175,7 +175,7 @@ def plant(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors =
     return System(discrete[:n, :n], discrete[:n, n:], C, np.zeros((3, 1)), model.period)
 
 
-def controller(model: HandModel, tendon: int, kind: LoopKind) -> System:
+def controller_system(model: HandModel, tendon: int, kind: LoopKind) -> System:
     """Return the system of filter and control law of a tendon.
 
     Inputs are the measurements of the previous tick. Output is the motor force [N].
@@ -199,12 +199,12 @@ def controller(model: HandModel, tendon: int, kind: LoopKind) -> System:
     return System(J[:n], E[:n], J[n:], E[n:], model.period)
 
 
-def loop(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = NOMINAL) -> System:
-    """Return the open loop of a tendon, see `joined`."""
-    return joined(plant(model, tendon, kind, factors), controller(model, tendon, kind))
+def open_loop(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = NOMINAL) -> System:
+    """Return the open loop of a tendon, see `join_to_open_loop`."""
+    return join_to_open_loop(plant_system(model, tendon, kind, factors), controller_system(model, tendon, kind))
 
 
-def joined(P: System, K: System) -> System:
+def join_to_open_loop(P: System, K: System) -> System:
     """Return the open loop of a plant and a controller, broken at the motor force.
 
     The output is the returned force with reversed sign. Therefore the margins are computed from 1 +
@@ -284,7 +284,7 @@ class _Bench:
         unlimited = np.full(model.tendon_count, UNLIMITED)
         space = replace(model.space, coulomb=np.zeros_like(unlimited))
         self.model = replace(model, torque_limit=unlimited, space=space)
-        self.layout: Layout = layout_of(model, 1)
+        self.layout: Layout = layout_of_state(model, 1)
         self._constants = HandConstants(self.model, {})
         self._constant_args = self._constants.block, self._constants.layout.places
 
@@ -294,15 +294,15 @@ class _Bench:
         No torque acts yet, so no contact is detected.
         """
         self.layout.view(block, "mode")[...] = Mode.ARMING
-        stages.correct(block, self.layout.places, *self._constant_args)
-        predict(self.model, self.layout, block)
-        stages.conclude(block, self.layout.places, *self._constant_args)
+        stages.correct_estimate(block, self.layout.places, *self._constant_args)
+        predict_filter_states(self.model, self.layout, block)
+        stages.conclude_estimate(block, self.layout.places, *self._constant_args)
 
     def act(self, block: Block) -> None:
         """Compute the torque commands from the goals and the estimate."""
         self.layout.view(block, "mode")[...] = Mode.ACTIVE
-        write_loads(self.model, self.layout, self._constants, block)
-        stages.act(block, self.layout.places, *self._constant_args, 0.0, 0, 1)
+        write_tension_goals(self.model, self.layout, self._constants, block)
+        stages.compute_motor_torques(block, self.layout.places, *self._constant_args, 0.0, 0, 1)
 
 
 def _operating_point(model: HandModel, tendon: int, kind: LoopKind) -> tuple[_Tick, Matrix, Matrix, Matrix]:
@@ -369,7 +369,7 @@ def _operating_block(bench: _Bench, tendon: int, kind: LoopKind) -> Block:
             for digit, position, rate in zip(model.digits, coordinates, rates, strict=True)
         )
     write_goals(model, layout, block, goals)
-    sample(model, layout, block, goals, 0.0)
+    sample_trajectories(model, layout, block, goals, 0.0)
     return block
 
 

@@ -15,7 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.core.model import HandModel
-from handctl.tune.loops.linear import NOMINAL, LoopKind, Matrix, PlantFactors, System, loop, plant
+from handctl.tune.loops.linear import (
+    NOMINAL,
+    LoopKind,
+    Matrix,
+    PlantFactors,
+    System,
+    open_loop,
+    plant_system,
+)
 
 GAIN_MARGIN_DB = 6.0
 """Smallest gain margin allowed for tuned gains on any plant of an ensemble [dB]."""
@@ -79,12 +87,12 @@ class Margins:
         return max(1.0 - self.gain_db / GAIN_MARGIN_DB, 1.0 - self.phase_deg / PHASE_MARGIN_DEG)
 
 
-def unproven(linear_margins: Margins) -> Margins:
+def unproven_margins(linear_margins: Margins) -> Margins:
     """Return zero margins, for linear margins contradicted by a simulation."""
     return _zero_margins(linear_margins.crossover_hz, linear_margins.peak, stable=False)
 
 
-def worse(first: Margins, second: Margins) -> Margins:
+def smaller_margins(first: Margins, second: Margins) -> Margins:
     """Return the smaller value of each margin, and the larger crossover and peak."""
     return Margins(
         gain_db=min(first.gain_db, second.gain_db),
@@ -97,17 +105,17 @@ def worse(first: Margins, second: Margins) -> Margins:
     )
 
 
-def grid(period: float, points: int = POINTS) -> Matrix:
+def frequency_grid(period: float, points: int = POINTS) -> Matrix:
     """Return angular frequencies (points,) from a third of a hertz to just below half the sampling rate [rad/s]."""
     return np.geomspace(2.0 * math.pi * LOWEST_HZ, 0.999 * math.pi / period, points)
 
 
-def margins(system: System, points: int = POINTS) -> Margins:
+def margins_of_loop(system: System, points: int = POINTS) -> Margins:
     """Return the margins of a loop L with 1 + L in the denominator.
 
     The margins of an unstable loop and of a loop without gain are zero.
     """
-    omega = grid(system.period, points)
+    omega = frequency_grid(system.period, points)
     if not (np.isfinite(system.A).all() and np.isfinite(system.C).all()):
         return _zero_margins(math.nan, math.inf, stable=False)
     L: NDArray[np.complex128] = system.response(omega)[:, 0, 0]
@@ -152,13 +160,13 @@ def is_stable(system: System, factor: complex = 1.0, delay: int = 0) -> bool:
     return bool(np.isfinite(A).all() and np.abs(np.linalg.eigvals(A)).max() < 1.0)
 
 
-def confirmed(system: System) -> Margins:
+def confirmed_margins(system: System) -> Margins:
     """Return margins that are confirmed by the eigenvalues of the closed loop.
 
     A margin is reduced to the value at which an eigenvalue reaches the unit circle. The frequency
     response alone would miss a resonance between two of its frequencies.
     """
-    result = margins(system, FINE_POINTS)
+    result = margins_of_loop(system, FINE_POINTS)
     if not result.stable or result.phase_deg == 0.0:
         return result
     ticks = int(min(result.delay_s, MAX_DELAY_S) / system.period)
@@ -228,10 +236,14 @@ def _phase_angles(L: NDArray[np.complex128], omega: Matrix) -> list[tuple[float,
 def all_margins(model: HandModel, factors: PlantFactors = NOMINAL) -> dict[tuple[str, LoopKind], Margins]:
     """Return the confirmed margins of both loops of every tendon."""
     names = model.hand.tendon_names
-    return {(name, kind): confirmed(loop(model, i, kind, factors)) for i, name in enumerate(names) for kind in LoopKind}
+    return {
+        (name, kind): confirmed_margins(open_loop(model, i, kind, factors))
+        for i, name in enumerate(names)
+        for kind in LoopKind
+    }
 
 
-def worst(
+def worst_loop(
     margins_by_loop: dict[tuple[str, LoopKind], Margins],
 ) -> tuple[tuple[str, LoopKind], Margins]:
     """Return the loop with the largest shortfall of a margin, and its name."""
@@ -250,8 +262,8 @@ def step_response(model: HandModel, tendon: int, kind: LoopKind, duration: float
     Returns:
         Times (k,) [s], and travel [m] (motion) or tension [N] (tension), (k,).
     """
-    L = loop(model, tendon, kind)
-    P = plant(model, tendon, kind)
+    L = open_loop(model, tendon, kind)
+    P = plant_system(model, tendon, kind)
     closed = L.A - L.B @ L.C
     row = np.zeros(len(L.A))
     row[: len(P.A)] = P.C[0 if kind == LoopKind.MOTION else 1]

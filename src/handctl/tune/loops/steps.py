@@ -16,9 +16,9 @@ from handctl.core.types import Mode
 from handctl.hand.description import Hand
 from handctl.programs.exercise import HOME_RAD, Exercise, ExerciseStage
 from handctl.report.truth import TruthRecord
-from handctl.tune.loops.design import linear_factors, unlike_tendons, weakest
-from handctl.tune.loops.linear import LoopKind, Matrix, PlantFactors, loop
-from handctl.tune.scoring import GroundTruth, simulated
+from handctl.tune.loops.design import linear_factors, unlike_tendons, weakest_plant
+from handctl.tune.loops.linear import LoopKind, Matrix, PlantFactors, open_loop
+from handctl.tune.scoring import GroundTruth, simulate_program
 from handctl.tune.search.ensemble import MIN_SPREAD
 
 STEP_RAD = 0.15
@@ -107,7 +107,7 @@ class Swing:
         return f"swings by {angle:.2f} deg, {self.free_N:.1f} N free and {self.largest_hold_swing:.1f} N held"
 
 
-def swing(hand: Hand, model: HandModel, factors: Mapping[str, float], seed: int) -> Swing:
+def simulate_swing(hand: Hand, model: HandModel, factors: Mapping[str, float], seed: int) -> Swing:
     """Run both steps on a simulated plant, and return the largest oscillations.
 
     Args:
@@ -116,7 +116,7 @@ def swing(hand: Hand, model: HandModel, factors: Mapping[str, float], seed: int)
         factors: factors of the plant relative to the description.
         seed: seed of the noise.
     """
-    ticks, truth, failure = simulated(hand, model, Steps(), factors, seed)
+    ticks, truth, failure = simulate_program(hand, model, Steps(), factors, seed)
     active = [(entry.t_ns, out.phase) for entry, out in ticks if out.mode == Mode.ACTIVE]
     ends = {name: max((t for t, phase in active if phase == name), default=None) for name in ("move", "hold")}
     if failure or ends["hold"] is None or ends["move"] is None:
@@ -145,7 +145,7 @@ def _peak_to_peak(values: Matrix) -> Matrix:
     return np.asarray(np.ptp(values - powers @ np.linalg.lstsq(powers, values, rcond=None)[0], axis=0))
 
 
-def rings(model: HandModel, factors: PlantFactors) -> bool:
+def is_ringing(model: HandModel, factors: PlantFactors) -> bool:
     """Return True if the linear loop of a held tension still oscillates when a step is evaluated.
 
     The oscillating eigenvalues are equal at every tension below the knee of the tendon. A step is
@@ -158,7 +158,7 @@ def rings(model: HandModel, factors: PlantFactors) -> bool:
     """
     ticks = (REST_S - EVALUATED_S) / model.period
     for i in unlike_tendons(model):
-        system = loop(model, i, LoopKind.TENSION, factors)
+        system = open_loop(model, i, LoopKind.TENSION, factors)
         poles = np.linalg.eigvals(system.A - system.B @ system.C)
         size = float(np.abs(poles[np.abs(np.angle(poles)) > OSCILLATING]).max(initial=0.0))
         if not size < 1.0 or STEP_N * size**ticks > MAX_HOLD_SWING_N:
@@ -226,18 +226,18 @@ class Proof:
     def _simulate(self, model: HandModel) -> str:
         """Return the reason why the hand does not come to rest, empty if it does."""
         friction = [factors.get("friction", 1.0) for factors in self.factors]
-        indices = sorted({0, weakest(model, self.plants), friction.index(max(friction))})
+        indices = sorted({0, weakest_plant(model, self.plants), friction.index(max(friction))})
         cases = {f"plant {i + 1} of {len(self.plants)}": (self.factors[i], self.seed + i) for i in indices}
         cases[f"the plant with {MIN_FRICTION['friction']:g} of the friction"] = (
             MIN_FRICTION,
             self.seed,
         )
         for name, (factors, seed) in cases.items():
-            result = swing(self.hand, model, factors, seed)
+            result = simulate_swing(self.hand, model, factors, seed)
             if result.at_rest:
                 continue
             # a swing that is judged at all is compared with the plant's own, which costs another simulation
-            ringing = rings(model, linear_factors(factors))
+            ringing = is_ringing(model, linear_factors(factors))
             if result.failure or ringing or not result.beside(self._plant_swing(model, name, factors, seed)).at_rest:
                 return f": {name} {result}{' of a loop that rings' if ringing else ''}"
         return ""
@@ -249,7 +249,7 @@ class Proof:
         """
         if name not in self._chatter:
             still = HandModel.of(model.hand, Gains.model_validate(WITHOUT_FEEDBACK), 1.0 / model.period)
-            runs = [swing(self.hand, still, factors, seed + i) for i in range(CHATTER_SEEDS)]
+            runs = [simulate_swing(self.hand, still, factors, seed + i) for i in range(CHATTER_SEEDS)]
             none = (0.0,) * model.tendon_count
             each = zip(*(none if run.failure else run.hold_swings_N for run in runs), strict=True)
             self._chatter[name] = tuple(max(values) for values in each)

@@ -28,7 +28,7 @@ MAX_SPREAD = 0.9
 """Largest half width, because no real plant has a factor near zero."""
 
 
-def ensemble(count: int, seed: int, spread: Mapping[str, float] | None = None) -> tuple[dict[str, float], ...]:
+def draw_ensemble(count: int, seed: int, spread: Mapping[str, float] | None = None) -> tuple[dict[str, float], ...]:
     """Return random factors for plant parameters: the nominal plant, then a scrambled Sobol sequence.
 
     Args:
@@ -50,7 +50,7 @@ def ensemble(count: int, seed: int, spread: Mapping[str, float] | None = None) -
     return (nominal, *(dict(zip(half, map(float, row), strict=True)) for row in factors))[:count]
 
 
-KINDS = {
+FACTOR_OF_PARAMETER = {
     "rope_stiffness": "stiffness",
     "capstan": "friction",
     "motor_coulomb": "friction",
@@ -62,7 +62,7 @@ KINDS = {
 """Key of the ensemble for each identified parameter."""
 
 
-def widths(identified: Mapping[str, Identified]) -> dict[str, float]:
+def ensemble_widths(identified: Mapping[str, Identified]) -> dict[str, float]:
     """Return the half width of each factor, so that all 95 % intervals of an identification are covered.
 
     Args:
@@ -71,6 +71,6 @@ def widths(identified: Mapping[str, Identified]) -> dict[str, float]:
     spread: dict[str, float] = {}
     for tendon in identified.values():
         for name, value, half in zip(tendon.names, tendon.values, tendon.half_widths, strict=True):
-            if name in KINDS and value > 0.0:
-                spread[KINDS[name]] = max(spread.get(KINDS[name], 0.0), half / value)
+            if name in FACTOR_OF_PARAMETER and value > 0.0:
+                spread[FACTOR_OF_PARAMETER[name]] = max(spread.get(FACTOR_OF_PARAMETER[name], 0.0), half / value)
     return spread

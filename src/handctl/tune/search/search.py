@@ -18,10 +18,10 @@ from handctl.core.gains.bounds import with_values
 from handctl.core.gains.gains import Gains
 from handctl.errors import ConfigError
 from handctl.tune.scoring import Score
-from handctl.tune.search.space import SPACE, clamped
+from handctl.tune.search.space import SPACE, clamped_gains
 from handctl.tune.search.workers import Workers
 
-BATCH = 8
+BATCH_SIZE = 8
 """Number of trials per batch. More workers than this would be idle."""
 RANDOM_BATCHES = 2
 """Number of batches with random trials, before the sampler uses results."""
@@ -147,7 +147,7 @@ def _dominates(score: Score, other_score: Score) -> bool:
     return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)
 
 
-def search(plan: SearchPlan, storage: Path, workers: Workers, show: Callable[[SearchResult], None]) -> SearchResult:
+def run_search(plan: SearchPlan, storage: Path, workers: Workers, show: Callable[[SearchResult], None]) -> SearchResult:
     """Run a search, or resume it.
 
     Args:
@@ -262,7 +262,7 @@ def _open_trials(study: Any, plan: SearchPlan, finished_count: int) -> list[Any]
     from optuna.trial import Trial as OptunaTrial
     from optuna.trial import TrialState
 
-    count = BATCH - finished_count % BATCH
+    count = BATCH_SIZE - finished_count % BATCH_SIZE
     still_open = study.get_trials(deepcopy=False, states=(TrialState.RUNNING,))
     # A batch that was asked completely has all its open trials with all parameters.
     if len(still_open) == count and all(len(trial.params) == len(SPACE) for trial in still_open):
@@ -270,8 +270,8 @@ def _open_trials(study: Any, plan: SearchPlan, finished_count: int) -> list[Any]
     _close_open_trials(study)
     if finished_count == 0:
         for gains in (plan.gains, *plan.others):
-            study.enqueue_trial(clamped(gains))
-    study.sampler = _sampler(plan.seed, finished_count // BATCH)
+            study.enqueue_trial(clamped_gains(gains))
+    study.sampler = _sampler(plan.seed, finished_count // BATCH_SIZE)
     return [study.ask(_distributions()) for _ in range(count)]
 
 

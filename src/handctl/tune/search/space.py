@@ -31,7 +31,7 @@ The force of Bryson's rule is fixed, because only the ratios of weights matter.
 """
 
 
-def clamped(gains: Gains) -> dict[str, float]:
+def clamped_gains(gains: Gains) -> dict[str, float]:
     """Return gains as a point of the search space, limited to its ranges."""
     values = values_by_key(gains)
     return {key: min(max(values[key], gain_range.low), gain_range.high) for key, gain_range in SPACE.items()}

@@ -5,7 +5,7 @@ import signal
 import sys
 
 from handctl.errors import HandctlError
-from handctl.tune.scoring import evaluate
+from handctl.tune.scoring import evaluate_job
 
 
 def main() -> int:
@@ -13,7 +13,7 @@ def main() -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for line in sys.stdin:
         try:
-            result: dict[str, object] = evaluate(json.loads(line))
+            result: dict[str, object] = evaluate_job(json.loads(line))
         except HandctlError as error:
             result = {"error": str(error)}
         print(json.dumps(result), flush=True)

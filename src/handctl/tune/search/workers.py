@@ -13,8 +13,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import IO, Any, Protocol
 
 from handctl.errors import ConfigError
-from handctl.extras import require
-from handctl.tune.scoring import evaluate
+from handctl.extras import require_extra
+from handctl.tune.scoring import evaluate_job
 
 Job = dict[str, Any]
 Result = dict[str, Any]
@@ -44,7 +44,7 @@ class InProcessWorkers:
     def scores(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Result]]:
         """Yield the (index, score) pair of each job. See `Workers`."""
         for i, job in enumerate(jobs):
-            yield i, evaluate(job)
+            yield i, evaluate_job(job)
 
     def close(self) -> None:
         """Do nothing."""
@@ -146,7 +146,7 @@ class Cluster:
         Raises:
             ConfigError: distributed is not installed, or the scheduler does not answer.
         """
-        require("tune search --scheduler", "distributed")
+        require_extra("tune search --scheduler", "distributed")
         from distributed import Client
 
         try:
@@ -158,7 +158,7 @@ class Cluster:
         """Yield (index, score) of each job. See `Workers`. Dask repeats the jobs of a lost worker."""
         from distributed import as_completed
 
-        futures = self._client.map(evaluate, jobs, pure=False)
+        futures = self._client.map(evaluate_job, jobs, pure=False)
         indices = {future.key: i for i, future in enumerate(futures)}
         for future, result in as_completed(futures, with_results=True):
             yield indices[future.key], result
@@ -179,7 +179,7 @@ def _check_result(result: Result) -> Result:
     return result
 
 
-def workers(count: int, scheduler: str | None) -> Workers:
+def make_workers(count: int, scheduler: str | None) -> Workers:
     """Return the workers for a number of processes, or for a Dask scheduler."""
     if scheduler:
         return Cluster(scheduler)

@@ -23,7 +23,7 @@ def run_times(chunk: Chunk, offset_ns: int) -> Times:
     return np.asarray(chunk.to_record_batch().column(LOG_TIME).cast(pa.int64())) - offset_ns
 
 
-def timed(entity: str, times: Times, columns: Iterable[ComponentColumn]) -> Chunk:
+def timed_chunk(entity: str, times: Times, columns: Iterable[ComponentColumn]) -> Chunk:
     """Create a chunk of rows.
 
     Args:
@@ -34,12 +34,12 @@ def timed(entity: str, times: Times, columns: Iterable[ComponentColumn]) -> Chun
     return Chunk.from_columns(entity, [TimeColumn(TIMELINE, duration=times.astype("timedelta64[ns]"))], columns)
 
 
-def static(entity: str, columns: Iterable[ComponentColumn]) -> Chunk:
+def static_chunk(entity: str, columns: Iterable[ComponentColumn]) -> Chunk:
     """Create a chunk of one row for all times."""
     return Chunk.from_columns(entity, [], columns)
 
 
-def retimed(chunk: Chunk, offset_ns: int) -> Chunk:
+def chunk_on_run_time(chunk: Chunk, offset_ns: int) -> Chunk:
     """Return the chunk on the timeline of the run. A chunk without times is returned unchanged."""
     if LOG_TIME not in chunk.timeline_names:
         return chunk
@@ -64,7 +64,7 @@ def retimed(chunk: Chunk, offset_ns: int) -> Chunk:
     return new
 
 
-def message(chunk: Chunk) -> pa.StructArray | None:
+def decoded_messages(chunk: Chunk) -> pa.StructArray | None:
     """Return the decoded messages of a chunk, one per row, or None if the chunk has other content."""
     batch = chunk.to_record_batch()
     for field, column in zip(batch.schema, batch.columns, strict=True):
@@ -73,6 +73,6 @@ def message(chunk: Chunk) -> pa.StructArray | None:
     return None
 
 
-def numbers(column: pa.ListArray) -> Floats:
+def column_as_array(column: pa.ListArray) -> Floats:
     """Return a column of lists of equal length as an array (n, width)."""
     return np.asarray(column.flatten(), np.float64).reshape(len(column), -1)

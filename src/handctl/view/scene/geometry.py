@@ -6,7 +6,7 @@ import rerun as rr
 from rerun.chunk import Chunk
 
 from handctl.view.scene import palette
-from handctl.view.scene.arrow import static
+from handctl.view.scene.arrow import static_chunk
 from handctl.view.scene.run_info import RunInfo
 
 _SHAPES: dict[str, type[rr.Boxes3D] | type[rr.Cylinders3D] | type[rr.Ellipsoids3D]] = {
@@ -17,31 +17,31 @@ _SHAPES: dict[str, type[rr.Boxes3D] | type[rr.Cylinders3D] | type[rr.Ellipsoids3
 """Rerun's archetypes for the geometry of a URDF."""
 
 
-def entity(path: str) -> str:
+def entity_path(path: str) -> str:
     """Return the entity path /hand/<link>/<part> for /<robot>/visual_geometries/<link>/<part>."""
     return "/hand/" + path.split("/visual_geometries/", 1)[1]
 
 
-def solid(chunk: Chunk, run: RunInfo) -> Iterator[Chunk]:
+def solid_chunks(chunk: Chunk, run: RunInfo) -> Iterator[Chunk]:
     """Yield a part of the hand from the log's URDF, as a solid.
 
     Rerun draws wire frames by default.
     """
-    path = entity(chunk.entity_path)
+    path = entity_path(chunk.entity_path)
     yield chunk.with_entity_path(path)
     link = path.split("/")[2]
     archetypes = {field.name.split(":")[0] for field in chunk.to_record_batch().schema}
     for archetype, shape in _SHAPES.items():
         if archetype in archetypes:
-            style = shape.columns(fill_mode=[rr.components.FillMode.Solid], colors=[colour(link, run)])
-            yield static(path, style)
+            style = shape.columns(fill_mode=[rr.components.FillMode.Solid], colors=[link_colour(link, run)])
+            yield static_chunk(path, style)
 
 
-def colour(link: str, run: RunInfo) -> palette.Colour:
+def link_colour(link: str, run: RunInfo) -> palette.Colour:
     """Return the colour of a link: the colour of its digit, lighter towards the tip."""
     colours = {
         f"{digit.name}_link{i + 1}": shade
         for index, digit in enumerate(run.hand.digit)
-        for i, shade in enumerate(palette.shades(index, len(digit.joints)))
+        for i, shade in enumerate(palette.joint_colours(index, len(digit.joints)))
     }
     return colours.get(link, palette.PALM)

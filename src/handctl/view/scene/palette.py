@@ -64,14 +64,14 @@ ACTIONS = {
 """Colours of the actions of the safety monitor."""
 
 
-def digit(index: int) -> Colour:
+def digit_colour(index: int) -> Colour:
     """Return the colour of a digit."""
     return DIGITS[index % len(DIGITS)]
 
 
-def shades(index: int, number: int) -> list[Colour]:
+def joint_colours(index: int, number: int) -> list[Colour]:
     """Return a colour for each joint of a digit, lighter towards the tip."""
-    return [digit(index).mixed(WHITE, 0.4 * i / max(number - 1, 1)) for i in range(number)]
+    return [digit_colour(index).mixed(WHITE, 0.4 * i / max(number - 1, 1)) for i in range(number)]
 
 
 def dimmed(colour: Colour) -> Colour:

@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from handctl.core.types import TELEMETRY_AXES
 from handctl.hand.description import Hand
-from handctl.log.batch import columns, row_fields
+from handctl.log.batch import columns_of_fields, row_fields
 from handctl.log.header import RunHeader
 from handctl.log.read.log_hand import described_hand
-from handctl.printing import printable
+from handctl.printing import printable_text
 from handctl.report.truth import TruthRecord
 
 Floats = NDArray[np.float64]
@@ -41,7 +41,7 @@ class RunInfo:
             ConfigError: the description in the log is not a valid hand.
         """
         where = f"{name}, attachment hand.toml"
-        return cls(header, described_hand(header, where), printable(name))
+        return cls(header, described_hand(header, where), printable_text(name))
 
     @property
     def application(self) -> str:
@@ -57,7 +57,7 @@ class RunInfo:
         Returns:
             Array (n, names) for each field, NaN for fields not logged by earlier versions.
         """
-        slices = columns(self.header, row_fields(self.header, table.shape[1]))
+        slices = columns_of_fields(self.header, row_fields(self.header, table.shape[1]))
         missing = {
             name: np.full((len(table), len(self.header.axis(axis))), np.nan) for name, axis in _missing_fields(slices)
         }

@@ -7,7 +7,7 @@ from rerun.chunk import Chunk
 
 from handctl.core.types import TELEMETRY_AXES
 from handctl.view.scene import palette
-from handctl.view.scene.arrow import static
+from handctl.view.scene.arrow import static_chunk
 from handctl.view.scene.palette import Colour
 from handctl.view.scene.run_info import RunInfo
 
@@ -17,7 +17,7 @@ LIMIT_WIDTH = 2.2
 """Line widths [points]."""
 
 
-def styles(run: RunInfo) -> Iterator[Chunk]:
+def style_chunks(run: RunInfo) -> Iterator[Chunk]:
     """Yield all static chunks of a run."""
     yield from _tension_styles(run)
     yield from _angle_styles(run)
@@ -28,18 +28,18 @@ def styles(run: RunInfo) -> Iterator[Chunk]:
     yield _line_style(
         "/bus/load",
         buses,
-        [palette.digit(i).mixed(palette.NEUTRAL, 0.4) for i in range(len(buses))],
+        [palette.digit_colour(i).mixed(palette.NEUTRAL, 0.4) for i in range(len(buses))],
         1.4,
     )
     for name, axis in TELEMETRY_AXES.items():
         names = run.header.axis(axis)
-        yield _line_style(f"/controller/{name}", names, [palette.digit(i) for i in range(len(names))], 1.2)
+        yield _line_style(f"/controller/{name}", names, [palette.digit_colour(i) for i in range(len(names))], 1.2)
 
 
 def _line_style(entity: str, names: Sequence[str], colours: Sequence[Colour], width: float) -> Chunk:
     """Return the style of plot lines."""
     style = rr.SeriesLines.columns(names=list(names), colors=list(colours), widths=[width] * len(names))
-    return static(entity, style.partition([len(names)]))
+    return static_chunk(entity, style.partition([len(names)]))
 
 
 def _band_style(entity: str, names: Sequence[str], colours: Sequence[Colour], unit: str) -> Chunk:
@@ -50,7 +50,7 @@ def _band_style(entity: str, names: Sequence[str], colours: Sequence[Colour], un
         widths=[ESTIMATE_WIDTH] * len(names),
         units=[unit] * len(names),
     )
-    return static(entity, style.partition([len(names)]))
+    return static_chunk(entity, style.partition([len(names)]))
 
 
 def _tension_styles(run: RunInfo) -> Iterator[Chunk]:
@@ -60,7 +60,9 @@ def _tension_styles(run: RunInfo) -> Iterator[Chunk]:
     # shade.
     tendon_slices = run.hand.digit_tendons.values()
     colours = [
-        shade for i, tendons in enumerate(tendon_slices) for shade in palette.shades(i, tendons.stop - tendons.start)
+        shade
+        for i, tendons in enumerate(tendon_slices)
+        for shade in palette.joint_colours(i, tendons.stop - tendons.start)
     ]
     yield _band_style("/tension/estimate", names, colours, "N")
     yield _line_style(
@@ -77,7 +79,7 @@ def _angle_styles(run: RunInfo) -> Iterator[Chunk]:
     """Yield styles of the joint angles."""
     for index, digit in enumerate(run.hand.digit):
         names = [name.removeprefix(f"{digit.name}_") for name in digit.joints]
-        colours = palette.shades(index, len(names))
+        colours = palette.joint_colours(index, len(names))
         yield _band_style(f"/angle/{digit.name}/estimate", names, colours, "deg")
         command_names = [f"{name} command" for name in names]
         yield _line_style(
@@ -91,9 +93,9 @@ def _angle_styles(run: RunInfo) -> Iterator[Chunk]:
 def _force_styles(run: RunInfo) -> Iterator[Chunk]:
     """Yield frames and colours of the force arrows. Each arrow starts at its fingertip."""
     for index, digit in enumerate(run.hand.digit_names):
-        colour = palette.digit(index).mixed(palette.WHITE, 0.3)
-        yield static(f"/force/{digit}", rr.CoordinateFrame.columns(frame=[f"{digit}_tip"]))
-        yield static(f"/force/{digit}", rr.Arrows3D.columns(colors=[colour]))
+        colour = palette.digit_colour(index).mixed(palette.WHITE, 0.3)
+        yield static_chunk(f"/force/{digit}", rr.CoordinateFrame.columns(frame=[f"{digit}_tip"]))
+        yield static_chunk(f"/force/{digit}", rr.Arrows3D.columns(colors=[colour]))
 
 
 def _state_styles() -> Iterator[Chunk]:
@@ -105,4 +107,4 @@ def _state_styles() -> Iterator[Chunk]:
     ):
         names = list(colours)
         style = rr.StateConfiguration.columns(values=names, labels=names, colors=list(colours.values()))
-        yield static(f"/state/{lane}", style.partition([len(names)]))
+        yield static_chunk(f"/state/{lane}", style.partition([len(names)]))

@@ -12,9 +12,16 @@ import rerun as rr
 from rerun.chunk import Chunk
 
 from handctl.core.types import TELEMETRY_AXES
-from handctl.view.scene.arrow import Floats, message, numbers, retimed, run_times, timed
+from handctl.view.scene.arrow import (
+    Floats,
+    chunk_on_run_time,
+    column_as_array,
+    decoded_messages,
+    run_times,
+    timed_chunk,
+)
 from handctl.view.scene.frame_load import FrameLoad
-from handctl.view.scene.geometry import solid
+from handctl.view.scene.geometry import solid_chunks
 from handctl.view.scene.run_info import RunInfo
 
 FORCE_SCALE = 0.008
@@ -65,63 +72,63 @@ class TopicConverters:
         """Yield the new chunks for a chunk of a log."""
         entity = chunk.entity_path
         if "/visual_geometries/" in entity:
-            yield from solid(chunk, self._run)
+            yield from solid_chunks(chunk, self._run)
         elif not chunk.timeline_names:
             return
         elif entity in self._converters:
             yield from self._converters[entity](chunk)
         elif entity.startswith(self._native):
-            yield retimed(chunk, self._offset)
+            yield chunk_on_run_time(chunk, self._offset)
 
     def _convert_values(self, chunk: Chunk) -> Iterator[Chunk]:
         """Convert the telemetry of the controller."""
-        messages = message(chunk)
+        messages = decoded_messages(chunk)
         if messages is None:
             return
-        table = numbers(messages.field("values"))
+        table = column_as_array(messages.field("values"))
         times = run_times(chunk, self._offset)
         part = self._run.fields(table)
-        yield timed("/tension/estimate", times, band(part["tension"], part["tension_sigma"]))
-        yield timed("/tension/command", times, scalars(part["tension_goal"]))
+        yield timed_chunk("/tension/estimate", times, lines_with_band(part["tension"], part["tension_sigma"]))
+        yield timed_chunk("/tension/command", times, plot_lines(part["tension_goal"]))
         limits = np.tile(self._run.limits, (2, 1))
-        yield timed("/tension/limit", times[[0, -1]], scalars(limits))
+        yield timed_chunk("/tension/limit", times[[0, -1]], plot_lines(limits))
         for digit, joints in self._run.hand.digit_joints.items():
             angle = np.degrees(part["q"][:, joints])
-            yield timed(
+            yield timed_chunk(
                 f"/angle/{digit}/estimate",
                 times,
-                band(angle, np.degrees(part["q_sigma"][:, joints])),
+                lines_with_band(angle, np.degrees(part["q_sigma"][:, joints])),
             )
-            yield timed(f"/angle/{digit}/command", times, scalars(np.degrees(part["q_goal"][:, joints])))
+            yield timed_chunk(f"/angle/{digit}/command", times, plot_lines(np.degrees(part["q_goal"][:, joints])))
         for index, digit in enumerate(self._run.hand.digit_names):
-            yield timed(f"/force/{digit}", times, arrows(part["tip_force"][:, index]))
+            yield timed_chunk(f"/force/{digit}", times, force_arrows(part["tip_force"][:, index]))
         for name in TELEMETRY_AXES:
-            yield timed(f"/controller/{name}", times, scalars(part[name]))
+            yield timed_chunk(f"/controller/{name}", times, plot_lines(part[name]))
 
     def _convert_cycle(self, chunk: Chunk) -> Iterator[Chunk]:
         """Convert the lateness of each tick to [us]."""
-        messages = message(chunk)
+        messages = decoded_messages(chunk)
         if messages is not None:
             late = np.asarray(messages.field("late"), np.float64) * 1e6
-            yield timed("/loop/late", run_times(chunk, self._offset), scalars(late[:, None]))
+            yield timed_chunk("/loop/late", run_times(chunk, self._offset), plot_lines(late[:, None]))
 
     def _convert_tick(self, chunk: Chunk) -> Iterator[Chunk]:
         """Convert the frames of each tick to the load of each bus [%]."""
-        messages = message(chunk)
+        messages = decoded_messages(chunk)
         if messages is not None:
             load = 100 * self._load.of(messages)
-            yield timed("/bus/load", run_times(chunk, self._offset), scalars(load))
+            yield timed_chunk("/bus/load", run_times(chunk, self._offset), plot_lines(load))
 
     def _convert_state(self, chunk: Chunk) -> Iterator[Chunk]:
         """Convert a named state to a lane of the dashboard."""
-        messages = message(chunk)
+        messages = decoded_messages(chunk)
         if messages is not None:
             names = messages.field("name").to_pylist()
             entity = STATE_TOPICS[chunk.entity_path]
-            yield timed(entity, run_times(chunk, self._offset), rr.StateChange.columns(state=names))
+            yield timed_chunk(entity, run_times(chunk, self._offset), rr.StateChange.columns(state=names))
 
 
-def band(values: Floats, sigma: Floats) -> rr.ComponentColumnList:
+def lines_with_band(values: Floats, sigma: Floats) -> rr.ComponentColumnList:
     """Return plot lines (n, lines) with a band of one standard deviation.
 
     If the deviation is unknown, there is no band.
@@ -130,12 +137,12 @@ def band(values: Floats, sigma: Floats) -> rr.ComponentColumnList:
     return measured.partition([values.shape[1]] * len(values))
 
 
-def scalars(values: Floats) -> rr.ComponentColumnList:
+def plot_lines(values: Floats) -> rr.ComponentColumnList:
     """Return the values as plot lines (n, lines)."""
     return rr.Scalars.columns(scalars=values.ravel()).partition([values.shape[1]] * len(values))
 
 
-def arrows(force: Floats) -> rr.ComponentColumnList:
+def force_arrows(force: Floats) -> rr.ComponentColumnList:
     """Return the force of the object on a fingertip (n,) [N] as arrows in the frame of the tip."""
     shown = np.where(force >= MIN_FORCE, force, 0.0)
     vectors = np.zeros((len(force), 3))

@@ -9,7 +9,7 @@ from rerun.chunk import Chunk
 
 from handctl.errors import LogError
 from handctl.report.truth import TruthRecord
-from handctl.view.scene.arrow import static, timed
+from handctl.view.scene.arrow import static_chunk, timed_chunk
 from handctl.view.scene.palette import Colour
 from handctl.view.scene.run_info import RunInfo
 
@@ -20,7 +20,7 @@ POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 """Columns of the object's pose, in Rerun's order of a quaternion."""
 
 
-def true_shapes(run: RunInfo) -> Iterator[Chunk]:
+def true_shape_chunks(run: RunInfo) -> Iterator[Chunk]:
     """Yield shapes and poses of object and table, none if the run has no truth with shapes.
 
     Raises:
@@ -34,8 +34,8 @@ def true_shapes(run: RunInfo) -> Iterator[Chunk]:
     times = np.arange(int(run.truth.t_ns[0]), int(run.truth.t_ns[-1]), PERIOD_NS)
     times = times[times >= offset]
     for name in COLOURS.keys() & shapes.keys():
-        yield static(f"/true/{name}", _solid_shape(shapes[name], COLOURS[name]))
-        yield static(f"/true/{name}", rr.CoordinateFrame.columns(frame=[f"true_{name}"]))
+        yield static_chunk(f"/true/{name}", _solid_shape(shapes[name], COLOURS[name]))
+        yield static_chunk(f"/true/{name}", rr.CoordinateFrame.columns(frame=[f"true_{name}"]))
         place = _object_pose if name == "object" else _table_pose
         translation, rotation = place(run.truth, shapes[name], times)
         pose = rr.Transform3D.columns(
@@ -44,7 +44,7 @@ def true_shapes(run: RunInfo) -> Iterator[Chunk]:
             parent_frame=["palm"] * len(times),
             child_frame=[f"true_{name}"] * len(times),
         )
-        yield timed(f"/true/{name}_pose", times - offset, pose)
+        yield timed_chunk(f"/true/{name}_pose", times - offset, pose)
 
 
 def _solid_shape(shape: Mapping[str, Any], colour: Colour) -> Any:
