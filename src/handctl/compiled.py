@@ -6,8 +6,8 @@ rounding (no ``fastmath``), so that both give the same numbers to the last bit.
 
 ``prepare`` compiles all kernels before a hand is armed. One compilation serves every hand: a kernel's arguments have
 fixed types, whatever their sizes. The code is kept in a folder that is named after the content of all source files that
-kernels are made of. A change of one of them, a constant included, makes a new folder, so that no process can run code
-of another version. Where no folder can be written, each process compiles anew.
+kernels are made of, and after their place. A change of one of them, a constant included, makes a new folder, so that no
+process can run code of another version. Where no folder can be written, each process compiles anew.
 """
 
 import contextlib
@@ -39,7 +39,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 SOURCES = (
     "compiled.py", "core", "safety",
     "drives/frame.py", "drives/records.py", "drives/sensors/node.py", "drives/signals.py",
-    "hand/moment_arms.py", "hand/rigid_body.py", "hand/tendons.py",
+    "hand/moment_arms.py", "hand/moment_arms.py", "hand/rigid_body.py", "hand/tendons.py",
 )  # fmt: skip
 """Files and folders of this package whose functions and constants kernels are made of. A test follows each kernel to
 the modules of its constants. A change of any other file compiles nothing anew."""
@@ -133,9 +133,13 @@ def _folder() -> Path | None:
 
 
 def _content() -> str:
-    """Return a hash of all source files that kernels are made of."""
+    """Return a hash of all source files that kernels are made of, and of their folder.
+
+    Numba stores code by the path of its source. Two installations of one version in one folder would hide from each
+    other that the second has nothing compiled.
+    """
     here = Path(__file__).parent
-    digest = hashlib.blake2b(digest_size=8)
+    digest = hashlib.blake2b(os.fsencode(here), digest_size=8)
     for name in SOURCES:
         top = here / name
         for path in [top] if top.is_file() else sorted(top.rglob("*.py")):
@@ -246,7 +250,8 @@ def _ignore_progress(done: int, total: int) -> None:
 
 def _compiled_count(folder: Path, kernels: Sequence[_Waiting]) -> int:
     """Count the kernels that have code in a folder, by the file names that numba chooses."""
-    compiled_names = {path.name.partition("-")[0] for path in folder.rglob("*.nbi")}
+    files = [name for _, _, names in os.walk(folder) for name in names]
+    compiled_names = {name.partition("-")[0] for name in files if name.endswith(".nbi")}
     return sum(".".join(one.name.rsplit(".", 2)[1:]) in compiled_names for one in kernels)
 
 

@@ -174,6 +174,15 @@ def test_a_constant_changed_in_another_file_compiles_again(copy: Path, tmp_path:
     assert ask(copy, cache) == (True, True, True), "the code of both versions is kept"
 
 
+def test_two_installations_of_one_version_store_their_code_apart(copy: Path, tmp_path: Path) -> None:
+    """Check that the code of one is not counted as that of the other, which would then compile with one core."""
+    cache, other = tmp_path / "cache", tmp_path / "other" / copy.name
+    shutil.copytree(copy, other)
+    for package in (copy, other):
+        assert ask(package, cache) == (True, False, True)
+    assert len(list((cache / "handctl").glob("kernels-*"))) == 2
+
+
 @pytest.mark.parametrize("kind", ["missing", "a file", "read-only"])
 def test_without_a_writable_cache_each_process_compiles(copy: Path, tmp_path: Path, kind: str) -> None:
     cache = Path("/dev/null/none") if kind == "missing" else tmp_path / "cache"

@@ -188,6 +188,9 @@ def _structure_constants(model: HandModel) -> dict[str, object]:
         "hand_varying": bool(model.hand.has_varying_arm.any()),
         "arm_polynomial": np.moveaxis(model.hand.arm_polynomials, 2, 0),
         "mean_balance": model.redundancy.balance,
+        # Zero for constant arms. ``estimation.structure`` writes them in each tick for varying ones.
+        "angle_offset": 0.0,
+        "explained_offset": 0.0,
         "torque_to_tension": model.torque_to_tension,
         "pulley_weight": model.pulley_weights,
         "coupling": model.coupling,

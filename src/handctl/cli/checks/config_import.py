@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from handctl.cli.checks.config_init import Question, answer, check_terminal, one_or_each, write_with_schema
+from handctl.cli.checks.config_questions import Question, answer, check_terminal, one_or_each, write_with_schema
 from handctl.cli.console.options import print_escaped, print_json
 from handctl.drives.motor_description import GUARDED, PROTOCOLS
 from handctl.errors import ConfigError

@@ -1,51 +1,27 @@
 """``handctl config init``: write a new hand file from options, or from the answers to a few questions."""
 
 import argparse
-import sys
-from collections.abc import Callable
 from dataclasses import fields, replace
-from pathlib import Path
-from typing import Any, NamedTuple
 
+from handctl.cli.checks.config_questions import (
+    SCHEMA_FILE,
+    Question,
+    answer,
+    check_terminal,
+    one_or_each,
+    write_with_schema,
+)
 from handctl.cli.console.options import print_escaped, print_json
 from handctl.drives.motor_description import PROTOCOLS
 from handctl.errors import ConfigError
-from handctl.hand.file.json_schema import hand_schema_text
 from handctl.hand.file.new_file import HandAnswers, check_answers, new_hand_text, palm_warnings
 from handctl.hand.load import inspect_content, parse_toml
-from handctl.output import write_text_atomically
 from handctl.programs.default_task import grasp_warnings
-
-SCHEMA_FILE = "hand.schema.json"
-"""Name of the JSON Schema file, next to a new hand file."""
-
-
-class Question(NamedTuple):
-    """Question about a hand.
-
-    Attributes:
-        field: field of ``HandAnswers``.
-        text: the question, without its default.
-        read: function that returns the answer from a text, or raises ValueError.
-        right: description of a valid answer, for error messages.
-    """
-
-    field: str
-    text: str
-    read: Callable[[str], Any]
-    right: str
 
 
 def lengths(text: str) -> tuple[float, ...]:
     """Return the lengths [mm] in a list such as ``40,30``."""
     return tuple(float(part) for part in text.replace(",", " ").split())
-
-
-def one_or_each(text: str) -> str:
-    """Return the text if it is ``one`` or ``each``."""
-    if text not in ("one", "each"):
-        raise ValueError(text)
-    return text
 
 
 QUESTIONS = (
@@ -100,25 +76,6 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def write_with_schema(output: Path, text: str) -> Path:
-    """Write a new hand file, and the JSON Schema beside it if there is none. Return the path of the schema."""
-    schema = output.parent / SCHEMA_FILE
-    write_text_atomically(output, text, new=True)
-    if not schema.exists():
-        write_text_atomically(schema, hand_schema_text(), new=True)
-    return schema
-
-
-def check_terminal() -> None:
-    """Check that an operator can answer questions.
-
-    Raises:
-        ConfigError: standard input is not a terminal.
-    """
-    if not (sys.stdin and sys.stdin.isatty()):
-        raise ConfigError("nobody can answer the questions: no terminal", "config init", "--yes, and options")
-
-
 def _ask(args: argparse.Namespace, answers: HandAnswers) -> HandAnswers:
     """Ask the questions not answered by options. An empty answer selects the default.
 
@@ -134,15 +91,3 @@ def _ask(args: argparse.Namespace, answers: HandAnswers) -> HandAnswers:
         shown = f"{default:.3g}" if isinstance(default, float) else shown
         answers = replace(answers, **{question.field: answer(question, shown, default)})
     return answers
-
-
-def answer(question: Question, shown: str, default: Any) -> Any:
-    """Repeat a question until the answer is valid, and return the answer."""
-    while True:
-        text = input(f"{question.text} [{shown}]: ").strip()
-        if not text:
-            return default
-        try:
-            return question.read(text)
-        except ValueError:
-            print_escaped(f"{text!r}; expected {question.right}")

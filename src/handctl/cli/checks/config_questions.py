@@ -1,0 +1,68 @@
+"""Questions of ``handctl config init`` on the terminal, and the files that the answers become."""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from handctl.cli.console.options import print_escaped
+from handctl.errors import ConfigError
+from handctl.hand.file.json_schema import hand_schema_text
+from handctl.output import write_text_atomically
+
+SCHEMA_FILE = "hand.schema.json"
+"""Name of the JSON Schema file, next to a new hand file."""
+
+
+class Question(NamedTuple):
+    """Question about a hand.
+
+    Attributes:
+        field: field of ``HandAnswers``.
+        text: the question, without its default.
+        read: function that returns the answer from a text, or raises ValueError.
+        right: description of a valid answer, for error messages.
+    """
+
+    field: str
+    text: str
+    read: Callable[[str], Any]
+    right: str
+
+
+def one_or_each(text: str) -> str:
+    """Return the text if it is ``one`` or ``each``."""
+    if text not in ("one", "each"):
+        raise ValueError(text)
+    return text
+
+
+def write_with_schema(output: Path, text: str) -> Path:
+    """Write a new hand file, and the JSON Schema beside it if there is none. Return the path of the schema."""
+    schema = output.parent / SCHEMA_FILE
+    write_text_atomically(output, text, new=True)
+    if not schema.exists():
+        write_text_atomically(schema, hand_schema_text(), new=True)
+    return schema
+
+
+def check_terminal() -> None:
+    """Check that an operator can answer questions.
+
+    Raises:
+        ConfigError: standard input is not a terminal.
+    """
+    if not (sys.stdin and sys.stdin.isatty()):
+        raise ConfigError("nobody can answer the questions: no terminal", "config init", "--yes, and options")
+
+
+def answer(question: Question, shown: str, default: Any) -> Any:
+    """Repeat a question until the answer is valid, and return the answer."""
+    while True:
+        text = input(f"{question.text} [{shown}]: ").strip()
+        if not text:
+            return default
+        try:
+            return question.read(text)
+        except ValueError:
+            print_escaped(f"{text!r}; expected {question.right}")
