@@ -26,7 +26,8 @@ def test_execute_tells_programs_what_it_found(capsys: pytest.CaptureFixture[str]
 def test_rounding_of_another_machine_is_distinguished(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("handctl.replay.log_runner.equal_outputs", lambda logged, numbers, out: logged.tick_in.k != 100)
+    compare = "handctl.replay.log_runner.are_outputs_equal"
+    monkeypatch.setattr(compare, lambda logged, numbers, out: logged.tick_in.k != 100)
     found = TickDifference(100, 0.5, "nis", "index_tendon", 0.5, 0.5 + 1e-15, 9)
     monkeypatch.setattr("handctl.replay.log_runner.differences", lambda *what: iter([found]))
     assert main(["replay", "execute", GRASP]) == 1

@@ -166,7 +166,7 @@ def test_what_a_simulated_hand_is_made_of_is_not_kept_for_the_real_one(place, ca
     outcome = SimpleNamespace(state=ended, refuse_unfinished=lambda where: None)
     monkeypatch.setattr("handctl.cli.tuning.identify._in_lockstep", lambda *words: (made, outcome))
     monkeypatch.setattr("handctl.cli.tuning.identify.RunLog", lambda log: nullcontext())
-    monkeypatch.setattr("handctl.cli.tuning.identify.identify", lambda *words: {})
+    monkeypatch.setattr("handctl.cli.tuning.identify.identify_tendons", lambda *words: {})
     assert main(["identify", "--lockstep", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["calibration"] == "jamia.lockstep.calibration.toml"
     assert own.read_bytes() == before
@@ -192,9 +192,9 @@ def _identifies(monkeypatch, made, found):
     outcome = SimpleNamespace(refuse_unfinished=lambda where: None)
     monkeypatch.setattr("handctl.cli.tuning.identify._in_lockstep", lambda *words: (made, outcome))
     monkeypatch.setattr("handctl.cli.tuning.identify.RunLog", lambda log: nullcontext())
-    monkeypatch.setattr("handctl.cli.tuning.identify.identify", lambda *words: found)
+    monkeypatch.setattr("handctl.cli.tuning.identify.identify_tendons", lambda *words: found)
     monkeypatch.setattr("handctl.cli.tuning.identify._pictures", lambda *words: [])
-    monkeypatch.setattr("handctl.cli.tuning.identify.table", lambda tendons: [])
+    monkeypatch.setattr("handctl.cli.tuning.identify.result_table", lambda tendons: [])
 
 
 def test_for_a_digit_in_contact_only_motor_and_tendon_are_written(place, capsys, monkeypatch):

@@ -17,7 +17,7 @@ def test_readme_is_short() -> None:
 def test_the_limits_come_before_the_commands() -> None:
     assert README.index("**Simulated only.**") < README.index("make demo")
     firmware = "reference firmware with a schematic"
-    for word in ("Nobody has run handctl on a real hand", "first to try a real hand", firmware):
+    for word in ("Nobody has run handctl on a real hand", "**Be the first**", firmware):
         assert word in README, word
 
 
@@ -29,7 +29,7 @@ def test_the_code_that_needs_a_hand_is_named() -> None:
 def test_every_protocol_is_named() -> None:
     names = {
         "mit": "MIT", "odrive": "ODrive", "cia402": "CiA 402", "cubemars": "CubeMars", "moteus": "moteus (CAN FD)",
-        "robstride": "RobStride", "robstride_mit": "RobStride (private protocol and MIT mode)",
+        "robstride": "RobStride", "robstride_mit": "RobStride motors in MIT mode",
     }  # fmt: skip
     assert [protocol for protocol in PROTOCOLS if names.get(protocol, protocol) not in README] == []
 

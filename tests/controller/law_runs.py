@@ -145,7 +145,7 @@ def load_of(model: HandModel, goals: tuple[DigitGoal, ...], way: np.ndarray) -> 
     state = blank(model)
     write_goals(model, state.layout, state.block, goals)
     undecided = _required(state.block, state.layout.places, *constants(model), way)
-    allocate_bounded_tensions(model, state.layout, state.block, undecided, way)
+    allocate_bounded_tensions(model, state.layout, controller_of(model).constants, state.block, undecided, way)
     return state.view("load")
 
 

@@ -68,9 +68,9 @@ class Estimate(NamedTuple):
     grip: np.ndarray
 
 
-FIELDS = {"rate": "excursion_rate", "offset": "stretch_offset"}
+FIELDS = {"rate": "excursion_rate", "offset": "stretch_offset", "contact_force": "grown"}
 """Names of fields of the block that are others than those of an estimate."""
-DERIVED = ("slack", "opening", "grip")
+DERIVED = ("slack", "grip_opening", "grip")
 
 
 @functools.cache

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from handctl.core import constants as h
-from handctl.core.estimation.filter_design import design_filter
 from handctl.core.estimation.filter_stack import STATES, TRANSITION_CACHE_SIZE, E, FilterDesign, O, Regime, S, X
+from handctl.core.gains.filter_design import design_filter
 from handctl.core.gains.gains import FilterGains, Gains
 from handctl.core.model import HandModel, _joint_period
 from handctl.hand.load import load_hand

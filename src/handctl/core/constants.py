@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from handctl.compiled import borrow, inner
 from handctl.core.schema import Block, Places, Schema
 from handctl.hand import rigid_body
-from handctl.hand.moment_arms import COEFFICIENTS
+from handctl.hand.file.quantities import COEFFICIENTS
 
 AXES = ("tendon", "joint", "digit", "coordinate", "kind", "element", "place", "run")
 TABLES = (

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from handctl.core.estimation.filter_design import design_filter
 from handctl.core.estimation.filter_stack import FilterDesign
+from handctl.core.gains.filter_design import design_filter
 from handctl.core.gains.gains import Gains
 from handctl.core.gains.motion_design import MotionDesign, design_motion
 from handctl.core.law.computed_torque import RELAX_FLOOR_N

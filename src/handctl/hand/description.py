@@ -121,7 +121,7 @@ class Hand(Section):
 
     @cached_property
     def arm_polynomials(self) -> NDArray[np.float64]:
-        """Return the moment arms as polynomials, (N, J, moment_arms.COEFFICIENTS), read-only."""
+        """Return the moment arms as polynomials, (N, J, quantities.COEFFICIENTS), read-only."""
         rows = [[polynomial_of(tendon.moment_arm_m.get(joint, 0.0)) for joint in self.joints] for tendon in self.tendon]
         polynomials = np.array(rows)
         polynomials.setflags(write=False)

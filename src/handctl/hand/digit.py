@@ -63,7 +63,7 @@ class DigitModel:
         friction: (n_t,) capstan coefficient.
         wrap: (n_t,) wrap angle before the first joint pulley [rad].
         motor_mass: (n_t,) rotor inertia as a mass at the tendon, J_m / r_a^2 [kg].
-        arm_polynomials: (n_t, n, moment_arms.COEFFICIENTS) moment arms by joint angle.
+        arm_polynomials: (n_t, n, quantities.COEFFICIENTS) moment arms by joint angle.
         has_varying_arm: True if a moment arm depends on the joint angle.
     """
 

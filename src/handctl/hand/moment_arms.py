@@ -11,14 +11,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from handctl.hand.file.quantities import COEFFICIENTS
+
 Array = NDArray[np.float64]
 Arm = float | Mapping[str, Sequence[float]]
 """Arm in a hand file: a number, ``{"polynomial_m": ...}``, or ``{"angle_deg": ..., "arm_m": ...}``."""
 
-DEGREE = 5
-"""Largest degree of an arm's polynomial."""
-COEFFICIENTS = DEGREE + 1
-"""Number of coefficients of each arm: [m], [m/rad], [m/rad^2] and so on."""
 TABLE_DEGREE = 3
 """Largest degree of the polynomial of a table."""
 

@@ -83,11 +83,11 @@ def _declare_init(parser: argparse.ArgumentParser) -> None:
     """Declare the options of ``config init``. Each option answers a question about the new hand."""
     output_option(parser, "a new hand file", required=True)
     source = parser.add_mutually_exclusive_group()
-    text = "take links, joints and inertia from {}; what tendons need is asked, or marked TODO in the file"
+    text = "take links, joints and inertia from {}; what tendons need is asked, or marked 'TODO' in the file"
     source.add_argument("--urdf", type=Path, metavar="FILE", help=text.format("a robot description"))
     source.add_argument("--mjcf", type=Path, metavar="FILE", help=text.format("a model of MuJoCo, and its moment arms"))
     add = parser.add_argument
-    add("--yes", action="store_true", help="ask nothing: take the defaults (or TODO) where no option answers")
+    add("--yes", action="store_true", help="ask nothing: take the defaults (or 'TODO') where no option answers")
     add("--name", help="name of the hand (default: mine)")
     add("--fingers", type=int, metavar="N", help="digits on one side (default: 2)")
     add("--opposed", type=int, metavar="N", help="digits that close against them (default: 1)")
@@ -101,10 +101,10 @@ def _declare_init(parser: argparse.ArgumentParser) -> None:
     add("--strength", type=float, dest="strength_N", metavar="N", help="breaking force of the tendons (default: 600)")
     add("--protocol", choices=GUARDED, help="protocol of the drives (default: mit)")
     text = "with --urdf or --mjcf: "
-    add("--cells", choices=("all", "none"), help=f"{text}tendons that have a load cell (default: TODO)")
-    add("--encoders", choices=("all", "none"), help=f"{text}joints that have an encoder (default: TODO)")
-    add("--springs", choices=("all", "none"), help=f"{text}joints that have a return spring (default: TODO)")
-    add("--first-node", type=int, metavar="N", help=f"{text}node number of the first drive of a bus (default: TODO)")
+    add("--cells", choices=("all", "none"), help=f"{text}tendons that have a load cell (default: 'TODO')")
+    add("--encoders", choices=("all", "none"), help=f"{text}joints that have an encoder (default: 'TODO')")
+    add("--springs", choices=("all", "none"), help=f"{text}joints that have a return spring (default: 'TODO')")
+    add("--first-node", type=int, metavar="N", help=f"{text}node number of the first drive of a bus (default: 'TODO')")
 
 
 def _lengths(text: str) -> tuple[float, ...]:

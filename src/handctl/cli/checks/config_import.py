@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from handctl.cli.checks.config_questions import Question, answer, check_terminal, one_or_each, write_with_schema
 from handctl.cli.console.options import print_escaped, print_json
+from handctl.cli.console.questions import Question, answer, check_terminal, one_or_each, write_with_schema
 from handctl.drives.motor_description import GUARDED, PROTOCOLS
 from handctl.errors import ConfigError
 from handctl.hand.file.error_text import Mistake
 from handctl.hand.file.imported_file import ANSWERS, Described, TendonAnswers, described_text, usable_tendons
 from handctl.hand.file.new_file import options_line
-from handctl.hand.file.quantities import NAME_PATTERN, TODO
+from handctl.hand.file.quantities import NAME_PATTERN, UNMEASURED
 from handctl.hand.formats.model_tree import ModelLink, digits_of
 from handctl.hand.load import inspect_content, parse_toml
 from handctl.session.model_file import read_model_file
@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
     options = options_line(answers.protocol, traits.options) if answers.protocol and traits else ""
     text = described_text(described, answers, options, traits is not None and traits.can_fd)
     mistakes = inspect_content(parse_toml(text, str(args.output))).mistakes
-    missing = [mistake for mistake in mistakes if TODO in mistake.what]
+    missing = [mistake for mistake in mistakes if UNMEASURED in mistake.what]
     schema = write_with_schema(args.output, text)
     warnings = [*notes, *unread, *_other(mistakes, missing, args.output)]
     joints = sum(len(digit.joints) for digit in described.digits)
@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
         print_json({"output": str(args.output), "schema": str(schema), **found, "warnings": warnings})
         return 0
     print_escaped(
-        f"{args.output}: {len(described.digits)} digits, {joints} joints; {len(missing)} values are still {TODO}"
+        f"{args.output}: {len(described.digits)} digits, {joints} joints; {len(missing)} values are still {UNMEASURED}"
     )
     for warning in warnings:
         print_escaped(f"warning: {warning}")
@@ -108,7 +108,7 @@ def read_described(path: Path, kind: str) -> tuple[Described, list[str]]:
     name = re.sub(r"\W+", "_", model["name"])
     described = Described(
         source=path.name,
-        name=name if NAME_PATTERN.fullmatch(name) and name != TODO else "mine",
+        name=name if NAME_PATTERN.fullmatch(name) and name != UNMEASURED else "mine",
         gravity=None if gravity is None else (palm.T @ np.array(gravity)).tolist(),
         palm=palm,
         digits=digits,
@@ -122,7 +122,7 @@ def _ask(answers: TendonAnswers, known: set[str]) -> TendonAnswers:
     check_terminal()
     for question in QUESTIONS:
         if getattr(answers, question.field) is None and question.field not in known:
-            answers = replace(answers, **{question.field: answer(question, TODO, None)})
+            answers = replace(answers, **{question.field: answer(question, UNMEASURED, None)})
     return answers
 
 

@@ -3,7 +3,8 @@
 import argparse
 from dataclasses import fields, replace
 
-from handctl.cli.checks.config_questions import (
+from handctl.cli.console.options import print_escaped, print_json
+from handctl.cli.console.questions import (
     SCHEMA_FILE,
     Question,
     answer,
@@ -11,7 +12,6 @@ from handctl.cli.checks.config_questions import (
     one_or_each,
     write_with_schema,
 )
-from handctl.cli.console.options import print_escaped, print_json
 from handctl.drives.motor_description import PROTOCOLS
 from handctl.errors import ConfigError
 from handctl.hand.file.new_file import HandAnswers, check_answers, new_hand_text, palm_warnings

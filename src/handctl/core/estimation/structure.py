@@ -20,7 +20,7 @@ from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation.statics import part_explained_by_motion
-from handctl.hand.moment_arms import COEFFICIENTS
+from handctl.hand.file.quantities import COEFFICIENTS
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

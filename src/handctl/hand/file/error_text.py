@@ -8,7 +8,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from handctl.errors import ConfigError
-from handctl.hand.file.quantities import TODO
+from handctl.hand.file.quantities import UNMEASURED
 from handctl.printing import similar_name
 
 
@@ -68,7 +68,7 @@ def validation_mistakes(error: ValidationError, model: type[BaseModel], content:
         elif detail["type"] != "extra_forbidden":
             context = {"right": detail["msg"], **detail.get("ctx", {})}
             right = EXPECTED_TYPES.get(detail["type"], "{right}").format(**context)
-            if detail["input"] == TODO:
+            if detail["input"] == UNMEASURED:
                 right += _meaning(_field_of_key(location, model))
             found.append(Mistake(toml_spelling(detail["input"]), where, right))
     return found

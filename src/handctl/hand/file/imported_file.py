@@ -9,7 +9,7 @@ import numpy as np
 from handctl.hand.digit import Array
 from handctl.hand.file.error_text import first_sentence
 from handctl.hand.file.new_file import DRIVE_LIMIT_RATIO, FLOOR_N, MOTORS_PER_BUS, SENSOR_IDS, TRIP_RATIO
-from handctl.hand.file.quantities import TODO
+from handctl.hand.file.quantities import UNMEASURED
 from handctl.hand.file.sections import Digit, Motor, Mount, Section, SensorNode, Tendon
 from handctl.hand.formats.model_tree import ModelDigit
 from handctl.hand.link_bodies import rpy_of
@@ -35,7 +35,7 @@ CHOSEN = {
     "velocity_range_rad_s",
 }
 """Keys whose value is chosen and set, not measured."""
-ARMS = f"{TODO} measure: the moment arm at each joint that it passes, as in {{ j1 = 0.010, j2 = 0.008 }}"
+ARMS = f"{UNMEASURED} measure: the moment arm at each joint that it passes, as in {{ j1 = 0.010, j2 = 0.008 }}"
 """Comment of a tendon without moment arms."""
 SKELETON = "# The tendons below only stand for those of the hand: one for each {}. Add, remove and rename them.\n"
 """Comment if the description has no tendons."""
@@ -222,7 +222,7 @@ def _head(described: Described, answers: TendonAnswers, buses: int, can_fd: bool
     rate = "bitrate = 1_000_000" + ("\ndata_bitrate = 5_000_000" if can_fd else "")
     lines = "\n\n".join(f'[[bus]]\nname = "{_bus_name(bus)}"\n{rate}' for bus in range(buses))
     return (
-        f"# From {described.source} by handctl config init. Each value {TODO!r} must be measured or\n"
+        f"# From {described.source} by handctl config init. Each value {UNMEASURED!r} must be measured or\n"
         f"# chosen before the hand can run: handctl config check --hand FILE lists them.\n{turned}"
         f'schema = 2\nname = "{answers.name or described.name}"\n'
         f'description = "{len(described.digits)} digits, {joints} joints, from {described.source}"\n\n'
@@ -314,14 +314,14 @@ def _drive_lines(tendons: Sequence[Mapping[str, Any]], bus: int, nodes: dict[int
     for tendon in tendons:
         arms = tendon["arms"]
         words = [f'motor = "{tendon["motor"]}"']
-        words.append(f'moment_arm_m = "{TODO}"' if arms is None else f"moment_arm_m = {{ {_table(arms)} }}")
+        words.append(f'moment_arm_m = "{UNMEASURED}"' if arms is None else f"moment_arm_m = {{ {_table(arms)} }}")
         comment = ARMS if arms is None else ""
         yield _Line(f"tendon.{tendon['name']}", f"{{ {', '.join(words)} }}", comment)
     for motor in dict.fromkeys(tendon["motor"] for tendon in tendons):
         node = nodes[bus]
         words = [f'bus = "{_bus_name(bus)}"'] if bus else []
-        words.append(f'node_id = "{TODO}"' if node is None else f"node_id = {node}")
-        comment = f"{TODO} set: {_meaning(Motor, 'node_id')}" if node is None else ""
+        words.append(f'node_id = "{UNMEASURED}"' if node is None else f"node_id = {node}")
+        comment = f"{UNMEASURED} set: {_meaning(Motor, 'node_id')}" if node is None else ""
         yield _Line(f"motor.{motor}", f"{{ {', '.join(words)} }}", comment)
         if node is not None:
             nodes[bus] = node + 1
@@ -377,7 +377,7 @@ def _motor_lines(answers: TendonAnswers) -> Iterable[_Line]:
 def _todo(section: type[Section], key: str) -> _Line:
     """Return the line of a missing value."""
     verb = "set" if key in CHOSEN else "measure"
-    return _Line(key, f'"{TODO}"', f"{TODO} {verb}: {_meaning(section, key)}")
+    return _Line(key, f'"{UNMEASURED}"', f"{UNMEASURED} {verb}: {_meaning(section, key)}")
 
 
 def _meaning(section: type[Section], key: str) -> str:

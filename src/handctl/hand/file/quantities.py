@@ -13,11 +13,11 @@ from typing import Annotated, Any
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
-from handctl.hand.moment_arms import COEFFICIENTS
-
+COEFFICIENTS = 6
+"""Number of coefficients of each moment arm's polynomial: [m], [m/rad], [m/rad^2] and so on."""
 NAME_PATTERN = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 """Valid names of digits, tendons, motors, and buses."""
-TODO = "TODO"
+UNMEASURED = "TODO"
 """Value that stands for one that has to be measured or chosen yet. No key accepts it."""
 
 
@@ -106,7 +106,7 @@ def _check_direction(value: Any) -> int:
 
 def _check_name(value: Any) -> str:
     """Validate a name."""
-    if not isinstance(value, str) or not NAME_PATTERN.fullmatch(value) or value == TODO:
+    if not isinstance(value, str) or not NAME_PATTERN.fullmatch(value) or value == UNMEASURED:
         raise validation_error("a name of letters, digits and _ that begins with a letter")
     return value
 
