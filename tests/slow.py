@@ -1,6 +1,6 @@
 """Chooses the tests that `make test` leaves to CI and to the night, from their measured processor time.
 
-    make test HANDCTL_SAMPLE=0 PYTEST_FLAGS="--durations-file times.jsonl"    # writes the time of each test
+    make test HANDCTL_SAMPLE=0 PYTEST_FLAGS=--durations-file=times.jsonl      # writes the time of each test
     python -m tests.slow times.jsonl                                          # writes tests/slow_tests.txt
 
 Only ``HANDCTL_SAMPLE=1``, which `make test` sets, leaves slow tests out. CI, `make nightly` and a plain pytest run all

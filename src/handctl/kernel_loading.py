@@ -42,7 +42,6 @@ def load_kernel(dispatcher: Any, types: tuple[Any, ...]) -> None:
     if found is not None:
         context.insert_user_function(found.entry_point, found.fndesc, [found.library])
         dispatcher.add_overload(found)
-        dispatcher._cache_hits[types] += 1  # as numba counts what it loads
 
 
 @contextmanager

@@ -29,7 +29,7 @@ def test_rounding_of_another_machine_is_distinguished(
     compare = "handctl.replay.log_runner.are_outputs_equal"
     monkeypatch.setattr(compare, lambda logged, numbers, out: logged.tick_in.k != 100)
     found = TickDifference(100, 0.5, "nis", "index_tendon", 0.5, 0.5 + 1e-15, 9)
-    monkeypatch.setattr("handctl.replay.log_runner.differences", lambda *what: iter([found]))
+    monkeypatch.setattr("handctl.replay.log_runner.differing_fields", lambda *what: iter([found]))
     assert main(["replay", "execute", GRASP]) == 1
     assert "--within 1e-9" in capsys.readouterr().out
     assert main(["replay", "execute", GRASP, "--within", "1e-9"]) == 0

@@ -46,7 +46,7 @@ ONE = Fault("X01b", "a title", "a sign", Action.HOLD, "by itself", "Why.", "Do."
 def test_a_row_knows_its_catalogue_row_and_whether_it_latches() -> None:
     assert (ONE.row, ONE.latched) == ("X01", False)
     assert fault_table_markdown((ONE,)).splitlines() == [
-        "| id | fault | detected by | action | cleared |", "|---|---|---|---|---|",
+        "| id | fault | what happens | action | cleared |", "|---|---|---|---|---|",
         "| X01b | a title | a sign | HOLD | by itself |",
     ]  # fmt: skip
 
