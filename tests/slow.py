@@ -21,6 +21,8 @@ import pytest
 SLOW_TESTS = Path(__file__).parent / "slow_tests.txt"
 FUNCTION_S = 1.0
 """Processor time that the cases of one test function may take in `make test` [s]."""
+CHEAP_S = 0.1
+"""Processor time of a case that is never slow [s]."""
 CLOCK_S = 12.0
 """Longest time of a test on the real clock in `make test` [s]. Such a test mostly waits."""
 
@@ -73,7 +75,7 @@ def choose(rows: list[tuple[str, float, float]]) -> dict[str, float]:
         function = re.sub(r"\[.*", "", test, flags=re.DOTALL)
         files.setdefault(test.partition("::")[0], []).append((cost, test))
         spent[function] = spent.get(function, 0.0) + cost
-        if spent[function] > FUNCTION_S:
+        if spent[function] > FUNCTION_S and cost > CHEAP_S:
             slow[test] = cost
     for tests in files.values():
         if all(test in slow for _, test in tests):
