@@ -132,14 +132,27 @@ def make_plan(
     loads = bus_loads(hand)
     rate = control_rate(choice.rate, hand, loads)
     load = tuple(one.at(rate) for one in loads)
-    if not 0.001 <= choice.time_scale <= 100:
-        raise ConfigError(f"{choice.time_scale:g}", "--time-scale", "0.001 to 100")
-    if choice.time_scale != 1 and (real := real_buses(buses)):
-        right = "1, or a bus of simulated ones: local:NAME, socketcan:vcan0"
-        raise ConfigError(f"{choice.time_scale:g}, and {real[0]} may have real motors", "--time-scale", right)
+    check_time_scale(choice.time_scale, real_buses(buses))
     _check_log(choice.log)
     attachments = {"gains.toml": layers.file.read_bytes()} if layers.file else {}
     return Plan(hand, layers.gains, rate, load, buses, attachments, choice.time_scale, choice.clear, display, tell)
+
+
+def check_time_scale(time_scale: float, real: Sequence[str]) -> None:
+    """Raise an error for a time scale out of range, or for one that is not 1 on a real bus.
+
+    Args:
+        time_scale: simulated seconds in a second.
+        real: specifications of the buses that may have real motors.
+
+    Raises:
+        ConfigError: the time scale is wrong.
+    """
+    if not 0.001 <= time_scale <= 100:
+        raise ConfigError(f"{time_scale:g}", "--time-scale", "0.001 to 100")
+    if real and time_scale != 1:
+        right = "1, or a bus of simulated ones: local:NAME, socketcan:vcan0"
+        raise ConfigError(f"{time_scale:g}, and {real[0]} may have real motors", "--time-scale", right)
 
 
 def _refuse_unnamed(choice: Choice, hand: Hand, buses: Sequence[str]) -> None:

@@ -24,7 +24,7 @@ from handctl.runtime.diagnostics.watch import STALE_S, BusWatch, is_saturated
 from handctl.runtime.mailbox import bus_lock, is_running
 from handctl.session.defaults import DEFAULT_HAND
 from handctl.session.exit_codes import ExitCode
-from handctl.session.plan import bus_specs, highest_rate_of_buses
+from handctl.session.plan import bus_specs, check_time_scale, highest_rate_of_buses
 
 HIGHEST_HZ = 100.0
 """Rate of the requests [Hz], if the bus load allows it."""
@@ -77,12 +77,8 @@ def _choices(args: argparse.Namespace) -> tuple[tuple[str, ...], Hand]:
         raise ConfigError("missing", "--bus", "the bus of the hand, such as --bus socketcan:can0")
     if args.duration is not None and not 0.0 < args.duration <= LONGEST_S:
         raise ConfigError(f"{args.duration:g}", "--for", f"more than 0, at most {LONGEST_S:g}")
-    if not 0.001 <= args.time_scale <= 100:
-        raise ConfigError(f"{args.time_scale:g}", "--time-scale", "0.001 to 100")
     real = real_buses([text.rpartition("=")[2] for text in args.bus])
-    if real and args.time_scale != 1:
-        right = "1, or a bus of simulated ones: local:NAME, socketcan:vcan0"
-        raise ConfigError(f"{args.time_scale:g}, and {real[0]} may have real motors", "--time-scale", right)
+    check_time_scale(args.time_scale, real)
     if real and args.hand is None:
         raise ConfigError(f"no hand is named, and {real[0]} may have real motors", "--hand", "the file of that hand")
     hand = load_hand(args.hand or DEFAULT_HAND)

@@ -9,12 +9,19 @@ from pathlib import Path
 import numpy as np
 
 from handctl.cli.console.options import print_escaped, print_json
-from handctl.cli.console.questions import Question, answer, check_terminal, one_or_each, write_with_schema
+from handctl.cli.console.questions import (
+    TENDON_QUESTIONS,
+    Question,
+    answer,
+    check_terminal,
+    one_of,
+    write_with_schema,
+)
 from handctl.drives.motor_description import GUARDED, PROTOCOLS
 from handctl.errors import ConfigError
 from handctl.hand.file.error_text import Mistake
 from handctl.hand.file.imported_file import ANSWERS, Described, TendonAnswers, described_text, usable_tendons
-from handctl.hand.file.new_file import options_line
+from handctl.hand.file.new_file import check_name, options_line
 from handctl.hand.file.quantities import NAME_PATTERN, UNMEASURED
 from handctl.hand.formats.model_tree import ModelLink, digits_of
 from handctl.hand.load import inspect_content, parse_toml
@@ -24,32 +31,14 @@ ONLY_ASKED = ("fingers", "opposed", "links_mm", "width_mm", "palm_mm")
 """Options whose answer a robot description has."""
 NODES = range(1, 128)
 """Valid node numbers."""
-
-
-def all_or_none(text: str) -> str:
-    """Return the text if it is ``all`` or ``none``."""
-    if text not in ("all", "none"):
-        raise ValueError(text)
-    return text
-
-
-def protocol(text: str) -> str:
-    """Return the text if it is the name of a protocol."""
-    if text not in GUARDED:
-        raise ValueError(text)
-    return text
-
-
+ALL_OR_NONE = one_of(("all", "none"))
+"""Reader of an answer about all tendons or joints."""
 QUESTIONS = (
-    Question("tendons", "Tendons of a digit: one, or one for each joint (one, each)", one_or_each, "one or each"),
-    Question("pulley_mm", "Moment arm of the tendons at the joints [mm]", float, "a number"),
-    Question("spool_mm", "Radius of the spools, to the middle of the tendon [mm]", float, "a number"),
-    Question("tension_N", "Largest tension that a tendon may be commanded [N]", float, "a number"),
-    Question("strength_N", "Rated breaking force of the tendons [N]", float, "a number"),
-    Question("cells", "Load cells at the tendons (all, none)", all_or_none, "all or none"),
-    Question("encoders", "Encoders at the joints (all, none)", all_or_none, "all or none"),
-    Question("springs", "Return springs at the joints (all, none)", all_or_none, "all or none"),
-    Question("protocol", f"Protocol of the drives ({', '.join(GUARDED)})", protocol, ", ".join(GUARDED)),
+    *TENDON_QUESTIONS,
+    Question("cells", "Load cells at the tendons (all, none)", ALL_OR_NONE, "all or none"),
+    Question("encoders", "Encoders at the joints (all, none)", ALL_OR_NONE, "all or none"),
+    Question("springs", "Return springs at the joints (all, none)", ALL_OR_NONE, "all or none"),
+    Question("protocol", f"Protocol of the drives ({', '.join(GUARDED)})", one_of(GUARDED), ", ".join(GUARDED)),
     Question("first_node", "Node number of the first drive of a bus", int, "a whole number"),
 )
 """All questions, in order. An empty answer leaves the value marked as missing."""
@@ -132,8 +121,8 @@ def _check(answers: TendonAnswers) -> None:
     Raises:
         ConfigError: a name or a node number is wrong.
     """
-    if answers.name is not None and not NAME_PATTERN.fullmatch(answers.name):
-        raise ConfigError(repr(answers.name), "--name", "letters, digits and _, first a letter")
+    if answers.name is not None:
+        check_name(answers.name)
     if answers.first_node is not None and answers.first_node not in NODES:
         raise ConfigError(f"{answers.first_node}", "--first-node", f"{NODES[0]} to {NODES[-1]}")
 

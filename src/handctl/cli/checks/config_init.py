@@ -6,10 +6,10 @@ from dataclasses import fields, replace
 from handctl.cli.console.options import print_escaped, print_json
 from handctl.cli.console.questions import (
     SCHEMA_FILE,
+    TENDON_QUESTIONS,
     Question,
     answer,
     check_terminal,
-    one_or_each,
     write_with_schema,
 )
 from handctl.drives.motor_description import PROTOCOLS
@@ -31,11 +31,7 @@ QUESTIONS = (
     Question("links_mm", "Length of each link, from the palm outwards [mm]", lengths, "numbers, e.g. 40,30"),
     Question("width_mm", "Width of the links [mm]", float, "a number"),
     Question("palm_mm", "Distance between the two sides of the palm [mm]", float, "a number"),
-    Question("tendons", "Tendons of a digit: one, or one for each joint (one, each)", one_or_each, "one or each"),
-    Question("pulley_mm", "Moment arm of the tendons at the joints [mm]", float, "a number"),
-    Question("spool_mm", "Radius of the spools, to the middle of the tendon [mm]", float, "a number"),
-    Question("tension_N", "Largest tension that a tendon may be commanded [N]", float, "a number"),
-    Question("strength_N", "Rated breaking force of the tendons [N]", float, "a number"),
+    *TENDON_QUESTIONS,
 )
 """All questions, in order. A question is skipped if an option answers it."""
 ONLY_IMPORTED = ("cells", "encoders", "springs", "first_node")

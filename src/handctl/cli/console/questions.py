@@ -1,7 +1,7 @@
 """Questions of ``handctl config init`` on the terminal, and the files that the answers become."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +18,7 @@ class Question(NamedTuple):
     """Question about a hand.
 
     Attributes:
-        field: field of ``HandAnswers``.
+        field: field of the answers.
         text: the question, without its default.
         read: function that returns the answer from a text, or raises ValueError.
         right: description of a valid answer, for error messages.
@@ -30,11 +30,26 @@ class Question(NamedTuple):
     right: str
 
 
-def one_or_each(text: str) -> str:
-    """Return the text if it is ``one`` or ``each``."""
-    if text not in ("one", "each"):
-        raise ValueError(text)
-    return text
+def one_of(words: Collection[str]) -> Callable[[str], str]:
+    """Return a function that returns a text if it is one of some words, and raises ValueError otherwise."""
+
+    def read(text: str) -> str:
+        if text not in words:
+            raise ValueError(text)
+        return text
+
+    return read
+
+
+TENDON_QUESTIONS = (
+    Question("tendons", "Tendons of a digit: one, or one for each joint (one, each)", one_of(("one", "each")),
+             "one or each"),
+    Question("pulley_mm", "Moment arm of the tendons at the joints [mm]", float, "a number"),
+    Question("spool_mm", "Radius of the spools, to the middle of the tendon [mm]", float, "a number"),
+    Question("tension_N", "Largest tension that a tendon may be commanded [N]", float, "a number"),
+    Question("strength_N", "Rated breaking force of the tendons [N]", float, "a number"),
+)  # fmt: skip
+"""Questions about the tendons of every new hand, in order."""
 
 
 def write_with_schema(output: Path, text: str) -> Path:

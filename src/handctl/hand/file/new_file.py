@@ -104,8 +104,7 @@ def check_answers(answers: HandAnswers) -> None:
     Raises:
         ConfigError: a name or a number of digits is wrong.
     """
-    if not NAME_PATTERN.fullmatch(answers.name):
-        raise ConfigError(repr(answers.name), "--name", "letters, digits and _, first a letter")
+    check_name(answers.name)
     for option, count in (("--fingers", answers.fingers), ("--opposed", answers.opposed)):
         if not 0 <= count <= LARGEST_COUNT:
             raise ConfigError(f"{count}", option, f"0 to {LARGEST_COUNT}")
@@ -116,6 +115,16 @@ def check_answers(answers: HandAnswers) -> None:
         raise ConfigError(f"{answers.palm:g}", "--palm", f"at least {least:g} mm, for an object between the digits")
     if not answers.links_mm:
         raise ConfigError("no link", "--links", "the length of each link in millimetres")
+
+
+def check_name(name: str) -> None:
+    """Refuse a name of a hand that no hand file may have.
+
+    Raises:
+        ConfigError: the name is wrong.
+    """
+    if not NAME_PATTERN.fullmatch(name):
+        raise ConfigError(repr(name), "--name", "letters, digits and _, first a letter")
 
 
 def palm_warnings(answers: HandAnswers) -> tuple[str, ...]:
