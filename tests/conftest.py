@@ -14,7 +14,8 @@ from tests.stalls import StallMeter
 
 pytest_plugins = ("pytester",)
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
-SAMPLE = os.environ.get("HANDCTL_SAMPLE") == "1" and not NIGHTLY
+SLOW_S = float("inf") if NIGHTLY else float(os.environ.get("HANDCTL_SLOW_S", "inf"))
+"""Cost above which a test of tests/slow_tests.txt is left out [s]."""
 CALM = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 """No time limit per example. The cores are shared, and property tests judge no time."""
 
@@ -132,7 +133,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for item in items:
             if item.get_closest_marker("nightly"):
                 item.add_marker(pytest.mark.skip(reason="runs with HANDCTL_NIGHTLY=1 (make nightly)"))
-    slow = slow_tests() if SAMPLE else frozenset()
+    slow = slow_tests(SLOW_S)
     if left_out := [item for item in items if item.nodeid in slow]:
         config.hook.pytest_deselected(items=left_out)
         items[:] = [item for item in items if item.nodeid not in slow]

@@ -1,11 +1,11 @@
 """Chooses the tests that `make test` leaves to CI and to the night, from their measured processor time.
 
-    make test HANDCTL_SAMPLE=0 PYTEST_FLAGS=--durations-file=times.jsonl      # writes the time of each test
-    python -m tests.slow times.jsonl                                          # writes tests/slow_tests.txt
+    make test SLOW_S=inf PYTEST_FLAGS=--durations-file=times.jsonl      # writes the time of each test
+    python -m tests.slow times.jsonl                                    # writes tests/slow_tests.txt
 
-Only ``HANDCTL_SAMPLE=1``, which `make test` sets, leaves slow tests out. CI, `make nightly` and a plain pytest run all
-of them. In a sample each test function keeps its first cases up to ``FUNCTION_S``, and each file keeps at least its
-cheapest test, so that a sample still enters every file.
+A run leaves out the listed tests whose cost is above ``HANDCTL_SLOW_S``: `make test` sets 0, CI sets 3. `make nightly`
+and a plain pytest run all of them. In a sample each test function keeps its first cases up to ``FUNCTION_S``, and each
+file keeps at least its cheapest test, so that a sample still enters every file.
 """
 
 import json
@@ -27,10 +27,11 @@ CLOCK_S = 12.0
 """Longest time of a test on the real clock in `make test` [s]. Such a test mostly waits."""
 
 
-def slow_tests() -> frozenset[str]:
-    """Return the node identifiers of the slow tests."""
+def slow_tests(limit_s: float) -> frozenset[str]:
+    """Return the node identifiers of the listed tests that cost more than a limit [s]."""
     lines = SLOW_TESTS.read_text(encoding="utf-8").splitlines()
-    return frozenset(line.partition(" ")[2] for line in lines if not line.startswith("#"))
+    rows = [line.partition(" ") for line in lines if not line.startswith("#")]
+    return frozenset(test for cost_s, _, test in rows if float(cost_s) > limit_s)
 
 
 def processor_time() -> float:
@@ -87,7 +88,7 @@ def main(path: Path) -> None:
     """Write the list from a file of durations."""
     rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
     slow = choose(rows)
-    head = "# Written by `python -m tests.slow`: seconds, test. `make test` leaves these to CI and to the night."
+    head = "# Written by `python -m tests.slow`: seconds, test. `make test` leaves these to longer runs."
     lines = [head, *(f"{slow[test]:.1f} {test}" for test in sorted(slow))]
     SLOW_TESTS.write_text("\n".join(lines) + "\n", encoding="utf-8")
     sample_s = sum(processor for test, processor, _ in rows if test not in slow)

@@ -32,18 +32,19 @@ def test_parameters_with_brackets_and_lines_belong_to_one_function() -> None:
 
 
 def test_only_a_sample_leaves_slow_tests_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Collect this file with a list that has one of its tests."""
+    """Collect this file with a list that has two of its tests."""
     code = "import sys, pathlib, pytest, tests.slow; tests.slow.SLOW_TESTS = pathlib.Path(sys.argv[1]); " + (
         "sys.exit(pytest.main(['--collect-only', '-q', '-p', 'no:cacheprovider', sys.argv[2]]))"
     )
     name = "tests/contracts/test_slow.py::test_a_file_keeps_its_cheapest_test"
-    (tmp_path / "slow.txt").write_text(f"# head\n2.0 {name}\n")
+    long_test = "tests/contracts/test_slow.py::test_a_test_that_waits_long_is_slow"
+    (tmp_path / "slow.txt").write_text(f"# head\n2.0 {name}\n4.0 {long_test}\n")
     found = {}
-    for sample in ("0", "1"):
-        monkeypatch.setenv("HANDCTL_SAMPLE", sample)
+    for limit_s in ("0", "3", "inf"):
+        monkeypatch.setenv("HANDCTL_SLOW_S", limit_s)
         monkeypatch.delenv("HANDCTL_NIGHTLY", raising=False)
         words = [sys.executable, "-c", code, str(tmp_path / "slow.txt"), __file__]
-        found[sample] = subprocess.run(words, capture_output=True, text=True, check=True, cwd=ROOT).stdout
-    assert name in found["0"]
-    assert name not in found["1"]
-    assert "test_a_test_that_waits_long_is_slow" in found["1"]
+        found[limit_s] = subprocess.run(words, capture_output=True, text=True, check=True, cwd=ROOT).stdout
+    run = [(name in text, long_test in text) for text in found.values()]
+    assert run == [(False, False), (True, False), (True, True)]
+    assert "test_a_function_keeps_its_first_cases_up_to_the_budget" in found["0"]
