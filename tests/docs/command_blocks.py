@@ -1,0 +1,101 @@
+"""Command blocks of the pages, and their execution in a folder of their own."""
+
+import os
+import re
+import select
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+ROOT = Path(__file__).parents[2]
+FENCE = re.compile(r"^( *)```(\w*)(?: title=\"([^\"]*)\")?\n(.*?)^ *```$", re.MULTILINE | re.DOTALL)
+READY_S = 120.0
+"""Longest time for a process to print its first line, with compilation [s]."""
+
+
+class Block(NamedTuple):
+    """A block of a page: language, title and text."""
+
+    language: str
+    title: str
+    text: str
+
+
+def blocks(path: Path) -> list[Block]:
+    """Return the blocks of a page in order."""
+    found = FENCE.finditer(path.read_text(encoding="utf-8"))
+    return [
+        Block(match[2], match[3] or "", re.sub(f"^{match[1]}", "", match[4], flags=re.MULTILINE)) for match in found
+    ]
+
+
+def is_run(block: Block) -> bool:
+    """Return True for commands that a test executes, and for files that it writes."""
+    return (block.language == "sh" and "not run" not in block.title) or is_file(block)
+
+
+def is_file(block: Block) -> bool:
+    """Return True for a program or a TOML file, whose title is its name."""
+    return block.language in ("python", "toml") and bool(re.fullmatch(r"[\w-]+\.(py|toml)", block.title))
+
+
+def stays_open(block: Block) -> bool:
+    """Return True for a command that runs beside those after it."""
+    return "stays open" in block.title
+
+
+def run_blocks(
+    parts: Sequence[Block], prepare: Callable[[Path], None] | None = None, beside: Sequence[str] = ()
+) -> None:
+    """Execute the commands of a page in an empty folder.
+
+    Args:
+        parts: blocks of the page. Files are written first.
+        prepare: function that adds further files to the folder.
+        beside: commands that run beside those of the page.
+    """
+    folder, sockets = (Path(tempfile.mkdtemp(prefix="h-")) for _ in range(2))
+    path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
+    environment = os.environ | {"PATH": path, "HANDCTL_RUN_DIR": str(sockets)}
+    words: dict[str, Any] = {"cwd": folder, "env": environment, "text": True}
+    others: list[subprocess.Popen[str]] = []
+    if prepare:
+        prepare(folder)
+    for block in filter(is_file, parts):
+        (folder / block.title).write_text(on_the_embedded_bus(block.text))
+    try:
+        for command in beside:
+            start_beside(command, others, words)
+        for block in parts:
+            if block.language != "sh" or not is_run(block):
+                continue
+            if stays_open(block):
+                start_beside(on_the_embedded_bus(block.text), others, words)
+                continue
+            script = f"set -e\n{on_the_embedded_bus(block.text)}"
+            ran = subprocess.run(["bash", "-c", script], capture_output=True, timeout=280, check=False, **words)
+            assert ran.returncode == 0, f"{block.text}\n{ran.stdout[-1000:]}\n{ran.stderr[-2000:]}"
+            assert "Traceback" not in ran.stderr
+    finally:
+        for other in others:
+            other.terminate()
+            other.wait(30)
+        for made in (folder, sockets):
+            shutil.rmtree(made, ignore_errors=True)
+
+
+def start_beside(command: str, others: list["subprocess.Popen[str]"], words: dict[str, Any]) -> None:
+    """Start a command, and wait for its first line."""
+    others.append(subprocess.Popen(["bash", "-c", f"exec {command.strip()}"], stdout=subprocess.PIPE, **words))
+    stdout = others[-1].stdout
+    assert stdout
+    assert select.select([stdout], [], [], READY_S)[0], command
+
+
+def on_the_embedded_bus(text: str) -> str:
+    """Return commands with the bus between processes in place of SocketCAN, which not every kernel has."""
+    return re.sub(r"socketcan:(v?can\d)", r"local:\1", text)

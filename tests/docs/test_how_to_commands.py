@@ -1,0 +1,97 @@
+"""The command blocks of README, How-to and the page of tasks run as well, beside a simulated hand where they need one.
+
+The pages speak of files and hands of the reader. A test puts packaged ones in their place.
+"""
+
+import re
+import shutil
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from handctl.hand.load import hand_path
+from tests.docs.command_blocks import ROOT, Block, blocks, is_file, is_run, run_blocks, stays_open
+
+DOCS = ROOT / "docs"
+ELSEWHERE = {"how-to/lerobot.md": "tests/lerobot/test_environment.py"}
+"""Pages whose commands another test runs, with packages of their own."""
+BLOCKS = {
+    path.relative_to(DOCS).as_posix(): blocks(path)
+    for path in (*sorted((DOCS / "how-to").glob("*.md")), DOCS / "reference" / "tasks.md")
+    if path.relative_to(DOCS).as_posix() not in ELSEWHERE
+}
+RUN = {page: [block for block in parts if is_run(block)] for page, parts in BLOCKS.items()}
+SHORT = ("how-to/logs.md", "how-to/other-tools.md")
+"""Pages of every run. The others take from ten seconds to minutes each, and are nightly."""
+SIMULATED_HAND = "handctl sim --hand jamia --bus local:lab"
+BESIDE = {
+    "how-to/bring-up.md": ("handctl sim --hand mine.toml --bus local:can0",),
+    "how-to/drive-modes.md": (
+        "python -m firmware_sim drive mit --ids 1 --bus local:can0",
+        "python -m firmware_sim drive odrive --ids 3 --bus local:can0",
+    ),
+}
+"""What stands for the hardware of a page."""
+STIFFER = "schema = 1\n\n[motion]\nforce_N = 16.0\n\n[tension]\nintegral_per_s = 4.0\n"
+LIVE = [pytest.mark.realtime, pytest.mark.alone, pytest.mark.nightly]
+
+
+def prepare(golden: str, folder: Path) -> None:
+    """Write the files that belong to the reader: a log, a hand file, a task and gains."""
+    (folder / "logs").mkdir()
+    for name in ("RUN.mcap", "run.mcap", "logs/RUN.mcap"):
+        shutil.copy(ROOT / "logs" / "golden" / f"{golden}.mcap", folder / name)
+    shutil.copy(hand_path("jamia"), folder / "mine.toml")
+    shutil.copy(ROOT / "src" / "handctl" / "tasks" / "grasp.toml", folder / "mine-task.toml")
+    (folder / "stiffer.toml").write_text(STIFFER, encoding="utf-8")
+
+
+def files_for(page: str) -> Callable[[Path], None]:
+    """Return the function that writes the files of a page. A run that ended has a fault in its log."""
+    return partial(prepare, "jamia-fault" if page == "how-to/why-a-run-ended.md" else "jamia-grasp")
+
+
+def cases() -> Iterator[Any]:
+    """Yield the pages with commands."""
+    for page, parts in RUN.items():
+        if any(block.language == "sh" and not stays_open(block) for block in parts):
+            live = page in BESIDE or any(map(stays_open, parts))
+            yield pytest.param(page, marks=LIVE if live else [] if page in SHORT else [pytest.mark.nightly])
+
+
+@pytest.mark.parametrize("page", list(cases()))
+def test_the_commands_of_a_page_run(page: str) -> None:
+    run_blocks(RUN[page], files_for(page), BESIDE.get(page, ()))
+
+
+@pytest.mark.parametrize("page", [
+    pytest.param(page, marks=LIVE) for page, parts in RUN.items() if any(block.language == "python" for block in parts)
+])  # fmt: skip
+def test_the_programs_of_a_page_run(page: str) -> None:
+    programs = [block for block in RUN[page] if block.language == "python"]
+    calls = [Block("sh", "", f"python {block.title}\n") for block in programs]
+    run_blocks([*programs, *calls], files_for(page), (SIMULATED_HAND,))
+
+
+@pytest.mark.realtime
+@pytest.mark.alone
+@pytest.mark.nightly
+def test_the_uses_in_the_readme_run() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8").partition("## Four uses")[2].partition("\n## ")[0]
+    lines = re.findall(r"^handctl [^#\n]+", text, re.MULTILINE)
+    simulators = [line.strip() for line in lines if line.startswith("handctl sim")]
+    assert len(simulators) == 1
+    assert len(lines) == 6
+    commands = [Block("sh", "", line) for line in lines if line.strip() not in simulators]
+    run_blocks(commands, partial(prepare, "jamia-grasp"), simulators)
+
+
+def test_every_command_has_a_kind() -> None:
+    for page, parts in BLOCKS.items():
+        for block in parts:
+            plain = block.language in ("", "text")
+            assert not plain or not re.search(r"^(handctl|python -m firmware_sim) ", block.text, re.MULTILINE), page
+            assert block.language != "python" or is_file(block) or "handctl.connect" not in block.text, page
