@@ -25,6 +25,7 @@ ITERATIONS = int(sys.argv[1]) if len(sys.argv) > 1 else 25
 DIRECTIONS, BEST, STEP, DECAY, NOISE = 4, 4, 0.12, 0.93, 0.05
 INPUTS = ("reference_ahead_rad", "reference_rad", "q_rad")
 TEST_SEEDS = range(1001, 1006)
+COLORS = ("#3b6fb6", "#d9822b", "#3c9d5d", "#b8436f")  # one for each digit, as in the figures of handctl
 
 env = gymnasium.make("handctl/Track-v0", duration_s=2.0).unwrapped
 assert isinstance(env, handctl.gym.TrackEnv)
@@ -72,8 +73,8 @@ axes[0].set(xlabel="iteration", ylabel="mean reward", ylim=(0, 1), title="Episod
 t = env.step_s * np.arange(1, env.longest + 1)
 for axis, rows, title in ((axes[1], before, "Before"), (axes[2], after, "After")):
     for d, name in enumerate(env.names):
-        (line,) = axis.plot(t[: len(rows)], rows[:, 0, d], label=name)
-        axis.plot(t[: len(rows)], rows[:, 1, d], "--", color=line.get_color(), linewidth=1.0)
+        axis.plot(t[: len(rows)], rows[:, 0, d], color=COLORS[d], label=name)
+        axis.plot(t[: len(rows)], rows[:, 1, d], "--", color=COLORS[d], linewidth=1.0)
     axis.set(xlabel="time [s]", ylabel="angle [deg], reference dashed", title=title)
 axes[2].legend(fontsize="small")
 figure.savefig("training.png", dpi=120)

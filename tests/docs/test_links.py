@@ -43,6 +43,28 @@ def leaves(entry: Any) -> list[str]:
     return [page for value in values for page in leaves(value)]
 
 
+def titles(entry: Any) -> dict[str, str]:
+    """Return the title of each page that has one in a part of the navigation."""
+    if isinstance(entry, str):
+        return {}
+    if isinstance(entry, list):
+        return {page: title for part in entry for page, title in titles(part).items()}
+    named = {value: key for key, value in entry.items() if isinstance(value, str)}
+    return named | {page: title for part in entry.values() for page, title in titles(part).items()}
+
+
+def test_a_page_has_the_same_title_everywhere() -> None:
+    named = titles(yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))["nav"])
+    assert len(set(named.values())) == len(named)
+    for page, title in named.items():
+        assert re.findall(r"^# (.*)$", (DOCS / page).read_text(encoding="utf-8"), re.MULTILINE)[0] == title, page
+    for index in DOCS.glob("*/index.md"):
+        rows = re.findall(r"^\|.*\[([^\]]+)\]\(([\w-]+\.md)\)", index.read_text(encoding="utf-8"), re.MULTILINE)
+        linked = {f"{index.parent.name}/{page}": title for title, page in rows}
+        assert linked == {page: named[page] for page in linked}
+        assert set(linked) == {page for page in named if page.startswith(f"{index.parent.name}/")}
+
+
 def test_every_page_is_in_the_navigation_once() -> None:
     settings = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
     listed = leaves(settings["nav"])

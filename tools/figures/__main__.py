@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from tools.figures import diagrams, gif, numbers, plots, runs
+from tools.figures import diagrams, gif, numbers, plots, runs, tuning
 from tools.figures.style import FOLDER, save, stamp
 
 ROOT = Path(__file__).parents[2]
@@ -22,14 +22,20 @@ PLOTS: dict[str, Callable[[Path], Any]] = {
 }  # fmt: skip
 PICTURES: dict[str, Callable[[Path], Path]] = {
     "run": runs.run_picture, "view": runs.view_picture, "gym-training": runs.training_picture,
+    "report": tuning.report_picture, "orca-like": tuning.pair_picture, "identify": tuning.identify_picture,
+    "tune-design": tuning.design_picture, "tune-return": tuning.return_picture, "tune-search": tuning.search_picture,
+    "tune-verify": tuning.verify_picture,
 }  # fmt: skip
+SLOW = ("tune-search", "tune-verify")
+"""Pictures that take minutes each. They are drawn only if they are named."""
 NAMES = (*DIAGRAMS, *PLOTS, *PICTURES, "grasp", "numbers")
 
 
 def main() -> int:
     """Draw all figures, or some of them. Return the exit code."""
     parser = argparse.ArgumentParser(description="Draw the figures of README and site, and write the demo's numbers.")
-    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(NAMES))
+    parser.add_argument("names", nargs="*", metavar="NAME",
+                        help=f"{', '.join(NAMES)} (default: all except {', '.join(SLOW)})")  # fmt: skip
     parser.add_argument("--keep", action="store_true", help="use the demo's run in build/figures if it is there")
     args = parser.parse_args()
     if unknown := set(args.names) - set(NAMES):
@@ -38,7 +44,7 @@ def main() -> int:
     if not args.keep:
         for path in RUNS.glob("grasp.*"):
             path.unlink()
-    for name in args.names or NAMES:
+    for name in args.names or [name for name in NAMES if name not in SLOW]:
         start = time.monotonic()
         if name in DIAGRAMS:
             save(DIAGRAMS[name](), name)

@@ -40,24 +40,37 @@ def architecture() -> Any:
 
 def control() -> Any:
     """Draw the control law of a tendon as a block diagram, with the symbols of the equations."""
-    figure, axes = plane(9.2, 5.0, (18.4, 10.0))
-    block(axes, (0.2, 6.4), (2.3, 1.3), "goal\n$q_d,\\ \\dot q_d,\\ \\ddot q_d$")
+    figure, axes = plane(9.2, 5.9, (18.4, 11.8))
+    block(axes, (0.2, 6.4), (2.3, 1.3), "setpoint\n$q_d,\\ \\dot q_d,\\ \\ddot q_d$")
     block(axes, (3.3, 6.4), (3.2, 1.3), "inverse dynamics\n$M\\ddot q_d + h(q_d,\\dot q_d)$")
     block(axes, (7.3, 6.4), (3.0, 1.3), "allocation\n$R^T f = \\tau,\\ f \\geq f_{min}$")
     block(axes, (11.1, 6.4), (2.4, 1.3), "pulley friction\n$f_0 = f / \\eta$")
     block(axes, (3.3, 8.3), (3.2, 1.2), "excursion\n$s_d = R\\,q_d$")
-    block(axes, (7.3, 8.3), (6.2, 1.2), "motion feedback\n$(m_m + m_l)\\,[k\\,(s_d - s) + d\\,(\\dot s_d - v)]$")
-    block(axes, (7.3, 4.3), (6.2, 1.3), "tension loop (hold)\n$f_d + K\\,(f_d - \\hat f) - K_v v + \\int$", "safety")
-    block(axes, (0.2, 4.3), (2.3, 1.3), "goal\ntension $f_d$")
+    block(
+        axes,
+        (7.3, 8.3),
+        (6.2, 1.2),
+        "motion feedback\n$(m_m + m_l)\\,[k\\,(s_d - s) + d\\,(\\dot s_d - v)] + K_f\\,(f_0 - \\hat f)$",
+    )
+    block(axes, (7.3, 10.0), (6.2, 1.2), "feedforward of rotor and friction\n"
+          "$c_i\\,m_m\\,\\ddot s_d + c_f\\,(b_m v + F(\\dot s_d))$")  # fmt: skip
+    block(
+        axes,
+        (7.3, 4.3),
+        (6.2, 1.3),
+        "tension loop (hold)\n$f_{set} + K\\,(f_{set} - \\hat f) - K_v v + \\int$",
+        "safety",
+    )
+    block(axes, (0.2, 4.3), (2.3, 1.3), "setpoint\ntension $f_{set}$")
     circle(axes, (14.6, 7.05), 0.35, "host", "+")
-    block(axes, (15.4, 6.2), (2.8, 1.7), "limits, envelope\nof relaxing,\nlast word", "safety")
+    block(axes, (15.4, 6.2), (2.8, 1.7), "limits, envelope\nof relaxing,\ncheck of frames", "safety")
     block(axes, (15.4, 3.9), (2.8, 1.3), "drive and spool\n$\\tau_m = r_a u$", "hardware")
     block(axes, (15.4, 1.6), (2.8, 1.3), "tendon, digit,\nobject", "hardware")
     block(
         axes,
         (4.9, 1.2),
         (6.3, 1.9),
-        "tension filter, 7 states a tendon\n$\\hat f = k\\,(x - s - o)$,  $v$,  $s$,  $d$,  load-cell error\n"
+        "tension filter, 7 states per tendon\n$\\hat f = k\\,(x - s - o)$,  $v$,  $s$,  $d$,  load-cell error\n"
         "encoder, load cell, joint encoder",
         "host",
     )
@@ -66,23 +79,26 @@ def control() -> Any:
     arrow(axes, [(6.5, 7.05), (7.3, 7.05)], "$\\tau$", (6.72, 7.3))
     arrow(axes, [(10.3, 7.05), (11.1, 7.05)], "$f$", (10.7, 7.3))
     arrow(axes, [(13.5, 7.05), (14.25, 7.05)], "$f_0$", (13.9, 7.3))
-    arrow(axes, [(6.5, 8.9), (7.3, 8.9)], "$s_d$", (6.8, 9.15))
+    arrow(axes, [(6.5, 8.9), (7.3, 8.9)], "$s_d$", (6.7, 9.15))
+    arrow(axes, [(7.0, 8.9), (7.0, 10.6), (7.3, 10.6)])
+    arrow(axes, [(13.5, 10.6), (14.6, 10.6), (14.6, 7.4)])
     arrow(axes, [(13.5, 8.9), (14.6, 8.9), (14.6, 7.4)])
-    arrow(axes, [(2.5, 4.95), (7.3, 4.95)], "$f_d$, rate limited")
+    arrow(axes, [(2.5, 4.95), (7.3, 4.95)], "$f_{set}$, rate limited")
     arrow(axes, [(13.5, 4.95), (14.6, 4.95), (14.6, 6.7)])
     arrow(axes, [(14.95, 7.05), (15.4, 7.05)], "$u$", (15.15, 7.3))
     arrow(axes, [(16.8, 6.2), (16.8, 5.2)], "torque command\nover CAN", (15.7, 5.7))
     arrow(axes, [(16.8, 3.9), (16.8, 2.9)], "tension $f_0$", (15.95, 3.4))
     arrow(axes, [(15.4, 2.2), (11.2, 2.2)], "load cell, spool angle,\njoint angle: a tick old", (13.3, 1.75))
-    arrow(axes, [(9.0, 3.1), (9.0, 4.3)], "$\\hat f,\\ v,\\ d$", (9.75, 3.7))
-    arrow(axes, [(7.0, 3.1), (7.0, 7.9), (7.9, 7.9), (7.9, 8.3)], "$s,\\ v$", (6.6, 5.7))
+    arrow(axes, [(9.0, 3.1), (9.0, 4.3)], "$\\hat f,\\ v$", (9.75, 3.7))
+    arrow(axes, [(7.0, 3.1), (7.0, 7.9), (7.9, 7.9), (7.9, 8.3)], "$s,\\ v,\\ \\hat f$", (6.5, 5.7))
     note(
         axes,
         (0.2, 2.9),
-        "disturbance $d$: the filter's estimate\nof friction that the model does not\nhave, subtracted from $u$",
+        "$c_d\\,\\hat d$ is subtracted from $u$ in both\n"
+        "forms. $\\hat d$: disturbance force that\nthe filter estimates",
     )
-    note(axes, (0.2, 0.5), "$m_m$, $m_l$: rotor and digit along the tendon.  $\\eta$: efficiency of the pulleys.  "
-         "$r_a$: spool radius.  "
+    note(axes, (0.2, 0.5), "$m_m$, $m_l$: rotor and digit along the tendon.  $F$: friction at the planned speed.  "
+         "$\\eta$: efficiency of the pulleys.\n$r_a$: spool radius.  "
          "$o$: stretch offset.  $x$: travel at the spool.", fontsize=8)  # fmt: skip
     return figure
 

@@ -16,7 +16,9 @@ SIZE = (480, 400)
 """Width and height [pixels]."""
 RATE_HZ = 12.5
 """Pictures per second of the run."""
-COLOURS = 96
+COLOURS = 160
+SAMPLES = 8
+"""Colours of the file, and pictures from which they are chosen."""
 LARGEST_BYTES = 3_000_000
 """Largest size of the file."""
 SKY = """<asset><texture type="skybox" builtin="gradient" rgb1="0.95 0.97 0.99" rgb2="0.78 0.83 0.88"
@@ -41,12 +43,22 @@ def write(folder: Path, path: Path) -> None:
     from PIL import Image
 
     pictures = [Image.fromarray(picture) for picture in frames(folder)]
-    palette = pictures[len(pictures) // 2].quantize(COLOURS)
+    palette = sheet(pictures[:: len(pictures) // SAMPLES]).quantize(COLOURS)
     small = [picture.quantize(COLOURS, palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     small[0].save(path, save_all=True, append_images=small[1:], duration=round(1e3 / RATE_HZ), loop=0, optimize=True,
                   comment=CREATOR.encode())  # fmt: skip
     if path.stat().st_size > LARGEST_BYTES:
         raise RuntimeError(f"{path}: {path.stat().st_size} bytes; expected at most {LARGEST_BYTES}")
+
+
+def sheet(pictures: list[Any]) -> Any:
+    """Return pictures below each other, so that a palette has the colours of all of them."""
+    from PIL import Image
+
+    made = Image.new("RGB", (SIZE[0], SIZE[1] * len(pictures)))
+    for i, picture in enumerate(pictures):
+        made.paste(picture, (0, SIZE[1] * i))
+    return made
 
 
 def frames(folder: Path) -> list[Any]:

@@ -1,0 +1,118 @@
+"""Pictures of tuning and of a report, which handctl draws itself, with the commands of their pages."""
+
+import contextlib
+import io
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+from handctl.cli.main import main
+from tools.figures import runs
+
+DETUNED = """schema = 1
+[motion]
+position_error_m = 1.8e-3
+speed_error_m_s = 9.3e-3
+[tension]
+tension_error_N = 1.33
+speed_error_m_s = 0.09
+integral_per_s = 9.0
+[filter]
+motor_disturbance_N = 0.36
+"""
+WILD = "schema = 1\n[motion]\nforce_N = 450.0\n[tension]\nforce_N = 300.0\n"
+"""Gains that are wrong by a factor of three, and gains that are far too strong."""
+PERTURBED = ("stiffness=0.8", "spring=1.2", "friction=1.25", "motor_inertia=0.8", "torque_constant=1.1")
+OTHER_HAND = ("stiffness=0.7", "friction=1.3", "motor_inertia=0.7")
+"""Factors of the simulated hands on the page Tune a hand."""
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+PAGE_SIZE = (1100, 1900)
+"""Width and height of the picture of a report [pixels]."""
+
+
+def call(folder: Path, *words: str, codes: tuple[int, ...] = (0,)) -> None:
+    """Execute a verb in a folder.
+
+    Raises:
+        RuntimeError: the exit code is none of those expected.
+    """
+    with contextlib.chdir(folder), contextlib.redirect_stdout(io.StringIO()):
+        code = main([*words])
+    if code not in codes:
+        raise RuntimeError(f"handctl {' '.join(words)} returned {code}")
+
+
+@contextlib.contextmanager
+def empty_folder(folder: Path, name: str) -> Iterator[Path]:
+    """Yield an empty folder for a run, so that no file of an earlier run counts."""
+    path = folder / name
+    shutil.rmtree(path, ignore_errors=True)
+    path.mkdir(parents=True)
+    (path / "detuned.toml").write_text(DETUNED, encoding="utf-8")
+    (path / "wild.toml").write_text(WILD, encoding="utf-8")
+    yield path
+
+
+def identify_picture(folder: Path) -> Path:
+    """Identify a simulated index finger whose parameters differ from the hand file."""
+    with empty_folder(folder, "identify") as path:
+        call(path, "identify", "--hand", "jamia", "--lockstep", "--seed", "7", "--digits", "index", "--perturb",
+             *PERTURBED, "--log", "identify.mcap")  # fmt: skip
+        return next(path.glob("*.png"))
+
+
+def design_picture(folder: Path) -> Path:
+    """Design gains with margins from gains without."""
+    with empty_folder(folder, "design") as path:
+        call(path, "tune", "design", "--hand", "jamia", "--gains", "detuned.toml", "--output", "design.toml")
+        return path / "design.png"
+
+
+def return_picture(folder: Path) -> Path:
+    """Verify gains that oscillate, so that the old gains return."""
+    with empty_folder(folder, "return") as path:
+        call(path, "tune", "verify", "wild.toml", "--hand", "jamia", "--lockstep", "--log", "return.mcap", codes=(1,))
+        return path / "return.png"
+
+
+def search_picture(folder: Path) -> Path:
+    """Search gains in 24 trials."""
+    with empty_folder(folder, "search") as path:
+        call(path, "tune", "search", "--hand", "jamia", "--gains", "detuned.toml", "--plants", "2", "--trials", "24",
+             "--jobs", "1", "--study", "jamia.study", "--output", "search.toml")  # fmt: skip
+        return path / "search.png"
+
+
+def verify_picture(folder: Path) -> Path:
+    """Verify the gains of the search on another hand. The search must have been run."""
+    with empty_folder(folder, "verify") as path:
+        call(path, "tune", "verify", str(folder / "search" / "search.toml"), "--hand", "jamia", "--gains",
+             "detuned.toml", "--lockstep", "--perturb", *OTHER_HAND, "--log", "verify.mcap", codes=(0, 1))  # fmt: skip
+        return path / "verify.png"
+
+
+def pair_picture(folder: Path) -> Path:
+    """Return the demo's picture of a hand with spool pairs."""
+    with empty_folder(folder, "orca_like") as path:
+        call(path, "demo", "--lockstep", "--hand", "orca_like", "--seed", "0", "--log", "orca_like.mcap")
+        return path / "orca_like.png"
+
+
+def report_picture(folder: Path) -> Path:
+    """Draw the head of the demo's report in a browser.
+
+    Raises:
+        RuntimeError: this machine has no Chromium.
+    """
+    runs.grasp(folder)
+    page, picture = folder / "grasp.html", folder / "report.png"
+    call(folder, "report", "grasp.mcap", "--output", page.name)
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if browser is None:
+        raise RuntimeError(f"the picture of the report needs one of {', '.join(BROWSERS)}")
+    words = (browser, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars")
+    size = "{},{}".format(*PAGE_SIZE)
+    subprocess.run([*words, f"--window-size={size}", f"--screenshot={picture}", page.as_uri()], check=True,
+                   stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)  # fmt: skip
+    return picture
