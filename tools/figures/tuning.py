@@ -27,7 +27,7 @@ PERTURBED = ("stiffness=0.8", "spring=1.2", "friction=1.25", "motor_inertia=0.8"
 OTHER_HAND = ("stiffness=0.7", "friction=1.3", "motor_inertia=0.7")
 """Factors of the simulated hands on the page Tune a hand."""
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-PAGE_SIZE = (1100, 1900)
+PAGE_SIZE = (1100, 2240)
 """Width and height of the picture of a report [pixels]."""
 
 
@@ -107,7 +107,7 @@ def report_picture(folder: Path) -> Path:
     """
     runs.grasp(folder)
     page, picture = folder / "grasp.html", folder / "report.png"
-    call(folder, "report", "grasp.mcap", "--output", page.name)
+    call(folder, "report", "grasp.mcap", "--truth", "grasp.truth", "--output", page.name)
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     if browser is None:
         raise RuntimeError(f"the picture of the report needs one of {', '.join(BROWSERS)}")

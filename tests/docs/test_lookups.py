@@ -1,0 +1,79 @@
+"""A reader finds the answers to frequent questions soon: few clicks, few words above the answer.
+
+Two minutes are 400 words at an easy pace. The words above an answer are counted from the place to which the last click
+leads. They are an upper bound, because nobody reads the rows of a table in order.
+"""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+PAGE = DOCS / "evidence" / "lookups.md"
+MOST_CLICKS, MOST_WORDS = 3, 400
+QUESTIONS = {
+    "How do I stop the hand?": ("index.md", "", r"press Ctrl-C, or run `handctl stop"),
+    "How do I stop it when a program hangs?": ("how-to/stop.md", "a-program-hangs", r"`handctl stop --bus BUS`, or end"),
+    "Which adapter do I buy?": ("how-to/adapters.md", "", r"\*\*Which adapter to buy\.\*\*"),
+    "What does N04 mean?": ("reference/faults.md", "n04-an-encoder-is-stuck", r"\*\*What happened:\*\*"),
+    "How does a log come to Foxglove?": ("how-to/other-tools.md", "foxglove", r"Open the file in Foxglove"),
+    "What shape has `/tendon_states`?": ("reference/topics.md", "", r"`/tendon_states` is a "),
+    "How do I add a motor type?": ("how-to/adding-a-drive.md", "add-a-motor-type", r"\| Damiao \|"),
+    "Why did my run end?": ("how-to/why-a-run-ended.md", "", r"\*\*The terminal\.\*\*"),
+}  # fmt: skip
+"""Page, anchor of a heading, and the beginning of the answer."""
+
+
+def section(page: str, anchor: str) -> str:
+    """Return the text of a page from a heading on, or the whole page."""
+    text = (DOCS / page).read_text(encoding="utf-8")
+    for match in re.finditer(r"^#+ (.*)$", text, re.MULTILINE):
+        plain = re.sub(r"[^\w\s-]", "", match[1]).strip().lower()
+        if anchor and re.sub(r"[\s-]+", "-", plain) == anchor:
+            return text[match.start() :]
+    assert not anchor, f"{page} has no heading {anchor}"
+    return text
+
+
+def words_above(page: str, anchor: str, answer: str) -> int:
+    """Return the number of words between the last click and the answer."""
+    text = section(page, anchor)
+    match = re.search(answer, text)
+    assert match, f"{page}: no {answer}"
+    return len(re.findall(r"[^\W_][\w.-]*", text[: match.start()]))
+
+
+def clicks(page: str, anchor: str) -> int:
+    """Return the clicks from the front page: link or tab and entry, and an entry of the table of contents."""
+    if page == "index.md":
+        return 0
+    front = (DOCS / "index.md").read_text(encoding="utf-8")
+    nav = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))["nav"]
+    assert page in leaves(nav)
+    return (1 if f"({page})" in front else 2) + bool(anchor)
+
+
+def leaves(entry: Any) -> list[str]:
+    """Return the pages of a part of the navigation."""
+    if isinstance(entry, str):
+        return [entry]
+    values = entry.values() if isinstance(entry, dict) else entry
+    return [page for value in values for page in leaves(value)]
+
+
+@pytest.mark.parametrize("question", QUESTIONS)
+def test_an_answer_is_found_soon(question: str) -> None:
+    page, anchor, answer = QUESTIONS[question]
+    assert clicks(page, anchor) <= MOST_CLICKS
+    assert words_above(page, anchor, answer) <= MOST_WORDS
+
+
+def test_the_page_has_these_numbers() -> None:
+    rows = re.findall(r"^\| (.*\?) \| .* \| (\d+) \| (\d+) \| .* \|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+    right = [(q, str(clicks(page, anchor)), str(words_above(page, anchor, answer)))
+             for q, (page, anchor, answer) in QUESTIONS.items()]  # fmt: skip
+    assert rows == right
