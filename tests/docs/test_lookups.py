@@ -17,7 +17,7 @@ PAGE = DOCS / "evidence" / "lookups.md"
 MOST_CLICKS, MOST_WORDS = 3, 400
 QUESTIONS = {
     "How do I stop the hand?": ("index.md", "", r"press Ctrl-C, or run `handctl stop"),
-    "How do I stop it when a program hangs?": ("how-to/stop.md", "a-program-hangs", r"`handctl stop --bus BUS`, or end"),
+    "How do I stop it when a program hangs?": ("how-to/stop.md", "a-program-hangs", r"`handctl stop --bus BUS`, or"),
     "Which adapter do I buy?": ("how-to/adapters.md", "", r"\*\*Which adapter to buy\.\*\*"),
     "What does N04 mean?": ("reference/faults.md", "n04-an-encoder-is-stuck", r"\*\*What happened:\*\*"),
     "How does a log come to Foxglove?": ("how-to/other-tools.md", "foxglove", r"Open the file in Foxglove"),

@@ -161,5 +161,5 @@ def _draw_parameters(axis: Any, result: TendonResult) -> None:
         else:
             axis.text(1.0, row, "not identified", color=color, ha="center", va="center")
     axis.axvline(1.0, color=WARN, lw=0.8)
-    axis.set_yticks(range(len(names)), names)
+    axis.set_yticks(range(len(names)), [name.replace("rope", "tendon").replace("_", " ") for name in names])
     axis.set(title="over the hand file, 95 %", xlim=(low, high), ylim=(len(names) - 0.5, -0.5))
