@@ -35,7 +35,7 @@ def call(folder: Path, *words: str, codes: tuple[int, ...] = (0,)) -> None:
     """Execute a verb in a folder.
 
     Raises:
-        RuntimeError: the exit code is none of those expected.
+        RuntimeError: the exit code is not in `codes`.
     """
     with contextlib.chdir(folder), contextlib.redirect_stdout(io.StringIO()):
         code = main([*words])
