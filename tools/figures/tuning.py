@@ -27,7 +27,7 @@ PERTURBED = ("stiffness=0.8", "spring=1.2", "friction=1.25", "motor_inertia=0.8"
 OTHER_HAND = ("stiffness=0.7", "friction=1.3", "motor_inertia=0.7")
 """Factors of the simulated hands on the page Tune a hand."""
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-PAGE_SIZE = (1100, 2240)
+PAGE_SIZE = (1100, 2080)
 """Width and height of the picture of a report [pixels]."""
 
 
