@@ -211,8 +211,8 @@ hand file is an additional error of the tension.
 - *held*: fraction of the runs in which the hand held the object without any fault.
 
 The table in [Ten minutes to a grasp](../start/ten-minutes.md#what-the-numbers-measure) has a larger tension error and a
-smaller angle error for jamia, because it measures the whole run, and the mean angle of a digit against its
-setpoint.""".splitlines()
+smaller angle error for jamia. In that run, the bias of the load cells has drifted since their tare. The angle there is
+the mean of a digit, compared with its setpoint.""".splitlines()
 FAULT_TEXT = """\
 The next table has the faults that the controller reported when a fault was injected into the index finger of jamia
 (seed 0). The faults T03b, T04, T05, T06, T09, N02, N14b and N16 need a load cell, and are not detected on a hand

@@ -16,6 +16,9 @@ FENCE = re.compile(r"^( *)```(\w*)(?: title=\"([^\"]*)\")?\n(.*?)^ *```$", re.MU
 READY_S = 120.0
 """Longest time for a process to print its first line, with compilation [s]."""
 
+RUN_S = 600.0
+"""Longest time of a block of commands on a busy machine [s]."""
+
 
 class Block(NamedTuple):
     """A block of a page: language, title and text."""
@@ -77,7 +80,7 @@ def run_blocks(
                 start_beside(on_the_embedded_bus(block.text), others, words)
                 continue
             script = f"set -e\n{on_the_embedded_bus(block.text)}"
-            ran = subprocess.run(["bash", "-c", script], capture_output=True, timeout=280, check=False, **words)
+            ran = subprocess.run(["bash", "-c", script], capture_output=True, timeout=RUN_S, check=False, **words)
             assert ran.returncode == 0, f"{block.text}\n{ran.stdout[-1000:]}\n{ran.stderr[-2000:]}"
             assert "Traceback" not in ran.stderr
     finally:

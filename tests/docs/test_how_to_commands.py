@@ -62,11 +62,13 @@ def cases() -> Iterator[Any]:
             yield pytest.param(page, marks=LIVE if live else [] if page in SHORT else [pytest.mark.nightly])
 
 
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize("page", list(cases()))
 def test_the_commands_of_a_page_run(page: str) -> None:
     run_blocks(RUN[page], files_for(page), BESIDE.get(page, ()))
 
 
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize("page", [
     pytest.param(page, marks=LIVE) for page, parts in RUN.items() if any(block.language == "python" for block in parts)
 ])  # fmt: skip
@@ -79,6 +81,7 @@ def test_the_programs_of_a_page_run(page: str) -> None:
 @pytest.mark.realtime
 @pytest.mark.alone
 @pytest.mark.nightly
+@pytest.mark.timeout(900)
 def test_the_uses_in_the_readme_run() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8").partition("## Four uses")[2].partition("\n## ")[0]
     lines = re.findall(r"^handctl [^#\n]+", text, re.MULTILINE)
