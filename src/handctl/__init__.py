@@ -5,12 +5,17 @@ from typing import TYPE_CHECKING, Any
 from handctl.errors import BusError, ConfigError, DriveError, HandctlError, LogError, PowerError, UnconfirmedError
 
 if TYPE_CHECKING:
+    from handctl.client import AsyncHandClient as AsyncHandClient
+    from handctl.client import AsyncTargetStream as AsyncTargetStream
     from handctl.client import HandClient as HandClient
     from handctl.client import Observation as Observation
     from handctl.client import TargetStream as TargetStream
     from handctl.client import connect as connect
+    from handctl.client import connect_async as connect_async
 
 __all__ = [
+    "AsyncHandClient",
+    "AsyncTargetStream",
     "BusError",
     "ConfigError",
     "DriveError",
@@ -22,6 +27,7 @@ __all__ = [
     "TargetStream",
     "UnconfirmedError",
     "connect",
+    "connect_async",
 ]
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from handctl.controller.lease import Lease
 from handctl.controller.monitor import thresholds
 from handctl.controller.pending_gains import PendingGains
 from handctl.controller.setup import make_drives, make_sensors
@@ -327,6 +328,7 @@ def decisions(before: Decisions) -> Iterator[tuple[str, Decisions]]:
         "gains": [pending.gains],
         "pending": [pending, replace(pending, step=1), replace(pending, gains=Gains())],
         "commander": ["one", "two"],
+        "lease": [Lease(*one) for one in (("a", 1, 2), ("b", 1, 2), ("a", 2, 2), ("a", 1, 1), ("a", 1, 2, True))],
         "stream": [STREAM, *(replace(STREAM, **{name: value}) for name, value in OTHER_STREAM.items())],
     }
     assert values.keys() == set(Decisions._fields), "a new decision needs a line here"

@@ -20,6 +20,7 @@ from types import TracebackType
 from typing import Any, Literal, Self
 
 from handctl.client.fingertips import Fingertips, FingertipStream
+from handctl.client.heartbeat import BEATS, Heartbeat
 from handctl.client.observation import Observation
 from handctl.client.stream import TargetStream
 from handctl.core.types import SHUTTING_DOWN
@@ -28,7 +29,14 @@ from handctl.errors import BusError, ConfigError, DriveError, PowerError, Unconf
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_from_content, parse_toml
 from handctl.printing import escape_text
-from handctl.programs.requests import REFUSED_PREFIX, HoldTension, MoveDigits, OpenStream
+from handctl.programs.requests import (
+    LONGEST_LEASE_S,
+    REFUSED_PREFIX,
+    SHORTEST_LEASE_S,
+    HoldTension,
+    MoveDigits,
+    OpenStream,
+)
 from handctl.programs.streams import horizon_s
 from handctl.programs.task import Hold
 from handctl.runtime.buses.open import real_buses
@@ -54,6 +62,8 @@ POLL_S = 0.2
 """Longest wait for the state before the controller process is checked [s]."""
 SENDER_NAME_BYTES = 64
 """Largest number of bytes that the name of the sender adds to a request."""
+LEASE_S = 2.0
+"""Lease of a client without a choice of its own [s]: longer than a loaded machine delays a thread."""
 SHUTDOWN_MODE_NAMES = {mode.name for mode in SHUTTING_DOWN}
 """Modes of the hand in which goals have no effect."""
 RUN_OWNER = "a running handctl run"
@@ -65,11 +75,15 @@ def connect(
     hand: str | os.PathLike[str] | None = None,
     bus: str | Sequence[str] = "local:demo",
     *arguments: str,
+    lease_s: float | None = LEASE_S,
+    watchdog_s: float | None = None,
 ) -> "HandClient":
     """Return a client of the controller on a bus. If no controller runs there, one is started.
 
     A controller started here ends when this program ends or crashes, after relaxing and disarming
-    the hand.
+    the hand. If this program commands the hand and is suspended, or is killed without having
+    started the controller, moving digits come to rest after the lease, and the hand relaxes after
+    twice the lease.
 
     Args:
         hand: packaged hand or hand file of a new controller. Required on a real bus, otherwise ``"jamia"``.
@@ -77,17 +91,22 @@ def connect(
             bus of the hand first.
         arguments: further arguments of ``handctl run``, e.g. ``"--log", "run.mcap"``. On a real bus ``"--yes"``
             confirms that the hand may move.
+        lease_s: lease in the time of the hand [s], 0.2 to 3600. A thread of the client renews it. None: the hand keeps
+            the last goal without a time limit.
+        watchdog_s: longest time between two calls of the client or targets of a stream [s]. Then the lease is not
+            renewed any more, so that a program that hangs loses the hand as well. None: any time.
 
     Raises:
-        ConfigError: invalid bus, or a real bus without a hand.
+        ConfigError: invalid bus, lease or watchdog, or a real bus without a hand.
         BusError: the request socket cannot be created.
     """
+    _check_lease(lease_s, watchdog_s)
     buses = [bus] if isinstance(bus, str) else list(bus)
     specs = list(named_buses(buses).values())
     if not specs:
         raise ConfigError("no bus", "bus", "one, as in 'local:demo'")
     if is_running(specs[0]):
-        return HandClient(specs[0])
+        return HandClient(specs[0], (), lease_s, watchdog_s)
     if hand is None and (real := real_buses(specs)):
         raise ConfigError(
             f"no hand is named, and {real[0]} may have real motors",
@@ -101,7 +120,23 @@ def connect(
         "--json",
         "--until-eof",
     ]
-    return HandClient(specs[0], [sys.executable, "-m", "handctl.cli", "run", *options, *arguments])
+    command = [sys.executable, "-m", "handctl.cli", "run", *options, *arguments]
+    return HandClient(specs[0], command, lease_s, watchdog_s)
+
+
+def _check_lease(lease_s: float | None, watchdog_s: float | None) -> None:
+    """Check the times after which a client counts as lost.
+
+    Raises:
+        ConfigError: a time is not a number within its limits, or a watchdog has no lease.
+    """
+    limits = f"{SHORTEST_LEASE_S:g} to {LONGEST_LEASE_S:g} s"
+    for name, seconds in (("lease_s", lease_s), ("watchdog_s", watchdog_s)):
+        is_number = isinstance(seconds, Real) and not isinstance(seconds, bool)
+        if seconds is not None and not (is_number and SHORTEST_LEASE_S <= seconds <= LONGEST_LEASE_S):
+            raise ConfigError(repr(seconds), name, f"{limits}, or None")
+    if watchdog_s is not None and lease_s is None:
+        raise ConfigError("no lease", "watchdog_s", f"lease_s of {limits}")
 
 
 class HandClient:
@@ -121,9 +156,18 @@ class HandClient:
         result: output of ``handctl run --json`` after the end of a run started here, e.g. ``log`` and ``failure``.
     """
 
-    def __init__(self, bus: str, command: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        bus: str,
+        command: Sequence[str] = (),
+        lease_s: float | None = LEASE_S,
+        watchdog_s: float | None = None,
+    ) -> None:
         """Create the client. `command` starts a controller. Use ``connect`` instead."""
         self.bus = bus
+        self._lease_s = lease_s
+        self._watchdog_s = watchdog_s
+        self._heartbeat: Heartbeat | None = None
         self.name = f"client-{os.getpid()}-{next(_numbers)}"
         self.child: subprocess.Popen[bytes] | None = None
         self.result: dict[str, Any] = {}
@@ -378,6 +422,7 @@ class HandClient:
             DriveError: the run has ended. The message has the reason.
             BusError: the controller is silent.
         """
+        self._note_call()
         reader = self._open_reader()
         end = time.monotonic() + timeout_s
         while True:
@@ -398,18 +443,30 @@ class HandClient:
         Raises:
             BusError: the controller is silent.
         """
+        for seen in self.poll_observations(timeout_s):
+            if seen is None:
+                time.sleep(POLL_OBSERVATION_S)
+            else:
+                yield seen
+
+    def poll_observations(self, timeout_s: float) -> Iterator[Observation | None]:
+        """Yield the observation of every tick, or None while there is no new one, without waiting.
+
+        Arguments and errors: see ``observations``.
+        """
         reader = self._open_reader()
         reader.seen = reader.written
         end = time.monotonic() + timeout_s
         while True:
             if (record := reader.next()) is not None:
                 end = time.monotonic() + timeout_s
+                self._note_call()
                 yield Observation(record, self.description)
             elif reader.ended:
                 return
             else:
                 self._check_silence(reader, end)
-                time.sleep(POLL_OBSERVATION_S)
+                yield None
 
     def wait_for(
         self,
@@ -490,6 +547,7 @@ class HandClient:
             DriveError: the run has ended. The message has the reason.
             BusError: the controller is silent.
         """
+        self._note_call()
         end = time.monotonic() + timeout_s
         while True:
             self._refuse_ended()
@@ -551,6 +609,8 @@ class HandClient:
     def _set_goal(self, goal: dict[str, Any]) -> float:
         """Send a goal, wait for its confirmation, and return the time of the confirming tick [s]."""
         self._wait_until_following(ANSWER_S)
+        if self._lease_s is not None:
+            goal = {**goal, "lease_s": self._lease_s}
         if (size := len(json.dumps(goal).encode()) + SENDER_NAME_BYTES) > MAX_REQUEST_BYTES:
             raise ConfigError(
                 f"{size} bytes", goal["do"], f"a request of at most {MAX_REQUEST_BYTES}"
@@ -566,7 +626,23 @@ class HandClient:
                 refused[0].removeprefix(REFUSED_PREFIX), f"the controller of {self.bus}"
             )
         self._commands = True
+        self._start_heartbeat()
         return float(line["t_s"])
+
+    def _start_heartbeat(self) -> None:
+        """Renew the lease from now on."""
+        with self._lock:
+            if self._lease_s is None or self._heartbeat is not None or self._closed:
+                return
+            time_scale = 1.0
+            with suppress(BusError, DriveError):  # the run may end now
+                time_scale = self._open_reader().description["time_scale"]
+            self._heartbeat = Heartbeat(self.bus, self.name, self._lease_s / BEATS / time_scale, self._watchdog_s)
+
+    def _note_call(self) -> None:
+        """Note a call of the program, for the watchdog."""
+        if self._heartbeat is not None:
+            self._heartbeat.note_call()
 
     def _wait_until_following(self, timeout_s: float) -> dict[str, Any]:
         """Return the state of the hand once the hand follows goals."""
@@ -604,6 +680,8 @@ class HandClient:
         if self._closed:
             return
         self._closed = True
+        if self._heartbeat is not None:
+            self._heartbeat.end()
         try:
             if self.child is None and self._commands and is_running(self.bus):
                 with self._lock:

@@ -121,12 +121,15 @@ class TargetStream:
 
         A late program continues from the present time, without a burst.
         """
-        now = time.monotonic_ns()
-        self._next_ns += self._period_ns
-        if self._next_ns <= now:
-            self._next_ns = float(now)
-        else:
-            time.sleep((self._next_ns - now) / 1e9)
+        time.sleep(max(0.0, self.next_due_s() - time.monotonic()))
+
+    def next_due_s(self) -> float:
+        """Return the time at which the next target is due, on the clock ``time.monotonic`` [s].
+
+        Every call counts as the end of a period.
+        """
+        self._next_ns = max(self._next_ns + self._period_ns, float(time.monotonic_ns()))
+        return self._next_ns / 1e9
 
     @property
     def status(self) -> StreamStatus:

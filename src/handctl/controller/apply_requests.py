@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from handctl.controller import retune
+from handctl.controller.client_lease import begin_lease, renew_lease
 from handctl.controller.modes import OperatorRequests
 from handctl.controller.state import State
 from handctl.controller.streams import apply_target, close_stream, open_stream, reference_of, stay
@@ -15,6 +16,7 @@ from handctl.programs.commission import CommissionProgram
 from handctl.programs.live import LiveProgram, apply_goal, begin_task, end_task, release_task
 from handctl.programs.program import Program
 from handctl.programs.requests import (
+    Alive,
     Arm,
     Clear,
     CloseStream,
@@ -26,9 +28,11 @@ from handctl.programs.requests import (
     MoveDigits,
     OpenStream,
     ReleaseGrasp,
+    Request,
     SetGains,
     Stop,
     describe_request,
+    is_routine,
     is_target,
     parse_request,
     parse_target,
@@ -59,8 +63,8 @@ def apply_requests(
     operator = OperatorRequests()
     events = list[Event]()
     for text in requests:
-        if is_target(text):
-            events += apply_target(model, state, parse_target(text), state.whole(s.T_NS))
+        if is_routine(text):
+            events += _apply_routine(model, state, text)
             continue
         request = parse_request(text)
         if isinstance(request, str):
@@ -76,11 +80,28 @@ def apply_requests(
         elif isinstance(request, Clear):
             clear_latched_faults(state)
             state.clearing = state.mode in BEFORE_READY
-        elif isinstance(request, SetGains):
-            events += _set_gains(model, program, state, request)
-        elif isinstance(request, CommandBase):
-            events += _apply_command(model, program, state, request)
+        else:
+            events += _apply_other(model, program, state, request)
     return operator, tuple(events)
+
+
+def _apply_routine(model: HandModel, state: State, text: str) -> tuple[Event, ...]:
+    """Apply a target or a sign of life. Accepted ones have no event, because there are many."""
+    if is_target(text):
+        return apply_target(model, state, parse_target(text), state.whole(s.T_NS))
+    request = parse_request(text)
+    if isinstance(request, Alive):
+        return renew_lease(state, request.client)
+    return (Event("warn", "request", "", str(request)),)
+
+
+def _apply_other(model: HandModel, program: Program, state: State, request: Request) -> tuple[Event, ...]:
+    """Apply a request for gains, a sign of life, or a command."""
+    if isinstance(request, SetGains):
+        return _set_gains(model, program, state, request)
+    if isinstance(request, Alive):
+        return renew_lease(state, request.client)
+    return _apply_command(model, program, state, request) if isinstance(request, CommandBase) else ()
 
 
 def _set_gains(model: HandModel, program: Program, state: State, request: SetGains) -> tuple[Event, ...]:
@@ -100,6 +121,7 @@ def _apply_command(model: HandModel, program: Program, state: State, request: Co
     if state.decisions.commander not in (None, request.client):
         close_stream(model, state)
     state.decide(commander=request.client)
+    begin_lease(state, request)
     if isinstance(request, Grasp | ReleaseGrasp):
         return _apply_grasp(model, state, request)
     if state.progress.task is not None and not isinstance(request, CloseStream):

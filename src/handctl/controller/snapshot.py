@@ -8,6 +8,7 @@ import json
 
 import numpy as np
 
+from handctl.controller.lease import Lease
 from handctl.controller.pending_gains import PendingGains
 from handctl.controller.state import Decisions, State
 from handctl.core.gains.gains import Gains
@@ -33,7 +34,7 @@ from handctl.safety.judge import Counting, Latched
 register_types(
     Decisions, DriveState, Phase, DriveTarget, Progress, Grip, DigitGoal, Kind, MinimumJerk, Blend, Curve, Sample,
     Chirp, Streamed, StreamPlan, Task, Latched, Counting, Gains, PendingGains, Recheck, Cursor, MitProgress,
-    CubemarsProgress, OdriveProgress, Cia402Progress, MoteusProgress, Channel, RobstrideProgress,
+    CubemarsProgress, OdriveProgress, Cia402Progress, MoteusProgress, Channel, RobstrideProgress, Lease,
 )  # fmt: skip
 
 HEAD = 8

@@ -6,6 +6,7 @@ import numpy as np
 import xxhash
 from numpy.typing import NDArray
 
+from handctl.controller.lease import Lease
 from handctl.controller.pending_gains import PendingGains
 from handctl.core import block as s
 from handctl.core.block import STATE
@@ -39,6 +40,7 @@ class Decisions(NamedTuple):
         commander: client that may send commands, see ``requests.CommandBase``. None if any client
             may.
         stream: open stream of targets.
+        lease: lease of the commanding client, None for a client without a lease.
     """
 
     drives: tuple[DriveState, ...]
@@ -52,6 +54,7 @@ class Decisions(NamedTuple):
     pending: PendingGains | None = None
     commander: str | None = None
     stream: StreamPlan | None = None
+    lease: Lease | None = None
 
 
 # Serialized parts by identity: most decisions are the same objects from tick to tick.

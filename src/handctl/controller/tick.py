@@ -20,6 +20,7 @@ import numpy as np
 from handctl.compiled import prepare
 from handctl.controller import modes, retune
 from handctl.controller.apply_requests import apply_requests
+from handctl.controller.client_lease import expire_lease
 from handctl.controller.monitor.replies import detect_unsolicited_replies
 from handctl.controller.monitor.thresholds import compiled_constants, safety_limits
 from handctl.controller.relaxing import is_open_loop, present_relax_rate
@@ -171,6 +172,8 @@ class Controller:
             consistency_events(self.model, before, state) + request_events if state.whole(s.CHANGED) else request_events
         )
         self._count_refusals(state, request_events)
+        if state.decisions.lease is not None:
+            events += expire_lease(self.model, state)
         action, findings = self._judge(before, state, entry, signs)
         t = entry.t_ns / 1e9
         mode_events = modes.next_mode(self.model, self.drives, state, action, operator, signs, t, self.identities)

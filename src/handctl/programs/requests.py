@@ -14,6 +14,8 @@ from handctl.programs.task import SHORTEST_MOVE_S, Angle, Task, Tension
 
 MAX_TARGET_VALUES = 64
 """Largest number of values of a streamed target."""
+SHORTEST_LEASE_S, LONGEST_LEASE_S = 0.2, 3600.0
+"""Limits of the silence after which a client counts as lost [s]."""
 
 
 class RequestBase(Document):
@@ -54,6 +56,17 @@ class CommandBase(RequestBase):
     """Client that commands. Requests without a client count as one client."""
     take_over: bool = False
     """Take the command over from another client."""
+    lease_s: float | None = Field(None, ge=SHORTEST_LEASE_S, le=LONGEST_LEASE_S)
+    """Longest silence of this client [s]. Each command and each `alive` ends a silence. After this time moving digits
+    come to rest, and after twice this time the hand relaxes. Without it the last goal stays without a time limit."""
+
+
+class Alive(RequestBase):
+    """Tell that a client is alive. This renews the `lease_s` of its last command."""
+
+    do: Literal["alive"]
+    client: str = Field(max_length=40, pattern=r"^[\w.-]*$")
+    """Client that is alive. A client that does not command is ignored."""
 
 
 class MoveDigits(CommandBase):
@@ -138,7 +151,7 @@ class SetGains(RequestBase):
 
 Request = (
     Arm | Stop | Cut | Clear | MoveDigits | HoldTension | Stay | Leave | Grasp | ReleaseGrasp | OpenStream
-    | CloseStream | SetGains
+    | CloseStream | Alive | SetGains
 )  # fmt: skip
 
 _ACCEPTED_PREFIX = "asked: "
@@ -204,6 +217,20 @@ def target_text(stream: str, number: int, sent_ns: int, values: Sequence[float])
 def is_target(text: str) -> bool:
     """Return True if a request is a target of a stream."""
     return text.startswith(_TARGET)
+
+
+_ALIVE = '{"do": "alive", '
+"""Start of the text of ``Alive``."""
+
+
+def alive_text(client: str) -> str:
+    """Return the request that renews the lease of a client, see ``Alive``."""
+    return f'{_ALIVE}"client": "{client}"}}'
+
+
+def is_routine(text: str) -> bool:
+    """Return True if a request comes many times in a run by itself: a target, or a sign of life."""
+    return is_target(text) or text.startswith(_ALIVE)
 
 
 def parse_target(text: str) -> Target | None:

@@ -14,7 +14,7 @@ from handctl.log.header import RunHeader
 from handctl.log.message_types import OTHER_PHASE, PHASES
 from handctl.log.record import TickRecord
 from handctl.log.topics.message_streams import Registry, Stamps, variable_length_block
-from handctl.programs.requests import is_target
+from handctl.programs.requests import is_routine
 from handctl.safety.action import Action
 
 LEVELS = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
@@ -159,7 +159,7 @@ def _log_lines(tick: TickRecord) -> Iterator[tuple[str, str, str]]:
         number = f" ({io_event.number})" if io_event.number != 1 else ""
         yield "warn", "io", " ".join(filter(None, (io_event.kind, io_event.where))) + number
     for request in tick.tick_in.requests:
-        if not is_target(request):  # hundreds a second, with a topic of their own
+        if not is_routine(request):  # targets come hundreds of times a second, with a topic of their own
             yield "info", "request", request
     for event in tick.events:
         yield event.level, event.name, f"{event.where}: {event.text}" if event.where else event.text

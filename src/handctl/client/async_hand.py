@@ -1,0 +1,187 @@
+"""Client of a hand for asyncio: the calls of ``HandClient`` as coroutines."""
+
+import asyncio
+import os
+import time
+from collections.abc import AsyncIterator, Mapping, Sequence
+from types import TracebackType
+from typing import Any, Literal, Self
+
+from handctl.client.hand import LEASE_S, HandClient, connect
+from handctl.client.observation import Observation
+from handctl.client.stream import TargetStream, Values
+from handctl.hand.description import Hand
+from handctl.programs.streams import StreamStatus
+from handctl.runtime.confirm import ANSWER_S
+
+POLL_OBSERVATION_S = 0.5e-3
+"""Pause between two reads of the shared memory [s]. The event loop runs other tasks meanwhile."""
+
+
+class AsyncHandClient:
+    """Client of one hand for asyncio. Use it with ``async with``.
+
+    Every method does the same as the method of ``HandClient`` with this name, and raises the same
+    errors. A thread makes the call, so that other tasks go on. ``observe`` returns at once and is no
+    coroutine. If a waiting task is cancelled, the hand keeps its goal: ``hold`` brings it to rest.
+
+    Attributes:
+        client: the client whose methods are called.
+    """
+
+    def __init__(self, client: HandClient) -> None:
+        """Use a client that is not open yet. Use ``connect_async`` instead."""
+        self.client = client
+
+    async def __aenter__(self) -> Self:
+        """Wait until the hand accepts goals."""
+        await asyncio.to_thread(self.client.open)
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the client. After an exception, also a cancellation, the end of the run raises no second one."""
+        await asyncio.shield(asyncio.to_thread(self.client.__exit__, kind, error, trace))
+
+    @property
+    def result(self) -> dict[str, Any]:
+        """Return the output of a run started here, after its end."""
+        return self.client.result
+
+    @property
+    def description(self) -> Hand:
+        """Return the description of the hand."""
+        return self.client.description
+
+    async def move(
+        self, goals: Mapping[str, float] | None = None, /, duration_s: float = 1.0, wait: bool = True,
+        **angle_deg: float,
+    ) -> None:  # fmt: skip
+        """Move digits or joints to angles [deg], see ``HandClient.move``."""
+        await asyncio.to_thread(self.client.move, goals, duration_s, wait, **angle_deg)
+
+    async def hold(
+        self, goals: Mapping[str, float] | None = None, /, rate_N_per_s: float = 100.0, **tension_N: float
+    ) -> None:
+        """Hold tensions [N], or bring moving digits to rest, see ``HandClient.hold``."""
+        await asyncio.to_thread(self.client.hold, goals, rate_N_per_s, **tension_N)
+
+    async def grasp(self, task: str | os.PathLike[str], wait: bool = True, timeout_s: float = 30.0) -> Observation:
+        """Execute a task up to its first hold phase, see ``HandClient.grasp``."""
+        return await asyncio.to_thread(self.client.grasp, task, wait, timeout_s)
+
+    async def release(self, wait: bool = True, timeout_s: float = 30.0) -> None:
+        """End the hold phase of ``grasp``, see ``HandClient.release``."""
+        await asyncio.to_thread(self.client.release, wait, timeout_s)
+
+    async def take_over(self) -> None:
+        """Take the right to move the hand from another client."""
+        await asyncio.to_thread(self.client.take_over)
+
+    async def stop(self) -> None:
+        """Relax and disarm the hand and end the run."""
+        await asyncio.to_thread(self.client.stop)
+
+    async def wait_for(
+        self, contact: str | Sequence[str] | None = None, phase: str | None = None, timeout_s: float = 10.0
+    ) -> Observation:
+        """Wait for contacts or a phase, see ``HandClient.wait_for``."""
+        return await asyncio.to_thread(self.client.wait_for, contact, phase, timeout_s)
+
+    def observe(self) -> Observation:
+        """Return the latest observation, at once."""
+        return self.client.observe()
+
+    async def observations(self, timeout_s: float = ANSWER_S) -> AsyncIterator[Observation]:
+        """Yield the observation of every tick from now on, in order, until the run ends.
+
+        Args:
+            timeout_s: longest wait for the next tick [s].
+
+        Raises:
+            BusError: the controller is silent.
+        """
+        for seen in self.client.poll_observations(timeout_s):
+            if seen is None:
+                await asyncio.sleep(POLL_OBSERVATION_S)
+            else:
+                yield seen
+
+    async def stream(
+        self,
+        rate_Hz: float,
+        space: Literal["joint", "digit", "tension", "tip_force", "fingertip"] = "joint",
+        names: Sequence[str] | None = None,
+        **options: Any,
+    ) -> "AsyncTargetStream":
+        """Open a stream of targets, as in ``async with await hand.stream(100) as stream``.
+
+        Args:
+            rate_Hz: rate of the targets in the time of the hand [Hz].
+            space: meaning of a target.
+            names: joints, digits or tendons of a target, in order.
+            options: further arguments of ``HandClient.stream``.
+        """
+        return AsyncTargetStream(await asyncio.to_thread(self.client.stream, rate_Hz, space, names, **options))
+
+
+class AsyncTargetStream:
+    """Open stream of targets for asyncio. Use it with ``async with``.
+
+    Attributes:
+        stream: the stream, with its attributes such as ``horizon_s``.
+    """
+
+    def __init__(self, stream: TargetStream) -> None:
+        """Use an open stream."""
+        self.stream = stream
+
+    async def __aenter__(self) -> Self:
+        """Return the stream."""
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the stream."""
+        await asyncio.shield(self.close())
+
+    def send(self, values: Values) -> None:
+        """Send a target at once, see ``TargetStream.send``."""
+        self.stream.send(values)
+
+    async def sleep(self) -> None:
+        """Sleep until the next target is due."""
+        await asyncio.sleep(max(0.0, self.stream.next_due_s() - time.monotonic()))
+
+    @property
+    def status(self) -> StreamStatus:
+        """Return how the controller has treated the targets."""
+        return self.stream.status
+
+    async def close(self) -> None:
+        """End the stream. The streamed digits come to rest."""
+        await asyncio.to_thread(self.stream.close)
+
+
+def connect_async(
+    hand: str | os.PathLike[str] | None = None,
+    bus: str | Sequence[str] = "local:demo",
+    *arguments: str,
+    lease_s: float | None = LEASE_S,
+    watchdog_s: float | None = None,
+) -> AsyncHandClient:
+    """Return a client for asyncio, as in ``async with handctl.connect_async() as hand``.
+
+    Args:
+        hand: see ``connect``.
+        bus: see ``connect``.
+        arguments: see ``connect``.
+        lease_s: see ``connect``.
+        watchdog_s: see ``connect``.
+
+    Raises:
+        ConfigError, BusError: see ``connect``.
+    """
+    return AsyncHandClient(connect(hand, bus, *arguments, lease_s=lease_s, watchdog_s=watchdog_s))

@@ -1,0 +1,60 @@
+"""Signs of life of a client, sent by a thread while the program runs."""
+
+import socket
+import threading
+import time
+
+from handctl.programs.requests import alive_text
+from handctl.runtime.paths import mailbox_path
+
+BEATS = 4
+"""Signs of life in the time of a lease. Three of them may be late or lost."""
+
+
+class Heartbeat:
+    """Thread that renews the lease of a client.
+
+    With a watchdog, the thread sends only if the program has used the client recently. A program
+    that hangs, but whose threads go on, then loses its lease as well.
+    """
+
+    def __init__(self, bus: str, client: str, period_s: float, watchdog_s: float | None) -> None:
+        """Start the thread.
+
+        Args:
+            bus: bus of the controller.
+            client: name of the client.
+            period_s: time between two signs of life [s].
+            watchdog_s: longest time between two calls of the program [s], None for any time.
+        """
+        self._bus = bus
+        self._data = alive_text(client).encode()
+        self._period_s = period_s
+        self._watchdog_s = watchdog_s
+        self._used_s = time.monotonic()
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._send_regularly, name=f"heartbeat of {client}", daemon=True)
+        self._thread.start()
+
+    def note_call(self) -> None:
+        """Note that the program has used the client now."""
+        self._used_s = time.monotonic()
+
+    def end(self) -> None:
+        """End the thread."""
+        self._ended.set()
+        self._thread.join()
+
+    def _send_regularly(self) -> None:
+        """Send signs of life until ``end``, or until the controller has ended."""
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
+            out.setblocking(False)
+            while not self._ended.wait(self._period_s):
+                if self._watchdog_s is not None and time.monotonic() - self._used_s > self._watchdog_s:
+                    continue
+                try:
+                    out.sendto(self._data, str(mailbox_path(self._bus)))
+                except BlockingIOError:  # a full mailbox: the next sign of life counts
+                    continue
+                except OSError:
+                    return

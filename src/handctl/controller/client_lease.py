@@ -1,0 +1,77 @@
+"""Loss of the client that commands the hand: rest, then relaxation.
+
+A client that hangs or dies sends no further goal, and its last goal would stay without a time
+limit. A client with a lease therefore tells regularly that it is alive. Commands, signs of life and
+targets enter the tick as requests, so that a log is re-executed with the same leases.
+"""
+
+from dataclasses import replace
+
+from handctl.controller.lease import Lease
+from handctl.controller.state import State
+from handctl.controller.streams import close_stream, stay
+from handctl.core import block as s
+from handctl.core.model import HandModel
+from handctl.core.types import Event, Mode
+from handctl.programs.requests import CommandBase, Leave
+
+RELAX_FACTOR = 2
+"""Silence after which the hand relaxes, as a multiple of the lease."""
+
+
+def begin_lease(state: State, request: CommandBase) -> None:
+    """Begin the lease of the client of a command. A command without a lease ends the lease."""
+    lease = None
+    if request.lease_s is not None and not isinstance(request, Leave):
+        lease = Lease(request.client, round(1e9 * request.lease_s), state.whole(s.T_NS))
+    state.decide(lease=lease)
+
+
+def renew_lease(state: State, client: str) -> tuple[Event, ...]:
+    """Renew the lease after a sign of life of a client.
+
+    Returns:
+        An event if the client was lost before.
+    """
+    lease = state.decisions.lease
+    if lease is None or lease.client != client:
+        return ()
+    state.decide(lease=lease._replace(renewed_ns=state.whole(s.T_NS), resting=False))
+    return (Event("info", "lease", "", f"{client} answers again"),) if lease.resting else ()
+
+
+def expire_lease(model: HandModel, state: State) -> tuple[Event, ...]:
+    """Bring the digits to rest, or end the run, if the commanding client has been silent too long.
+
+    Digits that hold a tension go on until the run ends, and so does a task. Streamed targets are
+    signs of life.
+
+    Args:
+        model: the hand.
+        state: state of the tick, modified in place.
+
+    Returns:
+        An event at the beginning of the rest and at the end of the run.
+    """
+    lease = state.decisions.lease
+    if lease is None:
+        return ()
+    if state.mode != Mode.ACTIVE:
+        state.decide(lease=None)
+        return ()
+    heard_ns = lease.renewed_ns
+    stream = state.decisions.stream
+    if stream is not None and stream.client == lease.client:
+        heard_ns = max(heard_ns, state.whole(s.STREAM_SENT_NS))
+    silence_ns = state.whole(s.T_NS) - heard_ns
+    text = f"client {lease.client or 'without a name'} has been silent for {silence_ns / 1e9:.2f} s"
+    if silence_ns > RELAX_FACTOR * lease.duration_ns:
+        state.decide(lease=None, progress=replace(state.progress, finished=True, failure=text))
+        return (Event("error", "lease", "", f"{text}: the hand relaxes"),)
+    if silence_ns > lease.duration_ns and not lease.resting:
+        if state.progress.task is None:
+            close_stream(model, state)
+            state.decide(progress=stay(model, state))
+        state.decide(lease=lease._replace(resting=True))
+        return (Event("warn", "lease", "", f"{text}: moving digits come to rest"),)
+    return ()

@@ -1,0 +1,139 @@
+"""Lease of the commanding client in lockstep: a silent client's digits come to rest, then the hand relaxes."""
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handctl.controller.snapshot import restore_state, snapshot_bytes
+from handctl.core.model import HandModel
+from handctl.core.types import Mode
+from handctl.programs.requests import Alive, alive_text, is_routine, parse_request
+from tests.controller.test_stream import Client, live
+
+LEASE_S = 0.5
+
+
+def lease_events(client: Client) -> list[str]:
+    """Return the texts of the events about leases so far."""
+    return [event.text for out in client.outs for event in out.events if event.name == "lease"]
+
+
+def wait_alive(client: Client, seconds: float, every_s: float = 0.1) -> None:
+    """Run ticks in which a client tells that it is alive."""
+    for _ in range(round(seconds / every_s)):
+        client.tick(alive_text(client.name))
+        client.wait(every_s - client.model.period)
+
+
+def test_a_client_that_is_silent_after_a_hold_lets_go(jamia: HandModel) -> None:
+    """Regression: the hand kept pulling without a time limit."""
+    with live(jamia) as client:
+        client.ask("hold", tension_N={"index": 30.0}, rate_N_per_s=500.0, lease_s=LEASE_S)
+        wait_alive(client, 3.0 * LEASE_S)
+        assert client.outs[-1].mode == Mode.ACTIVE
+        assert lease_events(client) == []
+        client.outs.clear()
+        client.wait(1.5 * LEASE_S)
+        assert client.outs[-1].mode == Mode.ACTIVE
+        assert len(lease_events(client)) == 1
+        assert client.outs[-1].telemetry.tension[0] == pytest.approx(30.0, abs=2.0), "a hold is held"
+        client.wait(0.6 * LEASE_S)
+        assert [out.mode for out in client.outs].index(Mode.RELAX) == pytest.approx(
+            2 * LEASE_S / jamia.period, abs=0.1 / jamia.period
+        )
+        text = "client one has been silent for"
+        assert client.run.state.failure.startswith(text)
+        assert [event.startswith(text) for event in lease_events(client)] == [True, True]
+        assert client.run.until(lambda out: out.mode == Mode.DONE, 5.0)
+        assert client.run.state.unconfirmed == ()
+        assert client.faults == set()
+
+
+def test_a_moving_digit_comes_to_rest_and_goes_on_with_the_next_command(jamia: HandModel) -> None:
+    with live(jamia) as client:
+        client.ask("move", angle_deg={"index": 90.0}, duration_s=2.0, lease_s=LEASE_S)
+        client.wait(1.5 * LEASE_S)
+        at = np.degrees(client.goals("q_goal")[-1])
+        assert at < 60.0, "on the way"
+        client.wait(0.2 * LEASE_S)
+        assert np.degrees(client.goals("q_goal")[-1]) == pytest.approx(at, abs=1e-9)
+        client.tick(alive_text("one"))
+        assert lease_events(client)[-1] == "one answers again"
+        assert client.ask("move", angle_deg={"index": 70.0}, lease_s=LEASE_S) == "move index 70"
+        wait_alive(client, 1.2)
+        assert np.degrees(client.goals("q_goal")[-1]) == pytest.approx(70.0)
+        assert client.outs[-1].mode == Mode.ACTIVE
+
+
+def test_targets_of_a_stream_are_signs_of_life(jamia: HandModel) -> None:
+    with live(jamia) as client:
+        client.open(lease_s=0.2)
+        client.follow(lambda t: 20.0 * t, 1.0)
+        assert lease_events(client) == []
+        assert client.outs[-1].mode == Mode.ACTIVE
+
+
+@pytest.mark.parametrize("after", ["no lease", "leave", "another"])
+def test_a_lease_ends(jamia: HandModel, after: str) -> None:
+    """With a command without a lease, with the command itself, and with another client's command."""
+    with live(jamia) as client:
+        client.ask("move", angle_deg={"index": 20.0}, duration_s=0.3, lease_s=LEASE_S)
+        if after == "leave":
+            client.ask("leave")
+        else:
+            client.name = "two" if after == "another" else "one"
+            client.ask("stay", take_over=True)
+        client.tick(alive_text("one"))
+        client.wait(3.0 * LEASE_S)
+        assert lease_events(client) == []
+        assert client.outs[-1].mode == Mode.ACTIVE
+
+
+def test_other_clients_do_not_renew_a_lease(jamia: HandModel) -> None:
+    with live(jamia) as client:
+        client.ask("move", angle_deg={"index": 20.0}, duration_s=0.3, lease_s=LEASE_S)
+        client.name = "two"
+        wait_alive(client, 2.2 * LEASE_S)
+        assert client.outs[-1].mode >= Mode.RELAX
+
+
+def test_a_task_goes_on_to_its_hold_before_the_hand_relaxes(jamia: HandModel) -> None:
+    phases: list[dict[str, Any]] = [
+        {"kind": "move", "name": "bend", "angle_deg": {"index": 20.0}, "duration_s": 0.7},
+        {"kind": "move", "name": "stay", "angle_deg": {"index": 20.0}, "duration_s": 9.0},
+    ]
+    with live(jamia) as client:
+        client.ask("grasp", task={"schema": 1, "name": "bend", "phase": phases}, lease_s=LEASE_S)
+        client.wait(1.8 * LEASE_S)
+        assert client.outs[-1].phase == "stay"
+        assert np.degrees(client.goals("q_goal")[-1]) == pytest.approx(20.0, abs=1.0)
+        client.wait(0.4 * LEASE_S)
+        assert client.outs[-1].mode >= Mode.RELAX
+
+
+def test_the_ticks_of_a_lost_client_repeat_to_the_last_bit(jamia: HandModel) -> None:
+    """Also from a snapshot in the middle."""
+    with live(jamia) as client:
+        client.ask("move", angle_deg={"index": 50.0}, duration_s=1.0, lease_s=LEASE_S)
+        wait_alive(client, LEASE_S)
+        middle, at = snapshot_bytes(client.run.state), len(client.run.recorded)
+        client.wait(2.2 * LEASE_S)
+        assert client.outs[-1].mode >= Mode.RELAX
+        controller = client.run.controller
+        for state, ticks in (
+            (controller.initial(), client.run.recorded),
+            (restore_state(controller.layout, middle), client.run.recorded[at:]),
+        ):
+            for entry, out in ticks:
+                state, again = controller.tick(state, entry)
+                assert again.state_hash == out.state_hash
+
+
+def test_signs_of_life_are_requests() -> None:
+    assert parse_request(alive_text("client-1-2")) == Alive(do="alive", client="client-1-2")
+    assert is_routine(alive_text("client-1-2"))
+    assert not is_routine(json.dumps({"do": "stop"}))
+    assert isinstance(parse_request('{"do": "alive"}'), str)
+    assert isinstance(parse_request('{"do": "stay", "lease_s": 0.1}'), str)

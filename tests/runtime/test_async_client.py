@@ -1,0 +1,109 @@
+"""The client of a hand for asyncio, in real time."""
+
+import asyncio
+import inspect
+
+import numpy as np
+import pytest
+
+import handctl as library
+from handctl import ConfigError, DriveError
+from tests.runtime.processes import BUS, modes_of_complete
+
+REALTIME = pytest.mark.realtime
+
+
+async def use_hand(*options):
+    """Move, stream, observe and cancel, beside a task that counts."""
+    counted = 0
+
+    async def count():
+        nonlocal counted
+        while True:
+            counted += 1
+            await asyncio.sleep(0.01)
+
+    counting = asyncio.create_task(count())
+    async with library.connect_async("jamia", BUS, *options) as hand:
+        counted = 0
+        await hand.move(index=30.0)
+        assert counted > 30, "other tasks go on while the hand moves"
+        assert hand.observe().q_deg[:3] == pytest.approx(30.0, abs=3.0)
+        with pytest.raises(ConfigError, match="no digit 'pinky'"):
+            await hand.wait_for(contact="pinky")
+        seen = asyncio.create_task(watch(hand))
+        async with await hand.stream(50, "digit", ["index"]) as stream:
+            for i in range(50):
+                stream.send([30.0 + 10.0 * np.sin(2 * np.pi * i / 50)])
+                await stream.sleep()
+            status = stream.status
+        ticks, swing = await seen
+        moving = asyncio.create_task(hand.move(index=80.0, duration_s=20.0))
+        await hand.wait_for(phase="live")
+        await asyncio.sleep(1.0)
+        moving.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await moving
+        await hand.hold()
+        await asyncio.sleep(1.0)
+        at = hand.observe().q_deg[:3].mean()
+    counting.cancel()
+    return hand.result, status, ticks, swing, at
+
+
+async def watch(hand):
+    """Return the ticks of 200 observations and the span of an angle in them [deg]."""
+    ticks, angles = [], []
+    async for one in hand.observations():
+        ticks.append(one.k)
+        angles.append(one.q_deg[0])
+        if len(ticks) == 200:
+            return ticks, np.ptp(angles)
+    raise AssertionError("the run has ended")
+
+
+@REALTIME
+def test_a_hand_in_asyncio(place, hand, calibrated, scale):
+    options = ("--calibration", "c.toml", "--log", "live.mcap", *scale)
+    result, status, ticks, swing, at = asyncio.run(use_hand(*options))
+    assert result["failure"] == ""
+    assert status.accepted > 45
+    assert (status.refused, status.clipped) == (0, 0)
+    assert set(np.diff(ticks)) == {1}, "every tick, in order"
+    assert swing > 5.0
+    assert at < 60.0, "the move was ended by hold"
+    modes_of_complete(place / "live.mcap")
+
+
+@REALTIME
+def test_an_exception_in_the_block_stops_the_hand(place, hand, calibrated, scale):
+    async def fail():
+        async with library.connect_async("jamia", BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale):
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        asyncio.run(fail())
+    modes_of_complete(place / "live.mcap")
+
+
+def test_a_controller_that_cannot_start_is_one_error(place):
+    async def connect():
+        async with library.connect_async("no-such-hand", BUS):
+            pass
+
+    with pytest.raises(DriveError, match="no-such-hand"):
+        asyncio.run(connect())
+
+
+def test_every_call_has_its_coroutine():
+    """A call that is added to the client is added here, too."""
+    apart = {"open", "close", "end_stream", "state", "wait", "poll_observations", "observe", "observations"}
+    names = {name for name in vars(library.HandClient) if not name.startswith("_")} - apart - {"description"}
+    for name in names:
+        one, other = getattr(library.HandClient, name), getattr(library.AsyncHandClient, name)
+        assert inspect.iscoroutinefunction(other), name
+        expected = set(inspect.signature(one).parameters)
+        own = set(inspect.signature(other).parameters)
+        assert own == expected or "options" in own, name
+    one, other = inspect.signature(library.connect), inspect.signature(library.connect_async)
+    assert one.parameters == other.parameters

@@ -1,0 +1,140 @@
+"""A client that dies or hangs after ``hold``: the hand relaxes after the lease of the client, judged by the truth."""
+
+import re
+import select
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+import handctl as library
+from firmware_sim.truth import read_truth
+from handctl import ConfigError, DriveError
+from handctl.client.heartbeat import Heartbeat
+from handctl.log.read.reader import RunLog
+from handctl.runtime.mailbox import Mailbox
+from tests.runtime.processes import BUS, READY_S
+
+REALTIME = pytest.mark.realtime
+LEASE_S = 0.6
+HELD_N = 12.0
+PROGRAM = f"""
+import handctl, time
+with handctl.connect("jamia", {BUS!r}, **{{options}}) as hand:
+    hand.hold(index={HELD_N})
+    hand.wait_for(phase="live")
+    print("held", flush=True)
+    time.sleep(100)
+"""
+
+
+def hold(**options):
+    """Start a second client, which holds a tension and then does nothing."""
+    command = [sys.executable, "-c", PROGRAM.format(options=options)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert select.select([process.stdout], [], [], READY_S)[0]
+    assert process.stdout.readline() == "held\n"
+    return process
+
+
+def wait_for_end(client, seconds):
+    """Wait until the run ends, at most a time [s of the hand], and return the reason."""
+    start = client.observe().t_s
+    try:
+        while client.observe().t_s < start + seconds:
+            time.sleep(0.02)
+    except DriveError as error:
+        return str(error)
+    return "the run goes on"
+
+
+@REALTIME
+@pytest.mark.parametrize(
+    "how", ["suspended", *[pytest.param(how, marks=pytest.mark.nightly) for how in ("killed", "hangs")]]
+)
+def test_a_lost_client_makes_the_hand_relax(place, hand, calibrated, scale, how):
+    """Regression: the tension stayed without a time limit."""
+    factor = float(scale[1])
+    client = library.connect("jamia", BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale).open()
+    try:
+        other = hold(lease_s=LEASE_S, **({"watchdog_s": LEASE_S} if how == "hangs" else {}))
+        try:
+            if how != "hangs":
+                time.sleep(3.0 * LEASE_S / factor)
+                assert client.observe(wait=True).named("tension_N")["index_tendon"] == pytest.approx(HELD_N, abs=2.0)
+                other.send_signal(signal.SIGKILL if how == "killed" else signal.SIGSTOP)
+            said = wait_for_end(client, 8.0 * LEASE_S)
+        finally:
+            other.kill()
+            other.communicate()
+    finally:
+        client.close()
+    assert re.search(r"client client-\d+-\d+ has been silent for 1\.\d+ s", said)
+    assert client.result["failure"] in said
+    with RunLog(place / "live.mcap") as log:
+        assert not log.warning
+        assert [row.event.level for row in log.events if row.event.name == "lease"] == ["warn", "error"]
+        assert not [row for row in log.events if row.event.name == "request" and "alive" in row.event.text]
+    tension = read_truth(hand).column("tension/index_tendon")
+    assert tension.max() > HELD_N - 3.0
+    assert tension[-10:].max() < 6.0
+
+
+@REALTIME
+@pytest.mark.nightly
+def test_a_program_that_waits_keeps_its_hold(place, hand, calibrated, scale):
+    """The thread of a client renews the lease. Without a lease the hold stays without a sign of life."""
+    factor = float(scale[1])
+    options = ("--calibration", "c.toml", "--log", "live.mcap", *scale)
+    with library.connect("jamia", BUS, *options, lease_s=LEASE_S) as client:
+        client.hold(index=HELD_N)
+        time.sleep(4.0 * LEASE_S / factor)
+        assert client.observe(wait=True).mode == "ACTIVE"
+        client.hold()
+        with library.connect("jamia", BUS, lease_s=None) as other:
+            other.take_over()
+            other.hold(index=HELD_N)
+            time.sleep(4.0 * LEASE_S / factor)
+            assert client.observe(wait=True).mode == "ACTIVE"
+    assert client.result["failure"] == ""
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        ({"lease_s": 0.1}, r"lease_s: 0.1; expected 0.2 to 3600 s, or None"),
+        ({"lease_s": "2"}, r"lease_s: '2'; expected"),
+        ({"lease_s": float("nan")}, r"lease_s: nan; expected"),
+        ({"watchdog_s": True}, r"watchdog_s: True; expected"),
+        ({"lease_s": None, "watchdog_s": 1.0}, r"watchdog_s: no lease; expected lease_s"),
+    ],
+)
+def test_a_wrong_lease_is_one_line(options, line):
+    with pytest.raises(ConfigError, match=line):
+        library.connect("jamia", BUS, **options)
+
+
+def test_a_watchdog_stops_the_signs_of_life(place):
+    """Each call of the program lets them go on."""
+    box = Mailbox("local:beats")
+    beats = Heartbeat("local:beats", "one", 0.01, 0.15)
+
+    def count(seconds):
+        end, number = time.monotonic() + seconds, 0
+        while time.monotonic() < end:
+            number += len(box.read())
+            time.sleep(0.005)
+        return number
+
+    try:
+        assert count(0.1) > 0
+        count(0.3)
+        assert count(0.2) == 0
+        beats.note_call()
+        assert count(0.1) > 0
+    finally:
+        beats.end()
+        box.close()
+    assert not beats._thread.is_alive()
