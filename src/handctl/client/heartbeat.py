@@ -1,11 +1,11 @@
 """Signs of life of a client, sent by a thread while the program runs."""
 
-import socket
 import threading
 import time
+from contextlib import closing, suppress
 
 from handctl.programs.requests import alive_text
-from handctl.runtime.paths import mailbox_path
+from handctl.runtime.mailbox import RequestSender
 
 BEATS = 4
 """Signs of life in the time of a lease. Three of them may be late or lost."""
@@ -47,14 +47,7 @@ class Heartbeat:
 
     def _send_regularly(self) -> None:
         """Send signs of life until ``end``, or until the controller has ended."""
-        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
-            out.setblocking(False)
+        with closing(RequestSender(self._bus)) as sender, suppress(OSError):
             while not self._ended.wait(self._period_s):
-                if self._watchdog_s is not None and time.monotonic() - self._used_s > self._watchdog_s:
-                    continue
-                try:
-                    out.sendto(self._data, str(mailbox_path(self._bus)))
-                except BlockingIOError:  # a full mailbox: the next sign of life counts
-                    continue
-                except OSError:
-                    return
+                if self._watchdog_s is None or time.monotonic() - self._used_s <= self._watchdog_s:
+                    sender.send(self._data)  # into a full mailbox it fails, and the next one counts

@@ -170,6 +170,32 @@ def is_running(name: str) -> bool:
     return True
 
 
+class RequestSender:
+    """Sender of requests that need no reply."""
+
+    def __init__(self, name: str) -> None:
+        """Open a socket for controller ``name``. The controller may start later."""
+        self._path = str(mailbox_path(name))
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+
+    def send(self, data: bytes) -> bool:
+        """Send a request. Returns False if the mailbox is full.
+
+        Raises:
+            OSError: no controller runs.
+        """
+        try:
+            self._socket.sendto(data, self._path)
+        except BlockingIOError:
+            return False
+        return True
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+
 class Watcher:
     """Socket of a program that watches a running controller.
 
