@@ -12,7 +12,8 @@ from rerun.experimental import LeRobotReader
 
 from handctl.cli.main import main
 from handctl.core.types import TELEMETRY_FIELDS, Mode
-from handctl.errors import LogError
+from handctl.errors import ConfigError, LogError
+from handctl.log.export.camera_video import histogram_statistics
 from handctl.log.export.lerobot import export_lerobot
 from handctl.log.export.parquet import export_parquet
 from handctl.log.export.tables import column_names, column_title, export_csv
@@ -31,6 +32,10 @@ def log() -> Iterator[RunLog]:
 
 def table_of(log: RunLog) -> np.ndarray:
     return np.array([np.frombuffer(row, "<f8") for row in log.packed()])
+
+
+def frames_of(path: Path) -> polars.DataFrame:
+    return polars.read_parquet(path / "data" / "chunk-000" / "file-000.parquet")
 
 
 @pytest.fixture
@@ -146,6 +151,57 @@ def test_only_a_dataset_takes_several_logs(tmp_path: Path, capsys: pytest.Captur
     assert "a second log" in capsys.readouterr().err
     assert main(["log", "export", str(GOLDEN), str(GOLDEN), "--lerobot", "--output", str(tmp_path / "x")]) == 0
     assert json.loads((tmp_path / "x" / "meta" / "info.json").read_text())["total_episodes"] == 2
+
+
+def test_a_lower_frame_rate_takes_the_latest_tick(log: RunLog, dataset: Path, tmp_path: Path) -> None:
+    frames = export_lerobot([log], tmp_path / "slow", fps=40)
+    whole, slow = [frames_of(path) for path in (dataset, tmp_path / "slow")]
+    assert len(slow) == frames == (len(whole) - 1) // 5 + 1
+    assert slow["action"].to_list() == whole["action"].to_list()[::5]
+    assert slow["timestamp"].to_list() == pytest.approx([i / 40 for i in range(frames)])
+    for fps in (0, 201):
+        with pytest.raises(ConfigError, match=f"--fps: {fps} Hz; expected 1 to 200 Hz"):
+            export_lerobot([log], tmp_path / "wrong", fps=fps)
+    assert not (tmp_path / "wrong").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("--csv --fps 20", "log export --csv: frame rate or camera; expected --lerobot"),
+        ("--csv --camera wrist one.mp4", "log export --csv: frame rate or camera; expected --lerobot"),
+        ("--lerobot --camera wrist", "--camera wrist: 0 videos for 1 logs; expected one video for each log"),
+        ("--lerobot --camera wrist one.mp4 two.mp4", "--camera wrist: 2 videos for 1 logs; expected one video"),
+        ("--lerobot --camera wrist no.mp4", "no.mp4: no such file; expected a video"),
+        ("--lerobot --camera ../x one.mp4", "--camera: '../x'; expected a name of letters and digits"),
+        ("--lerobot --camera a one.mp4 --camera a one.mp4", "--camera: 'a'; expected a name of letters and digits"),
+        ("--lerobot --camera-start 1 2", "--camera-start: 2 times; expected one, or 1 finite times [s]"),
+        ("--lerobot --camera-start nan", "--camera-start: 1 times; expected one, or 1 finite times [s]"),
+        ("--lerobot --camera wrist one.mp4", "--camera: no program ffmpeg; expected ffmpeg installed"),
+    ],
+)
+def test_a_wrong_camera_is_one_line(
+    words: str, line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PATH", "")
+    (tmp_path / "one.mp4").touch()
+    (tmp_path / "two.mp4").touch()
+    assert main(["log", "export", str(GOLDEN), *words.split(), "--output", "out"]) == 2
+    assert f"handctl: {line}" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_statistics_of_images_are_those_of_their_pixels() -> None:
+    pixels = np.random.default_rng(0).integers(0, 200, (3, 5000))
+    histogram = np.array([np.bincount(channel, minlength=256) for channel in pixels])
+    found = histogram_statistics(histogram, 7, (10, 50, 99))
+    expected = {name: getattr(pixels / 255, name)(axis=1) for name in ("min", "max", "mean", "std")}
+    expected |= {f"q{percent}": np.percentile(pixels / 255, percent, axis=1) for percent in (10, 50, 99)}
+    assert found.pop("count") == [7]
+    assert found.keys() == expected.keys()
+    for name, values in expected.items():
+        np.testing.assert_allclose(np.array(found[name]), values.reshape(3, 1, 1), atol=1 / 255 + 1e-12, err_msg=name)
 
 
 def test_names_of_elements_have_their_unit(dataset: Path) -> None:

@@ -119,6 +119,17 @@ def log(parser: Parser) -> None:
     group = out.add_mutually_exclusive_group(required=True)
     for name, text in FORMATS.items():
         group.add_argument(f"--{name}", dest="format", action="store_const", const=name, help=text)
+    out.add_argument(
+        "--fps", type=int, metavar="HZ", help="frame rate of a LeRobot dataset (default: the control rate)"
+    )
+    out.add_argument(
+        "--camera", nargs="+", action="append", default=[], metavar=("NAME", "VIDEO"),
+        help="camera of a LeRobot dataset: its name, and a video for each log. Needs ffmpeg",
+    )  # fmt: skip
+    out.add_argument(
+        "--camera-start", type=float, nargs="+", default=[0.0], metavar="SECONDS",
+        help="time of the first video frame since the start of the run, one for all logs or one for each (default: 0)",
+    )  # fmt: skip
     output_option(out, "a new file or folder (default: LOG.FORMAT)", "FILE|DIR")
 
 

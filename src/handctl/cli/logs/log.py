@@ -135,6 +135,8 @@ def _export_log(args: argparse.Namespace) -> int:
     os.environ.setdefault("RUST_LOG", "error")  # hide Rerun's own log lines: handctl reports the errors itself
     if args.more and args.format != "lerobot":
         raise ConfigError(f"{args.more[0]}: a second log", f"log export --{args.format}", "one log, or --lerobot")
+    if (args.fps is not None or args.camera) and args.format != "lerobot":
+        raise ConfigError("frame rate or camera", f"log export --{args.format}", "--lerobot")
     with ExitStack() as stack:
         logs = [stack.enter_context(RunLog(path)) for path in (args.log, *args.more)]
         out = args.output or path_with_suffix(args.log, f".{args.format}")
@@ -161,9 +163,12 @@ def _write_export(args: argparse.Namespace, logs: list[RunLog], out: Path) -> in
 
         return export_parquet(log, out)
     if form == "lerobot":
+        from handctl.log.export.camera_video import make_cameras
         from handctl.log.export.lerobot import export_lerobot
 
-        return export_lerobot(logs, out)
+        names = [words[0] for words in args.camera]
+        videos = [[Path(word) for word in words[1:]] for words in args.camera]
+        return export_lerobot(logs, out, args.fps, make_cameras(names, videos, args.camera_start, len(logs)))
     from handctl.log.export.tables import export_candump, export_csv
 
     return export_csv(log, out) if form == "csv" else export_candump(log, out)

@@ -1,8 +1,9 @@
 """Export of logs as a LeRobot dataset: an episode for each log, the active part of the run on an exact time grid.
 
-Layout: codebase version 3.0, without video, all frames in one file. `observation.state` holds joint angles [rad] and
-estimated tensions [N]. `action` holds commanded joint angles and tensions. For a
-digit under tension control, the commanded angle is set to the estimated angle.
+Layout: codebase version 3.0, all frames in one file, a video for each episode and camera.
+`observation.state` holds joint angles [rad] and estimated tensions [N]. `action` holds commanded
+joint angles and tensions. For a digit under tension control, the commanded angle is set to the
+estimated angle.
 
 Names of vector elements end in their unit: `index_j1.pos_rad`, `index_tendon.tension_N`.
 
@@ -14,7 +15,7 @@ Source: LeRobot 0.4 and 0.6, `datasets/utils.py` and `dataset_metadata.py`: path
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,6 +27,14 @@ from numpy.typing import NDArray
 from handctl.core.types import Mode
 from handctl.errors import ConfigError, LogError
 from handctl.hand.load import parse_toml
+from handctl.log.export.camera_video import (
+    VIDEO,
+    Camera,
+    EpisodeVideo,
+    histogram_statistics,
+    video_place,
+    write_episode_video,
+)
 from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import check_order
 from handctl.printing import printable_text
@@ -42,7 +51,7 @@ Logs of version 0.1 lack `q_sigma`.
 """
 
 Array = NDArray[np.float64]
-Statistics = dict[str, dict[str, list[float]]]
+Statistics = dict[str, dict[str, list[Any]]]
 """Values of each statistic, by feature and by name of the statistic."""
 
 
@@ -53,11 +62,13 @@ class _Episode(NamedTuple):
         vectors: names and values (frames, n) of each vector feature.
         task: description of its task.
         frames: number of frames.
+        start_s: time of the first frame since the start of the run [s].
     """
 
     vectors: dict[str, tuple[list[str], Array]]
     task: str
     frames: int
+    start_s: float
 
     @property
     def names(self) -> dict[str, list[str]]:
@@ -65,19 +76,28 @@ class _Episode(NamedTuple):
         return {name: names for name, (names, _) in self.vectors.items()}
 
 
-def export_lerobot(logs: Sequence[RunLog], path: Path) -> int:
+def export_lerobot(
+    logs: Sequence[RunLog], path: Path, fps: int | None = None, cameras: Sequence[Camera] = ()
+) -> int:  # fmt: skip
     """Write the dataset into a new folder, and return the number of frames.
 
     Args:
         logs: at least one log. All are of one hand at one control rate.
         path: folder to make.
+        fps: frame rate of the dataset, at most the control rate [Hz]. None: the control rate.
+        cameras: cameras with a video of each log.
 
     Raises:
-        LogError: the hand was never active in a log, or the logs are of different hands or rates.
+        ConfigError: the frame rate is out of range.
+        LogError: the hand was never active in a log, the logs are of different hands or rates, or a video does not
+            cover its episode.
         OSError: the folder exists already or cannot be written.
     """
     first = logs[0]
-    fps = round(1e9 / first.header.period_ns)
+    control_rate = round(1e9 / first.header.period_ns)
+    fps = control_rate if fps is None else fps
+    if not 1 <= fps <= control_rate:
+        raise ConfigError(f"{fps} Hz", "--fps", f"1 to {control_rate} Hz, the control rate of the log")
     episodes = [_episode(log, fps) for log in logs]
     for i, (log, episode) in enumerate(zip(logs, episodes, strict=True)):
         _check_same_dataset(first, log, episodes[0].names == episode.names, f"log {i + 1}")
@@ -89,19 +109,63 @@ def export_lerobot(logs: Sequence[RunLog], path: Path) -> int:
     ]
     whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     path.mkdir()
+    videos = {camera.key: _write_videos(camera, episodes, path, fps) for camera in cameras}
     _write_parquet(path / DATA.format(chunk_index=0, file_index=0), _frame_table(episodes[0].names, whole))
     statistics = [{name: _statistics(table) for name, table in part.items()} for part in parts]
-    _write_parquet(path / EPISODES.format(chunk_index=0, file_index=0), _episode_table(episodes, statistics))
+    for number, one in enumerate(statistics):
+        one |= {key: _video_statistics(files[number : number + 1]) for key, files in videos.items()}
+    table = _episode_table(episodes, statistics, videos.keys(), fps)
+    _write_parquet(path / EPISODES.format(chunk_index=0, file_index=0), table)
     _write_parquet(path / "meta" / "tasks.parquet", _task_table(tasks))
-    _write_json(path / "meta" / "info.json", _info_content(first, fps, episodes, len(tasks), scalars[0]))
-    _write_json(path / "meta" / "stats.json", {name: _statistics(table) for name, table in whole.items()})
+    info = _info_content(first, fps, episodes, len(tasks), scalars[0])
+    info["features"] |= {key: _video_feature(files, fps) for key, files in videos.items()}
+    info["video_path"] = VIDEO if videos else None
+    _write_json(path / "meta" / "info.json", info)
+    of_videos = {key: _video_statistics(files) for key, files in videos.items()}
+    _write_json(path / "meta" / "stats.json", {name: _statistics(table) for name, table in whole.items()} | of_videos)
     return sum(episode.frames for episode in episodes)
 
 
 def _episode(log: RunLog, fps: int) -> _Episode:
     """Return the frames of a log."""
     rows = _tick_indices(log, fps)
-    return _Episode(_vectors(log, rows), _task(log), len(rows))
+    return _Episode(_vectors(log, rows), _task(log), len(rows), float(log.t_ns[rows[0]]) / 1e9)
+
+
+def _write_videos(camera: Camera, episodes: Sequence[_Episode], path: Path, fps: int) -> list[EpisodeVideo]:
+    """Write the videos of a camera, one for each episode.
+
+    Raises:
+        LogError: a video does not cover its episode, or has another size than the first.
+    """
+    written = list[EpisodeVideo]()
+    for number, episode in enumerate(episodes):
+        target = path / VIDEO.format(video_key=camera.key, **video_place(number))
+        first_s = episode.start_s - camera.starts_s[number]
+        written.append(write_episode_video(camera.videos[number], target, first_s, episode.frames, fps))
+        sizes = [f"{one.width} x {one.height}" for one in (written[0], written[-1])]
+        if sizes[0] != sizes[1]:
+            raise LogError(f"a video of {sizes[1]} pixels", str(camera.videos[number]), f"{sizes[0]}, as the first")
+    return written
+
+
+def _video_statistics(videos: Sequence[EpisodeVideo]) -> dict[str, list[Any]]:
+    """Return the statistics of all images of videos."""
+    histogram = np.sum([video.histogram for video in videos], axis=0)
+    return histogram_statistics(histogram, sum(video.frames for video in videos), QUANTILES)
+
+
+def _video_feature(videos: Sequence[EpisodeVideo], fps: int) -> dict[str, Any]:
+    """Return the declaration of a camera in `meta/info.json`."""
+    height, width = videos[0].height, videos[0].width
+    encoding = {"codec": "h264", "pix_fmt": "yuv420p", "is_depth_map": False, "fps": fps, "channels": 3}
+    encoding |= {"height": height, "width": width}
+    return {
+        "dtype": "video",
+        "shape": [height, width, 3],
+        "names": ["height", "width", "channels"],
+        "info": {f"video.{name}": value for name, value in encoding.items()} | {"has_audio": False},
+    }
 
 
 def _check_same_dataset(first: RunLog, log: RunLog, same_names: bool, where: str) -> None:
@@ -222,24 +286,32 @@ def _frame_table(names: dict[str, list[str]], values: dict[str, NDArray[Any]]) -
     return pa.table(columns)
 
 
-def _episode_table(episodes: Sequence[_Episode], statistics: Sequence[Statistics]) -> pa.Table:
+def _episode_table(
+    episodes: Sequence[_Episode], statistics: Sequence[Statistics], video_keys: Iterable[str], fps: int
+) -> pa.Table:  # fmt: skip
     """Return the table of the episodes: positions of the frames, and a column `stats/FEATURE/NAME` per statistic."""
     count = len(episodes)
     ends = np.cumsum([episode.frames for episode in episodes]).tolist()
-    fields = {
+    fields: dict[str, list[Any]] = {
         "episode_index": list(range(count)),
         "tasks": [[episode.task] for episode in episodes],
         "length": [episode.frames for episode in episodes],
         "dataset_from_index": [0, *ends[:-1]],
         "dataset_to_index": ends,
     }
-    columns = {
+    columns: dict[str, list[Any]] = {
         f"stats/{feature}/{name}": [one[feature][name] for one in statistics]
         for feature, values_of in statistics[0].items()
         for name in values_of
     }
     files = [f"{table}/{number}" for table in ("data", "meta/episodes") for number in ("chunk_index", "file_index")]
-    return pa.table(fields | columns | {name: [0] * count for name in files})
+    rows = fields | columns | {name: [0] * count for name in files}
+    for key in video_keys:
+        places = [video_place(number) for number in range(count)]
+        rows |= {f"videos/{key}/{name}": [place[name] for place in places] for name in places[0]}
+        rows[f"videos/{key}/from_timestamp"] = [0.0] * count
+        rows[f"videos/{key}/to_timestamp"] = [episode.frames / fps for episode in episodes]
+    return pa.table(rows)
 
 
 def _task_table(tasks: list[str]) -> pa.Table:
@@ -299,7 +371,7 @@ def _info_content(
     }
 
 
-def _statistics(values: NDArray[Any]) -> dict[str, list[float]]:
+def _statistics(values: NDArray[Any]) -> dict[str, list[Any]]:
     """Return the statistics of a feature over all frames, for normalisation."""
     table = np.asarray(values, np.float64).reshape(len(values), -1)
     statistics = {

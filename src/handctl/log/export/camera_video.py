@@ -1,0 +1,212 @@
+"""Camera videos of a LeRobot dataset: one video frame for each frame of an episode, with statistics.
+
+The program ``ffmpeg`` decodes and encodes the videos. A frame of the dataset gets the latest frame
+that the camera had taken at its time.
+
+Layout: LeRobot 0.4, ``datasets/lerobot_dataset.py`` and ``video_utils.py``: one file for each
+episode, statistics per colour channel of values from 0 to 1.
+"""
+
+import shutil
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.errors import ConfigError, LogError
+from handctl.printing import printable_text
+
+VIDEO = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
+FILES_PER_CHUNK = 1000
+"""Number of videos in one folder."""
+LONGEST_GAP_S = 0.5
+"""Longest time before the first and after the last frame of a camera for which this frame is used [s]."""
+STATISTICS_WIDTH = 160
+"""Width of the images from which statistics are computed [pixels]."""
+LEVELS = 256
+"""Number of values of a colour channel."""
+
+
+class Camera(NamedTuple):
+    """Camera of a dataset.
+
+    Attributes:
+        name: name of the camera, such as ``wrist``.
+        videos: video file of each episode.
+        starts_s: time of the first video frame since the start of the run, for each episode [s].
+    """
+
+    name: str
+    videos: tuple[Path, ...]
+    starts_s: tuple[float, ...]
+
+    @property
+    def key(self) -> str:
+        """Return the name of the camera's feature."""
+        return f"observation.images.{self.name}"
+
+
+class EpisodeVideo(NamedTuple):
+    """Video of one episode in a dataset.
+
+    Attributes:
+        height: height of an image [pixels].
+        width: width of an image [pixels].
+        frames: number of frames.
+        histogram: (3, 256) number of pixels of each value, for red, green and blue.
+    """
+
+    height: int
+    width: int
+    frames: int
+    histogram: NDArray[np.int64]
+
+
+def make_cameras(names: Sequence[str], videos: Sequence[Sequence[Path]], starts_s: Sequence[float], logs: int) -> tuple[
+    Camera, ...
+]:  # fmt: skip
+    """Check cameras against the number of logs, and return them.
+
+    Args:
+        names: name of each camera.
+        videos: video files of each camera, one for each log.
+        starts_s: time of the first video frame in each run [s]. One value counts for all.
+        logs: number of logs.
+
+    Raises:
+        ConfigError: a wrong name, a wrong number of videos or times, no such file, or no ffmpeg.
+    """
+    starts = tuple(starts_s) * (logs if len(starts_s) == 1 else 1)
+    if len(starts) != logs or not np.isfinite(starts).all():
+        raise ConfigError(f"{len(starts_s)} times", "--camera-start", f"one, or {logs} finite times [s]")
+    for name, files in zip(names, videos, strict=True):
+        if not name.isidentifier() or not name.isascii() or list(names).count(name) > 1:
+            raise ConfigError(repr(name), "--camera", "a name of letters and digits, each camera once")
+        if len(files) != logs:
+            raise ConfigError(f"{len(files)} videos for {logs} logs", f"--camera {name}", "one video for each log")
+        for path in files:
+            if not path.is_file():
+                raise ConfigError("no such file", str(path), "a video")
+    if names and shutil.which("ffmpeg") is None:
+        raise ConfigError("no program ffmpeg", "--camera", "ffmpeg installed, for example by apt install ffmpeg")
+    return tuple(Camera(name, tuple(files), starts) for name, files in zip(names, videos, strict=True))
+
+
+def video_place(episode: int) -> dict[str, int]:
+    """Return the numbers of chunk and file of the video of an episode."""
+    return {"chunk_index": episode // FILES_PER_CHUNK, "file_index": episode % FILES_PER_CHUNK}
+
+
+def write_episode_video(source: Path, target: Path, first_s: float, frames: int, fps: int) -> EpisodeVideo:
+    """Write the video of an episode.
+
+    Args:
+        source: video of the camera.
+        target: file to write.
+        first_s: time of the first frame of the episode in the source [s]. May be negative.
+        frames: number of frames of the episode.
+        fps: frame rate of the dataset [Hz].
+
+    Raises:
+        LogError: the source is no video, or does not cover the episode.
+    """
+    target.parent.mkdir(parents=True, exist_ok=True)
+    if first_s < -LONGEST_GAP_S:
+        raise LogError(f"the video begins {-first_s:.2f} s after the episode", str(source), "a video of the whole run")
+    filters = [
+        f"setpts=PTS-STARTPTS-({first_s:.9f}/TB)",
+        f"fps=fps={fps}:start_time=0:round=up",
+        f"tpad=stop_mode=clone:stop_duration={LONGEST_GAP_S:g}",
+        "scale=trunc(iw/2)*2:trunc(ih/2)*2",
+    ]
+    encode = ["-an", "-vf", ",".join(filters), "-frames:v", str(frames), "-c:v", "libx264", "-g", "2", "-crf", "23"]
+    _ffmpeg(source, *encode, "-pix_fmt", "yuv420p", str(target))
+    width, height, _ = next(_images(target, "null"))
+    scaled = f"scale=min({STATISTICS_WIDTH}\\,iw):-2"
+    histogram = np.zeros((3, LEVELS), np.int64)
+    count = 0
+    for _, _, pixels in _images(target, scaled):
+        histogram += [np.bincount(channel, minlength=LEVELS) for channel in pixels.reshape(-1, 3).T]
+        count += 1
+    if count < frames:
+        missing = (frames - count) / fps + LONGEST_GAP_S
+        raise LogError(f"the video ends {missing:.2f} s before the episode", str(source), "a video of the whole run")
+    return EpisodeVideo(height, width, count, histogram)
+
+
+def _ffmpeg(source: Path, *words: str) -> None:
+    """Run ffmpeg on a video.
+
+    Raises:
+        LogError: ffmpeg reports an error.
+    """
+    command = ["ffmpeg", "-nostdin", "-v", "error", "-y", "-i", str(source), *words]
+    ran = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+    if ran.returncode != 0:
+        raise _unreadable(source, ran.stderr)
+
+
+def _unreadable(source: Path, stderr: str) -> LogError:
+    """Return the error for a video that ffmpeg does not read."""
+    reason = printable_text((stderr.strip().splitlines() or ["no reason"])[-1])
+    return LogError(f"ffmpeg: {reason}", str(source), "a video that ffmpeg reads")
+
+
+def _images(source: Path, filters: str) -> Any:
+    """Yield width, height and pixels (height * width * 3,) of every frame of a video.
+
+    Raises:
+        LogError: the file has no frame.
+    """
+    command = ["ffmpeg", "-nostdin", "-v", "error", "-i", str(source), "-vf", filters]
+    command += ["-fps_mode", "passthrough", "-f", "image2pipe", "-c:v", "ppm", "-"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        number = 0
+        try:
+            while (image := _read_ppm(process.stdout)) is not None:
+                number += 1
+                yield image
+        finally:
+            process.kill()
+        if number == 0:
+            raise _unreadable(source, process.stderr.read().decode(errors="replace"))
+
+
+def _read_ppm(stream: IO[bytes]) -> tuple[int, int, NDArray[np.uint8]] | None:
+    """Return width, height and pixels of the next image of a stream, None at its end. Format: netpbm, P6."""
+    if stream.readline() != b"P6\n":
+        return None
+    width, height = map(int, stream.readline().split())
+    stream.readline()
+    return width, height, np.frombuffer(stream.read(width * height * 3), np.uint8)
+
+
+def histogram_statistics(histogram: NDArray[np.int64], frames: int, percents: Sequence[int]) -> dict[str, list[Any]]:
+    """Return the statistics of images, of shape (3, 1, 1) for colour channels from 0 to 1.
+
+    Args:
+        histogram: (3, 256) number of pixels of each value.
+        frames: number of images.
+        percents: percentiles to compute.
+    """
+    values = np.arange(LEVELS) / (LEVELS - 1)
+    total = histogram.sum(axis=1)
+    mean = histogram @ values / total
+    spread = np.sqrt(np.maximum(histogram @ values**2 / total - mean**2, 0.0))
+    present = [np.flatnonzero(channel) for channel in histogram]
+    cumulated = np.cumsum(histogram, axis=1) / total[:, None]
+    statistics = {
+        "min": values[[levels[0] for levels in present]],
+        "max": values[[levels[-1] for levels in present]],
+        "mean": mean,
+        "std": spread,
+    }
+    for percent in percents:
+        levels = [int(np.searchsorted(channel, percent / 100.0)) for channel in cumulated]
+        statistics[f"q{percent:02d}"] = values[levels]
+    return {name: one.reshape(3, 1, 1).tolist() for name, one in statistics.items()} | {"count": [frames]}

@@ -1,0 +1,127 @@
+"""Videos of cameras in an exported dataset, read back by LeRobot's loader. Skipped where LeRobot is not installed."""
+
+import json
+import os
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handctl.core.types import Mode
+from handctl.errors import LogError
+from handctl.log.export.camera_video import make_cameras, write_episode_video
+from handctl.log.export.lerobot import export_lerobot
+from handctl.log.read.reader import RunLog
+
+pytestmark = pytest.mark.skipif(
+    find_spec("lerobot") is None, reason="needs LeRobot, see tests/lerobot/test_environment.py"
+)
+GOLDEN = Path(__file__).parents[2] / "logs" / "golden"
+LOGS = ("jamia-fault.mcap", "jamia-grasp.mcap")
+FPS = 50
+CAMERA_HZ = 30
+WIDTH, HEIGHT = 64, 48
+LEVEL_PER_S = 40.0
+"""Rise of the brightness of the test videos [1/s], of 255."""
+
+
+@pytest.fixture(autouse=True)
+def ffmpeg(tmp_path_factory, monkeypatch):
+    """Put the ffmpeg of imageio into PATH, if there is no other."""
+    from imageio_ffmpeg import get_ffmpeg_exe
+
+    folder = tmp_path_factory.mktemp("bin")
+    (folder / "ffmpeg").symlink_to(get_ffmpeg_exe())
+    monkeypatch.setenv("PATH", f"{os.environ['PATH']}{os.pathsep}{folder}")
+
+
+def write_video(path, seconds, width=WIDTH):
+    """Write a video that becomes brighter: its level tells the time at which an image was taken."""
+    import imageio
+
+    with imageio.get_writer(path, fps=CAMERA_HZ, macro_block_size=1, output_params=["-crf", "1"]) as writer:
+        for i in range(round(seconds * CAMERA_HZ)):
+            image = np.full((HEIGHT, width, 3), 20 + round(LEVEL_PER_S * i / CAMERA_HZ), np.uint8)
+            image[:, : width // 2, 0] = 0  # the left half lacks red
+            writer.append_data(image)
+    return path
+
+
+def times(log):
+    """Return the first and the last time of the frames of an episode [s]."""
+    active = log.t_ns[log.mode == int(Mode.ACTIVE)] / 1e9
+    return active[0], active[-1]
+
+
+def level(image):
+    """Return the level of green of an image of the loader."""
+    return float(image[1].mean()) * 255.0
+
+
+def test_the_loader_gives_the_image_of_each_frame(tmp_path) -> None:
+    try:
+        import torchcodec  # noqa: F401
+    except (ImportError, RuntimeError) as error:
+        pytest.skip(f"LeRobot cannot decode videos here: {str(error).splitlines()[0]}")
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    with RunLog(GOLDEN / LOGS[0]) as one, RunLog(GOLDEN / LOGS[1]) as two:
+        spans = [times(log) for log in (one, two)]
+        starts = (0.0, 0.25)
+        videos = [write_video(tmp_path / f"{i}.mp4", spans[i][1] - starts[i] + 0.2) for i in range(2)]
+        cameras = make_cameras(["wrist"], [videos], starts, 2)
+        frames = export_lerobot([one, two], tmp_path / "data", FPS, cameras)
+    dataset = LeRobotDataset("me/exported", root=tmp_path / "data", video_backend="torchcodec")
+    assert (dataset.num_frames, dataset.num_episodes, dataset.fps) == (frames, 2, FPS)
+    assert dataset.meta.camera_keys == ["observation.images.wrist"]
+    random = np.random.default_rng(0)
+    for i in {0, frames - 1, *random.integers(0, frames, 20).tolist()}:
+        item = dataset[i]
+        image = item["observation.images.wrist"]
+        assert image.shape == (3, HEIGHT, WIDTH)
+        episode = int(item["episode_index"])
+        taken_s = spans[episode][0] + float(item["timestamp"]) - starts[episode]
+        latest_s = np.floor(taken_s * CAMERA_HZ + 1e-6) / CAMERA_HZ
+        assert level(image) == pytest.approx(20.0 + LEVEL_PER_S * latest_s, abs=3.0)
+    statistics = dataset.meta.stats["observation.images.wrist"]
+    assert statistics["mean"].shape == (3, 1, 1)
+    assert int(statistics["count"][0]) == frames
+    images = np.stack([dataset[i]["observation.images.wrist"].numpy() for i in range(frames)])
+    for channel in range(3):
+        values = images[:, channel]
+        for name, own in (("mean", values.mean()), ("std", values.std()), ("min", values.min()), ("max", values.max())):
+            assert float(statistics[name][channel, 0, 0]) == pytest.approx(float(own), abs=0.03), name
+
+
+def test_videos_that_do_not_cover_an_episode_are_refused(tmp_path) -> None:
+    source = write_video(tmp_path / "one.mp4", 1.0)
+    with pytest.raises(LogError, match=r"one.mp4: the video ends 1.\d\d s before the episode"):
+        write_episode_video(source, tmp_path / "a.mp4", 0.0, 2 * FPS, FPS)
+    with pytest.raises(LogError, match=r"the video begins 1.00 s after the episode"):
+        write_episode_video(source, tmp_path / "a.mp4", -1.0, FPS, FPS)
+    (tmp_path / "text.mp4").write_text("no video")
+    with pytest.raises(LogError, match=r"text.mp4: ffmpeg: .*; expected a video that ffmpeg reads"):
+        write_episode_video(tmp_path / "text.mp4", tmp_path / "a.mp4", 0.0, FPS, FPS)
+
+
+def test_videos_of_different_sizes_are_refused(tmp_path) -> None:
+    with RunLog(GOLDEN / LOGS[0]) as one, RunLog(GOLDEN / LOGS[1]) as two:
+        ends = [times(log)[1] for log in (one, two)]
+        videos = [write_video(tmp_path / f"{i}.mp4", ends[i] + 0.2, WIDTH + 16 * i) for i in range(2)]
+        cameras = make_cameras(["wrist"], [videos], (0.0,), 2)
+        with pytest.raises(LogError, match=r"1.mp4: a video of 80 x 48 pixels; expected 64 x 48"):
+            export_lerobot([one, two], tmp_path / "data", FPS, cameras)
+
+
+def test_the_description_is_that_of_lerobot(tmp_path) -> None:
+    from lerobot.datasets.video_utils import get_video_info
+
+    with RunLog(GOLDEN / LOGS[0]) as one:
+        video = write_video(tmp_path / "one.mp4", times(one)[1] + 0.2)
+        export_lerobot([one], tmp_path / "data", FPS, make_cameras(["wrist"], [[video]], (0.0,), 1))
+    info = json.loads((tmp_path / "data" / "meta" / "info.json").read_text())
+    key = "observation.images.wrist"
+    path = tmp_path / "data" / info["video_path"].format(video_key=key, chunk_index=0, file_index=0)
+    found = get_video_info(path)
+    assert {name: info["features"][key]["info"][name] for name in found} == found
