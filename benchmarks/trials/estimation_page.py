@@ -21,6 +21,10 @@ COLUMNS = {
     "whiteness": "whiteness",
 }
 """Heading of each column, and the key of its values."""
+LEGEND = (
+    "In the figure, *raw* and *filtered* are the load cell and the filter at the sample. *raw now*, *reference now* "
+    "and *estimate* (of the filter) are the values at present."
+)
 WRONG = ("filtered / raw", "estimate / raw now")
 MAX_RATIO = 1.3
 NIS_RANGE = (0.8, 1.3)
@@ -66,7 +70,7 @@ def section(result: dict) -> str:
             columns = [f"{regime}: error at present, ratios at the sample and at present" for regime in regimes]
             head = [f"{hand}, wrong parameter", *columns, "NIS free", "NIS hold"]
             parts += ["", table(head, [_wrong(plant, plants[plant], regimes) for plant in others])]
-    parts += ["", _conclusion(result), "", "![Tension errors by regime](../figures/control-estimation.png)"]
+    parts += ["", _conclusion(result), "", LEGEND, "", "![Tension errors by regime](../figures/control-estimation.png)"]
     return "\n".join(parts)
 
 

@@ -99,6 +99,11 @@ def pair_picture(folder: Path) -> Path:
         return path / "orca_like.png"
 
 
+def find_browser() -> str | None:
+    """Return the path of Chromium, or None."""
+    return next(filter(None, map(shutil.which, BROWSERS)), None)
+
+
 def report_picture(folder: Path) -> Path:
     """Draw the head of the demo's report in a browser.
 
@@ -108,7 +113,7 @@ def report_picture(folder: Path) -> Path:
     runs.grasp(folder)
     page, picture = folder / "grasp.html", folder / "report.png"
     call(folder, "report", "grasp.mcap", "--truth", "grasp.truth", "--output", page.name)
-    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    browser = find_browser()
     if browser is None:
         raise RuntimeError(f"the picture of the report needs one of {', '.join(BROWSERS)}")
     words = (browser, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars")
