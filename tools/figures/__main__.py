@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from tools.figures import diagrams, gif, numbers, plots, runs, tuning
-from tools.figures.style import FOLDER, save, stamp
+from tools.figures.style import FOLDER, apply_style, save, stamp
 
 ROOT = Path(__file__).parents[2]
 RUNS = ROOT / "build" / "figures"
@@ -40,6 +40,7 @@ def main() -> int:
     args = parser.parse_args()
     if unknown := set(args.names) - set(NAMES):
         parser.error(f"{min(unknown)}: no such figure; expected {', '.join(NAMES)}")
+    apply_style()
     RUNS.mkdir(parents=True, exist_ok=True)
     if not args.keep:
         for path in RUNS.glob("grasp.*"):

@@ -28,12 +28,17 @@ CREATOR = f"handctl {version('handctl')}"
 """Name and version in the metadata of every figure."""
 
 
-def new_figure(width: float, height: float) -> Any:
-    """Return an empty figure [inch] in the style."""
+def apply_style() -> None:
+    """Give all figures of this process the style, also those that handctl draws itself."""
     import matplotlib
 
     for key, value in SETTINGS.items():
         matplotlib.rcParams[key] = value  # type: ignore[index]
+
+
+def new_figure(width: float, height: float) -> Any:
+    """Return an empty figure [inch] in the style."""
+    apply_style()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
