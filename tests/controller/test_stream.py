@@ -169,7 +169,7 @@ def test_the_ticks_of_a_stream_repeat_to_the_last_bit(jamia: HandModel) -> None:
 
 
 @pytest.mark.parametrize("interpolation", ["linear", "minimum_jerk"])
-@pytest.mark.parametrize("target", [100.0, 150.0, -40.0])
+@pytest.mark.parametrize("target", [80.0, 150.0, -40.0])
 def test_a_jump_is_bounded_in_speed_acceleration_and_range(jamia: HandModel, interpolation: str, target: float) -> None:
     limits = jamia.hand.stream
     with live(jamia) as client:
@@ -177,16 +177,19 @@ def test_a_jump_is_bounded_in_speed_acceleration_and_range(jamia: HandModel, int
         client.wait(1.2)
         client.open(interpolation=interpolation)
         client.outs.clear()
-        client.follow(lambda t: target, 0.6)
+        client.follow(lambda t: target, 0.8)
         speed, angle = np.degrees(client.goals("dq_goal")), np.degrees(client.goals("q_goal"))
         assert np.abs(speed).max() <= limits.speed_deg_s * (1 + 1e-9)
         assert np.abs(np.diff(speed)).max() <= limits.acceleration_deg_s2 * jamia.period * (1 + 1e-9)
         assert np.abs(np.diff(angle)).max() <= limits.speed_deg_s * jamia.period * (1 + 1e-9)
         assert angle.min() >= -1e-9
         assert angle.max() <= 100.0 + 1e-9
-        assert angle[-1] == pytest.approx(min(max(target, 0.0), 100.0), abs=1e-6)
+        if target == 150.0:  # the finger meets the palm before the end of its range
+            assert 7.0 < angle[-1] - true_angle(client.run) < 9.0
+        else:
+            assert angle[-1] == pytest.approx(max(target, 0.0), abs=1e-6)
         clipped = stream_status(client.run.state).clipped
-        assert clipped == (0 if target == 100.0 else client.sent), "told, and no fault"
+        assert clipped == (0 if target == 80.0 else client.sent), "told, and no fault"
         assert client.run.out is not None
         assert client.run.out.mode == Mode.ACTIVE
 
@@ -234,12 +237,12 @@ def test_a_late_target_waits_at_the_last_one(jamia: HandModel) -> None:
     """Nothing is extrapolated: the reference never passes the last target by more than its braking."""
     with live(jamia) as client:
         client.open()
-        client.follow(lambda t: 100.0 * t, 0.5)
-        last = 100.0 * (0.5 - 1.0 / RATE_HZ)
+        client.follow(lambda t: 50.0 * t, 0.5)
+        last = 50.0 * (0.5 - 1.0 / RATE_HZ)
         client.outs.clear()
         client.wait(0.06)
         angle = np.degrees(client.goals("q_goal"))
-        braking = 100.0**2 / (2.0 * jamia.hand.stream.acceleration_deg_s2)
+        braking = 50.0**2 / (2.0 * jamia.hand.stream.acceleration_deg_s2)
         assert angle.max() <= last + braking + 0.2
         assert angle[-1] == pytest.approx(last, abs=1e-6)
         assert np.degrees(client.goals("dq_goal"))[-1] == pytest.approx(0.0, abs=1e-9)

@@ -93,7 +93,7 @@ def _prepare_motion(model: HandModel, state: State, digits: tuple[int, ...]) -> 
             reference[d][1:] = 0.0
     rows[s.STREAM_TARGET] = np.clip(rows[s.TRAJECTORY], *model.reach)
     rows[s.STREAM_RANGE : s.STREAM_RANGE + 2] = model.reach
-    rows[s.STREAM_SEGMENT : s.STREAM_SEGMENT + 6] = 0.0
+    rows[s.STREAM_SEGMENT : s.STREAM_SEGMENT + 6] = rows[s.STREAM_TARGET_RATE] = 0.0
     state.set_number(s.STREAM_SINCE, 0.0)
     state.set_number(s.STREAM_DURATION, 0.0)
 
@@ -232,10 +232,10 @@ def _begin_segment(
     since = t_ns / 1e9 - model.period * (1 + state.whole(s.MISSED))
     duration = max(sent_ns / 1e9 + stream.horizon - since, model.period)
     smooth = stream.interpolation == "minimum_jerk"
-    powers = segment(
-        rows[s.TRAJECTORY : s.TRAJECTORY + 3], inside, np.clip(speed, -top, top), duration, smooth
-    )
+    speed = np.clip(speed, -top, top)
+    powers = segment(rows[s.TRAJECTORY : s.TRAJECTORY + 3], inside, speed, duration, smooth)
     rows[s.STREAM_SEGMENT : s.STREAM_SEGMENT + 6] = powers
+    rows[s.STREAM_TARGET_RATE] = speed
     rows[s.STREAM_TARGET] = inside
     state.set_number(s.STREAM_SINCE, since)
     state.set_number(s.STREAM_DURATION, duration)

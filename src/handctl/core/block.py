@@ -122,6 +122,7 @@ DAMPING_FRACTION = _real("damping_fraction", "tendon", "", "fraction of its damp
 STREAM_SEGMENT = _real("stream_segment", "coordinate", "rad .. rad/s5", "polynomial from the start to the target",
                        rows=6)  # fmt: skip
 STREAM_TARGET = _real("stream_target", "coordinate", "rad", "latest target within the joints' range")
+STREAM_TARGET_RATE = _real("stream_target_rate", "coordinate", "rad/s", "rate between the latest two targets")
 STREAM_RANGE = _real("stream_range", "coordinate", "rad", "lowest and highest target", rows=2)
 STREAM_SINCE = _real("stream_since", "run", "s", "start of the present segment")
 STREAM_DURATION = _real("stream_duration", "run", "s", "time from its start to its target", initial=1.0)

@@ -5,10 +5,10 @@ off until a function of it is used.
 """
 
 import importlib
-import importlib.util
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.machinery import PathFinder
 from types import ModuleType
 from typing import Any
 
@@ -61,7 +61,8 @@ def deferred_imports() -> Iterator[None]:
 def import_without_package(name: str) -> ModuleType:
     """Import a module of a package without the package's own ``__init__``.
 
-    A later import of the package is not affected.
+    A later import of the package is not affected. A module of the same name in the folder of the
+    user's program, such as ``control.py``, is passed over.
 
     Args:
         name: the package, a dot, and the module.
@@ -70,16 +71,20 @@ def import_without_package(name: str) -> ModuleType:
         ModuleNotFoundError: the package is not installed.
     """
     package = name.partition(".")[0]
-    if package in sys.modules:
+    loaded = sys.modules.get(package)
+    if hasattr(loaded, "__path__"):
         return importlib.import_module(name)
-    spec = importlib.util.find_spec(package)
-    if spec is None or spec.submodule_search_locations is None:
+    specs = (PathFinder.find_spec(package, [folder]) for folder in sys.path)
+    places = [spec.submodule_search_locations for spec in specs if spec and spec.submodule_search_locations]
+    if not places:
         raise ModuleNotFoundError(f"No module named {package!r}", name=package)
     stand_in = ModuleType(package)
-    stand_in.__path__ = list(spec.submodule_search_locations)
+    stand_in.__path__ = list(places[0])
     sys.modules[package] = stand_in
     try:
         return importlib.import_module(name)
     finally:
-        for loaded in [one for one in sys.modules if one == package or one.startswith(f"{package}.")]:
-            del sys.modules[loaded]
+        for one in [one for one in sys.modules if one == package or one.startswith(f"{package}.")]:
+            del sys.modules[one]
+        if loaded is not None:
+            sys.modules[package] = loaded

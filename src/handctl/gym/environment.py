@@ -39,10 +39,7 @@ RATE_HZ = 50.0
 The stream of targets has the nearest rate whose period is a whole number of ticks.
 """
 SPEED_DEG_S = 60.0
-"""Default for the largest rate of change of a target [deg/s].
-
-Random actions at the full rate of a stream would exceed the trip tensions.
-"""
+"""Default for the largest rate of change of a target [deg/s], a fifth of the default limit of a stream."""
 READY_S = 5.0
 """Longest time from power-up until the hand accepts targets [s]."""
 STREAM_NAME = "gym"

@@ -14,6 +14,7 @@ from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.detectors.residuals import QUICK_FORCE, TENSION
 from handctl.core.estimation.structure import joint_excursion
+from handctl.core.law.reference import STREAMED
 
 FOLLOW_S = 0.1
 """Time constant of a motor following a jump of the goal, with a large margin [s]."""
@@ -23,6 +24,8 @@ ARRIVED_M = 0.2e-3
 """Distance to the goal of a motor at rest at the goal [m]."""
 GOAL_JUMP_M = 2.0 * ARRIVED_M
 """Step of a goal in a tick beyond the motion of an arriving digit [m]."""
+PRESSED_N = 8.0
+"""Tension above the goal from which a streamed digit counts as held by something [N]."""
 
 
 @inner
@@ -114,7 +117,8 @@ def filter_goals(x: Tables, c: ConstantTables) -> None:
     While a reading moves the filtered goal is the goal itself. The goal's motion since the reading
     became constant counts: friction may have stopped the motor short of the goal. A motor at rest
     at the goal is not stuck while the filtered goal still approaches. From this tick on the
-    filtered goal is the digit's position.
+    filtered goal is the digit's position. The goal of a streamed digit that presses on something does
+    not count: nobody knows beforehand that a target is beyond an object.
     """
     fraction = 1.0 - math.exp(-c.run[h.PERIOD] / FOLLOW_S)
     min_step = SLOW_GOAL_M_S * c.run[h.PERIOD]
@@ -137,3 +141,12 @@ def filter_goals(x: Tables, c: ConstantTables) -> None:
             if abs(present - before) > GOAL_JUMP_M:
                 # It leaps to where the digit is: no motor had to follow that.
                 x.tendon[s.MOTOR_ANCHOR, n] += present - before
+        elif _presses(x, c, n):
+            x.tendon[s.MOTOR_ANCHOR, n] += x.tendon[s.FOLLOWED, n] - before
+
+
+@inner
+def _presses(x: Tables, c: ConstantTables, n: int) -> bool:
+    """Return True if a tendon of a streamed digit pulls harder than its motion needs."""
+    streamed = x.digit_int[s.TRAJECTORY_KIND, c.tendon_int[h.DIGIT, n]] == STREAMED
+    return streamed and x.tendon[s.TENSION, n] - x.tendon[s.TENSION_GOAL, n] > PRESSED_N

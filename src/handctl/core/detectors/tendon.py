@@ -1,5 +1,7 @@
 """Detectors of rows T01 to T09, see ``safety.faults.tendon``."""
 
+import math
+
 from handctl.compiled import inner
 from handctl.core import block as s
 from handctl.core import constants as h
@@ -9,6 +11,7 @@ from handctl.core.detectors import residuals, stuck
 from handctl.core.detectors.bus import Evidence
 from handctl.core.detectors.replays import age_of_repeated_readings
 from handctl.core.estimation.measure import monitored_tension
+from handctl.core.estimation.structure import moment_arm
 from handctl.safety.faults.tendon import (
     CELL_FORCE_N,
     CELL_TICKS,
@@ -94,6 +97,17 @@ def detect_tendon_faults_under_torque(x: Tables, c: ConstantTables, evidence: Ev
 
 
 @inner
+def _planned_speed(x: Tables, c: ConstantTables, n: int) -> float:
+    """Return the speed of a tendon on the trajectory of its joints [m/s], 0 without a trajectory."""
+    speed = 0.0
+    d = c.tendon_int[h.DIGIT, n]
+    for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+        if not math.isnan(x.joint[s.DQ_GOAL, j]):
+            speed += moment_arm(c, n, j, x.joint[s.Q_GOAL, j]) * x.joint[s.DQ_GOAL, j]
+    return speed
+
+
+@inner
 def _detect_slack(x: Tables, c: ConstantTables, n: int, evidence: Evidence) -> None:
     """Find a tendon without tension: snapped if the spool runs, slack if tension is commanded."""
     period = c.run[h.PERIOD]
@@ -105,10 +119,13 @@ def _detect_slack(x: Tables, c: ConstantTables, n: int, evidence: Evidence) -> N
     if since > SLACK_TRIP_S:
         evidence[T02B, n] = since
     tension = monitored_tension(x, c, n, x.run_int[s.TARED] == 1)
+    planned = _planned_speed(x, c, n)
     if c.tendon_int[h.PAIR, n] and commanded < 0.0:
         commanded = -commanded
         speed = -speed
+        planned = -planned
         tension = -tension
     was_taut = 0.0 <= x.tendon_int[s.TAUT_AGO, n] * period < SNAP_MEMORY_S
-    if speed > SNAP_SPEED and commanded > SNAP_N and tension < SNAP_FRACTION * commanded and was_taut:
-        evidence[T01, n] = speed
+    beyond = speed - max(planned, 0.0)
+    if beyond > SNAP_SPEED and commanded > SNAP_N and tension < SNAP_FRACTION * commanded and was_taut:
+        evidence[T01, n] = beyond

@@ -27,10 +27,11 @@ from handctl.core.constants import ConstantTables
 from handctl.core.estimation.spool_pair import net_tension_at_spool
 from handctl.core.estimation.statics import part_explained_by_motion, winding_efficiency
 from handctl.core.estimation.structure import arm_slope, joint_excursion, moment_arm
+from handctl.core.estimation.take_up import SLACK, SLACK_BELOW_N
 from handctl.core.estimation.touch import MAX_PRESS_N
 from handctl.core.law.friction_band import predict_moving_tension
 from handctl.core.law.null_space import INTEGRAL_LIMIT_N, raise_tensions_to_floor
-from handctl.core.law.reference import LIMP, MOTION, NO_TRAJECTORY, TENSION
+from handctl.core.law.reference import LIMP, MOTION, NO_TRAJECTORY, STREAMED, TENSION
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 
 Vector = NDArray[np.float64]
@@ -48,6 +49,8 @@ HOLD_MARGIN_N = 1.0
 """Margin above the tension at the start of a hold [N]: about the error of the estimate."""
 ROUNDING_FACTOR = 1.0 - 1e-12
 """Factor to prevent a settled envelope from creeping upwards by rounding errors of a division."""
+TAKE_UP_SPEED = 0.02
+"""Speed of a spool that takes up the slack of its tendon during a motion [m/s], below that of a snapped tendon."""
 RELAX_FLOOR_N = 5.0
 """Tension of a relaxed hand whose springs open it [N]."""
 
@@ -243,7 +246,51 @@ def _motion_terms(x: Tables, c: ConstantTables, way: Matrix, limit: Vector) -> t
         terms[1, n] = c.tendon[h.MASS, n] * feedback
     if surplus:
         raise_tensions_to_floor(x, c, limit, terms, internal)
+    _take_up_slack(x, c, way, terms, internal)
     return efficiency, terms, internal
+
+
+@inner
+def _takes_up_slack(x: Tables, c: ConstantTables, n: int) -> bool:
+    """Return True for a slack tendon of a streamed digit. One of the two tendons of a spool pair is always taut."""
+    if x.digit_int[s.TRAJECTORY_KIND, c.tendon_int[h.DIGIT, n]] != STREAMED or c.tendon_int[h.PAIR, n]:
+        return False
+    return x.tendon_int[s.REGIME, n] == SLACK or x.tendon[s.MEASURED_TENSION, n] < SLACK_BELOW_N
+
+
+@inner
+def _take_up_speed(rate: float) -> float:
+    """Return the speed of a spool that takes up slack, for a rate of the excursion on the trajectory [m/s]."""
+    return max(rate, 0.0) + TAKE_UP_SPEED
+
+
+@inner
+def _take_up_slack(x: Tables, c: ConstantTables, way: Matrix, terms: Matrix, internal: Matrix) -> None:
+    """Replace the feedback on slack tendons of streamed digits: their spools wind at a low speed.
+
+    A slack tendon does not move its digit. Feedback of position would pay it out further, or pull it
+    taut with a jerk that resembles a torn tendon. Near slack no feedback pays out: springs or the
+    antagonist open the digit first.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        way: (3, J) angles, rates and accelerations of the joints on the trajectories.
+        terms: (2, N) tension goal and feedback of motion [N], modified in place.
+        internal: (2, N) null-space force and integral [N], modified in place.
+    """
+    for n in range(x.tendon.shape[1]):
+        if x.digit_int[s.TRAJECTORY_KIND, c.tendon_int[h.DIGIT, n]] != STREAMED or c.tendon_int[h.PAIR, n]:
+            continue
+        floor = c.tendon[h.FLOOR, n]
+        if _takes_up_slack(x, c, n):
+            _, rate, _ = _goal_along_tendon(c, n, way)
+            terms[0, n] = floor
+            terms[1, n] = c.tendon[h.MASS, n] * c.tendon[h.SPEED_GAIN, n]
+            terms[1, n] *= _take_up_speed(rate) - x.tendon[s.SPEED, n]
+            internal[0, n] = internal[1, n] = 0.0
+        elif terms[1, n] < 0.0:
+            terms[1, n] *= min(max(2.0 * x.tendon[s.TENSION, n] / floor - 1.0, 0.0), 1.0)
 
 
 @inner
@@ -282,6 +329,8 @@ def _motion_force(
     speed = x.tendon[s.SPEED, n]
     counted = c.run[h.FRICTION_FRACTION]
     x.tendon[s.TENSION_GOAL, n] = tension
+    if _takes_up_slack(x, c, n):
+        rate = _take_up_speed(rate)
     return (
         tension
         + feedback

@@ -5,6 +5,8 @@ integral keeps the tensions at the goal, so that neither motor friction nor an e
 a tendon slack. Source: Abdallah et al. (2010), tension and joint space of tendon-driven fingers.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,6 +23,11 @@ Matrix = NDArray[np.float64]
 
 INTEGRAL_LIMIT_N = 8.0
 """Limit of the tension integral, for anti-windup [N]."""
+MAX_ADDED_BALANCE_N = 20.0
+"""Largest tension that the balance adds against the feedback of motion [N].
+
+The friction of all pulleys grows with the balance. More of it would lock the joints that the feedback has to move.
+"""
 
 
 @inner
@@ -28,24 +35,36 @@ def raise_tensions_to_floor(x: Tables, c: ConstantTables, limit: Vector, terms: 
     """Raise the tension goals of moving tendons in surplus above the floor, and write the null-space forces.
 
     The feedback of motion may take more tension off a tendon than the goal has above the floor. The
-    balance of the digit is added to all goals then, which leaves the torque as it is.
+    balance of the digit is added to all goals then, which leaves the torque as it is. Feedback that
+    would need more balance than allowed is reduced.
 
     Args:
         x: state tables.
         c: constants of the hand.
         limit: (N,) present tension limits [N].
-        terms: (2, N) tension goal and feedback of motion [N]. The goal is modified in place.
+        terms: (2, N) tension goal and feedback of motion [N], modified in place.
         internal: (2, N) result: force by the error in the null space, and the integral of this error [N].
     """
     count = x.tendon.shape[1]
     error = np.zeros(count)
     total = np.zeros(count)
+    feedback = np.zeros(count)
     for d in range(x.digit.shape[1]):
         first = c.digit_int[h.TENDONS_FIRST, d]
         end = c.digit_int[h.TENDONS_END, d]
         if not c.tendon_int[h.REDUNDANT, first] or x.tendon_int[s.GOAL_KIND, first] != MOTION:
             continue
-        more = _balance_factor(c, first, end, limit, terms)
+        for n in range(first, end):
+            # The null-space part of the feedback damps the rotors. It must not raise the goal against itself.
+            feedback[n] = part_explained_by_motion(c, n, terms[1])
+        bound = _largest_balance_factor(c, first, end, limit, terms)
+        fraction = _fraction_of_feedback(c, first, end, bound, terms, feedback)
+        more = 0.0
+        for n in range(first, end):
+            terms[1, n] -= (1.0 - fraction) * feedback[n]
+            lacking = c.tendon[h.FLOOR, n] - terms[0, n] - fraction * feedback[n]
+            more = max(more, lacking / c.tendon[h.BALANCE, n])
+        more = min(more, bound)
         for n in range(first, end):
             terms[0, n] += more * c.tendon[h.BALANCE, n]
             error[n] = terms[0, n] - x.tendon[s.TENSION, n]
@@ -57,14 +76,31 @@ def raise_tensions_to_floor(x: Tables, c: ConstantTables, limit: Vector, terms: 
 
 
 @inner
-def _balance_factor(c: ConstantTables, first: int, end: int, limit: Vector, terms: Matrix) -> float:
-    """Return the factor of the balance that keeps all tendons of a digit at the floor or above, within the limits."""
-    required = 0.0
-    room = np.inf
+def _largest_balance_factor(c: ConstantTables, first: int, end: int, limit: Vector, terms: Matrix) -> float:
+    """Return the largest factor of the balance that keeps all tendons of a digit within the limits."""
+    factor = math.inf
     for n in range(first, end):
-        balance = c.tendon[h.BALANCE, n]
-        # The null-space part of the feedback damps the rotors. It must not raise the goal against itself.
-        feedback = part_explained_by_motion(c, n, terms[1])
-        required = max(required, (c.tendon[h.FLOOR, n] - terms[0, n] - feedback) / balance)
-        room = min(room, (min(c.tendon[h.CEILING, n], limit[n]) - terms[0, n]) / balance)
-    return min(required, max(room, 0.0))
+        room = min(c.tendon[h.CEILING, n], limit[n]) - terms[0, n]
+        factor = min(factor, min(max(room, 0.0), MAX_ADDED_BALANCE_N) / c.tendon[h.BALANCE, n])
+    return factor
+
+
+@inner
+def _fraction_of_feedback(
+    c: ConstantTables, first: int, end: int, bound: float, terms: Matrix, feedback: Vector
+) -> float:
+    """Return the fraction of the feedback that leaves all tendons of a digit at the floor or above.
+
+    Args:
+        c: constants of the hand.
+        first, end: tendons of the digit.
+        bound: largest factor of the balance.
+        terms: (2, N) tension goal and feedback of motion [N].
+        feedback: (N,) part of the feedback that moves the digit [N].
+    """
+    fraction = 1.0
+    for n in range(first, end):
+        above = terms[0, n] + bound * c.tendon[h.BALANCE, n] - c.tendon[h.FLOOR, n]
+        if feedback[n] < -max(above, 0.0):
+            fraction = min(fraction, max(above, 0.0) / -feedback[n])
+    return fraction

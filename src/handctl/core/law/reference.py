@@ -54,7 +54,7 @@ def follow_trajectories(x: Tables, c: ConstantTables, frozen: bool) -> None:
                 _add_blend(x, k, after, x.digit[s.TRAJECTORY_BLEND, d])
         if x.digit_int[s.TRAJECTORY_KIND, d] == STREAMED and not frozen:
             for k in range(first, end):
-                advance_reference(x, c, k)
+                advance_reference(x, c, d, k)
         if frozen and is_digit_moving(x, c, d):
             for k in range(first, end):
                 x.coordinate[s.TRAJECTORY + 1, k] = x.coordinate[s.TRAJECTORY + 2, k] = 0.0

@@ -5,8 +5,10 @@ target to the target (``controller.streams`` writes it). After the end of a segm
 holds. Nothing is extrapolated.
 
 The reference follows the segment exactly as long as this needs no more than the limits allow. Beyond
-the limits it approaches the segment as fast as it can stop. The range of a joint bounds its speed in
-the same way, so that a motion never runs over the end of the range.
+the limits it approaches the target as fast as it can meet the rate of the targets there. The range of a
+joint bounds its speed in the same way, so that a motion never runs over the end of the range. The
+reference never leads the digit by more than a few degrees. It waits for a digit that is held, and
+follows a digit that is pushed away.
 """
 
 import math
@@ -17,6 +19,13 @@ from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 
+MAX_LEAD = math.radians(8.0)
+"""Largest lead of the reference over the estimated digit [rad], at the full stiffness of the gains.
+
+A digit that an object holds stays within it. The reference waits, so that the digit does not leap when it is free.
+"""
+MIN_STIFFNESS = 0.05
+"""Smallest stiffness fraction that divides the lead: a softer digit may be pushed away further."""
 TOLERANCE = 1e-9
 """Fraction by which a number may exceed a limit, for rounding."""
 
@@ -35,39 +44,83 @@ def position_on_segment(x: Tables, k: int, t: float) -> tuple[float, float]:
 
 
 @inner
-def advance_reference(x: Tables, c: ConstantTables, k: int) -> None:
+def advance_reference(x: Tables, c: ConstantTables, d: int, k: int) -> None:
     """Move the reference of a coordinate to the present tick.
 
     Args:
         x: state tables, with the reference of the last tick in ``TRAJECTORY``.
         c: constants of the hand.
+        d: index of the digit.
         k: index of the coordinate.
     """
     period = c.run[h.PERIOD] * (1 + x.run_int[s.MISSED])
-    aim, aim_rate = position_on_segment(x, k, x.run_int[s.T_NS] / 1e9)
     position = x.coordinate[s.TRAJECTORY, k]
     rate = x.coordinate[s.TRAJECTORY + 1, k]
-    top = c.run[h.STREAM_SPEED]
     gain = c.run[h.STREAM_ACCELERATION] * period
-    low = x.coordinate[s.STREAM_RANGE, k]
-    high = x.coordinate[s.STREAM_RANGE + 1, k]
-    slowest = max(-top, -max_stoppable_speed(position - low, gain, period))
-    fastest = min(top, max_stoppable_speed(high - position, gain, period))
+    slowest, fastest = _allowed_rates(x, c, d, k, period)
+    now = x.run_int[s.T_NS] / 1e9
+    aim, aim_rate = position_on_segment(x, k, now)
+    remaining = max(x.run[s.STREAM_SINCE] + x.run[s.STREAM_DURATION] - now, 0.0)
+    end_rate = x.coordinate[s.STREAM_TARGET_RATE, k] if remaining > 0.0 else 0.0
+    # A point that reaches the target at the end of the segment, at the rate of the targets.
+    point = x.coordinate[s.STREAM_TARGET, k] - end_rate * remaining
     mean = (aim - position) / period
     allowed = gain * (1.0 + TOLERANCE)
     free = abs(mean - rate) <= allowed and abs(aim_rate - rate) <= allowed
     free &= slowest - gain * TOLERANCE <= min(mean, aim_rate) and max(mean, aim_rate) <= fastest + gain * TOLERANCE
+    free &= abs(aim_rate - end_rate) <= max_stoppable_speed(abs(point - aim), gain, period) + allowed
     new_rate = aim_rate
     if not free:
         x.run_int[s.STREAM_LIMITED] += 1
-        apart = aim - position - aim_rate * period
-        closing = math.copysign(max_stoppable_speed(abs(apart), gain, period), apart)
-        sought = min(max(aim_rate + closing, slowest), fastest)
+        apart = point - position - end_rate * period
+        sought = min(max(end_rate + _speed_to(apart, gain, period), slowest), fastest)
         new_rate = rate + min(max(sought - rate, -gain), gain)
         aim = position + new_rate * period
     x.coordinate[s.TRAJECTORY, k] = aim
     x.coordinate[s.TRAJECTORY + 1, k] = new_rate
     x.coordinate[s.TRAJECTORY + 2, k] = (new_rate - rate) / period
+
+
+@inner
+def _allowed_rates(x: Tables, c: ConstantTables, d: int, k: int, period: float) -> tuple[float, float]:
+    """Return the lowest and the highest rate of a reference [rad/s], by speed, range, and distance from the digit.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        d: index of the digit.
+        k: index of the coordinate.
+        period: time since the last tick [s].
+    """
+    position = x.coordinate[s.TRAJECTORY, k]
+    top = c.run[h.STREAM_SPEED]
+    gain = c.run[h.STREAM_ACCELERATION] * period
+    slowest = max(-top, -max_stoppable_speed(position - x.coordinate[s.STREAM_RANGE, k], gain, period))
+    fastest = min(top, max_stoppable_speed(x.coordinate[s.STREAM_RANGE + 1, k] - position, gain, period))
+    lead = MAX_LEAD / max(x.tendon[s.STIFFNESS_FRACTION, c.digit_int[h.TENDONS_FIRST, d]], MIN_STIFFNESS)
+    digit, digit_rate = _estimated_coordinate(x, c, d, k)
+    back = _speed_to(digit - lead - position, gain, period) + min(digit_rate, 0.0)
+    ahead = _speed_to(digit + lead - position, gain, period) + max(digit_rate, 0.0)
+    slowest = max(slowest, min(back, fastest))
+    return slowest, min(fastest, max(ahead, slowest))
+
+
+@inner
+def _estimated_coordinate(x: Tables, c: ConstantTables, d: int, k: int) -> tuple[float, float]:
+    """Return the estimated coordinate [rad] of a digit and its rate [rad/s]: the mean of the joints that it moves."""
+    position = rate = total = 0.0
+    for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+        coupling = c.joint_coordinate[h.COUPLING, j, k]
+        position += coupling * x.joint[s.Q, j]
+        rate += coupling * x.joint[s.DQ, j]
+        total += coupling * coupling
+    return position / total, rate / total
+
+
+@inner
+def _speed_to(distance: float, gain: float, period: float) -> float:
+    """Return the largest speed towards a point at a signed distance [rad], with a stop there [rad/s]."""
+    return math.copysign(max_stoppable_speed(abs(distance), gain, period), distance)
 
 
 @inner

@@ -75,10 +75,10 @@ JOINT_FRAME_OFFSET = 0x10
 class StreamLimits(Section):
     """Limits of targets that a client streams to the hand."""
 
-    speed_deg_s: qty.JointSpeed = 700.0
-    """Largest joint speed. Source: the largest speed of a task's move."""
-    acceleration_deg_s2: qty.JointAcceleration = 20_000.0
-    """Largest joint acceleration. A move of a task at the largest speed has 13,500 deg/s2."""
+    speed_deg_s: qty.JointSpeed = 300.0
+    """Largest joint speed. Faster random targets throw digits against each other until a tendon is slack."""
+    acceleration_deg_s2: qty.JointAcceleration = 2_500.0
+    """Largest joint acceleration. Source: a sine of 1 Hz and 20 degrees has 790 deg/s2."""
     tension_rate_N_per_s: qty.TensionRate = 1000.0
     """Largest rate of a streamed tension. Source: a grasp's answer to slip has 300 N/s."""
     hold_after_ms: qty.StaleTime = 100.0

@@ -11,6 +11,7 @@ import numpy as np
 
 from handctl.hand.description import Hand
 from handctl.hand.file.sections import Digit
+from handctl.hand.formats.numbers import number_text, numbers_text
 from handctl.hand.formats.urdf import palm_box, shape_length
 from handctl.hand.link_bodies import centre_of_mass, joint_axes, link_inertia, link_placement
 from handctl.hand.link_frames import quaternion
@@ -29,7 +30,7 @@ def mjcf_text(hand: Hand) -> str:
     """
     root = ET.Element("mujoco", model=hand.name)
     ET.SubElement(root, "compiler", angle="radian", autolimits="true")
-    gravity = _numbers_text(hand.mount.gravity_m_s2)
+    gravity = numbers_text(hand.mount.gravity_m_s2)
     ET.SubElement(root, "option", gravity=gravity, timestep="0.0005", integrator="implicitfast", cone="elliptic")
     palm = ET.SubElement(ET.SubElement(root, "worldbody"), "body", name="palm")
     _add_palm(palm, hand, None)
@@ -42,7 +43,7 @@ def _add_palm(link: ET.Element, hand: Hand, carrier: str | None) -> None:
     """Add a box behind all digits on a link, and the digits. Digits mounted on the box do not collide with it."""
     centre, size = palm_box(hand, carrier)
     name = "palm" if carrier is None else f"{carrier}_palm"
-    ET.SubElement(link, "geom", name=name, type="box", size=_numbers_text(size / 2), pos=_numbers_text(centre))
+    ET.SubElement(link, "geom", name=name, type="box", size=numbers_text(size / 2), pos=numbers_text(centre))
     for digit in hand.digit:
         if digit.mount_on == carrier:
             _add_digit(link, hand, digit)
@@ -55,12 +56,12 @@ def _add_digit(base: ET.Element, hand: Hand, digit: Digit) -> None:
         position, rotation = link_placement(digit, i)
         # MuJoCo's quaternions begin with w.
         x, y, z, w = quaternion(rotation)
-        place = {"pos": _numbers_text(position), "quat": _numbers_text((w, x, y, z))}
+        place = {"pos": numbers_text(position), "quat": numbers_text((w, x, y, z))}
         link = ET.SubElement(parent, "body", place, name=f"{digit.name}_link{i + 1}")
         _add_hinge(link, digit, i, joint)
         _add_link_body(link, digit, i, shape_length(hand, digit, i))
         parent = link
-    ET.SubElement(parent, "site", name=f"{digit.name}_tip", pos=_numbers_text((digit.link_length_m[-1], 0.0, 0.0)))
+    ET.SubElement(parent, "site", name=f"{digit.name}_tip", pos=numbers_text((digit.link_length_m[-1], 0.0, 0.0)))
     if digit.name in hand.carriers:
         _add_palm(parent, hand, digit.name)
 
@@ -71,13 +72,13 @@ def _add_hinge(link: ET.Element, digit: Digit, i: int, joint: str) -> None:
         link,
         "joint",
         name=joint,
-        axis=_numbers_text(joint_axes(digit)[i]),
-        range=_numbers_text(np.radians((digit.joint_min_deg[i], digit.joint_max_deg[i]))),
-        damping=_number_text(digit.joint_damping_N_m_s_per_rad[i]),
-        armature=_number_text(digit.joint_armature_kg_m2[i]),
-        stiffness=_number_text(digit.spring_stiffness_N_m_per_rad[i]),
+        axis=numbers_text(joint_axes(digit)[i]),
+        range=numbers_text(np.radians((digit.joint_min_deg[i], digit.joint_max_deg[i]))),
+        damping=number_text(digit.joint_damping_N_m_s_per_rad[i]),
+        armature=number_text(digit.joint_armature_kg_m2[i]),
+        stiffness=number_text(digit.spring_stiffness_N_m_per_rad[i]),
         # MuJoCo's spring torque is -k (q - springref), the description's -k (q + preload).
-        springref=_number_text(-digit.spring_preload_rad[i]),
+        springref=number_text(-digit.spring_preload_rad[i]),
         solreflimit=STOP_SOLVER_PARAMETERS[0],
         solimplimit=STOP_SOLVER_PARAMETERS[1],
     )
@@ -89,13 +90,13 @@ def _add_link_body(link: ET.Element, digit: Digit, i: int, length: float) -> Non
     ET.SubElement(
         link,
         "inertial",
-        pos=_numbers_text(centre_of_mass(digit, i)),
-        mass=_number_text(digit.link_mass_kg[i]),
-        fullinertia=_numbers_text([*np.diag(moments), moments[0, 1], moments[0, 2], moments[1, 2]]),
+        pos=numbers_text(centre_of_mass(digit, i)),
+        mass=number_text(digit.link_mass_kg[i]),
+        fullinertia=numbers_text([*np.diag(moments), moments[0, 1], moments[0, 2], moments[1, 2]]),
     )
-    size = _number_text(digit.link_radius_m)
+    size = number_text(digit.link_radius_m)
     if length > 0.0:
-        ET.SubElement(link, "geom", type="capsule", fromto=_numbers_text((0, 0, 0, length, 0, 0)), size=size)
+        ET.SubElement(link, "geom", type="capsule", fromto=numbers_text((0, 0, 0, length, 0, 0)), size=size)
     else:
         ET.SubElement(link, "geom", type="sphere", size=size)
 
@@ -110,16 +111,6 @@ def _add_tendons(root: ET.Element, hand: Hand) -> None:
     for tendon, arms in zip(hand.tendon, hand.moment_arms, strict=True):
         fixed = ET.SubElement(tendons, "fixed", name=tendon.name)
         for joint in tendon.moment_arm_m:
-            ET.SubElement(fixed, "joint", joint=joint, coef=_number_text(arms[hand.joints.index(joint)]))
-        limits = _numbers_text((0.0, tendon.tension_max_N))
+            ET.SubElement(fixed, "joint", joint=joint, coef=number_text(arms[hand.joints.index(joint)]))
+        limits = numbers_text((0.0, tendon.tension_max_N))
         ET.SubElement(actuators, "motor", name=tendon.motor, tendon=tendon.name, ctrlrange=limits)
-
-
-def _number_text(value: float) -> str:
-    """Return the shortest text that reads back as an equal number."""
-    return repr(float(value))
-
-
-def _numbers_text(values: object) -> str:
-    """Return numbers separated by spaces."""
-    return " ".join(_number_text(value) for value in np.asarray(values, dtype=float).tolist())

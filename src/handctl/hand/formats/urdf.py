@@ -11,6 +11,7 @@ import numpy as np
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array
 from handctl.hand.file.sections import Digit
+from handctl.hand.formats.numbers import number_text, numbers_text
 from handctl.hand.link_bodies import centre_of_mass, joint_axes, link_inertia, link_placement, rpy_of
 
 MOMENTS = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
@@ -69,8 +70,8 @@ def _add_palm(link: ET.Element, hand: Hand, carrier: str | None) -> None:
     centre, size = palm_box(hand, carrier)
     for element in ("visual", "collision"):
         part = ET.SubElement(link, element)
-        ET.SubElement(part, "origin", xyz=_numbers_text(centre), rpy="0 0 0")
-        ET.SubElement(ET.SubElement(part, "geometry"), "box", size=_numbers_text(size))
+        ET.SubElement(part, "origin", xyz=numbers_text(centre), rpy="0 0 0")
+        ET.SubElement(ET.SubElement(part, "geometry"), "box", size=numbers_text(size))
 
 
 def _add_joint(robot: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
@@ -81,8 +82,8 @@ def _add_joint(robot: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
     ET.SubElement(joint, "child", link=f"{digit.name}_link{i + 1}")
     position, rotation = link_placement(digit, i)
     # Adding 0.0 makes 0.0 of -0.0.
-    ET.SubElement(joint, "origin", xyz=_numbers_text(position), rpy=_numbers_text(np.add(rpy_of(rotation), 0.0)))
-    ET.SubElement(joint, "axis", xyz=_numbers_text(joint_axes(digit)[i]))
+    ET.SubElement(joint, "origin", xyz=numbers_text(position), rpy=numbers_text(np.add(rpy_of(rotation), 0.0)))
+    ET.SubElement(joint, "axis", xyz=numbers_text(joint_axes(digit)[i]))
     crossing = [tendon for tendon in hand.tendon if name in tendon.moment_arm_m]
     arms = [abs(float(hand.moment_arms[hand.tendon.index(tendon), hand.joints.index(name)])) for tendon in crossing]
     effort = sum(arm * tendon.tension_max_N for arm, tendon in zip(arms, crossing, strict=True))
@@ -92,12 +93,12 @@ def _add_joint(robot: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
     ET.SubElement(
         joint,
         "limit",
-        lower=_number_text(np.radians(digit.joint_min_deg[i])),
-        upper=_number_text(np.radians(digit.joint_max_deg[i])),
-        effort=_number_text(effort),
-        velocity=_number_text(speed),
+        lower=number_text(np.radians(digit.joint_min_deg[i])),
+        upper=number_text(np.radians(digit.joint_max_deg[i])),
+        effort=number_text(effort),
+        velocity=number_text(speed),
     )
-    ET.SubElement(joint, "dynamics", damping=_number_text(digit.joint_damping_N_m_s_per_rad[i]), friction="0")
+    ET.SubElement(joint, "dynamics", damping=number_text(digit.joint_damping_N_m_s_per_rad[i]), friction="0")
 
 
 def _add_link(robot: ET.Element, digit: Digit, i: int, length: float) -> None:
@@ -105,23 +106,23 @@ def _add_link(robot: ET.Element, digit: Digit, i: int, length: float) -> None:
     radius = digit.link_radius_m
     link = ET.SubElement(robot, "link", name=f"{digit.name}_link{i + 1}")
     inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "origin", xyz=_numbers_text(centre_of_mass(digit, i)), rpy="0 0 0")
-    ET.SubElement(inertial, "mass", value=_number_text(digit.link_mass_kg[i]))
+    ET.SubElement(inertial, "origin", xyz=numbers_text(centre_of_mass(digit, i)), rpy="0 0 0")
+    ET.SubElement(inertial, "mass", value=number_text(digit.link_mass_kg[i]))
     moments = link_inertia(digit, i)
-    values = {f"i{key}": _number_text(moments[place]) for key, place in MOMENTS.items()}
+    values = {f"i{key}": number_text(moments[place]) for key, place in MOMENTS.items()}
     ET.SubElement(inertial, "inertia", values)
     for element in ("visual", "collision"):
         if length > 0.0:
             bar = ET.SubElement(link, element)
             ET.SubElement(
-                bar, "origin", xyz=_numbers_text((length / 2, 0.0, 0.0)), rpy=f"0 {_number_text(np.pi / 2)} 0"
+                bar, "origin", xyz=numbers_text((length / 2, 0.0, 0.0)), rpy=f"0 {number_text(np.pi / 2)} 0"
             )
             ET.SubElement(
-                ET.SubElement(bar, "geometry"), "cylinder", radius=_number_text(radius), length=_number_text(length)
+                ET.SubElement(bar, "geometry"), "cylinder", radius=number_text(radius), length=number_text(length)
             )
         ball = ET.SubElement(link, element)
-        ET.SubElement(ball, "origin", xyz=_numbers_text((length, 0.0, 0.0)), rpy="0 0 0")
-        ET.SubElement(ET.SubElement(ball, "geometry"), "sphere", radius=_number_text(radius))
+        ET.SubElement(ball, "origin", xyz=numbers_text((length, 0.0, 0.0)), rpy="0 0 0")
+        ET.SubElement(ET.SubElement(ball, "geometry"), "sphere", radius=number_text(radius))
 
 
 def _add_tip_frame(robot: ET.Element, digit: Digit) -> None:
@@ -131,14 +132,4 @@ def _add_tip_frame(robot: ET.Element, digit: Digit) -> None:
     joint = ET.SubElement(robot, "joint", name=f"{digit.name}_tip_joint", type="fixed")
     ET.SubElement(joint, "parent", link=f"{digit.name}_link{last}")
     ET.SubElement(joint, "child", link=f"{digit.name}_tip")
-    ET.SubElement(joint, "origin", xyz=_numbers_text((digit.link_length_m[-1], 0.0, 0.0)), rpy="0 0 0")
-
-
-def _number_text(value: float) -> str:
-    """Return the shortest text that reads back as an equal number."""
-    return repr(float(value))
-
-
-def _numbers_text(values: object) -> str:
-    """Return numbers separated by spaces."""
-    return " ".join(_number_text(value) for value in np.asarray(values, dtype=float).tolist())
+    ET.SubElement(joint, "origin", xyz=numbers_text((digit.link_length_m[-1], 0.0, 0.0)), rpy="0 0 0")

@@ -1,0 +1,104 @@
+"""Random streams of angles to all digits of each packaged hand, in lockstep: how many runs end with a fault.
+
+``python benchmarks/random_streams.py [--hands HAND ...] [--seeds N] [--seconds S] [--json]``. A policy
+that has gone wild sends a target for every digit 50 times a second, anywhere in the range of the
+joints. The digits run into each other and into the palm. Three kinds of targets: *noise* is a new
+random angle each time, *steps* holds a random angle for 0.1 to 0.6 s, *walk* adds random steps.
+"""
+
+import argparse
+import collections
+import json
+import sys
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+import handctl.gym  # noqa: F401  # registers the environments
+from handctl.gym.track import TrackEnv
+from handctl.hand.load import packaged_hands
+
+Array = NDArray[np.float64]
+ANY_SPEED_DEG_S = 1e6
+"""Rate of targets that leaves all limits to the controller [deg/s]."""
+WALK_STEP = 0.125
+"""Standard deviation of a step of a walk, as a fraction of the range."""
+
+
+def noise(random: np.random.Generator, last: Array, step: int) -> Array:
+    """Return a new random action."""
+    return random.uniform(-1.0, 1.0, len(last))
+
+
+def steps(random: np.random.Generator, last: Array, step: int) -> Array:
+    """Return a random action that holds for some targets."""
+    return random.uniform(-1.0, 1.0, len(last)) if step == 0 or random.random() < 1.0 / 17.0 else last
+
+
+def walk(random: np.random.Generator, last: Array, step: int) -> Array:
+    """Return the next action of a random walk."""
+    return np.clip(last + random.normal(0.0, 2.0 * WALK_STEP, len(last)), -1.0, 1.0)
+
+
+KINDS: dict[str, Callable[[np.random.Generator, Array, int], Array]] = {"noise": noise, "steps": steps, "walk": walk}
+
+
+def run(env: TrackEnv, kind: str, seed: int) -> tuple[str, float]:
+    """Stream random targets until the end of an episode or a fault.
+
+    Args:
+        env: environment of the hand.
+        kind: name of the random targets.
+        seed: of the simulated hand and of the targets.
+
+    Returns:
+        The fault, empty if there was none, and the largest true tension [N].
+    """
+    env.reset(seed=seed)
+    random = np.random.default_rng(seed)
+    action = np.zeros(env.action_space.shape or ())
+    largest = 0.0
+    step = 0
+    while True:
+        action = KINDS[kind](random, action, step)
+        _, _, ended, truncated, information = env.step(action.astype(np.float32))
+        largest = max(largest, float(np.max(np.abs(list(env.run.peer.world.plant.tensions())))))
+        step += 1
+        if ended or truncated:
+            return str(information["failure"]) if ended else "", largest
+
+
+def main() -> None:
+    """Run all combinations, and print a row per hand."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--hands", nargs="*", default=list(packaged_hands()))
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--seconds", type=float, default=5.0)
+    parser.add_argument("--json", action="store_true")
+    args = parser.parse_args()
+    table = []
+    for hand in args.hands:
+        env = TrackEnv(hand, "digit", duration_s=args.seconds, speed_deg_s=ANY_SPEED_DEG_S)
+        faults: collections.Counter[str] = collections.Counter()
+        largest = 0.0
+        for kind in KINDS:
+            for seed in range(args.seeds):
+                print(f"{hand} {kind} seed {seed}", file=sys.stderr)
+                fault, tension = run(env, kind, seed)
+                largest = max(largest, tension)
+                if fault:
+                    faults[fault.split()[1]] += 1
+        env.close()
+        table.append({"hand": hand, "runs": len(KINDS) * args.seeds, "faults": dict(faults), "largest_N": largest})
+    if args.json:
+        print(json.dumps(table))
+        return
+    print("| hand | runs | ended with a fault | largest true tension |\n|---|---|---|---|")
+    for row in table:
+        ended = ", ".join(f"{count} {name}" for name, count in row["faults"].items()) or "none"
+        print(f"| {row['hand']} | {row['runs']} | {ended} | {row['largest_N']:.0f} N |")
+
+
+if __name__ == "__main__":
+    main()
