@@ -61,7 +61,7 @@ def level(image):
 
 def test_the_loader_gives_the_image_of_each_frame(tmp_path) -> None:
     try:
-        import torchcodec  # noqa: F401
+        import torchcodec.decoders  # noqa: F401
     except (ImportError, RuntimeError) as error:
         pytest.skip(f"LeRobot cannot decode videos here: {str(error).splitlines()[0]}")
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
