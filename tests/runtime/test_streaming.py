@@ -151,7 +151,7 @@ def test_values_are_checked_before_they_are_sent(place):
 @pytest.mark.alone
 @pytest.mark.parametrize("example", range(3))
 def test_the_programs_of_the_page_run(place, processes, example):
-    programs = re.findall(r"^```python\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+    programs = re.findall(r"^```python[^\n]*\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
     assert len(programs) == 3
     simulator = start_handctl("sim", "--hand", "jamia", "--bus", "local:lab")
     processes.append(simulator)
