@@ -37,7 +37,7 @@ Row = dict[str, Any]
 OFF = 0.3
 DETUNED = 3.0
 DRAWN = ("stiffness", "damping", "friction", "mass", "spring", "motor_inertia", "torque_constant")
-WITHIN = {
+TOLERANCES = {
     "rope_stiffness": 0.05, "spring_stiffness": 0.05, "motor_inertia": 0.05,
     "motor_coulomb": 0.15, "motor_viscous": 0.15, "capstan": 0.15, "torque_gain": 0.05,
 }  # fmt: skip
@@ -109,7 +109,7 @@ def excited(
     return result, row
 
 
-def one(seed: int, digit: str, folder: Path, hand_name: str = "jamia") -> Row:
+def measure_digit(seed: int, digit: str, folder: Path, hand_name: str = "jamia") -> Row:
     """Move and fit one digit of one hand. Return error and coverage of every parameter, or the reason of a failure."""
     hand = load_hand(hand_name)
     factors = plant(seed)
@@ -141,7 +141,7 @@ def judged(name: str, tendon: str, real: float, result: TendonResult) -> Row:
         "half_width_all_at_once": together,
         "covered": identified and abs(error) <= width,
         "covered_all_at_once": identified and abs(error) <= together,
-        "within": identified and abs(error) <= WITHIN[name],
+        "within": identified and abs(error) <= TOLERANCES[name],
     }
 
 
@@ -150,7 +150,7 @@ def summary(rows: list[Row]) -> Row:
     good = [row["parameters"] for row in rows if "failure" not in row]
     result: Row = {"seeds": len(rows), "failed": [row for row in rows if "failure" in row], "parameters": {}}
     result["refused"] = [row["seed"] for row in rows if row.get("refused")]
-    for name, limit in WITHIN.items():
+    for name, limit in TOLERANCES.items():
         selected = [one for row in good for one in row if one["name"] == name]
         errors = sorted(abs(one["error"]) for one in selected)
         result["parameters"][name] = {
@@ -179,7 +179,7 @@ def gathered(args: argparse.Namespace) -> list[Row]:
         for seed in range(args.first, args.first + (1 if args.quick else args.seeds)):
             if seed in done:
                 continue
-            rows.append(one(seed, digits[seed % len(digits)], Path(folder), args.hand))
+            rows.append(measure_digit(seed, digits[seed % len(digits)], Path(folder), args.hand))
             text = f"{rows[-1]['excite_cpu_s']:.0f} + {rows[-1].get('fit_cpu_s', 0.0):.0f} s of CPU"
             print(f"seed {seed}: {rows[-1].get('failure', 'done')}, {text}", file=sys.stderr)
             if args.into:

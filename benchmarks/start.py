@@ -56,8 +56,8 @@ def measure(repeats: int, folder: Path) -> dict[str, list[Start]]:
     assert hub.stdout
     hub.stdout.readline()
     measures: dict[str, Callable[[], Start]] = {
-        "python -c 'import numpy'": lambda: until_end([sys.executable, "-c", "import numpy"]),
-        "handctl run --help": lambda: until_end([sys.executable, "-m", "handctl.cli", "run", "--help"]),
+        "python -c 'import numpy'": lambda: time_until_exit([sys.executable, "-c", "import numpy"]),
+        "handctl run --help": lambda: time_until_exit([sys.executable, "-m", "handctl.cli", "run", "--help"]),
     }
     for name, hand in RUNS.items():
         measures[name] = partial(until_first_frame, hand, folder)
@@ -74,7 +74,7 @@ def measure(repeats: int, folder: Path) -> dict[str, list[Start]]:
         hub.wait()
 
 
-def until_end(command: list[str]) -> Start:
+def time_until_exit(command: list[str]) -> Start:
     """Return the times of a command."""
     before = cpu_of_children()
     begin = time.monotonic()

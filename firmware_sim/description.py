@@ -436,11 +436,11 @@ def _curve(raw: dict[str, list[float]], limits: tuple[float, float]) -> ArmCurve
     """
     powers = raw.get("polynomial_m")
     if powers is None:
-        powers = _fitted([math.radians(angle) for angle in raw["angle_deg"]], raw["arm_m"])
+        powers = _fit_polynomial([math.radians(angle) for angle in raw["angle_deg"]], raw["arm_m"])
     return ArmCurve(*limits, (*powers, *(0.0,) * (POWERS - len(powers))))
 
 
-def _fitted(angles: list[float], arms: list[float]) -> list[float]:
+def _fit_polynomial(angles: list[float], arms: list[float]) -> list[float]:
     """Return the least-squares polynomial of a table, by the normal equations."""
     count = min(TABLE_POWERS, len(angles))
     rows = [

@@ -10,7 +10,7 @@ from firmware_sim.bus.timed_lockstep import TimedLockstep
 from firmware_sim.description import load_hand
 from firmware_sim.plant.perturb import perturbed
 from firmware_sim.scene.scene import load_scene
-from firmware_sim.serials import with_serials
+from firmware_sim.serials import with_serial_numbers
 from firmware_sim.truth import TruthWriter
 from firmware_sim.wire.options import parse
 from firmware_sim.world import make_world
@@ -51,12 +51,12 @@ class Rig:
             homed: True to start with taut tendons and encoders at zero.
             wire: KEY=VALUE words of a simulated wire, see ``wire.options``. None for answers that
                 are never late.
-            serials: serial numbers of the drives, see ``serials.with_serials``.
+            serials: serial numbers of the drives, see ``serials.with_serial_numbers``.
 
         Raises:
             SimulatorError: hand, scene, factors or wire are wrong.
         """
-        hand = with_serials(perturbed(load_hand(hand_path), perturb or {}), serials)
+        hand = with_serial_numbers(perturbed(load_hand(hand_path), perturb or {}), serials)
         self.world = make_world(hand, load_scene(scene), seed, homed)
         assert self.world.exchange
         self._exchange = self.world.exchange

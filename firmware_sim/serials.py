@@ -11,7 +11,7 @@ EXPECTED = "expected a number, or MOTOR=NUMBER, as in --serial 0x4000 or --seria
 """Help text of an error."""
 
 
-def with_serials(hand: Hand, words: Iterable[str]) -> Hand:
+def with_serial_numbers(hand: Hand, words: Iterable[str]) -> Hand:
     """Return the hand with serial numbers.
 
     Args:

@@ -207,7 +207,7 @@ def excesses(tallies: dict[str, Tally], limits: Limits) -> Iterator[str]:
                 yield f"{name}: {count} {ratio:g}{unit}, at most {limit:g}; see {where}"
 
 
-def tightened(tallies: dict[str, Tally], limits: Limits) -> Limits:
+def lowered_limits(tallies: dict[str, Tally], limits: Limits) -> Limits:
     """Return limits that are the counts of now, or the old ones where those are lower."""
     return {
         name: {count: min(ratio, limits.get(name, {}).get(count, ratio)) for count, ratio in ratios(tally).items()}
@@ -255,7 +255,7 @@ def main(words: list[str] | None = None) -> int:
         return 0
     limits: Limits = tomllib.loads(LIMITS.read_text(encoding="utf-8")) if LIMITS.exists() else {}
     if args.tighten:
-        LIMITS.write_text(to_toml(tightened(tallies, limits)), encoding="utf-8")
+        LIMITS.write_text(to_toml(lowered_limits(tallies, limits)), encoding="utf-8")
         return 0
     lines = list(excesses(tallies, limits))
     print(*lines, sep="\n", end="\n" * bool(lines), file=sys.stderr)

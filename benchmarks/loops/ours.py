@@ -37,7 +37,7 @@ class Stay:
 
 
 @dataclass
-class FreeClock:
+class UnpacedClock:
     """Clock without deadlines. The next tick begins when the replies to the last tick have arrived."""
 
     fd: int
@@ -72,7 +72,7 @@ def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, lo
     plan = Plan(hand, Gains(), rate, (0.0,), (f"local:{bus_name}",))
     controller = make_controller(plan, Stay(), None, arm_at_once=True)
     bus = open_bus(plan.buses[0], 0, 1_000_000)
-    clock = RealClock(plan.period_ns) if rate_hz else FreeClock(bus.fileno())
+    clock = RealClock(plan.period_ns) if rate_hz else UnpacedClock(bus.fileno())
     priority = take_priority()
     if rate_hz:
         clock.spin = priority.realtime

@@ -70,14 +70,14 @@ def _run(work: Work, jobs: list[Any], workers: int, until: float) -> Any:
                 yield waiting.pop(future), future.result()
 
 
-def _place(work: Work, job: Any, keep: Path) -> Path:
+def _result_path(work: Work, job: Any, keep: Path) -> Path:
     """Return the file of a job's result."""
     digest = hashlib.sha256(repr(job).encode()).hexdigest()[:16]
     return keep / f"{work.__module__.rpartition('.')[2]}-{work.__name__}-{digest}.json"
 
 
 def _stored(work: Work, job: Any, plan: Plan) -> Any:
-    if plan.keep is None or not (path := _place(work, job, plan.keep)).exists():
+    if plan.keep is None or not (path := _result_path(work, job, plan.keep)).exists():
         return None
     return json.loads(path.read_text("utf-8"))["result"]
 
@@ -86,7 +86,7 @@ def _keep(work: Work, job: Any, result: Any, plan: Plan) -> None:
     if plan.keep is None:
         return
     plan.keep.mkdir(parents=True, exist_ok=True)
-    path = _place(work, job, plan.keep)
+    path = _result_path(work, job, plan.keep)
     path.with_suffix(".part").write_text(json.dumps({"job": repr(job), "result": result}), "utf-8")
     path.with_suffix(".part").replace(path)
 

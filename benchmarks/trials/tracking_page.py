@@ -149,7 +149,7 @@ def _steps(laws: dict) -> str:
 
 
 def _printed(printed: dict, best: dict) -> str:
-    """Describe the cost of the misprinted equations."""
+    """Describe by how much the misprinted equations raise the tracking error."""
     if not printed["ended"]:
         return (
             f"Eq. 10-12 as printed: {printed['rmse_deg'] / best['rmse_deg']:.1f} times the error of the correct ones."

@@ -22,7 +22,7 @@ INTEGRAL_RATE = 20.0
 """Integral gain divided by velocity gain of such a loop [1/s], an assumption."""
 POSITION_GAIN = 10.0
 """Position gain of such a loop [1/s], an assumption."""
-DECAY = 0.99**8
+INTEGRAL_DECAY = 0.99**8
 """Factor of the integral in a period while the torque is limited.
 
 Source: ODrive firmware, controller.cpp, 0.99 in each of eight loops per millisecond.
@@ -160,7 +160,7 @@ class Cascade:
         demand = min(speed, max(-speed, demand))
         error = demand - motor.velocity
         if abs(gains.velocity * error + self.integral + torque) > limit:
-            self.integral *= DECAY if step_s else 1.0
+            self.integral *= INTEGRAL_DECAY if step_s else 1.0
         else:
             self.integral += gains.integral * error * step_s
         servo.kp = servo.speed_gain = 0.0

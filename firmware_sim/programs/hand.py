@@ -18,7 +18,7 @@ from firmware_sim.plant.perturb import KEYS, perturbed
 from firmware_sim.printing import printable
 from firmware_sim.priority import RealTimePriority
 from firmware_sim.scene.scene import load_scene, packaged
-from firmware_sim.serials import with_serials
+from firmware_sim.serials import with_serial_numbers
 from firmware_sim.server import ScaledClock, Server
 from firmware_sim.truth import TruthWriter
 from firmware_sim.wire.options import KEYS as WIRE_KEYS
@@ -97,7 +97,7 @@ def run(words: list[str]) -> None:
     factors = _factors(args.perturb)
     hand = perturbed(load_hand(args.hand), factors)
     scene = load_scene(args.scene)
-    hand = with_serials(hand, args.serial)
+    hand = with_serial_numbers(hand, args.serial)
     specs = assign(args.bus, hand.buses)
     clock = ScaledClock(args.time_scale)
     world = make_world(hand, scene, args.seed, args.homed, clock.now_ns(), compiled=False)

@@ -17,13 +17,13 @@ class Adapter(NamedTuple):
     """Class of adapters.
 
     Attributes:
-        send_ns: period in which frames of the host leave [ns], 0 for at once.
+        send_period_ns: period in which frames of the host leave [ns], 0 for at once.
         receive_ns: period in which received frames reach the host [ns], 0 for at once.
         frame_ns: time of one frame on a serial bus inside of the adapter, in either direction [ns].
         text: examples.
     """
 
-    send_ns: int
+    send_period_ns: int
     receive_ns: int
     frame_ns: int
     text: str
@@ -58,7 +58,7 @@ class Latency:
     def send(self, t_ns: int) -> int:
         """Return the time at which a frame of the host reaches the controller [ns]."""
         adapter = self._adapter
-        at_ns = self._next_start(t_ns, adapter.send_ns)
+        at_ns = self._next_start(t_ns, adapter.send_period_ns)
         self._sent_ns = max(at_ns, self._sent_ns) + adapter.frame_ns
         return self._sent_ns
 

@@ -104,7 +104,7 @@ def test_the_document_lists_the_renamed_options():
 
 
 def completions(tmp_path, line):
-    """Return what a shell offers after a line."""
+    """Return the completions that a shell offers for an unfinished line."""
     answer = tmp_path / "answer"
     environment = os.environ | {
         "_ARGCOMPLETE": "1", "_ARGCOMPLETE_IFS": "\n", "_ARGCOMPLETE_STDOUT_FILENAME": str(answer),

@@ -104,6 +104,6 @@ def test_config_check_warns_of_a_hand_that_cannot_grasp(
     assert "next: handctl" in out
 
 
-def test_a_palm_without_room_is_refused(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_palm_too_small_for_an_object_is_refused(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     line = refused(capsys, "config", "init", "--yes", "--palm", "14", "--output", "mine.toml")
     assert "--palm: 14; expected at least" in line

@@ -65,7 +65,7 @@ def test_a_limit_stops_a_drive_in_another_process(capsys):
         ("--mode force-position --setpoint 1 --protocol odrive", "expected position, velocity or torque"),
         ("--mode position --setpoint 1", "--protocol: nothing; expected a value with --mode"),
         ("--mode position --protocol mit", "--setpoint: nothing"),
-        ("index --mode position --setpoint 1 --protocol mit", "no digit with --mode"),
+        ("index --mode position --setpoint 1 --protocol mit", "no digit, because --mode moves one drive"),
         ("index --tension 5", "expected --mode"),
         ("--mode position --setpoint 1 --protocol mit --option fd=1", "fd"),
         ("--mode position --setpoint 1 --protocol cia402 --option velocity_unit=m", "rev_min or count_s"),

@@ -142,7 +142,7 @@ def test_a_link_stays_a_link(place):
     (place / "file").write_text("mine")
 
 
-def test_loop_of_links_is_refused_as_output(place):
+def test_a_loop_of_symbolic_links_is_refused_as_output(place):
     (place / "loop").symlink_to("loop")
     with pytest.raises((ConfigError, OSError)):
         write_text_atomically(place / "loop", "text", new=True)

@@ -1,6 +1,6 @@
 """Bad input to any verb is one line on standard error and exit code 2, before a bus is opened.
 
-The bus of every case is one that nobody serves: had it been opened, the exit code would be 1.
+Nobody serves the bus of these cases. A verb that opened it would end with exit code 1.
 """
 
 import tomllib

@@ -175,7 +175,7 @@ def test_what_a_simulated_hand_is_made_of_is_not_kept_for_the_real_one(place, ca
 
 
 def found_of(digit, stiffness, blocked="", met="", names=("rope_stiffness",)):
-    """A fit of a digit's tendon: what it would keep, and what the digit met while it was excited."""
+    """Return a fit of a tendon, with the contact that its digit had during the excitation."""
     from handctl.tune.identify.fit import NAMES
     from handctl.tune.identify.identify import TendonResult
 

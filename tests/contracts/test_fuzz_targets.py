@@ -45,7 +45,7 @@ def test_seeds_of_a_drive_s_corpus_reach_torque(name: str, tmp_path: Path) -> No
         assert after.phase == functools.reduce(motor.receive, recorded, state).phase
 
 
-def test_a_change_inside_a_log_reaches_the_check_of_its_field(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_changed_field_of_a_log_is_found_by_its_check(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     error_lines: list[str] = []
     monkeypatch.setattr(files, "one_line", lambda error: error_lines.append(str(error)))
     target = TARGETS["log"](tmp_path)

@@ -215,7 +215,7 @@ def test_contact_is_a_force_at_the_tip_that_lasts(model: HandModel, taut: Estima
 
 
 def test_tip_force_estimate_equals_the_applied_force(model: HandModel) -> None:
-    """Tensions that balance a force at the tip are felt as that force, at any pose."""
+    """Tensions that balance a force at the tip give an estimate of this force, at any pose."""
     q, balance, forces = np.empty(len(model.hand.joints)), np.empty(model.tendon_count), []
     for d, digit in enumerate(model.digits):
         own = np.linspace(0.2, 0.6, digit.joint_count)

@@ -114,7 +114,7 @@ async def _odrive(bus: can.BusABC, node: int) -> None:
 
 
 def use_odrive_can_modes(bus: can.BusABC, node: int = 1) -> None:
-    """odrive-can: a velocity, and a trapezoidal trajectory with the client's limits."""
+    """Command a velocity, then a trapezoidal trajectory with the limits of the client odrive-can."""
     asyncio.run(_odrive_modes(bus, node))
 
 

@@ -139,7 +139,7 @@ def test_an_odrive_that_is_left_enabled_is_made_idle_first(odrive: Bench) -> Non
 
 @pytest.mark.parametrize("target", [DriveTarget.ENABLE, DriveTarget.POLL])
 def test_odrive_in_another_axis_state_is_a_fault_and_is_stopped(odrive: Bench, target: DriveTarget) -> None:
-    """Somebody lets it calibrate over USB: no error, no idle, and torque that nobody here has asked for."""
+    """Somebody starts a calibration over USB: the drive makes torque without a command, and reports no error."""
     odrive.until(target, Phase.ENABLED if target == DriveTarget.ENABLE else Phase.READY)
     first_odrive(odrive).state = 3
     assert "in axis state 3" in first_in(odrive, Phase.FAULT, target, 60).replace("went to", "in")

@@ -250,7 +250,7 @@ def test_a_group_knows_how_often_it_came(node: SensorNode) -> None:
     assert sync.bus == 0
 
 
-def test_what_is_stale_and_what_cannot_be_read_are_counted_apart(node: SensorNode) -> None:
+def test_stale_and_unreadable_values_are_counted_separately(node: SensorNode) -> None:
     wired = heard(node, tick_of(node, 1)).receive([Frame(0x1A0, bytes(3))])
     (good, *_) = encoded(0x1A0, "tension", 2, [1.0] * CHANNELS)
     wired.receive([good])

@@ -225,7 +225,7 @@ def test_an_adapter_delays_by_at_most_a_usb_frame(kind: str, seed: int) -> None:
     adapter, latency = ADAPTERS[kind], Latency(kind, seed)
     sent = [latency.send(t_ns) - t_ns for t_ns in range(0, 200_000_000, 3_000_000)]
     received = [latency.receive(t_ns) - t_ns for t_ns in range(0, 200_000_000, 3_000_000)]
-    for delays, period in ((sent, adapter.send_ns), (received, adapter.receive_ns)):
+    for delays, period in ((sent, adapter.send_period_ns), (received, adapter.receive_ns)):
         assert 0 <= min(delays) <= max(delays) <= period * 1.001 + adapter.frame_ns
     if kind == "none":
         assert set(sent + received) == {0}

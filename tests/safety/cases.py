@@ -173,7 +173,7 @@ def swinging(tendon: int, before: float) -> Shown:
 
 
 def following(motor: int, part: float) -> Shown:
-    """Show what part of the command's increments, of 1 N each, a motor reports."""
+    """Show the fraction of each increment of 1 N of the command that a motor reports."""
     return rows(report_moments={(row, motor): value for row, value in enumerate((1.0, part, part, 1.0, 0.95))})
 
 

@@ -62,7 +62,7 @@ def test_a_tension_at_the_rail_is_a_load_cell_fault_and_below_it_a_tendon_fault(
         assert readings(row, tensions(t0=rail, t1=0.0)) == [], row
 
 
-def test_over_tension_stays_at_the_rail_as_well_as_below_and_only_behind_relaxing() -> None:
+def test_over_tension_remains_at_the_rail_and_below_it_only_after_relaxing() -> None:
     high = merged(UNREAD, REST)
     high.rows["measured_tension"][1] = LIMITS.tension_rail + 1.0
     assert readings("T03c", high) == []

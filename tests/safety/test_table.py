@@ -124,7 +124,7 @@ def test_clearing_a_present_fault_has_no_effect(id_: str) -> None:
 
 
 @pytest.mark.parametrize("id_", CASES)
-def test_without_torque_silence_is_no_fault(id_: str) -> None:
+def test_a_silent_drive_is_no_fault_while_torque_is_off(id_: str) -> None:
     case = CASES[id_]
     _, actions, _ = alone(id_, *[without_torque(case.present)] * (case.debounce + 1))
     assert actions[-1] == (Action.PASS if case.asleep else case.action)

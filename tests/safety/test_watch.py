@@ -165,7 +165,7 @@ def test_a_slack_tendon_and_a_torn_tendon_are_distinguished():
 
 
 def test_joint_and_spool_are_compared_from_when_the_tendon_is_taut():
-    """Tendon a: 20 mm of arms; 3 deg are 1.05 mm at the joints, filtered over 0.3 s; unfiltered 15 deg are told."""
+    """The arms of tendon a are 20 mm together, so that 3 deg are 1.05 mm. Without filter, 15 deg are a fault."""
 
     def slipped(deg):
         monitor, _ = ticks(100, excursion=0.0, read=True)
@@ -412,7 +412,7 @@ def test_lost_replies_are_recorded_per_node(rows, lost):
     assert monitor.get("lost") == [lost, [0, 0, 0]]
 
 
-def test_malformed_frames_are_reported_with_sender_and_recent_number():
+def test_malformed_frames_are_reported_with_sender_and_recent_count():
     monitor = made()
     for k in range(3):
         found = monitor.tick(misread_now=[1, k == 0, 0])

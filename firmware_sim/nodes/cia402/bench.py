@@ -9,7 +9,7 @@ NUMBERS = range(1, 0x7F)
 """Valid node numbers. CANopen's last number (127) belongs to handctl."""
 
 
-SHAFT = Shaft(1.0, 5e-5, 0.08, top_speed=24.0 / 0.08, stall_torque=4.0)
+BENCH_SHAFT = Shaft(1.0, 5e-5, 0.08, top_speed=24.0 / 0.08, stall_torque=4.0)
 """Shaft of the default motor at 24 V. Voltage and torque constant are equal in SI units."""
 
 
@@ -41,7 +41,7 @@ def _force_command(node: Cia402Node, frame: Frame) -> None:
 
 
 SPEC = ProtocolSpec(
-    Cia402Node, NUMBERS, SHAFT, _host_frame, _corrupt_command, _corrupt_reply, Cia402NodeRow, CIA402,
+    Cia402Node, NUMBERS, BENCH_SHAFT, _host_frame, _corrupt_command, _corrupt_reply, Cia402NodeRow, CIA402,
     _force_command,
 )  # fmt: skip
 """The CiA 402 protocol."""

@@ -33,7 +33,7 @@ openarm_can.
 
 
 class Rating(NamedTuple):
-    """Rating of a motor type, at the output shaft and its supply voltage.
+    """Rated values of a motor type at its output shaft, and its supply voltage.
 
     Attributes:
         peak: peak torque [N m].

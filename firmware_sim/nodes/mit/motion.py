@@ -42,20 +42,20 @@ class MotionModes:
 
     def follow_velocity(self, velocity: float) -> None:
         """Take a velocity on the wire [rad/s]."""
-        self._take(assumed_gains(self._node.motor.inertia, 0.0), self._node.direction * velocity, math.inf, 1.0)
+        self._set_target(assumed_gains(self._node.motor.inertia, 0.0), self._node.direction * velocity, math.inf, 1.0)
 
     def follow_position(self, position: float, speed: float) -> None:
         """Take a position on the wire [rad] and the largest speed [rad/s]."""
-        self._take(assumed_gains(self._node.motor.inertia), self._at_spool(position), speed, 1.0)
+        self._set_target(assumed_gains(self._node.motor.inertia), self._at_spool(position), speed, 1.0)
 
     def follow_force_position(self, position: float, speed: float, fraction: float) -> None:
         """Take a position on the wire [rad], the largest speed [rad/s] and the fraction of the largest current."""
-        self._take(assumed_gains(self._node.motor.inertia), self._at_spool(position), speed, fraction)
+        self._set_target(assumed_gains(self._node.motor.inertia), self._at_spool(position), speed, fraction)
 
     def _at_spool(self, position: float) -> float:
         return float(self._node.direction * (position - self._node.offset))
 
-    def _take(self, gains: LoopGains, target: float, speed: float, fraction: float) -> None:
+    def _set_target(self, gains: LoopGains, target: float, speed: float, fraction: float) -> None:
         """Take a target. The ramps start from the present motion after a mode change or while disabled."""
         self._gains = gains
         self._target = target

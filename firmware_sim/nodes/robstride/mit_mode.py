@@ -192,10 +192,10 @@ def _force_command(node: RobstrideMitNode, frame: Frame) -> None:
         node.follow_command(frame.data)
 
 
-_SHAFT = bench.shaft(DEFAULT_TYPE)
+_DEFAULT_SHAFT = bench.shaft(DEFAULT_TYPE)
 SPEC = ProtocolSpec(
     RobstrideMitNode, range(1, 0x80),
-    _SHAFT._replace(position=POSITION_RANGE, options={**_SHAFT.options, "host_id": FACTORY_HOST}),
+    _DEFAULT_SHAFT._replace(position=POSITION_RANGE, options={**_DEFAULT_SHAFT.options, "host_id": FACTORY_HOST}),
     _host_frame, _corrupt_command, force_command=_force_command,
 )  # fmt: skip
 """RobStride motors in MIT mode."""

@@ -157,7 +157,7 @@ class AsyncTargetStream:
 
     @property
     def status(self) -> StreamStatus:
-        """Return how the controller has treated the targets."""
+        """Return how many targets the controller has accepted, clipped, ignored as late, and refused."""
         return self.stream.status
 
     async def close(self) -> None:

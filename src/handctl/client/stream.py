@@ -133,7 +133,7 @@ class TargetStream:
 
     @property
     def status(self) -> StreamStatus:
-        """Return how the controller has treated the targets: accepted, clipped, late, refused."""
+        """Return how many targets the controller has accepted, clipped, ignored as late, and refused."""
         return self._hand.observe().stream
 
     def close(self) -> None:

@@ -54,7 +54,7 @@ class Designs:
     def advance(self, model: HandModel, pending: PendingGains) -> DesignProgress | None:
         """Design one more loop. Returns None when the design is complete."""
         try:
-            done = self._up_to(model, pending.gains, pending.step + 1)
+            done = self._design_pieces(model, pending.gains, pending.step + 1)
         except ConfigError as error:
             return DesignProgress(None, (Event("warn", "gains", "", f"{REFUSED_PREFIX}{error}"),))
         if len(done) >= design_piece_count(model.space):
@@ -67,13 +67,13 @@ class Designs:
         if gains not in self.controllers:
             old: Any = controller
             model = old.model
-            designed_pieces = self._up_to(model, gains, design_piece_count(model.space))
+            designed_pieces = self._design_pieces(model, gains, design_piece_count(model.space))
             designed = replace(model, gains=gains, motion=design_from_pieces(model.space, designed_pieces))
             self.controllers[gains] = replace(old, model=designed)
         made: Controller = self.controllers[gains]
         return made
 
-    def _up_to(self, model: HandModel, gains: Gains, count: int) -> list[Vector]:
+    def _design_pieces(self, model: HandModel, gains: Gains, count: int) -> list[Vector]:
         """Return at least the first ``count`` designed loops, after designing the missing loops."""
         designed_pieces = self.designed_pieces.setdefault(gains, [])
         if len(self.designed_pieces) > CACHE_SIZE:

@@ -62,7 +62,7 @@ def tension_per_newton(digit: Digit) -> Fraction:
     return levers_mm(digit)[0] / PULLEY_MM
 
 
-def tension_for_kg(mass: int) -> Fraction:
+def tension_of_payload_kg(mass: int) -> Fraction:
     """Return the tension of each finger's tendon at which friction of three fingers holds a mass [N]."""
     return mass * GRAVITY / (FINGERS * FRICTION) * tension_per_newton(paper_finger())
 

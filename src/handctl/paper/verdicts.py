@@ -12,7 +12,7 @@ EXACT = Fraction(1, 10**12)
 def verdict_of_number(printed: str, exact: Fraction | float) -> ErrataVerdict:
     """Return the verdict on printed digits with an exact value.
 
-    The verdict is equal, else rounded, else truncated, else wrong.
+    The verdict is the first of ``equal``, ``rounded`` and ``truncated`` that is true, or else ``wrong``.
 
     Args:
         printed: decimal number, e.g. `18.33`.

@@ -102,11 +102,12 @@ TIGHTEN_TIMEOUT_S = 4.0
 def tightening_goals(model: HandModel) -> tuple[DigitGoal, ...]:
     """Return goals that take up the slack of every tendon."""
     return tuple(
-        DigitGoal(Kind.TENSION, tension=_tightened(model, tendons), rate=40.0) for tendons in model.digit_tendons
+        DigitGoal(Kind.TENSION, tension=_tightening_tension(model, tendons), rate=40.0)
+        for tendons in model.digit_tendons
     )
 
 
-def _tightened(model: HandModel, tendons: slice) -> Vector:
+def _tightening_tension(model: HandModel, tendons: slice) -> Vector:
     """Return tensions (n_t,) of a digit that take up slack [N], without torque if the tendons hold each other."""
     balance = model.redundancy.balance[tendons]
     least = model.floor[tendons] + TIGHTEN_MARGIN_N

@@ -175,7 +175,7 @@ def opened(model: HandModel, request: OpenStream) -> StreamPlan | str:
     )  # fmt: skip
 
 
-HELD_MARGIN_N = 0.5
+FLOOR_MARGIN_N = 0.5
 """Margin of the tensions above the floor in a posture that counts as holdable [N]."""
 HELD_STEPS = 4
 """Steps of Newton's method towards a holdable posture. Gravity, which the slope leaves out, needs more than one."""
@@ -202,7 +202,7 @@ def holdable(digit: DigitModel, coordinates: Vector, floor: Vector) -> Vector:
         to_tension = digit.at(digit.coupling @ angles).torque_to_tension
         slope = to_tension @ np.diag(digit.spring_stiffness) @ digit.coupling
         tension = to_tension @ np.asarray(static_torque(digit, digit.coupling @ angles))
-        missing = floor + HELD_MARGIN_N - tension
+        missing = floor + FLOOR_MARGIN_N - tension
         short = missing > 1e-6
         if not short.any():
             break

@@ -15,7 +15,7 @@ from handctl.output import save_figure
 from handctl.replay.compare import rms_and_peak
 
 Array = NDArray[np.float64]
-LOGGED = "#3b6fb6"
+LOGGED_COLOR = "#3b6fb6"
 """Line colour of the log."""
 OTHER = "#d9822b"
 """Line colour of the other gains."""
@@ -79,7 +79,7 @@ def draw_commands(path: Path, log: RunLog, commands: Commands, title: str) -> No
     for column, (unit, names, was, now) in enumerate(pairs):
         for i, name in enumerate(names):
             axes = rows[i, column]
-            axes.plot(log.times, was[:, i], color=LOGGED, linewidth=0.9, label="as logged")
+            axes.plot(log.times, was[:, i], color=LOGGED_COLOR, linewidth=0.9, label="as logged")
             axes.plot(log.times, now[:, i], color=OTHER, linewidth=0.7, label="these gains")
             axes.set_ylabel(f"{name}\n{unit}", fontsize=8)
             axes.grid(alpha=0.3)

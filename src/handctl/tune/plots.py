@@ -19,7 +19,7 @@ from handctl.tune.verify import OLD_ROUNDS, Rollback
 BEFORE = "#d9822b"
 AFTER = "#3b6fb6"
 GREY = "#9a9a9a"
-TRUTH = "#000000"
+TRUTH_COLOR = "#000000"
 STEP_S = {LoopKind.MOTION: 0.4, LoopKind.TENSION: 0.4}
 """Duration of the disturbance step by loop [s]."""
 STEP_UNIT = {LoopKind.MOTION: (1e6, "travel [um]"), LoopKind.TENSION: (1.0, "tension [N]")}
@@ -182,11 +182,11 @@ def draw_verify(
     if truth is not None:
         t_ns = log.t_ns + offset_ns
         true_angle = mean_angles(hand, truth.table([f"q/{joint}" for joint in hand.joints], t_ns))[:, 0]
-        angle.plot(log.times, np.degrees(true_angle), color=TRUTH, linewidth=0.7, label="truth of the plant")
+        angle.plot(log.times, np.degrees(true_angle), color=TRUTH_COLOR, linewidth=0.7, label="truth of the plant")
         tension.plot(
             log.times,
             truth.at(f"tension/{hand.tendon_names[0]}", t_ns),
-            color=TRUTH,
+            color=TRUTH_COLOR,
             linewidth=0.7,
         )
     torque.plot(log.times, log.field("motor_torque_goal")[:, 0], color=AFTER, linewidth=0.6)

@@ -32,7 +32,7 @@ EVERY_S = 0.1
 """Time between two lines of JSON, or two pictures in a terminal [s]."""
 EVERY_LINE_S = 1.0
 """Time between two tables in a pipe or file [s]."""
-LONGEST_S = 86400.0
+MAX_WATCH_S = 86400.0
 
 
 def run(args: argparse.Namespace) -> int:
@@ -75,8 +75,8 @@ def _choices(args: argparse.Namespace) -> tuple[tuple[str, ...], Hand]:
     """
     if not args.bus:
         raise ConfigError("missing", "--bus", "the bus of the hand, such as --bus socketcan:can0")
-    if args.duration is not None and not 0.0 < args.duration <= LONGEST_S:
-        raise ConfigError(f"{args.duration:g}", "--for", f"more than 0, at most {LONGEST_S:g}")
+    if args.duration is not None and not 0.0 < args.duration <= MAX_WATCH_S:
+        raise ConfigError(f"{args.duration:g}", "--for", f"more than 0, at most {MAX_WATCH_S:g}")
     real = real_buses([text.rpartition("=")[2] for text in args.bus])
     check_time_scale(args.time_scale, real)
     if real and args.hand is None:

@@ -117,7 +117,7 @@ def _compare_logs(args: argparse.Namespace) -> int:
         print_json({"logs": [str(args.log), str(args.other)], **result})
         return code
     for name, (one, two) in result["gains"].items():
-        print_escaped(f"gain {name}: {one} and {two}")
+        print_escaped(f"gain {name} differs: {one} in the first log, {two} in the second")
     for which in ("only_in_first", "only_in_second"):
         if result[which]:
             print_escaped(f"phases {which.replace('_', ' ')}: {', '.join(result[which])}")

@@ -29,7 +29,7 @@ from handctl.runtime.diagnostics.drive_jog import JogGoal, JogResult, jog_drive
 from handctl.runtime.mailbox import bus_lock
 from handctl.session.exit_codes import ExitCode
 
-LONGEST_S = 600.0
+MAX_JOG_S = 600.0
 """Longest jog [s]."""
 RANGE_RAD = 1000.0
 """Position range of a drive that reports none and counts turns [rad], the largest of a hand file."""
@@ -70,7 +70,8 @@ def _goal(args: argparse.Namespace) -> JogGoal:
         ConfigError: an argument is missing or out of range.
     """
     if args.digit is not None:
-        raise ConfigError(repr(args.digit), "digit", "no digit with --mode: one drive, by --protocol and --node")
+        right = "no digit, because --mode moves one drive: name it with --protocol and --node"
+        raise ConfigError(repr(args.digit), "digit", right)
     if len(args.bus) != 1:
         raise ConfigError(", ".join(args.bus), "--bus", "one bus")
     check_spec(args.bus[0])
@@ -83,7 +84,7 @@ def _goal(args: argparse.Namespace) -> JogGoal:
     _check_number(args.speed_limit, "--speed-limit", 1e-2, 1000.0)
     _check_number(args.acceleration_limit, "--acceleration-limit", 1e-2, 1e5)
     _check_number(args.travel, "--travel", 1e-2, RANGE_RAD)
-    _check_number(args.duration, "--for", 1e-2, LONGEST_S)
+    _check_number(args.duration, "--for", 1e-2, MAX_JOG_S)
     mode = DriveMode(args.mode)
     largest = {"N m": args.limit, "rad/s": args.speed_limit, ANGLE: args.travel}[COMMAND_UNITS[mode]]
     _check_number(args.setpoint, "--setpoint", -largest, largest)

@@ -182,7 +182,7 @@ def velocity_message(node_id: int, unit: float, limit: float) -> Message:
 
 
 def _motion_message(node_id: int, signal: Signal, limit: float, largest: float) -> Message:
-    """Return RPDO1 with a target of four bytes, whose largest value is given."""
+    """Return RPDO1 with a target of four bytes, from ``-largest`` to ``largest``."""
     if not largest / abs(signal.scale) < MAX_TARGET_COUNT:
         raise ValueError(f"{signal.name} {limit:g} {signal.unit} does not fit into the object of the drive")
     control = Signal("control", Quantity.UNUSED, 0, 16)

@@ -212,7 +212,7 @@ class Cia402Drive:
     @property
     def guards(self) -> tuple[setup.Step, ...]:
         """Return the objects that are read back again while the drive is enabled."""
-        return tuple(step for step in self.steps if (step.number, step.sub) in setup.GUARDS)
+        return tuple(step for step in self.steps if (step.number, step.sub) in setup.PROTECTION_OBJECTS)
 
     def initial(self) -> DriveState:
         """Return the state before the first frame."""

@@ -74,7 +74,7 @@ class Step(NamedTuple):
         return f"object {self.number:#06x}:{self.sub}"
 
 
-GUARDS = ((0x1016, 1), (0x6072, 0), (0x6080, 0))
+PROTECTION_OBJECTS = ((0x1016, 1), (0x6072, 0), (0x6080, 0))
 """Objects with the drive's own protections: supervision of the host's heartbeat, maximum torque, maximum speed.
 
 The maximum speed is required only in the position and velocity modes.

@@ -131,7 +131,7 @@ def _state_when_enabled_by_other(state: DriveState, progress: MoteusProgress, te
 
 
 def _state_when_in_error(state: DriveState, progress: MoteusProgress, error: int) -> DriveState:
-    """Return the state after an error. The error has removed the torque."""
+    """Return the state after an error. A drive in error makes no torque."""
     if progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
     off = state._replace(private=progress._replace(enable_sent=False, enabled_by_other=False))

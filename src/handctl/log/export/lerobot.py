@@ -227,11 +227,11 @@ def _vectors(log: RunLog, rows: NDArray[np.intp]) -> dict[str, tuple[list[str], 
     }
     if SIGMA_FIELDS[0] in log.fields:
         sigma = np.hstack([_without_nan(log, name, rows) for name in SIGMA_FIELDS])
-        vectors["observation.sigma"] = ([_sigma_name(name) for name in names], sigma)
+        vectors["observation.sigma"] = ([_standard_deviation_name(name) for name in names], sigma)
     return vectors
 
 
-def _sigma_name(name: str) -> str:
+def _standard_deviation_name(name: str) -> str:
     """Return the name of an element's standard deviation, `index_j1.pos_sigma_rad` for `index_j1.pos_rad`."""
     quantity, unit = name.rsplit("_", 1)
     return f"{quantity}_sigma_{unit}"

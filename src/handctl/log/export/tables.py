@@ -137,22 +137,22 @@ def _frames_by_time(log: RunLog) -> Iterator[tuple[int, str, Frame]]:
     or the latest arrival in this tick if that is later. On a local bus frames arrive when the tick
     reads them, after the start of the tick.
     """
-    waiting: list[tuple[int, str, Frame]] = []
+    pending: list[tuple[int, str, Frame]] = []
     complete_ns = 0
     for tick in log.ticks():
         start_ns = tick.tick_in.t_ns + tick.tick_in.late_ns
         received = tick.tick_in.frames
         sent_ns = max((frame.t_ns for frame in received), default=start_ns)
-        waiting += [(frame.t_ns, "R", frame) for frame in received]
-        waiting += [(max(start_ns, sent_ns), "T", frame) for frame in tick.frames]
-        waiting.sort(key=itemgetter(0))
+        pending += [(frame.t_ns, "R", frame) for frame in received]
+        pending += [(max(start_ns, sent_ns), "T", frame) for frame in tick.frames]
+        pending.sort(key=itemgetter(0))
         # A frame of the next tick arrives after the start of this tick. One more tick is waited for,
         # since the kernel may hand a frame over a little after its stamp.
-        ready = bisect_left(waiting, complete_ns, key=itemgetter(0))
-        yield from waiting[:ready]
-        waiting = waiting[ready:]
+        ready = bisect_left(pending, complete_ns, key=itemgetter(0))
+        yield from pending[:ready]
+        pending = pending[ready:]
         complete_ns = start_ns
-    yield from waiting
+    yield from pending
 
 
 def _candump_line(frame: Frame, t_ns: int, buses: tuple[str, ...], direction: str) -> str:

@@ -205,7 +205,7 @@ def _check_payload() -> list[Item]:
     )
     verdict = verdict_of_carried("0.915", three, 3 * Fraction("0.305"), first.verdict)
     force = src.GRAVITY / (src.FINGERS * src.FRICTION)
-    tension = src.tension_for_kg(1)
+    tension = src.tension_of_payload_kg(1)
     return [
         first,
         Item("sec5.payload3", "Sec. 5", "0.915", float(three), "kg", verdict, "3 × the truncated 0.305.", ARITHMETIC),
@@ -230,7 +230,7 @@ def _check_wire() -> list[Item]:
         number_item(
             "abstract.wire", "Abstract", "0.86", diameter, "mm",
             "The wire of that load: 0.917 kg, which the abstract rounds to 1 kg. Here the digits are right, unlike in "
-            f"section 5. A whole kilogram would need {src.wire_diameter_mm(src.tension_for_kg(1)):.4g} mm."),
+            f"section 5. A whole kilogram would need {src.wire_diameter_mm(src.tension_of_payload_kg(1)):.4g} mm."),
         _check_area(),
     ]  # fmt: skip
 

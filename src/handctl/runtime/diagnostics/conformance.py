@@ -100,7 +100,7 @@ def run_checks(device: DeviceUnderTest) -> Iterator[ConformanceCheck]:
 def _not_run(device: DeviceUnderTest, name: str, promise: Promise) -> ConformanceCheck:
     """Return the result for a check that cannot be run.
 
-    A drive that stayed enabled after the check before has failed to disable.
+    If the drive is still enabled after the last check, it has not obeyed the command to disable.
     """
     if promise is _check_disables and device.rig.state.phase == Phase.ENABLED:
         return ConformanceCheck(name, CheckVerdict.FAILED, "stays enabled after the disable command of another check")

@@ -22,7 +22,7 @@ STOP_STEPS = ("stretch",)
 """Names of steps in which the tendon is taut and the digit is at its open stop."""
 FREE_STEPS = ("sweep",)
 """Names of steps in which the digit moves freely."""
-CONTACT_STEPS = ("close", "open")
+CONTACT_PHASES = ("close", "open")
 """Names of steps in which a contact begins or ends, so that the motor force may jump within a sample."""
 SETTLE_S = 0.02
 """Time excluded at the beginning of a step [s]."""
@@ -107,7 +107,7 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
             slack=_step_mask(phases, digit, SLACK_STEPS, transient)[:-1],
             stop=_step_mask(phases, digit, STOP_STEPS, settle)[:-1] & active,
             free=_step_mask(phases, digit, FREE_STEPS, settle)[:-1] & active,
-            acting=active & consecutive & ~_step_mask(phases, digit, CONTACT_STEPS, 0)[:-1],
+            acting=active & consecutive & ~_step_mask(phases, digit, CONTACT_PHASES, 0)[:-1],
         )
         if excited:
             result += [_restrict_to_excitation(data, phases, digit)] if digit in excited else []
