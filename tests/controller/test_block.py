@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.controller.lease import Lease
 from handctl.controller.monitor import thresholds
 from handctl.controller.pending_gains import PendingGains
 from handctl.controller.setup import make_drives, make_sensors
-from handctl.controller.state import Decisions, State, layout_of_state
+from handctl.controller.state import Decisions, Lease, State, layout_of_state
 from handctl.core import block as state_block
 from handctl.core import constants, hand_constants
 from handctl.core.block import STATE, state_tables

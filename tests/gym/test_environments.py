@@ -212,7 +212,7 @@ def test_a_missing_extra_is_one_line_that_names_it() -> None:
 
 
 def test_the_program_of_the_page_grasps(capsys: pytest.CaptureFixture[str]) -> None:
-    program = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)[0]
+    program = re.findall(r"```python[^\n]*\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)[0]
     exec(program, {})
     assert capsys.readouterr().out.endswith("True\n")
 

@@ -7,8 +7,7 @@ targets enter the tick as requests, so that a log is re-executed with the same l
 
 from dataclasses import replace
 
-from handctl.controller.lease import Lease
-from handctl.controller.state import State
+from handctl.controller.state import Lease, State
 from handctl.controller.streams import close_stream, stay
 from handctl.core import block as s
 from handctl.core.model import HandModel

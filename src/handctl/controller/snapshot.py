@@ -8,9 +8,8 @@ import json
 
 import numpy as np
 
-from handctl.controller.lease import Lease
 from handctl.controller.pending_gains import PendingGains
-from handctl.controller.state import Decisions, State
+from handctl.controller.state import Decisions, Lease, State
 from handctl.core.gains.gains import Gains
 from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.law.trajectory import Blend, Chirp, Curve, MinimumJerk, Sample, Streamed

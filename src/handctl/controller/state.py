@@ -6,7 +6,6 @@ import numpy as np
 import xxhash
 from numpy.typing import NDArray
 
-from handctl.controller.lease import Lease
 from handctl.controller.pending_gains import PendingGains
 from handctl.core import block as s
 from handctl.core.block import STATE
@@ -21,6 +20,23 @@ from handctl.drives.contract import DriveState, Phase
 from handctl.programs.program import Progress
 from handctl.programs.streams import StreamPlan
 from handctl.safety.judge import Counting, Latched
+
+
+class Lease(NamedTuple):
+    """Lease of a client.
+
+    Attributes:
+        client: client that commands the hand.
+        duration_ns: longest silence before moving digits come to rest [ns]. After twice this time the
+            hand relaxes.
+        renewed_ns: time of the last command or sign of life [ns].
+        resting: True if the digits have come to rest since then.
+    """
+
+    client: str
+    duration_ns: int
+    renewed_ns: int
+    resting: bool = False
 
 
 class Decisions(NamedTuple):

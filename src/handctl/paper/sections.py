@@ -8,7 +8,7 @@ from handctl.paper.bench import force_displacement, payload
 from handctl.paper.item import ErrataVerdict, Item
 from handctl.paper.model import assumptions, kinematics, lagrange, motion, statics, text
 
-TITLE = "The source paper, all of it"
+TITLE = "Source paper"
 REFERENCE = (
     'S. Hussain and M. Suhaib, "Mathematical Modeling Of Four Finger Robotic Grippers", Department of Mechanical '
     "Engineering, Jamia Millia Islamia, New Delhi."
