@@ -3,9 +3,10 @@
     make test SLOW_S=inf PYTEST_FLAGS=--durations-file=times.jsonl      # writes the time of each test
     python -m tests.slow times.jsonl                                    # writes tests/slow_tests.txt
 
-A run leaves out the listed tests whose cost is above ``HANDCTL_SLOW_S``: `make test` sets 0, CI sets 3. `make nightly`
-and a plain pytest run all of them. In a sample each test function keeps its first cases up to ``FUNCTION_S``, and each
-file keeps at least its cheapest test, so that a sample still enters every file.
+A run leaves out the listed tests whose cost is above ``HANDCTL_SLOW_S``: `make test` sets 0, CI sets 3, and more for
+tests on the real clock. `make nightly` and a plain pytest run all of them. The cost is processor time, and on the real
+clock elapsed time. In a sample each test function keeps its first cases up to ``FUNCTION_S`` or ``CLOCK_S``, and each
+file keeps at least its cheapest test up to ``FILE_S``, so that a sample still enters every file.
 """
 
 import json
@@ -19,12 +20,14 @@ from pathlib import Path
 import pytest
 
 SLOW_TESTS = Path(__file__).parent / "slow_tests.txt"
-FUNCTION_S = 1.0
+FUNCTION_S = 0.5
 """Processor time that the cases of one test function may take in `make test` [s]."""
-CHEAP_S = 0.1
-"""Processor time of a case that is never slow [s]."""
-CLOCK_S = 12.0
-"""Longest time of a test on the real clock in `make test` [s]. Such a test mostly waits."""
+CLOCK_S = 3.0
+"""Elapsed time that the cases of one test function on the real clock may take in `make test` [s]."""
+CHEAP_S = 0.05
+"""Cost of a case that is never slow [s]."""
+FILE_S = 15.0
+"""Cost of the cheapest test of a file above which a sample leaves out the file [s]."""
 
 
 def slow_tests(limit_s: float) -> frozenset[str]:
@@ -44,7 +47,8 @@ class Durations:
     """Plugin that appends the processor time and the elapsed time of each test to a file.
 
     Attributes:
-        path: a line of JSON per test: node identifier, processor time [s], elapsed time [s].
+        path: a line of JSON per test: node identifier, processor time [s], elapsed time [s], and True for
+            a test on the real clock.
     """
 
     def __init__(self, path: Path) -> None:
@@ -56,31 +60,35 @@ class Durations:
         """Measure one test with its fixtures."""
         processor, elapsed = processor_time(), time.monotonic()
         result = yield
-        row = [item.nodeid, round(processor_time() - processor, 3), round(time.monotonic() - elapsed, 3)]
+        times = (processor_time() - processor, time.monotonic() - elapsed)
+        clock = item.get_closest_marker("realtime") is not None or item.get_closest_marker("alone") is not None
+        row = [item.nodeid, *(round(one, 3) for one in times), clock]
         with self.path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")
         return result
 
 
-def choose(rows: list[tuple[str, float, float]]) -> dict[str, float]:
+def choose(rows: list[tuple[str, float, float, bool]]) -> dict[str, float]:
     """Choose the slow tests, and return the time of each [s].
 
     Args:
-        rows: node identifier, processor time and elapsed time [s] of each test, in the order of the run.
+        rows: node identifier, processor time and elapsed time [s] of each test, and True for a test on the
+            real clock, in the order of the run.
     """
     files: dict[str, list[tuple[float, str]]] = {}
     spent: dict[str, float] = {}
     slow: dict[str, float] = {}
-    for test, processor, elapsed in rows:
-        cost = max(processor, elapsed * FUNCTION_S / CLOCK_S)
+    for test, processor, elapsed, clock in rows:
+        cost = elapsed if clock else processor
         function = re.sub(r"\[.*", "", test, flags=re.DOTALL)
         files.setdefault(test.partition("::")[0], []).append((cost, test))
         spent[function] = spent.get(function, 0.0) + cost
-        if spent[function] > FUNCTION_S and cost > CHEAP_S:
+        if spent[function] > (CLOCK_S if clock else FUNCTION_S) and cost > CHEAP_S:
             slow[test] = cost
     for tests in files.values():
-        if all(test in slow for _, test in tests):
-            del slow[min(tests)[1]]
+        cost, cheapest = min(tests)
+        if all(test in slow for _, test in tests) and cost <= FILE_S:
+            del slow[cheapest]
     return slow
 
 
@@ -91,8 +99,10 @@ def main(path: Path) -> None:
     head = "# Written by `python -m tests.slow`: seconds, test. `make test` leaves these to longer runs."
     lines = [head, *(f"{slow[test]:.1f} {test}" for test in sorted(slow))]
     SLOW_TESTS.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    sample_s = sum(processor for test, processor, _ in rows if test not in slow)
-    print(f"{len(slow)} of {len(rows)} tests are slow; the sample takes {sample_s:.0f} s of a core")
+    sample_s = sum(processor for test, processor, _, clock in rows if test not in slow and not clock)
+    clock_s = sum(elapsed for test, _, elapsed, clock in rows if test not in slow and clock)
+    print(f"{len(slow)} of {len(rows)} tests are slow")
+    print(f"a sample takes {sample_s:.0f} s of a core, and {clock_s:.0f} s on the real clock")
 
 
 if __name__ == "__main__":

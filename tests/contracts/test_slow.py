@@ -6,28 +6,30 @@ from pathlib import Path
 
 import pytest
 
-from tests.slow import CLOCK_S, FUNCTION_S, choose
+from tests.slow import CLOCK_S, FILE_S, FUNCTION_S, choose
 
 ROOT = Path(__file__).parents[2]
 
 
 def test_a_function_keeps_its_first_cases_up_to_the_budget() -> None:
-    rows = [(f"a.py::one[{i}]", 0.4 * FUNCTION_S, 0.0) for i in range(4)]
+    rows = [(f"a.py::one[{i}]", 0.4 * FUNCTION_S, 0.0, False) for i in range(4)]
     assert set(choose(rows)) == {"a.py::one[2]", "a.py::one[3]"}
 
 
-def test_a_file_keeps_its_cheapest_test() -> None:
-    rows = [("a.py::one", 3 * FUNCTION_S, 0.0), ("a.py::two", 2 * FUNCTION_S, 0.0), ("b.py::one", 0.1, 0.0)]
-    assert set(choose(rows)) == {"a.py::one"}
+def test_a_file_keeps_its_cheapest_test_unless_it_takes_long() -> None:
+    rows = [("a.py::one", 3.0, 0.0, False), ("a.py::two", 2.0, 0.0, False)]
+    rows += [("b.py::one", 1.1 * FILE_S, 0.0, False)]
+    assert set(choose(rows)) == {"a.py::one", "b.py::one"}
 
 
 def test_a_test_that_waits_long_is_slow() -> None:
-    rows = [("a.py::one", 0.0, 0.9 * CLOCK_S), ("a.py::two", 0.0, 1.1 * CLOCK_S)]
+    rows = [("a.py::one", 0.0, 0.9 * CLOCK_S, True), ("a.py::two", 0.0, 1.1 * CLOCK_S, True)]
+    rows += [("a.py::three", 0.0, 9.0, False)]
     assert set(choose(rows)) == {"a.py::two"}
 
 
 def test_parameters_with_brackets_and_lines_belong_to_one_function() -> None:
-    rows = [(f"a.py::one[x[{i}]\n]", 0.6 * FUNCTION_S, 0.0) for i in range(2)]
+    rows = [(f"a.py::one[x[{i}]\n]", 0.6 * FUNCTION_S, 0.0, False) for i in range(2)]
     assert set(choose(rows)) == {"a.py::one[x[1]\n]"}
 
 
@@ -36,7 +38,7 @@ def test_only_a_sample_leaves_slow_tests_out(tmp_path: Path, monkeypatch: pytest
     code = "import sys, pathlib, pytest, tests.slow; tests.slow.SLOW_TESTS = pathlib.Path(sys.argv[1]); " + (
         "sys.exit(pytest.main(['--collect-only', '-q', '-p', 'no:cacheprovider', sys.argv[2]]))"
     )
-    name = "tests/contracts/test_slow.py::test_a_file_keeps_its_cheapest_test"
+    name = "tests/contracts/test_slow.py::test_a_file_keeps_its_cheapest_test_unless_it_takes_long"
     long_test = "tests/contracts/test_slow.py::test_a_test_that_waits_long_is_slow"
     (tmp_path / "slow.txt").write_text(f"# head\n2.0 {name}\n4.0 {long_test}\n")
     found = {}

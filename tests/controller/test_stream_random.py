@@ -84,11 +84,17 @@ def limits(name: str, space: str, digit: str) -> tuple[tuple[str, ...], Array, A
     return joints, low, np.array(hand.digit_named(digit).joint_max_deg) * ones
 
 
+FAULTY = ("n_plus_1", "orca_like")
+KNOWN = pytest.mark.xfail(reason="2 of 15 runs end with N14b or T01, see docs/evidence/streaming.md", strict=False)
 CASES = [
     *(("tension", hand, kind) for hand in ("jamia", "jamia_bench", "t42", "n_plus_1") for kind in (noise, steps, sine)),
     ("tension", "jamia11", noise),
     ("tension", "jamia11", sine),
-    *(("digit", hand, kind) for hand in packaged_hands() for kind in (noise, steps, walk)),
+    *(
+        pytest.param("digit", hand, kind, marks=KNOWN if hand in FAULTY else ())
+        for hand in packaged_hands()
+        for kind in (noise, steps, walk)
+    ),
 ]
 SAMPLE = [*CASES[1:14:4], ("digit", "t42", walk), ("digit", "jamia", noise)]
 

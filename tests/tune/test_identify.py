@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from benchmarks.identify import WITHIN, one, summary
+from benchmarks.identify import TOLERANCES, measure_digit, summary
 from handctl.cli.tuning.tune_files import load_tuned_hand
 from handctl.core.identified import UNITS, Identified, identified_hand, torque_gain
 from handctl.errors import ConfigError
@@ -40,9 +40,9 @@ def test_parameters_wrong_by_thirty_percent_are_identified_with_detuned_gains(
     tmp_path: Path, seed: int, digit: str
 ) -> None:
     """A motor without 29 % of its torque is no wrong load cell. A motor with high friction still moves its tendon."""
-    row = one(seed, digit, tmp_path)
+    row = measure_digit(seed, digit, tmp_path)
     assert "failure" not in row
-    assert {parameter["name"] for parameter in row["parameters"]} == WITHIN.keys()
+    assert {parameter["name"] for parameter in row["parameters"]} == TOLERANCES.keys()
     assert [parameter for parameter in row["parameters"] if not parameter["within"]] == []
     assert [
         parameter for parameter in row["parameters"] if abs(parameter["error"]) > 1.6 * parameter["half_width"]
@@ -51,8 +51,8 @@ def test_parameters_wrong_by_thirty_percent_are_identified_with_detuned_gains(
 
 def test_springs_behind_several_tendons_are_found_by_the_joint_encoders(tmp_path: Path) -> None:
     """At 200 Hz inertia and friction of a motor are less accurate, and their intervals show it."""
-    row = one(3, "thumb", tmp_path, "jamia11")
-    assert {parameter["name"] for parameter in row["parameters"]} == WITHIN.keys()
+    row = measure_digit(3, "thumb", tmp_path, "jamia11")
+    assert {parameter["name"] for parameter in row["parameters"]} == TOLERANCES.keys()
     assert [
         parameter for parameter in row["parameters"] if abs(parameter["error"]) > 1.6 * parameter["half_width"]
     ] == []
@@ -63,7 +63,7 @@ def test_springs_behind_several_tendons_are_found_by_the_joint_encoders(tmp_path
 @pytest.mark.timeout(7200)
 def test_intervals_cover_the_parameters_of_a_hundred_hands(tmp_path: Path) -> None:
     digits = load_hand("jamia").digit_names
-    figures = summary([one(seed, digits[seed % 4], tmp_path) for seed in range(1, SEEDS + 1)])
+    figures = summary([measure_digit(seed, digits[seed % 4], tmp_path) for seed in range(1, SEEDS + 1)])
     assert figures["failed"] == []
     assert {name: found["covered"] for name, found in figures["parameters"].items() if found["covered"] < COVERED} == {}
     assert {name: found["within"] for name, found in figures["parameters"].items() if found["within"] < COVERED} == {}
