@@ -71,12 +71,12 @@ def course():
     """A hand of MIT drives that holds a cylinder."""
     with homed_run(hand_with_protocol("jamia", "mit"), 250.0, 0) as begun:
         advance_to(begun, GRASP)
+        begun.until(lambda out: False, 0.6)  # until the tensions are at rest
         yield begun
 
 
 def test_a_warm_drive_pulls_less_and_the_others_as_before(course) -> None:
     """84 degC of 70 to 85: a fifteenth of the way from floor to ceiling, 14 N where 24 N were held."""
-    course.until(lambda out: False, 0.6)
     before = course.peer.truth()["tension"]
     course.peer.inject("hot node=index_motor size=84 for=800ms")
     events = []
