@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.controller.snapshot import restore_state, snapshot_bytes
+from handctl.controller.snapshot import snapshot_bytes
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.programs.requests import Alive, alive_text, is_routine, parse_request
-from tests.controller.test_stream import Client, live
+from tests.controller.test_stream import Client, check_ticks_repeat, live
 
 LEASE_S = 0.5
 
@@ -121,14 +121,7 @@ def test_the_ticks_of_a_lost_client_repeat_to_the_last_bit(jamia: HandModel) -> 
         middle, at = snapshot_bytes(client.run.state), len(client.run.recorded)
         client.wait(2.2 * LEASE_S)
         assert client.outs[-1].mode >= Mode.RELAX
-        controller = client.run.controller
-        for state, ticks in (
-            (controller.initial(), client.run.recorded),
-            (restore_state(controller.layout, middle), client.run.recorded[at:]),
-        ):
-            for entry, out in ticks:
-                state, again = controller.tick(state, entry)
-                assert again.state_hash == out.state_hash
+        check_ticks_repeat(client.run, middle, at)
 
 
 def test_signs_of_life_are_requests() -> None:

@@ -158,14 +158,19 @@ def test_the_ticks_of_a_stream_repeat_to_the_last_bit(jamia: HandModel) -> None:
             client.tick(*([client.target(*angles, 10.0)] if i % 5 == 0 else []))
             if i == 50:
                 middle, at = snapshot_bytes(client.run.state), len(client.run.recorded)
-        controller = client.run.controller
-        for state, ticks in (
-            (controller.initial(), client.run.recorded),
-            (restore_state(controller.layout, middle), client.run.recorded[at:]),
-        ):
-            for entry, out in ticks:
-                state, again = controller.tick(state, entry)
-                assert again.state_hash == out.state_hash
+        check_ticks_repeat(client.run, middle, at)
+
+
+def check_ticks_repeat(run: Simulation, middle: bytes, at: int) -> None:
+    """Check that the recorded ticks repeat to the last bit, from the start and from a snapshot after ``at`` ticks."""
+    controller = run.controller
+    for state, ticks in (
+        (controller.initial(), run.recorded),
+        (restore_state(controller.layout, middle), run.recorded[at:]),
+    ):
+        for entry, out in ticks:
+            state, again = controller.tick(state, entry)
+            assert again.state_hash == out.state_hash
 
 
 @pytest.mark.parametrize("interpolation", ["linear", "minimum_jerk"])

@@ -63,14 +63,15 @@ def apply_requests(
     operator = OperatorRequests()
     events = list[Event]()
     for text in requests:
-        if is_routine(text):
-            events += _apply_routine(model, state, text)
+        if is_target(text):
+            events += apply_target(model, state, parse_target(text), state.whole(s.T_NS))
             continue
         request = parse_request(text)
         if isinstance(request, str):
             events.append(Event("warn", "request", "", request))
             continue
-        events.append(Event("info", "request", "", describe_request(request)))
+        if not is_routine(text):
+            events.append(Event("info", "request", "", describe_request(request)))
         if isinstance(request, Stop):
             operator = replace(operator, stop=True)
         elif isinstance(request, Cut):
@@ -83,16 +84,6 @@ def apply_requests(
         else:
             events += _apply_other(model, program, state, request)
     return operator, tuple(events)
-
-
-def _apply_routine(model: HandModel, state: State, text: str) -> tuple[Event, ...]:
-    """Apply a target or a sign of life. Accepted ones have no event, because there are many."""
-    if is_target(text):
-        return apply_target(model, state, parse_target(text), state.whole(s.T_NS))
-    request = parse_request(text)
-    if isinstance(request, Alive):
-        return renew_lease(state, request.client)
-    return (Event("warn", "request", "", str(request)),)
 
 
 def _apply_other(model: HandModel, program: Program, state: State, request: Request) -> tuple[Event, ...]:

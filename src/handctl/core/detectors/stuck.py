@@ -14,7 +14,7 @@ from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.detectors.residuals import QUICK_FORCE, TENSION
 from handctl.core.estimation.structure import joint_excursion
-from handctl.core.law.reference import STREAMED
+from handctl.core.law.reference import is_tendon_streamed
 
 FOLLOW_S = 0.1
 """Time constant of a motor following a jump of the goal, with a large margin [s]."""
@@ -148,5 +148,4 @@ def filter_goals(x: Tables, c: ConstantTables) -> None:
 @inner
 def _presses(x: Tables, c: ConstantTables, n: int) -> bool:
     """Return True if a tendon of a streamed digit pulls harder than its motion needs."""
-    streamed = x.digit_int[s.TRAJECTORY_KIND, c.tendon_int[h.DIGIT, n]] == STREAMED
-    return streamed and x.tendon[s.TENSION, n] - x.tendon[s.TENSION_GOAL, n] > PRESSED_N
+    return is_tendon_streamed(x, c, n) and x.tendon[s.TENSION, n] - x.tendon[s.TENSION_GOAL, n] > PRESSED_N

@@ -12,7 +12,7 @@ from handctl.core.detectors.bus import Evidence
 from handctl.core.detectors.replays import age_of_repeated_readings
 from handctl.core.estimation.measure import monitored_tension
 from handctl.core.estimation.structure import moment_arm
-from handctl.core.law.reference import STREAMED
+from handctl.core.law.reference import is_tendon_streamed
 from handctl.safety.faults.tendon import (
     CELL_FORCE_N,
     CELL_TICKS,
@@ -105,9 +105,9 @@ def _planned_speed(x: Tables, c: ConstantTables, n: int) -> float:
     without their speed such a tendon would be found half a second later, as slack (T02b).
     """
     speed = 0.0
-    d = c.tendon_int[h.DIGIT, n]
-    if x.digit_int[s.TRAJECTORY_KIND, d] != STREAMED:
+    if not is_tendon_streamed(x, c, n):
         return speed
+    d = c.tendon_int[h.DIGIT, n]
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
         if not math.isnan(x.joint[s.DQ_GOAL, j]):
             speed += moment_arm(c, n, j, x.joint[s.Q_GOAL, j]) * x.joint[s.DQ_GOAL, j]

@@ -31,7 +31,7 @@ from handctl.core.estimation.take_up import SLACK, SLACK_BELOW_N
 from handctl.core.estimation.touch import MAX_PRESS_N
 from handctl.core.law.friction_band import predict_moving_tension
 from handctl.core.law.null_space import INTEGRAL_LIMIT_N, raise_tensions_to_floor
-from handctl.core.law.reference import LIMP, MOTION, NO_TRAJECTORY, STREAMED, TENSION
+from handctl.core.law.reference import LIMP, MOTION, NO_TRAJECTORY, TENSION, is_tendon_streamed
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 
 Vector = NDArray[np.float64]
@@ -253,7 +253,7 @@ def _motion_terms(x: Tables, c: ConstantTables, way: Matrix, limit: Vector) -> t
 @inner
 def _takes_up_slack(x: Tables, c: ConstantTables, n: int) -> bool:
     """Return True for a slack tendon of a streamed digit. One of the two tendons of a spool pair is always taut."""
-    if x.digit_int[s.TRAJECTORY_KIND, c.tendon_int[h.DIGIT, n]] != STREAMED or c.tendon_int[h.PAIR, n]:
+    if c.tendon_int[h.PAIR, n] or not is_tendon_streamed(x, c, n):
         return False
     return x.tendon_int[s.REGIME, n] == SLACK or x.tendon[s.MEASURED_TENSION, n] < SLACK_BELOW_N
 
@@ -280,7 +280,7 @@ def _take_up_slack(x: Tables, c: ConstantTables, way: Matrix, terms: Matrix, int
         internal: (2, N) null-space force and integral [N], modified in place.
     """
     for n in range(x.tendon.shape[1]):
-        if x.digit_int[s.TRAJECTORY_KIND, c.tendon_int[h.DIGIT, n]] != STREAMED or c.tendon_int[h.PAIR, n]:
+        if c.tendon_int[h.PAIR, n] or not is_tendon_streamed(x, c, n):
             continue
         floor = c.tendon[h.FLOOR, n]
         if _takes_up_slack(x, c, n):

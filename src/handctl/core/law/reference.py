@@ -107,6 +107,12 @@ def is_digit_moving(x: Tables, c: ConstantTables, d: int) -> bool:
 
 
 @inner
+def is_tendon_streamed(x: Tables, c: ConstantTables, n: int) -> bool:
+    """Return True if the digit of a tendon follows streamed angles."""
+    return bool(x.digit_int[s.TRAJECTORY_KIND, c.tendon_int[h.DIGIT, n]] == STREAMED)
+
+
+@inner
 def write_required_torque(x: Tables, c: ConstantTables, way: Matrix) -> None:
     """Write the joint torques of the motion: inverse dynamics, springs and damping.
 
