@@ -1,7 +1,7 @@
 """Move a hand, hold a tension, read the observation.
 
 Start in another terminal: handctl sim --hand jamia --bus local:lab --scene none
-Then start: python connect_and_move.py [options of handctl run, e.g. --time-scale 0.3]
+Then start: python connect_and_move.py [options of handctl run, e.g. --rate 250]
 """
 
 import sys

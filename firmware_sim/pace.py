@@ -46,6 +46,7 @@ class Pace:
         wall_s: Callable[[], float] = time.monotonic,
         cpu_s: Callable[[], float] = time.process_time,
         report_line: Callable[[str], None] = lambda line: print(line, file=sys.stderr, flush=True),
+        time_scale: float = 1.0,
     ) -> None:
         """Start to measure.
 
@@ -54,7 +55,9 @@ class Pace:
             wall_s: wall clock [s].
             cpu_s: computing time of this process [s].
             report_line: prints a line.
+            time_scale: asked pace, as plant time per wall time.
         """
+        self._time_scale = time_scale
         self._wall_s = wall_s
         self._cpu_s = cpu_s
         self._report_line = report_line
@@ -95,14 +98,18 @@ class Pace:
         self._slips = self._lost_ns = 0
 
     def report(self, plant_ns: int) -> dict[str, float | None]:
-        """Return the advised pace, and the plant time per computing time since the start."""
+        """Return the asked and the advised pace, and the plant time per computing time since the start."""
         capacity = _ratio(self._start, self._at(plant_ns))
-        return {"advice": self.advice, "plant_s_per_cpu_s": capacity if math.isfinite(capacity) else None}
+        return {
+            "time_scale": self._time_scale,
+            "advice": self.advice,
+            "plant_s_per_cpu_s": capacity if math.isfinite(capacity) else None,
+        }
 
     def _too_slow(self, seconds: float) -> str:
         """Return the line for a machine that is too slow."""
         lost = f"clock slipped {self._slips} times in {seconds:.1f} s, {self._lost_ns / 1e6:.0f} ms given up"
-        return f"firmware_sim: {lost}: this machine keeps --time-scale {self.advice:g}, on both sides of the bus"
+        return f"firmware_sim: {lost}: this machine keeps --time-scale {self.advice:g}"
 
     def _advise(self, now: Mark) -> None:
         """Update the advice from the pace since the last report."""

@@ -127,7 +127,7 @@ class Server:
         """
         self._faults = faults
         self._priority = priority
-        self.pace = Pace(world.t_ns)
+        self.pace = Pace(world.t_ns, time_scale=clock.scale)
         self._world = world
         self._ports = ports
         self._clock = clock

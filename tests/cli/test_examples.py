@@ -13,6 +13,7 @@ import pytest
 
 from handctl.cli.main import FOLDERS
 from handctl.cli.parsing.parser import RUNNING_HAND
+from tests.runtime.processes import SCALE
 
 EXAMPLES = {
     words: example
@@ -79,9 +80,9 @@ def wait_for(terminal, command):
 
 
 @pytest.mark.realtime
-def test_examples_work_beside_a_simulator_and_a_running_hand(terminal, others):
+def test_examples_work_beside_a_simulator_and_a_running_hand(terminal, others, slower):
     simulator, run = EXAMPLES["stop"].beside
-    others(simulator)
+    others(f"{simulator} --time-scale {SCALE * slower:g}")
     wait_for(terminal, "handctl fault kinds --bus local:demo")
     for words in BESIDE_A_SIMULATOR:
         if words != "fault inject":  # its fault would disturb the run

@@ -175,6 +175,7 @@ def test_the_doctor_fails_if_something_needs_a_repair(monkeypatch, capsys, good)
     for name in (
         "_check_priority",
         "_check_memory",
+        "_check_wakeups",
         "_check_socketcan",
         "_check_interfaces",
         "_check_vulkan",
@@ -185,6 +186,29 @@ def test_the_doctor_fails_if_something_needs_a_repair(monkeypatch, capsys, good)
     monkeypatch.setattr(doctor, "_check_memory", lambda: ("locked memory", good, "allow it"))
     assert main(["doctor"]) == (0 if good else 1)
     assert main(["doctor", "--json"]) == (0 if good else 1)
+
+
+@pytest.mark.parametrize(
+    ("late_s", "stolen", "good", "text"),
+    [(0.0005, 0, True, "0.5 ms late in 1 s"), (0.005, 30, False, "5.0 ms late in 1 s, a hypervisor took 15.0 %")],
+)
+def test_the_doctor_measures_wake_ups(monkeypatch, late_s, stolen, good, text):
+    from handctl.cli.checks import doctor
+
+    now, ticks = [0.0], iter([(1000, 10), (1200, 10 + stolen)])
+    monkeypatch.setattr(doctor.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(doctor.time, "sleep", lambda s: now.__setitem__(0, now[0] + s + late_s))
+    monkeypatch.setattr(doctor, "_processor_ticks", lambda: next(ticks))
+    what, is_good, fix = doctor._check_wakeups()
+    assert (text in what, is_good) == (True, good)
+    assert "--time-scale" in fix
+
+
+def test_the_time_of_all_cores_contains_the_stolen_part():
+    from handctl.cli.checks.doctor import _processor_ticks
+
+    total, stolen = _processor_ticks()
+    assert total >= stolen >= 0
 
 
 def test_each_gain_is_shown_with_meaning_and_bounds(capsys):

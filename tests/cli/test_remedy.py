@@ -61,7 +61,7 @@ def test_the_pace_that_is_advised_is_measured(
     monkeypatch.setattr(pace, "ask_simulator", lambda path, question: told if question == {"pace": True} else {})
     monkeypatch.setattr(pace, "usable_cores", lambda: 2)
     plan = Plan(load_hand("jamia"), Gains(), 500.0, (0.6,), ("local:lab",))
-    assert pace_advice(plan, ended(*LATE, cpu_s=cpu_s)).endswith(f"--time-scale {number:g} on both sides")
+    assert pace_advice(plan, ended(*LATE, cpu_s=cpu_s)).endswith(f"handctl sim with --time-scale {number:g}")
 
 
 def test_simulator_and_controller_share_a_core(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -150,10 +150,10 @@ def test_values_are_checked_before_they_are_sent(place):
 @pytest.mark.realtime
 @pytest.mark.alone
 @pytest.mark.parametrize("example", range(3))
-def test_the_programs_of_the_page_run(place, processes, example):
+def test_the_programs_of_the_page_run(place, processes, scale, example):
     programs = re.findall(r"^```python[^\n]*\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
     assert len(programs) == 3
-    simulator = start_handctl("sim", "--hand", "jamia", "--bus", "local:lab")
+    simulator = start_handctl("sim", "--hand", "jamia", "--bus", "local:lab", *scale)
     processes.append(simulator)
     assert select.select([simulator.stdout], [], [], READY_S)[0]
     (place / "example.py").write_text(programs[example])

@@ -33,6 +33,23 @@ def find_simulator(bus: str | None) -> Path:
     return sockets[0]
 
 
+def simulated_time_scale(bus: str) -> float | None:
+    """Return the time scale of the simulator on a bus, or None if no simulator of this machine serves it.
+
+    Raises:
+        BusError: the simulator does not answer.
+        ConfigError: ``bus`` is not a valid bus specification.
+    """
+    path = find_simulator(bus)
+    try:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
+            probe.connect(str(path))
+    except OSError:
+        return None  # no socket, or the socket of a simulator that was killed
+    pace: dict[str, float | None] = ask_simulator(path, {"pace": True}).get("pace", {})
+    return pace.get("time_scale")
+
+
 def ask_simulator(path: Path, question: dict[str, Any]) -> dict[str, Any]:
     """Send a request to a simulator and return its answer.
 

@@ -17,6 +17,7 @@ from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
 from handctl.hand.readiness import reasons_not_ready
 from handctl.runtime.buses.open import check_spec, real_buses
+from handctl.runtime.simulator import simulated_time_scale
 from handctl.session.gains import layered_gains
 from handctl.session.notices import NoticeCallback, Progress, ignore_notice, ignore_progress
 
@@ -95,7 +96,7 @@ class Choice:
         gains: gains file, or None for the hand's own gains.
         gain: KEY=VALUE words, which override every file.
         rate: control rate [Hz], or None for the highest usual rate.
-        time_scale: run time divided by wall time.
+        time_scale: run time divided by wall time, or None for that of the simulator on the bus.
         log: log file to write, or None.
         clear: True to clear the latched errors of the drives.
     """
@@ -106,7 +107,7 @@ class Choice:
     gains: Path | None = None
     gain: Sequence[str] = ()
     rate: float | None = None
-    time_scale: float = 1.0
+    time_scale: float | None = None
     log: Path | None = None
     clear: bool = False
 
@@ -132,27 +133,34 @@ def make_plan(
     loads = bus_loads(hand)
     rate = control_rate(choice.rate, hand, loads)
     load = tuple(one.at(rate) for one in loads)
-    check_time_scale(choice.time_scale, real_buses(buses))
+    time_scale = chosen_time_scale(choice.time_scale, buses)
     _check_log(choice.log)
     attachments = {"gains.toml": layers.file.read_bytes()} if layers.file else {}
-    return Plan(hand, layers.gains, rate, load, buses, attachments, choice.time_scale, choice.clear, display, tell)
+    return Plan(hand, layers.gains, rate, load, buses, attachments, time_scale, choice.clear, display, tell)
 
 
-def check_time_scale(time_scale: float, real: Sequence[str]) -> None:
-    """Raise an error for a time scale out of range, or for one that is not 1 on a real bus.
+def chosen_time_scale(chosen: float | None, buses: Sequence[str]) -> float:
+    """Return the time scale of a run: as chosen, or that of the simulator on the buses, or 1.
 
     Args:
-        time_scale: simulated seconds in a second.
-        real: specifications of the buses that may have real motors.
+        chosen: simulated seconds in a second, or None.
+        buses: specification of each bus, empty in lockstep.
 
     Raises:
-        ConfigError: the time scale is wrong.
+        ConfigError: the time scale is out of range, is not 1 on a real bus, or is not that of the
+            simulator.
     """
-    if not 0.001 <= time_scale <= 100:
-        raise ConfigError(f"{time_scale:g}", "--time-scale", "0.001 to 100")
-    if real and time_scale != 1:
-        right = "1, or a bus of simulated ones: local:NAME, socketcan:vcan0"
-        raise ConfigError(f"{time_scale:g}, and {real[0]} may have real motors", "--time-scale", right)
+    if chosen is not None and not 0.001 <= chosen <= 100:
+        raise ConfigError(f"{chosen:g}", "--time-scale", "0.001 to 100")
+    if real := real_buses(buses):
+        if chosen not in (None, 1.0):
+            right = "1, or a bus of simulated ones: local:NAME, socketcan:vcan0"
+            raise ConfigError(f"{chosen:g}, and {real[0]} may have real motors", "--time-scale", right)
+        return 1.0
+    simulated = simulated_time_scale(buses[0]) if buses else None  # the first bus has the socket for requests
+    if chosen is not None and simulated not in (None, chosen):
+        raise ConfigError(f"{chosen:g}", "--time-scale", f"{simulated:g}, as the simulator on {buses[0]} has")
+    return next((one for one in (chosen, simulated) if one is not None), 1.0)
 
 
 def _refuse_unnamed(choice: Choice, hand: Hand, buses: Sequence[str]) -> None:

@@ -24,7 +24,7 @@ from handctl.runtime.diagnostics.watch import STALE_S, BusWatch, is_saturated
 from handctl.runtime.mailbox import bus_lock, is_running
 from handctl.session.defaults import DEFAULT_HAND
 from handctl.session.exit_codes import ExitCode
-from handctl.session.plan import bus_specs, check_time_scale, highest_rate_of_buses
+from handctl.session.plan import bus_specs, chosen_time_scale, highest_rate_of_buses
 
 HIGHEST_HZ = 100.0
 """Rate of the requests [Hz], if the bus load allows it."""
@@ -37,9 +37,9 @@ MAX_WATCH_S = 86400.0
 
 def run(args: argparse.Namespace) -> int:
     """Show the readings until Ctrl-C, or for a time. Returns 1 if a drive does not reply at the end."""
-    specs, hand = _choices(args)
+    specs, hand, time_scale = _choices(args)
     drives = make_drives(hand)
-    clock = RealClock(round(1e9 / min(HIGHEST_HZ, highest_rate_of_buses(bus_loads(hand)))), args.time_scale)
+    clock = RealClock(round(1e9 / min(HIGHEST_HZ, highest_rate_of_buses(bus_loads(hand)))), time_scale)
     for spec in specs:
         if is_running(spec):
             right = "no running controller: its own display and handctl run --view show the readings"
@@ -67,8 +67,8 @@ def run(args: argparse.Namespace) -> int:
     return ExitCode.FAILED if silent else ExitCode.DONE
 
 
-def _choices(args: argparse.Namespace) -> tuple[tuple[str, ...], Hand]:
-    """Return the specification of each bus, and the hand.
+def _choices(args: argparse.Namespace) -> tuple[tuple[str, ...], Hand, float]:
+    """Return the specification of each bus, the hand, and the time scale.
 
     Raises:
         ConfigError: an argument is missing or out of range, or no hand is named on a real bus.
@@ -78,11 +78,11 @@ def _choices(args: argparse.Namespace) -> tuple[tuple[str, ...], Hand]:
     if args.duration is not None and not 0.0 < args.duration <= MAX_WATCH_S:
         raise ConfigError(f"{args.duration:g}", "--for", f"more than 0, at most {MAX_WATCH_S:g}")
     real = real_buses([text.rpartition("=")[2] for text in args.bus])
-    check_time_scale(args.time_scale, real)
     if real and args.hand is None:
         raise ConfigError(f"no hand is named, and {real[0]} may have real motors", "--hand", "the file of that hand")
     hand = load_hand(args.hand or DEFAULT_HAND)
-    return bus_specs(hand, args.bus), hand
+    specs = bus_specs(hand, args.bus)
+    return specs, hand, chosen_time_scale(args.time_scale, specs)
 
 
 def _show(args: argparse.Namespace, hand: Hand, watch: BusWatch, ended: TerminationFlag) -> None:

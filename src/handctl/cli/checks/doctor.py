@@ -5,6 +5,7 @@ import platform
 import shutil
 import socket
 import sys
+import time
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -13,9 +14,16 @@ from handctl.cli.console.options import print_json
 from handctl.cli.console.verbosity import is_quiet, is_verbose, print_detail
 from handctl.errors import BusError
 from handctl.extras import extras_installed
-from handctl.runtime.clock import Priority, give_back_priority, take_priority
+from handctl.runtime.clock import Priority, give_back_priority, realtime_priority, take_priority
 from handctl.runtime.paths import run_dir
 from handctl.session.exit_codes import ExitCode
+
+WATCH_S = 1.0
+"""Time in which wake-ups are measured [s]."""
+SLEEP_S = 0.001
+"""Time between two wake-ups [s]."""
+MAX_LATE_S = 0.002
+"""Largest lateness of a good machine [s], one tick at 500 Hz."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -23,6 +31,7 @@ def run(args: argparse.Namespace) -> int:
     findings = [
         _check_priority(),
         _check_memory(),
+        _check_wakeups(),
         _check_socketcan(),
         _check_interfaces(),
         _check_vulkan(),
@@ -92,6 +101,38 @@ def _check_memory() -> Finding:
         granted,
         "allow it: ulimit -l unlimited, or a line 'USER - memlock unlimited' in limits.conf",
     )
+
+
+def _check_wakeups() -> Finding:
+    """Check how late a sleeping control process would be woken, and if a hypervisor takes the processor away."""
+    begin, ticks = time.monotonic(), _processor_ticks()
+    latest = 0.0
+    with realtime_priority():
+        while (sleep := time.monotonic()) < begin + WATCH_S:
+            time.sleep(SLEEP_S)
+            latest = max(latest, time.monotonic() - sleep - SLEEP_S)
+    total, stolen = (after - before for before, after in zip(ticks, _processor_ticks(), strict=True))
+    taken = f", a hypervisor took {100 * stolen / total:.1f} % of the processor" if stolen else ""
+    return (
+        f"wake-ups at most {1e3 * latest:.1f} ms late in {WATCH_S:g} s{taken}",
+        latest < MAX_LATE_S,
+        "end other programs, or use a computer that is no virtual machine; slow a simulated hand: "
+        "handctl sim --time-scale 0.3",
+    )
+
+
+def _processor_ticks() -> tuple[int, int]:
+    """Return the time of all cores since the start, and the part that a hypervisor gave to other machines.
+
+    The unit is the clock tick of the kernel. The part is the field ``steal`` of ``/proc/stat`` (Linux
+    ``proc_stat(5)``). Both are 0 on other systems.
+    """
+    try:
+        first_line = Path("/proc/stat").read_text().splitlines()[0]
+    except OSError:
+        return 0, 0
+    ticks = [int(word) for word in first_line.split()[1:9]]
+    return sum(ticks), ticks[7]
 
 
 def _check_socketcan() -> Finding:

@@ -148,10 +148,20 @@ def yes_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--yes", action="store_true", help="on a real bus: move at once, do not ask")
 
 
-def time_scale_option(parser: argparse.ArgumentParser, more: str = "") -> None:
-    """Declare --time-scale: simulated time per wall time, used by controller and simulator."""
-    text = "simulated time per wall time" + more
-    parser.add_argument("--time-scale", type=float, default=1.0, metavar="X", help=text)
+def time_scale_option(
+    parser: argparse.ArgumentParser,
+    default: float | None = None,
+    default_text: str = "that of the simulator on the bus, otherwise 1",
+) -> None:
+    """Declare --time-scale: simulated time per wall time.
+
+    Args:
+        parser: parser of a verb.
+        default: value without the option.
+        default_text: the default in words.
+    """
+    text = f"simulated time per wall time (default: {default_text})"
+    parser.add_argument("--time-scale", type=float, default=default, metavar="X", help=text)
 
 
 def gains_options(parser: argparse.ArgumentParser) -> None:

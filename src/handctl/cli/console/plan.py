@@ -144,6 +144,6 @@ def refuse_bus_options(args: argparse.Namespace) -> None:
     Raises:
         ConfigError: such an option is given.
     """
-    for option, is_set in (("--clear", args.clear), ("--time-scale", args.time_scale != 1.0)):
+    for option, is_set in (("--clear", args.clear), ("--time-scale", args.time_scale is not None)):
         if is_set:
             raise ConfigError("only with --bus", option, "a run in lockstep without it")

@@ -56,7 +56,7 @@ def demo(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND.mcap)")
     parser.add_argument("--view", action="store_true", help="show the run live in Rerun")
-    time_scale_option(parser, " (default: 1, and less if this machine cannot keep up)")
+    time_scale_option(parser, 1.0, "1, and less if this machine cannot keep up")
     perturb_option(parser)
     text = "take what it says was identified; the simulated hand is commissioned all the same"
     parser.add_argument("--calibration", type=Path, metavar="FILE", help=text)
@@ -145,4 +145,4 @@ def sim(parser: argparse.ArgumentParser) -> None:
     text = "serial number of the simulated drives: each adds its number on the bus, or of one motor alone"
     parser.add_argument("--serial", action="append", default=[], metavar="[MOTOR=]NUMBER", help=text)
     wire_option(parser)
-    time_scale_option(parser)
+    time_scale_option(parser, 1.0, "1")

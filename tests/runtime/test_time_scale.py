@@ -1,0 +1,44 @@
+"""The time scale of a run: that of the simulator on its bus, unless the operator chooses one."""
+
+import pytest
+
+from handctl.errors import ConfigError
+from handctl.session.plan import Choice, make_plan
+from tests.runtime.processes import BUS, handctl, scaled, start_hand
+
+
+@pytest.fixture
+def slow_hand(place, processes):
+    """Start a simulated hand at 0.3 of real time."""
+    processes.append(start_hand(place / "truth", "--hand", "jamia", *scaled(0.3)))
+    return processes[-1]
+
+
+def time_scale_of(**choice):
+    return make_plan(Choice("jamia", bus=[BUS], **choice)).time_scale
+
+
+def test_a_run_has_the_time_scale_of_the_simulator_on_its_bus(slow_hand):
+    assert time_scale_of() == 0.3
+    assert time_scale_of(time_scale=0.3) == 0.3
+    with pytest.raises(ConfigError, match=r"--time-scale: 1; expected 0\.3, as the simulator on local:t has"):
+        time_scale_of(time_scale=1.0)
+
+
+def test_a_wrong_time_scale_is_refused_before_the_bus_is_opened(slow_hand):
+    for verb in (("run", "--task", "short.toml"), ("bus", "watch", "--for", "1"), ("commission",)):
+        ended = handctl(*verb, "--hand", "jamia", "--bus", BUS, *scaled(1.0))
+        assert ended.returncode == 2
+        assert "expected 0.3" in ended.stderr
+
+
+def test_without_a_simulator_a_run_has_real_time(place):
+    assert time_scale_of() == 1.0
+    assert time_scale_of(time_scale=0.5) == 0.5
+    assert make_plan(Choice("jamia")).time_scale == 1.0
+
+
+def test_the_socket_of_a_killed_simulator_is_passed_over(slow_hand):
+    slow_hand.kill()
+    slow_hand.wait()
+    assert time_scale_of() == 1.0
