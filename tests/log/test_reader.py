@@ -19,7 +19,7 @@ from mcap.writer import Writer
 
 from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.errors import LogError
-from handctl.log.read.logfile import Reading
+from handctl.log.read.logfile import LogErrorContext
 from handctl.log.read.reader import RunLog
 from handctl.log.record import TickRecord, pack_tick_record
 from handctl.log.write.recorder import Recorder
@@ -211,5 +211,5 @@ def test_a_log_of_another_version_is_refused(tmp_path: Path, monkeypatch: pytest
 
 
 def test_missing_part_of_a_log_is_named() -> None:
-    with pytest.raises(LogError, match="damaged log: '/tick' is missing"), Reading("a.mcap"):
+    with pytest.raises(LogError, match="damaged log: '/tick' is missing"), LogErrorContext("a.mcap"):
         raise KeyError("/tick")

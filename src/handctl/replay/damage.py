@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from handctl.errors import LogError
 from handctl.log.read.chunk_reader import iter_messages, schemas_and_channels
-from handctl.log.read.logfile import ChunkLocation, LogFile, Reading
+from handctl.log.read.logfile import ChunkLocation, LogErrorContext, LogFile
 from handctl.log.read.reader import VALUES_END, VALUES_START
 from handctl.log.read.record_scan import RecordScan
 from handctl.log.read.recover import scan_damaged
@@ -44,7 +44,7 @@ def first_damage(path: Path) -> str:
         for chunk in scan.chunks:
             content, defect = _intact_content(file, chunk)
             try:
-                with Reading(file.at(chunk.offset)):
+                with LogErrorContext(file.at(chunk.offset)):
                     channels = channels or _channel_ids(content)
                     ticks = list(_chunk_ticks(content, chunk, channels))
             except LogError as error:

@@ -20,8 +20,8 @@ BY_HAND = "edited by hand"
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
-    """Entry of the history.
+class StoredGains:
+    """Gains of the history.
 
     Attributes:
         path: path of the file in the history.
@@ -66,14 +66,14 @@ class GainsStore:
         """
         return load_gains_file(self.path) if self.path.exists() else None
 
-    def entries(self) -> list[Entry]:
+    def entries(self) -> list[StoredGains]:
         """Return all gains applied so far, oldest first.
 
         Raises:
             ConfigError: A file of the history cannot be used.
         """
         paths = sorted(self.history.glob("[0-9][0-9][0-9][0-9].toml"))
-        return [Entry(path, load_gains_file(path)) for path in paths]
+        return [StoredGains(path, load_gains_file(path)) for path in paths]
 
     def set_aside(self) -> Path | None:
         """Rename the file of the present gains if it cannot be used, and return the new path.
@@ -172,7 +172,7 @@ class GainsStore:
         return load_gains_file(self.path)
 
 
-def _previous_number(entries: dict[int, Entry], present: GainsFile) -> int:
+def _previous_number(entries: dict[int, StoredGains], present: GainsFile) -> int:
     """Return the number of the gains that were present before the present gains.
 
     After a rollback the restored number counts as the present number.

@@ -18,7 +18,7 @@ from handctl.programs.requests import REFUSED_PREFIX
 from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import assignments, gains_for
 from handctl.session.plan import check_design
-from handctl.tune.gains_store import Entry, GainsStore
+from handctl.tune.gains_store import GainsStore, StoredGains
 
 TAKEN_OVER_S = 3.0
 """Longest time for a running controller to design gains and switch to them [s]."""
@@ -202,7 +202,7 @@ def _number_text(present: Any) -> int:
     return present.provenance.number if present else 0
 
 
-def _entry_line(entry: Entry, entries: list[Entry]) -> str:
+def _entry_line(entry: StoredGains, entries: list[StoredGains]) -> str:
     """Return an entry of the history as one line: time, sources, and the first three changed gains."""
     before = {one.number: one.file.gains for one in entries}.get(entry.file.provenance.replaces, Gains())
     old = values_by_key(before)

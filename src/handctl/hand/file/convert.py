@@ -56,7 +56,7 @@ class Entry:
 
 
 @dataclass
-class Block:
+class TomlTable:
     """A table of the file, or its root.
 
     Attributes:
@@ -69,7 +69,7 @@ class Block:
     entries: list[Entry]
     before: list[str] = field(default_factory=list)
     comment: str = ""
-    held: dict[str, dict[str, "Block"]] = field(default_factory=lambda: {kind: {} for kind in DIGIT_KINDS})
+    held: dict[str, dict[str, "TomlTable"]] = field(default_factory=lambda: {kind: {} for kind in DIGIT_KINDS})
 
     def values(self) -> dict[str, Any]:
         """Return the values by key."""
@@ -117,17 +117,17 @@ def convert_to_schema_2(text: str, source: str) -> str:
     return re.sub(r"\n{3,}", "\n\n", "\n".join(lines).strip("\n")) + "\n"
 
 
-def _parse_blocks(document: tomlkit.TOMLDocument) -> tuple[Block, list[tuple[str, Block]]]:
+def _parse_blocks(document: tomlkit.TOMLDocument) -> tuple[TomlTable, list[tuple[str, TomlTable]]]:
     """Return the root and the tables of a document in order, each with the comments before its header."""
-    root = Block([])
-    tables: list[tuple[str, Block]] = []
+    root = TomlTable([])
+    tables: list[tuple[str, TomlTable]] = []
     last = root
     for key, item in document.body:
         if key is None or not isinstance(item, Table | AoT):
             last.entries += _parse_entry(key.key if key else "", item)
             continue
         for table in item.body if isinstance(item, AoT) else [item]:
-            block = Block([], _trailing_comments(last), table.trivia.comment)
+            block = TomlTable([], _trailing_comments(last), table.trivia.comment)
             for name, value in table.value.body:
                 block.entries += _parse_entry(name.key if name else "", value)
             tables.append((key.key, block))
@@ -147,7 +147,7 @@ def _parse_entry(key: str, item: Item) -> list[Entry]:
     return [Entry(key, item.as_string().strip(), item.unwrap(), item.trivia.comment)]
 
 
-def _trailing_comments(block: Block) -> list[str]:
+def _trailing_comments(block: TomlTable) -> list[str]:
     """Remove the comment lines at the end of a table, and return them. They belong to the next table."""
     trailing: list[str] = []
     while len(block.entries) > 1 and not block.entries[-1].key:
@@ -155,7 +155,7 @@ def _trailing_comments(block: Block) -> list[str]:
     return trailing
 
 
-def _take_common_values(kind: str, blocks: Sequence[Block]) -> list[Entry]:
+def _take_common_values(kind: str, blocks: Sequence[TomlTable]) -> list[Entry]:
     """Remove the values that all sections of a kind have in common, and return them."""
     if kind == "digit":
         for block in blocks:
@@ -166,7 +166,7 @@ def _take_common_values(kind: str, blocks: Sequence[Block]) -> list[Entry]:
     return _take_shared_values(blocks, lambda key, value: key not in kept)
 
 
-def _take_shared_values(blocks: Sequence[Block], can_be: Callable[[str, Any], bool]) -> list[Entry]:
+def _take_shared_values(blocks: Sequence[TomlTable], can_be: Callable[[str, Any], bool]) -> list[Entry]:
     """Remove the values that all blocks have in common, and return them with all their comments."""
     first = blocks[0].values()
     others = [block.values() for block in blocks[1:]]
@@ -189,7 +189,7 @@ def _are_equal(one: Any, other: Any) -> bool:
     return bool(one == other) and isinstance(one, bool) == isinstance(other, bool)
 
 
-def _shorten_lists_per_link(block: Block) -> None:
+def _shorten_lists_per_link(block: TomlTable) -> None:
     """Write one number for a list of equal numbers per link."""
     for entry in block.entries:
         values = entry.value
@@ -201,7 +201,7 @@ def _shorten_lists_per_link(block: Block) -> None:
             entry.value = values[0]
 
 
-def _shorten_sensor_node(others: Sequence[tuple[str, Block]], sections: dict[str, list[Block]]) -> None:
+def _shorten_sensor_node(others: Sequence[tuple[str, TomlTable]], sections: dict[str, list[TomlTable]]) -> None:
     """Write all tendons, and all joints, as one word."""
     digits = [block.values() for block in sections["digit"]]
     names = {
@@ -214,9 +214,9 @@ def _shorten_sensor_node(others: Sequence[tuple[str, Block]], sections: dict[str
                 entry.text = f'"{WORD_FOR_ALL}"'
 
 
-def _move_into_digits(kind: str, sections: dict[str, list[Block]]) -> None:
+def _move_into_digits(kind: str, sections: dict[str, list[TomlTable]]) -> None:
     """Move the tendons or motors into the digits whose names they have, if all of them can."""
-    moved: list[tuple[Block, str, Block]] = []
+    moved: list[tuple[TomlTable, str, TomlTable]] = []
     digits = {block.values()["name"]: block for block in sections["digit"]}
     for block in sections[kind]:
         name = str(block.values()["name"])
@@ -245,19 +245,19 @@ def _move_into_digits(kind: str, sections: dict[str, list[Block]]) -> None:
         digit.held[kind][short] = block
     sections[kind].clear()
     if comments:
-        sections[kind].append(Block([], comments))
+        sections[kind].append(TomlTable([], comments))
 
 
-def _take_templates(digits: Sequence[Block]) -> dict[str, Block]:
+def _take_templates(digits: Sequence[TomlTable]) -> dict[str, TomlTable]:
     """Remove the values that digits of the same links have in common, and return them as templates."""
-    groups: dict[str, list[Block]] = {}
+    groups: dict[str, list[TomlTable]] = {}
     for block in digits:
         groups.setdefault(str(block.values().get("link_length_m")), []).append(block)
-    templates: dict[str, Block] = {}
+    templates: dict[str, TomlTable] = {}
     for group in groups.values():
         if len(group) < MIN_SECTIONS_TO_SHARE or "link_length_m" not in group[0].values():
             continue
-        template = Block(_take_shared_values(group, lambda key, value: key not in INDIVIDUAL_KEYS["digit"]))
+        template = TomlTable(_take_shared_values(group, lambda key, value: key not in INDIVIDUAL_KEYS["digit"]))
         for kind in DIGIT_KINDS:
             # Entries of a template come before those of its digits. After the first that the digits do not share,
             # a further one would change the order.
@@ -268,7 +268,7 @@ def _take_templates(digits: Sequence[Block]) -> dict[str, Block]:
                 common = _take_shared_values(held, lambda key, value: key != "node_id")
                 if not common:
                     break
-                template.held[kind][short] = Block(common)
+                template.held[kind][short] = TomlTable(common)
         name = "finger" if not templates else f"finger_{len(templates) + 1}"
         templates[name] = template
         for block in group:
@@ -278,7 +278,7 @@ def _take_templates(digits: Sequence[Block]) -> dict[str, Block]:
 
 
 def _kind_lines(
-    kind: str, default: Sequence[Entry], templates: dict[str, Block], sections: Sequence[Block]
+    kind: str, default: Sequence[Entry], templates: dict[str, TomlTable], sections: Sequence[TomlTable]
 ) -> list[str]:
     """Return the lines of the default, the templates and the sections of a kind."""
     lines = ["", *(sections[0].before if sections else [])]
@@ -293,12 +293,12 @@ def _kind_lines(
     return lines
 
 
-def _header_comment(block: Block) -> str:
+def _header_comment(block: TomlTable) -> str:
     """Return the comment behind a header."""
     return f"   {block.comment}" if block.comment else ""
 
 
-def _table_lines(block: Block, header: str) -> list[str]:
+def _table_lines(block: TomlTable, header: str) -> list[str]:
     """Return the lines of a table, and of the tendons and motors that it holds."""
     lines = [entry.line() for entry in block.entries]
     tables: list[str] = []

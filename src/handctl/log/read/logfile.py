@@ -29,8 +29,8 @@ DAMAGE_ERRORS = (
 """Exceptions raised in the reading code by a bad file."""
 
 
-class Reading:
-    """Context `with Reading(where)` that converts an error from a bad file to a LogError with the position.
+class LogErrorContext:
+    """Context `with LogErrorContext(where)` that converts an error from a bad file to a LogError with the position.
 
     This is a class for speed, because a log is read in thousands of pieces. A generator would be
     slower.
@@ -153,7 +153,7 @@ class LogFile:
         """
         if self._latest and self._latest[0] == chunk:
             return self._latest[1]
-        with Reading(self.at(chunk.offset)):
+        with LogErrorContext(self.at(chunk.offset)):
             packed = self.read(chunk.data, chunk.end - chunk.data)
             content = _decompress(packed, chunk)
             if len(content) != chunk.size:

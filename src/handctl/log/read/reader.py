@@ -15,7 +15,7 @@ from handctl.errors import LogError
 from handctl.log.batch import FIXED_DTYPE, column_count, columns_of_fields, row_fields
 from handctl.log.header import RunHeader
 from handctl.log.read.chunk_reader import Definitions, MessageRows, iter_messages, schemas_and_channels
-from handctl.log.read.logfile import ChunkLocation, LogFile, Reading
+from handctl.log.read.logfile import ChunkLocation, LogErrorContext, LogFile
 from handctl.log.read.record_scan import RecordScan, scan_records
 from handctl.log.read.timeline import Gap, LoggedEvent, PhaseChange
 from handctl.log.record import TickRecord, message_layout, unpack_tick, unpack_ticks
@@ -129,7 +129,7 @@ class RunLog:
             self.warning = scan.problem
             if "handctl.run" not in scan.metadata or not scan.chunks:
                 raise LogError("no run of handctl in the file", self._file.name, "a log that handctl wrote")
-            with Reading(self._file.name):
+            with LogErrorContext(self._file.name):
                 self.header = _read_header(scan)
             self.end = scan.metadata.get("handctl.end", {})
             self._tick, self._values, self._others = self._channels()
@@ -156,7 +156,7 @@ class RunLog:
 
     def _channels(self) -> tuple[int, int, dict[str, int]]:
         """Return the channel ids of the ticks, of the telemetry, and of all topics."""
-        with Reading(self._file.at(self._chunks[0].offset)):
+        with LogErrorContext(self._file.at(self._chunks[0].offset)):
             definitions_of_log: Definitions = schemas_and_channels(self._file.content(self._chunks[0]))
             topics = {topic: number for number, _, topic, _, _ in definitions_of_log.channels}
             return topics[TICK_TOPIC], topics[VALUES_TOPIC], topics
@@ -174,7 +174,7 @@ class RunLog:
         if self._latest is None or self._latest[0] is not chunk:
             content = self._file.content(chunk)
             rows_by_channel: dict[int, list[MessageRows]] = {}
-            with Reading(self._file.at(chunk.offset)):
+            with LogErrorContext(self._file.at(chunk.offset)):
                 for rows in iter_messages(content, chunk.end - chunk.data):
                     rows_by_channel.setdefault(rows.channel, []).append(rows)
             self._latest = chunk, rows_by_channel
@@ -190,7 +190,7 @@ class RunLog:
             before = len(parts)
             for rows in self._rows_of(chunk, self._tick):
                 data = rows.data()
-                with Reading(self._file.at(chunk.offset)):
+                with LogErrorContext(self._file.at(chunk.offset)):
                     if data.shape[1] < 4 + FIXED_DTYPE.itemsize:
                         raise ValueError("a tick that is too short")
                     # Four bytes of CDR encapsulation precede the constant part.
@@ -281,7 +281,7 @@ class RunLog:
         Logs of earlier versions lack the last of TELEMETRY_FIELDS.
         """
         for chunk, rows in self._rows(self._values):
-            with Reading(self._file.at(chunk.offset)):
+            with LogErrorContext(self._file.at(chunk.offset)):
                 return row_fields(self.header, (rows.data().shape[1] - VALUES_START + VALUES_END) // 8)
         return TELEMETRY_FIELDS
 
@@ -317,7 +317,7 @@ class RunLog:
         size = VALUES_START + 8 * self._width + 4
         for chunk, rows in self._rows(self._values, chunks):
             data = rows.data()
-            with Reading(self._file.at(chunk.offset)):
+            with LogErrorContext(self._file.at(chunk.offset)):
                 if data.shape[1] != size:
                     raise ValueError("telemetry of another shape than in the header")
             yield data[:, VALUES_START:VALUES_END], rows.sequence()
@@ -352,7 +352,7 @@ class RunLog:
         pairs = []
         if CLOCK_TOPIC in self._others:
             for chunk, rows in self._rows(self._others[CLOCK_TOPIC]):
-                with Reading(self._file.at(chunk.offset)):
+                with LogErrorContext(self._file.at(chunk.offset)):
                     pairs += [decode_clock_pair(row.tobytes(), self.header.offset_ns) for row in rows.data()]
         return pairs
 
@@ -375,7 +375,7 @@ class RunLog:
             LogError: the snapshot is damaged.
         """
         location = self._chunks[chunk]
-        with Reading(self._file.at(location.offset)):
+        with LogErrorContext(self._file.at(location.offset)):
             rows_of_chunk = self._rows_of(location, self._others[SNAPSHOT_TOPIC])
             snapshots = dict(decode_snapshot(row.tobytes()) for rows in rows_of_chunk for row in rows.data())
             return snapshots[k]
@@ -400,7 +400,7 @@ class RunLog:
     def ticks(self, chunks: slice = slice(None)) -> Iterator[TickRecord]:
         """Yield the ticks in order, from all chunks or from the given chunks."""
         for chunk in self._chunks[chunks]:
-            with Reading(self._file.at(chunk.offset)):
+            with LogErrorContext(self._file.at(chunk.offset)):
                 messages = [message for rows in self._rows_of(chunk, self._tick) for message in rows.messages()]
                 ticks = unpack_ticks(messages)
             yield from ticks
@@ -415,7 +415,7 @@ class RunLog:
         phases: list[PhaseChange] = []
         phase_of_tail: dict[bytes, str] = {}
         for index, (chunk, message) in enumerate(self._messages()):
-            with Reading(self._file.at(chunk.offset)):
+            with LogErrorContext(self._file.at(chunk.offset)):
                 # Ticks without events have equal message ends (phase and empty lists). The cache
                 # avoids decoding them again.
                 tail = message[message_layout(message).tail :]

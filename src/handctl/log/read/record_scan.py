@@ -18,7 +18,7 @@ from mcap.opcode import Opcode
 
 from handctl.errors import LogError
 from handctl.log.container import MAGIC
-from handctl.log.read.logfile import MAX_CHUNK, ChunkLocation, LogFile, Reading
+from handctl.log.read.logfile import MAX_CHUNK, ChunkLocation, LogErrorContext, LogFile
 
 MAX_ATTACHMENT = 16 << 20
 """Largest accepted size of one attachment [bytes]."""
@@ -139,7 +139,7 @@ def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bo
             _check_end(file, scan, at, end, checked)
             return
         try:
-            with Reading(file.at(at)):
+            with LogErrorContext(file.at(at)):
                 unpacked += _add_record(file, scan, code, at, end)
         except LogError as error:
             if not skip:
@@ -147,7 +147,7 @@ def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bo
             scan.problem = scan.problem or str(error)
             scan.skipped.append((at, end))
         unknown += code not in Opcode.__members__.values()
-        with Reading(file.at(at)):
+        with LogErrorContext(file.at(at)):
             _check_limits(scan, unpacked, unknown)
         scan.end = end
     scan.problem = scan.problem or f"ends at byte {file.size} without an end mark; complete up to byte {scan.end}"

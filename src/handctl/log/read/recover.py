@@ -11,7 +11,7 @@ from mcap.records import Channel, Schema
 from handctl.errors import LogError
 from handctl.log.container import Container, MessageBlock
 from handctl.log.read.chunk_reader import iter_messages, schemas_and_channels
-from handctl.log.read.logfile import ChunkLocation, LogFile, Reading
+from handctl.log.read.logfile import ChunkLocation, LogErrorContext, LogFile
 from handctl.log.read.record_scan import RecordScan, scan_records
 from handctl.output import atomic_path
 
@@ -134,7 +134,7 @@ def _copy_chunk(file: LogFile, chunk: ChunkLocation, new: Container) -> None:
         LogError: the chunk is damaged.
     """
     content = file.content(chunk)
-    with Reading(file.at(chunk.offset)):
+    with LogErrorContext(file.at(chunk.offset)):
         chunk_definitions = schemas_and_channels(content)
         schemas = [Schema(number, data, encoding, name) for number, name, encoding, data in chunk_definitions.schemas]
         channels = [

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from handctl.controller.setup import SETUP_ATTACHMENT
 from handctl.core.types import Mode
 from handctl.hand.description import Hand
-from handctl.log.read.logfile import Reading
+from handctl.log.read.logfile import LogErrorContext
 from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import phase_of_each
 
@@ -121,7 +121,7 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
 def _logged_gain(log: RunLog, tendons: int) -> list[float]:
     """Return the torque gains (N,) that the controller of the logged run applied."""
     text = log.header.attachments.get(SETUP_ATTACHMENT, b"{}")
-    with Reading(f"{SETUP_ATTACHMENT} in the log"):
+    with LogErrorContext(f"{SETUP_ATTACHMENT} in the log"):
         setup = json.loads(text)
         if not isinstance(setup, dict):
             raise ValueError("not a table")

@@ -6,7 +6,7 @@ from handctl.core.gains.bounds import values_by_key
 from handctl.core.gains.gains import Gains
 
 
-class Range(NamedTuple):
+class GainRange(NamedTuple):
     """Range of a gain. With `log` the search is uniform in the logarithm of the gain."""
 
     low: float
@@ -15,15 +15,15 @@ class Range(NamedTuple):
 
 
 SPACE = {
-    "motion.position_error_m": Range(2e-4, 6e-3, True),
-    "motion.speed_error_m_s": Range(0.02, 0.4, True),
-    "motion.disturbance_rejection": Range(0.0, 1.0, False),
-    "motion.tension_feedback": Range(0.0, 1.0, False),
-    "tension.tension_error_N": Range(1.0, 60.0, True),
-    "tension.speed_error_m_s": Range(0.01, 0.4, True),
-    "tension.integral_per_s": Range(0.3, 20.0, True),
-    "filter.motor_disturbance_N": Range(0.03, 3.0, True),
-    "filter.free_rate_N_per_s": Range(5.0, 400.0, True),
+    "motion.position_error_m": GainRange(2e-4, 6e-3, True),
+    "motion.speed_error_m_s": GainRange(0.02, 0.4, True),
+    "motion.disturbance_rejection": GainRange(0.0, 1.0, False),
+    "motion.tension_feedback": GainRange(0.0, 1.0, False),
+    "tension.tension_error_N": GainRange(1.0, 60.0, True),
+    "tension.speed_error_m_s": GainRange(0.01, 0.4, True),
+    "tension.integral_per_s": GainRange(0.3, 20.0, True),
+    "filter.motor_disturbance_N": GainRange(0.03, 3.0, True),
+    "filter.free_rate_N_per_s": GainRange(5.0, 400.0, True),
 }
 """Ranges of weights, disturbance rejection, and filter parameters.
 
