@@ -7,6 +7,7 @@ import numpy as np
 
 from grasps import payload, slip
 from grasps.objects import MAX_MOTION_M
+from handctl.output import save_figure
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = DOCS / "evidence" / "control-grasps.md"
@@ -189,5 +190,5 @@ def draw(result: dict[str, Any]) -> None:
     right.set(xlabel="pull out of the palm [N]", ylabel="motion of the cylinder [mm]", ylim=(0, 12))
     right.legend(fontsize=8, loc="upper left")
     PICTURE.parent.mkdir(exist_ok=True)
-    figure.savefig(PICTURE, dpi=110)
+    save_figure(figure, PICTURE)
     plt.close(figure)

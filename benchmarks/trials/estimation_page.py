@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from handctl.output import save_figure
 from trials.page import FIGURES, table
 
 COLUMNS = {
@@ -223,4 +224,4 @@ def picture(result: dict) -> None:
     axes[0][0].set_ylim(top=0.9)
     figure.tight_layout()
     FIGURES.mkdir(exist_ok=True)
-    figure.savefig(FIGURES / "control-estimation.png", dpi=110)
+    save_figure(figure, FIGURES / "control-estimation.png")

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from handctl.output import save_figure
 from trials.page import FIGURES, table
 
 ENDED = "ended"
@@ -242,4 +243,4 @@ def picture(result: dict) -> None:
     axes[0][-1].legend(fontsize=8, loc="lower right")
     figure.tight_layout()
     FIGURES.mkdir(exist_ok=True)
-    figure.savefig(FIGURES / "control-tracking.png", dpi=110)
+    save_figure(figure, FIGURES / "control-tracking.png")

@@ -5,6 +5,7 @@ import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -71,9 +72,19 @@ def write_text_atomically(path: Path, text: str, new: bool = False) -> None:
 
 
 def save_figure(figure: Any, path: Path, dpi: int = 110) -> None:
-    """Write a figure of matplotlib atomically, see ``atomic_path``."""
+    """Write a figure of matplotlib atomically, with the version of handctl in its metadata.
+
+    See ``atomic_path``.
+    """
+    creator = f"handctl {version('handctl')}"
+    kind = path.suffix[1:] if path.suffix in FIGURE_SUFFIXES else "png"
+    metadata = {
+        "png": {"Software": creator},
+        "svg": {"Creator": creator, "Date": None},
+        "pdf": {"Creator": creator},
+    }
     with atomic_path(path) as part:
-        figure.savefig(part, dpi=dpi, format=path.suffix[1:] if path.suffix in FIGURE_SUFFIXES else "png")
+        figure.savefig(part, dpi=dpi, format=kind, metadata=metadata[kind])
 
 
 def check_output(path: Path, what: str, *read: Path | None) -> None:

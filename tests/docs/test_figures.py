@@ -11,7 +11,8 @@ from tools.figures.style import CREATOR, FOLDER, drawn_by
 
 ROOT = Path(__file__).parents[2]
 MADE = sorted([f"{name}.{kind}" for name in (*DIAGRAMS, *PLOTS) for kind in ("svg", "png")]
-              + [f"{name}.png" for name in PICTURES] + ["grasp.gif"])  # fmt: skip
+              + [f"{name}.png" for name in PICTURES] + ["grasp.gif"]
+              + [path.name for path in FOLDER.glob("paper-*")])  # fmt: skip
 TEXTS = [path.read_text(encoding="utf-8") for path in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md"))]
 MOST_BYTES = 700_000
 """Largest size of a figure beside the moving one."""

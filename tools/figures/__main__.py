@@ -1,14 +1,17 @@
 """Draw the figures: ``python -m tools.figures [NAME ...]``. Runs are in build/figures, pictures go to docs/figures."""
 
 import argparse
+import contextlib
+import io
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from handctl.cli.main import main as handctl
 from tools.figures import diagrams, gif, numbers, plots, runs, tuning
-from tools.figures.style import FOLDER, apply_style, save, stamp
+from tools.figures.style import FOLDER, apply_style, save, stamp, without_blanks
 
 ROOT = Path(__file__).parents[2]
 RUNS = ROOT / "build" / "figures"
@@ -26,9 +29,24 @@ PICTURES: dict[str, Callable[[Path], Path]] = {
     "tune-design": tuning.design_picture, "tune-return": tuning.return_picture, "tune-search": tuning.search_picture,
     "tune-verify": tuning.verify_picture,
 }  # fmt: skip
+
+
+def draw_paper() -> None:
+    """Draw the figures of the source paper, from the experiments in docs/evidence."""
+    results = ROOT / "docs" / "evidence" / "paper-results.json"
+    with contextlib.redirect_stdout(io.StringIO()):
+        handctl(["paper", "--json", "--figures", str(FOLDER), "--results", str(results)])
+    for path in FOLDER.glob("paper-*.svg"):
+        path.write_bytes(without_blanks(path.read_bytes()))
+
+
+OTHERS: dict[str, Callable[[], None]] = {
+    "grasp": lambda: gif.write(RUNS, FOLDER / "grasp.gif"), "numbers": lambda: numbers.write(ROOT, RUNS),
+    "paper": draw_paper,
+}  # fmt: skip
 SLOW = ("tune-search", "tune-verify")
 """Pictures that take minutes each. They are drawn only if they are named."""
-NAMES = (*DIAGRAMS, *PLOTS, *PICTURES, "grasp", "numbers")
+NAMES = (*DIAGRAMS, *PLOTS, *PICTURES, *OTHERS)
 
 
 def main() -> int:
@@ -56,10 +74,8 @@ def main() -> int:
             save(PLOTS[name](RUNS), name)
         elif name in PICTURES:
             stamp(PICTURES[name](RUNS), FOLDER / f"{name}.png")
-        elif name == "grasp":
-            gif.write(RUNS, FOLDER / "grasp.gif")
         else:
-            numbers.write(ROOT, RUNS)
+            OTHERS[name]()
         print(f"{name}: {time.monotonic() - start:.1f} s", flush=True)
     return 0
 

@@ -54,11 +54,15 @@ def save(figure: Any, name: str, folder: Path = FOLDER) -> list[Path]:
         path = folder / f"{name}.{kind}"
         buffer = io.BytesIO()
         figure.savefig(buffer, format=kind, metadata=metadata, dpi=110)
-        lines = buffer.getvalue()
-        # matplotlib leaves blanks at the ends of lines of an SVG, which git reports.
-        path.write_bytes(b"\n".join(map(bytes.rstrip, lines.split(b"\n"))) if kind == "svg" else lines)
+        content = buffer.getvalue()
+        path.write_bytes(without_blanks(content) if kind == "svg" else content)
         written.append(path)
     return written
+
+
+def without_blanks(content: bytes) -> bytes:
+    """Remove the blanks that matplotlib leaves at the ends of lines of an SVG, and that git reports."""
+    return b"\n".join(map(bytes.rstrip, content.split(b"\n")))
 
 
 def stamp(source: Path, path: Path) -> None:

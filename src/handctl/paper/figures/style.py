@@ -55,5 +55,5 @@ def write_figure(
         content(figure)
         save_figure(figure, folder / f"{PREFIX}{name}.png", DPI)
         path = folder / f"{PREFIX}{name}.svg"
-        figure.savefig(path, metadata={"Date": None})
+        save_figure(figure, path)
     return path
