@@ -65,6 +65,19 @@ def _finished(path: Path) -> bool:
         return not log.warning
 
 
+def test_a_recorder_that_does_not_start_in_time_is_named(
+    start: Callable[..., Recorder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The message was that of a file that cannot be written, with "no answer" as the reason."""
+    python = tmp_path / "python"
+    python.write_text("#!/bin/sh\nexec sleep 10\n")
+    python.chmod(0o755)
+    monkeypatch.setattr("handctl.log.write.recorder.sys.executable", str(python))
+    monkeypatch.setattr("handctl.log.write.recorder.START_S", 0.2)
+    with pytest.raises(LogError, match="has not started within 0.2 s; expected a machine that does less"):
+        start()
+
+
 def test_a_kill_of_the_controller_loses_no_tick(tmp_path: Path) -> None:
     chance = random.Random(5)
     for first in range(0, KILLS, TOGETHER):

@@ -29,7 +29,7 @@ FLOOR_BYTES = 64 << 20
 
 Below four times this value a warning is given.
 """
-START_S = 20.0
+START_S = 60.0
 """Longest wait for the recorder at the start of a run [s]."""
 CLOSE_S = 20.0
 """Longest wait for the recorder at the end of a run [s]."""
@@ -115,12 +115,12 @@ class Recorder:
                 raise LogError("the recorder process does not read", str(self._path))
             self._read_notes(START_S)
             if not any("ready" in note for note in self._messages):
-                reason = next((str(note["error"]) for note in self._messages if "error" in note), "no answer")
-                raise LogError(
-                    f"cannot record: {reason}",
-                    str(self._path),
-                    "a new file in a writable directory",
-                )
+                errors = [str(note["error"]) for note in self._messages if "error" in note]
+                if not errors:
+                    ends = "has ended at its start" if self._ended else f"has not started within {START_S:g} s"
+                    what = f"the recorder process {ends}"
+                    raise LogError(what, str(self._path), "a machine that does less at the same time")
+                raise LogError(f"cannot record: {errors[0]}", str(self._path), "a new file in a writable directory")
         except LogError:
             self._abandon_process()
             raise
