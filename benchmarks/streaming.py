@@ -52,6 +52,9 @@ LATENCY_S = 10.0
 QUICK_LATENCY_S = 2.0
 """Duration of each measurement of the latency, and of a quick one."""
 PARTS = ("clients", "tracking", "latency")
+SIMULATOR = ["-m", "firmware_sim"]
+"""Arguments of Python that start a simulated hand."""
+INTERPOLATIONS = ("linear", "minimum_jerk")
 Homed = tuple[Path, tuple[str, ...]]
 """Calibration and options of a simulated hand that is commissioned already."""
 
@@ -225,7 +228,7 @@ class Stage:
         self.truth = folder / "hand.truth"
         scaled = ["--time-scale", f"{scale:g}"]
         self.words = ["--calibration", str(homed[0] if homed else folder / "c.toml"), "--log", str(self.log), *scaled]
-        command = ["-m", "firmware_sim", "--hand", "jamia", "--bus", bus, "--scene", "none", *scaled]
+        command = [*SIMULATOR, "--hand", "jamia", "--bus", bus, "--scene", "none", *scaled]
         command += homed[1] if homed else ()
         self._process = subprocess.Popen(
             [sys.executable, *command, "--truth", str(self.truth)], stdout=subprocess.PIPE, text=True
@@ -369,14 +372,17 @@ def _row(log: RunLog, truth: TruthRecord, window: dict[str, Any], start_ns: int)
 # Tracking
 
 
-def measure_tracking(bus: str, scale: float) -> dict[str, Any]:
-    """Compare a streamed sine with the same motion as a task, by the true angle of the digit. Errors are RMS [deg]."""
+def measure_tracking(bus: str, scale: float, homed: Homed | None = None) -> dict[str, Any]:
+    """Compare a streamed sine with the same motion as a task, by the true angle of the digit.
+
+    Errors are RMS [deg]. The lateness of the ticks tells how busy the machine was.
+    """
     began_ns: dict[str, int] = {}
-    with stage(bus, scale) as place:
+    with stage(bus, scale, homed) as place:
         task = place.folder / "sine.toml"
         task.write_text(_task(), "utf-8")
         with place.connect() as hand:
-            for interpolation in ("linear", "minimum_jerk"):
+            for interpolation in INTERPOLATIONS:
                 hand.move({DIGIT: MIDDLE_DEG}, duration_s=0.5)
                 with hand.stream(RATE_HZ, "digit", [DIGIT], interpolation) as stream:
                     client = BadClient(hand, stream, scale)
@@ -388,8 +394,10 @@ def measure_tracking(bus: str, scale: float) -> dict[str, Any]:
         truth = read_truth(place.truth)
         with RunLog(place.log) as log:
             began_ns["trajectory"] = start_ns + next(one.t_ns for one in log.phases if one.name == "follow")
+            late_ms = float(np.percentile(log.late_ns, 99)) / 1e6
     errors = {name: _tracking_error(truth, began) for name, began in began_ns.items()}
-    return errors | {f"{name}_ratio": errors[name] / errors["trajectory"] for name in ("linear", "minimum_jerk")}
+    ratios = {f"{name}_ratio": errors[name] / errors["trajectory"] for name in INTERPOLATIONS}
+    return errors | ratios | {"tick_late_p99_ms": late_ms}
 
 
 def _task() -> str:
@@ -510,7 +518,7 @@ def show(result: dict[str, Any]) -> None:
         rows = result["tracking"]
         print("| motion | RMS of true minus intended angle | ratio |\n|---|---|---|")
         print(f"| trajectory | {rows['trajectory']:.3f} deg | 1 |")
-        for name in ("linear", "minimum_jerk"):
+        for name in INTERPOLATIONS:
             print(f"| stream, {name} | {rows[name]:.3f} deg | {rows[f'{name}_ratio']:.2f} |")
         print()
     if "latency" in result:

@@ -13,7 +13,7 @@ import json
 import re
 import resource
 import sys
-import time
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -54,13 +54,18 @@ class Durations:
     def __init__(self, path: Path) -> None:
         """Append to a file, which processes of xdist share."""
         self.path = path
+        self._elapsed_s: defaultdict[str, float] = defaultdict(float)
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Add the elapsed time of a part of a test. A test in a guest has the time that it took there."""
+        self._elapsed_s[report.nodeid] += report.duration
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
         """Measure one test with its fixtures."""
-        processor, elapsed = processor_time(), time.monotonic()
+        processor = processor_time()
         result = yield
-        times = (processor_time() - processor, time.monotonic() - elapsed)
+        times = (processor_time() - processor, self._elapsed_s.pop(item.nodeid, 0.0))
         clock = item.get_closest_marker("realtime") is not None or item.get_closest_marker("alone") is not None
         row = [item.nodeid, *(round(one, 3) for one in times), clock]
         with self.path.open("a", encoding="utf-8") as file:
