@@ -175,6 +175,31 @@ def test_crosstalk_is_found_while_load_cells_drift(fifteen: HandModel) -> None:
     assert "another load cell" in progress.failure
 
 
+def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandModel) -> None:
+    """A tendon pulled before relaxes by 2 N/s, so that its load cell reads 1.4 N at rest and 0 N in the next pull."""
+    held = np.zeros(jamia.tendon_count)
+
+    def cells(i: int) -> np.ndarray:
+        held[:] = np.maximum(held - 2.0 * jamia.period, PULL_N * (np.arange(jamia.tendon_count) == i))
+        return held.copy()
+
+    progress = commissioned(jamia, cells)
+    assert not progress.failure
+    found = calibration_of_result(jamia, progress, "2024-01-01T00:00:00+00:00").tendon
+    assert max(row.crosstalk_N for row in found.values()) < 0.5
+
+
+def test_a_load_cell_that_falls_below_its_tare_in_another_pull_is_refused(jamia: HandModel) -> None:
+    """A fall of more than the tension that is left of the last pull is no relaxing tendon."""
+
+    def cells(i: int) -> np.ndarray:
+        return good(jamia)(i) - 0.5 * PULL_N * (i == 2) * (np.arange(jamia.tendon_count) == 0)
+
+    progress = commissioned(jamia, cells)
+    assert progress.failure.startswith(jamia.hand.tendon_names[2])
+    assert "another load cell" in progress.failure
+
+
 def test_an_inverted_load_cell_is_refused(model: HandModel) -> None:
     progress = commissioned(model, lambda i: -good(model)(i))
     assert progress.failure.startswith(model.hand.tendon_names[0])

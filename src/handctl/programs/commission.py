@@ -408,7 +408,8 @@ def _with_new_tare(progress: Progress) -> Progress:
 
 def _with_results(model: HandModel, table: Vector, i: int, samples: int) -> Vector:
     """Return the table with the results of tendon i and cleared sums."""
-    rise = table[:, PULL_SUM] / samples - table[:, REST_SUM] / table[i, REST_SAMPLES]
+    rest = table[:, REST_SUM] / table[i, REST_SAMPLES]
+    rise = table[:, PULL_SUM] / samples - rest
     if model.redundancy.sprung[i]:
         # The pull stretches the tendon. Without it the motor would have stopped earlier.
         stretch = rise[i] / model.space.stiffness[i] / model.space.spool[i]
@@ -418,8 +419,11 @@ def _with_results(model: HandModel, table: Vector, i: int, samples: int) -> Vect
             - model.redundancy.open_excursion[i] / model.space.spool[i]
         )
     table[i, ANSWER] = rise[i]
-    others = model.hand.has_cell & (np.arange(model.tendon_count) != i)
-    table[i, CROSSTALK] = np.abs(rise[others]).max(initial=0.0)
+    tendons = np.arange(model.tendon_count)
+    # Friction holds tension in a tendon pulled before. This tension falls by itself, so that its fall is no crosstalk.
+    held = np.where(model.redundancy.sprung & (tendons < i), np.maximum(rest, 0.0), 0.0)
+    others = model.hand.has_cell & (tendons != i)
+    table[i, CROSSTALK] = np.maximum(rise, -rise - held)[others].max(initial=0.0)
     table[:, [PULL_SUM, REST_SUM, REST_SAMPLES]] = 0.0
     return table
 
