@@ -1,14 +1,16 @@
 """Every row of the fault table: when it counts, when it just does not, what it demands, and who may end it."""
 
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from handctl.core.detectors import judge as compiled_judge
 from handctl.safety import judge as judgement
-from handctl.safety.action import Action
+from handctl.safety.action import Action, Release
 from handctl.safety.faults.fault import ITSELF, OPERATOR, Fault
 from handctl.safety.faults.table import ACTIONS, BY_ID, DEBOUNCE, DETECTOR_ROWS, REPORTS, TABLE
 from handctl.safety.judge import Verdict
@@ -27,6 +29,8 @@ from tests.safety.cases import (
     without_torque,
 )
 from tests.safety.monitor import Monitor, interpreted
+
+SAFETY_PAGE = Path(__file__).parents[2] / "docs/explanation/safety.md"
 
 
 def course(*ticks: Shown, monitor: Monitor | None = None) -> tuple[Monitor, list[Verdict]]:
@@ -144,6 +148,23 @@ def test_each_row_is_one_line_for_the_operator() -> None:
         assert fault.clears in ("by the operator", "by itself")
         assert fault.latched == CASES[fault.id].latched
         assert fault.action < Action.RELAX or fault.latched, "only a person ends a relax or a cut"
+
+
+DOUBT_THE_LOOP = {"N04", "N05b", "N06b", "N12", "N13", "N14", "N14b", "N17", "T04b", "T05b", "B06", "H13"}
+"""Faults after which measurements of the tension loop may be wrong, or the drive may not obey it."""
+
+
+def test_faults_of_the_tension_loop_relax_without_it() -> None:
+    relaxing = {one.id: one.release for one in TABLE if one.action >= Action.RELAX}
+    assert {one for one, release in relaxing.items() if release is Release.OPEN} == DOUBT_THE_LOOP
+    assert {one for one, release in relaxing.items() if release is Release.FAST} == {"T03", "T06"}
+
+
+def test_the_safety_page_lists_how_each_fault_relaxes() -> None:
+    rows = [line.split("|") for line in SAFETY_PAGE.read_text().splitlines() if line.startswith("| RELAX ")]
+    listed = {row[1].strip(): set(re.findall(r"[A-Z]\d\d[a-c]?", row[3])) for row in rows}
+    for release in (Release.FAST, Release.OPEN):
+        assert listed[release.value] == {one.id for one in TABLE if one.release is release}
 
 
 def test_a_fault_is_either_found_or_reported() -> None:
