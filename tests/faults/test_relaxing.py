@@ -8,8 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+from benchmarks import hidden
 from handctl.campaign.scenarios import FREE, GRASP
 from handctl.campaign.stage import TASK, advance_to, hand_with_protocol, homed_run
+from handctl.controller.relaxing import SETPOINT_MARGIN_N
+from handctl.core import block as s
 from handctl.core.types import Mode
 from handctl.drives.motor_description import GUARDED
 from handctl.runtime.mailbox import STOP
@@ -115,3 +118,25 @@ def judge(simulation: Simulation, stop_at: int, window: int, fault: str) -> None
     assert (peak <= bound).all(), f"{fault}: {peak} N, at most {bound} N are explained, from {decided}"
     assert simulation.state.mode == Mode.DONE
     assert not math.isnan(float(peak.max()))
+
+
+@pytest.mark.parametrize("fault", ["cross node=index_motor with=middle_motor", "late node=index_motor size=25"])
+@pytest.mark.parametrize("seed", range(20) if NIGHTLY else [0])
+def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_digit(fault: str, seed: int) -> None:
+    """It began at the last command of an unstable loop: at 160 N on a slack tendon, which then had 317 N."""
+    hand = hand_with_protocol("jamia", "odrive")
+    with homed_run(hand, 400.0, seed, task=hidden.task()) as simulation:
+        free_ticks = 0
+        while not hidden.reached("free", out := simulation.tick(), free_ticks := free_ticks + (out.phase == "free")):
+            pass
+        simulation.peer.inject(fault)
+        assert simulation.until(lambda out: out.mode == Mode.RELAX, 2.0)
+        assert "T04b" in {mark.id for mark in simulation.state.latched}
+        table, model = simulation.state.tendon, simulation.controller.model
+        explained = np.maximum(table[s.TENSION], model.relaxed) + model.space.coulomb
+        assert (simulation.state.view("asked") <= explained + SETPOINT_MARGIN_N).all()
+        if fault.startswith("cross"):
+            peak = 0.0
+            while simulation.tick().mode != Mode.DONE:
+                peak = max(peak, *simulation.peer.truth()["tension"])
+            assert peak < hand.tendon[0].tension_trip_N

@@ -207,6 +207,9 @@ MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("N17", "cross node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_EXCHANGED),
         protocols=ONCE),
     MatrixRow("N17", "late node={node} size=50", RELAX, 2, 4000.0, ("N17", *_EXCHANGED), protocols=ONCE),
+    # In a grasp at rest, the velocity limit of an ODrive hides an exchange.
+    MatrixRow("N17", "swap node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_EXCHANGED), (FREE,), (ODRIVE,)),
+    MatrixRow("N17", "cross node={node} with={other}", RELAX, 2, 2000.0, ("N17", *_EXCHANGED), (FREE,), (ODRIVE,)),
     MatrixRow("T01", "snap tendon={tendon}", RELAX, 10, rows=("T01",), stages=(GRASP,)),
     MatrixRow("T02", "snap tendon={tendon}", WARN, 4, 110.0, ("T02", "T01", "N04"), (FREE,)),
     MatrixRow("T02", "slack tendon={tendon} size=30", WARN, 10, rows=("T02", "T01"), stages=(GRASP,)),

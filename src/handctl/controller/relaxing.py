@@ -7,7 +7,8 @@ Therefore an envelope bounds the motor force of each tendon. No measurement can 
 
 with the commanded motor force u at the tendon [N]. T is the period. For a spool pair u is the size of
 the force, and the direction stays. The envelope begins at the last
-command, or at the present tension if the tension is smaller. The tension loop may only go below the
+command, or at the present tension if the tension is smaller. If a load cell is in doubt, a tendon in the
+tension loop begins at its setpoint instead of its tension. The tension loop may only go below the
 envelope. After a fault of the loop (``Release.OPEN``) u[k] = e[k]. The command of a motor that
 brakes at the start of relaxing goes to zero.
 """
@@ -30,7 +31,7 @@ START_MARGIN_N = 15.0
 """Largest amount by which the first setpoint may exceed the last command [N], for friction and motion."""
 
 LOAD_CELL_FAULTS = ("T04b", "T05", "T05b", "T06")
-"""Faults that make the measured tension unreliable."""
+"""Faults that make the measured tension unreliable: the true tension may be larger."""
 RELAXED_WITHIN_N = 3.0
 """Largest tension above the floor at which a tendon counts as relaxed [N]."""
 SETPOINT_MARGIN_N = 3.0
@@ -64,7 +65,11 @@ def begin_relaxing(model: HandModel, state: State) -> None:
     state.decide(progress=replace(state.progress, goals=goals))
     table[s.SETPOINT] = sign * start
     # COMMANDED_FORCE is the commanded motor force, which the envelope starts from in the next tick.
-    table[s.COMMANDED_FORCE] = _envelope_start(model, state, sign, present)
+    explained = present
+    if any(mark.id in LOAD_CELL_FAULTS for mark in state.latched):
+        # The tension may be that of the setpoint. A position goal explains no tension that no cell has measured.
+        explained = np.where(in_tension_loop, np.maximum(present, start), present)
+    table[s.COMMANDED_FORCE] = _envelope_start(model, state, sign, explained)
     whole[s.GOAL_KIND] = int(Kind.TENSION)
 
 
@@ -73,22 +78,20 @@ def _relaxed_goal(model: HandModel, start: Vector) -> Vector:
     return np.where(model.is_pair, 0.0, np.minimum(start, model.relaxed))
 
 
-def _envelope_start(model: HandModel, state: State, sign: Vector, present: Vector) -> Vector:
+def _envelope_start(model: HandModel, state: State, sign: Vector, explained: Vector) -> Vector:
     """Return (N,) motor force at the start of the envelope [N]: the last command or a smaller force.
 
     An unstable loop may have commanded 100 N for a tendon with a tension of 10 N. The envelope then
-    begins at the present tension plus friction. An unreliable load cell is not used.
+    begins at the present tension plus friction.
 
     Args:
         model: the hand.
         state: state at the start of relaxing.
         sign: (N,) direction of the commanded force.
-        present: (N,) tension in this direction with a margin [N].
+        explained: (N,) largest tension in this direction that measurement or setpoint explain [N].
     """
     commanded = np.nan_to_num(state.tendon[s.COMMANDED_FORCE], nan=0.0)
-    if any(mark.id in LOAD_CELL_FAULTS for mark in state.latched):
-        return np.asarray(commanded)
-    return sign * np.minimum(sign * commanded, present + model.space.coulomb)
+    return sign * np.minimum(sign * commanded, explained + model.space.coulomb)
 
 
 def are_commands_relaxed(model: HandModel, state: State) -> bool:
