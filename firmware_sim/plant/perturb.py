@@ -11,6 +11,7 @@ KEYS = {
     "friction": "capstan friction coefficient of the tendons and Coulomb friction of the motors",
     "mass": "mass and inertia of the links",
     "spring": "stiffness of the return springs",
+    "moment_arm": "moment arms of the tendons",
     "motor_inertia": "rotor inertia",
     "torque_constant": "true torque divided by the torque that the drive believes",
     "bias": "newtons added to every load cell (not a factor)",
@@ -70,6 +71,11 @@ def _digit(digit: Digit, f: dict[str, float]) -> Digit:
 def _tendon(tendon: TendonSpec, f: dict[str, float]) -> TendonSpec:
     return replace(
         tendon,
+        arms={joint: arm * f["moment_arm"] for joint, arm in tendon.arms.items()},
+        curves={
+            joint: replace(curve, powers=_scaled(curve.powers, f["moment_arm"]))
+            for joint, curve in tendon.curves.items()
+        },
         stiffness=tendon.stiffness * f["stiffness"],
         damping=tendon.damping * f["damping"],
         friction=tendon.friction * f["friction"],

@@ -86,6 +86,7 @@ def changed(before: Any, after: Any) -> set[str]:
         ("friction", set(), {"friction"}, {"coulomb"}, set()),
         ("mass", {"mass", "inertia"}, set(), set(), set()),
         ("spring", {"spring"}, set(), set(), set()),
+        ("moment_arm", set(), {"arms"}, set(), set()),
         ("motor_inertia", set(), set(), {"inertia"}, set()),
         ("torque_constant", set(), set(), {"torque_gain"}, set()),
         ("bias", set(), set(), set(), {"tension_bias"}),

@@ -22,6 +22,8 @@ from handctl.tune.identify.fit_load import Bins, DigitLoad, LoadParameters
 from handctl.tune.identify.fit_motor import HALF_S, _cumulative, _window, _window_curvature, _window_slope
 from handctl.tune.identify.identifiability import _reason_not_identified
 
+SPRUNG = TOLERANCES.keys() - {"moment_arm", "pretension"}
+"""Parameters of digits that springs return."""
 SEEDS = 100
 COVERED = 90
 
@@ -42,7 +44,7 @@ def test_parameters_wrong_by_thirty_percent_are_identified_with_detuned_gains(
     """A motor without 29 % of its torque is no wrong load cell. A motor with high friction still moves its tendon."""
     row = measure_digit(seed, digit, tmp_path)
     assert "failure" not in row
-    assert {parameter["name"] for parameter in row["parameters"]} == TOLERANCES.keys()
+    assert {parameter["name"] for parameter in row["parameters"]} == SPRUNG
     assert [parameter for parameter in row["parameters"] if not parameter["within"]] == []
     assert [
         parameter for parameter in row["parameters"] if abs(parameter["error"]) > 1.6 * parameter["half_width"]
@@ -52,7 +54,7 @@ def test_parameters_wrong_by_thirty_percent_are_identified_with_detuned_gains(
 def test_springs_behind_several_tendons_are_found_by_the_joint_encoders(tmp_path: Path) -> None:
     """At 200 Hz inertia and friction of a motor are less accurate, and their intervals show it."""
     row = measure_digit(3, "thumb", tmp_path, "jamia11")
-    assert {parameter["name"] for parameter in row["parameters"]} == TOLERANCES.keys()
+    assert {parameter["name"] for parameter in row["parameters"]} == SPRUNG
     assert [
         parameter for parameter in row["parameters"] if abs(parameter["error"]) > 1.6 * parameter["half_width"]
     ] == []
@@ -65,8 +67,9 @@ def test_intervals_cover_the_parameters_of_a_hundred_hands(tmp_path: Path) -> No
     digits = load_hand("jamia").digit_names
     figures = summary([measure_digit(seed, digits[seed % 4], tmp_path) for seed in range(1, SEEDS + 1)])
     assert figures["failed"] == []
-    assert {name: found["covered"] for name, found in figures["parameters"].items() if found["covered"] < COVERED} == {}
-    assert {name: found["within"] for name, found in figures["parameters"].items() if found["within"] < COVERED} == {}
+    parameters = {name: figures["parameters"][name] for name in SPRUNG}
+    assert {name: found["covered"] for name, found in parameters.items() if found["covered"] < COVERED} == {}
+    assert {name: found["within"] for name, found in parameters.items() if found["within"] < COVERED} == {}
     assert figures["all_covered_all_at_once"] >= COVERED
 
 

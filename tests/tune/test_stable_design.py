@@ -20,7 +20,7 @@ HANDS = packaged_hands()
 SEEDS = range(20) if NIGHTLY else range(2)
 QUICK = tuple(name for name in HANDS if NIGHTLY or name != "orca_like")
 """A proof of 17 joints takes more than five minutes."""
-RATES = {"jamia": 500.0, "n_plus_1": 250.0, "t42": 500.0}
+RATES = {"jamia": 500.0, "n_plus_1": 250.0, "orca_like": 400.0, "t42": 500.0}
 SATURATED = {"tension": {"tension_error_N": 0.5, "speed_error_m_s": 0.1}}
 """Weights with 390 N of authority command more torque than the motor has at the operating point."""
 
@@ -161,6 +161,14 @@ def proof_of(model: HandModel) -> Proof:
     """Return a proof on the hand's own plant and its ensemble."""
     factors = draw_ensemble(2, 0)
     return Proof(model.hand, factors, tuple(linear_factors(one) for one in factors), 0)
+
+
+def test_closing_spool_pairs_are_not_taken_for_torn_tendons() -> None:
+    """They were: a digit without load cells that closed with 30 N ended every step test with T01."""
+    model = HandModel.of(load_hand("orca_like"), Gains(), RATES["orca_like"])
+    swing = simulate_swing(model.hand, model, {}, 0)
+    assert swing.failure == ""
+    assert swing.at_rest
 
 
 @pytest.mark.parametrize("hand", QUICK)

@@ -1,6 +1,8 @@
 """Parameters identified from runs, and the hand with these parameters for the controller."""
 
 import copy
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -11,7 +13,11 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_from_content
 
-TENDON_KEYS = {"rope_stiffness": "stiffness_N_per_m", "capstan": "friction_coefficient"}
+TENDON_KEYS = {
+    "rope_stiffness": "stiffness_N_per_m",
+    "capstan": "friction_coefficient",
+    "pretension": "pretension_N",
+}
 """Keys of the hand file's tendon table by identified parameter, replaced by the identified value."""
 MOTOR_KEYS = {
     "motor_inertia": "inertia_kg_m2",
@@ -28,12 +34,17 @@ DIGIT_KEYS = {
 
 The parameters are factors on the values of all joints.
 """
+LENGTH_KEYS = ("polynomial_m", "arm_m")
+"""Keys with lengths in a moment arm that depends on the angle."""
 UNITS = {
     "torque_gain": "1", "motor_inertia": "kg m2", "motor_viscous": "N m s/rad", "motor_coulomb": "N m", "delay": "s",
     "rope_stiffness": "N/m", "spring_stiffness": "x file", "spring_preload": "x file", "capstan": "1",
-    "joint_damping": "x file",
+    "joint_damping": "x file", "moment_arm": "x file", "pretension": "N",
 }  # fmt: skip
-"""Unit of each parameter for identification. ``torque_gain`` is torque at the spool per commanded torque."""
+"""Unit of each parameter for identification. ``torque_gain`` is torque at the spool per commanded torque.
+
+``moment_arm`` is one factor on the arms of a tendon at all its joints.
+"""
 
 
 class Identified(Document):
@@ -111,6 +122,7 @@ def identified_hand(hand: Hand, found: dict[str, Identified]) -> Hand:
         known = found[tendon.name]
         digit = next(d for d, name in enumerate(hand.digit_names) if _is_in_slice(hand.digit_tendons[name], i))
         _replace_values(content["tendon"][i], TENDON_KEYS, known)
+        _scale_arms(content["tendon"][i], known.get("moment_arm", 1.0))
         _replace_values(content["motor"][hand.motor_index[i]], MOTOR_KEYS, known)
         _scale_values(content["digit"][digit], known)
     return hand_from_content(content, f"{hand.name} as identified")
@@ -143,6 +155,18 @@ def _replace_values(table: dict[str, object], keys: dict[str, str], known: Ident
     for name, key in keys.items():
         if name in known.names:
             table[key] = known.get(name, 0.0)
+
+
+def _scale_arms(tendon: dict[str, Any], factor: float) -> None:
+    """Scale the moment arms of a tendon: numbers, polynomials, or tables of angles and arms."""
+    if factor == 1.0:
+        return
+    for joint, arm in tendon["moment_arm_m"].items():
+        if isinstance(arm, Mapping):
+            lengths = {key: tuple(factor * value for value in arm[key]) for key in LENGTH_KEYS if key in arm}
+            tendon["moment_arm_m"][joint] = {**arm, **lengths}
+        else:
+            tendon["moment_arm_m"][joint] = factor * arm
 
 
 def _scale_values(table: dict[str, tuple[float, ...]], known: Identified) -> None:

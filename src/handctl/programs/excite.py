@@ -14,7 +14,7 @@ from handctl.core.estimate import Estimate, Measured
 from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.law.trajectory import Chirp, MinimumJerk
 from handctl.core.model import HandModel
-from handctl.core.types import Event
+from handctl.core.types import Event, Vector
 from handctl.document import Document
 from handctl.programs.program import Progress, ProgressAndEvents, coordinates_by_excursion
 
@@ -30,6 +30,8 @@ class ExciteStep(Document):
     - `move`: move to `target` [rad] in `duration_s`.
     - `chirp`: swing by `amplitude` [rad] about `target` [rad], from `low_Hz` to `high_Hz`.
     - `tension`: change the tension to `target` [N] at `rate` [N/s].
+
+    All coordinates or tendons of the digit have the same target, unless `targets` has one for each.
     """
 
     digit: str
@@ -38,12 +40,42 @@ class ExciteStep(Document):
     kind: Literal["limp", "taut", "move", "chirp", "tension"]
     duration_s: float = Field(gt=0, le=60)
     target: float = 0.0
+    targets: tuple[float, ...] = ()
+    """Target of each coordinate [rad] or tendon [N] of the digit, empty for `target`."""
     held: bool = False
     """An obstacle stops the digit, so the filter treats the digit as blocked."""
     rate: float = Field(100.0, gt=0, le=5000)
     amplitude: float = Field(0.0, ge=0, le=1)
+    amplitudes: tuple[float, ...] = ()
+    """Amplitude of each coordinate [rad], empty for `amplitude`."""
     low_Hz: float = Field(0.5, gt=0, le=100)
     high_Hz: float = Field(5.0, gt=0, le=100)
+
+
+@dataclass(frozen=True, slots=True)
+class Swing:
+    """Oscillation of all coordinates in phase, each about its own angle.
+
+    Attributes:
+        centre: (n,) [rad].
+        amplitude: (n,) [rad].
+        chirp: oscillation of one coordinate about 0 with amplitude 1.
+    """
+
+    centre: Vector
+    amplitude: Vector
+    chirp: Chirp
+
+    @property
+    def duration(self) -> float:
+        """Return the duration [s]."""
+        return self.chirp.duration
+
+    def at(self, t: float) -> Vector:
+        """Evaluate the oscillation, see ``Trajectory``."""
+        way = self.chirp.at(t) * self.amplitude
+        way[0] += self.centre
+        return way
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,12 +144,16 @@ def _goal(model: HandModel, d: int, step: ExciteStep, estimate: Estimate, t: flo
     digit = model.digits[d]
     tendons = model.digit_tendons[d]
     here = coordinates_by_excursion(digit, estimate)
+    targets = np.array(step.targets) if step.targets else None
     if step.kind == "move":
-        path = MinimumJerk(here, np.full_like(here, step.target), step.duration_s)
+        path = MinimumJerk(here, np.full_like(here, step.target) if targets is None else targets, step.duration_s)
         return DigitGoal(Kind.MOTION, path, since=t)
     if step.kind == "chirp":
-        swing = Chirp(step.target, step.amplitude, step.low_Hz, step.high_Hz, step.duration_s, len(here))
+        amplitudes = step.amplitudes or (step.amplitude,) * len(here)
+        chirp = Chirp(0.0, 1.0, step.low_Hz, step.high_Hz, step.duration_s, 1)
+        swing = Swing(np.full_like(here, step.target) if targets is None else targets, np.array(amplitudes), chirp)
         return DigitGoal(Kind.MOTION, swing, since=t)
     if step.kind == "limp":
         return DigitGoal()
-    return DigitGoal(Kind.TENSION, tension=np.full(tendons.stop - tendons.start, step.target), rate=step.rate)
+    tension = np.full(tendons.stop - tendons.start, step.target) if targets is None else targets
+    return DigitGoal(Kind.TENSION, tension=tension, rate=step.rate)

@@ -17,6 +17,14 @@ HOME_RAD = math.radians(5.0)
 
 At the stop the error of a digit would seem too small.
 """
+GENTLE_N = 7.0
+"""Net tension with which spool pairs close their digits [N].
+
+A digit of spool pairs without load cells that closes freely looks like a torn tendon from 8 N on: its
+spool winds fast, and the estimated tension is small (T01).
+"""
+GENTLE_S = 2.0
+"""Time for this motion [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +82,13 @@ class Exercise:
         """Return all stages in order."""
         return tuple(stage for amplitude in self.amplitudes for stage in stages(amplitude))
 
+    def stages_of(self, model: HandModel) -> tuple[ExerciseStage, ...]:
+        """Return all stages for a hand. Spool pairs first close gently."""
+        if not model.is_pair.any():
+            return self.stages
+        gentle = ExerciseStage("close", GENTLE_S, tension=GENTLE_N)
+        return tuple(part for stage in self.stages for part in ((gentle, stage) if stage.name == "close" else (stage,)))
+
     def initial(self, model: HandModel) -> Progress:
         """Return the progress until the hand is armed: no torque."""
         return LiveProgram().initial(model)
@@ -85,7 +100,7 @@ class Exercise:
         if progress.phase in ("start", "tighten"):
             progress, events = LiveProgram().advance(model, progress, estimate, measured, t)
             return self._enter(model, progress, estimate, 0, t) if progress.phase == "live" else (progress, events)
-        parts = self.stages
+        parts = self.stages_of(model)
         if t - progress.since < parts[progress.step].duration:
             return progress, ()
         if progress.step + 1 == len(parts):
@@ -96,9 +111,10 @@ class Exercise:
         self, model: HandModel, progress: Progress, estimate: Estimate, step: int, t: float
     ) -> ProgressAndEvents:
         """Enter a stage."""
-        stage = self.stages[step]
+        parts = self.stages_of(model)
+        stage = parts[step]
         goals = tuple(_goal(model, d, stage, estimate, t) for d in range(len(model.digits)))
-        event = Event("info", "phase", "", f"{stage.name} {step + 1} of {len(self.stages)}")
+        event = Event("info", "phase", "", f"{stage.name} {step + 1} of {len(parts)}")
         # In `hold` every digit rests on its closed stop.
         blocked = (stage.name == "hold",) * len(goals)
         return replace(progress, step=step, since=t, phase=stage.name, goals=goals, contact=blocked), (event,)

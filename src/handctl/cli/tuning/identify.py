@@ -41,6 +41,7 @@ from handctl.session.run import Outcome, Runner, make_controller, run_live, run_
 from handctl.session.simulate import Simulator
 from handctl.tune.identify.excitation import excitation
 from handctl.tune.identify.figure import draw_identification
+from handctl.tune.identify.hold_limit import HoldLimit
 from handctl.tune.identify.identify import (
     TendonResult,
     identify_tendons,
@@ -76,14 +77,16 @@ def run(args: argparse.Namespace) -> int:
         return report_dry_run(args, plan, line, digits=digits, seconds=total, commissioning=reason)
     log = args.log or default_log(plan.hand, "identify")
     about = f"exciting {plan.hand.name} for about {total:.0f} s, one digit at a time"
+    held = HoldLimit()
     if args.lockstep:
-        calibration, outcome = _in_lockstep(args, plan, program, log, about)
+        calibration, outcome = _in_lockstep(args, plan, program, log, about, held)
     else:
         announce(args, plan, path, calibration)
         print_note(about)
         calibration = calibration or ensure_calibration(plan, path, reason, run_live, commission_log(log))
         controller = make_controller(plan, program, calibration, arm_at_once=True)
-        outcome = run_live(plan, controller, log)
+        outcome = run_live(plan, controller, log, observer=held)
+    held.refuse_stopped(f"identifying {plan.hand.name}, log {log}")
     outcome.refuse_unfinished(f"identifying {plan.hand.name}, log {log}")
     with RunLog(log) as record:
         results = identify_tendons(record, plan.hand, print_note)
@@ -91,14 +94,14 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _in_lockstep(
-    args: argparse.Namespace, plan: Plan, program: ExciteProgram, log: Path, about: str
+    args: argparse.Namespace, plan: Plan, program: ExciteProgram, log: Path, about: str, held: HoldLimit
 ) -> tuple[Calibration, Outcome]:
     """Commission and excite the simulated hand in virtual time."""
     perturb = assignments(args.perturb, "--perturb")
     simulator = Simulator(args.hand, seed=args.seed, perturb=perturb, truth=log.with_suffix(".truth"))
     with simulator.clock(plan.period_ns) as clock:
         print_note(about)
-        return _commission_and_excite(plan, program, log, partial(run_lockstep, clock=clock))
+        return _commission_and_excite(plan, program, log, partial(run_lockstep, clock=clock, observer=held))
 
 
 def _commission_and_excite(

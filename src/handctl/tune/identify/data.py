@@ -113,6 +113,7 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
             result += [_restrict_to_excitation(data, phases, digit)] if digit in excited else []
         else:
             taut = (log.field("tension_goal")[:-1, i] > MIN_TENSION_N) & (data.tension > MIN_TENSION_N)
+            taut |= bool(hand.is_pair[i])
             free = active & taut & (contact[:, d] < 0.5) & _free_motion(log, hand, digit)[:-1]
             result.append(replace(data, free=free))
     return result
@@ -184,3 +185,12 @@ def _restrict_to_excitation(data: TendonData, phases: NDArray[np.str_], digit: s
         )
     }
     return replace(data, **parts)
+
+
+def average_samples(values: Array, reach: int) -> Array:
+    """Return means over `reach` samples on each side, NaN at the ends."""
+    means = np.full(len(values), np.nan)
+    width = 2 * reach + 1
+    if len(values) >= width:
+        means[reach:-reach] = np.convolve(values, np.full(width, 1.0 / width), "valid")
+    return means

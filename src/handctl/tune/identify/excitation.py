@@ -6,6 +6,7 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.programs.excite import ExciteStep
+from handctl.tune.identify.excitation_antagonists import antagonist_steps
 
 LOW_DEG = 6.0
 """Margin of free sweeps to the open stop and the closed ends [deg]."""
@@ -54,11 +55,13 @@ def excitation(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, ...]:
     """Return the steps for the named digits, one digit after the other.
 
     Raises:
-        ConfigError: A digit does not exist, has no load cells or no springs, or its springs are too weak
-            to stretch its tendon on the open stop.
+        ConfigError: A digit does not exist or lacks load cells, or its springs are too weak to stretch its
+            tendon on the open stop.
     """
     check_identifiable(hand, digits)
     for name in digits:
+        if not is_sprung(hand, name):
+            continue
         if LIFT_FRACTION * (tension := lift_off(hand, name)) < MIN_TENSION_N + MIN_STRETCH_RANGE_N:
             min_preload = (MIN_TENSION_N + MIN_STRETCH_RANGE_N) / LIFT_FRACTION
             problem = f"{tension:.2f} N lifts it off its open stop, too little to stretch its tendon there"
@@ -67,28 +70,30 @@ def excitation(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, ...]:
                 f"digit {name}",
                 f"springs with a preload of {min_preload:.2f} N or more, or other --digits",
             )
-    return tuple(step for name in digits for step in _digit_steps(hand, name))
+    steps_of = {True: _digit_steps, False: antagonist_steps}
+    return tuple(step for name in digits for step in steps_of[is_sprung(hand, name)](hand, name))
+
+
+def is_sprung(hand: Hand, digit: str) -> bool:
+    """Return True if springs load the tendons of a digit. Otherwise its tendons return it."""
+    return any(hand.digit_named(digit).spring_stiffness_N_m_per_rad)
 
 
 def check_identifiable(hand: Hand, digits: tuple[str, ...]) -> None:
-    """Check that digits have what the fits need: a load cell on every tendon, and return springs.
+    """Check that digits have what the fits need: a load cell on every tendon that is not a spool pair.
 
     Raises:
-        ConfigError: A digit does not exist, has spool pairs, or has no load cells or no springs.
+        ConfigError: A digit does not exist, or lacks load cells.
     """
     for name in digits:
         if name not in hand.digit_names:
             raise ConfigError(repr(name), "--digits", "some of " + ", ".join(hand.digit_names))
         tendons = hand.digit_tendons[name]
-        if hand.is_pair[tendons].any():
-            right = "digits of single tendons: a spool pair cannot become slack"
-            raise ConfigError("its tendons are spool pairs", f"digit {name}", right)
-        cells = zip(hand.tendon[tendons], hand.has_cell[tendons], strict=True)
-        bare = [tendon.name for tendon, has_cell in cells if not has_cell]
+        known = zip(hand.tendon[tendons], hand.has_cell[tendons] | hand.is_pair[tendons], strict=True)
+        bare = [tendon.name for tendon, is_known in known if not is_known]
         if bare:
-            raise ConfigError(f"no load cell on {', '.join(bare)}", f"digit {name}", "a load cell on every tendon")
-        if not any(hand.digit_named(name).spring_stiffness_N_m_per_rad):
-            raise ConfigError("no springs", f"digit {name}", "return springs: they load the tendons of a free digit")
+            right = "a load cell on every tendon that is not a spool pair"
+            raise ConfigError(f"no load cell on {', '.join(bare)}", f"digit {name}", right)
 
 
 def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:

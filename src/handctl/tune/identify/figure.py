@@ -7,7 +7,7 @@ import numpy as np
 
 from handctl.core.identified import UNITS
 from handctl.output import save_figure
-from handctl.tune.identify.fit import NAMES, stop_stiffness
+from handctl.tune.identify.fit import LOAD_PARAMETERS, NAMES, stop_stiffness
 from handctl.tune.identify.fit_load import LoadParameters
 from handctl.tune.identify.identify import BAND_HZ, TendonResult
 
@@ -88,7 +88,7 @@ def _draw_free(axis: Any, result: TendonResult) -> None:
         axis.text(0.5, 0.5, "no such data", ha="center", transform=axis.transAxes)
         return
     p = result.fit.z[: len(NAMES)] * problem.nominal
-    model = problem.load.tension(LoadParameters(*p[5:-1].tolist()), bins)
+    model = problem.load.tension(LoadParameters(*p[LOAD_PARAMETERS].tolist()), bins)
     axis.plot(
         1e3 * bins.travel,
         bins.tension - _drift_at(result, bins.t),

@@ -6,7 +6,8 @@ Parameters are divided by the values of the hand file, so that they are of order
 divided by the standard deviation of the load cell.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import t as student
@@ -23,17 +24,19 @@ from handctl.tune.identify.solve import Solution, solve_least_squares
 NAMES = (
     "torque_gain", "motor_inertia", "motor_viscous", "motor_coulomb", "delay",
     "rope_stiffness", "spring_stiffness", "spring_preload", "capstan", "joint_damping", "link_mass",
-    "stretch_offset", "stop_softness",
+    "stretch_offset", "stop_softness", "moment_arm", "pretension",
 )  # fmt: skip
 """Names of a tendon's parameters in the order of the fit.
 
 The drift of the load cell comes after these.
 """
+LOAD_PARAMETERS = slice(NAMES.index("rope_stiffness"), NAMES.index("stretch_offset") + 1)
+"""Places of the parameters of `fit_load.LoadParameters`."""
 SCALE_DELAY_S = 1e-3
 """Scale of the delay [s]."""
 SCALE_OFFSET_M = 1e-4
 """Scale of the stretch offset [m]."""
-PRIOR = {"link_mass": 0.3, "stop_softness": 0.5, "stretch_offset": 1000.0}
+PRIOR = {"link_mass": 0.3, "stop_softness": 0.5, "stretch_offset": 100.0}
 """Prior standard deviation of parameters with prior knowledge, divided by the scale of the parameter.
 
 Masses are weighed, so they are well known. The stretch offset is practically unknown.
@@ -76,7 +79,7 @@ class Problem:
 
     Attributes:
         spool: radius of the spool [m].
-        nominal: (13,) scale of each parameter, from the hand file.
+        nominal: (15,) scale of each parameter, from the hand file.
         load: model of the digit, None if it has several tendons.
         motor: windows of the motor equation.
         free: bins in free motion.
@@ -105,8 +108,6 @@ class Problem:
         Raises:
             LogError: The tendon does not move in the log.
         """
-        index = hand.tendon_names.index(data.tendon)
-        tendon = hand.tendon[index]
         motor = hand.motor_of(data.tendon)
         digit = DigitModel.of(hand, data.digit)
         spool = motor.spool_radius_m
@@ -116,38 +117,27 @@ class Problem:
         windows = motor_windows(data, spool)
         if len(windows.t) < 20:
             raise LogError(f"{data.tendon} hardly moves", "the log", "a run in which it moves")
-        nominal = np.array(
-            [
-                *(
-                    1.0,
-                    motor.inertia_kg_m2,
-                    motor.viscous_N_m_s_per_rad,
-                    motor.coulomb_N_m,
-                    SCALE_DELAY_S,
-                ),
-                *(tendon.stiffness_N_per_m, 1.0, 1.0, tendon.friction_coefficient, 1.0, 1.0),
-                *(SCALE_OFFSET_M, SOFTNESS),
-            ]
-        )
+        sprung = any(digit.spring_stiffness)
         single = digit.moment_arms.shape[0] == 1
+        # Without springs the joint encoders measure the stretch, see `fit_travel`.
+        stop = data.stop & sprung
         return Problem(
             spool=spool,
-            # A parameter that the hand file sets to zero still needs a scale.
-            nominal=np.where(nominal > 0.0, nominal, 1e-3),
-            load=DigitLoad.of(digit) if single else None,
+            nominal=parameter_scales(hand, data.tendon),
+            load=DigitLoad.of(digit) if single and sprung else None,
             motor=windows,
             free=bins(data, data.free, moving=True),
-            stop=bins(data, data.stop, moving=False, bin_s=STOP_BIN_S),
+            stop=bins(data, stop, moving=False, bin_s=STOP_BIN_S),
             slack=bins(data, data.slack, moving=False, bin_s=STOP_BIN_S),
             knots=np.linspace(data.t[0], data.t[-1], max(2, round(span / KNOT_S) + 1)),
-            sigma=_cell_noise(data, hand.sensor_node.tension_noise_N),
+            sigma=_cell_noise(data.tension[data.slack | stop], hand.sensor_node.tension_noise_N),
             # A random walk: its standard deviation grows with the root of time, and the file states
             # it for 100 s.
             step=max(hand.sensor_node.tension_bias_drift_N, 1e-3) * (KNOT_S / 100.0) ** 0.5,
         )
 
     def start(self) -> Array:
-        """Return the initial scaled parameters (13 + k,), taken from the hand file."""
+        """Return the initial scaled parameters (15 + k,), taken from the hand file."""
         first = np.ones(len(NAMES))
         first[NAMES.index("delay")] = 1.0
         first[NAMES.index("stretch_offset")] = self._first_offset() / SCALE_OFFSET_M
@@ -198,12 +188,13 @@ class Problem:
         rows = [
             (
                 self.stop,
-                stop_stiffness(stiffness, p[-1], self.nominal) * (self.stop.travel - p[-2]),
+                stop_stiffness(stiffness, p[NAMES.index("stop_softness")], self.nominal)
+                * (self.stop.travel - p[NAMES.index("stretch_offset")]),
             ),
             (self.slack, np.zeros_like(self.slack.t)),
         ]
         if self.load is not None and len(self.free.t):
-            rows.append((self.free, self.load.tension(LoadParameters(*p[5:-1].tolist()), self.free)))
+            rows.append((self.free, self.load.tension(LoadParameters(*p[LOAD_PARAMETERS].tolist()), self.free)))
         return rows
 
     def _cell_offset(self, t: Array, drift: Array) -> Array:
@@ -214,6 +205,19 @@ class Problem:
         """Return the residuals of drift and prior knowledge."""
         spread = np.array([PRIOR.get(name, VAGUE) for name in NAMES])
         return [np.diff(drift) / self.step, drift[:1] / OFFSET_N, (z[: len(NAMES)] - 1.0) / spread]
+
+
+def parameter_scales(hand: Hand, tendon: str) -> Array:
+    """Return the scale (15,) of each parameter of a tendon, from the hand file."""
+    known = hand.tendon[hand.tendon_names.index(tendon)]
+    motor = hand.motor_of(tendon)
+    scales = np.array([
+        1.0, motor.inertia_kg_m2, motor.viscous_N_m_s_per_rad, motor.coulomb_N_m, SCALE_DELAY_S,
+        known.stiffness_N_per_m, 1.0, 1.0, known.friction_coefficient, 1.0, 1.0,
+        SCALE_OFFSET_M, SOFTNESS, 1.0, known.pretension_N or 1.0,
+    ])  # fmt: skip
+    # A parameter that the hand file sets to zero still needs a scale.
+    return np.where(scales > 0.0, scales, 1e-3)
 
 
 def stop_stiffness(stiffness: float, softness: float, nominal: Array) -> float:
@@ -231,7 +235,7 @@ class Fit:
         z: scaled parameters, drift included.
         covariance: covariance of the scaled parameters.
         freedom: degrees of freedom of each parameter's variance.
-        sensitivity: (rows, 13) weighted Jacobian of the data rows.
+        sensitivity: (rows, 15) weighted Jacobian of the data rows.
         residual: (rows,) residuals, priors included.
         ramp: ramp of tension in the residuals of the free sweeps, None without free sweeps.
     """
@@ -303,11 +307,56 @@ def _row_times(problem: Problem) -> Array:
     return np.concatenate(parts)
 
 
-def _cell_noise(data: TendonData, stated: float) -> float:
+def _cell_noise(quiet: Array, stated: float) -> float:
     """Return the standard deviation of a load-cell sample [N].
 
-    At rest and in slow stretches, neighbouring samples differ only by noise.
+    Args:
+        quiet: tensions at rest and in slow stretches, where neighbouring samples differ only by noise [N].
+        stated: value of the hand file, used with too few samples [N].
     """
-    quiet = data.tension[data.slack | data.stop]
     quiet = quiet[np.isfinite(quiet)]
     return stated if len(quiet) < 200 else max(float(np.std(np.diff(quiet))) / 2**0.5, 0.1 * stated, 1e-3)
+
+
+def merge_solution(fit: Fit, solution: Solution, rows: int, names: tuple[str, ...], source: Sequence[int]) -> Fit:
+    """Return a fit with some parameters replaced by those of another, independent fit.
+
+    Args:
+        fit: fit of one tendon.
+        solution: result of the other fit.
+        rows: number of its data rows.
+        names: names of the parameters.
+        source: their places in the solution.
+    """
+    target = [NAMES.index(name) for name in names]
+    z = fit.z.copy()
+    covariance = fit.covariance.copy()
+    freedom = fit.freedom.copy()
+    z[target] = solution.z[source]
+    freedom[target] = solution.freedom[source]
+    # The two fits are independent, so parameters of one have no covariance with those of the other.
+    covariance[target, :] = covariance[:, target] = 0.0
+    covariance[np.ix_(target, target)] = solution.covariance[np.ix_(source, source)]
+    rows_added = np.zeros((rows, len(NAMES)))
+    rows_added[:, target] = solution.jacobian[:rows, source]
+    return replace(
+        fit,
+        z=z,
+        covariance=covariance,
+        freedom=freedom,
+        sensitivity=np.vstack([fit.sensitivity, rows_added]),
+    )
+
+
+def with_model_error(fit: Fit, errors: Mapping[str, float]) -> Fit:
+    """Return a fit whose variances include errors of the model, which the scatter of the residuals does not show.
+
+    Args:
+        fit: fit of a tendon.
+        errors: standard deviations by parameter, as fractions of the value.
+    """
+    covariance = fit.covariance.copy()
+    for name, error in errors.items():
+        place = NAMES.index(name)
+        covariance[place, place] += (error * fit.z[place]) ** 2
+    return replace(fit, covariance=covariance)

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from handctl.hand.digit import DigitModel
 from handctl.hand.dynamics import inverse_dynamics
 from handctl.tune.identify.contact_detection import Ramp, steepest_ramp
-from handctl.tune.identify.data import Array, TendonData
-from handctl.tune.identify.fit import MAX_SCALE, MIN_SCALE, NAMES, PRIOR, VAGUE, Fit
+from handctl.tune.identify.data import Array, TendonData, average_samples
+from handctl.tune.identify.fit import MAX_SCALE, MIN_SCALE, NAMES, PRIOR, VAGUE, Fit, merge_solution
 from handctl.tune.identify.fit_load import MAX_FRICTION_EXPONENT
 from handctl.tune.identify.solve import Solution, solve_least_squares
 
@@ -78,9 +78,9 @@ class Balance:
         """
         first_tendon = data[0]
         reach = max(1, round(HALF_S / data[0].period))
-        free = np.all([_average_samples(tendon.free.astype(float), reach) > 0.999 for tendon in data], axis=0)
+        free = np.all([average_samples(tendon.free.astype(float), reach) > 0.999 for tendon in data], axis=0)
         cells = [
-            _average_samples(tendon.tension - _cell_drift(tendon, fit), reach)
+            average_samples(tendon.tension - _cell_drift(tendon, fit), reach)
             for tendon, fit in zip(data, fits, strict=True)
         ]
         tension = np.column_stack(cells)
@@ -198,8 +198,9 @@ def fits_with_digit(fits: Sequence[Fit], solution: Solution, balance: Balance) -
     rows = len(balance.t) * balance.q.shape[1]
     fits = [replace(fit, ramp=_unexplained_ramp(solution, balance)) for fit in fits]
     return [
-        _merge_fit(fit, solution, rows, SHARED_PARAMETERS if j == 0 else (), len(SHARED_PARAMETERS) + j)
+        merge_solution(fit, solution, rows, ("capstan", *shared), [len(SHARED_PARAMETERS) + j, *range(len(shared))])
         for j, fit in enumerate(fits)
+        for shared in [SHARED_PARAMETERS if j == 0 else ()]
     ]
 
 
@@ -207,30 +208,6 @@ def _unexplained_ramp(solution: Solution, balance: Balance) -> Ramp | None:
     """Return the ramp of torque at one joint in the residuals of the sweeps."""
     units = [np.tile(row, len(balance.t)) for row in balance.whiten]
     return steepest_ramp(solution.jacobian, solution.residual, 0, np.asarray(balance.q.mean(axis=1)), units)
-
-
-def _merge_fit(fit: Fit, solution: Solution, rows: int, shared: tuple[str, ...], capstan: int) -> Fit:
-    """Return the fit of one tendon with some parameters replaced by those of the digit."""
-    names = (*shared, "capstan")
-    target = [NAMES.index(name) for name in names]
-    source = [*range(len(shared)), capstan]
-    z = fit.z.copy()
-    covariance = fit.covariance.copy()
-    freedom = fit.freedom.copy()
-    z[target] = solution.z[source]
-    freedom[target] = solution.freedom[source]
-    # The two fits are independent, so parameters of one have no covariance with those of the other.
-    covariance[target, :] = covariance[:, target] = 0.0
-    covariance[np.ix_(target, target)] = solution.covariance[np.ix_(source, source)]
-    rows_added = np.zeros((rows, len(NAMES)))
-    rows_added[:, target] = solution.jacobian[:rows, source]
-    return replace(
-        fit,
-        z=z,
-        covariance=covariance,
-        freedom=freedom,
-        sensitivity=np.vstack([fit.sensitivity, rows_added]),
-    )
 
 
 def _friction_scales(digit: DigitModel) -> Array:
@@ -245,15 +222,6 @@ def _spaced_indices(indices: NDArray[np.intp], spacing: int) -> NDArray[np.intp]
         if not selected or index - selected[-1] >= spacing:
             selected.append(index)
     return np.array(selected, dtype=np.intp)
-
-
-def _average_samples(values: Array, reach: int) -> Array:
-    """Return means over `reach` samples on each side, NaN at the ends."""
-    means = np.full(len(values), np.nan)
-    width = 2 * reach + 1
-    if len(values) >= width:
-        means[reach:-reach] = np.convolve(values, np.full(width, 1.0 / width), "valid")
-    return means
 
 
 def _tendon_rates(data: TendonData, reach: int) -> tuple[Array, Array]:

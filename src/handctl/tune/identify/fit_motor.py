@@ -8,8 +8,10 @@ derivatives to the window, which is known exactly.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from handctl.tune.identify.data import Array, TendonData
 
@@ -63,25 +65,55 @@ class MotorWindows:
         return np.asarray(self.commands @ weights)
 
 
+class WindowWeights(NamedTuple):
+    """Weights of the samples of a window, (n,) each.
+
+    Attributes:
+        samples: places of the samples, from the centre.
+        mean: weights of a mean.
+        first: weights of the negative first derivative [1/s].
+        second: weights of the second derivative [1/s^2].
+    """
+
+    samples: NDArray[np.intp]
+    mean: Array
+    first: Array
+    second: Array
+
+    @staticmethod
+    def of(period: float) -> "WindowWeights":
+        """Return the weights at a control period [s]."""
+        half = max(MIN_HALF_SAMPLES, round(HALF_S / period))
+        half_s = half * period
+        samples = np.arange(-half, half + 1)
+        s = np.asarray(samples / half, np.float64)
+        return WindowWeights(
+            samples,
+            _window(s) / half,
+            _window_slope(s) / half_s / half,
+            _window_curvature(s) / half_s**2 / half,
+        )
+
+    def rates(self, values: Array) -> tuple[Array, Array, Array]:
+        """Return mean, first and second derivative (...) of the samples of windows (..., n)."""
+        # Integration by parts moves the derivative to the window and changes its sign.
+        return values @ self.mean, -values @ self.first, values @ self.second
+
+
 def motor_windows(data: TendonData, spool: float) -> MotorWindows:
     """Return the windowed signals of a tendon.
 
     Windows with too low a tendon speed or a missing sample are omitted.
     """
     period = data.period
-    half = max(MIN_HALF_SAMPLES, round(HALF_S / period))
-    half_s = half * period
-    samples = np.arange(-half, half + 1)
-    s = np.asarray(samples / half, np.float64)
-    weight = _window(s) / half
-    first = _window_slope(s) / half_s / half
-    second = _window_curvature(s) / half_s**2 / half
+    weights = WindowWeights.of(period)
+    samples = weights.samples
+    half = len(samples) // 2
     centres = np.arange(half + 3, len(data.t) - half - 3, max(1, round(SPACING_FRACTION * half)))
     rows = centres[:, None] + samples
     travel = data.travel[rows]
-    # Integration by parts moves the derivative to the window and changes its sign.
-    speed = -travel @ first
-    quick = _quick_speed(data.travel, period)
+    _, speed, acceleration = weights.rates(travel)
+    quick = quick_speed(data.travel, period)
     complete = data.acting[rows].all(axis=1) & np.isfinite(travel + data.tension[rows]).all(axis=1)
     moving = np.abs(quick[rows]).min(axis=1) > MIN_SPEED_RAD_S * spool
     # All signs of a window are equal only if their sum is the number of samples.
@@ -89,18 +121,18 @@ def motor_windows(data: TendonData, spool: float) -> MotorWindows:
     taps = np.arange(-half - 2, half + 3)
     return MotorWindows(
         t=data.t[centres][selected],
-        tension=(data.tension[rows] @ weight)[selected],
-        acceleration=(travel @ second)[selected],
+        tension=(data.tension[rows] @ weights.mean)[selected],
+        acceleration=acceleration[selected],
         speed=speed[selected],
         sign=np.sign(speed[selected]),
         commands=data.command[centres[selected][:, None] + taps],
         offsets=np.append(taps, taps[-1] + 1) * period,
-        half_s=half_s,
-        spread=float(np.sqrt((weight**2).sum())),
+        half_s=half * period,
+        spread=float(np.sqrt((weights.mean**2).sum())),
     )
 
 
-def _quick_speed(travel: Array, period: float, reach: int = 3) -> Array:
+def quick_speed(travel: Array, period: float, reach: int = 3) -> Array:
     """Return the speed from differences over a few periods [m/s], zero at the ends."""
     speed = np.full(len(travel), np.nan)
     speed[reach:-reach] = (travel[2 * reach :] - travel[: -2 * reach]) / (2 * reach * period)

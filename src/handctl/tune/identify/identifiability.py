@@ -11,7 +11,7 @@ import numpy as np
 from scipy.signal import coherence
 
 from handctl.core.identified import UNITS
-from handctl.hand.file.sections import Tendon
+from handctl.hand.description import Hand
 from handctl.tune.identify.data import Array, TendonData
 from handctl.tune.identify.fit import INFORMED, NAMES, SCALE_DELAY_S, Fit
 
@@ -47,13 +47,16 @@ class Identifiability:
     correlated: tuple[tuple[str, str, float], ...]
 
 
-def identifiability(fit: Fit, tendon: Tendon) -> Identifiability:
+def identifiability(fit: Fit, hand: Hand, digit: str, tendon: str) -> Identifiability:
     """Return the identifiability of the parameters in a fit.
 
     Args:
         fit: fit of a tendon.
-        tendon: description of this tendon in the hand file.
+        hand: description of the hand.
+        digit: name of the digit.
+        tendon: name of the tendon.
     """
+    unseen = unobservable_parameters(hand, digit, tendon)
     jacobian = fit.sensitivity
     # The right singular vectors are combinations of parameters, the singular values their
     # information.
@@ -61,16 +64,19 @@ def identifiability(fit: Fit, tendon: Tendon) -> Identifiability:
     widths = fit.half_widths
     values = fit.values
     names = tuple(
-        name for name in UNITS if _is_narrow(name, values[name], widths[name]) and _is_excited(jacobian, name)
+        name
+        for name in UNITS
+        if name not in unseen and _is_narrow(name, values[name], widths[name]) and _is_excited(jacobian, name)
     )
+    reasons = {name: _reason_not_identified(jacobian, name) for name in UNITS if name not in names} | unseen
     spread = np.sqrt(np.diag(fit.covariance))
     correlation = fit.covariance / np.outer(spread, spread)
     pairs = [(a, b, float(correlation[NAMES.index(a), NAMES.index(b)])) for a in names for b in names if a < b]
     return Identifiability(
         names=names,
         missing=(
-            *(f"{name}: {_reason_not_identified(jacobian, name)}" for name in UNITS if name not in names),
-            *_never_identifiable(fit, tendon),
+            *(f"{name}: {reason}" for name, reason in reasons.items() if reason),
+            *_never_identifiable(fit, hand, tendon),
         ),
         # A singular direction counts if its own 95 % interval would count as identified.
         rank=int((1.96 / np.maximum(sizes, 1e-12) < INFORMED).sum()),
@@ -101,19 +107,54 @@ def _reason_not_identified(jacobian: Array, name: str) -> str:
     return f"the 95 % interval is wider than {100 * INFORMED:.0f} % of the value to either side"
 
 
-def _never_identifiable(fit: Fit, tendon: Tendon) -> list[str]:
+def unobservable_parameters(hand: Hand, digit: str, tendon: str) -> dict[str, str]:
+    """Return the parameters that the sensors of a hand cannot show, each with the reason.
+
+    A parameter that the tendon does not have has no reason.
+
+    Args:
+        hand: description of the hand.
+        digit: name of the digit.
+        tendon: name of the tendon.
+    """
+    index = hand.tendon_names.index(tendon)
+    is_pair = bool(hand.is_pair[index])
+    sprung = any(hand.digit_named(digit).spring_stiffness_N_m_per_rad)
+    unseen = {} if is_pair else {"pretension": ""}
+    if is_pair:
+        unseen["torque_gain"] = "without a load cell the torque of the drive is the unit of all forces"
+    if not sprung:
+        unseen |= dict.fromkeys(("spring_stiffness", "spring_preload"), "the hand file has no springs")
+    if sprung:
+        unseen["moment_arm"] = "it trades off with springs and stretch, the arms of the hand file are used"
+    elif not hand.covered[index]:
+        unseen["moment_arm"] = "a joint of this tendon has no encoder"
+    return unseen
+
+
+def _never_identifiable(fit: Fit, hand: Hand, name: str) -> list[str]:
     """Return the parameters that this kind of excitation never identifies, at any duration."""
     problem = fit.problem
+    tendon = hand.tendon[hand.tendon_names.index(name)]
+    if tendon.pretension_N is not None:
+        return [
+            "link masses: taken from the hand file to weigh torques, and fitted only as a factor on the load",
+            f"tendon damping: in units of the noise of the motor force, {problem.sigma:.2f} N, it is too small",
+        ]
     tension = np.concatenate([problem.motor.tension, problem.stop.tension, problem.free.tension])
     reasons = [
         "load-cell gain: torque gain, inertia, friction, tendon and springs all scale with it. "
         "The load cell is taken as the measure of force",
         "link masses: taken from the hand file, within 30 %",
     ]
+    if hand.covered[hand.tendon_names.index(name)]:
+        reasons.append("moment arms of one tendon to each other: one factor is fitted for all its joints")
     if float(tension.max(initial=0.0)) < tendon.knee_N:
         reasons.append(
             f"knee of the tendon: the data end at {tension.max(initial=0.0):.0f} N, the knee is at {tendon.knee_N:g} N"
         )
+    if not len(problem.stop.t):
+        return reasons
     rates = np.abs(problem.stop.speed)
     max_speed = float(rates.max(initial=0.0))
     damping_force = tendon.damping_N_s_per_m * max_speed

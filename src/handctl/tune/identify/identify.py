@@ -18,6 +18,8 @@ from handctl.tune.identify.contact_detection import are_joints_moving
 from handctl.tune.identify.data import Array, TendonData, tendon_data
 from handctl.tune.identify.fit import NAMES, Fit, Problem, fit_tendon
 from handctl.tune.identify.fit_digit import Balance, fit_digit, fits_with_digit
+from handctl.tune.identify.fit_pair import fit_pair
+from handctl.tune.identify.fit_travel import fit_travel, with_arms
 from handctl.tune.identify.identifiability import (
     Identifiability,
     excitation_coherence,
@@ -139,10 +141,11 @@ def identify_tendons(
     """
     solved = []
     failure = LogError("no tendon of this hand in it", "the log", "a run in which digits move")
-    for data in tendon_data(log, hand):
+    data_of_all = tendon_data(log, hand)
+    for data in data_of_all:
         progress(f"fitting {data.tendon}")
         try:
-            solved.append((data, fit_tendon(Problem.of(data, hand))))
+            solved.append((data, _fit_alone(hand, data, [other for other in data_of_all if other.digit == data.digit])))
         except LogError as error:
             failure = error
     if not solved:
@@ -157,6 +160,22 @@ def identify_tendons(
         }
     events = blocked_digits(log)
     return {name: _with_contacts(hand, fit, events.get(fit.data.digit, "")) for name, fit in results.items()}
+
+
+def _fit_alone(hand: Hand, data: TendonData, digit_data: list[TendonData]) -> Fit:
+    """Return the fit of one tendon, or of a spool pair with the motion of its digit.
+
+    Raises:
+        LogError: The tendon hardly moves.
+    """
+    digit = DigitModel.of(hand, data.digit)
+    place = digit.tendon_names.index(data.tendon)
+    if hand.is_pair[digit.tendons].any():
+        return fit_pair(hand, digit, place, digit_data)
+    fit = fit_tendon(Problem.of(data, hand))
+    if any(digit.spring_stiffness):
+        return fit
+    return fit_travel(digit, place, data, fit, hand.sensor_node.joint_noise_rad)
 
 
 def _with_contacts(hand: Hand, result: TendonResult, event: str) -> TendonResult:
@@ -239,9 +258,12 @@ def _of_digit(hand: Hand, name: str, fitted: list[tuple[TendonData, Fit]]) -> tu
     With several tendons, the fit of the digit is included.
     """
     fits = [fit for _, fit in fitted]
-    if len(fitted) < 2 or len(fitted) < len(hand.tendon[hand.digit_tendons[name]]):
+    digit = DigitModel.of(hand, name)
+    if hand.is_pair[digit.tendons].any() or len(fitted) < 2 or len(fitted) < len(digit.tendon_names):
         return None, fits
-    balance = Balance.of(DigitModel.of(hand, name), [data for data, _ in fitted], fits)
+    if not any(digit.spring_stiffness):
+        digit = with_arms(digit, np.array([fit.values["moment_arm"] for fit in fits]))
+    balance = Balance.of(digit, [data for data, _ in fitted], fits)
     return balance, fits if balance is None else fits_with_digit(fits, fit_digit(balance), balance)
 
 
@@ -250,8 +272,7 @@ def _tendon_result(hand: Hand, data: TendonData, fit: Fit, balance: Balance | No
     spectrum = excitation_coherence(data)
     inside = (spectrum[0] >= BAND_HZ[0]) & (spectrum[0] <= BAND_HZ[1])
     mean = float(spectrum[1][inside].mean()) if inside.any() else float("nan")
-    tendon = hand.tendon[hand.tendon_names.index(data.tendon)]
-    return TendonResult(data, fit, identifiability(fit, tendon), mean, spectrum, balance)
+    return TendonResult(data, fit, identifiability(fit, hand, data.digit, data.tendon), mean, spectrum, balance)
 
 
 def utc_now_text() -> str:

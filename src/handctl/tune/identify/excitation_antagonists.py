@@ -1,0 +1,198 @@
+"""Excitation of a digit whose tendons return it: n + 1 tendons without springs, or spool pairs.
+
+The digit sweeps about a posture, with its joints in step and against each other, so that every tendon
+winds while others pay out. Then it swings, and at last its tendons are stretched while it rests on its
+lower stops.
+"""
+
+import math
+
+import numpy as np
+
+from handctl.core.law.redundancy import redundancy_of_hand
+from handctl.hand.description import Hand
+from handctl.hand.digit import Array, DigitModel
+from handctl.hand.tree import HandTree
+from handctl.programs.excite import ExciteStep
+
+LOWEST_DEG = 0.0
+"""Smallest joint angle of the sweeps [deg]. Below it a thumb may touch its palm."""
+HIGHEST_DEG = 32.0
+"""Largest joint angle of the sweeps [deg]. Beyond it the packaged hands touch thumb or palm."""
+STOP_MARGIN_DEG = 6.0
+"""Smallest distance of the sweeps from the joint limits [deg]."""
+SIDEWAYS_DEG = (-2.0, 12.0)
+"""Ends of sweeps that move a digit sideways [deg], near each other because of its neighbours."""
+SWEEP_S = (0.8, 0.45, 0.45)
+"""Durations of the moves from one end of a sweep to the other [s]."""
+SWING_DEG = 9.0
+"""Largest amplitude of the swing [deg]."""
+SWING_S = 3.0
+"""Duration of the swing [s]."""
+SWING_LOW_HZ = 0.7
+"""Lowest frequency of the swing [Hz]."""
+SWING_HIGH_HZ = 6.0
+"""Highest frequency of the swing [Hz]."""
+SWING_TORQUE = 0.25
+"""Largest part of a motor's torque that the swing may need."""
+PULL_FRACTION = 0.3
+"""Largest tension of a stretch, as a fraction of the largest tension.
+
+The tendons that hold the digit open bear it for seconds. With more, a motor that makes 30 % less torque than
+commanded would be reported as a wrong load cell (T04b) or as an oscillation (N14b).
+"""
+LOW_FRACTION = 0.07
+"""Smallest net tension of a stretched spool pair, as a fraction of the largest tension."""
+CLOSE_FRACTION = 0.12
+"""Net tension with which spool pairs move their digit to its lower stops, as a fraction of the largest tension."""
+CLOSE_S = 2.5
+"""Time for this motion [s]. The control law damps it."""
+OPEN_S = 1.5
+"""Time for the way back [s]."""
+HOLD_RATIO = 0.7
+"""Largest torque of a stretched tendon, as a fraction of the torque with which the others open the digit."""
+TAUT_RATIO = 1.3
+"""Tensions that take up slack, as a multiple of the smallest ones that hold each other."""
+AGAINST = 0.5
+"""Part of the amplitude with which a coordinate moves against the others.
+
+All of it would leave tendons at rest that pass both joints.
+"""
+RATE_N_PER_S = 250.0
+"""Rate of the tension while a tendon is stretched [N/s]. The spool then turns faster than its friction needs."""
+SETTLE_S = 0.06
+"""Time after a stretch [s]."""
+STRETCHES = 5
+"""Number of stretches of each tendon up and down."""
+PAIR_STRETCHES = 10
+"""The same, of spool pairs. All pairs of a digit are stretched at once."""
+PAIR_FRACTION = 0.65
+"""Largest net tension of a stretched spool pair, as a fraction of the largest tension.
+
+It must be well beyond twice the pretension, where one of the two tendons is slack.
+"""
+
+
+def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
+    """Return the steps of a digit whose tendons return it.
+
+    Args:
+        hand: description.
+        name: of the digit.
+    """
+    digit = DigitModel.of(hand, name)
+    low, high = sweep_range(digit)
+    middle = 0.5 * (low + high)
+    half = 0.5 * (high - low)
+
+    def step(step_name: str, kind: str, duration_s: float, targets: Array | None = None, **more: object) -> ExciteStep:
+        angles_or_tensions = () if targets is None else tuple(targets.tolist())
+        given = {"digit": name, "name": step_name, "kind": kind, "duration_s": duration_s} | more
+        return ExciteStep.model_validate(given | {"targets": angles_or_tensions})
+
+    sweeps = []
+    for signs in _sign_patterns(len(middle)):
+        sweeps.append(step("approach", "move", 0.4, middle - signs * half))
+        for duration in SWEEP_S:
+            sweeps += [step("sweep", "move", duration, middle + side * signs * half) for side in (1.0, -1.0)]
+    amplitudes = tuple(_swing_amplitudes(hand, digit, middle, half).tolist())
+    swing = step("swing", "chirp", SWING_S, middle, amplitudes=amplitudes, low_Hz=SWING_LOW_HZ, high_Hz=SWING_HIGH_HZ)
+    rest, stretches = _stretched_tensions(hand, digit)
+    pairs = bool(hand.is_pair[digit.tendons].any())
+    _, largest = _limits(hand, digit)
+    onto_stop = -CLOSE_FRACTION / PULL_FRACTION * largest if pairs else stretches[0][0]
+    stretch_steps = []
+    for lower, upper in stretches:
+        duration = float(np.abs(upper - lower).max()) / RATE_N_PER_S + SETTLE_S
+        stretch_steps.append(step("close", "tension", 0.5, lower, rate=80.0, held=True))
+        for _ in range(PAIR_STRETCHES if pairs else STRETCHES):
+            for goal in (upper, lower):
+                stretch_steps.append(step("stretch", "tension", duration, goal, rate=RATE_N_PER_S, held=True))
+    return [
+        step("taut", "tension" if pairs else "taut", 0.4, rest if pairs else _balance(hand, digit), rate=40.0),
+        *sweeps,
+        step("approach", "move", 0.4, middle),
+        swing,
+        step("approach", "move", 0.6, low),
+        step("close", "tension", CLOSE_S if pairs else 0.8, onto_stop, rate=20.0 if pairs else 60.0, held=True),
+        *stretch_steps,
+        step("open", "tension", 0.4, rest if pairs else stretches[0][0], rate=100.0, held=True),
+        step("open", "move", OPEN_S, low),
+        step("rest", "limp", 0.1),
+    ]
+
+
+def sweep_range(digit: DigitModel) -> tuple[Array, Array]:
+    """Return the smallest and the largest coordinates (n_c,) of the sweeps of a digit [rad]."""
+    least, most = digit.reach
+    margin = math.radians(STOP_MARGIN_DEG)
+    low = np.maximum(least + margin, math.radians(LOWEST_DEG))
+    high = np.minimum(most - margin, math.radians(HIGHEST_DEG))
+    near, far = np.radians(SIDEWAYS_DEG)
+    sideways = digit.sideways & (least + margin < near) & (most - margin > far)
+    return np.where(sideways, near, low), np.where(sideways, far, high)
+
+
+def _sign_patterns(count: int) -> list[Array]:
+    """Return the signs (count,) with which the coordinates move: all alike, then each one against the others."""
+    patterns = [np.ones(count)]
+    if count > 1:
+        # With two coordinates, one against the other is the same as the other against the one.
+        patterns += [np.where(np.arange(count) == i, -AGAINST, 1.0) for i in range(count if count > 2 else 1)]
+    return patterns
+
+
+def _swing_amplitudes(hand: Hand, digit: DigitModel, middle: Array, half: Array) -> Array:
+    """Return the amplitudes (n_c,) of the swing [rad], for which the motors are strong enough."""
+    tree = HandTree.of(hand)
+    q = np.clip(np.zeros(len(hand.joints)), hand.joint_limits[0], hand.joint_limits[1])
+    q[digit.joints] = digit.coupling @ middle
+    moved = tree.mass_matrix(q)[digit.joints, digit.joints]
+    arms = digit.reduced_moment_arms
+    inertia = np.abs(digit.coupling.T @ moved @ digit.coupling).sum(axis=1)
+    force = np.abs(digit.torque_to_tension @ digit.joints_to_coordinates.T @ inertia)
+    force = force + digit.motor_mass * np.abs(arms).sum(axis=1)
+    motors = [hand.motor_of(tendon) for tendon in digit.tendon_names]
+    available = SWING_TORQUE * np.array([motor.torque_max_N_m / motor.spool_radius_m for motor in motors])
+    largest = float((available / (force * (2.0 * math.pi * SWING_HIGH_HZ) ** 2)).min())
+    return np.minimum(np.minimum(math.radians(SWING_DEG), 0.7 * half), largest)
+
+
+def _limits(hand: Hand, digit: DigitModel) -> tuple[Array, Array]:
+    """Return floor and largest tension of the stretches of a digit's tendons, (n_t,) each [N]."""
+    tendons = hand.tendon[digit.tendons]
+    floor = np.array([tendon.tension_floor_N for tendon in tendons])
+    return floor, PULL_FRACTION * np.array([tendon.tension_max_N for tendon in tendons])
+
+
+def _balance(hand: Hand, digit: DigitModel) -> Array:
+    """Return tensions (n_t,) above the floor that hold each other [N]."""
+    floor = np.array([tendon.tension_floor_N for tendon in hand.tendon])
+    ceiling = np.array([tendon.tension_max_N for tendon in hand.tendon])
+    return TAUT_RATIO * redundancy_of_hand((digit,), floor, ceiling, hand.is_pair).balance
+
+
+def _stretched_tensions(hand: Hand, digit: DigitModel) -> tuple[Array, list[tuple[Array, Array]]]:
+    """Return the tensions of the resting digit, and those before and after each stretch on its lower stops [N].
+
+    All spool pairs are stretched at once. Of other tendons the openers are stretched at once, then each
+    tendon that closes the digit alone, up to a torque at which the openers still hold it open.
+    """
+    floor, largest = _limits(hand, digit)
+    if hand.is_pair[digit.tendons].any():
+        whole = largest / PULL_FRACTION
+        return np.zeros(len(whole)), [(-LOW_FRACTION * whole, -PAIR_FRACTION * whole)]
+    arms = digit.reduced_moment_arms
+    opens = arms.sum(axis=1) < 0.0
+    hold = np.where(opens, largest, floor)
+    half = np.where(opens, 0.5 * largest, floor)
+    stretches = [(half, hold)]
+    for i in np.flatnonzero(~opens).tolist():
+        without = np.where(np.arange(len(hold)) == i, 0.0, hold)
+        opening = -(arms.T @ without)
+        closing = np.maximum(arms[i], 0.0)
+        most = float((HOLD_RATIO * opening[closing > 0.0] / closing[closing > 0.0]).min())
+        upper = hold.copy()
+        upper[i] = max(min(most, float(largest[i])), float(floor[i]))
+        stretches.append((hold, upper))
+    return hold, stretches

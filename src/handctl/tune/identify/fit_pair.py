@@ -1,0 +1,397 @@
+"""Fit of a spool pair without load cells, from motor torque, spool and joint encoders.
+
+    u(t - d) = J/r w' + b/r w + tau_c/r sgn w + F          motor, windowed as in `fit_motor`
+    F = n(load; p, mu)                                     free motion
+    g(F; k, p) = x - m s(q) - o                            on a stop, and in free motion
+
+F is the net tension at the spool. In free motion it balances inertia, weight and damping of the links
+and the friction of both tendons, n. The stretch of the pair, which is the difference between spool and
+joints, follows from F by the characteristic g: the stiffness is 2 k while both tendons are taut, and k
+beyond twice the pretension p.
+
+Nothing here measures a force: the torque of the drive is the unit of all forces. If a motor makes 10 %
+less torque than commanded, then its inertia, its friction and the stiffness of its tendons seem 10 %
+larger.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.errors import LogError
+from handctl.hand.description import Hand
+from handctl.hand.digit import Array, DigitModel
+from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
+from handctl.hand.tree import HandTree
+from handctl.tune.identify.data import TendonData
+from handctl.tune.identify.fit import (
+    MAX_SCALE,
+    MIN_SCALE,
+    NAMES,
+    SCALE_OFFSET_M,
+    VAGUE,
+    Fit,
+    Problem,
+    parameter_scales,
+    with_model_error,
+)
+from handctl.tune.identify.fit_load import Bins
+from handctl.tune.identify.fit_motor import MotorWindows, WindowWeights, motor_windows, quick_speed
+from handctl.tune.identify.fit_travel import SKEW_S, excursions
+from handctl.tune.identify.solve import MIN_FREEDOM, OUTLIER, Solution, solve_least_squares
+
+PAIR_PARAMETERS = (
+    "motor_inertia", "motor_viscous", "motor_coulomb", "delay", "rope_stiffness", "capstan", "moment_arm",
+    "joint_damping", "link_mass", "pretension", "stretch_offset",
+)  # fmt: skip
+"""Names of the parameters of this fit.
+
+Two more come after these: inertia that the model does not have, and the time difference of the encoders.
+"""
+PAIR_PRIOR = {
+    "link_mass": 0.5, "joint_damping": 0.4, "pretension": 0.5, "rope_stiffness": 1.0, "stretch_offset": 100.0,
+}  # fmt: skip
+"""Prior standard deviation of parameters, divided by the scale of the parameter.
+
+The masses of the links are weighed, but in the units of this fit they are divided by the torque gain.
+The damping of a joint and the viscous friction of its motor have the same effect. Without knowledge of the
+pretension a pair of twice the stiffness could be one with a slack tendon.
+"""
+PAIR_MODEL_ERROR = {
+    "motor_coulomb": 0.025, "capstan": 0.03, "pretension": 0.03, "rope_stiffness": 0.01,
+}  # fmt: skip
+"""Standard deviation of the errors of the model by parameter, as a fraction of the value.
+
+Friction of motor and tendons act together. Chosen with five simulated hands.
+"""
+LOAD_DOUBT = 0.05
+"""Standard deviation of the inertia of the links that the model does not have, as a fraction of the rotor's.
+
+Rotor and links accelerate together, so nothing but the model of the links separates the two.
+"""
+FIRST_NOISE_N = 0.3
+"""Standard deviation of the motor equation in the first fit [N]. The second fit uses that of the residuals."""
+MIN_NOISE_N = 0.02
+"""Smallest standard deviation of the motor equation [N]."""
+STARTS = (1.0, 1.5, 2.2)
+"""Factors on the pretension of the hand file from which the fit begins."""
+MIN_READINGS = 3
+"""Smallest number of joint readings in a window whose stretch is used."""
+
+
+@dataclass(frozen=True, slots=True)
+class PairWindows:
+    """Windowed signals of a spool pair, (m,) each.
+
+    Attributes:
+        motor: windows of the motor equation. Their tension is not known.
+        free: True in free motion, False while the pair is stretched on a stop.
+        inertial: net tension at the joints for inertia and weight [N].
+        damping: net tension at the joints for joint damping [N].
+        angle: wrap angle of the pair [rad].
+        developed: fraction of the friction of the tendons that is developed, with its sign.
+        travel: mean travel at the times of the joint readings [m].
+        excursion: mean excursion of these readings by the hand file [m], NaN with too few.
+        readings: number of joint readings.
+    """
+
+    motor: MotorWindows
+    free: NDArray[np.bool_]
+    inertial: Array
+    damping: Array
+    angle: Array
+    developed: Array
+    travel: Array
+    excursion: Array
+    readings: Array
+
+    @staticmethod
+    def of(hand: Hand, digit: DigitModel, tendon: int, data: Sequence[TendonData], rest: Array) -> "PairWindows":
+        """Return the windows of a pair.
+
+        Args:
+            hand: description.
+            digit: model of the digit.
+            tendon: index of the pair in the digit.
+            data: data of all pairs of the digit, in order.
+            rest: (J,) angles of all joints [rad], those of the other digits do not change.
+
+        Raises:
+            LogError: The pair hardly moves.
+        """
+        own = data[tendon]
+        spool = hand.motor_of(own.tendon).spool_radius_m
+        windows = motor_windows(replace(own, tension=np.zeros_like(own.travel)), spool)
+        weights = WindowWeights.of(own.period)
+        rows = np.rint((windows.t - own.t[0]) / own.period).astype(int)[:, None] + weights.samples
+        stretched = own.stop[rows]
+        clear = np.asarray(stretched.all(axis=1) | ~stretched.any(axis=1))
+        means = np.array([weights.rates(pair.travel[rows]) for pair in data])
+        clear &= np.isfinite(means).all(axis=(0, 1))
+        windows, rows = select_windows(windows, clear), rows[clear]
+        if len(windows.t) < 20:
+            raise LogError(f"{own.tendon} hardly moves", "the log", "a run in which it moves")
+        q, dq, ddq = _joint_motion(digit, means[:, :, clear], data, rest[digit.joints])
+        tree = HandTree.of(hand)
+        rigid = np.array([_torque_of_digit(tree, digit, rest, *row) for row in zip(q, dq, ddq, strict=True)])
+        to_tension = digit.torque_to_tension[tendon]
+        passed = digit.moment_arms[tendon] != 0.0
+        quick = quick_speed(own.travel, own.period)[rows]
+        travel, excursion, readings = _stretch_readings(digit, tendon, own, rows, weights)
+        return PairWindows(
+            motor=windows,
+            free=~own.stop[rows].any(axis=1),
+            inertial=rigid @ to_tension,
+            damping=(dq * np.array(digit.joint_damping)) @ to_tension,
+            angle=digit.wrap[tendon] + q[:, passed].sum(axis=1),
+            developed=np.tanh(quick / CAPSTAN_FRICTION_SPEED) @ weights.mean,
+            travel=travel,
+            excursion=excursion,
+            readings=readings,
+        )
+
+
+def select_windows(windows: MotorWindows, selected: NDArray[np.bool_]) -> MotorWindows:
+    """Return some of the windows of a motor."""
+    each = ("t", "tension", "acceleration", "speed", "sign", "commands")
+    return replace(windows, **{name: getattr(windows, name)[selected] for name in each})
+
+
+def _joint_motion(
+    digit: DigitModel, means: Array, data: Sequence[TendonData], rest: Array
+) -> tuple[Array, Array, Array]:
+    """Return angles, rates and accelerations (m, joints) of a digit from the travels of its pairs (n_t, 3, m).
+
+    The stretch of the tendons is neglected. The angles are set by their mean difference from the readings.
+    """
+    travel, speed, acceleration = (means[:, i].T for i in range(3))
+    back = digit.excursion_to_joints.T
+    angles = np.column_stack([pair.travel for pair in data]) @ back
+    offset = np.nanmean(data[0].joints - angles, axis=0) if np.isfinite(data[0].joints).any() else rest - angles[0]
+    return travel @ back + offset, speed @ back, acceleration @ back
+
+
+def _torque_of_digit(tree: HandTree, digit: DigitModel, rest: Array, q: Array, dq: Array, ddq: Array) -> Array:
+    """Return the joint torques (joints,) of inertia and weight of all links that a digit carries [N m]."""
+    motion = np.zeros((3, len(rest)))
+    motion[0] = rest
+    motion[:, digit.joints] = q, dq, ddq
+    return np.asarray(tree.inverse_dynamics(*motion)[digit.joints])
+
+
+def _stretch_readings(
+    digit: DigitModel, tendon: int, data: TendonData, rows: NDArray[np.intp], weights: WindowWeights
+) -> tuple[Array, Array, Array]:
+    """Return travel and excursion (m,) of windows, both at the times of the joint readings [m], and their number.
+
+    While a pair is stretched on a stop its travel changes and its excursion does not. The travel is then
+    moved to the centre of the window.
+    """
+    read: NDArray[np.bool_] = np.asarray(np.isfinite(data.joints).all(axis=1))
+    excursion = np.where(read, excursions(digit, tendon, np.nan_to_num(data.joints)), 0.0)
+    weight = weights.mean * read[rows]
+    total = np.maximum(weight.sum(axis=1), 1e-12)
+    travel = (data.travel[rows] * weight).sum(axis=1) / total
+    count = read[rows].sum(axis=1)
+    stretched = data.stop[rows].all(axis=1)
+    travel = np.where(stretched, data.travel[rows] @ weights.mean, travel)
+    known = np.where(count >= MIN_READINGS, (excursion[rows] * weight).sum(axis=1) / total, np.nan)
+    # The number of readings that count, with the weights of the window.
+    return travel, known, total**2 / np.maximum((weight**2).sum(axis=1), 1e-12)
+
+
+def tension_of_pair(net: Array, pretension: float, passed: Array) -> Array:
+    """Return the net tension at the spool (m,) for one at a joint [N].
+
+    Args:
+        net: net tension at the joint [N].
+        pretension: of both tendons [N].
+        passed: fraction of the first tendon's tension behind the pulleys.
+
+    Source: `core.estimation.spool_pair`, for arrays.
+    """
+    both_taut = 2.0 * (net + pretension * (1.0 / passed - passed)) / (passed + 1.0 / passed)
+    single = np.where(both_taut > 0.0, net / passed, net * passed)
+    return np.where(np.abs(both_taut) < 2.0 * pretension, both_taut, single)
+
+
+def stretch_of_pair(net: Array, stiffness: float, pretension: float) -> Array:
+    """Return the length (m,) by which the spool of a pair with a net tension (m,) [N] is ahead of its joints [m]."""
+    single = np.sign(net) * (np.abs(net) - pretension) / stiffness
+    return np.where(np.abs(net) < 2.0 * pretension, 0.5 * net / stiffness, single)
+
+
+@dataclass(frozen=True, slots=True)
+class PairProblem:
+    """Input of the fit of a spool pair.
+
+    Attributes:
+        windows: windowed signals.
+        spool: radius of the spool [m].
+        nominal: (15,) scale of each parameter of `fit.NAMES`.
+        motor_noise: standard deviation of the motor equation [N].
+        reading_noise: standard deviation of the excursion by one joint reading [m].
+    """
+
+    windows: PairWindows
+    spool: float
+    nominal: Array
+    motor_noise: float
+    reading_noise: float
+
+    def value(self, z: Array, name: str) -> float:
+        """Return a parameter in SI units, or as a factor."""
+        return float(z[PAIR_PARAMETERS.index(name)] * self.nominal[NAMES.index(name)])
+
+    def measured_tension(self, z: Array) -> Array:
+        """Return the net tension (m,) by the motor equation [N]."""
+        m = self.windows.motor
+        r = self.spool
+        inertia = self.value(z, "motor_inertia") * m.acceleration
+        viscous = self.value(z, "motor_viscous") * m.speed
+        coulomb = self.value(z, "motor_coulomb") * m.sign
+        return np.asarray(m.command(self.value(z, "delay")) - (inertia + viscous) / r**2 - coulomb / r)
+
+    def free_tension(self, z: Array) -> Array:
+        """Return the net tension (m,) that the links and the friction of the tendons need in free motion [N]."""
+        w = self.windows
+        load = self.value(z, "link_mass") * w.inertial + self.value(z, "joint_damping") * w.damping
+        rotor = self.nominal[NAMES.index("motor_inertia")] / self.spool**2
+        load = load + z[-2] * LOAD_DOUBT * rotor * w.motor.acceleration
+        passed = np.exp(np.clip(-self.value(z, "capstan") * w.developed * w.angle, -3.0, 3.0))
+        return tension_of_pair(load / self.value(z, "moment_arm"), self.value(z, "pretension"), passed)
+
+    def stretch(self, z: Array) -> Array:
+        """Return the length (m,) by which the spool is ahead of the joints [m], NaN without joint readings."""
+        w = self.windows
+        skew = np.where(w.free, z[-1] * SKEW_S * w.motor.speed, 0.0)
+        return np.asarray(w.travel - self.value(z, "moment_arm") * w.excursion - self.value(z, "stretch_offset") - skew)
+
+    def residuals(self, z: Array) -> Array:
+        """Return the residuals (rows,) in standard deviations: motor, stretch, priors."""
+        w = self.windows
+        stiffness = self.value(z, "rope_stiffness")
+        pretension = self.value(z, "pretension")
+        measured = self.measured_tension(z)
+        needed = self.free_tension(z)
+        by_tension = stretch_of_pair(np.where(w.free, needed, measured), stiffness, pretension)
+        motor = np.where(w.free, measured - needed, 0.0) / self.motor_noise
+        softest = self.motor_noise / self.nominal[NAMES.index("rope_stiffness")]
+        noise = np.hypot(self.reading_noise / np.sqrt(w.readings), np.where(w.free, 0.0, softest))
+        known = np.isfinite(w.excursion)
+        second = np.where(known, self.stretch(z) - by_tension, 0.0) / noise
+        spread = np.array([*(PAIR_PRIOR.get(name, VAGUE) for name in PAIR_PARAMETERS), 1.0, 1.0])
+        return np.concatenate([motor, second, (z - self.start()) / spread])
+
+    def start(self) -> Array:
+        """Return the initial scaled parameters, taken from the hand file."""
+        first = np.ones(len(PAIR_PARAMETERS) + 2)
+        w = self.windows
+        known = np.isfinite(w.excursion)
+        offset = float(np.median(w.travel[known] - w.excursion[known])) if known.any() else 0.0
+        first[PAIR_PARAMETERS.index("stretch_offset")] = offset / SCALE_OFFSET_M
+        first[-2:] = 0.0
+        return first
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Return lower and upper bounds of the scaled parameters."""
+        signed = np.array([name in ("delay", "stretch_offset") for name in PAIR_PARAMETERS] + [True, True])
+        return np.where(signed, -np.inf, MIN_SCALE), np.where(signed, np.inf, MAX_SCALE)
+
+    def with_noise_of(self, z: Array) -> "PairProblem":
+        """Return the problem with the noise of its own residuals, by their median."""
+        w = self.windows
+        rest = (self.measured_tension(z) - self.free_tension(z))[w.free]
+        size = 1.48 * float(np.median(np.abs(rest))) if len(rest) else self.motor_noise
+        return replace(self, motor_noise=max(size, MIN_NOISE_N))
+
+
+def fit_pair(hand: Hand, digit: DigitModel, tendon: int, data: Sequence[TendonData]) -> Fit:
+    """Fit a spool pair.
+
+    Args:
+        hand: description of the hand.
+        digit: model of the digit.
+        tendon: index of the pair in the digit.
+        data: data of all pairs of the digit, in order.
+
+    Raises:
+        LogError: The pair hardly moves.
+    """
+    own = data[tendon]
+    rest = np.clip(np.zeros(len(hand.joints)), hand.joint_limits[0], hand.joint_limits[1])
+    windows = PairWindows.of(hand, digit, tendon, data, rest)
+    reading = hand.sensor_node.joint_noise_rad * float(np.linalg.norm(digit.moment_arms[tendon]))
+    motor = hand.motor_of(own.tendon)
+    problem = PairProblem(windows, motor.spool_radius_m, parameter_scales(hand, own.tendon), FIRST_NOISE_N, reading)
+    times = np.tile(windows.motor.t, 2)
+    tried = [
+        solve_least_squares(problem.residuals, start, problem.bounds(), times) for start in _starts(problem.start())
+    ]
+    first = min(tried, key=lambda solution: _robust_cost(problem.residuals(solution.z)))
+    problem = problem.with_noise_of(first.z)
+    solution = solve_least_squares(problem.residuals, first.z, problem.bounds(), times)
+    return with_model_error(_as_fit(hand, problem, solution), PAIR_MODEL_ERROR)
+
+
+def _starts(first: Array) -> list[Array]:
+    """Return initial parameters with several pretensions.
+
+    A pair whose pretension is too small in the first step looks like one with a slack tendon, of twice the
+    stiffness. No small step leads from there to the right parameters.
+    """
+    starts = []
+    for factor in STARTS:
+        start = first.copy()
+        start[PAIR_PARAMETERS.index("pretension")] *= factor
+        starts.append(start)
+    return starts
+
+
+def _robust_cost(residual: Array) -> float:
+    """Return the soft L1 cost of residuals, in which outliers weigh little."""
+    return float((np.sqrt(1.0 + (residual / OUTLIER) ** 2) - 1.0).sum())
+
+
+def _as_fit(hand: Hand, problem: PairProblem, solution: Solution) -> Fit:
+    """Return the fit of a pair in the form of a tendon's fit."""
+    windows = problem.windows
+    count = len(NAMES)
+    target = [NAMES.index(name) for name in PAIR_PARAMETERS]
+    source = np.arange(len(PAIR_PARAMETERS))
+    z = np.append(np.ones(count), (0.0, 0.0))
+    z[target] = solution.z[source]
+    covariance = np.eye(count + 2) * VAGUE**2
+    covariance[np.ix_(target, target)] = solution.covariance[np.ix_(source, source)]
+    freedom = np.full(count + 2, MIN_FREEDOM)
+    freedom[target] = solution.freedom[source]
+    sensitivity = np.zeros((2 * len(windows.motor.t), count))
+    sensitivity[:, target] = solution.jacobian[: len(sensitivity), source]
+    measured = problem.measured_tension(solution.z)
+    none = np.zeros(0)
+    nothing = Bins(none, none, none, none, none, 1)
+    seen = np.isfinite(windows.excursion) & ~windows.free
+    t = windows.motor.t[seen]
+    rest = np.zeros(len(t))
+    stretch = problem.stretch(solution.z)[seen]
+    return Fit(
+        problem=Problem(
+            spool=problem.spool,
+            nominal=problem.nominal,
+            load=None,
+            motor=replace(windows.motor, tension=np.where(windows.free, problem.free_tension(solution.z), measured)),
+            free=nothing,
+            stop=Bins(t, stretch, measured[seen], rest, rest, 1),
+            slack=nothing,
+            knots=windows.motor.t[[0, -1]],
+            sigma=problem.motor_noise,
+            step=max(hand.sensor_node.tension_bias_drift_N, 1e-3),
+        ),
+        z=z,
+        covariance=covariance,
+        freedom=freedom,
+        sensitivity=sensitivity,
+        residual=solution.residual,
+    )

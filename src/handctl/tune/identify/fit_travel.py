@@ -1,0 +1,111 @@
+"""Fit of a tendon's stiffness and moment arm, from its spool, its load cell and the joint encoders.
+
+    x = m s(q) + f / k + o(t) + d x'
+
+The travel x of the spool is the excursion s(q) of the joints and the stretch of the tendon. m scales
+the moment arms of the hand file. Joint encoders are read somewhat later or earlier than motor
+encoders, which adds d x' while the joints move. The offset o drifts with the load cell. No stop and no spring is
+in this equation.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from handctl.hand.digit import DigitModel
+from handctl.tune.identify.data import MIN_TENSION_N, Array, TendonData, average_samples
+from handctl.tune.identify.fit import (
+    MAX_SCALE,
+    MIN_SCALE,
+    NAMES,
+    SCALE_OFFSET_M,
+    VAGUE,
+    Fit,
+    merge_solution,
+    with_model_error,
+)
+from handctl.tune.identify.solve import solve_least_squares
+
+TRAVEL_PARAMETERS = ("rope_stiffness", "moment_arm")
+"""Names of the parameters of this fit. The time difference of the encoders and the offset come after these."""
+TRAVEL_MODEL_ERROR = {
+    "rope_stiffness": 0.012, "moment_arm": 0.0003, "torque_gain": 0.006, "motor_inertia": 0.008,
+    "motor_coulomb": 0.008, "motor_viscous": 0.03,
+}  # fmt: skip
+"""Standard deviation of the errors of the model by parameter, as a fraction of the value.
+
+The load cell drifts more slowly than the blocks of time last from which the intervals are computed. Chosen with
+five simulated hands.
+"""
+SKEW_S = 1e-3
+"""Scale and prior standard deviation of the time difference of the encoders [s]."""
+REACH = 1
+"""Samples before and after a joint reading over which tension is averaged."""
+MIN_ROWS = 50
+"""Smallest number of joint readings for a fit."""
+
+
+def excursions(digit: DigitModel, tendon: int, q: Array) -> Array:
+    """Return the excursion (m,) of one tendon of a digit at joint angles (m, joints) [m]."""
+    if not digit.has_varying_arm:
+        return np.asarray(q @ digit.moment_arms[tendon])
+    return np.array([digit.excursion_at(row)[tendon] for row in q])
+
+
+def with_arms(digit: DigitModel, factors: Array) -> DigitModel:
+    """Return a digit whose moment arms are multiplied by a factor for each tendon (n_t,)."""
+    arms = digit.moment_arms * factors[:, None]
+    to_coordinates = np.linalg.pinv(arms @ digit.coupling)
+    return replace(
+        digit,
+        moment_arms=arms,
+        arm_polynomials=digit.arm_polynomials * factors[:, None, None],
+        reduced_moment_arms=arms @ digit.coupling,
+        excursion_to_joints=digit.coupling @ to_coordinates,
+        torque_to_tension=to_coordinates.T @ digit.coupling.T,
+    )
+
+
+def fit_travel(digit: DigitModel, tendon: int, data: TendonData, fit: Fit, joint_noise: float) -> Fit:
+    """Return the fit of a tendon with stiffness and moment arm from its travel, unchanged without joint readings.
+
+    Args:
+        digit: model of the digit.
+        tendon: index of the tendon in the digit.
+        data: data of the tendon.
+        fit: fit of the motor equation.
+        joint_noise: standard deviation of a joint reading [rad].
+    """
+    problem = fit.problem
+    tension = average_samples(data.tension, REACH)
+    speed = np.gradient(data.travel, data.period)
+    used = np.isfinite(data.joints).all(axis=1) & np.isfinite(tension + data.travel + speed) & (tension > MIN_TENSION_N)
+    if used.sum() < MIN_ROWS:
+        return fit
+    excursion = excursions(digit, tendon, data.joints[used])
+    travel, tension, speed, t = data.travel[used], tension[used], speed[used], data.t[used]
+    nominal = problem.nominal[NAMES.index("rope_stiffness")]
+    noise = np.hypot(
+        joint_noise * float(np.linalg.norm(digit.moment_arms[tendon])),
+        problem.sigma / (2 * REACH + 1) ** 0.5 / nominal,
+    )
+    knots = problem.knots
+    own = 3
+    offset = float(np.mean(travel - excursion - tension / nominal))
+
+    def residuals(z: Array) -> Array:
+        stretch = tension / (z[0] * nominal)
+        moving = np.interp(t, knots, z[own:]) * SCALE_OFFSET_M
+        expected = z[1] * excursion + stretch + offset + moving + z[2] * SKEW_S * speed
+        # The offset follows the drift of the load cell, a random walk.
+        steps = np.diff(z[own:]) * SCALE_OFFSET_M * nominal / problem.step
+        prior = np.array([(z[0] - 1.0) / VAGUE, (z[1] - 1.0) / VAGUE, z[2], z[own] / 10.0])
+        return np.concatenate([(travel - expected) / noise, steps, prior])
+
+    start = np.concatenate([np.ones(2), np.zeros(1 + len(knots))])
+    low = np.full(len(start), -np.inf)
+    high = np.full(len(start), np.inf)
+    low[:2], high[:2] = MIN_SCALE, MAX_SCALE
+    solution = solve_least_squares(residuals, start, (low, high), t)
+    merged = merge_solution(fit, solution, len(t), TRAVEL_PARAMETERS, range(len(TRAVEL_PARAMETERS)))
+    return with_model_error(merged, TRAVEL_MODEL_ERROR)

@@ -1,0 +1,59 @@
+"""Limit for the time for which a fault may hold an identification.
+
+The time of a program stops while a fault holds the hand. A hand that oscillates with its gains reports its encoder as
+noisy (N07) and is held as long as it oscillates, which is forever.
+"""
+
+import json
+from dataclasses import dataclass, field
+
+from handctl.core.types import Mode, TickIn, TickOut
+from handctl.errors import DriveError
+from handctl.safety.action import Action
+
+LIMIT_S = 5.0
+"""Longest time for which a fault may hold an identification [s]."""
+
+
+@dataclass
+class HoldLimit:
+    """Observer that stops a run which a fault holds for too long.
+
+    Attributes:
+        reason: fault that held the hand, empty if the run was not stopped.
+    """
+
+    reason: str = ""
+    _fault: str = ""
+    _since_ns: int = -1
+    _requests: list[str] = field(default_factory=list)
+
+    def poll_requests(self) -> tuple[str, ...]:
+        """Return the requests of this tick, see `RunObserver`."""
+        requests = tuple(self._requests)
+        self._requests.clear()
+        return requests
+
+    def on_tick(self, entry: TickIn, out: TickOut) -> None:
+        """Observe a tick, see `RunObserver`."""
+        for event in out.events:
+            if event.name == "fault":
+                self._fault = event.text
+        if out.mode != Mode.ACTIVE or out.action < Action.HOLD:
+            self._since_ns = -1
+            return
+        if self._since_ns < 0:
+            self._since_ns = entry.t_ns
+        if entry.t_ns - self._since_ns > LIMIT_S * 1e9 and not self.reason:
+            self.reason = self._fault or "a fault"
+            self._requests.append(json.dumps({"do": "stop"}))
+
+    def refuse_stopped(self, where: str) -> None:
+        """Raise an error if the run was stopped.
+
+        Raises:
+            DriveError: a fault held the hand for too long.
+        """
+        if self.reason:
+            right = "gains with margins: handctl tune design, then handctl gains apply"
+            raise DriveError(f"held for {LIMIT_S:g} s by {self.reason}", where, right)

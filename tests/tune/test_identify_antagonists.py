@@ -1,0 +1,159 @@
+"""Identification of digits that n + 1 tendons return, or spool pairs without load cells."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from benchmarks.identify import TOLERANCES, measure_digit, summary
+from handctl.core.identified import Identified, identified_hand
+from handctl.core.types import Mode
+from handctl.errors import DriveError
+from handctl.hand.digit import DigitModel
+from handctl.hand.load import load_hand
+from handctl.safety.action import Action
+from handctl.tune.identify.excitation import excitation
+from handctl.tune.identify.excitation_antagonists import PAIR_FRACTION, PULL_FRACTION, sweep_range
+from handctl.tune.identify.fit_pair import stretch_of_pair, tension_of_pair
+from handctl.tune.identify.hold_limit import HoldLimit
+from handctl.tune.identify.identifiability import unobservable_parameters
+
+SEEDS = range(20)
+HANDS = ("n_plus_1", "orca_like")
+COVERED = 0.9
+"""Share of all true values that must be inside their intervals. 95 % are expected."""
+COVERED_OF_EACH = 0.8
+"""The same share of each parameter. Each has some 40 to 70 values."""
+OF_EVERY_PAIR = {"motor_coulomb", "rope_stiffness", "moment_arm"}
+"""Parameters that every spool pair of the packaged hand shows."""
+
+
+@pytest.mark.parametrize(
+    ("hand", "digit", "unseen"),
+    [
+        ("n_plus_1", "thumb", {"pretension", "spring_stiffness", "spring_preload"}),
+        ("orca_like", "pinky", {"torque_gain", "spring_stiffness", "spring_preload"}),
+    ],
+)
+def test_a_digit_returned_by_its_tendons_is_identified(
+    tmp_path: Path, hand: str, digit: str, unseen: set[str]
+) -> None:
+    row = measure_digit(1, digit, tmp_path, hand)
+    described = load_hand(hand)
+    assert "failure" not in row
+    assert row["refused"] == []
+    tendons = described.tendon_names[described.digit_tendons[digit]]
+    assert unobservable_parameters(described, digit, tendons[0]).keys() == unseen
+    identified = [one for one in row["parameters"] if one["identified"]]
+    for name in OF_EVERY_PAIR:
+        assert {one["tendon"] for one in identified if one["name"] == name} == set(tendons)
+    expected = TOLERANCES.keys() - {"spring_stiffness"} - unseen
+    assert {one["name"] for one in row["parameters"]} == expected
+    assert [one for one in identified if abs(one["error"]) > 2.0 * one["half_width"]] == []
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(7200)
+@pytest.mark.parametrize("hand", HANDS)
+def test_intervals_cover_the_parameters_of_twenty_hands(tmp_path: Path, hand: str) -> None:
+    digits = load_hand(hand).digit_names
+    rows = [measure_digit(seed, digits[seed % len(digits)], tmp_path, hand) for seed in SEEDS]
+    figures = summary(rows)
+    assert figures["failed"] == []
+    assert figures["refused"] == []
+    found = {name: row for name, row in figures["parameters"].items() if row["identified"]}
+    covered = {name: row["covered"] for name, row in found.items()}
+    identified = {name: row["identified"] for name, row in found.items()}
+    assert [name for name in found if covered[name] < COVERED_OF_EACH * identified[name]] == []
+    assert sum(covered.values()) >= COVERED * sum(identified.values())
+
+
+@pytest.mark.parametrize("name", HANDS)
+def test_the_excitation_of_antagonists_keeps_within_the_limits(name: str) -> None:
+    hand = load_hand(name)
+    steps = excitation(hand, hand.digit_names)
+    for digit in map(DigitModel.of, [hand] * len(hand.digit_names), hand.digit_names):
+        own = [step for step in steps if step.digit == digit.name]
+        assert sum(step.duration_s for step in own) < 35.0
+        low, high = sweep_range(digit)
+        least, most = digit.reach
+        assert (least < low).all()
+        assert (low < high).all()
+        assert (high < most).all()
+        for step in own:
+            if step.kind == "move":
+                assert (np.array(step.targets) >= low - 1e-9).all()
+                assert (np.array(step.targets) <= high + 1e-9).all()
+            if step.kind == "tension":
+                ceiling = np.array([tendon.tension_max_N for tendon in hand.tendon[digit.tendons]])
+                is_pair = bool(hand.is_pair[digit.tendons].any())
+                largest = (PAIR_FRACTION if is_pair else PULL_FRACTION) * ceiling
+                assert (np.abs(step.targets) <= largest + 1e-9).all()
+                floor = np.array([tendon.tension_floor_N for tendon in hand.tendon[digit.tendons]])
+                assert is_pair or (np.array(step.targets) >= floor).all()
+
+
+def test_a_stretched_tendon_does_not_lift_its_digit_off_the_stops() -> None:
+    """The tendons that open the digit make more torque at every joint than those that close it."""
+    hand = load_hand("n_plus_1")
+    for step in excitation(hand, hand.digit_names):
+        if step.name == "stretch":
+            digit = DigitModel.of(hand, step.digit)
+            assert (digit.reduced_moment_arms.T @ np.array(step.targets) < 0.0).all()
+
+
+@pytest.mark.parametrize("passed", [0.8, 1.0, 1.25])
+def test_both_tendons_of_a_pair_balance_its_joint(passed: float) -> None:
+    """Friction lowers one tension and raises the other. Their difference pulls the joint."""
+    nets = np.linspace(-40.0, 40.0, 81)
+    spool = tension_of_pair(nets, 10.0, np.full(81, passed))
+    first, second = (
+        np.maximum(np.maximum(10.0 + 0.5 * side * spool, side * spool), 0.0)
+        for side in (1.0, -1.0)
+    )
+    np.testing.assert_allclose(first * passed - second / passed, nets, atol=1e-9)
+
+
+def test_the_stretch_of_a_pair_makes_its_net_tension() -> None:
+    """Each tendon alone: p + k d, never below 0."""
+    stretch = stretch_of_pair(np.linspace(-50.0, 50.0, 101), 5e4, 10.0)
+    single = [np.maximum(10.0 + 5e4 * side * stretch, 0.0) for side in (1.0, -1.0)]
+    np.testing.assert_allclose(single[0] - single[1], np.linspace(-50.0, 50.0, 101), atol=1e-9)
+
+
+def test_a_fault_that_holds_the_hand_ends_the_run() -> None:
+    """The time of the program stops meanwhile, so that the run once lasted forever."""
+    limit = HoldLimit()
+
+    def ticks(action: Action, begin_s: float, end_s: float) -> list[str]:
+        requests = []
+        for t in np.arange(begin_s, end_s, 0.1):
+            event = SimpleNamespace(name="fault", text="N07 a noisy encoder: HOLD")
+            out = SimpleNamespace(mode=Mode.ACTIVE, action=action, events=(event,))
+            limit.on_tick(SimpleNamespace(t_ns=round(1e9 * t)), out)  # type: ignore[arg-type]
+            requests += limit.poll_requests()
+        return requests
+
+    assert ticks(Action.HOLD, 0.0, 4.0) == []
+    assert ticks(Action.WARN, 4.0, 9.0) == []
+    limit.refuse_stopped("a run")
+    assert ticks(Action.HOLD, 9.0, 20.0) == ['{"do": "stop"}']
+    with pytest.raises(DriveError, match=r"held for 5 s by N07 a noisy encoder.*tune design"):
+        limit.refuse_stopped("a run")
+
+
+def test_identified_moment_arms_and_pretensions_are_those_of_the_controller() -> None:
+    hand = load_hand("orca_like")
+    known = Identified(
+        names=("moment_arm", "pretension"),
+        values=(1.1, 8.0),
+        half_widths=(0.01, 0.5),
+        covariance=((1e-4, 0.0), (0.0, 0.1)),
+    )
+    real = identified_hand(hand, {"index_mcp": known})
+    place = hand.tendon_names.index("index_mcp")
+    np.testing.assert_allclose(real.moment_arms[place], 1.1 * hand.moment_arms[place])
+    assert real.tendon[place].pretension_N == 8.0
+    others = np.arange(len(hand.tendon)) != place
+    np.testing.assert_array_equal(real.moment_arms[others], hand.moment_arms[others])
