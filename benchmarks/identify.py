@@ -33,8 +33,8 @@ from handctl.programs.excite import ExciteProgram
 from handctl.session.plan import Plan, highest_rate_of_buses
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.simulate import Simulator
+from handctl.tune.hold_limit import HoldLimit
 from handctl.tune.identify.excitation import excitation, is_sprung
-from handctl.tune.identify.hold_limit import HoldLimit
 from handctl.tune.identify.identify import TendonResult, identify_tendons
 
 Row = dict[str, Any]
@@ -44,7 +44,7 @@ ARMS_OFF = 0.1
 DETUNED = 3.0
 DRAWN = ("stiffness", "damping", "friction", "mass", "spring", "motor_inertia", "torque_constant")
 TOLERANCES = {
-    "rope_stiffness": 0.05, "spring_stiffness": 0.05, "motor_inertia": 0.05,
+    "tendon_stiffness": 0.05, "spring_stiffness": 0.05, "motor_inertia": 0.05,
     "motor_coulomb": 0.15, "motor_viscous": 0.15, "capstan": 0.15, "torque_gain": 0.05,
     "moment_arm": 0.01, "pretension": 0.15,
 }  # fmt: skip
@@ -93,7 +93,7 @@ def truth(hand: Hand, tendon: str, factors: dict[str, float]) -> dict[str, float
     # Without load cells the commanded torque is the unit of all forces.
     unit = 1.0 if known.pretension_N is None else factors["torque_constant"]
     values = {
-        "rope_stiffness": known.stiffness_N_per_m * factors["stiffness"] / unit,
+        "tendon_stiffness": known.stiffness_N_per_m * factors["stiffness"] / unit,
         "motor_inertia": motor.inertia_kg_m2 * factors["motor_inertia"] / unit,
         "motor_coulomb": motor.coulomb_N_m * factors["friction"] / unit,
         "motor_viscous": motor.viscous_N_m_s_per_rad * factors["damping"] / unit,

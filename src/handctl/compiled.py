@@ -39,7 +39,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 SOURCES = (
     "compiled.py", "core", "safety",
     "drives/frame.py", "drives/records.py", "drives/sensors/node.py", "drives/signals.py",
-    "hand/file/quantities.py", "hand/file/quantities.py", "hand/rigid_body.py", "hand/tendons.py",
+    "hand/file/quantities.py", "hand/rigid_body.py", "hand/tendons.py",
 )  # fmt: skip
 """Files and folders of this package whose functions and constants kernels are made of. A test follows each kernel to
 the modules of its constants. A change of any other file compiles nothing anew."""

@@ -174,12 +174,12 @@ def test_what_a_simulated_hand_is_made_of_is_not_kept_for_the_real_one(place, ca
     assert json.loads(capsys.readouterr().out)["calibration"] == own.name
 
 
-def found_of(digit, stiffness, blocked="", met="", names=("rope_stiffness",)):
+def found_of(digit, stiffness, blocked="", met="", names=("tendon_stiffness",)):
     """Return a fit of a tendon, with the contact that its digit had during the excitation."""
     from handctl.tune.identify.fit import NAMES
     from handctl.tune.identify.identify import TendonResult
 
-    values = dict.fromkeys(NAMES, 1.0) | {"rope_stiffness": stiffness}
+    values = dict.fromkeys(NAMES, 1.0) | {"tendon_stiffness": stiffness}
     problem = SimpleNamespace(nominal=np.ones(len(NAMES)))
     fit = SimpleNamespace(problem=problem, covariance=np.eye(len(NAMES)), values=values, half_widths=values)
     judged = SimpleNamespace(names=names, missing=())
@@ -203,14 +203,14 @@ def test_for_a_digit_in_contact_only_motor_and_tendon_are_written(place, capsys,
     nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, nothing)
     made = Calibration(hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows)
-    names, why = ("rope_stiffness", "spring_stiffness", "capstan"), "from 14 deg on it takes more"
+    names, why = ("tendon_stiffness", "spring_stiffness", "capstan"), "from 14 deg on it takes more"
     found = {"middle_tendon": found_of("middle", 9e4, met=why, names=names)}
     _identifies(monkeypatch, made, found)
     assert main(["identify", "--lockstep", "--calibration", "own.toml", "--log", "x.mcap"]) == 1
     (line,) = [line for line in capsys.readouterr().err.splitlines() if "not kept" in line]
     begin = f"handctl: springs and friction of middle are not kept: {why}; expected a digit"
     assert line.startswith(begin)
-    assert load_calibration(path, hand).identified["middle_tendon"].names == ("rope_stiffness",)
+    assert load_calibration(path, hand).identified["middle_tendon"].names == ("tendon_stiffness",)
     monkeypatch.setattr("handctl.cli.tuning.identify._result_fields", lambda *words: {})
     assert main(["identify", "--lockstep", "--calibration", "own.toml", "--log", "x.mcap", "--json"]) == 1
     assert json.loads(capsys.readouterr().out)["met"] == {"middle": why}

@@ -94,7 +94,7 @@ def test_an_ensemble_is_never_narrower_than_service_makes_it() -> None:
 def identified(stiffness: float, half: float) -> Identified:
     """Return an identification of one tendon."""
     return Identified(
-        names=("rope_stiffness", "delay"),
+        names=("tendon_stiffness", "delay"),
         values=(stiffness, 1e-3),
         half_widths=(half, 1e-4),
         covariance=((1.0, 0.0), (0.0, 1.0)),

@@ -124,7 +124,7 @@ def identified_with(**values: float) -> Identified:
 def test_the_controller_s_hand_is_the_identified_one() -> None:
     hand = load_hand("jamia")
     known = {
-        "thumb_tendon": identified_with(rope_stiffness=8e4, motor_inertia=1e-4, spring_stiffness=1.2, torque_gain=0.9)
+        "thumb_tendon": identified_with(tendon_stiffness=8e4, motor_inertia=1e-4, spring_stiffness=1.2, torque_gain=0.9)
     }
     real = identified_hand(hand, known)
     assert real.tendon[3].stiffness_N_per_m == 8e4
@@ -133,6 +133,12 @@ def test_the_controller_s_hand_is_the_identified_one() -> None:
     assert real.tendon[:3] == hand.tendon[:3]
     assert torque_gain(hand, known).tolist() == [1.0, 1.0, 1.0, 0.9]
     assert set(known["thumb_tendon"].names) <= UNITS.keys()
+
+
+def test_a_name_of_an_earlier_version_is_still_read() -> None:
+    found = identified_with(tendon_stiffness=8e4, delay=1e-4)
+    earlier = found.model_dump() | {"names": ("rope_stiffness", "delay")}
+    assert Identified.model_validate(earlier) == found
 
 
 def test_a_calibration_keeps_what_was_identified(tmp_path: Path) -> None:
@@ -188,13 +194,13 @@ def test_a_picture_shows_what_is_far_from_the_hand_file() -> None:
 
 
 def test_a_run_that_tells_little_takes_nothing_away() -> None:
-    old = identified_with(rope_stiffness=8e4, motor_inertia=1e-4, capstan=0.2).model_copy(
+    old = identified_with(tendon_stiffness=8e4, motor_inertia=1e-4, capstan=0.2).model_copy(
         update={"covariance": ((4.0, 0.5, 0.25), (0.5, 1.0, 0.0), (0.25, 0.0, 9.0))}
     )
     new = identified_with(motor_inertia=2e-4, torque_gain=0.9).model_copy(update={"log": ("b.mcap",)})
     both = Identified.model_validate(new.beside(old).model_dump())
     assert dict(zip(both.names, both.values, strict=True)) == {
-        "motor_inertia": 2e-4, "torque_gain": 0.9, "rope_stiffness": 8e4, "capstan": 0.2,
+        "motor_inertia": 2e-4, "torque_gain": 0.9, "tendon_stiffness": 8e4, "capstan": 0.2,
     }  # fmt: skip
     assert both.covariance == ((1e-6, 0, 0, 0), (0, 1e-6, 0, 0), (0, 0, 4.0, 0.25), (0, 0, 0.25, 9.0))
     assert both.log == ("b.mcap", "a.mcap")

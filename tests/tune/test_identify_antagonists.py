@@ -13,10 +13,10 @@ from handctl.errors import DriveError
 from handctl.hand.digit import DigitModel
 from handctl.hand.load import load_hand
 from handctl.safety.action import Action
+from handctl.tune.hold_limit import HoldLimit
 from handctl.tune.identify.excitation import excitation
 from handctl.tune.identify.excitation_antagonists import PAIR_FRACTION, PULL_FRACTION, sweep_range
 from handctl.tune.identify.fit_pair import stretch_of_pair, tension_of_pair
-from handctl.tune.identify.hold_limit import HoldLimit
 from handctl.tune.identify.identifiability import unobservable_parameters
 
 SEEDS = range(20)
@@ -25,7 +25,7 @@ COVERED = 0.9
 """Share of all true values that must be inside their intervals. 95 % are expected."""
 COVERED_OF_EACH = 0.8
 """The same share of each parameter. Each has some 40 to 70 values."""
-OF_EVERY_PAIR = {"motor_coulomb", "rope_stiffness", "moment_arm"}
+OF_EVERY_PAIR = {"motor_coulomb", "tendon_stiffness", "moment_arm"}
 """Parameters that every spool pair of the packaged hand shows."""
 
 

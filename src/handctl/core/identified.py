@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from handctl.core.types import Vector
 from handctl.document import Document
@@ -14,7 +14,7 @@ from handctl.hand.description import Hand
 from handctl.hand.load import hand_from_content
 
 TENDON_KEYS = {
-    "rope_stiffness": "stiffness_N_per_m",
+    "tendon_stiffness": "stiffness_N_per_m",
     "capstan": "friction_coefficient",
     "pretension": "pretension_N",
 }
@@ -38,13 +38,16 @@ LENGTH_KEYS = ("polynomial_m", "arm_m")
 """Keys with lengths in a moment arm that depends on the angle."""
 UNITS = {
     "torque_gain": "1", "motor_inertia": "kg m2", "motor_viscous": "N m s/rad", "motor_coulomb": "N m", "delay": "s",
-    "rope_stiffness": "N/m", "spring_stiffness": "x file", "spring_preload": "x file", "capstan": "1",
+    "tendon_stiffness": "N/m", "spring_stiffness": "x file", "spring_preload": "x file", "capstan": "1",
     "joint_damping": "x file", "moment_arm": "x file", "pretension": "N",
 }  # fmt: skip
 """Unit of each parameter for identification. ``torque_gain`` is torque at the spool per commanded torque.
 
 ``moment_arm`` is one factor on the arms of a tendon at all its joints.
 """
+
+FORMER_NAMES = {"rope_stiffness": "tendon_stiffness"}
+"""Present name of a parameter by its name in earlier versions."""
 
 
 class Identified(Document):
@@ -63,6 +66,12 @@ class Identified(Document):
     """Logs of the runs behind the values."""
     made: str = ""
     """Date and time, ISO 8601, UTC."""
+
+    @field_validator("names", mode="before")
+    @classmethod
+    def _replace_former_names(cls, names: object) -> object:
+        """Accept the names in calibrations that an earlier version has written."""
+        return tuple(FORMER_NAMES.get(name, name) for name in names) if isinstance(names, list | tuple) else names
 
     @model_validator(mode="after")
     def _shapes(self) -> "Identified":

@@ -39,9 +39,9 @@ from handctl.session.gains import assignments
 from handctl.session.plan import Plan, commission_log, default_log
 from handctl.session.run import Outcome, Runner, make_controller, run_live, run_lockstep
 from handctl.session.simulate import Simulator
+from handctl.tune.hold_limit import HoldLimit
 from handctl.tune.identify.excitation import excitation
 from handctl.tune.identify.figure import draw_identification
-from handctl.tune.identify.hold_limit import HoldLimit
 from handctl.tune.identify.identify import (
     TendonResult,
     identify_tendons,

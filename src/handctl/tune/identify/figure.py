@@ -62,7 +62,7 @@ def _draw_stop(axis: Any, result: TendonResult) -> None:
         return
     order = np.argsort(bins.travel)
     # Tendon and stop are springs in series.
-    slope = stop_stiffness(values["rope_stiffness"], values["stop_softness"], result.fit.problem.nominal)
+    slope = stop_stiffness(values["tendon_stiffness"], values["stop_softness"], result.fit.problem.nominal)
     axis.plot(
         1e6 * bins.travel,
         bins.tension - _drift_at(result, bins.t),
@@ -71,7 +71,7 @@ def _draw_stop(axis: Any, result: TendonResult) -> None:
         label="50 ms means",
     )
     line = slope * (bins.travel[order] - values["stretch_offset"])
-    label = f"k = {values['rope_stiffness'] / 1e3:.1f} kN/m"
+    label = f"k = {values['tendon_stiffness'] / 1e3:.1f} kN/m"
     axis.plot(1e6 * bins.travel[order], line, color=MODEL, label=label)
     axis.legend()
 
@@ -161,5 +161,5 @@ def _draw_parameters(axis: Any, result: TendonResult) -> None:
         else:
             axis.text(1.0, row, "not identified", color=color, ha="center", va="center")
     axis.axvline(1.0, color=WARN, lw=0.8)
-    axis.set_yticks(range(len(names)), [name.replace("rope", "tendon").replace("_", " ") for name in names])
+    axis.set_yticks(range(len(names)), [name.replace("_", " ") for name in names])
     axis.set(title="over the hand file, 95 %", xlim=(low, high), ylim=(len(names) - 0.5, -0.5))

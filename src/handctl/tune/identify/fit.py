@@ -23,14 +23,14 @@ from handctl.tune.identify.solve import Solution, solve_least_squares
 
 NAMES = (
     "torque_gain", "motor_inertia", "motor_viscous", "motor_coulomb", "delay",
-    "rope_stiffness", "spring_stiffness", "spring_preload", "capstan", "joint_damping", "link_mass",
+    "tendon_stiffness", "spring_stiffness", "spring_preload", "capstan", "joint_damping", "link_mass",
     "stretch_offset", "stop_softness", "moment_arm", "pretension",
 )  # fmt: skip
 """Names of a tendon's parameters in the order of the fit.
 
 The drift of the load cell comes after these.
 """
-LOAD_PARAMETERS = slice(NAMES.index("rope_stiffness"), NAMES.index("stretch_offset") + 1)
+LOAD_PARAMETERS = slice(NAMES.index("tendon_stiffness"), NAMES.index("stretch_offset") + 1)
 """Places of the parameters of `fit_load.LoadParameters`."""
 SCALE_DELAY_S = 1e-3
 """Scale of the delay [s]."""
@@ -155,7 +155,7 @@ class Problem:
 
     def _first_offset(self) -> float:
         """Return the stretch offset from data at the stop [m], or from the smallest travel in free motion."""
-        stiffness = self.nominal[NAMES.index("rope_stiffness")]
+        stiffness = self.nominal[NAMES.index("tendon_stiffness")]
         if len(self.stop.t):
             return float(np.mean(self.stop.travel - self.stop.tension / stiffness))
         return float(self.free.travel.min()) if len(self.free.t) else 0.0
@@ -223,7 +223,7 @@ def parameter_scales(hand: Hand, tendon: str) -> Array:
 def stop_stiffness(stiffness: float, softness: float, nominal: Array) -> float:
     """Return the stiffness of tendon and stop in series [N/m]."""
     # Compliances in series add up.
-    return stiffness / (1.0 + softness * stiffness / float(nominal[NAMES.index("rope_stiffness")]))
+    return stiffness / (1.0 + softness * stiffness / float(nominal[NAMES.index("tendon_stiffness")]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,7 +293,7 @@ def _unexplained_ramp(problem: Problem, solution: Solution) -> Ramp | None:
         return None
     first = len(problem.motor.t) + len(problem.stop.t) + len(problem.slack.t)
     offset = float(solution.z[NAMES.index("stretch_offset")]) * SCALE_OFFSET_M
-    stiffness = float(solution.z[NAMES.index("rope_stiffness")] * problem.nominal[NAMES.index("rope_stiffness")])
+    stiffness = float(solution.z[NAMES.index("tendon_stiffness")] * problem.nominal[NAMES.index("tendon_stiffness")])
     angle = load.mean_angle(free.travel - offset - free.tension / stiffness)
     unit = np.full(len(free.t), free.count**0.5 / problem.sigma)
     return steepest_ramp(solution.jacobian, solution.residual, first, np.asarray(angle), (unit,))

@@ -43,7 +43,7 @@ from handctl.tune.identify.fit_travel import SKEW_S, excursions
 from handctl.tune.identify.solve import MIN_FREEDOM, OUTLIER, Solution, solve_least_squares
 
 PAIR_PARAMETERS = (
-    "motor_inertia", "motor_viscous", "motor_coulomb", "delay", "rope_stiffness", "capstan", "moment_arm",
+    "motor_inertia", "motor_viscous", "motor_coulomb", "delay", "tendon_stiffness", "capstan", "moment_arm",
     "joint_damping", "link_mass", "pretension", "stretch_offset",
 )  # fmt: skip
 """Names of the parameters of this fit.
@@ -51,7 +51,7 @@ PAIR_PARAMETERS = (
 Two more come after these: inertia that the model does not have, and the time difference of the encoders.
 """
 PAIR_PRIOR = {
-    "link_mass": 0.5, "joint_damping": 0.4, "pretension": 0.5, "rope_stiffness": 1.0, "stretch_offset": 100.0,
+    "link_mass": 0.5, "joint_damping": 0.4, "pretension": 0.5, "tendon_stiffness": 1.0, "stretch_offset": 100.0,
 }  # fmt: skip
 """Prior standard deviation of parameters, divided by the scale of the parameter.
 
@@ -60,7 +60,7 @@ The damping of a joint and the viscous friction of its motor have the same effec
 pretension a pair of twice the stiffness could be one with a slack tendon.
 """
 PAIR_MODEL_ERROR = {
-    "motor_coulomb": 0.025, "capstan": 0.03, "pretension": 0.03, "rope_stiffness": 0.01,
+    "motor_coulomb": 0.025, "capstan": 0.03, "pretension": 0.03, "tendon_stiffness": 0.01,
 }  # fmt: skip
 """Standard deviation of the errors of the model by parameter, as a fraction of the value.
 
@@ -272,13 +272,13 @@ class PairProblem:
     def residuals(self, z: Array) -> Array:
         """Return the residuals (rows,) in standard deviations: motor, stretch, priors."""
         w = self.windows
-        stiffness = self.value(z, "rope_stiffness")
+        stiffness = self.value(z, "tendon_stiffness")
         pretension = self.value(z, "pretension")
         measured = self.measured_tension(z)
         needed = self.free_tension(z)
         by_tension = stretch_of_pair(np.where(w.free, needed, measured), stiffness, pretension)
         motor = np.where(w.free, measured - needed, 0.0) / self.motor_noise
-        softest = self.motor_noise / self.nominal[NAMES.index("rope_stiffness")]
+        softest = self.motor_noise / self.nominal[NAMES.index("tendon_stiffness")]
         noise = np.hypot(self.reading_noise / np.sqrt(w.readings), np.where(w.free, 0.0, softest))
         known = np.isfinite(w.excursion)
         second = np.where(known, self.stretch(z) - by_tension, 0.0) / noise

@@ -26,10 +26,10 @@ from handctl.tune.identify.fit import (
 )
 from handctl.tune.identify.solve import solve_least_squares
 
-TRAVEL_PARAMETERS = ("rope_stiffness", "moment_arm")
+TRAVEL_PARAMETERS = ("tendon_stiffness", "moment_arm")
 """Names of the parameters of this fit. The time difference of the encoders and the offset come after these."""
 TRAVEL_MODEL_ERROR = {
-    "rope_stiffness": 0.012, "moment_arm": 0.0003, "torque_gain": 0.006, "motor_inertia": 0.008,
+    "tendon_stiffness": 0.012, "moment_arm": 0.0003, "torque_gain": 0.006, "motor_inertia": 0.008,
     "motor_coulomb": 0.008, "motor_viscous": 0.03,
 }  # fmt: skip
 """Standard deviation of the errors of the model by parameter, as a fraction of the value.
@@ -84,7 +84,7 @@ def fit_travel(digit: DigitModel, tendon: int, data: TendonData, fit: Fit, joint
         return fit
     excursion = excursions(digit, tendon, data.joints[used])
     travel, tension, speed, t = data.travel[used], tension[used], speed[used], data.t[used]
-    nominal = problem.nominal[NAMES.index("rope_stiffness")]
+    nominal = problem.nominal[NAMES.index("tendon_stiffness")]
     noise = np.hypot(
         joint_noise * float(np.linalg.norm(digit.moment_arms[tendon])),
         problem.sigma / (2 * REACH + 1) ** 0.5 / nominal,

@@ -212,7 +212,7 @@ def _blocked_joint_text(hand: Hand, result: TendonResult) -> str:
     values = result.fit.values
     if load is None or "spring_preload" not in result.judged.names:
         return ""
-    stretch = data.tension / values["rope_stiffness"] + values["stretch_offset"]
+    stretch = data.tension / values["tendon_stiffness"] + values["stretch_offset"]
     travel = float(np.nanmax(np.where(data.acting, data.travel - stretch, np.nan)))
     closed = np.radians(hand.digit_named(data.digit).joint_max_deg)
     full = float(abs(load.arms) @ closed)

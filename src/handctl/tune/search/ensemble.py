@@ -51,7 +51,7 @@ def draw_ensemble(count: int, seed: int, spread: Mapping[str, float] | None = No
 
 
 FACTOR_OF_PARAMETER = {
-    "rope_stiffness": "stiffness",
+    "tendon_stiffness": "stiffness",
     "capstan": "friction",
     "motor_coulomb": "friction",
     "motor_viscous": "damping",

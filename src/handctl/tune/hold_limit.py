@@ -29,13 +29,13 @@ class HoldLimit:
     _requests: list[str] = field(default_factory=list)
 
     def poll_requests(self) -> tuple[str, ...]:
-        """Return the requests of this tick, see `RunObserver`."""
+        """Return the requests of this tick, see ``RunObserver``."""
         requests = tuple(self._requests)
         self._requests.clear()
         return requests
 
     def on_tick(self, entry: TickIn, out: TickOut) -> None:
-        """Observe a tick, see `RunObserver`."""
+        """Observe a tick, see ``RunObserver``."""
         for event in out.events:
             if event.name == "fault":
                 self._fault = event.text
