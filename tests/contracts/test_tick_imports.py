@@ -1,0 +1,47 @@
+"""No tick imports a module: an import takes up to 0.3 s, and the run would end with H03."""
+
+import subprocess
+import sys
+
+import pytest
+
+RUN = """
+import json, sys
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
+from handctl.hand.load import load_hand
+from handctl.programs.live import LiveProgram
+from handctl.session.plan import Plan
+from handctl.session.run import make_controller
+from handctl.session.simulate import Simulator
+
+hand = load_hand(sys.argv[1])
+controller = make_controller(Plan(hand, Gains(), 200.0, ()), LiveProgram(), None, True)
+digit = hand.digit_names[0]
+follow = {"kind": "follow", "name": "f", "time_s": [0.0, 0.1, 0.2], "angle_deg": {digit: [20.0, 21.0, 20.0]}}
+requests = [
+    {"do": "move", "angle_deg": {digit: 20.0}, "duration_s": 0.2},
+    {"do": "hold", "tension_N": {digit: 8.0}},
+    {"do": "stream", "stream": "s", "space": "digit", "names": [digit], "rate_Hz": 50, "interpolation": "linear"},
+    {"do": "stream_end", "stream": "s"},
+    {"do": "grasp", "task": {"schema": 1, "name": "x", "phase": [follow]}},
+    {"do": "stop"},
+]
+with Simulator(hand.name, homed=True).against(controller) as run:
+    run.tick()  # the loop warms up with one tick
+    before = set(sys.modules)
+    assert run.until(lambda out: out.phase == "live", 10.0)
+    for request in requests:
+        run.tick(requests=(json.dumps({"client": "one", **request}),))
+        for _ in range(60):
+            run.tick()
+print(*sorted(set(sys.modules) - before))
+"""
+
+
+@pytest.mark.parametrize("hand", ["jamia", "n_plus_1"])
+def test_no_tick_imports_a_module(hand: str) -> None:
+    """The first task with a phase ``follow`` imported 202 modules of scipy, in 0.3 s."""
+    ran = subprocess.run([sys.executable, "-c", RUN, hand], capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr
+    assert ran.stdout.split() == []
