@@ -1,0 +1,57 @@
+"""A stream of targets to a hand on real SocketCAN, three processes apart: client, controller and simulated hand."""
+
+import contextlib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks import streaming
+from handctl import DriveError, UnconfirmedError
+from handctl.hand.load import load_hand
+from tests.runtime.processes import HOMED, write_homed
+from tests.vcan.inside.conftest import SIMULATOR, STOOD_STILL, TIME_SCALE
+
+TIME_SCALES = (TIME_SCALE, 0.7 * TIME_SCALE, 0.4 * TIME_SCALE)
+"""Pace of each attempt. In slower time an interruption of the guest lasts less, and a defect stays."""
+TRACKED_S = 2.5
+"""Length of the motion [s]. The first second does not count."""
+LARGEST_RATIO = 1.5
+"""Largest tracking error of a stream, as a multiple of the error of the same motion as a task."""
+
+
+@pytest.mark.timeout(1200)
+def test_a_streamed_sine_is_followed_like_a_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(streaming, "SIMULATOR", ["-c", SIMULATOR])
+    monkeypatch.setattr(streaming, "TRACKED_S", TRACKED_S)
+    monkeypatch.setattr(streaming, "INTERPOLATIONS", ("minimum_jerk",))
+    calibration = tmp_path / "jamia.calibration.toml"
+    write_homed(calibration, load_hand("jamia"))
+    for time_scale in TIME_SCALES:
+        with contextlib.suppress(GuestStoppedError):
+            result = tracking(time_scale, calibration)
+            break
+    else:
+        pytest.fail("the guest stood still in every attempt")
+    print(f"time scale {time_scale:g}: {result}")
+    assert result["minimum_jerk_ratio"] < LARGEST_RATIO
+
+
+class GuestStoppedError(Exception):
+    """A run that ended because the only core of the guest was busy."""
+
+
+def tracking(time_scale: float, calibration: Path) -> dict[str, Any]:
+    """Measure the tracking error of a stream and of a task.
+
+    Raises:
+        GuestStoppedError: client, controller or simulated hand did not run for a while.
+    """
+    try:
+        return streaming.measure_tracking("socketcan:vcan0", time_scale, (calibration, HOMED))
+    except UnconfirmedError as error:  # the controller has ended between two requests
+        raise GuestStoppedError from error
+    except DriveError as error:
+        if any(fault in str(error) for fault in STOOD_STILL):
+            raise GuestStoppedError from error
+        raise
