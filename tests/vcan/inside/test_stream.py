@@ -20,6 +20,7 @@ LARGEST_RATIO = 1.5
 """Largest tracking error of a stream, as a multiple of the error of the same motion as a task."""
 
 
+@pytest.mark.nightly
 @pytest.mark.timeout(1200)
 def test_a_streamed_sine_is_followed_like_a_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(streaming, "SIMULATOR", ["-c", SIMULATOR])
