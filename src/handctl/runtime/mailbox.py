@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from handctl.errors import BusError
-from handctl.runtime.paths import mailbox_path, watcher_path
+from handctl.runtime.paths import is_served, mailbox_path, watcher_path
 from handctl.runtime.peers import name_senders, receive_datagram
 
 MAX_REQUEST_BYTES = 4096
@@ -162,12 +162,7 @@ def is_running(name: str) -> bool:
 
     A socket left from a killed controller does not count.
     """
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
-        try:
-            out.connect(str(mailbox_path(name)))
-        except OSError:
-            return False
-    return True
+    return is_served(mailbox_path(name))
 
 
 class RequestSender:

@@ -10,6 +10,7 @@ be replaced later.
 
 import os
 import pwd
+import socket
 import stat
 import tempfile
 from contextlib import suppress
@@ -168,3 +169,16 @@ def faults_path(spec: str) -> Path:
 def truth_path(spec: str) -> Path:
     """Return the default path of the truth file of the simulator of a bus."""
     return run_dir() / f"{_file_name(spec)}.truth"
+
+
+def is_served(path: Path) -> bool:
+    """Return True if a process takes datagrams at the path of a socket.
+
+    A socket left from a killed process does not count.
+    """
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(str(path))
+        except OSError:
+            return False
+    return True

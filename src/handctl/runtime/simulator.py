@@ -8,7 +8,7 @@ from typing import Any
 
 from handctl.errors import BusError, ConfigError
 from handctl.runtime.buses.open import check_spec
-from handctl.runtime.paths import faults_path, run_dir
+from handctl.runtime.paths import faults_path, is_served, run_dir
 
 ANSWER_S = 5.0
 """Longest wait for an answer [s]."""
@@ -41,11 +41,8 @@ def simulated_time_scale(bus: str) -> float | None:
         ConfigError: ``bus`` is not a valid bus specification.
     """
     path = find_simulator(bus)
-    try:
-        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
-            probe.connect(str(path))
-    except OSError:
-        return None  # no socket, or the socket of a simulator that was killed
+    if not is_served(path):
+        return None
     pace: dict[str, float | None] = ask_simulator(path, {"pace": True}).get("pace", {})
     return pace.get("time_scale")
 

@@ -4,11 +4,11 @@ The time of a program stops while a fault holds the hand. A hand that oscillates
 noisy (N07) and is held as long as it oscillates, which is forever.
 """
 
-import json
 from dataclasses import dataclass, field
 
 from handctl.core.types import Mode, TickIn, TickOut
 from handctl.errors import DriveError
+from handctl.runtime.mailbox import STOP
 from handctl.safety.action import Action
 
 LIMIT_S = 5.0
@@ -46,7 +46,7 @@ class HoldLimit:
             self._since_ns = entry.t_ns
         if entry.t_ns - self._since_ns > LIMIT_S * 1e9 and not self.reason:
             self.reason = self._fault or "a fault"
-            self._requests.append(json.dumps({"do": "stop"}))
+            self._requests.append(STOP)
 
     def refuse_stopped(self, where: str) -> None:
         """Raise an error if the run was stopped.
