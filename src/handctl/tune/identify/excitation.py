@@ -70,8 +70,11 @@ def excitation(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, ...]:
                 f"digit {name}",
                 f"springs with a preload of {min_preload:.2f} N or more, or other --digits",
             )
-    steps_of = {True: _digit_steps, False: antagonist_steps}
-    return tuple(step for name in digits for step in steps_of[is_sprung(hand, name)](hand, name))
+    return tuple(
+        step
+        for name in digits
+        for step in (_digit_steps if is_sprung(hand, name) else antagonist_steps)(hand, name)
+    )
 
 
 def is_sprung(hand: Hand, digit: str) -> bool:

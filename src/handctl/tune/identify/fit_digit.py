@@ -197,11 +197,12 @@ def fits_with_digit(fits: Sequence[Fit], solution: Solution, balance: Balance) -
     """
     rows = len(balance.t) * balance.q.shape[1]
     fits = [replace(fit, ramp=_unexplained_ramp(solution, balance)) for fit in fits]
-    return [
-        merge_solution(fit, solution, rows, ("capstan", *shared), [len(SHARED_PARAMETERS) + j, *range(len(shared))])
-        for j, fit in enumerate(fits)
-        for shared in [SHARED_PARAMETERS if j == 0 else ()]
-    ]
+    merged = []
+    for j, fit in enumerate(fits):
+        shared = SHARED_PARAMETERS if j == 0 else ()
+        places = [len(SHARED_PARAMETERS) + j, *range(len(shared))]
+        merged.append(merge_solution(fit, solution, rows, ("capstan", *shared), places))
+    return merged
 
 
 def _unexplained_ramp(solution: Solution, balance: Balance) -> Ramp | None:

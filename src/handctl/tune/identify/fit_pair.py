@@ -233,6 +233,7 @@ class PairProblem:
         nominal: (15,) scale of each parameter of `fit.NAMES`.
         motor_noise: standard deviation of the motor equation [N].
         reading_noise: standard deviation of the excursion by one joint reading [m].
+        start: initial scaled parameters, taken from the hand file.
     """
 
     windows: PairWindows
@@ -240,6 +241,7 @@ class PairProblem:
     nominal: Array
     motor_noise: float
     reading_noise: float
+    start: Array
 
     def value(self, z: Array, name: str) -> float:
         """Return a parameter in SI units, or as a factor."""
@@ -283,17 +285,7 @@ class PairProblem:
         known = np.isfinite(w.excursion)
         second = np.where(known, self.stretch(z) - by_tension, 0.0) / noise
         spread = np.array([*(PAIR_PRIOR.get(name, VAGUE) for name in PAIR_PARAMETERS), 1.0, 1.0])
-        return np.concatenate([motor, second, (z - self.start()) / spread])
-
-    def start(self) -> Array:
-        """Return the initial scaled parameters, taken from the hand file."""
-        first = np.ones(len(PAIR_PARAMETERS) + 2)
-        w = self.windows
-        known = np.isfinite(w.excursion)
-        offset = float(np.median(w.travel[known] - w.excursion[known])) if known.any() else 0.0
-        first[PAIR_PARAMETERS.index("stretch_offset")] = offset / SCALE_OFFSET_M
-        first[-2:] = 0.0
-        return first
+        return np.concatenate([motor, second, (z - self.start) / spread])
 
     def bounds(self) -> tuple[Array, Array]:
         """Return lower and upper bounds of the scaled parameters."""
@@ -325,15 +317,26 @@ def fit_pair(hand: Hand, digit: DigitModel, tendon: int, data: Sequence[TendonDa
     windows = PairWindows.of(hand, digit, tendon, data, rest)
     reading = hand.sensor_node.joint_noise_rad * float(np.linalg.norm(digit.moment_arms[tendon]))
     motor = hand.motor_of(own.tendon)
-    problem = PairProblem(windows, motor.spool_radius_m, parameter_scales(hand, own.tendon), FIRST_NOISE_N, reading)
+    scales = parameter_scales(hand, own.tendon)
+    problem = PairProblem(windows, motor.spool_radius_m, scales, FIRST_NOISE_N, reading, _start(windows))
     times = np.tile(windows.motor.t, 2)
     tried = [
-        solve_least_squares(problem.residuals, start, problem.bounds(), times) for start in _starts(problem.start())
+        solve_least_squares(problem.residuals, start, problem.bounds(), times) for start in _starts(problem.start)
     ]
     first = min(tried, key=lambda solution: _robust_cost(problem.residuals(solution.z)))
     problem = problem.with_noise_of(first.z)
     solution = solve_least_squares(problem.residuals, first.z, problem.bounds(), times)
     return with_model_error(_as_fit(hand, problem, solution), PAIR_MODEL_ERROR)
+
+
+def _start(windows: PairWindows) -> Array:
+    """Return the initial scaled parameters, taken from the hand file."""
+    first = np.ones(len(PAIR_PARAMETERS) + 2)
+    known = np.isfinite(windows.excursion)
+    offset = float(np.median(windows.travel[known] - windows.excursion[known])) if known.any() else 0.0
+    first[PAIR_PARAMETERS.index("stretch_offset")] = offset / SCALE_OFFSET_M
+    first[-2:] = 0.0
+    return first
 
 
 def _starts(first: Array) -> list[Array]:
@@ -360,15 +363,15 @@ def _as_fit(hand: Hand, problem: PairProblem, solution: Solution) -> Fit:
     windows = problem.windows
     count = len(NAMES)
     target = [NAMES.index(name) for name in PAIR_PARAMETERS]
-    source = np.arange(len(PAIR_PARAMETERS))
+    own = len(target)
     z = np.append(np.ones(count), (0.0, 0.0))
-    z[target] = solution.z[source]
+    z[target] = solution.z[:own]
     covariance = np.eye(count + 2) * VAGUE**2
-    covariance[np.ix_(target, target)] = solution.covariance[np.ix_(source, source)]
+    covariance[np.ix_(target, target)] = solution.covariance[:own, :own]
     freedom = np.full(count + 2, MIN_FREEDOM)
-    freedom[target] = solution.freedom[source]
+    freedom[target] = solution.freedom[:own]
     sensitivity = np.zeros((2 * len(windows.motor.t), count))
-    sensitivity[:, target] = solution.jacobian[: len(sensitivity), source]
+    sensitivity[:, target] = solution.jacobian[: len(sensitivity), :own]
     measured = problem.measured_tension(solution.z)
     none = np.zeros(0)
     nothing = Bins(none, none, none, none, none, 1)
