@@ -30,10 +30,10 @@ from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.excite import ExciteProgram
+from handctl.runtime.hold_limit import HoldLimit
 from handctl.session.plan import Plan, highest_rate_of_buses
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.simulate import Simulator
-from handctl.tune.hold_limit import HoldLimit
 from handctl.tune.identify.excitation import excitation, is_sprung
 from handctl.tune.identify.identify import TendonResult, identify_tendons
 

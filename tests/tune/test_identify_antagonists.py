@@ -12,8 +12,8 @@ from handctl.core.types import Mode
 from handctl.errors import DriveError
 from handctl.hand.digit import DigitModel
 from handctl.hand.load import load_hand
+from handctl.runtime.hold_limit import HoldLimit
 from handctl.safety.action import Action
-from handctl.tune.hold_limit import HoldLimit
 from handctl.tune.identify.excitation import excitation
 from handctl.tune.identify.excitation_antagonists import PAIR_FRACTION, PULL_FRACTION, sweep_range
 from handctl.tune.identify.fit_pair import stretch_of_pair, tension_of_pair

@@ -27,6 +27,7 @@ from handctl.programs.live import LiveProgram, import_spline
 from handctl.programs.program import Program
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.clock import Clock, Priority, RealClock, give_back_priority, prepare_priority, realtime_priority
+from handctl.runtime.hold_limit import HoldLimit
 from handctl.runtime.lockstep import LockstepBus, LockstepClock
 from handctl.runtime.loop import Loop, LoopBus, LoopStats, StopSignals
 from handctl.runtime.mailbox import CLEAR, Mailbox, bus_lock
@@ -179,17 +180,23 @@ def run_lockstep(
 ) -> Outcome:
     """Execute a run in virtual time against the clock's simulator.
 
-    Further runs with the same clock are allowed.
+    Further runs with the same clock are allowed. In virtual time no operator clears a fault.
+
+    Raises:
+        DriveError: a fault held the hand for too long.
     """
     clock.restart()
     header = run_header(plan, controller, None, lockstep=True)
     start_offset = {TRUTH_OFFSET: str(clock.offset_ns)}
     recorder = Recorder.start(log, replace(header, metadata=header.metadata | start_offset))
     display = plan.display(plan) if plan.display else None
-    request_source = _merge_requests(observer, lambda: ())
-    show = _merge_observers(observer, display.show if display else _ignore_tick)
+    limit = HoldLimit()
+    request_source = _merge_requests(observer, limit.poll_requests)
+    show = _merge_observers(limit, _merge_observers(observer, display.show if display else _ignore_tick))
     loop = _build_loop(plan, controller, clock, [LockstepBus(clock)], recorder, request_source, show)
-    return _run_to_end(loop, controller, recorder, display, None, lambda: clock.offset_ns)
+    outcome = _run_to_end(loop, controller, recorder, display, None, lambda: clock.offset_ns)
+    limit.refuse_stopped(f"{plan.hand.name} in lockstep, log {log}")
+    return outcome
 
 
 def refuse_blind_view(view_requested: bool) -> None:

@@ -28,6 +28,7 @@ from handctl.log.read.reader import RunLog
 from handctl.programs.calibration import Calibration, load_calibration
 from handctl.programs.excite import ExciteProgram
 from handctl.replay.rebuild import logged_hand
+from handctl.runtime.hold_limit import HoldLimit
 from handctl.session.calibration import (
     commission,
     ensure_calibration,
@@ -39,7 +40,6 @@ from handctl.session.gains import assignments
 from handctl.session.plan import Plan, commission_log, default_log
 from handctl.session.run import Outcome, Runner, make_controller, run_live, run_lockstep
 from handctl.session.simulate import Simulator
-from handctl.tune.hold_limit import HoldLimit
 from handctl.tune.identify.excitation import excitation
 from handctl.tune.identify.figure import draw_identification
 from handctl.tune.identify.identify import (
@@ -79,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
     about = f"exciting {plan.hand.name} for about {total:.0f} s, one digit at a time"
     held = HoldLimit()
     if args.lockstep:
-        calibration, outcome = _in_lockstep(args, plan, program, log, about, held)
+        calibration, outcome = _in_lockstep(args, plan, program, log, about)
     else:
         announce(args, plan, path, calibration)
         print_note(about)
@@ -94,14 +94,14 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _in_lockstep(
-    args: argparse.Namespace, plan: Plan, program: ExciteProgram, log: Path, about: str, held: HoldLimit
+    args: argparse.Namespace, plan: Plan, program: ExciteProgram, log: Path, about: str
 ) -> tuple[Calibration, Outcome]:
     """Commission and excite the simulated hand in virtual time."""
     perturb = assignments(args.perturb, "--perturb")
     simulator = Simulator(args.hand, seed=args.seed, perturb=perturb, truth=log.with_suffix(".truth"))
     with simulator.clock(plan.period_ns) as clock:
         print_note(about)
-        return _commission_and_excite(plan, program, log, partial(run_lockstep, clock=clock, observer=held))
+        return _commission_and_excite(plan, program, log, partial(run_lockstep, clock=clock))
 
 
 def _commission_and_excite(

@@ -1,4 +1,4 @@
-"""Limit for the time for which a fault may hold an identification.
+"""Limit for the time for which a fault may hold a run that no operator watches.
 
 The time of a program stops while a fault holds the hand. A hand that oscillates with its gains reports its encoder as
 noisy (N07) and is held as long as it oscillates, which is forever.
@@ -12,7 +12,7 @@ from handctl.runtime.mailbox import STOP
 from handctl.safety.action import Action
 
 LIMIT_S = 5.0
-"""Longest time for which a fault may hold an identification [s]."""
+"""Longest time for which a fault may hold such a run [s]."""
 
 
 @dataclass
@@ -55,5 +55,5 @@ class HoldLimit:
             DriveError: a fault held the hand for too long.
         """
         if self.reason:
-            right = "gains with margins: handctl tune design, then handctl gains apply"
+            right = "a hand without this fault; if it oscillates, try handctl tune design, then handctl gains apply"
             raise DriveError(f"held for {LIMIT_S:g} s by {self.reason}", where, right)

@@ -1,0 +1,35 @@
+"""A run in lockstep that a fault holds: nobody can clear the fault, so the run must end by itself."""
+
+from pathlib import Path
+
+import pytest
+
+from handctl.controller.bus_load import bus_loads
+from handctl.core.gains.gains import Gains
+from handctl.errors import DriveError
+from handctl.hand.load import load_hand
+from handctl.log.read.reader import RunLog
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.task import load_task
+from handctl.runtime.hold_limit import LIMIT_S
+from handctl.session.plan import Plan, highest_rate_of_buses
+from handctl.session.run import make_controller, run_lockstep
+from handctl.session.simulate import Simulator
+from tests.runtime.processes import GO, MOVE
+
+
+@pytest.mark.timeout(120)
+def test_a_run_that_a_fault_holds_ends_with_its_reason(tmp_path: Path) -> None:
+    """The time of the task stops while a fault holds the hand. The run once had no end."""
+    task = tmp_path / "bend.toml"
+    task.write_text(GO + MOVE.format(name="bend", angle=10.0, duration=0.5))
+    hand = load_hand("jamia")
+    plan = Plan(hand, Gains(), highest_rate_of_buses(bus_loads(hand)), (0.5,))
+    log = tmp_path / "held.mcap"
+    with Simulator("jamia", homed=True).clock(plan.period_ns) as clock:
+        clock.peer.inject("noise encoder=1 size=0.005")  # type: ignore[attr-defined]
+        controller = make_controller(plan, TaskProgram(load_task(task)), None, True)
+        with pytest.raises(DriveError, match=r"in lockstep.*held for 5 s by N07 a noisy encoder"):
+            run_lockstep(plan, controller, log, clock)
+    with RunLog(log) as record:
+        assert LIMIT_S < record.times[-1] < 3.0 * LIMIT_S
