@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
+import lively
 import pytest
 import synthetic
 
@@ -338,3 +339,18 @@ def test_recording_a_tick_is_fast(start: Callable[..., Recorder]) -> None:
         spent.append(time.perf_counter() - started)
         time.sleep(0.0005)
     assert sorted(spent)[len(spent) // 2] < 200e-6
+
+
+def test_the_recorder_needs_no_compiler(tmp_path: Path) -> None:
+    """A run waits for its recorder. It once imported numba, llvmlite and scipy for one test of a text."""
+    run = lively.header()
+    path = tmp_path / "run.mcap"
+    recorder = Recorder.start(path, run, 1)
+    size = path.stat().st_size
+    for tick in lively.ticks(run):
+        recorder.record(pack_tick_record(*tick))
+    assert _until(lambda: path.stat().st_size > size)
+    mapped = Path(f"/proc/{recorder._child.pid}/maps").read_text()
+    assert recorder.close("finished")["complete"]
+    assert "/numpy/" in mapped
+    assert not {name for name in ("/llvmlite/", "/scipy/") if name in mapped}

@@ -10,11 +10,13 @@ a socket.
 
 import enum
 import math
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from handctl.drives.causes import Cause
 from handctl.drives.frame import Frame
-from handctl.drives.signals import Cyclic
+
+if TYPE_CHECKING:  # imports numba, which readers of a log do without
+    from handctl.drives.signals import Cyclic
 
 UNSTEADY = -1
 """Value of ``steady_status`` for a drive whose state machine must process every frame."""
@@ -185,7 +187,7 @@ class Drive(Protocol):
         ...
 
     @property
-    def cyclic(self) -> Cyclic:
+    def cyclic(self) -> "Cyclic":
         """Return the signal tables of the frames exchanged in each tick while the drive is enabled."""
         ...
 

@@ -20,7 +20,6 @@ from handctl.hand.file.templates import (
     join_mistakes_of_default,
     resolve_templates,
 )
-from handctl.hand.readiness import reasons_not_ready
 from handctl.printing import similar_name
 
 READABLE_SCHEMAS = (RESOLVED_SCHEMA, WRITTEN_SCHEMA)
@@ -197,6 +196,8 @@ def inspect_content(content: Mapping[str, Any]) -> InspectedHand:
     hand, mistakes = validate_content(content)
     origins = resolve_templates(content).origins if content.get("schema") == WRITTEN_SCHEMA else {}
     if hand is not None:
+        from handctl.hand.readiness import reasons_not_ready  # imports numba, which loading a hand does without
+
         mistakes = with_paths_of_file(reasons_not_ready(hand), origins)
     return InspectedHand(hand, group_mistakes(mistakes), origins)
 

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -14,8 +14,10 @@ from handctl.core.types import Vector
 from handctl.document import Document, load_document, validate_content
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.digit import DigitModel
 from handctl.hand.load import read_toml
+
+if TYPE_CHECKING:  # imports numba, which reading a task does without
+    from handctl.hand.digit import DigitModel
 
 Angle = Annotated[float, Field(ge=-30, le=150)]
 Tension = Annotated[float, Field(ge=0, le=1000)]
@@ -290,14 +292,14 @@ def value_for_digit(value: float | dict[str, Value], digit: str) -> float | Valu
     return value.get(digit) if isinstance(value, dict) else float(value)
 
 
-def joint_values(value: float | Mapping[str, Value], digit: DigitModel) -> dict[int, Value]:
+def joint_values(value: float | Mapping[str, Value], digit: "DigitModel") -> dict[int, Value]:
     """Return the values of a phase for joints of a digit, by the index of the joint."""
     if not isinstance(value, Mapping):
         return {}
     return {j: value[name] for j, name in enumerate(digit.joint_names) if name in value}
 
 
-def end_angles(value: float | dict[str, Angles], digit: DigitModel, now: Vector) -> Angles | Vector | None:
+def end_angles(value: float | dict[str, Angles], digit: "DigitModel", now: Vector) -> Angles | Vector | None:
     """Return the coordinates of a digit at the end of a phase [deg], None without an angle.
 
     Args:
