@@ -76,12 +76,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="the demo over many seeds")
     parser.add_argument("--seeds", type=int, default=20, metavar="N", help="0 to N - 1 (default: 20)")
     parser.add_argument("--results", type=Path, required=True, metavar="FILE", help="a line of JSON per run")
+    parser.add_argument("--hand", nargs="+", choices=packaged_hands(), default=packaged_hands(), help="default: all")
+    parser.add_argument("--protocol", nargs="+", choices=ALL_PROTOCOLS, default=ALL_PROTOCOLS, help="default: all")
     parser.add_argument("--table", type=Path, metavar="FILE", help="the table, into a file too")
     args = parser.parse_args()
     lines = args.results.read_text().splitlines() if args.results.exists() else []
     results = [json.loads(line) for line in lines]
     done = {(one["hand"], one["protocol"], one["seed"]) for one in results}
-    cases: list[Case] = [(h, p, seed) for seed in range(args.seeds) for h in packaged_hands() for p in ALL_PROTOCOLS]
+    cases: list[Case] = [(h, p, seed) for seed in range(args.seeds) for h in args.hand for p in args.protocol]
     for case in cases:
         if case not in done:
             results.append(demo(*case))

@@ -34,6 +34,8 @@ CONTACT = 0.16
 """Tension of a digit in contact per ``tension_max_N``, until all digits hold."""
 RELEASE_N = 6.0
 """Tension of a release above the highest ``tension_floor_N`` of the hand [N]."""
+OPENING_S = 1.2
+"""Duration of the last phase [s]. A joint that opens by 90 deg then moves at 140 deg/s at most."""
 RESTING = 1.5
 """Tension of an extensor in a hold per ``tension_floor_N``."""
 SCENE = "cylinder"
@@ -82,7 +84,7 @@ def default_task(hand: Hand) -> tuple[Task, str]:
                 "duration_s": 5.0,
             },
             {"kind": "release", "name": "release", "tension_N": min(floor + RELEASE_N, largest), "rate_N_per_s": 60.0},
-            {"kind": "move", "name": "open", "angle_deg": opened, "duration_s": 0.8},
+            {"kind": "move", "name": "open", "angle_deg": opened, "duration_s": OPENING_S},
         ],
     }
     text = f"# Made for {hand.name} by handctl: open, close until contact, hold, release, open.\n" + toml_text(content)
