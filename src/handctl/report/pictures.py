@@ -13,7 +13,7 @@ from handctl.hand.description import Hand
 from handctl.hand.kinematics import link_rotations
 from handctl.hand.tree import HandTree
 from handctl.log.read.reader import RunLog
-from handctl.report.run_figure import COLOURS, PASSIVE_PHASES
+from handctl.report.run_figure import COLOURS, PASSIVE_PHASES, digit_colours
 
 Array = NDArray[np.float64]
 
@@ -46,6 +46,7 @@ def draw_poses(log: RunLog, hand: Hand) -> str:
     q = log.field("q")
     force = log.field("tip_force")
     limits = _picture_limits(tree)
+    colours = digit_colours(hand)
     for axes in grid:
         axes.set_axis_off()
     for axes, (name, index) in zip(grid, moments, strict=False):
@@ -56,8 +57,8 @@ def draw_poses(log: RunLog, hand: Hand) -> str:
         for d in sorted(range(len(digits)), key=lambda d: -float(digits[d].mount_position[2])):
             # The object pushes against the closing direction of the fingertip, y of the last link.
             push = -max(float(force[index, d]), 0.0) * turned[digits[d].joints][-1, :, 1]
-            _draw_digit(axes, paths[d], push, COLOURS[d % len(COLOURS)])
-        _write_forces(axes, force[index])
+            _draw_digit(axes, paths[d], push, colours[d])
+        _write_forces(axes, force[index], colours)
         axes.set_title(f"{name}, {log.times[index]:.2f} s", fontsize=11)
         axes.set_aspect("equal")
         axes.set(xlim=limits[0], ylim=limits[1])
@@ -117,7 +118,7 @@ def _draw_digit(axes: Any, joints: Array, push: Array, colour: str) -> None:
     axes.annotate("", xy=end, xytext=start, arrowprops=style, zorder=10)
 
 
-def _write_forces(axes: Any, force: Array) -> None:
+def _write_forces(axes: Any, force: Array, colours: list[str]) -> None:
     """Write the values of the forces [N] in the corner.
 
     Next to the arrows the texts would overlap.
@@ -126,7 +127,7 @@ def _write_forces(axes: Any, force: Array) -> None:
         if value >= MIN_ARROW_N:
             style = {
                 "fontsize": 9,
-                "color": COLOURS[d % len(COLOURS)],
+                "color": colours[d],
                 "transform": axes.transAxes,
                 "va": "bottom",
             }

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from handctl.core.types import Mode
 from handctl.hand.description import Hand
+from handctl.hand.digit_colours import colour_numbers
 from handctl.log.read.reader import RunLog
 from handctl.output import save_figure
 from handctl.printing import printable_text
@@ -16,7 +17,7 @@ from handctl.report.summary import mean_angles
 from handctl.report.truth import TruthRecord
 
 COLOURS = ("#3b6fb6", "#d9822b", "#3c9d5d", "#b8436f", "#7a5fb5", "#8a8a2a")
-"""Colours of the digits."""
+"""Colours of the digits: index, middle, ring, thumb, and others."""
 COMMAND = "#444444"
 PLANT = "#000000"
 GRID = "#999999"
@@ -30,6 +31,11 @@ ROWS = ("mean joint angle [deg]", "tendon tension [N]", "contact force [N]")
 """Labels of the rows."""
 
 Array = NDArray[np.float64]
+
+
+def digit_colours(hand: Hand) -> list[str]:
+    """Return the colour of each digit. A digit has the same colour on every hand."""
+    return [COLOURS[number % len(COLOURS)] for number in colour_numbers(hand.digit_names)]
 
 
 def draw_run(path: Path, log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int, title: str) -> None:
@@ -124,8 +130,8 @@ def _draw_angles(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord
     if truth is not None:
         table = truth.table([f"q/{joint}" for joint in hand.joints], log.t_ns + offset_ns)
         real = np.degrees(mean_angles(hand, table))
-    for d, axes in enumerate(row):
-        axes.plot(log.times, estimate[:, d], color=COLOURS[d % len(COLOURS)], linewidth=1.8)
+    for d, (axes, colour) in enumerate(zip(row, digit_colours(hand), strict=True)):
+        axes.plot(log.times, estimate[:, d], color=colour, linewidth=1.8)
         _draw_command_and_truth(axes, log, goal[:, d], None if real is None else real[:, d])
 
 
@@ -142,8 +148,7 @@ def _draw_tensions(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthReco
     estimate = log.field("tension")
     sigma = log.field("tension_sigma")
     goal = log.field("tension_goal")
-    for d, (axes, tendons) in enumerate(zip(row, hand.digit_tendons.values(), strict=True)):
-        colour = COLOURS[d % len(COLOURS)]
+    for axes, tendons, colour in zip(row, hand.digit_tendons.values(), digit_colours(hand), strict=True):
         names = hand.tendon_names[tendons]
         # `SHADES * n` repeats the opacities for digits with more than three tendons.
         for shade, i, name in zip(SHADES * len(names), range(tendons.start, tendons.stop), names, strict=False):
@@ -162,8 +167,7 @@ def _draw_forces(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord
     """Draw the contact force of each digit."""
     estimate = log.field("tip_force")
     sigma = log.field("tip_force_sigma")
-    for d, (axes, name) in enumerate(zip(row, hand.digit_names, strict=True)):
-        colour = COLOURS[d % len(COLOURS)]
+    for d, (axes, name, colour) in enumerate(zip(row, hand.digit_names, digit_colours(hand), strict=True)):
         axes.plot(log.times, estimate[:, d], color=colour, linewidth=1.0)
         low = estimate[:, d] - sigma[:, d]
         high = estimate[:, d] + sigma[:, d]

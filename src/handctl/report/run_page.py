@@ -150,11 +150,11 @@ def _number_text(value: float, unit: str) -> str:
 
 def _colour_legend(hand: Hand) -> str:
     """Return the legend of the hand pictures."""
-    from handctl.report.run_figure import COLOURS
+    from handctl.report.run_figure import digit_colours
 
     marks = (
-        f'<span style="color:{COLOURS[d % len(COLOURS)]}">&#9679;</span> {_escaped_text(n)}'
-        for d, n in enumerate(hand.digit_names)
+        f'<span style="color:{colour}">&#9679;</span> {_escaped_text(name)}'
+        for name, colour in zip(hand.digit_names, digit_colours(hand), strict=True)
     )
     note = "by the estimated joint angles; arrows are the estimated force of the object on a fingertip"
     return "<p>" + " &nbsp; ".join(marks) + f"; {note}</p>"

@@ -9,10 +9,9 @@ from handctl.hand.digit import Array, DigitModel
 from handctl.hand.formats.urdf import PALM_MARGIN, PALM_THICKNESS
 from handctl.hand.kinematics import joint_points
 from handctl.paper import sources as src
-from handctl.paper.figures.style import BLUE, GREEN, ORANGE, PURPLE
+from handctl.paper.figures.style import DIGITS
 
 SIZE = (7.2, 5.6)
-COLOURS = (BLUE, GREEN, PURPLE, ORANGE)
 POSE_DEG = {"index": 24.0, "middle": 30.0, "ring": 36.0, "thumb": 30.0}
 """Angle of all joints of each digit [deg]."""
 LABEL_MM = {"index": (4, 0, 8), "middle": (4, 0, 8), "ring": (-8, -4, -14), "thumb": (0, 0, 8)}
@@ -40,7 +39,7 @@ def draw_hand_figure(figure: Any) -> None:
     )
     faces: list[Array] = []
     colours: list[Any] = []
-    for name, colour in zip(src.paper_hand().digit_names, COLOURS, strict=True):
+    for name, colour in DIGITS.items():
         model = DigitModel.of(src.paper_hand(), name)
         nodes = 1000.0 * joint_points(model, np.radians(np.full(model.joint_count, POSE_DEG[name])))
         for start, end in pairwise(nodes):

@@ -1,4 +1,4 @@
-"""Style of all figures: colours for colour-blind readers, sizes, and saving."""
+"""Style of all figures: colours, sizes, and saving."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -7,13 +7,15 @@ from typing import Any
 from handctl.output import save_figure
 from handctl.paper.page import PREFIX
 
-BLUE = "#0072b2"
-ORANGE = "#e69f00"
-GREEN = "#009e73"
-RED = "#d55e00"
-PURPLE = "#8e5ba6"
+BLUE = "#3b6fb6"
+ORANGE = "#d9822b"
+GREEN = "#3c9d5d"
+RED = "#d01c1c"
+PURPLE = "#7a5fb5"
 GREY = "#6b6b6b"
-"""Colours of all figures. Source: Okabe & Ito, Color Universal Design."""
+"""Colours of all figures, as in the figures of a run."""
+DIGITS = {"index": BLUE, "middle": ORANGE, "ring": GREEN, "thumb": "#b8436f"}
+"""Colour of each digit."""
 SETTINGS: Any = {
     "font.size": 9.5,
     "axes.titlesize": 10.5,

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import rerun as rr
 from rerun.chunk import Chunk
 
+from handctl.hand.digit_colours import colour_numbers
 from handctl.view.scene import palette
 from handctl.view.scene.arrow import static_chunk
 from handctl.view.scene.run_info import RunInfo
@@ -41,7 +42,7 @@ def link_colour(link: str, run: RunInfo) -> palette.Colour:
     """Return the colour of a link: the colour of its digit, lighter towards the tip."""
     colours = {
         f"{digit.name}_link{i + 1}": shade
-        for index, digit in enumerate(run.hand.digit)
+        for index, digit in zip(colour_numbers(run.hand.digit_names), run.hand.digit, strict=True)
         for i, shade in enumerate(palette.joint_colours(index, len(digit.joints)))
     }
     return colours.get(link, palette.PALM)

@@ -65,7 +65,7 @@ ACTIONS = {
 
 
 def digit_colour(index: int) -> Colour:
-    """Return the colour of a digit."""
+    """Return the colour with a number, of ``colour_numbers`` for a digit."""
     return DIGITS[index % len(DIGITS)]
 
 

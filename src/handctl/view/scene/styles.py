@@ -6,6 +6,7 @@ import rerun as rr
 from rerun.chunk import Chunk
 
 from handctl.core.types import TELEMETRY_AXES
+from handctl.hand.digit_colours import colour_numbers
 from handctl.view.scene import palette
 from handctl.view.scene.arrow import static_chunk
 from handctl.view.scene.palette import Colour
@@ -61,7 +62,7 @@ def _tension_styles(run: RunInfo) -> Iterator[Chunk]:
     tendon_slices = run.hand.digit_tendons.values()
     colours = [
         shade
-        for i, tendons in enumerate(tendon_slices)
+        for i, tendons in zip(colour_numbers(run.hand.digit_names), tendon_slices, strict=True)
         for shade in palette.joint_colours(i, tendons.stop - tendons.start)
     ]
     yield _band_style("/tension/estimate", names, colours, "N")
@@ -77,7 +78,7 @@ def _tension_styles(run: RunInfo) -> Iterator[Chunk]:
 
 def _angle_styles(run: RunInfo) -> Iterator[Chunk]:
     """Yield styles of the joint angles."""
-    for index, digit in enumerate(run.hand.digit):
+    for index, digit in zip(colour_numbers(run.hand.digit_names), run.hand.digit, strict=True):
         names = [name.removeprefix(f"{digit.name}_") for name in digit.joints]
         colours = palette.joint_colours(index, len(names))
         yield _band_style(f"/angle/{digit.name}/estimate", names, colours, "deg")
@@ -92,7 +93,7 @@ def _angle_styles(run: RunInfo) -> Iterator[Chunk]:
 
 def _force_styles(run: RunInfo) -> Iterator[Chunk]:
     """Yield frames and colours of the force arrows. Each arrow starts at its fingertip."""
-    for index, digit in enumerate(run.hand.digit_names):
+    for index, digit in zip(colour_numbers(run.hand.digit_names), run.hand.digit_names, strict=True):
         colour = palette.digit_colour(index).mixed(palette.WHITE, 0.3)
         yield static_chunk(f"/force/{digit}", rr.CoordinateFrame.columns(frame=[f"{digit}_tip"]))
         yield static_chunk(f"/force/{digit}", rr.Arrows3D.columns(colors=[colour]))

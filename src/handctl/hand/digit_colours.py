@@ -1,0 +1,17 @@
+"""Order of the colours of digits, so that a digit has the same colour in every figure and on every hand."""
+
+from collections.abc import Sequence
+
+NAMED = ("index", "middle", "ring", "thumb")
+"""Digits with a colour of their own: the first colours of each palette."""
+
+
+def colour_numbers(digit_names: Sequence[str]) -> tuple[int, ...]:
+    """Return the number of each digit's colour in a palette.
+
+    The digits in NAMED have the first numbers. The other digits of the hand have the next numbers, in order. A hand
+    without digits in NAMED begins with the first number. A number may be larger than a palette.
+    """
+    others = [name for name in digit_names if name not in NAMED]
+    first = 0 if len(others) == len(digit_names) else len(NAMED)
+    return tuple(NAMED.index(name) if name in NAMED else first + others.index(name) for name in digit_names)

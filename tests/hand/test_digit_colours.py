@@ -1,0 +1,20 @@
+"""A digit has the same colour on every hand, and two digits of a hand have different colours."""
+
+import pytest
+
+from handctl.hand.digit_colours import NAMED, colour_numbers
+from handctl.hand.load import load_hand, packaged_hands
+
+
+@pytest.mark.parametrize("name", packaged_hands())
+def test_a_digit_has_the_same_colour_on_every_hand(name: str) -> None:
+    digits = load_hand(name).digit_names
+    numbers = colour_numbers(digits)
+    assert len(set(numbers)) == len(digits)
+    assert max(numbers) < 6, "the palettes have six colours"
+    assert all(number == NAMED.index(digit) for digit, number in zip(digits, numbers, strict=True) if digit in NAMED)
+
+
+def test_digits_with_other_names_have_the_colours_in_order() -> None:
+    assert colour_numbers(("left", "right")) == (0, 1)
+    assert colour_numbers(("wrist", "index", "pinky")) == (4, 0, 5)
