@@ -174,8 +174,9 @@ def tendon() -> Any:
     note(axes, (15.4, 4.3), "anchor")
     arrow(axes, [(16.9, 4.9), (16.4, 3.8)], "contact $F$", (16.5, 5.15), colour=FAULT)
     note(axes, (0.2, 0.55), "excursion $s = r_1 q_1 + r_2 q_2 + r_3 q_3 = R\\,q$     stretch $x - s - o$     "
-         "joint torque $\\tau = R^T f$,  $f \\geq 0$"
-         "     friction: winding the joints get less than $f_0$, paying out more", fontsize=8)  # fmt: skip
+         "joint torque $\\tau = R^T f$,  $f \\geq 0$\n"
+         "friction: the joints get less tension than $f_0$ while the motor winds in, and more while it pays out",
+         fontsize=8)  # fmt: skip
     return figure
 
 
@@ -198,7 +199,7 @@ def modes() -> Any:
     arrow(axes, [(14.6, 6.0), (14.6, 5.2)], "stop, end\nor fault", (15.4, 5.6))
     arrow(axes, [(14.6, 3.7), (14.6, 2.9)], "below 8 N\nor 1 s", (15.4, 3.3))
     arrow(axes, [(13.3, 1.8), (5.8, 1.8)], "every drive confirms that it is disabled, or 1 s", (9.4, 1.58))
-    arrow(axes, [(13.6, 6.0), (13.6, 5.55), (9.9, 5.55), (9.9, 4.5)], "cut, or a fault that cuts", (10.9, 5.75), FAULT)
+    arrow(axes, [(13.6, 6.0), (13.6, 5.55), (9.9, 5.55), (9.9, 4.5)], "cut, or a fault that cuts", (10.35, 5.75), FAULT)
     arrow(axes, [(13.3, 4.2), (10.6, 4.2)], "the same", (12.2, 4.4), FAULT)
     arrow(axes, [(10.6, 3.4), (12.6, 3.4), (12.6, 2.5), (13.3, 2.5)], "0.1 s", (11.1, 3.6))
     arrow(axes, [(11.6, 6.0), (11.6, 3.05), (13.0, 3.05), (13.0, 2.2), (13.3, 2.2)], "stop", (11.95, 4.85))

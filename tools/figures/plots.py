@@ -9,7 +9,7 @@ from handctl.controller.bus_load import bus_loads
 from handctl.core.types import Mode
 from handctl.hand.load import load_hand
 from tools.figures import runs
-from tools.figures.style import COMMAND, DIGITS, ESTIMATE, FAULT, INK, RAW, TRUTH, new_figure
+from tools.figures.style import BLOCKS, COMMAND, DIGITS, ESTIMATE, FAULT, INK, RAW, TRUTH, new_figure
 
 POINTS_LIMIT = 1500
 """Points of a curve in an SVG."""
@@ -66,11 +66,11 @@ def snapped_tendon(folder: Path) -> Any:
     modes = np.array([int(mode) for mode in run.mode])
     for mode in np.unique(modes):
         part = ms[modes == mode]
-        colour = {Mode.ACTIVE: "#3c9d5d", Mode.RELAX: "#d9822b"}.get(Mode(mode), "#7a5fb5")
-        bottom.barh(0, part[-1] - part[0] + 2.0, left=part[0], color=colour, height=0.8)
-        if part[-1] - part[0] > 10.0:
-            middle_ms = (part[0] + part[-1]) / 2.0
-            bottom.text(middle_ms, 0, Mode(mode).name, ha="center", va="center", color="white", fontsize=7.5)
+        length_ms = part[-1] - part[0] + 2.0
+        colour = BLOCKS["host" if mode == Mode.ACTIVE else "safety"]
+        bottom.barh(0, length_ms, left=part[0], color=colour, edgecolor=INK, linewidth=0.6, height=0.8)
+        bottom.text(part[0] + length_ms / 2.0, 0, Mode(mode).name, ha="center", va="center", color=INK,
+                    fontsize=7.5 if length_ms > 10.0 else 5.5, rotation=0.0 if length_ms > 10.0 else 90.0)  # fmt: skip
     bottom.set(yticks=[], ylabel="mode", xlabel="time after the snap [ms]")
     bottom.grid(visible=False)
     reports = [(when, text) for when, text in run.events if text.startswith(("T01", "T02"))][:1]
@@ -165,7 +165,10 @@ def bus_tick(folder: Path) -> Any:
     for lane, what, label, colour in [*commands, *answers]:
         us = 1e6 * next(row.frame_s for row in rows if row.what == what)
         axes.barh(lanes[lane], us - 6.0, left=at, color=colour, height=0.55)
-        axes.text(at + us / 2.0 - 3.0, lanes[lane], label, ha="center", va="center", color="white", fontsize=7)
+        # A short frame has its label upright.
+        turned = 90.0 if us < 100.0 else 0.0
+        axes.text(at + us / 2.0 - 3.0, lanes[lane], label, ha="center", va="center", color="white", fontsize=7,
+                  rotation=turned)  # fmt: skip
         at += us
     axes.axvline(2000.0, color=FAULT, linewidth=1.0)
     axes.text(1990.0, 2.4, "next tick", ha="right", color=FAULT, fontsize=8)

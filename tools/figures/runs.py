@@ -25,6 +25,7 @@ from handctl.programs.task import Task
 from handctl.replay.drive_again import active_interval, playback_program
 from handctl.report.truth import TruthRecord, read_truth
 from handctl.session.simulate import Simulation, Simulator
+from tools.figures.style import SETTINGS
 
 Array = NDArray[np.float64]
 DEMO = ("demo", "--lockstep", "--json")
@@ -182,5 +183,8 @@ def tip() -> Recording:
 def training_picture(folder: Path) -> Path:
     """Run ``examples/train_policy.py``, and return its picture."""
     program = Path(__file__).parents[2] / "examples" / "train_policy.py"
+    # matplotlib reads the file of this name in the folder of the process.
+    style = "".join(f"{key}: {value}\n" for key, value in SETTINGS.items())
+    (folder / "matplotlibrc").write_text(style, encoding="utf-8")
     subprocess.run([sys.executable, str(program)], cwd=folder, check=True, stdout=subprocess.DEVNULL)
     return folder / "training.png"

@@ -208,6 +208,6 @@ def draw_verify(
         axes.set(ylabel=name)
         axes.grid(alpha=0.3)
         axes.margins(x=0)
-    angle.legend(loc="upper right")
+    angle.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
     torque.set(xlabel=f"time [s]{'; red: ' + rollback.why if rollback else ''}")
     save_figure(figure, path)
