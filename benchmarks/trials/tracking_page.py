@@ -140,9 +140,14 @@ def _steps(laws: dict) -> str:
         if not np.isfinite(new["rmse_deg"]):
             texts.append(f"'{law}': a fault ends {new['ended']} of {new['seeds']} runs ({'; '.join(new['why'])})")
             continue
+        some = f", {new['ended']} of {new['seeds']} runs ended ({'; '.join(new['why'])})" if new["ended"] else ""
+        if not np.isfinite(old["rmse_deg"]):
+            error = f"an error of {new['rmse_deg']:.3f} deg"
+            texts.append(f"'{law}': {error}. All runs of the rows before ended early{some}")
+            old = new
+            continue
         gain = old["rmse_deg"] - new["rmse_deg"]
         spread = float(np.hypot(old["rmse_spread_deg"], new["rmse_spread_deg"]))
-        some = f", {new['ended']} of {new['seeds']} runs ended ({'; '.join(new['why'])})" if new["ended"] else ""
         weak = "" if gain > 2 * spread else " (worse)" if gain < -2 * spread else " (within the spread)"
         texts.append(f"'{law}': {gain:+.3f} ± {spread:.3f} deg{weak}{some}")
         old = new

@@ -33,6 +33,20 @@ def test_no_paragraph_is_long(path: Path) -> None:
     assert [part[:60] for part in paragraphs(text) if sentences(part) > SENTENCES] == []
 
 
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_a_second_paragraph_of_a_list_entry_is_indented_by_four(path: Path) -> None:
+    # With fewer, the site ends the list, and shows the marks of its next entries as text.
+    text = FENCE.sub("", path.read_text(encoding="utf-8"))
+    assert re.findall(r"\n\n {1,3}\S.*", text) == []
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_no_code_has_a_bar_behind_a_backslash(path: Path) -> None:
+    # The site shows the backslash. `<code>A&#124;B</code>` is right on the site and on GitHub.
+    text = FENCE.sub("", path.read_text(encoding="utf-8"))
+    assert re.findall(r"`[^`\n]*\\\|[^`\n]*`", text) == []
+
+
 def test_six_sentences_are_counted() -> None:
     assert sentences("A `b.c. d.` is. One (two). *Three.* Four? Five! Six.") == 6
 

@@ -1,6 +1,7 @@
 """Markdown of tables, and of docstrings in the google convention."""
 
 import ast
+import html
 import inspect
 import re
 import textwrap
@@ -13,8 +14,17 @@ ENTRY = re.compile(r"^    (\*{0,2}[\w, ]+): (.*)$")
 
 
 def cell(text: object) -> str:
-    """Return a text as the content of a table cell."""
-    return " ".join(str(text).split()).replace("|", "\\|")
+    """Return a text as the content of a table cell.
+
+    A backslash before a bar is shown if it is within code, so that such code is written in HTML.
+    """
+    plain = " ".join(str(text).split())
+    return re.sub(r"`([^`]*\|[^`]*)`", _code_with_bars, plain).replace("|", "\\|")
+
+
+def _code_with_bars(match: re.Match[str]) -> str:
+    """Return code in HTML, with its bars as character references."""
+    return "<code>" + html.escape(match[1], quote=False).replace("|", "&#124;") + "</code>"
 
 
 def code(text: object) -> str:

@@ -1,10 +1,14 @@
 """Block about the Python API, generated from the names that ``handctl`` exports."""
 
 import inspect
+import re
 from collections.abc import Iterator
 
 import handctl
 from tools.reference.markdown import docstring
+
+ARRAY = re.compile(r"numpy\.ndarray\[.*?, numpy\.dtype\[[\w.]*(?:\[\w+\])?\]\]")
+"""Type of an array as inspect writes it. The reference writes NDArray."""
 
 
 def names() -> str:
@@ -46,6 +50,7 @@ def _signature(function: object) -> str:
     result = result.strip("'")
     flat = str(signature.replace(parameters=shown, return_annotation=inspect.Signature.empty))
     flat = flat.replace("collections.abc.", "").replace("typing.", "")
+    flat = ARRAY.sub("NDArray", flat)
     line = f"{name}{flat} -> {result}"
     if len(line) > 90:
         inner = flat[1:-1].replace(", ", ",\n    ")
