@@ -22,7 +22,8 @@ QUESTIONS = {
     "Which adapter do I buy?": ("how-to/adapters.md", "", r"\*\*Which adapter to buy\.\*\*"),
     "What does N04 mean?": ("reference/faults.md", "n04-an-encoder-is-stuck", r"\*\*What happened:\*\*"),
     "How does a log come to Foxglove?": ("how-to/other-tools.md", "foxglove", r"Open the file in Foxglove"),
-    "What shape has `/tendon_states`?": ("reference/topics.md", "", r"`/tendon_states` is a "),
+    "What shape has `/tendon_states`?": ("reference/topics.md", "states-of-tendons-joints-and-motors",
+                                        r"`/tendon_states` is a "),
     "How do I add a motor type?": ("how-to/adding-a-drive.md", "add-a-motor-type", r"\| Damiao \|"),
     "Why did my run end?": ("how-to/why-a-run-ended.md", "", r"\*\*The terminal\.\*\*"),
 }  # fmt: skip
