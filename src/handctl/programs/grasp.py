@@ -35,6 +35,7 @@ from handctl.programs.task import (
     Move,
     Release,
     Task,
+    curve_through,
     end_angles,
     joint_values,
     value_for_digit,
@@ -381,9 +382,8 @@ def _curve_of_digit(phase: Follow, digit: DigitModel, estimate: Estimate) -> Cur
     """Return the curve of a digit, None without an angle. Joints without angles stay where they are."""
     count = digit.coupling.shape[1]
     if digit.name in phase.angle_deg:
-        return Curve.through(
-            phase.time_s, tuple(map(math.radians, phase.angle_deg[digit.name])), count
-        )
+        angles = tuple(map(math.radians, phase.angle_deg[digit.name]))
+        return replace(curve_through(phase.time_s, angles), coordinates=count)
     given = joint_values(phase.angle_deg, digit)
     if not given:
         return None

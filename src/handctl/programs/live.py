@@ -110,7 +110,7 @@ def begin_task(
     A task that does not suit the hand, or that begins with a move that is too fast, changes nothing.
     """
     try:
-        check_suits(task, model.hand, "task")
+        check_suits(task, model.hand, "task", model.digits)
     except ConfigError as error:
         return progress, (Event("warn", "request", "", f"refused: {error}"),)
     first = task.phase[0]

@@ -1,5 +1,6 @@
 """Task files: the phases of a grasp as a user writes them."""
 
+import functools
 import math
 from collections.abc import Mapping
 from itertools import pairwise
@@ -127,10 +128,20 @@ def _peak_speed(times: tuple[float, ...], angles: tuple[float, ...]) -> float:
     """Return the largest speed of a curve [rad/s], inf or NaN if its times are too close together."""
     with np.errstate(all="ignore"):
         try:
-            return Curve.through(times, angles, 1).peak_speed()
+            return curve_through(times, angles).peak_speed()
         # scipy refuses slopes that are not finite.
         except ValueError:
             return math.inf
+
+
+@functools.lru_cache(maxsize=32)
+def curve_through(times: tuple[float, ...], angles: tuple[float, ...]) -> Curve:
+    """Return the curve of one coordinate through angles [rad] at times [s].
+
+    The check of a task computes the curves of its digits, up to 1 ms each. The phase begins in a later tick, and takes
+    them from the cache.
+    """
+    return Curve.through(times, angles, 1)
 
 
 Phase = Annotated[Move | Close | Hold | Release | Follow, Field(discriminator="kind")]

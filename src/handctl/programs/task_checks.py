@@ -1,7 +1,7 @@
 """Checks of a task against a hand: speed of the moves, joint ranges, tip forces, slip limits."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -31,8 +31,19 @@ Span = tuple[Vector, Vector]
 """Lowest and highest value of the coordinates of a digit [deg]."""
 
 
-def check_suits(task: Task, hand: Hand, where: str) -> None:
+def digits_of(hand: Hand) -> tuple[DigitModel, ...]:
+    """Return the models of all digits of a hand, in file order."""
+    return tuple(DigitModel.of(hand, name) for name in hand.digit_names)
+
+
+def check_suits(task: Task, hand: Hand, where: str, digits: Sequence[DigitModel] = ()) -> None:
     """Raise an error for a task that does not suit the hand.
+
+    Args:
+        task: task to check.
+        hand: hand that shall execute it.
+        where: name of the file, for messages.
+        digits: models of the hand's digits. Without them they are built, which takes milliseconds.
 
     Raises:
         ConfigError: the hand does not have a digit, a number of angles, a tension or an angle of the task, a move is
@@ -43,22 +54,23 @@ def check_suits(task: Task, hand: Hand, where: str) -> None:
     )
     check_tip_force(task, hand, where)
     check_slip_limit(task, hand, where)
-    check_joint_range(task, hand, where)
-    check_speed(task, hand, where)
+    digits = digits or digits_of(hand)
+    check_joint_range(task, hand, where, digits)
+    check_speed(task, digits, where)
 
 
-def check_speed(task: Task, hand: Hand, where: str) -> None:
+def check_speed(task: Task, models: Sequence[DigitModel], where: str) -> None:
     """Refuse a move above the largest joint speed, from any possible end of the phases before.
 
     Args:
         task: task whose numbers fit the digits.
-        hand: hand with the digits.
+        models: models of the hand's digits.
         where: name of the file, for messages.
 
     Raises:
         ConfigError: A move has too little time.
     """
-    digits = {name: DigitModel.of(hand, name) for name in hand.digit_names}
+    digits = {model.name: model for model in models}
     zeros = {name: np.zeros(model.coupling.shape[1]) for name, model in digits.items()}
     spans: dict[str, Span] = {name: (zero, zero) for name, zero in zeros.items()}  # the hand arms with open digits
     for i, phase in enumerate(task.phase):
@@ -100,18 +112,18 @@ ROUNDING_DEG = 1e-6
 """Largest rounding error of a sum of angles [deg]."""
 
 
-def check_joint_range(task: Task, hand: Hand, where: str) -> None:
+def check_joint_range(task: Task, hand: Hand, where: str, digits: Sequence[DigitModel]) -> None:
     """Check the angles of a task, digit by digit. Beyond the range a joint only presses on the stop.
 
     Args:
         task: task that suits the hand otherwise.
         hand: hand with the joints.
         where: name of the file, for messages.
+        digits: models of the hand's digits.
 
     Raises:
         ConfigError: The joints of a digit cannot reach an angle together.
     """
-    digits = [DigitModel.of(hand, name) for name in hand.digit_names]
     reaches = {digit.name: np.degrees(digit.reach) for digit in digits}
     for i, phase in enumerate(task.phase):
         if not isinstance(phase, Move | Close | Follow):
