@@ -41,5 +41,6 @@ def test_only_a_fault_has_a_remedy(capfd) -> None:
         assert display._advised(Event("info", "mode", "", text)) == text
         assert display._advised(Event("error", "fault", "", text)).endswith(f"what to do: {fault.remedy}")
         assert display._advised(Event("error", "fault", "", text)) == text
+        assert display._advised(Event("info", "gain", "motion.force_N", "26.0")) == "motion.force_N = 26.0"
     finally:
         display.close()

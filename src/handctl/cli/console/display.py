@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from handctl.cli.console.screen import rich_console
-from handctl.core.types import Event, Mode, TickIn, TickOut
+from handctl.core.types import GAIN_EVENT, Event, Mode, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.printing import escaped_streams
 from handctl.safety.faults.table import remedy_for
@@ -102,8 +102,10 @@ class DisplayProcess:
     def _advised(self, event: Event) -> str:
         """Return the text of an event.
 
-        At the first event of a fault, a second line has the remedy.
+        At the first event of a fault, a second line has the remedy. A changed gain is printed with its key.
         """
+        if event.name == GAIN_EVENT:
+            return f"{event.where} = {event.text}"
         advice = remedy_for(event.text) if event.name == "fault" else ""
         if not advice or advice in self.shown:
             return event.text
