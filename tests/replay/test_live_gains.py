@@ -3,10 +3,12 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 import runs
 
 from handctl.core.gains.gains import Gains
 from handctl.core.identified import Identified
+from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.calibration import Calibration, TendonCalibration
@@ -15,7 +17,7 @@ from handctl.programs.requests import HoldTension
 from handctl.replay.execute import execute_log
 from handctl.session.plan import Plan
 from handctl.session.run import make_controller, run_lockstep
-from handctl.session.simulate import Simulator
+from handctl.session.simulate import Simulator, simulate
 
 REQUEST = '{"do": "gains", "set": {"motion.force_N": 40.0, "tension.integral_per_s": 6.0}}'
 
@@ -33,27 +35,44 @@ def test_a_run_whose_gains_were_set_repeats(tmp_path: Path) -> None:
     assert (result.differing, result.first) == (0, None)
 
 
-def test_a_run_with_an_identified_hand_repeats_and_its_commands_are_corrected(tmp_path: Path) -> None:
-    """Drives produce 0.8 of the command. The controller knows the factor and commands a quarter more."""
-    hand, log = load_hand("jamia"), tmp_path / "identified.mcap"
+def identified_calibration(hand: Hand, torque_gain: float) -> Calibration:
+    """Return the calibration of a homed hand whose drives make ``torque_gain`` of what they are told."""
     calibration = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
-    identified = Identified(names=("torque_gain",), values=(0.8,), half_widths=(0.01,), covariance=((1e-4,),))
-    tendons = dict.fromkeys(hand.tendon_names, calibration)
-    calibration = Calibration(
+    identified = Identified(names=("torque_gain",), values=(torque_gain,), half_widths=(0.01,), covariance=((1e-4,),))
+    return Calibration(
         hand=hand.name,
         identity=hand.identity,
         made="2026-01-01T00:00:00+00:00",
-        tendon=tendons,
+        tendon=dict.fromkeys(hand.tendon_names, calibration),
         identified=dict.fromkeys(hand.tendon_names, identified),
     )
+
+
+def test_a_run_with_an_identified_hand_repeats_and_its_commands_are_corrected(tmp_path: Path) -> None:
+    """Drives produce 0.8 of the command. The controller knows the factor and commands a quarter more."""
+    hand, log = load_hand("jamia"), tmp_path / "identified.mcap"
     plan = Plan(hand, Gains(), 500.0, ())
     simulator = Simulator("jamia", perturb={"torque_constant": 0.8}, homed=True)
     program = JogProgram(HoldTension(do="hold", tension_N={"index": 8.0}), 0.5)
     with simulator.clock(plan.period_ns) as clock:
-        run_lockstep(plan, make_controller(plan, program, calibration, True), log, clock)
+        run_lockstep(plan, make_controller(plan, program, identified_calibration(hand, 0.8), True), log, clock)
     with RunLog(log) as record:
         goal, torque = record.field("motor_torque_goal")[:-1, 0], record.field("motor_torque")[1:, 0]
         strong = goal > 0.03
         np.testing.assert_allclose(np.nanmedian(torque[strong] / goal[strong]), 1.25, rtol=0.03)
         result = execute_log(record)
     assert (result.differing, result.first) == (0, None)
+
+
+@pytest.mark.parametrize("torque_gain", [0.72, 1.35])
+def test_an_identified_drive_that_does_what_it_is_told_is_no_fault(torque_gain: float) -> None:
+    """A drive reports the torque that it believes to make. The difference to the corrected command once was N14."""
+    hand = load_hand("jamia")
+    plan = Plan(hand, Gains(), 500.0, ())
+    program = JogProgram(HoldTension(do="hold", tension_N={"index": 75.0}), 2.0)
+    controller = make_controller(plan, program, identified_calibration(hand, torque_gain), True)
+    tension = list[float]()
+    simulator = Simulator("jamia", perturb={"torque_constant": torque_gain}, homed=True)
+    state = simulate(controller, simulator, lambda entry, out: tension.append(float(out.telemetry.tension[0])))
+    assert not state.failure
+    assert abs(np.mean(tension[-700:-200]) - 75.0) < 4.0

@@ -114,7 +114,9 @@ def convert_positions(x: Tables, c: ConstantTables) -> None:
         spool = c.tendon[h.SPOOL, n]
         x.tendon[s.MEASURED_TRAVEL, n] = x.tendon[s.MEASURED_POSITION, n] * spool
         valid = not math.isnan(x.tendon[s.MEASURED_TRAVEL, n])
-        x.tendon[s.MEASURED_FORCE, n] = x.tendon[s.REPORTED, n] / spool if valid else math.nan
+        # A drive reports the torque that it believes to make, as it was told. Its motor makes ``TORQUE_GAIN`` of it.
+        made = x.tendon[s.REPORTED, n] * c.tendon[h.TORQUE_GAIN, n]
+        x.tendon[s.MEASURED_FORCE, n] = made / spool if valid else math.nan
         d = c.tendon_int[h.DIGIT, n]
         excursion = 0.0
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
