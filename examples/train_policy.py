@@ -1,4 +1,4 @@
-"""Train a linear policy to follow a reference, by augmented random search. This takes two minutes on one core.
+"""Train a linear policy to follow a reference, by augmented random search. This takes one minute on an idle core.
 
 All digits use the same policy. The action of a digit is a weighted sum of four values: its reference after the horizon,
 its present reference, its angle, and 1. The first three are scaled like an action.
