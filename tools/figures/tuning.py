@@ -85,9 +85,12 @@ def search_picture(folder: Path) -> Path:
 
 
 def verify_picture(folder: Path) -> Path:
-    """Verify the gains of the search on another hand. The search must have been run."""
+    """Verify the gains of the search on another hand, after the search if it has not been run."""
+    gains_file = folder / "search" / "search.toml"
+    if not gains_file.exists():
+        search_picture(folder)
     with empty_folder(folder, "verify") as path:
-        call(path, "tune", "verify", str(folder / "search" / "search.toml"), "--hand", "jamia", "--gains",
+        call(path, "tune", "verify", str(gains_file), "--hand", "jamia", "--gains",
              "detuned.toml", "--lockstep", "--perturb", *OTHER_HAND, "--log", "verify.mcap", codes=(0, 1))  # fmt: skip
         return path / "verify.png"
 
