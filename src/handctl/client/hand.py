@@ -39,12 +39,11 @@ from handctl.programs.requests import (
 )
 from handctl.programs.streams import horizon_s
 from handctl.programs.task import Hold
-from handctl.runtime.buses.open import real_buses
 from handctl.runtime.confirm import ANSWER_S, follow_until_off, is_off, send_confirmed
 from handctl.runtime.mailbox import MAX_REQUEST_BYTES, Watcher, is_running
 from handctl.runtime.observations import ObservationReader
 from handctl.runtime.targets import TargetSender, stream_name
-from handctl.session.buses import named_buses
+from handctl.session.buses import named_buses, refuse_default_hand
 from handctl.session.defaults import DEFAULT_HAND
 from handctl.session.exit_codes import ExitCode
 from handctl.session.tasks import find_task
@@ -107,12 +106,8 @@ def connect(
         raise ConfigError("no bus", "bus", "one, as in 'local:demo'")
     if is_running(specs[0]):
         return HandClient(specs[0], (), lease_s, watchdog_s)
-    if hand is None and (real := real_buses(specs)):
-        raise ConfigError(
-            f"no hand is named, and {real[0]} may have real motors",
-            "hand",
-            "the hand that is there",
-        )
+    if hand is None:
+        refuse_default_hand(specs, "hand")
     options = [
         "--hand",
         os.fspath(hand or DEFAULT_HAND),

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 from handctl.errors import ConfigError
 from handctl.hand.file.quantities import NAME_PATTERN
-from handctl.runtime.buses.open import check_spec
+from handctl.runtime.buses.open import check_spec, real_buses
+from handctl.session.defaults import DEFAULT_HAND
 
 
 def named_buses(arguments: Sequence[str]) -> dict[str, str]:
@@ -26,3 +27,20 @@ def named_buses(arguments: Sequence[str]) -> dict[str, str]:
         specs[name] = spec if named else text
         check_spec(specs[name])
     return specs
+
+
+def refuse_default_hand(specs: Sequence[str], where: str) -> None:
+    """Raise an error if no hand is named for a bus that may have real motors.
+
+    The limits of the default hand are for other motors and tendons.
+
+    Args:
+        specs: specifications of the buses.
+        where: name of the missing argument, for the message.
+
+    Raises:
+        ConfigError: a bus may have real motors.
+    """
+    if real := real_buses(specs):
+        right = f"the file of the hand that is there; the default {DEFAULT_HAND!r} is for simulated buses alone"
+        raise ConfigError(f"no hand is named, and {real[0]} may have real motors", where, right)

@@ -18,6 +18,7 @@ from handctl.hand.load import load_hand
 from handctl.hand.readiness import reasons_not_ready
 from handctl.runtime.buses.open import check_spec, real_buses
 from handctl.runtime.simulator import simulated_time_scale
+from handctl.session.buses import refuse_default_hand
 from handctl.session.gains import layered_gains
 from handctl.session.notices import NoticeCallback, Progress, ignore_notice, ignore_progress
 
@@ -129,7 +130,8 @@ def make_plan(
     check_ready(hand, str(choice.hand))
     layers = layered_gains(hand, choice.gains, choice.gain, tell)
     buses = () if choice.bus is None else bus_specs(hand, choice.bus)
-    _refuse_unnamed(choice, hand, buses)
+    if not choice.hand_named:
+        refuse_default_hand(buses, "--hand")
     loads = bus_loads(hand)
     rate = control_rate(choice.rate, hand, loads)
     load = tuple(one.at(rate) for one in loads)
@@ -161,19 +163,6 @@ def chosen_time_scale(chosen: float | None, buses: Sequence[str]) -> float:
     if chosen is not None and simulated not in (None, chosen):
         raise ConfigError(f"{chosen:g}", "--time-scale", f"{simulated:g}, as the simulator on {buses[0]} has")
     return next((one for one in (chosen, simulated) if one is not None), 1.0)
-
-
-def _refuse_unnamed(choice: Choice, hand: Hand, buses: Sequence[str]) -> None:
-    """Raise an error for the default hand on a real bus.
-
-    The limits of the default hand are for other motors and tendons.
-
-    Raises:
-        ConfigError: the operator named no hand, and the bus may have real motors.
-    """
-    if not choice.hand_named and (real := real_buses(buses)):
-        right = f"--hand, the file of the hand that is there; the default {hand.name!r} is for simulated buses alone"
-        raise ConfigError(f"no hand is named, and {real[0]} may have real motors", "--hand", right)
 
 
 def check_ready(hand: Hand, where: str) -> None:

@@ -18,10 +18,11 @@ from handctl.errors import BusError, ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
 from handctl.handlers import TerminationFlag, installed_handler
-from handctl.runtime.buses.open import open_bus, real_buses
+from handctl.runtime.buses.open import open_bus
 from handctl.runtime.clock import RealClock
 from handctl.runtime.diagnostics.watch import STALE_S, BusWatch, is_saturated
 from handctl.runtime.mailbox import bus_lock, is_running
+from handctl.session.buses import refuse_default_hand
 from handctl.session.defaults import DEFAULT_HAND
 from handctl.session.exit_codes import ExitCode
 from handctl.session.plan import bus_specs, chosen_time_scale, highest_rate_of_buses
@@ -77,9 +78,8 @@ def _choices(args: argparse.Namespace) -> tuple[tuple[str, ...], Hand, float]:
         raise ConfigError("missing", "--bus", "the bus of the hand, such as --bus socketcan:can0")
     if args.duration is not None and not 0.0 < args.duration <= MAX_WATCH_S:
         raise ConfigError(f"{args.duration:g}", "--for", f"more than 0, at most {MAX_WATCH_S:g}")
-    real = real_buses([text.rpartition("=")[2] for text in args.bus])
-    if real and args.hand is None:
-        raise ConfigError(f"no hand is named, and {real[0]} may have real motors", "--hand", "the file of that hand")
+    if args.hand is None:
+        refuse_default_hand([text.rpartition("=")[2] for text in args.bus], "--hand")
     hand = load_hand(args.hand or DEFAULT_HAND)
     specs = bus_specs(hand, args.bus)
     return specs, hand, chosen_time_scale(args.time_scale, specs)
