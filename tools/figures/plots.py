@@ -86,28 +86,44 @@ def snapped_tendon(folder: Path) -> Any:
 
 
 def tip_force(folder: Path) -> Any:
-    """Plot commanded, estimated and true tip force of a digit that presses on a wall."""
+    """Plot commanded, estimated and true tip force of each digit, on a wall and in a held grasp."""
     del folder
-    run = runs.tip()
-    figure = new_figure(8.6, 3.4)
-    grid = figure.subplots(1, 4, sharey=True)
+    figure = new_figure(8.6, 5.8)
+    grid = figure.subplots(2, 4, sharey="row")
+    thumb = [3 * force for force in runs.GRIP_COMMANDS_N]
+    commands = [runs.TIP_COMMANDS_N] * 4, [runs.GRIP_COMMANDS_N] * 3 + [thumb]
+    for row, run, commanded in zip(grid, (runs.tip_on_wall(), runs.tip_in_grasp()), commands, strict=True):
+        _draw_tip_forces(row, run, commanded)
+    grid[0, 0].set_ylabel("on a wall:\nforce at the tip [N]")
+    grid[1, 0].set_ylabel("in a held grasp:\ncontact force of the digit [N]")
+    for axes, name in zip(grid[0], DIGITS, strict=True):
+        axes.set_title(name)
+    for axes in grid[1]:
+        axes.set_xlabel("time [s]")
+    grid[0, 0].legend(loc="upper left")
+    return figure
+
+
+def _draw_tip_forces(row: Any, run: runs.Recording, commanded: Any) -> None:
+    """Draw a panel for each digit.
+
+    Args:
+        row: axes of the digits.
+        run: recording whose holds have their numbers as names.
+        commanded: command of each hold, for each digit [N].
+    """
     phases = np.array(run.phase)
-    command = np.full(len(run.t), np.nan)
-    for force in runs.TIP_COMMANDS_N:
-        command[phases == f"{force:g} N"] = force
-    start_s = run.t[np.isfinite(command)][0] - 0.4
-    part = run.t >= start_s
-    for n, (axes, (name, colour)) in enumerate(zip(grid, DIGITS.items(), strict=True)):
+    part = run.t >= run.t[phases == "0"][0] - 0.4
+    for n, (axes, colour) in enumerate(zip(row, DIGITS.values(), strict=True)):
+        command = np.full(len(run.t), np.nan)
+        for i, force in enumerate(commanded[n]):
+            command[phases == str(i)] = force
         axes.plot(run.t[part], command[part], color=COMMAND, linestyle="--", label="command")
         axes.plot(run.t[part], run.values["tip_force"][part, n], color=colour, linewidth=0.9, label="estimate")
         axes.plot(
             run.t[part], run.values["true_contact"][part, n], color=TRUTH, linewidth=0.9, label="truth of the plant"
         )
-        axes.set(title=name, xlabel="time [s]")
         axes.margins(x=0)
-    grid[0].set_ylabel("force at the tip [N]")
-    grid[0].legend(loc="upper left")
-    return figure
 
 
 def replayed(folder: Path) -> Any:

@@ -35,6 +35,8 @@ SNAP_S = 0.25
 """Time after the snap in the figure [s]."""
 TIP_HAND, TIP_RATE_HZ = "jamia11", 200.0
 TIP_COMMANDS_N = (2.0, 4.0, 6.0)
+GRIP_COMMANDS_N = (1.0, 1.5, 2.0)
+FINGERS = ("index", "middle", "ring")
 WALL = """name = "wall"
 [object]
 shape = "box"
@@ -163,21 +165,32 @@ def snap() -> Recording:
     return Recording(t, values, before.phase + after.phase, before.mode + after.mode, events)
 
 
-def tip() -> Recording:
+def tip_on_wall() -> Recording:
     """Press on a wall with three commanded tip forces, with the hand that has a tendon at every joint."""
+    opened = {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0}
+    return _press(WALL, opened, 60.0, [{"tip_force_N": force} for force in TIP_COMMANDS_N])
+
+
+def tip_in_grasp() -> Recording:
+    """Hold a cylinder with three commanded tip forces of each finger. The thumb presses as much as all fingers."""
+    opened = {**dict.fromkeys(FINGERS, 15.0), "thumb": 8.0}
+    closed = {**dict.fromkeys(FINGERS, 60.0), "thumb": 45.0}
+    forces = [{**dict.fromkeys(FINGERS, force), "thumb": len(FINGERS) * force} for force in GRIP_COMMANDS_N]
+    return _press("cylinder:35", opened, closed, [{"tip_force_N": force} for force in forces])
+
+
+def _press(scene: str, opened: Any, closed: Any, holds: list[dict[str, Any]]) -> Recording:
+    """Close the hand with a tendon at every joint on an object, and run holds, which are named 0, 1 and so on."""
     hand = load_hand(TIP_HAND)
     phases: list[dict[str, Any]] = [
-        {"kind": "move", "angle_deg": {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0}, "duration_s": 0.6},
-        {"kind": "close", "angle_deg": 60.0, "speed_deg_s": 50.0},
-        *(
-            {"kind": "hold", "name": f"{force:g} N", "tip_force_N": force, "duration_s": 1.2}
-            for force in TIP_COMMANDS_N
-        ),
+        {"kind": "move", "angle_deg": opened, "duration_s": 0.8},
+        {"kind": "close", "angle_deg": closed, "speed_deg_s": 50.0},
+        *({"kind": "hold", "name": str(i), **hold, "duration_s": 1.5} for i, hold in enumerate(holds)),
     ]
     task = Task.model_validate_json(json.dumps({"schema": 1, "name": "tip", "phase": phases}))
     controller = make_controller(hand, Gains(), TIP_RATE_HZ, TaskProgram(task), None, arm_at_once=True)
-    with Simulator(hand, WALL, 0, homed=True).against(controller) as run:
-        return record(run, 12.0)
+    with Simulator(hand, scene, 0, homed=True).against(controller) as run:
+        return record(run, 14.0)
 
 
 def training_picture(folder: Path) -> Path:
