@@ -106,7 +106,8 @@ N04 = declare_fault(
     f"A reading is constant for {STUCK_S * 1e3:g} ms, although the goal, the tension or the spool moves",
     Action.RELAX, OPERATOR, MOTOR, JOINT, release=Release.OPEN,
     cause="The encoder or its magnet has failed, the drive repeats old values, or a tendon without load cell has torn.",
-    remedy="Turn the joint by hand in handctl bus watch. If its angle stays, replace the encoder, else see the tendon.",
+    remedy="Turn motor and joint by hand in handctl bus watch. "
+    "Replace an encoder that does not follow. Else check the tendon.",
 )  # fmt: skip
 
 declare_row("N05", "encoder jump", ticks=3, required=3)
