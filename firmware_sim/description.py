@@ -219,6 +219,9 @@ class SensorSpec:
         bias_drift: standard deviation of a load cell's random walk after 100 s [N].
         joint_noise: standard deviation of a joint angle [rad].
         tension_bias: constant error of every load cell [N], 0 unless perturbed.
+        node_ids: node number of each CiA 404 amplifier, empty for the sensor node of handctl.
+        channels_per_node: channels of an amplifier.
+        full_range: rated load of the load cells on amplifiers [N].
     """
 
     bus: str
@@ -231,6 +234,9 @@ class SensorSpec:
     bias_drift: float
     joint_noise: float
     tension_bias: float = 0.0
+    node_ids: tuple[int, ...] = ()
+    channels_per_node: int = 1
+    full_range: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -375,7 +381,7 @@ def _hand(raw: dict[str, Any]) -> Hand:
         digits=[_digit(digit) for digit in raw["digit"]],
         tendons=[_tendon(tendon, _joint_ranges(raw)) for tendon in raw["tendon"]],
         motors=[_motor(motor) for motor in raw["motor"]],
-        sensors=_sensors(sensors) if sensors and (sensors["tendons"] or sensors["joints"]) else None,
+        sensors=_sensors(sensors) if sensors and (sensors["tendons"] or sensors.get("joints")) else None,
     )
 
 
@@ -505,12 +511,15 @@ def _motor(raw: dict[str, Any]) -> MotorSpec:
 def _sensors(raw: dict[str, Any]) -> SensorSpec:
     return SensorSpec(
         bus=raw["bus"],
-        sync_id=raw["sync_id"],
-        base_id=raw["base_id"],
+        sync_id=raw.get("sync_id", 0x080),
+        base_id=raw.get("base_id", 0x1A0),
         tendons=list(raw["tendons"]),
-        joints=list(raw["joints"]),
-        joint_decimation=raw["joint_decimation"],
+        joints=list(raw.get("joints", ())),
+        joint_decimation=raw.get("joint_decimation", 1),
         tension_noise=raw["tension_noise_N"],
         bias_drift=raw["tension_bias_drift_N"],
-        joint_noise=raw["joint_noise_rad"],
+        joint_noise=raw.get("joint_noise_rad", 1e-3),
+        node_ids=tuple(raw["node_ids"]) if raw.get("protocol") == "cia404" else (),
+        channels_per_node=raw.get("channels_per_node", 1),
+        full_range=raw["range_N"] if raw.get("protocol") == "cia404" else 0.0,
     )

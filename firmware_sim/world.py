@@ -16,6 +16,7 @@ from firmware_sim.description import Hand, MotorSpec, SensorSpec, SimulatorError
 from firmware_sim.exchange import Exchange
 from firmware_sim.faults.active import Faults
 from firmware_sim.nodes import PROTOCOLS, noise, sensors
+from firmware_sim.nodes.cia404.node import Amplifiers
 from firmware_sim.nodes.cyclic import NEVER_NS
 from firmware_sim.nodes.mit import codec as mit_codec
 from firmware_sim.nodes.protocol_spec import SENSORS, DriveNode, Node
@@ -45,7 +46,8 @@ class World:
         t_ns: clock of plant and nodes [ns].
         slip_ns: time given up because this process did not run [ns].
         foreign: frames that no node handled.
-        sensor_node: node of load cells and joint encoders.
+        sensor_node: node of load cells and joint encoders, or all amplifiers.
+        sensor_nodes: the nodes of load cells on the wire.
         faults: injected faults.
         encoder_offset: encoder angle at theta = 0, by motor name [rad].
         row_of: kind and row of each node that compiled kernels handle, by the node's ``id()``.
@@ -91,7 +93,8 @@ class World:
             self.nodes[self._bus_index(motor.bus)].append(self._motor_nodes[motor.name])
         if hand.sensors:
             self.sensor_node = self._build_sensor_node(hand.sensors, compiled, rows)
-            self.nodes[self._bus_index(hand.sensors.bus)].append(self.sensor_node)
+            self.sensor_nodes = self.sensor_node.nodes
+            self.nodes[self._bus_index(hand.sensors.bus)] += self.sensor_nodes
         self._nodes_by_bus = [(index, node) for index, bus in enumerate(self.nodes) for node in bus]
         self._without_row = [node for _, node in self._nodes_by_bus if id(node) not in self.row_of]
         self._by_id: list[dict[int, list[tuple[Node, frozenset[int] | None]]]]
@@ -141,14 +144,16 @@ class World:
                 rows[kind.row.layout] = array_of(memory, kind.row.layout)
         return nodes
 
-    def _build_sensor_node(self, spec: SensorSpec, compiled: bool, rows: dict[type, Any]) -> SensorNode:
-        """Build the sensor node, with a row for compiled kernels."""
+    def _build_sensor_node(self, spec: SensorSpec, compiled: bool, rows: dict[type, Any]) -> SensorNode | Amplifiers:
+        """Build the sensor node, with a row for compiled kernels, or the amplifiers."""
         plant = self.plant
         joints = self.hand.joints
         names = [tendon.name for tendon in self.hand.tendons]
         tendon_order = np.array([names.index(name) for name in spec.tendons], np.int64)
         joint_order = np.array([joints.index(name) for name in spec.joints], np.int64)
         self.sensor_orders = tendon_order, joint_order
+        if spec.node_ids:
+            return Amplifiers(spec, lambda: plant.cells()[tendon_order], self.seed)
         arguments = spec, lambda: plant.cells()[tendon_order], lambda: plant.engine.q[joint_order], self.seed
         if not compiled:
             return SensorNode(*arguments)

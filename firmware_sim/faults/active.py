@@ -156,8 +156,8 @@ class Faults:
         if fault.component == BUS:
             bus = world.hand.buses.index(fault.instance)
             return [(node, bus) for node in world.nodes[bus]]
-        node = world.sensor_node if fault.instance == SENSORS else world.node_of(fault.instance)
-        return [(node, next(bus for bus, nodes in enumerate(world.nodes) if node in nodes))]
+        nodes = world.sensor_nodes if fault.instance == SENSORS else [world.node_of(fault.instance)]
+        return [(node, next(bus for bus, on_bus in enumerate(world.nodes) if node in on_bus)) for node in nodes]
 
     def exchange(self, node: Any, frame: Frame, t_ns: int) -> list[Frame] | None:
         """Return the answers of a node to a frame, with the faults of request and answer.

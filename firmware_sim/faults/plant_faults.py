@@ -117,9 +117,10 @@ def _start_mute(world: Any, active: ActiveFault) -> Undo:
     """Suppress the sensor node's frame that carries the reading."""
     node = world.sensor_node
     spec = world.hand.sensors
-    of_cells = active.fault.component == CELL
-    first, names = (spec.base_id, spec.tendons) if of_cells else (spec.base_id + JOINT_OFFSET, spec.joints)
-    can_id = first + names.index(active.fault.instance) // CHANNELS
+    if active.fault.component == CELL:
+        can_id = node.frame_of_cell(spec.tendons.index(active.fault.instance))
+    else:
+        can_id = spec.base_id + JOINT_OFFSET + spec.joints.index(active.fault.instance) // CHANNELS
     node.suppressed[can_id] = lambda: active.note_effect(int(world.t_ns))
     return lambda: node.suppressed.pop(can_id, None) and None
 

@@ -229,6 +229,15 @@ class SensorNode:
         self.wake_ns = _NEVER_NS
 
     @property
+    def nodes(self) -> list["SensorNode"]:
+        """Return the nodes on the wire: this one."""
+        return [self]
+
+    def frame_of_cell(self, index: int) -> int:
+        """Return the identifier of the frame with a load cell."""
+        return self._spec.base_id + index // CHANNELS
+
+    @property
     def cyclic_ids(self) -> tuple[int, ...]:
         """Return the identifiers of the frames that come in every tick."""
         return (self._spec.sync_id,)

@@ -1,0 +1,1 @@
+"""The simulated CiA 404 measuring amplifier."""

@@ -1,0 +1,247 @@
+"""CiA 404 measuring amplifiers for load cells. Source: facts, cia404.
+
+Frames (COB-ID, payload little-endian):
+
+    0x000         NMT          u8 command, u8 node (0 for all)
+    0x080         SYNC         object 0x1005
+    0x180.. + n   TPDO 1 to 4  as mapped, at every SYNC of the transmission type
+    0x580+n       SDO reply    u8 specifier, u16 index, u8 sub-index, u32 value or abort code
+    0x600+n       SDO request  u8 specifier, u16 index, u8 sub-index, u32 value
+    0x700+n       heartbeat    u8 NMT state, 0 once after a restart
+
+Choices where the fact sheet leaves one: a SYNC with a payload is ignored, because object 0x1019 is absent. TPDOs
+on a change (types 254, 255) are sent once, on entry to operational. Communication objects can be written in
+pre-operational only. The settings are lost at a restart.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from firmware_sim.bus.frame import FDF, REMOTE, Frame
+from firmware_sim.description import SensorSpec
+from firmware_sim.nodes.cia402.dictionary import Abort
+from firmware_sim.nodes.cia404.objects import OFF, TPDOS, WRONG_STATE, Objects
+from firmware_sim.nodes.noise import Noise
+
+OPERATIONAL = 0x05
+"""NMT state: operational."""
+STOPPED = 0x04
+"""NMT state: stopped."""
+PRE_OPERATIONAL = 0x7F
+"""NMT state: pre-operational."""
+SYNCHRONOUS = 240
+"""Highest transmission type that depends on SYNC."""
+UNKNOWN_COMMAND = 0x05040001
+"""SDO abort code: no such command. Source: CiA 301."""
+_NEVER_NS = 1 << 62
+"""Time of an event that will not happen [ns]."""
+
+
+class Amplifiers:
+    """The load cells of a hand on amplifiers, with their noise, bias and faults.
+
+    Attributes:
+        nodes: amplifiers.
+        bias: bias of each load cell [N].
+        cell_faults: change of the reading of load cells, by channel.
+        joint_faults: empty, because amplifiers have no joint encoders.
+        suppressed: function that is called in place of sending a frame, by the frame's identifier.
+    """
+
+    def __init__(self, spec: SensorSpec, tensions: Callable[[], Any], seed: int) -> None:
+        """Set up the amplifiers after power-up.
+
+        Args:
+            spec: description of the amplifiers.
+            tensions: returns the true tensions [N] in the order of the load cells.
+            seed: seed of the noise.
+        """
+        self._tensions = tensions
+        self.tension_noise = spec.tension_noise
+        self.bias_drift = spec.bias_drift
+        self.noise = Noise(f"sensors {seed}")
+        self.bias: Any = np.full(len(spec.tendons), spec.tension_bias)
+        self.cell_faults: dict[int, Callable[[float], float]] = {}
+        self.joint_faults: dict[int, Callable[[float], float]] = {}
+        self.suppressed: dict[int, Callable[[], None]] = {}
+        self._sampled_ns = -1
+        self._readings: Any = self.bias.copy()
+        size = spec.channels_per_node
+        self.nodes = [
+            AmplifierNode(self, spec, node_id, range(size * i, min(size * (i + 1), len(spec.tendons))), 1000 * seed + i)
+            for i, node_id in enumerate(spec.node_ids)
+        ]
+
+    def frame_of_cell(self, index: int) -> int:
+        """Return the identifier of the frame with a load cell, as a host usually maps it."""
+        node = next(node for node in self.nodes if index in node.cells)
+        return 0x180 + 0x100 * ((index - node.cells.start) // 2) + node.node_id
+
+    def sample(self, t_ns: int) -> Any:
+        """Return the readings of all load cells [N]. All amplifiers sample at the same SYNC."""
+        if t_ns != self._sampled_ns:
+            elapsed_s = (t_ns - self._sampled_ns) * 1e-9 if self._sampled_ns >= 0 else 0.0
+            self._sampled_ns = t_ns
+            count = len(self.bias)
+            normal = self.noise.take(2 * count)
+            self.bias = self.bias + normal[:count] * self.bias_drift * math.sqrt(elapsed_s / 100.0)
+            self._readings = self._tensions() + self.bias + normal[count:] * self.tension_noise
+            for i, fault in sorted(self.cell_faults.items()):
+                self._readings[i] = fault(float(self._readings[i]))
+        return self._readings
+
+
+class AmplifierNode:
+    """One amplifier.
+
+    Attributes:
+        node_id: node number.
+        cells: indices of its load cells among those of the hand.
+        nmt: NMT state.
+        objects: object dictionary.
+        ids: identifiers that it may answer.
+        malformed: frames that it could not decode.
+        wake_ns: time of the next heartbeat [ns].
+        serial: serial number.
+    """
+
+    def __init__(self, load_cells: Amplifiers, spec: SensorSpec, node_id: int, cells: range, serial: int) -> None:
+        """Set up the amplifier after power-up."""
+        self._load_cells = load_cells
+        self._range = spec.full_range
+        self.node_id = node_id
+        self.cells = cells
+        self.serial = serial
+        self.malformed = 0
+        self._now_ns = 0
+        self._out: list[Frame] = []
+        self.restart()
+
+    def restart(self) -> None:
+        """Restart with the objects as delivered, and announce it."""
+        self.objects = Objects(self.node_id, len(self.cells), self._range, self.serial)
+        self.nmt = PRE_OPERATIONAL
+        self._syncs = 0
+        self._update_ids()
+        self._out.append(Frame(0x700 + self.node_id, b"\0"))
+        self.wake_ns = 0
+
+    def _update_ids(self) -> None:
+        """Update the identifiers that it may answer."""
+        self._sync_id = self.objects[0x1005, 0] & 0x7FF
+        self.ids = frozenset((0x000, self._sync_id, 0x600 + self.node_id))
+
+    def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
+        """Process a frame.
+
+        Returns:
+            The frames that the amplifier sends in response, None if the frame is not for this node.
+        """
+        can_id = frame.can_id
+        data = frame.data
+        if frame.flags & FDF or can_id & REMOTE or can_id not in self.ids:
+            return None
+        self._now_ns = t_ns
+        if can_id == 0x000:
+            if len(data) != 2 or data[1] not in (0, self.node_id):
+                return None
+            self._nmt_command(data[0])
+        elif can_id == self._sync_id:
+            self._synchronise(data)
+        elif self.nmt != STOPPED:
+            self._sdo(data)
+        return self._take_out()
+
+    def wake(self, t_ns: int) -> list[Frame]:
+        """Send the heartbeat, and frames that wait."""
+        self._now_ns = t_ns
+        period_ns = self.objects[0x1017, 0] * 1_000_000
+        if period_ns and not self._out:
+            self._out.append(Frame(0x700 + self.node_id, bytes((self.nmt,))))
+        self.wake_ns = t_ns + period_ns if period_ns else _NEVER_NS
+        return self._take_out()
+
+    def _take_out(self) -> list[Frame]:
+        """Return the frames that wait to be sent, and clear them. Suppressed frames are left out."""
+        out = self._out
+        self._out = []
+        suppressed = self._load_cells.suppressed
+        for frame in out:
+            if frame.can_id in suppressed:
+                suppressed[frame.can_id]()
+        return [frame for frame in out if frame.can_id not in suppressed]
+
+    def _nmt_command(self, command: int) -> None:
+        """Execute an NMT command."""
+        if command in (0x81, 0x82):
+            self.restart()
+            return
+        before = self.nmt
+        self.nmt = {0x01: OPERATIONAL, 0x02: STOPPED, 0x80: PRE_OPERATIONAL}.get(command, before)
+        if self.nmt == OPERATIONAL != before:
+            self._syncs = 0
+            self._send(lambda kind: kind > SYNCHRONOUS)
+
+    def _synchronise(self, data: bytes) -> None:
+        """Sample the load cells, and send the TPDOs that are due."""
+        if data:
+            self.malformed += 1
+            return
+        if self.nmt == OPERATIONAL:
+            self._syncs += 1
+            self._send(lambda kind: 1 <= kind <= SYNCHRONOUS and self._syncs % kind == 0)
+
+    def _send(self, is_due: Callable[[int], bool]) -> None:
+        """Send the TPDOs whose transmission type is due."""
+        self._sample()
+        for i in range(TPDOS):
+            can_id = self.objects[0x1800 + i, 1]
+            if not can_id & OFF and is_due(self.objects[0x1800 + i, 2]):
+                self._out.append(Frame(can_id & 0x7FF, self.objects.payload(i)))
+
+    def _sample(self) -> None:
+        """Read the own load cells."""
+        readings = self._load_cells.sample(self._now_ns)
+        self.objects.readings = [float(readings[i]) for i in self.cells]
+
+    def _sdo(self, data: bytes) -> None:
+        """Answer a request to the SDO server. Objects have up to four bytes and are transferred expedited."""
+        if len(data) != 8:
+            self.malformed += 1
+            return
+        if data[0] == 0x80:
+            return  # The client aborts the transfer.
+        key = (int.from_bytes(data[1:3], "little"), data[3])
+        try:
+            reply = self._access(data, key)
+        except Abort as abort:
+            reply = b"\x80" + data[1:4] + abort.code.to_bytes(4, "little")
+        self._out.append(Frame(0x580 + self.node_id, reply))
+
+    def _access(self, data: bytes, key: tuple[int, int]) -> bytes:
+        """Execute an SDO request.
+
+        Returns:
+            Payload of the reply.
+
+        Raises:
+            Abort: the request is refused.
+        """
+        if data[0] >> 5 == 2:
+            self._sample()
+            raw = self.objects.read(key)
+            return bytes((0x43 | (4 - len(raw)) << 2,)) + data[1:4] + raw.ljust(4, b"\0")
+        # Command 1 is a download request. Bit 1 is set for an expedited transfer, bit 0 if the size is given.
+        if data[0] >> 5 != 1 or data[0] & 3 != 3:
+            raise Abort(UNKNOWN_COMMAND)
+        if 0x1000 <= key[0] < 0x1C00 and self.nmt != PRE_OPERATIONAL and key != (0x1017, 0):
+            raise Abort(WRONG_STATE)
+        self.objects.write(key, data[4 : 8 - (data[0] >> 2 & 3)])
+        if key[0] < 0x1C00:
+            self._update_ids()
+        if key == (0x1017, 0):
+            self.wake_ns = self._now_ns + self.objects[key] * 1_000_000 if self.objects[key] else _NEVER_NS
+        return b"\x60" + data[1:4] + bytes(4)

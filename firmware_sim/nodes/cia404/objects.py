@@ -1,0 +1,179 @@
+"""The object dictionary of the simulated CiA 404 amplifier. Source: facts, cia404.
+
+Objects as delivered. n is the node number, c a channel from 1 on.
+
+    1000:0  device type    0x00020194: analogue inputs, profile 404
+    1005:0  SYNC           0x080
+    1017:0  heartbeat      0 ms, off
+    1018:4  serial number
+    18xx    TPDO           1 identifier, 2 type 254 (on a change), 3 inhibit time, 5 event timer
+    1Axx    mapping        0 entries, 1 to 8
+    6131:0  number of channels
+    6131:c  unit           0x00FD0000, mV/V: of the maker
+    6132:c  decimal digits 2
+    6130:c, 7130:c, 9130:c process value as float, 16 bits, 32 bits
+    6150:c  status         bit 0 not valid, bit 1 and 2 positive and negative overload
+"""
+
+import math
+import struct
+
+from firmware_sim.nodes.cia402.dictionary import LENGTH, NO_OBJECT, NO_SUB, RANGE, READ_ONLY, Abort, Key
+
+OFF = 1 << 31
+"""Bit of an identifier object: the PDO is off."""
+NEWTON = 0x0021_0000
+"""Unit newton. Source: CiA 303-2."""
+AS_DELIVERED = 0x00FD_0000
+"""Unit of the maker, before a host sets another one."""
+TPDOS = 4
+"""Number of TPDOs."""
+WRONG_STATE = 0x08000022
+"""SDO abort code: not possible in the present state of the device. Source: CiA 301."""
+NOT_MAPPABLE = 0x06040041
+"""SDO abort code: the object cannot be mapped. Source: CiA 301."""
+TOO_LONG = 0x06040042
+"""SDO abort code: the mapped objects exceed the length of a PDO. Source: CiA 301."""
+NOT_VALID = 1
+"""Bit of the status: the reading is not valid."""
+POSITIVE_OVERLOAD = 2
+"""Bit of the status: above the range."""
+NEGATIVE_OVERLOAD = 4
+"""Bit of the status: below the range."""
+OVERLOAD = 1.03125
+"""Reading that counts as overload, over the range. Source: WIKA MH-4-CAN, 3.125 % beyond the range."""
+FLOAT = 0x6130
+"""Process value as a float."""
+SHORT = 0x7130
+"""Process value with 16 bits."""
+LONG = 0x9130
+"""Process value with 32 bits."""
+_INVALID = {SHORT: -(1 << 15), LONG: -(1 << 31)}
+"""Integers that stand for an overload. A float is NaN. Source: WIKA MH-4-CAN."""
+_SIZES = {FLOAT: 4, SHORT: 2, LONG: 4, 0x6150: 1}
+"""Sizes of the objects that can be mapped [bytes]."""
+
+
+class Objects:
+    """Values of all objects of one amplifier.
+
+    Attributes:
+        readings: present reading of each channel [N].
+    """
+
+    def __init__(self, node_id: int, channels: int, full_range: float, serial: int) -> None:
+        """Set all objects to their values as delivered.
+
+        Args:
+            node_id: node number.
+            channels: number of channels.
+            full_range: rated load of the load cells [N].
+            serial: serial number.
+        """
+        self.readings = [0.0] * channels
+        self._range = full_range
+        self._sizes: dict[Key, int] = {}
+        self._values: dict[Key, int] = {}
+        self._fixed: set[Key] = set()
+        self._add((0x1000, 0), 4, 0x0002_0194, fixed=True)
+        self._add((0x1005, 0), 4, 0x080)
+        self._add((0x1017, 0), 2, 0)
+        self._add((0x1018, 4), 4, serial, fixed=True)
+        for i in range(TPDOS):
+            mapped = [LONG << 16 | c << 8 | 32 for c in (2 * i + 1, 2 * i + 2) if c <= channels]
+            can_id = 0x180 + 0x100 * i + node_id | (0 if mapped else OFF)
+            for sub, size, value in ((1, 4, can_id), (2, 1, 254), (3, 2, 0), (5, 2, 0)):
+                self._add((0x1800 + i, sub), size, value)
+            self._add((0x1A00 + i, 0), 1, len(mapped))
+            for sub in range(1, 9):
+                self._add((0x1A00 + i, sub), 4, mapped[sub - 1] if sub <= len(mapped) else 0)
+        self._add((0x6131, 0), 1, channels, fixed=True)
+        for channel in range(1, channels + 1):
+            self._add((0x6131, channel), 4, AS_DELIVERED)
+            self._add((0x6132, channel), 1, 2)
+
+    def _add(self, key: Key, size: int, value: int, fixed: bool = False) -> None:
+        """Add an object."""
+        self._sizes[key] = size
+        self._values[key] = value
+        if fixed:
+            self._fixed.add(key)
+
+    def __getitem__(self, key: Key) -> int:
+        """Return the value of an object."""
+        return self._values[key]
+
+    def __setitem__(self, key: Key, value: int) -> None:
+        """Set an object from inside the amplifier."""
+        self._values[key] = value
+
+    def read(self, key: Key) -> bytes:
+        """Return the bytes of an object.
+
+        Raises:
+            Abort: the object does not exist.
+        """
+        if key[0] in _SIZES:
+            if not 1 <= key[1] <= len(self.readings):
+                raise Abort(NO_SUB)
+            return self._measured(*key)
+        if key not in self._sizes:
+            raise Abort(NO_SUB if any(index == key[0] for index, _ in self._sizes) else NO_OBJECT)
+        return self._values[key].to_bytes(self._sizes[key], "little")
+
+    def write(self, key: Key, raw: bytes) -> None:
+        """Write bytes from the wire.
+
+        Raises:
+            Abort: the object does not exist, is read-only or has another length, or the mapping is not possible.
+        """
+        self.read(key)
+        if key[0] in _SIZES or key in self._fixed:
+            raise Abort(READ_ONLY)
+        if len(raw) != self._sizes[key]:
+            raise Abort(LENGTH)
+        value = int.from_bytes(raw, "little")
+        if 0x1A00 <= key[0] < 0x1A00 + TPDOS:
+            self._check_mapping(key, value)
+        self._values[key] = value
+
+    def _check_mapping(self, key: Key, value: int) -> None:
+        """Check that a mapping is possible, and that its PDO is off."""
+        index, sub = key
+        if not self[index - 0x200, 1] & OFF:
+            raise Abort(WRONG_STATE)
+        if sub and self[index, 0]:
+            raise Abort(WRONG_STATE)
+        if sub and (value >> 16 not in _SIZES or not 1 <= value >> 8 & 0xFF <= len(self.readings)):
+            raise Abort(NOT_MAPPABLE)
+        if not sub and value > 8:
+            raise Abort(RANGE)
+        if not sub and sum(self[index, i + 1] & 0xFF for i in range(value)) > 64:
+            raise Abort(TOO_LONG)
+
+    def payload(self, tpdo: int) -> bytes:
+        """Return the payload of a TPDO."""
+        entries = [self[0x1A00 + tpdo, i + 1] for i in range(self[0x1A00 + tpdo, 0])]
+        return b"".join(self._measured(entry >> 16, entry >> 8 & 0xFF) for entry in entries)
+
+    def _status(self, channel: int) -> int:
+        """Return the status of a channel."""
+        reading = self.readings[channel - 1]
+        if abs(reading) < OVERLOAD * self._range:
+            return 0
+        return NOT_VALID | (POSITIVE_OVERLOAD if reading > 0 else NEGATIVE_OVERLOAD)
+
+    def _measured(self, index: int, channel: int) -> bytes:
+        """Return process value or status of a channel."""
+        status = self._status(channel)
+        if index == 0x6150:
+            return bytes((status,))
+        # The maker's unit is 1/100 of a newton here: a host that does not set the unit reads a wrong tension.
+        unit = 1.0 if self[0x6131, channel] == NEWTON else 100.0
+        value = math.nan if status else self.readings[channel - 1] * unit
+        if index == FLOAT:
+            return struct.pack("<f", value)
+        size = _SIZES[index]
+        count = _INVALID[index] if status else round(value * 10 ** self[0x6132, channel])
+        top = (1 << 8 * size - 1) - 1
+        return min(top, max(-top - 1, count)).to_bytes(size, "little", signed=True)
