@@ -38,7 +38,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 SOURCES = (
     "compiled.py", "core", "safety",
-    "drives/frame.py", "drives/records.py", "drives/sensors/node.py", "drives/signals.py",
+    "drives/frame.py", "drives/records.py", "drives/signals.py",
     "hand/file/quantities.py", "hand/rigid_body.py", "hand/tendons.py",
 )  # fmt: skip
 """Files and folders of this package whose functions and constants kernels are made of. A test follows each kernel to

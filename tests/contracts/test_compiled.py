@@ -263,7 +263,7 @@ def test_the_cache_folder_depends_on_all_sources_of_kernels() -> None:
     origins = Origins()
     for function in kernels:
         origins.follow(function.__module__, function.__name__)
-    assert {"handctl.core.schema", "handctl.safety.faults.tendon", "handctl.drives.sensors.node"} <= origins.modules
+    assert {"handctl.core.schema", "handctl.safety.faults.tendon", "handctl.drives.records"} <= origins.modules
     assert [name for name in sorted(origins.modules) if not is_source(name)] == []
 
 

@@ -23,7 +23,9 @@ from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.law.trajectory import MinimumJerk
 from handctl.core.model import HandModel
 from handctl.core.schema import INT, Field, Schema
+from handctl.drives.cia404.amplifier import AmplifierState
 from handctl.drives.contract import DriveState, Phase
+from handctl.drives.readback import Cursor
 from handctl.hand.load import hand_content, hand_from_content, load_hand, packaged_hands
 from handctl.programs.grip import Grip
 from handctl.programs.program import Progress
@@ -328,6 +330,15 @@ def decisions(before: Decisions) -> Iterator[tuple[str, Decisions]]:
         "pending": [pending, replace(pending, step=1), replace(pending, gains=Gains())],
         "commander": ["one", "two"],
         "lease": [Lease(*one) for one in (("a", 1, 2), ("b", 1, 2), ("a", 2, 2), ("a", 1, 1), ("a", 1, 2, True))],
+        "amplifiers": [
+            (AmplifierState(0x21),),
+            (AmplifierState(0x22),),
+            (AmplifierState(0x21, Phase.READY),),
+            (AmplifierState(0x21, cursor=Cursor(1)),),
+            (AmplifierState(0x21, started_ns=1),),
+            (AmplifierState(0x21, error_text="x"),),
+            (AmplifierState(0x21), AmplifierState(0x22)),
+        ],
         "stream": [STREAM, *(replace(STREAM, **{name: value}) for name, value in OTHER_STREAM.items())],
     }
     assert values.keys() == set(Decisions._fields), "a new decision needs a line here"

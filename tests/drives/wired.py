@@ -15,7 +15,7 @@ from handctl.core.constants import ELEMENTS, HAND, KINDS
 from handctl.drives.contract import Drive, DriveState, DriveTarget
 from handctl.drives.frame import ERROR, Frame
 from handctl.drives.records import WORDS, Frames, frames_as_records
-from handctl.drives.sensors.node import SensorNode
+from handctl.drives.sensors.contract import Sensors
 
 
 class Wired:
@@ -27,7 +27,7 @@ class Wired:
         foreign: frames on identifiers that only the host may use.
     """
 
-    def __init__(self, drives: Sequence[Drive], sensors: SensorNode) -> None:
+    def __init__(self, drives: Sequence[Drive], sensors: Sensors) -> None:
         """Build block and compiled wire of drives and sensor node."""
         self.drives, self.sensors = drives, sensors
         n = len(sensors.frame_of)
@@ -59,7 +59,7 @@ class Wired:
     def sync(self, k: int) -> Frame:
         """Ask the sensors, as the tick's end does it, and begin the next tick."""
         frame = self.sensors.sync(k)
-        self.view("sync_asked")[...], self.view("syncs")[...] = frame.data[0] & 0xF, self.number("syncs") + 1
+        self.view("sync_asked")[...], self.view("syncs")[...] = self.sensors.counter(k) & 0xF, self.number("syncs") + 1
         self.begin()
         return frame
 
@@ -70,7 +70,7 @@ class Wired:
         while True:
             at = wire.receive_frames(
                 self.block, self.layout.places, *self._constants, frames.rows, known.keys, known.entries, known.wholes,
-                known.reals, at,
+                known.reals, at, self.sensors.earliest_answer_ns(self.number("t_ns")),
             )  # fmt: skip
             if at >= len(frames):
                 return self
@@ -152,4 +152,5 @@ class Wired:
         block = layout.initial.copy()
         table = layout.table(block, "tendon_int")
         table[h.CELL_GROUP] = [self.sensors.group_of_tendon(i) for i in range(axes["tendon"])]
+        layout.table(block, "run")[[h.CELL_LOW, h.CELL_HIGH], 0] = self.sensors.cell_range
         return block, layout.places

@@ -124,7 +124,7 @@ def test_another_host_is_noticed():
 
 
 def test_a_load_cell_at_an_end_of_its_range_is_marked():
-    assert [is_saturated(tension) for tension in (-6.0, -5.9, 249.8, 250.0, math.nan)] == [
+    assert [is_saturated(tension, (-6.0, 249.9375)) for tension in (-6.0, -5.9, 249.8, 250.0, math.nan)] == [
         True,
         False,
         False,

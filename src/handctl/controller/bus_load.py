@@ -105,9 +105,11 @@ def sensor_rows(hand: Hand, bus: Bus) -> tuple[FrameRow, ...]:
     if not node.ids:
         return ()
     names = ["SYNC"] + ["tensions"] * node.tension_frames + ["joint angles"] * (len(node.ids) - node.tension_frames)
+    kinds = [(name, size, number, 0.0) for name, (size, number) in zip(names, node.exchange, strict=True)]
+    kinds += [("heartbeats", size, 0.0, number) for size, number in node.background]
     return tuple(
-        FrameRow(name, size, False, number, 0.0, frame_time_s(size, False, bus.bitrate))
-        for name, (size, number) in zip(names, node.exchange, strict=True)
+        FrameRow(name, size, False, tick, second, frame_time_s(size, False, bus.bitrate))
+        for name, size, tick, second in kinds
     )
 
 

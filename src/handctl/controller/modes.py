@@ -201,6 +201,8 @@ def _after_silent(state: State, inputs: ModeInputs) -> NextMode:
 def _after_inventory(state: State, inputs: ModeInputs) -> NextMode:
     named = tuple(_named_drives(state, inputs))
     wrong = [f"{name}: {drive.error_text}" for name, drive in named if drive.phase == Phase.FAULT]
+    if wrong_amplifiers := _wrong_amplifiers(state):
+        return Mode.DONE, "; ".join(wrong_amplifiers)
     if wrong and not (state.clearing and inputs.elapsed < INVENTORY_TIMEOUT_S):
         return Mode.DONE, "; ".join(wrong) + CLEAR_ADVICE
     groups_missing = not state.view("group_frames").all()
@@ -210,10 +212,23 @@ def _after_inventory(state: State, inputs: ModeInputs) -> NextMode:
         return Mode.INVENTORY, ""
     behind = [(name, drive) for name, drive in named if drive.phase != Phase.READY]
     silent = [name for name, drive in behind if drive.phase == Phase.SILENT and not drive.error_text]
-    silent += ["the sensor node"] if groups_missing else []
+    silent += _silent_sensors(state) if groups_missing else []
     stuck = [f"{name}: {drive.error_text or 'not configured in time'}" for name, drive in behind if name not in silent]
     silence = [f"no answer from {', '.join(silent)}{LATCHED_ERROR_HINT if state.clearing else ''}"] if silent else []
     return Mode.DONE, "; ".join([*stuck, *silence, *_missing_inputs(state, inputs)])
+
+
+def _wrong_amplifiers(state: State) -> list[str]:
+    """Return the amplifiers whose set-up has failed, with the reason."""
+    return [f"{one.name}: {one.error_text}" for one in state.decisions.amplifiers if one.phase == Phase.FAULT]
+
+
+def _silent_sensors(state: State) -> list[str]:
+    """Return the amplifiers without a complete set-up, or the sensor node."""
+    amplifiers = state.decisions.amplifiers
+    behind = [one for one in amplifiers if one.phase != Phase.READY]
+    silent = [one.name + (f" ({one.error_text})" if one.error_text else "") for one in behind]
+    return silent or ["the load cells" if amplifiers else "the sensor node"]
 
 
 def _missing_inputs(state: State, inputs: ModeInputs) -> list[str]:
@@ -224,6 +239,8 @@ def _missing_inputs(state: State, inputs: ModeInputs) -> list[str]:
 
 
 def _after_ready(state: State, inputs: ModeInputs) -> NextMode:
+    if wrong := _wrong_amplifiers(state):
+        return Mode.DONE, "; ".join(wrong)
     if strange := _other_drives(state, inputs):
         return Mode.DONE, f"{strange}: the calibration is another hand's, name this one's or commission it"
     return (Mode.ARMING if state.armed and inputs.elapsed >= READY_S else Mode.READY), ""

@@ -14,9 +14,11 @@ from handctl.core.model import HandModel
 from handctl.document import Document
 from handctl.drives.cia402.codec import SYNC
 from handctl.drives.cia402.drive import Cia402Drive
+from handctl.drives.cia404.load_cells import Cia404LoadCells
 from handctl.drives.contract import Drive
 from handctl.drives.identifiers import check_identifiers
 from handctl.drives.registry import make_drive
+from handctl.drives.sensors.contract import Sensors
 from handctl.drives.sensors.node import SensorNode
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_from_content, parse_toml
@@ -159,11 +161,12 @@ def make_drives(hand: Hand) -> tuple[Drive, ...]:
     drives = tuple(make_drive(motor, buses.index(motor.bus)) for motor in motors)
     sensors = make_sensors(hand)
     named = [(f"motor[{drive.name}].node_id", drive) for drive in drives]
-    check_identifiers([("sensor_node.base_id", sensors), *named])
+    where = "sensor_node.node_ids" if hand.sensor_node.is_cia404 else "sensor_node.base_id"
+    check_identifiers([(where, sensors), *named])
     return _with_sync(drives, sensors)
 
 
-def _with_sync(drives: tuple[Drive, ...], sensors: SensorNode) -> tuple[Drive, ...]:
+def _with_sync(drives: tuple[Drive, ...], sensors: Sensors) -> tuple[Drive, ...]:
     """Return the drives with the option ``sync`` in the last CiA 402 drive of each bus that has no SYNC.
 
     A bus has SYNC from the sensor node's SYNC, if that is 0x080, or from the option in the hand file.
@@ -179,9 +182,13 @@ def _with_sync(drives: tuple[Drive, ...], sensors: SensorNode) -> tuple[Drive, .
     )
 
 
-def make_sensors(hand: Hand) -> SensorNode:
-    """Return the hand's sensor node."""
-    return SensorNode.of(hand.sensor_node, hand.bus_names.index(hand.sensor_node.bus), hand.tendon_names, hand.joints)
+def make_sensors(hand: Hand) -> Sensors:
+    """Return the hand's load cells and joint encoders."""
+    node = hand.sensor_node
+    bus = hand.bus_names.index(node.bus)
+    if node.is_cia404:
+        return Cia404LoadCells.of(node, bus, hand.tendon_names)
+    return SensorNode.of(node, bus, hand.tendon_names, hand.joints)
 
 
 def make_controller(

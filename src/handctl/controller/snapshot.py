@@ -16,6 +16,7 @@ from handctl.core.law.trajectory import Blend, Chirp, Curve, MinimumJerk, Sample
 from handctl.core.plain import BYTES, from_plain, register_types, to_plain
 from handctl.core.schema import Layout
 from handctl.drives.cia402.progress import Cia402Progress
+from handctl.drives.cia404.amplifier import AmplifierState
 from handctl.drives.contract import DriveState, DriveTarget, Phase
 from handctl.drives.mit.cubemars import CubemarsProgress
 from handctl.drives.mit.progress import MitProgress
@@ -34,6 +35,7 @@ register_types(
     Decisions, DriveState, Phase, DriveTarget, Progress, Grip, DigitGoal, Kind, MinimumJerk, Blend, Curve, Sample,
     Chirp, Streamed, StreamPlan, Task, Latched, Counting, Gains, PendingGains, Recheck, Cursor, MitProgress,
     CubemarsProgress, OdriveProgress, Cia402Progress, MoteusProgress, Channel, RobstrideProgress, Lease,
+    AmplifierState,
 )  # fmt: skip
 
 HEAD = 8

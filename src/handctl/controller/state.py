@@ -16,6 +16,7 @@ from handctl.core.model import HandModel
 from handctl.core.plain import plain_bytes
 from handctl.core.schema import Block, Layout
 from handctl.core.types import Mode
+from handctl.drives.cia404.amplifier import AmplifierState
 from handctl.drives.contract import DriveState, Phase
 from handctl.programs.program import Progress
 from handctl.programs.streams import StreamPlan
@@ -57,6 +58,7 @@ class Decisions(NamedTuple):
             may.
         stream: open stream of targets.
         lease: lease of the commanding client, None for a client without a lease.
+        amplifiers: state of each CiA 404 amplifier, empty with another kind of load cells.
     """
 
     drives: tuple[DriveState, ...]
@@ -71,6 +73,7 @@ class Decisions(NamedTuple):
     commander: str | None = None
     stream: StreamPlan | None = None
     lease: Lease | None = None
+    amplifiers: tuple[AmplifierState, ...] = ()
 
 
 # Serialized parts by identity: most decisions are the same objects from tick to tick.
@@ -81,7 +84,8 @@ def _hash_decisions(decisions: Decisions) -> bytes:
     """Return an 8-byte hash of the decisions. An unchanged object is not serialized again."""
     drives = b"".join([_plain_bytes_cache(drive) for drive in decisions.drives])
     goals = b"".join([_plain_bytes_cache(goal) for goal in decisions.progress.goals])
-    rest = [_plain_bytes_cache(part) for part in decisions[1:]]
+    # Without amplifiers the hash is that of logs from before amplifiers.
+    rest = [_plain_bytes_cache(part) for part in (decisions[1:] if decisions.amplifiers else decisions[1:-1])]
     return xxhash.xxh3_64_digest(b"".join([drives, goals, *rest]))
 
 

@@ -37,10 +37,11 @@ from handctl.core.model import HandModel
 from handctl.core.schema import Layout, Places
 from handctl.core.types import Event, Mode, TickIn, TickOut, Vector
 from handctl.core.wire import Wire
+from handctl.drives.cia404.amplifier import AmplifierState
 from handctl.drives.contract import Drive, DriveState, DriveTarget, Phase
 from handctl.drives.frame import ERROR, Frame
 from handctl.drives.records import PAYLOAD, WORDS, Frames, Rows, frames_as_records, join_frames
-from handctl.drives.sensors.node import SensorNode
+from handctl.drives.sensors.contract import Sensors
 from handctl.programs.program import TARE_PHASE, Program
 from handctl.programs.requests import REFUSED_PREFIX
 from handctl.safety.action import Action
@@ -82,13 +83,14 @@ class Controller:
         wire: signal tables of the drives' cyclic frames.
         gather: function that copies the telemetry from the state block.
         owners: index of the drive, by bus and identifier.
+        amplifier_of: index of the CiA 404 amplifier, by bus and identifier.
         sends_sync: True if the sensor node needs SYNC. Drives without this SYNC send SYNC themselves.
         sync_row: SYNC frame of the sensor node as a record.
     """
 
     model: HandModel
     drives: tuple[Drive, ...]
-    sensors: SensorNode
+    sensors: Sensors
     program: Program
     tare: Vector
     zero: Vector
@@ -101,6 +103,7 @@ class Controller:
     constants: HandConstants = field(init=False, compare=False, repr=False)
     wire: Wire = field(init=False, compare=False, repr=False)
     gather: TelemetryGatherer = field(init=False, compare=False, repr=False)
+    amplifier_of: dict[tuple[int, int], int] = field(init=False, compare=False, repr=False)
     _constants: tuple[Vector, Places] = field(init=False, compare=False, repr=False)
     owners: dict[tuple[int, int], int] = field(init=False, compare=False, repr=False)
     sends_sync: bool = field(init=False, compare=False, repr=False)
@@ -112,6 +115,11 @@ class Controller:
         limits = self.other_limits or safety_limits(self.model, self.drives, self.sensors)
         layout = layout_of_state(self.model, len(self.sensors.ids))
         owners = {(drive.bus, can_id): n for n, drive in enumerate(self.drives) for can_id in drive.node_ids}
+        amplifiers = {
+            (one.bus, can_id): i
+            for i, one in enumerate(self.sensors.amplifiers)
+            for can_id in (*one.service_ids, *one.tpdo_ids)
+        }
         constants = compiled_constants(self.model, self.drives, self.sensors, limits, self.tare, self.zero)
         made = {
             "limits": limits,
@@ -121,6 +129,7 @@ class Controller:
             "wire": Wire(self.drives, self.sensors),
             "gather": TelemetryGatherer(layout),
             "owners": owners,
+            "amplifier_of": amplifiers,
             "sends_sync": bool(self.sensors.ids),
             "sync_row": frames_as_records([self.sensors.sync(0)]).rows[0],
         }
@@ -130,7 +139,11 @@ class Controller:
     def initial(self) -> State:
         """Return the state before the first tick, from the configuration alone."""
         drives = tuple(drive.initial() for drive in self.drives)
-        decisions = Decisions(tuple(drive.with_values() for drive in drives), self.program.initial(self.model))
+        decisions = Decisions(
+            tuple(drive.with_values() for drive in drives),
+            self.program.initial(self.model),
+            amplifiers=tuple(one.initial() for one in self.sensors.amplifiers),
+        )
         state = State(self.layout, self.layout.initial.copy(), decisions)
         state.armed = self.arm_at_once
         state.view("turn_sigma")[...] = self.constants.layout.view(self.constants.block, "range_sigma")
@@ -200,7 +213,7 @@ class Controller:
         places = self.layout.places
         missed = entry.k - before.k - 1
         wire.begin_tick(block, places, entry.k, entry.t_ns, entry.late_ns, missed, len(frames))
-        signs = self._receive(state, frames)
+        signs = self._receive(state, frames, self.sensors.earliest_answer_ns(before.whole(s.T_NS)))
         stages.observe_tick(block, places, *self._constants)
         stages.correct_estimate(block, places, *self._constants)
         if state.started:
@@ -209,8 +222,13 @@ class Controller:
             signs += detect_unsolicited_replies(self.drives, self.sensors, before, state, entry.frames)
         return signs
 
-    def _receive(self, state: State, frames: Frames) -> tuple[str, ...]:
+    def _receive(self, state: State, frames: Frames, fresh_ns: int) -> tuple[str, ...]:
         """Process received frames.
+
+        Args:
+            state: state of the tick, modified in place.
+            frames: received frames.
+            fresh_ns: earliest arrival of an answer to the latest SYNC [ns].
 
         Returns those received identifiers that only this host sends, each once.
         """
@@ -218,20 +236,50 @@ class Controller:
         signs = list[str]()
         at = 0
         rows = frames.rows
+        entries = tables.entries
+        if state.decisions.amplifiers:
+            entries = tables.entries_without(self._groups_not_ready(state.decisions.amplifiers))
         while True:
             at = wire.receive_frames(
-                state.block, self.layout.places, *self._constants, rows, tables.keys, tables.entries, tables.wholes,
-                tables.reals, at,
+                state.block, self.layout.places, *self._constants, rows, tables.keys, entries, tables.wholes,
+                tables.reals, at, fresh_ns,
             )  # fmt: skip
             if at >= len(rows):
                 return tuple(dict.fromkeys(signs))
             frame = frames[at]
             owner = self.owners.get((frame.bus, frame.can_id & ~ERROR))
-            if owner is None:
-                signs.append(f"{frame.can_id:#05x}")
-            else:
+            if owner is not None:
                 self.keep(state, owner, self.drives[owner].receive(state.drive(owner), frame))
+            elif (frame.bus, frame.can_id & ~ERROR) in self.amplifier_of:
+                self._receive_service(state, frame)
+            else:
+                signs.append(f"{frame.can_id:#05x}")
             at += 1
+
+    def _groups_not_ready(self, amplifiers: tuple[AmplifierState, ...]) -> tuple[int, ...]:
+        """Return the frames of amplifiers whose set-up is not complete, and whose values are not used."""
+        pairs = zip(amplifiers, self.sensors.group_ranges, strict=True)
+        return tuple([group for one, groups in pairs if one.phase != Phase.READY for group in groups])
+
+    def _receive_service(self, state: State, frame: Frame) -> None:
+        """Give a frame to the state machine of its amplifier."""
+        i = self.amplifier_of[frame.bus, frame.can_id]
+        before = state.decisions.amplifiers
+        after = self.sensors.amplifiers[i].receive(before[i], frame)
+        if after != before[i]:
+            state.decide(amplifiers=(*before[:i], after, *before[i + 1 :]))
+
+    def _advance_amplifiers(self, state: State, target: DriveTarget, t_ns: int) -> tuple[Frame, ...]:
+        """Continue the set-up of the amplifiers, and return the frames to send."""
+        states = list[AmplifierState]()
+        out = list[Frame]()
+        for amplifier, before in zip(self.sensors.amplifiers, state.decisions.amplifiers, strict=True):
+            after, frames = amplifier.advance(before, t_ns, target)
+            states.append(after)
+            out += frames
+        if tuple(states) != state.decisions.amplifiers:
+            state.decide(amplifiers=tuple(states))
+        return tuple(out)
 
     def keep(self, state: State, n: int, drive_state: DriveState) -> None:
         """Store the state of a drive in block and decisions, after its state machine has run."""
@@ -385,12 +433,16 @@ class Controller:
             out[0] = self.sync_row
             out[0, PAYLOAD] = counter
             state.set_whole(s.SYNC_COUNTER, counter & 0xF)
-            state.set_whole(s.SYNCS, state.whole(s.SYNCS) + 1)
+            # The answers of an amplifier before the end of its set-up are not used, and are not lost.
+            if all(one.phase == Phase.READY for one in state.decisions.amplifiers):
+                state.set_whole(s.SYNCS, state.whole(s.SYNCS) + 1)
         torque = state.tendon[s.TORQUE]
         if self.model.torque_gain is not None:
             torque = torque / self.model.torque_gain
         target = modes.drive_target(mode)
         sent = self._send(state, out, start, target, torque, t_ns)
+        if state.decisions.amplifiers and (setup := self._advance_amplifiers(state, target, t_ns)):
+            sent = join_frames([sent, frames_as_records(setup)])
         return (
             join_frames([frames_as_records(self.cut_frames()), Frames.of_rows(out[start:1])]) if mode == CUT else sent
         )

@@ -31,7 +31,7 @@ from handctl.drives.records import (
     Rows,
     frames_as_records,
 )
-from handctl.drives.sensors.node import SensorNode
+from handctl.drives.sensors.contract import Sensors
 from handctl.drives.signals import (
     CHANNEL,
     COLUMNS,
@@ -118,7 +118,7 @@ def begin_tick(block: Block, at: Places, k: int, t_ns: int, late_ns: int, missed
     x.run_int[s.STALE_NOW] = x.run_int[s.UNKNOWN_FRAMES] = x.run_int[s.REFUSED_NOW] = x.run_int[s.CHANGED] = 0
 
 
-@kernel("block", "layout", "constants", "layout", "words", "keys", "table_int", "table_int", "table", "count")
+@kernel("block", "layout", "constants", "layout", "words", "keys", "table_int", "table_int", "table", "count", "count")
 def receive_frames(
     block: Block,
     at: Places,
@@ -130,6 +130,7 @@ def receive_frames(
     wholes: Whole,
     reals: Real,
     first: int,
+    fresh_ns: int,
 ) -> int:
     """Decode frames from index ``first`` on.
 
@@ -144,6 +145,7 @@ def receive_frames(
         wholes: see ``Wire``.
         reals: see ``Wire``.
         first: index of the first frame.
+        fresh_ns: earliest arrival of an answer to the latest SYNC [ns], any negative time if answers have a counter.
 
     Returns:
         Index of the first frame for a state machine or for the detection of other controllers, n
@@ -173,7 +175,9 @@ def receive_frames(
         t_ns = np.int64(rows[r, T_NS])
         payload = rows[r, PAYLOAD]
         fits = length == entries[entry, LENGTH]
-        if kind == SENSORS:
+        if kind == SENSORS and fits and t_ns < fresh_ns:
+            _count_stale_frame(x, entries[entry, GROUP])
+        elif kind == SENSORS:
             _decode_sensor_frame(x, t_ns, payload, fits, entries, entry, wholes, reals)
         elif (
             kind == LOOK
@@ -197,6 +201,13 @@ def _count_unknown_frame(x: Tables, keys: Whole, entries: Whole, bus: Any, can_i
         if entry != UNKNOWN and entries[entry, KIND] != HOST:
             owner = entries[entry, OWNER]
             x.node_int[s.MISREAD_NOW, owner if owner != NODE else x.node_int.shape[1] - 1] = 1
+
+
+@inner
+def _count_stale_frame(x: Tables, group: int) -> None:
+    """Count a frame that answers an older SYNC."""
+    x.run_int[s.STALE] += 1
+    x.run_int[s.STALE_NOW] = max(x.run_int[s.STALE_NOW], 2 if x.group_int[s.GROUP_ANSWERED, group] else 1)
 
 
 @inner
@@ -225,8 +236,7 @@ def _decode_sensor_frame(
         quantity = wholes[i, QUANTITY]
         channel = wholes[i, CHANNEL]
         if quantity == COUNTER and value != x.run_int[s.SYNC_COUNTER]:
-            x.run_int[s.STALE] += 1
-            x.run_int[s.STALE_NOW] = max(x.run_int[s.STALE_NOW], 2 if x.group_int[s.GROUP_ANSWERED, group] else 1)
+            _count_stale_frame(x, group)
             return
         if quantity == CELL:
             tensions = 1
@@ -394,7 +404,7 @@ class Wire:
         templates: (f, WORDS) commands without torque.
     """
 
-    def __init__(self, drives: Sequence[Drive], sensors: SensorNode) -> None:
+    def __init__(self, drives: Sequence[Drive], sensors: Sensors) -> None:
         """Build the tables.
 
         Args:
@@ -412,6 +422,7 @@ class Wire:
                 kind = FEEDBACK if message.answers else VALUES
                 signals = self._added(message)
                 found[_frame_key(drive.bus, message.can_id)] = [n, kind, *signals, message.length, 0, message.nearest]
+        found |= {_frame_key(sensors.bus, can_id): [NODE, LOOK, 0, 0, 0, 0, 0] for can_id in sensors.service_ids}
         for group, message in enumerate(sensors.messages):
             found[_frame_key(sensors.bus, message.can_id)] = [
                 NODE,
@@ -427,6 +438,16 @@ class Wire:
         self.wholes = np.concatenate([table.wholes for table in self._signals])
         self.reals = np.concatenate([table.reals for table in self._signals])
         self._commands(drives)
+        self._entries_without: dict[tuple[int, ...], Whole] = {}
+
+    def entries_without(self, groups: tuple[int, ...]) -> Whole:
+        """Return the entries with the frames of some groups left to the state machine of their node."""
+        entries = self._entries_without.get(groups)
+        if entries is None:
+            entries = self.entries.copy()
+            entries[(entries[:, KIND] == SENSORS) & np.isin(entries[:, GROUP], groups), KIND] = LOOK
+            self._entries_without[groups] = entries
+        return entries
 
     def _added(self, message: Message) -> tuple[int, int]:
         """Add the signals of a message. Return the range of their rows."""

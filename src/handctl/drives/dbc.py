@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from handctl.drives.contract import Drive
 from handctl.drives.frame import EXTENDED, REMOTE
-from handctl.drives.sensors.node import SensorNode
+from handctl.drives.sensors.contract import Sensors
 from handctl.drives.signals import Coding, Message, Quantity, Signal
 
 # Names of this host and of the sensor node in a DBC.
@@ -31,7 +31,7 @@ class SentMessage(NamedTuple):
 
 
 def dbc_of_bus(
-    bus: int, drives: Iterable[Drive], sensors: SensorNode, tendons: Sequence[str], joints: Sequence[str]
+    bus: int, drives: Iterable[Drive], sensors: Sensors, tendons: Sequence[str], joints: Sequence[str]
 ) -> str:
     """Return the DBC text for one bus of a hand.
 
@@ -44,8 +44,7 @@ def dbc_of_bus(
     """
     sent = list[SentMessage]()
     if sensors.bus == bus and sensors.ids:
-        counter = Signal("counter", Quantity.COUNTER, 0, 8)
-        sent.append(SentMessage(Message("sync", sensors.sync_id, 1, (counter,)), HOST, SENSORS))
+        sent.append(SentMessage(sensors.sync_message, HOST, SENSORS))
         sent += [
             SentMessage(_with_channel_names(message, tendons, joints), SENSORS, HOST) for message in sensors.messages
         ]

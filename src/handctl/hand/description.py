@@ -11,7 +11,18 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, model_validator
 
 from handctl.hand.file import quantities as qty
-from handctl.hand.file.sections import Bus, Digit, Motor, Mount, Section, SensorNode, StreamLimits, Tendon
+from handctl.hand.file.sections import (
+    CIA404_KEYS,
+    HANDCTL_NODE_KEYS,
+    Bus,
+    Digit,
+    Motor,
+    Mount,
+    Section,
+    SensorNode,
+    StreamLimits,
+    Tendon,
+)
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.moment_arms import is_varying, mean_arm, polynomial_of
 
@@ -197,6 +208,9 @@ class Hand(Section):
                 for key in keys:
                     if section[key] is None:  # hands without the key keep their identity
                         del section[key]
+        # A sensor node has only the keys of its protocol, so that hands from before the protocols keep their identity.
+        for key in HANDCTL_NODE_KEYS if self.sensor_node.is_cia404 else ("protocol", *CIA404_KEYS):
+            del content["sensor_node"][key]
         return content
 
     def to_toml(self) -> str:

@@ -29,7 +29,9 @@ def frame_counts(log: RunLog, hand: Hand) -> FrameCounts:
     """
     node = make_sensors(hand)
     sync_counter = -1
+    sync_ns = 0
     sync_frames = 0
+    silent_ids = set(node.ids) if node.amplifiers else set[int]()
     fresh_frames = 0
     late = 0
     refused = 0
@@ -40,14 +42,16 @@ def frame_counts(log: RunLog, hand: Hand) -> FrameCounts:
             if frame.bus != node.bus or frame.can_id not in node.ids:
                 continue
             group = node.ids.index(frame.can_id)
-            if len(frame.data) == node.lengths[group]:
-                # The low four bits of the first byte repeat the counter of the SYNC.
-                fresh = frame.data[0] & 0xF == sync_counter
+            silent_ids.discard(frame.can_id)
+            if len(frame.data) == node.lengths[group] and not silent_ids:
+                fresh = node.answers(frame.data, sync_counter) and frame.t_ns >= node.earliest_answer_ns(sync_ns)
                 late += not fresh
                 fresh_frames += fresh and group < node.tension_frames
         for frame in tick.frames:
-            if frame.bus == node.bus and frame.can_id == node.sync_id and frame.data:
-                sync_counter = frame.data[0] & 0xF
-                sync_frames = sync_frames + 1
+            if frame.bus == node.bus and frame.can_id == node.sync_id and len(frame.data) == node.sync_message.length:
+                sync_counter = frame.data[0] & 0xF if frame.data else 0
+                sync_ns = tick.tick_in.t_ns
+                # An amplifier answers from the end of its set-up on.
+                sync_frames += not silent_ids
         refused += sum(event.number for event in tick.tick_in.io_events if event.kind == "enobufs")
     return FrameCounts(late, refused + node.lost(sync_frames, fresh_frames, late), silent)

@@ -71,7 +71,8 @@ def text_graph(hand: Hand) -> str:
         motors = sum(motor.bus == bus.name for motor in hand.motor)
         sensors = ""
         if node.bus == bus.name:
-            sensors = f", sensor node with {len(node.tendons)} load cells and {len(node.joints)} joint encoders"
+            counts = f"{len(node.tendons)} load cells and {len(node.joints)} joint encoders"
+            sensors = f", {_sensors_text(hand)} with {counts}"
         lines.append(f"bus {bus.name}: {bus.bitrate / 1e6:g} Mbit/s{data}, {motors} motors{sensors}")
     for digit in hand.digit:
         joints = " - ".join(
@@ -93,6 +94,14 @@ def text_graph(hand: Hand) -> str:
     if any(joint in node.joints for joint in hand.joints):
         lines += ["", "(j1): a joint with an encoder"]
     return "\n".join(lines)
+
+
+def _sensors_text(hand: Hand) -> str:
+    """Return the kind of the sensors in words."""
+    node = hand.sensor_node
+    if not node.is_cia404:
+        return "sensor node"
+    return f"CiA 404 amplifiers {', '.join(f'0x{number:02X}' for number in node.node_ids)}"
 
 
 def _arm_text(hand: Hand, tendon: Tendon, joint: str, sign: str = "") -> str:
@@ -126,7 +135,7 @@ def _joint_xs(digit: Digit) -> Iterator[tuple[str, float]]:
 def _sensor_node(axes: Any, hand: Hand) -> float:
     """Draw the legend line for the sensor node, and return the height of the line in rows."""
     node = hand.sensor_node
-    text = f"sensor node on {node.bus}, SYNC 0x{node.sync_id:X}: {len(node.tendons)} load cells"
+    text = f"{_sensors_text(hand)} on {node.bus}, SYNC 0x{node.sync_id:X}: {len(node.tendons)} load cells"
     axes.plot(JOINTS_X, -0.1, "s", color=CELL, markersize=7)
     axes.text(JOINTS_X + 0.2, -0.1, text, va="center", fontsize=7.5)
     axes.plot(JOINTS_X, -0.6, "o", color="white", markeredgecolor=ENCODER, markeredgewidth=2, markersize=8)

@@ -122,7 +122,8 @@ def readings_of(hand: Hand, watch: BusWatch) -> dict[str, Any]:
         "t_s": now * 1e-9,
         "drives": [_drive_fields(hand, tendon, drive, state, age) for tendon, drive, state, age in rows],
         "load_cells": [
-            {"tendon": name, "tension_N": value, "saturated": is_saturated(value)} for name, value in tensions.items()
+            {"tendon": name, "tension_N": value, "saturated": is_saturated(value, watch.sensors.cell_range)}
+            for name, value in tensions.items()
         ],
         "joint_encoders": [
             {"joint": hand.joints[index], "angle_rad": reading.at(now)} for index, reading in watch.angles.items()

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from handctl.drives.discovery import DiscoveredNode
 from handctl.drives.registry import PROTOCOLS
+from handctl.hand.file.sections import CIA404
 
 Entry = tuple[str, object, str]
 """Key, value and comment of a line in TOML."""
@@ -32,7 +33,31 @@ def hand_file_snippet(buses: Mapping[str, Sequence[DiscoveredNode]], bitrate: in
         for drive in nodes:
             if drive.protocol in PROTOCOLS and 0 < drive.node_id <= 0x7F:
                 lines += ["", *_motor_section(bus, drive)]
+    for bus, nodes in buses.items():
+        amplifiers = [node for node in nodes if node.protocol == CIA404]
+        if amplifiers:
+            lines += ["", *_amplifier_section(bus, amplifiers)]
     return "\n".join(lines) + "\n"
+
+
+def _amplifier_section(bus: str, amplifiers: Sequence[DiscoveredNode]) -> list[str]:
+    """Return the section of load cells on the measuring amplifiers of a bus."""
+    channels = min(int(node.options.get("channels_per_node", 1)) for node in amplifiers)
+    entries: list[Entry] = [
+        ("protocol", CIA404, ""),
+        ("bus", bus, ""),
+        ("channels_per_node", channels, "told by the amplifier"),
+        ("range_N", 300.0, TO_FILL_IN + "rated load of the load cells"),
+        ("tension_noise_N", 0.5, TO_FILL_IN + "measure"),
+        ("tension_bias_drift_N", 1.0, TO_FILL_IN + "data sheet, in 100 s"),
+    ]
+    numbers = ", ".join(f"0x{node.node_id:02X}" for node in amplifiers)
+    return [
+        "[sensor_node]",
+        *map(_toml_line, entries),
+        f"node_ids = [{numbers}]",
+        f"tendons = []    # {TO_FILL_IN}the tendon of each channel, in this order",
+    ]
 
 
 def _motor_section(bus: str, drive: DiscoveredNode) -> list[str]:

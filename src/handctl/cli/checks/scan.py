@@ -133,7 +133,7 @@ def _print_drive(drive: DiscoveredNode) -> None:
         ("ERROR", drive.error),
     )
     line_text = "  ".join(f"{key} {text}".strip() for key, text in fields if text)
-    number = f"{drive.node_id:#x}" if drive.protocol == "sensor" else str(drive.node_id)
+    number = f"{drive.node_id:#x}" if drive.protocol in ("sensor", "cia404") else str(drive.node_id)
     print(f"  {drive.protocol:<8}{number:>5}  {line_text}")
     for line in drive.notes:
         print(f"                {line}")

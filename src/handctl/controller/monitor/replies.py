@@ -13,11 +13,14 @@ from handctl.controller.state import State
 from handctl.core import block as s
 from handctl.drives.contract import Drive
 from handctl.drives.frame import Frame
-from handctl.drives.sensors.node import SensorNode
+from handctl.drives.sensors.contract import Sensors
+
+LATE_TICKS = 8
+"""Ticks for which a missing answer may still arrive."""
 
 
 def detect_unsolicited_replies(
-    drives: tuple[Drive, ...], sensors: SensorNode, before: State, state: State, frames: Sequence[Frame]
+    drives: tuple[Drive, ...], sensors: Sensors, before: State, state: State, frames: Sequence[Frame]
 ) -> tuple[str, ...]:
     """Detect unsolicited and duplicate replies in a tick.
 
@@ -42,18 +45,37 @@ def detect_unsolicited_replies(
             signs.append(f"{drives[n].name} answering it")
         elif count:
             duplicates[n] = _duplicate_kind(_accepted_payloads(drives[n], before, n, frames), count - 1)
+    _detect_duplicate_answers(sensors, before, state, frames)
+    return tuple(signs)
+
+
+def _detect_duplicate_answers(sensors: Sensors, before: State, state: State, frames: Sequence[Frame]) -> None:
+    """Write duplicate answers of the load cells into ``DUPLICATES``, and late ones into ``STALE``."""
+    duplicates = state.view("twice")
+    excused = not sensors.has_counter and (state.whole(s.MISSED) > 0 or _has_lost_answers(before))
+    answered = before.view("group_answered").tolist()
     for group, count in enumerate(state.view("group_answered").tolist()):
-        if count > 1:
+        if count > 1 and (excused or not (sensors.has_counter or answered[group])):
+            state.set_whole(s.STALE, state.whole(s.STALE) + count - 1)
+            state.set_whole(s.STALE_NOW, max(state.whole(s.STALE_NOW), 1))
+        elif count > 1:
             counter = before.whole(s.SYNC_COUNTER)
             can_id = sensors.ids[group]
-            # The low four bits of the first payload byte echo the counter of the SYNC.
             fresh = [
                 frame.data
                 for frame in frames
-                if (frame.bus, frame.can_id) == (sensors.bus, can_id) and frame.data and frame.data[0] & 0xF == counter
+                if (frame.bus, frame.can_id) == (sensors.bus, can_id) and sensors.answers(frame.data, counter)
             ]
             duplicates[-1] = max(duplicates[-1], _duplicate_kind(fresh, 1))
-    return tuple(signs)
+
+
+def _has_lost_answers(before: State) -> bool:
+    """Return True if answers of the load cells were missing in the last ``LATE_TICKS`` ticks.
+
+    An answer without a counter that comes in addition is then late, and not a duplicate. The same holds after a
+    tick without an answer, and if this host has missed a tick.
+    """
+    return bool(before.layout.table(before.block, "node_int")[s.LOST, -1] & (1 << LATE_TICKS) - 1)
 
 
 def _duplicate_kind(payloads: list[bytes], due: int) -> int:

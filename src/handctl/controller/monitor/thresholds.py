@@ -8,7 +8,7 @@ from handctl.core.hand_constants import HandConstants, low_pass_fractions
 from handctl.core.model import HandModel
 from handctl.core.types import Vector
 from handctl.drives.contract import Drive
-from handctl.drives.sensors.node import SensorNode
+from handctl.drives.sensors.contract import Sensors
 from handctl.drives.signals import Coding, Quantity
 from handctl.safety.faults.node import NOISE_FACTOR
 from handctl.safety.limits import (
@@ -32,7 +32,7 @@ NOISE_STEPS = 6.0
 """Rounding error of the encoder in the mean squared jerk [encoder counts]."""
 
 
-def safety_limits(model: HandModel, drives: tuple[Drive, ...], sensors: SensorNode) -> Limits:
+def safety_limits(model: HandModel, drives: tuple[Drive, ...], sensors: Sensors) -> Limits:
     """Return the safety thresholds of a hand."""
     hand = model.hand
     return Limits(
@@ -54,7 +54,7 @@ def safety_limits(model: HandModel, drives: tuple[Drive, ...], sensors: SensorNo
 
 
 def compiled_constants(
-    model: HandModel, drives: tuple[Drive, ...], sensors: SensorNode, limits: Limits, tare: Vector, zero: Vector
+    model: HandModel, drives: tuple[Drive, ...], sensors: Sensors, limits: Limits, tare: Vector, zero: Vector
 ) -> HandConstants:
     """Return the constants of a hand for the compiled code.
 
@@ -88,6 +88,8 @@ def compiled_constants(
         "temperature_hard": limits.temperature_hard,
         "tension_rail": limits.tension_rail,
         "tension_low": limits.tension_low,
+        "cell_low": sensors.cell_range[0],
+        "cell_high": sensors.cell_range[1],
         "cyclic_ns": [round(drive.feedback_period_s * 1e9) for drive in drives],
         "answers_once": [drive.one_reply_per_command for drive in drives],
         "cell_group": [sensors.group_of_tendon(n) for n in range(model.tendon_count)],
@@ -111,7 +113,7 @@ def torque_resolution(drive: Drive) -> float:
     return max((abs(signal.scale) for signal in signals if signal.coding != Coding.FLOAT), default=0.0)
 
 
-def max_frames_per_tick(drives: Sequence[Drive], sensors: SensorNode) -> int:
+def max_frames_per_tick(drives: Sequence[Drive], sensors: Sensors) -> int:
     """Return the number of frames per tick that means a flooded bus: twice the replies of all nodes."""
     return max(MIN_FRAMES_LIMIT, sum(len(drive.exchange) for drive in drives) + 2 * len(sensors.node_ids))
 

@@ -11,7 +11,6 @@ from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation.structure import joint_excursion
-from handctl.drives.sensors.node import TENSION_MAX_N, TENSION_ZERO_N
 
 
 @inner
@@ -25,8 +24,12 @@ def write_measurements(x: Tables, c: ConstantTables) -> None:
         x.tendon_int[s.SATURATED, n] = 0
         if x.tendon_int[s.CELL_FRESH, n]:
             cell = x.tendon[s.CELL, n]
+            saturated = not c.run[h.CELL_LOW] < cell < c.run[h.CELL_HIGH]
+            if saturated:
+                # The code of an amplifier for an overload may be NaN, or a number far outside of the range.
+                cell = c.run[h.CELL_HIGH] if cell >= c.run[h.CELL_HIGH] else c.run[h.CELL_LOW]
             x.tendon[s.MEASURED_TENSION, n] = cell - (c.tendon[h.TARE, n] + x.tendon[s.PROGRAM_TARE, n])
-            x.tendon_int[s.SATURATED, n] = not TENSION_ZERO_N < cell < TENSION_MAX_N
+            x.tendon_int[s.SATURATED, n] = saturated
     x.run_int[s.JOINTS_READ] = 0
     for j in range(x.joint.shape[1]):
         x.joint[s.MEASURED_JOINT, j] = math.nan

@@ -20,8 +20,14 @@ NODE_NUMBERS = range(1, MASTER)
 # Object with the device type, and the profile number in its low word.
 DEVICE_TYPE = 0x1000
 PROFILE = 402
+AMPLIFIER_PROFILE = 404
+"""Profile number of measuring amplifiers."""
+CHANNELS = (0x6131, 0)
+"""Object with the number of an amplifier's channels: the entries of the array of units. Source: CiA 404."""
 SERIAL = (0x1018, 4)
 """Object with the serial number, an optional object."""
+CIA404 = "cia404"
+"""Protocol of measuring amplifiers in the hand file."""
 NMT_STATES = {0x00: "boot-up", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
 """NMT states in words."""
 _RPDOS = (0x200, 0x300, 0x400, 0x500)
@@ -31,20 +37,23 @@ _RPDOS = (0x200, 0x300, 0x400, 0x500)
 def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the request frames of a round.
 
-    Round 2 reads the device type of every number, round 3 the serial number of discovered nodes.
+    Round 2 reads the device type of every number, round 3 the serial number of discovered nodes, and the number of
+    channels of measuring amplifiers.
     """
     if turn == 2:
         return tuple(Frame(codec.SDO_REQUEST + number, codec.upload_request(DEVICE_TYPE, 0)) for number in NODE_NUMBERS)
     if turn == 3:
-        return tuple(
-            Frame(codec.SDO_REQUEST + node.node_id, codec.upload_request(*SERIAL)) for node in nodes_in(received)
-        )
+        found = nodes_in(received)
+        asked = [(node, SERIAL) for node in found]
+        asked += [(node, CHANNELS) for node in found if node.protocol == CIA404]
+        return tuple(Frame(codec.SDO_REQUEST + node.node_id, codec.upload_request(*entry)) for node, entry in asked)
     return ()
 
 
 def nodes_in(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the discovered nodes: those that reported a device type, and those that only sent heartbeats."""
     types: dict[int, int] = {}
+    channels: dict[int, int] = {}
     states: dict[int, int] = {}
     answers: dict[int, dict[int, list[bytes]]] = {}
     for frame in received:
@@ -55,23 +64,33 @@ def nodes_in(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
                 by_object.setdefault(reply.number, []).append(frame.data)
             if reply and reply[:2] == (DEVICE_TYPE, 0) and len(reply.raw) == 4:
                 types[frame.can_id - codec.SDO_REPLY] = int.from_bytes(reply.raw, "little")
+            elif reply and reply[:2] == CHANNELS and reply.raw:
+                channels[frame.can_id - codec.SDO_REPLY] = reply.raw[0]
         elif frame.can_id - codec.HEARTBEAT in NODE_NUMBERS and len(frame.data) == 1:
             states[frame.can_id - codec.HEARTBEAT] = frame.data[0]
     return tuple(
         _describe_node(
-            number, types.get(number), states.get(number), have_two_drives_answered(answers.get(number, {}), SERIAL[0])
+            number,
+            types.get(number),
+            states.get(number),
+            have_two_drives_answered(answers.get(number, {}), SERIAL[0]),
+            channels.get(number, 0),
         )
         for number in sorted(types | states)
     )
 
 
-def _describe_node(number: int, device_type: int | None, nmt: int | None, twins: bool) -> DiscoveredNode:
+def _describe_node(number: int, device_type: int | None, nmt: int | None, twins: bool, channels: int) -> DiscoveredNode:
     """Return the discovered node with its data."""
     state = NMT_STATES.get(nmt, f"NMT state {nmt:#x}") if nmt is not None else ""
     if device_type is None:
         return DiscoveredNode("canopen", number, state=state, notes=("sends heartbeats, but does not answer an SDO",))
     profile = device_type & 0xFFFF
     notes = (TWO_DRIVES_WARNING,) * twins
+    if profile == AMPLIFIER_PROFILE:
+        text = f"a measuring amplifier of CiA 404{f' with {channels} channels' if channels else ''}: not a drive"
+        options: dict[str, bool | int | float | str] = {"channels_per_node": channels} if channels else {}
+        return DiscoveredNode(CIA404, number, state=state, options=options, notes=(*notes, text), twins=twins)
     if profile != PROFILE:
         notes = (*notes, f"a CANopen device of profile {profile}, not a drive of CiA 402")
     protocol = "cia402" if profile == PROFILE else "canopen"

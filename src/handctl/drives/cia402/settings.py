@@ -47,6 +47,16 @@ class Check(enum.IntEnum):
     """Do as WRITE. A drive without the object is accepted."""
     READ_IF_PRESENT = 4
     """Read the object and accept any value. A drive without the object is accepted."""
+    SAME_IF_PRESENT = 5
+    """Read the object. The value must equal the required value. A drive without the object is accepted."""
+    LOW_WORD = 6
+    """Read the object. Its low 16 bits must equal the required value."""
+    ADJUST = 7
+    """Read the object. If the value differs from the required value, write it and read it again."""
+
+
+OPTIONAL = (Check.WRITE_IF_PRESENT, Check.READ_IF_PRESENT, Check.SAME_IF_PRESENT)
+"""Checks that accept a device without the object."""
 
 
 class Step(NamedTuple):
@@ -95,7 +105,7 @@ def required_steps(
         mode: mode of operation, key of ``TARGETS``.
     """
     target, size = TARGETS[mode]
-    same, bits, write, write_optional, read = Check
+    same, bits, write, write_optional, read, *_ = Check
     bases = ((0x1400, codec.RPDO), (0x1800, codec.TPDO))
     # PDO 2 to 4 are switched off: records follow each other, and their default COB-IDs are 0x100 apart.
     others = [
@@ -120,12 +130,12 @@ def required_steps(
         Step(write, 0x6060, 0, mode, 1),
         Step(same, 0x6061, 0, mode, 1),
         *others,
-        *_pdo_steps(0x1400, 0x1600, codec.RPDO + node_id, 255, (0x6040_00_10, target << 16 | 8 * size)),
-        *_pdo_steps(0x1800, 0x1A00, codec.TPDO + node_id, 1, (0x6041_00_10, 0x6064_00_20, 0x6077_00_10)),
+        *pdo_steps(0x1400, 0x1600, codec.RPDO + node_id, 255, (0x6040_00_10, target << 16 | 8 * size)),
+        *pdo_steps(0x1800, 0x1A00, codec.TPDO + node_id, 1, (0x6041_00_10, 0x6064_00_20, 0x6077_00_10)),
     )
 
 
-def _pdo_steps(
+def pdo_steps(
     communication: int, mapping: int, cob: int, transmission: int, objects: tuple[int, ...]
 ) -> tuple[Step, ...]:
     """Return the steps that set up one PDO: disable it, map its objects, enable it."""
@@ -142,8 +152,15 @@ def _pdo_steps(
 
 
 def is_write_next(cursor: Cursor, step: Step) -> bool:
-    """Return True if the next request writes the object. The object is written before it is read."""
-    return step.writes and not cursor.written
+    """Return True if the next request writes the object: before it is read, or because its value was wrong."""
+    return cursor.writing or (step.writes and not cursor.written)
+
+
+def _is_right(step: Step, value: int) -> bool:
+    """Return True if the value of an object is the required one."""
+    if step.check == Check.HAS_BITS:
+        return value & step.value == step.value
+    return (value & 0xFFFF if step.check == Check.LOW_WORD else value) == step.value
 
 
 def on_reply(cursor: Cursor, required: tuple[Step, ...], reply: codec.SdoReply) -> tuple[Cursor, int, str]:
@@ -157,7 +174,7 @@ def on_reply(cursor: Cursor, required: tuple[Step, ...], reply: codec.SdoReply) 
     if not cursor.waiting or reply[:2] != (step.number, step.sub):
         return cursor, 0, ""
     if reply.abort:
-        if reply.abort in (codec.OBJECT_MISSING, 0x06090011) and step.check >= Check.WRITE_IF_PRESENT:
+        if reply.abort in (codec.OBJECT_MISSING, 0x06090011) and step.check in OPTIONAL:
             return cursor.next_setting(), 0, ""
         return cursor, 0, f"{step.name}: {codec.abort_text(reply.abort)}"
     if is_write_next(cursor, step):
@@ -167,9 +184,10 @@ def on_reply(cursor: Cursor, required: tuple[Step, ...], reply: codec.SdoReply) 
     value = int.from_bytes(reply.raw, "little")
     if step.check == Check.READ_IF_PRESENT:
         return cursor.next_setting(), value, ""
-    if (value & step.value == step.value) if step.check == Check.HAS_BITS else value == step.value:
+    if _is_right(step, value):
         return cursor.next_setting(), 0, ""
-    cursor, problem = readback.on_wrong_value(cursor, step.name, f"{value:#x}", f"{step.value:#x}", 0)
+    writes = 1 if step.check == Check.ADJUST else 0
+    cursor, problem = readback.on_wrong_value(cursor, step.name, f"{value:#x}", f"{step.value:#x}", writes)
     return cursor, 0, problem
 
 

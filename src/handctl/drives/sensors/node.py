@@ -21,6 +21,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Protocol, Self
 
+from handctl.drives.cia404.amplifier import Amplifier
 from handctl.drives.frame import Frame
 from handctl.drives.signals import Message, Quantity, Signal
 
@@ -60,6 +61,8 @@ JOINT_STEP_RAD = 2 * math.pi / 4096
 """Angle of one count [rad]."""
 JOINT_ZERO = 2048
 """Count of angle 0."""
+ANY_TIME = -(1 << 62)
+"""Earliest arrival [ns] of an answer whose freshness does not depend on its arrival."""
 JOINT_FRAMES = 0x10
 """Offset from the first tension identifier to the first angle identifier."""
 
@@ -158,6 +161,49 @@ class SensorNode:
     def host_ids(self) -> frozenset[int]:
         """Return the identifiers sent only by the host."""
         return frozenset((self.sync_id,) if self.ids else ())
+
+    @property
+    def amplifiers(self) -> tuple[Amplifier, ...]:
+        """Return an empty tuple, because the node needs no set-up."""
+        return ()
+
+    @property
+    def group_ranges(self) -> tuple[range, ...]:
+        """Return an empty tuple, because the node has no amplifiers."""
+        return ()
+
+    @property
+    def service_ids(self) -> frozenset[int]:
+        """Return an empty set, because the node has only cyclic frames."""
+        return frozenset()
+
+    @property
+    def cell_range(self) -> tuple[float, float]:
+        """Return the tensions of the lowest and the highest count, at which a load cell is saturated [N]."""
+        return TENSION_ZERO_N, TENSION_MAX_N
+
+    @property
+    def background(self) -> tuple[tuple[int, float], ...]:
+        """Return an empty tuple, because the node sends nothing but answers."""
+        return ()
+
+    @property
+    def sync_message(self) -> Message:
+        """Return the signal table of SYNC: one byte with the counter."""
+        return Message("sync", self.sync_id, 1, (Signal("counter", Quantity.COUNTER, 0, 8),))
+
+    @property
+    def has_counter(self) -> bool:
+        """Return True, because every frame has the counter of its SYNC."""
+        return True
+
+    def earliest_answer_ns(self, sync_ns: int) -> int:
+        """Return ``ANY_TIME``, because the counter of an answer names its SYNC."""
+        return ANY_TIME
+
+    def answers(self, data: bytes, counter: int) -> bool:
+        """Return True if the low four bits of the first byte repeat the counter of the SYNC."""
+        return bool(data) and data[0] & 0xF == counter & 0xF
 
     @property
     def tension_rail(self) -> float:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from handctl.hand.file.error_text import Mistake
 from handctl.hand.file.sections import Digit, Motor, StreamLimits, Tendon
+from handctl.hand.file.sensor_checks import amplifier_identifiers, check_sensor_node
 from handctl.hand.link_bodies import link_inertia
 from handctl.hand.moment_arms import TABLE_DEGREE, arms_at, polynomial_of, table_residual
 
@@ -88,6 +89,7 @@ def check_hand(hand: Hand) -> Mistakes:
     yield from wrong
     if wrong:
         return
+    yield from check_sensor_node(hand)
     for digit in hand.digit:
         yield from _check_routing(hand, digit)
         yield from _check_pairs(hand, digit)
@@ -422,7 +424,9 @@ def _frame_identifiers(hand: Hand) -> Iterator[tuple[str, object, str]]:
     node = hand.sensor_node
     if node.tendons or node.joints:
         yield node.bus, node.sync_id, "sensor_node.sync_id"
-    for identifier in (*node.tension_ids, *node.joint_ids):
+    for identifier, where in amplifier_identifiers(node):
+        yield node.bus, identifier, where
+    for identifier in () if node.is_cia404 else (*node.tension_ids, *node.joint_ids):
         yield node.bus, identifier, "sensor_node.base_id"
     for motor in hand.motor:
         for key, where in _motor_identifiers(motor):

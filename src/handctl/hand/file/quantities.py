@@ -97,6 +97,18 @@ def whole_in_range(low: int, high: int) -> Checked:
     return Checked(check, {"type": "integer", "minimum": low, "maximum": high})
 
 
+def one_of(*words: str) -> Checked:
+    """Return the validation of one of some words."""
+
+    def check(value: Any) -> str:
+        """Return the value."""
+        if not isinstance(value, str) or value not in words:
+            raise validation_error(" or ".join(f'"{word}"' for word in words))
+        return value
+
+    return Checked(check, {"enum": list(words)})
+
+
 def _check_direction(value: Any) -> int:
     """Validate 1 or -1."""
     if isinstance(value, bool) or not isinstance(value, int) or value not in (1, -1):
@@ -229,6 +241,9 @@ Options = Annotated[
     Checked(_check_options, {"type": "object", "additionalProperties": {"type": ["boolean", "number", "string"]}}),
 ]
 
+SensorProtocol = Annotated[str, one_of("handctl", "cia404")]
+ProcessValue = Annotated[str, one_of("int32", "real32")]
+
 Length = Annotated[float, zero_or_in_range(1e-3, 0.2, "m", "in metres?")]
 """Length of a link. It is 0 where the axes of two joints meet."""
 CentreOfMass = Annotated[
@@ -278,6 +293,10 @@ FASTEST_BUS = 8_000_000
 Bitrate = Annotated[int, whole_in_range(SLOWEST_BUS, FASTEST_BUS)]
 NodeId = Annotated[int, whole_in_range(1, 0x7F)]
 CanId = Annotated[int, whole_in_range(1, 0x7FF)]
+AmplifierId = Annotated[int, whole_in_range(1, 0x7E)]
+"""Node number of a CANopen device. 0x7F is that of handctl itself."""
+ChannelCount = Annotated[int, whole_in_range(1, 8)]
+DecimalDigits = Annotated[int, whole_in_range(0, 6)]
 Decimation = Annotated[int, whole_in_range(1, 256)]
 Watchdog = Annotated[int, whole_in_range(1, 10_000)]
 SchemaNumber = Annotated[int, whole_in_range(1, 1)]

@@ -32,31 +32,79 @@ class Bus(Section):
     """Bit rate of CAN FD's data phase, absent for a classical bus."""
 
 
-class SensorNode(Section):
-    """Sensor node with load cells between spool and first pulley, and joint encoders."""
+HANDCTL_NODE = "handctl"
+"""Protocol of the sensor node defined by handctl, see sensor_node.dbc."""
+CIA404 = "cia404"
+"""Protocol of CANopen measuring amplifiers of CiA 404."""
+HANDCTL_NODE_KEYS = ("base_id", "joint_decimation", "joint_noise_rad", "joints")
+"""Keys of ``SensorNode`` that only the protocol ``handctl`` has."""
+CIA404_KEYS = ("node_ids", "channels_per_node", "range_N", "process_value", "decimal_digits")
+"""Keys of ``SensorNode`` that only the protocol ``cia404`` has."""
+TPDO_IDS = (0x180, 0x280, 0x380, 0x480)
+"""Identifiers of TPDO 1 to 4, plus the node number. Source: CiA 301, predefined connection set."""
+CHANNELS_PER_TPDO = 2
+"""Values of 32 bits in 8 bytes."""
 
+
+class SensorNode(Section):
+    """Sensors of tendon tension, between spool and first pulley, and joint encoders."""
+
+    protocol: qty.SensorProtocol = HANDCTL_NODE
+    """``handctl``: one node with load cells and joint encoders. ``cia404``: CANopen measuring amplifiers."""
     bus: qty.Name
     """Bus of the node."""
-    sync_id: qty.CanId
-    """Identifier of SYNC, one byte with the tick counter. The node samples at SYNC."""
-    base_id: qty.CanId
-    """First identifier of tension frames. Joint frames begin at ``base_id + 0x10``. A frame has five channels."""
+    sync_id: qty.CanId = 0x080
+    """Identifier of SYNC, required. One byte with the tick counter. CiA 404: no payload, absent or 0x080."""
+    base_id: qty.CanId = 0x1A0
+    """First identifier of tension frames, required. Joint frames begin at ``base_id + 0x10``. CiA 404: absent.
+
+    A frame has five channels.
+    """
     tendons: tuple[qty.Name, ...]
     """Tendon of each load cell, in the order of the channels. In schema 2 also ``"all"``."""
-    joints: tuple[qty.Name, ...]
-    """Joint of each encoder, in the order of the channels. In schema 2 also ``"all"``."""
-    joint_decimation: qty.Decimation
-    """Ticks between two frames of the joint encoders."""
+    joints: tuple[qty.Name, ...] = ()
+    """Joint of each encoder, required, in the order of the channels. In schema 2 also ``"all"``. CiA 404: absent."""
+    joint_decimation: qty.Decimation = 1
+    """Ticks between two frames of the joint encoders, required. CiA 404: absent."""
     tension_noise_N: qty.Force
     """Standard deviation of a load-cell sample."""
     tension_bias_drift_N: qty.Force
     """Random walk, per 100 s."""
-    joint_noise_rad: qty.JointNoise
-    """Standard deviation of a joint-encoder sample."""
+    joint_noise_rad: qty.JointNoise = 1e-3
+    """Standard deviation of a joint-encoder sample, required. CiA 404: absent."""
+    node_ids: tuple[qty.AmplifierId, ...] = ()
+    """CiA 404: node number of each amplifier, required."""
+    channels_per_node: qty.ChannelCount = 1
+    """CiA 404: channels of an amplifier, 1 by default. The first amplifier has the first load cells of ``tendons``."""
+    range_N: qty.PositiveForce | None = None
+    """CiA 404: rated load of the load cells, required. A reading of this size, of either sign, is saturated (T06)."""
+    process_value: qty.ProcessValue = "int32"
+    """CiA 404: ``int32`` (default) for object 0x9130, ``real32`` for object 0x6130."""
+    decimal_digits: qty.DecimalDigits = 3
+    """CiA 404, ``int32``: a count is 10^-digits newton (object 0x6132), 3 digits by default."""
+
+    @property
+    def is_cia404(self) -> bool:
+        """Return True if the tensions come from CANopen measuring amplifiers of CiA 404."""
+        return self.protocol == CIA404
+
+    @property
+    def amplifier_channels(self) -> tuple[int, ...]:
+        """Return the number of channels in use of each CiA 404 amplifier."""
+        size = self.channels_per_node
+        return tuple(
+            min(max(len(self.tendons) - size * i, 0), size) for i in range(len(self.node_ids) if self.is_cia404 else 0)
+        )
 
     @property
     def tension_ids(self) -> tuple[int, ...]:
         """Return the identifiers of the tension frames."""
+        if self.is_cia404:
+            return tuple(
+                base + node_id
+                for node_id, channels in zip(self.node_ids, self.amplifier_channels, strict=True)
+                for base in TPDO_IDS[: math.ceil(channels / CHANNELS_PER_TPDO)]
+            )
         return tuple(self.base_id + group for group in range(math.ceil(len(self.tendons) / CHANNELS_PER_FRAME)))
 
     @property

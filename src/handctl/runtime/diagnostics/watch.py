@@ -9,10 +9,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from handctl.drives.contract import Drive, DriveState, DriveTarget
+from handctl.drives.cia404.amplifier import AmplifierState
+from handctl.drives.contract import Drive, DriveState, DriveTarget, Phase
 from handctl.drives.frame import Frame
-from handctl.drives.sensors.node import TENSION_MAX_N, TENSION_ZERO_N, SensorNode
-from handctl.drives.signals import Table
+from handctl.drives.sensors.contract import Sensors
+from handctl.drives.signals import Quantity, Table
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.clock import Clock
 from handctl.runtime.diagnostics.scan import receive_for
@@ -39,9 +40,9 @@ class Reading(NamedTuple):
         return self.value if self.t_ns >= 0 and t_ns - self.t_ns <= STALE_S * 1e9 else math.nan
 
 
-def is_saturated(tension: float) -> bool:
-    """Return True if a load cell reading [N] is at an end of the range, as with a broken wire."""
-    return not TENSION_ZERO_N < tension < TENSION_MAX_N and not math.isnan(tension)
+def is_saturated(tension: float, cell_range: tuple[float, float]) -> bool:
+    """Return True if a load cell reading [N] is at an end of the range [N], as with a broken wire."""
+    return not cell_range[0] < tension < cell_range[1] and not math.isnan(tension)
 
 
 @dataclass
@@ -54,16 +55,18 @@ class BusWatch:
         buses: open buses, in the order of the hand.
         clock: clock that was started. Its period is the period of the requests.
         states: state of each drive.
+        amplifiers: state of each measuring amplifier.
         tensions: reading of each load cell, by index of the tendon.
         angles: reading of each joint encoder, by index of the joint.
         k: number of the next tick.
     """
 
     drives: Sequence[Drive]
-    sensors: SensorNode
+    sensors: Sensors
     buses: Sequence[Bus]
     clock: Clock
     states: list[DriveState] = field(init=False)
+    amplifiers: list[AmplifierState] = field(init=False)
     tensions: dict[int, Reading] = field(init=False)
     angles: dict[int, Reading] = field(init=False)
     k: int = 0
@@ -72,6 +75,7 @@ class BusWatch:
         """Begin without a reading."""
         self.states = [drive.initial() for drive in self.drives]
         node = self.sensors
+        self.amplifiers = [amplifier.initial() for amplifier in node.amplifiers]
         self._tables = [Table(message) for message in node.messages]
         self._group = {can_id: group for group, can_id in enumerate(node.ids)}
         cells, encoders = node.channels[: node.tension_frames], node.channels[node.tension_frames :]
@@ -100,6 +104,9 @@ class BusWatch:
         for n, drive in enumerate(self.drives):
             self.states[n], frames = drive.advance(self.states[n], now, DriveTarget.POLL, 0.0)
             out += frames
+        for i, amplifier in enumerate(self.sensors.amplifiers):
+            self.amplifiers[i], frames = amplifier.advance(self.amplifiers[i], now, DriveTarget.POLL)
+            out += frames
         self._send(out)
         self.k += 1
 
@@ -121,13 +128,22 @@ class BusWatch:
     def _receive(self, frame: Frame) -> None:
         """Give a received frame to the sensors or to the drives."""
         group = self._group.get(frame.can_id, -1) if frame.bus == self.sensors.bus else -1
+        for i, amplifier in enumerate(self.sensors.amplifiers):
+            self.amplifiers[i] = amplifier.receive(self.amplifiers[i], frame)
+            if group in self.sensors.group_ranges[i] and self.amplifiers[i].phase != Phase.READY:
+                return  # the unit of its readings is not known yet
         if group < 0:
             for n, drive in enumerate(self.drives):
                 self.states[n] = drive.receive(self.states[n], frame)
             return
         if len(frame.data) != self.sensors.lengths[group]:
             return
-        _, *values = self._tables[group].unpack(frame.data)
+        table = self._tables[group]
+        kinds = [signal.quantity for signal in table.message.signals]
+        decoded = zip(kinds, table.unpack(frame.data), strict=True)
+        # An amplifier may send NaN for an overload.
+        low = self.sensors.cell_range[0]
+        values = [low if math.isnan(value) else value for kind, value in decoded if kind != Quantity.COUNTER]
         into = self.tensions if group < self.sensors.tension_frames else self.angles
         for index, value in zip(self.sensors.channels[group], values, strict=True):
             into[index] = Reading(value, frame.t_ns)

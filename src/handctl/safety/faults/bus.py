@@ -30,8 +30,11 @@ NO_ACKNOWLEDGE_KINDS = ("no acknowledge", "bus error", "protocol")
 """Texts of the error frames sent when no node on the bus acknowledges."""
 
 # Texts of the catalogue's columns for protocols without a direct sign.
-_COUNTER = f"{REPLACED}: load cells by their counter, drives by N14, because their replies have no counter"
-_ORDER = f"{REPLACED}: load cells by their counter, drives have no counter"
+_COUNTER = (
+    f"{REPLACED}: load cells by their counter (CiA 404 amplifiers: only by the time of arrival), drives by N14, "
+    "because their replies have no counter"
+)
+_ORDER = f"{REPLACED}: load cells by their counter (CiA 404 amplifiers have none), drives have no counter"
 _CRC = f"{REPLACED}: no checksum in the payload, but wrong length, NaN and jumps (N05) are detected"
 _BESIDE = f"{LOST}: cyclic messages come in addition to replies"
 SILENCE_REASON = (

@@ -1,0 +1,1 @@
+"""CiA 404 measuring amplifiers for load cells over CANopen."""

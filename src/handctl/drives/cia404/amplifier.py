@@ -1,0 +1,128 @@
+"""CiA 404 amplifier as a state machine: from silence to an answer to every SYNC.
+
+The host sets the amplifier to pre-operational, reads and writes its objects, and starts it. Only then are its
+TPDOs used. An amplifier that restarts is set up again before the next arming, and never while torque may act.
+No frame of this module reaches a motor.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from handctl.drives.cia402 import codec
+from handctl.drives.cia402 import settings as setup
+from handctl.drives.cia402.progress import REPEAT_NS
+from handctl.drives.contract import DriveTarget, Phase
+from handctl.drives.frame import Frame
+from handctl.drives.readback import Cursor
+
+SILENT, CONFIGURING, READY = Phase.SILENT, Phase.CONFIGURING, Phase.READY
+
+
+class AmplifierState(NamedTuple):
+    """State of the set-up of an amplifier between frames.
+
+    Attributes:
+        node_id: node number.
+        phase: SILENT, CONFIGURING, READY or FAULT.
+        cursor: position in the list of objects to read back.
+        started_ns: time of the latest NMT start [ns].
+        error_text: problem in words, empty without one.
+    """
+
+    node_id: int
+    phase: Phase = Phase.SILENT
+    cursor: Cursor = Cursor()
+    started_ns: int = -REPEAT_NS
+    error_text: str = ""
+
+    @property
+    def name(self) -> str:
+        """Return the name of the amplifier for messages."""
+        return f"amplifier 0x{self.node_id:02x}"
+
+
+@dataclass(frozen=True, slots=True)
+class Amplifier:
+    """Measuring amplifier with one or more load cells. Immutable.
+
+    Attributes:
+        bus: index of the bus.
+        node_id: 1 to 0x7e.
+        tpdo_ids: identifiers of its frames with tensions.
+        steps: objects with the values required before arming.
+    """
+
+    bus: int
+    node_id: int
+    tpdo_ids: tuple[int, ...]
+    steps: tuple[setup.Step, ...]
+
+    def initial(self) -> AmplifierState:
+        """Return the state before the first frame."""
+        return AmplifierState(self.node_id)
+
+    @property
+    def service_ids(self) -> frozenset[int]:
+        """Return the identifiers of SDO replies, emergency, and heartbeat."""
+        return frozenset(base + self.node_id for base in (codec.SDO_REPLY, codec.EMERGENCY, codec.HEARTBEAT))
+
+    def receive(self, state: AmplifierState, frame: Frame) -> AmplifierState:
+        """Return the state after one received frame. Frames of other nodes and of a wrong length are ignored."""
+        if frame.bus != self.bus or state.phase == Phase.FAULT:
+            return state
+        if frame.can_id in self.tpdo_ids:
+            return self._on_life_sign(state)
+        if frame.can_id == codec.HEARTBEAT + self.node_id and len(frame.data) == 1:
+            return self._on_heartbeat(state, frame.data[0])
+        if frame.can_id == codec.SDO_REPLY + self.node_id and len(frame.data) == 8:
+            return self._on_object(state, frame.data)
+        return state
+
+    def _on_life_sign(self, state: AmplifierState) -> AmplifierState:
+        """Return the state after a sign of the NMT state operational. It counts after the set-up and the start."""
+        if state.cursor.step < len(self.steps) or state.started_ns < 0:
+            return state
+        return state._replace(phase=READY, error_text="")
+
+    def _on_heartbeat(self, state: AmplifierState, nmt: int) -> AmplifierState:
+        """Return the state after a heartbeat. An amplifier that restarts, or is stopped, needs the set-up again."""
+        if nmt == codec.OPERATIONAL:
+            return self._on_life_sign(state)
+        if nmt == codec.BOOT_UP or state.phase == READY:
+            return self.initial()
+        return state
+
+    def _on_object(self, state: AmplifierState, data: bytes) -> AmplifierState:
+        """Return the state after an SDO reply."""
+        reply = codec.decode_sdo_reply(data)
+        if reply is None or state.cursor.step >= len(self.steps):
+            return state
+        cursor, _, problem = setup.on_reply(state.cursor, self.steps, reply)
+        updated = state._replace(phase=CONFIGURING, cursor=cursor)
+        return updated._replace(phase=Phase.FAULT, error_text=problem) if problem else updated
+
+    def advance(
+        self, state: AmplifierState, t_ns: int, target: DriveTarget
+    ) -> tuple[AmplifierState, tuple[Frame, ...]]:
+        """Return the next state and the frames to send. Only ``DriveTarget.POLL`` sets an amplifier up."""
+        if target != DriveTarget.POLL or state.phase in (READY, Phase.FAULT):
+            return state, ()
+        if state.cursor.step < len(self.steps):
+            return self._configure(state, t_ns)
+        if t_ns - state.started_ns < REPEAT_NS:
+            return state, ()
+        text = "does not become operational" if state.started_ns >= 0 else ""
+        return state._replace(started_ns=t_ns, error_text=text), (self._nmt(codec.START),)
+
+    def _configure(self, state: AmplifierState, t_ns: int) -> tuple[AmplifierState, tuple[Frame, ...]]:
+        """Return the state and the next SDO request. The first request follows NMT pre-operational."""
+        cursor, data, problem = setup.next_request(state.cursor, self.steps, t_ns)
+        updated = state._replace(cursor=cursor)
+        if problem:
+            return updated._replace(phase=Phase.FAULT, error_text=problem), ()
+        frames = (Frame(codec.SDO_REQUEST + self.node_id, data, 0, self.bus),) if data else ()
+        return updated, (self._nmt(codec.PRE_OPERATIONAL), *frames) if cursor.step == 0 and data else frames
+
+    def _nmt(self, order: int) -> Frame:
+        """Return the frame of an NMT command to the amplifier."""
+        return Frame(codec.NMT, bytes((order, self.node_id)), 0, self.bus)

@@ -1,0 +1,429 @@
+"""CiA 404 amplifiers: frames, set-up with read-back, and the faults of a hand that measures tension with them."""
+
+import math
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import cantools
+import pytest
+
+from firmware_sim.bus.frame import Frame as WireFrame
+from firmware_sim.rig import Rig
+from handctl.campaign.stage import GRASP, advance_to, homed_run
+from handctl.controller.setup import make_drives, make_sensors
+from handctl.core.types import Mode
+from handctl.drives.cia404.load_cells import Cia404LoadCells
+from handctl.drives.contract import DriveTarget, Phase
+from handctl.drives.dbc import dbc_of_bus
+from handctl.drives.frame import Frame
+from handctl.errors import ConfigError
+from handctl.hand.description import Hand
+from handctl.hand.load import hand_from_content, load_hand
+from handctl.runtime.diagnostics.scan import scan_bus
+from handctl.session.simulate import Simulation
+from tests.drives.wired import Wired
+
+TENDONS = ("a", "b", "c")
+PERIOD_NS = 2_000_000
+ANSWER_NS = 300_000
+"""Arrival of an answer after the tick [ns]."""
+KEYS: dict[str, Any] = {"protocol": "cia404", "node_ids": [0x21, 0x22], "channels_per_node": 2, "range_N": 300.0}
+OWN_KEYS = ("base_id", "joints", "joint_decimation", "joint_noise_rad")
+
+
+@dataclass(frozen=True)
+class Section:
+    """The hand file's section: three load cells on two amplifiers."""
+
+    sync_id: int = 0x080
+    tendons: tuple[str, ...] = TENDONS
+    node_ids: tuple[int, ...] = (0x21, 0x22)
+    amplifier_channels: tuple[int, ...] = (2, 1)
+    range_N: float = 300.0
+    process_value: str = "int32"
+    decimal_digits: int = 3
+
+
+def with_amplifiers(name: str = "jamia", **changed: Any) -> Hand:
+    """Return a packaged hand whose load cells are on CiA 404 amplifiers."""
+    content = load_hand(name).content
+    node = {key: value for key, value in content["sensor_node"].items() if key not in OWN_KEYS}
+    return hand_from_content({**content, "sensor_node": {**node, **KEYS, **changed}}, name)
+
+
+# Frames.
+
+
+def test_hand_made_frames_become_newtons() -> None:
+    cells = Cia404LoadCells.of(Section(), 0, TENDONS)
+    assert cells.ids == (0x1A1, 0x1A2)
+    wired = Wired((), cells)
+    assert wired.sync(7) == Frame(0x080, b"")
+    # 12.345 N and -0.500 N on the first amplifier, 299.999 N on the second: counts of 0.001 N, lowest byte first.
+    first, second = bytes.fromhex("39300000 0cfeffff"), bytes.fromhex("df930400")
+    wired.receive([Frame(0x1A1, first, t_ns=ANSWER_NS), Frame(0x1A2, second, t_ns=ANSWER_NS)])
+    assert wired.tensions == pytest.approx({0: 12.345, 1: -0.5, 2: 299.999}, abs=1e-9)
+    assert (wired.number("stale"), wired.misread) == (0, False)
+
+
+def test_a_float_is_read_as_it_is() -> None:
+    wired = Wired((), Cia404LoadCells.of(Section(process_value="real32"), 0, TENDONS))
+    wired.sync(0)
+    first, second = struct.pack("<ff", 12.5, -0.25), struct.pack("<f", math.nan)
+    wired.receive([Frame(0x1A1, first, t_ns=ANSWER_NS), Frame(0x1A2, second, t_ns=ANSWER_NS)])
+    assert [wired.tensions[i] for i in (0, 1)] == [12.5, -0.25]
+    assert math.isnan(wired.tensions[2])
+
+
+@pytest.mark.parametrize("data", [b"", bytes(4), bytes(7)])
+def test_a_frame_of_another_length_is_malformed(data: bytes) -> None:
+    wired = Wired((), Cia404LoadCells.of(Section(), 0, TENDONS))
+    wired.sync(0)
+    wired.receive([Frame(0x1A1, data, t_ns=ANSWER_NS)])
+    assert (wired.tensions, wired.misread) == ({}, True)
+
+
+def test_a_frame_before_any_answer_to_the_sync_is_stale() -> None:
+    cells = Cia404LoadCells.of(Section(), 0, TENDONS)
+    wired = Wired((), cells)
+    wired.view("t_ns")[...] = 10_000_000
+    wired.sync(0)
+    wired.receive([Frame(0x1A1, bytes(8), t_ns=10_000_000 + 99_999)])
+    assert (wired.number("stale"), wired.tensions) == (1, {})
+    wired.receive([Frame(0x1A1, bytes(8), t_ns=10_000_000 + 126_000)])
+    assert (wired.number("stale"), wired.tensions) == (1, {0: 0.0, 1: 0.0})
+
+
+def test_channels_go_to_further_tpdos() -> None:
+    names = tuple(f"t{i}" for i in range(7))
+    section = Section(tendons=names, node_ids=(5, 6), amplifier_channels=(5, 2))
+    cells = Cia404LoadCells.of(section, 0, names)
+    assert cells.ids == (0x185, 0x285, 0x385, 0x186)
+    assert cells.channels == ((0, 1), (2, 3), (4,), (5, 6))
+    assert cells.lengths == (8, 8, 4, 8)
+    assert [cells.group_of_tendon(i) for i in range(7)] == [0, 0, 1, 1, 2, 3, 3]
+
+
+@pytest.mark.parametrize(
+    ("value", "raw"), [("int32", struct.pack("<ii", 1500, -2)), ("real32", struct.pack("<ff", 1.5, -2e-3))]
+)
+def test_the_dbc_decodes_the_same_tensions(value: str, raw: bytes) -> None:
+    hand = with_amplifiers(process_value=value)
+    text = dbc_of_bus(0, make_drives(hand), make_sensors(hand), hand.tendon_names, hand.joints)
+    database = cantools.database.load_string(text, "dbc", strict=True)
+    decoded = database.decode_message(0x1A1, raw)  # type: ignore[union-attr]
+    assert decoded == pytest.approx({"index_tendon": 1.5, "middle_tendon": -2e-3})
+
+
+# Set-up.
+
+
+class Bench:
+    """The amplifiers of a hand against the simulator, without drives."""
+
+    def __init__(self, hand: Hand, path: str) -> None:
+        """Start the simulator of a hand file."""
+        self.rig = Rig(path, seed=1, period_ns=PERIOD_NS)
+        self.sensors = make_sensors(hand)
+        self.states = [one.initial() for one in self.sensors.amplifiers]
+        self.k = 0
+        self.sent: list[Frame] = []
+        self.answers: list[Frame] = []
+
+    @property
+    def nodes(self) -> list[Any]:
+        """Return the simulated amplifiers."""
+        return self.rig.world.sensor_nodes
+
+    def tick(self, target: DriveTarget = DriveTarget.POLL, sync: bool = True) -> None:
+        """Exchange the frames of one tick."""
+        out = [self.sensors.sync(self.k)] if sync else []
+        for i, amplifier in enumerate(self.sensors.amplifiers):
+            self.states[i], frames = amplifier.advance(self.states[i], self.k * PERIOD_NS, target)
+            out += frames
+        self.sent += out
+        self.answers = [Frame(*one) for one in self.rig.step(self.k * PERIOD_NS, [tuple(one) for one in out])]
+        for frame in self.answers:
+            for i, amplifier in enumerate(self.sensors.amplifiers):
+                self.states[i] = amplifier.receive(self.states[i], frame)
+        self.k += 1
+
+    def until(self, phase: Phase, ticks: int = 400) -> None:
+        """Go on until all amplifiers are in a phase."""
+        for _ in range(ticks):
+            self.tick()
+            if all(state.phase == phase for state in self.states):
+                return
+        raise AssertionError(self.states)
+
+
+@pytest.fixture
+def bench(tmp_path: Any) -> Iterator[Bench]:
+    made = make_bench(tmp_path)
+    yield made
+    made.rig.close()
+
+
+def make_bench(folder: Any, **changed: Any) -> Bench:
+    """Return a bench of the hand with some keys changed."""
+    hand = with_amplifiers(**changed)
+    path = folder / "hand.toml"
+    path.write_text(hand.to_toml())
+    return Bench(hand, str(path))
+
+
+def test_the_set_up_reads_each_object_back_and_starts_the_amplifier(bench: Bench) -> None:
+    bench.until(Phase.READY)
+    for node in bench.nodes:
+        objects = node.objects
+        assert node.nmt == 0x05
+        assert (objects[0x1800, 1], objects[0x1800, 2]) == (0x180 + node.node_id, 1)
+        assert [objects[0x1A00, i] for i in range(3)] == [2, 0x9130_0120, 0x9130_0220]
+        assert [objects[0x6131, 1], objects[0x6132, 1], objects[0x1017, 0]] == [0x0021_0000, 3, 100]
+        assert all(objects[0x1801 + i, 1] & 1 << 31 for i in range(3))
+    bench.tick()
+    assert {frame.can_id for frame in bench.answers} >= {0x1A1, 0x1A2}
+
+
+def test_a_unit_that_is_right_already_is_not_written(bench: Bench) -> None:
+    bench.until(Phase.READY)
+    written = [frame.data[1:4] for frame in bench.sent if frame.can_id == 0x621 and frame.data[0] & 0xE0 == 0x20]
+    assert bytes.fromhex("316101") in written
+    bench.states = [one.initial() for one in bench.sensors.amplifiers]
+    bench.sent.clear()
+    bench.until(Phase.READY)
+    written = [frame.data[1:4] for frame in bench.sent if frame.can_id == 0x621 and frame.data[0] & 0xE0 == 0x20]
+    assert bytes.fromhex("316101") not in written
+    assert bytes.fromhex("001801") in written
+
+
+def test_nothing_but_sdo_nmt_and_sync_is_sent(bench: Bench) -> None:
+    bench.until(Phase.READY)
+    assert {frame.can_id for frame in bench.sent} == {0x000, 0x080, 0x621, 0x622}
+    assert {frame.data[0] for frame in bench.sent if frame.can_id == 0x000} == {0x80, 0x01}
+
+
+def ignores_unit(node: Any) -> None:
+    """Confirm every write of the unit, and keep the old one."""
+    write = node.objects.write
+    node.objects.write = lambda key, raw: None if key == (0x6131, 2) else write(key, raw)
+
+
+def is_a_drive(node: Any) -> None:
+    node.objects[0x1000, 0] = 0x0002_0192
+
+
+def refuses_the_type(node: Any) -> None:
+    """Know no synchronous transmission."""
+    write = node.objects.write
+    node.objects.write = lambda key, raw: None if key == (0x1800, 2) else write(key, raw)
+
+
+WRONG: dict[str, tuple[Callable[[Any], None], str]] = {
+    "unit": (ignores_unit, "object 0x6131:2 reads 0xfd0000 after writing, expected 0x210000"),
+    "profile": (is_a_drive, "object 0x1000:0 reads 0x20192, expected 0x194"),
+    "transmission type": (refuses_the_type, "object 0x1800:2 reads 0xfe after writing, expected 0x1"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_wrong_object_refuses_to_arm(name: str) -> None:
+    spoil, text = WRONG[name]
+    with homed_run(with_amplifiers(), 500.0, 0) as simulation:
+        spoil(nodes_of(simulation)[0])
+        assert simulation.until(lambda out: out.mode == Mode.DONE, 4.0)
+    assert simulation.state.failure == f"amplifier 0x21: {text}"
+    assert not any(Mode.ARMING <= out.mode <= Mode.RELAX for _, out in simulation.recorded)
+
+
+def test_a_missing_amplifier_is_named() -> None:
+    with homed_run(with_amplifiers(), 500.0, 0) as simulation:
+        nodes_of(simulation)[1].ids = frozenset()
+        simulation.peer.world.refresh_identifiers()  # type: ignore[attr-defined]
+        assert simulation.until(lambda out: out.mode == Mode.DONE, 5.0)
+    assert simulation.state.failure == "no answer from amplifier 0x22"
+
+
+def test_frames_before_the_set_up_are_not_used() -> None:
+    """An amplifier still runs from before, with the unit as delivered: a hundred times the tension."""
+    with homed_run(with_amplifiers(), 500.0, 0) as simulation:
+        for node in nodes_of(simulation):
+            node.receive(WireFrame(0x000, bytes((0x01, 0x00))), 0)
+            node.objects[0x1800, 2] = 1
+        groups = simulation.state.view("group_frames")
+        assert simulation.until(lambda out: out.mode == Mode.INVENTORY, 2.0)
+        assert not simulation.state.view("group_frames").any(), groups
+        assert simulation.until(lambda out: out.mode == Mode.READY, 4.0)
+        assert abs(simulation.state.view("cell")).max() < 20.0
+
+
+def test_a_restart_needs_the_set_up_again_and_not_while_torque_may_act(bench: Bench) -> None:
+    bench.until(Phase.READY)
+    bench.nodes[0].restart()
+    bench.tick(DriveTarget.ENABLE)
+    bench.tick(DriveTarget.ENABLE)
+    assert [state.phase for state in bench.states] == [Phase.SILENT, Phase.READY]
+    bench.sent.clear()
+    for _ in range(50):
+        bench.tick(DriveTarget.ENABLE)
+    assert {frame.can_id for frame in bench.sent} == {0x080}
+    bench.until(Phase.READY)
+
+
+# Faults.
+
+
+def nodes_of(simulation: Simulation) -> list[Any]:
+    """Return the simulated amplifiers of a run."""
+    return simulation.peer.world.sensor_nodes  # type: ignore[attr-defined]
+
+
+def faults_of(hand: Hand, seed: int, start: Callable[[Simulation], None], ticks: int = 60) -> tuple[set[str], int]:
+    """Return the faults that follow a disturbance in a grasp, and the ticks to the first reaction."""
+    with homed_run(hand, 500.0, seed) as simulation:
+        advance_to(simulation, GRASP)
+        start(simulation)
+        found: set[str] = set()
+        first = -1
+        for i in range(ticks):
+            out = simulation.tick()
+            found |= {event.text.split()[0] for event in out.events if event.name == "fault"}
+            if first < 0 and out.mode != Mode.ACTIVE:
+                first = i
+        return found, first
+
+
+def inject(text: str) -> Callable[[Simulation], None]:
+    return lambda simulation: simulation.peer.inject(text)
+
+
+def restart_all(simulation: Simulation) -> None:
+    for node in nodes_of(simulation):
+        node.restart()
+
+
+FAULTS = {
+    "silent": ("drop node=sensors", "N02"),
+    "mute": ("mute cell=index_tendon", "N02"),
+    "over the range": ("saturate cell=index_tendon", "T06"),
+    "broken wire": ("saturate cell=index_tendon size=-1", "T06"),
+}
+
+
+@pytest.mark.parametrize("name", ["mute", pytest.param("silent", marks=pytest.mark.nightly), "over the range",
+                                  pytest.param("broken wire", marks=pytest.mark.nightly)])  # fmt: skip
+def test_a_fault_is_found_as_with_the_sensor_node_of_handctl(name: str) -> None:
+    text, row = FAULTS[name]
+    own = faults_of(load_hand("jamia"), 0, inject(text))
+    amplifiers = faults_of(with_amplifiers(), 0, inject(text))
+    assert row in own[0], own
+    assert row in amplifiers[0], amplifiers
+    assert 0 <= amplifiers[1] <= own[1] + 1, (own, amplifiers)
+
+
+def test_amplifiers_that_restart_in_a_grasp_relax_the_hand() -> None:
+    found, ticks = faults_of(with_amplifiers(), 0, restart_all)
+    assert "N02" in found
+    assert 0 <= ticks <= 17  # 30 ms of silence
+
+
+def test_late_answers_are_delays_and_no_second_node() -> None:
+    """Without a counter the late answer and the next one look like a duplicate with other bytes (B06: relax)."""
+    found, ticks = faults_of(with_amplifiers(), 0, inject("delay node=sensors size=2.5 p=0.05"))
+    assert (found, ticks) == ({"B04"}, -1)
+
+
+def test_a_twin_is_found() -> None:
+    found, ticks = faults_of(with_amplifiers(), 0, inject("twin node=sensors"))
+    assert "B06" in found
+    assert 0 <= ticks <= 2
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", range(5))
+def test_a_hand_with_amplifiers_holds_a_grasp(seed: int) -> None:
+    for value in ("int32", "real32"):
+        with homed_run(with_amplifiers(process_value=value), 500.0, seed) as simulation:
+            advance_to(simulation, GRASP)
+            for _ in range(500):
+                assert simulation.tick().mode == Mode.ACTIVE
+            truth = simulation.peer.truth()["tension"]
+            error = simulation.state.tendon[:1] if simulation.out is None else simulation.out.telemetry.tension - truth
+            assert abs(error).max() < 3.0
+            assert simulation.state.latched == ()
+
+
+# The hand file.
+
+MISTAKES: dict[str, tuple[dict[str, Any], str]] = {
+    "no range": ({"range_N": None}, "sensor_node.range_N: missing"),
+    "small range": ({"range_N": 100.0}, "sensor_node.range_N: 100; expected at least"),
+    "few channels": ({"node_ids": [0x21]}, "sensor_node.node_ids: 1 amplifiers of 2 channels for 4 load cells"),
+    "unused amplifier": ({"node_ids": [0x21, 0x22, 0x23]}, "sensor_node.node_ids: 0x23 has no load cell"),
+    "twice": ({"node_ids": [0x21, 0x21]}, "sensor_node.node_ids: 0x21 twice"),
+    "the host's number": ({"node_ids": [0x21, 0x7F]}, "sensor_node.node_ids[1]: 127; expected a whole number from 1"),
+    "a reply's identifier": ({"node_ids": [0x21, 1]}, ""),
+    "another SYNC": ({"sync_id": 0x90}, "sensor_node.sync_id: 0x90; expected 0x080"),
+    "joint encoders": ({"joints": ["index_j1"]}, "sensor_node.joints: given; expected no such key"),
+    "a key of the other protocol": ({"base_id": 0x1A0}, "sensor_node.base_id: given; expected no such key"),
+    "too many digits": ({"decimal_digits": 6, "range_N": 4000.0}, "sensor_node.decimal_digits: 4000 N has more"),
+    "a wrong word": ({"process_value": "float"}, 'sensor_node.process_value: "float"; expected "int32" or "real32"'),
+    "a wrong protocol": ({"protocol": "cia405"}, 'sensor_node.protocol: "cia405"; expected "handctl" or "cia404"'),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_is_one_line(name: str) -> None:
+    changed, text = MISTAKES[name]
+    keys = {key: value for key, value in changed.items() if value is not None}
+    if not text:
+        assert with_amplifiers(**keys).sensor_node.tension_ids == (0x1A1, 0x181)
+        return
+    content = load_hand("jamia").content
+    node = {key: value for key, value in content["sensor_node"].items() if key not in OWN_KEYS} | KEYS | keys
+    node = {key: value for key, value in node.items() if changed.get(key, 0) is not None}
+    with pytest.raises(ConfigError) as error:
+        hand_from_content({**content, "sensor_node": node}, "hand.toml")
+    assert str(error.value).startswith(f"hand.toml: {text}")
+    assert "\n" not in str(error.value)
+
+
+def test_a_drive_on_an_amplifier_s_identifier_is_a_mistake() -> None:
+    content = with_amplifiers().content
+    motors = [{**motor, "node_id": 0x7D, "options": {"reply_id": 0x1A1}} for motor in content["motor"][:1]]
+    with pytest.raises(ConfigError, match='0x1A1 on bus "main" is taken'):
+        hand_from_content({**content, "motor": [*motors, *content["motor"][1:]]}, "hand.toml")
+
+
+def test_keys_of_amplifiers_beside_the_own_node_are_a_mistake() -> None:
+    content = load_hand("jamia").content
+    with pytest.raises(ConfigError, match=r'sensor_node.node_ids: given; expected no such key, it belongs to protocol'):
+        hand_from_content({**content, "sensor_node": {**content["sensor_node"], "node_ids": [0x21]}}, "hand.toml")
+
+
+def test_hands_from_before_keep_their_content_and_identity() -> None:
+    hand = load_hand("jamia")
+    assert set(hand.content["sensor_node"]) == {
+        "bus", "sync_id", "base_id", "tendons", "joints", "joint_decimation", "tension_noise_N",
+        "tension_bias_drift_N", "joint_noise_rad",
+    }  # fmt: skip
+    assert hand.identity.startswith("dfe326d335b4750c")
+
+
+def test_the_log_s_hand_is_the_same() -> None:
+    import tomllib
+
+    hand = with_amplifiers(process_value="real32")
+    again = hand_from_content(tomllib.loads(hand.to_toml()), "log")
+    assert again == hand
+    assert again.identity == hand.identity
+
+
+def test_a_scan_finds_amplifiers_with_their_channels(bench: Bench) -> None:
+    from tests.cli.test_scan import BenchBus, hear
+
+    result = scan_bus(BenchBus(bench.rig.world), listen=hear)
+    found = [node for node in result.found if node.protocol == "cia404"]
+    assert [(node.node_id, node.options["channels_per_node"]) for node in found] == [(0x21, 2), (0x22, 2)]
