@@ -238,6 +238,7 @@ def test_a_wrong_object_refuses_to_arm(name: str) -> None:
     assert not any(Mode.ARMING <= out.mode <= Mode.RELAX for _, out in simulation.recorded)
 
 
+@pytest.mark.nightly
 def test_a_missing_amplifier_is_named() -> None:
     with homed_run(with_amplifiers(), 500.0, 0) as simulation:
         nodes_of(simulation)[1].ids = frozenset()
@@ -312,8 +313,10 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize("name", ["mute", pytest.param("silent", marks=pytest.mark.nightly), "over the range",
-                                  pytest.param("broken wire", marks=pytest.mark.nightly)])  # fmt: skip
+AT_NIGHT = [pytest.param(name, marks=pytest.mark.nightly) for name in FAULTS if name != "mute"]
+
+
+@pytest.mark.parametrize("name", ["mute", *AT_NIGHT])
 def test_a_fault_is_found_as_with_the_sensor_node_of_handctl(name: str) -> None:
     text, row = FAULTS[name]
     own = faults_of(load_hand("jamia"), 0, inject(text))
@@ -335,6 +338,7 @@ def test_late_answers_are_delays_and_no_second_node() -> None:
     assert (found, ticks) == ({"B04"}, -1)
 
 
+@pytest.mark.nightly
 def test_a_twin_is_found() -> None:
     found, ticks = faults_of(with_amplifiers(), 0, inject("twin node=sensors"))
     assert "B06" in found
