@@ -16,6 +16,7 @@ from handctl.runtime.diagnostics.watch import BusWatch, Reading, is_saturated
 from handctl.runtime.mailbox import Mailbox
 from tests.drives.bench_process import drives
 from tests.drives.protocol_bench import hand_file, on_two_buses
+from tests.drives.test_cia404 import with_amplifiers
 
 PERIOD_NS = 10_000_000
 TURNED_RAD = -0.5
@@ -101,6 +102,23 @@ def test_two_buses_and_joint_encoders_are_read(tmp_path):
         watch.tick()
     assert watch.angles
     assert all(abs(reading.value) < 0.1 for reading in watch.angles.values())
+
+
+@pytest.mark.parametrize("value", ["int32", "real32"])
+def test_amplifiers_are_set_up_and_read(value, tmp_path):
+    path = tmp_path / "hand.toml"
+    path.write_text(with_amplifiers(process_value=value).to_toml())
+    place, watch = watched(path)
+    for _ in range(120):
+        watch.tick()
+    tensions = [reading.at(place.t_ns) for reading in watch.tensions.values()]
+    assert len(tensions) == 4
+    assert all(abs(tension) < 8.0 for tension in tensions)
+    place.rig.inject("saturate cell=index_tendon")
+    for _ in range(3):
+        watch.tick()
+    saturated = [is_saturated(reading.value, watch.sensors.cell_range) for reading in watch.tensions.values()]
+    assert saturated == [True, False, False, False]
 
 
 def test_a_drive_that_falls_silent_is_named_and_its_readings_end():

@@ -15,8 +15,8 @@ from handctl.drives.contract import Drive
 from handctl.drives.frame import Frame
 from handctl.drives.sensors.contract import Sensors
 
-LATE_TICKS = 8
-"""Ticks for which a missing answer may still arrive."""
+LATE_TICKS = 50
+"""Ticks for which a missing answer may still arrive. A busy node works off its queue over many ticks."""
 
 
 def detect_unsolicited_replies(
