@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.core.types import Mode
+from handctl.digit_colours import colour_numbers
 from handctl.hand.description import Hand
-from handctl.hand.digit_colours import colour_numbers
 from handctl.log.read.reader import RunLog
 from handctl.output import save_figure
 from handctl.printing import printable_text

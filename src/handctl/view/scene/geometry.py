@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import rerun as rr
 from rerun.chunk import Chunk
 
-from handctl.hand.digit_colours import colour_numbers
+from handctl.digit_colours import colour_numbers
 from handctl.view.scene import palette
 from handctl.view.scene.arrow import static_chunk
 from handctl.view.scene.run_info import RunInfo

@@ -6,7 +6,7 @@ import rerun as rr
 from rerun.chunk import Chunk
 
 from handctl.core.types import TELEMETRY_AXES
-from handctl.hand.digit_colours import colour_numbers
+from handctl.digit_colours import colour_numbers
 from handctl.view.scene import palette
 from handctl.view.scene.arrow import static_chunk
 from handctl.view.scene.palette import Colour

@@ -2,7 +2,7 @@
 
 import pytest
 
-from handctl.hand.digit_colours import NAMED, colour_numbers
+from handctl.digit_colours import NAMED, colour_numbers
 from handctl.hand.load import load_hand, packaged_hands
 
 
