@@ -41,6 +41,14 @@ def test_a_second_paragraph_of_a_list_entry_is_indented_by_four(path: Path) -> N
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_no_line_begins_with_a_number_that_ends_a_sentence(path: Path) -> None:
+    # The site would begin an entry of a list with "126. The identifiers". Entries are numbered from 1.
+    text = FENCE.sub("", path.read_text(encoding="utf-8"))
+    numbers = [int(number) for number in re.findall(r"^ *(\d+)\. ", text, re.MULTILINE)]
+    assert [b for a, b in zip([0, *numbers], numbers, strict=False) if b not in (1, a + 1)] == []
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_no_code_has_a_bar_behind_a_backslash(path: Path) -> None:
     # The site shows the backslash. `<code>A&#124;B</code>` is right on the site and on GitHub.
     text = FENCE.sub("", path.read_text(encoding="utf-8"))
